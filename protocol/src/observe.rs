@@ -1,0 +1,301 @@
+//! What a machine says about itself while it works, and how it looks when asked. The monitor, the recorder and the
+//! checkers see a node only through these.
+
+use crate::cell::Usage;
+use crate::ids::{MessageId, NodeId, PortId, Round, TaskId};
+use crate::packet::Class;
+use crate::ticks::Ticks;
+use alloc::vec::Vec;
+use serde::{Deserialize, Serialize};
+
+/// Why a message was dropped. Every drop has a reason, is counted and is visible (D19).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub enum Reason {
+    /// Its life ended in a task's buffer.
+    Expired,
+    /// Its life ended on a link or in a kernel queue.
+    ExpiredOnTheWay,
+    /// Its life ended in the transit buffer.
+    ExpiredInTransit,
+    /// It found a full buffer of more urgent messages.
+    Refused,
+    /// It made room for a more urgent message.
+    Evicted,
+    /// It was seen before.
+    Duplicate,
+    /// It speaks of a meeting that is over.
+    OldRound,
+    /// Its source may not use its port this way.
+    NotAllowed,
+    /// It is for a task that this node neither runs nor can reach.
+    Unroutable,
+    /// It has passed too many relays.
+    HopLimit,
+    /// It answers a request that is no longer waited for.
+    Unexpected,
+    /// It comes from an earlier life of its source.
+    StaleIncarnation,
+}
+
+impl Reason {
+    /// All reasons, in the order of their discriminants.
+    pub const ALL: [Self; 12] = [
+        Self::Expired,
+        Self::ExpiredOnTheWay,
+        Self::ExpiredInTransit,
+        Self::Refused,
+        Self::Evicted,
+        Self::Duplicate,
+        Self::OldRound,
+        Self::NotAllowed,
+        Self::Unroutable,
+        Self::HopLimit,
+        Self::Unexpected,
+        Self::StaleIncarnation,
+    ];
+
+    /// A short name for tables and counters.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Expired => "expired",
+            Self::ExpiredOnTheWay => "expired_on_the_way",
+            Self::ExpiredInTransit => "expired_in_transit",
+            Self::Refused => "refused",
+            Self::Evicted => "evicted",
+            Self::Duplicate => "duplicate",
+            Self::OldRound => "old_round",
+            Self::NotAllowed => "not_allowed",
+            Self::Unroutable => "unroutable",
+            Self::HopLimit => "hop_limit",
+            Self::Unexpected => "unexpected",
+            Self::StaleIncarnation => "stale_incarnation",
+        }
+    }
+}
+
+/// Something that happened in a communication task or the transit buffer.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub enum Event {
+    /// The task's message was handed to the route layer.
+    Sent,
+    /// A copy of it was sent again.
+    Resent,
+    /// A message was put into a port's buffer.
+    Enqueued,
+    /// A message was handed to the task.
+    Delivered,
+    /// The task answered a message.
+    Replied,
+    /// The task's class-2 message was answered.
+    Answered,
+    /// The task's class-2 message was refused.
+    RefusedByPeer,
+    /// The time_out of the task's class-2 message ended; it may have run.
+    TimedOut,
+    /// The time_out of the task's class-2 message ended before any copy left.
+    TimedOutUnsent,
+    /// The peer of the task's class-2 message restarted.
+    PeerRestarted,
+    /// A message was dropped.
+    Discarded(Reason),
+    /// The task reached a waitfor.
+    Reached,
+    /// The task went on to a fresher round while waiting.
+    Rejoined,
+    /// A partner's arrival came in.
+    PartnerArrived,
+    /// A partner gave up.
+    PartnerAborted,
+    /// A CONFIRM was sent.
+    Confirmed,
+    /// The task was released because it held all arrivals.
+    ReleasedComplete,
+    /// The task was released by a CONFIRM.
+    ReleasedByConfirm,
+    /// All had arrived, but with too little time left to release (D2).
+    WithinMargin,
+    /// The task gave up a waitfor.
+    GaveUp,
+}
+
+/// One observation. What `number` means follows from the event: a message's sequence or a meeting's round.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub struct Observation {
+    /// What happened.
+    pub event: Event,
+    /// On which port.
+    pub port: PortId,
+    /// With which other task.
+    pub peer: TaskId,
+    /// Sequence or round.
+    pub number: u32,
+    /// How long the message or the wait still had.
+    pub remaining: Ticks,
+}
+
+/// Counters of one port at one task. They only grow while the node lives.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub struct PortCounters {
+    /// Messages the task sent, or waitfors it reached; re-sent copies not counted.
+    pub sent: u64,
+    /// Copies sent again.
+    pub resent: u64,
+    /// Messages put into the buffer, or handed over at once.
+    pub enqueued: u64,
+    /// Messages handed to the task, or waitfors released.
+    pub delivered: u64,
+    /// Messages whose life ended here.
+    pub expired: u64,
+    /// Messages that found no space.
+    pub refused: u64,
+    /// Messages that the task rejected by rank.
+    pub rejected: u64,
+    /// Messages dropped to make room.
+    pub evicted: u64,
+    /// Copies of messages seen before.
+    pub duplicates: u64,
+    /// The task's own requests that ended by time_out.
+    pub timed_out: u64,
+    /// Other drops: old rounds, not allowed, unexpected.
+    pub dropped: u64,
+}
+
+/// What a task is doing, as its communication task knows it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub enum TaskState {
+    /// It has asked for nothing: it runs.
+    Running,
+    /// It waits for a message.
+    Receiving {
+        /// On this port, or on any.
+        port: Option<PortId>,
+        /// For so long, or without end.
+        remaining: Option<Ticks>,
+    },
+    /// It waits for the answer to its class-2 message.
+    AwaitingReply {
+        /// On this port.
+        port: PortId,
+        /// From this task.
+        from: TaskId,
+        /// For so long.
+        remaining: Ticks,
+    },
+    /// It waits for others at a waitfor.
+    Waiting {
+        /// On this port.
+        port: PortId,
+        /// In this round.
+        round: Round,
+        /// For so long.
+        remaining: Ticks,
+    },
+    /// It delays.
+    Delaying,
+}
+
+/// A waiting message, as a monitor shows it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub struct QueueEntry {
+    /// Who sent it.
+    pub source: TaskId,
+    /// Its id.
+    pub id: MessageId,
+    /// Its class.
+    pub class: Class,
+    /// What is left of its life.
+    pub remaining: Ticks,
+}
+
+/// A port of one task.
+#[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub struct PortView {
+    /// Which port.
+    pub port: PortId,
+    /// What the task does with it.
+    pub usage: Usage,
+    /// Its class.
+    pub class: Class,
+    /// How many messages wait.
+    pub len: u16,
+    /// How many may wait; zero where this end receives nothing.
+    pub capacity: u16,
+    /// What is left of the most urgent one.
+    pub min_slack: Option<Ticks>,
+    /// The waiting messages in the order they will be served, as many as were asked for.
+    pub queue: Vec<QueueEntry>,
+    /// The counters.
+    pub counters: PortCounters,
+}
+
+/// Where one task stands in a rendezvous.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub enum MeetingState {
+    /// It has not reached the waitfor.
+    Away,
+    /// It waits for the others.
+    Gathering,
+    /// It holds every arrival, but too little time is left to release; only a CONFIRM can help (D2).
+    WithinMargin,
+}
+
+/// What one task knows of one member of a rendezvous.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub struct MemberView {
+    /// Which member.
+    pub task: TaskId,
+    /// Whether it has arrived in the round shown.
+    pub arrived: bool,
+    /// Whether it is known to have released that round.
+    pub confirmed: bool,
+    /// What is left of its patience, if it has arrived.
+    pub remaining: Option<Ticks>,
+}
+
+/// A rendezvous as one task sees it.
+#[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub struct MeetingView {
+    /// The port.
+    pub port: PortId,
+    /// The round waited in, or the next one to wait in.
+    pub round: Round,
+    /// The round this task last released.
+    pub released: Round,
+    /// Where this task stands.
+    pub state: MeetingState,
+    /// What is left of its patience, if it waits.
+    pub remaining: Option<Ticks>,
+    /// All members, owner first; the task itself included.
+    pub members: Vec<MemberView>,
+}
+
+/// A task and its communication task at one instant.
+#[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub struct TaskView {
+    /// Which task.
+    pub task: TaskId,
+    /// What it is doing.
+    pub state: TaskState,
+    /// Its ports, ascending.
+    pub ports: Vec<PortView>,
+    /// Its waitfors, ascending by port.
+    pub meetings: Vec<MeetingView>,
+}
+
+/// The transit buffer of a node at one instant.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub struct TransitView {
+    /// How many packets wait.
+    pub len: u16,
+    /// How many may wait.
+    pub capacity: u16,
+    /// What is left of the most urgent one.
+    pub min_slack: Option<Ticks>,
+    /// Packets relayed or sent since the start.
+    pub forwarded: u64,
+    /// Packets dropped, by [`Reason::ALL`] position.
+    pub discarded: [u64; Reason::ALL.len()],
+    /// The nodes that packets wait for.
+    pub next: Vec<NodeId>,
+}

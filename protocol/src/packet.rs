@@ -1,0 +1,535 @@
+//! The 32-byte packet (Figure 5, D47).
+//!
+//! ```text
+//!  0      version 2 | kind 3 | class 1 | more fragments 1 | re-sent 1      (high bits first)
+//!  1      length 4 | hops left 3 | urgent 1
+//!  2..4   destination task        4..6  source task        6..8  port          (little endian)
+//!  8      incarnation             9..12 sequence
+//! 12..15  remaining: mantissa     15    fragment index 4 | exponent 4
+//! 16..28  contents
+//! 28..32  CRC-32/AUTOSAR, end to end
+//! ```
+//!
+//! Remaining time is `mantissa x 10 us << exponent`, rounded down: a message may lose life on the way, never gain any.
+//! The CRC is prefixed by the unsent cell digest and port hash, so a packet of another cell fails it, and leaves out
+//! the fields that relays change (hops left, remaining), which the envelope covers per hop (D48).
+
+use crate::ids::{Incarnation, MessageId, PortId, Round, Seq24, TaskId};
+use crate::ticks::Ticks;
+use core::fmt;
+use serde::{Deserialize, Serialize};
+
+/// The size of every packet, in bytes.
+pub const PACKET_BYTES: usize = 32;
+/// How many bytes of contents one packet carries: three one-word parameters.
+pub const CONTENTS_BYTES: usize = 12;
+/// How many relays a packet may pass.
+pub const MAX_HOPS: u8 = 7;
+/// The packet format of this library.
+pub const PACKET_VERSION: u8 = 1;
+/// The finest step of remaining time on the wire, in microseconds.
+pub const WIRE_STEP_US: u64 = 10;
+
+/// What a packet is for. The verb a program used is recovered at the destination from the port's usage (R44).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[repr(u8)]
+pub enum Kind {
+    /// A message for a `receive`.
+    Send = 0,
+    /// A message that may interrupt its target (§4.2).
+    Query = 1,
+    /// The answer to a received message.
+    Reply = 2,
+    /// The answer to a query.
+    Response = 3,
+    /// "I have reached the waitfor" (§4.3).
+    Arrive = 4,
+    /// "All have reached the waitfor" (§4.3).
+    Confirm = 5,
+    /// "I have left the waitfor without a release" (D2).
+    Abort = 6,
+    /// An answer of the communication task itself; see [`Control`].
+    Control = 7,
+}
+
+impl Kind {
+    const ALL: [Self; 8] = [
+        Self::Send,
+        Self::Query,
+        Self::Reply,
+        Self::Response,
+        Self::Arrive,
+        Self::Confirm,
+        Self::Abort,
+        Self::Control,
+    ];
+}
+
+/// The paper's two classes of message (§III; D7).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub enum Class {
+    /// Class 2: has meaning until its time_out; the sender waits for the answer. Sorts before status.
+    Command,
+    /// Class 1: loses its meaning once sent; no reply.
+    Status,
+}
+
+/// What a [`Kind::Control`] packet says about the request whose id it carries.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub enum Control {
+    /// The message found no space and was not kept (D19, D21).
+    Refused,
+    /// The destination restarted and cannot know whether the request ran before (D49).
+    Restarted,
+    /// Asks for a sign of life; carries no request.
+    Probe,
+}
+
+/// Up to [`CONTENTS_BYTES`] bytes of message contents; the bytes past the length are zero.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub struct Contents {
+    len: u8,
+    bytes: [u8; CONTENTS_BYTES],
+}
+
+impl Contents {
+    /// No contents.
+    pub const EMPTY: Self = Self { len: 0, bytes: [0; CONTENTS_BYTES] };
+
+    /// The contents `bytes`, or `None` where they are longer than one packet carries.
+    #[must_use]
+    pub fn new(bytes: &[u8]) -> Option<Self> {
+        let mut contents = Self::EMPTY;
+        contents.bytes.get_mut(..bytes.len())?.copy_from_slice(bytes);
+        contents.len = u8::try_from(bytes.len()).ok()?;
+        Some(contents)
+    }
+
+    /// The bytes.
+    #[must_use]
+    pub fn as_bytes(&self) -> &[u8] {
+        &self.bytes[..usize::from(self.len)]
+    }
+}
+
+/// The contents of ARRIVE, CONFIRM and ABORT (D47, D54).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub struct Meeting {
+    /// The round the packet speaks of.
+    pub round: Round,
+    /// The round its sender last released.
+    pub released: Round,
+    /// The arguments of the `waitfor`; in an ABORT the first two bytes are the round to go on with.
+    pub arguments: [u8; 8],
+}
+
+impl Meeting {
+    /// The packet contents of this meeting.
+    #[must_use]
+    pub fn to_contents(self) -> Contents {
+        let mut bytes = [0; CONTENTS_BYTES];
+        bytes[..2].copy_from_slice(&self.round.0.to_le_bytes());
+        bytes[2..4].copy_from_slice(&self.released.0.to_le_bytes());
+        bytes[4..].copy_from_slice(&self.arguments);
+        Contents { len: 12, bytes }
+    }
+
+    /// The meeting that packet contents describe. Contents too short for one read as zero where they end.
+    #[must_use]
+    pub fn from_contents(contents: &Contents) -> Self {
+        let b = &contents.bytes;
+        let mut arguments = [0; 8];
+        arguments.copy_from_slice(&b[4..]);
+        Self {
+            round: Round(u16::from_le_bytes([b[0], b[1]])),
+            released: Round(u16::from_le_bytes([b[2], b[3]])),
+            arguments,
+        }
+    }
+
+    /// An ABORT's round to go on with.
+    #[must_use]
+    pub fn next_round(self) -> Round {
+        Round(u16::from_le_bytes([self.arguments[0], self.arguments[1]]))
+    }
+
+    /// The arguments of an ABORT that asks its receivers to go on with `next`.
+    #[must_use]
+    pub fn abort_arguments(next: Round) -> [u8; 8] {
+        let [low, high] = next.0.to_le_bytes();
+        [low, high, 0, 0, 0, 0, 0, 0]
+    }
+}
+
+/// A packet in memory. Between tasks of one node it travels like this and is never serialised (D44).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub struct Packet {
+    /// What the packet is for.
+    pub kind: Kind,
+    /// Command or status.
+    pub class: Class,
+    /// Whether more fragments of the same message follow (D28).
+    pub more: bool,
+    /// Whether this is a repetition of a packet sent before (D5, D55).
+    pub resent: bool,
+    /// Asks links not to hold the packet back for company.
+    pub urgent: bool,
+    /// How many more relays the packet may pass.
+    pub hops: u8,
+    /// The position among the fragments of one message.
+    pub fragment: u8,
+    /// The task the packet is for.
+    pub destination: TaskId,
+    /// The task the packet comes from.
+    pub source: TaskId,
+    /// The port it travels on.
+    pub port: PortId,
+    /// Of a request: its own id. Of an answer: the request's id.
+    pub id: MessageId,
+    /// The time_out that is left (§III, D37). Never an instant.
+    pub remaining: Ticks,
+    /// What the message says.
+    pub contents: Contents,
+}
+
+/// Why 32 bytes are not a packet for this node.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub enum PacketError {
+    /// Made by another version of the packet format.
+    Version(u8),
+    /// Names a port that the cell does not have.
+    UnknownPort(PortId),
+    /// The end-to-end checksum is wrong: damaged, or made for another cell or another declaration of the port.
+    Checksum,
+    /// A length field beyond the contents, or filled padding.
+    Malformed,
+}
+
+impl fmt::Display for PacketError {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Version(v) => write!(f, "packet format {v}, this node speaks {PACKET_VERSION}"),
+            Self::UnknownPort(p) => write!(f, "port {p} is not in this cell"),
+            Self::Checksum => write!(f, "checksum is wrong (damaged, or made for another cell)"),
+            Self::Malformed => write!(f, "malformed packet"),
+        }
+    }
+}
+
+impl core::error::Error for PacketError {}
+
+const CRC: crc::Crc<u32, crc::Table<1>> = crc::Crc::<u32, crc::Table<1>>::new(&crc::CRC_32_AUTOSAR);
+
+/// The bits of byte 1 that relays change.
+const HOP_BITS: u8 = 0b0000_1110;
+
+fn checksum(bytes: &[u8; PACKET_BYTES], digest: u32, port_hash: u32) -> u32 {
+    let mut covered = *bytes;
+    covered[1] &= !HOP_BITS;
+    covered[12] = 0;
+    covered[13] = 0;
+    covered[14] = 0;
+    covered[15] &= 0xf0;
+    let mut crc = CRC.digest();
+    crc.update(&digest.to_le_bytes());
+    crc.update(&port_hash.to_le_bytes());
+    crc.update(&covered[..28]);
+    crc.finalize()
+}
+
+/// Remaining time as the wire carries it: the largest `(mantissa, exponent)` that is not more than `remaining`
+/// microseconds. Times past the end of the scale become the largest one, about 63 days.
+fn to_wire(remaining: Ticks) -> (u32, u8) {
+    const MANTISSA_MAX: u64 = (1 << 24) - 1;
+    let steps = remaining.0 / WIRE_STEP_US;
+    let bits = 64 - steps.leading_zeros();
+    let exponent = bits.saturating_sub(24).min(15);
+    let mantissa = (steps >> exponent).min(MANTISSA_MAX);
+    (u32::try_from(mantissa).unwrap_or(u32::MAX), u8::try_from(exponent).unwrap_or(15))
+}
+
+fn from_wire(mantissa: u32, exponent: u8) -> Ticks {
+    Ticks((u64::from(mantissa) << exponent) * WIRE_STEP_US)
+}
+
+impl Packet {
+    /// The bytes of this packet. `digest` is the cell's, `port_hash` that of the packet's port.
+    #[must_use]
+    pub fn encode(&self, digest: u32, port_hash: u32) -> [u8; PACKET_BYTES] {
+        let mut b = [0; PACKET_BYTES];
+        b[0] = (PACKET_VERSION << 6)
+            | ((self.kind as u8) << 3)
+            | (u8::from(self.class == Class::Command) << 2)
+            | (u8::from(self.more) << 1)
+            | u8::from(self.resent);
+        b[1] = (self.contents.len << 4) | ((self.hops & 7) << 1) | u8::from(self.urgent);
+        b[2..4].copy_from_slice(&self.destination.0.to_le_bytes());
+        b[4..6].copy_from_slice(&self.source.0.to_le_bytes());
+        b[6..8].copy_from_slice(&self.port.0.to_le_bytes());
+        b[8] = self.id.incarnation.0;
+        b[9..12].copy_from_slice(&self.id.sequence.get().to_le_bytes()[..3]);
+        let (mantissa, exponent) = to_wire(self.remaining);
+        b[12..15].copy_from_slice(&mantissa.to_le_bytes()[..3]);
+        b[15] = (self.fragment << 4) | exponent;
+        b[16..28].copy_from_slice(&self.contents.bytes);
+        let crc = checksum(&b, digest, port_hash);
+        b[28..].copy_from_slice(&crc.to_le_bytes());
+        b
+    }
+
+    /// The packet that `b` holds. `port_hash` looks up the hash of a port of this cell.
+    ///
+    /// # Errors
+    /// Says why the bytes are not a packet of this cell. Never panics, whatever the bytes are.
+    pub fn decode(
+        b: &[u8; PACKET_BYTES],
+        digest: u32,
+        port_hash: impl FnOnce(PortId) -> Option<u32>,
+    ) -> Result<Self, PacketError> {
+        let version = b[0] >> 6;
+        if version != PACKET_VERSION {
+            return Err(PacketError::Version(version));
+        }
+        let port = PortId(u16::from_le_bytes([b[6], b[7]]));
+        let hash = port_hash(port).ok_or(PacketError::UnknownPort(port))?;
+        if checksum(b, digest, hash) != u32::from_le_bytes([b[28], b[29], b[30], b[31]]) {
+            return Err(PacketError::Checksum);
+        }
+        let len = b[1] >> 4;
+        let mut bytes = [0; CONTENTS_BYTES];
+        bytes.copy_from_slice(&b[16..28]);
+        let padding = bytes.get(usize::from(len)..).ok_or(PacketError::Malformed)?;
+        if padding.iter().any(|&byte| byte != 0) {
+            return Err(PacketError::Malformed);
+        }
+        Ok(Self {
+            kind: Kind::ALL[usize::from((b[0] >> 3) & 7)],
+            class: if b[0] & 4 != 0 { Class::Command } else { Class::Status },
+            more: b[0] & 2 != 0,
+            resent: b[0] & 1 != 0,
+            urgent: b[1] & 1 != 0,
+            hops: (b[1] & HOP_BITS) >> 1,
+            fragment: b[15] >> 4,
+            destination: TaskId(u16::from_le_bytes([b[2], b[3]])),
+            source: TaskId(u16::from_le_bytes([b[4], b[5]])),
+            port,
+            id: MessageId {
+                incarnation: Incarnation(b[8]),
+                sequence: Seq24::new(u32::from_le_bytes([b[9], b[10], b[11], 0])),
+            },
+            remaining: from_wire(u32::from_le_bytes([b[12], b[13], b[14], 0]), b[15] & 0x0f),
+            contents: Contents { len, bytes },
+        })
+    }
+
+    /// A meeting packet's contents.
+    #[must_use]
+    pub fn meeting(&self) -> Meeting {
+        Meeting::from_contents(&self.contents)
+    }
+
+    /// What a CONTROL packet says, or `None` where it says nothing that this version knows.
+    #[must_use]
+    pub fn control(&self) -> Option<Control> {
+        match self.contents.as_bytes() {
+            [1] => Some(Control::Refused),
+            [2] => Some(Control::Restarted),
+            [3] => Some(Control::Probe),
+            _ => None,
+        }
+    }
+}
+
+impl Control {
+    /// The packet contents that say this.
+    #[must_use]
+    pub fn to_contents(self) -> Contents {
+        let mut contents = Contents { len: 1, ..Contents::EMPTY };
+        contents.bytes[0] = match self {
+            Self::Refused => 1,
+            Self::Restarted => 2,
+            Self::Probe => 3,
+        };
+        contents
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    fn packet() -> impl Strategy<Value = Packet> {
+        let flags =
+            (0..8_usize, any::<bool>(), any::<bool>(), any::<bool>(), any::<bool>(), 0..8_u8, 0..16_u8);
+        let ids = (any::<u16>(), any::<u16>(), any::<u16>(), any::<u8>(), 0..Seq24::MODULUS);
+        (flags, ids, 0..10_000_000_000_000_u64, proptest::collection::vec(any::<u8>(), 0..=12)).prop_map(
+            |((kind, command, more, resent, urgent, hops, fragment), (d, s, p, i, q), remaining, bytes)| {
+                Packet {
+                    kind: Kind::ALL[kind],
+                    class: if command { Class::Command } else { Class::Status },
+                    more,
+                    resent,
+                    urgent,
+                    hops,
+                    fragment,
+                    destination: TaskId(d),
+                    source: TaskId(s),
+                    port: PortId(p),
+                    id: MessageId { incarnation: Incarnation(i), sequence: Seq24::new(q) },
+                    remaining: Ticks(remaining),
+                    contents: Contents::new(&bytes).unwrap(),
+                }
+            },
+        )
+    }
+
+    proptest! {
+        #[test]
+        fn decoding_undoes_encoding_and_never_adds_life(p in packet(), digest: u32, hash: u32) {
+            let back = Packet::decode(&p.encode(digest, hash), digest, |_| Some(hash)).unwrap();
+            prop_assert!(back.remaining <= p.remaining);
+            let lost = p.remaining - back.remaining;
+            prop_assert!(p.remaining.0 > 5_000_000_000_000 || lost.0 <= WIRE_STEP_US.max(p.remaining.0 >> 23));
+            prop_assert_eq!(Packet { remaining: p.remaining, ..back }, p);
+        }
+
+        #[test]
+        fn relaying_keeps_the_checksum(p in packet(), hops in 0..8_u8, less: u64) {
+            let mut bytes = p.encode(1, 2);
+            let relayed = Packet { hops, remaining: Ticks(p.remaining.0.min(less)), ..p }.encode(1, 2);
+            bytes[1] = relayed[1];
+            bytes[12..15].copy_from_slice(&relayed[12..15]);
+            bytes[15] = relayed[15];
+            prop_assert_eq!(bytes, relayed);
+        }
+
+        #[test]
+        fn any_bytes_are_a_packet_or_an_error(bytes: [u8; 32], digest: u32) {
+            if let Ok(p) = Packet::decode(&bytes, digest, |p| Some(u32::from(p.0))) {
+                prop_assert_eq!(Packet::decode(&p.encode(digest, u32::from(p.port.0)), digest, |p| Some(u32::from(p.0))), Ok(p));
+            }
+        }
+    }
+
+    fn sample() -> Packet {
+        Packet {
+            kind: Kind::Arrive,
+            class: Class::Command,
+            more: false,
+            resent: true,
+            urgent: false,
+            hops: 7,
+            fragment: 0,
+            destination: TaskId(0x0102),
+            source: TaskId(0x0304),
+            port: PortId(5),
+            id: MessageId { incarnation: Incarnation(9), sequence: Seq24::new(0x0a_0b0c) },
+            remaining: Ticks(2_000_000),
+            contents: Meeting { round: Round(7), released: Round(6), arguments: *b"abcdefgh" }.to_contents(),
+        }
+    }
+
+    #[test]
+    fn the_layout_is_the_documented_one() {
+        let bytes = sample().encode(0xdead_beef, 0x1234_5678);
+        let mut expected = [
+            0b01_100_1_0_1,
+            0b1100_111_0,
+            2,
+            1,
+            4,
+            3,
+            5,
+            0,
+            9,
+            0x0c,
+            0x0b,
+            0x0a,
+            0x40,
+            0x0d,
+            0x03,
+            0,
+            7,
+            0,
+            6,
+            0,
+            b'a',
+            b'b',
+            b'c',
+            b'd',
+            b'e',
+            b'f',
+            b'g',
+            b'h',
+            0,
+            0,
+            0,
+            0,
+        ];
+        expected[28..].copy_from_slice(&bytes[28..]);
+        assert_eq!(bytes, expected);
+    }
+
+    #[test]
+    fn a_packet_of_another_cell_version_or_port_is_told_apart() {
+        let bytes = sample().encode(1, 2);
+        assert_eq!(Packet::decode(&bytes, 3, |_| Some(2)), Err(PacketError::Checksum));
+        assert_eq!(Packet::decode(&bytes, 1, |_| Some(4)), Err(PacketError::Checksum));
+        assert_eq!(Packet::decode(&bytes, 1, |_| None), Err(PacketError::UnknownPort(PortId(5))));
+        let mut other = bytes;
+        other[0] = (other[0] & 0x3f) | 0x80;
+        assert_eq!(Packet::decode(&other, 1, |_| Some(2)), Err(PacketError::Version(2)));
+    }
+
+    #[test]
+    fn lengths_and_padding_are_checked_behind_a_right_checksum() {
+        let forge = |change: fn(&mut [u8; 32])| {
+            let mut b = Packet { contents: Contents::new(b"abc").unwrap(), ..sample() }.encode(1, 2);
+            change(&mut b);
+            let crc = checksum(&b, 1, 2);
+            b[28..].copy_from_slice(&crc.to_le_bytes());
+            Packet::decode(&b, 1, |_| Some(2))
+        };
+        assert!(forge(|_| ()).is_ok());
+        assert_eq!(forge(|b| b[1] = (b[1] & 0x0f) | 0xd0), Err(PacketError::Malformed));
+        assert_eq!(forge(|b| b[20] = 1), Err(PacketError::Malformed));
+    }
+
+    #[test]
+    fn control_contents_are_total() {
+        for control in [Control::Refused, Control::Restarted, Control::Probe] {
+            let p = Packet { contents: control.to_contents(), ..sample() };
+            assert_eq!(p.control(), Some(control));
+        }
+        assert_eq!(sample().control(), None);
+    }
+
+    /// The choice of polynomial (0xF4ACFB13) rests on this: no two to six flipped bits of the 256 that travel (224
+    /// covered, 32 of the checksum) go unnoticed. A pattern of up to six bits is two disjoint patterns of up to three,
+    /// so it is enough that no two of those have the same syndrome.
+    #[test]
+    fn up_to_six_flipped_bits_are_always_noticed() {
+        const PREFIX: usize = 8;
+        let zero = CRC.checksum(&[0; PREFIX + 28]);
+        let mut single = alloc::vec::Vec::new();
+        for bit in 0..28 * 8 {
+            let mut bytes = [0_u8; PREFIX + 28];
+            bytes[PREFIX + bit / 8] = 1 << (bit % 8);
+            single.push(CRC.checksum(&bytes) ^ zero);
+        }
+        single.extend((0..32).map(|bit| 1_u32 << bit));
+        let mut seen = alloc::vec![0];
+        for (i, &a) in single.iter().enumerate() {
+            seen.push(a);
+            for (j, &b) in single.iter().enumerate().skip(i + 1) {
+                seen.push(a ^ b);
+                seen.extend(single.iter().skip(j + 1).map(|&c| a ^ b ^ c));
+            }
+        }
+        seen.sort_unstable();
+        let patterns = seen.len();
+        seen.dedup();
+        assert_eq!(seen.len(), patterns, "two patterns of up to three bits share a syndrome");
+    }
+}

@@ -1,0 +1,87 @@
+//! The named variants of the protocol's rules.
+//!
+//! The default of each is the decision taken; the others are the literal or naive readings that the model checker
+//! shows the shortest counterexample of. The runtime always runs [`Rules::DEFAULT`].
+
+use serde::{Deserialize, Serialize};
+
+/// Who sends a CONFIRM (D1). §4.3 can be read in three ways, and a fourth is to send none.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub enum Confirmation {
+    /// Nobody.
+    None,
+    /// A task that completes its arrivals before it heard of any other that did.
+    FirstComplete,
+    /// Every task that holds all arrivals, even one that a CONFIRM has released already.
+    EveryComplete,
+    /// Every released task, whatever released it.
+    PassOn,
+}
+
+/// How a message's time travels (§5.1, D37).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub enum TimeStamp {
+    /// As the time that remains.
+    Remaining,
+    /// As an instant on the sender's clock, which the receiver compares with its own: wrong without a global clock.
+    Absolute,
+}
+
+/// How long a receiver remembers which class-2 messages it has taken (D6, D52).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub enum Memory {
+    /// For the message's life and the link bound.
+    LifeAndLink,
+    /// Until it is answered.
+    UntilAnswered,
+    /// Not at all.
+    None,
+}
+
+/// One choice for each rule that has variants.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub struct Rules {
+    /// Who confirms a rendezvous (D1).
+    pub confirmation: Confirmation,
+    /// Whether meetings are numbered (D3).
+    pub rounds: bool,
+    /// Whether an ARRIVE says which round its sender last released (D54).
+    pub last_released: bool,
+    /// Whether a late ARRIVE of a released round is answered with a CONFIRM and one of an older round with an ABORT
+    /// (D54, D55). Off, every packet is sent once: the literal reading of §4.3.
+    pub answer_late_arrivals: bool,
+    /// Whether a member that gave up says so, and its partners go on in a fresher round (D2, D54).
+    pub aborts: bool,
+    /// Whether time spent in a buffer is taken from a message's life (§5.1.1).
+    pub charge_residence: bool,
+    /// Whether the sender refuses a reply that comes after its time_out (§4.1).
+    pub refuse_late_replies: bool,
+    /// Whether the way back is taken from the receiver's execution budget (D18).
+    pub reserve_way_back: bool,
+    /// How a message's time travels (D37).
+    pub time_stamp: TimeStamp,
+    /// How long class-2 messages are remembered (D6).
+    pub memory: Memory,
+}
+
+impl Rules {
+    /// The rules that the runtime runs and the claims hold for.
+    pub const DEFAULT: Self = Self {
+        confirmation: Confirmation::EveryComplete,
+        rounds: true,
+        last_released: true,
+        answer_late_arrivals: true,
+        aborts: true,
+        charge_residence: true,
+        refuse_late_replies: true,
+        reserve_way_back: true,
+        time_stamp: TimeStamp::Remaining,
+        memory: Memory::LifeAndLink,
+    };
+}
+
+impl Default for Rules {
+    fn default() -> Self {
+        Self::DEFAULT
+    }
+}

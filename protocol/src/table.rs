@@ -1,0 +1,579 @@
+//! The static table (§III, §5.2.2, §5.2.3): ports, locations and a priori routes, made once from a [`Cell`] and passed
+//! into every call. It is never part of a machine's state.
+
+use crate::cell::{Cell, CellError, MAX_MEMBERS, PortDecl, Usage};
+use crate::ids::{NodeId, PortId, TaskId};
+use crate::margin;
+use crate::packet::{Class, MAX_HOPS};
+use crate::rules::Rules;
+use crate::ticks::Ticks;
+use alloc::boxed::Box;
+use alloc::collections::BTreeSet;
+use alloc::format;
+use alloc::string::String;
+use alloc::sync::Arc;
+use alloc::vec;
+use alloc::vec::Vec;
+
+/// One end of a port: a task that owns or uses it.
+#[derive(Clone, Debug)]
+pub struct Party {
+    /// The task.
+    pub task: TaskId,
+    /// What the task does with the port.
+    pub usage: Usage,
+    /// How long the task's own requests on the port last, unless they say otherwise.
+    pub time_out: Ticks,
+}
+
+/// A checked port.
+#[derive(Clone, Debug)]
+pub struct Port {
+    /// Its declaration.
+    pub decl: PortDecl,
+    /// Owner first, then the users in the order of the `user_list`.
+    pub parties: Box<[Party]>,
+    /// The hash that prefixes the checksum of the port's packets (D47).
+    pub hash: u32,
+    /// The safety margin of a `waitfor` (D2, D56); zero on other ports.
+    pub margin: Ticks,
+}
+
+impl Port {
+    /// The position of `task` among the parties.
+    #[must_use]
+    pub fn party_index(&self, task: TaskId) -> Option<usize> {
+        self.parties.iter().position(|p| p.task == task)
+    }
+
+    /// The end of the port that `task` has.
+    #[must_use]
+    pub fn party(&self, task: TaskId) -> Option<&Party> {
+        self.parties.iter().find(|p| p.task == task)
+    }
+
+    /// The tasks at the other end from `task`: the owner for a user, the users for the owner, all others in a `waitfor`.
+    pub fn peers(&self, task: TaskId) -> impl Iterator<Item = TaskId> + '_ {
+        let everyone = self.decl.usage == Usage::Waitfor;
+        let own = task == self.decl.owner;
+        self.parties.iter().map(|p| p.task).filter(move |&peer| {
+            peer != task && (everyone || own || peer == self.decl.owner)
+        })
+    }
+
+    /// Whether `source` may send `task` messages through this port (the insertion rule of a black channel).
+    #[must_use]
+    pub fn admits(&self, source: TaskId, task: TaskId) -> bool {
+        source != task
+            && self.party(source).is_some()
+            && self.party(task).is_some()
+            && (self.decl.usage == Usage::Waitfor || source == self.decl.owner || task == self.decl.owner)
+    }
+}
+
+/// Everything about a cell that all its nodes know.
+#[derive(Debug)]
+pub struct CellTable {
+    cell: Cell,
+    ports: Box<[Port]>,
+    digest: u32,
+    /// For each (from, to): the next node and the summed link bounds. Row-major.
+    routes: Box<[Option<Hop>]>,
+    /// For each task, the ports it owns or uses, ascending.
+    ports_of: Box<[Box<[PortId]>]>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Hop {
+    next: NodeId,
+    bound: Ticks,
+    links: u8,
+}
+
+impl CellTable {
+    /// Checks a cell and computes what its nodes need.
+    ///
+    /// # Errors
+    /// Every fault that was found, in the order of the declarations.
+    pub fn new(cell: Cell) -> Result<Self, Vec<CellError>> {
+        let mut errors = Vec::new();
+        check_names(&cell, &mut errors);
+        check_references(&cell, &mut errors);
+        if !errors.is_empty() {
+            return Err(errors);
+        }
+        let routes = shortest_routes(&cell);
+        let ports: Box<[Port]> = cell.ports.iter().map(|decl| compile_port(&cell, decl, &routes)).collect();
+        for port in &ports {
+            check_port(&cell, port, &routes, &mut errors);
+        }
+        if !errors.is_empty() {
+            return Err(errors);
+        }
+        let mut ports_of = vec![Vec::new(); cell.tasks.len()];
+        for (index, port) in ports.iter().enumerate() {
+            for party in &port.parties {
+                ports_of[party.task.index()].push(PortId::from_index(index));
+            }
+        }
+        let ports_of = ports_of.into_iter().map(Vec::into_boxed_slice).collect();
+        let digest = digest(&cell, &ports);
+        Ok(Self { cell, ports, digest, routes, ports_of })
+    }
+
+    /// The declarations.
+    #[must_use]
+    pub const fn cell(&self) -> &Cell {
+        &self.cell
+    }
+
+    /// The digest of the canonical table: nodes that differ in it do not talk (D48).
+    #[must_use]
+    pub const fn digest(&self) -> u32 {
+        self.digest
+    }
+
+    /// The port `id`, if the cell has it.
+    #[must_use]
+    pub fn port(&self, id: PortId) -> Option<&Port> {
+        self.ports.get(id.index())
+    }
+
+    /// All ports in the order of their ids.
+    pub fn ports(&self) -> impl Iterator<Item = (PortId, &Port)> {
+        self.ports.iter().enumerate().map(|(i, p)| (PortId::from_index(i), p))
+    }
+
+    /// The ports that `task` owns or uses, ascending.
+    #[must_use]
+    pub fn ports_of(&self, task: TaskId) -> &[PortId] {
+        self.ports_of.get(task.index()).map_or(&[], |p| p)
+    }
+
+    /// The node that `task` runs on.
+    #[must_use]
+    pub fn location(&self, task: TaskId) -> Option<NodeId> {
+        self.cell.tasks.get(task.index()).map(|t| t.node)
+    }
+
+    /// The tasks that run on `node`.
+    pub fn tasks_on(&self, node: NodeId) -> impl Iterator<Item = TaskId> + '_ {
+        let tasks = self.cell.tasks.iter().enumerate();
+        tasks.filter(move |(_, t)| t.node == node).map(|(i, _)| TaskId::from_index(i))
+    }
+
+    /// The succeeding node for packets at `from` that go to `to` (§5.2.3).
+    #[must_use]
+    pub fn next_hop(&self, from: NodeId, to: NodeId) -> Option<NodeId> {
+        self.hop(from, to).map(|h| h.next)
+    }
+
+    /// The summed bounds of the links between two nodes; zero within one node.
+    #[must_use]
+    pub fn path_bound(&self, from: NodeId, to: NodeId) -> Option<Ticks> {
+        if from == to { Some(Ticks::ZERO) } else { self.hop(from, to).map(|h| h.bound) }
+    }
+
+    /// [`path_bound`](Self::path_bound) between the nodes of two tasks. The table has checked that tasks of one port
+    /// reach each other; between others it may be [`Ticks::FAR`].
+    #[must_use]
+    pub fn bound_between(&self, from: TaskId, to: TaskId) -> Ticks {
+        let bound = self.location(from).zip(self.location(to)).and_then(|(a, b)| self.path_bound(a, b));
+        bound.unwrap_or(Ticks::FAR)
+    }
+
+    /// The declared bound of the link between two neighbours.
+    #[must_use]
+    pub fn link_bound(&self, a: NodeId, b: NodeId) -> Option<Ticks> {
+        let joins = |l: &&crate::cell::LinkDecl| (l.a, l.b) == (a, b) || (l.a, l.b) == (b, a);
+        self.cell.links.iter().filter(joins).map(|l| l.delay).min()
+    }
+
+    /// The nodes that a link joins with `node`.
+    pub fn neighbours(&self, node: NodeId) -> impl Iterator<Item = NodeId> + '_ {
+        let mut seen = BTreeSet::new();
+        self.cell.links.iter().filter_map(move |l| {
+            let other = if l.a == node { l.b } else if l.b == node { l.a } else { return None };
+            seen.insert(other).then_some(other)
+        })
+    }
+
+    fn hop(&self, from: NodeId, to: NodeId) -> Option<Hop> {
+        let n = self.cell.nodes.len();
+        if from.index() >= n || to.index() >= n {
+            return None;
+        }
+        self.routes[from.index() * n + to.index()]
+    }
+}
+
+/// The table as one node sees it.
+#[derive(Clone, Debug)]
+pub struct NodeTable {
+    /// The cell's table.
+    pub cell: Arc<CellTable>,
+    /// This node.
+    pub node: NodeId,
+}
+
+impl NodeTable {
+    /// The table of `node`.
+    #[must_use]
+    pub const fn new(cell: Arc<CellTable>, node: NodeId) -> Self {
+        Self { cell, node }
+    }
+
+    /// The rules that this cell runs.
+    #[must_use]
+    pub fn rules(&self) -> &Rules {
+        &self.cell.cell().rules
+    }
+}
+
+impl core::ops::Deref for NodeTable {
+    type Target = CellTable;
+    fn deref(&self) -> &CellTable {
+        &self.cell
+    }
+}
+
+fn check_names(cell: &Cell, errors: &mut Vec<CellError>) {
+    fn unique<'a>(what: &'static str, names: impl Iterator<Item = &'a String>, errors: &mut Vec<CellError>) {
+        let mut seen = BTreeSet::new();
+        let mut count = 0_usize;
+        for name in names {
+            count += 1;
+            if !seen.insert(name) {
+                errors.push(CellError::DuplicateName(what, name.clone()));
+            }
+        }
+        if count > usize::from(u16::MAX) + 1 {
+            errors.push(CellError::TooMany(what));
+        }
+    }
+    unique("nodes", cell.nodes.iter().map(|n| &n.name), errors);
+    unique("tasks", cell.tasks.iter().map(|t| &t.name), errors);
+    unique("ports", cell.ports.iter().map(|p| &p.name), errors);
+}
+
+fn check_references(cell: &Cell, errors: &mut Vec<CellError>) {
+    let node = |id: NodeId| id.index() < cell.nodes.len();
+    let task = |id: TaskId| id.index() < cell.tasks.len();
+    for link in &cell.links {
+        if !node(link.a) || !node(link.b) {
+            errors.push(CellError::Dangling(format!("link {}--{}", link.a, link.b)));
+        } else if link.a == link.b {
+            errors.push(CellError::LinkToItself(cell.nodes[link.a.index()].name.clone()));
+        }
+    }
+    for t in &cell.tasks {
+        if !node(t.node) {
+            errors.push(CellError::Dangling(format!("task `{}`", t.name)));
+        }
+    }
+    for p in &cell.ports {
+        if !task(p.owner) || p.users.iter().any(|u| !task(u.task)) {
+            errors.push(CellError::Dangling(format!("port `{}`", p.name)));
+        }
+    }
+}
+
+/// All shortest routes by summed link bound, then by number of links, then by the lower next node: a total order, so
+/// every node computes the same table (§5.2.3: static routing, established a priori).
+fn shortest_routes(cell: &Cell) -> Box<[Option<Hop>]> {
+    let n = cell.nodes.len();
+    let mut routes: Vec<Option<Hop>> = vec![None; n * n];
+    let better = |new: Hop, old: Option<Hop>| {
+        old.is_none_or(|old| (new.bound, new.links, new.next) < (old.bound, old.links, old.next))
+    };
+    for link in &cell.links {
+        for (a, b) in [(link.a, link.b), (link.b, link.a)] {
+            let hop = Hop { next: b, bound: link.delay, links: 1 };
+            let slot = &mut routes[a.index() * n + b.index()];
+            if better(hop, *slot) {
+                *slot = Some(hop);
+            }
+        }
+    }
+    for via in 0..n {
+        for from in 0..n {
+            for to in 0..n {
+                let (Some(first), Some(second)) = (routes[from * n + via], routes[via * n + to]) else { continue };
+                let hop = Hop {
+                    next: first.next,
+                    bound: first.bound + second.bound,
+                    links: first.links.saturating_add(second.links),
+                };
+                if from != to && better(hop, routes[from * n + to]) {
+                    routes[from * n + to] = Some(hop);
+                }
+            }
+        }
+    }
+    routes.into_boxed_slice()
+}
+
+fn compile_port(cell: &Cell, decl: &PortDecl, routes: &[Option<Hop>]) -> Port {
+    let owner = Party { task: decl.owner, usage: decl.usage, time_out: decl.time_out };
+    let users = decl.users.iter().map(|u| Party {
+        task: u.task,
+        usage: decl.usage.counterpart(),
+        time_out: u.time_out.unwrap_or(decl.time_out),
+    });
+    let parties: Box<[Party]> = core::iter::once(owner).chain(users).collect();
+    let closed_form = || margin::least_margin(farthest(cell, &parties, routes), decl.losses, decl.resend, cell.tick);
+    let margin = match decl.usage {
+        Usage::Waitfor => decl.margin.unwrap_or_else(closed_form),
+        _ => Ticks::ZERO,
+    };
+    Port { decl: decl.clone(), hash: port_hash(decl), parties, margin }
+}
+
+/// The longest path bound between any two parties of a port.
+fn farthest(cell: &Cell, parties: &[Party], routes: &[Option<Hop>]) -> Ticks {
+    let node = |p: &Party| cell.tasks[p.task.index()].node.index();
+    let pairs = parties.iter().flat_map(|a| parties.iter().map(move |b| (node(a), node(b))));
+    let bounds = pairs.filter(|(a, b)| a != b).map(|(a, b)| routes[a * cell.nodes.len() + b]);
+    bounds.map(|hop| hop.map_or(Ticks::FAR, |h| h.bound)).max().unwrap_or(Ticks::ZERO)
+}
+
+fn check_port(cell: &Cell, port: &Port, routes: &[Option<Hop>], errors: &mut Vec<CellError>) {
+    let decl = &port.decl;
+    let name = || decl.name.clone();
+    if decl.users.is_empty() {
+        errors.push(CellError::NoUsers(name()));
+    }
+    let mut seen = BTreeSet::new();
+    for party in &port.parties {
+        if !seen.insert(party.task) {
+            errors.push(CellError::ListedTwice(name(), cell.tasks[party.task.index()].name.clone()));
+        }
+        if party.time_out.is_zero() {
+            errors.push(CellError::NoTimeOut(name()));
+        }
+    }
+    if decl.usage == Usage::Waitfor && port.parties.len() > MAX_MEMBERS {
+        errors.push(CellError::TooManyMembers(name()));
+    }
+    if decl.bounded_buffer == 0 {
+        errors.push(CellError::NoBuffer(name()));
+    }
+    if matches!(decl.usage, Usage::Query | Usage::Response | Usage::Reply) {
+        errors.push(CellError::Unsupported(name(), decl.usage));
+    }
+    if decl.class == Class::Status && (decl.usage == Usage::Waitfor || decl.retry > 0) {
+        errors.push(CellError::NeedsClass2(name()));
+    }
+    check_ways(cell, port, routes, errors);
+}
+
+fn check_ways(cell: &Cell, port: &Port, routes: &[Option<Hop>], errors: &mut Vec<CellError>) {
+    let decl = &port.decl;
+    let n = cell.nodes.len();
+    for party in &port.parties {
+        for peer in port.peers(party.task) {
+            let (a, b) = (cell.tasks[party.task.index()].node, cell.tasks[peer.index()].node);
+            let hop = routes[a.index() * n + b.index()];
+            let way = if a == b { Some((Ticks::ZERO, 1)) } else { hop.map(|h| (h.bound, h.links)) };
+            let reachable = way.filter(|&(_, links)| links <= MAX_HOPS + 1);
+            let Some((bound, _)) = reachable else {
+                if party.task < peer {
+                    let names = (&cell.tasks[party.task.index()].name, &cell.tasks[peer.index()].name);
+                    errors.push(CellError::Unreachable(decl.name.clone(), names.0.clone(), names.1.clone()));
+                }
+                continue;
+            };
+            let sends = matches!(party.usage, Usage::Send | Usage::Query);
+            if decl.class == Class::Command && sends && party.time_out <= bound + bound {
+                let (port, time_out) = (decl.name.clone(), party.time_out);
+                errors.push(CellError::DeadlineTooShort { port, time_out, least: bound + bound });
+            }
+        }
+    }
+    if decl.usage == Usage::Waitfor && errors.is_empty() {
+        let least = port.margin + farthest(cell, &port.parties, routes);
+        let time_out = port.parties.iter().map(|p| p.time_out).min().unwrap_or(Ticks::ZERO);
+        if time_out <= least {
+            errors.push(CellError::MarginTooLong { port: decl.name.clone(), time_out, least });
+        }
+    }
+}
+
+const CRC: crc::Crc<u32, crc::Table<1>> = crc::Crc::<u32, crc::Table<1>>::new(&crc::CRC_32_AUTOSAR);
+
+/// Feeds values to a checksum so that no two different tables feed the same bytes: everything carries its length.
+struct Canonical<'a>(crc::Digest<'a, u32, crc::Table<1>>);
+
+impl Canonical<'_> {
+    fn number(&mut self, value: u64) {
+        self.0.update(&value.to_le_bytes());
+    }
+
+    fn text(&mut self, text: &str) {
+        self.number(text.len() as u64);
+        self.0.update(text.as_bytes());
+    }
+}
+
+fn port_hash(decl: &PortDecl) -> u32 {
+    let mut c = Canonical(CRC.digest());
+    c.text(&decl.name);
+    c.text(&decl.format);
+    c.text(decl.usage.word());
+    c.number(u64::from(decl.class == Class::Command));
+    c.0.finalize()
+}
+
+fn digest(cell: &Cell, ports: &[Port]) -> u32 {
+    let mut c = Canonical(CRC.digest());
+    c.text(&cell.name);
+    c.number(cell.tick.0);
+    c.number(cell.nodes.len() as u64);
+    for node in &cell.nodes {
+        c.text(&node.name);
+    }
+    let mut links: Vec<_> = cell.links.iter().map(|l| (l.a.min(l.b), l.a.max(l.b), l.delay)).collect();
+    links.sort_unstable();
+    c.number(links.len() as u64);
+    for (a, b, delay) in links {
+        c.number(u64::from(a.0) << 16 | u64::from(b.0));
+        c.number(delay.0);
+    }
+    c.number(cell.tasks.len() as u64);
+    for task in &cell.tasks {
+        c.text(&task.name);
+        c.number(u64::from(task.node.0));
+    }
+    c.number(ports.len() as u64);
+    for port in ports {
+        c.number(u64::from(port.hash));
+        c.number(u64::from(port.decl.bounded_buffer) << 16 | u64::from(port.decl.retry) << 8 | u64::from(port.decl.losses));
+        c.number(port.decl.resend.0);
+        c.number(port.margin.0);
+        c.number(port.parties.len() as u64);
+        for party in &port.parties {
+            c.number(u64::from(party.task.0));
+            c.number(party.time_out.0);
+        }
+    }
+    c.text(&format!("{:?}", cell.rules));
+    c.0.finalize()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn three(delay: u64) -> Cell {
+        let mut cell = Cell::new("three", Ticks(1));
+        let nodes: Vec<_> = ["a", "b", "c"].map(|n| cell.node(n)).into();
+        for i in 0..3 {
+            cell.task(["x", "y", "z"][i], nodes[i]);
+        }
+        cell.link(nodes[0], nodes[1], Ticks(delay));
+        cell.link(nodes[1], nodes[2], Ticks(delay));
+        cell
+    }
+
+    const X: TaskId = TaskId(0);
+    const Y: TaskId = TaskId(1);
+    const Z: TaskId = TaskId(2);
+
+    #[test]
+    fn routes_are_computed_a_priori_through_relays() {
+        let table = CellTable::new(three(4)).unwrap();
+        assert_eq!(table.next_hop(NodeId(0), NodeId(2)), Some(NodeId(1)));
+        assert_eq!(table.path_bound(NodeId(0), NodeId(2)), Some(Ticks(8)));
+        assert_eq!(table.path_bound(NodeId(2), NodeId(2)), Some(Ticks::ZERO));
+        assert_eq!(table.bound_between(X, Z), Ticks(8));
+        assert_eq!(table.neighbours(NodeId(1)).collect::<Vec<_>>(), [NodeId(0), NodeId(2)]);
+        assert_eq!(table.next_hop(NodeId(0), NodeId(9)), None);
+    }
+
+    #[test]
+    fn peers_follow_the_usage() {
+        let mut cell = three(1);
+        let halt = cell.port(PortDecl::new("halt", X, Usage::Send, &[Y, Z], Ticks(9)));
+        let meet = cell.port(PortDecl::new("meet", X, Usage::Waitfor, &[Y, Z], Ticks(90)));
+        let table = CellTable::new(cell).unwrap();
+        let peers = |port, task| table.port(port).unwrap().peers(task).collect::<Vec<_>>();
+        assert_eq!(peers(halt, X), [Y, Z]);
+        assert_eq!(peers(halt, Z), [X]);
+        assert_eq!(peers(meet, Y), [X, Z]);
+        assert!(table.port(halt).unwrap().admits(X, Y) && !table.port(halt).unwrap().admits(Y, Z));
+        assert!(table.port(meet).unwrap().admits(Y, Z));
+    }
+
+    #[test]
+    fn every_fault_of_a_declaration_is_found() {
+        let errors = |change: fn(&mut Cell)| {
+            let mut cell = three(1);
+            change(&mut cell);
+            CellTable::new(cell).map(|_| ()).unwrap_err()
+        };
+        let name = |s: &str| String::from(s);
+        let found = errors(|c| {
+            c.node("a");
+            c.task("x", NodeId(7));
+            c.link(NodeId(1), NodeId(1), Ticks(1));
+        });
+        assert_eq!(
+            found,
+            [
+                CellError::DuplicateName("nodes", name("a")),
+                CellError::DuplicateName("tasks", name("x")),
+                CellError::LinkToItself(name("b")),
+                CellError::Dangling(name("task `x`")),
+            ]
+        );
+        let found = errors(|c| {
+            c.port(PortDecl::new("p", X, Usage::Send, &[], Ticks(0)).bounded_buffer(0));
+            c.port(PortDecl::new("q", X, Usage::Send, &[Y, Y], Ticks(5)));
+            c.port(PortDecl::new("r", X, Usage::Send, &[Y], Ticks(2)).command());
+            c.port(PortDecl::new("s", X, Usage::Reply, &[Y], Ticks(9)));
+            c.port(PortDecl::new("t", X, Usage::Send, &[Y], Ticks(9)).retry(2, Ticks(3)));
+        });
+        assert_eq!(
+            found,
+            [
+                CellError::NoUsers(name("p")),
+                CellError::NoTimeOut(name("p")),
+                CellError::NoBuffer(name("p")),
+                CellError::ListedTwice(name("q"), name("y")),
+                CellError::DeadlineTooShort { port: name("r"), time_out: Ticks(2), least: Ticks(2) },
+                CellError::Unsupported(name("s"), Usage::Reply),
+                CellError::NeedsClass2(name("t")),
+            ]
+        );
+        let found = errors(|c| {
+            c.port(PortDecl::new("m", X, Usage::Waitfor, &[Y, Z], Ticks(9)).resend(Ticks(4), 2));
+        });
+        assert!(matches!(found[..], [CellError::MarginTooLong { time_out: Ticks(9), .. }]), "{found:?}");
+        let found = errors(|c| {
+            let far = c.node("far");
+            let w = c.task("w", far);
+            c.port(PortDecl::new("p", X, Usage::Send, &[w], Ticks(9)));
+        });
+        assert_eq!(found, [CellError::Unreachable(name("p"), name("x"), name("w"))]);
+    }
+
+    #[test]
+    fn the_digest_tells_tables_apart_but_not_the_order_of_links() {
+        let digest = |cell| CellTable::new(cell).unwrap().digest();
+        let base = digest(three(1));
+        let mut swapped = three(1);
+        swapped.links.reverse();
+        let link = &mut swapped.links[0];
+        core::mem::swap(&mut link.a, &mut link.b);
+        assert_eq!(digest(swapped), base);
+        assert_ne!(digest(three(2)), base);
+        let mut renamed = three(1);
+        renamed.tasks[0].name = "xx".into();
+        assert_ne!(digest(renamed), base);
+        let mut port = three(1);
+        port.port(PortDecl::new("p", X, Usage::Send, &[Y], Ticks(9)));
+        let one = digest(port.clone());
+        port.ports[0].time_out = Ticks(10);
+        assert_ne!(digest(port), one);
+    }
+}

@@ -1,0 +1,2 @@
+//! imrs
+fn main() {}
