@@ -302,14 +302,20 @@ impl fmt::Display for CellError {
                 write!(f, "port `{port}`: usage `{usage}` is not carried out by this version")
             }
             Self::Unreachable(port, a, b) => {
-                write!(f, "port `{port}` joins `{a}` and `{b}`, but no chain of at most 8 links joins their nodes")
+                write!(
+                    f,
+                    "port `{port}` joins `{a}` and `{b}`, but no chain of at most 8 links joins their nodes"
+                )
             }
             Self::MarginTooLong { port, time_out, least } => write!(
                 f,
                 "waitfor `{port}`: time_out {time_out} must exceed {least} ticks (safety margin and way), or nobody is ever released"
             ),
             Self::DeadlineTooShort { port, time_out, least } => {
-                write!(f, "port `{port}`: time_out {time_out} must exceed {least} ticks (the way there and back)")
+                write!(
+                    f,
+                    "port `{port}`: time_out {time_out} must exceed {least} ticks (the way there and back)"
+                )
             }
         }
     }

@@ -1,7 +1,57 @@
-//! placeholder
+//! The protocol of an Integrated Multi-Robot System as one pure state machine.
+//!
+//! Every task has a *communication task* ([`CommTask`]) that owns its *ports*. Messages carry the time that remains to
+//! them, the most urgent goes first, what expires is discarded, and `waitfor` is an n-way rendezvous with confirmation.
+//! Nothing here reads a clock, starts a thread, opens a socket or draws a random number: the model checker, the
+//! threaded runtime and the validator of recordings are drivers of the same code.
+//!
+//! | §5.2 layer | here |
+//! |---|---|
+//! | user | `comm_task/user.rs`: requests of the task, messages for it |
+//! | mapping | `mapping.rs`: logical names to addressed packets |
+//! | route | `route.rs` and `transit.rs`: where a packet goes, and which one goes next |
+//! | primitive | the driver's link |
+//!
+//! Comments cite the paper's sections (`§5.1.1`) and the decisions of `specs/decisions` (`D54`).
 #![no_std]
 #![forbid(unsafe_code)]
+
 extern crate alloc;
-pub mod ids;
-pub mod packet;
-pub mod ticks;
+
+pub mod cell;
+mod comm_task;
+mod ids;
+mod mapping;
+pub mod margin;
+mod node;
+mod observe;
+mod packet;
+mod queue;
+mod request;
+pub mod route;
+pub mod rules;
+mod table;
+mod ticks;
+mod timer;
+mod transit;
+
+pub use cell::{Cell, CellError, PortDecl, Usage};
+pub use comm_task::{CommTask, Frame, Input, Outbox, Overflow, Visit, VisitMut};
+pub use ids::{Incarnation, MessageId, NodeId, PortId, Round, Seq24, TaskId};
+pub use node::{Node, NodeInput, NodeOutbox, Parts, discarded};
+pub use observe::{
+    Event, MeetingState, MeetingView, MemberView, Observation, PortCounters, PortView, QueueEntry, Reason,
+    TaskState, TaskView, TransitView,
+};
+pub use packet::{
+    CONTENTS_BYTES, Class, Contents, Control, Kind, MAX_HOPS, Meeting, PACKET_BYTES, PACKET_VERSION, Packet,
+    PacketError, WIRE_STEP_US,
+};
+pub use request::{
+    Delivery, Fault, Outcome, ReleasedBy, ReplyTo, Request, ServiceOrder, Signal, Target, TimeId,
+};
+pub use rules::Rules;
+pub use table::{CellTable, NodeTable, Party, Port};
+pub use ticks::Ticks;
+pub use timer::Timer;
+pub use transit::{RouteOutbox, Transit};

@@ -77,8 +77,10 @@ pub enum Class {
 /// What a [`Kind::Control`] packet says about the request whose id it carries.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Control {
-    /// The message found no space and was not kept (D19, D21).
+    /// The destination found no space for the message; it will not run (D21).
     Refused,
+    /// A transit buffer on the way found no space for this copy; another copy may still arrive (D19).
+    RefusedOnTheWay,
     /// The destination restarted and cannot know whether the request ran before (D49).
     Restarted,
     /// Asks for a sign of life; carries no request.
@@ -335,6 +337,7 @@ impl Packet {
             [1] => Some(Control::Refused),
             [2] => Some(Control::Restarted),
             [3] => Some(Control::Probe),
+            [4] => Some(Control::RefusedOnTheWay),
             _ => None,
         }
     }
@@ -349,6 +352,7 @@ impl Control {
             Self::Refused => 1,
             Self::Restarted => 2,
             Self::Probe => 3,
+            Self::RefusedOnTheWay => 4,
         };
         contents
     }
@@ -498,7 +502,7 @@ mod tests {
 
     #[test]
     fn control_contents_are_total() {
-        for control in [Control::Refused, Control::Restarted, Control::Probe] {
+        for control in [Control::Refused, Control::Restarted, Control::Probe, Control::RefusedOnTheWay] {
             let p = Packet { contents: control.to_contents(), ..sample() };
             assert_eq!(p.control(), Some(control));
         }

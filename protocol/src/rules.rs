@@ -62,6 +62,8 @@ pub struct Rules {
     pub time_stamp: TimeStamp,
     /// How long class-2 messages are remembered (D6).
     pub memory: Memory,
+    /// Whether a restarted task turns commands away while copies of what its earlier life ran may live (D49).
+    pub quarantine: bool,
 }
 
 impl Rules {
@@ -77,6 +79,7 @@ impl Rules {
         reserve_way_back: true,
         time_stamp: TimeStamp::Remaining,
         memory: Memory::LifeAndLink,
+        quarantine: true,
     };
 }
 

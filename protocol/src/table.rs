@@ -29,6 +29,8 @@ pub struct Party {
 /// A checked port.
 #[derive(Clone, Debug)]
 pub struct Port {
+    /// Its identifier.
+    pub id: PortId,
     /// Its declaration.
     pub decl: PortDecl,
     /// Owner first, then the users in the order of the `user_list`.
@@ -56,9 +58,10 @@ impl Port {
     pub fn peers(&self, task: TaskId) -> impl Iterator<Item = TaskId> + '_ {
         let everyone = self.decl.usage == Usage::Waitfor;
         let own = task == self.decl.owner;
-        self.parties.iter().map(|p| p.task).filter(move |&peer| {
-            peer != task && (everyone || own || peer == self.decl.owner)
-        })
+        self.parties
+            .iter()
+            .map(|p| p.task)
+            .filter(move |&peer| peer != task && (everyone || own || peer == self.decl.owner))
     }
 
     /// Whether `source` may send `task` messages through this port (the insertion rule of a black channel).
@@ -103,7 +106,9 @@ impl CellTable {
             return Err(errors);
         }
         let routes = shortest_routes(&cell);
-        let ports: Box<[Port]> = cell.ports.iter().map(|decl| compile_port(&cell, decl, &routes)).collect();
+        let declared = cell.ports.iter().enumerate();
+        let ports: Box<[Port]> =
+            declared.map(|(i, decl)| compile_port(&cell, PortId::from_index(i), decl, &routes)).collect();
         for port in &ports {
             check_port(&cell, port, &routes, &mut errors);
         }
@@ -111,9 +116,9 @@ impl CellTable {
             return Err(errors);
         }
         let mut ports_of = vec![Vec::new(); cell.tasks.len()];
-        for (index, port) in ports.iter().enumerate() {
+        for port in &ports {
             for party in &port.parties {
-                ports_of[party.task.index()].push(PortId::from_index(index));
+                ports_of[party.task.index()].push(port.id);
             }
         }
         let ports_of = ports_of.into_iter().map(Vec::into_boxed_slice).collect();
@@ -140,8 +145,9 @@ impl CellTable {
     }
 
     /// All ports in the order of their ids.
-    pub fn ports(&self) -> impl Iterator<Item = (PortId, &Port)> {
-        self.ports.iter().enumerate().map(|(i, p)| (PortId::from_index(i), p))
+    #[must_use]
+    pub fn ports(&self) -> &[Port] {
+        &self.ports
     }
 
     /// The ports that `task` owns or uses, ascending.
@@ -193,7 +199,13 @@ impl CellTable {
     pub fn neighbours(&self, node: NodeId) -> impl Iterator<Item = NodeId> + '_ {
         let mut seen = BTreeSet::new();
         self.cell.links.iter().filter_map(move |l| {
-            let other = if l.a == node { l.b } else if l.b == node { l.a } else { return None };
+            let other = if l.a == node {
+                l.b
+            } else if l.b == node {
+                l.a
+            } else {
+                return None;
+            };
             seen.insert(other).then_some(other)
         })
     }
@@ -298,7 +310,9 @@ fn shortest_routes(cell: &Cell) -> Box<[Option<Hop>]> {
     for via in 0..n {
         for from in 0..n {
             for to in 0..n {
-                let (Some(first), Some(second)) = (routes[from * n + via], routes[via * n + to]) else { continue };
+                let (Some(first), Some(second)) = (routes[from * n + via], routes[via * n + to]) else {
+                    continue;
+                };
                 let hop = Hop {
                     next: first.next,
                     bound: first.bound + second.bound,
@@ -313,7 +327,7 @@ fn shortest_routes(cell: &Cell) -> Box<[Option<Hop>]> {
     routes.into_boxed_slice()
 }
 
-fn compile_port(cell: &Cell, decl: &PortDecl, routes: &[Option<Hop>]) -> Port {
+fn compile_port(cell: &Cell, id: PortId, decl: &PortDecl, routes: &[Option<Hop>]) -> Port {
     let owner = Party { task: decl.owner, usage: decl.usage, time_out: decl.time_out };
     let users = decl.users.iter().map(|u| Party {
         task: u.task,
@@ -321,12 +335,13 @@ fn compile_port(cell: &Cell, decl: &PortDecl, routes: &[Option<Hop>]) -> Port {
         time_out: u.time_out.unwrap_or(decl.time_out),
     });
     let parties: Box<[Party]> = core::iter::once(owner).chain(users).collect();
-    let closed_form = || margin::least_margin(farthest(cell, &parties, routes), decl.losses, decl.resend, cell.tick);
+    let closed_form =
+        || margin::least_margin(farthest(cell, &parties, routes), decl.losses, decl.resend, cell.tick);
     let margin = match decl.usage {
         Usage::Waitfor => decl.margin.unwrap_or_else(closed_form),
         _ => Ticks::ZERO,
     };
-    Port { decl: decl.clone(), hash: port_hash(decl), parties, margin }
+    Port { id, decl: decl.clone(), hash: port_hash(decl), parties, margin }
 }
 
 /// The longest path bound between any two parties of a port.
@@ -447,7 +462,11 @@ fn digest(cell: &Cell, ports: &[Port]) -> u32 {
     c.number(ports.len() as u64);
     for port in ports {
         c.number(u64::from(port.hash));
-        c.number(u64::from(port.decl.bounded_buffer) << 16 | u64::from(port.decl.retry) << 8 | u64::from(port.decl.losses));
+        c.number(
+            u64::from(port.decl.bounded_buffer) << 16
+                | u64::from(port.decl.retry) << 8
+                | u64::from(port.decl.losses),
+        );
         c.number(port.decl.resend.0);
         c.number(port.margin.0);
         c.number(port.parties.len() as u64);

@@ -1,0 +1,144 @@
+//! What a communication task remembers of the messages it took, so that none is executed twice (D6, D52).
+
+use super::rendezvous::is_older;
+use crate::ids::{Incarnation, MessageId, PortId, Seq24, TaskId};
+use crate::packet::Contents;
+use crate::ticks::Ticks;
+use serde::{Deserialize, Serialize};
+
+/// What became of a class-2 message.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub(crate) enum Fate {
+    /// It waits in the port's buffer.
+    Held,
+    /// The task has it and has not answered. Its execution budget ends at this instant.
+    Delivered(Ticks),
+    /// It was refused; a copy is refused again.
+    Refused,
+    /// It was answered; a copy gets the same answer.
+    Answered(Contents),
+}
+
+/// The last class-2 message of one source. One slot is enough: a task has one outstanding communication (R93).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub(crate) struct Remembered {
+    pub port: PortId,
+    pub id: MessageId,
+    pub fate: Fate,
+    /// When the sender's wait ends at the latest, on this task's counter.
+    pub sender_until: Ticks,
+    /// When no copy can arrive any more: the life and the link bound have passed.
+    pub until: Ticks,
+}
+
+/// The class-1 messages of one source that were seen: the newest and the 64 before it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub(crate) struct Window {
+    pub newest: Option<Seq24>,
+    /// Bit `i`: the message `i + 1` before the newest was seen.
+    pub seen: u64,
+}
+
+impl Window {
+    /// Takes note of a message; false where it was seen, or is too old to tell.
+    pub fn admit(&mut self, sequence: Seq24) -> bool {
+        let Some(newest) = self.newest else {
+            *self = Self { newest: Some(sequence), seen: 0 };
+            return true;
+        };
+        if sequence.is_newer_than(newest) {
+            let steps = sequence.steps_from(newest);
+            let shifted = self.seen.checked_shl(steps).unwrap_or(0);
+            let old_newest = 1_u64.checked_shl(steps - 1).unwrap_or(0);
+            *self = Self { newest: Some(sequence), seen: shifted | old_newest };
+            return true;
+        }
+        let back = newest.steps_from(sequence);
+        if back == 0 || back > 64 {
+            return false;
+        }
+        let bit = 1_u64 << (back - 1);
+        let fresh = self.seen & bit == 0;
+        self.seen |= bit;
+        fresh
+    }
+}
+
+/// Everything remembered of one source task.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub(crate) struct Source {
+    pub task: TaskId,
+    /// The life of the source's node that it was last heard in.
+    pub life: Option<Incarnation>,
+    pub command: Option<Remembered>,
+    pub status: Window,
+}
+
+/// How a class-2 message relates to what is remembered.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Seen {
+    /// Never seen.
+    New,
+    /// A copy of a remembered message.
+    Again(Fate),
+    /// Older than the last one: its sender has gone on.
+    Older,
+    /// From an earlier life of its source.
+    Stale,
+}
+
+impl Source {
+    pub const fn new(task: TaskId) -> Self {
+        Self { task, life: None, command: None, status: Window { newest: None, seen: 0 } }
+    }
+
+    /// Whether the message comes from the source's present life, of which this takes note: a new life starts with an
+    /// empty memory.
+    pub fn enter_life(&mut self, life: Incarnation) -> bool {
+        match self.life {
+            Some(known) if is_older(life, known) => return false,
+            Some(known) if known != life => *self = Self::new(self.task),
+            Some(_) | None => {}
+        }
+        self.life = Some(life);
+        true
+    }
+
+    /// Looks a class-2 message up.
+    pub fn look_up(&mut self, id: MessageId, now: Ticks) -> Seen {
+        if !self.enter_life(id.incarnation) {
+            return Seen::Stale;
+        }
+        match self.command.filter(|c| c.until > now) {
+            None => Seen::New,
+            Some(c) if c.id == id => Seen::Again(c.fate),
+            Some(c) if c.id.sequence.is_newer_than(id.sequence) => Seen::Older,
+            Some(_) => Seen::New,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use alloc::collections::BTreeSet;
+    use proptest::prelude::*;
+
+    proptest! {
+        /// Against a set of everything seen: never admits twice, and admits everything new within the window,
+        /// wherever the sequence wraps.
+        #[test]
+        fn the_window_admits_each_message_once(base in 0..Seq24::MODULUS, offsets in proptest::collection::vec(0..200_u32, 1..80)) {
+            let mut window = Window::default();
+            let mut seen = BTreeSet::new();
+            let mut newest = None;
+            for offset in offsets {
+                let admitted = window.admit(Seq24::new(base).plus(offset));
+                let recent = newest.is_none_or(|n| offset + 64 >= n);
+                prop_assert_eq!(admitted, recent && !seen.contains(&offset));
+                if admitted { seen.insert(offset); }
+                newest = newest.max(Some(offset));
+            }
+        }
+    }
+}

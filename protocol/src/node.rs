@@ -1,0 +1,277 @@
+//! A node (§5.1, D38): its communication tasks, one transit buffer, one Timer, and the demultiplexing between them.
+//!
+//! Single-threaded drivers call [`Node::step`]; the threaded runtime takes a node apart and puts every part behind its
+//! own lock. Both call the same pure functions of [`route`](crate::route).
+
+use crate::comm_task::{CommTask, Input, Outbox};
+use crate::ids::{Incarnation, MessageId, NodeId, TaskId};
+use crate::observe::{Event, Observation, Reason};
+use crate::packet::Packet;
+use crate::request::{Request, Signal, TimeId};
+use crate::route::{self, Arrival, Departure};
+use crate::table::NodeTable;
+use crate::ticks::Ticks;
+use crate::timer::Timer;
+use crate::transit::{RouteOutbox, Transit};
+use alloc::boxed::Box;
+use alloc::collections::VecDeque;
+use serde::{Deserialize, Serialize};
+
+/// Everything that can happen to a node.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub enum NodeInput {
+    /// So much time has passed since the last input.
+    Advance(Ticks),
+    /// A task asks for something.
+    Request(TaskId, Request),
+    /// A packet came in over a link.
+    Packet {
+        /// The packet.
+        packet: Packet,
+        /// What the way is taken to have cost (D20).
+        charge: Ticks,
+    },
+    /// A neighbour or a farther node has a new incarnation.
+    PeerRestarted(NodeId),
+}
+
+/// Where the effects of a node go.
+pub trait NodeOutbox {
+    /// Whether the link to the succeeding node takes a packet now; where not, packets stay in the transit buffer.
+    fn ready(&mut self, next: NodeId) -> bool {
+        let _ = next;
+        true
+    }
+    /// Sends a packet to the succeeding node.
+    fn link(&mut self, next: NodeId, packet: Packet);
+    /// Answers a task.
+    fn signal(&mut self, task: TaskId, signal: Signal);
+    /// Notes what happened at a task, or in the transit buffer.
+    fn observe(&mut self, at: Option<TaskId>, observation: Observation) {
+        let _ = (at, observation);
+    }
+}
+
+/// The parts of a node, for a driver that puts each behind its own lock.
+#[derive(Clone, Debug)]
+pub struct Parts {
+    /// The table.
+    pub table: NodeTable,
+    /// The communication tasks, ascending by task.
+    pub tasks: Box<[CommTask]>,
+    /// The transit buffer.
+    pub transit: Transit,
+    /// The Timer.
+    pub timer: Timer,
+}
+
+/// A node.
+#[derive(Clone, Debug)]
+pub struct Node {
+    parts: Parts,
+    /// Effects within the node that are not carried out yet. Empty between steps.
+    work: VecDeque<Work>,
+}
+
+#[derive(Clone, Copy, Debug)]
+enum Work {
+    Route(Packet),
+    Task(TaskId, Input),
+    Arm(TaskId, TimeId, Ticks),
+    Disarm(TaskId, TimeId),
+}
+
+/// How many effects of one input a node has room for without allocating: every copy of a message to 64 members, and
+/// what they answer.
+const WORK: usize = 256;
+
+impl Node {
+    /// The node of `table` in this life.
+    #[must_use]
+    pub fn new(table: NodeTable, incarnation: Incarnation, restarted: bool, transit_capacity: u16) -> Self {
+        let tasks: Box<[CommTask]> = table
+            .tasks_on(table.node)
+            .map(|task| CommTask::new(&table, task, incarnation, restarted))
+            .collect();
+        let timers = u16::try_from(tasks.len().saturating_mul(8)).unwrap_or(u16::MAX);
+        let parts =
+            Parts { table, tasks, transit: Transit::new(transit_capacity), timer: Timer::new(timers) };
+        Self { parts, work: VecDeque::with_capacity(WORK) }
+    }
+
+    /// Its parts.
+    #[must_use]
+    pub fn into_parts(self) -> Parts {
+        self.parts
+    }
+
+    /// Its parts, to look at.
+    #[must_use]
+    pub const fn parts(&self) -> &Parts {
+        &self.parts
+    }
+
+    /// Its parts, for canonical states.
+    pub const fn parts_mut(&mut self) -> &mut Parts {
+        &mut self.parts
+    }
+
+    /// A communication task of this node.
+    #[must_use]
+    pub fn task(&self, task: TaskId) -> Option<&CommTask> {
+        let at = self.parts.tasks.binary_search_by_key(&task, CommTask::task).ok()?;
+        self.parts.tasks.get(at)
+    }
+
+    /// Takes one input and carries out everything that follows from it within the node.
+    pub fn step(&mut self, input: NodeInput, out: &mut impl NodeOutbox) {
+        match input {
+            NodeInput::Advance(elapsed) => self.advance(elapsed, out),
+            NodeInput::Request(task, request) => {
+                self.work.push_back(Work::Task(task, Input::Request(request)))
+            }
+            NodeInput::Packet { packet, charge } => self.arrive(packet, charge, out),
+            NodeInput::PeerRestarted(node) => {
+                for i in 0..self.parts.tasks.len() {
+                    let task = self.parts.tasks[i].task();
+                    self.work.push_back(Work::Task(task, Input::PeerRestarted(node)));
+                }
+            }
+        }
+        while let Some(work) = self.work.pop_front() {
+            self.carry_out(work, out);
+        }
+        self.flush(out);
+    }
+
+    /// How long from the last [`NodeInput::Advance`] until time alone makes this node act.
+    #[must_use]
+    pub fn next_expiry(&self) -> Option<Ticks> {
+        let tasks = self.parts.tasks.iter().filter_map(CommTask::next_expiry);
+        tasks.chain(self.parts.transit.next_expiry()).chain(self.parts.timer.next_expiry()).min()
+    }
+
+    /// Sends what waits, most urgent first, as far as the links take it (§5.2.3).
+    pub fn flush(&mut self, out: &mut impl NodeOutbox) {
+        while let Some((next, packet)) = self.parts.transit.next(|next| out.ready(next)) {
+            out.link(next, packet);
+        }
+    }
+
+    fn advance(&mut self, elapsed: Ticks, out: &mut impl NodeOutbox) {
+        // The transit buffer first: a task whose time_out ends now must know whether its packet ever left.
+        self.with_transit(out, |transit, table, effects| transit.advance(table, elapsed, effects));
+        while let Some(work) = self.work.pop_front() {
+            self.carry_out(work, out);
+        }
+        for i in 0..self.parts.tasks.len() {
+            self.work.push_back(Work::Task(self.parts.tasks[i].task(), Input::Advance(elapsed)));
+            while let Some(work) = self.work.pop_front() {
+                self.carry_out(work, out);
+            }
+        }
+        let work = &mut self.work;
+        self.parts.timer.advance(elapsed, |task, id| work.push_back(Work::Task(task, Input::TimeOut(id))));
+    }
+
+    fn arrive(&mut self, packet: Packet, charge: Ticks, out: &mut impl NodeOutbox) {
+        match route::arrived(&self.parts.table, packet, charge) {
+            Arrival::Local(task, packet) => self.work.push_back(Work::Task(task, Input::Packet(packet))),
+            Arrival::Relay(packet) => self.work.push_back(Work::Route(packet)),
+            Arrival::Discard(reason, packet) => out.observe(None, discarded(reason, &packet)),
+        }
+    }
+
+    fn carry_out(&mut self, work: Work, out: &mut impl NodeOutbox) {
+        match work {
+            Work::Task(task, input) => {
+                let Ok(at) = self.parts.tasks.binary_search_by_key(&task, CommTask::task) else { return };
+                let mut effects = TaskEffects { task, work: &mut self.work, out };
+                self.parts.tasks[at].handle(&self.parts.table, input, &mut effects);
+            }
+            Work::Route(packet) => match route::departing(&self.parts.table, &packet) {
+                Departure::Local(task) => self.work.push_back(Work::Task(task, Input::Packet(packet))),
+                Departure::Link(_) | Departure::Unroutable => {
+                    self.with_transit(out, |transit, table, effects| transit.offer(table, packet, effects));
+                }
+            },
+            Work::Arm(task, id, length) => {
+                // A full Timer ends the delay at once rather than never.
+                if !self.parts.timer.arm(task, id, length) {
+                    self.work.push_back(Work::Task(task, Input::TimeOut(id)));
+                }
+            }
+            Work::Disarm(task, id) => {
+                self.parts.timer.disarm(task, id);
+            }
+        }
+    }
+
+    fn with_transit<O: NodeOutbox>(
+        &mut self,
+        out: &mut O,
+        step: impl FnOnce(&mut Transit, &NodeTable, &mut RouteEffects<'_, O>),
+    ) {
+        let Parts { table, transit, .. } = &mut self.parts;
+        step(transit, table, &mut RouteEffects { work: &mut self.work, out });
+    }
+}
+
+/// The observation of a packet dropped before it reached a communication task.
+#[must_use]
+pub fn discarded(reason: Reason, packet: &Packet) -> Observation {
+    Observation {
+        event: Event::Discarded(reason),
+        port: packet.port,
+        peer: packet.source,
+        number: packet.id.sequence.get(),
+        remaining: packet.remaining,
+    }
+}
+
+struct TaskEffects<'a, O> {
+    task: TaskId,
+    work: &'a mut VecDeque<Work>,
+    out: &'a mut O,
+}
+
+impl<O: NodeOutbox> Outbox for TaskEffects<'_, O> {
+    fn transmit(&mut self, packet: Packet) {
+        self.work.push_back(Work::Route(packet));
+    }
+
+    fn signal(&mut self, signal: Signal) {
+        self.out.signal(self.task, signal);
+    }
+
+    fn arm(&mut self, id: TimeId, length: Ticks) {
+        self.work.push_back(Work::Arm(self.task, id, length));
+    }
+
+    fn disarm(&mut self, id: TimeId) {
+        self.work.push_back(Work::Disarm(self.task, id));
+    }
+
+    fn observe(&mut self, observation: Observation) {
+        self.out.observe(Some(self.task), observation);
+    }
+}
+
+struct RouteEffects<'a, O> {
+    work: &'a mut VecDeque<Work>,
+    out: &'a mut O,
+}
+
+impl<O: NodeOutbox> RouteOutbox for RouteEffects<'_, O> {
+    fn unsent(&mut self, task: TaskId, id: MessageId) {
+        self.work.push_back(Work::Task(task, Input::Unsent(id)));
+    }
+
+    fn transmit(&mut self, packet: Packet) {
+        self.work.push_back(Work::Route(packet));
+    }
+
+    fn observe(&mut self, observation: Observation) {
+        self.out.observe(None, observation);
+    }
+}

@@ -1,0 +1,69 @@
+//! The route layer's static part (§5.2.3): where a packet goes. Pure functions of the table, called by every driver.
+//! Which packet goes next is the [`Transit`](crate::transit::Transit) buffer's part.
+
+use crate::ids::{NodeId, TaskId};
+use crate::observe::Reason;
+use crate::packet::Packet;
+use crate::rules::TimeStamp;
+use crate::table::NodeTable;
+use crate::ticks::Ticks;
+
+/// What to do with a packet that came in over a link.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Arrival {
+    /// It is for this task of this node.
+    Local(TaskId, Packet),
+    /// It is for another node: into the transit buffer.
+    Relay(Packet),
+    /// It is dropped.
+    Discard(Reason, Packet),
+}
+
+/// Where a packet that a task of this node sends goes.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Departure {
+    /// To a task of this node.
+    Local(TaskId),
+    /// Over the link to this succeeding node.
+    Link(NodeId),
+    /// Nowhere: the table knows no way.
+    Unroutable,
+}
+
+/// Sorts a packet that came in over a link. `charge` is the time the way is taken to have cost: no less than the
+/// link's bound (D20).
+#[must_use]
+pub fn arrived(table: &NodeTable, mut packet: Packet, charge: Ticks) -> Arrival {
+    let Some(location) = table.location(packet.destination) else {
+        return Arrival::Discard(Reason::Unroutable, packet);
+    };
+    // The insertion rule: only the declared parties of a port speak on it, and only towards each other.
+    let admitted = table.port(packet.port).is_some_and(|port| port.admits(packet.source, packet.destination));
+    if !admitted {
+        return Arrival::Discard(Reason::NotAllowed, packet);
+    }
+    if table.rules().time_stamp == TimeStamp::Remaining {
+        packet.remaining = packet.remaining - charge;
+        if packet.remaining.is_zero() {
+            return Arrival::Discard(Reason::ExpiredOnTheWay, packet);
+        }
+    }
+    if location == table.node {
+        return Arrival::Local(packet.destination, packet);
+    }
+    let Some(hops) = packet.hops.checked_sub(1) else {
+        return Arrival::Discard(Reason::HopLimit, packet);
+    };
+    packet.hops = hops;
+    Arrival::Relay(packet)
+}
+
+/// The succeeding node of a packet.
+#[must_use]
+pub fn departing(table: &NodeTable, packet: &Packet) -> Departure {
+    match table.location(packet.destination) {
+        Some(location) if location == table.node => Departure::Local(packet.destination),
+        Some(location) => table.next_hop(table.node, location).map_or(Departure::Unroutable, Departure::Link),
+        None => Departure::Unroutable,
+    }
+}
