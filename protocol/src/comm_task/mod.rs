@@ -7,6 +7,7 @@
 //! Of the four layers of §5.2, `user` talks with the task, [`mapping`](crate::mapping) turns names into packets,
 //! [`route`](crate::route) finds the succeeding node, and the primitive layer is the driver's link.
 
+mod ignores;
 mod inbox;
 mod memory;
 mod packed;

@@ -82,6 +82,12 @@ impl CommTask {
         self.locals.iter().filter_map(view).collect()
     }
 
+    /// The sequence number that the task's next message will have.
+    #[must_use]
+    pub const fn next_sequence(&self) -> crate::ids::Seq24 {
+        self.next_sequence
+    }
+
     /// The id of the command the task waits to have answered.
     #[must_use]
     pub const fn awaits(&self) -> Option<(TaskId, crate::ids::MessageId)> {

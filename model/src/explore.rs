@@ -1,0 +1,199 @@
+//! A world under stateright's breadth-first search, with what stateright 0.31 leaves to its user.
+//!
+//! One property, one thread, breadth first: then the first counterexample found is a shortest one (with several
+//! properties a later, longer one would replace it). There is no cancel: a budget works by offering no more actions.
+//! A panic of the machine would lose its path: it is caught and becomes an absorbing state against the property.
+
+use crate::scenario::{Scenario, Watch};
+use crate::state::{Packed, Violation};
+use crate::world::{Action, World};
+use stateright::{Checker, Model, Property};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Instant;
+
+/// How much an exploration may use.
+#[derive(Clone, Copy, Debug)]
+pub struct Limits {
+    /// States to look at.
+    pub states: u64,
+    /// Resident memory of the whole process, in bytes.
+    pub memory: u64,
+}
+
+impl Default for Limits {
+    fn default() -> Self {
+        Self { states: u64::MAX, memory: 4 << 30 }
+    }
+}
+
+/// What an exploration found.
+#[derive(Clone, Debug)]
+pub struct Exploration {
+    /// The shortest path to a violation, if there is one.
+    pub path: Option<Vec<Action>>,
+    /// What is violated at its end.
+    pub violation: Option<Violation>,
+    /// Different states.
+    pub states: u64,
+    /// Transitions taken.
+    pub transitions: u64,
+    /// The longest shortest path from the start.
+    pub depth: u64,
+    /// Whether everything within the bounds was explored, or a violation found.
+    pub complete: bool,
+    /// The bytes of the longest state.
+    pub longest_state: u64,
+    /// Wall-clock seconds.
+    pub seconds: f64,
+}
+
+/// A scenario as a stateright model.
+pub struct WorldModel {
+    scenario: Arc<Scenario>,
+    scratch: Mutex<World>,
+    limits: Limits,
+    expanded: AtomicU64,
+    longest: AtomicU64,
+    over: AtomicBool,
+    progress: Option<Arc<dyn Fn(u64) + Send + Sync>>,
+}
+
+/// How many states pass between two looks at the memory and two words of progress.
+const LOOK: u64 = 8192;
+
+impl WorldModel {
+    /// The model of a scenario.
+    #[must_use]
+    pub fn new(scenario: &Arc<Scenario>, limits: Limits) -> Self {
+        Self {
+            scenario: Arc::clone(scenario),
+            scratch: Mutex::new(World::new(scenario)),
+            limits,
+            expanded: AtomicU64::new(0),
+            longest: AtomicU64::new(0),
+            over: AtomicBool::new(false),
+            progress: None,
+        }
+    }
+
+    /// Which node a step needs unpacked: one, where the watch and the reductions look at no other.
+    fn touched(&self, state: &Packed, action: Action) -> Touch {
+        let local = self.scenario.is_meeting()
+            && !self.scenario.reductions.ignores
+            && !self.scenario.lives()
+            && !matches!(self.scenario.watch, Watch::Stranded);
+        match action {
+            Action::Act(i) if local => Touch::One(usize::from(i)),
+            Action::Deliver(_) if local => Touch::Destination,
+            _ => {
+                let _ = state;
+                Touch::All
+            }
+        }
+    }
+
+    fn step(&self, state: &Packed, action: Action) -> Packed {
+        let mut world = self.scratch.lock().unwrap_or_else(PoisonError::into_inner);
+        let touch = match self.touched(state, action) {
+            Touch::All => None,
+            Touch::One(i) => Some(i),
+            Touch::Destination => match action {
+                Action::Deliver(i) => World::destination(&self.scenario, state, i),
+                _ => None,
+            },
+        };
+        let result = catch_unwind(AssertUnwindSafe(|| {
+            world.load(state, touch);
+            world.apply(action);
+            world.store()
+        }));
+        result.unwrap_or_else(|_| {
+            *world = World::new(&self.scenario);
+            Packed(Box::new([Violation::Panic.code(), 0, 0, 0, 0]))
+        })
+    }
+
+    fn look(&self) {
+        let expanded = self.expanded.fetch_add(1, Ordering::Relaxed) + 1;
+        if expanded >= self.limits.states {
+            self.over.store(true, Ordering::Relaxed);
+        }
+        if expanded.is_multiple_of(LOOK) {
+            if resident_bytes().is_some_and(|bytes| bytes > self.limits.memory) {
+                self.over.store(true, Ordering::Relaxed);
+            }
+            if let Some(progress) = &self.progress {
+                progress(expanded);
+            }
+        }
+    }
+}
+
+enum Touch {
+    All,
+    One(usize),
+    Destination,
+}
+
+impl Model for WorldModel {
+    type State = Packed;
+    type Action = Action;
+
+    fn init_states(&self) -> Vec<Packed> {
+        vec![World::new(&self.scenario).store()]
+    }
+
+    fn actions(&self, state: &Packed, actions: &mut Vec<Action>) {
+        self.look();
+        self.longest.fetch_max(state.len() as u64, Ordering::Relaxed);
+        if self.over.load(Ordering::Relaxed) || state.violation().is_some() {
+            return;
+        }
+        let mut world = self.scratch.lock().unwrap_or_else(PoisonError::into_inner);
+        world.load(state, None);
+        world.actions(actions);
+    }
+
+    fn next_state(&self, state: &Packed, action: Action) -> Option<Packed> {
+        Some(self.step(state, action))
+    }
+
+    fn properties(&self) -> Vec<Property<Self>> {
+        vec![Property::always("claim", |_, state: &Packed| state.violation().is_none())]
+    }
+}
+
+/// Explores a scenario until everything is seen, a violation is found or a limit is reached.
+#[must_use]
+pub fn explore(
+    scenario: &Arc<Scenario>,
+    limits: Limits,
+    progress: Option<Arc<dyn Fn(u64) + Send + Sync>>,
+) -> Exploration {
+    let start = Instant::now();
+    let mut model = WorldModel::new(scenario, limits);
+    model.progress = progress;
+    let checker = model.checker().threads(1).spawn_bfs().join();
+    let path = checker.discoveries().remove("claim");
+    let violation = path.as_ref().and_then(|path| path.last_state().violation());
+    let cut = checker.model().over.load(Ordering::Relaxed);
+    Exploration {
+        complete: !cut || path.is_some(),
+        violation,
+        states: checker.unique_state_count() as u64,
+        transitions: checker.state_count() as u64,
+        depth: checker.max_depth() as u64,
+        longest_state: checker.model().longest.load(Ordering::Relaxed),
+        seconds: start.elapsed().as_secs_f64(),
+        path: path.map(stateright::Path::into_actions),
+    }
+}
+
+/// The resident memory of this process, where the system tells.
+fn resident_bytes() -> Option<u64> {
+    let statm = std::fs::read_to_string("/proc/self/statm").ok()?;
+    let pages: u64 = statm.split_whitespace().nth(1)?.parse().ok()?;
+    Some(pages * 4096)
+}

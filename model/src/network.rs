@@ -1,0 +1,208 @@
+//! Packets on the way, and their packed form.
+
+use crate::scenario::Scenario;
+use imrs_protocol::{
+    CommTask, Contents, Frame, Incarnation, Kind, Meeting, MessageId, Overflow, Packet, PortId, Round, Seq24, TaskId, Ticks,
+};
+
+/// A packet on the way.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(crate) struct Flight {
+    pub packet: Packet,
+    /// How many ticks it has been on the way.
+    pub age: u8,
+    /// The life of the node that sent it, as its envelope says.
+    pub life: Incarnation,
+}
+
+/// The most bytes that one packed flight takes.
+pub(crate) const FLIGHT_BYTES: usize = 32;
+
+/// One packed flight.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) struct Packed {
+    bytes: [u8; FLIGHT_BYTES],
+    len: u8,
+}
+
+impl Packed {
+    const EMPTY: Self = Self { bytes: [0; FLIGHT_BYTES], len: 0 };
+
+    fn push(&mut self, byte: u8) -> Result<(), Overflow> {
+        *self.bytes.get_mut(usize::from(self.len)).ok_or(Overflow)? = byte;
+        self.len += 1;
+        Ok(())
+    }
+
+    pub fn as_bytes(&self) -> &[u8] {
+        &self.bytes[..usize::from(self.len)]
+    }
+}
+
+/// How flights are packed in one world.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Codec {
+    /// Only meetings of at most four tasks on port 0, at most three ticks on the way: kind, ends and age in one byte.
+    compact: bool,
+    lives: bool,
+}
+
+impl Codec {
+    pub fn new(scenario: &Scenario) -> Self {
+        let compact = scenario.is_meeting() && scenario.tasks() <= 4 && scenario.delay.unwrap_or(0) <= 3;
+        Self { compact, lives: scenario.lives() }
+    }
+
+    /// Packs a flight, its ends renamed by `rename`.
+    pub fn encode(
+        self,
+        flight: &Flight,
+        frame: &Frame<'_>,
+        rename: impl Fn(TaskId) -> u8,
+    ) -> Result<Packed, Overflow> {
+        let Flight { packet, age, life } = flight;
+        let mut out = Packed::EMPTY;
+        let (source, destination) = (rename(packet.source), rename(packet.destination));
+        let meeting = matches!(packet.kind, Kind::Arrive | Kind::Confirm | Kind::Abort);
+        if self.compact {
+            let kind = packet.kind as u8 - Kind::Arrive as u8;
+            out.push((kind << 6) | (source << 4) | (destination << 2) | age)?;
+        } else {
+            out.push(((packet.kind as u8) << 4) | age)?;
+            out.push((source << 4) | destination)?;
+            out.push(u8::try_from(packet.port.0).map_err(|_| Overflow)?)?;
+        }
+        if self.lives {
+            out.push((packet.id.incarnation.0 << 4) | life.0)?;
+        }
+        if meeting {
+            return self.encode_meeting(packet, frame, out);
+        }
+        out.push(u8::from(packet.class == imrs_protocol::Class::Status))?;
+        let source_of_id = id_source(packet);
+        let next = frame.sequences.get(source_of_id.index()).copied().unwrap_or_default();
+        out.push(u8::try_from(next.steps_from(packet.id.sequence)).map_err(|_| Overflow)?)?;
+        out.push(remaining(packet.remaining)?)?;
+        let contents = packet.contents.as_bytes();
+        out.push(u8::try_from(contents.len()).map_err(|_| Overflow)?)?;
+        contents.iter().try_for_each(|&byte| out.push(byte))?;
+        Ok(out)
+    }
+
+    fn encode_meeting(self, packet: &Packet, frame: &Frame<'_>, mut out: Packed) -> Result<Packed, Overflow> {
+        let meeting = packet.meeting();
+        let base = frame.rounds.get(packet.port.index()).copied().unwrap_or_default();
+        let relative = |round: Round| u8::try_from(round.steps_from(base)).ok().filter(|&r| r < 15).ok_or(Overflow);
+        // 15: nothing to say, the sender has released nothing yet or what it released is the round itself.
+        let hint = if meeting.released == meeting.round { 15 } else { relative(meeting.released)? };
+        out.push((relative(meeting.round)? << 4) | hint)?;
+        match packet.kind {
+            Kind::Arrive => out.push(remaining(packet.remaining)?)?,
+            Kind::Abort => out.push(relative(meeting.next_round())?)?,
+            _ => {}
+        }
+        Ok(out)
+    }
+
+    /// Unpacks one flight and says how many bytes it took. `patience` is what CONFIRM and ABORT live.
+    pub fn decode(self, bytes: &[u8], patience: Ticks) -> (Flight, usize) {
+        let mut at = 0;
+        let mut byte = || {
+            let byte = bytes.get(at).copied().unwrap_or(0);
+            at += 1;
+            byte
+        };
+        let (kind, source, destination, age, port);
+        if self.compact {
+            let head = byte();
+            kind = [Kind::Arrive, Kind::Confirm, Kind::Abort, Kind::Abort][usize::from(head >> 6)];
+            (source, destination, age, port) = ((head >> 4) & 3, (head >> 2) & 3, head & 3, 0);
+        } else {
+            let head = byte();
+            kind = KINDS[usize::from(head >> 4) & 7];
+            age = head & 15;
+            let ends = byte();
+            (source, destination, port) = (ends >> 4, ends & 15, byte());
+        }
+        let (mut id_life, mut life) = (Incarnation(0), Incarnation(0));
+        if self.lives {
+            let lives = byte();
+            (id_life, life) = (Incarnation(lives >> 4), Incarnation(lives & 15));
+        }
+        let mut packet = Packet {
+            kind,
+            class: imrs_protocol::Class::Command,
+            more: false,
+            resent: false,
+            urgent: false,
+            hops: imrs_protocol::MAX_HOPS,
+            fragment: 0,
+            destination: TaskId(u16::from(destination)),
+            source: TaskId(u16::from(source)),
+            port: PortId(u16::from(port)),
+            id: MessageId { incarnation: id_life, sequence: Seq24::default() },
+            remaining: patience,
+            contents: Contents::EMPTY,
+        };
+        if matches!(kind, Kind::Arrive | Kind::Confirm | Kind::Abort) {
+            let rounds = byte();
+            let round = Frame::ROUND.plus(u16::from(rounds >> 4));
+            let released = if rounds & 15 == 15 { round } else { Frame::ROUND.plus(u16::from(rounds & 15)) };
+            let mut arguments = [0; 8];
+            match kind {
+                Kind::Arrive => packet.remaining = time(byte()),
+                Kind::Abort => arguments = Meeting::abort_arguments(Frame::ROUND.plus(u16::from(byte()))),
+                _ => {}
+            }
+            packet.contents = Meeting { round, released, arguments }.to_contents();
+        } else {
+            if byte() == 1 {
+                packet.class = imrs_protocol::Class::Status;
+            }
+            packet.id.sequence = Frame::SEQUENCE.plus(Seq24::MODULUS - u32::from(byte()));
+            packet.remaining = time(byte());
+            let len = usize::from(byte()).min(12);
+            let mut contents = [0; 12];
+            for slot in contents.iter_mut().take(len) {
+                *slot = byte();
+            }
+            packet.contents = Contents::new(&contents[..len]).unwrap_or_default();
+        }
+        (Flight { packet, age, life }, at)
+    }
+}
+
+const KINDS: [Kind; 8] = [
+    Kind::Send,
+    Kind::Query,
+    Kind::Reply,
+    Kind::Response,
+    Kind::Arrive,
+    Kind::Confirm,
+    Kind::Abort,
+    Kind::Control,
+];
+
+/// Whose sequence a packet's id counts in: an answer carries the request's id (D47).
+pub(crate) const fn id_source(packet: &Packet) -> TaskId {
+    match packet.kind {
+        Kind::Reply | Kind::Response | Kind::Control => packet.destination,
+        Kind::Send | Kind::Query | Kind::Arrive | Kind::Confirm | Kind::Abort => packet.source,
+    }
+}
+
+fn remaining(ticks: Ticks) -> Result<u8, Overflow> {
+    if ticks == Ticks::FAR {
+        return Ok(u8::MAX);
+    }
+    u8::try_from(ticks.0).ok().filter(|&t| t != u8::MAX).ok_or(Overflow)
+}
+
+fn time(byte: u8) -> Ticks {
+    if byte == u8::MAX { Ticks::FAR } else { Ticks(u64::from(byte)) }
+}
+
+/// Whether no future of its destination can notice the packet.
+pub(crate) fn unnoticed(task: &CommTask, table: &imrs_protocol::NodeTable, packet: &Packet) -> bool {
+    task.ignores(table, packet)
+}

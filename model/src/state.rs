@@ -1,0 +1,77 @@
+//! The hashed state: one block of bytes.
+
+use std::fmt;
+
+/// A packed state. Equal bytes are equal futures.
+#[derive(Clone, PartialEq, Eq, Hash)]
+pub struct Packed(pub(crate) Box<[u8]>);
+
+impl Packed {
+    /// What went wrong, if anything did: the state is then absorbing.
+    #[must_use]
+    pub fn violation(&self) -> Option<Violation> {
+        Violation::from_code(self.0.first().copied().unwrap_or(0))
+    }
+
+    /// How many bytes it has.
+    #[must_use]
+    pub fn len(&self) -> usize {
+        self.0.len()
+    }
+
+    /// Never: a state has at least its header.
+    #[must_use]
+    pub fn is_empty(&self) -> bool {
+        self.0.is_empty()
+    }
+}
+
+impl fmt::Debug for Packed {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        self.0.iter().try_for_each(|byte| write!(f, "{byte:02x}"))
+    }
+}
+
+macro_rules! violations {
+    ($($name:ident $code:literal $text:literal),* $(,)?) => {
+        /// What a world found to be wrong.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        pub enum Violation {
+            $(#[doc = $text] $name),*
+        }
+
+        impl Violation {
+            pub(crate) const fn code(self) -> u8 {
+                match self { $(Self::$name => $code),* }
+            }
+
+            pub(crate) const fn from_code(code: u8) -> Option<Self> {
+                match code { $($code => Some(Self::$name),)* _ => None }
+            }
+
+            /// One line that says it.
+            #[must_use]
+            pub const fn text(self) -> &'static str {
+                match self { $(Self::$name => $text),* }
+            }
+        }
+    };
+}
+
+violations! {
+    FalseRelease 1 "a member was released before all had arrived in its round",
+    Unpaired 2 "members count different rounds as the same meeting",
+    Stranded 3 "a member waits though all have arrived and nothing is on the way",
+    GaveUpAfterAllArrived 4 "a member gave up though all had arrived",
+    Divergent 5 "one member was released from a round that another left without a release",
+    Released 6 "a member was released",
+    NotMet 7 "too many attempts since the faults stopped, and nobody was released",
+    Stale 8 "a message was handed over after its sender's time_out",
+    SecondOutcome 9 "a command ended twice",
+    NoOutcome 10 "a command did not end within its time_out and one tick",
+    WrongAnswer 11 "an answer belongs to another command",
+    ExecutedTwice 12 "a command was handed over twice",
+    Overflow 20 "the state outgrew its packed form",
+    Panic 21 "the machine panicked",
+    Invariant 22 "an invariant of the machine is broken",
+}

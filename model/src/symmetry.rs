@@ -1,0 +1,146 @@
+//! Equal parties are sorted: of all renamings of the members of a meeting, the state with the least bytes stands for
+//! all of them. It is a full key, computed inside `next_state`, so it works in every search (stateright's own
+//! `symmetry` is ignored by its breadth-first search).
+
+use crate::network::{Codec, Flight, Packed};
+use crate::world::HEADER;
+use imrs_protocol::{Frame, Overflow, TaskId};
+
+/// The parts that a packed state is put together from. Only worlds without restarts are renamed.
+pub(crate) struct Parts<'a> {
+    pub header: [u8; HEADER],
+    pub ghosts: &'a [Vec<u8>],
+    pub blocks: &'a [Vec<u8>],
+    pub flights: &'a [Flight],
+    pub frame: Frame<'a>,
+    pub codec: Codec,
+}
+
+impl Parts<'_> {
+    /// The state as it is.
+    pub fn in_order(&self) -> Result<Vec<u8>, Overflow> {
+        let mut bytes = Vec::with_capacity(96);
+        bytes.extend(self.header);
+        self.ghosts.iter().for_each(|ghost| bytes.extend(ghost));
+        self.blocks.iter().for_each(|block| bytes.extend(block));
+        self.put_flights(|task| u8::try_from(task.0).unwrap_or(u8::MAX), &mut bytes)?;
+        Ok(bytes)
+    }
+
+    /// The least of all renamings. Only those are tried that sort the members by what renaming does not change.
+    pub fn least(&self) -> Result<Vec<u8>, Overflow> {
+        let n = self.blocks.len();
+        let mut order: Vec<usize> = (0..n).collect();
+        let signature = |i: usize| (self.ghosts[i].as_slice(), members_at(&self.blocks[i]).1);
+        order.sort_by(|&a, &b| signature(a).cmp(&signature(b)));
+        let mut best = self.renamed(&order)?;
+        // Members that look alike from outside may still differ in what they know of each other.
+        let mut permutation = order.clone();
+        while next_permutation(&mut permutation, |a, b| signature(a) == signature(b), &order) {
+            let candidate = self.renamed(&permutation)?;
+            if candidate < best {
+                best = candidate;
+            }
+        }
+        Ok(best)
+    }
+
+    /// The state in which the member `order[k]` stands at position `k`.
+    fn renamed(&self, order: &[usize]) -> Result<Vec<u8>, Overflow> {
+        let mut bytes = Vec::with_capacity(96);
+        bytes.extend(self.header);
+        order.iter().for_each(|&i| bytes.extend(&self.ghosts[i]));
+        for &i in order {
+            let block = &self.blocks[i];
+            let (at, _) = members_at(block);
+            bytes.extend(&block[..at]);
+            let entries = entries(&block[at..]);
+            order.iter().for_each(|&of| bytes.extend(entries.get(of).copied().unwrap_or_default()));
+        }
+        let position = |task: TaskId| order.iter().position(|&i| i == task.index()).unwrap_or(0);
+        self.put_flights(|task| u8::try_from(position(task)).unwrap_or(u8::MAX), &mut bytes)?;
+        Ok(bytes)
+    }
+
+    fn put_flights(&self, rename: impl Fn(TaskId) -> u8, bytes: &mut Vec<u8>) -> Result<(), Overflow> {
+        let mut packed: Vec<Packed> = Vec::with_capacity(self.flights.len());
+        for flight in self.flights {
+            packed.push(self.codec.encode(flight, &self.frame, &rename)?);
+        }
+        packed.sort_unstable();
+        packed.iter().for_each(|flight| bytes.extend(flight.as_bytes()));
+        Ok(())
+    }
+}
+
+/// Where the entries of the members begin in a node's block, and the bytes before them without the length.
+fn members_at(block: &[u8]) -> (usize, &[u8]) {
+    // See `CommTask::store`: pending, order, then the meeting's flags, round and what the flags announce.
+    let mut at = 2;
+    at += if block.get(at) == Some(&3) { 2 } else { 1 };
+    at += 1 + usize::from(block.get(at).copied().unwrap_or(0));
+    let flags = block.get(at).copied().unwrap_or(0);
+    at += 2;
+    at += usize::from(flags & 1 != 0) + usize::from(flags & 2 != 0) + usize::from(flags & 4 != 0);
+    at += if flags & 16 != 0 { 2 } else { 0 };
+    let at = at.min(block.len());
+    (at, &block[1.min(at)..at])
+}
+
+/// The members' entries of a block, in order.
+fn entries(mut bytes: &[u8]) -> Vec<&[u8]> {
+    let mut entries = Vec::with_capacity(4);
+    while let Some(&flags) = bytes.first() {
+        let len = 1 + if flags & 1 != 0 { 2 } else { 0 } + usize::from(flags & 2 != 0);
+        let (entry, rest) = bytes.split_at(len.min(bytes.len()));
+        entries.push(entry);
+        bytes = rest;
+    }
+    entries
+}
+
+/// The next arrangement that only exchanges members alike in `same`. Positions count from `order`.
+fn next_permutation(p: &mut [usize], same: impl Fn(usize, usize) -> bool, order: &[usize]) -> bool {
+    let rank = |i: usize| order.iter().position(|&o| o == i).unwrap_or(0);
+    // Odometer over the runs of equal members: advance the last run that has a next arrangement, reset those after it.
+    let mut end = p.len();
+    while end > 0 {
+        let mut start = end - 1;
+        while start > 0 && same(p[start - 1], p[end - 1]) {
+            start -= 1;
+        }
+        if next_in_run(&mut p[start..end], rank) {
+            return true;
+        }
+        p[start..end].sort_by_key(|&i| rank(i));
+        end = start;
+    }
+    false
+}
+
+fn next_in_run(run: &mut [usize], rank: impl Fn(usize) -> usize) -> bool {
+    let Some(pivot) = (1..run.len()).rev().find(|&i| rank(run[i - 1]) < rank(run[i])) else { return false };
+    let Some(swap) = (pivot..run.len()).rev().find(|&i| rank(run[i]) > rank(run[pivot - 1])) else { return false };
+    run.swap(pivot - 1, swap);
+    run[pivot..].reverse();
+    true
+}
+
+#[cfg(test)]
+mod tests {
+    use super::next_permutation;
+
+    #[test]
+    fn every_arrangement_of_equal_members_is_visited_once() {
+        let order = [4, 2, 7, 1, 0];
+        let class = |i: usize| usize::from(i == 7 || i == 1);
+        let mut p = order;
+        let mut seen = vec![p];
+        // 4, 2 | 7, 1 | 0: two runs of two, and one alone.
+        while next_permutation(&mut p, |a, b| class(a) == class(b), &order) {
+            seen.push(p);
+        }
+        let all = [[4, 2, 7, 1, 0], [4, 2, 1, 7, 0], [2, 4, 7, 1, 0], [2, 4, 1, 7, 0]];
+        assert_eq!(seen, all);
+    }
+}

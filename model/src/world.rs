@@ -1,0 +1,619 @@
+//! A world: the nodes of a cell, the packets between them, the faults that are left, and what the watch remembers.
+//!
+//! A world is only ever a scratch pad. States are packed bytes; [`World::load`] unpacks one, a step changes it, and
+//! [`World::store`] packs the result with everything relative: remaining times, rounds counted from the least one in
+//! use, sequences counted back from the next one (D51).
+
+use crate::ghost::{self, Ghost, Judge, question};
+use crate::network::{Codec, FLIGHT_BYTES, Flight, id_source, unnoticed};
+use crate::scenario::{Behaviour, Scenario, Watch};
+use crate::state::{Packed, Violation};
+use crate::symmetry;
+use imrs_protocol::{
+    Class, Frame, Incarnation, Kind, MessageId, Node, NodeId, NodeInput, NodeOutbox, NodeTable, Observation, Overflow, Packet,
+    PortId, Request, Round, Seq24, Signal, Target, TaskId, TaskState, Ticks, Visit,
+};
+use std::sync::Arc;
+
+/// One thing that can happen next.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Action {
+    /// A tick passes on every node and for every packet.
+    Tick,
+    /// Packet number so of the state arrives.
+    Deliver(u8),
+    /// It is lost.
+    Lose(u8),
+    /// It arrives twice.
+    Duplicate(u8),
+    /// The task does what its behaviour allows.
+    Act(u8),
+    /// A receiver answers the command it holds.
+    Answer(u8),
+    /// The node crashes.
+    Crash(u8),
+    /// It starts again, in its next life.
+    Restart(u8),
+    /// From here on there are no faults, and every task hurries.
+    Heal,
+}
+
+/// A node of a world. Every node runs one task, with the same index.
+#[derive(Clone, Debug)]
+pub(crate) struct Place {
+    pub node: Node,
+    pub table: NodeTable,
+    pub up: bool,
+    pub life: Incarnation,
+    /// The lives in which this node knows the others.
+    pub known: Vec<Incarnation>,
+}
+
+/// The unpacked state.
+#[derive(Clone, Debug)]
+pub(crate) struct World {
+    pub scenario: Arc<Scenario>,
+    pub places: Vec<Place>,
+    pub flights: Vec<Flight>,
+    pub ghosts: Vec<Ghost>,
+    pub violation: Option<Violation>,
+    pub loss: u8,
+    pub dup: u8,
+    pub crash: u8,
+    pub healed: bool,
+    pub done: bool,
+    /// For each port the round, for each task the next sequence, that loaded numbers are relative to.
+    rounds: Vec<Round>,
+    codec: Codec,
+    effects: Effects,
+    /// The packed nodes that were not unpacked, of the state loaded last.
+    blocks: Vec<Vec<u8>>,
+    loaded: Vec<bool>,
+}
+
+/// What one step of a node sent and showed.
+#[derive(Clone, Debug, Default)]
+struct Effects {
+    sent: Vec<Packet>,
+    signals: Vec<Signal>,
+    seen: Vec<Observation>,
+}
+
+impl NodeOutbox for Effects {
+    fn link(&mut self, _: NodeId, packet: Packet) {
+        self.sent.push(packet);
+    }
+    fn signal(&mut self, _: TaskId, signal: Signal) {
+        self.signals.push(signal);
+    }
+    fn observe(&mut self, _: Option<TaskId>, observation: Observation) {
+        self.seen.push(observation);
+    }
+}
+
+/// The transit buffers of a world are emptied at once, so they need little room.
+const TRANSIT: u16 = 64;
+/// Bytes before the ghosts: violation, budgets, flags.
+pub(crate) const HEADER: usize = 5;
+
+impl World {
+    /// The world in its first state.
+    pub fn new(scenario: &Arc<Scenario>) -> Self {
+        let n = scenario.tasks();
+        let place = |i: usize| {
+            let table = scenario.table(NodeId::from_index(i));
+            let node = Node::new(table.clone(), Scenario::FIRST_LIFE, false, TRANSIT);
+            Place { node, table, up: true, life: Scenario::FIRST_LIFE, known: vec![Scenario::FIRST_LIFE; n] }
+        };
+        Self {
+            places: (0..n).map(place).collect(),
+            flights: Vec::new(),
+            ghosts: scenario.behaviours.iter().map(|&b| Ghost::new(b)).collect(),
+            violation: None,
+            loss: scenario.budget.loss,
+            dup: scenario.budget.dup,
+            crash: scenario.budget.crash,
+            healed: false,
+            done: false,
+            rounds: vec![Round::default(); scenario.cell.ports().len()],
+            codec: Codec::new(scenario),
+            effects: Effects::default(),
+            blocks: vec![Vec::new(); n],
+            loaded: vec![true; n],
+            scenario: Arc::clone(scenario),
+        }
+    }
+
+    fn n(&self) -> usize {
+        self.places.len()
+    }
+
+    /// What may happen in this state. The order is part of the state space: a path is a list of positions here.
+    pub fn actions(&self, actions: &mut Vec<Action>) {
+        if self.violation.is_some() || self.done {
+            return;
+        }
+        let oldest = self.flights.iter().map(|f| f.age).max();
+        let arrived = self.scenario.delay.is_none_or(|delay| oldest.is_none_or(|age| age < delay));
+        let mut urgent = false;
+        for i in 0..self.n() {
+            let before = actions.len();
+            self.task_actions(i, actions);
+            urgent |= actions.len() > before && (self.scenario.hurry || self.healed);
+        }
+        for (i, flight) in self.flights.iter().enumerate() {
+            let i = small(i);
+            // Equal packets are one choice.
+            if i > 0 && self.flights[usize::from(i) - 1] == *flight {
+                continue;
+            }
+            actions.push(Action::Deliver(i));
+            let last = self.scenario.delay.is_none_or(|delay| flight.age == delay);
+            if self.loss > 0 && !self.healed && (last || !self.scenario.reductions.lose_last) {
+                actions.push(Action::Lose(i));
+            }
+            if self.dup > 0 && !self.healed {
+                actions.push(Action::Duplicate(i));
+            }
+        }
+        if self.crash > 0 {
+            for (i, place) in self.places.iter().enumerate() {
+                let may = matches!(self.scenario.behaviours[i], Behaviour::Receiver | Behaviour::Member { .. });
+                if place.up && may {
+                    actions.push(Action::Crash(small(i)));
+                }
+            }
+        }
+        for (i, place) in self.places.iter().enumerate() {
+            if !place.up {
+                actions.push(Action::Restart(small(i)));
+            }
+        }
+        if matches!(self.scenario.watch, Watch::MeetAgain { .. }) && !self.healed {
+            actions.push(Action::Heal);
+        }
+        if self.scenario.delay.is_some() && arrived && !urgent {
+            actions.push(Action::Tick);
+        }
+    }
+
+    fn task_actions(&self, i: usize, actions: &mut Vec<Action>) {
+        if !self.places[i].up {
+            return;
+        }
+        let ghost = &self.ghosts[i];
+        let running = self.task(i).is_idle();
+        match self.scenario.behaviours[i] {
+            Behaviour::Member { .. } | Behaviour::Sender { .. } => {
+                if running && (ghost.left > 0 || (self.healed && matches!(self.scenario.behaviours[i], Behaviour::Member { .. }))) {
+                    actions.push(Action::Act(small(i)));
+                }
+            }
+            Behaviour::Receiver if ghost.serving.is_some() => actions.push(Action::Answer(small(i))),
+            Behaviour::Receiver => {
+                if running {
+                    actions.push(Action::Act(small(i)));
+                }
+            }
+        }
+    }
+
+    fn task(&self, i: usize) -> &imrs_protocol::CommTask {
+        &self.places[i].node.parts().tasks[0]
+    }
+
+    /// Carries an action out. What the watch finds wrong becomes the state's violation.
+    pub fn apply(&mut self, action: Action) {
+        let result = match action {
+            Action::Tick => self.tick(),
+            Action::Deliver(i) => {
+                let flight = self.flights.remove(usize::from(i));
+                self.deliver(flight)
+            }
+            Action::Lose(i) => {
+                self.flights.remove(usize::from(i));
+                self.loss -= 1;
+                Ok(())
+            }
+            Action::Duplicate(i) => {
+                let copy = self.flights[usize::from(i)];
+                self.flights.push(copy);
+                self.dup -= 1;
+                Ok(())
+            }
+            Action::Act(i) => self.act(usize::from(i)),
+            Action::Answer(i) => self.answer(usize::from(i)),
+            Action::Crash(i) => {
+                let place = &mut self.places[usize::from(i)];
+                place.up = false;
+                self.ghosts[usize::from(i)].serving = None;
+                self.crash -= 1;
+                Ok(())
+            }
+            Action::Restart(i) => {
+                let place = &mut self.places[usize::from(i)];
+                place.life = Incarnation(place.life.0 + 1);
+                place.up = true;
+                place.node = Node::new(place.table.clone(), place.life, true, TRANSIT);
+                Ok(())
+            }
+            Action::Heal => {
+                self.healed = true;
+                for ghost in &mut self.ghosts {
+                    ghost.since_heal = 0;
+                }
+                Ok(())
+            }
+        };
+        let result = result.and_then(|()| self.judge_quiet());
+        if let Err(violation) = result {
+            self.violation = Some(violation);
+        }
+    }
+
+    fn tick(&mut self) -> Result<(), Violation> {
+        for flight in &mut self.flights {
+            flight.age += 1;
+        }
+        for i in 0..self.n() {
+            if self.places[i].up {
+                self.step(i, NodeInput::Advance(Ticks(1)))?;
+            }
+            let limit = self.patience(i);
+            let ghost = &mut self.ghosts[i];
+            ghost.statuses.retain_mut(|(_, left)| {
+                *left -= 1;
+                *left > 0
+            });
+            if let Some(open) = &mut ghost.open {
+                *open += 1;
+                if self.scenario.watch == Watch::Resolves && Ticks(u64::from(*open)) > limit + Ticks(1) {
+                    return Err(Violation::NoOutcome);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// The declared time_out of the port that task `i` uses.
+    fn patience(&self, i: usize) -> Ticks {
+        match self.scenario.behaviours[i] {
+            Behaviour::Member { port, .. } | Behaviour::Sender { port, .. } => {
+                let task = TaskId::from_index(i);
+                self.scenario.cell.port(port).and_then(|p| p.party(task)).map_or(Ticks::FAR, |p| p.time_out)
+            }
+            Behaviour::Receiver => Ticks::FAR,
+        }
+    }
+
+    fn deliver(&mut self, flight: Flight) -> Result<(), Violation> {
+        let to = flight.packet.destination.index();
+        let from = flight.packet.source.index();
+        if !self.places[to].up {
+            return Ok(());
+        }
+        // The envelope announces a new life before any packet of it is handed on (D49).
+        let known = self.places[to].known[from];
+        if self.scenario.lives() && flight.life != known {
+            if flight.life.0 < known.0 {
+                return Ok(());
+            }
+            self.places[to].known[from] = flight.life;
+            self.step(to, NodeInput::PeerRestarted(NodeId::from_index(from)))?;
+        }
+        let charge = Ticks(u64::from(self.scenario.delay.unwrap_or(0)));
+        self.step(to, NodeInput::Packet { packet: flight.packet, charge })
+    }
+
+    fn act(&mut self, i: usize) -> Result<(), Violation> {
+        let request = match self.scenario.behaviours[i] {
+            Behaviour::Member { port, .. } => {
+                self.ghosts[i].use_one();
+                Request::Arrive { port, arguments: [0; 8], time_out: None }
+            }
+            Behaviour::Sender { port, .. } => {
+                self.ghosts[i].use_one();
+                self.ghosts[i].executed <<= 1;
+                self.ghosts[i].open = Some(0);
+                let contents = question(self.ghosts[i].left);
+                Request::Send { port, to: Target::All, contents, time_out: None }
+            }
+            Behaviour::Receiver => Request::Get { port: None, source: None, time_out: None },
+        };
+        self.step(i, NodeInput::Request(TaskId::from_index(i), request))
+    }
+
+    fn answer(&mut self, i: usize) -> Result<(), Violation> {
+        let Some(to) = self.ghosts[i].serving.take() else { return Ok(()) };
+        // The answer repeats the question, so that a mix-up shows: it is kept in the number of sends left.
+        let asked = self.ghosts[to.source.index()].left;
+        let back = self.next_sequence(to.source.index()).steps_from(to.id.sequence).saturating_sub(1);
+        let contents = question(asked.saturating_add(u8::try_from(back).unwrap_or(u8::MAX)));
+        self.step(i, NodeInput::Request(TaskId::from_index(i), Request::Reply { to, contents }))
+    }
+
+    fn next_sequence(&self, i: usize) -> Seq24 {
+        self.task(i).next_sequence()
+    }
+
+    /// Steps one node and lets the judge look at what came of it.
+    fn step(&mut self, i: usize, input: NodeInput) -> Result<(), Violation> {
+        let task = TaskId::from_index(i);
+        self.ghosts[i].waits_in = match self.task(i).state() {
+            TaskState::Waiting { round, .. } => Some(round),
+            _ => None,
+        };
+        let mut effects = std::mem::take(&mut self.effects);
+        let Place { node, life, .. } = &mut self.places[i];
+        node.step(input, &mut effects);
+        for packet in effects.sent.drain(..) {
+            if self.scenario.watch == Watch::Stale && packet.kind == Kind::Send && packet.class == Class::Status {
+                let life = self.scenario.cell.port(packet.port).map_or(0, |p| p.decl.time_out.0);
+                self.ghosts[i].statuses.push((packet.id.sequence, u8::try_from(life).unwrap_or(u8::MAX)));
+            }
+            self.flights.push(Flight { packet, age: 0, life: *life });
+        }
+        let result = self.judge(task, &effects);
+        effects.signals.clear();
+        effects.seen.clear();
+        self.effects = effects;
+        result
+    }
+
+    fn judge(&mut self, at: TaskId, effects: &Effects) -> Result<(), Violation> {
+        let mut ghosts = std::mem::take(&mut self.ghosts);
+        let base = self.rounds.first().copied().unwrap_or_default();
+        let mut judge =
+            Judge { scenario: &self.scenario, ghosts: &mut ghosts, healed: self.healed, base, done: self.done };
+        let awaits = |task: TaskId| -> Option<(TaskId, MessageId)> {
+            if self.places[task.index()].up { self.task(task.index()).awaits() } else { None }
+        };
+        let next = |task: TaskId| self.next_sequence(task.index());
+        let seen = effects.seen.iter().try_for_each(|seen| judge.observed(at, seen));
+        let signalled = seen
+            .and_then(|()| effects.signals.iter().try_for_each(|signal| judge.signalled(at, signal, awaits, next)))
+            .and_then(|()| judge.judge_round());
+        let done = judge.done;
+        self.done = done;
+        self.ghosts = ghosts;
+        signalled
+    }
+
+    /// What can only be judged when nothing is on the way.
+    fn judge_quiet(&self) -> Result<(), Violation> {
+        if self.scenario.watch != Watch::Stranded || !self.flights.is_empty() {
+            return Ok(());
+        }
+        let all_reached = self.ghosts.iter().all(|g| g.announced != 0);
+        let somebody_waits = (0..self.n()).any(|i| !self.task(i).is_idle());
+        if all_reached && somebody_waits { Err(Violation::Stranded) } else { Ok(()) }
+    }
+
+    /// Reads a state. With `touch`, only that node is unpacked, and only steps of that node may follow.
+    pub fn load(&mut self, state: &Packed, touch: Option<usize>) {
+        let bytes = &state.0;
+        self.violation = state.violation();
+        (self.loss, self.dup, self.crash) = (bytes[1], bytes[2], bytes[3]);
+        (self.healed, self.done) = (bytes[4] & 1 != 0, bytes[4] & 2 != 0);
+        let mut at = HEADER;
+        for ghost in &mut self.ghosts {
+            at += ghost::load(ghost, self.scenario.watch, &bytes[at..]);
+        }
+        self.rounds.fill(Frame::ROUND);
+        let lives = self.scenario.lives();
+        for i in 0..self.places.len() {
+            let len = usize::from(bytes[at]);
+            let block = &bytes[at..at + len];
+            self.loaded[i] = touch.is_none_or(|touched| touched == i);
+            if self.loaded[i] {
+                load_place(&mut self.places[i], block, lives, self.scenario.clocks[i]);
+            } else {
+                self.blocks[i].clear();
+                self.blocks[i].extend_from_slice(block);
+            }
+            at += len;
+        }
+        self.flights.clear();
+        let patience = self.scenario.cell.ports().first().map_or(Ticks::FAR, |p| p.decl.time_out);
+        while at < bytes.len() {
+            let (flight, len) = self.codec.decode(&bytes[at..], patience);
+            self.flights.push(flight);
+            at += len;
+        }
+    }
+
+    /// Where packet number `i` of a packed state goes, without unpacking more than the packets.
+    pub fn destination(scenario: &Scenario, state: &Packed, i: u8) -> Option<usize> {
+        let bytes = &state.0;
+        let mut at = HEADER;
+        let mut ghost = Ghost::default();
+        for _ in 0..scenario.tasks() {
+            at += ghost::load(&mut ghost, scenario.watch, &bytes[at..]);
+        }
+        for _ in 0..scenario.tasks() {
+            at += usize::from(*bytes.get(at)?);
+        }
+        let codec = Codec::new(scenario);
+        for _ in 0..i {
+            at += codec.decode(bytes.get(at..)?, Ticks::ZERO).1;
+        }
+        let (flight, _) = codec.decode(bytes.get(at..)?, Ticks::ZERO);
+        Some(flight.packet.destination.index())
+    }
+
+    /// Writes the state, canonical.
+    pub fn store(&mut self) -> Packed {
+        match self.try_store() {
+            Ok(packed) => packed,
+            // A distance outgrew its field: an absorbing, visible failure, never a saturated value.
+            Err(Overflow) => Packed(Box::new([Violation::Overflow.code(), 0, 0, 0, 0])),
+        }
+    }
+
+    fn try_store(&mut self) -> Result<Packed, Overflow> {
+        if let Some(violation) = self.violation {
+            // Absorbing: nothing follows, so nothing else need be told apart.
+            return Ok(Packed(Box::new([violation.code(), 0, 0, 0, 0])));
+        }
+        if self.done {
+            return Ok(Packed(Box::new([0, 0, 0, 0, 2])));
+        }
+        for (place, loaded) in self.places.iter_mut().zip(&self.loaded) {
+            if *loaded {
+                place.node.parts_mut().tasks[0].bury();
+            }
+        }
+        if self.scenario.reductions.ignores {
+            self.drop_unnoticed();
+        }
+        let (rounds, sequences) = self.bases();
+        let moved = rounds.first().zip(self.rounds.first()).map_or(0, |(new, old)| new.steps_from(*old));
+        if moved != 0 {
+            self.load_rest();
+        }
+        let frame = Frame { rounds: &rounds, sequences: &sequences, lives: self.scenario.lives() };
+        for i in 0..self.n() {
+            if self.loaded[i] {
+                self.blocks[i].clear();
+                store_place(&self.places[i], &frame, &mut self.blocks[i])?;
+            }
+        }
+        let flags = u8::from(self.healed);
+        let header = [0, self.loss, self.dup, self.crash, flags];
+        let least = (
+            self.ghosts.iter().map(|g| g.reached).min().unwrap_or(0),
+            self.ghosts.iter().map(|g| g.releases).min().unwrap_or(0),
+        );
+        let mut ghosts = Vec::with_capacity(self.n());
+        for (i, ghost) in self.ghosts.iter().enumerate() {
+            let mut bytes = Vec::with_capacity(4);
+            let task = TaskId::from_index(i);
+            ghost::store(ghost, self.scenario.watch, &frame, u32::from(moved), task, least, &mut bytes)?;
+            ghosts.push(bytes);
+        }
+        let parts = symmetry::Parts {
+            header,
+            ghosts: &ghosts,
+            blocks: &self.blocks,
+            flights: &self.flights,
+            frame,
+            codec: self.codec,
+        };
+        let bytes = if self.scenario.reductions.symmetry && self.scenario.is_meeting() && !self.scenario.lives() {
+            parts.least()?
+        } else {
+            parts.in_order()?
+        };
+        Ok(Packed(bytes.into_boxed_slice()))
+    }
+
+    /// The packed bytes that were not unpacked are, once the numbers they are relative to move.
+    fn load_rest(&mut self) {
+        for i in 0..self.n() {
+            if !self.loaded[i] {
+                load_place(&mut self.places[i], &self.blocks[i], self.scenario.lives(), self.scenario.clocks[i]);
+                self.loaded[i] = true;
+            }
+        }
+    }
+
+    fn drop_unnoticed(&mut self) {
+        let places = &self.places;
+        let loaded = &self.loaded;
+        self.flights.retain(|flight| {
+            let to = flight.packet.destination.index();
+            let place = &places[to];
+            !(loaded[to] && place.up && unnoticed(&place.node.parts().tasks[0], &place.table, &flight.packet))
+        });
+    }
+
+    /// The least round in use of each port, and the next sequence of each task.
+    fn bases(&self) -> (Vec<Round>, Vec<Seq24>) {
+        let mut least = Least { rounds: vec![None; self.rounds.len()] };
+        for (i, place) in self.places.iter().enumerate() {
+            if self.loaded[i] {
+                place.node.parts().tasks[0].visit(&mut least);
+            } else if let Some(&low) = self.blocks[i].get(1) {
+                least.round(PortId(0), Frame::ROUND.plus(u16::from(low)));
+            }
+        }
+        for flight in &self.flights {
+            if matches!(flight.packet.kind, Kind::Arrive | Kind::Confirm | Kind::Abort) {
+                let meeting = flight.packet.meeting();
+                least.round(flight.packet.port, meeting.round);
+                least.round(flight.packet.port, meeting.released);
+            }
+        }
+        for ghost in &self.ghosts {
+            if let Some(round) = ghost.last_released {
+                least.round(PortId(0), round);
+            }
+        }
+        let rounds = least.rounds.iter().zip(&self.rounds).map(|(least, old)| least.unwrap_or(*old)).collect();
+        let sequence = |i: usize| if self.loaded[i] { self.next_sequence(i) } else { Frame::SEQUENCE };
+        (rounds, (0..self.n()).map(sequence).collect())
+    }
+
+    /// The task whose sequence the ids of a flight count in; for charts.
+    pub fn sequence_of(&self, flight: &Flight) -> u32 {
+        let source = id_source(&flight.packet);
+        self.next_sequence(source.index()).steps_from(flight.packet.id.sequence)
+    }
+}
+
+struct Least {
+    rounds: Vec<Option<Round>>,
+}
+
+impl Visit for Least {
+    fn instant(&mut self, _: Ticks) {}
+    fn round(&mut self, port: PortId, round: Round) {
+        let slot = &mut self.rounds[port.index()];
+        *slot = Some(slot.map_or(round, |least| if least.is_newer_than(round) { round } else { least }));
+    }
+    fn sequence(&mut self, _: TaskId, _: Seq24) {}
+}
+
+/// A node's block: its length, its least round, whether it is up, its lives, its task.
+fn store_place(place: &Place, frame: &Frame<'_>, out: &mut Vec<u8>) -> Result<(), Overflow> {
+    let mut least = Least { rounds: vec![None; frame.rounds.len()] };
+    let task = &place.node.parts().tasks[0];
+    task.visit(&mut least);
+    let low = least.rounds.first().copied().flatten().map_or(0, |round| round.steps_from(frame.rounds[0]));
+    out.extend([0, u8::try_from(low).map_err(|_| Overflow)?]);
+    if frame.lives {
+        out.extend([u8::from(place.up), place.life.0]);
+        out.extend(place.known.iter().map(|life| life.0));
+    }
+    let start = out.len();
+    out.resize(start + 200, 0);
+    let len = if place.up { task.store(&place.table, frame, &mut out[start..])? } else { 0 };
+    out.truncate(start + len);
+    out[0] = u8::try_from(out.len()).map_err(|_| Overflow)?;
+    Ok(())
+}
+
+fn load_place(place: &mut Place, block: &[u8], lives: bool, clock: u64) {
+    let mut at = 2;
+    if lives {
+        place.up = block[2] == 1;
+        place.life = Incarnation(block[3]);
+        for (i, known) in place.known.iter_mut().enumerate() {
+            *known = Incarnation(block[4 + i]);
+        }
+        at = 4 + place.known.len();
+    }
+    if place.up {
+        let task = &mut place.node.parts_mut().tasks[0];
+        task.load(&place.table, lives, &block[at..]);
+        if clock != 0 {
+            task.set_ahead(Ticks(clock));
+        }
+    }
+}
+
+fn small(i: usize) -> u8 {
+    u8::try_from(i).unwrap_or(u8::MAX)
+}
+
+const _: () = assert!(FLIGHT_BYTES < 256);
