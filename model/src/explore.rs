@@ -33,6 +33,8 @@ impl Default for Limits {
 pub struct Exploration {
     /// The shortest path to a violation, if there is one.
     pub path: Option<Vec<Action>>,
+    /// The states on that path, the first included.
+    pub states_on_path: Option<Vec<Packed>>,
     /// What is violated at its end.
     pub violation: Option<Violation>,
     /// Different states.
@@ -57,6 +59,7 @@ pub struct WorldModel {
     expanded: AtomicU64,
     longest: AtomicU64,
     over: AtomicBool,
+    replaying: AtomicBool,
     progress: Option<Arc<dyn Fn(u64) + Send + Sync>>,
 }
 
@@ -74,6 +77,7 @@ impl WorldModel {
             expanded: AtomicU64::new(0),
             longest: AtomicU64::new(0),
             over: AtomicBool::new(false),
+            replaying: AtomicBool::new(false),
             progress: None,
         }
     }
@@ -116,6 +120,9 @@ impl WorldModel {
     }
 
     fn look(&self) {
+        if self.replaying.load(Ordering::Relaxed) {
+            return;
+        }
         let expanded = self.expanded.fetch_add(1, Ordering::Relaxed) + 1;
         if expanded >= self.limits.states {
             self.over.store(true, Ordering::Relaxed);
@@ -148,7 +155,7 @@ impl Model for WorldModel {
     fn actions(&self, state: &Packed, actions: &mut Vec<Action>) {
         self.look();
         self.longest.fetch_max(state.len() as u64, Ordering::Relaxed);
-        if self.over.load(Ordering::Relaxed) || state.violation().is_some() {
+        if self.over.load(Ordering::Relaxed) || state.is_final() {
             return;
         }
         let mut world = self.scratch.lock().unwrap_or_else(PoisonError::into_inner);
@@ -176,12 +183,16 @@ pub fn explore(
     let mut model = WorldModel::new(scenario, limits);
     model.progress = progress;
     let checker = model.checker().threads(1).spawn_bfs().join();
+    let cut = checker.model().over.swap(false, Ordering::Relaxed);
+    // Paths are rebuilt by asking the model again: it must offer what it offered then.
+    checker.model().replaying.store(true, Ordering::Relaxed);
     let path = checker.discoveries().remove("claim");
     let violation = path.as_ref().and_then(|path| path.last_state().violation());
-    let cut = checker.model().over.load(Ordering::Relaxed);
+    let states_on_path = path.clone().map(stateright::Path::into_states);
     Exploration {
         complete: !cut || path.is_some(),
         violation,
+        states_on_path,
         states: checker.unique_state_count() as u64,
         transitions: checker.state_count() as u64,
         depth: checker.max_depth() as u64,

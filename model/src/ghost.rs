@@ -17,6 +17,8 @@ pub(crate) struct Ghost {
     pub announced: u32,
     pub released: u32,
     pub gave_up: u32,
+    /// Rounds that somebody released before this task's node restarted: its new life was in none of them.
+    pub missed: u32,
     /// How often it reached and was released, and its last round (pairing).
     pub reached: u8,
     pub releases: u8,
@@ -146,7 +148,10 @@ impl Judge<'_> {
         ghost.last_released = Some(round);
         let releases = ghost.releases;
         match self.scenario.watch {
-            Watch::FalseRelease if self.ghosts.iter().any(|g| g.announced & bit == 0) => {
+            Watch::FalseRelease
+                if self.ghosts.iter().any(|g| g.announced & bit == 0)
+                    || self.ghosts[at.index()].missed & bit != 0 =>
+            {
                 Err(Violation::FalseRelease)
             }
             Watch::Pairing if self.ghosts.iter().any(|g| g.reached < releases) => Err(Violation::FalseRelease),
@@ -176,7 +181,7 @@ impl Judge<'_> {
     fn ended(&mut self, at: TaskId, outcome: &Outcome) -> Result<(), Violation> {
         let ghost = &mut self.ghosts[at.index()];
         let open = ghost.open.take();
-        if self.scenario.watch != Watch::Resolves {
+        if !matches!(self.scenario.watch, Watch::Resolves | Watch::ResolvesOnce) {
             return Ok(());
         }
         if open.is_none() {
@@ -211,25 +216,30 @@ pub(crate) fn store(
     frame: &Frame<'_>,
     shift: u32,
     task: TaskId,
-    least: (u8, u8),
+    least: u8,
     out: &mut Vec<u8>,
 ) -> Result<(), Overflow> {
     let mask = |mask: u32| u8::try_from(mask.checked_shr(shift).unwrap_or(0)).map_err(|_| Overflow);
     out.push(ghost.left);
     match watch {
-        Watch::FalseRelease => out.push(mask(ghost.announced)?),
+        Watch::FalseRelease => {
+            out.push(mask(ghost.announced)?);
+            if frame.lives {
+                out.extend([mask(ghost.released)?, mask(ghost.missed)?]);
+            }
+        }
         Watch::AllOrNone => out.extend([mask(ghost.released)?, mask(ghost.gave_up)?]),
         Watch::Pairing => {
             let round = match ghost.last_released {
                 Some(round) => u8::try_from(round.steps_from(frame.rounds[0]) + 1).map_err(|_| Overflow)?,
                 None => 0,
             };
-            out.extend([ghost.reached - least.0, ghost.releases - least.1, round]);
+            out.extend([ghost.reached - least, ghost.releases - least, round]);
         }
         Watch::MeetAgain { .. } => out.push(ghost.since_heal),
         Watch::GaveUpAfterAllArrived | Watch::Stranded => out.push(u8::from(ghost.announced != 0)),
         Watch::Reachable => {}
-        Watch::Stale | Watch::Resolves | Watch::AtMostOnce => {
+        Watch::Stale | Watch::Resolves | Watch::ResolvesOnce | Watch::AtMostOnce => {
             let next = |task: TaskId| frame.sequences.get(task.index()).copied().unwrap_or_default();
             match ghost.serving {
                 None => out.push(0),
@@ -241,7 +251,7 @@ pub(crate) fn store(
                 }
             }
             match watch {
-                Watch::Resolves => out.push(ghost.open.map_or(0, |ticks| ticks.saturating_add(1))),
+                Watch::Resolves | Watch::ResolvesOnce => out.push(ghost.open.map_or(0, |ticks| ticks.saturating_add(1))),
                 Watch::AtMostOnce => out.push(ghost.executed),
                 _ => {
                     out.push(u8::try_from(ghost.statuses.len()).map_err(|_| Overflow)?);
@@ -257,7 +267,7 @@ pub(crate) fn store(
 }
 
 /// Unpacks a ghost and says how many bytes it took.
-pub(crate) fn load(ghost: &mut Ghost, watch: Watch, bytes: &[u8]) -> usize {
+pub(crate) fn load(ghost: &mut Ghost, watch: Watch, lives: bool, bytes: &[u8]) -> usize {
     let mut at = 0;
     let mut byte = || {
         let byte = bytes.get(at).copied().unwrap_or(0);
@@ -269,7 +279,12 @@ pub(crate) fn load(ghost: &mut Ghost, watch: Watch, bytes: &[u8]) -> usize {
     ghost.statuses.clear();
     let sequence = |back: u8| Frame::SEQUENCE.plus(Seq24::MODULUS - u32::from(back));
     match watch {
-        Watch::FalseRelease => ghost.announced = u32::from(byte()),
+        Watch::FalseRelease => {
+            ghost.announced = u32::from(byte());
+            if lives {
+                (ghost.released, ghost.missed) = (u32::from(byte()), u32::from(byte()));
+            }
+        }
         Watch::AllOrNone => (ghost.released, ghost.gave_up) = (u32::from(byte()), u32::from(byte())),
         Watch::Pairing => {
             (ghost.reached, ghost.releases) = (byte(), byte());
@@ -278,7 +293,7 @@ pub(crate) fn load(ghost: &mut Ghost, watch: Watch, bytes: &[u8]) -> usize {
         Watch::MeetAgain { .. } => ghost.since_heal = byte(),
         Watch::GaveUpAfterAllArrived | Watch::Stranded => ghost.announced = u32::from(byte()),
         Watch::Reachable => {}
-        Watch::Stale | Watch::Resolves | Watch::AtMostOnce => {
+        Watch::Stale | Watch::Resolves | Watch::ResolvesOnce | Watch::AtMostOnce => {
             if let Some(source) = byte().checked_sub(1) {
                 let (port, life, back) = (byte(), byte(), byte());
                 let id = MessageId {
@@ -289,7 +304,7 @@ pub(crate) fn load(ghost: &mut Ghost, watch: Watch, bytes: &[u8]) -> usize {
                 ghost.serving = Some(ReplyTo { port, source, id });
             }
             match watch {
-                Watch::Resolves => ghost.open = byte().checked_sub(1),
+                Watch::Resolves | Watch::ResolvesOnce => ghost.open = byte().checked_sub(1),
                 Watch::AtMostOnce => ghost.executed = byte(),
                 _ => {
                     for _ in 0..byte() {

@@ -1,13 +1,24 @@
-//! The checkers.
+//! The checkers: worlds over the one state machine of `imrs-protocol`, explored exhaustively by stateright.
+//!
+//! A [`Scenario`] says what a world is made of; [`explore`] looks at every state within its bounds; [`verify`] settles
+//! the protocol's claims, each under the default rules and under the variants that must fail.
+
+mod chart;
+mod claims;
 mod explore;
 mod ghost;
 mod network;
+mod report;
 mod scenario;
 mod state;
 mod symmetry;
 mod world;
 pub mod worlds;
+
+pub use chart::{Counterexample, draw};
+pub use claims::{Options, Progress, Silent, claim_names, verify};
 pub use explore::{Exploration, Limits, WorldModel, explore};
+pub use report::{Bounds, Found, Outcome, Report, Verdict, collision_probability};
 pub use scenario::{Behaviour, Budget, Reductions, Scenario, Watch};
 pub use state::{Packed, Violation};
 pub use world::Action;

@@ -2,7 +2,7 @@
 
 use crate::scenario::Scenario;
 use imrs_protocol::{
-    CommTask, Contents, Frame, Incarnation, Kind, Meeting, MessageId, Overflow, Packet, PortId, Round, Seq24, TaskId, Ticks,
+    Contents, Frame, Incarnation, Kind, Meeting, MessageId, Overflow, Packet, PortId, Round, Seq24, TaskId, Ticks,
 };
 
 /// A packet on the way.
@@ -184,7 +184,7 @@ const KINDS: [Kind; 8] = [
 ];
 
 /// Whose sequence a packet's id counts in: an answer carries the request's id (D47).
-pub(crate) const fn id_source(packet: &Packet) -> TaskId {
+const fn id_source(packet: &Packet) -> TaskId {
     match packet.kind {
         Kind::Reply | Kind::Response | Kind::Control => packet.destination,
         Kind::Send | Kind::Query | Kind::Arrive | Kind::Confirm | Kind::Abort => packet.source,
@@ -200,9 +200,4 @@ fn remaining(ticks: Ticks) -> Result<u8, Overflow> {
 
 fn time(byte: u8) -> Ticks {
     if byte == u8::MAX { Ticks::FAR } else { Ticks(u64::from(byte)) }
-}
-
-/// Whether no future of its destination can notice the packet.
-pub(crate) fn unnoticed(task: &CommTask, table: &imrs_protocol::NodeTable, packet: &Packet) -> bool {
-    task.ignores(table, packet)
 }

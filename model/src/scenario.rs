@@ -49,6 +49,8 @@ pub enum Watch {
     Stale,
     /// Every command ends in exactly one outcome within its time_out and one tick; no answer belongs to another one.
     Resolves,
+    /// No command ends twice: the part of `Resolves` that does not ask when an answer comes.
+    ResolvesOnce,
     /// No command is handed over twice.
     AtMostOnce,
 }

@@ -13,6 +13,12 @@ impl Packed {
         Violation::from_code(self.0.first().copied().unwrap_or(0))
     }
 
+    /// Whether nothing more happens: something is wrong, or the world has shown what it was made for.
+    #[must_use]
+    pub fn is_final(&self) -> bool {
+        self.violation().is_some() || self.0.len() <= crate::world::HEADER
+    }
+
     /// How many bytes it has.
     #[must_use]
     pub fn len(&self) -> usize {
@@ -71,6 +77,7 @@ violations! {
     NoOutcome 10 "a command did not end within its time_out and one tick",
     WrongAnswer 11 "an answer belongs to another command",
     ExecutedTwice 12 "a command was handed over twice",
+    LateAnswer 13 "an answer given within its execution budget came after the sender's time_out",
     Overflow 20 "the state outgrew its packed form",
     Panic 21 "the machine panicked",
     Invariant 22 "an invariant of the machine is broken",

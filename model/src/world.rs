@@ -4,14 +4,15 @@
 //! [`World::store`] packs the result with everything relative: remaining times, rounds counted from the least one in
 //! use, sequences counted back from the next one (D51).
 
+use crate::chart::Shown;
 use crate::ghost::{self, Ghost, Judge, question};
-use crate::network::{Codec, FLIGHT_BYTES, Flight, id_source, unnoticed};
+use crate::network::{Codec, FLIGHT_BYTES, Flight};
 use crate::scenario::{Behaviour, Scenario, Watch};
 use crate::state::{Packed, Violation};
 use crate::symmetry;
 use imrs_protocol::{
-    Class, Frame, Incarnation, Kind, MessageId, Node, NodeId, NodeInput, NodeOutbox, NodeTable, Observation, Overflow, Packet,
-    PortId, Request, Round, Seq24, Signal, Target, TaskId, TaskState, Ticks, Visit,
+    Class, Frame, Incarnation, Kind, MessageId, Node, NodeId, NodeInput, NodeOutbox, NodeTable, Observation, Outcome, Overflow, Packet,
+    PortId, Request, Round, Seq24, Signal, Target, TaskId, TaskState, Ticks, Visit, VisitMut,
 };
 use std::sync::Arc;
 
@@ -69,6 +70,10 @@ pub(crate) struct World {
     /// The packed nodes that were not unpacked, of the state loaded last.
     blocks: Vec<Vec<u8>>,
     loaded: Vec<bool>,
+    /// What the last step showed, task by task: for charts.
+    pub log: Vec<(TaskId, Shown)>,
+    /// Whether to keep it.
+    pub keep_log: bool,
 }
 
 /// What one step of a node sent and showed.
@@ -120,6 +125,8 @@ impl World {
             effects: Effects::default(),
             blocks: vec![Vec::new(); n],
             loaded: vec![true; n],
+            log: Vec::new(),
+            keep_log: false,
             scenario: Arc::clone(scenario),
         }
     }
@@ -235,6 +242,9 @@ impl World {
                 place.life = Incarnation(place.life.0 + 1);
                 place.up = true;
                 place.node = Node::new(place.table.clone(), place.life, true, TRANSIT);
+                place.node.parts_mut().tasks[0].visit_mut(&mut FromBase(self.rounds[0]));
+                let released = self.ghosts.iter().fold(0, |mask, ghost| mask | ghost.released);
+                self.ghosts[usize::from(i)].missed = released;
                 Ok(())
             }
             Action::Heal => {
@@ -353,6 +363,10 @@ impl World {
             }
             self.flights.push(Flight { packet, age: 0, life: *life });
         }
+        if self.keep_log {
+            self.log.extend(effects.seen.iter().map(|&seen| (task, Shown::Seen(seen))));
+            self.log.extend(effects.signals.iter().map(|&signal| (task, Shown::Told(signal))));
+        }
         let result = self.judge(task, &effects);
         effects.signals.clear();
         effects.seen.clear();
@@ -370,6 +384,13 @@ impl World {
         };
         let next = |task: TaskId| self.next_sequence(task.index());
         let seen = effects.seen.iter().try_for_each(|seen| judge.observed(at, seen));
+        let late = effects.signals.iter().any(|s| matches!(s, Signal::Outcome(o) if timed_out(o)));
+        let answer_on_the_way = |flight: &Flight| flight.packet.kind == Kind::Reply && flight.packet.destination == at;
+        let current = self.flights.iter().any(|f| answer_on_the_way(f) && f.packet.id == self.last_id(at));
+        if late && current && self.scenario.watch == Watch::Resolves {
+            self.ghosts = ghosts;
+            return Err(Violation::LateAnswer);
+        }
         let signalled = seen
             .and_then(|()| effects.signals.iter().try_for_each(|signal| judge.signalled(at, signal, awaits, next)))
             .and_then(|()| judge.judge_round());
@@ -377,6 +398,12 @@ impl World {
         self.done = done;
         self.ghosts = ghosts;
         signalled
+    }
+
+    /// The id of the message that a task sent last.
+    fn last_id(&self, task: TaskId) -> MessageId {
+        let sequence = self.next_sequence(task.index()).plus(Seq24::MODULUS - 1);
+        MessageId { incarnation: self.places[task.index()].life, sequence }
     }
 
     /// What can only be judged when nothing is on the way.
@@ -397,7 +424,7 @@ impl World {
         (self.healed, self.done) = (bytes[4] & 1 != 0, bytes[4] & 2 != 0);
         let mut at = HEADER;
         for ghost in &mut self.ghosts {
-            at += ghost::load(ghost, self.scenario.watch, &bytes[at..]);
+            at += ghost::load(ghost, self.scenario.watch, self.scenario.lives(), &bytes[at..]);
         }
         self.rounds.fill(Frame::ROUND);
         let lives = self.scenario.lives();
@@ -428,7 +455,7 @@ impl World {
         let mut at = HEADER;
         let mut ghost = Ghost::default();
         for _ in 0..scenario.tasks() {
-            at += ghost::load(&mut ghost, scenario.watch, &bytes[at..]);
+            at += ghost::load(&mut ghost, scenario.watch, scenario.lives(), &bytes[at..]);
         }
         for _ in 0..scenario.tasks() {
             at += usize::from(*bytes.get(at)?);
@@ -463,7 +490,7 @@ impl World {
                 place.node.parts_mut().tasks[0].bury();
             }
         }
-        if self.scenario.reductions.ignores {
+        if self.scenario.reductions.ignores && !self.scenario.lives() {
             self.drop_unnoticed();
         }
         let (rounds, sequences) = self.bases();
@@ -480,10 +507,7 @@ impl World {
         }
         let flags = u8::from(self.healed);
         let header = [0, self.loss, self.dup, self.crash, flags];
-        let least = (
-            self.ghosts.iter().map(|g| g.reached).min().unwrap_or(0),
-            self.ghosts.iter().map(|g| g.releases).min().unwrap_or(0),
-        );
+        let least = self.ghosts.iter().map(|g| g.releases).min().unwrap_or(0);
         let mut ghosts = Vec::with_capacity(self.n());
         for (i, ghost) in self.ghosts.iter().enumerate() {
             let mut bytes = Vec::with_capacity(4);
@@ -517,18 +541,32 @@ impl World {
         }
     }
 
+    /// Drops packets that nobody can notice, and CONFIRMs still to be sent that everybody would ignore.
     fn drop_unnoticed(&mut self) {
         let places = &self.places;
-        let loaded = &self.loaded;
+        let task = |i: usize| &places[i].node.parts().tasks[0];
         self.flights.retain(|flight| {
-            let to = flight.packet.destination.index();
-            let place = &places[to];
-            !(loaded[to] && place.up && unnoticed(&place.node.parts().tasks[0], &place.table, &flight.packet))
+            let (from, to) = (flight.packet.source.index(), flight.packet.destination.index());
+            !(places[to].up && task(to).ignores(&places[to].table, &flight.packet, task(from)))
         });
+        let port = PortId(0);
+        for i in 0..self.n() {
+            if let Some(round) = self.task(i).owes(port)
+                && (0..self.n()).all(|other| other == i || self.task(other).is_over(port, round))
+            {
+                self.places[i].node.parts_mut().tasks[0].settle(port);
+            }
+        }
     }
 
     /// The least round in use of each port, and the next sequence of each task.
     fn bases(&self) -> (Vec<Round>, Vec<Seq24>) {
+        let sequence = |i: usize| if self.loaded[i] { self.next_sequence(i) } else { Frame::SEQUENCE };
+        let sequences = (0..self.n()).map(sequence).collect();
+        if self.scenario.lives() {
+            // A restarted node counts from its own beginning: only absolute rounds say how it relates to the others.
+            return (self.rounds.clone(), sequences);
+        }
         let mut least = Least { rounds: vec![None; self.rounds.len()] };
         for (i, place) in self.places.iter().enumerate() {
             if self.loaded[i] {
@@ -550,19 +588,37 @@ impl World {
             }
         }
         let rounds = least.rounds.iter().zip(&self.rounds).map(|(least, old)| least.unwrap_or(*old)).collect();
-        let sequence = |i: usize| if self.loaded[i] { self.next_sequence(i) } else { Frame::SEQUENCE };
-        (rounds, (0..self.n()).map(sequence).collect())
+        (rounds, sequences)
     }
 
-    /// The task whose sequence the ids of a flight count in; for charts.
-    pub fn sequence_of(&self, flight: &Flight) -> u32 {
-        let source = id_source(&flight.packet);
-        self.next_sequence(source.index()).steps_from(flight.packet.id.sequence)
+    /// Drops what the stored state would leave out, and goes on unpacked.
+    pub fn tidy(&mut self) {
+        if self.scenario.reductions.ignores && !self.scenario.lives() && self.violation.is_none() {
+            for place in &mut self.places {
+                place.node.parts_mut().tasks[0].bury();
+            }
+            self.drop_unnoticed();
+        }
     }
+}
+
+const fn timed_out(outcome: &Outcome) -> bool {
+    matches!(outcome, Outcome::TimedOutUnknown | Outcome::TimedOutUnsent)
 }
 
 struct Least {
     rounds: Vec<Option<Round>>,
+}
+
+/// Moves the rounds of a new node to where this world's numbers begin.
+struct FromBase(Round);
+
+impl VisitMut for FromBase {
+    fn instant(&mut self, _: &mut Ticks) {}
+    fn round(&mut self, _: PortId, round: &mut Round) {
+        *round = round.plus(self.0.0);
+    }
+    fn sequence(&mut self, _: TaskId, _: &mut Seq24) {}
 }
 
 impl Visit for Least {

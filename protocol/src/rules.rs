@@ -45,6 +45,8 @@ pub struct Rules {
     pub confirmation: Confirmation,
     /// Whether meetings are numbered (D3).
     pub rounds: bool,
+    /// Whether a task goes on to a fresher round that it hears of; off, it only counts its own attempts (D54).
+    pub join_fresher: bool,
     /// Whether an ARRIVE says which round its sender last released (D54).
     pub last_released: bool,
     /// Whether a late ARRIVE of a released round is answered with a CONFIRM and one of an older round with an ABORT
@@ -71,6 +73,7 @@ impl Rules {
     pub const DEFAULT: Self = Self {
         confirmation: Confirmation::EveryComplete,
         rounds: true,
+        join_fresher: true,
         last_released: true,
         answer_late_arrivals: true,
         aborts: true,

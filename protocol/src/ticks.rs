@@ -17,10 +17,10 @@ impl Ticks {
     /// Later than every instant that a machine reaches.
     pub const FAR: Self = Self(u64::MAX);
 
-    /// `self - other`, or zero where `other` is longer.
+    /// `self - other`, or zero where `other` is longer. [`Ticks::FAR`] stays what it is: never is always never.
     #[must_use]
     pub const fn saturating_sub(self, other: Self) -> Self {
-        Self(self.0.saturating_sub(other.0))
+        if self.0 == u64::MAX { self } else { Self(self.0.saturating_sub(other.0)) }
     }
 
     /// Whether this is the zero length: a remaining time of zero means expired (D23).

@@ -59,8 +59,9 @@ impl Transit {
         self.queue.len()
     }
 
-    /// Takes a packet in. On overflow (D60) status messages go first, those with most time left before others; then
-    /// the newcomer is refused unless it is more urgent than the least urgent one held.
+    /// Takes a packet in. On overflow (D60) what cannot arrive in time any more goes first; then status messages, those
+    /// with most time left before others; then the newcomer is refused unless it is more urgent than the least urgent
+    /// one held.
     pub fn offer(&mut self, table: &NodeTable, packet: Packet, out: &mut impl RouteOutbox) {
         let Departure::Link(next) = route::departing(table, &packet) else {
             return self.discard(table, &packet, Reason::Unroutable, out);
@@ -71,20 +72,23 @@ impl Transit {
         if self.queue.push(key, waiting).is_ok() {
             return;
         }
-        let Some((slot, reason)) = self.victim(key, &waiting) else {
+        let Some(slot) = self.victim(table, key, &waiting) else {
             return self.discard(table, &packet, Reason::Refused, out);
         };
         if let Some(evicted) = self.queue.remove(slot) {
-            self.discard(table, &evicted.packet, reason, out);
+            self.discard(table, &evicted.packet, Reason::Evicted, out);
         }
         let _ = self.queue.push(key, waiting);
     }
 
     /// Which held packet makes room for a newcomer; `None`: the newcomer itself goes.
-    fn victim(&self, key: u128, newcomer: &Waiting) -> Option<(Slot, Reason)> {
-        let useless = self.queue.iter().find(|(_, _, w)| !self.can_arrive(w));
+    fn victim(&self, table: &NodeTable, key: u128, newcomer: &Waiting) -> Option<Slot> {
+        if !self.can_arrive(table, newcomer) {
+            return None;
+        }
+        let useless = self.queue.iter().find(|(_, _, w)| !self.can_arrive(table, w));
         if let Some((_, slot, _)) = useless {
-            return Some((slot, Reason::Evicted));
+            return Some(slot);
         }
         let status = self.queue.iter().filter(|(_, _, w)| w.packet.class == Class::Status);
         let last_status = status.max_by_key(|&(key, ..)| key).map(|(key, slot, _)| (key, slot));
@@ -95,11 +99,14 @@ impl Transit {
             None => self.queue.iter().max_by_key(|&(key, ..)| key).map(|(key, slot, _)| (key, slot))?,
         };
         let yields = newcomer.packet.class == Class::Command && status_held;
-        (yields || last > key).then_some((slot, Reason::Evicted))
+        (yields || last > key).then_some(slot)
     }
 
-    fn can_arrive(&self, waiting: &Waiting) -> bool {
-        waiting.expires > self.now
+    /// Whether more is left than the links ahead are taken to cost (D20).
+    fn can_arrive(&self, table: &NodeTable, waiting: &Waiting) -> bool {
+        let to = table.location(waiting.packet.destination);
+        let way = to.and_then(|to| table.path_bound(table.node, to)).unwrap_or(Ticks::ZERO);
+        waiting.expires > self.now + way
     }
 
     /// Time passes; what has none left is dropped.

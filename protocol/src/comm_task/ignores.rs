@@ -2,19 +2,21 @@
 
 use super::rendezvous::Rendezvous;
 use super::{CommTask, Role};
-use crate::ids::Round;
+use crate::ids::{PortId, Round};
 use crate::packet::{Kind, Packet};
 use crate::table::NodeTable;
+use crate::ticks::Ticks;
 
 impl CommTask {
     /// Whether this task's behaviour is the same with and without `packet`, whenever it arrives. Conservative: false
-    /// where that is not certain. Counters and observations do not count.
+    /// where that is not certain. Counters and observations do not count. `source` is the packet's sender now; in a
+    /// world whose nodes never restart, an answer that it would ignore need not be provoked.
     #[must_use]
-    pub fn ignores(&self, table: &NodeTable, packet: &Packet) -> bool {
+    pub fn ignores(&self, table: &NodeTable, packet: &Packet, source: &Self) -> bool {
         match self.role(packet.port) {
             Some(Role::Meets(meeting)) => {
-                let first_life = self.incarnation == packet.id.incarnation;
-                first_life && self.meetings[usize::from(meeting)].ignores(table, packet)
+                let over_there = source.is_over(packet.port, packet.meeting().round);
+                self.meetings[usize::from(meeting)].ignores(table, packet, over_there)
             }
             // An answer to a request that has ended, or to none.
             Some(Role::Sends) if matches!(packet.kind, Kind::Reply | Kind::Control) => {
@@ -23,26 +25,46 @@ impl CommTask {
             Some(Role::Sends | Role::Receives(_)) | None => false,
         }
     }
+
+    /// Whether this task will never again wait in `round` of a waitfor port, or never does at all.
+    #[must_use]
+    pub fn is_over(&self, port: PortId, round: Round) -> bool {
+        let Some(Role::Meets(meeting)) = self.role(port) else { return true };
+        let rendezvous = &self.meetings[usize::from(meeting)];
+        rendezvous.numbered && rendezvous.is_over(round)
+    }
+
+    /// The round of a waitfor port whose CONFIRM this task still has to send, or to send again.
+    #[must_use]
+    pub fn owes(&self, port: PortId) -> Option<Round> {
+        let Some(Role::Meets(meeting)) = self.role(port) else { return None };
+        let rendezvous = &self.meetings[usize::from(meeting)];
+        rendezvous.released.filter(|_| rendezvous.owes_confirm || rendezvous.copies_left > 0)
+    }
+
+    /// Forgets the CONFIRM that is still to be sent: for a checker that knows that everybody would ignore it.
+    pub fn settle(&mut self, port: PortId) {
+        if let Some(Role::Meets(meeting)) = self.role(port) {
+            let rendezvous = &mut self.meetings[usize::from(meeting)];
+            rendezvous.owes_confirm = false;
+            (rendezvous.copies_left, rendezvous.copy_at) = (0, Ticks::FAR);
+        }
+    }
 }
 
 impl Rendezvous {
-    fn ignores(&self, table: &NodeTable, packet: &Packet) -> bool {
+    fn ignores(&self, table: &NodeTable, packet: &Packet, over_there: bool) -> bool {
         if !self.numbered {
             return false;
         }
         let meeting = packet.meeting();
-        let waiting = self.deadline.is_some();
-        // Rounds only grow: this one will never be waited in again.
-        let over = |round: Round| {
-            self.announced.is_newer_than(round) || (round == self.announced && !waiting && !self.owes_confirm)
-        };
-        let hint = meeting.released != meeting.round && waiting && meeting.released == self.announced;
+        let over = self.is_over(meeting.round) && !(self.owes_confirm && self.released == Some(meeting.round));
+        let told = meeting.released != meeting.round && meeting.released == self.announced;
+        let hint = told && self.deadline.is_some();
         match packet.kind {
-            Kind::Confirm => over(meeting.round),
-            Kind::Arrive => !table.rules().answer_late_arrivals && over(meeting.round) && !hint,
-            Kind::Abort => {
-                over(meeting.round) && !meeting.next_round().is_newer_than(self.announced) && !hint
-            }
+            Kind::Confirm => over,
+            Kind::Arrive => over && !hint && (over_there || !table.rules().answer_late_arrivals),
+            Kind::Abort => over && !hint,
             Kind::Send | Kind::Query | Kind::Reply | Kind::Response | Kind::Control => false,
         }
     }

@@ -83,8 +83,6 @@ pub(crate) enum Seen {
     Again(Fate),
     /// Older than the last one: its sender has gone on.
     Older,
-    /// From an earlier life of its source.
-    Stale,
 }
 
 impl Source {
@@ -104,11 +102,8 @@ impl Source {
         true
     }
 
-    /// Looks a class-2 message up.
-    pub fn look_up(&mut self, id: MessageId, now: Ticks) -> Seen {
-        if !self.enter_life(id.incarnation) {
-            return Seen::Stale;
-        }
+    /// Looks a class-2 message of the present life up.
+    pub fn look_up(&self, id: MessageId, now: Ticks) -> Seen {
         match self.command.filter(|c| c.until > now) {
             None => Seen::New,
             Some(c) if c.id == id => Seen::Again(c.fate),

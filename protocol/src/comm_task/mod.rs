@@ -9,6 +9,7 @@
 
 mod ignores;
 mod inbox;
+pub mod invariants;
 mod memory;
 mod packed;
 mod rendezvous;

@@ -521,10 +521,10 @@ impl CommTask {
         let mut r = Reader::new(bytes);
         self.now = Ticks::ZERO;
         self.next_sequence = Frame::SEQUENCE;
-        self.load_pending(&mut r);
+        self.load_pending(lives, &mut r);
         self.overdue = None;
         if !table.rules().refuse_late_replies && r.byte() == 1 {
-            self.overdue = Some(self.load_command(&mut r));
+            self.overdue = Some(self.load_command(lives, &mut r));
         }
         self.quarantine_until = Ticks::ZERO;
         if lives {
@@ -560,7 +560,7 @@ impl CommTask {
         r.at
     }
 
-    fn load_pending(&mut self, r: &mut Reader<'_>) {
+    fn load_pending(&mut self, lives: bool, r: &mut Reader<'_>) {
         let at = |byte: u8| byte.checked_sub(1).map(u16::from);
         self.pending = match r.byte() {
             1 => Pending::Get {
@@ -568,18 +568,22 @@ impl CommTask {
                 source: at(r.byte()).map(TaskId),
                 deadline: r.left(),
             },
-            2 => Pending::Reply(self.load_command(r)),
+            2 => Pending::Reply(self.load_command(lives, r)),
             3 => Pending::Meeting(u16::from(r.byte())),
             4 => Pending::Delay(TimeId(r.byte())),
             _ => Pending::Nothing,
         };
     }
 
-    fn load_command(&self, r: &mut Reader<'_>) -> Command {
+    fn load_command(&self, lives: bool, r: &mut Reader<'_>) -> Command {
         Command {
             port: PortId(u16::from(r.byte())),
             to: TaskId(u16::from(r.byte())),
-            id: MessageId { incarnation: self.incarnation, sequence: load_id(r, false).sequence },
+            id: if lives {
+                load_id(r, true)
+            } else {
+                MessageId { incarnation: self.incarnation, sequence: load_id(r, false).sequence }
+            },
             deadline: r.left(),
             contents: r.contents(),
             copies_left: r.byte(),

@@ -99,7 +99,8 @@ impl Rendezvous {
     pub fn reach(&mut self, at: &mut At<'_>, arguments: [u8; 8], patience: Ticks, out: &mut impl Outbox) {
         if self.numbered {
             // D54: joins the round that others wait in, if there is one.
-            self.announced = self.announced.next().fresher(self.fresh);
+            let fresh = if at.scene.table.rules().join_fresher { self.fresh } else { self.announced };
+            self.enter(self.announced.next().fresher(fresh));
             self.fresh = self.announced;
         }
         self.arguments = arguments;
@@ -190,7 +191,7 @@ impl Rendezvous {
             self.record(at, from, arrived, out);
             return self.release_if_complete(at, out);
         }
-        self.fresh = self.fresh.fresher(round);
+        self.hear_of(round);
         if self.deadline.is_none() {
             if round.is_newer_than(self.announced) {
                 self.record(at, from, arrived, out);
@@ -223,9 +224,7 @@ impl Rendezvous {
         round: Round,
         out: &mut impl Outbox,
     ) {
-        if self.numbered {
-            self.fresh = self.fresh.fresher(round);
-        }
+        self.hear_of(round);
         // The CONFIRM names the life of the arrival it confirms: one meant for an earlier life releases nobody.
         let mine = round == self.announced && packet.id.incarnation == at.scene.incarnation;
         if mine {
@@ -239,29 +238,37 @@ impl Rendezvous {
     }
 
     fn hear_abort(&mut self, at: &mut At<'_>, from: usize, meeting: Meeting, out: &mut impl Outbox) {
-        let next = meeting.next_round();
-        if self.numbered {
-            self.fresh = self.fresh.fresher(meeting.round).fresher(next);
-        }
-        let numbered = self.numbered;
-        let member = &mut self.members[from];
-        if member.arrived.is_some_and(|a| !a.round.is_newer_than(meeting.round)) {
-            member.arrived = None;
-        }
-        if numbered {
-            member.barred = Some(member.barred.map_or(meeting.round, |b| b.fresher(meeting.round)));
-        }
+        let Meeting { round, released, .. } = meeting;
         let task = at.port.parties[from].task;
         self.note(at, Event::PartnerAborted, task, Ticks::ZERO, out);
-        if self.deadline.is_none() || !self.numbered {
+        let numbered = self.numbered;
+        let member = &mut self.members[from];
+        if member.arrived.is_some_and(|a| !a.round.is_newer_than(round)) {
+            member.arrived = None;
+        }
+        if !numbered {
             return;
         }
-        if self.says_released(at, meeting.round, meeting.released) {
-            self.release(at, ReleasedBy::Confirm(task), out);
-        } else if next.is_newer_than(self.announced) {
+        member.barred = Some(member.barred.map_or(round, |barred| barred.fresher(round)));
+        if self.deadline.is_some() && self.says_released(at, round, released) {
+            return self.release(at, ReleasedBy::Confirm(task), out);
+        }
+        // Word of a round that this task has left says nothing about the one it is in.
+        if self.is_over(round) {
+            return;
+        }
+        let next = meeting.next_round();
+        self.hear_of(round);
+        self.hear_of(next);
+        if self.deadline.is_some() && next.is_newer_than(self.announced) {
             self.rejoin(at, next, out);
             self.release_if_complete(at, out);
         }
+    }
+
+    /// Whether this task will never wait in `round` again: rounds only grow.
+    pub fn is_over(&self, round: Round) -> bool {
+        self.announced.is_newer_than(round) || (round == self.announced && self.deadline.is_none())
     }
 
     /// Whether a packet of `round` with this `released` field proves that its sender released the round waited in.
@@ -276,14 +283,16 @@ impl Rendezvous {
     /// Remembers an arrival, unless its sender has given the round up or is known to be further on.
     fn record(&mut self, at: &mut At<'_>, from: usize, arrived: Arrived, out: &mut impl Outbox) -> bool {
         let member = &mut self.members[from];
+        // An arrival lives no longer than its sender waits: one that has ended says nothing any more.
+        let held = member.arrived.filter(|held| held.expires > at.scene.now);
         let barred = member.barred.is_some_and(|barred| !arrived.round.is_newer_than(barred));
-        let behind = member.arrived.is_some_and(|held| held.round.is_newer_than(arrived.round));
+        let behind = held.is_some_and(|held| held.round.is_newer_than(arrived.round));
         if barred || behind {
             at.counters.dropped += 1;
             self.note(at, Event::Discarded(Reason::OldRound), at.port.parties[from].task, Ticks::ZERO, out);
             return false;
         }
-        let again = member.arrived.filter(|held| held.round == arrived.round);
+        let again = held.filter(|held| held.round == arrived.round);
         let expires = again.map_or(arrived.expires, |held| held.expires.max(arrived.expires));
         member.arrived = Some(Arrived { expires, ..arrived });
         if again.is_none() {
@@ -318,8 +327,29 @@ impl Rendezvous {
         }
     }
 
-    fn rejoin(&mut self, at: &mut At<'_>, round: Round, out: &mut impl Outbox) {
+    /// Goes on to a round. What the circle of rounds would show as fresh again one day is forgotten: a bar before this
+    /// round, and a release half the circle ago.
+    fn enter(&mut self, round: Round) {
         self.announced = round;
+        self.released = self.released.filter(|released| !released.is_newer_than(round));
+        for member in &mut self.members {
+            member.barred = member.barred.filter(|&b| b == round || b.is_newer_than(round));
+        }
+    }
+
+    /// Takes note of a round that was heard of. Distances are no order across half the circle, so only what is fresher
+    /// than the own round counts.
+    fn hear_of(&mut self, round: Round) {
+        if self.numbered && round.is_newer_than(self.announced) {
+            self.fresh = self.fresh.fresher(round);
+        }
+    }
+
+    fn rejoin(&mut self, at: &mut At<'_>, round: Round, out: &mut impl Outbox) {
+        if !at.scene.table.rules().join_fresher {
+            return;
+        }
+        self.enter(round);
         for member in &mut self.members {
             member.confirmed = false;
         }

@@ -4,7 +4,7 @@ use super::inbox::{Admission, Held};
 use super::memory::{Fate, Remembered, Seen};
 use super::rendezvous::is_older;
 use super::{CommTask, Command, Outbox, Pending, Role, held, note};
-use crate::ids::{MessageId, PortId, TaskId};
+use crate::ids::{Incarnation, MessageId, PortId, TaskId};
 use crate::mapping;
 use crate::observe::{Event, Reason};
 use crate::packet::{Class, Contents, Control, Kind, Packet};
@@ -219,13 +219,15 @@ impl CommTask {
         let Ok(at) = self.sources.binary_search_by_key(&to.source, |s| s.task) else {
             return Err(Fault::NothingToAnswer);
         };
-        let Some(remembered) = &mut self.sources[at].command else { return Err(Fault::NothingToAnswer) };
-        let Fate::Delivered(budget_ends) = remembered.fate else { return Err(Fault::NothingToAnswer) };
-        if remembered.id != to.id {
+        // What is not remembered any more is over, and so is its sender's wait.
+        let known = self.sources[at].command.as_mut().filter(|c| c.until > now);
+        let Some(remembered) = known else { return Err(Fault::Late) };
+        if remembered.port != to.port || remembered.id != to.id {
             // A newer message took the slot: its sender has given this one up.
             let newer = remembered.id.sequence.is_newer_than(to.id.sequence);
             return Err(if newer { Fault::Late } else { Fault::NothingToAnswer });
         }
+        let Fate::Delivered(budget_ends) = remembered.fate else { return Err(Fault::NothingToAnswer) };
         if budget_ends <= now {
             return Err(Fault::Late);
         }
@@ -390,12 +392,11 @@ impl CommTask {
 
     fn admit_status(&mut self, packet: &Packet, out: &mut impl Outbox) -> bool {
         let Ok(at) = self.sources.binary_search_by_key(&packet.source, |s| s.task) else { return false };
-        let source = &mut self.sources[at];
-        if !source.enter_life(packet.id.incarnation) {
+        if !self.enter_life(at, packet.id.incarnation, out) {
             self.drop_packet(packet, Reason::StaleIncarnation, out);
             return false;
         }
-        if !source.status.admit(packet.id.sequence) {
+        if !self.sources[at].status.admit(packet.id.sequence) {
             self.duplicate(packet, out);
             return false;
         }
@@ -410,6 +411,10 @@ impl CommTask {
             return false;
         }
         let Ok(at) = self.sources.binary_search_by_key(&packet.source, |s| s.task) else { return false };
+        if !self.enter_life(at, packet.id.incarnation, out) {
+            self.drop_packet(packet, Reason::StaleIncarnation, out);
+            return false;
+        }
         match self.sources[at].look_up(packet.id, self.now) {
             Seen::New => {
                 self.withdraw_superseded(at, out);
@@ -431,17 +436,24 @@ impl CommTask {
                 self.duplicate(packet, out);
                 false
             }
-            Seen::Stale => {
-                self.drop_packet(packet, Reason::StaleIncarnation, out);
-                false
-            }
         }
+    }
+
+    /// Whether a message comes from the present life of its source. The command that an earlier life left waiting goes
+    /// with the memory of it: nobody waits for its answer.
+    fn enter_life(&mut self, source: usize, life: Incarnation, out: &mut impl Outbox) -> bool {
+        if self.sources[source].life.is_some_and(|known| known != life && !is_older(life, known)) {
+            self.withdraw_superseded(source, out);
+        }
+        self.sources[source].enter_life(life)
     }
 
     /// The source has one outstanding communication: a newer command means that it gave the held one up.
     fn withdraw_superseded(&mut self, source: usize, out: &mut impl Outbox) {
         let task = self.sources[source].task;
-        let Some(old) = self.sources[source].command.filter(|c| c.fate == Fate::Held) else { return };
+        let now = self.now;
+        let held = self.sources[source].command.filter(|c| c.fate == Fate::Held && c.until > now);
+        let Some(old) = held else { return };
         let inbox = self.inboxes.iter_mut().find(|inbox| inbox.port == old.port);
         if let Some(withdrawn) = inbox.and_then(|inbox| inbox.withdraw(task, old.id)) {
             self.count(old.port, |c| c.expired += 1);

@@ -1,0 +1,196 @@
+//! The claims: for each sentence that the paper or a decision asserts, the worlds that settle it. A claim holds under
+//! the default rules, and fails, with its shortest counterexample, under each named variant.
+
+mod commands;
+mod meetings;
+
+use crate::chart::{Counterexample, draw};
+use crate::explore::{Exploration, Limits, explore};
+use crate::report::{Bounds, Found, Outcome, Report, Verdict, collision_probability};
+use crate::scenario::Scenario;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::Instant;
+
+/// What to verify, and with how much.
+#[derive(Clone, Debug)]
+pub struct Options {
+    /// The large bounds.
+    pub full: bool,
+    /// One claim only.
+    pub claim: Option<String>,
+    /// How many claims at the same time.
+    pub jobs: usize,
+    /// Resident memory of the process at most, in bytes.
+    pub memory: u64,
+}
+
+/// Hears how the work goes on, from several threads.
+pub trait Progress: Sync {
+    /// A claim begins.
+    fn started(&self, name: &str, rule: &str, parties: u32) {
+        let _ = (name, rule, parties);
+    }
+    /// It has looked at so many states so far.
+    fn states(&self, name: &str, states: u64) {
+        let _ = (name, states);
+    }
+    /// It is settled.
+    fn finished(&self, verdict: &Verdict) {
+        let _ = verdict;
+    }
+}
+
+/// No word of progress.
+#[derive(Clone, Copy, Debug)]
+pub struct Silent;
+
+impl Progress for Silent {}
+
+/// One claim under one rule, not yet settled.
+pub(crate) struct Claim {
+    pub name: &'static str,
+    pub rule: &'static str,
+    pub parties: u32,
+    pub about: &'static str,
+    pub expect: Outcome,
+    /// Whether it belongs to the quick run.
+    pub smoke: bool,
+    pub settle: Box<dyn Fn(&mut Work<'_>) -> Settled + Send + Sync>,
+}
+
+/// What settling a claim came to.
+pub(crate) struct Settled {
+    pub outcome: Outcome,
+    pub bounds: Bounds,
+    pub found: Found,
+    pub counterexample: Option<Counterexample>,
+    /// Whether what was searched for was found.
+    pub sound: bool,
+}
+
+/// Explorations in the service of one claim.
+pub(crate) struct Work<'a> {
+    name: &'static str,
+    limits: Limits,
+    progress: &'a (dyn Progress + 'a),
+    states: u64,
+    transitions: u64,
+    depth: u64,
+    longest_state: u64,
+    complete: bool,
+}
+
+impl Work<'_> {
+    /// Explores a scenario for the claim.
+    pub fn explore(&mut self, scenario: &Arc<Scenario>) -> Exploration {
+        let found = explore(scenario, self.limits, None);
+        self.states += found.states;
+        self.transitions += found.transitions;
+        self.depth = self.depth.max(found.depth);
+        self.longest_state = self.longest_state.max(found.longest_state);
+        self.complete &= found.complete;
+        self.progress.states(self.name, self.states);
+        found
+    }
+
+    /// Explores and judges: holds, fails (with its chart) or unknown.
+    pub fn judge(&mut self, scenario: &Arc<Scenario>) -> (Outcome, Option<Counterexample>) {
+        let found = self.explore(scenario);
+        (outcome(&found), draw(scenario, &found))
+    }
+}
+
+/// The verdict of one exploration.
+pub(crate) fn outcome(found: &Exploration) -> Outcome {
+    match (found.violation, found.complete) {
+        (Some(_), _) => Outcome::Fails,
+        (None, true) => Outcome::Holds,
+        (None, false) => Outcome::Unknown,
+    }
+}
+
+fn all() -> Vec<Claim> {
+    let mut claims = meetings::claims();
+    claims.extend(commands::claims());
+    claims
+}
+
+/// The names of all claims, in order, each once.
+#[must_use]
+pub fn claim_names() -> Vec<&'static str> {
+    let mut names: Vec<&'static str> = all().iter().map(|claim| claim.name).collect();
+    names.dedup();
+    names
+}
+
+/// Settles the protocol's claims.
+pub fn verify(options: &Options, progress: &dyn Progress) -> Report {
+    let wanted = |claim: &Claim| match &options.claim {
+        Some(name) => claim.name == name && (claim.smoke || options.full),
+        None => claim.smoke || options.full,
+    };
+    let claims: Vec<Claim> = all().into_iter().filter(wanted).collect();
+    let limits = Limits { memory: options.memory, ..Limits::default() };
+    let next = AtomicUsize::new(0);
+    let verdicts: Mutex<Vec<(usize, Verdict)>> = Mutex::new(Vec::new());
+    // Independent claims side by side: two threads in one exploration gain little.
+    std::thread::scope(|scope| {
+        for _ in 0..options.jobs.clamp(1, claims.len().max(1)) {
+            scope.spawn(|| {
+                while let Some((at, claim)) = take(&claims, &next) {
+                    let verdict = settle(claim, limits, progress);
+                    progress.finished(&verdict);
+                    verdicts.lock().unwrap_or_else(PoisonError::into_inner).push((at, verdict));
+                }
+            });
+        }
+    });
+    let mut verdicts = verdicts.into_inner().unwrap_or_else(PoisonError::into_inner);
+    verdicts.sort_by_key(|(at, _)| *at);
+    Report { version: 1, cell: None, claims: verdicts.into_iter().map(|(_, verdict)| verdict).collect() }
+}
+
+fn take<'a>(claims: &'a [Claim], next: &AtomicUsize) -> Option<(usize, &'a Claim)> {
+    let at = next.fetch_add(1, Ordering::Relaxed);
+    claims.get(at).map(|claim| (at, claim))
+}
+
+fn settle(claim: &Claim, limits: Limits, progress: &dyn Progress) -> Verdict {
+    progress.started(claim.name, claim.rule, claim.parties);
+    let start = Instant::now();
+    let mut work = Work {
+        name: claim.name,
+        limits,
+        progress,
+        states: 0,
+        transitions: 0,
+        depth: 0,
+        longest_state: 0,
+        complete: true,
+    };
+    let settled = (claim.settle)(&mut work);
+    let seconds = start.elapsed().as_secs_f64();
+    #[expect(clippy::cast_precision_loss, clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a rate")]
+    let states_per_second = (work.states as f64 / seconds.max(1e-9)) as u64;
+    Verdict {
+        name: claim.name.into(),
+        rule: claim.rule.into(),
+        parties: claim.parties,
+        about: claim.about.into(),
+        expect: claim.expect,
+        outcome: settled.outcome,
+        as_expected: settled.outcome == claim.expect && settled.sound,
+        bounds: settled.bounds,
+        states: work.states,
+        transitions: work.transitions,
+        depth: u32::try_from(work.depth).unwrap_or(u32::MAX),
+        complete: work.complete,
+        collision_probability: collision_probability(work.states),
+        longest_state: work.longest_state,
+        seconds,
+        states_per_second,
+        found: settled.found,
+        counterexample: settled.counterexample,
+    }
+}

@@ -1,0 +1,351 @@
+//! Claims about `waitfor` (§4.3; D1 to D3, D54 to D56).
+
+use super::{Claim, Settled, Work, outcome};
+use crate::chart::draw;
+use crate::report::{Bounds, Found, Outcome};
+use crate::scenario::{Budget, Watch};
+use crate::worlds::Meeting;
+use imrs_protocol::Ticks;
+use imrs_protocol::margin::least_margin;
+use imrs_protocol::rules::{Confirmation, Rules};
+
+/// The longest way and the period of re-sending that the timed worlds have, in ticks.
+const DELAY: u8 = 1;
+const RESEND: u64 = 2;
+
+const RULES: [(&str, Confirmation); 4] = [
+    ("no-confirmation", Confirmation::None),
+    ("first-complete", Confirmation::FirstComplete),
+    ("every-complete", Confirmation::EveryComplete),
+    ("pass-on", Confirmation::PassOn),
+];
+
+pub(super) fn claims() -> Vec<Claim> {
+    let mut claims = no_false_release();
+    claims.extend(rendezvous_under_loss());
+    claims.extend(pairing());
+    claims.extend(all_or_none());
+    claims.extend(meet_again());
+    claims
+}
+
+/// A meeting in which time passes, built for `losses` and given as many.
+fn timed(members: usize, watch: Watch, losses: u8, margin: u64, time_out: u64) -> Meeting {
+    Meeting {
+        time_out: Some(time_out),
+        delay: Some(DELAY),
+        resend: Some(RESEND),
+        losses,
+        margin: Some(margin),
+        budget: Budget { loss: losses, dup: 0, crash: 0 },
+        ..Meeting::new(members, watch)
+    }
+}
+
+fn bounds(meeting: &Meeting) -> Bounds {
+    Bounds {
+        loss: u32::from(meeting.budget.loss),
+        dup: u32::from(meeting.budget.dup),
+        delay: meeting.delay.map(u32::from),
+        crash: u32::from(meeting.budget.crash),
+        rounds: meeting.attempts.map(u32::from),
+        time_out: meeting.time_out,
+        resend: meeting.resend,
+        margin: meeting.margin,
+    }
+}
+
+/// Settles a claim that is one exploration.
+fn once(work: &mut Work<'_>, meeting: &Meeting) -> Settled {
+    let (outcome, counterexample) = match meeting.scenario() {
+        Ok(scenario) => work.judge(&scenario),
+        Err(_) => (Outcome::Unknown, None),
+    };
+    Settled { outcome, bounds: bounds(meeting), found: Found::default(), counterexample, sound: true }
+}
+
+fn simple(
+    (name, rule, about): (&'static str, &'static str, &'static str),
+    expect: Outcome,
+    smoke: bool,
+    meeting: Meeting,
+) -> Claim {
+    let parties = u32::try_from(meeting.members).unwrap_or(0);
+    Claim { name, rule, parties, about, expect, smoke, settle: Box::new(move |work| once(work, &meeting)) }
+}
+
+fn no_false_release() -> Vec<Claim> {
+    let name = "no-false-release";
+    let about = "nobody leaves a waitfor before all have arrived in its round";
+    let faulty = Meeting {
+        attempts: Some(3),
+        budget: Budget { loss: 1, dup: 1, crash: 0 },
+        ..timed(2, Watch::FalseRelease, 1, 3, 5)
+    };
+    let three = timed(3, Watch::FalseRelease, 1, 3, 5);
+    let crash = Meeting {
+        attempts: Some(2),
+        budget: Budget { loss: 1, dup: 0, crash: 1 },
+        ..timed(2, Watch::FalseRelease, 1, 3, 5)
+    };
+    let endless = Meeting { attempts: None, delay: Some(DELAY), ..Meeting::new(2, Watch::Pairing) };
+    let unnumbered = Rules { rounds: false, ..Rules::DEFAULT };
+    let loss2 = Meeting { budget: Budget { loss: 3, dup: 2, crash: 0 }, ..faulty.clone() };
+    let twice = Meeting { attempts: Some(2), ..three.clone() };
+    vec![
+        simple((name, "default", about), Outcome::Holds, true, faulty),
+        simple((name, "default", about), Outcome::Holds, true, three),
+        simple((name, "default, a member restarts", about), Outcome::Holds, true, crash),
+        simple((name, "default", about), Outcome::Holds, false, loss2),
+        simple((name, "default", about), Outcome::Holds, false, twice),
+        simple(
+            (name, "no-round", "without rounds a loop is wrong even on a perfect network (D3)"),
+            Outcome::Fails,
+            true,
+            Meeting { rules: unnumbered, ..endless },
+        ),
+    ]
+}
+
+fn rendezvous_under_loss() -> Vec<Claim> {
+    let sizes = [(2, true), (3, true), (4, false)];
+    let table = sizes.into_iter().flat_map(|size| RULES.map(|rule| (size, rule)));
+    let claim = |((members, smoke), (rule, confirmation)): ((usize, bool), (&'static str, Confirmation))| Claim {
+        name: "rendezvous-under-loss",
+        rule,
+        parties: u32::try_from(members).unwrap_or(0),
+        about: "how many lost packets leave a member waiting though all have arrived (§4.3)",
+        expect: Outcome::Fails,
+        smoke,
+        settle: Box::new(move |work| strand(work, members, confirmation)),
+    };
+    table.map(claim).collect()
+}
+
+/// Searches the least number of losses that strands a member: with every packet sent once, and with re-sending.
+fn strand(work: &mut Work<'_>, members: usize, confirmation: Confirmation) -> Settled {
+    let rules = Rules { confirmation, answer_late_arrivals: false, ..Rules::DEFAULT };
+    let literal = Meeting { rules, ..Meeting::new(members, Watch::Stranded) };
+    let (settled, least) = least_losses(work, &literal, 12);
+    let mut settled = settled;
+    settled.found.least_losses_to_strand = least;
+    if members <= 2 {
+        let rules = Rules { confirmation, ..Rules::DEFAULT };
+        let margin = u64::from(DELAY) + RESEND;
+        let again = Meeting { rules, hurry: true, ..timed(members, Watch::GaveUpAfterAllArrived, 1, margin, 8) };
+        settled.found.least_losses_with_resending = least_losses(work, &again, 12).1;
+    }
+    settled.sound &= least.is_some();
+    settled
+}
+
+fn least_losses(work: &mut Work<'_>, meeting: &Meeting, most: u8) -> (Settled, Option<u32>) {
+    let mut last = None;
+    for loss in 0..=most {
+        let meeting = Meeting { budget: Budget { loss, ..meeting.budget }, ..meeting.clone() };
+        let settled = once(work, &meeting);
+        if settled.outcome != Outcome::Holds {
+            let least = (settled.outcome == Outcome::Fails).then_some(u32::from(loss));
+            return (settled, least);
+        }
+        last = Some(settled);
+    }
+    let none = Settled {
+        outcome: Outcome::Unknown,
+        bounds: bounds(meeting),
+        found: Found::default(),
+        counterexample: None,
+        sound: false,
+    };
+    (last.unwrap_or(none), None)
+}
+
+fn pairing() -> Vec<Claim> {
+    let name = "pairing";
+    let about = "without give-ups every member's k-th release is the same round, packets overtaking each other";
+    let endless = |members| Meeting {
+        attempts: None,
+        delay: Some(DELAY),
+        budget: Budget { loss: 1, dup: 0, crash: 0 },
+        ..Meeting::new(members, Watch::Pairing)
+    };
+    let silent = Rules { last_released: false, ..Rules::DEFAULT };
+    let lossless = |members| Meeting { budget: Budget::default(), rules: silent, ..endless(members) };
+    let variant = "an ARRIVE that does not say what its sender released unpairs even with no loss (D54)";
+    vec![
+        simple((name, "default", about), Outcome::Holds, true, endless(2)),
+        simple((name, "default", about), Outcome::Holds, true, endless(3)),
+        simple((name, "no-last-released", variant), Outcome::Fails, true, lossless(2)),
+        simple((name, "no-last-released", variant), Outcome::Fails, true, lossless(3)),
+    ]
+}
+
+fn all_or_none() -> Vec<Claim> {
+    let worlds = [(2, 0, true), (2, 1, true), (2, 2, true), (3, 0, true), (3, 1, true), (4, 0, false)];
+    let claims = worlds.into_iter().flat_map(|(members, losses, smoke)| {
+        let parties = u32::try_from(members).unwrap_or(0);
+        [
+            Claim {
+                name: "all-or-none",
+                rule: "default",
+                parties,
+                about: "nobody is released while another gives up, while delay and losses keep to their bounds (D2)",
+                expect: Outcome::Holds,
+                smoke,
+                settle: Box::new(move |work| margin(work, members, losses)),
+            },
+            Claim {
+                name: "all-or-none",
+                rule: "margin-one-less",
+                parties,
+                about: "with one tick less margin one member runs while another has given up",
+                expect: Outcome::Fails,
+                smoke,
+                settle: Box::new(move |work| one_less(work, members, losses)),
+            },
+        ]
+    });
+    claims.collect()
+}
+
+/// What the closed form gives for the claim's worlds.
+fn closed_form(losses: u8) -> u64 {
+    least_margin(Ticks(u64::from(DELAY)), losses, Ticks(RESEND), Ticks(1)).0
+}
+
+/// The time_outs a margin is tried with: the least at which a release is reachable, and more, so that the margin does
+/// not rest on how the period of re-sending divides the time_out.
+fn time_outs(members: usize, margin: u64) -> impl Iterator<Item = u64> {
+    let least = margin + u64::from(DELAY) + 1;
+    let more = if members == 2 { RESEND + 1 } else { 1 };
+    least..=least + more
+}
+
+fn divergence(members: usize, losses: u8, margin: u64, time_out: u64) -> Meeting {
+    let attempts = if members == 2 { 2 } else { 1 };
+    Meeting { attempts: Some(attempts), ..timed(members, Watch::AllOrNone, losses, margin, time_out) }
+}
+
+/// A time_out at which the margin fails, if there is one.
+fn fails_at(work: &mut Work<'_>, members: usize, losses: u8, margin: u64) -> Option<(Meeting, Settled)> {
+    for time_out in time_outs(members, margin) {
+        let meeting = divergence(members, losses, margin, time_out);
+        let settled = once(work, &meeting);
+        if settled.outcome != Outcome::Holds {
+            return Some((meeting, settled));
+        }
+    }
+    None
+}
+
+/// Searches the least margin that holds from the closed form downwards, and shows that a release is reachable with it.
+fn margin(work: &mut Work<'_>, members: usize, losses: u8) -> Settled {
+    let closed_form = closed_form(losses);
+    let mut least = None;
+    let mut outcome_of_last = Outcome::Unknown;
+    for candidate in (0..=closed_form).rev() {
+        match fails_at(work, members, losses, candidate) {
+            None => least = Some(candidate),
+            Some((_, settled)) => {
+                outcome_of_last = settled.outcome;
+                break;
+            }
+        }
+    }
+    let shown = least.unwrap_or(closed_form);
+    let time_out = time_outs(members, shown).next().unwrap_or(0);
+    let meeting = divergence(members, losses, shown, time_out);
+    let reachable = Meeting { watch: Watch::Reachable, budget: Budget::default(), ..meeting.clone() };
+    let reached = once(work, &reachable).outcome == Outcome::Fails;
+    Settled {
+        outcome: if least.is_some() { Outcome::Holds } else { outcome_of_last },
+        bounds: bounds(&meeting),
+        found: Found {
+            least_safe_margin: least,
+            closed_form_margin: Some(closed_form),
+            ..Found::default()
+        },
+        counterexample: None,
+        sound: reached && least.is_some_and(|least| least <= closed_form),
+    }
+}
+
+fn one_less(work: &mut Work<'_>, members: usize, losses: u8) -> Settled {
+    let mut last = None;
+    for candidate in (0..=closed_form(losses)).rev() {
+        if let Some((_, settled)) = fails_at(work, members, losses, candidate) {
+            return settled;
+        }
+        last = Some(candidate);
+    }
+    let margin = last.unwrap_or(0);
+    let meeting = divergence(members, losses, margin, margin + u64::from(DELAY) + 1);
+    let (bounds, found) = (bounds(&meeting), Found::default());
+    Settled { outcome: Outcome::Holds, bounds, found, counterexample: None, sound: false }
+}
+
+fn meet_again() -> Vec<Claim> {
+    let name = "they-meet-again";
+    let search = |members: usize, loss: u8, smoke: bool| Claim {
+        name,
+        rule: "default",
+        parties: u32::try_from(members).unwrap_or(0),
+        about: "after the faults stop, the members meet within k attempts; k is searched for (D54)",
+        expect: Outcome::Holds,
+        smoke,
+        settle: Box::new(move |work| attempts(work, members, loss)),
+    };
+    let counting = Rules { join_fresher: false, ..Rules::DEFAULT };
+    let apart = Meeting {
+        attempts: Some(2),
+        rules: counting,
+        ..timed(2, Watch::MeetAgain { attempts: 6 }, 1, 3, 5)
+    };
+    vec![
+        search(2, 1, true),
+        search(3, 0, true),
+        search(3, 1, false),
+        simple(
+            (name, "counting-attempts", "members that only count their own attempts stay apart for ever"),
+            Outcome::Fails,
+            true,
+            apart,
+        ),
+    ]
+}
+
+fn attempts(work: &mut Work<'_>, members: usize, loss: u8) -> Settled {
+    const MOST: u8 = 4;
+    let first = if members == 2 { 2 } else { 1 };
+    for attempts in 1..=MOST {
+        let margin = u64::from(DELAY) + RESEND * u64::from(loss);
+        let time_out = margin + u64::from(DELAY) + 1;
+        let meeting = Meeting {
+            attempts: Some(first),
+            ..timed(members, Watch::MeetAgain { attempts }, loss, margin, time_out)
+        };
+        let Ok(scenario) = meeting.scenario() else { break };
+        let found = work.explore(&scenario);
+        let outcome = outcome(&found);
+        if outcome != Outcome::Fails || attempts == MOST {
+            return Settled {
+                outcome,
+                bounds: bounds(&meeting),
+                found: Found {
+                    attempts: (outcome == Outcome::Holds).then_some(u32::from(attempts)),
+                    ..Found::default()
+                },
+                counterexample: draw(&scenario, &found),
+                sound: true,
+            };
+        }
+    }
+    let none = timed(members, Watch::MeetAgain { attempts: MOST }, loss, 0, 0);
+    Settled {
+        outcome: Outcome::Unknown,
+        bounds: bounds(&none),
+        found: Found::default(),
+        counterexample: None,
+        sound: false,
+    }
+}
