@@ -10,7 +10,6 @@ use crate::report::{Bounds, Found, Outcome, Report, Verdict, collision_probabili
 use crate::scenario::Scenario;
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
-use std::time::Instant;
 
 /// What to verify, and with how much.
 #[derive(Clone, Debug)]
@@ -67,6 +66,41 @@ pub(crate) struct Settled {
     pub counterexample: Option<Counterexample>,
     /// Whether what was searched for was found.
     pub sound: bool,
+    /// A variant that was settled on the way and must fail.
+    pub variant: Option<Box<Variant>>,
+}
+
+/// A variant settled in the course of another claim.
+pub(crate) struct Variant {
+    pub rule: &'static str,
+    pub about: &'static str,
+    pub settled: Settled,
+    pub counts: Counts,
+}
+
+/// How much was looked at.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Counts {
+    states: u64,
+    transitions: u64,
+    depth: u64,
+    longest_state: u64,
+    complete: bool,
+    seconds: f64,
+}
+
+impl Counts {
+    const NONE: Self =
+        Self { states: 0, transitions: 0, depth: 0, longest_state: 0, complete: true, seconds: 0.0 };
+
+    fn add(&mut self, more: &Self) {
+        self.states += more.states;
+        self.transitions += more.transitions;
+        self.depth = self.depth.max(more.depth);
+        self.longest_state = self.longest_state.max(more.longest_state);
+        self.complete &= more.complete;
+        self.seconds += more.seconds;
+    }
 }
 
 /// Explorations in the service of one claim.
@@ -74,24 +108,33 @@ pub(crate) struct Work<'a> {
     name: &'static str,
     limits: Limits,
     progress: &'a (dyn Progress + 'a),
-    states: u64,
-    transitions: u64,
-    depth: u64,
-    longest_state: u64,
-    complete: bool,
+    counts: Counts,
 }
 
 impl Work<'_> {
     /// Explores a scenario for the claim.
     pub fn explore(&mut self, scenario: &Arc<Scenario>) -> Exploration {
         let found = explore(scenario, self.limits, None);
-        self.states += found.states;
-        self.transitions += found.transitions;
-        self.depth = self.depth.max(found.depth);
-        self.longest_state = self.longest_state.max(found.longest_state);
-        self.complete &= found.complete;
-        self.progress.states(self.name, self.states);
+        self.counts.add(&Counts {
+            states: found.states,
+            transitions: found.transitions,
+            depth: found.depth,
+            longest_state: found.longest_state,
+            complete: found.complete,
+            seconds: found.seconds,
+        });
+        self.progress.states(self.name, self.counts.states);
         found
+    }
+
+    /// Does a part of the work and says what that part alone looked at.
+    pub fn part<R>(&mut self, part: impl FnOnce(&mut Self) -> R) -> (R, Counts) {
+        let before = std::mem::replace(&mut self.counts, Counts::NONE);
+        let result = part(self);
+        let counts = self.counts;
+        self.counts = before;
+        self.counts.add(&counts);
+        (result, counts)
     }
 
     /// Explores and judges: holds, fails (with its chart) or unknown.
@@ -139,9 +182,10 @@ pub fn verify(options: &Options, progress: &dyn Progress) -> Report {
         for _ in 0..options.jobs.clamp(1, claims.len().max(1)) {
             scope.spawn(|| {
                 while let Some((at, claim)) = take(&claims, &next) {
-                    let verdict = settle(claim, limits, progress);
-                    progress.finished(&verdict);
-                    verdicts.lock().unwrap_or_else(PoisonError::into_inner).push((at, verdict));
+                    for verdict in settle(claim, limits, progress) {
+                        progress.finished(&verdict);
+                        verdicts.lock().unwrap_or_else(PoisonError::into_inner).push((at, verdict));
+                    }
                 }
             });
         }
@@ -156,39 +200,51 @@ fn take<'a>(claims: &'a [Claim], next: &AtomicUsize) -> Option<(usize, &'a Claim
     claims.get(at).map(|claim| (at, claim))
 }
 
-fn settle(claim: &Claim, limits: Limits, progress: &dyn Progress) -> Verdict {
+/// Settles a claim, and with it the variant that comes of the same search.
+fn settle(claim: &Claim, limits: Limits, progress: &dyn Progress) -> Vec<Verdict> {
     progress.started(claim.name, claim.rule, claim.parties);
-    let start = Instant::now();
-    let mut work = Work {
-        name: claim.name,
-        limits,
-        progress,
-        states: 0,
-        transitions: 0,
-        depth: 0,
-        longest_state: 0,
-        complete: true,
-    };
-    let settled = (claim.settle)(&mut work);
-    let seconds = start.elapsed().as_secs_f64();
-    #[expect(clippy::cast_precision_loss, clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a rate")]
-    let states_per_second = (work.states as f64 / seconds.max(1e-9)) as u64;
+    let mut work = Work { name: claim.name, limits, progress, counts: Counts::NONE };
+    let mut settled = (claim.settle)(&mut work);
+    let variant = settled.variant.take();
+    let mut verdicts = vec![verdict(claim, claim.rule, claim.about, claim.expect, settled, &work.counts)];
+    if let Some(variant) = variant {
+        let Variant { rule, about, settled, counts } = *variant;
+        verdicts.push(verdict(claim, rule, about, Outcome::Fails, settled, &counts));
+    }
+    verdicts
+}
+
+fn verdict(
+    claim: &Claim,
+    rule: &str,
+    about: &str,
+    expect: Outcome,
+    settled: Settled,
+    counts: &Counts,
+) -> Verdict {
+    #[expect(
+        clippy::cast_precision_loss,
+        clippy::cast_possible_truncation,
+        clippy::cast_sign_loss,
+        reason = "a rate"
+    )]
+    let states_per_second = (counts.states as f64 / counts.seconds.max(1e-9)) as u64;
     Verdict {
         name: claim.name.into(),
-        rule: claim.rule.into(),
+        rule: rule.into(),
         parties: claim.parties,
-        about: claim.about.into(),
-        expect: claim.expect,
+        about: about.into(),
+        expect,
         outcome: settled.outcome,
-        as_expected: settled.outcome == claim.expect && settled.sound,
+        as_expected: settled.outcome == expect && settled.sound,
         bounds: settled.bounds,
-        states: work.states,
-        transitions: work.transitions,
-        depth: u32::try_from(work.depth).unwrap_or(u32::MAX),
-        complete: work.complete,
-        collision_probability: collision_probability(work.states),
-        longest_state: work.longest_state,
-        seconds,
+        states: counts.states,
+        transitions: counts.transitions,
+        depth: u32::try_from(counts.depth).unwrap_or(u32::MAX),
+        complete: counts.complete,
+        collision_probability: collision_probability(counts.states),
+        longest_state: counts.longest_state,
+        seconds: counts.seconds,
         states_per_second,
         found: settled.found,
         counterexample: settled.counterexample,

@@ -17,7 +17,7 @@ pub(crate) struct Ghost {
     pub announced: u32,
     pub released: u32,
     pub gave_up: u32,
-    /// Rounds that somebody released before this task's node restarted: its new life was in none of them.
+    /// Rounds that another member had left when this task's node restarted: the new life cannot meet it there.
     pub missed: u32,
     /// How often it reached and was released, and its last round (pairing).
     pub reached: u8,
@@ -154,11 +154,17 @@ impl Judge<'_> {
             {
                 Err(Violation::FalseRelease)
             }
-            Watch::Pairing if self.ghosts.iter().any(|g| g.reached < releases) => Err(Violation::FalseRelease),
+            Watch::Pairing if self.ghosts.iter().any(|g| g.reached < releases) => {
+                Err(Violation::FalseRelease)
+            }
             Watch::Pairing => {
                 let same = |g: &Ghost| g.releases != releases || g.last_released == Some(round);
                 let ahead = |g: &Ghost| g.releases > releases;
-                if self.ghosts.iter().all(|g| same(g) && !ahead(g)) { Ok(()) } else { Err(Violation::Unpaired) }
+                if self.ghosts.iter().all(|g| same(g) && !ahead(g)) {
+                    Ok(())
+                } else {
+                    Err(Violation::Unpaired)
+                }
             }
             Watch::Reachable => Err(Violation::Released),
             Watch::MeetAgain { .. } => {
@@ -225,7 +231,7 @@ pub(crate) fn store(
         Watch::FalseRelease => {
             out.push(mask(ghost.announced)?);
             if frame.lives {
-                out.extend([mask(ghost.released)?, mask(ghost.missed)?]);
+                out.push(mask(ghost.missed)?);
             }
         }
         Watch::AllOrNone => out.extend([mask(ghost.released)?, mask(ghost.gave_up)?]),
@@ -251,7 +257,9 @@ pub(crate) fn store(
                 }
             }
             match watch {
-                Watch::Resolves | Watch::ResolvesOnce => out.push(ghost.open.map_or(0, |ticks| ticks.saturating_add(1))),
+                Watch::Resolves | Watch::ResolvesOnce => {
+                    out.push(ghost.open.map_or(0, |ticks| ticks.saturating_add(1)))
+                }
                 Watch::AtMostOnce => out.push(ghost.executed),
                 _ => {
                     out.push(u8::try_from(ghost.statuses.len()).map_err(|_| Overflow)?);
@@ -282,7 +290,7 @@ pub(crate) fn load(ghost: &mut Ghost, watch: Watch, lives: bool, bytes: &[u8]) -
         Watch::FalseRelease => {
             ghost.announced = u32::from(byte());
             if lives {
-                (ghost.released, ghost.missed) = (u32::from(byte()), u32::from(byte()));
+                ghost.missed = u32::from(byte());
             }
         }
         Watch::AllOrNone => (ghost.released, ghost.gave_up) = (u32::from(byte()), u32::from(byte())),
@@ -296,10 +304,8 @@ pub(crate) fn load(ghost: &mut Ghost, watch: Watch, lives: bool, bytes: &[u8]) -
         Watch::Stale | Watch::Resolves | Watch::ResolvesOnce | Watch::AtMostOnce => {
             if let Some(source) = byte().checked_sub(1) {
                 let (port, life, back) = (byte(), byte(), byte());
-                let id = MessageId {
-                    incarnation: imrs_protocol::Incarnation(life),
-                    sequence: sequence(back),
-                };
+                let id =
+                    MessageId { incarnation: imrs_protocol::Incarnation(life), sequence: sequence(back) };
                 let (source, port) = (TaskId(u16::from(source)), imrs_protocol::PortId(u16::from(port)));
                 ghost.serving = Some(ReplyTo { port, source, id });
             }

@@ -2,7 +2,8 @@
 
 use crate::scenario::Scenario;
 use imrs_protocol::{
-    Contents, Frame, Incarnation, Kind, Meeting, MessageId, Overflow, Packet, PortId, Round, Seq24, TaskId, Ticks,
+    Contents, Frame, Incarnation, Kind, Meeting, MessageId, Overflow, Packet, PortId, Round, Seq24, TaskId,
+    Ticks,
 };
 
 /// A packet on the way.
@@ -92,7 +93,8 @@ impl Codec {
     fn encode_meeting(self, packet: &Packet, frame: &Frame<'_>, mut out: Packed) -> Result<Packed, Overflow> {
         let meeting = packet.meeting();
         let base = frame.rounds.get(packet.port.index()).copied().unwrap_or_default();
-        let relative = |round: Round| u8::try_from(round.steps_from(base)).ok().filter(|&r| r < 15).ok_or(Overflow);
+        let relative =
+            |round: Round| u8::try_from(round.steps_from(base)).ok().filter(|&r| r < 15).ok_or(Overflow);
         // 15: nothing to say, the sender has released nothing yet or what it released is the round itself.
         let hint = if meeting.released == meeting.round { 15 } else { relative(meeting.released)? };
         out.push((relative(meeting.round)? << 4) | hint)?;

@@ -120,7 +120,9 @@ fn next_permutation(p: &mut [usize], same: impl Fn(usize, usize) -> bool, order:
 
 fn next_in_run(run: &mut [usize], rank: impl Fn(usize) -> usize) -> bool {
     let Some(pivot) = (1..run.len()).rev().find(|&i| rank(run[i - 1]) < rank(run[i])) else { return false };
-    let Some(swap) = (pivot..run.len()).rev().find(|&i| rank(run[i]) > rank(run[pivot - 1])) else { return false };
+    let Some(swap) = (pivot..run.len()).rev().find(|&i| rank(run[i]) > rank(run[pivot - 1])) else {
+        return false;
+    };
     run.swap(pivot - 1, swap);
     run[pivot..].reverse();
     true

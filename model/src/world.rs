@@ -11,8 +11,9 @@ use crate::scenario::{Behaviour, Scenario, Watch};
 use crate::state::{Packed, Violation};
 use crate::symmetry;
 use imrs_protocol::{
-    Class, Frame, Incarnation, Kind, MessageId, Node, NodeId, NodeInput, NodeOutbox, NodeTable, Observation, Outcome, Overflow, Packet,
-    PortId, Request, Round, Seq24, Signal, Target, TaskId, TaskState, Ticks, Visit, VisitMut,
+    Class, Frame, Incarnation, Kind, MessageId, Node, NodeId, NodeInput, NodeOutbox, NodeTable, Observation,
+    Outcome, Overflow, Packet, PortId, Request, Round, Seq24, Signal, Target, TaskId, TaskState, Ticks,
+    Visit, VisitMut,
 };
 use std::sync::Arc;
 
@@ -165,7 +166,8 @@ impl World {
         }
         if self.crash > 0 {
             for (i, place) in self.places.iter().enumerate() {
-                let may = matches!(self.scenario.behaviours[i], Behaviour::Receiver | Behaviour::Member { .. });
+                let may =
+                    matches!(self.scenario.behaviours[i], Behaviour::Receiver | Behaviour::Member { .. });
                 if place.up && may {
                     actions.push(Action::Crash(small(i)));
                 }
@@ -192,7 +194,10 @@ impl World {
         let running = self.task(i).is_idle();
         match self.scenario.behaviours[i] {
             Behaviour::Member { .. } | Behaviour::Sender { .. } => {
-                if running && (ghost.left > 0 || (self.healed && matches!(self.scenario.behaviours[i], Behaviour::Member { .. }))) {
+                if running
+                    && (ghost.left > 0
+                        || (self.healed && matches!(self.scenario.behaviours[i], Behaviour::Member { .. })))
+                {
                     actions.push(Action::Act(small(i)));
                 }
             }
@@ -243,8 +248,7 @@ impl World {
                 place.up = true;
                 place.node = Node::new(place.table.clone(), place.life, true, TRANSIT);
                 place.node.parts_mut().tasks[0].visit_mut(&mut FromBase(self.rounds[0]));
-                let released = self.ghosts.iter().fold(0, |mask, ghost| mask | ghost.released);
-                self.ghosts[usize::from(i)].missed = released;
+                self.ghosts[usize::from(i)].missed = self.left_by_others(usize::from(i));
                 Ok(())
             }
             Action::Heal => {
@@ -259,6 +263,20 @@ impl World {
         if let Err(violation) = result {
             self.violation = Some(violation);
         }
+    }
+
+    /// The rounds that some other member than `i` announced and does not wait in any more.
+    fn left_by_others(&self, i: usize) -> u32 {
+        let others = (0..self.n()).filter(|&other| other != i);
+        others.fold(0, |mask, other| {
+            let here = match self.task(other).state() {
+                TaskState::Waiting { round, .. } => {
+                    1_u32.checked_shl(u32::from(round.steps_from(self.rounds[0])))
+                }
+                _ => None,
+            };
+            mask | (self.ghosts[other].announced & !here.unwrap_or(0))
+        })
     }
 
     fn tick(&mut self) -> Result<(), Violation> {
@@ -357,7 +375,10 @@ impl World {
         let Place { node, life, .. } = &mut self.places[i];
         node.step(input, &mut effects);
         for packet in effects.sent.drain(..) {
-            if self.scenario.watch == Watch::Stale && packet.kind == Kind::Send && packet.class == Class::Status {
+            if self.scenario.watch == Watch::Stale
+                && packet.kind == Kind::Send
+                && packet.class == Class::Status
+            {
                 let life = self.scenario.cell.port(packet.port).map_or(0, |p| p.decl.time_out.0);
                 self.ghosts[i].statuses.push((packet.id.sequence, u8::try_from(life).unwrap_or(u8::MAX)));
             }
@@ -371,28 +392,38 @@ impl World {
         effects.signals.clear();
         effects.seen.clear();
         self.effects = effects;
+        imrs_protocol::invariants::check(self.task(i), &self.places[i].table)
+            .map_err(|_| Violation::Invariant)?;
         result
     }
 
     fn judge(&mut self, at: TaskId, effects: &Effects) -> Result<(), Violation> {
         let mut ghosts = std::mem::take(&mut self.ghosts);
         let base = self.rounds.first().copied().unwrap_or_default();
-        let mut judge =
-            Judge { scenario: &self.scenario, ghosts: &mut ghosts, healed: self.healed, base, done: self.done };
+        let mut judge = Judge {
+            scenario: &self.scenario,
+            ghosts: &mut ghosts,
+            healed: self.healed,
+            base,
+            done: self.done,
+        };
         let awaits = |task: TaskId| -> Option<(TaskId, MessageId)> {
             if self.places[task.index()].up { self.task(task.index()).awaits() } else { None }
         };
         let next = |task: TaskId| self.next_sequence(task.index());
         let seen = effects.seen.iter().try_for_each(|seen| judge.observed(at, seen));
         let late = effects.signals.iter().any(|s| matches!(s, Signal::Outcome(o) if timed_out(o)));
-        let answer_on_the_way = |flight: &Flight| flight.packet.kind == Kind::Reply && flight.packet.destination == at;
+        let answer_on_the_way =
+            |flight: &Flight| flight.packet.kind == Kind::Reply && flight.packet.destination == at;
         let current = self.flights.iter().any(|f| answer_on_the_way(f) && f.packet.id == self.last_id(at));
         if late && current && self.scenario.watch == Watch::Resolves {
             self.ghosts = ghosts;
             return Err(Violation::LateAnswer);
         }
         let signalled = seen
-            .and_then(|()| effects.signals.iter().try_for_each(|signal| judge.signalled(at, signal, awaits, next)))
+            .and_then(|()| {
+                effects.signals.iter().try_for_each(|signal| judge.signalled(at, signal, awaits, next))
+            })
             .and_then(|()| judge.judge_round());
         let done = judge.done;
         self.done = done;
@@ -523,11 +554,12 @@ impl World {
             frame,
             codec: self.codec,
         };
-        let bytes = if self.scenario.reductions.symmetry && self.scenario.is_meeting() && !self.scenario.lives() {
-            parts.least()?
-        } else {
-            parts.in_order()?
-        };
+        let bytes =
+            if self.scenario.reductions.symmetry && self.scenario.is_meeting() && !self.scenario.lives() {
+                parts.least()?
+            } else {
+                parts.in_order()?
+            };
         Ok(Packed(bytes.into_boxed_slice()))
     }
 
@@ -535,7 +567,12 @@ impl World {
     fn load_rest(&mut self) {
         for i in 0..self.n() {
             if !self.loaded[i] {
-                load_place(&mut self.places[i], &self.blocks[i], self.scenario.lives(), self.scenario.clocks[i]);
+                load_place(
+                    &mut self.places[i],
+                    &self.blocks[i],
+                    self.scenario.lives(),
+                    self.scenario.clocks[i],
+                );
                 self.loaded[i] = true;
             }
         }
@@ -587,7 +624,8 @@ impl World {
                 least.round(PortId(0), round);
             }
         }
-        let rounds = least.rounds.iter().zip(&self.rounds).map(|(least, old)| least.unwrap_or(*old)).collect();
+        let rounds =
+            least.rounds.iter().zip(&self.rounds).map(|(least, old)| least.unwrap_or(*old)).collect();
         (rounds, sequences)
     }
 

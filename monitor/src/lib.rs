@@ -1,1 +1,115 @@
-//! monitor
+//! The monitor: a terminal dashboard on running nodes. It must be right, instantly readable, and never disturb what it
+//! watches.
+//!
+//! A [`source`] speaks `imrs-obs` with nodes in threads of its own and feeds a [`store`]: the state of every node, the
+//! last state of dead ones, and what happened. An [`app`] is the screen as a value; [`app::App::update`] reduces
+//! messages, [`view::view`] draws. Time is always an argument, nothing in store, app or view reads a clock or a file,
+//! and the thread that draws does no other work. Only the thin outermost layer ([`run`]) knows a terminal.
+//!
+//! Pausing, filtering and sorting happen here alone: nothing that a user does changes what a node does.
+#![forbid(unsafe_code)]
+
+pub mod app;
+pub mod clock;
+mod error;
+pub mod keys;
+pub mod name;
+mod options;
+mod plain;
+pub mod report;
+pub mod rows;
+mod signals;
+pub mod source;
+pub mod store;
+mod terminal;
+pub mod theme;
+mod ui;
+pub mod view;
+
+pub use error::MonitorError;
+pub use options::{ColorChoice, Endpoint, EndpointError, Format, Options, Verdict};
+pub use plain::Watch;
+
+use clock::Clock;
+use imrs_wire::obs::place;
+use source::live::{Live, Which};
+use std::io::{self, IsTerminal, Write};
+use theme::Theme;
+
+/// Runs the monitor as the user asked: on the screen of a terminal, or printing where there is none.
+///
+/// # Errors
+/// [`MonitorError`], with the exit code that the command should end with.
+pub fn run(options: &Options) -> Result<Verdict, MonitorError> {
+    let screen = io::stdout().is_terminal() && io::stdin().is_terminal();
+    let printed = options.once || options.watch.is_some() || options.text || options.format == Format::Json;
+    if !screen || printed {
+        // Without a terminal nobody could end a screen: one sample, unless more was asked for.
+        let once = options.once || !printed;
+        return print(&Options { once, ..options.clone() }, &mut io::stdout().lock());
+    }
+    let which = which(options);
+    if let Which::Under(base) = &which
+        && place::sockets_in(base)?.is_empty()
+    {
+        return Err(MonitorError::NothingFound { looked: Some(base.clone()), failed: Vec::new() });
+    }
+    let theme = theme_for(options, |name| std::env::var(name).ok());
+    ui::show(Live::new(which), Clock::start(), app::App::new(theme, options.cell.clone()))?;
+    Ok(Verdict::Healthy)
+}
+
+/// Prints what `options` ask for to `out`, without a screen.
+///
+/// # Errors
+/// [`MonitorError`]; a reader that has seen enough is none.
+pub fn print(options: &Options, out: &mut impl Write) -> Result<Verdict, MonitorError> {
+    plain::print(options, which(options), Clock::start(), out)
+}
+
+fn which(options: &Options) -> Which {
+    if options.connect.is_empty() {
+        Which::Under(options.base.clone().unwrap_or_else(place::base_dir))
+    } else {
+        Which::Named(options.connect.clone())
+    }
+}
+
+/// The theme for the environment that `var` tells of.
+fn theme_for(options: &Options, var: impl Fn(&str) -> Option<String>) -> Theme {
+    let set = |name: &str| var(name).filter(|value| !value.is_empty());
+    let dumb = set("TERM").is_none_or(|term| term == "dumb");
+    let colour = match options.color {
+        ColorChoice::Always => true,
+        ColorChoice::Never => false,
+        ColorChoice::Auto => set("NO_COLOR").is_none() && !dumb,
+    };
+    // The first of these that is set decides, as in the C library.
+    let locale = set("LC_ALL").or_else(|| set("LC_CTYPE")).or_else(|| set("LANG")).unwrap_or_default();
+    let locale = locale.to_lowercase();
+    let utf8 = locale.contains("utf-8") || locale.contains("utf8");
+    Theme::fitting(colour, utf8 && !options.ascii && !dumb)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_theme_follows_the_environment_and_the_options() {
+        let theme = |options: &Options, vars: &[(&str, &str)]| {
+            theme_for(options, |name| vars.iter().find(|(n, _)| *n == name).map(|(_, v)| (*v).to_owned()))
+        };
+        let utf8 = [("TERM", "xterm"), ("LANG", "en_US.UTF-8")];
+        let auto = Options::default();
+        assert_eq!(theme(&auto, &utf8), Theme::COLOUR);
+        assert_eq!(theme(&auto, &[utf8[0], utf8[1], ("NO_COLOR", "1")]), Theme::MONO);
+        assert_eq!(theme(&auto, &[utf8[0], utf8[1], ("NO_COLOR", "")]), Theme::COLOUR);
+        assert_eq!(theme(&auto, &[utf8[0], utf8[1], ("LC_ALL", "C")]), Theme::COLOUR_ASCII);
+        assert_eq!(theme(&auto, &[("TERM", "dumb")]), Theme::ASCII);
+        let never = Options { color: ColorChoice::Never, ascii: true, ..Options::default() };
+        assert_eq!(theme(&never, &utf8), Theme::ASCII);
+        let always = Options { color: ColorChoice::Always, ..Options::default() };
+        assert_eq!(theme(&always, &[utf8[0], utf8[1], ("NO_COLOR", "1")]), Theme::COLOUR);
+    }
+}

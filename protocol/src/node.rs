@@ -128,7 +128,7 @@ impl Node {
         match input {
             NodeInput::Advance(elapsed) => self.advance(elapsed, out),
             NodeInput::Request(task, request) => {
-                self.work.push_back(Work::Task(task, Input::Request(request)))
+                self.work.push_back(Work::Task(task, Input::Request(request)));
             }
             NodeInput::Packet { packet, charge } => self.arrive(packet, charge, out),
             NodeInput::PeerRestarted(node) => {

@@ -435,6 +435,7 @@ mod tests {
     }
 
     #[test]
+    #[expect(clippy::unusual_byte_groupings, reason = "a group of digits for each field")]
     fn the_layout_is_the_documented_one() {
         let bytes = sample().encode(0xdead_beef, 0x1234_5678);
         let mut expected = [

@@ -3,7 +3,7 @@
 
 use crate::ids::{NodeId, TaskId};
 use crate::observe::Reason;
-use crate::packet::Packet;
+use crate::packet::{Kind, Packet};
 use crate::rules::TimeStamp;
 use crate::table::NodeTable;
 use crate::ticks::Ticks;
@@ -44,7 +44,9 @@ pub fn arrived(table: &NodeTable, mut packet: Packet, charge: Ticks) -> Arrival 
     }
     if table.rules().time_stamp == TimeStamp::Remaining {
         packet.remaining = packet.remaining - charge;
-        if packet.remaining.is_zero() {
+        // Only under the variant that takes late replies does one outlive its request.
+        let outlives = packet.kind == Kind::Reply && !table.rules().refuse_late_replies;
+        if packet.remaining.is_zero() && !outlives {
             return Arrival::Discard(Reason::ExpiredOnTheWay, packet);
         }
     }

@@ -1,1 +1,68 @@
-//! runtime
+//! Runs a node of a cell: tasks as threads, communication tasks as data structures run by whoever brings input, one
+//! Timer thread that sleeps exactly until the next expiry, and links to the other nodes.
+//!
+//! There is no protocol here: every rule is in `imrs-protocol`, and this crate is one of its drivers.
+//!
+//! ```
+//! use imrs_protocol::{Cell, CellTable, PortDecl, Ticks, Usage};
+//! use imrs_runtime::Runtime;
+//! use std::{sync::Arc, time::Duration};
+//!
+//! let mut cell = Cell::new("greeting", Ticks(1_000));
+//! let here = cell.node("here");
+//! let (asker, answerer) = (cell.task("asker", here), cell.task("answerer", here));
+//! cell.port(PortDecl::new("ask", asker, Usage::Send, &[answerer], Ticks(500_000)).command());
+//! let table = Arc::new(CellTable::new(cell).expect("a sound cell"));
+//!
+//! let node = Runtime::builder(table, here)
+//!     .task("asker", |ctx| {
+//!         let ask = ctx.port("ask")?;
+//!         let answer = ctx.send(ask, b"how many?")?;
+//!         assert_eq!(answer.reply().expect("an answer in time").as_bytes(), b"two");
+//!         Ok(())
+//!     })
+//!     .task("answerer", |ctx| {
+//!         let ask = ctx.port("ask")?;
+//!         if let Some(question) = ctx.receive(Some(ask), None)? {
+//!             ctx.reply(&question.from, b"two")?;
+//!         }
+//!         Ok(())
+//!     })
+//!     .start()
+//!     .expect("a node that starts");
+//! assert!(node.wait(Duration::from_secs(10)));
+//! # let ends = node.stop(Duration::from_secs(10));
+//! # assert!(ends.iter().all(|(_, end)| *end == imrs_runtime::TaskEnd::Returned), "{ends:?}");
+//! ```
+
+#![deny(unsafe_code)]
+
+mod alarm;
+mod builder;
+mod clock;
+mod comm;
+mod context;
+mod effects;
+#[cfg(test)]
+mod explored;
+mod failstop;
+mod handoff;
+pub mod link;
+mod member;
+mod node;
+pub mod observer;
+pub mod record;
+mod residency;
+mod ring;
+mod snapshot;
+mod sync;
+mod threads;
+mod timers;
+mod transit;
+mod turn;
+
+pub use builder::{Builder, StartError, TRANSIT_CAPACITY};
+pub use context::{Context, Rendezvous, RequestFault, Sent, TaskError};
+pub use node::Node;
+pub use snapshot::Observations;
+pub use threads::{Runtime, TaskEnd};

@@ -45,7 +45,15 @@ fn claim(
     smoke: bool,
     worlds: Vec<Exchange>,
 ) -> Claim {
-    Claim { name, rule, parties: 2, about, expect, smoke, settle: Box::new(move |work| settle(work, &worlds)) }
+    Claim {
+        name,
+        rule,
+        parties: 2,
+        about,
+        expect,
+        smoke,
+        settle: Box::new(move |work| settle(work, &worlds)),
+    }
 }
 
 /// Explores the worlds until one of them fails.
@@ -57,7 +65,14 @@ fn settle(work: &mut Work<'_>, worlds: &[Exchange]) -> Settled {
             Err(_) => (Outcome::Unknown, None),
         };
         let bounds = bounds(exchange);
-        settled = Some(Settled { outcome, bounds, found: Found::default(), counterexample, sound: true });
+        settled = Some(Settled {
+            outcome,
+            bounds,
+            found: Found::default(),
+            counterexample,
+            sound: true,
+            variant: None,
+        });
         if outcome != Outcome::Holds {
             break;
         }
@@ -68,6 +83,7 @@ fn settle(work: &mut Work<'_>, worlds: &[Exchange]) -> Settled {
         found: Found::default(),
         counterexample: None,
         sound: false,
+        variant: None,
     })
 }
 
@@ -93,7 +109,11 @@ fn no_stale_delivery() -> Vec<Claim> {
         claim((name, "default", about), Outcome::Holds, true, vec![command.clone(), statuses()]),
         claim((name, "default", about), Outcome::Holds, false, vec![larger(&command), larger(&statuses())]),
         claim(
-            (name, "residence-not-charged", "time spent in a buffer must be taken from a message's life (§5.1.1)"),
+            (
+                name,
+                "residence-not-charged",
+                "time spent in a buffer must be taken from a message's life (§5.1.1)",
+            ),
             Outcome::Fails,
             true,
             vec![Exchange { rules: uncharged, ..command }],
@@ -109,7 +129,8 @@ fn no_stale_delivery() -> Vec<Claim> {
 
 fn resolves() -> Vec<Claim> {
     let name = "class-2-resolves";
-    let about = "every command ends in exactly one outcome within time_out + 1 tick, and no answer is mixed up";
+    let about =
+        "every command ends in exactly one outcome within time_out + 1 tick, and no answer is mixed up";
     let command = commands(Watch::Resolves);
     let late = Rules { refuse_late_replies: false, reserve_way_back: false, ..Rules::DEFAULT };
     let unreserved = Rules { reserve_way_back: false, ..Rules::DEFAULT };
@@ -123,7 +144,11 @@ fn resolves() -> Vec<Claim> {
             vec![Exchange { rules: late, watch: Watch::ResolvesOnce, ..command.clone() }],
         ),
         claim(
-            (name, "way-back-not-reserved", "an answer in time at the receiver comes too late at the sender (D18)"),
+            (
+                name,
+                "way-back-not-reserved",
+                "an answer in time at the receiver comes too late at the sender (D18)",
+            ),
             Outcome::Fails,
             true,
             vec![Exchange { rules: unreserved, ..command }],
@@ -142,7 +167,12 @@ fn at_most_once() -> Vec<Claim> {
     vec![
         claim((name, "default", about), Outcome::Holds, true, vec![crash.clone()]),
         claim((name, "default", about), Outcome::Holds, false, vec![larger(&crash)]),
-        claim((name, "no-memory", "without memory a copy runs again (D6)"), Outcome::Fails, true, variant(forgetful)),
+        claim(
+            (name, "no-memory", "without memory a copy runs again (D6)"),
+            Outcome::Fails,
+            true,
+            variant(forgetful),
+        ),
         claim(
             (name, "forgotten-when-answered", "a copy that arrives after the answer runs again (D52)"),
             Outcome::Fails,
@@ -179,7 +209,11 @@ fn no_global_clock() -> Vec<Claim> {
             settle: Box::new(move |work| equal_states(work, &same_states)),
         },
         claim(
-            (name, "absolute-timestamps", "a deadline as an instant of the sender's clock revives dead messages (D37)"),
+            (
+                name,
+                "absolute-timestamps",
+                "a deadline as an instant of the sender's clock revives dead messages (D37)",
+            ),
             Outcome::Fails,
             true,
             worlds(absolute),

@@ -1,6 +1,6 @@
 //! Claims about `waitfor` (§4.3; D1 to D3, D54 to D56).
 
-use super::{Claim, Settled, Work, outcome};
+use super::{Claim, Settled, Variant, Work, outcome};
 use crate::chart::draw;
 use crate::report::{Bounds, Found, Outcome};
 use crate::scenario::{Budget, Watch};
@@ -61,7 +61,14 @@ fn once(work: &mut Work<'_>, meeting: &Meeting) -> Settled {
         Ok(scenario) => work.judge(&scenario),
         Err(_) => (Outcome::Unknown, None),
     };
-    Settled { outcome, bounds: bounds(meeting), found: Found::default(), counterexample, sound: true }
+    Settled {
+        outcome,
+        bounds: bounds(meeting),
+        found: Found::default(),
+        counterexample,
+        sound: true,
+        variant: None,
+    }
 }
 
 fn simple(
@@ -85,9 +92,14 @@ fn no_false_release() -> Vec<Claim> {
     let three = timed(3, Watch::FalseRelease, 1, 3, 5);
     let crash = Meeting {
         attempts: Some(2),
-        budget: Budget { loss: 1, dup: 0, crash: 1 },
-        ..timed(2, Watch::FalseRelease, 1, 3, 5)
+        budget: Budget { loss: 0, dup: 0, crash: 1 },
+        ..timed(2, Watch::FalseRelease, 0, 1, 3)
     };
+    let crash_and_loss = Meeting {
+        budget: Budget { loss: 1, dup: 0, crash: 1 },
+        ..Meeting { attempts: Some(2), ..timed(2, Watch::FalseRelease, 1, 3, 5) }
+    };
+    let eager = Meeting { rules: Rules { quarantine: false, ..Rules::DEFAULT }, ..crash.clone() };
     let endless = Meeting { attempts: None, delay: Some(DELAY), ..Meeting::new(2, Watch::Pairing) };
     let unnumbered = Rules { rounds: false, ..Rules::DEFAULT };
     let loss2 = Meeting { budget: Budget { loss: 3, dup: 2, crash: 0 }, ..faulty.clone() };
@@ -95,9 +107,20 @@ fn no_false_release() -> Vec<Claim> {
     vec![
         simple((name, "default", about), Outcome::Holds, true, faulty),
         simple((name, "default", about), Outcome::Holds, true, three),
-        simple((name, "default, a member restarts", about), Outcome::Holds, true, crash),
+        simple((name, "default, restart", about), Outcome::Holds, true, crash),
+        simple((name, "default, restart", about), Outcome::Holds, false, crash_and_loss),
         simple((name, "default", about), Outcome::Holds, false, loss2),
         simple((name, "default", about), Outcome::Holds, false, twice),
+        simple(
+            (
+                name,
+                "no-quarantine",
+                "a restarted member must not take arrivals meant for its earlier life (D49)",
+            ),
+            Outcome::Fails,
+            true,
+            eager,
+        ),
         simple(
             (name, "no-round", "without rounds a loop is wrong even on a perfect network (D3)"),
             Outcome::Fails,
@@ -110,15 +133,16 @@ fn no_false_release() -> Vec<Claim> {
 fn rendezvous_under_loss() -> Vec<Claim> {
     let sizes = [(2, true), (3, true), (4, false)];
     let table = sizes.into_iter().flat_map(|size| RULES.map(|rule| (size, rule)));
-    let claim = |((members, smoke), (rule, confirmation)): ((usize, bool), (&'static str, Confirmation))| Claim {
-        name: "rendezvous-under-loss",
-        rule,
-        parties: u32::try_from(members).unwrap_or(0),
-        about: "how many lost packets leave a member waiting though all have arrived (§4.3)",
-        expect: Outcome::Fails,
-        smoke,
-        settle: Box::new(move |work| strand(work, members, confirmation)),
-    };
+    let claim =
+        |((members, smoke), (rule, confirmation)): ((usize, bool), (&'static str, Confirmation))| Claim {
+            name: "rendezvous-under-loss",
+            rule,
+            parties: u32::try_from(members).unwrap_or(0),
+            about: "how many lost packets leave a member waiting though all have arrived (§4.3)",
+            expect: Outcome::Fails,
+            smoke,
+            settle: Box::new(move |work| strand(work, members, confirmation)),
+        };
     table.map(claim).collect()
 }
 
@@ -132,7 +156,8 @@ fn strand(work: &mut Work<'_>, members: usize, confirmation: Confirmation) -> Se
     if members <= 2 {
         let rules = Rules { confirmation, ..Rules::DEFAULT };
         let margin = u64::from(DELAY) + RESEND;
-        let again = Meeting { rules, hurry: true, ..timed(members, Watch::GaveUpAfterAllArrived, 1, margin, 8) };
+        let again =
+            Meeting { rules, hurry: true, ..timed(members, Watch::GaveUpAfterAllArrived, 1, margin, 8) };
         settled.found.least_losses_with_resending = least_losses(work, &again, 12).1;
     }
     settled.sound &= least.is_some();
@@ -156,13 +181,15 @@ fn least_losses(work: &mut Work<'_>, meeting: &Meeting, most: u8) -> (Settled, O
         found: Found::default(),
         counterexample: None,
         sound: false,
+        variant: None,
     };
     (last.unwrap_or(none), None)
 }
 
 fn pairing() -> Vec<Claim> {
     let name = "pairing";
-    let about = "without give-ups every member's k-th release is the same round, packets overtaking each other";
+    let about =
+        "without give-ups every member's k-th release is the same round, packets overtaking each other";
     let endless = |members| Meeting {
         attempts: None,
         delay: Some(DELAY),
@@ -182,30 +209,16 @@ fn pairing() -> Vec<Claim> {
 
 fn all_or_none() -> Vec<Claim> {
     let worlds = [(2, 0, true), (2, 1, true), (2, 2, true), (3, 0, true), (3, 1, true), (4, 0, false)];
-    let claims = worlds.into_iter().flat_map(|(members, losses, smoke)| {
-        let parties = u32::try_from(members).unwrap_or(0);
-        [
-            Claim {
-                name: "all-or-none",
-                rule: "default",
-                parties,
-                about: "nobody is released while another gives up, while delay and losses keep to their bounds (D2)",
-                expect: Outcome::Holds,
-                smoke,
-                settle: Box::new(move |work| margin(work, members, losses)),
-            },
-            Claim {
-                name: "all-or-none",
-                rule: "margin-one-less",
-                parties,
-                about: "with one tick less margin one member runs while another has given up",
-                expect: Outcome::Fails,
-                smoke,
-                settle: Box::new(move |work| one_less(work, members, losses)),
-            },
-        ]
-    });
-    claims.collect()
+    let claim = |(members, losses, smoke): (usize, u8, bool)| Claim {
+        name: "all-or-none",
+        rule: "default",
+        parties: u32::try_from(members).unwrap_or(0),
+        about: "nobody is released while another gives up, while delay and losses keep to their bounds (D2)",
+        expect: Outcome::Holds,
+        smoke,
+        settle: Box::new(move |work| margin(work, members, losses)),
+    };
+    worlds.map(claim).into()
 }
 
 /// What the closed form gives for the claim's worlds.
@@ -238,18 +251,19 @@ fn fails_at(work: &mut Work<'_>, members: usize, losses: u8, margin: u64) -> Opt
     None
 }
 
-/// Searches the least margin that holds from the closed form downwards, and shows that a release is reachable with it.
+/// Searches the least margin that holds; the one below it is the variant that must fail. Shows too that a member can
+/// be released with it at all, without which the claim would hold of nothing.
 fn margin(work: &mut Work<'_>, members: usize, losses: u8) -> Settled {
     let closed_form = closed_form(losses);
+    let mut one_less = None;
     let mut least = None;
-    let mut outcome_of_last = Outcome::Unknown;
-    for candidate in (0..=closed_form).rev() {
-        match fails_at(work, members, losses, candidate) {
-            None => least = Some(candidate),
-            Some((_, settled)) => {
-                outcome_of_last = settled.outcome;
+    for candidate in 0..=closed_form {
+        match work.part(|work| fails_at(work, members, losses, candidate)) {
+            (None, _) => {
+                least = Some(candidate);
                 break;
             }
+            (Some((_, settled)), counts) => one_less = Some((settled, counts)),
         }
     }
     let shown = least.unwrap_or(closed_form);
@@ -257,31 +271,18 @@ fn margin(work: &mut Work<'_>, members: usize, losses: u8) -> Settled {
     let meeting = divergence(members, losses, shown, time_out);
     let reachable = Meeting { watch: Watch::Reachable, budget: Budget::default(), ..meeting.clone() };
     let reached = once(work, &reachable).outcome == Outcome::Fails;
+    let unsettled = one_less.as_ref().map_or(Outcome::Unknown, |(settled, _)| settled.outcome);
     Settled {
-        outcome: if least.is_some() { Outcome::Holds } else { outcome_of_last },
+        outcome: if least.is_some() { Outcome::Holds } else { unsettled },
         bounds: bounds(&meeting),
-        found: Found {
-            least_safe_margin: least,
-            closed_form_margin: Some(closed_form),
-            ..Found::default()
-        },
+        found: Found { least_safe_margin: least, closed_form_margin: Some(closed_form), ..Found::default() },
         counterexample: None,
         sound: reached && least.is_some_and(|least| least <= closed_form),
+        variant: one_less.map(|(settled, counts)| {
+            let about = "with one tick less margin one member runs while another has given up";
+            Box::new(Variant { rule: "margin-one-less", about, settled, counts })
+        }),
     }
-}
-
-fn one_less(work: &mut Work<'_>, members: usize, losses: u8) -> Settled {
-    let mut last = None;
-    for candidate in (0..=closed_form(losses)).rev() {
-        if let Some((_, settled)) = fails_at(work, members, losses, candidate) {
-            return settled;
-        }
-        last = Some(candidate);
-    }
-    let margin = last.unwrap_or(0);
-    let meeting = divergence(members, losses, margin, margin + u64::from(DELAY) + 1);
-    let (bounds, found) = (bounds(&meeting), Found::default());
-    Settled { outcome: Outcome::Holds, bounds, found, counterexample: None, sound: false }
 }
 
 fn meet_again() -> Vec<Claim> {
@@ -296,11 +297,9 @@ fn meet_again() -> Vec<Claim> {
         settle: Box::new(move |work| attempts(work, members, loss)),
     };
     let counting = Rules { join_fresher: false, ..Rules::DEFAULT };
-    let apart = Meeting {
-        attempts: Some(2),
-        rules: counting,
-        ..timed(2, Watch::MeetAgain { attempts: 6 }, 1, 3, 5)
-    };
+    let apart =
+        Meeting { attempts: Some(2), rules: counting, ..timed(2, Watch::MeetAgain { attempts: 6 }, 1, 3, 5) };
+    let short = Meeting { ..timed(3, Watch::MeetAgain { attempts: 2 }, 0, 1, 3) };
     vec![
         search(2, 1, true),
         search(3, 0, true),
@@ -311,7 +310,23 @@ fn meet_again() -> Vec<Claim> {
             true,
             apart,
         ),
+        simple(
+            (
+                name,
+                "short-patience",
+                "three members whose patience ends in turn stay within the margin for ever",
+            ),
+            Outcome::Fails,
+            true,
+            short,
+        ),
     ]
+}
+
+/// A time_out with which members meet again whatever the phases of their attempts. With a shorter one, three members
+/// whose patience ends in turn find the others within the margin each time, for ever.
+const fn patience(members: usize, margin: u64) -> u64 {
+    if members == 2 { margin + DELAY as u64 + 1 } else { 3 * (margin + DELAY as u64) }
 }
 
 fn attempts(work: &mut Work<'_>, members: usize, loss: u8) -> Settled {
@@ -319,7 +334,7 @@ fn attempts(work: &mut Work<'_>, members: usize, loss: u8) -> Settled {
     let first = if members == 2 { 2 } else { 1 };
     for attempts in 1..=MOST {
         let margin = u64::from(DELAY) + RESEND * u64::from(loss);
-        let time_out = margin + u64::from(DELAY) + 1;
+        let time_out = patience(members, margin);
         let meeting = Meeting {
             attempts: Some(first),
             ..timed(members, Watch::MeetAgain { attempts }, loss, margin, time_out)
@@ -337,6 +352,7 @@ fn attempts(work: &mut Work<'_>, members: usize, loss: u8) -> Settled {
                 },
                 counterexample: draw(&scenario, &found),
                 sound: true,
+                variant: None,
             };
         }
     }
@@ -347,5 +363,6 @@ fn attempts(work: &mut Work<'_>, members: usize, loss: u8) -> Settled {
         found: Found::default(),
         counterexample: None,
         sound: false,
+        variant: None,
     }
 }

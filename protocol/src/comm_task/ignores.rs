@@ -58,7 +58,8 @@ impl Rendezvous {
             return false;
         }
         let meeting = packet.meeting();
-        let over = self.is_over(meeting.round) && !(self.owes_confirm && self.released == Some(meeting.round));
+        let over =
+            self.is_over(meeting.round) && !(self.owes_confirm && self.released == Some(meeting.round));
         let told = meeting.released != meeting.round && meeting.released == self.announced;
         let hint = told && self.deadline.is_some();
         match packet.kind {

@@ -103,6 +103,8 @@ pub(crate) struct Scene<'a> {
     pub task: TaskId,
     pub incarnation: Incarnation,
     pub restarted: bool,
+    /// Messages sent to an earlier life of the task may still arrive (D49).
+    pub quarantined: bool,
     pub now: Ticks,
 }
 
@@ -173,6 +175,10 @@ impl CommTask {
                     Role::Receives(index(inboxes.len() - 1))
                 }
                 Usage::Waitfor => {
+                    for party in port.parties.iter().filter(|party| restarted && party.task != task) {
+                        let life = party.time_out + table.bound_between(party.task, task);
+                        quarantine_until = quarantine_until.max(life);
+                    }
                     meetings.push(Rendezvous::new(id, port.parties.len(), table.rules().rounds));
                     Role::Meets(index(meetings.len() - 1))
                 }
@@ -261,6 +267,7 @@ impl CommTask {
             task: self.task,
             incarnation: self.incarnation,
             restarted: self.restarted,
+            quarantined: self.now < self.quarantine_until && table.rules().quarantine,
             now: self.now,
         }
     }

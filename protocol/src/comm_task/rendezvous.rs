@@ -186,6 +186,10 @@ impl Rendezvous {
 
     fn hear_arrival(&mut self, at: &mut At<'_>, from: usize, packet: &Packet, out: &mut impl Outbox) {
         let Meeting { round, released, arguments } = packet.meeting();
+        if at.scene.quarantined {
+            // It may be meant for an earlier life of this task, and its sender may have been released with that one.
+            return self.drop_packet(at, packet, Reason::StaleIncarnation, out);
+        }
         let arrived = Arrived { round, expires: at.scene.now + packet.remaining, arguments };
         if !self.numbered {
             self.record(at, from, arrived, out);
@@ -195,7 +199,7 @@ impl Rendezvous {
         if self.deadline.is_none() {
             if round.is_newer_than(self.announced) {
                 self.record(at, from, arrived, out);
-            } else if self.owes_confirm && self.released == Some(round) {
+            } else if self.owes_confirm && self.released == Some(round) && !self.members[from].reborn {
                 self.record(at, from, arrived, out);
                 self.confirm_if_owed(at, out);
             } else {
@@ -443,8 +447,11 @@ impl Rendezvous {
     fn confirm(&mut self, at: &mut At<'_>, round: Round, resent: bool, out: &mut impl Outbox) {
         self.note(at, Event::Confirmed, at.scene.task, Ticks::ZERO, out);
         for i in 0..self.members.len() {
-            let life = self.members[i].life.unwrap_or_default();
-            self.send_confirm(at, i, round, life, resent, out);
+            // A member that restarted since is another one: it was not in this meeting.
+            if !self.members[i].reborn {
+                let life = self.members[i].life.unwrap_or_default();
+                self.send_confirm(at, i, round, life, resent, out);
+            }
         }
     }
 

@@ -405,7 +405,7 @@ impl CommTask {
 
     fn admit_command(&mut self, table: &NodeTable, packet: &Packet, out: &mut impl Outbox) -> bool {
         let to = ReplyTo { port: packet.port, source: packet.source, id: packet.id };
-        if self.now < self.quarantine_until && self.rules(table).quarantine {
+        if self.scene(table).quarantined {
             // D49: it may be a copy of one that the earlier life ran.
             self.control(to, Control::Restarted, packet.remaining, out);
             return false;

@@ -1,0 +1,240 @@
+//! What is on the screen, as a value; everything that happens is a [`Msg`] that [`App::update`] reduces.
+
+mod steer;
+
+use crate::clock::Moment;
+use crate::keys;
+use crate::name::Name;
+use crate::rows::{Row, Shape, rows};
+use crate::source::Arrival;
+use crate::store::health::{self, Finding, Place};
+use crate::store::{Condition, LifeId, Store};
+use crate::theme::Theme;
+use crossterm::event::{KeyEvent, KeyEventKind};
+use imrs_protocol::{PortId, TaskId, Usage};
+use std::time::Duration;
+
+/// The screens.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub enum Screen {
+    /// Nodes, tasks and ports.
+    #[default]
+    Overview,
+    /// One port's queue.
+    Port,
+    /// Who waits for whom.
+    Rendezvous,
+    /// What happened.
+    Events,
+    /// The keys and signs.
+    Help,
+}
+
+/// Something that happened to the monitor.
+#[derive(Clone, Debug)]
+pub enum Msg {
+    /// A source said something.
+    Feed(Arrival),
+    /// A key was pressed.
+    Key(KeyEvent),
+    /// The screen is now so many columns and rows.
+    Resize(u16, u16),
+}
+
+/// What the main loop has to do after a message.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Effect {
+    /// Nothing: the screen is as it was.
+    Nothing,
+    /// Draw.
+    Draw,
+    /// Give the terminal back until the user returns.
+    Suspend,
+    /// End.
+    Quit,
+}
+
+/// One end of a port.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct PortEnd {
+    /// At this node.
+    pub life: LifeId,
+    /// At this task.
+    pub task: TaskId,
+    /// This port.
+    pub port: PortId,
+}
+
+/// All that the screen depends on, besides the moment.
+#[derive(Clone, Debug)]
+pub struct App {
+    live: Store,
+    /// While paused: the store as it was, and when.
+    frozen: Option<(Box<Store>, Moment)>,
+    /// The screen shown.
+    pub screen: Screen,
+    /// The screen that `Esc` returns to.
+    before: Screen,
+    /// How it looks.
+    pub theme: Theme,
+    cell: Option<Name>,
+    only: Option<String>,
+    /// The rows of the overview.
+    pub shape: Shape,
+    selected: Option<Place>,
+    port: Option<PortEnd>,
+    /// The first line shown on the screens that only scroll.
+    pub scroll: usize,
+    /// While not following: the number of the last event shown.
+    pub held: Option<u64>,
+    /// Whether the ordinary course of events is shown too.
+    pub everything: bool,
+    /// Whether keys go into the filter.
+    pub typing: bool,
+    size: (u16, u16),
+}
+
+impl App {
+    /// The overview of an empty store. `only`: the one cell to show.
+    #[must_use]
+    pub fn new(theme: Theme, only: Option<String>) -> Self {
+        Self {
+            live: Store::default(),
+            frozen: None,
+            screen: Screen::Overview,
+            before: Screen::Overview,
+            theme,
+            cell: None,
+            only,
+            shape: Shape::default(),
+            selected: None,
+            port: None,
+            scroll: 0,
+            held: None,
+            everything: false,
+            typing: false,
+            size: (80, 24),
+        }
+    }
+
+    /// What is shown: the present, or what was when the user paused.
+    #[must_use]
+    pub fn store(&self) -> &Store {
+        self.frozen.as_ref().map_or(&self.live, |(store, _)| store)
+    }
+
+    /// The present, also while paused.
+    #[must_use]
+    pub const fn live(&self) -> &Store {
+        &self.live
+    }
+
+    /// The moment that the screen shows.
+    #[must_use]
+    pub fn moment(&self, now: Moment) -> Moment {
+        self.frozen.as_ref().map_or(now, |(_, at)| *at)
+    }
+
+    /// Since when the screen has stood still.
+    #[must_use]
+    pub fn paused(&self) -> Option<Moment> {
+        self.frozen.as_ref().map(|(_, at)| *at)
+    }
+
+    /// The cell shown: the chosen one while it exists, or else the first.
+    #[must_use]
+    pub fn cell(&self) -> Option<Name> {
+        let cells = self.cells();
+        self.cell.clone().filter(|c| cells.contains(c)).or_else(|| cells.into_iter().next())
+    }
+
+    /// The cells that can be shown.
+    #[must_use]
+    pub fn cells(&self) -> Vec<Name> {
+        let mut cells = self.store().cells();
+        cells.retain(|c| self.only.as_ref().is_none_or(|only| c.raw() == only));
+        cells
+    }
+
+    /// How soon the screen must be drawn again though nothing comes in, because a countdown is on it.
+    #[must_use]
+    pub fn redraw_after(&self) -> Option<Duration> {
+        if self.frozen.is_some() || self.live.lives().is_empty() {
+            return None;
+        }
+        let attached = self.live.lives().iter().any(|l| l.condition == Condition::Attached);
+        Some(Duration::from_millis(if attached { 100 } else { 1000 }))
+    }
+
+    /// Takes a message over.
+    pub fn update(&mut self, msg: Msg, now: Moment) -> Effect {
+        match msg {
+            Msg::Feed(arrival) => {
+                self.live.apply(arrival);
+                if self.frozen.is_some() { Effect::Nothing } else { Effect::Draw }
+            }
+            Msg::Resize(width, height) => {
+                self.size = (width, height);
+                Effect::Draw
+            }
+            Msg::Key(event) if event.kind == KeyEventKind::Release => Effect::Nothing,
+            Msg::Key(event) if self.typing => self.typed(&event),
+            Msg::Key(event) => {
+                keys::action(&event, self.screen).map_or(Effect::Nothing, |action| self.act(action, now))
+            }
+        }
+    }
+
+    /// What is wrong in the cell shown.
+    #[must_use]
+    pub fn findings(&self, now: Moment) -> Vec<Finding> {
+        self.cell().map_or_else(Vec::new, |cell| health::findings(self.store(), &cell, self.moment(now)))
+    }
+
+    /// The rows of the overview.
+    #[must_use]
+    pub fn rows(&self, findings: &[Finding], now: Moment) -> Vec<Row> {
+        let Some(cell) = self.cell() else { return Vec::new() };
+        rows(self.store(), &cell, &self.shape, findings, self.moment(now))
+    }
+
+    /// Which of `rows` is selected: the chosen one, its nearest parent that is still there, or the first.
+    #[must_use]
+    pub fn selected(&self, rows: &[Row]) -> usize {
+        let Some(place) = self.selected else { return 0 };
+        let fits = |wanted: Place| rows.iter().position(|r| r.place == wanted);
+        let parents = [place, Place { port: None, ..place }, Place { task: None, port: None, ..place }];
+        parents.into_iter().find_map(fits).unwrap_or(0)
+    }
+
+    /// The ports that receive, in the order of the overview.
+    #[must_use]
+    pub fn queues(&self, now: Moment) -> Vec<PortEnd> {
+        let Some(cell) = self.cell() else { return Vec::new() };
+        let all = rows(self.store(), &cell, &Shape::default(), &[], self.moment(now));
+        let ends = all.into_iter().filter_map(|row| port_end(row.place));
+        let receives = |end: &PortEnd| {
+            let view = self.store().life(end.life).and_then(|l| l.port(end.task, end.port));
+            view.is_some_and(|v| v.capacity > 0 && v.usage != Usage::Waitfor)
+        };
+        ends.filter(receives).collect()
+    }
+
+    /// The port shown: the chosen one, or the first of `queues`.
+    #[must_use]
+    pub fn port(&self, queues: &[PortEnd]) -> Option<PortEnd> {
+        let there =
+            |end: &PortEnd| self.store().life(end.life).is_some_and(|l| l.port(end.task, end.port).is_some());
+        self.port.filter(there).or_else(|| queues.first().copied())
+    }
+
+    /// The event lines shown, oldest first.
+    #[must_use]
+    pub fn events(&self) -> Vec<&crate::store::journal::Entry> {
+        self.store().journal().lines(self.everything, &self.shape.filter)
+    }
+}
+
+fn port_end(place: Place) -> Option<PortEnd> {
+    Some(PortEnd { life: place.node.ok()?, task: place.task?, port: place.port? })
+}

@@ -1,0 +1,190 @@
+//! What keys do.
+
+use super::{App, Effect, PortEnd, Screen, port_end};
+use crate::clock::Moment;
+use crate::keys::Action;
+use crate::store::health::Place;
+use crate::store::journal::Level;
+use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
+use imrs_protocol::Usage;
+
+impl App {
+    pub(super) fn typed(&mut self, event: &KeyEvent) -> Effect {
+        let ctrl = event.modifiers.contains(KeyModifiers::CONTROL);
+        match event.code {
+            KeyCode::Char('c') if ctrl => return Effect::Quit,
+            KeyCode::Char('z') if ctrl => return Effect::Suspend,
+            KeyCode::Char(c) if !ctrl && !c.is_control() => self.shape.filter.extend(c.to_lowercase()),
+            KeyCode::Backspace => drop(self.shape.filter.pop()),
+            KeyCode::Enter => self.typing = false,
+            KeyCode::Esc => {
+                self.typing = false;
+                self.shape.filter.clear();
+            }
+            _ => return Effect::Nothing,
+        }
+        Effect::Draw
+    }
+
+    pub(super) fn act(&mut self, action: Action, now: Moment) -> Effect {
+        match action {
+            Action::Quit => return Effect::Quit,
+            Action::Suspend => return Effect::Suspend,
+            Action::Show(screen) => self.show(screen),
+            Action::Pause => {
+                self.frozen = match self.frozen.take() {
+                    Some(_) => None,
+                    None => Some((Box::new(self.live.clone()), now)),
+                }
+            }
+            Action::Theme => self.theme = self.theme.next(),
+            Action::Cell => self.next_cell(),
+            Action::Filter => self.typing = true,
+            Action::Sort => self.shape.sort = self.shape.sort.next(),
+            Action::Invert => self.shape.inverted = !self.shape.inverted,
+            Action::Everything => {
+                self.everything = !self.everything;
+                self.held = None;
+            }
+            Action::NextError => self.jump_to_error(true),
+            Action::PreviousError => self.jump_to_error(false),
+            Action::Back => self.back(),
+            Action::Enter => self.enter(now),
+            Action::Left | Action::Right if self.screen == Screen::Port => {
+                self.turn(action == Action::Right, now);
+            }
+            Action::Left => self.fold(true, now),
+            Action::Right => self.fold(false, now),
+            Action::Up => self.step(-1, now),
+            Action::Down => self.step(1, now),
+            Action::PageUp => self.step(-self.page(), now),
+            Action::PageDown => self.step(self.page(), now),
+            Action::First => self.step(isize::MIN, now),
+            Action::Last => self.step(isize::MAX, now),
+        }
+        Effect::Draw
+    }
+
+    fn show(&mut self, screen: Screen) {
+        if self.screen == Screen::Help && screen == Screen::Help {
+            self.screen = self.before;
+        } else if screen != self.screen {
+            self.before = self.screen;
+            self.screen = screen;
+            if screen == Screen::Port && self.before == Screen::Overview {
+                self.port = self.selected.and_then(port_end);
+            }
+        }
+        self.scroll = 0;
+    }
+
+    fn back(&mut self) {
+        if !self.shape.filter.is_empty() && matches!(self.screen, Screen::Overview | Screen::Events) {
+            self.shape.filter.clear();
+        } else if self.screen != Screen::Overview {
+            self.screen = if self.screen == Screen::Help { self.before } else { Screen::Overview };
+            self.scroll = 0;
+        }
+    }
+
+    fn next_cell(&mut self) {
+        let cells = self.cells();
+        let at = self.cell().and_then(|shown| cells.iter().position(|c| *c == shown)).unwrap_or(0);
+        self.cell = cells.get((at + 1) % cells.len().max(1)).cloned();
+        self.selected = None;
+        self.port = None;
+    }
+
+    /// How many rows fit, less the head, the titles and the foot.
+    fn page(&self) -> isize {
+        isize::from(self.size.1.saturating_sub(3).max(1).cast_signed())
+    }
+
+    fn fold(&mut self, hide: bool, now: Moment) {
+        let rows = self.rows(&self.findings(now), now);
+        let Some(row) = rows.get(self.selected(&rows)).copied() else { return };
+        if row.open == hide && row.parent {
+            if !self.shape.toggled.remove(&row.place) {
+                self.shape.toggled.insert(row.place);
+            }
+        } else if hide {
+            let parent = Place { task: row.place.task.filter(|_| row.depth == 2), port: None, ..row.place };
+            self.selected = Some(parent);
+        }
+    }
+
+    fn enter(&mut self, now: Moment) {
+        let rows = self.rows(&self.findings(now), now);
+        let Some(row) = rows.get(self.selected(&rows)).copied() else { return };
+        self.selected = Some(row.place);
+        match port_end(row.place) {
+            Some(end) if self.is_waitfor(end) => self.show(Screen::Rendezvous),
+            Some(_) => self.show(Screen::Port),
+            None => self.fold(row.open, now),
+        }
+    }
+
+    fn is_waitfor(&self, end: PortEnd) -> bool {
+        let view = self.store().life(end.life).and_then(|l| l.port(end.task, end.port));
+        view.is_some_and(|v| v.usage == Usage::Waitfor)
+    }
+
+    fn turn(&mut self, forward: bool, now: Moment) {
+        let queues = self.queues(now);
+        if queues.is_empty() {
+            return;
+        }
+        let at = self.port(&queues).and_then(|end| queues.iter().position(|q| *q == end));
+        let (count, at) = (queues.len(), at.unwrap_or(0));
+        self.port = Some(queues[if forward { (at + 1) % count } else { (at + count - 1) % count }]);
+        self.scroll = 0;
+    }
+
+    fn step(&mut self, by: isize, now: Moment) {
+        match self.screen {
+            Screen::Overview => {
+                let rows = self.rows(&self.findings(now), now);
+                let last = rows.len().saturating_sub(1);
+                let to = self.selected(&rows).saturating_add_signed(by).min(last);
+                self.selected = rows.get(to).map(|r| r.place);
+            }
+            Screen::Events => self.step_events(by),
+            Screen::Port | Screen::Rendezvous | Screen::Help => {
+                let most = self.lines(now).saturating_sub(1);
+                self.scroll = self.scroll.saturating_add_signed(by).min(most);
+            }
+        }
+    }
+
+    /// How many lines the screens that only scroll have.
+    fn lines(&self, now: Moment) -> usize {
+        match self.screen {
+            Screen::Port => {
+                let end = self.port(&self.queues(now));
+                let view = end.and_then(|e| self.store().life(e.life).and_then(|l| l.port(e.task, e.port)));
+                view.map_or(0, |v| v.queue.len())
+            }
+            Screen::Rendezvous | Screen::Help => crate::view::length(self, now),
+            Screen::Overview | Screen::Events => 0,
+        }
+    }
+
+    fn step_events(&mut self, by: isize) {
+        let lines = self.events();
+        let last = lines.len().saturating_sub(1);
+        let at = self.held.map_or(last, |held| lines.iter().rposition(|e| e.number <= held).unwrap_or(0));
+        let to = at.saturating_add_signed(by).min(last);
+        let number = lines.get(to).map(|e| e.number);
+        self.held = if to == last { None } else { number };
+    }
+
+    fn jump_to_error(&mut self, forward: bool) {
+        let lines = self.events();
+        let at = self.held.unwrap_or(u64::MAX);
+        let mut bad = lines.iter().filter(|e| e.level() == Level::Bad).map(|e| e.number);
+        let found = if forward { bad.find(|n| *n > at) } else { bad.rfind(|n| *n < at) };
+        if found.is_some() {
+            self.held = found;
+        }
+    }
+}

@@ -1,0 +1,55 @@
+//! Why the monitor could not do its work.
+
+use imrs_wire::obs::place::PlaceError;
+use std::io;
+use std::path::PathBuf;
+use thiserror::Error;
+
+/// Why the monitor could not do its work.
+#[derive(Debug, Error)]
+pub enum MonitorError {
+    /// No node was found, or none of the named ones answered.
+    #[error("no running node found{}", reasons(.looked, .failed))]
+    NothingFound {
+        /// The folder that was looked through, unless endpoints were named.
+        looked: Option<PathBuf>,
+        /// What went wrong where something was tried.
+        failed: Vec<String>,
+    },
+    /// The folder of the sockets cannot be read.
+    #[error(transparent)]
+    Place(#[from] PlaceError),
+    /// The terminal failed, or standard output did.
+    #[error("the terminal failed: {0}")]
+    Terminal(#[source] io::Error),
+    /// The process cannot be told of signals.
+    #[error("cannot handle signals: {0}")]
+    Signals(#[source] io::Error),
+    /// A thread of the monitor ended by a fault of the monitor itself.
+    #[error("an internal fault ended the monitor")]
+    Internal,
+}
+
+impl MonitorError {
+    /// The exit code of a command that ends with this error: 3 nothing to attach to, 2 bad input, 70 internal fault.
+    #[must_use]
+    pub const fn exit_code(&self) -> u8 {
+        match self {
+            Self::NothingFound { .. } => 3,
+            Self::Place(_) => 2,
+            Self::Terminal(_) | Self::Signals(_) | Self::Internal => 70,
+        }
+    }
+}
+
+fn reasons(looked: &Option<PathBuf>, failed: &[String]) -> String {
+    let mut text = String::new();
+    if let Some(dir) = looked {
+        text.push_str(&format!(" under {}", crate::name::shown(&dir.display().to_string())));
+    }
+    for one in failed {
+        text.push_str("\n  ");
+        text.push_str(one);
+    }
+    text + "\nstart one with `imrs demo beam-lift` or `imrs run CELL`, or name one with `--connect unix:PATH`"
+}

@@ -1,0 +1,168 @@
+//! The keys, in one table: what acts on them and what the help shows can never differ.
+
+use crate::app::Screen;
+use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
+
+/// What a key does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Action {
+    /// Shows a screen.
+    Show(Screen),
+    /// One row up.
+    Up,
+    /// One row down.
+    Down,
+    /// One page up.
+    PageUp,
+    /// One page down.
+    PageDown,
+    /// To the first row.
+    First,
+    /// To the last row, and on with it.
+    Last,
+    /// Hides the children, or goes to the parent; to the previous port.
+    Left,
+    /// Shows the children; to the next port.
+    Right,
+    /// Goes in.
+    Enter,
+    /// Goes back, clears the filter.
+    Back,
+    /// Begins to type a filter.
+    Filter,
+    /// The next order of rows.
+    Sort,
+    /// The other way round.
+    Invert,
+    /// Stops or goes on showing what comes in.
+    Pause,
+    /// Shows the ordinary course of events too.
+    Everything,
+    /// The next line that reports something bad.
+    NextError,
+    /// The one before.
+    PreviousError,
+    /// The next cell.
+    Cell,
+    /// The next theme.
+    Theme,
+    /// Stops the monitor until `fg`.
+    Suspend,
+    /// Ends the monitor.
+    Quit,
+}
+
+/// A key.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Key {
+    /// The key itself.
+    pub code: KeyCode,
+    /// Whether Ctrl is held.
+    pub ctrl: bool,
+}
+
+const fn key(c: char) -> Key {
+    Key { code: KeyCode::Char(c), ctrl: false }
+}
+
+const fn ctrl(c: char) -> Key {
+    Key { code: KeyCode::Char(c), ctrl: true }
+}
+
+const fn code(code: KeyCode) -> Key {
+    Key { code, ctrl: false }
+}
+
+/// One line of the table.
+#[derive(Clone, Copy, Debug)]
+pub struct Binding {
+    /// Any of these.
+    pub keys: &'static [Key],
+    /// Does this.
+    pub action: Action,
+    /// In words.
+    pub help: &'static str,
+    /// On these screens; none named: on all.
+    pub on: &'static [Screen],
+}
+
+const fn everywhere(keys: &'static [Key], action: Action, help: &'static str) -> Binding {
+    Binding { keys, action, help, on: &[] }
+}
+
+const fn on(on: &'static [Screen], keys: &'static [Key], action: Action, help: &'static str) -> Binding {
+    Binding { keys, action, help, on }
+}
+
+/// All keys. The first line that fits decides.
+pub const BINDINGS: &[Binding] = &[
+    everywhere(&[key('1')], Action::Show(Screen::Overview), "overview: nodes, tasks, ports"),
+    everywhere(&[key('2')], Action::Show(Screen::Port), "one port's queue in the order of service"),
+    everywhere(&[key('3')], Action::Show(Screen::Rendezvous), "who waits for whom"),
+    everywhere(&[key('6')], Action::Show(Screen::Events), "what happened"),
+    everywhere(&[key('?')], Action::Show(Screen::Help), "this help"),
+    everywhere(&[key('k'), code(KeyCode::Up)], Action::Up, "up"),
+    everywhere(&[key('j'), code(KeyCode::Down)], Action::Down, "down"),
+    everywhere(&[code(KeyCode::PageUp), ctrl('b')], Action::PageUp, "a page up"),
+    everywhere(&[code(KeyCode::PageDown), ctrl('f')], Action::PageDown, "a page down"),
+    everywhere(&[key('g'), code(KeyCode::Home)], Action::First, "first row"),
+    everywhere(&[key('G'), code(KeyCode::End)], Action::Last, "last row; events: follow"),
+    on(&[Screen::Overview], &[key('h'), code(KeyCode::Left)], Action::Left, "hide the rows within"),
+    on(&[Screen::Overview], &[key('l'), code(KeyCode::Right)], Action::Right, "show the rows within"),
+    on(&[Screen::Port], &[key('h'), code(KeyCode::Left)], Action::Left, "previous port"),
+    on(&[Screen::Port], &[key('l'), code(KeyCode::Right)], Action::Right, "next port"),
+    on(&[Screen::Overview], &[code(KeyCode::Enter)], Action::Enter, "open: node, task, port, meeting"),
+    everywhere(&[code(KeyCode::Esc)], Action::Back, "back; clear the filter"),
+    on(&[Screen::Overview, Screen::Events], &[key('/')], Action::Filter, "show only rows with a text"),
+    on(&[Screen::Overview], &[key('s')], Action::Sort, "sort by name, slack, queue, health"),
+    on(&[Screen::Overview], &[key('i')], Action::Invert, "invert the order"),
+    on(
+        &[Screen::Events],
+        &[key('a')],
+        Action::Everything,
+        "every event (repeated copies too), or those that matter",
+    ),
+    on(&[Screen::Events], &[key('e')], Action::NextError, "next bad event"),
+    on(&[Screen::Events], &[key('E')], Action::PreviousError, "previous bad event"),
+    everywhere(&[key(' ')], Action::Pause, "pause this screen (never the nodes)"),
+    everywhere(&[key('c')], Action::Cell, "next cell"),
+    everywhere(&[key('t')], Action::Theme, "next theme"),
+    everywhere(&[ctrl('z')], Action::Suspend, "to the shell; `fg` returns"),
+    everywhere(&[key('q'), ctrl('c')], Action::Quit, "quit"),
+];
+
+/// What `event` does on `screen`.
+#[must_use]
+pub fn action(event: &KeyEvent, screen: Screen) -> Option<Action> {
+    let pressed = Key { code: event.code, ctrl: event.modifiers.contains(KeyModifiers::CONTROL) };
+    let fits = |b: &&Binding| b.keys.contains(&pressed) && b.is_on(screen);
+    BINDINGS.iter().find(fits).map(|b| b.action)
+}
+
+impl Binding {
+    /// Whether the keys act on `screen`.
+    #[must_use]
+    pub fn is_on(&self, screen: Screen) -> bool {
+        self.on.is_empty() || self.on.contains(&screen)
+    }
+
+    /// The keys, as the help shows them.
+    #[must_use]
+    pub fn label(&self) -> String {
+        let names: Vec<_> = self.keys.iter().map(|k| k.label()).collect();
+        names.join(" ")
+    }
+}
+
+impl Key {
+    fn label(self) -> String {
+        let name = match self.code {
+            KeyCode::Char(' ') => "space".to_owned(),
+            KeyCode::Char(c) => c.to_string(),
+            KeyCode::PageUp => "PgUp".to_owned(),
+            KeyCode::PageDown => "PgDn".to_owned(),
+            other => format!("{other}"),
+        };
+        if self.ctrl { format!("^{}", name.to_uppercase()) } else { name }
+    }
+}

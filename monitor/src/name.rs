@@ -1,0 +1,105 @@
+//! Names that came over the wire: whoever wrote them, showing them must not move a cursor, change a colour or reverse
+//! a line.
+
+use std::fmt::{self, Write as _};
+use std::sync::Arc;
+
+/// The longest name that is shown, in characters.
+const LONGEST: usize = 64;
+
+/// A name as it was sent, and as it is shown.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Name {
+    raw: Arc<str>,
+    shown: Arc<str>,
+}
+
+impl Name {
+    /// The name `raw`.
+    #[must_use]
+    pub fn new(raw: &str) -> Self {
+        Self { raw: raw.into(), shown: shown(raw).into() }
+    }
+
+    /// The name exactly as it was sent. Never for a terminal.
+    #[must_use]
+    pub fn raw(&self) -> &str {
+        &self.raw
+    }
+
+    /// The name with everything escaped that a terminal could act on, and cut where it is very long.
+    #[must_use]
+    pub fn shown(&self) -> &str {
+        &self.shown
+    }
+}
+
+impl fmt::Display for Name {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.pad(&self.shown)
+    }
+}
+
+/// `text` with everything escaped that a terminal could act on, and cut where it is very long.
+#[must_use]
+pub fn shown(text: &str) -> String {
+    let mut out = String::new();
+    for (i, c) in text.chars().enumerate() {
+        if i == LONGEST {
+            out.push_str("..");
+            break;
+        }
+        if !acts(c) {
+            out.push(c);
+        } else if u32::from(c) < 0x100 {
+            let _ = write!(out, "\\x{:02x}", u32::from(c));
+        } else {
+            let _ = write!(out, "\\u{:04x}", u32::from(c));
+        }
+    }
+    out
+}
+
+/// JSON text with every character in it escaped that a terminal could act on; the values stay the same. JSON has such
+/// characters only in strings, where `\uXXXX` means the same.
+#[must_use]
+pub fn shown_json(json: &str) -> String {
+    let mut out = String::with_capacity(json.len());
+    for c in json.chars() {
+        if acts(c) && c != '\n' {
+            let _ = write!(out, "\\u{:04x}", u32::from(c));
+        } else {
+            out.push(c);
+        }
+    }
+    out
+}
+
+/// Control characters (C0, DEL, C1), and what changes direction, breaks lines or has no width. All lie in the basic
+/// plane.
+fn acts(c: char) -> bool {
+    c.is_control()
+        || matches!(c, '\u{ad}' | '\u{61c}' | '\u{180e}' | '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}'
+            | '\u{2060}'..='\u{206f}' | '\u{feff}' | '\u{fff9}'..='\u{fffb}')
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn nothing_that_a_terminal_acts_on_is_shown() {
+        let name = Name::new("a\u{1b}[31m\u{9b}2J\u{202e}b\u{7f}\r\n\u{2066}é");
+        assert_eq!(name.shown(), "a\\x1b[31m\\x9b2J\\u202eb\\x7f\\x0d\\x0a\\u2066é");
+        assert_eq!(name.raw().chars().count(), 16);
+        assert_eq!(shown(&"x".repeat(70)), "x".repeat(64) + "..");
+    }
+
+    #[test]
+    fn json_keeps_its_values() {
+        let text = serde_json::to_string("\u{1b}\u{9b}\u{202e}\"\n").unwrap();
+        let escaped = shown_json(&text);
+        assert!(escaped.is_ascii(), "{escaped}");
+        assert_eq!(serde_json::from_str::<String>(&escaped).unwrap(), "\u{1b}\u{9b}\u{202e}\"\n");
+    }
+}

@@ -1,0 +1,387 @@
+//! The state of a cell as JSON or text: for pipes, tests and screen readers.
+
+use crate::clock::{Moment, Span};
+use crate::name::{Name, shown_json};
+use crate::store::health::{Finding, findings};
+use crate::store::journal::Level;
+use crate::store::meeting::{Meeting, Standing, meetings, state};
+use crate::store::{Life, Store};
+use imrs_protocol::{Class, MeetingState, MeetingView, PortView, TaskState, Usage};
+use imrs_wire::obs::{Count, Liveness, TaskSnapshot};
+use serde::Serialize;
+use std::fmt::Write as _;
+
+/// The version of the JSON form. Fields are only ever added to it.
+const VERSION: u32 = 1;
+
+#[derive(Serialize)]
+struct Report<'a> {
+    version: u32,
+    nodes: Vec<Node<'a>>,
+    findings: Vec<Found>,
+    /// Where attaching failed, and why.
+    troubles: Vec<&'a str>,
+}
+
+#[derive(Serialize)]
+struct Node<'a> {
+    cell: &'a str,
+    name: &'a str,
+    up: bool,
+    /// `up`, `silent`, `stopped`, `dead`, `unseen`.
+    state: &'static str,
+    incarnation: Option<u8>,
+    pid: Option<u32>,
+    build: Option<&'a str>,
+    uptime_us: Option<u64>,
+    insecure: Option<bool>,
+    transit: Transit,
+    discards: Vec<Reason<'a>>,
+    link_discards: Vec<Reason<'a>>,
+    lost_events: u64,
+    tasks: Vec<Task<'a>>,
+}
+
+#[derive(Default, Serialize)]
+struct Transit {
+    len: u16,
+    capacity: u16,
+    min_slack_us: Option<u64>,
+    forwarded: u64,
+}
+
+#[derive(Serialize)]
+struct Reason<'a> {
+    reason: &'a str,
+    count: u64,
+}
+
+#[derive(Serialize)]
+struct Task<'a> {
+    name: &'a str,
+    /// `run`, `receive`, `await_reply`, `waitfor`, `delay`; or `ended`, `crashed`.
+    state: &'static str,
+    ports: Vec<Port<'a>>,
+    waitfor: Vec<Waitfor<'a>>,
+}
+
+#[derive(Serialize)]
+struct Port<'a> {
+    name: &'a str,
+    usage: &'static str,
+    class: u8,
+    len: u16,
+    capacity: u16,
+    min_slack_us: Option<u64>,
+    sent: u64,
+    resent: u64,
+    enqueued: u64,
+    delivered: u64,
+    expired: u64,
+    refused: u64,
+    rejected: u64,
+    evicted: u64,
+    duplicates: u64,
+    timed_out: u64,
+    dropped: u64,
+    /// No message is lengthened or delayed by a penalty in this version of the protocol.
+    penalty_us: u64,
+}
+
+#[derive(Serialize)]
+struct Waitfor<'a> {
+    port: &'a str,
+    round: u16,
+    /// `away`, `gathering`, `within_margin`.
+    state: &'static str,
+    released: u16,
+    members: Vec<Member<'a>>,
+    remaining_us: Option<u64>,
+}
+
+#[derive(Serialize)]
+struct Member<'a> {
+    task: &'a str,
+    arrived: bool,
+    confirmed: bool,
+}
+
+#[derive(Serialize)]
+struct Found {
+    level: &'static str,
+    code: &'static str,
+    node: Option<String>,
+    task: Option<String>,
+    port: Option<String>,
+    text: String,
+}
+
+/// The cells of a store that are wanted, sorted.
+#[must_use]
+pub fn cells(store: &Store, only: Option<&str>) -> Vec<Name> {
+    let mut cells = store.cells();
+    cells.retain(|c| only.is_none_or(|only| c.raw() == only));
+    cells
+}
+
+/// Whether anything in the wanted cells is critical.
+#[must_use]
+pub fn is_critical(store: &Store, only: Option<&str>, now: Moment) -> bool {
+    cells(store, only).iter().any(|cell| findings(store, cell, now).iter().any(|f| f.level == Level::Bad))
+}
+
+/// The wanted cells as one line of JSON, without the line's end.
+///
+/// # Panics
+/// Never: every key is a string and memory is the only thing that the encoding can run out of.
+#[must_use]
+pub fn json(store: &Store, only: Option<&str>, now: Moment) -> String {
+    let cells = cells(store, only);
+    let mut report =
+        Report { version: VERSION, nodes: Vec::new(), findings: Vec::new(), troubles: Vec::new() };
+    report.troubles = store.troubles().collect();
+    let unseen: Vec<_> = cells.iter().map(|cell| store.unseen(cell)).collect();
+    for (cell, unseen) in cells.iter().zip(&unseen) {
+        report.nodes.extend(store.lives_of(cell).map(|life| node(life, now)));
+        report.nodes.extend(unseen.iter().map(|(_, name, killed)| not_seen(cell, name, *killed)));
+        report.findings.extend(findings(store, cell, now).iter().map(|f| found(store, cell, f)));
+    }
+    shown_json(&serde_json::to_string(&report).expect("a report is plain data"))
+}
+
+fn node(life: &Life, now: Moment) -> Node<'_> {
+    use crate::store::Presence::{Dead, Silent, Stopped, Up};
+    let presence = life.presence(now);
+    let snapshot = life.last.as_ref().map(|s| &*s.snapshot);
+    let transit = snapshot.map_or_else(Transit::default, |s| Transit {
+        len: s.transit.len,
+        capacity: s.transit.capacity,
+        min_slack_us: s.transit.min_slack.map(|t| life.left(t, s.transit_age_us, now).us),
+        forwarded: s.transit.forwarded,
+    });
+    Node {
+        cell: life.names.cell.raw(),
+        name: life.node.raw(),
+        up: matches!(presence, Up | Silent(_)),
+        state: match presence {
+            Up => "up",
+            Silent(_) => "silent",
+            Stopped(_) => "stopped",
+            Dead(_) => "dead",
+        },
+        incarnation: Some(life.incarnation),
+        pid: Some(life.pid),
+        build: Some(life.build.raw()),
+        uptime_us: snapshot.map(|s| s.uptime_us),
+        insecure: snapshot.map(|s| s.insecure),
+        transit,
+        discards: snapshot.map_or(&[][..], |s| &s.discards).iter().map(reason).collect(),
+        link_discards: snapshot.map_or(&[][..], |s| &s.link_discards).iter().map(reason).collect(),
+        lost_events: life.lost,
+        tasks: life.tasks().iter().map(|t| task(life, t, now)).collect(),
+    }
+}
+
+fn reason(count: &Count) -> Reason<'_> {
+    Reason { reason: &count.name, count: count.count }
+}
+
+fn not_seen<'a>(cell: &'a Name, name: &'a Name, killed: bool) -> Node<'a> {
+    Node {
+        cell: cell.raw(),
+        name: name.raw(),
+        up: false,
+        state: if killed { "dead" } else { "unseen" },
+        incarnation: None,
+        pid: None,
+        build: None,
+        uptime_us: None,
+        insecure: None,
+        transit: Transit::default(),
+        discards: Vec::new(),
+        link_discards: Vec::new(),
+        lost_events: 0,
+        tasks: Vec::new(),
+    }
+}
+
+fn task<'a>(life: &'a Life, task: &'a TaskSnapshot, now: Moment) -> Task<'a> {
+    let state = match (task.liveness, task.view.state) {
+        (Liveness::Crashed, _) => "crashed",
+        (Liveness::Ended, _) => "ended",
+        (Liveness::Alive, TaskState::Running) => "run",
+        (Liveness::Alive, TaskState::Receiving { .. }) => "receive",
+        (Liveness::Alive, TaskState::AwaitingReply { .. }) => "await_reply",
+        (Liveness::Alive, TaskState::Waiting { .. }) => "waitfor",
+        (Liveness::Alive, TaskState::Delaying) => "delay",
+    };
+    Task {
+        name: raw_task(life, task.view.task),
+        state,
+        ports: task.view.ports.iter().map(|p| port(life, task, p, now)).collect(),
+        waitfor: task.view.meetings.iter().map(|m| waitfor(life, task, m, now)).collect(),
+    }
+}
+
+fn raw_task(life: &Life, id: imrs_protocol::TaskId) -> &str {
+    life.names.tasks.get(id.index()).map_or("?", |t| t.name.raw())
+}
+
+fn raw_port(life: &Life, id: imrs_protocol::PortId) -> &str {
+    life.names.port(id).map_or("?", |p| p.name.raw())
+}
+
+fn port<'a>(life: &'a Life, task: &TaskSnapshot, view: &PortView, now: Moment) -> Port<'a> {
+    let c = &view.counters;
+    Port {
+        name: raw_port(life, view.port),
+        usage: view.usage.word(),
+        class: if view.class == Class::Command { 2 } else { 1 },
+        len: view.len,
+        capacity: view.capacity,
+        min_slack_us: view.min_slack.map(|s| life.left(s, task.age_us, now).us),
+        sent: c.sent,
+        resent: c.resent,
+        enqueued: c.enqueued,
+        delivered: c.delivered,
+        expired: c.expired,
+        refused: c.refused,
+        rejected: c.rejected,
+        evicted: c.evicted,
+        duplicates: c.duplicates,
+        timed_out: c.timed_out,
+        dropped: c.dropped,
+        penalty_us: 0,
+    }
+}
+
+fn waitfor<'a>(life: &'a Life, task: &TaskSnapshot, view: &MeetingView, now: Moment) -> Waitfor<'a> {
+    let member = |m: &imrs_protocol::MemberView| Member {
+        task: raw_task(life, m.task),
+        arrived: m.arrived,
+        confirmed: m.confirmed,
+    };
+    Waitfor {
+        port: raw_port(life, view.port),
+        round: view.round.0,
+        state: match view.state {
+            MeetingState::Away => "away",
+            MeetingState::Gathering => "gathering",
+            MeetingState::WithinMargin => "within_margin",
+        },
+        released: view.released.0,
+        members: view.members.iter().map(member).collect(),
+        remaining_us: view.remaining.map(|r| life.left(r, task.age_us, now).us),
+    }
+}
+
+fn found(store: &Store, cell: &Name, finding: &Finding) -> Found {
+    let life = finding.place.node.ok().and_then(|id| store.life(id));
+    let names = store.names(cell);
+    let unseen = finding.place.node.err().and_then(|id| names.map(|n| n.node(id).raw().to_owned()));
+    Found {
+        level: match finding.level {
+            Level::Bad => "critical",
+            Level::Warn => "warning",
+            Level::Note | Level::Trace => "note",
+        },
+        code: finding.code,
+        node: life.map(|l| l.node.raw().to_owned()).or(unseen),
+        task: life.zip(finding.place.task).map(|(l, t)| raw_task(l, t).to_owned()),
+        port: life.zip(finding.place.port).map(|(l, p)| raw_port(l, p).to_owned()),
+        text: finding.text.clone(),
+    }
+}
+
+/// The wanted cells as text, a fact per line.
+#[must_use]
+pub fn text(store: &Store, only: Option<&str>, now: Moment) -> String {
+    let mut out = String::new();
+    for cell in cells(store, only) {
+        let _ = writeln!(out, "cell {cell}");
+        for life in store.lives_of(&cell) {
+            text_node(life, now, &mut out);
+        }
+        for (_, name, killed) in store.unseen(&cell) {
+            let _ = writeln!(out, "  node {name}: {}", if killed { "DEAD" } else { "not seen here" });
+        }
+        for meeting in meetings(store, &cell, now) {
+            text_meeting(&meeting, &mut out);
+        }
+        for finding in findings(store, &cell, now) {
+            let place = found(store, &cell, &finding);
+            let place: Vec<_> = [place.node, place.task, place.port].into_iter().flatten().collect();
+            let place = crate::name::shown(&place.join("."));
+            let level = if finding.level == Level::Bad { "CRITICAL" } else { "warning" };
+            let _ = writeln!(out, "  {level} {place}: {} [{}]", finding.text, finding.code);
+        }
+    }
+    for trouble in store.troubles() {
+        let _ = writeln!(out, "cannot attach: {trouble}");
+    }
+    out
+}
+
+fn text_node(life: &Life, now: Moment, out: &mut String) {
+    let uptime = life.last.as_ref().map_or(0, |s| s.snapshot.uptime_us);
+    let presence = life.presence(now);
+    let _ =
+        write!(out, "  node {}: {presence}, pid {}, incarnation {}", life.node, life.pid, life.incarnation);
+    let _ = writeln!(out, ", ran {}", Span::micros(uptime));
+    for task in life.tasks() {
+        let does = match task.liveness {
+            Liveness::Crashed => "CRASHED".to_owned(),
+            Liveness::Ended => "ended".to_owned(),
+            Liveness::Alive => state(life, &task.view.state),
+        };
+        let _ = writeln!(out, "    task {}: {does}", life.names.task(task.view.task));
+        for port in &task.view.ports {
+            text_port(life, task, port, now, out);
+        }
+    }
+}
+
+fn text_port(life: &Life, task: &TaskSnapshot, port: &PortView, now: Moment, out: &mut String) {
+    let c = &port.counters;
+    let name = life.names.port_name(port.port);
+    let _ = write!(out, "      port {name}: {}", port.usage);
+    if port.usage != Usage::Waitfor && port.capacity > 0 {
+        let _ = write!(out, ", {} of {} waiting", port.len, port.capacity);
+    }
+    if let Some(left) = port.min_slack.map(|s| life.left(s, task.age_us, now)) {
+        let _ = write!(out, ", most urgent {left}");
+    }
+    let counters = [
+        ("sent", c.sent),
+        ("in", c.enqueued),
+        ("served", c.delivered),
+        ("expired", c.expired),
+        ("refused", c.refused),
+        ("evicted", c.evicted),
+        ("timed out", c.timed_out),
+        ("duplicates", c.duplicates),
+    ];
+    for (name, count) in counters.into_iter().filter(|(_, count)| *count > 0) {
+        let _ = write!(out, ", {name} {count}");
+    }
+    out.push('\n');
+}
+
+fn text_meeting(meeting: &Meeting, out: &mut String) {
+    let _ = write!(out, "  waitfor {} {}", meeting.name, meeting.round);
+    if !meeting.is_waiting() {
+        out.push_str(": nobody waits\n");
+        return;
+    }
+    let _ = write!(out, ": {} of {} arrived", meeting.arrived(), meeting.members.len());
+    if let Some(left) = meeting.left {
+        let _ = write!(out, ", {left} left");
+    }
+    let missing =
+        meeting.members.iter().filter(|m| matches!(m.standing, Standing::Missing | Standing::Unknown));
+    let missing: Vec<_> = missing.map(|m| format!("{}@{} ({})", m.name, m.node, m.doing)).collect();
+    if !missing.is_empty() {
+        let _ = write!(out, ", missing {}", missing.join(", "));
+    }
+    out.push('\n');
+}

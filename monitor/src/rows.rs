@@ -1,0 +1,184 @@
+//! The rows of the overview: nodes, their tasks, their ports, in the order and with the filter that the user chose.
+
+use crate::clock::Moment;
+use crate::name::Name;
+use crate::store::health::{Finding, Place};
+use crate::store::journal::Level;
+use crate::store::{Life, Store};
+use imrs_protocol::PortView;
+use imrs_wire::obs::TaskSnapshot;
+use std::collections::BTreeSet;
+
+/// A row.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Row {
+    /// What it shows.
+    pub place: Place,
+    /// 0 node, 1 task, 2 port.
+    pub depth: u8,
+    /// Whether there are rows within it.
+    pub parent: bool,
+    /// Whether they are shown.
+    pub open: bool,
+}
+
+/// What rows are ordered by. Rows stay within their node and task.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Sort {
+    /// As declared.
+    #[default]
+    Name,
+    /// Least time left first.
+    Slack,
+    /// Fullest queue first.
+    Queue,
+    /// Worst first.
+    Health,
+}
+
+impl Sort {
+    /// The next one.
+    #[must_use]
+    pub const fn next(self) -> Self {
+        match self {
+            Self::Name => Self::Slack,
+            Self::Slack => Self::Queue,
+            Self::Queue => Self::Health,
+            Self::Health => Self::Name,
+        }
+    }
+
+    /// In one word.
+    #[must_use]
+    pub const fn word(self) -> &'static str {
+        match self {
+            Self::Name => "name",
+            Self::Slack => "slack",
+            Self::Queue => "queue",
+            Self::Health => "health",
+        }
+    }
+}
+
+/// How the user wants the rows.
+#[derive(Clone, Debug, Default)]
+pub struct Shape {
+    /// Rows whose children the user has hidden, or shown where they are hidden at first.
+    pub toggled: BTreeSet<Place>,
+    /// The order.
+    pub sort: Sort,
+    /// The other way round.
+    pub inverted: bool,
+    /// In lower case; rows without it are left out, unless one within them has it.
+    pub filter: String,
+}
+
+/// The rows of a cell.
+#[must_use]
+pub fn rows(store: &Store, cell: &Name, shape: &Shape, findings: &[Finding], now: Moment) -> Vec<Row> {
+    let maker = Maker { shape, findings, now };
+    let mut nodes: Vec<(Key, Vec<Row>)> = Vec::new();
+    for life in store.lives_of(cell) {
+        let latest = store.latest(cell, life.node_id).is_some_and(|latest| latest.id == life.id);
+        nodes.extend(maker.node(life, latest));
+    }
+    for (id, name, _) in store.unseen(cell) {
+        if maker.mentions(&name) {
+            let place = Place { node: Err(id), task: None, port: None };
+            nodes.push((maker.key(&place, u64::MAX, 0), vec![maker.row(place, 0, false, true)]));
+        }
+    }
+    maker.flat(nodes)
+}
+
+/// Sorts ascending: the least first.
+type Key = u64;
+
+struct Maker<'a> {
+    shape: &'a Shape,
+    findings: &'a [Finding],
+    now: Moment,
+}
+
+impl Maker<'_> {
+    fn mentions(&self, name: &Name) -> bool {
+        self.shape.filter.is_empty() || name.shown().to_lowercase().contains(&self.shape.filter)
+    }
+
+    /// `first`: whether its children are shown at first.
+    fn row(&self, place: Place, depth: u8, parent: bool, first: bool) -> Row {
+        // A filter shows what it found, also where it would be hidden.
+        let open = parent && (first != self.shape.toggled.contains(&place) || !self.shape.filter.is_empty());
+        Row { place, depth, parent, open }
+    }
+
+    fn key(&self, place: &Place, slack_us: u64, queued: u64) -> Key {
+        match self.shape.sort {
+            Sort::Name => 0,
+            Sort::Slack => slack_us,
+            Sort::Queue => u64::MAX - queued,
+            Sort::Health => {
+                let worst = self.findings.iter().filter(|f| place.holds(&f.place)).map(|f| f.level).max();
+                match worst {
+                    Some(Level::Bad) => 0,
+                    Some(Level::Warn) => 1,
+                    Some(Level::Note | Level::Trace) => 2,
+                    None => 3,
+                }
+            }
+        }
+    }
+
+    fn flat(&self, mut groups: Vec<(Key, Vec<Row>)>) -> Vec<Row> {
+        groups.sort_by_key(|(key, _)| *key);
+        if self.shape.inverted {
+            groups.reverse();
+        }
+        groups.into_iter().flat_map(|(_, rows)| rows).collect()
+    }
+
+    /// The last state of an earlier life is hidden at first: the node's present one is what one looks for.
+    fn node(&self, life: &Life, latest: bool) -> Option<(Key, Vec<Row>)> {
+        let place = Place { node: Ok(life.id), task: None, port: None };
+        let wanted = self.mentions(&life.node);
+        let tasks: Vec<_> = life.tasks().iter().filter_map(|t| self.task(life, t, place, wanted)).collect();
+        if !wanted && tasks.is_empty() {
+            return None;
+        }
+        let slack = life.tasks().iter().map(|t| self.slack(life, t)).min().unwrap_or(u64::MAX);
+        let queued = life.tasks().iter().flat_map(|t| &t.view.ports).map(|p| u64::from(p.len)).sum();
+        let row = self.row(place, 0, !tasks.is_empty(), latest);
+        let mut rows = vec![row];
+        if row.open {
+            rows.extend(self.flat(tasks));
+        }
+        Some((self.key(&place, slack, queued), rows))
+    }
+
+    fn task(&self, life: &Life, task: &TaskSnapshot, node: Place, all: bool) -> Option<(Key, Vec<Row>)> {
+        let place = Place { task: Some(task.view.task), ..node };
+        let wanted = all || self.mentions(&life.names.task(task.view.task));
+        let port = |p: &PortView| {
+            let place = Place { port: Some(p.port), ..place };
+            let slack = p.min_slack.map_or(u64::MAX, |s| life.left(s, task.age_us, self.now).us);
+            let wanted = wanted || self.mentions(&life.names.port_name(p.port));
+            wanted.then(|| (self.key(&place, slack, p.len.into()), vec![self.row(place, 2, false, true)]))
+        };
+        let ports: Vec<_> = task.view.ports.iter().filter_map(port).collect();
+        if !wanted && ports.is_empty() {
+            return None;
+        }
+        let queued = task.view.ports.iter().map(|p| u64::from(p.len)).sum();
+        let row = self.row(place, 1, !ports.is_empty(), true);
+        let mut rows = vec![row];
+        if row.open {
+            rows.extend(self.flat(ports));
+        }
+        Some((self.key(&place, self.slack(life, task), queued), rows))
+    }
+
+    fn slack(&self, life: &Life, task: &TaskSnapshot) -> u64 {
+        let slacks = task.view.ports.iter().filter_map(|p| p.min_slack);
+        slacks.min().map_or(u64::MAX, |s| life.left(s, task.age_us, self.now).us)
+    }
+}

@@ -1,0 +1,220 @@
+//! One life of one node: from its start to its death, and what it last said.
+
+use super::names::Names;
+use crate::clock::{Moment, Span};
+use crate::name::Name;
+use imrs_protocol::{NodeId, PortId, PortView, TaskId, Ticks};
+use imrs_wire::obs::{Snapshot, TaskSnapshot};
+use std::fmt;
+use std::sync::Arc;
+use std::time::Duration;
+
+/// A life that says nothing for so long is shown as silent.
+pub const SILENT: Duration = Duration::from_secs(1);
+/// A remaining time that was sampled longer ago than this is shown as an estimate.
+const FRESH: Duration = Duration::from_millis(200);
+/// Rates are taken over at least so long.
+pub(super) const RATE: Duration = Duration::from_secs(2);
+
+/// A life of a node, for as long as the monitor runs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct LifeId(pub u32);
+
+/// Whether a node is still there.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Condition {
+    /// The monitor is attached to it.
+    Attached,
+    /// The connection ended without a word.
+    Dead {
+        /// When.
+        since: Moment,
+        /// How the monitor noticed.
+        why: String,
+    },
+    /// It said that it stops.
+    Stopped {
+        /// When.
+        since: Moment,
+    },
+}
+
+/// How a node looks at one moment.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Presence {
+    /// It speaks.
+    Up,
+    /// It is attached, but has said nothing for so long.
+    Silent(Duration),
+    /// It stopped in order, so long ago.
+    Stopped(Duration),
+    /// It is gone, for so long.
+    Dead(Duration),
+}
+
+impl Presence {
+    /// Whether the node is known to be no more.
+    #[must_use]
+    pub const fn is_gone(self) -> bool {
+        matches!(self, Self::Stopped(_) | Self::Dead(_))
+    }
+}
+
+impl fmt::Display for Presence {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Up => f.write_str("up"),
+            Self::Silent(since) => write!(f, "SILENT for {}", Whole(*since)),
+            Self::Stopped(since) => write!(f, "stopped {} ago", Whole(*since)),
+            Self::Dead(since) => write!(f, "DEAD {} ago", Whole(*since)),
+        }
+    }
+}
+
+/// A duration without fractions of a second.
+struct Whole(Duration);
+
+impl fmt::Display for Whole {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let seconds = self.0.as_secs();
+        if seconds < 60 {
+            write!(f, "{seconds}s")
+        } else {
+            write!(f, "{}", Span(Duration::from_secs(seconds)))
+        }
+    }
+}
+
+/// A remaining time, counted on from when it was sampled.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub struct Left {
+    /// Microseconds; zero: it has ended, as far as is known.
+    pub us: u64,
+    /// Whether the sample is so old that the truth may differ.
+    pub estimated: bool,
+}
+
+impl fmt::Display for Left {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let mark = if self.estimated { "~" } else { "" };
+        f.pad(&format!("{mark}{}", Span::micros(self.us)))
+    }
+}
+
+/// A snapshot and when it came.
+#[derive(Clone, Debug)]
+pub struct Sample {
+    /// When it came.
+    pub at: Moment,
+    /// What it says.
+    pub snapshot: Arc<Snapshot>,
+}
+
+/// One life of one node.
+#[derive(Clone, Debug)]
+pub struct Life {
+    /// Which.
+    pub id: LifeId,
+    /// The node's name.
+    pub node: Name,
+    /// The node's place in the cell.
+    pub node_id: NodeId,
+    /// Which of the node's lives, as it says.
+    pub incarnation: u8,
+    /// Its process.
+    pub pid: u32,
+    /// Its program.
+    pub build: Name,
+    /// The digest of its cell.
+    pub digest: u32,
+    /// Microseconds per tick.
+    pub tick_us: u64,
+    /// Whether it is still there.
+    pub condition: Condition,
+    /// When it last said anything.
+    pub heard: Moment,
+    /// The names of its cell.
+    pub names: Arc<Names>,
+    /// What it said last.
+    pub last: Option<Sample>,
+    /// What it said some seconds ago: rates and growth are against this.
+    pub base: Option<Sample>,
+    /// What will be `base` next.
+    pub(super) next_base: Option<Sample>,
+    /// Events that it could not keep for this monitor.
+    pub lost: u64,
+}
+
+impl Life {
+    /// How it looks now.
+    #[must_use]
+    pub fn presence(&self, now: Moment) -> Presence {
+        let ago = |since: Moment| now.saturating_sub(since);
+        match &self.condition {
+            Condition::Dead { since, .. } => Presence::Dead(ago(*since)),
+            Condition::Stopped { since } => Presence::Stopped(ago(*since)),
+            Condition::Attached if ago(self.heard) > SILENT => Presence::Silent(ago(self.heard)),
+            Condition::Attached => Presence::Up,
+        }
+    }
+
+    /// Its tasks as it last said.
+    #[must_use]
+    pub fn tasks(&self) -> &[TaskSnapshot] {
+        self.last.as_ref().map_or(&[], |s| &s.snapshot.tasks)
+    }
+
+    /// One of its tasks.
+    #[must_use]
+    pub fn task(&self, id: TaskId) -> Option<&TaskSnapshot> {
+        self.tasks().iter().find(|t| t.view.task == id)
+    }
+
+    /// One port of one of its tasks.
+    #[must_use]
+    pub fn port(&self, task: TaskId, port: PortId) -> Option<&PortView> {
+        self.task(task)?.view.ports.iter().find(|p| p.port == port)
+    }
+
+    /// What is left now of a time that was `remaining` when its task last advanced, `age_us` before the snapshot.
+    /// In a dead node time stands still: its last state is shown as it was.
+    #[must_use]
+    pub fn left(&self, remaining: Ticks, age_us: u64, now: Moment) -> Left {
+        let now = match &self.condition {
+            Condition::Attached => now,
+            Condition::Dead { since, .. } | Condition::Stopped { since } => now.min(*since),
+        };
+        let since = self.last.as_ref().map_or(Duration::ZERO, |s| now.saturating_sub(s.at));
+        let passed = u64::try_from(since.as_micros()).unwrap_or(u64::MAX).saturating_add(age_us);
+        let us = remaining.0.saturating_mul(self.tick_us).saturating_sub(passed);
+        Left { us, estimated: since > FRESH }
+    }
+
+    /// Messages per second that the port's task sent and took, lately.
+    #[must_use]
+    pub fn rate(&self, task: TaskId, port: PortId) -> Option<f64> {
+        let (last, base) = (self.last.as_ref()?, self.base.as_ref()?);
+        let seconds = last.at.checked_sub(base.at)?.as_secs_f64();
+        let count = |s: &Sample| {
+            let task = s.snapshot.tasks.iter().find(|t| t.view.task == task)?;
+            let counters = &task.view.ports.iter().find(|p| p.port == port)?.counters;
+            Some(counters.sent.saturating_add(counters.delivered))
+        };
+        let grown = count(last)?.checked_sub(count(base)?)?;
+        #[expect(clippy::cast_precision_loss, reason = "a rate for people")]
+        (seconds > 0.0).then(|| grown as f64 / seconds)
+    }
+
+    /// Takes a snapshot over; counters are compared with one that is [`RATE`] to twice that older.
+    pub(super) fn take(&mut self, at: Moment, snapshot: Snapshot) {
+        let sample = Sample { at, snapshot: Arc::new(snapshot) };
+        let due = self.next_base.as_ref().is_none_or(|next| at.saturating_sub(next.at) >= RATE);
+        if due {
+            self.base = self.next_base.replace(sample.clone());
+        }
+        if self.base.is_none() {
+            self.base = self.next_base.clone();
+        }
+        self.last = Some(sample);
+    }
+}

@@ -1,0 +1,245 @@
+//! A rendezvous put together from what each of its members knows (§4.3): who has arrived, who is missing, who has
+//! confirmed, who waits for whom.
+
+use super::{Left, Life, Presence, Store};
+use crate::clock::Moment;
+use crate::name::Name;
+use imrs_protocol::{MeetingState, MeetingView, PortId, Round, TaskId, TaskState, Usage};
+use imrs_wire::obs::Liveness;
+
+/// Where a member stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Standing {
+    /// It waits in the round shown.
+    Arrived,
+    /// It has released the round shown, while others still wait in it.
+    Released,
+    /// It has not arrived.
+    Missing,
+    /// Nobody who is attached knows.
+    Unknown,
+}
+
+/// One member.
+#[derive(Clone, Debug)]
+pub struct Member {
+    /// The task.
+    pub task: TaskId,
+    /// Its name.
+    pub name: Name,
+    /// The name of its node.
+    pub node: Name,
+    /// How its node looks; `None`: never seen.
+    pub presence: Option<Presence>,
+    /// What else is to be said: what it does instead of arriving, or that it or its node is dead.
+    pub doing: String,
+    /// Where it stands.
+    pub standing: Standing,
+    /// What is left of its patience, if it waits.
+    pub left: Option<Left>,
+    /// How long it has waited, in microseconds.
+    pub waited_us: Option<u64>,
+    /// Whether too little time is left for it to release by itself (D2).
+    pub within_margin: bool,
+    /// For each member, whether this one knows of its arrival; `None`: not known, or not in this round.
+    pub knows: Vec<Option<bool>>,
+    /// How many members this one has a confirmation of.
+    pub confirmed: usize,
+    /// The members that this one waits for.
+    pub waits_for: Vec<usize>,
+}
+
+/// A rendezvous.
+#[derive(Clone, Debug)]
+pub struct Meeting {
+    /// The port.
+    pub port: PortId,
+    /// Its name.
+    pub name: Name,
+    /// The round that its members wait in, or the next one.
+    pub round: Round,
+    /// The members, owner first.
+    pub members: Vec<Member>,
+    /// The least patience left among those who wait.
+    pub left: Option<Left>,
+    /// The longest patience of any member, in microseconds: the length of the bar.
+    pub patience_us: u64,
+}
+
+impl Meeting {
+    /// Whether anybody waits.
+    #[must_use]
+    pub fn is_waiting(&self) -> bool {
+        self.members.iter().any(|m| m.standing == Standing::Arrived)
+    }
+
+    /// How many have arrived, or released already.
+    #[must_use]
+    pub fn arrived(&self) -> usize {
+        self.members.iter().filter(|m| matches!(m.standing, Standing::Arrived | Standing::Released)).count()
+    }
+
+    /// The members that others wait for although their node or task is known to be no more.
+    pub fn lost(&self) -> impl Iterator<Item = &Member> {
+        let awaited = |at: usize| self.members.iter().any(|m| m.waits_for.contains(&at));
+        let members = self.members.iter().enumerate();
+        members.filter(move |(i, m)| m.is_gone() && awaited(*i)).map(|(_, m)| m)
+    }
+}
+
+impl Member {
+    /// Whether it can never arrive: its node is gone, or the task itself.
+    #[must_use]
+    pub fn is_gone(&self) -> bool {
+        self.presence.is_some_and(Presence::is_gone) || matches!(self.doing.as_str(), CRASHED | ENDED)
+    }
+}
+
+const CRASHED: &str = "the task CRASHED";
+const ENDED: &str = "the task ended";
+
+/// What one attached member says of a meeting.
+struct Told<'a> {
+    life: &'a Life,
+    age_us: u64,
+    view: &'a MeetingView,
+}
+
+/// The meetings of a cell, in the order of their ports.
+#[must_use]
+pub fn meetings(store: &Store, cell: &Name, now: Moment) -> Vec<Meeting> {
+    let Some(names) = store.names(cell) else { return Vec::new() };
+    let ports = names.ports.iter().enumerate();
+    let waitfors = ports.filter(|(_, p)| p.parties.first().is_some_and(|p| p.usage == Usage::Waitfor));
+    waitfors.filter_map(|(i, _)| meeting(store, cell, PortId::from_index(i), now)).collect()
+}
+
+/// One meeting of a cell.
+#[must_use]
+pub fn meeting(store: &Store, cell: &Name, port: PortId, now: Moment) -> Option<Meeting> {
+    let names = store.names(cell)?;
+    let info = names.port(port)?;
+    let tasks: Vec<TaskId> = info.parties.iter().map(|p| p.task).collect();
+    let lives: Vec<Option<&Life>> =
+        tasks.iter().map(|t| names.home(*t).and_then(|node| store.latest(cell, node))).collect();
+    let told: Vec<Option<Told<'_>>> =
+        (tasks.iter().zip(&lives)).map(|(task, life)| tell(*life, *task, port)).collect();
+    let round = round_shown(&told, now);
+    let mut members: Vec<Member> = Vec::new();
+    for (i, &task) in tasks.iter().enumerate() {
+        let presence = lives[i].map(|l| l.presence(now));
+        let mut member = Member {
+            task,
+            name: names.task(task),
+            node: names.home(task).map_or_else(|| Name::new("?"), |n| names.node(n)),
+            presence,
+            doing: doing(lives[i], task, presence),
+            standing: Standing::Unknown,
+            left: None,
+            waited_us: None,
+            within_margin: false,
+            knows: vec![None; tasks.len()],
+            confirmed: 0,
+            waits_for: Vec::new(),
+        };
+        if let Some(told) = &told[i] {
+            place(&mut member, told, &tasks, round, now);
+            let time_out = info.parties[i].time_out.0.saturating_mul(told.life.tick_us);
+            member.waited_us = member.left.map(|left| time_out.saturating_sub(left.us));
+        }
+        members.push(member);
+    }
+    hear_of_the_silent(&mut members);
+    let left = members.iter().filter(|m| m.standing == Standing::Arrived).filter_map(|m| m.left).min();
+    let tick_us = lives.iter().flatten().map(|l| l.tick_us).next().unwrap_or(1);
+    let patience = info.parties.iter().map(|p| p.time_out.0).max().unwrap_or(0);
+    let patience_us = patience.saturating_mul(tick_us);
+    Some(Meeting { port, name: info.name.clone(), round, members, left, patience_us })
+}
+
+fn tell(life: Option<&Life>, task: TaskId, port: PortId) -> Option<Told<'_>> {
+    let life = life?;
+    let snapshot = life.task(task)?;
+    let view = snapshot.view.meetings.iter().find(|m| m.port == port)?;
+    Some(Told { life, age_us: snapshot.age_us, view })
+}
+
+/// The freshest round that somebody waits in; without one, the freshest that anybody would wait in next.
+fn round_shown(told: &[Option<Told<'_>>], now: Moment) -> Round {
+    let rounds = |waiting: bool| {
+        let all = told.iter().flatten().filter(move |t| {
+            !waiting || (t.view.state != MeetingState::Away && !t.life.presence(now).is_gone())
+        });
+        all.map(|t| t.view.round).reduce(Round::fresher)
+    };
+    rounds(true).or_else(|| rounds(false)).unwrap_or_default()
+}
+
+/// Fills in what a member says of itself.
+fn place(member: &mut Member, told: &Told<'_>, tasks: &[TaskId], round: Round, now: Moment) {
+    let view = told.view;
+    let waits = view.state != MeetingState::Away && view.round == round;
+    let gone = member.is_gone();
+    member.standing = match (waits && !gone, view.released == round && view.round != round) {
+        (true, _) => Standing::Arrived,
+        (false, true) => Standing::Released,
+        (false, false) => Standing::Missing,
+    };
+    if !waits {
+        return;
+    }
+    member.left = view.remaining.map(|r| told.life.left(r, told.age_us, now));
+    member.within_margin = view.state == MeetingState::WithinMargin;
+    for (j, task) in tasks.iter().enumerate() {
+        let Some(known) = view.members.iter().find(|m| m.task == *task) else { continue };
+        member.knows[j] = Some(known.arrived);
+        member.confirmed += usize::from(known.confirmed && *task != member.task);
+        if !known.arrived && *task != member.task && !gone {
+            member.waits_for.push(j);
+        }
+    }
+}
+
+/// A member that no source is attached to may still be known to others to have arrived.
+fn hear_of_the_silent(members: &mut [Member]) {
+    for i in 0..members.len() {
+        if members[i].standing == Standing::Unknown {
+            let heard =
+                members.iter().filter(|m| !m.is_gone()).filter_map(|m| m.knows[i]).reduce(|a, b| a || b);
+            members[i].standing = match heard {
+                Some(true) => Standing::Arrived,
+                Some(false) => Standing::Missing,
+                None => Standing::Unknown,
+            };
+        }
+    }
+}
+
+fn doing(life: Option<&Life>, task: TaskId, presence: Option<Presence>) -> String {
+    let (Some(life), Some(presence)) = (life, presence) else { return "never seen".to_owned() };
+    if presence != Presence::Up {
+        return format!("{} {presence}", life.node);
+    }
+    let Some(snapshot) = life.task(task) else { return String::new() };
+    match snapshot.liveness {
+        Liveness::Crashed => CRASHED.to_owned(),
+        Liveness::Ended => ENDED.to_owned(),
+        Liveness::Alive => state(life, &snapshot.view.state),
+    }
+}
+
+/// What a task does, in words.
+#[must_use]
+pub fn state(life: &Life, state: &TaskState) -> String {
+    let names = &life.names;
+    match state {
+        TaskState::Running => "run".to_owned(),
+        TaskState::Receiving { port: Some(port), .. } => format!("receive {}", names.port_name(*port)),
+        TaskState::Receiving { port: None, .. } => "receive any".to_owned(),
+        TaskState::AwaitingReply { port, from, .. } => {
+            format!("reply {} <- {}", names.port_name(*port), names.task(*from))
+        }
+        TaskState::Waiting { port, round, .. } => format!("waitfor {} {round}", names.port_name(*port)),
+        TaskState::Delaying => "delay".to_owned(),
+    }
+}

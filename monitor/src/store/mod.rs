@@ -1,0 +1,321 @@
+//! All that the monitor knows: the lives of the nodes and what happened in them. Reducers only: no clock, no I/O.
+
+pub mod health;
+pub mod journal;
+mod life;
+pub mod meeting;
+mod names;
+
+pub use life::{Condition, Left, Life, LifeId, Presence, SILENT, Sample};
+pub use names::{Names, PortInfo, TaskInfo};
+
+use crate::clock::Moment;
+use crate::name::Name;
+use crate::source::{Arrival, Feed, SourceId};
+use imrs_protocol::{NodeId, TaskId};
+use imrs_wire::obs::{Count, Events, Goodbye, Liveness, NodeIdentity, ServerFrame, Snapshot, Table, place};
+use journal::{Entry, Journal, Level, What};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+/// How many earlier lives of one node are kept beside the present one.
+const EARLIER_LIVES: usize = 3;
+/// How many troubles with attaching are kept.
+const TROUBLES: usize = 64;
+
+/// All that the monitor knows.
+#[derive(Clone, Debug, Default)]
+pub struct Store {
+    /// In the order of cell, node and life.
+    lives: Vec<Life>,
+    of_source: BTreeMap<SourceId, LifeId>,
+    born: u32,
+    journal: Journal,
+    /// For each source that cannot attach, why.
+    troubles: BTreeMap<SourceId, String>,
+    /// Cells and nodes, as file names, whose sockets were left behind.
+    killed: Vec<(String, String)>,
+}
+
+impl Store {
+    /// Takes over what a source said.
+    pub fn apply(&mut self, arrival: Arrival) {
+        let Arrival { at, source, feed } = arrival;
+        match feed {
+            Feed::Attached { identity, pid, build } => self.attach(at, source, &identity, pid, &build),
+            Feed::Frame(frame) => self.frame(at, source, *frame),
+            Feed::Lost { why } => self.end(at, source, Condition::Dead { since: at, why }),
+            Feed::Failed { why } => {
+                if self.troubles.len() < TROUBLES || self.troubles.contains_key(&source) {
+                    self.troubles.insert(source, why);
+                }
+            }
+            Feed::Left => drop(self.troubles.remove(&source)),
+            Feed::Stale { cell, node } => {
+                self.troubles.remove(&source);
+                if !self.killed.contains(&(cell.clone(), node.clone())) && self.killed.len() < TROUBLES {
+                    self.killed.push((cell, node));
+                }
+            }
+        }
+    }
+
+    /// All lives, in the order of cell, node and life.
+    #[must_use]
+    pub fn lives(&self) -> &[Life] {
+        &self.lives
+    }
+
+    /// The lives of the nodes of one cell.
+    pub fn lives_of<'a>(&'a self, cell: &Name) -> impl Iterator<Item = &'a Life> + use<'a> {
+        let cell = cell.clone();
+        self.lives.iter().filter(move |l| l.names.cell == cell)
+    }
+
+    /// One life.
+    #[must_use]
+    pub fn life(&self, id: LifeId) -> Option<&Life> {
+        self.lives.iter().find(|l| l.id == id)
+    }
+
+    /// The latest life of a node of a cell.
+    #[must_use]
+    pub fn latest(&self, cell: &Name, node: NodeId) -> Option<&Life> {
+        self.lives_of(cell).filter(|l| l.node_id == node).last()
+    }
+
+    /// The cells that are known, sorted.
+    #[must_use]
+    pub fn cells(&self) -> Vec<Name> {
+        let mut cells: Vec<_> = self.lives.iter().map(|l| l.names.cell.clone()).collect();
+        cells.sort();
+        cells.dedup();
+        cells
+    }
+
+    /// The names of a cell, as its nodes told.
+    #[must_use]
+    pub fn names(&self, cell: &Name) -> Option<&Arc<Names>> {
+        self.lives_of(cell).map(|l| &l.names).max_by_key(|n| n.nodes.len())
+    }
+
+    /// The nodes of a cell that no life is known of, and whether such a node is known to have been killed.
+    #[must_use]
+    pub fn unseen(&self, cell: &Name) -> Vec<(NodeId, Name, bool)> {
+        let Some(names) = self.names(cell) else { return Vec::new() };
+        let folder = place::file_name(cell.raw());
+        let killed = |name: &Name| self.killed.contains(&(folder.clone(), place::file_name(name.raw())));
+        let nodes = names.nodes.iter().enumerate().map(|(i, name)| (NodeId::from_index(i), name));
+        let unseen = nodes.filter(|(id, _)| self.latest(cell, *id).is_none());
+        unseen.map(|(id, name)| (id, name.clone(), killed(name))).collect()
+    }
+
+    /// What happened.
+    #[must_use]
+    pub const fn journal(&self) -> &Journal {
+        &self.journal
+    }
+
+    /// Why sources cannot attach.
+    pub fn troubles(&self) -> impl Iterator<Item = &str> {
+        self.troubles.values().map(String::as_str)
+    }
+
+    fn attach(&mut self, at: Moment, source: SourceId, identity: &NodeIdentity, pid: u32, build: &str) {
+        self.troubles.remove(&source);
+        let (cell, node) = (Name::new(&identity.cell), Name::new(&identity.node));
+        let same = |l: &&mut Life| {
+            l.names.cell == cell && l.node == node && (l.incarnation, l.pid) == (identity.incarnation.0, pid)
+        };
+        if let Some(life) = self.lives.iter_mut().find(same) {
+            life.condition = Condition::Attached;
+            life.heard = at;
+            self.of_source.insert(source, life.id);
+            return;
+        }
+        let id = LifeId(self.born);
+        self.born += 1;
+        let names = self.lives.iter().find(|l| l.names.cell == cell && l.digest == identity.digest);
+        let names = names.map_or_else(|| Arc::new(Names::unknown(&identity.cell)), |l| l.names.clone());
+        let life = Life {
+            id,
+            node,
+            node_id: NodeId(identity.id),
+            incarnation: identity.incarnation.0,
+            pid,
+            build: Name::new(build),
+            digest: identity.digest,
+            tick_us: identity.tick_us,
+            condition: Condition::Attached,
+            heard: at,
+            names,
+            last: None,
+            base: None,
+            next_base: None,
+            lost: 0,
+        };
+        let again = self.lives.iter().any(|l| l.names.cell == life.names.cell && l.node == life.node);
+        let detail = format!("incarnation {}, pid {pid}, {}", life.incarnation, life.build);
+        self.notice(
+            at,
+            &life,
+            Level::Note,
+            if again { "restart" } else { "attached" },
+            String::new(),
+            detail,
+        );
+        self.of_source.insert(source, id);
+        self.lives.push(life);
+        self.lives.sort_by(|a, b| (&a.names.cell, a.node_id, a.id).cmp(&(&b.names.cell, b.node_id, b.id)));
+        self.forget_early_lives();
+    }
+
+    /// Drops the earliest gone lives of nodes that have had many.
+    fn forget_early_lives(&mut self) {
+        let later = |life: &Life| {
+            let same = |l: &&Life| l.names.cell == life.names.cell && l.node == life.node && l.id > life.id;
+            self.lives.iter().filter(same).count()
+        };
+        let gone = |life: &Life| life.condition != Condition::Attached;
+        let forgotten: Vec<_> =
+            self.lives.iter().filter(|l| gone(l) && later(l) > EARLIER_LIVES).map(|l| l.id).collect();
+        self.lives.retain(|l| !forgotten.contains(&l.id));
+    }
+
+    fn frame(&mut self, at: Moment, source: SourceId, frame: ServerFrame) {
+        let Some(index) = self.index_of(source) else { return };
+        self.lives[index].heard = at;
+        match frame {
+            ServerFrame::Table(table) => self.table(index, table),
+            ServerFrame::Snapshot(snapshot) => self.snapshot(at, index, snapshot),
+            ServerFrame::Events(events) => self.events(at, index, events),
+            ServerFrame::Bye(bye) => match bye.reason {
+                Goodbye::Stopping => self.end(at, source, Condition::Stopped { since: at }),
+                // The connection ends after this; what follows decides.
+                Goodbye::Misunderstood => {}
+            },
+        }
+    }
+
+    fn index_of(&self, source: SourceId) -> Option<usize> {
+        let id = self.of_source.get(&source)?;
+        self.lives.iter().position(|l| l.id == *id)
+    }
+
+    /// The names belong to the cell that the node said it is of, whatever the table says.
+    fn table(&mut self, index: usize, table: Table) {
+        let cell = self.lives[index].names.cell.raw().to_owned();
+        self.lives[index].names = Arc::new(Names::new(Table { cell, ..table }));
+    }
+
+    fn snapshot(&mut self, at: Moment, index: usize, snapshot: Snapshot) {
+        let before = self.lives[index].last.take();
+        if let Some(before) = before {
+            self.compare(at, index, &before.snapshot, &snapshot);
+        }
+        self.lives[index].take(at, snapshot);
+    }
+
+    /// Notices what no machine observes: tasks that end, and what links drop.
+    fn compare(&mut self, at: Moment, index: usize, before: &Snapshot, after: &Snapshot) {
+        let mut found = Vec::new();
+        let was = |id: TaskId| before.tasks.iter().find(|t| t.view.task == id).map(|t| t.liveness);
+        for task in &after.tasks {
+            let name = self.lives[index].names.task(task.view.task).to_string();
+            match (was(task.view.task), task.liveness) {
+                (Some(Liveness::Alive), Liveness::Crashed) => {
+                    found.push((Level::Bad, "crashed", name, "the task panicked".to_owned(), 1));
+                }
+                (Some(Liveness::Alive), Liveness::Ended) => {
+                    found.push((Level::Note, "ended", name, "the task returned".to_owned(), 1));
+                }
+                _ => {}
+            }
+        }
+        let old = |name: &str| before.link_discards.iter().find(|c| c.name == name).map_or(0, |c| c.count);
+        for Count { name, count } in &after.link_discards {
+            let more = count.saturating_sub(old(name));
+            if more > 0 {
+                found.push((Level::Warn, "discard", "on a link".to_owned(), crate::name::shown(name), more));
+            }
+        }
+        let life = self.lives[index].clone();
+        for (level, kind, object, detail, times) in found {
+            let what = What::Noticed { level, kind, object, detail };
+            self.journal.add(Entry {
+                number: 0,
+                at,
+                node: life.node.clone(),
+                names: life.names.clone(),
+                what,
+                times,
+            });
+        }
+    }
+
+    fn events(&mut self, at: Moment, index: usize, events: Events) {
+        let life = &mut self.lives[index];
+        let newest = events.events.iter().map(|e| e.mono_us).max().unwrap_or(0);
+        life.lost = life.lost.saturating_add(events.lost);
+        for event in events.events {
+            let what = What::Observed { task: event.task, observation: event.what };
+            let earlier = std::time::Duration::from_micros(newest - event.mono_us);
+            let at = at.saturating_sub(earlier);
+            self.journal.add(Entry {
+                number: 0,
+                at,
+                node: life.node.clone(),
+                names: life.names.clone(),
+                what,
+                times: 1,
+            });
+        }
+        if events.lost > 0 {
+            let what = What::Noticed {
+                level: Level::Note,
+                kind: "lost",
+                object: String::new(),
+                detail: "events the node could not keep for this monitor".to_owned(),
+            };
+            let (node, names) = (life.node.clone(), life.names.clone());
+            self.journal.add(Entry { number: 0, at, node, names, what, times: events.lost });
+        }
+    }
+
+    fn end(&mut self, at: Moment, source: SourceId, condition: Condition) {
+        let Some(index) = self.index_of(source) else { return };
+        // The connection's own end after an orderly goodbye adds nothing.
+        if self.lives[index].condition != Condition::Attached {
+            return;
+        }
+        let life = self.lives[index].clone();
+        let (level, kind, detail) = match &condition {
+            Condition::Dead { why, .. } => (Level::Bad, "dead", crate::name::shown(why)),
+            Condition::Stopped { .. } | Condition::Attached => {
+                (Level::Note, "stopped", "in order".to_owned())
+            }
+        };
+        self.notice(at, &life, level, kind, String::new(), detail);
+        self.lives[index].condition = condition;
+    }
+
+    fn notice(
+        &mut self,
+        at: Moment,
+        life: &Life,
+        level: Level,
+        kind: &'static str,
+        object: String,
+        detail: String,
+    ) {
+        let what = What::Noticed { level, kind, object, detail };
+        self.journal.add(Entry {
+            number: 0,
+            at,
+            node: life.node.clone(),
+            names: life.names.clone(),
+            what,
+            times: 1,
+        });
+    }
+}

@@ -1,0 +1,109 @@
+//! A cell's table with every name made fit to show.
+
+use crate::name::Name;
+use imrs_protocol::{Class, NodeId, PortId, TaskId, Ticks};
+use imrs_wire::obs::{LinkName, PartyName, Table};
+
+/// A task of the cell.
+#[derive(Clone, Debug)]
+pub struct TaskInfo {
+    /// Its name.
+    pub name: Name,
+    /// Where it runs.
+    pub node: NodeId,
+}
+
+/// A port of the cell.
+#[derive(Clone, Debug)]
+pub struct PortInfo {
+    /// Its name.
+    pub name: Name,
+    /// Its class.
+    pub class: Class,
+    /// `bounded_buffer`.
+    pub capacity: u16,
+    /// The margin of a `waitfor`.
+    pub margin: Ticks,
+    /// Owner first, then the users.
+    pub parties: Vec<PartyName>,
+}
+
+impl PortInfo {
+    /// The time_out that `task` has on this port: the whole of a message's life.
+    #[must_use]
+    pub fn time_out(&self, task: TaskId) -> Option<Ticks> {
+        self.parties.iter().find(|p| p.task == task).map(|p| p.time_out)
+    }
+}
+
+/// The names of a cell. Ids that it does not have get a name that says so: what a node sends is not trusted.
+#[derive(Clone, Debug)]
+pub struct Names {
+    /// The cell.
+    pub cell: Name,
+    /// The nodes.
+    pub nodes: Vec<Name>,
+    /// The links.
+    pub links: Vec<LinkName>,
+    /// The tasks.
+    pub tasks: Vec<TaskInfo>,
+    /// The ports.
+    pub ports: Vec<PortInfo>,
+}
+
+impl Names {
+    /// The names in `table`.
+    #[must_use]
+    pub fn new(table: Table) -> Self {
+        let port = |p: imrs_wire::obs::PortName| PortInfo {
+            name: Name::new(&p.name),
+            class: p.class,
+            capacity: p.capacity,
+            margin: p.margin,
+            parties: p.parties,
+        };
+        Self {
+            cell: Name::new(&table.cell),
+            nodes: table.nodes.iter().map(|n| Name::new(&n.name)).collect(),
+            links: table.links,
+            tasks: table.tasks.iter().map(|t| TaskInfo { name: Name::new(&t.name), node: t.node }).collect(),
+            ports: table.ports.into_iter().map(port).collect(),
+        }
+    }
+
+    /// The names of a cell of which nothing is known yet.
+    #[must_use]
+    pub fn unknown(cell: &str) -> Self {
+        Self::new(Table { cell: cell.to_owned(), ..Table::default() })
+    }
+
+    /// The name of a node.
+    #[must_use]
+    pub fn node(&self, id: NodeId) -> Name {
+        self.nodes.get(id.index()).cloned().unwrap_or_else(|| Name::new(&format!("{id}?")))
+    }
+
+    /// The name of a task.
+    #[must_use]
+    pub fn task(&self, id: TaskId) -> Name {
+        self.tasks.get(id.index()).map_or_else(|| Name::new(&format!("{id}?")), |t| t.name.clone())
+    }
+
+    /// The node that a task runs on.
+    #[must_use]
+    pub fn home(&self, id: TaskId) -> Option<NodeId> {
+        self.tasks.get(id.index()).map(|t| t.node)
+    }
+
+    /// A port, if the cell has it.
+    #[must_use]
+    pub fn port(&self, id: PortId) -> Option<&PortInfo> {
+        self.ports.get(id.index())
+    }
+
+    /// The name of a port.
+    #[must_use]
+    pub fn port_name(&self, id: PortId) -> Name {
+        self.port(id).map_or_else(|| Name::new(&format!("{id}?")), |p| p.name.clone())
+    }
+}

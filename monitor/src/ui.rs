@@ -1,0 +1,164 @@
+//! The main loop of the screen: messages in, at most thirty frames a second out, nothing else.
+
+use crate::app::{App, Effect, Msg};
+use crate::clock::{Clock, Moment};
+use crate::error::MonitorError;
+use crate::signals::{self, Call, Listener};
+use crate::source::{Sink, Source};
+use crate::terminal::{self, Borrowed};
+use crate::view::view;
+use crossterm::event::{self, Event};
+use signal_hook::consts::SIGINT;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
+use std::thread;
+use std::time::Duration;
+
+/// The least time between two frames.
+const FRAME: Duration = Duration::from_millis(33);
+/// How many messages may wait; who feeds more waits, and then the nodes coalesce.
+const QUEUE: usize = 64;
+/// How often the thread that reads keys looks whether it should end.
+const LOOK: Duration = Duration::from_millis(200);
+
+enum Input {
+    Msg(Msg),
+    Call(Call),
+    /// No more keys will come: the terminal is gone.
+    NoKeys,
+}
+
+/// Shows `source` on the terminal until the user quits.
+///
+/// # Errors
+/// [`MonitorError`].
+pub fn show(mut source: impl Source, clock: Clock, mut app: App) -> Result<(), MonitorError> {
+    let (sender, inputs) = sync_channel(QUEUE);
+    let mut terminal = Borrowed::take()?;
+    let for_signals = sender.clone();
+    let listener = Listener::start(move |call| for_signals.try_send(Input::Call(call)).is_ok())?;
+    let for_feeds = sender.clone();
+    source.start(Sink::new(clock, move |arrival| for_feeds.send(Input::Msg(Msg::Feed(arrival))).is_ok()))?;
+    let keys = Keys::start(sender)?;
+    let mut screen = Loop { app: &mut app, clock, inputs, due: Some(Duration::ZERO), drawn: None };
+    let ended = screen.run(&mut terminal);
+    drop(keys);
+    drop(terminal);
+    if let Ok(Some(signal)) = ended {
+        listener.end_as(signal);
+    }
+    ended.map(|_| ())
+}
+
+struct Loop<'a> {
+    app: &'a mut App,
+    clock: Clock,
+    inputs: Receiver<Input>,
+    /// When the next frame is due, if any is.
+    due: Option<Moment>,
+    drawn: Option<Moment>,
+}
+
+impl Loop<'_> {
+    /// Until the user quits, or a signal ends it, which it then gives.
+    fn run(&mut self, terminal: &mut Borrowed) -> Result<Option<i32>, MonitorError> {
+        loop {
+            // A panic elsewhere has given the terminal back: nothing may be drawn on it any more.
+            if !terminal::is_borrowed() {
+                return Err(MonitorError::Internal);
+            }
+            let now = self.clock.now();
+            if self.due.is_some_and(|due| due <= now) {
+                terminal.draw(|area, buffer| view(self.app, now, area, buffer))?;
+                self.drawn = Some(now);
+                self.due = self.app.redraw_after().map(|after| now + after);
+            }
+            let wait = self.due.map_or(LOOK, |due| due.saturating_sub(self.clock.now()));
+            let first = match self.inputs.recv_timeout(wait) {
+                Ok(input) => input,
+                Err(RecvTimeoutError::Timeout) => continue,
+                Err(RecvTimeoutError::Disconnected) => return Err(MonitorError::Internal),
+            };
+            // Everything that is there is taken before the next frame is drawn.
+            let more: Vec<_> = self.inputs.try_iter().take(QUEUE).collect();
+            for input in std::iter::once(first).chain(more) {
+                match self.take(input, terminal)? {
+                    Next::GoOn => {}
+                    Next::Quit => return Ok(None),
+                    Next::EndAs(signal) => return Ok(Some(signal)),
+                }
+            }
+        }
+    }
+
+    fn take(&mut self, input: Input, terminal: &mut Borrowed) -> Result<Next, MonitorError> {
+        let effect = match input {
+            Input::Msg(msg) => self.app.update(msg, self.clock.now()),
+            // An interrupt is what ^C says, and ^C quits; a shell that saw its child die of it would give up as well.
+            Input::Call(Call::End(SIGINT)) => return Ok(Next::Quit),
+            Input::Call(Call::End(signal)) => return Ok(Next::EndAs(signal)),
+            Input::Call(Call::Stop) => Effect::Suspend,
+            Input::Call(Call::GoOn) => {
+                terminal.take_again()?;
+                Effect::Draw
+            }
+            Input::NoKeys => return Ok(Next::Quit),
+        };
+        match effect {
+            Effect::Nothing => {}
+            Effect::Draw => {
+                let soonest = self.drawn.map_or(Duration::ZERO, |drawn| drawn + FRAME);
+                self.due = Some(self.due.map_or(soonest, |due| due.min(soonest)));
+            }
+            Effect::Suspend => {
+                terminal::give_back();
+                signals::stop();
+                terminal.take_again()?;
+                self.due = Some(Duration::ZERO);
+            }
+            Effect::Quit => return Ok(Next::Quit),
+        }
+        Ok(Next::GoOn)
+    }
+}
+
+enum Next {
+    GoOn,
+    Quit,
+    EndAs(i32),
+}
+
+/// The thread that reads the keyboard. Dropping it ends the thread.
+struct Keys {
+    stop: Arc<AtomicBool>,
+}
+
+impl Keys {
+    fn start(sender: SyncSender<Input>) -> Result<Self, MonitorError> {
+        let stop = Arc::new(AtomicBool::new(false));
+        let stopped = stop.clone();
+        let read = move || {
+            while !stopped.load(Ordering::Relaxed) {
+                let input = match event::poll(LOOK).and_then(|ready| ready.then(event::read).transpose()) {
+                    Ok(Some(Event::Key(key))) => Input::Msg(Msg::Key(key)),
+                    Ok(Some(Event::Resize(width, height))) => Input::Msg(Msg::Resize(width, height)),
+                    Ok(_) => continue,
+                    Err(_) => Input::NoKeys,
+                };
+                let last = matches!(input, Input::NoKeys);
+                if sender.send(input).is_err() || last {
+                    return;
+                }
+            }
+        };
+        thread::Builder::new().name("imrs-keys".into()).spawn(read).map_err(MonitorError::Terminal)?;
+        Ok(Self { stop })
+    }
+}
+
+impl Drop for Keys {
+    fn drop(&mut self) {
+        self.stop.store(true, Ordering::Relaxed);
+    }
+}

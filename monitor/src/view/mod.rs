@@ -1,0 +1,167 @@
+//! From what is known to what is seen: pure functions of the app and the moment, one screen per file.
+
+mod events;
+mod help;
+mod overview;
+mod pen;
+mod port;
+mod rendezvous;
+
+use crate::app::{App, Screen};
+use crate::clock::{Moment, Span};
+use crate::name::Name;
+use crate::store::journal::Level;
+use crate::store::{Condition, Presence};
+use crate::theme::Ink;
+use pen::Pen;
+use ratatui::buffer::Buffer;
+use ratatui::layout::Rect;
+
+/// Draws the screen of `app` at the moment `now` into `area`.
+pub fn view(app: &App, now: Moment, area: Rect, buffer: &mut Buffer) {
+    let now = app.moment(now);
+    let area = area.intersection(buffer.area);
+    let mut pen = Pen { buffer, area, theme: &app.theme };
+    if area.is_empty() {
+        return;
+    }
+    head(app, now, &mut pen);
+    let foot = u16::from(area.height > 2);
+    let middle = Rect { y: area.y + 1, height: area.height.saturating_sub(1 + foot), ..area };
+    if foot == 1 {
+        self::foot(app, now, &mut pen);
+    }
+    let mut pen = Pen { buffer: pen.buffer, area: middle, theme: &app.theme };
+    match app.screen {
+        Screen::Help => help::draw(app, &mut pen),
+        _ if app.cell().is_none() => nothing(app, &mut pen),
+        Screen::Overview => overview::draw(app, now, &mut pen),
+        Screen::Port => port::draw(app, now, &mut pen),
+        Screen::Rendezvous => rendezvous::draw(app, now, &mut pen),
+        Screen::Events => events::draw(app, now, &mut pen),
+    }
+}
+
+/// How many lines the screen of `app` has where it only scrolls.
+pub(crate) fn length(app: &App, now: Moment) -> usize {
+    match app.screen {
+        Screen::Rendezvous => rendezvous::lines(app, app.moment(now)).len(),
+        Screen::Help => help::lines(app).len(),
+        Screen::Overview | Screen::Port | Screen::Events => 0,
+    }
+}
+
+const TABS: [(Screen, &str); 4] = [
+    (Screen::Overview, "1 Over"),
+    (Screen::Port, "2 Port"),
+    (Screen::Rendezvous, "3 Rdv"),
+    (Screen::Events, "6 Events"),
+];
+
+fn head(app: &App, now: Moment, pen: &mut Pen<'_>) {
+    let narrow = pen.area.width < 60;
+    let mut pieces = vec![(" imrs ".to_owned(), Ink::Head)];
+    if let Some(cell) = app.cell() {
+        cell_at_a_glance(app, &cell, narrow, now, &mut pieces);
+    }
+    let tabs = tabs(app.screen, narrow);
+    if narrow {
+        // What comes last is cut first: where one is matters more than what one could know from the screen.
+        let at = pieces.len().min(4);
+        pieces.splice(at..at, tabs);
+    } else {
+        pieces.push(("  ".to_owned(), Ink::Plain));
+        pieces.extend(tabs);
+        pieces.push(("  ? help".to_owned(), Ink::Dim));
+    }
+    let pieces: Vec<_> = pieces.iter().map(|(text, ink)| (text.as_str(), *ink)).collect();
+    pen.line(0, &pieces);
+}
+
+fn tabs(shown: Screen, narrow: bool) -> Vec<(String, Ink)> {
+    if narrow {
+        let name = TABS.iter().find(|(screen, _)| *screen == shown).map_or("Help", |(_, name)| name);
+        return vec![(format!(" [{name}]"), Ink::Head)];
+    }
+    let tab = |(screen, name): &(Screen, &str)| {
+        if *screen == shown { (format!("[{name}]"), Ink::Head) } else { (format!(" {name} "), Ink::Dim) }
+    };
+    TABS.iter().map(tab).collect()
+}
+
+/// The cell's name, how many of its nodes are up, and what is to be known of all that is shown.
+fn cell_at_a_glance(app: &App, cell: &Name, narrow: bool, now: Moment, pieces: &mut Vec<(String, Ink)>) {
+    let cells = app.cells();
+    let at = cells.iter().position(|c| c == cell).filter(|_| cells.len() > 1);
+    let of = at.map_or_else(String::new, |at| format!(" ({}/{}, c: next)", at + 1, cells.len()));
+    pieces.push((format!(" {cell}{of}"), Ink::Plain));
+    let (up, all) = nodes(app, now);
+    let nodes = if narrow { "" } else { " nodes" };
+    pieces.push((format!("  {up}/{all}{nodes}"), if up < all { Ink::Bad } else { Ink::Plain }));
+    let (word, ink) = match (app.paused().is_some(), up) {
+        (true, _) => ("PAUSED", Ink::Warn),
+        (false, 0) => ("NOBODY THERE", Ink::Bad),
+        (false, _) => ("LIVE", Ink::Good),
+    };
+    pieces.push((format!("  {word}"), ink));
+    let insecure = app.store().lives_of(cell).filter_map(|l| l.last.as_ref()).any(|s| s.snapshot.insecure);
+    if insecure {
+        pieces.push(("  INSECURE".to_owned(), Ink::Warn));
+    }
+    let lost: u64 = app.store().lives_of(cell).map(|l| l.lost).sum();
+    if lost > 0 {
+        pieces.push((format!("  lost {lost}"), Ink::Warn));
+    }
+}
+
+/// How many nodes of the cell are up, of how many.
+fn nodes(app: &App, now: Moment) -> (usize, usize) {
+    let Some(cell) = app.cell() else { return (0, 0) };
+    let store = app.store();
+    let up = |life: &&crate::store::Life| life.presence(now) == Presence::Up;
+    let up = store.lives_of(&cell).filter(up).count();
+    let known = store.names(&cell).map_or(0, |n| n.nodes.len());
+    (up, known.max(store.lives_of(&cell).filter(|l| l.condition == Condition::Attached).count()))
+}
+
+fn foot(app: &App, now: Moment, pen: &mut Pen<'_>) {
+    let y = pen.height() - 1;
+    if app.typing {
+        pen.line(y, &[(" /", Ink::Head), (&app.shape.filter, Ink::Plain), ("_", Ink::Plain)]);
+        return;
+    }
+    let mut pieces: Vec<(String, Ink)> = Vec::new();
+    if let Some(at) = app.paused() {
+        pieces.push((format!(" paused at {}; space goes on", Span(at)), Ink::Warn));
+    }
+    if !app.shape.filter.is_empty() {
+        pieces.push((format!(" filter /{}", app.shape.filter), Ink::Warn));
+    }
+    if let Some(trouble) = app.store().troubles().next() {
+        pieces.push((format!(" ! {trouble}"), Ink::Warn));
+    } else if let Some(worst) = app.findings(now).first().filter(|f| f.level >= Level::Warn) {
+        let place = overview::label(app, worst.place);
+        let ink = if worst.level == Level::Bad { Ink::Bad } else { Ink::Warn };
+        pieces.push((format!(" {} {place}: {}", mark(worst.level), worst.text), ink));
+    } else if pieces.is_empty() {
+        pieces.push((" q quit  ? help  space pause  / filter  Enter open".to_owned(), Ink::Dim));
+    }
+    let pieces: Vec<_> = pieces.iter().map(|(text, ink)| (text.as_str(), *ink)).collect();
+    pen.line(y, &pieces);
+}
+
+/// The sign for how much something matters.
+const fn mark(level: Level) -> &'static str {
+    match level {
+        Level::Trace | Level::Note => " ",
+        Level::Warn => "!",
+        Level::Bad => "!!",
+    }
+}
+
+fn nothing(app: &App, pen: &mut Pen<'_>) {
+    pen.line(1, &[(" Waiting for a node to appear ...", Ink::Plain)]);
+    for (y, trouble) in (3..).zip(app.store().troubles()) {
+        pen.line(y, &[(" ! ", Ink::Warn), (trouble, Ink::Plain)]);
+    }
+}

@@ -1,0 +1,297 @@
+//! Screen 1: nodes, their tasks, their ports; the worst of what is within a row stands in the row.
+
+use super::mark;
+use super::pen::{Column, Pen, bar, first_row};
+use crate::app::App;
+use crate::clock::{Moment, Span};
+use crate::rows::{Row, Sort};
+use crate::store::health::{Finding, Place};
+use crate::store::journal::Level;
+use crate::store::meeting::state;
+use crate::store::{Left, Life, LifeId, Presence};
+use crate::theme::Ink;
+use imrs_protocol::{PortCounters, PortView, Usage};
+use imrs_wire::obs::{Liveness, TaskSnapshot};
+use std::time::Duration;
+
+/// Name, state, queue, slack, rate, expired, overflow, rejected, health.
+type Cells = [(String, Ink); 9];
+
+const NAME: Column = Column::left("NODE/TASK/PORT", 0);
+const HEALTH: Column = Column::left("HEALTH", 0);
+
+/// The columns for a width, and which of the cells they show.
+fn columns(width: u16) -> (Vec<Column>, &'static [usize]) {
+    let state = |w| Column::left("STATE", w);
+    let queue = |w| Column::left("QUEUE", w);
+    let slack = Column::right("SLACK", 7);
+    match width {
+        0..60 => (vec![NAME, queue(5), slack, Column::left("", 2)], &[0, 2, 3, 8]),
+        60..116 => (
+            vec![
+                Column::left(NAME.title, 20),
+                state(if width < 90 { 22 } else { 28 }),
+                queue(5),
+                slack,
+                Column::right("EXP", 4),
+                HEALTH,
+            ],
+            &[0, 1, 2, 3, 5, 8],
+        ),
+        _ => (
+            vec![
+                Column::left(NAME.title, if width < 160 { 26 } else { 36 }),
+                state(if width < 160 { 28 } else { 40 }),
+                queue(11),
+                slack,
+                Column::right("MSG/s", 6),
+                Column::right("EXP", 4),
+                Column::right("OVF", 4),
+                Column::right("REJ", 4),
+                HEALTH,
+            ],
+            &[0, 1, 2, 3, 4, 5, 6, 7, 8],
+        ),
+    }
+}
+
+pub(super) fn draw(app: &App, now: Moment, pen: &mut Pen<'_>) {
+    let findings = app.findings(now);
+    let rows = app.rows(&findings, now);
+    let selected = app.selected(&rows);
+    let (columns, shown) = columns(pen.area.width);
+    let mut titles = pen.below(0);
+    let indented = ratatui::layout::Rect {
+        x: titles.area.x + 2.min(titles.area.width),
+        width: titles.area.width.saturating_sub(2),
+        ..titles.area
+    };
+    titles.area = indented;
+    let widths = titles.widths(&columns);
+    titles.titles(0, &columns, &widths);
+    if app.shape.sort != Sort::Name || app.shape.inverted {
+        let text =
+            format!("by {}{}", app.shape.sort.word(), if app.shape.inverted { ", inverted" } else { "" });
+        let x = titles.area.width.saturating_sub(u16::try_from(text.len()).unwrap_or(0));
+        titles.at(x, 0, u16::MAX, &text, Ink::Head);
+    }
+    let height = usize::from(pen.height().saturating_sub(1));
+    let first = first_row(selected, rows.len(), height);
+    // Only the rows in sight are made: a cell of ten thousand ports costs no more than what is seen of it.
+    for (y, (i, row)) in (1..).zip(rows.iter().enumerate().skip(first).take(height)) {
+        let cells = cells(app, row, &findings, pen.area.width, now);
+        let cells: Vec<_> = shown.iter().map(|&c| (cells[c].0.as_str(), cells[c].1)).collect();
+        if i == selected {
+            pen.at(0, y, 1, app.theme.glyphs.selected, Ink::Head);
+        }
+        let mut inner = pen.below(0);
+        inner.area = indented;
+        inner.row(y, &columns, &widths, &cells);
+        if i == selected {
+            pen.select(y);
+        }
+    }
+}
+
+/// What a place is called: `node.task.port`, as far as it goes.
+pub(super) fn label(app: &App, place: Place) -> String {
+    let store = app.store();
+    let Ok(life) = place.node else {
+        let cell = app.cell().and_then(|c| store.names(&c).cloned());
+        return cell.zip(place.node.err()).map_or_else(String::new, |(names, id)| names.node(id).to_string());
+    };
+    let Some(life) = store.life(life) else { return String::new() };
+    let mut text = life.node.to_string();
+    if let Some(task) = place.task {
+        text += &format!(".{}", life.names.task(task));
+    }
+    if let Some(port) = place.port {
+        text += &format!(".{}", life.names.port_name(port));
+    }
+    text
+}
+
+fn cells(app: &App, row: &Row, findings: &[Finding], width: u16, now: Moment) -> Cells {
+    let (health, ink) = health(row, findings, width);
+    let mut cells: Cells = std::array::from_fn(|_| (String::new(), Ink::Plain));
+    match row.place.node {
+        Err(id) => {
+            let names = app.cell().and_then(|c| app.store().names(&c).cloned());
+            let name = names.map_or_else(String::new, |n| n.node(id).to_string());
+            let killed = ink == Ink::Bad;
+            let sign = if killed { app.theme.glyphs.dead } else { "?" };
+            cells[0] = (format!("{sign} {name}"), Ink::Dim);
+            cells[1] = (if killed { "DEAD" } else { "not seen here" }.to_owned(), Ink::Dim);
+        }
+        Ok(id) => {
+            let Some(life) = app.store().life(id) else { return cells };
+            let gone = life.presence(now).is_gone();
+            match (row.place.task.and_then(|t| life.task(t)), row.place.port) {
+                (None, _) => node(app, life, row, now, &mut cells),
+                (Some(task), None) => self::task(app, life, task, row, now, &mut cells),
+                (Some(task), Some(port)) => {
+                    if let Some(view) = task.view.ports.iter().find(|p| p.port == port) {
+                        self::port(app, life, task, view, width, now, &mut cells);
+                    }
+                }
+            }
+            if gone {
+                for (_, ink) in &mut cells {
+                    *ink = Ink::Dim;
+                }
+            }
+        }
+    }
+    let within_gone = row.depth > 0 && row.place.node.is_ok_and(|id| is_gone(app, id, now));
+    cells[8] = if within_gone && ink == Ink::Good { ("-".to_owned(), Ink::Dim) } else { (health, ink) };
+    cells
+}
+
+fn is_gone(app: &App, id: LifeId, now: Moment) -> bool {
+    app.store().life(id).is_some_and(|life| life.presence(now).is_gone())
+}
+
+fn fold_sign(app: &App, row: &Row) -> &'static str {
+    match (row.parent, row.open) {
+        (true, true) => app.theme.glyphs.open,
+        (true, false) => app.theme.glyphs.closed,
+        (false, _) => " ",
+    }
+}
+
+fn node(app: &App, life: &Life, row: &Row, now: Moment, cells: &mut Cells) {
+    let presence = life.presence(now);
+    let sign = if presence.is_gone() { app.theme.glyphs.dead } else { fold_sign(app, row) };
+    cells[0] = (format!("{sign} {} (pid {})", life.node, life.pid), Ink::Plain);
+    let uptime = life.last.as_ref().map(|s| Duration::from_micros(s.snapshot.uptime_us));
+    cells[1] = match (presence, uptime) {
+        (Presence::Up, Some(uptime)) => (format!("up {}", Span(uptime)), Ink::Good),
+        (Presence::Up, None) => ("attached".to_owned(), Ink::Plain),
+        (Presence::Silent(_), _) => (presence.to_string(), Ink::Warn),
+        _ => (format!("{presence} (incarn. {})", life.incarnation), Ink::Dim),
+    };
+    let ports = life.tasks().iter().flat_map(|t| t.view.ports.iter().map(move |p| (t, p)));
+    sum(life, ports, now, cells);
+    if let Some(transit) =
+        life.last.as_ref().map(|s| &s.snapshot.transit).filter(|t| t.len > 0 && !presence.is_gone())
+    {
+        cells[1].0 += &format!("  transit {}", transit.len);
+    }
+}
+
+fn task(app: &App, life: &Life, task: &TaskSnapshot, row: &Row, now: Moment, cells: &mut Cells) {
+    cells[0] = (format!("  {} {}", fold_sign(app, row), life.names.task(task.view.task)), Ink::Plain);
+    cells[1] = match task.liveness {
+        Liveness::Crashed => ("CRASHED".to_owned(), Ink::Bad),
+        Liveness::Ended => ("ended".to_owned(), Ink::Dim),
+        Liveness::Alive => {
+            let left = remaining(life, task, now).map_or_else(String::new, |left| format!(" {left}"));
+            (state(life, &task.view.state) + &left, Ink::Plain)
+        }
+    };
+    sum(life, task.view.ports.iter().map(|p| (task, p)), now, cells);
+}
+
+/// What is left of the wait that the task is in.
+fn remaining(life: &Life, task: &TaskSnapshot, now: Moment) -> Option<Left> {
+    use imrs_protocol::TaskState::{AwaitingReply, Delaying, Receiving, Running, Waiting};
+    let remaining = match task.view.state {
+        Running | Delaying => None,
+        Receiving { remaining, .. } => remaining,
+        AwaitingReply { remaining, .. } | Waiting { remaining, .. } => Some(remaining),
+    };
+    remaining.map(|r| life.left(r, task.age_us, now))
+}
+
+/// The sums over ports: queue, least slack, rate, counters.
+fn sum<'a>(
+    life: &Life,
+    ports: impl Iterator<Item = (&'a TaskSnapshot, &'a PortView)>,
+    now: Moment,
+    cells: &mut Cells,
+) {
+    let (mut len, mut capacity, mut rate) = (0_u64, 0_u64, None::<f64>);
+    let mut least: Option<Left> = None;
+    let mut total = PortCounters::default();
+    for (task, port) in ports {
+        if port.usage != Usage::Waitfor {
+            len += u64::from(port.len);
+            capacity += u64::from(port.capacity);
+        }
+        let left = port.min_slack.map(|s| life.left(s, task.age_us, now));
+        least = [least, left].into_iter().flatten().min();
+        rate = [rate, life.rate(task.view.task, port.port)].into_iter().flatten().reduce(|a, b| a + b);
+        let c = &port.counters;
+        total.expired = total.expired.saturating_add(c.expired);
+        total.refused = total.refused.saturating_add(c.refused).saturating_add(c.evicted);
+        total.rejected = total.rejected.saturating_add(c.rejected);
+    }
+    if capacity > 0 {
+        cells[2] = (format!("{len}/{capacity}"), Ink::Plain);
+    }
+    cells[3] = (least.map_or_else(|| "-".to_owned(), |l| l.to_string()), Ink::Plain);
+    cells[4] = (per_second(rate), Ink::Plain);
+    counts(cells, total.expired, total.refused, total.rejected);
+}
+
+fn per_second(rate: Option<f64>) -> String {
+    rate.map_or_else(|| "-".to_owned(), |rate| format!("{rate:.0}"))
+}
+
+fn counts(cells: &mut Cells, expired: u64, overflow: u64, rejected: u64) {
+    for (cell, count) in [(5, expired), (6, overflow), (7, rejected)] {
+        cells[cell] = (short(count), if count > 0 { Ink::Warn } else { Ink::Dim });
+    }
+}
+
+fn short(count: u64) -> String {
+    match count {
+        0..10_000 => count.to_string(),
+        10_000..10_000_000 => format!("{}k", count / 1000),
+        _ => format!("{}M", count / 1_000_000),
+    }
+}
+
+fn port(
+    app: &App,
+    life: &Life,
+    task: &TaskSnapshot,
+    view: &PortView,
+    width: u16,
+    now: Moment,
+    cells: &mut Cells,
+) {
+    cells[0] = (format!("      {}", life.names.port_name(view.port)), Ink::Plain);
+    let info = life.names.port(view.port);
+    let parties = info.map_or(0, |i| i.parties.len());
+    let class = if view.class == imrs_protocol::Class::Command { "c2" } else { "c1" };
+    cells[1] = (format!("{class} {} {parties} parties", view.usage), Ink::Dim);
+    if view.usage == Usage::Waitfor {
+        let meeting = task.view.meetings.iter().find(|m| m.port == view.port);
+        let arrived = meeting.map_or(0, |m| m.members.iter().filter(|m| m.arrived).count());
+        cells[2] = (format!("{arrived}/{parties}"), Ink::Plain);
+        let left = meeting.and_then(|m| m.remaining).map(|r| life.left(r, task.age_us, now));
+        cells[3] = (left.map_or_else(|| "-".to_owned(), |l| l.to_string()), Ink::Plain);
+    } else if view.capacity > 0 {
+        let fill = bar(&app.theme, 5, view.len.into(), view.capacity.into());
+        let fill = if width < 116 { String::new() } else { format!(" {fill}") };
+        cells[2] = (format!("{}/{}{fill}", view.len, view.capacity), Ink::Plain);
+        let left = view.min_slack.map(|s| life.left(s, task.age_us, now));
+        cells[3] = (left.map_or_else(|| "-".to_owned(), |l| l.to_string()), Ink::Plain);
+    }
+    cells[4] = (per_second(life.rate(task.view.task, view.port)), Ink::Plain);
+    let c = &view.counters;
+    counts(cells, c.expired, c.refused.saturating_add(c.evicted), c.rejected);
+}
+
+/// The worst finding within a row; only its sign where there is no room.
+fn health(row: &Row, findings: &[Finding], width: u16) -> (String, Ink) {
+    let Some(worst) = findings.iter().find(|f| row.place.holds(&f.place)) else {
+        let never_seen = row.place.node.is_err();
+        let text = if never_seen { "?" } else { "ok" };
+        return (text.to_owned(), if never_seen { Ink::Dim } else { Ink::Good });
+    };
+    let ink = if worst.level == Level::Bad { Ink::Bad } else { Ink::Warn };
+    let text = if width < 60 { String::new() } else { format!(" {}", worst.text) };
+    (format!("{}{text}", mark(worst.level)), ink)
+}

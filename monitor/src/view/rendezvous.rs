@@ -1,0 +1,150 @@
+//! Screen 3: each meeting as a card with a matrix of who knows of whose arrival.
+
+use super::pen::{Pen, bar};
+use crate::app::App;
+use crate::clock::{Moment, Span};
+use crate::store::Presence;
+use crate::store::meeting::{Meeting, Member, Standing, meetings};
+use crate::theme::Ink;
+
+type Line = Vec<(String, Ink)>;
+
+pub(super) fn draw(app: &App, now: Moment, pen: &mut Pen<'_>) {
+    let lines = cards(app, now, pen.area.width);
+    if lines.is_empty() {
+        pen.line(1, &[(" This cell has no waitfor.", Ink::Plain)]);
+        return;
+    }
+    let room = usize::from(pen.height());
+    let first = app.scroll.min(lines.len().saturating_sub(1));
+    for (y, line) in (0..).zip(lines.iter().skip(first).take(room)) {
+        let pieces: Vec<_> = line.iter().map(|(text, ink)| (text.as_str(), *ink)).collect();
+        pen.line(y, &pieces);
+    }
+}
+
+/// All lines of the screen, for scrolling.
+pub(super) fn lines(app: &App, now: Moment) -> Vec<Line> {
+    cards(app, now, 80)
+}
+
+fn cards(app: &App, now: Moment, width: u16) -> Vec<Line> {
+    let Some(cell) = app.cell() else { return Vec::new() };
+    let all = meetings(app.store(), &cell, now);
+    let mut lines = Vec::new();
+    for meeting in &all {
+        if !lines.is_empty() {
+            lines.push(Vec::new());
+        }
+        card(app, meeting, width, &mut lines);
+    }
+    lines
+}
+
+fn card(app: &App, meeting: &Meeting, width: u16, lines: &mut Vec<Line>) {
+    lines.push(heading(app, meeting, width));
+    let narrow = width < 60;
+    // A matrix of many members would not fit: then each row names whom it waits for, as it does anyway.
+    let matrix = !narrow && meeting.members.len() * 5 <= usize::from(width) / 3;
+    if !narrow {
+        lines.push(titles(meeting, matrix));
+    }
+    for (i, member) in meeting.members.iter().enumerate() {
+        lines.push(row(app, meeting, i, member, narrow, matrix));
+    }
+    for lost in meeting.lost() {
+        let why = match lost.presence {
+            Some(gone @ (Presence::Dead(_) | Presence::Stopped(_))) => format!("node {} {gone}", lost.node),
+            _ => lost.doing.clone(),
+        };
+        let text = format!("   !! {} can never arrive: {why}", lost.name);
+        lines.push(vec![(text, Ink::Bad)]);
+    }
+}
+
+fn heading(app: &App, meeting: &Meeting, width: u16) -> Line {
+    let (arrived, all) = (meeting.arrived(), meeting.members.len());
+    let waiting = meeting.is_waiting();
+    let (state, ink) = if waiting { ("GATHERING", Ink::Warn) } else { ("nobody waits", Ink::Dim) };
+    let mut line = vec![
+        (format!(" {}", meeting.name), Ink::Head),
+        (format!(" {}", meeting.round), Ink::Plain),
+        (format!("  {state} {arrived}/{all}"), ink),
+    ];
+    if let Some(left) = meeting.left {
+        line.push((format!("  {left} left "), Ink::Plain));
+        if width >= 60 {
+            line.push((format!("[{}]", bar(&app.theme, 20, left.us, meeting.patience_us)), Ink::Bar));
+        }
+    }
+    line
+}
+
+fn titles(meeting: &Meeting, matrix: bool) -> Line {
+    let mut text = format!("   {:16} {:18} ", "MEMBER", "ARRIVED");
+    if matrix {
+        for member in &meeting.members {
+            text += &format!("{:4} ", cut(&member.name.to_string(), 4));
+        }
+    }
+    text += "CONFIRMS WAITS FOR";
+    vec![(text, Ink::Dim)]
+}
+
+fn row(app: &App, meeting: &Meeting, at: usize, member: &Member, narrow: bool, matrix: bool) -> Line {
+    let gone = member.is_gone();
+    let glyphs = app.theme.glyphs;
+    let sign = if gone { glyphs.dead } else { " " };
+    let name = format!("{}@{}", member.name, member.node);
+    let (standing, ink) = standing(member, gone);
+    if narrow {
+        return vec![(format!(" {sign} {:14} ", cut(member.name.shown(), 14)), plain(gone)), (standing, ink)];
+    }
+    let mut line = vec![
+        (format!(" {sign} {:16} ", cut(&name, 16)), plain(gone)),
+        (format!("{:18} ", cut(&standing, 18)), ink),
+    ];
+    if matrix {
+        for (j, knows) in member.knows.iter().enumerate() {
+            let (cell, ink) = match knows {
+                _ if j == at => ("-", Ink::Dim),
+                Some(true) => (glyphs.yes, Ink::Good),
+                Some(false) => (glyphs.no, Ink::Warn),
+                None => ("?", Ink::Dim),
+            };
+            line.push((format!("{cell:4} "), ink));
+        }
+    }
+    let others = meeting.members.len().saturating_sub(1);
+    let confirms =
+        if member.left.is_some() { format!("{}/{others}", member.confirmed) } else { "-".to_owned() };
+    line.push((format!("{confirms:8} "), plain(gone)));
+    let names: Vec<_> = member.waits_for.iter().map(|&j| meeting.members[j].name.to_string()).collect();
+    if member.within_margin {
+        line.push(("a CONFIRM (too little time to release)".to_owned(), Ink::Warn));
+    } else if !names.is_empty() {
+        line.push((format!("{} {}", glyphs.arrow, names.join(",")), Ink::Warn));
+    } else if member.standing == Standing::Missing || gone {
+        line.push((format!("last seen: {}", member.doing), if gone { Ink::Bad } else { Ink::Dim }));
+    }
+    line
+}
+
+fn standing(member: &Member, gone: bool) -> (String, Ink) {
+    let waited = member.waited_us.map_or_else(String::new, |us| format!(" {} ago", Span::micros(us)));
+    match member.standing {
+        Standing::Arrived => (format!("arrived{waited}"), Ink::Good),
+        Standing::Released => ("released".to_owned(), Ink::Good),
+        Standing::Missing | Standing::Unknown if gone => ("MISSING, DEAD".to_owned(), Ink::Bad),
+        Standing::Missing => ("missing".to_owned(), Ink::Warn),
+        Standing::Unknown => ("not known".to_owned(), Ink::Dim),
+    }
+}
+
+const fn plain(gone: bool) -> Ink {
+    if gone { Ink::Dim } else { Ink::Plain }
+}
+
+fn cut(text: &str, width: usize) -> String {
+    text.chars().take(width).collect()
+}

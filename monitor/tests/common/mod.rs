@@ -1,0 +1,240 @@
+//! A cell to look at: three nodes, two arms and a hoist that meet, with everything at a known place.
+#![allow(dead_code, reason = "each test file uses a part")]
+
+use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
+pub mod server;
+
+use imrs_monitor::app::{App, Effect, Msg};
+use imrs_monitor::source::{Arrival, Feed, SourceId};
+use imrs_monitor::theme::Theme;
+use imrs_protocol::*;
+use imrs_wire::obs::{
+    Count, Events, LinkView, Liveness, NodeIdentity, ServerFrame, Snapshot, Table, TaskSnapshot, TimedEvent,
+};
+use ratatui::buffer::Buffer;
+use ratatui::layout::Rect;
+use std::time::Duration;
+
+pub const LIFT: PortId = PortId(0);
+pub const BEAT: PortId = PortId(1);
+pub const HALT: PortId = PortId(2);
+pub const NODES: [&str; 3] = ["nl", "nr", "nh"];
+
+pub fn cell() -> Cell {
+    let mut cell = Cell::new("beam-lift", Ticks(1_000));
+    let nodes = NODES.map(|n| cell.node(n));
+    for (a, b) in [(0, 1), (1, 2), (0, 2)] {
+        cell.link(nodes[a], nodes[b], Ticks(5_000));
+    }
+    let [left, right, hoist] = ["armL", "armR", "hoist"]
+        .map(|t| t)
+        .into_iter()
+        .zip(nodes)
+        .map(|(t, n)| cell.task(t, n))
+        .collect::<Vec<_>>()[..]
+    else {
+        unreachable!()
+    };
+    cell.port(
+        PortDecl::new("lift", left, Usage::Waitfor, &[right, hoist], Ticks(1_000_000))
+            .resend(Ticks(20_000), 2),
+    );
+    cell.port(PortDecl::new("beat", left, Usage::Send, &[right], Ticks(200_000)).command().bounded_buffer(8));
+    cell.port(PortDecl::new("halt", hoist, Usage::Send, &[left, right], Ticks(100_000)).bounded_buffer(2));
+    cell
+}
+
+pub fn table() -> Table {
+    Table::of(&CellTable::new(cell()).unwrap())
+}
+
+pub fn identity(node: usize, incarnation: u8) -> NodeIdentity {
+    NodeIdentity {
+        cell: "beam-lift".into(),
+        digest: 0xfeed,
+        node: NODES[node].into(),
+        id: node as u16,
+        incarnation: Incarnation(incarnation),
+        tick_us: 1,
+    }
+}
+
+fn port(port: PortId, usage: Usage, class: Class, capacity: u16, queue: Vec<QueueEntry>) -> PortView {
+    let counters =
+        PortCounters { sent: 40, enqueued: 30, delivered: 28, expired: 2, ..PortCounters::default() };
+    let min_slack = queue.first().map(|e| e.remaining);
+    PortView { port, usage, class, len: queue.len() as u16, capacity, min_slack, queue, counters }
+}
+
+fn entry(source: u16, sequence: u32, ms: u64, class: Class) -> QueueEntry {
+    let id = MessageId { incarnation: Incarnation(1), sequence: Seq24::new(sequence) };
+    QueueEntry { source: TaskId(source), id, class, remaining: Ticks(ms * 1000) }
+}
+
+/// The arms wait for the hoist in round 12, with 380 and 500 ms left; the hoist receives.
+pub fn snapshot(node: usize) -> Snapshot {
+    let waiting = node < 2;
+    let patience = Ticks([380_000, 500_000, 0][node]);
+    let member = |task: usize| MemberView {
+        task: TaskId(task as u16),
+        arrived: waiting && task < 2,
+        confirmed: false,
+        remaining: (waiting && task < 2).then_some(Ticks(300_000)),
+    };
+    let meeting = MeetingView {
+        port: LIFT,
+        round: Round(12),
+        released: Round(11),
+        state: if waiting { MeetingState::Gathering } else { MeetingState::Away },
+        remaining: waiting.then_some(patience),
+        members: (0..3).map(member).collect(),
+    };
+    let mut ports = vec![port(LIFT, Usage::Waitfor, Class::Command, 0, Vec::new())];
+    match node {
+        0 => ports.push(port(BEAT, Usage::Send, Class::Command, 0, Vec::new())),
+        1 => {
+            let queue = vec![
+                entry(0, 8812, 7, Class::Command),
+                entry(0, 8813, 44, Class::Command),
+                entry(0, 8815, 180, Class::Command),
+            ];
+            ports.push(port(BEAT, Usage::Receive, Class::Command, 8, queue));
+        }
+        _ => {}
+    }
+    let halt = if node == 2 { Usage::Send } else { Usage::Receive };
+    ports.push(port(HALT, halt, Class::Status, if node == 2 { 0 } else { 2 }, Vec::new()));
+    let state = match node {
+        2 => TaskState::Receiving { port: Some(HALT), remaining: Some(Ticks(90_000)) },
+        _ => TaskState::Waiting { port: LIFT, round: Round(12), remaining: patience },
+    };
+    let view = TaskView { task: TaskId(node as u16), state, ports, meetings: vec![meeting] };
+    Snapshot {
+        mono_us: 5_000_000,
+        uptime_us: 252_000_000,
+        insecure: true,
+        tasks: vec![TaskSnapshot { liveness: Liveness::Alive, age_us: 0, view }],
+        transit: TransitView { len: u16::from(node == 1), capacity: 16, ..TransitView::default() },
+        links: vec![LinkView { peer: NodeId(0), heard_us: Some(100), sent: 10, received: 9 }],
+        discards: vec![Count { name: "expired".into(), count: 2 }],
+        ..Snapshot::default()
+    }
+}
+
+pub fn observed(event: Event, port: PortId, peer: u16, number: u32) -> Observation {
+    Observation { event, port, peer: TaskId(peer), number, remaining: Ticks(1_000) }
+}
+
+pub fn events(node: usize, list: &[Observation]) -> Events {
+    let event = |(i, what): (usize, &Observation)| TimedEvent {
+        mono_us: 1_000 * i as u64,
+        task: Some(TaskId(node as u16)),
+        what: *what,
+    };
+    Events { lost: 0, events: list.iter().enumerate().map(event).collect() }
+}
+
+pub const fn ms(ms: u64) -> Duration {
+    Duration::from_millis(ms)
+}
+
+/// The app with feeds at given moments.
+pub struct Stage {
+    pub app: App,
+}
+
+impl Stage {
+    pub fn new(theme: Theme) -> Self {
+        Self { app: App::new(theme, None) }
+    }
+
+    pub fn feed(&mut self, at: Duration, source: usize, feed: Feed) -> Effect {
+        let arrival = Arrival { at, source: SourceId(source as u32), feed };
+        self.app.update(Msg::Feed(arrival), at)
+    }
+
+    pub fn frame(&mut self, at: Duration, source: usize, frame: ServerFrame) -> Effect {
+        self.feed(at, source, Feed::Frame(Box::new(frame)))
+    }
+
+    pub fn attach(&mut self, at: Duration, node: usize, incarnation: u8) {
+        let pid = 800 + node as u32 + 10 * u32::from(incarnation);
+        self.feed(
+            at,
+            node,
+            Feed::Attached { identity: identity(node, incarnation), pid, build: "imrs 0.1.0".into() },
+        );
+        self.frame(at, node, ServerFrame::Table(table()));
+        self.frame(at, node, ServerFrame::Snapshot(snapshot(node)));
+    }
+
+    pub fn lose(&mut self, at: Duration, node: usize) {
+        self.feed(at, node, Feed::Lost { why: "the connection was closed".into() });
+    }
+
+    /// All three nodes, attached at 1 s.
+    pub fn cell(theme: Theme) -> Self {
+        let mut stage = Self::new(theme);
+        for node in 0..3 {
+            stage.attach(ms(1_000), node, 1);
+        }
+        stage
+    }
+
+    pub fn key(&mut self, now: Duration, code: KeyCode) -> Effect {
+        self.app.update(Msg::Key(KeyEvent::new(code, KeyModifiers::NONE)), now)
+    }
+
+    pub fn keys(&mut self, now: Duration, text: &str) {
+        for c in text.chars() {
+            self.key(now, KeyCode::Char(c));
+        }
+    }
+
+    pub fn ctrl(&mut self, now: Duration, c: char) -> Effect {
+        self.app.update(Msg::Key(KeyEvent::new(KeyCode::Char(c), KeyModifiers::CONTROL)), now)
+    }
+
+    pub fn buffer(&self, now: Duration, width: u16, height: u16) -> Buffer {
+        let mut buffer = Buffer::empty(Rect::new(0, 0, width, height));
+        imrs_monitor::view::view(&self.app, now, buffer.area, &mut buffer);
+        buffer
+    }
+
+    /// The rows of the screen as text.
+    pub fn text(&self, now: Duration, width: u16, height: u16) -> String {
+        text(&self.buffer(now, width, height))
+    }
+}
+
+pub fn text(buffer: &Buffer) -> String {
+    let mut out = String::new();
+    for y in 0..buffer.area.height {
+        let row: String = (0..buffer.area.width).map(|x| buffer[(x, y)].symbol()).collect();
+        out += row.trim_end();
+        out.push('\n');
+    }
+    out
+}
+
+/// The runs of cells with a style of their own, one per line: row, columns, style.
+pub fn styles(buffer: &Buffer) -> String {
+    let mut out = String::new();
+    for y in 0..buffer.area.height {
+        let style = |x: u16| {
+            let cell = &buffer[(x, y)];
+            (cell.fg, cell.bg, cell.modifier)
+        };
+        let mut x = 0;
+        while x < buffer.area.width {
+            let run = style(x);
+            let end = (x..buffer.area.width).find(|&e| style(e) != run).unwrap_or(buffer.area.width);
+            let plain = ratatui::buffer::Cell::default();
+            if run != (plain.fg, plain.bg, plain.modifier) {
+                out += &format!("{y}:{x}-{} {} {} {:?}\n", end - 1, run.0, run.1, run.2);
+            }
+            x = end;
+        }
+    }
+    out
+}

@@ -1,0 +1,91 @@
+//! A node that is none: serves the observation protocol from a thread, well or badly.
+
+use super::{identity, snapshot, table};
+use imrs_wire::obs::{
+    ClientFrame, FrameError, FrameReader, FrameWriter, Handshake, Hello, MAX_REQUEST, Role, SCHEMA,
+    ServerFrame, VERSION, Version, place,
+};
+use std::io::Write;
+use std::os::unix::net::{UnixListener, UnixStream};
+use std::path::{Path, PathBuf};
+use std::thread;
+use std::time::Duration;
+
+/// The longest any of these servers lives.
+const LONG: Duration = Duration::from_secs(30);
+
+pub struct Peer {
+    pub reader: FrameReader<UnixStream>,
+    pub writer: FrameWriter<UnixStream>,
+}
+
+impl Peer {
+    pub fn hello(&mut self, node: usize, version: Version, schema: u32) -> Result<(), FrameError> {
+        let request = self.reader.read_frame()?;
+        let (_, theirs) = Handshake::decode(request).expect("a monitor's hello");
+        assert!(matches!(theirs, Handshake::Hello(Hello { role: Role::Monitor, .. })));
+        let role = Role::Node(identity(node, 1));
+        let hello = Hello { schema, pid: std::process::id(), build: "fake 1".into(), mono_us: 0, role };
+        self.writer.push_bytes(&Handshake::Hello(hello).encode(version))?;
+        self.writer.flush()
+    }
+
+    pub fn say(&mut self, frame: &ServerFrame) -> Result<(), FrameError> {
+        self.writer.push(frame)?;
+        self.writer.flush()
+    }
+
+    pub fn hear(&mut self) -> Result<ClientFrame, FrameError> {
+        let frame = self.reader.read_frame()?;
+        Ok(ClientFrame::decode(frame).expect("a monitor's frame"))
+    }
+
+    pub fn raw(&mut self, bytes: &[u8]) {
+        let mut stream = self.writer.get_ref();
+        stream.write_all(bytes).unwrap();
+    }
+
+    /// Hello, table, subscription: up to where snapshots begin.
+    pub fn greet(&mut self, node: usize) -> Result<u16, FrameError> {
+        self.hello(node, VERSION, SCHEMA)?;
+        self.say(&ServerFrame::Table(table()))?;
+        let ClientFrame::Subscribe(subscribe) = self.hear()? else { panic!("no subscription") };
+        Ok(subscribe.credit)
+    }
+
+    /// Serves snapshots, one per credit, until the monitor leaves.
+    pub fn serve(&mut self, node: usize) {
+        let Ok(mut credit) = self.greet(node) else { return };
+        loop {
+            while credit > 0 {
+                if self.say(&ServerFrame::Snapshot(snapshot(node))).is_err() {
+                    return;
+                }
+                credit -= 1;
+                thread::sleep(Duration::from_millis(5));
+            }
+            match self.hear() {
+                Ok(ClientFrame::Credit(more)) => credit += more,
+                _ => return,
+            }
+        }
+    }
+}
+
+/// A socket in `base` whose every connection `each` serves, in a thread, until the test's process ends. The folder
+/// is the test's own.
+pub fn listen(base: &Path, node: &str, each: impl Fn(Peer) + Send + Clone + 'static) -> PathBuf {
+    let path = place::prepare_in(base, "beam-lift", node, std::process::id()).unwrap();
+    let listener = UnixListener::bind(&path).unwrap();
+    thread::spawn(move || {
+        for stream in listener.incoming().flatten() {
+            stream.set_read_timeout(Some(LONG)).unwrap();
+            stream.set_write_timeout(Some(LONG)).unwrap();
+            let reader = FrameReader::new(stream.try_clone().unwrap(), MAX_REQUEST);
+            let peer = Peer { reader, writer: FrameWriter::new(stream) };
+            let each = each.clone();
+            thread::spawn(move || each(peer));
+        }
+    });
+    path
+}

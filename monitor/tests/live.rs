@@ -1,0 +1,406 @@
+//! The live source and the printing modes against servers on real Unix sockets: good, slow, hostile, dying.
+
+mod common;
+
+use common::server::{Peer, listen};
+use common::{NODES, identity, snapshot, table};
+use imrs_monitor::clock::Clock;
+use imrs_monitor::source::live::Which;
+use imrs_monitor::store::Presence;
+use imrs_monitor::{Endpoint, Format, Options, Verdict, Watch, report};
+use imrs_protocol::Event;
+use imrs_wire::obs::{
+    ClientFrame, Handshake, Refusal, SCHEMA, ServerFrame, Snapshot, VERSION, Version, place,
+};
+use std::os::unix::net::UnixListener;
+use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicU32, Ordering};
+use std::sync::{Arc, mpsc};
+use std::thread;
+use std::time::{Duration, Instant};
+
+/// Far longer than anything here takes, however busy the machine is.
+const LIMIT: Duration = Duration::from_secs(20);
+
+fn base() -> (tempfile::TempDir, PathBuf) {
+    let temp = tempfile::tempdir().unwrap();
+    let base = temp.path().join("imrs");
+    (temp, base)
+}
+
+/// Good nodes.
+fn serve(base: &Path, nodes: std::ops::Range<usize>) {
+    for node in nodes {
+        listen(base, NODES.get(node).unwrap(), move |mut peer| peer.serve(node));
+    }
+}
+
+fn watch(base: &Path) -> (Watch, Clock) {
+    let clock = Clock::start();
+    (Watch::start(Which::Under(base.to_owned()), clock).unwrap(), clock)
+}
+
+/// Watches until `done`.
+fn until(watch: &mut Watch, what: &str, done: impl Fn(&Watch) -> bool) {
+    let end = Instant::now() + LIMIT;
+    while !done(watch) {
+        assert!(Instant::now() < end, "{what}: never");
+        watch.watch(Duration::from_millis(10));
+    }
+}
+
+fn troubles(watch: &Watch) -> Vec<String> {
+    watch.store().troubles().map(str::to_owned).collect()
+}
+
+/// The trouble that a server gives that does `each` with every connection.
+fn trouble_with(each: impl Fn(Peer) + Send + Clone + 'static) -> String {
+    let (_temp, base) = base();
+    listen(&base, "nl", each);
+    let (mut watch, _) = watch(&base);
+    until(&mut watch, "a trouble", |w| w.store().troubles().next().is_some());
+    troubles(&watch).remove(0)
+}
+
+/// How a node that does `each` after the greeting is lost.
+fn loss_with(each: impl Fn(&mut Peer) + Send + Clone + 'static) -> String {
+    let (_temp, base) = base();
+    listen(&base, "nl", move |mut peer| {
+        if peer.greet(0).is_ok() {
+            peer.say(&ServerFrame::Snapshot(snapshot(0))).unwrap();
+            each(&mut peer);
+        }
+    });
+    let (mut watch, _) = watch(&base);
+    let dead = |w: &Watch| w.store().journal().lines(false, "dead").last().map(|e| e.detail());
+    until(&mut watch, "a death", |w| dead(w).is_some());
+    assert!(!watch.store().lives()[0].tasks().is_empty(), "the last state is kept");
+    dead(&watch).unwrap()
+}
+
+#[test]
+fn a_cell_is_found_and_shown_and_new_nodes_join() {
+    let (_temp, base) = base();
+    listen(&base, NODES[0], |mut peer| peer.serve(0));
+    let (mut watch, clock) = watch(&base);
+    assert!(watch.settle());
+    assert_eq!(watch.store().lives().len(), 1);
+    serve(&base, 1..3);
+    until(&mut watch, "three nodes", |w| w.store().lives().iter().filter(|l| l.last.is_some()).count() == 3);
+    assert!(watch.store().lives().iter().all(|l| l.presence(clock.now()) == Presence::Up));
+    assert!(!report::is_critical(watch.store(), None, clock.now()));
+}
+
+#[test]
+fn a_node_gets_credit_back_and_is_heard_again_and_again() {
+    let (_temp, base) = base();
+    let sent = Arc::new(AtomicU32::new(0));
+    let count = sent.clone();
+    listen(&base, "nl", move |mut peer| {
+        let mut credit = peer.greet(0).unwrap();
+        while credit > 0 && count.load(Ordering::Relaxed) < 100 {
+            peer.say(&ServerFrame::Snapshot(snapshot(0))).unwrap();
+            count.fetch_add(1, Ordering::Relaxed);
+            credit -= 1;
+            while credit == 0 {
+                let Ok(ClientFrame::Credit(more)) = peer.hear() else { return };
+                credit += more;
+            }
+        }
+        thread::sleep(LIMIT);
+    });
+    let (mut watch, _) = watch(&base);
+    until(&mut watch, "100 snapshots on 8 credits", |_| sent.load(Ordering::Relaxed) == 100);
+}
+
+#[test]
+fn a_dead_node_is_shown_dead_and_comes_back_after_a_restart() {
+    let (_temp, base) = base();
+    let lives = Arc::new(AtomicU32::new(0));
+    let count = lives.clone();
+    listen(&base, "nl", move |mut peer| {
+        let first = count.fetch_add(1, Ordering::Relaxed) == 0;
+        if first {
+            peer.greet(0).unwrap();
+            peer.say(&ServerFrame::Snapshot(snapshot(0))).unwrap();
+        } else {
+            peer.serve(0);
+        }
+    });
+    let (mut watch, clock) = watch(&base);
+    until(&mut watch, "death", |w| {
+        w.store().lives().first().is_some_and(|l| l.presence(clock.now()).is_gone())
+    });
+    until(&mut watch, "return", |w| w.store().lives()[0].presence(clock.now()) == Presence::Up);
+    assert_eq!(lives.load(Ordering::Relaxed), 2);
+}
+
+#[test]
+fn another_version_is_refused_with_both_named() {
+    let trouble = trouble_with(|mut peer| drop(peer.hello(0, Version { major: 2, minor: 3 }, SCHEMA)));
+    assert!(trouble.contains("it speaks imrs-obs 2.3, this monitor 1.0"), "{trouble}");
+    let trouble = trouble_with(|mut peer| drop(peer.hello(0, VERSION, SCHEMA ^ 1)));
+    assert!(trouble.contains("other frame types"), "{trouble}");
+    let trouble = trouble_with(|mut peer| {
+        let _ = peer.reader.read_frame();
+        let refused = Handshake::Refused(Refusal::TooMany { limit: 4 });
+        let _ = peer.writer.push_bytes(&refused.encode(VERSION));
+        let _ = peer.writer.flush();
+    });
+    assert!(trouble.contains("serves 4 monitors already"), "{trouble}");
+}
+
+#[test]
+fn strangers_and_silence_are_told_apart() {
+    let trouble = trouble_with(|mut peer| peer.raw(b"\x20\0\0\0HTTP/1.1 400 Bad Request\r\n\r\nxxxx"));
+    assert!(trouble.contains("does not speak imrs-obs"), "{trouble}");
+    let trouble = trouble_with(|_peer| thread::sleep(LIMIT));
+    assert!(trouble.contains("no answer in 1s; is the node stopped?"), "{trouble}");
+    let trouble = trouble_with(drop);
+    assert!(trouble.contains("closed"), "{trouble}");
+}
+
+#[test]
+fn garbage_oversize_and_broken_frames_end_the_connection_with_their_reason() {
+    assert!(loss_with(|peer| peer.raw(&[5, 0, 0, 0, 1, 0xff, 0xff, 0xff, 0xff])).contains("malformed frame"));
+    assert!(loss_with(|peer| peer.raw(&u32::MAX.to_le_bytes())).contains("4294967295 bytes"));
+    assert!(loss_with(|peer| peer.raw(&[9, 0, 0, 0, 1, 2])).contains("closed after 6 of a frame's 13 bytes"));
+    assert!(loss_with(|_| {}).contains("the connection was closed"));
+}
+
+#[test]
+fn a_frame_of_a_later_minor_version_is_passed_over() {
+    let (_temp, base) = base();
+    listen(&base, "nl", |mut peer| {
+        peer.greet(0).unwrap();
+        peer.raw(&[3, 0, 0, 0, 77, 1, 2]);
+        let frame = ServerFrame::Snapshot(Snapshot { uptime_us: 4242, ..snapshot(0) });
+        peer.say(&frame).unwrap();
+        thread::sleep(LIMIT);
+    });
+    let (mut watch, _) = watch(&base);
+    let uptime = |w: &Watch| w.store().lives().first()?.last.as_ref().map(|s| s.snapshot.uptime_us);
+    until(&mut watch, "the frame after it", |w| uptime(w) == Some(4242));
+}
+
+#[test]
+fn a_byte_at_a_time_is_slow_and_nothing_worse() {
+    let (_temp, base) = base();
+    listen(&base, "nl", |mut peer| {
+        peer.greet(0).unwrap();
+        let bytes = postcard::to_allocvec(&ServerFrame::Snapshot(snapshot(0))).unwrap();
+        peer.raw(&u32::try_from(bytes.len()).unwrap().to_le_bytes());
+        for byte in bytes {
+            peer.raw(&[byte]);
+            thread::sleep(Duration::from_millis(2));
+        }
+        thread::sleep(LIMIT);
+    });
+    let (mut watch, _) = watch(&base);
+    until(&mut watch, "a slow snapshot", |w| w.store().lives().first().is_some_and(|l| l.last.is_some()));
+}
+
+#[test]
+fn a_socket_that_a_killed_node_left_is_removed_and_remembered() {
+    let (_temp, base) = base();
+    listen(&base, "nl", |mut peer| peer.serve(0));
+    let stale = place::prepare_in(&base, "beam-lift", "nh", 4_194_305).unwrap();
+    drop(UnixListener::bind(&stale).unwrap());
+    let (mut watch, clock) = watch(&base);
+    assert!(watch.settle());
+    until(&mut watch, "removal", |_| !stale.exists());
+    until(&mut watch, "a finding", |w| report::is_critical(w.store(), None, clock.now()));
+    let text = report::text(watch.store(), None, clock.now());
+    assert!(text.contains("node nh: DEAD") && text.contains("node nr: not seen here"), "{text}");
+}
+
+fn print(options: &Options) -> (Result<Verdict, imrs_monitor::MonitorError>, String) {
+    let mut out = Vec::new();
+    let verdict = imrs_monitor::print(options, &mut out);
+    (verdict, String::from_utf8(out).unwrap())
+}
+
+#[test]
+fn one_sample_as_json_keeps_its_contract() {
+    let (_temp, base) = base();
+    serve(&base, 0..3);
+    let options = Options { base: Some(base), once: true, format: Format::Json, ..Options::default() };
+    let (verdict, out) = print(&options);
+    assert_eq!(verdict.unwrap(), Verdict::Healthy);
+    assert_eq!(out.matches('\n').count(), 1);
+    let json: serde_json::Value = serde_json::from_str(&out).unwrap();
+    assert_eq!(json["version"], 1);
+    let nodes = json["nodes"].as_array().unwrap();
+    assert_eq!(nodes.iter().map(|n| n["name"].as_str().unwrap()).collect::<Vec<_>>(), NODES);
+    let node = &nodes[1];
+    assert_eq!((&node["up"], &node["incarnation"]), (&true.into(), &1.into()));
+    assert_eq!(node["transit"]["len"], 1);
+    assert_eq!(node["transit"]["capacity"], 16);
+    let task = &node["tasks"][0];
+    assert_eq!((task["name"].as_str(), task["state"].as_str()), (Some("armR"), Some("waitfor")));
+    let port = task["ports"].as_array().unwrap().iter().find(|p| p["name"] == "beat").unwrap();
+    let keys = [
+        "usage",
+        "class",
+        "len",
+        "capacity",
+        "min_slack_us",
+        "enqueued",
+        "delivered",
+        "expired",
+        "refused",
+        "rejected",
+        "evicted",
+        "penalty_us",
+    ];
+    for key in keys {
+        assert!(!port[key].is_null(), "{key} in {port}");
+    }
+    assert_eq!((&port["usage"], &port["class"], &port["len"]), (&"receive".into(), &2.into(), &3.into()));
+    assert!(port["min_slack_us"].as_u64().unwrap() <= 7_000);
+    let waitfor = &task["waitfor"][0];
+    assert_eq!((&waitfor["port"], &waitfor["round"]), (&"lift".into(), &12.into()));
+    assert_eq!(waitfor["state"], "gathering");
+    assert_eq!(waitfor["members"][2]["task"], "hoist");
+    assert_eq!(
+        (&waitfor["members"][2]["arrived"], &waitfor["members"][0]["arrived"]),
+        (&false.into(), &true.into())
+    );
+    assert!(
+        waitfor["members"][0]["confirmed"] == false && waitfor["remaining_us"].as_u64().unwrap() <= 500_000
+    );
+}
+
+#[test]
+fn one_sample_as_text_has_no_escapes_and_names_who_is_missing() {
+    let (_temp, base) = base();
+    serve(&base, 0..2);
+    let options = Options { base: Some(base), once: true, ..Options::default() };
+    let (verdict, out) = print(&options);
+    assert_eq!(verdict.unwrap(), Verdict::Healthy);
+    assert!(!out.contains('\u{1b}'));
+    assert!(out.contains("waitfor lift r12: 2 of 3 arrived"), "{out}");
+    assert!(out.contains("missing hoist@nh (never seen)"), "{out}");
+}
+
+#[test]
+fn nothing_found_is_said_with_where_and_what_to_do() {
+    let (_temp, base) = base();
+    let (verdict, out) = print(&Options { base: Some(base.clone()), once: true, ..Options::default() });
+    let error = verdict.unwrap_err();
+    assert_eq!((error.exit_code(), out.as_str()), (3, ""));
+    let text = error.to_string();
+    assert!(text.contains("imrs demo beam-lift") && text.contains("no running node found under"), "{text}");
+    let endpoint = Endpoint::Unix(base.join("none.sock"));
+    let (verdict, _) = print(&Options { connect: vec![endpoint], once: true, ..Options::default() });
+    let error = verdict.unwrap_err();
+    assert_eq!(error.exit_code(), 3);
+    assert!(error.to_string().contains("none.sock"), "{error}");
+}
+
+#[test]
+fn a_stopped_node_does_not_hold_up_a_sample_of_the_others() {
+    let (_temp, base) = base();
+    listen(&base, NODES[0], |mut peer| peer.serve(0));
+    listen(&base, NODES[1], |_peer| thread::sleep(LIMIT));
+    let (send, done) = mpsc::channel();
+    thread::spawn(move || {
+        let options = Options { base: Some(base), once: true, ..Options::default() };
+        send.send(print(&options)).unwrap();
+    });
+    let (verdict, out) = done.recv_timeout(LIMIT).expect("it hangs");
+    assert_eq!(verdict.unwrap(), Verdict::Healthy);
+    assert!(out.contains("node nl: up") && out.contains("cannot attach: unix:"), "{out}");
+}
+
+#[test]
+fn names_of_the_wire_are_printed_escaped_and_kept_in_json() {
+    let (_temp, base) = base();
+    listen(&base, "evil", |mut peer| {
+        peer.hello(0, VERSION, SCHEMA).unwrap();
+        let mut names = table();
+        names.tasks[0].name = "arm\u{1b}]0;x\u{7}\u{202e}".into();
+        peer.say(&ServerFrame::Table(names)).unwrap();
+        let _ = peer.hear();
+        let _ = peer.say(&ServerFrame::Snapshot(snapshot(0)));
+        thread::sleep(LIMIT);
+    });
+    let options = |format| Options { base: Some(base.clone()), once: true, format, ..Options::default() };
+    let (_, text) = print(&options(Format::Text));
+    assert!(text.contains("arm\\x1b]0;x\\x07\\u202e") && !text.contains('\u{1b}'), "{text}");
+    let (_, json) = print(&options(Format::Json));
+    assert!(json.trim_end().chars().all(|c| !c.is_control() && c != '\u{202e}'), "{json}");
+    let json: serde_json::Value = serde_json::from_str(&json).unwrap();
+    assert_eq!(json["nodes"][0]["tasks"][0]["name"], "arm\u{1b}]0;x\u{7}\u{202e}");
+    assert_eq!(json["nodes"][0]["name"], identity(0, 1).node);
+}
+
+/// Takes so many lines, then behaves like a pipe whose reader has gone.
+struct Lines {
+    left: usize,
+    taken: Arc<std::sync::Mutex<String>>,
+}
+
+impl std::io::Write for Lines {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        if self.left == 0 {
+            return Err(std::io::ErrorKind::BrokenPipe.into());
+        }
+        self.left = self.left.saturating_sub(bytes.iter().filter(|b| **b == b'\n').count());
+        self.taken.lock().unwrap().push_str(std::str::from_utf8(bytes).unwrap());
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
+}
+
+/// What is printed until `lines` lines were taken.
+fn print_lines(options: Options, lines: usize) -> String {
+    let taken = Arc::new(std::sync::Mutex::new(String::new()));
+    let mut out = Lines { left: lines, taken: taken.clone() };
+    let (send, done) = mpsc::channel();
+    thread::spawn(move || send.send(imrs_monitor::print(&options, &mut out).unwrap()).unwrap());
+    assert_eq!(done.recv_timeout(LIMIT).expect("it does not end with its reader"), Verdict::Healthy);
+    let taken = taken.lock().unwrap();
+    taken.clone()
+}
+
+#[test]
+fn samples_are_printed_period_after_period_until_the_reader_has_gone() {
+    let (_temp, base) = base();
+    listen(&base, "nl", |mut peer| peer.serve(0));
+    let watch = Some(Duration::from_millis(20));
+    let options = Options { base: Some(base), watch, format: Format::Json, ..Options::default() };
+    let out = print_lines(options, 3);
+    let lines: Vec<serde_json::Value> = out.lines().map(|l| serde_json::from_str(l).unwrap()).collect();
+    assert_eq!(lines.len(), 3);
+    assert!(lines.iter().all(|l| l["nodes"][0]["up"] == true));
+}
+
+#[test]
+fn lines_say_what_happens_while_it_happens() {
+    let (_temp, base) = base();
+    listen(&base, "nl", |mut peer| {
+        peer.greet(0).unwrap();
+        peer.say(&ServerFrame::Snapshot(snapshot(0))).unwrap();
+        for round in 12.. {
+            thread::sleep(Duration::from_millis(50));
+            // Two kinds by turns, so that no line is folded into the one before.
+            let event = if round % 2 == 0 { Event::GaveUp } else { Event::PartnerAborted };
+            let happened = common::observed(event, common::LIFT, 2, round);
+            if peer.say(&ServerFrame::Events(common::events(0, &[happened]))).is_err() {
+                return;
+            }
+        }
+    });
+    let first = print(&Options { base: Some(base.clone()), once: true, ..Options::default() }).1;
+    let options = Options { base: Some(base), text: true, ..Options::default() };
+    let out = print_lines(options, first.lines().count() + 1);
+    let line = out.lines().last().unwrap();
+    assert!(
+        line.contains("nl gave up lift at armL round ") || line.contains("nl aborted lift at armL round"),
+        "{line}"
+    );
+}

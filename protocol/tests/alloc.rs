@@ -1,0 +1,197 @@
+//! Nothing on the message path allocates after `new` (§5.2.3: no run-time allocation; D15).
+
+use imrs_protocol::*;
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell as Counter;
+use std::sync::Arc;
+
+thread_local! {
+    static ALLOCATIONS: Counter<u64> = const { Counter::new(0) };
+}
+
+/// The system's allocator, counting the calls of each thread.
+struct Counting;
+
+// SAFETY: every call goes to the system's allocator unchanged; counting touches only a thread-local number that needs
+// no allocation and no destructor.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        ALLOCATIONS.set(ALLOCATIONS.get() + 1);
+        // SAFETY: the caller's promise is passed on.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, at: *mut u8, layout: Layout) {
+        // SAFETY: the caller's promise is passed on; `alloc` took the memory from the same allocator.
+        unsafe { System.dealloc(at, layout) }
+    }
+
+    unsafe fn realloc(&self, at: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        ALLOCATIONS.set(ALLOCATIONS.get() + 1);
+        // SAFETY: the caller's promise is passed on; `alloc` took the memory from the same allocator.
+        unsafe { System.realloc(at, layout, size) }
+    }
+}
+
+#[global_allocator]
+static GLOBAL: Counting = Counting;
+
+const ARM: TaskId = TaskId(0);
+const HOIST: TaskId = TaskId(1);
+const N0: NodeId = NodeId(0);
+const N1: NodeId = NodeId(1);
+const MOVE: PortId = PortId(0);
+const BEAT: PortId = PortId(1);
+const LIFT: PortId = PortId(2);
+
+fn cell() -> Cell {
+    let mut cell = Cell::new("two", Ticks(1));
+    let (a, b) = (cell.node("a"), cell.node("b"));
+    cell.link(a, b, Ticks(1));
+    let (arm, hoist) = (cell.task("arm", a), cell.task("hoist", b));
+    cell.port(PortDecl::new("move", arm, Usage::Send, &[hoist], Ticks(50)).command().retry(3, Ticks(4)));
+    cell.port(PortDecl::new("beat", arm, Usage::Send, &[hoist], Ticks(50)).bounded_buffer(2));
+    cell.port(PortDecl::new("lift", arm, Usage::Waitfor, &[hoist], Ticks(50)).resend(Ticks(4), 2));
+    cell
+}
+
+/// What one node did in a step, in fixed room.
+struct Room {
+    packets: [Option<(NodeId, Packet)>; 16],
+    signals: [Option<Signal>; 16],
+    ready: bool,
+}
+
+impl NodeOutbox for Room {
+    fn ready(&mut self, _: NodeId) -> bool {
+        self.ready
+    }
+    fn link(&mut self, next: NodeId, packet: Packet) {
+        *self.packets.iter_mut().find(|slot| slot.is_none()).expect("room") = Some((next, packet));
+    }
+    fn signal(&mut self, _: TaskId, signal: Signal) {
+        *self.signals.iter_mut().find(|slot| slot.is_none()).expect("room") = Some(signal);
+    }
+}
+
+struct Pair {
+    nodes: [Node; 2],
+    room: Room,
+}
+
+impl Pair {
+    fn new() -> Self {
+        let table = Arc::new(CellTable::new(cell()).expect("a checked cell"));
+        let node = |n| Node::new(NodeTable::new(Arc::clone(&table), n), Incarnation(0), false, 4);
+        Self {
+            nodes: [node(N0), node(N1)],
+            room: Room { packets: [None; 16], signals: [None; 16], ready: true },
+        }
+    }
+
+    /// Steps one node and delivers everything that follows.
+    fn step(&mut self, at: NodeId, input: NodeInput) {
+        self.nodes[at.index()].step(input, &mut self.room);
+        while let Some(slot) = self.room.packets.iter_mut().find(|slot| slot.is_some()) {
+            let (to, packet) = slot.take().expect("some");
+            self.nodes[to.index()].step(NodeInput::Packet { packet, charge: Ticks(1) }, &mut self.room);
+        }
+    }
+
+    fn ask(&mut self, task: TaskId, request: Request) {
+        self.step(NodeId(task.0), NodeInput::Request(task, request));
+    }
+
+    fn pass(&mut self, ticks: u64) {
+        self.step(N0, NodeInput::Advance(Ticks(ticks)));
+        self.step(N1, NodeInput::Advance(Ticks(ticks)));
+    }
+
+    fn told(&mut self, wanted: impl Fn(&Signal) -> bool) -> Signal {
+        let found = self.room.signals.iter().flatten().find(|s| wanted(s)).copied();
+        self.room.signals = [None; 16];
+        found.expect("the signal")
+    }
+}
+
+/// Every kind of message path once.
+fn exercise(pair: &mut Pair, contents: Contents) {
+    let command = Request::Send { port: MOVE, to: Target::One(HOIST), contents, time_out: None };
+    let status = Request::Send { port: BEAT, to: Target::All, contents, time_out: None };
+    let get = Request::Get { port: None, source: None, time_out: Some(Ticks(20)) };
+    let arrive = Request::Arrive { port: LIFT, arguments: [1; 8], time_out: None };
+
+    // Send, receive, reply; the message is stored first.
+    pair.ask(ARM, command);
+    pair.ask(HOIST, get);
+    let Signal::Message(message) = pair.told(|s| matches!(s, Signal::Message(_))) else { return };
+    pair.ask(HOIST, Request::Reply { to: message.from, contents });
+    pair.told(|s| matches!(s, Signal::Outcome(Outcome::Reply(_))));
+    // Status until the buffer evicts, then expiry.
+    for _ in 0..4 {
+        pair.ask(ARM, status);
+    }
+    pair.pass(60);
+    pair.room.signals = [None; 16];
+    // A rendezvous, with copies of the arrival and of the CONFIRM.
+    pair.ask(ARM, arrive);
+    pair.pass(3);
+    pair.ask(HOIST, arrive);
+    pair.told(|s| matches!(s, Signal::Released { .. }));
+    pair.pass(4);
+    pair.pass(4);
+    // One that is given up.
+    pair.ask(ARM, arrive);
+    pair.pass(50);
+    pair.told(|s| matches!(s, Signal::GaveUp { .. }));
+    // The transit buffer: waiting, overflow, expiry; a command sent again and never answered.
+    pair.room.ready = false;
+    for _ in 0..6 {
+        pair.ask(ARM, status);
+    }
+    pair.ask(ARM, command);
+    pair.pass(9);
+    pair.pass(50);
+    pair.told(|s| matches!(s, Signal::Outcome(Outcome::TimedOutUnsent)));
+    pair.room.ready = true;
+    // A delay, and time going back to zero.
+    pair.ask(ARM, Request::Delay { id: TimeId(1), length: Ticks(5) });
+    pair.pass(5);
+    pair.told(|s| matches!(s, Signal::TimeOut(_)));
+    for node in &mut pair.nodes {
+        let parts = node.parts_mut();
+        parts.tasks.iter_mut().for_each(CommTask::rebase);
+        parts.transit.rebase();
+        parts.timer.rebase();
+    }
+}
+
+#[test]
+fn the_message_path_allocates_nothing() {
+    let mut pair = Pair::new();
+    let contents = Contents::new(b"abc").expect("short");
+    let before = ALLOCATIONS.get();
+    for _ in 0..50 {
+        exercise(&mut pair, contents);
+    }
+    assert_eq!(ALLOCATIONS.get() - before, 0, "allocations after `new`");
+    let seen = pair.nodes[0].parts().transit.view();
+    assert!(seen.forwarded > 500 && seen.discarded.iter().sum::<u64>() > 100, "{seen:?}");
+}
+
+#[test]
+fn loading_a_state_in_place_allocates_nothing() {
+    let mut pair = Pair::new();
+    exercise(&mut pair, Contents::EMPTY);
+    let table = pair.nodes[0].parts().table.clone();
+    let task = &mut pair.nodes[0].parts_mut().tasks[0];
+    let mut bytes = [0; 512];
+    let home = ([Frame::ROUND; 3], [Seq24::new(0); 2]);
+    let frame = Frame { rounds: &home.0, sequences: &home.1, lives: false };
+    // Relative to ids out of reach nothing fits: the state is refused, not saturated.
+    assert_eq!(task.store(&table, &frame, &mut bytes), Err(Overflow));
+    let before = ALLOCATIONS.get();
+    task.load(&table, false, &[0; 64]);
+    invariants::check(task, &table).expect("an empty state");
+    assert_eq!(ALLOCATIONS.get() - before, 0);
+}

@@ -1,0 +1,395 @@
+//! The laws of the machine (D51), on random cells under random inputs: what may be done to a state without changing
+//! what it does from then on.
+
+mod support;
+
+use imrs_protocol::*;
+use proptest::prelude::*;
+use proptest::strategy::ValueTree;
+use proptest::test_runner::TestRunner;
+use std::collections::BTreeSet;
+use support::Effects;
+use support::plan::plans;
+use support::world::{Op, Shift, World, ops};
+
+/// Runs the operations in two worlds. Before each one, `change` may do something to the second world that must not
+/// matter; `same` makes the second world's effects comparable.
+fn compare(
+    plain: &mut World,
+    other: &mut World,
+    ops: &[Op],
+    mut change: impl FnMut(usize, &mut World),
+    same: impl Fn(&World, &Effects) -> Effects,
+) -> Result<(), TestCaseError> {
+    for (i, &op) in ops.iter().enumerate() {
+        change(i, other);
+        let (expected, found) = (plain.step(op), other.step(op));
+        prop_assert_eq!(same(other, &found), same(plain, &expected), "operation {} {:?}", i, op);
+        for task in 0..plain.tasks.len() {
+            prop_assert_eq!(
+                other.bytes(task),
+                plain.bytes(task),
+                "state of T{} after operation {} {:?}",
+                task,
+                i,
+                op
+            );
+        }
+    }
+    Ok(())
+}
+
+fn exactly(_: &World, effects: &Effects) -> Effects {
+    effects.clone()
+}
+
+/// Whether the second world is changed before operation `i`: by the bits of a random word.
+fn picks(mask: u64, i: usize) -> bool {
+    mask >> (i % 64) & 1 == 1
+}
+
+/// Bases on both sides of every wrap of 16 and of 24 bits.
+const ROUNDS: [u16; 7] = [1, 0x7ff0, 0x7fff, 0x8000, 0xfff0, 0xfffe, 0xffff];
+const SEQUENCES: [u32; 7] = [1, 0x7f_fff0, 0x7f_ffff, 0x80_0000, 0xff_fff0, 0xff_fffe, 0xff_ffff];
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 400, failure_persistence: None, ..ProptestConfig::default() })]
+
+    /// No input panics, forged packets included, and the invariants hold after every one (checked in every step).
+    #[test]
+    fn every_input_is_taken_in_every_state(plan in plans(), ops in ops(), restarts: bool) {
+        let mut world = World::new(&plan.build(), restarts);
+        for op in ops {
+            world.step(op);
+        }
+    }
+
+    /// Nor do any bytes behind a right checksum: what decodes is taken, in every state.
+    #[test]
+    fn any_bytes_behind_a_right_checksum_are_harmless(
+        plan in plans(),
+        ops in ops(),
+        datagrams in proptest::collection::vec(any::<[u8; PACKET_BYTES]>(), 1..20),
+    ) {
+        let table = plan.build();
+        let mut world = World::new(&table, true);
+        ops.iter().for_each(|&op| drop(world.step(op)));
+        for mut bytes in datagrams {
+            bytes[0] = bytes[0] & 0x3f | PACKET_VERSION << 6;
+            for high in [3, 5, 7] {
+                bytes[high] = 0;
+            }
+            for low in [2, 4, 6] {
+                bytes[low] %= 4;
+            }
+            let hash = |port: PortId| table.port(port).map(|p| p.hash);
+            let port = PortId(u16::from(bytes[6]));
+            let crc = checksum(&bytes, table.digest(), hash(port).unwrap_or(0));
+            bytes[28..].copy_from_slice(&crc.to_le_bytes());
+            match Packet::decode(&bytes, table.digest(), hash) {
+                Ok(packet) => drop(world.hear(packet, u64::from(bytes[20] % 4))),
+                Err(PacketError::UnknownPort(unknown)) => prop_assert!(unknown == port && table.port(port).is_none()),
+                Err(error) => prop_assert_eq!(error, PacketError::Malformed),
+            }
+        }
+    }
+
+    /// `Advance(a + b)` is `Advance(a); Advance(b)` when `a` ends before the next expiry: nothing happens in between.
+    #[test]
+    fn time_may_be_given_in_pieces(plan in plans(), ops in ops(), cut: u64) {
+        let mut plain = World::new(&plan.build(), true);
+        let mut other = plain.clone();
+        for (i, &op) in ops.iter().enumerate() {
+            let task = usize::from(op.1) % plain.tasks.len();
+            let elapsed = match op.0 % 16 { 0 | 1 => u64::from(op.2 % 12), 12 => u64::from(op.2 % 90), _ => 0 };
+            let quiet = other.tasks[task].next_expiry().map_or(elapsed, |due| due.0.saturating_sub(1)).min(elapsed);
+            let expected = plain.step(op);
+            let found = if quiet > 0 {
+                let piece = cut.rotate_left(u32::try_from(i).unwrap()) % (quiet + 1);
+                let before = other.input(task, Input::Advance(Ticks(piece)));
+                prop_assert!(before == Effects::default(), "{:?} before the next expiry", before);
+                other.input(task, Input::Advance(Ticks(elapsed - piece)))
+            } else {
+                other.step(op)
+            };
+            prop_assert_eq!(&found, &expected);
+            for t in 0..plain.tasks.len() {
+                prop_assert_eq!(other.bytes(t), plain.bytes(t));
+            }
+        }
+    }
+
+    /// `next_expiry` is exact: one tick earlier nothing happens, then something does.
+    #[test]
+    fn the_next_expiry_is_when_something_happens(plan in plans(), ops in ops()) {
+        let mut world = World::new(&plan.build(), true);
+        for op in ops {
+            world.step(op);
+            for task in 0..world.tasks.len() {
+                let mut ahead = world.clone();
+                match ahead.tasks[task].next_expiry() {
+                    None => {
+                        let never = ahead.input(task, Input::Advance(Ticks(1_000_000)));
+                        prop_assert!(never == Effects::default(), "{:?}", never);
+                    }
+                    Some(due) => {
+                        if due.0 > 0 {
+                            let early = ahead.input(task, Input::Advance(Ticks(due.0 - 1)));
+                            prop_assert!(early == Effects::default(), "{:?}", early);
+                        }
+                        let on_time = ahead.input(task, Input::Advance(Ticks(u64::from(due.0 > 0))));
+                        let residence = ahead.tables[task].rules().charge_residence;
+                        prop_assert!(!residence || on_time != Effects::default(), "nothing after {}", due);
+                    }
+                }
+            }
+        }
+    }
+
+    /// The internal clock may go back to zero at any moment.
+    #[test]
+    fn rebase_changes_nothing(plan in plans(), ops in ops(), mask: u64) {
+        let mut plain = World::new(&plan.build(), true);
+        let mut other = plain.clone();
+        let rebase = |i, world: &mut World| if picks(mask, i) { world.tasks.iter_mut().for_each(CommTask::rebase) };
+        compare(&mut plain, &mut other, &ops, rebase, exactly)?;
+    }
+
+    /// Nor does it matter how large the counter has grown.
+    #[test]
+    fn a_counter_near_its_end_behaves_as_one_at_zero(plan in plans(), ops in ops(), back in 20_000..40_000_u64) {
+        let mut plain = World::new(&plan.build(), true);
+        let mut other = plain.clone();
+        for &op in &ops {
+            prop_assert_eq!(other.step(op), plain.step(op));
+            if other.flying.len() == 3 {
+                break;
+            }
+        }
+        let late = u64::MAX - back;
+        for task in 0..plain.tasks.len() {
+            // What is due already, a wait of no length, is due wherever the counter stands.
+            let now = Input::Advance(Ticks::ZERO);
+            prop_assert_eq!(other.input(task, now), plain.input(task, now));
+        }
+        for (task, table) in other.tasks.iter_mut().zip(&other.tables) {
+            task.bury();
+            task.rebase();
+            task.visit_mut(&mut Later(late));
+            let mut out = Effects::default();
+            // Under the reading without residence, time that passes is given back to what waits.
+            if table.rules().charge_residence {
+                task.handle(table, Input::Advance(Ticks(late)), &mut out);
+            } else {
+                task.visit_mut(&mut Earlier(late));
+            }
+            prop_assert_eq!(out, Effects::default());
+        }
+        compare(&mut plain, &mut other, &ops, |_, _| (), exactly)?;
+    }
+
+    /// Adding a constant to all sequences of a source, and to all rounds of a port, changes nothing else, across every
+    /// wrap.
+    #[test]
+    fn ids_may_start_anywhere(plan in plans(), ops in ops(), at in 0..60_usize, bases in any::<[u8; 8]>()) {
+        let table = plan.build();
+        let mut plain = World::new(&table, true);
+        let at = at.min(ops.len());
+        for &op in &ops[..at] {
+            plain.step(op);
+        }
+        let base = |i: usize| usize::from(bases[i % 8]) % 7;
+        let shift = Shift {
+            sequences: (0..table.cell().tasks.len()).map(|t| SEQUENCES[base(t)]).collect(),
+            rounds: (0..table.ports().len()).map(|p| ROUNDS[base(4 + p)]).collect(),
+        };
+        let mut other = plain.clone().moved(shift);
+        compare(&mut plain, &mut other, &ops[at..], |_, _| (), |world, effects| world.shift.back().effects(effects))?;
+    }
+
+    /// What `bury` drops can never matter again.
+    #[test]
+    fn burying_changes_nothing(plan in plans(), ops in ops(), mask: u64) {
+        let mut plain = World::new(&plan.build(), true);
+        let mut other = plain.clone();
+        let bury = |i, world: &mut World| if picks(mask, i) { world.tasks.iter_mut().for_each(CommTask::bury) };
+        compare(&mut plain, &mut other, &ops, bury, exactly)?;
+    }
+
+    /// What a task ignores it ignores from then on: it tells its task nothing, its state stays, and nothing follows from
+    /// a CONFIRM that it answers with.
+    #[test]
+    fn what_is_ignored_stays_ignored(plan in plans(), ops in ops()) {
+        let mut world = World::new(&plan.build(), false);
+        let mut ignored: Vec<Packet> = Vec::new();
+        for op in ops {
+            // Nobody forges packets, no node restarts: the premise of the reduction.
+            if op.0 % 16 == 14 || (op.0 % 16 == 15 && op.2 % 4 == 2) {
+                continue;
+            }
+            world.step(op);
+            ignored.extend(world.flying.iter().filter(|p| ignores(&world, p)).copied());
+            for packet in &ignored {
+                prop_assert!(ignores(&world, packet), "no longer after {:?}: {:?}", op, packet);
+                let mut with = world.clone();
+                let out = with.hear(*packet, 0);
+                prop_assert!(out.signals.is_empty() && out.timers.is_empty(), "{:?} after {:?}", out, packet);
+                let at = packet.destination.index();
+                prop_assert_eq!(with.bytes(at), world.bytes(at), "state after {:?}", packet);
+                for answer in out.packets.iter().filter(|answer| answer.kind != Kind::Abort) {
+                    let mut answered = with.clone();
+                    let out = answered.hear(*answer, 0);
+                    prop_assert!(out.is_nothing(), "{:?} provokes {:?}: {:?}", packet, answer, out);
+                    let back = answer.destination.index();
+                    prop_assert_eq!(answered.bytes(back), with.bytes(back), "state after {:?}", answer);
+                }
+            }
+            ignored.truncate(20);
+        }
+    }
+
+    /// A state that was packed and read back goes on as the original, and packs to the same bytes.
+    #[test]
+    fn a_packed_state_behaves_as_the_original(plan in plans(), ops in ops(), restarts: bool, mask: u64) {
+        let mut plain = World::new(&plan.build(), restarts);
+        let mut other = plain.clone();
+        let repack = |i, world: &mut World| if picks(mask, i) { (0..world.tasks.len()).for_each(|t| repack(world, t)) };
+        compare(&mut plain, &mut other, &ops, repack, without_arguments)?;
+    }
+}
+
+/// The random runs are no proof of anything that they never reach.
+#[test]
+fn random_runs_reach_every_event_and_outcome() {
+    let mut runner = TestRunner::deterministic();
+    let mut seen = BTreeSet::new();
+    for _ in 0..600 {
+        let (plan, ops) = (plans(), ops()).new_tree(&mut runner).expect("a plan").current();
+        let mut world = World::new(&plan.build(), true);
+        for op in ops {
+            let out = world.step(op);
+            seen.extend(out.observations.iter().map(|o| format!("{:?}", o.event)));
+            seen.extend(out.signals.iter().map(|s| match s {
+                Signal::Outcome(Outcome::Reply(_)) => "Reply".into(),
+                Signal::Outcome(outcome) => format!("{outcome:?}"),
+                Signal::Fault(fault) => format!("{fault:?}"),
+                Signal::Released { by: ReleasedBy::Confirm(_), .. } => "Released by CONFIRM".into(),
+                other => format!("{other:?}").split(['(', ' ']).next().unwrap_or_default().to_owned(),
+            }));
+        }
+    }
+    let expected = [
+        "Accepted",
+        "Answered",
+        "Busy",
+        "Cancelled",
+        "Confirmed",
+        "Delivered",
+        "Discarded(Duplicate)",
+        "Discarded(Evicted)",
+        "Discarded(Expired)",
+        "Discarded(ExpiredOnTheWay)",
+        "Discarded(NotAllowed)",
+        "Discarded(OldRound)",
+        "Discarded(Refused)",
+        "Discarded(StaleIncarnation)",
+        "Discarded(Unexpected)",
+        "Enqueued",
+        "GaveUp",
+        "Late",
+        "Message",
+        "NeedsOneDestination",
+        "NotAPeer",
+        "NotYourPort",
+        "Nothing",
+        "NothingToAnswer",
+        "PartnerAborted",
+        "PartnerArrived",
+        "PeerRestarted",
+        "Reached",
+        "Refused",
+        "RefusedByPeer",
+        "Rejoined",
+        "Released",
+        "Released by CONFIRM",
+        "ReleasedByConfirm",
+        "ReleasedComplete",
+        "Replied",
+        "Reply",
+        "Resent",
+        "Sent",
+        "TimeOut",
+        "TimedOut",
+        "TimedOutUnknown",
+        "TimedOutUnsent",
+        "WithinMargin",
+        "WrongUsage",
+    ];
+    let missing: Vec<_> = expected.iter().filter(|&&e| !seen.contains(e)).collect();
+    assert!(missing.is_empty(), "never reached: {missing:?}; reached: {seen:?}");
+}
+
+/// The checksum of a packet as page one of the format tells it (D47), made apart from the code under test.
+fn checksum(bytes: &[u8; PACKET_BYTES], digest: u32, port_hash: u32) -> u32 {
+    let mut covered = [&digest.to_le_bytes()[..], &port_hash.to_le_bytes(), &bytes[..28]].concat();
+    covered[8 + 1] &= 0b1111_0001;
+    covered[8 + 12..8 + 15].fill(0);
+    covered[8 + 15] &= 0xf0;
+    crc::Crc::<u32>::new(&crc::CRC_32_AUTOSAR).checksum(&covered)
+}
+
+fn ignores(world: &World, packet: &Packet) -> bool {
+    let (to, from) = (packet.destination.index(), packet.source.index());
+    world.tasks[to].ignores(&world.tables[to], packet, &world.tasks[from])
+}
+
+struct Later(u64);
+
+impl VisitMut for Later {
+    fn instant(&mut self, instant: &mut Ticks) {
+        *instant += Ticks(self.0);
+    }
+    fn round(&mut self, _: PortId, _: &mut Round) {}
+    fn sequence(&mut self, _: TaskId, _: &mut Seq24) {}
+}
+
+struct Earlier(u64);
+
+impl VisitMut for Earlier {
+    fn instant(&mut self, instant: &mut Ticks) {
+        if *instant != Ticks::FAR {
+            *instant = *instant - Ticks(self.0);
+        }
+    }
+    fn round(&mut self, _: PortId, _: &mut Round) {}
+    fn sequence(&mut self, _: TaskId, _: &mut Seq24) {}
+}
+
+/// Packs a task, reads it back into itself and gives its ids their world's place again. A state that does not fit its
+/// packed form stays as it is.
+fn repack(world: &mut World, task: usize) {
+    let Ok(bytes) = world.bytes(task) else { return };
+    let (rounds, sequences) = world.frame();
+    let table = world.tables[task].clone();
+    let loaded = &mut world.tasks[task];
+    assert_eq!(loaded.load(&table, world.restarts, &bytes), bytes.len(), "not all bytes were read");
+    let home = (vec![Frame::ROUND; rounds.len()], vec![Frame::SEQUENCE; sequences.len()]);
+    let frame = Frame { rounds: &home.0, sequences: &home.1, lives: world.restarts };
+    let mut again = vec![0; 4096];
+    let len = loaded.store(&table, &frame, &mut again).expect("it fitted before");
+    assert_eq!(again[..len], bytes, "store(load(bytes)) differs");
+    let shift = Shift {
+        rounds: rounds.iter().map(|r| r.steps_from(Frame::ROUND)).collect(),
+        sequences: sequences.iter().map(|s| s.steps_from(Frame::SEQUENCE)).collect(),
+    };
+    loaded.visit_mut(&mut &shift);
+}
+
+/// Packed states leave out what members tell each other at a waitfor.
+fn without_arguments(_: &World, effects: &Effects) -> Effects {
+    let mut effects = effects.clone();
+    for packet in effects.packets.iter_mut().filter(|p| p.kind == Kind::Arrive) {
+        packet.contents = Meeting { arguments: [0; 8], ..packet.meeting() }.to_contents();
+    }
+    effects
+}

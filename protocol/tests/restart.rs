@@ -1,0 +1,153 @@
+//! A node that restarts (D6, D49): what it cannot know, it does not pretend to.
+
+mod support;
+
+use imrs_protocol::*;
+use std::sync::Arc;
+use support::net::Net;
+use support::{Solo, arrive, get, send};
+
+const X: TaskId = TaskId(0);
+const Y: TaskId = TaskId(1);
+const B: NodeId = NodeId(1);
+
+/// Commands from X to Y.
+const MOVE: PortId = PortId(0);
+/// X and Y meet.
+const LIFT: PortId = PortId(1);
+
+/// X on node A, Y on node B, two ticks away.
+fn cell() -> Cell {
+    let mut cell = Cell::new("pair", Ticks(1));
+    let (a, b) = (cell.node("a"), cell.node("b"));
+    cell.link(a, b, Ticks(2));
+    let (x, y) = (cell.task("x", a), cell.task("y", b));
+    cell.port(PortDecl::new("move", y, Usage::Receive, &[x], Ticks(20)).command());
+    cell.port(PortDecl::new("lift", x, Usage::Waitfor, &[y], Ticks(40)).resend(Ticks(6), 0));
+    cell
+}
+
+fn table() -> Arc<CellTable> {
+    Arc::new(CellTable::new(cell()).expect("a checked cell"))
+}
+
+/// The longest that anything sent to an earlier life of Y can live: X's wait at the waitfor, and the way.
+const QUARANTINE: u64 = 40 + 2;
+
+#[test]
+fn a_restarted_peer_ends_the_wait() {
+    let mut net = Net::new(cell());
+    net.ask(X, send(MOVE, Y, 3));
+    net.run(1);
+    net.restart(B, 1);
+    assert_eq!(net.heard(X), ["PeerRestarted"]);
+}
+
+#[test]
+fn a_restarted_node_runs_no_command_while_copies_of_an_earlier_one_may_live() {
+    let table = table();
+    let mut x = Solo::new(&table, X);
+    let command = x.ask(send(MOVE, Y, 3)).packets[0];
+    let mut y = Solo::life(&table, Y, 1, true);
+    y.ask(get(90));
+    y.pass(QUARANTINE - 1);
+    let answer = y.hear(Packet { remaining: Ticks(9), ..command });
+    assert_eq!(answer.words(), ["RESTARTED T1>T0 #0 for 9"]);
+    assert_eq!(x.hear(answer.packets[0]).words(), ["PeerRestarted"]);
+    let next = x.ask(send(MOVE, Y, 4)).packets[0];
+    y.pass(1);
+    assert_eq!(y.hear(next).words(), ["message [4] from T0 for 18"]);
+}
+
+#[test]
+fn what_a_restart_left_behind_is_stale() {
+    let table = table();
+    let old = Solo::new(&table, X).ask(send(MOVE, Y, 1)).packets[0];
+    let new = Solo::life(&table, X, 1, true).ask(send(MOVE, Y, 2)).packets[0];
+    let mut y = Solo::new(&table, Y);
+    y.hear(old);
+    assert_eq!(y.queue(MOVE), [(X, 18)]);
+    // The new life's command takes the place of the one that nobody waits for any more.
+    assert_eq!(y.hear(new).words(), Vec::<String>::new());
+    assert_eq!(y.hear(old).discards(), [Reason::StaleIncarnation]);
+    assert_eq!(y.ask(get(0)).words(), ["message [2] from T0 for 18"]);
+    assert_eq!(y.ask(get(0)).words(), ["nothing"]);
+}
+
+#[test]
+fn members_meet_again_after_one_of_them_restarted() {
+    let mut net = Net::new(cell());
+    for _ in 0..3 {
+        net.ask(X, arrive(LIFT));
+        net.ask(Y, arrive(LIFT));
+        net.run(6);
+    }
+    net.ask(X, arrive(LIFT));
+    net.run(1);
+    net.restart(B, 1);
+    net.run(QUARANTINE);
+    net.transcript();
+    let mut rounds = Vec::new();
+    for _ in 0..3 {
+        net.signals.clear();
+        net.ask(X, arrive(LIFT));
+        net.ask(Y, arrive(LIFT));
+        net.run(40);
+        let told = (net.told(X), net.told(Y));
+        match (&told.0[..], &told.1[..]) {
+            ([Signal::Released { round: x, .. }], [Signal::Released { round: y, .. }]) if x == y => {
+                rounds.push(*x)
+            }
+            other => panic!("{other:?}\n{:#?}", net.transcript()),
+        }
+    }
+    assert!(rounds.windows(2).all(|pair| pair[1].is_newer_than(pair[0])), "{rounds:?}");
+}
+
+#[test]
+fn an_arrival_that_may_be_meant_for_an_earlier_life_does_not_count() {
+    let table = table();
+    let from_x = Solo::new(&table, X).ask(arrive(LIFT)).packets[0];
+    let mut y = Solo::life(&table, Y, 1, true);
+    y.ask(arrive(LIFT));
+    y.pass(QUARANTINE - 3);
+    let early = y.hear(Packet { remaining: Ticks(30), ..from_x });
+    assert!(early.is_nothing() && early.discards() == [Reason::StaleIncarnation], "{early:?}");
+    y.pass(3);
+    y.ask(arrive(LIFT));
+    let now = y.hear(Packet { remaining: Ticks(30), ..from_x });
+    assert!(!now.is_nothing());
+}
+
+#[test]
+fn a_confirm_for_an_earlier_life_releases_nobody() {
+    let table = table();
+    let (mut x, mut old) = (Solo::new(&table, X), Solo::new(&table, Y));
+    x.ask(arrive(LIFT));
+    let confirm = x.hear(old.ask(arrive(LIFT)).packets[0]).packets[0];
+    assert_eq!(confirm.kind, Kind::Confirm);
+    let mut new = Solo::life(&table, Y, 1, true);
+    new.ask(arrive(LIFT));
+    let out = new.hear(confirm);
+    assert_eq!(
+        (out.words(), out.discards()),
+        (vec![], vec![Reason::OldRound]),
+        "the same round number, another life"
+    );
+    assert_eq!(old.hear(confirm).words(), ["released r1 by T0"]);
+}
+
+#[test]
+fn the_arrival_of_an_earlier_life_is_void_once_the_new_one_is_heard_of() {
+    let table = table();
+    let mut x = Solo::new(&table, X);
+    let mut old = Solo::new(&table, Y);
+    let stale = old.ask(arrive(LIFT)).packets[0];
+    x.hear(stale);
+    x.input(Input::PeerRestarted(B));
+    assert!(x.ask(arrive(LIFT)).signals.is_empty(), "Y has not arrived in this life");
+    let new = Solo::life(&table, Y, 1, true).ask(arrive(LIFT)).packets[0];
+    x.ask(Request::Cancel);
+    x.hear(new);
+    assert_eq!(x.hear(stale).discards(), [Reason::StaleIncarnation]);
+}

@@ -1,0 +1,197 @@
+//! What the tests of the protocol share: one communication task alone ([`Solo`]), a cell of nodes in virtual time
+//! ([`net::Net`]) and a cell driven at random ([`world::World`]). Every step checks the invariants.
+#![allow(dead_code, reason = "every test binary uses its own part")]
+
+pub mod net;
+pub mod plan;
+pub mod world;
+
+use imrs_protocol::*;
+use std::sync::Arc;
+
+/// Everything that one input caused, in order.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Effects {
+    pub packets: Vec<Packet>,
+    pub signals: Vec<Signal>,
+    /// Timer requests: armed with a length, or disarmed.
+    pub timers: Vec<(TimeId, Option<Ticks>)>,
+    pub observations: Vec<Observation>,
+}
+
+impl Outbox for Effects {
+    fn transmit(&mut self, packet: Packet) {
+        self.packets.push(packet);
+    }
+    fn signal(&mut self, signal: Signal) {
+        self.signals.push(signal);
+    }
+    fn arm(&mut self, id: TimeId, length: Ticks) {
+        self.timers.push((id, Some(length)));
+    }
+    fn disarm(&mut self, id: TimeId) {
+        self.timers.push((id, None));
+    }
+    fn observe(&mut self, observation: Observation) {
+        self.observations.push(observation);
+    }
+}
+
+impl Effects {
+    /// What happened, packets first, then signals, in words.
+    pub fn words(&self) -> Vec<String> {
+        self.packets.iter().map(packet).chain(self.signals.iter().map(signal)).collect()
+    }
+
+    /// Why messages were dropped.
+    pub fn discards(&self) -> Vec<Reason> {
+        let reason = |o: &Observation| if let Event::Discarded(r) = o.event { Some(r) } else { None };
+        self.observations.iter().filter_map(reason).collect()
+    }
+
+    /// The message handed over, if there is one.
+    pub fn delivery(&self) -> Option<Delivery> {
+        self.signals.iter().find_map(|s| if let Signal::Message(d) = s { Some(*d) } else { None })
+    }
+
+    pub fn is_nothing(&self) -> bool {
+        self.packets.is_empty() && self.signals.is_empty() && self.timers.is_empty()
+    }
+}
+
+/// One communication task and whoever looks at what it does.
+#[derive(Clone)]
+pub struct Solo {
+    pub table: NodeTable,
+    pub task: CommTask,
+}
+
+impl Solo {
+    pub fn new(table: &Arc<CellTable>, task: TaskId) -> Self {
+        Self::life(table, task, 0, false)
+    }
+
+    /// The task in a certain life of its node.
+    pub fn life(table: &Arc<CellTable>, task: TaskId, life: u8, restarted: bool) -> Self {
+        let node = table.location(task).expect("a task of the cell");
+        let table = NodeTable::new(Arc::clone(table), node);
+        let task = CommTask::new(&table, task, Incarnation(life), restarted);
+        Self { table, task }
+    }
+
+    pub fn input(&mut self, input: Input) -> Effects {
+        let mut out = Effects::default();
+        self.task.handle(&self.table, input, &mut out);
+        if let Err(violation) = invariants::check(&self.task, &self.table) {
+            panic!("after {input:?}: {violation}");
+        }
+        out
+    }
+
+    pub fn ask(&mut self, request: Request) -> Effects {
+        self.input(Input::Request(request))
+    }
+
+    pub fn hear(&mut self, packet: Packet) -> Effects {
+        self.input(Input::Packet(packet))
+    }
+
+    pub fn pass(&mut self, ticks: u64) -> Effects {
+        self.input(Input::Advance(Ticks(ticks)))
+    }
+
+    /// The counters of a port.
+    pub fn counters(&self, port: PortId) -> PortCounters {
+        let view = self.task.view(&self.table, 0);
+        view.ports.iter().find(|p| p.port == port).expect("a port of the task").counters
+    }
+
+    /// The waiting messages of a port in the order of service: first byte, and what is left.
+    pub fn queue(&self, port: PortId) -> Vec<(TaskId, u64)> {
+        let view = self.task.view(&self.table, usize::MAX);
+        let port = view.ports.into_iter().find(|p| p.port == port).expect("a port of the task");
+        port.queue.iter().map(|entry| (entry.source, entry.remaining.0)).collect()
+    }
+}
+
+/// A message to one task.
+pub fn send(port: PortId, to: TaskId, byte: u8) -> Request {
+    Request::Send { port, to: Target::One(to), contents: contents(byte), time_out: None }
+}
+
+/// A message to one task with a life of its own.
+pub fn send_for(port: PortId, to: TaskId, byte: u8, life: u64) -> Request {
+    Request::Send { port, to: Target::One(to), contents: contents(byte), time_out: Some(Ticks(life)) }
+}
+
+/// A message to all at the other end.
+pub fn send_all(port: PortId, byte: u8) -> Request {
+    Request::Send { port, to: Target::All, contents: contents(byte), time_out: None }
+}
+
+/// A GET over all ports, for so long; zero polls.
+pub fn get(time_out: u64) -> Request {
+    Request::Get { port: None, source: None, time_out: Some(Ticks(time_out)) }
+}
+
+/// A GET of one port.
+pub fn get_on(port: PortId, time_out: u64) -> Request {
+    Request::Get { port: Some(port), source: None, time_out: Some(Ticks(time_out)) }
+}
+
+pub fn reply(to: &Delivery, byte: u8) -> Request {
+    Request::Reply { to: to.from, contents: contents(byte) }
+}
+
+pub fn arrive(port: PortId) -> Request {
+    Request::Arrive { port, arguments: [0; 8], time_out: None }
+}
+
+pub fn contents(byte: u8) -> Contents {
+    Contents::new(&[byte]).expect("one byte fits")
+}
+
+/// A packet in words: `SEND T0>T1 #3 [7] for 20`.
+pub fn packet(p: &Packet) -> String {
+    let way = format!("{}>{}", p.source, p.destination);
+    let what = match (p.kind, p.control()) {
+        (Kind::Arrive, _) => format!("ARRIVE {way} {}", p.meeting().round),
+        (Kind::Confirm, _) => format!("CONFIRM {way} {}", p.meeting().round),
+        (Kind::Abort, _) => format!("ABORT {way} {} next {}", p.meeting().round, p.meeting().next_round()),
+        (Kind::Control, Some(control)) => {
+            let word = match control {
+                Control::Refused => "REFUSED",
+                Control::RefusedOnTheWay => "REFUSED ON THE WAY",
+                Control::Restarted => "RESTARTED",
+                Control::Probe => "PROBE",
+            };
+            format!("{word} {way} #{}", p.id.sequence.get())
+        }
+        (kind, _) => {
+            let word = format!("{kind:?}").to_uppercase();
+            format!("{word} {way} #{} {:?}", p.id.sequence.get(), p.contents.as_bytes())
+        }
+    };
+    format!("{what} for {}{}", p.remaining, if p.resent { " again" } else { "" })
+}
+
+/// A signal in words.
+pub fn signal(s: &Signal) -> String {
+    match s {
+        Signal::Accepted(copies) => format!("accepted {copies}"),
+        Signal::Fault(fault) => format!("fault {fault:?}"),
+        Signal::Outcome(Outcome::Reply(contents)) => format!("reply {:?}", contents.as_bytes()),
+        Signal::Outcome(outcome) => format!("{outcome:?}"),
+        Signal::Message(d) => {
+            format!("message {:?} from {} for {}", d.contents.as_bytes(), d.from.source, d.budget)
+        }
+        Signal::Nothing => "nothing".into(),
+        Signal::Released { round, by: ReleasedBy::AllArrived, .. } => format!("released {round} complete"),
+        Signal::Released { round, by: ReleasedBy::Confirm(task), .. } => {
+            format!("released {round} by {task}")
+        }
+        Signal::GaveUp { round, missing, .. } => format!("gave up {round} missing {missing:#b}"),
+        Signal::TimeOut(id) => format!("time_out {}", id.0),
+        Signal::Cancelled => "cancelled".into(),
+    }
+}

@@ -1,0 +1,98 @@
+//! Random cells.
+
+use imrs_protocol::rules::{Confirmation, Memory};
+use imrs_protocol::*;
+use proptest::prelude::*;
+use std::sync::Arc;
+
+/// What a random cell is built from.
+#[derive(Clone, Debug)]
+pub struct Plan {
+    tasks: u16,
+    nodes: u16,
+    delay: u64,
+    ports: Vec<[u8; 6]>,
+    rules: [u8; 3],
+}
+
+/// Random cells of 1 to 4 tasks on 1 to 3 nodes; a third of them run variants of the rules.
+pub fn plans() -> impl Strategy<Value = Plan> {
+    let ports = proptest::collection::vec(any::<[u8; 6]>(), 1..4);
+    let rules = prop_oneof![2 => Just([0; 3]), 1 => any::<[u8; 3]>()];
+    (1..=4_u16, 1..=3_u16, 1..=3_u64, ports, rules).prop_map(|(tasks, nodes, delay, ports, rules)| Plan {
+        tasks,
+        nodes,
+        delay,
+        ports,
+        rules,
+    })
+}
+
+impl Plan {
+    pub fn build(&self) -> Arc<CellTable> {
+        let mut cell = Cell::new("random", Ticks(1));
+        for i in 0..self.nodes {
+            let node = cell.node(&format!("n{i}"));
+            if i > 0 {
+                cell.link(NodeId(i - 1), node, Ticks(self.delay));
+            }
+        }
+        for i in 0..self.tasks {
+            cell.task(&format!("t{i}"), NodeId(i % self.nodes));
+        }
+        for (i, shape) in self.ports.iter().enumerate().filter(|_| self.tasks > 1) {
+            cell.port(self.port(i, *shape));
+        }
+        cell.rules = self.rules();
+        Arc::new(CellTable::new(cell).expect("the plan fits"))
+    }
+
+    fn port(&self, i: usize, [kind, owner, users, buffer, time_out, resend]: [u8; 6]) -> PortDecl {
+        let owner = u16::from(owner) % self.tasks;
+        let others: Vec<TaskId> = (0..self.tasks).filter(|&t| t != owner).map(TaskId).collect();
+        let picked = |n: usize| users & (1 << n) != 0;
+        let mut list: Vec<TaskId> =
+            others.iter().enumerate().filter(|&(n, _)| picked(n)).map(|(_, &t)| t).collect();
+        if list.is_empty() {
+            list = others;
+        }
+        let usage =
+            [Usage::Send, Usage::Receive, Usage::Send, Usage::Receive, Usage::Waitfor, Usage::Waitfor]
+                [usize::from(kind) % 6];
+        let time_out = Ticks(60 + u64::from(time_out) % 30);
+        let port = PortDecl::new(&format!("p{i}"), TaskId(owner), usage, &list, time_out);
+        let port = port.bounded_buffer(1 + u16::from(buffer) % 3);
+        let every = Ticks(3 + u64::from(resend) % 6);
+        match kind % 6 {
+            0 | 1 => port,
+            2 | 3 => port.command().retry(resend / 64, every),
+            _ => port.resend(every, resend / 86),
+        }
+    }
+
+    fn rules(&self) -> Rules {
+        if self.rules == [0; 3] {
+            return Rules::DEFAULT;
+        }
+        let bit = |n: u8| self.rules[0] & (1 << n) != 0;
+        Rules {
+            confirmation: [
+                Confirmation::None,
+                Confirmation::FirstComplete,
+                Confirmation::EveryComplete,
+                Confirmation::PassOn,
+            ][usize::from(self.rules[1] % 4)],
+            rounds: bit(0),
+            last_released: bit(1),
+            answer_late_arrivals: bit(2),
+            aborts: bit(3),
+            charge_residence: bit(4),
+            refuse_late_replies: bit(5),
+            reserve_way_back: bit(6),
+            memory: [Memory::LifeAndLink, Memory::UntilAnswered, Memory::None]
+                [usize::from(self.rules[2] % 3)],
+            quarantine: bit(7),
+            ..Rules::DEFAULT
+        }
+    }
+}

@@ -1,0 +1,345 @@
+//! A random cell, its communication tasks and the packets between them, driven by random operations. Packets arrive in
+//! any order, late, twice or never. Two worlds that run the same operations are compared output by output.
+
+use super::Effects;
+use imrs_protocol::*;
+use proptest::prelude::*;
+use std::sync::Arc;
+
+/// One random operation; what it means depends on the world's present state only.
+pub type Op = (u8, u8, u16, u16);
+
+pub fn ops() -> impl Strategy<Value = Vec<Op>> {
+    proptest::collection::vec(any::<Op>(), 1..120)
+}
+
+/// How far the ids of each source and the rounds of each port are moved.
+#[derive(Clone, Debug)]
+pub struct Shift {
+    pub sequences: Vec<u32>,
+    pub rounds: Vec<u16>,
+}
+
+impl VisitMut for &Shift {
+    fn instant(&mut self, _: &mut Ticks) {}
+    fn round(&mut self, port: PortId, round: &mut Round) {
+        *round = round.plus(self.rounds[port.index()]);
+    }
+    fn sequence(&mut self, source: TaskId, sequence: &mut Seq24) {
+        *sequence = sequence.plus(self.sequences[source.index()]);
+    }
+}
+
+impl Shift {
+    pub fn none(table: &CellTable) -> Self {
+        Self { sequences: vec![0; table.cell().tasks.len()], rounds: vec![0; table.ports().len()] }
+    }
+
+    pub fn back(&self) -> Self {
+        let sequences = self.sequences.iter().map(|s| Seq24::MODULUS - s % Seq24::MODULUS).collect();
+        Self { sequences, rounds: self.rounds.iter().map(|r| r.wrapping_neg()).collect() }
+    }
+
+    pub fn id(&self, source: TaskId, id: MessageId) -> MessageId {
+        let by = self.sequences.get(source.index()).copied().unwrap_or(0);
+        MessageId { sequence: id.sequence.plus(by), ..id }
+    }
+
+    pub fn packet(&self, p: &Packet) -> Packet {
+        let mut moved = *p;
+        match p.kind {
+            Kind::Arrive | Kind::Confirm | Kind::Abort => {
+                let by = self.rounds.get(p.port.index()).copied().unwrap_or(0);
+                let mut meeting = p.meeting();
+                if p.kind == Kind::Abort {
+                    meeting.arguments = Meeting::abort_arguments(meeting.next_round().plus(by));
+                }
+                meeting.round = meeting.round.plus(by);
+                meeting.released = meeting.released.plus(by);
+                moved.contents = meeting.to_contents();
+            }
+            Kind::Send | Kind::Query => moved.id = self.id(p.source, p.id),
+            // An answer carries its request's id.
+            Kind::Reply | Kind::Response | Kind::Control => moved.id = self.id(p.destination, p.id),
+        }
+        moved
+    }
+
+    /// Effects with all ids moved. Observations carry bare numbers of one kind or the other: they are left out.
+    pub fn effects(&self, effects: &Effects) -> Effects {
+        let packets = effects.packets.iter().map(|p| self.packet(p)).collect();
+        let signals = effects.signals.iter().map(|s| match *s {
+            Signal::Message(d) => {
+                let from = ReplyTo { id: self.id(d.from.source, d.from.id), ..d.from };
+                Signal::Message(Delivery { from, ..d })
+            }
+            Signal::Released { port, round, by } => {
+                Signal::Released { port, round: round.plus(self.rounds[port.index()]), by }
+            }
+            Signal::GaveUp { port, round, missing } => {
+                Signal::GaveUp { port, round: round.plus(self.rounds[port.index()]), missing }
+            }
+            other => other,
+        });
+        Effects { packets, signals: signals.collect(), timers: effects.timers.clone(), observations: vec![] }
+    }
+}
+
+/// The communication tasks of a cell and everything between them.
+#[derive(Clone)]
+pub struct World {
+    pub tables: Vec<NodeTable>,
+    pub tasks: Vec<CommTask>,
+    pub flying: Vec<Packet>,
+    /// The commands each task was given.
+    got: Vec<Vec<ReplyTo>>,
+    lives: Vec<u8>,
+    /// How far this world's ids are from those of the plain world.
+    pub shift: Shift,
+    /// Whether nodes restart and packets of other lives appear.
+    pub restarts: bool,
+}
+
+impl World {
+    pub fn new(table: &Arc<CellTable>, restarts: bool) -> Self {
+        let tasks = table.cell().tasks.len();
+        let locate =
+            |t| NodeTable::new(Arc::clone(table), table.location(TaskId::from_index(t)).expect("located"));
+        let tables: Vec<NodeTable> = (0..tasks).map(locate).collect();
+        let new = |(t, table)| CommTask::new(table, TaskId::from_index(t), Incarnation(0), false);
+        Self {
+            tasks: tables.iter().enumerate().map(new).collect(),
+            tables,
+            flying: Vec::new(),
+            got: vec![Vec::new(); tasks],
+            lives: vec![0; table.cell().nodes.len()],
+            shift: Shift::none(table),
+            restarts,
+        }
+    }
+
+    /// Moves all ids of this world.
+    pub fn moved(mut self, shift: Shift) -> Self {
+        for task in &mut self.tasks {
+            task.visit_mut(&mut &shift);
+        }
+        self.flying = self.flying.iter().map(|p| shift.packet(p)).collect();
+        for to in self.got.iter_mut().flatten() {
+            to.id = shift.id(to.source, to.id);
+        }
+        self.shift = shift;
+        self
+    }
+
+    /// Carries out one operation and returns what it caused; the packets are then between the tasks.
+    pub fn step(&mut self, op: Op) -> Effects {
+        let (what, which, a, b) = op;
+        let task = usize::from(which) % self.tasks.len();
+        match what % 16 {
+            0 | 1 => self.input(task, Input::Advance(Ticks(u64::from(a % 12)))),
+            2..=7 => self.deliver(a, b),
+            8..=10 => self.input(task, Input::Request(self.request(task, a, b))),
+            11 => self.answer(task, a, b),
+            12 => self.input(task, Input::Advance(Ticks(u64::from(a % 90)))),
+            13 => self.input(task, Input::Request(odd_request(a, b))),
+            14 => self.forged(a, b),
+            _ => self.event(task, a, b),
+        }
+    }
+
+    pub fn input(&mut self, task: usize, input: Input) -> Effects {
+        let mut out = Effects::default();
+        self.tasks[task].handle(&self.tables[task], input, &mut out);
+        if let Err(violation) = invariants::check(&self.tasks[task], &self.tables[task]) {
+            panic!("T{task} after {input:?}: {violation}");
+        }
+        self.flying.extend(&out.packets);
+        for s in &out.signals {
+            if let Signal::Message(d) = s
+                && d.class == Class::Command
+            {
+                self.got[task].push(d.from);
+            }
+        }
+        out
+    }
+
+    fn deliver(&mut self, a: u16, b: u16) -> Effects {
+        if self.flying.is_empty() {
+            return Effects::default();
+        }
+        let at = usize::from(a) % self.flying.len();
+        let packet = self.flying[at];
+        if !b.is_multiple_of(4) {
+            self.flying.remove(at);
+        }
+        if b % 16 == 15 {
+            return Effects::default();
+        }
+        self.hear(packet, u64::from(b / 16 % 5))
+    }
+
+    /// Hands a packet to its destination, as a node does.
+    pub fn hear(&mut self, packet: Packet, charge: u64) -> Effects {
+        let Some(table) = self.tables.get(packet.destination.index()) else { return Effects::default() };
+        match route::arrived(table, packet, Ticks(charge)) {
+            route::Arrival::Local(task, packet) => self.input(task.index(), Input::Packet(packet)),
+            route::Arrival::Relay(_) | route::Arrival::Discard(..) => Effects::default(),
+        }
+    }
+
+    fn request(&self, task: usize, a: u16, b: u16) -> Request {
+        let table = &self.tables[task];
+        let own = table.ports_of(TaskId::from_index(task));
+        if own.is_empty() {
+            return Request::Delay { id: TimeId(0), length: Ticks(u64::from(a)) };
+        }
+        let port = table.port(own[usize::from(a) % own.len()]).expect("an own port");
+        let me = TaskId::from_index(task);
+        let time_out = (b & 0x300 == 0).then(|| Ticks(u64::from(b % 70)));
+        match port.party(me).expect("a party").usage {
+            Usage::Send | Usage::Query | Usage::Reply => {
+                let peers: Vec<TaskId> = port.peers(me).collect();
+                let to = Target::One(peers[usize::from(a / 8) % peers.len()]);
+                let to = if port.decl.class == Class::Status && b & 0x400 != 0 { Target::All } else { to };
+                let contents = Contents::new(&a.to_le_bytes()).expect("short");
+                Request::Send { port: port.id, to, contents, time_out }
+            }
+            Usage::Receive | Usage::Response => {
+                let source = (b & 0x800 != 0).then_some(TaskId(a % 4));
+                Request::Get { port: (b & 0x1000 != 0).then_some(port.id), source, time_out }
+            }
+            Usage::Waitfor => {
+                let arguments = u64::from(a).to_le_bytes();
+                Request::Arrive { port: port.id, arguments, time_out }
+            }
+        }
+    }
+
+    fn answer(&mut self, task: usize, a: u16, b: u16) -> Effects {
+        let got = &self.got[task];
+        // The latest one as a rule, an earlier one now and then.
+        let back = if b.is_multiple_of(4) { usize::from(a) } else { 0 };
+        let Some(&to) = got.iter().rev().cycle().nth(back % got.len().max(1)) else {
+            return Effects::default();
+        };
+        let contents = Contents::new(&b.to_le_bytes()).expect("short");
+        self.input(task, Input::Request(Request::Reply { to, contents }))
+    }
+
+    /// A packet that nobody of the cell sent, behind a right checksum.
+    fn forged(&mut self, a: u16, b: u16) -> Effects {
+        let mut bytes = [0; PACKET_BYTES];
+        let mut seed = (u64::from(a) << 16 | u64::from(b)).wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1;
+        for byte in &mut bytes {
+            seed ^= seed << 13;
+            seed ^= seed >> 7;
+            seed ^= seed << 17;
+            *byte = seed.to_le_bytes()[3];
+        }
+        let port = PortId(u16::from(bytes[6]) % 4);
+        let near =
+            |byte: u8| if byte & 3 == 0 { u16::from(byte).wrapping_sub(40) } else { u16::from(byte & 3) };
+        let (round, released) = (near(bytes[16]), near(bytes[18]));
+        bytes[16..18].copy_from_slice(&round.to_le_bytes());
+        bytes[18..20].copy_from_slice(&released.to_le_bytes());
+        let packet = Packet {
+            kind: [Kind::Send, Kind::Reply, Kind::Control, Kind::Arrive, Kind::Confirm, Kind::Abort]
+                [usize::from(bytes[0]) % 6],
+            class: if bytes[1] & 1 == 0 { Class::Command } else { Class::Status },
+            more: false,
+            resent: bytes[1] & 2 != 0,
+            urgent: false,
+            hops: 7,
+            fragment: 0,
+            destination: TaskId(u16::from(bytes[2] % 4)),
+            source: TaskId(u16::from(bytes[4] % 4)),
+            port,
+            id: MessageId {
+                incarnation: Incarnation(if self.restarts { bytes[8] % 3 } else { 0 }),
+                sequence: Seq24::new(u32::from(near(bytes[9]))),
+            },
+            remaining: Ticks(u64::from(bytes[12] % 90)),
+            contents: Contents::new(&bytes[16..16 + usize::from(bytes[13] % 13)]).expect("short"),
+        };
+        self.hear(self.shift.packet(&packet), 0)
+    }
+
+    fn event(&mut self, task: usize, a: u16, b: u16) -> Effects {
+        let node = usize::from(b) % self.lives.len();
+        match a % 4 {
+            0 => self.input(task, Input::TimeOut(TimeId(0))),
+            1 => match self.tasks[task].awaits() {
+                Some((_, id)) => self.input(task, Input::Unsent(id)),
+                None => Effects::default(),
+            },
+            2 => self.input(task, Input::PeerRestarted(NodeId::from_index(node))),
+            _ if self.restarts && a & 0x1c == 0 => self.restart(node),
+            _ => Effects::default(),
+        }
+    }
+
+    /// The next life of a node: its tasks know nothing of the one before.
+    fn restart(&mut self, node: usize) -> Effects {
+        self.lives[node] += 1;
+        for (t, table) in self.tables.iter().enumerate().filter(|(_, table)| table.node.index() == node) {
+            let mut task = CommTask::new(table, TaskId::from_index(t), Incarnation(self.lives[node]), true);
+            task.visit_mut(&mut &self.shift);
+            self.tasks[t] = task;
+            self.got[t].clear();
+        }
+        Effects::default()
+    }
+
+    /// What packed ids are relative to: every source's next sequence, and rounds from the plain world's zero.
+    pub fn frame(&self) -> (Vec<Round>, Vec<Seq24>) {
+        struct Next(TaskId, Option<Seq24>);
+        impl Visit for Next {
+            fn instant(&mut self, _: Ticks) {}
+            fn round(&mut self, _: PortId, _: Round) {}
+            fn sequence(&mut self, source: TaskId, sequence: Seq24) {
+                // The first sequence of its own that a task shows is its next one.
+                if source == self.0 && self.1.is_none() {
+                    self.1 = Some(sequence);
+                }
+            }
+        }
+        let next = |task: &CommTask| {
+            let mut next = Next(task.task(), None);
+            task.visit(&mut next);
+            next.1.expect("a next sequence")
+        };
+        (self.shift.rounds.iter().map(|&r| Round(r)).collect(), self.tasks.iter().map(next).collect())
+    }
+
+    /// The canonical bytes of one task, with what is dead dropped first.
+    pub fn bytes(&self, task: usize) -> Result<Vec<u8>, Overflow> {
+        let (rounds, sequences) = self.frame();
+        let frame = Frame { rounds: &rounds, sequences: &sequences, lives: self.restarts };
+        let mut task_now = self.tasks[task].clone();
+        task_now.bury();
+        let mut bytes = vec![0; 4096];
+        let len = task_now.store(&self.tables[task], &frame, &mut bytes)?;
+        bytes.truncate(len);
+        Ok(bytes)
+    }
+}
+
+/// Requests that do not fit the cell, and those that fit always.
+fn odd_request(a: u16, b: u16) -> Request {
+    let port = PortId(a % 5);
+    match b % 7 {
+        0 => Request::Cancel,
+        1 => Request::Order(ServiceOrder::new(&[PortId(a % 3), PortId(a / 8 % 3)]).expect("two levels")),
+        2 => Request::Delay { id: TimeId(0), length: Ticks(u64::from(a)) },
+        3 => Request::Send { port, to: Target::All, contents: Contents::EMPTY, time_out: None },
+        4 => Request::Send {
+            port,
+            to: Target::One(TaskId(a / 8 % 5)),
+            contents: Contents::EMPTY,
+            time_out: None,
+        },
+        5 => Request::Arrive { port, arguments: [0; 8], time_out: Some(Ticks::ZERO) },
+        _ => Request::Get { port: Some(port), source: None, time_out: Some(Ticks(u64::from(a % 9))) },
+    }
+}

@@ -1,0 +1,144 @@
+//! The Timer of a node (Figure 3, §5.1.2) and the delays of its tasks.
+
+mod support;
+
+use imrs_protocol::*;
+use proptest::prelude::*;
+use support::net::Net;
+use support::{Solo, get};
+
+const X: TaskId = TaskId(0);
+const Y: TaskId = TaskId(1);
+
+fn cell() -> Cell {
+    let mut cell = Cell::new("two", Ticks(1));
+    let node = cell.node("n");
+    cell.task("x", node);
+    cell.task("y", node);
+    cell
+}
+
+fn delay(id: u8, length: u64) -> Request {
+    Request::Delay { id: TimeId(id), length: Ticks(length) }
+}
+
+#[test]
+fn delays_of_tasks_end_each_at_its_time() {
+    let mut net = Net::new(cell());
+    net.ask(X, delay(1, 7));
+    net.ask(Y, delay(1, 3));
+    net.run(10);
+    assert_eq!(net.transcript(), ["3 T1: time_out 1", "7 T0: time_out 1"]);
+    assert_eq!(net.nodes[0].next_expiry(), None);
+}
+
+#[test]
+fn a_task_asks_for_nothing_else_while_it_delays() {
+    let mut net = Net::new(cell());
+    net.ask(X, delay(1, 5));
+    net.ask(X, get(3));
+    assert_eq!(net.heard(X), ["fault Busy"]);
+    assert_eq!(net.nodes[0].task(X).map(CommTask::state), Some(TaskState::Delaying));
+    net.run(5);
+    assert_eq!(net.heard(X), ["time_out 1"]);
+}
+
+#[test]
+fn a_cancelled_delay_never_ends() {
+    let mut net = Net::new(cell());
+    net.ask(X, delay(1, 5));
+    net.ask(X, Request::Cancel);
+    assert_eq!(net.nodes[0].next_expiry(), None);
+    net.ask(X, delay(2, 9));
+    net.run(20);
+    assert_eq!(net.transcript(), ["0 T0: cancelled", "9 T0: time_out 2"]);
+}
+
+#[test]
+fn a_delay_of_no_length_ends_with_the_next_look_at_the_clock() {
+    let mut net = Net::new(cell());
+    net.ask(X, delay(1, 0));
+    assert_eq!(net.nodes[0].next_expiry(), Some(Ticks::ZERO));
+    net.step(NodeId(0), NodeInput::Advance(Ticks::ZERO));
+    assert_eq!(net.heard(X), ["time_out 1"]);
+}
+
+#[test]
+fn a_delay_that_finds_the_timer_full_ends_at_once() {
+    // Eight entries for each task: only a task's own machine can have more, one at a time it never does.
+    let mut timer = Timer::new(1);
+    assert!(timer.arm(X, TimeId(0), Ticks(9)));
+    assert!(!timer.arm(Y, TimeId(0), Ticks(1)));
+    assert!(timer.arm(X, TimeId(0), Ticks(4)), "its own entry makes room");
+    assert_eq!(timer.entries(), [(X, TimeId(0), Ticks(4))]);
+}
+
+#[test]
+fn an_unexpected_time_out_is_nothing() {
+    let table = std::sync::Arc::new(CellTable::new(cell()).expect("a checked cell"));
+    let mut x = Solo::new(&table, X);
+    assert!(x.input(Input::TimeOut(TimeId(3))).is_nothing());
+    let out = x.ask(delay(1, 5));
+    assert_eq!(out.timers, [(TimeId(1), Some(Ticks(5)))]);
+    assert!(x.input(Input::TimeOut(TimeId(2))).is_nothing());
+    assert_eq!(x.input(Input::TimeOut(TimeId(1))).words(), ["time_out 1"]);
+    assert!(x.input(Input::TimeOut(TimeId(1))).is_nothing());
+    x.ask(delay(1, 5));
+    assert_eq!(x.ask(Request::Cancel).timers, [(TimeId(1), None)]);
+}
+
+/// Figure 3 to the letter: an array of entries, every one decremented with the clock.
+#[derive(Default)]
+struct Figure3(Vec<(TaskId, TimeId, u64)>);
+
+impl Figure3 {
+    fn pass(&mut self, ticks: u64) -> Vec<(TaskId, TimeId)> {
+        let mut over = Vec::new();
+        for (task, id, length) in &mut self.0 {
+            if *length <= ticks {
+                over.push((*length, *task, *id));
+            }
+            *length = length.saturating_sub(ticks);
+        }
+        self.0.retain(|&(_, _, length)| length > 0);
+        over.sort_by_key(|&(length, ..)| length);
+        over.into_iter().map(|(_, task, id)| (task, id)).collect()
+    }
+}
+
+proptest! {
+    #[test]
+    fn the_timer_does_what_figure_3_does(steps in proptest::collection::vec((0..4_u8, 0..3_u16, 0..3_u8, 1..30_u64), 1..80)) {
+        let mut timer = Timer::new(5);
+        let mut figure = Figure3::default();
+        for (what, task, id, length) in steps {
+            let (task, id) = (TaskId(task), TimeId(id));
+            let same = |e: &(TaskId, TimeId, u64)| (e.0, e.1) == (task, id);
+            match what {
+                0 | 1 => {
+                    figure.0.retain(|e| !same(e));
+                    let space = figure.0.len() < 5;
+                    prop_assert_eq!(timer.arm(task, id, Ticks(length)), space);
+                    if space {
+                        figure.0.push((task, id, length));
+                    }
+                }
+                2 => {
+                    let had = figure.0.iter().any(same);
+                    figure.0.retain(|e| !same(e));
+                    prop_assert_eq!(timer.disarm(task, id), had);
+                }
+                _ => {
+                    let mut over = Vec::new();
+                    timer.advance(Ticks(length), |task, id| over.push((task, id)));
+                    prop_assert_eq!(over, figure.pass(length));
+                    if id.0 == 0 {
+                        timer.rebase();
+                    }
+                }
+            }
+            let least = figure.0.iter().map(|e| e.2).min();
+            prop_assert_eq!(timer.next_expiry(), least.map(Ticks));
+        }
+    }
+}

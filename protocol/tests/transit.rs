@@ -1,0 +1,275 @@
+//! The transit buffer of a node (§5.1.1, §5.2.3; D19, D60).
+
+mod support;
+
+use imrs_protocol::*;
+use proptest::prelude::*;
+use std::sync::Arc;
+
+const NEAR: NodeId = NodeId(1);
+const FAR: NodeId = NodeId(2);
+
+/// Node 0 joined with nodes 1 and 2, four ticks away each; tasks 0 and 1 on node 0, 2 on node 1, 3 on node 2.
+fn table() -> NodeTable {
+    let mut cell = Cell::new("star", Ticks(1));
+    let [hub, near, far] = ["hub", "near", "far"].map(|name| cell.node(name));
+    cell.link(hub, near, Ticks(4));
+    cell.link(hub, far, Ticks(4));
+    for (name, node) in [("a", hub), ("b", hub), ("c", near), ("d", far)] {
+        cell.task(name, node);
+    }
+    let users = [TaskId(2), TaskId(3)];
+    cell.port(PortDecl::new("status", TaskId(0), Usage::Send, &users, Ticks(90)));
+    cell.port(PortDecl::new("command", TaskId(0), Usage::Send, &users, Ticks(90)).command());
+    NodeTable::new(Arc::new(CellTable::new(cell).expect("a checked cell")), NodeId(0))
+}
+
+/// What the buffer did: tasks told that a copy never left, packets, and drops with the sequence of the dropped one.
+#[derive(Default, Debug, PartialEq)]
+struct Out {
+    unsent: Vec<(TaskId, u32)>,
+    words: Vec<String>,
+    drops: Vec<(Reason, u32)>,
+}
+
+impl RouteOutbox for Out {
+    fn unsent(&mut self, task: TaskId, id: MessageId) {
+        self.unsent.push((task, id.sequence.get()));
+    }
+    fn transmit(&mut self, packet: Packet) {
+        self.words.push(support::packet(&packet));
+    }
+    fn observe(&mut self, observation: Observation) {
+        if let Event::Discarded(reason) = observation.event {
+            self.drops.push((reason, observation.number));
+        }
+    }
+}
+
+fn packet(class: Class, number: u32, to: NodeId, life: u64) -> Packet {
+    Packet {
+        kind: Kind::Send,
+        class,
+        more: false,
+        resent: false,
+        urgent: false,
+        hops: MAX_HOPS,
+        fragment: 0,
+        destination: TaskId(to.0 + 1),
+        source: TaskId(0),
+        port: PortId(u16::from(class == Class::Command)),
+        id: MessageId { incarnation: Incarnation(0), sequence: Seq24::new(number) },
+        remaining: Ticks(life),
+        contents: Contents::EMPTY,
+    }
+}
+
+fn status(number: u32, life: u64) -> Packet {
+    packet(Class::Status, number, NEAR, life)
+}
+
+fn command(number: u32, life: u64) -> Packet {
+    packet(Class::Command, number, NEAR, life)
+}
+
+struct Rig {
+    table: NodeTable,
+    transit: Transit,
+}
+
+impl Rig {
+    fn new(capacity: u16) -> Self {
+        Self { table: table(), transit: Transit::new(capacity) }
+    }
+
+    fn offer(&mut self, packet: Packet) -> Out {
+        let mut out = Out::default();
+        self.transit.offer(&self.table, packet, &mut out);
+        out
+    }
+
+    fn advance(&mut self, ticks: u64) -> Out {
+        let mut out = Out::default();
+        self.transit.advance(&self.table, Ticks(ticks), &mut out);
+        out
+    }
+
+    /// Everything that waits, in the order it leaves: number and what is left.
+    fn drain(&mut self) -> Vec<(u32, u64)> {
+        let next = || self.transit.next(|_| true).map(|(_, p)| (p.id.sequence.get(), p.remaining.0));
+        std::iter::from_fn(next).collect()
+    }
+}
+
+#[test]
+fn the_smallest_time_out_leaves_first_and_its_residence_is_charged() {
+    let mut rig = Rig::new(8);
+    for (number, life) in [(1, 30), (2, 20), (3, 25)] {
+        rig.offer(status(number, life));
+    }
+    rig.offer(command(4, 25));
+    assert_eq!(rig.transit.next_expiry(), Some(Ticks(20)));
+    rig.advance(5);
+    assert_eq!(
+        rig.drain(),
+        [(2, 15), (4, 20), (3, 20), (1, 25)],
+        "commands before status of the same urgency"
+    );
+    assert!(rig.transit.is_empty());
+    assert_eq!((rig.transit.view().forwarded, rig.transit.next_expiry()), (4, None));
+}
+
+#[test]
+fn equal_urgency_leaves_in_the_order_of_arrival() {
+    let mut rig = Rig::new(8);
+    for number in 0..8 {
+        rig.offer(status(number, 20));
+    }
+    assert_eq!(rig.drain().iter().map(|&(n, _)| n).collect::<Vec<_>>(), (0..8).collect::<Vec<_>>());
+}
+
+#[test]
+fn a_busy_link_holds_up_only_its_own_packets() {
+    let mut rig = Rig::new(8);
+    rig.offer(packet(Class::Status, 1, NEAR, 10));
+    rig.offer(packet(Class::Status, 2, FAR, 30));
+    rig.offer(packet(Class::Status, 3, FAR, 20));
+    assert_eq!(rig.transit.view().next, [NEAR, FAR]);
+    let mut open = |node| rig.transit.next(|next| next == node).map(|(next, p)| (next, p.id.sequence.get()));
+    assert_eq!(open(FAR), Some((FAR, 3)));
+    assert_eq!(open(FAR), Some((FAR, 2)));
+    assert_eq!(open(FAR), None);
+    assert_eq!(open(NEAR), Some((NEAR, 1)));
+}
+
+#[test]
+fn what_expires_here_is_dropped_and_its_task_knows_that_it_never_left() {
+    let mut rig = Rig::new(8);
+    rig.offer(status(1, 10));
+    rig.offer(command(2, 10));
+    assert_eq!(rig.advance(9), Out::default());
+    let out = rig.advance(1);
+    assert_eq!(out.drops, [(Reason::ExpiredInTransit, 2), (Reason::ExpiredInTransit, 1)]);
+    assert_eq!((out.unsent, out.words), (vec![(TaskId(0), 2)], vec![]));
+    assert_eq!(rig.transit.view().discarded[Reason::ExpiredInTransit as usize], 2);
+}
+
+#[test]
+fn the_command_of_another_node_only_counts_when_it_expires() {
+    let mut rig = Rig::new(1);
+    rig.offer(Packet { source: TaskId(3), ..command(2, 10) });
+    let out = rig.advance(10);
+    assert_eq!((out.unsent, out.words, out.drops.len()), (vec![], vec![], 1));
+}
+
+#[test]
+fn status_makes_room_for_a_command_whatever_its_urgency() {
+    let mut rig = Rig::new(3);
+    rig.offer(status(1, 10));
+    rig.offer(status(2, 12));
+    rig.offer(command(3, 60));
+    let out = rig.offer(command(4, 80));
+    assert_eq!((out.drops, out.unsent, out.words), (vec![(Reason::Evicted, 2)], vec![], vec![]));
+    assert_eq!(rig.drain(), [(1, 10), (3, 60), (4, 80)]);
+}
+
+#[test]
+fn of_status_the_packet_with_most_time_left_goes_the_newcomer_included() {
+    let mut rig = Rig::new(2);
+    rig.offer(status(1, 20));
+    rig.offer(status(2, 30));
+    assert_eq!(rig.offer(status(3, 40)).drops, [(Reason::Refused, 3)]);
+    assert_eq!(rig.offer(status(4, 25)).drops, [(Reason::Evicted, 2)]);
+    assert_eq!(rig.drain(), [(1, 20), (4, 25)]);
+}
+
+#[test]
+fn among_commands_the_least_urgent_is_refused_and_its_source_told() {
+    let mut rig = Rig::new(2);
+    rig.offer(command(1, 20));
+    rig.offer(command(2, 30));
+    let out = rig.offer(command(3, 40));
+    assert_eq!((out.drops, out.unsent), (vec![(Reason::Refused, 3)], vec![(TaskId(0), 3)]));
+    assert_eq!(out.words, ["REFUSED ON THE WAY T2>T0 #3 for 40"]);
+    let out = rig.offer(command(4, 25));
+    assert_eq!((out.drops, out.unsent), (vec![(Reason::Evicted, 2)], vec![(TaskId(0), 2)]));
+    assert_eq!(rig.offer(status(5, 5)).drops, [(Reason::Refused, 5)], "status never displaces a command");
+    assert_eq!(rig.drain(), [(1, 20), (4, 25)]);
+}
+
+#[test]
+fn what_cannot_arrive_in_time_any_more_goes_first() {
+    let mut rig = Rig::new(2);
+    rig.offer(command(1, 4));
+    rig.offer(status(2, 30));
+    assert_eq!(rig.offer(status(3, 60)).drops, [(Reason::Evicted, 1)], "four ticks of way, four left");
+    assert_eq!(rig.offer(command(4, 4)).drops, [(Reason::Refused, 4)], "the newcomer cannot either");
+    assert_eq!(rig.drain(), [(2, 30), (3, 60)]);
+}
+
+#[test]
+fn a_packet_without_a_way_is_dropped() {
+    let mut rig = Rig::new(2);
+    let nowhere = Packet { destination: TaskId(9), ..status(1, 10) };
+    assert_eq!(rig.offer(nowhere).drops, [(Reason::Unroutable, 1)]);
+    let here = Packet { destination: TaskId(1), ..status(2, 10) };
+    assert_eq!(rig.offer(here).drops, [(Reason::Unroutable, 2)]);
+    assert!(rig.transit.is_empty());
+}
+
+#[derive(Clone, Debug)]
+enum Step {
+    Offer(bool, u64),
+    Advance(u64),
+    Next,
+}
+
+fn steps() -> impl Strategy<Value = Vec<Step>> {
+    let step = prop_oneof![
+        5 => (any::<bool>(), 1..40_u64).prop_map(|(command, life)| Step::Offer(command, life)),
+        2 => (0..12_u64).prop_map(Step::Advance),
+        1 => Just(Step::Next),
+    ];
+    proptest::collection::vec(step, 1..60)
+}
+
+proptest! {
+    /// D60's invariant: no command that can still arrive is dropped for space while the buffer holds status. And the
+    /// clock may go back to zero at any moment.
+    #[test]
+    fn no_command_goes_for_space_while_status_is_held(steps in steps(), capacity in 1..5_u16, mask: u64) {
+        let mut rig = Rig::new(capacity);
+        let mut rebased = Rig::new(capacity);
+        for (number, step) in steps.into_iter().enumerate() {
+            let number = u32::try_from(number).unwrap();
+            if mask >> (number % 64) & 1 == 1 {
+                rebased.transit.rebase();
+            }
+            let (out, same) = match step {
+                Step::Offer(is_command, life) => {
+                    let p = if is_command { command(number, life) } else { status(number, life) };
+                    let before = rig.transit.waiting();
+                    let (out, same) = (rig.offer(p), rebased.offer(p));
+                    for &(_, dropped) in &out.drops {
+                        let all = before.iter().chain([&p]);
+                        let lost = all.clone().find(|p| p.id.sequence.get() == dropped).unwrap();
+                        let status_held = rig.transit.waiting().iter().any(|p| p.class == Class::Status);
+                        let could = lost.class == Class::Command && lost.remaining > Ticks(4);
+                        prop_assert!(!(could && status_held), "{:?} was dropped", lost);
+                    }
+                    prop_assert!(out.drops.len() <= 1 && rig.transit.len() <= usize::from(capacity));
+                    prop_assert!(out.drops.is_empty() || rig.transit.len() == usize::from(capacity));
+                    (out, same)
+                }
+                Step::Advance(ticks) => (rig.advance(ticks), rebased.advance(ticks)),
+                Step::Next => {
+                    prop_assert_eq!(rebased.transit.next(|_| true), rig.transit.next(|_| true));
+                    continue;
+                }
+            };
+            prop_assert_eq!(same, out);
+            prop_assert_eq!(rebased.transit.waiting(), rig.transit.waiting());
+            prop_assert_eq!(rebased.transit.next_expiry(), rig.transit.next_expiry());
+        }
+    }
+}

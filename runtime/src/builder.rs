@@ -1,0 +1,170 @@
+//! Starting a node: which task runs what, over which link.
+
+use crate::context::{Context, TaskError};
+use crate::link::Link;
+use crate::node::{Node, Plan};
+use crate::record::Recorder;
+use crate::threads::{Runtime, TaskBody};
+use imrs_protocol::{CellTable, Incarnation, NodeId, NodeTable};
+use std::io;
+use std::sync::Arc;
+
+/// How many packets the transit buffer of a node holds unless told otherwise.
+pub const TRANSIT_CAPACITY: u16 = 1024;
+
+/// Why a node was not started.
+#[derive(Debug, thiserror::Error)]
+pub enum StartError {
+    /// The cell has no such node.
+    #[error("the cell has no node {0}")]
+    NoNode(NodeId),
+    /// The cell has no such task.
+    #[error("the cell has no task `{0}`")]
+    NoTask(String),
+    /// The task is assigned to another node.
+    #[error("task `{task}` runs on node `{node}`, not here")]
+    Elsewhere {
+        /// The task.
+        task: String,
+        /// Where it runs.
+        node: String,
+    },
+    /// The task was given two programs.
+    #[error("task `{0}` was given two programs")]
+    Twice(String),
+    /// The task was given no program.
+    #[error("task `{0}` was given no program")]
+    NoProgram(String),
+    /// The node has neighbours, and no link was given.
+    #[error("node `{0}` has neighbours but was given no link")]
+    NoLink(String),
+    /// The operating system refused a thread.
+    #[error("cannot start a thread for `{name}`: {source}")]
+    Thread {
+        /// What it was for.
+        name: String,
+        /// Why.
+        source: io::Error,
+    },
+}
+
+/// Collects what a node needs. Made by [`Runtime::builder`].
+#[must_use = "a node runs only once started"]
+pub struct Builder {
+    cell: Arc<CellTable>,
+    node: NodeId,
+    incarnation: Incarnation,
+    restarted: bool,
+    insecure: bool,
+    capacity: u16,
+    link: Option<Arc<dyn Link>>,
+    recorder: Option<Arc<dyn Recorder>>,
+    programs: Vec<(String, TaskBody)>,
+}
+
+impl Builder {
+    pub(crate) fn new(cell: Arc<CellTable>, node: NodeId) -> Self {
+        Self {
+            cell,
+            node,
+            incarnation: Incarnation(0),
+            restarted: false,
+            insecure: false,
+            capacity: TRANSIT_CAPACITY,
+            link: None,
+            recorder: None,
+            programs: Vec::new(),
+        }
+    }
+
+    /// Which life of the node this is (D49), and whether an earlier one can have taken commands: if so, commands are
+    /// answered with RESTARTED for as long as one of that life can still be under way.
+    pub fn incarnation(mut self, incarnation: Incarnation, restarted: bool) -> Self {
+        (self.incarnation, self.restarted) = (incarnation, restarted);
+        self
+    }
+
+    /// The way to the neighbours.
+    pub fn link(mut self, link: Arc<dyn Link>) -> Self {
+        self.link = Some(link);
+        self
+    }
+
+    /// Says that packets travel without authentication: shown wherever the node is shown.
+    pub fn insecure(mut self, insecure: bool) -> Self {
+        self.insecure = insecure;
+        self
+    }
+
+    /// How many packets for other nodes may wait at once.
+    pub fn transit_capacity(mut self, packets: u16) -> Self {
+        self.capacity = packets;
+        self
+    }
+
+    /// Who is told of every input of every communication task (D62).
+    pub fn recorder(mut self, recorder: Arc<dyn Recorder>) -> Self {
+        self.recorder = Some(recorder);
+        self
+    }
+
+    /// The program of a task: run once, on a thread of its own.
+    pub fn task(
+        mut self,
+        name: &str,
+        program: impl FnOnce(&mut Context) -> Result<(), TaskError> + Send + 'static,
+    ) -> Self {
+        self.programs.push((name.into(), Box::new(program)));
+        self
+    }
+
+    /// Starts the node.
+    ///
+    /// # Errors
+    /// [`StartError`]. Nothing runs then.
+    pub fn start(self) -> Result<Runtime, StartError> {
+        let decl = self.cell.cell().nodes.get(self.node.index()).ok_or(StartError::NoNode(self.node))?;
+        if self.link.is_none() && self.cell.neighbours(self.node).next().is_some() {
+            return Err(StartError::NoLink(decl.name.clone()));
+        }
+        let programs = assign(&self.cell, self.node, self.programs)?;
+        let table = NodeTable::new(self.cell, self.node);
+        let machine = imrs_protocol::Node::new(table, self.incarnation, self.restarted, self.capacity);
+        let node = Node::new(Plan {
+            machine,
+            incarnation: self.incarnation,
+            insecure: self.insecure,
+            link: self.link,
+            recorder: self.recorder,
+        });
+        Runtime::start(Arc::new(node), programs)
+    }
+}
+
+/// Puts the programs into the order of the node's tasks.
+fn assign(
+    cell: &CellTable,
+    node: NodeId,
+    programs: Vec<(String, TaskBody)>,
+) -> Result<Vec<(String, TaskBody)>, StartError> {
+    let tasks = &cell.cell().tasks;
+    let mut bodies: Vec<Option<TaskBody>> = tasks.iter().map(|_| None).collect();
+    for (name, body) in programs {
+        let Some(at) = tasks.iter().position(|task| task.name == name) else {
+            return Err(StartError::NoTask(name));
+        };
+        if tasks[at].node != node {
+            let node = cell.cell().nodes[tasks[at].node.index()].name.clone();
+            return Err(StartError::Elsewhere { task: name, node });
+        }
+        if bodies[at].replace(body).is_some() {
+            return Err(StartError::Twice(name));
+        }
+    }
+    let own = tasks.iter().zip(bodies).filter(|(task, _)| task.node == node);
+    own.map(|(task, body)| {
+        let name = task.name.clone();
+        body.map(|body| (name.clone(), body)).ok_or(StartError::NoProgram(name))
+    })
+    .collect()
+}

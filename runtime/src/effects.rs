@@ -1,0 +1,44 @@
+//! What a machine wants done, and by whom. Filled under a lock, carried out after it, by the thread that held it (D39).
+
+use crate::clock::Micros;
+use imrs_protocol::{Input, Packet, TaskId, Ticks, TimeId};
+use std::collections::VecDeque;
+
+/// An input and when it happened.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Stamped {
+    pub at: Micros,
+    pub input: Input,
+}
+
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Effect {
+    /// The route layer takes the packet; its remaining time was true then.
+    Transmit(Micros, Packet),
+    /// Another machine of the node has something for a communication task.
+    Feed(TaskId, Stamped),
+    /// A communication task has something in its inbox.
+    Nudge(TaskId),
+    Arm(Micros, TaskId, TimeId, Ticks),
+    Disarm(Micros, TaskId, TimeId),
+}
+
+/// The effects that one thread has still to carry out. Each thread has its own and keeps it: once it has grown to its
+/// size, nothing is allocated.
+#[derive(Debug)]
+pub(crate) struct Effects {
+    pub queue: VecDeque<Effect>,
+    /// The task whose thread this is, if it waits for what it asks.
+    pub waiter: Option<TaskId>,
+}
+
+impl Effects {
+    pub fn new(waiter: Option<TaskId>) -> Self {
+        Self { queue: VecDeque::with_capacity(256), waiter }
+    }
+
+    /// For a thread that only looks, and rarely finds work that others left it.
+    pub fn of_an_onlooker() -> Self {
+        Self { queue: VecDeque::new(), waiter: None }
+    }
+}

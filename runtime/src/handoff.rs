@@ -1,0 +1,279 @@
+//! The hand-off between threads and one communication task (D39, D40).
+//!
+//! The communication task is a data structure run by whoever brings it input. Two doors lead to it:
+//!
+//! - [`Handoff::deliver`] is for everybody: whoever gets the lock works for all (flat combining); whoever does not,
+//!   leaves the input in the inbox and goes on. The holder of the lock looks into the inbox once more after it has let
+//!   go, so nothing stays behind.
+//! - [`Handoff::enter`] is for the task's own thread, which needs the answer.
+//!
+//! The answer is mail: written under the lock, together with the word that says so. The task's thread sleeps on the
+//! word, and is woken only if the word says that it sleeps.
+//!
+//! The shared part knows nothing of messages: it is generic over the [`Station`], so that the tests can explore every
+//! interleaving with a station of two states.
+
+use crate::sync::{AtomicUsize, Mutex, MutexGuard, Ordering, Word, fence, lock, try_lock};
+
+/// What runs behind the lock.
+pub(crate) trait Station {
+    /// What is brought to it.
+    type Input;
+    /// What its task waits for.
+    type Mail;
+    /// What it wants done once the lock is released. Owned by the caller.
+    type Effects;
+
+    /// Takes one input; an answer for the task is returned.
+    fn feed(&mut self, input: Self::Input, effects: &mut Self::Effects) -> Option<Self::Mail>;
+
+    /// Called last before the lock is released. Returns when the station next has something to do by itself.
+    fn settle(&mut self, rest: Rest, effects: &mut Self::Effects) -> u64;
+}
+
+/// What the task's thread does once the lock is released.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Rest {
+    /// It runs, or will: it does not come back by itself.
+    No,
+    /// It goes to sleep now, and comes back when the station next has something to do.
+    Begins,
+    /// It sleeps, and comes back when it was told to by the `settle` that its rest began with.
+    GoesOn,
+}
+
+/// The task's thread runs.
+const RUNNING: u32 = 0;
+/// The task's thread sleeps, or is about to.
+const SLEEPING: u32 = 1;
+/// There is something for the task's thread; sleeping is over.
+const READY: u32 = 2;
+
+/// How many inputs wait in an inbox before who brings more waits for the lock.
+const INBOX: usize = 64;
+
+pub(crate) struct Handoff<S: Station> {
+    core: Mutex<Core<S>>,
+    inbox: Mutex<Vec<S::Input>>,
+    /// How many inputs are in the inbox, to be read without its lock.
+    queued: AtomicUsize,
+    word: Word,
+    #[cfg(test)]
+    pub plant: Plant,
+}
+
+struct Core<S: Station> {
+    station: S,
+    mail: Option<S::Mail>,
+    /// The spare inbox: swapped with the full one.
+    batch: Vec<S::Input>,
+    resting: bool,
+    stopped: bool,
+}
+
+/// What the task's own thread finds.
+#[derive(Debug)]
+pub(crate) struct Entry<M> {
+    /// The answer, if it is there.
+    pub mail: Option<M>,
+    /// Whether the node stops.
+    pub stopped: bool,
+    /// When to come back at the latest, if there is no answer yet.
+    pub until: u64,
+}
+
+/// The bugs that the loom tests must find.
+#[cfg(test)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Plant {
+    None,
+    /// The holder does not look into the inbox after it has let go of the lock.
+    NoSecondLook,
+    /// The word is looked at, but not changed, when mail comes.
+    NoMark,
+    /// The word is marked, but nobody is woken.
+    NoWake,
+    /// Stopping does not wake.
+    SilentStop,
+}
+
+impl<S: Station> Handoff<S> {
+    pub fn new(station: S) -> Self {
+        Self {
+            core: Mutex::new(Core {
+                station,
+                mail: None,
+                batch: Vec::with_capacity(INBOX),
+                resting: false,
+                stopped: false,
+            }),
+            inbox: Mutex::new(Vec::with_capacity(INBOX)),
+            queued: AtomicUsize::new(0),
+            word: Word::new(RUNNING),
+            #[cfg(test)]
+            plant: Plant::None,
+        }
+    }
+
+    /// Brings input from anywhere. It has been taken, or will be by whoever holds the lock.
+    pub fn deliver(&self, input: S::Input, effects: &mut S::Effects) {
+        if let Some(core) = try_lock(&self.core) {
+            self.work(core, Some(input), effects);
+        } else if let Err(input) = self.leave(input) {
+            // The lock is held for a bounded time, so this wait is bounded too.
+            self.work(lock(&self.core), Some(input), effects);
+        }
+        self.second_look(effects);
+    }
+
+    /// As [`deliver`](Self::deliver), and the input has been taken on return.
+    pub fn deliver_now(&self, input: S::Input, effects: &mut S::Effects) {
+        self.work(lock(&self.core), Some(input), effects);
+        self.second_look(effects);
+    }
+
+    /// Brings input from the task's own thread and takes what there is for it.
+    pub fn enter(&self, input: S::Input, effects: &mut S::Effects) -> Entry<S::Mail> {
+        let mut core = lock(&self.core);
+        self.word.store(RUNNING);
+        core.resting = false;
+        self.drain(&mut core, effects);
+        core.feed(input, effects);
+        let mail = core.mail.take();
+        let stopped = core.stopped;
+        core.resting = mail.is_none() && !stopped;
+        let rest = if core.resting { Rest::Begins } else { Rest::No };
+        let until = core.station.settle(rest, effects);
+        drop(core);
+        self.second_look(effects);
+        Entry { mail, stopped, until }
+    }
+
+    /// Sleeps until there is mail, the node stops, or `deadline` (nanoseconds of the monotonic clock) has passed. May
+    /// return early for no reason: the caller enters again and looks. False where there was something already.
+    pub fn sleep(&self, deadline: Option<u64>) -> bool {
+        let slept = self.word.replace(RUNNING, SLEEPING);
+        if slept {
+            self.word.wait(SLEEPING, deadline);
+        }
+        slept
+    }
+
+    /// Ends all waits of the task, now and later.
+    pub fn stop(&self, effects: &mut S::Effects) {
+        let mut core = lock(&self.core);
+        core.stopped = true;
+        let asleep = self.word.swap(READY) == SLEEPING;
+        drop(core);
+        #[cfg(test)]
+        if self.plant == Plant::SilentStop {
+            return;
+        }
+        if asleep {
+            self.word.wake();
+        }
+        self.second_look(effects);
+    }
+
+    /// Works off what is in the inbox, unless somebody is at it.
+    pub fn nudge(&self, effects: &mut S::Effects) {
+        self.second_look(effects);
+    }
+
+    /// Looks at the station under its lock. Who holds the lock has its duties: what others left in the inbox
+    /// meanwhile is worked off.
+    pub fn with<R>(&self, look: impl FnOnce(&mut S) -> R, effects: &mut S::Effects) -> R {
+        let seen = look(&mut lock(&self.core).station);
+        self.second_look(effects);
+        seen
+    }
+
+    #[cfg(test)]
+    pub fn time_out(&self) {
+        self.word.time_out();
+    }
+
+    /// Puts input into the inbox without taking the lock, or hands it back where the inbox is full. Whoever enters next
+    /// finds it; [`nudge`](Self::nudge) makes sure that somebody does.
+    pub fn leave(&self, input: S::Input) -> Result<(), S::Input> {
+        let mut inbox = lock(&self.inbox);
+        if inbox.len() >= INBOX {
+            return Err(input);
+        }
+        inbox.push(input);
+        self.queued.store(inbox.len(), Ordering::Relaxed);
+        Ok(())
+    }
+
+    fn work(&self, mut core: MutexGuard<'_, Core<S>>, input: Option<S::Input>, effects: &mut S::Effects) {
+        let had_mail = core.mail.is_some();
+        self.drain(&mut core, effects);
+        if let Some(input) = input {
+            core.feed(input, effects);
+        }
+        let new_mail = !had_mail && core.mail.is_some();
+        let asleep = new_mail && self.mark();
+        core.resting &= !new_mail;
+        let rest = if core.resting { Rest::GoesOn } else { Rest::No };
+        core.station.settle(rest, effects);
+        drop(core);
+        if asleep {
+            self.word.wake();
+        }
+    }
+
+    /// Says that there is mail; whether somebody must be woken for it.
+    fn mark(&self) -> bool {
+        #[cfg(test)]
+        match self.plant {
+            Plant::NoMark => return self.word.load() == SLEEPING,
+            Plant::NoWake => {
+                self.word.swap(READY);
+                return false;
+            }
+            Plant::None | Plant::NoSecondLook | Plant::SilentStop => {}
+        }
+        self.word.swap(READY) == SLEEPING
+    }
+
+    fn drain(&self, core: &mut Core<S>, effects: &mut S::Effects) {
+        if self.queued.load(Ordering::Relaxed) == 0 {
+            return;
+        }
+        let mut inbox = lock(&self.inbox);
+        std::mem::swap(&mut *inbox, &mut core.batch);
+        self.queued.store(0, Ordering::Relaxed);
+        drop(inbox);
+        let mut batch = std::mem::take(&mut core.batch);
+        for input in batch.drain(..) {
+            core.feed(input, effects);
+        }
+        core.batch = batch;
+    }
+
+    /// Works off what was left in the inbox by those who did not get the lock. Who fails to get it here leaves the
+    /// work to the holder, who comes here after letting go: the fence on both sides makes sure that one of the two
+    /// sees it.
+    fn second_look(&self, effects: &mut S::Effects) {
+        #[cfg(test)]
+        if self.plant == Plant::NoSecondLook {
+            return;
+        }
+        loop {
+            fence(Ordering::SeqCst);
+            if self.queued.load(Ordering::Relaxed) == 0 {
+                return;
+            }
+            let Some(core) = try_lock(&self.core) else { return };
+            self.work(core, None, effects);
+        }
+    }
+}
+
+impl<S: Station> Core<S> {
+    fn feed(&mut self, input: S::Input, effects: &mut S::Effects) {
+        if let Some(mail) = self.station.feed(input, effects) {
+            self.mail = Some(mail);
+        }
+    }
+}

@@ -1,0 +1,140 @@
+//! A link with injected faults, around any other link: seeded loss, and neighbours cut off.
+//!
+//! Faults act on the sending side, so each end of a link has its own; what they take is counted apart from everything
+//! that really happened. A lost send loses its whole datagram, as a network would.
+
+use super::{Link, LinkBusy, PollEnd, Sink};
+use imrs_protocol::{NodeId, Packet};
+use imrs_wire::envelope::MAX_PACKETS;
+use std::ops::Range;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::Instant;
+
+/// A link that loses some of what it is given.
+#[derive(Debug)]
+pub struct FaultyLink<L> {
+    inner: L,
+    faults: Mutex<Faults>,
+    lost_packets: AtomicU64,
+    cut_packets: AtomicU64,
+}
+
+#[derive(Debug)]
+struct Faults {
+    random: fastrand::Rng,
+    loss: f64,
+    cut: Vec<NodeId>,
+    cuts_to_come: Vec<(NodeId, Range<Instant>)>,
+}
+
+/// What was taken on purpose.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Injected {
+    /// Packets lost by chance.
+    pub lost_packets: u64,
+    /// Packets to neighbours that were cut off.
+    pub cut_packets: u64,
+}
+
+impl<L> FaultyLink<L> {
+    /// `inner` without any fault yet. The same seed loses the same sends.
+    #[must_use]
+    pub fn new(inner: L, seed: u64) -> Self {
+        let random = fastrand::Rng::with_seed(seed);
+        let faults = Faults { random, loss: 0.0, cut: Vec::new(), cuts_to_come: Vec::new() };
+        Self {
+            inner,
+            faults: Mutex::new(faults),
+            lost_packets: AtomicU64::new(0),
+            cut_packets: AtomicU64::new(0),
+        }
+    }
+
+    /// The link without its faults.
+    pub const fn inner(&self) -> &L {
+        &self.inner
+    }
+
+    /// From now on loses each datagram with this probability (0 to 1).
+    pub fn set_loss(&self, probability: f64) {
+        self.faults().loss = probability;
+    }
+
+    /// From now on sends nothing to `neighbour`, or sends again.
+    pub fn set_cut(&self, neighbour: NodeId, cut: bool) {
+        let mut faults = self.faults();
+        faults.cut.retain(|&node| node != neighbour);
+        if cut {
+            faults.cut.push(neighbour);
+        }
+    }
+
+    /// Sends nothing to `neighbour` in this span of time, whatever [`set_cut`](Self::set_cut) says.
+    pub fn cut_during(&self, neighbour: NodeId, span: Range<Instant>) {
+        self.faults().cuts_to_come.push((neighbour, span));
+    }
+
+    /// What was taken so far.
+    #[must_use]
+    pub fn injected(&self) -> Injected {
+        Injected {
+            lost_packets: self.lost_packets.load(Ordering::Relaxed),
+            cut_packets: self.cut_packets.load(Ordering::Relaxed),
+        }
+    }
+
+    fn faults(&self) -> MutexGuard<'_, Faults> {
+        self.faults.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl Faults {
+    fn cuts(&mut self, next: NodeId) -> bool {
+        if !self.cuts_to_come.is_empty() {
+            let now = Instant::now();
+            self.cuts_to_come.retain(|(_, span)| now < span.end);
+            if self.cuts_to_come.iter().any(|(node, span)| *node == next && span.contains(&now)) {
+                return true;
+            }
+        }
+        self.cut.contains(&next)
+    }
+
+    fn loses(&mut self) -> bool {
+        self.loss > 0.0 && self.random.f64() < self.loss
+    }
+}
+
+impl<L: Link> Link for FaultyLink<L> {
+    fn ready(&self, next: NodeId) -> bool {
+        self.inner.ready(next)
+    }
+
+    fn send(&self, next: NodeId, packets: &[Packet]) -> Result<usize, LinkBusy> {
+        let (cut, lost) = {
+            let mut faults = self.faults();
+            let cut = faults.cuts(next);
+            (cut, !cut && faults.loses())
+        };
+        if !cut && !lost {
+            return self.inner.send(next, packets);
+        }
+        // What the link would not have taken is not lost.
+        if !self.inner.ready(next) {
+            return Err(LinkBusy);
+        }
+        let taken = packets.len().min(MAX_PACKETS);
+        let counter = if cut { &self.cut_packets } else { &self.lost_packets };
+        counter.fetch_add(taken as u64, Ordering::Relaxed);
+        Ok(taken)
+    }
+
+    fn poll(&self, sink: &dyn Sink, until: Option<Instant>) -> PollEnd {
+        self.inner.poll(sink, until)
+    }
+
+    fn wake(&self) {
+        self.inner.wake();
+    }
+}

@@ -1,0 +1,297 @@
+//! The link between nodes of one process: packets are handed over as values, never serialised (D44).
+//!
+//! Several nodes in one process are good for tests and demonstrations. A [`Network`] can lose, repeat and delay
+//! packets, drawn from a seed.
+
+use super::{Link, LinkBusy, LinkDiscard, PollEnd, Sink};
+use imrs_protocol::{CellTable, Incarnation, NodeId, Packet, Ticks};
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, Instant};
+
+/// How many packets wait for one node before its neighbours find it busy.
+const CAPACITY: usize = 1024;
+/// How many packets are taken out under one lock.
+const AT_ONCE: usize = 16;
+
+/// What the network does to packets on purpose.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Faults {
+    /// Where the draws begin.
+    pub seed: u64,
+    /// The share of packets that get lost, 0 to 1.
+    pub loss: f64,
+    /// The share of packets that arrive twice, 0 to 1.
+    pub duplicates: f64,
+    /// The shortest time a packet takes.
+    pub least_delay: Duration,
+    /// The longest time a packet takes; packets with different delays overtake each other.
+    pub most_delay: Duration,
+}
+
+/// Joins the nodes of one process.
+pub struct Network {
+    table: Arc<CellTable>,
+    faults: Faults,
+    ends: Box<[End]>,
+}
+
+/// Where one node receives.
+struct End {
+    state: Mutex<State>,
+    changed: Condvar,
+}
+
+struct State {
+    /// On the way to this node, the next to arrive first.
+    flights: BinaryHeap<Reverse<Flight>>,
+    departures: u64,
+    /// The life of the node that receives here; `None` while there is none.
+    life: Option<Life>,
+    /// The life of each node that was last heard of here.
+    heard: Vec<Option<Incarnation>>,
+    /// Whether a neighbour found this node busy.
+    starved: bool,
+    /// Whether a neighbour that was busy takes packets again.
+    ready: bool,
+    woken: bool,
+    draws: fastrand::Rng,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Life {
+    incarnation: Incarnation,
+    restarted: bool,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Flight {
+    due: Instant,
+    number: u64,
+    left: Instant,
+    from: NodeId,
+    life: Life,
+    packet: Packet,
+}
+
+impl PartialEq for Flight {
+    fn eq(&self, other: &Self) -> bool {
+        (self.due, self.number) == (other.due, other.number)
+    }
+}
+
+impl Eq for Flight {}
+
+impl PartialOrd for Flight {
+    fn partial_cmp(&self, other: &Self) -> Option<std::cmp::Ordering> {
+        Some(self.cmp(other))
+    }
+}
+
+impl Ord for Flight {
+    fn cmp(&self, other: &Self) -> std::cmp::Ordering {
+        (self.due, self.number).cmp(&(other.due, other.number))
+    }
+}
+
+impl Network {
+    /// A network for the nodes of a cell.
+    #[must_use]
+    pub fn new(table: Arc<CellTable>, faults: Faults) -> Arc<Self> {
+        let nodes = table.cell().nodes.len();
+        let end = |node: usize| End {
+            state: Mutex::new(State {
+                flights: BinaryHeap::with_capacity(CAPACITY),
+                departures: 0,
+                life: None,
+                heard: vec![None; nodes],
+                starved: false,
+                ready: false,
+                woken: false,
+                draws: fastrand::Rng::with_seed(faults.seed.wrapping_add(node as u64)),
+            }),
+            changed: Condvar::new(),
+        };
+        Arc::new(Self { faults, ends: (0..nodes).map(end).collect(), table })
+    }
+
+    /// The link of `node` in this life. What was under way to an earlier life of it is lost.
+    ///
+    /// # Panics
+    /// Where the cell has no such node.
+    #[must_use]
+    pub fn join(self: &Arc<Self>, node: NodeId, incarnation: Incarnation, restarted: bool) -> InProcess {
+        let mut state = self.ends[node.index()].lock();
+        let life = Life { incarnation, restarted };
+        state.flights.clear();
+        state.life = Some(life);
+        state.heard.fill(None);
+        (state.ready, state.woken) = (false, false);
+        InProcess { network: Arc::clone(self), node, life }
+    }
+
+    fn bound(&self, a: NodeId, b: NodeId) -> Duration {
+        Duration::from_micros(self.table.link_bound(a, b).unwrap_or(Ticks::ZERO).0)
+    }
+}
+
+impl End {
+    fn lock(&self) -> MutexGuard<'_, State> {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+impl State {
+    /// Puts a packet on its way, unless it gets lost.
+    fn depart(&mut self, faults: &Faults, now: Instant, from: NodeId, life: Life, packet: Packet) {
+        if self.draws.f64() < faults.loss {
+            return;
+        }
+        let copies = if self.draws.f64() < faults.duplicates { 2 } else { 1 };
+        for _ in 0..copies {
+            let spread = faults.most_delay.saturating_sub(faults.least_delay);
+            let delay = faults.least_delay + spread.mul_f64(self.draws.f64());
+            let (due, number) = (now + delay, self.departures);
+            self.departures += 1;
+            self.flights.push(Reverse(Flight { due, number, left: now, from, life, packet }));
+        }
+    }
+}
+
+/// One node's end of a [`Network`].
+pub struct InProcess {
+    network: Arc<Network>,
+    node: NodeId,
+    life: Life,
+}
+
+impl InProcess {
+    fn own(&self) -> &End {
+        &self.network.ends[self.node.index()]
+    }
+
+    fn end(&self, node: NodeId) -> Option<&End> {
+        self.network.table.link_bound(self.node, node)?;
+        self.network.ends.get(node.index())
+    }
+
+    fn land(&self, flight: &Flight, known: bool, sink: &dyn Sink) {
+        // What a node sent before it ended is still good; what an earlier life of a running node sent is not.
+        let now_there = self.network.ends[flight.from.index()].lock().life;
+        if now_there.is_some_and(|life| life != flight.life) {
+            return sink.discarded(LinkDiscard::StaleIncarnation);
+        }
+        if !known {
+            sink.peer(flight.from, flight.life.incarnation, flight.life.restarted);
+        }
+        // D20: the larger of what the link is declared to take and what it took.
+        let took = flight.left.elapsed().max(self.network.bound(flight.from, self.node));
+        let charge = u64::try_from(took.as_nanos().div_ceil(1_000)).unwrap_or(u64::MAX);
+        sink.packet(flight.from, flight.packet, Ticks(charge));
+    }
+
+    fn tell_neighbours(&self) {
+        for neighbour in self.network.table.neighbours(self.node) {
+            if let Some(end) = self.end(neighbour) {
+                end.lock().ready = true;
+                end.changed.notify_all();
+            }
+        }
+    }
+}
+
+impl Link for InProcess {
+    fn ready(&self, next: NodeId) -> bool {
+        let Some(end) = self.end(next) else { return false };
+        let mut state = end.lock();
+        let free = state.flights.len() < CAPACITY;
+        state.starved |= !free;
+        free
+    }
+
+    fn send(&self, next: NodeId, packets: &[Packet]) -> Result<usize, LinkBusy> {
+        let end = self.end(next).ok_or(LinkBusy)?;
+        let mut state = end.lock();
+        if state.life.is_none() {
+            // Nobody is there, as when a datagram goes to a closed port.
+            return Ok(packets.len());
+        }
+        let free = CAPACITY.saturating_sub(state.flights.len());
+        let taken = packets.len().min(free);
+        if taken == 0 {
+            state.starved = true;
+            return Err(LinkBusy);
+        }
+        let now = Instant::now();
+        for packet in &packets[..taken] {
+            state.depart(&self.network.faults, now, self.node, self.life, *packet);
+        }
+        drop(state);
+        end.changed.notify_one();
+        Ok(taken)
+    }
+
+    fn poll(&self, sink: &dyn Sink, until: Option<Instant>) -> PollEnd {
+        let own = self.own();
+        let mut landed = [None; AT_ONCE];
+        let mut state = own.lock();
+        loop {
+            if std::mem::take(&mut state.woken) {
+                return PollEnd::Woken;
+            }
+            if std::mem::take(&mut state.ready) {
+                return PollEnd::Ready;
+            }
+            let now = Instant::now();
+            if state.flights.peek().is_some_and(|first| first.0.due <= now) {
+                break;
+            }
+            if until.is_some_and(|until| until <= now) {
+                return PollEnd::TimedOut;
+            }
+            let next = state.flights.peek().map(|first| first.0.due);
+            let wake_at = next.into_iter().chain(until).min();
+            state = match wake_at {
+                None => own.changed.wait(state).unwrap_or_else(PoisonError::into_inner),
+                Some(at) => {
+                    let waited = own.changed.wait_timeout(state, at.saturating_duration_since(now));
+                    waited.unwrap_or_else(PoisonError::into_inner).0
+                }
+            };
+        }
+        let now = Instant::now();
+        for slot in &mut landed {
+            let due = state.flights.peek().is_some_and(|first| first.0.due <= now);
+            let Some(Reverse(flight)) = due.then(|| state.flights.pop()).flatten() else { break };
+            let incarnation = flight.life.incarnation;
+            let known = state.heard[flight.from.index()].replace(incarnation) == Some(incarnation);
+            *slot = Some((flight, known));
+        }
+        let starved = std::mem::take(&mut state.starved);
+        drop(state);
+        if starved {
+            self.tell_neighbours();
+        }
+        for (flight, known) in landed.into_iter().flatten() {
+            self.land(&flight, known, sink);
+        }
+        PollEnd::Received
+    }
+
+    fn wake(&self) {
+        self.own().lock().woken = true;
+        self.own().changed.notify_all();
+    }
+}
+
+/// The node is gone: what is sent to it is lost.
+impl Drop for InProcess {
+    fn drop(&mut self) {
+        let mut state = self.own().lock();
+        if state.life == Some(self.life) {
+            state.life = None;
+            state.flights.clear();
+        }
+    }
+}

@@ -1,0 +1,158 @@
+//! The primitive layer (§5.2.4): how packets leave a node and come in.
+//!
+//! A link moves packets between neighbouring nodes and knows nothing of tasks. It may lose, repeat, delay and reorder
+//! them; whatever it hands over carries how much life the way has cost (D20).
+
+pub mod faulty;
+pub mod in_process;
+pub mod udp;
+
+use imrs_protocol::{Incarnation, NodeId, Packet, PacketError, Ticks};
+use std::fmt;
+use std::time::Instant;
+
+/// Where a link puts what it receives: implemented by the node.
+///
+/// What is handed over is dealt with at once, by the same thread: it may call [`Link::send`] before the call returns.
+/// A link holds no lock of its own while it calls its sink.
+pub trait Sink: Send + Sync {
+    /// A packet that was decoded and checked. `charge` is what the link and the kernel's queue cost it, in
+    /// microseconds.
+    fn packet(&self, from: NodeId, packet: Packet, charge: Ticks);
+
+    /// First contact with a neighbour, or a new life of it. `restarted` is what the neighbour says of itself: whether
+    /// an earlier life of it can have taken requests.
+    fn peer(&self, node: NodeId, incarnation: Incarnation, restarted: bool);
+
+    /// Something came in that is not for this node. Counted by reason.
+    fn discarded(&self, reason: LinkDiscard);
+}
+
+/// A node's way to its neighbours. Shared by all threads of the node.
+pub trait Link: Send + Sync {
+    /// Whether a send to this neighbour would be taken now.
+    fn ready(&self, next: NodeId) -> bool;
+
+    /// Sends packets to a neighbour, most urgent first. Returns how many were taken: at least one, and from the front.
+    /// A packet that is taken may still be lost.
+    ///
+    /// # Errors
+    /// [`LinkBusy`] where none was taken. The link ends a [`poll`](Self::poll) with [`PollEnd::Ready`] when it takes
+    /// packets again.
+    fn send(&self, next: NodeId, packets: &[Packet]) -> Result<usize, LinkBusy>;
+
+    /// As [`send`](Self::send), of packets whose remaining times were true at `at`. A link that marks what leaves with its
+    /// own clock uses it, so that a node that was stopped between `at` and the departure cannot make old packets young.
+    ///
+    /// # Errors
+    /// As [`send`](Self::send).
+    fn send_at(&self, next: NodeId, packets: &[Packet], at: Instant) -> Result<usize, LinkBusy> {
+        let _ = at;
+        self.send(next, packets)
+    }
+
+    /// Receives until something came in, `until` passed, or [`wake`](Self::wake) was called. Whoever waits may call it
+    /// (leader and followers). A wake that comes while nobody polls ends the next poll.
+    fn poll(&self, sink: &dyn Sink, until: Option<Instant>) -> PollEnd;
+
+    /// Ends a poll.
+    fn wake(&self);
+}
+
+/// The link takes nothing for this neighbour now.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("the link takes no packets now")]
+pub struct LinkBusy;
+
+/// Why a poll ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum PollEnd {
+    /// Something came in and was handed to the sink.
+    Received,
+    /// A neighbour that was busy takes packets again.
+    Ready,
+    /// The given instant has passed.
+    TimedOut,
+    /// [`Link::wake`] was called.
+    Woken,
+}
+
+/// Why a link dropped something that came in (D48). Every drop has a reason and is counted.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum LinkDiscard {
+    /// Shorter than the least envelope.
+    TooShort,
+    /// Does not begin as an envelope does.
+    NotImrs,
+    /// An envelope of another version.
+    Version,
+    /// An envelope of another mode than this node's.
+    Mode,
+    /// Of a cell with another table.
+    OtherCell,
+    /// From a node that is not a neighbour.
+    UnknownNode,
+    /// Damaged.
+    Checksum,
+    /// Not a whole number of packets, or too many.
+    Length,
+    /// Seen before, or too old to tell.
+    Replayed,
+    /// From an earlier life of its sender.
+    StaleIncarnation,
+    /// A packet inside a good envelope is not one of this cell.
+    Packet(PacketError),
+}
+
+impl LinkDiscard {
+    /// The names of all reasons, by [`index`](Self::index).
+    pub const NAMES: [&'static str; 14] = [
+        "too_short",
+        "not_imrs",
+        "version",
+        "mode",
+        "other_cell",
+        "unknown_node",
+        "checksum",
+        "length",
+        "replayed",
+        "stale_incarnation",
+        "packet_version",
+        "packet_port",
+        "packet_checksum",
+        "packet_malformed",
+    ];
+
+    /// The position of this reason in [`NAMES`](Self::NAMES): what counters are kept by.
+    #[must_use]
+    pub const fn index(self) -> usize {
+        match self {
+            Self::TooShort => 0,
+            Self::NotImrs => 1,
+            Self::Version => 2,
+            Self::Mode => 3,
+            Self::OtherCell => 4,
+            Self::UnknownNode => 5,
+            Self::Checksum => 6,
+            Self::Length => 7,
+            Self::Replayed => 8,
+            Self::StaleIncarnation => 9,
+            Self::Packet(PacketError::Version(_)) => 10,
+            Self::Packet(PacketError::UnknownPort(_)) => 11,
+            Self::Packet(PacketError::Checksum) => 12,
+            Self::Packet(PacketError::Malformed) => 13,
+        }
+    }
+
+    /// A short name for tables and counters.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        Self::NAMES[self.index()]
+    }
+}
+
+impl fmt::Display for LinkDiscard {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(self.name())
+    }
+}

@@ -1,0 +1,142 @@
+//! How long a datagram took, without any common clock (D20).
+//!
+//! Let `offset` be this node's clock minus the sender's. A datagram that left at `tx` (sender's clock) and was received
+//! at `recv` (this node's) took `(recv - tx) - offset`. The offset is unknown, but every echo bounds it from below: at
+//! the sender's `tx` this node's clock had already reached `echo`, so `offset >= echo - tx`. With the best such bound a
+//! datagram took at most `(recv - tx) - bound`: the round trip of the best echo, plus what this datagram came later than
+//! the one that carried it. A sender that was stopped between reading its clock and sending cannot hide it.
+//!
+//! Two clocks may drift apart by [`DRIFT_PPM`], so a bound gets weaker as it ages, and is replaced by any newer one that
+//! is no weaker by then.
+//!
+//! Before the first echo there is only the declared bound: the fastest datagram of late is taken to have kept it.
+
+use imrs_protocol::Ticks;
+
+/// How fast two monotonic clocks may drift apart, in parts per million: each up to 200 from true time.
+pub(super) const DRIFT_PPM: u64 = 400;
+/// Four clock readings are rounded to whole microseconds.
+const ROUNDING: i64 = 4;
+
+/// What is known of the delay from one neighbour, for one life of it. Clocks are in microseconds, each from an origin
+/// of its own.
+#[derive(Clone, Debug)]
+pub(super) struct LinkDelay {
+    declared: i64,
+    /// The best lower bound of the offset that an echo gave.
+    proven: Option<Sample>,
+    /// The least `recv - tx` of late.
+    fastest: Option<Sample>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Sample {
+    value: i64,
+    at: u64,
+}
+
+impl Sample {
+    /// How far the clocks may have drifted since.
+    fn drift(&self, now: u64) -> i64 {
+        let age = now.saturating_sub(self.at);
+        i64::try_from(age / (1_000_000 / DRIFT_PPM)).unwrap_or(i64::MAX)
+    }
+}
+
+impl LinkDelay {
+    /// Knows only the link's declared bound.
+    pub(super) fn new(declared: Ticks) -> Self {
+        Self { declared: i64::try_from(declared.0).unwrap_or(i64::MAX), proven: None, fastest: None }
+    }
+
+    /// The longest that a datagram can have taken, its wait in this node's kernel included. Total: a sender may write
+    /// anything into its clocks.
+    pub(super) fn arrived(&mut self, tx: u64, echo: Option<u64>, recv: u64) -> Ticks {
+        let apart = recv.wrapping_sub(tx).cast_signed();
+        // An echo from this node's future is none.
+        if let Some(echo) = echo.filter(|&echo| echo <= recv) {
+            let value = echo.wrapping_sub(tx).cast_signed();
+            if self.proven.is_none_or(|p| value >= p.value.saturating_sub(p.drift(recv))) {
+                self.proven = Some(Sample { value, at: recv });
+            }
+        }
+        if self.fastest.is_none_or(|f| apart <= f.value.saturating_add(f.drift(recv))) {
+            self.fastest = Some(Sample { value: apart, at: recv });
+        }
+        let proven = self.proven.map(|p| p.value.saturating_sub(p.drift(recv)));
+        let assumed =
+            self.fastest.map(|f| f.value.saturating_sub(f.drift(recv)).saturating_sub(self.declared));
+        let least_offset = proven.or(assumed).unwrap_or(apart);
+        let longest = apart.saturating_sub(least_offset).saturating_add(ROUNDING);
+        Ticks(u64::try_from(longest).unwrap_or(0))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    const DECLARED: Ticks = Ticks(2_000);
+
+    #[test]
+    fn a_stopped_sender_yields_old_datagrams() {
+        let mut d = LinkDelay::new(DECLARED);
+        // Offset 1,000,000; 60 us each way; an echo held for 1 ms.
+        assert_eq!(d.arrived(1_000, Some(1_000_940), 1_001_060), Ticks(120 + 4));
+        assert_eq!(d.arrived(3_000, None, 1_003_060), Ticks(120 + 4));
+        // 500 ms between the sender's clock and its sendto.
+        assert_eq!(d.arrived(5_000, None, 1_505_060), Ticks(500_120 + 4 + 201));
+    }
+
+    #[test]
+    fn before_the_first_echo_the_fastest_datagram_is_taken_to_have_kept_the_bound() {
+        let mut d = LinkDelay::new(DECLARED);
+        assert_eq!(d.arrived(0, None, 7_000_050), Ticks(2_004));
+        assert_eq!(d.arrived(1_000, None, 7_301_050), Ticks(2_004 + 300_000 + 120));
+        assert_eq!(d.arrived(400_000, None, 7_400_030), Ticks(2_004));
+    }
+
+    #[test]
+    fn an_echo_from_the_future_is_none() {
+        let mut d = LinkDelay::new(DECLARED);
+        assert_eq!(d.arrived(0, Some(51), 50), Ticks(2_004));
+    }
+
+    proptest! {
+        /// Two clocks that drift, delays of any length, echoes held for any time: never less than the truth.
+        #[test]
+        fn never_too_little(
+            ppm in -190..190_i64, offset in 0..1_000_000_000_i64,
+            trips in proptest::collection::vec((0..20_000_u64, 0..20_000_u64, 0..3_000_000_u64, any::<bool>()), 1..60),
+        ) {
+            // True time is this node's clock; the sender's runs `ppm` fast, and `offset` behind.
+            let theirs = |us: u64| {
+                let us = i64::try_from(us).unwrap();
+                u64::try_from(us + us * ppm / 1_000_000 + 2_000_000_000 - offset).unwrap()
+            };
+            let mut d = LinkDelay::new(DECLARED);
+            let mut now = 1_000_000;
+            // The first trip has an echo: what is shown without one rests on the declared bound.
+            for (i, (out, back, held, echoed)) in trips.into_iter().enumerate() {
+                let (sent, heard) = (now, now + out);
+                let tx = theirs(heard + held);
+                let echo = sent + (theirs(heard + held) - theirs(heard));
+                // The hold is measured with a clock that may run fast.
+                let echo = echo - held / (1_000_000 / DRIFT_PPM) - 1;
+                let recv = heard + held + back;
+                let charge = d.arrived(tx, (echoed || i == 0).then_some(echo), recv);
+                prop_assert!(charge.0 >= back, "trip {i}: {charge} for {back}");
+                now = recv + 100;
+            }
+        }
+
+        #[test]
+        fn any_clocks_are_survived(samples in proptest::collection::vec((any::<u64>(), any::<Option<u64>>(), any::<u64>()), 1..20)) {
+            let mut d = LinkDelay::new(Ticks(u64::MAX));
+            for (tx, echo, recv) in samples {
+                d.arrived(tx, echo, recv);
+            }
+        }
+    }
+}

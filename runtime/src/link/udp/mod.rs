@@ -1,0 +1,350 @@
+//! The link over UDP (D20, D48, D50).
+//!
+//! One socket serves all neighbours. What is queued for one neighbour leaves in one datagram; a lone packet leaves at
+//! once, nothing is held back for company. Whatever the socket reports is a count, never an end.
+//!
+//! A packet that comes in is charged the larger of the link's declared bound plus its wait in this node's kernel, and
+//! what the clocks in the envelopes show of its whole way (`delay`). So neither a stopped receiver nor a sender that was
+//! stopped between its clock and `sendto` can make an old packet young.
+//!
+//! Addresses come from the address book only, and never from traffic: a datagram is judged by what it says (digest,
+//! sender, life, number), not by where it comes from, so that a neighbour behind another port is heard, but nobody can
+//! draw traffic to himself. In the checksum mode of the envelope that keeps out accidents, not attackers: whoever can
+//! reach the socket can forge datagrams.
+
+mod delay;
+mod peer;
+mod receive;
+mod socket;
+mod statistics;
+
+pub use statistics::UdpCount;
+
+use super::{Link, LinkBusy, PollEnd, Sink};
+use imrs_protocol::{Incarnation, NodeId, NodeTable, Packet, Ticks};
+use imrs_wire::envelope::{Envelope, MAX_PACKETS};
+use peer::{Peer, lock};
+use receive::Receiving;
+use socket::{Receiver, Waited, Wake};
+use statistics::Statistics;
+use std::io;
+use std::net::{SocketAddr, UdpSocket};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Condvar, Mutex, PoisonError};
+use std::time::{Duration, Instant};
+use thiserror::Error;
+
+/// The kernel's queue, where nothing else is asked for: some 200 full datagrams.
+const DEFAULT_QUEUE_BYTES: usize = 256 * 1024;
+
+/// How a node takes part in UDP traffic.
+#[derive(Clone, Copy, Debug)]
+pub struct UdpOptions {
+    /// Which life of the node this is (D49).
+    pub incarnation: Incarnation,
+    /// Whether an earlier life of it may have taken requests. Neighbours are told.
+    pub restarted: bool,
+    /// How many bytes the kernel's receive queue holds (SO_RCVBUF; the kernel doubles it for its own needs). No more
+    /// than comes in within the longest time_out is of any use.
+    pub queue_bytes: usize,
+}
+
+impl UdpOptions {
+    /// The options of a node's first life.
+    #[must_use]
+    pub const fn new(incarnation: Incarnation, restarted: bool) -> Self {
+        Self { incarnation, restarted, queue_bytes: DEFAULT_QUEUE_BYTES }
+    }
+}
+
+/// Why a UDP link could not be made.
+#[derive(Debug, Error)]
+pub enum UdpError {
+    /// The address cannot be bound.
+    #[error("cannot bind UDP address {address}: {source}")]
+    Bind {
+        /// The address.
+        address: SocketAddr,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// The socket does not take an option.
+    #[error("cannot set {option} on a UDP socket: {source}")]
+    Option {
+        /// The option.
+        option: &'static str,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// The event counter that ends waits cannot be made.
+    #[error("cannot make an eventfd: {0}")]
+    Wake(io::Error),
+}
+
+/// The node is not a neighbour: the cell declares no link to it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
+#[error("node {0} is not a neighbour")]
+pub struct NotANeighbour(pub NodeId);
+
+/// A UDP link of one node to all its neighbours.
+///
+/// [`bind`](Self::bind) it, tell the neighbours its [`local_address`](Self::local_address), enter theirs with
+/// [`set_address`](Self::set_address); both may be done again at any time. To a neighbour without an address the link
+/// is not ready: packets stay in the transit buffer, and those that expire there never left.
+pub struct UdpLink {
+    table: NodeTable,
+    options: UdpOptions,
+    socket: UdpSocket,
+    local: SocketAddr,
+    wake: Wake,
+    /// All neighbours, ascending.
+    peers: Box<[Peer]>,
+    turn: Mutex<Turn>,
+    turn_changed: Condvar,
+    /// The kernel's send queue was found full.
+    blocked: AtomicBool,
+    /// [`Link::wake`] was called, and no poll has ended for it yet.
+    woken: AtomicBool,
+    /// A neighbour got an address, and no poll has ended for it yet.
+    address_known: AtomicBool,
+    /// Where this node's clock starts that its envelopes show.
+    origin: Instant,
+    statistics: Statistics,
+}
+
+/// One thread at a time waits in the socket; the others wait for their turn.
+struct Turn {
+    /// Here while nobody waits in the socket. Whoever takes it holds no lock while the sink works.
+    receiving: Option<Box<Receiving>>,
+    /// How often the link was woken.
+    wakes: u64,
+}
+
+impl UdpLink {
+    /// A link of `table`'s node on `address` (port 0: any free one).
+    ///
+    /// # Errors
+    /// Says which step the system refused.
+    pub fn bind(table: NodeTable, address: SocketAddr, options: UdpOptions) -> Result<Self, UdpError> {
+        let origin = Instant::now();
+        let mut neighbours: Vec<NodeId> = table.neighbours(table.node).collect();
+        neighbours.sort_unstable();
+        let declared = |node| table.link_bound(table.node, node).unwrap_or(Ticks::ZERO);
+        let peers: Box<[Peer]> = neighbours.into_iter().map(|node| Peer::new(node, declared(node))).collect();
+        let (socket, stamped, empty) = socket::bind(address, options.queue_bytes)?;
+        let local = socket.local_addr().map_err(|source| UdpError::Bind { address, source })?;
+        let lives = peers.iter().map(|_| None).collect();
+        let receiving = Box::new(Receiving { receiver: Receiver::new(stamped), empty, lives });
+        Ok(Self {
+            table,
+            options,
+            socket,
+            local,
+            wake: Wake::new()?,
+            peers,
+            turn: Mutex::new(Turn { receiving: Some(receiving), wakes: 0 }),
+            turn_changed: Condvar::new(),
+            blocked: AtomicBool::new(false),
+            woken: AtomicBool::new(false),
+            address_known: AtomicBool::new(false),
+            origin,
+            statistics: Statistics::default(),
+        })
+    }
+
+    /// Where the link receives.
+    #[must_use]
+    pub const fn local_address(&self) -> SocketAddr {
+        self.local
+    }
+
+    /// Enters where a neighbour receives, or that it is not known. Packets that wait for it can leave from now on.
+    ///
+    /// # Errors
+    /// Where the node is no neighbour.
+    pub fn set_address(&self, node: NodeId, address: Option<SocketAddr>) -> Result<(), NotANeighbour> {
+        let (_, peer) = self.peer(node).ok_or(NotANeighbour(node))?;
+        *lock(&peer.address) = address;
+        if address.is_some() {
+            self.address_known.store(true, Ordering::Release);
+            self.wake.wake();
+        }
+        Ok(())
+    }
+
+    /// How often something happened.
+    #[must_use]
+    pub fn count(&self, of: UdpCount) -> u64 {
+        self.statistics.get(of)
+    }
+
+    /// All counters by name.
+    pub fn counts(&self) -> impl Iterator<Item = (&'static str, u64)> + '_ {
+        UdpCount::ALL.iter().map(|&count| (count.name(), self.statistics.get(count)))
+    }
+
+    /// Sends packets whose remaining times hold for the instant `at`, which the caller read before: if this thread is
+    /// stopped in between, the envelope shows it.
+    ///
+    /// # Errors
+    /// As [`Link::send`].
+    pub fn send_at(&self, next: NodeId, packets: &[Packet], at: Instant) -> Result<usize, LinkBusy> {
+        let (_, peer) = self.peer(next).ok_or(LinkBusy)?;
+        let address = lock(&peer.address).ok_or(LinkBusy)?;
+        let tx_mono = self.micros(at);
+        let echo = lock(&peer.heard).and_then(|heard| heard.echo(tx_mono));
+        let outgoing = &mut *lock(&peer.outgoing);
+        outgoing.datagram.clear();
+        let taken = packets.len().min(MAX_PACKETS);
+        for packet in &packets[..taken] {
+            // A port that the cell does not have: the neighbour will say so and count it.
+            let hash = self.table.port(packet.port).map_or(0, |port| port.hash);
+            outgoing.datagram.push(&packet.encode(self.table.digest(), hash));
+        }
+        if outgoing.datagram.is_empty() {
+            return Ok(0);
+        }
+        let UdpOptions { incarnation, restarted, .. } = self.options;
+        let sender = self.table.node;
+        let envelope = Envelope { sender, incarnation, restarted, counter: outgoing.counter, tx_mono, echo };
+        let bytes = outgoing.datagram.seal(&envelope, self.table.digest());
+        match self.transmit(bytes, address) {
+            Ok(()) => {
+                self.statistics.add(UdpCount::DatagramsSent, 1);
+                self.statistics.add(UdpCount::PacketsSent, taken as u64);
+            }
+            Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
+                self.statistics.add(UdpCount::Busy, 1);
+                self.blocked.store(true, Ordering::Release);
+                // Whoever waits in the socket does not yet wait for this.
+                self.wake.wake();
+                return Err(LinkBusy);
+            }
+            Err(error) => self.statistics.send_failed(&error),
+        }
+        outgoing.counter += 1;
+        Ok(taken)
+    }
+
+    fn transmit(&self, bytes: &[u8], address: SocketAddr) -> io::Result<()> {
+        loop {
+            match self.socket.send_to(bytes, address) {
+                Ok(_) => return Ok(()),
+                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+                Err(error) => return Err(error),
+            }
+        }
+    }
+
+    fn peer(&self, node: NodeId) -> Option<(usize, &Peer)> {
+        let index = self.peers.binary_search_by_key(&node, |peer| peer.node).ok()?;
+        Some((index, &self.peers[index]))
+    }
+
+    /// This node's clock at an instant, rounded down.
+    fn micros(&self, at: Instant) -> u64 {
+        u64::try_from(at.saturating_duration_since(self.origin).as_micros()).unwrap_or(u64::MAX)
+    }
+
+    /// Waits for this thread's turn to wait in the socket.
+    ///
+    /// # Errors
+    /// Why it waits no longer.
+    fn take_turn(&self, until: Option<Instant>) -> Result<OwnTurn<'_>, PollEnd> {
+        let mut turn = lock(&self.turn);
+        let wakes = turn.wakes;
+        loop {
+            if let Some(receiving) = turn.receiving.take() {
+                return Ok(OwnTurn { link: self, receiving: Some(receiving) });
+            }
+            turn = match until.map(|until| until.saturating_duration_since(Instant::now())) {
+                Some(Duration::ZERO) => return Err(PollEnd::TimedOut),
+                Some(left) => {
+                    self.turn_changed.wait_timeout(turn, left).unwrap_or_else(PoisonError::into_inner).0
+                }
+                None => self.turn_changed.wait(turn).unwrap_or_else(PoisonError::into_inner),
+            };
+            if turn.wakes != wakes {
+                return Err(PollEnd::Woken);
+            }
+        }
+    }
+
+    /// Whether the event counter means the end of a poll, or only that the poll must look at the socket again.
+    fn end_of_wake(&self) -> Option<PollEnd> {
+        if self.address_known.swap(false, Ordering::AcqRel) {
+            if self.woken.load(Ordering::Acquire) {
+                // One poll ends for each.
+                self.wake.wake();
+            }
+            return Some(PollEnd::Ready);
+        }
+        self.woken.swap(false, Ordering::AcqRel).then_some(PollEnd::Woken)
+    }
+}
+
+/// A thread's turn. Ends when it goes, also where a sink panics.
+struct OwnTurn<'a> {
+    link: &'a UdpLink,
+    /// Always here until the turn ends.
+    receiving: Option<Box<Receiving>>,
+}
+
+impl Drop for OwnTurn<'_> {
+    fn drop(&mut self) {
+        lock(&self.link.turn).receiving = self.receiving.take();
+        self.link.turn_changed.notify_one();
+    }
+}
+
+impl Link for UdpLink {
+    fn ready(&self, next: NodeId) -> bool {
+        let known = self.peer(next).is_some_and(|(_, peer)| lock(&peer.address).is_some());
+        if known && self.blocked.load(Ordering::Acquire) && socket::takes(&self.socket) {
+            self.blocked.store(false, Ordering::Release);
+        }
+        known && !self.blocked.load(Ordering::Acquire)
+    }
+
+    fn send(&self, next: NodeId, packets: &[Packet]) -> Result<usize, LinkBusy> {
+        self.send_at(next, packets, Instant::now())
+    }
+
+    fn poll(&self, sink: &dyn Sink, until: Option<Instant>) -> PollEnd {
+        let mut turn = match self.take_turn(until) {
+            Ok(turn) => turn,
+            Err(end) => return end,
+        };
+        loop {
+            let writable = self.blocked.load(Ordering::Acquire);
+            let end = match socket::wait(&self.socket, &self.wake, writable, until) {
+                Ok(Waited::Readable) => {
+                    let any = turn.receiving.as_mut().is_some_and(|receiving| self.drain(receiving, sink));
+                    any.then_some(PollEnd::Received)
+                }
+                Ok(Waited::Writable) => {
+                    self.blocked.store(false, Ordering::Release);
+                    Some(PollEnd::Ready)
+                }
+                Ok(Waited::Woken) => self.end_of_wake(),
+                Ok(Waited::TimedOut) => Some(PollEnd::TimedOut),
+                Err(_) => {
+                    // The kernel is out of memory for the wait itself: try again, but not at once.
+                    self.statistics.add(UdpCount::ReceiveFailed, 1);
+                    std::thread::sleep(Duration::from_millis(1));
+                    None
+                }
+            };
+            if let Some(end) = end {
+                return end;
+            }
+        }
+    }
+
+    fn wake(&self) {
+        lock(&self.turn).wakes += 1;
+        self.woken.store(true, Ordering::Release);
+        self.wake.wake();
+        self.turn_changed.notify_all();
+    }
+}

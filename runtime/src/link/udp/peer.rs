@@ -1,0 +1,118 @@
+//! What a node keeps of each neighbour it talks to over UDP.
+
+use super::delay::{DRIFT_PPM, LinkDelay};
+use crate::link::LinkDiscard;
+use imrs_protocol::{Incarnation, NodeId, Ticks};
+use imrs_wire::envelope::{Datagram, Echo, Envelope, ReplayWindow, supersedes};
+use std::net::SocketAddr;
+use std::sync::{Mutex, MutexGuard, PoisonError};
+
+/// Locks, whatever a panic elsewhere left: every value here is whole at any time.
+pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// A neighbour, as the sending threads see it.
+pub(super) struct Peer {
+    pub(super) node: NodeId,
+    /// The declared bound of the link to it, in microseconds.
+    pub(super) declared: Ticks,
+    pub(super) address: Mutex<Option<SocketAddr>>,
+    pub(super) outgoing: Mutex<Outgoing>,
+    /// Its clock, as its last datagram showed it.
+    pub(super) heard: Mutex<Option<Heard>>,
+}
+
+/// The datagram that is being made for a neighbour, and its number.
+#[derive(Default)]
+pub(super) struct Outgoing {
+    pub(super) counter: u64,
+    pub(super) datagram: Datagram,
+}
+
+impl Peer {
+    pub(super) fn new(node: NodeId, declared: Ticks) -> Self {
+        Self {
+            node,
+            declared,
+            address: Mutex::default(),
+            outgoing: Mutex::default(),
+            heard: Mutex::default(),
+        }
+    }
+}
+
+/// A neighbour's clock as a datagram showed it, and this node's clock then.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Heard {
+    pub(super) incarnation: Incarnation,
+    pub(super) tx_mono: u64,
+    pub(super) at: u64,
+}
+
+impl Heard {
+    /// What the neighbour's clock shows at least when this node's shows `tx`. How long it was held is measured with a
+    /// clock that may run faster than the neighbour's.
+    pub(super) fn echo(&self, tx: u64) -> Option<Echo> {
+        let drift = |time: u64| time / (1_000_000 / DRIFT_PPM) + 1;
+        let mono = match tx.checked_sub(self.at) {
+            Some(held) => self.tx_mono.checked_add(held.saturating_sub(drift(held)))?,
+            // The packets were made ready before the neighbour was heard.
+            None => self.tx_mono.checked_sub((self.at - tx) + drift(self.at - tx))?,
+        };
+        Some(Echo { incarnation: self.incarnation, mono })
+    }
+}
+
+/// The life of a neighbour that is being listened to: what the receiving thread keeps of it.
+pub(super) struct Life {
+    incarnation: Incarnation,
+    window: ReplayWindow,
+    pub(super) delay: LinkDelay,
+}
+
+/// How a good datagram stands to what came before.
+pub(super) enum Contact {
+    /// From the life that is known.
+    Known,
+    /// From a life that was not known before. `restarted`: an earlier one may have taken requests.
+    New { restarted: bool },
+}
+
+/// Judges a datagram by its sender's life and its number (D49), and remembers both.
+pub(super) fn judge(
+    life: &mut Option<Life>,
+    envelope: &Envelope,
+    declared: Ticks,
+) -> Result<Contact, LinkDiscard> {
+    if let Some(known) = life {
+        if known.incarnation == envelope.incarnation {
+            let fresh = known.window.accept(envelope.counter);
+            return if fresh { Ok(Contact::Known) } else { Err(LinkDiscard::Replayed) };
+        }
+        if !supersedes(envelope.incarnation, known.incarnation) {
+            return Err(LinkDiscard::StaleIncarnation);
+        }
+    }
+    let restarted = life.is_some() || envelope.restarted;
+    let mut window = ReplayWindow::new();
+    window.accept(envelope.counter);
+    *life = Some(Life { incarnation: envelope.incarnation, window, delay: LinkDelay::new(declared) });
+    Ok(Contact::New { restarted })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_echo_never_says_more_than_the_neighbours_clock_shows() {
+        let heard = Heard { incarnation: Incarnation(3), tx_mono: 5_000, at: 100_000 };
+        let mono = |tx| heard.echo(tx).map(|e| e.mono);
+        assert_eq!(mono(100_000), Some(5_000));
+        assert_eq!(mono(100_100), Some(5_099));
+        assert_eq!(mono(100_000 + 25_000_000), Some(5_000 + 25_000_000 - 10_001));
+        assert_eq!(mono(99_000), Some(3_999), "made ready before");
+        assert_eq!(mono(90_000), None, "before its clock began");
+    }
+}

@@ -1,0 +1,124 @@
+//! Receiving: from the socket to the sink.
+
+use super::UdpLink;
+use super::peer::{Contact, Heard, Life, judge, lock};
+use super::socket::{Received, Receiver};
+use super::statistics::UdpCount;
+use crate::link::{LinkDiscard, Sink};
+use crate::residency::{Evidence, Reading, residency};
+use imrs_protocol::{Packet, Ticks};
+use imrs_wire::envelope::{self, EnvelopeError};
+use std::io;
+use std::time::Duration;
+
+/// How many datagrams one poll takes at most before it gives way to whatever else its thread has to do.
+const BATCH: usize = 64;
+/// What the thread has that waits in the socket and receives.
+pub(super) struct Receiving {
+    pub(super) receiver: Receiver,
+    /// The clocks when the socket was last seen empty.
+    pub(super) empty: Reading,
+    /// By the position of the neighbour.
+    pub(super) lives: Box<[Option<Life>]>,
+}
+
+impl UdpLink {
+    /// Takes what waits, up to a [`BATCH`]. Returns whether any datagram came in.
+    pub(super) fn drain(&self, receiving: &mut Receiving, sink: &dyn Sink) -> bool {
+        let Receiving { receiver, empty, lives } = receiving;
+        // Read before the socket is looked at: if it turns out to be empty, it was so after this.
+        let mut before = Reading::take();
+        for taken in 0..BATCH {
+            match receiver.receive(&self.socket) {
+                Ok((received, dropped)) => {
+                    let now = Reading::take();
+                    self.statistics.add(UdpCount::DatagramsReceived, 1);
+                    self.statistics.add(UdpCount::KernelDropped, u64::from(dropped));
+                    if let Err(reason) = self.deliver(&received, &now, empty, lives, sink) {
+                        sink.discarded(reason);
+                    }
+                    before = now;
+                }
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
+                    *empty = before;
+                    return taken > 0;
+                }
+                // What the network says of datagrams sent before, or an interruption: the queue is as it was.
+                Err(_) => self.statistics.add(UdpCount::ReceiveFailed, 1),
+            }
+        }
+        true
+    }
+
+    /// Hands the packets of a datagram to the sink, that was received before `now`.
+    fn deliver(
+        &self,
+        received: &Received<'_>,
+        now: &Reading,
+        empty: &Reading,
+        lives: &mut [Option<Life>],
+        sink: &dyn Sink,
+    ) -> Result<(), LinkDiscard> {
+        let digest = self.table.digest();
+        let (envelope, packets) = envelope::open(received.bytes, digest, |node| self.peer(node).is_some())
+            .map_err(LinkDiscard::from)?;
+        let (index, peer) = self.peer(envelope.sender).ok_or(LinkDiscard::UnknownNode)?;
+        let contact = judge(&mut lives[index], &envelope, peer.declared)?;
+        if let Contact::New { restarted } = contact {
+            self.statistics.add(UdpCount::NewLives, 1);
+            sink.peer(peer.node, envelope.incarnation, restarted);
+        }
+        let at = self.micros(now.after) + 1;
+        let heard = Heard { incarnation: envelope.incarnation, tx_mono: envelope.tx_mono, at };
+        *lock(&peer.heard) = Some(heard);
+        let waited = self.waited(received, now, empty);
+        let echo = envelope.echo.filter(|echo| echo.incarnation == self.options.incarnation);
+        let life = lives[index].as_mut();
+        let shown = life.map_or(Ticks::ZERO, |l| l.delay.arrived(envelope.tx_mono, echo.map(|e| e.mono), at));
+        let charge = shown.max(peer.declared + waited);
+        for packet in packets {
+            let port_hash = |port| self.table.port(port).map(|port| port.hash);
+            match Packet::decode(packet, digest, port_hash) {
+                Ok(packet) => {
+                    self.statistics.add(UdpCount::PacketsReceived, 1);
+                    // Handing over the packets before it took time, too.
+                    let since = now.after.elapsed();
+                    sink.packet(peer.node, packet, charge + micros_up(since));
+                }
+                Err(error) => sink.discarded(LinkDiscard::Packet(error)),
+            }
+        }
+        Ok(())
+    }
+
+    /// How long a datagram waited in the kernel.
+    fn waited(&self, received: &Received<'_>, now: &Reading, empty: &Reading) -> Ticks {
+        let residency = residency(now, received.stamp, empty);
+        match residency.by {
+            Evidence::Stamp => {}
+            Evidence::NoStamp => self.statistics.add(UdpCount::NoStamp, 1),
+            Evidence::ClockSet => self.statistics.add(UdpCount::ClockSet, 1),
+        }
+        micros_up(residency.waited)
+    }
+}
+
+/// A duration in microseconds, rounded up.
+fn micros_up(duration: Duration) -> Ticks {
+    Ticks(u64::try_from(duration.as_nanos().div_ceil(1_000)).unwrap_or(u64::MAX))
+}
+
+impl From<EnvelopeError> for LinkDiscard {
+    fn from(error: EnvelopeError) -> Self {
+        match error {
+            EnvelopeError::TooShort(_) => Self::TooShort,
+            EnvelopeError::NotImrs => Self::NotImrs,
+            EnvelopeError::Version(_) => Self::Version,
+            EnvelopeError::Mode(_) => Self::Mode,
+            EnvelopeError::Length(_) => Self::Length,
+            EnvelopeError::Checksum => Self::Checksum,
+            EnvelopeError::OtherCell(_) => Self::OtherCell,
+            EnvelopeError::UnknownNode(_) => Self::UnknownNode,
+        }
+    }
+}

@@ -1,0 +1,177 @@
+//! The socket: what the kernel is asked for, and what it says with each datagram.
+
+use super::UdpError;
+use crate::residency::Reading;
+use imrs_wire::envelope::MAX_DATAGRAM_BYTES;
+use nix::sys::socket::{ControlMessageOwned, MsgFlags, recvmsg, setsockopt, sockopt};
+use nix::sys::time::TimeSpec;
+use rustix::event::{EventfdFlags, PollFd, PollFlags, Timespec, eventfd, poll};
+use std::io::{self, IoSliceMut};
+use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
+use std::os::fd::{AsRawFd, OwnedFd};
+use std::time::{Duration, Instant};
+
+/// One more than the longest datagram, so that a longer one is noticed.
+const BUFFER_BYTES: usize = MAX_DATAGRAM_BYTES + 1;
+
+/// A datagram as the kernel gave it.
+pub(super) struct Received<'a> {
+    pub(super) bytes: &'a [u8],
+    /// When it came in, by the wall clock since 1970.
+    pub(super) stamp: Option<Duration>,
+}
+
+/// Receives into one reused buffer.
+pub(super) struct Receiver {
+    bytes: Box<[u8; BUFFER_BYTES]>,
+    control: Vec<u8>,
+    /// The kernel's count of datagrams that found its queue full: since the socket was made, around the wrap.
+    dropped: u32,
+    /// Whether stamps are those of the arrival.
+    stamped: bool,
+}
+
+impl Receiver {
+    pub(super) fn new(stamped: bool) -> Self {
+        let control = nix::cmsg_space!(TimeSpec, u32);
+        Self { bytes: Box::new([0; BUFFER_BYTES]), control, dropped: 0, stamped }
+    }
+
+    /// The next datagram that waits, and how many more the kernel has dropped before it. Never blocks.
+    pub(super) fn receive(&mut self, socket: &UdpSocket) -> io::Result<(Received<'_>, u32)> {
+        let mut slices = [IoSliceMut::new(&mut self.bytes[..])];
+        let flags = MsgFlags::MSG_DONTWAIT;
+        let message = recvmsg::<()>(socket.as_raw_fd(), &mut slices, Some(&mut self.control), flags)?;
+        let (mut stamp, mut dropped) = (None, self.dropped);
+        for control in message.cmsgs().into_iter().flatten() {
+            match control {
+                ControlMessageOwned::ScmTimestampns(at) => stamp = since_1970(at),
+                ControlMessageOwned::RxqOvfl(total) => dropped = total,
+                _ => {}
+            }
+        }
+        let length = message.bytes;
+        let new = dropped.wrapping_sub(self.dropped);
+        self.dropped = dropped;
+        Ok((Received { bytes: &self.bytes[..length], stamp: stamp.filter(|_| self.stamped) }, new))
+    }
+}
+
+fn since_1970(at: TimeSpec) -> Option<Duration> {
+    let nanoseconds = u32::try_from(at.tv_nsec()).ok()?;
+    Some(Duration::new(u64::try_from(at.tv_sec()).ok()?, nanoseconds))
+}
+
+/// A socket bound to `address`, whose kernel queue holds at most about `queue` bytes. Returned with it: whether its
+/// stamps can be used, and a reading of the clocks before anything can have come in.
+pub(super) fn bind(address: SocketAddr, queue: usize) -> Result<(UdpSocket, bool, Reading), UdpError> {
+    let stamped = stamps_work();
+    let empty = Reading::take();
+    let socket = UdpSocket::bind(address).map_err(|source| UdpError::Bind { address, source })?;
+    socket.set_nonblocking(true).map_err(|source| UdpError::Option { option: "O_NONBLOCK", source })?;
+    let option = |option: &'static str, result: nix::Result<()>| {
+        result.map_err(|errno| UdpError::Option { option, source: errno.into() })
+    };
+    option("SO_RCVBUF", setsockopt(&socket, sockopt::RcvBuf, &queue))?;
+    option("SO_RXQ_OVFL", setsockopt(&socket, sockopt::RxqOvfl, &1))?;
+    if stamped {
+        option("SO_TIMESTAMPNS", setsockopt(&socket, sockopt::ReceiveTimestampns, &true))?;
+    }
+    Ok((socket, stamped, empty))
+}
+
+/// Whether the kernel stamps datagrams as they come in. It starts to do so some time after the first socket asks for
+/// it, and until then gives the time of *reception*, which would make old datagrams look young. So one is sent to this
+/// process itself and left waiting.
+fn stamps_work() -> bool {
+    const WAIT: Duration = Duration::from_millis(1);
+    const ATTEMPTS: usize = 50;
+    let attempt = || -> io::Result<bool> {
+        let socket = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0))?;
+        socket.connect(socket.local_addr()?)?;
+        setsockopt(&socket, sockopt::ReceiveTimestampns, &true)?;
+        let mut receiver = Receiver::new(true);
+        for _ in 0..ATTEMPTS {
+            socket.send(&[0])?;
+            std::thread::sleep(WAIT);
+            let now = Reading::take();
+            let Ok((received, _)) = receiver.receive(&socket) else { continue };
+            if received.stamp.is_some_and(|stamp| now.realtime.saturating_sub(stamp) >= WAIT / 2) {
+                return Ok(true);
+            }
+        }
+        Ok(false)
+    };
+    attempt().unwrap_or(false)
+}
+
+/// Ends a wait from another thread.
+pub(super) struct Wake(OwnedFd);
+
+impl Wake {
+    pub(super) fn new() -> Result<Self, UdpError> {
+        let fd = eventfd(0, EventfdFlags::CLOEXEC | EventfdFlags::NONBLOCK);
+        fd.map(Self).map_err(|errno| UdpError::Wake(errno.into()))
+    }
+
+    /// Ends the present or else the next wait.
+    pub(super) fn wake(&self) {
+        // Fails only where the count is full, and then the wait ends all the same.
+        let _ = rustix::io::write(&self.0, &1_u64.to_ne_bytes());
+    }
+
+    fn clear(&self) {
+        // Fails only where somebody else has cleared it.
+        let _ = rustix::io::read(&self.0, &mut [0_u8; 8]);
+    }
+}
+
+/// What a wait ended with.
+pub(super) enum Waited {
+    Readable,
+    Writable,
+    Woken,
+    TimedOut,
+}
+
+/// Waits until the socket has something (or, with `writable`, takes something), a wake, or `until`.
+pub(super) fn wait(
+    socket: &UdpSocket,
+    wake: &Wake,
+    writable: bool,
+    until: Option<Instant>,
+) -> io::Result<Waited> {
+    let interest = if writable { PollFlags::IN | PollFlags::OUT } else { PollFlags::IN };
+    loop {
+        let mut fds = [PollFd::new(socket, interest), PollFd::new(&wake.0, PollFlags::IN)];
+        let left = until.map(|until| until.saturating_duration_since(Instant::now()));
+        // A wait too long for the kernel's type is as good as one without end.
+        let timeout = left.and_then(|left| Timespec::try_from(left).ok());
+        match poll(&mut fds, timeout.as_ref()) {
+            // The kernel's clock for waiting is the one that `Instant` shows, but nothing says so.
+            Ok(0) if until.is_some_and(|until| Instant::now() < until) => {}
+            Ok(0) => return Ok(Waited::TimedOut),
+            Ok(_) => {}
+            Err(rustix::io::Errno::INTR) => continue,
+            Err(errno) => return Err(errno.into()),
+        }
+        if !fds[1].revents().is_empty() {
+            wake.clear();
+            return Ok(Waited::Woken);
+        }
+        // An error of the socket (POLLERR) is fetched by receiving.
+        if fds[0].revents().intersects(PollFlags::IN | PollFlags::ERR) {
+            return Ok(Waited::Readable);
+        }
+        if fds[0].revents().contains(PollFlags::OUT) {
+            return Ok(Waited::Writable);
+        }
+    }
+}
+
+/// Whether the socket takes a datagram now.
+pub(super) fn takes(socket: &UdpSocket) -> bool {
+    let mut fds = [PollFd::new(socket, PollFlags::OUT)];
+    let now = Timespec { tv_sec: 0, tv_nsec: 0 };
+    poll(&mut fds, Some(&now)).is_ok_and(|ready| ready > 0)
+}

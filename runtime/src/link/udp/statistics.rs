@@ -1,0 +1,85 @@
+//! What the socket did, counted.
+
+use std::io;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+macro_rules! counts {
+    ($($(#[doc = $doc:literal])+ $variant:ident = $name:literal),* $(,)?) => {
+        /// Something that a UDP link counts. What is dropped on reception goes to the sink by its own reason.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq)]
+        pub enum UdpCount { $($(#[doc = $doc])+ $variant),* }
+
+        impl UdpCount {
+            /// All of them.
+            pub const ALL: &'static [Self] = &[$(Self::$variant),*];
+
+            /// A short name for tables and counters.
+            #[must_use]
+            pub const fn name(self) -> &'static str {
+                match self { $(Self::$variant => $name),* }
+            }
+        }
+    };
+}
+
+counts! {
+    /// Datagrams handed to the kernel.
+    DatagramsSent = "datagrams_sent",
+    /// Packets in them.
+    PacketsSent = "packets_sent",
+    /// Datagrams that came in, good or not.
+    DatagramsReceived = "datagrams_received",
+    /// Packets handed to the sink.
+    PacketsReceived = "packets_received",
+    /// Datagrams that the kernel dropped because its queue was full (SO_RXQ_OVFL).
+    KernelDropped = "kernel_dropped",
+    /// Sends that found the kernel's send queue full; the packets were kept.
+    Busy = "send_busy",
+    /// Sends that failed: the other side has no such socket (ECONNREFUSED).
+    SendRefused = "send_refused",
+    /// Sends that failed: no memory in the kernel (ENOBUFS, ENOMEM).
+    SendNoBuffers = "send_no_buffers",
+    /// Sends that failed: the network is down or unreachable (ENETDOWN, ENETUNREACH).
+    SendNoNetwork = "send_no_network",
+    /// Sends that failed: the host is down or unreachable (EHOSTDOWN, EHOSTUNREACH).
+    SendNoHost = "send_no_host",
+    /// Sends that failed: not permitted (EPERM, EACCES; a firewall).
+    SendForbidden = "send_forbidden",
+    /// Sends that failed in another way.
+    SendFailed = "send_failed",
+    /// Errors that the socket reported on reception.
+    ReceiveFailed = "receive_failed",
+    /// Datagrams whose wait was reckoned from when the socket was last seen empty, because the wall clock was set.
+    ClockSet = "clock_set",
+    /// The same, because the kernel gave no stamp.
+    NoStamp = "no_stamp",
+    /// New lives of neighbours.
+    NewLives = "new_lives",
+}
+
+/// A UDP link's counters. They only grow.
+#[derive(Debug, Default)]
+pub(super) struct Statistics([AtomicU64; UdpCount::ALL.len()]);
+
+impl Statistics {
+    pub(super) fn add(&self, count: UdpCount, by: u64) {
+        self.0[count as usize].fetch_add(by, Ordering::Relaxed);
+    }
+
+    pub(super) fn get(&self, count: UdpCount) -> u64 {
+        self.0[count as usize].load(Ordering::Relaxed)
+    }
+
+    pub(super) fn send_failed(&self, error: &io::Error) {
+        use rustix::io::Errno;
+        let count = match Errno::from_io_error(error) {
+            Some(Errno::CONNREFUSED) => UdpCount::SendRefused,
+            Some(Errno::NOBUFS | Errno::NOMEM) => UdpCount::SendNoBuffers,
+            Some(Errno::NETDOWN | Errno::NETUNREACH) => UdpCount::SendNoNetwork,
+            Some(Errno::HOSTDOWN | Errno::HOSTUNREACH) => UdpCount::SendNoHost,
+            Some(Errno::PERM | Errno::ACCESS) => UdpCount::SendForbidden,
+            _ => UdpCount::SendFailed,
+        };
+        self.add(count, 1);
+    }
+}

@@ -1,0 +1,298 @@
+//! A running node: the parts of [`imrs_protocol::Node`], each behind its own lock (D38, D39).
+//!
+//! Nothing here runs by itself. Whoever brings input (a task's thread, the one that receives, the Timer's) takes one
+//! lock, lets go of it, and carries out what the machine wants, one effect after the other. Two machines are never
+//! locked together.
+
+use crate::alarm::Alarm;
+use crate::clock::{self, Micros};
+use crate::comm::Comm;
+use crate::effects::{Effect, Effects, Stamped};
+use crate::failstop::FailStop;
+use crate::handoff::Entry;
+use crate::link::{Link, LinkDiscard, Sink};
+use crate::member::{Member, Members};
+use crate::record::Recorder;
+use crate::sync::{AtomicU64, Mutex, Ordering, lock};
+use crate::timers::Timers;
+use crate::transit::Dispatch;
+use imrs_protocol::route::{Arrival, Departure, arrived, departing};
+use imrs_protocol::{
+    CommTask, Incarnation, Input, NodeId, NodeTable, Packet, Reason, Request, Signal, TaskId, Ticks,
+    discarded,
+};
+use std::sync::Arc;
+
+/// What a node is made from.
+pub(crate) struct Plan {
+    pub machine: imrs_protocol::Node,
+    pub incarnation: Incarnation,
+    pub insecure: bool,
+    pub link: Option<Arc<dyn Link>>,
+    pub recorder: Option<Arc<dyn Recorder>>,
+}
+
+/// A node that runs. Shared by its threads, and by whoever observes it.
+pub struct Node {
+    pub(crate) table: NodeTable,
+    pub(crate) incarnation: Incarnation,
+    pub(crate) insecure: bool,
+    pub(crate) started: Micros,
+    pub(crate) members: Arc<Members>,
+    pub(crate) dispatch: Dispatch,
+    pub(crate) timers: Timers,
+    pub(crate) alarm: Arc<Alarm>,
+    pub(crate) link: Option<Arc<dyn Link>>,
+    pub(crate) peers: Box<[Peer]>,
+    /// Drops that no machine saw, by position in [`Reason::ALL`].
+    pub(crate) discards: [AtomicU64; Reason::ALL.len()],
+    /// Drops by links, by position in [`LinkDiscard::NAMES`].
+    pub(crate) link_discards: [AtomicU64; LinkDiscard::NAMES.len()],
+}
+
+/// A neighbour.
+pub(crate) struct Peer {
+    pub node: NodeId,
+    pub received: AtomicU64,
+    /// When anything last came from it; zero before the first time.
+    pub heard: AtomicU64,
+    incarnation: Mutex<Option<Incarnation>>,
+}
+
+impl Node {
+    pub(crate) fn new(plan: Plan) -> Self {
+        let now = clock::now();
+        let imrs_protocol::Parts { table, tasks, transit, timer } = plan.machine.into_parts();
+        let count = tasks.len();
+        let alarm = Arc::new(Alarm::new(count + 2));
+        let member = |(slot, machine): (usize, CommTask)| {
+            let recorder = plan.recorder.clone();
+            let task = machine.task();
+            Member::new(task, Comm::new(machine, table.clone(), slot, Arc::clone(&alarm), recorder, now))
+        };
+        let list = tasks.into_vec().into_iter().enumerate().map(member).collect();
+        let members = Arc::new(Members::new(list, table.cell().tasks.len()));
+        let peer = |node| Peer {
+            node,
+            received: AtomicU64::new(0),
+            heard: AtomicU64::new(0),
+            incarnation: Mutex::new(None),
+        };
+        Self {
+            incarnation: plan.incarnation,
+            insecure: plan.insecure,
+            started: now,
+            dispatch: Dispatch::new(
+                table.clone(),
+                transit,
+                plan.link.clone(),
+                Arc::clone(&members),
+                Arc::clone(&alarm),
+                now,
+            ),
+            members,
+            timers: Timers::new(timer, count, Arc::clone(&alarm), count + 1, now),
+            alarm,
+            link: plan.link,
+            peers: table.neighbours(table.node).map(peer).collect(),
+            discards: std::array::from_fn(|_| AtomicU64::new(0)),
+            link_discards: std::array::from_fn(|_| AtomicU64::new(0)),
+            table,
+        }
+    }
+
+    /// The table of the cell as this node sees it.
+    #[must_use]
+    pub fn table(&self) -> &NodeTable {
+        &self.table
+    }
+
+    /// Which life of the node this is.
+    #[must_use]
+    pub fn incarnation(&self) -> Incarnation {
+        self.incarnation
+    }
+
+    /// The name of the node.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.table.cell().nodes[self.table.node.index()].name
+    }
+
+    /// A request of a task, from its own thread; then whatever that brings about.
+    pub(crate) fn ask(
+        &self,
+        place: usize,
+        at: Micros,
+        request: Request,
+        effects: &mut Effects,
+    ) -> Entry<Signal> {
+        self.enter(place, Stamped { at, input: Input::Request(request) }, effects)
+    }
+
+    /// A task's thread is back from its sleep. `due` says that it came because its time is over.
+    pub(crate) fn come_back(
+        &self,
+        place: usize,
+        now: Micros,
+        due: bool,
+        effects: &mut Effects,
+    ) -> Entry<Signal> {
+        if due {
+            // Before the task's own time: it must know whether its message ever left.
+            self.dispatch.advance(now, effects);
+            self.timers.advance(now, effects);
+            self.carry_out(effects);
+        }
+        self.enter(place, Stamped { at: now, input: Input::Advance(Ticks::ZERO) }, effects)
+    }
+
+    fn enter(&self, place: usize, stamped: Stamped, effects: &mut Effects) -> Entry<Signal> {
+        let entry = self.members.list[place].handoff.enter(stamped, effects);
+        self.carry_out(effects);
+        entry
+    }
+
+    /// Looks at a communication task. Nothing of it changes by that.
+    pub(crate) fn look<R>(&self, member: &Member, look: impl FnOnce(&mut Comm) -> R) -> R {
+        let _guard = FailStop::of("a look at a communication task");
+        let mut effects = Effects::of_an_onlooker();
+        let seen = member.handoff.with(look, &mut effects);
+        self.carry_out(&mut effects);
+        seen
+    }
+
+    /// Does everything that is due and that nobody waits for.
+    pub(crate) fn tend(&self, now: Micros, effects: &mut Effects) {
+        let count = self.members.list.len();
+        if self.alarm.slot(count) <= now {
+            self.dispatch.advance(now, effects);
+        }
+        if self.alarm.slot(count + 1) <= now {
+            self.timers.advance(now, effects);
+        }
+        self.carry_out(effects);
+        for (slot, member) in self.members.list.iter().enumerate() {
+            if self.alarm.slot(slot) <= now {
+                let stamped = Stamped { at: now, input: Input::Advance(Ticks::ZERO) };
+                member.handoff.deliver_now(stamped, effects);
+                self.carry_out(effects);
+            }
+        }
+    }
+
+    /// Carries out effects until none are left: those of one may bring about others.
+    pub(crate) fn carry_out(&self, effects: &mut Effects) {
+        let _guard = FailStop::of("the route layer, the Timer or a link");
+        loop {
+            let mut latest = 0;
+            while let Some(effect) = effects.queue.pop_front() {
+                match effect {
+                    Effect::Transmit(at, packet) => {
+                        latest = latest.max(at);
+                        self.transmit(at, packet, effects);
+                    }
+                    Effect::Feed(task, stamped) => self.feed(task, stamped, effects),
+                    Effect::Nudge(task) => {
+                        if let Some(member) = self.members.of(task) {
+                            member.handoff.nudge(effects);
+                        }
+                    }
+                    Effect::Arm(at, task, id, length) => self.timers.arm(at, task, id, length, effects),
+                    Effect::Disarm(at, task, id) => self.timers.disarm(at, task, id, effects),
+                }
+            }
+            self.dispatch.pump(latest, effects);
+            if effects.queue.is_empty() {
+                return;
+            }
+        }
+    }
+
+    fn transmit(&self, at: Micros, packet: Packet, effects: &mut Effects) {
+        match departing(&self.table, &packet) {
+            Departure::Local(task) => {
+                self.feed(task, Stamped { at, input: Input::Packet(packet) }, effects);
+            }
+            Departure::Link(_) | Departure::Unroutable => self.dispatch.offer(at, packet, effects),
+        }
+    }
+
+    fn feed(&self, task: TaskId, stamped: Stamped, effects: &mut Effects) {
+        if let Some(member) = self.members.of(task) {
+            member.handoff.deliver(stamped, effects);
+        }
+    }
+
+    fn receive(&self, packet: Packet, charge: Ticks, at: Micros, effects: &mut Effects) {
+        match arrived(&self.table, packet, charge) {
+            Arrival::Local(task, packet) => {
+                self.feed(task, Stamped { at, input: Input::Packet(packet) }, effects);
+            }
+            Arrival::Relay(packet) => self.dispatch.offer(at, packet, effects),
+            Arrival::Discard(reason, packet) => {
+                self.discards[reason as usize].fetch_add(1, Ordering::Relaxed);
+                self.dispatch.note(at, discarded(reason, &packet));
+            }
+        }
+        self.carry_out(effects);
+    }
+
+    /// A neighbour has a new life.
+    fn restarted(&self, node: NodeId, at: Micros, effects: &mut Effects) {
+        for member in &self.members.list {
+            let stamped = Stamped { at, input: Input::PeerRestarted(node) };
+            member.handoff.deliver(stamped, effects);
+        }
+        self.carry_out(effects);
+    }
+
+    fn peer(&self, node: NodeId) -> Option<&Peer> {
+        self.peers.iter().find(|peer| peer.node == node)
+    }
+}
+
+/// What one thread receives with: the node and the thread's effects.
+pub(crate) struct Inlet {
+    node: Arc<Node>,
+    effects: Mutex<Effects>,
+}
+
+impl Inlet {
+    pub fn new(node: Arc<Node>) -> Self {
+        Self { node, effects: Mutex::new(Effects::new(None)) }
+    }
+
+    /// A neighbour takes packets again: sends what waited for it.
+    pub fn ready(&self) {
+        self.node.dispatch.ready();
+        let mut effects = lock(&self.effects);
+        self.node.dispatch.pump(clock::now(), &mut effects);
+        self.node.carry_out(&mut effects);
+    }
+}
+
+impl Sink for Inlet {
+    fn packet(&self, from: NodeId, packet: Packet, charge: Ticks) {
+        let now = clock::now();
+        if let Some(peer) = self.node.peer(from) {
+            peer.received.fetch_add(1, Ordering::Relaxed);
+            peer.heard.store(now, Ordering::Relaxed);
+        }
+        self.node.receive(packet, charge, now, &mut lock(&self.effects));
+    }
+
+    fn peer(&self, node: NodeId, incarnation: Incarnation, restarted: bool) {
+        let Some(peer) = self.node.peer(node) else { return };
+        let before = lock(&peer.incarnation).replace(incarnation);
+        // What was asked of an earlier life may have run or not; nobody will say. An earlier life may also have been
+        // asked without ever being heard of.
+        if before.map_or(restarted, |before| before != incarnation) {
+            self.node.restarted(node, clock::now(), &mut lock(&self.effects));
+        }
+    }
+
+    fn discarded(&self, reason: LinkDiscard) {
+        self.node.link_discards[reason.index()].fetch_add(1, Ordering::Relaxed);
+    }
+}

@@ -1,0 +1,207 @@
+//! Shows a running node to monitors, over a Unix socket that only its user can open ([`imrs_wire::obs`]).
+//!
+//! One thread serves all monitors. It only looks: there is no way from here into a machine. Without a monitor it sleeps
+//! in the kernel. A monitor that does not read costs one frame of memory and no time: nothing more is made for it
+//! until that frame has gone, so snapshots coalesce and events are counted as lost.
+
+mod client;
+
+use crate::node::Node;
+use client::Client;
+use imrs_wire::obs::place::{self, PlaceError};
+use rustix::event::{EventfdFlags, PollFd, PollFlags, Timespec, eventfd, poll};
+use std::fs::{self, Permissions};
+use std::io::{self, ErrorKind};
+use std::os::fd::{AsFd, OwnedFd};
+use std::os::unix::fs::PermissionsExt;
+use std::os::unix::net::{UnixListener, UnixStream};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
+
+/// How many monitors a node serves at once.
+pub const MAX_MONITORS: usize = 8;
+/// How long the listener rests when the process has no file descriptor left for a new monitor.
+const REST: Duration = Duration::from_millis(500);
+
+/// Why a node cannot be observed. It runs all the same.
+#[derive(Debug, thiserror::Error)]
+pub enum ObserverError {
+    /// There is no place for the socket.
+    #[error(transparent)]
+    Place(#[from] PlaceError),
+    /// Another process serves this socket.
+    #[error("{0} is served by another process")]
+    Taken(PathBuf),
+    /// The operating system refused.
+    #[error("cannot serve monitors at {path}: {source}")]
+    Io {
+        /// The socket.
+        path: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+}
+
+/// Serves monitors until it is dropped.
+#[derive(Debug)]
+pub struct Observer {
+    path: PathBuf,
+    stop: Arc<OwnedFd>,
+    thread: Option<JoinHandle<()>>,
+}
+
+impl Observer {
+    /// Shows `node` where monitors look for it, and clears away what dead nodes of the same cell left there.
+    ///
+    /// # Errors
+    /// [`ObserverError`].
+    pub fn start(node: Arc<Node>) -> Result<Self, ObserverError> {
+        let cell = &node.table().cell().name;
+        let path = place::prepare_socket(cell, node.name(), std::process::id())?;
+        for socket in place::sockets_in(&place::base_dir())? {
+            if socket.parent() == path.parent() {
+                // Not there, not ours or alive after all: then it stays.
+                let _ = place::remove_if_stale(&socket);
+            }
+        }
+        Self::start_at(node, &path)
+    }
+
+    /// Shows `node` at a socket of one's own choice.
+    ///
+    /// # Errors
+    /// [`ObserverError`].
+    pub fn start_at(node: Arc<Node>, path: &Path) -> Result<Self, ObserverError> {
+        let io = |source: io::Error| ObserverError::Io { path: path.into(), source };
+        let listener = bind(path)?;
+        // Until here the folder, which is this user's alone, kept others out.
+        fs::set_permissions(path, Permissions::from_mode(0o600)).map_err(io)?;
+        listener.set_nonblocking(true).map_err(io)?;
+        let stop = Arc::new(eventfd(0, EventfdFlags::CLOEXEC).map_err(|e| io(e.into()))?);
+        let server =
+            Server { node, listener, stop: Arc::clone(&stop), clients: Vec::new(), rest_until: None };
+        let thread =
+            thread::Builder::new().name("imrs observer".into()).spawn(move || server.run()).map_err(io)?;
+        Ok(Self { path: path.into(), stop, thread: Some(thread) })
+    }
+
+    /// The socket.
+    #[must_use]
+    pub fn path(&self) -> &Path {
+        &self.path
+    }
+}
+
+/// Says goodbye to the monitors and removes the socket.
+impl Drop for Observer {
+    fn drop(&mut self) {
+        let _ = rustix::io::write(&*self.stop, &1_u64.to_ne_bytes());
+        if let Some(thread) = self.thread.take() {
+            let _ = thread.join();
+        }
+        let _ = fs::remove_file(&self.path);
+    }
+}
+
+/// Listens at `path`. A socket that nobody serves is in the way of its successor, also under the same process id, and
+/// removed.
+fn bind(path: &Path) -> Result<UnixListener, ObserverError> {
+    let io = |source| ObserverError::Io { path: path.into(), source };
+    match UnixListener::bind(path) {
+        Err(error) if error.kind() == ErrorKind::AddrInUse => {}
+        other => return other.map_err(io),
+    }
+    match UnixStream::connect(path) {
+        Err(error) if error.kind() == ErrorKind::ConnectionRefused => {}
+        Ok(_) | Err(_) => return Err(ObserverError::Taken(path.into())),
+    }
+    fs::remove_file(path).map_err(io)?;
+    UnixListener::bind(path).map_err(io)
+}
+
+struct Server {
+    node: Arc<Node>,
+    listener: UnixListener,
+    stop: Arc<OwnedFd>,
+    clients: Vec<Client>,
+    rest_until: Option<Instant>,
+}
+
+impl Server {
+    fn run(mut self) {
+        loop {
+            let Some(ready) = self.sleep() else { return self.say_goodbye() };
+            let now = Instant::now();
+            self.rest_until = self.rest_until.filter(|&until| until > now);
+            let mut at = 0;
+            self.clients.retain_mut(|client| {
+                let stays = client.serve(ready.clients.get(at).copied().unwrap_or_default(), now);
+                at += 1;
+                stays
+            });
+            if ready.listener {
+                self.accept(now);
+            }
+        }
+    }
+
+    /// Sleeps until something is to do. `None`: the end.
+    fn sleep(&self) -> Option<Ready> {
+        let due = self.clients.iter().filter_map(Client::due).chain(self.rest_until).min();
+        let left = due.map(|due| due.saturating_duration_since(Instant::now()));
+        let left = left.and_then(|left| Timespec::try_from(left).ok());
+        let listen = if self.rest_until.is_some() { PollFlags::empty() } else { PollFlags::IN };
+        let mut fds = vec![
+            PollFd::from_borrowed_fd(self.stop.as_fd(), PollFlags::IN),
+            PollFd::from_borrowed_fd(self.listener.as_fd(), listen),
+        ];
+        for client in &self.clients {
+            let mut wanted = PollFlags::IN;
+            wanted.set(PollFlags::OUT, client.has_pending());
+            fds.push(PollFd::from_borrowed_fd(client.as_fd(), wanted));
+        }
+        if poll(&mut fds, left.as_ref()).is_err() {
+            // Interrupted by a signal: nothing is ready.
+            return Some(Ready::default());
+        }
+        let happened = |fd: &PollFd<'_>| !fd.revents().is_empty();
+        if fds.first().is_some_and(happened) {
+            return None;
+        }
+        Some(Ready {
+            listener: fds.get(1).is_some_and(happened),
+            clients: fds.iter().skip(2).map(happened).collect(),
+        })
+    }
+
+    fn accept(&mut self, now: Instant) {
+        match self.listener.accept() {
+            // Some more than are served are heard, to be told so; a crowd is turned away unheard.
+            Ok((stream, _)) if same_user(&stream) && self.clients.len() < 2 * MAX_MONITORS => {
+                let client =
+                    Client::new(stream, Arc::clone(&self.node), self.clients.len() < MAX_MONITORS, now);
+                self.clients.extend(client);
+            }
+            Ok(_) => {}
+            Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted) => {}
+            Err(_) => self.rest_until = Some(now + REST),
+        }
+    }
+
+    fn say_goodbye(&mut self) {
+        self.clients.iter_mut().for_each(Client::say_goodbye);
+    }
+}
+
+#[derive(Default)]
+struct Ready {
+    listener: bool,
+    clients: Vec<bool>,
+}
+
+/// The folder and the mode keep other users out already; this holds where somebody loosened them.
+fn same_user(stream: &UnixStream) -> bool {
+    rustix::net::sockopt::socket_peercred(stream).is_ok_and(|peer| peer.uid == rustix::process::geteuid())
+}

@@ -1,0 +1,93 @@
+//! Recording into a file, by a thread of its own: the node hands every step over and goes on.
+
+use super::{OutputDigest, Recorder, Step};
+use imrs_protocol::{Incarnation, NodeTable, TaskId};
+use imrs_wire::recording::{Header, Recording, Status, TaskStream, WriteError};
+use std::io::Write;
+use std::sync::{Arc, Mutex, PoisonError};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+/// How many steps wait between a node and its disk. When there are more, a gap is recorded instead, and nothing that
+/// follows it can be replayed.
+const CAPACITY: usize = 16_384;
+
+/// Records the inputs of a node's communication tasks as an [`imrs_wire::recording`].
+pub struct FileRecorder {
+    recording: Mutex<Option<Recording>>,
+    /// One for each task of the node, ascending. Their locks are never waited for: each is used under the lock of its
+    /// communication task only.
+    tracks: Box<[Mutex<Track>]>,
+    tasks: Box<[TaskId]>,
+}
+
+struct Track {
+    stream: TaskStream,
+    /// The step whose output is still to come.
+    open: Option<Step>,
+}
+
+impl FileRecorder {
+    /// Begins to record a node in this life. `build` names the program; `on_failure` is called at most once, when the
+    /// disk fails: the node goes on, unrecorded.
+    ///
+    /// # Errors
+    /// Where not even the beginning can be written.
+    pub fn start(
+        sink: impl Write + Send + 'static,
+        table: &NodeTable,
+        life: (Incarnation, bool),
+        insecure: bool,
+        build: &str,
+        on_failure: impl FnOnce(&WriteError) + Send + 'static,
+    ) -> Result<Arc<Self>, WriteError> {
+        let began = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+        let header = Header {
+            cell: table.cell().name.clone(),
+            digest: table.digest(),
+            node: Some(table.node),
+            incarnation: life.0,
+            restarted: life.1,
+            build: build.into(),
+            insecure,
+            began: u64::try_from(began.as_micros()).unwrap_or(u64::MAX),
+        };
+        let recording = Recording::start(sink, &header, CAPACITY, on_failure)?;
+        let tasks: Box<[TaskId]> = table.tasks_on(table.node).collect();
+        let track = |&task: &TaskId| Mutex::new(Track { stream: recording.task(task), open: None });
+        let tracks = tasks.iter().map(track).collect();
+        Ok(Arc::new(Self { recording: Mutex::new(Some(recording)), tracks, tasks }))
+    }
+
+    /// How the recording is doing; `None` once it was stopped.
+    #[must_use]
+    pub fn status(&self) -> Option<Status> {
+        self.recording.lock().unwrap_or_else(PoisonError::into_inner).as_ref().map(Recording::status)
+    }
+
+    /// Ends the recording: to be called after the node has stopped. Waits for the disk as long as `patience`. `None`
+    /// where it was stopped before.
+    pub fn stop(&self, patience: Duration) -> Option<Status> {
+        let recording = self.recording.lock().unwrap_or_else(PoisonError::into_inner).take();
+        recording.map(|recording| recording.stop(patience))
+    }
+
+    fn with(&self, task: TaskId, write: impl FnOnce(&mut Track)) {
+        if let Ok(at) = self.tasks.binary_search(&task) {
+            write(&mut self.tracks[at].lock().unwrap_or_else(PoisonError::into_inner));
+        }
+    }
+}
+
+impl Recorder for FileRecorder {
+    fn input(&self, task: TaskId, step: Step) {
+        self.with(task, |track| track.open = Some(step));
+    }
+
+    fn output(&self, task: TaskId, digest: OutputDigest) {
+        self.with(task, |track| {
+            if let Some(Step { elapsed, input }) = track.open.take() {
+                track.stream.input(elapsed, input, digest.0);
+            }
+        });
+    }
+}

@@ -1,0 +1,110 @@
+//! The observations of one machine, for whoever subscribes: a bounded ring that many readers follow, each with its own
+//! position. Who is too slow loses the oldest, and is told how many.
+
+use crate::clock::Micros;
+use imrs_protocol::Observation;
+
+/// How many observations one machine keeps.
+const KEPT: usize = 1024;
+
+pub(crate) struct Ring {
+    /// Empty until somebody subscribes for the first time.
+    kept: Vec<(Micros, Observation)>,
+    /// How many were ever written.
+    written: u64,
+    readers: usize,
+}
+
+impl Ring {
+    pub fn new() -> Self {
+        Self { kept: Vec::new(), written: 0, readers: 0 }
+    }
+
+    /// Notes an observation, if anybody wants it.
+    pub fn push(&mut self, at: Micros, observation: Observation) {
+        if self.readers == 0 {
+            return;
+        }
+        let entry = (at, observation);
+        if self.kept.len() < KEPT {
+            self.kept.push(entry);
+        } else {
+            let at = self.position(self.written);
+            self.kept[at] = entry;
+        }
+        self.written += 1;
+    }
+
+    /// Begins to follow: returns the position to read from.
+    pub fn subscribe(&mut self) -> u64 {
+        self.kept.reserve_exact(KEPT.saturating_sub(self.kept.len()));
+        self.readers += 1;
+        self.written
+    }
+
+    /// Ends following.
+    pub fn unsubscribe(&mut self) {
+        self.readers = self.readers.saturating_sub(1);
+    }
+
+    /// Hands over what was written since `from`, oldest first, but not more than `room`. Returns where to go on and how
+    /// many were overwritten before they were read.
+    pub fn read(&self, from: u64, room: usize, mut each: impl FnMut(Micros, Observation)) -> (u64, u64) {
+        let oldest = self.written - self.kept.len() as u64;
+        let begin = from.max(oldest);
+        let end = self.written.min(begin.saturating_add(room as u64));
+        for number in begin..end {
+            let (at, observation) = self.kept[self.position(number)];
+            each(at, observation);
+        }
+        (end, begin - from)
+    }
+
+    #[expect(clippy::cast_possible_truncation, reason = "the remainder is below KEPT")]
+    fn position(&self, number: u64) -> usize {
+        (number % KEPT as u64) as usize
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use imrs_protocol::{Event, PortId, TaskId, Ticks};
+
+    fn numbered(number: u32) -> Observation {
+        Observation { event: Event::Sent, port: PortId(0), peer: TaskId(0), number, remaining: Ticks(1) }
+    }
+
+    fn read(ring: &Ring, from: u64, room: usize) -> (Vec<u32>, (u64, u64)) {
+        let mut seen = Vec::new();
+        let end = ring.read(from, room, |_, o| seen.push(o.number));
+        (seen, end)
+    }
+
+    #[test]
+    fn nothing_is_kept_while_nobody_reads() {
+        let mut ring = Ring::new();
+        ring.push(0, numbered(1));
+        let from = ring.subscribe();
+        ring.push(1, numbered(2));
+        assert_eq!(read(&ring, from, 9), (vec![2], (1, 0)));
+        ring.unsubscribe();
+        ring.push(2, numbered(3));
+        assert_eq!(read(&ring, 1, 9), (vec![], (1, 0)));
+    }
+
+    #[test]
+    fn a_slow_reader_loses_the_oldest_and_knows_how_many() {
+        let mut ring = Ring::new();
+        let from = ring.subscribe();
+        let many = u32::try_from(KEPT).unwrap() + 10;
+        (0..many).for_each(|n| ring.push(0, numbered(n)));
+        let (first, (next, lost)) = read(&ring, from, 3);
+        assert_eq!((first, next, lost), (vec![10, 11, 12], 13, 10));
+        let (rest, (end, lost)) = read(&ring, next, usize::MAX);
+        assert_eq!(
+            (rest.first(), rest.last(), end, lost),
+            (Some(&13), Some(&(many - 1)), u64::from(many), 0)
+        );
+    }
+}

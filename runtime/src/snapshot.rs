@@ -1,0 +1,128 @@
+//! How a running node looks from outside. Looking changes nothing: no clock is advanced, nothing is taken out.
+
+use crate::clock;
+use crate::link::LinkDiscard;
+use crate::node::Node;
+use crate::sync::Ordering;
+use imrs_protocol::{Observation, Reason};
+use imrs_wire::obs::{Count, LinkView, NodeIdentity, Snapshot, TaskSnapshot, TimedEvent, TimerEntry};
+use std::sync::Arc;
+
+impl Node {
+    /// Its introduction to a monitor.
+    #[must_use]
+    pub fn identity(&self) -> NodeIdentity {
+        NodeIdentity {
+            cell: self.table.cell().name.clone(),
+            digest: self.table.digest(),
+            node: self.name().into(),
+            id: self.table.node.0,
+            incarnation: self.incarnation,
+            tick_us: 1,
+        }
+    }
+
+    /// The state of the node, with at most `queue_limit` waiting messages of each port. Each machine is looked at under
+    /// its own lock, one after the other: the parts of a snapshot are of slightly different instants.
+    #[must_use]
+    pub fn snapshot(&self, queue_limit: usize) -> Snapshot {
+        let now = clock::now();
+        let mut discards: [u64; Reason::ALL.len()] =
+            std::array::from_fn(|reason| self.discards[reason].load(Ordering::Relaxed));
+        let mut tasks = Vec::with_capacity(self.members.list.len());
+        for member in &self.members.list {
+            let ((view, at), dropped) = self.look(member, |comm| (comm.view(queue_limit), *comm.discards()));
+            add(&mut discards, &dropped);
+            tasks.push(TaskSnapshot { liveness: member.liveness(), age_us: now.saturating_sub(at), view });
+        }
+        let (transit, transit_at) = self.dispatch.view();
+        add(&mut discards, &transit.discarded);
+        let counts = Reason::ALL.iter().zip(discards).map(|(reason, count)| named(reason.name(), count));
+        let link_counts = LinkDiscard::NAMES.iter().zip(&self.link_discards);
+        Snapshot {
+            mono_us: now,
+            uptime_us: now.saturating_sub(self.started),
+            insecure: self.insecure,
+            tasks,
+            transit,
+            transit_age_us: now.saturating_sub(transit_at),
+            timers: self.timer_entries(now),
+            links: self.link_views(now),
+            discards: counts.collect(),
+            link_discards: link_counts.map(|(name, n)| named(name, n.load(Ordering::Relaxed))).collect(),
+        }
+    }
+
+    /// Begins to follow what is observed from now on. Only while somebody does are observations kept.
+    #[must_use]
+    pub fn observe(self: &Arc<Self>) -> Observations {
+        let tasks = self.members.list.iter().map(|member| self.look(member, |comm| comm.ring().subscribe()));
+        let positions = tasks.chain([self.dispatch.with_ring(|ring| ring.subscribe())]).collect();
+        Observations { node: Arc::clone(self), positions }
+    }
+
+    fn timer_entries(&self, now: u64) -> Vec<TimerEntry> {
+        let (entries, at) = self.timers.entries();
+        let passed = imrs_protocol::Ticks(now.saturating_sub(at));
+        let entry = |(owner, id, remaining)| TimerEntry { owner, id, remaining: remaining - passed };
+        entries.into_iter().map(entry).collect()
+    }
+
+    fn link_views(&self, now: u64) -> Vec<LinkView> {
+        let view = |(peer, (_, sent)): (&crate::node::Peer, (_, u64))| {
+            let heard = peer.heard.load(Ordering::Relaxed);
+            LinkView {
+                peer: peer.node,
+                heard_us: (heard != 0).then(|| now.saturating_sub(heard)),
+                sent,
+                received: peer.received.load(Ordering::Relaxed),
+            }
+        };
+        self.peers.iter().zip(self.dispatch.sent()).map(view).collect()
+    }
+}
+
+fn add(sum: &mut [u64], more: &[u64]) {
+    sum.iter_mut().zip(more).for_each(|(sum, more)| *sum += more);
+}
+
+fn named(name: &str, count: u64) -> Count {
+    Count { name: name.into(), count }
+}
+
+/// Follows the observations of a node. Who reads too seldom loses the oldest, and is told how many; the node never
+/// waits.
+pub struct Observations {
+    node: Arc<Node>,
+    /// Where to go on: in the order of the tasks, the transit buffer last.
+    positions: Box<[u64]>,
+}
+
+impl Observations {
+    /// Adds what was observed since the last call to `events`, at most `room` of each machine, oldest first for each.
+    /// Returns how many were lost.
+    pub fn drain(&mut self, room: usize, events: &mut Vec<TimedEvent>) -> u64 {
+        let mut lost = 0;
+        let Some((transit, tasks)) = self.positions.split_last_mut() else { return 0 };
+        for (member, position) in self.node.members.list.iter().zip(tasks) {
+            let task = Some(member.task);
+            let each = |mono_us, what: Observation| events.push(TimedEvent { mono_us, task, what });
+            let (next, gone) = self.node.look(member, |comm| comm.ring().read(*position, room, each));
+            *position = next;
+            lost += gone;
+        }
+        let each = |mono_us, what: Observation| events.push(TimedEvent { mono_us, task: None, what });
+        let (next, gone) = self.node.dispatch.with_ring(|ring| ring.read(*transit, room, each));
+        *transit = next;
+        lost + gone
+    }
+}
+
+impl Drop for Observations {
+    fn drop(&mut self) {
+        for member in &self.node.members.list {
+            self.node.look(member, |comm| comm.ring().unsubscribe());
+        }
+        self.node.dispatch.with_ring(crate::ring::Ring::unsubscribe);
+    }
+}

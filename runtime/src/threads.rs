@@ -1,0 +1,237 @@
+//! The threads of a node: one per task, one that receives, and the Timer's.
+
+use crate::builder::{Builder, StartError};
+use crate::clock;
+use crate::context::{Context, TaskError};
+use crate::effects::Effects;
+use crate::failstop::FailStop;
+use crate::link::{Link, PollEnd};
+use crate::node::{Inlet, Node};
+use imrs_protocol::{CellTable, NodeId};
+use imrs_wire::obs::Liveness;
+use std::any::Any;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
+
+pub(crate) type TaskBody = Box<dyn FnOnce(&mut Context) -> Result<(), TaskError> + Send>;
+
+/// How a task's program ended.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum TaskEnd {
+    /// It returned, by itself or because the node stops.
+    Returned,
+    /// It returned an error.
+    Failed(TaskError),
+    /// It panicked with this message: a crash of the task (D43).
+    Panicked(String),
+    /// It was still running when patience ended. Its thread goes on; it can no longer ask for anything.
+    Unfinished,
+}
+
+/// A running node.
+///
+/// Dropping it asks its threads to end without waiting for them; [`stop`](Self::stop) waits.
+pub struct Runtime {
+    node: Arc<Node>,
+    shared: Arc<Shared>,
+    tasks: Vec<(String, JoinHandle<()>)>,
+    helpers: Vec<JoinHandle<()>>,
+}
+
+/// What the threads of a node tell each other besides messages.
+struct Shared {
+    closing: AtomicBool,
+    /// How each task's program ended; `None` while it runs.
+    ends: Mutex<Vec<Option<TaskEnd>>>,
+    changed: Condvar,
+}
+
+impl Shared {
+    fn ends(&self) -> MutexGuard<'_, Vec<Option<TaskEnd>>> {
+        self.ends.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn ended(&self, place: usize, end: TaskEnd) {
+        // Gone when the node has stopped without this one.
+        if let Some(slot) = self.ends().get_mut(place) {
+            *slot = Some(end);
+        }
+        self.changed.notify_all();
+    }
+
+    /// Waits until no program runs, or until `deadline`.
+    fn wait_for_tasks(&self, deadline: Instant) -> bool {
+        let mut ends = self.ends();
+        while ends.iter().any(Option::is_none) {
+            let left = deadline.saturating_duration_since(Instant::now());
+            if left.is_zero() {
+                return false;
+            }
+            (ends, _) = self.changed.wait_timeout(ends, left).unwrap_or_else(PoisonError::into_inner);
+        }
+        true
+    }
+}
+
+impl Runtime {
+    /// Begins to describe a node of a cell.
+    pub fn builder(cell: Arc<CellTable>, node: NodeId) -> Builder {
+        Builder::new(cell, node)
+    }
+
+    pub(crate) fn start(node: Arc<Node>, programs: Vec<(String, TaskBody)>) -> Result<Self, StartError> {
+        let shared = Arc::new(Shared {
+            closing: AtomicBool::new(false),
+            ends: Mutex::new(programs.iter().map(|_| None).collect()),
+            changed: Condvar::new(),
+        });
+        // From here on an error drops the runtime, and with it whatever runs already.
+        let mut runtime = Self { node, shared, tasks: Vec::new(), helpers: Vec::new() };
+        runtime.start_timer()?;
+        runtime.start_receiver()?;
+        for (place, (name, program)) in programs.into_iter().enumerate() {
+            let thread = runtime.start_task(place, &name, program)?;
+            runtime.tasks.push((name, thread));
+        }
+        Ok(runtime)
+    }
+
+    /// The node, to observe it.
+    #[must_use]
+    pub fn node(&self) -> &Arc<Node> {
+        &self.node
+    }
+
+    /// Waits until every task's program has ended, at most so long. Whether it was so.
+    #[must_use]
+    pub fn wait(&self, patience: Duration) -> bool {
+        self.shared.wait_for_tasks(Instant::now() + patience)
+    }
+
+    /// Stops the node: every wait of its tasks ends with [`TaskError::Stopped`], members of a `waitfor` that they
+    /// leave are told, then the other threads end. Waits at most `patience` for the tasks. Returns how each program
+    /// ended.
+    #[must_use = "says which programs did not end"]
+    pub fn stop(mut self, patience: Duration) -> Vec<(String, TaskEnd)> {
+        self.stop_tasks();
+        self.shared.wait_for_tasks(Instant::now() + patience);
+        self.close();
+        for helper in self.helpers.drain(..) {
+            // A panic there has ended the process.
+            let _ = helper.join();
+        }
+        let mut ends = std::mem::take(&mut *self.shared.ends());
+        let tasks = std::mem::take(&mut self.tasks).into_iter().zip(ends.drain(..));
+        tasks.map(|((name, thread), end)| (name, join(thread, end))).collect()
+    }
+
+    fn stop_tasks(&self) {
+        let mut effects = Effects::of_an_onlooker();
+        for member in &self.node.members.list {
+            member.handoff.stop(&mut effects);
+            self.node.carry_out(&mut effects);
+        }
+    }
+
+    fn close(&self) {
+        self.shared.closing.store(true, Ordering::SeqCst);
+        self.node.alarm.ring();
+        if let Some(link) = &self.node.link {
+            link.wake();
+        }
+    }
+
+    fn start_task(&self, place: usize, name: &str, program: TaskBody) -> Result<JoinHandle<()>, StartError> {
+        let (node, shared) = (Arc::clone(&self.node), Arc::clone(&self.shared));
+        spawn(name, move || shared.ended(place, run_task(&node, place, program)))
+    }
+
+    fn start_timer(&mut self) -> Result<(), StartError> {
+        let (node, shared) = (Arc::clone(&self.node), Arc::clone(&self.shared));
+        self.helpers.push(spawn("imrs timer", move || run_timer(&node, &shared.closing))?);
+        Ok(())
+    }
+
+    fn start_receiver(&mut self) -> Result<(), StartError> {
+        let Some(link) = self.node.link.clone() else { return Ok(()) };
+        let (node, shared) = (Arc::clone(&self.node), Arc::clone(&self.shared));
+        self.helpers.push(spawn("imrs receive", move || run_receiver(node, link.as_ref(), &shared.closing))?);
+        Ok(())
+    }
+}
+
+impl Drop for Runtime {
+    fn drop(&mut self) {
+        self.stop_tasks();
+        self.close();
+    }
+}
+
+fn spawn(name: &str, run: impl FnOnce() + Send + 'static) -> Result<JoinHandle<()>, StartError> {
+    // The kernel keeps 15 bytes of a thread's name; a zero byte in it would be refused.
+    let kernel_name = name.replace('\0', " ");
+    let started = thread::Builder::new().name(kernel_name).spawn(run);
+    started.map_err(|source| StartError::Thread { name: name.into(), source })
+}
+
+fn run_task(node: &Arc<Node>, place: usize, program: TaskBody) -> TaskEnd {
+    clock::sleep_exactly();
+    let mut context = Context::new(Arc::clone(node), place);
+    let end = match catch_unwind(AssertUnwindSafe(|| program(&mut context))) {
+        Ok(Ok(()) | Err(TaskError::Stopped)) => TaskEnd::Returned,
+        Ok(Err(error)) => TaskEnd::Failed(error),
+        Err(panic) => TaskEnd::Panicked(message(panic.as_ref())),
+    };
+    let crashed = matches!(end, TaskEnd::Panicked(_));
+    node.members.list[place].set_liveness(if crashed { Liveness::Crashed } else { Liveness::Ended });
+    context.give_up();
+    end
+}
+
+/// Sleeps exactly until the next expiry that nobody waits for. With none it sleeps until there is one.
+fn run_timer(node: &Node, closing: &AtomicBool) {
+    let _guard = FailStop::of("the Timer's thread");
+    clock::sleep_exactly();
+    let mut effects = Effects::new(None);
+    loop {
+        let earliest = node.alarm.earliest();
+        if closing.load(Ordering::SeqCst) {
+            return;
+        }
+        let now = clock::now();
+        if earliest.at <= now {
+            node.tend(now, &mut effects);
+        } else {
+            node.alarm.sleep(earliest);
+        }
+    }
+}
+
+fn run_receiver(node: Arc<Node>, link: &dyn Link, closing: &AtomicBool) {
+    let _guard = FailStop::of("the thread that receives");
+    clock::sleep_exactly();
+    let inlet = Inlet::new(node);
+    while !closing.load(Ordering::SeqCst) {
+        match link.poll(&inlet, None) {
+            PollEnd::Ready => inlet.ready(),
+            PollEnd::Received | PollEnd::TimedOut | PollEnd::Woken => {}
+        }
+    }
+}
+
+/// A thread whose program has ended is about to return: the join is short. Another one is left alone.
+fn join(thread: JoinHandle<()>, end: Option<TaskEnd>) -> TaskEnd {
+    let Some(end) = end else { return TaskEnd::Unfinished };
+    match thread.join() {
+        Ok(()) => end,
+        Err(panic) => TaskEnd::Panicked(message(panic.as_ref())),
+    }
+}
+
+fn message(panic: &(dyn Any + Send)) -> String {
+    let text = panic.downcast_ref::<&str>().map(ToString::to_string);
+    text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_else(|| "no message".into())
+}

@@ -1,0 +1,215 @@
+//! The route layer's buffer behind its lock, and its way to the link (§5.2.3, D19).
+//!
+//! One thread at a time sends; who finds it at work leaves the packet in the buffer and goes on. So the order of
+//! urgency is kept up to the link, packets for one neighbour leave together when many are waiting, and nobody waits
+//! for a system call of another.
+
+use crate::alarm::Alarm;
+use crate::clock::{self, FAR, Micros};
+use crate::effects::{Effect, Effects, Stamped};
+use crate::link::Link;
+use crate::member::Members;
+use crate::ring::Ring;
+use crate::sync::{AtomicU64, Mutex, Ordering, lock};
+use crate::turn::Turn;
+use imrs_protocol::{
+    Input, MessageId, NodeId, NodeTable, Observation, Packet, RouteOutbox, TaskId, Ticks, Transit,
+    TransitView,
+};
+use std::sync::Arc;
+use std::time::Instant;
+
+/// The most packets that are handed to a link at once: what an Ethernet frame holds.
+const BATCH: usize = 44;
+
+pub(crate) struct Dispatch {
+    table: NodeTable,
+    link: Option<Arc<dyn Link>>,
+    members: Arc<Members>,
+    alarm: Arc<Alarm>,
+    slot: usize,
+    buffer: Mutex<Buffer>,
+    sender: Turn<Box<[Batch]>>,
+    sent: Box<[(NodeId, AtomicU64)]>,
+}
+
+struct Buffer {
+    transit: Transit,
+    last: Micros,
+    ring: Ring,
+}
+
+/// What is on its way to one neighbour.
+struct Batch {
+    next: NodeId,
+    packets: Vec<Packet>,
+    busy: bool,
+}
+
+impl Dispatch {
+    pub fn new(
+        table: NodeTable,
+        transit: Transit,
+        link: Option<Arc<dyn Link>>,
+        members: Arc<Members>,
+        alarm: Arc<Alarm>,
+        now: Micros,
+    ) -> Self {
+        let neighbours: Vec<NodeId> = table.neighbours(table.node).collect();
+        let batch = |&next: &NodeId| Batch { next, packets: Vec::with_capacity(BATCH), busy: false };
+        Self {
+            link,
+            slot: members.list.len(),
+            members,
+            alarm,
+            buffer: Mutex::new(Buffer { transit, last: now, ring: Ring::new() }),
+            sender: Turn::new(neighbours.iter().map(batch).collect()),
+            sent: neighbours.iter().map(|&next| (next, AtomicU64::new(0))).collect(),
+            table,
+        }
+    }
+
+    /// Puts a packet into the buffer; its remaining time was true at `at`. [`pump`](Self::pump) sends it.
+    pub fn offer(&self, at: Micros, mut packet: Packet, effects: &mut Effects) {
+        let mut buffer = lock(&self.buffer);
+        buffer.advance(&self.table, at, &self.members, effects);
+        packet.remaining = packet.remaining - Ticks(buffer.last.saturating_sub(at));
+        buffer.offer(&self.table, packet, &self.members, effects);
+        self.publish(&buffer);
+        drop(buffer);
+        self.sender.want();
+    }
+
+    /// Lets time pass in the buffer: what expired is dropped, and its sources hear of it.
+    pub fn advance(&self, now: Micros, effects: &mut Effects) {
+        let mut buffer = lock(&self.buffer);
+        if buffer.transit.is_empty() {
+            return;
+        }
+        buffer.advance(&self.table, now, &self.members, effects);
+        self.publish(&buffer);
+    }
+
+    /// A neighbour takes packets again.
+    pub fn ready(&self) {
+        self.sender.want();
+    }
+
+    /// Sends what can be sent, unless another thread is at it: that one looks again before it leaves.
+    pub fn pump(&self, now: Micros, effects: &mut Effects) {
+        let Some(link) = &self.link else { return };
+        self.sender.take(|batches| self.send_once(link.as_ref(), batches, now, effects));
+    }
+
+    /// The buffer's state, and when it was so.
+    pub fn view(&self) -> (TransitView, Micros) {
+        let buffer = lock(&self.buffer);
+        (buffer.transit.view(), buffer.last)
+    }
+
+    /// How many packets went to each neighbour.
+    pub fn sent(&self) -> impl Iterator<Item = (NodeId, u64)> {
+        self.sent.iter().map(|(next, count)| (*next, count.load(Ordering::Relaxed)))
+    }
+
+    /// Notes what happened to a packet before it came to any machine.
+    pub fn note(&self, at: Micros, observation: Observation) {
+        lock(&self.buffer).ring.push(at, observation);
+    }
+
+    /// Looks at the buffer's observations.
+    pub fn with_ring<R>(&self, look: impl FnOnce(&mut Ring) -> R) -> R {
+        look(&mut lock(&self.buffer).ring)
+    }
+
+    fn send_once(&self, link: &dyn Link, batches: &mut [Batch], now: Micros, effects: &mut Effects) {
+        batches.iter_mut().for_each(|batch| batch.busy = false);
+        let mut buffer = lock(&self.buffer);
+        buffer.advance(&self.table, now, &self.members, effects);
+        loop {
+            let takes = |next: NodeId| {
+                let batch = batches.iter().find(|batch| batch.next == next);
+                batch.is_some_and(|b| !b.busy && b.packets.len() < BATCH && link.ready(next))
+            };
+            let Some((next, packet)) = buffer.transit.next(takes) else { break };
+            if let Some(batch) = batches.iter_mut().find(|batch| batch.next == next) {
+                batch.packets.push(packet);
+            }
+        }
+        self.publish(&buffer);
+        let popped = buffer.last;
+        drop(buffer);
+        for (batch, (_, sent)) in batches.iter_mut().zip(&self.sent) {
+            if batch.packets.is_empty() {
+                continue;
+            }
+            let full = batch.packets.len() == BATCH;
+            // This order: if the node is stopped between the two clocks, the packets come out too old, never too young.
+            let at = Instant::now();
+            let waited = Ticks(clock::now().saturating_sub(popped));
+            batch.packets.iter_mut().for_each(|packet| packet.remaining = packet.remaining - waited);
+            let taken = link.send_at(batch.next, &batch.packets, at).unwrap_or_else(|_busy| {
+                batch.busy = true;
+                0
+            });
+            sent.fetch_add(taken as u64, Ordering::Relaxed);
+            let more = full || (taken > 0 && taken < batch.packets.len());
+            for packet in batch.packets.drain(..).skip(taken) {
+                let mut buffer = lock(&self.buffer);
+                buffer.offer(&self.table, packet, &self.members, effects);
+                self.publish(&buffer);
+            }
+            if more {
+                self.sender.want();
+            }
+        }
+    }
+
+    fn publish(&self, buffer: &Buffer) {
+        let due = buffer.transit.next_expiry().map_or(FAR, |left| buffer.last.saturating_add(left.0));
+        self.alarm.publish(self.slot, due);
+    }
+}
+
+impl Buffer {
+    fn advance(&mut self, table: &NodeTable, now: Micros, members: &Members, effects: &mut Effects) {
+        let elapsed = now.saturating_sub(self.last);
+        self.last += elapsed;
+        let mut out = Out { at: self.last, ring: &mut self.ring, members, effects };
+        self.transit.advance(table, Ticks(elapsed), &mut out);
+    }
+
+    fn offer(&mut self, table: &NodeTable, packet: Packet, members: &Members, effects: &mut Effects) {
+        let mut out = Out { at: self.last, ring: &mut self.ring, members, effects };
+        self.transit.offer(table, packet, &mut out);
+    }
+}
+
+struct Out<'a> {
+    at: Micros,
+    ring: &'a mut Ring,
+    members: &'a Members,
+    effects: &'a mut Effects,
+}
+
+impl RouteOutbox for Out<'_> {
+    /// Left in the task's inbox before the buffer is let go: a task whose time_out is due looks into the buffer first, and
+    /// so finds the news, whichever thread dropped the packet. It comes without time, before that time_out is decided.
+    fn unsent(&mut self, task: TaskId, id: MessageId) {
+        let stamped = Stamped { at: 0, input: Input::Unsent(id) };
+        let Some(member) = self.members.of(task) else { return };
+        let effect = match member.handoff.leave(stamped) {
+            Ok(()) => Effect::Nudge(task),
+            Err(stamped) => Effect::Feed(task, stamped),
+        };
+        self.effects.queue.push_back(effect);
+    }
+
+    fn transmit(&mut self, packet: Packet) {
+        self.effects.queue.push_back(Effect::Transmit(self.at, packet));
+    }
+
+    fn observe(&mut self, observation: Observation) {
+        self.ring.push(self.at, observation);
+    }
+}

@@ -1,0 +1,50 @@
+//! One at a time, and nobody waits: who wants work done says so and takes its turn; who finds another one at it leaves
+//! the work to that one, who looks again before it leaves.
+
+use crate::sync::{AtomicBool, Mutex, Ordering, fence, try_lock};
+
+pub(crate) struct Turn<T> {
+    wanted: AtomicBool,
+    inside: Mutex<T>,
+    /// For the loom test that must fail: the one at work does not look again.
+    #[cfg(test)]
+    pub leaves_blindly: bool,
+}
+
+impl<T> Turn<T> {
+    pub fn new(inside: T) -> Self {
+        Self {
+            wanted: AtomicBool::new(false),
+            inside: Mutex::new(inside),
+            #[cfg(test)]
+            leaves_blindly: false,
+        }
+    }
+
+    /// Says that there is work. What it is was written before.
+    pub fn want(&self) {
+        // A swap, not a store: it comes after the last one of the other in the order of this flag.
+        self.wanted.swap(true, Ordering::AcqRel);
+    }
+
+    /// Works until no work is wanted, unless another thread is at it.
+    pub fn take(&self, mut work: impl FnMut(&mut T)) {
+        loop {
+            // Between the wish and the lock here, between the lock and the wish after letting go: one of two threads
+            // sees the other.
+            fence(Ordering::SeqCst);
+            if !self.wanted.load(Ordering::Relaxed) {
+                return;
+            }
+            let Some(mut inside) = try_lock(&self.inside) else { return };
+            while self.wanted.swap(false, Ordering::AcqRel) {
+                work(&mut inside);
+            }
+            drop(inside);
+            #[cfg(test)]
+            if self.leaves_blindly {
+                return;
+            }
+        }
+    }
+}

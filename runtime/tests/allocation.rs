@@ -1,0 +1,116 @@
+//! Once a node runs, its messages allocate nothing.
+
+mod common;
+
+use common::{A, B, C, LONG, LONG_TICKS, ask, cell, finish, network, on, one_node, table};
+use imrs_protocol::{CellTable, PortDecl, Ticks, Usage};
+use imrs_runtime::link::in_process::Faults;
+use imrs_runtime::{Context, Rendezvous, Runtime, TaskError};
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+
+struct Counting;
+
+static COUNTED: AtomicU64 = AtomicU64::new(0);
+static COUNTING: AtomicBool = AtomicBool::new(false);
+
+fn count() {
+    if COUNTING.load(Ordering::Relaxed) {
+        COUNTED.fetch_add(1, Ordering::Relaxed);
+    }
+}
+
+// SAFETY: every call goes to the system's allocator unchanged.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        count();
+        // SAFETY: the caller's promise is passed on.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        // SAFETY: the caller's promise is passed on.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+
+    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        count();
+        // SAFETY: the caller's promise is passed on.
+        unsafe { System.realloc(pointer, layout, size) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+const WARM_UP: u32 = 200;
+const COUNTED_ROUNDS: u32 = 2_000;
+
+/// `a` asks `b`, all three meet, `a` tells the others; then `a` looks at the count.
+fn round(ctx: &mut Context, number: u32) -> Result<(), TaskError> {
+    let (ask, lift, news) = (imrs_protocol::PortId(0), imrs_protocol::PortId(1), imrs_protocol::PortId(2));
+    if ctx.id() == A {
+        assert!(ctx.send(ask, &number.to_le_bytes())?.reply().is_some());
+        let _copies = ctx.send(news, b"done")?;
+    } else if ctx.id() == B {
+        let question = ctx.receive(Some(ask), None)?.expect("only a message ends it");
+        ctx.reply(&question.from, b"yes")?;
+    }
+    if ctx.id() != A {
+        assert!(ctx.receive(Some(news), None)?.is_some());
+    }
+    match ctx.waitfor(lift)? {
+        Rendezvous::Released { .. } => Ok(()),
+        Rendezvous::GaveUp { .. } => panic!("nobody was missing"),
+    }
+}
+
+fn program(ctx: &mut Context) -> Result<(), TaskError> {
+    for number in 0..WARM_UP {
+        round(ctx, number)?;
+    }
+    // All have met: none is warming up any more.
+    if ctx.id() == A {
+        COUNTED.store(0, Ordering::SeqCst);
+        COUNTING.store(true, Ordering::SeqCst);
+    }
+    for number in 0..COUNTED_ROUNDS {
+        round(ctx, number)?;
+    }
+    if ctx.id() == A {
+        COUNTING.store(false, Ordering::SeqCst);
+    }
+    // Nobody leaves while it is counted.
+    round(ctx, 0)
+}
+
+fn declare(nodes: &[usize], delay: Ticks) -> Arc<CellTable> {
+    let mut cell = cell(nodes, delay);
+    cell.port(ask(LONG_TICKS));
+    cell.port(PortDecl::new("lift", A, Usage::Waitfor, &[B, C], LONG_TICKS).resend(Ticks(50_000), 1));
+    cell.port(PortDecl::new("news", A, Usage::Send, &[B, C], LONG_TICKS).bounded_buffer(4));
+    table(cell)
+}
+
+fn allocations(nodes: Vec<Runtime>) -> u64 {
+    assert!(nodes.iter().all(|node| node.wait(LONG)));
+    let counted = COUNTED.load(Ordering::SeqCst);
+    nodes.into_iter().for_each(finish);
+    counted
+}
+
+/// One test: the count is the process's.
+#[test]
+fn messages_allocate_nothing_in_steady_state() {
+    let table = declare(&[0, 0, 0], Ticks(0));
+    let node = one_node(&table).task("a", program).task("b", program).task("c", program).start().unwrap();
+    assert_eq!(allocations(vec![node]), 0, "on one node");
+
+    let table = declare(&[0, 1, 2], Ticks(1_000));
+    let network = network(&table, Faults::default());
+    let builders = (0..3).zip(["a", "b", "c"]);
+    let builders: Vec<_> = builders.map(|(n, task)| on(&network, &table, n).task(task, program)).collect();
+    let nodes = builders.into_iter().map(|node| node.start().unwrap()).collect();
+    assert_eq!(allocations(nodes), 0, "between nodes");
+}

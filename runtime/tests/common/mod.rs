@@ -1,0 +1,74 @@
+//! Cells and small helpers shared by the tests with real threads.
+#![allow(dead_code, reason = "every test program uses some of these")]
+
+use imrs_protocol::{Cell, CellTable, NodeId, PortDecl, TaskId, Ticks, Usage};
+use imrs_runtime::link::in_process::{Faults, Network};
+use imrs_runtime::{Builder, Runtime, TaskEnd};
+use std::sync::Arc;
+use std::sync::mpsc::{Receiver, Sender, channel};
+use std::time::Duration;
+
+/// Long enough for anything that is not lost, on a machine that is not quiet.
+pub const LONG: Duration = Duration::from_secs(60);
+
+/// The same in ticks.
+pub const LONG_TICKS: Ticks = Ticks(60_000_000);
+
+pub const A: TaskId = TaskId(0);
+pub const B: TaskId = TaskId(1);
+pub const C: TaskId = TaskId(2);
+
+/// A cell with tasks `a`, `b`, ... on the given nodes, which are joined each with each by links of `delay`.
+pub fn cell(nodes: &[usize], delay: Ticks) -> Cell {
+    let mut cell = Cell::new("test", Ticks(1_000));
+    let count = nodes.iter().max().map_or(0, |&last| last + 1);
+    for node in 0..count {
+        cell.node(&format!("n{node}"));
+        for other in 0..node {
+            cell.link(NodeId::from_index(other), NodeId::from_index(node), delay);
+        }
+    }
+    for (task, &node) in nodes.iter().enumerate() {
+        let letter = u8::try_from(task).map(|t| char::from(b'a' + t)).expect("few tasks");
+        cell.task(&letter.to_string(), NodeId::from_index(node));
+    }
+    cell
+}
+
+/// A class-2 port from `a` to `b`.
+pub fn ask(time_out: Ticks) -> PortDecl {
+    PortDecl::new("ask", A, Usage::Send, &[B], time_out).command()
+}
+
+pub fn table(cell: Cell) -> Arc<CellTable> {
+    Arc::new(CellTable::new(cell).expect("a sound cell"))
+}
+
+pub fn one_node(table: &Arc<CellTable>) -> Builder {
+    Runtime::builder(Arc::clone(table), NodeId(0))
+}
+
+/// The builder of a node of an in-process network, in its first life. Until all nodes have joined, what is sent to the
+/// missing ones is lost: builders are made before any of them is started.
+pub fn on(network: &Arc<Network>, table: &Arc<CellTable>, node: u16) -> Builder {
+    let link = network.join(NodeId(node), imrs_protocol::Incarnation(1), false);
+    Runtime::builder(Arc::clone(table), NodeId(node))
+        .incarnation(imrs_protocol::Incarnation(1), false)
+        .link(Arc::new(link))
+}
+
+pub fn network(table: &Arc<CellTable>, faults: Faults) -> Arc<Network> {
+    Network::new(Arc::clone(table), faults)
+}
+
+/// Waits for all programs, stops the node and expects that every program returned.
+pub fn finish(runtime: Runtime) {
+    assert!(runtime.wait(LONG), "a program did not end");
+    let ends = runtime.stop(LONG);
+    assert!(ends.iter().all(|(_, end)| *end == TaskEnd::Returned), "{ends:?}");
+}
+
+/// A channel for what the programs have to say.
+pub fn report<T>() -> (Sender<T>, Receiver<T>) {
+    channel()
+}

@@ -1,0 +1,180 @@
+//! Lives end: nodes stop and restart, tasks crash.
+
+mod common;
+
+use common::{A, B, C, LONG, LONG_TICKS, ask, cell, finish, network, on, one_node, report, table};
+use imrs_protocol::{Incarnation, NodeId, Outcome, PortDecl, TaskState, Ticks, Usage};
+use imrs_runtime::link::in_process::Faults;
+use imrs_runtime::{Context, Rendezvous, Runtime, Sent, TaskEnd, TaskError};
+use imrs_wire::obs::Liveness;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+fn until(mut done: impl FnMut() -> bool) {
+    let start = Instant::now();
+    while !done() {
+        assert!(start.elapsed() < LONG, "it never came");
+        std::thread::sleep(Duration::from_millis(1));
+    }
+}
+
+fn state(node: &Runtime, place: usize) -> TaskState {
+    node.node().snapshot(0).tasks[place].view.state
+}
+
+#[test]
+fn stopping_ends_every_kind_of_wait() {
+    let mut cell = cell(&[0, 0, 0, 0], Ticks(0));
+    cell.port(ask(LONG_TICKS));
+    cell.port(PortDecl::new("lift", C, Usage::Waitfor, &[imrs_protocol::TaskId(3)], LONG_TICKS));
+    let table = table(cell);
+    let stopped = |result: Result<(), TaskError>| {
+        assert_eq!(result, Err(TaskError::Stopped));
+        result
+    };
+    let node = one_node(&table)
+        .task("a", move |ctx| {
+            let ask = ctx.port("ask")?;
+            stopped(ctx.send(ask, b"?").map(|_| ()))
+        })
+        .task("b", move |ctx| {
+            let _unanswered = ctx.receive(None, None)?;
+            stopped(ctx.receive(None, None).map(|_| ()))?;
+            stopped(ctx.poll(None).map(|_| ()))
+        })
+        .task("c", move |ctx| {
+            let lift = ctx.port("lift")?;
+            stopped(ctx.waitfor(lift).map(|_| ()))
+        })
+        .task("d", move |ctx| stopped(ctx.delay(LONG)))
+        .start()
+        .unwrap();
+    until(|| (0..4).all(|place| state(&node, place) != TaskState::Running));
+    let start = Instant::now();
+    let ends = node.stop(LONG);
+    assert!(ends.iter().all(|(_, end)| *end == TaskEnd::Returned), "{ends:?}");
+    assert!(start.elapsed() < LONG / 2, "the stop waited for time_outs");
+}
+
+#[test]
+fn a_program_that_never_asks_is_left_behind() {
+    let mut cell = cell(&[0, 0], Ticks(0));
+    cell.port(ask(LONG_TICKS));
+    let table = table(cell);
+    let (release, wait) = report::<()>();
+    let node = one_node(&table)
+        .task("a", move |_| {
+            let _ = wait.recv();
+            Ok(())
+        })
+        .task("b", |_| Ok(()))
+        .start()
+        .unwrap();
+    assert!(!node.wait(Duration::from_millis(20)));
+    let ends = node.stop(Duration::from_millis(20));
+    assert_eq!(ends[0].1, TaskEnd::Unfinished);
+    drop(release);
+}
+
+#[test]
+fn a_member_that_stops_tells_the_others() {
+    let mut cell = cell(&[0, 1, 2], Ticks(1_000));
+    cell.port(PortDecl::new("lift", A, Usage::Waitfor, &[B, C], LONG_TICKS));
+    let table = table(cell);
+    let network = network(&table, Faults::default());
+    let wait = |ctx: &mut Context| {
+        let lift = ctx.port("lift")?;
+        ctx.waitfor(lift).map(|_| ())
+    };
+    let first = on(&network, &table, 0).task("a", wait);
+    let second = on(&network, &table, 1).task("b", wait);
+    let third = on(&network, &table, 2).task("c", |_| Ok(()));
+    let (first, second) = (first.start().unwrap(), second.start().unwrap());
+    let third = third.start().unwrap();
+    let b_has_arrived = || first.node().snapshot(0).tasks[0].view.meetings[0].members[1].arrived;
+    until(b_has_arrived);
+    assert_eq!(second.stop(LONG)[0].1, TaskEnd::Returned);
+    until(|| !b_has_arrived());
+    assert!(matches!(state(&first, 0), TaskState::Waiting { .. }), "an ABORT ends nobody else's wait");
+    drop((first, third));
+}
+
+#[test]
+fn a_crash_is_the_tasks_own_and_shown() {
+    let mut cell = cell(&[0, 0, 0], Ticks(0));
+    cell.port(ask(Ticks(50_000)));
+    cell.port(PortDecl::new("lift", A, Usage::Waitfor, &[B, C], Ticks(50_000)));
+    let table = table(cell);
+    let go_on = |ctx: &mut Context| {
+        let lift = ctx.port("lift")?;
+        let Rendezvous::GaveUp { missing, .. } = ctx.waitfor(lift)? else {
+            panic!("b crashed before it came")
+        };
+        // Whoever gives up last misses also the one that gave up before.
+        assert!(missing & 0b010 != 0, "{missing:b}");
+        Ok(())
+    };
+    let node = one_node(&table)
+        .task("a", move |ctx| {
+            let ask = ctx.port("ask")?;
+            // It took the message and crashed: whether it ran nobody knows.
+            assert_eq!(ctx.send(ask, b"")?, Sent::Outcome(Outcome::TimedOutUnknown));
+            go_on(ctx)
+        })
+        .task("b", |ctx| {
+            let _question = ctx.receive(None, None)?;
+            panic!("this crash is part of the test");
+        })
+        .task("c", move |ctx| {
+            ctx.delay(Duration::from_millis(50))?;
+            go_on(ctx)
+        })
+        .start()
+        .unwrap();
+    assert!(node.wait(LONG));
+    let liveness: Vec<_> = node.node().snapshot(0).tasks.iter().map(|task| task.liveness).collect();
+    let ends = node.stop(LONG);
+    assert_eq!(ends[1].1, TaskEnd::Panicked("this crash is part of the test".into()));
+    assert_eq!(liveness, [Liveness::Ended, Liveness::Crashed, Liveness::Ended], "{ends:?}");
+}
+
+#[test]
+fn a_restart_while_a_command_waits_is_told_to_its_sender() {
+    let mut cell = cell(&[0, 1], Ticks(1_000));
+    cell.port(ask(LONG_TICKS));
+    cell.port(PortDecl::new("alive", B, Usage::Send, &[A], Ticks(1_000_000)));
+    let table = table(cell);
+    let network = network(&table, Faults::default());
+    let asker = on(&network, &table, 0).task("a", |ctx| {
+        let ask = ctx.port("ask")?;
+        assert_eq!(ctx.send(ask, b"work")?, Sent::Outcome(Outcome::PeerRestarted));
+        // The new life cannot know what the old one ran, and says so to every command for a while.
+        assert_eq!(ctx.send(ask, b"work")?, Sent::Outcome(Outcome::PeerRestarted));
+        Ok(())
+    });
+    let (taken, was_taken) = report::<()>();
+    let first_life = on(&network, &table, 1).task("b", move |ctx| {
+        let alive = ctx.port("alive")?;
+        assert_eq!(ctx.send(alive, b"")?, Sent::Copies(1));
+        let _question = ctx.receive(None, None)?;
+        taken.send(()).expect("the test listens");
+        Ok(())
+    });
+    let (asker, first_life) = (asker.start().unwrap(), first_life.start().unwrap());
+    was_taken.recv_timeout(LONG).expect("the question came");
+    finish(first_life);
+    let link = network.join(NodeId(1), Incarnation(2), true);
+    let second_life = Runtime::builder(Arc::clone(&table), NodeId(1))
+        .incarnation(Incarnation(2), true)
+        .link(Arc::new(link))
+        .task("b", |ctx| {
+            let alive = ctx.port("alive")?;
+            assert_eq!(ctx.send(alive, b"")?, Sent::Copies(1));
+            Ok(())
+        })
+        .start()
+        .unwrap();
+    assert!(asker.wait(LONG), "the asker was not told");
+    finish(second_life);
+    finish(asker);
+}

@@ -1,0 +1,122 @@
+//! Whole nodes over loopback UDP.
+
+mod common;
+
+use common::{A, B, C, LONG, LONG_TICKS, ask, cell, finish, report, table};
+use imrs_protocol::{CellTable, Incarnation, NodeId, NodeTable, PortDecl, Round, Ticks, Usage};
+use imrs_runtime::link::faulty::FaultyLink;
+use imrs_runtime::link::udp::{UdpLink, UdpOptions};
+use imrs_runtime::{Builder, Context, Rendezvous, Runtime, TaskError};
+use std::sync::Arc;
+use std::sync::mpsc::Sender;
+
+/// Links of all nodes of a cell that know each other's addresses.
+fn links(table: &Arc<CellTable>, loss: f64) -> Vec<Arc<FaultyLink<UdpLink>>> {
+    let count = table.cell().nodes.len();
+    let bind = |node| {
+        let here = NodeTable::new(Arc::clone(table), NodeId::from_index(node));
+        let address = "127.0.0.1:0".parse().expect("an address");
+        UdpLink::bind(here, address, UdpOptions::new(Incarnation(1), false)).expect("a free port")
+    };
+    let links: Vec<UdpLink> = (0..count).map(bind).collect();
+    for (a, from) in links.iter().enumerate() {
+        for (b, to) in links.iter().enumerate().filter(|&(b, _)| a != b) {
+            from.set_address(NodeId::from_index(b), Some(to.local_address())).expect("a neighbour");
+        }
+    }
+    let faulty = |(seed, link)| {
+        let link = FaultyLink::new(link, seed);
+        link.set_loss(loss);
+        Arc::new(link)
+    };
+    (0..).zip(links).map(faulty).collect()
+}
+
+fn builders(table: &Arc<CellTable>, links: &[Arc<FaultyLink<UdpLink>>]) -> Vec<Builder> {
+    let links = links.iter().cloned().enumerate();
+    links
+        .map(|(node, link)| {
+            Runtime::builder(Arc::clone(table), NodeId::from_index(node))
+                .incarnation(Incarnation(1), false)
+                .insecure(true)
+                .link(link)
+        })
+        .collect()
+}
+
+#[test]
+fn send_receive_reply_over_udp() {
+    let mut cell = cell(&[0, 1], Ticks(1_000));
+    cell.port(ask(LONG_TICKS));
+    let table = table(cell);
+    let mut nodes = builders(&table, &links(&table, 0.0)).into_iter();
+    let mut next = || nodes.next().expect("two nodes");
+    let first = next().task("a", |ctx| {
+        let ask = ctx.port("ask")?;
+        for _ in 0..200 {
+            assert_eq!(ctx.send(ask, b"?")?.reply().expect("nothing is lost").as_bytes(), b"!");
+        }
+        Ok(())
+    });
+    let second = next().task("b", |ctx| {
+        for _ in 0..200 {
+            let question = ctx.receive(None, None)?.expect("only a message ends it");
+            ctx.reply(&question.from, b"!")?;
+        }
+        Ok(())
+    });
+    let (first, second) = (first.start().unwrap(), second.start().unwrap());
+    assert!(first.node().snapshot(0).insecure);
+    assert!(first.wait(LONG) && second.wait(LONG));
+    let link = &first.node().snapshot(0).links[0];
+    assert!(link.sent >= 200 && link.received >= 200 && link.heard_us.is_some(), "{link:?}");
+    finish(first);
+    finish(second);
+}
+
+const ATTEMPTS: usize = 40;
+
+fn meet(tell: Sender<(u16, Option<Round>)>) -> impl FnOnce(&mut Context) -> Result<(), TaskError> + Send {
+    move |ctx| {
+        let lift = ctx.port("lift")?;
+        for _ in 0..ATTEMPTS {
+            let released = match ctx.waitfor(lift)? {
+                Rendezvous::Released { round, .. } => Some(round),
+                Rendezvous::GaveUp { .. } => None,
+            };
+            tell.send((ctx.id().0, released)).expect("the test listens");
+        }
+        Ok(())
+    }
+}
+
+#[test]
+fn three_nodes_meet_over_udp_under_loss_and_nothing_hangs() {
+    let mut cell = cell(&[0, 1, 2], Ticks(5_000));
+    let lift = PortDecl::new("lift", A, Usage::Waitfor, &[B, C], Ticks(300_000));
+    cell.port(lift.resend(Ticks(10_000), 2));
+    let table = table(cell);
+    let (tell, told) = report();
+    let links = links(&table, 0.2);
+    let nodes: Vec<Runtime> = builders(&table, &links)
+        .into_iter()
+        .zip(["a", "b", "c"])
+        .map(|(node, task)| node.task(task, meet(tell.clone())).start().unwrap())
+        .collect();
+    drop(tell);
+    assert!(nodes.iter().all(|node| node.wait(LONG)), "something hangs");
+    nodes.into_iter().for_each(finish);
+    let lost: u64 = links.iter().map(|link| link.injected().lost_packets).sum();
+    assert!(lost > 0, "the links lost nothing");
+    let ends: Vec<_> = told.iter().collect();
+    assert_eq!(ends.len(), 3 * ATTEMPTS, "every attempt ends, one way or the other");
+    for task in 0..3 {
+        let rounds: Vec<Round> =
+            ends.iter().filter(|(t, _)| *t == task).filter_map(|(_, round)| *round).collect();
+        assert!(
+            rounds.windows(2).all(|pair| pair[1].is_newer_than(pair[0])),
+            "a round released twice: {rounds:?}"
+        );
+        assert!(!rounds.is_empty(), "task {task} was never released");
+    }
+}

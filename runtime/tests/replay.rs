@@ -1,0 +1,194 @@
+//! What a node did can be done again, bit-equal, from what it was given (D62).
+
+mod common;
+
+use common::{A, B, C, LONG, LONG_TICKS, cell, finish, network, on, table};
+use imrs_protocol::{
+    CellTable, Incarnation, Input, NodeId, NodeTable, PortDecl, Request, TaskId, Ticks, Usage,
+};
+use imrs_runtime::link::in_process::Faults;
+use imrs_runtime::record::{FileRecorder, OutputDigest, Recorded, Recorder, Step, replay};
+use imrs_runtime::{Context, TaskError};
+use imrs_wire::recording::{Record, RecordingReader};
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex};
+use std::time::Duration;
+
+/// Keeps everything in memory.
+#[derive(Default)]
+struct Tape {
+    open: Mutex<BTreeMap<TaskId, Step>>,
+    closed: Mutex<BTreeMap<TaskId, Vec<Recorded>>>,
+}
+
+impl Recorder for Tape {
+    fn input(&self, task: TaskId, step: Step) {
+        assert_eq!(self.open.lock().unwrap().insert(task, step), None, "a step within a step");
+    }
+
+    fn output(&self, task: TaskId, digest: OutputDigest) {
+        let step = self.open.lock().unwrap().remove(&task).expect("an output belongs to an input");
+        self.closed.lock().unwrap().entry(task).or_default().push(Recorded { step, digest });
+    }
+}
+
+/// Meets, sends news, asks and answers, under loss and repetition.
+fn program(ctx: &mut Context) -> Result<(), TaskError> {
+    let (lift, news) = (ctx.port("lift")?, ctx.port("news")?);
+    for round in 0..20_u8 {
+        let _either = ctx.waitfor_with(lift, [round; 8], None)?;
+        if ctx.id() == A {
+            let _copies = ctx.send(news, &[round])?;
+            let ask = ctx.port("ask")?;
+            let _outcome = ctx.send(ask, &[round])?;
+        } else {
+            while let Some(message) = ctx.receive(None, Some(Duration::from_millis(5)))? {
+                if message.class == imrs_protocol::Class::Command {
+                    // A late reply is refused; the recording must hold that, too.
+                    let _late = ctx.reply(&message.from, b"yes");
+                }
+            }
+        }
+        ctx.delay(Duration::from_millis(1))?;
+    }
+    Ok(())
+}
+
+fn run_recorded() -> (Arc<CellTable>, BTreeMap<TaskId, Vec<Recorded>>) {
+    let mut cell = cell(&[0, 1, 2], Ticks(2_000));
+    cell.port(PortDecl::new("lift", A, Usage::Waitfor, &[B, C], Ticks(200_000)).resend(Ticks(10_000), 1));
+    cell.port(PortDecl::new("news", A, Usage::Send, &[B, C], LONG_TICKS).bounded_buffer(4));
+    cell.port(PortDecl::new("ask", A, Usage::Send, &[B], Ticks(40_000)).command().retry(1, Ticks(15_000)));
+    let table = table(cell);
+    let faults = Faults {
+        seed: 3,
+        loss: 0.05,
+        duplicates: 0.1,
+        most_delay: Duration::from_millis(1),
+        ..Faults::default()
+    };
+    let network = network(&table, faults);
+    let tape = Arc::new(Tape::default());
+    let builder = |(node, task)| {
+        let recorder: Arc<dyn Recorder> = Arc::clone(&tape) as _;
+        on(&network, &table, node).recorder(recorder).task(task, program)
+    };
+    let builders: Vec<_> = (0..3).zip(["a", "b", "c"]).map(builder).collect();
+    let nodes: Vec<_> = builders.into_iter().map(|node| node.start().unwrap()).collect();
+    assert!(nodes.iter().all(|node| node.wait(LONG)));
+    nodes.into_iter().for_each(finish);
+    let steps = std::mem::take(&mut *tape.closed.lock().unwrap());
+    (table, steps)
+}
+
+#[test]
+fn a_recorded_run_of_three_nodes_replays_bit_equal_and_a_change_is_noticed() {
+    let (table, logs) = run_recorded();
+    assert_eq!(logs.len(), 3);
+    for (&task, log) in &logs {
+        let node = NodeTable::new(Arc::clone(&table), NodeId(task.0));
+        let again = |log: Vec<Recorded>| replay(&node, task, Incarnation(1), false, log);
+        assert!(log.len() > 100, "{task} took only {} inputs", log.len());
+        assert_eq!(again(log.clone()), Ok(log.len()));
+
+        // Another argument in one arrival: other packets.
+        let arrives = |entry: &Recorded| matches!(entry.step.input, Input::Request(Request::Arrive { .. }));
+        let position = log.iter().position(arrives).expect("every task meets");
+        let mut changed = log.clone();
+        if let Input::Request(Request::Arrive { arguments, .. }) = &mut changed[position].step.input {
+            arguments[7] ^= 1;
+        }
+        assert_eq!(again(changed).unwrap_err().index, position);
+
+        let mut shorter = log.clone();
+        shorter.remove(position);
+        assert!(again(shorter).is_err(), "an input that is missing");
+
+        // A hundred seconds more at one step: some task waited there, and would have given up.
+        let waits = (0..log.len() - 1).filter(|&at| arrives(&log[at]));
+        let mut noticed = waits.filter(|&at| {
+            let mut later = log.clone();
+            later[at + 1].step.elapsed += Ticks(100_000_000);
+            again(later).is_err()
+        });
+        assert!(noticed.next().is_some(), "other times");
+        assert!(
+            replay(&node, task, Incarnation(2), false, log.clone()).is_err(),
+            "another life sends other ids"
+        );
+    }
+}
+
+/// A sink that keeps what was written.
+#[derive(Clone, Default)]
+struct Kept(Arc<Mutex<Vec<u8>>>);
+
+impl std::io::Write for Kept {
+    fn write(&mut self, bytes: &[u8]) -> std::io::Result<usize> {
+        self.0.lock().unwrap().extend_from_slice(bytes);
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> std::io::Result<()> {
+        Ok(())
+    }
+}
+
+#[test]
+fn a_recording_in_a_file_replays_bit_equal() {
+    let mut cell = cell(&[0, 0], Ticks(0));
+    cell.port(common::ask(LONG_TICKS));
+    let table = table(cell);
+    let here = NodeTable::new(Arc::clone(&table), NodeId(0));
+    let kept = Kept::default();
+    let life = (Incarnation(4), false);
+    let failed = |error: &imrs_wire::recording::WriteError| panic!("{error}");
+    let recorder = FileRecorder::start(kept.clone(), &here, life, false, "a test", failed).unwrap();
+    let node = common::one_node(&table)
+        .incarnation(life.0, life.1)
+        .recorder(Arc::clone(&recorder) as _)
+        .task("a", |ctx| {
+            let ask = ctx.port("ask")?;
+            for number in 0..200_u8 {
+                assert!(ctx.send(ask, &[number])?.reply().is_some());
+            }
+            Ok(())
+        })
+        .task("b", |ctx| {
+            for _ in 0..200 {
+                let question = ctx.receive(None, None)?.expect("only a message ends it");
+                ctx.reply(&question.from, question.contents.as_bytes())?;
+            }
+            Ok(())
+        })
+        .start()
+        .unwrap();
+    finish(node);
+    let status = recorder.stop(LONG).expect("it was not stopped before");
+    assert!(status.ended && status.lost == 0, "{status:?}");
+    assert_eq!((recorder.status(), recorder.stop(LONG)), (None, None));
+
+    let bytes = kept.0.lock().unwrap().clone();
+    let mut reader = RecordingReader::new(&bytes[..]).unwrap();
+    let mut logs: BTreeMap<TaskId, Vec<Recorded>> = BTreeMap::new();
+    while let Some(record) = reader.next_record().unwrap() {
+        match record {
+            Record::Input { task, elapsed, input, outputs } => {
+                let step = Step { elapsed, input };
+                logs.entry(task).or_default().push(Recorded { step, digest: OutputDigest(outputs) });
+            }
+            Record::Header(header) => {
+                assert_eq!((header.digest, header.incarnation), (table.digest(), life.0));
+            }
+            Record::End => {}
+            other @ (Record::Keyframe { .. } | Record::Gap { .. } | Record::Frame { .. }) => {
+                panic!("{other:?}")
+            }
+        }
+    }
+    assert_eq!(logs.len(), 2);
+    for (task, log) in logs {
+        assert!(log.len() >= 400);
+        assert_eq!(replay(&here, task, life.0, life.1, log.clone()), Ok(log.len()));
+    }
+}

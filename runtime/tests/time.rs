@@ -1,0 +1,169 @@
+//! Time: nothing ends early; what ends, ends.
+
+mod common;
+
+use common::{A, B, C, LONG_TICKS, ask, cell, finish, one_node, table};
+use imrs_protocol::{NodeId, Outcome, PortDecl, Ticks, Usage};
+use imrs_runtime::link::{Link, LinkBusy, PollEnd, Sink};
+use imrs_runtime::{Context, Rendezvous, Runtime, Sent};
+use std::sync::{Arc, Condvar, Mutex};
+use std::time::{Duration, Instant};
+
+/// Wide: the machine is not quiet.
+const LATE: Duration = Duration::from_secs(20);
+
+fn timed<T>(call: impl FnOnce() -> T) -> (T, Duration) {
+    let start = Instant::now();
+    (call(), start.elapsed())
+}
+
+fn in_time(took: Duration, least: Duration) {
+    assert!(took >= least, "early: {took:?} instead of {least:?}");
+    assert!(took < least + LATE, "late: {took:?} instead of {least:?}");
+}
+
+#[test]
+fn delays_and_empty_waits_never_end_early() {
+    let mut cell = cell(&[0, 0], Ticks(0));
+    cell.port(ask(LONG_TICKS));
+    let table = table(cell);
+    let node = one_node(&table)
+        .task("a", |ctx| {
+            for micros in (0..2_000).step_by(37) {
+                let length = Duration::from_nanos(micros * 1_001);
+                let (done, took) = timed(|| ctx.delay(length));
+                done?;
+                in_time(took, length);
+            }
+            Ok(())
+        })
+        .task("b", |ctx| {
+            for micros in (0..2_000).step_by(41) {
+                let length = Duration::from_nanos(micros * 1_001);
+                let (message, took) = timed(|| ctx.receive(None, Some(length)));
+                assert_eq!(message?, None);
+                in_time(took, length);
+            }
+            Ok(())
+        })
+        .start()
+        .unwrap();
+    finish(node);
+}
+
+#[test]
+fn a_command_nobody_answers_times_out_and_may_have_run() {
+    let mut cell = cell(&[0, 0], Ticks(0));
+    cell.port(ask(Ticks(30_000)));
+    let table = table(cell);
+    let node = one_node(&table)
+        .task("a", |ctx| {
+            let ask = ctx.port("ask")?;
+            let (sent, took) = timed(|| ctx.send(ask, b"anybody?"));
+            assert_eq!(sent?, Sent::Outcome(Outcome::TimedOutUnknown));
+            in_time(took, Duration::from_millis(30));
+            Ok(())
+        })
+        .task("b", |_| Ok(()))
+        .start()
+        .unwrap();
+    finish(node);
+}
+
+#[test]
+fn whoever_waits_for_missing_tasks_gives_up_and_knows_who_is_missing() {
+    let mut cell = cell(&[0, 0, 0], Ticks(0));
+    cell.port(PortDecl::new("lift", A, Usage::Waitfor, &[B, C], Ticks(50_000)));
+    let table = table(cell);
+    let wait = |ctx: &mut Context| {
+        let lift = ctx.port("lift")?;
+        let (end, took) = timed(|| ctx.waitfor(lift));
+        let Rendezvous::GaveUp { missing, .. } = end? else { panic!("a false release") };
+        assert!(missing & 0b100 != 0, "c never came: {missing:b}");
+        in_time(took, Duration::from_millis(50));
+        Ok(())
+    };
+    finish(one_node(&table).task("a", wait).task("b", wait).task("c", |_| Ok(())).start().unwrap());
+}
+
+/// A link that takes nothing.
+#[derive(Default)]
+struct Busy {
+    woken: Mutex<bool>,
+    changed: Condvar,
+}
+
+impl Link for Busy {
+    fn ready(&self, _next: NodeId) -> bool {
+        false
+    }
+
+    fn send(&self, _next: NodeId, _packets: &[imrs_protocol::Packet]) -> Result<usize, LinkBusy> {
+        Err(LinkBusy)
+    }
+
+    fn poll(&self, _sink: &dyn Sink, _until: Option<Instant>) -> PollEnd {
+        let mut woken = self.woken.lock().unwrap();
+        while !std::mem::take(&mut *woken) {
+            woken = self.changed.wait(woken).unwrap();
+        }
+        PollEnd::Woken
+    }
+
+    fn wake(&self) {
+        *self.woken.lock().unwrap() = true;
+        self.changed.notify_all();
+    }
+}
+
+#[test]
+fn a_command_that_never_left_the_node_did_not_run() {
+    let mut cell = cell(&[0, 1], Ticks(100));
+    cell.port(ask(Ticks(30_000)));
+    let table = table(cell);
+    let node = Runtime::builder(table, NodeId(0))
+        .link(Arc::new(Busy::default()))
+        .task("a", |ctx| {
+            let ask = ctx.port("ask")?;
+            for _ in 0..5 {
+                let (sent, took) = timed(|| ctx.send(ask, b"go"));
+                assert_eq!(sent?, Sent::Outcome(Outcome::TimedOutUnsent));
+                in_time(took, Duration::from_millis(30));
+            }
+            Ok(())
+        })
+        .start()
+        .unwrap();
+    finish(node);
+}
+
+#[test]
+fn a_waiting_message_expires_though_nobody_looks() {
+    let mut cell = cell(&[0, 0], Ticks(0));
+    cell.port(PortDecl::new("tell", A, Usage::Send, &[B], Ticks(20_000)).bounded_buffer(8));
+    let table = table(cell);
+    let node = one_node(&table)
+        .task("a", |ctx| {
+            let tell = ctx.port("tell")?;
+            for _ in 0..3 {
+                assert_eq!(ctx.send(tell, b"news")?, Sent::Copies(1));
+            }
+            Ok(())
+        })
+        // Its thread is busy with something else: the Timer thread must see to the expiry.
+        .task("b", |ctx| {
+            std::thread::sleep(Duration::from_millis(200));
+            assert_eq!(ctx.poll(None)?, None);
+            Ok(())
+        })
+        .start()
+        .unwrap();
+    let start = Instant::now();
+    let expired = || node.node().snapshot(8).tasks[1].view.ports[0].counters.expired;
+    while expired() < 3 {
+        assert!(start.elapsed() < LATE, "nothing expired");
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    assert!(start.elapsed() < LATE);
+    finish(node);
+}

@@ -1,0 +1,153 @@
+//! Three nodes with a link between any two, a task on each, and a sink that remembers.
+
+use imrs_protocol::{
+    Cell, CellTable, Class, Contents, Incarnation, Kind, MAX_HOPS, MessageId, NodeId, NodeTable, Packet,
+    PortDecl, PortId, Seq24, TaskId, Ticks, Usage,
+};
+use imrs_runtime::link::udp::{UdpLink, UdpOptions};
+use imrs_runtime::link::{Link, LinkDiscard, PollEnd, Sink};
+use imrs_wire::envelope::{Datagram, Envelope};
+use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+pub const A: NodeId = NodeId(0);
+pub const B: NodeId = NodeId(1);
+pub const C: NodeId = NodeId(2);
+/// The declared bound of every link.
+pub const BOUND: Ticks = Ticks(2_000);
+/// Far more than anything here takes on a busy machine.
+pub const PATIENCE: Duration = Duration::from_secs(20);
+
+pub fn cell(name: &str) -> Arc<CellTable> {
+    let mut cell = Cell::new(name, Ticks(100));
+    let nodes = ["a", "b", "c"].map(|n| cell.node(n));
+    let tasks: Vec<_> = ["x", "y", "z"].iter().zip(nodes).map(|(t, n)| cell.task(t, n)).collect();
+    for (from, to) in [(0, 1), (0, 2), (1, 2)] {
+        cell.link(nodes[from], nodes[to], BOUND);
+    }
+    cell.node("stranger");
+    cell.port(PortDecl::new("status", tasks[0], Usage::Send, &tasks[1..], Ticks(5_000_000)));
+    Arc::new(CellTable::new(cell).unwrap())
+}
+
+pub fn table(node: NodeId) -> NodeTable {
+    NodeTable::new(cell("udp"), node)
+}
+
+pub fn any_port() -> SocketAddr {
+    (Ipv4Addr::LOCALHOST, 0).into()
+}
+
+pub fn link(node: NodeId) -> UdpLink {
+    life(node, 1, false)
+}
+
+pub fn life(node: NodeId, incarnation: u8, restarted: bool) -> UdpLink {
+    UdpLink::bind(table(node), any_port(), UdpOptions::new(Incarnation(incarnation), restarted)).unwrap()
+}
+
+/// Links of A and B that know each other's addresses.
+pub fn pair() -> (UdpLink, UdpLink) {
+    let (a, b) = (link(A), link(B));
+    a.set_address(B, Some(b.local_address())).unwrap();
+    b.set_address(A, Some(a.local_address())).unwrap();
+    (a, b)
+}
+
+/// A status message of task x (node A) to task y (node B) with a second to live.
+pub fn packet(number: u32) -> Packet {
+    Packet {
+        kind: Kind::Send,
+        class: Class::Status,
+        more: false,
+        resent: false,
+        urgent: false,
+        hops: MAX_HOPS,
+        fragment: 0,
+        destination: TaskId(1),
+        source: TaskId(0),
+        port: PortId(0),
+        id: MessageId { incarnation: Incarnation(1), sequence: Seq24::new(number) },
+        remaining: Ticks(1_000_000),
+        contents: Contents::new(b"here").unwrap(),
+    }
+}
+
+/// What [`packet`] looks like in a datagram.
+pub fn encoded(number: u32) -> [u8; 32] {
+    let table = table(A);
+    packet(number).encode(table.digest(), table.port(PortId(0)).unwrap().hash)
+}
+
+/// An envelope as the first life of A would write it.
+pub fn envelope(counter: u64) -> Envelope {
+    let (sender, incarnation) = (A, Incarnation(1));
+    Envelope { sender, incarnation, restarted: false, counter, tx_mono: 1_000_000 + counter, echo: None }
+}
+
+pub fn sealed(envelope: &Envelope, packets: &[[u8; 32]]) -> Vec<u8> {
+    sealed_for(table(A).digest(), envelope, packets)
+}
+
+pub fn sealed_for(digest: u32, envelope: &Envelope, packets: &[[u8; 32]]) -> Vec<u8> {
+    let mut datagram = Datagram::default();
+    for packet in packets {
+        assert!(datagram.push(packet));
+    }
+    datagram.seal(envelope, digest).to_vec()
+}
+
+/// A socket that is no link: sends what it likes.
+pub fn raw_socket() -> UdpSocket {
+    UdpSocket::bind(any_port()).unwrap()
+}
+
+/// Remembers what a link hands over.
+#[derive(Default)]
+pub struct Memory {
+    pub packets: Mutex<Vec<(NodeId, Packet, Ticks)>>,
+    pub peers: Mutex<Vec<(NodeId, Incarnation, bool)>>,
+    pub discards: Mutex<Vec<LinkDiscard>>,
+}
+
+impl Sink for Memory {
+    fn packet(&self, from: NodeId, packet: Packet, charge: Ticks) {
+        self.packets.lock().unwrap().push((from, packet, charge));
+    }
+
+    fn peer(&self, node: NodeId, incarnation: Incarnation, restarted: bool) {
+        self.peers.lock().unwrap().push((node, incarnation, restarted));
+    }
+
+    fn discarded(&self, reason: LinkDiscard) {
+        self.discards.lock().unwrap().push(reason);
+    }
+}
+
+impl Memory {
+    pub fn delivered(&self) -> usize {
+        self.packets.lock().unwrap().len()
+    }
+
+    /// Polls until `done`, for no longer than [`PATIENCE`].
+    pub fn poll_until(&self, link: &impl Link, done: impl Fn(&Self) -> bool) {
+        let end = Instant::now() + PATIENCE;
+        while !done(self) {
+            let ended = link.poll(self, Some(end));
+            assert_ne!(ended, PollEnd::TimedOut, "nothing more came in");
+        }
+    }
+
+    /// Polls until this many packets came in since the last call, and returns them.
+    pub fn take_packets(&self, link: &impl Link, count: usize) -> Vec<(NodeId, Packet, Ticks)> {
+        self.poll_until(link, |m| m.delivered() >= count);
+        std::mem::take(&mut *self.packets.lock().unwrap())
+    }
+
+    /// Polls until this many discards came in since the last call, and returns them.
+    pub fn take_discards(&self, link: &impl Link, count: usize) -> Vec<LinkDiscard> {
+        self.poll_until(link, |m| m.discards.lock().unwrap().len() >= count);
+        std::mem::take(&mut *self.discards.lock().unwrap())
+    }
+}

@@ -1,0 +1,280 @@
+//! The command line: what can be asked for, and how it is explained.
+
+use crate::demo::{Cut, Kill, Rate};
+use clap::{Args, ColorChoice, Parser, Subcommand, ValueEnum};
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// Write a multi-robot cell once, check it exhaustively, run exactly that code, watch it live.
+///
+/// Without a verb, imrs checks the protocol's claims (`imrs verify`).
+#[derive(Debug, Parser)]
+#[command(
+    name = "imrs",
+    version,
+    after_help = "\
+Examples:
+  imrs                               check the protocol's claims: under a minute
+  imrs demo beam-lift                three nodes meet over loopback UDP for 10 s
+  imrs demo beam-lift --kill hoist@2s
+  imrs monitor                       watch the nodes that run on this machine
+
+Exit codes: 0 all well, 1 a finding, 2 bad input or usage, 3 nothing to attach to,
+4 out of the given budget with a partial answer, 70 an internal fault."
+)]
+pub struct Cli {
+    /// When to use colour; NO_COLOR is honoured.
+    #[arg(long, global = true, value_enum, default_value_t = Color::Auto, value_name = "WHEN")]
+    pub color: Color,
+    /// What to do.
+    #[command(subcommand)]
+    pub verb: Option<Verb>,
+    /// The flags of `verify`, for when no verb is given.
+    #[command(flatten)]
+    pub verify: VerifyArgs,
+}
+
+/// The verbs.
+#[derive(Debug, Subcommand)]
+pub enum Verb {
+    /// Check the protocol's claims by exhausting every schedule within stated bounds.
+    ///
+    /// Every claim has an expectation: the decided rules hold, and each rejected reading of the paper fails with a
+    /// shortest counterexample. The verdict of a run is whether everything came out as expected.
+    #[command(after_help = "\
+Examples:
+  imrs verify                        all claims, smoke bounds
+  imrs verify --claim no-false-release
+  imrs verify --full --memory 8G     the large bounds
+  imrs verify --format json | jq '.claims[] | select(.as_expected | not)'")]
+    Verify(VerifyArgs),
+    /// Run a built-in cell, one process per node over loopback UDP, and explain what happened.
+    #[command(after_help = "\
+Examples:
+  imrs demo beam-lift                        two arms and a hoist meet before every lift
+  imrs demo beam-lift --loss 20% --for 30s   with every fifth packet lost
+  imrs demo beam-lift --kill hoist@2s        with a node killed: nobody starts without it
+  imrs demo beam-lift --cut nl--nr@1s+40ms   with a link interrupted
+
+While it runs, `imrs monitor` in another terminal shows the nodes.")]
+    Demo(DemoArgs),
+    /// Watch the nodes that run on this machine: who waits for whom, and how long they still can.
+    #[command(after_help = "\
+Examples:
+  imrs monitor                          the nodes that run on this machine
+  imrs monitor --once --format json     one sample, for programs
+  imrs monitor --connect unix:/run/user/1000/imrs/beam-lift/nl-812.sock")]
+    Monitor(MonitorArgs),
+    /// Run the state machine again on what a node recorded, and compare every output.
+    #[command(after_help = "\
+Examples:
+  imrs demo beam-lift --record run.imrs
+  imrs replay run.nl.imrs")]
+    Replay(ReplayArgs),
+    /// Print a shell's completion script.
+    #[command(
+        after_help = "Example:\n  imrs completions bash > ~/.local/share/bash-completion/completions/imrs"
+    )]
+    Completions {
+        /// The shell.
+        shell: clap_complete::Shell,
+    },
+    /// Print the manual page, in roff.
+    #[command(after_help = "Example:\n  imrs man | man -l -")]
+    Man,
+    /// Run one node of a cell, as told on standard input. The launcher starts itself with this.
+    #[command(hide = true)]
+    Node,
+}
+
+/// What `verify` can be asked.
+#[derive(Args, Clone, Debug, Default, PartialEq, Eq)]
+pub struct VerifyArgs {
+    /// Check the large bounds instead of the smoke bounds.
+    #[arg(long)]
+    pub full: bool,
+    /// Check this claim only, and show its counterexamples in full.
+    #[arg(long, value_name = "NAME")]
+    pub claim: Option<String>,
+    /// Use so many threads [default: as many as there are cores].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    pub jobs: Option<u16>,
+    /// Give up a claim that needs more memory than this [default: 4G].
+    #[arg(long, value_name = "SIZE", value_parser = memory)]
+    pub memory: Option<u64>,
+    /// The form of the answer [default: text].
+    #[arg(long, value_enum, value_name = "FORM")]
+    pub format: Option<Format>,
+}
+
+/// What `demo` can be asked.
+#[derive(Args, Clone, Debug)]
+pub struct DemoArgs {
+    /// Which cell.
+    #[arg(value_enum, value_name = "CELL")]
+    pub cell: DemoCell,
+    /// How long to run.
+    #[arg(long = "for", value_name = "TIME", default_value = "10s", value_parser = humantime::parse_duration)]
+    pub length: Duration,
+    /// Lose this share of all datagrams.
+    #[arg(long, value_name = "RATE", default_value = "0%")]
+    pub loss: Rate,
+    /// Kill a node, or the node of a task, after a while.
+    #[arg(long, value_name = "NAME@TIME")]
+    pub kill: Vec<Kill>,
+    /// Interrupt the link between two nodes after a while, for a while.
+    #[arg(long, value_name = "A--B@TIME+TIME")]
+    pub cut: Vec<Cut>,
+    /// Record what goes into every communication task; each node writes a file of its own beside this name.
+    #[arg(long, value_name = "FILE")]
+    pub record: Option<PathBuf>,
+    /// Seeds the lost packets and the lengths of the tasks' work [default: from the clock].
+    #[arg(long, value_name = "N")]
+    pub seed: Option<u64>,
+    /// The form of the answer; JSON ends with one line, the summary.
+    #[arg(long, value_enum, value_name = "FORM", default_value_t = Format::Text)]
+    pub format: Format,
+}
+
+/// What `monitor` can be asked.
+#[derive(Args, Clone, Debug)]
+pub struct MonitorArgs {
+    /// Attach to this node; may be given several times [default: all nodes on this machine].
+    #[arg(long, short, value_name = "ADDR")]
+    pub connect: Vec<imrs_monitor::Endpoint>,
+    /// Show only the cell of this name.
+    #[arg(long, value_name = "NAME")]
+    pub cell: Option<String>,
+    /// Print one sample and end.
+    #[arg(long)]
+    pub once: bool,
+    /// Print a sample every so often.
+    #[arg(long, value_name = "TIME", value_parser = humantime::parse_duration)]
+    pub watch: Option<Duration>,
+    /// Print lines instead of drawing a screen: for pipes and screen readers.
+    #[arg(long)]
+    pub text: bool,
+    /// Draw with nothing but ASCII.
+    #[arg(long)]
+    pub ascii: bool,
+    /// The form of what is printed; JSON implies printing.
+    #[arg(long, value_enum, value_name = "FORM", default_value_t = Format::Text)]
+    pub format: Format,
+}
+
+/// What `replay` can be asked.
+#[derive(Args, Clone, Debug)]
+pub struct ReplayArgs {
+    /// The recording of one node.
+    #[arg(value_name = "FILE")]
+    pub file: PathBuf,
+    /// The form of the answer.
+    #[arg(long, value_enum, value_name = "FORM", default_value_t = Format::Text)]
+    pub format: Format,
+}
+
+/// The cells that `demo` can run.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum DemoCell {
+    /// Two arms lift a beam with a hoist: they meet before every lift, and stop together.
+    BeamLift,
+}
+
+/// The form of an answer.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum Format {
+    /// For people.
+    #[default]
+    Text,
+    /// For programs.
+    Json,
+}
+
+/// When to use colour.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
+pub enum Color {
+    /// On a terminal, unless NO_COLOR is set.
+    #[default]
+    Auto,
+    /// Always.
+    Always,
+    /// Never.
+    Never,
+}
+
+impl From<Color> for anstream::ColorChoice {
+    fn from(color: Color) -> Self {
+        match color {
+            Color::Auto => Self::Auto,
+            Color::Always => Self::Always,
+            Color::Never => Self::Never,
+        }
+    }
+}
+
+/// What `--color` says, before anything is parsed: help and usage errors obey it too.
+pub fn early_color(args: impl IntoIterator<Item = String>) -> ColorChoice {
+    let mut args = args.into_iter();
+    let mut word = None;
+    while let Some(arg) = args.next() {
+        if arg == "--" {
+            break;
+        } else if arg == "--color" {
+            word = args.next();
+        } else if let Some(value) = arg.strip_prefix("--color=") {
+            word = Some(value.to_owned());
+        }
+    }
+    match word.as_deref() {
+        Some("always") => ColorChoice::Always,
+        Some("never") => ColorChoice::Never,
+        Some(_) | None => ColorChoice::Auto,
+    }
+}
+
+/// A size in bytes: `512M`, `4G`; units are powers of 1024.
+fn memory(text: &str) -> Result<u64, String> {
+    let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
+    let shift = match &text[digits.len()..] {
+        "" | "B" => 0,
+        "K" | "KiB" => 10,
+        "M" | "MiB" => 20,
+        "G" | "GiB" => 30,
+        "T" | "TiB" => 40,
+        unit => return Err(format!("unknown unit `{unit}`: write 512M or 4G")),
+    };
+    let number: u64 = digits.parse().map_err(|_| "write a whole number and a unit: 512M or 4G".to_owned())?;
+    number.checked_mul(1 << shift).filter(|&bytes| bytes > 0).ok_or_else(|| "out of range".to_owned())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use clap::CommandFactory;
+
+    #[test]
+    fn the_command_is_well_formed_and_every_verb_has_an_example() {
+        let command = Cli::command();
+        command.clone().debug_assert();
+        for verb in command.get_subcommands().filter(|verb| !verb.is_hide_set()) {
+            let help = verb.get_after_help().map(ToString::to_string).unwrap_or_default();
+            assert!(help.contains("Example"), "`{}` shows no example", verb.get_name());
+        }
+    }
+
+    #[test]
+    fn sizes_have_units() {
+        assert_eq!((memory("4G"), memory("512M"), memory("7")), (Ok(4 << 30), Ok(512 << 20), Ok(7)));
+        for text in ["", "G", "4X", "-1G", "0", "99999999999T"] {
+            assert!(memory(text).is_err(), "{text}");
+        }
+    }
+
+    #[test]
+    fn colour_is_known_before_parsing() {
+        let early = |text: &str| early_color(text.split(' ').map(str::to_owned));
+        assert_eq!(early("imrs verify --color never"), ColorChoice::Never);
+        assert_eq!(early("imrs --color=always demo"), ColorChoice::Always);
+        assert_eq!(early("imrs -- --color never"), ColorChoice::Auto);
+    }
+}

@@ -1,0 +1,3 @@
+//! The built-in cells.
+
+pub mod beam_lift;

@@ -1,0 +1,237 @@
+//! Faults asked for on the command line: `--loss 10%`, `--kill hoist@2s`, `--cut nl--nr@1s+40ms`.
+
+use crate::exit::did_you_mean;
+use imrs_protocol::{Cell, NodeId};
+use std::fmt;
+use std::str::FromStr;
+use std::time::Duration;
+
+/// A share of something, from 0 to 1; written `10%` or `0.1`.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Rate(pub f64);
+
+/// A node, or a task for its node, that is killed after a while.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Kill {
+    /// The name of the node or the task.
+    pub name: String,
+    /// When, counted from the start.
+    pub at: Duration,
+}
+
+/// A link that carries nothing for a while.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Cut {
+    /// The names of the two nodes, or of tasks on them.
+    pub ends: [String; 2],
+    /// When, counted from the start.
+    pub at: Duration,
+    /// For how long.
+    pub length: Duration,
+}
+
+/// What is wrong with a fault as written.
+#[derive(Clone, Debug, PartialEq, thiserror::Error)]
+pub enum FaultError {
+    /// Not a share.
+    #[error("write a share from 0% to 100%: 10% or 0.1")]
+    Rate,
+    /// Not `NAME@TIME`.
+    #[error("write what and when: hoist@2s")]
+    Kill,
+    /// Not `A--B@TIME+TIME`.
+    #[error("write which link, when and for how long: nl--nr@1s+40ms")]
+    Cut,
+    /// The time is none.
+    #[error("`{text}`: {error}")]
+    Time {
+        /// What was written.
+        text: String,
+        /// What is wrong with it.
+        error: humantime::DurationError,
+    },
+    /// The cell has neither a node nor a task of this name.
+    #[error("the cell has no node or task `{name}`{hint}")]
+    NoNode {
+        /// The name.
+        name: String,
+        /// What may have been meant.
+        hint: String,
+    },
+    /// No link joins the two nodes.
+    #[error("no link joins `{0}` and `{1}`")]
+    NoLink(String, String),
+    /// The fault comes after the end of the run.
+    #[error("`{0}` comes after the end of the run: make --for longer")]
+    TooLate(String),
+}
+
+impl FromStr for Rate {
+    type Err = FaultError;
+
+    fn from_str(text: &str) -> Result<Self, FaultError> {
+        let (digits, unit) = text.strip_suffix('%').map_or((text, 1.0), |digits| (digits, 100.0));
+        let share = digits.parse::<f64>().map_err(|_| FaultError::Rate)? / unit;
+        if (0.0..=1.0).contains(&share) { Ok(Self(share)) } else { Err(FaultError::Rate) }
+    }
+}
+
+impl fmt::Display for Rate {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        // Rounded, so that 0.07 is not shown as 7.000000000000001%.
+        write!(f, "{}%", (self.0 * 1e6).round() / 1e4)
+    }
+}
+
+impl FromStr for Kill {
+    type Err = FaultError;
+
+    fn from_str(text: &str) -> Result<Self, FaultError> {
+        let (name, at) = text.split_once('@').filter(|(name, _)| !name.is_empty()).ok_or(FaultError::Kill)?;
+        Ok(Self { name: name.into(), at: time(at)? })
+    }
+}
+
+impl fmt::Display for Kill {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}@{}", self.name, humantime::format_duration(self.at))
+    }
+}
+
+impl FromStr for Cut {
+    type Err = FaultError;
+
+    fn from_str(text: &str) -> Result<Self, FaultError> {
+        let (ends, span) = text.split_once('@').ok_or(FaultError::Cut)?;
+        let (a, b) = ends.split_once("--").ok_or(FaultError::Cut)?;
+        let (at, length) = span.split_once('+').ok_or(FaultError::Cut)?;
+        if a.is_empty() || b.is_empty() {
+            return Err(FaultError::Cut);
+        }
+        Ok(Self { ends: [a.into(), b.into()], at: time(at)?, length: time(length)? })
+    }
+}
+
+impl fmt::Display for Cut {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        let [a, b] = &self.ends;
+        let (at, length) = (humantime::format_duration(self.at), humantime::format_duration(self.length));
+        write!(f, "{a}--{b}@{at}+{length}")
+    }
+}
+
+fn time(text: &str) -> Result<Duration, FaultError> {
+    humantime::parse_duration(text).map_err(|error| FaultError::Time { text: text.into(), error })
+}
+
+/// A fault of the schedule, at its time.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Fault {
+    /// The node's process is killed.
+    Kill(NodeId),
+    /// The link between two nodes carries nothing from here on.
+    Cut(NodeId, NodeId),
+    /// The link works again.
+    Heal(NodeId, NodeId),
+}
+
+/// All faults of a run, in the order of their times, counted from the start.
+///
+/// # Errors
+/// A name that the cell does not have, two nodes without a link, or a time past the end of the run.
+pub fn schedule(
+    cell: &Cell,
+    length: Duration,
+    kills: &[Kill],
+    cuts: &[Cut],
+) -> Result<Vec<(Duration, Fault)>, FaultError> {
+    let mut faults = Vec::new();
+    for kill in kills {
+        if kill.at >= length {
+            return Err(FaultError::TooLate(kill.to_string()));
+        }
+        faults.push((kill.at, Fault::Kill(node(cell, &kill.name)?)));
+    }
+    for cut in cuts {
+        if cut.at >= length {
+            return Err(FaultError::TooLate(cut.to_string()));
+        }
+        let (a, b) = (node(cell, &cut.ends[0])?, node(cell, &cut.ends[1])?);
+        if !cell.links.iter().any(|l| (l.a, l.b) == (a, b) || (l.a, l.b) == (b, a)) {
+            return Err(FaultError::NoLink(cut.ends[0].clone(), cut.ends[1].clone()));
+        }
+        faults.push((cut.at, Fault::Cut(a, b)));
+        faults.push((cut.at + cut.length, Fault::Heal(a, b)));
+    }
+    faults.sort_by_key(|(at, _)| *at);
+    Ok(faults)
+}
+
+/// The node of this name, or the one that the task of this name runs on.
+fn node(cell: &Cell, name: &str) -> Result<NodeId, FaultError> {
+    let as_node = cell.nodes.iter().position(|n| n.name == name).map(NodeId::from_index);
+    let as_task = || cell.tasks.iter().find(|t| t.name == name).map(|t| t.node);
+    as_node.or_else(as_task).ok_or_else(|| {
+        let names =
+            cell.nodes.iter().map(|n| n.name.as_str()).chain(cell.tasks.iter().map(|t| t.name.as_str()));
+        FaultError::NoNode { name: name.into(), hint: did_you_mean(name, names) }
+    })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cells::beam_lift;
+
+    #[test]
+    fn rates_are_shares() {
+        for (text, share) in [("10%", 0.1), ("0", 0.0), ("1", 1.0), ("100%", 1.0), ("7%", 0.07)] {
+            assert_eq!(text.parse(), Ok(Rate(share)), "{text}");
+        }
+        for text in ["", "%", "x", "-1%", "101%", "2", "NaN", "inf"] {
+            assert_eq!(text.parse::<Rate>(), Err(FaultError::Rate), "{text}");
+        }
+        assert_eq!(Rate(0.07).to_string(), "7%");
+        assert_eq!(Rate(0.125).to_string(), "12.5%");
+    }
+
+    #[test]
+    fn faults_are_read_and_shown() {
+        for text in ["hoist@2s", "nl@40ms"] {
+            assert_eq!(text.parse::<Kill>().unwrap().to_string(), text);
+        }
+        for text in ["nl--nr@1s+40ms", "armL--hoist@0s+2s"] {
+            assert_eq!(text.parse::<Cut>().unwrap().to_string(), text);
+        }
+        for text in ["", "hoist", "@2s", "hoist@", "hoist@2"] {
+            assert!(text.parse::<Kill>().is_err(), "{text}");
+        }
+        for text in ["nl--nr", "nl@1s+2s", "nl--nr@1s", "--nr@1s+1s", "nl--@1s+1s", "nl--nr@1+1"] {
+            assert!(text.parse::<Cut>().is_err(), "{text}");
+        }
+    }
+
+    #[test]
+    fn faults_come_in_the_order_of_their_times_and_only_where_they_can() {
+        let cell = beam_lift::cell();
+        let second = Duration::from_secs(1);
+        let of = |kills: &[&str], cuts: &[&str]| {
+            let kills: Vec<Kill> = kills.iter().map(|k| k.parse().unwrap()).collect();
+            let cuts: Vec<Cut> = cuts.iter().map(|c| c.parse().unwrap()).collect();
+            schedule(&cell, 3 * second, &kills, &cuts)
+        };
+        let (nl, nr, nh) = (NodeId(0), NodeId(1), NodeId(2));
+        assert_eq!(
+            of(&["hoist@2s"], &["armL--nr@1s+5s"]),
+            Ok(vec![
+                (second, Fault::Cut(nl, nr)),
+                (2 * second, Fault::Kill(nh)),
+                (6 * second, Fault::Heal(nl, nr))
+            ])
+        );
+        let error = of(&["hoit@2s"], &[]).unwrap_err();
+        assert_eq!(error.to_string(), "the cell has no node or task `hoit`: did you mean `hoist`?");
+        assert_eq!(of(&["nl@3s"], &[]), Err(FaultError::TooLate("nl@3s".into())));
+        assert_eq!(of(&[], &["nl--armL@1s+1s"]), Err(FaultError::NoLink("nl".into(), "armL".into())));
+    }
+}

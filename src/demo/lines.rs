@@ -1,0 +1,208 @@
+//! What the launcher and the nodes say to each other: one JSON document per line, over the pipes between them.
+
+use imrs_protocol::{PortCounters, PortId, Round, TaskId};
+use serde::{Deserialize, Serialize};
+use std::collections::BTreeMap;
+use std::io::{self, BufRead, Write};
+use std::net::SocketAddr;
+use std::path::PathBuf;
+
+/// The first line to a node: who it is.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+pub struct Setup {
+    /// The name of the cell.
+    pub cell: String,
+    /// The name of the node.
+    pub node: String,
+    /// Which life of the node this is.
+    pub incarnation: u8,
+    /// Seeds the injected loss and the lengths of the tasks' work.
+    pub seed: u64,
+    /// The share of its datagrams that the node loses on purpose.
+    pub loss: f64,
+    /// The file for what goes into the node's communication tasks.
+    pub record: Option<PathBuf>,
+}
+
+/// Every later line to a node. The end of the pipe is the end of the launcher, and of the node.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Order {
+    /// The address book: by the name of the node. The node starts.
+    Book(BTreeMap<String, SocketAddr>),
+    /// From now on, sends nothing to this node.
+    Cut(String),
+    /// Sends to it again.
+    Heal(String),
+    /// Stop, and say how it went.
+    Stop,
+}
+
+/// A line from a node.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Word {
+    /// The node has its socket.
+    Bound(SocketAddr),
+    /// The node's tasks run.
+    Started,
+    /// Something happened at a waitfor.
+    Event(Event),
+    /// The node's figures since its start.
+    Figures(Box<Figures>),
+    /// A task ended otherwise than by being stopped.
+    TaskFailed {
+        /// Its name.
+        task: String,
+        /// How.
+        how: String,
+    },
+    /// Everything has been said.
+    Done,
+}
+
+/// Something that happened at a waitfor.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Event {
+    /// When, on the monotonic clock that all processes of one machine share, in microseconds.
+    pub at: u64,
+    /// To which task.
+    pub task: TaskId,
+    /// On which port.
+    pub port: PortId,
+    /// In which round.
+    pub round: Round,
+    /// What.
+    pub what: What,
+}
+
+/// What happened at a waitfor.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum What {
+    /// The task's arrival in this round was announced.
+    Announced,
+    /// The task runs on.
+    Released,
+    /// The task's time_out ended first.
+    GaveUp {
+        /// How long it waited, in microseconds.
+        waited: u64,
+        /// Bit `i`: party `i` of the port (owner first) had not arrived.
+        missing: u64,
+    },
+}
+
+/// What a node has counted since its start.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct Figures {
+    /// By task and port.
+    pub ports: Vec<(TaskId, PortId, PortCounters)>,
+    /// How the class-2 messages of its tasks ended.
+    pub outcomes: Outcomes,
+    /// The messages that its tasks acted on.
+    pub acted: Acted,
+    /// What its machines dropped, by reason.
+    pub discards: BTreeMap<String, u64>,
+    /// What its link dropped, by reason.
+    pub link_discards: BTreeMap<String, u64>,
+    /// What its link counted besides.
+    pub link: BTreeMap<String, u64>,
+    /// Packets that its link lost on purpose.
+    pub lost_on_purpose: u64,
+    /// Packets that its link held back because of a cut.
+    pub cut_off: u64,
+    /// Announcements that could not be told, because they came too fast.
+    pub untold: u64,
+}
+
+/// How class-2 messages ended.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Outcomes {
+    /// Answered.
+    pub replies: u64,
+    /// Refused for space.
+    pub refused: u64,
+    /// Timed out before any copy left.
+    pub timed_out_unsent: u64,
+    /// Timed out; they may have run.
+    pub timed_out_unknown: u64,
+    /// The peer restarted meanwhile; they may have run.
+    pub peer_restarted: u64,
+}
+
+/// What tasks did with the messages they received.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Acted {
+    /// Commands that were carried out.
+    pub executed: u64,
+    /// Those of them that were older than their time_out, by the clock that all processes of one machine share.
+    pub executed_late: u64,
+    /// Commands that came too late to be answered, and were not carried out.
+    pub turned_away: u64,
+    /// The age of the oldest command that was carried out, in microseconds.
+    pub oldest_us: u64,
+}
+
+impl std::ops::AddAssign for Outcomes {
+    fn add_assign(&mut self, other: Self) {
+        self.replies += other.replies;
+        self.refused += other.refused;
+        self.timed_out_unsent += other.timed_out_unsent;
+        self.timed_out_unknown += other.timed_out_unknown;
+        self.peer_restarted += other.peer_restarted;
+    }
+}
+
+impl std::ops::AddAssign for Acted {
+    fn add_assign(&mut self, other: Self) {
+        self.executed += other.executed;
+        self.executed_late += other.executed_late;
+        self.turned_away += other.turned_away;
+        self.oldest_us = self.oldest_us.max(other.oldest_us);
+    }
+}
+
+/// Writes a line.
+///
+/// # Errors
+/// The pipe's: most likely the other side has gone.
+pub fn say(pipe: &mut impl Write, line: &impl Serialize) -> io::Result<()> {
+    let mut text = serde_json::to_vec(line)?;
+    text.push(b'\n');
+    pipe.write_all(&text)?;
+    pipe.flush()
+}
+
+/// Reads a line; `None` at the end of the pipe. A last line without an end, of a process that was killed, is the end.
+///
+/// # Errors
+/// The pipe's, or a line that is not one of these.
+pub fn hear<T: for<'de> Deserialize<'de>>(pipe: &mut impl BufRead) -> io::Result<Option<T>> {
+    let mut text = String::new();
+    pipe.read_line(&mut text)?;
+    if !text.ends_with('\n') {
+        return Ok(None);
+    }
+    Ok(Some(serde_json::from_str(&text)?))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_line_that_a_killed_process_left_unfinished_is_the_end() {
+        let mut pipe = Vec::new();
+        let event = Event { at: 7, task: TaskId(1), port: PortId(0), round: Round(3), what: What::Released };
+        say(&mut pipe, &Word::Event(event)).unwrap();
+        let whole = pipe.len();
+        say(&mut pipe, &Word::Started).unwrap();
+        for cut in whole..pipe.len() - 1 {
+            let mut reader = &pipe[..cut];
+            assert_eq!(hear(&mut reader).unwrap(), Some(Word::Event(event)));
+            assert_eq!(hear::<Word>(&mut reader).unwrap(), None);
+        }
+        assert!(hear::<Word>(&mut &b"garbage\n"[..]).is_err());
+    }
+}

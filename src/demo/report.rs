@@ -1,0 +1,236 @@
+//! The summary of a run, as a person reads it.
+
+use super::launcher::StartedNode;
+use super::summary::{NodeSummary, RendezvousSummary, Summary};
+use crate::args::DemoArgs;
+use crate::exit::Failure;
+use crate::output::{BAD, FAINT, GOOD, HEAD, NOTE, Output, Styled, count, grouped, span};
+use imrs_protocol::{CellTable, Usage};
+use std::collections::BTreeMap;
+
+/// Says what runs, and how to watch it.
+///
+/// # Errors
+/// [`Failure::Output`].
+pub fn started(
+    args: &DemoArgs,
+    seed: u64,
+    nodes: &[StartedNode<'_>],
+    out: &mut Output,
+) -> Result<(), Failure> {
+    out.line(format!(
+        "{}: {}, one process each, over loopback UDP (checksummed, not authenticated)",
+        Styled(HEAD, crate::cells::beam_lift::NAME),
+        count(nodes.len() as u64, "node"),
+    ))?;
+    for node in nodes {
+        let tasks = node.tasks.join(", ");
+        out.line(format!("  {:<4} runs {tasks:<8} pid {:<8} {}", node.name, node.pid, node.address))?;
+    }
+    out.line(
+        "All tasks meet at the waitfor `lift` before every lift; nobody is to start without the others.",
+    )?;
+    for fault in faults(args, seed) {
+        out.line(format!("{} {fault}", Styled(NOTE, "fault:")))?;
+    }
+    out.line("To watch: `imrs monitor` in another terminal. Ctrl-C ends the run early.")?;
+    out.line("")
+}
+
+fn faults(args: &DemoArgs, seed: u64) -> Vec<String> {
+    let mut faults = Vec::new();
+    if args.loss.0 > 0.0 {
+        faults.push(format!("{} of all datagrams are lost (--seed {seed})", args.loss));
+    }
+    for kill in &args.kill {
+        let at = humantime::format_duration(kill.at);
+        faults.push(format!("the node of `{}` is killed after {at}", kill.name));
+    }
+    for cut in &args.cut {
+        let (at, length) = (humantime::format_duration(cut.at), humantime::format_duration(cut.length));
+        faults.push(format!(
+            "nothing passes between {} and {} for {length}, after {at}",
+            cut.ends[0], cut.ends[1]
+        ));
+    }
+    faults
+}
+
+/// Says what came of the run.
+///
+/// # Errors
+/// [`Failure::Output`].
+pub fn summary(
+    summary: &Summary,
+    table: &CellTable,
+    args: &DemoArgs,
+    out: &mut Output,
+) -> Result<(), Failure> {
+    out.line(Styled(HEAD, format!("After {:.1} s", summary.seconds)))?;
+    for rendezvous in &summary.rendezvous {
+        meetings(rendezvous, out)?;
+    }
+    commands(summary, out)?;
+    ports(summary, out)?;
+    for node in &summary.nodes {
+        out.line(node_line(node))?;
+    }
+    out.line("")?;
+    for line in in_words(summary, table, args) {
+        out.line(line)?;
+    }
+    Ok(())
+}
+
+fn meetings(rendezvous: &RendezvousSummary, out: &mut Output) -> Result<(), Failure> {
+    let r = &rendezvous.rounds;
+    let mut line = format!(
+        "  waitfor {}: {}; {} released everybody, {} released nobody, {} released some only",
+        rendezvous.port,
+        count(r.rounds, "round"),
+        Styled(GOOD, grouped(r.released)),
+        grouped(r.timed_out),
+        grouped(r.divergent),
+    );
+    if r.unknown > 0 {
+        line += &format!(", {} unknown (a killed node's last words are missing)", grouped(r.unknown));
+    }
+    out.line(line)?;
+    let style = if r.false_releases == 0 { GOOD } else { BAD };
+    out.line(format!("    false releases: {}", Styled(style, grouped(r.false_releases))))?;
+    match r.start_skew_us {
+        Some(skew) => out.line(format!(
+            "    start skew: {} p50, {} p99, {} at most",
+            span(skew.p50),
+            span(skew.p99),
+            span(skew.max)
+        )),
+        None => out.line("    start skew: nobody started"),
+    }
+}
+
+fn commands(summary: &Summary, out: &mut Output) -> Result<(), Failure> {
+    let c = &summary.commands;
+    let sent = c.replies + c.refused + c.timed_out_unsent + c.timed_out_unknown + c.peer_restarted;
+    let mut parts = vec![format!("{} answered", grouped(c.replies))];
+    let others = [
+        (c.refused, "refused"),
+        (c.timed_out_unsent, "timed out and never left"),
+        (c.timed_out_unknown, "timed out and may have run"),
+        (c.peer_restarted, "met a restarted peer"),
+    ];
+    let named = others.iter().filter(|(n, _)| *n > 0).map(|(n, what)| format!("{} {what}", grouped(*n)));
+    parts.extend(named);
+    out.line(format!("  commands: {} ended: {}", grouped(sent), parts.join(", ")))?;
+    let a = &summary.acted;
+    let late = match a.executed_late {
+        0 => Styled(GOOD, "none after its time_out".to_owned()),
+        n => Styled(BAD, format!("{} AFTER their time_out", grouped(n))),
+    };
+    out.line(format!(
+        "    {} carried out, {late} (the oldest was {} old); {} came too late and were not carried out",
+        grouped(a.executed),
+        span(a.oldest_us),
+        grouped(a.turned_away),
+    ))
+}
+
+fn ports(summary: &Summary, out: &mut Output) -> Result<(), Failure> {
+    let head =
+        ["port", "usage", "sent", "resent", "delivered", "expired", "refused", "timed out", "duplicates"];
+    let mut rows = vec![head.map(str::to_owned)];
+    for p in &summary.ports {
+        let numbers =
+            [p.sent, p.resent, p.delivered, p.expired, p.refused, p.timed_out, p.duplicates].map(grouped);
+        let mut cells = numbers.into_iter();
+        rows.push(std::array::from_fn(|i| match i {
+            0 => p.name.clone(),
+            1 => p.usage.to_owned(),
+            _ => cells.next().unwrap_or_default(),
+        }));
+    }
+    let width = |column: usize| rows.iter().map(|row| row[column].len()).max().unwrap_or(0);
+    let widths: Vec<usize> = (0..head.len()).map(width).collect();
+    for (i, row) in rows.iter().enumerate() {
+        let cell = |(column, text): (usize, &String)| match column {
+            0 | 1 => format!("{text:<0$}", widths[column]),
+            _ => format!("{text:>0$}", widths[column]),
+        };
+        let line = row.iter().enumerate().map(cell).collect::<Vec<_>>().join("  ");
+        if i == 0 { out.line(format!("  {}", Styled(FAINT, line)))? } else { out.line(format!("  {line}"))? }
+    }
+    Ok(())
+}
+
+fn node_line(node: &NodeSummary) -> String {
+    let mut parts = vec![node.exit.clone()];
+    if node.lost_on_purpose > 0 {
+        parts.push(format!("{} lost on purpose", count(node.lost_on_purpose, "packet")));
+    }
+    if node.cut_off > 0 {
+        parts.push(format!("{} held back by a cut", count(node.cut_off, "packet")));
+    }
+    for (what, counts) in [("dropped", &node.discards), ("turned away by the link", &node.link_discards)] {
+        if !counts.is_empty() {
+            parts.push(format!("{what}: {}", listed(counts)));
+        }
+    }
+    format!("  node {:<4} {}", node.name, parts.join("; "))
+}
+
+fn listed(counts: &BTreeMap<String, u64>) -> String {
+    let one = |(name, n): (&String, &u64)| format!("{name} {}", grouped(*n));
+    counts.iter().map(one).collect::<Vec<_>>().join(", ")
+}
+
+/// What happened, in sentences.
+fn in_words(summary: &Summary, table: &CellTable, args: &DemoArgs) -> Vec<String> {
+    let mut words = Vec::new();
+    for rendezvous in &summary.rendezvous {
+        let r = &rendezvous.rounds;
+        words.push(match r.false_releases {
+            0 if r.released > 0 => "Nobody ever started a lift before all had arrived.".to_owned(),
+            0 => "Nobody started a lift, because not all ever arrived.".to_owned(),
+            n => {
+                format!("{}: {} happened before all had arrived.", Styled(BAD, "FAULT"), count(n, "release"))
+            }
+        });
+        if let Some(margin) = margin(table, &rendezvous.port).filter(|_| r.divergent > 0) {
+            words.push(format!(
+                "In {} some started and others gave up: more packets were lost, or later, than the margin of {} covers.",
+                count(r.divergent, "round"),
+                span(margin)
+            ));
+        }
+    }
+    for after in &summary.after_kill {
+        let late = after.waited_us.saturating_sub(after.time_out_us);
+        words.push(format!(
+            "{} waited in vain for {} and got TIME_OUT after {} ({} + {} of this machine), {} after the kill.",
+            after.task,
+            after.killed,
+            span(after.waited_us),
+            span(after.time_out_us),
+            span(late),
+            span(after.after_kill_us),
+        ));
+    }
+    if args.loss.0 > 0.0 && summary.ports.iter().any(|p| p.resent > 0) {
+        let again: u64 = summary.ports.iter().map(|p| p.resent).sum();
+        words.push(format!(
+            "Lost packets were made up for by {} within the same time_outs.",
+            count(again, "copy").replace("copys", "copies")
+        ));
+    }
+    if args.loss.0 == 0.0 && args.kill.is_empty() && args.cut.is_empty() {
+        words.push(
+            "Next: the same with faults: --loss 20%, --kill hoist@2s, --cut nl--nr@1s+40ms.".to_owned(),
+        );
+    }
+    words
+}
+
+fn margin(table: &CellTable, port: &str) -> Option<u64> {
+    let of = |p: &&imrs_protocol::Port| p.decl.name == port && p.decl.usage == Usage::Waitfor;
+    table.ports().iter().find(of).map(|p| p.margin.0)
+}

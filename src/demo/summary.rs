@@ -1,0 +1,315 @@
+//! What a run comes to: gathered from the nodes while it lasts, summed up at its end.
+
+use super::lines::{Acted, Event, Figures, Outcomes, What};
+use super::tally::{Rounds, Tally};
+use imrs_protocol::{CellTable, NodeId, PortCounters, PortId, TaskId, Usage};
+use serde::Serialize;
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+/// The summary of a run: the contract of `--format json`.
+#[derive(Clone, Debug, Serialize)]
+pub struct Summary {
+    /// The version of this form.
+    pub version: u32,
+    /// The cell.
+    pub cell: String,
+    /// How long its tasks ran.
+    pub seconds: f64,
+    /// Seeded the faults and the lengths of the tasks' work.
+    pub seed: u64,
+    /// The share of datagrams lost on purpose.
+    pub loss: f64,
+    /// By port, over all its ends.
+    pub ports: Vec<PortSummary>,
+    /// By waitfor.
+    pub rendezvous: Vec<RendezvousSummary>,
+    /// How the class-2 messages of the tasks ended.
+    pub commands: Outcomes,
+    /// The messages that tasks acted on.
+    pub acted: Acted,
+    /// Who gave up first after each kill, and when.
+    pub after_kill: Vec<AfterKill>,
+    /// By node.
+    pub nodes: Vec<NodeSummary>,
+}
+
+/// One port, over all its ends.
+#[derive(Clone, Debug, Serialize)]
+pub struct PortSummary {
+    /// Its name.
+    pub name: String,
+    /// What its owner does with it.
+    pub usage: &'static str,
+    /// Messages sent; of a waitfor, arrivals.
+    pub sent: u64,
+    /// Copies sent again.
+    pub resent: u64,
+    /// Messages delivered at the receiving ends; of a waitfor, releases.
+    pub delivered: u64,
+    /// Messages whose life ended in a buffer or on the way.
+    pub expired: u64,
+    /// Messages refused for space.
+    pub refused: u64,
+    /// Requests that ended by time_out.
+    pub timed_out: u64,
+    /// Copies of messages seen before.
+    pub duplicates: u64,
+}
+
+/// One waitfor.
+#[derive(Clone, Debug, Serialize)]
+pub struct RendezvousSummary {
+    /// The name of its port.
+    pub port: String,
+    /// What came of its rounds.
+    #[serde(flatten)]
+    pub rounds: Rounds,
+}
+
+/// A task that gave up because a node was killed.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct AfterKill {
+    /// The killed node.
+    pub killed: String,
+    /// The task that waited for a task there.
+    pub task: String,
+    /// How long it had waited, in microseconds: its time_out and the lateness of this machine.
+    pub waited_us: u64,
+    /// The time_out, in microseconds.
+    pub time_out_us: u64,
+    /// How long after the kill that was, in microseconds.
+    pub after_kill_us: u64,
+}
+
+/// One node.
+#[derive(Clone, Debug, Serialize)]
+pub struct NodeSummary {
+    /// Its name.
+    pub name: String,
+    /// How its process ended: `clean`, `killed` by the launcher, or what went wrong.
+    pub exit: String,
+    /// What its machines dropped, by reason.
+    pub discards: BTreeMap<String, u64>,
+    /// What its link dropped, by reason.
+    pub link_discards: BTreeMap<String, u64>,
+    /// What its link counted besides.
+    pub link: BTreeMap<String, u64>,
+    /// Packets that its link lost on purpose.
+    pub lost_on_purpose: u64,
+    /// Packets that a cut held back.
+    pub cut_off: u64,
+}
+
+/// Gathers what the nodes say.
+pub struct Gatherer {
+    table: Arc<CellTable>,
+    tallies: BTreeMap<PortId, Tally>,
+    figures: Vec<Figures>,
+    kills: Vec<(NodeId, u64)>,
+    after_kill: Vec<AfterKill>,
+    /// When the run ended. What happens while the nodes stop is no part of it.
+    end: u64,
+}
+
+impl Gatherer {
+    /// Nothing yet.
+    pub fn new(table: Arc<CellTable>) -> Self {
+        let waitfors = table.ports().iter().filter(|port| port.decl.usage == Usage::Waitfor);
+        let tallies =
+            waitfors.map(|port| (port.id, Tally::new(port.parties.iter().map(|p| p.task)))).collect();
+        let figures = table.cell().nodes.iter().map(|_| Figures::default()).collect();
+        Self { table, tallies, figures, kills: Vec::new(), after_kill: Vec::new(), end: u64::MAX }
+    }
+
+    /// Something happened at a waitfor.
+    pub fn event(&mut self, event: &Event) {
+        if event.at > self.end {
+            return;
+        }
+        if let Some(tally) = self.tallies.get_mut(&event.port) {
+            tally.take(event);
+        }
+        if let What::GaveUp { waited, missing } = event.what {
+            self.note_give_up(event, waited, missing);
+        }
+    }
+
+    /// A node's figures since its start: they replace the ones before.
+    pub fn figures(&mut self, node: NodeId, figures: Figures) {
+        if figures.untold > 0 {
+            self.for_tasks_on(node, Tally::untold);
+        }
+        if let Some(kept) = self.figures.get_mut(node.index()) {
+            *kept = figures;
+        }
+    }
+
+    /// A node was killed, at this instant of the clock that all processes of one machine share.
+    pub fn killed(&mut self, node: NodeId, at: u64) {
+        self.kills.push((node, at));
+        self.for_tasks_on(node, |tally, task| tally.died(task, at));
+    }
+
+    /// The run ends at this instant of the clock that all processes of one machine share. Said before the nodes are
+    /// stopped: a task that is stopped leaves its waitfor, and others go on to another round, which is no fault.
+    pub fn ended(&mut self, at: u64) {
+        self.end = at;
+    }
+
+    /// How many rounds have released everybody so far.
+    pub fn released(&self) -> u64 {
+        self.tallies.values().map(Tally::released).sum()
+    }
+
+    /// The summary. `exits` tells how each node's process ended.
+    pub fn summary(&self, seconds: f64, seed: u64, loss: f64, exits: &[String]) -> Summary {
+        let rendezvous = self
+            .tallies
+            .iter()
+            .map(|(&port, tally)| RendezvousSummary { port: self.port_name(port), rounds: tally.rounds() });
+        let node = |(i, figures): (usize, &Figures)| NodeSummary {
+            name: self.table.cell().nodes[i].name.clone(),
+            exit: exits.get(i).cloned().unwrap_or_default(),
+            discards: figures.discards.clone(),
+            link_discards: figures.link_discards.clone(),
+            link: figures.link.clone(),
+            lost_on_purpose: figures.lost_on_purpose,
+            cut_off: figures.cut_off,
+        };
+        let (mut commands, mut acted) = (Outcomes::default(), Acted::default());
+        for figures in &self.figures {
+            commands += figures.outcomes;
+            acted += figures.acted;
+        }
+        Summary {
+            version: 1,
+            cell: self.table.cell().name.clone(),
+            seconds,
+            seed,
+            loss,
+            ports: self.ports(),
+            rendezvous: rendezvous.collect(),
+            commands,
+            acted,
+            after_kill: self.after_kill.clone(),
+            nodes: self.figures.iter().enumerate().map(node).collect(),
+        }
+    }
+
+    fn for_tasks_on(&mut self, node: NodeId, mut change: impl FnMut(&mut Tally, TaskId)) {
+        for task in self.table.tasks_on(node) {
+            self.tallies.values_mut().for_each(|tally| change(tally, task));
+        }
+    }
+
+    /// Keeps a give-up if it is the task's first since a kill, and the task waited for one there.
+    fn note_give_up(&mut self, event: &Event, waited: u64, missing: u64) {
+        let Some(port) = self.table.port(event.port) else { return };
+        let task = self.table.cell().tasks[event.task.index()].name.clone();
+        for &(node, at) in &self.kills {
+            let dead = |(i, party): (usize, &imrs_protocol::Party)| {
+                missing >> i.min(63) & 1 == 1 && self.table.location(party.task) == Some(node)
+            };
+            let waited_for_it = port.parties.iter().enumerate().any(dead);
+            let killed = &self.table.cell().nodes[node.index()].name;
+            let first = !self.after_kill.iter().any(|a| a.killed == *killed && a.task == task);
+            if event.at >= at && waited_for_it && first {
+                self.after_kill.push(AfterKill {
+                    killed: killed.clone(),
+                    task: task.clone(),
+                    waited_us: waited,
+                    time_out_us: port.party(event.task).map_or(0, |p| p.time_out.0),
+                    after_kill_us: event.at - at,
+                });
+            }
+        }
+    }
+
+    fn ports(&self) -> Vec<PortSummary> {
+        let mut sums = vec![PortCounters::default(); self.table.ports().len()];
+        for &(task, port, mut counters) in self.figures.iter().flat_map(|f| &f.ports) {
+            let usage = self.table.port(port).and_then(|p| p.party(task)).map(|p| p.usage);
+            if matches!(usage, Some(Usage::Send | Usage::Query)) {
+                // What is delivered at the sending end are the answers.
+                counters.delivered = 0;
+            }
+            if let Some(sum) = sums.get_mut(port.index()) {
+                add(sum, &counters);
+            }
+        }
+        let port = |(port, c): (&imrs_protocol::Port, PortCounters)| PortSummary {
+            name: port.decl.name.clone(),
+            usage: port.decl.usage.word(),
+            sent: c.sent,
+            resent: c.resent,
+            delivered: c.delivered,
+            expired: c.expired,
+            refused: c.refused,
+            timed_out: c.timed_out,
+            duplicates: c.duplicates,
+        };
+        self.table.ports().iter().zip(sums).map(port).collect()
+    }
+
+    fn port_name(&self, port: PortId) -> String {
+        self.table.port(port).map(|p| p.decl.name.clone()).unwrap_or_default()
+    }
+}
+
+fn add(sum: &mut PortCounters, more: &PortCounters) {
+    sum.sent += more.sent;
+    sum.resent += more.resent;
+    sum.delivered += more.delivered;
+    sum.expired += more.expired;
+    sum.refused += more.refused;
+    sum.timed_out += more.timed_out;
+    sum.duplicates += more.duplicates;
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cells::beam_lift;
+    use imrs_protocol::Round;
+
+    fn gatherer() -> Gatherer {
+        Gatherer::new(Arc::new(CellTable::new(beam_lift::cell()).unwrap()))
+    }
+
+    #[test]
+    fn the_first_give_up_after_a_kill_is_kept_of_every_task_that_waited_for_it() {
+        let mut gatherer = gatherer();
+        let hoist_missing = What::GaveUp { waited: 200_100, missing: 0b100 };
+        let give_up =
+            |at, task, what| Event { at, task: TaskId(task), port: PortId(0), round: Round(1), what };
+        gatherer.event(&give_up(900, 0, hoist_missing));
+        gatherer.killed(NodeId(2), 1_000);
+        gatherer.event(&give_up(1_500, 0, What::GaveUp { waited: 200_100, missing: 0b010 }));
+        gatherer.event(&give_up(2_000, 0, hoist_missing));
+        gatherer.event(&give_up(3_000, 0, hoist_missing));
+        gatherer.event(&give_up(4_000, 1, hoist_missing));
+        let kept: Vec<_> = gatherer.after_kill.iter().map(|a| (a.task.as_str(), a.after_kill_us)).collect();
+        assert_eq!(kept, [("armL", 1_000), ("armR", 3_000)]);
+        assert!(gatherer.after_kill.iter().all(|a| a.killed == "nh" && a.time_out_us == 200_000));
+    }
+
+    #[test]
+    fn figures_replace_earlier_ones_of_the_node_and_add_up_over_nodes() {
+        let mut gatherer = gatherer();
+        let figures = |sent, oldest_us| Figures {
+            ports: vec![(TaskId(0), PortId(1), PortCounters { sent, ..PortCounters::default() })],
+            acted: Acted { executed: sent, oldest_us, ..Acted::default() },
+            ..Figures::default()
+        };
+        gatherer.figures(NodeId(0), figures(1, 50));
+        gatherer.figures(NodeId(0), figures(5, 60));
+        gatherer.figures(NodeId(1), figures(2, 40));
+        let summary = gatherer.summary(1.0, 7, 0.0, &["clean".into(), "clean".into(), "killed".into()]);
+        assert_eq!((summary.ports[1].sent, summary.acted.executed, summary.acted.oldest_us), (7, 7, 60));
+        assert_eq!(summary.nodes[2].exit, "killed");
+        let json = serde_json::to_value(&summary).unwrap();
+        assert_eq!(json["rendezvous"][0]["start_skew_us"], serde_json::Value::Null);
+        assert_eq!(json["rendezvous"][0]["port"], "lift");
+    }
+}

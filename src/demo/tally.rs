@@ -1,0 +1,368 @@
+//! The arithmetic of a run: what came of every round of a waitfor, from what its members said of it.
+
+use super::lines::{Event, What};
+use imrs_protocol::{Round, TaskId};
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// The rounds of one waitfor.
+#[derive(Clone, Debug)]
+pub struct Tally {
+    members: Vec<Member>,
+    rounds: BTreeMap<i64, Meeting>,
+}
+
+#[derive(Clone, Debug)]
+struct Member {
+    task: TaskId,
+    /// The round last spoken of, counted on across the wrap of [`Round`].
+    last: i64,
+    /// The last round announced.
+    announced: i64,
+    /// When its node was killed: what happened just before was not told.
+    died: Option<u64>,
+    /// Some of its announcements were not told.
+    untold: bool,
+}
+
+/// What is known of one round. Sets of members are bits by position.
+#[derive(Clone, Copy, Debug)]
+struct Meeting {
+    announced: u64,
+    released: u64,
+    gave_up: u64,
+    /// When it was first spoken of.
+    begun: u64,
+    first_start: u64,
+    last_start: u64,
+}
+
+/// What came of all rounds of one waitfor.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Rounds {
+    /// Rounds that came to an end.
+    pub rounds: u64,
+    /// Of these, the rounds that released all members.
+    pub released: u64,
+    /// Rounds that released nobody: who was there gave up.
+    pub timed_out: u64,
+    /// Rounds that released some members and not others.
+    pub divergent: u64,
+    /// Rounds that a killed node took part in, or may have: its last words are missing.
+    pub unknown: u64,
+    /// Rounds that the end of the run cut short; not among `rounds`.
+    pub unfinished: u64,
+    /// Releases in a round that not all members had announced.
+    pub false_releases: u64,
+    /// The time between the first and the last member's start, in microseconds, of the rounds that released all;
+    /// `None` without any.
+    pub start_skew_us: Option<Spread>,
+}
+
+/// How values are spread.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Spread {
+    /// Half are no larger.
+    pub p50: u64,
+    /// 99 of 100 are no larger.
+    pub p99: u64,
+    /// None is larger.
+    pub max: u64,
+}
+
+impl Spread {
+    /// The spread of some values; `None` of no values.
+    pub fn of(mut values: Vec<u64>) -> Option<Self> {
+        values.sort_unstable();
+        let max = *values.last()?;
+        // The nearest rank: the least value that so many per cent of all are not above.
+        let rank = |percent: usize| values[(values.len() * percent).div_ceil(100).max(1) - 1];
+        Some(Self { p50: rank(50), p99: rank(99), max })
+    }
+}
+
+impl Tally {
+    /// Nothing yet, of a waitfor of these tasks (at most 64).
+    pub fn new(members: impl IntoIterator<Item = TaskId>) -> Self {
+        let member = |task| Member { task, last: 0, announced: i64::MIN, died: None, untold: false };
+        Self { members: members.into_iter().map(member).collect(), rounds: BTreeMap::new() }
+    }
+
+    /// Takes in what a member said. Each member's own words come in their order.
+    pub fn take(&mut self, event: &Event) {
+        let Some(place) = self.place(event.task) else { return };
+        let member = &mut self.members[place];
+        let round = member.count_on(event.round);
+        if event.what == What::Announced {
+            member.announced = member.announced.max(round);
+        }
+        let meeting = self.rounds.entry(round).or_insert(Meeting {
+            announced: 0,
+            released: 0,
+            gave_up: 0,
+            begun: event.at,
+            first_start: u64::MAX,
+            last_start: 0,
+        });
+        meeting.begun = meeting.begun.min(event.at);
+        let bit = 1 << place;
+        match event.what {
+            What::Announced => meeting.announced |= bit,
+            What::GaveUp { .. } => meeting.gave_up |= bit,
+            What::Released => {
+                meeting.released |= bit;
+                meeting.first_start = meeting.first_start.min(event.at);
+                meeting.last_start = meeting.last_start.max(event.at);
+            }
+        }
+    }
+
+    /// The member's node was killed.
+    pub fn died(&mut self, task: TaskId, at: u64) {
+        if let Some(place) = self.place(task) {
+            self.members[place].died.get_or_insert(at);
+        }
+    }
+
+    /// Some of the member's announcements are missing.
+    pub fn untold(&mut self, task: TaskId) {
+        if let Some(place) = self.place(task) {
+            self.members[place].untold = true;
+        }
+    }
+
+    /// How many rounds have released everybody so far.
+    pub fn released(&self) -> u64 {
+        let all = self.all();
+        self.rounds.values().filter(|m| m.released == all).count() as u64
+    }
+
+    /// What came of all rounds.
+    pub fn rounds(&self) -> Rounds {
+        let mut sum = Rounds::default();
+        let mut skews = Vec::new();
+        for (&round, meeting) in &self.rounds {
+            sum.false_releases += self.false_releases(meeting);
+            match self.end(round, meeting) {
+                Some(End::Released) => {
+                    sum.released += 1;
+                    skews.push(meeting.last_start - meeting.first_start);
+                }
+                Some(End::TimedOut) => sum.timed_out += 1,
+                Some(End::Divergent) => sum.divergent += 1,
+                Some(End::Unknown) => sum.unknown += 1,
+                Some(End::Unfinished) => sum.unfinished += 1,
+                None => {}
+            }
+        }
+        sum.rounds = sum.released + sum.timed_out + sum.divergent + sum.unknown;
+        sum.start_skew_us = Spread::of(skews);
+        sum
+    }
+
+    fn place(&self, task: TaskId) -> Option<usize> {
+        self.members.iter().position(|m| m.task == task)
+    }
+
+    fn all(&self) -> u64 {
+        u64::MAX >> (64 - self.members.len().clamp(1, 64))
+    }
+
+    /// The members of whom it is not known what they did in this round: their nodes were killed after it began.
+    fn silenced(&self, meeting: &Meeting) -> u64 {
+        let spoken = meeting.released | meeting.gave_up;
+        let silent = |(place, member): (usize, &Member)| {
+            let died = member.died.is_some_and(|died| meeting.begun <= died);
+            if died && spoken & 1 << place == 0 { 1 << place } else { 0 }
+        };
+        self.members.iter().enumerate().map(silent).fold(0, |set, bit: u64| set | bit)
+    }
+
+    fn false_releases(&self, meeting: &Meeting) -> u64 {
+        let untold = |(place, member): (usize, &Member)| if member.untold { 1 << place } else { 0 };
+        let unheard = self.members.iter().enumerate().map(untold).fold(0, |set, bit: u64| set | bit);
+        let absent = self.all() & !meeting.announced & !unheard & !self.silenced(meeting);
+        let falsely = |place: usize| meeting.released & 1 << place != 0 && absent & !(1 << place) != 0;
+        (0..self.members.len()).filter(|&place| falsely(place)).count() as u64
+    }
+
+    /// What came of a round; `None` where those who announced it went on to another one together.
+    fn end(&self, round: i64, meeting: &Meeting) -> Option<End> {
+        let (all, silenced) = (self.all(), self.silenced(meeting));
+        let missing = all & !meeting.released;
+        if missing == 0 {
+            return Some(End::Released);
+        }
+        if meeting.released == 0 {
+            return match (meeting.gave_up, silenced) {
+                (0, 0) if self.moved_on(round, meeting.announced) => None,
+                (0, _) => Some(End::Unfinished),
+                (_, 0) => Some(End::TimedOut),
+                (_, _) => Some(End::Unknown),
+            };
+        }
+        let told = missing & !silenced;
+        if told == 0 {
+            Some(End::Unknown)
+        } else if meeting.gave_up & told != 0 || self.moved_on(round, told) || self.buried(meeting, told) {
+            Some(End::Divergent)
+        } else {
+            Some(End::Unfinished)
+        }
+    }
+
+    /// Whether one of these members has announced a later round.
+    fn moved_on(&self, round: i64, of: u64) -> bool {
+        self.members.iter().enumerate().any(|(place, m)| of & 1 << place != 0 && m.announced > round)
+    }
+
+    /// Whether one of these members was dead before the round began.
+    fn buried(&self, meeting: &Meeting, of: u64) -> bool {
+        let dead = |m: &Member| m.died.is_some_and(|died| died < meeting.begun);
+        self.members.iter().enumerate().any(|(place, m)| of & 1 << place != 0 && dead(m))
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum End {
+    Released,
+    TimedOut,
+    Divergent,
+    Unknown,
+    Unfinished,
+}
+
+impl Member {
+    /// Counts a round on from the last one, across the wrap: the nearer way round.
+    fn count_on(&mut self, round: Round) -> i64 {
+        let last = Round(self.last.rem_euclid(1 << 16) as u16);
+        let (ahead, behind) = (round.steps_from(last), last.steps_from(round));
+        self.last += if ahead <= behind { i64::from(ahead) } else { -i64::from(behind) };
+        self.last
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use imrs_protocol::PortId;
+
+    const GAVE_UP: What = What::GaveUp { waited: 200, missing: 4 };
+
+    fn tally(events: &[(u64, u16, u16, What)]) -> Tally {
+        let mut tally = Tally::new([TaskId(0), TaskId(1), TaskId(2)]);
+        for &(at, task, round, what) in events {
+            let (task, round) = (TaskId(task), Round(round));
+            tally.take(&Event { at, task, port: PortId(0), round, what });
+        }
+        tally
+    }
+
+    fn all_announce(at: u64, round: u16) -> Vec<(u64, u16, u16, What)> {
+        (0..3).map(|task| (at, task, round, What::Announced)).collect()
+    }
+
+    #[test]
+    fn a_round_that_releases_all_counts_its_skew() {
+        let mut events = all_announce(5, 1);
+        events.extend([(10, 0, 1, What::Released), (14, 2, 1, What::Released), (11, 1, 1, What::Released)]);
+        let rounds = tally(&events).rounds();
+        let skew = Some(Spread { p50: 4, p99: 4, max: 4 });
+        assert_eq!(rounds, Rounds { rounds: 1, released: 1, start_skew_us: skew, ..Rounds::default() });
+    }
+
+    #[test]
+    fn a_round_that_releases_nobody_has_timed_out() {
+        let events = [
+            (5, 0, 1, What::Announced),
+            (6, 1, 1, What::Announced),
+            (205, 0, 1, GAVE_UP),
+            (206, 1, 1, GAVE_UP),
+        ];
+        assert_eq!(tally(&events).rounds(), Rounds { rounds: 1, timed_out: 1, ..Rounds::default() });
+    }
+
+    #[test]
+    fn a_release_that_some_miss_is_divergent() {
+        let mut events = all_announce(5, 1);
+        events.extend([(10, 0, 1, What::Released), (11, 1, 1, What::Released), (205, 2, 1, GAVE_UP)]);
+        assert_eq!(tally(&events).rounds(), Rounds { rounds: 1, divergent: 1, ..Rounds::default() });
+        // It went on to a fresher round instead.
+        events.pop();
+        events.push((50, 2, 2, What::Announced));
+        let rounds = tally(&events).rounds();
+        assert_eq!((rounds.divergent, rounds.unfinished), (1, 1));
+    }
+
+    #[test]
+    fn a_release_without_an_announcement_is_false() {
+        let events = [
+            (5, 0, 1, What::Announced),
+            (5, 1, 1, What::Announced),
+            (9, 0, 1, What::Released),
+            (9, 1, 1, What::Released),
+        ];
+        assert_eq!(tally(&events).rounds().false_releases, 2);
+        let mut unheard = tally(&events);
+        unheard.untold(TaskId(2));
+        assert_eq!(unheard.rounds().false_releases, 0);
+        // Nor is anything known of a node that was killed meanwhile; but one killed before cannot have announced it.
+        let mut killed = tally(&events);
+        killed.died(TaskId(2), 7);
+        assert_eq!(killed.rounds(), Rounds { rounds: 1, unknown: 1, ..Rounds::default() });
+        let mut killed = tally(&events);
+        killed.died(TaskId(2), 4);
+        assert_eq!(
+            killed.rounds(),
+            Rounds { rounds: 1, divergent: 1, false_releases: 2, ..Rounds::default() }
+        );
+    }
+
+    #[test]
+    fn what_a_killed_node_did_last_is_unknown_and_later_it_did_nothing() {
+        let events = [
+            (5, 0, 1, What::Announced),
+            (5, 1, 1, What::Announced),
+            (205, 0, 1, GAVE_UP),
+            (205, 1, 1, GAVE_UP),
+            (300, 0, 2, What::Announced),
+            (500, 0, 2, GAVE_UP),
+        ];
+        let mut tally = tally(&events);
+        tally.died(TaskId(2), 100);
+        assert_eq!(tally.rounds(), Rounds { rounds: 2, timed_out: 1, unknown: 1, ..Rounds::default() });
+    }
+
+    #[test]
+    fn rounds_that_nobody_waited_out_are_no_rounds() {
+        // Both went on to the round that others wait in.
+        let events = [(5, 0, 1, What::Announced), (9, 0, 2, What::Announced), (205, 0, 2, GAVE_UP)];
+        assert_eq!(tally(&events).rounds(), Rounds { rounds: 1, timed_out: 1, ..Rounds::default() });
+        // The end of the run.
+        let mut events = all_announce(5, 1);
+        events.push((9, 1, 1, What::Released));
+        assert_eq!(tally(&events).rounds(), Rounds { unfinished: 1, ..Rounds::default() });
+    }
+
+    #[test]
+    fn rounds_are_counted_on_across_the_wrap() {
+        let mut tally = Tally::new([TaskId(0), TaskId(1)]);
+        for step in 1..=70_000_u32 {
+            let round = Round((step % (1 << 16)) as u16);
+            for what in [What::Announced, What::Released] {
+                for task in [TaskId(0), TaskId(1)] {
+                    tally.take(&Event { at: u64::from(step), task, port: PortId(0), round, what });
+                }
+            }
+        }
+        assert_eq!((tally.rounds().released, tally.rounds().rounds), (70_000, 70_000));
+    }
+
+    #[test]
+    fn percentiles_are_values_that_occurred() {
+        assert_eq!(Spread::of(Vec::new()), None);
+        assert_eq!(Spread::of(vec![3]), Some(Spread { p50: 3, p99: 3, max: 3 }));
+        let hundred = Spread::of((1..=100).rev().collect());
+        assert_eq!(hundred, Some(Spread { p50: 50, p99: 99, max: 100 }));
+    }
+}

@@ -1,0 +1,88 @@
+//! How the command ends: its exit codes, and the errors that lead to them.
+
+use std::io;
+use std::process::ExitCode;
+
+/// The exit codes of every verb.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Exit {
+    /// All well.
+    Well = 0,
+    /// A finding: a claim came out otherwise than expected, a run broke a promise.
+    Finding = 1,
+    /// Bad input or usage.
+    Usage = 2,
+    /// Nothing to attach to.
+    Nothing = 3,
+    /// Out of the given budget, with a partial answer.
+    Budget = 4,
+    /// A fault of this program.
+    Internal = 70,
+}
+
+impl From<Exit> for ExitCode {
+    fn from(exit: Exit) -> Self {
+        Self::from(exit as u8)
+    }
+}
+
+/// What keeps the command from doing what it was asked to.
+#[derive(Debug, thiserror::Error)]
+pub enum Failure {
+    /// An argument names something that is not there, or does not fit the others.
+    #[error("{0}")]
+    Usage(String),
+    /// Standard output cannot be written to.
+    #[error("cannot write the answer: {0}")]
+    Output(io::Error),
+    /// The demo could not be carried out.
+    #[error(transparent)]
+    Demo(#[from] crate::demo::DemoError),
+    /// A node of a demo could not do its part.
+    #[error(transparent)]
+    Node(#[from] crate::demo::NodeError),
+    /// The recording cannot be replayed.
+    #[error(transparent)]
+    Replay(#[from] crate::replay::ReplayError),
+    /// The monitor could not do its work.
+    #[error(transparent)]
+    Monitor(#[from] imrs_monitor::MonitorError),
+}
+
+impl Failure {
+    /// The exit code it leads to.
+    pub fn exit(&self) -> Exit {
+        match self {
+            Self::Usage(_) | Self::Output(_) | Self::Replay(_) => Exit::Usage,
+            Self::Demo(error) => error.exit(),
+            Self::Node(_) => Exit::Internal,
+            Self::Monitor(error) => match error.exit_code() {
+                2 => Exit::Usage,
+                3 => Exit::Nothing,
+                _ => Exit::Internal,
+            },
+        }
+    }
+}
+
+/// Of `names`, the one most like `wanted`, as the end of an error message: ": did you mean `x`?", or all of them.
+pub fn did_you_mean<'a>(wanted: &str, names: impl IntoIterator<Item = &'a str>) -> String {
+    let names: Vec<&str> = names.into_iter().collect();
+    let likeness = |name: &&&str| (strsim::jaro_winkler(wanted, name) * 1000.0).round() as u32;
+    match names.iter().max_by_key(likeness).filter(|best| likeness(best) > 700) {
+        Some(best) => format!(": did you mean `{best}`?"),
+        None => format!(": there are {}", names.join(", ")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_slip_is_recognised_and_anything_else_gets_the_list() {
+        let names = ["no-false-release", "pairing", "at-most-once"];
+        assert_eq!(did_you_mean("no-false-relese", names), ": did you mean `no-false-release`?");
+        assert_eq!(did_you_mean("xyz", names), ": there are no-false-release, pairing, at-most-once");
+    }
+}

@@ -1,0 +1,120 @@
+//! What goes to standard output: plain where nobody looks, coloured for a person, quiet once the reader has gone.
+
+use crate::args::Color;
+use crate::exit::Failure;
+use anstream::AutoStream;
+use anstyle::{AnsiColor, Style};
+use std::fmt::{self, Display};
+use std::io::{self, Stdout, Write};
+
+/// Good, with a word that says so.
+pub const GOOD: Style = AnsiColor::Green.on_default().bold();
+/// Bad, with a word that says so.
+pub const BAD: Style = AnsiColor::Red.on_default().bold();
+/// Worth a look.
+pub const NOTE: Style = AnsiColor::Yellow.on_default();
+/// Headings.
+pub const HEAD: Style = Style::new().bold();
+/// Less important.
+pub const FAINT: Style = Style::new().dimmed();
+
+/// Standard output.
+pub struct Output {
+    stream: AutoStream<Stdout>,
+    /// The reader has gone: there is nobody to tell.
+    closed: bool,
+}
+
+impl Output {
+    /// Standard output with colour as asked for.
+    pub fn new(color: Color) -> Self {
+        Self { stream: AutoStream::new(io::stdout(), color.into()), closed: false }
+    }
+
+    /// Writes a line. A reader that has gone (`imrs verify | head`) is no error.
+    ///
+    /// # Errors
+    /// [`Failure::Output`].
+    pub fn line(&mut self, line: impl Display) -> Result<(), Failure> {
+        if self.closed {
+            return Ok(());
+        }
+        match writeln!(self.stream, "{line}").and_then(|()| self.stream.flush()) {
+            Ok(()) => Ok(()),
+            Err(error) if error.kind() == io::ErrorKind::BrokenPipe => {
+                self.closed = true;
+                Ok(())
+            }
+            Err(error) => Err(Failure::Output(error)),
+        }
+    }
+
+    /// Writes a value as one line of JSON.
+    ///
+    /// # Errors
+    /// [`Failure::Output`].
+    pub fn json(&mut self, value: &impl serde::Serialize) -> Result<(), Failure> {
+        let text = serde_json::to_string(value).map_err(|e| Failure::Output(e.into()))?;
+        self.line(text)
+    }
+}
+
+/// Text in a style. Padding and alignment count the text alone.
+pub struct Styled<T>(pub Style, pub T);
+
+impl<T: Display> Display for Styled<T> {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}", self.0.render())?;
+        self.1.fmt(f)?;
+        write!(f, "{}", self.0.render_reset())
+    }
+}
+
+/// A whole number with its thousands apart: `1,234,567`.
+pub fn grouped(number: u64) -> String {
+    let digits = number.to_string();
+    let mut out = String::with_capacity(digits.len() + digits.len() / 3);
+    for (i, digit) in digits.chars().enumerate() {
+        if i > 0 && (digits.len() - i).is_multiple_of(3) {
+            out.push(',');
+        }
+        out.push(digit);
+    }
+    out
+}
+
+/// A length of time in microseconds, as a person says it: `370 us`, `4.2 ms`, `1.50 s`.
+pub fn span(us: u64) -> String {
+    match us {
+        0..1_000 => format!("{us} us"),
+        1_000..100_000 => format!("{}.{} ms", us / 1_000, us % 1_000 / 100),
+        100_000..1_000_000 => format!("{} ms", us / 1_000),
+        _ => format!("{}.{:02} s", us / 1_000_000, us % 1_000_000 / 10_000),
+    }
+}
+
+/// `1 round`, `2 rounds`.
+pub fn count(number: u64, one: &str) -> String {
+    let plural = if number == 1 { "" } else { "s" };
+    format!("{} {one}{plural}", grouped(number))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_are_easy_to_read() {
+        let shown: Vec<_> = [0, 999, 1_000, 1_234_567].into_iter().map(grouped).collect();
+        assert_eq!(shown, ["0", "999", "1,000", "1,234,567"]);
+        let shown: Vec<_> = [7, 4_270, 200_300, 1_509_000].into_iter().map(span).collect();
+        assert_eq!(shown, ["7 us", "4.2 ms", "200 ms", "1.50 s"]);
+        assert_eq!((count(1, "round"), count(2_000, "round")), ("1 round".into(), "2,000 rounds".into()));
+    }
+
+    #[test]
+    fn padding_does_not_count_the_escapes() {
+        assert_eq!(format!("{:>6}|", Styled(Style::new(), "ok")), "    ok|");
+        assert!(format!("{:<4}|", Styled(GOOD, "ok")).contains("ok  "));
+    }
+}

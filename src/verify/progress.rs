@@ -1,0 +1,70 @@
+//! What a person sees while claims are checked: one line for each that is being checked now, on standard error.
+
+use crate::args::Format;
+use crate::output::grouped;
+use imrs_model::{Progress, Verdict};
+use indicatif::{MultiProgress, ProgressBar, ProgressDrawTarget};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::Duration;
+
+/// Lines on standard error where it is a terminal; nothing where it is not.
+pub struct Lines {
+    all: MultiProgress,
+    running: Mutex<Vec<Line>>,
+}
+
+/// A claim under one rule that is being checked.
+struct Line {
+    name: String,
+    title: String,
+    bar: ProgressBar,
+}
+
+impl Lines {
+    /// No lines yet.
+    pub fn new(format: Format) -> Self {
+        let target = match format {
+            Format::Text => ProgressDrawTarget::stderr_with_hz(5),
+            Format::Json => ProgressDrawTarget::hidden(),
+        };
+        Self { all: MultiProgress::with_draw_target(target), running: Mutex::default() }
+    }
+
+    /// Takes all lines away.
+    pub fn clear(&self) {
+        // A terminal that cannot be cleared keeps its lines.
+        let _ = self.all.clear();
+    }
+
+    fn running(&self) -> MutexGuard<'_, Vec<Line>> {
+        self.running.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+fn title(name: &str, rule: &str, parties: u32) -> String {
+    format!("{name} ({rule}, n={parties})")
+}
+
+impl Progress for Lines {
+    fn started(&self, name: &str, rule: &str, parties: u32) {
+        let title = title(name, rule, parties);
+        let bar = self.all.add(ProgressBar::new_spinner().with_message(title.clone()));
+        bar.enable_steady_tick(Duration::from_millis(200));
+        self.running().push(Line { name: name.to_owned(), title, bar });
+    }
+
+    fn states(&self, name: &str, states: u64) {
+        // Of several rules of a claim, the one that began last.
+        if let Some(line) = self.running().iter().rev().find(|line| line.name == name) {
+            line.bar.set_message(format!("{}: {} states", line.title, grouped(states)));
+        }
+    }
+
+    fn finished(&self, verdict: &Verdict) {
+        let done = title(&verdict.name, &verdict.rule, verdict.parties);
+        let mut running = self.running();
+        if let Some(at) = running.iter().position(|line| line.title == done) {
+            running.swap_remove(at).bar.finish_and_clear();
+        }
+    }
+}

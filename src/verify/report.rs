@@ -1,0 +1,200 @@
+//! The verdicts, as a person reads them.
+
+use crate::exit::Failure;
+use crate::output::{BAD, FAINT, GOOD, HEAD, NOTE, Output, Styled, grouped};
+use imrs_model::{Outcome, Report, Verdict};
+use std::collections::BTreeSet;
+use std::time::Duration;
+
+/// The claim whose figures make a table of their own.
+const UNDER_LOSS: &str = "rendezvous-under-loss";
+/// How many lines from the beginning of a counterexample are shown unless its claim was asked for.
+const CHART_HEAD: usize = 6;
+/// How many from its end, where it says what is wrong.
+const CHART_TAIL: usize = 3;
+
+/// Shows a report. `in_full` shows counterexamples from beginning to end.
+///
+/// # Errors
+/// [`Failure::Output`].
+pub fn show(report: &Report, in_full: bool, took: Duration, out: &mut Output) -> Result<(), Failure> {
+    table(report, out)?;
+    rules_under_loss(report, out)?;
+    margins(report, out)?;
+    counterexamples(report, in_full, out)?;
+    surprises(report, out)?;
+    last_line(report, took, out)
+}
+
+fn word(outcome: Outcome) -> &'static str {
+    match outcome {
+        Outcome::Holds => "holds",
+        Outcome::Fails => "fails",
+        Outcome::Unknown => "unknown",
+    }
+}
+
+fn table(report: &Report, out: &mut Output) -> Result<(), Failure> {
+    let name = widest(report.claims.iter().map(|v| &v.name), "claim");
+    let rule = widest(report.claims.iter().map(|v| &v.rule), "rule");
+    let head = format!(
+        "{:<name$}  {:<rule$}  n  {:<22}  {:>11}  {:>8}",
+        "claim", "rule", "verdict", "states", "time"
+    );
+    out.line(Styled(HEAD, head))?;
+    let mut last = "";
+    for v in &report.claims {
+        let shown = if v.name == last { "" } else { &v.name };
+        last = &v.name;
+        out.line(format!(
+            "{shown:<name$}  {:<rule$}  {}  {}  {:>11}  {:>8}",
+            v.rule,
+            v.parties,
+            verdict_cell(v),
+            grouped(v.states),
+            format!("{:.2} s", v.seconds)
+        ))?;
+    }
+    out.line("")
+}
+
+/// The verdict against its expectation, 22 wide.
+fn verdict_cell(v: &Verdict) -> String {
+    let text = match (v.as_expected, v.outcome) {
+        (true, Outcome::Holds) => "holds",
+        (true, Outcome::Fails) => "fails, as it must",
+        (true, Outcome::Unknown) => "unknown, as expected",
+        (false, Outcome::Unknown) => "UNKNOWN: cut short",
+        (false, Outcome::Holds) => "HOLDS: should fail",
+        (false, Outcome::Fails) => "FAILS: should hold",
+    };
+    let style = match (v.as_expected, v.outcome) {
+        (true, Outcome::Holds) => GOOD,
+        (true, _) => FAINT,
+        (false, Outcome::Unknown) => NOTE,
+        (false, _) => BAD,
+    };
+    Styled(style, format!("{text:<22}")).to_string()
+}
+
+fn widest<'a>(names: impl Iterator<Item = &'a String>, head: &str) -> usize {
+    names.map(String::len).chain([head.len()]).max().unwrap_or(0)
+}
+
+/// The least number of lost packets that strands a member: by rule of confirmation and number of members.
+fn rules_under_loss(report: &Report, out: &mut Output) -> Result<(), Failure> {
+    let of: Vec<&Verdict> = report.claims.iter().filter(|v| v.name == UNDER_LOSS).collect();
+    let sizes: BTreeSet<u32> = of.iter().map(|v| v.parties).collect();
+    let mut rules: Vec<&str> = Vec::new();
+    for v in &of {
+        if !rules.contains(&v.rule.as_str()) {
+            rules.push(&v.rule);
+        }
+    }
+    if rules.is_empty() {
+        return Ok(());
+    }
+    let width = widest(of.iter().map(|v| &v.rule), "rule");
+    let number = |n: Option<u32>| n.map_or_else(|| "-".to_owned(), |n| n.to_string());
+    out.line("Least number of lost packets that leaves a member waiting after all have arrived:")?;
+    let columns =
+        |what: &str| sizes.iter().map(|n| format!("{:>8}", format!("{what}{n}"))).collect::<String>();
+    let head = format!("  {:<width$}  {}   re-sending:{}", "rule", columns("n="), columns("n="));
+    out.line(Styled(HEAD, head))?;
+    for rule in rules {
+        let found = |n: u32| of.iter().find(|v| v.rule == rule && v.parties == n).map(|v| &v.found);
+        let cells = |pick: fn(&imrs_model::Found) -> Option<u32>| {
+            sizes.iter().map(|&n| format!("{:>8}", number(found(n).and_then(pick)))).collect::<String>()
+        };
+        let once = cells(|f| f.least_losses_to_strand);
+        let again = cells(|f| f.least_losses_with_resending);
+        out.line(format!("  {rule:<width$}  {once}              {again}"))?;
+    }
+    out.line("")
+}
+
+fn margins(report: &Report, out: &mut Output) -> Result<(), Failure> {
+    let mut any = false;
+    for v in &report.claims {
+        let f = &v.found;
+        let mut parts = Vec::new();
+        if let Some(least) = f.least_safe_margin {
+            let closed = f.closed_form_margin.map_or_else(String::new, |c| {
+                format!("; the closed form gives {c}, so {} more than needed", c.saturating_sub(least))
+            });
+            parts.push(format!("least margin that holds: {least} ticks{closed}"));
+        }
+        if let Some(bound) = f.bound_ticks {
+            parts.push(format!("bound: {bound} ticks"));
+        }
+        if let Some(attempts) = f.attempts {
+            parts.push(format!("within {attempts} attempts"));
+        }
+        if !parts.is_empty() {
+            any = true;
+            out.line(format!("{} ({}, n={}): {}", v.name, v.rule, v.parties, parts.join("; ")))?;
+        }
+    }
+    if any { out.line("") } else { Ok(()) }
+}
+
+/// The shortest schedule that breaks each failing variant.
+fn counterexamples(report: &Report, in_full: bool, out: &mut Output) -> Result<(), Failure> {
+    for v in &report.claims {
+        let Some(counterexample) = &v.counterexample else { continue };
+        // The table of rules says it all, unless it was asked for.
+        if v.name == UNDER_LOSS && !in_full && v.as_expected {
+            continue;
+        }
+        let title = format!(
+            "{} fails with {} (n={}), in {} steps:",
+            v.name, v.rule, v.parties, counterexample.length
+        );
+        out.line(Styled(if v.as_expected { HEAD } else { BAD }, title))?;
+        if !v.about.is_empty() {
+            out.line(format!("  {}", v.about))?;
+        }
+        let chart: Vec<&str> = counterexample.chart.lines().collect();
+        let (head, tail) = if in_full || chart.len() <= CHART_HEAD + CHART_TAIL + 1 {
+            (chart.len(), 0)
+        } else {
+            (CHART_HEAD, CHART_TAIL)
+        };
+        for line in &chart[..head] {
+            out.line(format!("  {line}"))?;
+        }
+        if head < chart.len() {
+            let more = chart.len() - head - tail;
+            out.line(Styled(FAINT, format!("  ... {more} more lines: imrs verify --claim {}", v.name)))?;
+        }
+        for line in &chart[chart.len() - tail..] {
+            out.line(format!("  {line}"))?;
+        }
+        out.line("")?;
+    }
+    Ok(())
+}
+
+fn surprises(report: &Report, out: &mut Output) -> Result<(), Failure> {
+    for v in report.claims.iter().filter(|v| !v.as_expected) {
+        let what = format!(
+            "{} ({}, n={}): expected {}, found {}",
+            v.name,
+            v.rule,
+            v.parties,
+            word(v.expect),
+            word(v.outcome)
+        );
+        let why = if v.complete { "" } else { "; the search was cut short, raise --memory" };
+        out.line(format!("{} {what}{why}", Styled(BAD, "NOT AS EXPECTED:")))?;
+    }
+    Ok(())
+}
+
+fn last_line(report: &Report, took: Duration, out: &mut Output) -> Result<(), Failure> {
+    let (all, good) = (report.claims.len(), report.claims.iter().filter(|v| v.as_expected).count());
+    let states: u64 = report.claims.iter().map(|v| v.states).sum();
+    let style = if good == all { GOOD } else { BAD };
+    let what = Styled(style, format!("{good} of {all} as expected"));
+    out.line(format!("{what}, {} states in {:.1} s", grouped(states), took.as_secs_f64()))
+}

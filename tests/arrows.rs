@@ -1,0 +1,106 @@
+//! Who may import whom: the picture of ARCHITECTURE.md, checked against what cargo knows.
+
+use serde_json::Value;
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::Path;
+use std::process::Command;
+
+const ROOT: &str = env!("CARGO_MANIFEST_DIR");
+
+/// By package of this workspace: the names of what it imports, and of what its tests import besides.
+fn imports() -> BTreeMap<String, (BTreeSet<String>, BTreeSet<String>)> {
+    let output = Command::new(env!("CARGO"))
+        .args(["metadata", "--format-version", "1", "--no-deps", "--offline"])
+        .current_dir(ROOT)
+        .output()
+        .expect("cargo metadata");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let metadata: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    let mut packages = BTreeMap::new();
+    for package in metadata["packages"].as_array().expect("packages") {
+        let of_kind = |dev: bool| {
+            let dependencies = package["dependencies"].as_array().expect("dependencies").iter();
+            let wanted = dependencies.filter(|d| (d["kind"] == "dev") == dev);
+            wanted.map(|d| d["name"].as_str().expect("a name").to_owned()).collect()
+        };
+        let name = package["name"].as_str().expect("a name").to_owned();
+        packages.insert(name, (of_kind(false), of_kind(true)));
+    }
+    packages
+}
+
+#[test]
+fn the_rooms_import_each_other_only_along_the_arrows() {
+    let allowed: BTreeMap<&str, &[&str]> = BTreeMap::from([
+        ("imrs-protocol", &[][..]),
+        ("imrs-wire", &["imrs-protocol"][..]),
+        ("imrs-model", &["imrs-protocol", "imrs-wire"][..]),
+        ("imrs-runtime", &["imrs-protocol", "imrs-wire"][..]),
+        ("imrs-monitor", &["imrs-protocol", "imrs-wire"][..]),
+        ("imrs", &["imrs-protocol", "imrs-wire", "imrs-model", "imrs-runtime", "imrs-monitor"][..]),
+    ]);
+    let imports = imports();
+    for (package, (normal, dev)) in &imports {
+        let Some(allowed) = allowed.get(package.as_str()) else {
+            panic!("`{package}` is new here: say in ARCHITECTURE.md and in this test what it may import")
+        };
+        for name in normal.iter().chain(dev).filter(|name| imports.contains_key(*name)) {
+            assert!(allowed.contains(&name.as_str()), "{package} must not import {name}");
+        }
+    }
+}
+
+#[test]
+fn heavy_libraries_stay_in_their_rooms() {
+    for (package, (normal, dev)) in imports() {
+        for (library, room) in [
+            ("stateright", "imrs-model"),
+            ("ratatui", "imrs-monitor"),
+            ("crossterm", "imrs-monitor"),
+            ("clap", "imrs"),
+            ("indicatif", "imrs"),
+        ] {
+            let uses = normal.contains(library) || dev.contains(library);
+            assert!(!uses || package == room, "{library} in {package}: it belongs in {room}");
+        }
+        assert!(!normal.contains("loom"), "{package}: loom is for tests");
+        assert!(
+            !dev.contains("loom") || package == "imrs-runtime",
+            "{package}: loom is for the runtime's tests"
+        );
+    }
+}
+
+#[test]
+fn robots_carry_no_model_checker_and_no_screen() {
+    let output = Command::new(env!("CARGO"))
+        .args(["tree", "-p", "imrs-runtime", "-e", "normal,build", "--prefix", "none", "--offline"])
+        .current_dir(ROOT)
+        .output()
+        .expect("cargo tree");
+    let tree = String::from_utf8_lossy(&output.stdout);
+    assert!(
+        output.status.success() && tree.contains("imrs-protocol"),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+    for line in tree.lines() {
+        let name = line.split(' ').next().unwrap_or_default();
+        for absent in ["stateright", "ratatui", "crossterm", "clap", "loom", "imrs-model", "imrs-monitor"] {
+            assert_ne!(name, absent, "imrs-runtime brings {absent} along");
+        }
+    }
+}
+
+#[test]
+fn the_protocol_stands_alone() {
+    let (normal, _) = &imports()["imrs-protocol"];
+    assert!(normal.len() <= 3, "the protocol's dependencies: {normal:?}");
+    let source = fs::read_to_string(Path::new(ROOT).join("protocol/src/lib.rs")).expect("its source");
+    assert!(source.contains("#![no_std]") && source.contains("#![forbid(unsafe_code)]"));
+    for room in ["model", "monitor"] {
+        let source = fs::read_to_string(Path::new(ROOT).join(room).join("src/lib.rs")).expect("its source");
+        assert!(source.contains("#![forbid(unsafe_code)]"), "{room} needs no unsafe code");
+    }
+}

@@ -1,0 +1,275 @@
+//! What is said after the handshake.
+
+use super::decode::{DecodeError, whole};
+use imrs_protocol::{
+    CellTable, Class, NodeId, Observation, TaskId, TaskView, Ticks, TimeId, TransitView, Usage,
+};
+use serde::{Deserialize, Serialize};
+
+/// A node of the cell; [`NodeId`] is the position in [`Table::nodes`].
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct NodeName {
+    /// Its name.
+    pub name: String,
+}
+
+/// A declared link.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LinkName {
+    /// One end.
+    pub a: NodeId,
+    /// The other end.
+    pub b: NodeId,
+    /// The declared bound of its delay (D20).
+    pub delay: Ticks,
+}
+
+/// A task; [`TaskId`] is the position in [`Table::tasks`].
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct TaskName {
+    /// Its name.
+    pub name: String,
+    /// Where it runs.
+    pub node: NodeId,
+}
+
+/// One end of a port.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PartyName {
+    /// The task.
+    pub task: TaskId,
+    /// What it does with the port.
+    pub usage: Usage,
+    /// Its time_out.
+    pub time_out: Ticks,
+}
+
+/// A port; [`PortId`](imrs_protocol::PortId) is the position in [`Table::ports`].
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct PortName {
+    /// Its name.
+    pub name: String,
+    /// Its class.
+    pub class: Class,
+    /// `bounded_buffer`.
+    pub capacity: u16,
+    /// The margin of a `waitfor` (D2); zero on other ports.
+    pub margin: Ticks,
+    /// Owner first, then the users; of a `waitfor`, all members.
+    pub parties: Vec<PartyName>,
+}
+
+/// The names and declared bounds of the whole cell. Sent once, before anything refers to it.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Table {
+    /// The name of the cell.
+    pub cell: String,
+    /// The declared lateness of timers.
+    pub tick: Ticks,
+    /// The nodes.
+    pub nodes: Vec<NodeName>,
+    /// The links.
+    pub links: Vec<LinkName>,
+    /// The tasks.
+    pub tasks: Vec<TaskName>,
+    /// The ports.
+    pub ports: Vec<PortName>,
+}
+
+impl Table {
+    /// What a monitor needs to know of `table`.
+    #[must_use]
+    pub fn of(table: &CellTable) -> Self {
+        let cell = table.cell();
+        let port = |port: &imrs_protocol::Port| PortName {
+            name: port.decl.name.clone(),
+            class: port.decl.class,
+            capacity: port.decl.bounded_buffer,
+            margin: port.margin,
+            parties: (port.parties.iter())
+                .map(|p| PartyName { task: p.task, usage: p.usage, time_out: p.time_out })
+                .collect(),
+        };
+        Self {
+            cell: cell.name.clone(),
+            tick: cell.tick,
+            nodes: cell.nodes.iter().map(|n| NodeName { name: n.name.clone() }).collect(),
+            links: cell.links.iter().map(|l| LinkName { a: l.a, b: l.b, delay: l.delay }).collect(),
+            tasks: cell.tasks.iter().map(|t| TaskName { name: t.name.clone(), node: t.node }).collect(),
+            ports: table.ports().iter().map(port).collect(),
+        }
+    }
+}
+
+/// Whether a task still runs.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Liveness {
+    /// It runs or waits.
+    Alive,
+    /// It returned.
+    Ended,
+    /// It panicked (D43).
+    Crashed,
+}
+
+/// One task of the node and its communication task.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct TaskSnapshot {
+    /// Whether the task still runs.
+    pub liveness: Liveness,
+    /// How long before [`Snapshot::mono_us`] the communication task last advanced, in microseconds: every remaining
+    /// time in `view` was true then, and is shorter by this at the snapshot.
+    pub age_us: u64,
+    /// Its state; at most the subscribed number of messages per port.
+    pub view: TaskView,
+}
+
+/// An entry of the node's Timer (Figure 3).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct TimerEntry {
+    /// Whose it is.
+    pub owner: TaskId,
+    /// Its name at its owner.
+    pub id: TimeId,
+    /// What is left of it at the snapshot.
+    pub remaining: Ticks,
+}
+
+/// A named counter. It only grows while the node lives.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Count {
+    /// What is counted: snake_case, as [`Reason::name`](imrs_protocol::Reason::name).
+    pub name: String,
+    /// How many.
+    pub count: u64,
+}
+
+/// A link of the node to a neighbour.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct LinkView {
+    /// The neighbour.
+    pub peer: NodeId,
+    /// How long ago anything came from it, in microseconds; `None` before the first time.
+    pub heard_us: Option<u64>,
+    /// Packets sent to it.
+    pub sent: u64,
+    /// Packets taken from it.
+    pub received: u64,
+}
+
+/// The whole state of a node at one instant (a keyframe). Never longer than a frame: a node whose snapshot would be
+/// sends fewer messages per port.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Snapshot {
+    /// The node's monotonic clock at the sample, in microseconds, as in its hello.
+    pub mono_us: u64,
+    /// How long the node has run, in microseconds.
+    pub uptime_us: u64,
+    /// Whether packets travel without authentication.
+    pub insecure: bool,
+    /// Its tasks, ascending.
+    pub tasks: Vec<TaskSnapshot>,
+    /// Its transit buffer.
+    pub transit: TransitView,
+    /// How long before the sample the transit buffer last advanced, in microseconds; see [`TaskSnapshot::age_us`].
+    pub transit_age_us: u64,
+    /// Its Timer's entries.
+    pub timers: Vec<TimerEntry>,
+    /// Its links.
+    pub links: Vec<LinkView>,
+    /// Messages dropped by its machines, by reason; reasons that never occurred may be left out.
+    pub discards: Vec<Count>,
+    /// Datagrams and packets dropped by its links before they reached a machine, by reason.
+    pub link_discards: Vec<Count>,
+}
+
+/// Something that happened, as a communication task or the transit buffer observed it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct TimedEvent {
+    /// The node's monotonic clock then, in microseconds.
+    pub mono_us: u64,
+    /// Where: a task, or `None` for the transit buffer.
+    pub task: Option<TaskId>,
+    /// What.
+    pub what: Observation,
+}
+
+/// What happened since the last such frame, oldest first for each task.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Events {
+    /// How many more happened and could not be kept.
+    pub lost: u64,
+    /// Those that were kept.
+    pub events: Vec<TimedEvent>,
+}
+
+/// Why a node ends a connection in order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Goodbye {
+    /// The node stops.
+    Stopping,
+    /// The monitor sent something that is no [`ClientFrame`].
+    Misunderstood,
+}
+
+/// The last frame of a connection that ends in order.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Bye {
+    /// Why.
+    pub reason: Goodbye,
+}
+
+/// What a node says after the handshake.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum ServerFrame {
+    /// The cell, once.
+    Table(Table),
+    /// The state of the node.
+    Snapshot(Snapshot),
+    /// What happened.
+    Events(Events),
+    /// The end.
+    Bye(Bye),
+}
+
+impl ServerFrame {
+    /// The frame that `bytes` are.
+    ///
+    /// # Errors
+    /// [`DecodeError`]; after [`DecodeError::UnknownKind`] the next frame can still be read.
+    pub fn decode(bytes: &[u8]) -> Result<Self, DecodeError> {
+        whole(bytes, 4)
+    }
+}
+
+/// How much a monitor wants to see.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Subscribe {
+    /// Microseconds between snapshots. A node may take longer; it never takes less than 10 ms.
+    pub period_us: u32,
+    /// How many waiting messages of each port a snapshot lists; at most 64 are.
+    pub queue_limit: u8,
+    /// Whether events are wanted.
+    pub events: bool,
+    /// How many frames the node may send before it needs a [`ClientFrame::Credit`].
+    pub credit: u16,
+}
+
+/// What a monitor says after the handshake. Nothing here can change a node.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum ClientFrame {
+    /// Begins the snapshots, or changes what is wanted from now on. The credit replaces what was left.
+    Subscribe(Subscribe),
+    /// The node may send so many frames more. The sum saturates.
+    Credit(u16),
+}
+
+impl ClientFrame {
+    /// The frame that `bytes` are.
+    ///
+    /// # Errors
+    /// [`DecodeError`].
+    pub fn decode(bytes: &[u8]) -> Result<Self, DecodeError> {
+        whole(bytes, 2)
+    }
+}

@@ -1,0 +1,37 @@
+//! The observation protocol `imrs-obs/1`: how a running node shows itself to a monitor, a recorder or a test.
+//!
+//! # A connection
+//!
+//! 1. The monitor sends a [`Handshake::Hello`]. The node answers with its own, or with a [`Handshake::Refused`].
+//!    Both begin with the magic and the version at fixed places, so that programs of different major versions can
+//!    still name both versions to their users ([`DecodeError::OtherMajor`]). The minor version in use is the smaller
+//!    of the two ([`agree`]).
+//! 2. The node sends one [`ServerFrame::Table`]: the names that all later frames refer to by index.
+//! 3. The monitor sends [`ClientFrame::Subscribe`] and, from time to time, [`ClientFrame::Credit`].
+//! 4. The node sends [`ServerFrame::Snapshot`] once per period and [`ServerFrame::Events`] as they come. Each costs
+//!    one credit. Without credit the node sends nothing: it lets snapshots go by and counts the events it cannot
+//!    keep in [`Events::lost`], so a slow monitor costs a node a bounded amount of memory and no time.
+//! 5. Either side closes. A node that stops in order says [`ServerFrame::Bye`] first.
+//!
+//! No message can change a node: the only things a monitor can say are how much it wants to see, and how often.
+//!
+//! # Encoding
+//!
+//! A frame is its length (u32, little endian, at most [`MAX_FRAME`]) and that many bytes of postcard. postcard does
+//! not describe itself, so the types of one version never change: what is added comes as a further variant of
+//! [`ServerFrame`] or [`ClientFrame`] under a higher minor version, is sent only to a peer that speaks it, and reads
+//! as [`DecodeError::UnknownKind`] elsewhere. The golden bytes of each version are kept in `tests/obs_golden`.
+
+mod decode;
+mod frames;
+mod framing;
+mod handshake;
+pub mod place;
+
+pub use decode::DecodeError;
+pub use frames::{
+    Bye, ClientFrame, Count, Events, Goodbye, LinkName, LinkView, Liveness, NodeName, PartyName, PortName,
+    ServerFrame, Snapshot, Subscribe, Table, TaskName, TaskSnapshot, TimedEvent, TimerEntry,
+};
+pub use framing::{FrameError, FrameReader, FrameWriter, MAX_FRAME, MAX_REQUEST};
+pub use handshake::{Handshake, Hello, NodeIdentity, Refusal, Role, SCHEMA, VERSION, Version, agree};

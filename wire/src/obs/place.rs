@@ -1,0 +1,190 @@
+//! Where nodes put their sockets and monitors look for them (D64): `<base>/<cell>/<node>-<pid>.sock`.
+//!
+//! The base is `$XDG_RUNTIME_DIR/imrs`, or else `imrs-<uid>` in the folder for temporary files. A node makes these
+//! folders for its user alone; nobody uses one that is another's.
+
+use std::ffi::OsStr;
+use std::fs::{self, DirBuilder};
+use std::io;
+use std::os::unix::fs::{DirBuilderExt, MetadataExt};
+use std::os::unix::net::UnixStream;
+use std::path::{Path, PathBuf};
+use thiserror::Error;
+
+/// The longest path that the name of a Unix socket can be, in bytes.
+pub const MAX_PATH: usize = 107;
+/// The longest part of a file name that stands for a cell's or a node's name.
+const MAX_NAME: usize = 32;
+
+/// Why there is no place for a socket.
+#[derive(Debug, Error)]
+pub enum PlaceError {
+    /// The folder belongs to another user, or others may look into it.
+    #[error("{0} is not private to this user: remove it, or set XDG_RUNTIME_DIR")]
+    NotPrivate(PathBuf),
+    /// The path would be longer than [`MAX_PATH`].
+    #[error("{0} is too long for a socket: set XDG_RUNTIME_DIR to a shorter path")]
+    TooLong(PathBuf),
+    /// The folder could not be made or looked at.
+    #[error("cannot use the socket folder {path}: {source}")]
+    Io {
+        /// The folder.
+        path: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+}
+
+/// The folder with one folder per cell. It need not exist.
+#[must_use]
+pub fn base_dir() -> PathBuf {
+    base_from(std::env::var_os("XDG_RUNTIME_DIR").as_deref(), &std::env::temp_dir(), own_uid())
+}
+
+/// The folder of the sockets of `cell`'s nodes. It need not exist.
+#[must_use]
+pub fn socket_dir(cell: &str) -> PathBuf {
+    base_dir().join(file_name(cell))
+}
+
+/// Makes the folder of `cell` under [`base_dir`], private to this user, and gives the path of the socket of `node` in
+/// the process `pid`.
+///
+/// # Errors
+/// [`PlaceError`].
+pub fn prepare_socket(cell: &str, node: &str, pid: u32) -> Result<PathBuf, PlaceError> {
+    prepare_in(&base_dir(), cell, node, pid)
+}
+
+/// [`prepare_socket`] under another base.
+///
+/// # Errors
+/// [`PlaceError`].
+pub fn prepare_in(base: &Path, cell: &str, node: &str, pid: u32) -> Result<PathBuf, PlaceError> {
+    let dir = base.join(file_name(cell));
+    for private in [base, &dir] {
+        let made = DirBuilder::new().recursive(true).mode(0o700).create(private);
+        let meta = made.and_then(|()| fs::symlink_metadata(private));
+        let meta = meta.map_err(|source| PlaceError::Io { path: private.to_owned(), source })?;
+        if !meta.is_dir() || meta.mode() & 0o077 != 0 || Some(meta.uid()) != own_uid() {
+            return Err(PlaceError::NotPrivate(private.to_owned()));
+        }
+    }
+    let path = dir.join(format!("{}-{pid}.sock", file_name(node)));
+    if path.as_os_str().len() > MAX_PATH { Err(PlaceError::TooLong(path)) } else { Ok(path) }
+}
+
+/// The sockets of all cells under `base`, sorted. A missing folder has none; a folder of another user is left alone.
+///
+/// # Errors
+/// [`PlaceError::Io`] where `base` exists and cannot be read.
+pub fn sockets_in(base: &Path) -> Result<Vec<PathBuf>, PlaceError> {
+    let entries = match fs::read_dir(base) {
+        Ok(entries) => entries,
+        Err(e) if e.kind() == io::ErrorKind::NotFound => return Ok(Vec::new()),
+        Err(source) => return Err(PlaceError::Io { path: base.to_owned(), source }),
+    };
+    let ours =
+        |path: &Path| fs::symlink_metadata(path).is_ok_and(|m| m.is_dir() && Some(m.uid()) == own_uid());
+    let mut found = Vec::new();
+    for dir in entries.flatten().map(|e| e.path()).filter(|p| ours(p)) {
+        let files = fs::read_dir(dir).into_iter().flatten().flatten().map(|e| e.path());
+        found.extend(files.filter(|p| pid_of(p).is_some()));
+    }
+    found.sort();
+    Ok(found)
+}
+
+/// The process that a socket's file name names.
+#[must_use]
+pub fn pid_of(socket: &Path) -> Option<u32> {
+    let stem = socket.file_name().and_then(OsStr::to_str)?.strip_suffix(".sock")?;
+    stem.rsplit_once('-')?.1.parse().ok()
+}
+
+/// What stands for the node's name in a socket's file name: [`file_name`] of it.
+#[must_use]
+pub fn node_of(socket: &Path) -> Option<&str> {
+    let stem = socket.file_name().and_then(OsStr::to_str)?.strip_suffix(".sock")?;
+    stem.rsplit_once('-').map(|(node, _)| node)
+}
+
+/// Removes `socket` if nothing can be behind it any more: it is this user's, its process is gone, and connecting is
+/// refused. Says whether it was removed.
+#[must_use]
+pub fn remove_if_stale(socket: &Path) -> bool {
+    let ours = fs::symlink_metadata(socket).is_ok_and(|m| Some(m.uid()) == own_uid());
+    let refused = || UnixStream::connect(socket).is_err_and(|e| e.kind() == io::ErrorKind::ConnectionRefused);
+    let gone = || pid_of(socket).is_some_and(is_gone);
+    ours && gone() && refused() && fs::remove_file(socket).is_ok()
+}
+
+/// Whether no process has this id. Only certain where `/proc` is there to ask.
+fn is_gone(pid: u32) -> bool {
+    Path::new("/proc/self").exists() && !Path::new(&format!("/proc/{pid}")).exists()
+}
+
+fn base_from(runtime_dir: Option<&OsStr>, temp: &Path, uid: Option<u32>) -> PathBuf {
+    let named = runtime_dir.map(Path::new).filter(|dir| dir.is_absolute());
+    let private = || temp.join(uid.map_or_else(|| "imrs".to_owned(), |uid| format!("imrs-{uid}")));
+    named.map_or_else(private, |dir| dir.join("imrs"))
+}
+
+/// The user of this process, from what the system says of the process itself or of its home folder.
+fn own_uid() -> Option<u32> {
+    let of = |path: &Path| fs::metadata(path).ok().map(|m| m.uid());
+    of(Path::new("/proc/self")).or_else(|| of(Path::new(&std::env::var_os("HOME")?)))
+}
+
+/// A file name that stands for `name`: letters, digits, `_` and inner `.` and `-` as they are, anything else as `%XX`;
+/// a long one is cut and ends with a hash of the whole. Who wants the true name asks the node.
+#[must_use]
+pub fn file_name(name: &str) -> String {
+    let mut out = String::new();
+    for (i, byte) in name.bytes().enumerate() {
+        let plain = byte.is_ascii_alphanumeric() || byte == b'_' || (i > 0 && matches!(byte, b'.' | b'-'));
+        if plain {
+            out.push(char::from(byte));
+        } else {
+            out.push_str(&format!("%{byte:02x}"));
+        }
+    }
+    if out.len() > MAX_NAME {
+        // FNV-1a: only tells names with one beginning apart.
+        let fnv = |hash: u32, byte: u8| (hash ^ u32::from(byte)).wrapping_mul(0x0100_0193);
+        let hash = name.bytes().fold(0x811c_9dc5, fnv);
+        out.truncate(MAX_NAME - 9);
+        out.push_str(&format!("~{hash:08x}"));
+    }
+    if out.is_empty() { "%".to_owned() } else { out }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_become_file_names_that_cannot_leave_the_folder() {
+        assert_eq!(file_name("beam-lift"), "beam-lift");
+        assert_eq!(file_name("../x"), "%2e.%2fx");
+        assert_eq!(file_name("-a b\u{1b}"), "%2da%20b%1b");
+        assert_eq!(file_name(""), "%");
+        let (a, b) = (file_name(&"x".repeat(99)), file_name(&"x".repeat(98)));
+        assert!(a.len() == MAX_NAME && b.len() == MAX_NAME && a != b, "{a} {b}");
+    }
+
+    #[test]
+    fn the_base_is_the_runtime_folder_or_a_private_one() {
+        let tmp = Path::new("/tmp");
+        assert_eq!(base_from(Some(OsStr::new("/run/user/7")), tmp, Some(7)), Path::new("/run/user/7/imrs"));
+        assert_eq!(base_from(Some(OsStr::new("")), tmp, Some(7)), Path::new("/tmp/imrs-7"));
+        assert_eq!(base_from(None, tmp, None), Path::new("/tmp/imrs"));
+    }
+
+    #[test]
+    fn the_process_is_read_from_the_file_name() {
+        assert_eq!(pid_of(Path::new("/r/imrs/c/left-arm-812.sock")), Some(812));
+        assert_eq!(pid_of(Path::new("/r/imrs/c/left.sock")), None);
+        assert_eq!(pid_of(Path::new("/r/imrs/c/left-1.tmp")), None);
+    }
+}

@@ -1,0 +1,100 @@
+//! Writing records, one after the other.
+
+use super::{Header, MAGIC, MAX_RECORD_BYTES, PROLOGUE_BYTES, RECORD_HEAD_BYTES, Record, VERSION};
+use crate::checksum::CRC;
+use std::io::{self, Write};
+use thiserror::Error;
+
+/// Why a record could not be written.
+#[derive(Debug, Error)]
+pub enum WriteError {
+    /// The record cannot be encoded.
+    #[error("a record that cannot be encoded ({0})")]
+    Encode(postcard::Error),
+    /// The record is longer than [`MAX_RECORD_BYTES`].
+    #[error("a record of {0} bytes, the limit is {MAX_RECORD_BYTES}")]
+    TooLong(usize),
+    /// The medium failed, or is full.
+    #[error("the recording cannot be written: {0}")]
+    Io(#[from] io::Error),
+}
+
+/// Writes a recording. What it hands to `W` is always whole records, so a recording without an end is still readable.
+#[derive(Debug)]
+pub struct RecordingWriter<W> {
+    sink: W,
+    /// The record in the making; reused.
+    bytes: Vec<u8>,
+    written: u64,
+}
+
+impl<W: Write> RecordingWriter<W> {
+    /// Begins a recording.
+    ///
+    /// # Errors
+    /// Where the header cannot be written.
+    pub fn new(sink: W, header: &Header) -> Result<Self, WriteError> {
+        let mut writer = Self { sink, bytes: Vec::new(), written: 0 };
+        let mut prologue = [0; PROLOGUE_BYTES];
+        prologue[..8].copy_from_slice(&MAGIC);
+        prologue[8..10].copy_from_slice(&VERSION.to_le_bytes());
+        writer.sink.write_all(&prologue)?;
+        writer.written = PROLOGUE_BYTES as u64;
+        writer.append(&Record::Header(header.clone()))?;
+        Ok(writer)
+    }
+
+    /// Appends a record.
+    ///
+    /// # Errors
+    /// After [`WriteError::Io`] part of the record may have been written: the recording can be read up to there, but
+    /// nothing can be appended to it.
+    pub fn append(&mut self, record: &Record) -> Result<(), WriteError> {
+        self.bytes.clear();
+        self.bytes.resize(RECORD_HEAD_BYTES, 0);
+        self.bytes =
+            postcard::to_extend(record, std::mem::take(&mut self.bytes)).map_err(WriteError::Encode)?;
+        let length = self.bytes.len() - RECORD_HEAD_BYTES;
+        if length > MAX_RECORD_BYTES {
+            return Err(WriteError::TooLong(length));
+        }
+        let length = u32::try_from(length).map_err(|_| WriteError::TooLong(length))?.to_le_bytes();
+        let checksum = checksum(length, &self.bytes[RECORD_HEAD_BYTES..]);
+        self.bytes[..4].copy_from_slice(&length);
+        self.bytes[4..8].copy_from_slice(&checksum.to_le_bytes());
+        self.sink.write_all(&self.bytes)?;
+        self.written += self.bytes.len() as u64;
+        Ok(())
+    }
+
+    /// How many bytes were written.
+    #[must_use]
+    pub const fn written(&self) -> u64 {
+        self.written
+    }
+
+    /// Hands everything on to the medium.
+    ///
+    /// # Errors
+    /// Where the medium fails.
+    pub fn flush(&mut self) -> Result<(), WriteError> {
+        Ok(self.sink.flush()?)
+    }
+
+    /// Ends the recording.
+    ///
+    /// # Errors
+    /// Where the last record cannot be written.
+    pub fn finish(mut self) -> Result<W, WriteError> {
+        self.append(&Record::End)?;
+        self.flush()?;
+        Ok(self.sink)
+    }
+}
+
+pub(super) fn checksum(length: [u8; 4], contents: &[u8]) -> u32 {
+    let mut crc = CRC.digest();
+    crc.update(&length);
+    crc.update(contents);
+    crc.finalize()
+}

@@ -1,0 +1,221 @@
+//! The golden form, files that stop anywhere, and damage.
+
+use crate::rig::{header, read};
+use imrs_protocol::{
+    Contents, Incarnation, Input, MessageId, NodeId, PortId, Request, Seq24, Target, TaskId, Ticks, TimeId,
+};
+use imrs_wire::recording::{Cause, Ending, Record, RecordingReader, RecordingWriter, Stream, WriteError};
+use proptest::prelude::*;
+use std::io::{self, Cursor, Read};
+use std::sync::{Arc, Mutex};
+
+fn records() -> Vec<Record> {
+    let (task, frames) = (TaskId(3), Stream::Frames(1));
+    let send = Request::Send {
+        port: PortId(5),
+        to: Target::One(TaskId(4)),
+        contents: Contents::new(b"go").unwrap(),
+        time_out: Some(Ticks(2_000)),
+    };
+    let id = MessageId { incarnation: Incarnation(7), sequence: Seq24::new(300) };
+    let input = |elapsed, input| Record::Input {
+        task,
+        elapsed: Ticks(elapsed),
+        input,
+        outputs: 0x0102_0304_0506_0708,
+    };
+    vec![
+        input(1_000, Input::Request(send)),
+        input(0, Input::Advance(Ticks::ZERO)),
+        input(20, Input::TimeOut(TimeId(9))),
+        input(1, Input::Unsent(id)),
+        input(1, Input::PeerRestarted(NodeId(1))),
+        Record::Gap { stream: Stream::Task(task), lost: 12 },
+        Record::Keyframe { task, state: vec![1, 2, 3], outputs: 5 },
+        Record::Gap { stream: frames, lost: 1 },
+        Record::Frame { source: 1, at: 1_000_000, bytes: b"frame".to_vec() },
+    ]
+}
+
+fn written(records: &[Record]) -> Vec<u8> {
+    let mut writer = RecordingWriter::new(Vec::new(), &header()).unwrap();
+    for record in records {
+        writer.append(record).unwrap();
+    }
+    writer.finish().unwrap()
+}
+
+/// Where each record of a recording begins, the header's first; and where the recording ends.
+fn boundaries(records: &[Record]) -> Vec<u64> {
+    let mut writer = RecordingWriter::new(Vec::new(), &header()).unwrap();
+    let mut at = vec![12, writer.written()];
+    for record in records.iter().chain([&Record::End]) {
+        writer.append(record).unwrap();
+        at.push(writer.written());
+    }
+    at
+}
+
+fn hex(bytes: &[u8]) -> String {
+    let lines =
+        bytes.chunks(32).map(|line| line.iter().map(|b| format!("{b:02x}")).collect::<String>() + "\n");
+    lines.collect()
+}
+
+#[test]
+fn version_1_is_these_bytes() {
+    assert_eq!(hex(&written(&records())), include_str!("../recording_golden/1.hex"));
+}
+
+#[test]
+fn reading_undoes_writing() {
+    let bytes = written(&records());
+    let mut expected = records();
+    expected.push(Record::End);
+    let (got, ending) = read(&bytes);
+    assert_eq!(got, expected);
+    assert_eq!(ending.unwrap(), Ending::Ended);
+    let mut reader = RecordingReader::new(bytes.as_slice()).unwrap();
+    assert_eq!(*reader.header(), header());
+    assert_eq!(reader.by_ref().map(Result::unwrap).count(), expected.len());
+    assert_eq!(reader.offset(), bytes.len() as u64);
+}
+
+#[test]
+fn a_file_cut_off_anywhere_reads_up_to_its_last_whole_record() {
+    let bytes = written(&records());
+    let at = boundaries(&records());
+    for length in 0..bytes.len() {
+        let cut = &bytes[..length];
+        if (length as u64) < at[1] {
+            let error = RecordingReader::new(cut).unwrap_err();
+            let expected = if length < 12 {
+                "at byte 0: not a recording"
+            } else {
+                "at byte 12: the recording has no header"
+            };
+            assert_eq!(error.to_string(), expected, "cut off at {length}");
+            continue;
+        }
+        let whole = at.iter().filter(|&&end| end <= length as u64).count() - 2;
+        let (got, ending) = read(cut);
+        assert_eq!(got, records()[..whole], "cut off at {length}");
+        let last = at[whole + 1];
+        let expected = if last == length as u64 { Ending::Open } else { Ending::Torn { offset: last } };
+        assert_eq!(ending.unwrap(), expected, "cut off at {length}");
+    }
+}
+
+#[test]
+fn zeros_that_a_file_system_left_behind_are_no_damage() {
+    let bytes = written(&records());
+    let at = boundaries(&records());
+    let whole = usize::try_from(at[4]).unwrap();
+    for zeros in [1, 8, 4_096, 200_000] {
+        let (got, ending) = read(&[&bytes[..whole], vec![0; zeros].as_slice()].concat());
+        assert_eq!((got.len(), ending.unwrap()), (3, Ending::Torn { offset: at[4] }));
+    }
+    let (_, ending) = read(&[&bytes[..whole], &[0; 100], &[1]].concat());
+    assert!(matches!(ending, Err((offset, Cause::Checksum)) if offset == at[4]));
+}
+
+#[test]
+fn damage_is_named_with_its_place() {
+    let bytes = written(&records());
+    let at = boundaries(&records());
+    for bit in 12 * 8..bytes.len() * 8 {
+        let mut damaged = bytes.clone();
+        damaged[bit / 8] ^= 1 << (bit % 8);
+        let record = at.iter().filter(|&&begin| begin <= (bit / 8) as u64).count() - 1;
+        if record == 0 {
+            assert!(RecordingReader::new(damaged.as_slice()).is_err(), "bit {bit}");
+            continue;
+        }
+        let (got, ending) = read(&damaged);
+        assert_eq!(got.len(), record - 1, "bit {bit}: all records before the damage");
+        match ending {
+            Err((offset, Cause::Checksum | Cause::TooLong(_))) => assert_eq!(offset, at[record], "bit {bit}"),
+            // A length that points past the end of the file looks like a file that was cut off.
+            Ok(Ending::Torn { offset }) => assert_eq!(offset, at[record], "bit {bit}"),
+            other => panic!("bit {bit}: {other:?}"),
+        }
+    }
+}
+
+#[test]
+fn other_files_and_versions_are_refused() {
+    let refusal = |bytes: &[u8]| RecordingReader::new(bytes).unwrap_err().to_string();
+    assert_eq!(refusal(b"\x7fELF and a lot more"), "at byte 0: not a recording");
+    let mut newer = written(&[]);
+    newer[8] = 2;
+    assert_eq!(refusal(&newer), "at byte 0: a recording of version 2, this program reads 1");
+}
+
+#[test]
+fn records_out_of_place_are_refused() {
+    let again = written(&[Record::Header(header())]);
+    assert!(matches!(read(&again), (records, Err((_, Cause::OutOfPlace))) if records.is_empty()));
+    let mut after_end = written(&records());
+    let end = after_end.len() as u64;
+    after_end.push(0);
+    assert!(matches!(read(&after_end).1, Err((offset, Cause::OutOfPlace)) if offset == end));
+    let too_long = Record::Frame { source: 0, at: 0, bytes: vec![0; 2 << 20] };
+    let mut writer = RecordingWriter::new(Vec::new(), &header()).unwrap();
+    assert!(matches!(writer.append(&too_long), Err(WriteError::TooLong(_))));
+}
+
+/// A source that grows.
+struct Growing(Arc<Mutex<Vec<u8>>>, usize);
+
+impl Read for Growing {
+    fn read(&mut self, out: &mut [u8]) -> io::Result<usize> {
+        let bytes = self.0.lock().unwrap();
+        let read = Cursor::new(&bytes[self.1..]).read(out)?;
+        self.1 += read;
+        Ok(read)
+    }
+}
+
+#[test]
+fn a_recording_can_be_followed_while_it_grows() {
+    let bytes = written(&records());
+    let file = Arc::new(Mutex::new(bytes[..150].to_vec()));
+    let mut reader = RecordingReader::new(Growing(Arc::clone(&file), 0)).unwrap();
+    let mut got: Vec<_> = reader.by_ref().map(Result::unwrap).collect();
+    for &byte in &bytes[150..] {
+        file.lock().unwrap().push(byte);
+        got.extend(reader.by_ref().map(Result::unwrap));
+    }
+    assert_eq!(got.pop(), Some(Record::End));
+    assert_eq!(got, records());
+    assert_eq!(reader.ending(), Ending::Ended);
+}
+
+proptest! {
+    #[test]
+    fn any_bytes_are_read_or_refused(bytes in proptest::collection::vec(any::<u8>(), 0..400), keep in 0..200_usize) {
+        let mut file = written(&records());
+        file.truncate(keep);
+        file.extend(bytes);
+        if let Ok(reader) = RecordingReader::new(file.as_slice()) {
+            prop_assert!(reader.take(10_000).count() < 10_000);
+        }
+    }
+
+    #[test]
+    fn contents_behind_a_right_checksum_are_read_or_refused(contents in proptest::collection::vec(any::<u8>(), 0..100)) {
+        let mut file = written(&[Record::Frame { source: 0, at: 0, bytes: contents.clone() }]);
+        // The same file, but for one record whose contents are anything.
+        file.truncate(usize::try_from(boundaries(&[])[1]).unwrap());
+        let length = u32::try_from(contents.len()).unwrap().to_le_bytes();
+        let crc = crc::Crc::<u32>::new(&crc::CRC_32_MEF);
+        let mut digest = crc.digest();
+        digest.update(&length);
+        digest.update(&contents);
+        file.extend(length);
+        file.extend(digest.finalize().to_le_bytes());
+        file.extend(contents);
+        let mut reader = RecordingReader::new(file.as_slice()).unwrap();
+        let _ = reader.next_record();
+    }
+}

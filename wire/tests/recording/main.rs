@@ -1,0 +1,5 @@
+//! Recordings as files, and the thread that writes them.
+
+mod form;
+mod rig;
+mod thread;
