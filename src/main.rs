@@ -12,8 +12,7 @@ mod verify;
 use args::{Cli, Format, MonitorArgs, Verb, VerifyArgs, early_color};
 use clap::{CommandFactory, FromArgMatches};
 use exit::{Exit, Failure};
-use output::Output;
-use std::io;
+use output::{Output, complain};
 use std::process::ExitCode;
 
 fn main() -> ExitCode {
@@ -31,7 +30,7 @@ fn main() -> ExitCode {
     match run(cli) {
         Ok(exit) => exit.into(),
         Err(failure) => {
-            eprintln!("imrs: {failure}");
+            complain(&failure);
             failure.exit().into()
         }
     }
@@ -98,13 +97,11 @@ fn report_panics() {
     std::panic::set_hook(Box::new(move |panic| {
         default(panic);
         if std::thread::current().name() == Some("main") {
-            eprintln!(
-                "imrs: this is a fault of imrs {}. Please report the lines above and the command:\n  {}",
+            complain(format_args!(
+                "this is a fault of imrs {}. Please report the lines above and the command:\n  {}",
                 env!("CARGO_PKG_VERSION"),
                 std::env::args().collect::<Vec<_>>().join(" ")
-            );
-            use io::Write;
-            let _ = io::stdout().flush();
+            ));
             std::process::exit(Exit::Internal as i32);
         }
     }));

@@ -59,6 +59,11 @@ impl Output {
     }
 }
 
+/// Says what is wrong on standard error. Where that has gone too, there is nobody to tell.
+pub fn complain(what: impl Display) {
+    let _ = writeln!(io::stderr(), "imrs: {what}");
+}
+
 /// Text in a style. Padding and alignment count the text alone.
 pub struct Styled<T>(pub Style, pub T);
 

@@ -55,14 +55,14 @@ fn a_monitor_without_nodes_ends_with_3_and_says_where_it_looked() {
 
 #[test]
 fn a_claim_is_checked_and_its_json_keeps_the_contract() {
-    let said = run(&["verify", "--claim", "no-false-release", "--format", "json"]);
+    let said = run(&["verify", "--claim", "rendezvous-under-loss", "--format", "json"]);
     assert_eq!(said.code, Some(0), "{said:?}");
     let report = said.last_json();
     assert_eq!((&report["version"], &report["cell"]), (&Value::from(1), &Value::Null));
     let claims = report["claims"].as_array().expect("claims");
     assert!(!claims.is_empty());
     for claim in claims {
-        assert_eq!(claim["name"], "no-false-release");
+        assert_eq!(claim["name"], "rendezvous-under-loss");
         for word in ["expect", "outcome"] {
             assert!(["holds", "fails", "unknown"].contains(&claim[word].as_str().unwrap()), "{claim}");
         }
@@ -88,11 +88,11 @@ fn a_claim_is_checked_and_its_json_keeps_the_contract() {
 
 #[test]
 fn a_report_in_a_pipe_has_no_escapes_and_a_verdict_at_its_end() {
-    let said = run(&["verify", "--claim", "no-false-release"]);
+    let said = run(&["verify", "--claim", "rendezvous-under-loss"]);
     assert_eq!(said.code, Some(0), "{said:?}");
     assert!(!said.out.contains(ESCAPE) && !said.err.contains(ESCAPE), "{said:?}");
     assert!(said.out.lines().last().is_some_and(|line| line.contains("as expected")), "{}", said.out);
-    let forced = run(&["verify", "--claim", "no-false-release", "--color", "always"]);
+    let forced = run(&["verify", "--claim", "rendezvous-under-loss", "--color", "always"]);
     assert!(forced.out.contains(ESCAPE), "--color always has no colour");
 }
 

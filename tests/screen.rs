@@ -156,7 +156,7 @@ fn the_screen_shows_who_waits_for_whom_and_a_death_and_gives_the_terminal_back()
 }
 
 #[test]
-fn signals_and_a_resize_to_nothing_leave_the_terminal_as_it_was() {
+fn signals_a_resize_to_nothing_and_a_stop_leave_the_terminal_as_it_was() {
     if !tmux_is_here() {
         return;
     }
@@ -175,6 +175,11 @@ fn signals_and_a_resize_to_nothing_leave_the_terminal_as_it_was() {
         thread::sleep(Duration::from_millis(200));
     }
     terminal.wait_for("the overview", |screen| screen.contains("armL"));
+    terminal.keys(&["C-z"]);
+    terminal.wait_for("the shell while the monitor is stopped", |_| !terminal.on_alternate_screen());
+    terminal.keys(&["fg", "Enter"]);
+    terminal
+        .wait_for("the overview again", |screen| screen.contains("armL") && terminal.on_alternate_screen());
     // What the terminal does on Ctrl-C when nobody asked for raw keys is a signal; here it is a key.
     terminal.keys(&["C-c"]);
     terminal.assert_restored();

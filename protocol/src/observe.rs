@@ -299,3 +299,18 @@ pub struct TransitView {
     /// The nodes that packets wait for.
     pub next: Vec<NodeId>,
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use alloc::collections::BTreeSet;
+
+    #[test]
+    fn all_reasons_stand_at_their_discriminants_under_names_of_their_own() {
+        for (i, reason) in Reason::ALL.into_iter().enumerate() {
+            assert_eq!(reason as usize, i);
+        }
+        let names: BTreeSet<_> = Reason::ALL.iter().map(|reason| reason.name()).collect();
+        assert_eq!(names.len(), Reason::ALL.len());
+    }
+}

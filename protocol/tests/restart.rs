@@ -96,7 +96,7 @@ fn members_meet_again_after_one_of_them_restarted() {
         let told = (net.told(X), net.told(Y));
         match (&told.0[..], &told.1[..]) {
             ([Signal::Released { round: x, .. }], [Signal::Released { round: y, .. }]) if x == y => {
-                rounds.push(*x)
+                rounds.push(*x);
             }
             other => panic!("{other:?}\n{:#?}", net.transcript()),
         }
@@ -150,4 +150,25 @@ fn the_arrival_of_an_earlier_life_is_void_once_the_new_one_is_heard_of() {
     x.ask(Request::Cancel);
     x.hear(new);
     assert_eq!(x.hear(stale).discards(), [Reason::StaleIncarnation]);
+}
+
+#[test]
+fn after_the_next_release_the_new_life_is_answered_as_any_other() {
+    let table = table();
+    let mut x = Solo::new(&table, X);
+    let mut old = Solo::new(&table, Y);
+    x.ask(arrive(LIFT));
+    let released = old.ask(arrive(LIFT)).packets[0];
+    x.hear(released);
+    x.input(Input::PeerRestarted(B));
+    let mut new = Solo::life(&table, Y, 1, true);
+    let same_number = new.ask(arrive(LIFT)).packets[0];
+    assert_eq!(same_number.meeting().round, released.meeting().round);
+    assert_eq!(x.hear(same_number).words(), ["ABORT T0>T1 r1 next r2 for 40"], "it was not in that meeting");
+
+    new.ask(Request::Cancel);
+    let arrival = new.ask(arrive(LIFT)).packets[0];
+    x.ask(arrive(LIFT));
+    assert_eq!(x.hear(arrival).words().last().map(String::as_str), Some("released r2 complete"));
+    assert_eq!(x.hear(arrival).words(), ["CONFIRM T0>T1 r2 for 40 again"]);
 }

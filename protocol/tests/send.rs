@@ -225,6 +225,21 @@ fn copies_are_answered_as_the_first_one_was() {
 }
 
 #[test]
+fn a_command_is_remembered_until_no_copy_can_be_on_the_way() {
+    let table = table();
+    let command = Solo::new(&table, X).ask(send(MOVE, Y, 3)).packets[0];
+    let mut y = Solo::new(&table, Y);
+    y.ask(get(9));
+    let message = y.hear(Packet { remaining: Ticks(18), ..command }).delivery().expect("the message");
+    y.ask(reply(&message, 9));
+    // The sender's wait has ended, but the link's bound has not: a copy whose way was charged too little.
+    y.pass(19);
+    let copy = Packet { remaining: Ticks(3), ..command };
+    assert_eq!(y.hear(copy).words(), ["REPLY T1>T0 #0 [9] for 3"]);
+    assert_eq!(y.ask(get(0)).words(), ["nothing"]);
+}
+
+#[test]
 fn a_refusal_is_repeated_and_older_ids_are_dropped() {
     let table = table();
     let mut x = Solo::new(&table, X);

@@ -9,7 +9,7 @@ use super::summary::{Gatherer, Summary};
 use crate::args::{DemoArgs, DemoCell, Format};
 use crate::cells;
 use crate::exit::{Exit, Failure};
-use crate::output::Output;
+use crate::output::{Output, complain};
 use imrs_protocol::{Cell, CellError, CellTable, NodeId};
 use indicatif::{ProgressBar, ProgressDrawTarget};
 use serde::Serialize;
@@ -121,12 +121,12 @@ pub fn run(args: &DemoArgs, out: &mut Output) -> Result<Exit, Failure> {
         interrupted: false,
     };
     let addresses = launcher.wait_for_all(|word| if let Word::Bound(at) = word { Some(at) } else { None })?;
-    launcher.announce(args, seed, &addresses, out)?;
     let names = cell.nodes.iter().map(|n| n.name.clone());
-    launcher.children.order_all(&Order::Book(names.zip(addresses).collect()));
+    launcher.children.order_all(&Order::Book(names.zip(addresses.iter().copied()).collect()));
     launcher.wait_for_all(|word| matches!(word, Word::Started).then_some(()))?;
 
     let started = Instant::now();
+    launcher.announce(args, seed, &addresses, out)?;
     launcher.follow(started, args.length, &faults, args.format);
     let seconds = started.elapsed().as_secs_f64();
     let (summary, trouble) = launcher.finish(seconds, seed, args.loss.0);
@@ -135,7 +135,7 @@ pub fn run(args: &DemoArgs, out: &mut Output) -> Result<Exit, Failure> {
         Format::Text => report::summary(&summary, &table, args, out)?,
     }
     for trouble in &trouble {
-        eprintln!("imrs: {}", trouble.what);
+        complain(&trouble.what);
     }
     Ok(verdict(&summary, &trouble))
 }
@@ -199,10 +199,7 @@ impl Launcher<'_> {
         while heard.len() < self.cell.nodes.len() {
             let left = deadline.saturating_duration_since(Instant::now());
             match self.messages.recv_timeout(left) {
-                Ok(Message::Said(node, Word::Event(event))) => {
-                    let _ = node;
-                    self.gatherer.event(&event);
-                }
+                Ok(Message::Said(_, Word::Event(event))) => self.gatherer.event(&event),
                 Ok(Message::Said(node, word)) => {
                     if let Some(value) = wanted(word) {
                         heard.insert(node, value);

@@ -5,6 +5,7 @@ use super::lines::{Event, Figures, Order, Setup, What, Word, hear, say};
 use super::probe::Probe;
 use super::recorder::NodeRecording;
 use crate::cells;
+use crate::output::complain;
 use imrs_protocol::{CellTable, Event as Observed, Incarnation, NodeId, NodeTable, TaskId};
 use imrs_runtime::link::faulty::FaultyLink;
 use imrs_runtime::link::udp::{UdpError, UdpLink, UdpOptions};
@@ -136,7 +137,7 @@ impl Process {
         let observations = node.observe();
         let observer = Observer::start(Arc::clone(&node));
         if let Err(error) = &observer {
-            eprintln!("imrs: node {} runs, but no monitor can see it: {error}", setup.node);
+            complain(format_args!("node {} runs, but no monitor can see it: {error}", setup.node));
         }
         let out = io::stdout();
         let (runtime, _observer) = (Some(runtime), observer.ok());
@@ -208,7 +209,8 @@ impl Process {
         if let Some(recording) = self.recording.take() {
             let status = recording.stop(PATIENCE);
             if !status.ended || status.lost > 0 {
-                eprintln!("imrs: the recording of node {} misses {} inputs", self.node.name(), status.lost);
+                let (name, lost) = (self.node.name(), status.lost);
+                complain(format_args!("the recording of node {name} misses {lost} inputs"));
             }
         }
         for (task, how) in ends.into_iter().filter_map(|(task, end)| Some((task, trouble(&end)?))) {

@@ -1,6 +1,7 @@
 //! Writes down what goes into the communication tasks of a node (D62).
 
 use super::lines::Setup;
+use crate::output::complain;
 use imrs_protocol::{CellTable, Incarnation, NodeId, TaskId};
 use imrs_runtime::record::{OutputDigest, Recorder, Step};
 use imrs_wire::recording::{Header, Recording, Status, TaskStream, WriteError};
@@ -37,7 +38,7 @@ impl NodeRecording {
             began: u64::try_from(began.as_micros()).unwrap_or_default(),
         };
         let name = path.display().to_string();
-        let failed = move |error: &WriteError| eprintln!("imrs: {name} is no longer written: {error}");
+        let failed = move |error: &WriteError| complain(format_args!("{name} is no longer written: {error}"));
         let recording = Recording::start(file, &header, QUEUE, failed)?;
         let stream = |task| Slot { stream: recording.task(task), step: None };
         let slots = table.tasks_on(node).map(|task| (task, Mutex::new(stream(task)))).collect();

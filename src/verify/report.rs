@@ -37,9 +37,10 @@ fn word(outcome: Outcome) -> &'static str {
 fn table(report: &Report, out: &mut Output) -> Result<(), Failure> {
     let name = widest(report.claims.iter().map(|v| &v.name), "claim");
     let rule = widest(report.claims.iter().map(|v| &v.rule), "rule");
+    let bound = report.claims.iter().map(|v| bounds(v).len()).chain([6]).max().unwrap_or(0);
     let head = format!(
-        "{:<name$}  {:<rule$}  n  {:<22}  {:>11}  {:>8}",
-        "claim", "rule", "verdict", "states", "time"
+        "{:<name$}  {:<rule$}  n  {:<bound$}  {:<VERDICT$}  {:>11}  {:>8}",
+        "claim", "rule", "bounds", "verdict", "states", "time"
     );
     out.line(Styled(HEAD, head))?;
     let mut last = "";
@@ -47,18 +48,41 @@ fn table(report: &Report, out: &mut Output) -> Result<(), Failure> {
         let shown = if v.name == last { "" } else { &v.name };
         last = &v.name;
         out.line(format!(
-            "{shown:<name$}  {:<rule$}  {}  {}  {:>11}  {:>8}",
+            "{shown:<name$}  {:<rule$}  {}  {:<bound$}  {}  {:>11}  {:>8}",
             v.rule,
             v.parties,
+            bounds(v),
             verdict_cell(v),
             grouped(v.states),
             format!("{:.2} s", v.seconds)
         ))?;
     }
+    out.line(Styled(
+        FAINT,
+        "bounds: L packets lost, U repeated, C crashes, D longest way in ticks, R rounds or messages, - without end",
+    ))?;
     out.line("")
 }
 
-/// The verdict against its expectation, 22 wide.
+/// The bounds of a verdict in short.
+fn bounds(v: &Verdict) -> String {
+    let b = &v.bounds;
+    let mut parts = vec![format!("L{}", b.loss)];
+    for (letter, count) in [("U", b.dup), ("C", b.crash)] {
+        if count > 0 {
+            parts.push(format!("{letter}{count}"));
+        }
+    }
+    for (letter, count) in [("D", b.delay), ("R", b.rounds)] {
+        parts.push(count.map_or_else(|| format!("{letter}-"), |n| format!("{letter}{n}")));
+    }
+    parts.join(" ")
+}
+
+/// How wide a verdict is.
+const VERDICT: usize = 20;
+
+/// The verdict against its expectation.
 fn verdict_cell(v: &Verdict) -> String {
     let text = match (v.as_expected, v.outcome) {
         (true, Outcome::Holds) => "holds",
@@ -74,7 +98,7 @@ fn verdict_cell(v: &Verdict) -> String {
         (false, Outcome::Unknown) => NOTE,
         (false, _) => BAD,
     };
-    Styled(style, format!("{text:<22}")).to_string()
+    Styled(style, format!("{text:<VERDICT$}")).to_string()
 }
 
 fn widest<'a>(names: impl Iterator<Item = &'a String>, head: &str) -> usize {
