@@ -146,9 +146,15 @@ class Screen:
             time.sleep(0.05)
         sys.exit(f"waited in vain for {texts}:\n{shown}")
 
-    def save(self, name, title):
-        (HERE / name).write_text(svg(self.tmux("capture-pane", "-p", "-e"), title))
-        print("made", HERE / name)
+    def save(self, name, title, showing=""):
+        """Saves the first screen that shows this pattern."""
+        for _ in range(200):
+            shown = self.tmux("capture-pane", "-p", "-e")
+            if re.search(showing, shown):
+                (HERE / name).write_text(svg(shown, title))
+                return print("made", HERE / name)
+            time.sleep(0.05)
+        sys.exit(f"never showed {showing}:\n{shown}")
 
 
 def main():
@@ -167,7 +173,8 @@ def main():
             screen.tmux("send-keys", "3")
             screen.wait_for("MISSING")
             time.sleep(1)
-            screen.save("monitor-rendezvous.svg", "The rendezvous after the hoist's node was killed: both arms wait for it")
+            screen.save("monitor-rendezvous.svg", "The rendezvous after the hoist's node was killed: both arms wait for it",
+                        r"1\d\dms left")
         finally:
             demo.send_signal(signal.SIGINT)
             demo.wait(timeout=20)

@@ -214,9 +214,12 @@ fn a_node_that_appears_later_is_found() {
     // A second run of the same cell in the same folder: nodes of its own, with other processes.
     let again = support::finish(support::imrs(demo.dir.path(), &["demo", "beam-lift", "--for", "3s"]));
     assert_eq!(again.code, Some(0), "{again:?}");
+    let of_hoist = |screen: &str, states: &[&str]| {
+        let rows = screen.lines().filter(|line| line.contains("nh (pid"));
+        rows.filter(|row| states.iter().any(|state| row.contains(state))).count()
+    };
     terminal.wait_for("nodes that came and went", |screen| {
-        screen.lines().any(|line| line.contains("nh") && line.contains("stopped"))
-            && screen.lines().any(|line| line.contains("nh") && line.contains(" up "))
+        of_hoist(screen, &[" stopped ", " DEAD "]) == 1 && of_hoist(screen, &[" up "]) == 1
     });
     terminal.keys(&["q"]);
     terminal.assert_restored();

@@ -32,7 +32,7 @@ pub enum Request {
         to: Target,
         /// What it says.
         contents: Contents,
-        /// The life of the message where it is not the port's.
+        /// The life of the message where it is shorter than the port's; a longer one is cut to that.
         time_out: Option<Ticks>,
     },
     /// GET: the most urgent message of the port, or of all the task's ports (R68). Answered by [`Signal::Message`],

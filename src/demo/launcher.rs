@@ -11,7 +11,7 @@ use crate::cells;
 use crate::exit::{Exit, Failure};
 use crate::output::{Output, complain};
 use imrs_protocol::{Cell, CellError, CellTable, NodeId};
-use indicatif::{ProgressBar, ProgressDrawTarget};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use serde::Serialize;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
@@ -342,7 +342,7 @@ fn progress_line(format: Format) -> ProgressBar {
         Format::Text => ProgressDrawTarget::stderr(),
         Format::Json => ProgressDrawTarget::hidden(),
     };
-    ProgressBar::with_draw_target(None, target)
+    ProgressBar::with_draw_target(None, target).with_style(ProgressStyle::default_spinner())
 }
 
 #[cfg(test)]

@@ -63,9 +63,8 @@ impl Rendezvous {
         let told = meeting.released != meeting.round && meeting.released == self.announced;
         let hint = told && self.deadline.is_some();
         match packet.kind {
-            Kind::Confirm => over,
+            Kind::Confirm | Kind::Abort => over,
             Kind::Arrive => over && !hint && (over_there || !table.rules().answer_late_arrivals),
-            Kind::Abort => over && !hint,
             Kind::Send | Kind::Query | Kind::Reply | Kind::Response | Kind::Control => false,
         }
     }

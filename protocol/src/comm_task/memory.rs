@@ -37,20 +37,32 @@ pub(crate) struct Window {
     pub newest: Option<Seq24>,
     /// Bit `i`: the message `i + 1` before the newest was seen.
     pub seen: u64,
+    /// When no copy of any of them can arrive any more: then they are forgotten, before their numbers come again (D6).
+    pub until: Ticks,
 }
 
 impl Window {
-    /// Takes note of a message; false where it was seen, or is too old to tell.
-    pub fn admit(&mut self, sequence: Seq24) -> bool {
+    /// Takes note of a message whose copies are gone by `until`; false where it was seen, or is too old to tell.
+    pub fn admit(&mut self, sequence: Seq24, now: Ticks, until: Ticks) -> bool {
+        if self.until <= now {
+            *self = Self::default();
+        }
+        let until = self.until.max(until);
+        let admitted = self.note(sequence);
+        self.until = until;
+        admitted
+    }
+
+    fn note(&mut self, sequence: Seq24) -> bool {
         let Some(newest) = self.newest else {
-            *self = Self { newest: Some(sequence), seen: 0 };
+            *self = Self { newest: Some(sequence), ..*self };
             return true;
         };
         if sequence.is_newer_than(newest) {
             let steps = sequence.steps_from(newest);
             let shifted = self.seen.checked_shl(steps).unwrap_or(0);
             let old_newest = 1_u64.checked_shl(steps - 1).unwrap_or(0);
-            *self = Self { newest: Some(sequence), seen: shifted | old_newest };
+            *self = Self { newest: Some(sequence), seen: shifted | old_newest, ..*self };
             return true;
         }
         let back = newest.steps_from(sequence);
@@ -87,7 +99,7 @@ pub(crate) enum Seen {
 
 impl Source {
     pub const fn new(task: TaskId) -> Self {
-        Self { task, life: None, command: None, status: Window { newest: None, seen: 0 } }
+        Self { task, life: None, command: None, status: Window { newest: None, seen: 0, until: Ticks::ZERO } }
     }
 
     /// Whether the message comes from the source's present life, of which this takes note: a new life starts with an
@@ -128,7 +140,7 @@ mod tests {
             let mut seen = BTreeSet::new();
             let mut newest = None;
             for offset in offsets {
-                let admitted = window.admit(Seq24::new(base).plus(offset));
+                let admitted = window.admit(Seq24::new(base).plus(offset), Ticks(1), Ticks(9));
                 let recent = newest.is_none_or(|n| offset + 64 >= n);
                 prop_assert_eq!(admitted, recent && !seen.contains(&offset));
                 if admitted { seen.insert(offset); }

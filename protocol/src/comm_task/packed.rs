@@ -110,6 +110,7 @@ macro_rules! relatives {
             }
             if let Some(newest) = & $($m)? source.status.newest {
                 $v.sequence(task, newest);
+                $v.instant(& $($m)? source.status.until);
             }
         }
         for meeting in & $($m)? $self.meetings {
@@ -219,6 +220,9 @@ impl CommTask {
         }
         for source in &mut self.sources {
             source.command = source.command.filter(|c| c.until > now);
+            if source.status.until <= now {
+                source.status = Window::default();
+            }
         }
         for meeting in &mut self.meetings {
             meeting.bury(now);
@@ -244,7 +248,12 @@ impl Rendezvous {
                 || (owes && released == Some(round))
         };
         for member in &mut self.members {
-            member.arrived = member.arrived.filter(|a| a.expires > now && counts(a.round));
+            // Even when its patience has ended, a partner that came to this round was not the one that was missing.
+            let came = |a: &Arrived| numbered && waiting && a.round == announced;
+            member.arrived = member.arrived.filter(|a| came(a) || (a.expires > now && counts(a.round)));
+            if let Some(arrived) = &mut member.arrived {
+                arrived.expires = arrived.expires.max(now);
+            }
             member.barred = member.barred.filter(|&barred| counts(barred));
             if !waiting {
                 member.confirmed = false;
@@ -466,6 +475,7 @@ impl CommTask {
             Some(newest) => {
                 w.byte(1)?;
                 w.byte(frame.sequence(source.task, newest)?)?;
+                w.left(source.status.until, self.now)?;
                 source.status.seen.to_le_bytes().iter().try_for_each(|&byte| w.byte(byte))
             }
         }
@@ -611,11 +621,12 @@ impl CommTask {
             Window::default()
         } else {
             let newest = Some(r.sequence());
+            let until = r.left();
             let mut seen = [0; 8];
             for byte in &mut seen {
                 *byte = r.byte();
             }
-            Window { newest, seen: u64::from_le_bytes(seen) }
+            Window { newest, seen: u64::from_le_bytes(seen), until }
         };
         let source = &mut self.sources[i];
         (source.life, source.command, source.status) = (life, command, status);

@@ -100,7 +100,7 @@ impl Rendezvous {
         if self.numbered {
             // D54: joins the round that others wait in, if there is one.
             let fresh = if at.scene.table.rules().join_fresher { self.fresh } else { self.announced };
-            self.enter(self.announced.next().fresher(fresh));
+            self.enter(self.announced.next().fresher(fresh), at.scene.now);
             self.fresh = self.announced;
         }
         self.arguments = arguments;
@@ -119,8 +119,11 @@ impl Rendezvous {
     pub fn leave(&mut self, at: &mut At<'_>, out: &mut impl Outbox) -> u64 {
         let mut missing = 0;
         for (i, member) in self.members.iter().enumerate().take(MAX_MEMBERS) {
-            let here = at.port.parties[i].task == at.scene.task || self.is_here(member, at.scene.now);
-            missing |= u64::from(!here) << i;
+            // A partner whose patience ended just before was here all the same: it is not the one that was missing.
+            let came = member.arrived.is_some_and(|arrived| {
+                arrived.round == self.announced && (self.numbered || arrived.expires > at.scene.now)
+            });
+            missing |= u64::from(!came && at.port.parties[i].task != at.scene.task) << i;
         }
         self.deadline = None;
         self.resend_at = Ticks::FAR;
@@ -254,12 +257,12 @@ impl Rendezvous {
             return;
         }
         member.barred = Some(member.barred.map_or(round, |barred| barred.fresher(round)));
-        if self.deadline.is_some() && self.says_released(at, round, released) {
-            return self.release(at, ReleasedBy::Confirm(task), out);
-        }
-        // Word of a round that this task has left says nothing about the one it is in.
+        // Word of a round that this task has left says nothing about the one it is in (D68).
         if self.is_over(round) {
             return;
+        }
+        if self.deadline.is_some() && self.says_released(at, round, released) {
+            return self.release(at, ReleasedBy::Confirm(task), out);
         }
         let next = meeting.next_round();
         self.hear_of(round);
@@ -332,12 +335,13 @@ impl Rendezvous {
     }
 
     /// Goes on to a round. What the circle of rounds would show as fresh again one day is forgotten: a bar before this
-    /// round, and a release half the circle ago.
-    fn enter(&mut self, round: Round) {
+    /// round, a release half the circle ago, and an arrival whose patience ended before this task came.
+    fn enter(&mut self, round: Round, now: Ticks) {
         self.announced = round;
         self.released = self.released.filter(|released| !released.is_newer_than(round));
         for member in &mut self.members {
             member.barred = member.barred.filter(|&b| b == round || b.is_newer_than(round));
+            member.arrived = member.arrived.filter(|arrived| arrived.expires > now);
         }
     }
 
@@ -353,7 +357,7 @@ impl Rendezvous {
         if !at.scene.table.rules().join_fresher {
             return;
         }
-        self.enter(round);
+        self.enter(round, at.scene.now);
         for member in &mut self.members {
             member.confirmed = false;
         }

@@ -92,7 +92,8 @@ impl CommTask {
         if self.role(id) != Some(Role::Sends) {
             return Err(Fault::WrongUsage);
         }
-        let life = time_out.unwrap_or(party.time_out);
+        // The declared life is what receivers and a restarted node reckon with: a request may only shorten it.
+        let life = time_out.map_or(party.time_out, |wanted| wanted.min(party.time_out));
         match port.decl.class {
             Class::Status => {
                 let mut copies = 0;
@@ -298,7 +299,7 @@ impl CommTask {
         }
         let message = held(packet, packet.class, self.now + remaining - reserved);
         let fresh = match packet.class {
-            Class::Status => self.admit_status(packet, out),
+            Class::Status => self.admit_status(packet, self.now + remaining + way_back, out),
             Class::Command => self.admit_command(table, packet, out),
         };
         if !fresh {
@@ -390,13 +391,13 @@ impl CommTask {
         }));
     }
 
-    fn admit_status(&mut self, packet: &Packet, out: &mut impl Outbox) -> bool {
+    fn admit_status(&mut self, packet: &Packet, until: Ticks, out: &mut impl Outbox) -> bool {
         let Ok(at) = self.sources.binary_search_by_key(&packet.source, |s| s.task) else { return false };
         if !self.enter_life(at, packet.id.incarnation, out) {
             self.drop_packet(packet, Reason::StaleIncarnation, out);
             return false;
         }
-        if !self.sources[at].status.admit(packet.id.sequence) {
+        if !self.sources[at].status.admit(packet.id.sequence, self.now, until) {
             self.duplicate(packet, out);
             return false;
         }
