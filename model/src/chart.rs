@@ -213,7 +213,7 @@ fn told(seen: &Observation, scenario: &Scenario) -> Option<String> {
         Event::Rejoined => format!("goes on to r{number}"),
         Event::ReleasedComplete => format!("RELEASED r{number} (all here)"),
         Event::ReleasedByConfirm => format!("RELEASED r{number} (told)"),
-        Event::WithinMargin => "all here, but within the margin".into(),
+        Event::WithinMargin => "all here, but too late".into(),
         Event::GaveUp => format!("GIVES UP r{number}"),
         Event::Sent => format!("sends #{number}"),
         Event::Resent => format!("sends #{number} again"),

@@ -100,6 +100,9 @@ impl Station for Comm {
         }
         let step = Step { elapsed, input };
         if let Some(recorder) = &self.recorder {
+            if recorder.wants_keyframe(self.machine.task()) {
+                recorder.keyframe(&self.machine, self.digest);
+            }
             recorder.input(self.machine.task(), step);
         }
         let mut mail = None;

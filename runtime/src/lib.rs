@@ -53,6 +53,7 @@ mod node;
 pub mod observer;
 pub mod record;
 mod residency;
+mod reverse_path;
 mod ring;
 mod snapshot;
 mod sync;

@@ -13,6 +13,7 @@ use crate::handoff::Entry;
 use crate::link::{Link, LinkDiscard, Sink};
 use crate::member::{Member, Members};
 use crate::record::Recorder;
+use crate::reverse_path::can_come;
 use crate::sync::{AtomicU64, Mutex, Ordering, lock};
 use crate::timers::Timers;
 use crate::transit::Dispatch;
@@ -22,6 +23,7 @@ use imrs_protocol::{
     discarded,
 };
 use std::sync::Arc;
+use std::time::Instant;
 
 /// What a node is made from.
 pub(crate) struct Plan {
@@ -224,8 +226,13 @@ impl Node {
         }
     }
 
-    fn receive(&self, packet: Packet, charge: Ticks, at: Micros, effects: &mut Effects) {
-        match arrived(&self.table, packet, charge) {
+    fn receive(&self, from: NodeId, packet: Packet, charge: Ticks, at: Micros, effects: &mut Effects) {
+        let arrival = if can_come(&self.table, from, &packet) {
+            arrived(&self.table, packet, charge)
+        } else {
+            Arrival::Discard(Reason::NotAllowed, packet)
+        };
+        match arrival {
             Arrival::Local(task, packet) => {
                 self.feed(task, Stamped { at, input: Input::Packet(packet) }, effects);
             }
@@ -273,13 +280,15 @@ impl Inlet {
 }
 
 impl Sink for Inlet {
-    fn packet(&self, from: NodeId, packet: Packet, charge: Ticks) {
+    fn packet(&self, from: NodeId, packet: Packet, charge: Ticks, at: Instant) {
+        // This order: a stop between the two makes the packet too old, never too young.
         let now = clock::now();
+        let charge = charge + Ticks(clock::micros(at.elapsed()));
         if let Some(peer) = self.node.peer(from) {
             peer.received.fetch_add(1, Ordering::Relaxed);
             peer.heard.store(now, Ordering::Relaxed);
         }
-        self.node.receive(packet, charge, now, &mut lock(&self.effects));
+        self.node.receive(from, packet, charge, now, &mut lock(&self.effects));
     }
 
     fn peer(&self, node: NodeId, incarnation: Incarnation, restarted: bool) {

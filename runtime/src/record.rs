@@ -5,12 +5,18 @@
 //! of all outputs so far: a replay that reaches the same digests made bit-equal outputs.
 
 mod file;
+mod replay;
 
 pub use file::FileRecorder;
+pub use replay::{
+    Divergence, KeyframeError, Recorded, Replay, ReplayError, Verdict, replay, replay_recording,
+};
+
 use imrs_protocol::{
     CommTask, Incarnation, Input, NodeTable, Observation, Outbox, Packet, Signal, TaskId, Ticks, TimeId,
 };
-use std::hash::{Hash, Hasher};
+use postcard::ser_flavors::Flavor;
+use serde::Serialize;
 
 /// One input of a communication task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -28,57 +34,53 @@ pub trait Recorder: Send + Sync {
     fn input(&self, task: TaskId, step: Step);
     /// The digest of everything that `task` has put out, this step included.
     fn output(&self, task: TaskId, digest: OutputDigest);
+
+    /// Whether the state of `task` is wanted, because steps of it were lost. Asked before every step.
+    fn wants_keyframe(&self, task: TaskId) -> bool {
+        let _ = task;
+        false
+    }
+
+    /// The state of a machine between two steps, and the digest of everything that it has put out, where
+    /// [`wants_keyframe`](Self::wants_keyframe) said so.
+    fn keyframe(&self, machine: &CommTask, digest: OutputDigest) {
+        let _ = (machine, digest);
+    }
 }
 
 /// Names everything that a communication task has put out so far, in order. Equal in two runs only if every packet,
-/// every signal and every request to the Timer was equal (but for collisions of 64 bits).
+/// every signal and every request to the Timer was equal (but for collisions of 64 bits). It is taken of the outputs in
+/// postcard, so it is the same in every build and on every machine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct OutputDigest(pub u64);
 
 impl OutputDigest {
     /// Of no output. FNV-1a's offset.
     pub const START: Self = Self(0xcbf2_9ce4_8422_2325);
-}
 
-/// FNV-1a with every number in little endian, so that the digest does not depend on the machine.
-impl Hasher for OutputDigest {
-    fn finish(&self) -> u64 {
-        self.0
-    }
-
-    fn write(&mut self, bytes: &[u8]) {
-        for &byte in bytes {
-            self.0 = (self.0 ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3);
-        }
-    }
-
-    fn write_u16(&mut self, value: u16) {
-        self.write(&value.to_le_bytes());
-    }
-
-    fn write_u32(&mut self, value: u32) {
-        self.write(&value.to_le_bytes());
-    }
-
-    fn write_u64(&mut self, value: u64) {
-        self.write(&value.to_le_bytes());
-    }
-
-    fn write_usize(&mut self, value: usize) {
-        self.write_u64(value as u64);
-    }
-
-    fn write_isize(&mut self, value: isize) {
-        self.write_i64(value as i64);
-    }
-
-    fn write_i64(&mut self, value: i64) {
-        self.write(&value.to_le_bytes());
+    fn add(&mut self, output: &Output) {
+        // Nothing in an output can fail to be written down; if ever, the digest stops in both runs alike.
+        let _ = postcard::serialize_with_flavor(output, self);
     }
 }
 
-/// What one output is called in the digest.
-#[derive(Hash)]
+/// FNV-1a.
+impl Flavor for &mut OutputDigest {
+    type Output = ();
+
+    fn try_push(&mut self, byte: u8) -> postcard::Result<()> {
+        self.0 = (self.0 ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3);
+        Ok(())
+    }
+
+    fn finalize(self) -> postcard::Result<()> {
+        Ok(())
+    }
+}
+
+/// What one output is called in the digest. The order of the variants, and of those in them, is part of the recordings'
+/// format.
+#[derive(Serialize)]
 enum Output {
     Transmit(Packet),
     Signal(Signal),
@@ -95,7 +97,7 @@ pub(crate) struct Digesting<'a, O> {
 impl<O> Digesting<'_, O> {
     fn note(&mut self, output: impl FnOnce() -> Output) {
         if let Some(digest) = &mut self.digest {
-            output().hash(*digest);
+            digest.add(&output());
         }
     }
 }
@@ -137,63 +139,32 @@ pub(crate) fn run(machine: &mut CommTask, table: &NodeTable, step: Step, out: &m
     }
 }
 
-/// A recorded step and the digest after it.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Recorded {
-    /// The step.
-    pub step: Step,
-    /// What had been put out after it.
-    pub digest: OutputDigest,
-}
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use imrs_protocol::{Contents, Outcome};
 
-/// The machine did something else than the recording says.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("step {index} of {task} put out something else than recorded: {step:?}")]
-pub struct Divergence {
-    /// The communication task's task.
-    pub task: TaskId,
-    /// Which step, counted from zero.
-    pub index: usize,
-    /// The step.
-    pub step: Step,
-    /// The recorded digest after it.
-    pub recorded: OutputDigest,
-    /// The digest after it now.
-    pub replayed: OutputDigest,
-}
-
-struct Ignore;
-
-impl Outbox for Ignore {
-    fn transmit(&mut self, _packet: Packet) {}
-    fn signal(&mut self, _signal: Signal) {}
-    fn arm(&mut self, _id: TimeId, _length: Ticks) {}
-    fn disarm(&mut self, _id: TimeId) {}
-}
-
-/// Runs the machine of `task` through its recorded inputs, from its start in the given life of its node, and compares
-/// all outputs. Returns how many steps were run.
-///
-/// # Errors
-/// The first step whose outputs differ.
-pub fn replay(
-    table: &NodeTable,
-    task: TaskId,
-    incarnation: Incarnation,
-    restarted: bool,
-    recorded: impl IntoIterator<Item = Recorded>,
-) -> Result<usize, Divergence> {
-    let mut machine = CommTask::new(table, task, incarnation, restarted);
-    let mut digest = OutputDigest::START;
-    let mut steps = 0;
-    for (index, entry) in recorded.into_iter().enumerate() {
-        let mut out = Digesting { digest: Some(&mut digest), out: &mut Ignore };
-        run(&mut machine, table, entry.step, &mut out);
-        if digest != entry.digest {
-            let (recorded, replayed) = (entry.digest, digest);
-            return Err(Divergence { task, index, step: entry.step, recorded, replayed });
+    /// Recordings of other builds are compared with these numbers: whoever changes them changes the version of
+    /// recordings.
+    #[test]
+    fn the_digest_is_that_of_fnv_over_the_outputs_in_postcard() {
+        let mut digest = OutputDigest::START;
+        let answer = Outcome::Reply(Contents::new(b"yes").unwrap());
+        let outputs: [(Output, &[u8]); 3] = [
+            (Output::Arm(TimeId(1), Ticks(300)), &[2, 1, 0xac, 0x02]),
+            (Output::Disarm(TimeId(1)), &[3, 1]),
+            (
+                Output::Signal(Signal::Outcome(answer)),
+                &[1, 3, 0, 3, b'y', b'e', b's', 0, 0, 0, 0, 0, 0, 0, 0, 0],
+            ),
+        ];
+        let mut plain = OutputDigest::START.0;
+        for (output, bytes) in outputs {
+            assert_eq!(postcard::to_allocvec(&output).unwrap(), bytes);
+            digest.add(&output);
+            plain = bytes.iter().fold(plain, |hash, &b| (hash ^ u64::from(b)).wrapping_mul(0x0100_0000_01b3));
         }
-        steps += 1;
+        assert_eq!(digest, OutputDigest(plain));
+        assert_eq!(digest, OutputDigest(0));
     }
-    Ok(steps)
 }

@@ -3,7 +3,7 @@
 mod common;
 
 use common::{A, B, C, LONG_TICKS, ask, cell, finish, one_node, table};
-use imrs_protocol::{NodeId, Outcome, PortDecl, Ticks, Usage};
+use imrs_protocol::{NodeId, Outcome, Packet, PortDecl, Ticks, Usage};
 use imrs_runtime::link::{Link, LinkBusy, PollEnd, Sink};
 use imrs_runtime::{Context, Rendezvous, Runtime, Sent};
 use std::sync::{Arc, Condvar, Mutex};
@@ -98,7 +98,7 @@ impl Link for Busy {
         false
     }
 
-    fn send(&self, _next: NodeId, _packets: &[imrs_protocol::Packet]) -> Result<usize, LinkBusy> {
+    fn send_at(&self, _next: NodeId, _packets: &[Packet], _at: Instant) -> Result<usize, LinkBusy> {
         Err(LinkBusy)
     }
 

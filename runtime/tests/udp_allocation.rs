@@ -41,7 +41,7 @@ static ALLOCATOR: Counting = Counting;
 struct Counter(AtomicU64);
 
 impl Sink for Counter {
-    fn packet(&self, _from: NodeId, _packet: Packet, _charge: Ticks) {
+    fn packet(&self, _from: NodeId, _packet: Packet, _charge: Ticks, _at: Instant) {
         self.0.fetch_add(1, Ordering::Relaxed);
     }
 

@@ -220,12 +220,11 @@ impl Process {
     }
 
     fn tell(&mut self) -> Result<(), NodeError> {
+        // Taken before the observations, and told after them: no release is told whose announcement is not.
+        let events: Vec<Event> = self.told.try_iter().collect();
         let mut observed = Vec::new();
         self.untold += self.observations.drain(ROOM, &mut observed);
-        for event in observed.iter().filter_map(announcement) {
-            say(&mut self.out, &Word::Event(event))?;
-        }
-        while let Ok(event) = self.told.try_recv() {
+        for event in observed.iter().filter_map(announcement).chain(events) {
             say(&mut self.out, &Word::Event(event))?;
         }
         Ok(())

@@ -168,20 +168,25 @@ impl Tally {
         u64::MAX >> (64 - self.members.len().clamp(1, 64))
     }
 
-    /// The members of whom it is not known what they did in this round: their nodes were killed after it began.
+    /// The members of whom this is so.
+    fn members(&self, is_so: impl Fn(&Member) -> bool) -> u64 {
+        let bit = |(place, member): (usize, &Member)| u64::from(is_so(member)) << place;
+        self.members.iter().enumerate().map(bit).fold(0, |set, bit| set | bit)
+    }
+
+    /// The members whose nodes were killed after the round began.
+    fn killed(&self, meeting: &Meeting) -> u64 {
+        self.members(|member| member.died.is_some_and(|died| meeting.begun <= died))
+    }
+
+    /// The members of whom it is not known how the round ended for them: they were killed before they could say.
     fn silenced(&self, meeting: &Meeting) -> u64 {
-        let spoken = meeting.released | meeting.gave_up;
-        let silent = |(place, member): (usize, &Member)| {
-            let died = member.died.is_some_and(|died| meeting.begun <= died);
-            if died && spoken & 1 << place == 0 { 1 << place } else { 0 }
-        };
-        self.members.iter().enumerate().map(silent).fold(0, |set, bit: u64| set | bit)
+        self.killed(meeting) & !(meeting.released | meeting.gave_up)
     }
 
     fn false_releases(&self, meeting: &Meeting) -> u64 {
-        let untold = |(place, member): (usize, &Member)| if member.untold { 1 << place } else { 0 };
-        let unheard = self.members.iter().enumerate().map(untold).fold(0, |set, bit: u64| set | bit);
-        let absent = self.all() & !meeting.announced & !unheard & !self.silenced(meeting);
+        let unheard = self.members(|member| member.untold) | self.killed(meeting);
+        let absent = self.all() & !meeting.announced & !unheard;
         let falsely = |place: usize| meeting.released & 1 << place != 0 && absent & !(1 << place) != 0;
         (0..self.members.len()).filter(|&place| falsely(place)).count() as u64
     }
@@ -306,6 +311,11 @@ mod tests {
         let mut unheard = tally(&events);
         unheard.untold(TaskId(2));
         assert_eq!(unheard.rounds().false_releases, 0);
+        // Nor of one whose release was told, but not its announcement before it was killed.
+        let mut half = tally(&events);
+        half.take(&Event { at: 9, task: TaskId(2), port: PortId(0), round: Round(1), what: What::Released });
+        half.died(TaskId(2), 12);
+        assert_eq!((half.rounds().false_releases, half.rounds().released), (0, 1));
         // Nor is anything known of a node that was killed meanwhile; but one killed before cannot have announced it.
         let mut killed = tally(&events);
         killed.died(TaskId(2), 7);

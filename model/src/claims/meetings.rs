@@ -104,14 +104,14 @@ fn no_false_release() -> Vec<Claim> {
     let endless = Meeting { attempts: None, delay: Some(DELAY), ..Meeting::new(2, Watch::Pairing) };
     let unnumbered = Rules { rounds: false, ..Rules::DEFAULT };
     let loss2 = Meeting { budget: Budget { loss: 3, dup: 2, crash: 0 }, ..faulty.clone() };
-    let twice = Meeting { attempts: Some(2), ..three.clone() };
+    let overtaking = Meeting { budget: Budget { loss: 1, dup: 1, crash: 0 }, ..three.clone() };
     vec![
         simple((name, "default", about), Outcome::Holds, true, faulty),
         simple((name, "default", about), Outcome::Holds, true, three),
         simple((name, "default, restart", about), Outcome::Holds, true, crash),
         simple((name, "default, restart", about), Outcome::Holds, false, crash_and_loss),
         simple((name, "default", about), Outcome::Holds, false, loss2),
-        simple((name, "default", about), Outcome::Holds, false, twice),
+        simple((name, "default", about), Outcome::Holds, false, overtaking),
         simple(
             (
                 name,
@@ -154,7 +154,7 @@ fn strand(work: &mut Work<'_>, members: usize, confirmation: Confirmation) -> Se
     let (settled, least) = least_losses(work, &literal, 12);
     let mut settled = settled;
     settled.found.least_losses_to_strand = least;
-    if members <= 2 {
+    if members <= 3 {
         let rules = Rules { confirmation, ..Rules::DEFAULT };
         let margin = u64::from(DELAY) + RESEND;
         let again =

@@ -190,6 +190,12 @@ impl Life {
         Left { us, estimated: since > FRESH }
     }
 
+    /// What was left, in microseconds, when the node took the snapshot: `age_us` after its task last advanced.
+    #[must_use]
+    pub const fn left_when_seen(&self, remaining: Ticks, age_us: u64) -> u64 {
+        remaining.0.saturating_mul(self.tick_us).saturating_sub(age_us)
+    }
+
     /// Messages per second that the port's task sent and took, lately.
     #[must_use]
     pub fn rate(&self, task: TaskId, port: PortId) -> Option<f64> {

@@ -111,14 +111,14 @@ impl<L: Link> Link for FaultyLink<L> {
         self.inner.ready(next)
     }
 
-    fn send(&self, next: NodeId, packets: &[Packet]) -> Result<usize, LinkBusy> {
+    fn send_at(&self, next: NodeId, packets: &[Packet], at: Instant) -> Result<usize, LinkBusy> {
         let (cut, lost) = {
             let mut faults = self.faults();
             let cut = faults.cuts(next);
             (cut, !cut && faults.loses())
         };
         if !cut && !lost {
-            return self.inner.send(next, packets);
+            return self.inner.send_at(next, packets, at);
         }
         // What the link would not have taken is not lost.
         if !self.inner.ready(next) {

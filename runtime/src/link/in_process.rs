@@ -4,6 +4,7 @@
 //! packets, drawn from a seed.
 
 use super::{Link, LinkBusy, LinkDiscard, PollEnd, Sink};
+use crate::clock;
 use imrs_protocol::{CellTable, Incarnation, NodeId, Packet, Ticks};
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -143,8 +144,8 @@ impl End {
 }
 
 impl State {
-    /// Puts a packet on its way, unless it gets lost.
-    fn depart(&mut self, faults: &Faults, now: Instant, from: NodeId, life: Life, packet: Packet) {
+    /// Puts a packet on its way, whose remaining time was true at `left`, unless it gets lost.
+    fn depart(&mut self, faults: &Faults, left: Instant, from: NodeId, life: Life, packet: Packet) {
         if self.draws.f64() < faults.loss {
             return;
         }
@@ -152,9 +153,9 @@ impl State {
         for _ in 0..copies {
             let spread = faults.most_delay.saturating_sub(faults.least_delay);
             let delay = faults.least_delay + spread.mul_f64(self.draws.f64());
-            let (due, number) = (now + delay, self.departures);
+            let (due, number) = (left + delay, self.departures);
             self.departures += 1;
-            self.flights.push(Reverse(Flight { due, number, left: now, from, life, packet }));
+            self.flights.push(Reverse(Flight { due, number, left, from, life, packet }));
         }
     }
 }
@@ -186,9 +187,10 @@ impl InProcess {
             sink.peer(flight.from, flight.life.incarnation, flight.life.restarted);
         }
         // D20: the larger of what the link is declared to take and what it took.
-        let took = flight.left.elapsed().max(self.network.bound(flight.from, self.node));
-        let charge = u64::try_from(took.as_nanos().div_ceil(1_000)).unwrap_or(u64::MAX);
-        sink.packet(flight.from, flight.packet, Ticks(charge));
+        let now = Instant::now();
+        let took = now.saturating_duration_since(flight.left);
+        let charge = clock::micros(took.max(self.network.bound(flight.from, self.node)));
+        sink.packet(flight.from, flight.packet, Ticks(charge), now);
     }
 
     fn tell_neighbours(&self) {
@@ -210,7 +212,7 @@ impl Link for InProcess {
         free
     }
 
-    fn send(&self, next: NodeId, packets: &[Packet]) -> Result<usize, LinkBusy> {
+    fn send_at(&self, next: NodeId, packets: &[Packet], at: Instant) -> Result<usize, LinkBusy> {
         let end = self.end(next).ok_or(LinkBusy)?;
         let mut state = end.lock();
         if state.life.is_none() {
@@ -223,9 +225,8 @@ impl Link for InProcess {
             state.starved = true;
             return Err(LinkBusy);
         }
-        let now = Instant::now();
         for packet in &packets[..taken] {
-            state.depart(&self.network.faults, now, self.node, self.life, *packet);
+            state.depart(&self.network.faults, at, self.node, self.life, *packet);
         }
         drop(state);
         end.changed.notify_one();

@@ -13,12 +13,13 @@ use std::time::Instant;
 
 /// Where a link puts what it receives: implemented by the node.
 ///
-/// What is handed over is dealt with at once, by the same thread: it may call [`Link::send`] before the call returns.
+/// What is handed over is dealt with at once, by the same thread: it may call [`Link::send_at`] before the call returns.
 /// A link holds no lock of its own while it calls its sink.
 pub trait Sink: Send + Sync {
-    /// A packet that was decoded and checked. `charge` is what the link and the kernel's queue cost it, in
-    /// microseconds.
-    fn packet(&self, from: NodeId, packet: Packet, charge: Ticks);
+    /// A packet that was decoded and checked. `charge` is what the link and the kernel's queue had cost it at `at`, in
+    /// microseconds; the sink charges what has passed since, so that a node that was stopped between the two cannot make
+    /// an old packet young.
+    fn packet(&self, from: NodeId, packet: Packet, charge: Ticks, at: Instant);
 
     /// First contact with a neighbour, or a new life of it. `restarted` is what the neighbour says of itself: whether
     /// an earlier life of it can have taken requests.
@@ -33,22 +34,22 @@ pub trait Link: Send + Sync {
     /// Whether a send to this neighbour would be taken now.
     fn ready(&self, next: NodeId) -> bool;
 
-    /// Sends packets to a neighbour, most urgent first. Returns how many were taken: at least one, and from the front.
-    /// A packet that is taken may still be lost.
+    /// Sends packets to a neighbour, most urgent first. Their remaining times hold for the instant `at`: what passes
+    /// between it and the departure is charged to them, so that a node that was stopped in between cannot make old
+    /// packets young. Returns how many were taken: at least one, and from the front. A packet that is taken may still be
+    /// lost.
     ///
     /// # Errors
     /// [`LinkBusy`] where none was taken. The link ends a [`poll`](Self::poll) with [`PollEnd::Ready`] when it takes
     /// packets again.
-    fn send(&self, next: NodeId, packets: &[Packet]) -> Result<usize, LinkBusy>;
+    fn send_at(&self, next: NodeId, packets: &[Packet], at: Instant) -> Result<usize, LinkBusy>;
 
-    /// As [`send`](Self::send), of packets whose remaining times were true at `at`. A link that marks what leaves with its
-    /// own clock uses it, so that a node that was stopped between `at` and the departure cannot make old packets young.
+    /// As [`send_at`](Self::send_at), of packets whose remaining times hold for this instant.
     ///
     /// # Errors
-    /// As [`send`](Self::send).
-    fn send_at(&self, next: NodeId, packets: &[Packet], at: Instant) -> Result<usize, LinkBusy> {
-        let _ = at;
-        self.send(next, packets)
+    /// As [`send_at`](Self::send_at).
+    fn send(&self, next: NodeId, packets: &[Packet]) -> Result<usize, LinkBusy> {
+        self.send_at(next, packets, Instant::now())
     }
 
     /// Receives until something came in, `until` passed, or [`wake`](Self::wake) was called. Whoever waits may call it

@@ -1,14 +1,14 @@
 //! Recording into a file, by a thread of its own: the node hands every step over and goes on.
 
 use super::{OutputDigest, Recorder, Step};
-use imrs_protocol::{Incarnation, NodeTable, TaskId};
+use imrs_protocol::{CommTask, Incarnation, NodeTable, TaskId};
 use imrs_wire::recording::{Header, Recording, Status, TaskStream, WriteError};
 use std::io::Write;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-/// How many steps wait between a node and its disk. When there are more, a gap is recorded instead, and nothing that
-/// follows it can be replayed.
+/// How many steps wait between a node and its disk. When there are more, a gap is recorded instead; once the disk keeps
+/// up again, the recording goes on with a keyframe.
 const CAPACITY: usize = 16_384;
 
 /// Records the inputs of a node's communication tasks as an [`imrs_wire::recording`].
@@ -88,6 +88,21 @@ impl Recorder for FileRecorder {
             if let Some(Step { elapsed, input }) = track.open.take() {
                 track.stream.input(elapsed, input, digest.0);
             }
+        });
+    }
+
+    fn wants_keyframe(&self, task: TaskId) -> bool {
+        let mut wanted = false;
+        self.with(task, |track| wanted = track.stream.wants_keyframe());
+        wanted
+    }
+
+    /// Allocates, unlike everything else on a message's way: once for each gap.
+    fn keyframe(&self, machine: &CommTask, digest: OutputDigest) {
+        // A state that cannot be written down is as good as none: the gap goes on.
+        let Ok(state) = postcard::to_allocvec(machine) else { return };
+        self.with(machine.task(), |track| {
+            track.stream.keyframe(state, digest.0);
         });
     }
 }

@@ -112,7 +112,7 @@ pub struct Memory {
 }
 
 impl Sink for Memory {
-    fn packet(&self, from: NodeId, packet: Packet, charge: Ticks) {
+    fn packet(&self, from: NodeId, packet: Packet, charge: Ticks, _at: Instant) {
         self.packets.lock().unwrap().push((from, packet, charge));
     }
 

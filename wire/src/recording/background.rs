@@ -3,7 +3,7 @@
 use super::{Header, MAX_RECORD_BYTES, Record, RecordingWriter, Stream, WriteError};
 use imrs_protocol::{Input, TaskId, Ticks};
 use std::io::{BufWriter, Write};
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::mpsc::{self, Receiver, SyncSender};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::thread::{self, JoinHandle};
@@ -28,6 +28,8 @@ enum Message {
 struct Shared {
     /// Of the queue.
     capacity: usize,
+    /// How many messages are in the queue.
+    queued: AtomicUsize,
     records: AtomicU64,
     bytes: AtomicU64,
     stopping: AtomicBool,
@@ -149,7 +151,7 @@ impl Recording {
         let losses = Losses { stream, unannounced: AtomicU64::new(0), total: AtomicU64::new(0) };
         let losses = Arc::new(losses);
         self.shared.streams().push(Arc::clone(&losses));
-        Outlet { queue: self.queue.clone(), losses }
+        Outlet { queue: self.queue.clone(), shared: Arc::clone(&self.shared), losses }
     }
 }
 
@@ -177,7 +179,25 @@ impl Shared {
     fn stop(&self, queue: &SyncSender<Message>) {
         self.stopping.store(true, Ordering::Release);
         // Where the queue is full the thread is awake, and looks when it has emptied it.
-        let _ = queue.try_send(Message::Stop);
+        let _taken = self.hand_over(queue, Message::Stop);
+    }
+
+    /// Puts a message into the queue, if there is room.
+    fn hand_over(&self, queue: &SyncSender<Message>, message: Message) -> bool {
+        // Counted before it can be taken out.
+        self.queued.fetch_add(1, Ordering::Relaxed);
+        let taken = queue.try_send(message).is_ok();
+        if !taken {
+            self.queued.fetch_sub(1, Ordering::Relaxed);
+        }
+        taken
+    }
+
+    /// Whether a good part of the queue is free, and what is put into it will be written.
+    fn has_room(&self) -> bool {
+        self.queued.load(Ordering::Relaxed) <= self.capacity / 2
+            && self.failure.get().is_none()
+            && !self.stopping.load(Ordering::Relaxed)
     }
 }
 
@@ -191,6 +211,7 @@ fn write<W: Write>(
         let mut taken = 0;
         for message in std::iter::once(first).chain(queue.try_iter()).take(BATCH) {
             taken += 1;
+            shared.queued.fetch_sub(1, Ordering::Relaxed);
             append(&mut writer, message, shared)?;
         }
         writer.flush()?;
@@ -231,17 +252,14 @@ fn append<W: Write>(
 /// A stream's end of the queue.
 struct Outlet {
     queue: SyncSender<Message>,
+    shared: Arc<Shared>,
     losses: Arc<Losses>,
 }
 
 impl Outlet {
-    fn hand_over(&self, record: Record) -> bool {
-        self.hand_over_if(true, record)
-    }
-
     /// Hands a record over that fits, after word of what was lost before it. False where it was lost as well.
     fn hand_over_if(&self, fits: bool, record: Record) -> bool {
-        let taken = fits && self.announce() && self.queue.try_send(Message::Record(record)).is_ok();
+        let taken = fits && self.announce() && self.shared.hand_over(&self.queue, Message::Record(record));
         if !taken {
             self.losses.add();
         }
@@ -252,7 +270,7 @@ impl Outlet {
     fn announce(&self) -> bool {
         let Some(lost) = self.losses.take() else { return true };
         let gap = Record::Gap { stream: self.losses.stream, lost };
-        let taken = self.queue.try_send(Message::Record(gap)).is_ok();
+        let taken = self.shared.hand_over(&self.queue, Message::Record(gap));
         if !taken {
             self.losses.unannounced.fetch_add(lost, Ordering::Relaxed);
         }
@@ -281,10 +299,21 @@ impl TaskStream {
         self.needs_keyframe
     }
 
+    /// Whether a keyframe should be given now: one is needed, and the disk keeps up again. Making one takes time and
+    /// memory; while the disk does not keep up it would only be lost as well.
+    #[must_use]
+    pub fn wants_keyframe(&self) -> bool {
+        self.needs_keyframe && self.outlet.shared.has_room()
+    }
+
     /// Records an input that came `elapsed` after the one before; `outputs` is the digest of everything that the task
-    /// had put out after it. Returns whether there was room.
+    /// had put out after it. Returns whether it was taken: where there is no room, and from then on until a keyframe, it
+    /// is lost.
     pub fn input(&mut self, elapsed: Ticks, input: Input, outputs: u64) -> bool {
-        let taken = self.outlet.hand_over(Record::Input { task: self.task, elapsed, input, outputs });
+        // What cannot be replayed only takes room from what can.
+        let fits = !self.needs_keyframe;
+        let record = Record::Input { task: self.task, elapsed, input, outputs };
+        let taken = self.outlet.hand_over_if(fits, record);
         self.needs_keyframe |= !taken;
         taken
     }

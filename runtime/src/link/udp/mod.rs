@@ -183,49 +183,6 @@ impl UdpLink {
         UdpCount::ALL.iter().map(|&count| (count.name(), self.statistics.get(count)))
     }
 
-    /// Sends packets whose remaining times hold for the instant `at`, which the caller read before: if this thread is
-    /// stopped in between, the envelope shows it.
-    ///
-    /// # Errors
-    /// As [`Link::send`].
-    pub fn send_at(&self, next: NodeId, packets: &[Packet], at: Instant) -> Result<usize, LinkBusy> {
-        let (_, peer) = self.peer(next).ok_or(LinkBusy)?;
-        let address = lock(&peer.address).ok_or(LinkBusy)?;
-        let tx_mono = self.micros(at);
-        let echo = lock(&peer.heard).and_then(|heard| heard.echo(tx_mono));
-        let outgoing = &mut *lock(&peer.outgoing);
-        outgoing.datagram.clear();
-        let taken = packets.len().min(MAX_PACKETS);
-        for packet in &packets[..taken] {
-            // A port that the cell does not have: the neighbour will say so and count it.
-            let hash = self.table.port(packet.port).map_or(0, |port| port.hash);
-            outgoing.datagram.push(&packet.encode(self.table.digest(), hash));
-        }
-        if outgoing.datagram.is_empty() {
-            return Ok(0);
-        }
-        let UdpOptions { incarnation, restarted, .. } = self.options;
-        let sender = self.table.node;
-        let envelope = Envelope { sender, incarnation, restarted, counter: outgoing.counter, tx_mono, echo };
-        let bytes = outgoing.datagram.seal(&envelope, self.table.digest());
-        match self.transmit(bytes, address) {
-            Ok(()) => {
-                self.statistics.add(UdpCount::DatagramsSent, 1);
-                self.statistics.add(UdpCount::PacketsSent, taken as u64);
-            }
-            Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
-                self.statistics.add(UdpCount::Busy, 1);
-                self.blocked.store(true, Ordering::Release);
-                // Whoever waits in the socket does not yet wait for this.
-                self.wake.wake();
-                return Err(LinkBusy);
-            }
-            Err(error) => self.statistics.send_failed(&error),
-        }
-        outgoing.counter += 1;
-        Ok(taken)
-    }
-
     fn transmit(&self, bytes: &[u8], address: SocketAddr) -> io::Result<()> {
         loop {
             match self.socket.send_to(bytes, address) {
@@ -306,8 +263,42 @@ impl Link for UdpLink {
         known && !self.blocked.load(Ordering::Acquire)
     }
 
-    fn send(&self, next: NodeId, packets: &[Packet]) -> Result<usize, LinkBusy> {
-        self.send_at(next, packets, Instant::now())
+    fn send_at(&self, next: NodeId, packets: &[Packet], at: Instant) -> Result<usize, LinkBusy> {
+        let (_, peer) = self.peer(next).ok_or(LinkBusy)?;
+        let address = lock(&peer.address).ok_or(LinkBusy)?;
+        let tx_mono = self.micros(at);
+        let echo = lock(&peer.heard).and_then(|heard| heard.echo(tx_mono));
+        let outgoing = &mut *lock(&peer.outgoing);
+        outgoing.datagram.clear();
+        let taken = packets.len().min(MAX_PACKETS);
+        for packet in &packets[..taken] {
+            // A port that the cell does not have: the neighbour will say so and count it.
+            let hash = self.table.port(packet.port).map_or(0, |port| port.hash);
+            outgoing.datagram.push(&packet.encode(self.table.digest(), hash));
+        }
+        if outgoing.datagram.is_empty() {
+            return Ok(0);
+        }
+        let UdpOptions { incarnation, restarted, .. } = self.options;
+        let sender = self.table.node;
+        let envelope = Envelope { sender, incarnation, restarted, counter: outgoing.counter, tx_mono, echo };
+        let bytes = outgoing.datagram.seal(&envelope, self.table.digest());
+        match self.transmit(bytes, address) {
+            Ok(()) => {
+                self.statistics.add(UdpCount::DatagramsSent, 1);
+                self.statistics.add(UdpCount::PacketsSent, taken as u64);
+            }
+            Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
+                self.statistics.add(UdpCount::Busy, 1);
+                self.blocked.store(true, Ordering::Release);
+                // Whoever waits in the socket does not yet wait for this.
+                self.wake.wake();
+                return Err(LinkBusy);
+            }
+            Err(error) => self.statistics.send_failed(&error),
+        }
+        outgoing.counter += 1;
+        Ok(taken)
     }
 
     fn poll(&self, sink: &dyn Sink, until: Option<Instant>) -> PollEnd {

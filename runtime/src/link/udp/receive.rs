@@ -4,12 +4,12 @@ use super::UdpLink;
 use super::peer::{Contact, Heard, Life, judge, lock};
 use super::socket::{Received, Receiver};
 use super::statistics::UdpCount;
+use crate::clock;
 use crate::link::{LinkDiscard, Sink};
 use crate::residency::{Evidence, Reading, residency};
 use imrs_protocol::{Packet, Ticks};
 use imrs_wire::envelope::{self, EnvelopeError};
 use std::io;
-use std::time::Duration;
 
 /// How many datagrams one poll takes at most before it gives way to whatever else its thread has to do.
 const BATCH: usize = 64;
@@ -81,9 +81,7 @@ impl UdpLink {
             match Packet::decode(packet, digest, port_hash) {
                 Ok(packet) => {
                     self.statistics.add(UdpCount::PacketsReceived, 1);
-                    // Handing over the packets before it took time, too.
-                    let since = now.after.elapsed();
-                    sink.packet(peer.node, packet, charge + micros_up(since));
+                    sink.packet(peer.node, packet, charge, now.after);
                 }
                 Err(error) => sink.discarded(LinkDiscard::Packet(error)),
             }
@@ -99,13 +97,8 @@ impl UdpLink {
             Evidence::NoStamp => self.statistics.add(UdpCount::NoStamp, 1),
             Evidence::ClockSet => self.statistics.add(UdpCount::ClockSet, 1),
         }
-        micros_up(residency.waited)
+        Ticks(clock::micros(residency.waited))
     }
-}
-
-/// A duration in microseconds, rounded up.
-fn micros_up(duration: Duration) -> Ticks {
-    Ticks(u64::try_from(duration.as_nanos().div_ceil(1_000)).unwrap_or(u64::MAX))
 }
 
 impl From<EnvelopeError> for LinkDiscard {

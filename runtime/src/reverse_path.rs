@@ -1,0 +1,151 @@
+//! Whether a packet can have come the way it came (insertion and masquerade).
+//!
+//! Routes are static (§5.2.3), so the way of every packet is known beforehand: a neighbour that hands over a packet that
+//! never passes it, is mistaken or speaks in another's name. What a packet says of its source is thereby believed only
+//! from the neighbour that the source's packets come through.
+
+use imrs_protocol::{CellTable, Control, Kind, MAX_HOPS, NodeId, NodeTable, Packet};
+
+/// Whether `packet`, handed over by the neighbour `from`, is on its declared way. Says nothing of tasks that the cell
+/// does not have.
+pub(crate) fn can_come(table: &NodeTable, from: NodeId, packet: &Packet) -> bool {
+    let Some((source, destination)) = table.location(packet.source).zip(table.location(packet.destination))
+    else {
+        return true;
+    };
+    if enters_from(table, from, source, destination) {
+        return true;
+    }
+    // A relay that found no space for a command says so in the name of the command's destination (D19), and may have
+    // another way than that one, of the same length.
+    let of_a_relay = packet.kind == Kind::Control && packet.control() == Some(Control::RefusedOnTheWay);
+    of_a_relay && way(table, destination, source).any(|relay| enters_from(table, from, relay, destination))
+}
+
+/// Whether packets that `source` sends to `destination` come to this node from `from`.
+///
+/// The next hop from here back to the source would not do as a test: of two ways of the same length each direction may
+/// take its own.
+fn enters_from(table: &NodeTable, from: NodeId, source: NodeId, destination: NodeId) -> bool {
+    let mut last = None;
+    for node in way(table, source, destination) {
+        if node == table.node {
+            return last == Some(from);
+        }
+        last = Some(node);
+    }
+    false
+}
+
+/// The nodes that packets from `source` to `destination` pass, both included.
+fn way(table: &CellTable, source: NodeId, destination: NodeId) -> impl Iterator<Item = NodeId> + '_ {
+    let next = move |&node: &NodeId| table.next_hop(node, destination).filter(|_| node != destination);
+    std::iter::successors(Some(source), next).take(usize::from(MAX_HOPS) + 2)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use imrs_protocol::{
+        Cell, Class, Contents, Incarnation, MessageId, PortDecl, PortId, Seq24, TaskId, Ticks, Usage,
+    };
+    use proptest::prelude::*;
+    use std::sync::Arc;
+
+    fn packet(source: u16, destination: u16) -> Packet {
+        Packet {
+            kind: Kind::Send,
+            class: Class::Command,
+            more: false,
+            resent: false,
+            urgent: false,
+            hops: MAX_HOPS,
+            fragment: 0,
+            destination: TaskId(destination),
+            source: TaskId(source),
+            port: PortId(0),
+            id: MessageId { incarnation: Incarnation(1), sequence: Seq24::new(1) },
+            remaining: Ticks(1_000_000),
+            contents: Contents::EMPTY,
+        }
+    }
+
+    /// A cell of `nodes` nodes with a task on each.
+    fn table(nodes: u16, links: &[(u16, u16, u64)]) -> Arc<CellTable> {
+        let mut cell = Cell::new("paths", Ticks(1));
+        for n in 0..nodes {
+            let node = cell.node(&format!("n{n}"));
+            cell.task(&format!("t{n}"), node);
+        }
+        for &(a, b, bound) in links {
+            cell.link(NodeId(a), NodeId(b), Ticks(bound));
+        }
+        cell.port(PortDecl::new("p", TaskId(0), Usage::Send, &[TaskId(nodes - 1)], Ticks(1_000_000)));
+        Arc::new(CellTable::new(cell).unwrap())
+    }
+
+    fn at(table: &Arc<CellTable>, node: u16) -> NodeTable {
+        NodeTable::new(Arc::clone(table), NodeId(node))
+    }
+
+    #[test]
+    fn a_neighbour_speaks_for_those_behind_it_only() {
+        // 0 - 1 - 2 - 3, and 4 beside 2. Bounds of zero hide nothing.
+        let table = table(5, &[(0, 1, 0), (1, 2, 0), (2, 3, 0), (2, 4, 0)]);
+        let two = at(&table, 2);
+        let from = |from, source, destination| can_come(&two, NodeId(from), &packet(source, destination));
+        assert!(from(1, 1, 2) && from(1, 0, 2) && from(1, 0, 3) && from(3, 3, 0) && from(4, 4, 1));
+        assert!(!from(4, 0, 2), "the task lies behind another neighbour");
+        assert!(!from(4, 1, 3) && !from(3, 4, 0) && !from(1, 3, 0));
+        assert!(!from(1, 2, 3) && !from(4, 2, 2), "this node's own task does not speak from outside");
+        assert!(!from(1, 0, 1) && !from(3, 4, 3), "its way does not lead through here");
+        assert!(from(1, 99, 2) && from(1, 0, 99), "no way is known of tasks that there are not");
+    }
+
+    #[test]
+    fn two_ways_of_one_length_are_told_apart_by_direction() {
+        // A ring of six: 0 - 1 - 4 - 5 and 0 - 2 - 3 - 5. From 0 by the lower 1, from 5 by the lower 3.
+        let table = table(6, &[(0, 1, 10), (1, 4, 10), (4, 5, 10), (0, 2, 10), (2, 3, 10), (3, 5, 10)]);
+        let (first, last) = (at(&table, 0), at(&table, 5));
+        assert!(can_come(&last, NodeId(4), &packet(0, 5)) && !can_come(&last, NodeId(3), &packet(0, 5)));
+        assert!(can_come(&first, NodeId(2), &packet(5, 0)) && !can_come(&first, NodeId(1), &packet(5, 0)));
+        // The relay 4 refuses a command from 0 to 5: its word comes through 1, in the name of 5.
+        let word = |control: Control| Packet {
+            kind: Kind::Control,
+            contents: control.to_contents(),
+            ..packet(5, 0)
+        };
+        assert!(can_come(&first, NodeId(1), &word(Control::RefusedOnTheWay)));
+        assert!(!can_come(&first, NodeId(1), &word(Control::Refused)), "only 5 itself says this");
+        assert!(can_come(&first, NodeId(2), &word(Control::Refused)));
+    }
+
+    proptest! {
+        /// In any cell: whatever a node sends, or a relay refuses, is taken by every node it passes.
+        #[test]
+        fn nothing_that_keeps_to_its_way_is_dropped(
+            tree in proptest::collection::vec((any::<u16>(), 0..3_u64), 6),
+            more in proptest::collection::vec((0..7_u16, 0..7_u16, 0..3_u64), 0..8),
+        ) {
+            let mut links: Vec<_> = (1..).zip(tree).map(|(n, (to, bound))| (n, to % n, bound)).collect();
+            links.extend(more.into_iter().filter(|(a, b, _)| a != b));
+            let table = table(7, &links);
+            let passes = |start: NodeId, packet: &Packet| {
+                let end = table.location(packet.destination).unwrap();
+                let nodes: Vec<NodeId> = way(&table, start, end).collect();
+                nodes.windows(2).all(|hop| can_come(&at(&table, hop[1].0), hop[0], packet))
+            };
+            for (a, b) in (0..7).flat_map(|a| (0..7).map(move |b| (a, b))) {
+                prop_assert!(passes(NodeId(a), &packet(a, b)), "{} to {}", a, b);
+                let word = Packet {
+                    kind: Kind::Control,
+                    contents: Control::RefusedOnTheWay.to_contents(),
+                    ..packet(b, a)
+                };
+                for relay in way(&table, NodeId(a), NodeId(b)) {
+                    prop_assert!(passes(relay, &word), "refused by {} between {} and {}", relay, a, b);
+                }
+            }
+        }
+    }
+}
