@@ -258,7 +258,7 @@ pub(crate) fn store(
             }
             match watch {
                 Watch::Resolves | Watch::ResolvesOnce => {
-                    out.push(ghost.open.map_or(0, |ticks| ticks.saturating_add(1)))
+                    out.push(ghost.open.map_or(0, |ticks| ticks.saturating_add(1)));
                 }
                 Watch::AtMostOnce => out.push(ghost.executed),
                 _ => {

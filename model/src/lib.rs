@@ -3,6 +3,8 @@
 //! A [`Scenario`] says what a world is made of; [`explore`] looks at every state within its bounds; [`verify`] settles
 //! the protocol's claims, each under the default rules and under the variants that must fail.
 
+#![forbid(unsafe_code)]
+
 mod chart;
 mod claims;
 mod explore;

@@ -124,5 +124,5 @@ impl Report {
 pub fn collision_probability(states: u64) -> f64 {
     #[expect(clippy::cast_precision_loss, reason = "an estimate")]
     let n = states as f64;
-    1.0 - (-n * n / 2.0_f64.powi(65)).exp()
+    -(-n * n / 2.0_f64.powi(65)).exp_m1()
 }

@@ -5,17 +5,20 @@
 //! use, sequences counted back from the next one (D51).
 
 use crate::chart::Shown;
-use crate::ghost::{self, Ghost, Judge, question};
+use crate::ghost::{Ghost, Judge, question};
 use crate::network::{Codec, FLIGHT_BYTES, Flight};
 use crate::scenario::{Behaviour, Scenario, Watch};
-use crate::state::{Packed, Violation};
-use crate::symmetry;
+use crate::state::Violation;
+
 use imrs_protocol::{
-    Class, Frame, Incarnation, Kind, MessageId, Node, NodeId, NodeInput, NodeOutbox, NodeTable, Observation,
-    Outcome, Overflow, Packet, PortId, Request, Round, Seq24, Signal, Target, TaskId, TaskState, Ticks,
-    Visit, VisitMut,
+    Class, Incarnation, Kind, MessageId, Node, NodeId, NodeInput, NodeOutbox, NodeTable, Observation,
+    Outcome, Packet, Request, Round, Seq24, Signal, Target, TaskId, TaskState, Ticks,
 };
 use std::sync::Arc;
+
+mod canon;
+
+use canon::FromBase;
 
 /// One thing that can happen next.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -446,264 +449,10 @@ impl World {
         let somebody_waits = (0..self.n()).any(|i| !self.task(i).is_idle());
         if all_reached && somebody_waits { Err(Violation::Stranded) } else { Ok(()) }
     }
-
-    /// Reads a state. With `touch`, only that node is unpacked, and only steps of that node may follow.
-    pub fn load(&mut self, state: &Packed, touch: Option<usize>) {
-        let bytes = &state.0;
-        self.violation = state.violation();
-        (self.loss, self.dup, self.crash) = (bytes[1], bytes[2], bytes[3]);
-        (self.healed, self.done) = (bytes[4] & 1 != 0, bytes[4] & 2 != 0);
-        let mut at = HEADER;
-        for ghost in &mut self.ghosts {
-            at += ghost::load(ghost, self.scenario.watch, self.scenario.lives(), &bytes[at..]);
-        }
-        self.rounds.fill(Frame::ROUND);
-        let lives = self.scenario.lives();
-        for i in 0..self.places.len() {
-            let len = usize::from(bytes[at]);
-            let block = &bytes[at..at + len];
-            self.loaded[i] = touch.is_none_or(|touched| touched == i);
-            if self.loaded[i] {
-                load_place(&mut self.places[i], block, lives, self.scenario.clocks[i]);
-            } else {
-                self.blocks[i].clear();
-                self.blocks[i].extend_from_slice(block);
-            }
-            at += len;
-        }
-        self.flights.clear();
-        let patience = self.scenario.cell.ports().first().map_or(Ticks::FAR, |p| p.decl.time_out);
-        while at < bytes.len() {
-            let (flight, len) = self.codec.decode(&bytes[at..], patience);
-            self.flights.push(flight);
-            at += len;
-        }
-    }
-
-    /// Where packet number `i` of a packed state goes, without unpacking more than the packets.
-    pub fn destination(scenario: &Scenario, state: &Packed, i: u8) -> Option<usize> {
-        let bytes = &state.0;
-        let mut at = HEADER;
-        let mut ghost = Ghost::default();
-        for _ in 0..scenario.tasks() {
-            at += ghost::load(&mut ghost, scenario.watch, scenario.lives(), &bytes[at..]);
-        }
-        for _ in 0..scenario.tasks() {
-            at += usize::from(*bytes.get(at)?);
-        }
-        let codec = Codec::new(scenario);
-        for _ in 0..i {
-            at += codec.decode(bytes.get(at..)?, Ticks::ZERO).1;
-        }
-        let (flight, _) = codec.decode(bytes.get(at..)?, Ticks::ZERO);
-        Some(flight.packet.destination.index())
-    }
-
-    /// Writes the state, canonical.
-    pub fn store(&mut self) -> Packed {
-        match self.try_store() {
-            Ok(packed) => packed,
-            // A distance outgrew its field: an absorbing, visible failure, never a saturated value.
-            Err(Overflow) => Packed(Box::new([Violation::Overflow.code(), 0, 0, 0, 0])),
-        }
-    }
-
-    fn try_store(&mut self) -> Result<Packed, Overflow> {
-        if let Some(violation) = self.violation {
-            // Absorbing: nothing follows, so nothing else need be told apart.
-            return Ok(Packed(Box::new([violation.code(), 0, 0, 0, 0])));
-        }
-        if self.done {
-            return Ok(Packed(Box::new([0, 0, 0, 0, 2])));
-        }
-        for (place, loaded) in self.places.iter_mut().zip(&self.loaded) {
-            if *loaded {
-                place.node.parts_mut().tasks[0].bury();
-            }
-        }
-        if self.scenario.reductions.ignores && !self.scenario.lives() {
-            self.drop_unnoticed();
-        }
-        let (rounds, sequences) = self.bases();
-        let moved = rounds.first().zip(self.rounds.first()).map_or(0, |(new, old)| new.steps_from(*old));
-        if moved != 0 {
-            self.load_rest();
-        }
-        let frame = Frame { rounds: &rounds, sequences: &sequences, lives: self.scenario.lives() };
-        for i in 0..self.n() {
-            if self.loaded[i] {
-                self.blocks[i].clear();
-                store_place(&self.places[i], &frame, &mut self.blocks[i])?;
-            }
-        }
-        let flags = u8::from(self.healed);
-        let header = [0, self.loss, self.dup, self.crash, flags];
-        let least = self.ghosts.iter().map(|g| g.releases).min().unwrap_or(0);
-        let mut ghosts = Vec::with_capacity(self.n());
-        for (i, ghost) in self.ghosts.iter().enumerate() {
-            let mut bytes = Vec::with_capacity(4);
-            let task = TaskId::from_index(i);
-            ghost::store(ghost, self.scenario.watch, &frame, u32::from(moved), task, least, &mut bytes)?;
-            ghosts.push(bytes);
-        }
-        let parts = symmetry::Parts {
-            header,
-            ghosts: &ghosts,
-            blocks: &self.blocks,
-            flights: &self.flights,
-            frame,
-            codec: self.codec,
-        };
-        let bytes =
-            if self.scenario.reductions.symmetry && self.scenario.is_meeting() && !self.scenario.lives() {
-                parts.least()?
-            } else {
-                parts.in_order()?
-            };
-        Ok(Packed(bytes.into_boxed_slice()))
-    }
-
-    /// The packed bytes that were not unpacked are, once the numbers they are relative to move.
-    fn load_rest(&mut self) {
-        for i in 0..self.n() {
-            if !self.loaded[i] {
-                load_place(
-                    &mut self.places[i],
-                    &self.blocks[i],
-                    self.scenario.lives(),
-                    self.scenario.clocks[i],
-                );
-                self.loaded[i] = true;
-            }
-        }
-    }
-
-    /// Drops packets that nobody can notice, and CONFIRMs still to be sent that everybody would ignore.
-    fn drop_unnoticed(&mut self) {
-        let places = &self.places;
-        let task = |i: usize| &places[i].node.parts().tasks[0];
-        self.flights.retain(|flight| {
-            let (from, to) = (flight.packet.source.index(), flight.packet.destination.index());
-            !(places[to].up && task(to).ignores(&places[to].table, &flight.packet, task(from)))
-        });
-        let port = PortId(0);
-        for i in 0..self.n() {
-            if let Some(round) = self.task(i).owes(port)
-                && (0..self.n()).all(|other| other == i || self.task(other).is_over(port, round))
-            {
-                self.places[i].node.parts_mut().tasks[0].settle(port);
-            }
-        }
-    }
-
-    /// The least round in use of each port, and the next sequence of each task.
-    fn bases(&self) -> (Vec<Round>, Vec<Seq24>) {
-        let sequence = |i: usize| if self.loaded[i] { self.next_sequence(i) } else { Frame::SEQUENCE };
-        let sequences = (0..self.n()).map(sequence).collect();
-        if self.scenario.lives() {
-            // A restarted node counts from its own beginning: only absolute rounds say how it relates to the others.
-            return (self.rounds.clone(), sequences);
-        }
-        let mut least = Least { rounds: vec![None; self.rounds.len()] };
-        for (i, place) in self.places.iter().enumerate() {
-            if self.loaded[i] {
-                place.node.parts().tasks[0].visit(&mut least);
-            } else if let Some(&low) = self.blocks[i].get(1) {
-                least.round(PortId(0), Frame::ROUND.plus(u16::from(low)));
-            }
-        }
-        for flight in &self.flights {
-            if matches!(flight.packet.kind, Kind::Arrive | Kind::Confirm | Kind::Abort) {
-                let meeting = flight.packet.meeting();
-                least.round(flight.packet.port, meeting.round);
-                least.round(flight.packet.port, meeting.released);
-            }
-        }
-        for ghost in &self.ghosts {
-            if let Some(round) = ghost.last_released {
-                least.round(PortId(0), round);
-            }
-        }
-        let rounds =
-            least.rounds.iter().zip(&self.rounds).map(|(least, old)| least.unwrap_or(*old)).collect();
-        (rounds, sequences)
-    }
-
-    /// Drops what the stored state would leave out, and goes on unpacked.
-    pub fn tidy(&mut self) {
-        if self.scenario.reductions.ignores && !self.scenario.lives() && self.violation.is_none() {
-            for place in &mut self.places {
-                place.node.parts_mut().tasks[0].bury();
-            }
-            self.drop_unnoticed();
-        }
-    }
 }
 
 const fn timed_out(outcome: &Outcome) -> bool {
     matches!(outcome, Outcome::TimedOutUnknown | Outcome::TimedOutUnsent)
-}
-
-struct Least {
-    rounds: Vec<Option<Round>>,
-}
-
-/// Moves the rounds of a new node to where this world's numbers begin.
-struct FromBase(Round);
-
-impl VisitMut for FromBase {
-    fn instant(&mut self, _: &mut Ticks) {}
-    fn round(&mut self, _: PortId, round: &mut Round) {
-        *round = round.plus(self.0.0);
-    }
-    fn sequence(&mut self, _: TaskId, _: &mut Seq24) {}
-}
-
-impl Visit for Least {
-    fn instant(&mut self, _: Ticks) {}
-    fn round(&mut self, port: PortId, round: Round) {
-        let slot = &mut self.rounds[port.index()];
-        *slot = Some(slot.map_or(round, |least| if least.is_newer_than(round) { round } else { least }));
-    }
-    fn sequence(&mut self, _: TaskId, _: Seq24) {}
-}
-
-/// A node's block: its length, its least round, whether it is up, its lives, its task.
-fn store_place(place: &Place, frame: &Frame<'_>, out: &mut Vec<u8>) -> Result<(), Overflow> {
-    let mut least = Least { rounds: vec![None; frame.rounds.len()] };
-    let task = &place.node.parts().tasks[0];
-    task.visit(&mut least);
-    let low = least.rounds.first().copied().flatten().map_or(0, |round| round.steps_from(frame.rounds[0]));
-    out.extend([0, u8::try_from(low).map_err(|_| Overflow)?]);
-    if frame.lives {
-        out.extend([u8::from(place.up), place.life.0]);
-        out.extend(place.known.iter().map(|life| life.0));
-    }
-    let start = out.len();
-    out.resize(start + 200, 0);
-    let len = if place.up { task.store(&place.table, frame, &mut out[start..])? } else { 0 };
-    out.truncate(start + len);
-    out[0] = u8::try_from(out.len()).map_err(|_| Overflow)?;
-    Ok(())
-}
-
-fn load_place(place: &mut Place, block: &[u8], lives: bool, clock: u64) {
-    let mut at = 2;
-    if lives {
-        place.up = block[2] == 1;
-        place.life = Incarnation(block[3]);
-        for (i, known) in place.known.iter_mut().enumerate() {
-            *known = Incarnation(block[4 + i]);
-        }
-        at = 4 + place.known.len();
-    }
-    if place.up {
-        let task = &mut place.node.parts_mut().tasks[0];
-        task.load(&place.table, lives, &block[at..]);
-        if clock != 0 {
-            task.set_ahead(Ticks(clock));
-        }
-    }
 }
 
 fn small(i: usize) -> u8 {

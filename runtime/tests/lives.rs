@@ -178,3 +178,47 @@ fn a_restart_while_a_command_waits_is_told_to_its_sender() {
     finish(second_life);
     finish(asker);
 }
+
+/// A sender whose neighbour it has never heard of, and that neighbour's first words.
+fn first_contact(restarted: bool, time_out: Ticks) -> Outcome {
+    let mut cell = cell(&[0, 1], Ticks(1_000));
+    cell.port(ask(time_out));
+    cell.port(PortDecl::new("alive", B, Usage::Send, &[A], Ticks(1_000_000)));
+    let table = table(cell);
+    let network = network(&table, Faults::default());
+    let (tell, told) = report();
+    let asker = on(&network, &table, 0).task("a", move |ctx| {
+        let ask = ctx.port("ask")?;
+        let Sent::Outcome(outcome) = ctx.send(ask, b"work")? else { panic!("a command has an outcome") };
+        tell.send(outcome).expect("the test listens");
+        Ok(())
+    });
+    let asker = asker.start().unwrap();
+    until(|| asker.node().snapshot(0).links[0].sent == 1);
+    let link = network.join(NodeId(1), Incarnation(7), restarted);
+    let other = Runtime::builder(Arc::clone(&table), NodeId(1))
+        .incarnation(Incarnation(7), restarted)
+        .link(Arc::new(link))
+        .task("b", |ctx| {
+            let alive = ctx.port("alive")?;
+            assert_eq!(ctx.send(alive, b"")?, Sent::Copies(1));
+            Ok(())
+        })
+        .start()
+        .unwrap();
+    until(|| asker.node().snapshot(0).links[0].heard_us.is_some());
+    let outcome = told.recv_timeout(LONG).expect("the command ends");
+    finish(other);
+    finish(asker);
+    outcome
+}
+
+#[test]
+fn a_neighbour_that_restarted_before_it_was_ever_heard_of_ends_a_command_that_waits() {
+    assert_eq!(first_contact(true, LONG_TICKS), Outcome::PeerRestarted);
+}
+
+#[test]
+fn a_neighbour_in_its_first_life_ends_no_command_by_being_heard_of() {
+    assert_eq!(first_contact(false, Ticks(500_000)), Outcome::TimedOutUnknown);
+}

@@ -3,12 +3,13 @@
 mod common;
 
 use common::{A, B, C, LONG, LONG_TICKS, ask, cell, finish, report, table};
-use imrs_protocol::{CellTable, Incarnation, NodeId, NodeTable, PortDecl, Round, Ticks, Usage};
+use imrs_protocol::{CellTable, Incarnation, NodeId, NodeTable, Outcome, PortDecl, Round, Ticks, Usage};
 use imrs_runtime::link::faulty::FaultyLink;
 use imrs_runtime::link::udp::{UdpLink, UdpOptions};
-use imrs_runtime::{Builder, Context, Rendezvous, Runtime, TaskError};
+use imrs_runtime::{Builder, Context, Rendezvous, Runtime, Sent, TaskError};
 use std::sync::Arc;
 use std::sync::mpsc::Sender;
+use std::time::{Duration, Instant};
 
 /// Links of all nodes of a cell that know each other's addresses.
 fn links(table: &Arc<CellTable>, loss: f64) -> Vec<Arc<FaultyLink<UdpLink>>> {
@@ -72,6 +73,54 @@ fn send_receive_reply_over_udp() {
     assert!(link.sent >= 200 && link.received >= 200 && link.heard_us.is_some(), "{link:?}");
     finish(first);
     finish(second);
+}
+
+/// The life that was asked ended before a word of it was heard; the next says so with its first datagram.
+#[test]
+fn a_restart_before_the_first_contact_is_told_to_the_sender_over_udp() {
+    let mut cell = cell(&[0, 1], Ticks(1_000));
+    cell.port(ask(LONG_TICKS));
+    cell.port(PortDecl::new("alive", B, Usage::Send, &[A], LONG_TICKS));
+    let table = table(cell);
+    let bind = |node, life, restarted| {
+        let here = NodeTable::new(Arc::clone(&table), NodeId(node));
+        let address = "127.0.0.1:0".parse().expect("an address");
+        UdpLink::bind(here, address, UdpOptions::new(Incarnation(life), restarted)).expect("a free port")
+    };
+    let (asker, first_life) = (bind(0, 1, false), bind(1, 1, false));
+    let asker_address = Some(asker.local_address());
+    asker.set_address(NodeId(1), Some(first_life.local_address())).expect("a neighbour");
+    let asker = Runtime::builder(Arc::clone(&table), NodeId(0))
+        .incarnation(Incarnation(1), false)
+        .link(Arc::new(asker))
+        .task("a", |ctx| {
+            let ask = ctx.port("ask")?;
+            assert_eq!(ctx.send(ask, b"work")?, Sent::Outcome(Outcome::PeerRestarted));
+            Ok(())
+        })
+        .start()
+        .unwrap();
+    let start = Instant::now();
+    while asker.node().snapshot(0).links[0].sent == 0 {
+        assert!(start.elapsed() < LONG, "the command did not leave");
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    drop(first_life);
+    let second_life = bind(1, 2, true);
+    second_life.set_address(NodeId(0), asker_address).expect("a neighbour");
+    let second_life = Runtime::builder(table, NodeId(1))
+        .incarnation(Incarnation(2), true)
+        .link(Arc::new(second_life))
+        .task("b", |ctx| {
+            let alive = ctx.port("alive")?;
+            assert_eq!(ctx.send(alive, b"")?, Sent::Copies(1));
+            Ok(())
+        })
+        .start()
+        .unwrap();
+    assert!(asker.wait(LONG), "the asker was not told");
+    finish(second_life);
+    finish(asker);
 }
 
 const ATTEMPTS: usize = 40;

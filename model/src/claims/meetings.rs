@@ -100,11 +100,11 @@ fn no_false_release() -> Vec<Claim> {
         budget: Budget { loss: 1, dup: 0, crash: 1 },
         ..Meeting { attempts: Some(2), ..timed(2, Watch::FalseRelease, 1, 3, 5) }
     };
-    let eager = Meeting { rules: Rules { quarantine: false, ..Rules::DEFAULT }, ..crash.clone() };
+    let eager = Meeting { rules: Rules { quarantine: false, ..Rules::DEFAULT }, ..crash };
     let endless = Meeting { attempts: None, delay: Some(DELAY), ..Meeting::new(2, Watch::Pairing) };
     let unnumbered = Rules { rounds: false, ..Rules::DEFAULT };
-    let loss2 = Meeting { budget: Budget { loss: 3, dup: 2, crash: 0 }, ..faulty.clone() };
-    let overtaking = Meeting { budget: Budget { loss: 1, dup: 1, crash: 0 }, ..three.clone() };
+    let loss2 = Meeting { budget: Budget { loss: 3, dup: 2, crash: 0 }, ..faulty };
+    let overtaking = Meeting { budget: Budget { loss: 1, dup: 1, crash: 0 }, ..three };
     vec![
         simple((name, "default", about), Outcome::Holds, true, faulty),
         simple((name, "default", about), Outcome::Holds, true, three),
@@ -168,7 +168,7 @@ fn strand(work: &mut Work<'_>, members: usize, confirmation: Confirmation) -> Se
 fn least_losses(work: &mut Work<'_>, meeting: &Meeting, most: u8) -> (Settled, Option<u32>) {
     let mut last = None;
     for loss in 0..=most {
-        let meeting = Meeting { budget: Budget { loss, ..meeting.budget }, ..meeting.clone() };
+        let meeting = Meeting { budget: Budget { loss, ..meeting.budget }, ..*meeting };
         let settled = once(work, &meeting);
         if settled.outcome != Outcome::Holds {
             let least = (settled.outcome == Outcome::Fails).then_some(u32::from(loss));
@@ -270,7 +270,7 @@ fn margin(work: &mut Work<'_>, members: usize, losses: u8) -> Settled {
     let shown = least.unwrap_or(closed_form);
     let time_out = time_outs(members, shown).next().unwrap_or(0);
     let meeting = divergence(members, losses, shown, time_out);
-    let reachable = Meeting { watch: Watch::Reachable, budget: Budget::default(), ..meeting.clone() };
+    let reachable = Meeting { watch: Watch::Reachable, budget: Budget::default(), ..meeting };
     let reached = once(work, &reachable).outcome == Outcome::Fails;
     let unsettled = one_less.as_ref().map_or(Outcome::Unknown, |(settled, _)| settled.outcome);
     Settled {

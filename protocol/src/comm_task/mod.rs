@@ -12,11 +12,13 @@ mod inbox;
 pub mod invariants;
 mod memory;
 mod packed;
+mod relative;
 mod rendezvous;
 mod user;
 mod view;
 
-pub use packed::{Frame, Overflow, Visit, VisitMut};
+pub use packed::{Frame, Overflow};
+pub use relative::{Visit, VisitMut};
 
 use crate::cell::Usage;
 use crate::ids::{Incarnation, MessageId, NodeId, PortId, Seq24, TaskId};

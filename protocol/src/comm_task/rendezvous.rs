@@ -115,8 +115,10 @@ impl Rendezvous {
         self.release_if_complete(at, out);
     }
 
-    /// The task leaves without a release: its patience ended, or it was cancelled. Returns who had not arrived.
+    /// The task leaves without a release: its patience ended, or it was cancelled before. Returns who had not arrived.
     pub fn leave(&mut self, at: &mut At<'_>, out: &mut impl Outbox) -> u64 {
+        let in_vain = self.deadline.is_some_and(|deadline| deadline <= at.scene.now);
+        at.counters.timed_out += u64::from(in_vain);
         let mut missing = 0;
         for (i, member) in self.members.iter().enumerate().take(MAX_MEMBERS) {
             // A partner whose patience ended just before was here all the same: it is not the one that was missing.
@@ -127,7 +129,6 @@ impl Rendezvous {
         }
         self.deadline = None;
         self.resend_at = Ticks::FAR;
-        at.counters.timed_out += 1;
         self.note(at, Event::GaveUp, at.scene.task, Ticks::ZERO, out);
         if at.scene.table.rules().aborts {
             for i in 0..self.members.len() {

@@ -56,7 +56,7 @@ pub enum KeyframeError {
     #[error("the state of {0} has {1} bytes too many")]
     Trailing(TaskId, usize),
     /// The state is that of another task, or of another life of the node.
-    #[error("the state given for {0} is that of {1} in life {2}")]
+    #[error("the state given for {0} is that of {1} in life {life}", life = .2.0)]
     Foreign(TaskId, TaskId, Incarnation),
     /// Nothing is missing before the keyframe, and yet it names other outputs.
     #[error("the keyframe of {0} contradicts the steps before it")]

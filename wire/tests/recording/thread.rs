@@ -157,6 +157,43 @@ fn a_slow_disk_makes_a_gap_and_never_a_wait() {
 }
 
 #[test]
+fn a_keyframe_is_wanted_once_the_disk_keeps_up_again_and_nothing_is_recorded_before_it() {
+    let (disk, bytes) = Disk::new();
+    let (disk, give) = disk.held_back();
+    let recording = Recording::start(disk, &header(), 64, no_failure).unwrap();
+    let mut stream = recording.task(TaskId(0));
+    let mut number = 0;
+    while stream.input(Ticks(number), ADVANCE, number) {
+        assert!(!stream.wants_keyframe(), "nothing is missing");
+        number += 1;
+    }
+    assert!(
+        stream.needs_keyframe() && !stream.wants_keyframe(),
+        "the queue is full: it would be lost as well"
+    );
+    drop(give);
+    wait_for("room for a keyframe", || stream.wants_keyframe());
+    for _ in 0..5 {
+        assert!(!stream.input(Ticks(0), ADVANCE, 0), "there is room, but it could not be replayed");
+    }
+    assert!(stream.wants_keyframe() && stream.keyframe(vec![7], 42) && !stream.wants_keyframe());
+    assert!(stream.input(Ticks(1), ADVANCE, 43));
+    assert!(recording.stop(PATIENCE).ended);
+    assert!(!stream.input(Ticks(1), ADVANCE, 44) && !stream.wants_keyframe(), "nothing is written any more");
+    let (records, _) = read(&bytes.lock().unwrap());
+    let after = records.iter().skip_while(|record| matches!(record, Record::Input { .. }));
+    let after: Vec<_> = after.cloned().collect();
+    let task = TaskId(0);
+    let expected = [
+        Record::Gap { stream: Stream::Task(task), lost: 6 },
+        Record::Keyframe { task, state: vec![7], outputs: 42 },
+        Record::Input { task, elapsed: Ticks(1), input: ADVANCE, outputs: 43 },
+        Record::End,
+    ];
+    assert_eq!(after, expected);
+}
+
+#[test]
 fn a_full_disk_is_reported_once_and_leaves_a_readable_recording() {
     let (mut disk, bytes) = Disk::new();
     disk.size = 1_000;
@@ -172,7 +209,7 @@ fn a_full_disk_is_reported_once_and_leaves_a_readable_recording() {
         std::thread::yield_now();
     }
     wait_for("the queue is given up", || !stream.input(Ticks(1), ADVANCE, 1));
-    assert!(stream.needs_keyframe() && handed_over > 0);
+    assert!(stream.needs_keyframe() && !stream.wants_keyframe() && handed_over > 0);
     let message = told.recv_timeout(PATIENCE).unwrap();
     assert!(message.starts_with("the recording cannot be written"), "{message}");
     let status = recording.stop(PATIENCE);

@@ -1,0 +1,222 @@
+//! Everything relative in a state (D51): instants, rounds, sequences. One list of them serves looking, moving the clock
+//! and shifting ids; and here is what of a state is dead.
+
+use super::inbox::Inbox;
+use super::memory::{Fate, Window};
+use super::rendezvous::{Arrived, Rendezvous};
+use super::{CommTask, Pending};
+use crate::ids::{PortId, Round, Seq24, TaskId};
+use crate::ticks::Ticks;
+
+/// Looks at everything relative in a state.
+pub trait Visit {
+    /// An instant on the task's own counter.
+    fn instant(&mut self, instant: Ticks);
+    /// A round of a port.
+    fn round(&mut self, port: PortId, round: Round);
+    /// A sequence number of a source.
+    fn sequence(&mut self, source: TaskId, sequence: Seq24);
+}
+
+/// Changes everything relative in a state.
+pub trait VisitMut {
+    /// An instant on the task's own counter.
+    fn instant(&mut self, instant: &mut Ticks);
+    /// A round of a port.
+    fn round(&mut self, port: PortId, round: &mut Round);
+    /// A sequence number of a source.
+    fn sequence(&mut self, source: TaskId, sequence: &mut Seq24);
+}
+
+/// Walks everything relative, once for looking and once for changing: `relatives!(self, v)` or `relatives!(self, v, mut)`.
+macro_rules! relatives {
+    ($self:ident, $v:ident $(, $m:ident)?) => {{
+        let own = $self.task;
+        $v.sequence(own, & $($m)? $self.next_sequence);
+        $v.instant(& $($m)? $self.quarantine_until);
+        for command in [& $($m)? $self.overdue] {
+            if let Some(command) = command {
+                $v.sequence(own, & $($m)? command.id.sequence);
+                $v.instant(& $($m)? command.deadline);
+                $v.instant(& $($m)? command.copy_at);
+            }
+        }
+        match & $($m)? $self.pending {
+            Pending::Get { deadline, .. } => $v.instant(deadline),
+            Pending::Reply(command) => {
+                $v.sequence(own, & $($m)? command.id.sequence);
+                $v.instant(& $($m)? command.deadline);
+                $v.instant(& $($m)? command.copy_at);
+            }
+            Pending::Nothing | Pending::Meeting(_) | Pending::Delay(_) => {}
+        }
+        for source in & $($m)? $self.sources {
+            let task = source.task;
+            if let Some(command) = & $($m)? source.command {
+                $v.sequence(task, & $($m)? command.id.sequence);
+                $v.instant(& $($m)? command.sender_until);
+                $v.instant(& $($m)? command.until);
+                if let Fate::Delivered(budget_ends) = & $($m)? command.fate {
+                    $v.instant(budget_ends);
+                }
+            }
+            if let Some(newest) = & $($m)? source.status.newest {
+                $v.sequence(task, newest);
+                $v.instant(& $($m)? source.status.until);
+            }
+        }
+        for meeting in & $($m)? $self.meetings {
+            let port = meeting.port;
+            $v.round(port, & $($m)? meeting.announced);
+            $v.round(port, & $($m)? meeting.fresh);
+            if let Some(released) = & $($m)? meeting.released {
+                $v.round(port, released);
+            }
+            if let Some(deadline) = & $($m)? meeting.deadline {
+                $v.instant(deadline);
+            }
+            $v.instant(& $($m)? meeting.resend_at);
+            $v.instant(& $($m)? meeting.copy_at);
+            for member in & $($m)? meeting.members {
+                if let Some(arrived) = & $($m)? member.arrived {
+                    $v.round(port, & $($m)? arrived.round);
+                    $v.instant(& $($m)? arrived.expires);
+                }
+                if let Some(barred) = & $($m)? member.barred {
+                    $v.round(port, barred);
+                }
+            }
+        }
+    }};
+}
+
+/// Hands the visitor values where the walk has references.
+struct ByRef<'a, V>(&'a mut V);
+
+impl<V: Visit> ByRef<'_, V> {
+    fn instant(&mut self, instant: &Ticks) {
+        self.0.instant(*instant);
+    }
+    fn round(&mut self, port: PortId, round: &Round) {
+        self.0.round(port, *round);
+    }
+    fn sequence(&mut self, source: TaskId, sequence: &Seq24) {
+        self.0.sequence(source, *sequence);
+    }
+}
+
+impl CommTask {
+    /// Looks at everything relative.
+    pub fn visit(&self, visitor: &mut impl Visit) {
+        let mut v = ByRef(visitor);
+        relatives!(self, v);
+        for inbox in &self.inboxes {
+            for (_, _, held) in inbox.queue.iter() {
+                v.sequence(held.source, &held.id.sequence);
+                v.instant(&held.expires);
+            }
+        }
+    }
+
+    /// Changes everything relative. The order of instants must stay as it is.
+    pub fn visit_mut(&mut self, v: &mut impl VisitMut) {
+        relatives!(self, v, mut);
+        for inbox in &mut self.inboxes {
+            inbox.queue.rekey(|key, held| {
+                v.sequence(held.source, &mut held.id.sequence);
+                v.instant(&mut held.expires);
+                Inbox::key_again(key, held)
+            });
+        }
+    }
+
+    /// Sets the internal clock back to zero; behaviour does not change. Dead state is dropped first, so that no
+    /// forgotten instant lies before the new zero.
+    pub fn rebase(&mut self) {
+        struct Back(Ticks);
+        impl VisitMut for Back {
+            fn instant(&mut self, instant: &mut Ticks) {
+                if *instant != Ticks::FAR {
+                    *instant = *instant - self.0;
+                }
+            }
+            fn round(&mut self, _: PortId, _: &mut Round) {}
+            fn sequence(&mut self, _: TaskId, _: &mut Seq24) {}
+        }
+        self.bury();
+        let now = self.now;
+        self.visit_mut(&mut Back(now));
+        self.now = Ticks::ZERO;
+    }
+
+    /// Moves the internal clock `ahead`, and every instant with it; behaviour does not change, however far, because
+    /// no instant ever leaves the task (D37).
+    pub fn set_ahead(&mut self, ahead: Ticks) {
+        struct Ahead(Ticks);
+        impl VisitMut for Ahead {
+            fn instant(&mut self, instant: &mut Ticks) {
+                *instant += self.0;
+            }
+            fn round(&mut self, _: PortId, _: &mut Round) {}
+            fn sequence(&mut self, _: TaskId, _: &mut Seq24) {}
+        }
+        self.visit_mut(&mut Ahead(ahead));
+        self.now += ahead;
+    }
+
+    /// Drops what can never matter again, so that equal futures have equal states. Behaviour does not change.
+    pub fn bury(&mut self) {
+        let now = self.now;
+        if self.quarantine_until <= now {
+            self.quarantine_until = now;
+        }
+        for source in &mut self.sources {
+            source.command = source.command.filter(|c| c.until > now);
+            if source.status.until <= now {
+                source.status = Window::default();
+            }
+        }
+        for meeting in &mut self.meetings {
+            meeting.bury(now);
+        }
+    }
+}
+
+impl Rendezvous {
+    fn bury(&mut self, now: Ticks) {
+        if !self.fresh.is_newer_than(self.announced) {
+            self.fresh = self.announced;
+        }
+        let waiting = self.deadline.is_some();
+        if !waiting {
+            self.arguments = [0; 8];
+        }
+        let Self { announced, released, owes_confirm: owes, numbered, .. } = *self;
+        // An arrival counts in the round waited in and in fresher ones, and in the released one for an owed CONFIRM.
+        let counts = |round: Round| {
+            !numbered
+                || round.is_newer_than(announced)
+                || (waiting && round == announced)
+                || (owes && released == Some(round))
+        };
+        for member in &mut self.members {
+            // Even when its patience has ended, a partner that came to this round was not the one that was missing.
+            let came = |a: &Arrived| numbered && waiting && a.round == announced;
+            member.arrived = member.arrived.filter(|a| came(a) || (a.expires > now && counts(a.round)));
+            if let Some(arrived) = &mut member.arrived {
+                arrived.expires = arrived.expires.max(now);
+            }
+            member.barred = member.barred.filter(|&barred| counts(barred));
+            if !waiting {
+                member.confirmed = false;
+            }
+        }
+    }
+
+    /// When the arrival is announced again: whole periods before the deadline, later than now (D55).
+    pub(super) fn resend_instant(deadline: Ticks, now: Ticks, period: Ticks) -> Ticks {
+        let period = period.0.max(1);
+        let more = (deadline - now).0.saturating_sub(1) / period;
+        if more == 0 { Ticks::FAR } else { deadline - Ticks(more * period) }
+    }
+}

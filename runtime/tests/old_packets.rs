@@ -1,0 +1,270 @@
+//! What a stop of the node makes old is old: commands and news whose life ended meanwhile reach no task (D20, D50).
+
+mod common;
+
+use common::{A, B, LONG, LONG_TICKS, ask, cell, finish, network, report, table};
+use imrs_protocol::{
+    CellTable, Incarnation, NodeId, NodeTable, Outcome, Packet, PortDecl, Reason, Ticks, Usage,
+};
+use imrs_runtime::link::faulty::FaultyLink;
+use imrs_runtime::link::in_process::Faults;
+use imrs_runtime::link::udp::{UdpLink, UdpOptions};
+use imrs_runtime::link::{Link, LinkBusy, LinkDiscard, PollEnd, Sink};
+use imrs_runtime::{Context, Runtime, Sent, TaskError};
+use std::sync::{Arc, Condvar, Mutex};
+use std::thread;
+use std::time::{Duration, Instant};
+
+/// How long the node is stopped.
+const STOP: Duration = Duration::from_millis(300);
+const STOP_US: u64 = 300_000;
+/// Of what must not outlive the stop.
+const SHORT: Ticks = Ticks(200_000);
+/// How many messages of each kind are sent.
+const COPIES: u8 = 5;
+
+/// Where the node is stopped.
+#[derive(Clone, Copy, PartialEq)]
+enum Where {
+    /// Before it looks at the link: for as long as the gate is closed.
+    BeforeThePoll,
+    /// After the link has reckoned what the way cost, for [`STOP`].
+    BeforeTheSink,
+}
+
+/// A link whose node is stopped at times.
+struct Stopping<L> {
+    inner: L,
+    stop: Where,
+    open: Mutex<bool>,
+    opened: Condvar,
+    charges: Mutex<Vec<Ticks>>,
+}
+
+impl<L> Stopping<L> {
+    fn new(inner: L, stop: Where) -> Self {
+        let open = Mutex::new(stop != Where::BeforeThePoll);
+        Self { inner, stop, open, opened: Condvar::new(), charges: Mutex::default() }
+    }
+
+    fn open(&self) {
+        *self.open.lock().unwrap() = true;
+        self.opened.notify_all();
+    }
+}
+
+impl<L: Link> Link for Stopping<L> {
+    fn ready(&self, next: NodeId) -> bool {
+        self.inner.ready(next)
+    }
+
+    fn send_at(&self, next: NodeId, packets: &[Packet], at: Instant) -> Result<usize, LinkBusy> {
+        self.inner.send_at(next, packets, at)
+    }
+
+    fn poll(&self, sink: &dyn Sink, until: Option<Instant>) -> PollEnd {
+        let closed = |open: &mut bool| !*open;
+        drop(self.opened.wait_while(self.open.lock().unwrap(), closed).unwrap());
+        let stop = if self.stop == Where::BeforeTheSink { STOP } else { Duration::ZERO };
+        self.inner.poll(&Watching { sink, stop, charges: &self.charges }, until)
+    }
+
+    fn wake(&self) {
+        self.open();
+        self.inner.wake();
+    }
+}
+
+/// Remembers what packets are charged, and is stopped before it hands them on.
+struct Watching<'a> {
+    sink: &'a dyn Sink,
+    stop: Duration,
+    charges: &'a Mutex<Vec<Ticks>>,
+}
+
+impl Sink for Watching<'_> {
+    fn packet(&self, from: NodeId, packet: Packet, charge: Ticks, at: Instant) {
+        self.charges.lock().unwrap().push(charge);
+        thread::sleep(self.stop);
+        self.sink.packet(from, packet, charge, at);
+    }
+
+    fn peer(&self, node: NodeId, incarnation: Incarnation, restarted: bool) {
+        self.sink.peer(node, incarnation, restarted);
+    }
+
+    fn discarded(&self, reason: LinkDiscard) {
+        self.sink.discarded(reason);
+    }
+}
+
+fn two_nodes() -> Arc<CellTable> {
+    let mut cell = cell(&[0, 1], Ticks(1_000));
+    cell.port(PortDecl::new("short", A, Usage::Send, &[B], SHORT).bounded_buffer(16));
+    cell.port(PortDecl::new("long", A, Usage::Send, &[B], LONG_TICKS).bounded_buffer(16));
+    cell.port(ask(SHORT));
+    table(cell)
+}
+
+/// Sends what the stop outlives, and what outlives the stop.
+fn sender(ctx: &mut Context) -> Result<(), TaskError> {
+    let (short, long, ask) = (ctx.port("short")?, ctx.port("long")?, ctx.port("ask")?);
+    for number in 0..COPIES {
+        assert_eq!(ctx.send(short, &[number])?, Sent::Copies(1));
+        assert_eq!(ctx.send(long, &[number])?, Sent::Copies(1));
+    }
+    assert_eq!(ctx.send(ask, b"now")?, Sent::Outcome(Outcome::TimedOutUnknown));
+    Ok(())
+}
+
+/// Nothing whose life has ended is handed to the receiver's task, and all of it is counted.
+fn only_what_lives_arrives<L: Link + 'static>(table: &Arc<CellTable>, links: [L; 2], stop: Where) {
+    let [first, second] = links;
+    let second = Arc::new(Stopping::new(second, stop));
+    let (tell, told) = report();
+    let builder = |node| Runtime::builder(Arc::clone(table), NodeId(node)).incarnation(Incarnation(1), false);
+    let receiver = builder(1).link(Arc::clone(&second) as Arc<dyn Link>).task("b", move |ctx| {
+        let long = ctx.port("long")?;
+        for number in 0..COPIES {
+            let news = ctx.receive(None, None)?.expect("only a message ends it");
+            assert_eq!(
+                (news.from.port, news.contents.as_bytes()),
+                (long, &[number][..]),
+                "a message from the past"
+            );
+            tell.send(news.budget).expect("the test listens");
+        }
+        // Nothing more comes.
+        assert_eq!(ctx.receive(None, Some(Duration::from_millis(50)))?, None);
+        Ok(())
+    });
+    let sender = builder(0).link(Arc::new(first)).task("a", sender);
+    let (receiver, sender) = (receiver.start().unwrap(), sender.start().unwrap());
+    assert!(sender.wait(LONG));
+    thread::sleep(STOP);
+    second.open();
+    let expired = Reason::ExpiredOnTheWay.name();
+    let count = || {
+        let counts = receiver.node().snapshot(0).discards;
+        counts.iter().find(|count| count.name == expired).map_or(0, |count| count.count)
+    };
+    let begun = Instant::now();
+    while count() < u64::from(COPIES) + 1 {
+        assert!(begun.elapsed() < LONG, "{} expired on the way", count());
+        thread::sleep(Duration::from_millis(1));
+    }
+    assert!(receiver.wait(LONG));
+    let charges = second.charges.lock().unwrap().clone();
+    finish(receiver);
+    finish(sender);
+    assert_eq!(charges.len(), 2 * usize::from(COPIES) + 1);
+    if stop == Where::BeforeThePoll {
+        assert!(charges.iter().all(|charge| charge.0 >= STOP_US), "{charges:?}");
+    }
+    let left: Vec<Ticks> = told.iter().collect();
+    assert!(left.iter().all(|left| left.0 <= LONG_TICKS.0 - STOP_US), "younger than the stop: {left:?}");
+}
+
+fn in_process(table: &Arc<CellTable>) -> [imrs_runtime::link::in_process::InProcess; 2] {
+    let network = network(table, Faults::default());
+    [0, 1].map(|node| network.join(NodeId(node), Incarnation(1), false))
+}
+
+fn udp(table: &Arc<CellTable>) -> [UdpLink; 2] {
+    let links = [0, 1].map(|node| {
+        let here = NodeTable::new(Arc::clone(table), NodeId(node));
+        let address = "127.0.0.1:0".parse().expect("an address");
+        UdpLink::bind(here, address, UdpOptions::new(Incarnation(1), false)).expect("a free port")
+    });
+    links[0].set_address(NodeId(1), Some(links[1].local_address())).expect("a neighbour");
+    links[1].set_address(NodeId(0), Some(links[0].local_address())).expect("a neighbour");
+    links
+}
+
+#[test]
+fn a_node_stopped_before_it_polls() {
+    let table = two_nodes();
+    only_what_lives_arrives(&table, in_process(&table), Where::BeforeThePoll);
+    only_what_lives_arrives(&table, udp(&table), Where::BeforeThePoll);
+}
+
+#[test]
+fn a_node_stopped_between_the_link_and_its_tasks() {
+    let table = two_nodes();
+    only_what_lives_arrives(&table, in_process(&table), Where::BeforeTheSink);
+    only_what_lives_arrives(&table, udp(&table), Where::BeforeTheSink);
+}
+
+/// A node that is stopped while its packets leave: the link's clock is read later than the node's.
+struct LateSender<L>(L);
+
+impl<L: Link> Link for LateSender<L> {
+    fn ready(&self, next: NodeId) -> bool {
+        self.0.ready(next)
+    }
+
+    fn send_at(&self, next: NodeId, packets: &[Packet], at: Instant) -> Result<usize, LinkBusy> {
+        thread::sleep(STOP);
+        self.0.send_at(next, packets, at)
+    }
+
+    fn poll(&self, sink: &dyn Sink, until: Option<Instant>) -> PollEnd {
+        self.0.poll(sink, until)
+    }
+
+    fn wake(&self) {
+        self.0.wake();
+    }
+}
+
+/// What is charged for a packet sent by a node that is stopped while it sends, once its clock is known.
+fn charge_of_a_late_packet(links: [impl Link + 'static; 2]) -> Ticks {
+    let [first, second] = links;
+    let first: Arc<dyn Link> = Arc::new(FaultyLink::new(LateSender(FaultyLink::new(first, 0)), 0));
+    let charges = Mutex::default();
+    let sink = Watching { sink: &Nobody, stop: Duration::ZERO, charges: &charges };
+    let packet = Packet {
+        kind: imrs_protocol::Kind::Send,
+        class: imrs_protocol::Class::Status,
+        more: false,
+        resent: false,
+        urgent: false,
+        hops: imrs_protocol::MAX_HOPS,
+        fragment: 0,
+        destination: B,
+        source: A,
+        port: imrs_protocol::PortId(0),
+        id: imrs_protocol::MessageId { incarnation: Incarnation(1), sequence: imrs_protocol::Seq24::new(1) },
+        remaining: SHORT,
+        contents: imrs_protocol::Contents::EMPTY,
+    };
+    // Each way once, so that the second knows the clock of the first.
+    assert_eq!(second.send(NodeId(0), &[packet]), Ok(1));
+    let end = Some(Instant::now() + LONG);
+    let received = |link: &dyn Link, count| {
+        while charges.lock().unwrap().len() < count {
+            assert_ne!(link.poll(&sink, end), PollEnd::TimedOut);
+        }
+    };
+    received(first.as_ref(), 1);
+    assert_eq!(first.send_at(NodeId(1), &[packet], Instant::now()), Ok(1));
+    received(&second, 2);
+    charges.into_inner().unwrap()[1]
+}
+
+struct Nobody;
+
+impl Sink for Nobody {
+    fn packet(&self, _from: NodeId, _packet: Packet, _charge: Ticks, _at: Instant) {}
+    fn peer(&self, _node: NodeId, _incarnation: Incarnation, _restarted: bool) {}
+    fn discarded(&self, reason: LinkDiscard) {
+        panic!("{reason}");
+    }
+}
+
+#[test]
+fn a_node_stopped_while_it_sends_through_layers_of_links() {
+    let table = two_nodes();
+    let charges = [charge_of_a_late_packet(in_process(&table)), charge_of_a_late_packet(udp(&table))];
+    assert!(charges.iter().all(|charge| charge.0 >= STOP_US), "{charges:?}");
+}

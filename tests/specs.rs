@@ -1,0 +1,228 @@
+//! The documents in `specs/` against the tree: whatever they name must exist, and whatever must be in them is.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::{Path, PathBuf};
+
+const ROOT: &str = env!("CARGO_MANIFEST_DIR");
+
+fn read(path: impl AsRef<Path>) -> String {
+    let path = Path::new(ROOT).join(path);
+    fs::read_to_string(&path).unwrap_or_else(|e| panic!("{}: {e}", path.display()))
+}
+
+/// The documents, by their path from the root.
+fn documents() -> Vec<PathBuf> {
+    let mut found: Vec<PathBuf> =
+        ["README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "SECURITY.md"].map(PathBuf::from).into();
+    for folder in ["specs", "specs/decisions"] {
+        for entry in fs::read_dir(Path::new(ROOT).join(folder)).expect("a folder").flatten() {
+            if entry.path().extension().is_some_and(|extension| extension == "md") {
+                found.push(Path::new(folder).join(entry.file_name()));
+            }
+        }
+    }
+    assert!(found.len() > 12, "the documents were not found: {found:?}");
+    found
+}
+
+/// Whether `word` stands in `text` with no letter, digit or underscore at its ends.
+fn has_word(text: &str, word: &str) -> bool {
+    let joins = |c: char| c.is_alphanumeric() || c == '_';
+    text.match_indices(word)
+        .any(|(at, _)| !text[..at].ends_with(joins) && !text[at + word.len()..].starts_with(joins))
+}
+
+/// What stands between backquotes, code blocks aside.
+fn quoted(text: &str) -> Vec<&str> {
+    let mut in_block = false;
+    let mut found = Vec::new();
+    for line in text.lines() {
+        if line.starts_with("```") {
+            in_block = !in_block;
+        } else if !in_block {
+            found.extend(line.split('`').skip(1).step_by(2));
+        }
+    }
+    found
+}
+
+/// The numbers of rules or decisions in a text: `D54` for the letter D, with what follows it (`b` in `R64b`).
+fn numbers(text: &str, letter: char) -> Vec<String> {
+    let words = text.split(|c: char| !c.is_alphanumeric());
+    let digits =
+        |word: &str| word.strip_prefix(letter).is_some_and(|n| n.starts_with(|c: char| c.is_ascii_digit()));
+    words.filter(|word| digits(word)).map(str::to_owned).collect()
+}
+
+#[test]
+fn every_file_and_name_of_the_trace_exists() {
+    let text = read("specs/paper-trace.md");
+    let mut entries = 0;
+    for entry in quoted(&text) {
+        let Some((path, item)) = entry.split_once("::").filter(|(path, _)| path.contains('/')) else {
+            continue;
+        };
+        assert!(has_word(&read(path), item), "the trace names `{entry}`, but the file has no `{item}`");
+        entries += 1;
+    }
+    assert!(entries > 100, "only {entries} entries were found");
+}
+
+#[test]
+fn tests_of_the_trace_are_tests() {
+    let text = read("specs/paper-trace.md");
+    let carried_out = text.split("## In part").next().expect("a first part");
+    for row in carried_out.lines().filter(|line| line.starts_with("| ") && line.contains("::")) {
+        let column = row.split('|').nth(3).expect("four columns");
+        for entry in quoted(column) {
+            let (path, item) = entry.split_once("::").expect("a file and a name");
+            let source = read(path);
+            let at = source.find(&format!("fn {item}(")).unwrap_or_else(|| panic!("{entry} is no function"));
+            let before = source[..at].trim_end();
+            let attributed = before
+                .lines()
+                .rev()
+                .take_while(|line| !line.trim().is_empty() && !line.trim().ends_with('}'));
+            let is_test = attributed.clone().any(|line| line.trim() == "#[test]");
+            assert!(is_test || source.contains("proptest! {"), "{entry} is no test");
+        }
+    }
+}
+
+#[test]
+fn every_rule_of_the_paper_is_traced() {
+    let traced = numbers(&read("specs/paper-trace.md"), 'R');
+    let table = read("specs/rules.md");
+    let rules = table.lines().filter_map(|line| line.strip_prefix("| R")?.split(' ').next());
+    let rules: Vec<String> = rules.map(|number| format!("R{number}")).collect();
+    for number in 1..=99 {
+        let times = rules.iter().filter(|rule| **rule == format!("R{number}")).count();
+        assert_eq!(times, 1, "R{number} in specs/rules.md");
+    }
+    for rule in &rules {
+        assert!(traced.contains(rule), "{rule} is not in specs/paper-trace.md");
+    }
+}
+
+/// The decisions that are written down, by number: how often.
+fn decisions() -> BTreeMap<u32, usize> {
+    let mut found = BTreeMap::new();
+    for path in documents().iter().filter(|path| path.starts_with("specs/decisions")) {
+        let file = path.file_name().and_then(|name| name.to_str()).expect("a name");
+        for line in read(path).lines() {
+            let start = line
+                .strip_prefix("- **D")
+                .or_else(|| line.strip_prefix("# D").filter(|_| file.starts_with('D')));
+            let Some(start) = start else { continue };
+            let digits: String = start.chars().take_while(char::is_ascii_digit).collect();
+            assert!(
+                !file.starts_with('D') || file.starts_with(&format!("D{digits}-")),
+                "{file} begins with D{digits}"
+            );
+            *found.entry(digits.parse().expect("a number")).or_default() += 1;
+        }
+    }
+    found
+}
+
+#[test]
+fn every_decision_is_written_down_once() {
+    let decisions = decisions();
+    let last = *decisions.keys().next_back().expect("decisions");
+    assert!(last >= 73);
+    for number in 1..=last {
+        assert_eq!(decisions.get(&number), Some(&1), "D{number} in specs/decisions");
+    }
+}
+
+#[test]
+fn decisions_that_code_and_documents_cite_are_written_down() {
+    let written = decisions();
+    let mut folders: Vec<PathBuf> =
+        ["src", "protocol", "wire", "model", "runtime", "monitor", "tests", "examples"]
+            .map(|room| Path::new(ROOT).join(room))
+            .into();
+    let mut files: Vec<PathBuf> = documents().iter().map(|path| Path::new(ROOT).join(path)).collect();
+    while let Some(folder) = folders.pop() {
+        for path in fs::read_dir(&folder).expect("a folder").flatten().map(|entry| entry.path()) {
+            if path.is_dir() && path.file_name().is_some_and(|name| name != "target") {
+                folders.push(path);
+            } else if path.extension().is_some_and(|extension| extension == "rs") {
+                files.push(path);
+            }
+        }
+    }
+    for path in files {
+        // In code only comments cite: `D1` may be a name.
+        let text = read(&path);
+        let is_code = path.extension().is_some_and(|extension| extension == "rs");
+        for line in text.lines() {
+            let cites = if is_code { line.split_once("//").map_or("", |(_, comment)| comment) } else { line };
+            for cited in numbers(cites, 'D') {
+                let number = cited[1..].parse().unwrap_or(0);
+                assert!(written.contains_key(&number), "{}: {cited} is written down nowhere", path.display());
+            }
+        }
+    }
+}
+
+#[test]
+fn the_page_of_claims_has_every_claim_and_no_other() {
+    let text = read("specs/claims.md");
+    let described: Vec<&str> =
+        text.lines().filter_map(|line| line.strip_prefix("## `")?.strip_suffix('`')).collect();
+    assert_eq!(described, imrs_model::claim_names());
+    let trace = read("specs/paper-trace.md");
+    let claims = imrs_model::claim_names();
+    for row in trace.lines().filter(|line| line.starts_with("| ") && line.contains("::")) {
+        let claim = row.split('|').nth(4).map_or("", str::trim);
+        assert!(claim.is_empty() || claims.contains(&claim), "the trace names the claim `{claim}`");
+    }
+}
+
+#[test]
+fn links_between_documents_lead_somewhere() {
+    for path in documents() {
+        let text = read(&path);
+        let folder = path.parent().expect("a folder");
+        for (at, _) in text.match_indices("](") {
+            let target = text[at + 2..].split(')').next().unwrap_or("");
+            let target = target.split('#').next().unwrap_or("");
+            if target.is_empty() || target.contains("://") {
+                continue;
+            }
+            let full = Path::new(ROOT).join(folder).join(target);
+            assert!(full.exists(), "{} links to {target}, which does not exist", path.display());
+        }
+    }
+}
+
+#[test]
+fn files_that_documents_name_exist() {
+    let rooms =
+        ["src/", "protocol/", "wire/", "model/", "runtime/", "monitor/", "tests/", "specs/", "examples/"];
+    for path in documents() {
+        let text = read(&path);
+        for name in quoted(&text) {
+            let file = name.split("::").next().unwrap_or(name);
+            let is_path = rooms.iter().any(|room| file.starts_with(room))
+                && [".rs", ".md"].iter().any(|end| file.ends_with(end));
+            assert!(!is_path || Path::new(ROOT).join(file).exists(), "{} names `{file}`", path.display());
+        }
+    }
+}
+
+#[test]
+fn every_library_has_its_reason() {
+    let text = read("Cargo.toml");
+    let section = text.split("[workspace.dependencies]").nth(1).and_then(|rest| rest.split("\n[").next());
+    let names = section.expect("dependencies").lines().filter_map(|line| line.split_once(" = "));
+    let table = read("specs/decisions/D70-libraries.md");
+    let reasons: Vec<&str> =
+        table.lines().filter_map(|line| line.strip_prefix("| ")?.split('|').next()).collect();
+    for (name, _) in names.filter(|(name, _)| !name.starts_with("imrs-")) {
+        let listed = reasons.iter().flat_map(|cell| cell.split(", ")).any(|listed| listed.trim() == name);
+        assert!(listed, "`{name}` has no row in specs/decisions/D70-libraries.md");
+    }
+}
