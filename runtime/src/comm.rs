@@ -8,8 +8,8 @@ use crate::handoff::{Rest, Station};
 use crate::record::{Digesting, OutputDigest, Recorder, Step, run};
 use crate::ring::Ring;
 use imrs_protocol::{
-    CommTask, Event, Input, NodeTable, Observation, Outbox, Packet, Reason, Signal, TaskId, TaskView, Ticks,
-    TimeId,
+    CommTask, Delivery, Event, Input, NodeTable, Observation, Outbox, Packet, Reason, Signal, TaskId,
+    TaskView, Ticks, TimeId,
 };
 use std::sync::Arc;
 
@@ -70,6 +70,21 @@ impl Comm {
         &mut self.ring
     }
 
+    /// A message whose life ended between the machine and its task: the last place where it can (§5.1.1).
+    pub fn expired_in_hand(&mut self, message: &Delivery) {
+        self.discards[Reason::Expired as usize] += 1;
+        self.ring.push(
+            self.last,
+            Observation {
+                event: Event::Discarded(Reason::Expired),
+                port: message.from.port,
+                peer: message.from.source,
+                number: message.from.id.sequence.get(),
+                remaining: Ticks::ZERO,
+            },
+        );
+    }
+
     /// When the machine next does something by itself.
     fn due(&self) -> Micros {
         self.machine.next_expiry().map_or(FAR, |left| self.last.saturating_add(left.0))
@@ -83,12 +98,21 @@ impl Comm {
     }
 }
 
+/// An answer on its way to the task.
+#[derive(Clone, Copy, Debug)]
+pub struct Mail {
+    /// The answer.
+    pub signal: Signal,
+    /// When the machine gave it.
+    pub at: Micros,
+}
+
 impl Station for Comm {
     type Input = Stamped;
-    type Mail = Signal;
+    type Mail = Mail;
     type Effects = Effects;
 
-    fn feed(&mut self, stamped: Stamped, effects: &mut Effects) -> Option<Signal> {
+    fn feed(&mut self, stamped: Stamped, effects: &mut Effects) -> Option<Mail> {
         let _guard = FailStop::of("a communication task");
         let late = self.last.saturating_sub(stamped.at);
         let elapsed = Ticks(stamped.at.saturating_sub(self.last));
@@ -141,7 +165,7 @@ struct Out<'a> {
     at: Micros,
     task: TaskId,
     effects: &'a mut Effects,
-    mail: &'a mut Option<Signal>,
+    mail: &'a mut Option<Mail>,
     ring: &'a mut Ring,
     discards: &'a mut [u64; Reason::ALL.len()],
 }
@@ -152,7 +176,7 @@ impl Outbox for Out<'_> {
     }
 
     fn signal(&mut self, signal: Signal) {
-        *self.mail = Some(signal);
+        *self.mail = Some(Mail { signal, at: self.at });
     }
 
     fn arm(&mut self, id: TimeId, length: Ticks) {

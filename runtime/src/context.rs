@@ -1,6 +1,7 @@
 //! What a task's program says to its communication task (§II, §5.2.1).
 
 use crate::clock;
+use crate::comm::Mail;
 use crate::effects::Effects;
 use crate::node::Node;
 use imrs_protocol::{
@@ -283,17 +284,34 @@ impl Context {
         source: Option<TaskId>,
         time_out: Option<Duration>,
     ) -> Result<Option<Delivery>, TaskError> {
-        let request = Request::Get { port, source, time_out: time_out.map(ticks) };
-        match self.call(request)? {
-            Signal::Message(delivery) => Ok(Some(delivery)),
-            Signal::Nothing => Ok(None),
-            other => mismatch(&request, &other),
+        let until = time_out.map(|time_out| clock::now().saturating_add(clock::micros(time_out)));
+        let mut left = time_out.map(ticks);
+        loop {
+            let request = Request::Get { port, source, time_out: left };
+            let (signal, waited) = self.call_and_age(request)?;
+            match signal {
+                Signal::Message(message) if message.budget > waited => {
+                    return Ok(Some(Delivery { budget: message.budget - waited, ..message }));
+                }
+                // The thread or its whole process stood still with the message in hand: nothing old is handed over.
+                Signal::Message(message) => {
+                    let handoff = &self.node.members.list[self.place].handoff;
+                    handoff.with(|comm| comm.expired_in_hand(&message), &mut self.effects);
+                }
+                Signal::Nothing => return Ok(None),
+                other => mismatch(&request, &other),
+            }
+            left = until.map(|until| Ticks(until.saturating_sub(clock::now())));
         }
     }
 
-    /// Asks, and waits for the answer: first that of the machine, then asleep until it is brought, or until the
-    /// machine has something to do by itself.
     fn call(&mut self, request: Request) -> Result<Signal, TaskError> {
+        self.call_and_age(request).map(|(signal, _)| signal)
+    }
+
+    /// Asks, and waits for the answer: first that of the machine, then asleep until it is brought, or until the
+    /// machine has something to do by itself. Says too how old the answer is.
+    fn call_and_age(&mut self, request: Request) -> Result<(Signal, Ticks), TaskError> {
         if self.stopped {
             return Err(TaskError::Stopped);
         }
@@ -302,12 +320,13 @@ impl Context {
             Request::Delay { length, .. } => asked.saturating_add(length.0),
             _ => clock::FAR,
         };
+        let mut now = asked;
         let mut entry = self.node.ask(self.place, asked, request, &mut self.effects);
         loop {
             self.stopped = entry.stopped;
             match entry.mail {
-                Some(Signal::Fault(fault)) => return Err(RequestFault(fault).into()),
-                Some(signal) => return Ok(signal),
+                Some(Mail { signal: Signal::Fault(fault), .. }) => return Err(RequestFault(fault).into()),
+                Some(Mail { signal, at }) => return Ok((signal, Ticks(now.saturating_sub(at)))),
                 None if entry.stopped => {
                     self.give_up();
                     return Err(TaskError::Stopped);
@@ -316,7 +335,7 @@ impl Context {
             }
             let until = entry.until.min(over);
             self.node.members.list[self.place].handoff.sleep(clock::nanos_of(until));
-            let now = clock::now();
+            now = clock::now();
             entry = self.node.come_back(self.place, now, now >= until, &mut self.effects);
         }
     }

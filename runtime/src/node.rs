@@ -6,7 +6,7 @@
 
 use crate::alarm::Alarm;
 use crate::clock::{self, Micros};
-use crate::comm::Comm;
+use crate::comm::{Comm, Mail};
 use crate::effects::{Effect, Effects, Stamped};
 use crate::failstop::FailStop;
 use crate::handoff::Entry;
@@ -19,8 +19,7 @@ use crate::timers::Timers;
 use crate::transit::Dispatch;
 use imrs_protocol::route::{Arrival, Departure, arrived, departing};
 use imrs_protocol::{
-    CommTask, Incarnation, Input, NodeId, NodeTable, Packet, Reason, Request, Signal, TaskId, Ticks,
-    discarded,
+    CommTask, Incarnation, Input, NodeId, NodeTable, Packet, Reason, Request, TaskId, Ticks, discarded,
 };
 use std::sync::Arc;
 use std::time::Instant;
@@ -128,7 +127,7 @@ impl Node {
         at: Micros,
         request: Request,
         effects: &mut Effects,
-    ) -> Entry<Signal> {
+    ) -> Entry<Mail> {
         self.enter(place, Stamped { at, input: Input::Request(request) }, effects)
     }
 
@@ -139,7 +138,7 @@ impl Node {
         now: Micros,
         due: bool,
         effects: &mut Effects,
-    ) -> Entry<Signal> {
+    ) -> Entry<Mail> {
         if due {
             // Before the task's own time: it must know whether its message ever left.
             self.dispatch.advance(now, effects);
@@ -149,7 +148,7 @@ impl Node {
         self.enter(place, Stamped { at: now, input: Input::Advance(Ticks::ZERO) }, effects)
     }
 
-    fn enter(&self, place: usize, stamped: Stamped, effects: &mut Effects) -> Entry<Signal> {
+    fn enter(&self, place: usize, stamped: Stamped, effects: &mut Effects) -> Entry<Mail> {
         let entry = self.members.list[place].handoff.enter(stamped, effects);
         self.carry_out(effects);
         entry

@@ -4,7 +4,8 @@ use crate::rig::{header, read};
 use imrs_protocol::{Input, TaskId, Ticks};
 use imrs_wire::recording::{Ending, Record, Recording, Status, Stream, WriteError};
 use std::io::{self, ErrorKind, Write};
-use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
 use std::sync::{Arc, Mutex};
 use std::time::{Duration, Instant};
 
@@ -17,12 +18,14 @@ struct Disk {
     size: usize,
     /// Where given: one write for each token.
     tokens: Option<Receiver<()>>,
+    /// Whether a write waits, or has waited, for a token.
+    stuck: Arc<AtomicBool>,
 }
 
 impl Disk {
     fn new() -> (Self, Arc<Mutex<Vec<u8>>>) {
         let bytes = Arc::default();
-        (Self { bytes: Arc::clone(&bytes), size: usize::MAX, tokens: None }, bytes)
+        (Self { bytes: Arc::clone(&bytes), size: usize::MAX, tokens: None, stuck: Arc::default() }, bytes)
     }
 
     fn held_back(mut self) -> (Self, Sender<()>) {
@@ -37,7 +40,10 @@ impl Disk {
 impl Write for Disk {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
         if let Some(tokens) = &self.tokens {
-            let _ = tokens.recv();
+            if tokens.try_recv() == Err(TryRecvError::Empty) {
+                self.stuck.store(true, Ordering::Release);
+                let _ = tokens.recv();
+            }
         }
         let mut on_disk = self.bytes.lock().unwrap();
         let room = self.size - on_disk.len();
@@ -160,9 +166,13 @@ fn a_slow_disk_makes_a_gap_and_never_a_wait() {
 fn a_keyframe_is_wanted_once_the_disk_keeps_up_again_and_nothing_is_recorded_before_it() {
     let (disk, bytes) = Disk::new();
     let (disk, give) = disk.held_back();
+    let stuck = Arc::clone(&disk.stuck);
     let recording = Recording::start(disk, &header(), 64, no_failure).unwrap();
     let mut stream = recording.task(TaskId(0));
-    let mut number = 0;
+    assert!(stream.input(Ticks(0), ADVANCE, 0));
+    // From here on nothing leaves the queue.
+    wait_for("the disk to be stuck", || stuck.load(Ordering::Acquire));
+    let mut number = 1;
     while stream.input(Ticks(number), ADVANCE, number) {
         assert!(!stream.wants_keyframe(), "nothing is missing");
         number += 1;
