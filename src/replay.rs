@@ -4,11 +4,10 @@ use crate::args::{Format, ReplayArgs};
 use crate::cells;
 use crate::exit::{Exit, Failure};
 use crate::output::{BAD, GOOD, NOTE, Output, Styled, count};
-use imrs_protocol::{CellTable, NodeId, NodeTable, TaskId};
-use imrs_runtime::record::{OutputDigest, Recorded, Step, replay};
-use imrs_wire::recording::{Ending, ReadError, Record, RecordingReader, Stream};
+use imrs_protocol::{CellTable, NodeId, NodeTable};
+use imrs_runtime::record::{self, Verdict, replay_recording};
+use imrs_wire::recording::{Ending, RecordingReader};
 use serde::Serialize;
-use std::collections::BTreeMap;
 use std::fs::File;
 use std::io::{self, BufReader};
 use std::path::PathBuf;
@@ -31,7 +30,7 @@ pub enum ReplayError {
         /// The file.
         path: PathBuf,
         /// Where and why.
-        source: ReadError,
+        source: record::ReplayError,
     },
     /// The recording is of a cell that this program does not have.
     #[error("{path} was made with another cell: `{cell}`, digest {digest:08x}")]
@@ -65,10 +64,14 @@ struct Replayed {
 #[derive(Debug, Serialize)]
 struct Task {
     name: String,
-    /// Steps that were run again.
+    /// Steps that were run again and put out the same.
     steps: usize,
-    /// Inputs that were not recorded: what comes after them cannot be judged.
+    /// Recorded steps that could not be judged, because the state before them is not known.
+    unjudged: usize,
+    /// Inputs that were not recorded.
     lost: u64,
+    /// `same`, `unknown` (something is missing) or `differs`.
+    verdict: &'static str,
     /// The first step that put out something else, if any did.
     divergence: Option<String>,
 }
@@ -87,17 +90,10 @@ pub fn run(args: &ReplayArgs, out: &mut Output) -> Result<Exit, Failure> {
     Ok(if diverged { Exit::Finding } else { Exit::Well })
 }
 
-/// The inputs of one task up to the first that is missing.
-#[derive(Default)]
-struct Log {
-    steps: Vec<Recorded>,
-    lost: u64,
-}
-
 fn read(path: &PathBuf) -> Result<Replayed, ReplayError> {
     let file = File::open(path).map_err(|source| ReplayError::Open { path: path.clone(), source })?;
-    let damaged = |source| ReplayError::Read { path: path.clone(), source };
-    let mut reader = RecordingReader::new(BufReader::new(file)).map_err(damaged)?;
+    let damaged = |source: record::ReplayError| ReplayError::Read { path: path.clone(), source };
+    let mut reader = RecordingReader::new(BufReader::new(file)).map_err(|error| damaged(error.into()))?;
     let header = reader.header().clone();
     let table = CellTable::new(cells::beam_lift::cell()).ok().filter(|table| table.digest() == header.digest);
     let table = table.ok_or_else(|| ReplayError::OtherCell {
@@ -105,54 +101,34 @@ fn read(path: &PathBuf) -> Result<Replayed, ReplayError> {
         cell: header.cell.clone(),
         digest: header.digest,
     })?;
-    let mut logs: BTreeMap<TaskId, Log> = BTreeMap::new();
-    while let Some(record) = reader.next_record().map_err(damaged)? {
-        match record {
-            Record::Input { task, elapsed, input, outputs } => {
-                let log = logs.entry(task).or_default();
-                if log.lost == 0 {
-                    let step = Step { elapsed, input };
-                    log.steps.push(Recorded { step, digest: OutputDigest(outputs) });
-                }
-            }
-            Record::Gap { stream: Stream::Task(task), lost } => logs.entry(task).or_default().lost += lost,
-            Record::Gap { stream: Stream::Frames(_), .. }
-            | Record::Header(_)
-            | Record::Keyframe { .. }
-            | Record::Frame { .. }
-            | Record::End => {}
-        }
-    }
     let known = |node: &NodeId| node.index() < table.cell().nodes.len();
     let node = header.node.filter(known).ok_or_else(|| ReplayError::NoInputs(path.clone()))?;
-    let name = table.cell().nodes[node.index()].name.clone();
     let table = NodeTable::new(Arc::new(table), node);
-    let mut tasks = Vec::new();
-    for (task, log) in logs {
-        if table.location(task) != Some(node) {
-            continue;
-        }
-        let recorded = log.steps.len();
-        let (steps, divergence) = match replay(&table, task, header.incarnation, header.restarted, log.steps)
-        {
-            Ok(steps) => (steps, None),
-            Err(divergence) => (divergence.index.min(recorded), Some(divergence.to_string())),
-        };
-        tasks.push(Task {
-            name: table.cell.cell().tasks[task.index()].name.clone(),
-            steps,
-            lost: log.lost,
-            divergence,
-        });
-    }
+    let names = table.cell.cell();
+    let replays = replay_recording(&mut reader, &table).map_err(damaged)?;
+    let tasks = replays.iter().map(|replay| Task {
+        name: names.tasks[replay.task().index()].name.clone(),
+        steps: replay.judged(),
+        unjudged: replay.unjudged(),
+        lost: replay.lost(),
+        verdict: match replay.verdict() {
+            Verdict::Same => "same",
+            Verdict::Unknown => "unknown",
+            Verdict::Differs(_) => "differs",
+        },
+        divergence: match replay.verdict() {
+            Verdict::Differs(divergence) => Some(divergence.to_string()),
+            Verdict::Same | Verdict::Unknown => None,
+        },
+    });
     Ok(Replayed {
         version: 1,
         cell: header.cell,
-        node: name,
+        node: names.nodes[node.index()].name.clone(),
         build: header.build,
         insecure: header.insecure,
+        tasks: tasks.collect(),
         whole: reader.ending() == Ending::Ended,
-        tasks,
     })
 }
 
@@ -160,14 +136,16 @@ fn show(replayed: &Replayed, out: &mut Output) -> Result<(), Failure> {
     out.line(format!("node {} of cell {}, recorded by {}", replayed.node, replayed.cell, replayed.build))?;
     for task in &replayed.tasks {
         let steps = count(task.steps as u64, "step");
-        match (&task.divergence, task.lost) {
+        match (&task.divergence, task.lost + task.unjudged as u64) {
             (Some(how), _) => out.line(format!("  {}: {} {how}", task.name, Styled(BAD, "differs:")))?,
             (None, 0) => {
                 out.line(format!("  {}: {steps}, {}", task.name, Styled(GOOD, "every output the same")))?;
             }
-            (None, lost) => out.line(format!(
-                "  {}: {steps}, every output the same; then {lost} inputs are missing, and the rest is {}",
+            (None, _) => out.line(format!(
+                "  {}: {steps}, every output the same; {} inputs are missing and {} could not be judged: {}",
                 task.name,
+                task.lost,
+                task.unjudged,
                 Styled(NOTE, "unknown")
             ))?,
         }

@@ -1,5 +1,6 @@
 //! The documents in `specs/` against the tree: whatever they name must exist, and whatever must be in them is.
 
+use imrs_model::Options;
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -85,12 +86,9 @@ fn tests_of_the_trace_are_tests() {
             let source = read(path);
             let at = source.find(&format!("fn {item}(")).unwrap_or_else(|| panic!("{entry} is no function"));
             let before = source[..at].trim_end();
-            let attributed = before
-                .lines()
-                .rev()
-                .take_while(|line| !line.trim().is_empty() && !line.trim().ends_with('}'));
-            let is_test = attributed.clone().any(|line| line.trim() == "#[test]");
-            assert!(is_test || source.contains("proptest! {"), "{entry} is no test");
+            let mut attributes =
+                before.lines().rev().map(str::trim).take_while(|line| line.starts_with(['#', '/']));
+            assert!(attributes.any(|line| line == "#[test]"), "{entry} is no test");
         }
     }
 }
@@ -183,6 +181,46 @@ fn the_page_of_claims_has_every_claim_and_no_other() {
     for row in trace.lines().filter(|line| line.starts_with("| ") && line.contains("::")) {
         let claim = row.split('|').nth(4).map_or("", str::trim);
         assert!(claim.is_empty() || claims.contains(&claim), "the trace names the claim `{claim}`");
+    }
+}
+
+/// Of the claims that take a moment only: the page says what the checker finds now. `specs/claims.py` renews it.
+#[test]
+fn the_page_of_claims_has_the_numbers_and_charts_of_the_checker() {
+    let text = read("specs/claims.md");
+    let grouped = |n: u64| {
+        let digits = n.to_string();
+        let groups =
+            digits.as_bytes().rchunks(3).rev().map(|group| String::from_utf8_lossy(group).into_owned());
+        groups.collect::<Vec<_>>().join(",")
+    };
+    for name in ["pairing", "no-stale-delivery", "class-2-resolves", "at-most-once", "no-global-clock"] {
+        let section = text.split(&format!("## `{name}`")).nth(1).expect("a section");
+        let section = section.split("\n## ").next().expect("an end");
+        let options = Options { full: false, claim: Some(name.into()), jobs: 1, memory: 2 << 30 };
+        let report = imrs_model::verify(&options, &imrs_model::Silent);
+        let rows = section.lines().filter(|line| line.starts_with("| ")).count();
+        assert_eq!(rows, report.claims.len() + 2, "the rows of `{name}`");
+        for verdict in &report.claims {
+            let outcome = format!("{:?}", verdict.outcome).to_lowercase();
+            let begin = format!("| {} | {} | {outcome} |", verdict.rule, verdict.parties);
+            let end = format!(
+                "| {} | {} | {} |",
+                grouped(verdict.states),
+                grouped(verdict.transitions),
+                verdict.depth
+            );
+            let is_there = section.lines().any(|line| line.starts_with(&begin) && line.ends_with(&end));
+            assert!(is_there, "`{name}` has no row `{begin} ... {end}`");
+        }
+        for chart in section.split("```text\n").skip(1) {
+            let chart = chart.split("\n```").next().expect("an end");
+            let mut drawn = report.claims.iter().filter_map(|verdict| verdict.counterexample.as_ref());
+            assert!(
+                drawn.any(|found| found.chart.trim_end() == chart),
+                "no longer a counterexample:\n{chart}"
+            );
+        }
     }
 }
 

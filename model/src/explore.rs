@@ -82,6 +82,33 @@ impl WorldModel {
         }
     }
 
+    /// The state that stands for `state` under this scenario's reductions.
+    #[doc(hidden)]
+    #[must_use]
+    pub fn canonical(&self, state: &Packed) -> Packed {
+        let mut world = self.scratch.lock().unwrap_or_else(PoisonError::into_inner);
+        world.load(state, None);
+        world.store()
+    }
+
+    /// The state in which the member `order[k]` stands at position `k`.
+    #[doc(hidden)]
+    #[must_use]
+    pub fn renamed(&self, state: &Packed, order: &[usize]) -> Packed {
+        let mut world = self.scratch.lock().unwrap_or_else(PoisonError::into_inner);
+        world.load(state, None);
+        world.store_renamed(order)
+    }
+
+    /// Whether nobody waits for anything, nobody has anything left to do and nothing is on the way.
+    #[doc(hidden)]
+    #[must_use]
+    pub fn is_finished(&self, state: &Packed) -> bool {
+        let mut world = self.scratch.lock().unwrap_or_else(PoisonError::into_inner);
+        world.load(state, None);
+        world.is_finished()
+    }
+
     /// Which node a step needs unpacked: one, where the watch and the reductions look at no other.
     fn touched(&self, state: &Packed, action: Action) -> Touch {
         let local = self.scenario.is_meeting()
@@ -207,4 +234,24 @@ fn resident_bytes() -> Option<u64> {
     let statm = std::fs::read_to_string("/proc/self/statm").ok()?;
     let pages: u64 = statm.split_whitespace().nth(1)?.parse().ok()?;
     Some(pages * 4096)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::worlds::Meeting;
+
+    #[test]
+    fn a_panic_of_the_machine_is_a_violation_and_the_next_step_is_sound() {
+        let scenario = Meeting::new(2, Watch::FalseRelease).scenario().expect("a sound declaration");
+        let model = WorldModel::new(&scenario, Limits::default());
+        let start = model.init_states().remove(0);
+        let expected = model.next_state(&start, Action::Act(0));
+        // Without its nodes the world indexes past the end, as a fault of the machine would.
+        model.scratch.lock().expect("nobody panicked with it").places.clear();
+        let broken = model.next_state(&start, Action::Act(0)).expect("a state in any case");
+        assert_eq!(broken.violation(), Some(crate::Violation::Panic));
+        assert!(broken.is_final());
+        assert_eq!(model.next_state(&start, Action::Act(0)), expected);
+    }
 }

@@ -19,6 +19,9 @@ pub(crate) struct Flight {
 /// The most bytes that one packed flight takes.
 pub(crate) const FLIGHT_BYTES: usize = 32;
 
+/// The age that half a byte holds; a compact flight is at most three ticks on the way.
+const OLDEST: u8 = 15;
+
 /// One packed flight.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 pub(crate) struct Packed {
@@ -62,6 +65,9 @@ impl Codec {
         rename: impl Fn(TaskId) -> u8,
     ) -> Result<Packed, Overflow> {
         let Flight { packet, age, life } = flight;
+        if *age > OLDEST {
+            return Err(Overflow);
+        }
         let mut out = Packed::EMPTY;
         let (source, destination) = (rename(packet.source), rename(packet.destination));
         let meeting = matches!(packet.kind, Kind::Arrive | Kind::Confirm | Kind::Abort);

@@ -130,6 +130,12 @@ impl Scenario {
         self.behaviours.iter().all(|b| matches!(b, Behaviour::Member { .. })) && self.cell.ports().len() == 1
     }
 
+    /// Whether states that differ only in who is who count as one.
+    #[must_use]
+    pub fn members_alike(&self) -> bool {
+        self.reductions.symmetry && self.is_meeting() && !self.lives()
+    }
+
     /// Whether nodes can have more than one life.
     #[must_use]
     pub const fn lives(&self) -> bool {

@@ -46,7 +46,7 @@ impl Parts<'_> {
     }
 
     /// The state in which the member `order[k]` stands at position `k`.
-    fn renamed(&self, order: &[usize]) -> Result<Vec<u8>, Overflow> {
+    pub fn renamed(&self, order: &[usize]) -> Result<Vec<u8>, Overflow> {
         let mut bytes = Vec::with_capacity(96);
         bytes.extend(self.header);
         order.iter().for_each(|&i| bytes.extend(&self.ghosts[i]));

@@ -10,6 +10,7 @@ use crate::network::{Codec, FLIGHT_BYTES, Flight};
 use crate::scenario::{Behaviour, Scenario, Watch};
 use crate::state::Violation;
 
+use imrs_protocol::rules::TimeStamp;
 use imrs_protocol::{
     Class, Incarnation, Kind, MessageId, Node, NodeId, NodeInput, NodeOutbox, NodeTable, Observation,
     Outcome, Packet, Request, Round, Seq24, Signal, Target, TaskId, TaskState, Ticks,
@@ -111,7 +112,8 @@ impl World {
         let n = scenario.tasks();
         let place = |i: usize| {
             let table = scenario.table(NodeId::from_index(i));
-            let node = Node::new(table.clone(), Scenario::FIRST_LIFE, false, TRANSIT);
+            let mut node = Node::new(table.clone(), Scenario::FIRST_LIFE, false, TRANSIT);
+            node.parts_mut().tasks[0].set_ahead(Ticks(scenario.clocks[i]));
             Place { node, table, up: true, life: Scenario::FIRST_LIFE, known: vec![Scenario::FIRST_LIFE; n] }
         };
         Self {
@@ -217,6 +219,12 @@ impl World {
         &self.places[i].node.parts().tasks[0]
     }
 
+    /// Whether nobody waits for anything, nobody has anything left to do and nothing is on the way.
+    pub fn is_finished(&self) -> bool {
+        let rests = |i: usize| self.task(i).is_idle() && self.ghosts[i].left == 0;
+        self.flights.is_empty() && (0..self.n()).all(rests)
+    }
+
     /// Carries an action out. What the watch finds wrong becomes the state's violation.
     pub fn apply(&mut self, action: Action) {
         let result = match action {
@@ -273,7 +281,7 @@ impl World {
         let others = (0..self.n()).filter(|&other| other != i);
         others.fold(0, |mask, other| {
             let here = match self.task(other).state() {
-                TaskState::Waiting { round, .. } => {
+                TaskState::Waiting { round, .. } if self.places[other].up => {
                     1_u32.checked_shl(u32::from(round.steps_from(self.rounds[0])))
                 }
                 _ => None,
@@ -289,6 +297,7 @@ impl World {
         for i in 0..self.n() {
             if self.places[i].up {
                 self.step(i, NodeInput::Advance(Ticks(1)))?;
+                self.keep_clock(i);
             }
             let limit = self.patience(i);
             let ghost = &mut self.ghosts[i];
@@ -303,7 +312,23 @@ impl World {
                 }
             }
         }
+        if self.scenario.cell.cell().rules.time_stamp == TimeStamp::Absolute {
+            for flight in self.flights.iter_mut().filter(|flight| flight.packet.kind == Kind::Send) {
+                flight.packet.remaining = flight.packet.remaining - Ticks(1);
+            }
+        }
         Ok(())
+    }
+
+    /// Clocks that differ from each other, not clocks that run, are what a state tells apart: each goes back to where it
+    /// was, and what it has moved is taken from instants that are on the way (see [`World::tick`]).
+    fn keep_clock(&mut self, i: usize) {
+        let ahead = Ticks(self.scenario.clocks[i]);
+        if self.scenario.cell.cell().rules.time_stamp == TimeStamp::Absolute {
+            let task = &mut self.places[i].node.parts_mut().tasks[0];
+            task.rebase();
+            task.set_ahead(ahead);
+        }
     }
 
     /// The declared time_out of the port that task `i` uses.

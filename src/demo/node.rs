@@ -126,7 +126,7 @@ impl Process {
             builder = builder.task(name, program);
         }
         let recording = match &setup.record {
-            Some(path) => Some(NodeRecording::start(path, setup, &cell, id)?),
+            Some(path) => Some(NodeRecording::start(path, setup, &NodeTable::new(Arc::clone(&cell), id))?),
             None => None,
         };
         if let Some(recording) = &recording {
@@ -207,8 +207,7 @@ impl Process {
         self.tell()?;
         self.count()?;
         if let Some(recording) = self.recording.take() {
-            let status = recording.stop(PATIENCE);
-            if !status.ended || status.lost > 0 {
+            if let Some(status) = recording.stop(PATIENCE).filter(|status| !status.ended || status.lost > 0) {
                 let (name, lost) = (self.node.name(), status.lost);
                 complain(format_args!("the recording of node {name} misses {lost} inputs"));
             }

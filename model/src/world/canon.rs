@@ -65,14 +65,23 @@ impl World {
 
     /// Writes the state, canonical.
     pub fn store(&mut self) -> Packed {
-        match self.try_store() {
+        self.store_in(None)
+    }
+
+    /// Writes the state with its members in another order, not canonical: for tests of the symmetry.
+    pub fn store_renamed(&mut self, order: &[usize]) -> Packed {
+        self.store_in(Some(order))
+    }
+
+    fn store_in(&mut self, order: Option<&[usize]>) -> Packed {
+        match self.try_store(order) {
             Ok(packed) => packed,
             // A distance outgrew its field: an absorbing, visible failure, never a saturated value.
             Err(Overflow) => Packed(Box::new([Violation::Overflow.code(), 0, 0, 0, 0])),
         }
     }
 
-    fn try_store(&mut self) -> Result<Packed, Overflow> {
+    fn try_store(&mut self, order: Option<&[usize]>) -> Result<Packed, Overflow> {
         if let Some(violation) = self.violation {
             // Absorbing: nothing follows, so nothing else need be told apart.
             return Ok(Packed(Box::new([violation.code(), 0, 0, 0, 0])));
@@ -118,12 +127,11 @@ impl World {
             frame,
             codec: self.codec,
         };
-        let bytes =
-            if self.scenario.reductions.symmetry && self.scenario.is_meeting() && !self.scenario.lives() {
-                parts.least()?
-            } else {
-                parts.in_order()?
-            };
+        let bytes = match order {
+            Some(order) => parts.renamed(order)?,
+            None if self.scenario.members_alike() => parts.least()?,
+            None => parts.in_order()?,
+        };
         Ok(Packed(bytes.into_boxed_slice()))
     }
 
@@ -142,22 +150,25 @@ impl World {
         }
     }
 
-    /// Drops packets that nobody can notice, and CONFIRMs still to be sent that everybody would ignore.
+    /// Drops CONFIRMs still to be sent that everybody would ignore, then packets that nobody can notice: in this order,
+    /// because arrivals matter to who still owes a CONFIRM.
     fn drop_unnoticed(&mut self) {
+        let port = PortId(0);
+        for i in 0..self.n() {
+            if let Some(round) = self.task(i).owes(port)
+                && (0..self.n()).all(|other| other == i || self.task(other).is_over(port, round))
+            {
+                let task = &mut self.places[i].node.parts_mut().tasks[0];
+                task.settle(port);
+                task.bury();
+            }
+        }
         let places = &self.places;
         let task = |i: usize| &places[i].node.parts().tasks[0];
         self.flights.retain(|flight| {
             let (from, to) = (flight.packet.source.index(), flight.packet.destination.index());
             !(places[to].up && task(to).ignores(&places[to].table, &flight.packet, task(from)))
         });
-        let port = PortId(0);
-        for i in 0..self.n() {
-            if let Some(round) = self.task(i).owes(port)
-                && (0..self.n()).all(|other| other == i || self.task(other).is_over(port, round))
-            {
-                self.places[i].node.parts_mut().tasks[0].settle(port);
-            }
-        }
     }
 
     /// The least round in use of each port, and the next sequence of each task.
@@ -232,7 +243,10 @@ impl Visit for Least {
 fn store_place(place: &Place, frame: &Frame<'_>, out: &mut Vec<u8>) -> Result<(), Overflow> {
     let mut least = Least { rounds: vec![None; frame.rounds.len()] };
     let task = &place.node.parts().tasks[0];
-    task.visit(&mut least);
+    if place.up {
+        task.visit(&mut least);
+    }
+    // A node that is down has no task: what is unpacked in its place is of another state.
     let low = least.rounds.first().copied().flatten().map_or(0, |round| round.steps_from(frame.rounds[0]));
     out.extend([0, u8::try_from(low).map_err(|_| Overflow)?]);
     if frame.lives {

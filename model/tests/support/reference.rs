@@ -422,7 +422,7 @@ impl Model for ReferenceModel {
             let (at, idle) = (u8::try_from(i).unwrap(), state.tasks[i].is_idle());
             match behaviour {
                 Behaviour::Receiver if state.memories[i].serving.is_some() => {
-                    actions.push(Action::Answer(at))
+                    actions.push(Action::Answer(at));
                 }
                 Behaviour::Receiver if idle => actions.push(Action::Act(at)),
                 Behaviour::Member { .. } | Behaviour::Sender { .. } if idle && state.memories[i].left > 0 => {

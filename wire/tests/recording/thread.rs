@@ -39,11 +39,11 @@ impl Disk {
 
 impl Write for Disk {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        if let Some(tokens) = &self.tokens {
-            if tokens.try_recv() == Err(TryRecvError::Empty) {
-                self.stuck.store(true, Ordering::Release);
-                let _ = tokens.recv();
-            }
+        if let Some(tokens) = &self.tokens
+            && tokens.try_recv() == Err(TryRecvError::Empty)
+        {
+            self.stuck.store(true, Ordering::Release);
+            let _ = tokens.recv();
         }
         let mut on_disk = self.bytes.lock().unwrap();
         let room = self.size - on_disk.len();
