@@ -206,11 +206,10 @@ impl Process {
         let ends = self.runtime.take().map(|runtime| runtime.stop(PATIENCE)).unwrap_or_default();
         self.tell()?;
         self.count()?;
-        if let Some(recording) = self.recording.take() {
-            if let Some(status) = recording.stop(PATIENCE).filter(|status| !status.ended || status.lost > 0) {
-                let (name, lost) = (self.node.name(), status.lost);
-                complain(format_args!("the recording of node {name} misses {lost} inputs"));
-            }
+        let recorded = self.recording.take().and_then(|recording| recording.stop(PATIENCE));
+        if let Some(status) = recorded.filter(|status| !status.ended || status.lost > 0) {
+            let (name, lost) = (self.node.name(), status.lost);
+            complain(format_args!("the recording of node {name} misses {lost} inputs"));
         }
         for (task, how) in ends.into_iter().filter_map(|(task, end)| Some((task, trouble(&end)?))) {
             say(&mut self.out, &Word::TaskFailed { task, how })?;
