@@ -110,7 +110,7 @@ impl WorldModel {
     }
 
     /// Which node a step needs unpacked: one, where the watch and the reductions look at no other.
-    fn touched(&self, state: &Packed, action: Action) -> Touch {
+    fn touched(&self, action: Action) -> Touch {
         let local = self.scenario.is_meeting()
             && !self.scenario.reductions.ignores
             && !self.scenario.lives()
@@ -118,16 +118,13 @@ impl WorldModel {
         match action {
             Action::Act(i) if local => Touch::One(usize::from(i)),
             Action::Deliver(_) if local => Touch::Destination,
-            _ => {
-                let _ = state;
-                Touch::All
-            }
+            _ => Touch::All,
         }
     }
 
     fn step(&self, state: &Packed, action: Action) -> Packed {
         let mut world = self.scratch.lock().unwrap_or_else(PoisonError::into_inner);
-        let touch = match self.touched(state, action) {
+        let touch = match self.touched(action) {
             Touch::All => None,
             Touch::One(i) => Some(i),
             Touch::Destination => match action {

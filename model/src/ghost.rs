@@ -23,8 +23,10 @@ pub(crate) struct Ghost {
     pub reached: u8,
     pub releases: u8,
     pub last_released: Option<Round>,
-    /// Attempts since the faults stopped.
+    /// Attempts since the faults stopped and before its first release since.
     pub since_heal: u8,
+    /// It was released since the faults stopped.
+    pub met: bool,
     /// A command it must answer.
     pub serving: Option<ReplyTo>,
     /// Ticks since its open command was sent.
@@ -82,7 +84,7 @@ impl Judge<'_> {
                 ghost.waits_in = Some(round);
                 if seen.event == Event::Reached {
                     ghost.reached = ghost.reached.saturating_add(1);
-                    if self.healed {
+                    if self.healed && !ghost.met {
                         ghost.since_heal = ghost.since_heal.saturating_add(1);
                     }
                 }
@@ -168,7 +170,8 @@ impl Judge<'_> {
             }
             Watch::Reachable => Err(Violation::Released),
             Watch::MeetAgain { .. } => {
-                self.done = self.healed;
+                self.ghosts[at.index()].met = self.healed;
+                self.done = self.ghosts.iter().all(|ghost| ghost.met);
                 Ok(())
             }
             _ => Ok(()),
@@ -242,7 +245,7 @@ pub(crate) fn store(
             };
             out.extend([ghost.reached - least, ghost.releases - least, round]);
         }
-        Watch::MeetAgain { .. } => out.push(ghost.since_heal),
+        Watch::MeetAgain { .. } => out.extend([ghost.since_heal, u8::from(ghost.met)]),
         Watch::GaveUpAfterAllArrived | Watch::Stranded => out.push(u8::from(ghost.announced != 0)),
         Watch::Reachable => {}
         Watch::Stale | Watch::Resolves | Watch::ResolvesOnce | Watch::AtMostOnce => {
@@ -298,7 +301,7 @@ pub(crate) fn load(ghost: &mut Ghost, watch: Watch, lives: bool, bytes: &[u8]) -
             (ghost.reached, ghost.releases) = (byte(), byte());
             ghost.last_released = byte().checked_sub(1).map(|round| Frame::ROUND.plus(u16::from(round)));
         }
-        Watch::MeetAgain { .. } => ghost.since_heal = byte(),
+        Watch::MeetAgain { .. } => (ghost.since_heal, ghost.met) = (byte(), byte() == 1),
         Watch::GaveUpAfterAllArrived | Watch::Stranded => ghost.announced = u32::from(byte()),
         Watch::Reachable => {}
         Watch::Stale | Watch::Resolves | Watch::ResolvesOnce | Watch::AtMostOnce => {

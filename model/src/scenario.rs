@@ -40,7 +40,7 @@ pub enum Watch {
     AllOrNone,
     /// A member can be released at all (shown by a counterexample to "never").
     Reachable,
-    /// After the faults stopped, nobody starts more than so many attempts before somebody is released.
+    /// After the faults stopped, nobody starts more than so many attempts before it is released, and everybody is.
     MeetAgain {
         /// How many attempts.
         attempts: u8,

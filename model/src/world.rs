@@ -161,7 +161,9 @@ impl World {
                 continue;
             }
             actions.push(Action::Deliver(i));
-            let last = self.scenario.delay.is_none_or(|delay| flight.age == delay);
+            // Before its last tick a loss cannot be observed, unless the end of all faults comes first.
+            let may_heal = matches!(self.scenario.watch, Watch::MeetAgain { .. });
+            let last = may_heal || self.scenario.delay.is_none_or(|delay| flight.age == delay);
             if self.loss > 0 && !self.healed && (last || !self.scenario.reductions.lose_last) {
                 actions.push(Action::Lose(i));
             }

@@ -55,6 +55,20 @@ fn two_members_fail() {
     same(&timed(2, Watch::Reachable, 1, 3, 5));
 }
 
+/// A loss just before the faults stop must not be lost to a reduction. Only verdicts are compared: where a packet that
+/// nobody notices does not vanish, it must still arrive before time can pass, and the way is longer. (With packets that
+/// nobody notices kept, the endless attempts of these worlds take minutes.)
+#[test]
+fn two_members_meet_again() {
+    for (attempts, holds) in [(1, false), (2, true)] {
+        let meeting = Meeting { attempts: Some(2), ..timed(2, Watch::MeetAgain { attempts }, 1, 3, 5) };
+        for reductions in [Reductions::ALL, ONE_OFF[0], ONE_OFF[2]] {
+            let found = run(reductions, &meeting);
+            assert_eq!(found.violation.is_none(), holds, "{attempts} attempts, {reductions:?}");
+        }
+    }
+}
+
 #[test]
 fn three_members_fail() {
     let silent = Rules { last_released: false, ..Rules::DEFAULT };

@@ -59,7 +59,7 @@ pub enum Request {
         port: PortId,
         /// What the others are told.
         arguments: [u8; 8],
-        /// How long to wait where it is not the port's time_out.
+        /// How long to wait where it is shorter than the port's time_out; a longer one is cut to that.
         time_out: Option<Ticks>,
     },
     /// ORDER: ranks ports from here on (§5.1.1, D16). Answered by [`Signal::Accepted`].

@@ -5,7 +5,7 @@ mod support;
 use imrs_protocol::*;
 use std::sync::Arc;
 use support::net::Net;
-use support::{Solo, arrive, get, send};
+use support::{Solo, arrive, get, reply, send};
 
 const X: TaskId = TaskId(0);
 const Y: TaskId = TaskId(1);
@@ -171,4 +171,33 @@ fn after_the_next_release_the_new_life_is_answered_as_any_other() {
     x.ask(arrive(LIFT));
     assert_eq!(x.hear(arrival).words().last().map(String::as_str), Some("released r2 complete"));
     assert_eq!(x.hear(arrival).words(), ["CONFIRM T0>T1 r2 for 40 again"]);
+}
+
+#[test]
+fn a_copy_runs_once_however_much_an_earlier_one_was_charged() {
+    let table = table();
+    let mut x = Solo::new(&table, X);
+    let command = x.ask(send(MOVE, Y, 7)).packets[0];
+    let mut y = Solo::new(&table, Y);
+    y.ask(get(90));
+    // A link may charge more than the way took: this copy seems to have five ticks left where it really had more.
+    let first = y.hear(Packet { remaining: Ticks(5), ..command });
+    assert_eq!(first.words(), ["message [7] from T0 for 3"]);
+    y.ask(reply(&first.delivery().expect("the command"), 1));
+    y.ask(get(90));
+    y.pass(10);
+    let copy = y.hear(Packet { remaining: Ticks(8), resent: true, ..command });
+    assert!(copy.delivery().is_none(), "{:?}", copy.words());
+}
+
+#[test]
+fn patience_beyond_the_declared_one_is_cut_to_it() {
+    let table = table();
+    let mut x = Solo::new(&table, X);
+    let arrival = x.ask(Request::Arrive { port: LIFT, arguments: [0; 8], time_out: Some(Ticks(900)) });
+    assert_eq!(arrival.packets[0].remaining, Ticks(40), "a restarted partner waits only so long");
+    let command =
+        Request::Send { port: MOVE, to: Target::All, contents: Contents::EMPTY, time_out: Some(Ticks(900)) };
+    let mut x = Solo::new(&table, X);
+    assert_eq!(x.ask(command).packets[0].remaining, Ticks(20));
 }

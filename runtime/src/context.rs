@@ -235,7 +235,7 @@ impl Context {
         self.waitfor_with(port, [0; 8], None)
     }
 
-    /// As [`waitfor`](Self::waitfor), telling the others something, or with another time_out than the port's.
+    /// As [`waitfor`](Self::waitfor), telling the others something, or with a shorter time_out than the port's.
     ///
     /// # Errors
     /// [`TaskError`].

@@ -1,4 +1,4 @@
-//! Every interleaving of the hand-offs, by loom. In this build the locks and atomics of [`crate::sync`] are loom's.
+//! Every interleaving of the hand-offs with at most three preemptions, by loom. In this build the locks and atomics of [`crate::sync`] are loom's.
 //!
 //! Each test asserts which outcomes were seen, and has a twin with a planted bug that must be found: an exploration
 //! that sees one outcome or misses the bug shows nothing.

@@ -253,7 +253,8 @@ impl CommTask {
     ) -> Result<Option<Signal>, Fault> {
         let (_, party) = mapping::own_end(table, id, self.task)?;
         let Some(Role::Meets(meeting)) = self.role(id) else { return Err(Fault::WrongUsage) };
-        let patience = time_out.unwrap_or(party.time_out);
+        // As for messages: the declared patience is what a restarted partner waits for, so it may only be shortened.
+        let patience = time_out.map_or(party.time_out, |wanted| wanted.min(party.time_out));
         self.pending = Pending::Meeting(meeting);
         let waits = self.meet(table, meeting, |rendezvous, at| {
             rendezvous.reach(at, arguments, patience, out);
@@ -298,8 +299,12 @@ impl CommTask {
             return self.expire_on_arrival(packet, out);
         }
         let message = held(packet, packet.class, self.now + remaining - reserved);
+        // What a link charges is only a bound: this copy may have been charged more than a later one will be. So copies
+        // are remembered as long as the declared life lets any of them arrive, not as long as this one seems to live.
+        let life = port.party(packet.source).map_or(remaining, |party| party.time_out.max(remaining));
+        let until = self.now + life + way_back;
         let fresh = match packet.class {
-            Class::Status => self.admit_status(packet, self.now + remaining + way_back, out),
+            Class::Status => self.admit_status(packet, until, out),
             Class::Command => self.admit_command(table, packet, out),
         };
         if !fresh {
@@ -309,13 +314,7 @@ impl CommTask {
             let sender_until = self.now + remaining;
             self.remember(
                 packet,
-                Remembered {
-                    port: packet.port,
-                    id: packet.id,
-                    fate: Fate::Held,
-                    sender_until,
-                    until: sender_until + way_back,
-                },
+                Remembered { port: packet.port, id: packet.id, fate: Fate::Held, sender_until, until },
             );
         }
         if self.wants(packet) {
