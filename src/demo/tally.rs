@@ -142,7 +142,7 @@ impl Tally {
         let mut sum = Rounds::default();
         let mut skews = Vec::new();
         for (&round, meeting) in &self.rounds {
-            sum.false_releases += self.false_releases(meeting);
+            sum.false_releases += self.false_releases(round, meeting);
             match self.end(round, meeting) {
                 Some(End::Released) => {
                     sum.released += 1;
@@ -174,18 +174,22 @@ impl Tally {
         self.members.iter().enumerate().map(bit).fold(0, |set, bit| set | bit)
     }
 
-    /// The members whose nodes were killed after the round began.
-    fn killed(&self, meeting: &Meeting) -> u64 {
-        self.members(|member| member.died.is_some_and(|died| meeting.begun <= died))
+    /// The members whose nodes were killed after the round began, or before, but perhaps with an announcement of this
+    /// round among their last words: it lives on at the others as long as the killed member would have waited.
+    fn killed(&self, round: i64, meeting: &Meeting) -> u64 {
+        self.members(|member| {
+            let next = member.announced.saturating_add(1) == round;
+            member.died.is_some_and(|died| meeting.begun <= died || next)
+        })
     }
 
     /// The members of whom it is not known how the round ended for them: they were killed before they could say.
-    fn silenced(&self, meeting: &Meeting) -> u64 {
-        self.killed(meeting) & !(meeting.released | meeting.gave_up)
+    fn silenced(&self, round: i64, meeting: &Meeting) -> u64 {
+        self.killed(round, meeting) & !(meeting.released | meeting.gave_up)
     }
 
-    fn false_releases(&self, meeting: &Meeting) -> u64 {
-        let unheard = self.members(|member| member.untold) | self.killed(meeting);
+    fn false_releases(&self, round: i64, meeting: &Meeting) -> u64 {
+        let unheard = self.members(|member| member.untold) | self.killed(round, meeting);
         let absent = self.all() & !meeting.announced & !unheard;
         let falsely = |place: usize| meeting.released & 1 << place != 0 && absent & !(1 << place) != 0;
         (0..self.members.len()).filter(|&place| falsely(place)).count() as u64
@@ -193,7 +197,7 @@ impl Tally {
 
     /// What came of a round; `None` where those who announced it went on to another one together.
     fn end(&self, round: i64, meeting: &Meeting) -> Option<End> {
-        let (all, silenced) = (self.all(), self.silenced(meeting));
+        let (all, silenced) = (self.all(), self.silenced(round, meeting));
         let missing = all & !meeting.released;
         if missing == 0 {
             return Some(End::Released);
@@ -341,6 +345,19 @@ mod tests {
         let mut tally = tally(&events);
         tally.died(TaskId(2), 100);
         assert_eq!(tally.rounds(), Rounds { rounds: 2, timed_out: 1, unknown: 1, ..Rounds::default() });
+    }
+
+    #[test]
+    fn the_last_announcement_of_a_killed_node_may_be_untold() {
+        // It was the first at round 2, was killed, and its arrival released the others, who came later.
+        let both = |at, round, what| [(at, 0, round, what), (at, 1, round, what)];
+        let mut events = vec![(5, 2, 1, What::Announced), (6, 2, 1, What::Released)];
+        events.extend(both(5, 1, What::Announced).into_iter().chain(both(6, 1, What::Released)));
+        events.extend(both(12, 2, What::Announced).into_iter().chain(both(13, 2, What::Released)));
+        let mut tally = tally(&events);
+        tally.died(TaskId(2), 9);
+        let rounds = tally.rounds();
+        assert_eq!((rounds.false_releases, rounds.released, rounds.divergent, rounds.unknown), (0, 1, 0, 1));
     }
 
     #[test]

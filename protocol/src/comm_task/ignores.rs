@@ -15,7 +15,10 @@ impl CommTask {
     pub fn ignores(&self, table: &NodeTable, packet: &Packet, source: &Self) -> bool {
         match self.role(packet.port) {
             Some(Role::Meets(meeting)) => {
-                let over_there = source.is_over(packet.port, packet.meeting().round);
+                // An ABORT in answer would still take an arrival from a CONFIRM that the source owes.
+                let round = packet.meeting().round;
+                let over_there =
+                    source.is_over(packet.port, round) && source.owes(packet.port) != Some(round);
                 self.meetings[usize::from(meeting)].ignores(table, packet, over_there)
             }
             // An answer to a request that has ended, or to none.
