@@ -25,7 +25,6 @@ use crate::ids::{Incarnation, MessageId, NodeId, PortId, Seq24, TaskId};
 use crate::observe::{Event, Observation, PortCounters, Reason};
 use crate::packet::{Class, Contents, Packet};
 use crate::request::{Outcome, Request, ServiceOrder, Signal, TimeId};
-use crate::rules::Rules;
 use crate::table::{NodeTable, Port};
 use crate::ticks::Ticks;
 use alloc::boxed::Box;
@@ -399,10 +398,6 @@ impl CommTask {
                 }
             }
         }
-    }
-
-    fn rules<'a>(&self, table: &'a NodeTable) -> &'a Rules {
-        table.rules()
     }
 }
 

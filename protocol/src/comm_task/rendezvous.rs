@@ -110,7 +110,7 @@ impl Rendezvous {
             member.confirmed = false;
         }
         at.counters.sent += 1;
-        self.note(at, Event::Reached, at.scene.task, patience, out);
+        self.note(Event::Reached, at.scene.task, patience, out);
         self.announce(at, false, out);
         self.release_if_complete(at, out);
     }
@@ -129,7 +129,7 @@ impl Rendezvous {
         }
         self.deadline = None;
         self.resend_at = Ticks::FAR;
-        self.note(at, Event::GaveUp, at.scene.task, Ticks::ZERO, out);
+        self.note(Event::GaveUp, at.scene.task, Ticks::ZERO, out);
         if at.scene.table.rules().aborts {
             for i in 0..self.members.len() {
                 self.send_abort(at, i, self.announced, self.announced.next(), out);
@@ -248,7 +248,7 @@ impl Rendezvous {
     fn hear_abort(&mut self, at: &mut At<'_>, from: usize, meeting: Meeting, out: &mut impl Outbox) {
         let Meeting { round, released, .. } = meeting;
         let task = at.port.parties[from].task;
-        self.note(at, Event::PartnerAborted, task, Ticks::ZERO, out);
+        self.note(Event::PartnerAborted, task, Ticks::ZERO, out);
         let numbered = self.numbered;
         let member = &mut self.members[from];
         if member.arrived.is_some_and(|a| !a.round.is_newer_than(round)) {
@@ -297,7 +297,7 @@ impl Rendezvous {
         let behind = held.is_some_and(|held| held.round.is_newer_than(arrived.round));
         if barred || behind {
             at.counters.dropped += 1;
-            self.note(at, Event::Discarded(Reason::OldRound), at.port.parties[from].task, Ticks::ZERO, out);
+            self.note(Event::Discarded(Reason::OldRound), at.port.parties[from].task, Ticks::ZERO, out);
             return false;
         }
         let again = held.filter(|held| held.round == arrived.round);
@@ -362,7 +362,7 @@ impl Rendezvous {
         for member in &mut self.members {
             member.confirmed = false;
         }
-        self.note(at, Event::Rejoined, at.scene.task, self.left(at.scene.now), out);
+        self.note(Event::Rejoined, at.scene.task, self.left(at.scene.now), out);
         self.announce(at, false, out);
     }
 
@@ -392,7 +392,7 @@ impl Rendezvous {
         }
         match self.least_patience(at) {
             Some(least) if least > at.port.margin => self.release(at, ReleasedBy::AllArrived, out),
-            Some(least) => self.note(at, Event::WithinMargin, at.scene.task, least, out),
+            Some(least) => self.note(Event::WithinMargin, at.scene.task, least, out),
             None => {}
         }
     }
@@ -413,7 +413,7 @@ impl Rendezvous {
             ReleasedBy::AllArrived => Event::ReleasedComplete,
             ReleasedBy::Confirm(_) => Event::ReleasedByConfirm,
         };
-        self.note(at, event, at.scene.task, left, out);
+        self.note(event, at.scene.task, left, out);
         out.signal(Signal::Released { port: self.port, round, by });
         let complete = by == ReleasedBy::AllArrived;
         match at.scene.table.rules().confirmation {
@@ -450,7 +450,7 @@ impl Rendezvous {
     }
 
     fn confirm(&mut self, at: &mut At<'_>, round: Round, resent: bool, out: &mut impl Outbox) {
-        self.note(at, Event::Confirmed, at.scene.task, Ticks::ZERO, out);
+        self.note(Event::Confirmed, at.scene.task, Ticks::ZERO, out);
         for i in 0..self.members.len() {
             // A member that restarted since is another one: it was not in this meeting.
             if !self.members[i].reborn {
@@ -528,10 +528,10 @@ impl Rendezvous {
 
     fn drop_packet(&self, at: &mut At<'_>, packet: &Packet, reason: Reason, out: &mut impl Outbox) {
         at.counters.dropped += 1;
-        self.note(at, Event::Discarded(reason), packet.source, packet.remaining, out);
+        self.note(Event::Discarded(reason), packet.source, packet.remaining, out);
     }
 
-    fn note(&self, _at: &At<'_>, event: Event, peer: TaskId, remaining: Ticks, out: &mut impl Outbox) {
+    fn note(&self, event: Event, peer: TaskId, remaining: Ticks, out: &mut impl Outbox) {
         let number = u32::from(self.announced.0);
         out.observe(Observation { event, port: self.port, peer, number, remaining });
     }

@@ -145,7 +145,7 @@ impl CommTask {
 
     /// The time a message carries: what remains (§5.1), or under the variant the instant on this node's clock.
     fn stamp(&self, table: &NodeTable, life: Ticks) -> Ticks {
-        match self.rules(table).time_stamp {
+        match table.rules().time_stamp {
             TimeStamp::Remaining => life,
             TimeStamp::Absolute => self.now + life,
         }
@@ -234,7 +234,7 @@ impl CommTask {
         }
         remembered.fate = Fate::Answered(contents);
         let left = remembered.sender_until - now;
-        if self.rules(table).memory == Memory::UntilAnswered {
+        if table.rules().memory == Memory::UntilAnswered {
             self.sources[at].command = None;
         }
         let packet = mapping::answer(to, self.task, Kind::Reply, left, contents);
@@ -286,13 +286,13 @@ impl CommTask {
         packet: &Packet,
         out: &mut impl Outbox,
     ) {
-        let remaining = match self.rules(table).time_stamp {
+        let remaining = match table.rules().time_stamp {
             TimeStamp::Remaining => packet.remaining,
             TimeStamp::Absolute => packet.remaining - self.now,
         };
         let way_back = table.bound_between(self.task, packet.source);
         let reserved = match packet.class {
-            Class::Command if self.rules(table).reserve_way_back => way_back,
+            Class::Command if table.rules().reserve_way_back => way_back,
             Class::Command | Class::Status => Ticks::ZERO,
         };
         if remaining <= reserved {
@@ -310,7 +310,7 @@ impl CommTask {
         if !fresh {
             return;
         }
-        if packet.class == Class::Command && self.rules(table).memory != Memory::None {
+        if packet.class == Class::Command && table.rules().memory != Memory::None {
             let sender_until = self.now + remaining;
             self.remember(
                 packet,
@@ -474,7 +474,7 @@ impl CommTask {
             Pending::Reply(command) if fits(&command) => command,
             _ => {
                 let late = self.overdue.filter(|c| fits(c) && packet.kind == Kind::Reply);
-                if late.is_some() && !self.rules(table).refuse_late_replies {
+                if late.is_some() && !table.rules().refuse_late_replies {
                     self.overdue = None;
                     out.signal(Signal::Outcome(Outcome::Reply(packet.contents)));
                     return;
