@@ -1,7 +1,7 @@
 //! What a cell declares: nodes, links, tasks and ports with every option of Figures 1 and 2. This is the form that
 //! programs and the cell language hand to [`CellTable::new`](crate::table::CellTable::new).
 
-use crate::ids::{NodeId, TaskId};
+use crate::ids::{NodeId, PortId, TaskId};
 use crate::packet::Class;
 use crate::rules::Rules;
 use crate::ticks::Ticks;
@@ -85,6 +85,45 @@ pub struct TaskDecl {
     pub name: String,
     /// The node it is assigned to (§5.1).
     pub node: NodeId,
+    /// The module it belongs to (§2), which a `user_list` may name (D32).
+    pub module: Option<String>,
+}
+
+/// Two work-coupled tasks (§2, D30, D61): when the one that holds the lease fails, the other takes over.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct CoupleDecl {
+    /// The task that acts first. It owns the `via` port with usage `response`, or uses it so.
+    pub primary: TaskId,
+    /// The task that takes over. It sends the beats, as queries on the `via` port.
+    pub standby: TaskId,
+    /// How long the primary may act after it sent an answer that the standby has echoed since.
+    pub lease: Ticks,
+    /// How long after the last answer it got the standby takes over.
+    pub takeover: Ticks,
+    /// The period of the beats.
+    pub every: Ticks,
+    /// The port that carries them.
+    pub via: PortId,
+    /// Whether the roles are exchanged at a take-over (`<->`), so that the former primary becomes the standby.
+    pub mutual: bool,
+}
+
+/// The time penalty of a port (§5.1.1).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub struct Penalty {
+    /// How long a rejected offer is not repeated.
+    pub length: Ticks,
+    /// Whether the literal rule holds: the penalty is added to the message's time_out (Appendix, `save`; D4).
+    pub literal: bool,
+}
+
+/// How often messages are sent at most (D53).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub struct Rate {
+    /// So many messages
+    pub count: u16,
+    /// in so much time.
+    pub per: Ticks,
 }
 
 /// One user of a port: `use_port` of Figure 1.
@@ -105,8 +144,10 @@ pub struct PortDecl {
     pub owner: TaskId,
     /// The owner's usage; the users have its [`Usage::counterpart`].
     pub usage: Usage,
-    /// `user_list`.
+    /// `user_list`: tasks.
     pub users: Vec<UserDecl>,
+    /// `user_list`: modules, which stand for all their tasks but the owner (D32).
+    pub modules: Vec<String>,
     /// `time_out`: priority, patience and life of a message in one (§III).
     pub time_out: Ticks,
     /// `class`.
@@ -123,6 +164,18 @@ pub struct PortDecl {
     pub losses: u8,
     /// The margin of a `waitfor`, where the closed form (D56) is not wanted.
     pub margin: Option<Ticks>,
+    /// `penalty`: how long a rejected offer is not repeated.
+    pub penalty: Option<Penalty>,
+    /// `latest`: a message replaces the one of the same source that still waits.
+    pub latest: bool,
+    /// How many packets a message takes (D28).
+    pub fragments: u8,
+    /// How many packets an answer takes.
+    pub answer_fragments: u8,
+    /// `rate`.
+    pub rate: Option<Rate>,
+    /// The couple, by position, under whose lease this port acts: messages of an older epoch are dropped (D61).
+    pub guard: Option<u8>,
 }
 
 impl PortDecl {
@@ -135,13 +188,23 @@ impl PortDecl {
             usage,
             users: users.iter().map(|&task| UserDecl { task, time_out: None }).collect(),
             time_out,
-            class: if usage == Usage::Waitfor { Class::Command } else { Class::Status },
+            class: match usage {
+                Usage::Waitfor | Usage::Query | Usage::Response | Usage::Reply => Class::Command,
+                Usage::Send | Usage::Receive => Class::Status,
+            },
+            modules: Vec::new(),
             bounded_buffer: 1,
             format: String::new(),
             retry: 0,
             resend: Ticks::FAR,
             losses: 0,
             margin: None,
+            penalty: None,
+            latest: false,
+            fragments: 1,
+            answer_fragments: 1,
+            rate: None,
+            guard: None,
         }
     }
 
@@ -175,6 +238,48 @@ impl PortDecl {
         self
     }
 
+    /// Sets the time penalty of rejected offers (§5.1.1).
+    #[must_use]
+    pub fn penalty(mut self, length: Ticks) -> Self {
+        self.penalty = Some(Penalty { length, literal: false });
+        self
+    }
+
+    /// Lets a message replace the one of the same source that still waits.
+    #[must_use]
+    pub fn latest(mut self) -> Self {
+        self.latest = true;
+        self
+    }
+
+    /// Sets how many packets a message and an answer take (D28).
+    #[must_use]
+    pub fn fragments(mut self, message: u8, answer: u8) -> Self {
+        (self.fragments, self.answer_fragments) = (message, answer);
+        self
+    }
+
+    /// Adds the tasks of a module to the users (D32).
+    #[must_use]
+    pub fn module(mut self, module: &str) -> Self {
+        self.modules.push(module.into());
+        self
+    }
+
+    /// Sets how often messages are sent at most (D53).
+    #[must_use]
+    pub fn rate(mut self, count: u16, per: Ticks) -> Self {
+        self.rate = Some(Rate { count, per });
+        self
+    }
+
+    /// Sets the couple under whose lease the port acts (D61).
+    #[must_use]
+    pub fn guard(mut self, couple: u8) -> Self {
+        self.guard = Some(couple);
+        self
+    }
+
     /// Sets the description of the message format.
     #[must_use]
     pub fn format(mut self, description: &str) -> Self {
@@ -198,6 +303,8 @@ pub struct Cell {
     pub tasks: Vec<TaskDecl>,
     /// The ports; [`PortId`](crate::PortId) is the position here.
     pub ports: Vec<PortDecl>,
+    /// The work-coupled pairs.
+    pub couples: Vec<CoupleDecl>,
     /// The variants of the rules; a real cell runs the default.
     pub rules: Rules,
 }
@@ -222,14 +329,14 @@ impl Cell {
 
     /// Adds a task on a node.
     pub fn task(&mut self, name: &str, node: NodeId) -> TaskId {
-        self.tasks.push(TaskDecl { name: name.into(), node });
+        self.tasks.push(TaskDecl { name: name.into(), node, module: None });
         TaskId::from_index(self.tasks.len() - 1)
     }
 
     /// Adds a port.
-    pub fn port(&mut self, port: PortDecl) -> crate::ids::PortId {
+    pub fn port(&mut self, port: PortDecl) -> PortId {
         self.ports.push(port);
-        crate::ids::PortId::from_index(self.ports.len() - 1)
+        PortId::from_index(self.ports.len() - 1)
     }
 }
 

@@ -35,7 +35,7 @@ mod ticks;
 mod timer;
 mod transit;
 
-pub use cell::{Cell, CellError, PortDecl, Usage};
+pub use cell::{Cell, CellError, CoupleDecl, Penalty, PortDecl, Rate, Usage};
 pub use comm_task::{CommTask, Frame, Input, Outbox, Overflow, Visit, VisitMut, invariants};
 pub use ids::{Incarnation, MessageId, NodeId, PortId, Round, Seq24, TaskId};
 pub use node::{Node, NodeInput, NodeOutbox, Parts, discarded};
@@ -48,7 +48,8 @@ pub use packet::{
     PacketError, WIRE_STEP_US,
 };
 pub use request::{
-    Delivery, Fault, Outcome, ReleasedBy, ReplyTo, Request, ServiceOrder, Signal, Target, TimeId,
+    Answers, Call, Delivery, Fault, Outcome, Ranked, ReleasedBy, ReplyTo, Request, ServiceOrder, Signal,
+    Target, TimeId,
 };
 pub use rules::Rules;
 pub use table::{CellTable, NodeTable, Party, Port};

@@ -19,11 +19,40 @@ pub(crate) fn destinations(
     from: TaskId,
     to: Target,
 ) -> Result<impl Iterator<Item = TaskId> + '_, Fault> {
-    let one = match to {
-        Target::All => None,
-        Target::One(task) => Some(port.peers(from).find(|&peer| peer == task).ok_or(Fault::NotAPeer)?),
+    let wanted = match to {
+        Target::All => u64::MAX,
+        Target::One(task) => {
+            let known = port.peers(from).any(|peer| peer == task);
+            return if known { Ok(Peers::One(Some(task))) } else { Err(Fault::NotAPeer) };
+        }
+        Target::Some(named) => named,
     };
-    Ok(port.peers(from).filter(move |&peer| one.is_none_or(|task| task == peer)))
+    let bit = |task: TaskId| {
+        port.party_index(task).and_then(|i| 1_u64.checked_shl(u32::try_from(i).ok()?)).unwrap_or(0)
+    };
+    if to != Target::All {
+        let peers = port.peers(from).fold(0, |mask, peer| mask | bit(peer));
+        if wanted == 0 || wanted & !peers != 0 {
+            return Err(Fault::NotAPeer);
+        }
+    }
+    Ok(Peers::Several(port.peers(from).filter(move |&peer| to == Target::All || wanted & bit(peer) != 0)))
+}
+
+/// One task, or those of an iterator.
+enum Peers<I> {
+    One(Option<TaskId>),
+    Several(I),
+}
+
+impl<I: Iterator<Item = TaskId>> Iterator for Peers<I> {
+    type Item = TaskId;
+    fn next(&mut self) -> Option<TaskId> {
+        match self {
+            Self::One(task) => task.take(),
+            Self::Several(tasks) => tasks.next(),
+        }
+    }
 }
 
 /// A message packet.

@@ -15,6 +15,8 @@ pub enum Target {
     All,
     /// One of them (R43).
     One(TaskId),
+    /// Some of them (R40): bit `i` names party `i` of the port, owner first.
+    Some(u64),
 }
 
 /// Names one of a task's own timers or delays (Figure 3's `time_id`).
@@ -24,9 +26,10 @@ pub struct TimeId(pub u8);
 /// What a task asks of its communication task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Request {
-    /// SEND. Class 1: answered by [`Signal::Accepted`] at once. Class 2: answered by [`Signal::Outcome`].
+    /// SEND, or a query where that is the port's usage. Class 1: answered by [`Signal::Accepted`] at once. Class 2:
+    /// answered by [`Signal::Outcome`] where one task is asked, by [`Signal::Answers`] where several are.
     Send {
-        /// The port, which the task must have with usage `send`.
+        /// The port, which the task must have with usage `send` or `query`.
         port: PortId,
         /// Who it is for.
         to: Target,
@@ -35,7 +38,17 @@ pub enum Request {
         /// The life of the message where it is shorter than the port's; a longer one is cut to that.
         time_out: Option<Ticks>,
     },
-    /// GET: the most urgent message of the port, or of all the task's ports (R68). Answered by [`Signal::Message`],
+    /// One more fragment of the next SEND or REPLY on this port, where its format takes more than one packet (D28).
+    /// Fragment 0 is the contents of the request itself. Answered by [`Signal::Accepted`].
+    Part {
+        /// The port.
+        port: PortId,
+        /// The position of the fragment, from 1.
+        index: u8,
+        /// The fragment.
+        contents: Contents,
+    },
+    /// GET: the most urgent message of the port, or of all the task's ports (R68) that have no handler. Answered by [`Signal::Message`],
     /// or by [`Signal::Nothing`] when the time_out ends first; a time_out of zero polls.
     Get {
         /// One port, or the most urgent over all.
@@ -45,8 +58,9 @@ pub enum Request {
         /// How long to wait; `None` waits without end.
         time_out: Option<Ticks>,
     },
-    /// REPLY to a received class-2 message. Answered by [`Signal::Accepted`], or [`Signal::Fault`] with
-    /// [`Fault::Late`] when the execution budget has ended.
+    /// REPLY or response to a received class-2 message. Answered by [`Signal::Accepted`], or [`Signal::Fault`] with
+    /// [`Fault::Late`] when the execution budget has ended. On a port with usage `reply` it answers a message that
+    /// another task received (D11): the port is that port, source and id are those of the message.
     Reply {
         /// The message, as its delivery named it.
         to: ReplyTo,
@@ -62,8 +76,17 @@ pub enum Request {
         /// How long to wait where it is shorter than the port's time_out; a longer one is cut to that.
         time_out: Option<Ticks>,
     },
-    /// ORDER: ranks ports from here on (§5.1.1, D16). Answered by [`Signal::Accepted`].
+    /// ORDER: ranks ports, sources, timers and the current thread from here on (§5.1.1, D16). Answered by
+    /// [`Signal::Accepted`].
     Order(ServiceOrder),
+    /// Says whether the task has a handler for messages of this port: then they are offered to it as
+    /// [`Signal::Interrupt`] (D15). Answered by [`Signal::Accepted`].
+    Handle {
+        /// The port, on which the task receives or responds.
+        port: PortId,
+        /// Whether there is a handler.
+        handled: bool,
+    },
     /// DELAY (§5.1.2). Answered by [`Signal::TimeOut`].
     Delay {
         /// The name of the delay.
@@ -71,40 +94,110 @@ pub enum Request {
         /// How long.
         length: Ticks,
     },
-    /// CANCEL whatever is outstanding. Answered by [`Signal::Cancelled`]. Leaving a `waitfor` this way tells the others.
+    /// Starts a timer of the task, anew where it runs: its end is offered as [`Call::Timer`]. Answered by
+    /// [`Signal::Accepted`].
+    Start {
+        /// The name of the timer.
+        id: TimeId,
+        /// How long.
+        length: Ticks,
+    },
+    /// Stops a timer, and takes back its end where that was not offered yet. Answered by [`Signal::Accepted`].
+    Stop {
+        /// The name of the timer.
+        id: TimeId,
+    },
+    /// A statement boundary: a handler that outranks the current thread may run here (D15). Answered by
+    /// [`Signal::Interrupt`], and after its [`Request::Return`] again by this rule, or by [`Signal::Accepted`].
+    Boundary,
+    /// The task is busy with an action outside that handlers may interrupt. Not answered until [`Request::Done`].
+    Work,
+    /// The action of [`Request::Work`] has ended. Answered by [`Signal::Accepted`]; by [`Fault::Busy`] while a handler
+    /// that interrupted it runs.
+    Done,
+    /// A handler ended: the interrupted thread resumes (R16). Answered by the signal that the interrupted wait came to
+    /// meanwhile, by another [`Signal::Interrupt`], or not before there is one of them.
+    Return,
+    /// Until `Atomic(false)` no handler interrupts (D15). Answered by [`Signal::Accepted`].
+    Atomic(bool),
+    /// Waits for the lease of the couple that the task is the primary of (D61). Answered by [`Signal::Granted`].
+    Lease,
+    /// What the beats' answers carry from here on (D61). Answered by [`Signal::Accepted`].
+    Publish(Contents),
+    /// CANCEL the wait of the current thread. Answered by [`Signal::Cancelled`]. Leaving a `waitfor` this way tells the
+    /// others.
     Cancel,
+    /// CANCEL every wait, and every handler with the threads it interrupted: the task begins anew. Answered by
+    /// [`Signal::Cancelled`].
+    Abandon,
 }
 
-/// The ranks that `order a > b > c` gives: named ports first, in this order, then all others alike.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+/// What `order` ranks (D16).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub enum Ranked {
+    /// Messages of this port.
+    Port(PortId),
+    /// Messages of this task, through any port (Appendix: `order(Ti, TIMER, Tic)`).
+    Source(TaskId),
+    /// The ends of the task's timers.
+    Timers,
+    /// The current thread: `self`.
+    Own,
+}
+
+/// The ranks that `order a > b > c` gives: what is named first, in this order, then all the rest alike. A smaller rank
+/// goes first, and the rank is the number of levels above it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct ServiceOrder {
-    ports: [PortId; Self::LEVELS],
+    ranked: [Ranked; Self::LEVELS],
     len: u8,
+}
+
+impl Default for ServiceOrder {
+    fn default() -> Self {
+        Self { ranked: [Ranked::Own; Self::LEVELS], len: 0 }
+    }
 }
 
 impl ServiceOrder {
     /// How many levels one `order` can name.
     pub const LEVELS: usize = 8;
 
-    /// The order that ranks `ports` from first to last, or `None` where there are more than [`Self::LEVELS`].
+    /// The order that ranks `named` from first to last, or `None` where there are more than [`Self::LEVELS`].
     #[must_use]
-    pub fn new(ports: &[PortId]) -> Option<Self> {
+    pub fn new(named: &[Ranked]) -> Option<Self> {
         let mut order = Self::default();
-        order.ports.get_mut(..ports.len())?.copy_from_slice(ports);
-        order.len = u8::try_from(ports.len()).ok()?;
+        order.ranked.get_mut(..named.len())?.copy_from_slice(named);
+        order.len = u8::try_from(named.len()).ok()?;
         Some(order)
     }
 
-    /// The ranked ports, first to last.
+    /// What is named, first to last.
     #[must_use]
-    pub fn ports(&self) -> &[PortId] {
-        &self.ports[..usize::from(self.len)]
+    pub fn ranked(&self) -> &[Ranked] {
+        &self.ranked[..usize::from(self.len)]
     }
 
-    /// The rank of `port`: smaller goes first.
+    /// The rank of a message: that of its port or of its source, whichever is named first.
     #[must_use]
-    pub fn rank(&self, port: PortId) -> u8 {
-        let position = self.ports().iter().position(|&p| p == port);
+    pub fn rank(&self, port: PortId, source: TaskId) -> u8 {
+        self.position(|&named| named == Ranked::Port(port) || named == Ranked::Source(source))
+    }
+
+    /// The rank of the ends of timers.
+    #[must_use]
+    pub fn timers(&self) -> u8 {
+        self.position(|&named| named == Ranked::Timers)
+    }
+
+    /// The rank of the current thread. Without an `order` it is 0, as that of all messages: nothing outranks it.
+    #[must_use]
+    pub fn own(&self) -> u8 {
+        self.position(|&named| named == Ranked::Own)
+    }
+
+    fn position(&self, is: impl Fn(&Ranked) -> bool) -> u8 {
+        let position = self.ranked().iter().position(is);
         position.and_then(|p| u8::try_from(p).ok()).unwrap_or(self.len)
     }
 }
@@ -129,8 +222,42 @@ pub struct Delivery {
     pub class: Class,
     /// What is left of its life: for a command, the execution budget, with the way back already taken off (D18).
     pub budget: Ticks,
-    /// What it says.
+    /// What it says; of a longer format the first fragment (D28). The others are [`CommTask::fragment`]s until the task
+    /// takes its next message.
+    ///
+    /// [`CommTask::fragment`]: crate::CommTask::fragment
     pub contents: Contents,
+    /// How many fragments it has.
+    pub fragments: u8,
+}
+
+/// What interrupts the current thread (D15).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub enum Call {
+    /// A message for a handler.
+    Message(Delivery),
+    /// The end of a timer.
+    Timer(TimeId),
+    /// The task lost its lease: it must stop acting (D61). Outranks everything.
+    Fenced,
+    /// The task's partner is gone: it acts in its place from now on, under this epoch (D61). Outranks everything.
+    TakeOver(u8),
+}
+
+/// How a class-2 message to several tasks ended. Bit `i` stands for party `i` of the port, owner first. An asked task
+/// without any bit may have run it: its answer did not come in time.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub struct Answers {
+    /// Who was asked.
+    pub asked: u64,
+    /// Who answered: see [`CommTask::answer_of`](crate::CommTask::answer_of).
+    pub answered: u64,
+    /// Who refused.
+    pub refused: u64,
+    /// Whose node restarted meanwhile.
+    pub restarted: u64,
+    /// For whom no copy ever left this node.
+    pub unsent: u64,
 }
 
 /// How a class-2 message ended. A robot program must know whether the arm may have moved.
@@ -166,10 +293,14 @@ pub enum Fault {
     WrongUsage,
     /// The named task is not at the other end of the port.
     NotAPeer,
-    /// A class-2 message is for one task; name it.
-    NeedsOneDestination,
-    /// Another request is outstanding.
+    /// Another request is outstanding, or one on this port in a thread that a handler interrupted.
     Busy,
+    /// A message or an answer has more fragments than its format allows, or a fragment is missing (D28).
+    WrongLength,
+    /// No handler runs.
+    NotInterrupted,
+    /// The port acts under a lease that the task does not hold (D61).
+    Fenced,
     /// No such message is waiting for a reply.
     NothingToAnswer,
     /// The execution budget has ended; the sender is beyond waiting.
@@ -185,6 +316,17 @@ pub enum Signal {
     Fault(Fault),
     /// A class-2 message ended.
     Outcome(Outcome),
+    /// A class-2 message to several tasks ended: all answered or refused, or its time_out did.
+    Answers {
+        /// The port.
+        port: PortId,
+        /// How.
+        answers: Answers,
+    },
+    /// The current thread is suspended: the handler for this runs, and ends with [`Request::Return`].
+    Interrupt(Call),
+    /// The task holds the lease of its couple, under this epoch (D61).
+    Granted(u8),
     /// A message.
     Message(Delivery),
     /// The wait of a GET ended without a message.

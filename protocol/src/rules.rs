@@ -38,6 +38,44 @@ pub enum Memory {
     None,
 }
 
+/// What a rejection by rank does to a message, besides the port's time penalty (§5.1.1, D4, D58).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub enum Aging {
+    /// Each rejection raises its rank by one level, and heads that were bypassed too often go first.
+    Bounded,
+    /// Nothing: it may be rejected and bypassed for ever.
+    Off,
+    /// Heads that were bypassed too often go first, but rejections do not count.
+    Unbounded,
+}
+
+/// Which message makes room in a full buffer (D60).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub enum Eviction {
+    /// What is useless, then statuses, then by time.
+    ByClass,
+    /// The one with most time left, whatever its class.
+    ByTime,
+}
+
+/// How the primary of a couple keeps its lease (D30, D61).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub enum LeaseRule {
+    /// By beats that echo its last answer, from when it sent that.
+    Echoed,
+    /// By any beat, from when it came.
+    Heartbeat,
+}
+
+/// How the Timer takes a task's job (Figure 3, D22).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub enum JobRequest {
+    /// JOB_REQUEST is a standing offer.
+    Standing,
+    /// The Timer waits for each task's answer before it counts on.
+    Blocking,
+}
+
 /// One choice for each rule that has variants.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Rules {
@@ -66,6 +104,16 @@ pub struct Rules {
     pub memory: Memory,
     /// Whether a restarted task turns commands away while copies of what its earlier life ran may live (D49).
     pub quarantine: bool,
+    /// What a rejection does to a message (D58).
+    pub aging: Aging,
+    /// Whether a handler runs only when it outranks the current thread (R16).
+    pub obey_order: bool,
+    /// Which message makes room in a full buffer (D60).
+    pub eviction: Eviction,
+    /// How a primary keeps its lease (D61).
+    pub lease: LeaseRule,
+    /// How the Timer takes a job (D22).
+    pub job_request: JobRequest,
 }
 
 impl Rules {
@@ -83,6 +131,11 @@ impl Rules {
         time_stamp: TimeStamp::Remaining,
         memory: Memory::LifeAndLink,
         quarantine: true,
+        aging: Aging::Bounded,
+        obey_order: true,
+        eviction: Eviction::ByClass,
+        lease: LeaseRule::Echoed,
+        job_request: JobRequest::Standing,
     };
 }
 

@@ -98,7 +98,9 @@ fn ties_go_by_class_then_order_then_port_then_source_then_arrival() {
     room.put(HALT, A, 2, 20);
     room.put(BEAT, A, 3, 20);
     room.put(MOVE, A, 1, 20);
-    room.r.ask(Request::Order(ServiceOrder::new(&[HALT, BEAT]).expect("two levels")));
+    room.r.ask(Request::Order(
+        ServiceOrder::new(&[Ranked::Port(HALT), Ranked::Port(BEAT)]).expect("two levels"),
+    ));
     assert_eq!(room.served(), [1, 2, 3], "class before `order` before port");
 
     room.put(BEAT, A, 1, 20);
@@ -109,7 +111,7 @@ fn ties_go_by_class_then_order_then_port_then_source_then_arrival() {
 #[test]
 fn order_never_overrules_a_deadline() {
     let mut room = Room::new();
-    room.r.ask(Request::Order(ServiceOrder::new(&[HALT]).expect("one level")));
+    room.r.ask(Request::Order(ServiceOrder::new(&[Ranked::Port(HALT)]).expect("one level")));
     room.put(HALT, A, 2, 21);
     room.put(BEAT, A, 1, 20);
     assert_eq!(room.served(), [1, 2]);

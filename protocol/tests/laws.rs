@@ -298,7 +298,7 @@ fn random_runs_reach_every_event_and_outcome() {
         "GaveUp",
         "Late",
         "Message",
-        "NeedsOneDestination",
+        "WrongUsage",
         "NotAPeer",
         "NotYourPort",
         "Nothing",

@@ -5,8 +5,8 @@ use crate::comm::Mail;
 use crate::effects::Effects;
 use crate::node::Node;
 use imrs_protocol::{
-    Contents, Delivery, Fault, Outcome, PortId, ReleasedBy, ReplyTo, Request, Round, ServiceOrder, Signal,
-    Target, TaskId, Ticks, TimeId,
+    Contents, Delivery, Fault, Outcome, PortId, Ranked, ReleasedBy, ReplyTo, Request, Round, ServiceOrder,
+    Signal, Target, TaskId, Ticks, TimeId,
 };
 use std::sync::Arc;
 use std::time::Duration;
@@ -44,7 +44,9 @@ fn explain(fault: &Fault) -> &'static str {
         Fault::NotYourPort => "the task neither owns nor uses this port",
         Fault::WrongUsage => "the port's usage does not allow this",
         Fault::NotAPeer => "the named task is not at the other end of the port",
-        Fault::NeedsOneDestination => "a class-2 message is for one task: name it",
+        Fault::WrongLength => "the message has more fragments than its format, or one is missing",
+        Fault::NotInterrupted => "no handler runs",
+        Fault::Fenced => "the task does not hold the lease that this port acts under",
         Fault::Busy => "another request is outstanding",
         Fault::NothingToAnswer => "no such message waits for a reply",
         Fault::Late => "the execution budget has ended: the sender is beyond waiting",
@@ -253,12 +255,13 @@ impl Context {
         }
     }
 
-    /// Ranks ports from here on (§5.1.1): on equal time_outs the first goes first; ports not named come last.
+    /// Ranks ports, sources, timers and the current thread from here on (§5.1.1): on equal time_outs the first goes
+    /// first; what is not named comes last.
     ///
     /// # Errors
     /// [`TaskError::TooManyLevels`].
-    pub fn order(&mut self, ports: &[PortId]) -> Result<(), TaskError> {
-        let order = ServiceOrder::new(ports).ok_or(TaskError::TooManyLevels(ports.len()))?;
+    pub fn order(&mut self, named: &[Ranked]) -> Result<(), TaskError> {
+        let order = ServiceOrder::new(named).ok_or(TaskError::TooManyLevels(named.len()))?;
         let request = Request::Order(order);
         match self.call(request)? {
             Signal::Accepted(_) => Ok(()),

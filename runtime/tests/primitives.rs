@@ -3,7 +3,7 @@
 mod common;
 
 use common::{A, B, C, LONG, LONG_TICKS, ask, cell, finish, network, on, one_node, report, table};
-use imrs_protocol::{Fault, NodeId, Outcome, PortDecl, ReleasedBy, Ticks, Usage};
+use imrs_protocol::{Fault, NodeId, Outcome, PortDecl, Ranked, ReleasedBy, Ticks, Usage};
 use imrs_runtime::link::in_process::Faults;
 use imrs_runtime::{Context, Rendezvous, RequestFault, Sent, StartError, TaskEnd, TaskError};
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -267,8 +267,8 @@ fn faults_of_a_request_are_errors_and_change_nothing() {
             assert_eq!(ctx.send_to(ask, C, b""), fault(Fault::NotAPeer));
             assert_eq!(ctx.send(tell, b""), fault(Fault::WrongUsage));
             assert_eq!(ctx.receive(Some(ask), None), Err(TaskError::Fault(RequestFault(Fault::WrongUsage))));
-            assert_eq!(ctx.order(&[ask; 9]), Err(TaskError::TooManyLevels(9)));
-            ctx.order(&[tell])
+            assert_eq!(ctx.order(&[Ranked::Port(ask); 9]), Err(TaskError::TooManyLevels(9)));
+            ctx.order(&[Ranked::Port(tell)])
         })
         .task("b", |ctx| {
             // A port of others is not even found.

@@ -4,7 +4,7 @@ use super::clock::now_us;
 use super::probe::Probe;
 use crate::cells::beam_lift::{ARM_L, ARM_R, BEAT, HALT, HOIST, LIFT};
 use fastrand::Rng;
-use imrs_protocol::{Delivery, Fault, PortId, Round};
+use imrs_protocol::{Delivery, Fault, PortId, Ranked, Round};
 use imrs_runtime::{Context, Rendezvous, RequestFault, TaskError};
 use std::ops::Range;
 use std::time::Duration;
@@ -97,7 +97,7 @@ impl Robot {
     /// Answers heart-beats while it moves; stops when told to, or when it hears nothing.
     fn right_arm(mut self, ctx: &mut Context) -> Result<(), TaskError> {
         let (lift, beat, halt) = (ctx.port(LIFT)?, ctx.port(BEAT)?, ctx.port(HALT)?);
-        ctx.order(&[halt, beat])?;
+        ctx.order(&[Ranked::Port(halt), Ranked::Port(beat)])?;
         self.probe.wait_for_start();
         loop {
             self.work(ctx, 2_000..4_000)?;
@@ -119,7 +119,7 @@ impl Robot {
     /// Winds while the arms lift; looks between two steps whether it should stop.
     fn hoist(mut self, ctx: &mut Context) -> Result<(), TaskError> {
         let (lift, halt) = (ctx.port(LIFT)?, ctx.port(HALT)?);
-        ctx.order(&[halt])?;
+        ctx.order(&[Ranked::Port(halt)])?;
         self.probe.wait_for_start();
         loop {
             self.work(ctx, 0..6_000)?;

@@ -10,7 +10,7 @@ use super::rendezvous::{Arrived, Rendezvous};
 use super::{CommTask, Command, Pending};
 use crate::ids::{Incarnation, MessageId, PortId, Round, Seq24, TaskId};
 use crate::packet::{Class, Contents};
-use crate::request::{ServiceOrder, TimeId};
+use crate::request::{Ranked, ServiceOrder, TimeId};
 use crate::table::NodeTable;
 use crate::ticks::Ticks;
 
@@ -169,9 +169,16 @@ impl CommTask {
             w.byte(self.incarnation.0)?;
             w.byte(u8::from(self.restarted))?;
         }
-        w.count(self.order.ports().len())?;
-        for port in self.order.ports() {
-            w.count(port.index())?;
+        w.count(self.order.ranked().len())?;
+        for ranked in self.order.ranked() {
+            let (kind, of) = match ranked {
+                Ranked::Port(port) => (0, port.index()),
+                Ranked::Source(task) => (1, task.index()),
+                Ranked::Timers => (2, 0),
+                Ranked::Own => (3, 0),
+            };
+            w.byte(kind)?;
+            w.count(of)?;
         }
         for inbox in &self.inboxes {
             w.count(inbox.queue.len())?;
@@ -328,12 +335,18 @@ impl CommTask {
             self.incarnation = Incarnation(r.byte());
             self.restarted = r.byte() == 1;
         }
-        let mut ports = [PortId(0); ServiceOrder::LEVELS];
-        let ranked = usize::from(r.byte()).min(ports.len());
-        for port in ports.iter_mut().take(ranked) {
-            *port = PortId(u16::from(r.byte()));
+        let mut named = [Ranked::Own; ServiceOrder::LEVELS];
+        let levels = usize::from(r.byte()).min(named.len());
+        for ranked in named.iter_mut().take(levels) {
+            let (kind, of) = (r.byte(), u16::from(r.byte()));
+            *ranked = match kind {
+                0 => Ranked::Port(PortId(of)),
+                1 => Ranked::Source(TaskId(of)),
+                2 => Ranked::Timers,
+                _ => Ranked::Own,
+            };
         }
-        self.order = ServiceOrder::new(&ports[..ranked]).unwrap_or_default();
+        self.order = ServiceOrder::new(&named[..levels]).unwrap_or_default();
         self.arrivals = 0;
         for inbox in &mut self.inboxes {
             inbox.queue.clear();

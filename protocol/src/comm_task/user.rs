@@ -36,6 +36,18 @@ impl CommTask {
                 out.arm(id, length);
                 Ok(None)
             }
+            Request::Part { .. }
+            | Request::Handle { .. }
+            | Request::Start { .. }
+            | Request::Stop { .. }
+            | Request::Boundary
+            | Request::Work
+            | Request::Done
+            | Request::Return
+            | Request::Atomic(_)
+            | Request::Lease
+            | Request::Publish(_)
+            | Request::Abandon => Err(Fault::WrongUsage),
         };
         match done {
             Ok(Some(signal)) => out.signal(signal),
@@ -106,7 +118,7 @@ impl CommTask {
             Class::Command => {
                 let mut peers = mapping::destinations(port, self.task, to)?;
                 let (Some(peer), None) = (peers.next(), peers.next()) else {
-                    return Err(Fault::NeedsOneDestination);
+                    return Err(Fault::WrongUsage);
                 };
                 let message = self.send_packet(table, port, peer, life, contents, out);
                 let retries = port.decl.retry > 0;
@@ -202,7 +214,7 @@ impl CommTask {
         let asked = self.inboxes.iter().enumerate().filter(|(_, inbox)| port.is_none_or(|p| p == inbox.port));
         let heads = asked.filter_map(|(i, inbox)| {
             let (key, slot, message) = inbox.head(source)?;
-            let rank = self.order.rank(inbox.port);
+            let rank = self.order.rank(inbox.port, message.source);
             Some(((message.expires, message.class, rank, inbox.port, key), (i, slot)))
         });
         heads.min_by_key(|&(key, _)| key).map(|(_, place)| place)
@@ -387,6 +399,7 @@ impl CommTask {
             class: message.class,
             budget,
             contents: message.contents,
+            fragments: 1,
         }));
     }
 

@@ -330,7 +330,10 @@ fn odd_request(a: u16, b: u16) -> Request {
     let port = PortId(a % 5);
     match b % 7 {
         0 => Request::Cancel,
-        1 => Request::Order(ServiceOrder::new(&[PortId(a % 3), PortId(a / 8 % 3)]).expect("two levels")),
+        1 => Request::Order(
+            ServiceOrder::new(&[Ranked::Port(PortId(a % 3)), Ranked::Port(PortId(a / 8 % 3))])
+                .expect("two levels"),
+        ),
         2 => Request::Delay { id: TimeId(0), length: Ticks(u64::from(a)) },
         3 => Request::Send { port, to: Target::All, contents: Contents::EMPTY, time_out: None },
         4 => Request::Send {
