@@ -2,6 +2,7 @@
 //! into every call. It is never part of a machine's state.
 
 use crate::cell::{Cell, CellError, MAX_MEMBERS, PortDecl, Usage};
+use crate::couples;
 use crate::ids::{NodeId, PortId, TaskId};
 use crate::margin;
 use crate::packet::{Class, MAX_HOPS};
@@ -112,6 +113,17 @@ impl CellTable {
         for port in &ports {
             check_port(&cell, port, &routes, &mut errors);
         }
+        let n = cell.nodes.len();
+        couples::check(
+            &cell,
+            &ports,
+            |a, b| {
+                let (a, b) = (cell.tasks[a.index()].node, cell.tasks[b.index()].node);
+                let hop = routes[a.index() * n + b.index()];
+                if a == b { Ticks::ZERO } else { hop.map_or(Ticks::FAR, |hop| hop.bound) }
+            },
+            &mut errors,
+        );
         if !errors.is_empty() {
             return Err(errors);
         }

@@ -10,6 +10,7 @@
 mod ignores;
 mod inbox;
 pub mod invariants;
+mod lease;
 mod memory;
 mod packed;
 mod relative;
