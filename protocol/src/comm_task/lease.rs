@@ -10,18 +10,20 @@
 //! With `<->` the roles are exchanged at a take-over. The one that took over acts alone until its partner is back, so
 //! a partner that was away must not take over before it knows that the other one depends on its beats: an answer says so.
 
+use super::inbox::Held;
+use super::levels::Finished;
+use super::rendezvous::is_older;
+use super::{CommTask, Outbox, Pending};
 use crate::cell::CoupleDecl;
 use crate::ids::{Incarnation, MessageId, PortId, Seq24, TaskId};
 use crate::mapping;
+use crate::observe::{Event, Observation, Reason};
 use crate::packet::{Contents, Kind, Packet};
-use crate::request::{Call, ReplyTo};
+use crate::request::{Call, Fault, ReplyTo, Signal};
 use crate::rules::LeaseRule;
 use crate::table::{NodeTable, Port};
 use crate::ticks::Ticks;
 use serde::{Deserialize, Serialize};
-
-use super::Outbox;
-use super::rendezvous::is_older;
 
 /// How many answers whose echo may still come are remembered.
 const ANSWERS: usize = 4;
@@ -346,4 +348,124 @@ pub(crate) fn couple_of(table: &NodeTable, port: PortId, task: TaskId) -> Option
     let couples = table.cell().couples.iter().enumerate();
     let mine = |c: &CoupleDecl| c.via == port && (c.primary == task || c.standby == task);
     couples.filter(|(_, c)| mine(c)).find_map(|(i, c)| Some((u8::try_from(i).ok()?, c)))
+}
+
+impl CommTask {
+    /// Whether this task may act now: it holds the lease of its couple, or took over (D61). A task in no couple always may.
+    #[must_use]
+    pub fn is_active(&self) -> bool {
+        self.lease.as_ref().is_none_or(Lease::acts)
+    }
+
+    /// The epoch that this task acts under, or the newest it heard of; `None` where it is in no couple.
+    #[must_use]
+    pub fn epoch(&self) -> Option<u8> {
+        self.lease.as_ref().map(|lease| lease.epoch)
+    }
+
+    /// What the partner published last (D61).
+    #[must_use]
+    pub fn partner_published(&self) -> Option<&Contents> {
+        self.lease.as_ref().map(|lease| &lease.said)
+    }
+
+    /// Runs a step of the lease, and tells the task what came of it.
+    pub(super) fn beat<O: Outbox>(
+        &mut self,
+        table: &NodeTable,
+        out: &mut O,
+        step: impl FnOnce(&mut Lease, &mut Beating<'_>, &mut O),
+    ) {
+        let Some(lease) = &mut self.lease else { return };
+        let acted = lease.acts();
+        let next = &mut self.next_sequence;
+        let (task, incarnation, now) = (self.task, self.incarnation, self.now);
+        step(lease, &mut Beating { table, task, incarnation, now, next }, out);
+        let (acts, epoch, call) = (lease.acts(), lease.epoch, lease.call);
+        if acts == acted {
+            return;
+        }
+        let event = match (acts, call) {
+            (true, Some(Call::TakeOver(_))) => Event::TookOver,
+            (true, _) => Event::Granted,
+            (false, _) => Event::Fenced,
+        };
+        let port = table.cell().couples.get(usize::from(lease.couple)).map_or(PortId::NONE, |c| c.via);
+        let (peer, number, remaining) = (lease.partner, u32::from(epoch), Ticks::ZERO);
+        out.observe(Observation { event, port, peer, number, remaining });
+        if acts && self.running().iter().any(|level| level.pending == Pending::Lease) {
+            if let Some(lease) = &mut self.lease {
+                lease.call = None;
+            }
+            self.conclude(Pending::Lease, Finished::Granted(epoch), out);
+        }
+    }
+
+    /// What the lease has for the task that it was not told yet.
+    pub(super) fn called(&self) -> Option<Call> {
+        self.lease.as_ref().and_then(|lease| lease.call)
+    }
+
+    pub(super) fn take_call(&mut self) -> Option<Call> {
+        self.lease.as_mut().and_then(|lease| lease.call.take())
+    }
+
+    pub(super) fn await_lease(&mut self) -> Result<Option<Signal>, Fault> {
+        let Some(lease) = &mut self.lease else { return Err(Fault::WrongUsage) };
+        if lease.acts() {
+            lease.call = None;
+            return Ok(Some(Signal::Granted(lease.epoch)));
+        }
+        self.top_mut().pending = Pending::Lease;
+        Ok(None)
+    }
+
+    pub(super) fn publish(&mut self, contents: Contents) -> Result<Signal, Fault> {
+        let Some(lease) = &mut self.lease else { return Err(Fault::WrongUsage) };
+        if contents.as_bytes().len() > PUBLISHED_BYTES {
+            return Err(Fault::WrongLength);
+        }
+        lease.published = contents;
+        Ok(Signal::Accepted(0))
+    }
+
+    /// What a message says on the wire: through a port that acts under a lease, with the epoch behind it.
+    pub(super) fn under_lease(&self, port: &Port, contents: Contents) -> Result<Contents, Fault> {
+        let Some(guard) = port.decl.guard else { return Ok(contents) };
+        let lease = self.lease.as_ref().filter(|lease| lease.couple == guard && lease.acts());
+        let epoch = lease.ok_or(Fault::Fenced)?.epoch;
+        let (mut bytes, len) = ([0; crate::packet::CONTENTS_BYTES], contents.as_bytes().len());
+        *bytes.get_mut(len).ok_or(Fault::WrongLength)? = epoch;
+        bytes[..len].copy_from_slice(contents.as_bytes());
+        Contents::new(&bytes[..=len]).ok_or(Fault::WrongLength)
+    }
+
+    /// The message without its epoch; `None` where a newer one was heard of. With a newer one goes what still waits of
+    /// older ones.
+    pub(super) fn within_epoch(
+        &mut self,
+        table: &NodeTable,
+        port: &Port,
+        (inbox, source): (usize, usize),
+        packet: &Packet,
+        out: &mut impl Outbox,
+    ) -> Option<Packet> {
+        let Some(mut guard) = self.inboxes[inbox].guard else { return Some(*packet) };
+        let declared = port.party(packet.source).map_or(Ticks::ZERO, |party| party.time_out);
+        let until = self.now + declared + table.bound_between(packet.source, self.task);
+        let said = packet.contents.as_bytes().split_last();
+        let newer = said.is_some_and(|(&e, _)| guard.until > self.now && is_newer_epoch(e, guard.epoch));
+        let contents = said.filter(|&(&epoch, _)| guard.admit(epoch, self.now, until));
+        let Some((_, bytes)) = contents else {
+            self.inboxes[inbox].sources[source].assembly.close(packet.id);
+            let reason = if said.is_some() { Reason::StaleEpoch } else { Reason::NotAllowed };
+            self.drop_packet(packet, reason, out);
+            return None;
+        };
+        self.inboxes[inbox].guard = Some(guard);
+        while let Some(old) = self.inboxes[inbox].queue.pop_if(|_: &Held| newer) {
+            self.discard(port.id, &old, Reason::StaleEpoch, out);
+        }
+        Some(Packet { contents: Contents::new(bytes).unwrap_or_default(), ..*packet })
+    }
 }
