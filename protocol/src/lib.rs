@@ -20,6 +20,7 @@ extern crate alloc;
 
 pub mod cell;
 mod comm_task;
+mod couples;
 mod ids;
 mod mapping;
 pub mod margin;
