@@ -320,7 +320,7 @@ pub struct TransitView {
     /// Packets relayed or sent since the start.
     pub forwarded: u64,
     /// Packets dropped, by [`Reason::ALL`] position.
-    pub discarded: [u64; Reason::ALL.len()],
+    pub discarded: Vec<u64>,
     /// The nodes that packets wait for.
     pub next: Vec<NodeId>,
 }
