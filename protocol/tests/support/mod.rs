@@ -96,6 +96,7 @@ impl Solo {
         if let Err(violation) = invariants::check(&self.task, &self.table) {
             panic!("after {input:?}: {violation}");
         }
+        assert!(out.signals.len() <= 1, "one signal for {input:?}: {:?}", out.signals);
         out
     }
 
