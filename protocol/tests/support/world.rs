@@ -160,6 +160,7 @@ impl World {
         if let Err(violation) = invariants::check(&self.tasks[task], &self.tables[task]) {
             panic!("T{task} after {input:?}: {violation}");
         }
+        assert!(out.signals.len() <= 1, "T{task} gets {:?} for {input:?}", out.signals);
         self.flying.extend(&out.packets);
         for &(id, turn) in &out.turns {
             self.turns[task].retain(|t| t.0 != id);
@@ -390,7 +391,7 @@ fn odd_request(a: u16, b: u16) -> Request {
         7 | 8 => Request::Boundary,
         9 => Request::Work,
         10 => Request::Done,
-        11 | 12 | 13 => Request::Return,
+        11..=13 => Request::Return,
         14 => Request::Atomic(a & 3 == 0),
         15 => Request::Start { id, length },
         16 if a & 1 == 0 => Request::Stop { id },
