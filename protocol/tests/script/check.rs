@@ -118,7 +118,7 @@ fn tables_are_sound() {
         ..Program::default()
     };
     assert_eq!(long.check(), Err(ProgramError::Format(0)));
-    let mut most = long.clone();
+    let mut most = long;
     most.formats[0].fields.pop();
     assert_eq!((most.check(), most.formats[0].fragments()), (Ok(0), 16));
     let initial = Variable { name: "x".into(), of: Type::Bool, initial: 2 };

@@ -344,18 +344,18 @@ fn answer(rig: &Rig, pick: u8) -> Option<ScriptInput> {
         Activity::Acts => {
             return Some(ScriptInput::Acted {
                 level: rig.script.depth(),
-                ok: pick % 2 == 0,
+                ok: pick.is_multiple_of(2),
                 value: i32::from(pick),
             });
         }
         Activity::Chooses(among) => return Some(ScriptInput::Chosen(u16::from(pick) % among)),
         Activity::NotBegun | Activity::Passive | Activity::Ended(_) => return None,
         Activity::Waits => match rig.said.requests.last()? {
-            Request::Get { .. } if pick % 3 == 0 => Signal::Nothing,
+            Request::Get { .. } if pick.is_multiple_of(3) => Signal::Nothing,
             Request::Get { port, .. } => {
                 Signal::Message(message(port.unwrap_or(TELL), Class::Command, u32::from(pick), &[pick & 1]))
             }
-            Request::Send { .. } if pick % 2 == 0 => replied(&[pick & 1]),
+            Request::Send { .. } if pick.is_multiple_of(2) => replied(&[pick & 1]),
             Request::Send { .. } => Signal::Outcome(Outcome::TimedOutUnknown),
             Request::Arrive { port, .. } => {
                 Signal::Released { port: *port, round: Round(1), by: ReleasedBy::AllArrived }
@@ -391,7 +391,7 @@ proptest! {
         let mut rig = Rig::of(program);
         rig.begin();
         for (pick, input) in inputs {
-            let input = if pick % 4 == 0 { input } else { answer(&rig, pick).unwrap_or(input) };
+            let input = if pick.is_multiple_of(4) { input } else { answer(&rig, pick).unwrap_or(input) };
             rig.step(input);
             if let Activity::Ended(end) = rig.script.activity() {
                 rig.step(input);
@@ -456,6 +456,52 @@ proptest! {
     }
 }
 
+/// The next request that is no boundary, and what was said besides. A task that runs on and on is stopped, as a node
+/// does it.
+fn past_boundaries(rig: &mut Rig, mut said: Vec<String>) -> Vec<String> {
+    let mut all = Vec::new();
+    for _ in 0..STEP_LIMIT {
+        let boundary = said.last().is_some_and(|last| last == "boundary");
+        all.extend(said.into_iter().filter(|words| words != "boundary"));
+        if !boundary {
+            return all;
+        }
+        said = rig.accept();
+    }
+    rig.script.stop(&rig.program, ScriptFault::Runaway, &mut rig.said);
+    std::mem::take(&mut rig.said.words)
+}
+
+/// Whether a script was stopped because it never waited.
+fn ran_away(rig: &Rig) -> bool {
+    matches!(rig.script.activity(), Activity::Ended(End::Fault { fault: ScriptFault::Runaway, .. }))
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 500, failure_persistence: None, ..ProptestConfig::default() })]
+
+    /// D45: where no handler is called at a boundary, it does not matter how many there are.
+    #[test]
+    fn fused_statements_reach_the_same_states(program in well_formed(), inputs in vec((any::<u8>(), inputs()), 1..60)) {
+        let rig = |fusing| Rig::of(Program { fusing, ..program.clone() });
+        let (mut fused, mut every) = (rig(Fusing::Fused), rig(Fusing::EveryStatement));
+        let (one, other) = (fused.begin(), every.begin());
+        let (one, other) = (past_boundaries(&mut fused, one), past_boundaries(&mut every, other));
+        prop_assert!(one == other || (ran_away(&fused) && ran_away(&every)));
+        for (pick, input) in inputs {
+            let input = if pick.is_multiple_of(4) { input } else { answer(&fused, pick).unwrap_or(input) };
+            let (one, other) = (fused.step(input), every.step(input));
+            let (one, other) = (past_boundaries(&mut fused, one), past_boundaries(&mut every, other));
+            if ran_away(&fused) {
+                prop_assert!(ran_away(&every));
+                return Ok(());
+            }
+            prop_assert_eq!(one, other);
+            prop_assert_eq!(&fused.script, &every.script);
+        }
+    }
+}
+
 /// Random runs are worth something only if they come far.
 #[test]
 fn random_programs_reach_what_they_are_for() {
@@ -474,7 +520,7 @@ fn random_programs_reach_what_they_are_for() {
                 *seen.entry(words.split(' ').next().expect("a word").into()).or_default() += 1;
             }
             *seen.entry(format!("depth {}", rig.script.depth())).or_default() += 1;
-            said = rig.step(if pick % 4 == 0 { input } else { answer(&rig, pick).unwrap_or(input) });
+            said = rig.step(if pick.is_multiple_of(4) { input } else { answer(&rig, pick).unwrap_or(input) });
         }
     }
     let wanted = [
