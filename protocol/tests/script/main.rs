@@ -4,6 +4,7 @@
 mod arm;
 mod check;
 mod fake;
+mod floor;
 mod handlers;
 mod host;
 mod leases;
