@@ -11,3 +11,4 @@ mod leases;
 mod ops;
 mod random;
 mod waits;
+mod written;
