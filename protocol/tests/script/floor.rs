@@ -143,6 +143,12 @@ impl Floor {
         self.out.choice = Some(choice);
     }
 
+    /// How the scripts stand, ascending by task.
+    pub fn activities(&self) -> Vec<Activity> {
+        let scripts = self.nodes.iter().flat_map(ScriptedNode::scripts);
+        scripts.map(|hosted| hosted.script.activity()).collect()
+    }
+
     pub const fn now(&self) -> u64 {
         self.out.now
     }

@@ -2,8 +2,10 @@
 
 use super::arm;
 use super::floor::Floor;
+use super::written::{Ends, written};
 use imrs_protocol::script::*;
 use imrs_protocol::*;
+use proptest::prelude::*;
 use std::sync::Arc;
 
 const A: TaskId = TaskId(0);
@@ -352,4 +354,58 @@ fn a_node_says_who_waits_for_a_choice() {
         ScriptedNode::new(node, [(A, Arc::new(empty))]).expect_err("no program"),
         (A, ProgramError::NoSuchAddress(0))
     );
+}
+
+/// Two tasks that do at random what scripts can do, with handlers on both sides, on one node or on two.
+fn random_pair(genes: [&[u8]; 2], together: bool) -> Floor {
+    let mut cell = Cell::new("pair", Ticks(1));
+    let (na, nb) = (cell.node("na"), cell.node("nb"));
+    cell.link(na, nb, Ticks(1));
+    let (a, b) = (cell.task("a", na), cell.task("b", if together { na } else { nb }));
+    let port = |name, from, usage, to| PortDecl::new(name, from, usage, &[to], Ticks(9)).bounded_buffer(2);
+    let mut add = |decl: PortDecl| cell.port(decl.fragments(2, 2));
+    let (ask_a, ask_b) = (add(port("qa", a, Usage::Query, b)), add(port("qb", b, Usage::Query, a)));
+    add(PortDecl::new("lift", a, Usage::Waitfor, &[b], Ticks(30)).resend(Ticks(5), 1));
+    let tell_a = add(port("ta", a, Usage::Send, b).command().retry(2, Ticks(3)));
+    let tell_b = add(port("tb", b, Usage::Send, a).command());
+    let (news_a, news_b) = (add(port("na", a, Usage::Send, b)), add(port("nb", b, Usage::Send, a).latest()));
+    let ends = [
+        Ends { asks: [ask_a, news_a], tells: tell_a, hears: tell_b, handled: [ask_b, news_b], real: true },
+        Ends { asks: [ask_b, news_b], tells: tell_b, hears: tell_a, handled: [ask_a, news_a], real: true },
+    ];
+    let programs =
+        [a, b].into_iter().zip(genes).zip(ends).map(|((task, genes), ends)| (task, written(genes, ends)));
+    let mut floor = Floor::new(cell, programs.collect());
+    floor.choose_at_once(1);
+    floor.begin();
+    floor
+}
+
+fn ended_well(activity: Activity) -> bool {
+    match activity {
+        // A handler may ask on a port whose answer its thread waits for; and statuses may be sent without end.
+        Activity::Ended(End::Fault { fault, .. }) => {
+            fault == ScriptFault::Request(Fault::Busy) || fault == ScriptFault::Runaway
+        }
+        Activity::NotBegun => false,
+        Activity::Waits | Activity::Acts | Activity::Chooses(_) | Activity::Passive | Activity::Ended(_) => {
+            true
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 300, failure_persistence: None, ..ProptestConfig::default() })]
+
+    /// Scripts and communication tasks understand each other: no answer is unexpected, whatever interrupts whatever.
+    #[test]
+    fn random_tasks_get_along_with_their_communication_tasks(
+        a in proptest::collection::vec(any::<u8>(), 0..200),
+        b in proptest::collection::vec(any::<u8>(), 0..200),
+        together: bool,
+    ) {
+        let mut floor = random_pair([&a, &b], together);
+        floor.run(120);
+        prop_assert!(floor.activities().into_iter().all(ended_well), "{:?}", floor.activities());
+    }
 }

@@ -121,13 +121,28 @@ fn ops() -> impl Strategy<Value = Op> {
 
 /// The variables of a task and of each handler: one of each type.
 const VARIABLES: [Type; 6] = [Type::Bool, Type::Int8, Type::Int16, Type::Int32, Type::Word, Type::Real];
-const HANDLED: [PortId; 2] = [ASK, PortId(3)];
 const HELD: TimeId = TimeId(0);
+
+/// The ports that a random program uses.
+#[derive(Clone, Copy)]
+pub struct Ends {
+    pub asks: [PortId; 2],
+    pub tells: PortId,
+    pub hears: PortId,
+    pub handled: [PortId; 2],
+    /// Whether it is for a real node: there both ends must agree on formats, loops must wait and no couple is declared.
+    pub real: bool,
+}
+
+/// Ports of a script that has no node.
+const ALONE: Ends =
+    Ends { asks: [ASK, ASK], tells: TELL, hears: TELL, handled: [ASK, PortId(3)], real: false };
 
 /// Writes statements as random bytes say; what they say is always well formed.
 struct Writer<'a> {
     genes: std::slice::Iter<'a, u8>,
     variables: Vec<(Type, Slot)>,
+    ends: Ends,
 }
 
 impl Writer<'_> {
@@ -142,6 +157,9 @@ impl Writer<'_> {
 
     /// So many fields that one, two or three packets are needed.
     fn fields(&mut self) -> Vec<(Type, Slot)> {
+        if self.ends.real {
+            return vec![self.variables[4]; 4];
+        }
         let count = [0, 1, 1, 4, 9][usize::from(self.gene(5))];
         (0..count).map(|_| self.variable()).collect()
     }
@@ -158,15 +176,16 @@ impl Writer<'_> {
         match kind {
             0 => {
                 let fields = self.fields();
-                b.send(ASK, Target::All, &fields);
+                let port = self.ends.asks[usize::from(self.gene(2))];
+                b.send(port, Target::All, &fields);
             }
             1 => {
-                let (fields, answer) = (self.fields(), self.variable());
-                b.send(TELL, Target::One(PEER), &fields).unpack(&[answer]);
+                let (fields, answer) = (self.fields(), self.fields());
+                b.send(self.ends.tells, Target::All, &fields).unpack(&answer);
             }
             2 => {
                 let fields = self.fields();
-                b.receive(TELL, Some(time), &fields);
+                b.receive(self.ends.hears, Some(time), &fields);
             }
             3 => {
                 b.statement().op(Op::Get { port: None, source: None, time_out: None });
@@ -191,7 +210,7 @@ impl Writer<'_> {
                 b.run("act", time, Ticks(9));
             }
             12 => {
-                b.order(&[Ranked::Port(ASK), Ranked::Own]);
+                b.order(&[Ranked::Port(self.ends.handled[0]), Ranked::Timers, Ranked::Own]);
             }
             13 => {
                 let (_, slot) = self.variable();
@@ -208,11 +227,11 @@ impl Writer<'_> {
                         .int(Binary::Remainder)
                         .store(slot);
                 }
-                if self.gene(3) == 0 {
+                if !self.ends.real && self.gene(3) == 0 {
                     let format = b.format(&[Type::Bool]);
                     b.statement().push(1).op(Op::Publish { format });
                 }
-                if self.gene(3) == 0 {
+                if !self.ends.real && self.gene(3) == 0 {
                     b.statement().op(Op::Lease);
                 }
             }
@@ -230,12 +249,20 @@ impl Writer<'_> {
             }
             18 => {
                 let (_, slot) = self.variable();
-                b.while_true(slot, |b| self.block(b, depth + 1));
+                b.while_true(slot, |b| self.turn(b, depth + 1));
             }
             _ => {
-                b.forever(|b| self.block(b, depth + 1));
+                b.forever(|b| self.turn(b, depth + 1));
             }
         }
+    }
+
+    /// What a loop does each time.
+    fn turn(&mut self, b: &mut ProgramBuilder, depth: u8) {
+        if self.ends.real {
+            b.delay(Ticks(1));
+        }
+        self.block(b, depth);
     }
 }
 
@@ -244,24 +271,24 @@ fn of_each_type(mut add: impl FnMut(&str, Type) -> Slot) -> Vec<(Type, Slot)> {
 }
 
 /// A well formed program of random statements.
-fn written(genes: &[u8]) -> Program {
+pub fn written(genes: &[u8], ends: Ends) -> Program {
     let mut b = ProgramBuilder::new("random");
     let variables = of_each_type(|name, of| b.variable(name, of));
-    let mut writer = Writer { genes: genes.iter(), variables };
+    let mut writer = Writer { genes: genes.iter(), variables, ends };
     let features = writer.gene(16);
     if features & 8 != 0 {
         b = b.every_statement();
     }
     b.timer("held");
     writer.block(&mut b, 0);
-    b.forever(|b| writer.block(b, 0));
+    b.forever(|b| writer.turn(b, 0));
     let mut handler = |b: &mut ProgramBuilder, trigger| {
         b.handler(trigger, |b| {
             writer.variables = of_each_type(|name, of| b.local(name, of));
             writer.block(b, 1);
         });
     };
-    HANDLED.into_iter().for_each(|port| handler(&mut b, Trigger::Message(port)));
+    ends.handled.into_iter().for_each(|port| handler(&mut b, Trigger::Message(port)));
     handler(&mut b, Trigger::Timer(HELD));
     if features & 1 != 0 {
         handler(&mut b, Trigger::Fenced);
@@ -275,7 +302,7 @@ fn written(genes: &[u8]) -> Program {
 }
 
 pub fn well_formed() -> impl Strategy<Value = Program> {
-    vec(any::<u8>(), 0..200).prop_map(|genes| written(&genes))
+    vec(any::<u8>(), 0..200).prop_map(|genes| written(&genes, ALONE))
 }
 
 /// Programs with random operations in random places.
