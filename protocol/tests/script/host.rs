@@ -409,3 +409,32 @@ proptest! {
         prop_assert!(floor.activities().into_iter().all(ended_well), "{:?}", floor.activities());
     }
 }
+
+/// Such runs are worth something only if they come far.
+#[test]
+fn random_tasks_come_far() {
+    let mut runner = proptest::test_runner::TestRunner::deterministic();
+    let (mut deepest, mut interrupted, mut alive, mut acted) = (0, 0, 0, 0);
+    for i in 0..200 {
+        let mut genes = || {
+            let strategy = proptest::collection::vec(any::<u8>(), 0..200);
+            proptest::strategy::ValueTree::current(&strategy.new_tree(&mut runner).expect("bytes"))
+        };
+        let mut floor = random_pair([&genes(), &genes()], i % 2 == 0);
+        for _ in 0..120 {
+            floor.run(1);
+            let depths =
+                floor.nodes.iter().flat_map(ScriptedNode::scripts).map(|hosted| hosted.script.depth());
+            let depth = depths.max().unwrap_or(0);
+            deepest = deepest.max(depth);
+            interrupted += u32::from(depth > 0);
+        }
+        let ended = |activity: &Activity| matches!(activity, Activity::Ended(_));
+        alive += usize::from(!floor.activities().iter().any(ended));
+        acted += floor.log().len();
+    }
+    assert!(deepest >= 2, "handlers nest: {deepest}");
+    assert!(interrupted > 2000, "ticks in which a handler runs: {interrupted}");
+    assert!(alive > 50, "runs in which both tasks go on: {alive}");
+    assert!(acted > 1000, "actions: {acted}");
+}
