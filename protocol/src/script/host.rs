@@ -146,6 +146,15 @@ impl ScriptedNode {
         self.scripts.get(at).map(|hosted| &hosted.script)
     }
 
+    /// Has every script forget the messages that it can answer no more, so that equal futures have equal states. What
+    /// the scripts do does not change.
+    pub fn bury(&mut self) {
+        for Hosted { task, script, .. } in &mut self.scripts {
+            let communication = self.node.task(*task);
+            script.bury(|to| communication.is_some_and(|communication| communication.can_answer(to)));
+        }
+    }
+
     /// How long from the last [`NodeInput::Advance`] until time alone makes the node act.
     #[must_use]
     pub fn next_expiry(&self) -> Option<Ticks> {

@@ -308,6 +308,39 @@ fn a_handler_waits_for_the_end_of_an_atomic_section() {
 }
 
 #[test]
+fn what_can_be_answered_no_more_is_forgotten() {
+    let mut cell = triangle();
+    let port = cell.port(PortDecl::new("move", A, Usage::Send, &[B], Ticks(9)).command());
+    let program = || {
+        let mut b = ProgramBuilder::new("b");
+        let outcome = b.variable("outcome", Type::Int8);
+        b.receive(port, None, &[]).delay(Ticks(20)).reply(&[]).op(Op::Outcome).store(outcome).end();
+        finish(b)
+    };
+    let run = |bury: bool| {
+        let mut floor = Floor::new(cell.clone(), vec![(B, program())]);
+        floor.begin();
+        floor.ask(A, Request::Send { port, to: Target::All, contents: Contents::EMPTY, time_out: None });
+        let mut forgotten = None;
+        for _ in 0..30 {
+            floor.run(1);
+            if bury {
+                let before = floor.nodes[1].scripts()[0].script.clone();
+                floor.nodes[1].bury();
+                if floor.nodes[1].scripts()[0].script != before {
+                    forgotten = Some(floor.now());
+                }
+            }
+        }
+        (floor.var(B, 0), floor.told(A), floor.log(), forgotten)
+    };
+    let (outcome, told, log, forgotten) = run(true);
+    assert_eq!(outcome, StatementOutcome::Unanswerable as i64);
+    assert_eq!(forgotten, Some(8), "sent at 0 for 9, one tick back");
+    assert_eq!((outcome, told, log, None), run(false));
+}
+
+#[test]
 fn a_task_that_never_waits_is_stopped_and_the_node_goes_on() {
     let mut cell = triangle();
     let port = cell.port(PortDecl::new("news", A, Usage::Send, &[B], Ticks(9)));
