@@ -5,7 +5,9 @@
 mod spin;
 
 use imrs_model::worlds::{Exchange, Meeting};
-use imrs_model::{Budget, Limits, Options, Outcome, Report, Scenario, Silent, Watch, explore, verify};
+use imrs_model::{
+    Budget, Limits, Options, Outcome, Reductions, Report, Scenario, Silent, Watch, explore, verify,
+};
 use imrs_protocol::rules::{Confirmation, Rules};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -24,20 +26,28 @@ fn spin_is_here() -> bool {
     let Some(missing) = spin::missing() else { return true };
     let required = std::env::var_os("IMRS_REQUIRE_ALL").is_some_and(|value| value == "1");
     assert!(!required, "{missing} is missing, and IMRS_REQUIRE_ALL=1 requires it");
-    eprintln!("\n*** SKIPPED: {missing} is missing, so the Promela twins were NOT compared. Install it. ***\n");
+    eprintln!(
+        "\n*** SKIPPED: {missing} is missing, so the Promela twins were NOT compared. Install it. ***\n"
+    );
     false
+}
+
+/// What SPIN says of a twin.
+fn ask(model: &str, definitions: &[&str]) -> spin::Verdict {
+    let folder = tempfile::tempdir().expect("a folder for temporary files");
+    let definitions: Vec<String> = definitions.iter().map(|&definition| definition.into()).collect();
+    // A small model is explored sooner than it is optimised.
+    let is_large = |definition: &String| definition == "N=4" || definition == "HURRY";
+    let level = if definitions.iter().any(is_large) { "-O1" } else { "-O0" };
+    let model = Path::new("specs/promela").join(model);
+    let model = Path::new(env!("CARGO_MANIFEST_DIR")).join(model);
+    let verifier = spin::build(folder.path(), &model, &definitions, &[level]);
+    verifier.run(&["-w20"])
 }
 
 /// Whether the property of a twin holds.
 fn holds(model: &str, definitions: &[&str]) -> bool {
-    let folder = tempfile::tempdir().expect("a folder for temporary files");
-    let definitions: Vec<String> = definitions.iter().map(|&definition| definition.into()).collect();
-    // A small model is explored sooner than it is optimised.
-    let level = if definitions.iter().any(|definition| definition == "N=4") { "-O1" } else { "-O0" };
-    let model = Path::new("specs/promela").join(model);
-    let model = Path::new(env!("CARGO_MANIFEST_DIR")).join(model);
-    let verifier = spin::build(folder.path(), &model, &definitions, &[level]);
-    verifier.run(&["-w20"]).holds
+    ask(model, definitions).holds
 }
 
 fn settle(claim: &str) -> Report {
@@ -81,15 +91,35 @@ fn as_many_lost_packets_strand_one_of_four() {
     if !spin_is_here() {
         return;
     }
-    for (name, confirmation, rule) in RULES {
+    for ((name, confirmation, rule), least) in RULES.into_iter().zip([1, 2, 4, 4]) {
         let rules = Rules { confirmation, answer_late_arrivals: false, ..Rules::DEFAULT };
-        let strands = |loss: &u8| {
-            let budget = Budget { loss: *loss, dup: 0, crash: 0 };
+        let strands = |loss| {
+            let budget = Budget { loss, dup: 0, crash: 0 };
             let meeting = Meeting { rules, budget, ..Meeting::new(4, Watch::Stranded) };
             fails(&meeting.scenario().expect("a sound declaration"))
         };
-        let least = (0..12).find(strands).unwrap_or_else(|| panic!("{name}: nothing strands"));
+        assert!(!strands(least - 1) && strands(least), "{name}");
         twin_strands_with(4, rule, u32::from(least));
+    }
+}
+
+/// With nothing reduced, the two descriptions have the same number of states.
+#[test]
+fn as_many_states_where_nothing_is_reduced() {
+    if !spin_is_here() {
+        return;
+    }
+    // The machine keeps and forgets other things than the twin under the other rules.
+    for ((_, confirmation, rule), loss) in [(RULES[0], 0), (RULES[2], 1), (RULES[2], 2)] {
+        let rules = Rules { confirmation, answer_late_arrivals: false, ..Rules::DEFAULT };
+        let budget = Budget { loss, dup: 0, crash: 0 };
+        let reductions = Reductions::NONE;
+        let meeting = Meeting { rules, budget, reductions, ..Meeting::new(3, Watch::Stranded) };
+        let scenario = meeting.scenario().expect("a sound declaration");
+        let found = explore(&scenario, Limits::default(), None);
+        let twin = ask("waitfor.pml", &["N=3", rule, &format!("LOSS={loss}")]);
+        assert!(found.complete && found.violation.is_none() && twin.holds, "{rule}");
+        assert_eq!(twin.states, found.states, "{rule}, {loss} losses");
     }
 }
 
@@ -99,12 +129,51 @@ fn what_the_twin_forgets_changes_nothing() {
     if !spin_is_here() {
         return;
     }
-    for (_, _, rule) in &RULES[1..] {
+    for (_, _, rule) in &RULES[2..] {
         for (losses, expected) in [("LOSS=1", true), ("LOSS=3", false)] {
             for forget in [&[][..], &["FORGET"]] {
                 let all = [&["N=3", rule, losses], forget].concat();
                 assert_eq!(holds("waitfor.pml", &all), expected, "{all:?}");
             }
+        }
+    }
+}
+
+/// Members with time_outs that send again: with the least margin that holds and with one tick less, the same verdict.
+#[test]
+fn the_same_margin_keeps_all_or_none() {
+    if !spin_is_here() {
+        return;
+    }
+    for (members, losses, hurry, least) in
+        [(2, 1, false, 3), (2, 2, false, 4), (3, 0, true, 1), (3, 1, true, 2)]
+    {
+        for margin in least - 1..=least {
+            let time_out = margin + 2;
+            let meeting = Meeting {
+                time_out: Some(time_out),
+                delay: Some(1),
+                resend: Some(2),
+                losses,
+                margin: Some(margin),
+                budget: Budget { loss: losses, dup: 0, crash: 0 },
+                hurry,
+                ..Meeting::new(members, Watch::AllOrNone)
+            };
+            let numbers = [
+                format!("N={members}"),
+                format!("T={time_out}"),
+                format!("LOSS={losses}"),
+                format!("COPIES={losses}"),
+                format!("MARGIN={margin}"),
+            ];
+            let mut definitions: Vec<&str> = numbers.iter().map(String::as_str).collect();
+            definitions.extend(["ROOM=20", "FORGET"]);
+            definitions.extend(hurry.then_some("HURRY"));
+            let twin = holds("meeting_timed.pml", &definitions);
+            let what = format!("{members} members, {losses} losses, margin {margin}");
+            assert_eq!(twin, !fails(&meeting.scenario().expect("a sound declaration")), "{what}");
+            assert_eq!(twin, margin == least, "{what}");
         }
     }
 }
@@ -152,8 +221,13 @@ fn as_many_lost_packets_leave_a_command_without_its_answer() {
     for retry in 0..=2 {
         let unanswered = |loss: &u8| {
             let budget = Budget { loss: *loss, dup: 0, crash: 0 };
-            let exchange =
-                Exchange { sends: 1, retry: (retry, 2), time_out: 8, budget, ..Exchange::new(Watch::Answered) };
+            let exchange = Exchange {
+                sends: 1,
+                retry: (retry, 2),
+                time_out: 8,
+                budget,
+                ..Exchange::new(Watch::Answered)
+            };
             let mut scenario = Arc::unwrap_or_clone(exchange.scenario().expect("a sound declaration"));
             scenario.hurry = true;
             fails(&Arc::new(scenario))
@@ -166,8 +240,10 @@ fn as_many_lost_packets_leave_a_command_without_its_answer() {
         let least = (0..12).find(unanswered).expect("enough losses leave it without");
         assert_eq!(least, retry + 1, "each copy brings an answer of its own");
         assert!(twin_answers(least - 1, &["PROMPT"]) && !twin_answers(least, &["PROMPT"]));
-        // A copy that finds the first one not yet answered brings none.
-        assert!(twin_answers(0, &[]) && !twin_answers(1, &[]));
+        // A copy that finds the first one not yet answered brings none: a receiver that takes its time makes one loss enough.
+        if retry == 2 {
+            assert!(twin_answers(0, &[]) && !twin_answers(1, &[]));
+        }
     }
 }
 
@@ -182,8 +258,8 @@ struct TakeOver {
 
 impl TakeOver {
     fn holds(self, takeover: u32, more: &[&str]) -> bool {
-        let numbers =
-            [('L', self.lease), ('T', takeover), ('D', self.delay), ('E', self.every)].map(|(n, v)| format!("{n}={v}"));
+        let numbers = [('L', self.lease), ('T', takeover), ('D', self.delay), ('E', self.every)]
+            .map(|(n, v)| format!("{n}={v}"));
         let drift = format!("DRIFT={}", self.drift);
         let mut definitions: Vec<&str> = numbers.iter().map(String::as_str).collect();
         definitions.push(&drift);
@@ -200,10 +276,8 @@ impl TakeOver {
     }
 }
 
-const TAKE_OVERS: [(TakeOver, u32); 4] = [
-    (TakeOver { lease: 6, delay: 1, every: 2, drift: 0 }, 0),
+const TAKE_OVERS: [(TakeOver, u32); 2] = [
     (TakeOver { lease: 6, delay: 1, every: 2, drift: 1 }, 1),
-    (TakeOver { lease: 6, delay: 1, every: 2, drift: 2 }, 2),
     (TakeOver { lease: 8, delay: 2, every: 3, drift: 2 }, 2),
 ];
 
@@ -217,7 +291,7 @@ fn the_margin_of_the_take_over() {
         assert_eq!(world.least_margin(), margin, "{world:?}");
     }
     // The property is not true of nothing: leases are renewed and the standby can take over.
-    let (world, _) = TAKE_OVERS[2];
+    let (world, _) = TAKE_OVERS[1];
     for reachable in ["RENEWED", "TAKEN"] {
         assert!(!world.holds(world.lease + world.drift, &[reachable]), "{reachable}");
     }
@@ -228,8 +302,8 @@ fn plain_heartbeats_let_both_be_active() {
     if !spin_is_here() {
         return;
     }
-    for (world, _) in [TAKE_OVERS[0], TAKE_OVERS[3]] {
-        for takeover in [world.lease + world.drift, 2 * world.lease, 4 * world.lease] {
+    for (world, _) in TAKE_OVERS {
+        for takeover in [world.lease + world.drift, 4 * world.lease] {
             assert!(!world.holds(takeover, &["HEARTBEAT"]), "{world:?}, take-over {takeover}");
         }
     }
@@ -245,8 +319,7 @@ fn the_least_lease_that_lasts() {
     for (delay, every) in [(1, 2), (2, 3), (2, 2)] {
         let periods = 2 * delay / every + 1;
         let least = (periods + 1) * every + delay + 1;
-        let lasts =
-            |lease| TakeOver { lease, delay, every, drift: 0 }.holds(3 * lease, &["STAYS", "LOSS=0"]);
+        let lasts = |lease| TakeOver { lease, delay, every, drift: 0 }.holds(3 * lease, &["STAYS", "LOSS=0"]);
         assert!(lasts(least) && !lasts(least - 1), "delay {delay}, every {every}: not {least}");
     }
 }

@@ -1,4 +1,5 @@
 //! SPIN on the Promela models of `specs/promela`: builds a verifier with some definitions, runs it, reads its report.
+#![allow(dead_code, reason = "every user of this uses a part of it")]
 
 use std::path::{Path, PathBuf};
 use std::process::Command;
@@ -64,22 +65,31 @@ fn done(mut command: Command) -> String {
 }
 
 impl Verifier {
+    /// The program.
+    pub fn path(&self) -> &Path {
+        &self.program
+    }
+
     /// Runs it with these arguments, at most two minutes.
     pub fn run(&self, arguments: &[&str]) -> Verdict {
         let mut pan = Command::new(&self.program);
         // It leaves its trail where it runs.
         pan.current_dir(self.program.parent().expect("a folder")).args(["-Q2"]).args(arguments);
-        let said = done(pan);
-        let errors = number(&said, "errors:", After) as u64;
-        let complete = !said.contains("Search not completed") && !said.contains("search depth too small");
-        assert!(errors > 0 || complete, "the verifier did not look at everything: {said}");
-        assert!(errors == 0 || said.contains("assertion violated"), "another error than asked for: {said}");
-        Verdict {
-            holds: errors == 0,
-            states: number(&said, "states, stored", Before) as u64,
-            seconds: number(&said, "pan: elapsed time", After),
-            megabytes: number(&said, "total actual memory usage", Before),
-        }
+        read(&done(pan))
+    }
+}
+
+/// Reads what a verifier said.
+pub fn read(said: &str) -> Verdict {
+    let errors = number(said, "errors:", After) as u64;
+    let complete = !said.contains("Search not completed") && !said.contains("search depth too small");
+    assert!(errors > 0 || complete, "the verifier did not look at everything: {said}");
+    assert!(errors == 0 || said.contains("assertion violated"), "another error than asked for: {said}");
+    Verdict {
+        holds: errors == 0,
+        states: number(said, "states, stored", Before) as u64,
+        seconds: number(said, "pan: elapsed time", After),
+        megabytes: number(said, "total actual memory usage", Before),
     }
 }
 
