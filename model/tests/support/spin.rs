@@ -93,6 +93,7 @@ pub fn read(said: &str) -> Verdict {
     }
 }
 
+#[derive(Clone, Copy)]
 enum Side {
     Before,
     After,
