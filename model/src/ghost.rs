@@ -190,6 +190,9 @@ impl Judge<'_> {
     fn ended(&mut self, at: TaskId, outcome: &Outcome) -> Result<(), Violation> {
         let ghost = &mut self.ghosts[at.index()];
         let open = ghost.open.take();
+        if self.scenario.watch == Watch::Answered && !matches!(outcome, Outcome::Reply(_)) {
+            return Err(Violation::Unanswered);
+        }
         if !matches!(self.scenario.watch, Watch::Resolves | Watch::ResolvesOnce) {
             return Ok(());
         }
@@ -248,7 +251,7 @@ pub(crate) fn store(
         Watch::MeetAgain { .. } => out.extend([ghost.since_heal, u8::from(ghost.met)]),
         Watch::GaveUpAfterAllArrived | Watch::Stranded => out.push(u8::from(ghost.announced != 0)),
         Watch::Reachable => {}
-        Watch::Stale | Watch::Resolves | Watch::ResolvesOnce | Watch::AtMostOnce => {
+        Watch::Stale | Watch::Resolves | Watch::ResolvesOnce | Watch::Answered | Watch::AtMostOnce => {
             let next = |task: TaskId| frame.sequences.get(task.index()).copied().unwrap_or_default();
             match ghost.serving {
                 None => out.push(0),
@@ -304,7 +307,7 @@ pub(crate) fn load(ghost: &mut Ghost, watch: Watch, lives: bool, bytes: &[u8]) -
         Watch::MeetAgain { .. } => (ghost.since_heal, ghost.met) = (byte(), byte() == 1),
         Watch::GaveUpAfterAllArrived | Watch::Stranded => ghost.announced = u32::from(byte()),
         Watch::Reachable => {}
-        Watch::Stale | Watch::Resolves | Watch::ResolvesOnce | Watch::AtMostOnce => {
+        Watch::Stale | Watch::Resolves | Watch::ResolvesOnce | Watch::Answered | Watch::AtMostOnce => {
             if let Some(source) = byte().checked_sub(1) {
                 let (port, life, back) = (byte(), byte(), byte());
                 let id =

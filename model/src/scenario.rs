@@ -51,6 +51,8 @@ pub enum Watch {
     Resolves,
     /// No command ends twice: the part of `Resolves` that does not ask when an answer comes.
     ResolvesOnce,
+    /// Every command ends with its answer.
+    Answered,
     /// No command is handed over twice.
     AtMostOnce,
 }

@@ -78,6 +78,7 @@ violations! {
     WrongAnswer 11 "an answer belongs to another command",
     ExecutedTwice 12 "a command was handed over twice",
     LateAnswer 13 "an answer given within its execution budget came after the sender's time_out",
+    Unanswered 19 "a command ended without its answer",
     Overflow 20 "the state outgrew its packed form",
     Panic 21 "the machine panicked",
     Invariant 22 "an invariant of the machine is broken",

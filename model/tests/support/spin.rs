@@ -1,0 +1,111 @@
+//! SPIN on the Promela models of `specs/promela`: builds a verifier with some definitions, runs it, reads its report.
+#![allow(dead_code, reason = "every user of this uses a part of it")]
+
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+/// Where the models are.
+pub const MODELS: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../specs/promela");
+
+/// What is missing to run SPIN, if anything is.
+pub fn missing() -> Option<&'static str> {
+    let answers = |program: &str, flag: &str| {
+        Command::new(program).arg(flag).output().is_ok_and(|output| output.status.success())
+    };
+    if !answers("spin", "-V") {
+        Some("spin")
+    } else if !answers(&compiler(), "--version") {
+        Some("a C compiler")
+    } else {
+        None
+    }
+}
+
+fn compiler() -> String {
+    std::env::var("CC").unwrap_or_else(|_| "cc".into())
+}
+
+/// A verifier that SPIN made.
+pub struct Verifier {
+    program: PathBuf,
+}
+
+/// What a verifier said.
+#[derive(Clone, Copy, Debug)]
+pub struct Verdict {
+    /// Whether every state was looked at and the property held in all of them.
+    pub holds: bool,
+    /// Different states, as stored.
+    pub states: u64,
+    /// Wall-clock seconds of the search, as it says itself.
+    pub seconds: f64,
+    /// Megabytes for everything, as it says itself, its hash table and stack included.
+    pub megabytes: f64,
+}
+
+/// Builds the verifier of a model. `folder` is for this one alone; each of `definitions` is `NAME` or `NAME=value`.
+pub fn build(folder: &Path, model: &Path, definitions: &[String], flags: &[&str]) -> Verifier {
+    let define = definitions.iter().map(|definition| format!("-D{definition}"));
+    let mut spin = Command::new("spin");
+    spin.current_dir(folder).args(define).arg("-a").arg(model);
+    done(spin);
+    let mut cc = Command::new(compiler());
+    // Where memory ends the verifier says so, instead of taking the machine's.
+    cc.current_dir(folder).args(["-w", "-DSAFETY", "-DMEMLIM=4000"]).args(flags).args(["-o", "pan", "pan.c"]);
+    done(cc);
+    Verifier { program: folder.join("pan") }
+}
+
+fn done(mut command: Command) -> String {
+    let output = command.output().unwrap_or_else(|e| panic!("{command:?}: {e}"));
+    let said = String::from_utf8_lossy(&output.stdout).into_owned();
+    let complained = String::from_utf8_lossy(&output.stderr);
+    assert!(output.status.success(), "{command:?}: {said}{complained}");
+    said
+}
+
+impl Verifier {
+    /// The program.
+    pub fn path(&self) -> &Path {
+        &self.program
+    }
+
+    /// Runs it with these arguments, at most two minutes.
+    pub fn run(&self, arguments: &[&str]) -> Verdict {
+        let mut pan = Command::new(&self.program);
+        // It leaves its trail where it runs.
+        pan.current_dir(self.program.parent().expect("a folder")).args(["-Q2"]).args(arguments);
+        read(&done(pan))
+    }
+}
+
+/// Reads what a verifier said.
+pub fn read(said: &str) -> Verdict {
+    let errors = number(said, "errors:", After) as u64;
+    let complete = !said.contains("Search not completed") && !said.contains("search depth too small");
+    assert!(errors > 0 || complete, "the verifier did not look at everything: {said}");
+    assert!(errors == 0 || said.contains("assertion violated"), "another error than asked for: {said}");
+    Verdict {
+        holds: errors == 0,
+        states: number(said, "states, stored", Before) as u64,
+        seconds: number(said, "pan: elapsed time", After),
+        megabytes: number(said, "total actual memory usage", Before),
+    }
+}
+
+#[derive(Clone, Copy)]
+enum Side {
+    Before,
+    After,
+}
+
+use Side::{After, Before};
+
+/// The number that stands beside these words.
+fn number(said: &str, words: &str, side: Side) -> f64 {
+    let found = said.find(words).and_then(|at| match side {
+        Before => said[..at].split_whitespace().next_back(),
+        After => said[at + words.len()..].split_whitespace().next(),
+    });
+    found.and_then(|number| number.parse().ok()).unwrap_or_else(|| panic!("no number by {words:?}: {said}"))
+}

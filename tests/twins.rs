@@ -1,0 +1,325 @@
+//! The Promela models of `specs/promela` beside the checker: two tools, two descriptions, the same verdicts and the same
+//! least numbers.
+
+#[path = "../model/tests/support/spin.rs"]
+mod spin;
+
+use imrs_model::worlds::{Exchange, Meeting};
+use imrs_model::{
+    Budget, Limits, Options, Outcome, Reductions, Report, Scenario, Silent, Watch, explore, verify,
+};
+use imrs_protocol::rules::{Confirmation, Rules};
+use std::collections::BTreeMap;
+use std::path::Path;
+use std::sync::Arc;
+
+/// The rules of D1: as the checker's claims name them, as the machine does, as the twin does.
+const RULES: [(&str, Confirmation, &str); 4] = [
+    ("no-confirmation", Confirmation::None, "NO_CONFIRMATION"),
+    ("first-complete", Confirmation::FirstComplete, "FIRST_COMPLETE"),
+    ("every-complete", Confirmation::EveryComplete, "EVERY_COMPLETE"),
+    ("pass-on", Confirmation::PassOn, "PASS_ON"),
+];
+
+/// Whether SPIN can run. Without it these tests say so; where everything is required they fail.
+fn spin_is_here() -> bool {
+    let Some(missing) = spin::missing() else { return true };
+    let required = std::env::var_os("IMRS_REQUIRE_ALL").is_some_and(|value| value == "1");
+    assert!(!required, "{missing} is missing, and IMRS_REQUIRE_ALL=1 requires it");
+    eprintln!(
+        "\n*** SKIPPED: {missing} is missing, so the Promela twins were NOT compared. Install it. ***\n"
+    );
+    false
+}
+
+/// What SPIN says of a twin.
+fn ask(model: &str, definitions: &[&str]) -> spin::Verdict {
+    let folder = tempfile::tempdir().expect("a folder for temporary files");
+    let definitions: Vec<String> = definitions.iter().map(|&definition| definition.into()).collect();
+    // A small model is explored sooner than it is optimised.
+    let is_large = |definition: &String| definition == "N=4" || definition == "HURRY";
+    let level = if definitions.iter().any(is_large) { "-O1" } else { "-O0" };
+    let model = Path::new("specs/promela").join(model);
+    let model = Path::new(env!("CARGO_MANIFEST_DIR")).join(model);
+    let verifier = spin::build(folder.path(), &model, &definitions, &[level]);
+    verifier.run(&["-w20"])
+}
+
+/// Whether the property of a twin holds.
+fn holds(model: &str, definitions: &[&str]) -> bool {
+    ask(model, definitions).holds
+}
+
+fn settle(claim: &str) -> Report {
+    let options = Options { full: false, claim: Some(claim.into()), jobs: 1, memory: 4 << 30 };
+    verify(&options, &Silent)
+}
+
+fn fails(scenario: &Arc<Scenario>) -> bool {
+    let found = explore(scenario, Limits::default(), None);
+    assert!(found.complete);
+    found.violation.is_some()
+}
+
+/// The twin strands a member with `least` lost packets, and not with one less. (A budget is "at most".)
+fn twin_strands_with(members: u32, rule: &str, least: u32) {
+    let stranded = |losses: u32| {
+        !holds("waitfor.pml", &[&format!("N={members}"), rule, &format!("LOSS={losses}"), "FORGET"])
+    };
+    assert!(least > 0 && !stranded(least - 1), "{members} members, {rule}: less than {least} suffice");
+    assert!(stranded(least), "{members} members, {rule}: {least} do not suffice");
+}
+
+#[test]
+fn as_many_lost_packets_strand_a_member() {
+    if !spin_is_here() {
+        return;
+    }
+    let report = settle("rendezvous-under-loss");
+    let mut compared = 0;
+    for verdict in &report.claims {
+        let (_, _, rule) = RULES.iter().find(|(name, ..)| *name == verdict.rule).expect("a rule of D1");
+        let least = verdict.found.least_losses_to_strand.expect("a number that was found");
+        twin_strands_with(verdict.parties, rule, least);
+        compared += 1;
+    }
+    assert!(compared >= 8, "only {compared} verdicts");
+}
+
+#[test]
+fn as_many_lost_packets_strand_one_of_four() {
+    if !spin_is_here() {
+        return;
+    }
+    for ((name, confirmation, rule), least) in RULES.into_iter().zip([1, 2, 4, 4]) {
+        let rules = Rules { confirmation, answer_late_arrivals: false, ..Rules::DEFAULT };
+        let strands = |loss| {
+            let budget = Budget { loss, dup: 0, crash: 0 };
+            let meeting = Meeting { rules, budget, ..Meeting::new(4, Watch::Stranded) };
+            fails(&meeting.scenario().expect("a sound declaration"))
+        };
+        assert!(!strands(least - 1) && strands(least), "{name}");
+        twin_strands_with(4, rule, u32::from(least));
+    }
+}
+
+/// With nothing reduced, the two descriptions have the same number of states.
+#[test]
+fn as_many_states_where_nothing_is_reduced() {
+    if !spin_is_here() {
+        return;
+    }
+    // The machine keeps and forgets other things than the twin under the other rules.
+    for ((_, confirmation, rule), loss) in [(RULES[0], 0), (RULES[2], 1), (RULES[2], 2)] {
+        let rules = Rules { confirmation, answer_late_arrivals: false, ..Rules::DEFAULT };
+        let budget = Budget { loss, dup: 0, crash: 0 };
+        let reductions = Reductions::NONE;
+        let meeting = Meeting { rules, budget, reductions, ..Meeting::new(3, Watch::Stranded) };
+        let scenario = meeting.scenario().expect("a sound declaration");
+        let found = explore(&scenario, Limits::default(), None);
+        let twin = ask("waitfor.pml", &["N=3", rule, &format!("LOSS={loss}")]);
+        assert!(found.complete && found.violation.is_none() && twin.holds, "{rule}");
+        assert_eq!(twin.states, found.states, "{rule}, {loss} losses");
+    }
+}
+
+/// What vanishes early in the twin changes nothing: with and without, the same verdicts.
+#[test]
+fn what_the_twin_forgets_changes_nothing() {
+    if !spin_is_here() {
+        return;
+    }
+    for (_, _, rule) in &RULES[2..] {
+        for (losses, expected) in [("LOSS=1", true), ("LOSS=3", false)] {
+            for forget in [&[][..], &["FORGET"]] {
+                let all = [&["N=3", rule, losses], forget].concat();
+                assert_eq!(holds("waitfor.pml", &all), expected, "{all:?}");
+            }
+        }
+    }
+}
+
+/// Members with time_outs that send again: with the least margin that holds and with one tick less, the same verdict.
+#[test]
+fn the_same_margin_keeps_all_or_none() {
+    if !spin_is_here() {
+        return;
+    }
+    for (members, losses, hurry, least) in
+        [(2, 1, false, 3), (2, 2, false, 4), (3, 0, true, 1), (3, 1, true, 2)]
+    {
+        for margin in least - 1..=least {
+            let time_out = margin + 2;
+            let meeting = Meeting {
+                time_out: Some(time_out),
+                delay: Some(1),
+                resend: Some(2),
+                losses,
+                margin: Some(margin),
+                budget: Budget { loss: losses, dup: 0, crash: 0 },
+                hurry,
+                ..Meeting::new(members, Watch::AllOrNone)
+            };
+            let numbers = [
+                format!("N={members}"),
+                format!("T={time_out}"),
+                format!("LOSS={losses}"),
+                format!("COPIES={losses}"),
+                format!("MARGIN={margin}"),
+            ];
+            let mut definitions: Vec<&str> = numbers.iter().map(String::as_str).collect();
+            definitions.extend(["ROOM=20", "FORGET"]);
+            definitions.extend(hurry.then_some("HURRY"));
+            let twin = holds("meeting_timed.pml", &definitions);
+            let what = format!("{members} members, {losses} losses, margin {margin}");
+            assert_eq!(twin, !fails(&meeting.scenario().expect("a sound declaration")), "{what}");
+            assert_eq!(twin, margin == least, "{what}");
+        }
+    }
+}
+
+#[test]
+fn commands_are_handed_over_once() {
+    if !spin_is_here() {
+        return;
+    }
+    let twins: BTreeMap<&str, &[&str]> = BTreeMap::from([
+        ("default", &[][..]),
+        ("no-memory", &["NO_MEMORY"]),
+        ("forgotten-when-answered", &["FORGET_WHEN_ANSWERED"]),
+        ("no-quarantine", &["NO_QUARANTINE"]),
+    ]);
+    let report = settle("at-most-once");
+    let mut compared = 0;
+    for verdict in &report.claims {
+        let Some(variant) = twins.get(verdict.rule.as_str()) else { continue };
+        let bounds = verdict.bounds;
+        let mut definitions = vec![
+            format!("LOSS={}", bounds.loss),
+            format!("DUP={}", bounds.dup),
+            format!("CRASH={}", bounds.crash),
+            format!("SENDS={}", bounds.rounds.expect("a number of sends")),
+            "RETRY=1".to_owned(),
+        ];
+        definitions.extend(variant.iter().map(|&name| name.to_owned()));
+        let definitions: Vec<&str> = definitions.iter().map(String::as_str).collect();
+        let twin = if holds("command.pml", &definitions) { Outcome::Holds } else { Outcome::Fails };
+        assert_eq!(twin, verdict.outcome, "{}", verdict.rule);
+        compared += 1;
+    }
+    assert_eq!(compared, twins.len());
+    // What the memory is kept for in time: no copy of anything older may outlive it.
+    assert!(!holds("command.pml", &["FORGET_OLDER"]));
+}
+
+/// A single command whose receiver answers at once: how many lost packets leave its sender without the answer.
+#[test]
+fn as_many_lost_packets_leave_a_command_without_its_answer() {
+    if !spin_is_here() {
+        return;
+    }
+    for retry in 0..=2 {
+        let unanswered = |loss: &u8| {
+            let budget = Budget { loss: *loss, dup: 0, crash: 0 };
+            let exchange = Exchange {
+                sends: 1,
+                retry: (retry, 2),
+                time_out: 8,
+                budget,
+                ..Exchange::new(Watch::Answered)
+            };
+            let mut scenario = Arc::unwrap_or_clone(exchange.scenario().expect("a sound declaration"));
+            scenario.hurry = true;
+            fails(&Arc::new(scenario))
+        };
+        let twin_answers = |losses: u8, prompt: &[&str]| {
+            let all = [format!("RETRY={retry}"), "DUP=0".into(), format!("LOSS={losses}"), "SINGLE".into()];
+            let all: Vec<&str> = all.iter().map(String::as_str).collect();
+            holds("command.pml", &[&all[..], prompt].concat())
+        };
+        let least = (0..12).find(unanswered).expect("enough losses leave it without");
+        assert_eq!(least, retry + 1, "each copy brings an answer of its own");
+        assert!(twin_answers(least - 1, &["PROMPT"]) && !twin_answers(least, &["PROMPT"]));
+        // A copy that finds the first one not yet answered brings none: a receiver that takes its time makes one loss enough.
+        if retry == 2 {
+            assert!(twin_answers(0, &[]) && !twin_answers(1, &[]));
+        }
+    }
+}
+
+/// A world of the take-over: lease, way of a packet, period of beats, drift, all in ticks.
+#[derive(Clone, Copy, Debug)]
+struct TakeOver {
+    lease: u32,
+    delay: u32,
+    every: u32,
+    drift: u32,
+}
+
+impl TakeOver {
+    fn holds(self, takeover: u32, more: &[&str]) -> bool {
+        let numbers = [('L', self.lease), ('T', takeover), ('D', self.delay), ('E', self.every)]
+            .map(|(n, v)| format!("{n}={v}"));
+        let drift = format!("DRIFT={}", self.drift);
+        let mut definitions: Vec<&str> = numbers.iter().map(String::as_str).collect();
+        definitions.push(&drift);
+        definitions.extend(more);
+        holds("takeover.pml", &definitions)
+    }
+
+    /// The least time by which the take-over must come later than the lease, as the twin finds it.
+    fn least_margin(self) -> u32 {
+        let least = (0..=self.lease).find(|margin| self.holds(self.lease + margin, &[])).expect("a margin");
+        let one_less = self.lease + least - 1;
+        assert!(!self.holds(one_less, &[]), "{self:?}");
+        least
+    }
+}
+
+const TAKE_OVERS: [(TakeOver, u32); 2] = [
+    (TakeOver { lease: 6, delay: 1, every: 2, drift: 1 }, 1),
+    (TakeOver { lease: 8, delay: 2, every: 3, drift: 2 }, 2),
+];
+
+/// What the twin says about the margin: the drift, and nothing for the way of packets.
+#[test]
+fn the_margin_of_the_take_over() {
+    if !spin_is_here() {
+        return;
+    }
+    for (world, margin) in TAKE_OVERS {
+        assert_eq!(world.least_margin(), margin, "{world:?}");
+    }
+    // The property is not true of nothing: leases are renewed and the standby can take over.
+    let (world, _) = TAKE_OVERS[1];
+    for reachable in ["RENEWED", "TAKEN"] {
+        assert!(!world.holds(world.lease + world.drift, &[reachable]), "{reachable}");
+    }
+}
+
+#[test]
+fn plain_heartbeats_let_both_be_active() {
+    if !spin_is_here() {
+        return;
+    }
+    for (world, _) in TAKE_OVERS {
+        for takeover in [world.lease + world.drift, 4 * world.lease] {
+            assert!(!world.holds(takeover, &["HEARTBEAT"]), "{world:?}, take-over {takeover}");
+        }
+    }
+}
+
+/// The lease that lasts while the two are in touch and nothing is lost: an answer is first echoed by the beat after its way
+/// there and back, the next one a period later, and that is a way later at the primary.
+#[test]
+fn the_least_lease_that_lasts() {
+    if !spin_is_here() {
+        return;
+    }
+    for (delay, every) in [(1, 2), (2, 3), (2, 2)] {
+        let periods = 2 * delay / every + 1;
+        let least = (periods + 1) * every + delay + 1;
+        let lasts = |lease| TakeOver { lease, delay, every, drift: 0 }.holds(3 * lease, &["STAYS", "LOSS=0"]);
+        assert!(lasts(least) && !lasts(least - 1), "delay {delay}, every {every}: not {least}");
+    }
+}
