@@ -9,6 +9,7 @@ use crate::observe::{Event, Observation, Reason};
 use crate::packet::Packet;
 use crate::request::{Request, Signal, TimeId};
 use crate::route::{self, Arrival, Departure};
+use crate::rules::JobRequest;
 use crate::table::NodeTable;
 use crate::ticks::Ticks;
 use crate::timer::Timer;
@@ -125,6 +126,14 @@ impl Node {
 
     /// Takes one input and carries out everything that follows from it within the node.
     pub fn step(&mut self, input: NodeInput, out: &mut impl NodeOutbox) {
+        self.begin(input, out);
+        while self.proceed(out) {}
+        self.flush(out);
+    }
+
+    /// Takes one input and leaves what follows from it within the node to [`proceed`](Self::proceed): for a checker
+    /// that looks between the steps (D39). Time passes at once for all parts.
+    pub fn begin(&mut self, input: NodeInput, out: &mut impl NodeOutbox) {
         match input {
             NodeInput::Advance(elapsed) => self.advance(elapsed, out),
             NodeInput::Request(task, request) => {
@@ -138,10 +147,29 @@ impl Node {
                 }
             }
         }
-        while let Some(work) = self.work.pop_front() {
-            self.carry_out(work, out);
+    }
+
+    /// Carries out the next effect within the node. False when there is none: then [`flush`](Self::flush).
+    pub fn proceed(&mut self, out: &mut impl NodeOutbox) -> bool {
+        let Some(work) = self.work.pop_front() else { return false };
+        self.carry_out(work, out);
+        true
+    }
+
+    /// Whether effects within the node are not carried out yet.
+    #[must_use]
+    pub fn is_busy(&self) -> bool {
+        !self.work.is_empty()
+    }
+
+    /// Whether the clock counts (D22). Under the blocking reading of Figure 3 the Timer waits for the answer of every
+    /// task to its JOB_REQUEST, and a task that works gives none: no CLICK reaches the node's communication tasks.
+    #[must_use]
+    pub fn counts(&self) -> bool {
+        match self.parts.table.rules().job_request {
+            JobRequest::Standing => true,
+            JobRequest::Blocking => !self.parts.tasks.iter().any(CommTask::is_working),
         }
-        self.flush(out);
     }
 
     /// How long from the last [`NodeInput::Advance`] until time alone makes this node act.
@@ -159,6 +187,9 @@ impl Node {
     }
 
     fn advance(&mut self, elapsed: Ticks, out: &mut impl NodeOutbox) {
+        if !self.counts() {
+            return;
+        }
         // The transit buffer first: a task whose time_out ends now must know whether its packet ever left.
         self.with_transit(out, |transit, table, effects| transit.advance(table, elapsed, effects));
         while let Some(work) = self.work.pop_front() {

@@ -96,4 +96,10 @@ impl CommTask {
             Pending::Nothing | Pending::Get { .. } | Pending::Meeting(_) | Pending::Delay(_) => None,
         }
     }
+
+    /// Whether the task works: it has asked for nothing that its communication task can answer.
+    #[must_use]
+    pub fn is_working(&self) -> bool {
+        self.is_idle()
+    }
 }
