@@ -1,0 +1,383 @@
+//! What a floor remembers beside the machine to judge it, and the watches' verdicts.
+
+use super::body::{Does, Level, says};
+use super::plan::{Errand, FloorPlan, FloorWatch, Goal};
+use super::{Effect, Floor, small};
+use crate::state::Violation;
+use imrs_protocol::rules::Aging;
+use imrs_protocol::{
+    Call, Class, CommTask, Control, Delivery, Event, Fault, Kind, NodeId, Observation, Outcome, Packet, PortId,
+    Reason, Request, Seq24, ServiceOrder, Signal, TaskId, Ticks, Usage,
+};
+
+/// How deep handlers may interrupt each other (D15): the thread, and two more than `order` has levels.
+const DEEPEST: usize = ServiceOrder::LEVELS + 3;
+
+/// A message's name: its source and its number there.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub(crate) struct Name {
+    pub source: TaskId,
+    pub number: Seq24,
+}
+
+impl Name {
+    fn of(delivery: &Delivery) -> Self {
+        Self { source: delivery.from.source, number: delivery.from.id.sequence }
+    }
+}
+
+/// What no task of the cell can see.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
+pub(crate) struct Ghosts {
+    /// True lives of messages: ticks left.
+    pub lives: Vec<(Name, u8)>,
+    /// For each source, bit `i`: its message `next - 1 - i` was handed over.
+    pub handed: Vec<u16>,
+    /// For each port of the task watched for fairness, how often its head was bypassed.
+    pub bypassed: Vec<u8>,
+    /// How often a waiting message was refused by rank, by receiver.
+    pub refused: Vec<(TaskId, PortId, Name, u8)>,
+    /// For each task, the signals since the last tick.
+    pub signals: Vec<u8>,
+}
+
+impl Ghosts {
+    pub fn new(plan: &FloorPlan) -> Self {
+        let ports = plan.fair().map_or(0, |(task, ..)| plan.cell.ports_of(task).len());
+        let tasks = plan.tasks.len();
+        Self { handed: vec![0; tasks], bypassed: vec![0; ports], signals: vec![0; tasks], ..Self::default() }
+    }
+
+    pub fn tick(&mut self) {
+        self.lives.retain_mut(|(_, left)| {
+            *left -= 1;
+            *left > 0
+        });
+        self.signals.fill(0);
+    }
+}
+
+impl Floor {
+    /// Notes what a request entitles its task to.
+    pub(super) fn asked(&mut self, task: usize, request: &Request) {
+        let Some(slack) = self.plan.waits() else { return };
+        let at = TaskId::from_index(task);
+        let own = |port: PortId| self.plan.cell.port(port).and_then(|p| p.party(at)).map(|p| p.time_out);
+        let limit = match *request {
+            Request::Send { port, time_out, .. } | Request::Arrive { port, time_out, .. } => {
+                own(port).map(|declared| time_out.map_or(declared, |wanted| wanted.min(declared)))
+            }
+            Request::Get { time_out, .. } => time_out,
+            Request::Delay { length, .. } => Some(length),
+            _ => return,
+        };
+        let left = limit.filter(|l| *l != Ticks::FAR).map_or(Level::FOREVER, |limit| {
+            let whole = limit.0 + 1 + u64::from(slack);
+            u8::try_from(whole).unwrap_or(Level::FOREVER).min(Level::FOREVER - 1)
+        });
+        if let Some(level) = self.bodies[task].top_mut() {
+            level.left = left;
+        }
+    }
+
+    /// A signal reaches its task: is it one that the task waits for, and may it come now?
+    pub(super) fn told(&mut self, task: usize, signal: &Signal) -> Result<(), Violation> {
+        self.count_signal(task)?;
+        let top = self.bodies[task].top();
+        let waits = top.does == Does::Waits;
+        let plan = std::sync::Arc::clone(&self.plan);
+        match signal {
+            Signal::Interrupt(call) => {
+                self.judge_interrupt(task, call)?;
+                if let Call::Message(delivery) = call {
+                    self.handed_over(delivery)?;
+                }
+                let rank = self.rank_of_handler(task, call);
+                self.bodies[task].hear(signal);
+                if let Some(level) = self.bodies[task].top_mut() {
+                    level.rank = rank;
+                }
+                return self.reach(Goal::Nested, self.bodies[task].levels.len() > 2);
+            }
+            Signal::Message(delivery) => {
+                self.handed_over(delivery)?;
+                self.judge_bypass(task, delivery)?;
+                self.bodies[task].hear(signal);
+                return if waits { Ok(()) } else { Err(Violation::SecondOutcome) };
+            }
+            // The answer to a REPLY ends no wait; what is wrong with it is that it came too late.
+            Signal::Fault(Fault::Late | Fault::NothingToAnswer) if top.does == Does::Serves => return Ok(()),
+            Signal::Accepted(_) if top.does == Does::Serves => return Ok(()),
+            Signal::Accepted(_) if matches!(top.does, Does::Free) => return Ok(()),
+            Signal::Accepted(_) if top.does == Does::Works => {}
+            Signal::Fault(_) => return Err(Violation::Faulted),
+            Signal::Outcome(outcome) => {
+                let right = match outcome {
+                    Outcome::Reply(contents) => *contents == says(top.question, &plan),
+                    Outcome::Refused
+                    | Outcome::TimedOutUnsent
+                    | Outcome::TimedOutUnknown
+                    | Outcome::PeerRestarted => true,
+                };
+                let answered = matches!(outcome, Outcome::Reply(_));
+                let port = self.asks_on(task);
+                if waits && !right && self.plan.waits().is_some() {
+                    return Err(Violation::WrongAnswer);
+                }
+                if !answered && port.is_some_and(|port| self.plan.watches(FloorWatch::Served { port })) {
+                    return Err(Violation::NotServed);
+                }
+                self.reach(Goal::Answered, answered)?;
+            }
+            Signal::Answers { answers, .. } => {
+                let all = answers.asked == answers.answered && answers.asked.count_ones() > 1;
+                self.reach(Goal::AllAnswered, all)?;
+            }
+            Signal::Nothing
+            | Signal::Accepted(_)
+            | Signal::Released { .. }
+            | Signal::GaveUp { .. }
+            | Signal::TimeOut(_)
+            | Signal::Granted(_)
+            | Signal::Cancelled => {}
+        }
+        if !waits && top.does != Does::Works {
+            return Err(Violation::SecondOutcome);
+        }
+        self.bodies[task].resume();
+        Ok(())
+    }
+
+    fn count_signal(&mut self, task: usize) -> Result<(), Violation> {
+        if let Some(most) = self.plan.zeno() {
+            let count = &mut self.ghosts.signals[task];
+            *count += 1;
+            if *count > most {
+                return Err(Violation::Zeno);
+            }
+        }
+        Ok(())
+    }
+
+    fn reach(&self, goal: Goal, reached: bool) -> Result<(), Violation> {
+        if reached && self.plan.watches(FloorWatch::Reach(goal)) { Err(Violation::Reached) } else { Ok(()) }
+    }
+
+    /// A message is handed to its task: still alive, and for the first time?
+    fn handed_over(&mut self, delivery: &Delivery) -> Result<(), Violation> {
+        let name = Name::of(delivery);
+        if self.plan.stale().is_some() && !self.ghosts.lives.iter().any(|(n, _)| *n == name) {
+            return Err(Violation::Stale);
+        }
+        if self.plan.watches(FloorWatch::AtMostOnce) {
+            let back = self.next_sequence(name.source.index()).steps_from(name.number);
+            let bit = 1_u16.checked_shl(back.saturating_sub(1)).ok_or(Violation::Overflow)?;
+            let handed = &mut self.ghosts.handed[name.source.index()];
+            if *handed & bit != 0 {
+                return Err(Violation::ExecutedTwice);
+            }
+            *handed |= bit;
+        }
+        Ok(())
+    }
+
+    /// Notes what a communication task or a transit buffer says it did.
+    pub(super) fn seen(&mut self, at: Option<TaskId>, seen: &Observation) -> Result<(), Violation> {
+        let number = Seq24::new(seen.number);
+        match (at, seen.event) {
+            (Some(task), Event::Sent) => {
+                if let Some(slack) = self.plan.stale() {
+                    let left = seen.remaining.0 + u64::from(slack);
+                    let left = u8::try_from(left).map_err(|_| Violation::Overflow)?;
+                    self.ghosts.lives.push((Name { source: task, number }, left));
+                }
+                self.ghosts.handed[task.index()] <<= 1;
+                Ok(())
+            }
+            (Some(task), event) => self.seen_at_task(task, event, seen),
+            (None, Event::Discarded(_)) if self.plan.watches(FloorWatch::Served { port: seen.port }) => {
+                Err(Violation::NotServed)
+            }
+            (None, _) => Ok(()),
+        }
+    }
+
+    fn seen_at_task(&mut self, task: TaskId, event: Event, seen: &Observation) -> Result<(), Violation> {
+        let name = Name { source: seen.peer, number: Seq24::new(seen.number) };
+        let this = |entry: &(TaskId, PortId, Name, u8)| (entry.0, entry.1, entry.2) == (task, seen.port, name);
+        match event {
+            Event::Discarded(Reason::Duplicate | Reason::Unexpected) => Ok(()),
+            Event::Discarded(_) => {
+                self.ghosts.refused.retain(|entry| !this(entry));
+                let served = FloorWatch::Served { port: seen.port };
+                if self.plan.watches(served) { Err(Violation::NotServed) } else { Ok(()) }
+            }
+            Event::Delivered => {
+                self.ghosts.refused.retain(|entry| !this(entry));
+                Ok(())
+            }
+            _ => Ok(()),
+        }
+    }
+
+    /// How often the message that a call is for was refused, as far as that counts.
+    fn refusals(&self, task: usize, call: &Call) -> u8 {
+        let Call::Message(delivery) = call else { return 0 };
+        if self.plan.cell.cell().rules.aging != Aging::Bounded {
+            return 0;
+        }
+        let (at, name) = (TaskId::from_index(task), Name::of(delivery));
+        let entries = self.ghosts.refused.iter();
+        entries.filter(|e| (e.0, e.1, e.2) == (at, delivery.from.port, name)).map(|e| e.3).sum()
+    }
+
+    fn base_rank(&self, task: usize, call: &Call) -> u8 {
+        let order = &self.plan.tasks[task].order;
+        match call {
+            Call::Message(delivery) => order.rank(delivery.from.port, delivery.from.source),
+            Call::Timer(_) => order.timers(),
+            Call::Fenced | Call::TakeOver(_) => 0,
+        }
+    }
+
+    /// R16 with D15 and D58, from the declaration and from what was seen: may this call interrupt?
+    fn judge_interrupt(&self, task: usize, call: &Call) -> Result<(), Violation> {
+        let body = &self.bodies[task];
+        let top = body.top();
+        if body.levels.len() >= DEEPEST {
+            return Err(Violation::TooDeep);
+        }
+        if !matches!(top.does, Does::Waits | Does::Works) {
+            return Err(Violation::NotOutranking);
+        }
+        if !self.plan.watches(FloorWatch::Order) || matches!(call, Call::Fenced | Call::TakeOver(_)) {
+            return Ok(());
+        }
+        let (base, refused) = (self.base_rank(task, call), self.refusals(task, call));
+        let rank = base.saturating_sub(refused);
+        let outranks = if body.levels.len() > 1 {
+            rank < top.rank
+        } else {
+            let plain_get = matches!(self.plan.tasks[task].errand, Errand::Receive { .. });
+            let capped = refused >= base.max(1);
+            plain_get || capped || rank < self.plan.tasks[task].order.own()
+        };
+        if outranks { Ok(()) } else { Err(Violation::NotOutranking) }
+    }
+
+    /// Ranks never grow up the stack: the rank of a handler is not above that of what it interrupted.
+    fn rank_of_handler(&self, task: usize, call: &Call) -> u8 {
+        let body = &self.bodies[task];
+        let below = if body.levels.len() > 1 { body.top().rank } else { self.plan.tasks[task].order.own() };
+        self.base_rank(task, call).min(below)
+    }
+
+    /// D58: a GET over all ports that takes another port's head bypasses the heads of the rest.
+    fn judge_bypass(&mut self, task: usize, delivery: &Delivery) -> Result<(), Violation> {
+        let Some((watched, most, _)) = self.plan.fair() else { return Ok(()) };
+        let at = TaskId::from_index(task);
+        if watched != at || !matches!(self.plan.tasks[task].errand, Errand::Receive { port: None, .. }) {
+            return Ok(());
+        }
+        let station = &self.stations[self.station_of(task)];
+        let Some(machine) = station.node.task(at) else { return Ok(()) };
+        let view = machine.view(&station.table, 0);
+        for (count, port) in self.ghosts.bypassed.iter_mut().zip(&view.ports) {
+            let handled = self.plan.tasks[task].handles.contains(&port.port);
+            if port.port == delivery.from.port || port.len == 0 || handled {
+                *count = 0;
+            } else {
+                *count += 1;
+                if *count > most {
+                    return Err(Violation::Bypassed);
+                }
+            }
+        }
+        Ok(())
+    }
+
+    /// A packet comes out of a link.
+    pub(super) fn judge_arrival(&self, to: NodeId, packet: &Packet) -> Result<(), Violation> {
+        let home = self.plan.cell.location(packet.destination) == Some(to);
+        let word = packet.kind == Kind::Control && packet.control() == Some(Control::RefusedOnTheWay);
+        self.reach(Goal::RefusedOnTheWay, home && word)
+    }
+
+    /// After a step of a node: did its transit buffer keep a status where it dropped a command for space (D60)?
+    ///
+    /// Every step offers the buffer one packet, but for copies that are due with a tick, and those are commands: so
+    /// what the buffer holds or has let go after the step, it held when it dropped.
+    pub(super) fn judge_step(&self, i: usize, effects: &[Effect]) -> Result<(), Violation> {
+        if !self.plan.watches(FloorWatch::Eviction) {
+            return Ok(());
+        }
+        let cell = &self.plan.cell;
+        let dropped = |effect: &Effect| {
+            let Effect::Seen(None, seen) = effect else { return false };
+            let for_space = matches!(seen.event, Event::Discarded(Reason::Refused | Reason::Evicted));
+            let port = cell.port(seen.port);
+            let command = port.is_some_and(|p| p.decl.class == Class::Command);
+            // Answers and words go towards those who ask.
+            let receives = |usage: Usage| matches!(usage, Usage::Receive | Usage::Response);
+            let asks = port.and_then(|p| p.party(seen.peer)).is_some_and(|party| receives(party.usage));
+            let way = cell.location(seen.peer).and_then(|to| cell.path_bound(NodeId::from_index(i), to));
+            for_space && command && asks && way.is_some_and(|way| seen.remaining > way)
+        };
+        if !effects.iter().any(dropped) {
+            return Ok(());
+        }
+        let held = self.stations[i].node.parts().transit.waiting();
+        let left = effects.iter().filter_map(|e| if let Effect::Sent(_, p) = e { Some(p) } else { None });
+        let status = held.iter().chain(left).any(|packet| packet.class == Class::Status);
+        if status { Err(Violation::CommandEvicted) } else { Ok(()) }
+    }
+
+    /// After a tick: does anybody still wait who should not?
+    pub(super) fn judge_waits(&mut self) -> Result<(), Violation> {
+        if self.plan.waits().is_none() {
+            return Ok(());
+        }
+        for task in 0..self.bodies.len() {
+            if !self.stations[self.station_of(task)].up {
+                continue;
+            }
+            let body = &mut self.bodies[task];
+            let last = body.levels.len() - 1;
+            for (i, level) in body.levels.iter_mut().enumerate() {
+                if level.does != Does::Waits || level.left == Level::FOREVER {
+                    continue;
+                }
+                // A wait below a handler is told when the handler returns.
+                if level.left == 0 && i == last {
+                    return Err(Violation::NoOutcome);
+                }
+                level.left = level.left.saturating_sub(1);
+            }
+        }
+        Ok(())
+    }
+
+    /// What can be judged of a state by itself.
+    pub(super) fn judge_state(&self) -> Result<(), Violation> {
+        if !self.plan.watches(FloorWatch::Reach(Goal::BuffersFull)) {
+            return Ok(());
+        }
+        let full = |node: NodeId, next: NodeId| {
+            let transit = &self.stations[node.index()].node.parts().transit;
+            transit.is_full() && transit.view().next == [next]
+        };
+        let stuck = self.links.iter().any(|&(a, b, _)| full(a, b) && full(b, a));
+        self.reach(Goal::BuffersFull, stuck && self.crossings.is_empty())
+    }
+
+    pub(super) fn next_sequence(&self, task: usize) -> Seq24 {
+        let station = &self.stations[self.station_of(task)];
+        let machine = if station.up { station.node.task(TaskId::from_index(task)) } else { None };
+        machine.map_or(self.sequences[task], CommTask::next_sequence)
+    }
+
+    pub(super) fn is_quiescent(&self) -> bool {
+        self.forced().is_empty() && !self.stations.iter().any(|s| s.node.is_busy())
+    }
+
+}

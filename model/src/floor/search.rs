@@ -1,0 +1,89 @@
+//! Floors under stateright's breadth-first search.
+
+use super::plan::FloorPlan;
+use super::{Floor, Move};
+use crate::explore::{Exploration, Ground, Grounded, Limits, search};
+use crate::state::Packed;
+use stateright::{Model, Property};
+use std::sync::Arc;
+
+impl Ground for Floor {
+    type Action = Move;
+
+    fn first(&mut self) -> Packed {
+        Self::new(&Arc::clone(&self.plan)).store()
+    }
+
+    fn actions(&mut self, state: &Packed, actions: &mut Vec<Move>) {
+        self.load(state);
+        self.moves(actions);
+    }
+
+    fn step(&mut self, state: &Packed, action: Move) -> Packed {
+        self.load(state);
+        self.apply(action);
+        self.store()
+    }
+
+    fn renew(&mut self) {
+        *self = Self::new(&Arc::clone(&self.plan));
+    }
+}
+
+/// A floor as a stateright model.
+pub struct FloorModel(Grounded<Floor>);
+
+impl FloorModel {
+    /// The model of a floor.
+    #[must_use]
+    pub fn new(plan: &Arc<FloorPlan>, limits: Limits) -> Self {
+        Self(Grounded::new(Floor::new(plan), limits, None))
+    }
+
+    /// Whether no effect within a node and no step of a task in a hurry is outstanding.
+    #[doc(hidden)]
+    #[must_use]
+    pub fn is_quiescent(&self, state: &Packed) -> bool {
+        self.0.with(|floor| {
+            floor.load(state);
+            floor.is_quiescent()
+        })
+    }
+
+    /// The state written again.
+    #[doc(hidden)]
+    #[must_use]
+    pub fn rewritten(&self, state: &Packed) -> Packed {
+        self.0.with(|floor| {
+            floor.load(state);
+            floor.store()
+        })
+    }
+}
+
+impl Model for FloorModel {
+    type State = Packed;
+    type Action = Move;
+
+    fn init_states(&self) -> Vec<Packed> {
+        self.0.init_states()
+    }
+
+    fn actions(&self, state: &Packed, actions: &mut Vec<Move>) {
+        self.0.actions(state, actions);
+    }
+
+    fn next_state(&self, state: &Packed, action: Move) -> Option<Packed> {
+        self.0.next_state(state, action)
+    }
+
+    fn properties(&self) -> Vec<Property<Self>> {
+        vec![Property::always("claim", |_, state: &Packed| state.violation().is_none())]
+    }
+}
+
+/// Explores a floor until everything is seen, a violation is found or a limit is reached.
+#[must_use]
+pub fn explore_floor(plan: &Arc<FloorPlan>, limits: Limits) -> Exploration<Move> {
+    search(Floor::new(plan), limits, None)
+}
