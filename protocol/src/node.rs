@@ -3,9 +3,10 @@
 //! Single-threaded drivers call [`Node::step`]; the threaded runtime takes a node apart and puts every part behind its
 //! own lock. Both call the same pure functions of [`route`](crate::route).
 
-use crate::comm_task::{CommTask, Input, Outbox};
-use crate::ids::{Incarnation, MessageId, NodeId, TaskId};
+use crate::comm_task::{CommTask, Frame, Input, Outbox, Overflow};
+use crate::ids::{Incarnation, MessageId, NodeId, Seq24, TaskId};
 use crate::observe::{Event, Observation, Reason};
+use crate::packed::Eye;
 use crate::packet::Packet;
 use crate::request::{Request, Signal, TimeId};
 use crate::route::{self, Arrival, Departure};
@@ -78,7 +79,7 @@ pub struct Node {
 enum Work {
     Route(Packet),
     Task(TaskId, Input),
-    Arm(TaskId, TimeId, Ticks),
+    Arm(TaskId, TimeId, u8, Ticks),
     Disarm(TaskId, TimeId),
 }
 
@@ -94,7 +95,7 @@ impl Node {
             .tasks_on(table.node)
             .map(|task| CommTask::new(&table, task, incarnation, restarted))
             .collect();
-        let timers = u16::try_from(tasks.len().saturating_mul(8)).unwrap_or(u16::MAX);
+        let timers = u16::try_from(tasks.len().saturating_mul(CommTask::TIMERS)).unwrap_or(u16::MAX);
         let parts =
             Parts { table, tasks, transit: Transit::new(transit_capacity), timer: Timer::new(timers) };
         Self { parts, work: VecDeque::with_capacity(WORK) }
@@ -162,6 +163,86 @@ impl Node {
         !self.work.is_empty()
     }
 
+    /// The packets among these effects.
+    pub fn work_packets(&self) -> impl Iterator<Item = &Packet> {
+        self.work.iter().filter_map(|work| match work {
+            Work::Route(packet) | Work::Task(_, Input::Packet(packet)) => Some(packet),
+            Work::Task(..) | Work::Arm(..) | Work::Disarm(..) => None,
+        })
+    }
+
+    /// Writes the canonical bytes of the effects that are not carried out yet (D51) and returns how many.
+    ///
+    /// # Errors
+    /// [`Overflow`] when a distance outgrows its field, `out` is too short, or an input waits that
+    /// [`begin`](Self::begin) was given and [`proceed`](Self::proceed) has not handed on.
+    pub fn store_work(&self, frame: &Frame<'_>, out: &mut [u8]) -> Result<usize, Overflow> {
+        let mut at = 0;
+        put(out, &mut at, u8::try_from(self.work.len()).map_err(|_| Overflow)?)?;
+        for work in &self.work {
+            let (tag, task) = match work {
+                Work::Route(packet) => (0, packet.source),
+                Work::Task(task, Input::Packet(_)) => (1, *task),
+                Work::Task(task, Input::Unsent(_)) => (2, *task),
+                Work::Task(task, Input::TimeOut { .. }) => (3, *task),
+                Work::Arm(task, ..) => (4, *task),
+                Work::Disarm(task, _) => (5, *task),
+                Work::Task(task, Input::PeerRestarted(_)) => (6, *task),
+                Work::Task(_, Input::Advance(_) | Input::Request(_)) => return Err(Overflow),
+            };
+            put(out, &mut at, tag)?;
+            put(out, &mut at, u8::try_from(task.0).map_err(|_| Overflow)?)?;
+            match work {
+                Work::Route(packet) | Work::Task(_, Input::Packet(packet)) => {
+                    at += packet.store(frame, out.get_mut(at..).ok_or(Overflow)?)?;
+                }
+                Work::Task(task, Input::Unsent(id)) => {
+                    let next = frame.sequences.get(task.index()).copied().unwrap_or_default();
+                    put(out, &mut at, id.incarnation.0)?;
+                    put(out, &mut at, u8::try_from(next.steps_from(id.sequence)).map_err(|_| Overflow)?)?;
+                }
+                Work::Task(_, Input::TimeOut { id, .. }) | Work::Disarm(_, id) => put(out, &mut at, id.0)?,
+                Work::Arm(_, id, _, length) => {
+                    put(out, &mut at, id.0)?;
+                    put(out, &mut at, u8::try_from(length.0).map_err(|_| Overflow)?)?;
+                }
+                Work::Task(_, Input::PeerRestarted(node)) => {
+                    put(out, &mut at, u8::try_from(node.0).map_err(|_| Overflow)?)?;
+                }
+                Work::Task(_, Input::Advance(_) | Input::Request(_)) => {}
+            }
+        }
+        Ok(at)
+    }
+
+    /// Reads the effects back and returns how many bytes they took.
+    pub fn load_work(&mut self, lives: bool, bytes: &[u8]) -> usize {
+        let mut eye = Eye::new(bytes);
+        self.work.clear();
+        for _ in 0..eye.byte() {
+            let (tag, task) = (eye.byte(), TaskId(u16::from(eye.byte())));
+            let packet = |eye: &mut Eye<'_>| {
+                let (packet, len) = Packet::load(bytes.get(eye.at..).unwrap_or(&[]), lives);
+                eye.at += len;
+                packet
+            };
+            self.work.push_back(match tag {
+                0 => Work::Route(packet(&mut eye)),
+                1 => Work::Task(task, Input::Packet(packet(&mut eye))),
+                2 => {
+                    let incarnation = Incarnation(eye.byte());
+                    let sequence = Frame::SEQUENCE.plus(Seq24::MODULUS - u32::from(eye.byte()));
+                    Work::Task(task, Input::Unsent(MessageId { incarnation, sequence }))
+                }
+                3 => Work::Task(task, Input::TimeOut { id: TimeId(eye.byte()), turn: 0 }),
+                4 => Work::Arm(task, TimeId(eye.byte()), 0, Ticks(u64::from(eye.byte()))),
+                5 => Work::Disarm(task, TimeId(eye.byte())),
+                _ => Work::Task(task, Input::PeerRestarted(NodeId(u16::from(eye.byte())))),
+            });
+        }
+        eye.at
+    }
+
     /// Whether the clock counts (D22). Under the blocking reading of Figure 3 the Timer waits for the answer of every
     /// task to its JOB_REQUEST, and a task that works gives none: no CLICK reaches the node's communication tasks.
     #[must_use]
@@ -202,7 +283,9 @@ impl Node {
             }
         }
         let work = &mut self.work;
-        self.parts.timer.advance(elapsed, |task, id| work.push_back(Work::Task(task, Input::TimeOut(id))));
+        self.parts.timer.advance(elapsed, |task, id, turn| {
+            work.push_back(Work::Task(task, Input::TimeOut { id, turn }));
+        });
     }
 
     fn arrive(&mut self, packet: Packet, charge: Ticks, out: &mut impl NodeOutbox) {
@@ -226,10 +309,10 @@ impl Node {
                     self.with_transit(out, |transit, table, effects| transit.offer(table, packet, effects));
                 }
             },
-            Work::Arm(task, id, length) => {
+            Work::Arm(task, id, turn, length) => {
                 // A full Timer ends the delay at once rather than never.
-                if !self.parts.timer.arm(task, id, length) {
-                    self.work.push_back(Work::Task(task, Input::TimeOut(id)));
+                if !self.parts.timer.arm(task, id, turn, length) {
+                    self.work.push_back(Work::Task(task, Input::TimeOut { id, turn }));
                 }
             }
             Work::Disarm(task, id) => {
@@ -246,6 +329,12 @@ impl Node {
         let Parts { table, transit, .. } = &mut self.parts;
         step(transit, table, &mut RouteEffects { work: &mut self.work, out });
     }
+}
+
+fn put(out: &mut [u8], at: &mut usize, byte: u8) -> Result<(), Overflow> {
+    *out.get_mut(*at).ok_or(Overflow)? = byte;
+    *at += 1;
+    Ok(())
 }
 
 /// The observation of a packet dropped before it reached a communication task.
@@ -275,8 +364,8 @@ impl<O: NodeOutbox> Outbox for TaskEffects<'_, O> {
         self.out.signal(self.task, signal);
     }
 
-    fn arm(&mut self, id: TimeId, length: Ticks) {
-        self.work.push_back(Work::Arm(self.task, id, length));
+    fn arm(&mut self, id: TimeId, turn: u8, length: Ticks) {
+        self.work.push_back(Work::Arm(self.task, id, turn, length));
     }
 
     fn disarm(&mut self, id: TimeId) {

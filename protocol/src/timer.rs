@@ -16,6 +16,7 @@ use crate::ticks::Ticks;
 struct Entry {
     owner: TaskId,
     id: TimeId,
+    turn: u8,
     expires: Ticks,
 }
 
@@ -36,13 +37,14 @@ impl Timer {
         Self { now: Ticks::ZERO, armed: 0, queue: Queue::new(capacity), index: Index::new(capacity) }
     }
 
-    /// Starts an entry; one of the same owner and id is replaced. False when the Timer is full.
-    pub fn arm(&mut self, owner: TaskId, id: TimeId, length: Ticks) -> bool {
+    /// Starts an entry; one of the same owner and id is replaced. False when the Timer is full. `turn` comes back with
+    /// the entry: it tells the owner this start of it from an earlier one.
+    pub fn arm(&mut self, owner: TaskId, id: TimeId, turn: u8, length: Ticks) -> bool {
         self.disarm(owner, id);
         let expires = self.now + length;
         let key = (u128::from(expires.0) << 64) | u128::from(self.armed);
         self.armed += 1;
-        let Ok(slot) = self.queue.push(key, Entry { owner, id, expires }) else { return false };
+        let Ok(slot) = self.queue.push(key, Entry { owner, id, turn, expires }) else { return false };
         self.index.insert(name(owner, id), slot);
         true
     }
@@ -54,11 +56,11 @@ impl Timer {
     }
 
     /// Time passes: names every entry that is over, earliest first, and removes it.
-    pub fn advance(&mut self, elapsed: Ticks, mut due: impl FnMut(TaskId, TimeId)) {
+    pub fn advance(&mut self, elapsed: Ticks, mut due: impl FnMut(TaskId, TimeId, u8)) {
         self.now += elapsed;
         while let Some(entry) = self.queue.pop_if(|entry| entry.expires <= self.now) {
             self.index.remove(name(entry.owner, entry.id));
-            due(entry.owner, entry.id);
+            due(entry.owner, entry.id, entry.turn);
         }
     }
 
@@ -106,7 +108,8 @@ impl Timer {
         self.index.clear();
         for _ in 0..eye.byte() {
             let (owner, id) = (TaskId(u16::from(eye.byte())), TimeId(eye.byte()));
-            self.arm(owner, id, eye.ticks());
+            // One thread drives a packed node: no word of an earlier start can still be on its way.
+            self.arm(owner, id, 0, eye.ticks());
         }
         eye.at
     }
@@ -125,17 +128,17 @@ mod tests {
     #[test]
     fn entries_end_in_order_and_once() {
         let mut timer = Timer::new(3);
-        assert!(timer.arm(TaskId(1), TimeId(0), Ticks(5)));
-        assert!(timer.arm(TaskId(2), TimeId(0), Ticks(3)));
-        assert!(timer.arm(TaskId(1), TimeId(1), Ticks(3)));
-        assert!(!timer.arm(TaskId(9), TimeId(9), Ticks(1)), "full");
+        assert!(timer.arm(TaskId(1), TimeId(0), 0, Ticks(5)));
+        assert!(timer.arm(TaskId(2), TimeId(0), 0, Ticks(3)));
+        assert!(timer.arm(TaskId(1), TimeId(1), 0, Ticks(3)));
+        assert!(!timer.arm(TaskId(9), TimeId(9), 0, Ticks(1)), "full");
         assert_eq!(timer.next_expiry(), Some(Ticks(3)));
         let mut over = Vec::new();
-        timer.advance(Ticks(2), |owner, id| over.push((owner, id)));
+        timer.advance(Ticks(2), |owner, id, _| over.push((owner, id)));
         assert_eq!(over, []);
         assert_eq!(timer.next_expiry(), Some(Ticks(1)));
         timer.rebase();
-        timer.advance(Ticks(9), |owner, id| over.push((owner, id)));
+        timer.advance(Ticks(9), |owner, id, _| over.push((owner, id)));
         assert_eq!(over, [(TaskId(2), TimeId(0)), (TaskId(1), TimeId(1)), (TaskId(1), TimeId(0))]);
         assert_eq!(timer.next_expiry(), None);
     }
@@ -144,27 +147,27 @@ mod tests {
     fn loading_undoes_storing() {
         let mut timer = Timer::new(4);
         for (owner, id, length) in [(1, 0, 9), (2, 7, 5), (3, 255, 9)] {
-            timer.arm(TaskId(owner), TimeId(id), Ticks(length));
+            timer.arm(TaskId(owner), TimeId(id), 0, Ticks(length));
         }
-        timer.advance(Ticks(3), |_, _| {});
+        timer.advance(Ticks(3), |_, _, _| {});
         let mut bytes = [0; 32];
         let len = timer.store(&mut bytes).unwrap();
         assert!((0..len).all(|short| timer.store(&mut bytes[..short]) == Err(Overflow)));
         timer.store(&mut bytes).unwrap();
         let mut back = Timer::new(4);
-        back.arm(TaskId(9), TimeId(9), Ticks(1));
+        back.arm(TaskId(9), TimeId(9), 0, Ticks(1));
         assert_eq!(back.load(&bytes), len);
         assert_eq!(back.entries(), timer.entries());
         assert!(back.disarm(TaskId(3), TimeId(255)) && !back.disarm(TaskId(9), TimeId(9)));
-        timer.arm(TaskId(1), TimeId(1), Ticks(255));
+        timer.arm(TaskId(1), TimeId(1), 0, Ticks(255));
         assert_eq!(timer.store(&mut bytes), Err(Overflow));
     }
 
     #[test]
     fn arming_again_replaces_and_disarming_removes() {
         let mut timer = Timer::new(2);
-        timer.arm(TaskId(1), TimeId(0), Ticks(5));
-        timer.arm(TaskId(1), TimeId(0), Ticks(9));
+        timer.arm(TaskId(1), TimeId(0), 0, Ticks(5));
+        timer.arm(TaskId(1), TimeId(0), 0, Ticks(9));
         assert_eq!(timer.entries(), [(TaskId(1), TimeId(0), Ticks(9))]);
         assert!(timer.disarm(TaskId(1), TimeId(0)));
         assert!(!timer.disarm(TaskId(1), TimeId(0)));

@@ -144,14 +144,8 @@ impl Body {
             Does::Works => vec![Request::Done],
             Does::Serves => {
                 let answer = top.to.map(|to| Request::Reply { to, contents: says(top.echo, plan) });
-                let mut requests: Vec<Request> = answer.into_iter().collect();
-                if self.levels.len() > 1 {
-                    self.levels.pop();
-                    requests.push(Request::Return);
-                } else if let Some(level) = self.top_mut() {
-                    *level = Level::default();
-                }
-                requests
+                let end = (self.levels.len() > 1).then_some(Request::Return);
+                answer.into_iter().chain(end).collect()
             }
         }
     }

@@ -109,8 +109,6 @@ impl Floor {
         }
         self.store_ghosts(&bases, &mut out)?;
         self.store_crossings(&bases, &mut out)?;
-        // A final state is recognised by its length.
-        out.resize(out.len().max(crate::world::HEADER + 1), 0);
         Ok(out)
     }
 
@@ -279,7 +277,7 @@ impl Floor {
         }
         self.load_ghosts(&mut eye);
         self.crossings.clear();
-        while eye.at + 1 < eye.bytes.len() {
+        while eye.at < eye.bytes.len() {
             let head = eye.byte();
             let life = Incarnation(if self.plan.lives() { eye.byte() } else { 0 });
             let (packet, len) = Packet::load(eye.rest(), self.plan.lives());

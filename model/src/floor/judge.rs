@@ -2,7 +2,7 @@
 
 use super::body::{Does, Level, says};
 use super::plan::{Errand, FloorPlan, FloorWatch, Goal};
-use super::{Effect, Floor, small};
+use super::{Effect, Floor};
 use crate::state::Violation;
 use imrs_protocol::rules::Aging;
 use imrs_protocol::{
@@ -14,7 +14,7 @@ use imrs_protocol::{
 const DEEPEST: usize = ServiceOrder::LEVELS + 3;
 
 /// A message's name: its source and its number there.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 pub(crate) struct Name {
     pub source: TaskId,
     pub number: Seq24,
@@ -181,19 +181,21 @@ impl Floor {
         Ok(())
     }
 
+    /// Notes a message that was sent.
+    pub(super) fn sent(&mut self, effect: &Effect) {
+        let Effect::Seen(Some(source), Observation { event: Event::Sent, number, remaining, .. }) = *effect else {
+            return;
+        };
+        if let Some(slack) = self.plan.stale() {
+            let left = u8::try_from(remaining.0).unwrap_or(u8::MAX).saturating_add(slack);
+            self.ghosts.lives.push((Name { source, number: Seq24::new(number) }, left));
+        }
+        self.ghosts.handed[source.index()] <<= 1;
+    }
+
     /// Notes what a communication task or a transit buffer says it did.
     pub(super) fn seen(&mut self, at: Option<TaskId>, seen: &Observation) -> Result<(), Violation> {
-        let number = Seq24::new(seen.number);
         match (at, seen.event) {
-            (Some(task), Event::Sent) => {
-                if let Some(slack) = self.plan.stale() {
-                    let left = seen.remaining.0 + u64::from(slack);
-                    let left = u8::try_from(left).map_err(|_| Violation::Overflow)?;
-                    self.ghosts.lives.push((Name { source: task, number }, left));
-                }
-                self.ghosts.handed[task.index()] <<= 1;
-                Ok(())
-            }
             (Some(task), event) => self.seen_at_task(task, event, seen),
             (None, Event::Discarded(_)) if self.plan.watches(FloorWatch::Served { port: seen.port }) => {
                 Err(Violation::NotServed)
@@ -379,5 +381,4 @@ impl Floor {
     pub(super) fn is_quiescent(&self) -> bool {
         self.forced().is_empty() && !self.stations.iter().any(|s| s.node.is_busy())
     }
-
 }

@@ -10,10 +10,10 @@ mod judge;
 pub mod plan;
 mod search;
 mod time;
+pub mod worlds;
 
+pub use chart::draw_floor;
 pub use search::{FloorModel, explore_floor};
-
-pub(crate) use chart::draw_floor;
 
 use crate::state::Violation;
 use body::{Body, Does};
@@ -91,6 +91,8 @@ pub(crate) struct Floor {
     /// What the last move showed: for charts.
     pub log: Vec<Effect>,
     pub keep_log: bool,
+    /// How many ticks have passed since this was last set to zero.
+    pub passed: u32,
     spare: Vec<Effect>,
 }
 
@@ -155,6 +157,7 @@ impl Floor {
             sequences: vec![Seq24::default(); plan.tasks.len()],
             log: Vec::new(),
             keep_log: false,
+            passed: 0,
             spare: Vec::new(),
             links,
             plan: Arc::clone(plan),
@@ -400,6 +403,8 @@ impl Floor {
         let mut effects = std::mem::take(&mut self.spare);
         let mut open = self.open(i);
         work(&mut self.stations[i].node, &mut Wires { effects: &mut effects, open: &mut open });
+        // What was sent counts before what came of it: the machine has made all its numbers by now.
+        effects.iter().for_each(|effect| self.sent(effect));
         let result = effects.iter().try_for_each(|effect| self.follow(i, effect));
         let result = result.and_then(|()| self.judge_step(i, &effects));
         if self.keep_log {

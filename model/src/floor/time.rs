@@ -73,6 +73,7 @@ impl Floor {
     }
 
     fn one_tick(&mut self, code: u16) -> Result<(), Violation> {
+        self.passed += 1;
         self.used.fill(0);
         for crossing in &mut self.crossings {
             crossing.age += 1;
