@@ -138,7 +138,7 @@ impl Node {
         match input {
             NodeInput::Advance(elapsed) => self.advance(elapsed, out),
             NodeInput::Request(task, request) => {
-                self.work.push_back(Work::Task(task, Input::Request(request)));
+                self.carry_out(Work::Task(task, Input::Request(request)), out);
             }
             NodeInput::Packet { packet, charge } => self.arrive(packet, charge, out),
             NodeInput::PeerRestarted(node) => {

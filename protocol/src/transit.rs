@@ -174,7 +174,8 @@ impl Transit {
         let word = open(&self.words, &mut ready);
         let waiting = match (message, word) {
             (None, None) => return None,
-            (message, Some((key, slot))) if message.is_none_or(|(other, _)| key < other) => {
+            // Of equal urgency the word goes first: which of the two came first is in no packed state.
+            (message, Some((key, slot))) if message.is_none_or(|(other, _)| key >> 64 <= other >> 64) => {
                 self.words.remove(slot)?
             }
             (message, _) => self.queue.remove(message?.1)?,

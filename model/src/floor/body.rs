@@ -1,7 +1,8 @@
 //! What tasks do on a floor: free bodies, whose every choice the checker takes.
 
 use super::plan::{Errand, FloorPlan, TaskPlan, Times};
-use imrs_protocol::{Call, Class, Contents, Delivery, ReplyTo, Request, Signal, TaskId, TimeId};
+use super::script::Actor;
+use imrs_protocol::{Call, Class, Contents, Delivery, PortId, ReplyTo, Request, Signal, TaskId, TimeId};
 
 /// What a level of a body is at.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -32,6 +33,9 @@ pub(crate) struct Level {
     pub left: u8,
     /// Ghost: what the command said that it waits for.
     pub question: u8,
+    /// Ghost: whether the wait is a GET, and the port it is on.
+    pub get: bool,
+    pub port: Option<PortId>,
     /// Ghost: the rank of the message that this handler runs for.
     pub rank: u8,
 }
@@ -41,7 +45,7 @@ impl Level {
 }
 
 /// A task's own state.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
+#[derive(Clone, Debug, Default)]
 pub(crate) struct Body {
     /// Errands left; [`Body::ENDLESS`] for ever.
     pub times: u8,
@@ -49,6 +53,8 @@ pub(crate) struct Body {
     pub rest: u8,
     /// The thread, and the handlers that interrupted each other.
     pub levels: Vec<Level>,
+    /// Where a script says what it does: then the levels only tell what it waits for.
+    pub actor: Option<Actor>,
 }
 
 impl Body {
@@ -66,7 +72,7 @@ impl Body {
                 Times::Endless => Self::ENDLESS,
             },
         };
-        Self { times, rest: 0, levels: vec![Level::default()] }
+        Self { times, rest: 0, levels: vec![Level::default()], actor: plan.script.as_ref().map(Actor::new) }
     }
 
     /// What it asks before anything else.
@@ -89,6 +95,9 @@ impl Body {
 
     /// Whether it can go on by itself now.
     pub fn may_act(&self, plan: &TaskPlan) -> bool {
+        if self.actor.is_some() {
+            return false;
+        }
         let top = self.top();
         match top.does {
             Does::Free => self.times > 0 && self.rest == 0,
@@ -100,6 +109,9 @@ impl Body {
 
     /// Whether it goes on before anything else happens.
     pub fn must_act(&self, plan: &TaskPlan) -> bool {
+        if let Some(actor) = &self.actor {
+            return actor.must_act();
+        }
         let top = self.top();
         self.may_act(plan)
             && match top.does {
@@ -113,11 +125,14 @@ impl Body {
     /// Whether its handler may send its nested command now.
     pub fn may_nest(&self, plan: &TaskPlan) -> bool {
         let top = self.top();
-        plan.nested.is_some() && self.levels.len() > 1 && top.does == Does::Serves && !top.nested
+        self.actor.is_none() && plan.nested.is_some() && self.levels.len() > 1 && top.does == Does::Serves && !top.nested
     }
 
     /// A tick passes for it.
     pub fn tick(&mut self, plan: &TaskPlan) {
+        if let Some(actor) = &mut self.actor {
+            return actor.tick();
+        }
         self.rest = self.rest.saturating_sub(1);
         let last = self.levels.len() - 1;
         for (i, level) in self.levels.iter_mut().enumerate() {
@@ -227,6 +242,7 @@ impl Body {
             if handler {
                 level.does = Does::Serves;
                 (level.question, level.left) = (0, 0);
+                (level.get, level.port) = (false, None);
             } else {
                 *level = Level::default();
             }

@@ -2,6 +2,7 @@
 
 use super::body::{Body, Does, Level};
 use super::judge::Name;
+use super::script::Running;
 use super::{Crossing, Floor};
 use crate::state::{Packed, Violation};
 use imrs_protocol::{
@@ -142,12 +143,25 @@ impl Floor {
         if top > 15 {
             return Err(Overflow);
         }
-        out.extend([body.times, body.rest]);
+        if let Some(actor) = &body.actor {
+            put(out, |room| actor.script.store(&actor.program, &bases.frame(), room))?;
+            out.push(byte(actor.running.len())?);
+            actor.running.iter().for_each(|action| out.extend([action.level, action.least, action.most]));
+        } else {
+            out.extend([body.times, body.rest]);
+        }
         for (depth, level) in body.levels.iter().enumerate() {
             let last = if depth + 1 == body.levels.len() { 0x80 } else { 0 };
             let does = level.does as u8;
-            let flags = (u8::from(level.to.is_some()) << 2) | (u8::from(level.nested) << 3) | last;
+            let flags = (u8::from(level.to.is_some()) << 2)
+                | (u8::from(level.nested) << 3)
+                | (u8::from(level.get) << 4)
+                | (u8::from(level.port.is_some()) << 5)
+                | last;
             out.push(does | flags);
+            if let Some(port) = level.port {
+                out.push(byte(port.0)?);
+            }
             if let Some(to) = level.to {
                 out.extend([byte(to.source.0)?, byte(to.port.0)?]);
                 if bases.lives {
@@ -345,12 +359,24 @@ impl Floor {
 }
 
 fn load_body(body: &mut Body, waits: bool, lives: bool, eye: &mut Eye<'_>) {
-    (body.times, body.rest) = (eye.byte(), eye.byte());
+    if let Some(actor) = &mut body.actor {
+        eye.at += actor.script.load(&actor.program, lives, eye.rest());
+        actor.running.clear();
+        for _ in 0..eye.byte() {
+            actor.running.push(Running { level: eye.byte(), least: eye.byte(), most: eye.byte() });
+        }
+    } else {
+        (body.times, body.rest) = (eye.byte(), eye.byte());
+    }
     body.levels.clear();
     loop {
         let flags = eye.byte();
         let does = [Does::Free, Does::Waits, Does::Serves, Does::Works][usize::from(flags & 3)];
-        let mut level = Level { does, nested: flags & 8 != 0, ..Level::default() };
+        let mut level =
+            Level { does, nested: flags & 8 != 0, get: flags & 16 != 0, ..Level::default() };
+        if flags & 32 != 0 {
+            level.port = Some(PortId(u16::from(eye.byte())));
+        }
         if flags & 4 != 0 {
             let (source, port) = (TaskId(u16::from(eye.byte())), PortId(u16::from(eye.byte())));
             let incarnation = Incarnation(if lives { eye.byte() } else { 0 });

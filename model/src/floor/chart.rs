@@ -117,9 +117,12 @@ impl Lanes {
         }
         for effect in &floor.log {
             match effect {
-                Effect::Seen(Some(task), seen) => pen.shown(tick, task.index(), &Shown::Seen(*seen)),
+                Effect::Seen(_, Some(task), seen) => pen.shown(tick, task.index(), &Shown::Seen(*seen)),
                 Effect::Told(task, signal) => pen.shown(tick, task.index(), &Shown::Told(*signal)),
-                Effect::Seen(None, _) | Effect::Sent(..) => {}
+                Effect::Seen(node, None, seen) => {
+                    pen.shown(tick, self.on_node(*node), &Shown::Seen(*seen));
+                }
+                Effect::Sent(..) => {}
             }
         }
     }

@@ -1,10 +1,11 @@
 //! What a floor remembers beside the machine to judge it, and the watches' verdicts.
 
 use super::body::{Does, Level, says};
-use super::plan::{Errand, FloorPlan, FloorWatch, Goal};
+use super::plan::{FloorPlan, FloorWatch, Goal};
 use super::{Effect, Floor};
 use crate::state::Violation;
 use imrs_protocol::rules::Aging;
+use imrs_protocol::script::ScriptInput;
 use imrs_protocol::{
     Call, Class, CommTask, Control, Delivery, Event, Fault, Kind, NodeId, Observation, Outcome, Packet, PortId,
     Reason, Request, Seq24, ServiceOrder, Signal, TaskId, Ticks, Usage,
@@ -58,8 +59,29 @@ impl Ghosts {
 }
 
 impl Floor {
-    /// Notes what a request entitles its task to.
+    /// Notes that a task waits, and what for.
     pub(super) fn asked(&mut self, task: usize, request: &Request) {
+        let names_ports = self.plan.names_ports();
+        let body = &mut self.bodies[task];
+        if *request == Request::Return && body.levels.len() > 1 {
+            body.levels.pop();
+            return;
+        }
+        let Some(level) = body.top_mut() else { return };
+        let (does, get, port) = match *request {
+            Request::Send { port, .. } | Request::Arrive { port, .. } => (Does::Waits, false, Some(port)),
+            Request::Get { port, .. } => (Does::Waits, true, port),
+            Request::Delay { .. } | Request::Boundary | Request::Lease => (Does::Waits, false, None),
+            Request::Work => (Does::Works, false, None),
+            _ => return,
+        };
+        let named = names_ports || get;
+        (level.does, level.get, level.port) = (does, get, port.filter(|_| named));
+        self.entitle(task, request);
+    }
+
+    /// Notes for how long the task may wait.
+    fn entitle(&mut self, task: usize, request: &Request) {
         let Some(slack) = self.plan.waits() else { return };
         let at = TaskId::from_index(task);
         let own = |port: PortId| self.plan.cell.port(port).and_then(|p| p.party(at)).map(|p| p.time_out);
@@ -69,7 +91,8 @@ impl Floor {
             }
             Request::Get { time_out, .. } => time_out,
             Request::Delay { length, .. } => Some(length),
-            _ => return,
+            Request::Boundary => Some(Ticks::ZERO),
+            _ => None,
         };
         let left = limit.filter(|l| *l != Ticks::FAR).map_or(Level::FOREVER, |limit| {
             let whole = limit.0 + 1 + u64::from(slack);
@@ -85,6 +108,7 @@ impl Floor {
         self.count_signal(task)?;
         let top = self.bodies[task].top();
         let waits = top.does == Does::Waits;
+        let scripted = self.leave(task, ScriptInput::Signal(*signal));
         let plan = std::sync::Arc::clone(&self.plan);
         match signal {
             Signal::Interrupt(call) => {
@@ -120,8 +144,8 @@ impl Floor {
                     | Outcome::PeerRestarted => true,
                 };
                 let answered = matches!(outcome, Outcome::Reply(_));
-                let port = self.asks_on(task);
-                if waits && !right && self.plan.waits().is_some() {
+                let port = top.port;
+                if waits && !right && !scripted && self.plan.waits().is_some() {
                     return Err(Violation::WrongAnswer);
                 }
                 if !answered && port.is_some_and(|port| self.plan.watches(FloorWatch::Served { port })) {
@@ -183,7 +207,7 @@ impl Floor {
 
     /// Notes a message that was sent.
     pub(super) fn sent(&mut self, effect: &Effect) {
-        let Effect::Seen(Some(source), Observation { event: Event::Sent, number, remaining, .. }) = *effect else {
+        let Effect::Seen(_, Some(source), Observation { event: Event::Sent, number, remaining, .. }) = *effect else {
             return;
         };
         if let Some(slack) = self.plan.stale() {
@@ -260,7 +284,7 @@ impl Floor {
         let outranks = if body.levels.len() > 1 {
             rank < top.rank
         } else {
-            let plain_get = matches!(self.plan.tasks[task].errand, Errand::Receive { .. });
+            let plain_get = top.get;
             let capped = refused >= base.max(1);
             plain_get || capped || rank < self.plan.tasks[task].order.own()
         };
@@ -278,7 +302,8 @@ impl Floor {
     fn judge_bypass(&mut self, task: usize, delivery: &Delivery) -> Result<(), Violation> {
         let Some((watched, most, _)) = self.plan.fair() else { return Ok(()) };
         let at = TaskId::from_index(task);
-        if watched != at || !matches!(self.plan.tasks[task].errand, Errand::Receive { port: None, .. }) {
+        let top = self.bodies[task].top();
+        if watched != at || !top.get || top.port.is_some() {
             return Ok(());
         }
         let station = &self.stations[self.station_of(task)];
@@ -315,7 +340,7 @@ impl Floor {
         }
         let cell = &self.plan.cell;
         let dropped = |effect: &Effect| {
-            let Effect::Seen(None, seen) = effect else { return false };
+            let Effect::Seen(_, None, seen) = effect else { return false };
             let for_space = matches!(seen.event, Event::Discarded(Reason::Refused | Reason::Evicted));
             let port = cell.port(seen.port);
             let command = port.is_some_and(|p| p.decl.class == Class::Command);

@@ -8,20 +8,23 @@ mod canon;
 mod chart;
 mod judge;
 pub mod plan;
+mod script;
 mod search;
 mod time;
 pub mod worlds;
 
 pub use chart::draw_floor;
-pub use search::{FloorModel, explore_floor};
+pub use search::{FloorModel, LiveFloor, explore_floor};
 
 use crate::state::Violation;
 use body::{Body, Does};
 use imrs_protocol::{
-    Incarnation, Node, NodeId, NodeInput, NodeOutbox, NodeTable, Observation, Packet, PortId, Request, Round,
+    Incarnation, Node, NodeId, NodeInput, NodeOutbox, NodeTable, Observation, Packet, Request, Round,
     Seq24, Signal, TaskId, Ticks, invariants,
 };
+use imrs_protocol::script::ScriptInput;
 use plan::{FloorPlan, Way};
+use std::collections::VecDeque;
 use std::sync::Arc;
 
 /// One thing that can happen next on a floor.
@@ -45,6 +48,10 @@ pub enum Move {
     Restart(u8),
     /// The next effect within the node is carried out (unfused).
     Proceed(u8),
+    /// The script gets its choice.
+    Choose(u8, u8),
+    /// The action that this thread of the script began ends.
+    Acted(u8, u8),
 }
 
 /// A packet on a link.
@@ -94,6 +101,8 @@ pub(crate) struct Floor {
     /// How many ticks have passed since this was last set to zero.
     pub passed: u32,
     spare: Vec<Effect>,
+    /// What scripts have not taken yet. Empty between moves.
+    inputs: VecDeque<(usize, ScriptInput)>,
 }
 
 /// What a node did in one step, in order.
@@ -101,13 +110,15 @@ pub(crate) struct Floor {
 pub(crate) enum Effect {
     Sent(NodeId, Packet),
     Told(TaskId, Signal),
-    Seen(Option<TaskId>, Observation),
+    /// At a node, by a task or by the transit buffer.
+    Seen(u8, Option<TaskId>, Observation),
 }
 
 /// Where the effects of one node go. `open` says how many packets each of its links still takes.
 struct Wires<'a> {
     effects: &'a mut Vec<Effect>,
     open: &'a mut [(NodeId, u8)],
+    node: u8,
 }
 
 impl NodeOutbox for Wires<'_> {
@@ -127,7 +138,7 @@ impl NodeOutbox for Wires<'_> {
     }
 
     fn observe(&mut self, at: Option<TaskId>, observation: Observation) {
-        self.effects.push(Effect::Seen(at, observation));
+        self.effects.push(Effect::Seen(self.node, at, observation));
     }
 }
 
@@ -159,6 +170,7 @@ impl Floor {
             keep_log: false,
             passed: 0,
             spare: Vec::new(),
+            inputs: VecDeque::new(),
             links,
             plan: Arc::clone(plan),
         };
@@ -178,6 +190,9 @@ impl Floor {
     }
 
     fn begin(&mut self, task: usize) -> Result<(), Violation> {
+        if self.leave(task, ScriptInput::Begin) {
+            return self.run_scripts();
+        }
         let requests = Body::setup(&self.plan.tasks[task]);
         requests.into_iter().try_for_each(|request| self.ask(task, request))
     }
@@ -215,6 +230,13 @@ impl Floor {
 
     fn go_on(&self, task: usize, moves: &mut Vec<Move>) {
         let (body, plan) = (&self.bodies[task], &self.plan.tasks[task]);
+        if let Some(actor) = &body.actor {
+            let choices = 0..actor.chooses().unwrap_or(0);
+            moves.extend(choices.map(|k| Move::Choose(small(task), small(usize::from(k)))));
+            let may = actor.running.iter().filter(|action| action.least == 0);
+            moves.extend(may.map(|action| Move::Acted(small(task), action.level)));
+            return;
+        }
         if body.may_act(plan) {
             moves.push(Move::Act(small(task)));
         }
@@ -270,7 +292,8 @@ impl Floor {
 
     /// Carries a move out. What a watch finds wrong becomes the state's violation.
     pub fn apply(&mut self, step: Move) {
-        let result = self.carry_out(step).and_then(|()| self.settle()).and_then(|()| self.judge_state());
+        let moved = self.carry_out(step).and_then(|()| self.run_scripts());
+        let result = moved.and_then(|()| self.settle()).and_then(|()| self.judge_state());
         if let Err(violation) = result {
             self.violation = Some(violation);
         }
@@ -309,6 +332,14 @@ impl Floor {
             }
             Move::Restart(i) => self.restart(usize::from(i)),
             Move::Proceed(i) => self.proceed(usize::from(i)),
+            Move::Choose(task, choice) => {
+                self.leave(usize::from(task), ScriptInput::Chosen(u16::from(choice)));
+                Ok(())
+            }
+            Move::Acted(task, level) => {
+                self.acted(usize::from(task), level);
+                Ok(())
+            }
         }
     }
 
@@ -319,10 +350,14 @@ impl Floor {
             self.flush()?;
             let forced = self.forced();
             let [task] = forced[..] else { return Ok(()) };
+            if self.bodies[task].actor.is_some() {
+                return Ok(());
+            }
             if !self.plan.fused || self.bodies[task].may_nest(&self.plan.tasks[task]) {
                 return Ok(());
             }
             self.act(task)?;
+            self.run_scripts()?;
         }
         Err(Violation::Zeno)
     }
@@ -332,9 +367,6 @@ impl Floor {
         let serves = self.bodies[task].top().does == Does::Serves;
         let requests = self.bodies[task].act(TaskId::from_index(task), &plan);
         for request in requests {
-            if request == Request::Return {
-                self.bodies[task].levels.pop();
-            }
             self.ask(task, request)?;
         }
         if serves && self.bodies[task].levels.len() == 1 && self.bodies[task].top().does == Does::Serves {
@@ -378,11 +410,8 @@ impl Floor {
             self.drive(i, |node, out| node.step(input, out))
         } else {
             self.drive(i, |node, out| {
-                node.begin(input, out);
                 // What the input itself does is one step; what follows from it within the node are others.
-                if !matches!(input, NodeInput::Packet { .. }) {
-                    node.proceed(out);
-                }
+                node.begin(input, out);
                 if !node.is_busy() {
                     node.flush(out);
                 }
@@ -402,7 +431,7 @@ impl Floor {
     fn drive(&mut self, i: usize, work: impl FnOnce(&mut Node, &mut Wires<'_>)) -> Result<(), Violation> {
         let mut effects = std::mem::take(&mut self.spare);
         let mut open = self.open(i);
-        work(&mut self.stations[i].node, &mut Wires { effects: &mut effects, open: &mut open });
+        work(&mut self.stations[i].node, &mut Wires { effects: &mut effects, open: &mut open, node: small(i) });
         // What was sent counts before what came of it: the machine has made all its numbers by now.
         effects.iter().for_each(|effect| self.sent(effect));
         let result = effects.iter().try_for_each(|effect| self.follow(i, effect));
@@ -434,7 +463,7 @@ impl Floor {
                 Ok(())
             }
             Effect::Told(task, signal) => self.told(task.index(), signal),
-            Effect::Seen(at, observation) => self.seen(*at, observation),
+            Effect::Seen(_, at, observation) => self.seen(*at, observation),
         }
     }
 
@@ -465,19 +494,6 @@ impl Floor {
             }
         }
         Ok(())
-    }
-
-    /// The port on which the top level of a task waits for an answer.
-    fn asks_on(&self, task: usize) -> Option<PortId> {
-        let plan = &self.plan.tasks[task];
-        match plan.errand {
-            _ if self.bodies[task].levels.len() > 1 => plan.nested,
-            plan::Errand::Send { port, .. } | plan::Errand::Meet { port, .. } => Some(port),
-            plan::Errand::Rest
-            | plan::Errand::Receive { .. }
-            | plan::Errand::Work { .. }
-            | plan::Errand::Delay { .. } => None,
-        }
     }
 }
 

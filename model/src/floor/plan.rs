@@ -1,6 +1,6 @@
 //! What a floor is made of: a cell, what its tasks do, what links and faults may do, what is watched.
 
-use imrs_protocol::rules::JobRequest;
+use imrs_protocol::script::Program;
 use imrs_protocol::{CellTable, NodeId, NodeTable, PortId, ServiceOrder, Target, TaskId, Ticks};
 use std::sync::Arc;
 
@@ -76,6 +76,8 @@ pub struct TaskPlan {
     pub nested: Option<PortId>,
     /// Whether the thread does its next errand at once, rather than whenever it likes.
     pub hurry: bool,
+    /// The program that it runs instead of an errand.
+    pub script: Option<Arc<Program>>,
 }
 
 impl TaskPlan {
@@ -83,7 +85,21 @@ impl TaskPlan {
     #[must_use]
     pub fn new(errand: Errand) -> Self {
         let order = ServiceOrder::default();
-        Self { errand, handles: Vec::new(), order, service: (0, u8::MAX), nested: None, hurry: false }
+        Self {
+            errand,
+            handles: Vec::new(),
+            order,
+            service: (0, u8::MAX),
+            nested: None,
+            hurry: false,
+            script: None,
+        }
+    }
+
+    /// A task that runs a program. Its `order` is what the watches believe; the program must say the same.
+    #[must_use]
+    pub fn scripted(program: Arc<Program>) -> Self {
+        Self { script: Some(program), ..Self::new(Errand::Rest) }
     }
 
     /// Does its errand at once whenever it is free.
@@ -316,8 +332,8 @@ impl FloorPlan {
         self.fair().is_some() || self.watches(FloorWatch::Order)
     }
 
-    /// Whether the Timer waits for busy tasks: then it matters for how long a task works.
-    pub(crate) fn blocking(&self) -> bool {
-        self.cell.cell().rules.job_request == JobRequest::Blocking
+    /// Whether the ports on which tasks wait matter.
+    pub(crate) fn names_ports(&self) -> bool {
+        self.watches.iter().any(|w| matches!(w, FloorWatch::Served { .. }))
     }
 }

@@ -50,6 +50,18 @@ impl FloorModel {
         })
     }
 
+    /// A quiescent state as the same floor with fused steps writes it.
+    #[doc(hidden)]
+    #[must_use]
+    pub fn as_fused(&self, state: &Packed) -> Packed {
+        self.0.with(|floor| {
+            floor.load(state);
+            let mut fused = floor.clone();
+            fused.plan = Arc::new(FloorPlan { fused: true, ..(*floor.plan).clone() });
+            fused.store()
+        })
+    }
+
     /// The state written again.
     #[doc(hidden)]
     #[must_use]
@@ -86,4 +98,36 @@ impl Model for FloorModel {
 #[must_use]
 pub fn explore_floor(plan: &Arc<FloorPlan>, limits: Limits) -> Exploration<Move> {
     search(Floor::new(plan), limits, None)
+}
+
+/// A floor that is never packed: every step works on a copy of the whole. For tests that compare.
+#[doc(hidden)]
+#[derive(Clone, Debug)]
+pub struct LiveFloor(Floor);
+
+impl LiveFloor {
+    /// The first state.
+    #[must_use]
+    pub fn new(plan: &Arc<FloorPlan>) -> Self {
+        Self(Floor::new(plan))
+    }
+
+    /// Every state that can follow.
+    #[must_use]
+    pub fn next(&self) -> Vec<Self> {
+        let mut moves = Vec::new();
+        self.0.moves(&mut moves);
+        let follow = |step| {
+            let mut next = self.clone();
+            next.0.apply(step);
+            next
+        };
+        moves.into_iter().map(follow).collect()
+    }
+
+    /// The packed form.
+    #[must_use]
+    pub fn packed(&self) -> Packed {
+        self.0.clone().store()
+    }
 }

@@ -70,6 +70,7 @@ impl Floor {
         self.crossings.is_empty()
             && !self.stations.iter().any(|s| s.up && waits(&s.node))
             && self.bodies.iter().all(|b| b.levels.iter().all(|l| !matches!(l.does, Does::Works | Does::Serves)))
+            && self.bodies.iter().all(|b| b.actor.as_ref().is_none_or(|actor| actor.running.is_empty()))
     }
 
     fn one_tick(&mut self, code: u16) -> Result<(), Violation> {
