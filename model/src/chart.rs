@@ -202,8 +202,11 @@ impl Pen {
             Event::Delivered => format!("takes #{number} of {}", peer()),
             Event::TimedOut => format!("TIME_OUT of #{number}"),
             Event::TimedOutUnsent => format!("TIME_OUT of #{number}, unsent"),
+            Event::Rejected => format!("rejects #{number} of {}", peer()),
+            Event::Resumed => "resumes".into(),
             Event::Discarded(reason) => format!("drops #{number}: {}", reason.name()),
-            Event::Enqueued
+            Event::Interrupted
+            | Event::Enqueued
             | Event::Answered
             | Event::RefusedByPeer
             | Event::PeerRestarted

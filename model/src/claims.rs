@@ -4,6 +4,7 @@
 mod commands;
 mod floors;
 mod meetings;
+mod service;
 
 use crate::chart::{Counterexample, draw};
 use crate::explore::{Exploration, Limits, explore};
@@ -176,6 +177,7 @@ fn all() -> Vec<Claim> {
     let mut claims = meetings::claims();
     claims.extend(commands::claims());
     claims.extend(floors::claims());
+    claims.extend(service::claims());
     claims
 }
 

@@ -18,6 +18,7 @@
 
 extern crate alloc;
 
+pub mod aging;
 pub mod cell;
 mod comm_task;
 mod ids;

@@ -115,6 +115,7 @@ impl Floor {
                 self.judge_interrupt(task, call)?;
                 if let Call::Message(delivery) = call {
                     self.handed_over(delivery)?;
+                    self.forget(task, delivery);
                 }
                 let rank = self.rank_of_handler(task, call);
                 self.bodies[task].hear(signal);
@@ -126,6 +127,7 @@ impl Floor {
             Signal::Message(delivery) => {
                 self.handed_over(delivery)?;
                 self.judge_bypass(task, delivery)?;
+                self.forget(task, delivery);
                 self.bodies[task].hear(signal);
                 return if waits { Ok(()) } else { Err(Violation::SecondOutcome) };
             }
@@ -238,12 +240,34 @@ impl Floor {
                 let served = FloorWatch::Served { port: seen.port };
                 if self.plan.watches(served) { Err(Violation::NotServed) } else { Ok(()) }
             }
-            Event::Delivered => {
-                self.ghosts.refused.retain(|entry| !this(entry));
-                Ok(())
-            }
+            Event::Rejected => self.refused(task, seen.port, name),
             _ => Ok(()),
         }
+    }
+
+    /// The thread of a task refused a message by rank. What handlers refuse while they wait is not counted: however
+    /// often a message was refused, it interrupts the thread, not them (D76).
+    fn refused(&mut self, task: TaskId, port: PortId, name: Name) -> Result<(), Violation> {
+        if !self.plan.counts_refusals() || self.bodies[task.index()].levels.len() > 1 {
+            return Ok(());
+        }
+        let cap = self.plan.tasks[task.index()].order.rank(port, name.source).max(1);
+        let most = self.plan.fair().filter(|fair| fair.0 == task).map(|fair| fair.2);
+        let entries = &mut self.ghosts.refused;
+        let at = entries.iter().position(|e| (e.0, e.1, e.2) == (task, port, name)).unwrap_or(entries.len());
+        if at == entries.len() {
+            entries.push((task, port, name, 0));
+        }
+        let count = &mut entries[at].3;
+        // Without a bound to judge by, more refusals than the cap say nothing.
+        *count = if most.is_some() { count.saturating_add(1) } else { count.saturating_add(1).min(cap) };
+        if most.is_some_and(|most| *count > most) { Err(Violation::RefusedTooOften) } else { Ok(()) }
+    }
+
+    /// A message waits no more.
+    fn forget(&mut self, task: usize, delivery: &Delivery) {
+        let gone = (TaskId::from_index(task), delivery.from.port, Name::of(delivery));
+        self.ghosts.refused.retain(|e| (e.0, e.1, e.2) != gone);
     }
 
     /// How often the message that a call is for was refused, as far as that counts.

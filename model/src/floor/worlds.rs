@@ -1,5 +1,9 @@
 //! The floors of the protocol's claims.
 
+mod served;
+
+pub use served::{Flood, Interrupted, Workshop, penalised, query_all};
+
 use super::plan::{Errand, Faults, FloorPlan, FloorWatch, TaskPlan, Times};
 use imrs_protocol::rules::Rules;
 use imrs_protocol::{Cell, CellError, CellTable, PortDecl, PortId, Target, TaskId, Ticks, Usage};
