@@ -203,7 +203,7 @@ impl Pen {
             Event::TimedOut => format!("TIME_OUT of #{number}"),
             Event::TimedOutUnsent => format!("TIME_OUT of #{number}, unsent"),
             Event::Rejected => format!("rejects #{number} of {}", peer()),
-            Event::Resumed => "resumes".into(),
+            Event::Resumed => "goes on".into(),
             Event::Discarded(reason) => format!("drops #{number}: {}", reason.name()),
             Event::Interrupted
             | Event::Enqueued

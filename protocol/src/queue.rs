@@ -20,6 +20,13 @@ pub(crate) struct Queue<T> {
     free: Vec<Slot>,
 }
 
+/// A queue of nothing, which takes no memory.
+impl<T> Default for Queue<T> {
+    fn default() -> Self {
+        Self::new(0)
+    }
+}
+
 impl<T> Queue<T> {
     /// A queue of at most `capacity` entries. The only allocation it ever makes.
     pub fn new(capacity: u16) -> Self {
@@ -89,6 +96,12 @@ impl<T> Queue<T> {
         let mut all: Vec<_> = self.iter().collect();
         all.sort_unstable_by_key(|&(key, ..)| key);
         all
+    }
+
+    /// As [`rekey`](Self::rekey), from the most urgent entry on. A heap in full order is a heap.
+    pub fn rekey_in_order(&mut self, change: impl FnMut(u128, &mut T) -> u128) {
+        self.heap.sort_unstable();
+        self.rekey(change);
     }
 
     /// Changes every entry and its key, which `change` gets; the queue is put in order again afterwards.

@@ -155,7 +155,8 @@ impl Floor {
                 }
                 self.reach(Goal::Answered, answered)?;
             }
-            Signal::Answers { answers, .. } => {
+            Signal::Answers { port, answers } => {
+                self.judge_answers(task, *port, answers.answered)?;
                 let all = answers.asked == answers.answered && answers.asked.count_ones() > 1;
                 self.reach(Goal::AllAnswered, all)?;
             }
@@ -172,6 +173,21 @@ impl Floor {
         }
         self.bodies[task].resume();
         Ok(())
+    }
+
+    /// Whoever is marked as having answered has given the answer to this question.
+    fn judge_answers(&self, task: usize, port: PortId, answered: u64) -> Result<(), Violation> {
+        if self.plan.waits().is_none() || self.bodies[task].actor.is_some() {
+            return Ok(());
+        }
+        let machine = self.stations[self.station_of(task)].node.task(TaskId::from_index(task));
+        let parties = self.plan.cell.port(port).map_or(&[][..], |port| &port.parties);
+        let question = says(self.bodies[task].top().question, &self.plan);
+        let wrong = parties.iter().enumerate().any(|(i, party)| {
+            let said = machine.and_then(|m| m.answer_of(port, party.task));
+            answered >> i & 1 == 1 && said != Some(&question)
+        });
+        if wrong { Err(Violation::WrongAnswer) } else { Ok(()) }
     }
 
     fn count_signal(&mut self, task: usize) -> Result<(), Violation> {

@@ -1,9 +1,10 @@
 //! Tasks whose behaviour is a script: the machine's own [`Script`], whose choices and actions the checker takes.
 
 use super::Floor;
+use super::plan::FloorPlan;
 use crate::state::Violation;
-use imrs_protocol::Request;
 use imrs_protocol::script::{Action, Activity, End, Program, Script, ScriptInput, ScriptOutbox};
+use imrs_protocol::{CommTask, Contents, PortId, Request, TaskId};
 use std::sync::Arc;
 
 /// An action of a script that has begun.
@@ -52,15 +53,16 @@ impl Actor {
 }
 
 /// What one step of a script asks for.
-#[derive(Default)]
-struct Wanted {
+struct Wanted<'a> {
+    plan: &'a FloorPlan,
+    machine: Option<&'a CommTask>,
     requests: Vec<Request>,
     began: Vec<Running>,
     cut: Vec<u8>,
     end: Option<End>,
 }
 
-impl ScriptOutbox for Wanted {
+impl ScriptOutbox for Wanted<'_> {
     fn request(&mut self, request: Request) {
         self.requests.push(request);
     }
@@ -81,6 +83,19 @@ impl ScriptOutbox for Wanted {
 
     fn ended(&mut self, end: End) {
         self.end = Some(end);
+    }
+
+    fn fragment(&mut self, index: u8) -> Option<Contents> {
+        self.machine?.fragment(index).copied()
+    }
+
+    fn answer(&mut self, port: PortId, task: Option<TaskId>, index: u8) -> Option<Contents> {
+        let machine = self.machine?;
+        let answer = |task| machine.answer_fragment(port, task, index).copied();
+        match task {
+            Some(task) => answer(task),
+            None => self.plan.cell.port(port)?.peers(machine.task()).find_map(answer),
+        }
     }
 }
 
@@ -107,8 +122,12 @@ impl Floor {
     }
 
     fn run_script(&mut self, task: usize, input: ScriptInput) -> Result<(), Violation> {
+        let station = self.station_of(task);
+        let machine = self.stations[station].node.task(TaskId::from_index(task));
         let Some(actor) = &mut self.bodies[task].actor else { return Ok(()) };
-        let mut wanted = Wanted::default();
+        let plan = &self.plan;
+        let mut wanted =
+            Wanted { plan, machine, requests: Vec::new(), began: Vec::new(), cut: Vec::new(), end: None };
         actor.script.step(&actor.program, input, &mut wanted);
         actor.running.retain(|action| !wanted.cut.contains(&action.level));
         actor.running.extend(&wanted.began);
@@ -116,7 +135,8 @@ impl Floor {
         if matches!(wanted.end, Some(End::Fault { .. } | End::Assertion(_))) {
             return Err(Violation::Script);
         }
-        wanted.requests.into_iter().try_for_each(|request| self.ask(task, request))
+        let requests = wanted.requests;
+        requests.into_iter().try_for_each(|request| self.ask(task, request))
     }
 
     /// The action of this thread has ended well.
