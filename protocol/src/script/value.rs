@@ -292,7 +292,7 @@ fn reals(operator: Binary, a: f32, b: f32) -> Result<i64, ScriptFault> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use Binary::{Add, And, Divide, Equal, Less, Multiply, Or, Remainder, Subtract};
+    use Binary::{Add, And, Divide, Less, Multiply, Or, Remainder, Subtract};
 
     fn value(terms: &[Term]) -> Result<i64, ScriptFault> {
         eval(terms, |_| None)

@@ -76,6 +76,9 @@ impl<'a, O: ScriptOutbox> Turn<'a, O> {
             }
             (Wait::Entering(inbound), Signal::Fault(Fault::Busy)) => {
                 self.inbound = inbound;
+                if inbound.is_some() {
+                    self.outcome = StatementOutcome::Message;
+                }
                 self.frame().wait = Wait::Nothing;
                 self.run();
             }
