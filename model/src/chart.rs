@@ -139,10 +139,8 @@ impl Pen {
         }
         self.line(tick, &line);
         let verb = if fate.is_empty() { "arrives" } else { fate };
-        self.steps.push(format!(
-            "tick {tick}: {label} from {} to {} {verb}",
-            self.names[from], self.names[to]
-        ));
+        self.steps
+            .push(format!("tick {tick}: {label} from {} to {} {verb}", self.names[from], self.names[to]));
     }
 
     fn step(&mut self, tick: u32, action: Action, flight: Option<&Flight>, world: &World) {
@@ -204,6 +202,9 @@ impl Pen {
             Event::TimedOutUnsent => format!("TIME_OUT of #{number}, unsent"),
             Event::Rejected => format!("rejects #{number} of {}", peer()),
             Event::Resumed => "goes on".into(),
+            Event::Granted => format!("ACTS in epoch {number}"),
+            Event::TookOver => format!("TAKES OVER in epoch {number}"),
+            Event::Fenced => "is FENCED".into(),
             Event::Discarded(reason) => format!("drops #{number}: {}", reason.name()),
             Event::Interrupted
             | Event::Enqueued

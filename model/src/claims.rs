@@ -2,6 +2,7 @@
 //! the default rules, and fails, with its shortest counterexample, under each named variant.
 
 mod commands;
+mod couples;
 mod floors;
 mod meetings;
 mod service;
@@ -178,6 +179,7 @@ fn all() -> Vec<Claim> {
     claims.extend(commands::claims());
     claims.extend(floors::claims());
     claims.extend(service::claims());
+    claims.extend(couples::claims());
     claims
 }
 

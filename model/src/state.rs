@@ -86,6 +86,7 @@ violations! {
     CommandEvicted 35 "a command made room while a status message stayed in the buffer",
     Zeno 36 "too much happens between two ticks",
     Faulted 37 "a request without fault was called faulty",
+    BothActive 40 "both tasks of a couple act at a time",
     Script 39 "a script ended in a fault or an assertion that does not hold",
     Reached 38 "what must be possible is possible",
     Overflow 20 "the state outgrew its packed form",

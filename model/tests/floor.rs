@@ -55,7 +55,8 @@ fn commands_stay_where_status_yields() {
 #[test]
 fn a_full_relay_tells_the_source() {
     let watches = vec![FloorWatch::Reach(Goal::RefusedOnTheWay)];
-    let relay = Relay { room: Some(1), transit: 1, commands: true, sends: (2, 2), watches, ..Relay::default() };
+    let relay =
+        Relay { room: Some(1), transit: 1, commands: true, sends: (2, 2), watches, ..Relay::default() };
     let found = explored(&relay.plan().expect("a sound declaration"));
     assert_eq!(found.violation, Some(Violation::Reached));
 }

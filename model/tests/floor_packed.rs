@@ -123,7 +123,8 @@ fn fused_and_unfused_steps_reach_the_same_quiescent_states() {
     let (_, fused) = reachable(&neighbours(true));
     let (model, unfused) = reachable(&neighbours(false));
     // The unfused form also says that nothing is outstanding: compare what a fused floor makes of it.
-    let quiet: HashSet<Packed> = unfused.iter().filter(|s| !s.is_final() && model.is_quiescent(s)).cloned().collect();
+    let quiet: HashSet<Packed> =
+        unfused.iter().filter(|s| !s.is_final() && model.is_quiescent(s)).cloned().collect();
     println!("{} fused, {} unfused, {} of them quiescent", fused.len(), unfused.len(), quiet.len());
     assert!(unfused.len() > fused.len());
     let fused_model = FloorModel::new(&neighbours(true), Limits::default());

@@ -104,6 +104,8 @@ pub struct CoupleDecl {
     pub every: Ticks,
     /// The port that carries them.
     pub via: PortId,
+    /// Whether the take-over is believed as it stands: for checkers, which search the least one.
+    pub trusted: bool,
     /// Whether the roles are exchanged at a take-over (`<->`), so that the former primary becomes the standby.
     pub mutual: bool,
 }
@@ -382,6 +384,30 @@ pub enum CellError {
         /// What it must exceed.
         least: Ticks,
     },
+    /// A couple's beats need a port between its two tasks alone, on which the standby asks and the primary responds.
+    NotForBeats(String),
+    /// A task is in two couples.
+    CoupledTwice(String),
+    /// A port acts under the lease of a couple that one of its senders is not in, or is a `waitfor`.
+    NotOfTheCouple(String),
+    /// The lease ends before a beat can renew it (D61).
+    LeaseTooShort {
+        /// The couple.
+        couple: String,
+        /// Its lease.
+        lease: Ticks,
+        /// What it must exceed.
+        least: Ticks,
+    },
+    /// The standby may take over while the primary still acts (D61).
+    TakeoverTooSoon {
+        /// The couple.
+        couple: String,
+        /// Its take-over.
+        takeover: Ticks,
+        /// What it must reach.
+        least: Ticks,
+    },
     /// The time_out cannot cover the way there and back.
     DeadlineTooShort {
         /// The port.
@@ -435,6 +461,25 @@ impl fmt::Display for CellError {
             Self::MarginTooLong { port, time_out, least } => write!(
                 f,
                 "waitfor `{port}`: time_out {time_out} must exceed {least} ticks (safety margin and way), or nobody is ever released"
+            ),
+            Self::NotForBeats(port) => write!(
+                f,
+                "port `{port}` cannot carry beats: it must join the two tasks of the couple alone, the standby with usage query, the primary with usage response"
+            ),
+            Self::CoupledTwice(couple) => {
+                write!(f, "couple `{couple}`: one of its tasks is in another couple already")
+            }
+            Self::NotOfTheCouple(port) => write!(
+                f,
+                "port `{port}` acts under a couple's lease: only the two tasks of that couple may send on it, and it cannot be a waitfor"
+            ),
+            Self::LeaseTooShort { couple, lease, least } => write!(
+                f,
+                "couple `{couple}`: lease {lease} must exceed {least} ticks (the way there and back and a period of the beats), or it can never be renewed"
+            ),
+            Self::TakeoverTooSoon { couple, takeover, least } => write!(
+                f,
+                "couple `{couple}`: takeover {takeover} must be at least {least} ticks (lease, drift, a tick and what was sent last), or both may act at a time"
             ),
             Self::DeadlineTooShort { port, time_out, least } => {
                 write!(

@@ -1,6 +1,28 @@
-//! The safety margin of a `waitfor` in closed form (D2, D56).
+//! Margins in closed form: that of a `waitfor` (D2, D56) and that of a take-over (D30, D61).
 
 use crate::ticks::Ticks;
+
+/// How much faster or slower than another a node's clock runs at most, in parts per million: twice what the
+/// oscillators of cheap boards are specified for.
+pub const DRIFT_PPM: u64 = 200;
+
+/// How much longer than the lease the standby of a couple must wait, so that both never act at a time.
+///
+/// The lease counts from when an answer was sent, the take-over from when it came, which is no earlier: the way costs
+/// nothing. What is left is `drift` over both waits, a `tick` by which the owner may notice the end of its lease late,
+/// and the `residence` of a command that it gave just before: the bound of the port that the command goes through.
+#[must_use]
+pub fn takeover_margin(
+    lease: Ticks,
+    takeover: Ticks,
+    drift_ppm: u64,
+    residence: Ticks,
+    tick: Ticks,
+) -> Ticks {
+    let both = lease + takeover;
+    let drift = Ticks(both.0.saturating_mul(drift_ppm).div_ceil(1_000_000));
+    if both == Ticks::FAR { Ticks::FAR } else { drift + residence + tick }
+}
 
 /// The least time that must remain of every arrival for a member to release, so that while each packet takes at most
 /// `delay` and at most `losses` packets of the meeting are lost, nobody is released while another gives up.
@@ -26,6 +48,15 @@ mod tests {
     fn the_margin_is_the_way_and_a_period_for_each_loss_with_a_tick_for_each_copy() {
         let margin = |losses| least_margin(Ticks(5), losses, Ticks(20), Ticks(1));
         assert_eq!([0, 1, 2].map(margin), [Ticks(6), Ticks(27), Ticks(48)]);
+    }
+
+    #[test]
+    fn a_takeover_waits_for_the_drift_of_both_clocks_a_tick_and_what_was_sent_last() {
+        let margin =
+            |residence| takeover_margin(Ticks(100_000), Ticks(400_000), DRIFT_PPM, residence, Ticks(1_000));
+        assert_eq!(margin(Ticks::ZERO), Ticks(1_100));
+        assert_eq!(margin(Ticks(20_000)), Ticks(21_100));
+        assert_eq!(takeover_margin(Ticks::FAR, Ticks(1), 200, Ticks::ZERO, Ticks(1)), Ticks::FAR);
     }
 
     #[test]

@@ -135,10 +135,16 @@ pub enum Event {
     Interrupted,
     /// A handler ended.
     Resumed,
+    /// The task holds the lease of its couple (D61).
+    Granted,
+    /// The task took over from its partner.
+    TookOver,
+    /// The task lost its lease.
+    Fenced,
 }
 
 /// One observation. What `number` means follows from the event: a message's sequence, a meeting's round, the name of the
-/// timer whose handler began, or how many handlers still run after one ended.
+/// timer whose handler began, how many handlers still run after one ended, or the epoch of a lease.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Observation {
     /// What happened.
@@ -314,7 +320,7 @@ pub struct TransitView {
     /// Packets relayed or sent since the start.
     pub forwarded: u64,
     /// Packets dropped, by [`Reason::ALL`] position.
-    pub discarded: [u64; Reason::ALL.len()],
+    pub discarded: Vec<u64>,
     /// The nodes that packets wait for.
     pub next: Vec<NodeId>,
 }

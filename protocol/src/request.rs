@@ -124,6 +124,9 @@ pub enum Request {
     Lease,
     /// What the beats' answers carry from here on (D61). Answered by [`Signal::Accepted`].
     Publish(Contents),
+    /// The task has ended: it answers no beat any more, so that its partner takes over (D61). Answered by
+    /// [`Signal::Accepted`].
+    End,
     /// CANCEL the wait of the current thread. Answered by [`Signal::Cancelled`]. Leaving a `waitfor` this way tells the
     /// others.
     Cancel,

@@ -5,6 +5,7 @@ mod check;
 mod digest;
 
 use crate::cell::{Cell, CellError, PortDecl, TaskDecl, Usage};
+use crate::couples;
 use crate::ids::{NodeId, PortId, TaskId};
 use crate::margin;
 use crate::rules::Rules;
@@ -112,6 +113,17 @@ impl CellTable {
         for port in &ports {
             check::port(&cell, port, &routes, &mut errors);
         }
+        let n = cell.nodes.len();
+        couples::check(
+            &cell,
+            &ports,
+            |a, b| {
+                let (a, b) = (cell.tasks[a.index()].node, cell.tasks[b.index()].node);
+                let hop = routes[a.index() * n + b.index()];
+                if a == b { Ticks::ZERO } else { hop.map_or(Ticks::FAR, |hop| hop.bound) }
+            },
+            &mut errors,
+        );
         if !errors.is_empty() {
             return Err(errors);
         }

@@ -261,7 +261,7 @@ impl Transit {
             capacity: u16::try_from(self.queue.capacity()).unwrap_or(u16::MAX),
             min_slack: self.next_expiry(),
             forwarded: self.forwarded,
-            discarded: self.discarded,
+            discarded: self.discarded.into(),
             next,
         }
     }

@@ -36,12 +36,19 @@ fn every_event() -> Vec<Event> {
         ReleasedByConfirm,
         WithinMargin,
         GaveUp,
+        Rejected,
+        Interrupted,
+        Resumed,
+        Granted,
+        TookOver,
+        Fenced,
     ]);
     for event in &all {
         match event {
             Sent | Resent | Enqueued | Delivered | Replied | Answered | RefusedByPeer | TimedOut
             | TimedOutUnsent | PeerRestarted | Discarded(_) | Reached | Rejoined | PartnerArrived
-            | PartnerAborted | Confirmed | ReleasedComplete | ReleasedByConfirm | WithinMargin | GaveUp => {}
+            | PartnerAborted | Confirmed | ReleasedComplete | ReleasedByConfirm | WithinMargin | GaveUp
+            | Rejected | Interrupted | Resumed | Granted | TookOver | Fenced => {}
         }
     }
     all
@@ -131,7 +138,7 @@ fn tasks() -> Vec<TaskSnapshot> {
 }
 
 fn snapshot() -> Snapshot {
-    let mut discarded = [0; Reason::ALL.len()];
+    let mut discarded = vec![0; Reason::ALL.len()];
     discarded[2] = 5;
     Snapshot {
         mono_us: 0x0123_4567_89ab_cdef,

@@ -9,7 +9,7 @@ use imrs_protocol::CellError;
 use imrs_protocol::rules::{Eviction, JobRequest, Memory, Rules};
 use std::sync::Arc;
 
-type Plan = Result<Arc<FloorPlan>, Vec<CellError>>;
+pub(super) type Plan = Result<Arc<FloorPlan>, Vec<CellError>>;
 
 /// A floor to explore, and what should come of it.
 pub(super) struct Part {
@@ -47,15 +47,7 @@ pub(super) fn claim(
 ) -> Claim {
     let parties = parts.first().and_then(|part| (part.plan)().ok()).map_or(0, |plan| plan.tasks.len());
     let parties = u32::try_from(parties).unwrap_or(u32::MAX);
-    Claim {
-        name,
-        rule,
-        parties,
-        about,
-        expect,
-        smoke,
-        settle: Box::new(move |work| settle(work, &parts)),
-    }
+    Claim { name, rule, parties, about, expect, smoke, settle: Box::new(move |work| settle(work, &parts)) }
 }
 
 /// Explores the floors until one of them fails.
@@ -86,7 +78,19 @@ pub(super) fn settle(work: &mut Work<'_>, parts: &[Part]) -> Settled {
     settled
 }
 
-fn bounds(plan: &FloorPlan) -> Bounds {
+/// Explores one floor.
+pub(super) fn settle_plan(work: &mut Work<'_>, plan: Plan) -> Settled {
+    let Ok(plan) = plan else {
+        let outcome = Outcome::Unknown;
+        let (bounds, found) = (Bounds::default(), Found::default());
+        return Settled { outcome, bounds, found, counterexample: None, sound: false, variant: None };
+    };
+    let (outcome, counterexample) = work.judge_floor(&plan);
+    let (bounds, found) = (bounds(&plan), Found::default());
+    Settled { outcome, bounds, found, counterexample, sound: true, variant: None }
+}
+
+pub(super) fn bounds(plan: &FloorPlan) -> Bounds {
     let ports = plan.cell.ports();
     let delay = plan.links().iter().map(|&(.., bound)| u32::from(bound)).max();
     Bounds {
@@ -103,7 +107,8 @@ fn bounds(plan: &FloorPlan) -> Bounds {
 
 fn eviction() -> Vec<Claim> {
     let name = "eviction";
-    let about = "no command that can still arrive is dropped for space while its buffer holds a status message (D60)";
+    let about =
+        "no command that can still arrive is dropped for space while its buffer holds a status message (D60)";
     let small = Relay {
         room: Some(1),
         time_out: (6, 4),
@@ -196,7 +201,11 @@ fn nothing_waits_for_ever() -> Vec<Claim> {
             vec![reaches(stuck), holds(|| busy_neighbour(Rules::DEFAULT)), holds(full)],
         ),
         claim(
-            (name, "blocking-job-request", "a Timer that waits for a busy task stops the CLICKs of its node (D22)"),
+            (
+                name,
+                "blocking-job-request",
+                "a Timer that waits for a busy task stops the CLICKs of its node (D22)",
+            ),
             Outcome::Fails,
             true,
             vec![holds(move || busy_neighbour(blocking))],

@@ -32,7 +32,8 @@ fn interrupted(plan: &Interrupted, watches: &[FloorWatch]) -> Part {
 
 fn query_order() -> Vec<Claim> {
     let name = "query-order";
-    let about = "a handler runs only when it outranks; the interrupted thread resumes and is told its answer once";
+    let about =
+        "a handler runs only when it outranks; the interrupted thread resumes and is told its answer once";
     let watches = [FloorWatch::Order, FloorWatch::Waits { slack: 0 }];
     let nested = || Interrupted { watches: vec![FloorWatch::Reach(Goal::Nested)], ..INTERRUPTED }.plan();
     let large = Interrupted {
@@ -141,7 +142,12 @@ fn penalty_is_fair() -> Vec<Claim> {
             true,
             vec![workshop(Workshop { rules: rules(Aging::Unbounded), ..WORKSHOP })],
         ),
-        served_claim("default, served by GETs", true, |life| Flood { life: life.into(), every: life, served: true, ..FLOOD }),
+        served_claim("default, served by GETs", true, |life| Flood {
+            life: life.into(),
+            every: life,
+            served: true,
+            ..FLOOD
+        }),
         served_claim("default, served by GETs, two floods", false, |life| Flood {
             flooded: 2,
             life: life.into(),

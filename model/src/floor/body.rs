@@ -125,7 +125,11 @@ impl Body {
     /// Whether its handler may send its nested command now.
     pub fn may_nest(&self, plan: &TaskPlan) -> bool {
         let top = self.top();
-        self.actor.is_none() && plan.nested.is_some() && self.levels.len() > 1 && top.does == Does::Serves && !top.nested
+        self.actor.is_none()
+            && plan.nested.is_some()
+            && self.levels.len() > 1
+            && top.does == Does::Serves
+            && !top.nested
     }
 
     /// A tick passes for it.

@@ -7,8 +7,8 @@ use crate::state::Violation;
 use imrs_protocol::rules::Aging;
 use imrs_protocol::script::ScriptInput;
 use imrs_protocol::{
-    Call, Class, CommTask, Control, Delivery, Event, Fault, Kind, NodeId, Observation, Outcome, Packet, PortId,
-    Reason, Request, Seq24, ServiceOrder, Signal, TaskId, Ticks, Usage,
+    Call, Class, CommTask, Control, Delivery, Event, Fault, Kind, NodeId, Observation, Outcome, Packet,
+    PortId, Reason, Request, Seq24, ServiceOrder, Signal, TaskId, Ticks, Usage,
 };
 
 /// How deep handlers may interrupt each other (D15): the thread, and two more than `order` has levels.
@@ -225,7 +225,9 @@ impl Floor {
 
     /// Notes a message that was sent.
     pub(super) fn sent(&mut self, effect: &Effect) {
-        let Effect::Seen(_, Some(source), Observation { event: Event::Sent, number, remaining, .. }) = *effect else {
+        let Effect::Seen(_, Some(source), Observation { event: Event::Sent, number, remaining, .. }) =
+            *effect
+        else {
             return;
         };
         if let Some(slack) = self.plan.stale() {
@@ -248,7 +250,8 @@ impl Floor {
 
     fn seen_at_task(&mut self, task: TaskId, event: Event, seen: &Observation) -> Result<(), Violation> {
         let name = Name { source: seen.peer, number: Seq24::new(seen.number) };
-        let this = |entry: &(TaskId, PortId, Name, u8)| (entry.0, entry.1, entry.2) == (task, seen.port, name);
+        let this =
+            |entry: &(TaskId, PortId, Name, u8)| (entry.0, entry.1, entry.2) == (task, seen.port, name);
         match event {
             Event::Discarded(Reason::Duplicate | Reason::Unexpected) => Ok(()),
             Event::Discarded(_) => {
@@ -426,6 +429,12 @@ impl Floor {
 
     /// What can be judged of a state by itself.
     pub(super) fn judge_state(&self) -> Result<(), Violation> {
+        let machines = self.stations.iter().filter(|s| s.up).flat_map(|s| &s.node.parts().tasks);
+        let mut acting = machines.filter(|task| task.epoch().is_some() && task.is_active());
+        if self.plan.watches(FloorWatch::OneActive) && acting.clone().count() > 1 {
+            return Err(Violation::BothActive);
+        }
+        self.reach(Goal::TookOver, acting.any(|task| task.epoch() == Some(2)))?;
         if !self.plan.watches(FloorWatch::Reach(Goal::BuffersFull)) {
             return Ok(());
         }

@@ -136,7 +136,7 @@ impl TaskPlan {
 /// How many faults there may be.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Faults {
-    /// Lost packets.
+    /// Lost packets; [`u8::MAX`]: any number.
     pub loss: u8,
     /// Duplicated packets.
     pub dup: u8,
@@ -197,6 +197,8 @@ pub enum FloorWatch {
         /// How many.
         signals: u8,
     },
+    /// Of the tasks that are in a couple at most one acts (D61).
+    OneActive,
     /// Shown by a counterexample to "never": something that must be possible for the other watches to mean anything.
     Reach(Goal),
 }
@@ -214,6 +216,8 @@ pub enum Goal {
     AllAnswered,
     /// Both ends of a link wait for each other's buffer.
     BuffersFull,
+    /// A task acts in the second epoch of its couple: it took over.
+    TookOver,
 }
 
 /// A whole floor to explore.
@@ -305,11 +309,15 @@ impl FloorPlan {
     }
 
     pub(crate) fn stale(&self) -> Option<u8> {
-        self.watches.iter().find_map(|w| if let FloorWatch::Stale { slack } = w { Some(*slack) } else { None })
+        self.watches
+            .iter()
+            .find_map(|w| if let FloorWatch::Stale { slack } = w { Some(*slack) } else { None })
     }
 
     pub(crate) fn waits(&self) -> Option<u8> {
-        self.watches.iter().find_map(|w| if let FloorWatch::Waits { slack } = w { Some(*slack) } else { None })
+        self.watches
+            .iter()
+            .find_map(|w| if let FloorWatch::Waits { slack } = w { Some(*slack) } else { None })
     }
 
     pub(crate) fn fair(&self) -> Option<(TaskId, u8, u8)> {
@@ -320,7 +328,9 @@ impl FloorPlan {
     }
 
     pub(crate) fn zeno(&self) -> Option<u8> {
-        self.watches.iter().find_map(|w| if let FloorWatch::Zeno { signals } = w { Some(*signals) } else { None })
+        self.watches
+            .iter()
+            .find_map(|w| if let FloorWatch::Zeno { signals } = w { Some(*signals) } else { None })
     }
 
     pub(crate) fn watches(&self, watch: FloorWatch) -> bool {

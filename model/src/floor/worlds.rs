@@ -1,7 +1,9 @@
 //! The floors of the protocol's claims.
 
+mod couple;
 mod served;
 
+pub use couple::Couple;
 pub use served::{Flood, Interrupted, Workshop, penalised, query_all};
 
 use super::plan::{Errand, Faults, FloorPlan, FloorWatch, TaskPlan, Times};

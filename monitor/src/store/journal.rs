@@ -154,14 +154,20 @@ const fn level_of(event: Event) -> Level {
         | Event::Confirmed
         | Event::Interrupted
         | Event::Resumed
-        | Event::Rejected => Level::Trace,
+        | Event::Rejected
+        | Event::Granted => Level::Trace,
         Event::Rejoined | Event::ReleasedComplete | Event::ReleasedByConfirm => Level::Trace,
         // Repeated copies are how the protocol bears losses: dropping them is its ordinary course.
         Event::Discarded(Reason::Duplicate | Reason::OldRound | Reason::Superseded) => Level::Trace,
         Event::Discarded(_) | Event::RefusedByPeer | Event::PartnerAborted | Event::WithinMargin => {
             Level::Warn
         }
-        Event::TimedOut | Event::TimedOutUnsent | Event::PeerRestarted | Event::GaveUp => Level::Bad,
+        Event::TimedOut
+        | Event::TimedOutUnsent
+        | Event::PeerRestarted
+        | Event::GaveUp
+        | Event::TookOver
+        | Event::Fenced => Level::Bad,
     }
 }
 
@@ -189,6 +195,9 @@ const fn word(event: Event) -> &'static str {
         Event::Rejected => "rejected",
         Event::Interrupted => "interrupted",
         Event::Resumed => "resumed",
+        Event::Granted => "granted",
+        Event::TookOver => "took over",
+        Event::Fenced => "fenced",
     }
 }
 

@@ -164,7 +164,7 @@ impl CommTask {
         let local = self.local(port).ok_or(Fault::NotYourPort)?;
         match local.role {
             Role::Sends | Role::Asks(_) | Role::Receives(_) | Role::Replies => {}
-            Role::Hears | Role::Meets(_) => return Err(Fault::WrongUsage),
+            Role::Hears | Role::Meets(_) | Role::Beats => return Err(Fault::WrongUsage),
         }
         if local.staged.put(index, contents) { Ok(Signal::Accepted(0)) } else { Err(Fault::WrongLength) }
     }

@@ -28,9 +28,10 @@ impl CommTask {
                 let awaited = self.outstanding().any(|(_, _, id)| id == packet.id);
                 table.rules().refuse_late_replies && !awaited
             }
-            Some(Role::Sends | Role::Asks(_) | Role::Receives(_) | Role::Replies | Role::Hears) | None => {
-                false
-            }
+            Some(
+                Role::Sends | Role::Asks(_) | Role::Receives(_) | Role::Replies | Role::Hears | Role::Beats,
+            )
+            | None => false,
         }
     }
 

@@ -3,12 +3,14 @@
 
 use super::desk::{Desk, Phase};
 use super::inbox::{Held, Inbox};
+use super::lease::{Lease, Post};
 use super::levels::{DEPTH, Finished};
 use super::memory::{Fate, Remembered};
 use super::rendezvous::Rendezvous;
 use super::{CommTask, Pending};
 use crate::ids::{MessageId, PortId, Round, TaskId};
 use crate::packet::Class;
+use crate::request::Call;
 use crate::rules::Memory;
 use crate::table::NodeTable;
 use crate::ticks::Ticks;
@@ -50,6 +52,10 @@ pub enum Violation {
     RejectedTooOften(PortId, TaskId, MessageId),
     /// A message that is not whole has no time left, or is held where messages take one packet (D28).
     HoldsFragments(PortId, TaskId),
+    /// The task acts past its lease, or has not taken over when it should have (D61).
+    PastLease(Ticks),
+    /// What the task is to be told of its lease is not so.
+    WrongCall,
 }
 
 impl fmt::Display for Violation {
@@ -93,6 +99,10 @@ impl fmt::Display for Violation {
                     "message {id} of {source} on port {port} was rejected more often than ranks stand above it"
                 )
             }
+            Self::PastLease(until) => {
+                write!(f, "the lease, or the wait for it, should have ended at {until}")
+            }
+            Self::WrongCall => f.write_str("what the task is to be told of its lease is not so"),
             Self::HoldsFragments(port, source) => {
                 write!(f, "port {port} holds fragments of {source} that cannot become a message")
             }
@@ -109,6 +119,7 @@ impl core::error::Error for Violation {}
 pub fn check(task: &CommTask, table: &NodeTable) -> Result<(), Violation> {
     task.inboxes.iter().try_for_each(|inbox| check_inbox(task, table, inbox))?;
     check_levels(task)?;
+    task.lease.iter().try_for_each(|lease| check_lease(task, lease))?;
     for (i, desk) in task.desks.iter().enumerate() {
         check_desk(task, super::index(i), desk)?;
     }
@@ -120,6 +131,25 @@ pub fn check(task: &CommTask, table: &NodeTable) -> Result<(), Violation> {
         check_meeting(task, table, meeting)?;
     }
     Ok(())
+}
+
+/// Nobody acts past its lease, and whoever acts does so in an epoch (D61).
+fn check_lease(task: &CommTask, lease: &Lease) -> Result<(), Violation> {
+    let until = match lease.post {
+        Post::Leased(until) => until,
+        Post::Waits => lease.takeover_at,
+        Post::Alone | Post::Passive => Ticks::FAR,
+    };
+    if until <= task.now {
+        return Err(Violation::PastLease(until));
+    }
+    let told = match lease.call {
+        Some(Call::TakeOver(epoch)) => lease.acts() && epoch == lease.epoch,
+        Some(Call::Fenced) => !lease.acts(),
+        Some(Call::Message(_) | Call::Timer(_)) => false,
+        None => true,
+    };
+    if told { Ok(()) } else { Err(Violation::WrongCall) }
 }
 
 fn check_inbox(task: &CommTask, table: &NodeTable, inbox: &Inbox) -> Result<(), Violation> {

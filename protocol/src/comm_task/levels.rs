@@ -33,6 +33,7 @@ pub(crate) enum Finished {
         missing: u64,
     },
     TimeOut(TimeId),
+    Granted(u8),
 }
 
 /// The task's thread, or a handler.
@@ -60,6 +61,8 @@ struct Offer {
 /// What goes first whatever its rank and urgency.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum Turn {
+    /// The task lost its lease, or takes over (D61).
+    Lease,
     /// It was rejected as often as ranks stand above it: the one that was rejected first (D58).
     Capped(u64),
     /// Its port was passed over too often: the one passed over most, counted down.
@@ -69,6 +72,7 @@ enum Turn {
 
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
 enum What {
+    Lease,
     Timer(usize),
     Message(usize, u32),
 }
@@ -116,6 +120,7 @@ impl CommTask {
             Finished::Released { port, round, by } => Signal::Released { port, round, by },
             Finished::GaveUp { port, round, missing } => Signal::GaveUp { port, round, missing },
             Finished::TimeOut(id) => Signal::TimeOut(id),
+            Finished::Granted(epoch) => Signal::Granted(epoch),
         });
     }
 
@@ -176,8 +181,9 @@ impl CommTask {
 
     /// Offers what waits to the current thread, if that waits.
     pub(super) fn offer_to_waiting(&mut self, table: &NodeTable, out: &mut impl Outbox) {
-        let any =
-            self.timers.ended().is_some() || self.inboxes.iter().any(|i| i.handled && i.queue.len() > 0);
+        let any = self.called().is_some()
+            || self.timers.ended().is_some()
+            || self.inboxes.iter().any(|i| i.handled && i.queue.len() > 0);
         if any && self.interruptible(false) {
             self.offer(table, out);
         }
@@ -190,6 +196,13 @@ impl CommTask {
         let Some(first) = first else { return false };
         self.count_bypasses(table, first.what);
         match first.what {
+            What::Lease => {
+                if let Some(call) = self.take_call() {
+                    self.begin_handler(0);
+                    self.note_handler(Event::Interrupted, 0, out);
+                    out.signal(Signal::Interrupt(call));
+                }
+            }
             What::Timer(at) => {
                 let id = self.timers.take(at);
                 let rank = self.order.timers();
@@ -236,7 +249,11 @@ impl CommTask {
             key: (Turn::InOrder, rank, Ticks::ZERO, Class::Command, PortId(0), 0),
             what: What::Timer(at),
         });
-        messages.chain(timer).min()
+        let lease = self.called().map(|_| Offer {
+            key: (Turn::Lease, 0, Ticks::ZERO, Class::Command, PortId(0), 0),
+            what: What::Lease,
+        });
+        messages.chain(timer).chain(lease).min()
     }
 
     /// Ports whose offer was as good as any, but for their place in the order, were passed over (D58).
@@ -269,7 +286,7 @@ impl CommTask {
             let mut rejected = 0;
             let mut queue = core::mem::take(&mut self.inboxes[i].queue);
             queue.rekey_in_order(|key, held| {
-                if !(self.is_due(held) && !self.held_outranks(table, id, held)) {
+                if !self.is_due(held) || self.held_outranks(table, id, held) {
                     return key;
                 }
                 rejected += 1;
@@ -373,6 +390,7 @@ impl CommTask {
             | Pending::Reply(_)
             | Pending::Meeting(_)
             | Pending::Delay(..)
+            | Pending::Lease
             | Pending::Work => {}
         }
         Ok(())

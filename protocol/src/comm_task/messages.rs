@@ -31,6 +31,9 @@ impl CommTask {
             }
             (Kind::Control, Role::Asks(desk)) => self.answer(table, desk, packet, out),
             (Kind::Reply, Role::Hears) => self.third_party(table, packet, out),
+            (Kind::Query | Kind::Response, Role::Beats) => {
+                self.beat(table, out, |lease, at, out| lease.hear(at, port, packet, out));
+            }
             (Kind::Arrive | Kind::Confirm | Kind::Abort, Role::Meets(meeting)) => {
                 self.meet(table, meeting, out, |rendezvous, at, out| rendezvous.hear(at, packet, out));
             }
@@ -48,7 +51,8 @@ impl CommTask {
                 | Role::Receives(_)
                 | Role::Meets(_)
                 | Role::Replies
-                | Role::Hears,
+                | Role::Hears
+                | Role::Beats,
             ) => self.drop_packet(packet, Reason::NotAllowed, out),
         }
     }
@@ -144,6 +148,7 @@ impl CommTask {
         (fragments, reserved): (u8, Ticks),
         out: &mut impl Outbox,
     ) {
+        let Some(packet) = &self.within_epoch(table, port, (inbox, source), packet, out) else { return };
         let now = self.now;
         let way_back = table.bound_between(self.task, packet.source);
         // What a link charges is only a bound: this copy may have been charged more than a later one will be. So copies
@@ -215,7 +220,7 @@ impl CommTask {
         true
     }
 
-    fn discard(&mut self, port: PortId, held: &Held, reason: Reason, out: &mut impl Outbox) {
+    pub(super) fn discard(&mut self, port: PortId, held: &Held, reason: Reason, out: &mut impl Outbox) {
         self.count(port, |c| c.dropped += 1);
         note(out, Event::Discarded(reason), port, held.source, held.id, held.expires - self.now);
     }

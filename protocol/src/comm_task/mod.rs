@@ -12,6 +12,7 @@ mod fragments;
 mod ignores;
 mod inbox;
 pub mod invariants;
+mod lease;
 mod levels;
 mod memory;
 mod messages;
@@ -37,6 +38,7 @@ use alloc::boxed::Box;
 use alloc::vec::Vec;
 use desk::{Desk, Overdue};
 use inbox::Inbox;
+use lease::Lease;
 use levels::{DEPTH, Finished, Level};
 use rendezvous::{At, Rendezvous};
 use serde::{Deserialize, Serialize};
@@ -97,6 +99,8 @@ pub(crate) enum Pending {
     Delay(TimeId, u8),
     /// The end of an action outside.
     Work,
+    /// The lease (D61).
+    Lease,
     /// Nothing, but a handler runs between two of its statements.
     Boundary,
 }
@@ -126,6 +130,8 @@ enum Role {
     Replies,
     /// Takes such answers.
     Hears,
+    /// Carries the beats of its couple (D61).
+    Beats,
 }
 
 /// One of the task's ports.
@@ -177,6 +183,8 @@ pub struct CommTask {
     meetings: Box<[Rendezvous]>,
     /// One per task that may send to this one, ascending.
     lives: Box<[Known]>,
+    /// Its side of its couple, if it is in one (D61).
+    lease: Option<Lease>,
     /// The message the task took last (D28).
     taken: (Option<Contents>, Parts),
 }
@@ -211,6 +219,7 @@ impl CommTask {
             inboxes: Box::default(),
             meetings: Box::default(),
             lives: Box::default(),
+            lease: None,
             taken: (None, Parts::default()),
         };
         let (mut locals, mut desks) = (Vec::new(), Vec::new());
@@ -222,6 +231,12 @@ impl CommTask {
             let asks = port.decl.class == Class::Command;
             let mut fragments = port.decl.fragments;
             let role = match party.usage {
+                Usage::Query | Usage::Response
+                    if let Some((at, couple)) = lease::couple_of(table, id, task) =>
+                {
+                    new.lease = Some(Lease::new(at, couple, task));
+                    Role::Beats
+                }
                 Usage::Send | Usage::Query if asks => {
                     desks.push(Desk::new(port, task));
                     Role::Asks(index(desks.len() - 1))
@@ -294,11 +309,13 @@ impl CommTask {
             | Pending::Meeting(_)
             | Pending::Delay(..)
             | Pending::Work
+            | Pending::Lease
             | Pending::Boundary => Ticks::FAR,
         };
         let waits = self.meetings.iter().map(Rendezvous::due).chain(self.desks.iter().map(Desk::due));
         let buffers = self.inboxes.iter().map(Inbox::due);
-        let due = waits.chain(buffers).fold(get.min(self.next_offer()), Ticks::min);
+        let lease = self.lease.as_ref().map_or(Ticks::FAR, Lease::due);
+        let due = waits.chain(buffers).fold(get.min(self.next_offer()).min(lease), Ticks::min);
         (due != Ticks::FAR).then(|| due - self.now)
     }
 
@@ -384,6 +401,7 @@ impl CommTask {
                 self.advance_meeting(table, index(i), out);
             }
         }
+        self.beat(table, out, Lease::advance);
     }
 
     fn advance_meeting(&mut self, table: &NodeTable, meeting: u16, out: &mut impl Outbox) {
@@ -439,7 +457,9 @@ fn quarantine(table: &NodeTable, port: &Port, role: Role, task: TaskId) -> Ticks
             let peers = port.peers(task).filter_map(|peer| port.party(peer));
             peers.map(|p| p.time_out + table.bound_between(p.task, task)).max().unwrap_or_default()
         }
-        Role::Receives(_) | Role::Sends | Role::Asks(_) | Role::Replies | Role::Hears => Ticks::ZERO,
+        Role::Receives(_) | Role::Sends | Role::Asks(_) | Role::Replies | Role::Hears | Role::Beats => {
+            Ticks::ZERO
+        }
     }
 }
 

@@ -3,6 +3,7 @@
 
 use super::desk::Phase;
 use super::inbox::Inbox;
+use super::lease::{Guard, Post};
 use super::levels::Finished;
 use super::memory::{Fate, Window};
 use super::rendezvous::{Arrived, Rendezvous};
@@ -47,7 +48,7 @@ macro_rules! relatives {
                 Some(Finished::Released { port, round, .. } | Finished::GaveUp { port, round, .. }) => {
                     $v.round(*port, round);
                 }
-                Some(Finished::Outcome(_) | Finished::Answers(_) | Finished::TimeOut(_)) | None => {}
+                Some(Finished::Outcome(_) | Finished::Answers(_) | Finished::TimeOut(_) | Finished::Granted(_)) | None => {}
             }
         }
         for desk in & $($m)? $self.desks {
@@ -59,7 +60,28 @@ macro_rules! relatives {
                 $v.sequence(own, & $($m)? asked.id.sequence);
             }
         }
+        if let Some(lease) = & $($m)? $self.lease {
+            let partner = lease.partner;
+            for answered in & $($m)? lease.answered {
+                if let Some(answered) = answered {
+                    $v.sequence(partner, & $($m)? answered.beat);
+                    $v.instant(& $($m)? answered.until);
+                }
+            }
+            if let Some(echo) = & $($m)? lease.echo {
+                $v.sequence(own, & $($m)? echo.beat);
+                $v.instant(& $($m)? echo.until);
+            }
+            $v.instant(& $($m)? lease.beat_at);
+            $v.instant(& $($m)? lease.takeover_at);
+            if let Post::Leased(until) = & $($m)? lease.post {
+                $v.instant(until);
+            }
+        }
         for inbox in & $($m)? $self.inboxes {
+            if let Some(guard) = & $($m)? inbox.guard {
+                $v.instant(& $($m)? guard.until);
+            }
             for source in & $($m)? inbox.sources {
                 let task = source.task;
                 if let Some(command) = & $($m)? source.command {
@@ -187,7 +209,13 @@ impl CommTask {
         if self.quarantine_until <= now {
             self.quarantine_until = now;
         }
+        if let Some(lease) = &mut self.lease {
+            lease.bury(now);
+        }
         for inbox in &mut self.inboxes {
+            if let Some(guard) = inbox.guard.as_mut().filter(|guard| guard.until <= now) {
+                *guard = Guard { epoch: 0, until: now };
+            }
             if inbox.queue.len() == 0 {
                 inbox.bypassed = 0;
             }

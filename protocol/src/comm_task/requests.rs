@@ -53,7 +53,14 @@ impl CommTask {
                 self.top_mut().atomic = atomic;
                 Ok(Some(Signal::Accepted(0)))
             }
-            Request::Lease | Request::Publish(_) => Err(Fault::WrongUsage),
+            Request::Lease => self.await_lease(),
+            Request::Publish(contents) => self.publish(contents).map(Some),
+            Request::End => {
+                if let Some(lease) = &mut self.lease {
+                    lease.retire();
+                }
+                Ok(Some(Signal::Accepted(0)))
+            }
         };
         match done {
             Ok(Some(signal)) => out.signal(signal),
@@ -74,6 +81,7 @@ impl CommTask {
         let (port, party) = mapping::own_end(table, id, self.task)?;
         // The declared life is what receivers and a restarted node reckon with: a request may only shorten it.
         let life = time_out.map_or(party.time_out, |wanted| wanted.min(party.time_out));
+        let contents = self.under_lease(port, contents)?;
         match self.role(id) {
             Some(Role::Sends) => {
                 let peers = mapping::destinations(port, self.task, to)?;
@@ -96,7 +104,7 @@ impl CommTask {
                 self.unstage(id);
                 Ok(None)
             }
-            Some(Role::Receives(_) | Role::Meets(_) | Role::Replies | Role::Hears) | None => {
+            Some(Role::Receives(_) | Role::Meets(_) | Role::Replies | Role::Hears | Role::Beats) | None => {
                 Err(Fault::WrongUsage)
             }
         }
@@ -188,7 +196,9 @@ impl CommTask {
             match self.role(id) {
                 None => return Err(Fault::NotYourPort),
                 Some(Role::Receives(_)) => {}
-                Some(Role::Sends | Role::Asks(_) | Role::Meets(_) | Role::Replies | Role::Hears) => {
+                Some(
+                    Role::Sends | Role::Asks(_) | Role::Meets(_) | Role::Replies | Role::Hears | Role::Beats,
+                ) => {
                     return Err(Fault::WrongUsage);
                 }
             }
@@ -340,9 +350,9 @@ impl CommTask {
                 (inbox.handled, inbox.bypassed) = (handled, 0);
                 Ok(Signal::Accepted(0))
             }
-            Some(Role::Sends | Role::Asks(_) | Role::Meets(_) | Role::Replies | Role::Hears) => {
-                Err(Fault::WrongUsage)
-            }
+            Some(
+                Role::Sends | Role::Asks(_) | Role::Meets(_) | Role::Replies | Role::Hears | Role::Beats,
+            ) => Err(Fault::WrongUsage),
             None => Err(Fault::NotYourPort),
         }
     }
@@ -363,7 +373,7 @@ impl CommTask {
             }
             Pending::Delay(id, _) => out.disarm(id),
             Pending::Reply(desk) => self.desks[usize::from(desk)].close(),
-            Pending::Nothing | Pending::Get { .. } | Pending::Work | Pending::Boundary => {}
+            Pending::Nothing | Pending::Get { .. } | Pending::Work | Pending::Lease | Pending::Boundary => {}
         }
         Signal::Cancelled
     }

@@ -35,7 +35,7 @@ impl CommTask {
     #[must_use]
     pub fn state(&self) -> TaskState {
         match self.top().pending {
-            Pending::Nothing | Pending::Work | Pending::Boundary => TaskState::Running,
+            Pending::Nothing | Pending::Work | Pending::Lease | Pending::Boundary => TaskState::Running,
             Pending::Get { port, deadline, .. } => TaskState::Receiving {
                 port,
                 remaining: (deadline != Ticks::FAR).then(|| deadline - self.now),
@@ -59,7 +59,9 @@ impl CommTask {
             let port = table.port(local.port)?;
             let inbox = match local.role {
                 Role::Receives(inbox) => self.inboxes.get(usize::from(inbox)),
-                Role::Sends | Role::Asks(_) | Role::Meets(_) | Role::Replies | Role::Hears => None,
+                Role::Sends | Role::Asks(_) | Role::Meets(_) | Role::Replies | Role::Hears | Role::Beats => {
+                    None
+                }
             };
             let waiting = inbox.map(|inbox| inbox.queue.sorted()).unwrap_or_default();
             let entry = |held: &super::inbox::Held| QueueEntry {

@@ -86,6 +86,7 @@ impl CommTask {
             }
             Pending::Work => w.byte(3),
             Pending::Boundary => w.byte(4),
+            Pending::Lease => w.byte(5),
             Pending::Reply(desk) => w.byte(place(DESKS, *desk, u16::from(MEETINGS - DESKS))?),
             Pending::Meeting(meeting) => w.byte(place(MEETINGS, *meeting, u16::from(MEETINGS))?),
         }
@@ -140,7 +141,8 @@ fn load_pending(r: &mut Reader<'_>) -> Pending {
         2 => Pending::Delay(TimeId(r.byte()), 0),
         3 => Pending::Work,
         4 => Pending::Boundary,
-        0 | 5..DESKS => Pending::Nothing,
+        5 => Pending::Lease,
+        0 | 6..DESKS => Pending::Nothing,
         code @ DESKS..MEETINGS => Pending::Reply(u16::from(code - DESKS)),
         code @ MEETINGS.. => Pending::Meeting(u16::from(code - MEETINGS)),
     }
@@ -186,6 +188,10 @@ fn store_finished(
             w.byte(9)?;
             w.byte(id.0)
         }
+        Some(Finished::Granted(epoch)) => {
+            w.byte(10)?;
+            w.byte(*epoch)
+        }
     }
 }
 
@@ -211,6 +217,7 @@ fn load_finished(r: &mut Reader<'_>) -> Option<Finished> {
             missing: u64::from_le_bytes(core::array::from_fn(|_| r.byte())),
         },
         9 => Finished::TimeOut(TimeId(r.byte())),
+        10 => Finished::Granted(r.byte()),
         _ => return None,
     })
 }

@@ -6,6 +6,7 @@
 
 mod desks;
 mod inboxes;
+mod lease;
 mod levels;
 mod meetings;
 
@@ -185,6 +186,9 @@ impl CommTask {
         for meeting in &self.meetings {
             self.store_meeting(meeting, frame, &mut w)?;
         }
+        if let Some(lease) = &self.lease {
+            self.store_lease(lease, frame, &mut w)?;
+        }
         Ok(w.at)
     }
 
@@ -228,6 +232,7 @@ impl CommTask {
             let resend = table.port(self.meetings[i].port).map_or(Ticks::FAR, |port| port.decl.resend);
             self.load_meeting(i, resend, lives, &mut r);
         }
+        self.load_lease(lives, &mut r);
         r.at
     }
 

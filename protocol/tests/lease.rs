@@ -1,0 +1,347 @@
+//! Work-coupled tasks (R8; D30, D61): the echoed lease, the fence, the take-over, epochs.
+
+mod support;
+
+use imrs_protocol::rules::{LeaseRule, Rules};
+use imrs_protocol::*;
+use std::sync::Arc;
+use support::net::Net;
+use support::{Solo, get_on, send};
+
+const P: TaskId = TaskId(0);
+const S: TaskId = TaskId(1);
+const ARM: TaskId = TaskId(2);
+const NP: NodeId = NodeId(0);
+const NS: NodeId = NodeId(1);
+
+const ALIVE: PortId = PortId(0);
+const MOVE: PortId = PortId(1);
+
+const LEASE: u64 = 14;
+const TAKEOVER: u64 = 32;
+const EVERY: u64 = 4;
+
+/// Two robots and the arm they command, every two a tick apart.
+fn cell(mutual: bool) -> Cell {
+    let mut cell = Cell::new("couple", Ticks(1));
+    let nodes = ["p", "s", "a"].map(|name| cell.node(name));
+    for (a, b) in [(0, 1), (0, 2), (1, 2)] {
+        cell.link(nodes[a], nodes[b], Ticks(1));
+    }
+    let [p, s, arm] = [("p", 0), ("s", 1), ("arm", 2)].map(|(name, on)| cell.task(name, nodes[on]));
+    cell.port(PortDecl::new("alive", p, Usage::Response, &[s], Ticks(6)));
+    cell.port(PortDecl::new("move", arm, Usage::Receive, &[p, s], Ticks(8)).bounded_buffer(4).guard(0));
+    cell.couples.push(CoupleDecl {
+        primary: p,
+        standby: s,
+        lease: Ticks(LEASE),
+        takeover: Ticks(TAKEOVER),
+        every: Ticks(EVERY),
+        via: ALIVE,
+        trusted: false,
+        mutual,
+    });
+    cell
+}
+
+fn acting(net: &Net) -> [bool; 2] {
+    [P, S].map(|task| {
+        let node = net.table.location(task).expect("a task");
+        net.nodes[node.index()].task(task).expect("a task").is_active()
+    })
+}
+
+/// Runs tick by tick and says when each began or stopped to act; never both at a time.
+fn changes(net: &mut Net, ticks: u64) -> Vec<(u64, [bool; 2])> {
+    let mut seen = vec![(net.now, acting(net))];
+    for _ in 0..ticks {
+        net.run(1);
+        let now = acting(net);
+        assert_ne!(now, [true, true], "both act at {}", net.now);
+        if now != seen[seen.len() - 1].1 {
+            seen.push((net.now, now));
+        }
+    }
+    seen
+}
+
+/// A net in which the primary was given the lease.
+fn leased(mutual: bool) -> Net {
+    let mut net = Net::new(cell(mutual));
+    net.ask(P, Request::Lease);
+    net.run(12);
+    assert_eq!(net.heard(P), ["granted 1"]);
+    assert_eq!(acting(&net), [true, false]);
+    net
+}
+
+fn cut(net: &mut Net) {
+    net.lose(|from, to, _| (from == NP && to == NS) || (from == NS && to == NP));
+}
+
+fn heal(net: &mut Net) {
+    net.lose(|_, _, _| false);
+}
+
+#[test]
+fn the_primary_acts_once_a_beat_has_echoed_its_answer_and_the_lease_is_renewed() {
+    let mut net = Net::new(cell(false));
+    net.ask(P, Request::Lease);
+    assert_eq!(changes(&mut net, 100), [(0, [false, false]), (5, [true, false])]);
+    // A beat at 1, its answer at 3, the beat that echoes it at 4.
+    assert_eq!(net.heard(P), ["granted 1"]);
+    assert_eq!(net.heard(S), [""; 0]);
+}
+
+#[test]
+fn with_the_link_cut_the_primary_is_fenced_and_the_standby_takes_over_later() {
+    let mut net = leased(false);
+    net.ask(S, Request::Work);
+    net.ask(P, Request::Work);
+    cut(&mut net);
+    let seen = changes(&mut net, 60);
+    let [(_, _), (fenced, [false, false]), (taken, [false, true])] = seen[..] else { panic!("{seen:?}") };
+    assert!(taken >= fenced + (TAKEOVER - LEASE), "fenced at {fenced}, taken over at {taken}");
+    assert_eq!(net.heard(P), ["interrupt Fenced"]);
+    assert_eq!(net.heard(S), ["interrupt TakeOver(2)"]);
+    // One way: the old primary does not come back in this life.
+    heal(&mut net);
+    assert_eq!(changes(&mut net, 100).len(), 1);
+    net.ask(P, send(MOVE, ARM, 1));
+    assert_eq!(net.heard(P), ["fault Fenced"]);
+}
+
+#[test]
+fn a_short_cut_changes_nothing() {
+    let mut net = leased(false);
+    cut(&mut net);
+    assert_eq!(changes(&mut net, 2).len(), 1);
+    heal(&mut net);
+    assert_eq!(changes(&mut net, 60).len(), 1);
+}
+
+#[test]
+fn a_standby_that_waits_for_the_lease_is_granted_it_by_the_take_over() {
+    let mut net = leased(false);
+    net.ask(S, Request::Lease);
+    net.ask(P, Request::End);
+    changes(&mut net, 60);
+    assert_eq!(net.heard(S), ["granted 2"]);
+    assert_eq!(acting(&net), [false, true]);
+}
+
+#[test]
+fn a_restarted_standby_waits_for_the_whole_take_over() {
+    let mut net = Net::new(cell(false));
+    net.run(3);
+    net.lose(|_, _, _| true);
+    net.restart(NS, 1);
+    let seen = changes(&mut net, 40);
+    assert_eq!(seen, [(3, [false, false]), (3 + TAKEOVER, [false, true])]);
+}
+
+#[test]
+fn a_restarted_primary_is_granted_a_fresh_lease_in_a_new_epoch() {
+    let mut net = leased(false);
+    net.restart(NP, 1);
+    assert_eq!(acting(&net), [false, false]);
+    changes(&mut net, 20);
+    assert_eq!(acting(&net), [true, false]);
+    assert_eq!(net.nodes[0].task(P).and_then(CommTask::epoch), Some(2));
+}
+
+#[test]
+fn what_was_published_comes_with_the_answers() {
+    let mut net = leased(false);
+    let said = Contents::new(&[12, 1]).expect("short");
+    net.ask(P, Request::Publish(said));
+    net.run(10);
+    let standby = net.nodes[1].task(S).expect("the standby");
+    assert_eq!(standby.partner_published(), Some(&said));
+    net.ask(P, Request::Publish(Contents::new(&[0; 9]).expect("nine bytes")));
+    net.ask(ARM, Request::Publish(said));
+    net.ask(ARM, Request::Lease);
+    assert_eq!(net.heard(P), ["accepted 0", "fault WrongLength"]);
+    assert_eq!(net.heard(ARM), ["fault WrongUsage", "fault WrongUsage"]);
+    // The arm is in no couple.
+    assert!(net.nodes[2].task(ARM).expect("the arm").is_active());
+    assert_eq!(net.nodes[2].task(ARM).and_then(CommTask::epoch), None);
+}
+
+#[test]
+fn with_exchanged_roles_the_former_primary_is_the_standby_of_the_one_that_took_over() {
+    let mut net = leased(true);
+    cut(&mut net);
+    let seen = changes(&mut net, 60);
+    assert_eq!(seen[seen.len() - 1].1, [false, true]);
+    heal(&mut net);
+    assert_eq!(changes(&mut net, 40).len(), 1, "nobody gives up what it has");
+    cut(&mut net);
+    let seen = changes(&mut net, 80);
+    let [_, (_, [false, false]), (_, [true, false])] = seen[..] else { panic!("{seen:?}") };
+    assert_eq!(net.nodes[0].task(P).and_then(CommTask::epoch), Some(3));
+}
+
+#[test]
+fn with_exchanged_roles_one_that_was_away_takes_over_from_nobody_it_never_heard() {
+    let mut net = leased(true);
+    cut(&mut net);
+    changes(&mut net, 60);
+    assert_eq!(acting(&net), [false, true]);
+    // The standby acts alone; its partner's new life cannot know whether it does.
+    net.restart(NP, 1);
+    assert_eq!(changes(&mut net, 200).len(), 1);
+    // The same holds of a standby that never heard its primary.
+    let mut alone = Net::new(cell(true));
+    cut(&mut alone);
+    assert_eq!(changes(&mut alone, 200).len(), 1);
+}
+
+#[test]
+fn plain_heartbeats_let_both_act_when_only_the_answers_are_lost() {
+    let mut cell = cell(false);
+    cell.rules = Rules { lease: LeaseRule::Heartbeat, ..Rules::DEFAULT };
+    let mut net = Net::new(cell);
+    net.run(12);
+    assert_eq!(acting(&net), [true, false]);
+    net.lose(|from, to, _| from == NP && to == NS);
+    net.run(TAKEOVER + 4);
+    assert_eq!(acting(&net), [true, true]);
+}
+
+fn table(mutual: bool) -> Arc<CellTable> {
+    Arc::new(CellTable::new(cell(mutual)).expect("a checked cell"))
+}
+
+/// A status of P or S to the arm, given in this epoch.
+fn order(from: TaskId, sequence: u32, epoch: u8, what: u8) -> Packet {
+    let mut packet = Solo::new(&table(false), ARM).nothing();
+    packet.source = from;
+    packet.id.sequence = Seq24::new(sequence);
+    packet.contents = Contents::new(&[what, epoch]).expect("short");
+    packet
+}
+
+trait Template {
+    fn nothing(&self) -> Packet;
+}
+
+impl Template for Solo {
+    fn nothing(&self) -> Packet {
+        Packet {
+            kind: Kind::Send,
+            class: Class::Status,
+            more: false,
+            resent: false,
+            urgent: false,
+            hops: MAX_HOPS,
+            fragment: 0,
+            destination: ARM,
+            source: P,
+            port: MOVE,
+            id: MessageId::default(),
+            remaining: Ticks(8),
+            contents: Contents::EMPTY,
+        }
+    }
+}
+
+#[test]
+fn an_actuator_drops_what_an_older_epoch_ordered_and_what_still_waits_of_it() {
+    let mut arm = Solo::new(&table(false), ARM);
+    arm.hear(order(P, 0, 1, 10));
+    let newer = arm.hear(order(S, 0, 2, 20));
+    assert_eq!(newer.discards(), [Reason::StaleEpoch], "what waited of the first epoch");
+    assert_eq!(arm.hear(order(P, 1, 1, 11)).discards(), [Reason::StaleEpoch]);
+    assert_eq!(arm.ask(get_on(MOVE, 0)).words(), ["message [20] from T1 for 8"]);
+    assert_eq!(arm.ask(get_on(MOVE, 0)).words(), ["nothing"]);
+    // Nothing of the first epoch can be on its way any more: a cell that began anew is believed.
+    arm.pass(8 + 1);
+    assert_eq!(arm.hear(order(P, 2, 1, 12)).discards(), []);
+    assert_eq!(arm.ask(get_on(MOVE, 0)).words(), ["message [12] from T0 for 8"]);
+    // A message without an epoch is none of a task that acts.
+    let bare = Packet { contents: Contents::EMPTY, ..order(P, 3, 1, 0) };
+    assert_eq!(arm.hear(bare).discards(), [Reason::NotAllowed]);
+}
+
+#[test]
+fn an_order_carries_its_epoch_to_the_arm_and_room_for_it_is_kept() {
+    let mut net = leased(false);
+    net.ask(P, send(MOVE, ARM, 7));
+    net.run(1);
+    net.ask(ARM, get_on(MOVE, 0));
+    assert_eq!(net.heard(ARM), ["message [7] from T0 for 7"]);
+    let contents = Contents::new(&[0; 12]).expect("a whole packet");
+    net.ask(P, Request::Send { port: MOVE, to: Target::One(ARM), contents, time_out: None });
+    assert_eq!(net.heard(P), ["accepted 1", "fault WrongLength"]);
+    net.ask(S, send(MOVE, ARM, 7));
+    assert_eq!(net.heard(S), ["fault Fenced"]);
+}
+
+#[test]
+fn a_lease_survives_packing_at_any_moment() {
+    for ticks in 0..80 {
+        for mutual in [false, true] {
+            let mut net = Net::new(cell(mutual));
+            net.run(ticks.min(20));
+            if ticks > 20 {
+                cut(&mut net);
+                net.run(ticks - 20);
+            }
+            let sequences: Vec<Seq24> =
+                net.nodes.iter().map(|node| node.parts().tasks[0].next_sequence()).collect();
+            let frame = Frame { rounds: &[Frame::ROUND; 2], sequences: &sequences, lives: true };
+            for node in &mut net.nodes {
+                let table = node.parts().table.clone();
+                let task = &mut node.parts_mut().tasks[0];
+                task.bury();
+                let (mut bytes, mut again) = ([0; 200], [0; 200]);
+                let len = task.store(&table, &frame, &mut bytes).expect("it fits");
+                let mut copy = CommTask::new(&table, task.task(), Incarnation(0), false);
+                assert_eq!(copy.load(&table, true, &bytes), len);
+                let base = [Frame::SEQUENCE; 3];
+                let frame = Frame { sequences: &base, ..frame };
+                assert_eq!(copy.store(&table, &frame, &mut again), Ok(len));
+                assert_eq!(bytes, again, "{} after {ticks}", task.task());
+                assert_eq!(copy.next_expiry(), task.next_expiry());
+                assert_eq!((copy.is_active(), copy.epoch()), (task.is_active(), task.epoch()));
+            }
+        }
+    }
+}
+
+#[test]
+fn a_couple_that_cannot_keep_its_promise_is_no_couple() {
+    let errors = |change: fn(&mut Cell)| {
+        let mut cell = cell(false);
+        change(&mut cell);
+        CellTable::new(cell).map(|_| ()).expect_err("a fault")
+    };
+    let couple = || String::from("p -> s");
+    assert_eq!(
+        errors(|c| c.couples[0].lease = Ticks(7)),
+        [CellError::LeaseTooShort { couple: couple(), lease: Ticks(7), least: Ticks(2 + EVERY + 1) }]
+    );
+    // Lease, the last order's life, a tick, and the drift rounded up.
+    let least = Ticks(LEASE + 8 + 1 + 1);
+    assert_eq!(
+        errors(|c| c.couples[0].takeover = Ticks(21)),
+        [CellError::TakeoverTooSoon { couple: couple(), takeover: Ticks(21), least }]
+    );
+    assert_eq!(errors(|c| c.couples[0].via = MOVE), [CellError::NotForBeats("move".into())]);
+    assert_eq!(errors(|c| c.couples[0].via = PortId(9)), [CellError::Dangling("couple 0".into())]);
+    assert_eq!(errors(|c| c.couples[0].standby = P)[0], CellError::Dangling("couple 0".into()));
+    assert_eq!(errors(|c| c.couples.push(c.couples[0].clone())), [CellError::CoupledTwice(couple())]);
+    assert_eq!(
+        errors(|c| c.ports[1].guard = Some(1)),
+        [CellError::Dangling("the guard of port `move`".into())]
+    );
+    let foreign = errors(|c| {
+        let port = PortDecl::new("else", S, Usage::Receive, &[ARM], Ticks(9)).guard(0);
+        c.port(port);
+    });
+    assert_eq!(foreign, [CellError::NotOfTheCouple("else".into())]);
+    for error in [foreign, errors(|c| c.couples[0].lease = Ticks(7)), errors(|c| c.couples[0].via = MOVE)] {
+        assert!(error[0].to_string().len() > 40, "{error:?}");
+    }
+}
