@@ -233,6 +233,8 @@ impl Lease {
         if let Some(until) = renewed.filter(|&until| until > at.now) {
             match self.post {
                 Post::Leased(held) => self.post = Post::Leased(held.max(until)),
+                // Not before the task knows that it was fenced: it may still be about to act.
+                Post::Waits if self.call.is_some() => {}
                 Post::Waits => self.begin(Post::Leased(until)),
                 Post::Alone => self.post = Post::Leased(until),
                 Post::Passive => {}
