@@ -139,10 +139,8 @@ impl Pen {
         }
         self.line(tick, &line);
         let verb = if fate.is_empty() { "arrives" } else { fate };
-        self.steps.push(format!(
-            "tick {tick}: {label} from {} to {} {verb}",
-            self.names[from], self.names[to]
-        ));
+        self.steps
+            .push(format!("tick {tick}: {label} from {} to {} {verb}", self.names[from], self.names[to]));
     }
 
     fn step(&mut self, tick: u32, action: Action, flight: Option<&Flight>, world: &World) {

@@ -1,9 +1,10 @@
 //! The packed form of floors: it loses nothing that a future depends on, and fusing steps changes no quiescent state.
 
 use imrs_model::floor::plan::{Errand, Faults, FloorPlan, FloorWatch, TaskPlan, Times, Way};
-use imrs_model::floor::worlds::{Relay, full_buffers};
+use imrs_model::floor::worlds::{Flood, Interrupted, Relay, Workshop, full_buffers, penalised, query_all};
 use imrs_model::floor::{FloorModel, LiveFloor, Move, explore_floor};
 use imrs_model::{Limits, Packed};
+use imrs_protocol::rules::Rules;
 use imrs_protocol::{Cell, CellTable, PortDecl, Target, Ticks, Usage};
 use stateright::Model;
 use std::collections::{HashMap, HashSet, VecDeque};
@@ -87,6 +88,50 @@ fn buffers_that_wait_for_each_other() {
     println!("{} states", live_and_packed_agree(&plan));
 }
 
+#[test]
+fn handlers_sets_floods_and_scripts() {
+    let plan = |plan: Result<_, _>| plan.expect("a sound declaration");
+    let interrupted = Interrupted {
+        time_out: 6,
+        queries: 1,
+        relay: false,
+        faults: Faults::default(),
+        rules: Rules::DEFAULT,
+        watches: vec![FloorWatch::Order, FloorWatch::Waits { slack: 0 }],
+    };
+    let workshop = Workshop {
+        life: 9,
+        every: 9,
+        rank: 2,
+        penalty: (2, false),
+        service: 1,
+        urgent: true,
+        rules: Rules::DEFAULT,
+        served: false,
+    };
+    let flood = Flood {
+        flooded: 2,
+        urgent: 2,
+        life: 9,
+        buffer: 2,
+        every: 9,
+        service: 1,
+        rules: Rules::DEFAULT,
+        served: false,
+    };
+    let faults = Faults { loss: 1, ..Faults::default() };
+    let plans = [
+        plan(interrupted.plan()),
+        plan(workshop.plan()),
+        plan(flood.plan()),
+        plan(query_all(faults, every_watch())),
+        plan(penalised(false)),
+    ];
+    for plan in plans {
+        println!("{} states", live_and_packed_agree(&plan));
+    }
+}
+
 /// Two nodes with two tasks each: commands within a node, and a waitfor across.
 fn neighbours(fused: bool) -> Arc<FloorPlan> {
     let mut cell = Cell::new("neighbours", Ticks(1));
@@ -123,7 +168,8 @@ fn fused_and_unfused_steps_reach_the_same_quiescent_states() {
     let (_, fused) = reachable(&neighbours(true));
     let (model, unfused) = reachable(&neighbours(false));
     // The unfused form also says that nothing is outstanding: compare what a fused floor makes of it.
-    let quiet: HashSet<Packed> = unfused.iter().filter(|s| !s.is_final() && model.is_quiescent(s)).cloned().collect();
+    let quiet: HashSet<Packed> =
+        unfused.iter().filter(|s| !s.is_final() && model.is_quiescent(s)).cloned().collect();
     println!("{} fused, {} unfused, {} of them quiescent", fused.len(), unfused.len(), quiet.len());
     assert!(unfused.len() > fused.len());
     let fused_model = FloorModel::new(&neighbours(true), Limits::default());

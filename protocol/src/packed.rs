@@ -217,10 +217,8 @@ mod tests {
                     let round = |r: u16| Frame::ROUND.plus(r);
                     packet.id.sequence = Seq24::default();
                     let abort = packet.kind == Kind::Abort;
-                    let arguments =
-                        if abort { Meeting::abort_arguments(round(rounds.2)) } else { [0; 8] };
-                    let meeting =
-                        Meeting { round: round(rounds.0), released: round(rounds.1), arguments };
+                    let arguments = if abort { Meeting::abort_arguments(round(rounds.2)) } else { [0; 8] };
+                    let meeting = Meeting { round: round(rounds.0), released: round(rounds.1), arguments };
                     packet.contents = meeting.to_contents();
                 }
                 packet

@@ -47,15 +47,7 @@ pub(super) fn claim(
 ) -> Claim {
     let parties = parts.first().and_then(|part| (part.plan)().ok()).map_or(0, |plan| plan.tasks.len());
     let parties = u32::try_from(parties).unwrap_or(u32::MAX);
-    Claim {
-        name,
-        rule,
-        parties,
-        about,
-        expect,
-        smoke,
-        settle: Box::new(move |work| settle(work, &parts)),
-    }
+    Claim { name, rule, parties, about, expect, smoke, settle: Box::new(move |work| settle(work, &parts)) }
 }
 
 /// Explores the floors until one of them fails.
@@ -103,7 +95,8 @@ fn bounds(plan: &FloorPlan) -> Bounds {
 
 fn eviction() -> Vec<Claim> {
     let name = "eviction";
-    let about = "no command that can still arrive is dropped for space while its buffer holds a status message (D60)";
+    let about =
+        "no command that can still arrive is dropped for space while its buffer holds a status message (D60)";
     let small = Relay {
         room: Some(1),
         time_out: (6, 4),
@@ -196,7 +189,11 @@ fn nothing_waits_for_ever() -> Vec<Claim> {
             vec![reaches(stuck), holds(|| busy_neighbour(Rules::DEFAULT)), holds(full)],
         ),
         claim(
-            (name, "blocking-job-request", "a Timer that waits for a busy task stops the CLICKs of its node (D22)"),
+            (
+                name,
+                "blocking-job-request",
+                "a Timer that waits for a busy task stops the CLICKs of its node (D22)",
+            ),
             Outcome::Fails,
             true,
             vec![holds(move || busy_neighbour(blocking))],

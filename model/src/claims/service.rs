@@ -32,7 +32,8 @@ fn interrupted(plan: &Interrupted, watches: &[FloorWatch]) -> Part {
 
 fn query_order() -> Vec<Claim> {
     let name = "query-order";
-    let about = "a handler runs only when it outranks; the interrupted thread resumes and is told its answer once";
+    let about =
+        "a handler runs only when it outranks; the interrupted thread resumes and is told its answer once";
     let watches = [FloorWatch::Order, FloorWatch::Waits { slack: 0 }];
     let nested = || Interrupted { watches: vec![FloorWatch::Reach(Goal::Nested)], ..INTERRUPTED }.plan();
     let large = Interrupted {
@@ -141,7 +142,12 @@ fn penalty_is_fair() -> Vec<Claim> {
             true,
             vec![workshop(Workshop { rules: rules(Aging::Unbounded), ..WORKSHOP })],
         ),
-        served_claim("default, served by GETs", true, |life| Flood { life: life.into(), every: life, served: true, ..FLOOD }),
+        served_claim("default, served by GETs", true, |life| Flood {
+            life: life.into(),
+            every: life,
+            served: true,
+            ..FLOOD
+        }),
         served_claim("default, served by GETs, two floods", false, |life| Flood {
             flooded: 2,
             life: life.into(),
@@ -232,14 +238,20 @@ fn least_life<L: Lives>(work: &mut Work<'_>, with: &impl Fn(u8) -> L) -> Settled
 }
 
 fn literal_penalty() -> Vec<Claim> {
-    vec![claim(
-        (
-            "no-stale-delivery",
-            "literal time_penalty",
-            "the Appendix's `save` lengthens the life of a rejected message: it runs after its sender gave up (D4)",
+    let about =
+        "a rejected message lives no longer than its sender waits: urgency, life and back-off are apart (D4)";
+    let name = "no-stale-delivery";
+    vec![
+        claim((name, "default, time penalty", about), Outcome::Holds, true, vec![holds(|| penalised(false))]),
+        claim(
+            (
+                name,
+                "literal time_penalty",
+                "the Appendix's `save` lengthens the life of a rejected message: it runs after its sender gave up (D4)",
+            ),
+            Outcome::Fails,
+            true,
+            vec![holds(|| penalised(true))],
         ),
-        Outcome::Fails,
-        true,
-        vec![holds(|| penalised(true))],
-    )]
+    ]
 }

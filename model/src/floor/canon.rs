@@ -267,6 +267,8 @@ impl Floor {
     pub fn load(&mut self, state: &Packed) {
         let mut eye = Eye { bytes: &state.0, at: 1 };
         self.violation = state.violation();
+        // A run that ended in a violation may have left some.
+        self.inputs.clear();
         self.rounds.fill(Frame::ROUND);
         self.sequences.fill(Frame::SEQUENCE);
         let had = self.plan.faults;
@@ -372,8 +374,7 @@ fn load_body(body: &mut Body, waits: bool, lives: bool, eye: &mut Eye<'_>) {
     loop {
         let flags = eye.byte();
         let does = [Does::Free, Does::Waits, Does::Serves, Does::Works][usize::from(flags & 3)];
-        let mut level =
-            Level { does, nested: flags & 8 != 0, get: flags & 16 != 0, ..Level::default() };
+        let mut level = Level { does, nested: flags & 8 != 0, get: flags & 16 != 0, ..Level::default() };
         if flags & 32 != 0 {
             level.port = Some(PortId(u16::from(eye.byte())));
         }

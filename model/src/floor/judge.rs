@@ -7,8 +7,8 @@ use crate::state::Violation;
 use imrs_protocol::rules::Aging;
 use imrs_protocol::script::ScriptInput;
 use imrs_protocol::{
-    Call, Class, CommTask, Control, Delivery, Event, Fault, Kind, NodeId, Observation, Outcome, Packet, PortId,
-    Reason, Request, Seq24, ServiceOrder, Signal, TaskId, Ticks, Usage,
+    Call, Class, CommTask, Control, Delivery, Event, Fault, Kind, NodeId, Observation, Outcome, Packet,
+    PortId, Reason, Request, Seq24, ServiceOrder, Signal, TaskId, Ticks, Usage,
 };
 
 /// How deep handlers may interrupt each other (D15): the thread, and two more than `order` has levels.
@@ -225,7 +225,9 @@ impl Floor {
 
     /// Notes a message that was sent.
     pub(super) fn sent(&mut self, effect: &Effect) {
-        let Effect::Seen(_, Some(source), Observation { event: Event::Sent, number, remaining, .. }) = *effect else {
+        let Effect::Seen(_, Some(source), Observation { event: Event::Sent, number, remaining, .. }) =
+            *effect
+        else {
             return;
         };
         if let Some(slack) = self.plan.stale() {
@@ -248,7 +250,8 @@ impl Floor {
 
     fn seen_at_task(&mut self, task: TaskId, event: Event, seen: &Observation) -> Result<(), Violation> {
         let name = Name { source: seen.peer, number: Seq24::new(seen.number) };
-        let this = |entry: &(TaskId, PortId, Name, u8)| (entry.0, entry.1, entry.2) == (task, seen.port, name);
+        let this =
+            |entry: &(TaskId, PortId, Name, u8)| (entry.0, entry.1, entry.2) == (task, seen.port, name);
         match event {
             Event::Discarded(Reason::Duplicate | Reason::Unexpected) => Ok(()),
             Event::Discarded(_) => {
@@ -261,10 +264,10 @@ impl Floor {
         }
     }
 
-    /// The thread of a task refused a message by rank. What handlers refuse while they wait is not counted: however
-    /// often a message was refused, it interrupts the thread, not them (D76).
+    /// A thread or a handler that waits refused a message by rank. However often handlers refuse it, it interrupts the
+    /// thread, not them (D76): the bound on refusals is for tasks whose handlers do not wait.
     fn refused(&mut self, task: TaskId, port: PortId, name: Name) -> Result<(), Violation> {
-        if !self.plan.counts_refusals() || self.bodies[task.index()].levels.len() > 1 {
+        if !self.plan.counts_refusals() {
             return Ok(());
         }
         let cap = self.plan.tasks[task.index()].order.rank(port, name.source).max(1);

@@ -18,11 +18,11 @@ pub use search::{FloorModel, LiveFloor, explore_floor};
 
 use crate::state::Violation;
 use body::{Body, Does};
-use imrs_protocol::{
-    Incarnation, Node, NodeId, NodeInput, NodeOutbox, NodeTable, Observation, Packet, Request, Round,
-    Seq24, Signal, TaskId, Ticks, invariants,
-};
 use imrs_protocol::script::ScriptInput;
+use imrs_protocol::{
+    Incarnation, Node, NodeId, NodeInput, NodeOutbox, NodeTable, Observation, Packet, Request, Round, Seq24,
+    Signal, TaskId, Ticks, invariants,
+};
 use plan::{FloorPlan, Way};
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -431,7 +431,10 @@ impl Floor {
     fn drive(&mut self, i: usize, work: impl FnOnce(&mut Node, &mut Wires<'_>)) -> Result<(), Violation> {
         let mut effects = std::mem::take(&mut self.spare);
         let mut open = self.open(i);
-        work(&mut self.stations[i].node, &mut Wires { effects: &mut effects, open: &mut open, node: small(i) });
+        work(
+            &mut self.stations[i].node,
+            &mut Wires { effects: &mut effects, open: &mut open, node: small(i) },
+        );
         // What was sent counts before what came of it: the machine has made all its numbers by now.
         effects.iter().for_each(|effect| self.sent(effect));
         let result = effects.iter().try_for_each(|effect| self.follow(i, effect));

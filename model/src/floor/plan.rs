@@ -305,11 +305,15 @@ impl FloorPlan {
     }
 
     pub(crate) fn stale(&self) -> Option<u8> {
-        self.watches.iter().find_map(|w| if let FloorWatch::Stale { slack } = w { Some(*slack) } else { None })
+        self.watches
+            .iter()
+            .find_map(|w| if let FloorWatch::Stale { slack } = w { Some(*slack) } else { None })
     }
 
     pub(crate) fn waits(&self) -> Option<u8> {
-        self.watches.iter().find_map(|w| if let FloorWatch::Waits { slack } = w { Some(*slack) } else { None })
+        self.watches
+            .iter()
+            .find_map(|w| if let FloorWatch::Waits { slack } = w { Some(*slack) } else { None })
     }
 
     pub(crate) fn fair(&self) -> Option<(TaskId, u8, u8)> {
@@ -320,7 +324,9 @@ impl FloorPlan {
     }
 
     pub(crate) fn zeno(&self) -> Option<u8> {
-        self.watches.iter().find_map(|w| if let FloorWatch::Zeno { signals } = w { Some(*signals) } else { None })
+        self.watches
+            .iter()
+            .find_map(|w| if let FloorWatch::Zeno { signals } = w { Some(*signals) } else { None })
     }
 
     pub(crate) fn watches(&self, watch: FloorWatch) -> bool {

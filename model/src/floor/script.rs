@@ -33,9 +33,11 @@ impl Actor {
     pub fn chooses(&self) -> Option<u16> {
         match self.script.activity() {
             Activity::Chooses(alternatives) => Some(alternatives),
-            Activity::NotBegun | Activity::Waits | Activity::Acts | Activity::Passive | Activity::Ended(_) => {
-                None
-            }
+            Activity::NotBegun
+            | Activity::Waits
+            | Activity::Acts
+            | Activity::Passive
+            | Activity::Ended(_) => None,
         }
     }
 

@@ -4,9 +4,7 @@ use super::body::{Body, Does};
 use super::plan::Errand;
 use super::{Floor, Move};
 use crate::state::Violation;
-use imrs_protocol::{
-    CommTask, Incarnation, Node, NodeInput, PortId, Round, Seq24, TaskId, Ticks, VisitMut,
-};
+use imrs_protocol::{CommTask, Incarnation, Node, NodeInput, PortId, Round, Seq24, TaskId, Ticks, VisitMut};
 
 /// What a node makes of a tick: two bits of the code.
 const LEFT_OUT: u16 = 1;
@@ -69,7 +67,10 @@ impl Floor {
         let waits = |node: &Node| node.next_expiry().is_some();
         self.crossings.is_empty()
             && !self.stations.iter().any(|s| s.up && waits(&s.node))
-            && self.bodies.iter().all(|b| b.levels.iter().all(|l| !matches!(l.does, Does::Works | Does::Serves)))
+            && self
+                .bodies
+                .iter()
+                .all(|b| b.levels.iter().all(|l| !matches!(l.does, Does::Works | Does::Serves)))
             && self.bodies.iter().all(|b| b.actor.as_ref().is_none_or(|actor| actor.running.is_empty()))
     }
 

@@ -136,9 +136,8 @@ impl Workshop {
             penalty.literal = self.penalty.1;
         }
         let asks = cell.port(port);
-        let endless = |port, every| {
-            TaskPlan::new(Errand::Send { port, to: Target::All, times: Times::Endless, every })
-        };
+        let endless =
+            |port, every| TaskPlan::new(Errand::Send { port, to: Target::All, times: Times::Endless, every });
         let mut senders = vec![endless(asks, self.every)];
         let mut handles = vec![asks];
         // What is named above `self` keeps the rank of the port two, three and so on.
@@ -155,8 +154,13 @@ impl Workshop {
         named.push(Ranked::Port(asks));
         let order = ServiceOrder::new(&named).unwrap_or_default();
         let work = Errand::Work { least: 1, most: 2, times: Times::Endless };
-        let mut tasks =
-            vec![TaskPlan::new(work).hurried().handling(&handles).ordered(order).serving(self.service, self.service)];
+        let mut tasks = vec![
+            TaskPlan::new(work)
+                .hurried()
+                .handling(&handles)
+                .ordered(order)
+                .serving(self.service, self.service),
+        ];
         tasks.extend(senders);
         let service = self.service();
         let watch = if self.served {
@@ -257,7 +261,8 @@ pub fn penalised(literal: bool) -> Result<Arc<FloorPlan>, Vec<CellError>> {
     let mut cell = Cell::new("penalised", Ticks(1));
     let node = cell.node("node");
     let (worker, sender) = (cell.task("worker", node), cell.task("sender", node));
-    let mut port = PortDecl::new("move", sender, Usage::Send, &[worker], Ticks(3)).command().penalty(Ticks(2));
+    let mut port =
+        PortDecl::new("move", sender, Usage::Send, &[worker], Ticks(3)).command().penalty(Ticks(2));
     if let Some(penalty) = &mut port.penalty {
         penalty.literal = literal;
     }
