@@ -118,11 +118,12 @@ fn penalty_is_fair() -> Vec<Claim> {
     let rules = |aging| Rules { aging, ..Rules::DEFAULT };
     let literal = Workshop { penalty: (2, true), ..WORKSHOP };
     vec![
+        claim((name, "default", passed), Outcome::Holds, true, vec![flood(FLOOD), workshop(WORKSHOP)]),
         claim(
-            (name, "default", passed),
+            (name, "default, two floods", passed),
             Outcome::Holds,
-            true,
-            vec![flood(FLOOD), flood(Flood { flooded: 2, ..FLOOD }), workshop(WORKSHOP)],
+            false,
+            vec![flood(Flood { flooded: 2, ..FLOOD })],
         ),
         claim(
             (name, "no-penalty", "without aging a patient message starves behind urgent ones (R61)"),
