@@ -1,9 +1,10 @@
 //! The packed form of floors: it loses nothing that a future depends on, and fusing steps changes no quiescent state.
 
 use imrs_model::floor::plan::{Errand, Faults, FloorPlan, FloorWatch, TaskPlan, Times, Way};
-use imrs_model::floor::worlds::{Relay, full_buffers};
+use imrs_model::floor::worlds::{Flood, Interrupted, Relay, Workshop, penalised, query_all};
 use imrs_model::floor::{FloorModel, LiveFloor, Move, explore_floor};
 use imrs_model::{Limits, Packed};
+use imrs_protocol::rules::Rules;
 use imrs_protocol::{Cell, CellTable, PortDecl, Target, Ticks, Usage};
 use stateright::Model;
 use std::collections::{HashMap, HashSet, VecDeque};
@@ -52,7 +53,7 @@ fn every_watch() -> Vec<FloorWatch> {
 #[test]
 fn a_relay_with_losses_and_copies() {
     let faults = Faults { loss: 1, dup: 1, ..Faults::default() };
-    let relay = Relay { faults, sends: (1, 1), watches: every_watch(), ..Relay::default() };
+    let relay = Relay { faults, time_out: (5, 3), watches: every_watch(), ..Relay::default() };
     println!("{} states", live_and_packed_agree(&relay.plan().expect("a sound declaration")));
 }
 
@@ -62,8 +63,7 @@ fn a_relay_whose_links_take_one_packet_a_tick() {
         room: Some(1),
         transit: 1,
         commands: true,
-        retry: (1, 2),
-        sends: (1, 1),
+        time_out: (5, 5),
         watches: every_watch(),
         ..Relay::default()
     };
@@ -82,9 +82,47 @@ fn a_relay_with_drift_lateness_and_a_crash() {
 }
 
 #[test]
-fn buffers_that_wait_for_each_other() {
-    let plan = full_buffers(1, FloorWatch::Zeno { signals: 9 }).expect("a sound declaration");
-    println!("{} states", live_and_packed_agree(&plan));
+fn handlers_sets_floods_and_scripts() {
+    let plan = |plan: Result<_, _>| plan.expect("a sound declaration");
+    let interrupted = Interrupted {
+        time_out: 6,
+        queries: 1,
+        relay: false,
+        faults: Faults::default(),
+        rules: Rules::DEFAULT,
+        watches: vec![FloorWatch::Order, FloorWatch::Waits { slack: 0 }],
+    };
+    let workshop = Workshop {
+        life: 9,
+        every: 9,
+        rank: 2,
+        penalty: (2, false),
+        service: 1,
+        urgent: true,
+        rules: Rules::DEFAULT,
+        served: false,
+    };
+    let flood = Flood {
+        flooded: 1,
+        urgent: 2,
+        life: 9,
+        buffer: 2,
+        every: 9,
+        service: 1,
+        rules: Rules::DEFAULT,
+        served: false,
+    };
+    let faults = Faults { loss: 1, ..Faults::default() };
+    let plans = [
+        plan(interrupted.plan()),
+        plan(workshop.plan()),
+        plan(flood.plan()),
+        plan(query_all(faults, every_watch())),
+        plan(penalised(false)),
+    ];
+    for plan in plans {
+        println!("{} states", live_and_packed_agree(&plan));
+    }
 }
 
 /// Two nodes with two tasks each: commands within a node, and a waitfor across.

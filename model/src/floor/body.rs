@@ -122,14 +122,16 @@ impl Body {
             }
     }
 
-    /// Whether its handler may send its nested command now.
+    /// Whether its handler may send its nested command now: one at a time on that port.
     pub fn may_nest(&self, plan: &TaskPlan) -> bool {
         let top = self.top();
+        let outstanding = |level: &Level| level.nested && level.does == Does::Waits;
         self.actor.is_none()
             && plan.nested.is_some()
             && self.levels.len() > 1
             && top.does == Does::Serves
             && !top.nested
+            && !self.levels.iter().any(outstanding)
     }
 
     /// A tick passes for it.

@@ -4,15 +4,11 @@ use super::body::{Does, Level, says};
 use super::plan::{FloorPlan, FloorWatch, Goal};
 use super::{Effect, Floor};
 use crate::state::Violation;
-use imrs_protocol::rules::Aging;
 use imrs_protocol::script::ScriptInput;
 use imrs_protocol::{
     Call, Class, CommTask, Control, Delivery, Event, Fault, Kind, NodeId, Observation, Outcome, Packet,
-    PortId, Reason, Request, Seq24, ServiceOrder, Signal, TaskId, Ticks, Usage,
+    PortId, Reason, Request, Seq24, Signal, TaskId, Ticks, Usage,
 };
-
-/// How deep handlers may interrupt each other (D15): the thread, and two more than `order` has levels.
-const DEEPEST: usize = ServiceOrder::LEVELS + 3;
 
 /// A message's name: its source and its number there.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
@@ -22,7 +18,7 @@ pub(crate) struct Name {
 }
 
 impl Name {
-    fn of(delivery: &Delivery) -> Self {
+    pub fn of(delivery: &Delivery) -> Self {
         Self { source: delivery.from.source, number: delivery.from.id.sequence }
     }
 }
@@ -262,108 +258,6 @@ impl Floor {
             Event::Rejected => self.refused(task, seen.port, name),
             _ => Ok(()),
         }
-    }
-
-    /// The thread of a task refused a message by rank. What handlers refuse while they wait is not counted: however
-    /// often a message was refused, it interrupts the thread, not them (D76).
-    fn refused(&mut self, task: TaskId, port: PortId, name: Name) -> Result<(), Violation> {
-        if !self.plan.counts_refusals() || self.bodies[task.index()].levels.len() > 1 {
-            return Ok(());
-        }
-        let cap = self.plan.tasks[task.index()].order.rank(port, name.source).max(1);
-        let most = self.plan.fair().filter(|fair| fair.0 == task).map(|fair| fair.2);
-        let entries = &mut self.ghosts.refused;
-        let at = entries.iter().position(|e| (e.0, e.1, e.2) == (task, port, name)).unwrap_or(entries.len());
-        if at == entries.len() {
-            entries.push((task, port, name, 0));
-        }
-        let count = &mut entries[at].3;
-        // Without a bound to judge by, more refusals than the cap say nothing.
-        *count = if most.is_some() { count.saturating_add(1) } else { count.saturating_add(1).min(cap) };
-        if most.is_some_and(|most| *count > most) { Err(Violation::RefusedTooOften) } else { Ok(()) }
-    }
-
-    /// A message waits no more.
-    fn forget(&mut self, task: usize, delivery: &Delivery) {
-        let gone = (TaskId::from_index(task), delivery.from.port, Name::of(delivery));
-        self.ghosts.refused.retain(|e| (e.0, e.1, e.2) != gone);
-    }
-
-    /// How often the message that a call is for was refused, as far as that counts.
-    fn refusals(&self, task: usize, call: &Call) -> u8 {
-        let Call::Message(delivery) = call else { return 0 };
-        if self.plan.cell.cell().rules.aging != Aging::Bounded {
-            return 0;
-        }
-        let (at, name) = (TaskId::from_index(task), Name::of(delivery));
-        let entries = self.ghosts.refused.iter();
-        entries.filter(|e| (e.0, e.1, e.2) == (at, delivery.from.port, name)).map(|e| e.3).sum()
-    }
-
-    fn base_rank(&self, task: usize, call: &Call) -> u8 {
-        let order = &self.plan.tasks[task].order;
-        match call {
-            Call::Message(delivery) => order.rank(delivery.from.port, delivery.from.source),
-            Call::Timer(_) => order.timers(),
-            Call::Fenced | Call::TakeOver(_) => 0,
-        }
-    }
-
-    /// R16 with D15 and D58, from the declaration and from what was seen: may this call interrupt?
-    fn judge_interrupt(&self, task: usize, call: &Call) -> Result<(), Violation> {
-        let body = &self.bodies[task];
-        let top = body.top();
-        if body.levels.len() >= DEEPEST {
-            return Err(Violation::TooDeep);
-        }
-        if !matches!(top.does, Does::Waits | Does::Works) {
-            return Err(Violation::NotOutranking);
-        }
-        if !self.plan.watches(FloorWatch::Order) || matches!(call, Call::Fenced | Call::TakeOver(_)) {
-            return Ok(());
-        }
-        let (base, refused) = (self.base_rank(task, call), self.refusals(task, call));
-        let rank = base.saturating_sub(refused);
-        let outranks = if body.levels.len() > 1 {
-            rank < top.rank
-        } else {
-            let plain_get = top.get;
-            let capped = refused >= base.max(1);
-            plain_get || capped || rank < self.plan.tasks[task].order.own()
-        };
-        if outranks { Ok(()) } else { Err(Violation::NotOutranking) }
-    }
-
-    /// Ranks never grow up the stack: the rank of a handler is not above that of what it interrupted.
-    fn rank_of_handler(&self, task: usize, call: &Call) -> u8 {
-        let body = &self.bodies[task];
-        let below = if body.levels.len() > 1 { body.top().rank } else { self.plan.tasks[task].order.own() };
-        self.base_rank(task, call).min(below)
-    }
-
-    /// D58: a GET over all ports that takes another port's head bypasses the heads of the rest.
-    fn judge_bypass(&mut self, task: usize, delivery: &Delivery) -> Result<(), Violation> {
-        let Some((watched, most, _)) = self.plan.fair() else { return Ok(()) };
-        let at = TaskId::from_index(task);
-        let top = self.bodies[task].top();
-        if watched != at || !top.get || top.port.is_some() {
-            return Ok(());
-        }
-        let station = &self.stations[self.station_of(task)];
-        let Some(machine) = station.node.task(at) else { return Ok(()) };
-        let view = machine.view(&station.table, 0);
-        for (count, port) in self.ghosts.bypassed.iter_mut().zip(&view.ports) {
-            let handled = self.plan.tasks[task].handles.contains(&port.port);
-            if port.port == delivery.from.port || port.len == 0 || handled {
-                *count = 0;
-            } else {
-                *count += 1;
-                if *count > most {
-                    return Err(Violation::Bypassed);
-                }
-            }
-        }
-        Ok(())
     }
 
     /// A packet comes out of a link.

@@ -4,7 +4,6 @@
 use super::{
     Action, Activity, Address, End, Program, ProgramError, Script, ScriptFault, ScriptInput, ScriptOutbox,
 };
-use crate::comm_task::CommTask;
 use crate::ids::{NodeId, PortId, TaskId};
 use crate::node::{Node, NodeInput, NodeOutbox};
 use crate::observe::Observation;
@@ -147,6 +146,15 @@ impl ScriptedNode {
         self.scripts.get(at).map(|hosted| &hosted.script)
     }
 
+    /// Has every script forget the messages that it can answer no more, so that equal futures have equal states. What
+    /// the scripts do does not change.
+    pub fn bury(&mut self) {
+        for Hosted { task, script, .. } in &mut self.scripts {
+            let communication = self.node.task(*task);
+            script.bury(|to| communication.is_some_and(|communication| communication.can_answer(to)));
+        }
+    }
+
     /// How long from the last [`NodeInput::Advance`] until time alone makes the node act.
     #[must_use]
     pub fn next_expiry(&self) -> Option<Ticks> {
@@ -195,8 +203,7 @@ impl ScriptedNode {
     fn run(&mut self, task: TaskId, input: ScriptInput, runaway: bool, out: &mut impl HostOutbox) {
         let Ok(at) = self.scripts.binary_search_by_key(&task, |hosted| hosted.task) else { return };
         let Hosted { program, script, .. } = &mut self.scripts[at];
-        let communication = self.node.task(task);
-        let mut effects = ScriptEffects { task, communication, requests: &mut self.requests, out };
+        let mut effects = ScriptEffects { task, node: &self.node, requests: &mut self.requests, out };
         if runaway {
             script.stop(program, ScriptFault::Runaway, &mut effects);
         } else {
@@ -215,7 +222,7 @@ impl ScriptedNode {
 
 struct ScriptEffects<'a, O> {
     task: TaskId,
-    communication: Option<&'a CommTask>,
+    node: &'a Node,
     requests: &'a mut VecDeque<Request>,
     out: &'a mut O,
 }
@@ -250,13 +257,18 @@ impl<O: HostOutbox> ScriptOutbox for ScriptEffects<'_, O> {
     }
 
     fn fragment(&mut self, index: u8) -> Option<Contents> {
-        let _ = (self.communication, index);
-        None
+        self.node.task(self.task)?.fragment(index).copied()
     }
 
     fn answer(&mut self, port: PortId, task: Option<TaskId>, index: u8) -> Option<Contents> {
-        let _ = (self.communication, port, task, index);
-        None
+        let communication = self.node.task(self.task)?;
+        match task {
+            Some(task) => communication.answer_fragment(port, task, index).copied(),
+            None => {
+                let mut peers = self.node.parts().table.port(port)?.peers(self.task);
+                peers.find_map(|peer| communication.answer_fragment(port, peer, index).copied())
+            }
+        }
     }
 }
 

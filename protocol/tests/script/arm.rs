@@ -1,7 +1,7 @@
 //! The right arm of the beam lift, written by hand as the compiler would write it:
 //!
 //! ```text
-//! order halt > beat > self;
+//! order halt > beat > silence > self;        // timers rank below `self` unless they are named
 //! on query beat(b)   do response(me); end;
 //! on receive halt(s) do run stop_now takes 1..8 msec; me.moving := false; end;
 //! on silence beat 10 msec when me.moving do run stop_now takes 1..8 msec; me.moving := false; end;
@@ -38,7 +38,7 @@ pub fn right(ports: Ports) -> Program {
     let me = [(Type::Int16, height), (Type::Bool, moving)];
     let silence = b.timer("silence of beat");
 
-    b.order(&[Ranked::Port(halt), Ranked::Port(beat), Ranked::Own]);
+    b.order(&[Ranked::Port(halt), Ranked::Port(beat), Ranked::Timers, Ranked::Own]);
     b.start(silence, Ticks(10));
     b.forever(|b| {
         b.run("grip", Ticks(300), Ticks(500));
@@ -77,7 +77,7 @@ fn lifting() -> Rig {
         vec!["handle P0 true"],
         vec!["handle P1 true"],
         vec!["boundary"],
-        vec!["order [Port(PortId(1)), Port(PortId(0)), Own]"],
+        vec!["order [Port(PortId(1)), Port(PortId(0)), Timers, Own]"],
         vec!["boundary"],
         vec!["start 0 10"],
         vec!["boundary"],

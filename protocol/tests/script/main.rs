@@ -4,9 +4,11 @@
 mod arm;
 mod check;
 mod fake;
+mod floor;
 mod handlers;
 mod host;
 mod leases;
 mod ops;
 mod random;
 mod waits;
+mod written;
