@@ -5,7 +5,7 @@ use crate::network::Flight;
 use crate::scenario::Scenario;
 use crate::state::Packed;
 use crate::world::{Action, World};
-use imrs_protocol::{Control, Event, Kind, Observation, Outcome, Signal, TaskId};
+use imrs_protocol::{Control, Event, Kind, Observation, Outcome, Packet, Signal, TaskId};
 use serde::Serialize;
 use std::sync::Arc;
 
@@ -30,7 +30,8 @@ const MARGIN: usize = 6;
 pub fn draw(scenario: &Arc<Scenario>, exploration: &Exploration) -> Option<Counterexample> {
     let states = exploration.states_on_path.as_ref()?;
     let violation = exploration.violation?;
-    let mut pen = Pen::new(scenario);
+    let name = |i| scenario.name(TaskId::from_index(i)).to_string();
+    let mut pen = Pen::new((0..scenario.tasks()).map(name).collect());
     let mut world = World::new(scenario);
     world.keep_log = true;
     let mut tick = 0;
@@ -46,9 +47,8 @@ pub fn draw(scenario: &Arc<Scenario>, exploration: &Exploration) -> Option<Count
         tick += u32::from(action == Action::Tick);
         pen.step(tick, action, flight.as_ref(), &world);
     }
-    pen.conclude(violation.text());
     let length = u32::try_from(states.len().saturating_sub(1)).unwrap_or(u32::MAX);
-    Some(Counterexample { length, steps: pen.steps, chart: pen.lines.join("\n") })
+    Some(pen.conclude(violation.text(), length))
 }
 
 /// The step of `world` whose canonical result is `target`. States on a path name members by their sorted position; the
@@ -65,33 +65,33 @@ fn concrete_step(world: &World, target: &Packed) -> Option<(Action, World)> {
     })
 }
 
-struct Pen<'a> {
-    scenario: &'a Scenario,
+/// Draws one lane for each name.
+pub(crate) struct Pen {
+    names: Vec<String>,
     lane: usize,
     steps: Vec<String>,
     lines: Vec<String>,
     last_tick: Option<u32>,
 }
 
-impl<'a> Pen<'a> {
-    fn new(scenario: &'a Scenario) -> Self {
-        let n = scenario.tasks();
-        let lane = ((COLUMNS - MARGIN) / n).min(28);
-        let mut pen = Self { scenario, lane, steps: Vec::new(), lines: Vec::new(), last_tick: None };
+impl Pen {
+    pub fn new(names: Vec<String>) -> Self {
+        let lane = ((COLUMNS - MARGIN) / names.len()).min(28);
+        let mut pen = Self { names, lane, steps: Vec::new(), lines: Vec::new(), last_tick: None };
         let mut head = pen.empty(' ');
-        for i in 0..n {
-            pen.put(&mut head, pen.at(i), scenario.name(TaskId::from_index(i)));
+        for i in 0..pen.names.len() {
+            pen.put(&mut head, pen.at(i), &pen.names[i]);
         }
         pen.lines.push(format!("{:>MARGIN$}{}", "tick ", head.iter().collect::<String>().trim_end()));
         pen
     }
 
-    const fn at(&self, task: usize) -> usize {
-        task * self.lane
+    const fn at(&self, lane: usize) -> usize {
+        lane * self.lane
     }
 
     fn empty(&self, mark: char) -> Vec<char> {
-        let n = self.scenario.tasks();
+        let n = self.names.len();
         let mut line = vec![' '; (n * self.lane).min(COLUMNS - MARGIN)];
         for i in 0..n {
             line[i * self.lane] = mark;
@@ -112,17 +112,16 @@ impl<'a> Pen<'a> {
         self.lines.push(format!("{shown:>4}  {}", text.trim_end()));
     }
 
-    fn event(&mut self, tick: u32, task: TaskId, text: &str) {
+    pub fn event(&mut self, tick: u32, lane: usize, text: &str) {
         let mut line = self.empty('|');
-        self.put(&mut line, self.at(task.index()), &format!("* {text}"));
+        self.put(&mut line, self.at(lane), &format!("* {text}"));
         self.line(tick, &line);
-        self.steps.push(format!("tick {tick}: {} {text}", self.scenario.name(task)));
+        self.steps.push(format!("tick {tick}: {} {text}", self.names[lane]));
     }
 
-    fn arrow(&mut self, tick: u32, flight: &Flight, fate: &str) {
-        let packet = &flight.packet;
-        let (from, to) = (packet.source.index(), packet.destination.index());
-        let label = label(flight);
+    /// A packet between two lanes.
+    pub fn arrow(&mut self, tick: u32, (from, to): (usize, usize), packet: &Packet, fate: &str) {
+        let label = label(packet);
         let mut line = self.empty('|');
         let (left, right) = (self.at(from.min(to)), self.at(from.max(to)));
         for slot in &mut line[left + 1..right] {
@@ -139,38 +138,83 @@ impl<'a> Pen<'a> {
             line[left + 1] = if lost { 'x' } else { '<' };
         }
         self.line(tick, &line);
-        let names = (self.scenario.name(packet.source), self.scenario.name(packet.destination));
         let verb = if fate.is_empty() { "arrives" } else { fate };
-        self.steps.push(format!("tick {tick}: {label} from {} to {} {verb}", names.0, names.1));
+        self.steps
+            .push(format!("tick {tick}: {label} from {} to {} {verb}", self.names[from], self.names[to]));
     }
 
     fn step(&mut self, tick: u32, action: Action, flight: Option<&Flight>, world: &World) {
-        match (action, flight) {
-            (Action::Deliver(_), Some(flight)) => self.arrow(tick, flight, ""),
-            (Action::Lose(_), Some(flight)) => self.arrow(tick, flight, "LOST"),
-            (Action::Duplicate(_), Some(flight)) => self.arrow(tick, flight, "TWICE"),
-            (Action::Crash(i), _) => self.event(tick, TaskId(u16::from(i)), "CRASHES"),
-            (Action::Restart(i), _) => self.event(tick, TaskId(u16::from(i)), "restarts"),
-            (Action::Heal, _) => {
+        let fate = match action {
+            Action::Deliver(_) => Some(""),
+            Action::Lose(_) => Some("LOST"),
+            Action::Duplicate(_) => Some("TWICE"),
+            _ => None,
+        };
+        if let (Some(fate), Some(Flight { packet, .. })) = (fate, flight) {
+            self.arrow(tick, (packet.source.index(), packet.destination.index()), packet, fate);
+        }
+        match action {
+            Action::Crash(i) => self.event(tick, usize::from(i), "CRASHES"),
+            Action::Restart(i) => self.event(tick, usize::from(i), "restarts"),
+            Action::Heal => {
                 self.lines.push("      the faults stop here".into());
                 self.steps.push(format!("tick {tick}: the faults stop"));
             }
             _ => {}
         }
         for (task, shown) in &world.log {
-            let text = match shown {
-                Shown::Seen(seen) => told(seen, self.scenario),
-                Shown::Told(signal) => said(signal),
-            };
-            if let Some(text) = text {
-                self.event(tick, *task, &text);
-            }
+            self.shown(tick, task.index(), shown);
         }
     }
 
-    fn conclude(&mut self, text: &str) {
+    /// What a step showed about a task.
+    pub fn shown(&mut self, tick: u32, lane: usize, shown: &Shown) {
+        let text = match shown {
+            Shown::Seen(seen) => self.told(seen),
+            Shown::Told(signal) => said(signal),
+        };
+        if let Some(text) = text {
+            self.event(tick, lane, &text);
+        }
+    }
+
+    pub fn conclude(mut self, text: &str, length: u32) -> Counterexample {
         self.lines.push(format!("      => {text}"));
         self.steps.push(format!("so {text}"));
+        Counterexample { length, steps: self.steps, chart: self.lines.join("\n") }
+    }
+
+    fn told(&self, seen: &Observation) -> Option<String> {
+        let number = seen.number;
+        let peer = || self.names.get(seen.peer.index()).map_or("?", String::as_str);
+        Some(match seen.event {
+            Event::Reached => format!("reaches r{number}"),
+            Event::Rejoined => format!("goes on to r{number}"),
+            Event::ReleasedComplete => format!("RELEASED r{number} (all here)"),
+            Event::ReleasedByConfirm => format!("RELEASED r{number} (told)"),
+            Event::WithinMargin => "all here, but too late".into(),
+            Event::GaveUp => format!("GIVES UP r{number}"),
+            Event::Sent => format!("sends #{number}"),
+            Event::Resent => format!("sends #{number} again"),
+            Event::Replied => format!("answers #{number}"),
+            Event::Delivered => format!("takes #{number} of {}", peer()),
+            Event::TimedOut => format!("TIME_OUT of #{number}"),
+            Event::TimedOutUnsent => format!("TIME_OUT of #{number}, unsent"),
+            Event::Rejected => format!("rejects #{number} of {}", peer()),
+            Event::Resumed => "goes on".into(),
+            Event::Granted => format!("ACTS in epoch {number}"),
+            Event::TookOver => format!("TAKES OVER in epoch {number}"),
+            Event::Fenced => "is FENCED".into(),
+            Event::Discarded(reason) => format!("drops #{number}: {}", reason.name()),
+            Event::Interrupted
+            | Event::Enqueued
+            | Event::Answered
+            | Event::RefusedByPeer
+            | Event::PeerRestarted
+            | Event::PartnerArrived
+            | Event::PartnerAborted
+            | Event::Confirmed => return None,
+        })
     }
 }
 
@@ -183,8 +227,7 @@ pub(crate) enum Shown {
     Told(Signal),
 }
 
-fn label(flight: &Flight) -> String {
-    let packet = &flight.packet;
+fn label(packet: &Packet) -> String {
     let round = || packet.meeting().round;
     let number = packet.id.sequence.get();
     match packet.kind {
@@ -205,44 +248,13 @@ fn label(flight: &Flight) -> String {
     }
 }
 
-fn told(seen: &Observation, scenario: &Scenario) -> Option<String> {
-    let number = seen.number;
-    let peer = || scenario.name(seen.peer);
-    Some(match seen.event {
-        Event::Reached => format!("reaches r{number}"),
-        Event::Rejoined => format!("goes on to r{number}"),
-        Event::ReleasedComplete => format!("RELEASED r{number} (all here)"),
-        Event::ReleasedByConfirm => format!("RELEASED r{number} (told)"),
-        Event::WithinMargin => "all here, but too late".into(),
-        Event::GaveUp => format!("GIVES UP r{number}"),
-        Event::Rejected => format!("rejects #{number}"),
-        Event::Interrupted => format!("is interrupted by #{number}"),
-        Event::Resumed => "goes on".into(),
-        Event::Granted => format!("ACTS in epoch {number}"),
-        Event::TookOver => format!("TAKES OVER in epoch {number}"),
-        Event::Fenced => "is FENCED".into(),
-        Event::Sent => format!("sends #{number}"),
-        Event::Resent => format!("sends #{number} again"),
-        Event::Replied => format!("answers #{number}"),
-        Event::Delivered => format!("takes #{number} of {}", peer()),
-        Event::TimedOut => format!("TIME_OUT of #{number}"),
-        Event::TimedOutUnsent => format!("TIME_OUT of #{number}, unsent"),
-        Event::Discarded(reason) => format!("drops #{number}: {}", reason.name()),
-        Event::Enqueued
-        | Event::Answered
-        | Event::RefusedByPeer
-        | Event::PeerRestarted
-        | Event::PartnerArrived
-        | Event::PartnerAborted
-        | Event::Confirmed => return None,
-    })
-}
-
 fn said(signal: &Signal) -> Option<String> {
     match signal {
         Signal::Outcome(Outcome::Reply(_)) => Some("gets the answer".into()),
         Signal::Outcome(Outcome::Refused) => Some("is refused".into()),
         Signal::Outcome(Outcome::PeerRestarted) => Some("hears of the restart".into()),
+        Signal::Interrupt(_) => Some("is interrupted".into()),
+        Signal::Fault(fault) => Some(format!("is told of a fault: {fault:?}")),
         _ => None,
     }
 }

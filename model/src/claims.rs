@@ -2,10 +2,15 @@
 //! the default rules, and fails, with its shortest counterexample, under each named variant.
 
 mod commands;
+mod couples;
+mod floors;
 mod meetings;
+mod service;
 
 use crate::chart::{Counterexample, draw};
 use crate::explore::{Exploration, Limits, explore};
+use crate::floor::plan::FloorPlan;
+use crate::floor::{draw_floor, explore_floor};
 use crate::report::{Bounds, Found, Outcome, Report, Verdict, collision_probability};
 use crate::scenario::Scenario;
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -115,6 +120,11 @@ impl Work<'_> {
     /// Explores a scenario for the claim.
     pub fn explore(&mut self, scenario: &Arc<Scenario>) -> Exploration {
         let found = explore(scenario, self.limits, None);
+        self.count(&found);
+        found
+    }
+
+    fn count<A>(&mut self, found: &Exploration<A>) {
         self.counts.add(&Counts {
             states: found.states,
             transitions: found.transitions,
@@ -124,7 +134,18 @@ impl Work<'_> {
             seconds: found.seconds,
         });
         self.progress.states(self.name, self.counts.states);
-        found
+    }
+
+    /// Explores a floor and judges.
+    pub fn judge_floor(&mut self, plan: &Arc<FloorPlan>) -> (Outcome, Option<Counterexample>) {
+        let found = explore_floor(plan, self.limits);
+        self.count(&found);
+        (outcome(&found), draw_floor(plan, &found))
+    }
+
+    /// Different states looked at so far.
+    pub const fn states(&self) -> u64 {
+        self.counts.states
     }
 
     /// Does a part of the work and says what that part alone looked at.
@@ -145,7 +166,7 @@ impl Work<'_> {
 }
 
 /// The verdict of one exploration.
-pub(crate) fn outcome(found: &Exploration) -> Outcome {
+pub(crate) fn outcome<A>(found: &Exploration<A>) -> Outcome {
     match (found.violation, found.complete) {
         (Some(_), _) => Outcome::Fails,
         (None, true) => Outcome::Holds,
@@ -156,14 +177,21 @@ pub(crate) fn outcome(found: &Exploration) -> Outcome {
 fn all() -> Vec<Claim> {
     let mut claims = meetings::claims();
     claims.extend(commands::claims());
+    claims.extend(floors::claims());
+    claims.extend(service::claims());
+    claims.extend(couples::claims());
     claims
 }
 
 /// The names of all claims, in order, each once.
 #[must_use]
 pub fn claim_names() -> Vec<&'static str> {
-    let mut names: Vec<&'static str> = all().iter().map(|claim| claim.name).collect();
-    names.dedup();
+    let mut names: Vec<&'static str> = Vec::new();
+    for claim in all() {
+        if !names.contains(&claim.name) {
+            names.push(claim.name);
+        }
+    }
     names
 }
 

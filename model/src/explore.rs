@@ -1,4 +1,4 @@
-//! A world under stateright's breadth-first search, with what stateright 0.31 leaves to its user.
+//! Worlds under stateright's breadth-first search, with what stateright 0.31 leaves to its user.
 //!
 //! One property, one thread, breadth first: then the first counterexample found is a shortest one (with several
 //! properties a later, longer one would replace it). There is no cancel: a budget works by offering no more actions.
@@ -8,6 +8,7 @@ use crate::scenario::{Scenario, Watch};
 use crate::state::{Packed, Violation};
 use crate::world::{Action, World};
 use stateright::{Checker, Model, Property};
+use std::fmt::Debug;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -30,9 +31,9 @@ impl Default for Limits {
 
 /// What an exploration found.
 #[derive(Clone, Debug)]
-pub struct Exploration {
+pub struct Exploration<A = Action> {
     /// The shortest path to a violation, if there is one.
-    pub path: Option<Vec<Action>>,
+    pub path: Option<Vec<A>>,
     /// The states on that path, the first included.
     pub states_on_path: Option<Vec<Packed>>,
     /// What is violated at its end.
@@ -51,96 +52,55 @@ pub struct Exploration {
     pub seconds: f64,
 }
 
-/// A scenario as a stateright model.
-pub struct WorldModel {
-    scenario: Arc<Scenario>,
-    scratch: Mutex<World>,
+/// A world that can be explored: a scratch pad over packed states. Every call starts from the state it is given.
+pub(crate) trait Ground: Send {
+    /// One thing that can happen next.
+    type Action: Copy + Debug + PartialEq + Send + Sync + 'static;
+
+    /// The first state.
+    fn first(&mut self) -> Packed;
+    /// What may happen in a state that is not final.
+    fn actions(&mut self, state: &Packed, actions: &mut Vec<Self::Action>);
+    /// What comes of it. May panic where the machine does.
+    fn step(&mut self, state: &Packed, action: Self::Action) -> Packed;
+    /// Makes the pad fit for use again after a panic.
+    fn renew(&mut self);
+}
+
+/// How a search is told to report: the number of states looked at.
+pub(crate) type Hear = Arc<dyn Fn(u64) + Send + Sync>;
+
+/// A world as a stateright model.
+pub(crate) struct Grounded<G> {
+    pub scratch: Mutex<G>,
     limits: Limits,
     expanded: AtomicU64,
     longest: AtomicU64,
     over: AtomicBool,
     replaying: AtomicBool,
-    progress: Option<Arc<dyn Fn(u64) + Send + Sync>>,
+    progress: Option<Hear>,
 }
 
 /// How many states pass between two looks at the memory and two words of progress.
 const LOOK: u64 = 8192;
 
-impl WorldModel {
-    /// The model of a scenario.
-    #[must_use]
-    pub fn new(scenario: &Arc<Scenario>, limits: Limits) -> Self {
+impl<G: Ground> Grounded<G> {
+    /// The model over a pad.
+    pub fn new(pad: G, limits: Limits, progress: Option<Hear>) -> Self {
         Self {
-            scenario: Arc::clone(scenario),
-            scratch: Mutex::new(World::new(scenario)),
+            scratch: Mutex::new(pad),
             limits,
             expanded: AtomicU64::new(0),
             longest: AtomicU64::new(0),
             over: AtomicBool::new(false),
             replaying: AtomicBool::new(false),
-            progress: None,
+            progress,
         }
     }
 
-    /// The state that stands for `state` under this scenario's reductions.
-    #[doc(hidden)]
-    #[must_use]
-    pub fn canonical(&self, state: &Packed) -> Packed {
-        let mut world = self.scratch.lock().unwrap_or_else(PoisonError::into_inner);
-        world.load(state, None);
-        world.store()
-    }
-
-    /// The state in which the member `order[k]` stands at position `k`.
-    #[doc(hidden)]
-    #[must_use]
-    pub fn renamed(&self, state: &Packed, order: &[usize]) -> Packed {
-        let mut world = self.scratch.lock().unwrap_or_else(PoisonError::into_inner);
-        world.load(state, None);
-        world.store_renamed(order)
-    }
-
-    /// Whether nobody waits for anything, nobody has anything left to do and nothing is on the way.
-    #[doc(hidden)]
-    #[must_use]
-    pub fn is_finished(&self, state: &Packed) -> bool {
-        let mut world = self.scratch.lock().unwrap_or_else(PoisonError::into_inner);
-        world.load(state, None);
-        world.is_finished()
-    }
-
-    /// Which node a step needs unpacked: one, where the watch and the reductions look at no other.
-    fn touched(&self, action: Action) -> Touch {
-        let local = self.scenario.is_meeting()
-            && !self.scenario.reductions.ignores
-            && !self.scenario.lives()
-            && !matches!(self.scenario.watch, Watch::Stranded);
-        match action {
-            Action::Act(i) if local => Touch::One(usize::from(i)),
-            Action::Deliver(_) if local => Touch::Destination,
-            _ => Touch::All,
-        }
-    }
-
-    fn step(&self, state: &Packed, action: Action) -> Packed {
-        let mut world = self.scratch.lock().unwrap_or_else(PoisonError::into_inner);
-        let touch = match self.touched(action) {
-            Touch::All => None,
-            Touch::One(i) => Some(i),
-            Touch::Destination => match action {
-                Action::Deliver(i) => World::destination(&self.scenario, state, i),
-                _ => None,
-            },
-        };
-        let result = catch_unwind(AssertUnwindSafe(|| {
-            world.load(state, touch);
-            world.apply(action);
-            world.store()
-        }));
-        result.unwrap_or_else(|_| {
-            *world = World::new(&self.scenario);
-            Packed(Box::new([Violation::Panic.code(), 0, 0, 0, 0]))
-        })
+    /// Uses the pad.
+    pub fn with<R>(&self, work: impl FnOnce(&mut G) -> R) -> R {
+        work(&mut self.scratch.lock().unwrap_or_else(PoisonError::into_inner))
     }
 
     fn look(&self) {
@@ -162,33 +122,31 @@ impl WorldModel {
     }
 }
 
-enum Touch {
-    All,
-    One(usize),
-    Destination,
-}
-
-impl Model for WorldModel {
+impl<G: Ground> Model for Grounded<G> {
     type State = Packed;
-    type Action = Action;
+    type Action = G::Action;
 
     fn init_states(&self) -> Vec<Packed> {
-        vec![World::new(&self.scenario).store()]
+        vec![self.with(Ground::first)]
     }
 
-    fn actions(&self, state: &Packed, actions: &mut Vec<Action>) {
+    fn actions(&self, state: &Packed, actions: &mut Vec<G::Action>) {
         self.look();
         self.longest.fetch_max(state.len() as u64, Ordering::Relaxed);
         if self.over.load(Ordering::Relaxed) || state.is_final() {
             return;
         }
-        let mut world = self.scratch.lock().unwrap_or_else(PoisonError::into_inner);
-        world.load(state, None);
-        world.actions(actions);
+        self.with(|pad| pad.actions(state, actions));
     }
 
-    fn next_state(&self, state: &Packed, action: Action) -> Option<Packed> {
-        Some(self.step(state, action))
+    fn next_state(&self, state: &Packed, action: G::Action) -> Option<Packed> {
+        Some(self.with(|pad| {
+            let result = catch_unwind(AssertUnwindSafe(|| pad.step(state, action)));
+            result.unwrap_or_else(|_| {
+                pad.renew();
+                Packed(Box::new([Violation::Panic.code(), 0, 0, 0, 0]))
+            })
+        }))
     }
 
     fn properties(&self) -> Vec<Property<Self>> {
@@ -196,17 +154,14 @@ impl Model for WorldModel {
     }
 }
 
-/// Explores a scenario until everything is seen, a violation is found or a limit is reached.
-#[must_use]
-pub fn explore(
-    scenario: &Arc<Scenario>,
+/// Explores a world until everything is seen, a violation is found or a limit is reached.
+pub(crate) fn search<G: Ground + 'static>(
+    pad: G,
     limits: Limits,
-    progress: Option<Arc<dyn Fn(u64) + Send + Sync>>,
-) -> Exploration {
+    progress: Option<Hear>,
+) -> Exploration<G::Action> {
     let start = Instant::now();
-    let mut model = WorldModel::new(scenario, limits);
-    model.progress = progress;
-    let checker = model.checker().threads(1).spawn_bfs().join();
+    let checker = Grounded::new(pad, limits, progress).checker().threads(1).spawn_bfs().join();
     let cut = checker.model().over.swap(false, Ordering::Relaxed);
     // Paths are rebuilt by asking the model again: it must offer what it offered then.
     checker.model().replaying.store(true, Ordering::Relaxed);
@@ -224,6 +179,128 @@ pub fn explore(
         seconds: start.elapsed().as_secs_f64(),
         path: path.map(stateright::Path::into_actions),
     }
+}
+
+impl Ground for World {
+    type Action = Action;
+
+    fn first(&mut self) -> Packed {
+        World::new(&self.scenario).store()
+    }
+
+    fn actions(&mut self, state: &Packed, actions: &mut Vec<Action>) {
+        self.load(state, None);
+        World::actions(self, actions);
+    }
+
+    fn step(&mut self, state: &Packed, action: Action) -> Packed {
+        let touch = match touched(&self.scenario, action) {
+            Touch::All => None,
+            Touch::One(i) => Some(i),
+            Touch::Destination => match action {
+                Action::Deliver(i) => World::destination(&self.scenario, state, i),
+                _ => None,
+            },
+        };
+        self.load(state, touch);
+        self.apply(action);
+        self.store()
+    }
+
+    fn renew(&mut self) {
+        *self = World::new(&Arc::clone(&self.scenario));
+    }
+}
+
+enum Touch {
+    All,
+    One(usize),
+    Destination,
+}
+
+/// Which node a step needs unpacked: one, where the watch and the reductions look at no other.
+fn touched(scenario: &Scenario, action: Action) -> Touch {
+    let local = scenario.is_meeting()
+        && !scenario.reductions.ignores
+        && !scenario.lives()
+        && !matches!(scenario.watch, Watch::Stranded);
+    match action {
+        Action::Act(i) if local => Touch::One(usize::from(i)),
+        Action::Deliver(_) if local => Touch::Destination,
+        _ => Touch::All,
+    }
+}
+
+/// A scenario as a stateright model.
+pub struct WorldModel(Grounded<World>);
+
+impl WorldModel {
+    /// The model of a scenario.
+    #[must_use]
+    pub fn new(scenario: &Arc<Scenario>, limits: Limits) -> Self {
+        Self(Grounded::new(World::new(scenario), limits, None))
+    }
+
+    /// The state that stands for `state` under this scenario's reductions.
+    #[doc(hidden)]
+    #[must_use]
+    pub fn canonical(&self, state: &Packed) -> Packed {
+        self.0.with(|world| {
+            world.load(state, None);
+            world.store()
+        })
+    }
+
+    /// The state in which the member `order[k]` stands at position `k`.
+    #[doc(hidden)]
+    #[must_use]
+    pub fn renamed(&self, state: &Packed, order: &[usize]) -> Packed {
+        self.0.with(|world| {
+            world.load(state, None);
+            world.store_renamed(order)
+        })
+    }
+
+    /// Whether nobody waits for anything, nobody has anything left to do and nothing is on the way.
+    #[doc(hidden)]
+    #[must_use]
+    pub fn is_finished(&self, state: &Packed) -> bool {
+        self.0.with(|world| {
+            world.load(state, None);
+            world.is_finished()
+        })
+    }
+}
+
+impl Model for WorldModel {
+    type State = Packed;
+    type Action = Action;
+
+    fn init_states(&self) -> Vec<Packed> {
+        self.0.init_states()
+    }
+
+    fn actions(&self, state: &Packed, actions: &mut Vec<Action>) {
+        self.0.actions(state, actions);
+    }
+
+    fn next_state(&self, state: &Packed, action: Action) -> Option<Packed> {
+        self.0.next_state(state, action)
+    }
+
+    fn properties(&self) -> Vec<Property<Self>> {
+        vec![Property::always("claim", |_, state: &Packed| state.violation().is_none())]
+    }
+}
+
+/// Explores a scenario until everything is seen, a violation is found or a limit is reached.
+#[must_use]
+pub fn explore(
+    scenario: &Arc<Scenario>,
+    limits: Limits,
+    progress: Option<Arc<dyn Fn(u64) + Send + Sync>>,
+) -> Exploration {
+    search(World::new(scenario), limits, progress)
 }
 
 /// The resident memory of this process, where the system tells.
@@ -245,7 +322,7 @@ mod tests {
         let start = model.init_states().remove(0);
         let expected = model.next_state(&start, Action::Act(0));
         // Without its nodes the world indexes past the end, as a fault of the machine would.
-        model.scratch.lock().expect("nobody panicked with it").places.clear();
+        model.0.scratch.lock().expect("nobody panicked with it").places.clear();
         let broken = model.next_state(&start, Action::Act(0)).expect("a state in any case");
         assert_eq!(broken.violation(), Some(crate::Violation::Panic));
         assert!(broken.is_final());

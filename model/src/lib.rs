@@ -8,6 +8,7 @@
 mod chart;
 mod claims;
 mod explore;
+pub mod floor;
 mod ghost;
 mod network;
 mod report;

@@ -49,6 +49,8 @@ pub struct Found {
     pub closed_form_margin: Option<u64>,
     /// A bound that was searched for, in ticks.
     pub bound_ticks: Option<u64>,
+    /// The least such bound that was found to be enough.
+    pub least_bound_ticks: Option<u64>,
     /// The least number of attempts within which the members meet.
     pub attempts: Option<u32>,
 }

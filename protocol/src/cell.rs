@@ -104,6 +104,8 @@ pub struct CoupleDecl {
     pub every: Ticks,
     /// The port that carries them.
     pub via: PortId,
+    /// Whether the take-over is believed as it stands: for checkers, which search the least one.
+    pub trusted: bool,
     /// Whether the roles are exchanged at a take-over (`<->`), so that the former primary becomes the standby.
     pub mutual: bool,
 }

@@ -76,7 +76,7 @@ fn check_times(
     let margin = takeover_margin(couple.lease, couple.takeover, DRIFT_PPM, residence, cell.tick);
     // An answer of an earlier time in office must be dead before the next one begins.
     let least = (couple.lease + margin).max(via.decl.time_out);
-    if couple.takeover < least {
+    if couple.takeover < least && !couple.trusted {
         let (couple, takeover) = (name(cell, couple), couple.takeover);
         errors.push(CellError::TakeoverTooSoon { couple, takeover, least });
     }

@@ -18,14 +18,17 @@
 
 extern crate alloc;
 
+pub mod aging;
 pub mod cell;
 mod comm_task;
 mod couples;
 mod ids;
+mod index;
 mod mapping;
 pub mod margin;
 mod node;
 mod observe;
+mod packed;
 mod packet;
 mod queue;
 mod request;

@@ -3,12 +3,14 @@
 //! Single-threaded drivers call [`Node::step`]; the threaded runtime takes a node apart and puts every part behind its
 //! own lock. Both call the same pure functions of [`route`](crate::route).
 
-use crate::comm_task::{CommTask, Input, Outbox};
-use crate::ids::{Incarnation, MessageId, NodeId, TaskId};
+use crate::comm_task::{CommTask, Frame, Input, Outbox, Overflow};
+use crate::ids::{Incarnation, MessageId, NodeId, Seq24, TaskId};
 use crate::observe::{Event, Observation, Reason};
+use crate::packed::Eye;
 use crate::packet::Packet;
 use crate::request::{Request, Signal, TimeId};
 use crate::route::{self, Arrival, Departure};
+use crate::rules::JobRequest;
 use crate::table::NodeTable;
 use crate::ticks::Ticks;
 use crate::timer::Timer;
@@ -125,10 +127,18 @@ impl Node {
 
     /// Takes one input and carries out everything that follows from it within the node.
     pub fn step(&mut self, input: NodeInput, out: &mut impl NodeOutbox) {
+        self.begin(input, out);
+        while self.proceed(out) {}
+        self.flush(out);
+    }
+
+    /// Takes one input and leaves what follows from it within the node to [`proceed`](Self::proceed): for a checker
+    /// that looks between the steps (D39). Time passes at once for all parts.
+    pub fn begin(&mut self, input: NodeInput, out: &mut impl NodeOutbox) {
         match input {
             NodeInput::Advance(elapsed) => self.advance(elapsed, out),
             NodeInput::Request(task, request) => {
-                self.work.push_back(Work::Task(task, Input::Request(request)));
+                self.carry_out(Work::Task(task, Input::Request(request)), out);
             }
             NodeInput::Packet { packet, charge } => self.arrive(packet, charge, out),
             NodeInput::PeerRestarted(node) => {
@@ -138,10 +148,109 @@ impl Node {
                 }
             }
         }
-        while let Some(work) = self.work.pop_front() {
-            self.carry_out(work, out);
+    }
+
+    /// Carries out the next effect within the node. False when there is none: then [`flush`](Self::flush).
+    pub fn proceed(&mut self, out: &mut impl NodeOutbox) -> bool {
+        let Some(work) = self.work.pop_front() else { return false };
+        self.carry_out(work, out);
+        true
+    }
+
+    /// Whether effects within the node are not carried out yet.
+    #[must_use]
+    pub fn is_busy(&self) -> bool {
+        !self.work.is_empty()
+    }
+
+    /// The packets among these effects.
+    pub fn work_packets(&self) -> impl Iterator<Item = &Packet> {
+        self.work.iter().filter_map(|work| match work {
+            Work::Route(packet) | Work::Task(_, Input::Packet(packet)) => Some(packet),
+            Work::Task(..) | Work::Arm(..) | Work::Disarm(..) => None,
+        })
+    }
+
+    /// Writes the canonical bytes of the effects that are not carried out yet (D51) and returns how many.
+    ///
+    /// # Errors
+    /// [`Overflow`] when a distance outgrows its field, `out` is too short, or an input waits that
+    /// [`begin`](Self::begin) was given and [`proceed`](Self::proceed) has not handed on.
+    pub fn store_work(&self, frame: &Frame<'_>, out: &mut [u8]) -> Result<usize, Overflow> {
+        let mut at = 0;
+        put(out, &mut at, u8::try_from(self.work.len()).map_err(|_| Overflow)?)?;
+        for work in &self.work {
+            let (tag, task) = match work {
+                Work::Route(packet) => (0, packet.source),
+                Work::Task(task, Input::Packet(_)) => (1, *task),
+                Work::Task(task, Input::Unsent(_)) => (2, *task),
+                Work::Task(task, Input::TimeOut { .. }) => (3, *task),
+                Work::Arm(task, ..) => (4, *task),
+                Work::Disarm(task, _) => (5, *task),
+                Work::Task(task, Input::PeerRestarted(_)) => (6, *task),
+                Work::Task(_, Input::Advance(_) | Input::Request(_)) => return Err(Overflow),
+            };
+            put(out, &mut at, tag)?;
+            put(out, &mut at, u8::try_from(task.0).map_err(|_| Overflow)?)?;
+            match work {
+                Work::Route(packet) | Work::Task(_, Input::Packet(packet)) => {
+                    at += packet.store(frame, out.get_mut(at..).ok_or(Overflow)?)?;
+                }
+                Work::Task(task, Input::Unsent(id)) => {
+                    let next = frame.sequences.get(task.index()).copied().unwrap_or_default();
+                    put(out, &mut at, id.incarnation.0)?;
+                    put(out, &mut at, u8::try_from(next.steps_from(id.sequence)).map_err(|_| Overflow)?)?;
+                }
+                Work::Task(_, Input::TimeOut { id, .. }) | Work::Disarm(_, id) => put(out, &mut at, id.0)?,
+                Work::Arm(_, id, _, length) => {
+                    put(out, &mut at, id.0)?;
+                    put(out, &mut at, u8::try_from(length.0).map_err(|_| Overflow)?)?;
+                }
+                Work::Task(_, Input::PeerRestarted(node)) => {
+                    put(out, &mut at, u8::try_from(node.0).map_err(|_| Overflow)?)?;
+                }
+                Work::Task(_, Input::Advance(_) | Input::Request(_)) => {}
+            }
         }
-        self.flush(out);
+        Ok(at)
+    }
+
+    /// Reads the effects back and returns how many bytes they took.
+    pub fn load_work(&mut self, lives: bool, bytes: &[u8]) -> usize {
+        let mut eye = Eye::new(bytes);
+        self.work.clear();
+        for _ in 0..eye.byte() {
+            let (tag, task) = (eye.byte(), TaskId(u16::from(eye.byte())));
+            let packet = |eye: &mut Eye<'_>| {
+                let (packet, len) = Packet::load(bytes.get(eye.at..).unwrap_or(&[]), lives);
+                eye.at += len;
+                packet
+            };
+            self.work.push_back(match tag {
+                0 => Work::Route(packet(&mut eye)),
+                1 => Work::Task(task, Input::Packet(packet(&mut eye))),
+                2 => {
+                    let incarnation = Incarnation(eye.byte());
+                    let sequence = Frame::SEQUENCE.plus(Seq24::MODULUS - u32::from(eye.byte()));
+                    Work::Task(task, Input::Unsent(MessageId { incarnation, sequence }))
+                }
+                3 => Work::Task(task, Input::TimeOut { id: TimeId(eye.byte()), turn: 0 }),
+                4 => Work::Arm(task, TimeId(eye.byte()), 0, Ticks(u64::from(eye.byte()))),
+                5 => Work::Disarm(task, TimeId(eye.byte())),
+                _ => Work::Task(task, Input::PeerRestarted(NodeId(u16::from(eye.byte())))),
+            });
+        }
+        eye.at
+    }
+
+    /// Whether the clock counts (D22). Under the blocking reading of Figure 3 the Timer waits for the answer of every
+    /// task to its JOB_REQUEST, and a task that works gives none: no CLICK reaches the node's communication tasks.
+    #[must_use]
+    pub fn counts(&self) -> bool {
+        match self.parts.table.rules().job_request {
+            JobRequest::Standing => true,
+            JobRequest::Blocking => !self.parts.tasks.iter().any(CommTask::is_working),
+        }
     }
 
     /// How long from the last [`NodeInput::Advance`] until time alone makes this node act.
@@ -159,6 +268,9 @@ impl Node {
     }
 
     fn advance(&mut self, elapsed: Ticks, out: &mut impl NodeOutbox) {
+        if !self.counts() {
+            return;
+        }
         // The transit buffer first: a task whose time_out ends now must know whether its packet ever left.
         self.with_transit(out, |transit, table, effects| transit.advance(table, elapsed, effects));
         while let Some(work) = self.work.pop_front() {
@@ -217,6 +329,12 @@ impl Node {
         let Parts { table, transit, .. } = &mut self.parts;
         step(transit, table, &mut RouteEffects { work: &mut self.work, out });
     }
+}
+
+fn put(out: &mut [u8], at: &mut usize, byte: u8) -> Result<(), Overflow> {
+    *out.get_mut(*at).ok_or(Overflow)? = byte;
+    *at += 1;
+    Ok(())
 }
 
 /// The observation of a packet dropped before it reached a communication task.

@@ -38,6 +38,7 @@ fn cell(mutual: bool) -> Cell {
         takeover: Ticks(TAKEOVER),
         every: Ticks(EVERY),
         via: ALIVE,
+        trusted: false,
         mutual,
     });
     cell

@@ -41,7 +41,8 @@ pub(crate) enum Post {
     Passive,
 }
 
-/// An answer whose echo renews the lease until this instant.
+/// A beat that was answered. To the one who answered: until when its echo renews the lease. To the other: until when
+/// echoing it may be of use.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(crate) struct Answered {
     pub beat: Seq24,
@@ -62,8 +63,8 @@ pub(crate) struct Lease {
     pub life: Option<Incarnation>,
     /// The last beats that were answered, newest first.
     pub answered: [Option<Answered>; ANSWERS],
-    /// The newest own beat that was answered: the next one echoes it.
-    pub echo: Option<Seq24>,
+    /// The newest own beat that was answered: the next one echoes it, while that can renew anything.
+    pub echo: Option<Answered>,
     /// When the next beat is sent.
     pub beat_at: Ticks,
     /// When this task takes over if no answer comes.
@@ -191,7 +192,8 @@ impl Lease {
         let life = port.party(at.task).map_or(Ticks::ZERO, |party| party.time_out);
         let id = MessageId { incarnation: at.incarnation, sequence: *at.next };
         *at.next = at.next.next();
-        let back = self.echo.map_or(0, |echo| id.sequence.steps_from(echo));
+        self.echo = self.echo.filter(|echo| echo.until > at.now);
+        let back = self.echo.map_or(0, |echo| id.sequence.steps_from(echo.beat));
         let back = u16::try_from(back).unwrap_or(0).to_le_bytes();
         let contents = Contents::new(&[back[0], back[1], self.epoch, 0]).unwrap_or_default();
         let packet = mapping::message(port, at.task, self.partner, id, life, contents);
@@ -231,6 +233,8 @@ impl Lease {
         if let Some(until) = renewed.filter(|&until| until > at.now) {
             match self.post {
                 Post::Leased(held) => self.post = Post::Leased(held.max(until)),
+                // Not before the task knows that it was fenced: it may still be about to act.
+                Post::Waits if self.call.is_some() => {}
                 Post::Waits => self.begin(Post::Leased(until)),
                 Post::Alone => self.post = Post::Leased(until),
                 Post::Passive => {}
@@ -275,9 +279,10 @@ impl Lease {
         let bytes = packet.contents.as_bytes();
         let (Some(&mode), Some(&epoch)) = (bytes.first(), bytes.get(1)) else { return };
         self.hear_of(epoch);
-        let newest = self.echo.is_none_or(|echo| packet.id.sequence.is_newer_than(echo));
+        let newest = self.echo.is_none_or(|echo| packet.id.sequence.is_newer_than(echo.beat));
         if newest {
-            self.echo = Some(packet.id.sequence);
+            // The lease counts from when the answer was sent, so whatever the clocks do an echo is of no use after that.
+            self.echo = Some(Answered { beat: packet.id.sequence, until: at.now + couple.takeover });
             self.said = Contents::new(bytes.get(ECHO_BYTES..).unwrap_or(&[])).unwrap_or_default();
         }
         // An older answer was sent earlier than the newest one, so it may only put the take-over off.
@@ -314,6 +319,7 @@ impl Lease {
             *answered = answered.filter(|a| a.until > now && self.post != Post::Passive);
         }
         self.answered.sort_by_key(Option::is_none);
+        self.echo = self.echo.filter(|echo| echo.until > now);
     }
 }
 

@@ -71,7 +71,8 @@ macro_rules! relatives {
                 }
             }
             if let Some(echo) = & $($m)? lease.echo {
-                $v.sequence(own, echo);
+                $v.sequence(own, & $($m)? echo.beat);
+                $v.instant(& $($m)? echo.until);
             }
             $v.instant(& $($m)? lease.beat_at);
             $v.instant(& $($m)? lease.takeover_at);

@@ -95,4 +95,10 @@ impl CommTask {
     pub fn awaits(&self) -> Option<(TaskId, crate::ids::MessageId)> {
         self.outstanding().next().map(|(_, task, id)| (task, id))
     }
+
+    /// Whether the task works: it waits for nothing that its communication task or the Timer could give it.
+    #[must_use]
+    pub fn is_working(&self) -> bool {
+        matches!(self.top().pending, Pending::Nothing | Pending::Work)
+    }
 }

@@ -42,7 +42,8 @@ impl CommTask {
             Post::Alone | Post::Passive => {}
         }
         if let Some(echo) = lease.echo {
-            w.byte(frame.sequence(self.task, echo)?)?;
+            w.byte(frame.sequence(self.task, echo.beat)?)?;
+            w.left(echo.until, self.now)?;
         }
         w.count(lease.answered.iter().flatten().count())?;
         for answered in lease.answered.iter().flatten() {
@@ -73,7 +74,7 @@ impl CommTask {
             (false, true) => Some(Call::TakeOver(lease.epoch)),
             (false, false) => None,
         };
-        lease.echo = (first & ECHO != 0).then(|| r.sequence());
+        lease.echo = (first & ECHO != 0).then(|| Answered { beat: r.sequence(), until: r.left() });
         lease.answered = Default::default();
         let count = usize::from(r.byte());
         for answered in lease.answered.iter_mut().take(count) {

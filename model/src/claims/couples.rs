@@ -1,0 +1,131 @@
+//! Claims about work-coupled tasks (R8; D30, D61, D78): never two that act.
+
+use super::floors::{bounds, settle_plan};
+use super::{Claim, Settled, Variant, Work};
+use crate::floor::plan::{Faults, FloorWatch, Goal};
+use crate::floor::worlds::Couple;
+use crate::report::{Found, Outcome};
+use imrs_protocol::Ticks;
+use imrs_protocol::margin::takeover_margin;
+use imrs_protocol::rules::LeaseRule;
+
+const NAME: &str = "one-active";
+
+/// Any number of lost packets, packets that overtake each other, a lease that two lost beats do not end.
+const COUPLE: Couple = Couple {
+    delay: 1,
+    lease: 8,
+    takeover: 8,
+    every: 2,
+    mutual: false,
+    rule: LeaseRule::Echoed,
+    faults: Faults { loss: u8::MAX, dup: 0, crash: 0, drift: 0, late: 0, over: 0 },
+    watch: FloorWatch::OneActive,
+};
+
+pub(super) fn claims() -> Vec<Claim> {
+    let drift = |drift: u8| Couple { faults: Faults { drift, ..COUPLE.faults }, ..COUPLE };
+    let late = |base: Couple| Couple { faults: Faults { late: 1, ..base.faults }, ..base };
+    let crash = |base: Couple| Couple { faults: Faults { crash: 1, ..base.faults }, ..base };
+    let slow = |base: Couple| Couple { delay: 2, lease: 10, takeover: 10, ..base };
+    let mutual = |base: Couple| Couple { mutual: true, ..base };
+    vec![
+        least("default", true, drift(0)),
+        least("default, drift", true, drift(1)),
+        least("default, crash", true, crash(drift(0))),
+        least("default, exchanged roles", true, mutual(drift(0))),
+        least("default, drift and a late tick", false, late(drift(1))),
+        least("default, more drift", false, slow(drift(2))),
+        least("default, drift and crash", false, crash(drift(1))),
+        least("default, exchanged roles, drift", false, mutual(drift(1))),
+        least("default, exchanged roles, crash", false, mutual(crash(drift(0)))),
+        heartbeat(),
+    ]
+}
+
+fn least(rule: &'static str, smoke: bool, couple: Couple) -> Claim {
+    Claim {
+        name: NAME,
+        rule,
+        parties: 2,
+        about: "never two that act, whatever is lost; by how much the take-over must exceed the lease is searched for",
+        expect: Outcome::Holds,
+        smoke,
+        settle: Box::new(move |work| margin(work, &couple)),
+    }
+}
+
+/// How far past the lease a take-over is tried.
+const MOST: u64 = 6;
+
+/// What the closed form gives for the couple's clocks: its drift as parts of both waits, and the tick that a node may
+/// notice late.
+fn closed_form(couple: &Couple) -> u64 {
+    let Couple { lease, faults, .. } = *couple;
+    let both = 2 * lease;
+    let ppm = (u64::from(faults.drift) * 1_000_000).div_ceil(both);
+    takeover_margin(Ticks(lease), Ticks(lease), ppm, Ticks::ZERO, Ticks(1)).0
+}
+
+/// Searches the least margin that holds; the one below it is the variant that must fail. Shows too that the standby
+/// takes over at all.
+fn margin(work: &mut Work<'_>, couple: &Couple) -> Settled {
+    let mut one_less: Option<(Settled, _)> = None;
+    let mut held = None;
+    // From a take-over that is sooner than the end of the lease, so that the least one has one below it.
+    for takeover in couple.lease - 1..=couple.lease + MOST {
+        let tried = Couple { takeover, ..couple.clone() };
+        let (settled, counts) = work.part(|work| settle_plan(work, tried.plan()));
+        if settled.outcome == Outcome::Fails {
+            one_less = Some((settled, counts));
+            continue;
+        }
+        held = Some((takeover, settled));
+        break;
+    }
+    let Some((takeover, settled)) = held else {
+        return one_less.map_or_else(|| settle_plan(work, couple.plan()), |(settled, _)| settled);
+    };
+    let reach = Couple { takeover, watch: FloorWatch::Reach(Goal::TookOver), ..couple.clone() };
+    let reached = settle_plan(work, reach.plan()).outcome == Outcome::Fails;
+    let (least, closed) = (takeover.saturating_sub(couple.lease), closed_form(couple));
+    let found = Found {
+        least_safe_margin: (settled.outcome == Outcome::Holds).then_some(least),
+        closed_form_margin: Some(closed),
+        ..Found::default()
+    };
+    let sound = reached && takeover >= couple.lease && least <= closed && one_less.is_some();
+    let bounds = couple.plan().map_or(settled.bounds, |plan| bounds(&plan));
+    Settled {
+        found,
+        bounds,
+        sound: settled.sound && sound,
+        variant: one_less.map(|(settled, counts)| {
+            let about = "with one tick less both act at a time";
+            Box::new(Variant { rule: "takeover-one-sooner", about, settled, counts })
+        }),
+        ..settled
+    }
+}
+
+/// A heartbeat that only says "alive" cannot tell a dead partner from lost answers: no take-over is late enough.
+fn heartbeat() -> Claim {
+    let couple = |takeover: u64| Couple { rule: LeaseRule::Heartbeat, takeover, ..COUPLE };
+    Claim {
+        name: NAME,
+        rule: "plain-heartbeats",
+        parties: 2,
+        about: "a lease that any beat renews outlasts every take-over, when only the answers are lost (D61)",
+        expect: Outcome::Fails,
+        smoke: true,
+        settle: Box::new(move |work| {
+            // The shortest is shown; that longer waits do not help is part of the verdict.
+            let longer = [COUPLE.lease + 4, 2 * COUPLE.lease, 3 * COUPLE.lease];
+            let fails =
+                |work: &mut Work<'_>, t| settle_plan(work, couple(t).plan()).outcome == Outcome::Fails;
+            let all = longer.into_iter().all(|takeover| fails(work, takeover));
+            let settled = settle_plan(work, couple(COUPLE.lease).plan());
+            Settled { sound: settled.sound && all, ..settled }
+        }),
+    }
+}

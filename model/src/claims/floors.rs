@@ -1,0 +1,256 @@
+//! Claims about whole nodes: relays, buffers, the Timer, `order` and the time penalty (§4.2, §5.1; D15, D19, D20, D22,
+//! D58 to D60).
+
+use super::{Claim, Settled, Work};
+use crate::floor::plan::{Faults, FloorPlan, FloorWatch, Goal};
+use crate::floor::worlds::{Relay, busy_neighbour, full_buffers};
+use crate::report::{Bounds, Found, Outcome};
+use imrs_protocol::CellError;
+use imrs_protocol::rules::{Eviction, JobRequest, Memory, Rules};
+use std::sync::Arc;
+
+pub(super) type Plan = Result<Arc<FloorPlan>, Vec<CellError>>;
+
+/// A floor to explore, and what should come of it.
+pub(super) struct Part {
+    plan: Box<dyn Fn() -> Plan + Send + Sync>,
+    /// The violation must be found: a check that the rest is not vacuous.
+    reached: bool,
+}
+
+pub(super) fn claims() -> Vec<Claim> {
+    let mut claims = eviction();
+    claims.extend(relays());
+    claims.extend(nothing_waits_for_ever());
+    claims.extend(no_global_clock());
+    claims
+}
+
+pub(super) fn holds(plan: impl Fn() -> Plan + Send + Sync + 'static) -> Part {
+    Part { plan: Box::new(plan), reached: false }
+}
+
+pub(super) fn reaches(plan: impl Fn() -> Plan + Send + Sync + 'static) -> Part {
+    Part { plan: Box::new(plan), reached: true }
+}
+
+fn relay(relay: Relay) -> Part {
+    holds(move || relay.plan())
+}
+
+/// A claim that every part holds, those that must be reached apart.
+pub(super) fn claim(
+    (name, rule, about): (&'static str, &'static str, &'static str),
+    expect: Outcome,
+    smoke: bool,
+    parts: Vec<Part>,
+) -> Claim {
+    let parties = parts.first().and_then(|part| (part.plan)().ok()).map_or(0, |plan| plan.tasks.len());
+    let parties = u32::try_from(parties).unwrap_or(u32::MAX);
+    Claim { name, rule, parties, about, expect, smoke, settle: Box::new(move |work| settle(work, &parts)) }
+}
+
+/// Explores the floors until one of them fails.
+pub(super) fn settle(work: &mut Work<'_>, parts: &[Part]) -> Settled {
+    let mut settled = Settled {
+        outcome: Outcome::Unknown,
+        bounds: Bounds::default(),
+        found: Found::default(),
+        counterexample: None,
+        sound: true,
+        variant: None,
+    };
+    for part in parts {
+        let Ok(plan) = (part.plan)() else {
+            return Settled { outcome: Outcome::Unknown, sound: false, ..settled };
+        };
+        let (outcome, counterexample) = work.judge_floor(&plan);
+        if part.reached {
+            settled.sound &= outcome == Outcome::Fails;
+            continue;
+        }
+        settled.bounds = bounds(&plan);
+        (settled.outcome, settled.counterexample) = (outcome, counterexample);
+        if outcome != Outcome::Holds {
+            break;
+        }
+    }
+    settled
+}
+
+/// Explores one floor.
+pub(super) fn settle_plan(work: &mut Work<'_>, plan: Plan) -> Settled {
+    let Ok(plan) = plan else {
+        let outcome = Outcome::Unknown;
+        let (bounds, found) = (Bounds::default(), Found::default());
+        return Settled { outcome, bounds, found, counterexample: None, sound: false, variant: None };
+    };
+    let (outcome, counterexample) = work.judge_floor(&plan);
+    let (bounds, found) = (bounds(&plan), Found::default());
+    Settled { outcome, bounds, found, counterexample, sound: true, variant: None }
+}
+
+pub(super) fn bounds(plan: &FloorPlan) -> Bounds {
+    let ports = plan.cell.ports();
+    let delay = plan.links().iter().map(|&(.., bound)| u32::from(bound)).max();
+    Bounds {
+        loss: u32::from(plan.faults.loss),
+        dup: u32::from(plan.faults.dup),
+        delay,
+        crash: u32::from(plan.faults.crash),
+        rounds: None,
+        time_out: ports.iter().map(|port| port.decl.time_out.0).max(),
+        resend: ports.iter().filter(|port| port.decl.retry > 0).map(|port| port.decl.resend.0).min(),
+        margin: None,
+    }
+}
+
+fn eviction() -> Vec<Claim> {
+    let name = "eviction";
+    let about =
+        "no command that can still arrive is dropped for space while its buffer holds a status message (D60)";
+    let small = Relay {
+        room: Some(1),
+        time_out: (6, 4),
+        transit: 1,
+        sends: (1, 2),
+        watches: vec![FloorWatch::Eviction],
+        ..Relay::default()
+    };
+    let large = Relay { transit: 2, sends: (2, 3), ..small.clone() };
+    let by_time = Relay { rules: Rules { eviction: Eviction::ByTime, ..Rules::DEFAULT }, ..small.clone() };
+    vec![
+        claim((name, "default", about), Outcome::Holds, true, vec![relay(small)]),
+        claim((name, "default", about), Outcome::Holds, false, vec![relay(large)]),
+        claim(
+            (name, "by-time-only", "the least urgent packet goes, whatever its class (§III)"),
+            Outcome::Fails,
+            true,
+            vec![relay(by_time)],
+        ),
+    ]
+}
+
+/// The promises about messages again, with a relay whose buffer fills and whose links take one packet a tick.
+fn relays() -> Vec<Claim> {
+    let watches = [
+        ("no-stale-delivery", FloorWatch::Stale { slack: 0 }),
+        ("class-2-resolves", FloorWatch::Waits { slack: 0 }),
+        ("at-most-once", FloorWatch::AtMostOnce),
+    ];
+    let small = Relay { room: Some(1), faults: Faults { loss: 1, ..Faults::default() }, ..Relay::default() };
+    let large = Relay {
+        time_out: (7, 7),
+        retry: (1, 3),
+        commands: true,
+        faults: Faults { loss: 2, ..Faults::default() },
+        ..small.clone()
+    };
+    let about = "the same over a relay that holds two packets and passes one on in a tick";
+    let mut claims = Vec::new();
+    for (name, watch) in watches {
+        let with = |relay_plan: &Relay| Relay { watches: vec![watch], ..relay_plan.clone() };
+        claims.push(claim((name, "default, relay", about), Outcome::Holds, true, vec![relay(with(&small))]));
+        claims.push(claim((name, "default, relay", about), Outcome::Holds, false, vec![relay(with(&large))]));
+    }
+    let refused = Relay {
+        room: Some(1),
+        transit: 1,
+        commands: true,
+        watches: vec![FloorWatch::Reach(Goal::RefusedOnTheWay)],
+        ..Relay::default()
+    };
+    let reached = refused.clone();
+    let resolved = Relay { watches: vec![FloorWatch::Waits { slack: 0 }], ..refused };
+    claims.push(claim(
+        (
+            "class-2-resolves",
+            "default, refused on the way",
+            "a full relay's refusal reaches the source, and every command still ends once (D19, D66)",
+        ),
+        Outcome::Holds,
+        true,
+        vec![reaches(move || reached.plan()), relay(resolved)],
+    ));
+    let forgetful = Relay {
+        rules: Rules { memory: Memory::None, ..Rules::DEFAULT },
+        faults: Faults { dup: 1, ..Faults::default() },
+        watches: vec![FloorWatch::AtMostOnce],
+        ..Relay::default()
+    };
+    claims.push(claim(
+        ("at-most-once", "no-memory, relay", "a copy made on a link behind the relay runs again (D6)"),
+        Outcome::Fails,
+        true,
+        vec![relay(forgetful)],
+    ));
+    claims
+}
+
+fn nothing_waits_for_ever() -> Vec<Claim> {
+    let name = "nothing-waits-for-ever";
+    let about = "every wait ends by its time_out, a busy neighbour or full buffers or not, and in a tick little happens";
+    let blocking = Rules { job_request: JobRequest::Blocking, ..Rules::DEFAULT };
+    let full = || full_buffers(1, FloorWatch::Waits { slack: 0 });
+    let stuck = || full_buffers(1, FloorWatch::Reach(Goal::BuffersFull));
+    vec![
+        claim(
+            (name, "default", about),
+            Outcome::Holds,
+            true,
+            vec![reaches(stuck), holds(|| busy_neighbour(Rules::DEFAULT)), holds(full)],
+        ),
+        claim(
+            (
+                name,
+                "blocking-job-request",
+                "a Timer that waits for a busy task stops the CLICKs of its node (D22)",
+            ),
+            Outcome::Fails,
+            true,
+            vec![holds(move || busy_neighbour(blocking))],
+        ),
+    ]
+}
+
+fn no_global_clock() -> Vec<Claim> {
+    let offsets = [[0, 0, 0], [0, 3, 0], [200, 7, 99]];
+    let faults = Faults { drift: 1, loss: 1, ..Faults::default() };
+    // A node that missed a tick may hand over a message one tick late, and a wait may last one tick longer.
+    let watches = vec![FloorWatch::Stale { slack: 1 }, FloorWatch::Waits { slack: 1 }];
+    let floors: Vec<Relay> = offsets
+        .into_iter()
+        .map(|clocks| Relay {
+            clocks,
+            faults,
+            time_out: (5, 3),
+            watches: watches.clone(),
+            ..Relay::default()
+        })
+        .collect();
+    vec![Claim {
+        name: "no-global-clock",
+        rule: "default, relay and drift",
+        parties: 3,
+        about: "clocks apart change no state; one that misses or doubles a tick costs no more than that tick",
+        expect: Outcome::Holds,
+        smoke: true,
+        settle: Box::new(move |work| equal_states(work, &floors)),
+    }]
+}
+
+/// Every floor must hold, and all must have the same states.
+fn equal_states(work: &mut Work<'_>, floors: &[Relay]) -> Settled {
+    let mut counts = Vec::new();
+    let mut last = settle(work, &[]);
+    for floor in floors {
+        let before = work.states();
+        last = settle(work, &[relay(floor.clone())]);
+        counts.push(work.states() - before);
+        if last.outcome != Outcome::Holds {
+            return last;
+        }
+    }
+    last.sound &= counts.windows(2).all(|pair| pair[0] == pair[1]);
+    last
+}

@@ -1,0 +1,258 @@
+//! Claims about the order of service: interruption by rank (§4.2, D15, D16), the time penalty and aging (§5.1.1, D58,
+//! D59).
+
+use super::floors::{Part, claim, holds, reaches, settle};
+use super::{Claim, Settled, Variant, Work};
+use crate::floor::plan::{Faults, FloorWatch, Goal};
+use crate::floor::worlds::{Flood, Interrupted, Workshop, penalised, query_all};
+use crate::report::{Found, Outcome};
+use imrs_protocol::rules::{Aging, Rules};
+
+pub(super) fn claims() -> Vec<Claim> {
+    let mut claims = query_order();
+    claims.extend(query_sets());
+    claims.extend(penalty_is_fair());
+    claims.extend(literal_penalty());
+    claims
+}
+
+const INTERRUPTED: Interrupted = Interrupted {
+    time_out: 6,
+    queries: 1,
+    relay: false,
+    faults: Faults { loss: 1, dup: 0, crash: 0, drift: 0, late: 0, over: 0 },
+    rules: Rules::DEFAULT,
+    watches: Vec::new(),
+};
+
+fn interrupted(plan: &Interrupted, watches: &[FloorWatch]) -> Part {
+    let plan = Interrupted { watches: watches.to_vec(), ..plan.clone() };
+    holds(move || plan.plan())
+}
+
+fn query_order() -> Vec<Claim> {
+    let name = "query-order";
+    let about =
+        "a handler runs only when it outranks; the interrupted thread resumes and is told its answer once";
+    let watches = [FloorWatch::Order, FloorWatch::Waits { slack: 0 }];
+    let nested = || Interrupted { watches: vec![FloorWatch::Reach(Goal::Nested)], ..INTERRUPTED }.plan();
+    let large = Interrupted {
+        relay: true,
+        time_out: 8,
+        faults: Faults { loss: 2, ..INTERRUPTED.faults },
+        ..INTERRUPTED
+    };
+    let careless = Interrupted { rules: Rules { obey_order: false, ..Rules::DEFAULT }, ..INTERRUPTED };
+    vec![
+        claim(
+            (name, "default", about),
+            Outcome::Holds,
+            true,
+            vec![reaches(nested), interrupted(&INTERRUPTED, &watches)],
+        ),
+        claim((name, "default, relay", about), Outcome::Holds, false, vec![interrupted(&large, &watches)]),
+        claim(
+            (name, "ignore-order", "every query interrupts at once: an urgent action waits for a lesser one"),
+            Outcome::Fails,
+            true,
+            vec![interrupted(&careless, &watches)],
+        ),
+    ]
+}
+
+fn query_sets() -> Vec<Claim> {
+    let about = "a query to all ends once, with a mark for each that was asked, whatever is lost (D12)";
+    let faults = Faults { loss: 1, ..Faults::default() };
+    let waits = move || query_all(faults, vec![FloorWatch::Waits { slack: 0 }]);
+    let once = move || query_all(faults, vec![FloorWatch::AtMostOnce]);
+    let all = move || query_all(faults, vec![FloorWatch::Reach(Goal::AllAnswered)]);
+    vec![
+        claim(
+            ("class-2-resolves", "default, query to all", about),
+            Outcome::Holds,
+            true,
+            vec![reaches(all), holds(waits)],
+        ),
+        claim(
+            ("at-most-once", "default, query to all", "nobody that was asked runs the question twice"),
+            Outcome::Holds,
+            true,
+            vec![holds(once)],
+        ),
+    ]
+}
+
+const FLOOD: Flood = Flood {
+    flooded: 1,
+    urgent: 2,
+    life: 20,
+    buffer: 1,
+    every: 20,
+    service: 1,
+    rules: Rules::DEFAULT,
+    served: false,
+};
+
+const WORKSHOP: Workshop = Workshop {
+    life: 20,
+    every: 20,
+    rank: 2,
+    penalty: (2, false),
+    service: 1,
+    urgent: true,
+    rules: Rules::DEFAULT,
+    served: false,
+};
+
+fn flood(flood: Flood) -> Part {
+    holds(move || flood.plan())
+}
+
+fn workshop(workshop: Workshop) -> Part {
+    holds(move || workshop.plan())
+}
+
+fn penalty_is_fair() -> Vec<Claim> {
+    let name = "penalty-is-fair";
+    let passed = "a head is bypassed G + P - 1 times at most, and a message is refused R times at most (D58)";
+    let rules = |aging| Rules { aging, ..Rules::DEFAULT };
+    let literal = Workshop { penalty: (2, true), ..WORKSHOP };
+    vec![
+        claim((name, "default", passed), Outcome::Holds, true, vec![flood(FLOOD), workshop(WORKSHOP)]),
+        claim(
+            (name, "default, two floods", passed),
+            Outcome::Holds,
+            false,
+            vec![flood(Flood { flooded: 2, ..FLOOD })],
+        ),
+        claim(
+            (name, "no-penalty", "without aging a patient message starves behind urgent ones (R61)"),
+            Outcome::Fails,
+            true,
+            vec![flood(Flood { flooded: 2, rules: rules(Aging::Off), ..FLOOD })],
+        ),
+        claim(
+            (name, "literal-penalty", "a time_out that grows with every refusal is refused for ever (D4)"),
+            Outcome::Fails,
+            true,
+            vec![workshop(literal)],
+        ),
+        claim(
+            (name, "unbounded-rejection", "a refusal that does not raise the rank is repeated for ever"),
+            Outcome::Fails,
+            true,
+            vec![workshop(Workshop { rules: rules(Aging::Unbounded), ..WORKSHOP })],
+        ),
+        served_claim("default, served by GETs", true, |life| Flood {
+            life: life.into(),
+            every: life,
+            served: true,
+            ..FLOOD
+        }),
+        served_claim("default, served by GETs, two floods", false, |life| Flood {
+            flooded: 2,
+            life: life.into(),
+            every: life,
+            served: true,
+            ..FLOOD
+        }),
+        served_claim("default, served by a handler", true, |life| Workshop {
+            life: life.into(),
+            every: life,
+            served: true,
+            ..WORKSHOP
+        }),
+    ]
+}
+
+/// A floor whose watched message lives so long, and the life that is surely long enough.
+trait Lives: Clone + Send + Sync + 'static {
+    fn part(&self) -> Part;
+    fn closed_form(&self) -> u64;
+}
+
+impl Lives for Flood {
+    fn part(&self) -> Part {
+        flood(*self)
+    }
+    fn closed_form(&self) -> u64 {
+        self.service().bound_by_gets().0
+    }
+}
+
+impl Lives for Workshop {
+    fn part(&self) -> Part {
+        workshop(*self)
+    }
+    fn closed_form(&self) -> u64 {
+        self.service().bound().0
+    }
+}
+
+/// D59: a message whose life is K is served. The least such life is searched for; one tick less is the variant that
+/// fails.
+fn served_claim<L: Lives>(
+    rule: &'static str,
+    smoke: bool,
+    with: impl Fn(u8) -> L + Send + Sync + 'static,
+) -> Claim {
+    Claim {
+        name: "penalty-is-fair",
+        rule,
+        parties: 3,
+        about: "a message that lives K ticks is served: K from the declaration, the least life found beside it (D59)",
+        expect: Outcome::Holds,
+        smoke,
+        settle: Box::new(move |work| least_life(work, &with)),
+    }
+}
+
+fn least_life<L: Lives>(work: &mut Work<'_>, with: &impl Fn(u8) -> L) -> Settled {
+    let closed = u8::try_from(with(1).closed_form()).unwrap_or(u8::MAX);
+    let mut settled = settle(work, &[with(closed).part()]);
+    // From the closed form down: the last that holds is the least, and the one below it shows why.
+    let mut least = closed;
+    let mut below = None;
+    while settled.outcome == Outcome::Holds && least > 1 {
+        let (shorter, counts) = work.part(|work| settle(work, &[with(least - 1).part()]));
+        if shorter.outcome != Outcome::Holds {
+            below = Some((shorter, counts));
+            break;
+        }
+        least -= 1;
+    }
+    settled.found = Found {
+        bound_ticks: Some(u64::from(closed)),
+        least_bound_ticks: Some(u64::from(least)),
+        ..Found::default()
+    };
+    settled.sound &= below.is_some();
+    settled.variant = below.map(|(settled, counts)| {
+        Box::new(Variant {
+            rule: "one-tick-less",
+            about: "a life one tick shorter than the least one found",
+            settled,
+            counts,
+        })
+    });
+    settled
+}
+
+fn literal_penalty() -> Vec<Claim> {
+    let about =
+        "a rejected message lives no longer than its sender waits: urgency, life and back-off are apart (D4)";
+    let name = "no-stale-delivery";
+    vec![
+        claim((name, "default, time penalty", about), Outcome::Holds, true, vec![holds(|| penalised(false))]),
+        claim(
+            (
+                name,
+                "literal time_penalty",
+                "the Appendix's `save` lengthens the life of a rejected message: it runs after its sender gave up (D4)",
+            ),
+            Outcome::Fails,
+            true,
+            vec![holds(|| penalised(true))],
+        ),
+    ]
+}

@@ -1,0 +1,267 @@
+//! What tasks do on a floor: free bodies, whose every choice the checker takes.
+
+use super::plan::{Errand, FloorPlan, TaskPlan, Times};
+use super::script::Actor;
+use imrs_protocol::{Call, Class, Contents, Delivery, PortId, ReplyTo, Request, Signal, TaskId, TimeId};
+
+/// What a level of a body is at.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub(crate) enum Does {
+    /// It may do its errand.
+    #[default]
+    Free,
+    /// It waits for its communication task.
+    Waits,
+    /// It has a message, or its handler runs.
+    Serves,
+    /// It acts on the world.
+    Works,
+}
+
+/// The thread of a task, or a handler that interrupted what stands below it.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
+pub(crate) struct Level {
+    pub does: Does,
+    /// The command it must answer, and what that says.
+    pub to: Option<ReplyTo>,
+    pub echo: u8,
+    /// Whether this handler has sent its nested command.
+    pub nested: bool,
+    /// Ticks of service or work.
+    pub age: u8,
+    /// Ghost: for how many ticks the wait may still last; [`Level::FOREVER`] without an end.
+    pub left: u8,
+    /// Ghost: what the command said that it waits for.
+    pub question: u8,
+    /// Ghost: whether the wait is a GET, and the port it is on.
+    pub get: bool,
+    pub port: Option<PortId>,
+    /// Ghost: the rank of the message that this handler runs for.
+    pub rank: u8,
+}
+
+impl Level {
+    pub const FOREVER: u8 = u8::MAX;
+}
+
+/// A task's own state.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Body {
+    /// Errands left; [`Body::ENDLESS`] for ever.
+    pub times: u8,
+    /// Ticks until it may send again.
+    pub rest: u8,
+    /// The thread, and the handlers that interrupted each other.
+    pub levels: Vec<Level>,
+    /// Where a script says what it does: then the levels only tell what it waits for.
+    pub actor: Option<Actor>,
+}
+
+impl Body {
+    pub const ENDLESS: u8 = u8::MAX;
+
+    pub fn new(plan: &TaskPlan) -> Self {
+        let times = match plan.errand {
+            Errand::Rest => 0,
+            Errand::Receive { .. } => Self::ENDLESS,
+            Errand::Send { times, .. }
+            | Errand::Work { times, .. }
+            | Errand::Meet { times, .. }
+            | Errand::Delay { times, .. } => match times {
+                Times::Most(times) => times,
+                Times::Endless => Self::ENDLESS,
+            },
+        };
+        Self { times, rest: 0, levels: vec![Level::default()], actor: plan.script.as_ref().map(Actor::new) }
+    }
+
+    /// What it asks before anything else.
+    pub fn setup(plan: &TaskPlan) -> Vec<Request> {
+        let mut requests = Vec::new();
+        if !plan.order.ranked().is_empty() {
+            requests.push(Request::Order(plan.order));
+        }
+        requests.extend(plan.handles.iter().map(|&port| Request::Handle { port, handled: true }));
+        requests
+    }
+
+    pub fn top(&self) -> Level {
+        self.levels.last().copied().unwrap_or_default()
+    }
+
+    pub fn top_mut(&mut self) -> Option<&mut Level> {
+        self.levels.last_mut()
+    }
+
+    /// Whether it can go on by itself now.
+    pub fn may_act(&self, plan: &TaskPlan) -> bool {
+        if self.actor.is_some() {
+            return false;
+        }
+        let top = self.top();
+        match top.does {
+            Does::Free => self.times > 0 && self.rest == 0,
+            Does::Waits => false,
+            Does::Serves => top.age >= plan.service.0,
+            Does::Works => matches!(plan.errand, Errand::Work { least, .. } if top.age >= least),
+        }
+    }
+
+    /// Whether it goes on before anything else happens.
+    pub fn must_act(&self, plan: &TaskPlan) -> bool {
+        if let Some(actor) = &self.actor {
+            return actor.must_act();
+        }
+        let top = self.top();
+        self.may_act(plan)
+            && match top.does {
+                Does::Free => plan.hurry,
+                Does::Waits => false,
+                Does::Serves => top.age >= plan.service.1,
+                Does::Works => matches!(plan.errand, Errand::Work { most, .. } if top.age >= most),
+            }
+    }
+
+    /// Whether its handler may send its nested command now: one at a time on that port.
+    pub fn may_nest(&self, plan: &TaskPlan) -> bool {
+        let top = self.top();
+        let outstanding = |level: &Level| level.nested && level.does == Does::Waits;
+        self.actor.is_none()
+            && plan.nested.is_some()
+            && self.levels.len() > 1
+            && top.does == Does::Serves
+            && !top.nested
+            && !self.levels.iter().any(outstanding)
+    }
+
+    /// A tick passes for it.
+    pub fn tick(&mut self, plan: &TaskPlan) {
+        if let Some(actor) = &mut self.actor {
+            return actor.tick();
+        }
+        self.rest = self.rest.saturating_sub(1);
+        let last = self.levels.len() - 1;
+        for (i, level) in self.levels.iter_mut().enumerate() {
+            let most = match level.does {
+                // A handler suspends the service below it; an action on the world goes on.
+                Does::Serves if i == last => bound(plan.service),
+                Does::Works => match plan.errand {
+                    Errand::Work { least, most, .. } => bound((least, most)),
+                    _ => 0,
+                },
+                Does::Serves | Does::Free | Does::Waits => continue,
+            };
+            level.age = level.age.saturating_add(1).min(most);
+        }
+    }
+
+    /// What it asks when it goes on, in order.
+    pub fn act(&mut self, task: TaskId, plan: &FloorPlan) -> Vec<Request> {
+        let own = &plan.tasks[task.index()];
+        let top = self.top();
+        match top.does {
+            Does::Free => self.errand(own, plan),
+            Does::Waits => Vec::new(),
+            Does::Works => vec![Request::Done],
+            Does::Serves => {
+                let answer = top.to.map(|to| Request::Reply { to, contents: says(top.echo, plan) });
+                let end = (self.levels.len() > 1).then_some(Request::Return);
+                answer.into_iter().chain(end).collect()
+            }
+        }
+    }
+
+    fn errand(&mut self, own: &TaskPlan, plan: &FloorPlan) -> Vec<Request> {
+        if self.times != Self::ENDLESS {
+            self.times -= 1;
+        }
+        let question = self.times;
+        let Some(level) = self.levels.last_mut() else { return Vec::new() };
+        level.does = Does::Waits;
+        let request = match own.errand {
+            Errand::Rest => return Vec::new(),
+            Errand::Send { port, to, every, .. } => {
+                self.rest = every;
+                level.question = question;
+                Request::Send { port, to, contents: says(question, plan), time_out: None }
+            }
+            Errand::Receive { port, time_out } => Request::Get { port, source: None, time_out },
+            Errand::Work { .. } => {
+                level.does = Does::Works;
+                Request::Work
+            }
+            Errand::Meet { port, .. } => Request::Arrive { port, arguments: [0; 8], time_out: None },
+            Errand::Delay { length, .. } => Request::Delay { id: TimeId(0), length },
+        };
+        vec![request]
+    }
+
+    /// What a handler asks with its nested command.
+    pub fn nest(&mut self, own: &TaskPlan, plan: &FloorPlan) -> Vec<Request> {
+        let (Some(port), Some(level)) = (own.nested, self.levels.last_mut()) else { return Vec::new() };
+        level.does = Does::Waits;
+        level.nested = true;
+        level.question = level.echo;
+        let contents = says(level.echo, plan);
+        vec![Request::Send { port, to: imrs_protocol::Target::All, contents, time_out: None }]
+    }
+
+    /// Hears an answer of its communication task.
+    pub fn hear(&mut self, signal: &Signal) {
+        let serves = |delivery: &Delivery| Level {
+            does: Does::Serves,
+            to: (delivery.class == Class::Command).then_some(delivery.from),
+            echo: delivery.contents.as_bytes().first().copied().unwrap_or(0),
+            ..Level::default()
+        };
+        match signal {
+            Signal::Interrupt(call) => {
+                self.levels.push(match call {
+                    Call::Message(delivery) => serves(delivery),
+                    Call::Timer(_) | Call::Fenced | Call::TakeOver(_) => {
+                        Level { does: Does::Serves, ..Level::default() }
+                    }
+                });
+            }
+            Signal::Message(delivery) => {
+                if let Some(level) = self.levels.last_mut() {
+                    *level = serves(delivery);
+                }
+            }
+            Signal::Outcome(_)
+            | Signal::Answers { .. }
+            | Signal::Nothing
+            | Signal::Released { .. }
+            | Signal::GaveUp { .. }
+            | Signal::TimeOut(_)
+            | Signal::Cancelled
+            | Signal::Accepted(_)
+            | Signal::Granted(_)
+            | Signal::Fault(_) => {}
+        }
+    }
+
+    /// The wait of the top level is over.
+    pub fn resume(&mut self) {
+        let handler = self.levels.len() > 1;
+        if let Some(level) = self.levels.last_mut() {
+            if handler {
+                level.does = Does::Serves;
+                (level.question, level.left) = (0, 0);
+                (level.get, level.port) = (false, None);
+            } else {
+                *level = Level::default();
+            }
+        }
+    }
+}
+
+/// Where counting stops to matter: a service that may take for ever is the same from its least on.
+const fn bound((least, most): (u8, u8)) -> u8 {
+    if most == u8::MAX { least } else { most }
+}
+
+/// What messages say: only the watch over answers reads it.
+pub(crate) fn says(byte: u8, plan: &FloorPlan) -> Contents {
+    if plan.waits().is_some() { Contents::new(&[byte]).unwrap_or_default() } else { Contents::EMPTY }
+}

@@ -1,0 +1,352 @@
+//! What a floor remembers beside the machine to judge it, and the watches' verdicts.
+
+use super::body::{Does, Level, says};
+use super::plan::{FloorPlan, FloorWatch, Goal};
+use super::{Effect, Floor};
+use crate::state::Violation;
+use imrs_protocol::script::ScriptInput;
+use imrs_protocol::{
+    Call, Class, CommTask, Control, Delivery, Event, Fault, Kind, NodeId, Observation, Outcome, Packet,
+    PortId, Reason, Request, Seq24, Signal, TaskId, Ticks, Usage,
+};
+
+/// A message's name: its source and its number there.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(crate) struct Name {
+    pub source: TaskId,
+    pub number: Seq24,
+}
+
+impl Name {
+    pub fn of(delivery: &Delivery) -> Self {
+        Self { source: delivery.from.source, number: delivery.from.id.sequence }
+    }
+}
+
+/// What no task of the cell can see.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
+pub(crate) struct Ghosts {
+    /// True lives of messages: ticks left.
+    pub lives: Vec<(Name, u8)>,
+    /// For each source, bit `i`: its message `next - 1 - i` was handed over.
+    pub handed: Vec<u16>,
+    /// For each port of the task watched for fairness, how often its head was bypassed.
+    pub bypassed: Vec<u8>,
+    /// How often a waiting message was refused by rank, by receiver.
+    pub refused: Vec<(TaskId, PortId, Name, u8)>,
+    /// For each task, the signals since the last tick.
+    pub signals: Vec<u8>,
+}
+
+impl Ghosts {
+    pub fn new(plan: &FloorPlan) -> Self {
+        let ports = plan.fair().map_or(0, |(task, ..)| plan.cell.ports_of(task).len());
+        let tasks = plan.tasks.len();
+        Self { handed: vec![0; tasks], bypassed: vec![0; ports], signals: vec![0; tasks], ..Self::default() }
+    }
+
+    pub fn tick(&mut self) {
+        self.lives.retain_mut(|(_, left)| {
+            *left -= 1;
+            *left > 0
+        });
+        self.signals.fill(0);
+    }
+}
+
+impl Floor {
+    /// Notes that a task waits, and what for.
+    pub(super) fn asked(&mut self, task: usize, request: &Request) {
+        let names_ports = self.plan.names_ports();
+        let body = &mut self.bodies[task];
+        if *request == Request::Return && body.levels.len() > 1 {
+            body.levels.pop();
+            return;
+        }
+        let Some(level) = body.top_mut() else { return };
+        let (does, get, port) = match *request {
+            Request::Send { port, .. } | Request::Arrive { port, .. } => (Does::Waits, false, Some(port)),
+            Request::Get { port, .. } => (Does::Waits, true, port),
+            Request::Delay { .. } | Request::Boundary | Request::Lease => (Does::Waits, false, None),
+            Request::Work => (Does::Works, false, None),
+            _ => return,
+        };
+        let named = names_ports || get;
+        (level.does, level.get, level.port) = (does, get, port.filter(|_| named));
+        self.entitle(task, request);
+    }
+
+    /// Notes for how long the task may wait.
+    fn entitle(&mut self, task: usize, request: &Request) {
+        let Some(slack) = self.plan.waits() else { return };
+        let at = TaskId::from_index(task);
+        let own = |port: PortId| self.plan.cell.port(port).and_then(|p| p.party(at)).map(|p| p.time_out);
+        let limit = match *request {
+            Request::Send { port, time_out, .. } | Request::Arrive { port, time_out, .. } => {
+                own(port).map(|declared| time_out.map_or(declared, |wanted| wanted.min(declared)))
+            }
+            Request::Get { time_out, .. } => time_out,
+            Request::Delay { length, .. } => Some(length),
+            Request::Boundary => Some(Ticks::ZERO),
+            _ => None,
+        };
+        let left = limit.filter(|l| *l != Ticks::FAR).map_or(Level::FOREVER, |limit| {
+            let whole = limit.0 + 1 + u64::from(slack);
+            u8::try_from(whole).unwrap_or(Level::FOREVER).min(Level::FOREVER - 1)
+        });
+        if let Some(level) = self.bodies[task].top_mut() {
+            level.left = left;
+        }
+    }
+
+    /// A signal reaches its task: is it one that the task waits for, and may it come now?
+    pub(super) fn told(&mut self, task: usize, signal: &Signal) -> Result<(), Violation> {
+        self.count_signal(task)?;
+        let top = self.bodies[task].top();
+        let waits = top.does == Does::Waits;
+        let scripted = self.leave(task, ScriptInput::Signal(*signal));
+        let plan = std::sync::Arc::clone(&self.plan);
+        match signal {
+            Signal::Interrupt(call) => {
+                self.judge_interrupt(task, call)?;
+                if let Call::Message(delivery) = call {
+                    self.handed_over(delivery)?;
+                    self.forget(task, delivery);
+                }
+                let rank = self.rank_of_handler(task, call);
+                self.bodies[task].hear(signal);
+                if let Some(level) = self.bodies[task].top_mut() {
+                    level.rank = rank;
+                }
+                return self.reach(Goal::Nested, self.bodies[task].levels.len() > 2);
+            }
+            Signal::Message(delivery) => {
+                self.handed_over(delivery)?;
+                self.judge_bypass(task, delivery)?;
+                self.forget(task, delivery);
+                self.bodies[task].hear(signal);
+                return if waits { Ok(()) } else { Err(Violation::SecondOutcome) };
+            }
+            // The answer to a REPLY ends no wait; what is wrong with it is that it came too late.
+            Signal::Fault(Fault::Late | Fault::NothingToAnswer) if top.does == Does::Serves => return Ok(()),
+            Signal::Accepted(_) if top.does == Does::Serves => return Ok(()),
+            Signal::Accepted(_) if matches!(top.does, Does::Free) => return Ok(()),
+            Signal::Accepted(_) if top.does == Does::Works => {}
+            Signal::Fault(_) => return Err(Violation::Faulted),
+            Signal::Outcome(outcome) => {
+                let right = match outcome {
+                    Outcome::Reply(contents) => *contents == says(top.question, &plan),
+                    Outcome::Refused
+                    | Outcome::TimedOutUnsent
+                    | Outcome::TimedOutUnknown
+                    | Outcome::PeerRestarted => true,
+                };
+                let answered = matches!(outcome, Outcome::Reply(_));
+                let port = top.port;
+                if waits && !right && !scripted && self.plan.waits().is_some() {
+                    return Err(Violation::WrongAnswer);
+                }
+                if !answered && port.is_some_and(|port| self.plan.watches(FloorWatch::Served { port })) {
+                    return Err(Violation::NotServed);
+                }
+                self.reach(Goal::Answered, answered)?;
+            }
+            Signal::Answers { port, answers } => {
+                self.judge_answers(task, *port, answers.answered)?;
+                let all = answers.asked == answers.answered && answers.asked.count_ones() > 1;
+                self.reach(Goal::AllAnswered, all)?;
+            }
+            Signal::Nothing
+            | Signal::Accepted(_)
+            | Signal::Released { .. }
+            | Signal::GaveUp { .. }
+            | Signal::TimeOut(_)
+            | Signal::Granted(_)
+            | Signal::Cancelled => {}
+        }
+        if !waits && top.does != Does::Works {
+            return Err(Violation::SecondOutcome);
+        }
+        self.bodies[task].resume();
+        Ok(())
+    }
+
+    /// Whoever is marked as having answered has given the answer to this question.
+    fn judge_answers(&self, task: usize, port: PortId, answered: u64) -> Result<(), Violation> {
+        if self.plan.waits().is_none() || self.bodies[task].actor.is_some() {
+            return Ok(());
+        }
+        let machine = self.stations[self.station_of(task)].node.task(TaskId::from_index(task));
+        let parties = self.plan.cell.port(port).map_or(&[][..], |port| &port.parties);
+        let question = says(self.bodies[task].top().question, &self.plan);
+        let wrong = parties.iter().enumerate().any(|(i, party)| {
+            let said = machine.and_then(|m| m.answer_of(port, party.task));
+            answered >> i & 1 == 1 && said != Some(&question)
+        });
+        if wrong { Err(Violation::WrongAnswer) } else { Ok(()) }
+    }
+
+    fn count_signal(&mut self, task: usize) -> Result<(), Violation> {
+        if let Some(most) = self.plan.zeno() {
+            let count = &mut self.ghosts.signals[task];
+            *count += 1;
+            if *count > most {
+                return Err(Violation::Zeno);
+            }
+        }
+        Ok(())
+    }
+
+    fn reach(&self, goal: Goal, reached: bool) -> Result<(), Violation> {
+        if reached && self.plan.watches(FloorWatch::Reach(goal)) { Err(Violation::Reached) } else { Ok(()) }
+    }
+
+    /// A message is handed to its task: still alive, and for the first time?
+    fn handed_over(&mut self, delivery: &Delivery) -> Result<(), Violation> {
+        let name = Name::of(delivery);
+        if self.plan.stale().is_some() && !self.ghosts.lives.iter().any(|(n, _)| *n == name) {
+            return Err(Violation::Stale);
+        }
+        if self.plan.watches(FloorWatch::AtMostOnce) {
+            let back = self.next_sequence(name.source.index()).steps_from(name.number);
+            let bit = 1_u16.checked_shl(back.saturating_sub(1)).ok_or(Violation::Overflow)?;
+            let handed = &mut self.ghosts.handed[name.source.index()];
+            if *handed & bit != 0 {
+                return Err(Violation::ExecutedTwice);
+            }
+            *handed |= bit;
+        }
+        Ok(())
+    }
+
+    /// Notes a message that was sent.
+    pub(super) fn sent(&mut self, effect: &Effect) {
+        let Effect::Seen(_, Some(source), Observation { event: Event::Sent, number, remaining, .. }) =
+            *effect
+        else {
+            return;
+        };
+        if let Some(slack) = self.plan.stale() {
+            let left = u8::try_from(remaining.0).unwrap_or(u8::MAX).saturating_add(slack);
+            self.ghosts.lives.push((Name { source, number: Seq24::new(number) }, left));
+        }
+        self.ghosts.handed[source.index()] <<= 1;
+    }
+
+    /// Notes what a communication task or a transit buffer says it did.
+    pub(super) fn seen(&mut self, at: Option<TaskId>, seen: &Observation) -> Result<(), Violation> {
+        match (at, seen.event) {
+            (Some(task), event) => self.seen_at_task(task, event, seen),
+            (None, Event::Discarded(_)) if self.plan.watches(FloorWatch::Served { port: seen.port }) => {
+                Err(Violation::NotServed)
+            }
+            (None, _) => Ok(()),
+        }
+    }
+
+    fn seen_at_task(&mut self, task: TaskId, event: Event, seen: &Observation) -> Result<(), Violation> {
+        let name = Name { source: seen.peer, number: Seq24::new(seen.number) };
+        let this =
+            |entry: &(TaskId, PortId, Name, u8)| (entry.0, entry.1, entry.2) == (task, seen.port, name);
+        match event {
+            Event::Discarded(Reason::Duplicate | Reason::Unexpected) => Ok(()),
+            Event::Discarded(_) => {
+                self.ghosts.refused.retain(|entry| !this(entry));
+                let served = FloorWatch::Served { port: seen.port };
+                if self.plan.watches(served) { Err(Violation::NotServed) } else { Ok(()) }
+            }
+            Event::Rejected => self.refused(task, seen.port, name),
+            _ => Ok(()),
+        }
+    }
+
+    /// A packet comes out of a link.
+    pub(super) fn judge_arrival(&self, to: NodeId, packet: &Packet) -> Result<(), Violation> {
+        let home = self.plan.cell.location(packet.destination) == Some(to);
+        let word = packet.kind == Kind::Control && packet.control() == Some(Control::RefusedOnTheWay);
+        self.reach(Goal::RefusedOnTheWay, home && word)
+    }
+
+    /// After a step of a node: did its transit buffer keep a status where it dropped a command for space (D60)?
+    ///
+    /// Every step offers the buffer one packet, but for copies that are due with a tick, and those are commands: so
+    /// what the buffer holds or has let go after the step, it held when it dropped.
+    pub(super) fn judge_step(&self, i: usize, effects: &[Effect]) -> Result<(), Violation> {
+        if !self.plan.watches(FloorWatch::Eviction) {
+            return Ok(());
+        }
+        let cell = &self.plan.cell;
+        let dropped = |effect: &Effect| {
+            let Effect::Seen(_, None, seen) = effect else { return false };
+            let for_space = matches!(seen.event, Event::Discarded(Reason::Refused | Reason::Evicted));
+            let port = cell.port(seen.port);
+            let command = port.is_some_and(|p| p.decl.class == Class::Command);
+            // Answers and words go towards those who ask.
+            let receives = |usage: Usage| matches!(usage, Usage::Receive | Usage::Response);
+            let asks = port.and_then(|p| p.party(seen.peer)).is_some_and(|party| receives(party.usage));
+            let way = cell.location(seen.peer).and_then(|to| cell.path_bound(NodeId::from_index(i), to));
+            for_space && command && asks && way.is_some_and(|way| seen.remaining > way)
+        };
+        if !effects.iter().any(dropped) {
+            return Ok(());
+        }
+        let held = self.stations[i].node.parts().transit.waiting();
+        let left = effects.iter().filter_map(|e| if let Effect::Sent(_, p) = e { Some(p) } else { None });
+        let status = held.iter().chain(left).any(|packet| packet.class == Class::Status);
+        if status { Err(Violation::CommandEvicted) } else { Ok(()) }
+    }
+
+    /// After a tick: does anybody still wait who should not?
+    pub(super) fn judge_waits(&mut self) -> Result<(), Violation> {
+        if self.plan.waits().is_none() {
+            return Ok(());
+        }
+        for task in 0..self.bodies.len() {
+            if !self.stations[self.station_of(task)].up {
+                continue;
+            }
+            let body = &mut self.bodies[task];
+            let last = body.levels.len() - 1;
+            for (i, level) in body.levels.iter_mut().enumerate() {
+                if level.does != Does::Waits || level.left == Level::FOREVER {
+                    continue;
+                }
+                // A wait below a handler is told when the handler returns.
+                if level.left == 0 && i == last {
+                    return Err(Violation::NoOutcome);
+                }
+                level.left = level.left.saturating_sub(1);
+            }
+        }
+        Ok(())
+    }
+
+    /// What can be judged of a state by itself.
+    pub(super) fn judge_state(&self) -> Result<(), Violation> {
+        let machines = self.stations.iter().filter(|s| s.up).flat_map(|s| &s.node.parts().tasks);
+        let mut acting = machines.filter(|task| task.epoch().is_some() && task.is_active());
+        if self.plan.watches(FloorWatch::OneActive) && acting.clone().count() > 1 {
+            return Err(Violation::BothActive);
+        }
+        self.reach(Goal::TookOver, acting.any(|task| task.epoch() == Some(2)))?;
+        if !self.plan.watches(FloorWatch::Reach(Goal::BuffersFull)) {
+            return Ok(());
+        }
+        let full = |node: NodeId, next: NodeId| {
+            let transit = &self.stations[node.index()].node.parts().transit;
+            transit.is_full() && transit.view().next == [next]
+        };
+        let stuck = self.links.iter().any(|&(a, b, _)| full(a, b) && full(b, a));
+        self.reach(Goal::BuffersFull, stuck && self.crossings.is_empty())
+    }
+
+    pub(super) fn next_sequence(&self, task: usize) -> Seq24 {
+        let station = &self.stations[self.station_of(task)];
+        let machine = if station.up { station.node.task(TaskId::from_index(task)) } else { None };
+        machine.map_or(self.sequences[task], CommTask::next_sequence)
+    }
+
+    pub(super) fn is_quiescent(&self) -> bool {
+        self.forced().is_empty() && !self.stations.iter().any(|s| s.node.is_busy())
+    }
+}

@@ -1,0 +1,421 @@
+//! The floor: whole nodes with several tasks each, relays, links that take only so much, clocks that drift.
+//!
+//! Like a [`World`](crate::world::World) it is only ever a scratch pad over packed states ([`canon`]). A node is the
+//! protocol's own [`Node`]; what its tasks do is a [`plan::TaskPlan`]; what is watched are [`plan::FloorWatch`]es.
+
+mod body;
+mod canon;
+mod chart;
+mod judge;
+mod moves;
+mod order;
+pub mod plan;
+mod script;
+mod search;
+mod time;
+mod unpack;
+pub mod worlds;
+
+pub use chart::draw_floor;
+pub use search::{FloorModel, LiveFloor, explore_floor};
+
+use crate::state::Violation;
+use body::{Body, Does};
+use imrs_protocol::script::ScriptInput;
+use imrs_protocol::{
+    Incarnation, Node, NodeId, NodeInput, NodeOutbox, NodeTable, Observation, Packet, Request, Round, Seq24,
+    Signal, TaskId, Ticks, invariants,
+};
+use plan::FloorPlan;
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+/// One thing that can happen next on a floor.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Move {
+    /// A tick passes. Two bits for each node: as it should, left out, counted twice, noticed later.
+    Tick(u16),
+    /// Packet number so of the state arrives at the end of its link, charged so much more than its bound.
+    Deliver(u8, u8),
+    /// It is lost.
+    Lose(u8),
+    /// It arrives twice.
+    Duplicate(u8),
+    /// The task goes on.
+    Act(u8),
+    /// Its handler sends its nested command.
+    Nest(u8),
+    /// The node crashes.
+    Crash(u8),
+    /// It starts again, in its next life.
+    Restart(u8),
+    /// The next effect within the node is carried out (unfused).
+    Proceed(u8),
+    /// The script gets its choice.
+    Choose(u8, u8),
+    /// The action that this thread of the script began ends.
+    Acted(u8, u8),
+}
+
+/// A packet on a link.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(crate) struct Crossing {
+    pub packet: Packet,
+    /// Position among the plan's directed links.
+    pub link: u8,
+    /// How many ticks it has been on it.
+    pub age: u8,
+    /// The life of the node that put it there, as its envelope says.
+    pub life: Incarnation,
+}
+
+/// A node of the floor.
+#[derive(Clone, Debug)]
+pub(crate) struct Station {
+    pub node: Node,
+    pub table: NodeTable,
+    pub up: bool,
+    pub life: Incarnation,
+    /// The lives in which this node knows the others.
+    pub known: Vec<Incarnation>,
+    /// Ticks that have passed and that it has not noticed.
+    pub owed: u8,
+}
+
+/// The unpacked state.
+#[derive(Clone, Debug)]
+pub(crate) struct Floor {
+    pub plan: Arc<FloorPlan>,
+    pub links: Vec<(NodeId, NodeId, u8)>,
+    pub stations: Vec<Station>,
+    pub bodies: Vec<Body>,
+    pub crossings: Vec<Crossing>,
+    pub ghosts: judge::Ghosts,
+    pub faults: plan::Faults,
+    /// Packets that each directed link took in this tick.
+    pub used: Vec<u8>,
+    pub violation: Option<Violation>,
+    /// What loaded numbers are relative to.
+    pub rounds: Vec<Round>,
+    pub sequences: Vec<Seq24>,
+    /// What the last move showed: for charts.
+    pub log: Vec<Effect>,
+    pub keep_log: bool,
+    /// How many ticks have passed since this was last set to zero.
+    pub passed: u32,
+    spare: Vec<Effect>,
+    /// What scripts have not taken yet. Empty between moves.
+    inputs: VecDeque<(usize, ScriptInput)>,
+}
+
+/// What a node did in one step, in order.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Effect {
+    Sent(NodeId, Packet),
+    Told(TaskId, Signal),
+    /// At a node, by a task or by the transit buffer.
+    Seen(u8, Option<TaskId>, Observation),
+}
+
+/// Where the effects of one node go. `open` says how many packets each of its links still takes.
+struct Wires<'a> {
+    effects: &'a mut Vec<Effect>,
+    open: &'a mut [(NodeId, u8)],
+    node: u8,
+}
+
+impl NodeOutbox for Wires<'_> {
+    fn ready(&mut self, next: NodeId) -> bool {
+        self.open.iter().any(|&(to, left)| to == next && left > 0)
+    }
+
+    fn link(&mut self, next: NodeId, packet: Packet) {
+        if let Some((_, left)) = self.open.iter_mut().find(|(to, _)| *to == next) {
+            *left = left.saturating_sub(1);
+        }
+        self.effects.push(Effect::Sent(next, packet));
+    }
+
+    fn signal(&mut self, task: TaskId, signal: Signal) {
+        self.effects.push(Effect::Told(task, signal));
+    }
+
+    fn observe(&mut self, at: Option<TaskId>, observation: Observation) {
+        self.effects.push(Effect::Seen(self.node, at, observation));
+    }
+}
+
+/// How many fused steps one move may take: more would be a loop without time.
+const FUSED: usize = 64;
+
+impl Floor {
+    /// The floor in its first state.
+    pub fn new(plan: &Arc<FloorPlan>) -> Self {
+        let n = plan.nodes();
+        let links = plan.links();
+        let first = Incarnation(0);
+        let station = |i: usize| {
+            let table = plan.table(NodeId::from_index(i));
+            let node = Node::new(table.clone(), first, false, plan.transit);
+            Station { node, table, up: true, life: first, known: vec![first; n], owed: 0 }
+        };
+        let mut floor = Self {
+            stations: (0..n).map(station).collect(),
+            bodies: plan.tasks.iter().map(Body::new).collect(),
+            crossings: Vec::new(),
+            ghosts: judge::Ghosts::new(plan),
+            faults: plan.faults,
+            used: vec![0; links.len()],
+            violation: None,
+            rounds: vec![Round::default(); plan.cell.ports().len()],
+            sequences: vec![Seq24::default(); plan.tasks.len()],
+            log: Vec::new(),
+            keep_log: false,
+            passed: 0,
+            spare: Vec::new(),
+            inputs: VecDeque::new(),
+            links,
+            plan: Arc::clone(plan),
+        };
+        for i in 0..n {
+            floor.set_clock(i);
+        }
+        let begun = (0..floor.bodies.len()).try_for_each(|t| floor.begin(t)).and_then(|()| floor.settle());
+        floor.violation = begun.err();
+        floor
+    }
+
+    fn set_clock(&mut self, node: usize) {
+        let ahead = Ticks(self.plan.clocks[node]);
+        for task in &mut self.stations[node].node.parts_mut().tasks {
+            task.set_ahead(ahead);
+        }
+    }
+
+    fn begin(&mut self, task: usize) -> Result<(), Violation> {
+        if self.leave(task, ScriptInput::Begin) {
+            return self.run_scripts();
+        }
+        let requests = Body::setup(&self.plan.tasks[task]);
+        requests.into_iter().try_for_each(|request| self.ask(task, request))
+    }
+
+    pub fn station_of(&self, task: usize) -> usize {
+        self.plan.cell.location(TaskId::from_index(task)).map_or(0, NodeId::index)
+    }
+
+    /// Carries a move out. What a watch finds wrong becomes the state's violation.
+    pub fn apply(&mut self, step: Move) {
+        let moved = self.carry_out(step).and_then(|()| self.run_scripts());
+        let result = moved.and_then(|()| self.settle()).and_then(|()| self.judge_state());
+        if let Err(violation) = result {
+            self.violation = Some(violation);
+        }
+    }
+
+    fn carry_out(&mut self, step: Move) -> Result<(), Violation> {
+        match step {
+            Move::Tick(code) => self.tick(code),
+            Move::Deliver(i, over) => {
+                let crossing = self.crossings.remove(usize::from(i));
+                self.faults.over -= over;
+                self.deliver(crossing, over)
+            }
+            Move::Lose(i) => {
+                self.crossings.remove(usize::from(i));
+                if self.faults.loss != u8::MAX {
+                    self.faults.loss -= 1;
+                }
+                Ok(())
+            }
+            Move::Duplicate(i) => {
+                let copy = self.crossings[usize::from(i)];
+                self.crossings.insert(usize::from(i), copy);
+                self.faults.dup -= 1;
+                Ok(())
+            }
+            Move::Act(task) => self.act(usize::from(task)),
+            Move::Nest(task) => {
+                let plan = Arc::clone(&self.plan);
+                let task = usize::from(task);
+                let requests = self.bodies[task].nest(&plan.tasks[task], &plan);
+                requests.into_iter().try_for_each(|request| self.ask(task, request))
+            }
+            Move::Crash(i) => {
+                self.faults.crash -= 1;
+                self.crash(usize::from(i));
+                Ok(())
+            }
+            Move::Restart(i) => self.restart(usize::from(i)),
+            Move::Proceed(i) => self.proceed(usize::from(i)),
+            Move::Choose(task, choice) => {
+                self.leave(usize::from(task), ScriptInput::Chosen(u16::from(choice)));
+                Ok(())
+            }
+            Move::Acted(task, level) => {
+                self.acted(usize::from(task), level);
+                Ok(())
+            }
+        }
+    }
+
+    /// Carries on what belongs to the move: what leaves buffers that have become free, and what tasks in a hurry do,
+    /// while there is one such task. Where there are several, who comes first is a choice.
+    fn settle(&mut self) -> Result<(), Violation> {
+        for _ in 0..FUSED {
+            self.flush()?;
+            let forced = self.forced();
+            let [task] = forced[..] else { return Ok(()) };
+            if self.bodies[task].actor.is_some() {
+                return Ok(());
+            }
+            if !self.plan.fused || self.bodies[task].may_nest(&self.plan.tasks[task]) {
+                return Ok(());
+            }
+            self.act(task)?;
+            self.run_scripts()?;
+        }
+        Err(Violation::Zeno)
+    }
+
+    fn act(&mut self, task: usize) -> Result<(), Violation> {
+        let plan = Arc::clone(&self.plan);
+        let serves = self.bodies[task].top().does == Does::Serves;
+        let requests = self.bodies[task].act(TaskId::from_index(task), &plan);
+        for request in requests {
+            self.ask(task, request)?;
+        }
+        if serves && self.bodies[task].levels.len() == 1 && self.bodies[task].top().does == Does::Serves {
+            self.bodies[task].resume();
+        }
+        Ok(())
+    }
+
+    fn ask(&mut self, task: usize, request: Request) -> Result<(), Violation> {
+        self.asked(task, &request);
+        self.step(self.station_of(task), NodeInput::Request(TaskId::from_index(task), request))
+    }
+
+    fn deliver(&mut self, crossing: Crossing, over: u8) -> Result<(), Violation> {
+        let (from, to, bound) = self.links[usize::from(crossing.link)];
+        let station = &mut self.stations[to.index()];
+        if !station.up {
+            return Ok(());
+        }
+        // The envelope announces a new life before any packet of it is handed on (D49).
+        let known = station.known[from.index()];
+        if crossing.life != known {
+            if crossing.life.0 < known.0 {
+                return Ok(());
+            }
+            station.known[from.index()] = crossing.life;
+            self.step(to.index(), NodeInput::PeerRestarted(from))?;
+        }
+        let charge = Ticks(u64::from(bound) + u64::from(over));
+        self.judge_arrival(to, &crossing.packet)?;
+        self.step(to.index(), NodeInput::Packet { packet: crossing.packet, charge })
+    }
+
+    /// Steps one node, puts what it sent on its links and lets the watches look at what came of it.
+    fn step(&mut self, i: usize, input: NodeInput) -> Result<(), Violation> {
+        let owed = std::mem::take(&mut self.stations[i].owed);
+        if owed > 0 {
+            self.drive(i, |node, out| node.step(NodeInput::Advance(Ticks(u64::from(owed))), out))?;
+        }
+        if self.plan.fused || matches!(input, NodeInput::Advance(_)) {
+            self.drive(i, |node, out| node.step(input, out))
+        } else {
+            self.drive(i, |node, out| {
+                // What the input itself does is one step; what follows from it within the node are others.
+                node.begin(input, out);
+                if !node.is_busy() {
+                    node.flush(out);
+                }
+            })
+        }
+    }
+
+    fn proceed(&mut self, i: usize) -> Result<(), Violation> {
+        self.drive(i, |node, out| {
+            node.proceed(out);
+            if !node.is_busy() {
+                node.flush(out);
+            }
+        })
+    }
+
+    fn drive(&mut self, i: usize, work: impl FnOnce(&mut Node, &mut Wires<'_>)) -> Result<(), Violation> {
+        let mut effects = std::mem::take(&mut self.spare);
+        let mut open = self.open(i);
+        work(
+            &mut self.stations[i].node,
+            &mut Wires { effects: &mut effects, open: &mut open, node: small(i) },
+        );
+        // What was sent counts before what came of it: the machine has made all its numbers by now.
+        effects.iter().for_each(|effect| self.sent(effect));
+        let result = effects.iter().try_for_each(|effect| self.follow(i, effect));
+        let result = result.and_then(|()| self.judge_step(i, &effects));
+        if self.keep_log {
+            self.log.extend(&effects);
+        }
+        effects.clear();
+        self.spare = effects;
+        let station = &self.stations[i];
+        let broken = |task| invariants::check(task, &station.table).is_err();
+        if station.node.parts().tasks.iter().any(broken) {
+            return Err(Violation::Invariant);
+        }
+        result
+    }
+
+    fn follow(&mut self, i: usize, effect: &Effect) -> Result<(), Violation> {
+        match effect {
+            Effect::Sent(next, packet) => {
+                let here = NodeId::from_index(i);
+                let link = self.links.iter().position(|&(a, b, _)| (a, b) == (here, *next));
+                let link = small(link.ok_or(Violation::Invariant)?);
+                if self.plan.room.is_some() {
+                    self.used[usize::from(link)] += 1;
+                }
+                let life = self.stations[i].life;
+                self.crossings.push(Crossing { packet: *packet, link, age: 0, life });
+                Ok(())
+            }
+            Effect::Told(task, signal) => self.told(task.index(), signal),
+            Effect::Seen(_, at, observation) => self.seen(*at, observation),
+        }
+    }
+
+    /// How many packets each link of a node still takes.
+    fn open(&self, i: usize) -> Vec<(NodeId, u8)> {
+        let links = self.links.iter().enumerate().filter(|(_, (from, ..))| from.index() == i);
+        let left = |(at, &(_, to, _)): (usize, &(NodeId, NodeId, u8))| {
+            let room = self.plan.room.map_or(u8::MAX, |room| room.saturating_sub(self.used[at]));
+            (to, if self.plan.pressure { room.min(self.space(to)) } else { room })
+        };
+        links.map(left).collect()
+    }
+
+    /// How many more packets the buffer of a node surely has room for.
+    fn space(&self, to: NodeId) -> u8 {
+        let held = self.stations[to.index()].node.parts().transit.len();
+        let coming = self.crossings.iter().filter(|c| self.links[usize::from(c.link)].1 == to).count();
+        small(usize::from(self.plan.transit).saturating_sub(held + coming))
+    }
+
+    fn flush(&mut self) -> Result<(), Violation> {
+        if !self.plan.pressure {
+            return Ok(());
+        }
+        for i in 0..self.stations.len() {
+            if self.stations[i].up && !self.stations[i].node.parts().transit.is_empty() {
+                self.drive(i, |node, out| node.flush(out))?;
+            }
+        }
+        Ok(())
+    }
+}
+
+pub(crate) fn small(i: usize) -> u8 {
+    u8::try_from(i).unwrap_or(u8::MAX)
+}

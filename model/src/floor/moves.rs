@@ -1,0 +1,95 @@
+//! What may happen next on a floor.
+
+use super::plan::Way;
+use super::{Crossing, Floor, Move, small};
+
+impl Floor {
+    /// What may happen in this state. The order is part of the state space: a path is a list of positions here.
+    pub fn moves(&self, moves: &mut Vec<Move>) {
+        if self.violation.is_some() {
+            return;
+        }
+        let forced = self.forced();
+        if !forced.is_empty() {
+            for task in forced {
+                self.go_on(task, moves);
+            }
+            return;
+        }
+        let busy = |i: usize| self.stations[i].node.is_busy();
+        moves.extend((0..self.stations.len()).filter(|&i| busy(i)).map(|i| Move::Proceed(small(i))));
+        for task in 0..self.bodies.len() {
+            if self.stations[self.station_of(task)].up {
+                self.go_on(task, moves);
+            }
+        }
+        self.packet_moves(moves);
+        self.node_moves(moves);
+        let arrived = self.crossings.iter().all(|c| c.age < self.links[usize::from(c.link)].2);
+        if arrived && !(0..self.stations.len()).any(busy) {
+            self.ticks(moves);
+        }
+    }
+
+    fn go_on(&self, task: usize, moves: &mut Vec<Move>) {
+        let (body, plan) = (&self.bodies[task], &self.plan.tasks[task]);
+        if let Some(actor) = &body.actor {
+            let choices = 0..actor.chooses().unwrap_or(0);
+            moves.extend(choices.map(|k| Move::Choose(small(task), small(usize::from(k)))));
+            let may = actor.running.iter().filter(|action| action.least == 0);
+            moves.extend(may.map(|action| Move::Acted(small(task), action.level)));
+            return;
+        }
+        if body.may_act(plan) {
+            moves.push(Move::Act(small(task)));
+        }
+        if body.may_nest(plan) {
+            moves.push(Move::Nest(small(task)));
+        }
+    }
+
+    /// The tasks that go on before anything else may happen.
+    pub(super) fn forced(&self) -> Vec<usize> {
+        let must = |&task: &usize| {
+            let station = &self.stations[self.station_of(task)];
+            station.up && !station.node.is_busy() && self.bodies[task].must_act(&self.plan.tasks[task])
+        };
+        (0..self.bodies.len()).filter(must).collect()
+    }
+
+    fn packet_moves(&self, moves: &mut Vec<Move>) {
+        for (i, crossing) in self.crossings.iter().enumerate() {
+            let same = |other: &Crossing| other.link == crossing.link;
+            let bound = self.links[usize::from(crossing.link)].2;
+            let at_its_end = crossing.age >= bound;
+            match self.plan.way {
+                // Equal packets are one choice.
+                Way::Any if i > 0 && self.crossings[i - 1] == *crossing => continue,
+                Way::Exact if !at_its_end || self.crossings[..i].iter().any(same) => continue,
+                Way::Any | Way::Exact => {}
+            }
+            let i = small(i);
+            moves.push(Move::Deliver(i, 0));
+            if self.faults.over > 0 {
+                moves.push(Move::Deliver(i, 1));
+            }
+            // Before its last tick a loss cannot be observed.
+            if self.faults.loss > 0 && at_its_end {
+                moves.push(Move::Lose(i));
+            }
+            if self.faults.dup > 0 {
+                moves.push(Move::Duplicate(i));
+            }
+        }
+    }
+
+    fn node_moves(&self, moves: &mut Vec<Move>) {
+        for (i, station) in self.stations.iter().enumerate() {
+            if !station.up {
+                moves.push(Move::Restart(small(i)));
+            } else if self.faults.crash > 0 && !station.node.is_busy() {
+                moves.push(Move::Crash(small(i)));
+            }
+        }
+    }
+}

@@ -1,0 +1,116 @@
+//! Watches over the order of service: who may interrupt whom (D15, D16), who is refused and bypassed how often (D58).
+
+use super::Floor;
+use super::body::Does;
+use super::judge::Name;
+use super::plan::FloorWatch;
+use crate::state::Violation;
+use imrs_protocol::rules::Aging;
+use imrs_protocol::{Call, Delivery, PortId, ServiceOrder, TaskId};
+
+/// How deep handlers may interrupt each other (D15): the thread, and two more than `order` has levels.
+const DEEPEST: usize = ServiceOrder::LEVELS + 3;
+
+impl Floor {
+    /// A thread or a handler that waits refused a message by rank. However often handlers refuse it, it interrupts the
+    /// thread, not them (D76): the bound on refusals is for tasks whose handlers do not wait.
+    pub(super) fn refused(&mut self, task: TaskId, port: PortId, name: Name) -> Result<(), Violation> {
+        if !self.plan.counts_refusals() {
+            return Ok(());
+        }
+        let cap = self.plan.tasks[task.index()].order.rank(port, name.source).max(1);
+        let most = self.plan.fair().filter(|fair| fair.0 == task).map(|fair| fair.2);
+        let entries = &mut self.ghosts.refused;
+        let at = entries.iter().position(|e| (e.0, e.1, e.2) == (task, port, name)).unwrap_or(entries.len());
+        if at == entries.len() {
+            entries.push((task, port, name, 0));
+        }
+        let count = &mut entries[at].3;
+        // Without a bound to judge by, more refusals than the cap say nothing.
+        *count = if most.is_some() { count.saturating_add(1) } else { count.saturating_add(1).min(cap) };
+        if most.is_some_and(|most| *count > most) { Err(Violation::RefusedTooOften) } else { Ok(()) }
+    }
+
+    /// A message waits no more.
+    pub(super) fn forget(&mut self, task: usize, delivery: &Delivery) {
+        let gone = (TaskId::from_index(task), delivery.from.port, Name::of(delivery));
+        self.ghosts.refused.retain(|e| (e.0, e.1, e.2) != gone);
+    }
+
+    /// How often the message that a call is for was refused, as far as that counts.
+    fn refusals(&self, task: usize, call: &Call) -> u8 {
+        let Call::Message(delivery) = call else { return 0 };
+        if self.plan.cell.cell().rules.aging != Aging::Bounded {
+            return 0;
+        }
+        let (at, name) = (TaskId::from_index(task), Name::of(delivery));
+        let entries = self.ghosts.refused.iter();
+        entries.filter(|e| (e.0, e.1, e.2) == (at, delivery.from.port, name)).map(|e| e.3).sum()
+    }
+
+    fn base_rank(&self, task: usize, call: &Call) -> u8 {
+        let order = &self.plan.tasks[task].order;
+        match call {
+            Call::Message(delivery) => order.rank(delivery.from.port, delivery.from.source),
+            Call::Timer(_) => order.timers(),
+            Call::Fenced | Call::TakeOver(_) => 0,
+        }
+    }
+
+    /// R16 with D15 and D58, from the declaration and from what was seen: may this call interrupt?
+    pub(super) fn judge_interrupt(&self, task: usize, call: &Call) -> Result<(), Violation> {
+        let body = &self.bodies[task];
+        let top = body.top();
+        if body.levels.len() >= DEEPEST {
+            return Err(Violation::TooDeep);
+        }
+        if !matches!(top.does, Does::Waits | Does::Works) {
+            return Err(Violation::NotOutranking);
+        }
+        if !self.plan.watches(FloorWatch::Order) || matches!(call, Call::Fenced | Call::TakeOver(_)) {
+            return Ok(());
+        }
+        let (base, refused) = (self.base_rank(task, call), self.refusals(task, call));
+        let rank = base.saturating_sub(refused);
+        let outranks = if body.levels.len() > 1 {
+            rank < top.rank
+        } else {
+            let plain_get = top.get;
+            let capped = refused >= base.max(1);
+            plain_get || capped || rank < self.plan.tasks[task].order.own()
+        };
+        if outranks { Ok(()) } else { Err(Violation::NotOutranking) }
+    }
+
+    /// Ranks never grow up the stack: the rank of a handler is not above that of what it interrupted.
+    pub(super) fn rank_of_handler(&self, task: usize, call: &Call) -> u8 {
+        let body = &self.bodies[task];
+        let below = if body.levels.len() > 1 { body.top().rank } else { self.plan.tasks[task].order.own() };
+        self.base_rank(task, call).min(below)
+    }
+
+    /// D58: a GET over all ports that takes another port's head bypasses the heads of the rest.
+    pub(super) fn judge_bypass(&mut self, task: usize, delivery: &Delivery) -> Result<(), Violation> {
+        let Some((watched, most, _)) = self.plan.fair() else { return Ok(()) };
+        let at = TaskId::from_index(task);
+        let top = self.bodies[task].top();
+        if watched != at || !top.get || top.port.is_some() {
+            return Ok(());
+        }
+        let station = &self.stations[self.station_of(task)];
+        let Some(machine) = station.node.task(at) else { return Ok(()) };
+        let view = machine.view(&station.table, 0);
+        for (count, port) in self.ghosts.bypassed.iter_mut().zip(&view.ports) {
+            let handled = self.plan.tasks[task].handles.contains(&port.port);
+            if port.port == delivery.from.port || port.len == 0 || handled {
+                *count = 0;
+            } else {
+                *count += 1;
+                if *count > most {
+                    return Err(Violation::Bypassed);
+                }
+            }
+        }
+        Ok(())
+    }
+}

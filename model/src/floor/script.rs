@@ -1,0 +1,151 @@
+//! Tasks whose behaviour is a script: the machine's own [`Script`], whose choices and actions the checker takes.
+
+use super::Floor;
+use super::plan::FloorPlan;
+use crate::state::Violation;
+use imrs_protocol::script::{Action, Activity, End, Program, Script, ScriptInput, ScriptOutbox};
+use imrs_protocol::{CommTask, Contents, PortId, Request, TaskId};
+use std::sync::Arc;
+
+/// An action of a script that has begun.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub(crate) struct Running {
+    /// Which of the script's threads waits for it.
+    pub level: u8,
+    /// Ticks that it takes yet, at least and at most.
+    pub least: u8,
+    pub most: u8,
+}
+
+/// A script and what it has begun.
+#[derive(Clone, Debug)]
+pub(crate) struct Actor {
+    pub program: Arc<Program>,
+    pub script: Script,
+    pub running: Vec<Running>,
+}
+
+impl Actor {
+    pub fn new(program: &Arc<Program>) -> Self {
+        Self { program: Arc::clone(program), script: Script::new(program), running: Vec::new() }
+    }
+
+    pub fn chooses(&self) -> Option<u16> {
+        match self.script.activity() {
+            Activity::Chooses(alternatives) => Some(alternatives),
+            Activity::NotBegun
+            | Activity::Waits
+            | Activity::Acts
+            | Activity::Passive
+            | Activity::Ended(_) => None,
+        }
+    }
+
+    /// Whether the floor must go on with it before anything else happens.
+    pub fn must_act(&self) -> bool {
+        self.chooses().is_some() || self.running.iter().any(|action| action.most == 0)
+    }
+
+    pub fn tick(&mut self) {
+        for action in &mut self.running {
+            action.least = action.least.saturating_sub(1);
+            action.most = action.most.saturating_sub(u8::from(action.most != u8::MAX));
+        }
+    }
+}
+
+/// What one step of a script asks for.
+struct Wanted<'a> {
+    plan: &'a FloorPlan,
+    machine: Option<&'a CommTask>,
+    requests: Vec<Request>,
+    began: Vec<Running>,
+    cut: Vec<u8>,
+    end: Option<End>,
+}
+
+impl ScriptOutbox for Wanted<'_> {
+    fn request(&mut self, request: Request) {
+        self.requests.push(request);
+    }
+
+    fn run(&mut self, action: Action<'_>) {
+        let ticks = |t: imrs_protocol::Ticks| u8::try_from(t.0).unwrap_or(u8::MAX);
+        let Action { level, least, most, .. } = action;
+        self.began.push(Running { level, least: ticks(least), most: ticks(most) });
+    }
+
+    fn cut_short(&mut self, level: u8) {
+        self.cut.push(level);
+    }
+
+    fn choose(&mut self, _: u16) -> Option<u16> {
+        None
+    }
+
+    fn ended(&mut self, end: End) {
+        self.end = Some(end);
+    }
+
+    fn fragment(&mut self, index: u8) -> Option<Contents> {
+        self.machine?.fragment(index).copied()
+    }
+
+    fn answer(&mut self, port: PortId, task: Option<TaskId>, index: u8) -> Option<Contents> {
+        let machine = self.machine?;
+        let answer = |task| machine.answer_fragment(port, task, index).copied();
+        match task {
+            Some(task) => answer(task),
+            None => self.plan.cell.port(port)?.peers(machine.task()).find_map(answer),
+        }
+    }
+}
+
+impl Floor {
+    /// Leaves something for a script; false where the task has none.
+    pub(super) fn leave(&mut self, task: usize, input: ScriptInput) -> bool {
+        let scripted = self.bodies[task].actor.is_some();
+        if scripted {
+            self.inputs.push_back((task, input));
+        }
+        scripted
+    }
+
+    /// Runs scripts until all of them wait: who began goes on, so that nothing comes between its steps.
+    pub(super) fn run_scripts(&mut self) -> Result<(), Violation> {
+        let mut last = None;
+        for _ in 0..super::FUSED {
+            let own = self.inputs.iter().position(|&(task, _)| Some(task) == last);
+            let Some((task, input)) = self.inputs.remove(own.unwrap_or(0)) else { return Ok(()) };
+            self.run_script(task, input)?;
+            last = Some(task);
+        }
+        Err(Violation::Zeno)
+    }
+
+    fn run_script(&mut self, task: usize, input: ScriptInput) -> Result<(), Violation> {
+        let station = self.station_of(task);
+        let machine = self.stations[station].node.task(TaskId::from_index(task));
+        let Some(actor) = &mut self.bodies[task].actor else { return Ok(()) };
+        let plan = &self.plan;
+        let mut wanted =
+            Wanted { plan, machine, requests: Vec::new(), began: Vec::new(), cut: Vec::new(), end: None };
+        actor.script.step(&actor.program, input, &mut wanted);
+        actor.running.retain(|action| !wanted.cut.contains(&action.level));
+        actor.running.extend(&wanted.began);
+        actor.running.sort_unstable_by_key(|action| action.level);
+        if matches!(wanted.end, Some(End::Fault { .. } | End::Assertion(_))) {
+            return Err(Violation::Script);
+        }
+        let requests = wanted.requests;
+        requests.into_iter().try_for_each(|request| self.ask(task, request))
+    }
+
+    /// The action of this thread has ended well.
+    pub(super) fn acted(&mut self, task: usize, level: u8) {
+        if let Some(actor) = &mut self.bodies[task].actor {
+            actor.running.retain(|action| action.level != level);
+        }
+        self.leave(task, ScriptInput::Acted { level, ok: true, value: 0 });
+    }
+}

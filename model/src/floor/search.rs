@@ -1,0 +1,133 @@
+//! Floors under stateright's breadth-first search.
+
+use super::plan::FloorPlan;
+use super::{Floor, Move};
+use crate::explore::{Exploration, Ground, Grounded, Limits, search};
+use crate::state::Packed;
+use stateright::{Model, Property};
+use std::sync::Arc;
+
+impl Ground for Floor {
+    type Action = Move;
+
+    fn first(&mut self) -> Packed {
+        Self::new(&Arc::clone(&self.plan)).store()
+    }
+
+    fn actions(&mut self, state: &Packed, actions: &mut Vec<Move>) {
+        self.load(state);
+        self.moves(actions);
+    }
+
+    fn step(&mut self, state: &Packed, action: Move) -> Packed {
+        self.load(state);
+        self.apply(action);
+        self.store()
+    }
+
+    fn renew(&mut self) {
+        *self = Self::new(&Arc::clone(&self.plan));
+    }
+}
+
+/// A floor as a stateright model.
+pub struct FloorModel(Grounded<Floor>);
+
+impl FloorModel {
+    /// The model of a floor.
+    #[must_use]
+    pub fn new(plan: &Arc<FloorPlan>, limits: Limits) -> Self {
+        Self(Grounded::new(Floor::new(plan), limits, None))
+    }
+
+    /// Whether no effect within a node and no step of a task in a hurry is outstanding.
+    #[doc(hidden)]
+    #[must_use]
+    pub fn is_quiescent(&self, state: &Packed) -> bool {
+        self.0.with(|floor| {
+            floor.load(state);
+            floor.is_quiescent()
+        })
+    }
+
+    /// A quiescent state as the same floor with fused steps writes it.
+    #[doc(hidden)]
+    #[must_use]
+    pub fn as_fused(&self, state: &Packed) -> Packed {
+        self.0.with(|floor| {
+            floor.load(state);
+            let mut fused = floor.clone();
+            fused.plan = Arc::new(FloorPlan { fused: true, ..(*floor.plan).clone() });
+            fused.store()
+        })
+    }
+
+    /// The state written again.
+    #[doc(hidden)]
+    #[must_use]
+    pub fn rewritten(&self, state: &Packed) -> Packed {
+        self.0.with(|floor| {
+            floor.load(state);
+            floor.store()
+        })
+    }
+}
+
+impl Model for FloorModel {
+    type State = Packed;
+    type Action = Move;
+
+    fn init_states(&self) -> Vec<Packed> {
+        self.0.init_states()
+    }
+
+    fn actions(&self, state: &Packed, actions: &mut Vec<Move>) {
+        self.0.actions(state, actions);
+    }
+
+    fn next_state(&self, state: &Packed, action: Move) -> Option<Packed> {
+        self.0.next_state(state, action)
+    }
+
+    fn properties(&self) -> Vec<Property<Self>> {
+        vec![Property::always("claim", |_, state: &Packed| state.violation().is_none())]
+    }
+}
+
+/// Explores a floor until everything is seen, a violation is found or a limit is reached.
+#[must_use]
+pub fn explore_floor(plan: &Arc<FloorPlan>, limits: Limits) -> Exploration<Move> {
+    search(Floor::new(plan), limits, None)
+}
+
+/// A floor that is never packed: every step works on a copy of the whole. For tests that compare.
+#[doc(hidden)]
+#[derive(Clone, Debug)]
+pub struct LiveFloor(Floor);
+
+impl LiveFloor {
+    /// The first state.
+    #[must_use]
+    pub fn new(plan: &Arc<FloorPlan>) -> Self {
+        Self(Floor::new(plan))
+    }
+
+    /// Every state that can follow.
+    #[must_use]
+    pub fn next(&self) -> Vec<Self> {
+        let mut moves = Vec::new();
+        self.0.moves(&mut moves);
+        let follow = |step| {
+            let mut next = self.clone();
+            next.0.apply(step);
+            next
+        };
+        moves.into_iter().map(follow).collect()
+    }
+
+    /// The packed form.
+    #[must_use]
+    pub fn packed(&self) -> Packed {
+        self.0.clone().store()
+    }
+}

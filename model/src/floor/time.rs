@@ -1,0 +1,159 @@
+//! Time on a floor: ticks that nodes notice, leave out, count twice or notice later; crashes and new lives.
+
+use super::body::{Body, Does};
+use super::plan::Errand;
+use super::{Floor, Move};
+use crate::state::Violation;
+use imrs_protocol::{CommTask, Incarnation, Node, NodeInput, PortId, Round, Seq24, TaskId, Ticks, VisitMut};
+
+/// What a node makes of a tick: two bits of the code.
+const LEFT_OUT: u16 = 1;
+const TWICE: u16 = 2;
+const LATER: u16 = 3;
+
+impl Floor {
+    /// All the ways in which a tick can pass within the budgets.
+    pub(super) fn ticks(&self, moves: &mut Vec<Move>) {
+        let mut codes = vec![(0_u16, self.faults.drift, self.faults.late)];
+        for (i, station) in self.stations.iter().enumerate() {
+            let place = 2 * i;
+            let more: Vec<_> = codes
+                .iter()
+                .filter(|_| station.up)
+                .flat_map(|&(code, drift, late)| {
+                    let odd = |what: u16| code | (what << place);
+                    let drifts = (drift > 0).then(|| [LEFT_OUT, TWICE].map(|w| (odd(w), drift - 1, late)));
+                    let later = (late > 0 && station.owed == 0).then(|| (odd(LATER), drift, late - 1));
+                    drifts.into_iter().flatten().chain(later)
+                })
+                .collect();
+            codes.extend(more);
+        }
+        moves.extend(codes.into_iter().map(|(code, ..)| Move::Tick(code)));
+    }
+
+    pub(super) fn tick(&mut self, code: u16) -> Result<(), Violation> {
+        let alone = self.plan.jumps && code == 0 && self.faults.drift == 0 && self.faults.late == 0;
+        let mut alternatives = Vec::new();
+        if alone {
+            self.moves(&mut alternatives);
+        }
+        // A tick that is the only thing that can happen, and after which it still is, is no state of its own.
+        let quiet = alone && alternatives.len() == 1;
+        for _ in 0..u8::MAX {
+            let log = self.log.len();
+            let kept = std::mem::replace(&mut self.keep_log, true);
+            let result = self.one_tick(code);
+            self.keep_log = kept;
+            let happened = self.log.len() > log;
+            if !kept {
+                self.log.truncate(log);
+            }
+            result?;
+            if !quiet || happened || self.is_over() {
+                break;
+            }
+            let mut next = Vec::new();
+            self.moves(&mut next);
+            if next != [Move::Tick(0)] {
+                break;
+            }
+        }
+        Ok(())
+    }
+
+    /// Whether time alone changes nothing any more.
+    fn is_over(&self) -> bool {
+        let waits = |node: &Node| node.next_expiry().is_some();
+        self.crossings.is_empty()
+            && !self.stations.iter().any(|s| s.up && waits(&s.node))
+            && self
+                .bodies
+                .iter()
+                .all(|b| b.levels.iter().all(|l| !matches!(l.does, Does::Works | Does::Serves)))
+            && self.bodies.iter().all(|b| b.actor.as_ref().is_none_or(|actor| actor.running.is_empty()))
+    }
+
+    fn one_tick(&mut self, code: u16) -> Result<(), Violation> {
+        self.passed += 1;
+        self.used.fill(0);
+        for crossing in &mut self.crossings {
+            crossing.age += 1;
+        }
+        self.ghosts.tick();
+        for task in 0..self.bodies.len() {
+            if self.stations[self.station_of(task)].up {
+                self.bodies[task].tick(&self.plan.tasks[task]);
+            }
+        }
+        for i in 0..self.stations.len() {
+            if !self.stations[i].up {
+                continue;
+            }
+            let ticks = match (code >> (2 * i)) & 3 {
+                LEFT_OUT => 0,
+                TWICE => 2,
+                LATER => {
+                    self.faults.late -= 1;
+                    self.stations[i].owed += 1;
+                    continue;
+                }
+                _ => 1,
+            };
+            if ticks != 1 {
+                self.faults.drift -= 1;
+            }
+            let owed = std::mem::take(&mut self.stations[i].owed);
+            self.step(i, NodeInput::Advance(Ticks(ticks + u64::from(owed))))?;
+        }
+        self.judge_waits()
+    }
+
+    pub(super) fn crash(&mut self, i: usize) {
+        let station = &mut self.stations[i];
+        station.up = false;
+        station.owed = 0;
+        let next = |task: &CommTask| (task.task(), task.next_sequence());
+        let sequences: Vec<_> = station.node.parts().tasks.iter().map(next).collect();
+        for (task, next) in sequences {
+            self.sequences[task.index()] = next;
+            let times = self.bodies[task.index()].times;
+            self.bodies[task.index()] = Body { times, ..Body::new(&self.plan.tasks[task.index()]) };
+            if matches!(self.plan.tasks[task.index()].errand, Errand::Receive { .. }) {
+                self.bodies[task.index()].times = Body::ENDLESS;
+            }
+        }
+    }
+
+    pub(super) fn restart(&mut self, i: usize) -> Result<(), Violation> {
+        let station = &mut self.stations[i];
+        station.life = Incarnation(station.life.0 + 1);
+        station.up = true;
+        station.node = Node::new(station.table.clone(), station.life, true, self.plan.transit);
+        // Ids of different lives are never compared: the new life may count on from where the old one was.
+        let mut from = From { rounds: &self.rounds, sequences: &self.sequences };
+        for task in &mut station.node.parts_mut().tasks {
+            task.visit_mut(&mut from);
+        }
+        self.set_clock(i);
+        let here = |task: &usize| self.station_of(*task) == i;
+        let tasks: Vec<usize> = (0..self.bodies.len()).filter(here).collect();
+        tasks.into_iter().try_for_each(|task| self.begin(task))
+    }
+}
+
+/// Moves the ids of a new node to where this floor's numbers are.
+struct From<'a> {
+    rounds: &'a [Round],
+    sequences: &'a [Seq24],
+}
+
+impl VisitMut for From<'_> {
+    fn instant(&mut self, _: &mut Ticks) {}
+    fn round(&mut self, port: PortId, round: &mut Round) {
+        *round = round.plus(self.rounds[port.index()].0);
+    }
+    fn sequence(&mut self, source: TaskId, sequence: &mut Seq24) {
+        *sequence = self.sequences[source.index()];
+    }
+}

@@ -1,0 +1,286 @@
+//! Floors on which messages wait for a busy task: bypassed by GETs, refused by rank, interrupting each other.
+
+use crate::floor::plan::{Errand, Faults, FloorPlan, FloorWatch, TaskPlan, Times};
+use imrs_protocol::aging::Service;
+use imrs_protocol::rules::Rules;
+use imrs_protocol::script::{Op, ProgramBuilder};
+use imrs_protocol::{
+    Cell, CellError, CellTable, PortDecl, Ranked, ServiceOrder, Target, TaskId, Ticks, Usage,
+};
+use std::sync::Arc;
+
+/// One node: a task that receives over all its ports, tasks that flood ports of urgent statuses, and one whose statuses
+/// live longer and so are bypassed.
+#[derive(Clone, Copy, Debug)]
+pub struct Flood {
+    /// How many ports are flooded.
+    pub flooded: u16,
+    /// The life of a flooding status.
+    pub urgent: u64,
+    /// The life of the bypassed status.
+    pub life: u64,
+    /// `bounded_buffer[n]` of the bypassed port.
+    pub buffer: u16,
+    /// How many ticks lie between two bypassed statuses at least.
+    pub every: u8,
+    /// How many ticks each message is served.
+    pub service: u8,
+    /// Rules.
+    pub rules: Rules,
+    /// Whether to watch that every bypassed status is served; else how often it is bypassed.
+    pub served: bool,
+}
+
+impl Flood {
+    /// What bounds the wait of the bypassed status.
+    #[must_use]
+    pub fn service(&self) -> Service {
+        Service {
+            ports: self.flooded + 1,
+            levels: 0,
+            rank: 0,
+            ahead: self.buffer - 1,
+            longest: Ticks(u64::from(self.service)),
+            penalty: Ticks(1),
+        }
+    }
+
+    /// The floor.
+    ///
+    /// # Errors
+    /// What is wrong with the declaration.
+    pub fn plan(&self) -> Result<Arc<FloorPlan>, Vec<CellError>> {
+        let mut cell = Cell::new("flood", Ticks(1));
+        cell.rules = self.rules;
+        let node = cell.node("node");
+        let receiver = cell.task("server", node);
+        let mut tasks = vec![
+            TaskPlan::new(Errand::Receive { port: None, time_out: None })
+                .hurried()
+                .serving(self.service, self.service),
+        ];
+        let mut sender = |name: &str, life: u64, buffer: u16, every: u8| {
+            let task = cell.task(name, node);
+            let port = PortDecl::new(&format!("{name} says"), task, Usage::Send, &[receiver], Ticks(life));
+            let port = cell.port(port.bounded_buffer(buffer));
+            tasks.push(TaskPlan::new(Errand::Send { port, to: Target::All, times: Times::Endless, every }));
+            port
+        };
+        for name in ["urgent", "hasty", "rash"].iter().take(usize::from(self.flooded)) {
+            sender(name, self.urgent, 1, 1);
+        }
+        // Declared last, so that it also loses every tie.
+        let patient = sender("patient", self.life, self.buffer, self.every);
+        let small = |n: u16| u8::try_from(n).unwrap_or(u8::MAX);
+        let service = self.service();
+        let bypasses = small(service.most_bypasses());
+        let watch = if self.served {
+            FloorWatch::Served { port: patient }
+        } else {
+            FloorWatch::Fair { task: receiver, bypasses, refusals: service.most_refusals() }
+        };
+        let plan = FloorPlan::new(Arc::new(CellTable::new(cell)?), tasks);
+        Ok(Arc::new(plan.watching(watch)))
+    }
+}
+
+/// One node: a task that acts without end and has handlers, one for messages that outrank the action and one for
+/// messages that do not.
+#[derive(Clone, Copy, Debug)]
+pub struct Workshop {
+    /// The life of the messages that do not outrank.
+    pub life: u64,
+    /// How many ticks lie between two of them at least.
+    pub every: u8,
+    /// How many things stand above them in the `order`: 1 to 3.
+    pub rank: u8,
+    /// The time penalty of their port, and whether it is the literal one.
+    pub penalty: (u64, bool),
+    /// How many ticks a handler runs.
+    pub service: u8,
+    /// Whether messages that outrank the action come, too.
+    pub urgent: bool,
+    /// Rules.
+    pub rules: Rules,
+    /// Whether to watch that every such message is served; else how often it is refused.
+    pub served: bool,
+}
+
+impl Workshop {
+    /// What bounds the wait of a message that does not outrank.
+    #[must_use]
+    pub fn service(&self) -> Service {
+        Service {
+            ports: 1 + u16::from(self.urgent),
+            levels: self.rank + 1,
+            rank: self.rank,
+            ahead: 0,
+            longest: Ticks(u64::from(self.service)),
+            penalty: Ticks(self.penalty.0),
+        }
+    }
+
+    /// The floor.
+    ///
+    /// # Errors
+    /// What is wrong with the declaration.
+    pub fn plan(&self) -> Result<Arc<FloorPlan>, Vec<CellError>> {
+        let mut cell = Cell::new("workshop", Ticks(1));
+        cell.rules = self.rules;
+        let node = cell.node("node");
+        let worker = cell.task("worker", node);
+        let modest = cell.task("modest", node);
+        let port = PortDecl::new("asks", modest, Usage::Send, &[worker], Ticks(self.life));
+        let mut port = port.penalty(Ticks(self.penalty.0));
+        if let Some(penalty) = &mut port.penalty {
+            penalty.literal = self.penalty.1;
+        }
+        let asks = cell.port(port);
+        let endless =
+            |port, every| TaskPlan::new(Errand::Send { port, to: Target::All, times: Times::Endless, every });
+        let mut senders = vec![endless(asks, self.every)];
+        let mut handles = vec![asks];
+        // What is named above `self` keeps the rank of the port two, three and so on.
+        let mut named = vec![Ranked::Own, Ranked::Timers, Ranked::Source(worker)];
+        named.truncate(usize::from(self.rank));
+        if self.urgent {
+            let urgent = cell.task("urgent", node);
+            let stops = cell.port(PortDecl::new("stops", urgent, Usage::Send, &[worker], Ticks(3)));
+            senders.push(endless(stops, 2));
+            handles.push(stops);
+            named.insert(0, Ranked::Port(stops));
+            named.truncate(usize::from(self.rank));
+        }
+        named.push(Ranked::Port(asks));
+        let order = ServiceOrder::new(&named).unwrap_or_default();
+        let work = Errand::Work { least: 1, most: 2, times: Times::Endless };
+        let mut tasks = vec![
+            TaskPlan::new(work)
+                .hurried()
+                .handling(&handles)
+                .ordered(order)
+                .serving(self.service, self.service),
+        ];
+        tasks.extend(senders);
+        let service = self.service();
+        let watch = if self.served {
+            FloorWatch::Served { port: asks }
+        } else {
+            let refusals = service.most_refusals();
+            FloorWatch::Fair { task: worker, bypasses: u8::MAX, refusals }
+        };
+        let plan = FloorPlan::new(Arc::new(CellTable::new(cell)?), tasks);
+        Ok(Arc::new(plan.watching(watch)))
+    }
+}
+
+/// Two tasks query a third, which acts on the world, across a link or over a relay: the first outranks the action, the
+/// second does not, and the handler of the second asks a fourth before it answers.
+#[derive(Clone, Debug)]
+pub struct Interrupted {
+    /// The time_out of the queries.
+    pub time_out: u64,
+    /// How many queries each sends.
+    pub queries: u8,
+    /// Whether a relay stands between.
+    pub relay: bool,
+    /// Faults.
+    pub faults: Faults,
+    /// Rules.
+    pub rules: Rules,
+    /// Watches.
+    pub watches: Vec<FloorWatch>,
+}
+
+impl Interrupted {
+    /// The floor.
+    ///
+    /// # Errors
+    /// What is wrong with the declaration.
+    pub fn plan(&self) -> Result<Arc<FloorPlan>, Vec<CellError>> {
+        let mut cell = Cell::new("interrupted", Ticks(1));
+        cell.rules = self.rules;
+        let (left, right) = (cell.node("left"), cell.node("right"));
+        if self.relay {
+            let relay = cell.node("relay");
+            cell.link(left, relay, Ticks(1));
+            cell.link(relay, right, Ticks(1));
+        } else {
+            cell.link(left, right, Ticks(1));
+        }
+        let [chief, peer] = ["chief", "peer"].map(|name| cell.task(name, left));
+        let [arm, tool] = ["arm", "tool"].map(|name| cell.task(name, right));
+        let query = |name: &str, from: TaskId| {
+            PortDecl::new(name, from, Usage::Query, &[arm], Ticks(self.time_out)).bounded_buffer(2)
+        };
+        let halt = cell.port(query("halt", chief));
+        let state = cell.port(query("state", peer));
+        let check = cell.port(PortDecl::new("check", arm, Usage::Send, &[tool], Ticks(3)).command());
+        let named = [Ranked::Port(halt), Ranked::Own, Ranked::Port(state)];
+        let order = ServiceOrder::new(&named).unwrap_or_default();
+        let queries = Times::Most(self.queries);
+        let asks = |port| TaskPlan::new(Errand::Send { port, to: Target::All, times: queries, every: 0 });
+        let work = Errand::Work { least: 1, most: u8::MAX, times: Times::Endless };
+        let arm = TaskPlan::new(work).hurried().handling(&[halt, state]).ordered(order).nesting(check);
+        let tool = TaskPlan::new(Errand::Receive { port: None, time_out: None }).hurried();
+        let mut plan =
+            FloorPlan::new(Arc::new(CellTable::new(cell)?), vec![asks(halt), asks(state), arm, tool]);
+        plan.faults = self.faults;
+        plan.watches.clone_from(&self.watches);
+        Ok(Arc::new(plan))
+    }
+}
+
+/// One task queries two at once, each on a node of its own.
+///
+/// # Errors
+/// What is wrong with the declaration.
+pub fn query_all(faults: Faults, watches: Vec<FloorWatch>) -> Result<Arc<FloorPlan>, Vec<CellError>> {
+    let mut cell = Cell::new("set", Ticks(1));
+    let nodes = ["parent", "first", "second"].map(|name| cell.node(name));
+    cell.link(nodes[0], nodes[1], Ticks(1));
+    cell.link(nodes[0], nodes[2], Ticks(1));
+    let [parent, first, second] = [("parent", 0), ("first", 1), ("second", 2)]
+        .map(|(name, node): (&str, usize)| cell.task(name, nodes[node]));
+    let port = cell.port(PortDecl::new("well", parent, Usage::Query, &[first, second], Ticks(5)));
+    let asks = Errand::Send { port, to: Target::All, times: Times::Most(2), every: 0 };
+    let answers = || TaskPlan::new(Errand::Receive { port: None, time_out: None }).hurried();
+    let mut plan =
+        FloorPlan::new(Arc::new(CellTable::new(cell)?), vec![TaskPlan::new(asks), answers(), answers()]);
+    plan.faults = faults;
+    plan.watches = watches;
+    Ok(Arc::new(plan))
+}
+
+/// A task that acts and then receives, for ever; messages do not outrank its action. Under the literal time penalty a
+/// rejected message outlives its sender's patience.
+///
+/// # Errors
+/// What is wrong with the declaration.
+pub fn penalised(literal: bool) -> Result<Arc<FloorPlan>, Vec<CellError>> {
+    let mut cell = Cell::new("penalised", Ticks(1));
+    let node = cell.node("node");
+    let (worker, sender) = (cell.task("worker", node), cell.task("sender", node));
+    let mut port =
+        PortDecl::new("move", sender, Usage::Send, &[worker], Ticks(3)).command().penalty(Ticks(2));
+    if let Some(penalty) = &mut port.penalty {
+        penalty.literal = literal;
+    }
+    let port = cell.port(port);
+    let order = [Ranked::Own, Ranked::Port(port)];
+    let mut script = ProgramBuilder::new("worker");
+    script.order(&order);
+    script.forever(|b| {
+        b.run("act", Ticks(1), Ticks(4));
+        b.statement().op(Op::Get { port: None, source: None, time_out: Some(Ticks(1)) });
+    });
+    script.on_message(port, &[], |b, _| {
+        b.reply(&[]);
+    });
+    let script = Arc::new(script.finish().unwrap_or_default());
+    let send = Errand::Send { port, to: Target::All, times: Times::Most(2), every: 0 };
+    let worker = TaskPlan::scripted(script).ordered(ServiceOrder::new(&order).unwrap_or_default());
+    let tasks = vec![worker, TaskPlan::new(send)];
+    let plan = FloorPlan::new(Arc::new(CellTable::new(cell)?), tasks);
+    Ok(Arc::new(plan.watching(FloorWatch::Stale { slack: 0 })))
+}

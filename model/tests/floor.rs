@@ -1,0 +1,205 @@
+//! Floors: whole nodes, relays, links that take only so much, handlers, scripts.
+
+use imrs_model::floor::plan::{Faults, FloorPlan, FloorWatch, Goal};
+use imrs_model::floor::worlds::{
+    Flood, Interrupted, Relay, Workshop, busy_neighbour, full_buffers, penalised, query_all,
+};
+use imrs_model::floor::{FloorModel, Move, draw_floor, explore_floor};
+use imrs_model::{Exploration, Limits, Violation};
+use imrs_protocol::rules::{Aging, Eviction, JobRequest, Memory, Rules};
+use stateright::Model;
+use std::collections::HashSet;
+use std::sync::Arc;
+
+fn explored(plan: &Arc<FloorPlan>) -> Exploration<Move> {
+    let found = explore_floor(plan, Limits { states: 1_000_000, memory: 4 << 30 });
+    println!(
+        "{:?}: {} states, {} transitions, depth {}, {} bytes, {:.2} s",
+        plan.watches, found.states, found.transitions, found.depth, found.longest_state, found.seconds
+    );
+    if let Some(c) = draw_floor(plan, &found) {
+        println!("{}", c.chart);
+    }
+    assert!(found.complete);
+    found
+}
+
+/// Explores a floor that must fail, level by level with whole states: the counterexample is a run of the floor, and no
+/// shorter one exists.
+fn fails(plan: &Arc<FloorPlan>) -> Violation {
+    let found = explored(plan);
+    let (path, states) = (found.path.expect("fails"), found.states_on_path.expect("fails"));
+    let model = FloorModel::new(plan, Limits::default());
+    assert_eq!(states[..1], model.init_states());
+    for (i, step) in path.iter().enumerate() {
+        let mut enabled = Vec::new();
+        model.actions(&states[i], &mut enabled);
+        assert!(enabled.contains(step), "{step:?} is not among {enabled:?}");
+        assert_eq!(model.next_state(&states[i], *step).as_ref(), Some(&states[i + 1]));
+    }
+    let mut level = model.init_states();
+    let mut seen: HashSet<_> = level.iter().cloned().collect();
+    let mut depth = 0;
+    while level.iter().all(|state| state.violation().is_none()) {
+        let mut next = Vec::new();
+        for state in &level {
+            let mut steps = Vec::new();
+            model.actions(state, &mut steps);
+            let after = steps.into_iter().filter_map(|step| model.next_state(state, step));
+            next.extend(after.filter(|state| seen.insert(state.clone())));
+        }
+        (level, depth) = (next, depth + 1);
+        assert!(!level.is_empty(), "no violation");
+    }
+    assert_eq!(path.len(), depth);
+    let drawn = draw_floor(plan, &explore_floor(plan, Limits::default())).expect("a chart");
+    assert_eq!(drawn.length as usize, depth);
+    assert!(drawn.chart.lines().all(|line| line.chars().count() <= 100), "{}", drawn.chart);
+    found.violation.expect("fails")
+}
+
+fn loss(loss: u8) -> Faults {
+    Faults { loss, ..Faults::default() }
+}
+
+#[test]
+fn relays_keep_the_promises() {
+    for watch in [FloorWatch::Stale { slack: 0 }, FloorWatch::Waits { slack: 0 }, FloorWatch::AtMostOnce] {
+        let relay = Relay { faults: loss(1), watches: vec![watch], ..Relay::default() };
+        assert_eq!(explored(&relay.plan().expect("a sound declaration")).violation, None);
+    }
+}
+
+#[test]
+fn a_relay_forgets_nothing_that_memory_is_for() {
+    let rules = Rules { memory: Memory::None, ..Rules::DEFAULT };
+    let faults = Faults { dup: 1, ..Faults::default() };
+    let relay = Relay { faults, rules, watches: vec![FloorWatch::AtMostOnce], ..Relay::default() };
+    assert_eq!(fails(&relay.plan().expect("a sound declaration")), Violation::ExecutedTwice);
+}
+
+#[test]
+fn commands_stay_where_status_yields() {
+    let watches = vec![FloorWatch::Eviction];
+    let relay =
+        Relay { room: Some(1), time_out: (6, 4), transit: 1, sends: (1, 2), watches, ..Relay::default() };
+    assert_eq!(explored(&relay.plan().expect("a sound declaration")).violation, None);
+    let rules = Rules { eviction: Eviction::ByTime, ..Rules::DEFAULT };
+    let relay = Relay { rules, ..relay };
+    assert_eq!(fails(&relay.plan().expect("a sound declaration")), Violation::CommandEvicted);
+}
+
+#[test]
+fn a_full_relay_tells_the_source() {
+    let watches = vec![FloorWatch::Reach(Goal::RefusedOnTheWay)];
+    let relay =
+        Relay { room: Some(1), transit: 1, commands: true, sends: (2, 2), watches, ..Relay::default() };
+    let found = explored(&relay.plan().expect("a sound declaration"));
+    assert_eq!(found.violation, Some(Violation::Reached));
+}
+
+#[test]
+fn a_timer_that_waits_for_busy_tasks_stops_the_clock() {
+    assert_eq!(explored(&busy_neighbour(Rules::DEFAULT).expect("a sound declaration")).violation, None);
+    let rules = Rules { job_request: JobRequest::Blocking, ..Rules::DEFAULT };
+    assert_eq!(fails(&busy_neighbour(rules).expect("a sound declaration")), Violation::NoOutcome);
+}
+
+#[test]
+fn buffers_full_of_packets_for_each_other_come_free() {
+    let plan = |watch| full_buffers(1, watch).expect("a sound declaration");
+    let stuck = explored(&plan(FloorWatch::Reach(Goal::BuffersFull)));
+    assert_eq!(stuck.violation, Some(Violation::Reached));
+    assert_eq!(explored(&plan(FloorWatch::Waits { slack: 0 })).violation, None);
+}
+
+#[test]
+fn clocks_apart_make_no_difference() {
+    let drift = Faults { drift: 1, loss: 1, ..Faults::default() };
+    let counts = [[0, 0, 0], [3, 0, 0], [200, 7, 99]].map(|clocks| {
+        let watches = vec![FloorWatch::Stale { slack: 1 }, FloorWatch::Waits { slack: 1 }];
+        let relay = Relay { clocks, faults: drift, sends: (1, 0), watches, ..Relay::default() };
+        let found = explored(&relay.plan().expect("a sound declaration"));
+        assert_eq!(found.violation, None);
+        (found.states, found.transitions)
+    });
+    assert!(counts.iter().all(|count| *count == counts[0]));
+}
+
+const INTERRUPTED: Interrupted = Interrupted {
+    time_out: 6,
+    queries: 1,
+    relay: false,
+    faults: Faults { loss: 0, dup: 0, crash: 0, drift: 0, late: 0, over: 0 },
+    rules: Rules::DEFAULT,
+    watches: Vec::new(),
+};
+
+#[test]
+fn handlers_run_by_rank_and_the_thread_goes_on() {
+    let watches = vec![FloorWatch::Order, FloorWatch::Waits { slack: 0 }];
+    let plan = |rules, watches| Interrupted { rules, watches, ..INTERRUPTED }.plan().expect("sound");
+    assert_eq!(explored(&plan(Rules::DEFAULT, watches.clone())).violation, None);
+    let nested = plan(Rules::DEFAULT, vec![FloorWatch::Reach(Goal::Nested)]);
+    assert_eq!(fails(&nested), Violation::Reached);
+    let careless = Rules { obey_order: false, ..Rules::DEFAULT };
+    assert_eq!(fails(&plan(careless, watches)), Violation::NotOutranking);
+}
+
+#[test]
+fn a_query_to_all_ends_once_with_a_mark_for_each() {
+    let watches = vec![FloorWatch::Waits { slack: 0 }, FloorWatch::AtMostOnce];
+    assert_eq!(explored(&query_all(loss(1), watches).expect("a sound declaration")).violation, None);
+    let all = query_all(loss(0), vec![FloorWatch::Reach(Goal::AllAnswered)]).expect("a sound declaration");
+    assert_eq!(fails(&all), Violation::Reached);
+}
+
+const FLOOD: Flood = Flood {
+    flooded: 1,
+    urgent: 2,
+    life: 9,
+    buffer: 1,
+    every: 9,
+    service: 1,
+    rules: Rules::DEFAULT,
+    served: false,
+};
+
+#[test]
+fn heads_are_bypassed_only_so_often() {
+    assert_eq!(explored(&FLOOD.plan().expect("a sound declaration")).violation, None);
+    let rules = Rules { aging: Aging::Off, ..Rules::DEFAULT };
+    let starving = Flood { flooded: 2, life: 20, rules, ..FLOOD };
+    assert_eq!(fails(&starving.plan().expect("a sound declaration")), Violation::Bypassed);
+    let bound = FLOOD.service().bound_by_gets().0;
+    let served = |life| Flood { life, every: 9, served: true, ..FLOOD }.plan().expect("a sound declaration");
+    assert_eq!(explored(&served(bound)).violation, None);
+    assert_eq!(fails(&served(2)), Violation::NotServed);
+}
+
+#[test]
+fn a_message_is_refused_only_so_often() {
+    let workshop = Workshop {
+        life: 9,
+        every: 9,
+        rank: 2,
+        penalty: (2, false),
+        service: 1,
+        urgent: true,
+        rules: Rules::DEFAULT,
+        served: false,
+    };
+    assert_eq!(explored(&workshop.plan().expect("a sound declaration")).violation, None);
+    let unbounded = Workshop { rules: Rules { aging: Aging::Unbounded, ..Rules::DEFAULT }, ..workshop };
+    assert_eq!(fails(&unbounded.plan().expect("a sound declaration")), Violation::RefusedTooOften);
+    let literal = Workshop { penalty: (2, true), ..workshop };
+    assert_eq!(fails(&literal.plan().expect("a sound declaration")), Violation::RefusedTooOften);
+    let served = Workshop { life: workshop.service().bound().0, served: true, ..workshop };
+    assert_eq!(explored(&served.plan().expect("a sound declaration")).violation, None);
+}
+
+#[test]
+fn a_script_shows_that_the_literal_penalty_revives_commands() {
+    assert_eq!(explored(&penalised(false).expect("a sound declaration")).violation, None);
+    assert_eq!(fails(&penalised(true).expect("a sound declaration")), Violation::Stale);
+}

@@ -1,0 +1,173 @@
+//! The packed form of floors: it loses nothing that a future depends on, and fusing steps changes no quiescent state.
+
+use imrs_model::floor::plan::{Errand, Faults, FloorPlan, FloorWatch, TaskPlan, Times, Way};
+use imrs_model::floor::worlds::{Flood, Interrupted, Relay, Workshop, penalised, query_all};
+use imrs_model::floor::{FloorModel, LiveFloor, Move, explore_floor};
+use imrs_model::{Limits, Packed};
+use imrs_protocol::rules::Rules;
+use imrs_protocol::{Cell, CellTable, PortDecl, Target, Ticks, Usage};
+use stateright::Model;
+use std::collections::{HashMap, HashSet, VecDeque};
+use std::sync::Arc;
+
+fn successors(model: &FloorModel, state: &Packed) -> HashSet<Packed> {
+    let mut moves: Vec<Move> = Vec::new();
+    model.actions(state, &mut moves);
+    moves.into_iter().filter_map(|step| model.next_state(state, step)).collect()
+}
+
+/// Walks the floor with whole copies, and asks of every state that its packed form has the same successors.
+fn live_and_packed_agree(plan: &Arc<FloorPlan>) -> usize {
+    let model = FloorModel::new(plan, Limits::default());
+    let start = LiveFloor::new(plan);
+    assert_eq!(model.init_states(), [start.packed()]);
+    let mut seen: HashMap<Packed, ()> = HashMap::from([(start.packed(), ())]);
+    let mut queue = VecDeque::from([start]);
+    while let Some(live) = queue.pop_front() {
+        let packed = live.packed();
+        if packed.is_final() {
+            continue;
+        }
+        assert_eq!(model.rewritten(&packed), packed, "written again it is the same");
+        assert!(packed.len() <= 256);
+        let next = live.next();
+        let after: HashSet<Packed> = next.iter().map(LiveFloor::packed).collect();
+        assert_eq!(after, successors(&model, &packed));
+        for live in next {
+            if seen.insert(live.packed(), ()).is_none() {
+                queue.push_back(live);
+            }
+        }
+    }
+    let violations: Vec<_> = seen.keys().filter_map(Packed::violation).collect();
+    assert_eq!(violations, []);
+    let found = explore_floor(plan, Limits::default());
+    assert_eq!((found.states as usize, found.complete), (seen.len(), true));
+    seen.len()
+}
+
+fn every_watch() -> Vec<FloorWatch> {
+    vec![FloorWatch::Stale { slack: 0 }, FloorWatch::Waits { slack: 0 }, FloorWatch::AtMostOnce]
+}
+
+#[test]
+fn a_relay_with_losses_and_copies() {
+    let faults = Faults { loss: 1, dup: 1, ..Faults::default() };
+    let relay = Relay { faults, time_out: (5, 3), watches: every_watch(), ..Relay::default() };
+    println!("{} states", live_and_packed_agree(&relay.plan().expect("a sound declaration")));
+}
+
+#[test]
+fn a_relay_whose_links_take_one_packet_a_tick() {
+    let relay = Relay {
+        room: Some(1),
+        transit: 1,
+        commands: true,
+        time_out: (5, 5),
+        watches: every_watch(),
+        ..Relay::default()
+    };
+    println!("{} states", live_and_packed_agree(&relay.plan().expect("a sound declaration")));
+}
+
+#[test]
+fn a_relay_with_drift_lateness_and_a_crash() {
+    let faults = Faults { drift: 1, late: 1, over: 1, ..Faults::default() };
+    let watches = vec![FloorWatch::Stale { slack: 3 }];
+    let relay = Relay { faults, sends: (1, 0), watches: watches.clone(), ..Relay::default() };
+    println!("{} states", live_and_packed_agree(&relay.plan().expect("a sound declaration")));
+    let faults = Faults { crash: 1, ..Faults::default() };
+    let relay = Relay { faults, sends: (2, 0), watches, ..Relay::default() };
+    println!("{} states", live_and_packed_agree(&relay.plan().expect("a sound declaration")));
+}
+
+#[test]
+fn handlers_sets_floods_and_scripts() {
+    let plan = |plan: Result<_, _>| plan.expect("a sound declaration");
+    let interrupted = Interrupted {
+        time_out: 6,
+        queries: 1,
+        relay: false,
+        faults: Faults::default(),
+        rules: Rules::DEFAULT,
+        watches: vec![FloorWatch::Order, FloorWatch::Waits { slack: 0 }],
+    };
+    let workshop = Workshop {
+        life: 9,
+        every: 9,
+        rank: 2,
+        penalty: (2, false),
+        service: 1,
+        urgent: true,
+        rules: Rules::DEFAULT,
+        served: false,
+    };
+    let flood = Flood {
+        flooded: 1,
+        urgent: 2,
+        life: 9,
+        buffer: 2,
+        every: 9,
+        service: 1,
+        rules: Rules::DEFAULT,
+        served: false,
+    };
+    let faults = Faults { loss: 1, ..Faults::default() };
+    let plans = [
+        plan(interrupted.plan()),
+        plan(workshop.plan()),
+        plan(flood.plan()),
+        plan(query_all(faults, every_watch())),
+        plan(penalised(false)),
+    ];
+    for plan in plans {
+        println!("{} states", live_and_packed_agree(&plan));
+    }
+}
+
+/// Two nodes with two tasks each: commands within a node, and a waitfor across.
+fn neighbours(fused: bool) -> Arc<FloorPlan> {
+    let mut cell = Cell::new("neighbours", Ticks(1));
+    let [here, there] = ["here", "there"].map(|name| cell.node(name));
+    cell.link(here, there, Ticks(1));
+    let [a, b] = ["a", "b"].map(|name| cell.task(name, here));
+    let c = cell.task("c", there);
+    let ask = cell.port(PortDecl::new("ask", a, Usage::Send, &[b, c], Ticks(4)).command());
+    let meet = cell.port(PortDecl::new("meet", b, Usage::Waitfor, &[c], Ticks(5)));
+    let send = Errand::Send { port: ask, to: Target::One(b), times: Times::Most(2), every: 0 };
+    let meeting = Errand::Meet { port: meet, times: Times::Most(1) };
+    let receive = Errand::Receive { port: None, time_out: None };
+    let tasks = vec![TaskPlan::new(send), TaskPlan::new(receive), TaskPlan::new(meeting)];
+    let mut plan = FloorPlan::new(Arc::new(CellTable::new(cell).expect("a sound declaration")), tasks);
+    plan.fused = fused;
+    plan.jumps = false;
+    plan.way = Way::Any;
+    plan.faults.loss = 1;
+    Arc::new(plan.watching(FloorWatch::Waits { slack: 0 }).watching(FloorWatch::Stale { slack: 0 }))
+}
+
+fn reachable(plan: &Arc<FloorPlan>) -> (FloorModel, HashSet<Packed>) {
+    let model = FloorModel::new(plan, Limits::default());
+    let mut seen: HashSet<Packed> = model.init_states().into_iter().collect();
+    let mut queue: Vec<Packed> = seen.iter().cloned().collect();
+    while let Some(state) = queue.pop() {
+        queue.extend(successors(&model, &state).into_iter().filter(|next| seen.insert(next.clone())));
+    }
+    (model, seen)
+}
+
+#[test]
+fn fused_and_unfused_steps_reach_the_same_quiescent_states() {
+    let (_, fused) = reachable(&neighbours(true));
+    let (model, unfused) = reachable(&neighbours(false));
+    // The unfused form also says that nothing is outstanding: compare what a fused floor makes of it.
+    let quiet: HashSet<Packed> =
+        unfused.iter().filter(|s| !s.is_final() && model.is_quiescent(s)).cloned().collect();
+    println!("{} fused, {} unfused, {} of them quiescent", fused.len(), unfused.len(), quiet.len());
+    assert!(unfused.len() > fused.len());
+    let fused_model = FloorModel::new(&neighbours(true), Limits::default());
+    let as_fused: HashSet<Packed> = quiet.iter().map(|s| model.as_fused(s)).collect();
+    assert_eq!(as_fused, fused);
+    assert!(fused.iter().all(|s| fused_model.is_quiescent(s)));
+    live_and_packed_agree(&neighbours(false));
+}
