@@ -61,7 +61,11 @@ fn concrete_step(world: &World, target: &Packed) -> Option<(Action, World)> {
         next.log.clear();
         next.apply(action);
         next.tidy();
-        (next.clone().store() == *target).then_some((action, next))
+        let mut stored = next.clone();
+        (stored.store() == *target).then(|| {
+            next.reorder(&stored.named);
+            (action, next)
+        })
     })
 }
 
@@ -148,7 +152,7 @@ impl<'a> Pen<'a> {
         match (action, flight) {
             (Action::Deliver(_), Some(flight)) => self.arrow(tick, flight, ""),
             (Action::Lose(_), Some(flight)) => self.arrow(tick, flight, "LOST"),
-            (Action::Duplicate(_), Some(flight)) => self.arrow(tick, flight, "TWICE"),
+            (Action::Duplicate(_), Some(flight)) => self.arrow(tick, flight, "DOUBLED"),
             (Action::Crash(i), _) => self.event(tick, TaskId(u16::from(i)), "CRASHES"),
             (Action::Restart(i), _) => self.event(tick, TaskId(u16::from(i)), "restarts"),
             (Action::Heal, _) => {

@@ -6,7 +6,7 @@
 
 use crate::scenario::{Scenario, Watch};
 use crate::state::{Packed, Violation};
-use crate::world::{Action, World};
+use crate::world::{Action, Form, World};
 use stateright::{Checker, Model, Property};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
@@ -97,7 +97,17 @@ impl WorldModel {
     pub fn renamed(&self, state: &Packed, order: &[usize]) -> Packed {
         let mut world = self.scratch.lock().unwrap_or_else(PoisonError::into_inner);
         world.load(state, None);
-        world.store_renamed(order)
+        world.store_as(Form::Named(order))
+    }
+
+    /// The state without what the order of turns keeps in it: just after a tick the same with and without turns.
+    #[doc(hidden)]
+    #[must_use]
+    pub fn without_turns(&self, state: &Packed) -> Packed {
+        let mut world = self.scratch.lock().unwrap_or_else(PoisonError::into_inner);
+        world.load(state, None);
+        world.forget_turns();
+        world.store_plain()
     }
 
     /// Whether nobody waits for anything, nobody has anything left to do and nothing is on the way.
@@ -113,6 +123,7 @@ impl WorldModel {
     fn touched(&self, action: Action) -> Touch {
         let local = self.scenario.is_meeting()
             && !self.scenario.reductions.ignores
+            && !self.scenario.reductions.turns
             && !self.scenario.lives()
             && !matches!(self.scenario.watch, Watch::Stranded);
         match action {

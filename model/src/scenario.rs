@@ -75,13 +75,15 @@ pub struct Reductions {
     pub ignores: bool,
     /// A packet is lost only at its last tick: before, a loss cannot be observed.
     pub lose_last: bool,
+    /// What commutes between two ticks happens in one order only.
+    pub turns: bool,
 }
 
 impl Reductions {
     /// All of them.
-    pub const ALL: Self = Self { symmetry: true, ignores: true, lose_last: true };
+    pub const ALL: Self = Self { symmetry: true, ignores: true, lose_last: true, turns: true };
     /// None of them.
-    pub const NONE: Self = Self { symmetry: false, ignores: false, lose_last: false };
+    pub const NONE: Self = Self { symmetry: false, ignores: false, lose_last: false, turns: false };
 }
 
 /// A whole world to explore.

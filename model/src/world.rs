@@ -18,7 +18,9 @@ use imrs_protocol::{
 use std::sync::Arc;
 
 mod canon;
+mod turns;
 
+pub(crate) use canon::Form;
 use canon::FromBase;
 
 /// One thing that can happen next.
@@ -30,7 +32,7 @@ pub enum Action {
     Deliver(u8),
     /// It is lost.
     Lose(u8),
-    /// It arrives twice.
+    /// It arrives, and a copy of it stays on the way.
     Duplicate(u8),
     /// The task does what its behaviour allows.
     Act(u8),
@@ -75,6 +77,11 @@ pub(crate) struct World {
     /// The packed nodes that were not unpacked, of the state loaded last.
     blocks: Vec<Vec<u8>>,
     loaded: Vec<bool>,
+    /// Whose turn is not over (see `turns`), and in which order turns are taken.
+    open: Vec<bool>,
+    order: Vec<usize>,
+    /// The members in the order of the state stored last.
+    pub named: Vec<usize>,
     /// What the last step showed, task by task: for charts.
     pub log: Vec<(TaskId, Shown)>,
     /// Whether to keep it.
@@ -131,6 +138,9 @@ impl World {
             effects: Effects::default(),
             blocks: vec![Vec::new(); n],
             loaded: vec![true; n],
+            open: vec![true; n],
+            order: (0..n).collect(),
+            named: (0..n).collect(),
             log: Vec::new(),
             keep_log: false,
             scenario: Arc::clone(scenario),
@@ -146,13 +156,11 @@ impl World {
         if self.violation.is_some() || self.done {
             return;
         }
-        let oldest = self.flights.iter().map(|f| f.age).max();
-        let arrived = self.scenario.delay.is_none_or(|delay| oldest.is_none_or(|age| age < delay));
-        let mut urgent = false;
+        if self.takes_turns() {
+            return self.actions_in_turns(actions);
+        }
         for i in 0..self.n() {
-            let before = actions.len();
             self.task_actions(i, actions);
-            urgent |= actions.len() > before && (self.scenario.hurry || self.healed);
         }
         for (i, flight) in self.flights.iter().enumerate() {
             let i = small(i);
@@ -171,6 +179,16 @@ impl World {
                 actions.push(Action::Duplicate(i));
             }
         }
+        self.crashes(actions);
+        let oldest = self.flights.iter().map(|f| f.age).max();
+        let arrived = self.scenario.delay.is_some_and(|delay| oldest.is_none_or(|age| age < delay));
+        if arrived && !self.is_urgent() {
+            actions.push(Action::Tick);
+        }
+    }
+
+    /// Crashes, restarts and the end of faults.
+    fn crashes(&self, actions: &mut Vec<Action>) {
         if self.crash > 0 {
             for (i, place) in self.places.iter().enumerate() {
                 let may =
@@ -188,9 +206,15 @@ impl World {
         if matches!(self.scenario.watch, Watch::MeetAgain { .. }) && !self.healed {
             actions.push(Action::Heal);
         }
-        if self.scenario.delay.is_some() && arrived && !urgent {
-            actions.push(Action::Tick);
+    }
+
+    /// Whether a task must act before time passes.
+    fn is_urgent(&self) -> bool {
+        let mut acts = Vec::new();
+        if self.scenario.hurry || self.healed {
+            (0..self.n()).for_each(|i| self.task_actions(i, &mut acts));
         }
+        !acts.is_empty()
     }
 
     fn task_actions(&self, i: usize, actions: &mut Vec<Action>) {
@@ -229,6 +253,9 @@ impl World {
 
     /// Carries an action out. What the watch finds wrong becomes the state's violation.
     pub fn apply(&mut self, action: Action) {
+        if self.takes_turns() {
+            self.take_turn(action);
+        }
         let result = match action {
             Action::Tick => self.tick(),
             Action::Deliver(i) => {
@@ -241,10 +268,9 @@ impl World {
                 Ok(())
             }
             Action::Duplicate(i) => {
-                let copy = self.flights[usize::from(i)];
-                self.flights.push(copy);
                 self.dup -= 1;
-                Ok(())
+                let flight = self.flights[usize::from(i)];
+                self.deliver(flight)
             }
             Action::Act(i) => self.act(usize::from(i)),
             Action::Answer(i) => self.answer(usize::from(i)),
@@ -401,6 +427,7 @@ impl World {
             TaskState::Waiting { round, .. } => Some(round),
             _ => None,
         };
+        let takes_turns = self.takes_turns();
         let mut effects = std::mem::take(&mut self.effects);
         let Place { node, life, .. } = &mut self.places[i];
         node.step(input, &mut effects);
@@ -412,7 +439,8 @@ impl World {
                 let life = self.scenario.cell.port(packet.port).map_or(0, |p| p.decl.time_out.0);
                 self.ghosts[i].statuses.push((packet.id.sequence, u8::try_from(life).unwrap_or(u8::MAX)));
             }
-            self.flights.push(Flight { packet, age: 0, life: *life });
+            let fresh = takes_turns && !self.open[packet.destination.index()];
+            self.flights.push(Flight { packet, age: 0, life: *life, fresh });
         }
         if self.keep_log {
             self.log.extend(effects.seen.iter().map(|&seen| (task, Shown::Seen(seen))));

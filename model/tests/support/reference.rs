@@ -161,9 +161,10 @@ impl ReferenceModel {
                 Ok(())
             }
             Action::Duplicate(at) => {
-                state.flights.push(state.flights[usize::from(at)].clone());
                 state.dup -= 1;
-                Ok(())
+                let Flight { packet, .. } = state.flights[usize::from(at)].clone();
+                let charge = Ticks(u64::from(self.scenario.delay.unwrap_or(0)));
+                self.step(state, packet.destination.index(), NodeInput::Packet { packet, charge })
             }
             Action::Act(i) => {
                 let i = usize::from(i);
