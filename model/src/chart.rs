@@ -37,13 +37,13 @@ pub fn draw(scenario: &Arc<Scenario>, exploration: &Exploration) -> Option<Count
     for target in states.iter().skip(1) {
         let (action, next) = concrete_step(&world, target)?;
         let flight = match action {
-            Action::Deliver(i) | Action::Lose(i) | Action::Duplicate(i) => {
+            Action::Deliver(i) | Action::Overcharge(i, _) | Action::Lose(i) | Action::Duplicate(i) => {
                 world.flights.get(usize::from(i)).copied()
             }
             _ => None,
         };
         world = next;
-        tick += u32::from(action == Action::Tick);
+        tick += u32::from(matches!(action, Action::Tick | Action::Late(_)));
         pen.step(tick, action, flight.as_ref(), &world);
     }
     pen.conclude(violation.text());
@@ -151,6 +151,10 @@ impl<'a> Pen<'a> {
     fn step(&mut self, tick: u32, action: Action, flight: Option<&Flight>, world: &World) {
         match (action, flight) {
             (Action::Deliver(_), Some(flight)) => self.arrow(tick, flight, ""),
+            (Action::Overcharge(_, extra), Some(flight)) => {
+                self.arrow(tick, flight, &format!("CHARGED +{extra}"));
+            }
+            (Action::Late(i), _) => self.event(tick, TaskId(u16::from(i)), "LATE TIMER"),
             (Action::Lose(_), Some(flight)) => self.arrow(tick, flight, "LOST"),
             (Action::Duplicate(_), Some(flight)) => self.arrow(tick, flight, "DOUBLED"),
             (Action::Crash(i), _) => self.event(tick, TaskId(u16::from(i)), "CRASHES"),

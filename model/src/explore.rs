@@ -125,7 +125,8 @@ impl WorldModel {
             && !self.scenario.reductions.ignores
             && !self.scenario.reductions.turns
             && !self.scenario.lives()
-            && !matches!(self.scenario.watch, Watch::Stranded);
+            && !matches!(self.scenario.watch, Watch::Stranded | Watch::Waits)
+            && self.scenario.timing.late == 0;
         match action {
             Action::Act(i) if local => Touch::One(usize::from(i)),
             Action::Deliver(_) if local => Touch::Destination,

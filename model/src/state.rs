@@ -78,6 +78,8 @@ violations! {
     WrongAnswer 11 "an answer belongs to another command",
     ExecutedTwice 12 "a command was handed over twice",
     LateAnswer 13 "an answer given within its execution budget came after the sender's time_out",
+    Zeno 14 "more happened between two ticks than can",
+    Stuck 15 "nothing more can happen, and somebody waits",
     Overflow 20 "the state outgrew its packed form",
     Panic 21 "the machine panicked",
     Invariant 22 "an invariant of the machine is broken",

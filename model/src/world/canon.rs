@@ -17,6 +17,8 @@ impl World {
         self.violation = state.violation();
         (self.loss, self.dup, self.crash) = (bytes[1], bytes[2], bytes[3]);
         (self.healed, self.done) = (bytes[4] & 1 != 0, bytes[4] & 2 != 0);
+        self.late = bytes[4] >> 4;
+        self.steps = u16::from_le_bytes([bytes[5], bytes[6]]);
         let mut at = HEADER;
         for ghost in &mut self.ghosts {
             at += ghost::load(ghost, self.scenario.watch, self.scenario.lives(), &bytes[at..]);
@@ -26,7 +28,7 @@ impl World {
         for i in 0..self.places.len() {
             let len = usize::from(bytes[at]);
             let block = &bytes[at..at + len];
-            self.open[i] = block[1] & OPEN != 0;
+            (self.open[i], self.owed[i]) = (block[1] & OPEN != 0, block[1] & OWED != 0);
             self.loaded[i] = touch.is_none_or(|touched| touched == i);
             if self.loaded[i] {
                 load_place(&mut self.places[i], block, lives, self.scenario.clocks[i]);
@@ -118,10 +120,13 @@ impl World {
                 self.blocks[i].clear();
                 store_place(&self.places[i], &frame, &mut self.blocks[i])?;
             }
-            self.blocks[i][1] = (self.blocks[i][1] & !OPEN) | if self.open[i] { OPEN } else { 0 };
+            let mark = |set: bool, bit: u8| if set { bit } else { 0 };
+            let marks = mark(self.open[i], OPEN) | mark(self.owed[i], OWED);
+            self.blocks[i][1] = (self.blocks[i][1] & !(OPEN | OWED)) | marks;
         }
-        let flags = u8::from(self.healed);
-        let header = [0, self.loss, self.dup, self.crash, flags];
+        let flags = u8::from(self.healed) | (self.late << 4);
+        let [low, high] = self.steps.to_le_bytes();
+        let header = [0, self.loss, self.dup, self.crash, flags, low, high];
         let least = self.ghosts.iter().map(|g| g.releases).min().unwrap_or(0);
         let mut ghosts = Vec::with_capacity(self.n());
         for (i, ghost) in self.ghosts.iter().enumerate() {
@@ -130,10 +135,11 @@ impl World {
             ghost::store(ghost, self.scenario.watch, &frame, u32::from(moved), task, least, &mut bytes)?;
             ghosts.push(bytes);
         }
+        let reduces = self.scenario.reductions.ignores && !self.scenario.lives();
         // Whoever sent a CONFIRM, it does the same to a member that waits in its round: it comes from itself.
         let anonymous = |flight: &Flight| {
             let mut flight = *flight;
-            if self.scenario.reductions.ignores && self.releases(&flight) {
+            if reduces && self.releases(&flight) {
                 flight.packet.source = flight.packet.destination;
             }
             flight
@@ -204,21 +210,19 @@ impl World {
     /// ignored. So of those on the way the oldest are enough: one more than can be lost.
     fn drop_more_confirms(&mut self) {
         let enough = usize::from(self.loss) + 1;
-        let is_older = |a: &Flight, b: &Flight| (a.age, b.fresh) > (b.age, a.fresh);
-        let mut kept: Vec<Flight> = Vec::with_capacity(self.flights.len());
-        let flights = std::mem::take(&mut self.flights);
-        for (at, flight) in flights.iter().enumerate() {
-            let before = |other: &usize| {
-                let to = flights[*other].packet.destination == flight.packet.destination;
-                to && self.releases(&flights[*other])
-                    && (is_older(&flights[*other], flight)
-                        || (*other < at && !is_older(flight, &flights[*other])))
-            };
-            if !self.releases(flight) || (0..flights.len()).filter(before).count() < enough {
-                kept.push(*flight);
-            }
+        let releases: Vec<bool> = self.flights.iter().map(|flight| self.releases(flight)).collect();
+        if releases.iter().filter(|&&releases| releases).count() <= enough {
+            return;
         }
-        self.flights = kept;
+        let key = |at: usize, flight: &Flight| (std::cmp::Reverse(flight.age), flight.fresh, at);
+        let older = |at: usize, flight: &Flight| {
+            let others = self.flights.iter().enumerate().filter(|&(other, _)| releases[other]);
+            let here = others.filter(|(_, other)| other.packet.destination == flight.packet.destination);
+            here.filter(|&(other, of)| key(other, of) < key(at, flight)).count()
+        };
+        let kept = self.flights.iter().enumerate();
+        let kept = kept.filter(|&(at, flight)| !releases[at] || older(at, flight) < enough);
+        self.flights = kept.map(|(_, flight)| *flight).collect();
     }
 
     /// Whether a packet is a CONFIRM that would release its receiver now.
@@ -226,7 +230,6 @@ impl World {
         let packet = &flight.packet;
         let to = packet.destination.index();
         packet.kind == Kind::Confirm
-            && !self.scenario.lives()
             && match self.task(to).state() {
                 TaskState::Waiting { round, .. } => round == packet.meeting().round,
                 _ => false,
@@ -246,7 +249,7 @@ impl World {
             if self.loaded[i] {
                 place.node.parts().tasks[0].visit(&mut least);
             } else if let Some(&low) = self.blocks[i].get(1) {
-                least.round(PortId(0), Frame::ROUND.plus(u16::from(low & !OPEN)));
+                least.round(PortId(0), Frame::ROUND.plus(u16::from(low & !(OPEN | OWED))));
             }
         }
         for flight in &self.flights {
@@ -286,6 +289,8 @@ impl World {
 
 /// Beside a node's least round: its turn is not over.
 const OPEN: u8 = 0x80;
+/// And: its timer has not fired yet since the last tick.
+const OWED: u8 = 0x40;
 
 /// How a state is written.
 #[derive(Clone, Copy, PartialEq, Eq)]
@@ -331,7 +336,7 @@ fn store_place(place: &Place, frame: &Frame<'_>, out: &mut Vec<u8>) -> Result<()
     }
     // A node that is down has no task: what is unpacked in its place is of another state.
     let low = least.rounds.first().copied().flatten().map_or(0, |round| round.steps_from(frame.rounds[0]));
-    out.extend([0, u8::try_from(low).ok().filter(|low| low & OPEN == 0).ok_or(Overflow)?]);
+    out.extend([0, u8::try_from(low).ok().filter(|low| low & (OPEN | OWED) == 0).ok_or(Overflow)?]);
     if frame.lives {
         out.extend([u8::from(place.up), place.life.0]);
         out.extend(place.known.iter().map(|life| life.0));

@@ -45,7 +45,7 @@ impl World {
             actions.truncate(before + usize::from(enough));
         }
         if overdue == 0 && !self.is_urgent() {
-            actions.push(Action::Tick);
+            self.ticks(actions);
         }
     }
 
@@ -58,10 +58,7 @@ impl World {
         for (at, flight) in self.flights.iter().enumerate() {
             let here = flight.packet.destination.index() == i && (open || flight.fresh);
             if here && !(at > 0 && self.flights[at - 1] == *flight) {
-                actions.push(Action::Deliver(small(at)));
-                if self.dup > 0 && !self.healed {
-                    actions.push(Action::Duplicate(small(at)));
-                }
+                self.arrivals(small(at), actions);
             }
         }
     }
@@ -76,11 +73,11 @@ impl World {
     pub(super) fn take_turn(&mut self, action: Action) {
         let at = match action {
             Action::Act(i) | Action::Answer(i) => usize::from(i),
-            Action::Deliver(i) | Action::Duplicate(i) => {
+            Action::Deliver(i) | Action::Overcharge(i, _) | Action::Duplicate(i) => {
                 self.flights[usize::from(i)].packet.destination.index()
             }
             Action::Lose(_) => return self.set_open(false),
-            Action::Tick | Action::Crash(_) | Action::Restart(_) | Action::Heal => {
+            Action::Tick | Action::Late(_) | Action::Crash(_) | Action::Restart(_) | Action::Heal => {
                 return self.set_open(true);
             }
         };

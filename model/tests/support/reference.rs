@@ -184,7 +184,11 @@ impl ReferenceModel {
                     NodeInput::Request(TaskId::from_index(i), Request::Reply { to, contents }),
                 )
             }
-            Action::Crash(_) | Action::Restart(_) | Action::Heal => unreachable!("not in the reference form"),
+            Action::Crash(_)
+            | Action::Restart(_)
+            | Action::Heal
+            | Action::Late(_)
+            | Action::Overcharge(..) => unreachable!("not in the reference form"),
         }
     }
 
