@@ -3,6 +3,7 @@
 
 mod commands;
 mod meetings;
+mod timing;
 
 use crate::chart::{Counterexample, draw};
 use crate::explore::{Exploration, Limits, explore};
@@ -156,6 +157,7 @@ pub(crate) fn outcome(found: &Exploration) -> Outcome {
 fn all() -> Vec<Claim> {
     let mut claims = meetings::claims();
     claims.extend(commands::claims());
+    claims.extend(timing::claims());
     claims
 }
 
