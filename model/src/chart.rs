@@ -38,13 +38,13 @@ pub fn draw(scenario: &Arc<Scenario>, exploration: &Exploration) -> Option<Count
     for target in states.iter().skip(1) {
         let (action, next) = concrete_step(&world, target)?;
         let flight = match action {
-            Action::Deliver(i) | Action::Lose(i) | Action::Duplicate(i) => {
+            Action::Deliver(i) | Action::Overcharge(i, _) | Action::Lose(i) | Action::Duplicate(i) => {
                 world.flights.get(usize::from(i)).copied()
             }
             _ => None,
         };
         world = next;
-        tick += u32::from(action == Action::Tick);
+        tick += u32::from(matches!(action, Action::Tick | Action::Late(_)));
         pen.step(tick, action, flight.as_ref(), &world);
     }
     let length = u32::try_from(states.len().saturating_sub(1)).unwrap_or(u32::MAX);
@@ -61,7 +61,11 @@ fn concrete_step(world: &World, target: &Packed) -> Option<(Action, World)> {
         next.log.clear();
         next.apply(action);
         next.tidy();
-        (next.clone().store() == *target).then_some((action, next))
+        let mut stored = next.clone();
+        (stored.store() == *target).then(|| {
+            next.reorder(&stored.named);
+            (action, next)
+        })
     })
 }
 
@@ -144,8 +148,13 @@ impl Pen {
     }
 
     fn step(&mut self, tick: u32, action: Action, flight: Option<&Flight>, world: &World) {
+        let charged;
         let fate = match action {
             Action::Deliver(_) => Some(""),
+            Action::Overcharge(_, extra) => {
+                charged = format!("CHARGED +{extra}");
+                Some(charged.as_str())
+            }
             Action::Lose(_) => Some("LOST"),
             Action::Duplicate(_) => Some("TWICE"),
             _ => None,
@@ -154,6 +163,7 @@ impl Pen {
             self.arrow(tick, (packet.source.index(), packet.destination.index()), packet, fate);
         }
         match action {
+            Action::Late(i) => self.event(tick, usize::from(i), "LATE TIMER"),
             Action::Crash(i) => self.event(tick, usize::from(i), "CRASHES"),
             Action::Restart(i) => self.event(tick, usize::from(i), "restarts"),
             Action::Heal => {

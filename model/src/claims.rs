@@ -6,6 +6,7 @@ mod couples;
 mod floors;
 mod meetings;
 mod service;
+mod timing;
 
 use crate::chart::{Counterexample, draw};
 use crate::explore::{Exploration, Limits, explore};
@@ -180,6 +181,7 @@ fn all() -> Vec<Claim> {
     claims.extend(floors::claims());
     claims.extend(service::claims());
     claims.extend(couples::claims());
+    claims.extend(timing::claims());
     claims
 }
 

@@ -6,7 +6,7 @@
 
 use crate::scenario::{Scenario, Watch};
 use crate::state::{Packed, Violation};
-use crate::world::{Action, World};
+use crate::world::{Action, Form, World};
 use stateright::{Checker, Model, Property};
 use std::fmt::Debug;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -222,8 +222,10 @@ enum Touch {
 fn touched(scenario: &Scenario, action: Action) -> Touch {
     let local = scenario.is_meeting()
         && !scenario.reductions.ignores
+        && !scenario.reductions.turns
         && !scenario.lives()
-        && !matches!(scenario.watch, Watch::Stranded);
+        && !matches!(scenario.watch, Watch::Stranded | Watch::Waits)
+        && scenario.timing.late == 0;
     match action {
         Action::Act(i) if local => Touch::One(usize::from(i)),
         Action::Deliver(_) if local => Touch::Destination,
@@ -257,7 +259,18 @@ impl WorldModel {
     pub fn renamed(&self, state: &Packed, order: &[usize]) -> Packed {
         self.0.with(|world| {
             world.load(state, None);
-            world.store_renamed(order)
+            world.store_as(Form::Named(order))
+        })
+    }
+
+    /// The state without what the order of turns keeps in it: just after a tick the same with and without turns.
+    #[doc(hidden)]
+    #[must_use]
+    pub fn without_turns(&self, state: &Packed) -> Packed {
+        self.0.with(|world| {
+            world.load(state, None);
+            world.forget_turns();
+            world.store_plain()
         })
     }
 

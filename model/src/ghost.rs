@@ -92,6 +92,7 @@ impl Judge<'_> {
             Event::GaveUp => {
                 ghost.gave_up |= bit(round, self.base)?;
                 ghost.waits_in = None;
+                ghost.open = None;
                 let all_reached = self.ghosts.iter().all(|g| g.announced != 0);
                 if self.scenario.watch == Watch::GaveUpAfterAllArrived && all_reached {
                     return Err(Violation::GaveUpAfterAllArrived);
@@ -112,7 +113,6 @@ impl Judge<'_> {
         at: TaskId,
         signal: &Signal,
         awaits: impl Fn(TaskId) -> Option<(TaskId, MessageId)>,
-        next_sequence: impl Fn(TaskId) -> Seq24,
     ) -> Result<(), Violation> {
         match signal {
             Signal::Released { round, .. } => self.released(at, *round),
@@ -121,7 +121,10 @@ impl Judge<'_> {
                 let command = delivery.class == imrs_protocol::Class::Command;
                 if command {
                     self.ghosts[at.index()].serving = Some(delivery.from);
-                    self.executed(source, delivery.from.id, next_sequence(source))?;
+                    // What it says tells which one it is, even where numbers wrap.
+                    let left = delivery.contents.as_bytes().first().copied().unwrap_or(0);
+                    let back = left.saturating_sub(self.ghosts[source.index()].left).saturating_add(1);
+                    self.executed(source, back)?;
                 }
                 if self.scenario.watch == Watch::Stale {
                     let alive = if command {
@@ -146,6 +149,7 @@ impl Judge<'_> {
         let ghost = &mut self.ghosts[at.index()];
         ghost.released |= bit;
         ghost.waits_in = None;
+        ghost.open = None;
         ghost.releases = ghost.releases.saturating_add(1);
         ghost.last_released = Some(round);
         let releases = ghost.releases;
@@ -178,9 +182,9 @@ impl Judge<'_> {
         }
     }
 
-    fn executed(&mut self, source: TaskId, id: MessageId, next: Seq24) -> Result<(), Violation> {
-        let back = next.steps_from(id.sequence);
-        let bit = 1_u8.checked_shl(back.saturating_sub(1)).ok_or(Violation::Overflow)?;
+    /// Its message but `back - 1` was handed over.
+    fn executed(&mut self, source: TaskId, back: u8) -> Result<(), Violation> {
+        let bit = 1_u8.checked_shl(u32::from(back.saturating_sub(1))).ok_or(Violation::Overflow)?;
         let ghost = &mut self.ghosts[source.index()];
         let again = ghost.executed & bit != 0;
         ghost.executed |= bit;
@@ -251,7 +255,12 @@ pub(crate) fn store(
         Watch::MeetAgain { .. } => out.extend([ghost.since_heal, u8::from(ghost.met)]),
         Watch::GaveUpAfterAllArrived | Watch::Stranded => out.push(u8::from(ghost.announced != 0)),
         Watch::Reachable => {}
-        Watch::Stale | Watch::Resolves | Watch::ResolvesOnce | Watch::Answered | Watch::AtMostOnce => {
+        Watch::Stale
+        | Watch::Resolves
+        | Watch::ResolvesOnce
+        | Watch::Answered
+        | Watch::AtMostOnce
+        | Watch::Waits => {
             let next = |task: TaskId| frame.sequences.get(task.index()).copied().unwrap_or_default();
             match ghost.serving {
                 None => out.push(0),
@@ -263,7 +272,7 @@ pub(crate) fn store(
                 }
             }
             match watch {
-                Watch::Resolves | Watch::ResolvesOnce => {
+                Watch::Resolves | Watch::ResolvesOnce | Watch::Waits => {
                     out.push(ghost.open.map_or(0, |ticks| ticks.saturating_add(1)));
                 }
                 Watch::AtMostOnce => out.push(ghost.executed),
@@ -307,7 +316,12 @@ pub(crate) fn load(ghost: &mut Ghost, watch: Watch, lives: bool, bytes: &[u8]) -
         Watch::MeetAgain { .. } => (ghost.since_heal, ghost.met) = (byte(), byte() == 1),
         Watch::GaveUpAfterAllArrived | Watch::Stranded => ghost.announced = u32::from(byte()),
         Watch::Reachable => {}
-        Watch::Stale | Watch::Resolves | Watch::ResolvesOnce | Watch::Answered | Watch::AtMostOnce => {
+        Watch::Stale
+        | Watch::Resolves
+        | Watch::ResolvesOnce
+        | Watch::Answered
+        | Watch::AtMostOnce
+        | Watch::Waits => {
             if let Some(source) = byte().checked_sub(1) {
                 let (port, life, back) = (byte(), byte(), byte());
                 let id =
@@ -316,7 +330,7 @@ pub(crate) fn load(ghost: &mut Ghost, watch: Watch, lives: bool, bytes: &[u8]) -
                 ghost.serving = Some(ReplyTo { port, source, id });
             }
             match watch {
-                Watch::Resolves | Watch::ResolvesOnce => ghost.open = byte().checked_sub(1),
+                Watch::Resolves | Watch::ResolvesOnce | Watch::Waits => ghost.open = byte().checked_sub(1),
                 Watch::AtMostOnce => ghost.executed = byte(),
                 _ => {
                     for _ in 0..byte() {

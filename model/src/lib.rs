@@ -22,6 +22,6 @@ pub use chart::{Counterexample, draw};
 pub use claims::{Options, Progress, Silent, claim_names, verify};
 pub use explore::{Exploration, Limits, WorldModel, explore};
 pub use report::{Bounds, Found, Outcome, Report, Verdict, collision_probability};
-pub use scenario::{Behaviour, Budget, Reductions, Scenario, Watch};
+pub use scenario::{Behaviour, Budget, Reductions, Scenario, Timing, Watch};
 pub use state::{Packed, Violation};
 pub use world::Action;

@@ -14,13 +14,18 @@ pub(crate) struct Flight {
     pub age: u8,
     /// The life of the node that sent it, as its envelope says.
     pub life: Incarnation,
+    /// It was sent between the last two ticks, after its receiver's turn.
+    pub fresh: bool,
 }
 
 /// The most bytes that one packed flight takes.
 pub(crate) const FLIGHT_BYTES: usize = 32;
 
-/// The age that half a byte holds; a compact flight is at most three ticks on the way.
-const OLDEST: u8 = 15;
+/// The age that half a byte holds beside the mark of a fresh packet, whose age is 0.
+const OLDEST: u8 = 14;
+const FRESH: u8 = 15;
+/// The same in the two bits of a compact flight.
+const COMPACT_FRESH: u8 = 3;
 
 /// One packed flight.
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -46,14 +51,14 @@ impl Packed {
 /// How flights are packed in one world.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Codec {
-    /// Only meetings of at most four tasks on port 0, at most three ticks on the way: kind, ends and age in one byte.
+    /// Only meetings of at most four tasks on port 0, at most two ticks on the way: kind, ends and age in one byte.
     compact: bool,
     lives: bool,
 }
 
 impl Codec {
     pub fn new(scenario: &Scenario) -> Self {
-        let compact = scenario.is_meeting() && scenario.tasks() <= 4 && scenario.delay.unwrap_or(0) <= 3;
+        let compact = scenario.is_meeting() && scenario.tasks() <= 4 && scenario.delay.unwrap_or(0) <= 2;
         Self { compact, lives: scenario.lives() }
     }
 
@@ -64,18 +69,19 @@ impl Codec {
         frame: &Frame<'_>,
         rename: impl Fn(TaskId) -> u8,
     ) -> Result<Packed, Overflow> {
-        let Flight { packet, age, life } = flight;
+        let Flight { packet, age, life, fresh } = flight;
         if *age > OLDEST {
             return Err(Overflow);
         }
+        let marked = |mark| if *fresh { mark } else { *age };
         let mut out = Packed::EMPTY;
         let (source, destination) = (rename(packet.source), rename(packet.destination));
         let meeting = matches!(packet.kind, Kind::Arrive | Kind::Confirm | Kind::Abort);
         if self.compact {
             let kind = packet.kind as u8 - Kind::Arrive as u8;
-            out.push((kind << 6) | (source << 4) | (destination << 2) | age)?;
+            out.push((kind << 6) | (source << 4) | (destination << 2) | marked(COMPACT_FRESH))?;
         } else {
-            out.push(((packet.kind as u8) << 4) | age)?;
+            out.push(((packet.kind as u8) << 4) | marked(FRESH))?;
             out.push((source << 4) | destination)?;
             out.push(u8::try_from(packet.port.0).map_err(|_| Overflow)?)?;
         }
@@ -120,15 +126,17 @@ impl Codec {
             at += 1;
             byte
         };
-        let (kind, source, destination, age, port);
+        let (kind, source, destination, age, port, fresh);
         if self.compact {
             let head = byte();
             kind = [Kind::Arrive, Kind::Confirm, Kind::Abort, Kind::Abort][usize::from(head >> 6)];
             (source, destination, age, port) = ((head >> 4) & 3, (head >> 2) & 3, head & 3, 0);
+            fresh = age == COMPACT_FRESH;
         } else {
             let head = byte();
             kind = KINDS[usize::from(head >> 4) & 7];
             age = head & 15;
+            fresh = age == FRESH;
             let ends = byte();
             (source, destination, port) = (ends >> 4, ends & 15, byte());
         }
@@ -176,7 +184,7 @@ impl Codec {
             }
             packet.contents = Contents::new(&contents[..len]).unwrap_or_default();
         }
-        (Flight { packet, age, life }, at)
+        (Flight { packet, age: if fresh { 0 } else { age }, life, fresh }, at)
     }
 }
 

@@ -55,6 +55,9 @@ pub enum Watch {
     Answered,
     /// No command is handed over twice.
     AtMostOnce,
+    /// Every wait ends within its time_out and one tick, so much and no more happens between two ticks, and nobody is
+    /// stuck.
+    Waits,
 }
 
 /// How many faults a world may have.
@@ -68,6 +71,15 @@ pub struct Budget {
     pub crash: u8,
 }
 
+/// How time may be off, beside packets that take from nothing to their longest way.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Timing {
+    /// By how many ticks more than its longest way any packet may be charged.
+    pub overcharge: u8,
+    /// How often the timer of a node may fire a tick late (at most 15).
+    pub late: u8,
+}
+
 /// Which reductions are on. Each can be switched off, and then reaches the same verdict and the same shortest length.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Reductions {
@@ -77,13 +89,15 @@ pub struct Reductions {
     pub ignores: bool,
     /// A packet is lost only at its last tick: before, a loss cannot be observed.
     pub lose_last: bool,
+    /// What commutes between two ticks happens in one order only.
+    pub turns: bool,
 }
 
 impl Reductions {
     /// All of them.
-    pub const ALL: Self = Self { symmetry: true, ignores: true, lose_last: true };
+    pub const ALL: Self = Self { symmetry: true, ignores: true, lose_last: true, turns: true };
     /// None of them.
-    pub const NONE: Self = Self { symmetry: false, ignores: false, lose_last: false };
+    pub const NONE: Self = Self { symmetry: false, ignores: false, lose_last: false, turns: false };
 }
 
 /// A whole world to explore.
@@ -97,6 +111,10 @@ pub struct Scenario {
     pub delay: Option<u8>,
     /// How many faults there may be.
     pub budget: Budget,
+    /// How time may be off.
+    pub timing: Timing,
+    /// After how many messages the numbers of messages wrap: a variant; `None`: never within a world.
+    pub wrap: Option<u8>,
     /// What is watched.
     pub watch: Watch,
     /// Whether every task acts at once when it can, before time passes.

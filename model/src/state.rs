@@ -90,6 +90,7 @@ violations! {
     BothActive 40 "both tasks of a couple act at a time",
     Script 39 "a script ended in a fault or an assertion that does not hold",
     Reached 38 "what must be possible is possible",
+    Stuck 15 "nothing more can happen, and somebody waits",
     Overflow 20 "the state outgrew its packed form",
     Panic 21 "the machine panicked",
     Invariant 22 "an invariant of the machine is broken",

@@ -27,19 +27,20 @@ impl Parts<'_> {
         Ok(bytes)
     }
 
-    /// The least of all renamings. Only those are tried that sort the members by what renaming does not change.
-    pub fn least(&self) -> Result<Vec<u8>, Overflow> {
+    /// The least of all renamings, and the order of the members in it. Only those are tried that sort the members by
+    /// what renaming does not change.
+    pub fn least(&self) -> Result<(Vec<u8>, Vec<usize>), Overflow> {
         let n = self.blocks.len();
         let mut order: Vec<usize> = (0..n).collect();
         let signature = |i: usize| (self.ghosts[i].as_slice(), members_at(&self.blocks[i]).1);
         order.sort_by(|&a, &b| signature(a).cmp(&signature(b)));
-        let mut best = self.renamed(&order)?;
+        let mut best = (self.renamed(&order)?, order.clone());
         // Members that look alike from outside may still differ in what they know of each other.
         let mut permutation = order.clone();
         while next_permutation(&mut permutation, |a, b| signature(a) == signature(b), &order) {
             let candidate = self.renamed(&permutation)?;
-            if candidate < best {
-                best = candidate;
+            if candidate < best.0 {
+                best = (candidate, permutation.clone());
             }
         }
         Ok(best)

@@ -10,7 +10,6 @@ use crate::network::{Codec, FLIGHT_BYTES, Flight};
 use crate::scenario::{Behaviour, Scenario, Watch};
 use crate::state::Violation;
 
-use imrs_protocol::rules::TimeStamp;
 use imrs_protocol::{
     Class, Incarnation, Kind, MessageId, Node, NodeId, NodeInput, NodeOutbox, NodeTable, Observation,
     Outcome, Packet, Request, Round, Seq24, Signal, Target, TaskId, TaskState, Ticks,
@@ -18,7 +17,10 @@ use imrs_protocol::{
 use std::sync::Arc;
 
 mod canon;
+mod timing;
+mod turns;
 
+pub(crate) use canon::Form;
 use canon::FromBase;
 
 /// One thing that can happen next.
@@ -26,11 +28,15 @@ use canon::FromBase;
 pub enum Action {
     /// A tick passes on every node and for every packet.
     Tick,
+    /// A tick passes, and the timer of this node fires only at the next one.
+    Late(u8),
     /// Packet number so of the state arrives.
     Deliver(u8),
+    /// It arrives and is charged so many ticks more than its longest way.
+    Overcharge(u8, u8),
     /// It is lost.
     Lose(u8),
-    /// It arrives twice.
+    /// It arrives, and a copy of it stays on the way.
     Duplicate(u8),
     /// The task does what its behaviour allows.
     Act(u8),
@@ -66,6 +72,10 @@ pub(crate) struct World {
     pub loss: u8,
     pub dup: u8,
     pub crash: u8,
+    /// How often a timer may still be late.
+    pub late: u8,
+    /// Steps since the last tick, where they are watched.
+    pub steps: u16,
     pub healed: bool,
     pub done: bool,
     /// For each port the round, for each task the next sequence, that loaded numbers are relative to.
@@ -75,6 +85,13 @@ pub(crate) struct World {
     /// The packed nodes that were not unpacked, of the state loaded last.
     blocks: Vec<Vec<u8>>,
     loaded: Vec<bool>,
+    /// Whose turn is not over (see `turns`), and in which order turns are taken.
+    open: Vec<bool>,
+    /// Whose timer has not fired yet since the last tick.
+    owed: Vec<bool>,
+    order: Vec<usize>,
+    /// The members in the order of the state stored last.
+    pub named: Vec<usize>,
     /// What the last step showed, task by task: for charts.
     pub log: Vec<(TaskId, Shown)>,
     /// Whether to keep it.
@@ -103,8 +120,8 @@ impl NodeOutbox for Effects {
 
 /// The transit buffers of a world are emptied at once, so they need little room.
 const TRANSIT: u16 = 64;
-/// Bytes before the ghosts: violation, budgets, flags.
-pub(crate) const HEADER: usize = 5;
+/// Bytes before the ghosts: violation, budgets, flags, steps since the last tick.
+pub(crate) const HEADER: usize = 7;
 
 impl World {
     /// The world in its first state.
@@ -124,6 +141,8 @@ impl World {
             loss: scenario.budget.loss,
             dup: scenario.budget.dup,
             crash: scenario.budget.crash,
+            late: scenario.timing.late,
+            steps: 0,
             healed: false,
             done: false,
             rounds: vec![Round::default(); scenario.cell.ports().len()],
@@ -131,6 +150,10 @@ impl World {
             effects: Effects::default(),
             blocks: vec![Vec::new(); n],
             loaded: vec![true; n],
+            open: vec![true; n],
+            owed: vec![false; n],
+            order: (0..n).collect(),
+            named: (0..n).collect(),
             log: Vec::new(),
             keep_log: false,
             scenario: Arc::clone(scenario),
@@ -146,13 +169,17 @@ impl World {
         if self.violation.is_some() || self.done {
             return;
         }
-        let oldest = self.flights.iter().map(|f| f.age).max();
-        let arrived = self.scenario.delay.is_none_or(|delay| oldest.is_none_or(|age| age < delay));
-        let mut urgent = false;
+        if self.takes_turns() {
+            self.actions_in_turns(actions);
+        } else {
+            self.free_actions(actions);
+        }
+    }
+
+    /// The same where nobody takes turns.
+    fn free_actions(&self, actions: &mut Vec<Action>) {
         for i in 0..self.n() {
-            let before = actions.len();
             self.task_actions(i, actions);
-            urgent |= actions.len() > before && (self.scenario.hurry || self.healed);
         }
         for (i, flight) in self.flights.iter().enumerate() {
             let i = small(i);
@@ -160,17 +187,45 @@ impl World {
             if i > 0 && self.flights[usize::from(i) - 1] == *flight {
                 continue;
             }
-            actions.push(Action::Deliver(i));
+            self.arrivals(i, actions);
             // Before its last tick a loss cannot be observed, unless the end of all faults comes first.
             let may_heal = matches!(self.scenario.watch, Watch::MeetAgain { .. });
             let last = may_heal || self.scenario.delay.is_none_or(|delay| flight.age == delay);
             if self.loss > 0 && !self.healed && (last || !self.scenario.reductions.lose_last) {
                 actions.push(Action::Lose(i));
             }
-            if self.dup > 0 && !self.healed {
-                actions.push(Action::Duplicate(i));
-            }
         }
+        self.crashes(actions);
+        let oldest = self.flights.iter().map(|f| f.age).max();
+        let arrived = self.scenario.delay.is_some_and(|delay| oldest.is_none_or(|age| age < delay));
+        if arrived && !self.is_urgent() {
+            self.ticks(actions);
+        }
+    }
+
+    /// How a packet may arrive.
+    fn arrivals(&self, i: u8, actions: &mut Vec<Action>) {
+        actions.push(Action::Deliver(i));
+        if self.healed {
+            return;
+        }
+        actions.extend((1..=self.scenario.timing.overcharge).map(|extra| Action::Overcharge(i, extra)));
+        if self.dup > 0 {
+            actions.push(Action::Duplicate(i));
+        }
+    }
+
+    /// How a tick may pass.
+    fn ticks(&self, actions: &mut Vec<Action>) {
+        actions.push(Action::Tick);
+        if self.late > 0 && !self.healed {
+            let punctual = (0..self.n()).filter(|&i| self.places[i].up && !self.owed[i]);
+            actions.extend(punctual.map(|i| Action::Late(small(i))));
+        }
+    }
+
+    /// Crashes, restarts and the end of faults.
+    fn crashes(&self, actions: &mut Vec<Action>) {
         if self.crash > 0 {
             for (i, place) in self.places.iter().enumerate() {
                 let may =
@@ -188,9 +243,15 @@ impl World {
         if matches!(self.scenario.watch, Watch::MeetAgain { .. }) && !self.healed {
             actions.push(Action::Heal);
         }
-        if self.scenario.delay.is_some() && arrived && !urgent {
-            actions.push(Action::Tick);
+    }
+
+    /// Whether a task must act before time passes.
+    fn is_urgent(&self) -> bool {
+        let mut acts = Vec::new();
+        if self.scenario.hurry || self.healed {
+            (0..self.n()).for_each(|i| self.task_actions(i, &mut acts));
         }
+        !acts.is_empty()
     }
 
     fn task_actions(&self, i: usize, actions: &mut Vec<Action>) {
@@ -229,11 +290,23 @@ impl World {
 
     /// Carries an action out. What the watch finds wrong becomes the state's violation.
     pub fn apply(&mut self, action: Action) {
+        if self.takes_turns() {
+            self.take_turn(action);
+        }
+        self.steps += u16::from(self.scenario.watch == Watch::Waits);
         let result = match action {
-            Action::Tick => self.tick(),
+            Action::Tick => self.tick(None),
+            Action::Late(i) => {
+                self.late -= 1;
+                self.tick(Some(usize::from(i)))
+            }
             Action::Deliver(i) => {
                 let flight = self.flights.remove(usize::from(i));
-                self.deliver(flight)
+                self.deliver(flight, 0)
+            }
+            Action::Overcharge(i, extra) => {
+                let flight = self.flights.remove(usize::from(i));
+                self.deliver(flight, extra)
             }
             Action::Lose(i) => {
                 self.flights.remove(usize::from(i));
@@ -241,17 +314,18 @@ impl World {
                 Ok(())
             }
             Action::Duplicate(i) => {
-                let copy = self.flights[usize::from(i)];
-                self.flights.push(copy);
                 self.dup -= 1;
-                Ok(())
+                let flight = self.flights[usize::from(i)];
+                self.deliver(flight, 0)
             }
             Action::Act(i) => self.act(usize::from(i)),
             Action::Answer(i) => self.answer(usize::from(i)),
             Action::Crash(i) => {
                 let place = &mut self.places[usize::from(i)];
                 place.up = false;
-                self.ghosts[usize::from(i)].serving = None;
+                self.owed[usize::from(i)] = false;
+                let ghost = &mut self.ghosts[usize::from(i)];
+                (ghost.serving, ghost.open) = (None, None);
                 self.crash -= 1;
                 Ok(())
             }
@@ -272,7 +346,7 @@ impl World {
                 Ok(())
             }
         };
-        let result = result.and_then(|()| self.judge_quiet());
+        let result = result.and_then(|()| self.judge_quiet()).and_then(|()| self.judge_progress());
         if let Err(violation) = result {
             self.violation = Some(violation);
         }
@@ -292,64 +366,15 @@ impl World {
         })
     }
 
-    fn tick(&mut self) -> Result<(), Violation> {
-        for flight in &mut self.flights {
-            flight.age += 1;
-        }
-        for i in 0..self.n() {
-            if self.places[i].up {
-                self.step(i, NodeInput::Advance(Ticks(1)))?;
-                self.keep_clock(i);
-            }
-            let limit = self.patience(i);
-            let ghost = &mut self.ghosts[i];
-            ghost.statuses.retain_mut(|(_, left)| {
-                *left -= 1;
-                *left > 0
-            });
-            if let Some(open) = &mut ghost.open {
-                *open += 1;
-                if self.scenario.watch == Watch::Resolves && Ticks(u64::from(*open)) > limit + Ticks(1) {
-                    return Err(Violation::NoOutcome);
-                }
-            }
-        }
-        if self.scenario.cell.cell().rules.time_stamp == TimeStamp::Absolute {
-            for flight in self.flights.iter_mut().filter(|flight| flight.packet.kind == Kind::Send) {
-                flight.packet.remaining = flight.packet.remaining - Ticks(1);
-            }
-        }
-        Ok(())
-    }
-
-    /// Clocks that differ from each other, not clocks that run, are what a state tells apart: each goes back to where it
-    /// was, and what it has moved is taken from instants that are on the way (see [`World::tick`]).
-    fn keep_clock(&mut self, i: usize) {
-        let ahead = Ticks(self.scenario.clocks[i]);
-        if self.scenario.cell.cell().rules.time_stamp == TimeStamp::Absolute {
-            let task = &mut self.places[i].node.parts_mut().tasks[0];
-            task.rebase();
-            task.set_ahead(ahead);
-        }
-    }
-
-    /// The declared time_out of the port that task `i` uses.
-    fn patience(&self, i: usize) -> Ticks {
-        match self.scenario.behaviours[i] {
-            Behaviour::Member { port, .. } | Behaviour::Sender { port, .. } => {
-                let task = TaskId::from_index(i);
-                self.scenario.cell.port(port).and_then(|p| p.party(task)).map_or(Ticks::FAR, |p| p.time_out)
-            }
-            Behaviour::Receiver => Ticks::FAR,
-        }
-    }
-
-    fn deliver(&mut self, flight: Flight) -> Result<(), Violation> {
+    /// A packet arrives. Its envelope says how long it was on the way at most, and `extra` more.
+    fn deliver(&mut self, mut flight: Flight, extra: u8) -> Result<(), Violation> {
+        self.wrap_around(&mut flight);
         let to = flight.packet.destination.index();
         let from = flight.packet.source.index();
         if !self.places[to].up {
             return Ok(());
         }
+        self.catch_up(to)?;
         // The envelope announces a new life before any packet of it is handed on (D49).
         let known = self.places[to].known[from];
         if self.scenario.lives() && flight.life != known {
@@ -359,14 +384,16 @@ impl World {
             self.places[to].known[from] = flight.life;
             self.step(to, NodeInput::PeerRestarted(NodeId::from_index(from)))?;
         }
-        let charge = Ticks(u64::from(self.scenario.delay.unwrap_or(0)));
+        let charge = Ticks(u64::from(self.scenario.delay.unwrap_or(0)) + u64::from(extra));
         self.step(to, NodeInput::Packet { packet: flight.packet, charge })
     }
 
     fn act(&mut self, i: usize) -> Result<(), Violation> {
+        self.catch_up(i)?;
         let request = match self.scenario.behaviours[i] {
             Behaviour::Member { port, .. } => {
                 self.ghosts[i].use_one();
+                self.ghosts[i].open = Some(0);
                 Request::Arrive { port, arguments: [0; 8], time_out: None }
             }
             Behaviour::Sender { port, .. } => {
@@ -382,6 +409,7 @@ impl World {
     }
 
     fn answer(&mut self, i: usize) -> Result<(), Violation> {
+        self.catch_up(i)?;
         let Some(to) = self.ghosts[i].serving.take() else { return Ok(()) };
         // The answer repeats the question, so that a mix-up shows: it is kept in the number of sends left.
         let asked = self.ghosts[to.source.index()].left;
@@ -401,6 +429,7 @@ impl World {
             TaskState::Waiting { round, .. } => Some(round),
             _ => None,
         };
+        let takes_turns = self.takes_turns();
         let mut effects = std::mem::take(&mut self.effects);
         let Place { node, life, .. } = &mut self.places[i];
         node.step(input, &mut effects);
@@ -412,7 +441,8 @@ impl World {
                 let life = self.scenario.cell.port(packet.port).map_or(0, |p| p.decl.time_out.0);
                 self.ghosts[i].statuses.push((packet.id.sequence, u8::try_from(life).unwrap_or(u8::MAX)));
             }
-            self.flights.push(Flight { packet, age: 0, life: *life });
+            let fresh = takes_turns && !self.open[packet.destination.index()];
+            self.flights.push(Flight { packet, age: 0, life: *life, fresh });
         }
         if self.keep_log {
             self.log.extend(effects.seen.iter().map(|&seen| (task, Shown::Seen(seen))));
@@ -440,7 +470,6 @@ impl World {
         let awaits = |task: TaskId| -> Option<(TaskId, MessageId)> {
             if self.places[task.index()].up { self.task(task.index()).awaits() } else { None }
         };
-        let next = |task: TaskId| self.next_sequence(task.index());
         let seen = effects.seen.iter().try_for_each(|seen| judge.observed(at, seen));
         let late = effects.signals.iter().any(|s| matches!(s, Signal::Outcome(o) if timed_out(o)));
         let answer_on_the_way =
@@ -451,9 +480,7 @@ impl World {
             return Err(Violation::LateAnswer);
         }
         let signalled = seen
-            .and_then(|()| {
-                effects.signals.iter().try_for_each(|signal| judge.signalled(at, signal, awaits, next))
-            })
+            .and_then(|()| effects.signals.iter().try_for_each(|signal| judge.signalled(at, signal, awaits)))
             .and_then(|()| judge.judge_round());
         let done = judge.done;
         self.done = done;

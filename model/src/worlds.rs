@@ -1,6 +1,6 @@
 //! The worlds of the protocol's claims.
 
-use crate::scenario::{Behaviour, Budget, Reductions, Scenario, Watch};
+use crate::scenario::{Behaviour, Budget, Reductions, Scenario, Timing, Watch};
 use imrs_protocol::rules::Rules;
 use imrs_protocol::{Cell, CellError, CellTable, NodeId, PortDecl, PortId, TaskId, Ticks, Usage};
 use std::sync::Arc;
@@ -27,6 +27,8 @@ pub struct Meeting {
     pub attempts: Option<u8>,
     /// Faults.
     pub budget: Budget,
+    /// How time may be off.
+    pub timing: Timing,
     /// Rules.
     pub rules: Rules,
     /// What is watched.
@@ -50,6 +52,7 @@ impl Meeting {
             margin: Some(0),
             attempts: Some(1),
             budget: Budget { loss: 0, dup: 0, crash: 0 },
+            timing: Timing { overcharge: 0, late: 0 },
             rules: Rules::DEFAULT,
             watch,
             hurry: false,
@@ -77,6 +80,8 @@ impl Meeting {
             behaviours: vec![behaviour; self.members],
             delay: self.delay,
             budget: self.budget,
+            timing: self.timing,
+            wrap: None,
             watch: self.watch,
             hurry: self.hurry,
             clocks: vec![0; self.members],
@@ -102,12 +107,16 @@ pub struct Exchange {
     pub sends: u8,
     /// Faults.
     pub budget: Budget,
+    /// How time may be off.
+    pub timing: Timing,
     /// Rules.
     pub rules: Rules,
     /// What is watched.
     pub watch: Watch,
     /// How far ahead the clocks of the sender's and the receiver's node are.
     pub clocks: (u64, u64),
+    /// After how many messages their numbers wrap (a variant).
+    pub wrap: Option<u8>,
 }
 
 impl Exchange {
@@ -122,9 +131,11 @@ impl Exchange {
             buffer: 1,
             sends: 2,
             budget: Budget { loss: 0, dup: 0, crash: 0 },
+            timing: Timing { overcharge: 0, late: 0 },
             rules: Rules::DEFAULT,
             watch,
             clocks: (0, 0),
+            wrap: None,
         }
     }
 
@@ -146,6 +157,8 @@ impl Exchange {
             behaviours: vec![Behaviour::Sender { port: PortId(0), sends: self.sends }, Behaviour::Receiver],
             delay: Some(self.delay),
             budget: self.budget,
+            timing: self.timing,
+            wrap: self.wrap,
             watch: self.watch,
             hurry: false,
             clocks: vec![self.clocks.0, self.clocks.1],

@@ -3,14 +3,20 @@
 mod support;
 
 use imrs_model::worlds::Meeting;
-use imrs_model::{Exploration, Limits, Reductions, Watch, explore};
+use imrs_model::{
+    Action, Budget, Exploration, Limits, Packed, Reductions, Scenario, Watch, WorldModel, explore,
+};
 use imrs_protocol::rules::{Confirmation, Rules};
-use support::worlds::{endless, literal, timed, with};
+use std::collections::HashSet;
+use std::sync::Arc;
+use support::walk::{successors, walk};
+use support::worlds::{commands, endless, literal, scenario, timed, with};
 
-const ONE_OFF: [Reductions; 4] = [
+const ONE_OFF: [Reductions; 5] = [
     Reductions { symmetry: false, ..Reductions::ALL },
     Reductions { ignores: false, ..Reductions::ALL },
-    Reductions { lose_last: false, ..Reductions::ALL },
+    Reductions { lose_last: false, turns: false, ..Reductions::ALL },
+    Reductions { turns: false, ..Reductions::ALL },
     Reductions::NONE,
 ];
 
@@ -29,8 +35,11 @@ fn same(meeting: &Meeting) -> f64 {
         assert_eq!(found.violation, reduced.violation, "{reductions:?}");
         let length = |found: &Exploration| found.path.as_ref().map(Vec::len);
         assert_eq!(length(&found), length(&reduced), "{reductions:?}");
-        // A failing search stops somewhere within a level: its counts say nothing.
-        assert!(found.violation.is_some() || found.states >= reduced.states, "{reductions:?}");
+        // A failing search stops somewhere within a level: its counts say nothing. Turns leave fewer transitions, but
+        // tell states apart by whose turn it is.
+        let fewer = found.states >= reduced.states || (!reductions.turns && reductions.ignores);
+        assert!(found.violation.is_some() || fewer, "{reductions:?}");
+        assert!(found.violation.is_some() || found.transitions >= reduced.transitions, "{reductions:?}");
         ratio = found.states as f64 / reduced.states as f64;
     }
     println!("{:?} of {}: {ratio:.1} times fewer states", meeting.watch, meeting.members);
@@ -62,7 +71,7 @@ fn two_members_fail() {
 fn two_members_meet_again() {
     for (attempts, holds) in [(1, false), (2, true)] {
         let meeting = Meeting { attempts: Some(2), ..timed(2, Watch::MeetAgain { attempts }, 1, 3, 5) };
-        for reductions in [Reductions::ALL, ONE_OFF[0], ONE_OFF[2]] {
+        for reductions in [Reductions::ALL, ONE_OFF[0], ONE_OFF[2], ONE_OFF[3]] {
             let found = run(reductions, &meeting);
             assert_eq!(found.violation.is_none(), holds, "{attempts} attempts, {reductions:?}");
         }
@@ -94,4 +103,56 @@ fn stranding_needs_as_many_losses() {
 fn three_members_hold_in_far_fewer_states() {
     let ratio = same(&timed(3, Watch::FalseRelease, 0, 0, 2));
     assert!(ratio >= 5.0, "only {ratio:.1}");
+}
+
+/// The states that a tick, a restart, a crash or the end of faults leads to.
+fn after_barriers(scenario: &Arc<Scenario>) -> HashSet<Packed> {
+    let model = WorldModel::new(scenario, Limits::default());
+    let mut found = HashSet::new();
+    for state in walk(scenario).states.iter().filter(|state| !state.is_final()) {
+        for (action, after) in successors(&model, state) {
+            let barrier = matches!(action, Action::Tick | Action::Restart(_) | Action::Heal);
+            if barrier && !after.is_final() {
+                found.insert(model.without_turns(&after));
+            }
+        }
+    }
+    found
+}
+
+/// In whatever order things happen between two ticks, what the ticks find is the same.
+#[test]
+fn turns_lead_to_the_same_states_after_every_tick() {
+    let crash = Budget { loss: 0, dup: 0, crash: 1 };
+    let twice = Budget { loss: 1, dup: 1, crash: 0 };
+    let meetings = [
+        timed(2, Watch::FalseRelease, 1, 3, 5),
+        Meeting { attempts: Some(2), ..timed(2, Watch::AllOrNone, 1, 3, 5) },
+        Meeting { budget: twice, ..timed(2, Watch::FalseRelease, 1, 3, 5) },
+        Meeting { budget: crash, resend: None, ..timed(2, Watch::FalseRelease, 0, 1, 3) },
+        Meeting { attempts: Some(2), ..timed(2, Watch::MeetAgain { attempts: 2 }, 1, 3, 5) },
+        Meeting { delay: Some(2), ..timed(2, Watch::AllOrNone, 0, 2, 5) },
+        timed(3, Watch::AllOrNone, 0, 0, 2),
+    ];
+    // Where rounds or commands follow each other, when a packet is found to be unnoticed depends on the states on the
+    // way.
+    let noticed = Reductions { ignores: false, ..Reductions::ALL };
+    let exchanges = [Watch::AtMostOnce, Watch::Resolves];
+    let exchanges = exchanges.map(|watch| {
+        let scenario = commands(watch).scenario().expect("a sound declaration");
+        Arc::new(Scenario { reductions: noticed, ..Arc::unwrap_or_clone(scenario) })
+    });
+    let endless =
+        [Meeting { attempts: Some(1), ..endless(3, 0) }, Meeting { attempts: Some(2), ..endless(2, 1) }];
+    let endless = endless.map(|meeting| with(noticed, &meeting));
+    for scenario in meetings.iter().map(scenario).chain(exchanges).chain(endless) {
+        let turns = |turns| {
+            let mut scenario = Scenario::clone(&scenario);
+            scenario.reductions.turns = turns;
+            after_barriers(&Arc::new(scenario))
+        };
+        let (with, without) = (turns(true), turns(false));
+        println!("{:?}: {} states after a tick", scenario.watch, with.len());
+        assert!(with == without, "{:?}: {} and {}", scenario.watch, with.len(), without.len());
+    }
 }

@@ -133,9 +133,11 @@ fn every_renaming_of_a_state_has_one_canonical_form() {
     ];
     let mut dice = Dice(0x1987_0701);
     for meeting in worlds {
-        let named = with(Reductions { symmetry: false, ..Reductions::ALL }, &meeting);
+        // Whose turn it is goes by the names, so renamed parties take other turns: that is compared elsewhere.
+        let free = Reductions { turns: false, ..Reductions::ALL };
+        let named = with(Reductions { symmetry: false, ..free }, &meeting);
         let named = WorldModel::new(&named, Limits::default());
-        let sorted = WorldModel::new(&with(Reductions::ALL, &meeting), Limits::default());
+        let sorted = WorldModel::new(&with(free, &meeting), Limits::default());
         let mut state = named.init_states().remove(0);
         let mut renamings = 0;
         for _ in 0..1500 {
@@ -200,6 +202,10 @@ fn no_state_is_a_dead_end_unless_everybody_has_finished() {
         [2, 3].map(|n| scenario(&Meeting { attempts: Some(2), ..Meeting::new(n, Watch::FalseRelease) }));
     let mut ends = 0;
     for scenario in holding().into_iter().chain(untimed) {
+        // Who has ended its turn waits for what never comes in some orders that lead nowhere.
+        let mut free = Scenario::clone(&scenario);
+        free.reductions.turns = false;
+        let scenario = Arc::new(free);
         let model = WorldModel::new(&scenario, Limits::default());
         for state in walk(&scenario).states.iter().filter(|state| !state.is_final()) {
             if successors(&model, state).is_empty() {

@@ -1,5 +1,6 @@
 //! Claims about messages: life, outcomes, copies, clocks (§3, §5.1; D5, D6, D18, D20, D37, D49, D52).
 
+use super::timing::off;
 use super::{Claim, Settled, Work};
 use crate::report::{Bounds, Found, Outcome};
 use crate::scenario::{Budget, Watch};
@@ -8,14 +9,17 @@ use imrs_protocol::rules::{Memory, Rules, TimeStamp};
 
 pub(super) fn claims() -> Vec<Claim> {
     let mut claims = no_stale_delivery();
+    claims.extend(off("no-stale-delivery"));
     claims.extend(resolves());
+    claims.extend(off("class-2-resolves"));
     claims.extend(at_most_once());
+    claims.extend(off("at-most-once"));
     claims.extend(no_global_clock());
     claims
 }
 
 /// Commands with one re-sending, one loss, one duplicate.
-fn commands(watch: Watch) -> Exchange {
+pub(super) fn commands(watch: Watch) -> Exchange {
     Exchange {
         retry: (1, 2),
         buffer: 2,
@@ -39,7 +43,7 @@ fn larger(exchange: &Exchange) -> Exchange {
     }
 }
 
-fn claim(
+pub(super) fn claim(
     (name, rule, about): (&'static str, &'static str, &'static str),
     expect: Outcome,
     smoke: bool,
@@ -160,13 +164,16 @@ fn at_most_once() -> Vec<Claim> {
     let name = "at-most-once";
     let about = "one execution per command under duplication, re-sending and a restart";
     let crash = Exchange { budget: Budget { loss: 1, dup: 1, crash: 1 }, ..commands(Watch::AtMostOnce) };
+    let calm = larger(&Exchange { budget: Budget::default(), ..crash.clone() });
+    let shaken = Exchange { budget: crash.budget, sends: 2, ..larger(&crash) };
     let variant = |rules| vec![Exchange { rules, ..crash.clone() }];
     let forgetful = Rules { memory: Memory::None, ..Rules::DEFAULT };
     let short = Rules { memory: Memory::UntilAnswered, ..Rules::DEFAULT };
     let eager = Rules { quarantine: false, ..Rules::DEFAULT };
     vec![
         claim((name, "default", about), Outcome::Holds, true, vec![crash.clone()]),
-        claim((name, "default", about), Outcome::Holds, false, vec![larger(&crash)]),
+        // A restart multiplies the states: with it the larger world has one fault of each kind, without it two.
+        claim((name, "default", about), Outcome::Holds, false, vec![calm, shaken]),
         claim(
             (name, "no-memory", "without memory a copy runs again (D6)"),
             Outcome::Fails,
@@ -184,6 +191,16 @@ fn at_most_once() -> Vec<Claim> {
             Outcome::Fails,
             true,
             variant(eager),
+        ),
+        claim(
+            (
+                name,
+                "sequence-wrap",
+                "numbers that come again while a copy lives: the copy runs as a new command (D53)",
+            ),
+            Outcome::Fails,
+            true,
+            vec![Exchange { wrap: Some(2), sends: 3, ..commands(Watch::AtMostOnce) }],
         ),
     ]
 }

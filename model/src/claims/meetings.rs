@@ -1,9 +1,10 @@
 //! Claims about `waitfor` (§4.3; D1 to D3, D54 to D56).
 
+use super::timing::off;
 use super::{Claim, Settled, Variant, Work, outcome};
 use crate::chart::draw;
 use crate::report::{Bounds, Found, Outcome};
-use crate::scenario::{Budget, Watch};
+use crate::scenario::{Budget, Timing, Watch};
 use crate::worlds::Meeting;
 use imrs_protocol::Ticks;
 use imrs_protocol::margin::least_margin;
@@ -22,15 +23,17 @@ const RULES: [(&str, Confirmation); 4] = [
 
 pub(super) fn claims() -> Vec<Claim> {
     let mut claims = no_false_release();
+    claims.extend(off("no-false-release"));
     claims.extend(rendezvous_under_loss());
     claims.extend(pairing());
     claims.extend(all_or_none());
+    claims.extend(off("all-or-none"));
     claims.extend(meet_again());
     claims
 }
 
 /// A meeting in which time passes, built for `losses` and given as many.
-fn timed(members: usize, watch: Watch, losses: u8, margin: u64, time_out: u64) -> Meeting {
+pub(super) fn timed(members: usize, watch: Watch, losses: u8, margin: u64, time_out: u64) -> Meeting {
     Meeting {
         time_out: Some(time_out),
         delay: Some(DELAY),
@@ -71,7 +74,7 @@ fn once(work: &mut Work<'_>, meeting: &Meeting) -> Settled {
     }
 }
 
-fn simple(
+pub(super) fn simple(
     (name, rule, about): (&'static str, &'static str, &'static str),
     expect: Outcome,
     smoke: bool,
@@ -103,6 +106,18 @@ fn no_false_release() -> Vec<Claim> {
     let eager = Meeting { rules: Rules { quarantine: false, ..Rules::DEFAULT }, ..crash };
     let endless = Meeting { attempts: None, delay: Some(DELAY), ..Meeting::new(2, Watch::Pairing) };
     let unnumbered = Rules { rounds: false, ..Rules::DEFAULT };
+    // The largest bounds of two members: three losses, two duplicates, a time_out of eight ticks.
+    let worst = |attempts, crash| Meeting {
+        attempts: Some(attempts),
+        budget: Budget { loss: 3, dup: 2, crash },
+        ..timed(2, Watch::FalseRelease, 3, 5, 8)
+    };
+    let once = |members, loss| Meeting {
+        delay: Some(DELAY),
+        budget: Budget { loss, dup: 0, crash: 0 },
+        ..Meeting::new(members, Watch::FalseRelease)
+    };
+    let three_worse = Meeting { time_out: Some(5), ..three.clone() };
     let loss2 = Meeting { budget: Budget { loss: 3, dup: 2, crash: 0 }, ..faulty };
     let overtaking = Meeting { budget: Budget { loss: 1, dup: 1, crash: 0 }, ..three };
     vec![
@@ -112,6 +127,12 @@ fn no_false_release() -> Vec<Claim> {
         simple((name, "default, restart", about), Outcome::Holds, false, crash_and_loss),
         simple((name, "default", about), Outcome::Holds, false, loss2),
         simple((name, "default", about), Outcome::Holds, false, overtaking),
+        simple((name, "default", about), Outcome::Holds, true, worst(1, 0)),
+        simple((name, "default", about), Outcome::Holds, false, worst(2, 0)),
+        simple((name, "default, restart", about), Outcome::Holds, false, worst(1, 1)),
+        simple((name, "default", about), Outcome::Holds, false, three_worse),
+        simple((name, "default", about), Outcome::Holds, true, once(4, 1)),
+        simple((name, "default", about), Outcome::Holds, false, once(4, 2)),
         simple(
             (
                 name,
@@ -197,12 +218,14 @@ fn pairing() -> Vec<Claim> {
         budget: Budget { loss: 1, dup: 0, crash: 0 },
         ..Meeting::new(members, Watch::Pairing)
     };
+    let worst = Meeting { budget: Budget { loss: 3, dup: 2, crash: 0 }, resend: Some(RESEND), ..endless(2) };
     let silent = Rules { last_released: false, ..Rules::DEFAULT };
     let lossless = |members| Meeting { budget: Budget::default(), rules: silent, ..endless(members) };
     let variant = "an ARRIVE that does not say what its sender released unpairs even with no loss (D54)";
     vec![
         simple((name, "default", about), Outcome::Holds, true, endless(2)),
         simple((name, "default", about), Outcome::Holds, true, endless(3)),
+        simple((name, "default", about), Outcome::Holds, true, worst),
         simple((name, "no-last-released", variant), Outcome::Fails, true, lossless(2)),
         simple((name, "no-last-released", variant), Outcome::Fails, true, lossless(3)),
     ]
@@ -210,16 +233,21 @@ fn pairing() -> Vec<Claim> {
 
 fn all_or_none() -> Vec<Claim> {
     let worlds = [(2, 0, true), (2, 1, true), (2, 2, true), (3, 0, true), (3, 1, true), (4, 0, false)];
-    let claim = |(members, losses, smoke): (usize, u8, bool)| Claim {
+    let claim = |(members, losses, smoke)| margins("default", members, losses, Timing::default(), smoke);
+    worlds.map(claim).into()
+}
+
+/// The search for the least margin, while time may be off.
+pub(super) fn margins(rule: &'static str, members: usize, losses: u8, timing: Timing, smoke: bool) -> Claim {
+    Claim {
         name: "all-or-none",
-        rule: "default",
+        rule,
         parties: u32::try_from(members).unwrap_or(0),
         about: "nobody is released while another gives up, while delay and losses keep to their bounds (D2)",
         expect: Outcome::Holds,
         smoke,
-        settle: Box::new(move |work| margin(work, members, losses)),
-    };
-    worlds.map(claim).into()
+        settle: Box::new(move |work| margin(work, members, losses, timing)),
+    }
 }
 
 /// What the closed form gives for the claim's worlds.
@@ -235,15 +263,21 @@ fn time_outs(members: usize, margin: u64) -> impl Iterator<Item = u64> {
     least..=least + more
 }
 
-fn divergence(members: usize, losses: u8, margin: u64, time_out: u64) -> Meeting {
+fn divergence(members: usize, losses: u8, timing: Timing, margin: u64, time_out: u64) -> Meeting {
     let attempts = if members == 2 { 2 } else { 1 };
-    Meeting { attempts: Some(attempts), ..timed(members, Watch::AllOrNone, losses, margin, time_out) }
+    Meeting { attempts: Some(attempts), timing, ..timed(members, Watch::AllOrNone, losses, margin, time_out) }
 }
 
 /// A time_out at which the margin fails, if there is one.
-fn fails_at(work: &mut Work<'_>, members: usize, losses: u8, margin: u64) -> Option<(Meeting, Settled)> {
+fn fails_at(
+    work: &mut Work<'_>,
+    members: usize,
+    losses: u8,
+    timing: Timing,
+    margin: u64,
+) -> Option<(Meeting, Settled)> {
     for time_out in time_outs(members, margin) {
-        let meeting = divergence(members, losses, margin, time_out);
+        let meeting = divergence(members, losses, timing, margin, time_out);
         let settled = once(work, &meeting);
         if settled.outcome != Outcome::Holds {
             return Some((meeting, settled));
@@ -254,12 +288,12 @@ fn fails_at(work: &mut Work<'_>, members: usize, losses: u8, margin: u64) -> Opt
 
 /// Searches the least margin that holds; the one below it is the variant that must fail. Shows too that a member can
 /// be released with it at all, without which the claim would hold of nothing.
-fn margin(work: &mut Work<'_>, members: usize, losses: u8) -> Settled {
+fn margin(work: &mut Work<'_>, members: usize, losses: u8, timing: Timing) -> Settled {
     let closed_form = closed_form(losses);
     let mut one_less = None;
     let mut least = None;
     for candidate in 0..=closed_form {
-        match work.part(|work| fails_at(work, members, losses, candidate)) {
+        match work.part(|work| fails_at(work, members, losses, timing, candidate)) {
             (None, _) => {
                 least = Some(candidate);
                 break;
@@ -269,7 +303,7 @@ fn margin(work: &mut Work<'_>, members: usize, losses: u8) -> Settled {
     }
     let shown = least.unwrap_or(closed_form);
     let time_out = time_outs(members, shown).next().unwrap_or(0);
-    let meeting = divergence(members, losses, shown, time_out);
+    let meeting = divergence(members, losses, timing, shown, time_out);
     let reachable = Meeting { watch: Watch::Reachable, budget: Budget::default(), ..meeting };
     let reached = once(work, &reachable).outcome == Outcome::Fails;
     let unsettled = one_less.as_ref().map_or(Outcome::Unknown, |(settled, _)| settled.outcome);

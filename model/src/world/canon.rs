@@ -2,12 +2,12 @@
 
 use super::{HEADER, Place, World};
 use crate::ghost::{self, Ghost};
-use crate::network::Codec;
+use crate::network::{Codec, Flight};
 use crate::scenario::Scenario;
 use crate::state::{Packed, Violation};
 use crate::symmetry;
 use imrs_protocol::{
-    Frame, Incarnation, Kind, Overflow, PortId, Round, Seq24, TaskId, Ticks, Visit, VisitMut,
+    Frame, Incarnation, Kind, Overflow, PortId, Round, Seq24, TaskId, TaskState, Ticks, Visit, VisitMut,
 };
 
 impl World {
@@ -17,6 +17,8 @@ impl World {
         self.violation = state.violation();
         (self.loss, self.dup, self.crash) = (bytes[1], bytes[2], bytes[3]);
         (self.healed, self.done) = (bytes[4] & 1 != 0, bytes[4] & 2 != 0);
+        self.late = bytes[4] >> 4;
+        self.steps = u16::from_le_bytes([bytes[5], bytes[6]]);
         let mut at = HEADER;
         for ghost in &mut self.ghosts {
             at += ghost::load(ghost, self.scenario.watch, self.scenario.lives(), &bytes[at..]);
@@ -26,6 +28,7 @@ impl World {
         for i in 0..self.places.len() {
             let len = usize::from(bytes[at]);
             let block = &bytes[at..at + len];
+            (self.open[i], self.owed[i]) = (block[1] & OPEN != 0, block[1] & OWED != 0);
             self.loaded[i] = touch.is_none_or(|touched| touched == i);
             if self.loaded[i] {
                 load_place(&mut self.places[i], block, lives, self.scenario.clocks[i]);
@@ -38,7 +41,12 @@ impl World {
         self.flights.clear();
         let patience = self.scenario.cell.ports().first().map_or(Ticks::FAR, |p| p.decl.time_out);
         while at < bytes.len() {
-            let (flight, len) = self.codec.decode(&bytes[at..], patience);
+            let (mut flight, len) = self.codec.decode(&bytes[at..], patience);
+            if flight.packet.source == flight.packet.destination {
+                // From anybody: see `anonymous`.
+                let other = (flight.packet.destination.index() + 1) % self.places.len();
+                flight.packet.source = TaskId::from_index(other);
+            }
             self.flights.push(flight);
             at += len;
         }
@@ -65,23 +73,24 @@ impl World {
 
     /// Writes the state, canonical.
     pub fn store(&mut self) -> Packed {
-        self.store_in(None)
+        self.store_as(Form::Canonical)
     }
 
-    /// Writes the state with its members in another order, not canonical: for tests of the symmetry.
-    pub fn store_renamed(&mut self, order: &[usize]) -> Packed {
-        self.store_in(Some(order))
+    /// Writes the state without making its turns canonical: for tests.
+    pub fn store_plain(&mut self) -> Packed {
+        self.store_as(Form::Plain)
     }
 
-    fn store_in(&mut self, order: Option<&[usize]>) -> Packed {
-        match self.try_store(order) {
+    /// Writes the state in some form.
+    pub fn store_as(&mut self, form: Form<'_>) -> Packed {
+        match self.try_store(form) {
             Ok(packed) => packed,
             // A distance outgrew its field: an absorbing, visible failure, never a saturated value.
             Err(Overflow) => Packed(Box::new([Violation::Overflow.code(), 0, 0, 0, 0])),
         }
     }
 
-    fn try_store(&mut self, order: Option<&[usize]>) -> Result<Packed, Overflow> {
+    fn try_store(&mut self, form: Form<'_>) -> Result<Packed, Overflow> {
         if let Some(violation) = self.violation {
             // Absorbing: nothing follows, so nothing else need be told apart.
             return Ok(Packed(Box::new([violation.code(), 0, 0, 0, 0])));
@@ -97,6 +106,9 @@ impl World {
         if self.scenario.reductions.ignores && !self.scenario.lives() {
             self.drop_unnoticed();
         }
+        if form != Form::Plain {
+            self.tidy_turns();
+        }
         let (rounds, sequences) = self.bases();
         let moved = rounds.first().zip(self.rounds.first()).map_or(0, |(new, old)| new.steps_from(*old));
         if moved != 0 {
@@ -108,9 +120,13 @@ impl World {
                 self.blocks[i].clear();
                 store_place(&self.places[i], &frame, &mut self.blocks[i])?;
             }
+            let mark = |set: bool, bit: u8| if set { bit } else { 0 };
+            let marks = mark(self.open[i], OPEN) | mark(self.owed[i], OWED);
+            self.blocks[i][1] = (self.blocks[i][1] & !(OPEN | OWED)) | marks;
         }
-        let flags = u8::from(self.healed);
-        let header = [0, self.loss, self.dup, self.crash, flags];
+        let flags = u8::from(self.healed) | (self.late << 4);
+        let [low, high] = self.steps.to_le_bytes();
+        let header = [0, self.loss, self.dup, self.crash, flags, low, high];
         let least = self.ghosts.iter().map(|g| g.releases).min().unwrap_or(0);
         let mut ghosts = Vec::with_capacity(self.n());
         for (i, ghost) in self.ghosts.iter().enumerate() {
@@ -119,18 +135,32 @@ impl World {
             ghost::store(ghost, self.scenario.watch, &frame, u32::from(moved), task, least, &mut bytes)?;
             ghosts.push(bytes);
         }
+        let reduces = self.scenario.reductions.ignores && !self.scenario.lives();
+        // Whoever sent a CONFIRM, it does the same to a member that waits in its round: it comes from itself.
+        let anonymous = |flight: &Flight| {
+            let mut flight = *flight;
+            if reduces && self.releases(&flight) {
+                flight.packet.source = flight.packet.destination;
+            }
+            flight
+        };
+        let flights: Vec<Flight> = self.flights.iter().map(anonymous).collect();
         let parts = symmetry::Parts {
             header,
             ghosts: &ghosts,
             blocks: &self.blocks,
-            flights: &self.flights,
+            flights: &flights,
             frame,
             codec: self.codec,
         };
-        let bytes = match order {
-            Some(order) => parts.renamed(order)?,
-            None if self.scenario.members_alike() => parts.least()?,
-            None => parts.in_order()?,
+        let bytes = match form {
+            Form::Named(order) => parts.renamed(order)?,
+            Form::Canonical | Form::Plain if self.scenario.members_alike() => {
+                let (bytes, named) = parts.least()?;
+                self.named = named;
+                bytes
+            }
+            Form::Canonical | Form::Plain => parts.in_order()?,
         };
         Ok(Packed(bytes.into_boxed_slice()))
     }
@@ -166,9 +196,44 @@ impl World {
         let places = &self.places;
         let task = |i: usize| &places[i].node.parts().tasks[0];
         self.flights.retain(|flight| {
-            let (from, to) = (flight.packet.source.index(), flight.packet.destination.index());
-            !(places[to].up && task(to).ignores(&places[to].table, &flight.packet, task(from)))
+            let packet = &flight.packet;
+            let (from, to) = (packet.source.index(), packet.destination.index());
+            // Who has left a round, even one that still owes a CONFIRM of it, learns nothing from another's.
+            let confirmed =
+                packet.kind == Kind::Confirm && task(to).is_over(packet.port, packet.meeting().round);
+            !(places[to].up && (confirmed || task(to).ignores(&places[to].table, packet, task(from))))
         });
+        self.drop_more_confirms();
+    }
+
+    /// To a member that waits in its round, one CONFIRM is as good as another, and after the first the others are
+    /// ignored. So of those on the way the oldest are enough: one more than can be lost.
+    fn drop_more_confirms(&mut self) {
+        let enough = usize::from(self.loss) + 1;
+        let releases: Vec<bool> = self.flights.iter().map(|flight| self.releases(flight)).collect();
+        if releases.iter().filter(|&&releases| releases).count() <= enough {
+            return;
+        }
+        let key = |at: usize, flight: &Flight| (std::cmp::Reverse(flight.age), flight.fresh, at);
+        let older = |at: usize, flight: &Flight| {
+            let others = self.flights.iter().enumerate().filter(|&(other, _)| releases[other]);
+            let here = others.filter(|(_, other)| other.packet.destination == flight.packet.destination);
+            here.filter(|&(other, of)| key(other, of) < key(at, flight)).count()
+        };
+        let kept = self.flights.iter().enumerate();
+        let kept = kept.filter(|&(at, flight)| !releases[at] || older(at, flight) < enough);
+        self.flights = kept.map(|(_, flight)| *flight).collect();
+    }
+
+    /// Whether a packet is a CONFIRM that would release its receiver now.
+    fn releases(&self, flight: &Flight) -> bool {
+        let packet = &flight.packet;
+        let to = packet.destination.index();
+        packet.kind == Kind::Confirm
+            && match self.task(to).state() {
+                TaskState::Waiting { round, .. } => round == packet.meeting().round,
+                _ => false,
+            }
     }
 
     /// The least round in use of each port, and the next sequence of each task.
@@ -184,7 +249,7 @@ impl World {
             if self.loaded[i] {
                 place.node.parts().tasks[0].visit(&mut least);
             } else if let Some(&low) = self.blocks[i].get(1) {
-                least.round(PortId(0), Frame::ROUND.plus(u16::from(low)));
+                least.round(PortId(0), Frame::ROUND.plus(u16::from(low & !(OPEN | OWED))));
             }
         }
         for flight in &self.flights {
@@ -212,7 +277,30 @@ impl World {
             }
             self.drop_unnoticed();
         }
+        self.tidy_turns();
     }
+
+    /// Goes on with the turns in the order that the members have in the state stored last.
+    pub fn reorder(&mut self, named: &[usize]) {
+        self.order.clear();
+        self.order.extend(named);
+    }
+}
+
+/// Beside a node's least round: its turn is not over.
+const OPEN: u8 = 0x80;
+/// And: its timer has not fired yet since the last tick.
+const OWED: u8 = 0x40;
+
+/// How a state is written.
+#[derive(Clone, Copy, PartialEq, Eq)]
+pub(crate) enum Form<'a> {
+    /// One for all states with the same future.
+    Canonical,
+    /// The same with the turns as they are: for tests.
+    Plain,
+    /// With its members in this order: for tests of the symmetry.
+    Named(&'a [usize]),
 }
 
 struct Least {
@@ -239,7 +327,7 @@ impl Visit for Least {
     fn sequence(&mut self, _: TaskId, _: Seq24) {}
 }
 
-/// A node's block: its length, its least round, whether it is up, its lives, its task.
+/// A node's block: its length, its least round and whether it is open, whether it is up, its lives, its task.
 fn store_place(place: &Place, frame: &Frame<'_>, out: &mut Vec<u8>) -> Result<(), Overflow> {
     let mut least = Least { rounds: vec![None; frame.rounds.len()] };
     let task = &place.node.parts().tasks[0];
@@ -248,7 +336,7 @@ fn store_place(place: &Place, frame: &Frame<'_>, out: &mut Vec<u8>) -> Result<()
     }
     // A node that is down has no task: what is unpacked in its place is of another state.
     let low = least.rounds.first().copied().flatten().map_or(0, |round| round.steps_from(frame.rounds[0]));
-    out.extend([0, u8::try_from(low).map_err(|_| Overflow)?]);
+    out.extend([0, u8::try_from(low).ok().filter(|low| low & (OPEN | OWED) == 0).ok_or(Overflow)?]);
     if frame.lives {
         out.extend([u8::from(place.up), place.life.0]);
         out.extend(place.known.iter().map(|life| life.0));

@@ -161,9 +161,10 @@ impl ReferenceModel {
                 Ok(())
             }
             Action::Duplicate(at) => {
-                state.flights.push(state.flights[usize::from(at)].clone());
                 state.dup -= 1;
-                Ok(())
+                let Flight { packet, .. } = state.flights[usize::from(at)].clone();
+                let charge = Ticks(u64::from(self.scenario.delay.unwrap_or(0)));
+                self.step(state, packet.destination.index(), NodeInput::Packet { packet, charge })
             }
             Action::Act(i) => {
                 let i = usize::from(i);
@@ -183,7 +184,11 @@ impl ReferenceModel {
                     NodeInput::Request(TaskId::from_index(i), Request::Reply { to, contents }),
                 )
             }
-            Action::Crash(_) | Action::Restart(_) | Action::Heal => unreachable!("not in the reference form"),
+            Action::Crash(_)
+            | Action::Restart(_)
+            | Action::Heal
+            | Action::Late(_)
+            | Action::Overcharge(..) => unreachable!("not in the reference form"),
         }
     }
 

@@ -300,7 +300,7 @@ impl CommTask {
                 let source = self.inboxes[inbox].source(to.source);
                 source.is_some_and(|source| self.answerable(inbox, source, *to).is_ok())
             }
-            Some(Role::Sends | Role::Asks(_) | Role::Hears | Role::Meets(_)) | None => false,
+            Some(Role::Sends | Role::Asks(_) | Role::Hears | Role::Meets(_) | Role::Beats) | None => false,
         }
     }
 

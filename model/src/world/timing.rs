@@ -1,0 +1,129 @@
+//! Time in a world: ticks, nodes whose timers are late, and what is judged by counting ticks and steps.
+
+use super::World;
+use crate::network::Flight;
+use crate::scenario::{Behaviour, Watch};
+use crate::state::Violation;
+use imrs_protocol::rules::TimeStamp;
+use imrs_protocol::{Kind, NodeInput, Seq24, TaskId, Ticks};
+
+impl World {
+    /// A tick passes. The timer of node `late` fires only at the next one, or when something else enters the node: a
+    /// node reads its clock at every entry (D42).
+    pub(super) fn tick(&mut self, late: Option<usize>) -> Result<(), Violation> {
+        self.steps = 0;
+        for flight in &mut self.flights {
+            flight.age += 1;
+        }
+        for i in 0..self.n() {
+            if late == Some(i) {
+                self.owed[i] = true;
+            } else if self.places[i].up {
+                let elapsed = Ticks(1 + u64::from(std::mem::take(&mut self.owed[i])));
+                self.step(i, NodeInput::Advance(elapsed))?;
+                self.keep_clock(i);
+            }
+            self.count_tick(i)?;
+        }
+        if self.scenario.cell.cell().rules.time_stamp == TimeStamp::Absolute {
+            for flight in self.flights.iter_mut().filter(|flight| flight.packet.kind == Kind::Send) {
+                flight.packet.remaining = flight.packet.remaining - Ticks(1);
+            }
+        }
+        Ok(())
+    }
+
+    /// What the checker counts beside the machine: true lives, and how long a wait has lasted.
+    fn count_tick(&mut self, i: usize) -> Result<(), Violation> {
+        let lateness = Ticks(1 + u64::from(self.scenario.timing.late > 0));
+        let limit = self.patience(i) + lateness;
+        let ghost = &mut self.ghosts[i];
+        ghost.statuses.retain_mut(|(_, left)| {
+            *left -= 1;
+            *left > 0
+        });
+        if let Some(open) = &mut ghost.open {
+            *open += 1;
+            if matches!(self.scenario.watch, Watch::Resolves | Watch::Waits)
+                && limit < Ticks::FAR
+                && Ticks(u64::from(*open)) > limit
+            {
+                return Err(Violation::NoOutcome);
+            }
+        }
+        Ok(())
+    }
+
+    /// Before anything else enters a node its clock is read.
+    pub(super) fn catch_up(&mut self, i: usize) -> Result<(), Violation> {
+        if std::mem::take(&mut self.owed[i]) && self.places[i].up {
+            self.step(i, NodeInput::Advance(Ticks(1)))?;
+            self.keep_clock(i);
+        }
+        Ok(())
+    }
+
+    /// Clocks that differ from each other, not clocks that run, are what a state tells apart: each goes back to where it
+    /// was, and what it has moved is taken from instants that are on the way (see [`World::tick`]).
+    fn keep_clock(&mut self, i: usize) {
+        let ahead = Ticks(self.scenario.clocks[i]);
+        if self.scenario.cell.cell().rules.time_stamp == TimeStamp::Absolute {
+            let task = &mut self.places[i].node.parts_mut().tasks[0];
+            task.rebase();
+            task.set_ahead(ahead);
+        }
+    }
+
+    /// The declared time_out of the port that task `i` uses.
+    fn patience(&self, i: usize) -> Ticks {
+        match self.scenario.behaviours[i] {
+            Behaviour::Member { port, .. } | Behaviour::Sender { port, .. } => {
+                let task = TaskId::from_index(i);
+                self.scenario.cell.port(port).and_then(|p| p.party(task)).map_or(Ticks::FAR, |p| p.time_out)
+            }
+            Behaviour::Receiver => Ticks::FAR,
+        }
+    }
+
+    /// Where numbers wrap after `wrap` messages (a variant), a number stands for the latest message that has it.
+    pub(super) fn wrap_around(&self, flight: &mut Flight) {
+        let Some(wrap) = self.scenario.wrap.map(u32::from) else { return };
+        let source = match flight.packet.kind {
+            Kind::Reply | Kind::Response | Kind::Control => flight.packet.destination,
+            Kind::Send | Kind::Query | Kind::Arrive | Kind::Confirm | Kind::Abort => flight.packet.source,
+        };
+        let next = self.next_sequence(source.index());
+        let back = next.steps_from(flight.packet.id.sequence);
+        if back > 0 {
+            flight.packet.id.sequence = next.plus(Seq24::MODULUS - ((back - 1) % wrap + 1));
+        }
+    }
+
+    /// More steps between two ticks than this cannot be: each node sends at most two packets to each other one for
+    /// each round that somebody can begin and for each packet still on the way, and each packet arrives once.
+    pub(super) fn most_steps(&self) -> u16 {
+        let n = self.n();
+        let attempts = |behaviour: &Behaviour| match behaviour {
+            Behaviour::Member { attempts, .. } => usize::from(attempts.unwrap_or(u8::MAX)),
+            Behaviour::Sender { sends, .. } => usize::from(*sends),
+            Behaviour::Receiver => 1,
+        };
+        let rounds: usize = 1 + self.scenario.behaviours.iter().map(attempts).sum::<usize>();
+        let ticks = usize::from(self.scenario.delay.unwrap_or(0)) + 2;
+        let faults = usize::from(self.scenario.budget.dup) + usize::from(self.scenario.budget.loss);
+        u16::try_from(rounds * (1 + 2 * n * (n - 1) * ticks) + faults).unwrap_or(u16::MAX)
+    }
+
+    /// After a step: nothing goes on for ever between two ticks, and nobody is stuck.
+    pub(super) fn judge_progress(&self) -> Result<(), Violation> {
+        if self.scenario.watch != Watch::Waits {
+            return Ok(());
+        }
+        if self.steps > self.most_steps() {
+            return Err(Violation::Zeno);
+        }
+        let mut actions = Vec::new();
+        self.free_actions(&mut actions);
+        if actions.is_empty() && !self.is_finished() { Err(Violation::Stuck) } else { Ok(()) }
+    }
+}
