@@ -7,7 +7,7 @@ use crate::comm_task::{CommTask, Frame, Input, Outbox, Overflow};
 use crate::ids::{Incarnation, MessageId, NodeId, Seq24, TaskId};
 use crate::observe::{Event, Observation, Reason};
 use crate::packed::Eye;
-use crate::packet::Packet;
+use crate::packet::{Kind, Packet};
 use crate::request::{Request, Signal, TimeId};
 use crate::route::{self, Arrival, Departure};
 use crate::rules::JobRequest;
@@ -292,8 +292,17 @@ impl Node {
         match route::arrived(&self.parts.table, packet, charge) {
             Arrival::Local(task, packet) => self.work.push_back(Work::Task(task, Input::Packet(packet))),
             Arrival::Relay(packet) => self.work.push_back(Work::Route(packet)),
+            // Its task's port counts it: it drops what has no time left.
+            Arrival::Discard(Reason::ExpiredOnTheWay, packet) if self.is_message_for_here(&packet) => {
+                self.work.push_back(Work::Task(packet.destination, Input::Packet(packet)));
+            }
             Arrival::Discard(reason, packet) => out.observe(None, discarded(reason, &packet)),
         }
+    }
+
+    fn is_message_for_here(&self, packet: &Packet) -> bool {
+        let message = matches!(packet.kind, Kind::Send | Kind::Query);
+        message && self.parts.table.location(packet.destination) == Some(self.parts.table.node)
     }
 
     fn carry_out(&mut self, work: Work, out: &mut impl NodeOutbox) {

@@ -160,9 +160,13 @@ fn a_dropped_packet_is_seen_with_its_reason() {
     net.step(N2, NodeInput::Packet { packet: Packet { source: Y, ..packet() }, charge: Ticks(3) });
     net.step(N2, NodeInput::Packet { packet: packet(), charge: Ticks(30) });
     let seen: Vec<_> = net.observations.iter().map(|(at, o)| (*at, o.event)).collect();
-    let dropped = |reason| (None, Event::Discarded(reason));
-    assert_eq!(seen, [dropped(Reason::NotAllowed), dropped(Reason::ExpiredOnTheWay)]);
+    let dropped = |at, reason| (at, Event::Discarded(reason));
+    assert_eq!(seen, [dropped(None, Reason::NotAllowed), dropped(Some(Z), Reason::ExpiredOnTheWay)]);
     assert!(net.log.is_empty());
+    let z = net.nodes[2].task(Z).expect("it runs there");
+    let ports = z.view(&net.nodes[2].parts().table, 0).ports;
+    let expired: Vec<_> = ports.iter().map(|port| port.counters.expired).collect();
+    assert_eq!(expired, [0, 1], "counted at the port it was for");
 }
 
 #[test]

@@ -2,6 +2,7 @@
 
 mod support;
 
+use imrs_protocol::rules::Eviction;
 use imrs_protocol::*;
 use proptest::prelude::*;
 use std::sync::Arc;
@@ -10,8 +11,9 @@ const NEAR: NodeId = NodeId(1);
 const FAR: NodeId = NodeId(2);
 
 /// Node 0 joined with nodes 1 and 2, four ticks away each; tasks 0 and 1 on node 0, 2 on node 1, 3 on node 2.
-fn table() -> NodeTable {
+fn table(eviction: Eviction) -> NodeTable {
     let mut cell = Cell::new("star", Ticks(1));
+    cell.rules.eviction = eviction;
     let [hub, near, far] = ["hub", "near", "far"].map(|name| cell.node(name));
     cell.link(hub, near, Ticks(4));
     cell.link(hub, far, Ticks(4));
@@ -79,7 +81,11 @@ struct Rig {
 
 impl Rig {
     fn new(capacity: u16) -> Self {
-        Self { table: table(), transit: Transit::new(capacity) }
+        Self::with(capacity, Eviction::ByClass)
+    }
+
+    fn with(capacity: u16, eviction: Eviction) -> Self {
+        Self { table: table(eviction), transit: Transit::new(capacity) }
     }
 
     fn offer(&mut self, packet: Packet) -> Out {
@@ -272,4 +278,68 @@ proptest! {
             prop_assert_eq!(rebased.transit.next_expiry(), rig.transit.next_expiry());
         }
     }
+}
+
+#[test]
+fn a_full_buffer_says_so_without_dropping_another_command() {
+    let mut rig = Rig::new(1);
+    rig.offer(command(1, 20));
+    let out = rig.offer(Packet { source: TaskId(3), ..command(2, 30) });
+    let word = out.words.first().expect("the source hears of it");
+    assert_eq!(word, "REFUSED ON THE WAY T2>T3 #2 for 30");
+    // The word itself, for a task of another node, comes back to the buffer and finds a place of its own.
+    let said = Control::RefusedOnTheWay.to_contents();
+    let word = Packet {
+        kind: Kind::Control,
+        source: TaskId(2),
+        destination: TaskId(3),
+        contents: said,
+        ..command(2, 30)
+    };
+    for number in 0..4 {
+        let id = MessageId { sequence: Seq24::new(number), ..word.id };
+        let drops = rig.offer(Packet { id, ..word }).drops;
+        // There is one place for a word where there is one for a message.
+        let expected = if number == 0 { vec![] } else { vec![(Reason::Refused, number)] };
+        assert_eq!(drops, expected);
+    }
+    assert_eq!((rig.transit.len(), rig.transit.words().len(), rig.transit.is_full()), (1, 1, true));
+    assert_eq!(rig.drain(), [(1, 20), (0, 30)], "the word leaves when it is the most urgent");
+    rig.offer(word);
+    assert_eq!(rig.advance(30).drops, [(Reason::ExpiredInTransit, 2)]);
+}
+
+#[test]
+fn by_time_alone_a_command_makes_room_for_a_status() {
+    let mut rig = Rig::with(1, Eviction::ByTime);
+    rig.offer(command(1, 30));
+    assert_eq!(rig.offer(status(2, 20)).drops, [(Reason::Evicted, 1)]);
+    assert_eq!(rig.offer(command(3, 25)).drops, [(Reason::Refused, 3)]);
+}
+
+#[test]
+fn what_waits_comes_back_from_its_packed_form() {
+    let mut rig = Rig::new(4);
+    rig.offer(command(1, 20));
+    rig.offer(status(2, 12));
+    let said = Control::RefusedOnTheWay.to_contents();
+    let (source, destination) = (TaskId(2), TaskId(3));
+    rig.offer(Packet { kind: Kind::Control, source, destination, contents: said, ..command(3, 9) });
+    rig.advance(4);
+    let next = [Seq24::new(9); 5];
+    let frame = Frame { rounds: &[], sequences: &next, lives: false };
+    let mut bytes = [0; 64];
+    let len = rig.transit.store(&frame, &mut bytes).expect("it fits");
+    assert!((0..len).all(|short| rig.transit.store(&frame, &mut bytes[..short]).is_err()));
+    rig.transit.store(&frame, &mut bytes).expect("it fits");
+    let mut back = Rig::new(4);
+    back.offer(status(7, 7));
+    assert_eq!(back.transit.load(&back.table, false, &bytes), len);
+    let left = |rig: &Rig| [rig.transit.waiting(), rig.transit.words()].map(|l| l.iter().map(|p| p.remaining).collect::<Vec<_>>());
+    assert_eq!(left(&back), left(&rig));
+    let shifted = [Frame::SEQUENCE; 5];
+    let frame = Frame { rounds: &[], sequences: &shifted, lives: false };
+    let mut again = [0; 64];
+    assert_eq!(back.transit.store(&frame, &mut again), Ok(len));
+    assert_eq!(again, bytes);
 }
