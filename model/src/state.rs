@@ -87,6 +87,7 @@ violations! {
     Zeno 36 "too much happens between two ticks",
     Faulted 37 "a request without fault was called faulty",
     Script 39 "a script ended in a fault or an assertion that does not hold",
+    Check 40 "a check of the cell does not hold",
     Reached 38 "what must be possible is possible",
     Overflow 20 "the state outgrew its packed form",
     Panic 21 "the machine panicked",
