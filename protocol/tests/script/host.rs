@@ -307,6 +307,38 @@ fn a_handler_waits_for_the_end_of_an_atomic_section() {
     assert_eq!(floor.told(A), [Signal::Outcome(Outcome::Reply(Contents::EMPTY))], "at 6, and one tick back");
 }
 
+/// The action ends while the first handler runs; when that returns, the second one begins before the communication task
+/// hears of the end of the action.
+#[test]
+fn a_handler_that_comes_at_once_after_another_crosses_the_end_of_the_action() {
+    let mut cell = triangle();
+    let port = cell.port(PortDecl::new("first", A, Usage::Query, &[B], Ticks(30)));
+    let mut b = ProgramBuilder::new("b");
+    let (height, heard) = (b.variable("height", Type::Int8), b.variable("heard", Type::Int8));
+    let timer = b.timer("t");
+    b.order(&[Ranked::Port(port), Ranked::Timers, Ranked::Own]).start(timer, Ticks(4));
+    b.run("weld", Ticks(3), Ticks(3)).op(Op::Value).store(height).end();
+    b.on_message(port, &[("x", Type::Int8)], |b, came| {
+        b.delay(Ticks(5)).statement().load(came[0]).store(heard).reply(&[(Type::Int8, heard)]);
+    });
+    b.handler(Trigger::Timer(timer), |b| {
+        b.delay(Ticks(5)).set(heard, 9);
+    });
+    let mut floor = Floor::new(cell, vec![(B, finish(b))]);
+    floor.begin();
+    floor.ask(A, Request::Send { port, to: Target::All, contents: bytes(&[7]), time_out: None });
+    floor.run(7);
+    assert_eq!(floor.told(A), [Signal::Outcome(Outcome::Reply(bytes(&[7])))], "at 1 + 5, and one tick back");
+    assert_eq!(
+        [0, 1].map(|i| floor.var(B, i)),
+        [0, 7],
+        "the action ended at 3, but the timer's handler runs"
+    );
+    floor.run(4);
+    assert_eq!([0, 1].map(|i| floor.var(B, i)), [40, 9]);
+    assert_eq!(floor.log(), ["0 T1: run 0 [] at 0", "11 T1: ended Finished"]);
+}
+
 #[test]
 fn what_can_be_answered_no_more_is_forgotten() {
     let mut cell = triangle();
