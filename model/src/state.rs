@@ -89,6 +89,7 @@ violations! {
     Faulted 37 "a request without fault was called faulty",
     BothActive 40 "both tasks of a couple act at a time",
     Script 39 "a script ended in a fault or an assertion that does not hold",
+    Check 40 "a check of the cell does not hold",
     Reached 38 "what must be possible is possible",
     Stuck 15 "nothing more can happen, and somebody waits",
     Overflow 20 "the state outgrew its packed form",

@@ -1,12 +1,14 @@
 //! Floors: whole nodes, relays, links that take only so much, handlers, scripts.
 
-use imrs_model::floor::plan::{Faults, FloorPlan, FloorWatch, Goal};
+use imrs_model::floor::plan::{Faults, FloorPlan, FloorWatch, Goal, TaskPlan};
 use imrs_model::floor::worlds::{
     Flood, Interrupted, Relay, Workshop, busy_neighbour, full_buffers, penalised, query_all,
 };
 use imrs_model::floor::{FloorModel, Move, draw_floor, explore_floor};
 use imrs_model::{Exploration, Limits, Violation};
 use imrs_protocol::rules::{Aging, Eviction, JobRequest, Memory, Rules};
+use imrs_protocol::script::{Binary, ProgramBuilder, Term, Type};
+use imrs_protocol::{Cell, CellTable, PortDecl, Ticks, Usage};
 use stateright::Model;
 use std::collections::HashSet;
 use std::sync::Arc;
@@ -210,4 +212,39 @@ fn a_message_is_refused_only_so_often() {
 fn a_script_shows_that_the_literal_penalty_revives_commands() {
     assert_eq!(explored(&penalised(false).expect("a sound declaration")).violation, None);
     assert_eq!(fails(&penalised(true).expect("a sound declaration")), Violation::Stale);
+}
+
+/// Two tasks that meet at a waitfor, again and again, and note whether they are in the shared place.
+fn sharing(meet: bool) -> Arc<FloorPlan> {
+    let mut cell = Cell::new("sharing", Ticks(1));
+    let nodes = ["left", "right"].map(|name| cell.node(name));
+    cell.link(nodes[0], nodes[1], Ticks(1));
+    let [a, b] = [("a", nodes[0]), ("b", nodes[1])].map(|(name, node)| cell.task(name, node));
+    let port = cell.port(PortDecl::new("turn", a, Usage::Waitfor, &[b], Ticks(9)));
+    let program = |name: &str, first: bool| {
+        let mut script = ProgramBuilder::new(name);
+        let inside = script.variable("inside", Type::Bool);
+        if meet && !first {
+            script.waitfor(port);
+        }
+        script.set(inside, 1);
+        script.run("use the place", Ticks(1), Ticks(2));
+        script.set(inside, 0);
+        if meet && first {
+            script.waitfor(port);
+        }
+        script.end();
+        TaskPlan::scripted(Arc::new(script.finish().expect("a sound program")))
+    };
+    let tasks = vec![program("a", true), program("b", false)];
+    let mut plan = FloorPlan::new(Arc::new(CellTable::new(cell).expect("a sound declaration")), tasks);
+    let inside = |task| Term::Of { task, variable: 0 };
+    plan.checks = vec![vec![inside(a), inside(b), Term::Int(Binary::And), Term::Not]];
+    Arc::new(plan.watching(FloorWatch::Waits { slack: 0 }))
+}
+
+#[test]
+fn checks_look_at_the_variables_of_scripts() {
+    assert_eq!(explored(&sharing(true)).violation, None);
+    assert_eq!(explored(&sharing(false)).violation, Some(Violation::Check));
 }

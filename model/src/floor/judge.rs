@@ -63,11 +63,18 @@ impl Floor {
             body.levels.pop();
             return;
         }
+        if *request == Request::Abandon {
+            body.levels.truncate(1);
+        }
         let Some(level) = body.top_mut() else { return };
         let (does, get, port) = match *request {
             Request::Send { port, .. } | Request::Arrive { port, .. } => (Does::Waits, false, Some(port)),
             Request::Get { port, .. } => (Does::Waits, true, port),
-            Request::Delay { .. } | Request::Boundary | Request::Lease => (Does::Waits, false, None),
+            Request::Delay { .. }
+            | Request::Boundary
+            | Request::Lease
+            | Request::Cancel
+            | Request::Abandon => (Does::Waits, false, None),
             Request::Work => (Does::Works, false, None),
             _ => return,
         };
@@ -132,6 +139,13 @@ impl Floor {
             Signal::Accepted(_) if top.does == Does::Serves => return Ok(()),
             Signal::Accepted(_) if matches!(top.does, Does::Free) => return Ok(()),
             Signal::Accepted(_) if top.does == Does::Works => {}
+            // A script knows what to make of it, or ends in a fault of its own.
+            Signal::Fault(_) if scripted => {
+                if waits {
+                    self.bodies[task].resume();
+                }
+                return Ok(());
+            }
             Signal::Fault(_) => return Err(Violation::Faulted),
             Signal::Outcome(outcome) => {
                 let right = match outcome {
@@ -329,6 +343,7 @@ impl Floor {
             return Err(Violation::BothActive);
         }
         self.reach(Goal::TookOver, acting.any(|task| task.epoch() == Some(2)))?;
+        self.judge_checks()?;
         if !self.plan.watches(FloorWatch::Reach(Goal::BuffersFull)) {
             return Ok(());
         }

@@ -1,6 +1,6 @@
 //! What a floor is made of: a cell, what its tasks do, what links and faults may do, what is watched.
 
-use imrs_protocol::script::Program;
+use imrs_protocol::script::{Program, Term};
 use imrs_protocol::{CellTable, NodeId, NodeTable, PortId, ServiceOrder, Target, TaskId, Ticks};
 use std::sync::Arc;
 
@@ -239,6 +239,8 @@ pub struct FloorPlan {
     pub faults: Faults,
     /// What is watched.
     pub watches: Vec<FloorWatch>,
+    /// Expressions over the tasks' scripts that must be true in every state.
+    pub checks: Vec<Vec<Term>>,
     /// Whether what follows from a step within its node, and what a task in a hurry does next, belong to the step.
     pub fused: bool,
     /// Whether ticks in which nothing happens and nothing else can are passed over at once.
@@ -261,6 +263,7 @@ impl FloorPlan {
             way: Way::Any,
             faults: Faults::default(),
             watches: Vec::new(),
+            checks: Vec::new(),
             fused: true,
             jumps: true,
             clocks,
