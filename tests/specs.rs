@@ -16,7 +16,7 @@ fn read(path: impl AsRef<Path>) -> String {
 fn documents() -> Vec<PathBuf> {
     let mut found: Vec<PathBuf> =
         ["README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "SECURITY.md"].map(PathBuf::from).into();
-    for folder in ["specs", "specs/decisions"] {
+    for folder in ["specs", "specs/decisions", "specs/protocol"] {
         for entry in fs::read_dir(Path::new(ROOT).join(folder)).expect("a folder").flatten() {
             if entry.path().extension().is_some_and(|extension| extension == "md") {
                 found.push(Path::new(folder).join(entry.file_name()));
@@ -66,13 +66,45 @@ fn every_file_and_name_of_the_trace_exists() {
             continue;
         };
         let source = fs::read_to_string(Path::new(ROOT).join(path)).unwrap_or_default();
-        if !has_word(&source, item) {
+        let is_page = path.ends_with(".md");
+        if is_page && scenario(&source, item).is_none() || !is_page && !has_word(&source, item) {
             missing.push(entry);
         }
         entries += 1;
     }
     assert!(missing.is_empty(), "named in the trace, but not in the tree: {missing:#?}");
     assert!(entries > 100, "only {entries} entries were found");
+}
+
+/// The part of a page of `specs/protocol` under this heading, its rules aside, if it is carried out.
+fn scenario<'a>(page: &'a str, heading: &str) -> Option<&'a str> {
+    let (_, part) = page.split_once(&format!("\n## {heading} ("))?;
+    let part = part.split("\n## ").next()?;
+    (part.contains("```transcript\n") || part.contains("```wrong\n")).then_some(part)
+}
+
+/// Each heading of the executable pages ends with the rules that it shows.
+#[test]
+fn every_scenario_names_rules_that_exist() {
+    let rules = read("specs/rules.md");
+    let decisions = decisions();
+    let pages = documents().into_iter().filter(|path| path.starts_with("specs/protocol"));
+    for path in pages {
+        let page = read(&path);
+        for heading in page.lines().filter_map(|line| line.strip_prefix("## ")) {
+            let at = format!("{}: {heading}", path.display());
+            let (words, named) = heading.rsplit_once(" (").unwrap_or_else(|| panic!("{at} names no rule"));
+            let named = named.strip_suffix(')').unwrap_or_else(|| panic!("{at} does not end with its rules"));
+            for rule in named.split(", ") {
+                let written = match rule.split_at(1) {
+                    ("D", number) => number.parse().is_ok_and(|number| decisions.contains_key(&number)),
+                    _ => rules.contains(&format!("| {rule} |")),
+                };
+                assert!(written, "{at}: {rule} is written down nowhere");
+            }
+            assert!(scenario(&page, words).is_some(), "{at} shows nothing");
+        }
+    }
 }
 
 #[test]
@@ -84,6 +116,10 @@ fn tests_of_the_trace_are_tests() {
         for entry in quoted(column) {
             let (path, item) = entry.split_once("::").expect("a file and a name");
             let source = read(path);
+            if path.ends_with(".md") {
+                assert!(scenario(&source, item).is_some(), "{entry} is carried out by nothing");
+                continue;
+            }
             let at = source.find(&format!("fn {item}(")).unwrap_or_else(|| panic!("{entry} is no function"));
             let before = source[..at].trim_end();
             let mut attributes =

@@ -139,9 +139,8 @@ impl Drive {
         let table = declared.table().map_err(|faults| format!("the cell is wrong: {}", faults.join("; ")))?;
         let table = Arc::new(table);
         let ids = (0..table.cell().nodes.len()).map(NodeId::from_index);
-        let new = |id| {
-            Node::new(NodeTable::new(Arc::clone(&table), id), Incarnation(0), false, declared.transit)
-        };
+        let new =
+            |id| Node::new(NodeTable::new(Arc::clone(&table), id), Incarnation(0), false, declared.transit);
         let nodes: Vec<Node> = ids.map(new).collect();
         let lives = nodes.iter().map(|_| (Life::Up, 0)).collect();
         let between = Between {
@@ -171,6 +170,9 @@ impl Drive {
             }
             Step::Show(packets) => self.between.show_packets = *packets,
             Step::Next(fault) => self.between.faults.insert(0, fault.clone()),
+            Step::Mend(from, to) => {
+                self.between.faults.retain(|fault| (fault.source, fault.destination) != (*from, *to));
+            }
             Step::Crash(node) => self.lives[node.index()].0 = Life::Down,
             Step::Restart { node, unnoticed } => self.restart(*node, *unnoticed)?,
             Step::Stop(node) => self.lives[node.index()].0 = Life::Stopped(self.between.now),
@@ -194,7 +196,8 @@ impl Drive {
         at.step(input, &mut Wires { node, between: &mut self.between });
         let parts = at.parts();
         for task in &parts.tasks {
-            invariants::check(task, &parts.table).map_err(|violation| format!("after {input:?}: {violation}"))?;
+            invariants::check(task, &parts.table)
+                .map_err(|violation| format!("after {input:?}: {violation}"))?;
         }
         for (task, signal, place) in std::mem::take(&mut self.between.signals) {
             self.tell(node, task, &signal, place);
@@ -256,7 +259,9 @@ impl Drive {
 
     /// A process that stood still learns of all the time at once, then reads what its sockets hold.
     fn go_on(&mut self, node: NodeId) -> Result<(), String> {
-        let Life::Stopped(since) = self.lives[node.index()].0 else { return Err("it does not stand still".into()) };
+        let Life::Stopped(since) = self.lives[node.index()].0 else {
+            return Err("it does not stand still".into());
+        };
         self.lives[node.index()].0 = Life::Up;
         self.input(node, NodeInput::Advance(Ticks(self.between.now - since)))?;
         self.arrivals()
@@ -267,7 +272,10 @@ impl Drive {
             Ask::Plain(request) => self.request(task, *request),
             Ask::Send { port, to, contents, time_out } => {
                 let first = self.parts(task, *port, contents)?;
-                self.request(task, Request::Send { port: *port, to: *to, contents: first, time_out: *time_out })
+                self.request(
+                    task,
+                    Request::Send { port: *port, to: *to, contents: first, time_out: *time_out },
+                )
             }
             Ask::Reply { through, to, of, contents } => {
                 let place = self.place_of(of.unwrap_or(task), *through, *to, of.is_some())?;
@@ -304,7 +312,8 @@ impl Drive {
 
     /// Stages all fragments but the first, which it returns.
     fn parts(&mut self, task: TaskId, port: PortId, contents: &[u8]) -> Result<Contents, String> {
-        let mut parts = contents.chunks(CONTENTS_BYTES).map(|part| Contents::new(part).expect("short enough"));
+        let mut parts =
+            contents.chunks(CONTENTS_BYTES).map(|part| Contents::new(part).expect("short enough"));
         let first = parts.next().unwrap_or(Contents::EMPTY);
         for (i, contents) in parts.enumerate() {
             let index = u8::try_from(i + 1).map_err(|_| "too long")?;

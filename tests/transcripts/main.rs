@@ -73,5 +73,8 @@ fn a_page_that_is_wrong_says_where() {
     let unknown = page.replace("receive p", "receive q");
     assert_eq!(page::run("t.md", &unknown).faults[1], "t.md:10: `q` is one word too many");
     let misplaced = page.replace("A: send p \"x\"\n", "");
-    assert_eq!(page::run("t.md", &misplaced).faults[0], "t.md:8: this stands below no line that makes it happen");
+    assert_eq!(
+        page::run("t.md", &misplaced).faults[0],
+        "t.md:8: this stands below no line that makes it happen"
+    );
 }

@@ -14,6 +14,8 @@ pub enum Step {
     Show(bool),
     /// What happens to packets that will leave a node.
     Next(Fault),
+    /// From here on nothing happens to the packets from one task to another.
+    Mend(TaskId, TaskId),
     Crash(NodeId),
     Restart {
         node: NodeId,
@@ -97,6 +99,11 @@ fn control(t: &mut Tokens, cell: &Cell) -> Result<Step, String> {
             Step::Next(fault(count, t, cell)?)
         }
         "every" => Step::Next(fault(u32::MAX, t, cell)?),
+        "mend" => {
+            let source = a_task(t)?;
+            t.must("->")?;
+            Step::Mend(source, a_task(t)?)
+        }
         "crash" => Step::Crash(a_node(t)?),
         "restart" => Step::Restart { node: a_node(t)?, unnoticed: t.eat("unnoticed") },
         "stop" => Step::Stop(a_node(t)?),

@@ -108,7 +108,9 @@ impl Names<'_> {
             Event::Discarded(reason) => {
                 Some(format!("{who} drops {} ({}): {}", self.port(o.port), self.task(o.peer), reason.name()))
             }
-            Event::WithinMargin => Some(format!("{who} holds all arrivals, {} left: not enough", o.remaining)),
+            Event::WithinMargin => {
+                Some(format!("{who} holds all arrivals, {} left: not enough", o.remaining))
+            }
             _ => None,
         }
     }
