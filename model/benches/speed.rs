@@ -79,7 +79,7 @@ impl Outbox for Sent {
     fn signal(&mut self, signal: Signal) {
         black_box(signal);
     }
-    fn arm(&mut self, _: TimeId, _: Ticks) {}
+    fn arm(&mut self, _: TimeId, _: u8, _: Ticks) {}
     fn disarm(&mut self, _: TimeId) {}
     fn observe(&mut self, observation: Observation) {
         black_box(observation);

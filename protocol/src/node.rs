@@ -77,7 +77,7 @@ pub struct Node {
 enum Work {
     Route(Packet),
     Task(TaskId, Input),
-    Arm(TaskId, TimeId, Ticks),
+    Arm(TaskId, TimeId, u8, Ticks),
     Disarm(TaskId, TimeId),
 }
 
@@ -93,7 +93,7 @@ impl Node {
             .tasks_on(table.node)
             .map(|task| CommTask::new(&table, task, incarnation, restarted))
             .collect();
-        let timers = u16::try_from(tasks.len().saturating_mul(8)).unwrap_or(u16::MAX);
+        let timers = u16::try_from(tasks.len().saturating_mul(CommTask::TIMERS)).unwrap_or(u16::MAX);
         let parts =
             Parts { table, tasks, transit: Transit::new(transit_capacity), timer: Timer::new(timers) };
         Self { parts, work: VecDeque::with_capacity(WORK) }
@@ -171,7 +171,9 @@ impl Node {
             }
         }
         let work = &mut self.work;
-        self.parts.timer.advance(elapsed, |task, id| work.push_back(Work::Task(task, Input::TimeOut(id))));
+        self.parts.timer.advance(elapsed, |task, id, turn| {
+            work.push_back(Work::Task(task, Input::TimeOut { id, turn }));
+        });
     }
 
     fn arrive(&mut self, packet: Packet, charge: Ticks, out: &mut impl NodeOutbox) {
@@ -195,10 +197,10 @@ impl Node {
                     self.with_transit(out, |transit, table, effects| transit.offer(table, packet, effects));
                 }
             },
-            Work::Arm(task, id, length) => {
+            Work::Arm(task, id, turn, length) => {
                 // A full Timer ends the delay at once rather than never.
-                if !self.parts.timer.arm(task, id, length) {
-                    self.work.push_back(Work::Task(task, Input::TimeOut(id)));
+                if !self.parts.timer.arm(task, id, turn, length) {
+                    self.work.push_back(Work::Task(task, Input::TimeOut { id, turn }));
                 }
             }
             Work::Disarm(task, id) => {
@@ -244,8 +246,8 @@ impl<O: NodeOutbox> Outbox for TaskEffects<'_, O> {
         self.out.signal(self.task, signal);
     }
 
-    fn arm(&mut self, id: TimeId, length: Ticks) {
-        self.work.push_back(Work::Arm(self.task, id, length));
+    fn arm(&mut self, id: TimeId, turn: u8, length: Ticks) {
+        self.work.push_back(Work::Arm(self.task, id, turn, length));
     }
 
     fn disarm(&mut self, id: TimeId) {

@@ -12,6 +12,7 @@ use crate::ticks::Ticks;
 struct Entry {
     owner: TaskId,
     id: TimeId,
+    turn: u8,
     expires: Ticks,
 }
 
@@ -30,13 +31,14 @@ impl Timer {
         Self { now: Ticks::ZERO, armed: 0, queue: Queue::new(capacity) }
     }
 
-    /// Starts an entry; one of the same owner and id is replaced. False when the Timer is full.
-    pub fn arm(&mut self, owner: TaskId, id: TimeId, length: Ticks) -> bool {
+    /// Starts an entry; one of the same owner and id is replaced. False when the Timer is full. `turn` comes back with
+    /// the entry: it tells the owner this start of it from an earlier one.
+    pub fn arm(&mut self, owner: TaskId, id: TimeId, turn: u8, length: Ticks) -> bool {
         self.disarm(owner, id);
         let expires = self.now + length;
         let key = (u128::from(expires.0) << 64) | u128::from(self.armed);
         self.armed += 1;
-        self.queue.push(key, Entry { owner, id, expires }).is_ok()
+        self.queue.push(key, Entry { owner, id, turn, expires }).is_ok()
     }
 
     /// Takes an entry back. False when there is none.
@@ -47,10 +49,10 @@ impl Timer {
     }
 
     /// Time passes: names every entry that is over, earliest first, and removes it.
-    pub fn advance(&mut self, elapsed: Ticks, mut due: impl FnMut(TaskId, TimeId)) {
+    pub fn advance(&mut self, elapsed: Ticks, mut due: impl FnMut(TaskId, TimeId, u8)) {
         self.now += elapsed;
         while let Some(entry) = self.queue.pop_if(|entry| entry.expires <= self.now) {
-            due(entry.owner, entry.id);
+            due(entry.owner, entry.id, entry.turn);
         }
     }
 
@@ -84,17 +86,17 @@ mod tests {
     #[test]
     fn entries_end_in_order_and_once() {
         let mut timer = Timer::new(3);
-        assert!(timer.arm(TaskId(1), TimeId(0), Ticks(5)));
-        assert!(timer.arm(TaskId(2), TimeId(0), Ticks(3)));
-        assert!(timer.arm(TaskId(1), TimeId(1), Ticks(3)));
-        assert!(!timer.arm(TaskId(9), TimeId(9), Ticks(1)), "full");
+        assert!(timer.arm(TaskId(1), TimeId(0), 0, Ticks(5)));
+        assert!(timer.arm(TaskId(2), TimeId(0), 0, Ticks(3)));
+        assert!(timer.arm(TaskId(1), TimeId(1), 0, Ticks(3)));
+        assert!(!timer.arm(TaskId(9), TimeId(9), 0, Ticks(1)), "full");
         assert_eq!(timer.next_expiry(), Some(Ticks(3)));
         let mut over = Vec::new();
-        timer.advance(Ticks(2), |owner, id| over.push((owner, id)));
+        timer.advance(Ticks(2), |owner, id, _| over.push((owner, id)));
         assert_eq!(over, []);
         assert_eq!(timer.next_expiry(), Some(Ticks(1)));
         timer.rebase();
-        timer.advance(Ticks(9), |owner, id| over.push((owner, id)));
+        timer.advance(Ticks(9), |owner, id, _| over.push((owner, id)));
         assert_eq!(over, [(TaskId(2), TimeId(0)), (TaskId(1), TimeId(1)), (TaskId(1), TimeId(0))]);
         assert_eq!(timer.next_expiry(), None);
     }
@@ -102,8 +104,8 @@ mod tests {
     #[test]
     fn arming_again_replaces_and_disarming_removes() {
         let mut timer = Timer::new(2);
-        timer.arm(TaskId(1), TimeId(0), Ticks(5));
-        timer.arm(TaskId(1), TimeId(0), Ticks(9));
+        timer.arm(TaskId(1), TimeId(0), 0, Ticks(5));
+        timer.arm(TaskId(1), TimeId(0), 0, Ticks(9));
         assert_eq!(timer.entries(), [(TaskId(1), TimeId(0), Ticks(9))]);
         assert!(timer.disarm(TaskId(1), TimeId(0)));
         assert!(!timer.disarm(TaskId(1), TimeId(0)));

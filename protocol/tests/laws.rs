@@ -383,11 +383,14 @@ fn repack(world: &mut World, task: usize) {
         sequences: sequences.iter().map(|s| s.steps_from(Frame::SEQUENCE)).collect(),
     };
     loaded.visit_mut(&mut &shift);
+    // Packed states forget which start of a timer runs.
+    world.turns[task].iter_mut().for_each(|turn| turn.1 = 0);
 }
 
 /// Packed states leave out what members tell each other at a waitfor.
 fn without_arguments(_: &World, effects: &Effects) -> Effects {
     let mut effects = effects.clone();
+    effects.turns.clear();
     for packet in effects.packets.iter_mut().filter(|p| p.kind == Kind::Arrive) {
         packet.contents = Meeting { arguments: [0; 8], ..packet.meeting() }.to_contents();
     }

@@ -67,9 +67,9 @@ fn a_delay_of_no_length_ends_with_the_next_look_at_the_clock() {
 fn a_delay_that_finds_the_timer_full_ends_at_once() {
     // Eight entries for each task: only a task's own machine can have more, one at a time it never does.
     let mut timer = Timer::new(1);
-    assert!(timer.arm(X, TimeId(0), Ticks(9)));
-    assert!(!timer.arm(Y, TimeId(0), Ticks(1)));
-    assert!(timer.arm(X, TimeId(0), Ticks(4)), "its own entry makes room");
+    assert!(timer.arm(X, TimeId(0), 0, Ticks(9)));
+    assert!(!timer.arm(Y, TimeId(0), 0, Ticks(1)));
+    assert!(timer.arm(X, TimeId(0), 0, Ticks(4)), "its own entry makes room");
     assert_eq!(timer.entries(), [(X, TimeId(0), Ticks(4))]);
 }
 
@@ -77,13 +77,15 @@ fn a_delay_that_finds_the_timer_full_ends_at_once() {
 fn an_unexpected_time_out_is_nothing() {
     let table = std::sync::Arc::new(CellTable::new(cell()).expect("a checked cell"));
     let mut x = Solo::new(&table, X);
-    assert!(x.input(Input::TimeOut(TimeId(3))).is_nothing());
+    assert!(x.input(Input::TimeOut { id: TimeId(3), turn: 0 }).is_nothing());
     let out = x.ask(delay(1, 5));
     assert_eq!(out.timers, [(TimeId(1), Some(Ticks(5)))]);
-    assert!(x.input(Input::TimeOut(TimeId(2))).is_nothing());
-    assert_eq!(x.input(Input::TimeOut(TimeId(1))).words(), ["time_out 1"]);
-    assert!(x.input(Input::TimeOut(TimeId(1))).is_nothing());
+    assert!(x.input(Input::TimeOut { id: TimeId(2), turn: 0 }).is_nothing());
+    assert_eq!(x.input(Input::TimeOut { id: TimeId(1), turn: 0 }).words(), ["time_out 1"]);
+    assert!(x.input(Input::TimeOut { id: TimeId(1), turn: 0 }).is_nothing());
     x.ask(delay(1, 5));
+    // The word of the first delay was on its way when the second one began.
+    assert!(x.input(Input::TimeOut { id: TimeId(1), turn: 0 }).is_nothing());
     assert_eq!(x.ask(Request::Cancel).timers, [(TimeId(1), None)]);
 }
 
@@ -118,7 +120,7 @@ proptest! {
                 0 | 1 => {
                     figure.0.retain(|e| !same(e));
                     let space = figure.0.len() < 5;
-                    prop_assert_eq!(timer.arm(task, id, Ticks(length)), space);
+                    prop_assert_eq!(timer.arm(task, id, 0, Ticks(length)), space);
                     if space {
                         figure.0.push((task, id, length));
                     }
@@ -130,7 +132,7 @@ proptest! {
                 }
                 _ => {
                     let mut over = Vec::new();
-                    timer.advance(Ticks(length), |task, id| over.push((task, id)));
+                    timer.advance(Ticks(length), |task, id, _| over.push((task, id)));
                     prop_assert_eq!(over, figure.pass(length));
                     if id.0 == 0 {
                         timer.rebase();

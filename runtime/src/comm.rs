@@ -179,8 +179,8 @@ impl Outbox for Out<'_> {
         *self.mail = Some(Mail { signal, at: self.at });
     }
 
-    fn arm(&mut self, id: TimeId, length: Ticks) {
-        self.effects.queue.push_back(Effect::Arm(self.at, self.task, id, length));
+    fn arm(&mut self, id: TimeId, turn: u8, length: Ticks) {
+        self.effects.queue.push_back(Effect::Arm(self.at, self.task, id, turn, length));
     }
 
     fn disarm(&mut self, id: TimeId) {

@@ -19,7 +19,7 @@ pub(crate) enum Effect {
     Feed(TaskId, Stamped),
     /// A communication task has something in its inbox.
     Nudge(TaskId),
-    Arm(Micros, TaskId, TimeId, Ticks),
+    Arm(Micros, TaskId, TimeId, u8, Ticks),
     Disarm(Micros, TaskId, TimeId),
 }
 

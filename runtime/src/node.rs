@@ -199,7 +199,9 @@ impl Node {
                             member.handoff.nudge(effects);
                         }
                     }
-                    Effect::Arm(at, task, id, length) => self.timers.arm(at, task, id, length, effects),
+                    Effect::Arm(at, task, id, turn, length) => {
+                        self.timers.arm(at, task, (id, turn), length, effects);
+                    }
                     Effect::Disarm(at, task, id) => self.timers.disarm(at, task, id, effects),
                 }
             }

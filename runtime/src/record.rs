@@ -111,9 +111,9 @@ impl<O: Outbox> Outbox for Digesting<'_, O> {
         self.out.signal(signal);
     }
 
-    fn arm(&mut self, id: TimeId, length: Ticks) {
+    fn arm(&mut self, id: TimeId, turn: u8, length: Ticks) {
         self.note(|| Output::Arm(id, length));
-        self.out.arm(id, length);
+        self.out.arm(id, turn, length);
     }
 
     fn disarm(&mut self, id: TimeId) {

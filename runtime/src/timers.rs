@@ -27,15 +27,22 @@ impl Timers {
         Self { alarm, slot, state: Mutex::new(state) }
     }
 
-    pub fn arm(&self, at: Micros, owner: TaskId, id: TimeId, length: Ticks, effects: &mut Effects) {
+    pub fn arm(
+        &self,
+        at: Micros,
+        owner: TaskId,
+        (id, turn): (TimeId, u8),
+        length: Ticks,
+        effects: &mut Effects,
+    ) {
         let mut state = lock(&self.state);
         state.advance(at, effects);
         // Time that passed here since the task asked is not added to its delay.
         let length = length - Ticks(state.last.saturating_sub(at));
         state.forget(owner, id);
-        if !state.timer.arm(owner, id, length) {
+        if !state.timer.arm(owner, id, turn, length) {
             // A full Timer ends the delay at once rather than never.
-            let stamped = Stamped { at: state.last, input: Input::TimeOut(id) };
+            let stamped = Stamped { at: state.last, input: Input::TimeOut { id, turn } };
             effects.queue.push_back(Effect::Feed(owner, stamped));
         } else if effects.waiter != Some(owner) {
             let until = state.last.saturating_add(length.0);
@@ -76,9 +83,9 @@ impl State {
         let elapsed = now.saturating_sub(self.last);
         self.last += elapsed;
         let (last, unattended) = (self.last, &mut self.unattended);
-        self.timer.advance(Ticks(elapsed), |owner, id| {
+        self.timer.advance(Ticks(elapsed), |owner, id, turn| {
             unattended.retain(|&(o, i, _)| (o, i) != (owner, id));
-            let stamped = Stamped { at: last, input: Input::TimeOut(id) };
+            let stamped = Stamped { at: last, input: Input::TimeOut { id, turn } };
             effects.queue.push_back(Effect::Feed(owner, stamped));
         });
     }

@@ -113,7 +113,7 @@ impl Outbox for All {
         self.0.push(format!("{signal:?}"));
     }
 
-    fn arm(&mut self, id: TimeId, length: Ticks) {
+    fn arm(&mut self, id: TimeId, _: u8, length: Ticks) {
         self.0.push(format!("{id:?} {length:?}"));
     }
 

@@ -140,7 +140,7 @@ fn check_pending(task: &CommTask) -> Result<(), Violation> {
     match &task.pending {
         Pending::Get { deadline, .. } if *deadline < task.now => Err(Violation::Overdue(*deadline)),
         Pending::Reply(command) => check_command(task, command),
-        Pending::Nothing | Pending::Get { .. } | Pending::Meeting(_) | Pending::Delay(_) => Ok(()),
+        Pending::Nothing | Pending::Get { .. } | Pending::Meeting(_) | Pending::Delay(..) => Ok(()),
     }
 }
 
@@ -213,7 +213,7 @@ mod tests {
             self.0.push(packet);
         }
         fn signal(&mut self, _: Signal) {}
-        fn arm(&mut self, _: TimeId, _: Ticks) {}
+        fn arm(&mut self, _: TimeId, _: u8, _: Ticks) {}
         fn disarm(&mut self, _: TimeId) {}
     }
 

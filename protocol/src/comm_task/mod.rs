@@ -43,8 +43,13 @@ pub enum Input {
     Request(Request),
     /// A packet for its task arrived; the way is already taken from its remaining time.
     Packet(Packet),
-    /// The node's Timer says that this delay is over.
-    TimeOut(TimeId),
+    /// The node's Timer says that this delay or timer is over.
+    TimeOut {
+        /// Which one.
+        id: TimeId,
+        /// Which start of it: word of an earlier one is stale.
+        turn: u8,
+    },
     /// The transit buffer dropped a copy of this request before it left the node.
     Unsent(MessageId),
     /// This node has a new incarnation.
@@ -57,8 +62,8 @@ pub trait Outbox {
     fn transmit(&mut self, packet: Packet);
     /// Answers the task.
     fn signal(&mut self, signal: Signal);
-    /// Asks the node's Timer for a time_out.
-    fn arm(&mut self, id: TimeId, length: Ticks);
+    /// Asks the node's Timer for a time_out. `turn` is to come back with it.
+    fn arm(&mut self, id: TimeId, turn: u8, length: Ticks);
     /// Takes a request to the Timer back.
     fn disarm(&mut self, id: TimeId);
     /// Notes what happened.
@@ -94,7 +99,7 @@ pub(crate) enum Pending {
     Reply(Command),
     /// The rendezvous at this position of the list; its deadline stands there.
     Meeting(u16),
-    Delay(TimeId),
+    Delay(TimeId, u8),
 }
 
 /// Where the parts of a communication task work.
@@ -136,6 +141,8 @@ pub struct CommTask {
     /// Ticks since `new` or the last `rebase`; every instant below is on this counter.
     now: Ticks,
     next_sequence: Seq24,
+    /// Tells the starts of the task's delays and timers apart.
+    next_turn: u8,
     /// Numbers messages in the order they were stored: the last key of the service order (D14).
     arrivals: u64,
     /// Until when a restarted task cannot know what its earlier life ran (D49).
@@ -152,6 +159,9 @@ pub struct CommTask {
 }
 
 impl CommTask {
+    /// How many delays and timers of one task run at a time.
+    pub const TIMERS: usize = 8;
+
     /// The communication task of `task` in this life of its node. `restarted` says that an earlier life may have run
     /// commands: for as long as any of them can live, commands are answered with RESTARTED (D49).
     #[must_use]
@@ -194,6 +204,7 @@ impl CommTask {
             restarted,
             now: Ticks::ZERO,
             next_sequence: Seq24::default(),
+            next_turn: 0,
             arrivals: 0,
             quarantine_until,
             pending: Pending::Nothing,
@@ -224,8 +235,8 @@ impl CommTask {
             Input::Advance(elapsed) => self.advance(table, elapsed, out),
             Input::Request(request) => self.request(table, request, out),
             Input::Packet(packet) => self.packet(table, &packet, out),
-            Input::TimeOut(id) => {
-                if self.pending == Pending::Delay(id) {
+            Input::TimeOut { id, turn } => {
+                if self.pending == Pending::Delay(id, turn) {
                     self.pending = Pending::Nothing;
                     out.signal(Signal::TimeOut(id));
                 }
@@ -247,7 +258,7 @@ impl CommTask {
         let pending = match &self.pending {
             Pending::Get { deadline, .. } => *deadline,
             Pending::Reply(command) => command.deadline.min(command.copy_at),
-            Pending::Nothing | Pending::Meeting(_) | Pending::Delay(_) => Ticks::FAR,
+            Pending::Nothing | Pending::Meeting(_) | Pending::Delay(..) => Ticks::FAR,
         };
         let meetings = self.meetings.iter().map(Rendezvous::due);
         let buffers =

@@ -216,7 +216,7 @@ impl CommTask {
                 w.byte(3)?;
                 w.count(usize::from(*meeting))
             }
-            Pending::Delay(id) => {
+            Pending::Delay(id, _) => {
                 w.byte(4)?;
                 w.byte(id.0)
             }
@@ -324,6 +324,8 @@ impl CommTask {
         let mut r = Reader::new(bytes);
         self.now = Ticks::ZERO;
         self.next_sequence = Frame::SEQUENCE;
+        // One thread drives a packed task: no word of an earlier start can still be on its way.
+        self.next_turn = 0;
         self.load_pending(lives, &mut r);
         self.overdue = None;
         if !table.rules().refuse_late_replies && r.byte() == 1 {
@@ -379,7 +381,7 @@ impl CommTask {
             },
             2 => Pending::Reply(self.load_command(lives, r)),
             3 => Pending::Meeting(u16::from(r.byte())),
-            4 => Pending::Delay(TimeId(r.byte())),
+            4 => Pending::Delay(TimeId(r.byte()), 0),
             _ => Pending::Nothing,
         };
     }

@@ -48,7 +48,7 @@ macro_rules! relatives {
                 $v.instant(& $($m)? command.deadline);
                 $v.instant(& $($m)? command.copy_at);
             }
-            Pending::Nothing | Pending::Meeting(_) | Pending::Delay(_) => {}
+            Pending::Nothing | Pending::Meeting(_) | Pending::Delay(..) => {}
         }
         for source in & $($m)? $self.sources {
             let task = source.task;

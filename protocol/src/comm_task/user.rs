@@ -32,8 +32,10 @@ impl CommTask {
                 self.arrive(table, port, arguments, time_out, out)
             }
             Request::Delay { id, length } => {
-                self.pending = Pending::Delay(id);
-                out.arm(id, length);
+                let turn = self.next_turn;
+                self.next_turn = turn.wrapping_add(1);
+                self.pending = Pending::Delay(id, turn);
+                out.arm(id, turn, length);
                 Ok(None)
             }
             Request::Part { .. }
@@ -283,7 +285,7 @@ impl CommTask {
             Pending::Meeting(meeting) => {
                 self.meet(table, meeting, |rendezvous, at| rendezvous.leave(at, out));
             }
-            Pending::Delay(id) => out.disarm(id),
+            Pending::Delay(id, _) => out.disarm(id),
             Pending::Nothing | Pending::Get { .. } | Pending::Reply(_) => {}
         }
         Signal::Cancelled

@@ -50,7 +50,7 @@ impl CommTask {
                 let remaining = rendezvous.deadline.unwrap_or(self.now) - self.now;
                 TaskState::Waiting { port: rendezvous.port, round: rendezvous.announced, remaining }
             }
-            Pending::Delay(_) => TaskState::Delaying,
+            Pending::Delay(..) => TaskState::Delaying,
         }
     }
 
@@ -93,7 +93,7 @@ impl CommTask {
     pub const fn awaits(&self) -> Option<(TaskId, crate::ids::MessageId)> {
         match &self.pending {
             Pending::Reply(command) => Some((command.to, command.id)),
-            Pending::Nothing | Pending::Get { .. } | Pending::Meeting(_) | Pending::Delay(_) => None,
+            Pending::Nothing | Pending::Get { .. } | Pending::Meeting(_) | Pending::Delay(..) => None,
         }
     }
 }

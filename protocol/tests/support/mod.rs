@@ -16,6 +16,8 @@ pub struct Effects {
     pub signals: Vec<Signal>,
     /// Timer requests: armed with a length, or disarmed.
     pub timers: Vec<(TimeId, Option<Ticks>)>,
+    /// Which start of it each armed one is.
+    pub turns: Vec<(TimeId, u8)>,
     pub observations: Vec<Observation>,
 }
 
@@ -26,7 +28,8 @@ impl Outbox for Effects {
     fn signal(&mut self, signal: Signal) {
         self.signals.push(signal);
     }
-    fn arm(&mut self, id: TimeId, length: Ticks) {
+    fn arm(&mut self, id: TimeId, turn: u8, length: Ticks) {
+        self.turns.push((id, turn));
         self.timers.push((id, Some(length)));
     }
     fn disarm(&mut self, id: TimeId) {
@@ -193,5 +196,18 @@ pub fn signal(s: &Signal) -> String {
         Signal::GaveUp { round, missing, .. } => format!("gave up {round} missing {missing:#b}"),
         Signal::TimeOut(id) => format!("time_out {}", id.0),
         Signal::Cancelled => "cancelled".into(),
+        Signal::Answers { answers, .. } => {
+            let Answers { asked, answered, refused, restarted, unsent } = answers;
+            let named =
+                [("answered", answered), ("refused", refused), ("restarted", restarted), ("unsent", unsent)];
+            let marks =
+                named.iter().filter(|(_, mask)| **mask != 0).map(|(name, mask)| format!(" {name} {mask:#b}"));
+            format!("answers of {asked:#b}:{}", marks.collect::<String>())
+        }
+        Signal::Interrupt(Call::Message(d)) => {
+            format!("interrupt {:?} from {} for {}", d.contents.as_bytes(), d.from.source, d.budget)
+        }
+        Signal::Interrupt(call) => format!("interrupt {call:?}"),
+        Signal::Granted(epoch) => format!("granted {epoch}"),
     }
 }

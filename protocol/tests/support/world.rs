@@ -81,7 +81,7 @@ impl Shift {
             }
             other => other,
         });
-        Effects { packets, signals: signals.collect(), timers: effects.timers.clone(), observations: vec![] }
+        Effects { packets, signals: signals.collect(), timers: effects.timers.clone(), ..Effects::default() }
     }
 }
 
@@ -94,6 +94,8 @@ pub struct World {
     /// The commands each task was given.
     got: Vec<Vec<ReplyTo>>,
     lives: Vec<u8>,
+    /// The latest start of each of a task's delays and timers.
+    pub turns: Vec<Vec<(TimeId, u8)>>,
     /// How far this world's ids are from those of the plain world.
     pub shift: Shift,
     /// Whether nodes restart and packets of other lives appear.
@@ -113,6 +115,7 @@ impl World {
             flying: Vec::new(),
             got: vec![Vec::new(); tasks],
             lives: vec![0; table.cell().nodes.len()],
+            turns: vec![Vec::new(); tasks],
             shift: Shift::none(table),
             restarts,
         }
@@ -154,6 +157,10 @@ impl World {
             panic!("T{task} after {input:?}: {violation}");
         }
         self.flying.extend(&out.packets);
+        for &(id, turn) in &out.turns {
+            self.turns[task].retain(|t| t.0 != id);
+            self.turns[task].push((id, turn));
+        }
         for s in &out.signals {
             if let Signal::Message(d) = s
                 && d.class == Class::Command
@@ -268,7 +275,7 @@ impl World {
     fn event(&mut self, task: usize, a: u16, b: u16) -> Effects {
         let node = usize::from(b) % self.lives.len();
         match a % 4 {
-            0 => self.input(task, Input::TimeOut(TimeId(0))),
+            0 => self.time_out(task, b),
             1 => match self.tasks[task].awaits() {
                 Some((_, id)) => self.input(task, Input::Unsent(id)),
                 None => Effects::default(),
@@ -277,6 +284,13 @@ impl World {
             _ if self.restarts && a & 0x1c == 0 => self.restart(node),
             _ => Effects::default(),
         }
+    }
+
+    /// One of the delays and timers of a task is over, or one that was taken back or never was.
+    fn time_out(&mut self, task: usize, b: u16) -> Effects {
+        let id = TimeId(u8::try_from(b % 3).expect("small"));
+        let turn = self.turns[task].iter().rev().find(|t| t.0 == id).map_or(0, |t| t.1);
+        self.input(task, Input::TimeOut { id, turn })
     }
 
     /// The next life of a node: its tasks know nothing of the one before.

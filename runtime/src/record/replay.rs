@@ -272,6 +272,6 @@ struct Ignore;
 impl Outbox for Ignore {
     fn transmit(&mut self, _packet: Packet) {}
     fn signal(&mut self, _signal: Signal) {}
-    fn arm(&mut self, _id: TimeId, _length: Ticks) {}
+    fn arm(&mut self, _id: TimeId, _turn: u8, _length: Ticks) {}
     fn disarm(&mut self, _id: TimeId) {}
 }

@@ -27,7 +27,7 @@ fn records() -> Vec<Record> {
     vec![
         input(1_000, Input::Request(send)),
         input(0, Input::Advance(Ticks::ZERO)),
-        input(20, Input::TimeOut(TimeId(9))),
+        input(20, Input::TimeOut { id: TimeId(9), turn: 3 }),
         input(1, Input::Unsent(id)),
         input(1, Input::PeerRestarted(NodeId(1))),
         Record::Gap { stream: Stream::Task(task), lost: 12 },
