@@ -9,6 +9,7 @@ use proptest::strategy::ValueTree;
 use proptest::test_runner::TestRunner;
 use std::collections::BTreeSet;
 use support::Effects;
+use support::bytes::checksum;
 use support::plan::plans;
 use support::world::{Op, Shift, World, ops};
 
@@ -327,15 +328,6 @@ fn random_runs_reach_every_event_and_outcome() {
     ];
     let missing: Vec<_> = expected.iter().filter(|&&e| !seen.contains(e)).collect();
     assert!(missing.is_empty(), "never reached: {missing:?}; reached: {seen:?}");
-}
-
-/// The checksum of a packet as page one of the format tells it (D47), made apart from the code under test.
-fn checksum(bytes: &[u8; PACKET_BYTES], digest: u32, port_hash: u32) -> u32 {
-    let mut covered = [&digest.to_le_bytes()[..], &port_hash.to_le_bytes(), &bytes[..28]].concat();
-    covered[8 + 1] &= 0b1111_0001;
-    covered[8 + 12..8 + 15].fill(0);
-    covered[8 + 15] &= 0xf0;
-    crc::Crc::<u32>::new(&crc::CRC_32_AUTOSAR).checksum(&covered)
 }
 
 fn ignores(world: &World, packet: &Packet) -> bool {

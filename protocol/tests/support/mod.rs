@@ -2,6 +2,7 @@
 //! ([`net::Net`]) and a cell driven at random ([`world::World`]). Every step checks the invariants.
 #![allow(dead_code, reason = "every test binary uses its own part")]
 
+pub mod bytes;
 pub mod net;
 pub mod plan;
 pub mod world;
