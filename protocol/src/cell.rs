@@ -347,7 +347,7 @@ pub enum CellError {
     DuplicateName(&'static str, String),
     /// A declaration points at a node, task or link end that is not in the cell.
     Dangling(String),
-    /// More than 65,536 of something.
+    /// More than 65,535 of something.
     TooMany(&'static str),
     /// A link joins a node with itself.
     LinkToItself(String),
@@ -363,8 +363,14 @@ pub enum CellError {
     NoTimeOut(String),
     /// Class 1 has no answer: `waitfor`, `query` and `retry` need class 2.
     NeedsClass2(String),
-    /// A usage that this version of the protocol does not carry out yet.
-    Unsupported(String, Usage),
+    /// A `user_list` names a module that no task belongs to (D32).
+    UnknownModule(String, String),
+    /// A message or an answer of no packet, or of more than [`MAX_FRAGMENTS`] (D28).
+    Fragments(String, u8),
+    /// A class-2 port whose owner asks more than [`MAX_MEMBERS`] - 1 tasks.
+    TooManyAsked(String),
+    /// So many messages in one life that their sequence numbers would come round (D53).
+    SequenceWraps(String),
     /// Two tasks of a port run on nodes that no chain of at most 8 links joins.
     Unreachable(String, String, String),
     /// The time_out cannot cover the margin and the way: nobody could ever be released (D56).
@@ -389,13 +395,15 @@ pub enum CellError {
 
 /// The most tasks that one `waitfor` joins.
 pub const MAX_MEMBERS: usize = 64;
+/// The most packets that one message or answer takes (D28).
+pub const MAX_FRAGMENTS: u8 = 16;
 
 impl fmt::Display for CellError {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         match self {
             Self::DuplicateName(what, name) => write!(f, "two {what} are called `{name}`: rename one"),
             Self::Dangling(what) => write!(f, "{what} names something that is not in the cell"),
-            Self::TooMany(what) => write!(f, "more than 65,536 {what}: split the cell"),
+            Self::TooMany(what) => write!(f, "more than 65,535 {what}: split the cell"),
             Self::LinkToItself(node) => write!(f, "a link joins `{node}` with itself: remove it"),
             Self::NoUsers(port) => write!(f, "port `{port}` has no users: name them in its user_list"),
             Self::ListedTwice(port, task) => write!(f, "port `{port}` lists `{task}` twice"),
@@ -405,8 +413,18 @@ impl fmt::Display for CellError {
             Self::NoBuffer(port) => write!(f, "port `{port}` has bounded_buffer[0]: it needs at least 1"),
             Self::NoTimeOut(port) => write!(f, "port `{port}` has no time_out"),
             Self::NeedsClass2(port) => write!(f, "port `{port}` waits for an answer, so it must be class 2"),
-            Self::Unsupported(port, usage) => {
-                write!(f, "port `{port}`: usage `{usage}` is not carried out by this version")
+            Self::UnknownModule(port, module) => {
+                write!(f, "port `{port}` names module `{module}`, which no task belongs to")
+            }
+            Self::Fragments(port, n) => write!(
+                f,
+                "port `{port}`: a message of {n} packets: 1 to {MAX_FRAGMENTS} are possible; send a longer one in parts"
+            ),
+            Self::TooManyAsked(port) => {
+                write!(f, "port `{port}` asks more than {} tasks at a time: ask in groups", MAX_MEMBERS - 1)
+            }
+            Self::SequenceWraps(port) => {
+                write!(f, "port `{port}`: too many messages in one time_out: lower its rate or its time_out")
             }
             Self::Unreachable(port, a, b) => {
                 write!(

@@ -16,6 +16,11 @@ pub struct NodeId(pub u16);
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub struct PortId(pub u16);
 
+impl PortId {
+    /// No port: a cell has fewer.
+    pub const NONE: Self = Self(u16::MAX);
+}
+
 macro_rules! index {
     ($($name:ident $letter:literal),*) => {$(
         impl $name {

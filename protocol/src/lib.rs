@@ -7,7 +7,7 @@
 //!
 //! | §5.2 layer | here |
 //! |---|---|
-//! | user | `comm_task/user.rs`: requests of the task, messages for it |
+//! | user | `comm_task/requests.rs` and `comm_task/messages.rs`: requests of the task, messages for it |
 //! | mapping | `mapping.rs`: logical names to addressed packets |
 //! | route | `route.rs` and `transit.rs`: where a packet goes, and which one goes next |
 //! | primitive | the driver's link |
@@ -35,7 +35,7 @@ mod ticks;
 mod timer;
 mod transit;
 
-pub use cell::{Cell, CellError, CoupleDecl, Penalty, PortDecl, Rate, Usage};
+pub use cell::{Cell, CellError, CoupleDecl, MAX_FRAGMENTS, Penalty, PortDecl, Rate, Usage};
 pub use comm_task::{CommTask, Frame, Input, Outbox, Overflow, Visit, VisitMut, invariants};
 pub use ids::{Incarnation, MessageId, NodeId, PortId, Round, Seq24, TaskId};
 pub use node::{Node, NodeInput, NodeOutbox, Parts, discarded};

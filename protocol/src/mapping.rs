@@ -1,5 +1,7 @@
 //! The mapping layer (§5.2.2): from the logical names of a request to packets with addresses, and back.
 
+use crate::cell::Usage;
+use crate::comm_task::Parts;
 use crate::ids::{MessageId, PortId, TaskId};
 use crate::packet::{Class, Contents, Kind, MAX_HOPS, Packet};
 use crate::request::{Fault, ReplyTo, Target};
@@ -55,6 +57,22 @@ impl<I: Iterator<Item = TaskId>> Iterator for Peers<I> {
     }
 }
 
+/// What a message of this port is on the wire: the port's usage says so (D17).
+pub(crate) const fn message_kind(port: &Port) -> Kind {
+    match port.decl.usage {
+        Usage::Query | Usage::Response => Kind::Query,
+        Usage::Send | Usage::Receive | Usage::Reply | Usage::Waitfor => Kind::Send,
+    }
+}
+
+/// What an answer on this port is on the wire.
+pub(crate) const fn answer_kind(port: &Port) -> Kind {
+    match port.decl.usage {
+        Usage::Query | Usage::Response => Kind::Response,
+        Usage::Send | Usage::Receive | Usage::Reply | Usage::Waitfor => Kind::Reply,
+    }
+}
+
 /// A message packet.
 pub(crate) fn message(
     port: &Port,
@@ -65,7 +83,7 @@ pub(crate) fn message(
     contents: Contents,
 ) -> Packet {
     Packet {
-        kind: Kind::Send,
+        kind: message_kind(port),
         class: port.decl.class,
         more: false,
         resent: false,
@@ -97,5 +115,15 @@ pub(crate) fn answer(to: ReplyTo, from: TaskId, kind: Kind, remaining: Ticks, co
         id: to.id,
         remaining,
         contents,
+    }
+}
+
+/// The packets of a message: the first one and its further fragments (D28).
+pub(crate) fn in_fragments(first: &Packet, parts: &Parts, mut transmit: impl FnMut(Packet)) {
+    let fragments = parts.fragments().unwrap_or(1);
+    transmit(Packet { more: fragments > 1, ..*first });
+    for index in 1..fragments {
+        let contents = parts.get(index).copied().unwrap_or_default();
+        transmit(Packet { contents, fragment: index, more: index + 1 < fragments, ..*first });
     }
 }

@@ -93,7 +93,7 @@ impl Node {
             .tasks_on(table.node)
             .map(|task| CommTask::new(&table, task, incarnation, restarted))
             .collect();
-        let timers = u16::try_from(tasks.len().saturating_mul(CommTask::TIMERS)).unwrap_or(u16::MAX);
+        let timers = u16::try_from(tasks.len().saturating_mul(CommTask::ENTRIES)).unwrap_or(u16::MAX);
         let parts =
             Parts { table, tasks, transit: Transit::new(transit_capacity), timer: Timer::new(timers) };
         Self { parts, work: VecDeque::with_capacity(WORK) }

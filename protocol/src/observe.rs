@@ -35,11 +35,17 @@ pub enum Reason {
     Unexpected,
     /// It comes from an earlier life of its source.
     StaleIncarnation,
+    /// A newer one of its source took its place.
+    Superseded,
+    /// Fragments of it are missing (D28).
+    Incomplete,
+    /// It was sent under a lease that has passed to another task (D61).
+    StaleEpoch,
 }
 
 impl Reason {
     /// All reasons, in the order of their discriminants.
-    pub const ALL: [Self; 12] = [
+    pub const ALL: [Self; 15] = [
         Self::Expired,
         Self::ExpiredOnTheWay,
         Self::ExpiredInTransit,
@@ -52,6 +58,9 @@ impl Reason {
         Self::HopLimit,
         Self::Unexpected,
         Self::StaleIncarnation,
+        Self::Superseded,
+        Self::Incomplete,
+        Self::StaleEpoch,
     ];
 
     /// A short name for tables and counters.
@@ -70,6 +79,9 @@ impl Reason {
             Self::HopLimit => "hop_limit",
             Self::Unexpected => "unexpected",
             Self::StaleIncarnation => "stale_incarnation",
+            Self::Superseded => "superseded",
+            Self::Incomplete => "incomplete",
+            Self::StaleEpoch => "stale_epoch",
         }
     }
 }
@@ -117,16 +129,23 @@ pub enum Event {
     WithinMargin,
     /// The task gave up a waitfor.
     GaveUp,
+    /// A message for a handler did not outrank the current thread (R16).
+    Rejected,
+    /// A handler began, and the current thread was suspended (R16).
+    Interrupted,
+    /// A handler ended.
+    Resumed,
 }
 
-/// One observation. What `number` means follows from the event: a message's sequence or a meeting's round.
+/// One observation. What `number` means follows from the event: a message's sequence, a meeting's round, the name of the
+/// timer whose handler began, or how many handlers still run after one ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Observation {
     /// What happened.
     pub event: Event,
-    /// On which port.
+    /// On which port; [`PortId::NONE`] for the end of a timer and of a handler.
     pub port: PortId,
-    /// With which other task.
+    /// With which other task; there the task itself.
     pub peer: TaskId,
     /// Sequence or round.
     pub number: u32,

@@ -20,6 +20,13 @@ pub(crate) struct Queue<T> {
     free: Vec<Slot>,
 }
 
+/// A queue of nothing, which takes no memory.
+impl<T> Default for Queue<T> {
+    fn default() -> Self {
+        Self::new(0)
+    }
+}
+
 impl<T> Queue<T> {
     /// A queue of at most `capacity` entries. The only allocation it ever makes.
     pub fn new(capacity: u16) -> Self {

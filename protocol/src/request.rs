@@ -295,6 +295,8 @@ pub enum Fault {
     NotAPeer,
     /// Another request is outstanding, or one on this port in a thread that a handler interrupted.
     Busy,
+    /// The task has as many timers as it may: [`CommTask::TIMERS`](crate::CommTask::TIMERS).
+    TooManyTimers,
     /// A message or an answer has more fragments than its format allows, or a fragment is missing (D28).
     WrongLength,
     /// No handler runs.

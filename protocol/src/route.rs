@@ -45,7 +45,8 @@ pub fn arrived(table: &NodeTable, mut packet: Packet, charge: Ticks) -> Arrival 
     if table.rules().time_stamp == TimeStamp::Remaining {
         packet.remaining = packet.remaining - charge;
         // Only under the variant that takes late replies does one outlive its request.
-        let outlives = packet.kind == Kind::Reply && !table.rules().refuse_late_replies;
+        let outlives =
+            matches!(packet.kind, Kind::Reply | Kind::Response) && !table.rules().refuse_late_replies;
         if packet.remaining.is_zero() && !outlives {
             return Arrival::Discard(Reason::ExpiredOnTheWay, packet);
         }

@@ -1,16 +1,16 @@
 //! The static table (§III, §5.2.2, §5.2.3): ports, locations and a priori routes, made once from a [`Cell`] and passed
 //! into every call. It is never part of a machine's state.
 
-use crate::cell::{Cell, CellError, MAX_MEMBERS, PortDecl, Usage};
+mod check;
+mod digest;
+
+use crate::cell::{Cell, CellError, PortDecl, TaskDecl, Usage};
 use crate::ids::{NodeId, PortId, TaskId};
 use crate::margin;
-use crate::packet::{Class, MAX_HOPS};
 use crate::rules::Rules;
 use crate::ticks::Ticks;
 use alloc::boxed::Box;
 use alloc::collections::BTreeSet;
-use alloc::format;
-use alloc::string::String;
 use alloc::sync::Arc;
 use alloc::vec;
 use alloc::vec::Vec;
@@ -100,8 +100,8 @@ impl CellTable {
     /// Every fault that was found, in the order of the declarations.
     pub fn new(cell: Cell) -> Result<Self, Vec<CellError>> {
         let mut errors = Vec::new();
-        check_names(&cell, &mut errors);
-        check_references(&cell, &mut errors);
+        check::names(&cell, &mut errors);
+        check::references(&cell, &mut errors);
         if !errors.is_empty() {
             return Err(errors);
         }
@@ -110,7 +110,7 @@ impl CellTable {
         let ports: Box<[Port]> =
             declared.map(|(i, decl)| compile_port(&cell, PortId::from_index(i), decl, &routes)).collect();
         for port in &ports {
-            check_port(&cell, port, &routes, &mut errors);
+            check::port(&cell, port, &routes, &mut errors);
         }
         if !errors.is_empty() {
             return Err(errors);
@@ -122,7 +122,7 @@ impl CellTable {
             }
         }
         let ports_of = ports_of.into_iter().map(Vec::into_boxed_slice).collect();
-        let digest = digest(&cell, &ports);
+        let digest = digest::of_cell(&cell, &ports);
         Ok(Self { cell, ports, digest, routes, ports_of })
     }
 
@@ -249,47 +249,6 @@ impl core::ops::Deref for NodeTable {
     }
 }
 
-fn check_names(cell: &Cell, errors: &mut Vec<CellError>) {
-    fn unique<'a>(what: &'static str, names: impl Iterator<Item = &'a String>, errors: &mut Vec<CellError>) {
-        let mut seen = BTreeSet::new();
-        let mut count = 0_usize;
-        for name in names {
-            count += 1;
-            if !seen.insert(name) {
-                errors.push(CellError::DuplicateName(what, name.clone()));
-            }
-        }
-        if count > usize::from(u16::MAX) + 1 {
-            errors.push(CellError::TooMany(what));
-        }
-    }
-    unique("nodes", cell.nodes.iter().map(|n| &n.name), errors);
-    unique("tasks", cell.tasks.iter().map(|t| &t.name), errors);
-    unique("ports", cell.ports.iter().map(|p| &p.name), errors);
-}
-
-fn check_references(cell: &Cell, errors: &mut Vec<CellError>) {
-    let node = |id: NodeId| id.index() < cell.nodes.len();
-    let task = |id: TaskId| id.index() < cell.tasks.len();
-    for link in &cell.links {
-        if !node(link.a) || !node(link.b) {
-            errors.push(CellError::Dangling(format!("link {}--{}", link.a, link.b)));
-        } else if link.a == link.b {
-            errors.push(CellError::LinkToItself(cell.nodes[link.a.index()].name.clone()));
-        }
-    }
-    for t in &cell.tasks {
-        if !node(t.node) {
-            errors.push(CellError::Dangling(format!("task `{}`", t.name)));
-        }
-    }
-    for p in &cell.ports {
-        if !task(p.owner) || p.users.iter().any(|u| !task(u.task)) {
-            errors.push(CellError::Dangling(format!("port `{}`", p.name)));
-        }
-    }
-}
-
 /// All shortest routes by summed link bound, then by number of links, then by the lower next node: a total order, so
 /// every node computes the same table (§5.2.3: static routing, established a priori).
 fn shortest_routes(cell: &Cell) -> Box<[Option<Hop>]> {
@@ -329,19 +288,26 @@ fn shortest_routes(cell: &Cell) -> Box<[Option<Hop>]> {
 
 fn compile_port(cell: &Cell, id: PortId, decl: &PortDecl, routes: &[Option<Hop>]) -> Port {
     let owner = Party { task: decl.owner, usage: decl.usage, time_out: decl.time_out };
-    let users = decl.users.iter().map(|u| Party {
-        task: u.task,
+    let user = |task, time_out: Option<Ticks>| Party {
+        task,
         usage: decl.usage.counterpart(),
-        time_out: u.time_out.unwrap_or(decl.time_out),
-    });
-    let parties: Box<[Party]> = core::iter::once(owner).chain(users).collect();
+        time_out: time_out.unwrap_or(decl.time_out),
+    };
+    let users = decl.users.iter().map(|u| user(u.task, u.time_out));
+    // D32: a module stands for all its tasks; the owner is no user of its own port, and a task that is named is named.
+    let of_module = |t: &TaskDecl| t.module.as_ref().is_some_and(|module| decl.modules.contains(module));
+    let others =
+        cell.tasks.iter().enumerate().filter(|(_, t)| of_module(t)).map(|(i, _)| TaskId::from_index(i));
+    let unnamed = others.filter(|&t| t != decl.owner && decl.users.iter().all(|u| u.task != t));
+    let parties: Box<[Party]> =
+        core::iter::once(owner).chain(users).chain(unnamed.map(|task| user(task, None))).collect();
     let closed_form =
         || margin::least_margin(farthest(cell, &parties, routes), decl.losses, decl.resend, cell.tick);
     let margin = match decl.usage {
         Usage::Waitfor => decl.margin.unwrap_or_else(closed_form),
         _ => Ticks::ZERO,
     };
-    Port { id, decl: decl.clone(), hash: port_hash(decl), parties, margin }
+    Port { id, decl: decl.clone(), hash: digest::of_port(decl), parties, margin }
 }
 
 /// The longest path bound between any two parties of a port.
@@ -350,133 +316,6 @@ fn farthest(cell: &Cell, parties: &[Party], routes: &[Option<Hop>]) -> Ticks {
     let pairs = parties.iter().flat_map(|a| parties.iter().map(move |b| (node(a), node(b))));
     let bounds = pairs.filter(|(a, b)| a != b).map(|(a, b)| routes[a * cell.nodes.len() + b]);
     bounds.map(|hop| hop.map_or(Ticks::FAR, |h| h.bound)).max().unwrap_or(Ticks::ZERO)
-}
-
-fn check_port(cell: &Cell, port: &Port, routes: &[Option<Hop>], errors: &mut Vec<CellError>) {
-    let decl = &port.decl;
-    let name = || decl.name.clone();
-    if decl.users.is_empty() {
-        errors.push(CellError::NoUsers(name()));
-    }
-    let mut seen = BTreeSet::new();
-    for party in &port.parties {
-        if !seen.insert(party.task) {
-            errors.push(CellError::ListedTwice(name(), cell.tasks[party.task.index()].name.clone()));
-        }
-        if party.time_out.is_zero() {
-            errors.push(CellError::NoTimeOut(name()));
-        }
-    }
-    if decl.usage == Usage::Waitfor && port.parties.len() > MAX_MEMBERS {
-        errors.push(CellError::TooManyMembers(name()));
-    }
-    if decl.bounded_buffer == 0 {
-        errors.push(CellError::NoBuffer(name()));
-    }
-    if matches!(decl.usage, Usage::Query | Usage::Response | Usage::Reply) {
-        errors.push(CellError::Unsupported(name(), decl.usage));
-    }
-    if decl.class == Class::Status && (decl.usage == Usage::Waitfor || decl.retry > 0) {
-        errors.push(CellError::NeedsClass2(name()));
-    }
-    check_ways(cell, port, routes, errors);
-}
-
-fn check_ways(cell: &Cell, port: &Port, routes: &[Option<Hop>], errors: &mut Vec<CellError>) {
-    let decl = &port.decl;
-    let n = cell.nodes.len();
-    for party in &port.parties {
-        for peer in port.peers(party.task) {
-            let (a, b) = (cell.tasks[party.task.index()].node, cell.tasks[peer.index()].node);
-            let hop = routes[a.index() * n + b.index()];
-            let way = if a == b { Some((Ticks::ZERO, 1)) } else { hop.map(|h| (h.bound, h.links)) };
-            let reachable = way.filter(|&(_, links)| links <= MAX_HOPS + 1);
-            let Some((bound, _)) = reachable else {
-                if party.task < peer {
-                    let names = (&cell.tasks[party.task.index()].name, &cell.tasks[peer.index()].name);
-                    errors.push(CellError::Unreachable(decl.name.clone(), names.0.clone(), names.1.clone()));
-                }
-                continue;
-            };
-            let sends = matches!(party.usage, Usage::Send | Usage::Query);
-            if decl.class == Class::Command && sends && party.time_out <= bound + bound {
-                let (port, time_out) = (decl.name.clone(), party.time_out);
-                errors.push(CellError::DeadlineTooShort { port, time_out, least: bound + bound });
-            }
-        }
-    }
-    if decl.usage == Usage::Waitfor && errors.is_empty() {
-        let least = port.margin + farthest(cell, &port.parties, routes);
-        let time_out = port.parties.iter().map(|p| p.time_out).min().unwrap_or(Ticks::ZERO);
-        if time_out <= least {
-            errors.push(CellError::MarginTooLong { port: decl.name.clone(), time_out, least });
-        }
-    }
-}
-
-const CRC: crc::Crc<u32, crc::Table<1>> = crc::Crc::<u32, crc::Table<1>>::new(&crc::CRC_32_AUTOSAR);
-
-/// Feeds values to a checksum so that no two different tables feed the same bytes: everything carries its length.
-struct Canonical<'a>(crc::Digest<'a, u32, crc::Table<1>>);
-
-impl Canonical<'_> {
-    fn number(&mut self, value: u64) {
-        self.0.update(&value.to_le_bytes());
-    }
-
-    fn text(&mut self, text: &str) {
-        self.number(text.len() as u64);
-        self.0.update(text.as_bytes());
-    }
-}
-
-fn port_hash(decl: &PortDecl) -> u32 {
-    let mut c = Canonical(CRC.digest());
-    c.text(&decl.name);
-    c.text(&decl.format);
-    c.text(decl.usage.word());
-    c.number(u64::from(decl.class == Class::Command));
-    c.0.finalize()
-}
-
-fn digest(cell: &Cell, ports: &[Port]) -> u32 {
-    let mut c = Canonical(CRC.digest());
-    c.text(&cell.name);
-    c.number(cell.tick.0);
-    c.number(cell.nodes.len() as u64);
-    for node in &cell.nodes {
-        c.text(&node.name);
-    }
-    let mut links: Vec<_> = cell.links.iter().map(|l| (l.a.min(l.b), l.a.max(l.b), l.delay)).collect();
-    links.sort_unstable();
-    c.number(links.len() as u64);
-    for (a, b, delay) in links {
-        c.number(u64::from(a.0) << 16 | u64::from(b.0));
-        c.number(delay.0);
-    }
-    c.number(cell.tasks.len() as u64);
-    for task in &cell.tasks {
-        c.text(&task.name);
-        c.number(u64::from(task.node.0));
-    }
-    c.number(ports.len() as u64);
-    for port in ports {
-        c.number(u64::from(port.hash));
-        c.number(
-            u64::from(port.decl.bounded_buffer) << 16
-                | u64::from(port.decl.retry) << 8
-                | u64::from(port.decl.losses),
-        );
-        c.number(port.decl.resend.0);
-        c.number(port.margin.0);
-        c.number(port.parties.len() as u64);
-        for party in &port.parties {
-            c.number(u64::from(party.task.0));
-            c.number(party.time_out.0);
-        }
-    }
-    c.text(&format!("{:?}", cell.rules));
-    c.0.finalize()
 }
 
 #[cfg(test)]
@@ -521,59 +360,6 @@ mod tests {
         assert_eq!(peers(meet, Y), [X, Z]);
         assert!(table.port(halt).unwrap().admits(X, Y) && !table.port(halt).unwrap().admits(Y, Z));
         assert!(table.port(meet).unwrap().admits(Y, Z));
-    }
-
-    #[test]
-    fn every_fault_of_a_declaration_is_found() {
-        let errors = |change: fn(&mut Cell)| {
-            let mut cell = three(1);
-            change(&mut cell);
-            CellTable::new(cell).map(|_| ()).unwrap_err()
-        };
-        let name = |s: &str| String::from(s);
-        let found = errors(|c| {
-            c.node("a");
-            c.task("x", NodeId(7));
-            c.link(NodeId(1), NodeId(1), Ticks(1));
-        });
-        assert_eq!(
-            found,
-            [
-                CellError::DuplicateName("nodes", name("a")),
-                CellError::DuplicateName("tasks", name("x")),
-                CellError::LinkToItself(name("b")),
-                CellError::Dangling(name("task `x`")),
-            ]
-        );
-        let found = errors(|c| {
-            c.port(PortDecl::new("p", X, Usage::Send, &[], Ticks(0)).bounded_buffer(0));
-            c.port(PortDecl::new("q", X, Usage::Send, &[Y, Y], Ticks(5)));
-            c.port(PortDecl::new("r", X, Usage::Send, &[Y], Ticks(2)).command());
-            c.port(PortDecl::new("s", X, Usage::Reply, &[Y], Ticks(9)));
-            c.port(PortDecl::new("t", X, Usage::Send, &[Y], Ticks(9)).retry(2, Ticks(3)));
-        });
-        assert_eq!(
-            found,
-            [
-                CellError::NoUsers(name("p")),
-                CellError::NoTimeOut(name("p")),
-                CellError::NoBuffer(name("p")),
-                CellError::ListedTwice(name("q"), name("y")),
-                CellError::DeadlineTooShort { port: name("r"), time_out: Ticks(2), least: Ticks(2) },
-                CellError::Unsupported(name("s"), Usage::Reply),
-                CellError::NeedsClass2(name("t")),
-            ]
-        );
-        let found = errors(|c| {
-            c.port(PortDecl::new("m", X, Usage::Waitfor, &[Y, Z], Ticks(9)).resend(Ticks(4), 2));
-        });
-        assert!(matches!(found[..], [CellError::MarginTooLong { time_out: Ticks(9), .. }]), "{found:?}");
-        let found = errors(|c| {
-            let far = c.node("far");
-            let w = c.task("w", far);
-            c.port(PortDecl::new("p", X, Usage::Send, &[w], Ticks(9)));
-        });
-        assert_eq!(found, [CellError::Unreachable(name("p"), name("x"), name("w"))]);
     }
 
     #[test]

@@ -44,7 +44,13 @@ impl Transit {
     /// A buffer for `capacity` packets.
     #[must_use]
     pub fn new(capacity: u16) -> Self {
-        Self { now: Ticks::ZERO, arrivals: 0, queue: Queue::new(capacity), forwarded: 0, discarded: [0; 12] }
+        Self {
+            now: Ticks::ZERO,
+            arrivals: 0,
+            queue: Queue::new(capacity),
+            forwarded: 0,
+            discarded: [0; Reason::ALL.len()],
+        }
     }
 
     /// Whether no packet waits.
@@ -184,7 +190,7 @@ impl Transit {
             number: packet.id.sequence.get(),
             remaining: Ticks::ZERO,
         });
-        if packet.kind != Kind::Send || packet.class != Class::Command {
+        if !matches!(packet.kind, Kind::Send | Kind::Query) || packet.class != Class::Command {
             return;
         }
         if table.location(packet.source) == Some(table.node) {

@@ -326,7 +326,6 @@ fn requests_that_do_not_fit_are_faults_and_do_nothing() {
         (x.ask(send(PortId(9), Y, 0)), "fault NotYourPort"),
         (z.ask(send(HALT, X, 0)), "fault WrongUsage"),
         (x.ask(send(HALT, X, 0)), "fault NotAPeer"),
-        (x.ask(send_all(GRIP, 0)), "fault WrongUsage"),
         (x.ask(support::get_on(HALT, 0)), "fault WrongUsage"),
         (z.ask(support::get_on(PortId(9), 0)), "fault NotYourPort"),
         (x.ask(arrive(HALT)), "fault WrongUsage"),

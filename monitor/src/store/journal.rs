@@ -151,10 +151,13 @@ const fn level_of(event: Event) -> Level {
         | Event::Answered
         | Event::Reached
         | Event::PartnerArrived
-        | Event::Confirmed => Level::Trace,
+        | Event::Confirmed
+        | Event::Interrupted
+        | Event::Resumed
+        | Event::Rejected => Level::Trace,
         Event::Rejoined | Event::ReleasedComplete | Event::ReleasedByConfirm => Level::Trace,
         // Repeated copies are how the protocol bears losses: dropping them is its ordinary course.
-        Event::Discarded(Reason::Duplicate | Reason::OldRound) => Level::Trace,
+        Event::Discarded(Reason::Duplicate | Reason::OldRound | Reason::Superseded) => Level::Trace,
         Event::Discarded(_) | Event::RefusedByPeer | Event::PartnerAborted | Event::WithinMargin => {
             Level::Warn
         }
@@ -183,6 +186,9 @@ const fn word(event: Event) -> &'static str {
         Event::ReleasedComplete | Event::ReleasedByConfirm => "released",
         Event::WithinMargin => "margin",
         Event::GaveUp => "gave up",
+        Event::Rejected => "rejected",
+        Event::Interrupted => "interrupted",
+        Event::Resumed => "resumed",
     }
 }
 

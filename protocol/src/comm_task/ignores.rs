@@ -22,10 +22,15 @@ impl CommTask {
                 self.meetings[usize::from(meeting)].ignores(table, packet, over_there)
             }
             // An answer to a request that has ended, or to none.
-            Some(Role::Sends) if matches!(packet.kind, Kind::Reply | Kind::Control) => {
-                table.rules().refuse_late_replies && self.awaits().is_none_or(|(_, id)| id != packet.id)
+            Some(Role::Asks(_) | Role::Hears)
+                if matches!(packet.kind, Kind::Reply | Kind::Response | Kind::Control) =>
+            {
+                let awaited = self.outstanding().any(|(_, _, id)| id == packet.id);
+                table.rules().refuse_late_replies && !awaited
             }
-            Some(Role::Sends | Role::Receives(_)) | None => false,
+            Some(Role::Sends | Role::Asks(_) | Role::Receives(_) | Role::Replies | Role::Hears) | None => {
+                false
+            }
         }
     }
 

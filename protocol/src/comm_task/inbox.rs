@@ -1,9 +1,13 @@
-//! The bounded_buffer of a port at its receiving task (§5.1.1).
+//! The receiving end of a port at its task: the bounded_buffer (§5.1.1) and the memory of what was taken.
 
+use super::fragments::Parts;
+use super::memory::Source;
 use crate::ids::{MessageId, PortId, TaskId};
 use crate::packet::{Class, Contents};
 use crate::queue::{Queue, Slot};
+use crate::table::Port;
 use crate::ticks::Ticks;
+use alloc::boxed::Box;
 use serde::{Deserialize, Serialize};
 
 /// A waiting message.
@@ -15,29 +19,71 @@ pub(crate) struct Held {
     /// When its life here ends, on this task's counter; of a command, with the way back taken off (D18).
     pub expires: Ticks,
     pub contents: Contents,
+    /// How many packets it takes; those after the first one lie in the inbox (D28).
+    pub fragments: u8,
+    /// How often it was rejected by rank, while that counts (D58), and which rejection was the first.
+    pub rejections: u8,
+    pub rejected_first: u64,
+    /// Before this instant it is not offered again.
+    pub not_before: Ticks,
 }
 
-/// A port's buffer.
+/// The receiving end of a port.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Inbox {
     pub port: PortId,
     pub queue: Queue<Held>,
+    /// Whether the task has a handler for its messages (D15).
+    pub handled: bool,
+    /// Whether a message takes the place of the one of the same source that still waits.
+    pub latest: bool,
+    /// How many others were served since this port had something to offer, or was served itself (D58).
+    pub bypassed: u16,
+    /// What is remembered of each task that may send here, ascending.
+    pub sources: Box<[Source]>,
+    /// For each slot of the queue, what comes after the first packet.
+    pub bodies: Box<[Parts]>,
 }
 
 /// What happened to a message offered to a full buffer.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Admission {
-    /// It is in.
-    Kept,
+    /// It is in, in this slot.
+    Kept(Slot),
     /// It is in, and this one went for it.
-    Replaced(Held),
+    Replaced(Slot, Held),
     /// It is not in.
     Turned,
 }
 
 impl Inbox {
-    pub fn new(port: PortId, capacity: u16) -> Self {
-        Self { port, queue: Queue::new(capacity) }
+    pub fn new(port: &Port, own: TaskId) -> Self {
+        let decl = &port.decl;
+        let mut sources: alloc::vec::Vec<Source> =
+            port.peers(own).map(|peer| Source::new(peer, decl)).collect();
+        sources.sort_unstable_by_key(|source| source.task);
+        let bodies = if decl.fragments > 1 { decl.bounded_buffer } else { 0 };
+        Self {
+            port: port.id,
+            queue: Queue::new(decl.bounded_buffer),
+            handled: false,
+            latest: decl.latest,
+            bypassed: 0,
+            sources: sources.into(),
+            bodies: (0..bodies).map(|_| Parts::new(decl.fragments)).collect(),
+        }
+    }
+
+    /// Where the memory of a source stands.
+    pub fn source(&self, task: TaskId) -> Option<usize> {
+        self.sources.binary_search_by_key(&task, |source| source.task).ok()
+    }
+
+    /// When time alone makes something of this port expire.
+    pub fn due(&self) -> Ticks {
+        let first = self.queue.first().map_or(Ticks::FAR, |(_, _, held)| held.expires);
+        let assemblies = self.sources.iter().map(|source| &source.assembly);
+        assemblies.filter(|a| a.is_open()).map(|a| a.expires).fold(first, Ticks::min)
     }
 
     /// The order of service within a port (D14): least time_out first, then commands, then the lower source, then the
@@ -58,15 +104,21 @@ impl Inbox {
     /// is turned away unless it is more urgent than the least urgent one held.
     pub fn admit(&mut self, held: Held, arrival: u64) -> Admission {
         let key = Self::key(&held, arrival);
-        if self.queue.push(key, held).is_ok() {
-            return Admission::Kept;
+        if self.queue.len() == 0 {
+            self.bypassed = 0;
+        }
+        if let Ok(slot) = self.queue.push(key, held) {
+            return Admission::Kept(slot);
         }
         let last = self.queue.iter().max_by_key(|&(key, ..)| key).map(|(key, slot, _)| (key, slot));
         match last {
             Some((last_key, slot)) if last_key > key => {
                 let evicted = self.queue.remove(slot);
-                let _ = self.queue.push(key, held);
-                evicted.map_or(Admission::Kept, Admission::Replaced)
+                match (evicted, self.queue.push(key, held)) {
+                    (Some(evicted), Ok(slot)) => Admission::Replaced(slot, evicted),
+                    (None, Ok(slot)) => Admission::Kept(slot),
+                    (_, Err(_)) => Admission::Turned,
+                }
             }
             Some(_) | None => Admission::Turned,
         }
@@ -81,6 +133,11 @@ impl Inbox {
                 of_source.min_by_key(|&(key, ..)| key)
             }
         }
+    }
+
+    /// The message of a source that waits, if one does: where at most one of each can.
+    pub fn of_source(&self, source: TaskId) -> Option<(Slot, &Held)> {
+        self.queue.iter().find(|(_, _, held)| held.source == source).map(|(_, slot, held)| (slot, held))
     }
 
     /// Takes out a message by its source and id.

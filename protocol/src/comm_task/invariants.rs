@@ -1,10 +1,12 @@
 //! What holds of every communication task after every input. The checker, the simulator, the validator of recordings
 //! and debug runs all call [`check`]; a violation is a fault of the machine, never of a program or of the network.
 
+use super::desk::{Desk, Phase};
 use super::inbox::{Held, Inbox};
+use super::levels::{DEPTH, Finished};
 use super::memory::{Fate, Remembered};
 use super::rendezvous::Rendezvous;
-use super::{CommTask, Command, Pending, Role};
+use super::{CommTask, Pending};
 use crate::ids::{MessageId, PortId, Round, TaskId};
 use crate::packet::Class;
 use crate::rules::Memory;
@@ -27,7 +29,7 @@ pub enum Violation {
     MemoryTooShort(TaskId, MessageId),
     /// The task waits past its deadline.
     Overdue(Ticks),
-    /// The task waits for an answer on a port that it does not send on, or for one under another life's id.
+    /// The task waits for an answer that nobody was asked for, or for one under another life's id; or the other way round.
     WaitsForNothing(PortId),
     /// The task waits at a `waitfor` that does not know of it, or the other way round.
     MeetingAndWaitDiffer(PortId),
@@ -39,6 +41,15 @@ pub enum Violation {
     HoldsBarred(PortId, TaskId, Round),
     /// A `waitfor` owes a CONFIRM of nothing, or while it waits for the next meeting (D1).
     OwesConfirm(PortId),
+    /// More handlers run than may, one ranks lower than what it interrupted, or what it interrupted neither waits nor
+    /// stands between two statements (D15).
+    Levels(u8),
+    /// A message for a handler is due, and was not offered to a thread that can be interrupted (D15).
+    NotOffered(PortId, TaskId, MessageId),
+    /// A message was rejected more often than ranks stand above it (D58).
+    RejectedTooOften(PortId, TaskId, MessageId),
+    /// A message that is not whole has no time left, or is held where messages take one packet (D28).
+    HoldsFragments(PortId, TaskId),
 }
 
 impl fmt::Display for Violation {
@@ -72,6 +83,19 @@ impl fmt::Display for Violation {
                 write!(f, "waitfor {port} counts the arrival of {member} in {round}, which it gave up")
             }
             Self::OwesConfirm(port) => write!(f, "waitfor {port} owes a CONFIRM that nothing asks for"),
+            Self::Levels(depth) => write!(f, "handler {depth} runs where it could not have begun"),
+            Self::NotOffered(port, source, id) => {
+                write!(f, "port {port} holds message {id} of {source}, which should have been offered")
+            }
+            Self::RejectedTooOften(port, source, id) => {
+                write!(
+                    f,
+                    "message {id} of {source} on port {port} was rejected more often than ranks stand above it"
+                )
+            }
+            Self::HoldsFragments(port, source) => {
+                write!(f, "port {port} holds fragments of {source} that cannot become a message")
+            }
         }
     }
 }
@@ -84,13 +108,12 @@ impl core::error::Error for Violation {}
 /// The first violation found.
 pub fn check(task: &CommTask, table: &NodeTable) -> Result<(), Violation> {
     task.inboxes.iter().try_for_each(|inbox| check_inbox(task, table, inbox))?;
-    // Under the reading without residence a message outlives what its sender, and the memory, think of it.
-    for source in task.sources.iter().filter(|_| table.rules().charge_residence) {
-        source.command.iter().try_for_each(|command| check_memory(source.task, command))?;
+    check_levels(task)?;
+    for (i, desk) in task.desks.iter().enumerate() {
+        check_desk(task, super::index(i), desk)?;
     }
-    check_pending(task)?;
     for (i, meeting) in task.meetings.iter().enumerate() {
-        let waits = task.pending == Pending::Meeting(super::index(i));
+        let waits = task.running().iter().any(|level| level.pending == Pending::Meeting(super::index(i)));
         if waits != meeting.deadline.is_some() {
             return Err(Violation::MeetingAndWaitDiffer(meeting.port));
         }
@@ -104,25 +127,43 @@ fn check_inbox(task: &CommTask, table: &NodeTable, inbox: &Inbox) -> Result<(), 
     if inbox.queue.len() > usize::from(port.decl.bounded_buffer) {
         return Err(Violation::Overfull(inbox.port));
     }
+    // The variants lengthen lives where a message waits: it outlives what its sender, and the memory, think of it.
+    let literal = port.decl.penalty.is_some_and(|penalty| penalty.literal);
+    let exact = table.rules().charge_residence && !literal;
     for (_, _, held) in inbox.queue.iter() {
+        let (id, source) = (inbox.port, held.source);
         if held.expires <= task.now {
-            return Err(Violation::HoldsExpired(inbox.port, held.source, held.id));
+            return Err(Violation::HoldsExpired(id, source, held.id));
         }
-        if held.class != port.decl.class || !port.admits(held.source, task.task) {
-            return Err(Violation::HoldsForeign(inbox.port, held.source, held.id));
+        if held.class != port.decl.class || !port.admits(source, task.task) {
+            return Err(Violation::HoldsForeign(id, source, held.id));
         }
-        let remembers = table.rules().memory == Memory::LifeAndLink && table.rules().charge_residence;
-        if remembers && held.class == Class::Command && !is_remembered(task, inbox.port, held) {
-            return Err(Violation::NotRemembered(inbox.port, held.source, held.id));
+        let remembers = table.rules().memory == Memory::LifeAndLink && exact;
+        if remembers && held.class == Class::Command && !is_remembered(task, inbox, held) {
+            return Err(Violation::NotRemembered(id, source, held.id));
+        }
+        if usize::from(held.rejections) > crate::request::ServiceOrder::LEVELS {
+            return Err(Violation::RejectedTooOften(id, source, held.id));
+        }
+        if inbox.handled && task.interruptible(false) && held.not_before <= task.now {
+            return Err(Violation::NotOffered(id, source, held.id));
+        }
+    }
+    for source in &inbox.sources {
+        let late = source.assembly.is_open() && source.assembly.expires <= task.now;
+        if late || (source.assembly.is_open() && port.decl.fragments < 2) {
+            return Err(Violation::HoldsFragments(inbox.port, source.task));
+        }
+        if exact {
+            source.command.iter().try_for_each(|command| check_memory(source.task, command))?;
         }
     }
     Ok(())
 }
 
-fn is_remembered(task: &CommTask, port: PortId, held: &Held) -> bool {
-    let at = task.sources.binary_search_by_key(&held.source, |source| source.task);
-    let command = at.ok().and_then(|at| task.sources[at].command);
-    command.is_some_and(|c| c.port == port && c.id == held.id && c.fate == Fate::Held && c.until > task.now)
+fn is_remembered(task: &CommTask, inbox: &Inbox, held: &Held) -> bool {
+    let command = inbox.source(held.source).and_then(|at| inbox.sources[at].command);
+    command.is_some_and(|c| c.id == held.id && c.fate == Fate::Held && c.until > task.now)
 }
 
 fn check_memory(source: TaskId, command: &Remembered) -> Result<(), Violation> {
@@ -136,26 +177,48 @@ fn check_memory(source: TaskId, command: &Remembered) -> Result<(), Violation> {
     Ok(())
 }
 
-fn check_pending(task: &CommTask) -> Result<(), Violation> {
-    match &task.pending {
-        Pending::Get { deadline, .. } if *deadline < task.now => Err(Violation::Overdue(*deadline)),
-        Pending::Reply(command) => check_command(task, command),
-        Pending::Nothing | Pending::Get { .. } | Pending::Meeting(_) | Pending::Delay(..) => Ok(()),
+fn check_levels(task: &CommTask) -> Result<(), Violation> {
+    if usize::from(task.depth) > DEPTH {
+        return Err(Violation::Levels(task.depth));
     }
+    if let Pending::Get { deadline, .. } = task.top().pending
+        && deadline < task.now
+    {
+        return Err(Violation::Overdue(deadline));
+    }
+    let running = task.running();
+    for (i, level) in (0_u8..).zip(running) {
+        let top = i == task.depth;
+        let suspended = level.finished.is_some() != (level.pending != Pending::Nothing);
+        let ranks = i < 2 || level.rank <= running[usize::from(i) - 1].rank;
+        let between = top && level.pending == Pending::Boundary;
+        if (!top && (!suspended || level.atomic)) || (top && level.finished.is_some()) || !ranks || between {
+            return Err(Violation::Levels(i));
+        }
+    }
+    Ok(())
 }
 
-fn check_command(task: &CommTask, command: &Command) -> Result<(), Violation> {
-    if command.deadline < task.now {
-        return Err(Violation::Overdue(command.deadline));
+fn check_desk(task: &CommTask, at: u16, desk: &Desk) -> Result<(), Violation> {
+    let waits = task.running().iter().any(|level| level.pending == Pending::Reply(at));
+    let ended = task.running().iter().any(|level| level.finished == Some(Finished::Answers(at)));
+    if waits != (desk.phase == Phase::Open) || ended != (desk.phase == Phase::Ended) {
+        return Err(Violation::WaitsForNothing(desk.port));
+    }
+    if desk.phase != Phase::Open {
+        return Ok(());
+    }
+    if desk.deadline < task.now {
+        return Err(Violation::Overdue(desk.deadline));
     }
     let own =
-        command.id.incarnation == task.incarnation && task.next_sequence.is_newer_than(command.id.sequence);
-    if task.role(command.port) != Some(Role::Sends) || !own {
-        return Err(Violation::WaitsForNothing(command.port));
+        |id: MessageId| id.incarnation == task.incarnation && task.next_sequence.is_newer_than(id.sequence);
+    if desk.open().next().is_none() || !desk.open().all(|asked| own(asked.id)) {
+        return Err(Violation::WaitsForNothing(desk.port));
     }
-    let due = command.copy_at < task.now;
-    let idle = command.copies_left == 0 && command.copy_at != Ticks::FAR;
-    if due || idle { Err(Violation::ResendInstant(command.port)) } else { Ok(()) }
+    let due = desk.copy_at < task.now;
+    let idle = desk.copies_left == 0 && desk.copy_at != Ticks::FAR;
+    if due || idle { Err(Violation::ResendInstant(desk.port)) } else { Ok(()) }
 }
 
 fn check_meeting(task: &CommTask, table: &NodeTable, meeting: &Rendezvous) -> Result<(), Violation> {
@@ -189,118 +252,4 @@ fn check_meeting(task: &CommTask, table: &NodeTable, meeting: &Rendezvous) -> Re
 }
 
 #[cfg(test)]
-mod tests {
-    use super::super::{Input, Outbox};
-    use super::*;
-    use crate::cell::{Cell, PortDecl, Usage};
-    use crate::ids::{Incarnation, NodeId, Seq24};
-    use crate::packet::{Contents, Packet};
-    use crate::request::{Request, Signal, Target, TimeId};
-    use crate::table::CellTable;
-    use alloc::format;
-    use alloc::sync::Arc;
-    use alloc::vec::Vec;
-
-    const MOVE: PortId = PortId(0);
-    const LIFT: PortId = PortId(1);
-    const A: TaskId = TaskId(0);
-
-    #[derive(Default)]
-    struct Packets(Vec<Packet>);
-
-    impl Outbox for Packets {
-        fn transmit(&mut self, packet: Packet) {
-            self.0.push(packet);
-        }
-        fn signal(&mut self, _: Signal) {}
-        fn arm(&mut self, _: TimeId, _: u8, _: Ticks) {}
-        fn disarm(&mut self, _: TimeId) {}
-    }
-
-    /// Task B waits at the waitfor and holds a command of task A; task A waits for the answer.
-    fn pair() -> (NodeTable, CommTask, CommTask) {
-        let mut cell = Cell::new("pair", Ticks(1));
-        let node = cell.node("n");
-        let (a, b) = (cell.task("a", node), cell.task("b", node));
-        cell.port(PortDecl::new("move", a, Usage::Send, &[b], Ticks(20)).command().retry(2, Ticks(4)));
-        cell.port(PortDecl::new("lift", b, Usage::Waitfor, &[a], Ticks(40)).resend(Ticks(6), 1));
-        let table = NodeTable::new(Arc::new(CellTable::new(cell).unwrap()), NodeId(0));
-        let task = |t| CommTask::new(&table, t, Incarnation(0), false);
-        let (mut sender, mut receiver) = (task(a), task(b));
-        let mut out = Packets::default();
-        receiver.handle(&table, Input::Advance(Ticks(10)), &mut out);
-        let contents = Contents::EMPTY;
-        let send = Request::Send { port: MOVE, to: Target::One(b), contents, time_out: None };
-        sender.handle(&table, Input::Request(send), &mut out);
-        receiver.handle(&table, Input::Packet(out.0[0]), &mut out);
-        let arrive = Request::Arrive { port: LIFT, arguments: [0; 8], time_out: None };
-        receiver.handle(&table, Input::Request(arrive), &mut out);
-        assert_eq!((check(&sender, &table), check(&receiver, &table)), (Ok(()), Ok(())));
-        (table, sender, receiver)
-    }
-
-    /// What `check` says of the receiver after a fault was planted.
-    fn planted(fault: impl FnOnce(&mut CommTask)) -> Violation {
-        let (table, _, mut receiver) = pair();
-        fault(&mut receiver);
-        check(&receiver, &table).unwrap_err()
-    }
-
-    #[test]
-    fn a_planted_fault_in_a_buffer_or_memory_is_found() {
-        let id = MessageId::default();
-        let inbox = |task: &mut CommTask, change: fn(&mut Held)| {
-            task.inboxes[0].queue.rekey(|key, held| {
-                change(held);
-                key
-            });
-        };
-        assert_eq!(planted(|t| inbox(t, |h| h.expires = Ticks(10))), Violation::HoldsExpired(MOVE, A, id));
-        assert_eq!(planted(|t| inbox(t, |h| h.class = Class::Status)), Violation::HoldsForeign(MOVE, A, id));
-        assert_eq!(planted(|t| t.sources[0].command = None), Violation::NotRemembered(MOVE, A, id));
-        let memory = |task: &mut CommTask, change: fn(&mut Remembered)| {
-            change(task.sources[0].command.as_mut().unwrap());
-        };
-        let not_remembered = Violation::NotRemembered(MOVE, A, id);
-        assert_eq!(planted(|t| memory(t, |c| c.fate = Fate::Refused)), not_remembered);
-        assert_eq!(planted(|t| memory(t, |c| c.until = Ticks(10))), not_remembered);
-        assert_eq!(planted(|t| memory(t, |c| c.until = Ticks(15))), Violation::MemoryTooShort(A, id));
-    }
-
-    #[test]
-    fn a_planted_fault_in_a_waitfor_is_found() {
-        use super::super::rendezvous::Arrived;
-        let meeting = |change: fn(&mut Rendezvous)| planted(|t| change(&mut t.meetings[0]));
-        assert_eq!(meeting(|m| m.deadline = None), Violation::MeetingAndWaitDiffer(LIFT));
-        assert_eq!(planted(|t| t.pending = Pending::Nothing), Violation::MeetingAndWaitDiffer(LIFT));
-        assert_eq!(meeting(|m| m.deadline = Some(Ticks(9))), Violation::Overdue(Ticks(9)));
-        assert_eq!(meeting(|m| m.resend_at = Ticks(15)), Violation::ResendInstant(LIFT));
-        assert_eq!(meeting(|m| m.copy_at = Ticks(15)), Violation::ResendInstant(LIFT));
-        assert_eq!(meeting(|m| m.fresh = Round(0)), Violation::Rounds(LIFT));
-        assert_eq!(meeting(|m| m.released = Some(Round(2))), Violation::Rounds(LIFT));
-        assert_eq!(meeting(|m| m.owes_confirm = true), Violation::OwesConfirm(LIFT));
-        let barred = meeting(|m| {
-            m.members[1].arrived = Some(Arrived { round: Round(1), expires: Ticks(50), arguments: [0; 8] });
-            m.members[1].barred = Some(Round(1));
-        });
-        assert_eq!(barred, Violation::HoldsBarred(LIFT, A, Round(1)));
-        assert_eq!(format!("{barred}"), "waitfor P1 counts the arrival of T0 in r1, which it gave up");
-    }
-
-    #[test]
-    fn a_planted_fault_in_a_wait_for_an_answer_is_found() {
-        let planted = |change: fn(&mut Command)| {
-            let (table, mut sender, _) = pair();
-            sender.now = Ticks(3);
-            let Pending::Reply(command) = &mut sender.pending else { panic!("it waits for the answer") };
-            change(command);
-            check(&sender, &table)
-        };
-        assert_eq!(planted(|_| ()), Ok(()));
-        assert_eq!(planted(|c| c.deadline = Ticks(2)), Err(Violation::Overdue(Ticks(2))));
-        assert_eq!(planted(|c| c.copy_at = Ticks(2)), Err(Violation::ResendInstant(MOVE)));
-        assert_eq!(planted(|c| c.copies_left = 0), Err(Violation::ResendInstant(MOVE)));
-        assert_eq!(planted(|c| c.port = LIFT), Err(Violation::WaitsForNothing(LIFT)));
-        assert_eq!(planted(|c| c.id.sequence = Seq24::new(1)), Err(Violation::WaitsForNothing(MOVE)));
-    }
-}
+mod tests;

@@ -1,7 +1,8 @@
 //! What a communication task remembers of the messages it took, so that none is executed twice (D6, D52).
 
-use super::rendezvous::is_older;
-use crate::ids::{Incarnation, MessageId, PortId, Seq24, TaskId};
+use super::fragments::{Assembly, Parts};
+use crate::cell::PortDecl;
+use crate::ids::{MessageId, Seq24, TaskId};
 use crate::packet::Contents;
 use crate::ticks::Ticks;
 use serde::{Deserialize, Serialize};
@@ -19,10 +20,10 @@ pub(crate) enum Fate {
     Answered(Contents),
 }
 
-/// The last class-2 message of one source. One slot is enough: a task has one outstanding communication (R93).
+/// The last class-2 message of one source on one port. One slot is enough: a task has at most one outstanding request on a
+/// port (D75).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(crate) struct Remembered {
-    pub port: PortId,
     pub id: MessageId,
     pub fate: Fate,
     /// When the sender's wait ends at the latest, on this task's counter.
@@ -53,6 +54,17 @@ impl Window {
         admitted
     }
 
+    /// Whether a message was seen, or is too old to tell.
+    pub fn has(&self, sequence: Seq24, now: Ticks) -> bool {
+        let newest = self.newest.filter(|_| self.until > now);
+        newest.is_some_and(|newest| {
+            !sequence.is_newer_than(newest) && {
+                let back = newest.steps_from(sequence);
+                back == 0 || back > 64 || self.seen & (1 << (back - 1)) != 0
+            }
+        })
+    }
+
     fn note(&mut self, sequence: Seq24) -> bool {
         let Some(newest) = self.newest else {
             *self = Self { newest: Some(sequence), ..*self };
@@ -76,14 +88,16 @@ impl Window {
     }
 }
 
-/// Everything remembered of one source task.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+/// Everything remembered of what one task sends on one port (D75).
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Source {
     pub task: TaskId,
-    /// The life of the source's node that it was last heard in.
-    pub life: Option<Incarnation>,
     pub command: Option<Remembered>,
     pub status: Window,
+    /// A message of several packets that is not whole yet.
+    pub assembly: Assembly,
+    /// What comes after the first packet of the answer.
+    pub answer: Parts,
 }
 
 /// How a class-2 message relates to what is remembered.
@@ -98,20 +112,19 @@ pub(crate) enum Seen {
 }
 
 impl Source {
-    pub const fn new(task: TaskId) -> Self {
-        Self { task, life: None, command: None, status: Window { newest: None, seen: 0, until: Ticks::ZERO } }
+    pub fn new(task: TaskId, port: &PortDecl) -> Self {
+        Self {
+            task,
+            command: None,
+            status: Window::default(),
+            assembly: Assembly::new(if port.fragments > 1 { port.fragments } else { 0 }),
+            answer: Parts::new(port.answer_fragments),
+        }
     }
 
-    /// Whether the message comes from the source's present life, of which this takes note: a new life starts with an
-    /// empty memory.
-    pub fn enter_life(&mut self, life: Incarnation) -> bool {
-        match self.life {
-            Some(known) if is_older(life, known) => return false,
-            Some(known) if known != life => *self = Self::new(self.task),
-            Some(_) | None => {}
-        }
-        self.life = Some(life);
-        true
+    /// The source's node has a new life: nothing that the earlier one sent matters any more.
+    pub fn forget(&mut self) {
+        (self.command, self.status, self.assembly.have) = (None, Window::default(), 0);
     }
 
     /// Looks a class-2 message of the present life up.
@@ -140,9 +153,11 @@ mod tests {
             let mut seen = BTreeSet::new();
             let mut newest = None;
             for offset in offsets {
+                let had = window.has(Seq24::new(base).plus(offset), Ticks(1));
                 let admitted = window.admit(Seq24::new(base).plus(offset), Ticks(1), Ticks(9));
                 let recent = newest.is_none_or(|n| offset + 64 >= n);
                 prop_assert_eq!(admitted, recent && !seen.contains(&offset));
+                prop_assert_eq!(had, !admitted);
                 if admitted { seen.insert(offset); }
                 newest = newest.max(Some(offset));
             }

@@ -4,19 +4,25 @@
 //! lock, allocates nothing and accepts every input in every state. Time reaches it only as [`Input::Advance`]. The
 //! drivers (the model checker, the threaded runtime, the simulator, the validator) differ in where inputs come from.
 //!
-//! Of the four layers of §5.2, `user` talks with the task, [`mapping`](crate::mapping) turns names into packets,
+//! Of the four layers of §5.2, `requests` and `messages` are the user layer: they talk with the task; [`mapping`](crate::mapping) turns names into packets,
 //! [`route`](crate::route) finds the succeeding node, and the primitive layer is the driver's link.
 
+mod desk;
+mod fragments;
 mod ignores;
 mod inbox;
 pub mod invariants;
+mod levels;
 mod memory;
+mod messages;
 mod packed;
 mod relative;
 mod rendezvous;
-mod user;
+mod requests;
+mod timers;
 mod view;
 
+pub(crate) use fragments::Parts;
 pub use packed::{Frame, Overflow};
 pub use relative::{Visit, VisitMut};
 
@@ -24,15 +30,17 @@ use crate::cell::Usage;
 use crate::ids::{Incarnation, MessageId, NodeId, PortId, Seq24, TaskId};
 use crate::observe::{Event, Observation, PortCounters, Reason};
 use crate::packet::{Class, Contents, Packet};
-use crate::request::{Outcome, Request, ServiceOrder, Signal, TimeId};
+use crate::request::{Request, ServiceOrder, Signal, TimeId};
 use crate::table::{NodeTable, Port};
 use crate::ticks::Ticks;
 use alloc::boxed::Box;
 use alloc::vec::Vec;
-use inbox::{Held, Inbox};
-use memory::Source;
+use desk::{Desk, Overdue};
+use inbox::Inbox;
+use levels::{DEPTH, Finished, Level};
 use rendezvous::{At, Rendezvous};
 use serde::{Deserialize, Serialize};
+use timers::Timers;
 
 /// Everything that can happen to a communication task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
@@ -72,22 +80,7 @@ pub trait Outbox {
     }
 }
 
-/// A class-2 message whose answer the task waits for.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
-pub(crate) struct Command {
-    port: PortId,
-    to: TaskId,
-    id: MessageId,
-    deadline: Ticks,
-    contents: Contents,
-    /// How often it may still be sent again, and when next (D5).
-    copies_left: u8,
-    copy_at: Ticks,
-    /// Copies that may have left the node.
-    copies_out: u8,
-}
-
-/// What the task waits for: one outstanding communication (R93).
+/// What a thread of the task waits for: one outstanding communication (R93).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(crate) enum Pending {
     Nothing,
@@ -96,10 +89,16 @@ pub(crate) enum Pending {
         source: Option<TaskId>,
         deadline: Ticks,
     },
-    Reply(Command),
+    /// The answers to the request at this desk; its deadline stands there.
+    Reply(u16),
     /// The rendezvous at this position of the list; its deadline stands there.
     Meeting(u16),
+    /// A delay, and which start of it.
     Delay(TimeId, u8),
+    /// The end of an action outside.
+    Work,
+    /// Nothing, but a handler runs between two of its statements.
+    Boundary,
 }
 
 /// Where the parts of a communication task work.
@@ -117,9 +116,16 @@ pub(crate) struct Scene<'a> {
 /// What the task does with a port, and where the state for it stands.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 enum Role {
+    /// Sends what is not answered.
     Sends,
+    /// Sends what is answered, at this desk.
+    Asks(u16),
     Receives(u16),
     Meets(u16),
+    /// Answers for others (D11).
+    Replies,
+    /// Takes such answers.
+    Hears,
 }
 
 /// One of the task's ports.
@@ -128,6 +134,15 @@ struct Local {
     port: PortId,
     role: Role,
     counters: PortCounters,
+    /// The fragments of the next message or answer (D28).
+    staged: Parts,
+}
+
+/// The life of a source's node that it was last heard in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+struct Known {
+    task: TaskId,
+    life: Option<Incarnation>,
 }
 
 /// A communication task. Sized from the declaration by [`CommTask::new`], which makes its only allocations.
@@ -147,58 +162,36 @@ pub struct CommTask {
     arrivals: u64,
     /// Until when a restarted task cannot know what its earlier life ran (D49).
     quarantine_until: Ticks,
-    pending: Pending,
+    /// The task's thread, then the handlers that run; `depth` of them.
+    levels: Box<[Level]>,
+    depth: u8,
+    /// Numbers the rounds of rejections (D58).
+    rejections: u64,
+    timers: Timers,
     /// Only under the rule variant that accepts late replies: the last command that timed out.
-    overdue: Option<Command>,
+    overdue: Option<Overdue>,
     order: ServiceOrder,
     locals: Box<[Local]>,
+    desks: Box<[Desk]>,
     inboxes: Box<[Inbox]>,
     meetings: Box<[Rendezvous]>,
     /// One per task that may send to this one, ascending.
-    sources: Box<[Source]>,
+    lives: Box<[Known]>,
+    /// The message the task took last (D28).
+    taken: (Option<Contents>, Parts),
 }
 
 impl CommTask {
-    /// How many delays and timers of one task run at a time.
+    /// How many timers of one task run at a time.
     pub const TIMERS: usize = 8;
+    /// How many entries of the node's Timer one task can have: its timers, and a delay of every thread.
+    pub const ENTRIES: usize = Self::TIMERS + DEPTH + 1;
 
     /// The communication task of `task` in this life of its node. `restarted` says that an earlier life may have run
     /// commands: for as long as any of them can live, commands are answered with RESTARTED (D49).
     #[must_use]
     pub fn new(table: &NodeTable, task: TaskId, incarnation: Incarnation, restarted: bool) -> Self {
-        let mut locals = Vec::new();
-        let (mut inboxes, mut meetings, mut sources) = (Vec::new(), Vec::new(), Vec::new());
-        let mut quarantine_until = Ticks::ZERO;
-        for &id in table.ports_of(task) {
-            let Some(port) = table.port(id) else { continue };
-            let Some(party) = port.party(task) else { continue };
-            let role = match party.usage {
-                Usage::Send | Usage::Query | Usage::Reply => Role::Sends,
-                Usage::Receive | Usage::Response => {
-                    inboxes.push(Inbox::new(id, port.decl.bounded_buffer));
-                    for peer in port.peers(task) {
-                        let life = port.party(peer).map_or(Ticks::ZERO, |p| p.time_out);
-                        if restarted && port.decl.class == Class::Command {
-                            quarantine_until = quarantine_until.max(life + table.bound_between(peer, task));
-                        }
-                        sources.push(peer);
-                    }
-                    Role::Receives(index(inboxes.len() - 1))
-                }
-                Usage::Waitfor => {
-                    for party in port.parties.iter().filter(|party| restarted && party.task != task) {
-                        let life = party.time_out + table.bound_between(party.task, task);
-                        quarantine_until = quarantine_until.max(life);
-                    }
-                    meetings.push(Rendezvous::new(id, port.parties.len(), table.rules().rounds));
-                    Role::Meets(index(meetings.len() - 1))
-                }
-            };
-            locals.push(Local { port: id, role, counters: PortCounters::default() });
-        }
-        sources.sort_unstable();
-        sources.dedup();
-        Self {
+        let mut new = Self {
             task,
             incarnation,
             restarted,
@@ -206,15 +199,64 @@ impl CommTask {
             next_sequence: Seq24::default(),
             next_turn: 0,
             arrivals: 0,
-            quarantine_until,
-            pending: Pending::Nothing,
+            quarantine_until: Ticks::ZERO,
+            levels: Box::new([Level::NEW; DEPTH + 1]),
+            depth: 0,
+            rejections: 1,
+            timers: Timers::default(),
             overdue: None,
             order: ServiceOrder::default(),
-            locals: locals.into(),
-            inboxes: inboxes.into(),
-            meetings: meetings.into(),
-            sources: sources.into_iter().map(Source::new).collect(),
+            locals: Box::default(),
+            desks: Box::default(),
+            inboxes: Box::default(),
+            meetings: Box::default(),
+            lives: Box::default(),
+            taken: (None, Parts::default()),
+        };
+        let (mut locals, mut desks) = (Vec::new(), Vec::new());
+        let (mut inboxes, mut meetings, mut sources) = (Vec::new(), Vec::new(), Vec::new());
+        let mut longest = 1;
+        for &id in table.ports_of(task) {
+            let Some(port) = table.port(id) else { continue };
+            let Some(party) = port.party(task) else { continue };
+            let asks = port.decl.class == Class::Command;
+            let mut fragments = port.decl.fragments;
+            let role = match party.usage {
+                Usage::Send | Usage::Query if asks => {
+                    desks.push(Desk::new(port, task));
+                    Role::Asks(index(desks.len() - 1))
+                }
+                Usage::Send | Usage::Query => Role::Sends,
+                Usage::Receive if port.decl.usage == Usage::Reply => Role::Hears,
+                Usage::Receive | Usage::Response => {
+                    longest = longest.max(fragments);
+                    fragments = port.decl.answer_fragments;
+                    inboxes.push(Inbox::new(port, task));
+                    sources.extend(port.peers(task));
+                    Role::Receives(index(inboxes.len() - 1))
+                }
+                Usage::Reply => {
+                    fragments = port.decl.answer_fragments;
+                    Role::Replies
+                }
+                Usage::Waitfor => {
+                    meetings.push(Rendezvous::new(id, port.parties.len(), table.rules().rounds));
+                    Role::Meets(index(meetings.len() - 1))
+                }
+            };
+            if restarted {
+                new.quarantine_until = new.quarantine_until.max(quarantine(table, port, role, task));
+            }
+            let staged = Parts::new(fragments);
+            locals.push(Local { port: id, role, counters: PortCounters::default(), staged });
         }
+        sources.sort_unstable();
+        sources.dedup();
+        new.lives = sources.into_iter().map(|task| Known { task, life: None }).collect();
+        new.taken.1 = Parts::new(longest);
+        (new.locals, new.desks) = (locals.into(), desks.into());
+        (new.inboxes, new.meetings) = (inboxes.into(), meetings.into());
+        new
     }
 
     /// The task it belongs to.
@@ -229,48 +271,41 @@ impl CommTask {
         self.incarnation
     }
 
-    /// Takes one input and fills the outbox. Total: no input in any state panics.
+    /// Takes one input and fills the outbox. Total: no input in any state panics. The task gets at most one signal of it.
     pub fn handle(&mut self, table: &NodeTable, input: Input, out: &mut impl Outbox) {
         match input {
             Input::Advance(elapsed) => self.advance(table, elapsed, out),
             Input::Request(request) => self.request(table, request, out),
             Input::Packet(packet) => self.packet(table, &packet, out),
-            Input::TimeOut { id, turn } => {
-                if self.pending == Pending::Delay(id, turn) {
-                    self.pending = Pending::Nothing;
-                    out.signal(Signal::TimeOut(id));
-                }
-            }
-            Input::Unsent(id) => {
-                if let Pending::Reply(command) = &mut self.pending
-                    && command.id == id
-                {
-                    command.copies_out = command.copies_out.saturating_sub(1);
-                }
-            }
+            Input::TimeOut { id, turn } => self.time_is_over(id, turn, out),
+            Input::Unsent(id) => self.unsent(id),
             Input::PeerRestarted(node) => self.peer_restarted(table, node, out),
         }
+        self.offer_to_waiting(table, out);
     }
 
     /// How long from the last [`Input::Advance`] until time alone makes this task act; `None`: never.
     #[must_use]
     pub fn next_expiry(&self) -> Option<Ticks> {
-        let pending = match &self.pending {
-            Pending::Get { deadline, .. } => *deadline,
-            Pending::Reply(command) => command.deadline.min(command.copy_at),
-            Pending::Nothing | Pending::Meeting(_) | Pending::Delay(..) => Ticks::FAR,
+        let get = match self.top().pending {
+            Pending::Get { deadline, .. } => deadline,
+            Pending::Nothing
+            | Pending::Reply(_)
+            | Pending::Meeting(_)
+            | Pending::Delay(..)
+            | Pending::Work
+            | Pending::Boundary => Ticks::FAR,
         };
-        let meetings = self.meetings.iter().map(Rendezvous::due);
-        let buffers =
-            self.inboxes.iter().filter_map(|inbox| inbox.queue.first().map(|(_, _, held)| held.expires));
-        let due = meetings.chain(buffers).fold(pending, Ticks::min);
+        let waits = self.meetings.iter().map(Rendezvous::due).chain(self.desks.iter().map(Desk::due));
+        let buffers = self.inboxes.iter().map(Inbox::due);
+        let due = waits.chain(buffers).fold(get.min(self.next_offer()), Ticks::min);
         (due != Ticks::FAR).then(|| due - self.now)
     }
 
-    /// Whether the task has no outstanding request.
+    /// Whether the thread that runs, the task's own or a handler, has no outstanding request.
     #[must_use]
     pub fn is_idle(&self) -> bool {
-        self.pending == Pending::Nothing
+        self.top().pending == Pending::Nothing
     }
 
     fn scene<'a>(&self, table: &'a NodeTable) -> Scene<'a> {
@@ -284,14 +319,17 @@ impl CommTask {
         }
     }
 
+    fn local_at(&self, port: PortId) -> Option<usize> {
+        self.locals.binary_search_by_key(&port, |local| local.port).ok()
+    }
+
     fn local(&mut self, port: PortId) -> Option<&mut Local> {
-        let at = self.locals.binary_search_by_key(&port, |local| local.port).ok()?;
+        let at = self.local_at(port)?;
         self.locals.get_mut(at)
     }
 
     fn role(&self, port: PortId) -> Option<Role> {
-        let at = self.locals.binary_search_by_key(&port, |local| local.port).ok()?;
-        Some(self.locals[at].role)
+        Some(self.locals[self.local_at(port)?].role)
     }
 
     fn count(&mut self, port: PortId, count: impl FnOnce(&mut PortCounters)) {
@@ -300,19 +338,26 @@ impl CommTask {
         }
     }
 
-    /// Runs a step of a rendezvous with its surroundings.
-    fn meet<R>(
+    /// Runs a step of a rendezvous with its surroundings, and tells the task where that releases it.
+    fn meet<R, O: Outbox>(
         &mut self,
         table: &NodeTable,
         meeting: u16,
-        step: impl FnOnce(&mut Rendezvous, &mut At<'_>) -> R,
+        out: &mut O,
+        step: impl FnOnce(&mut Rendezvous, &mut At<'_>, &mut O) -> R,
     ) -> Option<R> {
         let scene = self.scene(table);
         let rendezvous = self.meetings.get_mut(usize::from(meeting))?;
-        let port: &Port = table.port(rendezvous.port)?;
-        let at = self.locals.binary_search_by_key(&rendezvous.port, |local| local.port).ok()?;
+        let id = rendezvous.port;
+        let port: &Port = table.port(id)?;
+        let at = self.locals.binary_search_by_key(&id, |local| local.port).ok()?;
         let counters = &mut self.locals[at].counters;
-        Some(step(rendezvous, &mut At { scene: &scene, port, counters }))
+        let mut at = At { scene: &scene, port, counters, released: None };
+        let done = step(rendezvous, &mut at, out);
+        if let Some((round, by)) = at.released {
+            self.conclude(Pending::Meeting(meeting), Finished::Released { port: id, round, by }, out);
+        }
+        Some(done)
     }
 
     /// Time passes (§5.1.2). Only what is due is touched: the rest keeps its expiry instant.
@@ -323,15 +368,16 @@ impl CommTask {
         }
         for i in 0..self.inboxes.len() {
             self.discard_expired(i, out);
+            self.discard_incomplete(i, out);
         }
-        match self.pending {
-            Pending::Get { deadline, .. } if deadline <= self.now => {
-                self.pending = Pending::Nothing;
-                out.signal(Signal::Nothing);
-            }
-            Pending::Reply(command) if command.deadline <= self.now => self.time_out(table, command, out),
-            Pending::Reply(command) if command.copy_at <= self.now => self.send_again(table, command, out),
-            _ => {}
+        if let Pending::Get { deadline, .. } = self.top().pending
+            && deadline <= self.now
+        {
+            self.top_mut().pending = Pending::Nothing;
+            out.signal(Signal::Nothing);
+        }
+        for i in 0..self.desks.len() {
+            self.advance_desk(table, i, out);
         }
         for i in 0..self.meetings.len() {
             if self.meetings[i].due() <= self.now {
@@ -341,14 +387,13 @@ impl CommTask {
     }
 
     fn advance_meeting(&mut self, table: &NodeTable, meeting: u16, out: &mut impl Outbox) {
-        let gave_up = self.meet(table, meeting, |rendezvous, at| {
+        let gave_up = self.meet(table, meeting, out, |rendezvous, at, out| {
             rendezvous.advance(at, out);
             let over = rendezvous.deadline.is_some_and(|deadline| deadline <= at.scene.now);
             over.then(|| (rendezvous.port, rendezvous.announced, rendezvous.leave(at, out)))
         });
         if let Some(Some((port, round, missing))) = gave_up {
-            self.pending = Pending::Nothing;
-            out.signal(Signal::GaveUp { port, round, missing });
+            self.conclude(Pending::Meeting(meeting), Finished::GaveUp { port, round, missing }, out);
         }
     }
 
@@ -371,36 +416,8 @@ impl CommTask {
         }
     }
 
-    fn time_out(&mut self, table: &NodeTable, command: Command, out: &mut impl Outbox) {
-        self.pending = Pending::Nothing;
-        if !table.rules().refuse_late_replies {
-            self.overdue = Some(command);
-        }
-        self.count(command.port, |c| c.timed_out += 1);
-        let (outcome, event) = if command.copies_out == 0 {
-            (Outcome::TimedOutUnsent, Event::TimedOutUnsent)
-        } else {
-            (Outcome::TimedOutUnknown, Event::TimedOut)
-        };
-        note(out, event, command.port, command.to, command.id, Ticks::ZERO);
-        out.signal(Signal::Outcome(outcome));
-    }
-
     fn peer_restarted(&mut self, table: &NodeTable, node: NodeId, out: &mut impl Outbox) {
-        if let Pending::Reply(command) = self.pending
-            && table.location(command.to) == Some(node)
-        {
-            self.pending = Pending::Nothing;
-            note(
-                out,
-                Event::PeerRestarted,
-                command.port,
-                command.to,
-                command.id,
-                command.deadline - self.now,
-            );
-            out.signal(Signal::Outcome(Outcome::PeerRestarted));
-        }
+        self.asked_restarted(table, node, out);
         for meeting in &mut self.meetings {
             let Some(port) = table.port(meeting.port) else { continue };
             for (i, party) in port.parties.iter().enumerate() {
@@ -409,6 +426,20 @@ impl CommTask {
                 }
             }
         }
+    }
+}
+
+/// How long what others sent on a port to an earlier life of `task` may still arrive (D49).
+fn quarantine(table: &NodeTable, port: &Port, role: Role, task: TaskId) -> Ticks {
+    let others = port.parties.iter().filter(|party| party.task != task);
+    let lives = others.map(|party| party.time_out + table.bound_between(party.task, task));
+    match role {
+        Role::Meets(_) => lives.max().unwrap_or_default(),
+        Role::Receives(_) if port.decl.class == Class::Command => {
+            let peers = port.peers(task).filter_map(|peer| port.party(peer));
+            peers.map(|p| p.time_out + table.bound_between(p.task, task)).max().unwrap_or_default()
+        }
+        Role::Receives(_) | Role::Sends | Role::Asks(_) | Role::Replies | Role::Hears => Ticks::ZERO,
     }
 }
 
@@ -421,9 +452,4 @@ fn note(out: &mut impl Outbox, event: Event, port: PortId, peer: TaskId, id: Mes
 #[expect(clippy::cast_possible_truncation, reason = "a cell has at most 65,536 ports")]
 const fn index(i: usize) -> u16 {
     i as u16
-}
-
-/// A message held in a buffer, for the queue of a port.
-const fn held(packet: &Packet, class: Class, expires: Ticks) -> Held {
-    Held { source: packet.source, id: packet.id, class, expires, contents: packet.contents }
 }

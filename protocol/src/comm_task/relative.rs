@@ -1,7 +1,9 @@
 //! Everything relative in a state (D51): instants, rounds, sequences. One list of them serves looking, moving the clock
 //! and shifting ids; and here is what of a state is dead.
 
+use super::desk::Phase;
 use super::inbox::Inbox;
+use super::levels::Finished;
 use super::memory::{Fate, Window};
 use super::rendezvous::{Arrived, Rendezvous};
 use super::{CommTask, Pending};
@@ -34,35 +36,48 @@ macro_rules! relatives {
         let own = $self.task;
         $v.sequence(own, & $($m)? $self.next_sequence);
         $v.instant(& $($m)? $self.quarantine_until);
-        for command in [& $($m)? $self.overdue] {
-            if let Some(command) = command {
-                $v.sequence(own, & $($m)? command.id.sequence);
-                $v.instant(& $($m)? command.deadline);
-                $v.instant(& $($m)? command.copy_at);
-            }
+        if let Some(overdue) = & $($m)? $self.overdue {
+            $v.sequence(own, & $($m)? overdue.id.sequence);
         }
-        match & $($m)? $self.pending {
-            Pending::Get { deadline, .. } => $v.instant(deadline),
-            Pending::Reply(command) => {
-                $v.sequence(own, & $($m)? command.id.sequence);
-                $v.instant(& $($m)? command.deadline);
-                $v.instant(& $($m)? command.copy_at);
+        for level in & $($m)? $self.levels {
+            if let Pending::Get { deadline, .. } = & $($m)? level.pending {
+                $v.instant(deadline);
             }
-            Pending::Nothing | Pending::Meeting(_) | Pending::Delay(..) => {}
-        }
-        for source in & $($m)? $self.sources {
-            let task = source.task;
-            if let Some(command) = & $($m)? source.command {
-                $v.sequence(task, & $($m)? command.id.sequence);
-                $v.instant(& $($m)? command.sender_until);
-                $v.instant(& $($m)? command.until);
-                if let Fate::Delivered(budget_ends) = & $($m)? command.fate {
-                    $v.instant(budget_ends);
+            match & $($m)? level.finished {
+                Some(Finished::Released { port, round, .. } | Finished::GaveUp { port, round, .. }) => {
+                    $v.round(*port, round);
                 }
+                Some(Finished::Outcome(_) | Finished::Answers(_) | Finished::TimeOut(_)) | None => {}
             }
-            if let Some(newest) = & $($m)? source.status.newest {
-                $v.sequence(task, newest);
-                $v.instant(& $($m)? source.status.until);
+        }
+        for desk in & $($m)? $self.desks {
+            if desk.phase == Phase::Open {
+                $v.instant(& $($m)? desk.deadline);
+                $v.instant(& $($m)? desk.copy_at);
+            }
+            for asked in & $($m)? desk.asked {
+                $v.sequence(own, & $($m)? asked.id.sequence);
+            }
+        }
+        for inbox in & $($m)? $self.inboxes {
+            for source in & $($m)? inbox.sources {
+                let task = source.task;
+                if let Some(command) = & $($m)? source.command {
+                    $v.sequence(task, & $($m)? command.id.sequence);
+                    $v.instant(& $($m)? command.sender_until);
+                    $v.instant(& $($m)? command.until);
+                    if let Fate::Delivered(budget_ends) = & $($m)? command.fate {
+                        $v.instant(budget_ends);
+                    }
+                }
+                if let Some(newest) = & $($m)? source.status.newest {
+                    $v.sequence(task, newest);
+                    $v.instant(& $($m)? source.status.until);
+                }
+                if source.assembly.is_open() {
+                    $v.sequence(task, & $($m)? source.assembly.id.sequence);
+                    $v.instant(& $($m)? source.assembly.expires);
+                }
             }
         }
         for meeting in & $($m)? $self.meetings {
@@ -114,6 +129,7 @@ impl CommTask {
             for (_, _, held) in inbox.queue.iter() {
                 v.sequence(held.source, &held.id.sequence);
                 v.instant(&held.expires);
+                v.instant(&held.not_before);
             }
         }
     }
@@ -125,6 +141,7 @@ impl CommTask {
             inbox.queue.rekey(|key, held| {
                 v.sequence(held.source, &mut held.id.sequence);
                 v.instant(&mut held.expires);
+                v.instant(&mut held.not_before);
                 Inbox::key_again(key, held)
             });
         }
@@ -170,10 +187,20 @@ impl CommTask {
         if self.quarantine_until <= now {
             self.quarantine_until = now;
         }
-        for source in &mut self.sources {
-            source.command = source.command.filter(|c| c.until > now);
-            if source.status.until <= now {
-                source.status = Window::default();
+        for inbox in &mut self.inboxes {
+            if inbox.queue.len() == 0 {
+                inbox.bypassed = 0;
+            }
+            for source in &mut inbox.sources {
+                source.command = source.command.filter(|c| c.until > now);
+                if source.status.until <= now {
+                    source.status = Window::default();
+                }
+            }
+        }
+        for desk in self.desks.iter_mut().filter(|desk| desk.phase == Phase::Closed) {
+            for asked in &mut desk.asked {
+                asked.id.sequence = self.next_sequence;
             }
         }
         for meeting in &mut self.meetings {

@@ -9,7 +9,7 @@ use crate::cell::MAX_MEMBERS;
 use crate::ids::{Incarnation, MessageId, PortId, Round, Seq24, TaskId};
 use crate::observe::{Event, MeetingState, MeetingView, MemberView, Observation, PortCounters, Reason};
 use crate::packet::{Class, Contents, Kind, MAX_HOPS, Meeting, Packet};
-use crate::request::{ReleasedBy, Signal};
+use crate::request::ReleasedBy;
 use crate::rules::Confirmation;
 use crate::table::Port;
 use crate::ticks::Ticks;
@@ -70,6 +70,8 @@ pub(crate) struct At<'a> {
     pub scene: &'a Scene<'a>,
     pub port: &'a Port,
     pub counters: &'a mut PortCounters,
+    /// The task is released from this round: to be told.
+    pub released: Option<(Round, ReleasedBy)>,
 }
 
 impl Rendezvous {
@@ -414,7 +416,7 @@ impl Rendezvous {
             ReleasedBy::Confirm(_) => Event::ReleasedByConfirm,
         };
         self.note(event, at.scene.task, left, out);
-        out.signal(Signal::Released { port: self.port, round, by });
+        at.released = Some((round, by));
         let complete = by == ReleasedBy::AllArrived;
         match at.scene.table.rules().confirmation {
             Confirmation::None => {}

@@ -31,20 +31,20 @@ impl CommTask {
         (arrived.round == rendezvous.announced).then_some(arrived.arguments)
     }
 
-    /// What the task is doing.
+    /// What the task is doing: while a handler runs, what that does.
     #[must_use]
     pub fn state(&self) -> TaskState {
-        match self.pending {
-            Pending::Nothing => TaskState::Running,
+        match self.top().pending {
+            Pending::Nothing | Pending::Work | Pending::Boundary => TaskState::Running,
             Pending::Get { port, deadline, .. } => TaskState::Receiving {
                 port,
                 remaining: (deadline != Ticks::FAR).then(|| deadline - self.now),
             },
-            Pending::Reply(command) => TaskState::AwaitingReply {
-                port: command.port,
-                from: command.to,
-                remaining: command.deadline - self.now,
-            },
+            Pending::Reply(desk) => {
+                let desk = &self.desks[usize::from(desk)];
+                let from = desk.open().next().map_or(self.task, |asked| asked.task);
+                TaskState::AwaitingReply { port: desk.port, from, remaining: desk.deadline - self.now }
+            }
             Pending::Meeting(meeting) => {
                 let rendezvous = &self.meetings[usize::from(meeting)];
                 let remaining = rendezvous.deadline.unwrap_or(self.now) - self.now;
@@ -59,10 +59,10 @@ impl CommTask {
             let port = table.port(local.port)?;
             let inbox = match local.role {
                 Role::Receives(inbox) => self.inboxes.get(usize::from(inbox)),
-                Role::Sends | Role::Meets(_) => None,
+                Role::Sends | Role::Asks(_) | Role::Meets(_) | Role::Replies | Role::Hears => None,
             };
             let waiting = inbox.map(|inbox| inbox.queue.sorted()).unwrap_or_default();
-            let entry = |held: &super::Held| QueueEntry {
+            let entry = |held: &super::inbox::Held| QueueEntry {
                 source: held.source,
                 id: held.id,
                 class: held.class,
@@ -88,12 +88,9 @@ impl CommTask {
         self.next_sequence
     }
 
-    /// The id of the command the task waits to have answered.
+    /// Who was asked, and the id of the command, where the task waits to have one answered: the first of several.
     #[must_use]
-    pub const fn awaits(&self) -> Option<(TaskId, crate::ids::MessageId)> {
-        match &self.pending {
-            Pending::Reply(command) => Some((command.to, command.id)),
-            Pending::Nothing | Pending::Get { .. } | Pending::Meeting(_) | Pending::Delay(..) => None,
-        }
+    pub fn awaits(&self) -> Option<(TaskId, crate::ids::MessageId)> {
+        self.outstanding().next().map(|(_, task, id)| (task, id))
     }
 }

@@ -1,0 +1,349 @@
+//! The class-2 messages of a task that wait for their answers: one desk for each port it asks on (§4.1, D5, D6, D12).
+
+use super::fragments::{Assembly, Parts, Step};
+use super::levels::Finished;
+use super::{CommTask, Outbox, Pending, Role, note};
+use crate::ids::{MessageId, NodeId, PortId, TaskId};
+use crate::mapping;
+use crate::observe::{Event, Reason};
+use crate::packet::{Contents, Control, Kind, Packet};
+use crate::request::{Answers, Outcome};
+use crate::table::{NodeTable, Port};
+use crate::ticks::Ticks;
+use alloc::boxed::Box;
+use serde::{Deserialize, Serialize};
+
+/// Whether a request is outstanding.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub(crate) enum Phase {
+    /// No: what the tasks answered last may be read.
+    #[default]
+    Closed,
+    /// Yes.
+    Open,
+    /// It ended while a handler ran above the thread that asked, which was not told yet.
+    Ended,
+}
+
+/// What became of the request at one task.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub(crate) enum Answer {
+    #[default]
+    NotAsked,
+    Open,
+    Answered,
+    Refused,
+    Restarted,
+}
+
+/// A task that may be asked.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct Asked {
+    pub task: TaskId,
+    /// Its position among the parties of the port.
+    pub party: u8,
+    pub id: MessageId,
+    pub answer: Answer,
+    /// Packets of the request that may have left the node.
+    pub packets_out: u16,
+    /// What it answered.
+    pub contents: Assembly,
+}
+
+/// One port on which the task asks.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct Desk {
+    pub port: PortId,
+    pub phase: Phase,
+    /// Whether several tasks were asked.
+    pub set: bool,
+    pub deadline: Ticks,
+    /// How often the request may still be sent again, and when next (D5).
+    pub copies_left: u8,
+    pub copy_at: Ticks,
+    pub contents: Contents,
+    pub parts: Parts,
+    /// All tasks that may be asked, in the order of the parties.
+    pub asked: Box<[Asked]>,
+}
+
+/// Under the variant that takes late answers: the command that timed out last.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub(crate) struct Overdue {
+    pub port: PortId,
+    pub to: TaskId,
+    pub id: MessageId,
+}
+
+impl Desk {
+    pub fn new(port: &Port, own: TaskId) -> Self {
+        let fragments = port.decl.answer_fragments;
+        let asked = |task| Asked {
+            task,
+            party: port.party_index(task).and_then(|i| u8::try_from(i).ok()).unwrap_or(u8::MAX),
+            id: MessageId::default(),
+            answer: Answer::NotAsked,
+            packets_out: 0,
+            contents: Assembly::new(fragments),
+        };
+        Self {
+            port: port.id,
+            phase: Phase::Closed,
+            set: false,
+            deadline: Ticks::FAR,
+            copies_left: 0,
+            copy_at: Ticks::FAR,
+            contents: Contents::EMPTY,
+            parts: Parts::new(port.decl.fragments),
+            asked: port.peers(own).map(asked).collect(),
+        }
+    }
+
+    /// When time alone makes this desk act.
+    pub fn due(&self) -> Ticks {
+        match self.phase {
+            Phase::Open => self.deadline.min(self.copy_at),
+            Phase::Closed | Phase::Ended => Ticks::FAR,
+        }
+    }
+
+    /// The tasks whose answers are still waited for.
+    pub fn open(&self) -> impl Iterator<Item = &Asked> {
+        let open = self.phase == Phase::Open;
+        self.asked.iter().filter(move |asked| open && asked.answer == Answer::Open)
+    }
+
+    pub fn find(&self, task: TaskId) -> Option<usize> {
+        self.asked.iter().position(|asked| asked.task == task)
+    }
+
+    /// Which of the open requests has this id.
+    pub fn waits_for(&self, id: MessageId) -> Option<usize> {
+        let open = self.phase == Phase::Open;
+        self.asked.iter().position(|asked| open && asked.answer == Answer::Open && asked.id == id)
+    }
+
+    /// Takes back the request. What was answered can be read until the next one.
+    pub fn close(&mut self) {
+        self.phase = Phase::Closed;
+        self.settle();
+    }
+
+    fn settle(&mut self) {
+        (self.deadline, self.copy_at, self.copies_left) = (Ticks::FAR, Ticks::FAR, 0);
+        self.contents = Contents::EMPTY;
+        self.parts.clear();
+    }
+
+    /// How a request to several tasks stands.
+    pub fn answers(&self) -> Answers {
+        let mut answers = Answers::default();
+        for asked in &self.asked {
+            let bit = 1_u64.checked_shl(u32::from(asked.party)).unwrap_or(0);
+            answers.asked |= bit;
+            match asked.answer {
+                Answer::NotAsked => answers.asked &= !bit,
+                Answer::Open if asked.packets_out == 0 => answers.unsent |= bit,
+                Answer::Open => {}
+                Answer::Answered => answers.answered |= bit,
+                Answer::Refused => answers.refused |= bit,
+                Answer::Restarted => answers.restarted |= bit,
+            }
+        }
+        answers
+    }
+}
+
+impl CommTask {
+    /// What a task answered to the last request on a port, until the next one. A packed state leaves it out once the
+    /// request has ended: a checker reads it with the signal.
+    #[must_use]
+    pub fn answer_of(&self, port: PortId, task: TaskId) -> Option<&Contents> {
+        self.answer_fragment(port, task, 0)
+    }
+
+    /// Fragment `index` of [`answer_of`](Self::answer_of); the first one is 0.
+    #[must_use]
+    pub fn answer_fragment(&self, port: PortId, task: TaskId, index: u8) -> Option<&Contents> {
+        let Role::Asks(desk) = self.role(port)? else { return None };
+        let asked = self.desks[usize::from(desk)].asked.iter().find(|asked| asked.task == task)?;
+        (asked.answer == Answer::Answered).then(|| asked.contents.get(index)).flatten()
+    }
+
+    /// The requests whose answers the task waits for: port, who was asked, and the id.
+    pub fn outstanding(&self) -> impl Iterator<Item = (PortId, TaskId, MessageId)> {
+        self.desks.iter().flat_map(|desk| desk.open().map(|asked| (desk.port, asked.task, asked.id)))
+    }
+
+    /// D5: the same message_ID inside the one budget, to those that have not answered.
+    fn send_again(&mut self, table: &NodeTable, at: usize, out: &mut impl Outbox) {
+        let desk = &mut self.desks[at];
+        let Some(port) = table.port(desk.port) else { return };
+        desk.copies_left = desk.copies_left.saturating_sub(1);
+        desk.copy_at = if desk.copies_left > 0 { self.now + port.decl.resend } else { Ticks::FAR };
+        let left = desk.deadline - self.now;
+        let fragments = desk.parts.fragments().unwrap_or(1);
+        let stamp = self.stamp(table, left);
+        for i in 0..self.desks[at].asked.len() {
+            let asked = &mut self.desks[at].asked[i];
+            if asked.answer != Answer::Open {
+                continue;
+            }
+            asked.packets_out = asked.packets_out.saturating_add(u16::from(fragments));
+            let (to, id) = (asked.task, asked.id);
+            self.count(port.id, |c| c.resent += 1);
+            note(out, Event::Resent, port.id, to, id, left);
+            let desk = &self.desks[at];
+            let first = mapping::message(port, self.task, to, id, stamp, desk.contents);
+            mapping::in_fragments(&Packet { resent: true, ..first }, &desk.parts, |p| out.transmit(p));
+        }
+    }
+
+    /// Time has passed: what is over ends, what is due is sent again.
+    pub(super) fn advance_desk(&mut self, table: &NodeTable, at: usize, out: &mut impl Outbox) {
+        let desk = &self.desks[at];
+        if desk.due() > self.now {
+            return;
+        }
+        if desk.deadline > self.now {
+            return self.send_again(table, at, out);
+        }
+        let port = desk.port;
+        self.count(port, |c| c.timed_out += 1);
+        let mut outcome = Outcome::TimedOutUnknown;
+        for asked in self.desks[at].open() {
+            let unsent = asked.packets_out == 0;
+            let event = if unsent { Event::TimedOutUnsent } else { Event::TimedOut };
+            if unsent {
+                outcome = Outcome::TimedOutUnsent;
+            }
+            note(out, event, port, asked.task, asked.id, Ticks::ZERO);
+            if !table.rules().refuse_late_replies {
+                self.overdue = Some(Overdue { port, to: asked.task, id: asked.id });
+            }
+        }
+        self.end_request(at, outcome, out);
+    }
+
+    /// The answer of one task came in, or its refusal: the request ends with the last one.
+    fn mark(&mut self, at: usize, asked: usize, event: Event, out: &mut impl Outbox) {
+        let desk = &mut self.desks[at];
+        let (port, left) = (desk.port, desk.deadline - self.now);
+        let asked = &mut desk.asked[asked];
+        let contents = asked.contents.get(0).copied().unwrap_or_default();
+        let (answer, outcome) = match event {
+            Event::Answered => (Answer::Answered, Outcome::Reply(contents)),
+            Event::RefusedByPeer => (Answer::Refused, Outcome::Refused),
+            _ => (Answer::Restarted, Outcome::PeerRestarted),
+        };
+        asked.answer = answer;
+        let (task, id) = (asked.task, asked.id);
+        self.count(port, |c| match answer {
+            Answer::Answered => c.delivered += 1,
+            Answer::Refused => c.refused += 1,
+            Answer::Restarted | Answer::NotAsked | Answer::Open => {}
+        });
+        note(out, event, port, task, id, left);
+        if self.desks[at].open().next().is_none() {
+            self.end_request(at, outcome, out);
+        }
+    }
+
+    fn end_request(&mut self, at: usize, outcome: Outcome, out: &mut impl Outbox) {
+        let desk = &mut self.desks[at];
+        let set = desk.set;
+        desk.settle();
+        desk.phase = if set { Phase::Ended } else { Phase::Closed };
+        let at = super::index(at);
+        let finished = if set { Finished::Answers(at) } else { Finished::Outcome(outcome) };
+        self.conclude(Pending::Reply(at), finished, out);
+    }
+
+    /// An answer to the task's own class-2 message.
+    pub(super) fn answer(&mut self, table: &NodeTable, at: u16, packet: &Packet, out: &mut impl Outbox) {
+        let at = usize::from(at);
+        let desk = &self.desks[at];
+        let from = desk.find(packet.source).filter(|_| desk.port == packet.port);
+        match from.filter(|&from| desk.waits_for(packet.id) == Some(from)) {
+            Some(asked) => self.answered(table, at, asked, packet, out),
+            None => self.late_answer(table, packet, out),
+        }
+    }
+
+    /// The answer of another task than the one that was asked (D11).
+    pub(super) fn third_party(&mut self, table: &NodeTable, packet: &Packet, out: &mut impl Outbox) {
+        let found = self.desks.iter().enumerate().find_map(|(at, d)| Some((at, d.waits_for(packet.id)?)));
+        match found {
+            Some((at, asked)) => self.answered(table, at, asked, packet, out),
+            None => self.late_answer(table, packet, out),
+        }
+    }
+
+    fn late_answer(&mut self, table: &NodeTable, packet: &Packet, out: &mut impl Outbox) {
+        let fits = |o: &Overdue| o.id == packet.id && o.port == packet.port && o.to == packet.source;
+        let answers =
+            matches!(packet.kind, Kind::Reply | Kind::Response) && self.overdue.is_some_and(|o| fits(&o));
+        if answers && !table.rules().refuse_late_replies {
+            self.overdue = None;
+            return self.tell(Finished::Outcome(Outcome::Reply(packet.contents)), out);
+        }
+        let stale = super::rendezvous::is_older(packet.id.incarnation, self.incarnation);
+        self.drop_packet(packet, if stale { Reason::StaleIncarnation } else { Reason::Unexpected }, out);
+    }
+
+    fn answered(
+        &mut self,
+        table: &NodeTable,
+        at: usize,
+        asked: usize,
+        packet: &Packet,
+        out: &mut impl Outbox,
+    ) {
+        let unsent = self.desks[at].asked[asked].packets_out == 0;
+        let event = match (packet.kind, packet.control()) {
+            (Kind::Reply | Kind::Response, _) => {
+                let fragments = table.port(self.desks[at].port).map_or(1, |port| port.decl.answer_fragments);
+                let index = packet.fragment + u8::from(packet.more);
+                if index >= fragments {
+                    return self.drop_packet(packet, Reason::NotAllowed, out);
+                }
+                let answer = &mut self.desks[at].asked[asked].contents;
+                match answer.put(packet, Ticks::FAR) {
+                    Step::Whole(_) => Event::Answered,
+                    Step::Waits => return,
+                    Step::Again => return self.duplicate(packet, out),
+                    Step::Broken => return self.drop_packet(packet, Reason::Incomplete, out),
+                }
+            }
+            (_, Some(Control::Refused)) => Event::RefusedByPeer,
+            (_, Some(Control::RefusedOnTheWay)) if unsent => Event::RefusedByPeer,
+            (_, Some(Control::Restarted)) => Event::PeerRestarted,
+            // A copy was refused on the way, but another one may have arrived: only the time_out tells.
+            (_, Some(Control::RefusedOnTheWay)) => return,
+            (_, Some(Control::Probe) | None) => return self.drop_packet(packet, Reason::Unexpected, out),
+        };
+        self.mark(at, asked, event, out);
+    }
+
+    /// The transit buffer dropped a packet of one of the task's requests.
+    pub(super) fn unsent(&mut self, id: MessageId) {
+        for desk in &mut self.desks {
+            if let Some(at) = desk.waits_for(id) {
+                desk.asked[at].packets_out = desk.asked[at].packets_out.saturating_sub(1);
+            }
+        }
+    }
+
+    /// The node of tasks that were asked has a new incarnation.
+    pub(super) fn asked_restarted(&mut self, table: &NodeTable, node: NodeId, out: &mut impl Outbox) {
+        for at in 0..self.desks.len() {
+            for asked in 0..self.desks[at].asked.len() {
+                let entry = &self.desks[at].asked[asked];
+                let open = self.desks[at].phase == Phase::Open && entry.answer == Answer::Open;
+                if open && table.location(entry.task) == Some(node) {
+                    self.mark(at, asked, Event::PeerRestarted, out);
+                }
+            }
+        }
+    }
+}

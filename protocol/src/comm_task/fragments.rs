@@ -1,0 +1,336 @@
+//! Messages and answers longer than one packet (D28): fragments that share one id, whole before their one deadline or
+//! not at all.
+
+use super::{CommTask, Role, note};
+use crate::ids::{MessageId, PortId, TaskId};
+use crate::observe::{Event, Reason};
+use crate::packet::{Contents, Packet};
+use crate::request::{Fault, Signal};
+use crate::ticks::Ticks;
+use alloc::boxed::Box;
+use alloc::vec;
+use serde::{Deserialize, Serialize};
+
+/// The fragments of a message after its first one. It has no room where the format takes one packet.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct Parts {
+    /// Bit `i`: fragment `i + 1` is here.
+    pub have: u16,
+    pub parts: Box<[Contents]>,
+}
+
+impl Parts {
+    /// Room for a message of so many packets.
+    pub fn new(fragments: u8) -> Self {
+        let room = usize::from(fragments.saturating_sub(1));
+        Self { have: 0, parts: vec![Contents::EMPTY; room].into_boxed_slice() }
+    }
+
+    /// Puts fragment `index`, counted from 1; false where there is no room for it.
+    pub fn put(&mut self, index: u8, contents: Contents) -> bool {
+        let at = usize::from(index).checked_sub(1);
+        let Some(slot) = at.and_then(|at| self.parts.get_mut(at)) else { return false };
+        *slot = contents;
+        self.have |= 1 << (index - 1);
+        true
+    }
+
+    /// How many packets the message takes, or `None` where a fragment before a later one is missing.
+    pub fn fragments(&self) -> Option<u8> {
+        let whole = self.have & self.have.wrapping_add(1) == 0;
+        whole.then(|| 1 + u8::try_from(self.have.trailing_ones()).unwrap_or(0))
+    }
+
+    /// Fragment `index`, counted from 1.
+    pub fn get(&self, index: u8) -> Option<&Contents> {
+        let at = index.checked_sub(1).filter(|&at| at < 16 && self.have & (1 << at) != 0)?;
+        self.parts.get(usize::from(at))
+    }
+
+    /// Takes over what `from` has, as far as there is room.
+    pub fn copy(&mut self, from: &Self) {
+        self.fill(from.have, from.parts.iter());
+    }
+
+    /// Takes over fragments from 1 on, of which `have` are there.
+    pub fn fill<'a>(&mut self, have: u16, from: impl Iterator<Item = &'a Contents>) {
+        let room = 1_u32.checked_shl(u32::try_from(self.parts.len()).unwrap_or(16)).unwrap_or(0);
+        self.have = have & u16::try_from(room.wrapping_sub(1) & 0xffff).unwrap_or(u16::MAX);
+        for (slot, contents) in self.parts.iter_mut().zip(from) {
+            *slot = *contents;
+        }
+    }
+
+    pub fn clear(&mut self) {
+        self.have = 0;
+    }
+}
+
+/// A message, or an answer, whose fragments are coming in.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct Assembly {
+    pub id: MessageId,
+    /// Bit `i`: fragment `i` is here. Zero: nothing is being assembled.
+    pub have: u16,
+    /// How many there are, once the last one is here.
+    pub fragments: Option<u8>,
+    /// The least life of those here.
+    pub expires: Ticks,
+    pub contents: Box<[Contents]>,
+}
+
+/// What a fragment did to its assembly.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Step {
+    /// Others are missing.
+    Waits,
+    /// It was here already.
+    Again,
+    /// It contradicts the others: all of them are gone.
+    Broken,
+    /// The message is whole: so many fragments.
+    Whole(u8),
+}
+
+impl Assembly {
+    /// Room for a message of so many packets.
+    pub fn new(fragments: u8) -> Self {
+        Self { contents: vec![Contents::EMPTY; usize::from(fragments)].into_boxed_slice(), ..Self::default() }
+    }
+
+    /// Whether fragments are here.
+    pub const fn is_open(&self) -> bool {
+        self.have != 0
+    }
+
+    /// Forgets everything and waits for the fragments of `id`.
+    pub fn begin(&mut self, id: MessageId) {
+        (self.id, self.have, self.fragments, self.expires) = (id, 0, None, Ticks::FAR);
+    }
+
+    /// Forgets the fragments of `id`, if they are here.
+    pub fn close(&mut self, id: MessageId) {
+        if self.id == id {
+            self.have = 0;
+        }
+    }
+
+    /// Puts a fragment that fits the room.
+    pub fn put(&mut self, packet: &Packet, expires: Ticks) -> Step {
+        let Some(slot) = self.contents.get_mut(usize::from(packet.fragment)) else { return Step::Broken };
+        let bit = 1_u16.checked_shl(u32::from(packet.fragment)).unwrap_or(0);
+        let ends = (!packet.more).then_some(packet.fragment + 1);
+        let highest = 16 - self.have.leading_zeros();
+        let broken = match (ends, self.fragments) {
+            (Some(end), Some(known)) => end != known,
+            (Some(end), None) => highest > u32::from(end),
+            (None, Some(known)) => packet.fragment + 1 >= known,
+            (None, None) => false,
+        };
+        if broken {
+            self.have = 0;
+            return Step::Broken;
+        }
+        self.expires = self.expires.min(expires);
+        self.fragments = self.fragments.or(ends);
+        if self.have & bit != 0 {
+            return Step::Again;
+        }
+        *slot = packet.contents;
+        self.have |= bit;
+        match self.fragments {
+            Some(fragments) if self.have.trailing_ones() == u32::from(fragments) => Step::Whole(fragments),
+            Some(_) | None => Step::Waits,
+        }
+    }
+
+    /// Fragment `index` of what is here.
+    pub fn get(&self, index: u8) -> Option<&Contents> {
+        let here = index < 16 && self.have & (1 << index) != 0;
+        self.contents.get(usize::from(index)).filter(|_| here)
+    }
+}
+
+impl CommTask {
+    /// Fragment `index` of the message the task took last; the first one is 0. A packed state leaves it out: a checker
+    /// reads it when the message comes.
+    #[must_use]
+    pub fn fragment(&self, index: u8) -> Option<&Contents> {
+        if index == 0 { self.taken.0.as_ref() } else { self.taken.1.get(index) }
+    }
+
+    /// Notes one more fragment of the next message or answer on a port.
+    pub(super) fn stage(&mut self, port: PortId, index: u8, contents: Contents) -> Result<Signal, Fault> {
+        let local = self.local(port).ok_or(Fault::NotYourPort)?;
+        match local.role {
+            Role::Sends | Role::Asks(_) | Role::Receives(_) | Role::Replies => {}
+            Role::Hears | Role::Meets(_) => return Err(Fault::WrongUsage),
+        }
+        if local.staged.put(index, contents) { Ok(Signal::Accepted(0)) } else { Err(Fault::WrongLength) }
+    }
+
+    /// How many packets the message takes that was staged on a port. Where one of them is missing, nothing stays staged.
+    pub(super) fn staged(&mut self, port: PortId) -> Result<u8, Fault> {
+        let Some(local) = self.local(port) else { return Err(Fault::NotYourPort) };
+        let fragments = local.staged.fragments();
+        if fragments.is_none() {
+            local.staged.clear();
+        }
+        fragments.ok_or(Fault::WrongLength)
+    }
+
+    /// One of several packets of a message of this node's source entry. Returns the message once it is whole, as one
+    /// packet with the least life of all.
+    pub(super) fn assemble(
+        &mut self,
+        (inbox, source): (usize, usize),
+        packet: &Packet,
+        out: &mut impl super::Outbox,
+    ) -> Option<(Packet, u8)> {
+        let now = self.now;
+        let assembly = &mut self.inboxes[inbox].sources[source].assembly;
+        if !assembly.is_open() {
+            assembly.begin(packet.id);
+        } else if assembly.id != packet.id {
+            if !packet.id.sequence.is_newer_than(assembly.id.sequence) {
+                self.drop_packet(packet, Reason::Incomplete, out);
+                return None;
+            }
+            self.overtake((inbox, source), packet, out);
+            self.inboxes[inbox].sources[source].assembly.begin(packet.id);
+        }
+        let assembly = &mut self.inboxes[inbox].sources[source].assembly;
+        match assembly.put(packet, now + packet.remaining) {
+            Step::Waits => None,
+            Step::Again => {
+                self.duplicate(packet, out);
+                None
+            }
+            Step::Broken => {
+                self.drop_packet(packet, Reason::Incomplete, out);
+                None
+            }
+            Step::Whole(fragments) => {
+                let (remaining, contents) = (assembly.expires - now, assembly.contents[0]);
+                Some((Packet { remaining, contents, fragment: 0, more: false, ..*packet }, fragments))
+            }
+        }
+    }
+
+    /// A newer message of the source came: what is missing of an older one is not waited for any more.
+    pub(super) fn overtake(
+        &mut self,
+        (inbox, source): (usize, usize),
+        packet: &Packet,
+        out: &mut impl super::Outbox,
+    ) {
+        let assembly = &mut self.inboxes[inbox].sources[source].assembly;
+        if assembly.is_open() && packet.id.sequence.is_newer_than(assembly.id.sequence) {
+            let old = assembly.id;
+            assembly.have = 0;
+            self.incomplete(packet.port, packet.source, old, out);
+        }
+    }
+
+    /// Drops the assemblies of a port whose deadline has come.
+    pub(super) fn discard_incomplete(&mut self, inbox: usize, out: &mut impl super::Outbox) {
+        for at in 0..self.inboxes[inbox].sources.len() {
+            let (now, port) = (self.now, self.inboxes[inbox].port);
+            let source = &mut self.inboxes[inbox].sources[at];
+            if source.assembly.is_open() && source.assembly.expires <= now {
+                let (task, id) = (source.task, source.assembly.id);
+                source.assembly.have = 0;
+                self.incomplete(port, task, id, out);
+            }
+        }
+    }
+
+    fn incomplete(&mut self, port: PortId, source: TaskId, id: MessageId, out: &mut impl super::Outbox) {
+        self.count(port, |c| c.dropped += 1);
+        note(out, Event::Discarded(Reason::Incomplete), port, source, id, Ticks::ZERO);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use proptest::prelude::*;
+
+    proptest! {
+        /// Fragments in any order, repeated or not: the message is whole with its last missing fragment, and never before.
+        #[test]
+        fn a_message_is_whole_when_every_fragment_came(fragments in 1..=16_u8, order in proptest::collection::vec(0..16_u8, 0..60)) {
+            let mut assembly = Assembly::new(16);
+            assembly.begin(MessageId::default());
+            let mut here = 0_u16;
+            for index in order.into_iter().map(|i| i % fragments) {
+                let packet = fragment(index, index + 1 < fragments);
+                let again = here & (1 << index) != 0;
+                here |= 1 << index;
+                let whole = here.trailing_ones() == u32::from(fragments);
+                let expected = if again { Step::Again } else if whole { Step::Whole(fragments) } else { Step::Waits };
+                prop_assert_eq!(assembly.put(&packet, Ticks(50 + u64::from(index))), expected);
+                prop_assert_eq!(assembly.get(index).map(|c| c.as_bytes()[0]), Some(index));
+            }
+        }
+    }
+
+    fn fragment(index: u8, more: bool) -> Packet {
+        use crate::packet::{Class, Kind};
+        Packet {
+            kind: Kind::Send,
+            class: Class::Command,
+            more,
+            resent: false,
+            urgent: false,
+            hops: 7,
+            fragment: index,
+            destination: TaskId(0),
+            source: TaskId(1),
+            port: PortId(0),
+            id: MessageId::default(),
+            remaining: Ticks(9),
+            contents: Contents::new(&[index]).unwrap(),
+        }
+    }
+
+    #[test]
+    fn fragments_that_contradict_each_other_are_dropped_together() {
+        for (first, second) in [
+            ((1, false), (2, false)),
+            ((2, true), (1, false)),
+            ((1, false), (1, true)),
+            ((1, false), (3, true)),
+        ] {
+            let mut assembly = Assembly::new(4);
+            assembly.begin(MessageId::default());
+            assert_eq!(assembly.put(&fragment(first.0, first.1), Ticks(9)), Step::Waits);
+            assert_eq!(
+                assembly.put(&fragment(second.0, second.1), Ticks(9)),
+                Step::Broken,
+                "{first:?} {second:?}"
+            );
+            assert!(!assembly.is_open());
+        }
+        assert_eq!(Assembly::new(2).put(&fragment(2, false), Ticks(9)), Step::Broken, "no room");
+    }
+
+    #[test]
+    fn parts_are_whole_without_gaps() {
+        let mut parts = Parts::new(4);
+        assert_eq!((parts.fragments(), parts.get(1)), (Some(1), None));
+        assert!(
+            parts.put(2, Contents::EMPTY) && !parts.put(4, Contents::EMPTY) && !parts.put(0, Contents::EMPTY)
+        );
+        assert_eq!(parts.fragments(), None);
+        assert!(parts.put(1, Contents::EMPTY));
+        assert_eq!(parts.fragments(), Some(3));
+        let mut small = Parts::new(2);
+        small.copy(&parts);
+        assert_eq!((small.fragments(), small.have), (Some(2), 1));
+        assert_eq!(Parts::new(16).parts.len(), 15);
+        let mut none = Parts::new(1);
+        none.copy(&parts);
+        assert_eq!(none.have, 0);
+    }
+}

@@ -1,0 +1,385 @@
+//! Interruption (R15, R16, D15): the task's thread, the handlers that interrupted it and each other, and which of what
+//! waits is offered to whom (D16, D58).
+
+use super::desk::Phase;
+use super::inbox::{Held, Inbox};
+use super::{CommTask, Outbox, Pending, note};
+use crate::ids::{PortId, Round};
+use crate::observe::{Event, Observation};
+use crate::packet::Class;
+use crate::request::{Call, Fault, Outcome, ReleasedBy, ServiceOrder, Signal, TimeId};
+use crate::rules::Aging;
+use crate::table::NodeTable;
+use crate::ticks::Ticks;
+use serde::{Deserialize, Serialize};
+
+/// How many handlers run at a time, each having interrupted the one before.
+pub(crate) const DEPTH: usize = ServiceOrder::LEVELS + 2;
+
+/// How a wait ended. It is told at once, or when the handlers above the thread that waited have ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub(crate) enum Finished {
+    Outcome(Outcome),
+    /// The request at this desk.
+    Answers(u16),
+    Released {
+        port: PortId,
+        round: Round,
+        by: ReleasedBy,
+    },
+    GaveUp {
+        port: PortId,
+        round: Round,
+        missing: u64,
+    },
+    TimeOut(TimeId),
+}
+
+/// The task's thread, or a handler.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub(crate) struct Level {
+    /// What a message must outrank to interrupt it. Of the task's thread that is the rank of `self`.
+    pub rank: u8,
+    pub atomic: bool,
+    pub pending: Pending,
+    /// How its wait ended while a handler ran above it.
+    pub finished: Option<Finished>,
+}
+
+impl Level {
+    pub const NEW: Self = Self { rank: 0, atomic: false, pending: Pending::Nothing, finished: None };
+}
+
+/// Something that may interrupt the current thread, in the order of service: the lesser key first.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+struct Offer {
+    key: (Turn, u8, Ticks, Class, PortId, u128),
+    what: What,
+}
+
+/// What goes first whatever its rank and urgency.
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum Turn {
+    /// It was rejected as often as ranks stand above it: the one that was rejected first (D58).
+    Capped(u64),
+    /// Its port was passed over too often: the one passed over most, counted down.
+    Bypassed(u16),
+    InOrder,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
+enum What {
+    Timer(usize),
+    Message(usize, u32),
+}
+
+impl CommTask {
+    pub(super) fn top(&self) -> &Level {
+        &self.levels[usize::from(self.depth)]
+    }
+
+    pub(super) fn top_mut(&mut self) -> &mut Level {
+        &mut self.levels[usize::from(self.depth)]
+    }
+
+    /// The task's thread and the handlers that run, the interrupting after the interrupted.
+    pub(super) fn running(&self) -> &[Level] {
+        &self.levels[..=usize::from(self.depth)]
+    }
+
+    /// How many handlers run, each having interrupted the one before or the task's thread.
+    #[must_use]
+    pub const fn depth(&self) -> u8 {
+        self.depth
+    }
+
+    /// Ends the wait of the thread that waits so: tells it, or leaves word for when it resumes.
+    pub(super) fn conclude(&mut self, wait: Pending, finished: Finished, out: &mut impl Outbox) {
+        let top = usize::from(self.depth);
+        let Some(at) = self.running().iter().position(|level| level.pending == wait) else { return };
+        self.levels[at].pending = Pending::Nothing;
+        if at == top {
+            self.tell(finished, out);
+        } else {
+            self.levels[at].finished = Some(finished);
+        }
+    }
+
+    pub(super) fn tell(&mut self, finished: Finished, out: &mut impl Outbox) {
+        out.signal(match finished {
+            Finished::Outcome(outcome) => Signal::Outcome(outcome),
+            Finished::Answers(desk) => {
+                let desk = &mut self.desks[usize::from(desk)];
+                desk.phase = Phase::Closed;
+                Signal::Answers { port: desk.port, answers: desk.answers() }
+            }
+            Finished::Released { port, round, by } => Signal::Released { port, round, by },
+            Finished::GaveUp { port, round, missing } => Signal::GaveUp { port, round, missing },
+            Finished::TimeOut(id) => Signal::TimeOut(id),
+        });
+    }
+
+    /// Whether a handler may interrupt the current thread: it waits, or stands between two statements.
+    pub(super) fn interruptible(&self, at_boundary: bool) -> bool {
+        let top = self.top();
+        let room = usize::from(self.depth) < DEPTH;
+        room && !top.atomic && (at_boundary || top.pending != Pending::Nothing)
+    }
+
+    /// In a plain GET there is no thread to interrupt.
+    fn is_idle_get(&self) -> bool {
+        self.depth == 0 && matches!(self.top().pending, Pending::Get { .. })
+    }
+
+    /// What a message must outrank.
+    fn rank_of_top(&self) -> u8 {
+        if self.depth == 0 { self.order.own() } else { self.top().rank }
+    }
+
+    fn outranks(&self, table: &NodeTable, rank: u8, capped: bool) -> bool {
+        !table.rules().obey_order
+            || self.is_idle_get()
+            || rank < self.rank_of_top()
+            || (capped && self.depth == 0)
+    }
+
+    /// How many rejections make a message outrank the task's own thread (D58).
+    const fn cap(base: u8) -> u8 {
+        if base == 0 { 1 } else { base }
+    }
+
+    pub(super) fn held_outranks(&self, table: &NodeTable, port: PortId, held: &Held) -> bool {
+        let base = self.order.rank(port, held.source);
+        let rank = base.saturating_sub(held.rejections);
+        self.outranks(table, rank, held.rejections >= Self::cap(base))
+    }
+
+    /// Whether the message may be offered now: `not_before` delays offers, but not to a task with nothing else to do.
+    fn is_due(&self, held: &Held) -> bool {
+        held.not_before <= self.now || self.is_idle_get()
+    }
+
+    /// How often a port may be passed over before it goes first (D58).
+    pub(super) fn bypass_limit(&self) -> u16 {
+        super::index(self.locals.len() + self.order.ranked().len()).max(4)
+    }
+
+    /// When the first rejected message is to be offered again, where that could matter.
+    pub(super) fn next_offer(&self) -> Ticks {
+        if !self.interruptible(false) {
+            return Ticks::FAR;
+        }
+        let handled = self.inboxes.iter().filter(|inbox| inbox.handled);
+        let due = handled.flat_map(|inbox| inbox.queue.iter()).map(|(_, _, held)| held.not_before);
+        due.min().unwrap_or(Ticks::FAR)
+    }
+
+    /// Offers what waits to the current thread, if that waits.
+    pub(super) fn offer_to_waiting(&mut self, table: &NodeTable, out: &mut impl Outbox) {
+        let any =
+            self.timers.ended().is_some() || self.inboxes.iter().any(|i| i.handled && i.queue.len() > 0);
+        if any && self.interruptible(false) {
+            self.offer(table, out);
+        }
+    }
+
+    /// Offers everything that is due to the current thread, which can be interrupted. True where a handler begins.
+    pub(super) fn offer(&mut self, table: &NodeTable, out: &mut impl Outbox) -> bool {
+        let first = self.first_offer(table);
+        self.reject_the_others(table, out);
+        let Some(first) = first else { return false };
+        self.count_bypasses(table, first.what);
+        match first.what {
+            What::Timer(at) => {
+                let id = self.timers.take(at);
+                let rank = self.order.timers();
+                self.begin_handler(rank);
+                self.note_handler(Event::Interrupted, u32::from(id.0), out);
+                out.signal(Signal::Interrupt(Call::Timer(id)));
+            }
+            What::Message(inbox, slot) => {
+                let port = self.inboxes[inbox].port;
+                if let Some(held) = self.take(inbox, slot) {
+                    self.interrupt(port, &held, out);
+                }
+            }
+        }
+        true
+    }
+
+    fn first_offer(&self, table: &NodeTable) -> Option<Offer> {
+        let limit = self.bypass_limit();
+        let handled = self.inboxes.iter().enumerate().filter(|(_, inbox)| inbox.handled);
+        let messages = handled.flat_map(|(i, inbox)| {
+            let due = inbox
+                .queue
+                .iter()
+                .filter(|(_, _, h)| self.is_due(h) && self.held_outranks(table, inbox.port, h));
+            due.map(move |(key, slot, held)| {
+                let base = self.order.rank(inbox.port, held.source);
+                let turn = if held.rejections >= Self::cap(base) {
+                    Turn::Capped(held.rejected_first)
+                } else if inbox.bypassed >= limit {
+                    Turn::Bypassed(u16::MAX - inbox.bypassed)
+                } else {
+                    Turn::InOrder
+                };
+                let rank = base.saturating_sub(held.rejections);
+                Offer {
+                    key: (turn, rank, held.expires, held.class, inbox.port, key),
+                    what: What::Message(i, slot),
+                }
+            })
+        });
+        let rank = self.order.timers();
+        let timer = self.timers.ended().filter(|_| self.outranks(table, rank, false)).map(|at| Offer {
+            key: (Turn::InOrder, rank, Ticks::ZERO, Class::Command, PortId(0), 0),
+            what: What::Timer(at),
+        });
+        messages.chain(timer).min()
+    }
+
+    /// Ports whose offer was as good as any, but for their place in the order, were passed over (D58).
+    fn count_bypasses(&mut self, table: &NodeTable, first: What) {
+        if table.rules().aging == Aging::Off {
+            return;
+        }
+        for i in 0..self.inboxes.len() {
+            let inbox = &self.inboxes[i];
+            let (port, handled) = (inbox.port, inbox.handled);
+            let other = !matches!(first, What::Message(taken, _) if taken == i);
+            let ready = |(_, _, h): (u128, u32, &Held)| self.is_due(h) && self.held_outranks(table, port, h);
+            if other && handled && inbox.queue.iter().any(ready) {
+                self.inboxes[i].bypassed = self.inboxes[i].bypassed.saturating_add(1);
+            }
+        }
+    }
+
+    /// Every message that is due and does not outrank the current thread is rejected (R16, D58).
+    fn reject_the_others(&mut self, table: &NodeTable, out: &mut impl Outbox) {
+        let mut round = None;
+        for i in 0..self.inboxes.len() {
+            let inbox = &self.inboxes[i];
+            let (id, handled) = (inbox.port, inbox.handled);
+            let turned = |h: &Held| self.is_due(h) && !self.held_outranks(table, id, h);
+            if !handled || !inbox.queue.iter().any(|(_, _, h)| turned(h)) {
+                continue;
+            }
+            let round = *round.get_or_insert(self.rejections);
+            let mut rejected = 0;
+            let mut queue = core::mem::take(&mut self.inboxes[i].queue);
+            queue.rekey(|key, held| {
+                if !(self.is_due(held) && !self.held_outranks(table, id, held)) {
+                    return key;
+                }
+                rejected += 1;
+                self.reject(table, id, held, round, out);
+                Inbox::key_again(key, held)
+            });
+            self.inboxes[i].queue = queue;
+            self.count(id, |c| c.rejected += rejected);
+        }
+        if round.is_some() {
+            self.rejections += 1;
+        }
+    }
+
+    /// The message does not outrank the current thread: it is offered again later, one level higher (D4, D58).
+    fn reject(&self, table: &NodeTable, port: PortId, held: &mut Held, round: u64, out: &mut impl Outbox) {
+        let penalty = table.port(port).and_then(|port| port.decl.penalty);
+        let length = penalty.map_or(table.cell().tick, |penalty| penalty.length);
+        let left = held.expires - self.now;
+        note(out, Event::Rejected, port, held.source, held.id, left);
+        if penalty.is_some_and(|penalty| penalty.literal) {
+            // The Appendix's `save`: the penalty lengthens the life that it makes less urgent.
+            held.expires += length;
+            held.not_before = self.now + length.max(Ticks(1));
+            return;
+        }
+        held.not_before = self.now + length.min(Ticks(left.0 / 2)).max(Ticks(1));
+        if table.rules().aging == Aging::Bounded {
+            if held.rejections == 0 {
+                held.rejected_first = round;
+            }
+            let cap = Self::cap(self.order.rank(port, held.source));
+            held.rejections = held.rejections.saturating_add(1).min(cap.max(held.rejections));
+        }
+    }
+
+    /// A message for a handler came in and does not outrank the current thread: it was offered before it is stored (R25).
+    pub(super) fn reject_arrived(
+        &mut self,
+        table: &NodeTable,
+        port: PortId,
+        held: &mut Held,
+        out: &mut impl Outbox,
+    ) {
+        self.count(port, |c| c.rejected += 1);
+        self.reject(table, port, held, self.rejections, out);
+        self.rejections += 1;
+    }
+
+    pub(super) fn interrupt(&mut self, port: PortId, held: &Held, out: &mut impl Outbox) {
+        let rank = self.order.rank(port, held.source);
+        self.begin_handler(rank);
+        note(out, Event::Interrupted, port, held.source, held.id, held.expires - self.now);
+        let delivery = self.delivery(port, held, out);
+        out.signal(Signal::Interrupt(Call::Message(delivery)));
+    }
+
+    /// D15: a handler never ranks lower than what it interrupted.
+    fn begin_handler(&mut self, rank: u8) {
+        let rank = rank.min(self.rank_of_top());
+        if self.top().pending == Pending::Nothing {
+            self.top_mut().pending = Pending::Boundary;
+        }
+        self.depth += 1;
+        *self.top_mut() = Level { rank, ..Level::NEW };
+    }
+
+    /// A statement boundary (D15).
+    pub(super) fn boundary(&mut self, table: &NodeTable, out: &mut impl Outbox) {
+        if !(self.interruptible(true) && self.offer(table, out)) {
+            out.signal(Signal::Accepted(0));
+        }
+    }
+
+    /// A handler ended (R16). The thread below goes on where it was: its wait may be over by now.
+    pub(super) fn resume(&mut self, table: &NodeTable, out: &mut impl Outbox) -> Result<(), Fault> {
+        if self.depth == 0 {
+            return Err(Fault::NotInterrupted);
+        }
+        *self.top_mut() = Level::NEW;
+        self.depth -= 1;
+        self.note_handler(Event::Resumed, u32::from(self.depth), out);
+        if let Some(finished) = self.top_mut().finished.take() {
+            self.tell(finished, out);
+            return Ok(());
+        }
+        match self.top().pending {
+            Pending::Boundary => {
+                self.top_mut().pending = Pending::Nothing;
+                self.boundary(table, out);
+            }
+            Pending::Get { port, source, deadline } => {
+                if self.serve(table, port, source, out) {
+                    self.top_mut().pending = Pending::Nothing;
+                } else if deadline <= self.now {
+                    self.top_mut().pending = Pending::Nothing;
+                    out.signal(Signal::Nothing);
+                }
+            }
+            Pending::Nothing
+            | Pending::Reply(_)
+            | Pending::Meeting(_)
+            | Pending::Delay(..)
+            | Pending::Work => {}
+        }
+        Ok(())
+    }
+
+    fn note_handler(&self, event: Event, number: u32, out: &mut impl Outbox) {
+        let (port, peer) = (PortId::NONE, self.task);
+        out.observe(Observation { event, port, peer, number, remaining: Ticks::ZERO });
+    }
+}

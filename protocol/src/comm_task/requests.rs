@@ -1,0 +1,387 @@
+//! The user layer down (§5.2.1): what the task asks for.
+
+use super::desk::{Answer, Phase};
+use super::memory::Fate;
+use super::{CommTask, Outbox, Pending, Role, note};
+use crate::ids::{MessageId, PortId, TaskId};
+use crate::mapping;
+use crate::observe::Event;
+use crate::packet::Contents;
+use crate::request::{Fault, ReplyTo, Request, Signal, Target};
+use crate::rules::{Aging, Memory, TimeStamp};
+use crate::table::{NodeTable, Port};
+use crate::ticks::Ticks;
+
+impl CommTask {
+    /// The task's request: it always outranks what the communication task is doing (§5.2.1).
+    pub(super) fn request(&mut self, table: &NodeTable, request: Request, out: &mut impl Outbox) {
+        let done = match request {
+            Request::Order(order) => {
+                self.order = order;
+                Ok(Some(Signal::Accepted(0)))
+            }
+            Request::Cancel => Ok(Some(self.cancel(table, out))),
+            Request::Abandon => Ok(Some(self.abandon(table, out))),
+            Request::Reply { to, contents } => self.reply(table, to, contents, out).map(Some),
+            Request::Done => self.done().map(Some),
+            _ if self.top().pending != Pending::Nothing => Err(Fault::Busy),
+            Request::Send { port, to, contents, time_out } => {
+                self.send(table, port, to, contents, time_out, out)
+            }
+            Request::Part { port, index, contents } => self.stage(port, index, contents).map(Some),
+            Request::Get { port, source, time_out } => self.get(table, port, source, time_out, out),
+            Request::Arrive { port, arguments, time_out } => {
+                self.arrive(table, port, arguments, time_out, out)
+            }
+            Request::Handle { port, handled } => self.set_handled(port, handled).map(Some),
+            Request::Delay { id, length } => self.delay(id, length, out),
+            Request::Start { id, length } => self.start(id, length, out),
+            Request::Stop { id } => {
+                self.stop(id, out);
+                Ok(Some(Signal::Accepted(0)))
+            }
+            Request::Boundary => {
+                self.boundary(table, out);
+                Ok(None)
+            }
+            Request::Work => {
+                self.top_mut().pending = Pending::Work;
+                Ok(None)
+            }
+            Request::Return => self.resume(table, out).map(|()| None),
+            Request::Atomic(atomic) => {
+                self.top_mut().atomic = atomic;
+                Ok(Some(Signal::Accepted(0)))
+            }
+            Request::Lease | Request::Publish(_) => Err(Fault::WrongUsage),
+        };
+        match done {
+            Ok(Some(signal)) => out.signal(signal),
+            Ok(None) => {}
+            Err(fault) => out.signal(Signal::Fault(fault)),
+        }
+    }
+
+    fn send(
+        &mut self,
+        table: &NodeTable,
+        id: PortId,
+        to: Target,
+        contents: Contents,
+        time_out: Option<Ticks>,
+        out: &mut impl Outbox,
+    ) -> Result<Option<Signal>, Fault> {
+        let (port, party) = mapping::own_end(table, id, self.task)?;
+        // The declared life is what receivers and a restarted node reckon with: a request may only shorten it.
+        let life = time_out.map_or(party.time_out, |wanted| wanted.min(party.time_out));
+        match self.role(id) {
+            Some(Role::Sends) => {
+                let peers = mapping::destinations(port, self.task, to)?;
+                self.staged(id)?;
+                let mut copies = 0;
+                for peer in peers {
+                    self.send_packets(table, port, peer, life, contents, out);
+                    copies += 1;
+                }
+                self.unstage(id);
+                Ok(Some(Signal::Accepted(copies)))
+            }
+            Some(Role::Asks(desk)) => {
+                let asked = mapping::destinations(port, self.task, to)?.count();
+                if self.desks[usize::from(desk)].phase != Phase::Closed {
+                    return Err(Fault::Busy);
+                }
+                self.staged(id)?;
+                self.ask(table, usize::from(desk), port, (to, asked > 1), life, contents, out);
+                self.unstage(id);
+                Ok(None)
+            }
+            Some(Role::Receives(_) | Role::Meets(_) | Role::Replies | Role::Hears) | None => {
+                Err(Fault::WrongUsage)
+            }
+        }
+    }
+
+    /// A class-2 message: to one task, or to several (R26, R40).
+    #[expect(clippy::too_many_arguments, reason = "the request, taken apart")]
+    fn ask(
+        &mut self,
+        table: &NodeTable,
+        at: usize,
+        port: &Port,
+        (to, set): (Target, bool),
+        life: Ticks,
+        contents: Contents,
+        out: &mut impl Outbox,
+    ) {
+        for asked in &mut self.desks[at].asked {
+            (asked.answer, asked.packets_out) = (Answer::NotAsked, 0);
+            asked.contents.begin(MessageId::default());
+        }
+        let staged = self.local_at(port.id);
+        for peer in mapping::destinations(port, self.task, to).into_iter().flatten() {
+            let id = self.send_packets(table, port, peer, life, contents, out);
+            let packets = staged.and_then(|at| self.locals[at].staged.fragments()).unwrap_or(1);
+            if let Some(asked) = self.desks[at].find(peer) {
+                let asked = &mut self.desks[at].asked[asked];
+                (asked.id, asked.answer, asked.packets_out) = (id, Answer::Open, u16::from(packets));
+            }
+        }
+        let retries = port.decl.retry > 0;
+        let desk = &mut self.desks[at];
+        (desk.phase, desk.set, desk.deadline) = (Phase::Open, set, self.now + life);
+        desk.copies_left = port.decl.retry;
+        desk.copy_at = if retries { self.now + port.decl.resend } else { Ticks::FAR };
+        desk.contents = contents;
+        desk.parts.clear();
+        if let Some(local) = staged {
+            desk.parts.copy(&self.locals[local].staged);
+        }
+        self.top_mut().pending = Pending::Reply(super::index(at));
+    }
+
+    /// Sends a message, with what was staged for it, to one task.
+    fn send_packets(
+        &mut self,
+        table: &NodeTable,
+        port: &Port,
+        to: TaskId,
+        life: Ticks,
+        contents: Contents,
+        out: &mut impl Outbox,
+    ) -> MessageId {
+        let id = MessageId { incarnation: self.incarnation, sequence: self.next_sequence };
+        self.next_sequence = self.next_sequence.next();
+        let packet = mapping::message(port, self.task, to, id, self.stamp(table, life), contents);
+        self.count(packet.port, |c| c.sent += 1);
+        note(out, Event::Sent, packet.port, to, id, life);
+        if let Some(local) = self.local_at(port.id) {
+            mapping::in_fragments(&packet, &self.locals[local].staged, |packet| out.transmit(packet));
+        }
+        id
+    }
+
+    fn unstage(&mut self, port: PortId) {
+        if let Some(local) = self.local(port) {
+            local.staged.clear();
+        }
+    }
+
+    /// The time a message carries: what remains (§5.1), or under the variant the instant on this node's clock.
+    pub(super) fn stamp(&self, table: &NodeTable, life: Ticks) -> Ticks {
+        match table.rules().time_stamp {
+            TimeStamp::Remaining => life,
+            TimeStamp::Absolute => self.now + life,
+        }
+    }
+
+    /// §5.2.1, procedure `get`: the most urgent message over the port heads, or remember what was asked for.
+    fn get(
+        &mut self,
+        table: &NodeTable,
+        port: Option<PortId>,
+        source: Option<TaskId>,
+        time_out: Option<Ticks>,
+        out: &mut impl Outbox,
+    ) -> Result<Option<Signal>, Fault> {
+        if let Some(id) = port {
+            match self.role(id) {
+                None => return Err(Fault::NotYourPort),
+                Some(Role::Receives(_)) => {}
+                Some(Role::Sends | Role::Asks(_) | Role::Meets(_) | Role::Replies | Role::Hears) => {
+                    return Err(Fault::WrongUsage);
+                }
+            }
+        }
+        if self.serve(table, port, source, out) {
+            return Ok(None);
+        }
+        if time_out == Some(Ticks::ZERO) {
+            return Ok(Some(Signal::Nothing));
+        }
+        let deadline = time_out.map_or(Ticks::FAR, |t| self.now + t);
+        self.top_mut().pending = Pending::Get { port, source, deadline };
+        Ok(None)
+    }
+
+    /// Hands over the most urgent message of what is asked for; false where there is none.
+    pub(super) fn serve(
+        &mut self,
+        table: &NodeTable,
+        port: Option<PortId>,
+        source: Option<TaskId>,
+        out: &mut impl Outbox,
+    ) -> bool {
+        let Some((inbox, slot)) = self.most_urgent(port, source) else { return false };
+        if port.is_none() && source.is_none() && table.rules().aging != Aging::Off {
+            let passed_over = self.inboxes.iter_mut().filter(|inbox| !inbox.handled && inbox.queue.len() > 0);
+            passed_over.for_each(|inbox| inbox.bypassed = inbox.bypassed.saturating_add(1));
+        }
+        let Some(message) = self.take(inbox, slot) else { return false };
+        let port = self.inboxes[inbox].port;
+        self.hand_over(port, &message, out);
+        true
+    }
+
+    /// D14: a GET chooses among port heads: first one that was passed over too often (D58); then by urgency, class,
+    /// `order`, port, source and arrival. Ports with a handler are not looked at unless they are named.
+    fn most_urgent(&self, port: Option<PortId>, source: Option<TaskId>) -> Option<(usize, u32)> {
+        let limit = self.bypass_limit();
+        let over_all = port.is_none() && source.is_none();
+        let asked = self.inboxes.iter().enumerate();
+        let asked = asked.filter(|(_, inbox)| port.map_or(!inbox.handled, |p| p == inbox.port));
+        let heads = asked.filter_map(|(i, inbox)| {
+            let (key, slot, message) = inbox.head(source)?;
+            let rank = self.order.rank(inbox.port, message.source);
+            let bypassed = if over_all && inbox.bypassed >= limit { inbox.bypassed } else { 0 };
+            let place = (message.expires, message.class, rank, inbox.port, key);
+            // Of ports passed over too often, the lower one where all else is alike: not the more urgent one.
+            let place = if bypassed > 0 { (Ticks::ZERO, message.class, 0, inbox.port, key) } else { place };
+            Some(((u16::MAX - bypassed, place), (i, slot)))
+        });
+        heads.min_by_key(|&(key, _)| key).map(|(_, place)| place)
+    }
+
+    fn reply(
+        &mut self,
+        table: &NodeTable,
+        to: ReplyTo,
+        contents: Contents,
+        out: &mut impl Outbox,
+    ) -> Result<Signal, Fault> {
+        let (port, party) = mapping::own_end(table, to.port, self.task)?;
+        if self.role(to.port) == Some(Role::Replies) {
+            if !port.peers(self.task).any(|peer| peer == to.source) {
+                return Err(Fault::NotAPeer);
+            }
+            self.staged(to.port)?;
+            self.count(to.port, |c| c.sent += 1);
+            self.send_answer(port, to, party.time_out, contents, out);
+            return Ok(Signal::Accepted(1));
+        }
+        let Some(Role::Receives(inbox)) = self.role(to.port) else { return Err(Fault::NothingToAnswer) };
+        let inbox = usize::from(inbox);
+        let Some(at) = self.inboxes[inbox].source(to.source) else { return Err(Fault::NothingToAnswer) };
+        let left = self.answerable(inbox, at, to)?;
+        self.staged(to.port)?;
+        let local = self.local_at(to.port);
+        let source = &mut self.inboxes[inbox].sources[at];
+        if let Some(remembered) = &mut source.command {
+            remembered.fate = Fate::Answered(contents);
+        }
+        source.answer.clear();
+        if let Some(local) = local {
+            source.answer.copy(&self.locals[local].staged);
+        }
+        if table.rules().memory == Memory::UntilAnswered {
+            source.command = None;
+        }
+        self.send_answer(port, to, left, contents, out);
+        Ok(Signal::Accepted(1))
+    }
+
+    /// What is left of the wait of the sender of a message that can still be answered.
+    fn answerable(&self, inbox: usize, source: usize, to: ReplyTo) -> Result<Ticks, Fault> {
+        // What is not remembered any more is over, and so is its sender's wait.
+        let known = self.inboxes[inbox].sources[source].command.filter(|c| c.until > self.now);
+        let Some(remembered) = known else { return Err(Fault::Late) };
+        if remembered.id != to.id {
+            // A newer message took the slot: its sender has given this one up.
+            let newer = remembered.id.sequence.is_newer_than(to.id.sequence);
+            return Err(if newer { Fault::Late } else { Fault::NothingToAnswer });
+        }
+        let Fate::Delivered(budget_ends) = remembered.fate else { return Err(Fault::NothingToAnswer) };
+        if budget_ends <= self.now {
+            return Err(Fault::Late);
+        }
+        Ok(remembered.sender_until - self.now)
+    }
+
+    fn send_answer(
+        &mut self,
+        port: &Port,
+        to: ReplyTo,
+        left: Ticks,
+        contents: Contents,
+        out: &mut impl Outbox,
+    ) {
+        note(out, Event::Replied, to.port, to.source, to.id, left);
+        let packet = mapping::answer(to, self.task, mapping::answer_kind(port), left, contents);
+        if let Some(local) = self.local_at(to.port) {
+            mapping::in_fragments(&packet, &self.locals[local].staged, |packet| out.transmit(packet));
+        }
+        self.unstage(to.port);
+    }
+
+    fn arrive(
+        &mut self,
+        table: &NodeTable,
+        id: PortId,
+        arguments: [u8; 8],
+        time_out: Option<Ticks>,
+        out: &mut impl Outbox,
+    ) -> Result<Option<Signal>, Fault> {
+        let (_, party) = mapping::own_end(table, id, self.task)?;
+        let Some(Role::Meets(meeting)) = self.role(id) else { return Err(Fault::WrongUsage) };
+        if self.meetings[usize::from(meeting)].deadline.is_some() {
+            return Err(Fault::Busy);
+        }
+        // As for messages: the declared patience is what a restarted partner waits for, so it may only be shortened.
+        let patience = time_out.map_or(party.time_out, |wanted| wanted.min(party.time_out));
+        self.top_mut().pending = Pending::Meeting(meeting);
+        self.meet(table, meeting, out, |rendezvous, at, out| rendezvous.reach(at, arguments, patience, out));
+        Ok(None)
+    }
+
+    fn set_handled(&mut self, port: PortId, handled: bool) -> Result<Signal, Fault> {
+        match self.role(port) {
+            Some(Role::Receives(inbox)) => {
+                let inbox = &mut self.inboxes[usize::from(inbox)];
+                (inbox.handled, inbox.bypassed) = (handled, 0);
+                Ok(Signal::Accepted(0))
+            }
+            Some(Role::Sends | Role::Asks(_) | Role::Meets(_) | Role::Replies | Role::Hears) => {
+                Err(Fault::WrongUsage)
+            }
+            None => Err(Fault::NotYourPort),
+        }
+    }
+
+    fn done(&mut self) -> Result<Signal, Fault> {
+        if self.top().pending == Pending::Work {
+            self.top_mut().pending = Pending::Nothing;
+            return Ok(Signal::Accepted(0));
+        }
+        let below = self.running().iter().any(|level| level.pending == Pending::Work);
+        Err(if below { Fault::Busy } else { Fault::WrongUsage })
+    }
+
+    fn cancel(&mut self, table: &NodeTable, out: &mut impl Outbox) -> Signal {
+        match core::mem::replace(&mut self.top_mut().pending, Pending::Nothing) {
+            Pending::Meeting(meeting) => {
+                self.meet(table, meeting, out, |rendezvous, at, out| rendezvous.leave(at, out));
+            }
+            Pending::Delay(id, _) => out.disarm(id),
+            Pending::Reply(desk) => self.desks[usize::from(desk)].close(),
+            Pending::Nothing | Pending::Get { .. } | Pending::Work | Pending::Boundary => {}
+        }
+        Signal::Cancelled
+    }
+
+    /// Every wait ends, and every handler: the task begins anew. What waits for it stays.
+    fn abandon(&mut self, table: &NodeTable, out: &mut impl Outbox) -> Signal {
+        loop {
+            self.cancel(table, out);
+            *self.top_mut() = super::Level::NEW;
+            if self.depth == 0 {
+                break;
+            }
+            self.depth -= 1;
+        }
+        for desk in &mut self.desks {
+            desk.close();
+        }
+        self.stop_all(out);
+        Signal::Cancelled
+    }
+}

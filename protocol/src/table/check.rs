@@ -1,0 +1,285 @@
+//! What may be wrong with a declared cell.
+
+use super::{Hop, Port, farthest};
+use crate::cell::{Cell, CellError, MAX_FRAGMENTS, MAX_MEMBERS, Usage};
+use crate::ids::{NodeId, Seq24, TaskId};
+use crate::packet::{Class, MAX_HOPS};
+use crate::ticks::Ticks;
+use alloc::collections::BTreeSet;
+use alloc::format;
+use alloc::string::String;
+use alloc::vec::Vec;
+
+pub(super) fn names(cell: &Cell, errors: &mut Vec<CellError>) {
+    fn unique<'a>(what: &'static str, names: impl Iterator<Item = &'a String>, errors: &mut Vec<CellError>) {
+        let mut seen = BTreeSet::new();
+        let mut count = 0_usize;
+        for name in names {
+            count += 1;
+            if !seen.insert(name) {
+                errors.push(CellError::DuplicateName(what, name.clone()));
+            }
+        }
+        if count > usize::from(u16::MAX) {
+            errors.push(CellError::TooMany(what));
+        }
+    }
+    unique("nodes", cell.nodes.iter().map(|n| &n.name), errors);
+    unique("tasks", cell.tasks.iter().map(|t| &t.name), errors);
+    unique("ports", cell.ports.iter().map(|p| &p.name), errors);
+}
+
+pub(super) fn references(cell: &Cell, errors: &mut Vec<CellError>) {
+    let node = |id: NodeId| id.index() < cell.nodes.len();
+    let task = |id: TaskId| id.index() < cell.tasks.len();
+    for link in &cell.links {
+        if !node(link.a) || !node(link.b) {
+            errors.push(CellError::Dangling(format!("link {}--{}", link.a, link.b)));
+        } else if link.a == link.b {
+            errors.push(CellError::LinkToItself(cell.nodes[link.a.index()].name.clone()));
+        }
+    }
+    for t in &cell.tasks {
+        if !node(t.node) {
+            errors.push(CellError::Dangling(format!("task `{}`", t.name)));
+        }
+    }
+    for p in &cell.ports {
+        if !task(p.owner) || p.users.iter().any(|u| !task(u.task)) {
+            errors.push(CellError::Dangling(format!("port `{}`", p.name)));
+        }
+    }
+}
+
+pub(super) fn port(cell: &Cell, port: &Port, routes: &[Option<Hop>], errors: &mut Vec<CellError>) {
+    let decl = &port.decl;
+    let name = || decl.name.clone();
+    let modules = decl.modules.iter();
+    for module in modules.filter(|m| cell.tasks.iter().all(|t| t.module.as_ref() != Some(m))) {
+        errors.push(CellError::UnknownModule(name(), module.clone()));
+    }
+    if port.parties.len() < 2 && decl.modules.is_empty() {
+        errors.push(CellError::NoUsers(name()));
+    }
+    let mut seen = BTreeSet::new();
+    for party in &port.parties {
+        if !seen.insert(party.task) {
+            errors.push(CellError::ListedTwice(name(), cell.tasks[party.task.index()].name.clone()));
+        }
+        if party.time_out.is_zero() {
+            errors.push(CellError::NoTimeOut(name()));
+        }
+    }
+    if decl.usage == Usage::Waitfor && port.parties.len() > MAX_MEMBERS {
+        errors.push(CellError::TooManyMembers(name()));
+    }
+    if decl.bounded_buffer == 0 {
+        errors.push(CellError::NoBuffer(name()));
+    }
+    if decl.class == Class::Status {
+        let answered = match decl.usage {
+            Usage::Query | Usage::Response | Usage::Reply | Usage::Waitfor => true,
+            Usage::Send | Usage::Receive => decl.retry > 0,
+        };
+        if answered {
+            errors.push(CellError::NeedsClass2(name()));
+        }
+    }
+    check_sizes(port, errors);
+    check_ways(cell, port, routes, errors);
+}
+
+fn check_sizes(port: &Port, errors: &mut Vec<CellError>) {
+    let decl = &port.decl;
+    for fragments in [decl.fragments, decl.answer_fragments] {
+        if !(1..=MAX_FRAGMENTS).contains(&fragments) {
+            errors.push(CellError::Fragments(decl.name.clone(), fragments));
+        }
+    }
+    let owner_asks = matches!(decl.usage, Usage::Send | Usage::Query) && decl.class == Class::Command;
+    if owner_asks && port.parties.len() > MAX_MEMBERS {
+        errors.push(CellError::TooManyAsked(decl.name.clone()));
+    }
+    if let Some(rate) = decl.rate {
+        // D53: within one life a sender must stay within half the circle of its sequence numbers.
+        let life = port.parties.iter().map(|p| p.time_out).max().unwrap_or_default();
+        let copies = port.parties.iter().map(|p| port.peers(p.task).count()).max().unwrap_or(0);
+        let sent = u128::from(rate.count) * copies as u128 * u128::from(life.0);
+        if rate.per.is_zero() || sent / u128::from(rate.per.0) >= u128::from(Seq24::MODULUS / 2) {
+            errors.push(CellError::SequenceWraps(decl.name.clone()));
+        }
+    }
+}
+
+fn check_ways(cell: &Cell, port: &Port, routes: &[Option<Hop>], errors: &mut Vec<CellError>) {
+    let decl = &port.decl;
+    let n = cell.nodes.len();
+    for party in &port.parties {
+        for peer in port.peers(party.task) {
+            let (a, b) = (cell.tasks[party.task.index()].node, cell.tasks[peer.index()].node);
+            let hop = routes[a.index() * n + b.index()];
+            let way = if a == b { Some((Ticks::ZERO, 1)) } else { hop.map(|h| (h.bound, h.links)) };
+            let reachable = way.filter(|&(_, links)| links <= MAX_HOPS + 1);
+            let Some((bound, _)) = reachable else {
+                if party.task < peer {
+                    let names = (&cell.tasks[party.task.index()].name, &cell.tasks[peer.index()].name);
+                    errors.push(CellError::Unreachable(decl.name.clone(), names.0.clone(), names.1.clone()));
+                }
+                continue;
+            };
+            let least = match party.usage {
+                Usage::Send | Usage::Query if decl.class == Class::Command => bound + bound,
+                Usage::Reply => bound,
+                Usage::Send | Usage::Query | Usage::Receive | Usage::Response | Usage::Waitfor => continue,
+            };
+            if party.time_out <= least {
+                let (port, time_out) = (decl.name.clone(), party.time_out);
+                errors.push(CellError::DeadlineTooShort { port, time_out, least });
+            }
+        }
+    }
+    if decl.usage == Usage::Waitfor && errors.is_empty() {
+        let least = port.margin + farthest(cell, &port.parties, routes);
+        let time_out = port.parties.iter().map(|p| p.time_out).min().unwrap_or(Ticks::ZERO);
+        if time_out <= least {
+            errors.push(CellError::MarginTooLong { port: decl.name.clone(), time_out, least });
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cell::{PortDecl, TaskDecl};
+    use crate::table::CellTable;
+
+    const X: TaskId = TaskId(0);
+    const Y: TaskId = TaskId(1);
+    const Z: TaskId = TaskId(2);
+
+    fn three(delay: u64) -> Cell {
+        let mut cell = Cell::new("three", Ticks(1));
+        let nodes: Vec<_> = ["a", "b", "c"].map(|n| cell.node(n)).into();
+        for i in 0..3 {
+            cell.task(["x", "y", "z"][i], nodes[i]);
+        }
+        cell.link(nodes[0], nodes[1], Ticks(delay));
+        cell.link(nodes[1], nodes[2], Ticks(delay));
+        cell
+    }
+
+    fn errors(change: impl FnOnce(&mut Cell)) -> Vec<CellError> {
+        let mut cell = three(1);
+        change(&mut cell);
+        CellTable::new(cell).map(|_| ()).unwrap_err()
+    }
+
+    fn name(s: &str) -> String {
+        String::from(s)
+    }
+
+    #[test]
+    fn every_fault_of_a_declaration_is_found() {
+        let found = errors(|c| {
+            c.node("a");
+            c.task("x", NodeId(7));
+            c.link(NodeId(1), NodeId(1), Ticks(1));
+        });
+        assert_eq!(
+            found,
+            [
+                CellError::DuplicateName("nodes", name("a")),
+                CellError::DuplicateName("tasks", name("x")),
+                CellError::LinkToItself(name("b")),
+                CellError::Dangling(name("task `x`")),
+            ]
+        );
+        let found = errors(|c| {
+            c.port(PortDecl::new("p", X, Usage::Send, &[], Ticks(0)).bounded_buffer(0));
+            c.port(PortDecl::new("q", X, Usage::Send, &[Y, Y], Ticks(5)));
+            c.port(PortDecl::new("r", X, Usage::Send, &[Y], Ticks(2)).command());
+            c.port(PortDecl::new("s", X, Usage::Reply, &[Y], Ticks(1)));
+            c.port(PortDecl::new("t", X, Usage::Send, &[Y], Ticks(9)).retry(2, Ticks(3)));
+        });
+        assert_eq!(
+            found,
+            [
+                CellError::NoUsers(name("p")),
+                CellError::NoTimeOut(name("p")),
+                CellError::NoBuffer(name("p")),
+                CellError::ListedTwice(name("q"), name("y")),
+                CellError::DeadlineTooShort { port: name("r"), time_out: Ticks(2), least: Ticks(2) },
+                CellError::DeadlineTooShort { port: name("s"), time_out: Ticks(1), least: Ticks(1) },
+                CellError::NeedsClass2(name("t")),
+            ]
+        );
+        let found = errors(|c| {
+            c.port(PortDecl::new("m", X, Usage::Waitfor, &[Y, Z], Ticks(9)).resend(Ticks(4), 2));
+        });
+        assert!(matches!(found[..], [CellError::MarginTooLong { time_out: Ticks(9), .. }]), "{found:?}");
+        let found = errors(|c| {
+            let far = c.node("far");
+            let w = c.task("w", far);
+            c.port(PortDecl::new("p", X, Usage::Send, &[w], Ticks(9)));
+        });
+        assert_eq!(found, [CellError::Unreachable(name("p"), name("x"), name("w"))]);
+    }
+
+    #[test]
+    fn a_module_stands_for_its_tasks_but_the_owner() {
+        let mut cell = three(1);
+        let tag = |cell: &mut Cell, t: usize| cell.tasks[t].module = Some(name("arms"));
+        (0..3).for_each(|t| tag(&mut cell, t));
+        let all = cell.port(PortDecl::new("p", X, Usage::Send, &[], Ticks(9)).module("arms"));
+        let named = cell.port(PortDecl::new("q", X, Usage::Send, &[Z], Ticks(9)).module("arms"));
+        let table = CellTable::new(cell).unwrap();
+        let peers = |port| table.port(port).unwrap().peers(X).collect::<Vec<_>>();
+        assert_eq!((peers(all), peers(named)), ([Y, Z].into(), [Z, Y].into()));
+        let unknown = errors(|c| {
+            c.port(PortDecl::new("p", X, Usage::Send, &[], Ticks(9)).module("legs"));
+        });
+        assert_eq!(unknown, [CellError::UnknownModule(name("p"), name("legs"))]);
+    }
+
+    #[test]
+    fn formats_rates_and_sets_have_limits() {
+        let port = || PortDecl::new("p", X, Usage::Send, &[Y], Ticks(100));
+        for (fragments, answers, wrong) in [(0, 1, 0), (17, 1, 17), (1, 99, 99)] {
+            let found = errors(|c| {
+                c.port(port().fragments(fragments, answers));
+            });
+            assert_eq!(found, [CellError::Fragments(name("p"), wrong)]);
+        }
+        // 2^23 messages of one sender in one life of 100 ticks.
+        for (count, per, ports) in [(65_535, 1, 0), (1, 0, 1)] {
+            let mut cell = three(1);
+            cell.port(port().rate(count, Ticks(per)));
+            assert_eq!(CellTable::new(cell).err().map_or(0, |errors| errors.len()), ports);
+        }
+        let wraps = errors(|c| {
+            c.port(PortDecl { time_out: Ticks(129), ..port() }.rate(65_535, Ticks(1)));
+        });
+        assert_eq!(wraps, [CellError::SequenceWraps(name("p"))]);
+        let crowd = |users: u16| {
+            let mut cell = Cell::new("crowd", Ticks(1));
+            let node = cell.node("n");
+            let tasks: Vec<_> = (0..=users).map(|i| cell.task(&format!("t{i}"), node)).collect();
+            cell.port(PortDecl::new("p", tasks[0], Usage::Query, &tasks[1..], Ticks(9)));
+            cell.port(PortDecl::new("q", tasks[0], Usage::Response, &tasks[1..], Ticks(9)));
+            CellTable::new(cell).map(|_| ())
+        };
+        assert_eq!((crowd(63), crowd(64)), (Ok(()), Err([CellError::TooManyAsked(name("p"))].into())));
+    }
+
+    #[test]
+    fn what_is_answered_needs_class_2() {
+        for usage in [Usage::Query, Usage::Response, Usage::Reply, Usage::Waitfor] {
+            let port = PortDecl::new("p", X, usage, &[Y], Ticks(90));
+            let found = errors(|c| {
+                c.port(PortDecl { class: Class::Status, ..port });
+            });
+            assert_eq!(found, [CellError::NeedsClass2(name("p"))]);
+        }
+        assert_eq!(TaskDecl { name: name("x"), node: NodeId(0), module: None }, three(1).tasks[0]);
+    }
+}
