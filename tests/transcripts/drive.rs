@@ -3,8 +3,9 @@
 //! packets arrive.
 
 use crate::cells::Declared;
-use crate::steps::{Ask, Fault, Look, Step, What};
-use crate::words::{Names, text};
+use crate::look::{answer, look, whole};
+use crate::steps::{Ask, Fault, Step, What};
+use crate::words::Names;
 use imrs_protocol::*;
 use std::sync::Arc;
 
@@ -185,7 +186,10 @@ impl Drive {
                     self.input(*from, NodeInput::Advance(Ticks::ZERO))?;
                 }
             }
-            Step::Look(look) => self.look(*look)?,
+            Step::Look(what) => {
+                let text = look(*what, &self.nodes, &self.between.table)?;
+                self.between.see(format!("| {text}"));
+            }
             Step::Ask(task, ask) => self.ask(*task, ask)?,
         }
         Ok(std::mem::take(&mut self.between.seen).into_iter().filter(|seen| !seen.text.is_empty()).collect())
@@ -207,9 +211,10 @@ impl Drive {
 
     /// Puts a signal into words, and keeps what can be answered.
     fn tell(&mut self, node: NodeId, task: TaskId, signal: &Signal, place: usize) {
-        let whole = self.nodes[node.index()].task(task).map(|t| whole(t, signal)).unwrap_or_default();
         let names = Names(&self.between.table);
-        self.between.seen[place].text = format!("{} <- {}", names.task(task), names.signal(signal, &whole));
+        let Some(at) = self.nodes[node.index()].task(task) else { return };
+        let told = names.signal(signal, &whole(at, signal), |port, of| answer(at, port, of));
+        self.between.seen[place].text = format!("{} <- {told}", names.task(task));
         if let Signal::Message(d) | Signal::Interrupt(Call::Message(d)) = signal
             && d.class == Class::Command
         {
@@ -271,11 +276,9 @@ impl Drive {
         match ask {
             Ask::Plain(request) => self.request(task, *request),
             Ask::Send { port, to, contents, time_out } => {
-                let first = self.parts(task, *port, contents)?;
-                self.request(
-                    task,
-                    Request::Send { port: *port, to: *to, contents: first, time_out: *time_out },
-                )
+                let to = self.target(*port, to)?;
+                let Some(first) = self.parts(task, *port, contents)? else { return Ok(()) };
+                self.request(task, Request::Send { port: *port, to, contents: first, time_out: *time_out })
             }
             Ask::Reply { through, to, of, contents } => {
                 let place = self.place_of(of.unwrap_or(task), *through, *to, of.is_some())?;
@@ -283,13 +286,31 @@ impl Drive {
                 if of.is_some() {
                     name.port = through.ok_or("which `reply` port?")?;
                 }
-                let first = self.parts(task, name.port, contents)?;
+                let Some(first) = self.parts(task, name.port, contents)? else { return Ok(()) };
                 self.request(task, Request::Reply { to: name, contents: first })?;
-                let fault = self.between.seen.iter().any(|seen| seen.text.contains("<- fault"));
-                self.got[place].answered |= !fault;
+                self.got[place].answered |= !self.has_faults();
                 Ok(())
             }
         }
+    }
+
+    /// Whether the line carried out was told of a fault.
+    fn has_faults(&self) -> bool {
+        self.between.seen.iter().any(|seen| seen.text.contains("<- fault"))
+    }
+
+    /// All, one, or some of the tasks at the other end of a port.
+    fn target(&self, port: PortId, to: &[TaskId]) -> Result<Target, String> {
+        let port = self.between.table.port(port).ok_or("no such port")?;
+        Ok(match *to {
+            [] => Target::All,
+            [one] => Target::One(one),
+            _ => {
+                let parties = to.iter().map(|&task| port.party_index(task).ok_or("a task without that port"));
+                let bits: Result<Vec<usize>, _> = parties.collect();
+                Target::Some(bits?.into_iter().fold(0, |bits, party| bits | 1 << party))
+            }
+        })
     }
 
     /// The message that a reply is for: the last one that is not answered yet, else the last one.
@@ -310,16 +331,19 @@ impl Drive {
         open.map(|(place, _)| place).ok_or_else(|| "there is no such message to answer".into())
     }
 
-    /// Stages all fragments but the first, which it returns.
-    fn parts(&mut self, task: TaskId, port: PortId, contents: &[u8]) -> Result<Contents, String> {
+    /// Stages all fragments but the first, which it returns; nothing where one of them is at fault.
+    fn parts(&mut self, task: TaskId, port: PortId, contents: &[u8]) -> Result<Option<Contents>, String> {
         let mut parts =
             contents.chunks(CONTENTS_BYTES).map(|part| Contents::new(part).expect("short enough"));
         let first = parts.next().unwrap_or(Contents::EMPTY);
         for (i, contents) in parts.enumerate() {
             let index = u8::try_from(i + 1).map_err(|_| "too long")?;
             self.request(task, Request::Part { port, index, contents })?;
+            if self.has_faults() {
+                return Ok(None);
+            }
         }
-        Ok(first)
+        Ok(Some(first))
     }
 
     fn request(&mut self, task: TaskId, request: Request) -> Result<(), String> {
@@ -354,43 +378,4 @@ impl Drive {
         }
         Ok(())
     }
-
-    fn look(&mut self, look: Look) -> Result<(), String> {
-        let names = Names(&self.between.table);
-        let of = |task: TaskId| {
-            let node = &self.nodes[self.between.table.location(task)?.index()];
-            Some((node.task(task)?, &node.parts().table))
-        };
-        let port_of = |port: PortId, task: TaskId| {
-            let (task, table) = of(task)?;
-            task.view(table, usize::MAX).ports.into_iter().find(|view| view.port == port)
-        };
-        let not_there = "the task has no such port";
-        let text = match look {
-            Look::Queue(port, task) => names.queue(&port_of(port, task).ok_or(not_there)?),
-            Look::Counters(port, task) => names.counters(&port_of(port, task).ok_or(not_there)?.counters),
-            Look::State(task) => names.state(&of(task).ok_or("the task runs nowhere")?.0.state()),
-            Look::Transit(node) => names.transit(&self.nodes[node.index()].parts().transit.waiting()),
-            Look::Answer(port, of_task, task) => {
-                let (task, _) = of(task).ok_or("the task runs nowhere")?;
-                answer(task, port, of_task).map_or_else(|| "no answer".into(), |said| text(&said))
-            }
-        };
-        self.between.see(format!("| {text}"));
-        Ok(())
-    }
-}
-
-/// All of a message or an answer that was handed over.
-fn whole(_task: &CommTask, signal: &Signal) -> Vec<u8> {
-    match signal {
-        Signal::Message(d) | Signal::Interrupt(Call::Message(d)) => d.contents.as_bytes().to_vec(),
-        Signal::Outcome(Outcome::Reply(contents)) => contents.as_bytes().to_vec(),
-        _ => Vec::new(),
-    }
-}
-
-/// What `of` answered to the last request of the port.
-fn answer(_task: &CommTask, _port: PortId, _of: TaskId) -> Option<Vec<u8>> {
-    None
 }

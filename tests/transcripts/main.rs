@@ -3,6 +3,7 @@
 
 mod cells;
 mod drive;
+mod look;
 mod page;
 mod steps;
 mod tokens;
@@ -40,6 +41,11 @@ pages! {
     buffers "buffers"
     relays "relays"
     rendezvous "rendezvous"
+    queries "queries"
+    sets "sets"
+    order "order"
+    fragments "fragments"
+    third_party_replies "third-party-replies"
     timers "timers"
     declarations "declarations"
 }

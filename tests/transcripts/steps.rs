@@ -46,7 +46,7 @@ pub enum Look {
 #[derive(Clone, Debug)]
 pub enum Ask {
     Plain(Request),
-    Send { port: PortId, to: Target, contents: Vec<u8>, time_out: Option<Ticks> },
+    Send { port: PortId, to: Vec<TaskId>, contents: Vec<u8>, time_out: Option<Ticks> },
     Reply { through: Option<PortId>, to: Option<TaskId>, of: Option<TaskId>, contents: Vec<u8> },
 }
 
@@ -208,23 +208,9 @@ fn ask(t: &mut Tokens, cell: &Cell) -> Result<Ask, String> {
 
 fn send(t: &mut Tokens, cell: &Cell) -> Result<Ask, String> {
     let id = a_port(t, cell)?;
-    let mut to = Target::All;
-    if t.eat("to") {
-        let named = t.list("task", |name| task(cell, name))?;
-        to = match named[..] {
-            [one] => Target::One(one),
-            _ => Target::Some(parties(cell, id, &named)),
-        };
-    }
+    let to = if t.eat("to") { t.list("task", |name| task(cell, name))? } else { Vec::new() };
     let contents = t.text();
     Ok(Ask::Send { port: id, to, contents, time_out: length(t)? })
-}
-
-/// Bit `i` for party `i` of a port, owner first.
-fn parties(cell: &Cell, port: PortId, named: &[TaskId]) -> u64 {
-    let decl = &cell.ports[port.index()];
-    let all = std::iter::once(decl.owner).chain(decl.users.iter().map(|user| user.task));
-    all.enumerate().filter(|(_, party)| named.contains(party)).fold(0, |bits, (i, _)| bits | 1 << i)
 }
 
 /// `reply [PORT] [to A] [for B] "..."`: through a `reply` port, `for B` names who received the message.

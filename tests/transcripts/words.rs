@@ -39,15 +39,20 @@ impl Names<'_> {
         format!("{word} {from} to {to} on {port} {what}{part}, {} left{again}", p.remaining)
     }
 
-    /// A signal to `task`. `whole` is all of a message that it hands over.
-    pub fn signal(&self, signal: &Signal, whole: &[u8]) -> String {
+    /// A signal to a task. `whole` is all of a message that it hands over; `answer` reads what a task answered.
+    pub fn signal(
+        &self,
+        signal: &Signal,
+        whole: &[u8],
+        answer: impl Fn(PortId, TaskId) -> Option<Vec<u8>>,
+    ) -> String {
         match *signal {
             Signal::Accepted(1) | Signal::Accepted(0) => "accepted".into(),
             Signal::Accepted(copies) => format!("accepted, {copies} copies"),
             Signal::Fault(fault) => format!("fault {fault:?}"),
-            Signal::Outcome(Outcome::Reply(_)) => format!("Reply {}", text(whole)),
+            Signal::Outcome(Outcome::Reply(contents)) => format!("Reply {}", text(contents.as_bytes())),
             Signal::Outcome(outcome) => format!("{outcome:?}"),
-            Signal::Answers { port, answers } => self.answers(port, &answers),
+            Signal::Answers { port, answers } => self.answers(port, &answers, answer),
             Signal::Interrupt(Call::Message(d)) => format!("interrupt: {}", self.delivery(&d, whole)),
             Signal::Interrupt(Call::Timer(id)) => format!("interrupt: timer {}", id.0),
             Signal::Interrupt(Call::Fenced) => "interrupt: fenced".into(),
@@ -78,19 +83,26 @@ impl Names<'_> {
     }
 
     /// The marks of a set of answers.
-    fn answers(&self, port: PortId, a: &Answers) -> String {
-        let heard = a.answered | a.refused | a.restarted | a.unsent;
-        let groups = [
-            ("answered by", a.answered),
-            ("refused by", a.refused),
-            ("restarted:", a.restarted),
-            ("never left for", a.unsent & !a.answered & !a.refused & !a.restarted),
-            ("unknown of", a.asked & !heard),
-        ];
-        let some = groups.iter().filter(|(_, bits)| *bits != 0);
-        let said: Vec<String> =
-            some.map(|(word, bits)| format!("{word} {}", self.parties(port, *bits))).collect();
-        said.join(", ")
+    fn answers(
+        &self,
+        port: PortId,
+        a: &Answers,
+        answer: impl Fn(PortId, TaskId) -> Option<Vec<u8>>,
+    ) -> String {
+        let Some(decl) = self.0.port(port) else { return "nothing".into() };
+        let asked = decl.parties.iter().enumerate().filter(|(i, _)| a.asked >> i & 1 == 1);
+        let said = asked.map(|(i, party)| {
+            let is = |bits: u64| bits >> i & 1 == 1;
+            let mark = match answer(port, party.task) {
+                Some(said) if is(a.answered) => text(&said),
+                _ if is(a.refused) => "refused".into(),
+                _ if is(a.restarted) => "restarted".into(),
+                _ if is(a.unsent) => "never left".into(),
+                _ => "unknown".into(),
+            };
+            format!("{} {mark}", self.task(party.task))
+        });
+        format!("answers: {}", said.collect::<Vec<_>>().join(", "))
     }
 
     /// The tasks that bits stand for, owner first.
@@ -108,6 +120,7 @@ impl Names<'_> {
             Event::Discarded(reason) => {
                 Some(format!("{who} drops {} ({}): {}", self.port(o.port), self.task(o.peer), reason.name()))
             }
+            Event::Rejected => Some(format!("{who} rejects {} ({})", self.port(o.port), self.task(o.peer))),
             Event::WithinMargin => {
                 Some(format!("{who} holds all arrivals, {} left: not enough", o.remaining))
             }
