@@ -98,6 +98,12 @@ impl<T> Queue<T> {
         all
     }
 
+    /// As [`rekey`](Self::rekey), from the most urgent entry on. A heap in full order is a heap.
+    pub fn rekey_in_order(&mut self, change: impl FnMut(u128, &mut T) -> u128) {
+        self.heap.sort_unstable();
+        self.rekey(change);
+    }
+
     /// Changes every entry and its key, which `change` gets; the queue is put in order again afterwards.
     pub fn rekey(&mut self, mut change: impl FnMut(u128, &mut T) -> u128) {
         for (key, slot) in &mut self.heap {

@@ -74,7 +74,7 @@ pub(crate) struct Assembly {
     pub have: u16,
     /// How many there are, once the last one is here.
     pub fragments: Option<u8>,
-    /// The least life of those here.
+    /// When the least life of those here ends; of a command, with the way back taken off.
     pub expires: Ticks,
     pub contents: Box<[Contents]>,
 }
@@ -179,12 +179,13 @@ impl CommTask {
         fragments.ok_or(Fault::WrongLength)
     }
 
-    /// One of several packets of a message of this node's source entry. Returns the message once it is whole, as one
-    /// packet with the least life of all.
+    /// One of several packets of a message. Returns the message once it is whole, as one packet with the least life of
+    /// all. Of each life the way back is `reserved`, so that what is held here has time left to be answered (D18).
     pub(super) fn assemble(
         &mut self,
         (inbox, source): (usize, usize),
         packet: &Packet,
+        reserved: Ticks,
         out: &mut impl super::Outbox,
     ) -> Option<(Packet, u8)> {
         let now = self.now;
@@ -200,7 +201,7 @@ impl CommTask {
             self.inboxes[inbox].sources[source].assembly.begin(packet.id);
         }
         let assembly = &mut self.inboxes[inbox].sources[source].assembly;
-        match assembly.put(packet, now + packet.remaining) {
+        match assembly.put(packet, now + packet.remaining - reserved) {
             Step::Waits => None,
             Step::Again => {
                 self.duplicate(packet, out);
@@ -211,7 +212,7 @@ impl CommTask {
                 None
             }
             Step::Whole(fragments) => {
-                let (remaining, contents) = (assembly.expires - now, assembly.contents[0]);
+                let (remaining, contents) = (assembly.expires - now + reserved, assembly.contents[0]);
                 Some((Packet { remaining, contents, fragment: 0, more: false, ..*packet }, fragments))
             }
         }

@@ -268,7 +268,7 @@ impl CommTask {
             let round = *round.get_or_insert(self.rejections);
             let mut rejected = 0;
             let mut queue = core::mem::take(&mut self.inboxes[i].queue);
-            queue.rekey(|key, held| {
+            queue.rekey_in_order(|key, held| {
                 if !(self.is_due(held) && !self.held_outranks(table, id, held)) {
                     return key;
                 }

@@ -82,7 +82,7 @@ impl CommTask {
             return;
         }
         let whole = if packet.more || packet.fragment > 0 {
-            self.assemble((inbox, source), &packet, out)
+            self.assemble((inbox, source), &packet, reserved, out)
         } else {
             self.overtake((inbox, source), &packet, out);
             Some((packet, 1))

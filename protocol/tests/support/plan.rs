@@ -1,6 +1,6 @@
 //! Random cells.
 
-use imrs_protocol::rules::{Confirmation, Memory};
+use imrs_protocol::rules::{Aging, Confirmation, Memory};
 use imrs_protocol::*;
 use proptest::prelude::*;
 use std::sync::Arc;
@@ -12,13 +12,13 @@ pub struct Plan {
     nodes: u16,
     delay: u64,
     ports: Vec<[u8; 6]>,
-    rules: [u8; 3],
+    rules: [u8; 4],
 }
 
 /// Random cells of 1 to 4 tasks on 1 to 3 nodes; a third of them run variants of the rules.
 pub fn plans() -> impl Strategy<Value = Plan> {
-    let ports = proptest::collection::vec(any::<[u8; 6]>(), 1..4);
-    let rules = prop_oneof![2 => Just([0; 3]), 1 => any::<[u8; 3]>()];
+    let ports = proptest::collection::vec(any::<[u8; 6]>(), 1..5);
+    let rules = prop_oneof![2 => Just([0; 4]), 1 => any::<[u8; 4]>()];
     (1..=4_u16, 1..=3_u16, 1..=3_u64, ports, rules).prop_map(|(tasks, nodes, delay, ports, rules)| Plan {
         tasks,
         nodes,
@@ -63,22 +63,38 @@ impl Plan {
         if list.is_empty() {
             list = others;
         }
-        let usage =
-            [Usage::Send, Usage::Receive, Usage::Send, Usage::Receive, Usage::Waitfor, Usage::Waitfor]
-                [usize::from(kind) % 6];
+        let usage = [
+            Usage::Send,
+            Usage::Receive,
+            Usage::Send,
+            Usage::Receive,
+            Usage::Waitfor,
+            Usage::Waitfor,
+            Usage::Query,
+            Usage::Response,
+            Usage::Send,
+            Usage::Reply,
+        ][usize::from(kind) % 10];
         let time_out = Ticks(60 + u64::from(time_out) % 30);
         let port = PortDecl::new(&format!("p{i}"), TaskId(owner), usage, &list, time_out);
-        let port = port.bounded_buffer(1 + u16::from(buffer) % 3);
         let every = Ticks(3 + u64::from(resend) % 6);
-        match kind % 6 {
+        let mut port = port.bounded_buffer(1 + u16::from(buffer) % 3);
+        if buffer & 0x40 != 0 {
+            let length = Ticks(1 + u64::from(buffer / 16));
+            port.penalty = Some(Penalty { length, literal: buffer & 0x30 == 0x30 });
+        }
+        port.latest = buffer & 0x0c == 0x0c;
+        match kind % 10 {
             0 | 1 => port,
-            2 | 3 => port.command().retry(resend / 64, every),
-            _ => port.resend(every, resend / 86),
+            2 | 3 | 6 | 7 => port.command().retry(resend / 64, every),
+            4 | 5 => port.resend(every, resend / 86),
+            8 if resend & 1 == 0 => port.fragments(3, 1),
+            _ => port.command().retry(resend / 128, every).fragments(1 + resend % 4, 1 + resend / 4 % 3),
         }
     }
 
     fn rules(&self) -> Rules {
-        if self.rules == [0; 3] {
+        if self.rules == [0; 4] {
             return Rules::DEFAULT;
         }
         let bit = |n: u8| self.rules[0] & (1 << n) != 0;
@@ -99,6 +115,8 @@ impl Plan {
             memory: [Memory::LifeAndLink, Memory::UntilAnswered, Memory::None]
                 [usize::from(self.rules[2] % 3)],
             quarantine: bit(7),
+            aging: [Aging::Bounded, Aging::Off, Aging::Unbounded][usize::from(self.rules[3] % 3)],
+            obey_order: self.rules[3] & 0x40 != 0,
             ..Rules::DEFAULT
         }
     }

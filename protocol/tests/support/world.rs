@@ -73,6 +73,10 @@ impl Shift {
                 let from = ReplyTo { id: self.id(d.from.source, d.from.id), ..d.from };
                 Signal::Message(Delivery { from, ..d })
             }
+            Signal::Interrupt(Call::Message(d)) => {
+                let from = ReplyTo { id: self.id(d.from.source, d.from.id), ..d.from };
+                Signal::Interrupt(Call::Message(Delivery { from, ..d }))
+            }
             Signal::Released { port, round, by } => {
                 Signal::Released { port, round: round.plus(self.rounds[port.index()]), by }
             }
@@ -162,7 +166,7 @@ impl World {
             self.turns[task].push((id, turn));
         }
         for s in &out.signals {
-            if let Signal::Message(d) = s
+            if let Signal::Message(d) | Signal::Interrupt(Call::Message(d)) = s
                 && d.class == Class::Command
             {
                 self.got[task].push(d.from);
@@ -205,14 +209,24 @@ impl World {
         let me = TaskId::from_index(task);
         let time_out = (b & 0x300 == 0).then(|| Ticks(u64::from(b % 70)));
         match port.party(me).expect("a party").usage {
-            Usage::Send | Usage::Query | Usage::Reply => {
+            Usage::Receive if port.decl.usage == Usage::Reply => Request::Boundary,
+            Usage::Reply => self.third_party(port, a, b),
+            Usage::Send | Usage::Query => {
                 let peers: Vec<TaskId> = port.peers(me).collect();
-                let to = Target::One(peers[usize::from(a / 8) % peers.len()]);
-                let to = if port.decl.class == Class::Status && b & 0x400 != 0 { Target::All } else { to };
                 let contents = Contents::new(&a.to_le_bytes()).expect("short");
+                if port.decl.fragments > 1 && b & 0x1800 == 0 {
+                    let index = u8::try_from(1 + b % 3).expect("small");
+                    return Request::Part { port: port.id, index, contents };
+                }
+                let to = Target::One(peers[usize::from(a / 8) % peers.len()]);
+                let some = Target::Some(u64::from(b & 0xf));
+                let to = if b & 0x400 != 0 { [Target::All, some][usize::from(a & 1)] } else { to };
                 Request::Send { port: port.id, to, contents, time_out }
             }
             Usage::Receive | Usage::Response => {
+                if b & 0x6000 == 0 {
+                    return Request::Handle { port: port.id, handled: b & 0x70 != 0 };
+                }
                 let source = (b & 0x800 != 0).then_some(TaskId(a % 4));
                 Request::Get { port: (b & 0x1000 != 0).then_some(port.id), source, time_out }
             }
@@ -223,6 +237,15 @@ impl World {
         }
     }
 
+    /// An answer to whatever request is on its way to anybody.
+    fn third_party(&self, port: &Port, a: u16, b: u16) -> Request {
+        let asked =
+            self.flying.iter().filter(|p| matches!(p.kind, Kind::Send | Kind::Query)).nth(usize::from(a) % 4);
+        let Some(&Packet { source, id, .. }) = asked else { return Request::Boundary };
+        let contents = Contents::new(&b.to_le_bytes()).expect("short");
+        Request::Reply { to: ReplyTo { port: port.id, source, id }, contents }
+    }
+
     fn answer(&mut self, task: usize, a: u16, b: u16) -> Effects {
         let got = &self.got[task];
         // The latest one as a rule, an earlier one now and then.
@@ -231,6 +254,10 @@ impl World {
             return Effects::default();
         };
         let contents = Contents::new(&b.to_le_bytes()).expect("short");
+        let fragments = self.tables[task].port(to.port).map_or(1, |port| port.decl.answer_fragments);
+        if fragments > 1 && b & 0x40 != 0 {
+            return self.input(task, Input::Request(Request::Part { port: to.port, index: 1, contents }));
+        }
         self.input(task, Input::Request(Request::Reply { to, contents }))
     }
 
@@ -251,14 +278,22 @@ impl World {
         bytes[16..18].copy_from_slice(&round.to_le_bytes());
         bytes[18..20].copy_from_slice(&released.to_le_bytes());
         let packet = Packet {
-            kind: [Kind::Send, Kind::Reply, Kind::Control, Kind::Arrive, Kind::Confirm, Kind::Abort]
-                [usize::from(bytes[0]) % 6],
+            kind: [
+                Kind::Send,
+                Kind::Reply,
+                Kind::Control,
+                Kind::Arrive,
+                Kind::Confirm,
+                Kind::Abort,
+                Kind::Query,
+                Kind::Response,
+            ][usize::from(bytes[0]) % 8],
             class: if bytes[1] & 1 == 0 { Class::Command } else { Class::Status },
-            more: false,
+            more: bytes[3] & 7 == 0,
             resent: bytes[1] & 2 != 0,
             urgent: false,
             hops: 7,
-            fragment: 0,
+            fragment: if bytes[3] & 0x38 == 0 { bytes[3] >> 6 } else { 0 },
             destination: TaskId(u16::from(bytes[2] % 4)),
             source: TaskId(u16::from(bytes[4] % 4)),
             port,
@@ -342,21 +377,38 @@ impl World {
 /// Requests that do not fit the cell, and those that fit always.
 fn odd_request(a: u16, b: u16) -> Request {
     let port = PortId(a % 5);
-    match b % 7 {
+    let id = TimeId(u8::try_from(a % 3).expect("small"));
+    let length = Ticks(u64::from(a));
+    let contents = Contents::EMPTY;
+    match b % 20 {
         0 => Request::Cancel,
-        1 => Request::Order(
-            ServiceOrder::new(&[Ranked::Port(PortId(a % 3)), Ranked::Port(PortId(a / 8 % 3))])
-                .expect("two levels"),
-        ),
-        2 => Request::Delay { id: TimeId(0), length: Ticks(u64::from(a)) },
-        3 => Request::Send { port, to: Target::All, contents: Contents::EMPTY, time_out: None },
-        4 => Request::Send {
-            port,
-            to: Target::One(TaskId(a / 8 % 5)),
-            contents: Contents::EMPTY,
-            time_out: None,
-        },
-        5 => Request::Arrive { port, arguments: [0; 8], time_out: Some(Ticks::ZERO) },
+        1 | 2 => Request::Order(order(a)),
+        3 => Request::Delay { id, length },
+        4 => Request::Send { port, to: Target::All, contents, time_out: None },
+        5 => Request::Send { port, to: Target::One(TaskId(a / 8 % 5)), contents, time_out: None },
+        6 => Request::Arrive { port, arguments: [0; 8], time_out: Some(Ticks::ZERO) },
+        7 | 8 => Request::Boundary,
+        9 => Request::Work,
+        10 => Request::Done,
+        11 | 12 | 13 => Request::Return,
+        14 => Request::Atomic(a & 3 == 0),
+        15 => Request::Start { id, length },
+        16 if a & 1 == 0 => Request::Stop { id },
+        16 => Request::Abandon,
+        17 => Request::Handle { port, handled: a & 8 != 0 },
+        18 => Request::Part { port, index: u8::try_from(a % 5).expect("small"), contents },
         _ => Request::Get { port: Some(port), source: None, time_out: Some(Ticks(u64::from(a % 9))) },
     }
+}
+
+fn order(a: u16) -> ServiceOrder {
+    let named = [
+        Ranked::Port(PortId(a % 3)),
+        Ranked::Own,
+        Ranked::Source(TaskId(a / 8 % 3)),
+        Ranked::Timers,
+        Ranked::Port(PortId(a / 32 % 3)),
+    ];
+    let skip = usize::from(a / 128 % 4);
+    ServiceOrder::new(&named[skip.min(2)..]).expect("few levels")
 }
