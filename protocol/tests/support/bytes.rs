@@ -34,7 +34,7 @@ pub fn inputs(data: &[u8]) {
     let [flags, mask] = bytes.take();
     let shape = bytes.take::<4>();
     let ports = (0..1 + usize::from(shape[3] % 3)).map(|_| bytes.take()).collect();
-    let rules = if flags & 1 == 0 { [0; 3] } else { bytes.take() };
+    let rules = if flags & 1 == 0 { [0; 4] } else { bytes.take() };
     let plan = Plan::new(shape[0], shape[1], shape[2], ports, rules);
     let mut world = World::new(&plan.build(), flags & 2 != 0);
     let mut rebased = world.clone();
