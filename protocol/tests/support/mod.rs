@@ -4,6 +4,7 @@
 
 pub mod bytes;
 pub mod net;
+pub mod packing;
 pub mod plan;
 pub mod world;
 
