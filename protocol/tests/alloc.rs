@@ -43,6 +43,8 @@ const N1: NodeId = NodeId(1);
 const MOVE: PortId = PortId(0);
 const BEAT: PortId = PortId(1);
 const LIFT: PortId = PortId(2);
+const ASK: PortId = PortId(3);
+const CHECK: PortId = PortId(4);
 
 fn cell() -> Cell {
     let mut cell = Cell::new("two", Ticks(1));
@@ -52,6 +54,10 @@ fn cell() -> Cell {
     cell.port(PortDecl::new("move", arm, Usage::Send, &[hoist], Ticks(50)).command().retry(3, Ticks(4)));
     cell.port(PortDecl::new("beat", arm, Usage::Send, &[hoist], Ticks(50)).bounded_buffer(2));
     cell.port(PortDecl::new("lift", arm, Usage::Waitfor, &[hoist], Ticks(50)).resend(Ticks(4), 2));
+    let ask = PortDecl::new("ask", hoist, Usage::Response, &[arm], Ticks(50));
+    cell.port(ask.penalty(Ticks(2)).fragments(4, 3).bounded_buffer(2));
+    let other = cell.task("other", b);
+    cell.port(PortDecl::new("check", arm, Usage::Query, &[hoist, other], Ticks(50)).retry(1, Ticks(5)));
     cell
 }
 
@@ -99,7 +105,7 @@ impl Pair {
     }
 
     fn ask(&mut self, task: TaskId, request: Request) {
-        self.step(NodeId(task.0), NodeInput::Request(task, request));
+        self.step(NodeId(task.0.min(1)), NodeInput::Request(task, request));
     }
 
     fn pass(&mut self, ticks: u64) {
@@ -112,6 +118,42 @@ impl Pair {
         self.room.signals = [None; 16];
         found.expect("the signal")
     }
+}
+
+/// Handlers, rejections, fragments, sets and timers.
+fn interrupt(pair: &mut Pair, contents: Contents) {
+    let ask = Request::Send { port: ASK, to: Target::One(HOIST), contents, time_out: None };
+    let order = [Ranked::Timers, Ranked::Own, Ranked::Port(ASK)];
+    pair.ask(HOIST, Request::Order(ServiceOrder::new(&order).expect("few levels")));
+    pair.ask(HOIST, Request::Handle { port: ASK, handled: true });
+    pair.ask(HOIST, Request::Start { id: TimeId(7), length: Ticks(3) });
+    pair.ask(HOIST, Request::Work);
+    for index in 1..4 {
+        pair.ask(ARM, Request::Part { port: ASK, index, contents });
+    }
+    pair.ask(ARM, ask);
+    // The timer interrupts, then the message, once it is old enough; its answer comes below nobody.
+    pair.pass(3);
+    pair.told(|s| matches!(s, Signal::Interrupt(Call::Timer(_))));
+    pair.ask(HOIST, Request::Return);
+    let Signal::Interrupt(Call::Message(query)) = pair.told(|s| matches!(s, Signal::Interrupt(_))) else {
+        return;
+    };
+    pair.ask(HOIST, Request::Part { port: ASK, index: 1, contents });
+    pair.ask(HOIST, Request::Reply { to: query.from, contents });
+    pair.told(|s| matches!(s, Signal::Outcome(Outcome::Reply(_))));
+    pair.ask(HOIST, Request::Return);
+    pair.ask(HOIST, Request::Done);
+    // One is answered, the other never is.
+    pair.ask(ARM, Request::Send { port: CHECK, to: Target::All, contents, time_out: None });
+    pair.ask(HOIST, Request::Get { port: Some(CHECK), source: None, time_out: Some(Ticks(9)) });
+    let Signal::Message(check) = pair.told(|s| matches!(s, Signal::Message(_))) else { return };
+    pair.ask(HOIST, Request::Reply { to: check.from, contents });
+    pair.pass(5);
+    pair.pass(50);
+    pair.told(|s| matches!(s, Signal::Answers { .. }));
+    pair.ask(HOIST, Request::Abandon);
+    pair.room.signals = [None; 16];
 }
 
 /// Every kind of message path once.
@@ -127,6 +169,7 @@ fn exercise(pair: &mut Pair, contents: Contents) {
     let Signal::Message(message) = pair.told(|s| matches!(s, Signal::Message(_))) else { return };
     pair.ask(HOIST, Request::Reply { to: message.from, contents });
     pair.told(|s| matches!(s, Signal::Outcome(Outcome::Reply(_))));
+    interrupt(pair, contents);
     // Status until the buffer evicts, then expiry.
     for _ in 0..4 {
         pair.ask(ARM, status);
@@ -186,7 +229,7 @@ fn loading_a_state_in_place_allocates_nothing() {
     let table = pair.nodes[0].parts().table.clone();
     let task = &mut pair.nodes[0].parts_mut().tasks[0];
     let mut bytes = [0; 512];
-    let home = ([Frame::ROUND; 3], [Seq24::new(0); 2]);
+    let home = ([Frame::ROUND; 5], [Seq24::new(0); 3]);
     let frame = Frame { rounds: &home.0, sequences: &home.1, lives: false };
     // Relative to ids out of reach nothing fits: the state is refused, not saturated.
     assert_eq!(task.store(&table, &frame, &mut bytes), Err(Overflow));

@@ -44,7 +44,6 @@ fn explain(fault: &Fault) -> &'static str {
         Fault::NotYourPort => "the task neither owns nor uses this port",
         Fault::WrongUsage => "the port's usage does not allow this",
         Fault::NotAPeer => "the named task is not at the other end of the port",
-        Fault::TooManyTimers => "the task has as many timers as it may",
         Fault::TooManyTimers => "the task has as many timers as it may have",
         Fault::WrongLength => "the message has more fragments than its format, or one is missing",
         Fault::NotInterrupted => "no handler runs",

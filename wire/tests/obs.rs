@@ -36,12 +36,16 @@ fn every_event() -> Vec<Event> {
         ReleasedByConfirm,
         WithinMargin,
         GaveUp,
+        Rejected,
+        Interrupted,
+        Resumed,
     ]);
     for event in &all {
         match event {
             Sent | Resent | Enqueued | Delivered | Replied | Answered | RefusedByPeer | TimedOut
             | TimedOutUnsent | PeerRestarted | Discarded(_) | Reached | Rejoined | PartnerArrived
-            | PartnerAborted | Confirmed | ReleasedComplete | ReleasedByConfirm | WithinMargin | GaveUp => {}
+            | PartnerAborted | Confirmed | ReleasedComplete | ReleasedByConfirm | WithinMargin | GaveUp
+            | Rejected | Interrupted | Resumed => {}
         }
     }
     all

@@ -123,7 +123,7 @@ impl Assembly {
         let highest = 16 - self.have.leading_zeros();
         let broken = match (ends, self.fragments) {
             (Some(end), Some(known)) => end != known,
-            (Some(end), None) => highest > u32::from(end),
+            (Some(end), None) => highest >= u32::from(end),
             (None, Some(known)) => packet.fragment + 1 >= known,
             (None, None) => false,
         };

@@ -269,7 +269,7 @@ impl CommTask {
             let mut rejected = 0;
             let mut queue = core::mem::take(&mut self.inboxes[i].queue);
             queue.rekey_in_order(|key, held| {
-                if !(self.is_due(held) && !self.held_outranks(table, id, held)) {
+                if !self.is_due(held) || self.held_outranks(table, id, held) {
                     return key;
                 }
                 rejected += 1;

@@ -54,9 +54,17 @@ impl Effects {
         self.observations.iter().filter_map(reason).collect()
     }
 
-    /// The message handed over, if there is one.
+    /// The message handed over, to a GET or to a handler, if there is one.
     pub fn delivery(&self) -> Option<Delivery> {
-        self.signals.iter().find_map(|s| if let Signal::Message(d) = s { Some(*d) } else { None })
+        self.signals.iter().find_map(|s| match s {
+            Signal::Message(d) | Signal::Interrupt(Call::Message(d)) => Some(*d),
+            _ => None,
+        })
+    }
+
+    /// How often something was observed.
+    pub fn count(&self, event: Event) -> usize {
+        self.observations.iter().filter(|o| o.event == event).count()
     }
 
     pub fn is_nothing(&self) -> bool {
@@ -132,6 +140,16 @@ pub fn send_for(port: PortId, to: TaskId, byte: u8, life: u64) -> Request {
 /// A message to all at the other end.
 pub fn send_all(port: PortId, byte: u8) -> Request {
     Request::Send { port, to: Target::All, contents: contents(byte), time_out: None }
+}
+
+/// Says that the task has a handler for a port.
+pub fn handle(port: PortId) -> Request {
+    Request::Handle { port, handled: true }
+}
+
+/// The `order` that names these, first to last.
+pub fn order(named: &[Ranked]) -> Request {
+    Request::Order(ServiceOrder::new(named).expect("few levels"))
 }
 
 /// A GET over all ports, for so long; zero polls.

@@ -167,7 +167,10 @@ impl Net {
     /// The message the task was given since the last look.
     pub fn message(&mut self, task: TaskId) -> Delivery {
         let told = self.told(task);
-        let delivery = told.iter().find_map(|s| if let Signal::Message(d) = s { Some(*d) } else { None });
+        let delivery = told.iter().find_map(|s| match s {
+            Signal::Message(d) | Signal::Interrupt(Call::Message(d)) => Some(*d),
+            _ => None,
+        });
         delivery.unwrap_or_else(|| panic!("{task} was told {told:?}"))
     }
 

@@ -1,0 +1,236 @@
+//! Rejection by rank and its end (R61 to R63, D4, D58, D59): a message is turned away a bounded number of times, and no
+//! port is passed over for ever.
+
+mod support;
+
+use imrs_protocol::rules::Aging;
+use imrs_protocol::*;
+use std::sync::Arc;
+use support::{Solo, get, handle, order, send, send_for};
+
+const X: TaskId = TaskId(0);
+const Y: TaskId = TaskId(1);
+
+/// Status of X to Y, in order of rank; a rejected offer waits 4 ticks.
+const LOW: PortId = PortId(0);
+const HIGH: PortId = PortId(1);
+/// The same without a penalty, and more of them.
+const PLAIN: [PortId; 3] = [PortId(2), PortId(3), PortId(4)];
+
+fn cell() -> Cell {
+    let mut cell = Cell::new("aging", Ticks(2));
+    let node = cell.node("n");
+    let (x, y) = (cell.task("x", node), cell.task("y", node));
+    for name in ["low", "high", "a", "b", "c"] {
+        let port = PortDecl::new(name, x, Usage::Send, &[y], Ticks(100)).bounded_buffer(8);
+        cell.port(if name.len() > 1 { port.penalty(Ticks(4)) } else { port });
+    }
+    cell
+}
+
+struct Room {
+    x: Solo,
+    y: Solo,
+}
+
+impl Room {
+    fn new(change: impl FnOnce(&mut Cell)) -> Self {
+        let mut cell = cell();
+        change(&mut cell);
+        let table: Arc<CellTable> = Arc::new(CellTable::new(cell).expect("a checked cell"));
+        Self { x: Solo::new(&table, X), y: Solo::new(&table, Y) }
+    }
+
+    fn hear(&mut self, port: PortId, byte: u8) -> Vec<String> {
+        let packet = self.x.ask(send(port, Y, byte)).packets[0];
+        self.y.hear(packet).words()
+    }
+
+    fn hear_urgent(&mut self, port: PortId, byte: u8, life: u64) -> Vec<String> {
+        let packet = self.x.ask(send_for(port, Y, byte, life)).packets[0];
+        self.y.hear(packet).words()
+    }
+
+    /// The thread works; each tick until a handler interrupts it.
+    fn ticks_to_interrupt(&mut self, at_most: u64) -> Option<(u64, String)> {
+        (1..=at_most).find_map(|tick| Some((tick, self.y.pass(1).words().first()?.clone())))
+    }
+}
+
+#[test]
+fn each_rejection_raises_the_rank_by_one_level() {
+    let mut room = Room::new(|_| ());
+    for request in [handle(LOW), order(&[Ranked::Own, Ranked::Port(HIGH), Ranked::Port(LOW)]), Request::Work]
+    {
+        room.y.ask(request);
+    }
+    // Two levels above it: rejected at 0 and after 4 ticks, it outranks `self` after 8.
+    assert!(room.hear(LOW, 1).is_empty());
+    assert_eq!(room.y.task.next_expiry(), Some(Ticks(4)));
+    assert_eq!(room.ticks_to_interrupt(50), Some((8, "interrupt [1] from T0 for 92".into())));
+    assert_eq!(room.y.counters(LOW).rejected, 2);
+}
+
+#[test]
+fn without_an_order_a_message_is_rejected_once() {
+    let mut room = Room::new(|_| ());
+    room.y.ask(handle(PLAIN[0]));
+    room.y.ask(Request::Work);
+    assert!(room.hear(PLAIN[0], 1).is_empty());
+    assert_eq!(
+        room.ticks_to_interrupt(50),
+        Some((2, "interrupt [1] from T0 for 98".into())),
+        "one tick of the cell"
+    );
+    // Of a short life half, and a whole tick at least.
+    for request in [Request::Return, Request::Done, handle(LOW), Request::Work] {
+        room.y.ask(request);
+    }
+    assert!(room.hear_urgent(LOW, 2, 5).is_empty());
+    assert_eq!(room.y.task.next_expiry(), Some(Ticks(2)));
+    assert!(room.hear_urgent(LOW, 3, 1).is_empty());
+    assert_eq!(room.y.task.next_expiry(), Some(Ticks(1)));
+}
+
+#[test]
+fn a_rejected_message_never_keeps_an_idle_task_waiting() {
+    let mut room = Room::new(|_| ());
+    for request in [handle(LOW), order(&[Ranked::Own, Ranked::Port(LOW)]), Request::Work] {
+        room.y.ask(request);
+    }
+    room.hear(LOW, 1);
+    room.y.ask(Request::Done);
+    assert_eq!(room.y.ask(Request::Boundary).words(), ["accepted 0"]);
+    assert_eq!(room.y.ask(get(9)).words(), ["interrupt [1] from T0 for 100"]);
+}
+
+#[test]
+fn among_messages_at_the_cap_the_first_rejected_goes_first() {
+    let mut room = Room::new(|_| ());
+    for request in [handle(LOW), handle(HIGH), order(&[Ranked::Own, Ranked::Port(HIGH), Ranked::Port(LOW)])] {
+        room.y.ask(request);
+    }
+    room.y.ask(Request::Work);
+    room.hear(LOW, 1);
+    room.y.pass(1);
+    room.hear_urgent(HIGH, 2, 20);
+    room.y.ask(Request::Done);
+    // Running: nothing is offered, and both get old enough.
+    room.y.ask(Request::Work);
+    room.y.pass(3);
+    room.y.ask(Request::Done);
+    room.y.pass(5);
+    assert_eq!(room.y.ask(Request::Boundary).words(), ["interrupt [1] from T0 for 91"]);
+    assert_eq!(room.y.ask(Request::Return).words(), ["interrupt [2] from T0 for 12"]);
+}
+
+#[test]
+fn a_cap_does_not_lift_a_message_over_a_handler_of_the_first_rank() {
+    let mut room = Room::new(|_| ());
+    for request in [handle(LOW), handle(HIGH), order(&[Ranked::Port(HIGH), Ranked::Own, Ranked::Port(LOW)])] {
+        room.y.ask(request);
+    }
+    room.y.ask(Request::Work);
+    assert_eq!(room.hear(HIGH, 1), ["interrupt [1] from T0 for 100"]);
+    room.y.ask(Request::Work);
+    room.hear(LOW, 2);
+    assert_eq!(room.ticks_to_interrupt(40), None);
+    assert_eq!(room.y.counters(LOW).rejected, 11, "every 4 ticks");
+    room.y.ask(Request::Done);
+    // At the next chance the thread itself is interrupted.
+    room.y.pass(4);
+    assert_eq!(room.y.ask(Request::Return).words(), ["interrupt [2] from T0 for 56"]);
+}
+
+#[test]
+fn without_aging_a_message_is_rejected_as_long_as_it_lives() {
+    for aging in [Aging::Off, Aging::Unbounded] {
+        let mut room = Room::new(|cell| cell.rules.aging = aging);
+        for request in [handle(LOW), order(&[Ranked::Own, Ranked::Port(LOW)]), Request::Work] {
+            room.y.ask(request);
+        }
+        room.hear(LOW, 1);
+        assert_eq!(room.ticks_to_interrupt(120), None);
+        assert!(room.y.counters(LOW).rejected > 20);
+        assert_eq!(room.y.counters(LOW).expired, 1);
+    }
+}
+
+#[test]
+fn the_literal_penalty_lengthens_the_life() {
+    let mut room =
+        Room::new(|cell| cell.ports[0].penalty = Some(Penalty { length: Ticks(4), literal: true }));
+    for request in [handle(LOW), order(&[Ranked::Own, Ranked::Port(LOW)]), Request::Work] {
+        room.y.ask(request);
+    }
+    room.hear_urgent(LOW, 1, 10);
+    assert_eq!(room.ticks_to_interrupt(60), None);
+    assert_eq!(room.y.queue(LOW), [(X, 14)], "alive long after its time_out");
+    room.y.ask(Request::Done);
+    assert_eq!(room.y.ask(get(5)).words(), ["interrupt [1] from T0 for 14"]);
+}
+
+/// How often the head of the first port is passed over while the others always have something more urgent.
+fn passed_over(aging: Aging, gets: u32) -> u32 {
+    let mut room = Room::new(|cell| cell.rules.aging = aging);
+    room.hear(LOW, 77);
+    for n in 0..gets {
+        for port in [HIGH, PLAIN[0], PLAIN[1]] {
+            room.hear_urgent(port, 1, 50);
+        }
+        if room.y.ask(get(0)).words()[0].starts_with("message [77]") {
+            return n;
+        }
+    }
+    gets
+}
+
+#[test]
+fn a_get_passes_over_a_port_a_bounded_number_of_times() {
+    // Five ports and no order: G = 5.
+    assert_eq!(passed_over(Aging::Bounded, 90), 5);
+    assert_eq!(passed_over(Aging::Unbounded, 90), 5);
+    assert_eq!(passed_over(Aging::Off, 90), 90);
+}
+
+#[test]
+fn ports_passed_over_too_often_are_served_the_oldest_first() {
+    let mut room = Room::new(|_| ());
+    let mut served = Vec::new();
+    for n in 0..12 {
+        if n == 0 {
+            room.hear(PLAIN[2], 3);
+        }
+        if n == 1 {
+            room.hear(PLAIN[1], 2);
+        }
+        room.hear_urgent(HIGH, 1, 50);
+        let got = room.y.ask(get(0)).delivery().expect("a message");
+        served.push(got.contents.as_bytes()[0]);
+    }
+    assert_eq!(served, [1, 1, 1, 1, 1, 3, 2, 1, 1, 1, 1, 1]);
+}
+
+#[test]
+fn handlers_of_one_rank_pass_over_a_port_a_bounded_number_of_times_too() {
+    let calls = |aging: Aging| {
+        let mut room = Room::new(|cell| cell.rules.aging = aging);
+        for request in [handle(LOW), handle(HIGH), order(&[Ranked::Port(LOW)])] {
+            room.y.ask(request);
+        }
+        room.y.ask(order(&[Ranked::Port(HIGH), Ranked::Port(LOW), Ranked::Own]));
+        room.hear(LOW, 77);
+        for n in 0..40 {
+            room.hear_urgent(HIGH, 1, 50);
+            room.hear_urgent(HIGH, 1, 50);
+            let got = if n == 0 { room.y.ask(Request::Boundary) } else { room.y.ask(Request::Return) };
+            if got.words()[0].starts_with("interrupt [77]") {
+                return Some(n);
+            }
+        }
+        None
+    };
+    // Five ports and three levels: G = 8.
+    assert_eq!(calls(Aging::Bounded), Some(8));
+    assert_eq!(calls(Aging::Off), None);
+}
