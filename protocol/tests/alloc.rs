@@ -136,6 +136,7 @@ fn interrupt(pair: &mut Pair, contents: Contents) {
     pair.pass(3);
     pair.told(|s| matches!(s, Signal::Interrupt(Call::Timer(_))));
     pair.ask(HOIST, Request::Return);
+    pair.pass(2);
     let Signal::Interrupt(Call::Message(query)) = pair.told(|s| matches!(s, Signal::Interrupt(_))) else {
         return;
     };

@@ -390,7 +390,7 @@ fn odd_request(a: u16, b: u16) -> Request {
         7 | 8 => Request::Boundary,
         9 => Request::Work,
         10 => Request::Done,
-        11 | 12 | 13 => Request::Return,
+        11..=13 => Request::Return,
         14 => Request::Atomic(a & 3 == 0),
         15 => Request::Start { id, length },
         16 if a & 1 == 0 => Request::Stop { id },
