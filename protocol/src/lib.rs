@@ -30,6 +30,7 @@ mod queue;
 mod request;
 pub mod route;
 pub mod rules;
+pub mod script;
 mod table;
 mod ticks;
 mod timer;

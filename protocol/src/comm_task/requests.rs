@@ -280,6 +280,20 @@ impl CommTask {
         Ok(Signal::Accepted(1))
     }
 
+    /// Whether a reply to this message would still go out.
+    #[must_use]
+    pub fn can_answer(&self, to: &ReplyTo) -> bool {
+        match self.role(to.port) {
+            Some(Role::Replies) => true,
+            Some(Role::Receives(inbox)) => {
+                let inbox = usize::from(inbox);
+                let source = self.inboxes[inbox].source(to.source);
+                source.is_some_and(|source| self.answerable(inbox, source, *to).is_ok())
+            }
+            Some(Role::Sends | Role::Asks(_) | Role::Hears | Role::Meets(_)) | None => false,
+        }
+    }
+
     /// What is left of the wait of the sender of a message that can still be answered.
     fn answerable(&self, inbox: usize, source: usize, to: ReplyTo) -> Result<Ticks, Fault> {
         // What is not remembered any more is over, and so is its sender's wait.

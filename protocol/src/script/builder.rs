@@ -1,0 +1,354 @@
+//! Writing programs: by the compiler of the cell language, and by hand for tests and for the checker's worlds.
+
+use super::check::ProgramError;
+use super::program::{Address, Format, Fusing, Handler, Op, Outcomes, Program, Trigger, Variable};
+use super::value::{Binary, Slot, Term, Type};
+use crate::ids::PortId;
+use crate::request::{Ranked, ServiceOrder, Target, TimeId};
+use crate::ticks::Ticks;
+use alloc::vec::Vec;
+
+/// A place in the code that is not known yet. It may be jumped to before it is put somewhere.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Label(Address);
+
+/// Builds a [`Program`]. Jumps name labels; [`ProgramBuilder::finish`] turns them into addresses.
+#[derive(Clone, Debug, Default)]
+pub struct ProgramBuilder {
+    program: Program,
+    labels: Vec<Option<Address>>,
+    handler: Option<usize>,
+}
+
+impl ProgramBuilder {
+    /// A program without code for the task of this name.
+    #[must_use]
+    pub fn new(name: &str) -> Self {
+        Self { program: Program { name: name.into(), ..Program::default() }, ..Self::default() }
+    }
+
+    /// Makes every statement ask for handlers.
+    #[must_use]
+    pub fn every_statement(mut self) -> Self {
+        self.program.fusing = Fusing::EveryStatement;
+        self
+    }
+
+    /// Adds a variable of the task that begins with zero.
+    pub fn variable(&mut self, name: &str, of: Type) -> Slot {
+        self.program.variables.push(Variable { name: name.into(), of, initial: 0 });
+        Slot::Task(position(self.program.variables.len()))
+    }
+
+    /// Adds a variable of the handler that is being written; of the task, outside of handlers.
+    pub fn local(&mut self, name: &str, of: Type) -> Slot {
+        let Some(handler) = self.handler.and_then(|at| self.program.handlers.get_mut(at)) else {
+            return self.variable(name, of);
+        };
+        handler.locals.push(Variable { name: name.into(), of, initial: 0 });
+        Slot::Local(position(handler.locals.len()))
+    }
+
+    /// Adds a timer.
+    pub fn timer(&mut self, name: &str) -> TimeId {
+        self.program.timers.push(name.into());
+        TimeId(u8::try_from(self.program.timers.len() - 1).unwrap_or(u8::MAX))
+    }
+
+    /// The format of these fields.
+    pub fn format(&mut self, fields: &[Type]) -> u16 {
+        let format = Format { fields: fields.into() };
+        entry(&mut self.program.formats, format)
+    }
+
+    /// The list of these places.
+    pub fn places(&mut self, places: &[Slot]) -> u16 {
+        let at = position(self.program.places.len() + 1);
+        self.program.places.extend_from_slice(places);
+        at
+    }
+
+    /// The number of the action of this name.
+    pub fn action(&mut self, name: &str) -> u16 {
+        entry(&mut self.program.actions, name.into())
+    }
+
+    /// The number of the reason of this text.
+    pub fn reason(&mut self, text: &str) -> u16 {
+        entry(&mut self.program.reasons, text.into())
+    }
+
+    /// A new label.
+    pub fn label(&mut self) -> Label {
+        self.labels.push(None);
+        Label(position(self.labels.len()))
+    }
+
+    /// Puts a label here.
+    pub fn put(&mut self, label: Label) {
+        if let Some(place) = self.labels.get_mut(usize::from(label.0)) {
+            *place = Some(position(self.program.code.len() + 1));
+        }
+    }
+
+    /// Where the next operation will stand: for tables from code to source.
+    #[must_use]
+    pub fn here(&self) -> Address {
+        position(self.program.code.len() + 1)
+    }
+
+    /// Adds an operation that does not jump.
+    pub fn op(&mut self, op: Op) -> &mut Self {
+        self.program.code.push(op);
+        self
+    }
+
+    /// Adds the beginning of a statement.
+    pub fn statement(&mut self) -> &mut Self {
+        self.op(Op::Statement)
+    }
+
+    /// Adds terms of an expression.
+    pub fn terms(&mut self, terms: &[Term]) -> &mut Self {
+        self.program.code.extend(terms.iter().map(|&term| Op::Term(term)));
+        self
+    }
+
+    /// Adds a constant.
+    pub fn push(&mut self, value: i64) -> &mut Self {
+        self.op(Op::Term(Term::Push(value)))
+    }
+
+    /// Adds the value of a variable.
+    pub fn load(&mut self, slot: Slot) -> &mut Self {
+        self.op(Op::Term(Term::Load(slot)))
+    }
+
+    /// Adds an operator on integers.
+    pub fn int(&mut self, operator: Binary) -> &mut Self {
+        self.op(Op::Term(Term::Int(operator)))
+    }
+
+    /// Adds the storing of the last value.
+    pub fn store(&mut self, slot: Slot) -> &mut Self {
+        self.op(Op::Store(slot))
+    }
+
+    /// Adds a jump.
+    pub fn jump(&mut self, to: Label) -> &mut Self {
+        self.op(Op::Jump(to.0))
+    }
+
+    /// Adds a jump that is taken where the last value is false.
+    pub fn unless(&mut self, to: Label) -> &mut Self {
+        self.op(Op::Unless(to.0))
+    }
+
+    /// Adds a jump that is taken where the last statement ended so.
+    pub fn on(&mut self, outcomes: Outcomes, to: Label) -> &mut Self {
+        self.op(Op::On { outcomes, to: to.0 })
+    }
+
+    /// `slot := value`.
+    pub fn set(&mut self, slot: Slot, value: i64) -> &mut Self {
+        self.statement().push(value).store(slot)
+    }
+
+    /// `order a > b > c`. More levels than an `order` can name are an `order` of none.
+    pub fn order(&mut self, named: &[Ranked]) -> &mut Self {
+        let order = entry(&mut self.program.orders, ServiceOrder::new(named).unwrap_or_default());
+        self.statement().op(Op::Order(order))
+    }
+
+    /// `send`, `use_send` or `query`: variables, one per field.
+    pub fn send(&mut self, port: PortId, to: Target, fields: &[(Type, Slot)]) -> &mut Self {
+        let format = self.arguments(fields);
+        self.op(Op::Send { port, to, format, time_out: None })
+    }
+
+    /// `receive port(..)`, for so long. What comes is unpacked; where nothing came the variables keep their values.
+    pub fn receive(&mut self, port: PortId, time_out: Option<Ticks>, into: &[(Type, Slot)]) -> &mut Self {
+        self.statement().op(Op::Get { port: Some(port), source: None, time_out });
+        self.unpack(into)
+    }
+
+    /// Reads the message or answer of the last statement, if there is one.
+    pub fn unpack(&mut self, into: &[(Type, Slot)]) -> &mut Self {
+        if into.is_empty() {
+            return self;
+        }
+        let (read, on) = (self.label(), self.label());
+        let format = self.format_of(into);
+        let places: Vec<Slot> = into.iter().map(|&(_, slot)| slot).collect();
+        let into = self.places(&places);
+        self.on(Outcomes::BRINGS, read).jump(on);
+        self.put(read);
+        self.op(Op::Unpack { format, into });
+        self.put(on);
+        self
+    }
+
+    /// `reply` or `response`: variables, one per field.
+    pub fn reply(&mut self, fields: &[(Type, Slot)]) -> &mut Self {
+        let format = self.arguments(fields);
+        self.op(Op::Reply { format })
+    }
+
+    /// `waitfor port()`.
+    pub fn waitfor(&mut self, port: PortId) -> &mut Self {
+        let format = self.format(&[]);
+        self.statement().op(Op::Arrive { port, format, time_out: None })
+    }
+
+    /// `delay`.
+    pub fn delay(&mut self, length: Ticks) -> &mut Self {
+        self.statement().op(Op::Delay(length))
+    }
+
+    /// `start timer`.
+    pub fn start(&mut self, timer: TimeId, length: Ticks) -> &mut Self {
+        self.statement().op(Op::Start { timer, length })
+    }
+
+    /// `run action takes least .. most`.
+    pub fn run(&mut self, name: &str, least: Ticks, most: Ticks) -> &mut Self {
+        let action = self.action(name);
+        self.statement().op(Op::Run { action, arguments: 0, least, most })
+    }
+
+    /// `abort reason`.
+    pub fn abort(&mut self, reason: &str) -> &mut Self {
+        let reason = self.reason(reason);
+        self.statement().op(Op::Abort(reason))
+    }
+
+    /// `loop .. end`, without an `exit`.
+    pub fn forever(&mut self, body: impl FnOnce(&mut Self)) -> &mut Self {
+        let top = self.label();
+        self.put(top);
+        body(self);
+        self.jump(top)
+    }
+
+    /// `while slot do .. end`.
+    pub fn while_true(&mut self, slot: Slot, body: impl FnOnce(&mut Self)) -> &mut Self {
+        let (top, out) = (self.label(), self.label());
+        self.put(top);
+        self.statement().load(slot).unless(out);
+        body(self);
+        self.jump(top);
+        self.put(out);
+        self
+    }
+
+    /// `.. on time_out do .. end` and its like, after a statement.
+    pub fn when(&mut self, outcomes: Outcomes, body: impl FnOnce(&mut Self)) -> &mut Self {
+        let (inside, on) = (self.label(), self.label());
+        self.on(outcomes, inside).jump(on);
+        self.put(inside);
+        body(self);
+        self.put(on);
+        self
+    }
+
+    /// `if`, on the last value.
+    pub fn then(&mut self, body: impl FnOnce(&mut Self)) -> &mut Self {
+        let on = self.label();
+        self.unless(on);
+        body(self);
+        self.put(on);
+        self
+    }
+
+    /// `if .. else`, on the last value.
+    pub fn either(&mut self, yes: impl FnOnce(&mut Self), no: impl FnOnce(&mut Self)) -> &mut Self {
+        let (other, on) = (self.label(), self.label());
+        self.unless(other);
+        yes(self);
+        self.jump(on);
+        self.put(other);
+        no(self);
+        self.put(on);
+        self
+    }
+
+    /// `on .. do .. end`: a handler. Write it after the end of the body: nothing runs into it.
+    pub fn handler(&mut self, trigger: Trigger, body: impl FnOnce(&mut Self)) -> &mut Self {
+        let entry = self.here();
+        self.program.handlers.push(Handler { trigger, entry, locals: Vec::new() });
+        self.handler = Some(self.program.handlers.len() - 1);
+        body(self);
+        self.handler = None;
+        self.op(Op::HandlerEnd)
+    }
+
+    /// `on query`, `on receive` with the variables of the message: their names and types.
+    pub fn on_message(
+        &mut self,
+        port: PortId,
+        fields: &[(&str, Type)],
+        body: impl FnOnce(&mut Self, &[Slot]),
+    ) -> &mut Self {
+        self.handler(Trigger::Message(port), |b| {
+            let locals: Vec<(Type, Slot)> =
+                fields.iter().map(|&(name, of)| (of, b.local(name, of))).collect();
+            b.unpack(&locals);
+            let slots: Vec<Slot> = locals.iter().map(|&(_, slot)| slot).collect();
+            body(b, &slots);
+        })
+    }
+
+    /// `takeover`: where the task goes on in its partner's place. Write it after the end of the body.
+    pub fn takeover(&mut self, body: impl FnOnce(&mut Self)) -> &mut Self {
+        self.program.takeover = Some(self.here());
+        body(self);
+        self.op(Op::End)
+    }
+
+    /// Adds the end of the task.
+    pub fn end(&mut self) -> &mut Self {
+        self.op(Op::End)
+    }
+
+    /// The checked program.
+    ///
+    /// # Errors
+    /// What [`Program::check`] finds; a label that was never put is [`ProgramError::NoSuchAddress`].
+    pub fn finish(mut self) -> Result<Program, ProgramError> {
+        for op in &mut self.program.code {
+            if let Op::Jump(to) | Op::Unless(to) | Op::On { to, .. } = op {
+                let place = self.labels.get(usize::from(*to)).copied().flatten();
+                *to = place.ok_or(ProgramError::NoSuchAddress(*to))?;
+            }
+        }
+        self.program.check()?;
+        Ok(self.program)
+    }
+
+    fn arguments(&mut self, fields: &[(Type, Slot)]) -> u16 {
+        self.statement();
+        for &(_, slot) in fields {
+            self.load(slot);
+        }
+        self.format_of(fields)
+    }
+
+    fn format_of(&mut self, fields: &[(Type, Slot)]) -> u16 {
+        let types: Vec<Type> = fields.iter().map(|&(of, _)| of).collect();
+        self.format(&types)
+    }
+}
+
+/// The position of an entry in its table; a new one where there is none.
+fn entry<T: PartialEq>(table: &mut Vec<T>, wanted: T) -> u16 {
+    let at = table.iter().position(|known| *known == wanted).unwrap_or(table.len());
+    if at == table.len() {
+        table.push(wanted);
+    }
+    position(at + 1)
+}
+
+/// The position of the last of `len` entries. A program that outgrows it fails its check.
+fn position(len: usize) -> u16 {
+    u16::try_from(len - 1).unwrap_or(u16::MAX)
+}

@@ -1,0 +1,301 @@
+//! A node with the scripts of its tasks, for drivers that run everything in one thread: the model checker, the
+//! simulator and the single-threaded runtime (D38, D45).
+
+use super::{
+    Action, Activity, Address, End, Program, ProgramError, Script, ScriptFault, ScriptInput, ScriptOutbox,
+};
+use crate::ids::{NodeId, PortId, TaskId};
+use crate::node::{Node, NodeInput, NodeOutbox};
+use crate::observe::Observation;
+use crate::packet::{Contents, Packet};
+use crate::request::{ReplyTo, Request, Signal};
+use crate::ticks::Ticks;
+use alloc::boxed::Box;
+use alloc::collections::VecDeque;
+use alloc::sync::Arc;
+use alloc::vec::Vec;
+use serde::{Deserialize, Serialize};
+
+/// Everything that can happen to a node with scripts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub enum HostInput {
+    /// All scripts that have not begun begin, in the order of their tasks.
+    Begin,
+    /// What happens to the node; also a request of a task that has no script.
+    Node(NodeInput),
+    /// An action has ended.
+    Acted {
+        /// Whose.
+        task: TaskId,
+        /// Which of its threads, as [`Action::level`] said.
+        level: u8,
+        /// Whether it succeeded.
+        ok: bool,
+        /// Its result.
+        value: i32,
+    },
+    /// The driver chose.
+    Chosen {
+        /// For this task.
+        task: TaskId,
+        /// What.
+        choice: u16,
+    },
+}
+
+/// Where the effects of a node with scripts go. [`NodeOutbox::signal`] gets the signals of tasks without a script only.
+pub trait HostOutbox: NodeOutbox {
+    /// Begins an action; [`HostInput::Acted`] ends it.
+    fn run(&mut self, task: TaskId, action: Action<'_>);
+    /// Stops the action of a thread. No [`HostInput::Acted`] follows.
+    fn cut_short(&mut self, task: TaskId, level: u8);
+    /// Chooses a number below `alternatives` at once, or `None` to give it later with [`HostInput::Chosen`].
+    fn choose(&mut self, task: TaskId, alternatives: u16) -> Option<u16>;
+    /// A script has ended.
+    fn ended(&mut self, task: TaskId, end: End);
+    /// A script asks its communication task.
+    fn asked(&mut self, task: TaskId, request: &Request) {
+        let _ = (task, request);
+    }
+    /// The communication task answers a script.
+    fn answered(&mut self, task: TaskId, signal: &Signal) {
+        let _ = (task, signal);
+    }
+    /// A statement of a script begins.
+    fn statement(&mut self, task: TaskId, at: Address) {
+        let _ = (task, at);
+    }
+    /// A script forgets a class-2 message that it never answered.
+    fn unanswered(&mut self, task: TaskId, message: ReplyTo) {
+        let _ = (task, message);
+    }
+}
+
+/// A script and its program.
+#[derive(Clone, Debug)]
+pub struct Hosted {
+    /// The task.
+    pub task: TaskId,
+    /// Its program.
+    pub program: Arc<Program>,
+    /// Its state.
+    pub script: Script,
+}
+
+/// A node with the scripts of its tasks.
+#[derive(Clone, Debug)]
+pub struct ScriptedNode {
+    node: Node,
+    scripts: Box<[Hosted]>,
+    /// What the scripts have not taken yet. Empty between steps.
+    inputs: VecDeque<(TaskId, ScriptInput)>,
+    /// What a script asked in its last step.
+    requests: VecDeque<Request>,
+}
+
+/// How many steps of scripts one input may cause: who goes on then never waits.
+pub const HOST_LIMIT: u32 = 10_000;
+/// How many signals one input of a node has room for without allocating.
+const SIGNALS: usize = 256;
+
+impl ScriptedNode {
+    /// The node with these scripts, each for a task that runs there.
+    ///
+    /// # Errors
+    /// The task and what is wrong with its program.
+    pub fn new(
+        node: Node,
+        programs: impl IntoIterator<Item = (TaskId, Arc<Program>)>,
+    ) -> Result<Self, (TaskId, ProgramError)> {
+        let mut scripts = Vec::new();
+        for (task, program) in programs {
+            program.check().map_err(|fault| (task, fault))?;
+            scripts.push(Hosted { task, script: Script::new(&program), program });
+        }
+        scripts.sort_unstable_by_key(|hosted| hosted.task);
+        let inputs = VecDeque::with_capacity(SIGNALS.max(scripts.len()));
+        Ok(Self { node, scripts: scripts.into(), inputs, requests: VecDeque::with_capacity(8) })
+    }
+
+    /// The node.
+    #[must_use]
+    pub const fn node(&self) -> &Node {
+        &self.node
+    }
+
+    /// The node, for canonical states.
+    pub const fn node_mut(&mut self) -> &mut Node {
+        &mut self.node
+    }
+
+    /// The scripts, ascending by task.
+    #[must_use]
+    pub fn scripts(&self) -> &[Hosted] {
+        &self.scripts
+    }
+
+    /// The scripts, for canonical states.
+    pub fn scripts_mut(&mut self) -> &mut [Hosted] {
+        &mut self.scripts
+    }
+
+    /// The script of a task.
+    #[must_use]
+    pub fn script(&self, task: TaskId) -> Option<&Script> {
+        let at = self.scripts.binary_search_by_key(&task, |hosted| hosted.task).ok()?;
+        self.scripts.get(at).map(|hosted| &hosted.script)
+    }
+
+    /// Has every script forget the messages that it can answer no more, so that equal futures have equal states. What
+    /// the scripts do does not change.
+    pub fn bury(&mut self) {
+        for Hosted { task, script, .. } in &mut self.scripts {
+            let communication = self.node.task(*task);
+            script.bury(|to| communication.is_some_and(|communication| communication.can_answer(to)));
+        }
+    }
+
+    /// How long from the last [`NodeInput::Advance`] until time alone makes the node act.
+    #[must_use]
+    pub fn next_expiry(&self) -> Option<Ticks> {
+        self.node.next_expiry()
+    }
+
+    /// Whether a script waits for the driver's choice.
+    #[must_use]
+    pub fn chooses(&self) -> Option<(TaskId, u16)> {
+        self.scripts.iter().find_map(|hosted| match hosted.script.activity() {
+            Activity::Chooses(alternatives) => Some((hosted.task, alternatives)),
+            Activity::NotBegun
+            | Activity::Waits
+            | Activity::Acts
+            | Activity::Passive
+            | Activity::Ended(_) => None,
+        })
+    }
+
+    /// Takes one input and runs everything that follows from it within the node, until every script waits.
+    pub fn step(&mut self, input: HostInput, out: &mut impl HostOutbox) {
+        match input {
+            HostInput::Begin => {
+                self.inputs.extend(self.scripts.iter().map(|hosted| (hosted.task, ScriptInput::Begin)));
+            }
+            HostInput::Node(input) => self.drive(input, out),
+            HostInput::Acted { task, level, ok, value } => {
+                self.inputs.push_back((task, ScriptInput::Acted { level, ok, value }));
+            }
+            HostInput::Chosen { task, choice } => self.inputs.push_back((task, ScriptInput::Chosen(choice))),
+        }
+        let (mut last, mut steps) = (None, 0);
+        while let Some((task, input)) = self.next(last) {
+            steps += 1;
+            self.run(task, input, steps > HOST_LIMIT, out);
+            last = Some(task);
+        }
+    }
+
+    /// The next input of the script that ran last, so that nothing comes between its steps; else of the first in line.
+    fn next(&mut self, last: Option<TaskId>) -> Option<(TaskId, ScriptInput)> {
+        let own = self.inputs.iter().position(|&(task, _)| Some(task) == last);
+        self.inputs.remove(own.unwrap_or(0))
+    }
+
+    fn run(&mut self, task: TaskId, input: ScriptInput, runaway: bool, out: &mut impl HostOutbox) {
+        let Ok(at) = self.scripts.binary_search_by_key(&task, |hosted| hosted.task) else { return };
+        let Hosted { program, script, .. } = &mut self.scripts[at];
+        let mut effects = ScriptEffects { task, node: &self.node, requests: &mut self.requests, out };
+        if runaway {
+            script.stop(program, ScriptFault::Runaway, &mut effects);
+        } else {
+            script.step(program, input, &mut effects);
+        }
+        while let Some(request) = self.requests.pop_front() {
+            out.asked(task, &request);
+            self.drive(NodeInput::Request(task, request), out);
+        }
+    }
+
+    fn drive(&mut self, input: NodeInput, out: &mut impl HostOutbox) {
+        self.node.step(input, &mut NodeEffects { scripts: &self.scripts, inputs: &mut self.inputs, out });
+    }
+}
+
+struct ScriptEffects<'a, O> {
+    task: TaskId,
+    node: &'a Node,
+    requests: &'a mut VecDeque<Request>,
+    out: &'a mut O,
+}
+
+impl<O: HostOutbox> ScriptOutbox for ScriptEffects<'_, O> {
+    fn request(&mut self, request: Request) {
+        self.requests.push_back(request);
+    }
+
+    fn run(&mut self, action: Action<'_>) {
+        self.out.run(self.task, action);
+    }
+
+    fn cut_short(&mut self, level: u8) {
+        self.out.cut_short(self.task, level);
+    }
+
+    fn choose(&mut self, alternatives: u16) -> Option<u16> {
+        self.out.choose(self.task, alternatives)
+    }
+
+    fn ended(&mut self, end: End) {
+        self.out.ended(self.task, end);
+    }
+
+    fn statement(&mut self, at: Address) {
+        self.out.statement(self.task, at);
+    }
+
+    fn unanswered(&mut self, message: ReplyTo) {
+        self.out.unanswered(self.task, message);
+    }
+
+    fn fragment(&mut self, index: u8) -> Option<Contents> {
+        self.node.task(self.task)?.fragment(index).copied()
+    }
+
+    fn answer(&mut self, port: PortId, task: Option<TaskId>, index: u8) -> Option<Contents> {
+        let communication = self.node.task(self.task)?;
+        match task {
+            Some(task) => communication.answer_fragment(port, task, index).copied(),
+            None => {
+                let mut peers = self.node.parts().table.port(port)?.peers(self.task);
+                peers.find_map(|peer| communication.answer_fragment(port, peer, index).copied())
+            }
+        }
+    }
+}
+
+struct NodeEffects<'a, O> {
+    scripts: &'a [Hosted],
+    inputs: &'a mut VecDeque<(TaskId, ScriptInput)>,
+    out: &'a mut O,
+}
+
+impl<O: HostOutbox> NodeOutbox for NodeEffects<'_, O> {
+    fn ready(&mut self, next: NodeId) -> bool {
+        self.out.ready(next)
+    }
+
+    fn link(&mut self, next: NodeId, packet: Packet) {
+        self.out.link(next, packet);
+    }
+
+    fn signal(&mut self, task: TaskId, signal: Signal) {
+        if self.scripts.binary_search_by_key(&task, |hosted| hosted.task).is_err() {
+            return self.out.signal(task, signal);
+        }
+        self.out.answered(task, &signal);
+        self.inputs.push_back((task, ScriptInput::Signal(signal)));
+    }
+
+    fn observe(&mut self, at: Option<TaskId>, observation: Observation) {
+        self.out.observe(at, observation);
+    }
+}

@@ -1,0 +1,422 @@
+//! The values of a script, and expressions over them.
+//!
+//! Every value is one `i64`: a truth value is 0 or 1, an integer is itself, a `real` is the bits of its `f32`. A
+//! variable holds only what its type holds; what leaves that range is a fault, never a wrap, so that a checker shows it.
+
+use super::ScriptFault;
+use crate::ids::{PortId, TaskId};
+use serde::{Deserialize, Serialize};
+
+/// The type of a variable or of a field of a message.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub enum Type {
+    /// True or false.
+    Bool,
+    /// -128 ..= 127.
+    Int8,
+    /// -32,768 ..= 32,767.
+    Int16,
+    /// 32 bits, signed.
+    Int32,
+    /// 32 bits, unsigned.
+    Word,
+    /// A finite 32-bit floating point number; zero has no sign.
+    Real,
+}
+
+impl Type {
+    /// How many bytes a field of this type takes in a message.
+    #[must_use]
+    pub const fn bytes(self) -> usize {
+        match self {
+            Self::Bool | Self::Int8 => 1,
+            Self::Int16 => 2,
+            Self::Int32 | Self::Word | Self::Real => 4,
+        }
+    }
+
+    /// Whether `value` is one of this type.
+    #[must_use]
+    pub fn holds(self, value: i64) -> bool {
+        match self {
+            Self::Bool => value == 0 || value == 1,
+            Self::Int8 => i8::try_from(value).is_ok(),
+            Self::Int16 => i16::try_from(value).is_ok(),
+            Self::Int32 => i32::try_from(value).is_ok(),
+            Self::Word => u32::try_from(value).is_ok(),
+            Self::Real => number(value).is_some_and(|x| x.is_finite() && (x != 0.0 || value == 0)),
+        }
+    }
+
+    /// Writes the low bytes of `value`, little endian; `None` where `out` is too short.
+    pub(super) fn write(self, value: i64, out: &mut [u8]) -> Option<()> {
+        out.get_mut(..self.bytes())?.copy_from_slice(value.to_le_bytes().get(..self.bytes())?);
+        Some(())
+    }
+
+    /// Reads a value; `None` where `bytes` are too few or no value of this type.
+    pub(super) fn read(self, bytes: &[u8]) -> Option<i64> {
+        let mut raw = [0; 8];
+        raw.get_mut(..self.bytes())?.copy_from_slice(bytes.get(..self.bytes())?);
+        let unused = 64 - 8 * u32::try_from(self.bytes()).ok()?;
+        let value = i64::from_le_bytes(raw);
+        let value = match self {
+            Self::Int8 | Self::Int16 | Self::Int32 => value << unused >> unused,
+            Self::Bool | Self::Word | Self::Real => value,
+        };
+        self.holds(value).then_some(value)
+    }
+}
+
+/// The value that stands for a `real`; `None` for one that is not finite.
+#[must_use]
+pub fn real(x: f32) -> Option<i64> {
+    let x = if x == 0.0 { 0.0 } else { x };
+    x.is_finite().then(|| i64::from(x.to_bits()))
+}
+
+/// The `real` that a value stands for.
+fn number(value: i64) -> Option<f32> {
+    u32::try_from(value).ok().map(f32::from_bits)
+}
+
+/// Where a script keeps a value.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub enum Slot {
+    /// A variable of the task, by position.
+    Task(u16),
+    /// A variable of the handler that runs, by position.
+    Local(u16),
+}
+
+/// An operator with two operands. What compares or connects gives 0 or 1.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[expect(missing_docs, reason = "the names say it")]
+pub enum Binary {
+    Add,
+    Subtract,
+    Multiply,
+    Divide,
+    /// What is left of a division, with the sign of the dividend; not of reals.
+    Remainder,
+    Equal,
+    NotEqual,
+    Less,
+    LessOrEqual,
+    Greater,
+    GreaterOrEqual,
+    /// Of truth values: anything but 0 is true.
+    And,
+    /// Of truth values: anything but 0 is true.
+    Or,
+}
+
+/// What a `check` asks about a cell as a whole (D45).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub enum Predicate {
+    /// `port.arrived(task)`: the task reached the waitfor, and has not begun its next attempt.
+    Arrived {
+        /// The waitfor.
+        port: PortId,
+        /// The task.
+        task: TaskId,
+    },
+    /// `task.asked(port)`: the task has sent a class-2 message or a query on the port and waits.
+    Asked {
+        /// The task.
+        task: TaskId,
+        /// The port.
+        port: PortId,
+    },
+    /// `task.answered(port)`: the task's last request on the port has been answered.
+    Answered {
+        /// The task.
+        task: TaskId,
+        /// The port.
+        port: PortId,
+    },
+    /// `task.active`: the task acts: it has begun, has not ended and holds its lease if it needs one.
+    Active(TaskId),
+}
+
+/// One step of an expression in postfix order: takes its operands from a stack and leaves its value there.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub enum Term {
+    /// A constant.
+    Push(i64),
+    /// A variable of the own task or handler.
+    Load(Slot),
+    /// A variable of some task, in a `check`.
+    Of {
+        /// The task.
+        task: TaskId,
+        /// The position of the variable in the task's program.
+        variable: u16,
+    },
+    /// A built-in predicate, in a `check`.
+    Is(Predicate),
+    /// An operator on integers and truth values.
+    Int(Binary),
+    /// An operator on reals.
+    Real(Binary),
+    /// Negates an integer.
+    Negate,
+    /// Negates a real.
+    NegateReal,
+    /// `not` of a truth value.
+    Not,
+    /// The real nearest to an integer.
+    ToReal,
+    /// The whole part of a real.
+    ToInt,
+}
+
+/// How many operands a `check` may hold at once.
+pub const CHECK_DEPTH: usize = 32;
+
+/// Evaluates an expression in which `look` gives the values of [`Term::Load`], [`Term::Of`] and [`Term::Is`]; `None`
+/// says that there is no such thing. The model checker and the cell language share it (D45).
+///
+/// # Errors
+/// [`ScriptFault::Malformed`] when the terms are no expression, and the faults of arithmetic.
+pub fn eval(terms: &[Term], mut look: impl FnMut(Term) -> Option<i64>) -> Result<i64, ScriptFault> {
+    let (mut cells, mut len) = ([0; CHECK_DEPTH], 0);
+    let mut operands = Operands { cells: &mut cells, len: &mut len };
+    for &term in terms {
+        operands.apply(term, &mut look)?;
+    }
+    let value = operands.pop()?;
+    if len == 0 { Ok(value) } else { Err(ScriptFault::Malformed) }
+}
+
+/// A stack of operands in fixed room. The room above its top is zero, so that equal stacks have equal bytes.
+pub(super) struct Operands<'a> {
+    pub cells: &'a mut [i64],
+    pub len: &'a mut usize,
+}
+
+impl Operands<'_> {
+    pub fn push(&mut self, value: i64) -> Result<(), ScriptFault> {
+        *self.cells.get_mut(*self.len).ok_or(ScriptFault::Malformed)? = value;
+        *self.len += 1;
+        Ok(())
+    }
+
+    pub fn pop(&mut self) -> Result<i64, ScriptFault> {
+        let top = self.len.checked_sub(1).ok_or(ScriptFault::Malformed)?;
+        let cell = self.cells.get_mut(top).ok_or(ScriptFault::Malformed)?;
+        *self.len = top;
+        Ok(core::mem::take(cell))
+    }
+
+    pub fn apply(
+        &mut self,
+        term: Term,
+        look: &mut impl FnMut(Term) -> Option<i64>,
+    ) -> Result<(), ScriptFault> {
+        let value = match term {
+            Term::Push(value) => value,
+            Term::Load(_) | Term::Of { .. } | Term::Is(_) => look(term).ok_or(ScriptFault::Malformed)?,
+            Term::Int(operator) => {
+                let (b, a) = (self.pop()?, self.pop()?);
+                integers(operator, a, b)?
+            }
+            Term::Real(operator) => {
+                let (b, a) = (self.pop_real()?, self.pop_real()?);
+                reals(operator, a, b)?
+            }
+            Term::Negate => self.pop()?.checked_neg().ok_or(ScriptFault::Overflow)?,
+            Term::NegateReal => real(-self.pop_real()?).ok_or(ScriptFault::NotFinite)?,
+            Term::Not => i64::from(self.pop()? == 0),
+            Term::ToReal => {
+                #[expect(clippy::cast_precision_loss, reason = "the nearest real is meant")]
+                let nearest = self.pop()? as f32;
+                real(nearest).ok_or(ScriptFault::NotFinite)?
+            }
+            Term::ToInt => {
+                #[expect(
+                    clippy::cast_possible_truncation,
+                    reason = "the whole part; saturates where out of range"
+                )]
+                let whole = self.pop_real()? as i64;
+                whole
+            }
+        };
+        self.push(value)
+    }
+
+    fn pop_real(&mut self) -> Result<f32, ScriptFault> {
+        number(self.pop()?).ok_or(ScriptFault::Malformed)
+    }
+}
+
+fn integers(operator: Binary, a: i64, b: i64) -> Result<i64, ScriptFault> {
+    let value = match operator {
+        Binary::Add => a.checked_add(b),
+        Binary::Subtract => a.checked_sub(b),
+        Binary::Multiply => a.checked_mul(b),
+        Binary::Divide | Binary::Remainder if b == 0 => return Err(ScriptFault::DivisionByZero),
+        Binary::Divide => a.checked_div(b),
+        Binary::Remainder => a.checked_rem(b),
+        Binary::Equal => Some(i64::from(a == b)),
+        Binary::NotEqual => Some(i64::from(a != b)),
+        Binary::Less => Some(i64::from(a < b)),
+        Binary::LessOrEqual => Some(i64::from(a <= b)),
+        Binary::Greater => Some(i64::from(a > b)),
+        Binary::GreaterOrEqual => Some(i64::from(a >= b)),
+        Binary::And => Some(i64::from(a != 0 && b != 0)),
+        Binary::Or => Some(i64::from(a != 0 || b != 0)),
+    };
+    value.ok_or(ScriptFault::Overflow)
+}
+
+#[expect(clippy::float_cmp, reason = "`=` of reals is what the program asked for")]
+fn reals(operator: Binary, a: f32, b: f32) -> Result<i64, ScriptFault> {
+    let sum = match operator {
+        Binary::Add => a + b,
+        Binary::Subtract => a - b,
+        Binary::Multiply => a * b,
+        Binary::Divide if b == 0.0 => return Err(ScriptFault::DivisionByZero),
+        Binary::Divide => a / b,
+        Binary::Equal => return Ok(i64::from(a == b)),
+        Binary::NotEqual => return Ok(i64::from(a != b)),
+        Binary::Less => return Ok(i64::from(a < b)),
+        Binary::LessOrEqual => return Ok(i64::from(a <= b)),
+        Binary::Greater => return Ok(i64::from(a > b)),
+        Binary::GreaterOrEqual => return Ok(i64::from(a >= b)),
+        Binary::Remainder | Binary::And | Binary::Or => return Err(ScriptFault::Malformed),
+    };
+    real(sum).ok_or(ScriptFault::NotFinite)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use Binary::{Add, And, Divide, Less, Multiply, Or, Remainder, Subtract};
+
+    fn value(terms: &[Term]) -> Result<i64, ScriptFault> {
+        eval(terms, |_| None)
+    }
+
+    fn int(operator: Binary, a: i64, b: i64) -> Result<i64, ScriptFault> {
+        value(&[Term::Push(a), Term::Push(b), Term::Int(operator)])
+    }
+
+    fn of_reals(operator: Binary, a: f32, b: f32) -> Result<i64, ScriptFault> {
+        value(&[Term::Push(real(a).unwrap()), Term::Push(real(b).unwrap()), Term::Real(operator)])
+    }
+
+    #[test]
+    fn integers_never_wrap() {
+        assert_eq!(int(Add, 2, 3), Ok(5));
+        assert_eq!(int(Subtract, 2, 3), Ok(-1));
+        assert_eq!(int(Multiply, -2, 3), Ok(-6));
+        assert_eq!(int(Divide, -7, 2), Ok(-3));
+        assert_eq!(int(Remainder, -7, 2), Ok(-1));
+        for (operator, a, b) in
+            [(Add, i64::MAX, 1), (Subtract, i64::MIN, 1), (Multiply, i64::MAX, 2), (Divide, i64::MIN, -1)]
+        {
+            assert_eq!(int(operator, a, b), Err(ScriptFault::Overflow));
+        }
+        assert_eq!(int(Divide, 1, 0), Err(ScriptFault::DivisionByZero));
+        assert_eq!(int(Remainder, 1, 0), Err(ScriptFault::DivisionByZero));
+        assert_eq!(value(&[Term::Push(i64::MIN), Term::Negate]), Err(ScriptFault::Overflow));
+    }
+
+    #[test]
+    fn comparisons_and_connectives_give_truth_values() {
+        let table = [
+            (Binary::Less, [1, 0, 0]),
+            (Binary::LessOrEqual, [1, 1, 0]),
+            (Binary::Equal, [0, 1, 0]),
+            (Binary::NotEqual, [1, 0, 1]),
+            (Binary::GreaterOrEqual, [0, 1, 1]),
+            (Binary::Greater, [0, 0, 1]),
+        ];
+        for (operator, expected) in table {
+            for (pair, expected) in [(1, 2), (2, 2), (3, 2)].into_iter().zip(expected) {
+                assert_eq!(int(operator, pair.0, pair.1), Ok(expected), "{operator:?} {pair:?}");
+                let (a, b) = if pair.0 < 2 {
+                    (1.0, 2.0)
+                } else if pair.0 == 2 {
+                    (2.0, 2.0)
+                } else {
+                    (3.0, 2.0)
+                };
+                assert_eq!(of_reals(operator, a, b), Ok(expected), "{operator:?} {a} {b}");
+            }
+        }
+        assert_eq!(
+            [int(And, 1, 0), int(And, 1, 1), int(Or, 0, 0), int(Or, 1, 0)],
+            [Ok(0), Ok(1), Ok(0), Ok(1)]
+        );
+        assert_eq!(value(&[Term::Push(0), Term::Not]), Ok(1));
+    }
+
+    #[test]
+    fn reals_stay_finite_and_zero_has_no_sign() {
+        assert_eq!(of_reals(Add, 0.5, 0.25), Ok(real(0.75).unwrap()));
+        assert_eq!(of_reals(Subtract, 1.0, 1.0), Ok(0));
+        assert_eq!(of_reals(Multiply, -0.0, 3.0), Ok(0));
+        assert_eq!(of_reals(Divide, 1.0, 0.0), Err(ScriptFault::DivisionByZero));
+        assert_eq!(of_reals(Multiply, f32::MAX, 2.0), Err(ScriptFault::NotFinite));
+        for operator in [Remainder, And, Or] {
+            assert_eq!(of_reals(operator, 1.0, 1.0), Err(ScriptFault::Malformed));
+        }
+        assert_eq!(value(&[Term::Push(0), Term::NegateReal]), Ok(0));
+        assert_eq!(value(&[Term::Push(7), Term::ToReal, Term::ToInt]), Ok(7));
+        assert_eq!(value(&[Term::Push(real(-2.9).unwrap()), Term::ToInt]), Ok(-2));
+        assert_eq!(value(&[Term::Push(-1), Term::ToInt]), Err(ScriptFault::Malformed), "no real");
+        assert_eq!(real(f32::NAN), None);
+    }
+
+    #[test]
+    fn an_expression_leaves_one_value() {
+        assert_eq!(value(&[]), Err(ScriptFault::Malformed));
+        assert_eq!(value(&[Term::Push(1), Term::Push(2)]), Err(ScriptFault::Malformed));
+        assert_eq!(value(&[Term::Push(1), Term::Int(Add)]), Err(ScriptFault::Malformed));
+        assert_eq!(value(&[Term::Push(1); CHECK_DEPTH + 1]), Err(ScriptFault::Malformed));
+    }
+
+    #[test]
+    fn checks_look_at_other_tasks_and_at_predicates() {
+        // never armL.moving and not lift.arrived(armR)
+        let lift = Predicate::Arrived { port: PortId(0), task: TaskId(1) };
+        let terms =
+            [Term::Of { task: TaskId(0), variable: 3 }, Term::Is(lift), Term::Not, Term::Int(And), Term::Not];
+        let holds = |moving, arrived| {
+            eval(&terms, |term| match term {
+                Term::Of { task: TaskId(0), variable: 3 } => Some(moving),
+                Term::Is(predicate) if predicate == lift => Some(arrived),
+                _ => None,
+            })
+        };
+        assert_eq!([holds(0, 0), holds(1, 0), holds(1, 1)], [Ok(1), Ok(0), Ok(1)]);
+        assert_eq!(eval(&terms, |_| None), Err(ScriptFault::Malformed));
+        assert_eq!(int(Less, 1, 2), Ok(1));
+    }
+
+    #[test]
+    fn a_type_reads_what_it_wrote_and_nothing_else() {
+        let values = [
+            (Type::Bool, &[0, 1][..], &[2, -1][..]),
+            (Type::Int8, &[-128, -1, 127], &[128, -129]),
+            (Type::Int16, &[-32768, 300, 32767], &[32768, -32769]),
+            (Type::Int32, &[i64::from(i32::MIN), -1, i64::from(i32::MAX)], &[1 << 31]),
+            (Type::Word, &[0, (1 << 32) - 1], &[-1, 1 << 32]),
+            (Type::Real, &[0, 0x3f80_0000, 0xbf80_0000], &[0x8000_0000, 0x7f80_0000, 0x7fc0_0000, -1]),
+        ];
+        for (of, good, bad) in values {
+            for &value in good {
+                let mut bytes = [0xaa; 4];
+                of.write(value, &mut bytes).unwrap();
+                assert_eq!((of.holds(value), of.read(&bytes)), (true, Some(value)), "{of:?}");
+                assert_eq!(of.read(&bytes[..of.bytes() - 1]), None);
+                assert_eq!(of.write(value, &mut bytes[..of.bytes() - 1]), None);
+            }
+            assert!(bad.iter().all(|&value| !of.holds(value)), "{of:?}");
+        }
+        assert_eq!(Type::Bool.read(&[2]), None);
+        assert_eq!(Type::Real.read(&f32::NAN.to_le_bytes()), None);
+    }
+}

@@ -1,0 +1,505 @@
+//! Scripts on whole nodes, with their communication tasks.
+
+use super::arm;
+use super::floor::Floor;
+use super::written::{Ends, written};
+use imrs_protocol::script::*;
+use imrs_protocol::*;
+use proptest::prelude::*;
+use std::sync::Arc;
+
+const A: TaskId = TaskId(0);
+const B: TaskId = TaskId(1);
+const C: TaskId = TaskId(2);
+
+/// Tasks A, B, C, each on a node of its own, joined by links of one tick.
+fn triangle() -> Cell {
+    let mut cell = Cell::new("three", Ticks(1));
+    let nodes = ["na", "nb", "nc"].map(|name| cell.node(name));
+    for (a, b) in [(0, 1), (0, 2), (1, 2)] {
+        cell.link(nodes[a], nodes[b], Ticks(1));
+    }
+    for (name, node) in ["a", "b", "c"].into_iter().zip(nodes) {
+        cell.task(name, node);
+    }
+    cell
+}
+
+fn finish(b: ProgramBuilder) -> Program {
+    b.finish().expect("a checked program")
+}
+
+fn bytes(bytes: &[u8]) -> Contents {
+    Contents::new(bytes).expect("short")
+}
+
+/// The beam lift: A is armL and C the hoist, both played by the test; B is armR.
+fn beam_lift() -> Floor {
+    let mut cell = triangle();
+    let lift = cell.port(PortDecl::new("lift", A, Usage::Waitfor, &[B, C], Ticks(2000)).resend(Ticks(50), 1));
+    let beat = cell.port(PortDecl::new("beat", A, Usage::Query, &[B], Ticks(5)));
+    let halt = cell.port(PortDecl::new("halt", A, Usage::Send, &[B], Ticks(10)).bounded_buffer(2));
+    let mut floor = Floor::new(cell, vec![(B, arm::right(arm::Ports { lift, beat, halt }))]);
+    floor.begin();
+    for task in [A, C] {
+        floor.ask(task, Request::Arrive { port: lift, arguments: [0; 8], time_out: None });
+    }
+    assert_eq!(floor.log(), ["0 T1: run 0 [] at 0"], "grip");
+    floor.run(299);
+    assert_eq!(floor.told(A), []);
+    floor.run(3);
+    assert!(matches!(floor.told(A)[..], [Signal::Released { .. }]));
+    assert!(matches!(floor.told(C)[..], [Signal::Released { .. }]));
+    assert_eq!(floor.log(), ["300 T1: run 2 [] at 0", "301 T1: run 3 [] at 0"], "start_lift, read_height");
+    assert_eq!(floor.var(B, arm::MOVING), 1);
+    floor
+}
+
+const BEAT: PortId = PortId(1);
+const HALT: PortId = PortId(2);
+
+fn ask_beat(floor: &mut Floor) -> Vec<Signal> {
+    floor.ask(
+        A,
+        Request::Send { port: BEAT, to: Target::One(B), contents: bytes(&[1, 0, 1]), time_out: None },
+    );
+    floor.run(2);
+    floor.told(A)
+}
+
+#[test]
+fn the_right_arm_answers_beats_while_it_lifts_and_stops_when_they_end() {
+    let mut floor = beam_lift();
+    for _ in 0..5 {
+        assert_eq!(ask_beat(&mut floor), [Signal::Outcome(Outcome::Reply(bytes(&[40, 0, 1])))]);
+        floor.run(4);
+    }
+    let last = floor.now() - 5;
+    floor.log();
+    floor.run(5);
+    assert_eq!(
+        floor.log(),
+        [format!("{} T1: run 4 [] at 1", last + 10)],
+        "10 ticks of silence, then stop_now"
+    );
+    floor.run(1);
+    assert_eq!(floor.var(B, arm::MOVING), 0);
+}
+
+#[test]
+fn a_halt_interrupts_the_right_arm_at_once() {
+    let mut floor = beam_lift();
+    floor.ask(A, Request::Send { port: HALT, to: Target::All, contents: bytes(&[1]), time_out: None });
+    assert_eq!(floor.told(A), [Signal::Accepted(1)]);
+    floor.run(2);
+    assert_eq!(floor.var(B, arm::MOVING), 0);
+    assert_eq!(floor.log(), ["303 T1: run 4 [] at 1"]);
+    floor.run(30);
+    assert_eq!(
+        floor.log(),
+        ["321 T1: run 0 [] at 0"],
+        "the delay ended in its time, and the arm grips again"
+    );
+}
+
+#[test]
+fn an_arm_whose_partners_never_come_gives_up() {
+    let mut cell = triangle();
+    let lift = cell.port(PortDecl::new("lift", A, Usage::Waitfor, &[B, C], Ticks(2000)).resend(Ticks(50), 1));
+    let beat = cell.port(PortDecl::new("beat", A, Usage::Query, &[B], Ticks(5)));
+    let halt = cell.port(PortDecl::new("halt", A, Usage::Send, &[B], Ticks(10)).bounded_buffer(2));
+    let mut floor = Floor::new(cell, vec![(B, arm::right(arm::Ports { lift, beat, halt }))]);
+    floor.begin();
+    floor.run(2299);
+    assert_eq!(floor.log(), ["0 T1: run 0 [] at 0"]);
+    floor.run(1);
+    assert_eq!(floor.log(), ["2300 T1: run 1 [] at 0", "2300 T1: ended Aborted(0)"]);
+}
+
+const GRAB: PortId = PortId(0);
+const FREE: PortId = PortId(1);
+
+/// The administrator of a tool: grants it to one at a time, and takes it back from a dead holder after 40 ticks.
+fn dresser() -> ProgramBuilder {
+    let mut b = ProgramBuilder::new("dresser");
+    let (busy, no, yes) =
+        (b.variable("busy", Type::Bool), b.variable("no", Type::Bool), b.variable("yes", Type::Bool));
+    let held = b.timer("held");
+    b.set(yes, 1);
+    b.forever(|b| {
+        b.receive(FREE, None, &[]).set(busy, 0).reply(&[]);
+    });
+    b.on_message(GRAB, &[("spot", Type::Int8)], |b, _| {
+        b.statement().load(busy).either(
+            |b| {
+                b.reply(&[(Type::Bool, no)]);
+            },
+            |b| {
+                b.set(busy, 1).start(held, Ticks(40)).reply(&[(Type::Bool, yes)]);
+            },
+        );
+    });
+    b.handler(Trigger::Timer(held), |b| {
+        b.set(busy, 0);
+    });
+    b
+}
+
+/// Asks for the tool until it is granted, works for `work`, frees it where it is `honest`, and ends.
+fn robot(work: u64, honest: bool) -> ProgramBuilder {
+    let mut b = ProgramBuilder::new("robot");
+    let (spot, ok, asks) =
+        (b.variable("spot", Type::Int8), b.variable("ok", Type::Bool), b.variable("asks", Type::Int8));
+    let (top, got) = (b.label(), b.label());
+    b.put(top);
+    b.statement().load(asks).push(1).int(Binary::Add).store(asks);
+    b.send(GRAB, Target::All, &[(Type::Int8, spot)]).unpack(&[(Type::Bool, ok)]);
+    b.when(Outcomes::TIME_OUT, |b| {
+        b.set(ok, 0);
+    });
+    b.statement().load(ok).either(
+        |b| {
+            b.jump(got);
+        },
+        |b| {
+            b.delay(Ticks(7)).jump(top);
+        },
+    );
+    b.put(got);
+    b.run("dress", Ticks(work), Ticks(work));
+    if honest {
+        b.send(FREE, Target::All, &[]);
+    }
+    b.end();
+    b
+}
+
+fn tool(work: u64, honest: bool, every: bool) -> Floor {
+    let mut cell = triangle();
+    cell.port(PortDecl::new("grab", A, Usage::Response, &[B, C], Ticks(20)).bounded_buffer(2));
+    cell.port(PortDecl::new("free", A, Usage::Receive, &[B, C], Ticks(20)).command());
+    let as_told = |b: ProgramBuilder| finish(if every { b.every_statement() } else { b });
+    let robots = [(B, robot(work, honest)), (C, robot(1, true))];
+    let mut scripts: Vec<_> = robots.into_iter().map(|(task, b)| (task, as_told(b))).collect();
+    scripts.push((A, as_told(dresser())));
+    let mut floor = Floor::new(cell, scripts);
+    floor.begin();
+    floor
+}
+
+#[test]
+fn a_shared_tool_goes_to_one_at_a_time() {
+    let mut floor = tool(10, true, false);
+    floor.run(60);
+    let log = floor.log();
+    assert_eq!(
+        log,
+        ["2 T1: run 0 [] at 0", "14 T1: ended Finished", "20 T2: run 0 [] at 0", "23 T2: ended Finished",]
+    );
+    assert_eq!((floor.var(B, 2), floor.var(C, 2)), (1, 3), "so often each asked");
+    assert_eq!(floor.counts().2, 0, "all commands were answered");
+}
+
+#[test]
+fn a_timer_frees_the_tool_of_a_dead_holder() {
+    let mut floor = tool(1, false, false);
+    floor.run(41);
+    assert_eq!((floor.var(A, 0), floor.now()), (0, 41), "40 ticks after the grant at 1");
+    floor.run(20);
+    assert!(floor.log().iter().any(|line| line == "47 T2: run 0 [] at 0"));
+}
+
+#[test]
+fn fused_and_unfused_statements_do_the_same_on_a_floor() {
+    let run = |honest, every| {
+        let mut floor = tool(9, honest, every);
+        floor.run(80);
+        let (requests, statements, unanswered) = floor.counts();
+        (floor.log(), requests, statements, unanswered, floor.var(A, 0))
+    };
+    for honest in [false, true] {
+        assert_eq!(run(honest, false), run(honest, true));
+    }
+}
+
+#[test]
+fn long_messages_and_answers_travel_whole() {
+    let mut cell = triangle();
+    let port = cell.port(PortDecl::new("scan", A, Usage::Query, &[B], Ticks(20)).fragments(3, 2));
+    let words = |b: &mut ProgramBuilder, n: u16| -> Vec<(Type, Slot)> {
+        (0..n).map(|i| (Type::Word, b.variable(&format!("w{i}"), Type::Word))).collect()
+    };
+    let mut asker = ProgramBuilder::new("a");
+    let (out, back) = (words(&mut asker, 7), words(&mut asker, 4));
+    for (i, &(_, slot)) in (1..).zip(&out) {
+        asker.set(slot, i * 1000);
+    }
+    asker.send(port, Target::One(B), &out).unpack(&back).end();
+    let mut answerer = ProgramBuilder::new("b");
+    let kept = words(&mut answerer, 7);
+    answerer.delay(Ticks(90)).end();
+    let fields: Vec<(&str, Type)> = (0..7).map(|_| ("w", Type::Word)).collect();
+    answerer.on_message(port, &fields, |b, came| {
+        for (&from, &(_, to)) in came.iter().zip(&kept) {
+            b.statement().load(from).push(1).int(Binary::Add).store(to);
+        }
+        b.reply(&kept[3..]);
+    });
+    let mut floor = Floor::new(cell, vec![(A, finish(asker)), (B, finish(answerer))]);
+    floor.begin();
+    floor.run(10);
+    assert_eq!(
+        (0..7).map(|i| floor.var(B, i)).collect::<Vec<_>>(),
+        [1001, 2001, 3001, 4001, 5001, 6001, 7001]
+    );
+    assert_eq!((7..11).map(|i| floor.var(A, i)).collect::<Vec<_>>(), [4001, 5001, 6001, 7001]);
+}
+
+#[test]
+fn a_query_to_all_brings_the_answer_of_each() {
+    let mut cell = triangle();
+    let port = cell.port(PortDecl::new("poll", A, Usage::Query, &[B, C], Ticks(9)));
+    let mut asker = ProgramBuilder::new("a");
+    let said: Vec<Slot> = (0..2).map(|_| asker.variable("said", Type::Int8)).collect();
+    let (mask, outcome) = (asker.variable("mask", Type::Word), asker.variable("outcome", Type::Int8));
+    asker.send(port, Target::All, &[]);
+    asker.op(Op::Outcome).store(outcome).op(Op::Mark(Mark::Answered)).store(mask);
+    let format = asker.format(&[Type::Int8]);
+    for (task, &slot) in [B, C].into_iter().zip(&said) {
+        let into = asker.places(&[slot]);
+        asker.op(Op::Answer { port, task }).then(|b| {
+            b.op(Op::Unpack { format, into });
+        });
+    }
+    asker.end();
+    let mut answerer = ProgramBuilder::new("b");
+    let five = answerer.variable("five", Type::Int8);
+    answerer.set(five, 5).receive(port, None, &[]).reply(&[(Type::Int8, five)]).end();
+    let mut floor = Floor::new(cell, vec![(A, finish(asker)), (B, finish(answerer))]);
+    floor.begin();
+    floor.run(9);
+    assert_eq!([0, 1, 2].map(|i| floor.var(A, i)), [5, 0, 0b10], "C never answers");
+    assert_eq!(floor.var(A, 3), StatementOutcome::Incomplete as i64);
+}
+
+#[test]
+fn a_handler_waits_for_the_end_of_an_atomic_section() {
+    let mut cell = triangle();
+    let port = cell.port(PortDecl::new("beat", A, Usage::Query, &[B], Ticks(20)));
+    let mut b = ProgramBuilder::new("b");
+    b.order(&[Ranked::Port(port), Ranked::Own]);
+    b.statement()
+        .op(Op::Atomic(true))
+        .delay(Ticks(6))
+        .statement()
+        .op(Op::Atomic(false))
+        .delay(Ticks(90))
+        .end();
+    b.on_message(port, &[], |b, _| {
+        b.reply(&[]);
+    });
+    let mut floor = Floor::new(cell, vec![(B, finish(b))]);
+    floor.begin();
+    floor.ask(A, Request::Send { port, to: Target::All, contents: Contents::EMPTY, time_out: None });
+    floor.run(6);
+    assert_eq!(floor.told(A), []);
+    floor.run(1);
+    assert_eq!(floor.told(A), [Signal::Outcome(Outcome::Reply(Contents::EMPTY))], "at 6, and one tick back");
+}
+
+/// The action ends while the first handler runs; when that returns, the second one begins before the communication task
+/// hears of the end of the action.
+#[test]
+fn a_handler_that_comes_at_once_after_another_crosses_the_end_of_the_action() {
+    let mut cell = triangle();
+    let port = cell.port(PortDecl::new("first", A, Usage::Query, &[B], Ticks(30)));
+    let mut b = ProgramBuilder::new("b");
+    let (height, heard) = (b.variable("height", Type::Int8), b.variable("heard", Type::Int8));
+    let timer = b.timer("t");
+    b.order(&[Ranked::Port(port), Ranked::Timers, Ranked::Own]).start(timer, Ticks(4));
+    b.run("weld", Ticks(3), Ticks(3)).op(Op::Value).store(height).end();
+    b.on_message(port, &[("x", Type::Int8)], |b, came| {
+        b.delay(Ticks(5)).statement().load(came[0]).store(heard).reply(&[(Type::Int8, heard)]);
+    });
+    b.handler(Trigger::Timer(timer), |b| {
+        b.delay(Ticks(5)).set(heard, 9);
+    });
+    let mut floor = Floor::new(cell, vec![(B, finish(b))]);
+    floor.begin();
+    floor.ask(A, Request::Send { port, to: Target::All, contents: bytes(&[7]), time_out: None });
+    floor.run(7);
+    assert_eq!(floor.told(A), [Signal::Outcome(Outcome::Reply(bytes(&[7])))], "at 1 + 5, and one tick back");
+    assert_eq!(
+        [0, 1].map(|i| floor.var(B, i)),
+        [0, 7],
+        "the action ended at 3, but the timer's handler runs"
+    );
+    floor.run(4);
+    assert_eq!([0, 1].map(|i| floor.var(B, i)), [40, 9]);
+    assert_eq!(floor.log(), ["0 T1: run 0 [] at 0", "11 T1: ended Finished"]);
+}
+
+#[test]
+fn what_can_be_answered_no_more_is_forgotten() {
+    let mut cell = triangle();
+    let port = cell.port(PortDecl::new("move", A, Usage::Send, &[B], Ticks(9)).command());
+    let program = || {
+        let mut b = ProgramBuilder::new("b");
+        let outcome = b.variable("outcome", Type::Int8);
+        b.receive(port, None, &[]).delay(Ticks(20)).reply(&[]).op(Op::Outcome).store(outcome).end();
+        finish(b)
+    };
+    let run = |bury: bool| {
+        let mut floor = Floor::new(cell.clone(), vec![(B, program())]);
+        floor.begin();
+        floor.ask(A, Request::Send { port, to: Target::All, contents: Contents::EMPTY, time_out: None });
+        let mut forgotten = None;
+        for _ in 0..30 {
+            floor.run(1);
+            if bury {
+                let before = floor.nodes[1].scripts()[0].script.clone();
+                floor.nodes[1].bury();
+                if floor.nodes[1].scripts()[0].script != before {
+                    forgotten = Some(floor.now());
+                }
+            }
+        }
+        (floor.var(B, 0), floor.told(A), floor.log(), forgotten)
+    };
+    let (outcome, told, log, forgotten) = run(true);
+    assert_eq!(outcome, StatementOutcome::Unanswerable as i64);
+    assert_eq!(forgotten, Some(8), "sent at 0 for 9, one tick back");
+    assert_eq!((outcome, told, log, None), run(false));
+}
+
+#[test]
+fn a_task_that_never_waits_is_stopped_and_the_node_goes_on() {
+    let mut cell = triangle();
+    let port = cell.port(PortDecl::new("news", A, Usage::Send, &[B], Ticks(9)));
+    let mut b = ProgramBuilder::new("a");
+    b.forever(|b| {
+        b.send(port, Target::All, &[]);
+    });
+    let mut floor = Floor::new(cell, vec![(A, finish(b))]);
+    floor.begin();
+    assert_eq!(floor.log(), ["0 T0: ended Fault { fault: Runaway, at: 1 }"]);
+    assert_eq!(
+        floor.counts().0,
+        HOST_LIMIT as usize + 1,
+        "a request for each step, and the last to give all up"
+    );
+    floor.run(3);
+}
+
+#[test]
+fn a_node_says_who_waits_for_a_choice() {
+    let program = || {
+        let mut b = ProgramBuilder::new("a");
+        let n = b.variable("n", Type::Int8);
+        b.statement().op(Op::Choose(4)).store(n).end();
+        finish(b)
+    };
+    let mut cell = triangle();
+    cell.port(PortDecl::new("news", A, Usage::Send, &[B], Ticks(9)));
+    let mut floor = Floor::new(cell.clone(), vec![(A, program())]);
+    floor.begin();
+    assert_eq!(floor.nodes[0].chooses(), Some((A, 4)));
+    floor.step(NodeId(0), HostInput::Chosen { task: A, choice: 3 });
+    floor.step(NodeId(0), HostInput::Chosen { task: B, choice: 3 });
+    assert_eq!((floor.var(A, 0), floor.nodes[0].chooses()), (3, None));
+    let mut floor = Floor::new(cell.clone(), vec![(A, program())]);
+    floor.choose_at_once(2);
+    floor.begin();
+    assert_eq!(floor.var(A, 0), 2);
+
+    let table = NodeTable::new(Arc::new(CellTable::new(cell).expect("a checked cell")), NodeId(0));
+    let node = Node::new(table, Incarnation(0), false, 4);
+    let empty = Program::default();
+    assert_eq!(
+        ScriptedNode::new(node, [(A, Arc::new(empty))]).expect_err("no program"),
+        (A, ProgramError::NoSuchAddress(0))
+    );
+}
+
+/// Two tasks that do at random what scripts can do, with handlers on both sides, on one node or on two.
+fn random_pair(genes: [&[u8]; 2], together: bool) -> Floor {
+    let mut cell = Cell::new("pair", Ticks(1));
+    let (na, nb) = (cell.node("na"), cell.node("nb"));
+    cell.link(na, nb, Ticks(1));
+    let (a, b) = (cell.task("a", na), cell.task("b", if together { na } else { nb }));
+    let port = |name, from, usage, to| PortDecl::new(name, from, usage, &[to], Ticks(9)).bounded_buffer(2);
+    let mut add = |decl: PortDecl| cell.port(decl.fragments(2, 2));
+    let (ask_a, ask_b) = (add(port("qa", a, Usage::Query, b)), add(port("qb", b, Usage::Query, a)));
+    add(PortDecl::new("lift", a, Usage::Waitfor, &[b], Ticks(30)).resend(Ticks(5), 1));
+    let tell_a = add(port("ta", a, Usage::Send, b).command().retry(2, Ticks(3)));
+    let tell_b = add(port("tb", b, Usage::Send, a).command());
+    let (news_a, news_b) = (add(port("na", a, Usage::Send, b)), add(port("nb", b, Usage::Send, a).latest()));
+    let ends = [
+        Ends { asks: [ask_a, news_a], tells: tell_a, hears: tell_b, handled: [ask_b, news_b], real: true },
+        Ends { asks: [ask_b, news_b], tells: tell_b, hears: tell_a, handled: [ask_a, news_a], real: true },
+    ];
+    let programs =
+        [a, b].into_iter().zip(genes).zip(ends).map(|((task, genes), ends)| (task, written(genes, ends)));
+    let mut floor = Floor::new(cell, programs.collect());
+    floor.choose_at_once(1);
+    floor.begin();
+    floor
+}
+
+fn ended_well(activity: Activity) -> bool {
+    match activity {
+        // A handler may ask on a port whose answer its thread waits for; and statuses may be sent without end.
+        Activity::Ended(End::Fault { fault, .. }) => {
+            fault == ScriptFault::Request(Fault::Busy) || fault == ScriptFault::Runaway
+        }
+        Activity::NotBegun => false,
+        Activity::Waits | Activity::Acts | Activity::Chooses(_) | Activity::Passive | Activity::Ended(_) => {
+            true
+        }
+    }
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 300, failure_persistence: None, ..ProptestConfig::default() })]
+
+    /// Scripts and communication tasks understand each other: no answer is unexpected, whatever interrupts whatever.
+    #[test]
+    fn random_tasks_get_along_with_their_communication_tasks(
+        a in proptest::collection::vec(any::<u8>(), 0..200),
+        b in proptest::collection::vec(any::<u8>(), 0..200),
+        together: bool,
+    ) {
+        let mut floor = random_pair([&a, &b], together);
+        floor.run(120);
+        prop_assert!(floor.activities().into_iter().all(ended_well), "{:?}", floor.activities());
+    }
+}
+
+/// Such runs are worth something only if they come far.
+#[test]
+fn random_tasks_come_far() {
+    let mut runner = proptest::test_runner::TestRunner::deterministic();
+    let (mut deepest, mut interrupted, mut alive, mut acted) = (0, 0, 0, 0);
+    for i in 0..200 {
+        let mut genes = || {
+            let strategy = proptest::collection::vec(any::<u8>(), 0..200);
+            proptest::strategy::ValueTree::current(&strategy.new_tree(&mut runner).expect("bytes"))
+        };
+        let mut floor = random_pair([&genes(), &genes()], i % 2 == 0);
+        for _ in 0..120 {
+            floor.run(1);
+            let depths =
+                floor.nodes.iter().flat_map(ScriptedNode::scripts).map(|hosted| hosted.script.depth());
+            let depth = depths.max().unwrap_or(0);
+            deepest = deepest.max(depth);
+            interrupted += u32::from(depth > 0);
+        }
+        let ended = |activity: &Activity| matches!(activity, Activity::Ended(_));
+        alive += usize::from(!floor.activities().iter().any(ended));
+        acted += floor.log().len();
+    }
+    assert!(deepest >= 2, "handlers nest: {deepest}");
+    assert!(interrupted > 2000, "ticks in which a handler runs: {interrupted}");
+    assert!(alive > 50, "runs in which both tasks go on: {alive}");
+    assert!(acted > 1000, "actions: {acted}");
+}

@@ -1,0 +1,14 @@
+//! Task scripts (D45): every operation, every way a statement can end, interruption and nesting, fences and take-overs,
+//! packed states, random programs, and scripts on whole nodes.
+
+mod arm;
+mod check;
+mod fake;
+mod floor;
+mod handlers;
+mod host;
+mod leases;
+mod ops;
+mod random;
+mod waits;
+mod written;

@@ -1,0 +1,117 @@
+//! A node with scripts allocates nothing after `new` (§5.2.3: no run-time allocation; D15).
+
+use imrs_protocol::script::*;
+use imrs_protocol::*;
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell as Counter;
+use std::sync::Arc;
+
+thread_local! {
+    static ALLOCATIONS: Counter<u64> = const { Counter::new(0) };
+}
+
+/// The system's allocator, counting the calls of each thread.
+struct Counting;
+
+// SAFETY: every call goes to the system's allocator unchanged; counting touches only a thread-local number that needs
+// no allocation and no destructor.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        ALLOCATIONS.set(ALLOCATIONS.get() + 1);
+        // SAFETY: the caller's promise is passed on.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, at: *mut u8, layout: Layout) {
+        // SAFETY: the caller's promise is passed on; `alloc` took the memory from the same allocator.
+        unsafe { System.dealloc(at, layout) }
+    }
+
+    unsafe fn realloc(&self, at: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        ALLOCATIONS.set(ALLOCATIONS.get() + 1);
+        // SAFETY: the caller's promise is passed on; `alloc` took the memory from the same allocator.
+        unsafe { System.realloc(at, layout, size) }
+    }
+}
+
+#[global_allocator]
+static GLOBAL: Counting = Counting;
+
+const ROBOT: TaskId = TaskId(0);
+const ARM: TaskId = TaskId(1);
+
+/// Asks its neighbour for ever, with long questions and answers, and works in between.
+fn robot(port: PortId) -> Program {
+    let mut b = ProgramBuilder::new("robot");
+    let fields: Vec<(Type, Slot)> = (0..5).map(|_| (Type::Word, b.variable("w", Type::Word))).collect();
+    b.forever(|b| {
+        b.send(port, Target::One(ARM), &fields).unpack(&fields[1..]);
+        b.run("weld", Ticks(1), Ticks(3)).delay(Ticks(2));
+    });
+    b.finish().expect("a checked program")
+}
+
+/// Works, and answers from a handler that interrupts the work.
+fn arm(port: PortId) -> Program {
+    let mut b = ProgramBuilder::new("arm");
+    b.order(&[Ranked::Port(port), Ranked::Own]);
+    b.forever(|b| {
+        b.run("lift", Ticks(1), Ticks(3));
+    });
+    let fields: Vec<(&str, Type)> = (0..5).map(|_| ("w", Type::Word)).collect();
+    b.on_message(port, &fields, |b, came| {
+        let answer: Vec<(Type, Slot)> = came[1..].iter().map(|&slot| (Type::Word, slot)).collect();
+        b.delay(Ticks(1)).reply(&answer);
+    });
+    b.finish().expect("a checked program")
+}
+
+/// What the outside is asked for, in fixed room.
+#[derive(Default)]
+struct Room {
+    actions: [Option<(TaskId, u8)>; 4],
+    begun: u32,
+}
+
+impl NodeOutbox for Room {
+    fn link(&mut self, _: NodeId, _: Packet) {}
+    fn signal(&mut self, _: TaskId, _: Signal) {}
+}
+
+impl HostOutbox for Room {
+    fn run(&mut self, task: TaskId, action: Action<'_>) {
+        self.begun += 1;
+        *self.actions.iter_mut().find(|slot| slot.is_none()).expect("room") = Some((task, action.level));
+    }
+    fn cut_short(&mut self, _: TaskId, _: u8) {}
+    fn choose(&mut self, _: TaskId, _: u16) -> Option<u16> {
+        Some(0)
+    }
+    fn ended(&mut self, task: TaskId, end: End) {
+        panic!("{task} ended: {end:?}");
+    }
+}
+
+#[test]
+fn scripts_allocate_nothing() {
+    let mut cell = Cell::new("one", Ticks(1));
+    let node = cell.node("n");
+    cell.task("robot", node);
+    cell.task("arm", node);
+    let port = cell.port(PortDecl::new("ask", ROBOT, Usage::Query, &[ARM], Ticks(20)).fragments(2, 2));
+    let table = NodeTable::new(Arc::new(CellTable::new(cell).expect("a checked cell")), node);
+    let node = Node::new(table, Incarnation(0), false, 4);
+    let programs = [(ROBOT, Arc::new(robot(port))), (ARM, Arc::new(arm(port)))];
+    let mut node = ScriptedNode::new(node, programs).expect("checked programs");
+    let mut room = Room::default();
+    node.step(HostInput::Begin, &mut room);
+    let before = ALLOCATIONS.get();
+    for tick in 0..500 {
+        node.step(HostInput::Node(NodeInput::Advance(Ticks(1))), &mut room);
+        for (task, level) in std::mem::take(&mut room.actions).into_iter().flatten() {
+            node.step(HostInput::Acted { task, level, ok: true, value: tick }, &mut room);
+        }
+    }
+    assert_eq!(ALLOCATIONS.get() - before, 0, "allocations after `new`");
+    assert!(room.begun > 400, "{} actions", room.begun);
+}
