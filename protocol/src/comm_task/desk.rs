@@ -303,7 +303,7 @@ impl CommTask {
         let event = match (packet.kind, packet.control()) {
             (Kind::Reply | Kind::Response, _) => {
                 let fragments = table.port(self.desks[at].port).map_or(1, |port| port.decl.answer_fragments);
-                let index = packet.fragment + u8::from(packet.more);
+                let index = packet.fragment.saturating_add(u8::from(packet.more));
                 if index >= fragments {
                     return self.drop_packet(packet, Reason::NotAllowed, out);
                 }

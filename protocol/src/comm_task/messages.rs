@@ -70,7 +70,7 @@ impl CommTask {
             Class::Command if table.rules().reserve_way_back => table.bound_between(self.task, packet.source),
             Class::Command | Class::Status => Ticks::ZERO,
         };
-        if packet.fragment + u8::from(packet.more) >= port.decl.fragments {
+        if packet.fragment.saturating_add(u8::from(packet.more)) >= port.decl.fragments {
             return self.drop_packet(packet, Reason::NotAllowed, out);
         }
         if remaining <= reserved {

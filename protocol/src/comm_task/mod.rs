@@ -273,6 +273,8 @@ impl CommTask {
 
     /// Takes one input and fills the outbox. Total: no input in any state panics. The task gets at most one signal of it.
     pub fn handle(&mut self, table: &NodeTable, input: Input, out: &mut impl Outbox) {
+        let waited = !self.is_idle();
+        let request = matches!(input, Input::Request(_));
         match input {
             Input::Advance(elapsed) => self.advance(table, elapsed, out),
             Input::Request(request) => self.request(table, request, out),
@@ -281,7 +283,10 @@ impl CommTask {
             Input::Unsent(id) => self.unsent(id),
             Input::PeerRestarted(node) => self.peer_restarted(table, node, out),
         }
-        self.offer_to_waiting(table, out);
+        // What was asked meanwhile by a thread that waits is answered: it gets no second signal.
+        if !(request && waited) {
+            self.offer_to_waiting(table, out);
+        }
     }
 
     /// How long from the last [`Input::Advance`] until time alone makes this task act; `None`: never.

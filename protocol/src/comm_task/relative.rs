@@ -39,7 +39,8 @@ macro_rules! relatives {
         if let Some(overdue) = & $($m)? $self.overdue {
             $v.sequence(own, & $($m)? overdue.id.sequence);
         }
-        for level in & $($m)? $self.levels {
+        let running = usize::from($self.depth);
+        for level in & $($m)? $self.levels[..=running] {
             if let Pending::Get { deadline, .. } = & $($m)? level.pending {
                 $v.instant(deadline);
             }
@@ -51,10 +52,11 @@ macro_rules! relatives {
             }
         }
         for desk in & $($m)? $self.desks {
-            if desk.phase == Phase::Open {
-                $v.instant(& $($m)? desk.deadline);
-                $v.instant(& $($m)? desk.copy_at);
+            if desk.phase != Phase::Open {
+                continue;
             }
+            $v.instant(& $($m)? desk.deadline);
+            $v.instant(& $($m)? desk.copy_at);
             for asked in & $($m)? desk.asked {
                 $v.sequence(own, & $($m)? asked.id.sequence);
             }
@@ -196,11 +198,6 @@ impl CommTask {
                 if source.status.until <= now {
                     source.status = Window::default();
                 }
-            }
-        }
-        for desk in self.desks.iter_mut().filter(|desk| desk.phase == Phase::Closed) {
-            for asked in &mut desk.asked {
-                asked.id.sequence = self.next_sequence;
             }
         }
         for meeting in &mut self.meetings {

@@ -98,6 +98,8 @@ impl Solo {
         if let Err(violation) = invariants::check(&self.task, &self.table) {
             panic!("after {input:?}: {violation}");
         }
+        assert!(out.signals.len() <= 1, "one signal for {input:?}: {:?}", out.signals);
+        packs_and_unpacks(&self.task, &self.table);
         out
     }
 
@@ -124,6 +126,50 @@ impl Solo {
         let view = self.task.view(&self.table, usize::MAX);
         let port = view.ports.into_iter().find(|p| p.port == port).expect("a port of the task");
         port.queue.iter().map(|entry| (entry.source, entry.remaining.0)).collect()
+    }
+}
+
+/// The state has the same canonical bytes after it was read back from them, where it fits them at all.
+fn packs_and_unpacks(task: &CommTask, table: &NodeTable) {
+    struct Ids(Vec<Option<Round>>, Vec<Option<Seq24>>);
+    impl Visit for Ids {
+        fn instant(&mut self, _: Ticks) {}
+        fn round(&mut self, port: PortId, round: Round) {
+            let least = &mut self.0[port.index()];
+            *least = Some(least.filter(|l| round.is_newer_than(*l)).unwrap_or(round));
+        }
+        fn sequence(&mut self, source: TaskId, sequence: Seq24) {
+            let next = &mut self.1[source.index()];
+            *next = Some(next.filter(|n| n.is_newer_than(sequence)).unwrap_or(sequence));
+        }
+    }
+    let mut buried = task.clone();
+    buried.bury();
+    let mut ids = Ids(vec![None; table.ports().len()], vec![None; table.cell().tasks.len()]);
+    buried.visit(&mut ids);
+    let rounds: Vec<Round> = ids.0.iter().map(|round| round.unwrap_or_default()).collect();
+    let sequences: Vec<Seq24> = ids.1.iter().map(|next| next.unwrap_or_default()).collect();
+    let mut bytes = [0; 2048];
+    let frame = Frame { rounds: &rounds, sequences: &sequences, lives: true };
+    let Ok(len) = buried.store(table, &frame, &mut bytes) else { return };
+    let mut loaded = task.clone();
+    assert_eq!(loaded.load(table, true, &bytes), len, "not all bytes were read");
+    invariants::check(&loaded, table).expect("a state read back is sound");
+    let home = (vec![Frame::ROUND; rounds.len()], vec![Frame::SEQUENCE; sequences.len()]);
+    let mut again = [0; 2048];
+    let frame = Frame { rounds: &home.0, sequences: &home.1, lives: true };
+    assert_eq!(loaded.store(table, &frame, &mut again), Ok(len));
+    assert_eq!(again[..len], bytes[..len], "other bytes after reading back");
+    // Every shorter buffer is refused, not overrun.
+    for short in 0..len {
+        assert_eq!(
+            buried.store(
+                table,
+                &Frame { rounds: &rounds, sequences: &sequences, lives: true },
+                &mut bytes[..short]
+            ),
+            Err(Overflow)
+        );
     }
 }
 

@@ -160,6 +160,7 @@ impl World {
         if let Err(violation) = invariants::check(&self.tasks[task], &self.tables[task]) {
             panic!("T{task} after {input:?}: {violation}");
         }
+        assert!(out.signals.len() <= 1, "T{task} gets {:?} for {input:?}", out.signals);
         self.flying.extend(&out.packets);
         for &(id, turn) in &out.turns {
             self.turns[task].retain(|t| t.0 != id);
