@@ -1,9 +1,9 @@
 //! The script of a task: the small-step machine that runs its compiled behaviour (D45), the third machine of a node.
 //!
 //! A [`Program`] is static; a [`Script`] is a program counter, a fixed stack of operands, the task's variables and one
-//! frame for each thread that a handler interrupted (R16, D15). [`Script::step`] takes one input and runs until the next
-//! thing that needs an answer: a request to the communication task, an action outside, a choice of the driver, the end.
-//! What lies between two of these follows each other without a gap, so it is one step for the model checker too.
+//! frame for each thread that a handler interrupted (R16, D15). [`Script::step`] takes one input and runs until the
+//! next thing that needs an answer: a request to the communication task, an action outside, a choice of the driver,
+//! the end. What lies between two of these follows each other without a gap, so it is one step for the model checker.
 //!
 //! As for the communication task: no clock, no lock, no allocation after `new`, and no program and no input panics. A
 //! program that is none ends in [`End::Fault`]; [`Program::check`] finds it before.

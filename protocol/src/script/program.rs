@@ -198,7 +198,7 @@ pub enum Op {
     Value,
     /// Pushes a mask of how the last message to several ended.
     Mark(Mark),
-    /// Takes the answer of one of several that were asked as what [`Op::Unpack`] reads, and pushes whether there is one.
+    /// Takes the answer of one of several that were asked as what [`Op::Unpack`] reads, and pushes whether it came.
     Answer {
         /// The port.
         port: PortId,
@@ -263,8 +263,8 @@ pub enum Op {
     },
     /// Stops a timer.
     Stop(TimeId),
-    /// An action outside, one of [`Program::actions`]: pops the arguments. Handlers may interrupt the waiting for it; it
-    /// goes on meanwhile.
+    /// An action outside, one of [`Program::actions`]: pops the arguments. Handlers may interrupt the waiting
+    /// for it; it goes on meanwhile.
     Run {
         /// Which.
         action: u16,

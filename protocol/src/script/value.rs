@@ -1,7 +1,7 @@
 //! The values of a script, and expressions over them.
 //!
 //! Every value is one `i64`: a truth value is 0 or 1, an integer is itself, a `real` is the bits of its `f32`. A
-//! variable holds only what its type holds; what leaves that range is a fault, never a wrap, so that a checker shows it.
+//! variable holds only what its type holds; what leaves that range is a fault, never a wrap, and a checker shows it.
 
 use super::ScriptFault;
 use crate::ids::{PortId, TaskId};

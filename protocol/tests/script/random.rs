@@ -7,7 +7,7 @@ use imrs_protocol::*;
 use proptest::collection::vec;
 use proptest::prelude::*;
 
-/// Answers what the script waits for, where that is possible: so that random runs come far. `pick` chooses among answers.
+/// Answers what the script waits for, where that is possible: so that runs come far. `pick` chooses among answers.
 pub fn answer(rig: &Rig, pick: u8) -> Option<ScriptInput> {
     let signal = match rig.script.activity() {
         Activity::Acts => {
@@ -71,7 +71,10 @@ proptest! {
 
     /// A program that passes its check never turns out to be malformed, whatever its communication task says.
     #[test]
-    fn a_checked_program_is_well_formed(program in prop_oneof![well_formed(), programs()], inputs in vec((any::<u8>(), inputs()), 1..60)) {
+    fn a_checked_program_is_well_formed(
+        program in prop_oneof![well_formed(), programs()],
+        inputs in vec((any::<u8>(), inputs()), 1..60),
+    ) {
         if program.check().is_err() {
             return Ok(());
         }
