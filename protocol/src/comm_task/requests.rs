@@ -18,7 +18,10 @@ impl CommTask {
         let done = match request {
             Request::Order(order) => {
                 self.order = order;
-                Ok(Some(Signal::Accepted(0)))
+                out.signal(Signal::Accepted(0));
+                // What was rejected may outrank the current thread now.
+                self.offer_to_waiting(table, out);
+                Ok(None)
             }
             Request::Cancel => Ok(Some(self.cancel(table, out))),
             Request::Abandon => Ok(Some(self.abandon(table, out))),
