@@ -75,10 +75,11 @@ impl Parts<'_> {
 
 /// Where the entries of the members begin in a node's block, and the bytes before them without the length.
 fn members_at(block: &[u8]) -> (usize, &[u8]) {
-    // See `CommTask::store`: pending, order, then the meeting's flags, round and what the flags announce.
+    // See `CommTask::store`: the levels of the order, the wait (a byte, of a task that only meets), then the meeting's
+    // flags, round and what the flags announce.
     let mut at = 2;
-    at += if block.get(at) == Some(&3) { 2 } else { 1 };
-    at += 1 + usize::from(block.get(at).copied().unwrap_or(0));
+    at += 1 + 2 * usize::from(block.get(at).copied().unwrap_or(0) & 0x0f);
+    at += 1;
     let flags = block.get(at).copied().unwrap_or(0);
     at += 2;
     at += usize::from(flags & 1 != 0) + usize::from(flags & 2 != 0) + usize::from(flags & 4 != 0);

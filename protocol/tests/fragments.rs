@@ -156,7 +156,7 @@ fn a_request_and_an_answer_keep_to_their_formats() {
     assert_eq!(x.hear(Packet { fragment: 2, ..answer }).discards(), [Reason::NotAllowed]);
     assert_eq!(x.hear(Packet { more: true, ..answer }).words(), Vec::<String>::new());
     assert_eq!(x.hear(Packet { more: true, ..answer }).discards(), [Reason::Duplicate]);
-    assert_eq!(x.hear(answer).discards(), [Reason::Incomplete], "it cannot end where another one follows")
+    assert_eq!(x.hear(answer).discards(), [Reason::Incomplete], "it cannot end where another one follows");
 }
 
 #[test]

@@ -123,10 +123,20 @@ impl Desk {
         self.asked.iter().position(|asked| open && asked.answer == Answer::Open && asked.id == id)
     }
 
-    /// Takes back the request. What was answered can be read until the next one.
+    /// Takes back the request.
     pub fn close(&mut self) {
         self.phase = Phase::Closed;
         self.settle();
+        self.forget();
+    }
+
+    /// Forgets what was answered.
+    pub fn forget(&mut self) {
+        for asked in &mut self.asked {
+            (asked.answer, asked.packets_out, asked.id) = (Answer::NotAsked, 0, MessageId::default());
+            asked.contents.begin(MessageId::default());
+            asked.contents.contents.fill(Contents::EMPTY);
+        }
     }
 
     fn settle(&mut self) {
@@ -155,7 +165,8 @@ impl Desk {
 }
 
 impl CommTask {
-    /// What a task answered to the last request on a port, until the next one. A packed state leaves it out once the
+    /// What a task answered to the last request on a port, where several were asked or an answer takes several packets:
+    /// until the next request there. A packed state leaves it out once the
     /// request has ended: a checker reads it with the signal.
     #[must_use]
     pub fn answer_of(&self, port: PortId, task: TaskId) -> Option<&Contents> {
@@ -254,6 +265,10 @@ impl CommTask {
         let set = desk.set;
         desk.settle();
         desk.phase = if set { Phase::Ended } else { Phase::Closed };
+        if !set && desk.asked.iter().all(|asked| asked.contents.contents.len() < 2) {
+            // The outcome says all there is.
+            desk.forget();
+        }
         let at = super::index(at);
         let finished = if set { Finished::Answers(at) } else { Finished::Outcome(outcome) };
         self.conclude(Pending::Reply(at), finished, out);

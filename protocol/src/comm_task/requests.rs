@@ -114,10 +114,7 @@ impl CommTask {
         contents: Contents,
         out: &mut impl Outbox,
     ) {
-        for asked in &mut self.desks[at].asked {
-            (asked.answer, asked.packets_out) = (Answer::NotAsked, 0);
-            asked.contents.begin(MessageId::default());
-        }
+        self.desks[at].forget();
         let staged = self.local_at(port.id);
         for peer in mapping::destinations(port, self.task, to).into_iter().flatten() {
             let id = self.send_packets(table, port, peer, life, contents, out);

@@ -138,11 +138,6 @@ impl CommTask {
         let desk = &mut self.desks[at];
         desk.close();
         desk.set = first & SET != 0;
-        for asked in &mut desk.asked {
-            (asked.answer, asked.packets_out) = (Answer::NotAsked, 0);
-            asked.id.sequence = Frame::SEQUENCE;
-            asked.contents.have = 0;
-        }
         desk.phase = match first & (OPEN | ENDED) {
             OPEN => Phase::Open,
             ENDED => Phase::Ended,
