@@ -16,7 +16,7 @@ fn read(path: impl AsRef<Path>) -> String {
 fn documents() -> Vec<PathBuf> {
     let mut found: Vec<PathBuf> =
         ["README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "SECURITY.md"].map(PathBuf::from).into();
-    for folder in ["specs", "specs/decisions"] {
+    for folder in ["specs", "specs/decisions", "specs/protocol"] {
         for entry in fs::read_dir(Path::new(ROOT).join(folder)).expect("a folder").flatten() {
             if entry.path().extension().is_some_and(|extension| extension == "md") {
                 found.push(Path::new(folder).join(entry.file_name()));
@@ -66,13 +66,87 @@ fn every_file_and_name_of_the_trace_exists() {
             continue;
         };
         let source = fs::read_to_string(Path::new(ROOT).join(path)).unwrap_or_default();
-        if !has_word(&source, item) {
+        let is_page = path.ends_with(".md");
+        if is_page && scenario(&source, item).is_none() || !is_page && !has_word(&source, item) {
             missing.push(entry);
         }
         entries += 1;
     }
     assert!(missing.is_empty(), "named in the trace, but not in the tree: {missing:#?}");
     assert!(entries > 100, "only {entries} entries were found");
+}
+
+/// The part of a page of `specs/protocol` under this heading, its rules and quotes aside, if it is carried out.
+fn scenario<'a>(page: &'a str, heading: &str) -> Option<&'a str> {
+    let mut parts = page.split("\n## ").skip(1);
+    let part = parts.find(|part| {
+        let line = part.lines().next().unwrap_or("").replace('`', "");
+        line.rsplit_once(" (").is_some_and(|(words, _)| words == heading)
+    })?;
+    (part.contains("```transcript\n") || part.contains("```wrong\n")).then_some(part)
+}
+
+/// The executable pages: path, text, and the headings with the rules that each names.
+fn scenarios() -> Vec<(PathBuf, String, Vec<(String, Vec<String>)>)> {
+    let pages = documents().into_iter().filter(|path| path.starts_with("specs/protocol"));
+    let read_page = |path: PathBuf| {
+        let page = read(&path);
+        let headings = page.lines().filter_map(|line| line.strip_prefix("## ")).map(|heading| {
+            let heading = heading.replace('`', "");
+            let at = format!("{}: {heading}", path.display());
+            let (words, named) = heading.rsplit_once(" (").unwrap_or_else(|| panic!("{at} names no rule"));
+            let named = named.strip_suffix(')').unwrap_or_else(|| panic!("{at} does not end with its rules"));
+            (words.to_owned(), named.split(", ").map(str::to_owned).collect())
+        });
+        let headings = headings.collect();
+        (path, page, headings)
+    };
+    let mut pages: Vec<_> = pages.map(read_page).collect();
+    pages.sort();
+    pages
+}
+
+#[test]
+fn every_scenario_names_rules_that_exist() {
+    let rules = read("specs/rules.md");
+    let decisions = decisions();
+    for (path, page, headings) in scenarios() {
+        for (words, named) in headings {
+            let at = format!("{}: {words}", path.display());
+            for rule in named {
+                let written = match rule.split_at(1) {
+                    ("D", number) => number.parse().is_ok_and(|number| decisions.contains_key(&number)),
+                    _ => rules.contains(&format!("| {rule} |")),
+                };
+                assert!(written, "{at}: {rule} is written down nowhere");
+            }
+            assert!(scenario(&page, &words).is_some(), "{at} shows nothing");
+        }
+    }
+}
+
+/// The last part of the trace leads from each rule to the scenarios that name it. `IMRS_BLESS=1` writes it.
+#[test]
+fn the_trace_leads_from_each_rule_to_its_scenarios() {
+    let mut by_rule: BTreeMap<(bool, u32, String), Vec<String>> = BTreeMap::new();
+    for (path, _, headings) in scenarios() {
+        for (words, named) in headings {
+            for rule in named {
+                let digits: String = rule[1..].chars().take_while(char::is_ascii_digit).collect();
+                let key = (rule.starts_with('D'), digits.parse().expect("a number"), rule);
+                by_rule.entry(key).or_default().push(format!("`{}::{words}`", path.display()));
+            }
+        }
+    }
+    let rows = by_rule.iter().map(|((_, _, rule), shown)| format!("| {rule} | {} |\n", shown.join("<br>")));
+    let table = format!("| rule | scenarios |\n|---|---|\n{}", rows.collect::<String>());
+    let trace = read("specs/paper-trace.md");
+    let (before, found) = trace.split_once("\n## Scenarios\n\n").expect("the last part");
+    if std::env::var_os("IMRS_BLESS").is_some() {
+        let whole = format!("{before}\n## Scenarios\n\n{table}");
+        fs::write(Path::new(ROOT).join("specs/paper-trace.md"), whole).expect("a page that can be written");
+    }
+    assert!(found == table, "the scenarios of specs/paper-trace.md are others than those of specs/protocol");
 }
 
 #[test]
@@ -84,6 +158,10 @@ fn tests_of_the_trace_are_tests() {
         for entry in quoted(column) {
             let (path, item) = entry.split_once("::").expect("a file and a name");
             let source = read(path);
+            if path.ends_with(".md") {
+                assert!(scenario(&source, item).is_some(), "{entry} is carried out by nothing");
+                continue;
+            }
             let at = source.find(&format!("fn {item}(")).unwrap_or_else(|| panic!("{entry} is no function"));
             let before = source[..at].trim_end();
             let mut attributes =

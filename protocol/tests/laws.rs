@@ -9,6 +9,8 @@ use proptest::strategy::ValueTree;
 use proptest::test_runner::TestRunner;
 use std::collections::BTreeSet;
 use support::Effects;
+use support::bytes::checksum;
+use support::packing::{repack, without_arguments};
 use support::plan::plans;
 use support::world::{Op, Shift, World, ops};
 
@@ -254,7 +256,7 @@ proptest! {
         let mut plain = World::new(&plan.build(), restarts);
         let mut other = plain.clone();
         let repack = |i, world: &mut World| if picks(mask, i) { (0..world.tasks.len()).for_each(|t| repack(world, t)) };
-        compare(&mut plain, &mut other, &ops, repack, without_arguments)?;
+        compare(&mut plain, &mut other, &ops, repack, |_, effects| without_arguments(effects))?;
     }
 }
 
@@ -339,15 +341,6 @@ fn random_runs_reach_every_event_and_outcome() {
     assert!(missing.is_empty(), "never reached: {missing:?}; reached: {seen:?}");
 }
 
-/// The checksum of a packet as page one of the format tells it (D47), made apart from the code under test.
-fn checksum(bytes: &[u8; PACKET_BYTES], digest: u32, port_hash: u32) -> u32 {
-    let mut covered = [&digest.to_le_bytes()[..], &port_hash.to_le_bytes(), &bytes[..28]].concat();
-    covered[8 + 1] &= 0b1111_0001;
-    covered[8 + 12..8 + 15].fill(0);
-    covered[8 + 15] &= 0xf0;
-    crc::Crc::<u32>::new(&crc::CRC_32_AUTOSAR).checksum(&covered)
-}
-
 fn ignores(world: &World, packet: &Packet) -> bool {
     let (to, from) = (packet.destination.index(), packet.source.index());
     world.tasks[to].ignores(&world.tables[to], packet, &world.tasks[from])
@@ -373,36 +366,4 @@ impl VisitMut for Earlier {
     }
     fn round(&mut self, _: PortId, _: &mut Round) {}
     fn sequence(&mut self, _: TaskId, _: &mut Seq24) {}
-}
-
-/// Packs a task, reads it back into itself and gives its ids their world's place again. A state that does not fit its
-/// packed form stays as it is.
-fn repack(world: &mut World, task: usize) {
-    let Ok(bytes) = world.bytes(task) else { return };
-    let (rounds, sequences) = world.frame();
-    let table = world.tables[task].clone();
-    let loaded = &mut world.tasks[task];
-    assert_eq!(loaded.load(&table, world.restarts, &bytes), bytes.len(), "not all bytes were read");
-    let home = (vec![Frame::ROUND; rounds.len()], vec![Frame::SEQUENCE; sequences.len()]);
-    let frame = Frame { rounds: &home.0, sequences: &home.1, lives: world.restarts };
-    let mut again = vec![0; 4096];
-    let len = loaded.store(&table, &frame, &mut again).expect("it fitted before");
-    assert_eq!(again[..len], bytes, "store(load(bytes)) differs");
-    let shift = Shift {
-        rounds: rounds.iter().map(|r| r.steps_from(Frame::ROUND)).collect(),
-        sequences: sequences.iter().map(|s| s.steps_from(Frame::SEQUENCE)).collect(),
-    };
-    loaded.visit_mut(&mut &shift);
-    // Packed states forget which start of a timer runs.
-    world.turns[task].iter_mut().for_each(|turn| turn.1 = 0);
-}
-
-/// Packed states leave out what members tell each other at a waitfor.
-fn without_arguments(_: &World, effects: &Effects) -> Effects {
-    let mut effects = effects.clone();
-    effects.turns.clear();
-    for packet in effects.packets.iter_mut().filter(|p| p.kind == Kind::Arrive) {
-        packet.contents = Meeting { arguments: [0; 8], ..packet.meeting() }.to_contents();
-    }
-    effects
 }

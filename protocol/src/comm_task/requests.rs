@@ -16,15 +16,15 @@ impl CommTask {
     /// The task's request: it always outranks what the communication task is doing (§5.2.1).
     pub(super) fn request(&mut self, table: &NodeTable, request: Request, out: &mut impl Outbox) {
         let done = match request {
-            Request::Order(order) => {
-                self.order = order;
-                Ok(Some(Signal::Accepted(0)))
-            }
             Request::Cancel => Ok(Some(self.cancel(table, out))),
             Request::Abandon => Ok(Some(self.abandon(table, out))),
             Request::Reply { to, contents } => self.reply(table, to, contents, out).map(Some),
             Request::Done => self.done().map(Some),
             _ if self.top().pending != Pending::Nothing => Err(Fault::Busy),
+            Request::Order(order) => {
+                self.order = order;
+                Ok(Some(Signal::Accepted(0)))
+            }
             Request::Send { port, to, contents, time_out } => {
                 self.send(table, port, to, contents, time_out, out)
             }

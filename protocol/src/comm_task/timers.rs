@@ -95,10 +95,9 @@ impl CommTask {
     }
 
     pub(super) fn stop_all(&mut self, out: &mut impl Outbox) {
-        for at in 0..self.timers.0.len() {
-            if let Some(started) = self.timers.0[at] {
-                self.stop(started.id, out);
-            }
+        // In the order of their names: where they stand is not part of a packed state.
+        while let Some(id) = self.timers.0.iter().flatten().map(|started| started.id).min() {
+            self.stop(id, out);
         }
     }
 

@@ -199,8 +199,8 @@ impl Program {
             Op::Term(Term::Load(at)) | Op::Store(at) => slot(at),
             Op::Unpack { format, into } => {
                 let fields = self.formats.get(usize::from(format)).map_or(usize::MAX, |f| f.fields.len());
-                let places = self.places.get(usize::from(into)..).unwrap_or(&[]);
-                places.get(..fields).is_some_and(|places| places.iter().all(|&place| slot(place)))
+                let places = self.places.get(usize::from(into)..).and_then(|places| places.get(..fields));
+                places.is_some_and(|places| places.iter().all(|&place| slot(place)))
             }
             Op::Send { format, .. } | Op::Reply { format } => bytes(format).is_some(),
             Op::Arrive { format, .. } => bytes(format).is_some_and(|bytes| bytes <= 8),

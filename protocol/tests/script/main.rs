@@ -2,6 +2,7 @@
 //! packed states, random programs, and scripts on whole nodes.
 
 mod arm;
+pub mod bytes;
 mod check;
 mod fake;
 mod floor;

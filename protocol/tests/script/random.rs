@@ -8,7 +8,7 @@ use proptest::collection::vec;
 use proptest::prelude::*;
 
 /// Answers what the script waits for, where that is possible: so that runs come far. `pick` chooses among answers.
-fn answer(rig: &Rig, pick: u8) -> Option<ScriptInput> {
+pub fn answer(rig: &Rig, pick: u8) -> Option<ScriptInput> {
     let signal = match rig.script.activity() {
         Activity::Acts => {
             return Some(ScriptInput::Acted {

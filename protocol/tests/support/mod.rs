@@ -2,7 +2,9 @@
 //! ([`net::Net`]) and a cell driven at random ([`world::World`]). Every step checks the invariants.
 #![allow(dead_code, reason = "every test binary uses its own part")]
 
+pub mod bytes;
 pub mod net;
+pub mod packing;
 pub mod plan;
 pub mod world;
 

@@ -29,6 +29,13 @@ pub fn plans() -> impl Strategy<Value = Plan> {
 }
 
 impl Plan {
+    /// A cell of any numbers.
+    pub fn new(tasks: u8, nodes: u8, delay: u8, ports: Vec<[u8; 6]>, rules: [u8; 4]) -> Self {
+        let within = |n: u8, most: u8| 1 + n % most;
+        let (tasks, nodes) = (u16::from(within(tasks, 4)), u16::from(within(nodes, 3)));
+        Self { tasks, nodes, delay: u64::from(within(delay, 3)), ports, rules }
+    }
+
     pub fn build(&self) -> Arc<CellTable> {
         let mut cell = Cell::new("random", Ticks(1));
         for i in 0..self.nodes {

@@ -1,0 +1,7 @@
+//! A communication task takes every input in every state: any operations on any small cell, with the laws of the machine.
+#![no_main]
+
+#[path = "../../protocol/tests/support/mod.rs"]
+mod support;
+
+libfuzzer_sys::fuzz_target!(|data: &[u8]| support::bytes::inputs(data));

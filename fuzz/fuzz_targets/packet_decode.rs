@@ -1,0 +1,7 @@
+//! The decoder of packets is total, and undoes encoding.
+#![no_main]
+
+#[path = "../../protocol/tests/support/mod.rs"]
+mod support;
+
+libfuzzer_sys::fuzz_target!(|data: &[u8]| support::bytes::packets(data));

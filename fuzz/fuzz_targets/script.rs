@@ -1,0 +1,8 @@
+//! A task script takes every input in every state, whatever its program is.
+#![no_main]
+#![allow(dead_code, unused_imports, unused_macros, reason = "the tests that stand in the same files")]
+
+#[path = "../../protocol/tests/script/main.rs"]
+mod script;
+
+libfuzzer_sys::fuzz_target!(|data: &[u8]| script::bytes::script(data));

@@ -1,0 +1,153 @@
+//! Cells and what happens to them, read from bytes: what the fuzz targets of `fuzz/` run, and plain tests too
+//! (`tests/fuzzing.rs`). Any bytes mean something, and more bytes only continue what fewer begin.
+
+use super::Effects;
+use super::packing::{repack, without_arguments};
+use super::plan::Plan;
+use super::world::World;
+use imrs_protocol::*;
+
+/// The bytes of an input, zeros when they are over.
+struct Bytes<'a>(&'a [u8]);
+
+impl Bytes<'_> {
+    fn take<const N: usize>(&mut self) -> [u8; N] {
+        let (now, later) = self.0.split_at(N.min(self.0.len()));
+        self.0 = later;
+        let mut bytes = [0; N];
+        bytes[..now.len()].copy_from_slice(now);
+        bytes
+    }
+
+    fn byte(&mut self) -> u8 {
+        self.take::<1>()[0]
+    }
+}
+
+/// How many operations one input makes at most.
+const OPERATIONS: usize = 300;
+
+/// Drives the communication tasks of a cell, both read from `data`, and checks after every operation the invariants, that
+/// the next expiry is exact, and that a second world behaves the same whose clocks go back to zero now and then, and
+/// whose states are packed and read back.
+pub fn inputs(data: &[u8]) {
+    let mut bytes = Bytes(data);
+    let [flags, mask] = bytes.take();
+    let shape = bytes.take::<4>();
+    let ports = (0..1 + usize::from(shape[3] % 4)).map(|_| bytes.take()).collect();
+    let rules = if flags & 1 == 0 { [0; 4] } else { bytes.take() };
+    let plan = Plan::new(shape[0], shape[1], shape[2], ports, rules);
+    let mut world = World::new(&plan.build(), flags & 2 != 0);
+    let mut other = world.clone();
+    let packs = flags & 4 != 0;
+    for i in 0..OPERATIONS {
+        if bytes.0.is_empty() {
+            break;
+        }
+        let [what, which, a, b, c, d] = bytes.take();
+        let op = (what, which, u16::from_le_bytes([a, b]), u16::from_le_bytes([c, d]));
+        let task = usize::from(which) % world.tasks.len();
+        if mask >> (i % 8) & 1 == 1 {
+            other.tasks.iter_mut().for_each(CommTask::rebase);
+            if packs {
+                repack(&mut other, task);
+            }
+        }
+        let (found, expected) = (other.step(op), world.step(op));
+        if packs {
+            assert_eq!(without_arguments(&found), without_arguments(&expected), "{op:?}, packed before");
+        } else {
+            assert_eq!(found, expected, "{op:?} after a rebase");
+        }
+        next_expiry_is_exact(&world, task);
+        assert_eq!(other.bytes(task), world.bytes(task), "packed state of T{task}");
+    }
+}
+
+/// One tick before the next expiry nothing happens, then something does.
+fn next_expiry_is_exact(world: &World, task: usize) {
+    let mut ahead = world.clone();
+    let Some(due) = ahead.tasks[task].next_expiry() else {
+        let never = ahead.input(task, Input::Advance(Ticks(1_000_000)));
+        assert!(never == Effects::default(), "{never:?} without a next expiry");
+        return;
+    };
+    if due.0 > 0 {
+        let early = ahead.input(task, Input::Advance(Ticks(due.0 - 1)));
+        assert!(early == Effects::default(), "{early:?} before {due}");
+    }
+    let on_time = ahead.input(task, Input::Advance(Ticks(u64::from(due.0 > 0))));
+    let residence = ahead.tables[task].rules().charge_residence;
+    assert!(!residence || on_time != Effects::default(), "nothing after {due}");
+}
+
+/// Reads packets from `data`: any bytes are a packet or an error, what was a packet is one again, no flipped bit goes
+/// unnoticed, and no life is gained.
+pub fn packets(data: &[u8]) {
+    let mut bytes = Bytes(data);
+    while !bytes.0.is_empty() {
+        let flipped = usize::from(bytes.byte());
+        let mut raw: [u8; PACKET_BYTES] = bytes.take();
+        let _ = Packet::decode(&raw, DIGEST, port_hash);
+        // Behind a right checksum.
+        let hash = port_hash(PortId(u16::from_le_bytes([raw[6], raw[7]]))).unwrap_or(0);
+        let crc = checksum(&raw, DIGEST, hash);
+        raw[28..].copy_from_slice(&crc.to_le_bytes());
+        let Ok(packet) = Packet::decode(&raw, DIGEST, port_hash) else { continue };
+        let encoded = packet.encode(DIGEST, hash);
+        assert_eq!(Packet::decode(&encoded, DIGEST, port_hash), Ok(packet), "decode(encode(packet))");
+        gains_no_life(&packet, u64::from_le_bytes(bytes.take()), hash);
+        notices(&encoded, &packet, flipped);
+        let _ = (packet.meeting(), packet.meeting().next_round(), packet.control());
+    }
+}
+
+const DIGEST: u32 = 0x1234_5678;
+
+/// Every second port is known.
+fn port_hash(port: PortId) -> Option<u32> {
+    port.0.is_multiple_of(2).then(|| u32::from(port.0).wrapping_mul(0x9e37_79b9))
+}
+
+fn gains_no_life(packet: &Packet, remaining: u64, hash: u32) {
+    let sent = Packet { remaining: Ticks(remaining), ..*packet };
+    let decoded = Packet::decode(&sent.encode(DIGEST, hash), DIGEST, port_hash).expect("a packet");
+    assert!(decoded.remaining <= sent.remaining, "{} became {}", sent.remaining, decoded.remaining);
+    assert_eq!(decoded, Packet { remaining: decoded.remaining, ..sent });
+    // Less than one part in 2^23 is lost, or a step of the wire; what is past the scale becomes its end.
+    let end = Ticks(((1 << 24) - 1 << 15) * WIRE_STEP_US);
+    let kept = sent.remaining.min(end);
+    assert!(
+        kept.0 - decoded.remaining.0 <= (kept.0 >> 23).max(WIRE_STEP_US),
+        "{kept} became {}",
+        decoded.remaining
+    );
+}
+
+/// One flipped bit is an error, but in the fields that relays change: those the envelope covers.
+fn notices(encoded: &[u8; PACKET_BYTES], packet: &Packet, flipped: usize) {
+    let mut damaged = *encoded;
+    damaged[flipped / 8] ^= 1 << (flipped % 8);
+    let relays_change = match flipped / 8 {
+        1 => (1..=3).contains(&(flipped % 8)),
+        12..=14 => true,
+        15 => flipped % 8 < 4,
+        _ => false,
+    };
+    match Packet::decode(&damaged, DIGEST, port_hash) {
+        Err(_) => assert!(!relays_change, "bit {flipped}"),
+        Ok(read) => {
+            assert!(relays_change, "bit {flipped} went unnoticed");
+            assert_eq!(Packet { hops: packet.hops, remaining: packet.remaining, ..read }, *packet);
+        }
+    }
+}
+
+/// The checksum of a packet as page one of the format tells it (D47), made apart from the code under test.
+pub fn checksum(bytes: &[u8; PACKET_BYTES], digest: u32, port_hash: u32) -> u32 {
+    let mut covered = [&digest.to_le_bytes()[..], &port_hash.to_le_bytes(), &bytes[..28]].concat();
+    covered[8 + 1] &= 0b1111_0001;
+    covered[8 + 12..8 + 15].fill(0);
+    covered[8 + 15] &= 0xf0;
+    crc::Crc::<u32>::new(&crc::CRC_32_AUTOSAR).checksum(&covered)
+}

@@ -1,0 +1,37 @@
+//! Packed states read back: what they keep and what they leave out.
+
+use super::Effects;
+use super::world::{Shift, World};
+use imrs_protocol::*;
+
+/// Packs a task, reads it back into itself and gives its ids their world's place again. A state that does not fit its
+/// packed form stays as it is.
+pub fn repack(world: &mut World, task: usize) {
+    let Ok(bytes) = world.bytes(task) else { return };
+    let (rounds, sequences) = world.frame();
+    let table = world.tables[task].clone();
+    let loaded = &mut world.tasks[task];
+    assert_eq!(loaded.load(&table, world.restarts, &bytes), bytes.len(), "not all bytes were read");
+    let home = (vec![Frame::ROUND; rounds.len()], vec![Frame::SEQUENCE; sequences.len()]);
+    let frame = Frame { rounds: &home.0, sequences: &home.1, lives: world.restarts };
+    let mut again = vec![0; 4096];
+    let len = loaded.store(&table, &frame, &mut again).expect("it fitted before");
+    assert_eq!(again[..len], bytes, "store(load(bytes)) differs");
+    let shift = Shift {
+        rounds: rounds.iter().map(|r| r.steps_from(Frame::ROUND)).collect(),
+        sequences: sequences.iter().map(|s| s.steps_from(Frame::SEQUENCE)).collect(),
+    };
+    loaded.visit_mut(&mut &shift);
+    // Packed states forget which start of a timer runs.
+    world.turns[task].iter_mut().for_each(|turn| turn.1 = 0);
+}
+
+/// Packed states leave out what members tell each other at a waitfor.
+pub fn without_arguments(effects: &Effects) -> Effects {
+    let mut effects = effects.clone();
+    effects.turns.clear();
+    for packet in effects.packets.iter_mut().filter(|p| p.kind == Kind::Arrive) {
+        packet.contents = Meeting { arguments: [0; 8], ..packet.meeting() }.to_contents();
+    }
+    effects
+}
