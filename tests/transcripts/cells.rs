@@ -186,7 +186,16 @@ impl Declared {
             *length = Ticks(t.number()?);
         }
         let [lease, takeover, every] = lengths;
-        self.cell.couples.push(CoupleDecl { primary, standby, lease, takeover, every, via, mutual });
+        self.cell.couples.push(CoupleDecl {
+            primary,
+            standby,
+            lease,
+            takeover,
+            every,
+            via,
+            trusted: false,
+            mutual,
+        });
         Ok(())
     }
 
