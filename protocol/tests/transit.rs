@@ -335,7 +335,10 @@ fn what_waits_comes_back_from_its_packed_form() {
     let mut back = Rig::new(4);
     back.offer(status(7, 7));
     assert_eq!(back.transit.load(&back.table, false, &bytes), len);
-    let left = |rig: &Rig| [rig.transit.waiting(), rig.transit.words()].map(|l| l.iter().map(|p| p.remaining).collect::<Vec<_>>());
+    let left = |rig: &Rig| {
+        [rig.transit.waiting(), rig.transit.words()]
+            .map(|l| l.iter().map(|p| p.remaining).collect::<Vec<_>>())
+    };
     assert_eq!(left(&back), left(&rig));
     let shifted = [Frame::SEQUENCE; 5];
     let frame = Frame { rounds: &[], sequences: &shifted, lives: false };

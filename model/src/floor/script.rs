@@ -157,7 +157,9 @@ impl Floor {
 
     fn look_up(&self, term: Term) -> Option<i64> {
         match term {
-            Term::Of { task, variable } => self.bodies.get(task.index())?.actor.as_ref()?.script.var(variable),
+            Term::Of { task, variable } => {
+                self.bodies.get(task.index())?.actor.as_ref()?.script.var(variable)
+            }
             Term::Is(Predicate::Active(task)) => {
                 let actor = self.bodies.get(task.index())?.actor.as_ref()?;
                 let acts = !matches!(
