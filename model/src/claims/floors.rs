@@ -195,7 +195,7 @@ fn nothing_waits_for_ever() -> Vec<Claim> {
     let stuck = || full_buffers(1, FloorWatch::Reach(Goal::BuffersFull));
     vec![
         claim(
-            (name, "default", about),
+            (name, "default, whole nodes", about),
             Outcome::Holds,
             true,
             vec![reaches(stuck), holds(|| busy_neighbour(Rules::DEFAULT)), holds(full)],
