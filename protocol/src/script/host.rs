@@ -245,6 +245,10 @@ impl<O: HostOutbox> ScriptOutbox for ScriptEffects<'_, O> {
     }
 
     fn ended(&mut self, end: End) {
+        // D61: beats stop when the task has ended.
+        if self.node.task(self.task).is_some_and(|task| task.epoch().is_some()) {
+            self.requests.push_back(Request::End);
+        }
         self.out.ended(self.task, end);
     }
 

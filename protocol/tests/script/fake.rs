@@ -89,6 +89,7 @@ pub fn words(request: &Request) -> String {
         Request::Publish(contents) => format!("publish {:?}", contents.as_bytes()),
         Request::Cancel => "cancel".into(),
         Request::Abandon => "abandon".into(),
+        Request::End => "end".into(),
     }
 }
 

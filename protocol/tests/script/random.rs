@@ -44,6 +44,7 @@ pub fn answer(rig: &Rig, pick: u8) -> Option<ScriptInput> {
             | Request::Return
             | Request::Atomic(_)
             | Request::Publish(_)
+            | Request::End
             | Request::Cancel => Signal::Accepted(1),
         },
     };
