@@ -1,6 +1,6 @@
 //! Two work-coupled tasks whose communication tasks exchange beats (D30, D61).
 
-use crate::floor::plan::{Errand, Faults, FloorPlan, FloorWatch, TaskPlan, Times};
+use crate::floor::plan::{Errand, Faults, FloorPlan, FloorWatch, TaskPlan};
 use imrs_protocol::rules::{LeaseRule, Rules};
 use imrs_protocol::{Cell, CellError, CellTable, CoupleDecl, PortDecl, Ticks, Usage};
 use std::sync::Arc;
@@ -50,9 +50,9 @@ impl Couple {
             trusted: true,
             mutual: self.mutual,
         });
-        // Both act on the world, so that they are told at once of what becomes of their lease.
-        let work = Errand::Work { least: u8::MAX, most: u8::MAX, times: Times::Endless };
-        let task = || TaskPlan::new(work).hurried().serving(0, 0);
+        // Both wait for ever, so that they are told at once of what becomes of their lease.
+        let wait = Errand::Receive { port: None, time_out: None };
+        let task = || TaskPlan::new(wait).hurried().serving(0, 0);
         let tasks = vec![task(), task()];
         let mut plan = FloorPlan::new(Arc::new(CellTable::new(cell)?), tasks).watching(self.watch);
         plan.faults = self.faults;
