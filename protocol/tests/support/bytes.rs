@@ -115,7 +115,7 @@ fn gains_no_life(packet: &Packet, remaining: u64, hash: u32) {
     assert!(decoded.remaining <= sent.remaining, "{} became {}", sent.remaining, decoded.remaining);
     assert_eq!(decoded, Packet { remaining: decoded.remaining, ..sent });
     // Less than one part in 2^23 is lost, or a step of the wire; what is past the scale becomes its end.
-    let end = Ticks(((1 << 24) - 1 << 15) * WIRE_STEP_US);
+    let end = Ticks((((1 << 24) - 1) << 15) * WIRE_STEP_US);
     let kept = sent.remaining.min(end);
     assert!(
         kept.0 - decoded.remaining.0 <= (kept.0 >> 23).max(WIRE_STEP_US),
