@@ -39,7 +39,10 @@ pub fn inputs(data: &[u8]) {
     let plan = Plan::new(shape[0], shape[1], shape[2], ports, rules);
     let mut world = World::new(&plan.build(), flags & 2 != 0);
     let mut other = world.clone();
-    let packs = flags & 4 != 0;
+    // A packed state keeps the order of service, not that of arrival: the literal penalty (D4) can make two messages equal
+    // whose arrivals then decide.
+    let literal = world.tables.iter().flat_map(|table| table.ports()).filter_map(|port| port.decl.penalty);
+    let packs = flags & 4 != 0 && !literal.into_iter().any(|penalty| penalty.literal);
     for i in 0..OPERATIONS {
         if bytes.0.is_empty() {
             break;
