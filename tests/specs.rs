@@ -86,8 +86,11 @@ fn scenario<'a>(page: &'a str, heading: &str) -> Option<&'a str> {
     (part.contains("```transcript\n") || part.contains("```wrong\n")).then_some(part)
 }
 
-/// The executable pages: path, text, and the headings with the rules that each names.
-fn scenarios() -> Vec<(PathBuf, String, Vec<(String, Vec<String>)>)> {
+/// A heading of an executable page, and the rules that it names.
+type Heading = (String, Vec<String>);
+
+/// The executable pages: path, text, headings.
+fn scenarios() -> Vec<(PathBuf, String, Vec<Heading>)> {
     let pages = documents().into_iter().filter(|path| path.starts_with("specs/protocol"));
     let read_page = |path: PathBuf| {
         let page = read(&path);

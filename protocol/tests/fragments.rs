@@ -160,6 +160,17 @@ fn a_request_and_an_answer_keep_to_their_formats() {
 }
 
 #[test]
+fn fragments_of_a_message_that_is_not_sent_do_not_join_the_next_one() {
+    let mut x = Solo::new(&table(), X);
+    x.ask(part(TRACE, 1, 11));
+    assert_eq!(x.ask(part(TRACE, 4, 14)).words(), ["fault WrongLength"]);
+    assert_eq!(x.ask(send(TRACE, Y, 20)).packets.len(), 1, "after a fault");
+    x.ask(part(TRACE, 1, 11));
+    x.ask(Request::Abandon);
+    assert_eq!(x.ask(send(TRACE, Y, 30)).packets.len(), 1, "after the task began anew");
+}
+
+#[test]
 fn a_copy_counts_as_sent_while_any_packet_of_it_left() {
     let table = table();
     let unsent = |times: usize| {

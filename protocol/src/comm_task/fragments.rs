@@ -166,7 +166,12 @@ impl CommTask {
             Role::Sends | Role::Asks(_) | Role::Receives(_) | Role::Replies => {}
             Role::Hears | Role::Meets(_) | Role::Beats => return Err(Fault::WrongUsage),
         }
-        if local.staged.put(index, contents) { Ok(Signal::Accepted(0)) } else { Err(Fault::WrongLength) }
+        if local.staged.put(index, contents) {
+            return Ok(Signal::Accepted(0));
+        }
+        // All of a message or nothing (D28): what was noted of this one is not for the next.
+        local.staged.clear();
+        Err(Fault::WrongLength)
     }
 
     /// How many packets the message takes that was staged on a port. Where one of them is missing, nothing stays staged.

@@ -402,6 +402,9 @@ impl CommTask {
         for desk in &mut self.desks {
             desk.close();
         }
+        for local in &mut self.locals {
+            local.staged.clear();
+        }
         self.stop_all(out);
         Signal::Cancelled
     }

@@ -101,24 +101,26 @@ impl CommTask {
                     Answer::Restarted => 4,
                 })?;
                 if asked.answer != Answer::NotAsked {
-                    self.store_asked(asked, form, frame, w)?;
+                    self.store_asked(desk.phase, asked, form, frame, w)?;
                 }
             }
         } else if let Some(at) = desk.asked.iter().position(|asked| asked.answer == Answer::Open) {
             w.count(at)?;
-            self.store_asked(&desk.asked[at], form, frame, w)?;
+            self.store_asked(desk.phase, &desk.asked[at], form, frame, w)?;
         }
         Ok(())
     }
 
     fn store_asked(
         &self,
+        phase: Phase,
         asked: &Asked,
         form: Form,
         frame: &Frame<'_>,
         w: &mut Writer<'_>,
     ) -> Result<(), Overflow> {
-        if asked.answer == Answer::Open {
+        // Of a request that ended nobody's answer is waited for.
+        if asked.answer == Answer::Open && phase == Phase::Open {
             store_id(self.task, asked.id, frame, w)?;
         }
         if asked.answer == Answer::Open {
@@ -178,13 +180,16 @@ impl CommTask {
         lives: bool,
         r: &mut Reader<'_>,
     ) {
-        let open = answer == Answer::Open;
+        let open = answer == Answer::Open && self.desks[at].phase == Phase::Open;
         let id = open.then(|| self.load_own_id(r, lives));
         let Some(asked) = self.desks[at].asked.get_mut(i) else { return };
         asked.answer = answer;
         asked.contents.begin(crate::ids::MessageId::default());
         if let Some(id) = id {
-            (asked.id, asked.packets_out) = (id, u16::from(r.byte()));
+            asked.id = id;
+        }
+        if answer == Answer::Open {
+            asked.packets_out = u16::from(r.byte());
         }
         if form.long_answers {
             let have = r.word();
