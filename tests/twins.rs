@@ -290,6 +290,13 @@ fn the_margin_of_the_take_over() {
     for (world, margin) in TAKE_OVERS {
         assert_eq!(world.least_margin(), margin, "{world:?}");
     }
+    // The same of the machine itself, at equal bounds.
+    let report = settle("one-active");
+    for (rule, drift) in [("default", 0), ("default, drift", 1)] {
+        let verdict = report.claims.iter().find(|v| v.rule == rule).expect("a verdict");
+        let twin = TakeOver { lease: 8, delay: 1, every: 2, drift }.least_margin();
+        assert_eq!(verdict.found.least_safe_margin, Some(u64::from(twin)), "{rule}");
+    }
     // The property is not true of nothing: leases are renewed and the standby can take over.
     let (world, _) = TAKE_OVERS[1];
     for reachable in ["RENEWED", "TAKEN"] {

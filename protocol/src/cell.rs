@@ -396,7 +396,7 @@ pub enum CellError {
         couple: String,
         /// Its lease.
         lease: Ticks,
-        /// What it must exceed.
+        /// What it must reach.
         least: Ticks,
     },
     /// The standby may take over while the primary still acts (D61).
@@ -475,7 +475,7 @@ impl fmt::Display for CellError {
             ),
             Self::LeaseTooShort { couple, lease, least } => write!(
                 f,
-                "couple `{couple}`: lease {lease} must exceed {least} ticks (the way there and back and a period of the beats), or it can never be renewed"
+                "couple `{couple}`: lease {lease} must be at least {least} ticks (two periods of the beats, the way and a tick), or it ends before it is renewed"
             ),
             Self::TakeoverTooSoon { couple, takeover, least } => write!(
                 f,

@@ -56,6 +56,13 @@ fn check_via(couple: &CoupleDecl, via: &Port, errors: &mut Vec<CellError>) {
     }
 }
 
+/// How long an answer is the newest that was echoed, while nothing is lost: it is echoed by the first beat after the way
+/// there and back, the answer to that one by the first beat after the same time again, and a beat takes a way.
+fn least_lease(way: Ticks, every: Ticks) -> Ticks {
+    let beats = (way + way).0 / every.0.max(1);
+    Ticks(every.0.saturating_mul(beats.saturating_add(2))) + way
+}
+
 fn check_times(
     cell: &Cell,
     couple: &CoupleDecl,
@@ -64,9 +71,8 @@ fn check_times(
     (position, way): (usize, Ticks),
     errors: &mut Vec<CellError>,
 ) {
-    // An answer comes after one way, the next beat at most a period later, and takes one way: only then is it renewed.
-    let renewed = way + way + couple.every + cell.tick;
-    if couple.every.is_zero() || couple.lease <= renewed {
+    let renewed = least_lease(way, couple.every) + cell.tick;
+    if couple.every.is_zero() || couple.lease < renewed {
         let (couple, lease) = (name(cell, couple), couple.lease);
         errors.push(CellError::LeaseTooShort { couple, lease, least: renewed });
         return;

@@ -320,7 +320,7 @@ fn a_couple_that_cannot_keep_its_promise_is_no_couple() {
     let couple = || String::from("p -> s");
     assert_eq!(
         errors(|c| c.couples[0].lease = Ticks(7)),
-        [CellError::LeaseTooShort { couple: couple(), lease: Ticks(7), least: Ticks(2 + EVERY + 1) }]
+        [CellError::LeaseTooShort { couple: couple(), lease: Ticks(7), least: Ticks(2 * EVERY + 1 + 1) }]
     );
     // Lease, the last order's life, a tick, and the drift rounded up.
     let least = Ticks(LEASE + 8 + 1 + 1);

@@ -27,7 +27,7 @@ pub(super) fn claims() -> Vec<Claim> {
     let drift = |drift: u8| Couple { faults: Faults { drift, ..COUPLE.faults }, ..COUPLE };
     let late = |base: Couple| Couple { faults: Faults { late: 1, ..base.faults }, ..base };
     let crash = |base: Couple| Couple { faults: Faults { crash: 1, ..base.faults }, ..base };
-    let slow = |base: Couple| Couple { delay: 2, lease: 10, takeover: 10, ..base };
+    let slow = |base: Couple| Couple { delay: 2, lease: 11, takeover: 11, ..base };
     // Each change of roles counts an epoch up, so with any number of losses there is no end of them.
     let mutual =
         |loss: u8, base: Couple| Couple { mutual: true, faults: Faults { loss, ..base.faults }, ..base };
