@@ -78,10 +78,11 @@ fn check_times(
         return;
     }
     let guarded = ports.iter().filter(|port| port.decl.guard.map(usize::from) == Some(position));
-    let residence = guarded.map(|port| port.decl.time_out).max().unwrap_or(Ticks::ZERO);
+    let longest = |port: &Port| port.parties.iter().map(|party| party.time_out).max().unwrap_or_default();
+    let residence = guarded.map(longest).max().unwrap_or(Ticks::ZERO);
     let margin = takeover_margin(couple.lease, couple.takeover, DRIFT_PPM, residence, cell.tick);
     // An answer of an earlier time in office must be dead before the next one begins.
-    let least = (couple.lease + margin).max(via.decl.time_out);
+    let least = (couple.lease + margin).max(longest(via));
     if couple.takeover < least && !couple.trusted {
         let (couple, takeover) = (name(cell, couple), couple.takeover);
         errors.push(CellError::TakeoverTooSoon { couple, takeover, least });

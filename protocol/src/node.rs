@@ -96,9 +96,10 @@ impl Node {
             .map(|task| CommTask::new(&table, task, incarnation, restarted))
             .collect();
         let timers = u16::try_from(tasks.len().saturating_mul(CommTask::ENTRIES)).unwrap_or(u16::MAX);
+        let room = WORK + tasks.len();
         let parts =
             Parts { table, tasks, transit: Transit::new(transit_capacity), timer: Timer::new(timers) };
-        Self { parts, work: VecDeque::with_capacity(WORK) }
+        Self { parts, work: VecDeque::with_capacity(room) }
     }
 
     /// Its parts.
@@ -276,11 +277,12 @@ impl Node {
         while let Some(work) = self.work.pop_front() {
             self.carry_out(work, out);
         }
+        // All tasks before what any of them sends: a message between two of them must not age by the time before it.
         for i in 0..self.parts.tasks.len() {
             self.work.push_back(Work::Task(self.parts.tasks[i].task(), Input::Advance(elapsed)));
-            while let Some(work) = self.work.pop_front() {
-                self.carry_out(work, out);
-            }
+        }
+        while let Some(work) = self.work.pop_front() {
+            self.carry_out(work, out);
         }
         let work = &mut self.work;
         self.parts.timer.advance(elapsed, |task, id, turn| {

@@ -103,7 +103,7 @@ fn with_the_link_cut_the_primary_is_fenced_and_the_standby_takes_over_later() {
     let [(_, _), (fenced, [false, false]), (taken, [false, true])] = seen[..] else { panic!("{seen:?}") };
     assert!(taken >= fenced + (TAKEOVER - LEASE), "fenced at {fenced}, taken over at {taken}");
     assert_eq!(net.heard(P), ["interrupt Fenced"]);
-    assert_eq!(net.heard(S), ["interrupt TakeOver(2)"]);
+    assert_eq!(net.heard(S), ["interrupt TakeOver(3)"]);
     // One way: the old primary does not come back in this life.
     heal(&mut net);
     assert_eq!(changes(&mut net, 100).len(), 1);
@@ -126,7 +126,7 @@ fn a_standby_that_waits_for_the_lease_is_granted_it_by_the_take_over() {
     net.ask(S, Request::Lease);
     net.ask(P, Request::End);
     changes(&mut net, 60);
-    assert_eq!(net.heard(S), ["granted 2"]);
+    assert_eq!(net.heard(S), ["granted 3"]);
     assert_eq!(acting(&net), [false, true]);
 }
 
@@ -179,7 +179,7 @@ fn with_exchanged_roles_the_former_primary_is_the_standby_of_the_one_that_took_o
     cut(&mut net);
     let seen = changes(&mut net, 80);
     let [_, (_, [false, false]), (_, [true, false])] = seen[..] else { panic!("{seen:?}") };
-    assert_eq!(net.nodes[0].task(P).and_then(CommTask::epoch), Some(3));
+    assert_eq!(net.nodes[0].task(P).and_then(CommTask::epoch), Some(4));
 }
 
 #[test]

@@ -342,7 +342,7 @@ impl Floor {
         if self.plan.watches(FloorWatch::OneActive) && acting.clone().count() > 1 {
             return Err(Violation::BothActive);
         }
-        self.reach(Goal::TookOver, acting.any(|task| task.epoch() == Some(2)))?;
+        self.reach(Goal::TookOver, acting.any(|task| task.task() == TaskId(1)))?;
         self.judge_checks()?;
         if !self.plan.watches(FloorWatch::Reach(Goal::BuffersFull)) {
             return Ok(());

@@ -216,7 +216,7 @@ pub enum Goal {
     AllAnswered,
     /// Both ends of a link wait for each other's buffer.
     BuffersFull,
-    /// A task acts in the second epoch of its couple: it took over.
+    /// The second task acts: it took over.
     TookOver,
 }
 

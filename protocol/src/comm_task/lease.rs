@@ -63,6 +63,8 @@ pub(crate) struct Lease {
     pub life: Option<Incarnation>,
     /// The last beats that were answered, newest first.
     pub answered: [Option<Answered>; ANSWERS],
+    /// The newest of all that were answered: a copy of an older one counts for nothing, so no answer counts from a copy's.
+    pub newest: Option<Seq24>,
     /// The newest own beat that was answered: the next one echoes it, while that can renew anything.
     pub echo: Option<Answered>,
     /// When the next beat is sent.
@@ -115,6 +117,7 @@ impl Lease {
             epoch: 0,
             life: None,
             answered: [None; ANSWERS],
+            newest: None,
             echo: None,
             beat_at: if primary && !decl.mutual { Ticks::FAR } else { Ticks::ZERO },
             takeover_at: if armed { decl.takeover } else { Ticks::FAR },
@@ -141,6 +144,7 @@ impl Lease {
     /// The task ended or panicked: its partner shall take over.
     pub fn retire(&mut self) {
         self.stop(Post::Passive);
+        self.call = None;
     }
 
     /// Time has passed: the lease ends, the task takes over, a beat is sent.
@@ -181,10 +185,11 @@ impl Lease {
         self.echo = None;
     }
 
-    /// Begins to act, in an epoch that nobody has acted in.
+    /// Begins to act, in an epoch that nobody has acted in. The primary may have begun one that the standby has not heard
+    /// of, if all answers since were lost, but no more than one: so the standby leaves one out.
     fn begin(&mut self, post: Post) {
         self.stop(post);
-        self.epoch = self.epoch.wrapping_add(1);
+        self.epoch = self.epoch.wrapping_add(if self.primary { 1 } else { 2 });
     }
 
     fn beat(&mut self, at: &mut Beating<'_>, couple: &CoupleDecl, out: &mut impl Outbox) {
@@ -264,8 +269,8 @@ impl Lease {
         let contents = Contents::new(&bytes[..ECHO_BYTES + len]).unwrap_or_default();
         let to = ReplyTo { port: port.id, source: beat.source, id: beat.id };
         let life = port.party(at.task).map_or(Ticks::ZERO, |party| party.time_out);
-        let again = self.answered.iter().flatten().any(|a| a.beat == beat.id.sequence);
-        if !again {
+        if self.newest.is_none_or(|newest| beat.id.sequence.is_newer_than(newest)) {
+            self.newest = Some(beat.id.sequence);
             self.answered.rotate_right(1);
             self.answered[0] = Some(Answered { beat: beat.id.sequence, until: at.now + couple.lease });
         }
@@ -300,7 +305,7 @@ impl Lease {
     fn enter_life(&mut self, life: Incarnation) -> bool {
         match self.life {
             Some(known) if is_older(life, known) => return false,
-            Some(known) if known != life => self.answered = [None; ANSWERS],
+            Some(known) if known != life => (self.answered, self.newest) = ([None; ANSWERS], None),
             Some(_) | None => {}
         }
         self.life = Some(life);
@@ -319,6 +324,9 @@ impl Lease {
             *answered = answered.filter(|a| a.until > now && self.post != Post::Passive);
         }
         self.answered.sort_by_key(Option::is_none);
+        if self.post == Post::Passive {
+            self.newest = None;
+        }
         self.echo = self.echo.filter(|echo| echo.until > now);
     }
 }
@@ -417,7 +425,14 @@ impl CommTask {
     }
 
     pub(super) fn await_lease(&mut self) -> Result<Option<Signal>, Fault> {
+        let waits = self.running().iter().any(|level| level.pending == Pending::Lease);
         let Some(lease) = &mut self.lease else { return Err(Fault::WrongUsage) };
+        if waits {
+            return Err(Fault::Busy);
+        }
+        if lease.post == Post::Passive {
+            return Err(Fault::Fenced);
+        }
         if lease.acts() {
             lease.call = None;
             return Ok(Some(Signal::Granted(lease.epoch)));

@@ -370,6 +370,11 @@ impl CommTask {
         self.depth -= 1;
         self.note_handler(Event::Resumed, u32::from(self.depth), out);
         if let Some(finished) = self.top_mut().finished.take() {
+            // The lease was granted and lost again while the handler ran: the thread goes on waiting for it.
+            if matches!(finished, Finished::Granted(_)) && !self.is_active() {
+                self.top_mut().pending = Pending::Lease;
+                return Ok(());
+            }
             self.tell(finished, out);
             return Ok(());
         }

@@ -210,7 +210,11 @@ impl CommTask {
     /// On a port where the latest message counts: whether this one is it. The one it takes the place of goes.
     fn supersedes(&mut self, inbox: usize, newcomer: &Held, out: &mut impl Outbox) -> bool {
         let Some((slot, held)) = self.inboxes[inbox].of_source(newcomer.source) else { return true };
-        if newcomer.class == Class::Status && held.id.sequence.is_newer_than(newcomer.id.sequence) {
+        let same_life = held.id.incarnation == newcomer.id.incarnation;
+        if newcomer.class == Class::Status
+            && same_life
+            && held.id.sequence.is_newer_than(newcomer.id.sequence)
+        {
             return false;
         }
         if let Some(old) = self.inboxes[inbox].queue.remove(slot) {

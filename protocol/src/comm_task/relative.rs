@@ -70,6 +70,9 @@ macro_rules! relatives {
                     $v.instant(& $($m)? answered.until);
                 }
             }
+            if let Some(newest) = & $($m)? lease.newest {
+                $v.sequence(partner, newest);
+            }
             if let Some(echo) = & $($m)? lease.echo {
                 $v.sequence(own, & $($m)? echo.beat);
                 $v.instant(& $($m)? echo.until);

@@ -65,7 +65,13 @@ impl CommTask {
         match done {
             Ok(Some(signal)) => out.signal(signal),
             Ok(None) => {}
-            Err(fault) => out.signal(Signal::Fault(fault)),
+            Err(fault) => {
+                // What was staged for a message that is not sent is no part of the next one.
+                if let Request::Send { port, .. } = request {
+                    self.unstage(port);
+                }
+                out.signal(Signal::Fault(fault));
+            }
         }
     }
 

@@ -54,11 +54,11 @@ pub(super) fn references(cell: &Cell, errors: &mut Vec<CellError>) {
 pub(super) fn port(cell: &Cell, port: &Port, routes: &[Option<Hop>], errors: &mut Vec<CellError>) {
     let decl = &port.decl;
     let name = || decl.name.clone();
-    let modules = decl.modules.iter();
-    for module in modules.filter(|m| cell.tasks.iter().all(|t| t.module.as_ref() != Some(m))) {
-        errors.push(CellError::UnknownModule(name(), module.clone()));
-    }
-    if port.parties.len() < 2 && decl.modules.is_empty() {
+    let unknown = |m: &&String| cell.tasks.iter().all(|t| t.module.as_ref() != Some(m));
+    errors.extend(
+        decl.modules.iter().filter(unknown).map(|module| CellError::UnknownModule(name(), module.clone())),
+    );
+    if port.parties.len() < 2 && !decl.modules.iter().any(|m| unknown(&m)) {
         errors.push(CellError::NoUsers(name()));
     }
     let mut seen = BTreeSet::new();

@@ -11,6 +11,7 @@ const POST: u8 = 0x03;
 const ECHO: u8 = 0x04;
 const FENCED: u8 = 0x08;
 const TOOK_OVER: u8 = 0x10;
+const NEWEST: u8 = 0x20;
 
 impl CommTask {
     pub(super) fn store_lease(
@@ -28,7 +29,12 @@ impl CommTask {
         let flag = |set: bool, bit: u8| if set { bit } else { 0 };
         let fenced = lease.call == Some(Call::Fenced);
         let took_over = matches!(lease.call, Some(Call::TakeOver(_)));
-        w.byte(post | flag(lease.echo.is_some(), ECHO) | flag(fenced, FENCED) | flag(took_over, TOOK_OVER))?;
+        w.byte(
+            post | flag(lease.newest.is_some(), NEWEST)
+                | flag(lease.echo.is_some(), ECHO)
+                | flag(fenced, FENCED)
+                | flag(took_over, TOOK_OVER),
+        )?;
         w.byte(lease.epoch)?;
         if frame.lives {
             w.byte(lease.life.map_or(0, |life| life.0.wrapping_add(1)))?;
@@ -44,6 +50,9 @@ impl CommTask {
         if let Some(echo) = lease.echo {
             w.byte(frame.sequence(self.task, echo.beat)?)?;
             w.left(echo.until, self.now)?;
+        }
+        if let Some(newest) = lease.newest {
+            w.byte(frame.sequence(lease.partner, newest)?)?;
         }
         w.count(lease.answered.iter().flatten().count())?;
         for answered in lease.answered.iter().flatten() {
@@ -75,6 +84,7 @@ impl CommTask {
             (false, false) => None,
         };
         lease.echo = (first & ECHO != 0).then(|| Answered { beat: r.sequence(), until: r.left() });
+        lease.newest = (first & NEWEST != 0).then(|| r.sequence());
         lease.answered = Default::default();
         let count = usize::from(r.byte());
         for answered in lease.answered.iter_mut().take(count) {
