@@ -68,6 +68,9 @@ enum Turn {
     /// Its port was passed over too often: the one passed over most, counted down.
     Bypassed(u16),
     InOrder,
+    /// It is at its cap, but so was the one before: what outranks by itself comes between, or a flood of rejected messages
+    /// would keep the first rank from its turn.
+    CappedAgain(u64),
 }
 
 #[derive(Clone, Copy, PartialEq, Eq, PartialOrd, Ord)]
@@ -195,6 +198,11 @@ impl CommTask {
         self.reject_the_others(table, out);
         let Some(first) = first else { return false };
         self.count_bypasses(table, first.what);
+        match first.key.0 {
+            Turn::Capped(_) | Turn::CappedAgain(_) => self.capped_last = true,
+            Turn::Bypassed(_) | Turn::InOrder => self.capped_last = false,
+            Turn::Lease => {}
+        }
         match first.what {
             What::Lease => {
                 if let Some(call) = self.take_call() {
@@ -230,7 +238,10 @@ impl CommTask {
                 .filter(|(_, _, h)| self.is_due(h) && self.held_outranks(table, inbox.port, h));
             due.map(move |(key, slot, held)| {
                 let base = self.order.rank(inbox.port, held.source);
-                let turn = if held.rejections >= Self::cap(base) {
+                let capped = held.rejections >= Self::cap(base);
+                let turn = if capped && self.capped_last {
+                    Turn::CappedAgain(held.rejected_first)
+                } else if capped {
                     Turn::Capped(held.rejected_first)
                 } else if inbox.bypassed >= limit {
                     Turn::Bypassed(u16::MAX - inbox.bypassed)

@@ -171,6 +171,8 @@ pub struct CommTask {
     /// The task's thread, then the handlers that run; `depth` of them.
     levels: Box<[Level]>,
     depth: u8,
+    /// The handler that began last ran for a message at its cap (D76).
+    capped_last: bool,
     /// Numbers the rounds of rejections (D58).
     rejections: u64,
     timers: Timers,
@@ -210,6 +212,7 @@ impl CommTask {
             quarantine_until: Ticks::ZERO,
             levels: Box::new([Level::NEW; DEPTH + 1]),
             depth: 0,
+            capped_last: false,
             rejections: 1,
             timers: Timers::default(),
             overdue: None,

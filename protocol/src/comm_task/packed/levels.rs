@@ -12,6 +12,7 @@ const LEVELS: u8 = 0x0f;
 const HANDLERS: u8 = 0x10;
 const TIMERS: u8 = 0x20;
 const ATOMIC: u8 = 0x40;
+const CAPPED: u8 = 0x80;
 
 /// The codes of waits below these name themselves; from them on they count desks and meetings.
 const DESKS: u8 = 0x10;
@@ -25,6 +26,7 @@ impl CommTask {
         let first = flag(self.depth > 0, HANDLERS)
             | flag(timers > 0, TIMERS)
             | flag(self.levels[0].atomic, ATOMIC)
+            | flag(self.capped_last, CAPPED)
             | u8::try_from(named.len()).map_err(|_| Overflow)?;
         w.byte(first)?;
         for ranked in named {
@@ -106,6 +108,7 @@ impl CommTask {
             };
         }
         self.order = ServiceOrder::new(&named[..count]).unwrap_or_default();
+        self.capped_last = first & CAPPED != 0;
         self.depth = if first & HANDLERS != 0 { r.byte().min(u8::try_from(DEPTH).unwrap_or(0)) } else { 0 };
         for i in 0..=usize::from(self.depth) {
             let mut level = Level { pending: load_pending(r), ..Level::NEW };
