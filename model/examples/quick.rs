@@ -24,6 +24,6 @@ fn main() {
         eprintln!("no claim is named {name}");
         std::process::exit(2);
     }
-    let options = Options { full: false, claim, jobs: 1, memory: 4 << 30 };
+    let options = Options { full: false, claim, jobs: 2, memory: 4 << 30 };
     verify(&options, &UntilTheFirst);
 }
