@@ -87,6 +87,7 @@ violations! {
     CommandEvicted 35 "a command made room while a status message stayed in the buffer",
     Zeno 36 "too much happens between two ticks",
     Faulted 37 "a request without fault was called faulty",
+    TooEarly 42 "a delay ended before its time",
     BothActive 41 "both tasks of a couple act at a time",
     Script 39 "a script ended in a fault or an assertion that does not hold",
     Check 40 "a check of the cell does not hold",

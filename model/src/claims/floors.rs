@@ -3,7 +3,7 @@
 
 use super::{Claim, Settled, Work};
 use crate::floor::plan::{Faults, FloorPlan, FloorWatch, Goal};
-use crate::floor::worlds::{Relay, busy_neighbour, full_buffers};
+use crate::floor::worlds::{Relay, busy_neighbour, delays, full_buffers};
 use crate::report::{Bounds, Found, Outcome};
 use imrs_protocol::CellError;
 use imrs_protocol::rules::{Eviction, JobRequest, Memory, Rules};
@@ -172,6 +172,7 @@ fn relays() -> Vec<Claim> {
         true,
         vec![reaches(move || reached.plan()), relay(resolved)],
     ));
+    claims.extend(copies());
     let forgetful = Relay {
         rules: Rules { memory: Memory::None, ..Rules::DEFAULT },
         faults: Faults { dup: 1, ..Faults::default() },
@@ -187,9 +188,39 @@ fn relays() -> Vec<Claim> {
     claims
 }
 
+/// What the exchange of two tasks cannot show: there a packet that its task would ignore is left out, and only
+/// receivers crash.
+fn copies() -> Vec<Claim> {
+    let twice =
+        |faults, watch| relay(Relay { sends: (2, 0), faults, watches: vec![watch], ..Relay::default() });
+    let dup = Faults { dup: 1, ..Faults::default() };
+    vec![
+        claim(
+            (
+                "class-2-resolves",
+                "default, relay, copies",
+                "an answer that comes twice ends only the command that it answers (D12)",
+            ),
+            Outcome::Holds,
+            true,
+            vec![twice(dup, FloorWatch::Waits { slack: 0 })],
+        ),
+        claim(
+            (
+                "at-most-once",
+                "default, relay, restart",
+                "what an earlier life of a source sent does not run after what the present one sent (D49)",
+            ),
+            Outcome::Holds,
+            true,
+            vec![twice(Faults { crash: 1, ..dup }, FloorWatch::AtMostOnce)],
+        ),
+    ]
+}
+
 fn nothing_waits_for_ever() -> Vec<Claim> {
     let name = "nothing-waits-for-ever";
-    let about = "every wait ends by its time_out, a busy neighbour or full buffers or not, and in a tick little happens";
+    let about = "every wait ends by its time_out and no delay before it, a busy neighbour or full buffers or not, and in a tick little happens";
     let blocking = Rules { job_request: JobRequest::Blocking, ..Rules::DEFAULT };
     let full = || full_buffers(1, FloorWatch::Waits { slack: 0 });
     let stuck = || full_buffers(1, FloorWatch::Reach(Goal::BuffersFull));
@@ -198,7 +229,12 @@ fn nothing_waits_for_ever() -> Vec<Claim> {
             (name, "default, whole nodes", about),
             Outcome::Holds,
             true,
-            vec![reaches(stuck), holds(|| busy_neighbour(Rules::DEFAULT)), holds(full)],
+            vec![
+                reaches(stuck),
+                holds(|| busy_neighbour(Rules::DEFAULT)),
+                holds(|| delays([4, 2])),
+                holds(full),
+            ],
         ),
         claim(
             (

@@ -170,11 +170,11 @@ impl Floor {
                 let all = answers.asked == answers.answered && answers.asked.count_ones() > 1;
                 self.reach(Goal::AllAnswered, all)?;
             }
+            Signal::TimeOut(_) => self.judge_delay(&top)?,
             Signal::Nothing
             | Signal::Accepted(_)
             | Signal::Released { .. }
             | Signal::GaveUp { .. }
-            | Signal::TimeOut(_)
             | Signal::Granted(_)
             | Signal::Cancelled => {}
         }
@@ -198,6 +198,15 @@ impl Floor {
             answered >> i & 1 == 1 && said != Some(&question)
         });
         if wrong { Err(Violation::WrongAnswer) } else { Ok(()) }
+    }
+
+    /// A delay ends when no tick of it is left: where every node counts every tick as it passes.
+    fn judge_delay(&self, level: &Level) -> Result<(), Violation> {
+        let Some(slack) = self.plan.waits() else { return Ok(()) };
+        let exact = self.plan.faults.drift == 0 && self.plan.faults.late == 0;
+        // The tick that is passing, and the one that a wait may last longer, are not taken off yet.
+        let early = level.does == Does::Waits && level.left != Level::FOREVER && level.left > slack + 2;
+        if exact && early { Err(Violation::TooEarly) } else { Ok(()) }
     }
 
     fn count_signal(&mut self, task: usize) -> Result<(), Violation> {

@@ -112,6 +112,21 @@ pub fn busy_neighbour(rules: Rules) -> Result<Arc<FloorPlan>, Vec<CellError>> {
     Ok(Arc::new(plan.watching(FloorWatch::Waits { slack: 0 }).watching(FloorWatch::Zeno { signals: 2 })))
 }
 
+/// Two tasks of one node that delay under the same name, and what each waits for is its own (§5.1.2).
+///
+/// # Errors
+/// What is wrong with the declaration.
+pub fn delays(lengths: [u64; 2]) -> Result<Arc<FloorPlan>, Vec<CellError>> {
+    let mut cell = Cell::new("delays", Ticks(1));
+    let node = cell.node("node");
+    let tasks = [("long", lengths[0]), ("short", lengths[1])].map(|(name, length)| {
+        cell.task(name, node);
+        TaskPlan::new(Errand::Delay { length: Ticks(length), times: Times::Most(2) })
+    });
+    let plan = FloorPlan::new(Arc::new(CellTable::new(cell)?), tasks.into());
+    Ok(Arc::new(plan.watching(FloorWatch::Waits { slack: 0 })))
+}
+
 /// A chain of four nodes whose inner two hold one packet each and pass one on only where the next node has room: their
 /// buffers can be full of packets for each other.
 ///
