@@ -44,7 +44,7 @@ fn no_false_release() -> Vec<Claim> {
         ),
         row("default, at once", together, at_once(again(3, 5, faults(2, 1, 0)))),
         row("default, at once", together, at_once(again(3, 6, faults(2, 1, 0)))),
-        row("default, restart, at once", together, at_once(once(3, faults(1, 0, 1)))),
+        row("default, restart, at once", together, at_once(once(3, faults(2, 1, 1)))),
         row("default, restart, at once", together, at_once(again(3, 5, faults(1, 0, 1)))),
         row("default, at once", together, at_once(once(4, faults(1, 0, 0)))),
         row("default, at once", together, at_once(again(4, 5, faults(1, 0, 0)))),
@@ -88,5 +88,6 @@ fn all_or_none() -> Vec<Claim> {
     vec![
         search(2, 3, 2, TimeOuts::Only(8)).claim("default, largest bounds", false),
         search(3, 0, 0, TimeOuts::Least { more: 1 }).claim("default, two time_outs", false),
+        search(3, 1, 0, TimeOuts::Least { more: 1 }).claim("default, two time_outs", false),
     ]
 }
