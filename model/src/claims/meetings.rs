@@ -14,7 +14,7 @@ use imrs_protocol::rules::{Confirmation, Rules};
 pub(super) const DELAY: u8 = 1;
 pub(super) const RESEND: u64 = 2;
 
-pub(super) const RULES: [(&str, Confirmation); 4] = [
+const RULES: [(&str, Confirmation); 4] = [
     ("no-confirmation", Confirmation::None),
     ("first-complete", Confirmation::FirstComplete),
     ("every-complete", Confirmation::EveryComplete),
