@@ -45,6 +45,7 @@ fn no_false_release() -> Vec<Claim> {
         row("default, at once", together, at_once(again(3, 5, faults(2, 1, 0)))),
         row("default, at once", together, at_once(again(3, 6, faults(2, 1, 0)))),
         row("default, restart, at once", together, at_once(once(3, faults(2, 1, 1)))),
+        row("default, restart, at once", together, at_once(again(3, 6, faults(1, 0, 1)))),
         row("default, at once", together, at_once(once(4, faults(1, 0, 0)))),
         row("default, at once", together, at_once(again(4, 6, faults(1, 0, 0)))),
         row("default", five, Meeting::new(5, Watch::FalseRelease)),
