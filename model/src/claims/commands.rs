@@ -164,7 +164,7 @@ fn at_most_once() -> Vec<Claim> {
     let name = "at-most-once";
     let about = "one execution per command under duplication, re-sending and a restart";
     let crash = Exchange { budget: Budget { loss: 1, dup: 1, crash: 1 }, ..commands(Watch::AtMostOnce) };
-    let calm = larger(&Exchange { budget: Budget::default(), ..crash.clone() });
+    let calm = larger(&Exchange { budget: Budget::default(), ..crash });
     let shaken = Exchange { budget: crash.budget, sends: 2, ..larger(&crash) };
     let variant = |rules| vec![Exchange { rules, ..crash.clone() }];
     let forgetful = Rules { memory: Memory::None, ..Rules::DEFAULT };

@@ -59,7 +59,7 @@ fn rendezvous_under_loss() -> Vec<Claim> {
     let lossless = Meeting::new(5, Watch::Stranded);
     vec![
         strand_claim(5, "no-confirmation", Confirmation::None, false),
-        simple((name, "every-complete, nothing lost", about), Outcome::Holds, false, lossless),
+        simple((name, "every-complete", about), Outcome::Holds, false, lossless),
     ]
 }
 

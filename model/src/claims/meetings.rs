@@ -119,7 +119,7 @@ fn no_false_release() -> Vec<Claim> {
         budget: Budget { loss, dup: 0, crash: 0 },
         ..Meeting::new(members, Watch::FalseRelease)
     };
-    let three_worse = Meeting { time_out: Some(5), ..three.clone() };
+    let three_worse = Meeting { time_out: Some(5), ..three };
     let loss2 = Meeting { budget: Budget { loss: 3, dup: 2, crash: 0 }, ..faulty };
     let overtaking = Meeting { budget: Budget { loss: 1, dup: 1, crash: 0 }, ..three };
     vec![
