@@ -4,6 +4,8 @@
 mod commands;
 mod couples;
 mod floors;
+mod larger;
+mod margins;
 mod meetings;
 mod service;
 mod timing;

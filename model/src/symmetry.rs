@@ -6,6 +6,9 @@ use crate::network::{Codec, Flight, Packed};
 use crate::world::HEADER;
 use imrs_protocol::{Frame, Overflow, TaskId};
 
+/// From so many members on, trying all renamings of those that look alike from outside costs more than looking closer.
+const MANY: usize = 4;
+
 /// The parts that a packed state is put together from. Only worlds without restarts are renamed.
 pub(crate) struct Parts<'a> {
     pub header: [u8; HEADER],
@@ -32,7 +35,10 @@ impl Parts<'_> {
     pub fn least(&self) -> Result<(Vec<u8>, Vec<usize>), Overflow> {
         let n = self.blocks.len();
         let mut order: Vec<usize> = (0..n).collect();
-        let signature = |i: usize| (self.ghosts[i].as_slice(), members_at(&self.blocks[i]).1);
+        let views = if n < MANY { Vec::new() } else { self.views()? };
+        let signature = |i: usize| {
+            (self.ghosts[i].as_slice(), members_at(&self.blocks[i]).1, views.get(i).map(Vec::as_slice))
+        };
         order.sort_by(|&a, &b| signature(a).cmp(&signature(b)));
         let mut best = (self.renamed(&order)?, order.clone());
         // Members that look alike from outside may still differ in what they know of each other.
@@ -44,6 +50,36 @@ impl Parts<'_> {
             }
         }
         Ok(best)
+    }
+
+    /// What else of each member no renaming changes: what it knows of the others, what they know of it, and what is on
+    /// the way from it and to it.
+    fn views(&self) -> Result<Vec<Vec<u8>>, Overflow> {
+        let n = self.blocks.len();
+        let entries: Vec<_> =
+            self.blocks.iter().map(|block| entries(&block[members_at(block).0..])).collect();
+        let knows = |i: usize, of: usize| entries[i].get(of).copied().unwrap_or_default();
+        let mut flights = Vec::with_capacity(self.flights.len());
+        for flight in self.flights {
+            let (from, to) = (flight.packet.source.index(), flight.packet.destination.index());
+            flights.push((self.codec.encode(flight, &self.frame, |_| 0)?, from, to));
+        }
+        let view = |i: usize| {
+            let mut own: Vec<_> = (0..n).map(|of| knows(i, of)).collect();
+            let mut others: Vec<_> = (0..n).map(|other| knows(other, i)).collect();
+            own.sort_unstable();
+            others.sort_unstable();
+            let mut view: Vec<u8> = own.into_iter().chain(others).flatten().copied().collect();
+            let near = flights.iter().filter(|&&(_, from, to)| from == i || to == i);
+            let mut near: Vec<_> = near.map(|(packed, from, _)| (packed, *from == i)).collect();
+            near.sort_unstable();
+            for (packed, sent) in near {
+                view.push(u8::from(sent));
+                view.extend(packed.as_bytes());
+            }
+            view
+        };
+        Ok((0..n).map(view).collect())
     }
 
     /// The state in which the member `order[k]` stands at position `k`.

@@ -1,18 +1,18 @@
 //! Claims about `waitfor` (§4.3; D1 to D3, D54 to D56).
 
+use super::larger::larger;
+use super::margins::{Search, TimeOuts};
 use super::timing::off;
-use super::{Claim, Settled, Variant, Work, outcome};
+use super::{Claim, Settled, Work, outcome};
 use crate::chart::draw;
 use crate::report::{Bounds, Found, Outcome};
 use crate::scenario::{Budget, Timing, Watch};
 use crate::worlds::Meeting;
-use imrs_protocol::Ticks;
-use imrs_protocol::margin::least_margin;
 use imrs_protocol::rules::{Confirmation, Rules};
 
 /// The longest way and the period of re-sending that the timed worlds have, in ticks.
-const DELAY: u8 = 1;
-const RESEND: u64 = 2;
+pub(super) const DELAY: u8 = 1;
+pub(super) const RESEND: u64 = 2;
 
 const RULES: [(&str, Confirmation); 4] = [
     ("no-confirmation", Confirmation::None),
@@ -22,14 +22,16 @@ const RULES: [(&str, Confirmation); 4] = [
 ];
 
 pub(super) fn claims() -> Vec<Claim> {
-    let mut claims = no_false_release();
-    claims.extend(off("no-false-release"));
-    claims.extend(rendezvous_under_loss());
-    claims.extend(pairing());
-    claims.extend(all_or_none());
-    claims.extend(off("all-or-none"));
-    claims.extend(meet_again());
-    claims
+    let own = [
+        ("no-false-release", no_false_release()),
+        ("rendezvous-under-loss", rendezvous_under_loss()),
+        ("pairing", pairing()),
+        ("all-or-none", all_or_none()),
+        ("they-meet-again", meet_again()),
+    ];
+    own.into_iter()
+        .flat_map(|(name, claims)| claims.into_iter().chain(off(name)).chain(larger(name)))
+        .collect()
 }
 
 /// A meeting in which time passes, built for `losses` and given as many.
@@ -45,7 +47,7 @@ pub(super) fn timed(members: usize, watch: Watch, losses: u8, margin: u64, time_
     }
 }
 
-fn bounds(meeting: &Meeting) -> Bounds {
+pub(super) fn bounds(meeting: &Meeting) -> Bounds {
     Bounds {
         loss: u32::from(meeting.budget.loss),
         dup: u32::from(meeting.budget.dup),
@@ -59,7 +61,7 @@ fn bounds(meeting: &Meeting) -> Bounds {
 }
 
 /// Settles a claim that is one exploration.
-fn once(work: &mut Work<'_>, meeting: &Meeting) -> Settled {
+pub(super) fn once(work: &mut Work<'_>, meeting: &Meeting) -> Settled {
     let (outcome, counterexample) = match meeting.scenario() {
         Ok(scenario) => work.judge(&scenario),
         Err(_) => (Outcome::Unknown, None),
@@ -155,17 +157,24 @@ fn no_false_release() -> Vec<Claim> {
 fn rendezvous_under_loss() -> Vec<Claim> {
     let sizes = [(2, true), (3, true), (4, false)];
     let table = sizes.into_iter().flat_map(|size| RULES.map(|rule| (size, rule)));
-    let claim =
-        |((members, smoke), (rule, confirmation)): ((usize, bool), (&'static str, Confirmation))| Claim {
-            name: "rendezvous-under-loss",
-            rule,
-            parties: u32::try_from(members).unwrap_or(0),
-            about: "how many lost packets leave a member waiting though all have arrived (§4.3)",
-            expect: Outcome::Fails,
-            smoke,
-            settle: Box::new(move |work| strand(work, members, confirmation)),
-        };
-    table.map(claim).collect()
+    table.map(|((members, smoke), (rule, rules))| strand_claim(members, rule, rules, smoke)).collect()
+}
+
+pub(super) fn strand_claim(
+    members: usize,
+    rule: &'static str,
+    confirmation: Confirmation,
+    smoke: bool,
+) -> Claim {
+    Claim {
+        name: "rendezvous-under-loss",
+        rule,
+        parties: u32::try_from(members).unwrap_or(0),
+        about: "how many lost packets leave a member waiting though all have arrived (§4.3)",
+        expect: Outcome::Fails,
+        smoke,
+        settle: Box::new(move |work| strand(work, members, confirmation)),
+    }
 }
 
 /// Searches the least number of losses that strands a member: with every packet sent once, and with re-sending.
@@ -239,85 +248,8 @@ fn all_or_none() -> Vec<Claim> {
 
 /// The search for the least margin, while time may be off.
 pub(super) fn margins(rule: &'static str, members: usize, losses: u8, timing: Timing, smoke: bool) -> Claim {
-    Claim {
-        name: "all-or-none",
-        rule,
-        parties: u32::try_from(members).unwrap_or(0),
-        about: "nobody is released while another gives up, while delay and losses keep to their bounds (D2)",
-        expect: Outcome::Holds,
-        smoke,
-        settle: Box::new(move |work| margin(work, members, losses, timing)),
-    }
-}
-
-/// What the closed form gives for the claim's worlds.
-fn closed_form(losses: u8) -> u64 {
-    least_margin(Ticks(u64::from(DELAY)), losses, Ticks(RESEND), Ticks(1)).0
-}
-
-/// The time_outs a margin is tried with: the least at which a release is reachable, and more, so that the margin does
-/// not rest on how the period of re-sending divides the time_out.
-fn time_outs(members: usize, margin: u64) -> impl Iterator<Item = u64> {
-    let least = margin + u64::from(DELAY) + 1;
     let more = if members == 2 { RESEND + 1 } else { 0 };
-    least..=least + more
-}
-
-fn divergence(members: usize, losses: u8, timing: Timing, margin: u64, time_out: u64) -> Meeting {
-    let attempts = if members == 2 { 2 } else { 1 };
-    Meeting { attempts: Some(attempts), timing, ..timed(members, Watch::AllOrNone, losses, margin, time_out) }
-}
-
-/// A time_out at which the margin fails, if there is one.
-fn fails_at(
-    work: &mut Work<'_>,
-    members: usize,
-    losses: u8,
-    timing: Timing,
-    margin: u64,
-) -> Option<(Meeting, Settled)> {
-    for time_out in time_outs(members, margin) {
-        let meeting = divergence(members, losses, timing, margin, time_out);
-        let settled = once(work, &meeting);
-        if settled.outcome != Outcome::Holds {
-            return Some((meeting, settled));
-        }
-    }
-    None
-}
-
-/// Searches the least margin that holds; the one below it is the variant that must fail. Shows too that a member can
-/// be released with it at all, without which the claim would hold of nothing.
-fn margin(work: &mut Work<'_>, members: usize, losses: u8, timing: Timing) -> Settled {
-    let closed_form = closed_form(losses);
-    let mut one_less = None;
-    let mut least = None;
-    for candidate in 0..=closed_form {
-        match work.part(|work| fails_at(work, members, losses, timing, candidate)) {
-            (None, _) => {
-                least = Some(candidate);
-                break;
-            }
-            (Some((_, settled)), counts) => one_less = Some((settled, counts)),
-        }
-    }
-    let shown = least.unwrap_or(closed_form);
-    let time_out = time_outs(members, shown).next().unwrap_or(0);
-    let meeting = divergence(members, losses, timing, shown, time_out);
-    let reachable = Meeting { watch: Watch::Reachable, budget: Budget::default(), ..meeting };
-    let reached = once(work, &reachable).outcome == Outcome::Fails;
-    let unsettled = one_less.as_ref().map_or(Outcome::Unknown, |(settled, _)| settled.outcome);
-    Settled {
-        outcome: if least.is_some() { Outcome::Holds } else { unsettled },
-        bounds: bounds(&meeting),
-        found: Found { least_safe_margin: least, closed_form_margin: Some(closed_form), ..Found::default() },
-        counterexample: None,
-        sound: reached && least.is_some_and(|least| least <= closed_form),
-        variant: one_less.map(|(settled, counts)| {
-            let about = "with one tick less margin one member runs while another has given up";
-            Box::new(Variant { rule: "margin-one-less", about, settled, counts })
-        }),
-    }
+    Search { members, losses, dup: 0, timing, time_outs: TimeOuts::Least { more } }.claim(rule, smoke)
 }
 
 fn meet_again() -> Vec<Claim> {

@@ -1,0 +1,97 @@
+//! The larger worlds of the claims about `waitfor`: two members at their largest bounds, three and four with faults,
+//! five. Where a world with all faults at once is too large, they are shared out over several rows, or all members
+//! reach the waitfor at once.
+
+use super::Claim;
+use super::margins::{Search, TimeOuts};
+use super::meetings::{simple, strand_claim, timed};
+use crate::report::Outcome;
+use crate::scenario::{Budget, Timing, Watch};
+use crate::worlds::Meeting;
+use imrs_protocol::rules::Confirmation;
+
+/// A claim's worlds that only the full run looks at: these follow the claim's other rows.
+pub(super) fn larger(name: &'static str) -> Vec<Claim> {
+    match name {
+        "no-false-release" => no_false_release(),
+        "rendezvous-under-loss" => rendezvous_under_loss(),
+        "pairing" => pairing(),
+        "all-or-none" => all_or_none(),
+        _ => Vec::new(),
+    }
+}
+
+const fn faults(loss: u8, dup: u8, crash: u8) -> Budget {
+    Budget { loss, dup, crash }
+}
+
+fn no_false_release() -> Vec<Claim> {
+    let row =
+        |rule, about, meeting| simple(("no-false-release", rule, about), Outcome::Holds, false, meeting);
+    let together =
+        "nobody is released early where all reach the waitfor at once, and again at once after a restart";
+    let again =
+        |members, time_out, budget| Meeting { budget, ..timed(members, Watch::FalseRelease, 1, 3, time_out) };
+    let once =
+        |members, budget| Meeting { resend: None, budget, ..timed(members, Watch::FalseRelease, 0, 1, 3) };
+    let at_once = |meeting: Meeting| Meeting { hurry: true, ..meeting };
+    let five = "five members, nothing lost, packets in any order";
+    vec![
+        row(
+            "default, more losses",
+            "three members that reach the waitfor when they like",
+            again(3, 5, faults(2, 0, 0)),
+        ),
+        row("default, at once", together, at_once(again(3, 5, faults(2, 1, 0)))),
+        row("default, at once", together, at_once(again(3, 6, faults(2, 1, 0)))),
+        row("default, restart, at once", together, at_once(once(3, faults(2, 1, 1)))),
+        row("default, restart, at once", together, at_once(again(3, 6, faults(1, 0, 1)))),
+        row("default, at once", together, at_once(once(4, faults(1, 0, 0)))),
+        row("default, at once", together, at_once(again(4, 6, faults(1, 0, 0)))),
+        row("default", five, Meeting::new(5, Watch::FalseRelease)),
+    ]
+}
+
+fn rendezvous_under_loss() -> Vec<Claim> {
+    let name = "rendezvous-under-loss";
+    // With more losses, as the other rules bear, five members have too many states.
+    let about = "five members with nothing lost: nobody waits where all have arrived";
+    let lossless = Meeting::new(5, Watch::Stranded);
+    vec![
+        strand_claim(5, "no-confirmation", Confirmation::None, false),
+        simple((name, "every-complete", about), Outcome::Holds, false, lossless),
+    ]
+}
+
+fn pairing() -> Vec<Claim> {
+    let row = |rule, about, meeting| simple(("pairing", rule, about), Outcome::Holds, false, meeting);
+    let about =
+        "with re-sending and give-ups, while losses keep to the margin, every k-th release is the same round";
+    let late = "with re-sending, where all reach the waitfor at once and wait longer than the losses cost";
+    let patient = |members, loss, dup, margin, time_out, attempts| Meeting {
+        attempts: Some(attempts),
+        budget: faults(loss, dup, 0),
+        ..timed(members, Watch::Pairing, loss, margin, time_out)
+    };
+    let together = Meeting { attempts: None, hurry: true, ..patient(3, 1, 0, 3, 8, 1) };
+    vec![
+        row("default, re-sending", about, patient(2, 1, 1, 3, 8, 3)),
+        row("default, re-sending", about, patient(2, 3, 2, 7, 10, 2)),
+        row("default, re-sending, at once", late, together),
+    ]
+}
+
+fn all_or_none() -> Vec<Claim> {
+    let search = |members, losses, dup, time_outs| Search {
+        members,
+        losses,
+        dup,
+        timing: Timing::default(),
+        time_outs,
+    };
+    vec![
+        search(2, 3, 2, TimeOuts::Only(8)).claim("default, largest bounds", false),
+        search(3, 0, 0, TimeOuts::Least { more: 1 }).claim("default, two time_outs", false),
+        search(3, 1, 0, TimeOuts::Least { more: 1 }).claim("default, two time_outs", false),
+    ]
+}

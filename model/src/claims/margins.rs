@@ -1,0 +1,108 @@
+//! The search for the least margin of `waitfor` (D2, D56).
+
+use super::meetings::{DELAY, RESEND, bounds, once, timed};
+use super::{Claim, Settled, Variant, Work};
+use crate::report::{Found, Outcome};
+use crate::scenario::{Budget, Timing, Watch};
+use crate::worlds::Meeting;
+use imrs_protocol::Ticks;
+use imrs_protocol::margin::least_margin;
+
+/// A search for the least margin with which nobody is released while another gives up.
+#[derive(Clone, Copy)]
+pub(super) struct Search {
+    pub members: usize,
+    pub losses: u8,
+    pub dup: u8,
+    pub timing: Timing,
+    pub time_outs: TimeOuts,
+}
+
+/// The time_outs a margin is tried with.
+#[derive(Clone, Copy)]
+pub(super) enum TimeOuts {
+    /// The least at which a release is reachable, and so many more, so that the margin does not rest on how the period
+    /// of re-sending divides the time_out.
+    Least { more: u64 },
+    /// This one.
+    Only(u64),
+}
+
+impl Search {
+    pub fn claim(self, rule: &'static str, smoke: bool) -> Claim {
+        Claim {
+            name: "all-or-none",
+            rule,
+            parties: u32::try_from(self.members).unwrap_or(0),
+            about: "nobody is released while another gives up, while delay and losses keep to their bounds (D2)",
+            expect: Outcome::Holds,
+            smoke,
+            settle: Box::new(move |work| self.margin(work)),
+        }
+    }
+
+    fn time_outs(&self, margin: u64) -> std::ops::RangeInclusive<u64> {
+        match self.time_outs {
+            TimeOuts::Least { more } => {
+                let least = margin + u64::from(DELAY) + 1;
+                least..=least + more
+            }
+            TimeOuts::Only(time_out) => time_out..=time_out,
+        }
+    }
+
+    fn meeting(&self, margin: u64, time_out: u64) -> Meeting {
+        let Self { members, losses, dup, timing, .. } = *self;
+        let attempts = if members == 2 { 2 } else { 1 };
+        Meeting {
+            attempts: Some(attempts),
+            timing,
+            budget: Budget { loss: losses, dup, crash: 0 },
+            ..timed(members, Watch::AllOrNone, losses, margin, time_out)
+        }
+    }
+
+    /// What comes out at a time_out at which the margin fails, if there is one.
+    fn fails_at(&self, work: &mut Work<'_>, margin: u64) -> Option<Settled> {
+        let mut settled = self.time_outs(margin).map(|time_out| once(work, &self.meeting(margin, time_out)));
+        settled.find(|settled| settled.outcome != Outcome::Holds)
+    }
+
+    /// Searches the least margin that holds; the one below it is the variant that must fail. Shows too that a member
+    /// can be released with it at all, without which the claim would hold of nothing.
+    fn margin(&self, work: &mut Work<'_>) -> Settled {
+        let tick = Ticks(1);
+        let closed_form = least_margin(Ticks(u64::from(DELAY)), self.losses, Ticks(RESEND), tick).0;
+        let mut one_less = None;
+        let mut least = None;
+        for candidate in 0..=closed_form {
+            match work.part(|work| self.fails_at(work, candidate)) {
+                (None, _) => {
+                    least = Some(candidate);
+                    break;
+                }
+                (Some(settled), counts) => one_less = Some((settled, counts)),
+            }
+        }
+        let shown = least.unwrap_or(closed_form);
+        let meeting = self.meeting(shown, *self.time_outs(shown).start());
+        let reachable = Meeting { watch: Watch::Reachable, budget: Budget::default(), ..meeting };
+        let reached = once(work, &reachable).outcome == Outcome::Fails;
+        let unsettled = one_less.as_ref().map_or(Outcome::Unknown, |(settled, _)| settled.outcome);
+        Settled {
+            outcome: if least.is_some() { Outcome::Holds } else { unsettled },
+            bounds: bounds(&meeting),
+            found: Found {
+                least_safe_margin: least,
+                closed_form_margin: Some(closed_form),
+                ..Found::default()
+            },
+            counterexample: None,
+            sound: reached && least.is_some_and(|least| least <= closed_form),
+            variant: one_less.map(|(settled, counts)| {
+                let about = "with one tick less margin one member runs while another has given up";
+                Box::new(Variant { rule: "margin-one-less", about, settled, counts })
+            }),
+        }
+    }
+}
