@@ -89,6 +89,7 @@ violations! {
     Faulted 37 "a request without fault was called faulty",
     TooEarly 42 "a delay ended before its time",
     BothActive 41 "both tasks of a couple act at a time",
+    OldEpoch 43 "a task acts in an epoch that another one knows of",
     Script 39 "a script ended in a fault or an assertion that does not hold",
     Check 40 "a check of the cell does not hold",
     Reached 38 "what must be possible is possible",

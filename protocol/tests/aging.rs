@@ -234,3 +234,26 @@ fn handlers_of_one_rank_pass_over_a_port_a_bounded_number_of_times_too() {
     assert_eq!(calls(Aging::Bounded), Some(8));
     assert_eq!(calls(Aging::Off), None);
 }
+
+#[test]
+fn a_flood_of_rejected_messages_keeps_the_first_rank_waiting_for_one_of_them_only() {
+    let mut y = Solo::new(&Arc::new(CellTable::new(cell()).expect("a checked cell")), Y);
+    let mut x = Solo::new(&Arc::new(CellTable::new(cell()).expect("a checked cell")), X);
+    for request in [handle(HIGH), handle(LOW), order(&[Ranked::Port(HIGH), Ranked::Own])] {
+        y.ask(request);
+    }
+    y.ask(Request::Work);
+    let mut hear = |y: &mut Solo, port| {
+        let packet = x.ask(send(port, Y, 1)).packets[0];
+        y.hear(packet)
+    };
+    for _ in 0..5 {
+        hear(&mut y, LOW);
+    }
+    let began = (0..8).any(|_| y.pass(1).delivery().is_some());
+    assert!(began, "a message at its cap interrupts the thread");
+    hear(&mut y, HIGH);
+    hear(&mut y, LOW);
+    y.pass(5);
+    assert_eq!(y.ask(Request::Return).delivery().map(|d| d.from.port), Some(HIGH));
+}

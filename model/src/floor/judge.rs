@@ -279,6 +279,12 @@ impl Floor {
                 if self.plan.watches(served) { Err(Violation::NotServed) } else { Ok(()) }
             }
             Event::Rejected => self.refused(task, seen.port, name),
+            Event::Granted | Event::TookOver if self.plan.watches(FloorWatch::OneActive) => {
+                let others = self.stations.iter().filter(|s| s.up).flat_map(|s| &s.node.parts().tasks);
+                let known = others.filter(|other| other.task() != task).filter_map(CommTask::epoch);
+                let fresh = known.map(u32::from).all(|known| known < seen.number);
+                if fresh { Ok(()) } else { Err(Violation::OldEpoch) }
+            }
             _ => Ok(()),
         }
     }
