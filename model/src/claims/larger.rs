@@ -89,7 +89,12 @@ fn all_or_none() -> Vec<Claim> {
         timing: Timing::default(),
         time_outs,
     };
+    // Four members that come when they like have too many states to search their margin.
+    let about =
+        "four members at once, every packet sent once, nothing lost, with the margin of fewer members";
+    let four = Meeting { resend: None, hurry: true, ..timed(4, Watch::AllOrNone, 0, 1, 3) };
     vec![
+        simple(("all-or-none", "default, at once", about), Outcome::Holds, false, four),
         search(2, 3, 2, TimeOuts::Only(8)).claim("default, largest bounds", false),
         search(3, 0, 0, TimeOuts::Least { more: 1 }).claim("default, two time_outs", false),
         search(3, 1, 0, TimeOuts::Least { more: 1 }).claim("default, two time_outs", false),
