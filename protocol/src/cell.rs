@@ -303,7 +303,7 @@ pub struct Cell {
     pub links: Vec<LinkDecl>,
     /// The tasks; [`TaskId`] is the position here.
     pub tasks: Vec<TaskDecl>,
-    /// The ports; [`PortId`](crate::PortId) is the position here.
+    /// The ports; [`PortId`] is the position here.
     pub ports: Vec<PortDecl>,
     /// The work-coupled pairs.
     pub couples: Vec<CoupleDecl>,

@@ -1,6 +1,6 @@
 //! The floor: whole nodes with several tasks each, relays, links that take only so much, clocks that drift.
 //!
-//! Like a [`World`](crate::world::World) it is only ever a scratch pad over packed states ([`canon`]). A node is the
+//! Like a `World` it is only ever a scratch pad over packed states (`canon`). A node is the
 //! protocol's own [`Node`]; what its tasks do is a [`plan::TaskPlan`]; what is watched are [`plan::FloorWatch`]es.
 
 mod body;
