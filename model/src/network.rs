@@ -76,7 +76,7 @@ impl Codec {
         let marked = |mark| if *fresh { mark } else { *age };
         let mut out = Packed::EMPTY;
         let (source, destination) = (rename(packet.source), rename(packet.destination));
-        let meeting = matches!(packet.kind, Kind::Arrive | Kind::Confirm | Kind::Abort);
+        let meeting = packet.is_of_meeting();
         if self.compact {
             let kind = packet.kind as u8 - Kind::Arrive as u8;
             out.push((kind << 6) | (source << 4) | (destination << 2) | marked(COMPACT_FRESH))?;
@@ -92,7 +92,7 @@ impl Codec {
             return self.encode_meeting(packet, frame, out);
         }
         out.push(u8::from(packet.class == imrs_protocol::Class::Status))?;
-        let source_of_id = id_source(packet);
+        let source_of_id = packet.id_source();
         let next = frame.sequences.get(source_of_id.index()).copied().unwrap_or_default();
         out.push(u8::try_from(next.steps_from(packet.id.sequence)).map_err(|_| Overflow)?)?;
         out.push(remaining(packet.remaining)?)?;
@@ -134,7 +134,7 @@ impl Codec {
             fresh = age == COMPACT_FRESH;
         } else {
             let head = byte();
-            kind = KINDS[usize::from(head >> 4) & 7];
+            kind = Kind::ALL[usize::from(head >> 4) & 7];
             age = head & 15;
             fresh = age == FRESH;
             let ends = byte();
@@ -185,25 +185,6 @@ impl Codec {
             packet.contents = Contents::new(&contents[..len]).unwrap_or_default();
         }
         (Flight { packet, age: if fresh { 0 } else { age }, life, fresh }, at)
-    }
-}
-
-const KINDS: [Kind; 8] = [
-    Kind::Send,
-    Kind::Query,
-    Kind::Reply,
-    Kind::Response,
-    Kind::Arrive,
-    Kind::Confirm,
-    Kind::Abort,
-    Kind::Control,
-];
-
-/// Whose sequence a packet's id counts in: an answer carries the request's id (D47).
-const fn id_source(packet: &Packet) -> TaskId {
-    match packet.kind {
-        Kind::Reply | Kind::Response | Kind::Control => packet.destination,
-        Kind::Send | Kind::Query | Kind::Arrive | Kind::Confirm | Kind::Abort => packet.source,
     }
 }
 

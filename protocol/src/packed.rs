@@ -12,17 +12,6 @@ const STATUS: u8 = 0x08;
 const MORE: u8 = 0x10;
 const FRAGMENT: u8 = 0x20;
 
-const KINDS: [Kind; 8] = [
-    Kind::Send,
-    Kind::Query,
-    Kind::Reply,
-    Kind::Response,
-    Kind::Arrive,
-    Kind::Confirm,
-    Kind::Abort,
-    Kind::Control,
-];
-
 /// Appends bytes to a slice.
 pub(crate) struct Pen<'a> {
     bytes: &'a mut [u8],
@@ -145,7 +134,7 @@ impl Packet {
     pub fn load(bytes: &[u8], lives: bool) -> (Self, usize) {
         let mut eye = Eye::new(bytes);
         let head = eye.byte();
-        let kind = KINDS[usize::from(head & 7)];
+        let kind = Kind::ALL[usize::from(head & 7)];
         let fragment = if head & FRAGMENT != 0 { eye.byte() } else { 0 };
         let ends = eye.byte();
         let port = PortId(u16::from(eye.byte()));
@@ -196,7 +185,7 @@ mod tests {
         (marks, ids, rounds, time, proptest::collection::vec(any::<u8>(), 0..=12)).prop_map(
             |((kind, status, more, fragment), (d, s, p, life, back), rounds, remaining, bytes)| {
                 let mut packet = Packet {
-                    kind: KINDS[kind],
+                    kind: Kind::ALL[kind],
                     class: if status { Class::Status } else { Class::Command },
                     more,
                     resent: false,

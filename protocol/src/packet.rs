@@ -53,7 +53,8 @@ pub enum Kind {
 }
 
 impl Kind {
-    const ALL: [Self; 8] = [
+    /// All kinds, in the order of their discriminants.
+    pub const ALL: [Self; 8] = [
         Self::Send,
         Self::Query,
         Self::Reply,

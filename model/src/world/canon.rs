@@ -253,7 +253,7 @@ impl World {
             }
         }
         for flight in &self.flights {
-            if matches!(flight.packet.kind, Kind::Arrive | Kind::Confirm | Kind::Abort) {
+            if flight.packet.is_of_meeting() {
                 let meeting = flight.packet.meeting();
                 least.round(flight.packet.port, meeting.round);
                 least.round(flight.packet.port, meeting.released);
