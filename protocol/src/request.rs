@@ -8,6 +8,9 @@ use crate::packet::{Class, Contents};
 use crate::ticks::Ticks;
 use serde::{Deserialize, Serialize};
 
+/// How many bytes a task can publish for the answers to the beats of its couple (D61, D78).
+pub const PUBLISHED_BYTES: usize = 8;
+
 /// Who a message is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Target {
@@ -122,7 +125,7 @@ pub enum Request {
     Atomic(bool),
     /// Waits for the lease of the couple that the task is the primary of (D61). Answered by [`Signal::Granted`].
     Lease,
-    /// What the beats' answers carry from here on (D61). Answered by [`Signal::Accepted`].
+    /// What the beats' answers carry from here on (D61): at most [`PUBLISHED_BYTES`]. Answered by [`Signal::Accepted`].
     Publish(Contents),
     /// The task has ended: it answers no beat any more, so that its partner takes over (D61). Answered by
     /// [`Signal::Accepted`].

@@ -131,7 +131,9 @@ impl CommTask {
     pub(super) fn interruptible(&self, at_boundary: bool) -> bool {
         let top = self.top();
         let room = usize::from(self.depth) < DEPTH;
-        room && !top.atomic && (at_boundary || top.pending != Pending::Nothing)
+        // D61: who lost its lease must stop acting, whatever section it is in.
+        let open = !top.atomic || self.called().is_some();
+        room && open && (at_boundary || top.pending != Pending::Nothing)
     }
 
     /// In a plain GET there is no thread to interrupt.

@@ -277,7 +277,8 @@ pub enum Op {
     },
     /// From `true` to `false` no handler interrupts. Such sections nest.
     Atomic(bool),
-    /// What the beats' answers carry from here on (D61): pops the fields of one packet.
+    /// What the beats' answers carry from here on (D61): pops the fields, at most
+    /// [`PUBLISHED_BYTES`](crate::PUBLISHED_BYTES) of them.
     Publish {
         /// The format.
         format: u16,

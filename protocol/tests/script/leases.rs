@@ -63,13 +63,8 @@ fn who_can_take_over_waits_for_that_when_fenced() {
     rig.acted(1, true, 0);
     assert_eq!(rig.accept(), ["abandon"]);
     assert_eq!(rig.accept(), [""; 0], "what was asked before");
-    assert_eq!(rig.tell(Signal::Cancelled), ["handle P0 true"]);
-    assert_eq!(rig.accept(), ["work"]);
-    assert_eq!(rig.script.activity(), Activity::Passive);
-    // Its handlers still run.
-    assert_eq!(rig.tell(call(ASK, 1, &[])), ["work", "run 1 [] at 1 takes 1..1"]);
-    rig.acted(1, true, 0);
-    assert_eq!(rig.accept(), ["unanswered T7", "return"]);
+    assert_eq!(rig.tell(Signal::Cancelled), ["handle P0 false"], "its handler acts");
+    assert_eq!(rig.accept(), ["lease"]);
     assert_eq!(rig.script.activity(), Activity::Passive);
     assert_eq!(rig.tell(TAKE_OVER), ["abandon"]);
     assert_eq!(rig.tell(Signal::Cancelled), ["handle P0 true"]);
@@ -78,6 +73,90 @@ fn who_can_take_over_waits_for_that_when_fenced() {
     assert_eq!(rig.script.var(0), Some(4), "variables stay: where to go on");
     rig.acted(0, true, 0);
     assert_eq!(rig.accept(), ["abandon", "ended Finished"]);
+}
+
+/// A task of a mutual couple that was fenced. It takes notice of the word on ASK; on TELL it would act, and so it would
+/// at the end of a timer that ASK starts.
+fn passive() -> Rig {
+    let mut b = ProgramBuilder::new("test");
+    let (said, outcome) = (b.variable("said", Type::Int8), b.variable("outcome", Type::Int8));
+    let timer = b.timer("timer");
+    b.statement().op(Op::Lease).run("weld", Ticks(9), Ticks(9)).end();
+    b.on_message(ASK, &[("spot", Type::Int8)], |b, came| {
+        b.statement().load(came[0]).store(said).start(timer, Ticks(3)).reply(&[]);
+    });
+    b.on_message(TELL, &[], |b, _| {
+        b.statement().push(0).then(|b| {
+            b.run("shout", Ticks(1), Ticks(1));
+        });
+    });
+    b.handler(Trigger::Timer(timer), |b| {
+        let action = b.action("beep");
+        b.statement().push(7).op(Op::Run { action, arguments: 1, least: Ticks(1), most: Ticks(1) });
+        b.op(Op::Outcome).store(outcome);
+    });
+    b.takeover(|b| {
+        b.run("recheck", Ticks(5), Ticks(5));
+    });
+    let mut rig = Rig::of(b.finish().expect("a checked program"));
+    let mut said = rig.begin();
+    while said[0] != "lease" {
+        said = rig.accept();
+    }
+    rig.tell(Signal::Granted(2));
+    rig.accept();
+    assert_eq!(rig.tell(FENCED), ["cut short 0", "abandon"]);
+    assert_eq!(rig.tell(Signal::Cancelled), ["handle P0 true"]);
+    assert_eq!(rig.accept(), ["handle P1 false"]);
+    assert_eq!(rig.accept(), ["lease"]);
+    rig
+}
+
+#[test]
+fn who_is_fenced_takes_notice_but_does_not_act() {
+    let mut rig = passive();
+    assert_eq!(rig.tell(call(ASK, 1, &[4])), ["start 0 3"]);
+    assert_eq!(rig.accept(), ["boundary"]);
+    assert_eq!(rig.accept(), ["reply P0 T7 []"]);
+    assert_eq!(rig.accept(), ["return"]);
+    assert_eq!(rig.var(Slot::Task(0)), 4);
+    assert_eq!(rig.tell(Signal::Interrupt(Call::Timer(TimeId(0)))), ["return"], "no action begins");
+    assert_eq!(rig.var(Slot::Task(1)), StatementOutcome::Fenced as i64);
+    assert_eq!(rig.script.activity(), Activity::Passive);
+}
+
+#[test]
+fn who_was_fenced_acts_again_with_its_lease() {
+    let mut rig = passive();
+    assert_eq!(rig.tell(Signal::Granted(4)), ["abandon"]);
+    assert_eq!(rig.tell(Signal::Cancelled), ["handle P0 true"]);
+    assert_eq!(rig.accept(), ["handle P1 true"]);
+    assert_eq!(rig.accept(), ["boundary"]);
+    assert_eq!(rig.accept(), ["work", "run 3 [] at 0 takes 5..5"]);
+}
+
+#[test]
+fn who_will_never_hold_a_lease_again_ends() {
+    let mut rig = passive();
+    assert_eq!(rig.tell(Signal::Fault(Fault::Fenced)), ["abandon", "ended Fenced"]);
+}
+
+#[test]
+fn a_fence_ends_an_atomic_section() {
+    let mut b = ProgramBuilder::new("test");
+    b.statement().op(Op::Lease).op(Op::Atomic(true)).run("weld", Ticks(9), Ticks(9));
+    b.statement().op(Op::Atomic(false)).end();
+    b.handler(Trigger::Fenced, |b| {
+        b.run("retract", Ticks(2), Ticks(2));
+    });
+    let mut rig = Rig::of(b.finish().expect("a checked program"));
+    rig.begin();
+    rig.accept();
+    rig.tell(Signal::Granted(2));
+    assert_eq!(rig.accept(), ["work", "run 0 [] at 0 takes 9..9"]);
+    assert_eq!(rig.tell(FENCED), ["cut short 0", "work", "run 1 [] at 1 takes 2..2"]);
+    rig.acted(1, true, 0);
+    assert_eq!(rig.accept(), ["abandon", "ended Fenced"]);
 }
 
 #[test]
@@ -96,6 +175,6 @@ fn a_fence_without_a_handler_leaves_who_can_take_over() {
     let mut rig = welder(false, true);
     assert_eq!(rig.tell(FENCED), ["cut short 0", "abandon"]);
     rig.tell(Signal::Cancelled);
-    assert_eq!(rig.accept(), ["work"]);
+    assert_eq!(rig.accept(), ["lease"]);
     assert_eq!(rig.script.activity(), Activity::Passive);
 }

@@ -5,6 +5,7 @@ use crate::request::{Answers, Request};
 use crate::script::program::{Fusing, Mark, Op, StatementOutcome, Trigger};
 use crate::script::value::{Operands, Slot, Term};
 use crate::script::{Action, End, Frame, Inbound, Script, ScriptFault, ScriptOutbox, Wait};
+use crate::ticks::Ticks;
 
 impl<O: ScriptOutbox> Turn<'_, O> {
     pub(super) fn execute(&mut self, op: Op) -> Step {
@@ -78,17 +79,7 @@ impl<O: ScriptOutbox> Turn<'_, O> {
             Op::HandlerEnd => return self.handler_end(),
             Op::Choose(alternatives) => return self.choose(alternatives),
             Op::Send { .. } | Op::Reply { .. } => return self.transfer(1),
-            Op::Run { action, arguments, least, most } => {
-                let first = self.script.held.checked_sub(usize::from(arguments));
-                let first = first.ok_or(ScriptFault::Malformed)?;
-                let level = self.script.level;
-                let arguments = self.script.operands.get(first..self.script.held);
-                let arguments = arguments.ok_or(ScriptFault::Malformed)?;
-                self.out.request(Request::Work);
-                self.out.run(Action { level, action, arguments, least, most });
-                self.drop_operands(first);
-                return Ok(Flow::Wait(Wait::Working));
-            }
+            Op::Run { action, arguments, least, most } => return self.act(action, arguments, least, most),
             Op::Get { .. }
             | Op::Arrive { .. }
             | Op::Order(_)
@@ -104,6 +95,24 @@ impl<O: ScriptOutbox> Turn<'_, O> {
             }
         }
         Ok(Flow::Next)
+    }
+
+    /// Begins an action. Who lost its lease begins none (D61): the handler of the fence itself still may, to come to rest.
+    fn act(&mut self, action: u16, arguments: u8, least: Ticks, most: Ticks) -> Step {
+        let script = &*self.script;
+        let first = script.held.checked_sub(usize::from(arguments)).ok_or(ScriptFault::Malformed)?;
+        if script.frames[0].wait == Wait::Passive {
+            self.forget_answer();
+            self.outcome = StatementOutcome::Fenced;
+            self.drop_operands(first);
+            return Ok(Flow::Next);
+        }
+        let level = script.level;
+        let arguments = script.operands.get(first..script.held).ok_or(ScriptFault::Malformed)?;
+        self.out.request(Request::Work);
+        self.out.run(Action { level, action, arguments, least, most });
+        self.drop_operands(first);
+        Ok(Flow::Wait(Wait::Working))
     }
 
     /// The request of an operation that makes just one.
