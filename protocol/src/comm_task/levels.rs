@@ -208,6 +208,7 @@ impl CommTask {
         match first.what {
             What::Lease => {
                 if let Some(call) = self.take_call() {
+                    self.top_mut().atomic = false;
                     self.begin_handler(0);
                     self.note_handler(Event::Interrupted, 0, out);
                     out.signal(Signal::Interrupt(call));

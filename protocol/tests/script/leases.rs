@@ -1,6 +1,7 @@
 //! Fences and take-overs (D61).
 
 use super::fake::*;
+use super::floor::Floor;
 use imrs_protocol::script::*;
 use imrs_protocol::*;
 
@@ -177,4 +178,77 @@ fn a_fence_without_a_handler_leaves_who_can_take_over() {
     rig.tell(Signal::Cancelled);
     assert_eq!(rig.accept(), ["lease"]);
     assert_eq!(rig.script.activity(), Activity::Passive);
+}
+
+const A: TaskId = TaskId(0);
+const B: TaskId = TaskId(1);
+
+/// Two robots of a mutual couple: each welds for ever while it acts, and repeats on `spot` what the other one says.
+fn robots() -> Floor {
+    let mut cell = Cell::new("couple", Ticks(1));
+    let nodes = ["na", "nb"].map(|name| cell.node(name));
+    cell.link(nodes[0], nodes[1], Ticks(1));
+    let [a, b] = [("a", nodes[0]), ("b", nodes[1])].map(|(name, node)| cell.task(name, node));
+    let via = cell.port(PortDecl::new("alive", a, Usage::Response, &[b], Ticks(6)));
+    cell.couples.push(CoupleDecl {
+        primary: a,
+        standby: b,
+        lease: Ticks(14),
+        takeover: Ticks(32),
+        every: Ticks(4),
+        via,
+        trusted: false,
+        mutual: true,
+    });
+    let welder = |name: &str, first: bool| {
+        let mut b = ProgramBuilder::new(name);
+        b.statement().op(if first { Op::Lease } else { Op::Delay(Ticks(9000)) });
+        b.forever(|b| {
+            b.run("weld", Ticks(5), Ticks(5));
+        });
+        b.takeover(|b| {
+            b.forever(|b| {
+                b.run("weld on", Ticks(5), Ticks(5));
+            });
+        });
+        b.finish().expect("a checked program")
+    };
+    let mut floor = Floor::new(cell, vec![(A, welder("a", true)), (B, welder("b", false))]);
+    floor.begin();
+    floor.run(40);
+    assert_eq!([A, B].map(|task| floor.is_active(task)), [true, false]);
+    floor
+}
+
+const BOTH_WAYS: [(NodeId, NodeId); 2] = [(NodeId(0), NodeId(1)), (NodeId(1), NodeId(0))];
+
+#[test]
+fn who_gets_its_lease_back_before_the_other_took_over_goes_on() {
+    let mut floor = robots();
+    floor.cut(&BOTH_WAYS);
+    floor.run(20);
+    assert_eq!([A, B].map(|task| floor.is_active(task)), [false, false]);
+    floor.cut(&[]);
+    floor.log();
+    floor.run(30);
+    assert_eq!([A, B].map(|task| floor.is_active(task)), [true, false]);
+    let log = floor.log();
+    assert!(log.iter().any(|line| line.ends_with("T0: run 1 [] at 0")), "who holds the lease works: {log:?}");
+}
+
+#[test]
+fn the_roles_go_back_and_forth() {
+    let mut floor = robots();
+    for (acts, round) in [(B, 1), (A, 2), (B, 3)] {
+        floor.cut(&BOTH_WAYS);
+        floor.run(60);
+        floor.log();
+        floor.run(10);
+        let log = floor.log();
+        assert!(log.iter().all(|line| line.contains(&format!("{acts}: run 1"))), "round {round}: {log:?}");
+        assert!(!log.is_empty(), "round {round}");
+        floor.cut(&[]);
+        floor.run(60);
+        assert!(floor.is_active(acts), "round {round}");
+    }
 }
