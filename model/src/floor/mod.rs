@@ -10,6 +10,7 @@ mod judge;
 mod moves;
 mod order;
 pub mod plan;
+mod predicates;
 mod script;
 mod search;
 mod time;
@@ -243,10 +244,14 @@ impl Floor {
             }
             Move::Crash(i) => {
                 self.faults.crash -= 1;
+                self.note_crash(usize::from(i));
                 self.crash(usize::from(i));
                 Ok(())
             }
-            Move::Restart(i) => self.restart(usize::from(i)),
+            Move::Restart(i) => {
+                self.note_restart(usize::from(i));
+                self.restart(usize::from(i))
+            }
             Move::Proceed(i) => self.proceed(usize::from(i)),
             Move::Choose(task, choice) => {
                 self.leave(usize::from(task), ScriptInput::Chosen(u16::from(choice)));

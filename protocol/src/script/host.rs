@@ -213,10 +213,8 @@ impl ScriptedNode {
     }
 
     fn run(&mut self, at: usize, input: ScriptInput, out: &mut impl HostOutbox) {
-        let asked = matches!(
-            input,
-            ScriptInput::Signal(Signal::Message(_) | Signal::Interrupt(Call::Message(_)))
-        );
+        let asked =
+            matches!(input, ScriptInput::Signal(Signal::Message(_) | Signal::Interrupt(Call::Message(_))));
         self.steps[at] = if asked { 0 } else { self.steps[at] + 1 };
         if self.steps[at] > HOST_LIMIT {
             return self.stop(at, out);

@@ -131,7 +131,10 @@ fn tables_are_sound() {
 #[test]
 fn a_task_publishes_no_more_than_an_answer_to_a_beat_carries() {
     let publish = |bytes: usize| Program {
-        code: vec![Op::Term(Term::Push(0)); bytes].into_iter().chain([Op::Publish { format: 0 }, Op::End]).collect(),
+        code: vec![Op::Term(Term::Push(0)); bytes]
+            .into_iter()
+            .chain([Op::Publish { format: 0 }, Op::End])
+            .collect(),
         formats: vec![Format { fields: vec![Type::Int8; bytes] }],
         ..Program::default()
     };

@@ -424,7 +424,12 @@ fn a_task_that_never_waits_stops_no_other_one() {
     let mut floor = Floor::new(cell, vec![(A, finish(a)), (B, finish(b)), (C, finish(c))]);
     floor.begin();
     floor.run(3);
-    assert_eq!(floor.activities().into_iter().map(ran_on).collect::<Vec<_>>(), [true, false, false], "{:?}", floor.activities());
+    assert_eq!(
+        floor.activities().into_iter().map(ran_on).collect::<Vec<_>>(),
+        [true, false, false],
+        "{:?}",
+        floor.activities()
+    );
 }
 
 #[test]
@@ -442,7 +447,12 @@ fn who_answers_one_that_never_waits_is_not_the_one_that_is_stopped() {
     let mut floor = Floor::new(cell, vec![(A, finish(a)), (B, finish(b))]);
     floor.begin();
     floor.run(3);
-    assert_eq!(floor.activities().into_iter().map(ran_on).collect::<Vec<_>>(), [true, false], "{:?}", floor.activities());
+    assert_eq!(
+        floor.activities().into_iter().map(ran_on).collect::<Vec<_>>(),
+        [true, false],
+        "{:?}",
+        floor.activities()
+    );
 }
 
 #[test]
