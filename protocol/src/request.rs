@@ -145,8 +145,10 @@ pub enum Ranked {
     Port(PortId),
     /// Messages of this task, through any port (Appendix: `order(Ti, TIMER, Tic)`).
     Source(TaskId),
-    /// The ends of the task's timers.
+    /// The ends of the task's timers, but those that are named before.
     Timers,
+    /// The end of this timer: so a watch on a port's silence ranks beside the port (D83).
+    Timer(TimeId),
     /// The current thread: `self`.
     Own,
 }
@@ -190,10 +192,10 @@ impl ServiceOrder {
         self.position(|&named| named == Ranked::Port(port) || named == Ranked::Source(source))
     }
 
-    /// The rank of the ends of timers.
+    /// The rank of the end of a timer: its own or that of all timers, whichever is named first.
     #[must_use]
-    pub fn timers(&self) -> u8 {
-        self.position(|&named| named == Ranked::Timers)
+    pub fn timer(&self, id: TimeId) -> u8 {
+        self.position(|&named| named == Ranked::Timers || named == Ranked::Timer(id))
     }
 
     /// The rank of the current thread. Without an `order` it is 0, as that of all messages: nothing outranks it.
