@@ -182,7 +182,10 @@ impl Floor {
             floor.set_clock(i);
         }
         let begun = (0..floor.bodies.len()).try_for_each(|t| floor.begin(t)).and_then(|()| floor.settle());
-        floor.violation = begun.err();
+        // A number of a message in a variable is absolute: no canonical state could hold it (D51).
+        let mut programs = plan.tasks.iter().filter_map(|task| task.script.as_ref());
+        let absolute = programs.any(|program| program.names_messages());
+        floor.violation = if absolute { Some(Violation::Overflow) } else { begun.err() };
         floor
     }
 

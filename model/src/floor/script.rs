@@ -91,6 +91,16 @@ impl ScriptOutbox for Wanted<'_> {
         self.machine?.fragment(index).copied()
     }
 
+    fn published(&mut self) -> Option<Contents> {
+        self.machine?.partner_published().copied()
+    }
+
+    fn arrival(&mut self, port: PortId, task: TaskId) -> Option<[u8; 8]> {
+        let machine = self.machine?;
+        let node = self.plan.cell.location(machine.task())?;
+        machine.meeting_arguments(&self.plan.table(node), port, task)
+    }
+
     fn answer(&mut self, port: PortId, task: Option<TaskId>, index: u8) -> Option<Contents> {
         let machine = self.machine?;
         let answer = |task| machine.answer_fragment(port, task, index).copied();

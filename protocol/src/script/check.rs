@@ -166,12 +166,16 @@ impl Program {
             | Op::Mark(_)
             | Op::Answer { .. }
             | Op::ReceivedPort
-            | Op::ReceivedSource => (0, 1),
+            | Op::ReceivedSource
+            | Op::ReceivedId
+            | Op::Published
+            | Op::Arrival { .. } => (0, 1),
             Op::Choose(_) => (0, 1),
             Op::Send { format, .. }
             | Op::Reply { format }
             | Op::Arrive { format, .. }
             | Op::Publish { format } => (fields(format), 0),
+            Op::ReplyFor { format, .. } => (fields(format) + 2, 0),
             Op::Run { arguments, .. } => (usize::from(arguments), 0),
             Op::Statement
             | Op::Jump(_)
@@ -214,8 +218,12 @@ impl Program {
                 let places = self.places.get(usize::from(into)..).and_then(|places| places.get(..fields));
                 places.is_some_and(|places| places.iter().all(|&place| slot(place)))
             }
-            Op::Send { format, .. } | Op::Reply { format } => bytes(format).is_some(),
-            Op::Arrive { format, .. } => bytes(format).is_some_and(|bytes| bytes <= 8),
+            Op::Send { format, .. } | Op::Reply { format } | Op::ReplyFor { format, .. } => {
+                bytes(format).is_some()
+            }
+            Op::Arrive { format, .. } | Op::Arrival { format, .. } => {
+                bytes(format).is_some_and(|bytes| bytes <= 8)
+            }
             Op::Publish { format } => bytes(format).is_some_and(|bytes| bytes <= PUBLISHED_BYTES),
             Op::Order(order) => usize::from(order) < self.orders.len(),
             Op::Start { timer, .. } | Op::Stop(timer) => usize::from(timer.0) < self.timers.len(),
@@ -233,6 +241,8 @@ impl Program {
             | Op::Answer { .. }
             | Op::ReceivedPort
             | Op::ReceivedSource
+            | Op::ReceivedId
+            | Op::Published
             | Op::Get { .. }
             | Op::Delay(_)
             | Op::Atomic(_)
@@ -265,6 +275,7 @@ const fn waits(op: Op) -> bool {
             | Op::Send { .. }
             | Op::Get { .. }
             | Op::Reply { .. }
+            | Op::ReplyFor { .. }
             | Op::Arrive { .. }
             | Op::Order(_)
             | Op::Delay(_)

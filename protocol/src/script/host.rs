@@ -297,6 +297,14 @@ impl<O: HostOutbox> ScriptOutbox for ScriptEffects<'_, O> {
         self.node.task(self.task)?.fragment(index).copied()
     }
 
+    fn published(&mut self) -> Option<Contents> {
+        self.node.task(self.task)?.partner_published().copied()
+    }
+
+    fn arrival(&mut self, port: PortId, task: TaskId) -> Option<[u8; 8]> {
+        self.node.task(self.task)?.meeting_arguments(&self.node.parts().table, port, task)
+    }
+
     fn answer(&mut self, port: PortId, task: Option<TaskId>, index: u8) -> Option<Contents> {
         let communication = self.node.task(self.task)?;
         match task {

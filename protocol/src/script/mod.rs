@@ -103,6 +103,15 @@ pub trait ScriptOutbox {
         let _ = index;
         None
     }
+    /// What the partner of the task's couple published last: [`CommTask::partner_published`](crate::CommTask).
+    fn published(&mut self) -> Option<Contents> {
+        None
+    }
+    /// What a member told at a waitfor: [`CommTask::meeting_arguments`](crate::CommTask).
+    fn arrival(&mut self, port: PortId, task: TaskId) -> Option<[u8; 8]> {
+        let _ = (port, task);
+        None
+    }
     /// A fragment, from 0, of an answer to the last request on `port`: that of `task`, or of the only one asked.
     fn answer(&mut self, port: PortId, task: Option<TaskId>, index: u8) -> Option<Contents> {
         let _ = (port, task, index);

@@ -203,10 +203,14 @@ fn robots() -> Floor {
     let welder = |name: &str, first: bool| {
         let mut b = ProgramBuilder::new(name);
         b.statement().op(if first { Op::Lease } else { Op::Delay(Ticks(9000)) });
+        let (spot, said) = (b.variable("spot", Type::Int8), b.variable("said", Type::Int8));
+        let spots = b.format(&[Type::Int8]);
         b.forever(|b| {
-            b.run("weld", Ticks(5), Ticks(5));
+            b.run("weld", Ticks(5), Ticks(5)).set(spot, 4);
+            b.statement().load(spot).op(Op::Publish { format: spots });
         });
         b.takeover(|b| {
+            b.published(&[(Type::Int8, said)]);
             b.forever(|b| {
                 b.run("weld on", Ticks(5), Ticks(5));
             });
@@ -247,6 +251,7 @@ fn the_roles_go_back_and_forth() {
         let log = floor.log();
         assert!(log.iter().all(|line| line.contains(&format!("{acts}: run 1"))), "round {round}: {log:?}");
         assert!(!log.is_empty(), "round {round}");
+        assert_eq!(floor.var(B, 1), 4, "what A published last");
         floor.cut(&[]);
         floor.run(60);
         assert!(floor.is_active(acts), "round {round}");

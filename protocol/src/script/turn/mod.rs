@@ -307,6 +307,7 @@ impl<'a, O: ScriptOutbox> Turn<'a, O> {
             (Op::Lease, Signal::Granted(epoch)) => self.value = i64::from(epoch),
             (
                 Op::Reply { .. }
+                | Op::ReplyFor { .. }
                 | Op::Order(_)
                 | Op::Start { .. }
                 | Op::Stop(_)
@@ -315,7 +316,8 @@ impl<'a, O: ScriptOutbox> Turn<'a, O> {
                 Signal::Accepted(_),
             ) => {}
             (_, Signal::Fault(Fault::Fenced)) => self.outcome = StatementOutcome::Fenced,
-            (_, Signal::Fault(Fault::NothingToAnswer | Fault::Late)) => {
+            (Op::ReplyFor { .. }, Signal::Fault(Fault::NotAPeer))
+            | (_, Signal::Fault(Fault::NothingToAnswer | Fault::Late)) => {
                 self.outcome = StatementOutcome::Unanswerable;
             }
             (_, Signal::Fault(fault)) => return Err(ScriptFault::Request(fault)),

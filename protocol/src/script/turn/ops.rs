@@ -1,6 +1,8 @@
 //! What each operation does.
 
 use super::{Flow, Step, Turn};
+use crate::ids::{PortId, TaskId};
+use crate::packet::Contents;
 use crate::request::{Answers, Request};
 use crate::script::program::{Fusing, Mark, Op, StatementOutcome, Trigger};
 use crate::script::value::{Operands, Slot, Term};
@@ -47,9 +49,22 @@ impl<O: ScriptOutbox> Turn<'_, O> {
             }
             Op::Answer { port, task } => {
                 let answer = self.out.answer(port, Some(task), 0);
-                self.inbound =
-                    answer.map(|contents| Inbound { contents, port, task: Some(task), is_answer: true });
-                self.operands().push(i64::from(answer.is_some()))?;
+                self.bring(port, Some(task), answer)?;
+            }
+            Op::Published => {
+                let published = self.out.published().filter(|said| !said.as_bytes().is_empty());
+                self.bring(PortId::NONE, None, published)?;
+            }
+            Op::Arrival { port, task, format } => {
+                let told = self.out.arrival(port, task);
+                let bytes = self.format(format)?.bytes();
+                let told = told.and_then(|told| Contents::new(told.get(..bytes)?));
+                self.bring(port, Some(task), told)?;
+            }
+            Op::ReceivedId => {
+                let id = self.frame().message.map(|message| message.id);
+                let number = id.map_or(0, |id| u32::from(id.incarnation.0) << 24 | id.sequence.get());
+                self.operands().push(i64::from(number))?;
             }
             Op::Unpack { format, into } => self.unpack(format, into)?,
             Op::ReceivedPort => {
@@ -78,7 +93,7 @@ impl<O: ScriptOutbox> Turn<'_, O> {
             }
             Op::HandlerEnd => return self.handler_end(),
             Op::Choose(alternatives) => return self.choose(alternatives),
-            Op::Send { .. } | Op::Reply { .. } => return self.transfer(1),
+            Op::Send { .. } | Op::Reply { .. } | Op::ReplyFor { .. } => return self.transfer(1),
             Op::Run { action, arguments, least, most } => return self.act(action, arguments, least, most),
             Op::Get { .. }
             | Op::Arrive { .. }
@@ -95,6 +110,17 @@ impl<O: ScriptOutbox> Turn<'_, O> {
             }
         }
         Ok(Flow::Next)
+    }
+
+    /// Makes this what [`Op::Unpack`] reads, and pushes whether there is anything.
+    fn bring(
+        &mut self,
+        port: PortId,
+        task: Option<TaskId>,
+        came: Option<Contents>,
+    ) -> Result<(), ScriptFault> {
+        self.inbound = came.map(|contents| Inbound { contents, port, task, is_answer: true });
+        self.operands().push(i64::from(came.is_some()))
     }
 
     /// Begins an action. Who lost its lease begins none (D61): the handler of the fence itself still may, to come to rest.
