@@ -147,7 +147,7 @@ pub enum Ranked {
     Source(TaskId),
     /// The ends of the task's timers, but those that are named before.
     Timers,
-    /// The end of this timer: so a watch on a port's silence ranks beside the port (D83).
+    /// The end of this timer: so a watch on a port's silence ranks beside the port (D86).
     Timer(TimeId),
     /// The current thread: `self`.
     Own,

@@ -115,7 +115,7 @@ pub enum Binary {
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Predicate {
     /// `port.arrived(task)`: the task reached the waitfor, and no member has begun a later meeting there since. A task
-    /// that gave up had arrived all the same; one that restarted has not (D82).
+    /// that gave up had arrived all the same; one that restarted has not (D85).
     Arrived {
         /// The waitfor.
         port: PortId,

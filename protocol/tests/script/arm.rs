@@ -1,7 +1,7 @@
 //! The right arm of the beam lift, written by hand as the compiler would write it:
 //!
 //! ```text
-//! order halt > beat > self;                  // the silence of a port ranks just below the port (D83)
+//! order halt > beat > self;                  // the silence of a port ranks just below the port (D86)
 //! on query beat(b)   do response(me); end;
 //! on receive halt(s) do run stop_now takes 1..8 msec; me.moving := false; end;
 //! on silence beat 10 msec when me.moving do run stop_now takes 1..8 msec; me.moving := false; end;
