@@ -135,6 +135,22 @@ pub struct UserDecl {
     pub task: TaskId,
     /// Its own time_out, where it differs from the owner's.
     pub time_out: Option<Ticks>,
+    /// `class`, which must be the owner's (D9).
+    pub class: Option<Class>,
+    /// `message_format`, which must be the owner's (D9).
+    pub format: Option<String>,
+    /// How often its own class-2 messages are sent again, where that differs from the owner's.
+    pub retry: Option<u8>,
+    /// How often it sends at most, where that differs from the owner's.
+    pub rate: Option<Rate>,
+}
+
+impl UserDecl {
+    /// A user with the owner's options.
+    #[must_use]
+    pub const fn new(task: TaskId) -> Self {
+        Self { task, time_out: None, class: None, format: None, retry: None, rate: None }
+    }
 }
 
 /// A port: `port` of Figure 1 with its options.
@@ -188,7 +204,7 @@ impl PortDecl {
             name: name.into(),
             owner,
             usage,
-            users: users.iter().map(|&task| UserDecl { task, time_out: None }).collect(),
+            users: users.iter().copied().map(UserDecl::new).collect(),
             time_out,
             class: match usage {
                 Usage::Waitfor | Usage::Query | Usage::Response | Usage::Reply => Class::Command,
@@ -373,6 +389,20 @@ pub enum CellError {
     TooManyAsked(String),
     /// So many messages in one life that their sequence numbers would come round (D53).
     SequenceWraps(String),
+    /// So many messages that they cannot be served (D53): a class-2 message may keep its sender for the way there and
+    /// back, however fast it is served.
+    CannotBeServed {
+        /// The port.
+        port: String,
+        /// The time in which the declared number of messages comes.
+        per: Ticks,
+        /// What it must reach.
+        least: Ticks,
+    },
+    /// A user declares another class than the owner (D9).
+    OtherClass(String, String),
+    /// A user declares another message_format than the owner (D9).
+    OtherFormat(String, String),
     /// Two tasks of a port run on nodes that no chain of at most 8 links joins.
     Unreachable(String, String, String),
     /// The time_out cannot cover the margin and the way: nobody could ever be released (D56).
@@ -451,6 +481,19 @@ impl fmt::Display for CellError {
             }
             Self::SequenceWraps(port) => {
                 write!(f, "port `{port}`: too many messages in one time_out: lower its rate or its time_out")
+            }
+            Self::CannotBeServed { port, per, least } => write!(
+                f,
+                "port `{port}`: its rate cannot be served: so many messages in {per} ticks keep their sender for {least} (the way there and back each): lower its rate"
+            ),
+            Self::OtherClass(port, task) => {
+                write!(f, "`{task}` uses port `{port}` with another class than its owner: leave it out")
+            }
+            Self::OtherFormat(port, task) => {
+                write!(
+                    f,
+                    "`{task}` uses port `{port}` with another message_format than its owner: leave it out"
+                )
             }
             Self::Unreachable(port, a, b) => {
                 write!(

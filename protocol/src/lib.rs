@@ -53,8 +53,8 @@ pub use packet::{
     PacketError, WIRE_STEP_US,
 };
 pub use request::{
-    Answers, Call, Delivery, Fault, Outcome, Ranked, ReleasedBy, ReplyTo, Request, ServiceOrder, Signal,
-    Target, TimeId,
+    Answers, Call, Delivery, Fault, Outcome, PUBLISHED_BYTES, Ranked, ReleasedBy, ReplyTo, Request,
+    ServiceOrder, Signal, Target, TimeId,
 };
 pub use rules::Rules;
 pub use table::{CellTable, NodeTable, Party, Port};

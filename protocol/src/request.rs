@@ -8,6 +8,9 @@ use crate::packet::{Class, Contents};
 use crate::ticks::Ticks;
 use serde::{Deserialize, Serialize};
 
+/// How many bytes a task can publish for the answers to the beats of its couple (D61, D78).
+pub const PUBLISHED_BYTES: usize = 8;
+
 /// Who a message is for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Target {
@@ -122,7 +125,7 @@ pub enum Request {
     Atomic(bool),
     /// Waits for the lease of the couple that the task is the primary of (D61). Answered by [`Signal::Granted`].
     Lease,
-    /// What the beats' answers carry from here on (D61). Answered by [`Signal::Accepted`].
+    /// What the beats' answers carry from here on (D61): at most [`PUBLISHED_BYTES`]. Answered by [`Signal::Accepted`].
     Publish(Contents),
     /// The task has ended: it answers no beat any more, so that its partner takes over (D61). Answered by
     /// [`Signal::Accepted`].
@@ -142,8 +145,10 @@ pub enum Ranked {
     Port(PortId),
     /// Messages of this task, through any port (Appendix: `order(Ti, TIMER, Tic)`).
     Source(TaskId),
-    /// The ends of the task's timers.
+    /// The ends of the task's timers, but those that are named before.
     Timers,
+    /// The end of this timer: so a watch on a port's silence ranks beside the port (D86).
+    Timer(TimeId),
     /// The current thread: `self`.
     Own,
 }
@@ -187,10 +192,10 @@ impl ServiceOrder {
         self.position(|&named| named == Ranked::Port(port) || named == Ranked::Source(source))
     }
 
-    /// The rank of the ends of timers.
+    /// The rank of the end of a timer: its own or that of all timers, whichever is named first.
     #[must_use]
-    pub fn timers(&self) -> u8 {
-        self.position(|&named| named == Ranked::Timers)
+    pub fn timer(&self, id: TimeId) -> u8 {
+        self.position(|&named| named == Ranked::Timers || named == Ranked::Timer(id))
     }
 
     /// The rank of the current thread. Without an `order` it is 0, as that of all messages: nothing outranks it.

@@ -4,7 +4,7 @@
 mod check;
 mod digest;
 
-use crate::cell::{Cell, CellError, PortDecl, TaskDecl, Usage};
+use crate::cell::{Cell, CellError, PortDecl, Rate, TaskDecl, Usage, UserDecl};
 use crate::couples;
 use crate::ids::{NodeId, PortId, TaskId};
 use crate::margin;
@@ -25,6 +25,10 @@ pub struct Party {
     pub usage: Usage,
     /// How long the task's own requests on the port last, unless they say otherwise.
     pub time_out: Ticks,
+    /// How often its class-2 messages are sent again within that time (D5).
+    pub retry: u8,
+    /// How often it sends at most (D53).
+    pub rate: Option<Rate>,
 }
 
 /// A checked port.
@@ -299,20 +303,23 @@ fn shortest_routes(cell: &Cell) -> Box<[Option<Hop>]> {
 }
 
 fn compile_port(cell: &Cell, id: PortId, decl: &PortDecl, routes: &[Option<Hop>]) -> Port {
-    let owner = Party { task: decl.owner, usage: decl.usage, time_out: decl.time_out };
-    let user = |task, time_out: Option<Ticks>| Party {
-        task,
+    let (retry, rate) = (decl.retry, decl.rate);
+    let owner = Party { task: decl.owner, usage: decl.usage, time_out: decl.time_out, retry, rate };
+    let user = |user: &UserDecl| Party {
+        task: user.task,
         usage: decl.usage.counterpart(),
-        time_out: time_out.unwrap_or(decl.time_out),
+        time_out: user.time_out.unwrap_or(decl.time_out),
+        retry: user.retry.unwrap_or(retry),
+        rate: user.rate.or(rate),
     };
-    let users = decl.users.iter().map(|u| user(u.task, u.time_out));
+    let users = decl.users.iter().map(user);
     // D32: a module stands for all its tasks; the owner is no user of its own port, and a task that is named is named.
     let of_module = |t: &TaskDecl| t.module.as_ref().is_some_and(|module| decl.modules.contains(module));
     let others =
         cell.tasks.iter().enumerate().filter(|(_, t)| of_module(t)).map(|(i, _)| TaskId::from_index(i));
     let unnamed = others.filter(|&t| t != decl.owner && decl.users.iter().all(|u| u.task != t));
     let parties: Box<[Party]> =
-        core::iter::once(owner).chain(users).chain(unnamed.map(|task| user(task, None))).collect();
+        core::iter::once(owner).chain(users).chain(unnamed.map(|task| user(&UserDecl::new(task)))).collect();
     let closed_form =
         || margin::least_margin(farthest(cell, &parties, routes), decl.losses, decl.resend, cell.tick);
     let margin = match decl.usage {

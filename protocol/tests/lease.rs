@@ -345,3 +345,14 @@ fn a_couple_that_cannot_keep_its_promise_is_no_couple() {
         assert!(error[0].to_string().len() > 40, "{error:?}");
     }
 }
+
+#[test]
+fn an_atomic_section_does_not_put_off_a_fence() {
+    let mut net = leased(false);
+    net.ask(P, Request::Atomic(true));
+    net.ask(P, Request::Work);
+    assert_eq!(net.heard(P), ["accepted 0"]);
+    cut(&mut net);
+    net.run(LEASE + 1);
+    assert_eq!(net.heard(P), ["interrupt Fenced"]);
+}

@@ -223,6 +223,29 @@ fn atomic_defers_and_belongs_to_its_thread() {
 }
 
 #[test]
+fn a_timer_may_have_a_rank_of_its_own() {
+    let start = |id| Request::Start { id: TimeId(id), length: Ticks(5) };
+    let over = |id, turn| Input::TimeOut { id: TimeId(id), turn };
+    // `order a > silence of a > self`: other timers rank below `self`.
+    let mut room = Room::new(&[Ranked::Port(PortId(0)), Ranked::Timer(TimeId(2)), Ranked::Own]);
+    room.ask(start(1));
+    room.ask(start(2));
+    room.ask(Request::Work);
+    assert!(room.y.input(over(1, 0)).is_nothing());
+    assert_eq!(room.y.input(over(2, 1)).words(), ["interrupt Timer(TimeId(2))"]);
+    assert!(room.ask(Request::Return).is_empty());
+    // Of several that are over the first in rank goes first, whatever its name.
+    let named = [Ranked::Timer(TimeId(2)), Ranked::Timers, Ranked::Own];
+    room.ask(Request::Done);
+    room.ask(order(&named));
+    room.ask(start(2));
+    assert!(room.y.input(over(2, 2)).is_nothing());
+    assert_eq!(room.ask(Request::Boundary), ["interrupt Timer(TimeId(2))"]);
+    assert_eq!(room.ask(Request::Return), ["interrupt Timer(TimeId(1))"]);
+    assert_eq!(room.ask(Request::Return), ["accepted 0"]);
+}
+
+#[test]
 fn timers_interrupt_by_their_rank_and_wait_without_growing() {
     let start = |id, length| Request::Start { id: TimeId(id), length: Ticks(length) };
     let over = |id, turn| Input::TimeOut { id: TimeId(id), turn };

@@ -353,3 +353,21 @@ fn tasks_of_one_node_exchange_messages_without_a_link() {
     assert!(net.transcript().iter().all(|line| !line.contains("N1>")));
     assert_eq!(net.table.path_bound(A, A), Some(Ticks::ZERO));
 }
+
+#[test]
+fn a_user_re_sends_as_often_as_it_says_itself() {
+    let mut cell = Cell::new("two", Ticks(1));
+    let nodes = ["a", "b"].map(|name| cell.node(name));
+    cell.link(nodes[0], nodes[1], Ticks(1));
+    let (owner, user) = (cell.task("owner", nodes[0]), cell.task("user", nodes[1]));
+    let mut port = PortDecl::new("order", owner, Usage::Receive, &[user], Ticks(20)).command();
+    port.resend = Ticks(4);
+    port.users[0].retry = Some(2);
+    cell.port(port);
+    let mut net = Net::new(cell);
+    net.lose(|_, _, _| true);
+    net.ask(user, send(PortId(0), owner, 1));
+    net.run(20);
+    let sent: Vec<_> = net.transcript().into_iter().filter(|line| line.contains("SEND")).collect();
+    assert_eq!(sent.len(), 3, "{sent:?}");
+}

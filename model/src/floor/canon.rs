@@ -187,6 +187,7 @@ impl Floor {
         if plan.zeno().is_some() {
             out.extend(&ghosts.signals);
         }
+        out.extend(ghosts.told.flags().map(u8::from));
         Ok(())
     }
 

@@ -2,6 +2,7 @@
 
 use super::body::{Does, Level, says};
 use super::plan::{FloorPlan, FloorWatch, Goal};
+use super::predicates::Told;
 use super::{Effect, Floor};
 use crate::state::Violation;
 use imrs_protocol::script::ScriptInput;
@@ -36,13 +37,21 @@ pub(crate) struct Ghosts {
     pub refused: Vec<(TaskId, PortId, Name, u8)>,
     /// For each task, the signals since the last tick.
     pub signals: Vec<u8>,
+    /// What checks ask for and no machine keeps.
+    pub told: Told,
 }
 
 impl Ghosts {
     pub fn new(plan: &FloorPlan) -> Self {
         let ports = plan.fair().map_or(0, |(task, ..)| plan.cell.ports_of(task).len());
         let tasks = plan.tasks.len();
-        Self { handed: vec![0; tasks], bypassed: vec![0; ports], signals: vec![0; tasks], ..Self::default() }
+        Self {
+            handed: vec![0; tasks],
+            bypassed: vec![0; ports],
+            signals: vec![0; tasks],
+            told: Told::new(plan),
+            ..Self::default()
+        }
     }
 
     pub fn tick(&mut self) {
@@ -57,6 +66,7 @@ impl Ghosts {
 impl Floor {
     /// Notes that a task waits, and what for.
     pub(super) fn asked(&mut self, task: usize, request: &Request) {
+        self.note_asked(TaskId::from_index(task), request);
         let names_ports = self.plan.names_ports();
         let body = &mut self.bodies[task];
         if *request == Request::Return && body.levels.len() > 1 {
@@ -157,6 +167,7 @@ impl Floor {
                 };
                 let answered = matches!(outcome, Outcome::Reply(_));
                 let port = top.port;
+                self.ghosts.told.ended(TaskId::from_index(task), port, answered);
                 if waits && !right && !scripted && self.plan.waits().is_some() {
                     return Err(Violation::WrongAnswer);
                 }
@@ -167,6 +178,8 @@ impl Floor {
             }
             Signal::Answers { port, answers } => {
                 self.judge_answers(task, *port, answers.answered)?;
+                let every = answers.asked == answers.answered;
+                self.ghosts.told.ended(TaskId::from_index(task), Some(*port), every);
                 let all = answers.asked == answers.answered && answers.asked.count_ones() > 1;
                 self.reach(Goal::AllAnswered, all)?;
             }

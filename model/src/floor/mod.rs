@@ -10,6 +10,7 @@ mod judge;
 mod moves;
 mod order;
 pub mod plan;
+mod predicates;
 mod script;
 mod search;
 mod time;
@@ -181,7 +182,10 @@ impl Floor {
             floor.set_clock(i);
         }
         let begun = (0..floor.bodies.len()).try_for_each(|t| floor.begin(t)).and_then(|()| floor.settle());
-        floor.violation = begun.err();
+        // A number of a message in a variable is absolute: no canonical state could hold it (D51).
+        let mut programs = plan.tasks.iter().filter_map(|task| task.script.as_ref());
+        let absolute = programs.any(|program| program.names_messages());
+        floor.violation = if absolute { Some(Violation::Overflow) } else { begun.err() };
         floor
     }
 
@@ -243,10 +247,14 @@ impl Floor {
             }
             Move::Crash(i) => {
                 self.faults.crash -= 1;
+                self.note_crash(usize::from(i));
                 self.crash(usize::from(i));
                 Ok(())
             }
-            Move::Restart(i) => self.restart(usize::from(i)),
+            Move::Restart(i) => {
+                self.note_restart(usize::from(i));
+                self.restart(usize::from(i))
+            }
             Move::Proceed(i) => self.proceed(usize::from(i)),
             Move::Choose(task, choice) => {
                 self.leave(usize::from(task), ScriptInput::Chosen(u16::from(choice)));

@@ -52,7 +52,7 @@ impl Floor {
         let order = &self.plan.tasks[task].order;
         match call {
             Call::Message(delivery) => order.rank(delivery.from.port, delivery.from.source),
-            Call::Timer(_) => order.timers(),
+            Call::Timer(id) => order.timer(*id),
             Call::Fenced | Call::TakeOver(_) => 0,
         }
     }

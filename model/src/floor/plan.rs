@@ -1,6 +1,7 @@
 //! What a floor is made of: a cell, what its tasks do, what links and faults may do, what is watched.
 
-use imrs_protocol::script::{Program, Term};
+use super::predicates::predicates;
+use imrs_protocol::script::{Predicate, Program, Term};
 use imrs_protocol::{CellTable, NodeId, NodeTable, PortId, ServiceOrder, Target, TaskId, Ticks};
 use std::sync::Arc;
 
@@ -347,6 +348,7 @@ impl FloorPlan {
 
     /// Whether the ports on which tasks wait matter.
     pub(crate) fn names_ports(&self) -> bool {
-        self.watches.iter().any(|w| matches!(w, FloorWatch::Served { .. }))
+        let asks = |predicate| matches!(predicate, Predicate::Answered { .. });
+        self.watches.iter().any(|w| matches!(w, FloorWatch::Served { .. })) || predicates(self).any(asks)
     }
 }

@@ -3,9 +3,7 @@
 use super::Floor;
 use super::plan::FloorPlan;
 use crate::state::Violation;
-use imrs_protocol::script::{
-    Action, Activity, End, Predicate, Program, Script, ScriptInput, ScriptOutbox, Term, eval,
-};
+use imrs_protocol::script::{Action, Activity, End, Program, Script, ScriptInput, ScriptOutbox, eval};
 use imrs_protocol::{CommTask, Contents, PortId, Request, TaskId};
 use std::sync::Arc;
 
@@ -93,6 +91,16 @@ impl ScriptOutbox for Wanted<'_> {
         self.machine?.fragment(index).copied()
     }
 
+    fn published(&mut self) -> Option<Contents> {
+        self.machine?.partner_published().copied()
+    }
+
+    fn arrival(&mut self, port: PortId, task: TaskId) -> Option<[u8; 8]> {
+        let machine = self.machine?;
+        let node = self.plan.cell.location(machine.task())?;
+        machine.meeting_arguments(&self.plan.table(node), port, task)
+    }
+
     fn answer(&mut self, port: PortId, task: Option<TaskId>, index: u8) -> Option<Contents> {
         let machine = self.machine?;
         let answer = |task| machine.answer_fragment(port, task, index).copied();
@@ -143,7 +151,7 @@ impl Floor {
         requests.into_iter().try_for_each(|request| self.ask(task, request))
     }
 
-    /// Whether the plan's checks hold. Of the built-in predicates `active` and `asked` can be read off a state.
+    /// Whether the plan's checks hold.
     pub(super) fn judge_checks(&self) -> Result<(), Violation> {
         for terms in &self.plan.checks {
             match eval(terms, |term| self.look_up(term)) {
@@ -153,37 +161,6 @@ impl Floor {
             }
         }
         Ok(())
-    }
-
-    fn look_up(&self, term: Term) -> Option<i64> {
-        match term {
-            Term::Of { task, variable } => {
-                self.bodies.get(task.index())?.actor.as_ref()?.script.var(variable)
-            }
-            Term::Is(Predicate::Active(task)) => {
-                let actor = self.bodies.get(task.index())?.actor.as_ref()?;
-                let acts = !matches!(
-                    actor.script.activity(),
-                    Activity::NotBegun | Activity::Passive | Activity::Ended(_)
-                );
-                Some(i64::from(acts && self.stations[self.station_of(task.index())].up))
-            }
-            Term::Is(Predicate::Asked { task, port }) => {
-                let station = self.stations.get(self.station_of(task.index()))?;
-                let asked = station.up && station.node.task(task)?.outstanding().any(|(p, ..)| p == port);
-                Some(i64::from(asked))
-            }
-            Term::Is(Predicate::Answered { .. } | Predicate::Arrived { .. })
-            | Term::Push(_)
-            | Term::Load(_)
-            | Term::Int(_)
-            | Term::Real(_)
-            | Term::Negate
-            | Term::NegateReal
-            | Term::Not
-            | Term::ToReal
-            | Term::ToInt => None,
-        }
     }
 
     /// The action of this thread has ended well.

@@ -130,6 +130,7 @@ impl Floor {
         if plan.zeno().is_some() {
             ghosts.signals.iter_mut().for_each(|count| *count = eye.byte());
         }
+        ghosts.told.flags_mut().for_each(|flag| *flag = eye.byte() == 1);
     }
 }
 

@@ -19,7 +19,7 @@ use crate::ids::{Incarnation, MessageId, PortId, Seq24, TaskId};
 use crate::mapping;
 use crate::observe::{Event, Observation, Reason};
 use crate::packet::{Contents, Kind, Packet};
-use crate::request::{Call, Fault, ReplyTo, Signal};
+use crate::request::{Call, Fault, PUBLISHED_BYTES, ReplyTo, Signal};
 use crate::rules::LeaseRule;
 use crate::table::{NodeTable, Port};
 use crate::ticks::Ticks;
@@ -100,8 +100,6 @@ const LEASED: u8 = 1;
 const ALONE: u8 = 2;
 /// The bytes of a beat, and those of an answer before what was published.
 const ECHO_BYTES: usize = 4;
-/// How much a task can publish.
-pub(crate) const PUBLISHED_BYTES: usize = 8;
 
 impl Lease {
     /// The side of `task` in the couple at this position, at the start of its node's life.

@@ -131,7 +131,9 @@ impl CommTask {
     pub(super) fn interruptible(&self, at_boundary: bool) -> bool {
         let top = self.top();
         let room = usize::from(self.depth) < DEPTH;
-        room && !top.atomic && (at_boundary || top.pending != Pending::Nothing)
+        // D61: who lost its lease must stop acting, whatever section it is in.
+        let open = !top.atomic || self.called().is_some();
+        room && open && (at_boundary || top.pending != Pending::Nothing)
     }
 
     /// In a plain GET there is no thread to interrupt.
@@ -185,7 +187,7 @@ impl CommTask {
     /// Offers what waits to the current thread, if that waits.
     pub(super) fn offer_to_waiting(&mut self, table: &NodeTable, out: &mut impl Outbox) {
         let any = self.called().is_some()
-            || self.timers.ended().is_some()
+            || self.timers.ended().next().is_some()
             || self.inboxes.iter().any(|i| i.handled && i.queue.len() > 0);
         if any && self.interruptible(false) {
             self.offer(table, out);
@@ -206,6 +208,7 @@ impl CommTask {
         match first.what {
             What::Lease => {
                 if let Some(call) = self.take_call() {
+                    self.top_mut().atomic = false;
                     self.begin_handler(0);
                     self.note_handler(Event::Interrupted, 0, out);
                     out.signal(Signal::Interrupt(call));
@@ -213,7 +216,7 @@ impl CommTask {
             }
             What::Timer(at) => {
                 let id = self.timers.take(at);
-                let rank = self.order.timers();
+                let rank = self.order.timer(id);
                 self.begin_handler(rank);
                 self.note_handler(Event::Interrupted, u32::from(id.0), out);
                 out.signal(Signal::Interrupt(Call::Timer(id)));
@@ -255,16 +258,16 @@ impl CommTask {
                 }
             })
         });
-        let rank = self.order.timers();
-        let timer = self.timers.ended().filter(|_| self.outranks(table, rank, false)).map(|at| Offer {
-            key: (Turn::InOrder, rank, Ticks::ZERO, Class::Command, PortId(0), 0),
-            what: What::Timer(at),
+        let timers = self.timers.ended().filter_map(|(id, at)| {
+            let rank = self.order.timer(id);
+            let key = (Turn::InOrder, rank, Ticks::ZERO, Class::Command, PortId(0), u128::from(id.0));
+            self.outranks(table, rank, false).then_some(Offer { key, what: What::Timer(at) })
         });
         let lease = self.called().map(|_| Offer {
             key: (Turn::Lease, 0, Ticks::ZERO, Class::Command, PortId(0), 0),
             what: What::Lease,
         });
-        messages.chain(timer).chain(lease).min()
+        messages.chain(timers).chain(lease).min()
     }
 
     /// Ports whose offer was as good as any, but for their place in the order, were passed over (D58).

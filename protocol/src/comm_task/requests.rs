@@ -138,11 +138,11 @@ impl CommTask {
                 (asked.id, asked.answer, asked.packets_out) = (id, Answer::Open, u16::from(packets));
             }
         }
-        let retries = port.decl.retry > 0;
+        let retries = port.party(self.task).map_or(0, |party| party.retry);
         let desk = &mut self.desks[at];
         (desk.phase, desk.set, desk.deadline) = (Phase::Open, set, self.now + life);
-        desk.copies_left = port.decl.retry;
-        desk.copy_at = if retries { self.now + port.decl.resend } else { Ticks::FAR };
+        desk.copies_left = retries;
+        desk.copy_at = if retries > 0 { self.now + port.decl.resend } else { Ticks::FAR };
         desk.contents = contents;
         desk.parts.clear();
         if let Some(local) = staged {

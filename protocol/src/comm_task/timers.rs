@@ -25,11 +25,9 @@ impl Timers {
         self.0.iter_mut().find(|slot| slot.is_some_and(|started| started.id == id))
     }
 
-    /// Where the timer that is over stands; of several the one with the least name.
-    pub fn ended(&self) -> Option<usize> {
-        let ended =
-            self.0.iter().enumerate().filter_map(|(at, slot)| Some((slot.filter(|s| s.ended)?.id, at)));
-        ended.min().map(|(_, at)| at)
+    /// The timers that are over, and where they stand.
+    pub fn ended(&self) -> impl Iterator<Item = (TimeId, usize)> {
+        self.0.iter().enumerate().filter_map(|(at, slot)| Some((slot.filter(|s| s.ended)?.id, at)))
     }
 
     /// Takes out a timer that is over.

@@ -1,7 +1,7 @@
 //! How a communication task looks to a monitor. Allocates; never called on the message path.
 
 use super::{CommTask, Pending, Role};
-use crate::ids::{PortId, TaskId};
+use crate::ids::{PortId, Round, TaskId};
 use crate::observe::{PortView, QueueEntry, TaskState, TaskView};
 use crate::table::NodeTable;
 use crate::ticks::Ticks;
@@ -29,6 +29,14 @@ impl CommTask {
         let member = table.port(port)?.party_index(of)?;
         let arrived = rendezvous.members.get(member)?.arrived?;
         (arrived.round == rendezvous.announced).then_some(arrived.arguments)
+    }
+
+    /// The round that the task announced last at this waitfor, in its present life: while it waits there, the one that it
+    /// waits in. Of a task that was never there it means nothing.
+    #[must_use]
+    pub fn announced(&self, port: PortId) -> Option<Round> {
+        let Role::Meets(meeting) = self.role(port)? else { return None };
+        self.meetings.get(usize::from(meeting)).map(|rendezvous| rendezvous.announced)
     }
 
     /// What the task is doing: while a handler runs, what that does.

@@ -3,7 +3,7 @@
 use super::check::ProgramError;
 use super::program::{Address, Format, Fusing, Handler, Op, Outcomes, Program, Trigger, Variable};
 use super::value::{Binary, Slot, Term, Type};
-use crate::ids::PortId;
+use crate::ids::{PortId, TaskId};
 use crate::request::{Ranked, ServiceOrder, Target, TimeId};
 use crate::ticks::Ticks;
 use alloc::vec::Vec;
@@ -196,8 +196,36 @@ impl ProgramBuilder {
 
     /// `waitfor port()`.
     pub fn waitfor(&mut self, port: PortId) -> &mut Self {
-        let format = self.format(&[]);
-        self.statement().op(Op::Arrive { port, format, time_out: None })
+        self.waitfor_with(port, &[])
+    }
+
+    /// `waitfor port(..)`: variables, one per field.
+    pub fn waitfor_with(&mut self, port: PortId, fields: &[(Type, Slot)]) -> &mut Self {
+        let format = self.arguments(fields);
+        self.op(Op::Arrive { port, format, time_out: None })
+    }
+
+    /// What a member told at the waitfor; where that is not known the variables keep their values.
+    pub fn arrival(&mut self, port: PortId, task: TaskId, into: &[(Type, Slot)]) -> &mut Self {
+        let format = self.format_of(into);
+        self.op(Op::Arrival { port, task, format });
+        self.unpack_if(into)
+    }
+
+    /// What the partner of the couple published last; where that is nothing the variables keep their values.
+    pub fn published(&mut self, into: &[(Type, Slot)]) -> &mut Self {
+        self.op(Op::Published);
+        self.unpack_if(into)
+    }
+
+    /// Reads what came, where the last value says that something did.
+    fn unpack_if(&mut self, into: &[(Type, Slot)]) -> &mut Self {
+        let format = self.format_of(into);
+        let places: Vec<Slot> = into.iter().map(|&(_, slot)| slot).collect();
+        let into = self.places(&places);
+        self.then(|b| {
+            b.op(Op::Unpack { format, into });
+        })
     }
 
     /// `delay`.

@@ -3,7 +3,7 @@
 use super::program::{Address, MAX_MESSAGE, Op, Program, Trigger};
 use super::value::{Binary, Slot, Term};
 use super::{MAX_OPERANDS, Variable};
-use crate::packet::CONTENTS_BYTES;
+use crate::request::PUBLISHED_BYTES;
 use alloc::vec;
 use alloc::vec::Vec;
 use core::fmt;
@@ -128,15 +128,27 @@ impl Program {
                 _ => Some(before.atomic),
             };
             let after = Known { held, atomic: atomic.ok_or(ProgramError::Atomic(at))? };
-            let next = at.saturating_add(1);
-            match op {
-                Op::Jump(to) => open.push((to, after)),
-                Op::Unless(to) | Op::On { to, .. } => open.extend([(to, after), (next, after)]),
-                Op::Abort(_) | Op::End | Op::HandlerEnd => {}
-                _ => open.push((next, after)),
-            }
+            open.extend(follow(at, op).into_iter().flatten().map(|to| (to, after)));
         }
         Ok(most)
+    }
+
+    /// The handlers that may begin an action, bit by bit.
+    pub(super) fn acting_handlers(&self) -> u64 {
+        let mut acting = 0;
+        for (i, handler) in self.handlers.iter().enumerate().take(64) {
+            let mut seen = vec![false; self.code.len()];
+            let mut open = vec![handler.entry];
+            while let Some(at) = open.pop() {
+                let Some(op) = self.code.get(usize::from(at)).copied() else { continue };
+                if core::mem::replace(&mut seen[usize::from(at)], true) {
+                    continue;
+                }
+                acting |= u64::from(matches!(op, Op::Run { .. })) << i;
+                open.extend(follow(at, op).into_iter().flatten());
+            }
+        }
+        acting
     }
 
     /// How many operands an operation takes and leaves.
@@ -154,12 +166,16 @@ impl Program {
             | Op::Mark(_)
             | Op::Answer { .. }
             | Op::ReceivedPort
-            | Op::ReceivedSource => (0, 1),
+            | Op::ReceivedSource
+            | Op::ReceivedId
+            | Op::Published
+            | Op::Arrival { .. } => (0, 1),
             Op::Choose(_) => (0, 1),
             Op::Send { format, .. }
             | Op::Reply { format }
             | Op::Arrive { format, .. }
             | Op::Publish { format } => (fields(format), 0),
+            Op::ReplyFor { format, .. } => (fields(format) + 2, 0),
             Op::Run { arguments, .. } => (usize::from(arguments), 0),
             Op::Statement
             | Op::Jump(_)
@@ -202,9 +218,13 @@ impl Program {
                 let places = self.places.get(usize::from(into)..).and_then(|places| places.get(..fields));
                 places.is_some_and(|places| places.iter().all(|&place| slot(place)))
             }
-            Op::Send { format, .. } | Op::Reply { format } => bytes(format).is_some(),
-            Op::Arrive { format, .. } => bytes(format).is_some_and(|bytes| bytes <= 8),
-            Op::Publish { format } => bytes(format).is_some_and(|bytes| bytes <= CONTENTS_BYTES),
+            Op::Send { format, .. } | Op::Reply { format } | Op::ReplyFor { format, .. } => {
+                bytes(format).is_some()
+            }
+            Op::Arrive { format, .. } | Op::Arrival { format, .. } => {
+                bytes(format).is_some_and(|bytes| bytes <= 8)
+            }
+            Op::Publish { format } => bytes(format).is_some_and(|bytes| bytes <= PUBLISHED_BYTES),
             Op::Order(order) => usize::from(order) < self.orders.len(),
             Op::Start { timer, .. } | Op::Stop(timer) => usize::from(timer.0) < self.timers.len(),
             Op::Run { action, .. } => usize::from(action) < self.actions.len(),
@@ -221,6 +241,8 @@ impl Program {
             | Op::Answer { .. }
             | Op::ReceivedPort
             | Op::ReceivedSource
+            | Op::ReceivedId
+            | Op::Published
             | Op::Get { .. }
             | Op::Delay(_)
             | Op::Atomic(_)
@@ -234,6 +256,17 @@ impl Program {
     }
 }
 
+/// Where a thread may go on after an operation.
+fn follow(at: Address, op: Op) -> [Option<Address>; 2] {
+    let next = Some(at.saturating_add(1));
+    match op {
+        Op::Jump(to) => [Some(to), None],
+        Op::Unless(to) | Op::On { to, .. } => [Some(to), next],
+        Op::Abort(_) | Op::End | Op::HandlerEnd => [None, None],
+        _ => [next, None],
+    }
+}
+
 /// Whether a handler may run, or the script rest, in the operation: then no operand may lie below its own.
 const fn waits(op: Op) -> bool {
     matches!(
@@ -242,6 +275,7 @@ const fn waits(op: Op) -> bool {
             | Op::Send { .. }
             | Op::Get { .. }
             | Op::Reply { .. }
+            | Op::ReplyFor { .. }
             | Op::Arrive { .. }
             | Op::Order(_)
             | Op::Delay(_)

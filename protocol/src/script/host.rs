@@ -8,11 +8,12 @@ use crate::ids::{NodeId, PortId, TaskId};
 use crate::node::{Node, NodeInput, NodeOutbox};
 use crate::observe::Observation;
 use crate::packet::{Contents, Packet};
-use crate::request::{ReplyTo, Request, Signal};
+use crate::request::{Call, ReplyTo, Request, Signal};
 use crate::ticks::Ticks;
 use alloc::boxed::Box;
 use alloc::collections::VecDeque;
 use alloc::sync::Arc;
+use alloc::vec;
 use alloc::vec::Vec;
 use serde::{Deserialize, Serialize};
 
@@ -91,9 +92,13 @@ pub struct ScriptedNode {
     inputs: VecDeque<(TaskId, ScriptInput)>,
     /// What a script asked in its last step.
     requests: VecDeque<Request>,
+    /// How many steps each script took at this input since a message last came to it.
+    steps: Box<[u32]>,
 }
 
-/// How many steps of scripts one input may cause: who goes on then never waits.
+/// How many steps one input may cause of a script to which no message comes meanwhile: who goes on then never waits.
+/// Scripts that keep each other going with messages may take so many steps for each script of the node; then the one
+/// that took the most without a message ends, and the others may go on.
 pub const HOST_LIMIT: u32 = 10_000;
 /// How many signals one input of a node has room for without allocating.
 const SIGNALS: usize = 256;
@@ -114,7 +119,8 @@ impl ScriptedNode {
         }
         scripts.sort_unstable_by_key(|hosted| hosted.task);
         let inputs = VecDeque::with_capacity(SIGNALS.max(scripts.len()));
-        Ok(Self { node, scripts: scripts.into(), inputs, requests: VecDeque::with_capacity(8) })
+        let steps = vec![0; scripts.len()].into();
+        Ok(Self { node, scripts: scripts.into(), inputs, requests: VecDeque::with_capacity(8), steps })
     }
 
     /// The node.
@@ -186,10 +192,16 @@ impl ScriptedNode {
             }
             HostInput::Chosen { task, choice } => self.inputs.push_back((task, ScriptInput::Chosen(choice))),
         }
+        self.steps.fill(0);
+        let together = HOST_LIMIT.saturating_mul(u32::try_from(self.scripts.len()).unwrap_or(u32::MAX));
         let (mut last, mut steps) = (None, 0);
         while let Some((task, input)) = self.next(last) {
+            let Ok(at) = self.scripts.binary_search_by_key(&task, |hosted| hosted.task) else { continue };
             steps += 1;
-            self.run(task, input, steps > HOST_LIMIT, out);
+            if steps > together && self.stop_busiest(out) {
+                steps = 0;
+            }
+            self.run(at, input, out);
             last = Some(task);
         }
     }
@@ -200,15 +212,36 @@ impl ScriptedNode {
         self.inputs.remove(own.unwrap_or(0))
     }
 
-    fn run(&mut self, task: TaskId, input: ScriptInput, runaway: bool, out: &mut impl HostOutbox) {
-        let Ok(at) = self.scripts.binary_search_by_key(&task, |hosted| hosted.task) else { return };
-        let Hosted { program, script, .. } = &mut self.scripts[at];
-        let mut effects = ScriptEffects { task, node: &self.node, requests: &mut self.requests, out };
-        if runaway {
-            script.stop(program, ScriptFault::Runaway, &mut effects);
-        } else {
-            script.step(program, input, &mut effects);
+    fn run(&mut self, at: usize, input: ScriptInput, out: &mut impl HostOutbox) {
+        let asked =
+            matches!(input, ScriptInput::Signal(Signal::Message(_) | Signal::Interrupt(Call::Message(_))));
+        self.steps[at] = if asked { 0 } else { self.steps[at] + 1 };
+        if self.steps[at] > HOST_LIMIT {
+            return self.stop(at, out);
         }
+        let Hosted { task, program, script } = &mut self.scripts[at];
+        let (task, node, requests) = (*task, &self.node, &mut self.requests);
+        script.step(program, input, &mut ScriptEffects { task, node, requests, out });
+        self.ask(task, out);
+    }
+
+    /// Ends the script that took the most steps without a message; false where all have ended.
+    fn stop_busiest(&mut self, out: &mut impl HostOutbox) -> bool {
+        let lives = |hosted: &Hosted| !matches!(hosted.script.activity(), Activity::Ended(_));
+        let living = (0..self.scripts.len()).filter(|&at| lives(&self.scripts[at]));
+        let Some(busiest) = living.max_by_key(|&at| self.steps[at]) else { return false };
+        self.stop(busiest, out);
+        true
+    }
+
+    fn stop(&mut self, at: usize, out: &mut impl HostOutbox) {
+        let Hosted { task, program, script } = &mut self.scripts[at];
+        let (task, node, requests) = (*task, &self.node, &mut self.requests);
+        script.stop(program, ScriptFault::Runaway, &mut ScriptEffects { task, node, requests, out });
+        self.ask(task, out);
+    }
+
+    fn ask(&mut self, task: TaskId, out: &mut impl HostOutbox) {
         while let Some(request) = self.requests.pop_front() {
             out.asked(task, &request);
             self.drive(NodeInput::Request(task, request), out);
@@ -262,6 +295,14 @@ impl<O: HostOutbox> ScriptOutbox for ScriptEffects<'_, O> {
 
     fn fragment(&mut self, index: u8) -> Option<Contents> {
         self.node.task(self.task)?.fragment(index).copied()
+    }
+
+    fn published(&mut self) -> Option<Contents> {
+        self.node.task(self.task)?.partner_published().copied()
+    }
+
+    fn arrival(&mut self, port: PortId, task: TaskId) -> Option<[u8; 8]> {
+        self.node.task(self.task)?.meeting_arguments(&self.node.parts().table, port, task)
     }
 
     fn answer(&mut self, port: PortId, task: Option<TaskId>, index: u8) -> Option<Contents> {

@@ -103,6 +103,15 @@ pub trait ScriptOutbox {
         let _ = index;
         None
     }
+    /// What the partner of the task's couple published last: [`CommTask::partner_published`](crate::CommTask).
+    fn published(&mut self) -> Option<Contents> {
+        None
+    }
+    /// What a member told at a waitfor: [`CommTask::meeting_arguments`](crate::CommTask).
+    fn arrival(&mut self, port: PortId, task: TaskId) -> Option<[u8; 8]> {
+        let _ = (port, task);
+        None
+    }
     /// A fragment, from 0, of an answer to the last request on `port`: that of `task`, or of the only one asked.
     fn answer(&mut self, port: PortId, task: Option<TaskId>, index: u8) -> Option<Contents> {
         let _ = (port, task, index);
@@ -163,7 +172,7 @@ pub enum End {
     Aborted(u16),
     /// An `assert` did not hold.
     Assertion(Address),
-    /// It lost its lease, and has no part to take over (D61).
+    /// It lost its lease, and has no part to take over or will never hold one again (D61).
     Fenced,
     /// A fault, at this operation.
     Fault {
@@ -189,7 +198,8 @@ enum Anew {
     Begin,
     /// At its take-over.
     TakeOver,
-    /// Nowhere: it lost its lease and acts no more, unless it takes over.
+    /// Nowhere: it lost its lease and acts no more, unless it gets it back or takes over. Handlers that act are
+    /// withdrawn: what comes for them waits in its buffer. The others go on answering and taking notice.
     Passive,
 }
 
@@ -218,7 +228,7 @@ enum Wait {
     Entering(Option<Inbound>),
     /// That everything is given up.
     Abandon(Anew),
-    /// Nothing any more, but a take-over.
+    /// Nothing any more, but its lease or a take-over.
     Passive,
 }
 
@@ -266,6 +276,8 @@ pub struct Script {
     width: usize,
     /// How many atomic sections are open.
     atomic: u8,
+    /// Of the program, bit by bit: the handlers that act.
+    acting: u64,
 }
 
 /// What a script does, for showing.
@@ -279,7 +291,7 @@ pub enum Activity {
     Acts,
     /// It waits for the driver's choice among so many.
     Chooses(u16),
-    /// It lost its lease and waits to take over.
+    /// It lost its lease and waits to get it back or to take over.
     Passive,
     /// It has ended.
     Ended(End),
@@ -302,6 +314,7 @@ impl Script {
             locals: vec![0; width * threads].into(),
             width,
             atomic: 0,
+            acting: program.acting_handlers(),
         }
     }
 

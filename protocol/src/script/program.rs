@@ -216,6 +216,23 @@ pub enum Op {
     ReceivedPort,
     /// Pushes the task from which the last message came.
     ReceivedSource,
+    /// Pushes the number of the message that this thread received last and has to answer, a [`Type::Word`]; 0 where there is
+    /// none. With [`Op::ReceivedSource`] it names the message to a task that answers in this one's place. Such a number
+    /// in a variable or a message is no part of a canonical state (D51): a checker refuses the program.
+    ReceivedId,
+    /// Takes what the task at the other end of the couple published last as what [`Op::Unpack`] reads, and pushes
+    /// whether there is anything (D61).
+    Published,
+    /// Takes what a member told at the waitfor, in the round that this task waits in or was released from last, as what
+    /// [`Op::Unpack`] reads, and pushes whether that is known: after a release by a CONFIRM it may not be.
+    Arrival {
+        /// The waitfor.
+        port: PortId,
+        /// The member.
+        task: TaskId,
+        /// The format of its arguments.
+        format: u16,
+    },
     /// SEND, or a query: pops the fields.
     Send {
         /// The port.
@@ -241,7 +258,15 @@ pub enum Op {
         /// Its format.
         format: u16,
     },
-    /// ARRIVE: pops the fields, at most 8 bytes of them.
+    /// Reply to a message that another task received, or this one before: pops the fields, then the number of the message
+    /// ([`Op::ReceivedId`]), then its source.
+    ReplyFor {
+        /// A port with usage `reply`, or the one that this task received the message on.
+        port: PortId,
+        /// Its format.
+        format: u16,
+    },
+    /// ARRIVE: pops the fields, at most 8 bytes of them. The others read them with [`Op::Arrival`].
     Arrive {
         /// The waitfor.
         port: PortId,
@@ -277,7 +302,8 @@ pub enum Op {
     },
     /// From `true` to `false` no handler interrupts. Such sections nest.
     Atomic(bool),
-    /// What the beats' answers carry from here on (D61): pops the fields of one packet.
+    /// What the beats' answers carry from here on (D61): pops the fields, at most
+    /// [`PUBLISHED_BYTES`](crate::PUBLISHED_BYTES) of them.
     Publish {
         /// The format.
         format: u16,
@@ -341,6 +367,12 @@ impl Program {
     #[must_use]
     pub fn is_interruptible(&self) -> bool {
         !self.handlers.is_empty() || self.takeover.is_some()
+    }
+
+    /// Whether its variables or messages may hold numbers of messages, which no canonical state knows of (D51).
+    #[must_use]
+    pub fn names_messages(&self) -> bool {
+        self.code.contains(&Op::ReceivedId)
     }
 
     /// A variable of a handler.

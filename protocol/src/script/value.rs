@@ -114,7 +114,8 @@ pub enum Binary {
 /// What a `check` asks about a cell as a whole (D45).
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Predicate {
-    /// `port.arrived(task)`: the task reached the waitfor, and has not begun its next attempt.
+    /// `port.arrived(task)`: the task reached the waitfor, and no member has begun a later meeting there since. A task
+    /// that gave up had arrived all the same; one that restarted has not (D85).
     Arrived {
         /// The waitfor.
         port: PortId,
@@ -128,14 +129,16 @@ pub enum Predicate {
         /// The port.
         port: PortId,
     },
-    /// `task.answered(port)`: the task's last request on the port has been answered.
+    /// `task.answered(port)`: the task's last request on the port has been answered, by all where it asked several.
+    /// Neither a refusal nor a time_out is an answer.
     Answered {
         /// The task.
         task: TaskId,
         /// The port.
         port: PortId,
     },
-    /// `task.active`: the task acts: it has begun, has not ended and holds its lease if it needs one.
+    /// `task.active`: the task may act: it has begun, has not ended, its node is up, and it holds its lease if it needs
+    /// one (D61).
     Active(TaskId),
 }
 

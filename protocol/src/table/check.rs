@@ -79,13 +79,14 @@ pub(super) fn port(cell: &Cell, port: &Port, routes: &[Option<Hop>], errors: &mu
     if decl.class == Class::Status {
         let answered = match decl.usage {
             Usage::Query | Usage::Response | Usage::Reply | Usage::Waitfor => true,
-            Usage::Send | Usage::Receive => decl.retry > 0,
+            Usage::Send | Usage::Receive => port.parties.iter().any(|party| party.retry > 0),
         };
         if answered {
             errors.push(CellError::NeedsClass2(name()));
         }
     }
     check_sizes(port, errors);
+    check_users(cell, port, errors);
     check_ways(cell, port, routes, errors);
 }
 
@@ -100,13 +101,30 @@ fn check_sizes(port: &Port, errors: &mut Vec<CellError>) {
     if owner_asks && port.parties.len() > MAX_MEMBERS {
         errors.push(CellError::TooManyAsked(decl.name.clone()));
     }
-    if let Some(rate) = decl.rate {
+    for party in &port.parties {
+        let Some(rate) = party.rate else { continue };
         // D53: within one life a sender must stay within half the circle of its sequence numbers.
         let life = port.parties.iter().map(|p| p.time_out).max().unwrap_or_default();
-        let copies = port.parties.iter().map(|p| port.peers(p.task).count()).max().unwrap_or(0);
-        let sent = u128::from(rate.count) * copies as u128 * u128::from(life.0);
+        let sent = u128::from(rate.count) * port.peers(party.task).count() as u128 * u128::from(life.0);
         if rate.per.is_zero() || sent / u128::from(rate.per.0) >= u128::from(Seq24::MODULUS / 2) {
             errors.push(CellError::SequenceWraps(decl.name.clone()));
+            break;
+        }
+    }
+}
+
+/// D9: what a user says of the message must be what the owner says.
+fn check_users(cell: &Cell, port: &Port, errors: &mut Vec<CellError>) {
+    let decl = &port.decl;
+    for user in &decl.users {
+        let names = || (decl.name.clone(), cell.tasks[user.task.index()].name.clone());
+        if user.class.is_some_and(|class| class != decl.class) {
+            let (port, task) = names();
+            errors.push(CellError::OtherClass(port, task));
+        }
+        if user.format.as_ref().is_some_and(|format| *format != decl.format) {
+            let (port, task) = names();
+            errors.push(CellError::OtherFormat(port, task));
         }
     }
 }
@@ -115,6 +133,7 @@ fn check_ways(cell: &Cell, port: &Port, routes: &[Option<Hop>], errors: &mut Vec
     let decl = &port.decl;
     let n = cell.nodes.len();
     for party in &port.parties {
+        let mut farthest = Ticks::ZERO;
         for peer in port.peers(party.task) {
             let (a, b) = (cell.tasks[party.task.index()].node, cell.tasks[peer.index()].node);
             let hop = routes[a.index() * n + b.index()];
@@ -132,9 +151,19 @@ fn check_ways(cell: &Cell, port: &Port, routes: &[Option<Hop>], errors: &mut Vec
                 Usage::Reply => bound,
                 Usage::Send | Usage::Query | Usage::Receive | Usage::Response | Usage::Waitfor => continue,
             };
+            farthest = farthest.max(least);
             if party.time_out <= least {
                 let (port, time_out) = (decl.name.clone(), party.time_out);
                 errors.push(CellError::DeadlineTooShort { port, time_out, least });
+            }
+        }
+        // D53: who asks waits for the answer before it asks again.
+        let asks = matches!(party.usage, Usage::Send | Usage::Query) && decl.class == Class::Command;
+        if let Some(rate) = party.rate.filter(|_| asks) {
+            let least = Ticks(farthest.0.saturating_mul(u64::from(rate.count)));
+            if rate.per < least {
+                let (port, per) = (decl.name.clone(), rate.per);
+                errors.push(CellError::CannotBeServed { port, per, least });
             }
         }
     }
@@ -150,7 +179,7 @@ fn check_ways(cell: &Cell, port: &Port, routes: &[Option<Hop>], errors: &mut Vec
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cell::{PortDecl, TaskDecl};
+    use crate::cell::{PortDecl, Rate, TaskDecl, UserDecl};
     use crate::table::CellTable;
 
     const X: TaskId = TaskId(0);
@@ -269,6 +298,46 @@ mod tests {
             CellTable::new(cell).map(|_| ())
         };
         assert_eq!((crowd(63), crowd(64)), (Ok(()), Err([CellError::TooManyAsked(name("p"))].into())));
+    }
+
+    #[test]
+    fn a_user_says_of_the_message_what_the_owner_says() {
+        let with = |change: fn(&mut UserDecl)| {
+            let mut cell = three(1);
+            let mut port = PortDecl::new("p", X, Usage::Receive, &[Y, Z], Ticks(90)).command().format("Ask");
+            change(&mut port.users[1]);
+            cell.port(port);
+            CellTable::new(cell)
+        };
+        let fault = |change| with(change).map(|_| ()).unwrap_err();
+        let names = || (name("p"), name("z"));
+        assert_eq!(fault(|u| u.class = Some(Class::Status)), [CellError::OtherClass(names().0, names().1)]);
+        assert_eq!(fault(|u| u.format = Some(name("Grant"))), [CellError::OtherFormat(names().0, names().1)]);
+        let alike = with(|u| {
+            (u.class, u.format) = (Some(Class::Command), Some(name("Ask")));
+            u.retry = Some(3);
+        });
+        let table = alike.unwrap();
+        let port = table.port(crate::ids::PortId(0)).unwrap();
+        assert_eq!([Y, Z].map(|task| port.party(task).unwrap().retry), [0, 3]);
+        assert_ne!(table.digest(), with(|_| ()).unwrap().digest(), "nodes that differ in it do not talk");
+    }
+
+    #[test]
+    fn a_rate_must_leave_time_for_the_answers() {
+        let of = |count, per, user: Option<Rate>| {
+            let mut cell = three(1);
+            let mut port = PortDecl::new("p", X, Usage::Receive, &[Z], Ticks(90)).command();
+            port = port.rate(count, Ticks(per));
+            port.users[0].rate = user;
+            cell.port(port);
+            CellTable::new(cell).map(|_| ())
+        };
+        // Two links there, two back: 4 ticks for each.
+        assert_eq!(of(3, 12, None), Ok(()));
+        let fault = CellError::CannotBeServed { port: name("p"), per: Ticks(11), least: Ticks(12) };
+        assert_eq!(of(3, 11, None), Err([fault].into()));
+        assert_eq!(of(3, 11, Some(Rate { count: 2, per: Ticks(11) })), Ok(()), "the user's own rate counts");
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! The digests that keep nodes of different tables apart (D47, D48).
 
-use super::Port;
+use super::{Party, Port};
 use crate::cell::{Cell, PortDecl};
 use crate::packet::Class;
 use alloc::format;
@@ -73,5 +73,11 @@ pub(super) fn of_cell(cell: &Cell, ports: &[Port]) -> u32 {
     }
     c.text(&format!("{:?}", cell.couples));
     c.text(&format!("{:?}", cell.rules));
+    for port in ports {
+        let own = |party: &&Party| (party.retry, party.rate) != (port.decl.retry, port.decl.rate);
+        for party in port.parties.iter().filter(own) {
+            c.text(&format!("{} {} {} {:?}", port.id, party.task, party.retry, party.rate));
+        }
+    }
     c.0.finalize()
 }

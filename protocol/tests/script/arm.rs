@@ -1,7 +1,7 @@
 //! The right arm of the beam lift, written by hand as the compiler would write it:
 //!
 //! ```text
-//! order halt > beat > silence > self;        // timers rank below `self` unless they are named
+//! order halt > beat > self;                  // the silence of a port ranks just below the port (D86)
 //! on query beat(b)   do response(me); end;
 //! on receive halt(s) do run stop_now takes 1..8 msec; me.moving := false; end;
 //! on silence beat 10 msec when me.moving do run stop_now takes 1..8 msec; me.moving := false; end;
@@ -38,14 +38,15 @@ pub fn right(ports: Ports) -> Program {
     let me = [(Type::Int16, height), (Type::Bool, moving)];
     let silence = b.timer("silence of beat");
 
-    b.order(&[Ranked::Port(halt), Ranked::Port(beat), Ranked::Timers, Ranked::Own]);
+    b.order(&[Ranked::Port(halt), Ranked::Port(beat), Ranked::Timer(silence), Ranked::Own]);
     b.start(silence, Ticks(10));
     b.forever(|b| {
         b.run("grip", Ticks(300), Ticks(500));
         b.waitfor(lift).when(Outcomes::TIME_OUT, |b| {
             b.run("open_grip", Ticks(0), Ticks(0)).abort("partner missing");
         });
-        b.run("start_lift", Ticks(1), Ticks(2)).set(moving, 1);
+        // `when me.moving`: the silence counts from when that becomes true.
+        b.run("start_lift", Ticks(1), Ticks(2)).set(moving, 1).start(silence, Ticks(10));
         b.while_true(moving, |b| {
             b.run("read_height", Ticks(0), Ticks(0)).op(Op::Value).store(height);
             b.delay(Ticks(20));
@@ -77,7 +78,7 @@ fn lifting() -> Rig {
         vec!["handle P0 true"],
         vec!["handle P1 true"],
         vec!["boundary"],
-        vec!["order [Port(PortId(1)), Port(PortId(0)), Timers, Own]"],
+        vec!["order [Port(PortId(1)), Port(PortId(0)), Timer(TimeId(0)), Own]"],
         vec!["boundary"],
         vec!["start 0 10"],
         vec!["boundary"],
@@ -93,6 +94,8 @@ fn lifting() -> Rig {
     assert_eq!(rig.tell(released), ["boundary"]);
     assert_eq!(rig.accept(), ["work", "run 2 [] at 0 takes 1..2"]);
     rig.acted(0, true, 0);
+    assert_eq!(rig.accept(), ["boundary"]);
+    assert_eq!(rig.accept(), ["start 0 10"]);
     assert_eq!(rig.accept(), ["boundary"]);
     assert_eq!(rig.accept(), ["work", "run 3 [] at 0 takes 0..0"]);
     rig.acted(0, true, 42);

@@ -129,6 +129,21 @@ fn tables_are_sound() {
 }
 
 #[test]
+fn a_task_publishes_no_more_than_an_answer_to_a_beat_carries() {
+    let publish = |bytes: usize| Program {
+        code: vec![Op::Term(Term::Push(0)); bytes]
+            .into_iter()
+            .chain([Op::Publish { format: 0 }, Op::End])
+            .collect(),
+        formats: vec![Format { fields: vec![Type::Int8; bytes] }],
+        ..Program::default()
+    };
+    assert_eq!(publish(PUBLISHED_BYTES).check(), Ok(PUBLISHED_BYTES));
+    let above = PUBLISHED_BYTES + 1;
+    assert_eq!(publish(above).check(), Err(ProgramError::NoSuchEntry(u16::try_from(above).expect("few"))));
+}
+
+#[test]
 fn a_handlers_variables_are_its_own() {
     let mut other = Slot::Local(0);
     let foreign = fault(|b| {

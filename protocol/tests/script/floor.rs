@@ -14,6 +14,8 @@ struct Outside {
     told: Vec<(TaskId, Signal)>,
     log: Vec<String>,
     choice: Option<u16>,
+    /// Links that lose everything.
+    cut: Vec<(NodeId, NodeId)>,
     requests: usize,
     unanswered: usize,
     statements: usize,
@@ -27,7 +29,9 @@ impl Outside {
 
 impl NodeOutbox for Outside {
     fn link(&mut self, next: NodeId, packet: Packet) {
-        self.flying.push((self.now + 1, self.from, next, packet));
+        if !self.cut.contains(&(self.from, next)) {
+            self.flying.push((self.now + 1, self.from, next, packet));
+        }
     }
     fn signal(&mut self, task: TaskId, signal: Signal) {
         self.told.push((task, signal));
@@ -133,6 +137,16 @@ impl Floor {
                 self.step(to, HostInput::Node(NodeInput::Packet { packet, charge: Ticks(1) }));
             }
         }
+    }
+
+    /// From now on these links lose everything, and no others do.
+    pub fn cut(&mut self, links: &[(NodeId, NodeId)]) {
+        self.out.cut = links.into();
+    }
+
+    pub fn is_active(&self, task: TaskId) -> bool {
+        let node = self.table.location(task).expect("a task of the cell");
+        self.nodes[node.index()].node().task(task).expect("a task").is_active()
     }
 
     pub fn log(&mut self) -> Vec<String> {

@@ -255,6 +255,51 @@ fn long_messages_and_answers_travel_whole() {
     assert_eq!((7..11).map(|i| floor.var(A, i)).collect::<Vec<_>>(), [4001, 5001, 6001, 7001]);
 }
 
+/// A asks B, B passes the question on to C, and C answers A in B's place (D11).
+#[test]
+fn a_third_task_answers() {
+    let mut cell = triangle();
+    let ask = cell.port(PortDecl::new("ask", A, Usage::Query, &[B], Ticks(20)));
+    let pass = cell.port(PortDecl::new("pass", B, Usage::Send, &[C], Ticks(20)));
+    let back = cell.port(PortDecl::new("back", C, Usage::Reply, &[A], Ticks(20)));
+    let mut a = ProgramBuilder::new("a");
+    let (said, outcome) = (a.variable("said", Type::Int8), a.variable("outcome", Type::Int8));
+    a.send(ask, Target::All, &[]).op(Op::Outcome).store(outcome).unpack(&[(Type::Int8, said)]).end();
+    let mut b = ProgramBuilder::new("b");
+    let name = b.format(&[Type::Int16, Type::Word]);
+    b.receive(ask, None, &[]).op(Op::ReceivedSource).op(Op::ReceivedId);
+    b.op(Op::Send { port: pass, to: Target::All, format: name, time_out: None }).end();
+    let mut c = ProgramBuilder::new("c");
+    let (source, id) = (c.variable("source", Type::Int16), c.variable("id", Type::Word));
+    c.receive(pass, None, &[(Type::Int16, source), (Type::Word, id)]);
+    let format = c.format(&[Type::Int8]);
+    c.statement().load(source).load(id).push(7).op(Op::ReplyFor { port: back, format }).end();
+    let names = finish(b);
+    assert!(names.names_messages());
+    let mut floor = Floor::new(cell, vec![(A, finish(a)), (B, names), (C, finish(c))]);
+    floor.begin();
+    floor.run(5);
+    assert_eq!([0, 1].map(|i| floor.var(A, i)), [7, StatementOutcome::Reply as i64]);
+    assert!(floor.activities().iter().all(|activity| *activity == Activity::Ended(End::Finished)));
+}
+
+#[test]
+fn who_arrives_tells_the_others() {
+    let mut cell = triangle();
+    let lift = cell.port(PortDecl::new("lift", A, Usage::Waitfor, &[B], Ticks(30)));
+    let member = |name: &str, says: i64, other: TaskId| {
+        let mut b = ProgramBuilder::new(name);
+        let (own, heard) = (b.variable("own", Type::Int16), b.variable("heard", Type::Int16));
+        b.set(own, says).waitfor_with(lift, &[(Type::Int16, own)]);
+        b.arrival(lift, other, &[(Type::Int16, heard)]).end();
+        finish(b)
+    };
+    let mut floor = Floor::new(cell, vec![(A, member("a", -3, B)), (B, member("b", 900, A))]);
+    floor.begin();
+    floor.run(5);
+    assert_eq!([floor.var(A, 1), floor.var(B, 1)], [900, -3]);
+}
+
 #[test]
 fn a_query_to_all_brings_the_answer_of_each() {
     let mut cell = triangle();

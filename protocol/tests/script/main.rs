@@ -11,5 +11,6 @@ mod host;
 mod leases;
 mod ops;
 mod random;
+mod runaway;
 mod waits;
 mod written;

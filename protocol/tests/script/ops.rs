@@ -221,3 +221,20 @@ fn what_is_no_value_of_its_type_is_not_read() {
     });
     assert_eq!(rig.begin()[1], "ended Fault { fault: NothingReceived, at: 0 }");
 }
+
+#[test]
+fn a_handler_may_come_after_a_choice_that_the_driver_gives_later() {
+    let mut b = ProgramBuilder::new("test");
+    let n = b.variable("n", Type::Int8);
+    b.statement().op(Op::Choose(3)).store(n).set(n, 0).end();
+    b.on_message(ASK, &[], |b, _| {
+        b.reply(&[]);
+    });
+    let mut rig = Rig::of(b.finish().expect("a checked program"));
+    rig.begin();
+    assert_eq!(rig.accept(), ["boundary"]);
+    assert_eq!(rig.accept(), ["choose 3"]);
+    assert_eq!(rig.step(ScriptInput::Chosen(2)), ["boundary"]);
+    assert_eq!(rig.var(n), 2);
+    assert_eq!(rig.tell(call(ASK, 1, &[])), ["reply P0 T7 []"]);
+}

@@ -64,6 +64,8 @@ fn ops() -> impl Strategy<Value = Op> {
         Op::Mark(Mark::Answered),
         Op::ReceivedPort,
         Op::ReceivedSource,
+        Op::ReceivedId,
+        Op::Published,
         Op::Atomic(true),
         Op::Atomic(false),
         Op::Lease,
@@ -90,6 +92,8 @@ fn ops() -> impl Strategy<Value = Op> {
             time_out
         }),
         small().prop_map(|format| Op::Reply { format }),
+        (port(), small()).prop_map(|(port, format)| Op::ReplyFor { port, format }),
+        (port(), small()).prop_map(|(port, format)| Op::Arrival { port, task: PEER, format }),
         small().prop_map(|format| Op::Publish { format }),
         (port(), small(), time_out()).prop_map(|(port, format, time_out)| Op::Arrive {
             port,

@@ -407,7 +407,7 @@ fn order(a: u16) -> ServiceOrder {
         Ranked::Port(PortId(a % 3)),
         Ranked::Own,
         Ranked::Source(TaskId(a / 8 % 3)),
-        Ranked::Timers,
+        if a & 512 == 0 { Ranked::Timers } else { Ranked::Timer(TimeId(1)) },
         Ranked::Port(PortId(a / 32 % 3)),
     ];
     let skip = usize::from(a / 128 % 4);

@@ -23,7 +23,7 @@ struct Form {
 impl Form {
     fn of(table: &NodeTable, desk: &Desk) -> Self {
         table.port(desk.port).map_or(Self { retries: false, long: false, long_answers: false }, |port| Self {
-            retries: port.decl.retry > 0,
+            retries: port.parties.iter().any(|party| party.retry > 0),
             long: port.decl.fragments > 1,
             long_answers: port.decl.answer_fragments > 1,
         })

@@ -35,6 +35,7 @@ impl CommTask {
                 Ranked::Source(task) => (1, task.index()),
                 Ranked::Timers => (2, 0),
                 Ranked::Own => (3, 0),
+                Ranked::Timer(id) => (4, usize::from(id.0)),
             };
             w.byte(kind)?;
             w.count(of)?;
@@ -104,6 +105,7 @@ impl CommTask {
                 0 => Ranked::Port(PortId(of)),
                 1 => Ranked::Source(TaskId(of)),
                 2 => Ranked::Timers,
+                4 => Ranked::Timer(TimeId(u8::try_from(of).unwrap_or(0))),
                 _ => Ranked::Own,
             };
         }

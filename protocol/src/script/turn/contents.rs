@@ -1,8 +1,9 @@
 //! From operands to the contents of messages, and back (D28).
 
 use super::{Flow, Step, Turn};
+use crate::ids::{Incarnation, MessageId, PortId, Seq24, TaskId};
 use crate::packet::{CONTENTS_BYTES, Contents};
-use crate::request::Request;
+use crate::request::{ReplyTo, Request};
 use crate::script::program::{Format, MAX_MESSAGE, Op, StatementOutcome};
 use crate::script::{ScriptFault, ScriptOutbox, Wait};
 
@@ -11,8 +12,13 @@ impl<'a, O: ScriptOutbox> Turn<'a, O> {
     /// request itself (D28).
     pub(super) fn transfer(&mut self, part: u8) -> Step {
         let op = self.op()?;
-        let (Op::Send { format, .. } | Op::Reply { format }) = op else { return Err(ScriptFault::Malformed) };
-        let to = self.frame().message;
+        let (Op::Send { format, .. } | Op::Reply { format } | Op::ReplyFor { format, .. }) = op else {
+            return Err(ScriptFault::Malformed);
+        };
+        let to = match op {
+            Op::ReplyFor { port, format } => Some(self.named(port, format)?),
+            _ => self.frame().message,
+        };
         let port = match (op, to) {
             (Op::Send { port, .. }, _) => port,
             (_, Some(to)) => to.port,
@@ -34,12 +40,26 @@ impl<'a, O: ScriptOutbox> Turn<'a, O> {
                 self.out.request(Request::Send { port, to, contents, time_out });
             }
             (_, Some(to)) => {
-                self.frame().message = None;
+                let frame = self.frame();
+                frame.message = frame.message.filter(|own| *own != to);
                 self.out.request(Request::Reply { to, contents });
             }
             (_, None) => return Err(ScriptFault::Malformed),
         }
         Ok(Flow::Wait(Wait::Signal))
+    }
+
+    /// The message that the operands below the fields name.
+    fn named(&self, port: PortId, format: u16) -> Result<ReplyTo, ScriptFault> {
+        let script = &*self.script;
+        let first = script.held.checked_sub(self.format(format)?.fields.len() + 2);
+        let name = first.and_then(|first| script.operands.get(first..)).ok_or(ScriptFault::Malformed)?;
+        let [source, number, ..] = *name else { return Err(ScriptFault::Malformed) };
+        let source = TaskId(u16::try_from(source).map_err(|_| ScriptFault::Overflow)?);
+        let [low, middle, high, life] =
+            u32::try_from(number).map_err(|_| ScriptFault::Overflow)?.to_le_bytes();
+        let sequence = Seq24::new(u32::from_le_bytes([low, middle, high, 0]));
+        Ok(ReplyTo { port, source, id: MessageId { incarnation: Incarnation(life), sequence } })
     }
 
     pub(super) fn format(&self, format: u16) -> Result<&'a Format, ScriptFault> {
@@ -76,12 +96,14 @@ impl<'a, O: ScriptOutbox> Turn<'a, O> {
     pub(super) fn drop_fields(&mut self, op: Op) -> Result<(), ScriptFault> {
         let (Op::Send { format, .. }
         | Op::Reply { format }
+        | Op::ReplyFor { format, .. }
         | Op::Arrive { format, .. }
         | Op::Publish { format }) = op
         else {
             return Err(ScriptFault::Malformed);
         };
-        let fields = self.format(format)?.fields.len();
+        let name = if matches!(op, Op::ReplyFor { .. }) { 2 } else { 0 };
+        let fields = self.format(format)?.fields.len() + name;
         let first = self.script.held.checked_sub(fields).ok_or(ScriptFault::Malformed)?;
         self.drop_operands(first);
         Ok(())

@@ -60,6 +60,8 @@ impl<'a, O: ScriptOutbox> Turn<'a, O> {
             // What was asked before everything was given up may still be answered.
             (Wait::Abandon(anew), Signal::Cancelled) => self.register(0, anew),
             (Wait::Abandon(_), _) => {}
+            (Wait::Passive, Signal::Granted(_)) => self.begin_anew(Anew::TakeOver),
+            (Wait::Passive, Signal::Fault(Fault::Fenced)) => self.finish(End::Fenced),
             (_, Signal::Interrupt(call)) => self.interrupt(call),
             (Wait::Register(handler, anew), Signal::Accepted(_)) => {
                 self.register(handler.saturating_add(1), anew);
@@ -107,6 +109,8 @@ impl<'a, O: ScriptOutbox> Turn<'a, O> {
         match self.frame().wait {
             Wait::Choice(alternatives) if choice < alternatives => self.resume(|turn| {
                 turn.operands().push(i64::from(choice))?;
+                // The driver may have taken its time.
+                turn.fresh = true;
                 Ok(Flow::Next)
             }),
             Wait::Choice(_) => self.fault(ScriptFault::Unexpected),
@@ -157,14 +161,15 @@ impl<'a, O: ScriptOutbox> Turn<'a, O> {
     fn register(&mut self, from: u8, anew: Anew) {
         if let Some((handler, port)) = self.program.handled(from) {
             self.frame().wait = Wait::Register(handler, anew);
-            return self.out.request(Request::Handle { port, handled: true });
+            let handled = anew != Anew::Passive || self.script.acting >> handler & 1 == 0;
+            return self.out.request(Request::Handle { port, handled });
         }
         let at = match anew {
             Anew::Begin => 0,
             Anew::TakeOver => self.program.takeover.unwrap_or(0),
             Anew::Passive => {
                 self.frame().wait = Wait::Passive;
-                return self.out.request(Request::Work);
+                return self.out.request(Request::Lease);
             }
         };
         *self.frame() = Frame { at, ..Frame::default() };
@@ -199,6 +204,8 @@ impl<'a, O: ScriptOutbox> Turn<'a, O> {
         let handler = self.program.handler(trigger);
         if call == Call::Fenced {
             self.cut_short();
+            // The thread does not go on, whatever section it was in.
+            self.script.atomic = 0;
             if handler.is_none() {
                 return self.fenced();
             }
@@ -300,6 +307,7 @@ impl<'a, O: ScriptOutbox> Turn<'a, O> {
             (Op::Lease, Signal::Granted(epoch)) => self.value = i64::from(epoch),
             (
                 Op::Reply { .. }
+                | Op::ReplyFor { .. }
                 | Op::Order(_)
                 | Op::Start { .. }
                 | Op::Stop(_)
@@ -308,7 +316,8 @@ impl<'a, O: ScriptOutbox> Turn<'a, O> {
                 Signal::Accepted(_),
             ) => {}
             (_, Signal::Fault(Fault::Fenced)) => self.outcome = StatementOutcome::Fenced,
-            (_, Signal::Fault(Fault::NothingToAnswer | Fault::Late)) => {
+            (Op::ReplyFor { .. }, Signal::Fault(Fault::NotAPeer))
+            | (_, Signal::Fault(Fault::NothingToAnswer | Fault::Late)) => {
                 self.outcome = StatementOutcome::Unanswerable;
             }
             (_, Signal::Fault(fault)) => return Err(ScriptFault::Request(fault)),

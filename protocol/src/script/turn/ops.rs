@@ -1,10 +1,13 @@
 //! What each operation does.
 
 use super::{Flow, Step, Turn};
+use crate::ids::{PortId, TaskId};
+use crate::packet::Contents;
 use crate::request::{Answers, Request};
 use crate::script::program::{Fusing, Mark, Op, StatementOutcome, Trigger};
 use crate::script::value::{Operands, Slot, Term};
 use crate::script::{Action, End, Frame, Inbound, Script, ScriptFault, ScriptOutbox, Wait};
+use crate::ticks::Ticks;
 
 impl<O: ScriptOutbox> Turn<'_, O> {
     pub(super) fn execute(&mut self, op: Op) -> Step {
@@ -46,9 +49,22 @@ impl<O: ScriptOutbox> Turn<'_, O> {
             }
             Op::Answer { port, task } => {
                 let answer = self.out.answer(port, Some(task), 0);
-                self.inbound =
-                    answer.map(|contents| Inbound { contents, port, task: Some(task), is_answer: true });
-                self.operands().push(i64::from(answer.is_some()))?;
+                self.bring(port, Some(task), answer)?;
+            }
+            Op::Published => {
+                let published = self.out.published().filter(|said| !said.as_bytes().is_empty());
+                self.bring(PortId::NONE, None, published)?;
+            }
+            Op::Arrival { port, task, format } => {
+                let told = self.out.arrival(port, task);
+                let bytes = self.format(format)?.bytes();
+                let told = told.and_then(|told| Contents::new(told.get(..bytes)?));
+                self.bring(port, Some(task), told)?;
+            }
+            Op::ReceivedId => {
+                let id = self.frame().message.map(|message| message.id);
+                let number = id.map_or(0, |id| u32::from(id.incarnation.0) << 24 | id.sequence.get());
+                self.operands().push(i64::from(number))?;
             }
             Op::Unpack { format, into } => self.unpack(format, into)?,
             Op::ReceivedPort => {
@@ -77,18 +93,8 @@ impl<O: ScriptOutbox> Turn<'_, O> {
             }
             Op::HandlerEnd => return self.handler_end(),
             Op::Choose(alternatives) => return self.choose(alternatives),
-            Op::Send { .. } | Op::Reply { .. } => return self.transfer(1),
-            Op::Run { action, arguments, least, most } => {
-                let first = self.script.held.checked_sub(usize::from(arguments));
-                let first = first.ok_or(ScriptFault::Malformed)?;
-                let level = self.script.level;
-                let arguments = self.script.operands.get(first..self.script.held);
-                let arguments = arguments.ok_or(ScriptFault::Malformed)?;
-                self.out.request(Request::Work);
-                self.out.run(Action { level, action, arguments, least, most });
-                self.drop_operands(first);
-                return Ok(Flow::Wait(Wait::Working));
-            }
+            Op::Send { .. } | Op::Reply { .. } | Op::ReplyFor { .. } => return self.transfer(1),
+            Op::Run { action, arguments, least, most } => return self.act(action, arguments, least, most),
             Op::Get { .. }
             | Op::Arrive { .. }
             | Op::Order(_)
@@ -104,6 +110,35 @@ impl<O: ScriptOutbox> Turn<'_, O> {
             }
         }
         Ok(Flow::Next)
+    }
+
+    /// Makes this what [`Op::Unpack`] reads, and pushes whether there is anything.
+    fn bring(
+        &mut self,
+        port: PortId,
+        task: Option<TaskId>,
+        came: Option<Contents>,
+    ) -> Result<(), ScriptFault> {
+        self.inbound = came.map(|contents| Inbound { contents, port, task, is_answer: true });
+        self.operands().push(i64::from(came.is_some()))
+    }
+
+    /// Begins an action. Who lost its lease begins none (D61): the handler of the fence itself still may, to come to rest.
+    fn act(&mut self, action: u16, arguments: u8, least: Ticks, most: Ticks) -> Step {
+        let script = &*self.script;
+        let first = script.held.checked_sub(usize::from(arguments)).ok_or(ScriptFault::Malformed)?;
+        if script.frames[0].wait == Wait::Passive {
+            self.forget_answer();
+            self.outcome = StatementOutcome::Fenced;
+            self.drop_operands(first);
+            return Ok(Flow::Next);
+        }
+        let level = script.level;
+        let arguments = script.operands.get(first..script.held).ok_or(ScriptFault::Malformed)?;
+        self.out.request(Request::Work);
+        self.out.run(Action { level, action, arguments, least, most });
+        self.drop_operands(first);
+        Ok(Flow::Wait(Wait::Working))
     }
 
     /// The request of an operation that makes just one.

@@ -1,0 +1,168 @@
+//! What checks ask about a cell as a whole (D45): read off the machines, and off what only the checker remembers.
+
+use super::Floor;
+use super::plan::FloorPlan;
+use imrs_protocol::script::{Activity, Predicate, Term};
+use imrs_protocol::{CommTask, PortId, Request, Round, TaskId};
+
+/// What no machine keeps. Empty where no check asks for it.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Hash)]
+pub(crate) struct Told {
+    /// For each member of a waitfor that checks name: whether it reached that in this life; of a node that is down,
+    /// whether it had arrived when that crashed.
+    pub reached: Vec<(PortId, TaskId, bool)>,
+    /// Whether the last request of the task on the port was answered.
+    pub answered: Vec<(TaskId, PortId, bool)>,
+}
+
+impl Told {
+    pub fn new(plan: &FloorPlan) -> Self {
+        let mut told = Self::default();
+        for predicate in predicates(plan) {
+            match predicate {
+                Predicate::Arrived { port, .. } if told.reached.iter().all(|&(known, ..)| known != port) => {
+                    let parties = plan.cell.port(port).map_or(&[][..], |port| &port.parties);
+                    told.reached.extend(parties.iter().map(|party| (port, party.task, false)));
+                }
+                Predicate::Answered { task, port } if !told.answered.contains(&(task, port, false)) => {
+                    told.answered.push((task, port, false));
+                }
+                Predicate::Arrived { .. }
+                | Predicate::Answered { .. }
+                | Predicate::Asked { .. }
+                | Predicate::Active(_) => {}
+            }
+        }
+        told
+    }
+
+    /// The flags, for a packed state.
+    pub fn flags(&self) -> impl Iterator<Item = bool> {
+        let reached = self.reached.iter().map(|&(.., flag)| flag);
+        reached.chain(self.answered.iter().map(|&(.., flag)| flag))
+    }
+
+    pub fn flags_mut(&mut self) -> impl Iterator<Item = &mut bool> {
+        let reached = self.reached.iter_mut().map(|(.., flag)| flag);
+        reached.chain(self.answered.iter_mut().map(|(.., flag)| flag))
+    }
+
+    /// The task's request on this port has ended.
+    pub fn ended(&mut self, task: TaskId, port: Option<PortId>, answered: bool) {
+        let of = self.answered.iter_mut().filter(|(whose, at, _)| *whose == task && Some(*at) == port);
+        of.for_each(|(.., flag)| *flag = answered);
+    }
+}
+
+/// The predicates of a plan's checks.
+pub(super) fn predicates(plan: &FloorPlan) -> impl Iterator<Item = Predicate> {
+    plan.checks.iter().flatten().filter_map(|term| if let Term::Is(it) = term { Some(*it) } else { None })
+}
+
+impl Floor {
+    /// Notes what a task asks, as far as checks want to know.
+    pub(super) fn note_asked(&mut self, task: TaskId, request: &Request) {
+        match *request {
+            Request::Arrive { port, .. } => {
+                let stations = &self.stations;
+                let up = |member: TaskId| {
+                    self.plan.cell.location(member).is_some_and(|node| stations[node.index()].up)
+                };
+                for (at, member, flag) in &mut self.ghosts.told.reached {
+                    if *at == port && *member == task {
+                        *flag = true;
+                    } else if *at == port && !up(*member) {
+                        *flag = false;
+                    }
+                }
+            }
+            Request::Send { port, .. } => self.ghosts.told.ended(task, Some(port), false),
+            _ => {}
+        }
+    }
+
+    /// A node crashes: its tasks have asked nothing, and had arrived where they had. Call it while the node is up.
+    pub(super) fn note_crash(&mut self, node: usize) {
+        let arrived: Vec<bool> =
+            self.ghosts.told.reached.iter().map(|&(port, task, _)| self.has_arrived(port, task)).collect();
+        let on_node = |floor: &Self, task: TaskId| floor.station_of(task.index()) == node;
+        for (i, arrived) in arrived.into_iter().enumerate() {
+            if on_node(self, self.ghosts.told.reached[i].1) {
+                self.ghosts.told.reached[i].2 = arrived;
+            }
+        }
+        for i in 0..self.ghosts.told.answered.len() {
+            if on_node(self, self.ghosts.told.answered[i].0) {
+                self.ghosts.told.answered[i].2 = false;
+            }
+        }
+    }
+
+    /// A node restarts: its tasks have arrived nowhere.
+    pub(super) fn note_restart(&mut self, node: usize) {
+        for i in 0..self.ghosts.told.reached.len() {
+            if self.station_of(self.ghosts.told.reached[i].1.index()) == node {
+                self.ghosts.told.reached[i].2 = false;
+            }
+        }
+    }
+
+    pub(super) fn look_up(&self, term: Term) -> Option<i64> {
+        match term {
+            Term::Of { task, variable } => {
+                self.bodies.get(task.index())?.actor.as_ref()?.script.var(variable)
+            }
+            Term::Is(predicate) => self.holds(predicate).map(i64::from),
+            Term::Push(_)
+            | Term::Load(_)
+            | Term::Int(_)
+            | Term::Real(_)
+            | Term::Negate
+            | Term::NegateReal
+            | Term::Not
+            | Term::ToReal
+            | Term::ToInt => None,
+        }
+    }
+
+    fn holds(&self, predicate: Predicate) -> Option<bool> {
+        Some(match predicate {
+            Predicate::Active(task) => {
+                let lives = self.bodies.get(task.index())?.actor.as_ref().is_none_or(|actor| {
+                    let activity = actor.script.activity();
+                    !matches!(activity, Activity::NotBegun | Activity::Passive | Activity::Ended(_))
+                });
+                lives && self.machine(task).is_some_and(CommTask::is_active)
+            }
+            Predicate::Asked { task, port } => {
+                self.bodies.get(task.index())?;
+                self.machine(task).is_some_and(|machine| machine.outstanding().any(|(p, ..)| p == port))
+            }
+            Predicate::Answered { task, port } => {
+                let answered = &self.ghosts.told.answered;
+                answered.iter().find(|&&(whose, at, _)| (whose, at) == (task, port))?.2
+            }
+            Predicate::Arrived { port, task } => {
+                self.plan.cell.port(port)?.party(task)?;
+                self.has_arrived(port, task)
+            }
+        })
+    }
+
+    /// Whether the task reached the waitfor and nobody has begun a later meeting there since.
+    fn has_arrived(&self, port: PortId, task: TaskId) -> bool {
+        let reached = self.ghosts.told.reached.iter().filter(|&&(at, _, flag)| at == port && flag);
+        let rounds: Vec<(TaskId, Option<Round>)> = reached
+            .map(|&(_, member, _)| (member, self.machine(member).and_then(|machine| machine.announced(port))))
+            .collect();
+        let newest = rounds.iter().filter_map(|&(_, round)| round).reduce(Round::fresher);
+        // Of a task whose node is down the flag says it all.
+        rounds.iter().any(|&(member, round)| member == task && (round.is_none() || round == newest))
+    }
+
+    /// The communication task of a task whose node is up.
+    fn machine(&self, task: TaskId) -> Option<&CommTask> {
+        let station = self.stations.get(self.plan.cell.location(task)?.index())?;
+        if station.up { station.node.task(task) } else { None }
+    }
+}
