@@ -231,7 +231,7 @@ fn check_levels(task: &CommTask) -> Result<(), Violation> {
 
 fn check_desk(task: &CommTask, at: u16, desk: &Desk) -> Result<(), Violation> {
     let waits = task.running().iter().any(|level| level.pending == Pending::Reply(at));
-    let ended = task.running().iter().any(|level| level.finished == Some(Finished::Answers(at)));
+    let ended = task.running().iter().any(|level| matches!(level.finished, Some(Finished::Answers(d) | Finished::Long(d)) if d == at));
     if waits != (desk.phase == Phase::Open) || ended != (desk.phase == Phase::Ended) {
         return Err(Violation::WaitsForNothing(desk.port));
     }

@@ -20,8 +20,10 @@ pub(crate) const DEPTH: usize = ServiceOrder::LEVELS + 2;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(crate) enum Finished {
     Outcome(Outcome),
-    /// The request at this desk.
+    /// The request at this desk, to several tasks.
     Answers(u16),
+    /// The request at this desk, with an answer in several packets.
+    Long(u16),
     Released {
         port: PortId,
         round: Round,
@@ -119,6 +121,11 @@ impl CommTask {
                 let desk = &mut self.desks[usize::from(desk)];
                 desk.phase = Phase::Closed;
                 Signal::Answers { port: desk.port, answers: desk.answers() }
+            }
+            Finished::Long(desk) => {
+                let desk = &mut self.desks[usize::from(desk)];
+                desk.phase = Phase::Closed;
+                Signal::Outcome(Outcome::Reply(desk.long_answer().unwrap_or_default()))
             }
             Finished::Released { port, round, by } => Signal::Released { port, round, by },
             Finished::GaveUp { port, round, missing } => Signal::GaveUp { port, round, missing },

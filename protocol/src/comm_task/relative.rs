@@ -49,7 +49,7 @@ macro_rules! relatives {
                 Some(Finished::Released { port, round, .. } | Finished::GaveUp { port, round, .. }) => {
                     $v.round(*port, round);
                 }
-                Some(Finished::Outcome(_) | Finished::Answers(_) | Finished::TimeOut(_) | Finished::Granted(_)) | None => {}
+                Some(Finished::Outcome(_) | Finished::Answers(_) | Finished::Long(_) | Finished::TimeOut(_) | Finished::Granted(_)) | None => {}
             }
         }
         for desk in & $($m)? $self.desks {
