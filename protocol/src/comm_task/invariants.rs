@@ -160,7 +160,7 @@ fn check_inbox(task: &CommTask, table: &NodeTable, inbox: &Inbox) -> Result<(), 
     // The variants lengthen lives where a message waits: it outlives what its sender, and the memory, think of it.
     let literal = port.decl.penalty.is_some_and(|penalty| penalty.literal);
     let exact = table.rules().charge_residence && !literal;
-    for (_, _, held) in inbox.queue.iter() {
+    for (_, held) in inbox.queue.iter() {
         let (id, source) = (inbox.port, held.source);
         if held.expires <= task.now {
             return Err(Violation::HoldsExpired(id, source, held.id));
@@ -199,7 +199,7 @@ fn is_remembered(task: &CommTask, inbox: &Inbox, held: &Held) -> bool {
 fn check_memory(source: TaskId, command: &Remembered) -> Result<(), Violation> {
     let budget_fits = match command.fate {
         Fate::Delivered(budget_ends) => budget_ends <= command.sender_until,
-        Fate::Held | Fate::Refused | Fate::Answered(_) => true,
+        Fate::Held | Fate::Lapsed | Fate::Refused | Fate::Answered(_) => true,
     };
     if command.until < command.sender_until || !budget_fits {
         return Err(Violation::MemoryTooShort(source, command.id));

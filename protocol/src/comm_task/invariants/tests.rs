@@ -60,10 +60,7 @@ fn planted(fault: impl FnOnce(&mut CommTask)) -> Violation {
 fn a_planted_fault_in_a_buffer_or_memory_is_found() {
     let id = MessageId::default();
     let inbox = |task: &mut CommTask, change: fn(&mut Held)| {
-        task.inboxes[0].queue.rekey(|key, held| {
-            change(held);
-            key
-        });
+        task.inboxes[0].queue.change_all(change);
     };
     assert_eq!(planted(|t| inbox(t, |h| h.expires = Ticks(10))), Violation::HoldsExpired(MOVE, A, id));
     assert_eq!(planted(|t| inbox(t, |h| h.class = Class::Status)), Violation::HoldsForeign(MOVE, A, id));
@@ -120,10 +117,7 @@ fn a_planted_fault_among_handlers_is_found() {
     use crate::comm_task::levels::Level;
     let holds = |t: &mut CommTask, change: fn(&mut Held)| {
         t.inboxes[0].handled = true;
-        t.inboxes[0].queue.rekey(|key, held| {
-            change(held);
-            key
-        });
+        t.inboxes[0].queue.change_all(change);
     };
     let id = MessageId::default();
     assert_eq!(planted(|t| holds(t, |h| h.not_before = Ticks(10))), Violation::NotOffered(MOVE, A, id));
