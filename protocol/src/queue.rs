@@ -171,6 +171,11 @@ impl<T: Entry> Queue<T> {
         self.last.order(|slot| last(entries, slot));
     }
 
+    /// Changes what decides no entry's place.
+    pub fn adjust(&mut self, change: impl FnMut(&mut T)) {
+        self.entries.iter_mut().flatten().for_each(change);
+    }
+
     /// Removes everything.
     pub fn clear(&mut self) {
         if self.urgent.slots.is_empty() && self.free.is_sorted_by(|a, b| a >= b) {

@@ -1,6 +1,6 @@
 //! The transit buffer and message scheduling of the route layer (§5.1.1, §5.2.3): one per node, the smallest time_out
 //! first, emptied by [`Transit::next`] whenever a link can take a packet. What can no longer arrive in time holds up nothing
-//! else: it is removed here (D80). A packet costs O(log n), n packets waiting; only while the link that the most urgent one
+//! else: it is removed here (D83). A packet costs O(log n), n packets waiting; only while the link that the most urgent one
 //! needs is busy are the others looked through.
 //!
 //! The words of a refusal (D19) wait in places of their own: where they had to find room among the messages, a full

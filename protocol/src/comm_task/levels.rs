@@ -160,7 +160,7 @@ impl CommTask {
     }
 
     /// How many rejections make a message outrank the task's own thread (D58).
-    const fn cap(base: u8) -> u8 {
+    pub(super) const fn cap(base: u8) -> u8 {
         if base == 0 { 1 } else { base }
     }
 
@@ -182,6 +182,27 @@ impl CommTask {
         }
         let handled = self.inboxes.iter().filter(|inbox| inbox.handled);
         handled.map(|inbox| inbox.queue.next_due()).min().unwrap_or(Ticks::FAR)
+    }
+
+    /// The task says what outranks what (D16). What was rejected so often that it outranks the thread does so under the new
+    /// order, too, and nothing counts for more than the new order's ranks: so no change of order takes a turn away (D58).
+    pub(super) fn set_order(&mut self, order: ServiceOrder) {
+        let old = core::mem::replace(&mut self.order, order);
+        for inbox in &mut self.inboxes {
+            let port = inbox.port;
+            inbox.queue.adjust(|held| {
+                let [before, after] = [old, order].map(|order| Self::cap(order.rank(port, held.source)));
+                held.rejections =
+                    if held.rejections >= before { after } else { held.rejections.min(after) };
+            });
+        }
+    }
+
+    /// A timer that is over and outranks the thread that could be interrupted: it should have been offered.
+    pub(super) fn kept_timer(&self, table: &NodeTable) -> Option<TimeId> {
+        let ended = self.timers.ended().filter(|_| self.interruptible(false))?;
+        let id = self.timers.0.get(ended).copied().flatten()?.id;
+        self.outranks(table, self.order.timers(), false).then_some(id)
     }
 
     /// Until when messages are due to be offered: in a plain GET all are.
@@ -332,7 +353,7 @@ impl CommTask {
                 held.rejected_first = round;
             }
             let cap = Self::cap(self.order.rank(port, held.source));
-            held.rejections = held.rejections.saturating_add(1).min(cap.max(held.rejections));
+            held.rejections = held.rejections.saturating_add(1).min(cap);
         }
     }
 

@@ -35,7 +35,11 @@ pub(crate) struct Remembered {
     pub until: Ticks,
 }
 
-/// The class-1 messages of one source that were seen: the newest and the 64 before it.
+/// The class-1 messages of one source that were seen: the newest and the 64 numbers before it.
+///
+/// A source numbers all that it sends, on whatever port and to whomever (D6): a send to `n` tasks takes `n` numbers. So a
+/// message that a later one of this port overtook is taken if the source sent at most 63 others in between; else it counts
+/// as seen. It is class 1: lost or not, it is not missed (R53, D75).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(crate) struct Window {
     pub newest: Option<Seq24>,

@@ -23,7 +23,7 @@ impl CommTask {
             Request::Done => self.done().map(Some),
             _ if self.top().pending != Pending::Nothing => Err(Fault::Busy),
             Request::Order(order) => {
-                self.order = order;
+                self.set_order(order);
                 Ok(Some(Signal::Accepted(0)))
             }
             Request::Send { port, to, contents, time_out } => {
