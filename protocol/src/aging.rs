@@ -100,7 +100,8 @@ mod tests {
 
     #[test]
     fn nothing_overflows() {
-        let far = Service { ahead: u16::MAX, rivals: u16::MAX, longest: Ticks::FAR, penalty: Ticks::FAR, ..ONE };
+        let far =
+            Service { ahead: u16::MAX, rivals: u16::MAX, longest: Ticks::FAR, penalty: Ticks::FAR, ..ONE };
         assert_eq!((far.bound(), far.bound_by_gets()), (Ticks::FAR, Ticks::FAR));
     }
 }

@@ -257,7 +257,7 @@ impl Heap {
     /// The next position to look at when those below one are done with.
     fn beside(&self, mut position: usize) -> Option<usize> {
         while position > 0 {
-            if position % 4 != 0 && position + 1 < self.slots.len() {
+            if !position.is_multiple_of(4) && position + 1 < self.slots.len() {
                 return Some(position + 1);
             }
             position = (position - 1) / 4;

@@ -88,8 +88,7 @@ pub(crate) enum Admission {
 impl Inbox {
     pub fn new(port: &Port, own: TaskId) -> Self {
         let decl = &port.decl;
-        let mut sources: Vec<Source> =
-            port.peers(own).map(|peer| Source::new(peer, decl)).collect();
+        let mut sources: Vec<Source> = port.peers(own).map(|peer| Source::new(peer, decl)).collect();
         sources.sort_unstable_by_key(|source| source.task);
         let bodies = if decl.fragments > 1 { decl.bounded_buffer } else { 0 };
         Self {

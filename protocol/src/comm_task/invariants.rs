@@ -106,7 +106,10 @@ impl fmt::Display for Violation {
                 )
             }
             Self::RejectedTooLong(port, source, id) => {
-                write!(f, "message {id} of {source} on port {port} is not offered again when its penalty is over")
+                write!(
+                    f,
+                    "message {id} of {source} on port {port} is not offered again when its penalty is over"
+                )
             }
             Self::Timers(id) => write!(f, "two timers or delays of the task are called {}", id.0),
             Self::TimerNotOffered(id) => write!(f, "timer {} is over, and its handler should run", id.0),
@@ -202,12 +205,7 @@ fn check_inbox(task: &CommTask, table: &NodeTable, inbox: &Inbox) -> Result<(), 
 }
 
 /// How often and for how long a message was rejected (D58).
-fn check_rejections(
-    task: &CommTask,
-    table: &NodeTable,
-    port: &Port,
-    held: &Held,
-) -> Result<(), Violation> {
+fn check_rejections(task: &CommTask, table: &NodeTable, port: &Port, held: &Held) -> Result<(), Violation> {
     let penalty = port.decl.penalty;
     let counts = table.rules().aging == Aging::Bounded && !penalty.is_some_and(|penalty| penalty.literal);
     let cap = if counts { CommTask::cap(task.order.rank(port.id, held.source)) } else { 0 };
@@ -284,7 +282,10 @@ fn check_levels(task: &CommTask) -> Result<(), Violation> {
 
 fn check_desk(task: &CommTask, at: u16, desk: &Desk) -> Result<(), Violation> {
     let waits = task.running().iter().any(|level| level.pending == Pending::Reply(at));
-    let ended = task.running().iter().any(|level| matches!(level.finished, Some(Finished::Answers(d) | Finished::Long(d)) if d == at));
+    let ended = task
+        .running()
+        .iter()
+        .any(|level| matches!(level.finished, Some(Finished::Answers(d) | Finished::Long(d)) if d == at));
     if waits != (desk.phase == Phase::Open) || ended != (desk.phase == Phase::Ended) {
         return Err(Violation::WaitsForNothing(desk.port));
     }

@@ -192,8 +192,7 @@ impl CommTask {
             let port = inbox.port;
             inbox.queue.adjust(|held| {
                 let [before, after] = [old, order].map(|order| Self::cap(order.rank(port, held.source)));
-                held.rejections =
-                    if held.rejections >= before { after } else { held.rejections.min(after) };
+                held.rejections = if held.rejections >= before { after } else { held.rejections.min(after) };
             });
         }
     }

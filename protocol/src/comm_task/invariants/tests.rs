@@ -146,7 +146,9 @@ fn a_planted_fault_among_handlers_is_found() {
     let named = planted(|t| t.timers.0 = [started(false); CommTask::TIMERS]);
     let over = planted(|t| (t.timers.0[1], t.levels[0].pending) = (started(true), get));
     assert_eq!([named, over], [Violation::Timers(TimeId(7)), Violation::TimerNotOffered(TimeId(7))]);
-    for violation in [two, often, long, named, over, parts, planted(|t| holds(t, |h| h.not_before = Ticks(10)))] {
+    for violation in
+        [two, often, long, named, over, parts, planted(|t| holds(t, |h| h.not_before = Ticks(10)))]
+    {
         assert!(format!("{violation}").len() > 20, "{violation}");
     }
 }
