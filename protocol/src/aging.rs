@@ -17,6 +17,9 @@ pub struct Service {
     pub rank: u8,
     /// How many messages may stand before it in its own port: at most `bounded_buffer - 1` where all of them live alike.
     pub ahead: u16,
+    /// How many messages that were refused before it may stand in other ports with a handler: the sum of the
+    /// `bounded_buffer`s of those whose messages can be refused, too. Only for ports with a handler.
+    pub rivals: u16,
     /// The longest time from one GET to the next; for ports with a handler, the longest time that the task and the
     /// handlers go without a wait, a boundary or a return.
     pub longest: Ticks,
@@ -55,15 +58,19 @@ impl Service {
         Ticks(gets.saturating_mul(self.longest.0)) + Ticks(1)
     }
 
-    /// The life that is long enough for a message of a port with a handler.
+    /// The life that is long enough for a message of a port with a handler that outranks the thread only at its cap
+    /// (D76): no rank stands between its own, raised to the first one, and that of `self`. Handlers do not wait.
     ///
     /// It is refused at most [`most_refusals`](Self::most_refusals) times, and each time offered again when the penalty
-    /// is over and the task can be interrupted. Then it waits for those that were refused before it.
+    /// is over and the task can be interrupted. Then it waits for those that were refused before it, of whatever port,
+    /// and before each of them and itself for one that outranks the thread without being refused.
     #[must_use]
     pub fn bound(&self) -> Ticks {
         let refusals = u64::from(self.most_refusals());
         let refused = refusals.saturating_mul(self.penalty.0.saturating_add(self.longest.0));
-        let turns = u64::from(self.ahead).saturating_add(2);
+        let before = u64::from(self.ahead) + u64::from(self.rivals);
+        // The first one is under way when the message comes.
+        let turns = 1 + 2 * before + 1;
         Ticks(refused) + Ticks(turns.saturating_mul(self.longest.0)) + Ticks(1)
     }
 }
@@ -73,7 +80,7 @@ mod tests {
     use super::*;
 
     const ONE: Service =
-        Service { ports: 2, levels: 0, rank: 0, ahead: 0, longest: Ticks(1), penalty: Ticks(2) };
+        Service { ports: 2, levels: 0, rank: 0, ahead: 0, rivals: 0, longest: Ticks(1), penalty: Ticks(2) };
 
     #[test]
     fn gets_pass_a_head_over_four_times_and_once_for_every_other_port() {
@@ -87,12 +94,14 @@ mod tests {
     fn a_message_is_refused_once_for_each_level_above_it() {
         assert_eq!([0, 1, 3].map(|rank| Service { rank, ..ONE }.most_refusals()), [1, 1, 3]);
         assert_eq!(Service { rank: 2, ..ONE }.bound(), Ticks(2 * 3 + 2 + 1));
-        assert_eq!(Service { rank: 2, ahead: 3, penalty: Ticks(5), ..ONE }.bound(), Ticks(2 * 6 + 5 + 1));
+        assert_eq!(Service { rank: 2, ahead: 3, penalty: Ticks(5), ..ONE }.bound(), Ticks(2 * 6 + 8 + 1));
+        assert_eq!(Service { ahead: 1, rivals: 4, longest: Ticks(2), ..ONE }.bound(), Ticks(4 + 12 * 2 + 1));
     }
 
     #[test]
     fn nothing_overflows() {
-        let far = Service { ahead: u16::MAX, longest: Ticks::FAR, penalty: Ticks::FAR, ..ONE };
+        let far =
+            Service { ahead: u16::MAX, rivals: u16::MAX, longest: Ticks::FAR, penalty: Ticks::FAR, ..ONE };
         assert_eq!((far.bound(), far.bound_by_gets()), (Ticks::FAR, Ticks::FAR));
     }
 }

@@ -420,6 +420,9 @@ pub enum CellError {
     CoupledTwice(String),
     /// A port acts under the lease of a couple that one of its senders is not in, or is a `waitfor`.
     NotOfTheCouple(String),
+    /// A port acts under a couple's lease where no epoch is carried: its messages take several packets, or it carries
+    /// answers for others or the couple's own beats (D61).
+    NoRoomForEpoch(String),
     /// The lease ends before a beat can renew it (D61).
     LeaseTooShort {
         /// The couple.
@@ -515,6 +518,10 @@ impl fmt::Display for CellError {
             Self::NotOfTheCouple(port) => write!(
                 f,
                 "port `{port}` acts under a couple's lease: only the two tasks of that couple may send on it, and it cannot be a waitfor"
+            ),
+            Self::NoRoomForEpoch(port) => write!(
+                f,
+                "port `{port}` acts under a couple's lease, and its epoch travels in messages of one packet only: not in several, in answers for others or in beats"
             ),
             Self::LeaseTooShort { couple, lease, least } => write!(
                 f,

@@ -84,7 +84,7 @@ mod tests {
             let mut index = Index::new(12);
             let mut map = BTreeMap::new();
             for (n, (insert, key)) in steps.into_iter().enumerate() {
-                let slot = u32::try_from(n).unwrap();
+                let slot = u16::try_from(n).unwrap();
                 if insert && map.len() < 12 && !map.contains_key(&key) {
                     index.insert(key, slot);
                     map.insert(key, slot);

@@ -8,7 +8,7 @@ use crate::comm_task::Overflow;
 use crate::ids::TaskId;
 use crate::index::Index;
 use crate::packed::{Eye, Pen};
-use crate::queue::Queue;
+use crate::queue::{self, Queue};
 use crate::request::TimeId;
 use crate::ticks::Ticks;
 
@@ -18,6 +18,24 @@ struct Entry {
     id: TimeId,
     turn: u8,
     expires: Ticks,
+    /// Of entries that end together the one armed first goes first.
+    armed: u64,
+}
+
+impl queue::Entry for Entry {
+    const PLAIN: bool = true;
+
+    fn key(&self) -> u128 {
+        (u128::from(self.expires.0) << 64) | u128::from(self.armed)
+    }
+
+    fn due(&self) -> Ticks {
+        self.expires
+    }
+
+    fn yields(&self) -> bool {
+        false
+    }
 }
 
 /// The Timer: `{src_id, id, length}` entries, earliest first.
@@ -42,9 +60,9 @@ impl Timer {
     pub fn arm(&mut self, owner: TaskId, id: TimeId, turn: u8, length: Ticks) -> bool {
         self.disarm(owner, id);
         let expires = self.now + length;
-        let key = (u128::from(expires.0) << 64) | u128::from(self.armed);
+        let armed = self.armed;
         self.armed += 1;
-        let Ok(slot) = self.queue.push(key, Entry { owner, id, turn, expires }) else { return false };
+        let Ok(slot) = self.queue.push(Entry { owner, id, turn, expires, armed }) else { return false };
         self.index.insert(name(owner, id), slot);
         true
     }
@@ -67,22 +85,19 @@ impl Timer {
     /// How long from the last `advance` until an entry is over.
     #[must_use]
     pub fn next_expiry(&self) -> Option<Ticks> {
-        self.queue.first().map(|(_, _, entry)| entry.expires - self.now)
+        self.queue.first().map(|(_, entry)| entry.expires - self.now)
     }
 
     /// The internal clock goes back to zero; behaviour does not change.
     pub fn rebase(&mut self) {
         let now = core::mem::take(&mut self.now);
-        self.queue.rekey(|old, entry| {
-            entry.expires = entry.expires - now;
-            (old & u128::from(u64::MAX)) | (u128::from(entry.expires.0) << 64)
-        });
+        self.queue.change_all(|entry| entry.expires = entry.expires - now);
     }
 
     /// The entries with what is left of each, earliest first.
     #[must_use]
     pub fn entries(&self) -> alloc::vec::Vec<(TaskId, TimeId, Ticks)> {
-        self.queue.sorted().into_iter().map(|(_, _, e)| (e.owner, e.id, e.expires - self.now)).collect()
+        self.queue.sorted().into_iter().map(|(_, e)| (e.owner, e.id, e.expires - self.now)).collect()
     }
 
     /// Writes the canonical bytes of the entries (D51) and returns how many.
@@ -92,7 +107,7 @@ impl Timer {
     pub fn store(&self, out: &mut [u8]) -> Result<usize, Overflow> {
         let mut pen = Pen::new(out);
         pen.small(self.queue.len())?;
-        for (_, _, entry) in self.queue.sorted() {
+        for (_, entry) in self.queue.sorted() {
             pen.small(entry.owner.0)?;
             pen.byte(entry.id.0)?;
             pen.ticks(entry.expires - self.now)?;

@@ -1,5 +1,7 @@
 //! The transit buffer and message scheduling of the route layer (§5.1.1, §5.2.3): one per node, the smallest time_out
-//! first, emptied by [`Transit::next`] whenever a link can take a packet.
+//! first, emptied by [`Transit::next`] whenever a link can take a packet. What can no longer arrive in time holds up nothing
+//! else: it is removed here (D83). A packet costs O(log n), n packets waiting; only while the link that the most urgent one
+//! needs is busy are the others looked through.
 //!
 //! The words of a refusal (D19) wait in places of their own: where they had to find room among the messages, a full
 //! buffer could never say that it is full, or would drop one command to tell of another (D79).
@@ -10,10 +12,10 @@ use crate::mapping;
 use crate::observe::{Event, Observation, Reason, TransitView};
 use crate::packed::{Eye, Pen};
 use crate::packet::{Class, Control, Kind, Packet};
-use crate::queue::{Queue, Slot};
+use crate::queue::{Entry, Queue, Slot};
 use crate::request::ReplyTo;
 use crate::route::{self, Departure};
-use crate::rules::Eviction;
+use crate::rules::{Eviction, TimeStamp};
 use crate::table::NodeTable;
 use crate::ticks::Ticks;
 
@@ -33,7 +35,26 @@ pub trait RouteOutbox {
 struct Waiting {
     packet: Packet,
     expires: Ticks,
+    /// When it can arrive no more: the bounds of the links ahead are taken from its life (D20).
+    leave_by: Ticks,
+    arrival: u64,
     next: NodeId,
+}
+
+/// Smallest time_out first (§5.1.1), commands before status, then in order of arrival.
+impl Entry for Waiting {
+    fn key(&self) -> u128 {
+        let class = u128::from(self.packet.class == Class::Status);
+        (u128::from(self.expires.0) << 64) | (class << 63) | u128::from(self.arrival & (u64::MAX >> 1))
+    }
+
+    fn due(&self) -> Ticks {
+        self.leave_by
+    }
+
+    fn yields(&self) -> bool {
+        self.packet.class == Class::Status
+    }
 }
 
 /// How many words of a refusal wait at most.
@@ -83,87 +104,84 @@ impl Transit {
         self.queue.len() == self.queue.capacity()
     }
 
-    /// Takes a packet in. On overflow (D60) what cannot arrive in time any more goes first; then status messages, those
-    /// with most time left before others; then the newcomer is refused unless it is more urgent than the least urgent
-    /// one held.
+    /// Takes a packet in, unless it cannot arrive in time any more: what cannot is never held. On overflow (D60) status
+    /// messages go first, those with most time left before others; then the newcomer is refused unless it is more urgent
+    /// than the least urgent one held.
     pub fn offer(&mut self, table: &NodeTable, packet: Packet, out: &mut impl RouteOutbox) {
         let Departure::Link(next) = route::departing(table, &packet) else {
             return self.discard(table, &packet, Reason::Unroutable, out);
         };
-        let waiting = Waiting { packet, expires: self.now + packet.remaining, next };
-        let key = key(&waiting, self.arrivals);
-        self.arrivals += 1;
+        let waiting = self.waits(table, packet, next);
+        if waiting.leave_by <= self.now {
+            return self.discard(table, &packet, Reason::ExpiredInTransit, out);
+        }
         if packet.control() == Some(Control::RefusedOnTheWay) && packet.kind == Kind::Control {
             // One word too many is one that its source never hears: D66 leaves its command to the time_out.
-            if self.words.push(key, waiting).is_err() {
+            if self.words.push(waiting).is_err() {
                 self.discard(table, &packet, Reason::Refused, out);
             }
             return;
         }
-        if self.queue.push(key, waiting).is_ok() {
+        if self.queue.push(waiting).is_ok() {
             return;
         }
-        let Some(slot) = self.victim(table, key, &waiting) else {
+        let Some(slot) = self.victim(table, &waiting) else {
             return self.discard(table, &packet, Reason::Refused, out);
         };
         if let Some(evicted) = self.queue.remove(slot) {
             self.discard(table, &evicted.left(self.now), Reason::Evicted, out);
         }
-        let _ = self.queue.push(key, waiting);
+        let _ = self.queue.push(waiting);
     }
 
     /// Which held packet makes room for a newcomer; `None`: the newcomer itself goes.
-    fn victim(&self, table: &NodeTable, key: u128, newcomer: &Waiting) -> Option<Slot> {
+    fn victim(&self, table: &NodeTable, newcomer: &Waiting) -> Option<Slot> {
         if table.rules().eviction == Eviction::ByTime {
             // The literal reading of §III: time_out alone decides.
-            let least_urgent = self.queue.iter().max_by_key(|&(key, ..)| key)?;
-            return (least_urgent.0 > key).then_some(least_urgent.1);
+            let (slot, least_urgent) = self.queue.iter().max_by_key(|(_, waiting)| waiting.key())?;
+            return (least_urgent.key() > newcomer.key()).then_some(slot);
         }
-        if !self.can_arrive(table, newcomer) {
-            return None;
-        }
-        let useless = self.queue.iter().find(|(_, _, w)| !self.can_arrive(table, w));
-        if let Some((_, slot, _)) = useless {
-            return Some(slot);
-        }
-        let status = self.queue.iter().filter(|(_, _, w)| w.packet.class == Class::Status);
-        let last_status = status.max_by_key(|&(key, ..)| key).map(|(key, slot, _)| (key, slot));
-        let status_held = last_status.is_some();
-        let (last, slot) = match last_status {
-            Some(status) => status,
-            None if newcomer.packet.class == Class::Status => return None,
-            None => self.queue.iter().max_by_key(|&(key, ..)| key).map(|(key, slot, _)| (key, slot))?,
+        let (slot, last) = self.queue.last()?;
+        let goes = match (last.yields(), newcomer.yields()) {
+            (true, false) => true,
+            (false, true) => false,
+            (true, true) | (false, false) => last.key() > newcomer.key(),
         };
-        let yields = newcomer.packet.class == Class::Command && status_held;
-        (yields || last > key).then_some(slot)
+        goes.then_some(slot)
     }
 
-    /// Whether more is left than the links ahead are taken to cost (D20).
-    fn can_arrive(&self, table: &NodeTable, waiting: &Waiting) -> bool {
-        let to = table.location(waiting.packet.destination);
+    fn waits(&mut self, table: &NodeTable, packet: Packet, next: NodeId) -> Waiting {
+        let expires = self.now + packet.remaining;
+        let to = table.location(packet.destination);
         let way = to.and_then(|to| table.path_bound(table.node, to)).unwrap_or(Ticks::ZERO);
-        waiting.expires > self.now + way
+        // Under the variants the links take nothing, or what has no time left still counts.
+        let answers = matches!(packet.kind, Kind::Reply | Kind::Response);
+        let late = (answers && !table.rules().refuse_late_replies)
+            || table.rules().time_stamp == TimeStamp::Absolute;
+        let leave_by = if late || expires == Ticks::FAR { expires } else { expires - way };
+        let arrival = self.arrivals;
+        self.arrivals += 1;
+        Waiting { packet, expires, leave_by, arrival, next }
     }
 
-    /// Time passes; what has none left is dropped.
+    /// Time passes; what can arrive in time no more is dropped.
     pub fn advance(&mut self, table: &NodeTable, elapsed: Ticks, out: &mut impl RouteOutbox) {
         self.now += elapsed;
         if !table.rules().charge_residence {
-            self.rekey(|expires| expires + elapsed);
+            self.change_all(|instant| instant + elapsed);
         }
-        while let Some(waiting) = self.queue.pop_if(|w| w.expires <= self.now) {
+        while let Some(waiting) = self.queue.pop_due(self.now) {
             self.discard(table, &waiting.left(self.now), Reason::ExpiredInTransit, out);
         }
-        while let Some(word) = self.words.pop_if(|w| w.expires <= self.now) {
+        while let Some(word) = self.words.pop_due(self.now) {
             self.discard(table, &word.left(self.now), Reason::ExpiredInTransit, out);
         }
     }
 
-    fn rekey(&mut self, expires: impl Fn(Ticks) -> Ticks) {
+    fn change_all(&mut self, instant: impl Fn(Ticks) -> Ticks) {
         for queue in [&mut self.queue, &mut self.words] {
-            queue.rekey(|old, waiting| {
-                waiting.expires = expires(waiting.expires);
-                (old & u128::from(u64::MAX)) | (u128::from(waiting.expires.0) << 64)
+            queue.change_all(|waiting| {
+                (waiting.expires, waiting.leave_by) = (instant(waiting.expires), instant(waiting.leave_by));
             });
         }
     }
@@ -175,7 +193,7 @@ impl Transit {
         let waiting = match (message, word) {
             (None, None) => return None,
             // Of equal urgency the word goes first: which of the two came first is in no packed state.
-            (message, Some((key, slot))) if message.is_none_or(|(other, _)| key >> 64 <= other >> 64) => {
+            (message, Some((expires, slot))) if message.is_none_or(|(other, _)| expires <= other) => {
                 self.words.remove(slot)?
             }
             (message, _) => self.queue.remove(message?.1)?,
@@ -184,29 +202,28 @@ impl Transit {
         Some((waiting.next, waiting.left(self.now)))
     }
 
-    /// How long from the last `advance` until a packet expires.
+    /// How long from the last `advance` until a packet can arrive in time no more.
     #[must_use]
     pub fn next_expiry(&self) -> Option<Ticks> {
-        let firsts = self.queue.first().into_iter().chain(self.words.first());
-        firsts.map(|(_, _, waiting)| waiting.expires - self.now).min()
+        (!self.is_empty()).then(|| self.queue.next_due().min(self.words.next_due()) - self.now)
     }
 
     /// The internal clock goes back to zero; behaviour does not change.
     pub fn rebase(&mut self) {
         let now = core::mem::take(&mut self.now);
-        self.rekey(|expires| expires - now);
+        self.change_all(|instant| instant - now);
     }
 
     /// The waiting messages, most urgent first, with what remains of each.
     #[must_use]
     pub fn waiting(&self) -> alloc::vec::Vec<Packet> {
-        self.queue.sorted().into_iter().map(|(_, _, w)| w.left(self.now)).collect()
+        self.queue.sorted().into_iter().map(|(_, w)| w.left(self.now)).collect()
     }
 
     /// The waiting words of a refusal, likewise.
     #[must_use]
     pub fn words(&self) -> alloc::vec::Vec<Packet> {
-        self.words.sorted().into_iter().map(|(_, _, w)| w.left(self.now)).collect()
+        self.words.sorted().into_iter().map(|(_, w)| w.left(self.now)).collect()
     }
 
     /// Writes the canonical bytes of what waits (D51) and returns how many.
@@ -222,7 +239,7 @@ impl Transit {
             pen.small(self.words.len())?;
         }
         let mut at = pen.at;
-        for (_, _, waiting) in self.queue.sorted().into_iter().chain(self.words.sorted()) {
+        for (_, waiting) in self.queue.sorted().into_iter().chain(self.words.sorted()) {
             at += waiting.left(self.now).store(frame, out.get_mut(at..).ok_or(Overflow)?)?;
         }
         Ok(at)
@@ -242,10 +259,9 @@ impl Transit {
             let (packet, len) = Packet::load(bytes.get(at..).unwrap_or(&[]), lives);
             at += len;
             let Departure::Link(next) = route::departing(table, &packet) else { continue };
-            let waiting = Waiting { packet, expires: packet.remaining, next };
+            let waiting = self.waits(table, packet, next);
             let queue = if i < messages { &mut self.queue } else { &mut self.words };
-            let _ = queue.push(key(&waiting, self.arrivals), waiting);
-            self.arrivals += 1;
+            let _ = queue.push(waiting);
         }
         at
     }
@@ -253,13 +269,14 @@ impl Transit {
     /// How the buffer looks to a monitor.
     #[must_use]
     pub fn view(&self) -> TransitView {
-        let mut next: alloc::vec::Vec<NodeId> = self.queue.iter().map(|(_, _, w)| w.next).collect();
+        let mut next: alloc::vec::Vec<NodeId> = self.queue.iter().map(|(_, w)| w.next).collect();
         next.sort_unstable();
         next.dedup();
+        let firsts = self.queue.first().into_iter().chain(self.words.first());
         TransitView {
             len: u16::try_from(self.queue.len()).unwrap_or(u16::MAX),
             capacity: u16::try_from(self.queue.capacity()).unwrap_or(u16::MAX),
-            min_slack: self.next_expiry(),
+            min_slack: firsts.map(|(_, waiting)| waiting.expires - self.now).min(),
             forwarded: self.forwarded,
             discarded: self.discarded.into(),
             next,
@@ -302,17 +319,11 @@ impl Waiting {
 }
 
 /// The most urgent entry whose link is ready.
-fn open(queue: &Queue<Waiting>, ready: &mut impl FnMut(NodeId) -> bool) -> Option<(u128, Slot)> {
-    let (key, slot, first) = queue.first()?;
+fn open(queue: &Queue<Waiting>, ready: &mut impl FnMut(NodeId) -> bool) -> Option<(Ticks, Slot)> {
+    let (slot, first) = queue.first()?;
     if ready(first.next) {
-        return Some((key, slot));
+        return Some((first.expires, slot));
     }
-    let open = queue.iter().filter(|(_, _, w)| ready(w.next));
-    open.min_by_key(|&(key, ..)| key).map(|(key, slot, _)| (key, slot))
-}
-
-/// Smallest time_out first (§5.1.1), commands before status, then in order of arrival.
-fn key(waiting: &Waiting, arrival: u64) -> u128 {
-    let class = u128::from(waiting.packet.class == Class::Status);
-    (u128::from(waiting.expires.0) << 64) | (class << 63) | u128::from(arrival & (u64::MAX >> 1))
+    let open = queue.iter().filter(|(_, waiting)| ready(waiting.next));
+    open.min_by_key(|(_, waiting)| waiting.key()).map(|(slot, waiting)| (waiting.expires, slot))
 }

@@ -3,6 +3,7 @@
 
 mod support;
 
+use imrs_protocol::aging::Service;
 use imrs_protocol::rules::Aging;
 use imrs_protocol::*;
 use std::sync::Arc;
@@ -256,4 +257,112 @@ fn a_flood_of_rejected_messages_keeps_the_first_rank_waiting_for_one_of_them_onl
     hear(&mut y, LOW);
     y.pass(5);
     assert_eq!(y.ask(Request::Return).delivery().map(|d| d.from.port), Some(HIGH));
+}
+
+/// How many ticks a status of the first port waits for its handler where those of two other ports were refused before it,
+/// and every handler takes `longest`.
+fn behind_rivals(each: u16, longest: u64) -> (u64, Ticks) {
+    let mut room = Room::new(|cell| cell.ports.iter_mut().for_each(|port| port.time_out = Ticks(1000)));
+    let ports = [PLAIN[0], PLAIN[1], HIGH];
+    for port in ports {
+        room.y.ask(handle(port));
+    }
+    // What outranks the thread comes all the time.
+    room.y.ask(order(&[Ranked::Port(HIGH), Ranked::Own]));
+    room.y.ask(Request::Work);
+    for port in [PLAIN[1], PLAIN[0]] {
+        (0..each).for_each(|_| drop(room.hear(port, 1)));
+    }
+    room.hear(PLAIN[0], 77);
+    let mut waited = 0;
+    let mut running = false;
+    loop {
+        let effects = if running { room.y.ask(Request::Return) } else { room.y.pass(1) };
+        waited += u64::from(!running);
+        running = match effects.delivery().map(|d| d.contents.as_bytes()[0]) {
+            Some(77) => break,
+            Some(_) => true,
+            None => false,
+        };
+        if running {
+            room.hear(HIGH, 2);
+            room.y.pass(longest);
+            waited += longest;
+        }
+    }
+    let service = Service {
+        ports: 5,
+        levels: 2,
+        rank: 2,
+        ahead: each,
+        rivals: each,
+        longest: Ticks(longest),
+        penalty: Ticks(2),
+    };
+    (waited, service.bound())
+}
+
+#[test]
+fn the_bound_counts_what_was_refused_before_on_other_ports() {
+    for (each, longest) in [(0, 5), (1, 5), (3, 4), (7, 3)] {
+        let (waited, bound) = behind_rivals(each, longest);
+        assert!(Ticks(waited) <= bound, "{each} of each port before it: {waited} of {bound}");
+        // With only those of its own port counted it would be too small.
+        assert!(waited >= 4 * u64::from(each) * longest, "{each}: {waited}");
+    }
+}
+
+#[test]
+fn a_new_order_takes_no_turn_away() {
+    let mut room = Room::new(|_| ());
+    room.y.ask(handle(LOW));
+    room.y.ask(Request::Work);
+    room.hear(LOW, 1);
+    room.y.ask(Request::Done);
+    // At its cap of one; under the new order it would be rejected three times.
+    let levels = [Ranked::Own, Ranked::Timers, Ranked::Port(HIGH), Ranked::Port(LOW)];
+    room.y.ask(order(&levels));
+    room.y.ask(Request::Work);
+    assert_eq!(room.ticks_to_interrupt(9), Some((4, "interrupt [1] from T0 for 96".into())));
+}
+
+/// The least time in which a packet is taken in that does not outrank the thread, where so many wait.
+fn time_for_one(waiting: u16) -> std::time::Duration {
+    let mut cell = Cell::new("hall", Ticks(1));
+    let node = cell.node("n");
+    let (x, y) = (cell.task("x", node), cell.task("y", node));
+    let port = PortDecl::new("low", x, Usage::Send, &[y], Ticks(60_000_000)).penalty(Ticks(1_000_000));
+    cell.port(port.bounded_buffer(waiting));
+    let table = Arc::new(CellTable::new(cell).expect("a checked cell"));
+    let (mut x, mut y) = (Solo::new(&table, x), Solo::new(&table, y));
+    for request in [handle(LOW), Request::Work] {
+        y.ask(request);
+    }
+    let mut each = Vec::new();
+    // Twice as many as there is room for: the later half finds the buffer full.
+    for n in 0..2 * waiting {
+        let packet = x.ask(send_for(LOW, Y, 1, 50_000_000 - u64::from(n))).packets[0];
+        let start = std::time::Instant::now();
+        y.task.handle(&y.table, Input::Packet(packet), &mut Nowhere);
+        let due = y.task.next_expiry();
+        each.push(start.elapsed());
+        assert!(due.is_some());
+    }
+    each[usize::from(waiting) + 1..].iter().min().copied().expect("some")
+}
+
+struct Nowhere;
+
+impl Outbox for Nowhere {
+    fn transmit(&mut self, _: Packet) {}
+    fn signal(&mut self, _: Signal) {}
+    fn arm(&mut self, _: TimeId, _: u8, _: Ticks) {}
+    fn disarm(&mut self, _: TimeId) {}
+}
+
+#[test]
+fn a_packet_costs_about_the_same_however_many_wait() {
+    let [few, many] = [16, 8192].map(time_for_one);
+    // As many steps as messages wait would make it some hundred times as long.
+    assert!(many < 30 * few.max(std::time::Duration::from_nanos(100)), "{few:?} and {many:?}");
 }

@@ -173,7 +173,8 @@ fn a_dropped_packet_is_seen_with_its_reason() {
 fn all_parts_of_a_node_have_one_time() {
     let mut net = Net::new(cell());
     net.busy = vec![N1];
-    net.ask(X, send_for(BEAT, Z, 1, 9));
+    // The way to Z takes 5.
+    net.ask(X, send_for(BEAT, Z, 1, 14));
     net.ask(X, Request::Delay { id: TimeId(1), length: Ticks(7) });
     net.ask(Y, get(8));
     assert_eq!(net.nodes[0].next_expiry(), Some(Ticks(7)));

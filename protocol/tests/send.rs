@@ -371,3 +371,23 @@ fn a_user_re_sends_as_often_as_it_says_itself() {
     let sent: Vec<_> = net.transcript().into_iter().filter(|line| line.contains("SEND")).collect();
     assert_eq!(sent.len(), 3, "{sent:?}");
 }
+
+#[test]
+fn a_status_overtaken_by_more_than_the_window_counts_as_seen() {
+    // Every task of a one-to-many send takes a number of its source (D75).
+    let overtaken = |users: usize| {
+        let mut cell = Cell::new("many", Ticks(1));
+        let node = cell.node("n");
+        let x = cell.task("x", node);
+        let all: Vec<_> = (0..users).map(|i| cell.task(&format!("y{i}"), node)).collect();
+        let port = cell.port(PortDecl::new("p", x, Usage::Send, &all, Ticks(50)).bounded_buffer(4));
+        let table = Arc::new(CellTable::new(cell).expect("a checked cell"));
+        let (mut a, mut b) = (Solo::new(&table, x), Solo::new(&table, all[0]));
+        let first = a.ask(support::send_all(port, 1)).packets[0];
+        let second = a.ask(support::send_all(port, 2)).packets[0];
+        b.hear(second);
+        b.hear(first).discards()
+    };
+    assert_eq!(overtaken(64), []);
+    assert_eq!(overtaken(65), [Reason::Duplicate]);
+}

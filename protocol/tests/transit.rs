@@ -114,7 +114,8 @@ fn the_smallest_time_out_leaves_first_and_its_residence_is_charged() {
         rig.offer(status(number, life));
     }
     rig.offer(command(4, 25));
-    assert_eq!(rig.transit.next_expiry(), Some(Ticks(20)));
+    assert_eq!(rig.transit.next_expiry(), Some(Ticks(16)), "four ticks of way");
+    assert_eq!(rig.transit.view().min_slack, Some(Ticks(20)));
     rig.advance(5);
     assert_eq!(
         rig.drain(),
@@ -149,11 +150,12 @@ fn a_busy_link_holds_up_only_its_own_packets() {
 }
 
 #[test]
-fn what_expires_here_is_dropped_and_its_task_knows_that_it_never_left() {
+fn what_can_arrive_no_more_is_dropped_and_its_task_knows_that_it_never_left() {
     let mut rig = Rig::new(8);
     rig.offer(status(1, 10));
     rig.offer(command(2, 10));
-    assert_eq!(rig.advance(9), Out::default());
+    // Four ticks of way.
+    assert_eq!(rig.advance(5), Out::default());
     let out = rig.advance(1);
     assert_eq!(out.drops, [(Reason::ExpiredInTransit, 2), (Reason::ExpiredInTransit, 1)]);
     assert_eq!((out.unsent, out.words), (vec![(TaskId(0), 2)], vec![]));
@@ -204,13 +206,38 @@ fn among_commands_the_least_urgent_is_refused_and_its_source_told() {
 }
 
 #[test]
-fn what_cannot_arrive_in_time_any_more_goes_first() {
+fn what_cannot_arrive_in_time_any_more_takes_neither_room_nor_the_link() {
     let mut rig = Rig::new(2);
-    rig.offer(command(1, 4));
-    rig.offer(status(2, 30));
-    assert_eq!(rig.offer(status(3, 60)).drops, [(Reason::Evicted, 1)], "four ticks of way, four left");
-    assert_eq!(rig.offer(command(4, 4)).drops, [(Reason::Refused, 4)], "the newcomer cannot either");
-    assert_eq!(rig.drain(), [(2, 30), (3, 60)]);
+    let out = rig.offer(command(1, 4));
+    assert_eq!(out.drops, [(Reason::ExpiredInTransit, 1)], "four ticks of way, four left");
+    assert_eq!((out.unsent, out.words), (vec![(TaskId(0), 1)], vec![]));
+    rig.offer(command(2, 7));
+    rig.offer(status(3, 8));
+    assert_eq!(rig.advance(3).drops, [(Reason::ExpiredInTransit, 2)]);
+    assert!(rig.offer(status(4, 60)).drops.is_empty());
+    assert_eq!(rig.drain(), [(3, 5), (4, 60)], "what can, if it goes now, goes first");
+}
+
+#[test]
+fn each_goes_as_long_as_its_own_way_lets_it() {
+    // The way on is five ticks where the way here is four.
+    let mut cell = Cell::new("line", Ticks(1));
+    let [a, b, c] = ["a", "b", "c"].map(|name| cell.node(name));
+    cell.link(a, b, Ticks(4));
+    cell.link(b, c, Ticks(5));
+    let tasks = [("x", a), ("y", b), ("z", c)].map(|(name, node)| cell.task(name, node));
+    cell.port(PortDecl::new("p", tasks[0], Usage::Send, &tasks[1..], Ticks(50)));
+    let table = NodeTable::new(Arc::new(CellTable::new(cell).expect("a checked cell")), a);
+    let (mut transit, mut out) = (Transit::new(4), Out::default());
+    for (number, to, life) in [(1, tasks[2], 12), (2, tasks[1], 10), (3, tasks[2], 11)] {
+        let packet = Packet { destination: to, ..status(number, life) };
+        transit.offer(&table, packet, &mut out);
+    }
+    transit.advance(&table, Ticks(2), &mut out);
+    assert_eq!(out.drops, [(Reason::ExpiredInTransit, 3)], "its way takes nine");
+    transit.advance(&table, Ticks(1), &mut out);
+    assert_eq!(out.drops[1..], [(Reason::ExpiredInTransit, 1)]);
+    assert_eq!(transit.next(|_| true).map(|(_, p)| (p.id.sequence.get(), p.remaining)), Some((2, Ticks(7))));
 }
 
 #[test]
@@ -264,7 +291,9 @@ proptest! {
                         prop_assert!(!(could && status_held), "{:?} was dropped", lost);
                     }
                     prop_assert!(out.drops.len() <= 1 && rig.transit.len() <= usize::from(capacity));
-                    prop_assert!(out.drops.is_empty() || rig.transit.len() == usize::from(capacity));
+                    let useless = out.drops.iter().any(|&(reason, _)| reason == Reason::ExpiredInTransit);
+                    prop_assert_eq!(useless, life <= 4);
+                    prop_assert!(out.drops.is_empty() || useless || rig.transit.len() == usize::from(capacity));
                     (out, same)
                 }
                 Step::Advance(ticks) => (rig.advance(ticks), rebased.advance(ticks)),
@@ -274,6 +303,7 @@ proptest! {
                 }
             };
             prop_assert_eq!(same, out);
+            prop_assert!(rig.transit.waiting().iter().all(|p| p.remaining > Ticks(4)), "all can arrive");
             prop_assert_eq!(rebased.transit.waiting(), rig.transit.waiting());
             prop_assert_eq!(rebased.transit.next_expiry(), rig.transit.next_expiry());
         }

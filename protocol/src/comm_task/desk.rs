@@ -21,7 +21,8 @@ pub(crate) enum Phase {
     Closed,
     /// Yes.
     Open,
-    /// It ended while a handler ran above the thread that asked, which was not told yet.
+    /// It ended while a handler ran above the thread that asked, which was not told yet: what was answered stays here
+    /// until it is, and nothing else is asked.
     Ended,
 }
 
@@ -46,8 +47,10 @@ pub(crate) struct Asked {
     pub answer: Answer,
     /// Packets of the request that may have left the node.
     pub packets_out: u16,
-    /// What it answered.
+    /// What it answered, or another for it (D11).
     pub contents: Assembly,
+    /// On which port, and who, while fragments are missing: those of two who answer make no message.
+    pub by: Option<(PortId, TaskId)>,
 }
 
 /// One port on which the task asks.
@@ -85,6 +88,7 @@ impl Desk {
             answer: Answer::NotAsked,
             packets_out: 0,
             contents: Assembly::new(fragments),
+            by: None,
         };
         Self {
             port: port.id,
@@ -134,6 +138,7 @@ impl Desk {
     pub fn forget(&mut self) {
         for asked in &mut self.asked {
             (asked.answer, asked.packets_out, asked.id) = (Answer::NotAsked, 0, MessageId::default());
+            asked.by = None;
             asked.contents.begin(MessageId::default());
             asked.contents.contents.fill(Contents::EMPTY);
         }
@@ -143,6 +148,12 @@ impl Desk {
         (self.deadline, self.copy_at, self.copies_left) = (Ticks::FAR, Ticks::FAR, 0);
         self.contents = Contents::EMPTY;
         self.parts.clear();
+    }
+
+    /// The first packet of the one answer, where answers take several.
+    pub fn long_answer(&self) -> Option<Contents> {
+        let answered = self.asked.iter().find(|asked| asked.answer == Answer::Answered)?;
+        answered.contents.get(0).copied()
     }
 
     /// How a request to several tasks stands.
@@ -262,15 +273,24 @@ impl CommTask {
 
     fn end_request(&mut self, at: usize, outcome: Outcome, out: &mut impl Outbox) {
         let desk = &mut self.desks[at];
-        let set = desk.set;
         desk.settle();
-        desk.phase = if set { Phase::Ended } else { Phase::Closed };
-        if !set && desk.asked.iter().all(|asked| asked.contents.contents.len() < 2) {
-            // The outcome says all there is.
-            desk.forget();
-        }
+        let long = desk.asked.iter().any(|asked| asked.contents.contents.len() > 1);
         let at = super::index(at);
-        let finished = if set { Finished::Answers(at) } else { Finished::Outcome(outcome) };
+        let finished = match outcome {
+            _ if desk.set => Finished::Answers(at),
+            Outcome::Reply(_) if long => Finished::Long(at),
+            Outcome::Reply(_)
+            | Outcome::Refused
+            | Outcome::TimedOutUnsent
+            | Outcome::TimedOutUnknown
+            | Outcome::PeerRestarted => Finished::Outcome(outcome),
+        };
+        if matches!(finished, Finished::Outcome(_)) {
+            // The outcome says all there is.
+            desk.close();
+        } else {
+            desk.phase = Phase::Ended;
+        }
         self.conclude(Pending::Reply(at), finished, out);
     }
 
@@ -322,8 +342,18 @@ impl CommTask {
                 if index >= fragments {
                     return self.drop_packet(packet, Reason::NotAllowed, out);
                 }
-                let answer = &mut self.desks[at].asked[asked].contents;
-                match answer.put(packet, Ticks::FAR) {
+                let entry = &mut self.desks[at].asked[asked];
+                let whole = packet.fragment == 0 && !packet.more;
+                let by = (packet.port, packet.source);
+                if entry.contents.is_open() && entry.by != Some(by) {
+                    // D11: who began first goes on, unless somebody says it all at once.
+                    if !whole {
+                        return self.drop_packet(packet, Reason::Unexpected, out);
+                    }
+                    entry.contents.begin(MessageId::default());
+                }
+                entry.by = (!whole).then_some(by);
+                match entry.contents.put(packet, Ticks::FAR) {
                     Step::Whole(_) => Event::Answered,
                     Step::Waits => return,
                     Step::Again => return self.duplicate(packet, out),

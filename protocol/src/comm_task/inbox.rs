@@ -5,10 +5,11 @@ use super::lease::Guard;
 use super::memory::Source;
 use crate::ids::{MessageId, PortId, TaskId};
 use crate::packet::{Class, Contents};
-use crate::queue::{Queue, Slot};
+use crate::queue::{Entry, Queue, Slot};
 use crate::table::Port;
 use crate::ticks::Ticks;
 use alloc::boxed::Box;
+use alloc::vec::Vec;
 use serde::{Deserialize, Serialize};
 
 /// A waiting message.
@@ -27,6 +28,28 @@ pub(crate) struct Held {
     pub rejected_first: u64,
     /// Before this instant it is not offered again.
     pub not_before: Ticks,
+    /// Numbers the messages of the task as they were stored.
+    pub arrival: u64,
+}
+
+/// The order of service within a port (D14): least time_out first, then commands, then the lower source, then the earlier
+/// arrival. The order among ports is the user layer's.
+impl Entry for Held {
+    fn key(&self) -> u128 {
+        let class = u128::from(self.class == Class::Status);
+        let source = u128::from(self.source.0);
+        let arrival = u128::from(self.arrival & ((1 << 47) - 1));
+        (u128::from(self.expires.0) << 64) | (class << 63) | (source << 47) | arrival
+    }
+
+    fn due(&self) -> Ticks {
+        self.not_before
+    }
+
+    /// All messages of a port are of one class.
+    fn yields(&self) -> bool {
+        false
+    }
 }
 
 /// The receiving end of a port.
@@ -46,6 +69,9 @@ pub(crate) struct Inbox {
     pub sources: Box<[Source]>,
     /// For each slot of the queue, what comes after the first packet.
     pub bodies: Box<[Parts]>,
+    /// Room for those that are rejected together; empty between two inputs.
+    #[serde(skip)]
+    pub turned: Vec<Slot>,
 }
 
 /// What happened to a message offered to a full buffer.
@@ -62,8 +88,7 @@ pub(crate) enum Admission {
 impl Inbox {
     pub fn new(port: &Port, own: TaskId) -> Self {
         let decl = &port.decl;
-        let mut sources: alloc::vec::Vec<Source> =
-            port.peers(own).map(|peer| Source::new(peer, decl)).collect();
+        let mut sources: Vec<Source> = port.peers(own).map(|peer| Source::new(peer, decl)).collect();
         sources.sort_unstable_by_key(|source| source.task);
         let bodies = if decl.fragments > 1 { decl.bounded_buffer } else { 0 };
         Self {
@@ -75,6 +100,7 @@ impl Inbox {
             bypassed: 0,
             sources: sources.into(),
             bodies: (0..bodies).map(|_| Parts::new(decl.fragments)).collect(),
+            turned: Vec::with_capacity(usize::from(decl.bounded_buffer)),
         }
     }
 
@@ -85,40 +111,27 @@ impl Inbox {
 
     /// When time alone makes something of this port expire.
     pub fn due(&self) -> Ticks {
-        let first = self.queue.first().map_or(Ticks::FAR, |(_, _, held)| held.expires);
+        let first = self.queue.first().map_or(Ticks::FAR, |(_, held)| held.expires);
+        if self.bodies.is_empty() {
+            return first;
+        }
         let assemblies = self.sources.iter().map(|source| &source.assembly);
         assemblies.filter(|a| a.is_open()).map(|a| a.expires).fold(first, Ticks::min)
     }
 
-    /// The order of service within a port (D14): least time_out first, then commands, then the lower source, then the
-    /// earlier arrival. The order among ports is the user layer's.
-    pub fn key(held: &Held, arrival: u64) -> u128 {
-        let class = u128::from(held.class == Class::Status);
-        let source = u128::from(held.source.0);
-        let arrival = u128::from(arrival & ((1 << 47) - 1));
-        (u128::from(held.expires.0) << 64) | (class << 63) | (source << 47) | arrival
-    }
-
-    /// The same key for a message whose expiry or source was changed: its arrival stays.
-    pub fn key_again(old: u128, held: &Held) -> u128 {
-        Self::key(held, u64::try_from(old & ((1 << 47) - 1)).unwrap_or(0))
-    }
-
     /// Offers a message (D60): of status messages the one with most time left goes, the newcomer included; a command
     /// is turned away unless it is more urgent than the least urgent one held.
-    pub fn admit(&mut self, held: Held, arrival: u64) -> Admission {
-        let key = Self::key(&held, arrival);
+    pub fn admit(&mut self, held: Held) -> Admission {
         if self.queue.len() == 0 {
             self.bypassed = 0;
         }
-        if let Ok(slot) = self.queue.push(key, held) {
+        if let Ok(slot) = self.queue.push(held) {
             return Admission::Kept(slot);
         }
-        let last = self.queue.iter().max_by_key(|&(key, ..)| key).map(|(key, slot, _)| (key, slot));
-        match last {
-            Some((last_key, slot)) if last_key > key => {
+        match self.queue.last().map(|(slot, last)| (slot, last.key())) {
+            Some((slot, last)) if last > held.key() => {
                 let evicted = self.queue.remove(slot);
-                match (evicted, self.queue.push(key, held)) {
+                match (evicted, self.queue.push(held)) {
                     (Some(evicted), Ok(slot)) => Admission::Replaced(slot, evicted),
                     (None, Ok(slot)) => Admission::Kept(slot),
                     (_, Err(_)) => Admission::Turned,
@@ -128,26 +141,31 @@ impl Inbox {
         }
     }
 
-    /// The most urgent message, of one source or of any.
-    pub fn head(&self, source: Option<TaskId>) -> Option<(u128, Slot, &Held)> {
+    /// The most urgent message, of any source at once or of one: that is looked for.
+    pub fn head(&self, source: Option<TaskId>) -> Option<(Slot, &Held)> {
         match source {
             None => self.queue.first(),
             Some(source) => {
-                let of_source = self.queue.iter().filter(|(_, _, held)| held.source == source);
-                of_source.min_by_key(|&(key, ..)| key)
+                let of_source = self.queue.iter().filter(|(_, held)| held.source == source);
+                of_source.min_by_key(|(_, held)| held.key())
             }
         }
     }
 
-    /// The message of a source that waits, if one does: where at most one of each can.
+    /// The message of a source that waits, if one does: where at most one of each can. It is looked for among as many
+    /// messages as there are sources.
     pub fn of_source(&self, source: TaskId) -> Option<(Slot, &Held)> {
-        self.queue.iter().find(|(_, _, held)| held.source == source).map(|(_, slot, held)| (slot, held))
+        self.queue.iter().find(|(_, held)| held.source == source)
+    }
+
+    /// Where a command waits. It is looked for likewise: of each source at most one waits (D75).
+    pub fn find(&self, source: TaskId, id: MessageId) -> Option<Slot> {
+        self.queue.iter().find(|(_, held)| held.source == source && held.id == id).map(|(slot, _)| slot)
     }
 
     /// Takes out a message by its source and id.
     pub fn withdraw(&mut self, source: TaskId, id: MessageId) -> Option<Held> {
-        let slot =
-            self.queue.iter().find(|(_, _, h)| h.source == source && h.id == id).map(|(_, slot, _)| slot)?;
+        let slot = self.find(source, id)?;
         self.queue.remove(slot)
     }
 }

@@ -10,9 +10,9 @@ use super::rendezvous::Rendezvous;
 use super::{CommTask, Pending};
 use crate::ids::{MessageId, PortId, Round, TaskId};
 use crate::packet::Class;
-use crate::request::Call;
-use crate::rules::Memory;
-use crate::table::NodeTable;
+use crate::request::{Call, TimeId};
+use crate::rules::{Aging, Memory};
+use crate::table::{NodeTable, Port};
 use crate::ticks::Ticks;
 use core::fmt;
 
@@ -48,8 +48,14 @@ pub enum Violation {
     Levels(u8),
     /// A message for a handler is due, and was not offered to a thread that can be interrupted (D15).
     NotOffered(PortId, TaskId, MessageId),
-    /// A message was rejected more often than ranks stand above it (D58).
+    /// A message was rejected more often than ranks stand above it, or at all where rejections do not count (D58).
     RejectedTooOften(PortId, TaskId, MessageId),
+    /// A message that was rejected waits longer than the port's penalty until it is offered again (D58).
+    RejectedTooLong(PortId, TaskId, MessageId),
+    /// Two of the task's timers and delays have one name.
+    Timers(TimeId),
+    /// A timer is over and outranks a thread that can be interrupted, and its handler has not begun (D15).
+    TimerNotOffered(TimeId),
     /// A message that is not whole has no time left, or is held where messages take one packet (D28).
     HoldsFragments(PortId, TaskId),
     /// The task acts past its lease, or has not taken over when it should have (D61).
@@ -99,6 +105,14 @@ impl fmt::Display for Violation {
                     "message {id} of {source} on port {port} was rejected more often than ranks stand above it"
                 )
             }
+            Self::RejectedTooLong(port, source, id) => {
+                write!(
+                    f,
+                    "message {id} of {source} on port {port} is not offered again when its penalty is over"
+                )
+            }
+            Self::Timers(id) => write!(f, "two timers or delays of the task are called {}", id.0),
+            Self::TimerNotOffered(id) => write!(f, "timer {} is over, and its handler should run", id.0),
             Self::PastLease(until) => {
                 write!(f, "the lease, or the wait for it, should have ended at {until}")
             }
@@ -119,6 +133,7 @@ impl core::error::Error for Violation {}
 pub fn check(task: &CommTask, table: &NodeTable) -> Result<(), Violation> {
     task.inboxes.iter().try_for_each(|inbox| check_inbox(task, table, inbox))?;
     check_levels(task)?;
+    check_timers(task, table)?;
     task.lease.iter().try_for_each(|lease| check_lease(task, lease))?;
     for (i, desk) in task.desks.iter().enumerate() {
         check_desk(task, super::index(i), desk)?;
@@ -160,7 +175,7 @@ fn check_inbox(task: &CommTask, table: &NodeTable, inbox: &Inbox) -> Result<(), 
     // The variants lengthen lives where a message waits: it outlives what its sender, and the memory, think of it.
     let literal = port.decl.penalty.is_some_and(|penalty| penalty.literal);
     let exact = table.rules().charge_residence && !literal;
-    for (_, _, held) in inbox.queue.iter() {
+    for (_, held) in inbox.queue.iter() {
         let (id, source) = (inbox.port, held.source);
         if held.expires <= task.now {
             return Err(Violation::HoldsExpired(id, source, held.id));
@@ -172,9 +187,7 @@ fn check_inbox(task: &CommTask, table: &NodeTable, inbox: &Inbox) -> Result<(), 
         if remembers && held.class == Class::Command && !is_remembered(task, inbox, held) {
             return Err(Violation::NotRemembered(id, source, held.id));
         }
-        if usize::from(held.rejections) > crate::request::ServiceOrder::LEVELS {
-            return Err(Violation::RejectedTooOften(id, source, held.id));
-        }
+        check_rejections(task, table, port, held)?;
         if inbox.handled && task.interruptible(false) && held.not_before <= task.now {
             return Err(Violation::NotOffered(id, source, held.id));
         }
@@ -191,6 +204,44 @@ fn check_inbox(task: &CommTask, table: &NodeTable, inbox: &Inbox) -> Result<(), 
     Ok(())
 }
 
+/// How often and for how long a message was rejected (D58).
+fn check_rejections(task: &CommTask, table: &NodeTable, port: &Port, held: &Held) -> Result<(), Violation> {
+    let penalty = port.decl.penalty;
+    let counts = table.rules().aging == Aging::Bounded && !penalty.is_some_and(|penalty| penalty.literal);
+    let cap = if counts { CommTask::cap(task.order.rank(port.id, held.source)) } else { 0 };
+    let (id, source) = (port.id, held.source);
+    if held.rejections > cap {
+        return Err(Violation::RejectedTooOften(id, source, held.id));
+    }
+    let length = penalty.map_or(table.cell().tick, |penalty| penalty.length).max(Ticks(1));
+    if held.not_before > task.now + length {
+        return Err(Violation::RejectedTooLong(id, source, held.id));
+    }
+    Ok(())
+}
+
+fn check_timers(task: &CommTask, table: &NodeTable) -> Result<(), Violation> {
+    let delays = task.running().iter().filter_map(|level| match level.pending {
+        Pending::Delay(id, _) => Some(id),
+        Pending::Nothing
+        | Pending::Get { .. }
+        | Pending::Reply(_)
+        | Pending::Meeting(_)
+        | Pending::Work
+        | Pending::Lease
+        | Pending::Boundary => None,
+    });
+    let mut names = [0_u64; 4];
+    for id in delays.chain(task.timers.0.iter().flatten().map(|started| started.id)) {
+        let (word, bit) = (usize::from(id.0 / 64), 1 << (id.0 % 64));
+        if names[word] & bit != 0 {
+            return Err(Violation::Timers(id));
+        }
+        names[word] |= bit;
+    }
+    task.kept_timer(table).map_or(Ok(()), |id| Err(Violation::TimerNotOffered(id)))
+}
+
 fn is_remembered(task: &CommTask, inbox: &Inbox, held: &Held) -> bool {
     let command = inbox.source(held.source).and_then(|at| inbox.sources[at].command);
     command.is_some_and(|c| c.id == held.id && c.fate == Fate::Held && c.until > task.now)
@@ -199,7 +250,7 @@ fn is_remembered(task: &CommTask, inbox: &Inbox, held: &Held) -> bool {
 fn check_memory(source: TaskId, command: &Remembered) -> Result<(), Violation> {
     let budget_fits = match command.fate {
         Fate::Delivered(budget_ends) => budget_ends <= command.sender_until,
-        Fate::Held | Fate::Refused | Fate::Answered(_) => true,
+        Fate::Held | Fate::Lapsed | Fate::Refused | Fate::Answered(_) => true,
     };
     if command.until < command.sender_until || !budget_fits {
         return Err(Violation::MemoryTooShort(source, command.id));
@@ -231,7 +282,10 @@ fn check_levels(task: &CommTask) -> Result<(), Violation> {
 
 fn check_desk(task: &CommTask, at: u16, desk: &Desk) -> Result<(), Violation> {
     let waits = task.running().iter().any(|level| level.pending == Pending::Reply(at));
-    let ended = task.running().iter().any(|level| level.finished == Some(Finished::Answers(at)));
+    let ended = task
+        .running()
+        .iter()
+        .any(|level| matches!(level.finished, Some(Finished::Answers(d) | Finished::Long(d)) if d == at));
     if waits != (desk.phase == Phase::Open) || ended != (desk.phase == Phase::Ended) {
         return Err(Violation::WaitsForNothing(desk.port));
     }

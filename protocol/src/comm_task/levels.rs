@@ -2,11 +2,12 @@
 //! waits is offered to whom (D16, D58).
 
 use super::desk::Phase;
-use super::inbox::{Held, Inbox};
+use super::inbox::Held;
 use super::{CommTask, Outbox, Pending, note};
 use crate::ids::{PortId, Round};
 use crate::observe::{Event, Observation};
 use crate::packet::Class;
+use crate::queue::{Entry, Slot};
 use crate::request::{Call, Fault, Outcome, ReleasedBy, ServiceOrder, Signal, TimeId};
 use crate::rules::Aging;
 use crate::table::NodeTable;
@@ -20,8 +21,10 @@ pub(crate) const DEPTH: usize = ServiceOrder::LEVELS + 2;
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(crate) enum Finished {
     Outcome(Outcome),
-    /// The request at this desk.
+    /// The request at this desk, to several tasks.
     Answers(u16),
+    /// The request at this desk, with an answer in several packets.
+    Long(u16),
     Released {
         port: PortId,
         round: Round,
@@ -77,7 +80,7 @@ enum Turn {
 enum What {
     Lease,
     Timer(usize),
-    Message(usize, u32),
+    Message(usize, Slot),
 }
 
 impl CommTask {
@@ -120,6 +123,11 @@ impl CommTask {
                 desk.phase = Phase::Closed;
                 Signal::Answers { port: desk.port, answers: desk.answers() }
             }
+            Finished::Long(desk) => {
+                let desk = &mut self.desks[usize::from(desk)];
+                desk.phase = Phase::Closed;
+                Signal::Outcome(Outcome::Reply(desk.long_answer().unwrap_or_default()))
+            }
             Finished::Released { port, round, by } => Signal::Released { port, round, by },
             Finished::GaveUp { port, round, missing } => Signal::GaveUp { port, round, missing },
             Finished::TimeOut(id) => Signal::TimeOut(id),
@@ -154,7 +162,7 @@ impl CommTask {
     }
 
     /// How many rejections make a message outrank the task's own thread (D58).
-    const fn cap(base: u8) -> u8 {
+    pub(super) const fn cap(base: u8) -> u8 {
         if base == 0 { 1 } else { base }
     }
 
@@ -162,11 +170,6 @@ impl CommTask {
         let base = self.order.rank(port, held.source);
         let rank = base.saturating_sub(held.rejections);
         self.outranks(table, rank, held.rejections >= Self::cap(base))
-    }
-
-    /// Whether the message may be offered now: `not_before` delays offers, but not to a task with nothing else to do.
-    fn is_due(&self, held: &Held) -> bool {
-        held.not_before <= self.now || self.is_idle_get()
     }
 
     /// How often a port may be passed over before it goes first (D58).
@@ -180,15 +183,40 @@ impl CommTask {
             return Ticks::FAR;
         }
         let handled = self.inboxes.iter().filter(|inbox| inbox.handled);
-        let due = handled.flat_map(|inbox| inbox.queue.iter()).map(|(_, _, held)| held.not_before);
-        due.min().unwrap_or(Ticks::FAR)
+        handled.map(|inbox| inbox.queue.next_due()).min().unwrap_or(Ticks::FAR)
     }
 
-    /// Offers what waits to the current thread, if that waits.
+    /// The task says what outranks what (D16). What was rejected so often that it outranks the thread does so under the new
+    /// order, too, and nothing counts for more than the new order's ranks: so no change of order takes a turn away (D58).
+    pub(super) fn set_order(&mut self, order: ServiceOrder) {
+        let old = core::mem::replace(&mut self.order, order);
+        for inbox in &mut self.inboxes {
+            let port = inbox.port;
+            inbox.queue.adjust(|held| {
+                let [before, after] = [old, order].map(|order| Self::cap(order.rank(port, held.source)));
+                held.rejections = if held.rejections >= before { after } else { held.rejections.min(after) };
+            });
+        }
+    }
+
+    /// A timer that is over and outranks the thread that could be interrupted: it should have been offered.
+    pub(super) fn kept_timer(&self, table: &NodeTable) -> Option<TimeId> {
+        let mut ended = self.timers.ended().map(|(id, _)| id).filter(|_| self.interruptible(false));
+        ended.find(|&id| self.outranks(table, self.order.timer(id), false))
+    }
+
+    /// Until when messages are due to be offered: in a plain GET all are.
+    fn due_by(&self) -> Ticks {
+        if self.is_idle_get() { Ticks::FAR } else { self.now }
+    }
+
+    /// Offers what waits to the current thread, if that waits. While nothing is due this looks at each port once,
+    /// however much waits there; else at everything that is due.
     pub(super) fn offer_to_waiting(&mut self, table: &NodeTable, out: &mut impl Outbox) {
+        let due_by = self.due_by();
         let any = self.called().is_some()
             || self.timers.ended().next().is_some()
-            || self.inboxes.iter().any(|i| i.handled && i.queue.len() > 0);
+            || self.inboxes.iter().any(|i| i.handled && i.queue.len() > 0 && i.queue.next_due() <= due_by);
         if any && self.interruptible(false) {
             self.offer(table, out);
         }
@@ -232,14 +260,11 @@ impl CommTask {
     }
 
     fn first_offer(&self, table: &NodeTable) -> Option<Offer> {
-        let limit = self.bypass_limit();
+        let (limit, due_by) = (self.bypass_limit(), self.due_by());
         let handled = self.inboxes.iter().enumerate().filter(|(_, inbox)| inbox.handled);
         let messages = handled.flat_map(|(i, inbox)| {
-            let due = inbox
-                .queue
-                .iter()
-                .filter(|(_, _, h)| self.is_due(h) && self.held_outranks(table, inbox.port, h));
-            due.map(move |(key, slot, held)| {
+            let due = inbox.queue.all_due(due_by);
+            due.filter(|(_, h)| self.held_outranks(table, inbox.port, h)).map(move |(slot, held)| {
                 let base = self.order.rank(inbox.port, held.source);
                 let capped = held.rejections >= Self::cap(base);
                 let turn = if capped && self.capped_last {
@@ -253,7 +278,7 @@ impl CommTask {
                 };
                 let rank = base.saturating_sub(held.rejections);
                 Offer {
-                    key: (turn, rank, held.expires, held.class, inbox.port, key),
+                    key: (turn, rank, held.expires, held.class, inbox.port, held.key()),
                     what: What::Message(i, slot),
                 }
             })
@@ -275,12 +300,13 @@ impl CommTask {
         if table.rules().aging == Aging::Off {
             return;
         }
+        let due_by = self.due_by();
         for i in 0..self.inboxes.len() {
             let inbox = &self.inboxes[i];
             let (port, handled) = (inbox.port, inbox.handled);
             let other = !matches!(first, What::Message(taken, _) if taken == i);
-            let ready = |(_, _, h): (u128, u32, &Held)| self.is_due(h) && self.held_outranks(table, port, h);
-            if other && handled && inbox.queue.iter().any(ready) {
+            let ready = |(_, held): (Slot, &Held)| self.held_outranks(table, port, held);
+            if other && handled && inbox.queue.all_due(due_by).any(ready) {
                 self.inboxes[i].bypassed = self.inboxes[i].bypassed.saturating_add(1);
             }
         }
@@ -288,30 +314,25 @@ impl CommTask {
 
     /// Every message that is due and does not outrank the current thread is rejected (R16, D58).
     fn reject_the_others(&mut self, table: &NodeTable, out: &mut impl Outbox) {
-        let mut round = None;
+        let (due_by, round) = (self.due_by(), self.rejections);
         for i in 0..self.inboxes.len() {
-            let inbox = &self.inboxes[i];
-            let (id, handled) = (inbox.port, inbox.handled);
-            let turned = |h: &Held| self.is_due(h) && !self.held_outranks(table, id, h);
-            if !handled || !inbox.queue.iter().any(|(_, _, h)| turned(h)) {
+            let inbox = &mut self.inboxes[i];
+            let id = inbox.port;
+            if !inbox.handled || inbox.queue.next_due() > due_by {
                 continue;
             }
-            let round = *round.get_or_insert(self.rejections);
-            let mut rejected = 0;
-            let mut queue = core::mem::take(&mut self.inboxes[i].queue);
-            queue.rekey_in_order(|key, held| {
-                if !self.is_due(held) || self.held_outranks(table, id, held) {
-                    return key;
-                }
-                rejected += 1;
-                self.reject(table, id, held, round, out);
-                Inbox::key_again(key, held)
-            });
-            self.inboxes[i].queue = queue;
-            self.count(id, |c| c.rejected += rejected);
-        }
-        if round.is_some() {
-            self.rejections += 1;
+            let mut queue = core::mem::take(&mut inbox.queue);
+            let mut turned = core::mem::take(&mut inbox.turned);
+            let due = queue.all_due(due_by).filter(|(_, held)| !self.held_outranks(table, id, held));
+            turned.extend(due.map(|(slot, _)| slot));
+            turned.sort_unstable_by_key(|&slot| queue.get(slot).map(Entry::key));
+            for &slot in &turned {
+                queue.change(slot, |held| self.reject(table, id, held, round, out));
+                self.rejections = round + 1;
+            }
+            self.count(id, |c| c.rejected += turned.len() as u64);
+            turned.clear();
+            (self.inboxes[i].queue, self.inboxes[i].turned) = (queue, turned);
         }
     }
 
@@ -333,7 +354,7 @@ impl CommTask {
                 held.rejected_first = round;
             }
             let cap = Self::cap(self.order.rank(port, held.source));
-            held.rejections = held.rejections.saturating_add(1).min(cap.max(held.rejections));
+            held.rejections = held.rejections.saturating_add(1).min(cap);
         }
     }
 

@@ -12,6 +12,9 @@ use serde::{Deserialize, Serialize};
 pub(crate) enum Fate {
     /// It waits in the port's buffer.
     Held,
+    /// Its time ended in the buffer, before the task heard of it. A later copy may have more time left: what a link
+    /// charges is only a bound (D20). Nothing ran, so that copy is as good as the first.
+    Lapsed,
     /// The task has it and has not answered. Its execution budget ends at this instant.
     Delivered(Ticks),
     /// It was refused; a copy is refused again.
@@ -32,7 +35,11 @@ pub(crate) struct Remembered {
     pub until: Ticks,
 }
 
-/// The class-1 messages of one source that were seen: the newest and the 64 before it.
+/// The class-1 messages of one source that were seen: the newest and the 64 numbers before it.
+///
+/// A source numbers all that it sends, on whatever port and to whomever (D6): a send to `n` tasks takes `n` numbers. So a
+/// message that a later one of this port overtook is taken if the source sent at most 63 others in between; else it counts
+/// as seen. It is class 1: lost or not, it is not missed (R53, D75).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(crate) struct Window {
     pub newest: Option<Seq24>,
@@ -103,7 +110,7 @@ pub(crate) struct Source {
 /// How a class-2 message relates to what is remembered.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Seen {
-    /// Never seen.
+    /// Never seen, or only in copies whose time ended unheard.
     New,
     /// A copy of a remembered message.
     Again(Fate),
@@ -131,6 +138,7 @@ impl Source {
     pub fn look_up(&self, id: MessageId, now: Ticks) -> Seen {
         match self.command.filter(|c| c.until > now) {
             None => Seen::New,
+            Some(c) if c.id == id && c.fate == Fate::Lapsed => Seen::New,
             Some(c) if c.id == id => Seen::Again(c.fate),
             Some(c) if c.id.sequence.is_newer_than(id.sequence) => Seen::Older,
             Some(_) => Seen::New,

@@ -8,6 +8,7 @@ use crate::ids::{Incarnation, MessageId, PortId, TaskId};
 use crate::mapping;
 use crate::observe::{Event, Reason};
 use crate::packet::{Class, Control, Kind, Packet};
+use crate::queue::Slot;
 use crate::request::{Delivery, ReplyTo, Signal};
 use crate::rules::{Memory, TimeStamp};
 use crate::table::{NodeTable, Port};
@@ -82,7 +83,7 @@ impl CommTask {
         }
         let Some(source) = self.inboxes[inbox].source(packet.source) else { return };
         let packet = Packet { remaining, ..*packet };
-        if !self.is_fresh(table, (inbox, source), port, &packet, out) {
+        if !self.is_fresh(table, (inbox, source), port, (&packet, reserved), out) {
             return;
         }
         let whole = if packet.more || packet.fragment > 0 {
@@ -102,7 +103,7 @@ impl CommTask {
         table: &NodeTable,
         (inbox, source): (usize, usize),
         port: &Port,
-        packet: &Packet,
+        (packet, reserved): (&Packet, Ticks),
         out: &mut impl Outbox,
     ) -> bool {
         let to = ReplyTo { port: packet.port, source: packet.source, id: packet.id };
@@ -123,7 +124,8 @@ impl CommTask {
         };
         match seen {
             Seen::New => return true,
-            Seen::Older | Seen::Again(Fate::Held | Fate::Delivered(_)) => {}
+            Seen::Again(Fate::Held) => self.prolong((inbox, source), packet, reserved),
+            Seen::Older | Seen::Again(Fate::Lapsed | Fate::Delivered(_)) => {}
             // Of several fragments the last one is answered.
             Seen::Again(_) if packet.more => {}
             Seen::Again(Fate::Refused) => self.control(packet, Control::Refused, out),
@@ -135,6 +137,24 @@ impl CommTask {
         }
         self.duplicate(packet, out);
         false
+    }
+
+    /// A copy of a command that waits: what a link charges is only a bound (D20), so the one that has most time left says
+    /// best when the sender's wait ends. Of a long message the first whole copy counts.
+    fn prolong(&mut self, (inbox, source): (usize, usize), packet: &Packet, reserved: Ticks) {
+        let sender_until = self.now + packet.remaining;
+        let expires = sender_until - reserved;
+        let inbox = &mut self.inboxes[inbox];
+        let Some(slot) = inbox.find(packet.source, packet.id) else { return };
+        let short = packet.fragment == 0 && !packet.more;
+        if !short || inbox.queue.get(slot).is_none_or(|held| held.fragments > 1 || held.expires >= expires) {
+            return;
+        }
+        inbox.queue.change(slot, |held| held.expires = expires);
+        if let Some(remembered) = &mut inbox.sources[source].command {
+            remembered.sender_until = remembered.sender_until.max(sender_until);
+            remembered.until = remembered.until.max(sender_until);
+        }
     }
 
     /// A whole message that is new: handed over at once if the task has asked for it, offered if there is a handler, else
@@ -178,6 +198,7 @@ impl CommTask {
             rejections: 0,
             rejected_first: 0,
             not_before: now,
+            arrival: 0,
         };
         if self.inboxes[inbox].latest && !self.supersedes(inbox, &held, out) {
             self.inboxes[inbox].sources[source].assembly.close(held.id);
@@ -236,18 +257,18 @@ impl CommTask {
         message: Held,
         out: &mut impl Outbox,
     ) {
-        let arrival = self.arrivals;
+        let message = Held { arrival: self.arrivals, ..message };
         self.arrivals += 1;
         let entry = &mut self.inboxes[inbox];
         let id = entry.port;
         let left = message.expires - self.now;
-        let (slot, lost) = match entry.admit(message, arrival) {
+        let (slot, lost) = match entry.admit(message) {
             Admission::Kept(slot) => (Some(slot), None),
             Admission::Replaced(slot, evicted) => (Some(slot), Some((evicted, Reason::Evicted))),
             Admission::Turned => (None, Some((message, Reason::Refused))),
         };
         if let Some(slot) = slot {
-            if let Some(body) = entry.bodies.get_mut(slot as usize) {
+            if let Some(body) = entry.bodies.get_mut(usize::from(slot)) {
                 let rest = entry.sources[source].assembly.contents.iter().skip(1);
                 body.fill(rest_of(message.fragments), rest);
             }
@@ -293,12 +314,12 @@ impl CommTask {
     }
 
     /// Takes a message out of a port's buffer to hand it over.
-    pub(super) fn take(&mut self, inbox: usize, slot: u32) -> Option<Held> {
+    pub(super) fn take(&mut self, inbox: usize, slot: Slot) -> Option<Held> {
         let inbox = &mut self.inboxes[inbox];
         let held = inbox.queue.remove(slot)?;
         inbox.bypassed = 0;
         self.taken.0 = Some(held.contents);
-        match inbox.bodies.get(slot as usize) {
+        match inbox.bodies.get(usize::from(slot)) {
             Some(body) => self.taken.1.copy(body),
             None => self.taken.1.clear(),
         }

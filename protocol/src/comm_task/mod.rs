@@ -40,6 +40,7 @@ use desk::{Desk, Overdue};
 use inbox::Inbox;
 use lease::Lease;
 use levels::{DEPTH, Finished, Level};
+use memory::Fate;
 use rendezvous::{At, Rendezvous};
 use serde::{Deserialize, Serialize};
 use timers::Timers;
@@ -393,7 +394,9 @@ impl CommTask {
         }
         for i in 0..self.inboxes.len() {
             self.discard_expired(i, out);
-            self.discard_incomplete(i, out);
+            if !self.inboxes[i].bodies.is_empty() {
+                self.discard_incomplete(i, out);
+            }
         }
         if let Pending::Get { deadline, .. } = self.top().pending
             && deadline <= self.now
@@ -426,17 +429,21 @@ impl CommTask {
     /// The literal reading without residence: waiting costs no life.
     fn give_back(&mut self, elapsed: Ticks) {
         for inbox in &mut self.inboxes {
-            inbox.queue.rekey(|key, held| {
-                held.expires += elapsed;
-                Inbox::key_again(key, held)
-            });
+            inbox.queue.change_all(|held| held.expires += elapsed);
         }
     }
 
     /// Drops what has no time left: simple removal at the local station (§5.1.1).
     fn discard_expired(&mut self, inbox: usize, out: &mut impl Outbox) {
         while let Some(held) = self.inboxes[inbox].queue.pop_if(|held| held.expires <= self.now) {
-            let port = self.inboxes[inbox].port;
+            let entry = &mut self.inboxes[inbox];
+            let port = entry.port;
+            if let Some(at) = entry.source(held.source)
+                && let Some(remembered) = &mut entry.sources[at].command
+                && remembered.id == held.id
+            {
+                remembered.fate = Fate::Lapsed;
+            }
             self.count(port, |c| c.expired += 1);
             note(out, Event::Discarded(Reason::Expired), port, held.source, held.id, Ticks::ZERO);
         }

@@ -2,7 +2,6 @@
 //! and shifting ids; and here is what of a state is dead.
 
 use super::desk::Phase;
-use super::inbox::Inbox;
 use super::lease::{Guard, Post};
 use super::levels::Finished;
 use super::memory::{Fate, Window};
@@ -49,7 +48,7 @@ macro_rules! relatives {
                 Some(Finished::Released { port, round, .. } | Finished::GaveUp { port, round, .. }) => {
                     $v.round(*port, round);
                 }
-                Some(Finished::Outcome(_) | Finished::Answers(_) | Finished::TimeOut(_) | Finished::Granted(_)) | None => {}
+                Some(Finished::Outcome(_) | Finished::Answers(_) | Finished::Long(_) | Finished::TimeOut(_) | Finished::Granted(_)) | None => {}
             }
         }
         for desk in & $($m)? $self.desks {
@@ -153,7 +152,7 @@ impl CommTask {
         let mut v = ByRef(visitor);
         relatives!(self, v);
         for inbox in &self.inboxes {
-            for (_, _, held) in inbox.queue.iter() {
+            for (_, held) in inbox.queue.iter() {
                 v.sequence(held.source, &held.id.sequence);
                 v.instant(&held.expires);
                 v.instant(&held.not_before);
@@ -165,11 +164,10 @@ impl CommTask {
     pub fn visit_mut(&mut self, v: &mut impl VisitMut) {
         relatives!(self, v, mut);
         for inbox in &mut self.inboxes {
-            inbox.queue.rekey(|key, held| {
+            inbox.queue.change_all(|held| {
                 v.sequence(held.source, &mut held.id.sequence);
                 v.instant(&mut held.expires);
                 v.instant(&mut held.not_before);
-                Inbox::key_again(key, held)
             });
         }
     }

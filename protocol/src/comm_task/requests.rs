@@ -7,6 +7,7 @@ use crate::ids::{MessageId, PortId, TaskId};
 use crate::mapping;
 use crate::observe::Event;
 use crate::packet::Contents;
+use crate::queue::{Entry, Slot};
 use crate::request::{Fault, ReplyTo, Request, Signal, Target};
 use crate::rules::{Aging, Memory, TimeStamp};
 use crate::table::{NodeTable, Port};
@@ -22,7 +23,7 @@ impl CommTask {
             Request::Done => self.done().map(Some),
             _ if self.top().pending != Pending::Nothing => Err(Fault::Busy),
             Request::Order(order) => {
-                self.order = order;
+                self.set_order(order);
                 Ok(Some(Signal::Accepted(0)))
             }
             Request::Send { port, to, contents, time_out } => {
@@ -238,13 +239,14 @@ impl CommTask {
 
     /// D14: a GET chooses among port heads: first one that was passed over too often (D58); then by urgency, class,
     /// `order`, port, source and arrival. Ports with a handler are not looked at unless they are named.
-    fn most_urgent(&self, port: Option<PortId>, source: Option<TaskId>) -> Option<(usize, u32)> {
+    fn most_urgent(&self, port: Option<PortId>, source: Option<TaskId>) -> Option<(usize, Slot)> {
         let limit = self.bypass_limit();
         let over_all = port.is_none() && source.is_none();
         let asked = self.inboxes.iter().enumerate();
         let asked = asked.filter(|(_, inbox)| port.map_or(!inbox.handled, |p| p == inbox.port));
         let heads = asked.filter_map(|(i, inbox)| {
-            let (key, slot, message) = inbox.head(source)?;
+            let (slot, message) = inbox.head(source)?;
+            let key = message.key();
             let rank = self.order.rank(inbox.port, message.source);
             let bypassed = if over_all && inbox.bypassed >= limit { inbox.bypassed } else { 0 };
             let place = (message.expires, message.class, rank, inbox.port, key);

@@ -84,8 +84,8 @@ impl CommTask {
                 class: port.decl.class,
                 len: super::index(waiting.len()),
                 capacity: if inbox.is_some() { port.decl.bounded_buffer } else { 0 },
-                min_slack: waiting.first().map(|(_, _, held)| held.expires - self.now),
-                queue: waiting.iter().take(queue_limit).map(|(_, _, held)| entry(held)).collect(),
+                min_slack: waiting.first().map(|(_, held)| held.expires - self.now),
+                queue: waiting.iter().take(queue_limit).map(|(_, held)| entry(held)).collect(),
                 counters: local.counters,
             })
         };

@@ -85,6 +85,10 @@ pub(super) fn port(cell: &Cell, port: &Port, routes: &[Option<Hop>], errors: &mu
             errors.push(CellError::NeedsClass2(name()));
         }
     }
+    let beats = cell.couples.iter().any(|couple| couple.via == port.id);
+    if decl.guard.is_some() && (decl.fragments > 1 || decl.usage == Usage::Reply || beats) {
+        errors.push(CellError::NoRoomForEpoch(name()));
+    }
     check_sizes(port, errors);
     check_users(cell, port, errors);
     check_ways(cell, port, routes, errors);
@@ -179,7 +183,7 @@ fn check_ways(cell: &Cell, port: &Port, routes: &[Option<Hop>], errors: &mut Vec
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cell::{PortDecl, Rate, TaskDecl, UserDecl};
+    use crate::cell::{CoupleDecl, PortDecl, Rate, TaskDecl, UserDecl};
     use crate::table::CellTable;
 
     const X: TaskId = TaskId(0);
@@ -338,6 +342,42 @@ mod tests {
         let fault = CellError::CannotBeServed { port: name("p"), per: Ticks(11), least: Ticks(12) };
         assert_eq!(of(3, 11, None), Err([fault].into()));
         assert_eq!(of(3, 11, Some(Rate { count: 2, per: Ticks(11) })), Ok(()), "the user's own rate counts");
+    }
+
+    #[test]
+    fn a_port_under_a_lease_has_room_for_the_epoch() {
+        let guarded = |change: fn(PortDecl) -> PortDecl, usage| {
+            let mut cell = three(1);
+            let alive = cell.port(PortDecl::new("alive", X, Usage::Response, &[Y], Ticks(30)));
+            let [lease, takeover, every] = [60, 200, 20].map(Ticks);
+            let couple = CoupleDecl {
+                primary: X,
+                standby: Y,
+                lease,
+                takeover,
+                every,
+                via: alive,
+                trusted: false,
+                mutual: false,
+            };
+            cell.couples.push(couple);
+            cell.port(change(PortDecl::new("p", X, usage, &[Z], Ticks(9))).guard(0));
+            CellTable::new(cell).err().unwrap_or_default()
+        };
+        let refused = [CellError::NoRoomForEpoch(name("p"))];
+        assert_eq!(guarded(|port| port, Usage::Send), []);
+        assert_eq!(guarded(|port| port.fragments(2, 1), Usage::Send), refused);
+        assert_eq!(guarded(|port| port, Usage::Reply), refused);
+        let found = errors(|cell| {
+            *cell = three(1);
+            let alive = PortDecl::new("alive", X, Usage::Response, &[Y], Ticks(30)).guard(0);
+            let via = cell.port(alive);
+            let [lease, takeover, every] = [60, 200, 20].map(Ticks);
+            let (primary, standby) = (X, Y);
+            let (trusted, mutual) = (false, false);
+            cell.couples.push(CoupleDecl { primary, standby, lease, takeover, every, via, trusted, mutual });
+        });
+        assert!(found.contains(&CellError::NoRoomForEpoch(name("alive"))), "{found:?}");
     }
 
     #[test]

@@ -40,6 +40,7 @@ impl Flood {
             levels: 0,
             rank: 0,
             ahead: self.buffer - 1,
+            rivals: 0,
             longest: Ticks(u64::from(self.service)),
             penalty: Ticks(1),
         }
@@ -115,6 +116,7 @@ impl Workshop {
             levels: self.rank + 1,
             rank: self.rank,
             ahead: 0,
+            rivals: 0,
             longest: Ticks(u64::from(self.service)),
             penalty: Ticks(self.penalty.0),
         }

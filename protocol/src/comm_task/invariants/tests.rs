@@ -2,10 +2,11 @@
 
 use super::*;
 use crate::cell::{Cell, PortDecl, Usage};
+use crate::comm_task::timers::Started;
 use crate::comm_task::{Input, Outbox};
 use crate::ids::{Incarnation, NodeId, Seq24};
 use crate::packet::{Contents, Packet};
-use crate::request::{Request, Signal, Target, TimeId};
+use crate::request::{Request, Signal, Target};
 use crate::table::CellTable;
 use alloc::format;
 use alloc::sync::Arc;
@@ -60,10 +61,7 @@ fn planted(fault: impl FnOnce(&mut CommTask)) -> Violation {
 fn a_planted_fault_in_a_buffer_or_memory_is_found() {
     let id = MessageId::default();
     let inbox = |task: &mut CommTask, change: fn(&mut Held)| {
-        task.inboxes[0].queue.rekey(|key, held| {
-            change(held);
-            key
-        });
+        task.inboxes[0].queue.change_all(change);
     };
     assert_eq!(planted(|t| inbox(t, |h| h.expires = Ticks(10))), Violation::HoldsExpired(MOVE, A, id));
     assert_eq!(planted(|t| inbox(t, |h| h.class = Class::Status)), Violation::HoldsForeign(MOVE, A, id));
@@ -120,15 +118,16 @@ fn a_planted_fault_among_handlers_is_found() {
     use crate::comm_task::levels::Level;
     let holds = |t: &mut CommTask, change: fn(&mut Held)| {
         t.inboxes[0].handled = true;
-        t.inboxes[0].queue.rekey(|key, held| {
-            change(held);
-            key
-        });
+        t.inboxes[0].queue.change_all(change);
     };
     let id = MessageId::default();
     assert_eq!(planted(|t| holds(t, |h| h.not_before = Ticks(10))), Violation::NotOffered(MOVE, A, id));
     let often = planted(|t| holds(t, |h| (h.rejections, h.not_before) = (9, Ticks(11))));
     assert_eq!(often, Violation::RejectedTooOften(MOVE, A, id));
+    let twice = planted(|t| holds(t, |h| (h.rejections, h.not_before) = (2, Ticks(11))));
+    assert_eq!(twice, often, "no rank stands above it");
+    let long = planted(|t| holds(t, |h| (h.rejections, h.not_before) = (1, Ticks(12))));
+    assert_eq!(long, Violation::RejectedTooLong(MOVE, A, id));
     assert_eq!(planted(|t| t.depth = 11), Violation::Levels(11));
     assert_eq!(planted(|t| t.levels[0].finished = Some(Finished::Answers(0))), Violation::Levels(0));
     let two = planted(|t| {
@@ -142,7 +141,14 @@ fn a_planted_fault_among_handlers_is_found() {
     assert_eq!(late, Violation::Overdue(Ticks(9)));
     let parts = planted(|t| t.inboxes[0].sources[0].assembly.have = 1);
     assert_eq!(parts, Violation::HoldsFragments(MOVE, A));
-    for violation in [two, often, parts, planted(|t| holds(t, |h| h.not_before = Ticks(10)))] {
+    let get = Pending::Get { port: None, source: None, deadline: Ticks::FAR };
+    let started = |ended| Some(Started { id: TimeId(7), turn: 0, ended });
+    let named = planted(|t| t.timers.0 = [started(false); CommTask::TIMERS]);
+    let over = planted(|t| (t.timers.0[1], t.levels[0].pending) = (started(true), get));
+    assert_eq!([named, over], [Violation::Timers(TimeId(7)), Violation::TimerNotOffered(TimeId(7))]);
+    for violation in
+        [two, often, long, named, over, parts, planted(|t| holds(t, |h| h.not_before = Ticks(10)))]
+    {
         assert!(format!("{violation}").len() > 20, "{violation}");
     }
 }

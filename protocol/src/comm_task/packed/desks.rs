@@ -3,6 +3,7 @@
 use super::{CommTask, Frame, Overflow, Reader, Writer, store_id};
 use crate::comm_task::desk::{Answer, Asked, Desk, Phase};
 use crate::comm_task::fragments::{Assembly, Parts};
+use crate::ids::{PortId, TaskId};
 use crate::packet::Contents;
 use crate::table::NodeTable;
 use crate::ticks::Ticks;
@@ -27,6 +28,21 @@ impl Form {
             long: port.decl.fragments > 1,
             long_answers: port.decl.answer_fragments > 1,
         })
+    }
+}
+
+/// What became of the request to one task, where the desk is not closed.
+const fn one(phase: Phase) -> Answer {
+    match phase {
+        Phase::Closed | Phase::Open => Answer::Open,
+        Phase::Ended => Answer::Answered,
+    }
+}
+
+impl Asked {
+    /// Whose answer it is that is not whole.
+    fn missing(&self) -> Option<(PortId, TaskId)> {
+        self.by.filter(|_| self.answer == Answer::Open && self.contents.is_open())
     }
 }
 
@@ -104,7 +120,7 @@ impl CommTask {
                     self.store_asked(desk.phase, asked, form, frame, w)?;
                 }
             }
-        } else if let Some(at) = desk.asked.iter().position(|asked| asked.answer == Answer::Open) {
+        } else if let Some(at) = desk.asked.iter().position(|asked| asked.answer == one(desk.phase)) {
             w.count(at)?;
             self.store_asked(desk.phase, &desk.asked[at], form, frame, w)?;
         }
@@ -128,6 +144,10 @@ impl CommTask {
         }
         if form.long_answers {
             asked.contents.store(w)?;
+            if let Some((port, task)) = asked.missing() {
+                w.count(port.index())?;
+                w.count(task.index())?;
+            }
         } else if asked.answer == Answer::Answered {
             w.contents(asked.contents.contents.first().unwrap_or(&Contents::EMPTY))?;
         }
@@ -168,7 +188,7 @@ impl CommTask {
             }
         } else {
             let i = usize::from(r.byte());
-            self.load_asked((at, i), Answer::Open, form, lives, r);
+            self.load_asked((at, i), one(self.desks[at].phase), form, lives, r);
         }
     }
 
@@ -195,6 +215,9 @@ impl CommTask {
             let have = r.word();
             asked.contents.load(have, r);
             asked.contents.expires = Ticks::FAR;
+            if have != 0 && answer == Answer::Open {
+                asked.by = Some((PortId(u16::from(r.byte())), TaskId(u16::from(r.byte()))));
+            }
         } else if answer == Answer::Answered {
             let contents = r.contents();
             if let Some(slot) = asked.contents.contents.first_mut() {

@@ -61,11 +61,11 @@ impl CommTask {
             w.byte(if alive { guard.epoch } else { 0 })?;
             w.left(if alive { guard.until } else { self.now }, self.now)?;
         }
-        for (_, slot, held) in inbox.queue.sorted() {
+        for (slot, held) in inbox.queue.sorted() {
             self.store_held(held, frame, w)?;
             if form.long {
                 w.byte(held.fragments)?;
-                if let Some(body) = inbox.bodies.get(slot as usize).filter(|_| held.fragments > 1) {
+                if let Some(body) = inbox.bodies.get(usize::from(slot)).filter(|_| held.fragments > 1) {
                     body.store(w)?;
                 }
             }
@@ -85,7 +85,7 @@ impl CommTask {
             w.byte(held.rejections)?;
             // Only the order of first rejections matters: their place among those of all that waits.
             let all = self.inboxes.iter().flat_map(|inbox| inbox.queue.iter());
-            let before = all.filter(|(_, _, h)| h.rejections > 0 && h.rejected_first < held.rejected_first);
+            let before = all.filter(|(_, h)| h.rejections > 0 && h.rejected_first < held.rejected_first);
             w.count(before.count())?;
         }
         if later {
@@ -137,6 +137,7 @@ impl CommTask {
             Fate::Delivered(_) => 2,
             Fate::Refused => 3,
             Fate::Answered(_) => 4,
+            Fate::Lapsed => 5,
         })?;
         store_id(source.task, c.id, frame, w)?;
         w.left(c.sender_until, self.now)?;
@@ -147,7 +148,7 @@ impl CommTask {
                 w.contents(contents)?;
                 if form.long_answers { source.answer.store(w) } else { Ok(()) }
             }
-            Fate::Held | Fate::Refused => Ok(()),
+            Fate::Held | Fate::Lapsed | Fate::Refused => Ok(()),
         }
     }
 
@@ -169,9 +170,9 @@ impl CommTask {
             if form.long {
                 held.fragments = r.byte();
             }
-            let pushed = inbox.queue.push(Inbox::key(&held, self.arrivals), held);
+            let pushed = inbox.queue.push(Held { arrival: self.arrivals, ..held });
             if let Ok(slot) = pushed
-                && let Some(body) = inbox.bodies.get_mut(slot as usize)
+                && let Some(body) = inbox.bodies.get_mut(usize::from(slot))
             {
                 body.clear();
                 if held.fragments > 1 {
@@ -197,7 +198,18 @@ fn load_held(r: &mut Reader<'_>, lives: bool) -> Held {
         (rejections, rejected_first) = (r.byte(), 1 + u64::from(r.byte()));
     }
     let not_before = if flags & LATER != 0 { r.left() } else { Ticks::ZERO };
-    Held { source, id, class, expires, contents, fragments: 1, rejections, rejected_first, not_before }
+    Held {
+        source,
+        id,
+        class,
+        expires,
+        contents,
+        fragments: 1,
+        rejections,
+        rejected_first,
+        not_before,
+        arrival: 0,
+    }
 }
 
 fn load_source(source: &mut Source, form: Form, lives: bool, r: &mut Reader<'_>) {
@@ -234,6 +246,7 @@ fn load_command(source: &mut Source, form: Form, lives: bool, r: &mut Reader<'_>
         1 => Fate::Held,
         2 => Fate::Delivered(r.left()),
         3 => Fate::Refused,
+        5 => Fate::Lapsed,
         _ => {
             let contents = r.contents();
             if form.long_answers {

@@ -197,6 +197,10 @@ fn store_finished(
             w.byte(10)?;
             w.byte(*epoch)
         }
+        Some(Finished::Long(desk)) => {
+            w.byte(11)?;
+            w.count(usize::from(*desk))
+        }
     }
 }
 
@@ -223,6 +227,7 @@ fn load_finished(r: &mut Reader<'_>) -> Option<Finished> {
         },
         9 => Finished::TimeOut(TimeId(r.byte())),
         10 => Finished::Granted(r.byte()),
+        11 => Finished::Long(u16::from(r.byte())),
         _ => return None,
     })
 }

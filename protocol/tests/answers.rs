@@ -1,0 +1,151 @@
+//! Answers of several packets (D28), and who they are told to: the thread that asked, whole, and of one who answered.
+
+mod support;
+
+use imrs_protocol::*;
+use std::sync::Arc;
+use support::{Effects, Solo, contents, get_on, handle, order, reply, send};
+
+const X: TaskId = TaskId(0);
+const Y: TaskId = TaskId(1);
+
+/// Commands of X to Y, answered in up to 2 packets.
+const TEACH: PortId = PortId(0);
+/// Status of Y to X, for a handler.
+const HALT: PortId = PortId(1);
+/// Answers of Z for Y, in up to 2 packets.
+const THIRD: PortId = PortId(2);
+
+fn three() -> [Solo; 3] {
+    let mut cell = Cell::new("answers", Ticks(1));
+    let node = cell.node("n");
+    let (x, y, z) = (cell.task("x", node), cell.task("y", node), cell.task("z", node));
+    let teach = PortDecl::new("teach", y, Usage::Receive, &[x], Ticks(50)).command();
+    cell.port(teach.retry(1, Ticks(20)).fragments(1, 2));
+    cell.port(PortDecl::new("halt", y, Usage::Send, &[x], Ticks(50)));
+    cell.port(PortDecl::new("third", z, Usage::Reply, &[x], Ticks(50)).fragments(1, 2));
+    let table = Arc::new(CellTable::new(cell).expect("a checked cell"));
+    [x, y, z].map(|task| Solo::new(&table, task))
+}
+
+fn part(port: PortId, byte: u8) -> Request {
+    Request::Part { port, index: 1, contents: contents(byte) }
+}
+
+/// Y answers what X asked, with these two packets.
+fn teach(y: &mut Solo, question: Packet, bytes: [u8; 2]) -> Vec<Packet> {
+    y.hear(question);
+    let message = y.ask(get_on(TEACH, 0)).delivery().expect("the question");
+    y.ask(part(TEACH, bytes[1]));
+    y.ask(reply(&message, bytes[0])).packets
+}
+
+/// Z answers it instead.
+fn third(z: &mut Solo, question: Packet, bytes: [u8; 2]) -> Vec<Packet> {
+    z.ask(part(THIRD, bytes[1]));
+    let to = ReplyTo { port: THIRD, source: X, id: question.id };
+    z.ask(Request::Reply { to, contents: contents(bytes[0]) }).packets
+}
+
+fn rest(x: &Solo) -> Option<u8> {
+    x.task.answer_fragment(TEACH, Y, 1).map(|contents| contents.as_bytes()[0])
+}
+
+/// X waits for Y's answer; while a handler of X runs, the answer comes, whole.
+fn answered_below_a_handler() -> [Solo; 2] {
+    let [mut x, mut y, _] = three();
+    for request in [handle(HALT), order(&[Ranked::Port(HALT), Ranked::Own])] {
+        x.ask(request);
+    }
+    let question = x.ask(send(TEACH, Y, 1)).packets[0];
+    let answer = teach(&mut y, question, [11, 12]);
+    let halt = y.ask(send(HALT, X, 5)).packets[0];
+    assert!(x.hear(halt).delivery().is_some());
+    for packet in answer {
+        assert!(x.hear(packet).is_nothing());
+    }
+    [x, y]
+}
+
+#[test]
+fn a_handler_does_not_take_the_place_of_an_answer_that_its_thread_was_not_told() {
+    let [mut x, mut y] = answered_below_a_handler();
+    assert_eq!(x.ask(send(TEACH, Y, 2)).words(), ["fault Busy"], "the desk still holds the answer");
+    assert_eq!(x.ask(Request::Return).words(), ["reply [11]"]);
+    assert_eq!(rest(&x), Some(12));
+    // Told, it goes with the next request.
+    let question = x.ask(send(TEACH, Y, 3)).packets[0];
+    assert_eq!(rest(&x), None);
+    let words: Vec<_> =
+        teach(&mut y, question, [21, 22]).into_iter().flat_map(|p| x.hear(p).words()).collect();
+    assert_eq!((words, rest(&x)), (vec!["reply [21]".to_owned()], Some(22)));
+}
+
+/// The task as it comes back from its packed state.
+fn packed(solo: &Solo) -> Solo {
+    let mut task = solo.task.clone();
+    task.bury();
+    let sequences = [Seq24::new(100); 3];
+    let frame = Frame { rounds: &[Round(0); 3], sequences: &sequences, lives: true };
+    let mut bytes = [0; 512];
+    let len = task.store(&solo.table, &frame, &mut bytes).expect("it fits");
+    assert_eq!(task.load(&solo.table, true, &bytes[..len]), len);
+    Solo { table: solo.table.clone(), task }
+}
+
+#[test]
+fn a_packed_state_keeps_the_whole_answer_that_was_not_told() {
+    let [mut x, _] = answered_below_a_handler();
+    let mut back = packed(&x);
+    assert_eq!(back.ask(Request::Return).words(), x.ask(Request::Return).words());
+    assert_eq!((rest(&back), rest(&x)), (Some(12), Some(12)));
+}
+
+#[test]
+fn what_ended_without_an_answer_below_a_handler_leaves_the_port_free() {
+    let [mut x, mut y, _] = three();
+    for request in [handle(HALT), order(&[Ranked::Port(HALT), Ranked::Own])] {
+        x.ask(request);
+    }
+    x.ask(send(TEACH, Y, 1));
+    let halt = y.ask(send(HALT, X, 5)).packets[0];
+    x.hear(halt);
+    x.pass(50);
+    assert_eq!(x.ask(send(TEACH, Y, 2)).packets.len(), 1);
+    x.ask(Request::Cancel);
+    assert_eq!(x.ask(Request::Return).words(), ["TimedOutUnknown"]);
+}
+
+fn hear_all(x: &mut Solo, packets: &[Packet]) -> Vec<Effects> {
+    packets.iter().map(|&packet| x.hear(packet)).collect()
+}
+
+#[test]
+fn fragments_of_two_who_answer_make_no_message() {
+    let [mut x, mut y, mut z] = three();
+    let question = x.ask(send(TEACH, Y, 1)).packets[0];
+    let of_y = teach(&mut y, question, [11, 12]);
+    let of_z = third(&mut z, question, [21, 22]);
+    let effects = hear_all(&mut x, &[of_y[0], of_z[1], of_z[0]]);
+    assert!(effects.iter().all(|e| e.signals.is_empty()), "{effects:?}");
+    assert_eq!(effects[1].discards(), [Reason::Unexpected]);
+    let mut back = packed(&x);
+    let sequence = Frame::SEQUENCE.plus(Seq24::MODULUS - 100);
+    let moved = |packet: Packet| Packet { id: MessageId { sequence, ..packet.id }, ..packet };
+    assert_eq!(back.hear(moved(of_z[1])).discards(), [Reason::Unexpected], "after reading back, too");
+    assert_eq!(back.hear(moved(of_y[1])).words(), ["reply [11]"]);
+    assert_eq!(x.hear(of_y[1]).words(), ["reply [11]"]);
+    assert_eq!(rest(&x), Some(12));
+}
+
+#[test]
+fn who_answers_in_one_packet_need_not_wait_for_the_rest_of_another() {
+    let [mut x, mut y, mut z] = three();
+    let question = x.ask(send(TEACH, Y, 1)).packets[0];
+    let of_y = teach(&mut y, question, [11, 12]);
+    let to = ReplyTo { port: THIRD, source: X, id: question.id };
+    let of_z = z.ask(Request::Reply { to, contents: contents(21) }).packets;
+    x.hear(of_y[1]);
+    assert_eq!(x.hear(of_z[0]).words(), ["reply [21]"]);
+    assert_eq!(rest(&x), None);
+}
