@@ -11,8 +11,8 @@ use crate::scenario::{Behaviour, Scenario, Watch};
 use crate::state::Violation;
 
 use imrs_protocol::{
-    Class, Incarnation, Kind, MessageId, Node, NodeId, NodeInput, NodeOutbox, NodeTable, Observation,
-    Outcome, Packet, Request, Round, Seq24, Signal, Target, TaskId, TaskState, Ticks,
+    Class, Event, Incarnation, Kind, MessageId, Node, NodeId, NodeInput, NodeOutbox, NodeTable, Observation,
+    Outcome, Packet, Reason, Request, Round, Seq24, Signal, Target, TaskId, TaskState, Ticks,
 };
 use std::sync::Arc;
 
@@ -475,7 +475,12 @@ impl World {
         let answer_on_the_way =
             |flight: &Flight| flight.packet.kind == Kind::Reply && flight.packet.destination == at;
         let current = self.flights.iter().any(|f| answer_on_the_way(f) && f.packet.id == self.last_id(at));
-        if late && current && self.scenario.watch == Watch::Resolves {
+        // An answer with too little left for the way never sets out (D83).
+        let kept = effects.seen.iter().any(|seen| {
+            seen.event == Event::Discarded(Reason::ExpiredInTransit)
+                && awaits(seen.peer).is_some_and(|(_, id)| id.sequence.get() == seen.number)
+        });
+        if (kept || (late && current)) && self.scenario.watch == Watch::Resolves {
             self.ghosts = ghosts;
             return Err(Violation::LateAnswer);
         }

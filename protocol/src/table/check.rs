@@ -85,7 +85,8 @@ pub(super) fn port(cell: &Cell, port: &Port, routes: &[Option<Hop>], errors: &mu
             errors.push(CellError::NeedsClass2(name()));
         }
     }
-    let beats = cell.couples.iter().any(|couple| couple.via == port.id);
+    let beats = matches!(decl.usage, Usage::Query | Usage::Response)
+        && cell.couples.iter().any(|couple| couple.via == port.id);
     if decl.guard.is_some() && (decl.fragments > 1 || decl.usage == Usage::Reply || beats) {
         errors.push(CellError::NoRoomForEpoch(name()));
     }
