@@ -3,6 +3,7 @@
 use super::Floor;
 use super::body::Does;
 use super::judge::Name;
+use super::plan::FloorWatch;
 use crate::state::{Packed, Violation};
 use imrs_protocol::{Frame, Overflow, Packet, PortId, Round, Seq24, TaskId, Ticks, Visit};
 
@@ -168,7 +169,7 @@ impl Floor {
                 out.push(*left);
             }
         }
-        if plan.watches(super::plan::FloorWatch::AtMostOnce) {
+        if plan.watches(FloorWatch::AtMostOnce) {
             ghosts.handed.iter().for_each(|mask| out.extend(mask.to_le_bytes()));
         }
         if plan.fair().is_some() {
@@ -186,6 +187,12 @@ impl Floor {
         }
         if plan.zeno().is_some() {
             out.extend(&ghosts.signals);
+        }
+        if plan.watches(FloorWatch::OneActive) {
+            out.push(ghosts.begun);
+        }
+        if plan.watches(FloorWatch::FencedOrders) {
+            out.push(ghosts.ordered);
         }
         Ok(())
     }

@@ -36,6 +36,10 @@ pub(crate) struct Ghosts {
     pub refused: Vec<(TaskId, PortId, Name, u8)>,
     /// For each task, the signals since the last tick.
     pub signals: Vec<u8>,
+    /// The newest epoch that anybody began to act in.
+    pub begun: u8,
+    /// The newest epoch of an order that the actuator heard of.
+    pub ordered: u8,
 }
 
 impl Ghosts {
@@ -227,6 +231,13 @@ impl Floor {
     /// A message is handed to its task: still alive, and for the first time?
     fn handed_over(&mut self, delivery: &Delivery) -> Result<(), Violation> {
         let name = Name::of(delivery);
+        if self.plan.watches(FloorWatch::FencedOrders) {
+            let said = delivery.contents.as_bytes().first().copied().unwrap_or(0);
+            if said < self.ghosts.ordered {
+                return Err(Violation::OldOrder);
+            }
+            self.ghosts.ordered = said;
+        }
         if self.plan.stale().is_some() && !self.ghosts.lives.iter().any(|(n, _)| *n == name) {
             return Err(Violation::Stale);
         }
@@ -279,11 +290,13 @@ impl Floor {
                 if self.plan.watches(served) { Err(Violation::NotServed) } else { Ok(()) }
             }
             Event::Rejected => self.refused(task, seen.port, name),
+            Event::Enqueued if self.plan.watches(FloorWatch::FencedOrders) => {
+                self.ghosts.ordered = self.ghosts.ordered.max(self.arriving);
+                Ok(())
+            }
             Event::Granted | Event::TookOver if self.plan.watches(FloorWatch::OneActive) => {
-                let others = self.stations.iter().filter(|s| s.up).flat_map(|s| &s.node.parts().tasks);
-                let known = others.filter(|other| other.task() != task).filter_map(CommTask::epoch);
-                let fresh = known.map(u32::from).all(|known| known < seen.number);
-                if fresh { Ok(()) } else { Err(Violation::OldEpoch) }
+                let before = std::mem::replace(&mut self.ghosts.begun, super::small(usize::try_from(seen.number).unwrap_or(usize::MAX)));
+                if u32::from(before) < seen.number { Ok(()) } else { Err(Violation::OldEpoch) }
             }
             _ => Ok(()),
         }

@@ -130,6 +130,8 @@ impl Floor {
         if plan.zeno().is_some() {
             ghosts.signals.iter_mut().for_each(|count| *count = eye.byte());
         }
+        ghosts.begun = if plan.watches(FloorWatch::OneActive) { eye.byte() } else { 0 };
+        ghosts.ordered = if plan.watches(FloorWatch::FencedOrders) { eye.byte() } else { 0 };
     }
 }
 
