@@ -190,6 +190,9 @@ impl Floor {
         }
         if plan.watches(FloorWatch::OneActive) {
             out.push(ghosts.begun);
+            if bases.lives {
+                out.push(ghosts.heard);
+            }
         }
         if plan.watches(FloorWatch::FencedOrders) {
             out.push(ghosts.ordered);

@@ -38,6 +38,8 @@ pub(crate) struct Ghosts {
     pub signals: Vec<u8>,
     /// The newest epoch that anybody began to act in.
     pub begun: u8,
+    /// For each node, whether its present life has heard anything, by a bit: where lives end.
+    pub heard: u8,
     /// The newest epoch of an order that the actuator heard of.
     pub ordered: u8,
 }
@@ -295,15 +297,29 @@ impl Floor {
                 Ok(())
             }
             Event::Granted | Event::TookOver if self.plan.watches(FloorWatch::OneActive) => {
-                let before = std::mem::replace(&mut self.ghosts.begun, super::small(usize::try_from(seen.number).unwrap_or(usize::MAX)));
-                if u32::from(before) < seen.number { Ok(()) } else { Err(Violation::OldEpoch) }
+                self.judge_epoch(task, seen.number)
             }
             _ => Ok(()),
         }
     }
 
+    /// A task begins to act: in an epoch newer than all that anybody acted in. A new life that has heard nothing cannot
+    /// know them; what it waited for before it took over has ended all that was ordered in them (D80).
+    fn judge_epoch(&mut self, task: TaskId, epoch: u32) -> Result<(), Violation> {
+        let place = self.station_of(task.index());
+        let knows = self.stations[place].life.0 == 0 || self.ghosts.heard >> place & 1 == 1;
+        let fresh = u32::from(self.ghosts.begun) < epoch;
+        self.ghosts.begun = self.ghosts.begun.max(u8::try_from(epoch).unwrap_or(u8::MAX));
+        if fresh || !knows { Ok(()) } else { Err(Violation::OldEpoch) }
+    }
+
     /// A packet comes out of a link.
-    pub(super) fn judge_arrival(&self, to: NodeId, packet: &Packet) -> Result<(), Violation> {
+    pub(super) fn judge_arrival(&mut self, to: NodeId, packet: &Packet) -> Result<(), Violation> {
+        if self.plan.lives() && self.plan.watches(FloorWatch::OneActive) {
+            // An answer to an earlier life tells the present one nothing.
+            let told = packet.kind != Kind::Response || packet.id.incarnation == self.stations[to.index()].life;
+            self.ghosts.heard |= u8::from(told) << to.index();
+        }
         let home = self.plan.cell.location(packet.destination) == Some(to);
         let word = packet.kind == Kind::Control && packet.control() == Some(Control::RefusedOnTheWay);
         self.reach(Goal::RefusedOnTheWay, home && word)

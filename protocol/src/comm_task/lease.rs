@@ -111,8 +111,8 @@ const ECHO_BYTES: usize = 4;
 pub(crate) const PUBLISHED_BYTES: usize = 8;
 
 impl Lease {
-    /// The side of `task` in the couple at this position, at the start of its node's life.
-    pub fn new(couple: u8, decl: &CoupleDecl, task: TaskId) -> Self {
+    /// The side of `task` in the couple at this position, at the start of its node's life, the first one or a later one.
+    pub fn new(couple: u8, decl: &CoupleDecl, task: TaskId, restarted: bool) -> Self {
         let primary = decl.primary == task;
         // A restarted standby waits for the whole take-over: its earlier life may have renewed the lease just before.
         let armed = !primary && !decl.mutual;
@@ -121,7 +121,8 @@ impl Lease {
             primary,
             partner: if primary { decl.standby } else { decl.primary },
             post: Post::Waits,
-            epoch: 0,
+            // An earlier life may have taken over without having heard of anybody.
+            epoch: if restarted { 2 } else { 0 },
             proposed: false,
             life: None,
             answered: [None; ANSWERS],
@@ -165,8 +166,8 @@ impl Lease {
                 self.call = Some(Call::Fenced);
             }
             Post::Waits if self.takeover_at <= at.now => {
+                self.propose();
                 self.stop(Post::Alone);
-                self.epoch = self.next_epoch();
                 self.call = Some(Call::TakeOver(self.epoch));
             }
             Post::Waits | Post::Leased(_) | Post::Alone | Post::Passive => {}
@@ -247,12 +248,11 @@ impl Lease {
         if self.post == Post::Passive || (self.post == Post::Waits && !self.primary) {
             return;
         }
-        if !self.enter_life(packet.id.incarnation) {
-            return;
-        }
         let bytes = packet.contents.as_bytes();
         let (Some(back), Some(&epoch)) = (bytes.first_chunk(), bytes.get(2)) else { return };
-        self.hear_of(epoch);
+        if !self.enter_life(packet.id.incarnation, epoch) {
+            return;
+        }
         let back = u32::from(u16::from_le_bytes(*back));
         let echoed = packet.id.sequence.plus(Seq24::MODULUS - back);
         let renewed = match at.table.rules().lease {
@@ -337,14 +337,20 @@ impl Lease {
         };
     }
 
-    /// Whether a packet comes from the partner's present life. A new life has got none of the answers.
-    fn enter_life(&mut self, life: Incarnation) -> bool {
-        match self.life {
-            Some(known) if is_older(life, known) => return false,
-            Some(known) if known != life => (self.answered, self.newest) = ([None; ANSWERS], None),
-            Some(_) | None => {}
+    /// Whether a beat comes from the partner's present life. A new life has got none of the answers, and an earlier one, of
+    /// either side, may have acted in an epoch that nobody knows of any more: of each side one is left out.
+    fn enter_life(&mut self, life: Incarnation, epoch: u8) -> bool {
+        if self.life.is_some_and(|known| is_older(life, known)) {
+            return false;
         }
-        self.life = Some(life);
+        self.hear_of(epoch);
+        if self.life != Some(life) {
+            (self.life, self.answered, self.newest) = (Some(life), [None; ANSWERS], None);
+            if !self.acts() {
+                self.epoch = self.epoch.wrapping_add(2);
+                self.disown();
+            }
+        }
         true
     }
 

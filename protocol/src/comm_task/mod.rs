@@ -240,7 +240,7 @@ impl CommTask {
                 Usage::Query | Usage::Response
                     if let Some((at, couple)) = lease::couple_of(table, id, task) =>
                 {
-                    new.lease = Some(Lease::new(at, couple, task));
+                    new.lease = Some(Lease::new(at, couple, task, restarted));
                     Role::Beats
                 }
                 Usage::Send | Usage::Query if asks => {
