@@ -317,7 +317,8 @@ impl Floor {
     pub(super) fn judge_arrival(&mut self, to: NodeId, packet: &Packet) -> Result<(), Violation> {
         if self.plan.lives() && self.plan.watches(FloorWatch::OneActive) {
             // An answer to an earlier life tells the present one nothing.
-            let told = packet.kind != Kind::Response || packet.id.incarnation == self.stations[to.index()].life;
+            let told =
+                packet.kind != Kind::Response || packet.id.incarnation == self.stations[to.index()].life;
             self.ghosts.heard |= u8::from(told) << to.index();
         }
         let home = self.plan.cell.location(packet.destination) == Some(to);

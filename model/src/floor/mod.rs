@@ -23,8 +23,8 @@ use crate::state::Violation;
 use body::{Body, Does};
 use imrs_protocol::script::ScriptInput;
 use imrs_protocol::{
-    CommTask, Contents, Incarnation, Node, NodeId, NodeInput, NodeOutbox, NodeTable, Observation, Packet, Request, Round, Seq24,
-    Signal, TaskId, Ticks, invariants,
+    CommTask, Contents, Incarnation, Node, NodeId, NodeInput, NodeOutbox, NodeTable, Observation, Packet,
+    Request, Round, Seq24, Signal, TaskId, Ticks, invariants,
 };
 use plan::{Errand, FloorPlan};
 use std::collections::VecDeque;

@@ -66,7 +66,7 @@ pub(crate) struct Lease {
     pub epoch: u8,
     /// Whether `epoch` is one that the task would act under: its answers say so, and nobody has acted in it.
     pub proposed: bool,
-    /// The partner's life that the answers below went to.
+    /// The partner's life: the answers below went to it, and the echo is of one of its answers.
     pub life: Option<Incarnation>,
     /// The last beats that were answered, newest first.
     pub answered: [Option<Answered>; ANSWERS],
@@ -228,7 +228,8 @@ impl Lease {
         self.echo = self.echo.filter(|echo| echo.until > at.now);
         let back = self.echo.map_or(0, |echo| id.sequence.steps_from(echo.beat));
         let back = u16::try_from(back).unwrap_or(0).to_le_bytes();
-        let contents = Contents::new(&[back[0], back[1], self.epoch, 0]).unwrap_or_default();
+        let whose = self.life.map_or(0, |life| life.0);
+        let contents = Contents::new(&[back[0], back[1], self.epoch, whose]).unwrap_or_default();
         let packet = mapping::message(port, at.task, self.partner, id, life, contents);
         out.transmit(Packet { kind: Kind::Query, ..packet });
         // Counted from when it was due, so that lateness does not add up; after a pause one beat, not all that were due.
@@ -249,7 +250,10 @@ impl Lease {
             return;
         }
         let bytes = packet.contents.as_bytes();
-        let (Some(back), Some(&epoch)) = (bytes.first_chunk(), bytes.get(2)) else { return };
+        let (Some(back), Some(&epoch), Some(&whose)) = (bytes.first_chunk(), bytes.get(2), bytes.get(3))
+        else {
+            return;
+        };
         if !self.enter_life(packet.id.incarnation, epoch) {
             return;
         }
@@ -257,7 +261,9 @@ impl Lease {
         let echoed = packet.id.sequence.plus(Seq24::MODULUS - back);
         let renewed = match at.table.rules().lease {
             LeaseRule::Echoed => {
-                let answered = self.answered.iter().flatten().find(|a| back != 0 && a.beat == echoed);
+                // An earlier life may have answered the same beat: that was sooner.
+                let own = back != 0 && whose == at.incarnation.0;
+                let answered = self.answered.iter().flatten().find(|a| own && a.beat == echoed);
                 answered.map(|answered| answered.until)
             }
             LeaseRule::Heartbeat => Some(at.now + couple.lease),
@@ -298,7 +304,7 @@ impl Lease {
             Post::Leased(_) => LEASED,
             Post::Alone => ALONE,
         };
-        bytes[1] = self.epoch;
+        (bytes[1], bytes[2]) = (self.epoch, at.incarnation.0);
         let published = self.published.as_bytes();
         let len = published.len().min(PUBLISHED_BYTES);
         bytes[ECHO_BYTES..ECHO_BYTES + len].copy_from_slice(&published[..len]);
@@ -318,7 +324,14 @@ impl Lease {
             return;
         }
         let bytes = packet.contents.as_bytes();
-        let (Some(&mode), Some(&epoch)) = (bytes.first(), bytes.get(1)) else { return };
+        let Some(&[mode, epoch, life]) = bytes.first_chunk() else { return };
+        let life = Incarnation(life);
+        if self.life.is_some_and(|known| is_older(life, known)) {
+            return;
+        }
+        if self.life.replace(life) != Some(life) {
+            (self.answered, self.newest, self.echo) = ([None; ANSWERS], None, None);
+        }
         self.hear_of(epoch);
         let newest = self.echo.is_none_or(|echo| packet.id.sequence.is_newer_than(echo.beat));
         if newest {

@@ -2,9 +2,7 @@
 
 use crate::floor::plan::{Errand, Faults, FloorPlan, FloorWatch, TaskPlan, Times};
 use imrs_protocol::rules::{LeaseRule, Rules};
-use imrs_protocol::{
-    Cell, CellError, CellTable, CoupleDecl, NodeId, PortDecl, PortId, TaskId, Ticks, Usage,
-};
+use imrs_protocol::{Cell, CellError, CellTable, CoupleDecl, NodeId, PortDecl, PortId, TaskId, Ticks, Usage};
 use std::sync::Arc;
 
 /// A primary and its standby, each on a node of its own.

@@ -13,6 +13,7 @@ const FENCED: u8 = 0x08;
 const TOOK_OVER: u8 = 0x10;
 const NEWEST: u8 = 0x20;
 const PROPOSED: u8 = 0x40;
+const MET: u8 = 0x80;
 
 impl CommTask {
     pub(super) fn store_guards(&self, w: &mut Writer<'_>) -> Result<(), Overflow> {
@@ -48,13 +49,14 @@ impl CommTask {
         w.byte(
             post | flag(lease.newest.is_some(), NEWEST)
                 | flag(lease.proposed, PROPOSED)
+                | flag(lease.life.is_some(), MET)
                 | flag(lease.echo.is_some(), ECHO)
                 | flag(fenced, FENCED)
                 | flag(took_over, TOOK_OVER),
         )?;
         w.byte(lease.epoch)?;
         if frame.lives {
-            w.byte(lease.life.map_or(0, |life| life.0.wrapping_add(1)))?;
+            w.byte(lease.life.map_or(0, |life| life.0))?;
         }
         match lease.post {
             Post::Waits => {
@@ -85,7 +87,8 @@ impl CommTask {
         let first = r.byte();
         lease.proposed = first & PROPOSED != 0;
         lease.epoch = r.byte();
-        lease.life = if lives { r.byte().checked_sub(1).map(Incarnation) } else { Some(Incarnation(0)) };
+        let life = Incarnation(if lives { r.byte() } else { 0 });
+        lease.life = (first & MET != 0).then_some(life);
         (lease.beat_at, lease.takeover_at) = (Ticks::FAR, Ticks::FAR);
         lease.post = match first & POST {
             0 => {
