@@ -292,6 +292,7 @@ impl Floor {
                 if self.plan.watches(served) { Err(Violation::NotServed) } else { Ok(()) }
             }
             Event::Rejected => self.refused(task, seen.port, name),
+            Event::Fenced => self.reach(Goal::Fenced, true),
             Event::Enqueued if self.plan.watches(FloorWatch::FencedOrders) => {
                 self.ghosts.ordered = self.ghosts.ordered.max(self.arriving);
                 Ok(())

@@ -227,6 +227,8 @@ pub enum Goal {
     BuffersFull,
     /// The second task acts: it took over.
     TookOver,
+    /// A lease ends.
+    Fenced,
 }
 
 /// A whole floor to explore.
