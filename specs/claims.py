@@ -19,6 +19,7 @@ FULL = pathlib.Path(__file__).with_name("claims-full.md")
 MESSAGES = {
     "no-stale-delivery", "class-2-resolves", "at-most-once", "no-global-clock", "nothing-waits-for-ever",
     "query-order", "penalty-is-fair", "eviction", "one-active",
+    "fenced-orders",
 }
 LONGEST_CHART = 16
 # Of the table of confirmation rules, the charts that differ.

@@ -1,7 +1,7 @@
 //! What must hold of a declared couple (D30, D61): the compiler's checks of `couple work`.
 
 use crate::cell::{Cell, CellError, CoupleDecl, Usage};
-use crate::margin::{DRIFT_PPM, takeover_margin};
+use crate::margin::{DRIFT_PPM, least_lease, takeover_margin};
 use crate::table::Port;
 use crate::ticks::Ticks;
 use alloc::format;
@@ -56,13 +56,6 @@ fn check_via(couple: &CoupleDecl, via: &Port, errors: &mut Vec<CellError>) {
     }
 }
 
-/// How long an answer is the newest that was echoed, while nothing is lost: it is echoed by the first beat after the way
-/// there and back, the answer to that one by the first beat after the same time again, and a beat takes a way.
-fn least_lease(way: Ticks, every: Ticks) -> Ticks {
-    let beats = (way + way).0 / every.0.max(1);
-    Ticks(every.0.saturating_mul(beats.saturating_add(2))) + way
-}
-
 fn check_times(
     cell: &Cell,
     couple: &CoupleDecl,
@@ -71,7 +64,7 @@ fn check_times(
     (position, way): (usize, Ticks),
     errors: &mut Vec<CellError>,
 ) {
-    let renewed = least_lease(way, couple.every) + cell.tick;
+    let renewed = least_lease(way, couple.every, cell.tick);
     if couple.every.is_zero() || couple.lease < renewed {
         let (couple, lease) = (name(cell, couple), couple.lease);
         errors.push(CellError::LeaseTooShort { couple, lease, least: renewed });

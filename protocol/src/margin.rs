@@ -24,6 +24,16 @@ pub fn takeover_margin(
     if both == Ticks::FAR { Ticks::FAR } else { drift + residence + tick }
 }
 
+/// The least lease of a couple that lasts while nothing is lost (D78), with beats `every` so long and the longest `way`.
+///
+/// So long an answer can be the newest that was echoed: a beat echoes it that leaves after the way there and back, the
+/// answer to this one is echoed a period later, and that beat takes a way; the `tick` is when the end is noticed.
+#[must_use]
+pub fn least_lease(way: Ticks, every: Ticks, tick: Ticks) -> Ticks {
+    let beats = (way + way).0 / every.0.max(1);
+    Ticks(every.0.saturating_mul(beats.saturating_add(2))) + way + tick
+}
+
 /// The least time that must remain of every arrival for a member to release, so that while each packet takes at most
 /// `delay` and at most `losses` packets of the meeting are lost, nobody is released while another gives up.
 ///
@@ -57,6 +67,14 @@ mod tests {
         assert_eq!(margin(Ticks::ZERO), Ticks(1_100));
         assert_eq!(margin(Ticks(20_000)), Ticks(21_100));
         assert_eq!(takeover_margin(Ticks::FAR, Ticks(1), 200, Ticks::ZERO, Ticks(1)), Ticks::FAR);
+    }
+
+    #[test]
+    fn a_lease_lasts_two_periods_a_way_and_what_the_way_there_and_back_adds() {
+        let least = |way, every| least_lease(Ticks(way), Ticks(every), Ticks(1));
+        assert_eq!([(1, 2), (2, 3), (2, 2), (1, 3)].map(|(w, e)| least(w, e).0), [8, 12, 11, 8]);
+        assert_eq!(least(1, 0), Ticks(2));
+        assert_eq!(least(1, u64::MAX), Ticks::FAR);
     }
 
     #[test]

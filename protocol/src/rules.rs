@@ -112,6 +112,8 @@ pub struct Rules {
     pub eviction: Eviction,
     /// How a primary keeps its lease (D61).
     pub lease: LeaseRule,
+    /// Whether an actuator drops commands of an older epoch than the newest it heard of (D61).
+    pub heed_epochs: bool,
     /// How the Timer takes a job (D22).
     pub job_request: JobRequest,
 }
@@ -135,6 +137,7 @@ impl Rules {
         obey_order: true,
         eviction: Eviction::ByClass,
         lease: LeaseRule::Echoed,
+        heed_epochs: true,
         job_request: JobRequest::Standing,
     };
 }

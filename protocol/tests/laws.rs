@@ -265,7 +265,7 @@ proptest! {
 fn random_runs_reach_every_event_and_outcome() {
     let mut runner = TestRunner::deterministic();
     let mut seen = BTreeSet::new();
-    for _ in 0..600 {
+    for _ in 0..2000 {
         let (plan, ops) = (plans(), ops()).new_tree(&mut runner).expect("a plan").current();
         let mut world = World::new(&plan.build(), true);
         for op in ops {
@@ -301,7 +301,9 @@ fn random_runs_reach_every_event_and_outcome() {
         "Discarded(StaleIncarnation)",
         "Discarded(Unexpected)",
         "Enqueued",
+        "Fenced",
         "GaveUp",
+        "Granted",
         "Interrupt",
         "Interrupt by a timer",
         "Interrupted",
@@ -333,6 +335,7 @@ fn random_runs_reach_every_event_and_outcome() {
         "TimedOut",
         "TimedOutUnknown",
         "TimedOutUnsent",
+        "TookOver",
         "WithinMargin",
         "WrongLength",
         "WrongUsage",

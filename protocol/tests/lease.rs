@@ -70,7 +70,7 @@ fn leased(mutual: bool) -> Net {
     let mut net = Net::new(cell(mutual));
     net.ask(P, Request::Lease);
     net.run(12);
-    assert_eq!(net.heard(P), ["granted 1"]);
+    assert_eq!(net.heard(P), ["granted 3"]);
     assert_eq!(acting(&net), [true, false]);
     net
 }
@@ -89,7 +89,7 @@ fn the_primary_acts_once_a_beat_has_echoed_its_answer_and_the_lease_is_renewed()
     net.ask(P, Request::Lease);
     assert_eq!(changes(&mut net, 100), [(0, [false, false]), (5, [true, false])]);
     // A beat at 1, its answer at 3, the beat that echoes it at 4.
-    assert_eq!(net.heard(P), ["granted 1"]);
+    assert_eq!(net.heard(P), ["granted 3"]);
     assert_eq!(net.heard(S), [""; 0]);
 }
 
@@ -103,7 +103,7 @@ fn with_the_link_cut_the_primary_is_fenced_and_the_standby_takes_over_later() {
     let [(_, _), (fenced, [false, false]), (taken, [false, true])] = seen[..] else { panic!("{seen:?}") };
     assert!(taken >= fenced + (TAKEOVER - LEASE), "fenced at {fenced}, taken over at {taken}");
     assert_eq!(net.heard(P), ["interrupt Fenced"]);
-    assert_eq!(net.heard(S), ["interrupt TakeOver(3)"]);
+    assert_eq!(net.heard(S), ["interrupt TakeOver(4)"]);
     // One way: the old primary does not come back in this life.
     heal(&mut net);
     assert_eq!(changes(&mut net, 100).len(), 1);
@@ -126,7 +126,7 @@ fn a_standby_that_waits_for_the_lease_is_granted_it_by_the_take_over() {
     net.ask(S, Request::Lease);
     net.ask(P, Request::End);
     changes(&mut net, 60);
-    assert_eq!(net.heard(S), ["granted 3"]);
+    assert_eq!(net.heard(S), ["granted 4"]);
     assert_eq!(acting(&net), [false, true]);
 }
 
@@ -147,7 +147,7 @@ fn a_restarted_primary_is_granted_a_fresh_lease_in_a_new_epoch() {
     assert_eq!(acting(&net), [false, false]);
     changes(&mut net, 20);
     assert_eq!(acting(&net), [true, false]);
-    assert_eq!(net.nodes[0].task(P).and_then(CommTask::epoch), Some(2));
+    assert_eq!(net.nodes[0].task(P).and_then(CommTask::epoch), Some(7));
 }
 
 #[test]
@@ -179,7 +179,7 @@ fn with_exchanged_roles_the_former_primary_is_the_standby_of_the_one_that_took_o
     cut(&mut net);
     let seen = changes(&mut net, 80);
     let [_, (_, [false, false]), (_, [true, false])] = seen[..] else { panic!("{seen:?}") };
-    assert_eq!(net.nodes[0].task(P).and_then(CommTask::epoch), Some(4));
+    assert_eq!(net.nodes[0].task(P).and_then(CommTask::epoch), Some(5));
 }
 
 #[test]
@@ -262,6 +262,68 @@ fn an_actuator_drops_what_an_older_epoch_ordered_and_what_still_waits_of_it() {
     // A message without an epoch is none of a task that acts.
     let bare = Packet { contents: Contents::EMPTY, ..order(P, 3, 1, 0) };
     assert_eq!(arm.hear(bare).discards(), [Reason::NotAllowed]);
+}
+
+/// An older epoch is refused on every port of the couple, and with a newer one goes what waits on any of them.
+#[test]
+fn a_guard_is_of_the_couple_whichever_port_an_order_comes_through() {
+    let mut cell = cell(false);
+    let port = PortDecl::new("grip", ARM, Usage::Receive, &[P, S], Ticks(8)).bounded_buffer(4).guard(0);
+    let grip = cell.port(port);
+    let free = cell.port(PortDecl::new("free", ARM, Usage::Receive, &[P], Ticks(8)).bounded_buffer(4));
+    let table = Arc::new(CellTable::new(cell).expect("a checked cell"));
+    let mut arm = Solo::new(&table, ARM);
+    let through = |port, packet: Packet| Packet { port, ..packet };
+    arm.hear(through(grip, order(P, 0, 1, 10)));
+    arm.hear(through(free, order(P, 1, 1, 11)));
+    assert_eq!(
+        arm.hear(order(S, 0, 2, 20)).discards(),
+        [Reason::StaleEpoch],
+        "what waited on the other port"
+    );
+    assert_eq!(arm.hear(through(grip, order(P, 2, 1, 12))).discards(), [Reason::StaleEpoch]);
+    assert_eq!(arm.ask(get_on(grip, 0)).words(), ["nothing"]);
+    assert_eq!(arm.ask(get_on(free, 0)).words(), ["message [11, 1] from T0 for 8"]);
+    assert_eq!(arm.ask(get_on(MOVE, 0)).words(), ["message [20] from T1 for 8"]);
+}
+
+/// What the answers of a side say: what it does, its epoch.
+fn said(seen: &support::Effects) -> Vec<[u8; 2]> {
+    let answers = seen.packets.iter().filter(|packet| packet.kind == Kind::Response);
+    answers.filter_map(|packet| packet.contents.as_bytes().first_chunk().copied()).collect()
+}
+
+/// A beat of the standby that echoes the one so far back, of this life of the primary.
+fn beat(sequence: u32, back: u8, epoch: u8, whose: u8) -> Packet {
+    let contents = Contents::new(&[back, 0, epoch, whose]).expect("short");
+    let id = MessageId { sequence: Seq24::new(sequence), ..MessageId::default() };
+    let nothing = Solo::new(&table(false), ARM).nothing();
+    let packet = Packet { kind: Kind::Query, class: Class::Command, destination: P, source: S, ..nothing };
+    Packet { port: ALIVE, id, remaining: Ticks(6), contents, ..packet }
+}
+
+#[test]
+fn an_echo_of_what_an_earlier_life_answered_gives_no_lease() {
+    for (whose, acts) in [(0, true), (1, false)] {
+        let mut primary = Solo::new(&table(false), P);
+        primary.hear(beat(1, 0, 0, 0));
+        primary.pass(1);
+        primary.hear(beat(2, 1, 3, whose));
+        assert_eq!(primary.task.is_active(), acts, "an echo of life {whose}");
+    }
+}
+
+#[test]
+fn the_epoch_is_said_before_anybody_acts_in_it_and_a_proposal_is_kept_until_a_newer_one_is_heard_of() {
+    let mut primary = Solo::new(&table(true), P);
+    assert_eq!(said(&primary.hear(beat(1, 0, 0, 0))), [[0, 3]]);
+    assert_eq!(said(&primary.hear(beat(2, 0, 3, 0))), [[0, 3]], "heard of, and not begun");
+    assert!(!primary.task.is_active());
+    // The standby took over in epoch 4 meanwhile: an echo of an answer that said 3 is of no use any more.
+    assert_eq!(said(&primary.hear(beat(3, 1, 4, 0))), [[0, 5]]);
+    assert!(!primary.task.is_active());
+    assert_eq!(said(&primary.hear(beat(4, 1, 5, 0))), [[1, 5]]);
+    assert!(primary.task.is_active());
 }
 
 #[test]

@@ -47,6 +47,7 @@ pages! {
     fragments "fragments"
     third_party_replies "third-party-replies"
     timers "timers"
+    takeover "takeover"
     declarations "declarations"
 }
 

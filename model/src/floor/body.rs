@@ -65,6 +65,7 @@ impl Body {
             Errand::Rest => 0,
             Errand::Receive { .. } => Self::ENDLESS,
             Errand::Send { times, .. }
+            | Errand::Order { times, .. }
             | Errand::Work { times, .. }
             | Errand::Meet { times, .. }
             | Errand::Delay { times, .. } => match times {
@@ -185,6 +186,12 @@ impl Body {
                 level.question = question;
                 Request::Send { port, to, contents: says(question, plan), time_out: None }
             }
+            Errand::Order { port, .. } => Request::Send {
+                port,
+                to: imrs_protocol::Target::All,
+                contents: Contents::EMPTY,
+                time_out: None,
+            },
             Errand::Receive { port, time_out } => Request::Get { port, source: None, time_out },
             Errand::Work { .. } => {
                 level.does = Does::Works;

@@ -3,6 +3,7 @@
 use super::Floor;
 use super::body::Does;
 use super::judge::Name;
+use super::plan::FloorWatch;
 use crate::state::{Packed, Violation};
 use imrs_protocol::{Frame, Overflow, Packet, PortId, Round, Seq24, TaskId, Ticks, Visit};
 
@@ -168,7 +169,7 @@ impl Floor {
                 out.push(*left);
             }
         }
-        if plan.watches(super::plan::FloorWatch::AtMostOnce) {
+        if plan.watches(FloorWatch::AtMostOnce) {
             ghosts.handed.iter().for_each(|mask| out.extend(mask.to_le_bytes()));
         }
         if plan.fair().is_some() {
@@ -188,6 +189,15 @@ impl Floor {
             out.extend(&ghosts.signals);
         }
         out.extend(ghosts.told.flags().map(u8::from));
+        if plan.watches(FloorWatch::OneActive) {
+            out.push(ghosts.begun);
+            if bases.lives {
+                out.push(ghosts.heard);
+            }
+        }
+        if plan.watches(FloorWatch::FencedOrders) {
+            out.push(ghosts.ordered);
+        }
         Ok(())
     }
 

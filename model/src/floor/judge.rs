@@ -39,6 +39,12 @@ pub(crate) struct Ghosts {
     pub signals: Vec<u8>,
     /// What checks ask for and no machine keeps.
     pub told: Told,
+    /// The newest epoch that anybody began to act in.
+    pub begun: u8,
+    /// For each node, whether its present life has heard anything, by a bit: where lives end.
+    pub heard: u8,
+    /// The newest epoch of an order that the actuator heard of.
+    pub ordered: u8,
 }
 
 impl Ghosts {
@@ -240,6 +246,13 @@ impl Floor {
     /// A message is handed to its task: still alive, and for the first time?
     fn handed_over(&mut self, delivery: &Delivery) -> Result<(), Violation> {
         let name = Name::of(delivery);
+        if self.plan.watches(FloorWatch::FencedOrders) {
+            let said = delivery.contents.as_bytes().first().copied().unwrap_or(0);
+            if said < self.ghosts.ordered {
+                return Err(Violation::OldOrder);
+            }
+            self.ghosts.ordered = said;
+        }
         if self.plan.stale().is_some() && !self.ghosts.lives.iter().any(|(n, _)| *n == name) {
             return Err(Violation::Stale);
         }
@@ -292,18 +305,36 @@ impl Floor {
                 if self.plan.watches(served) { Err(Violation::NotServed) } else { Ok(()) }
             }
             Event::Rejected => self.refused(task, seen.port, name),
+            Event::Fenced => self.reach(Goal::Fenced, true),
+            Event::Enqueued if self.plan.watches(FloorWatch::FencedOrders) => {
+                self.ghosts.ordered = self.ghosts.ordered.max(self.arriving);
+                Ok(())
+            }
             Event::Granted | Event::TookOver if self.plan.watches(FloorWatch::OneActive) => {
-                let others = self.stations.iter().filter(|s| s.up).flat_map(|s| &s.node.parts().tasks);
-                let known = others.filter(|other| other.task() != task).filter_map(CommTask::epoch);
-                let fresh = known.map(u32::from).all(|known| known < seen.number);
-                if fresh { Ok(()) } else { Err(Violation::OldEpoch) }
+                self.judge_epoch(task, seen.number)
             }
             _ => Ok(()),
         }
     }
 
+    /// A task begins to act: in an epoch newer than all that anybody acted in. A new life that has heard nothing cannot
+    /// know them; what it waited for before it took over has ended all that was ordered in them (D80).
+    fn judge_epoch(&mut self, task: TaskId, epoch: u32) -> Result<(), Violation> {
+        let place = self.station_of(task.index());
+        let knows = self.stations[place].life.0 == 0 || self.ghosts.heard >> place & 1 == 1;
+        let fresh = u32::from(self.ghosts.begun) < epoch;
+        self.ghosts.begun = self.ghosts.begun.max(u8::try_from(epoch).unwrap_or(u8::MAX));
+        if fresh || !knows { Ok(()) } else { Err(Violation::OldEpoch) }
+    }
+
     /// A packet comes out of a link.
-    pub(super) fn judge_arrival(&self, to: NodeId, packet: &Packet) -> Result<(), Violation> {
+    pub(super) fn judge_arrival(&mut self, to: NodeId, packet: &Packet) -> Result<(), Violation> {
+        if self.plan.lives() && self.plan.watches(FloorWatch::OneActive) {
+            // An answer to an earlier life tells the present one nothing.
+            let told =
+                packet.kind != Kind::Response || packet.id.incarnation == self.stations[to.index()].life;
+            self.ghosts.heard |= u8::from(told) << to.index();
+        }
         let home = self.plan.cell.location(packet.destination) == Some(to);
         let word = packet.kind == Kind::Control && packet.control() == Some(Control::RefusedOnTheWay);
         self.reach(Goal::RefusedOnTheWay, home && word)

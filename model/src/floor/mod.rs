@@ -24,10 +24,10 @@ use crate::state::Violation;
 use body::{Body, Does};
 use imrs_protocol::script::ScriptInput;
 use imrs_protocol::{
-    Incarnation, Node, NodeId, NodeInput, NodeOutbox, NodeTable, Observation, Packet, Request, Round, Seq24,
-    Signal, TaskId, Ticks, invariants,
+    CommTask, Contents, Incarnation, Node, NodeId, NodeInput, NodeOutbox, NodeTable, Observation, Packet,
+    Request, Round, Seq24, Signal, TaskId, Ticks, invariants,
 };
-use plan::FloorPlan;
+use plan::{Errand, FloorPlan};
 use std::collections::VecDeque;
 use std::sync::Arc;
 
@@ -105,6 +105,8 @@ pub(crate) struct Floor {
     /// How many ticks have passed since this was last set to zero.
     pub passed: u32,
     spare: Vec<Effect>,
+    /// The last byte of the packet that is arriving: in an order its epoch.
+    arriving: u8,
     /// What scripts have not taken yet. Empty between moves.
     inputs: VecDeque<(usize, ScriptInput)>,
 }
@@ -174,6 +176,7 @@ impl Floor {
             keep_log: false,
             passed: 0,
             spare: Vec::new(),
+            arriving: 0,
             inputs: VecDeque::new(),
             links,
             plan: Arc::clone(plan),
@@ -291,12 +294,33 @@ impl Floor {
         let serves = self.bodies[task].top().does == Does::Serves;
         let requests = self.bodies[task].act(TaskId::from_index(task), &plan);
         for request in requests {
+            let request = self.in_epoch(task, request);
             self.ask(task, request)?;
         }
         if serves && self.bodies[task].levels.len() == 1 && self.bodies[task].top().does == Does::Serves {
             self.bodies[task].resume();
         }
         Ok(())
+    }
+
+    /// An order says the epoch that it is given in.
+    fn in_epoch(&self, task: usize, request: Request) -> Request {
+        let machine = self.stations[self.station_of(task)].node.task(TaskId::from_index(task));
+        match (request, machine.and_then(CommTask::epoch)) {
+            (Request::Send { port, to, time_out, .. }, Some(epoch)) => {
+                let contents = Contents::new(&[epoch]).unwrap_or_default();
+                Request::Send { port, to, contents, time_out }
+            }
+            _ => request,
+        }
+    }
+
+    /// Whether the task can go on by itself now: with an order only while it acts.
+    fn may_act(&self, task: usize) -> bool {
+        let (body, plan) = (&self.bodies[task], &self.plan.tasks[task]);
+        let machine = self.stations[self.station_of(task)].node.task(TaskId::from_index(task));
+        let orders = matches!(plan.errand, Errand::Order { .. }) && body.top().does == Does::Free;
+        body.may_act(plan) && (!orders || machine.is_some_and(CommTask::is_active))
     }
 
     fn ask(&mut self, task: usize, request: Request) -> Result<(), Violation> {
@@ -321,6 +345,7 @@ impl Floor {
         }
         let charge = Ticks(u64::from(bound) + u64::from(over));
         self.judge_arrival(to, &crossing.packet)?;
+        self.arriving = crossing.packet.contents.as_bytes().last().copied().unwrap_or(0);
         self.step(to.index(), NodeInput::Packet { packet: crossing.packet, charge })
     }
 

@@ -40,7 +40,7 @@ impl Floor {
             moves.extend(may.map(|action| Move::Acted(small(task), action.level)));
             return;
         }
-        if body.may_act(plan) {
+        if self.may_act(task) {
             moves.push(Move::Act(small(task)));
         }
         if body.may_nest(plan) {

@@ -30,6 +30,13 @@ pub enum Errand {
         /// So many ticks at least between two sends.
         every: u8,
     },
+    /// Sends a status message under its lease, while it acts (D61).
+    Order {
+        /// The port.
+        port: PortId,
+        /// How often.
+        times: Times,
+    },
     /// Receives, and keeps each message for the ticks of its service.
     Receive {
         /// From one port, or the most urgent of all.
@@ -200,6 +207,8 @@ pub enum FloorWatch {
     },
     /// Of the tasks that are in a couple at most one acts (D61).
     OneActive,
+    /// Whoever has heard of an order of an epoch executes none of an older one (D61). Orders say their epoch.
+    FencedOrders,
     /// Shown by a counterexample to "never": something that must be possible for the other watches to mean anything.
     Reach(Goal),
 }
@@ -219,6 +228,8 @@ pub enum Goal {
     BuffersFull,
     /// The second task acts: it took over.
     TookOver,
+    /// A lease ends.
+    Fenced,
 }
 
 /// A whole floor to explore.

@@ -110,6 +110,7 @@ impl Floor {
     }
 
     pub(super) fn crash(&mut self, i: usize) {
+        self.ghosts.heard &= !(1 << i);
         let station = &mut self.stations[i];
         station.up = false;
         station.owed = 0;

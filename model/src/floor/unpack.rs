@@ -131,6 +131,9 @@ impl Floor {
             ghosts.signals.iter_mut().for_each(|count| *count = eye.byte());
         }
         ghosts.told.flags_mut().for_each(|flag| *flag = eye.byte() == 1);
+        ghosts.begun = if plan.watches(FloorWatch::OneActive) { eye.byte() } else { 0 };
+        ghosts.heard = if plan.lives() && plan.watches(FloorWatch::OneActive) { eye.byte() } else { 0 };
+        ghosts.ordered = if plan.watches(FloorWatch::FencedOrders) { eye.byte() } else { 0 };
     }
 }
 

@@ -3,7 +3,7 @@
 mod couple;
 mod served;
 
-pub use couple::Couple;
+pub use couple::{Couple, Orders};
 pub use served::{Flood, Interrupted, Workshop, penalised, query_all};
 
 use super::plan::{Errand, Faults, FloorPlan, FloorWatch, TaskPlan, Times};

@@ -1,7 +1,6 @@
 //! The receiving end of a port at its task: the bounded_buffer (§5.1.1) and the memory of what was taken.
 
 use super::fragments::Parts;
-use super::lease::Guard;
 use super::memory::Source;
 use crate::ids::{MessageId, PortId, TaskId};
 use crate::packet::{Class, Contents};
@@ -61,8 +60,6 @@ pub(crate) struct Inbox {
     pub handled: bool,
     /// Whether a message takes the place of the one of the same source that still waits.
     pub latest: bool,
-    /// Of a port that acts under a lease: the newest epoch (D61).
-    pub guard: Option<Guard>,
     /// How many others were served since this port had something to offer, or was served itself (D58).
     pub bypassed: u16,
     /// What is remembered of each task that may send here, ascending.
@@ -96,7 +93,6 @@ impl Inbox {
             queue: Queue::new(decl.bounded_buffer),
             handled: false,
             latest: decl.latest,
-            guard: decl.guard.map(|_| Guard::default()),
             bypassed: 0,
             sources: sources.into(),
             bodies: (0..bodies).map(|_| Parts::new(decl.fragments)).collect(),

@@ -5,7 +5,12 @@
 //! lease, and it counts from when the echoed answer was *sent*: whoever sends the beats has that answer, so it knows an
 //! instant, on its own clock and no earlier, from which to wait longer than the lease before it takes over. So both
 //! never act at a time, however slow the network, as long as the take-over exceeds the lease by the clocks' drift and
-//! a tick. Whoever acts counts an *epoch* up; actuators drop commands of an older one.
+//! a tick.
+//!
+//! Each time in office has an *epoch* of its own, and actuators drop commands of an older one. The primary's epochs are
+//! odd and the standby's even, so both can count up without hearing of each other. The primary says the epoch that it
+//! would act in before it does, with an answer, and begins by an echo of that: so whenever the standby takes over it
+//! has heard of every epoch that the primary began (D80).
 //!
 //! With `<->` the roles are exchanged at a take-over. The one that took over acts alone until its partner is back, so
 //! a partner that was away must not take over before it knows that the other one depends on its beats: an answer says so.
@@ -57,9 +62,11 @@ pub(crate) struct Lease {
     pub primary: bool,
     pub partner: TaskId,
     pub post: Post,
-    /// The epoch it acts under, or the newest that it heard of.
+    /// The epoch it acts under, or the newest that it heard of, or that it would act under.
     pub epoch: u8,
-    /// The partner's life that the answers below went to.
+    /// Whether `epoch` is one that the task would act under: its answers say so, and nobody has acted in it.
+    pub proposed: bool,
+    /// The partner's life: the answers below went to it, and the echo is of one of its answers.
     pub life: Option<Incarnation>,
     /// The last beats that were answered, newest first.
     pub answered: [Option<Answered>; ANSWERS],
@@ -102,8 +109,8 @@ const ALONE: u8 = 2;
 const ECHO_BYTES: usize = 4;
 
 impl Lease {
-    /// The side of `task` in the couple at this position, at the start of its node's life.
-    pub fn new(couple: u8, decl: &CoupleDecl, task: TaskId) -> Self {
+    /// The side of `task` in the couple at this position, at the start of its node's life, the first one or a later one.
+    pub fn new(couple: u8, decl: &CoupleDecl, task: TaskId, restarted: bool) -> Self {
         let primary = decl.primary == task;
         // A restarted standby waits for the whole take-over: its earlier life may have renewed the lease just before.
         let armed = !primary && !decl.mutual;
@@ -112,7 +119,9 @@ impl Lease {
             primary,
             partner: if primary { decl.standby } else { decl.primary },
             post: Post::Waits,
-            epoch: 0,
+            // An earlier life may have taken over without having heard of anybody.
+            epoch: if restarted { 2 } else { 0 },
+            proposed: false,
             life: None,
             answered: [None; ANSWERS],
             newest: None,
@@ -155,7 +164,8 @@ impl Lease {
                 self.call = Some(Call::Fenced);
             }
             Post::Waits if self.takeover_at <= at.now => {
-                self.begin(Post::Alone);
+                self.propose();
+                self.stop(Post::Alone);
                 self.call = Some(Call::TakeOver(self.epoch));
             }
             Post::Waits | Post::Leased(_) | Post::Alone | Post::Passive => {}
@@ -175,19 +185,37 @@ impl Lease {
         }
     }
 
-    /// Stops acting, or stops for good.
+    /// Stops what it did so far. What was answered meanwhile is of no use to the next time in office: its epoch is over.
     fn stop(&mut self, post: Post) {
+        self.stand(post);
+        self.disown();
+    }
+
+    fn stand(&mut self, post: Post) {
         self.post = post;
         self.takeover_at = Ticks::FAR;
         self.beat_at = Ticks::FAR;
         self.echo = None;
     }
 
-    /// Begins to act, in an epoch that nobody has acted in. The primary may have begun one that the standby has not heard
-    /// of, if all answers since were lost, but no more than one: so the standby leaves one out.
-    fn begin(&mut self, post: Post) {
-        self.stop(post);
-        self.epoch = self.epoch.wrapping_add(if self.primary { 1 } else { 2 });
+    /// No echo of what was answered so far makes the task act.
+    fn disown(&mut self) {
+        self.proposed = false;
+        self.answered = [None; ANSWERS];
+    }
+
+    /// Chooses the epoch that the task would act in, if it has not yet.
+    fn propose(&mut self) {
+        if !self.proposed {
+            self.disown();
+            (self.epoch, self.proposed) = (self.next_epoch(), true);
+        }
+    }
+
+    /// The next of this side's epochs: those of the primary are odd.
+    const fn next_epoch(&self) -> u8 {
+        let own = self.epoch % 2 == self.primary as u8;
+        self.epoch.wrapping_add(if own { 2 } else { 1 })
     }
 
     fn beat(&mut self, at: &mut Beating<'_>, couple: &CoupleDecl, out: &mut impl Outbox) {
@@ -198,7 +226,8 @@ impl Lease {
         self.echo = self.echo.filter(|echo| echo.until > at.now);
         let back = self.echo.map_or(0, |echo| id.sequence.steps_from(echo.beat));
         let back = u16::try_from(back).unwrap_or(0).to_le_bytes();
-        let contents = Contents::new(&[back[0], back[1], self.epoch, 0]).unwrap_or_default();
+        let whose = self.life.map_or(0, |life| life.0);
+        let contents = Contents::new(&[back[0], back[1], self.epoch, whose]).unwrap_or_default();
         let packet = mapping::message(port, at.task, self.partner, id, life, contents);
         out.transmit(Packet { kind: Kind::Query, ..packet });
         // Counted from when it was due, so that lateness does not add up; after a pause one beat, not all that were due.
@@ -218,17 +247,21 @@ impl Lease {
         if self.post == Post::Passive || (self.post == Post::Waits && !self.primary) {
             return;
         }
-        if !self.enter_life(packet.id.incarnation) {
+        let bytes = packet.contents.as_bytes();
+        let (Some(back), Some(&epoch), Some(&whose)) = (bytes.first_chunk(), bytes.get(2), bytes.get(3))
+        else {
+            return;
+        };
+        if !self.enter_life(packet.id.incarnation, epoch) {
             return;
         }
-        let bytes = packet.contents.as_bytes();
-        let (Some(back), Some(&epoch)) = (bytes.first_chunk(), bytes.get(2)) else { return };
-        self.hear_of(epoch);
         let back = u32::from(u16::from_le_bytes(*back));
         let echoed = packet.id.sequence.plus(Seq24::MODULUS - back);
         let renewed = match at.table.rules().lease {
             LeaseRule::Echoed => {
-                let answered = self.answered.iter().flatten().find(|a| back != 0 && a.beat == echoed);
+                // An earlier life may have answered the same beat: that was sooner.
+                let own = back != 0 && whose == at.incarnation.0;
+                let answered = self.answered.iter().flatten().find(|a| own && a.beat == echoed);
                 answered.map(|answered| answered.until)
             }
             LeaseRule::Heartbeat => Some(at.now + couple.lease),
@@ -238,7 +271,13 @@ impl Lease {
                 Post::Leased(held) => self.post = Post::Leased(held.max(until)),
                 // Not before the task knows that it was fenced: it may still be about to act.
                 Post::Waits if self.call.is_some() => {}
-                Post::Waits => self.begin(Post::Leased(until)),
+                // All answers that can be echoed say this epoch, so each of them renews the lease, too.
+                Post::Waits => {
+                    self.stand(Post::Leased(until));
+                    // A plain heartbeat is no echo.
+                    self.propose();
+                    self.proposed = false;
+                }
                 Post::Alone => self.post = Post::Leased(until),
                 Post::Passive => {}
             }
@@ -254,13 +293,16 @@ impl Lease {
         beat: &Packet,
         out: &mut impl Outbox,
     ) {
+        if self.post == Post::Waits {
+            self.propose();
+        }
         let mut bytes = [0; ECHO_BYTES + PUBLISHED_BYTES];
         bytes[0] = match self.post {
             Post::Waits | Post::Passive => WAITS,
             Post::Leased(_) => LEASED,
             Post::Alone => ALONE,
         };
-        bytes[1] = self.epoch;
+        (bytes[1], bytes[2]) = (self.epoch, at.incarnation.0);
         let published = self.published.as_bytes();
         let len = published.len().min(PUBLISHED_BYTES);
         bytes[ECHO_BYTES..ECHO_BYTES + len].copy_from_slice(&published[..len]);
@@ -280,7 +322,14 @@ impl Lease {
             return;
         }
         let bytes = packet.contents.as_bytes();
-        let (Some(&mode), Some(&epoch)) = (bytes.first(), bytes.get(1)) else { return };
+        let Some(&[mode, epoch, life]) = bytes.first_chunk() else { return };
+        let life = Incarnation(life);
+        if self.life.is_some_and(|known| is_older(life, known)) {
+            return;
+        }
+        if self.life.replace(life) != Some(life) {
+            (self.answered, self.newest, self.echo) = ([None; ANSWERS], None, None);
+        }
         self.hear_of(epoch);
         let newest = self.echo.is_none_or(|echo| packet.id.sequence.is_newer_than(echo.beat));
         if newest {
@@ -290,7 +339,7 @@ impl Lease {
         }
         // An older answer was sent earlier than the newest one, so it may only put the take-over off.
         let may = !couple.mutual || mode == LEASED || self.takeover_at != Ticks::FAR;
-        self.takeover_at = if mode == ALONE {
+        self.takeover_at = if mode == ALONE && newest {
             Ticks::FAR
         } else if may {
             at.now + couple.takeover
@@ -299,20 +348,27 @@ impl Lease {
         };
     }
 
-    /// Whether a packet comes from the partner's present life. A new life has got none of the answers.
-    fn enter_life(&mut self, life: Incarnation) -> bool {
-        match self.life {
-            Some(known) if is_older(life, known) => return false,
-            Some(known) if known != life => (self.answered, self.newest) = ([None; ANSWERS], None),
-            Some(_) | None => {}
+    /// Whether a beat comes from the partner's present life. A new life has got none of the answers, and an earlier one, of
+    /// either side, may have acted in an epoch that nobody knows of any more: of each side one is left out.
+    fn enter_life(&mut self, life: Incarnation, epoch: u8) -> bool {
+        if self.life.is_some_and(|known| is_older(life, known)) {
+            return false;
         }
-        self.life = Some(life);
+        self.hear_of(epoch);
+        if self.life != Some(life) {
+            (self.life, self.answered, self.newest) = (Some(life), [None; ANSWERS], None);
+            if !self.acts() {
+                self.epoch = self.epoch.wrapping_add(2);
+                self.disown();
+            }
+        }
         true
     }
 
     fn hear_of(&mut self, epoch: u8) {
         if !self.acts() && is_newer_epoch(epoch, self.epoch) {
             self.epoch = epoch;
+            self.disown();
         }
     }
 
@@ -335,22 +391,28 @@ pub(crate) const fn is_newer_epoch(epoch: u8, than: u8) -> bool {
     steps != 0 && steps < 128
 }
 
-/// What the receiver of commands that are given under a lease remembers: the newest epoch, for as long as commands of
-/// an older one may still arrive (D61).
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+/// What a receiver of commands that are given under a lease remembers of the couple, whichever of its ports they come
+/// through: the newest epoch, for as long as commands of an older one may still arrive (D61).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(crate) struct Guard {
+    /// The couple's position in the cell.
+    pub couple: u8,
     pub epoch: u8,
     pub until: Ticks,
 }
 
 impl Guard {
+    pub const fn new(couple: u8) -> Self {
+        Self { couple, epoch: 0, until: Ticks::ZERO }
+    }
+
     /// Whether a command of this epoch is taken. Whoever acted in an older epoch was fenced before the newer one began,
     /// so what it sent is over by `until`.
     pub fn admit(&mut self, epoch: u8, now: Ticks, until: Ticks) -> bool {
         if self.until > now && is_newer_epoch(self.epoch, epoch) {
             return false;
         }
-        *self = Self { epoch, until: until.max(self.until) };
+        (self.epoch, self.until) = (epoch, until.max(self.until));
         true
     }
 }
@@ -469,22 +531,36 @@ impl CommTask {
         packet: &Packet,
         out: &mut impl Outbox,
     ) -> Option<Packet> {
-        let Some(mut guard) = self.inboxes[inbox].guard else { return Some(*packet) };
+        let Some(couple) = port.decl.guard else { return Some(*packet) };
+        let now = self.now;
+        let guard = self.guards.iter_mut().find(|guard| guard.couple == couple)?;
         let declared = port.party(packet.source).map_or(Ticks::ZERO, |party| party.time_out);
-        let until = self.now + declared + table.bound_between(packet.source, self.task);
+        let until = now + declared + table.bound_between(packet.source, self.task);
         let said = packet.contents.as_bytes().split_last();
-        let newer = said.is_some_and(|(&e, _)| guard.until > self.now && is_newer_epoch(e, guard.epoch));
-        let contents = said.filter(|&(&epoch, _)| guard.admit(epoch, self.now, until));
+        let newer = said.is_some_and(|(&e, _)| guard.until > now && is_newer_epoch(e, guard.epoch));
+        let heeds = table.rules().heed_epochs;
+        let contents = said.filter(|&(&epoch, _)| guard.admit(epoch, now, until) || !heeds);
         let Some((_, bytes)) = contents else {
             self.inboxes[inbox].sources[source].assembly.close(packet.id);
             let reason = if said.is_some() { Reason::StaleEpoch } else { Reason::NotAllowed };
             self.drop_packet(packet, reason, out);
             return None;
         };
-        self.inboxes[inbox].guard = Some(guard);
-        while let Some(old) = self.inboxes[inbox].queue.pop_if(|_: &Held| newer) {
-            self.discard(port.id, &old, Reason::StaleEpoch, out);
+        if newer && heeds {
+            self.drop_orders(table, couple, out);
         }
         Some(Packet { contents: Contents::new(bytes).unwrap_or_default(), ..*packet })
+    }
+    /// Drops what still waits of an epoch that has passed, on every port of the couple.
+    fn drop_orders(&mut self, table: &NodeTable, couple: u8, out: &mut impl Outbox) {
+        for inbox in 0..self.inboxes.len() {
+            let port = self.inboxes[inbox].port;
+            if table.port(port).is_none_or(|port| port.decl.guard != Some(couple)) {
+                continue;
+            }
+            while let Some(old) = self.inboxes[inbox].queue.pop_if(|_: &Held| true) {
+                self.discard(port, &old, Reason::StaleEpoch, out);
+            }
+        }
     }
 }

@@ -38,7 +38,7 @@ use alloc::boxed::Box;
 use alloc::vec::Vec;
 use desk::{Desk, Overdue};
 use inbox::Inbox;
-use lease::Lease;
+use lease::{Guard, Lease};
 use levels::{DEPTH, Finished, Level};
 use memory::Fate;
 use rendezvous::{At, Rendezvous};
@@ -188,6 +188,8 @@ pub struct CommTask {
     lives: Box<[Known]>,
     /// Its side of its couple, if it is in one (D61).
     lease: Option<Lease>,
+    /// Of each couple that gives it orders: the newest epoch (D61).
+    guards: Box<[Guard]>,
     /// The message the task took last (D28).
     taken: (Option<Contents>, Parts),
 }
@@ -224,11 +226,12 @@ impl CommTask {
             meetings: Box::default(),
             lives: Box::default(),
             lease: None,
+            guards: Box::default(),
             taken: (None, Parts::default()),
         };
         let (mut locals, mut desks) = (Vec::new(), Vec::new());
         let (mut inboxes, mut meetings, mut sources) = (Vec::new(), Vec::new(), Vec::new());
-        let mut longest = 1;
+        let (mut guards, mut longest) = (Vec::new(), 1);
         for &id in table.ports_of(task) {
             let Some(port) = table.port(id) else { continue };
             let Some(party) = port.party(task) else { continue };
@@ -238,7 +241,7 @@ impl CommTask {
                 Usage::Query | Usage::Response
                     if let Some((at, couple)) = lease::couple_of(table, id, task) =>
                 {
-                    new.lease = Some(Lease::new(at, couple, task));
+                    new.lease = Some(Lease::new(at, couple, task, restarted));
                     Role::Beats
                 }
                 Usage::Send | Usage::Query if asks => {
@@ -252,6 +255,7 @@ impl CommTask {
                     fragments = port.decl.answer_fragments;
                     inboxes.push(Inbox::new(port, task));
                     sources.extend(port.peers(task));
+                    guards.extend(port.decl.guard.map(Guard::new));
                     Role::Receives(index(inboxes.len() - 1))
                 }
                 Usage::Reply => {
@@ -272,6 +276,9 @@ impl CommTask {
         sources.sort_unstable();
         sources.dedup();
         new.lives = sources.into_iter().map(|task| Known { task, life: None }).collect();
+        guards.sort_unstable_by_key(|guard| guard.couple);
+        guards.dedup();
+        new.guards = guards.into();
         new.taken.1 = Parts::new(longest);
         (new.locals, new.desks) = (locals.into(), desks.into());
         (new.inboxes, new.meetings) = (inboxes.into(), meetings.into());

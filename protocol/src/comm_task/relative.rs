@@ -82,10 +82,10 @@ macro_rules! relatives {
                 $v.instant(until);
             }
         }
+        for guard in & $($m)? $self.guards {
+            $v.instant(& $($m)? guard.until);
+        }
         for inbox in & $($m)? $self.inboxes {
-            if let Some(guard) = & $($m)? inbox.guard {
-                $v.instant(& $($m)? guard.until);
-            }
             for source in & $($m)? inbox.sources {
                 let task = source.task;
                 if let Some(command) = & $($m)? source.command {
@@ -215,10 +215,10 @@ impl CommTask {
         if let Some(lease) = &mut self.lease {
             lease.bury(now);
         }
+        for guard in self.guards.iter_mut().filter(|guard| guard.until <= now) {
+            *guard = Guard { until: now, ..Guard::new(guard.couple) };
+        }
         for inbox in &mut self.inboxes {
-            if let Some(guard) = inbox.guard.as_mut().filter(|guard| guard.until <= now) {
-                *guard = Guard { epoch: 0, until: now };
-            }
             if inbox.queue.len() == 0 {
                 inbox.bypassed = 0;
             }

@@ -36,7 +36,12 @@ pub fn inputs(data: &[u8]) {
     let shape = bytes.take::<4>();
     let ports = (0..1 + usize::from(shape[3] % 4)).map(|_| bytes.take()).collect();
     let rules = if flags & 1 == 0 { [0; 4] } else { bytes.take() };
-    let plan = Plan::new(shape[0], shape[1], shape[2], ports, rules);
+    let plan = Plan::new(
+        [shape[0], shape[1], shape[2]],
+        ports,
+        rules,
+        if flags & 8 == 0 { 0 } else { bytes.byte() },
+    );
     let mut world = World::new(&plan.build(), flags & 2 != 0);
     let mut other = world.clone();
     // A packed state keeps the order of service, not that of arrival: the literal penalty (D4) can make two messages equal

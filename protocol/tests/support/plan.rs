@@ -13,27 +13,31 @@ pub struct Plan {
     delay: u64,
     ports: Vec<[u8; 6]>,
     rules: [u8; 4],
+    /// Whether the first two tasks are work-coupled, and how.
+    couple: u8,
 }
 
-/// Random cells of 1 to 4 tasks on 1 to 3 nodes; a third of them run variants of the rules.
+/// Random cells of 1 to 4 tasks on 1 to 3 nodes; a third of them run variants of the rules, a quarter of them have a couple.
 pub fn plans() -> impl Strategy<Value = Plan> {
     let ports = proptest::collection::vec(any::<[u8; 6]>(), 1..5);
     let rules = prop_oneof![2 => Just([0; 4]), 1 => any::<[u8; 4]>()];
-    (1..=4_u16, 1..=3_u16, 1..=3_u64, ports, rules).prop_map(|(tasks, nodes, delay, ports, rules)| Plan {
+    let all = (1..=4_u16, 1..=3_u16, 1..=3_u64, ports, rules, any::<u8>());
+    all.prop_map(|(tasks, nodes, delay, ports, rules, couple)| Plan {
         tasks,
         nodes,
         delay,
         ports,
         rules,
+        couple,
     })
 }
 
 impl Plan {
     /// A cell of any numbers.
-    pub fn new(tasks: u8, nodes: u8, delay: u8, ports: Vec<[u8; 6]>, rules: [u8; 4]) -> Self {
+    pub fn new([tasks, nodes, delay]: [u8; 3], ports: Vec<[u8; 6]>, rules: [u8; 4], couple: u8) -> Self {
         let within = |n: u8, most: u8| 1 + n % most;
         let (tasks, nodes) = (u16::from(within(tasks, 4)), u16::from(within(nodes, 3)));
-        Self { tasks, nodes, delay: u64::from(within(delay, 3)), ports, rules }
+        Self { tasks, nodes, delay: u64::from(within(delay, 3)), ports, rules, couple }
     }
 
     pub fn build(&self) -> Arc<CellTable> {
@@ -47,11 +51,45 @@ impl Plan {
         for i in 0..self.tasks {
             cell.task(&format!("t{i}"), NodeId(i % self.nodes));
         }
+        if self.is_coupled() {
+            self.couple(&mut cell);
+        }
         for (i, shape) in self.ports.iter().enumerate().filter(|_| self.tasks > 1) {
-            cell.port(self.port(i, *shape));
+            let port = self.port(i, *shape);
+            let of_the_couple = |task: &TaskId| task.0 < 2;
+            let senders = if port.usage == Usage::Send {
+                vec![port.owner]
+            } else {
+                port.users.iter().map(|user| user.task).collect()
+            };
+            let guarded = self.is_coupled()
+                && matches!(port.usage, Usage::Send | Usage::Receive)
+                && senders.iter().all(of_the_couple);
+            cell.port(if guarded { port.guard(0) } else { port });
         }
         cell.rules = self.rules();
         Arc::new(CellTable::new(cell).expect("the plan fits"))
+    }
+
+    fn is_coupled(&self) -> bool {
+        self.couple & 3 == 3 && self.tasks > 1
+    }
+
+    /// Of short times, so that leases end and are taken over while the operations last.
+    fn couple(&self, cell: &mut Cell) {
+        let (primary, standby) = (TaskId(0), TaskId(1));
+        let via = cell.port(PortDecl::new("alive", primary, Usage::Response, &[standby], Ticks(14)));
+        let more = u64::from(self.couple >> 4);
+        cell.couples.push(CoupleDecl {
+            primary,
+            standby,
+            lease: Ticks(16 + more),
+            takeover: Ticks(18 + more),
+            every: Ticks(4),
+            via,
+            trusted: true,
+            mutual: self.couple & 4 != 0,
+        });
     }
 
     fn port(&self, i: usize, [kind, owner, users, buffer, time_out, resend]: [u8; 6]) -> PortDecl {

@@ -381,7 +381,7 @@ fn odd_request(a: u16, b: u16) -> Request {
     let id = TimeId(u8::try_from(a % 3).expect("small"));
     let length = Ticks(u64::from(a));
     let contents = Contents::EMPTY;
-    match b % 20 {
+    match b % 23 {
         0 => Request::Cancel,
         1 | 2 => Request::Order(order(a)),
         3 => Request::Delay { id, length },
@@ -397,6 +397,9 @@ fn odd_request(a: u16, b: u16) -> Request {
         16 if a & 1 == 0 => Request::Stop { id },
         16 => Request::Abandon,
         17 => Request::Handle { port, handled: a & 8 != 0 },
+        20 => Request::Lease,
+        21 => Request::Publish(Contents::new(&a.to_le_bytes()).expect("short")),
+        22 => Request::End,
         18 => Request::Part { port, index: u8::try_from(a % 5).expect("small"), contents },
         _ => Request::Get { port: Some(port), source: None, time_out: Some(Ticks(u64::from(a % 9))) },
     }

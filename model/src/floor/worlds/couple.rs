@@ -1,8 +1,8 @@
 //! Two work-coupled tasks whose communication tasks exchange beats (D30, D61).
 
-use crate::floor::plan::{Errand, Faults, FloorPlan, FloorWatch, TaskPlan};
+use crate::floor::plan::{Errand, Faults, FloorPlan, FloorWatch, TaskPlan, Times};
 use imrs_protocol::rules::{LeaseRule, Rules};
-use imrs_protocol::{Cell, CellError, CellTable, CoupleDecl, PortDecl, Ticks, Usage};
+use imrs_protocol::{Cell, CellError, CellTable, CoupleDecl, NodeId, PortDecl, PortId, TaskId, Ticks, Usage};
 use std::sync::Arc;
 
 /// A primary and its standby, each on a node of its own.
@@ -27,11 +27,7 @@ pub struct Couple {
 }
 
 impl Couple {
-    /// The floor.
-    ///
-    /// # Errors
-    /// What is wrong with the declaration.
-    pub fn plan(&self) -> Result<Arc<FloorPlan>, Vec<CellError>> {
+    fn cell(&self) -> Cell {
         let mut cell = Cell::new("couple", Ticks(1));
         cell.rules = Rules { lease: self.rule, ..Rules::DEFAULT };
         let [here, there] = ["primary", "standby"].map(|name| cell.node(name));
@@ -50,12 +46,64 @@ impl Couple {
             trusted: true,
             mutual: self.mutual,
         });
+        cell
+    }
+
+    /// The floor.
+    ///
+    /// # Errors
+    /// What is wrong with the declaration.
+    pub fn plan(&self) -> Result<Arc<FloorPlan>, Vec<CellError>> {
         // Both wait for ever, so that they are told at once of what becomes of their lease.
         let wait = Errand::Receive { port: None, time_out: None };
         let task = || TaskPlan::new(wait).hurried().serving(0, 0);
         let tasks = vec![task(), task()];
-        let mut plan = FloorPlan::new(Arc::new(CellTable::new(cell)?), tasks).watching(self.watch);
+        let mut plan = FloorPlan::new(Arc::new(CellTable::new(self.cell())?), tasks).watching(self.watch);
         plan.faults = self.faults;
+        Ok(Arc::new(plan))
+    }
+}
+
+/// A couple and the arm that it commands, each on a node of its own: the primary orders through one port of the arm, the
+/// standby through another.
+#[derive(Clone, Debug)]
+pub struct Orders {
+    /// The couple.
+    pub couple: Couple,
+    /// The longest way of an order in ticks.
+    pub way: u64,
+    /// The life of an order in ticks.
+    pub life: u64,
+    /// How many orders each of the two gives.
+    pub orders: u8,
+    /// Whether the arm heeds epochs.
+    pub heed: bool,
+}
+
+impl Orders {
+    /// The floor.
+    ///
+    /// # Errors
+    /// What is wrong with the declaration.
+    pub fn plan(&self) -> Result<Arc<FloorPlan>, Vec<CellError>> {
+        let mut cell = self.couple.cell();
+        cell.rules.heed_epochs = self.heed;
+        let there = cell.node("arm");
+        let arm = cell.task("A", there);
+        let couple = cell.couples[0].clone();
+        let mut port = |name: &str, from: TaskId, node: NodeId| {
+            cell.link(node, there, Ticks(self.way));
+            let port = PortDecl::new(name, arm, Usage::Receive, &[from], Ticks(self.life));
+            cell.port(port.bounded_buffer(2).guard(0))
+        };
+        let ports = [port("move", couple.primary, NodeId(0)), port("grip", couple.standby, NodeId(1))];
+        let orders = |port: PortId| {
+            TaskPlan::new(Errand::Order { port, times: Times::Most(self.orders) }).serving(0, 0)
+        };
+        let executes = TaskPlan::new(Errand::Receive { port: None, time_out: None }).serving(0, 0);
+        let tasks = vec![orders(ports[0]), orders(ports[1]), executes];
+        let mut plan = FloorPlan::new(Arc::new(CellTable::new(cell)?), tasks).watching(self.couple.watch);
+        plan.faults = self.couple.faults;
         Ok(Arc::new(plan))
     }
 }

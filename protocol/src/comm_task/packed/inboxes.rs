@@ -2,7 +2,6 @@
 
 use super::{CommTask, Frame, Overflow, Reader, Writer, load_id, store_id};
 use crate::comm_task::inbox::{Held, Inbox};
-use crate::comm_task::lease::Guard;
 use crate::comm_task::memory::{Fate, Remembered, Source, Window};
 use crate::ids::TaskId;
 use crate::packet::Class;
@@ -54,12 +53,6 @@ impl CommTask {
         w.byte(waiting | flag(inbox.bypassed > 0, BYPASSED) | flag(inbox.handled, HANDLED))?;
         if inbox.bypassed > 0 {
             w.count(usize::from(inbox.bypassed))?;
-        }
-        if let Some(guard) = &inbox.guard {
-            // A guard that nothing older can reach any more admits everything.
-            let alive = guard.until > self.now;
-            w.byte(if alive { guard.epoch } else { 0 })?;
-            w.left(if alive { guard.until } else { self.now }, self.now)?;
         }
         for (slot, held) in inbox.queue.sorted() {
             self.store_held(held, frame, w)?;
@@ -158,9 +151,6 @@ impl CommTask {
         let first = r.byte();
         inbox.handled = first & HANDLED != 0;
         inbox.bypassed = if first & BYPASSED != 0 { u16::from(r.byte()) } else { 0 };
-        if let Some(guard) = &mut inbox.guard {
-            *guard = Guard { epoch: r.byte(), until: r.left() };
-        }
         inbox.queue.clear();
         for _ in 0..first & WAITING {
             let mut held = load_held(r, lives);

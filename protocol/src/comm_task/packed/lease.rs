@@ -12,8 +12,25 @@ const ECHO: u8 = 0x04;
 const FENCED: u8 = 0x08;
 const TOOK_OVER: u8 = 0x10;
 const NEWEST: u8 = 0x20;
+const PROPOSED: u8 = 0x40;
+const MET: u8 = 0x80;
 
 impl CommTask {
+    pub(super) fn store_guards(&self, w: &mut Writer<'_>) -> Result<(), Overflow> {
+        self.guards.iter().try_for_each(|guard| {
+            // A guard that nothing older can reach any more admits everything.
+            let alive = guard.until > self.now;
+            w.byte(if alive { guard.epoch } else { 0 })?;
+            w.left(if alive { guard.until } else { self.now }, self.now)
+        })
+    }
+
+    pub(super) fn load_guards(&mut self, r: &mut Reader<'_>) {
+        for guard in &mut self.guards {
+            (guard.epoch, guard.until) = (r.byte(), r.left());
+        }
+    }
+
     pub(super) fn store_lease(
         &self,
         lease: &Lease,
@@ -31,13 +48,15 @@ impl CommTask {
         let took_over = matches!(lease.call, Some(Call::TakeOver(_)));
         w.byte(
             post | flag(lease.newest.is_some(), NEWEST)
+                | flag(lease.proposed, PROPOSED)
+                | flag(lease.life.is_some(), MET)
                 | flag(lease.echo.is_some(), ECHO)
                 | flag(fenced, FENCED)
                 | flag(took_over, TOOK_OVER),
         )?;
         w.byte(lease.epoch)?;
         if frame.lives {
-            w.byte(lease.life.map_or(0, |life| life.0.wrapping_add(1)))?;
+            w.byte(lease.life.map_or(0, |life| life.0))?;
         }
         match lease.post {
             Post::Waits => {
@@ -66,8 +85,10 @@ impl CommTask {
     pub(super) fn load_lease(&mut self, lives: bool, r: &mut Reader<'_>) {
         let Some(lease) = &mut self.lease else { return };
         let first = r.byte();
+        lease.proposed = first & PROPOSED != 0;
         lease.epoch = r.byte();
-        lease.life = if lives { r.byte().checked_sub(1).map(Incarnation) } else { Some(Incarnation(0)) };
+        let life = Incarnation(if lives { r.byte() } else { 0 });
+        lease.life = (first & MET != 0).then_some(life);
         (lease.beat_at, lease.takeover_at) = (Ticks::FAR, Ticks::FAR);
         lease.post = match first & POST {
             0 => {

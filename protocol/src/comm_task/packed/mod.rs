@@ -189,6 +189,7 @@ impl CommTask {
         if let Some(lease) = &self.lease {
             self.store_lease(lease, frame, &mut w)?;
         }
+        self.store_guards(&mut w)?;
         Ok(w.at)
     }
 
@@ -233,6 +234,7 @@ impl CommTask {
             self.load_meeting(i, resend, lives, &mut r);
         }
         self.load_lease(lives, &mut r);
+        self.load_guards(&mut r);
         r.at
     }
 

@@ -1,0 +1,44 @@
+//! The lease of a couple under the checker (D78): what is left at the least lease that the declaration admits.
+
+use imrs_model::floor::explore_floor;
+use imrs_model::floor::plan::{Faults, FloorWatch, Goal};
+use imrs_model::floor::worlds::Couple;
+use imrs_model::{Limits, Violation};
+use imrs_protocol::margin::least_lease;
+use imrs_protocol::rules::LeaseRule;
+use imrs_protocol::{CellError, Ticks};
+
+fn couple(delay: u64, every: u64, drift: u8) -> Couple {
+    let lease = least_lease(Ticks(delay), Ticks(every), Ticks(1)).0;
+    let faults = Faults { drift, ..Faults::default() };
+    let watch = FloorWatch::Reach(Goal::Fenced);
+    Couple { delay, lease, takeover: 3 * lease, every, mutual: false, rule: LeaseRule::Echoed, faults, watch }
+}
+
+fn is_ever_fenced(couple: &Couple) -> bool {
+    let plan = couple.plan().expect("a checked cell");
+    let found = explore_floor(&plan, Limits::default());
+    assert!(
+        found.complete && found.violation.is_none_or(|v| v == Violation::Reached),
+        "{:?}",
+        found.violation
+    );
+    found.violation.is_some()
+}
+
+/// Whatever the packets do within their ways, the lease is renewed in time; one tick that a clock counts too much is more than
+/// there is to spare, and a lease that is a tick shorter is no declaration.
+#[test]
+fn the_least_lease_lasts_and_has_no_tick_to_spare() {
+    for (delay, every) in [(1, 2), (1, 3), (2, 3)] {
+        let least = couple(delay, every, 0);
+        assert!(!is_ever_fenced(&least), "delay {delay}, every {every}");
+        assert!(is_ever_fenced(&couple(delay, every, 1)), "delay {delay}, every {every}, with drift");
+        let shorter = Couple { lease: least.lease - 1, ..least.clone() };
+        let errors = shorter.plan().map(|_| ()).expect_err("too short");
+        assert!(
+            matches!(errors[..], [CellError::LeaseTooShort { least: l, .. }] if l.0 == least.lease),
+            "{errors:?}"
+        );
+    }
+}
