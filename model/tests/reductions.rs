@@ -53,6 +53,21 @@ fn two_members_hold() {
     same(&Meeting { attempts: Some(2), ..endless(2, 1) });
 }
 
+/// Equal members are sorted with their lives, and once no node can start again, what nobody notices vanishes.
+#[test]
+fn members_that_restart() {
+    let crash = Budget { loss: 0, dup: 0, crash: 1 };
+    let restart = |members| Meeting { budget: crash, ..timed(members, Watch::FalseRelease, 0, 1, 3) };
+    same(&restart(2));
+    same(&Meeting { budget: Budget { loss: 1, dup: 1, crash: 1 }, ..restart(2) });
+    same(&Meeting { watch: Watch::Waits, ..restart(2) });
+    same(&Meeting { attempts: Some(2), resend: None, ..restart(2) });
+    let eager = Rules { quarantine: false, ..Rules::DEFAULT };
+    same(&Meeting { attempts: Some(2), resend: None, rules: eager, ..restart(2) });
+    let ratio = same(&Meeting { hurry: true, resend: None, ..restart(3) });
+    assert!(ratio >= 5.0, "only {ratio:.1}");
+}
+
 #[test]
 fn two_members_fail() {
     let unnumbered = Rules { rounds: false, ..Rules::DEFAULT };

@@ -180,14 +180,15 @@ impl World {
         }
     }
 
-    /// Whether every node is in its last life: a new one would notice what the old one ignores.
+    /// Whether no node that is up can begin a new life: that one would notice what the present one ignores.
     fn is_settled(&self) -> bool {
-        !self.scenario.lives() || (self.crash == 0 && self.places.iter().all(|place| place.up))
+        !self.scenario.lives() || self.crash == 0
     }
 
-    /// Whether node `i` knows the life that node `of` is in: no envelope from there is news.
+    /// Whether both nodes are up and `i` knows the life that `of` is in: no envelope from there is news.
     fn knows(&self, i: usize, of: usize) -> bool {
-        !self.scenario.lives() || self.places[i].known[of] == self.places[of].life
+        let up = self.places[i].up && self.places[of].up;
+        !self.scenario.lives() || (up && self.places[i].known[of] == self.places[of].life)
     }
 
     /// Whether the tasks at the ends of a packet have heard each other in their present lives.
@@ -226,7 +227,7 @@ impl World {
         let packet = &flight.packet;
         let (from, to) = (packet.source.index(), packet.destination.index());
         let known = self.places[to].known[from];
-        if self.scenario.lives() && flight.life != known {
+        if self.scenario.lives() && self.places[to].up && flight.life != known {
             return flight.life.0 < known.0;
         }
         // Who has left a round, even one that still owes a CONFIRM of it, learns nothing from another's.
