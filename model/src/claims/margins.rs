@@ -1,6 +1,6 @@
 //! The search for the least margin of `waitfor` (D2, D56).
 
-use super::meetings::{DELAY, RESEND, bounds, once, timed};
+use super::meetings::{DELAY, RESEND, bounds, once, releases, timed};
 use super::{Claim, Settled, Variant, Work};
 use crate::report::{Found, Outcome};
 use crate::scenario::{Budget, Timing, Watch};
@@ -15,6 +15,8 @@ pub(super) struct Search {
     pub losses: u8,
     pub dup: u8,
     pub timing: Timing,
+    /// Whether all reach the waitfor at once, not each when it likes.
+    pub at_once: bool,
     pub time_outs: TimeOuts,
 }
 
@@ -52,10 +54,11 @@ impl Search {
     }
 
     fn meeting(&self, margin: u64, time_out: u64) -> Meeting {
-        let Self { members, losses, dup, timing, .. } = *self;
+        let Self { members, losses, dup, timing, at_once, .. } = *self;
         let attempts = if members == 2 { 2 } else { 1 };
         Meeting {
             attempts: Some(attempts),
+            hurry: at_once,
             timing,
             budget: Budget { loss: losses, dup, crash: 0 },
             ..timed(members, Watch::AllOrNone, losses, margin, time_out)
@@ -86,8 +89,7 @@ impl Search {
         }
         let shown = least.unwrap_or(closed_form);
         let meeting = self.meeting(shown, *self.time_outs(shown).start());
-        let reachable = Meeting { watch: Watch::Reachable, budget: Budget::default(), ..meeting };
-        let reached = once(work, &reachable).outcome == Outcome::Fails;
+        let reached = releases(work, &meeting);
         let unsettled = one_less.as_ref().map_or(Outcome::Unknown, |(settled, _)| settled.outcome);
         Settled {
             outcome: if least.is_some() { Outcome::Holds } else { unsettled },

@@ -83,7 +83,23 @@ pub(super) fn simple(
     meeting: Meeting,
 ) -> Claim {
     let parties = u32::try_from(meeting.members).unwrap_or(0);
-    Claim { name, rule, parties, about, expect, smoke, settle: Box::new(move |work| once(work, &meeting)) }
+    let settle = move |work: &mut Work<'_>| {
+        let settled = once(work, &meeting);
+        let vacuous = expect == Outcome::Holds && says_of_releases(&meeting) && !releases(work, &meeting);
+        Settled { sound: settled.sound && !vacuous, ..settled }
+    };
+    Claim { name, rule, parties, about, expect, smoke, settle: Box::new(settle) }
+}
+
+/// Whether what is watched would hold of a world in which nobody is ever released.
+const fn says_of_releases(meeting: &Meeting) -> bool {
+    matches!(meeting.watch, Watch::FalseRelease | Watch::Pairing | Watch::AllOrNone)
+}
+
+/// Whether a member can be released at all, without any fault.
+pub(super) fn releases(work: &mut Work<'_>, meeting: &Meeting) -> bool {
+    let reachable = Meeting { watch: Watch::Reachable, budget: Budget::default(), ..meeting.clone() };
+    once(work, &reachable).outcome == Outcome::Fails
 }
 
 fn no_false_release() -> Vec<Claim> {
@@ -249,7 +265,8 @@ fn all_or_none() -> Vec<Claim> {
 /// The search for the least margin, while time may be off.
 pub(super) fn margins(rule: &'static str, members: usize, losses: u8, timing: Timing, smoke: bool) -> Claim {
     let more = if members == 2 { RESEND + 1 } else { 0 };
-    Search { members, losses, dup: 0, timing, time_outs: TimeOuts::Least { more } }.claim(rule, smoke)
+    let time_outs = TimeOuts::Least { more };
+    Search { members, losses, dup: 0, timing, at_once: false, time_outs }.claim(rule, smoke)
 }
 
 fn meet_again() -> Vec<Claim> {

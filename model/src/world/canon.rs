@@ -39,9 +39,8 @@ impl World {
             at += len;
         }
         self.flights.clear();
-        let patience = self.scenario.cell.ports().first().map_or(Ticks::FAR, |p| p.decl.time_out);
         while at < bytes.len() {
-            let (mut flight, len) = self.codec.decode(&bytes[at..], patience);
+            let (mut flight, len) = self.codec.decode(&bytes[at..]);
             if flight.packet.source == flight.packet.destination {
                 // From anybody: see `anonymous`.
                 let other = (flight.packet.destination.index() + 1) % self.places.len();
@@ -65,9 +64,9 @@ impl World {
         }
         let codec = Codec::new(scenario);
         for _ in 0..i {
-            at += codec.decode(bytes.get(at..)?, Ticks::ZERO).1;
+            at += codec.decode(bytes.get(at..)?).1;
         }
-        let (flight, _) = codec.decode(bytes.get(at..)?, Ticks::ZERO);
+        let (flight, _) = codec.decode(bytes.get(at..)?);
         Some(flight.packet.destination.index())
     }
 
