@@ -39,7 +39,10 @@ fn same(meeting: &Meeting) -> f64 {
         // tell states apart by whose turn it is.
         let fewer = found.states >= reduced.states || (!reductions.turns && reductions.ignores);
         assert!(found.violation.is_some() || fewer, "{reductions:?}");
-        assert!(found.violation.is_some() || found.transitions >= reduced.transitions, "{reductions:?}");
+        // After a crash all nodes take turns again, and some orders of one tick come twice.
+        let crashes = meeting.budget.crash > 0 && !reductions.turns && reductions.ignores;
+        let fewer = found.transitions >= reduced.transitions || crashes;
+        assert!(found.violation.is_some() || fewer, "{reductions:?}");
         ratio = found.states as f64 / reduced.states as f64;
     }
     println!("{:?} of {}: {ratio:.1} times fewer states", meeting.watch, meeting.members);

@@ -15,8 +15,6 @@ pub(super) struct Search {
     pub losses: u8,
     pub dup: u8,
     pub timing: Timing,
-    /// Whether all reach the waitfor at once, not each when it likes.
-    pub at_once: bool,
     pub time_outs: TimeOuts,
 }
 
@@ -54,11 +52,10 @@ impl Search {
     }
 
     fn meeting(&self, margin: u64, time_out: u64) -> Meeting {
-        let Self { members, losses, dup, timing, at_once, .. } = *self;
+        let Self { members, losses, dup, timing, .. } = *self;
         let attempts = if members == 2 { 2 } else { 1 };
         Meeting {
             attempts: Some(attempts),
-            hurry: at_once,
             timing,
             budget: Budget { loss: losses, dup, crash: 0 },
             ..timed(members, Watch::AllOrNone, losses, margin, time_out)

@@ -265,8 +265,7 @@ fn all_or_none() -> Vec<Claim> {
 /// The search for the least margin, while time may be off.
 pub(super) fn margins(rule: &'static str, members: usize, losses: u8, timing: Timing, smoke: bool) -> Claim {
     let more = if members == 2 { RESEND + 1 } else { 0 };
-    let time_outs = TimeOuts::Least { more };
-    Search { members, losses, dup: 0, timing, at_once: false, time_outs }.claim(rule, smoke)
+    Search { members, losses, dup: 0, timing, time_outs: TimeOuts::Least { more } }.claim(rule, smoke)
 }
 
 fn meet_again() -> Vec<Claim> {

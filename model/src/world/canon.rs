@@ -206,8 +206,9 @@ impl World {
         let port = PortId(0);
         for i in 0..self.n() {
             if let Some(round) = self.task(i).owes(port)
-                && (0..self.n())
-                    .all(|other| other == i || (self.knows(other, i) && self.task(other).is_over(port, round)))
+                && (0..self.n()).all(|other| {
+                    other == i || (self.knows(other, i) && self.task(other).is_over(port, round))
+                })
             {
                 let task = &mut self.places[i].node.parts_mut().tasks[0];
                 task.settle(port);
