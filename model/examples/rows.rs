@@ -1,7 +1,7 @@
-//! Settles the claims at the large bounds too, one after the other, says on standard error what came of each row as soon
-//! as it ends, and at last writes the report as `imrs verify --full --format json` does.
+//! Settles the claims at the large bounds, says on standard error what came of each row as soon as it ends, and at last
+//! writes the report as `imrs verify --full --format json` does.
 //!
-//! `rows [CLAIM]`
+//! `rows [--quick] [CLAIM]`: with `--quick` without the large bounds.
 
 use imrs_model::{Options, Progress, Verdict, verify};
 use std::time::Instant;
@@ -30,8 +30,9 @@ impl Progress for EachRow {
 }
 
 fn main() -> Result<(), serde_json::Error> {
-    let claim = std::env::args().nth(1);
-    let options = Options { full: true, claim, jobs: 2, memory: 4 << 30 };
+    let (flags, names): (Vec<_>, Vec<_>) = std::env::args().skip(1).partition(|word| word.starts_with("--"));
+    let full = !flags.iter().any(|flag| flag == "--quick");
+    let options = Options { full, claim: names.into_iter().next(), jobs: 2, memory: 4 << 30 };
     let report = verify(&options, &EachRow(Instant::now()));
     serde_json::to_writer(std::io::stdout(), &report)
 }
