@@ -123,6 +123,14 @@ fn three_members_hold_in_far_fewer_states() {
     assert!(ratio >= 5.0, "only {ratio:.1}");
 }
 
+#[test]
+fn all_reductions_together_leave_a_twentieth_of_the_states() {
+    let meeting = Meeting { resend: None, ..timed(3, Watch::FalseRelease, 0, 1, 3) };
+    let [all, none] = [Reductions::ALL, Reductions::NONE].map(|reductions| run(reductions, &meeting));
+    assert!(all.violation.is_none() && none.violation.is_none());
+    assert!(none.states >= 20 * all.states, "{} states and {}", all.states, none.states);
+}
+
 /// The states that a tick, a restart, a crash or the end of faults leads to.
 fn after_barriers(scenario: &Arc<Scenario>) -> HashSet<Packed> {
     let model = WorldModel::new(scenario, Limits::default());

@@ -42,9 +42,9 @@ fn no_false_release() -> Vec<Claim> {
     let five = "five members, nothing lost, packets in any order";
     vec![
         row(
-            "default, more losses",
+            "default, more faults",
             "three members that reach the waitfor when they like",
-            again(3, 5, faults(2, 0, 0)),
+            again(3, 5, faults(2, 1, 0)),
         ),
         row("default, at once", together, at_once(again(3, 5, faults(2, 1, 0)))),
         row("default, at once", together, at_once(again(3, 6, faults(2, 1, 0)))),
