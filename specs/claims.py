@@ -120,7 +120,7 @@ def full(claims):
          number(v["states"]), v["longest_state"], f"{v['seconds']:.1f}"]
         for v in claims
     ]
-    return "\n".join(lines) + table(head, rows) + "\n"
+    return "\n".join(lines) + "\n" + table(head, rows) + "\n"
 
 
 def main():
