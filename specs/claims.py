@@ -100,6 +100,8 @@ def run(claims):
 def full(claims):
     wrong = sum(not v["as_expected"] for v in claims)
     cut = sum(not v["complete"] for v in claims)
+    page = PAGE.read_text()
+    without = [name for name in re.findall(r"^## `(.*)`$", page, re.M) if name not in {v["name"] for v in claims}]
     lines = [
         "# The large bounds",
         "",
@@ -110,6 +112,8 @@ def full(claims):
         f"{number(sum(v['states'] for v in claims))} states, {sum(v['seconds'] for v in claims):.0f} s of one core.",
         "",
     ]
+    if without:
+        lines += [f"Not in this run: {', '.join(f'`{name}`' for name in without)}.", ""]
     head = ["claim", "rule", "tasks", "outcome", "as expected", "bounds", "found", "states", "bytes", "seconds"]
     found = lambda v: ", ".join(f"{k.replace('_', ' ')} {x}" for k, x in v["found"].items() if x is not None)
     rows = [
@@ -117,7 +121,7 @@ def full(claims):
          number(v["states"]), v["longest_state"], f"{v['seconds']:.1f}"]
         for v in claims
     ]
-    return "\n".join(lines) + table(head, rows) + "\n"
+    return "\n".join(lines) + "\n" + table(head, rows) + "\n"
 
 
 def main():

@@ -7,6 +7,7 @@ mod floors;
 mod larger;
 mod margins;
 mod meetings;
+mod pinned;
 mod service;
 mod timing;
 
@@ -238,6 +239,8 @@ fn settle(claim: &Claim, limits: Limits, progress: &dyn Progress) -> Vec<Verdict
     let mut work = Work { name: claim.name, limits, progress, counts: Counts::NONE };
     let mut settled = (claim.settle)(&mut work);
     let variant = settled.variant.take();
+    let row = (claim.name, claim.rule, claim.parties, settled.bounds.loss);
+    settled.sound &= pinned::agrees(row, &settled.found);
     let mut verdicts = vec![verdict(claim, claim.rule, claim.about, claim.expect, settled, &work.counts)];
     if let Some(variant) = variant {
         let Variant { rule, about, settled, counts } = *variant;

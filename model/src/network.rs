@@ -54,12 +54,15 @@ pub(crate) struct Codec {
     /// Only meetings of at most four tasks on port 0, at most two ticks on the way: kind, ends and age in one byte.
     compact: bool,
     lives: bool,
+    /// What a CONFIRM and an ABORT live: it is not written down.
+    patience: Ticks,
 }
 
 impl Codec {
     pub fn new(scenario: &Scenario) -> Self {
         let compact = scenario.is_meeting() && scenario.tasks() <= 4 && scenario.delay.unwrap_or(0) <= 2;
-        Self { compact, lives: scenario.lives() }
+        let patience = scenario.cell.ports().first().map_or(Ticks::FAR, |port| port.decl.time_out);
+        Self { compact, lives: scenario.lives(), patience }
     }
 
     /// Packs a flight, its ends renamed by `rename`.
@@ -112,14 +115,15 @@ impl Codec {
         out.push((relative(meeting.round)? << 4) | hint)?;
         match packet.kind {
             Kind::Arrive => out.push(remaining(packet.remaining)?)?,
+            _ if packet.remaining != self.patience => return Err(Overflow),
             Kind::Abort => out.push(relative(meeting.next_round())?)?,
             _ => {}
         }
         Ok(out)
     }
 
-    /// Unpacks one flight and says how many bytes it took. `patience` is what CONFIRM and ABORT live.
-    pub fn decode(self, bytes: &[u8], patience: Ticks) -> (Flight, usize) {
+    /// Unpacks one flight and says how many bytes it took.
+    pub fn decode(self, bytes: &[u8]) -> (Flight, usize) {
         let mut at = 0;
         let mut byte = || {
             let byte = bytes.get(at).copied().unwrap_or(0);
@@ -157,7 +161,7 @@ impl Codec {
             source: TaskId(u16::from(source)),
             port: PortId(u16::from(port)),
             id: MessageId { incarnation: id_life, sequence: Seq24::default() },
-            remaining: patience,
+            remaining: self.patience,
             contents: Contents::EMPTY,
         };
         if matches!(kind, Kind::Arrive | Kind::Confirm | Kind::Abort) {

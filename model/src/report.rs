@@ -37,7 +37,7 @@ pub struct Bounds {
 }
 
 /// What a search found.
-#[derive(Clone, Copy, Debug, Default, Serialize)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
 pub struct Found {
     /// The least number of lost packets that strands a member, every packet sent once.
     pub least_losses_to_strand: Option<u32>,
@@ -55,6 +55,19 @@ pub struct Found {
     pub attempts: Option<u32>,
 }
 
+impl Found {
+    /// No number.
+    pub const NOTHING: Self = Self {
+        least_losses_to_strand: None,
+        least_losses_with_resending: None,
+        least_safe_margin: None,
+        closed_form_margin: None,
+        bound_ticks: None,
+        least_bound_ticks: None,
+        attempts: None,
+    };
+}
+
 /// One claim under one rule.
 #[derive(Clone, Debug, Serialize)]
 pub struct Verdict {
@@ -70,7 +83,7 @@ pub struct Verdict {
     pub expect: Outcome,
     /// What came out.
     pub outcome: Outcome,
-    /// Whether the two agree, and what was searched for was found.
+    /// Whether the two agree, and what was searched for was found and is the number written down for it.
     pub as_expected: bool,
     /// Within which bounds.
     pub bounds: Bounds,

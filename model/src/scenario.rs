@@ -153,7 +153,7 @@ impl Scenario {
     /// Whether states that differ only in who is who count as one.
     #[must_use]
     pub fn members_alike(&self) -> bool {
-        self.reductions.symmetry && self.is_meeting() && !self.lives()
+        self.reductions.symmetry && self.is_meeting()
     }
 
     /// Whether nodes can have more than one life.

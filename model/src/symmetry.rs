@@ -9,7 +9,7 @@ use imrs_protocol::{Frame, Overflow, TaskId};
 /// From so many members on, trying all renamings of those that look alike from outside costs more than looking closer.
 const MANY: usize = 4;
 
-/// The parts that a packed state is put together from. Only worlds without restarts are renamed.
+/// The parts that a packed state is put together from.
 pub(crate) struct Parts<'a> {
     pub header: [u8; HEADER],
     pub ghosts: &'a [Vec<u8>],
@@ -37,7 +37,8 @@ impl Parts<'_> {
         let mut order: Vec<usize> = (0..n).collect();
         let views = if n < MANY { Vec::new() } else { self.views()? };
         let signature = |i: usize| {
-            (self.ghosts[i].as_slice(), members_at(&self.blocks[i]).1, views.get(i).map(Vec::as_slice))
+            let block = self.block(i);
+            (self.ghosts[i].as_slice(), block.node, block.task, views.get(i).map(Vec::as_slice))
         };
         order.sort_by(|&a, &b| signature(a).cmp(&signature(b)));
         let mut best = (self.renamed(&order)?, order.clone());
@@ -56,8 +57,7 @@ impl Parts<'_> {
     /// the way from it and to it.
     fn views(&self) -> Result<Vec<Vec<u8>>, Overflow> {
         let n = self.blocks.len();
-        let entries: Vec<_> =
-            self.blocks.iter().map(|block| entries(&block[members_at(block).0..])).collect();
+        let entries: Vec<_> = (0..n).map(|i| self.entries(&self.block(i))).collect();
         let knows = |i: usize, of: usize| entries[i].get(of).copied().unwrap_or_default();
         let mut flights = Vec::with_capacity(self.flights.len());
         for flight in self.flights {
@@ -88,10 +88,14 @@ impl Parts<'_> {
         bytes.extend(self.header);
         order.iter().for_each(|&i| bytes.extend(&self.ghosts[i]));
         for &i in order {
-            let block = &self.blocks[i];
-            let (at, _) = members_at(block);
-            bytes.extend(&block[..at]);
-            let entries = entries(&block[at..]);
+            let block = self.block(i);
+            bytes.push(block.len);
+            bytes.extend(block.node);
+            if !block.known.is_empty() {
+                order.iter().for_each(|&of| bytes.push(block.known[of]));
+            }
+            bytes.extend(block.task);
+            let entries = self.entries(&block);
             order.iter().for_each(|&of| bytes.extend(entries.get(of).copied().unwrap_or_default()));
         }
         let position = |task: TaskId| order.iter().position(|&i| i == task.index()).unwrap_or(0);
@@ -110,31 +114,58 @@ impl Parts<'_> {
     }
 }
 
-/// Where the entries of the members begin in a node's block, and the bytes before them without the length.
-fn members_at(block: &[u8]) -> (usize, &[u8]) {
-    // See `CommTask::store`: the levels of the order, the wait (a byte, of a task that only meets), then the meeting's
-    // flags, round and what the flags announce.
-    let mut at = 2;
-    at += 1 + 2 * usize::from(block.get(at).copied().unwrap_or(0) & 0x0f);
-    at += 1;
-    let flags = block.get(at).copied().unwrap_or(0);
-    at += 2;
-    at += usize::from(flags & 1 != 0) + usize::from(flags & 2 != 0) + usize::from(flags & 4 != 0);
-    at += if flags & 16 != 0 { 2 } else { 0 };
-    let at = at.min(block.len());
-    (at, &block[1.min(at)..at])
+/// A node's block, taken apart into what renaming leaves as it is and what it moves.
+struct Block<'a> {
+    len: u8,
+    /// Its least round and, where nodes have lives, whether it is up and in which life.
+    node: &'a [u8],
+    /// Where nodes have lives: in which one it knows each of the others.
+    known: &'a [u8],
+    /// Its task without what it holds of the members.
+    task: &'a [u8],
+    /// What it holds of each member.
+    members: &'a [u8],
 }
 
-/// The members' entries of a block, in order.
-fn entries(mut bytes: &[u8]) -> Vec<&[u8]> {
-    let mut entries = Vec::with_capacity(4);
-    while let Some(&flags) = bytes.first() {
-        let len = 1 + if flags & 1 != 0 { 2 } else { 0 } + usize::from(flags & 2 != 0);
-        let (entry, rest) = bytes.split_at(len.min(bytes.len()));
-        entries.push(entry);
-        bytes = rest;
+impl Parts<'_> {
+    fn block(&self, i: usize) -> Block<'_> {
+        let block = self.blocks[i].as_slice();
+        let lives = self.frame.lives;
+        // See `store_place`: the length, the least round, and with lives whether it is up, its life, those of the others.
+        let known = if lives { 4 } else { 2 };
+        let start = if lives { known + self.blocks.len() } else { known };
+        // See `CommTask::store`: the levels of the order, the wait (a byte, of a task that only meets), with lives three
+        // bytes of its own, then the meeting's flags, round and what the flags announce.
+        let mut at = start;
+        at += 1 + 2 * usize::from(block.get(at).copied().unwrap_or(0) & 0x0f);
+        at += if lives { 4 } else { 1 };
+        let flags = block.get(at).copied().unwrap_or(0);
+        at += 2;
+        at += usize::from(flags & 1 != 0) + usize::from(flags & 2 != 0) + usize::from(flags & 4 != 0);
+        at += if flags & 16 != 0 { 2 } else { 0 };
+        // Of a node that is down there is no task.
+        let at = at.min(block.len());
+        Block {
+            len: block[0],
+            node: &block[1..known],
+            known: &block[known..start],
+            task: &block[start..at],
+            members: &block[at..],
+        }
     }
-    entries
+
+    /// The members' entries of a block, in order.
+    fn entries<'a>(&self, block: &Block<'a>) -> Vec<&'a [u8]> {
+        let mut entries = Vec::with_capacity(4);
+        let mut bytes = block.members;
+        while let Some(&flags) = bytes.first() {
+            let len = 1 + if flags & 1 != 0 { 2 } else { 0 } + usize::from(flags & 2 != 0);
+            let (entry, rest) = bytes.split_at((len + usize::from(self.frame.lives)).min(bytes.len()));
+            entries.push(entry);
+            bytes = rest;
+        }
+        entries
+    }
 }
 
 /// The next arrangement that only exchanges members alike in `same`. Positions count from `order`.

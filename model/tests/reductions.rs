@@ -39,7 +39,10 @@ fn same(meeting: &Meeting) -> f64 {
         // tell states apart by whose turn it is.
         let fewer = found.states >= reduced.states || (!reductions.turns && reductions.ignores);
         assert!(found.violation.is_some() || fewer, "{reductions:?}");
-        assert!(found.violation.is_some() || found.transitions >= reduced.transitions, "{reductions:?}");
+        // After a crash all nodes take turns again, and some orders of one tick come twice.
+        let crashes = meeting.budget.crash > 0 && !reductions.turns && reductions.ignores;
+        let fewer = found.transitions >= reduced.transitions || crashes;
+        assert!(found.violation.is_some() || fewer, "{reductions:?}");
         ratio = found.states as f64 / reduced.states as f64;
     }
     println!("{:?} of {}: {ratio:.1} times fewer states", meeting.watch, meeting.members);
@@ -51,6 +54,21 @@ fn two_members_hold() {
     same(&timed(2, Watch::FalseRelease, 1, 3, 5));
     same(&timed(2, Watch::AllOrNone, 1, 3, 5));
     same(&Meeting { attempts: Some(2), ..endless(2, 1) });
+}
+
+/// Equal members are sorted with their lives, and once no node can start again, what nobody notices vanishes.
+#[test]
+fn members_that_restart() {
+    let crash = Budget { loss: 0, dup: 0, crash: 1 };
+    let restart = |members| Meeting { budget: crash, ..timed(members, Watch::FalseRelease, 0, 1, 3) };
+    same(&restart(2));
+    same(&Meeting { budget: Budget { loss: 1, dup: 1, crash: 1 }, ..restart(2) });
+    same(&Meeting { watch: Watch::Waits, ..restart(2) });
+    same(&Meeting { attempts: Some(2), resend: None, ..restart(2) });
+    let eager = Rules { quarantine: false, ..Rules::DEFAULT };
+    same(&Meeting { attempts: Some(2), resend: None, rules: eager, ..restart(2) });
+    let ratio = same(&Meeting { hurry: true, resend: None, ..restart(3) });
+    assert!(ratio >= 5.0, "only {ratio:.1}");
 }
 
 #[test]
@@ -103,6 +121,14 @@ fn stranding_needs_as_many_losses() {
 fn three_members_hold_in_far_fewer_states() {
     let ratio = same(&timed(3, Watch::FalseRelease, 0, 0, 2));
     assert!(ratio >= 5.0, "only {ratio:.1}");
+}
+
+#[test]
+fn all_reductions_together_leave_a_twentieth_of_the_states() {
+    let meeting = Meeting { resend: None, ..timed(3, Watch::FalseRelease, 0, 1, 3) };
+    let [all, none] = [Reductions::ALL, Reductions::NONE].map(|reductions| run(reductions, &meeting));
+    assert!(all.violation.is_none() && none.violation.is_none());
+    assert!(none.states >= 20 * all.states, "{} states and {}", all.states, none.states);
 }
 
 /// The states that a tick, a restart, a crash or the end of faults leads to.

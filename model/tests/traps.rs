@@ -124,12 +124,15 @@ fn depth_first_search_reaches_the_same_states() {
 
 #[test]
 fn every_renaming_of_a_state_has_one_canonical_form() {
+    let crash = Budget { loss: 1, dup: 0, crash: 1 };
     let worlds = [
         timed(2, Watch::FalseRelease, 1, 3, 5),
         Meeting { attempts: Some(3), ..endless(2, 1) },
         timed(3, Watch::AllOrNone, 0, 1, 3),
         Meeting { attempts: Some(2), ..endless(3, 0) },
         timed(4, Watch::Reachable, 1, 3, 5),
+        Meeting { budget: crash, ..timed(2, Watch::FalseRelease, 1, 3, 5) },
+        Meeting { budget: crash, ..timed(3, Watch::Waits, 0, 1, 3) },
     ];
     let mut dice = Dice(0x1987_0701);
     for meeting in worlds {

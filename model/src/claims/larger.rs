@@ -8,7 +8,7 @@ use super::meetings::{simple, strand_claim, timed};
 use crate::report::Outcome;
 use crate::scenario::{Budget, Timing, Watch};
 use crate::worlds::Meeting;
-use imrs_protocol::rules::Confirmation;
+use imrs_protocol::rules::{Confirmation, Rules};
 
 /// A claim's worlds that only the full run looks at: these follow the claim's other rows.
 pub(super) fn larger(name: &'static str) -> Vec<Claim> {
@@ -32,20 +32,31 @@ fn no_false_release() -> Vec<Claim> {
         "nobody is released early where all reach the waitfor at once, and again at once after a restart";
     let again =
         |members, time_out, budget| Meeting { budget, ..timed(members, Watch::FalseRelease, 1, 3, time_out) };
+    // The least margin, that of meetings in which nothing need be lost.
+    let least =
+        |members, time_out, budget| Meeting { budget, ..timed(members, Watch::FalseRelease, 0, 1, time_out) };
     let once =
         |members, budget| Meeting { resend: None, budget, ..timed(members, Watch::FalseRelease, 0, 1, 3) };
+    let eager = Rules { quarantine: false, ..Rules::DEFAULT };
     let at_once = |meeting: Meeting| Meeting { hurry: true, ..meeting };
     let five = "five members, nothing lost, packets in any order";
     vec![
         row(
-            "default, more losses",
+            "default, more faults",
             "three members that reach the waitfor when they like",
-            again(3, 5, faults(2, 0, 0)),
+            again(3, 5, faults(2, 1, 0)),
         ),
         row("default, at once", together, at_once(again(3, 5, faults(2, 1, 0)))),
         row("default, at once", together, at_once(again(3, 6, faults(2, 1, 0)))),
         row("default, restart, at once", together, at_once(once(3, faults(2, 1, 1)))),
-        row("default, restart, at once", together, at_once(again(3, 6, faults(1, 0, 1)))),
+        row("default, restart, at once", together, at_once(least(3, 4, faults(2, 1, 1)))),
+        row("default, restart, at once", together, at_once(again(3, 6, faults(2, 1, 1)))),
+        simple(
+            ("no-false-release", "no-quarantine, at once", "three members, one of which starts again (D49)"),
+            Outcome::Fails,
+            false,
+            at_once(Meeting { attempts: Some(2), rules: eager, ..once(3, faults(0, 0, 1)) }),
+        ),
         row("default, at once", together, at_once(once(4, faults(1, 0, 0)))),
         row("default, at once", together, at_once(again(4, 6, faults(1, 0, 0)))),
         row("default", five, Meeting::new(5, Watch::FalseRelease)),
@@ -89,12 +100,15 @@ fn all_or_none() -> Vec<Claim> {
         timing: Timing::default(),
         time_outs,
     };
-    // Four members that come when they like have too many states to search their margin.
+    let apart = "four members that come when they like: without a margin one runs while another has given up";
+    let less = Meeting { resend: None, ..timed(4, Watch::AllOrNone, 0, 0, 2) };
     let about =
         "four members at once, every packet sent once, nothing lost, with the margin of fewer members";
     let four = Meeting { resend: None, hurry: true, ..timed(4, Watch::AllOrNone, 0, 1, 3) };
     vec![
         simple(("all-or-none", "default, at once", about), Outcome::Holds, false, four),
+        // Members that come at once have one deadline: only with those that come when they like a margin is too short.
+        simple(("all-or-none", "margin-one-less", apart), Outcome::Fails, false, less),
         search(2, 3, 2, TimeOuts::Only(8)).claim("default, largest bounds", false),
         search(3, 0, 0, TimeOuts::Least { more: 1 }).claim("default, two time_outs", false),
         search(3, 1, 0, TimeOuts::Least { more: 1 }).claim("default, two time_outs", false),

@@ -1,6 +1,6 @@
 //! The search for the least margin of `waitfor` (D2, D56).
 
-use super::meetings::{DELAY, RESEND, bounds, once, timed};
+use super::meetings::{DELAY, RESEND, bounds, once, releases, timed};
 use super::{Claim, Settled, Variant, Work};
 use crate::report::{Found, Outcome};
 use crate::scenario::{Budget, Timing, Watch};
@@ -86,8 +86,7 @@ impl Search {
         }
         let shown = least.unwrap_or(closed_form);
         let meeting = self.meeting(shown, *self.time_outs(shown).start());
-        let reachable = Meeting { watch: Watch::Reachable, budget: Budget::default(), ..meeting };
-        let reached = once(work, &reachable).outcome == Outcome::Fails;
+        let reached = releases(work, &meeting);
         let unsettled = one_less.as_ref().map_or(Outcome::Unknown, |(settled, _)| settled.outcome);
         Settled {
             outcome: if least.is_some() { Outcome::Holds } else { unsettled },

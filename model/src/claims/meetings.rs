@@ -83,7 +83,23 @@ pub(super) fn simple(
     meeting: Meeting,
 ) -> Claim {
     let parties = u32::try_from(meeting.members).unwrap_or(0);
-    Claim { name, rule, parties, about, expect, smoke, settle: Box::new(move |work| once(work, &meeting)) }
+    let settle = move |work: &mut Work<'_>| {
+        let settled = once(work, &meeting);
+        let vacuous = expect == Outcome::Holds && says_of_releases(&meeting) && !releases(work, &meeting);
+        Settled { sound: settled.sound && !vacuous, ..settled }
+    };
+    Claim { name, rule, parties, about, expect, smoke, settle: Box::new(settle) }
+}
+
+/// Whether what is watched would hold of a world in which nobody is ever released.
+const fn says_of_releases(meeting: &Meeting) -> bool {
+    matches!(meeting.watch, Watch::FalseRelease | Watch::Pairing | Watch::AllOrNone)
+}
+
+/// Whether a member can be released at all, without any fault.
+pub(super) fn releases(work: &mut Work<'_>, meeting: &Meeting) -> bool {
+    let reachable = Meeting { watch: Watch::Reachable, budget: Budget::default(), ..meeting.clone() };
+    once(work, &reachable).outcome == Outcome::Fails
 }
 
 fn no_false_release() -> Vec<Claim> {

@@ -39,9 +39,8 @@ impl World {
             at += len;
         }
         self.flights.clear();
-        let patience = self.scenario.cell.ports().first().map_or(Ticks::FAR, |p| p.decl.time_out);
         while at < bytes.len() {
-            let (mut flight, len) = self.codec.decode(&bytes[at..], patience);
+            let (mut flight, len) = self.codec.decode(&bytes[at..]);
             if flight.packet.source == flight.packet.destination {
                 // From anybody: see `anonymous`.
                 let other = (flight.packet.destination.index() + 1) % self.places.len();
@@ -65,9 +64,9 @@ impl World {
         }
         let codec = Codec::new(scenario);
         for _ in 0..i {
-            at += codec.decode(bytes.get(at..)?, Ticks::ZERO).1;
+            at += codec.decode(bytes.get(at..)?).1;
         }
-        let (flight, _) = codec.decode(bytes.get(at..)?, Ticks::ZERO);
+        let (flight, _) = codec.decode(bytes.get(at..)?);
         Some(flight.packet.destination.index())
     }
 
@@ -103,7 +102,7 @@ impl World {
                 place.node.parts_mut().tasks[0].bury();
             }
         }
-        if self.scenario.reductions.ignores && !self.scenario.lives() {
+        if self.scenario.reductions.ignores && self.is_settled() {
             self.drop_unnoticed();
         }
         if form != Form::Plain {
@@ -180,30 +179,62 @@ impl World {
         }
     }
 
+    /// Whether no node that is up can begin a new life: that one would notice what the present one ignores.
+    fn is_settled(&self) -> bool {
+        !self.scenario.lives() || self.crash == 0
+    }
+
+    /// Whether both nodes are up and `i` knows the life that `of` is in: no envelope from there is news.
+    fn knows(&self, i: usize, of: usize) -> bool {
+        let up = self.places[i].up && self.places[of].up;
+        !self.scenario.lives() || (up && self.places[i].known[of] == self.places[of].life)
+    }
+
+    /// Whether the tasks at the ends of a packet have heard each other in their present lives.
+    fn acquainted(&self, flight: &Flight) -> bool {
+        let (from, to) = (flight.packet.source, flight.packet.destination);
+        let heard = |at: TaskId, of: TaskId| {
+            let life = self.task(at.index()).heard_in(&self.places[at.index()].table, flight.packet.port, of);
+            life == Some(self.places[of.index()].life)
+        };
+        !self.scenario.lives() || (self.knows(from.index(), to.index()) && heard(from, to) && heard(to, from))
+    }
+
     /// Drops CONFIRMs still to be sent that everybody would ignore, then packets that nobody can notice: in this order,
     /// because arrivals matter to who still owes a CONFIRM.
     fn drop_unnoticed(&mut self) {
         let port = PortId(0);
         for i in 0..self.n() {
             if let Some(round) = self.task(i).owes(port)
-                && (0..self.n()).all(|other| other == i || self.task(other).is_over(port, round))
+                && (0..self.n()).all(|other| {
+                    other == i || (self.knows(other, i) && self.task(other).is_over(port, round))
+                })
             {
                 let task = &mut self.places[i].node.parts_mut().tasks[0];
                 task.settle(port);
                 task.bury();
             }
         }
-        let places = &self.places;
-        let task = |i: usize| &places[i].node.parts().tasks[0];
-        self.flights.retain(|flight| {
-            let packet = &flight.packet;
-            let (from, to) = (packet.source.index(), packet.destination.index());
-            // Who has left a round, even one that still owes a CONFIRM of it, learns nothing from another's.
-            let confirmed =
-                packet.kind == Kind::Confirm && task(to).is_over(packet.port, packet.meeting().round);
-            !(places[to].up && (confirmed || task(to).ignores(&places[to].table, packet, task(from))))
-        });
-        self.drop_more_confirms();
+        let mut flights = std::mem::take(&mut self.flights);
+        flights.retain(|flight| !self.is_unnoticed(flight));
+        self.flights = flights;
+        if !self.scenario.lives() {
+            self.drop_more_confirms();
+        }
+    }
+
+    fn is_unnoticed(&self, flight: &Flight) -> bool {
+        let packet = &flight.packet;
+        let (from, to) = (packet.source.index(), packet.destination.index());
+        let known = self.places[to].known[from];
+        if self.scenario.lives() && self.places[to].up && flight.life != known {
+            return flight.life.0 < known.0;
+        }
+        // Who has left a round, even one that still owes a CONFIRM of it, learns nothing from another's.
+        let confirmed =
+            packet.kind == Kind::Confirm && self.task(to).is_over(packet.port, packet.meeting().round);
+        let ignores = || self.task(to).ignores(&self.places[to].table, packet, self.task(from));
+        self.places[to].up && (confirmed || (self.acquainted(flight) && ignores()))
     }
 
     /// To a member that waits in its round, one CONFIRM is as good as another, and after the first the others are
@@ -271,7 +302,7 @@ impl World {
 
     /// Drops what the stored state would leave out, and goes on unpacked.
     pub fn tidy(&mut self) {
-        if self.scenario.reductions.ignores && !self.scenario.lives() && self.violation.is_none() {
+        if self.scenario.reductions.ignores && self.is_settled() && self.violation.is_none() {
             for place in &mut self.places {
                 place.node.parts_mut().tasks[0].bury();
             }

@@ -2,7 +2,7 @@
 
 use super::rendezvous::Rendezvous;
 use super::{CommTask, Role};
-use crate::ids::{PortId, Round};
+use crate::ids::{Incarnation, PortId, Round, TaskId};
 use crate::packet::{Kind, Packet};
 use crate::table::NodeTable;
 use crate::ticks::Ticks;
@@ -49,6 +49,14 @@ impl CommTask {
         let Some(Role::Meets(meeting)) = self.role(port) else { return None };
         let rendezvous = &self.meetings[usize::from(meeting)];
         rendezvous.released.filter(|_| rendezvous.owes_confirm || rendezvous.copies_left > 0)
+    }
+
+    /// The life in which this task last heard a member of a waitfor port.
+    #[must_use]
+    pub fn heard_in(&self, table: &NodeTable, port: PortId, member: TaskId) -> Option<Incarnation> {
+        let Some(Role::Meets(meeting)) = self.role(port) else { return None };
+        let member = table.port(port)?.party_index(member)?;
+        self.meetings[usize::from(meeting)].members[member].life
     }
 
     /// Forgets the CONFIRM that is still to be sent: for a checker that knows that everybody would ignore it.
