@@ -257,3 +257,24 @@ fn a_flood_of_rejected_messages_keeps_the_first_rank_waiting_for_one_of_them_onl
     y.pass(5);
     assert_eq!(y.ask(Request::Return).delivery().map(|d| d.from.port), Some(HIGH));
 }
+
+#[test]
+fn a_get_that_names_a_source_goes_by_urgency_alone() {
+    let of_x = Request::Get { port: None, source: Some(X), time_out: Some(Ticks(0)) };
+    let mut room = Room::new(|_| ());
+    room.hear(LOW, 77);
+    // Its looks count for nobody: after ever so many of them a GET over all takes the more urgent one still.
+    for _ in 0..20 {
+        room.hear_urgent(HIGH, 1, 50);
+        assert_eq!(room.y.ask(of_x).words(), ["message [1] from T0 for 50"]);
+    }
+    for _ in 0..5 {
+        room.hear_urgent(HIGH, 2, 50);
+        assert_eq!(room.y.ask(get(0)).words(), ["message [2] from T0 for 50"]);
+    }
+    // Now the port has been passed over as often as it may be. It is the turn of the GET over all to see that.
+    room.hear_urgent(HIGH, 3, 50);
+    assert_eq!(room.y.ask(of_x).words(), ["message [3] from T0 for 50"]);
+    room.hear_urgent(HIGH, 4, 50);
+    assert_eq!(room.y.ask(get(0)).words(), ["message [77] from T0 for 100"]);
+}

@@ -10,6 +10,7 @@ mod handlers;
 mod host;
 mod leases;
 mod ops;
+mod packs;
 mod random;
 mod waits;
 mod written;
