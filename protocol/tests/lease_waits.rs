@@ -192,3 +192,78 @@ fn word_of_a_restart_alone_ends_no_lease() {
     couple.s.input(Input::PeerRestarted(NP));
     assert!(!couple.s.task.is_active());
 }
+
+#[test]
+fn a_lease_covers_the_beats_that_are_on_their_way() {
+    // A beat's answer is back after 10 ticks, in which two more beats were sent: every 4, and 5 for the last way.
+    let with = |lease| {
+        let mut cell = cell(false);
+        cell.links[0].delay = Ticks(5);
+        cell.ports[ALIVE.index()].time_out = Ticks(30);
+        cell.couples[0].lease = Ticks(lease);
+        cell.couples[0].takeover = Ticks(200);
+        CellTable::new(cell).map(|_| ())
+    };
+    let least = Ticks(4 * EVERY + 5 + 1);
+    let short = CellError::LeaseTooShort { couple: "p -> s".into(), lease: Ticks(least.0 - 1), least };
+    assert_eq!((with(least.0 - 1), with(least.0)), (Err(vec![short]), Ok(())));
+}
+
+#[test]
+fn beats_need_a_port_between_the_two_alone() {
+    let with = |owner: TaskId, users: &[TaskId]| {
+        let mut cell = cell(false);
+        cell.task("third", NP);
+        let via = cell.port(PortDecl::new("via", owner, Usage::Response, users, Ticks(6)));
+        cell.couples[0].via = via;
+        CellTable::new(cell).map(|_| ())
+    };
+    let third = TaskId(2);
+    assert_eq!(with(P, &[S]), Ok(()));
+    let wrong = Err(vec![CellError::NotForBeats("via".into())]);
+    for (owner, users) in [(S, &[P][..]), (P, &[S, third]), (P, &[third]), (third, &[S]), (third, &[P, S])] {
+        assert_eq!(with(owner, users), wrong, "{owner} asked by {users:?}");
+    }
+}
+
+#[test]
+fn an_actuator_that_is_packed_knows_the_newest_epoch_still() {
+    let mut cell = cell(false);
+    let arm = cell.task("arm", NS);
+    let port = cell.port(PortDecl::new("move", arm, Usage::Receive, &[P, S], Ticks(8)).guard(0));
+    let table = Arc::new(CellTable::new(cell).expect("a checked cell"));
+    let order = |source: TaskId, epoch: u8| Packet {
+        kind: Kind::Send,
+        class: Class::Status,
+        more: false,
+        resent: false,
+        urgent: false,
+        hops: MAX_HOPS,
+        fragment: 0,
+        destination: arm,
+        source,
+        port,
+        id: MessageId { incarnation: Incarnation(0), sequence: Frame::SEQUENCE },
+        remaining: Ticks(8),
+        contents: Contents::new(&[7, epoch]).expect("short"),
+    };
+    for (packed, wait) in [(false, 0), (true, 0), (false, 30), (true, 30)] {
+        let mut task = Solo::new(&table, arm);
+        task.hear(order(S, 3));
+        task.ask(support::get(0));
+        task.pass(wait);
+        if packed {
+            let sequences = [Frame::SEQUENCE.next(); 3];
+            let frame = Frame { rounds: &[Frame::ROUND; 2], sequences: &sequences, lives: true };
+            let mut bytes = [0; 200];
+            task.task.bury();
+            let len = task.task.store(&task.table, &frame, &mut bytes).expect("it fits");
+            let mut read = Solo::new(&table, arm);
+            assert_eq!(read.task.load(&task.table, true, &bytes), len);
+            task = read;
+        }
+        // The guard is forgotten when nothing of an older epoch can come any more.
+        let stale = if wait == 0 { vec![Reason::StaleEpoch] } else { vec![] };
+        assert_eq!(task.hear(order(P, 2)).discards(), stale, "packed: {packed}, after {wait}");
+    }
+}

@@ -62,10 +62,9 @@ impl NodeOutbox for Outside {
 
 /// Without the numbers that are only relative in packed states.
 fn unnumbered(words: &str) -> String {
-    let number = |word: &&str| {
-        !word.starts_with('#')
-            && !(word.len() > 1 && word.starts_with('r') && word.as_bytes()[1].is_ascii_digit())
-    };
+    let round =
+        |word: &str| word.strip_prefix('r').is_some_and(|n| n.starts_with(|c: char| c.is_ascii_digit()));
+    let number = |word: &&str| !(word.starts_with('#') || round(word));
     words.split(' ').filter(number).collect::<Vec<_>>().join(" ")
 }
 
