@@ -225,3 +225,17 @@ fn a_long_message_whose_rest_the_driver_does_not_keep_ends_the_task() {
         );
     }
 }
+
+#[test]
+fn reals_are_reckoned_as_reals() {
+    let reals = |operator, a: f32, b: f32| {
+        let push = |x| Term::Push(real(x).expect("finite"));
+        eval(&[push(a), push(b), Term::Real(operator)], |_| None)
+    };
+    for (operator, expected) in
+        [(Binary::Add, 6.5), (Binary::Subtract, 5.5), (Binary::Multiply, 3.0), (Binary::Divide, 12.0)]
+    {
+        assert_eq!(reals(operator, 6.0, 0.5), Ok(real(expected).expect("finite")), "6 {operator:?} 0.5");
+    }
+    assert_eq!(reals(Binary::Divide, f32::MAX, 0.5), Err(ScriptFault::NotFinite));
+}
