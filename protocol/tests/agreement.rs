@@ -91,3 +91,14 @@ fn the_order_in_which_links_are_declared_does_not_matter() {
     });
     assert_eq!(turned, digest(|_| ()));
 }
+
+#[test]
+fn the_neighbours_of_a_node_are_those_that_a_link_joins_with_it() {
+    let mut cell = cell();
+    cell.link(NodeId(2), NodeId(1), Ticks(9));
+    let table = CellTable::new(cell).expect("a checked cell");
+    let of = |node| table.neighbours(NodeId(node)).map(|n| n.0).collect::<Vec<_>>();
+    assert_eq!([of(0), of(1), of(2), of(3)], [vec![1], vec![0, 2], vec![1, 3], vec![2]]);
+    assert_eq!(table.link_bound(NodeId(1), NodeId(2)), Some(Ticks(3)), "the shorter of two links");
+    assert_eq!(table.link_bound(NodeId(0), NodeId(3)), None);
+}
