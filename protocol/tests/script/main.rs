@@ -4,6 +4,7 @@
 mod arm;
 pub mod bytes;
 mod check;
+mod drivers;
 mod fake;
 mod floor;
 mod handlers;
