@@ -100,4 +100,16 @@ mod tests {
             prop_assert!((0..40).all(|key| index.find(key).is_none()));
         }
     }
+
+    /// Names of timers are tasks with a small number behind them: a search among all of them looks at few places.
+    #[test]
+    fn keys_spread() {
+        let mut index = Index::new(512);
+        let keys = || (0..64_u32).flat_map(|task| (0..8).map(move |id| (task << 8) | id));
+        keys().for_each(|key| index.insert(key, key));
+        let mask = index.places.len() - 1;
+        let steps = |key| index.find(key).map(|place| place.wrapping_sub(index.home(key)) & mask).unwrap();
+        let (all, worst) = keys().map(steps).fold((0, 0), |(all, worst), n| (all + n, worst.max(n)));
+        assert!(all < 512 && worst < 16, "{all} steps for 512 keys, {worst} for one");
+    }
 }

@@ -326,43 +326,23 @@ fn a_new_order_takes_no_turn_away() {
     assert_eq!(room.ticks_to_interrupt(9), Some((4, "interrupt [1] from T0 for 96".into())));
 }
 
-/// The least time in which a packet is taken in that does not outrank the thread, where so many wait.
-fn time_for_one(waiting: u16) -> std::time::Duration {
-    let mut cell = Cell::new("hall", Ticks(1));
-    let node = cell.node("n");
-    let (x, y) = (cell.task("x", node), cell.task("y", node));
-    let port = PortDecl::new("low", x, Usage::Send, &[y], Ticks(60_000_000)).penalty(Ticks(1_000_000));
-    cell.port(port.bounded_buffer(waiting));
-    let table = Arc::new(CellTable::new(cell).expect("a checked cell"));
-    let (mut x, mut y) = (Solo::new(&table, x), Solo::new(&table, y));
-    for request in [handle(LOW), Request::Work] {
-        y.ask(request);
-    }
-    let mut each = Vec::new();
-    // Twice as many as there is room for: the later half finds the buffer full.
-    for n in 0..2 * waiting {
-        let packet = x.ask(send_for(LOW, Y, 1, 50_000_000 - u64::from(n))).packets[0];
-        let start = std::time::Instant::now();
-        y.task.handle(&y.table, Input::Packet(packet), &mut Nowhere);
-        let due = y.task.next_expiry();
-        each.push(start.elapsed());
-        assert!(due.is_some());
-    }
-    each[usize::from(waiting) + 1..].iter().min().copied().expect("some")
-}
-
-struct Nowhere;
-
-impl Outbox for Nowhere {
-    fn transmit(&mut self, _: Packet) {}
-    fn signal(&mut self, _: Signal) {}
-    fn arm(&mut self, _: TimeId, _: u8, _: Ticks) {}
-    fn disarm(&mut self, _: TimeId) {}
-}
-
 #[test]
-fn a_packet_costs_about_the_same_however_many_wait() {
-    let [few, many] = [16, 8192].map(time_for_one);
-    // As many steps as messages wait would make it some hundred times as long.
-    assert!(many < 30 * few.max(std::time::Duration::from_nanos(100)), "{few:?} and {many:?}");
+fn a_get_that_names_a_source_goes_by_urgency_alone() {
+    let of_x = Request::Get { port: None, source: Some(X), time_out: Some(Ticks(0)) };
+    let mut room = Room::new(|_| ());
+    room.hear(LOW, 77);
+    // Its looks count for nobody: after ever so many of them a GET over all takes the more urgent one still.
+    for _ in 0..20 {
+        room.hear_urgent(HIGH, 1, 50);
+        assert_eq!(room.y.ask(of_x).words(), ["message [1] from T0 for 50"]);
+    }
+    for _ in 0..5 {
+        room.hear_urgent(HIGH, 2, 50);
+        assert_eq!(room.y.ask(get(0)).words(), ["message [2] from T0 for 50"]);
+    }
+    // Now the port has been passed over as often as it may be. It is the turn of the GET over all to see that.
+    room.hear_urgent(HIGH, 3, 50);
+    assert_eq!(room.y.ask(of_x).words(), ["message [3] from T0 for 50"]);
+    room.hear_urgent(HIGH, 4, 50);
+    assert_eq!(room.y.ask(get(0)).words(), ["message [77] from T0 for 100"]);
 }

@@ -237,3 +237,37 @@ fn two_sources_put_their_messages_together_side_by_side() {
         assert_eq!(bytes(&y, message.fragments), expected);
     }
 }
+
+#[test]
+fn a_fragment_of_an_older_message_does_not_disturb_a_newer_one() {
+    let table = table();
+    for (port, class) in [(TRACE, Class::Status), (TEACH, Class::Command)] {
+        let mut x = Solo::new(&table, X);
+        let old = staged(&mut x, port, &[1, 2]).packets;
+        x.ask(Request::Cancel);
+        let new = staged(&mut x, port, &[3, 4]).packets;
+        assert_eq!(new[0].class, class);
+        let mut y = Solo::new(&table, Y);
+        y.hear(new[1]);
+        assert!(old.iter().all(|&packet| y.hear(packet).signals.is_empty()));
+        assert_eq!(y.queue(port), [], "neither is whole");
+        y.hear(new[0]);
+        let got = y.ask(get(0)).delivery().expect("the newer one");
+        assert_eq!((got.contents, got.fragments, bytes(&y, 2)), (contents(3), 2, vec![3, 4]));
+        assert_eq!(y.ask(get(0)).words(), ["nothing"]);
+    }
+}
+
+#[test]
+fn a_fragment_beyond_the_declared_ones_breaks_nothing() {
+    let table = table();
+    let mut x = Solo::new(&table, X);
+    let packets = staged(&mut x, TRACE, &[1, 2]).packets;
+    let mut y = Solo::new(&table, Y);
+    y.hear(packets[0]);
+    // A last fragment said to be another one than the last.
+    let beyond = Packet { fragment: 9, more: false, ..packets[1] };
+    assert!(!y.hear(beyond).discards().is_empty());
+    y.hear(packets[1]);
+    assert_eq!(y.ask(get(0)).words(), ["message [1] from T0 for 20"]);
+}

@@ -170,3 +170,24 @@ fn a_query_that_finds_no_place_is_refused() {
         ["REFUSED T1>T2 #0 for 20"]
     );
 }
+
+#[test]
+fn what_can_be_answered_is_told_before_the_answer() {
+    let table = table();
+    let (mut x, mut y) = (Solo::new(&table, X), Solo::new(&table, Y));
+    let command = x.ask(send(MOVE, Y, 1)).packets[0];
+    let to = ReplyTo { port: MOVE, source: X, id: command.id };
+    assert!(!y.task.can_answer(&to), "it has not come");
+    y.hear(command);
+    assert!(!y.task.can_answer(&to), "it has not been taken");
+    let delivery = y.ask(get(0)).delivery().expect("the command");
+    assert!(y.task.can_answer(&to));
+    assert!(
+        !y.task.can_answer(&ReplyTo { source: Z, ..to }) && !y.task.can_answer(&ReplyTo { port: SEEN, ..to })
+    );
+    y.ask(reply(&delivery, 2));
+    assert!(!y.task.can_answer(&to), "it is answered");
+    // Who answers for another never knows; who only sends or hears has nothing to answer.
+    assert!(Solo::new(&table, Z).task.can_answer(&ReplyTo { port: FOR, ..to }));
+    assert!(!x.task.can_answer(&to) && !x.task.can_answer(&ReplyTo { port: FOR, ..to }));
+}

@@ -144,3 +144,71 @@ proptest! {
         }
     }
 }
+
+#[test]
+fn the_timer_says_which_start_of_an_entry_is_over() {
+    let mut timer = Timer::new(4);
+    timer.arm(X, TimeId(1), 3, Ticks(5));
+    timer.arm(Y, TimeId(1), 8, Ticks(6));
+    timer.arm(X, TimeId(1), 4, Ticks(9));
+    let mut over = Vec::new();
+    timer.advance(Ticks(20), |task, id, turn| over.push((task, id, turn)));
+    assert_eq!(over, [(Y, TimeId(1), 8), (X, TimeId(1), 4)], "the first start of X is no more");
+}
+
+fn start(id: u8, length: u64) -> Request {
+    Request::Start { id: TimeId(id), length: Ticks(length) }
+}
+
+/// X works, and its timers interrupt it.
+fn working() -> Net {
+    let mut net = Net::new(cell());
+    net.ask(X, support::order(&[Ranked::Timers, Ranked::Own]));
+    net
+}
+
+#[test]
+fn a_timer_that_is_started_again_interrupts_once_at_its_new_time() {
+    let mut net = working();
+    net.ask(X, start(1, 5));
+    net.run(3);
+    net.ask(X, start(1, 5));
+    net.ask(X, Request::Work);
+    net.transcript();
+    net.run(20);
+    assert_eq!(net.transcript(), ["8 T0: interrupt Timer(TimeId(1))"]);
+}
+
+#[test]
+fn a_stopped_timer_never_interrupts_and_leaves_nothing_behind() {
+    let mut net = working();
+    net.ask(X, start(1, 5));
+    net.ask(X, start(2, 9));
+    net.ask(X, Request::Stop { id: TimeId(1) });
+    let entries = net.nodes[0].parts().timer.entries();
+    assert_eq!(entries, [(X, TimeId(2), Ticks(9))]);
+    // One that is over and whose handler has not begun is taken back, too.
+    net.run(9);
+    net.ask(X, Request::Stop { id: TimeId(2) });
+    net.ask(X, Request::Work);
+    net.transcript();
+    net.run(9);
+    assert_eq!(net.transcript(), Vec::<String>::new());
+    assert_eq!(net.nodes[0].next_expiry(), None);
+}
+
+#[test]
+fn a_name_serves_one_delay_or_timer_at_a_time() {
+    let mut net = working();
+    net.ask(X, start(1, 5));
+    net.ask(X, delay(1, 5));
+    assert_eq!(net.heard(X), ["accepted 0", "accepted 0", "fault Busy"], "a timer runs under it");
+    net.ask(X, delay(2, 50));
+    net.run(5);
+    assert_eq!(net.heard(X), ["interrupt Timer(TimeId(1))"]);
+    net.ask(X, start(2, 5));
+    net.ask(X, delay(2, 5));
+    assert_eq!(net.heard(X), ["fault Busy", "fault Busy"], "the interrupted thread delays under it");
+    net.ask(X, start(3, 5));
+    assert_eq!(net.heard(X), ["accepted 0"]);
+}

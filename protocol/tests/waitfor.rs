@@ -394,3 +394,21 @@ fn what_members_tell_each_other_reaches_them() {
     assert_eq!(x.task.meeting_arguments(&x.table, LIFT, Y), Some(*b"speed 40"));
     assert_eq!(x.task.meeting_arguments(&x.table, LIFT, X), None);
 }
+
+#[test]
+fn a_monitor_sees_how_far_a_meeting_has_come() {
+    let mut net = Net::new(plain(3));
+    let look = |net: &Net| {
+        let node = &net.nodes[0];
+        let view = node.task(X).expect("X").view(&node.parts().table, 0);
+        let meeting = &view.meetings[0];
+        let arrived: Vec<bool> = meeting.members.iter().map(|member| member.arrived).collect();
+        (meeting.state, arrived)
+    };
+    assert_eq!(look(&net), (MeetingState::Away, vec![false; 3]));
+    net.ask(X, arrive(LIFT));
+    assert_eq!(look(&net), (MeetingState::Gathering, vec![true, false, false]));
+    net.ask(Y, arrive(LIFT));
+    net.run(3);
+    assert_eq!(look(&net), (MeetingState::Gathering, vec![true, true, false]));
+}

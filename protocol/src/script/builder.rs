@@ -108,12 +108,6 @@ impl ProgramBuilder {
         self.op(Op::Statement)
     }
 
-    /// Adds terms of an expression.
-    pub fn terms(&mut self, terms: &[Term]) -> &mut Self {
-        self.program.code.extend(terms.iter().map(|&term| Op::Term(term)));
-        self
-    }
-
     /// Adds a constant.
     pub fn push(&mut self, value: i64) -> &mut Self {
         self.op(Op::Term(Term::Push(value)))

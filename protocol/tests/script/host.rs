@@ -8,12 +8,12 @@ use imrs_protocol::*;
 use proptest::prelude::*;
 use std::sync::Arc;
 
-const A: TaskId = TaskId(0);
-const B: TaskId = TaskId(1);
+pub const A: TaskId = TaskId(0);
+pub const B: TaskId = TaskId(1);
 const C: TaskId = TaskId(2);
 
 /// Tasks A, B, C, each on a node of its own, joined by links of one tick.
-fn triangle() -> Cell {
+pub fn triangle() -> Cell {
     let mut cell = Cell::new("three", Ticks(1));
     let nodes = ["na", "nb", "nc"].map(|name| cell.node(name));
     for (a, b) in [(0, 1), (0, 2), (1, 2)] {
@@ -25,16 +25,16 @@ fn triangle() -> Cell {
     cell
 }
 
-fn finish(b: ProgramBuilder) -> Program {
+pub fn finish(b: ProgramBuilder) -> Program {
     b.finish().expect("a checked program")
 }
 
-fn bytes(bytes: &[u8]) -> Contents {
+pub fn bytes(bytes: &[u8]) -> Contents {
     Contents::new(bytes).expect("short")
 }
 
 /// The beam lift: A is armL and C the hoist, both played by the test; B is armR.
-fn beam_lift() -> Floor {
+pub fn beam_lift() -> Floor {
     let mut cell = triangle();
     let lift = cell.port(PortDecl::new("lift", A, Usage::Waitfor, &[B, C], Ticks(2000)).resend(Ticks(50), 1));
     let beat = cell.port(PortDecl::new("beat", A, Usage::Query, &[B], Ticks(5)));
@@ -56,7 +56,7 @@ fn beam_lift() -> Floor {
 }
 
 const BEAT: PortId = PortId(1);
-const HALT: PortId = PortId(2);
+pub const HALT: PortId = PortId(2);
 
 fn ask_beat(floor: &mut Floor) -> Vec<Signal> {
     floor.ask(

@@ -4,12 +4,14 @@
 mod arm;
 pub mod bytes;
 mod check;
+mod drivers;
 mod fake;
 mod floor;
 mod handlers;
 mod host;
 mod leases;
 mod ops;
+mod packs;
 mod random;
 mod runaway;
 mod waits;

@@ -152,3 +152,38 @@ fn a_planted_fault_among_handlers_is_found() {
         assert!(format!("{violation}").len() > 20, "{violation}");
     }
 }
+
+#[test]
+fn a_planted_fault_in_a_lease_is_found() {
+    use crate::cell::CoupleDecl;
+    use crate::comm_task::lease::Post;
+    let mut cell = Cell::new("couple", Ticks(1));
+    let node = cell.node("n");
+    let (p, s) = (cell.task("p", node), cell.task("s", node));
+    let via = cell.port(PortDecl::new("alive", p, Usage::Response, &[s], Ticks(6)));
+    let (lease, takeover, every) = (Ticks(14), Ticks(32), Ticks(4));
+    let (trusted, mutual) = (false, false);
+    cell.couples.push(CoupleDecl { primary: p, standby: s, lease, takeover, every, via, trusted, mutual });
+    let table = NodeTable::new(Arc::new(CellTable::new(cell).unwrap()), NodeId(0));
+    let planted = |of: TaskId, change: fn(&mut Lease)| {
+        let mut task = CommTask::new(&table, of, Incarnation(0), false);
+        task.handle(&table, Input::Advance(Ticks(5)), &mut Packets::default());
+        assert_eq!(check(&task, &table), Ok(()));
+        change(task.lease.as_mut().unwrap());
+        check(&task, &table)
+    };
+    assert_eq!(planted(p, |l| l.post = Post::Leased(Ticks(5))), Err(Violation::PastLease(Ticks(5))));
+    assert_eq!(planted(p, |l| l.post = Post::Leased(Ticks(6))), Ok(()));
+    assert_eq!(planted(s, |l| l.takeover_at = Ticks(4)), Err(Violation::PastLease(Ticks(4))));
+    assert_eq!(planted(s, |l| l.call = Some(Call::TakeOver(0))), Err(Violation::WrongCall));
+    assert_eq!(
+        planted(s, |l| (l.post, l.call) = (Post::Alone, Some(Call::Fenced))),
+        Err(Violation::WrongCall)
+    );
+    assert_eq!(
+        planted(s, |l| (l.post, l.call) = (Post::Alone, Some(Call::TakeOver(7)))),
+        Err(Violation::WrongCall)
+    );
+    assert_eq!(planted(s, |l| (l.post, l.call) = (Post::Alone, Some(Call::TakeOver(l.epoch)))), Ok(()));
+    assert_eq!(planted(p, |l| l.call = Some(Call::Timer(TimeId(0)))), Err(Violation::WrongCall));
+}

@@ -1,0 +1,34 @@
+//! No clock shows (D37): messages carry what is left, so how long a node has been running changes nothing.
+
+mod support;
+
+use imrs_protocol::*;
+use proptest::prelude::*;
+use support::plan::plans;
+use support::world::{World, ops};
+
+proptest! {
+    #![proptest_config(ProptestConfig { cases: 100, failure_persistence: None, ..ProptestConfig::default() })]
+
+    #[test]
+    fn how_long_a_node_has_been_running_changes_nothing(
+        plan in plans(), ops in ops(), ahead in prop::collection::vec(0..1_u64 << 50, 1..5), restarts: bool,
+    ) {
+        let table = plan.build();
+        let rules = table.cell().rules;
+        // The variant that sends instants (D37) is there to show that it fails.
+        prop_assume!(rules.time_stamp == Rules::DEFAULT.time_stamp);
+        let mut plain = World::new(&table, restarts);
+        let mut other = plain.clone();
+        for (task, &ahead) in other.tasks.iter_mut().zip(ahead.iter().cycle()) {
+            task.set_ahead(Ticks(ahead));
+        }
+        for (i, op) in ops.into_iter().enumerate() {
+            prop_assert_eq!(other.step(op), plain.step(op), "step {}: {:?}", i, op);
+        }
+        for task in 0..plain.tasks.len() {
+            prop_assert_eq!(other.tasks[task].next_expiry(), plain.tasks[task].next_expiry());
+            prop_assert_eq!(other.bytes(task), plain.bytes(task));
+        }
+    }
+}

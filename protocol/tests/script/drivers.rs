@@ -1,0 +1,118 @@
+//! Drivers of nodes with scripts: one that looks at little, a couple's lease, scripts packed at every tick.
+
+use super::arm;
+use super::floor::Floor;
+use super::host::{A, B, HALT, beam_lift, bytes, finish, triangle};
+use imrs_protocol::script::*;
+use imrs_protocol::*;
+use std::sync::Arc;
+
+/// A driver that has no use for what scripts say of themselves.
+#[derive(Default)]
+struct Quiet {
+    ended: Vec<TaskId>,
+    cut: usize,
+}
+
+impl NodeOutbox for Quiet {
+    fn link(&mut self, _: NodeId, _: Packet) {}
+    fn signal(&mut self, _: TaskId, _: Signal) {}
+}
+
+impl HostOutbox for Quiet {
+    fn run(&mut self, _: TaskId, _: Action<'_>) {}
+    fn cut_short(&mut self, _: TaskId, _: u8) {
+        self.cut += 1;
+    }
+    fn choose(&mut self, _: TaskId, _: u16) -> Option<u16> {
+        None
+    }
+    fn ended(&mut self, task: TaskId, _: End) {
+        self.ended.push(task);
+    }
+}
+
+#[test]
+fn a_driver_may_ignore_what_scripts_say_of_themselves() {
+    let mut cell = triangle();
+    let port = cell.port(PortDecl::new("move", A, Usage::Send, &[B], Ticks(9)).command());
+    cell.tasks[1].node = NodeId(0);
+    let mut asker = ProgramBuilder::new("a");
+    asker.send(port, Target::All, &[]).delay(Ticks(4)).end();
+    let mut server = ProgramBuilder::new("b");
+    server.receive(port, None, &[]).end();
+    let programs = [(A, finish(asker)), (B, finish(server))].map(|(task, p)| (task, Arc::new(p)));
+    let table = NodeTable::new(Arc::new(CellTable::new(cell).expect("a checked cell")), NodeId(0));
+    let mut node =
+        ScriptedNode::new(Node::new(table, Incarnation(0), false, 4), programs).expect("checked programs");
+    let mut out = Quiet::default();
+    node.step(HostInput::Begin, &mut out);
+    assert_eq!(out.ended, [B], "it ends, and leaves the command unanswered");
+    assert_eq!(node.next_expiry(), Some(Ticks(9)), "the sender waits for the answer");
+    node.step(HostInput::Node(NodeInput::Advance(Ticks(9))), &mut out);
+    assert_eq!(node.next_expiry(), Some(Ticks(4)), "then it delays");
+    node.step(HostInput::Node(NodeInput::Advance(Ticks(4))), &mut out);
+    assert_eq!((out.ended, out.cut), (vec![B, A], 0));
+    assert_eq!(node.next_expiry(), None);
+}
+
+#[test]
+fn the_end_of_a_couples_script_ends_its_beats_and_a_fence_its_action() {
+    let mut cell = Cell::new("couple", Ticks(1));
+    let (here, there) = (cell.node("here"), cell.node("there"));
+    cell.link(here, there, Ticks(1));
+    let (p, s) = (cell.task("p", here), cell.task("s", there));
+    let via = cell.port(PortDecl::new("alive", p, Usage::Response, &[s], Ticks(6)));
+    cell.couples.push(CoupleDecl {
+        primary: p,
+        standby: s,
+        lease: Ticks(14),
+        takeover: Ticks(32),
+        every: Ticks(4),
+        via,
+        trusted: false,
+        mutual: false,
+    });
+    let mut primary = ProgramBuilder::new("p");
+    primary.statement().op(Op::Lease).run("weld", Ticks(500), Ticks(500)).end();
+    let mut standby = ProgramBuilder::new("s");
+    standby.delay(Ticks(40)).end();
+    let mut floor = Floor::new(cell, vec![(p, finish(primary)), (s, finish(standby))]);
+    floor.begin();
+    floor.run(70);
+    let log = floor.log();
+    assert_eq!(log[0], "5 T0: run 0 [] at 0", "granted at the second beat");
+    assert_eq!(log[1], "40 T1: ended Finished");
+    // No beat came after that, so the lease ended and the action with it.
+    let fenced: Vec<&String> = log[2..].iter().collect();
+    assert!(fenced[0].ends_with("T0: cut short 0") && fenced[1].ends_with("T0: ended Fenced"), "{log:?}");
+}
+
+#[test]
+fn scripts_packed_at_every_tick_do_the_same() {
+    let run = |packed: bool| {
+        let mut floor = beam_lift();
+        for tick in 0..60 {
+            if tick == 20 {
+                floor.ask(
+                    A,
+                    Request::Send { port: HALT, to: Target::All, contents: bytes(&[1]), time_out: None },
+                );
+            }
+            floor.run(1);
+            for node in floor.nodes.iter_mut().filter(|_| packed) {
+                let next: Vec<Seq24> = (0..3).map(|_| Frame::SEQUENCE).collect();
+                let frame = Frame { rounds: &[], sequences: &next, lives: true };
+                for Hosted { program, script, .. } in node.scripts_mut() {
+                    let mut room = [0; 500];
+                    let len = script.store(program, &frame, &mut room).expect("it fits");
+                    let mut read = Script::new(program);
+                    assert_eq!(read.load(program, true, &room), len);
+                    *script = read;
+                }
+            }
+        }
+        (floor.log(), floor.activities(), floor.var(B, arm::MOVING))
+    };
+    assert_eq!(run(true), run(false));
+}

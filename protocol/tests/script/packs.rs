@@ -1,0 +1,241 @@
+//! What packed scripts must hold (D51), the sets of outcomes that branches name, and drivers that look at little.
+
+use super::fake::*;
+use imrs_protocol::script::*;
+use imrs_protocol::*;
+
+/// Accepts what a script asks until it says something that begins so.
+fn until(rig: &mut Rig, mut said: Vec<String>, word: &str) -> Vec<String> {
+    for _ in 0..1000 {
+        if said.iter().any(|words| words.starts_with(word)) {
+            return said;
+        }
+        said = rig.accept();
+    }
+    panic!("no {word}, but {said:?}")
+}
+
+#[test]
+fn more_truths_than_a_byte_holds_are_kept_apart() {
+    let mut b = ProgramBuilder::new("test");
+    let truths: Vec<Slot> = (0..17).map(|i| b.variable(&format!("b{i}"), Type::Bool)).collect();
+    let number = b.variable("n", Type::Int16);
+    for (i, &truth) in (0..).zip(&truths) {
+        b.set(truth, i64::from([0, 1, 7, 8, 10, 16].contains(&i)));
+    }
+    b.set(number, -300).delay(Ticks(9)).end();
+    let mut rig = Rig::of(b.finish().expect("a checked program"));
+    // Every step packs the script, reads it back and compares.
+    let said = rig.begin();
+    until(&mut rig, said, "delay");
+    let read: Vec<i64> = truths.iter().map(|&truth| rig.var(truth)).collect();
+    assert_eq!(read, [1, 1, 0, 0, 0, 0, 0, 1, 1, 0, 1, 0, 0, 0, 0, 0, 1]);
+    assert_eq!(rig.var(number), -300);
+    let eight: Vec<u8> = same_when_packed(&rig.program, &rig.script);
+    let truths = [0b1000_0011, 0b0000_0101, 0b0000_0001];
+    assert!(eight.windows(3).any(|bytes| bytes == truths), "{eight:x?}");
+}
+
+#[test]
+fn a_long_program_keeps_its_place() {
+    let mut rig = Rig::new(|b| {
+        let n = b.variable("n", Type::Int16);
+        for i in 0..100 {
+            b.set(n, i);
+        }
+        b.delay(Ticks(7)).delay(Ticks(8));
+    });
+    assert!(rig.program.code.len() > 256);
+    let said = rig.begin();
+    assert!(until(&mut rig, said, "delay")[0].ends_with(" 7"));
+    assert!(rig.script.position() > 256, "at {}", rig.script.position());
+    let bytes = same_when_packed(&rig.program, &rig.script);
+    let mut loaded = Script::new(&rig.program);
+    loaded.load(&rig.program, true, &bytes);
+    rig.script = loaded;
+    let Some(Request::Delay { id, .. }) = rig.said.requests.last().copied() else { panic!("it delays") };
+    let said = rig.tell(Signal::TimeOut(id));
+    assert!(until(&mut rig, said, "delay")[0].ends_with(" 8"), "it goes on there");
+}
+
+/// A script that works for a command, and holds an operand more than its statements leave.
+fn serving() -> Rig {
+    let mut rig = Rig::new(|b| {
+        let n = b.variable("n", Type::Int32);
+        b.receive(TELL, None, &[(Type::Int32, n)]).run("weld", Ticks(1), Ticks(2)).reply(&[]);
+    });
+    let said = rig.begin();
+    until(&mut rig, said, "get");
+    let said = rig.tell(command(&[1, 2, 3, 4]));
+    until(&mut rig, said, "run");
+    rig
+}
+
+#[test]
+fn a_state_that_does_not_fit_is_refused_and_not_cut() {
+    let rig = serving();
+    let store = |sequence: u32, room: &mut [u8]| {
+        let sequences = [Seq24::new(sequence); 16];
+        let frame = Frame { rounds: &[], sequences: &sequences, lives: true };
+        rig.script.store(&rig.program, &frame, room)
+    };
+    // The command's number is one back from the frame's own.
+    let home = Frame::SEQUENCE.get();
+    let len = store(home, &mut [0; 200]).expect("it fits");
+    for short in 0..len {
+        assert_eq!(store(home, &mut vec![0; short]), Err(Overflow), "{short} of {len} bytes");
+    }
+    assert!(store(home + 254, &mut [0; 200]).is_ok());
+    assert_eq!(store(home + 255, &mut [0; 200]), Err(Overflow), "too far back for a byte");
+}
+
+#[derive(Default)]
+struct Seen(Vec<(TaskId, u32)>);
+
+impl Visit for Seen {
+    fn instant(&mut self, _: Ticks) {}
+    fn round(&mut self, _: PortId, _: Round) {}
+    fn sequence(&mut self, source: TaskId, sequence: Seq24) {
+        self.0.push((source, sequence.get()));
+    }
+}
+
+#[test]
+fn the_number_of_a_command_to_answer_is_seen_and_forgotten_with_it() {
+    let mut rig = serving();
+    let seen = |script: &Script| {
+        let mut seen = Seen::default();
+        script.visit(&mut seen);
+        seen.0
+    };
+    assert_eq!(seen(&rig.script), [(PEER, Frame::SEQUENCE.get() - 1)]);
+    rig.script.bury(|to| to.source == PEER);
+    assert_eq!(seen(&rig.script).len(), 1, "it can still be answered");
+    rig.script.bury(|_| false);
+    assert_eq!(seen(&rig.script), []);
+}
+
+#[test]
+fn every_way_to_end_keeps_its_form_when_packed() {
+    let mut abort = Rig::new(|b| {
+        b.abort("broken");
+    });
+    let said = abort.begin();
+    until(&mut abort, said, "ended");
+    assert_eq!(abort.script.activity(), Activity::Ended(End::Aborted(0)));
+    let fault = Rig::new(|b| {
+        b.delay(Ticks(1));
+    });
+    let mut said = Said::default();
+    let mut script = fault.script.clone();
+    script.stop(&fault.program, ScriptFault::Runaway, &mut said);
+    let end = End::Fault { fault: ScriptFault::Runaway, at: 0 };
+    assert_eq!(script.activity(), Activity::Ended(end));
+    same_when_packed(&fault.program, &script);
+    // What has ended takes no second end.
+    script.stop(&fault.program, ScriptFault::Overflow, &mut said);
+    assert_eq!(script.activity(), Activity::Ended(end));
+}
+
+#[test]
+fn a_branch_takes_the_outcomes_that_its_words_say() {
+    use StatementOutcome::{
+        Done, Failed, Fenced, GaveUp, Incomplete, Message, Nothing, PeerRestarted, Refused, Released, Reply,
+        TimedOutUnknown, TimedOutUnsent, Unanswerable,
+    };
+    let all = [
+        Done,
+        Reply,
+        Refused,
+        TimedOutUnsent,
+        TimedOutUnknown,
+        PeerRestarted,
+        Incomplete,
+        Message,
+        Nothing,
+        Released,
+        GaveUp,
+        Failed,
+        Unanswerable,
+        Fenced,
+    ];
+    let taken = |set: Outcomes| all.into_iter().filter(|&outcome| set.has(outcome)).collect::<Vec<_>>();
+    let no_answer = [TimedOutUnsent, TimedOutUnknown, PeerRestarted, Incomplete, Nothing, GaveUp];
+    assert_eq!(taken(Outcomes::TIME_OUT), no_answer);
+    assert_eq!(taken(Outcomes::REFUSED), [Refused]);
+    assert_eq!(taken(Outcomes::BRINGS), [Reply, Message]);
+    let good = [Done, Reply, Message, Released];
+    assert!(all.into_iter().all(|outcome| Outcomes::BAD.has(outcome) != good.contains(&outcome)));
+    for outcome in all {
+        assert_eq!(taken(Outcomes::of(&[outcome])), [outcome]);
+    }
+    assert_eq!(taken(Outcomes::of(&[])), []);
+}
+
+/// A driver that only sends and answers.
+#[derive(Default)]
+struct Bare {
+    asked: Option<Request>,
+    ended: Option<End>,
+}
+
+impl ScriptOutbox for Bare {
+    fn request(&mut self, request: Request) {
+        self.asked = Some(request);
+    }
+    fn run(&mut self, _: Action<'_>) {}
+    fn cut_short(&mut self, _: u8) {}
+    fn choose(&mut self, _: u16) -> Option<u16> {
+        None
+    }
+    fn ended(&mut self, end: End) {
+        self.ended = Some(end);
+    }
+}
+
+#[test]
+fn a_long_message_whose_rest_the_driver_does_not_keep_ends_the_task() {
+    let run = |answer: bool| {
+        let mut b = ProgramBuilder::new("test");
+        let words: Vec<_> = (0..5).map(|i| (Type::Word, b.variable(&format!("w{i}"), Type::Word))).collect();
+        if answer {
+            b.send(ASK, Target::One(PEER), &[]).unpack(&words);
+        } else {
+            b.receive(TELL, None, &words);
+        }
+        b.end();
+        let program = b.finish().expect("a checked program");
+        let (mut script, mut out) = (Script::new(&program), Bare::default());
+        script.step(&program, ScriptInput::Begin, &mut out);
+        while let Some(asked) = out.asked.take().filter(|_| out.ended.is_none()) {
+            let signal = match asked {
+                Request::Send { .. } => replied(&[7; 12]),
+                Request::Get { .. } => command(&[7; 12]),
+                _ => Signal::Accepted(1),
+            };
+            script.step(&program, ScriptInput::Signal(signal), &mut out);
+        }
+        out.ended
+    };
+    for answer in [false, true] {
+        let ended = run(answer);
+        assert!(
+            matches!(ended, Some(End::Fault { fault: ScriptFault::WrongContents, .. })),
+            "{answer}: {ended:?}"
+        );
+    }
+}
+
+#[test]
+fn reals_are_reckoned_as_reals() {
+    let reals = |operator, a: f32, b: f32| {
+        let push = |x| Term::Push(real(x).expect("finite"));
+        eval(&[push(a), push(b), Term::Real(operator)], |_| None)
+    };
+    for (operator, expected) in
+        [(Binary::Add, 6.5), (Binary::Subtract, 5.5), (Binary::Multiply, 3.0), (Binary::Divide, 12.0)]
+    {
+        assert_eq!(reals(operator, 6.0, 0.5), Ok(real(expected).expect("finite")), "6 {operator:?} 0.5");
+    }
+    assert_eq!(reals(Binary::Divide, f32::MAX, 0.5), Err(ScriptFault::NotFinite));
+}

@@ -1,0 +1,281 @@
+//! A node looked at between its steps (D39): what it has yet to carry out within itself is part of its state, and packs
+//! as the rest does (D51).
+
+mod support;
+
+use imrs_protocol::*;
+use std::sync::Arc;
+use support::{
+    arrive, get, get_on, packet as packet_in_words, reply, send, send_for, signal as signal_in_words,
+};
+
+const X: TaskId = TaskId(0);
+const Y: TaskId = TaskId(1);
+const Z: TaskId = TaskId(2);
+const N1: NodeId = NodeId(1);
+
+/// Commands from X and Z to Y.
+const MOVE: PortId = PortId(0);
+/// Commands from X and Y to Z.
+const FAR: PortId = PortId(1);
+/// X, Y and Z meet.
+const LIFT: PortId = PortId(2);
+
+/// X and Y on one node, Z on another, two ticks away.
+fn cell() -> Cell {
+    let mut cell = Cell::new("steps", Ticks(1));
+    let (here, there) = (cell.node("here"), cell.node("there"));
+    cell.link(here, there, Ticks(2));
+    for (name, node) in [("x", here), ("y", here), ("z", there)] {
+        cell.task(name, node);
+    }
+    let commands = |name, to, users: &[TaskId]| {
+        PortDecl::new(name, to, Usage::Receive, users, Ticks(30)).command().bounded_buffer(4)
+    };
+    cell.port(commands("move", Y, &[X, Z]));
+    cell.port(commands("far", Z, &[X, Y]));
+    cell.port(PortDecl::new("lift", X, Usage::Waitfor, &[Y, Z], Ticks(60)).resend(Ticks(20), 0));
+    cell
+}
+
+/// What left a node or reached a task of it.
+#[derive(Default)]
+struct Outside {
+    /// Whether the link takes packets.
+    open: bool,
+    words: Vec<String>,
+    told: Vec<Signal>,
+}
+
+impl NodeOutbox for Outside {
+    fn ready(&mut self, _: NodeId) -> bool {
+        self.open
+    }
+    fn link(&mut self, next: NodeId, packet: Packet) {
+        self.words.push(format!("to {next}: {}", unnumbered(&packet_in_words(&packet))));
+    }
+    fn signal(&mut self, task: TaskId, signal: Signal) {
+        self.words.push(format!("{task}: {}", unnumbered(&signal_in_words(&signal))));
+        self.told.push(signal);
+    }
+}
+
+/// Without the numbers that are only relative in packed states.
+fn unnumbered(words: &str) -> String {
+    let round =
+        |word: &str| word.strip_prefix('r').is_some_and(|n| n.starts_with(|c: char| c.is_ascii_digit()));
+    let number = |word: &&str| !(word.starts_with('#') || round(word));
+    words.split(' ').filter(number).collect::<Vec<_>>().join(" ")
+}
+
+/// The least round of the waitfor that a node shows, and its tasks' next numbers.
+#[derive(Default)]
+struct Bases {
+    round: Option<Round>,
+}
+
+impl Visit for Bases {
+    fn instant(&mut self, _: Ticks) {}
+    fn round(&mut self, _: PortId, round: Round) {
+        self.round = Some(self.round.filter(|least| !least.is_newer_than(round)).unwrap_or(round));
+    }
+    fn sequence(&mut self, _: TaskId, _: Seq24) {}
+}
+
+/// The node, one step of it at a time.
+#[derive(Clone)]
+struct Steps(Node);
+
+impl Steps {
+    fn new(transit: u16) -> Self {
+        let table = NodeTable::new(Arc::new(CellTable::new(cell()).expect("a checked cell")), NodeId(0));
+        Self(Node::new(table, Incarnation(0), false, transit))
+    }
+
+    /// What packed numbers are relative to. Z's numbers are those that the test gave them.
+    fn bases(&self) -> (Vec<Round>, Vec<Seq24>) {
+        let mut bases = Bases::default();
+        let mut sequences: Vec<Seq24> = Vec::new();
+        for task in &self.0.parts().tasks {
+            task.visit(&mut bases);
+            sequences.push(task.next_sequence());
+        }
+        for packet in self.0.work_packets().filter(|packet| packet.is_of_meeting()) {
+            let meeting = packet.meeting();
+            for round in [meeting.round, meeting.released] {
+                bases.round(packet.port, round);
+            }
+        }
+        sequences.push(Seq24::new(9));
+        (vec![bases.round.unwrap_or_default(); 3], sequences)
+    }
+
+    fn store(&self, (rounds, sequences): &(Vec<Round>, Vec<Seq24>)) -> [Vec<u8>; 4] {
+        let frame = Frame { rounds, sequences, lives: true };
+        let mut room = [0; 2000];
+        let Parts { table, tasks, transit, timer } = self.0.parts();
+        let mut all = Vec::new();
+        for task in tasks {
+            let len = task.store(table, &frame, &mut room).expect("it fits");
+            all.extend(&room[..len]);
+        }
+        let len = transit.store(&frame, &mut room).expect("it fits");
+        let transit = room[..len].to_vec();
+        let len = timer.store(&mut room).expect("it fits");
+        let timer = room[..len].to_vec();
+        let len = self.0.store_work(&frame, &mut room).expect("it fits");
+        for short in 0..len {
+            assert_eq!(
+                self.0.store_work(&frame, &mut room[..short]),
+                Err(Overflow),
+                "{short} of {len} bytes"
+            );
+        }
+        [all, transit, timer, room[..len].to_vec()]
+    }
+
+    /// The node packed and read back: into what it was before its last step, so that nothing stays by chance.
+    fn read_back(&self, mut into: Self) -> Self {
+        let mut buried = self.clone();
+        buried.0.parts_mut().tasks.iter_mut().for_each(CommTask::bury);
+        let bytes = buried.store(&buried.bases());
+        let [tasks, transit, timer, work] = &bytes;
+        let parts = into.0.parts_mut();
+        let mut at = 0;
+        for task in &mut parts.tasks {
+            at += task.load(&parts.table, true, &tasks[at..]);
+        }
+        assert_eq!(at, tasks.len());
+        assert_eq!(parts.transit.load(&parts.table, true, transit), transit.len());
+        assert_eq!(parts.timer.load(timer), timer.len());
+        assert_eq!(into.0.load_work(true, work), work.len());
+        let home = (vec![Frame::ROUND; 3], vec![Frame::SEQUENCE; 3]);
+        assert_eq!(into.store(&home), bytes, "other bytes after reading back");
+        assert_eq!(into.0.is_busy(), self.0.is_busy());
+        into
+    }
+
+    /// Takes one input. After every step a node that was packed and read back must go on as this one does. Returns what
+    /// happened, and how many steps it took.
+    fn take(&mut self, input: NodeInput, open: bool) -> (Outside, usize) {
+        let mut out = Outside { open, ..Outside::default() };
+        let mut before = self.clone();
+        self.0.begin(input, &mut out);
+        let mut steps = 0;
+        loop {
+            let [mut plain, mut read] =
+                [(self.clone(), String::new()), (self.read_back(before), String::new())];
+            for (node, words) in [&mut plain, &mut read] {
+                let mut out = Outside { open, ..Outside::default() };
+                while node.0.proceed(&mut out) {}
+                node.0.flush(&mut out);
+                *words = out.words.join("\n");
+            }
+            assert_eq!(read.1, plain.1, "after {steps} steps of {input:?}");
+            before = self.clone();
+            if !self.0.proceed(&mut out) {
+                break;
+            }
+            steps += 1;
+        }
+        assert!(!self.0.is_busy());
+        self.0.flush(&mut out);
+        (out, steps)
+    }
+
+    fn ask(&mut self, task: TaskId, request: Request) -> Vec<String> {
+        self.take(NodeInput::Request(task, request), true).0.words
+    }
+
+    fn pass(&mut self, ticks: u64) -> Vec<String> {
+        self.take(NodeInput::Advance(Ticks(ticks)), true).0.words
+    }
+}
+
+/// A packet that Z sends to a task of the node.
+fn from_z(kind: Kind, to: TaskId, port: PortId, contents: Contents) -> NodeInput {
+    let packet = Packet {
+        kind,
+        class: Class::Command,
+        more: false,
+        resent: false,
+        urgent: false,
+        hops: MAX_HOPS,
+        fragment: 0,
+        destination: to,
+        source: Z,
+        port,
+        id: MessageId { incarnation: Incarnation(0), sequence: Seq24::new(8) },
+        remaining: Ticks(20),
+        contents,
+    };
+    NodeInput::Packet { packet, charge: Ticks(2) }
+}
+
+#[test]
+fn a_command_between_two_tasks_of_a_node_may_be_looked_at_on_its_way() {
+    let mut node = Steps::new(4);
+    node.ask(Y, get(20));
+    let (out, steps) = node.take(NodeInput::Request(X, send(MOVE, Y, 7)), true);
+    assert_eq!(
+        (out.words, steps),
+        (vec!["T1: message [7] from T0 for 30".into()], 2),
+        "routed, then delivered"
+    );
+    let [Signal::Message(command)] = out.told[..] else { panic!("{:?}", out.told) };
+    assert_eq!(node.ask(Y, reply(&command, 3)), ["T1: accepted 1", "T0: reply [3]"]);
+    let (out, _) = node.take(from_z(Kind::Send, Y, MOVE, Contents::EMPTY), true);
+    assert_eq!(out.words, Vec::<String>::new());
+    assert_eq!(node.ask(Y, get_on(MOVE, 0)), ["T1: message [] from T2 for 16"], "less the way back (D18)");
+}
+
+#[test]
+fn a_meeting_may_be_looked_at_between_its_members_arrivals() {
+    let mut node = Steps::new(4);
+    node.pass(3);
+    let first = node.ask(X, arrive(LIFT));
+    assert_eq!(first, ["to N1: ARRIVE T0>T2 for 60"]);
+    assert_eq!(node.ask(Y, arrive(LIFT)), ["to N1: ARRIVE T1>T2 for 60"]);
+    let arrival = Meeting { round: Round(1), released: Round(0), arguments: [0; 8] }.to_contents();
+    let (out, _) = node.take(from_z(Kind::Arrive, X, LIFT, arrival), true);
+    assert!(out.words.contains(&"T0: released complete".into()), "{:?}", out.words);
+    assert!(out.words.contains(&"T1: released by T0".into()), "{:?}", out.words);
+}
+
+#[test]
+fn a_packet_that_never_left_may_be_looked_at_on_its_way_back() {
+    let mut node = Steps::new(1);
+    let (out, _) = node.take(NodeInput::Request(X, send_for(FAR, Z, 1, 25)), false);
+    assert_eq!(out.words, Vec::<String>::new());
+    let (out, steps) = node.take(NodeInput::Request(Y, send_for(FAR, Z, 2, 20)), false);
+    assert_eq!(out.words, ["T0: Refused"], "the more urgent one took its place (D19)");
+    assert!(steps >= 2, "into the buffer, and word to X");
+    assert_eq!(node.pass(1), ["to N1: SEND T1>T2 [2] for 19"]);
+}
+
+#[test]
+fn delays_may_be_looked_at_on_the_way_to_the_timer_and_back() {
+    let mut node = Steps::new(4);
+    let delay = |length| Request::Delay { id: TimeId(3), length: Ticks(length) };
+    let (_, steps) = node.take(NodeInput::Request(X, delay(9)), true);
+    assert_eq!(steps, 1, "the arming");
+    node.ask(Y, delay(5));
+    assert_eq!(node.pass(5), ["T1: time_out 3"]);
+    let (out, steps) = node.take(NodeInput::Request(X, Request::Cancel), true);
+    assert_eq!((out.words, steps), (vec!["T0: cancelled".into()], 1), "the disarming");
+    assert_eq!(node.0.next_expiry(), None);
+    // A length that no byte holds is told, not cut.
+    node.0.begin(NodeInput::Request(X, delay(300)), &mut Outside::default());
+    let (rounds, sequences) = node.bases();
+    let frame = Frame { rounds: &rounds, sequences: &sequences, lives: true };
+    assert_eq!(node.0.store_work(&frame, &mut [0; 99]), Err(Overflow));
+}
+
+#[test]
+fn word_of_a_restart_may_be_looked_at_between_two_tasks() {
+    let mut node = Steps::new(4);
+    node.ask(X, send(FAR, Z, 1));
+    node.ask(Y, send(FAR, Z, 2));
+    let (out, steps) = node.take(NodeInput::PeerRestarted(N1), true);
+    assert_eq!((out.words, steps), (vec!["T0: PeerRestarted".into(), "T1: PeerRestarted".into()], 2));
+}
