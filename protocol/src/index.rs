@@ -106,7 +106,7 @@ mod tests {
     fn keys_spread() {
         let mut index = Index::new(512);
         let keys = || (0..64_u32).flat_map(|task| (0..8).map(move |id| (task << 8) | id));
-        keys().for_each(|key| index.insert(key, key));
+        keys().enumerate().for_each(|(slot, key)| index.insert(key, u16::try_from(slot).unwrap()));
         let mask = index.places.len() - 1;
         let steps = |key| index.find(key).map(|place| place.wrapping_sub(index.home(key)) & mask).unwrap();
         let (all, worst) = keys().map(steps).fold((0, 0), |(all, worst), n| (all + n, worst.max(n)));
