@@ -16,7 +16,7 @@ fn read(path: impl AsRef<Path>) -> String {
 fn documents() -> Vec<PathBuf> {
     let mut found: Vec<PathBuf> =
         ["README.md", "ARCHITECTURE.md", "CONTRIBUTING.md", "SECURITY.md"].map(PathBuf::from).into();
-    for folder in ["specs", "specs/decisions", "specs/protocol"] {
+    for folder in ["specs", "specs/decisions", "specs/protocol", "specs/language"] {
         for entry in fs::read_dir(Path::new(ROOT).join(folder)).expect("a folder").flatten() {
             if entry.path().extension().is_some_and(|extension| extension == "md") {
                 found.push(Path::new(folder).join(entry.file_name()));

@@ -1,0 +1,59 @@
+//! All phases, one after another.
+
+use crate::diagnostic::{Diagnostic, Severity};
+use crate::hir::Hir;
+use crate::lower::{Lowered, Unit, lower, table_errors};
+use crate::parser::parse;
+use crate::resolve::resolve;
+use crate::source::Source;
+use imrs_protocol::CellTable;
+
+/// A file after all phases.
+#[derive(Clone, Debug)]
+pub struct Compiled {
+    /// The cell; none where a diagnostic is an error.
+    pub hir: Option<Hir>,
+    /// What is to be said about it, in the order of the phases and then of the file.
+    pub diagnostics: Vec<Diagnostic>,
+}
+
+impl Compiled {
+    /// What runs, in the unit of who runs it; none where a diagnostic is an error.
+    #[must_use]
+    pub fn lower(&self, unit: Unit) -> Option<Lowered> {
+        lower(self.hir.as_ref()?, unit).ok()
+    }
+}
+
+/// Compiles a file: syntax, names and types, then what the machine's own tables say. A phase runs only where the one
+/// before it found no error, so that one fault is said once.
+#[must_use]
+pub fn compile(source: &Source) -> Compiled {
+    let parsed = parse(source);
+    let mut diagnostics = parsed.diagnostics;
+    if has_error(&diagnostics) {
+        return Compiled { hir: None, diagnostics };
+    }
+    let resolved = resolve(&parsed.file, source.text());
+    diagnostics.extend(resolved.diagnostics);
+    if !has_error(&diagnostics) {
+        diagnostics.extend(machine(&resolved.hir));
+    }
+    let hir = (!has_error(&diagnostics)).then_some(resolved.hir);
+    Compiled { hir, diagnostics }
+}
+
+fn has_error(diagnostics: &[Diagnostic]) -> bool {
+    diagnostics.iter().any(|found| found.severity == Severity::Error)
+}
+
+/// What only the scripts and the table can tell.
+fn machine(hir: &Hir) -> Vec<Diagnostic> {
+    match lower(hir, Unit::Microseconds) {
+        Err(found) => found,
+        Ok(lowered) => match CellTable::new(lowered.cell) {
+            Err(errors) => table_errors(hir, Unit::Microseconds, &errors),
+            Ok(_) => Vec::new(),
+        },
+    }
+}

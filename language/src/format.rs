@@ -1,0 +1,181 @@
+//! `imrs fmt`: one way to write a cell file.
+//!
+//! As gofmt does, it keeps the writer's line breaks and comments where they are, and settles the rest: indentation, spaces,
+//! at most one empty line, words in small letters, one spelling of each option (D10).
+
+mod layout;
+mod space;
+
+use crate::diagnostic::{Diagnostic, Severity};
+use crate::lexer::{Kind, Token, lex};
+use crate::names;
+use crate::parser::parse;
+use crate::report::Report;
+use crate::source::Source;
+use crate::words::Word;
+use std::borrow::Cow;
+use std::collections::HashSet;
+
+/// The text as it should be written. Only what can be read is formatted.
+///
+/// # Errors
+/// What is wrong with the text.
+pub fn format(source: &Source) -> Result<String, Vec<Diagnostic>> {
+    let parsed = parse(source);
+    if parsed.diagnostics.iter().any(|found| found.severity == Severity::Error) {
+        return Err(parsed.diagnostics);
+    }
+    let mut names = HashSet::new();
+    names::each(&parsed.file, &mut |name| {
+        names.insert(name.span.start);
+    });
+    // Nothing is reported: the text was read before.
+    let lexed = lex(source.text(), &mut Report::default());
+    let mut writer = Writer { source, names: &names, pieces: Vec::new() };
+    writer.all(&lexed.tokens, &lexed.comments);
+    Ok(layout::lay_out(&writer.pieces))
+}
+
+/// What a piece of the text is.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum What {
+    /// A word in its meaning.
+    Word(Word),
+    /// A name, a number, a text.
+    Operand,
+    Sign(Kind),
+    LineComment,
+    BlockComment,
+}
+
+/// A token or a comment, as it will be written.
+struct Piece<'t> {
+    what: What,
+    text: Cow<'t, str>,
+    /// How many line breaks stood in front of it.
+    breaks: usize,
+}
+
+/// Brings the tokens and comments in order, and settles their spelling.
+struct Writer<'t> {
+    source: &'t Source,
+    /// Where the names begin: a word among them is none.
+    names: &'t HashSet<u32>,
+    pieces: Vec<Piece<'t>>,
+}
+
+impl<'t> Writer<'t> {
+    fn all(&mut self, tokens: &[Token], comments: &[crate::Span]) {
+        let mut comments = comments.iter().copied().peekable();
+        let mut last = 0;
+        let mut in_record = false;
+        let mut users = Users::Outside;
+        for (index, (kind, span)) in tokens.iter().enumerate() {
+            while let Some(comment) = comments.next_if(|comment| comment.start < span.start) {
+                self.comment(comment, &mut last);
+            }
+            let mut what = self.what(*kind, span.start);
+            let follows = tokens.get(index + 1);
+            let follows = follows.map(|(kind, span)| self.what(*kind, span.start));
+            users = users.next(what);
+            match (users, what) {
+                (Users::Inside, What::Sign(Kind::ParenOpen)) => what = What::Sign(Kind::BraceOpen),
+                (Users::Closing, What::Sign(Kind::ParenClose)) => what = What::Sign(Kind::BraceClose),
+                (Users::Inside, What::Sign(Kind::Comma)) => {
+                    // Written below, where it is needed.
+                    last = span.end as usize;
+                    continue;
+                }
+                _ => {}
+            }
+            let breaks = self.breaks(last, span.start);
+            last = span.end as usize;
+            self.pieces.push(Piece { what, text: self.spelling(what, *span), breaks });
+            let is_operand = what == What::Operand;
+            if users == Users::Inside && is_operand && self.another_user(&tokens[index + 1..]) {
+                self.insert(Kind::Comma);
+            }
+            in_record = match what {
+                What::Word(Word::Record) => true,
+                What::Word(Word::End) => {
+                    if in_record && follows != Some(What::Sign(Kind::Semicolon)) {
+                        self.insert(Kind::Semicolon);
+                    }
+                    false
+                }
+                _ => in_record,
+            };
+            if in_record && is_operand && matches!(follows, Some(What::Operand | What::Word(_))) {
+                // `number integer` of Figure 1.
+                self.insert(Kind::Colon);
+            }
+        }
+        for comment in comments {
+            self.comment(comment, &mut last);
+        }
+    }
+
+    /// Whether one more name follows in the list.
+    fn another_user(&self, rest: &[Token]) -> bool {
+        let next = rest.iter().find(|(kind, _)| *kind != Kind::Comma);
+        next.is_some_and(|(kind, span)| self.what(*kind, span.start) == What::Operand)
+    }
+
+    fn what(&self, kind: Kind, start: u32) -> What {
+        match kind {
+            Kind::Word(word) if word.is_reserved() || !self.names.contains(&start) => What::Word(word),
+            Kind::Name | Kind::Word(_) | Kind::Int | Kind::Real | Kind::Text => What::Operand,
+            sign => What::Sign(sign),
+        }
+    }
+
+    fn spelling(&self, what: What, span: crate::Span) -> Cow<'t, str> {
+        match what {
+            What::Word(word) => Cow::Borrowed(word.text()),
+            What::Sign(kind) => Cow::Borrowed(kind.describe()),
+            What::Operand | What::LineComment | What::BlockComment => Cow::Borrowed(self.source.slice(span)),
+        }
+    }
+
+    fn breaks(&self, from: usize, to: u32) -> usize {
+        self.source.text()[from..to as usize].bytes().filter(|byte| *byte == b'\n').count()
+    }
+
+    fn comment(&mut self, span: crate::Span, last: &mut usize) {
+        let text = self.source.slice(span);
+        let breaks = self.breaks(*last, span.start);
+        let what = if text.starts_with("//") { What::LineComment } else { What::BlockComment };
+        let trimmed: Vec<&str> = text.split('\n').map(str::trim_end).collect();
+        self.pieces.push(Piece { what, text: Cow::Owned(trimmed.join("\n")), breaks });
+        *last = span.end as usize;
+    }
+
+    fn insert(&mut self, kind: Kind) {
+        self.pieces.push(Piece { what: What::Sign(kind), text: Cow::Borrowed(kind.describe()), breaks: 0 });
+    }
+}
+
+/// Where in `user_list = (a b)` the text is.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Users {
+    Outside,
+    /// Behind `user_list`.
+    Named,
+    /// From the opening bracket on.
+    Inside,
+    /// At the closing bracket.
+    Closing,
+}
+
+impl Users {
+    fn next(self, what: What) -> Self {
+        match (self, what) {
+            (_, What::Word(Word::UserList)) => Self::Named,
+            (Self::Named, What::Sign(Kind::Equal)) => Self::Named,
+            (Self::Named, What::Sign(Kind::ParenOpen | Kind::BraceOpen)) => Self::Inside,
+            (Self::Inside, What::Sign(Kind::ParenClose | Kind::BraceClose)) => Self::Closing,
+            (Self::Inside, _) => Self::Inside,
+            (Self::Outside | Self::Named | Self::Closing, _) => Self::Outside,
+        }
+    }
+}

@@ -1,0 +1,316 @@
+//! Text to tokens. Comments are kept aside for the formatter; what is no token is reported and left out.
+
+use crate::codes::{NUMBER, OPERATOR, UNCLOSED_TEXT, UNKNOWN};
+use crate::diagnostic::Diagnostic;
+use crate::report::Report;
+use crate::span::Span;
+use crate::words::Word;
+use logos::Logos;
+
+/// What a token is.
+#[derive(Logos, Clone, Copy, Debug, PartialEq, Eq, Hash)]
+#[logos(skip r"[ \t\r\n\x0C]+")]
+pub(crate) enum Kind {
+    #[regex(r"[A-Za-z_][A-Za-z0-9_]*")]
+    Name,
+    /// A name that is a word of the language.
+    Word(Word),
+    #[regex(r"[0-9](_?[0-9])*", priority = 10)]
+    Int,
+    #[regex(r"[0-9](_?[0-9])*\.[0-9](_?[0-9])*([eE][+-]?[0-9]+)?", priority = 20)]
+    #[regex(r"[0-9](_?[0-9])*[eE][+-]?[0-9]+", priority = 20)]
+    Real,
+    /// Digits that run into letters.
+    #[regex(r"[0-9][0-9_]*[A-Za-z_][A-Za-z0-9_]*", priority = 1)]
+    #[regex(r"[0-9][0-9_]*\.[0-9][0-9_]*[A-Za-z_][A-Za-z0-9_]*", priority = 1)]
+    BadNumber,
+    #[regex(r#""[^"\n]*""#)]
+    Text,
+    #[regex(r#""[^"\n]*"#)]
+    OpenText,
+    #[regex(r"'[^'\n]*'?")]
+    SingleQuotes,
+    #[token(";")]
+    Semicolon,
+    #[token(":")]
+    Colon,
+    #[token(",")]
+    Comma,
+    #[token(".")]
+    Dot,
+    #[token("..")]
+    DotDot,
+    #[token(":=")]
+    Assign,
+    #[token("->")]
+    Arrow,
+    #[token("<->")]
+    BothWays,
+    #[token("--")]
+    Link,
+    #[token("=")]
+    Equal,
+    #[token("<>")]
+    NotEqual,
+    #[token("<")]
+    Less,
+    #[token("<=")]
+    LessOrEqual,
+    #[token(">")]
+    Greater,
+    #[token(">=")]
+    GreaterOrEqual,
+    #[token("+")]
+    Plus,
+    #[token("-")]
+    Minus,
+    #[token("*")]
+    Times,
+    #[token("/")]
+    Slash,
+    #[token("(")]
+    ParenOpen,
+    #[token(")")]
+    ParenClose,
+    #[token("{")]
+    BraceOpen,
+    #[token("}")]
+    BraceClose,
+    #[token("[")]
+    BracketOpen,
+    #[token("]")]
+    BracketClose,
+    /// An operator of another language.
+    #[token("==")]
+    #[token("!=")]
+    #[token("&&")]
+    #[token("||")]
+    #[token("!")]
+    #[token("%")]
+    Foreign,
+    #[regex(r"//[^\n]*", allow_greedy = true)]
+    LineComment,
+    #[token("(*")]
+    #[token("/*")]
+    OpenComment,
+}
+
+impl Kind {
+    /// As a message names it, the text of names and numbers aside.
+    pub(crate) const fn describe(self) -> &'static str {
+        match self {
+            Self::Name => "a name",
+            Self::Word(word) => word.text(),
+            Self::Int | Self::Real | Self::BadNumber => "a number",
+            Self::Text | Self::OpenText | Self::SingleQuotes => "a text in quotes",
+            Self::Semicolon => ";",
+            Self::Colon => ":",
+            Self::Comma => ",",
+            Self::Dot => ".",
+            Self::DotDot => "..",
+            Self::Assign => ":=",
+            Self::Arrow => "->",
+            Self::BothWays => "<->",
+            Self::Link => "--",
+            Self::Equal => "=",
+            Self::NotEqual => "<>",
+            Self::Less => "<",
+            Self::LessOrEqual => "<=",
+            Self::Greater => ">",
+            Self::GreaterOrEqual => ">=",
+            Self::Plus => "+",
+            Self::Minus => "-",
+            Self::Times => "*",
+            Self::Slash => "/",
+            Self::ParenOpen => "(",
+            Self::ParenClose => ")",
+            Self::BraceOpen => "{",
+            Self::BraceClose => "}",
+            Self::BracketOpen => "[",
+            Self::BracketClose => "]",
+            Self::Foreign | Self::LineComment | Self::OpenComment => "a sign",
+        }
+    }
+
+    /// Whether [`describe`](Self::describe) says the very text.
+    pub(crate) const fn is_literal(self) -> bool {
+        !matches!(
+            self,
+            Self::Name
+                | Self::Int
+                | Self::Real
+                | Self::BadNumber
+                | Self::Text
+                | Self::OpenText
+                | Self::SingleQuotes
+                | Self::Foreign
+                | Self::LineComment
+                | Self::OpenComment
+        )
+    }
+}
+
+/// A token and where it stands.
+pub(crate) type Token = (Kind, Span);
+
+/// A text in tokens.
+pub(crate) struct Lexed {
+    /// The tokens.
+    pub tokens: Vec<Token>,
+    /// The comments, in order.
+    pub comments: Vec<Span>,
+    /// Whether a comment is open at the end: then anything may be missing.
+    pub open_ended: bool,
+}
+
+/// The longest name, in bytes.
+pub(crate) const LONGEST_NAME: usize = 64;
+
+/// Splits a text into tokens.
+pub(crate) fn lex(text: &str, report: &mut Report) -> Lexed {
+    let mut lexed = Lexed { tokens: Vec::new(), comments: Vec::new(), open_ended: false };
+    let mut lexer = Kind::lexer(text);
+    let mut unknown: Option<Span> = None;
+    while let Some(kind) = lexer.next() {
+        let span = Span::new(lexer.span().start, lexer.span().end);
+        let Ok(kind) = kind else {
+            match &mut unknown {
+                Some(run) if run.end == span.start => run.end = span.end,
+                _ => {
+                    if let Some(run) = unknown.replace(span) {
+                        report.push(|| not_known(text, run));
+                    }
+                }
+            }
+            continue;
+        };
+        match kind {
+            Kind::LineComment => lexed.comments.push(span),
+            Kind::OpenComment => {
+                let (length, closed) = comment(&text[lexer.span().start..]);
+                lexer.bump(length - 2);
+                lexed.comments.push(Span::new(span.start as usize, span.start as usize + length));
+                if !closed {
+                    lexed.open_ended = true;
+                    report.push(|| open_comment(span));
+                }
+            }
+            kind => lexed.tokens.push((token(kind, lexer.slice(), span, report), span)),
+        }
+    }
+    if let Some(run) = unknown {
+        report.push(|| not_known(text, run));
+    }
+    lexed
+}
+
+/// The length of the comment at the beginning of `text`, and whether it ends. Comments of one kind nest (IEC 61131-3).
+fn comment(text: &str) -> (usize, bool) {
+    let bytes = text.as_bytes();
+    let (open, close): (&[u8], &[u8]) =
+        if bytes.starts_with(b"(*") { (b"(*", b"*)") } else { (b"/*", b"*/") };
+    let (mut at, mut depth) = (2, 1_usize);
+    while let Some(pair) = bytes.get(at..at + 2) {
+        if pair == close {
+            depth -= 1;
+            at += 2;
+            if depth == 0 {
+                return (at, true);
+            }
+        } else if pair == open {
+            depth += 1;
+            at += 2;
+        } else {
+            at += 1;
+        }
+    }
+    (bytes.len(), false)
+}
+
+/// The token that this stands for, which may have to be reported.
+fn token(kind: Kind, text: &str, span: Span, report: &mut Report) -> Kind {
+    match kind {
+        Kind::Name => {
+            if text.len() > LONGEST_NAME {
+                report.push(|| long_name(text, span));
+            }
+            Word::find(text).map_or(Kind::Name, Kind::Word)
+        }
+        Kind::BadNumber => {
+            report.push(|| bad_number(text, span));
+            Kind::Int
+        }
+        Kind::OpenText => {
+            report.push(|| {
+                Diagnostic::error(UNCLOSED_TEXT, span, "this text is not closed")
+                    .label("no `\"` until the end of the line")
+                    .help("a text stands between two `\"` on one line")
+            });
+            Kind::Text
+        }
+        Kind::SingleQuotes => {
+            report.push(|| {
+                Diagnostic::error(UNKNOWN, span, "a text stands in double quotes")
+                    .help(format!("write `\"{}\"`", text.trim_matches('\'')))
+            });
+            Kind::Text
+        }
+        Kind::Foreign => {
+            let (ours, kind) = match text {
+                "==" => ("=", Kind::Equal),
+                "!=" => ("<>", Kind::NotEqual),
+                "&&" => ("and", Kind::Word(Word::And)),
+                "||" => ("or", Kind::Word(Word::Or)),
+                "!" => ("not", Kind::Word(Word::Not)),
+                _ => ("mod", Kind::Word(Word::Mod)),
+            };
+            report.push(|| {
+                Diagnostic::error(OPERATOR, span, format!("`{text}` is written `{ours}` here"))
+                    .help(format!("write `{ours}`"))
+            });
+            kind
+        }
+        other => other,
+    }
+}
+
+fn not_known(text: &str, span: Span) -> Diagnostic {
+    let run = &text[span.range()];
+    let first = run.chars().next().unwrap_or_default();
+    let message = if run.chars().nth(1).is_some() {
+        let shown: String = run.chars().take(12).flat_map(char::escape_debug).collect();
+        let dots = if run.chars().nth(12).is_some() { "..." } else { "" };
+        format!("these characters are not known: `{shown}{dots}`")
+    } else {
+        format!("this character is not known: `{}`", first.escape_debug())
+    };
+    let found = Diagnostic::error(UNKNOWN, span, message);
+    if first.is_alphabetic() {
+        return found.help("names are made of the letters a to z, digits and `_`");
+    }
+    found.help("outside of comments and texts the language uses plain ASCII")
+}
+
+fn open_comment(span: Span) -> Diagnostic {
+    Diagnostic::error(UNCLOSED_TEXT, span, "this comment is not closed")
+        .label("everything from here on is comment")
+        .help("comments may hold comments of their own kind: each `(*` wants its `*)`, each `/*` its `*/`")
+}
+
+fn long_name(text: &str, span: Span) -> Diagnostic {
+    let message = format!("this name has {} bytes; at most {LONGEST_NAME} are allowed", text.len());
+    Diagnostic::error(crate::codes::LIMIT, span, message)
+}
+
+fn bad_number(text: &str, span: Span) -> Diagnostic {
+    let end = text.find(|c: char| c.is_ascii_alphabetic()).unwrap_or(text.len());
+    let (digits, rest) = text.split_at(end);
+    let unit = Word::UNITS.iter().any(|(word, _)| word.text().eq_ignore_ascii_case(rest));
+    if unit && !digits.ends_with('_') {
+        let found = Diagnostic::error(NUMBER, span, "a space belongs between a number and its unit");
+        return found.help(format!("write `{digits} {}`", rest.to_ascii_lowercase()));
+    }
+    let shown: String = text.chars().take(24).collect();
+    Diagnostic::error(NUMBER, span, format!("`{shown}` is neither a number nor a name"))
+        .help("a number is written `12`, `1_000`, `0.5` or `1.5e3`; a name begins with a letter")
+}

@@ -1,0 +1,140 @@
+//! What passes between a script and the actions outside.
+
+use super::Action;
+use crate::hir::{CheckKind, Destination, Expr, Hir};
+use imrs_protocol::TaskId;
+use imrs_protocol::script::{Binary, Op, Program, Slot, Term, Type};
+
+/// One statement that runs an action.
+struct Use {
+    action: u16,
+    arguments: Vec<Type>,
+    into: Option<Destination>,
+    range: Option<(i64, i64)>,
+}
+
+/// All statements of a task that run actions.
+#[derive(Default)]
+pub(super) struct Uses(Vec<Use>);
+
+impl Uses {
+    pub fn add(
+        &mut self,
+        action: u16,
+        arguments: &[Expr],
+        into: Option<Destination>,
+        range: Option<(i64, i64)>,
+    ) {
+        let arguments = arguments.iter().map(|argument| argument.of).collect();
+        self.0.push(Use { action, arguments, into, range });
+    }
+
+    /// The actions of the program, in its order.
+    pub fn actions(&self, hir: &Hir, task: TaskId, program: &Program) -> Vec<Action> {
+        let named = (0..).zip(&program.actions);
+        named.map(|(at, name): (u16, _)| self.action(at, name, hir, task, program)).collect()
+    }
+
+    fn action(&self, at: u16, name: &str, hir: &Hir, task: TaskId, program: &Program) -> Action {
+        let mut action = Action {
+            name: name.into(),
+            arguments: Vec::new(),
+            result: None,
+            range: None,
+            values: Vec::new(),
+        };
+        let mut compared = Vec::new();
+        for one in self.0.iter().filter(|one| one.action == at) {
+            action.arguments.clone_from(&one.arguments);
+            let Some(to) = one.into else { continue };
+            action.result = Some(to.of);
+            action.range = match (action.range, one.range) {
+                (Some((a, b)), Some((c, d))) => Some((a.min(c), b.max(d))),
+                (known, new) => new.or(known),
+            };
+            let terms: Vec<Option<Term>> = program.code.iter().map(term).collect();
+            both_sides(&terms, |term| term == Term::Load(to.slot), &mut compared);
+            for check in exprs(hir) {
+                let terms: Vec<Option<Term>> = check.ops.iter().map(term).collect();
+                let is = |term| matches!((term, to.slot), (Term::Of { task: t, variable }, Slot::Task(at)) if t == task && variable == at);
+                both_sides(&terms, is, &mut compared);
+            }
+        }
+        action.values = values(&action, compared);
+        action
+    }
+}
+
+const fn term(op: &Op) -> Option<Term> {
+    match op {
+        Op::Term(term) => Some(*term),
+        _ => None,
+    }
+}
+
+/// All expressions of checks.
+fn exprs(hir: &Hir) -> impl Iterator<Item = &Expr> {
+    hir.checks.iter().flat_map(|check| match &check.kind {
+        CheckKind::Always(expr) | CheckKind::Never(expr) => vec![expr],
+        CheckKind::Leads { when, then, .. } => vec![when, then],
+    })
+}
+
+/// A value on either side of each constant that the variable is compared with.
+fn both_sides(terms: &[Option<Term>], is: impl Fn(Term) -> bool, into: &mut Vec<i64>) {
+    for window in terms.windows(3) {
+        let &[Some(a), Some(b), Some(operator)] = window else { continue };
+        let (constant, swapped) = match (a, b) {
+            (variable, Term::Push(constant)) if is(variable) => (constant, false),
+            (Term::Push(constant), variable) if is(variable) => (constant, true),
+            _ => continue,
+        };
+        let (operator, constant) = match operator {
+            Term::Int(operator) => (operator, constant),
+            Term::Real(operator) => (operator, whole(constant)),
+            _ => continue,
+        };
+        // `x > c` and `x <= c` change between c and c + 1, `x < c` and `x >= c` between c - 1 and c.
+        let upper = match operator {
+            Binary::Greater | Binary::LessOrEqual => !swapped,
+            Binary::Less | Binary::GreaterOrEqual => swapped,
+            Binary::Equal | Binary::NotEqual => true,
+            Binary::Add
+            | Binary::Subtract
+            | Binary::Multiply
+            | Binary::Divide
+            | Binary::Remainder
+            | Binary::And
+            | Binary::Or => continue,
+        };
+        into.extend([constant, constant.saturating_add(if upper { 1 } else { -1 })]);
+    }
+}
+
+/// The whole part of a real.
+fn whole(bits: i64) -> i64 {
+    let real = u32::try_from(bits).map_or(0.0, f32::from_bits);
+    #[expect(clippy::cast_possible_truncation, reason = "the whole part is meant")]
+    let whole = real.floor() as i64;
+    whole
+}
+
+fn values(action: &Action, compared: Vec<i64>) -> Vec<i64> {
+    let Some(of) = action.result else { return Vec::new() };
+    let mut values = compared;
+    match (of, action.range) {
+        (Type::Bool, _) => values = vec![0, 1],
+        (_, Some((low, high))) => values.extend([low, high]),
+        (_, None) if values.is_empty() => values.push(0),
+        (_, None) => {}
+    }
+    values.retain(|&value| {
+        let fits = if of == Type::Real { i32::try_from(value).is_ok() } else { of.holds(value) };
+        // The outside gives 32 bits, signed.
+        let comes = i32::try_from(value).is_ok();
+        fits && comes && action.range.is_none_or(|(low, high)| (low..=high).contains(&value))
+    });
+    values.sort_unstable();
+    values.dedup();
+    values
+}

@@ -1,0 +1,208 @@
+//! What the table of a cell refuses, as diagnostics on the lines that say so.
+
+use super::Unit;
+use crate::codes::{
+    COUPLE, DEADLINE, DISAGREE, DUPLICATE, LEASE_TOO_SHORT, MISSING, NO_LINK, OPTION, RATE,
+    TAKEOVER_TOO_SOON, TOO_LONG, TOO_MANY, TWICE, UNKNOWN_NAME, WRAPS,
+};
+use crate::diagnostic::Diagnostic;
+use crate::hir::{CoupleKind, Hir, Port};
+
+use crate::span::Span;
+use imrs_protocol::{CellError, Ticks};
+
+/// What [`CellTable::new`](imrs_protocol::CellTable::new) says of the lowered cell, where the file says it. `unit` is
+/// that of the cell.
+#[must_use]
+pub fn table_errors(hir: &Hir, unit: Unit, errors: &[CellError]) -> Vec<Diagnostic> {
+    errors.iter().map(|error| Mapping { hir, usec: unit.usec(hir) }.error(error)).collect()
+}
+
+struct Mapping<'h> {
+    hir: &'h Hir,
+    usec: u64,
+}
+
+impl Mapping<'_> {
+    fn error(&self, error: &CellError) -> Diagnostic {
+        match error {
+            CellError::MarginTooLong { port, time_out, least } => {
+                self.deadline(port, *time_out, *least, true)
+            }
+            CellError::DeadlineTooShort { port, time_out, least } => {
+                self.deadline(port, *time_out, *least, false)
+            }
+            CellError::LeaseTooShort { couple, lease, least } => self.lease(couple, *lease, *least),
+            CellError::TakeoverTooSoon { couple, takeover, least } => {
+                self.takeover(couple, *takeover, *least)
+            }
+            CellError::SequenceWraps(port) => {
+                let at = self.port(port).and_then(|port| port.rate).map(|(_, per)| per.span);
+                let at = at.unwrap_or_else(|| self.port_span(port));
+                let message = format!("message numbers of `{port}` may repeat within its life");
+                Diagnostic::error(WRAPS, at, message)
+                    .label("too often")
+                    .also(self.port_span(port), "the port")
+                    .help("lower its rate or its time_out")
+            }
+            CellError::Unreachable(port, a, b) => {
+                let message = format!("port `{port}` joins `{a}` and `{b}`, but no links join their nodes");
+                Diagnostic::error(NO_LINK, self.port_span(port), message)
+                    .label("no way of at most 8 links")
+                    .also(self.task_span(a), "one task")
+                    .also(self.task_span(b), "the other")
+                    .help("add `link .. -- .. delay ..;`")
+            }
+            CellError::CannotBeServed { port, per, least } => self.rate(port, *per, *least),
+            CellError::NoUsers(port)
+            | CellError::NoRoomForEpoch(port)
+            | CellError::OtherClass(port, _)
+            | CellError::OtherFormat(port, _)
+            | CellError::NoTimeOut(port)
+            | CellError::NoBuffer(port)
+            | CellError::NeedsClass2(port)
+            | CellError::Fragments(port, _)
+            | CellError::TooManyMembers(port)
+            | CellError::TooManyAsked(port)
+            | CellError::ListedTwice(port, _)
+            | CellError::UnknownModule(port, _)
+            | CellError::NotForBeats(port)
+            | CellError::NotOfTheCouple(port) => {
+                let found = Diagnostic::error(code(error), self.port_span(port), error.to_string());
+                found.label("this port")
+            }
+            CellError::CoupledTwice(couple) => {
+                Diagnostic::error(COUPLE, self.couple_span(couple), error.to_string()).label("the second one")
+            }
+            CellError::LinkToItself(_)
+            | CellError::DuplicateName(..)
+            | CellError::Dangling(_)
+            | CellError::TooMany(_) => {
+                Diagnostic::error(code(error), self.whole(), error.to_string()).label("in this cell")
+            }
+        }
+    }
+
+    fn deadline(&self, name: &str, time_out: Ticks, least: Ticks, waitfor: bool) -> Diagnostic {
+        let (has, needs) = (self.time(time_out), self.time(least));
+        // The end of the port that is the least patient.
+        let own = self.port(name).and_then(|port| {
+            let ends = port.users.iter().filter_map(|user| user.time_out).chain(port.time_out);
+            ends.min_by_key(|length| length.usec)
+        });
+        let at = own.map_or_else(|| self.port_span(name), |length| length.span);
+        let (message, label) = if waitfor {
+            (
+                format!(
+                    "nobody is ever released from `{name}`: its time_out of {has} is used up by its margin"
+                ),
+                format!("must exceed {needs}: margin and way"),
+            )
+        } else {
+            (
+                format!(
+                    "deadline cannot be met: `{name}` takes {needs} there and back, its time_out is {has}"
+                ),
+                format!("must exceed {needs}"),
+            )
+        };
+        Diagnostic::error(DEADLINE, at, message)
+            .label(label)
+            .also(self.port_span(name), "the port")
+            .help(format!("give it more than {needs}"))
+    }
+
+    fn rate(&self, name: &str, per: Ticks, least: Ticks) -> Diagnostic {
+        let rates =
+            self.port(name).map(|port| port.users.iter().filter_map(|user| user.rate).chain(port.rate));
+        let at = rates
+            .and_then(|mut rates| rates.next())
+            .map_or_else(|| self.port_span(name), |(_, per)| per.span);
+        let message = format!("the rate of `{name}` cannot be served");
+        Diagnostic::error(RATE, at, message)
+            .label(format!("in {}, but there and back they take {}", self.time(per), self.time(least)))
+            .also(self.port_span(name), "the port")
+            .help("lower the rate: a class-2 message keeps its sender for the way there and back")
+    }
+
+    fn lease(&self, couple: &str, lease: Ticks, least: Ticks) -> Diagnostic {
+        let (has, needs) = (self.time(lease), self.time(least));
+        let at = self.work(couple).map_or_else(|| self.couple_span(couple), |(lease, _)| lease);
+        Diagnostic::error(LEASE_TOO_SHORT, at, format!("lease {has} ends before it is renewed"))
+            .label(format!("must reach {needs}: two periods of the beats, the way and a tick"))
+            .help(format!("give it {needs}, or let the beats come more often"))
+    }
+
+    fn takeover(&self, couple: &str, takeover: Ticks, least: Ticks) -> Diagnostic {
+        let (has, needs) = (self.time(takeover), self.time(least));
+        let at = self.work(couple).map_or_else(|| self.couple_span(couple), |(_, takeover)| takeover);
+        Diagnostic::error(TAKEOVER_TOO_SOON, at, format!("takeover {has}: both tasks can act at a time"))
+            .label(format!("must reach {needs}: lease, drift, a tick and what was ordered last"))
+            .help(format!("give it {needs}, or shorten the lease or the time_outs of what the couple orders"))
+    }
+
+    fn time(&self, ticks: Ticks) -> String {
+        let usec = ticks.0.saturating_mul(self.usec);
+        if usec.is_multiple_of(1_000_000) && usec > 0 {
+            format!("{} sec", usec / 1_000_000)
+        } else if usec.is_multiple_of(1_000) {
+            format!("{} msec", usec / 1_000)
+        } else {
+            format!("{usec} usec")
+        }
+    }
+
+    fn port(&self, name: &str) -> Option<&Port> {
+        self.hir.ports.iter().find(|port| port.name == name)
+    }
+
+    fn port_span(&self, name: &str) -> Span {
+        self.port(name).map_or_else(|| self.whole(), |port| port.span)
+    }
+
+    fn task_span(&self, name: &str) -> Span {
+        let task = self.hir.tasks.iter().find(|task| task.name == name);
+        task.map_or_else(|| self.whole(), |task| task.span)
+    }
+
+    /// Where lease and take-over of a couple stand: it is called `a -> b`.
+    fn work(&self, name: &str) -> Option<(Span, Span)> {
+        self.hir.couples.iter().find_map(|couple| match couple.kind {
+            CoupleKind::Work { primary, standby, lease, takeover, .. } => {
+                let task = |id: imrs_protocol::TaskId| self.hir.tasks[id.index()].name.as_str();
+                let is = format!("{} -> {}", task(primary), task(standby)) == name;
+                is.then_some((lease.span, takeover.span))
+            }
+            CoupleKind::Loose { .. } | CoupleKind::Tight(_) | CoupleKind::Serial(..) => None,
+        })
+    }
+
+    fn couple_span(&self, name: &str) -> Span {
+        self.work(name).map_or_else(|| self.whole(), |(lease, takeover)| lease.to(takeover))
+    }
+
+    /// The first thing that the file declares.
+    fn whole(&self) -> Span {
+        self.hir.tick.map_or_else(Span::default, |tick| tick.span)
+    }
+}
+
+const fn code(error: &CellError) -> &'static str {
+    match error {
+        CellError::NoUsers(_) | CellError::NoTimeOut(_) => MISSING,
+        CellError::NoBuffer(_) | CellError::NeedsClass2(_) => OPTION,
+        CellError::Fragments(..) | CellError::NoRoomForEpoch(_) => TOO_LONG,
+        CellError::TooManyMembers(_) | CellError::TooManyAsked(_) | CellError::TooMany(_) => TOO_MANY,
+        CellError::ListedTwice(..) | CellError::LinkToItself(_) => TWICE,
+        CellError::OtherClass(..) | CellError::OtherFormat(..) => DISAGREE,
+        CellError::UnknownModule(..) | CellError::Dangling(_) => UNKNOWN_NAME,
+        CellError::DuplicateName(..) => DUPLICATE,
+        CellError::NotForBeats(_) | CellError::NotOfTheCouple(_) | CellError::CoupledTwice(_) => COUPLE,
+        CellError::MarginTooLong { .. } | CellError::DeadlineTooShort { .. } => DEADLINE,
+        CellError::Unreachable(..) => NO_LINK,
+        CellError::SequenceWraps(_) => WRAPS,
+        CellError::CannotBeServed { .. } => RATE,
+        CellError::LeaseTooShort { .. } => LEASE_TOO_SHORT,
+        CellError::TakeoverTooSoon { .. } => TAKEOVER_TOO_SOON,
+    }
+}

@@ -1,0 +1,115 @@
+//! What follows from how a statement ended.
+
+use super::task::Writer;
+use crate::ast::BranchKind;
+use crate::hir::{Branch, Captured, Statement};
+use imrs_protocol::script::{Binary, Mark, Op, Outcomes, StatementOutcome, Term};
+use imrs_protocol::{PortId, TaskId};
+
+/// A way in which a statement may end badly: its branch, and what is said where it has none.
+pub(super) struct Bad {
+    branch: Option<BranchKind>,
+    outcomes: Outcomes,
+    /// `None`: then the task goes on.
+    word: Option<&'static str>,
+}
+
+pub(super) const TIMED_OUT: Bad =
+    Bad { branch: Some(BranchKind::TimeOut), outcomes: Outcomes::TIME_OUT, word: Some("time_out of") };
+pub(super) const REFUSED: Bad =
+    Bad { branch: Some(BranchKind::Refused), outcomes: Outcomes::REFUSED, word: Some("refusal of") };
+pub(super) const FENCED: Bad =
+    Bad { branch: None, outcomes: Outcomes::of(&[StatementOutcome::Fenced]), word: Some("lease lost at") };
+pub(super) const FAILED: Bad = Bad {
+    branch: Some(BranchKind::Failed),
+    outcomes: Outcomes::of(&[StatementOutcome::Failed, StatementOutcome::Fenced]),
+    word: Some("failure of"),
+};
+/// An answer that comes too late ends nobody: its asker knows already.
+pub(super) const TOO_LATE: Bad = Bad {
+    branch: Some(BranchKind::Failed),
+    outcomes: Outcomes::of(&[StatementOutcome::Unanswerable]),
+    word: None,
+};
+
+impl<'h> Writer<'h, '_> {
+    /// The branches of a statement; where it has none for a bad end, the task ends (D33, D45).
+    pub fn branches(&mut self, statement: &'h Statement, name: &str, ways: &[Bad]) {
+        let taken: Vec<(&'h Branch, Outcomes)> = statement
+            .branches
+            .iter()
+            .filter_map(|branch| {
+                let way = ways.iter().find(|way| way.branch == Some(branch.when))?;
+                Some((branch, way.outcomes))
+            })
+            .collect();
+        let end = self.emit.label();
+        let labels: Vec<_> = taken.iter().map(|_| self.emit.label()).collect();
+        for (&(_, outcomes), &label) in taken.iter().zip(&labels) {
+            self.emit.on(outcomes, label);
+        }
+        let line = self.hir.line(statement.span);
+        for way in ways {
+            let has = taken.iter().any(|(branch, _)| way.branch == Some(branch.when));
+            if let (Some(word), false) = (way.word, has) {
+                self.emit.abort_on(way.outcomes, format!("{word} `{name}`, line {line}"));
+            }
+        }
+        if taken.is_empty() {
+            return;
+        }
+        self.emit.jump(end);
+        for ((branch, _), label) in taken.into_iter().zip(labels) {
+            self.emit.put(label);
+            self.statements(&branch.body);
+            self.emit.at = branch.span;
+            self.emit.jump(end);
+        }
+        self.emit.put(end);
+    }
+
+    pub fn keep_outcome(&mut self) {
+        let kept = self.captures.iter().find(|capture| capture.what == Captured::Outcome);
+        if let Some(kept) = kept {
+            self.emit.op(Op::Outcome);
+            self.emit.op(Op::Store(kept.slot));
+        }
+    }
+
+    /// Keeps who answered and who refused, where something asks for it.
+    pub fn keep_answers(&mut self, port: PortId, asked: &[TaskId]) {
+        for capture in self.captures {
+            let (task, mark, alone) = match capture.what {
+                Captured::Answered(of, task) if of == port => (task, Mark::Answered, StatementOutcome::Reply),
+                Captured::Refused(of, task) if of == port => (task, Mark::Refused, StatementOutcome::Refused),
+                Captured::Outcome
+                | Captured::Sender
+                | Captured::Received
+                | Captured::Answered(..)
+                | Captured::Refused(..) => continue,
+            };
+            let push = |value| Op::Term(Term::Push(value));
+            let int = |operator| Op::Term(Term::Int(operator));
+            let party = self.hir.ports[port.index()].party(task).unwrap_or(0);
+            let bit = 1_i64.checked_shl(u32::try_from(party).unwrap_or(u32::MAX)).unwrap_or(0);
+            match asked {
+                [one] if *one == task => {
+                    self.emit.ops(&[Op::Outcome, push(alone as i64), int(Binary::Equal)]);
+                }
+                several if !several.contains(&task) || bit == 0 => self.emit.op(push(0)),
+                // The last bit is the sign.
+                _ if bit < 0 => self.emit.ops(&[Op::Mark(mark), push(0), int(Binary::Less)]),
+                _ => self.emit.ops(&[
+                    Op::Mark(mark),
+                    push(bit),
+                    int(Binary::Divide),
+                    push(2),
+                    int(Binary::Remainder),
+                    push(0),
+                    int(Binary::NotEqual),
+                ]),
+            }
+            self.emit.op(Op::Store(capture.slot));
+        }
+    }
+}

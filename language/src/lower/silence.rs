@@ -1,0 +1,120 @@
+//! `on silence p d when e`: a timer that runs while `e` is true, and anew from each message of `p`. So a task that
+//! waits for nothing has no timer running.
+
+use super::emit::Emitter;
+use crate::hir::{Expr, Task, Trigger};
+use imrs_protocol::script::{Op, Slot, Term, Type, eval};
+use imrs_protocol::{PortId, Ticks, TimeId};
+
+/// A silence that the task waits for.
+pub(super) struct Silence {
+    pub port: PortId,
+    pub timer: TimeId,
+    pub length: Ticks,
+    pub when: Option<Expr>,
+    /// The task's variables in `when`.
+    watched: Vec<Slot>,
+    /// Where `when` is kept while several of them are looked at together.
+    kept: Option<Slot>,
+}
+
+impl Silence {
+    /// The silences of a task; `length` gives their durations.
+    pub fn all(task: &Task, mut length: impl FnMut(crate::hir::Duration) -> Ticks) -> Vec<Self> {
+        let mut silences = Vec::new();
+        for handler in &task.handlers {
+            let Trigger::Silence { port, timer, length: time, when } = &handler.trigger else { continue };
+            let watched = when.iter().flat_map(|when| &when.ops).filter_map(|op| match op {
+                Op::Term(Term::Load(slot)) => Some(*slot),
+                _ => None,
+            });
+            let (watched, kept) = (watched.collect(), None);
+            let (port, timer, length, when) = (*port, *timer, length(*time), when.clone());
+            silences.push(Self { port, timer, length, when, watched, kept });
+        }
+        silences
+    }
+
+    fn start(&self, emit: &mut Emitter) {
+        emit.op(Op::Start { timer: self.timer, length: self.length });
+    }
+
+    /// Starts it where `when` is true now.
+    pub fn restart(&self, emit: &mut Emitter) {
+        let Some(when) = &self.when else { return self.start(emit) };
+        let on = emit.label();
+        emit.ops(&when.ops);
+        emit.unless(on);
+        self.start(emit);
+        emit.put(on);
+    }
+
+    /// Starts it at the beginning of the task, when all variables are zero.
+    pub fn begin(&self, emit: &mut Emitter) {
+        let holds = self.when.as_ref().is_none_or(|when| {
+            let terms: Vec<Term> = super::terms(when);
+            eval(&terms, |term| matches!(term, Term::Load(_)).then_some(0)) == Ok(1)
+        });
+        if holds {
+            self.start(emit);
+        }
+    }
+
+    /// Starts or stops it where `when` is no more what it was; what it was is on top of the operands.
+    fn changed(&self, emit: &mut Emitter) {
+        let Some(when) = &self.when else { return };
+        let (was_false, on) = (emit.label(), emit.label());
+        emit.unless(was_false);
+        let stays = emit.label();
+        emit.ops(&when.ops);
+        emit.op(Op::Term(Term::Not));
+        emit.unless(stays);
+        emit.op(Op::Stop(self.timer));
+        emit.put(stays);
+        emit.jump(on);
+        emit.put(was_false);
+        emit.ops(&when.ops);
+        emit.unless(on);
+        self.start(emit);
+        emit.put(on);
+    }
+}
+
+/// Gives each silence a place to keep its condition, where one variable may change several of them.
+pub(super) fn keep(silences: &mut [Silence], emit: &mut Emitter) {
+    let with_condition = silences.iter().filter(|silence| !silence.watched.is_empty()).count();
+    if with_condition < 2 {
+        return;
+    }
+    for silence in silences.iter_mut().filter(|silence| !silence.watched.is_empty()) {
+        silence.kept = Some(emit.builder.variable("(silence)", Type::Bool));
+    }
+}
+
+/// Writes what stores into these variables, and what follows from it for the silences.
+pub(super) fn store(
+    silences: &[Silence],
+    emit: &mut Emitter,
+    into: &[Slot],
+    write: impl FnOnce(&mut Emitter),
+) {
+    let watching = |silence: &&Silence| silence.watched.iter().any(|slot| into.contains(slot));
+    let changed: Vec<&Silence> = silences.iter().filter(watching).collect();
+    for silence in &changed {
+        if let Some(when) = &silence.when {
+            emit.ops(&when.ops);
+        }
+        if let (Some(kept), true) = (silence.kept, changed.len() > 1) {
+            emit.op(Op::Store(kept));
+        }
+    }
+    write(emit);
+    for silence in &changed {
+        if let (Some(kept), true) = (silence.kept, changed.len() > 1) {
+            emit.op(Op::Term(Term::Load(kept)));
+            emit.op(Op::Term(Term::Push(0)));
+            emit.op(Op::Store(kept));
+        }
+        silence.changed(emit);
+    }
+}

@@ -1,0 +1,223 @@
+//! What the grammar could not read, and what is said about it.
+
+use super::Tokens;
+use crate::codes::{MISSPELT, OPERATOR, RESERVED, SEMICOLON, UNEXPECTED};
+use crate::diagnostic::Diagnostic;
+use crate::lexer::Kind;
+use crate::span::Span;
+use crate::words::Word;
+use chumsky::DefaultExpected;
+use chumsky::error::{Error, LabelError};
+use chumsky::util::MaybeRef;
+
+/// What might have stood there.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Expected {
+    Token(Kind),
+    /// In words.
+    Label(&'static str),
+    /// The end of the part of a line that was to be read.
+    End,
+}
+
+/// Why a part of a line cannot be read.
+#[derive(Clone, Debug)]
+pub(super) enum Failure {
+    Unexpected {
+        span: Span,
+        expected: Vec<Expected>,
+    },
+    /// Read, but wrong.
+    Said(Box<Diagnostic>),
+}
+
+/// A label of the grammar that messages treat in a way of their own.
+pub(super) const NAME: &str = "a name";
+/// Likewise.
+pub(super) const TYPE: &str = "a type";
+/// Likewise.
+pub(super) const OPTION: &str = "an option";
+
+impl<'t> Error<'t, Tokens<'t>> for Failure {
+    fn merge(self, other: Self) -> Self {
+        match (self, other) {
+            (Self::Unexpected { span, mut expected }, Self::Unexpected { expected: others, .. }) => {
+                for one in others {
+                    if !expected.contains(&one) {
+                        expected.push(one);
+                    }
+                }
+                Self::Unexpected { span, expected }
+            }
+            (Self::Unexpected { .. }, said) => said,
+            (said @ Self::Said(_), _) => said,
+        }
+    }
+}
+
+impl<'t> LabelError<'t, Tokens<'t>, DefaultExpected<'t, Kind>> for Failure {
+    fn expected_found<E: IntoIterator<Item = DefaultExpected<'t, Kind>>>(
+        expected: E,
+        _found: Option<MaybeRef<'t, Kind>>,
+        span: Span,
+    ) -> Self {
+        let plain = |one: DefaultExpected<'t, Kind>| match one {
+            DefaultExpected::Token(kind) => Some(Expected::Token(kind.into_inner())),
+            DefaultExpected::EndOfInput => Some(Expected::End),
+            _ => None,
+        };
+        Self::Unexpected { span, expected: expected.into_iter().filter_map(plain).collect() }
+    }
+}
+
+impl<'t> LabelError<'t, Tokens<'t>, &'static str> for Failure {
+    fn expected_found<E: IntoIterator<Item = &'static str>>(
+        expected: E,
+        _found: Option<MaybeRef<'t, Kind>>,
+        span: Span,
+    ) -> Self {
+        Self::Unexpected { span, expected: expected.into_iter().map(Expected::Label).collect() }
+    }
+
+    fn label_with(&mut self, label: &'static str) {
+        if let Self::Unexpected { expected, .. } = self {
+            expected.clear();
+            expected.push(Expected::Label(label));
+        }
+    }
+}
+
+/// What stands where a failure is.
+pub(super) struct Found<'t> {
+    /// The token, unless the file ends there.
+    pub kind: Option<Kind>,
+    /// Its text.
+    pub text: &'t str,
+    /// Where it stands.
+    pub span: Span,
+    /// Where the token in front of it ends.
+    pub after: Span,
+    /// Whether it is the first one of its line.
+    pub first_of_line: bool,
+}
+
+impl Found<'_> {
+    /// As a message names it.
+    pub(super) fn describe(&self) -> String {
+        match self.kind {
+            None => "the end of the file".to_owned(),
+            Some(Kind::Text) => "a text".to_owned(),
+            Some(Kind::Name | Kind::Int | Kind::Real) => format!("`{}`", clip(self.text)),
+            Some(Kind::Word(_)) => format!("`{}`", self.text),
+            Some(kind) => format!("`{}`", kind.describe()),
+        }
+    }
+}
+
+/// A text short enough for a message.
+pub(super) fn clip(text: &str) -> String {
+    if text.chars().count() <= 40 {
+        return text.to_owned();
+    }
+    text.chars().take(37).chain("...".chars()).collect()
+}
+
+/// Says that something else was expected. `end` is what would have ended the part that was read: `;`, `then`.
+pub(super) fn unexpected(expected: &[Expected], found: &Found<'_>, end: &str) -> Diagnostic {
+    if found.kind == Some(Kind::Equal) && expected.contains(&Expected::Token(Kind::Assign)) {
+        return Diagnostic::error(OPERATOR, found.span, "a value is assigned by `:=`").help("write `:=`");
+    }
+    let can_end = expected.contains(&Expected::End);
+    let starts_anew = found.first_of_line || matches!(found.kind, None | Some(Kind::Word(_)));
+    if can_end && end == ";" && starts_anew && near_option(expected, found).is_none() {
+        return missing_semicolon(found);
+    }
+    if let Some(word) = near_option(expected, found) {
+        return misspelt(found.span, found.text, word);
+    }
+    if let Some(Kind::Word(word)) = found.kind
+        && word.is_reserved()
+        && wants_name(expected)
+        && !found.first_of_line
+    {
+        return reserved(found.span, found.text);
+    }
+    let wanted = in_words(expected, end);
+    let what = found.describe();
+    if wanted.is_empty() {
+        return Diagnostic::error(UNEXPECTED, found.span, format!("{what} does not belong here"));
+    }
+    let diagnostic = Diagnostic::error(UNEXPECTED, found.span, format!("expected {wanted}, found {what}"));
+    diagnostic.label(format!("expected {wanted}"))
+}
+
+/// Whether a name might have stood there.
+pub(super) fn wants_name(expected: &[Expected]) -> bool {
+    expected.iter().any(|one| matches!(one, Expected::Label(NAME | TYPE)))
+}
+
+/// Says that a semicolon is missing behind the token in front.
+pub(super) fn missing_semicolon(found: &Found<'_>) -> Diagnostic {
+    let at = Span { start: found.after.end.saturating_sub(1).max(found.after.start), end: found.after.end };
+    Diagnostic::error(SEMICOLON, at, format!("expected `;`, found {}", found.describe()))
+        .label("a `;` is missing behind this")
+}
+
+/// Says which word was probably meant.
+pub(super) fn misspelt(span: Span, text: &str, word: Word) -> Diagnostic {
+    Diagnostic::error(MISSPELT, span, format!("`{}` is not known here", clip(text)))
+        .help(format!("did you mean `{}`?", word.text()))
+}
+
+/// Says that a name is none.
+pub(super) fn reserved(span: Span, text: &str) -> Diagnostic {
+    let message = format!("`{text}` is a word of the language: choose another name");
+    Diagnostic::error(RESERVED, span, message).label("a name is expected here")
+}
+
+/// The option, or the word that may stand here, that was probably meant.
+fn near_option(expected: &[Expected], found: &Found<'_>) -> Option<Word> {
+    if found.kind != Some(Kind::Name) {
+        return None;
+    }
+    let mut words: Vec<Word> = Vec::new();
+    for one in expected {
+        match one {
+            Expected::Token(Kind::Word(word)) => words.push(*word),
+            Expected::Label(OPTION) => words.extend(Word::OPTIONS),
+            Expected::Token(_) | Expected::Label(_) | Expected::End => {}
+        }
+    }
+    Word::near(found.text, &words)
+}
+
+/// At most so many alternatives are named.
+const ALTERNATIVES: usize = 4;
+
+fn in_words(expected: &[Expected], end: &str) -> String {
+    let mut words: Vec<String> = Vec::new();
+    let mut sorted = expected.to_vec();
+    // What ends the line is the likeliest, then the kinds of things, then single signs.
+    sorted.sort_by_key(|one| match one {
+        Expected::End => 0,
+        Expected::Label(_) => 1,
+        Expected::Token(_) => 2,
+    });
+    for one in sorted {
+        let word = match one {
+            Expected::End => format!("`{end}`"),
+            Expected::Label(label) => label.to_owned(),
+            Expected::Token(kind) if kind.is_literal() => format!("`{}`", kind.describe()),
+            Expected::Token(kind) => kind.describe().to_owned(),
+        };
+        if !words.contains(&word) {
+            words.push(word);
+        }
+    }
+    words.truncate(ALTERNATIVES);
+    match words.split_last() {
+        None => String::new(),
+        Some((last, [])) => last.clone(),
+        Some((last, others)) => format!("{} or {last}", others.join(", ")),
+    }
+}

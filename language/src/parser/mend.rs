@@ -1,0 +1,87 @@
+//! Misspelt words at the beginning of a line: they are reported here, and read as what was meant from then on. So
+//! `whlie` opens a block whose `end` fits.
+
+use super::failure::misspelt;
+use crate::codes::STRAY_END;
+use crate::diagnostic::Diagnostic;
+use crate::lexer::{Kind, Token};
+use crate::report::Report;
+use crate::source::Source;
+use crate::span::Span;
+use crate::words::Word;
+
+/// So many names are compared with all words: that takes time.
+const MOST: usize = 1000;
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Region {
+    Top,
+    Record,
+    Head,
+    Body,
+}
+
+/// Mends the tokens and reports what was wrong with them.
+pub(super) fn mend(tokens: &mut [Token], source: &Source, report: &mut Report) {
+    let mut region = Region::Top;
+    let mut compared = 0;
+    for index in 0..tokens.len() {
+        if tokens[index].0 == Kind::Name && compared < MOST && begins_line(tokens, index, region, source) {
+            compared += 1;
+            if let Some((word, found)) = meant(source.slice(tokens[index].1), tokens[index].1, region, index)
+            {
+                report.push(|| found);
+                tokens[index].0 = Kind::Word(word);
+            }
+        }
+        let Kind::Word(word) = tokens[index].0 else { continue };
+        let follows = tokens.get(index + 1).map(|(kind, _)| *kind);
+        region = match (region, word) {
+            (_, Word::Record) => Region::Record,
+            (_, Word::Task) => Region::Head,
+            (_, Word::Begin) => Region::Body,
+            (Region::Record, Word::End) => Region::Top,
+            (_, Word::End) if matches!(follows, Some(Kind::Name)) => Region::Top,
+            _ => region,
+        };
+    }
+}
+
+fn begins_line(tokens: &[Token], index: usize, region: Region, source: &Source) -> bool {
+    let follows = tokens.get(index + 1).map(|(kind, _)| *kind);
+    if matches!(follows, Some(Kind::Assign | Kind::Dot | Kind::Equal | Kind::Colon | Kind::BracketOpen)) {
+        return false;
+    }
+    let Some((before, place)) = index.checked_sub(1).map(|index| tokens[index]) else { return true };
+    let behind = match before {
+        Kind::Semicolon => true,
+        Kind::Word(word) => matches!(
+            word,
+            Word::Begin | Word::Then | Word::Else | Word::Do | Word::Loop | Word::Atomic | Word::Takeover
+        ),
+        _ => false,
+    };
+    let gap = || source.text()[place.end as usize..tokens[index].1.start as usize].contains('\n');
+    behind || region == Region::Head && gap()
+}
+
+/// The word that was meant, and what is said about it.
+fn meant(text: &str, span: Span, region: Region, index: usize) -> Option<(Word, Diagnostic)> {
+    let near = |among: &[Word]| Word::near(text, among).map(|word| (word, misspelt(span, text, word)));
+    match region {
+        Region::Record => None,
+        Region::Top if index == 0 => near(&[Word::Cell]),
+        Region::Top => near(Word::DECLARATIONS),
+        Region::Head => near(Word::OF_TASK),
+        Region::Body => {
+            let lower = text.to_ascii_lowercase();
+            let rest = lower.strip_prefix("end").map(|rest| rest.trim_start_matches('_'));
+            if matches!(rest, Some("if" | "while" | "loop" | "for" | "on" | "task" | "atomic")) {
+                let message = format!("`{text}`: a block is closed by `end` alone");
+                let found = Diagnostic::error(STRAY_END, span, message).help("write `end;`");
+                return Some((Word::End, found));
+            }
+            near(Word::STATEMENTS)
+        }
+    }
+}

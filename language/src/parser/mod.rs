@@ -1,0 +1,351 @@
+//! Tokens to a syntax tree.
+//!
+//! Blocks are found by their words (`loop`, `if`, `end`), here; what stands on a line is read by a grammar of combinators,
+//! one line at a time. So an error ends where its line ends, whatever it is, and never takes the block along.
+
+mod blocks;
+mod expr;
+mod failure;
+mod items;
+mod limits;
+mod lines;
+mod mend;
+mod statements;
+
+use crate::ast::File;
+use crate::diagnostic::Diagnostic;
+use crate::lexer::{Kind, Token, lex};
+use crate::report::Report;
+use crate::source::Source;
+use crate::span::Span;
+use crate::words::Word;
+use chumsky::input::MappedInput;
+use chumsky::prelude::*;
+use failure::{Failure, Found};
+use lines::{Line, Lines};
+use statements::Statements;
+
+/// Tokens as the grammar reads them.
+type Tokens<'t> = MappedInput<'t, Kind, Span, &'t [Token]>;
+type Extra = extra::Err<Failure>;
+
+impl chumsky::span::Span for Span {
+    type Context = ();
+    type Offset = u32;
+
+    fn new((): (), range: std::ops::Range<u32>) -> Self {
+        Self { start: range.start, end: range.end }
+    }
+
+    fn context(&self) {}
+
+    fn start(&self) -> u32 {
+        self.start
+    }
+
+    fn end(&self) -> u32 {
+        self.end
+    }
+}
+
+/// What a text says, as far as it could be read, and what is wrong with it.
+#[derive(Clone, Debug)]
+pub struct Parsed {
+    /// The syntax tree. Complete if there is no error among the diagnostics.
+    pub file: File,
+    /// What is wrong, in the order of the text: at most 100, and a line that says how many more there are.
+    pub diagnostics: Vec<Diagnostic>,
+}
+
+/// Reads a cell file.
+#[must_use]
+pub fn parse(source: &Source) -> Parsed {
+    let mut report = Report::default();
+    let mut lexed = lex(source.text(), &mut report);
+    if report.is_enough() {
+        return Parsed { file: File::default(), diagnostics: report.finish() };
+    }
+    mend::mend(&mut lexed.tokens, source, &mut report);
+    if let Some(found) = limits::exceeded(&lexed.tokens) {
+        report.push(|| found);
+        return Parsed { file: File::default(), diagnostics: report.finish() };
+    }
+    let faulty = report.places();
+    let mut driver = Driver {
+        source,
+        tokens: &lexed.tokens,
+        at: 0,
+        report,
+        lines: Lines::new(source.text()),
+        statements: Statements::new(source.text()),
+        faulty,
+        open: Vec::new(),
+        suspects: Vec::new(),
+        open_ended: lexed.open_ended,
+        left_open: None,
+    };
+    let file = driver.file();
+    Parsed { file, diagnostics: driver.report.finish() }
+}
+
+/// What kind of line is read: that decides which words end it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Context {
+    /// A declaration of the file.
+    Top,
+    /// A field of a record.
+    Field,
+    /// What stands in front of `begin`.
+    Head,
+    /// A statement.
+    Body,
+}
+
+/// A block that is open: its word and where that stands.
+#[derive(Clone, Copy, Debug)]
+struct Opener {
+    word: Word,
+    span: Span,
+}
+
+/// Finds the blocks and lets the grammar read the lines.
+struct Driver<'t> {
+    source: &'t Source,
+    tokens: &'t [Token],
+    /// The next token.
+    at: usize,
+    report: Report,
+    lines: Lines<'t>,
+    statements: Statements<'t>,
+    /// Where something was found before: a line with one of these is not complained about again.
+    faulty: Vec<u32>,
+    /// The blocks of the task that are open, outermost first.
+    open: Vec<Opener>,
+    /// Blocks whose `end` does not stand under them.
+    suspects: Vec<(Opener, Span)>,
+    /// Whether a comment is open at the end: then anything may be missing.
+    open_ended: bool,
+    /// Where a block was found not to be closed: no `;` is missed there.
+    left_open: Option<usize>,
+}
+
+/// What became of a line.
+struct Read<O> {
+    output: Option<O>,
+    /// Where the grammar could not go on.
+    stopped: Option<Stopped>,
+}
+
+/// Where and how the grammar could not go on.
+#[derive(Clone, Copy)]
+struct Stopped {
+    /// The token.
+    at: usize,
+    /// Whether the line might have ended in front of it.
+    can_end: bool,
+    /// Whether it is a word where a name should be.
+    reserved: bool,
+}
+
+impl<'t> Driver<'t> {
+    fn kind(&self, index: usize) -> Option<Kind> {
+        self.tokens.get(index).map(|(kind, _)| *kind)
+    }
+
+    fn word(&self, index: usize) -> Option<Word> {
+        match self.kind(index) {
+            Some(Kind::Word(word)) => Some(word),
+            _ => None,
+        }
+    }
+
+    /// Where a token stands; of the end of the file, its last byte.
+    fn span(&self, index: usize) -> Span {
+        self.tokens
+            .get(index)
+            .map_or_else(|| Span::new(self.source.text().len(), self.source.text().len()), |(_, span)| *span)
+    }
+
+    fn text(&self, index: usize) -> &'t str {
+        self.source.slice(self.span(index))
+    }
+
+    /// Whether a name stands here.
+    fn is_name(&self, index: usize) -> bool {
+        match self.kind(index) {
+            Some(Kind::Name) => true,
+            Some(Kind::Word(word)) => !word.is_reserved(),
+            _ => false,
+        }
+    }
+
+    /// Whether a token is the first one of its line.
+    fn is_first_of_line(&self, index: usize) -> bool {
+        index == 0 || {
+            let (before, here) = (self.span(index - 1), self.span(index));
+            self.source.text()[before.end as usize..here.start as usize].contains('\n')
+        }
+    }
+
+    /// Whether a declaration of the file begins here.
+    fn is_declaration(&self, index: usize) -> bool {
+        match self.word(index) {
+            Some(Word::Task | Word::Type | Word::Cell) => true,
+            Some(word) if Word::DECLARATIONS.contains(&word) => {
+                let follows = self.kind(index + 1);
+                let names =
+                    matches!(follows, Some(Kind::Assign | Kind::Dot | Kind::Equal | Kind::BracketOpen));
+                let begins = index == 0
+                    || self.kind(index - 1) == Some(Kind::Semicolon)
+                    || self.is_first_of_line(index);
+                begins && !names
+            }
+            _ => false,
+        }
+    }
+
+    /// What stands at a token, for a message.
+    fn found(&self, index: usize) -> Found<'t> {
+        let after = if index == 0 { Span::default() } else { self.span(index - 1) };
+        Found {
+            kind: self.kind(index),
+            text: self.text(index),
+            span: self.span(index),
+            after,
+            first_of_line: self.is_first_of_line(index),
+        }
+    }
+
+    /// Whether something was reported before between these tokens.
+    fn is_faulty(&self, from: usize, to: usize) -> bool {
+        let (begin, end) = (self.span(from).start, self.span(to).start);
+        let first = self.faulty.partition_point(|place| *place < begin);
+        self.faulty.get(first).is_some_and(|place| *place < end.max(begin + 1))
+    }
+
+    /// Lets the grammar read the tokens from `from` to `to`, which `end` should follow, and reports what is wrong.
+    fn read<O>(&mut self, line: fn(&Self) -> &Line<'t, O>, from: usize, to: usize, end: &str) -> Read<O> {
+        let tokens = &self.tokens[from..to];
+        let last = Span { start: self.span(to).start, end: self.span(to).start };
+        let (output, failures) = line(self).parse(tokens.split_token_span(last)).into_output_errors();
+        let known = self.is_faulty(from, to);
+        let mut stopped = None;
+        for failure in failures {
+            match failure {
+                Failure::Said(found) => {
+                    if !self.faulty.contains(&found.primary.span.start) {
+                        self.report.push(|| *found);
+                    }
+                }
+                Failure::Unexpected { span, expected } => {
+                    let at = from + tokens.partition_point(|(_, token)| token.start < span.start);
+                    let found = self.found(at);
+                    if !(known || self.open_ended && found.kind.is_none()) {
+                        self.report.push(|| failure::unexpected(&expected, &found, end));
+                    }
+                    let can_end = expected.contains(&failure::Expected::End);
+                    let reserved = matches!(found.kind, Some(Kind::Word(word)) if word.is_reserved())
+                        && failure::wants_name(&expected);
+                    stopped = Some(Stopped { at, can_end, reserved });
+                }
+            }
+        }
+        Read { output, stopped }
+    }
+
+    /// The token that ends a line whose first words are read already: its `;`, or a word that cannot stand in it.
+    fn reach(&self, from: usize, context: Context) -> usize {
+        let rest = from..self.tokens.len();
+        rest.into_iter().find(|index| self.ends_line(*index, context)).unwrap_or(self.tokens.len())
+    }
+
+    fn ends_line(&self, index: usize, context: Context) -> bool {
+        if self.kind(index) == Some(Kind::Semicolon) {
+            return true;
+        }
+        let Some(word) = self.word(index) else { return false };
+        if matches!(
+            word,
+            Word::Task | Word::Type | Word::Cell | Word::Begin | Word::End | Word::UsePort | Word::Var
+        ) {
+            return true;
+        }
+        // A word that may be a name ends the line only where a new one begins.
+        let begins = word.is_reserved() || self.is_first_of_line(index) && self.is_name(index + 1);
+        let of_statement =
+            Word::STATEMENTS.contains(&word) && begins || matches!(word, Word::Then | Word::Do);
+        match context {
+            Context::Top => {
+                self.is_first_of_line(index) && (word == Word::Port || self.is_declaration(index))
+            }
+            Context::Field => word == Word::Port,
+            // `usage = send`
+            Context::Head => {
+                word == Word::Port || of_statement && index > 0 && self.kind(index - 1) != Some(Kind::Equal)
+            }
+            Context::Body => word == Word::Port || of_statement,
+        }
+    }
+
+    /// Reads a line up to its `;`.
+    fn line<O>(&mut self, line: fn(&Self) -> &Line<'t, O>, context: Context) -> Option<O> {
+        let from = self.at;
+        let to = self.reach(from + 1, context);
+        let read = self.read(line, from, to, ";");
+        match read.stopped {
+            None => self.semicolon(from, to),
+            Some(stopped) => self.recover(from, to, stopped),
+        }
+        read.output
+    }
+
+    /// Goes on behind the `;` that should stand here.
+    fn semicolon(&mut self, from: usize, to: usize) {
+        self.at = to;
+        if self.kind(to) == Some(Kind::Semicolon) {
+            self.at += 1;
+        } else if !(self.is_faulty(from, to) || self.open_ended && to == self.tokens.len()) {
+            let found = self.found(to);
+            self.report.push(|| failure::missing_semicolon(&found));
+        }
+    }
+
+    /// Goes on behind a line that could not be read.
+    fn recover(&mut self, from: usize, to: usize, stopped: Stopped) {
+        if stopped.can_end && stopped.at > from && self.is_first_of_line(stopped.at) {
+            self.at = stopped.at;
+            return;
+        }
+        self.at = to;
+        if stopped.reserved && stopped.at == to && !self.is_first_of_line(to) {
+            // A word of the language as a name: the line goes on behind it.
+            let mut index = to + 1;
+            while index < self.tokens.len() && !self.is_first_of_line(index) {
+                if self.kind(index) == Some(Kind::Semicolon) {
+                    self.at = index;
+                    break;
+                }
+                index += 1;
+            }
+        }
+        if self.kind(self.at) == Some(Kind::Semicolon) {
+            self.at += 1;
+        }
+    }
+
+    /// Reports what nobody expects at the next token.
+    fn unexpected(&mut self, code: &'static str, message: impl FnOnce(&Found<'t>) -> String) {
+        let found = self.found(self.at);
+        if !self.is_faulty(self.at, self.at + 1) {
+            self.report.push(|| Diagnostic::error(code, found.span, message(&found)));
+        }
+    }
+
+    /// Skips `;` and says that they are too many.
+    fn stray_semicolons(&mut self) {
+        self.unexpected(crate::codes::UNEXPECTED, |_| "nothing stands in front of this `;`".to_owned());
+        while self.kind(self.at) == Some(Kind::Semicolon) {
+            self.at += 1;
+        }
+    }
+}

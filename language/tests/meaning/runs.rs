@@ -1,0 +1,103 @@
+//! The examples, run.
+
+use super::floor::Floor;
+use super::{BEAM_LIFT, WELD, whole};
+use imrs_language::Unit;
+
+fn floor(text: &str) -> Floor {
+    Floor::new(&whole(text).lower(Unit::Ticks).expect("a whole cell"))
+}
+
+/// Entries of the log that have one of these words, without their times.
+fn only(log: &[String], words: &[&str]) -> Vec<String> {
+    let named = log.iter().filter(|line| words.iter().any(|word| line.contains(word)));
+    named.map(|line| line.split_once(' ').expect("a time").1.to_owned()).collect()
+}
+
+#[test]
+fn the_beam_is_lifted_and_both_arms_stop_at_the_top() {
+    let mut floor = floor(BEAM_LIFT);
+    floor.results = |name, now| match name {
+        "read_height" if now > 400 => 901,
+        "read_height" => 100,
+        _ => 0,
+    };
+    floor.run(390);
+    let log = floor.log();
+    let mut released = only(&log, &["start_lift", "wind"]);
+    released.sort();
+    assert_eq!(released, ["armL: start_lift", "armR: start_lift", "hoist: wind"]);
+    assert_eq!((floor.var("armL", "me.moving"), floor.var("armR", "me.moving")), (1, 1));
+    floor.run(60);
+    let log = floor.log();
+    let stops = only(&log, &["stop"]);
+    assert!(stops.contains(&"armL: stop_now".into()) && stops.contains(&"armR: stop_now".into()), "{log:?}");
+    assert_eq!((floor.var("armL", "me.moving"), floor.var("armR", "me.moving")), (0, 0));
+}
+
+#[test]
+fn both_arms_stop_when_the_link_between_them_is_cut() {
+    let mut floor = floor(BEAM_LIFT);
+    floor.run(400);
+    floor.log();
+    floor.cut("nl", "nr");
+    let cut = floor.now();
+    floor.run(25);
+    let log = floor.log();
+    let stops = only(&log, &["stop_now"]);
+    assert!(stops.len() == 2 && stops.contains(&"armR: stop_now".into()), "{log:?}");
+    let time = |line: &String| line.split_once(' ').expect("a time").0.parse::<u64>().expect("a number");
+    let last = log.iter().filter(|line| line.contains("stop_now")).map(time).max().expect("two stops");
+    assert!(last <= cut + 12, "stopped by the silence of 10 ticks: {log:?}");
+}
+
+#[test]
+fn a_crashed_hoist_leaves_both_arms_on_the_ground() {
+    let mut floor = floor(&BEAM_LIFT.replace("ready takes 0", "ready takes 500"));
+    floor.crash("nh");
+    floor.run(2_310);
+    let log = floor.log();
+    assert_eq!(only(&log, &["start_lift", "open_grip"]), ["armL: open_grip", "armR: open_grip"]);
+    assert_eq!(only(&log, &["ended"]).len(), 2, "{log:?}");
+}
+
+#[test]
+fn the_tool_is_granted_and_freed_and_the_work_is_done() {
+    let mut floor = floor(WELD);
+    floor.run(12 * 4_000);
+    let log = floor.log();
+    let welds = only(&log, &["r1: weld"]);
+    let expected: Vec<String> = (0..12).map(|spot| format!("r1: weld {spot}")).collect();
+    assert_eq!(welds, expected, "{log:?}");
+    assert_eq!(only(&log, &["dress"]).len(), 12, "the tool was free each time: {log:?}");
+    assert_eq!(floor.var("dresser", "busy"), 0);
+}
+
+#[test]
+fn the_standby_goes_on_where_a_crashed_primary_stopped() {
+    let mut floor = floor(WELD);
+    floor.run(5_000);
+    floor.crash("n1");
+    let crashed = floor.now();
+    floor.run(40_000);
+    let log = floor.log();
+    let recheck =
+        log.iter().find(|line| line.contains("recheck")).expect("the spot in progress is looked at");
+    let at: u64 = recheck.split_once(' ').expect("a time").0.parse().expect("a number");
+    assert!((crashed + 300..=crashed + 450).contains(&at), "{recheck}, crashed at {crashed}");
+    let welds = only(&log, &["weld"]);
+    assert_eq!(welds.last().map(String::as_str), Some("r2: weld 11"), "{welds:?}");
+}
+
+#[test]
+fn a_standby_can_read_what_its_partner_published() {
+    let text = WELD.replace("takeover  ", "takeover p.spot := 0; p := alive; ");
+    let mut floor = floor(&text);
+    floor.run(5_000);
+    floor.crash("n1");
+    floor.run(1_000);
+    let log = floor.log();
+    let last = only(&log, &["r1: weld"]).pop().expect("a weld");
+    let recheck = only(&log, &["recheck"]).pop().expect("the spot in progress is looked at");
+    assert_eq!(recheck.rsplit(' ').next(), last.rsplit(' ').next());
+}

@@ -1,0 +1,48 @@
+//! What holds for any bytes. Also the body of the fuzz target `cell`.
+
+use imrs_language::{Source, format, parse, render};
+
+/// Reads, reports and formats.
+pub fn check(bytes: &[u8]) {
+    let source = match Source::new(bytes) {
+        Ok(source) => source,
+        Err(found) => {
+            let _ = render::text(&[*found], "a.cell", None, render::Style::Plain);
+            return;
+        }
+    };
+    let parsed = parse(&source);
+    assert!(parsed.diagnostics.len() <= 101);
+    for found in &parsed.diagnostics {
+        for label in std::iter::once(&found.primary).chain(&found.secondary) {
+            let inside = source.text().get(label.span.range()).is_some();
+            assert!(inside, "{label:?} is not of a text of {} bytes", source.text().len());
+        }
+    }
+    let shown = render::text(&parsed.diagnostics, "a.cell", Some(&source), render::Style::Plain);
+    assert_eq!(shown.is_empty(), parsed.diagnostics.is_empty());
+    if parsed.diagnostics.is_empty() {
+        formats(&source);
+    }
+}
+
+/// Formatting changes nothing that means something, and is done once.
+pub fn formats(source: &Source) {
+    let once = format(source).expect("no errors");
+    let formatted = Source::new(once.as_bytes()).expect("a text");
+    let parsed = parse(&formatted);
+    assert_eq!(parsed.diagnostics, [], "of the formatted text:\n{once}");
+    assert_eq!(plain(&parse(source).file), plain(&parsed.file), "{once}");
+    assert_eq!(format(&formatted).expect("no errors"), once, "formatting again");
+}
+
+/// A tree without what says where things stand.
+pub fn plain(file: &imrs_language::ast::File) -> String {
+    let shown = format!("{file:?}");
+    let mut parts = shown.split("Span { start: ");
+    let mut out = parts.next().unwrap_or_default().to_owned();
+    for part in parts {
+        out.push_str(part.split_once('}').map_or(part, |(_, rest)| rest));
+    }
+    out
+}

@@ -1,0 +1,52 @@
+//! The pages about codes: every example is tried.
+
+use imrs_language::codes::{ALL, explain};
+use imrs_language::{Source, compile, parse};
+
+/// The codes that this text is turned down with.
+fn codes(text: &str) -> Vec<&'static str> {
+    match Source::new(text.as_bytes()) {
+        Ok(source) => parse(&source).diagnostics.iter().map(|found| found.code).collect(),
+        Err(found) => vec![found.code],
+    }
+}
+
+/// The codes that this cell is turned down with: pages about the syntax show pieces of cells, the others whole ones.
+fn codes_of_cell(text: &str) -> Vec<&'static str> {
+    let source = Source::new(text.as_bytes()).expect("a text");
+    compile(&source).diagnostics.iter().map(|found| found.code).collect()
+}
+
+/// The blocks of a page that are fenced like this.
+fn blocks<'p>(page: &'p str, fence: &str) -> Vec<&'p str> {
+    let fence = format!("```cell,{fence}\n");
+    let begins = page.split(&fence).skip(1);
+    begins.map(|rest| rest.split("```").next().unwrap_or_default()).collect()
+}
+
+#[test]
+fn every_example_of_every_page_is_what_it_says() {
+    for entry in ALL {
+        let codes = if entry.code.starts_with("E0") { codes } else { codes_of_cell };
+        let (wrong, right) = (blocks(entry.explanation, "wrong"), blocks(entry.explanation, "right"));
+        assert_eq!(wrong.len(), right.len(), "{}", entry.code);
+        for text in wrong {
+            assert_eq!(codes(text), [entry.code], "{text}");
+        }
+        for text in right {
+            assert_eq!(codes(text), [""; 0], "{text}");
+        }
+    }
+}
+
+#[test]
+fn codes_are_sorted_and_have_a_page_each() {
+    assert!(ALL.is_sorted_by(|a, b| a.code < b.code));
+    for entry in ALL {
+        let heading = format!("# {}: {}\n", entry.code, entry.title);
+        assert!(entry.explanation.starts_with(&heading), "{}", entry.code);
+        assert!(entry.explanation.len() > heading.len() + 40, "{} is not explained", entry.code);
+    }
+    assert_eq!(explain("e007").map(|entry| entry.code), Some("E007"));
+    assert_eq!(explain("E999"), None);
+}

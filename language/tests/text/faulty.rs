@@ -1,0 +1,82 @@
+//! What is said about faulty texts. Each file of `tests/faulty` is one; its findings are recorded beside it.
+
+use crate::{codes, rendered, source};
+use imrs_language::{parse, render};
+use std::path::Path;
+
+#[test]
+fn faulty_texts_are_reported_as_recorded() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/faulty");
+    let mut texts: Vec<_> = std::fs::read_dir(folder)
+        .expect("the folder of faulty texts")
+        .flatten()
+        .map(|entry| entry.path())
+        .filter(|path| path.extension().is_some_and(|extension| extension == "cell"))
+        .collect();
+    texts.sort();
+    assert!(texts.len() >= 25, "only {} faulty texts", texts.len());
+    let mut settings = insta::Settings::clone_current();
+    settings.set_snapshot_path("../faulty");
+    settings.set_prepend_module_to_snapshot(false);
+    settings.set_omit_expression(true);
+    let _bound = settings.bind_to_scope();
+    let mut surprising = Vec::new();
+    for path in texts {
+        let text = std::fs::read_to_string(&path).expect("a text");
+        let name = path.file_stem().and_then(|name| name.to_str()).expect("a name").to_owned();
+        // How many errors there are is said by the text itself, in its first line.
+        let first = text.lines().next().unwrap_or_default();
+        let expected: Vec<&str> = first.trim_start_matches("// ").split(' ').collect();
+        if codes(&text) != expected {
+            surprising.push(format!("{name}:\n{}", rendered(&text)));
+            continue;
+        }
+        insta::assert_snapshot!(name, rendered(&text));
+    }
+    assert!(surprising.is_empty(), "{}", surprising.join("\n"));
+}
+
+#[test]
+fn ten_unrelated_errors_are_ten_errors() {
+    let text = include_str!("ten.cell");
+    let lines: Vec<usize> = text
+        .lines()
+        .enumerate()
+        .filter(|(_, line)| line.contains("// wrong"))
+        .map(|(index, _)| index + 1)
+        .collect();
+    let source = source(text);
+    let found = parse(&source).diagnostics;
+    let places: Vec<usize> = found.iter().map(|found| source.position(found.primary.span.start).0).collect();
+    assert_eq!(places, lines, "{}", rendered(text));
+    assert_eq!(lines.len(), 10);
+}
+
+#[test]
+fn programs_get_lines_and_columns() {
+    let text = "cell c;\nnode \"ä\" x;\n";
+    let source = source(text);
+    let found = parse(&source).diagnostics;
+    let located = render::located(&found, "a.cell", Some(&source));
+    let [label] = &located[0].labels[..] else { panic!("{located:?}") };
+    assert_eq!((label.start.line, label.start.column, label.start.byte), (2, 6, 13));
+    assert_eq!((label.end.line, label.end.column, label.end.byte), (2, 9, 17));
+}
+
+#[test]
+fn colours_are_the_callers_choice() {
+    let source = source("cell 1;");
+    let found = parse(&source).diagnostics;
+    let plain = render::text(&found, "a.cell", Some(&source), render::Style::Plain);
+    let coloured = render::text(&found, "a.cell", Some(&source), render::Style::Coloured);
+    assert!(!plain.contains('\x1b') && coloured.contains('\x1b'), "{plain}{coloured}");
+}
+
+#[test]
+fn bytes_that_are_no_text_are_one_error() {
+    let found = imrs_language::Source::new(b"cell c;\n\xff\xfe").expect_err("no text");
+    assert_eq!(found.code, "E013");
+    assert!(found.message.contains("byte 8 (line 2)"), "{}", found.message);
+    let shown = render::text(&[*found], "a.cell", None, render::Style::Plain);
+    assert!(shown.contains("a.cell"), "{shown}");
+}

@@ -1,0 +1,106 @@
+//! The formatter.
+
+use crate::{BEAM_LIFT, PAPER, WELD, source};
+use imrs_language::format;
+use proptest::prelude::*;
+
+use crate::support::formats;
+
+fn formatted(text: &str) -> String {
+    format(&source(text)).unwrap_or_else(|_| panic!("{}", crate::rendered(text)))
+}
+
+#[test]
+fn examples_are_formatted_as_recorded() {
+    let mut settings = insta::Settings::clone_current();
+    settings.set_snapshot_path("../formatted");
+    settings.set_prepend_module_to_snapshot(false);
+    settings.set_omit_expression(true);
+    let _bound = settings.bind_to_scope();
+    for (name, text) in [("beam_lift", BEAM_LIFT), ("weld", WELD), ("paper", PAPER)] {
+        formats(&source(text));
+        insta::assert_snapshot!(name, formatted(text));
+    }
+}
+
+#[test]
+fn spellings_and_spaces_are_settled() {
+    let text = "CELL c ;TASK t ON n\n\n\n\n PORT Rate( a:INT8 ,b )Usage=send user_list=( a,b c )rate = 1 / 2 sec  \
+                bounded_buffer [ 3 ] ;\r\nBEGIN\nRate:=- 1-( - - 2)+NOT.x [";
+    // It cannot be read.
+    assert!(format(&source(text)).is_err());
+    let text = text
+        .replace("+NOT.x [", ";\nIF a THEN\nrun x TAKES 1 .. 2 sec\nON failed DO\nskip;\nEND;\nEND;\nEND t;");
+    let expected = "cell c; task t on n
+
+  port Rate(a: int8, b) usage = send user_list = {a, b, c} rate = 1/2 sec bounded_buffer[3];
+begin
+  Rate := -1 - (- -2);
+  if a then
+    run x takes 1..2 sec
+      on failed do
+        skip;
+      end;
+  end;
+end t;
+";
+    assert_eq!(formatted(&text), expected);
+}
+
+#[test]
+fn texts_with_errors_are_left_alone() {
+    let found = format(&source("cell c; node;")).expect_err("an error");
+    assert_eq!(found[0].code, "E005");
+}
+
+/// Comments and blanks of all kinds.
+fn gap() -> impl Strategy<Value = &'static str> {
+    proptest::sample::select(vec![
+        " ",
+        "  ",
+        "\n",
+        "\n\n\n",
+        "\t",
+        "\r\n",
+        " (* c *) ",
+        "\n(* two\n   lines *)\n",
+        " // c\n",
+        "\n// c\n",
+        "/* c */",
+    ])
+}
+
+/// Splits a text where blanks stand, and puts other gaps there.
+fn regapped(text: &'static str) -> impl Strategy<Value = String> {
+    // Texts and comments keep what stands in them.
+    let lines = text.lines().map(|line| line.split("//").next().unwrap_or_default());
+    let plain = lines.collect::<Vec<_>>().join("\n");
+    let plain = match (plain.find("/*"), plain.find("*/")) {
+        (Some(begin), Some(end)) => format!("{}{}", &plain[..begin], &plain[end + 2..]),
+        _ => plain,
+    };
+    let mut words: Vec<String> = Vec::new();
+    for (index, part) in plain.split('"').enumerate() {
+        if index % 2 == 1 {
+            words.push(format!("\"{part}\""));
+        } else {
+            words.extend(part.split_whitespace().map(str::to_owned));
+        }
+    }
+    proptest::collection::vec(gap(), words.len())
+        .prop_map(move |gaps| words.iter().zip(gaps).flat_map(|(word, gap)| [word.as_str(), gap]).collect())
+}
+
+proptest! {
+    #![proptest_config(ProptestConfig::with_cases(150))]
+
+    #[test]
+    fn any_blanks_and_comments_are_settled(
+        text in prop_oneof![regapped(BEAM_LIFT), regapped(WELD), regapped(PAPER)]
+    ) {
+        formats(&source(&text));
+        let marks = |text: &str| text.matches("c *)").count() + text.matches("// c").count() + text.matches("c */").count()
+            + text.matches("lines *)").count();
+        prop_assert_eq!(marks(&formatted(&text)), marks(&text));
+    }
+}

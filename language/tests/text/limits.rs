@@ -1,0 +1,109 @@
+//! What is larger than is allowed is refused, quickly and without overflow.
+
+use crate::{codes, diagnostics};
+use imrs_language::{LONGEST_FILE, Source, format};
+use std::time::{Duration, Instant};
+
+fn in_task(body: &str) -> String {
+    format!("cell c; task t on n begin {body} end t;")
+}
+
+#[test]
+fn nesting_has_a_bound() {
+    let blocks = |n: usize| in_task(&format!("{}{}", "loop ".repeat(n), "end; ".repeat(n)));
+    assert_eq!(codes(&blocks(63)), [""; 0]);
+    assert_eq!(codes(&blocks(64)), ["E012"]);
+    let parentheses = |n: usize| in_task(&format!("x := {}1{};", "(".repeat(n), ")".repeat(n)));
+    assert_eq!(codes(&parentheses(64)), [""; 0]);
+    assert_eq!(codes(&parentheses(65)), ["E012"]);
+    for sign in ["not ", "- "] {
+        let signs = |n: usize| in_task(&format!("x := {}y;", sign.repeat(n)));
+        assert_eq!(codes(&signs(64)), [""; 0]);
+        assert_eq!(codes(&signs(65)), ["E012"]);
+    }
+    let mixed = format!("x := {}1{};", "(- - not ".repeat(60), ")".repeat(60));
+    assert!(!codes(&in_task(&mixed)).is_empty());
+}
+
+#[test]
+fn expressions_and_names_have_a_bound() {
+    let sum = |n: usize| in_task(&format!("x := 1{};", " + 1".repeat(n)));
+    assert_eq!(codes(&sum(256)), [""; 0]);
+    assert_eq!(codes(&sum(257)), ["E012"]);
+    assert_eq!(codes(&format!("cell {};", "n".repeat(64))), [""; 0]);
+    assert_eq!(codes(&format!("cell {};", "n".repeat(65))), ["E012"]);
+}
+
+#[test]
+fn blocks_without_do_are_bounded_too() {
+    let found = codes(&in_task(&"while x ".repeat(1000)));
+    assert!(found.contains(&"E012"), "{found:?}");
+}
+
+#[test]
+fn a_hundred_errors_are_shown_and_the_others_counted() {
+    let found = diagnostics(&format!("cell c; {}", "node 1; ".repeat(107)));
+    assert_eq!(found.len(), 101);
+    assert_eq!((found[100].code, found[100].message.as_str()), ("E016", "7 more errors are not shown"));
+    let found = diagnostics(&format!("cell c; {}", "node 1; ".repeat(100)));
+    assert_eq!(found.len(), 100);
+}
+
+#[test]
+fn files_have_a_bound() {
+    let text = " ".repeat(LONGEST_FILE + 1);
+    assert_eq!(Source::new(text.as_bytes()).expect_err("too long").code, "E012");
+}
+
+/// Sixteen megabytes of rubbish of several kinds. The bound is generous: what it is to catch takes minutes.
+#[test]
+fn the_longest_rubbish_is_refused_quickly() {
+    let kinds = [
+        "x",
+        "x;",
+        ";",
+        "(",
+        "(*",
+        "\"",
+        "§",
+        "§x",
+        "loop ",
+        "end ",
+        "end;",
+        "if x then ",
+        "a + ",
+        "not ",
+        "1.",
+        "'",
+        "/*",
+        "cell c;",
+        "task ",
+        "on ",
+        "waitfro x;",
+        "begin x;",
+        "x := 1 ",
+        "port p() ",
+        "on x do ",
+        "while x ",
+        "{ ",
+    ];
+    for kind in kinds {
+        let begin = Instant::now();
+        let text = format!("cell c; task t on n begin {}", kind.repeat((LONGEST_FILE - 100) / kind.len()));
+        let found = diagnostics(&text);
+        assert!(!found.is_empty() && found.len() <= 101, "{kind}: {}", found.len());
+        let took = begin.elapsed();
+        println!("{kind:?}: {took:?}");
+        assert!(took < Duration::from_secs(20), "{kind}: {took:?}");
+    }
+}
+
+#[test]
+fn a_long_text_without_faults_is_read_and_formatted_quickly() {
+    let text = in_task(&"send p(x + 1, y.z) on time_out do skip; end;\n".repeat(40_000));
+    let begin = Instant::now();
+    let source = Source::new(text.as_bytes()).expect("a text");
+    let formatted = format(&source).expect("no error");
+    println!("{} bytes in {:?}", text.len(), begin.elapsed());
+    assert!(formatted.len() > text.len() && begin.elapsed() < Duration::from_secs(30));
+}

@@ -1,0 +1,39 @@
+//! What can be seen of the language from outside: texts in, trees, diagnostics and formatted texts out.
+
+mod bytes;
+mod examples;
+mod explanations;
+mod faulty;
+mod format;
+mod generated;
+mod limits;
+#[path = "../support/bytes.rs"]
+mod support;
+
+use imrs_language::{Diagnostic, Source, parse, render};
+
+const BEAM_LIFT: &str = include_str!("../cells/beam_lift.cell");
+const WELD: &str = include_str!("../cells/weld.cell");
+const PAPER: &str = include_str!("../cells/paper.cell");
+
+fn source(text: &str) -> Source {
+    Source::new(text.as_bytes()).expect("a text")
+}
+
+fn diagnostics(text: &str) -> Vec<Diagnostic> {
+    parse(&source(text)).diagnostics
+}
+
+fn codes(text: &str) -> Vec<&'static str> {
+    diagnostics(text).iter().map(|found| found.code).collect()
+}
+
+fn rendered(text: &str) -> String {
+    let source = source(text);
+    render::text(&parse(&source).diagnostics, "test.cell", Some(&source), render::Style::Plain)
+}
+
+/// The tree of a text without what says where things stand.
+fn tree(text: &str) -> String {
+    support::plain(&parse(&source(text)).file)
+}
