@@ -69,7 +69,7 @@ impl Couple {
         couple.p.ask(Request::Lease);
         assert_eq!(couple.beat().1, Vec::<String>::new());
         let (second, told) = couple.beat();
-        assert_eq!(told, ["granted 1"]);
+        assert_eq!(told, ["granted 3"]);
         (couple, second)
     }
 }
@@ -107,7 +107,7 @@ fn a_standby_that_restarts_goes_on_renewing_the_lease() {
     net.ask(P, Request::Lease);
     // So long that the new life's numbers do not come near those of the earlier one.
     net.run(400);
-    assert_eq!(net.heard(P), ["granted 1"]);
+    assert_eq!(net.heard(P), ["granted 3"]);
     net.restart(NS, 1);
     for _ in 0..200 {
         net.run(1);
@@ -118,7 +118,7 @@ fn a_standby_that_restarts_goes_on_renewing_the_lease() {
 #[test]
 fn who_acts_is_granted_the_lease_at_once_and_who_was_fenced_never() {
     let (mut couple, _) = Couple::granted(false);
-    assert_eq!(couple.p.ask(Request::Lease).words(), ["granted 1"]);
+    assert_eq!(couple.p.ask(Request::Lease).words(), ["granted 3"]);
     couple.p.pass(LEASE);
     assert!(!couple.p.task.is_active());
     assert_eq!(couple.p.ask(Request::Lease).words(), ["fault Fenced"]);
@@ -140,7 +140,7 @@ fn a_wait_for_the_lease_may_be_interrupted_and_ends_when_the_handler_returns() {
     assert_eq!(s.ask(Request::Lease).words(), ["fault Busy"], "one wait at a time");
     s.pass(TAKEOVER);
     assert!(s.task.is_active());
-    assert_eq!(s.ask(Request::Return).words(), ["granted 2"]);
+    assert_eq!(s.ask(Request::Return).words(), ["granted 4"]);
     // It has been told: no take-over interrupts it as well.
     assert_eq!(s.ask(Request::Boundary).words(), ["accepted 0"]);
 }

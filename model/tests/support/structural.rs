@@ -7,8 +7,8 @@ use std::hash::Hasher;
 
 /// Counters, numbers of arrival, the bookkeeping of a queue, and what is shown and not acted on. `life` is constant
 /// where no node restarts.
-const LEFT_OUT: [&str; 8] =
-    ["counters", "arrivals", "heap", "positions", "free", "confirmed", "life", "taken"];
+const LEFT_OUT: [&str; 9] =
+    ["counters", "arrivals", "arrival", "slots", "positions", "free", "confirmed", "life", "taken"];
 
 /// Feeds the fields of `value` to the hasher.
 pub fn hash_fields(value: &impl Serialize, hasher: &mut impl Hasher) {

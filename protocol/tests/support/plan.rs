@@ -64,6 +64,7 @@ impl Plan {
             };
             let guarded = self.is_coupled()
                 && matches!(port.usage, Usage::Send | Usage::Receive)
+                && port.fragments == 1
                 && senders.iter().all(of_the_couple);
             cell.port(if guarded { port.guard(0) } else { port });
         }
