@@ -1,5 +1,6 @@
 //! All phases, one after another.
 
+use crate::checks;
 use crate::diagnostic::{Diagnostic, Severity};
 use crate::hir::Hir;
 use crate::lower::{Lowered, Unit, lower, table_errors};
@@ -25,10 +26,23 @@ impl Compiled {
     }
 }
 
-/// Compiles a file: syntax, names and types, then what the machine's own tables say. A phase runs only where the one
-/// before it found no error, so that one fault is said once.
+/// What is asked of a compilation.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Options {
+    /// Only the words of the paper are allowed.
+    pub paper: bool,
+}
+
+/// Compiles a file: [`compile_with`] without options.
 #[must_use]
 pub fn compile(source: &Source) -> Compiled {
+    compile_with(source, Options::default())
+}
+
+/// Compiles a file: syntax, names and types, what the cell does, then what the machine's own tables say. A phase runs only where the one
+/// before it found no error, so that one fault is said once.
+#[must_use]
+pub fn compile_with(source: &Source, options: Options) -> Compiled {
     let parsed = parse(source);
     let mut diagnostics = parsed.diagnostics;
     if has_error(&diagnostics) {
@@ -36,6 +50,12 @@ pub fn compile(source: &Source) -> Compiled {
     }
     let resolved = resolve(&parsed.file, source.text());
     diagnostics.extend(resolved.diagnostics);
+    if !has_error(&diagnostics) {
+        diagnostics.extend(checks::all(&resolved.hir));
+        if options.paper {
+            diagnostics.extend(checks::paper(&parsed.file, &resolved.hir));
+        }
+    }
     if !has_error(&diagnostics) {
         diagnostics.extend(machine(&resolved.hir));
     }
