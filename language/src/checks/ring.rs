@@ -1,0 +1,49 @@
+//! Rings in graphs.
+
+/// The shortest ring among `size` points that these edges make; the one with the least first point of these.
+pub(super) fn shortest(size: usize, edges: &[(usize, usize)]) -> Option<Vec<usize>> {
+    (0..size).filter_map(|start| back_to(start, size, edges)).min_by_key(Vec::len)
+}
+
+/// The shortest way from a point back to itself, through points behind it.
+fn back_to(start: usize, size: usize, edges: &[(usize, usize)]) -> Option<Vec<usize>> {
+    let mut from: Vec<Option<usize>> = vec![None; size];
+    let mut at = vec![start];
+    while !at.is_empty() {
+        let mut next = Vec::new();
+        for &point in &at {
+            for &(_, to) in edges.iter().filter(|edge| edge.0 == point) {
+                if to == start {
+                    return Some(way(start, point, &from));
+                }
+                if to > start && from[to].is_none() {
+                    from[to] = Some(point);
+                    next.push(to);
+                }
+            }
+        }
+        at = next;
+    }
+    None
+}
+
+fn way(start: usize, end: usize, from: &[Option<usize>]) -> Vec<usize> {
+    let mut way = vec![end];
+    while let Some(before) = way.last().filter(|&&last| last != start).and_then(|&last| from[last]) {
+        way.push(before);
+    }
+    way.reverse();
+    way
+}
+
+#[cfg(test)]
+mod tests {
+    use super::shortest;
+
+    #[test]
+    fn the_shortest_ring_is_found() {
+        assert_eq!(shortest(4, &[(0, 1), (1, 2), (2, 0), (2, 3), (3, 2)]), Some(vec![2, 3]));
+        assert_eq!(shortest(3, &[(0, 1), (1, 2), (2, 0)]), Some(vec![0, 1, 2]));
+        assert_eq!(shortest(3, &[(0, 1), (1, 2), (0, 2)]), None);
+    }
+}
