@@ -57,8 +57,11 @@ fn verdict(file: &str, compiled: &Compiled, out: &mut Output) -> Result<(), Fail
         0 => None,
         number => Some(count(number as u64, word)),
     };
-    let counts =
-        [number(Severity::Error, "error"), number(Severity::Warning, "warning"), number(Severity::Note, "note")];
+    let counts = [
+        number(Severity::Error, "error"),
+        number(Severity::Warning, "warning"),
+        number(Severity::Note, "note"),
+    ];
     let counts: Vec<String> = counts.into_iter().flatten().collect();
     if !compiled.diagnostics.is_empty() {
         out.line("")?;

@@ -17,9 +17,9 @@ pub fn run(args: &ExplainArgs, out: &mut Output) -> Result<Exit, Failure> {
     };
     match args.format {
         Format::Json => {
-            let pages = entries.iter().map(|entry| {
-                json!({"code": entry.code, "title": entry.title, "explanation": entry.explanation})
-            });
+            let pages = entries.iter().map(
+                |entry| json!({"code": entry.code, "title": entry.title, "explanation": entry.explanation}),
+            );
             out.json(&json!({"version": 1, "codes": pages.collect::<Vec<_>>()}))?;
         }
         Format::Text if args.code.is_none() => {
@@ -35,7 +35,8 @@ pub fn run(args: &ExplainArgs, out: &mut Output) -> Result<Exit, Failure> {
 
 fn page(code: &str) -> Result<&'static CodeEntry, Failure> {
     codes::explain(code).ok_or_else(|| {
-        let upper = code.to_ascii_uppercase();
+        // An O for a zero is the likeliest slip.
+        let upper = code.to_ascii_uppercase().replace('O', "0");
         let near = did_you_mean(&upper, codes::ALL.iter().map(|entry| entry.code));
         // The list of all is too long for a line.
         let hint = if near.starts_with(": did") { near } else { ": `imrs explain` lists them".to_owned() };

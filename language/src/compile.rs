@@ -67,10 +67,11 @@ fn has_error(diagnostics: &[Diagnostic]) -> bool {
 /// What can be known of what the cell does, and what its tables say, in the order of the text.
 fn behaviour(file: &File, hir: &Hir, options: Options) -> Vec<Diagnostic> {
     let mut found = machine(hir);
-    // A time_out that cannot cover its way is not also said to be short.
-    let deadlines: Vec<Span> =
-        found.iter().filter(|found| found.code == DEADLINE).map(|found| found.primary.span).collect();
-    let again = |found: &Diagnostic| found.code == SHORT_TIME_OUT && deadlines.contains(&found.primary.span);
+    // A time_out that cannot cover its way is not also said to be short: both point at their port.
+    let port = |found: &Diagnostic| found.secondary.first().map(|label| label.span);
+    let deadlines: Vec<Option<Span>> =
+        found.iter().filter(|found| found.code == DEADLINE).map(port).collect();
+    let again = |found: &Diagnostic| found.code == SHORT_TIME_OUT && deadlines.contains(&port(found));
     found.extend(checks::all(hir, options.paper).into_iter().filter(|found| !again(found)));
     if options.paper {
         found.extend(checks::paper(file));

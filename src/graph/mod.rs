@@ -19,7 +19,8 @@ pub fn run(args: &GraphArgs, out: &mut Output) -> Result<Exit, Failure> {
     let source = read(&args.cell)?;
     let compiled = compile(&source);
     let Some(hir) = &compiled.hir else {
-        let found = render::text(&compiled.diagnostics, &shown(&args.cell), Some(&source), render::Style::Coloured);
+        let found =
+            render::text(&compiled.diagnostics, &shown(&args.cell), Some(&source), render::Style::Coloured);
         complain_in_full(out.color, &found);
         return Ok(Exit::Finding);
     };

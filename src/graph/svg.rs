@@ -60,8 +60,7 @@ impl Plan {
         let tasks = longest(&mut hir.tasks.iter().map(|task| task.name.as_str()));
         let nodes = longest(&mut hir.nodes.iter().map(|node| node.name.as_str()));
         let column = COLUMN.max((tasks.max(nodes).unwrap_or(0) + 3) * CHARACTER);
-        let mut plan =
-            Self { nodes: Vec::new(), tasks: vec![0; hir.tasks.len()], column, width: MARGIN };
+        let mut plan = Self { nodes: Vec::new(), tasks: vec![0; hir.tasks.len()], column, width: MARGIN };
         for at in 0..hir.nodes.len() {
             let left = plan.width;
             let here = hir.tasks.iter().enumerate().filter(|(_, task)| task.node.index() == at);

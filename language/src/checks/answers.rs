@@ -28,7 +28,8 @@ pub(super) fn check(hir: &Hir, found: &mut Vec<Diagnostic>) {
                         .help(format!("add `{word}(..)`")),
                 );
             } else if ends.next.open {
-                let message = format!("a message of `{name}` is not answered on every way through its handler");
+                let message =
+                    format!("a message of `{name}` is not answered on every way through its handler");
                 found.push(
                     Diagnostic::warning(NOT_ALWAYS_ANSWERED, handler.span, message)
                         .label(format!("may end without `{word}(..)`"))
@@ -62,12 +63,15 @@ fn received_in_body(hir: &Hir, id: TaskId, found: &mut Vec<Diagnostic>) {
     }
 }
 
-/// Whether a port of usage `reply` may carry the answer of somebody else (D11).
+/// Whether it is an answer itself, or a port of usage `reply` may carry that of somebody else (D11).
 fn answered_by_others(hir: &Hir, at: TaskId, port: &Port) -> bool {
+    if port.usage == Usage::Reply {
+        return true;
+    }
     let asks = |task: TaskId| port.peers(at).any(|peer| peer == task);
-    hir.ports.iter().any(|other| {
-        other.usage == Usage::Reply && other.users.iter().any(|user| asks(user.task))
-    })
+    hir.ports
+        .iter()
+        .any(|other| other.usage == Usage::Reply && other.users.iter().any(|user| asks(user.task)))
 }
 
 fn replies(body: &[Statement]) -> bool {
@@ -131,7 +135,10 @@ impl Ways {
             }
             StatementKind::If { arms, otherwise } => {
                 let arms = arms.iter().map(|(_, body)| Self::of(body, from));
-                arms.fold(Self::of(otherwise, from), |a, b| Self { next: a.next.or(b.next), exit: a.exit.or(b.exit) })
+                arms.fold(Self::of(otherwise, from), |a, b| Self {
+                    next: a.next.or(b.next),
+                    exit: a.exit.or(b.exit),
+                })
             }
             _ => plain(from),
         };
@@ -142,4 +149,3 @@ impl Ways {
         ways
     }
 }
-

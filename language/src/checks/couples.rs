@@ -74,7 +74,8 @@ fn loose(hir: &Hir, couple: &Couple, tasks: &[TaskId], over: TaskId, found: &mut
     for &member in tasks.iter().filter(|&&member| member != over) {
         if !hir.ports.iter().any(|port| port.owner == over && joins(port, over, member)) {
             let name = &task(hir, member).name;
-            let message = format!("`{name}` shares what `{}` administers, but uses no port of it", owner.name);
+            let message =
+                format!("`{name}` shares what `{}` administers, but uses no port of it", owner.name);
             found.push(
                 Diagnostic::warning(LOOSE, couple.span, message)
                     .label("the administrator owns the ports")

@@ -36,12 +36,14 @@ fn comes(hir: &Hir, port: PortId, member: TaskId) -> bool {
 }
 
 fn everybody_comes(hir: &Hir, id: PortId, port: &Port, found: &mut Vec<Diagnostic>) {
-    let (come, missing): (Vec<TaskId>, Vec<TaskId>) = members(port).partition(|&member| comes(hir, id, member));
+    let (come, missing): (Vec<TaskId>, Vec<TaskId>) =
+        members(port).partition(|&member| comes(hir, id, member));
     let Some(&one) = come.first() else { return };
     for member in missing.into_iter().filter(|&member| !is_draft(task(hir, member))) {
         let (name, waits) = (&task(hir, member).name, &task(hir, one).name);
         let number = members(port).count();
-        let message = format!("port `{}` is a {number}-way waitfor, but `{name}` never reaches it", port.name);
+        let message =
+            format!("port `{}` is a {number}-way waitfor, but `{name}` never reaches it", port.name);
         found.push(
             Diagnostic::error(NEVER_COMES, named(port, member), message)
                 .label(format!("no `waitfor {}` in `{name}`", port.name))
@@ -115,8 +117,7 @@ fn in_one_order(hir: &Hir, found: &mut Vec<Diagnostic>) {
     let edges: Vec<(usize, usize)> = orders.iter().map(|order| order.0).collect();
     let Some(ring) = ring::shortest(hir.ports.len(), &edges) else { return };
     let steps = ring.iter().zip(ring.iter().cycle().skip(1));
-    let steps: Vec<_> =
-        steps.filter_map(|(&a, &b)| orders.iter().find(|order| order.0 == (a, b))).collect();
+    let steps: Vec<_> = steps.filter_map(|(&a, &b)| orders.iter().find(|order| order.0 == (a, b))).collect();
     let said = steps.iter().map(|((a, b), id, _)| {
         format!("`{}` does `{}` before `{}`", task(hir, *id).name, hir.ports[*a].name, hir.ports[*b].name)
     });

@@ -12,7 +12,8 @@ use imrs_protocol::{Class, PortId, TaskId, Usage};
 pub(super) fn check(hir: &Hir, paper: bool, found: &mut Vec<Diagnostic>) {
     for (at, port) in hir.ports.iter().enumerate() {
         let id = PortId::from_index(at);
-        if port.usage != Usage::Waitfor && !carries_beats(hir, id) {
+        // What a port of usage `reply` carries ends a query (D11): nobody takes it.
+        if !matches!(port.usage, Usage::Waitfor | Usage::Reply) && !carries_beats(hir, id) {
             is_received(hir, id, port, found);
             has_room(hir, port, found);
             has_time(hir, id, port, found);
@@ -115,10 +116,15 @@ fn has_room(hir: &Hir, port: &Port, found: &mut Vec<Diagnostic>) {
         return;
     }
     let room = port.bounded_buffer;
-    let message = format!("bounded_buffer[{room}] of `{}` with {number} senders may refuse messages", port.name);
+    let message =
+        format!("bounded_buffer[{room}] of `{}` with {number} senders may refuse messages", port.name);
     found.push(
         Diagnostic::warning(FULL, port.buffer_span.unwrap_or(port.span), message)
-            .label(if port.buffer_span.is_some() { "too small" } else { "bounded_buffer[1] where none is said" })
+            .label(if port.buffer_span.is_some() {
+                "too small"
+            } else {
+                "bounded_buffer[1] where none is said"
+            })
             .help(format!("write `bounded_buffer[{number}]`: one place for each sender")),
     );
 }
@@ -150,7 +156,10 @@ fn has_time(hir: &Hir, id: PortId, port: &Port, found: &mut Vec<Diagnostic>) {
         let (label, help) = if by_handler {
             ("no handler comes in between: it is `atomic`", "end the `atomic` in front of it".to_owned())
         } else {
-            ("no message is taken meanwhile", format!("take `{}` with a handler, or raise its time_out", port.name))
+            (
+                "no message is taken meanwhile",
+                format!("take `{}` with a handler, or raise its time_out", port.name),
+            )
         };
         let report = Diagnostic::warning(TOO_BUSY, place, message).label(label).also(port.span, "the port");
         found.push(report.help(help));
@@ -185,7 +194,10 @@ fn penalty(port: &Port, paper: bool, found: &mut Vec<Diagnostic>) {
         found.push(
             Diagnostic::warning(LITERAL_PENALTY, length.span, message)
                 .label(format!("each rejection adds {} to a life of {}", time(length.usec), time(life.usec)))
-                .help(format!("write `penalty = {}`: what is rejected rises in rank (D4)", time(length.usec))),
+                .help(format!(
+                    "write `penalty = {}`: what is rejected rises in rank (D4)",
+                    time(length.usec)
+                )),
         );
     } else if length.usec >= life.usec && !literal {
         let (penalty, life) = (time(length.usec), time(life.usec));
@@ -237,7 +249,8 @@ fn certain_call(hir: &Hir, id: PortId, from: TaskId, to: TaskId) -> Option<crate
     walk::certain(&task(hir, from).body, &mut |statement| {
         if let StatementKind::Send { port, to: recipients, .. } = &statement.kind
             && *port == id
-            && (*recipients == Recipients::All || matches!(recipients, Recipients::These(tasks) if tasks.contains(&to)))
+            && (*recipients == Recipients::All
+                || matches!(recipients, Recipients::These(tasks) if tasks.contains(&to)))
         {
             place = place.or(Some(statement.span));
         }
@@ -268,7 +281,8 @@ fn unprepared(hir: &Hir, id: TaskId, statement: &Statement, found: &mut Vec<Diag
         return;
     }
     let what = if port.usage_of(id) == Some(Usage::Query) { "query" } else { "class-2 send" };
-    let message = format!("{what} `{}` without `on time_out`: the task ends where no answer comes", port.name);
+    let message =
+        format!("{what} `{}` without `on time_out`: the task ends where no answer comes", port.name);
     found.push(
         Diagnostic::warning(UNPREPARED, statement.span, message)
             .label("no branch")

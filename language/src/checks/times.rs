@@ -22,24 +22,28 @@ pub(super) fn check(hir: &Hir, found: &mut Vec<Diagnostic>) {
     loads(hir, found);
 }
 
+/// The shortest time_out of a port against the tick.
 fn time_outs(hir: &Hir, port: &Port, found: &mut Vec<Diagnostic>) {
     let Some(tick) = hir.tick.map(|tick| tick.usec.max(1)) else { return };
     let all = port.time_out.into_iter().chain(port.users.iter().filter_map(|user| user.time_out));
-    for life in all {
-        let ticks = life.usec / tick;
-        let message = format!("time_out {} of `{}` is {ticks} ticks", time(life.usec), port.name);
-        if ticks < LEAST_TICKS {
-            found.push(
-                Diagnostic::error(SHORT_TIME_OUT, life.span, message)
-                    .label(format!("under {LEAST_TICKS} ticks of {}", time(tick)))
-                    .help(format!("give it {} or more, or the cell a shorter tick", time(tick * LEAST_TICKS))),
-            );
-        } else if ticks < FEW_TICKS {
-            found.push(
-                Diagnostic::note(SOON, life.span, message)
-                    .label(format!("a timer may be late by one tick: {} percent of it", 100 / ticks)),
-            );
-        }
+    let Some(life) = all.min_by_key(|life| life.usec) else { return };
+    let ticks = life.usec / tick;
+    let message = format!("time_out {} of `{}` is {ticks} ticks", time(life.usec), port.name);
+    if ticks < LEAST_TICKS {
+        found.push(
+            Diagnostic::error(SHORT_TIME_OUT, life.span, message)
+                .label(format!("under {LEAST_TICKS} ticks of {}", time(tick)))
+                .also(port.span, "the port")
+                .help(format!(
+                    "give it {} or more, or the cell a shorter tick",
+                    time(tick.saturating_mul(LEAST_TICKS))
+                )),
+        );
+    } else if ticks < FEW_TICKS {
+        found.push(
+            Diagnostic::note(SOON, life.span, message)
+                .label(format!("a timer may be late by one tick: {} percent of it", 100 / ticks)),
+        );
     }
 }
 
@@ -50,7 +54,9 @@ fn loads(hir: &Hir, found: &mut Vec<Diagnostic>) {
         let bytes: usize = port.message.iter().map(|field| field.of.bytes()).sum();
         let packets = bytes.div_ceil(12).max(1) as f64 * if port.class == Class::Command { 2.0 } else { 1.0 };
         for from in super::messages::senders(port) {
-            let Some((count, per)) = port.user(from).and_then(|user| user.rate).or(port.rate) else { continue };
+            let Some((count, per)) = port.user(from).and_then(|user| user.rate).or(port.rate) else {
+                continue;
+            };
             let rate = f64::from(count) * 1e6 / per.usec.max(1) as f64;
             for to in port.peers(from) {
                 for link in way(hir, node(hir, from), node(hir, to)) {

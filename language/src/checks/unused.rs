@@ -55,7 +55,9 @@ fn uses(hir: &Hir, id: PortId, by: TaskId) -> bool {
 fn port(hir: &Hir, id: PortId, found: &mut Vec<Diagnostic>) {
     let port = &hir.ports[id.index()];
     let starts: Vec<TaskId> = match port.usage {
-        Usage::Waitfor => std::iter::once(port.owner).chain(port.users.iter().map(|user| user.task)).collect(),
+        Usage::Waitfor => {
+            std::iter::once(port.owner).chain(port.users.iter().map(|user| user.task)).collect()
+        }
         _ => messages::senders(port).collect(),
     };
     let used = |&by: &TaskId| is_draft(task(hir, by)) || uses(hir, id, by);
@@ -76,7 +78,8 @@ fn variables(hir: &Hir, id: TaskId, found: &mut Vec<Diagnostic>) {
     if task.is_extern || is_draft(task) {
         return;
     }
-    let mut uses = Uses { read: vec![false; task.variables.len()], written: vec![false; task.variables.len()] };
+    let mut uses =
+        Uses { read: vec![false; task.variables.len()], written: vec![false; task.variables.len()] };
     walk::of_task(task, &mut |statement| uses.statement(statement));
     for handler in &task.handlers {
         if let Trigger::Silence { when: Some(when), .. } = &handler.trigger {
