@@ -2,7 +2,7 @@
 
 use crate::ast::File;
 use crate::checks;
-use crate::codes::{DEADLINE, SHORT_TIME_OUT};
+use crate::codes::{DEADLINE, SHORT_TIME_OUT, TOO_MANY};
 use crate::diagnostic::{Diagnostic, Severity};
 use crate::hir::Hir;
 use crate::lower::{Lowered, Unit, lower, table_errors};
@@ -67,6 +67,9 @@ fn has_error(diagnostics: &[Diagnostic]) -> bool {
 /// What can be known of what the cell does, and what its tables say, in the order of the text.
 fn behaviour(file: &File, hir: &Hir, options: Options) -> Vec<Diagnostic> {
     let mut found = machine(hir);
+    if found.iter().any(|found| found.code == TOO_MANY) {
+        return found;
+    }
     // A time_out that cannot cover its way is not also said to be short: both point at their port.
     let port = |found: &Diagnostic| found.secondary.first().map(|label| label.span);
     let deadlines: Vec<Option<Span>> =

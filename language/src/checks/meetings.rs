@@ -102,7 +102,7 @@ fn can_give_up(hir: &Hir, found: &mut Vec<Diagnostic>) {
 
 /// Two members of two meetings that come to them in different orders wait for each other.
 fn in_one_order(hir: &Hir, found: &mut Vec<Diagnostic>) {
-    let mut orders: Vec<((usize, usize), TaskId, Span)> = Vec::new();
+    let mut orders: Vec<Order> = Vec::new();
     for (id, task) in tasks(hir).filter(|(_, task)| !is_draft(task)) {
         let mut met: Vec<usize> = Vec::new();
         walk::certain(&task.body, &mut |statement| {
@@ -115,7 +115,15 @@ fn in_one_order(hir: &Hir, found: &mut Vec<Diagnostic>) {
         });
     }
     let edges: Vec<(usize, usize)> = orders.iter().map(|order| order.0).collect();
-    let Some(ring) = ring::shortest(hir.ports.len(), &edges) else { return };
+    for ring in ring::all(hir.ports.len(), &edges) {
+        crossed(hir, &orders, &ring, found);
+    }
+}
+
+/// Who comes to which meeting before which other one, and where it waits for the second.
+type Order = ((usize, usize), TaskId, Span);
+
+fn crossed(hir: &Hir, orders: &[Order], ring: &[usize], found: &mut Vec<Diagnostic>) {
     let steps = ring.iter().zip(ring.iter().cycle().skip(1));
     let steps: Vec<_> = steps.filter_map(|(&a, &b)| orders.iter().find(|order| order.0 == (a, b))).collect();
     let said = steps.iter().map(|((a, b), id, _)| {

@@ -46,7 +46,7 @@ fn receivers(port: &Port) -> impl Iterator<Item = TaskId> + '_ {
 }
 
 /// A statement of `from` that sends to `to` through the port.
-fn sending<'h>(hir: &'h Hir, id: PortId, from: TaskId, to: Option<TaskId>) -> Option<&'h Statement> {
+fn sending(hir: &Hir, id: PortId, from: TaskId, to: Option<TaskId>) -> Option<&Statement> {
     let mut first = None;
     walk::of_task(task(hir, from), &mut |statement| {
         let sends = match &statement.kind {
@@ -212,7 +212,7 @@ fn penalty(port: &Port, paper: bool, found: &mut Vec<Diagnostic>) {
 
 /// Tasks that ask each other in a ring, none of which can answer while it asks.
 fn rings(hir: &Hir, found: &mut Vec<Diagnostic>) {
-    let mut calls = Vec::new();
+    let mut calls: Vec<Call> = Vec::new();
     for (at, port) in hir.ports.iter().enumerate().filter(|(_, port)| port.class == Class::Command) {
         let id = PortId::from_index(at);
         for from in senders(port).filter(|_| !carries_beats(hir, id)) {
@@ -227,7 +227,15 @@ fn rings(hir: &Hir, found: &mut Vec<Diagnostic>) {
         }
     }
     let edges: Vec<(usize, usize)> = calls.iter().map(|call| (call.0.index(), call.1.index())).collect();
-    let Some(ring) = ring::shortest(hir.tasks.len(), &edges) else { return };
+    for ring in ring::all(hir.tasks.len(), &edges) {
+        asking(hir, &calls, &ring, found);
+    }
+}
+
+/// Who certainly asks whom, through which port and where.
+type Call = (TaskId, TaskId, PortId, crate::Span);
+
+fn asking(hir: &Hir, calls: &[Call], ring: &[usize], found: &mut Vec<Diagnostic>) {
     let steps = ring.iter().zip(ring.iter().cycle().skip(1));
     let steps: Vec<_> = steps
         .filter_map(|(&a, &b)| calls.iter().find(|call| (call.0.index(), call.1.index()) == (a, b)))

@@ -1,7 +1,23 @@
 //! Rings in graphs.
 
+/// So many rings are looked for.
+const MOST: usize = 10;
+
+/// Rings among `size` points that these edges make, the shortest first; no two share an edge.
+pub(super) fn all(size: usize, edges: &[(usize, usize)]) -> Vec<Vec<usize>> {
+    let mut edges = edges.to_vec();
+    let mut rings = Vec::new();
+    while let Some(ring) = shortest(size, &edges).filter(|_| rings.len() < MOST) {
+        let steps: Vec<(usize, usize)> =
+            ring.iter().copied().zip(ring.iter().copied().cycle().skip(1)).collect();
+        edges.retain(|edge| !steps.contains(edge));
+        rings.push(ring);
+    }
+    rings
+}
+
 /// The shortest ring among `size` points that these edges make; the one with the least first point of these.
-pub(super) fn shortest(size: usize, edges: &[(usize, usize)]) -> Option<Vec<usize>> {
+fn shortest(size: usize, edges: &[(usize, usize)]) -> Option<Vec<usize>> {
     (0..size).filter_map(|start| back_to(start, size, edges)).min_by_key(Vec::len)
 }
 
@@ -38,12 +54,13 @@ fn way(start: usize, end: usize, from: &[Option<usize>]) -> Vec<usize> {
 
 #[cfg(test)]
 mod tests {
-    use super::shortest;
+    use super::{all, shortest};
 
     #[test]
     fn the_shortest_ring_is_found() {
         assert_eq!(shortest(4, &[(0, 1), (1, 2), (2, 0), (2, 3), (3, 2)]), Some(vec![2, 3]));
         assert_eq!(shortest(3, &[(0, 1), (1, 2), (2, 0)]), Some(vec![0, 1, 2]));
         assert_eq!(shortest(3, &[(0, 1), (1, 2), (0, 2)]), None);
+        assert_eq!(all(4, &[(0, 1), (1, 0), (2, 3), (3, 2)]), [vec![0, 1], vec![2, 3]]);
     }
 }
