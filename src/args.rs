@@ -15,6 +15,7 @@ use std::time::Duration;
     after_help = "\
 Examples:
   imrs                               check the protocol's claims: under a minute
+  imrs check examples/beam_lift.cell say what is wrong with a cell
   imrs demo beam-lift                three nodes meet over loopback UDP for 10 s
   imrs demo beam-lift --kill hoist@2s
   imrs monitor                       watch the nodes that run on this machine

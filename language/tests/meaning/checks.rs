@@ -139,6 +139,37 @@ fn nothing_is_said_of_an_answer_that_somebody_else_may_give() {
 }
 
 #[test]
+fn long_work_keeps_messages_waiting() {
+    let ask = "port q() usage = query user_list = {b} time_out = 50 msec; begin query q() on time_out do skip; end;";
+    let b = |body: &str| pair(ask, &format!("use_port q() usage = response; begin {body}"));
+    let handler = "on query q() do response(); end;";
+    check(&b("loop run work takes 1..50 msec; receive q(); response(); end;"), &[]);
+    check(
+        &b("loop run work takes 1..51 msec; receive q(); response(); end;"),
+        &["W303 `run work takes 1..51 msec`"],
+    );
+    // What does not outrank `self` is offered until it comes in between (D58), but not into an `atomic`.
+    check(&b(&format!("{handler} loop delay 1 sec; end;")), &[]);
+    check(&b(&format!("{handler} loop atomic delay 1 sec; end; end;")), &["W303 `delay 1 sec`"]);
+}
+
+#[test]
+fn of_a_work_couple_one_sends_at_a_time() {
+    assert!(
+        WELD.contains("port free()       usage = receive   user_list = {r1, r2}"),
+        "two senders, one place"
+    );
+    let apart =
+        WELD.replace("couple work r1 -> r2 lease 100 msec takeover 400 msec every 20 msec via alive;", "");
+    let apart =
+        apart.replace(" standby of r1", "").replace("takeover                 ", "                         ");
+    let apart = apart.replace("alive := p; ", "").replace("loop receive prog(p); end;", "receive prog(p);");
+    let apart = apart.replace("check one_active: never r1.active and r2.active;", "");
+    let found: Vec<_> = serious(&apart).iter().map(|found| found.code).collect();
+    assert!(found.contains(&"W302"), "{found:?}");
+}
+
+#[test]
 fn statements_that_are_never_reached() {
     let body =
         |body: &str| format!("{HEAD}task a on na var x: bool; begin run look -> x; assert x; {body} end a;");
