@@ -167,8 +167,37 @@ impl Mapping<'_> {
         let (has, needs) = (self.time(takeover), self.time(least));
         let at = self.work(couple).map_or_else(|| self.couple_span(couple), |(_, takeover)| takeover);
         Diagnostic::error(TAKEOVER_TOO_SOON, at, format!("takeover {has}: both tasks can act at a time"))
-            .label(format!("must reach {needs}: lease, drift, a tick and what was ordered last"))
+            .label(format!("must reach {needs}: {}", self.parts(couple, least)))
             .help(format!("give it {needs}, or shorten the lease or the time_outs of what the couple orders"))
+    }
+
+    /// `lease 100 msec + 200 msec of grab + 3 msec for the tick and the drift`, where these are its parts.
+    fn parts(&self, couple: &str, least: Ticks) -> String {
+        let known = self.work(couple).and_then(|(span, _)| {
+            let (at, lease) =
+                self.hir.couples.iter().enumerate().find_map(|(at, couple)| match couple.kind {
+                    CoupleKind::Work { lease, .. } if lease.span == span => Some((at, lease.usec)),
+                    CoupleKind::Work { .. }
+                    | CoupleKind::Loose { .. }
+                    | CoupleKind::Tight(_)
+                    | CoupleKind::Serial(..) => None,
+                })?;
+            let guarded = self.hir.ports.iter().filter(|port| port.guard == Some(at));
+            let lives = guarded.filter_map(|port| {
+                let ends = port.users.iter().filter_map(|user| user.time_out).chain(port.time_out);
+                Some((ends.map(|life| life.usec).max()?, port.name.as_str()))
+            });
+            let (life, port) = lives.max()?;
+            let time = |usec: u64| self.time(Ticks(usec / self.usec));
+            let rest = (least.0.saturating_mul(self.usec)).checked_sub(lease.saturating_add(life))?;
+            Some(format!(
+                "lease {} + {} of `{port}` + {} for the tick and the drift",
+                time(lease),
+                time(life),
+                time(rest)
+            ))
+        });
+        known.unwrap_or_else(|| "lease, drift, a tick and what was ordered last".to_owned())
     }
 
     fn time(&self, ticks: Ticks) -> String {

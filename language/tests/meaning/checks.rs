@@ -203,6 +203,14 @@ fn what_a_table_refuses_is_said_with_its_arithmetic() {
 }
 
 #[test]
+fn a_take_over_is_said_with_its_parts() {
+    let found = serious(&WELD.replace("takeover 400 msec", "takeover 300 msec")).remove(0);
+    let parts =
+        "must reach 301080 usec: lease 100 msec + 200 msec of `grab` + 1080 usec for the tick and the drift";
+    assert_eq!((found.code, &found.primary.text[..]), ("E305", parts));
+}
+
+#[test]
 fn the_paper_alone() {
     let found = |text: &str| -> Vec<String> {
         let source = source(text);
