@@ -15,6 +15,7 @@ use std::time::Duration;
     after_help = "\
 Examples:
   imrs                               check the protocol's claims: under a minute
+  imrs check examples/beam_lift.cell say what is wrong with a cell
   imrs demo beam-lift                three nodes meet over loopback UDP for 10 s
   imrs demo beam-lift --kill hoist@2s
   imrs monitor                       watch the nodes that run on this machine
@@ -48,6 +49,35 @@ Examples:
   imrs verify --full --memory 8G     the large bounds
   imrs verify --format json | jq '.claims[] | select(.as_expected | not)'")]
     Verify(VerifyArgs),
+    /// Compile a cell file and say everything that can be known without running it.
+    #[command(after_help = "\
+Examples:
+  imrs check examples/beam_lift.cell
+  imrs check --paper cell.cell               only the paper's words and its literal rules
+  imrs check cell.cell --format json | jq '.diagnostics[].code'
+  imrs explain E104                          what a code means, with examples
+
+A cell with warnings ends with 0, one with errors with 1, a file that cannot be read with 2.")]
+    Check(CheckArgs),
+    /// Write cell files the one way: indentation, spaces, small letters, one spelling of each option.
+    #[command(after_help = "\
+Examples:
+  imrs fmt cell.cell                         rewrites the file in place
+  imrs fmt --check examples/*.cell           changes nothing; ends with 1 where something would be
+  imrs fmt - < cell.cell                     from standard input to standard output")]
+    Fmt(FmtArgs),
+    /// Explain a code of a diagnostic, with a wrong example and a right one.
+    #[command(after_help = "\
+Examples:
+  imrs explain                               all codes
+  imrs explain E104")]
+    Explain(ExplainArgs),
+    /// Draw a cell: its nodes, their tasks, and who sends what to whom.
+    #[command(after_help = "\
+Examples:
+  imrs graph examples/beam_lift.cell > beam_lift.svg
+  imrs graph examples/beam_lift.cell --to dot | dot -Tpdf > beam_lift.pdf")]
+    Graph(GraphArgs),
     /// Run a built-in cell, one process per node over loopback UDP, and explain what happened.
     #[command(after_help = "\
 Examples:
@@ -105,6 +135,53 @@ pub struct VerifyArgs {
     /// The form of the answer [default: text].
     #[arg(long, value_enum, value_name = "FORM")]
     pub format: Option<Format>,
+}
+
+/// What `check` can be asked.
+#[derive(Args, Clone, Debug)]
+pub struct CheckArgs {
+    /// The cell file; `-` is standard input.
+    #[arg(value_name = "CELL")]
+    pub cell: PathBuf,
+    /// Allow only the words of the paper.
+    #[arg(long)]
+    pub paper: bool,
+    /// The form of the answer.
+    #[arg(long, value_enum, value_name = "FORM", default_value_t = Format::Text)]
+    pub format: Format,
+}
+
+/// What `fmt` can be asked.
+#[derive(Args, Clone, Debug)]
+pub struct FmtArgs {
+    /// The cell files; `-` is standard input, written to standard output.
+    #[arg(value_name = "CELL", required = true)]
+    pub cells: Vec<PathBuf>,
+    /// Change nothing; say what would be changed.
+    #[arg(long)]
+    pub check: bool,
+}
+
+/// What `explain` can be asked.
+#[derive(Args, Clone, Debug)]
+pub struct ExplainArgs {
+    /// The code [default: list them all].
+    #[arg(value_name = "CODE")]
+    pub code: Option<String>,
+    /// The form of the answer.
+    #[arg(long, value_enum, value_name = "FORM", default_value_t = Format::Text)]
+    pub format: Format,
+}
+
+/// What `graph` can be asked.
+#[derive(Args, Clone, Debug)]
+pub struct GraphArgs {
+    /// The cell file; `-` is standard input.
+    #[arg(value_name = "CELL")]
+    pub cell: PathBuf,
+    /// The form of the picture.
+    #[arg(long, value_enum, value_name = "FORM", default_value_t = Picture::Svg)]
+    pub to: Picture,
 }
 
 /// What `demo` can be asked.
@@ -188,6 +265,15 @@ pub enum Format {
     Text,
     /// For programs.
     Json,
+}
+
+/// The form of a picture.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
+pub enum Picture {
+    /// For a browser.
+    Svg,
+    /// For Graphviz.
+    Dot,
 }
 
 /// When to use colour.

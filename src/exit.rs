@@ -32,6 +32,9 @@ pub enum Failure {
     /// An argument names something that is not there, or does not fit the others.
     #[error("{0}")]
     Usage(String),
+    /// A cell file cannot be read or written.
+    #[error(transparent)]
+    CellFile(#[from] crate::cell_file::CellFileError),
     /// Standard output cannot be written to.
     #[error("cannot write the answer: {0}")]
     Output(io::Error),
@@ -53,7 +56,7 @@ impl Failure {
     /// The exit code it leads to.
     pub fn exit(&self) -> Exit {
         match self {
-            Self::Usage(_) | Self::Output(_) | Self::Replay(_) => Exit::Usage,
+            Self::Usage(_) | Self::CellFile(_) | Self::Output(_) | Self::Replay(_) => Exit::Usage,
             Self::Demo(error) => error.exit(),
             Self::Node(_) => Exit::Internal,
             Self::Monitor(error) => match error.exit_code() {

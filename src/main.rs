@@ -2,9 +2,14 @@
 #![forbid(unsafe_code)]
 
 mod args;
+mod cell_file;
 mod cells;
+mod check;
 mod demo;
 mod exit;
+mod explain;
+mod fmt;
+mod graph;
 mod output;
 mod replay;
 mod verify;
@@ -43,6 +48,10 @@ fn run(cli: Cli) -> Result<Exit, Failure> {
     let mut out = Output::new(cli.color);
     match cli.verb.unwrap_or(Verb::Verify(cli.verify)) {
         Verb::Verify(args) => verify::run(&args, &mut out),
+        Verb::Check(args) => check::run(&args, &mut out),
+        Verb::Fmt(args) => fmt::run(&args, &mut out),
+        Verb::Explain(args) => explain::run(&args, &mut out),
+        Verb::Graph(args) => graph::run(&args, &mut out),
         Verb::Demo(args) => demo::run(&args, &mut out),
         Verb::Monitor(args) => monitor(args, cli.color),
         Verb::Replay(args) => replay::run(&args, &mut out),

@@ -23,12 +23,14 @@ pub struct Output {
     stream: AutoStream<Stdout>,
     /// The reader has gone: there is nobody to tell.
     closed: bool,
+    /// What was asked for.
+    pub color: Color,
 }
 
 impl Output {
     /// Standard output with colour as asked for.
     pub fn new(color: Color) -> Self {
-        Self { stream: AutoStream::new(io::stdout(), color.into()), closed: false }
+        Self { stream: AutoStream::new(io::stdout(), color.into()), closed: false, color }
     }
 
     /// Writes a line. A reader that has gone (`imrs verify | head`) is no error.
@@ -49,6 +51,18 @@ impl Output {
         }
     }
 
+    /// Writes a text that ends its lines itself.
+    ///
+    /// # Errors
+    /// [`Failure::Output`].
+    pub fn text(&mut self, text: &str) -> Result<(), Failure> {
+        match text.strip_suffix('\n') {
+            Some(lines) => self.line(lines),
+            None if text.is_empty() => Ok(()),
+            None => self.line(text),
+        }
+    }
+
     /// Writes a value as one line of JSON.
     ///
     /// # Errors
@@ -62,6 +76,12 @@ impl Output {
 /// Says what is wrong on standard error. Where that has gone too, there is nobody to tell.
 pub fn complain(what: impl Display) {
     let _ = writeln!(io::stderr(), "imrs: {what}");
+}
+
+/// Diagnostics on standard error, where standard output has another answer.
+pub fn complain_in_full(color: Color, text: &str) {
+    let mut stream = AutoStream::new(io::stderr(), color.into());
+    let _ = stream.write_all(text.as_bytes());
 }
 
 /// Text in a style. Padding and alignment count the text alone.

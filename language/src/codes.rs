@@ -44,6 +44,7 @@ codes! {
     DUPLICATE "E101" "two things of one name";
     UNKNOWN_NAME "E102" "nothing has this name";
     TWO_OWNERS "E103" "a port of two owners";
+    NEVER_COMES "E104" "a `waitfor` that somebody never reaches";
     USAGES "E105" "usages that do not go together";
     NOT_LISTED "E106" "a port that lists the task not";
     NO_USE_PORT "E107" "a listed task without a `use_port`";
@@ -56,6 +57,7 @@ codes! {
     ACTION "E114" "one action of two shapes";
     HANDLERS "E115" "two handlers for the same thing";
     TAKEOVER "E116" "a take-over without its couple";
+    NOT_IN_THE_PAPER "E117" "no word of the paper";
     TIMERS "E118" "a timer that calls nothing";
     ORDER "E119" "an `order` that cannot be kept";
     MISSING "E120" "something is missing";
@@ -65,12 +67,36 @@ codes! {
     INTERVAL "E124" "an interval that ends before it begins";
     MALFORMED "E125" "a fault of the compiler";
     DEADLINE "E201" "a deadline that cannot be met";
+    RING "E202" "tasks that wait for each other's answers";
+    WAITFOR_ORDER "E203" "meetings in different orders";
+    NEVER_RECEIVED "E204" "a command that nobody takes";
     NO_LINK "E205" "nodes that are not joined";
+    SHORT_TIME_OUT "E206" "a time_out of a few ticks";
     RATE "E207" "a rate that cannot be served";
+    NO_TIME_OUT "E208" "a `waitfor` that cannot give up";
+    NEVER_ANSWERED "E209" "a command that nobody answers";
+    ACTS_EARLY "E211" "a standby that acts";
     WRAPS "E304" "message numbers that may repeat";
     TAKEOVER_TOO_SOON "E305" "both tasks of a couple can act";
     LEASE_TOO_SHORT "E306" "a lease that ends before it is renewed";
     ROUNDED "N101" "a duration is no multiple of the tick";
+    SOON "N201" "a time_out of less than 20 ticks";
+    UNPREPARED "W301" "nothing is said about a bad end";
+    FULL "W302" "a buffer smaller than its senders are many";
+    TOO_BUSY "W303" "too busy to answer in time";
+    NOBODY_LISTENS "W304" "a status that nobody takes";
+    SERIAL "W305" "a serial couple that nothing orders";
+    LONG_PENALTY "W306" "a penalty longer than a message lives";
+    LITERAL_PENALTY "W307" "the paper's penalty starves";
+    NOT_ALWAYS_ANSWERED "W308" "a command that is not always answered";
+    UNREACHABLE "W309" "a statement that is never reached";
+    UNUSED_PORT "W310" "a port that nobody uses";
+    UNUSED_VARIABLE "W311" "a variable that nobody reads";
+    TIGHT "W312" "a tight couple without a query";
+    LOOSE "W313" "a loose couple without its administrator";
+    CONDITIONAL "W314" "a `waitfor` on a condition of one's own";
+    LOAD "W315" "more than a link carries";
+    DOES_NOTHING "W316" "a task that does nothing yet";
 }
 
 /// The page about a code, in capitals or not.

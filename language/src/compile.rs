@@ -1,11 +1,15 @@
 //! All phases, one after another.
 
+use crate::ast::File;
+use crate::checks;
+use crate::codes::{DEADLINE, SHORT_TIME_OUT, TOO_MANY};
 use crate::diagnostic::{Diagnostic, Severity};
 use crate::hir::Hir;
 use crate::lower::{Lowered, Unit, lower, table_errors};
 use crate::parser::parse;
 use crate::resolve::resolve;
 use crate::source::Source;
+use crate::span::Span;
 use imrs_protocol::CellTable;
 
 /// A file after all phases.
@@ -25,10 +29,23 @@ impl Compiled {
     }
 }
 
-/// Compiles a file: syntax, names and types, then what the machine's own tables say. A phase runs only where the one
-/// before it found no error, so that one fault is said once.
+/// What is asked of a compilation.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Options {
+    /// Only the words of the paper are allowed.
+    pub paper: bool,
+}
+
+/// Compiles a file: [`compile_with`] without options.
 #[must_use]
 pub fn compile(source: &Source) -> Compiled {
+    compile_with(source, Options::default())
+}
+
+/// Compiles a file: syntax, names and types, then what the cell does and what the machine's own tables say. A phase runs only where the one
+/// before it found no error, so that one fault is said once.
+#[must_use]
+pub fn compile_with(source: &Source, options: Options) -> Compiled {
     let parsed = parse(source);
     let mut diagnostics = parsed.diagnostics;
     if has_error(&diagnostics) {
@@ -37,7 +54,7 @@ pub fn compile(source: &Source) -> Compiled {
     let resolved = resolve(&parsed.file, source.text());
     diagnostics.extend(resolved.diagnostics);
     if !has_error(&diagnostics) {
-        diagnostics.extend(machine(&resolved.hir));
+        diagnostics.extend(behaviour(&parsed.file, &resolved.hir, options));
     }
     let hir = (!has_error(&diagnostics)).then_some(resolved.hir);
     Compiled { hir, diagnostics }
@@ -45,6 +62,25 @@ pub fn compile(source: &Source) -> Compiled {
 
 fn has_error(diagnostics: &[Diagnostic]) -> bool {
     diagnostics.iter().any(|found| found.severity == Severity::Error)
+}
+
+/// What can be known of what the cell does, and what its tables say, in the order of the text.
+fn behaviour(file: &File, hir: &Hir, options: Options) -> Vec<Diagnostic> {
+    let mut found = machine(hir);
+    if found.iter().any(|found| found.code == TOO_MANY) {
+        return found;
+    }
+    // A time_out that cannot cover its way is not also said to be short: both point at their port.
+    let port = |found: &Diagnostic| found.secondary.first().map(|label| label.span);
+    let deadlines: Vec<Option<Span>> =
+        found.iter().filter(|found| found.code == DEADLINE).map(port).collect();
+    let again = |found: &Diagnostic| found.code == SHORT_TIME_OUT && deadlines.contains(&port(found));
+    found.extend(checks::all(hir, options.paper).into_iter().filter(|found| !again(found)));
+    if options.paper {
+        found.extend(checks::paper(file));
+    }
+    found.sort_by_key(|found| found.primary.span.start);
+    found
 }
 
 /// What only the scripts and the table can tell.

@@ -26,6 +26,7 @@
 #![forbid(unsafe_code)]
 
 pub mod ast;
+mod checks;
 pub mod codes;
 mod compile;
 mod diagnostic;
@@ -42,7 +43,7 @@ mod source;
 mod span;
 mod words;
 
-pub use compile::{Compiled, compile};
+pub use compile::{Compiled, Options, compile, compile_with};
 pub use diagnostic::{Diagnostic, Label, Severity};
 pub use format::format;
 pub use lower::{Lowered, Unit, lower, table_errors};

@@ -6,10 +6,9 @@ use crate::codes::{
     TAKEOVER_TOO_SOON, TOO_LONG, TOO_MANY, TWICE, UNKNOWN_NAME, WRAPS,
 };
 use crate::diagnostic::Diagnostic;
-use crate::hir::{CoupleKind, Hir, Port};
-
+use crate::hir::{CoupleKind, Duration, Hir, Port};
 use crate::span::Span;
-use imrs_protocol::{CellError, Ticks};
+use imrs_protocol::{CellError, Ticks, Usage};
 
 /// What [`CellTable::new`](imrs_protocol::CellTable::new) says of the lowered cell, where the file says it. `unit` is
 /// that of the cell.
@@ -41,7 +40,7 @@ impl Mapping<'_> {
                 let at = at.unwrap_or_else(|| self.port_span(port));
                 let message = format!("message numbers of `{port}` may repeat within its life");
                 Diagnostic::error(WRAPS, at, message)
-                    .label("too often")
+                    .label(self.numbers(port))
                     .also(self.port_span(port), "the port")
                     .help("lower its rate or its time_out")
             }
@@ -96,20 +95,51 @@ impl Mapping<'_> {
                 format!(
                     "nobody is ever released from `{name}`: its time_out of {has} is used up by its margin"
                 ),
-                format!("must exceed {needs}: margin and way"),
+                format!("must exceed {needs}: the margin for lost packets, and the way"),
             )
         } else {
             (
                 format!(
                     "deadline cannot be met: `{name}` takes {needs} there and back, its time_out is {has}"
                 ),
-                format!("must exceed {needs}"),
+                self.there_and_back(name, least),
             )
         };
+        let tick = self.hir.tick.map_or(1, |tick| tick.usec.div_ceil(self.usec));
+        let enough = self.time(Ticks(least.0.saturating_add(tick)));
         Diagnostic::error(DEADLINE, at, message)
             .label(label)
             .also(self.port_span(name), "the port")
-            .help(format!("give it more than {needs}"))
+            .help(format!("give it {enough} or more, and the time that the answer takes"))
+    }
+
+    /// `must exceed 2 x 1 msec (links)`; an answer that goes a way of its own needs it once.
+    fn there_and_back(&self, name: &str, least: Ticks) -> String {
+        let third_party = self.port(name).is_some_and(|port| port.usage == Usage::Reply);
+        if third_party {
+            format!("must exceed {}: the links on its way", self.time(least))
+        } else {
+            let way = self.time(Ticks(least.0 / 2));
+            format!("must exceed 2 x {way} on the links = {}", self.time(least))
+        }
+    }
+
+    /// `60/1 msec x 1 receiver x 200 sec = 12000000 > 2^23`
+    fn numbers(&self, name: &str) -> String {
+        let said = self.port(name).and_then(|port| {
+            let lives = port.users.iter().filter_map(|user| user.time_out).chain(port.time_out);
+            let life = lives.map(|life| life.usec).max()?;
+            let rates = port.users.iter().filter_map(|user| Some((user.rate?, 1)));
+            let own = port.rate.map(|rate| (rate, port.users.len()));
+            let sent = |((count, per), to): ((u16, Duration), usize)| {
+                u128::from(count) * to as u128 * u128::from(life) / u128::from(per.usec.max(1))
+            };
+            let ((count, per), to) = own.into_iter().chain(rates).max_by_key(|&rate| sent(rate))?;
+            let all = sent(((count, per), to));
+            let (per, life) = (self.time(Ticks(per.usec / self.usec)), self.time(Ticks(life / self.usec)));
+            Some(format!("{count} in {per} x {to} at the other end x {life} = {all} > 2^23"))
+        });
+        said.unwrap_or_else(|| "too often".to_owned())
     }
 
     fn rate(&self, name: &str, per: Ticks, least: Ticks) -> Diagnostic {
@@ -137,8 +167,37 @@ impl Mapping<'_> {
         let (has, needs) = (self.time(takeover), self.time(least));
         let at = self.work(couple).map_or_else(|| self.couple_span(couple), |(_, takeover)| takeover);
         Diagnostic::error(TAKEOVER_TOO_SOON, at, format!("takeover {has}: both tasks can act at a time"))
-            .label(format!("must reach {needs}: lease, drift, a tick and what was ordered last"))
+            .label(format!("must reach {needs}: {}", self.parts(couple, least)))
             .help(format!("give it {needs}, or shorten the lease or the time_outs of what the couple orders"))
+    }
+
+    /// `lease 100 msec + 200 msec of grab + 3 msec for the tick and the drift`, where these are its parts.
+    fn parts(&self, couple: &str, least: Ticks) -> String {
+        let known = self.work(couple).and_then(|(span, _)| {
+            let (at, lease) =
+                self.hir.couples.iter().enumerate().find_map(|(at, couple)| match couple.kind {
+                    CoupleKind::Work { lease, .. } if lease.span == span => Some((at, lease.usec)),
+                    CoupleKind::Work { .. }
+                    | CoupleKind::Loose { .. }
+                    | CoupleKind::Tight(_)
+                    | CoupleKind::Serial(..) => None,
+                })?;
+            let guarded = self.hir.ports.iter().filter(|port| port.guard == Some(at));
+            let lives = guarded.filter_map(|port| {
+                let ends = port.users.iter().filter_map(|user| user.time_out).chain(port.time_out);
+                Some((ends.map(|life| life.usec).max()?, port.name.as_str()))
+            });
+            let (life, port) = lives.max()?;
+            let time = |usec: u64| self.time(Ticks(usec / self.usec));
+            let rest = (least.0.saturating_mul(self.usec)).checked_sub(lease.saturating_add(life))?;
+            Some(format!(
+                "lease {} + {} of `{port}` + {} for the tick and the drift",
+                time(lease),
+                time(life),
+                time(rest)
+            ))
+        });
+        known.unwrap_or_else(|| "lease, drift, a tick and what was ordered last".to_owned())
     }
 
     fn time(&self, ticks: Ticks) -> String {

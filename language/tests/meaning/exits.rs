@@ -14,7 +14,7 @@ begin
   run grip takes 1..2 msec;
   query q();
 end a;
-task b on nb use_port q() usage = response; begin delay 1 sec; end b;
+task b on nb use_port q() usage = response; begin delay 1 sec; receive q(); response(); end b;
 ";
     let lowered = whole(text).lower(Unit::Ticks).expect("a whole cell");
     let Behaviour::Script(script) = &lowered.tasks[0] else { panic!("a script") };

@@ -159,6 +159,7 @@ fn one_variable_may_hold_several_silences() {
   on silence q 10 msec when v.ok do v.ok := false; end;
   on silence q 20 msec when v.ok and v.x > 3 do w := v; end;
   receive q(v) within 5 msec on time_out do if received = q then skip; end; end;
+  response(v.ok);
   v := w; v.x := 4;",
     );
     // Both conditions are looked at before and after each store, and no operand is left while a timer is started.

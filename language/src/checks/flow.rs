@@ -1,0 +1,79 @@
+//! Statements that no way leads to.
+
+use super::walk;
+use crate::codes::UNREACHABLE;
+use crate::diagnostic::Diagnostic;
+use crate::hir::{Expr, Hir, Statement, StatementKind};
+use imrs_protocol::script::{Op, Term};
+
+pub(super) fn check(hir: &Hir, found: &mut Vec<Diagnostic>) {
+    for task in &hir.tasks {
+        walk::threads(task).for_each(|thread| unreachable(thread, found));
+    }
+}
+
+/// Whether a condition is the constant `true`.
+pub(super) fn is_true(condition: &Expr) -> bool {
+    condition.ops[..] == [Op::Term(Term::Push(1))]
+}
+
+fn unreachable(statements: &[Statement], found: &mut Vec<Diagnostic>) {
+    let ends = statements.iter().position(|statement| !goes_on(statement));
+    if let Some(at) = ends
+        && let Some(next) = statements.get(at + 1)
+    {
+        let why = match statements[at].kind {
+            StatementKind::Abort(_) => "the task ends here",
+            StatementKind::Exit => "the loop is left here",
+            StatementKind::Loop(_) | StatementKind::While(..) => "this loop has no `exit`",
+            _ => "no way leads out of this",
+        };
+        found.push(
+            Diagnostic::warning(UNREACHABLE, next.span, "this statement is never reached")
+                .label("never reached")
+                .also(head(&statements[at]), why)
+                .help("remove it, or let something lead to it"),
+        );
+    }
+    for statement in statements {
+        walk::inner(statement).into_iter().for_each(|body| unreachable(body, found));
+        statement.branches.iter().for_each(|branch| unreachable(&branch.body, found));
+    }
+}
+
+/// The first byte of a statement: its words are many.
+fn head(statement: &Statement) -> crate::Span {
+    crate::Span { start: statement.span.start, end: statement.span.end.min(statement.span.start + 4) }
+}
+
+/// Whether the statement behind this one may be reached.
+fn goes_on(statement: &Statement) -> bool {
+    let by_branch = statement.branches.iter().any(|branch| all_go_on(&branch.body));
+    by_branch
+        || match &statement.kind {
+            StatementKind::Abort(_) | StatementKind::Exit => false,
+            StatementKind::Atomic(body) => all_go_on(body),
+            StatementKind::Loop(body) => has_exit(body),
+            StatementKind::While(condition, body) => !is_true(condition) || has_exit(body),
+            StatementKind::If { arms, otherwise } => {
+                arms.iter().any(|(_, body)| all_go_on(body)) || all_go_on(otherwise)
+            }
+            _ => true,
+        }
+}
+
+fn all_go_on(statements: &[Statement]) -> bool {
+    statements.iter().all(goes_on)
+}
+
+/// Whether an `exit` of this loop, not of one in it, may be reached.
+fn has_exit(body: &[Statement]) -> bool {
+    body.iter().any(|statement| {
+        let own = match &statement.kind {
+            StatementKind::Exit => true,
+            StatementKind::Loop(_) | StatementKind::While(..) => false,
+            _ => walk::inner(statement).into_iter().any(has_exit),
+        };
+        own || statement.branches.iter().any(|branch| has_exit(&branch.body))
+    })
+}

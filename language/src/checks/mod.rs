@@ -1,0 +1,58 @@
+//! What can be known of a cell without running it (the paper's "compiler"): each finding stands on the line that causes it.
+//! What a check cannot tell for sure it does not say: the model checker tries it.
+
+mod answers;
+mod couples;
+mod flow;
+mod meetings;
+mod messages;
+mod paper;
+mod ring;
+mod times;
+mod unused;
+mod walk;
+
+pub(crate) use paper::paper;
+
+use crate::diagnostic::Diagnostic;
+use crate::hir::{Hir, Task};
+use imrs_protocol::TaskId;
+
+/// Everything that is found in a cell whose names and types are right, in the order of the text. `paper` is the language
+/// of the paper alone: there a `waitfor` needs no branch (D2).
+pub(crate) fn all(hir: &Hir, paper: bool) -> Vec<Diagnostic> {
+    let mut found = Vec::new();
+    meetings::check(hir, paper, &mut found);
+    messages::check(hir, paper, &mut found);
+    answers::check(hir, &mut found);
+    flow::check(hir, &mut found);
+    times::check(hir, &mut found);
+    couples::check(hir, &mut found);
+    unused::check(hir, &mut found);
+    found.sort_by_key(|diagnostic| (diagnostic.primary.span, diagnostic.code));
+    found
+}
+
+/// Whether nothing is said yet about what a task does: only its declarations are looked at.
+fn is_draft(task: &Task) -> bool {
+    !task.is_extern && task.body.is_empty() && task.handlers.is_empty() && task.takeover.is_none()
+}
+
+fn task(hir: &Hir, id: TaskId) -> &Task {
+    &hir.tasks[id.index()]
+}
+
+fn tasks(hir: &Hir) -> impl Iterator<Item = (TaskId, &Task)> {
+    hir.tasks.iter().enumerate().map(|(at, task)| (TaskId::from_index(at), task))
+}
+
+/// A duration as a person writes it.
+fn time(usec: u64) -> String {
+    if usec.is_multiple_of(1_000_000) && usec > 0 {
+        format!("{} sec", usec / 1_000_000)
+    } else if usec.is_multiple_of(1_000) {
+        format!("{} msec", usec / 1_000)
+    } else {
+        format!("{usec} usec")
+    }
+}

@@ -1,0 +1,108 @@
+//! Durations against the tick, and what the links must carry.
+
+use super::time;
+use crate::codes::{LOAD, SHORT_TIME_OUT, SOON};
+use crate::diagnostic::Diagnostic;
+use crate::hir::{Hir, Port};
+use imrs_protocol::{Class, NodeId, TaskId};
+
+/// A shorter time_out is lost to the lateness of the timers alone (D42).
+const LEAST_TICKS: u64 = 4;
+/// Below so many ticks the tick is felt.
+const FEW_TICKS: u64 = 20;
+/// A packet on the wire: 32 bytes, its envelope, IP and UDP, Ethernet and the gap.
+const BITS: f64 = 138.0 * 8.0;
+/// Bits per second of a link of which there should be plenty.
+const PLENTY: f64 = 100e6;
+
+pub(super) fn check(hir: &Hir, found: &mut Vec<Diagnostic>) {
+    for port in &hir.ports {
+        time_outs(hir, port, found);
+    }
+    loads(hir, found);
+}
+
+/// The shortest time_out of a port against the tick.
+fn time_outs(hir: &Hir, port: &Port, found: &mut Vec<Diagnostic>) {
+    let Some(tick) = hir.tick.map(|tick| tick.usec.max(1)) else { return };
+    let all = port.time_out.into_iter().chain(port.users.iter().filter_map(|user| user.time_out));
+    let Some(life) = all.min_by_key(|life| life.usec) else { return };
+    let ticks = life.usec / tick;
+    let message = format!("time_out {} of `{}` is {ticks} ticks", time(life.usec), port.name);
+    if ticks < LEAST_TICKS {
+        found.push(
+            Diagnostic::error(SHORT_TIME_OUT, life.span, message)
+                .label(format!("under {LEAST_TICKS} ticks of {}", time(tick)))
+                .also(port.span, "the port")
+                .help(format!(
+                    "give it {} or more, or the cell a shorter tick",
+                    time(tick.saturating_mul(LEAST_TICKS))
+                )),
+        );
+    } else if ticks < FEW_TICKS {
+        found.push(
+            Diagnostic::note(SOON, life.span, message)
+                .label(format!("a timer may be late by one tick: {} percent of it", 100 / ticks)),
+        );
+    }
+}
+
+/// What the declared rates put on each link, at most.
+fn loads(hir: &Hir, found: &mut Vec<Diagnostic>) {
+    let mut loads = vec![0.0; hir.links.len()];
+    for port in &hir.ports {
+        let bytes: usize = port.message.iter().map(|field| field.of.bytes()).sum();
+        let packets = bytes.div_ceil(12).max(1) as f64 * if port.class == Class::Command { 2.0 } else { 1.0 };
+        for from in super::messages::senders(port) {
+            let Some((count, per)) = port.user(from).and_then(|user| user.rate).or(port.rate) else {
+                continue;
+            };
+            let rate = f64::from(count) * 1e6 / per.usec.max(1) as f64;
+            for to in port.peers(from) {
+                for link in way(hir, node(hir, from), node(hir, to)) {
+                    loads[link] += rate * packets * BITS;
+                }
+            }
+        }
+    }
+    for (link, load) in hir.links.iter().zip(loads).filter(|(_, load)| *load > PLENTY) {
+        let message = format!(
+            "the declared rates put up to {:.0} Mbit/s on the link of `{}` and `{}`",
+            load / 1e6,
+            hir.nodes[link.a.index()].name,
+            hir.nodes[link.b.index()].name
+        );
+        found.push(
+            Diagnostic::warning(LOAD, link.span, message)
+                .label("138 bytes a packet, on the wire")
+                .help("lower the rates, or join the nodes that talk most by links of their own"),
+        );
+    }
+}
+
+fn node(hir: &Hir, task: TaskId) -> NodeId {
+    hir.tasks[task.index()].node
+}
+
+/// The links of the quickest way.
+fn way(hir: &Hir, from: NodeId, to: NodeId) -> Vec<usize> {
+    let mut best: Vec<Option<(u64, Option<usize>)>> = vec![None; hir.nodes.len()];
+    best[from.index()] = Some((0, None));
+    for _ in 0..hir.nodes.len() {
+        for (at, link) in hir.links.iter().enumerate() {
+            for (a, b) in [(link.a, link.b), (link.b, link.a)] {
+                let Some((before, _)) = best[a.index()] else { continue };
+                let length = before.saturating_add(link.delay.usec.max(1));
+                if best[b.index()].is_none_or(|(known, _)| length < known) {
+                    best[b.index()] = Some((length, Some(at)));
+                }
+            }
+        }
+    }
+    let (mut way, mut at) = (Vec::new(), to);
+    while let Some((_, Some(link))) = best[at.index()] {
+        way.push(link);
+        at = if hir.links[link].a == at { hir.links[link].b } else { hir.links[link].a };
+    }
+    way
+}

@@ -1,0 +1,237 @@
+//! The static checks: what each finds and where, and what they keep silent about.
+
+use super::{BEAM_LIFT, WELD, all_found, source};
+use imrs_language::{Diagnostic, Options, Severity, compile, compile_with};
+use std::path::Path;
+
+const HEAD: &str = "cell c; tick 1 msec; node na; node nb; link na -- nb delay 1 msec;\n";
+
+/// Two tasks.
+fn pair(a: &str, b: &str) -> String {
+    format!("{HEAD}task a on na {a} end a;\ntask b on nb {b} end b;\n")
+}
+
+#[track_caller]
+fn check(text: &str, expected: &[&str]) {
+    assert_eq!(all_found(text), expected, "in:\n{text}");
+}
+
+/// What is said of a text, but for notes.
+fn serious(text: &str) -> Vec<Diagnostic> {
+    let found = compile(&source(text)).diagnostics;
+    found.into_iter().filter(|found| found.severity != Severity::Note).collect()
+}
+
+#[test]
+fn the_examples_have_only_notes() {
+    for text in [BEAM_LIFT, WELD] {
+        assert_eq!(serious(text), []);
+    }
+    check(BEAM_LIFT, &["N201 `5 msec`", "N201 `10 msec`"]);
+    check(WELD, &["N201 `15 msec`"]);
+}
+
+/// Each file of `examples/faulty` says in its first line what is found in it: `(* finds: E104 9:45 *)`. What a file
+/// without such a line shows is found by the model checker.
+#[test]
+fn faulty_cells_are_found_out_where_they_say() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples/faulty");
+    let mut codes = Vec::new();
+    let mut surprising = Vec::new();
+    for entry in std::fs::read_dir(folder).expect("the folder of faulty cells").flatten() {
+        let text = std::fs::read_to_string(entry.path()).expect("a cell file");
+        let first = text.lines().next().unwrap_or_default();
+        let Some(said) = first.strip_prefix("(* finds: ").and_then(|rest| rest.strip_suffix(" *)")) else {
+            assert_eq!(serious(&text), [], "{}", entry.path().display());
+            continue;
+        };
+        let source = source(&text);
+        let found: Vec<String> = serious(&text)
+            .iter()
+            .map(|found| {
+                let (line, column) = source.position(found.primary.span.start);
+                format!("{} {line}:{column}", found.code)
+            })
+            .collect();
+        if found.join(", ") != said {
+            surprising.push(format!("{}: {}, not {said}", entry.path().display(), found.join(", ")));
+        }
+        codes.extend(serious(&text).iter().map(|found| found.code));
+    }
+    assert!(surprising.is_empty(), "{}", surprising.join("\n"));
+    codes.sort_unstable();
+    codes.dedup();
+    assert!(codes.len() >= 20, "only {codes:?}");
+}
+
+#[test]
+fn meetings() {
+    let meet = "port m() usage = waitfor user_list = {b} time_out = 1 sec;";
+    let wait = "waitfor m() on time_out do abort \"\"; end;";
+    let uses = "use_port m() usage = waitfor;";
+    check(&pair(&format!("{meet} begin {wait}"), &format!("{uses} begin {wait}")), &[]);
+    // The owner is the one that is missing.
+    check(&pair(&format!("{meet} begin skip;"), &format!("{uses} begin {wait}")), &["E104 `m`"]);
+    check(&pair(&format!("{meet} begin {wait}"), &format!("{uses} begin skip;")), &["E104 `b`"]);
+    // A task that says nothing yet, and one whose behaviour is a program.
+    check(&pair(&format!("{meet} begin {wait}"), &format!("{uses} begin")), &["W316 `b`"]);
+    let program = pair(&format!("{meet} begin {wait}"), &format!("{uses} begin"));
+    check(&program.replace("task b on nb", "task b on nb extern"), &[]);
+    check(
+        &pair(&format!("{meet} begin waitfor m();"), &format!("{uses} begin {wait}")),
+        &["E208 `waitfor m()`"],
+    );
+    // Both on a condition: it may be the same one.
+    let sometimes = format!("var x: bool; begin run look -> x; if x then {wait} end;");
+    check(&pair(&format!("{meet} {sometimes}"), &format!("{uses} {sometimes}")), &[]);
+}
+
+#[test]
+fn rings_of_meetings_and_of_calls() {
+    let port = |name: &str| format!("port {name}() usage = waitfor user_list = {{b}} time_out = 1 sec;");
+    let wait = |name: &str| format!("waitfor {name}() on time_out do abort \"\"; end;");
+    let a = format!("{} {} begin {} {}", port("m"), port("n"), wait("m"), wait("n"));
+    let uses = "use_port m() usage = waitfor; use_port n() usage = waitfor; begin";
+    check(&pair(&a, &format!("{uses} loop {} {} end;", wait("m"), wait("n"))), &[]);
+    check(&pair(&a, &format!("{uses} loop {} {} end;", wait("n"), wait("m"))), &["E203 `waitfor m()`"]);
+    // Questions by turns are no ring.
+    let a = "port p() usage = query user_list = {b} time_out = 50 msec; use_port q() usage = response; begin loop query p() on time_out do skip; end; receive q(); response(); end;";
+    let b = "use_port p() usage = response; port q() usage = query user_list = {a} time_out = 50 msec; begin";
+    let ask = "query q() on time_out do skip; end;";
+    check(&pair(a, &format!("{b} loop receive p(); response(); {ask} end;")), &[]);
+    check(&pair(a, &format!("{b} loop {ask} receive p(); response(); end;")), &["E202 `query p()`"]);
+    check(&pair(a, &format!("{b} on query p() do response(); end; loop {ask} end;")), &[]);
+}
+
+#[test]
+fn answers_on_every_way() {
+    let ask = "port q() usage = query user_list = {b} time_out = 50 msec; begin query q() on time_out do skip; end;";
+    let answer = |body: &str| {
+        let b = format!(
+            "use_port q() usage = response; var x: bool; begin run look -> x; assert x; on query q() do {body} end;"
+        );
+        let found = all_found(&pair(ask, &b));
+        found.iter().map(|found| found[..4].to_owned()).collect::<Vec<_>>().join(" ")
+    };
+    assert_eq!(answer("skip;"), "E209");
+    assert_eq!(answer("response();"), "");
+    assert_eq!(answer("if x then response(); end;"), "W308");
+    assert_eq!(answer("if x then response(); elsif not x then skip; else response(); end;"), "W308");
+    assert_eq!(answer("if x then response(); else abort \"\"; end;"), "");
+    assert_eq!(answer("loop if x then exit; end; end; response();"), "");
+    assert_eq!(answer("loop if x then response(); exit; end; end;"), "");
+    assert_eq!(answer("while x do response(); x := false; end;"), "W308");
+    assert_eq!(answer("atomic response(); end;"), "");
+    assert_eq!(answer("run work on failed do exit; end; response();"), "E113");
+    assert_eq!(answer("run work on failed do abort \"\"; end; response();"), "");
+    assert_eq!(answer("loop run work on failed do exit; end; response(); exit; end;"), "W308");
+}
+
+#[test]
+fn nothing_is_said_of_an_answer_that_somebody_else_may_give() {
+    let text = format!(
+        "{HEAD}task a on na port q() usage = query user_list = {{b}} time_out = 50 msec; use_port r() usage = receive;
+        begin on receive r() do skip; end; query q() on time_out do skip; end; end a;
+        task b on nb use_port q() usage = response; begin on query q() do skip; end; end b;
+        task d on nb port r() usage = reply user_list = {{a}} time_out = 50 msec; begin delay 1 sec; end d;"
+    );
+    check(&text, &["W310 `r`"]);
+}
+
+#[test]
+fn long_work_keeps_messages_waiting() {
+    let ask = "port q() usage = query user_list = {b} time_out = 50 msec; begin query q() on time_out do skip; end;";
+    let b = |body: &str| pair(ask, &format!("use_port q() usage = response; begin {body}"));
+    let handler = "on query q() do response(); end;";
+    check(&b("loop run work takes 1..50 msec; receive q(); response(); end;"), &[]);
+    check(
+        &b("loop run work takes 1..51 msec; receive q(); response(); end;"),
+        &["W303 `run work takes 1..51 msec`"],
+    );
+    // What does not outrank `self` is offered until it comes in between (D58), but not into an `atomic`.
+    check(&b(&format!("{handler} loop delay 1 sec; end;")), &[]);
+    check(&b(&format!("{handler} loop atomic delay 1 sec; end; end;")), &["W303 `delay 1 sec`"]);
+}
+
+#[test]
+fn of_a_work_couple_one_sends_at_a_time() {
+    assert!(
+        WELD.contains("port free()       usage = receive   user_list = {r1, r2}"),
+        "two senders, one place"
+    );
+    let apart =
+        WELD.replace("couple work r1 -> r2 lease 100 msec takeover 400 msec every 20 msec via alive;", "");
+    let apart =
+        apart.replace(" standby of r1", "").replace("takeover                 ", "                         ");
+    let apart = apart.replace("alive := p; ", "").replace("loop receive prog(p); end;", "receive prog(p);");
+    let apart = apart.replace("check one_active: never r1.active and r2.active;", "");
+    let found: Vec<_> = serious(&apart).iter().map(|found| found.code).collect();
+    assert!(found.contains(&"W302"), "{found:?}");
+}
+
+#[test]
+fn statements_that_are_never_reached() {
+    let body =
+        |body: &str| format!("{HEAD}task a on na var x: bool; begin run look -> x; assert x; {body} end a;");
+    check(&body("abort \"\"; delay 5 msec;"), &["W309 `delay 5 msec`"]);
+    check(&body("loop if x then exit; end; end; delay 5 msec;"), &[]);
+    check(&body("loop loop exit; end; end; delay 5 msec;"), &["W309 `delay 5 msec`"]);
+    check(&body("while true do delay 1 msec; end; skip;"), &["W309 `skip`"]);
+    check(&body("loop exit; skip; end;"), &["W309 `skip`"]);
+    check(&body("if x then abort \"\"; else abort \"\"; end; skip;"), &["W309 `skip`"]);
+    check(&body("if x then abort \"\"; end; skip;"), &[]);
+    check(&body("run go on failed do abort \"\"; end; skip;"), &[]);
+}
+
+#[test]
+fn what_a_table_refuses_is_said_with_its_arithmetic() {
+    let ask = |time_out: &str| {
+        let port = format!("port q() usage = query user_list = {{b}} time_out = {time_out};");
+        let text = pair(&format!("{port} begin"), "use_port q() usage = response; begin");
+        serious(&text).remove(0)
+    };
+    let short = ask("2 msec");
+    assert_eq!(
+        (short.code, &short.primary.text[..]),
+        ("E201", "must exceed 2 x 1 msec on the links = 2 msec")
+    );
+    assert!(short.help[0].starts_with("give it 3 msec or more"), "{:?}", short.help);
+    assert_eq!(ask("3 msec").code, "E206");
+    let often = ask("300 sec  rate = 30/1 msec");
+    assert_eq!(often.code, "E304");
+    assert_eq!(often.primary.text, "30 in 1 msec x 1 at the other end x 300 sec = 9000000 > 2^23");
+}
+
+#[test]
+fn a_take_over_is_said_with_its_parts() {
+    let found = serious(&WELD.replace("takeover 400 msec", "takeover 300 msec")).remove(0);
+    let parts =
+        "must reach 301080 usec: lease 100 msec + 200 msec of `grab` + 1080 usec for the tick and the drift";
+    assert_eq!((found.code, &found.primary.text[..]), ("E305", parts));
+}
+
+#[test]
+fn the_paper_alone() {
+    let found = |text: &str| -> Vec<String> {
+        let source = source(text);
+        let found = compile_with(&source, Options { paper: true }).diagnostics;
+        let errors = found.iter().filter(|found| found.severity == Severity::Error);
+        errors.map(|found| format!("{} `{}`", found.code, source.slice(found.primary.span))).collect()
+    };
+    let meet = pair(
+        "port m() usage = waitfor user_list = {b} time_out = 1 sec retry = 1; begin waitfor m();",
+        "use_port m() usage = waitfor; begin waitfor m(); run go;",
+    );
+    assert_eq!(found(&meet), ["E117 `retry = 1`", "E117 `run go`"]);
+    let words = found(WELD);
+    for word in
+        ["penalty = 20 msec", "couple loose {r1, r2} over dresser", "check one_active", "start held 4 sec"]
+    {
+        assert!(words.iter().any(|found| found.contains(word)), "{word}: {words:?}");
+    }
+    let figure_1 = pair(
+        "port p(number, speed) usage = query user_list = (b) time_out = 50 msec class = 2 bounded_buffer[2]; begin QUERY p(1, 2);",
+        "use_port p(number, speed) usage = response; begin order p > self; on query p(n, s) do response(n, s); end;",
+    );
+    assert_eq!(found(&figure_1), [""; 0]);
+}

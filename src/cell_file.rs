@@ -1,0 +1,82 @@
+//! Cell files as they come from a disk or a pipe.
+
+use imrs_language::{LONGEST_FILE, Source};
+use std::fs::File;
+use std::io::{self, Read};
+use std::path::{Path, PathBuf};
+
+/// Why a cell file cannot be used.
+#[derive(Debug, thiserror::Error)]
+pub enum CellFileError {
+    /// There is none.
+    #[error("{}: there is no such file: name a cell file, such as examples/beam_lift.cell", .0.display())]
+    Missing(PathBuf),
+    /// It is a folder.
+    #[error("{}: this is a folder: name one cell file in it", .0.display())]
+    Folder(PathBuf),
+    /// It has more bytes than are read.
+    #[error("{}: larger than {} MiB, the most that is read: is it a cell file?", .0.display(), LONGEST_FILE >> 20)]
+    TooLarge(PathBuf),
+    /// It is no text.
+    #[error("{}: {message}: save the file as UTF-8", path.display())]
+    NotText {
+        /// The file.
+        path: PathBuf,
+        /// Where it is not.
+        message: String,
+    },
+    /// It cannot be read.
+    #[error("{}: cannot be read: {source}", path.display())]
+    Unreadable {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+    /// It cannot be written.
+    #[error("{}: cannot be written: {source}", path.display())]
+    Unwritable {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+}
+
+/// Whether a name stands for standard input.
+pub fn is_stdin(path: &Path) -> bool {
+    path.as_os_str() == "-"
+}
+
+/// The name of a file as diagnostics show it.
+pub fn shown(path: &Path) -> String {
+    if is_stdin(path) { "<stdin>".to_owned() } else { path.display().to_string() }
+}
+
+/// Reads a cell file; `-` is standard input. No more is read than a cell file may have.
+///
+/// # Errors
+/// [`CellFileError`], all but `Unwritable`.
+pub fn read(path: &Path) -> Result<Source, CellFileError> {
+    let own = || PathBuf::from(shown(path));
+    let bytes = bytes(path).map_err(|source| match source.kind() {
+        io::ErrorKind::NotFound => CellFileError::Missing(own()),
+        io::ErrorKind::IsADirectory => CellFileError::Folder(own()),
+        _ => CellFileError::Unreadable { path: own(), source },
+    })?;
+    if bytes.len() > LONGEST_FILE {
+        return Err(CellFileError::TooLarge(own()));
+    }
+    Source::new(&bytes).map_err(|found| CellFileError::NotText { path: own(), message: found.message })
+}
+
+fn bytes(path: &Path) -> io::Result<Vec<u8>> {
+    let mut bytes = Vec::new();
+    let most = LONGEST_FILE as u64 + 1;
+    if is_stdin(path) {
+        io::stdin().lock().take(most).read_to_end(&mut bytes)?;
+    } else {
+        File::open(path)?.take(most).read_to_end(&mut bytes)?;
+    }
+    Ok(bytes)
+}

@@ -1,0 +1,81 @@
+//! `imrs check`: compiles a cell file and shows what was found.
+
+use crate::args::{CheckArgs, Format};
+use crate::cell_file::{read, shown};
+use crate::exit::{Exit, Failure};
+use crate::output::{BAD, GOOD, NOTE, Output, Styled, count};
+use imrs_language::render::{self, Located};
+use imrs_language::{Compiled, Diagnostic, Options, Severity, compile_with};
+use serde::Serialize;
+
+/// What a check found, for programs.
+#[derive(Debug, Serialize)]
+struct Checked<'a> {
+    version: u32,
+    /// The name of the cell; none where the file has errors.
+    cell: Option<&'a str>,
+    file: &'a str,
+    errors: usize,
+    warnings: usize,
+    notes: usize,
+    diagnostics: Vec<Located<'a>>,
+}
+
+/// Checks a cell file.
+///
+/// # Errors
+/// [`Failure`].
+pub fn run(args: &CheckArgs, out: &mut Output) -> Result<Exit, Failure> {
+    let source = read(&args.cell)?;
+    let compiled = compile_with(&source, Options { paper: args.paper });
+    let (file, found) = (shown(&args.cell), &compiled.diagnostics);
+    let errors = of(found, Severity::Error);
+    match args.format {
+        Format::Json => out.json(&Checked {
+            version: 1,
+            cell: compiled.hir.as_ref().map(|hir| hir.name.as_str()),
+            file: &file,
+            errors,
+            warnings: of(found, Severity::Warning),
+            notes: of(found, Severity::Note),
+            diagnostics: render::located(found, &file, Some(&source)),
+        })?,
+        Format::Text => {
+            out.text(&render::text(found, &file, Some(&source), render::Style::Coloured))?;
+            verdict(&file, &compiled, out)?;
+        }
+    }
+    Ok(if errors == 0 { Exit::Well } else { Exit::Finding })
+}
+
+fn of(found: &[Diagnostic], severity: Severity) -> usize {
+    found.iter().filter(|found| found.severity == severity).count()
+}
+
+fn verdict(file: &str, compiled: &Compiled, out: &mut Output) -> Result<(), Failure> {
+    let number = |severity, word| match of(&compiled.diagnostics, severity) {
+        0 => None,
+        number => Some(count(number as u64, word)),
+    };
+    let counts = [
+        number(Severity::Error, "error"),
+        number(Severity::Warning, "warning"),
+        number(Severity::Note, "note"),
+    ];
+    let counts: Vec<String> = counts.into_iter().flatten().collect();
+    if !compiled.diagnostics.is_empty() {
+        out.line("")?;
+    }
+    match &compiled.hir {
+        None => out.line(format!("{file}: {}", Styled(BAD, counts.join(", ")))),
+        Some(hir) => {
+            let size = [(hir.nodes.len(), "node"), (hir.tasks.len(), "task"), (hir.ports.len(), "port")];
+            let size = size.map(|(number, word)| count(number as u64, word)).join(", ");
+            let said = match counts.is_empty() {
+                true => Styled(GOOD, "no findings".to_owned()),
+                false => Styled(NOTE, counts.join(", ")),
+            };
+            out.line(format!("{file}: cell `{}` with {size}: {said}", hir.name))
+        }
+    }
+}

@@ -1,0 +1,41 @@
+//! A cell for Graphviz: a cluster for each node, an edge from the owner of a port to each of its users.
+
+use super::{label, links};
+use imrs_language::hir::Hir;
+
+pub(super) fn write(hir: &Hir) -> String {
+    let mut out = format!("digraph {} {{\n  rankdir=LR;\n  node [shape=box];\n", quoted(&hir.name));
+    let links: Vec<String> = links(hir).collect();
+    if !links.is_empty() {
+        out.push_str(&format!("  label={};\n", quoted(&format!("links: {}", links.join("; ")))));
+    }
+    for (at, node) in hir.nodes.iter().enumerate() {
+        out.push_str(&format!("  subgraph cluster_{at} {{\n    label={};\n", quoted(&node.name)));
+        let here = hir.tasks.iter().enumerate().filter(|(_, task)| task.node.index() == at);
+        for (id, task) in here {
+            out.push_str(&format!("    t{id} [label={}];\n", quoted(&task.name)));
+        }
+        out.push_str("  }\n");
+    }
+    for port in &hir.ports {
+        let text = quoted(&label(port));
+        for user in &port.users {
+            out.push_str(&format!("  t{} -> t{} [label={text}];\n", port.owner.index(), user.task.index()));
+        }
+    }
+    out.push_str("}\n");
+    out
+}
+
+/// A text in quotes. A backslash begins an escape in DOT.
+fn quoted(text: &str) -> String {
+    format!("\"{}\"", text.replace('\\', "\\\\").replace('"', "\\\"").replace('\n', "\\n"))
+}
+
+#[cfg(test)]
+mod tests {
+    #[test]
+    fn quotes_do_not_end_a_text() {
+        assert_eq!(super::quoted("a\"b\\"), "\"a\\\"b\\\\\"");
+    }
+}

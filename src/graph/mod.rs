@@ -1,0 +1,50 @@
+//! `imrs graph`: a picture of a cell.
+
+mod dot;
+mod svg;
+
+use crate::args::{GraphArgs, Picture};
+use crate::cell_file::{read, shown};
+use crate::exit::{Exit, Failure};
+use crate::output::{Output, complain_in_full, span};
+use imrs_language::hir::{Hir, Port};
+use imrs_language::{compile, render};
+use imrs_protocol::Class;
+
+/// Draws a cell.
+///
+/// # Errors
+/// [`Failure`].
+pub fn run(args: &GraphArgs, out: &mut Output) -> Result<Exit, Failure> {
+    let source = read(&args.cell)?;
+    let compiled = compile(&source);
+    let Some(hir) = &compiled.hir else {
+        let found =
+            render::text(&compiled.diagnostics, &shown(&args.cell), Some(&source), render::Style::Coloured);
+        complain_in_full(out.color, &found);
+        return Ok(Exit::Finding);
+    };
+    out.text(&match args.to {
+        Picture::Svg => svg::draw(hir),
+        Picture::Dot => dot::write(hir),
+    })?;
+    Ok(Exit::Well)
+}
+
+/// What is said at the arrow of a port: `beat: query, class 2, 5 ms`.
+fn label(port: &Port) -> String {
+    let class = match port.class {
+        Class::Status => 1,
+        Class::Command => 2,
+    };
+    let life = port.time_out.map(|length| format!(", {}", span(length.usec))).unwrap_or_default();
+    format!("{}: {}, class {class}{life}", port.name, port.usage)
+}
+
+/// The links, a line each: `na -- nb, 1.0 ms`.
+fn links(hir: &Hir) -> impl Iterator<Item = String> + '_ {
+    hir.links.iter().map(|link| {
+        let name = |node: imrs_protocol::NodeId| hir.nodes[node.index()].name.as_str();
+        format!("{} -- {}, {}", name(link.a), name(link.b), span(link.delay.usec))
+    })
+}

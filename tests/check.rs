@@ -1,0 +1,196 @@
+//! `imrs check`, `fmt`, `explain` and `graph` as programs and people meet them.
+
+mod support;
+
+use std::fs;
+use std::path::Path;
+use std::process::Stdio;
+use support::{Said, finish, imrs, run, runtime_dir};
+use tempfile::TempDir;
+
+const ESCAPE: char = '\u{1b}';
+
+fn example(name: &str) -> String {
+    format!("{}/examples/{name}", env!("CARGO_MANIFEST_DIR"))
+}
+
+/// A file with these bytes in a folder of its own.
+fn file(bytes: &[u8]) -> (TempDir, String) {
+    let dir = tempfile::tempdir().expect("a folder");
+    let path = dir.path().join("x.cell");
+    fs::write(&path, bytes).expect("a file");
+    let path = path.to_str().expect("UTF-8").to_owned();
+    (dir, path)
+}
+
+fn check_bytes(bytes: &[u8]) -> Said {
+    let (_dir, path) = file(bytes);
+    run(&["check", &path, "--format", "json"])
+}
+
+/// Runs a command with this on its standard input.
+fn run_with(args: &[&str], input: &str) -> Said {
+    let (_dir, path) = file(input.as_bytes());
+    let dir = runtime_dir();
+    let mut command = imrs(dir.path(), args);
+    command.stdin(Stdio::from(fs::File::open(path).expect("the input")));
+    finish(command)
+}
+
+#[test]
+fn good_warned_and_faulty_cells_end_with_0_0_and_1() {
+    let good = run(&["check", &example("beam_lift.cell")]);
+    assert_eq!(good.code, Some(0), "{good:?}");
+    assert!(good.out.contains("cell `beam_lift` with 3 nodes, 3 tasks, 3 ports"), "{}", good.out);
+    let warned = run(&["check", &example("faulty/halt_unheard.cell"), "--format", "json"]);
+    assert_eq!(warned.code, Some(0), "{warned:?}");
+    let report = warned.last_json();
+    assert_eq!((&report["errors"], &report["warnings"]), (&0.into(), &1.into()), "{report}");
+    assert_eq!((&report["version"], &report["cell"]), (&1.into(), &"beam_lift".into()));
+    let faulty = run(&["check", &example("faulty/hoist_never_arrives.cell")]);
+    assert_eq!(faulty.code, Some(1), "{faulty:?}");
+    assert!(faulty.out.contains("error[E104]") && faulty.out.contains("hoist_never_arrives.cell:10:58"));
+    assert_eq!(faulty.err, "");
+    let paper = run(&["check", "--paper", &example("beam_lift.cell"), "--format", "json"]);
+    assert_eq!(paper.code, Some(1));
+    let codes: Vec<_> = paper.last_json()["diagnostics"].as_array().unwrap().clone();
+    assert!(codes.iter().any(|found| found["code"] == "E117"), "{codes:?}");
+}
+
+#[test]
+fn what_cannot_be_read_ends_with_2_and_is_named() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let (_large, large) = file(&vec![b' '; 20 << 20]);
+    let (_binary, binary) = file(b"cell c;\n\xff\xfe");
+    let missing = dir.path().join("missing.cell");
+    let (missing, folder) = (missing.to_str().unwrap(), dir.path().to_str().unwrap());
+    for verb in ["check", "fmt", "graph"] {
+        for (path, hint) in [
+            (missing, "no such file"),
+            (folder, "one cell file in it"),
+            (&large, "16 MiB"),
+            (&binary, "byte 8 (line 2)"),
+        ] {
+            let said = run(&[verb, path]);
+            assert_eq!(said.code, Some(2), "{verb} {path}: {said:?}");
+            assert!(said.err.contains(path) && said.err.contains(hint), "{verb}: {}", said.err);
+            assert_eq!(said.out, "", "{verb} {path}");
+        }
+    }
+}
+
+#[test]
+fn strange_texts_are_findings_and_no_faults() {
+    let mut seed = 0x9E37_79B9_u32;
+    for round in 0..20 {
+        let bytes: Vec<u8> = (0..2_000)
+            .map(|_| {
+                seed ^= seed << 13;
+                seed ^= seed >> 17;
+                seed ^= seed << 5;
+                // Text in every other round: what is no text is turned down at once.
+                (seed >> 8) as u8 & if round % 2 == 0 { 0x7f } else { 0xff }
+            })
+            .collect();
+        let said = check_bytes(&bytes);
+        assert_eq!(said.code, Some(if round % 2 == 0 { 1 } else { 2 }), "{said:?}");
+    }
+    let deep = format!("cell c; node n; task t on n begin {} end t;", "if true then ".repeat(50_000));
+    assert_eq!(check_bytes(deep.as_bytes()).code, Some(1));
+    let deep = format!("cell c; task t on n begin x := {}1; end t;", "(".repeat(100_000));
+    assert_eq!(check_bytes(deep.as_bytes()).code, Some(1));
+    assert_eq!(check_bytes(b"").code, Some(1));
+}
+
+#[test]
+fn ten_errors_are_ten_diagnostics() {
+    let bad: String = (0..10).map(|at| format!("task t{at} on nowhere{at} begin end t{at};\n")).collect();
+    let said = check_bytes(format!("cell c; tick 1 msec;\nnode n;\n{bad}").as_bytes());
+    assert_eq!(said.code, Some(1));
+    let report = said.last_json();
+    assert_eq!(report["errors"], 10, "{report}");
+    let found = report["diagnostics"].as_array().expect("diagnostics");
+    let lines: Vec<_> =
+        found.iter().map(|found| found["labels"][0]["start"]["line"].as_u64().unwrap()).collect();
+    assert_eq!(lines, (3..13).collect::<Vec<u64>>());
+}
+
+#[test]
+fn colours_are_for_terminals_or_on_demand() {
+    let path = example("faulty/both_active.cell");
+    assert!(!run(&["check", &path]).out.contains(ESCAPE));
+    assert!(run(&["check", &path, "--color", "always"]).out.contains(ESCAPE));
+    let dir = runtime_dir();
+    let mut quiet = imrs(dir.path(), &["check", &path]);
+    quiet.env("NO_COLOR", "1");
+    assert!(!finish(quiet).out.contains(ESCAPE));
+}
+
+#[test]
+fn fmt_rewrites_checks_and_pipes() {
+    let (_dir, path) = file(b"cell c;\nNODE   n;\n");
+    let said = run(&["fmt", "--check", &path]);
+    assert_eq!(said.code, Some(1), "{said:?}");
+    assert!(said.out.contains("- NODE   n;\n+ node n;"), "{}", said.out);
+    assert_eq!(fs::read_to_string(&path).unwrap(), "cell c;\nNODE   n;\n", "--check changes nothing");
+    assert_eq!(run(&["fmt", &path]).code, Some(0));
+    assert_eq!(fs::read_to_string(&path).unwrap(), "cell c;\nnode n;\n");
+    let again = run(&["fmt", "--check", &path]);
+    assert_eq!((again.code, again.out.as_str()), (Some(0), ""));
+    let piped = run_with(&["fmt", "-"], "cell  c;\nnode n;\n");
+    assert_eq!((piped.code, piped.out.as_str()), (Some(0), "cell c;\nnode n;\n"));
+    // One that cannot be read does not keep the others from being written.
+    let (_faulty, faulty) = file(b"cell c\nnode ;");
+    let (_other, other) = file(b"cell  c;\n");
+    let mixed = run(&["fmt", &faulty, &other]);
+    assert_eq!(mixed.code, Some(1), "{mixed:?}");
+    assert!(mixed.err.contains("error[E") && mixed.err.contains(&faulty), "{}", mixed.err);
+    assert_eq!(fs::read_to_string(&faulty).unwrap(), "cell c\nnode ;", "what cannot be read is left alone");
+    assert_eq!(fs::read_to_string(&other).unwrap(), "cell c;\n");
+}
+
+#[test]
+fn explain_lists_shows_and_guesses() {
+    let list = run(&["explain"]);
+    assert_eq!(list.code, Some(0));
+    for code in ["E005", "E104", "W303", "N201"] {
+        assert!(list.out.lines().any(|line| line.starts_with(code)), "{code} is not in the list");
+        assert!(run(&["explain", code]).out.starts_with(&format!("# {code}: ")));
+    }
+    assert!(run(&["explain", "e104"]).out.contains("```cell,right"));
+    let misspelt = run(&["explain", "E1O4"]);
+    assert_eq!(misspelt.code, Some(2), "{misspelt:?}");
+    assert!(misspelt.err.contains("did you mean `E104`?"), "{}", misspelt.err);
+    let unknown = run(&["explain", "zzz"]);
+    assert!(unknown.code == Some(2) && unknown.err.contains("imrs explain"), "{unknown:?}");
+    let json = run(&["explain", "W301", "--format", "json"]).last_json();
+    assert_eq!(json["codes"][0]["code"], "W301");
+}
+
+#[test]
+fn graphs_show_nodes_tasks_and_ports_and_are_the_same_each_time() {
+    let path = example("weld_cell.cell");
+    let svg = run(&["graph", &path]);
+    assert_eq!(svg.code, Some(0), "{svg:?}");
+    assert!(svg.out.starts_with("<svg ") && svg.out.ends_with("</svg>\n"), "{}", svg.out);
+    for word in ["dresser", "r1", "n2", "grab: response, class 2, 200 ms", "links: n1 -- nt"] {
+        assert!(svg.out.contains(word), "no {word}:\n{}", svg.out);
+    }
+    assert_eq!(svg.out, run(&["graph", &path, "--to", "svg"]).out);
+    let dot = run(&["graph", &path, "--to", "dot"]);
+    assert!(dot.out.starts_with("digraph \"weld\" {") && dot.out.ends_with("}\n"), "{}", dot.out);
+    assert_eq!(dot.out.matches(" -> ").count(), 2 + 2 + 1 + 1, "an arrow to each user:\n{}", dot.out);
+    assert_eq!(dot.out.matches('{').count(), dot.out.matches('}').count());
+    let faulty = run(&["graph", &example("faulty/both_active.cell")]);
+    assert_eq!((faulty.code, faulty.out.as_str()), (Some(1), ""));
+    assert!(faulty.err.contains("error[E305]"), "{}", faulty.err);
+}
+
+#[test]
+fn standard_input_is_a_file_like_any_other() {
+    let text = fs::read_to_string(Path::new(&example("beam_lift.cell"))).unwrap();
+    assert_eq!(run_with(&["check", "-"], &text).code, Some(0));
+    let said = run_with(&["check", "-"], "cell c");
+    assert_eq!(said.code, Some(1));
+    assert!(said.out.contains("<stdin>"), "{}", said.out);
+}
