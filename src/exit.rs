@@ -32,15 +32,18 @@ pub enum Failure {
     /// An argument names something that is not there, or does not fit the others.
     #[error("{0}")]
     Usage(String),
+    /// The cell has errors: the diagnostics of its compiler.
+    #[error("{0}")]
+    Cell(String),
     /// Standard output cannot be written to.
     #[error("cannot write the answer: {0}")]
     Output(io::Error),
-    /// The demo could not be carried out.
+    /// The cell could not be run.
     #[error(transparent)]
-    Demo(#[from] crate::demo::DemoError),
-    /// A node of a demo could not do its part.
+    Launch(#[from] crate::launch::LaunchError),
+    /// A node of it could not do its part.
     #[error(transparent)]
-    Node(#[from] crate::demo::NodeError),
+    Node(#[from] crate::launch::NodeError),
     /// The recording cannot be replayed.
     #[error(transparent)]
     Replay(#[from] crate::replay::ReplayError),
@@ -53,8 +56,8 @@ impl Failure {
     /// The exit code it leads to.
     pub fn exit(&self) -> Exit {
         match self {
-            Self::Usage(_) | Self::Output(_) | Self::Replay(_) => Exit::Usage,
-            Self::Demo(error) => error.exit(),
+            Self::Usage(_) | Self::Cell(_) | Self::Output(_) | Self::Replay(_) => Exit::Usage,
+            Self::Launch(error) => error.exit(),
             Self::Node(_) => Exit::Internal,
             Self::Monitor(error) => match error.exit_code() {
                 2 => Exit::Usage,

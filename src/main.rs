@@ -5,8 +5,10 @@ mod args;
 mod cells;
 mod demo;
 mod exit;
+mod launch;
 mod output;
 mod replay;
+mod run;
 mod verify;
 
 use args::{Cli, Format, MonitorArgs, Verb, VerifyArgs, early_color};
@@ -43,6 +45,7 @@ fn run(cli: Cli) -> Result<Exit, Failure> {
     let mut out = Output::new(cli.color);
     match cli.verb.unwrap_or(Verb::Verify(cli.verify)) {
         Verb::Verify(args) => verify::run(&args, &mut out),
+        Verb::Run(args) => run::run(&args, &mut out),
         Verb::Demo(args) => demo::run(&args, &mut out),
         Verb::Monitor(args) => monitor(args, cli.color),
         Verb::Replay(args) => replay::run(&args, &mut out),
@@ -59,7 +62,7 @@ fn run(cli: Cli) -> Result<Exit, Failure> {
             Ok(Exit::Well)
         }
         Verb::Node => {
-            demo::run_node()?;
+            launch::run_node()?;
             Ok(Exit::Well)
         }
     }

@@ -26,8 +26,8 @@ pub struct Summary {
     pub rendezvous: Vec<RendezvousSummary>,
     /// How the class-2 messages of the tasks ended.
     pub commands: Outcomes,
-    /// The messages that tasks acted on.
-    pub acted: Acted,
+    /// The messages that tasks acted on, where these say when they were sent.
+    pub acted: Option<Acted>,
     /// Who gave up first after each kill, and when.
     pub after_kill: Vec<AfterKill>,
     /// By node.
@@ -177,10 +177,12 @@ impl Gatherer {
             lost_on_purpose: figures.lost_on_purpose,
             cut_off: figures.cut_off,
         };
-        let (mut commands, mut acted) = (Outcomes::default(), Acted::default());
+        let (mut commands, mut acted) = (Outcomes::default(), None);
         for figures in &self.figures {
             commands += figures.outcomes;
-            acted += figures.acted;
+            if let Some(more) = figures.acted {
+                *acted.get_or_insert_with(Acted::default) += more;
+            }
         }
         Summary {
             version: 1,
@@ -306,7 +308,7 @@ mod tests {
         gatherer.figures(NodeId(0), figures(5, 60));
         gatherer.figures(NodeId(1), figures(2, 40));
         let summary = gatherer.summary(1.0, 7, 0.0, &["clean".into(), "clean".into(), "killed".into()]);
-        assert_eq!((summary.ports[1].sent, summary.acted.executed, summary.acted.oldest_us), (7, 7, 60));
+        assert_eq!((summary.ports[1].sent, summary.acted.map(|a| (a.executed, a.oldest_us))), (7, Some((7, 60))));
         assert_eq!(summary.nodes[2].exit, "killed");
         let json = serde_json::to_value(&summary).unwrap();
         assert_eq!(json["rendezvous"][0]["start_skew_us"], serde_json::Value::Null);
