@@ -189,8 +189,7 @@ impl Builder {
         }
         let seed = self.seed;
         let actions = self.actions.map_or_else(|| Simulated::start(seed, Vec::new()), Ok);
-        let actions =
-            actions.map_err(|source| StartError::Thread { name: "imrs actions".into(), source })?;
+        let actions = actions.map_err(|source| StartError::Thread { name: "imrs actions".into(), source })?;
         Runtime::start(Arc::new(node), programs, actions, self.holds)
     }
 }

@@ -19,7 +19,7 @@ pub(crate) use actions::{Deed, Stage};
 pub(crate) use seat::Seat;
 
 use imrs_protocol::script::{Address, End};
-use imrs_protocol::{ReplyTo, Request, Signal, TaskId};
+use imrs_protocol::{ReplyTo, Request, Signal, TaskId, Ticks};
 
 /// Is told what scripts do. Called under a lock that messages wait for: it must hand the note on and return.
 pub trait Watch: Send + Sync {
@@ -44,6 +44,8 @@ pub enum Note {
         action: u16,
         /// Its arguments.
         arguments: Vec<i64>,
+        /// It takes no more than this.
+        most: Ticks,
     },
     /// The action of this thread has ended.
     Acted {

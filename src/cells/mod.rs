@@ -65,7 +65,8 @@ pub fn load(source: &Source) -> Result<Loaded, Failure> {
 }
 
 fn built_in(name: &str) -> Result<Loaded, Failure> {
-    let cell = if name == beam_lift::NAME { beam_lift::cell() } else { Cell::new(name, imrs_protocol::Ticks(1)) };
+    let cell =
+        if name == beam_lift::NAME { beam_lift::cell() } else { Cell::new(name, imrs_protocol::Ticks(1)) };
     let scripts = cell.tasks.iter().map(|_| None).collect();
     Ok(Loaded { table: table(cell)?, scripts, source: None })
 }
@@ -91,11 +92,7 @@ fn table(cell: Cell) -> Result<Arc<CellTable>, Failure> {
     })
 }
 
-fn said(
-    found: &[imrs_language::Diagnostic],
-    name: &str,
-    source: Option<&imrs_language::Source>,
-) -> Failure {
+fn said(found: &[imrs_language::Diagnostic], name: &str, source: Option<&imrs_language::Source>) -> Failure {
     Failure::Cell(render::text(found, name, source, render::Style::Plain).trim_end().to_owned())
 }
 

@@ -2,14 +2,15 @@
 
 use super::children::{Children, Message};
 use super::clock::now_us;
+use super::diary::Diary;
 use super::faults::{Fault, FaultError, schedule};
-use super::lines::{Did, Order, Setup, Word};
+use super::lines::{Order, Setup, Word};
 use super::report;
 use super::summary::{Gatherer, Summary};
 use crate::args::{Format, LaunchArgs};
 use crate::cells::{Loaded, Source};
 use crate::exit::{Exit, Failure};
-use crate::output::{FAINT, Output, Styled, complain};
+use crate::output::{Output, complain};
 use imrs_protocol::{Cell, NodeId, TaskId};
 use imrs_runtime::link::in_process::{self, Network};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
@@ -31,6 +32,8 @@ const READY_WITHIN: Duration = Duration::from_secs(20);
 const STOP_WITHIN: Duration = Duration::from_secs(5);
 /// How long after its last word a process has to end.
 const EXIT_WITHIN: Duration = Duration::from_secs(1);
+/// How often lines about what scripts do are looked through.
+const SHOW_EVERY: Duration = Duration::from_millis(50);
 /// How often the progress line changes.
 const PROGRESS_EVERY: Duration = Duration::from_millis(250);
 
@@ -97,7 +100,7 @@ pub struct Run<'a> {
 struct Launcher<'a> {
     run: &'a Run<'a>,
     cell: &'a Cell,
-    began: u64,
+    diary: Diary,
     /// Scripts that ended by themselves.
     ended: Vec<TaskId>,
     children: Children,
@@ -135,7 +138,7 @@ pub fn run(run: &Run<'_>, out: &mut Output) -> Result<Exit, Failure> {
     let mut launcher = Launcher {
         run,
         cell,
-        began: now_us(),
+        diary: Diary::new(cell, now_us()),
         ended: Vec::new(),
         children,
         messages,
@@ -149,14 +152,14 @@ pub fn run(run: &Run<'_>, out: &mut Output) -> Result<Exit, Failure> {
     let addresses = launcher.wait_for_all(|word| if let Word::Bound(at) = word { Some(at) } else { None })?;
     let book = cell.nodes.iter().zip(&addresses).filter_map(|(n, at)| Some((n.name.clone(), (*at)?)));
     launcher.children.order_all(&Order::Book(book.collect()));
-    launcher.began = now_us();
+    launcher.diary.begin(now_us());
     launcher.wait_for_all(|word| matches!(word, Word::Started).then_some(()))?;
 
     let started = Instant::now();
     launcher.announce(seed, &addresses, out)?;
     launcher.follow(started, length, &faults, out)?;
     let seconds = started.elapsed().as_secs_f64();
-    let (summary, trouble) = launcher.finish(seconds, seed, args.loss.0, out)?;
+    let (summary, trouble) = launcher.finish(seconds, seed, args.loss.0);
     match args.format {
         Format::Json => out.json(&summary)?,
         Format::Text => report::summary(&summary, table, run, out)?,
@@ -250,12 +253,7 @@ impl Launcher<'_> {
         Ok(heard.into_values().collect())
     }
 
-    fn announce(
-        &self,
-        seed: u64,
-        addresses: &[Option<SocketAddr>],
-        out: &mut Output,
-    ) -> Result<(), Failure> {
+    fn announce(&self, seed: u64, addresses: &[Option<SocketAddr>], out: &mut Output) -> Result<(), Failure> {
         let node = |(i, &address): (usize, &Option<SocketAddr>)| {
             let id = NodeId::from_index(i);
             let tasks = self.cell.tasks.iter().filter(|t| t.node == id).map(|t| t.name.as_str());
@@ -282,7 +280,7 @@ impl Launcher<'_> {
         out: &mut Output,
     ) -> Result<(), Failure> {
         for message in std::mem::take(&mut self.early) {
-            self.take(message, out)?;
+            self.take(message);
         }
         let mut faults = faults.iter().peekable();
         let progress = progress_line(self.run.args.format);
@@ -295,6 +293,10 @@ impl Launcher<'_> {
             while let Some((_, fault)) = faults.next_if(|(at, _)| *at <= now) {
                 self.carry_out(*fault);
             }
+            let shows = !self.diary.is_empty();
+            if shows {
+                progress.suspend(|| self.diary.show(self.cell, now_us(), out))?;
+            }
             if progress_at <= Instant::now() {
                 let of = self.run.length.map(|all| format!(" of {}", humantime::format_duration(all)));
                 let (so_far, of) = (now.as_secs(), of.unwrap_or_default());
@@ -303,14 +305,18 @@ impl Launcher<'_> {
                 progress_at = Instant::now() + PROGRESS_EVERY;
             }
             let next_fault = faults.peek().map_or(length, |(at, _)| *at);
-            let until = (started + next_fault.min(length)).min(progress_at);
+            let mut until = (started + next_fault.min(length)).min(progress_at);
+            if shows {
+                until = until.min(Instant::now() + SHOW_EVERY);
+            }
             match self.messages.recv_timeout(until.saturating_duration_since(Instant::now())) {
-                Ok(message) => progress.suspend(|| self.take(message, out))?,
+                Ok(message) => self.take(message),
                 Err(RecvTimeoutError::Timeout) => {}
                 Err(RecvTimeoutError::Disconnected) => break,
             }
         }
         progress.finish_and_clear();
+        self.diary.close(self.cell, out)?;
         Ok(())
     }
 
@@ -339,14 +345,18 @@ impl Launcher<'_> {
         }
     }
 
-    fn take(&mut self, message: Message, out: &mut Output) -> Result<(), Failure> {
+    fn take(&mut self, message: Message) {
         match message {
             Message::Said(_, Word::Event(event)) => self.gatherer.event(&event),
             Message::Said(node, Word::Figures(figures)) => self.gatherer.figures(node, *figures),
             Message::Said(_, Word::TaskFailed { task, how }) => {
                 self.trouble.push(Trouble { at_fault: true, what: format!("task `{task}` {how}") });
             }
-            Message::Said(_, Word::Did(did)) => self.show(&did, out)?,
+            Message::Said(_, Word::Did(did)) => {
+                if self.run.args.format == Format::Text && !self.stopping {
+                    self.diary.add(did);
+                }
+            }
             Message::Said(_, Word::TaskEnded { task, wrong }) => {
                 self.ended.push(task);
                 let name = &self.cell.tasks[task.index()].name;
@@ -363,30 +373,10 @@ impl Launcher<'_> {
             }
             Message::Interrupted => self.interrupted = true,
         }
-        Ok(())
-    }
-
-    /// A line about what a script did.
-    fn show(&self, did: &Did, out: &mut Output) -> Result<(), Failure> {
-        if self.run.args.format == Format::Json || self.stopping {
-            return Ok(());
-        }
-        let ms = did.at.saturating_sub(self.began) / 1_000;
-        let at = format!("{:>4}.{:03} s", ms / 1_000, ms % 1_000);
-        let task = &self.cell.tasks[did.task.index()].name;
-        let width = self.cell.tasks.iter().map(|task| task.name.len()).max().unwrap_or(0);
-        let line = did.line.map(|line| format!("line {line}")).unwrap_or_default();
-        out.line(format!("{} {task:<width$} {} {}", Styled(FAINT, at), Styled(FAINT, format!("{line:<8}")), did.what))
     }
 
     /// Stops the nodes, hears the rest of what they say, and sums up.
-    fn finish(
-        mut self,
-        seconds: f64,
-        seed: u64,
-        loss: f64,
-        out: &mut Output,
-    ) -> Result<(Summary, Vec<Trouble>), Failure> {
+    fn finish(mut self, seconds: f64, seed: u64, loss: f64) -> (Summary, Vec<Trouble>) {
         self.gatherer.ended(now_us());
         self.stopping = true;
         self.children.order_all(&Order::Stop);
@@ -394,7 +384,7 @@ impl Launcher<'_> {
         let deadline = Instant::now() + STOP_WITHIN;
         while self.gone.len() < self.cell.nodes.len() && !self.interrupted {
             match self.messages.recv_timeout(deadline.saturating_duration_since(Instant::now())) {
-                Ok(message) => self.take(message, out)?,
+                Ok(message) => self.take(message),
                 Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => break,
             }
         }
@@ -405,7 +395,7 @@ impl Launcher<'_> {
             }
         }
         let exits: Vec<String> = ends.iter().map(ToString::to_string).collect();
-        Ok((self.gatherer.summary(seconds, seed, loss, &exits), self.trouble))
+        (self.gatherer.summary(seconds, seed, loss, &exits), self.trouble)
     }
 }
 

@@ -6,6 +6,7 @@
 
 mod children;
 pub mod clock;
+mod diary;
 mod faults;
 mod launcher;
 mod lines;

@@ -297,7 +297,8 @@ impl Process {
             task.view.ports.iter().map(move |port| (of, port.port, port.counters))
         });
         let dropped = named(&snapshot.link_discards);
-        let counted = self.link.inner().udp().into_iter().flat_map(UdpLink::counts).filter(|&(_, count)| count > 0);
+        let counted =
+            self.link.inner().udp().into_iter().flat_map(UdpLink::counts).filter(|&(_, count)| count > 0);
         let figures = Figures {
             ports: ports.collect(),
             outcomes,

@@ -12,12 +12,7 @@ use std::collections::BTreeMap;
 ///
 /// # Errors
 /// [`Failure::Output`].
-pub fn started(
-    run: &Run<'_>,
-    seed: u64,
-    nodes: &[StartedNode<'_>],
-    out: &mut Output,
-) -> Result<(), Failure> {
+pub fn started(run: &Run<'_>, seed: u64, nodes: &[StartedNode<'_>], out: &mut Output) -> Result<(), Failure> {
     out.line(format!(
         "{}: {}, {} (checksummed, not authenticated)",
         Styled(HEAD, &run.loaded.table.cell().name),
@@ -63,12 +58,7 @@ fn faults(args: &LaunchArgs, seed: u64) -> Vec<String> {
 ///
 /// # Errors
 /// [`Failure::Output`].
-pub fn summary(
-    summary: &Summary,
-    table: &CellTable,
-    run: &Run<'_>,
-    out: &mut Output,
-) -> Result<(), Failure> {
+pub fn summary(summary: &Summary, table: &CellTable, run: &Run<'_>, out: &mut Output) -> Result<(), Failure> {
     out.line(Styled(HEAD, format!("After {:.1} s", summary.seconds)))?;
     for rendezvous in &summary.rendezvous {
         meetings(rendezvous, out)?;
@@ -192,7 +182,9 @@ fn in_words(summary: &Summary, table: &CellTable, run: &Run<'_>) -> Vec<String> 
     for rendezvous in &summary.rendezvous {
         let r = &rendezvous.rounds;
         words.push(match r.false_releases {
-            0 if r.released > 0 => format!("Nobody ever started at `{}` before all had arrived.", rendezvous.port),
+            0 if r.released > 0 => {
+                format!("Nobody ever started at `{}` before all had arrived.", rendezvous.port)
+            }
             0 => format!("Nobody started at `{}`, because not all ever arrived.", rendezvous.port),
             n => {
                 format!("{}: {} happened before all had arrived.", Styled(BAD, "FAULT"), count(n, "release"))

@@ -28,7 +28,17 @@ struct Progress {
     /// When it last began to wait for its partners.
     arrived: u64,
     /// By thread, the action that runs there.
-    acts: Vec<(u8, u16, Option<Address>)>,
+    acts: Vec<Acts>,
+}
+
+/// An action under way.
+#[derive(Clone, Copy, Debug)]
+struct Acts {
+    level: u8,
+    action: u16,
+    statement: Option<Address>,
+    /// It takes no time: a look, or an order to something else. Too many to tell.
+    at_once: bool,
 }
 
 impl Narrator {
@@ -83,7 +93,9 @@ impl Narrator {
                 let (count, words) = match outcome {
                     Outcome::Reply(_) => (&mut outcomes.replies, None),
                     Outcome::Refused => (&mut outcomes.refused, Some("refused")),
-                    Outcome::TimedOutUnsent => (&mut outcomes.timed_out_unsent, Some("time_out: it never left")),
+                    Outcome::TimedOutUnsent => {
+                        (&mut outcomes.timed_out_unsent, Some("time_out: it never left"))
+                    }
                     Outcome::TimedOutUnknown => {
                         (&mut outcomes.timed_out_unknown, Some("time_out: it may have run"))
                     }
@@ -142,23 +154,26 @@ impl Watch for Narrator {
                 }
             }
             Note::Answered(signal) => self.answered(task, at, progress, signal, outcomes),
-            Note::Acts { level, action, .. } => {
-                progress.acts.retain(|(other, ..)| other != level);
-                progress.acts.push((*level, *action, progress.statement));
-                self.did(task, at, progress.statement, format!("begins {}", self.loaded.action(task, *action)));
+            Note::Acts { level, action, most, .. } => {
+                let (statement, at_once) = (progress.statement, most.is_zero());
+                progress.acts.retain(|acts| acts.level != *level);
+                progress.acts.push(Acts { level: *level, action: *action, statement, at_once });
+                if !at_once {
+                    self.did(task, at, statement, format!("begins {}", self.loaded.action(task, *action)));
+                }
             }
             Note::Acted { level, ok, value } => {
-                if let Some((action, statement)) = progress.take(*level) {
+                if let Some(acts) = progress.take(*level).filter(|acts| !(acts.at_once && *ok)) {
                     let how = if *ok { "ends" } else { "FAILED:" };
-                    let name = self.loaded.action(task, action);
+                    let name = self.loaded.action(task, acts.action);
                     let value = if *value == 0 { String::new() } else { format!(": {value}") };
-                    self.did(task, at, statement, format!("{how} {name}{value}"));
+                    self.did(task, at, acts.statement, format!("{how} {name}{value}"));
                 }
             }
             Note::CutShort(level) => {
-                if let Some((action, statement)) = progress.take(*level) {
-                    let name = self.loaded.action(task, action);
-                    self.did(task, at, statement, format!("{name} is cut short"));
+                if let Some(acts) = progress.take(*level) {
+                    let name = self.loaded.action(task, acts.action);
+                    self.did(task, at, acts.statement, format!("{name} is cut short"));
                 }
             }
             Note::Ended(end) => self.ended(task, at, progress.statement, *end),
@@ -168,9 +183,8 @@ impl Watch for Narrator {
 }
 
 impl Progress {
-    fn take(&mut self, level: u8) -> Option<(u16, Option<Address>)> {
-        let at = self.acts.iter().position(|(other, ..)| *other == level)?;
-        let (_, action, statement) = self.acts.remove(at);
-        Some((action, statement))
+    fn take(&mut self, level: u8) -> Option<Acts> {
+        let at = self.acts.iter().position(|acts| acts.level == level)?;
+        Some(self.acts.remove(at))
     }
 }

@@ -308,7 +308,10 @@ mod tests {
         gatherer.figures(NodeId(0), figures(5, 60));
         gatherer.figures(NodeId(1), figures(2, 40));
         let summary = gatherer.summary(1.0, 7, 0.0, &["clean".into(), "clean".into(), "killed".into()]);
-        assert_eq!((summary.ports[1].sent, summary.acted.map(|a| (a.executed, a.oldest_us))), (7, Some((7, 60))));
+        assert_eq!(
+            (summary.ports[1].sent, summary.acted.map(|a| (a.executed, a.oldest_us))),
+            (7, Some((7, 60)))
+        );
         assert_eq!(summary.nodes[2].exit, "killed");
         let json = serde_json::to_value(&summary).unwrap();
         assert_eq!(json["rendezvous"][0]["start_skew_us"], serde_json::Value::Null);

@@ -71,9 +71,11 @@ impl Actions for Functions {
             cut_short: Arc::clone(&cut_short),
         };
         // A panic, or no thread at all, drops the ending, which says then that the action failed.
-        let _ = thread::Builder::new().name(format!("action {}", act.name)).spawn(move || match function(&call) {
-            Ok(value) => ending.done(value),
-            Err(_) => ending.failed(),
+        let _ = thread::Builder::new().name(format!("action {}", act.name)).spawn(move || {
+            match function(&call) {
+                Ok(value) => ending.done(value),
+                Err(_) => ending.failed(),
+            }
         });
         Some(Box::new(move || cut_short.store(true, Ordering::Release)))
     }

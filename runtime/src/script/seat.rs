@@ -217,7 +217,7 @@ impl ScriptOutbox for Out<'_> {
             *acting = Some(number);
         }
         let arguments = arguments.to_vec();
-        self.note(|| Note::Acts { level, action, arguments: arguments.clone() });
+        self.note(|| Note::Acts { level, action, arguments: arguments.clone(), most });
         self.effects.deeds.push_back(Deed::Begin(Begun {
             place,
             level,
