@@ -317,7 +317,7 @@ impl Process {
 /// Who carries out the actions of the scripts.
 fn actions(setup: &Setup, loaded: &Loaded) -> Result<Arc<dyn Actions>, NodeError> {
     let simulated = Simulated::start(setup.seed, loaded.results())?;
-    Ok(Commands::new(setup.actions.clone(), simulated))
+    Ok(Arc::new(Commands::new(setup.actions.clone(), simulated)))
 }
 
 /// Gives a task what it does.

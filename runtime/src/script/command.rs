@@ -26,8 +26,8 @@ pub struct Commands {
 impl Commands {
     /// By the name of the action, its program and that one's first arguments.
     #[must_use]
-    pub fn new(commands: BTreeMap<String, Vec<String>>, others: Arc<dyn Actions>) -> Arc<dyn Actions> {
-        Arc::new(Self { commands, others })
+    pub fn new(commands: BTreeMap<String, Vec<String>>, others: Arc<dyn Actions>) -> Self {
+        Self { commands, others }
     }
 }
 
