@@ -54,8 +54,9 @@ impl Diary {
         let later = self.waiting.split_off(&(now.saturating_sub(SETTLED), 0));
         let settled = std::mem::replace(&mut self.waiting, later);
         for did in settled.values() {
-            if let Some(more) = self.pace(did) {
-                out.line(self.line(cell, did, more))?;
+            let left_out = self.pace(did);
+            if left_out.is_some() || did.always {
+                out.line(self.line(cell, did, left_out.unwrap_or_default()))?;
             }
         }
         Ok(())
@@ -102,7 +103,7 @@ mod tests {
     use imrs_protocol::TaskId;
 
     fn did(at: u64, task: u16) -> Did {
-        Did { at, task: TaskId(task), line: Some(3), what: format!("does {at}") }
+        Did { at, task: TaskId(task), line: Some(3), what: format!("does {at}"), always: false }
     }
 
     #[test]

@@ -86,6 +86,8 @@ pub struct Did {
     pub line: Option<usize>,
     /// What, in words.
     pub what: String,
+    /// Whether it is shown however busy the task is.
+    pub always: bool,
 }
 
 /// Something that happened at a waitfor.

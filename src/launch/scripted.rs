@@ -5,6 +5,7 @@ use crate::cells::Loaded;
 use imrs_protocol::script::{Address, End};
 use imrs_protocol::{Outcome, PortId, Request, Signal, TaskId, Usage};
 use imrs_runtime::script::{Note, Watch};
+use std::collections::BTreeMap;
 use std::sync::mpsc::Sender;
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -25,8 +26,10 @@ struct State {
 #[derive(Clone, Debug, Default)]
 struct Progress {
     statement: Option<Address>,
-    /// When it last began to wait for its partners.
-    arrived: u64,
+    /// By port, when and in which statement it last asked something there: handlers may run meanwhile.
+    asked: BTreeMap<PortId, (u64, Option<Address>)>,
+    /// The statement of its last message.
+    sends: Option<Address>,
     /// By thread, the action that runs there.
     acts: Vec<Acts>,
 }
@@ -61,7 +64,7 @@ impl Narrator {
 
     fn did(&self, task: TaskId, at: u64, statement: Option<Address>, what: String) {
         let line = statement.and_then(|statement| self.loaded.line(task, statement));
-        self.tell(Word::Did(Did { at, task, line, what }));
+        self.tell(Word::Did(Did { at, task, line, what, always: false }));
     }
 
     fn port(&self, port: PortId) -> &str {
@@ -76,14 +79,15 @@ impl Narrator {
     }
 
     fn answered(&self, task: TaskId, at: u64, progress: &Progress, signal: &Signal, outcomes: &mut Outcomes) {
-        let statement = progress.statement;
+        let asked = |port| progress.asked.get(&port).copied().unwrap_or((at, progress.statement));
         match *signal {
             Signal::Released { port, round, .. } => {
                 self.tell(Word::Event(Event { at, task, port, round, what: What::Released }));
-                self.did(task, at, statement, format!("all arrived at `{}`", self.port(port)));
+                self.did(task, at, asked(port).1, format!("all arrived at `{}`", self.port(port)));
             }
             Signal::GaveUp { port, round, missing } => {
-                let waited = at.saturating_sub(progress.arrived);
+                let (since, statement) = asked(port);
+                let waited = at.saturating_sub(since);
                 let what = What::GaveUp { waited, missing };
                 self.tell(Word::Event(Event { at, task, port, round, what }));
                 let who = self.missing(port, missing);
@@ -105,7 +109,7 @@ impl Narrator {
                 };
                 *count += 1;
                 if let Some(words) = words {
-                    self.did(task, at, statement, words.into());
+                    self.did(task, at, progress.sends, words.into());
                 }
             }
             _ => {}
@@ -130,7 +134,8 @@ impl Narrator {
             End::Fault { fault, at } => (format!("failed: {fault}"), true, Some(at)),
         };
         let wrong = wrong.then(|| format!("{words}{}", at_line(place)));
-        self.did(task, at, place, words);
+        let line = place.and_then(|place| self.loaded.line(task, place));
+        self.tell(Word::Did(Did { at, task, line, what: words, always: true }));
         self.tell(Word::TaskEnded { task, wrong });
     }
 }
@@ -143,10 +148,11 @@ impl Watch for Narrator {
         match note {
             Note::Statement(statement) => progress.statement = Some(*statement),
             Note::Asked(Request::Arrive { port, .. }) => {
-                progress.arrived = at;
+                progress.asked.insert(*port, (at, progress.statement));
                 self.did(task, at, progress.statement, format!("waits at `{}`", self.port(*port)));
             }
             Note::Asked(Request::Send { port, .. }) => {
+                progress.sends = progress.statement;
                 // Queries are beats and looks: too many to tell.
                 let usage = self.loaded.table.port(*port).and_then(|port| port.party(task)).map(|p| p.usage);
                 if usage == Some(Usage::Send) {
