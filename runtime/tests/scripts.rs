@@ -109,23 +109,26 @@ fn a_script_and_a_rust_task_share_a_node() {
     assert_eq!(end_of(node, "a"), TaskEnd::Script(End::Finished));
 }
 
+/// Keeps everything in memory.
 #[derive(Default)]
-struct Tape(Mutex<(BTreeMap<TaskId, Step>, BTreeMap<TaskId, Vec<Recorded>>)>);
+struct Tape {
+    open: Mutex<BTreeMap<TaskId, Step>>,
+    closed: Mutex<BTreeMap<TaskId, Vec<Recorded>>>,
+}
 
 impl Recorder for Tape {
     fn input(&self, task: TaskId, step: Step) {
-        assert_eq!(self.0.lock().unwrap().0.insert(task, step), None, "a step within a step");
+        assert_eq!(self.open.lock().unwrap().insert(task, step), None, "a step within a step");
     }
 
     fn output(&self, task: TaskId, digest: OutputDigest) {
-        let mut tape = self.0.lock().unwrap();
-        let step = tape.0.remove(&task).expect("an output belongs to an input");
-        tape.1.entry(task).or_default().push(Recorded { step, digest });
+        let step = self.open.lock().unwrap().remove(&task).expect("an output belongs to an input");
+        self.closed.lock().unwrap().entry(task).or_default().push(Recorded { step, digest });
     }
 }
 
 fn replays(table: &Arc<CellTable>, tape: &Tape, node: NodeId, task: TaskId) -> usize {
-    let steps = tape.0.lock().unwrap().1.remove(&task).expect("steps");
+    let steps = tape.closed.lock().unwrap().remove(&task).expect("steps");
     replay(&NodeTable::new(Arc::clone(table), node), task, Incarnation(1), false, steps)
         .expect("the same again")
 }

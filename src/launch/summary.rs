@@ -301,7 +301,7 @@ mod tests {
         let mut gatherer = gatherer();
         let figures = |sent, oldest_us| Figures {
             ports: vec![(TaskId(0), PortId(1), PortCounters { sent, ..PortCounters::default() })],
-            acted: Acted { executed: sent, oldest_us, ..Acted::default() },
+            acted: Some(Acted { executed: sent, oldest_us, ..Acted::default() }),
             ..Figures::default()
         };
         gatherer.figures(NodeId(0), figures(1, 50));
