@@ -94,6 +94,8 @@ fn scripts_meet_and_ask_through_a_node_that_only_relays() {
         assert_eq!(number(&port(&summary, "ask")["delivered"]), 5, "{summary}");
         assert_eq!(number(&summary["rendezvous"][0]["released"]), 5, "{summary}");
         assert_eq!(number(&summary["rendezvous"][0]["false_releases"]), 0, "{summary}");
+        assert_eq!(summary["tasks"][0]["name"], "a", "{summary}");
+        assert_eq!(summary["tasks"][0]["end"], "finished", "{summary}");
         for node in ["na", "nb", "nm"] {
             assert_eq!(exit(&summary, node), "clean", "{summary}");
         }

@@ -357,11 +357,13 @@ impl Launcher<'_> {
                     self.diary.add(did);
                 }
             }
-            Message::Said(_, Word::TaskEnded { task, wrong }) => {
+            Message::Said(_, Word::TaskEnded { task, how, wrong }) => {
                 self.ended.push(task);
-                let name = &self.cell.tasks[task.index()].name;
-                let wrong = wrong.map(|wrong| format!("task `{name}` {wrong}"));
-                self.trouble.extend(wrong.map(|what| Trouble { at_fault: false, what }));
+                if wrong {
+                    let what = format!("task `{}` {how}", self.cell.tasks[task.index()].name);
+                    self.trouble.push(Trouble { at_fault: false, what });
+                }
+                self.gatherer.script_ended(task, how);
             }
             Message::Said(_, Word::Bound(_) | Word::Started | Word::Done) => {}
             Message::Gone(node) => {

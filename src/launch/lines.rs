@@ -68,8 +68,10 @@ pub enum Word {
     TaskEnded {
         /// Its task.
         task: TaskId,
-        /// What went wrong, if anything.
-        wrong: Option<String>,
+        /// How, in words.
+        how: String,
+        /// Whether that is a finding.
+        wrong: bool,
     },
     /// Everything has been said.
     Done,

@@ -133,10 +133,10 @@ impl Narrator {
             End::Assertion(at) => ("failed: an assertion does not hold".to_owned(), true, Some(at)),
             End::Fault { fault, at } => (format!("failed: {fault}"), true, Some(at)),
         };
-        let wrong = wrong.then(|| format!("{words}{}", at_line(place)));
+        let how = format!("{words}{}", if wrong { at_line(place) } else { String::new() });
         let line = place.and_then(|place| self.loaded.line(task, place));
         self.tell(Word::Did(Did { at, task, line, what: words, always: true }));
-        self.tell(Word::TaskEnded { task, wrong });
+        self.tell(Word::TaskEnded { task, how, wrong });
     }
 }
 

@@ -30,8 +30,19 @@ pub struct Summary {
     pub acted: Option<Acted>,
     /// Who gave up first after each kill, and when.
     pub after_kill: Vec<AfterKill>,
+    /// How scripts ended that did so by themselves.
+    pub tasks: Vec<TaskSummary>,
     /// By node.
     pub nodes: Vec<NodeSummary>,
+}
+
+/// A script that ended by itself.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct TaskSummary {
+    /// The name of its task.
+    pub name: String,
+    /// How it ended.
+    pub end: String,
 }
 
 /// One port, over all its ends.
@@ -108,6 +119,7 @@ pub struct Gatherer {
     figures: Vec<Figures>,
     kills: Vec<(NodeId, u64)>,
     after_kill: Vec<AfterKill>,
+    ended: Vec<TaskSummary>,
     /// When the run ended. What happens while the nodes stop is no part of it.
     end: u64,
 }
@@ -119,7 +131,15 @@ impl Gatherer {
         let tallies =
             waitfors.map(|port| (port.id, Tally::new(port.parties.iter().map(|p| p.task)))).collect();
         let figures = table.cell().nodes.iter().map(|_| Figures::default()).collect();
-        Self { table, tallies, figures, kills: Vec::new(), after_kill: Vec::new(), end: u64::MAX }
+        Self {
+            table,
+            tallies,
+            figures,
+            kills: Vec::new(),
+            after_kill: Vec::new(),
+            ended: Vec::new(),
+            end: u64::MAX,
+        }
     }
 
     /// Something happened at a waitfor.
@@ -149,6 +169,12 @@ impl Gatherer {
     pub fn killed(&mut self, node: NodeId, at: u64) {
         self.kills.push((node, at));
         self.for_tasks_on(node, |tally, task| tally.died(task, at));
+    }
+
+    /// A script ended by itself.
+    pub fn script_ended(&mut self, task: TaskId, end: String) {
+        let name = self.table.cell().tasks[task.index()].name.clone();
+        self.ended.push(TaskSummary { name, end });
     }
 
     /// The run ends at this instant of the clock that all processes of one machine share. Said before the nodes are
@@ -195,6 +221,7 @@ impl Gatherer {
             commands,
             acted,
             after_kill: self.after_kill.clone(),
+            tasks: self.ended.clone(),
             nodes: self.figures.iter().enumerate().map(node).collect(),
         }
     }
