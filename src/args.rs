@@ -1,6 +1,6 @@
 //! The command line: what can be asked for, and how it is explained.
 
-use crate::demo::{Cut, Kill, Rate};
+use crate::launch::{ActionCommand, Cut, Kill, Rate};
 use clap::{Args, ColorChoice, Parser, Subcommand, ValueEnum};
 use std::path::PathBuf;
 use std::time::Duration;
@@ -78,6 +78,19 @@ Examples:
   imrs graph examples/beam_lift.cell > beam_lift.svg
   imrs graph examples/beam_lift.cell --to dot | dot -Tpdf > beam_lift.pdf")]
     Graph(GraphArgs),
+    /// Run a cell, one process per node over loopback UDP.
+    ///
+    /// What the cell calls actions is simulated: each takes a time of its interval, the same under the same --seed. An
+    /// action bound by --action is a command to execute: the action's arguments follow the command's own, without a
+    /// shell; exit code 0 is success, the first line of standard output the result.
+    #[command(after_help = "\
+Examples:
+  imrs run examples/beam_lift.cell                    until Ctrl-C
+  imrs run cell.cell --for 10s --in-process           in one process
+  imrs run cell.cell --loss 10% --kill hoist@2s       with faults
+  imrs run cell.cell --action 'grip=./grip --hard'    a robot's own command
+  imrs run cell.cell --record run.imrs                to `imrs replay run.NODE.imrs --cell cell.cell`")]
+    Run(RunArgs),
     /// Run a built-in cell, one process per node over loopback UDP, and explain what happened.
     #[command(after_help = "\
 Examples:
@@ -190,9 +203,34 @@ pub struct DemoArgs {
     /// Which cell.
     #[arg(value_enum, value_name = "CELL")]
     pub cell: DemoCell,
-    /// How long to run.
-    #[arg(long = "for", value_name = "TIME", default_value = "10s", value_parser = humantime::parse_duration)]
-    pub length: Duration,
+    /// How it is run.
+    #[command(flatten)]
+    pub launch: LaunchArgs,
+}
+
+/// What `run` can be asked.
+#[derive(Args, Clone, Debug)]
+pub struct RunArgs {
+    /// The cell.
+    #[arg(value_name = "CELL")]
+    pub cell: PathBuf,
+    /// Execute a command for an action; may be given several times.
+    #[arg(long, value_name = "NAME=CMD")]
+    pub action: Vec<ActionCommand>,
+    /// How it is run.
+    #[command(flatten)]
+    pub launch: LaunchArgs,
+}
+
+/// How a cell is run.
+#[derive(Args, Clone, Debug)]
+pub struct LaunchArgs {
+    /// Run all nodes in this process, joined without sockets.
+    #[arg(long)]
+    pub in_process: bool,
+    /// How long to run [default: a demo 10s, a cell until its tasks end or Ctrl-C].
+    #[arg(long = "for", value_name = "TIME", value_parser = humantime::parse_duration)]
+    pub length: Option<Duration>,
     /// Lose this share of all datagrams.
     #[arg(long, value_name = "RATE", default_value = "0%")]
     pub loss: Rate,
@@ -245,6 +283,9 @@ pub struct ReplayArgs {
     /// The recording of one node.
     #[arg(value_name = "FILE")]
     pub file: PathBuf,
+    /// The cell that was run [default: a built-in one].
+    #[arg(long, value_name = "CELL")]
+    pub cell: Option<PathBuf>,
     /// The form of the answer.
     #[arg(long, value_enum, value_name = "FORM", default_value_t = Format::Text)]
     pub format: Format,

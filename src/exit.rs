@@ -35,15 +35,18 @@ pub enum Failure {
     /// A cell file cannot be read or written.
     #[error(transparent)]
     CellFile(#[from] crate::cell_file::CellFileError),
+    /// The cell has errors: the diagnostics of its compiler.
+    #[error("{0}")]
+    Cell(String),
     /// Standard output cannot be written to.
     #[error("cannot write the answer: {0}")]
     Output(io::Error),
-    /// The demo could not be carried out.
+    /// The cell could not be run.
     #[error(transparent)]
-    Demo(#[from] crate::demo::DemoError),
-    /// A node of a demo could not do its part.
+    Launch(#[from] crate::launch::LaunchError),
+    /// A node of it could not do its part.
     #[error(transparent)]
-    Node(#[from] crate::demo::NodeError),
+    Node(#[from] crate::launch::NodeError),
     /// The recording cannot be replayed.
     #[error(transparent)]
     Replay(#[from] crate::replay::ReplayError),
@@ -56,8 +59,10 @@ impl Failure {
     /// The exit code it leads to.
     pub fn exit(&self) -> Exit {
         match self {
-            Self::Usage(_) | Self::CellFile(_) | Self::Output(_) | Self::Replay(_) => Exit::Usage,
-            Self::Demo(error) => error.exit(),
+            Self::Usage(_) | Self::CellFile(_) | Self::Cell(_) | Self::Output(_) | Self::Replay(_) => {
+                Exit::Usage
+            }
+            Self::Launch(error) => error.exit(),
             Self::Node(_) => Exit::Internal,
             Self::Monitor(error) => match error.exit_code() {
                 2 => Exit::Usage,

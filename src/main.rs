@@ -10,8 +10,10 @@ mod exit;
 mod explain;
 mod fmt;
 mod graph;
+mod launch;
 mod output;
 mod replay;
+mod run;
 mod verify;
 
 use args::{Cli, Format, MonitorArgs, Verb, VerifyArgs, early_color};
@@ -52,6 +54,7 @@ fn run(cli: Cli) -> Result<Exit, Failure> {
         Verb::Fmt(args) => fmt::run(&args, &mut out),
         Verb::Explain(args) => explain::run(&args, &mut out),
         Verb::Graph(args) => graph::run(&args, &mut out),
+        Verb::Run(args) => run::run(&args, &mut out),
         Verb::Demo(args) => demo::run(&args, &mut out),
         Verb::Monitor(args) => monitor(args, cli.color),
         Verb::Replay(args) => replay::run(&args, &mut out),
@@ -68,7 +71,7 @@ fn run(cli: Cli) -> Result<Exit, Failure> {
             Ok(Exit::Well)
         }
         Verb::Node => {
-            demo::run_node()?;
+            launch::run_node()?;
             Ok(Exit::Well)
         }
     }

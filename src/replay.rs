@@ -81,7 +81,11 @@ struct Task {
 /// # Errors
 /// [`Failure`].
 pub fn run(args: &ReplayArgs, out: &mut Output) -> Result<Exit, Failure> {
-    let replayed = read(&args.file)?;
+    let given = match &args.cell {
+        Some(path) => cells::open(path)?.1.table,
+        None => cells::load(&cells::Source::BuiltIn(cells::beam_lift::NAME.into()))?.table,
+    };
+    let replayed = read(&args.file, given)?;
     let diverged = replayed.tasks.iter().any(|task| task.divergence.is_some());
     match args.format {
         Format::Json => out.json(&replayed)?,
@@ -90,12 +94,12 @@ pub fn run(args: &ReplayArgs, out: &mut Output) -> Result<Exit, Failure> {
     Ok(if diverged { Exit::Finding } else { Exit::Well })
 }
 
-fn read(path: &PathBuf) -> Result<Replayed, ReplayError> {
+fn read(path: &PathBuf, given: Arc<CellTable>) -> Result<Replayed, ReplayError> {
     let file = File::open(path).map_err(|source| ReplayError::Open { path: path.clone(), source })?;
     let damaged = |source: record::ReplayError| ReplayError::Read { path: path.clone(), source };
     let mut reader = RecordingReader::new(BufReader::new(file)).map_err(|error| damaged(error.into()))?;
     let header = reader.header().clone();
-    let table = CellTable::new(cells::beam_lift::cell()).ok().filter(|table| table.digest() == header.digest);
+    let table = Some(given).filter(|table| table.digest() == header.digest);
     let table = table.ok_or_else(|| ReplayError::OtherCell {
         path: path.clone(),
         cell: header.cell.clone(),
@@ -103,7 +107,7 @@ fn read(path: &PathBuf) -> Result<Replayed, ReplayError> {
     })?;
     let known = |node: &NodeId| node.index() < table.cell().nodes.len();
     let node = header.node.filter(known).ok_or_else(|| ReplayError::NoInputs(path.clone()))?;
-    let table = NodeTable::new(Arc::new(table), node);
+    let table = NodeTable::new(table, node);
     let names = table.cell.cell();
     let replays = replay_recording(&mut reader, &table).map_err(damaged)?;
     let tasks = replays.iter().map(|replay| Task {

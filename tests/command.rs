@@ -12,9 +12,20 @@ const ESCAPE: char = '\u{1b}';
 fn every_verb_explains_itself_with_an_example() {
     let help = run(&["--help"]);
     assert_eq!(help.code, Some(0), "{help:?}");
-    for verb in
-        ["verify", "check", "fmt", "explain", "graph", "demo", "monitor", "replay", "completions", "man"]
-    {
+    let verbs = [
+        "verify",
+        "check",
+        "fmt",
+        "explain",
+        "graph",
+        "run",
+        "demo",
+        "monitor",
+        "replay",
+        "completions",
+        "man",
+    ];
+    for verb in verbs {
         assert!(help.out.contains(verb), "{verb} is missing in\n{}", help.out);
         let help = run(&[verb, "--help"]);
         assert_eq!(help.code, Some(0), "{help:?}");

@@ -4,7 +4,9 @@ use crate::context::{Context, TaskError};
 use crate::link::Link;
 use crate::node::{Node, Plan};
 use crate::record::Recorder;
-use crate::threads::{Runtime, TaskBody};
+use crate::script::{Actions, Seat, Simulated, Watch};
+use crate::threads::{Runtime, TaskProgram};
+use imrs_protocol::script::{Program, ProgramError};
 use imrs_protocol::{CellTable, Incarnation, NodeId, NodeTable};
 use std::io;
 use std::sync::Arc;
@@ -38,6 +40,9 @@ pub enum StartError {
     /// The node has neighbours, and no link was given.
     #[error("node `{0}` has neighbours but was given no link")]
     NoLink(String),
+    /// The script is none.
+    #[error("the script of task `{0}` is malformed: {1:?}")]
+    Script(String, ProgramError),
     /// The operating system refused a thread.
     #[error("cannot start a thread for `{name}`: {source}")]
     Thread {
@@ -59,7 +64,11 @@ pub struct Builder {
     capacity: u16,
     link: Option<Arc<dyn Link>>,
     recorder: Option<Arc<dyn Recorder>>,
-    programs: Vec<(String, TaskBody)>,
+    programs: Vec<(String, TaskProgram)>,
+    actions: Option<Arc<dyn Actions>>,
+    watch: Option<Arc<dyn Watch>>,
+    seed: u64,
+    holds: bool,
 }
 
 impl Builder {
@@ -74,6 +83,10 @@ impl Builder {
             link: None,
             recorder: None,
             programs: Vec::new(),
+            actions: None,
+            watch: None,
+            seed: 0,
+            holds: false,
         }
     }
 
@@ -114,7 +127,37 @@ impl Builder {
         name: &str,
         program: impl FnOnce(&mut Context) -> Result<(), TaskError> + Send + 'static,
     ) -> Self {
-        self.programs.push((name.into(), Box::new(program)));
+        self.programs.push((name.into(), TaskProgram::Body(Box::new(program))));
+        self
+    }
+
+    /// The script of a task, with durations in microseconds. It has no thread: whoever brings it input runs it.
+    pub fn script(mut self, name: &str, program: Arc<Program>) -> Self {
+        self.programs.push((name.into(), TaskProgram::Script(program)));
+        self
+    }
+
+    /// Who carries out the actions of the scripts [default: a simulation that knows no results].
+    pub fn actions(mut self, actions: Arc<dyn Actions>) -> Self {
+        self.actions = Some(actions);
+        self
+    }
+
+    /// Who is told what the scripts do.
+    pub fn watch(mut self, watch: Arc<dyn Watch>) -> Self {
+        self.watch = Some(watch);
+        self
+    }
+
+    /// Seeds what scripts leave to chance.
+    pub fn seed(mut self, seed: u64) -> Self {
+        self.seed = seed;
+        self
+    }
+
+    /// Keeps the scripts from beginning until [`Runtime::begin`].
+    pub fn hold_scripts(mut self) -> Self {
+        self.holds = true;
         self
     }
 
@@ -137,7 +180,17 @@ impl Builder {
             link: self.link,
             recorder: self.recorder,
         });
-        Runtime::start(Arc::new(node), programs)
+        for (place, (name, program)) in programs.iter().enumerate() {
+            if let TaskProgram::Script(program) = program {
+                program.check().map_err(|error| StartError::Script(name.clone(), error))?;
+                let seat = Seat::new(place, Arc::clone(program), self.watch.clone(), self.seed);
+                node.look(&node.members.list[place], |comm| comm.seat(seat));
+            }
+        }
+        let seed = self.seed;
+        let actions = self.actions.map_or_else(|| Simulated::start(seed, Vec::new()), Ok);
+        let actions = actions.map_err(|source| StartError::Thread { name: "imrs actions".into(), source })?;
+        Runtime::start(Arc::new(node), programs, actions, self.holds)
     }
 }
 
@@ -145,10 +198,10 @@ impl Builder {
 fn assign(
     cell: &CellTable,
     node: NodeId,
-    programs: Vec<(String, TaskBody)>,
-) -> Result<Vec<(String, TaskBody)>, StartError> {
+    programs: Vec<(String, TaskProgram)>,
+) -> Result<Vec<(String, TaskProgram)>, StartError> {
     let tasks = &cell.cell().tasks;
-    let mut bodies: Vec<Option<TaskBody>> = tasks.iter().map(|_| None).collect();
+    let mut bodies: Vec<Option<TaskProgram>> = tasks.iter().map(|_| None).collect();
     for (name, body) in programs {
         let Some(at) = tasks.iter().position(|task| task.name == name) else {
             return Err(StartError::NoTask(name));

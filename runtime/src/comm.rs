@@ -7,6 +7,8 @@ use crate::failstop::FailStop;
 use crate::handoff::{Rest, Station};
 use crate::record::{Digesting, OutputDigest, Recorder, Step, run};
 use crate::ring::Ring;
+use crate::script::Seat;
+use imrs_protocol::script::Program;
 use imrs_protocol::{
     CommTask, Delivery, Event, Input, NodeTable, Observation, Outbox, Packet, Reason, Signal, TaskId,
     TaskView, Ticks, TimeId,
@@ -31,6 +33,8 @@ pub(crate) struct Comm {
     digest: OutputDigest,
     ring: Ring,
     discards: [u64; Reason::ALL.len()],
+    /// The script of the task, where it has one: run under the same lock as its communication task.
+    seat: Option<Box<Seat>>,
 }
 
 impl Comm {
@@ -54,7 +58,70 @@ impl Comm {
             digest: OutputDigest::START,
             ring: Ring::new(),
             discards: [0; Reason::ALL.len()],
+            seat: None,
         }
+    }
+
+    /// Gives the task its script, before anything happens.
+    pub fn seat(&mut self, seat: Seat) {
+        self.seat = Some(Box::new(seat));
+    }
+
+    /// Does something with the script of the task, which knows its communication task.
+    pub fn with_seat(&mut self, work: impl FnOnce(&mut Seat, &mut Self)) {
+        if let Some(mut seat) = self.seat.take() {
+            work(&mut seat, self);
+            self.seat = Some(seat);
+        }
+    }
+
+    /// The program of the task's script.
+    pub fn program(&self) -> Option<Arc<Program>> {
+        self.seat.as_ref().map(|seat| Arc::clone(seat.program()))
+    }
+
+    /// Lets time pass until `now`; an earlier one is no time.
+    pub fn pass(&mut self, now: Micros) -> Ticks {
+        let elapsed = Ticks(now.saturating_sub(self.last));
+        self.last += elapsed.0;
+        elapsed
+    }
+
+    pub const fn machine(&self) -> &CommTask {
+        &self.machine
+    }
+
+    pub const fn table(&self) -> &NodeTable {
+        &self.table
+    }
+
+    /// The time of the machine.
+    pub const fn now(&self) -> Micros {
+        self.last
+    }
+
+    /// The machine takes one step; what it answers goes to `answers`.
+    pub fn run(&mut self, step: Step, answers: &mut dyn FnMut(Signal), effects: &mut Effects) {
+        if let Some(recorder) = &self.recorder {
+            if recorder.wants_keyframe(self.machine.task()) {
+                recorder.keyframe(&self.machine, self.digest);
+            }
+            recorder.input(self.machine.task(), step);
+        }
+        let mut out = Out {
+            at: self.last,
+            task: self.machine.task(),
+            effects,
+            answers,
+            ring: &mut self.ring,
+            discards: &mut self.discards,
+        };
+        let digest = self.recorder.is_some().then_some(&mut self.digest);
+        run(&mut self.machine, &self.table, step, &mut Digesting { digest, out: &mut out });
+        if let Some(recorder) = &self.recorder {
+            recorder.output(self.machine.task(), self.digest);
+        }
+        self.rebase_in_time();
     }
 
     /// The machine's state, and when it was so.
@@ -114,36 +181,19 @@ impl Station for Comm {
 
     fn feed(&mut self, stamped: Stamped, effects: &mut Effects) -> Option<Mail> {
         let _guard = FailStop::of("a communication task");
+        if self.seat.is_some() {
+            self.with_seat(|seat, comm| seat.take(comm, stamped, effects));
+            return None;
+        }
         let late = self.last.saturating_sub(stamped.at);
-        let elapsed = Ticks(stamped.at.saturating_sub(self.last));
-        self.last += elapsed.0;
+        let elapsed = self.pass(stamped.at);
         let mut input = stamped.input;
         if let Input::Packet(packet) = &mut input {
             // Another thread was faster: what the packet waited for this one is taken from its life, too.
             packet.remaining = packet.remaining - Ticks(late);
         }
-        let step = Step { elapsed, input };
-        if let Some(recorder) = &self.recorder {
-            if recorder.wants_keyframe(self.machine.task()) {
-                recorder.keyframe(&self.machine, self.digest);
-            }
-            recorder.input(self.machine.task(), step);
-        }
-        let mut mail = None;
-        let mut out = Out {
-            at: self.last,
-            task: self.machine.task(),
-            effects,
-            mail: &mut mail,
-            ring: &mut self.ring,
-            discards: &mut self.discards,
-        };
-        let digest = self.recorder.is_some().then_some(&mut self.digest);
-        run(&mut self.machine, &self.table, step, &mut Digesting { digest, out: &mut out });
-        if let Some(recorder) = &self.recorder {
-            recorder.output(self.machine.task(), self.digest);
-        }
-        self.rebase_in_time();
+        let (mut mail, at) = (None, self.last);
+        self.run(Step { elapsed, input }, &mut |signal| mail = Some(Mail { signal, at }), effects);
         mail
     }
 
@@ -165,7 +215,7 @@ struct Out<'a> {
     at: Micros,
     task: TaskId,
     effects: &'a mut Effects,
-    mail: &'a mut Option<Mail>,
+    answers: &'a mut dyn FnMut(Signal),
     ring: &'a mut Ring,
     discards: &'a mut [u64; Reason::ALL.len()],
 }
@@ -176,7 +226,7 @@ impl Outbox for Out<'_> {
     }
 
     fn signal(&mut self, signal: Signal) {
-        *self.mail = Some(Mail { signal, at: self.at });
+        (self.answers)(signal);
     }
 
     fn arm(&mut self, id: TimeId, turn: u8, length: Ticks) {

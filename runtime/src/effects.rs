@@ -1,6 +1,7 @@
 //! What a machine wants done, and by whom. Filled under a lock, carried out after it, by the thread that held it (D39).
 
 use crate::clock::Micros;
+use crate::script::Deed;
 use imrs_protocol::{Input, Packet, TaskId, Ticks, TimeId};
 use std::collections::VecDeque;
 
@@ -28,17 +29,19 @@ pub(crate) enum Effect {
 #[derive(Debug)]
 pub(crate) struct Effects {
     pub queue: VecDeque<Effect>,
+    /// What scripts want done outside.
+    pub deeds: VecDeque<Deed>,
     /// The task whose thread this is, if it waits for what it asks.
     pub waiter: Option<TaskId>,
 }
 
 impl Effects {
     pub fn new(waiter: Option<TaskId>) -> Self {
-        Self { queue: VecDeque::with_capacity(256), waiter }
+        Self { queue: VecDeque::with_capacity(256), deeds: VecDeque::new(), waiter }
     }
 
     /// For a thread that only looks, and rarely finds work that others left it.
     pub fn of_an_onlooker() -> Self {
-        Self { queue: VecDeque::new(), waiter: None }
+        Self { queue: VecDeque::new(), deeds: VecDeque::new(), waiter: None }
     }
 }

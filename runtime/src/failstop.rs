@@ -1,6 +1,8 @@
 //! A panic in the machinery ends the process (D43): its state is not to be trusted any more, and peers learn of a dead
 //! node by their time_outs, of a node that goes on half-dead never.
 
+use std::io::Write;
+
 /// Ends the process if it is dropped by a panic.
 #[must_use = "guards for as long as it lives"]
 pub(crate) struct FailStop {
@@ -19,7 +21,9 @@ impl FailStop {
 impl Drop for FailStop {
     fn drop(&mut self) {
         if std::thread::panicking() && !self.unwinding {
-            eprintln!("imrs: {} panicked; the node stops", self.what);
+            // In one piece: others may be writing their panics.
+            let line = format!("imrs: {} panicked; the node stops\n", self.what);
+            let _ = std::io::stderr().write_all(line.as_bytes());
             std::process::abort();
         }
     }

@@ -180,6 +180,17 @@ impl<S: Station> Handoff<S> {
         self.second_look(effects);
     }
 
+    /// Does something with the station that may lead to work, from anywhere.
+    pub fn visit(&self, visit: impl FnOnce(&mut S, &mut S::Effects), effects: &mut S::Effects) {
+        let mut core = lock(&self.core);
+        self.drain(&mut core, effects);
+        visit(&mut core.station, effects);
+        let rest = if core.resting { Rest::GoesOn } else { Rest::No };
+        core.station.settle(rest, effects);
+        drop(core);
+        self.second_look(effects);
+    }
+
     /// Looks at the station under its lock. Who holds the lock has its duties: what others left in the inbox
     /// meanwhile is worked off.
     pub fn with<R>(&self, look: impl FnOnce(&mut S) -> R, effects: &mut S::Effects) -> R {

@@ -55,6 +55,7 @@ pub mod record;
 mod residency;
 mod reverse_path;
 mod ring;
+pub mod script;
 mod snapshot;
 mod sync;
 mod threads;

@@ -14,6 +14,7 @@ use crate::link::{Link, LinkDiscard, Sink};
 use crate::member::{Member, Members};
 use crate::record::Recorder;
 use crate::reverse_path::can_come;
+use crate::script::Stage;
 use crate::sync::{AtomicU64, Mutex, Ordering, lock};
 use crate::timers::Timers;
 use crate::transit::Dispatch;
@@ -21,7 +22,7 @@ use imrs_protocol::route::{Arrival, Departure, arrived, departing};
 use imrs_protocol::{
     CommTask, Incarnation, Input, NodeId, NodeTable, Packet, Reason, Request, TaskId, Ticks, discarded,
 };
-use std::sync::Arc;
+use std::sync::{Arc, OnceLock};
 use std::time::Instant;
 
 /// What a node is made from.
@@ -45,6 +46,8 @@ pub struct Node {
     pub(crate) alarm: Arc<Alarm>,
     pub(crate) link: Option<Arc<dyn Link>>,
     pub(crate) peers: Box<[Peer]>,
+    /// Where the scripts of the node act. Here from the start on, unless it has none.
+    pub(crate) stage: OnceLock<Stage>,
     /// Drops that no machine saw, by position in [`Reason::ALL`].
     pub(crate) discards: [AtomicU64; Reason::ALL.len()],
     /// Drops by links, by position in [`LinkDiscard::NAMES`].
@@ -94,6 +97,7 @@ impl Node {
             members,
             timers: Timers::new(timer, count, Arc::clone(&alarm), count + 1, now),
             alarm,
+            stage: OnceLock::new(),
             link: plan.link,
             peers: table.neighbours(table.node).map(peer).collect(),
             discards: std::array::from_fn(|_| AtomicU64::new(0)),
@@ -206,6 +210,11 @@ impl Node {
                 }
             }
             self.dispatch.pump(latest, effects);
+            while let Some(deed) = effects.deeds.pop_front() {
+                if let Some(stage) = self.stage.get() {
+                    stage.perform(self, deed);
+                }
+            }
             if effects.queue.is_empty() {
                 return;
             }

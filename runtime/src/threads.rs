@@ -2,11 +2,14 @@
 
 use crate::builder::{Builder, StartError};
 use crate::clock;
+use crate::comm::Comm;
 use crate::context::{Context, TaskError};
 use crate::effects::Effects;
 use crate::failstop::FailStop;
 use crate::link::{Link, PollEnd};
 use crate::node::{Inlet, Node};
+use crate::script::{Actions, Stage};
+use imrs_protocol::script::{End, Program};
 use imrs_protocol::{CellTable, NodeId};
 use imrs_wire::obs::Liveness;
 use std::any::Any;
@@ -18,6 +21,14 @@ use std::time::{Duration, Instant};
 
 pub(crate) type TaskBody = Box<dyn FnOnce(&mut Context) -> Result<(), TaskError> + Send>;
 
+/// What a task runs.
+pub(crate) enum TaskProgram {
+    /// A Rust program, on a thread of its own.
+    Body(TaskBody),
+    /// A script, run by whoever brings it input.
+    Script(Arc<Program>),
+}
+
 /// How a task's program ended.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum TaskEnd {
@@ -27,6 +38,8 @@ pub enum TaskEnd {
     Failed(TaskError),
     /// It panicked with this message: a crash of the task (D43).
     Panicked(String),
+    /// It is a script, and ended by itself.
+    Script(End),
     /// It was still running when patience ended. Its thread goes on; it can no longer ask for anything.
     Unfinished,
 }
@@ -37,7 +50,8 @@ pub enum TaskEnd {
 pub struct Runtime {
     node: Arc<Node>,
     shared: Arc<Shared>,
-    tasks: Vec<(String, JoinHandle<()>)>,
+    /// The name of each task, and its thread if it has one.
+    tasks: Vec<(String, Option<JoinHandle<()>>)>,
     helpers: Vec<JoinHandle<()>>,
 }
 
@@ -62,6 +76,14 @@ impl Shared {
         self.changed.notify_all();
     }
 
+    /// The script runs no more.
+    fn stopped(&self, place: usize) {
+        if let Some(slot) = self.ends().get_mut(place) {
+            slot.get_or_insert(TaskEnd::Returned);
+        }
+        self.changed.notify_all();
+    }
+
     /// Waits until no program runs, or until `deadline`.
     fn wait_for_tasks(&self, deadline: Instant) -> bool {
         let mut ends = self.ends();
@@ -82,7 +104,12 @@ impl Runtime {
         Builder::new(cell, node)
     }
 
-    pub(crate) fn start(node: Arc<Node>, programs: Vec<(String, TaskBody)>) -> Result<Self, StartError> {
+    pub(crate) fn start(
+        node: Arc<Node>,
+        programs: Vec<(String, TaskProgram)>,
+        actions: Arc<dyn Actions>,
+        holds: bool,
+    ) -> Result<Self, StartError> {
         let shared = Arc::new(Shared {
             closing: AtomicBool::new(false),
             ends: Mutex::new(programs.iter().map(|_| None).collect()),
@@ -90,13 +117,35 @@ impl Runtime {
         });
         // From here on an error drops the runtime, and with it whatever runs already.
         let mut runtime = Self { node, shared, tasks: Vec::new(), helpers: Vec::new() };
+        let (weak, ends) = (Arc::downgrade(&runtime.node), Arc::clone(&runtime.shared));
+        let ended = move |place: usize, end| ends.ended(place, TaskEnd::Script(end));
+        let _ = runtime.node.stage.set(Stage::new(weak, actions, Box::new(ended)));
         runtime.start_timer()?;
         runtime.start_receiver()?;
         for (place, (name, program)) in programs.into_iter().enumerate() {
-            let thread = runtime.start_task(place, &name, program)?;
+            let thread = match program {
+                TaskProgram::Body(body) => Some(runtime.start_task(place, &name, body)?),
+                TaskProgram::Script(_) => None,
+            };
             runtime.tasks.push((name, thread));
         }
+        if !holds {
+            runtime.begin();
+        }
         Ok(runtime)
+    }
+
+    /// Lets the scripts of the node begin, where [`Builder::hold_scripts`] kept them from it. Once; later calls do
+    /// nothing.
+    pub fn begin(&self) {
+        let mut effects = Effects::new(None);
+        for member in &self.node.members.list {
+            let begin = |comm: &mut Comm, effects: &mut Effects| {
+                comm.with_seat(|seat, comm| seat.begin(comm, effects));
+            };
+            member.handoff.visit(begin, &mut effects);
+            self.node.carry_out(&mut effects);
+        }
     }
 
     /// The node, to observe it.
@@ -125,6 +174,10 @@ impl Runtime {
         }
         let mut ends = std::mem::take(&mut *self.shared.ends());
         let tasks = std::mem::take(&mut self.tasks).into_iter().zip(ends.drain(..));
+        let join = |thread: Option<JoinHandle<()>>, end: Option<TaskEnd>| match thread {
+            Some(thread) => join(thread, end),
+            None => end.unwrap_or(TaskEnd::Unfinished),
+        };
         tasks.map(|((name, thread), end)| (name, join(thread, end))).collect()
     }
 
@@ -132,7 +185,16 @@ impl Runtime {
         let mut effects = Effects::of_an_onlooker();
         for member in &self.node.members.list {
             member.handoff.stop(&mut effects);
+            let stop = |comm: &mut Comm, effects: &mut Effects| {
+                comm.with_seat(|seat, comm| seat.stop(comm, effects));
+            };
+            member.handoff.visit(stop, &mut effects);
             self.node.carry_out(&mut effects);
+        }
+        for (place, (_, thread)) in self.tasks.iter().enumerate() {
+            if thread.is_none() {
+                self.shared.stopped(place);
+            }
         }
     }
 

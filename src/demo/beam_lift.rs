@@ -1,8 +1,8 @@
 //! What the tasks of the beam lift do. The robots are simulated; their communication is not.
 
-use super::clock::now_us;
-use super::probe::Probe;
 use crate::cells::beam_lift::{ARM_L, ARM_R, BEAT, HALT, HOIST, LIFT};
+use crate::launch::clock::now_us;
+use crate::launch::probe::Probe;
 use fastrand::Rng;
 use imrs_protocol::{Delivery, Fault, PortId, Ranked, Round};
 use imrs_runtime::{Context, Rendezvous, RequestFault, TaskError};

@@ -1,8 +1,8 @@
 //! The summary of a run, as a person reads it.
 
-use super::launcher::StartedNode;
+use super::launcher::{Run, StartedNode};
 use super::summary::{NodeSummary, RendezvousSummary, Summary};
-use crate::args::DemoArgs;
+use crate::args::LaunchArgs;
 use crate::exit::Failure;
 use crate::output::{BAD, FAINT, GOOD, HEAD, NOTE, Output, Styled, count, grouped, span};
 use imrs_protocol::{CellTable, Usage};
@@ -12,32 +12,30 @@ use std::collections::BTreeMap;
 ///
 /// # Errors
 /// [`Failure::Output`].
-pub fn started(
-    args: &DemoArgs,
-    seed: u64,
-    nodes: &[StartedNode<'_>],
-    out: &mut Output,
-) -> Result<(), Failure> {
+pub fn started(run: &Run<'_>, seed: u64, nodes: &[StartedNode<'_>], out: &mut Output) -> Result<(), Failure> {
     out.line(format!(
-        "{}: {}, one process each, over loopback UDP (checksummed, not authenticated)",
-        Styled(HEAD, crate::cells::beam_lift::NAME),
+        "{}: {}, {} (checksummed, not authenticated)",
+        Styled(HEAD, &run.loaded.table.cell().name),
         count(nodes.len() as u64, "node"),
+        if run.args.in_process { "all in this process" } else { "one process each, over loopback UDP" },
     ))?;
     for node in nodes {
         let tasks = node.tasks.join(", ");
-        out.line(format!("  {:<4} runs {tasks:<8} pid {:<8} {}", node.name, node.pid, node.address))?;
+        let tasks = if tasks.is_empty() { "nothing: it relays".to_owned() } else { format!("runs {tasks}") };
+        let address = node.address.map(|address| address.to_string()).unwrap_or_default();
+        out.line(format!("  {:<4} {tasks:<13} pid {:<8} {address}", node.name, node.pid).trim_end())?;
     }
-    out.line(
-        "All tasks meet at the waitfor `lift` before every lift; nobody is to start without the others.",
-    )?;
-    for fault in faults(args, seed) {
+    if let Some(words) = run.introduction {
+        out.line(words)?;
+    }
+    for fault in faults(run.args, seed) {
         out.line(format!("{} {fault}", Styled(NOTE, "fault:")))?;
     }
     out.line("To watch: `imrs monitor` in another terminal. Ctrl-C ends the run early.")?;
     out.line("")
 }
 
-fn faults(args: &DemoArgs, seed: u64) -> Vec<String> {
+fn faults(args: &LaunchArgs, seed: u64) -> Vec<String> {
     let mut faults = Vec::new();
     if args.loss.0 > 0.0 {
         faults.push(format!("{} of all datagrams are lost (--seed {seed})", args.loss));
@@ -60,12 +58,7 @@ fn faults(args: &DemoArgs, seed: u64) -> Vec<String> {
 ///
 /// # Errors
 /// [`Failure::Output`].
-pub fn summary(
-    summary: &Summary,
-    table: &CellTable,
-    args: &DemoArgs,
-    out: &mut Output,
-) -> Result<(), Failure> {
+pub fn summary(summary: &Summary, table: &CellTable, run: &Run<'_>, out: &mut Output) -> Result<(), Failure> {
     out.line(Styled(HEAD, format!("After {:.1} s", summary.seconds)))?;
     for rendezvous in &summary.rendezvous {
         meetings(rendezvous, out)?;
@@ -76,7 +69,7 @@ pub fn summary(
         out.line(node_line(node))?;
     }
     out.line("")?;
-    for line in in_words(summary, table, args) {
+    for line in in_words(summary, table, run) {
         out.line(line)?;
     }
     Ok(())
@@ -122,7 +115,7 @@ fn commands(summary: &Summary, out: &mut Output) -> Result<(), Failure> {
     let named = others.iter().filter(|(n, _)| *n > 0).map(|(n, what)| format!("{} {what}", grouped(*n)));
     parts.extend(named);
     out.line(format!("  commands: {} ended: {}", grouped(sent), parts.join(", ")))?;
-    let a = &summary.acted;
+    let Some(a) = &summary.acted else { return Ok(()) };
     let late = match a.executed_late {
         0 => Styled(GOOD, "none after its time_out".to_owned()),
         n => Styled(BAD, format!("{} AFTER their time_out", grouped(n))),
@@ -184,13 +177,15 @@ fn listed(counts: &BTreeMap<String, u64>) -> String {
 }
 
 /// What happened, in sentences.
-fn in_words(summary: &Summary, table: &CellTable, args: &DemoArgs) -> Vec<String> {
-    let mut words = Vec::new();
+fn in_words(summary: &Summary, table: &CellTable, run: &Run<'_>) -> Vec<String> {
+    let (args, mut words) = (run.args, Vec::new());
     for rendezvous in &summary.rendezvous {
         let r = &rendezvous.rounds;
         words.push(match r.false_releases {
-            0 if r.released > 0 => "Nobody ever started a lift before all had arrived.".to_owned(),
-            0 => "Nobody started a lift, because not all ever arrived.".to_owned(),
+            0 if r.released > 0 => {
+                format!("Nobody ever started at `{}` before all had arrived.", rendezvous.port)
+            }
+            0 => format!("Nobody started at `{}`, because not all ever arrived.", rendezvous.port),
             n => {
                 format!("{}: {} happened before all had arrived.", Styled(BAD, "FAULT"), count(n, "release"))
             }
@@ -222,7 +217,7 @@ fn in_words(summary: &Summary, table: &CellTable, args: &DemoArgs) -> Vec<String
             count(again, "copy").replace("copys", "copies")
         ));
     }
-    if args.loss.0 == 0.0 && args.kill.is_empty() && args.cut.is_empty() {
+    if run.introduction.is_some() && args.loss.0 == 0.0 && args.kill.is_empty() && args.cut.is_empty() {
         words.push(
             "Next: the same with faults: --loss 20%, --kill hoist@2s, --cut nl--nr@1s+40ms.".to_owned(),
         );

@@ -1,21 +1,25 @@
-//! One node of a demo: a process that runs what its launcher says.
+//! One node of a run: does what its launcher says, in a process or a thread of its own.
 
-use super::beam_lift;
 use super::lines::{Event, Figures, Order, Setup, What, Word, hear, say};
 use super::probe::Probe;
 use super::recorder::NodeRecording;
-use crate::cells;
+use super::scripted::Narrator;
+use super::way::Way;
+use crate::cells::{self, Loaded};
+use crate::demo;
 use crate::output::complain;
-use imrs_protocol::{CellTable, Event as Observed, Incarnation, NodeId, NodeTable, TaskId};
+use imrs_protocol::{Event as Observed, Incarnation, NodeId, NodeTable, TaskId};
 use imrs_runtime::link::faulty::FaultyLink;
+use imrs_runtime::link::in_process::Network;
 use imrs_runtime::link::udp::{UdpError, UdpLink, UdpOptions};
 use imrs_runtime::observer::Observer;
-use imrs_runtime::{Observations, Runtime, StartError, TaskEnd};
+use imrs_runtime::script::{Actions, Commands, Simulated};
+use imrs_runtime::{Builder, Observations, Runtime, StartError, TaskEnd};
 use imrs_wire::obs::{Count, TimedEvent};
 use imrs_wire::recording::WriteError;
 use rustix::process::{Signal, set_parent_process_death_signal};
 use std::collections::BTreeMap;
-use std::io::{self, BufReader, Stdout};
+use std::io::{self, BufRead, BufReader, Write};
 use std::net::{Ipv4Addr, SocketAddr};
 use std::sync::Arc;
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError, Sender};
@@ -51,11 +55,13 @@ pub enum NodeError {
     Record(#[from] WriteError),
 }
 
-type FaultyUdp = FaultyLink<UdpLink>;
+type FaultyWay = FaultyLink<Way>;
+/// What the launcher hears.
+type Words = Box<dyn Write + Send>;
 
 struct Process {
     table: NodeTable,
-    link: Arc<FaultyUdp>,
+    link: Arc<FaultyWay>,
     /// Here until it is stopped.
     runtime: Option<Runtime>,
     node: Arc<imrs_runtime::Node>,
@@ -65,29 +71,57 @@ struct Process {
     recording: Option<NodeRecording>,
     probe: Probe,
     told: Receiver<Event>,
+    /// What the scripts do, where there are any.
+    narrator: Arc<Narrator>,
+    narrated: Receiver<Word>,
+    scripted: bool,
     untold: u64,
-    out: Stdout,
+    out: Words,
 }
 
 /// Runs the node that standard input describes until it is told to stop, or until the launcher has gone.
 ///
 /// # Errors
 /// [`NodeError`].
-pub fn run() -> Result<(), NodeError> {
+pub fn run_process() -> Result<(), NodeError> {
     // A launcher that is killed cannot tell its nodes. Without the call, the end of the pipe tells them.
     let _ = set_parent_process_death_signal(Some(Signal::KILL));
-    let mut input = BufReader::new(io::stdin());
+    run(BufReader::new(io::stdin()), Box::new(io::stdout()), None)
+}
+
+/// Runs the node that `input` describes until it is told to stop, or until the launcher has gone. Within a process of
+/// several nodes, a network joins them.
+///
+/// # Errors
+/// [`NodeError`].
+pub fn run(
+    mut input: impl BufRead + Send + 'static,
+    out: Words,
+    network: Option<&Arc<Network>>,
+) -> Result<(), NodeError> {
     let Some(setup) = hear::<Setup>(&mut input)? else { return Ok(()) };
     let (orders, ordered) = mpsc::channel();
-    let mut node = Process::start(&setup)?;
-    say(&mut node.out, &Word::Bound(node.link.inner().local_address()))?;
+    let mut node = Process::start(&setup, out, network)?;
+    let address = node.link.inner().udp().map(UdpLink::local_address);
+    say(&mut node.out, &Word::Bound(address))?;
     thread::Builder::new().name("imrs orders".into()).spawn(move || listen(input, &orders))?;
-    node.serve(&ordered)?;
-    node.end()
+    match node.serve(&ordered)? {
+        Leave::InOrder => node.end(),
+        Leave::AtOnce => {
+            node.die();
+            Ok(())
+        }
+    }
+}
+
+/// How a node leaves.
+enum Leave {
+    InOrder,
+    AtOnce,
 }
 
 /// Reads the launcher's orders until it has gone.
-fn listen(mut input: BufReader<io::Stdin>, orders: &Sender<Order>) {
+fn listen(mut input: impl BufRead, orders: &Sender<Order>) {
     while let Ok(Some(order)) = hear(&mut input) {
         if orders.send(order).is_err() {
             return;
@@ -96,34 +130,41 @@ fn listen(mut input: BufReader<io::Stdin>, orders: &Sender<Order>) {
 }
 
 impl Process {
-    fn start(setup: &Setup) -> Result<Self, NodeError> {
-        if setup.cell != cells::beam_lift::NAME {
-            return Err(NodeError::Setup(format!("the cell `{}`", setup.cell)));
-        }
-        let cell = CellTable::new(cells::beam_lift::cell());
-        let cell = Arc::new(cell.map_err(|_| NodeError::Setup("a cell with faults".into()))?);
+    fn start(setup: &Setup, out: Words, network: Option<&Arc<Network>>) -> Result<Self, NodeError> {
+        let loaded = cells::load(&setup.cell).map_err(|error| NodeError::Setup(error.to_string()))?;
+        let (cell, loaded) = (Arc::clone(&loaded.table), Arc::new(loaded));
         let id = cell.cell().nodes.iter().position(|n| n.name == setup.node).map(NodeId::from_index);
         let id = id.ok_or_else(|| NodeError::Setup(format!("the node `{}`", setup.node)))?;
         let table = NodeTable::new(Arc::clone(&cell), id);
 
         let life = Incarnation(setup.incarnation);
-        let any_port = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));
-        let udp = UdpLink::bind(table.clone(), any_port, UdpOptions::new(life, false))?;
+        let way = match network {
+            Some(network) => Way::InProcess(network.join(id, life, false)),
+            None => {
+                let any_port = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));
+                let options = UdpOptions::new(life, false);
+                Way::Udp(Box::new(UdpLink::bind(table.clone(), any_port, options)?))
+            }
+        };
         // Of all links of the cell, no two lose the same datagrams.
-        let link = Arc::new(FaultyLink::new(udp, setup.seed.wrapping_add(u64::from(id.0))));
+        let link = Arc::new(FaultyLink::new(way, setup.seed.wrapping_add(u64::from(id.0))));
         link.set_loss(setup.loss);
 
         let (tell, told) = mpsc::channel();
         let probe = Probe::new(&cell, tell);
+        let (narrate, narrated) = mpsc::channel();
+        let narrator = Arc::new(Narrator::new(Arc::clone(&loaded), narrate));
+        let scripted = loaded.scripts.iter().any(Option::is_some);
         let mut builder = Runtime::builder(Arc::clone(&cell), id)
             .incarnation(life, false)
             .insecure(true)
-            .link(Arc::clone(&link) as Arc<dyn imrs_runtime::link::Link>);
+            .link(Arc::clone(&link) as Arc<dyn imrs_runtime::link::Link>)
+            .actions(actions(setup, &loaded)?)
+            .watch(Arc::clone(&narrator) as Arc<dyn imrs_runtime::script::Watch>)
+            .seed(setup.seed)
+            .hold_scripts();
         for task in cell.tasks_on(id) {
-            let name = &cell.cell().tasks[task.index()].name;
-            let program = beam_lift::program(name, probe.clone(), setup.seed)
-                .ok_or_else(|| NodeError::Setup(format!("the task `{name}`")))?;
-            builder = builder.task(name, program);
+            builder = with_program(builder, &loaded, task, &probe, setup.seed)?;
         }
         let recording = match &setup.record {
             Some(path) => Some(NodeRecording::start(path, setup, &NodeTable::new(Arc::clone(&cell), id))?),
@@ -139,7 +180,6 @@ impl Process {
         if let Err(error) = &observer {
             complain(format_args!("node {} runs, but no monitor can see it: {error}", setup.node));
         }
-        let out = io::stdout();
         let (runtime, _observer) = (Some(runtime), observer.ok());
         Ok(Self {
             table,
@@ -151,13 +191,16 @@ impl Process {
             recording,
             probe,
             told,
+            narrator,
+            narrated,
+            scripted,
             untold: 0,
             out,
         })
     }
 
     /// Does what the launcher orders, and tells it what happens.
-    fn serve(&mut self, orders: &Receiver<Order>) -> Result<(), NodeError> {
+    fn serve(&mut self, orders: &Receiver<Order>) -> Result<Leave, NodeError> {
         let mut counted = Instant::now();
         let mut tell_at = Instant::now() + TELL_EVERY;
         loop {
@@ -165,7 +208,8 @@ impl Process {
                 Ok(Order::Book(book)) => self.begin(&book)?,
                 Ok(Order::Cut(name)) => self.set_cut(&name, true),
                 Ok(Order::Heal(name)) => self.set_cut(&name, false),
-                Ok(Order::Stop) | Err(RecvTimeoutError::Disconnected) => return Ok(()),
+                Ok(Order::Stop) | Err(RecvTimeoutError::Disconnected) => return Ok(Leave::InOrder),
+                Ok(Order::Die) => return Ok(Leave::AtOnce),
                 Err(RecvTimeoutError::Timeout) => {
                     tell_at = Instant::now() + TELL_EVERY;
                     self.tell()?;
@@ -182,10 +226,11 @@ impl Process {
         for (name, &address) in book {
             if let Some(node) = self.node_named(name).filter(|&node| node != self.table.node) {
                 // A node without a link to this one needs no address here.
-                let _ = self.link.inner().set_address(node, Some(address));
+                let _ = self.link.inner().udp().map(|udp| udp.set_address(node, Some(address)));
             }
         }
         self.probe.start();
+        self.runtime.iter().for_each(Runtime::begin);
         Ok(say(&mut self.out, &Word::Started)?)
     }
 
@@ -197,6 +242,15 @@ impl Process {
 
     fn node_named(&self, name: &str) -> Option<NodeId> {
         self.table.cell().nodes.iter().position(|n| n.name == name).map(NodeId::from_index)
+    }
+
+    /// As after a power cut: nothing that the node still does leaves it.
+    fn die(mut self) {
+        for neighbour in self.table.neighbours(self.table.node) {
+            self.link.set_cut(neighbour, true);
+        }
+        self.probe.start();
+        drop(self.runtime.take().map(|runtime| runtime.stop(PATIENCE)));
     }
 
     /// Stops the tasks, and tells the rest.
@@ -220,24 +274,31 @@ impl Process {
     fn tell(&mut self) -> Result<(), NodeError> {
         // Taken before the observations, and told after them: no release is told whose announcement is not.
         let events: Vec<Event> = self.told.try_iter().collect();
+        let narrated: Vec<Word> = self.narrated.try_iter().collect();
         let mut observed = Vec::new();
         self.untold += self.observations.drain(ROOM, &mut observed);
         for event in observed.iter().filter_map(announcement).chain(events) {
             say(&mut self.out, &Word::Event(event))?;
+        }
+        for word in narrated {
+            say(&mut self.out, &word)?;
         }
         Ok(())
     }
 
     fn count(&mut self) -> Result<(), NodeError> {
         let snapshot = self.node.snapshot(0);
-        let (outcomes, acted) = self.probe.counts();
+        let (mut outcomes, acted) = self.probe.counts();
+        outcomes += self.narrator.outcomes();
+        let acted = (!self.scripted).then_some(acted);
         let injected = self.link.injected();
         let ports = snapshot.tasks.iter().flat_map(|task| {
             let of = task.view.task;
             task.view.ports.iter().map(move |port| (of, port.port, port.counters))
         });
         let dropped = named(&snapshot.link_discards);
-        let counted = self.link.inner().counts().filter(|&(_, count)| count > 0);
+        let counted =
+            self.link.inner().udp().into_iter().flat_map(UdpLink::counts).filter(|&(_, count)| count > 0);
         let figures = Figures {
             ports: ports.collect(),
             outcomes,
@@ -251,6 +312,29 @@ impl Process {
         };
         Ok(say(&mut self.out, &Word::Figures(Box::new(figures)))?)
     }
+}
+
+/// Who carries out the actions of the scripts.
+fn actions(setup: &Setup, loaded: &Loaded) -> Result<Arc<dyn Actions>, NodeError> {
+    let simulated = Simulated::start(setup.seed, loaded.results())?;
+    Ok(Arc::new(Commands::new(setup.actions.clone(), simulated)))
+}
+
+/// Gives a task what it does.
+fn with_program(
+    builder: Builder,
+    loaded: &Loaded,
+    task: TaskId,
+    probe: &Probe,
+    seed: u64,
+) -> Result<Builder, NodeError> {
+    let name = &loaded.table.cell().tasks[task.index()].name;
+    if let Some(script) = &loaded.scripts[task.index()] {
+        return Ok(builder.script(name, Arc::clone(&script.program)));
+    }
+    let program = demo::program(name, probe.clone(), seed);
+    let program = program.ok_or_else(|| NodeError::Setup(format!("the task `{name}`")))?;
+    Ok(builder.task(name, program))
 }
 
 /// The counters that counted anything.
@@ -275,7 +359,8 @@ fn announcement(event: &TimedEvent) -> Option<Event> {
 /// What is wrong with how a task ended. A program that returns by itself is wrong here, too: all of these run until stopped.
 fn trouble(end: &TaskEnd) -> Option<String> {
     match end {
-        TaskEnd::Returned => None,
+        // What a script came to was told when it ended.
+        TaskEnd::Returned | TaskEnd::Script(_) => None,
         TaskEnd::Failed(error) => Some(error.to_string()),
         TaskEnd::Panicked(message) => Some(format!("panicked: {message}")),
         TaskEnd::Unfinished => Some("did not end when it was stopped".into()),

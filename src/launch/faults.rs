@@ -30,6 +30,28 @@ pub struct Cut {
     pub length: Duration,
 }
 
+/// The command to execute for an action: `NAME=CMD`. Words are split at blanks; there is no shell.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct ActionCommand {
+    /// The name of the action.
+    pub name: String,
+    /// The program and its first arguments.
+    pub words: Vec<String>,
+}
+
+impl FromStr for ActionCommand {
+    type Err = FaultError;
+
+    fn from_str(text: &str) -> Result<Self, FaultError> {
+        let (name, command) = text.split_once('=').ok_or(FaultError::Action)?;
+        let words: Vec<String> = command.split_whitespace().map(str::to_owned).collect();
+        if name.is_empty() || words.is_empty() {
+            return Err(FaultError::Action);
+        }
+        Ok(Self { name: name.into(), words })
+    }
+}
+
 /// What is wrong with a fault as written.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum FaultError {
@@ -39,6 +61,9 @@ pub enum FaultError {
     /// Not `NAME@TIME`.
     #[error("write what and when: hoist@2s")]
     Kill,
+    /// Not `NAME=CMD`.
+    #[error("write which action and which command: grip=./grip")]
+    Action,
     /// Not `A--B@TIME+TIME`.
     #[error("write which link, when and for how long: nl--nr@1s+40ms")]
     Cut,

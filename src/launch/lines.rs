@@ -1,5 +1,6 @@
 //! What the launcher and the nodes say to each other: one JSON document per line, over the pipes between them.
 
+use crate::cells::Source;
 use imrs_protocol::{PortCounters, PortId, Round, TaskId};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -10,8 +11,8 @@ use std::path::PathBuf;
 /// The first line to a node: who it is.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Setup {
-    /// The name of the cell.
-    pub cell: String,
+    /// The cell.
+    pub cell: Source,
     /// The name of the node.
     pub node: String,
     /// Which life of the node this is.
@@ -22,6 +23,8 @@ pub struct Setup {
     pub loss: f64,
     /// The file for what goes into the node's communication tasks.
     pub record: Option<PathBuf>,
+    /// By action, the command to execute for it.
+    pub actions: BTreeMap<String, Vec<String>>,
 }
 
 /// Every later line to a node. The end of the pipe is the end of the launcher, and of the node.
@@ -36,14 +39,16 @@ pub enum Order {
     Heal(String),
     /// Stop, and say how it went.
     Stop,
+    /// Be gone, as after a power cut: for a node that shares its process with others.
+    Die,
 }
 
 /// A line from a node.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Word {
-    /// The node has its socket.
-    Bound(SocketAddr),
+    /// The node has its way to the others; a socket, if it has a process of its own.
+    Bound(Option<SocketAddr>),
     /// The node's tasks run.
     Started,
     /// Something happened at a waitfor.
@@ -57,8 +62,34 @@ pub enum Word {
         /// How.
         how: String,
     },
+    /// A script did something worth a line.
+    Did(Did),
+    /// A script ended by itself.
+    TaskEnded {
+        /// Its task.
+        task: TaskId,
+        /// How, in words.
+        how: String,
+        /// Whether that is a finding.
+        wrong: bool,
+    },
     /// Everything has been said.
     Done,
+}
+
+/// Something that a script did.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Did {
+    /// When, on the monotonic clock that all processes of one machine share, in microseconds.
+    pub at: u64,
+    /// The task.
+    pub task: TaskId,
+    /// The line of the cell's text.
+    pub line: Option<usize>,
+    /// What, in words.
+    pub what: String,
+    /// Whether it is shown however busy the task is.
+    pub always: bool,
 }
 
 /// Something that happened at a waitfor.
@@ -100,8 +131,8 @@ pub struct Figures {
     pub ports: Vec<(TaskId, PortId, PortCounters)>,
     /// How the class-2 messages of its tasks ended.
     pub outcomes: Outcomes,
-    /// The messages that its tasks acted on.
-    pub acted: Acted,
+    /// The messages that its tasks acted on; a script's are not dated, so nothing is known of theirs.
+    pub acted: Option<Acted>,
     /// What its machines dropped, by reason.
     pub discards: BTreeMap<String, u64>,
     /// What its link dropped, by reason.

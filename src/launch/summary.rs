@@ -26,12 +26,23 @@ pub struct Summary {
     pub rendezvous: Vec<RendezvousSummary>,
     /// How the class-2 messages of the tasks ended.
     pub commands: Outcomes,
-    /// The messages that tasks acted on.
-    pub acted: Acted,
+    /// The messages that tasks acted on, where these say when they were sent.
+    pub acted: Option<Acted>,
     /// Who gave up first after each kill, and when.
     pub after_kill: Vec<AfterKill>,
+    /// How scripts ended that did so by themselves.
+    pub tasks: Vec<TaskSummary>,
     /// By node.
     pub nodes: Vec<NodeSummary>,
+}
+
+/// A script that ended by itself.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize)]
+pub struct TaskSummary {
+    /// The name of its task.
+    pub name: String,
+    /// How it ended.
+    pub end: String,
 }
 
 /// One port, over all its ends.
@@ -108,6 +119,7 @@ pub struct Gatherer {
     figures: Vec<Figures>,
     kills: Vec<(NodeId, u64)>,
     after_kill: Vec<AfterKill>,
+    ended: Vec<TaskSummary>,
     /// When the run ended. What happens while the nodes stop is no part of it.
     end: u64,
 }
@@ -119,7 +131,15 @@ impl Gatherer {
         let tallies =
             waitfors.map(|port| (port.id, Tally::new(port.parties.iter().map(|p| p.task)))).collect();
         let figures = table.cell().nodes.iter().map(|_| Figures::default()).collect();
-        Self { table, tallies, figures, kills: Vec::new(), after_kill: Vec::new(), end: u64::MAX }
+        Self {
+            table,
+            tallies,
+            figures,
+            kills: Vec::new(),
+            after_kill: Vec::new(),
+            ended: Vec::new(),
+            end: u64::MAX,
+        }
     }
 
     /// Something happened at a waitfor.
@@ -151,6 +171,12 @@ impl Gatherer {
         self.for_tasks_on(node, |tally, task| tally.died(task, at));
     }
 
+    /// A script ended by itself.
+    pub fn script_ended(&mut self, task: TaskId, end: String) {
+        let name = self.table.cell().tasks[task.index()].name.clone();
+        self.ended.push(TaskSummary { name, end });
+    }
+
     /// The run ends at this instant of the clock that all processes of one machine share. Said before the nodes are
     /// stopped: a task that is stopped leaves its waitfor, and others go on to another round, which is no fault.
     pub fn ended(&mut self, at: u64) {
@@ -177,10 +203,12 @@ impl Gatherer {
             lost_on_purpose: figures.lost_on_purpose,
             cut_off: figures.cut_off,
         };
-        let (mut commands, mut acted) = (Outcomes::default(), Acted::default());
+        let (mut commands, mut acted) = (Outcomes::default(), None);
         for figures in &self.figures {
             commands += figures.outcomes;
-            acted += figures.acted;
+            if let Some(more) = figures.acted {
+                *acted.get_or_insert_with(Acted::default) += more;
+            }
         }
         Summary {
             version: 1,
@@ -193,6 +221,7 @@ impl Gatherer {
             commands,
             acted,
             after_kill: self.after_kill.clone(),
+            tasks: self.ended.clone(),
             nodes: self.figures.iter().enumerate().map(node).collect(),
         }
     }
@@ -299,14 +328,17 @@ mod tests {
         let mut gatherer = gatherer();
         let figures = |sent, oldest_us| Figures {
             ports: vec![(TaskId(0), PortId(1), PortCounters { sent, ..PortCounters::default() })],
-            acted: Acted { executed: sent, oldest_us, ..Acted::default() },
+            acted: Some(Acted { executed: sent, oldest_us, ..Acted::default() }),
             ..Figures::default()
         };
         gatherer.figures(NodeId(0), figures(1, 50));
         gatherer.figures(NodeId(0), figures(5, 60));
         gatherer.figures(NodeId(1), figures(2, 40));
         let summary = gatherer.summary(1.0, 7, 0.0, &["clean".into(), "clean".into(), "killed".into()]);
-        assert_eq!((summary.ports[1].sent, summary.acted.executed, summary.acted.oldest_us), (7, 7, 60));
+        assert_eq!(
+            (summary.ports[1].sent, summary.acted.map(|a| (a.executed, a.oldest_us))),
+            (7, Some((7, 60)))
+        );
         assert_eq!(summary.nodes[2].exit, "killed");
         let json = serde_json::to_value(&summary).unwrap();
         assert_eq!(json["rendezvous"][0]["start_skew_us"], serde_json::Value::Null);

@@ -1,0 +1,65 @@
+//! Tasks whose behaviour is a script (D38, D45).
+//!
+//! A script has no thread. It stands behind the lock of its communication task and is run by whoever brings input
+//! there, so that what the two do together is one step, as in the model; local messages between tasks are steps of
+//! their own (D39). Its actions outside are begun after the lock is released, and their ends are input again.
+
+mod actions;
+mod command;
+mod functions;
+mod seat;
+mod simulated;
+
+pub use actions::{Act, Actions, Ending, Stop};
+pub use command::Commands;
+pub use functions::{Call, Functions};
+pub use simulated::{Results, Simulated};
+
+pub(crate) use actions::{Deed, Stage};
+pub(crate) use seat::Seat;
+
+use imrs_protocol::script::{Address, End};
+use imrs_protocol::{ReplyTo, Request, Signal, TaskId, Ticks};
+
+/// Is told what scripts do. Called under a lock that messages wait for: it must hand the note on and return.
+pub trait Watch: Send + Sync {
+    /// What the script of `task` did at `at`, in microseconds of the monotonic clock.
+    fn note(&self, task: TaskId, at: u64, note: &Note);
+}
+
+/// What a script does.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Note {
+    /// A statement begins.
+    Statement(Address),
+    /// It asks its communication task.
+    Asked(Request),
+    /// Its communication task answers.
+    Answered(Signal),
+    /// An action begins.
+    Acts {
+        /// The thread that waits for it.
+        level: u8,
+        /// Which, of [`Program::actions`](imrs_protocol::script::Program::actions).
+        action: u16,
+        /// Its arguments.
+        arguments: Vec<i64>,
+        /// It takes no more than this.
+        most: Ticks,
+    },
+    /// The action of this thread has ended.
+    Acted {
+        /// The thread that waited for it.
+        level: u8,
+        /// Whether it succeeded.
+        ok: bool,
+        /// Its result.
+        value: i32,
+    },
+    /// The action of this thread was cut short.
+    CutShort(u8),
+    /// A class-2 message is forgotten unanswered.
+    Unanswered(ReplyTo),
+    /// It has ended.
+    Ended(End),
+}

@@ -1,0 +1,186 @@
+//! The actions of scripts: begun, ended, cut short.
+
+use crate::comm::Comm;
+use crate::effects::Effects;
+use crate::node::Node;
+use crate::sync::{Mutex, lock};
+use imrs_protocol::Ticks;
+use imrs_protocol::script::End;
+use imrs_wire::obs::Liveness;
+use std::collections::BTreeMap;
+use std::sync::Weak;
+use std::time::Duration;
+
+/// Carries out the actions of scripts: by a simulation, by commands, by functions of a program.
+pub trait Actions: Send + Sync {
+    /// Begins an action and returns at once; `ending` says later how it ended. What is returned stops it: it is called
+    /// where the action is cut short, and then the robot must not act any more (D61).
+    fn begin(&self, act: &Act<'_>, ending: Ending) -> Option<Stop>;
+}
+
+/// Stops an action.
+pub type Stop = Box<dyn FnOnce() + Send>;
+
+/// What is to be done.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Act<'a> {
+    /// The name of the task.
+    pub task: &'a str,
+    /// The name of the action.
+    pub name: &'a str,
+    /// Its arguments; a `real` by its bits.
+    pub arguments: &'a [i64],
+    /// How many actions of this task began before.
+    pub number: u64,
+    /// It takes no less
+    pub least: Duration,
+    /// and no more than this.
+    pub most: Duration,
+}
+
+/// Says how an action ended. Dropped without a word, it says that the action failed.
+#[derive(Debug)]
+pub struct Ending {
+    node: Weak<Node>,
+    place: usize,
+    /// The thread of the script that waits, and the number of the action.
+    of: (u8, u64),
+    said: bool,
+}
+
+impl Ending {
+    /// It succeeded, with this result; a `real` by its bits.
+    pub fn done(mut self, value: i32) {
+        self.say(true, value);
+    }
+
+    /// It failed.
+    pub fn failed(mut self) {
+        self.say(false, 0);
+    }
+
+    fn say(&mut self, ok: bool, value: i32) {
+        if std::mem::replace(&mut self.said, true) {
+            return;
+        }
+        let Some(node) = self.node.upgrade() else { return };
+        let mut effects = Effects::new(None);
+        let of = self.of;
+        let acted = |comm: &mut Comm, effects: &mut Effects| {
+            comm.with_seat(|seat, comm| seat.acted(comm, of, ok, value, effects));
+        };
+        node.members.list[self.place].handoff.visit(acted, &mut effects);
+        node.carry_out(&mut effects);
+    }
+}
+
+impl Drop for Ending {
+    fn drop(&mut self) {
+        self.say(false, 0);
+    }
+}
+
+impl std::fmt::Debug for Node {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        f.debug_struct("Node").field("name", &self.name()).finish_non_exhaustive()
+    }
+}
+
+/// What a script wants done outside, once the lock is released.
+#[derive(Clone, Debug)]
+pub(crate) enum Deed {
+    Begin(Begun),
+    CutShort { place: usize, level: u8, number: u64 },
+    Ended { place: usize, end: End },
+}
+
+/// An action that begins.
+#[derive(Clone, Debug)]
+pub(crate) struct Begun {
+    pub place: usize,
+    pub level: u8,
+    pub number: u64,
+    pub action: u16,
+    pub arguments: Vec<i64>,
+    pub least: Ticks,
+    pub most: Ticks,
+}
+
+type OnEnd = Box<dyn Fn(usize, End) + Send + Sync>;
+
+/// Where the scripts of a node act.
+pub(crate) struct Stage {
+    node: Weak<Node>,
+    actions: std::sync::Arc<dyn Actions>,
+    /// By task and thread: what was last begun or cut short there. Two threads may carry out the begin of an action
+    /// and its cut in either order.
+    running: Mutex<BTreeMap<(usize, u8), Running>>,
+    ended: OnEnd,
+}
+
+#[derive(Default)]
+struct Running {
+    /// Every action with a smaller number was cut short or has ended.
+    over: u64,
+    /// The action that runs, by its number.
+    runs: Option<(u64, Stop)>,
+}
+
+impl Stage {
+    pub fn new(node: Weak<Node>, actions: std::sync::Arc<dyn Actions>, ended: OnEnd) -> Self {
+        Self { node, actions, running: Mutex::new(BTreeMap::new()), ended }
+    }
+
+    pub fn perform(&self, node: &Node, deed: Deed) {
+        match deed {
+            Deed::Begin(begun) => self.begin(node, &begun),
+            Deed::CutShort { place, level, number } => self.cut_short((place, level), number),
+            Deed::Ended { place, end } => {
+                let life = match end {
+                    End::Finished | End::Fenced | End::Aborted(_) => Liveness::Ended,
+                    End::Assertion(_) | End::Fault { .. } => Liveness::Crashed,
+                };
+                node.members.list[place].set_liveness(life);
+                (self.ended)(place, end);
+            }
+        }
+    }
+
+    fn begin(&self, node: &Node, begun: &Begun) {
+        let Begun { place, level, number, .. } = *begun;
+        if lock(&self.running).entry((place, level)).or_default().over > number {
+            return;
+        }
+        let member = &node.members.list[place];
+        let program = node.look(member, |comm| comm.program());
+        let Some(program) = program else { return };
+        let act = Act {
+            task: &program.name,
+            name: program.actions.get(usize::from(begun.action)).map_or("", String::as_str),
+            arguments: &begun.arguments,
+            number,
+            least: Duration::from_micros(begun.least.0),
+            most: Duration::from_micros(begun.most.0),
+        };
+        let ending = Ending { node: Weak::clone(&self.node), place, of: (level, number), said: false };
+        // Without the lock: an action that ends at once may lead to the next one right here.
+        let stop = self.actions.begin(&act, ending);
+        let mut all = lock(&self.running);
+        let running = all.entry((place, level)).or_default();
+        if running.over > number {
+            drop(all);
+            stop.into_iter().for_each(|stop| stop());
+        } else if running.runs.as_ref().is_none_or(|(last, _)| *last < number) {
+            running.runs = stop.map(|stop| (number, stop));
+        }
+    }
+
+    fn cut_short(&self, at: (usize, u8), number: u64) {
+        let mut all = lock(&self.running);
+        let running = all.entry(at).or_default();
+        running.over = running.over.max(number + 1);
+        let stop = running.runs.take_if(|(last, _)| *last <= number);
+        drop(all);
+        stop.into_iter().for_each(|(_, stop)| stop());
+    }
+}

@@ -1,0 +1,82 @@
+//! Actions that are functions of the program that runs the node.
+
+use super::actions::{Act, Actions, Ending, Stop};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::thread;
+use std::time::Duration;
+
+/// A function that carries out an action: its result, or why it failed.
+type Function = Arc<dyn Fn(&Call) -> Result<i32, String> + Send + Sync>;
+
+/// What a function is called with.
+#[derive(Clone, Debug)]
+pub struct Call {
+    /// The name of the task.
+    pub task: String,
+    /// The arguments; a `real` by its bits.
+    pub arguments: Vec<i64>,
+    /// It takes no less
+    pub least: Duration,
+    /// and no more than this.
+    pub most: Duration,
+    cut_short: Arc<AtomicBool>,
+}
+
+impl Call {
+    /// Whether the action was cut short: then the robot must not act any more, and nobody hears the result.
+    #[must_use]
+    pub fn is_cut_short(&self) -> bool {
+        self.cut_short.load(Ordering::Acquire)
+    }
+}
+
+/// Calls a function for each action that has one, each on a thread of its own, and leaves the others to someone else.
+pub struct Functions {
+    functions: BTreeMap<String, Function>,
+    others: Arc<dyn Actions>,
+}
+
+impl Functions {
+    /// No functions yet.
+    #[must_use]
+    pub fn new(others: Arc<dyn Actions>) -> Self {
+        Self { functions: BTreeMap::new(), others }
+    }
+
+    /// The function of the actions of this name. One that panics has failed.
+    #[must_use]
+    pub fn action(
+        mut self,
+        name: &str,
+        function: impl Fn(&Call) -> Result<i32, String> + Send + Sync + 'static,
+    ) -> Self {
+        self.functions.insert(name.into(), Arc::new(function));
+        self
+    }
+}
+
+impl Actions for Functions {
+    fn begin(&self, act: &Act<'_>, ending: Ending) -> Option<Stop> {
+        let Some(function) = self.functions.get(act.name).cloned() else {
+            return self.others.begin(act, ending);
+        };
+        let cut_short = Arc::new(AtomicBool::new(false));
+        let call = Call {
+            task: act.task.into(),
+            arguments: act.arguments.to_vec(),
+            least: act.least,
+            most: act.most,
+            cut_short: Arc::clone(&cut_short),
+        };
+        // A panic, or no thread at all, drops the ending, which says then that the action failed.
+        let _ = thread::Builder::new().name(format!("action {}", act.name)).spawn(move || {
+            match function(&call) {
+                Ok(value) => ending.done(value),
+                Err(_) => ending.failed(),
+            }
+        });
+        Some(Box::new(move || cut_short.store(true, Ordering::Release)))
+    }
+}

@@ -1,0 +1,280 @@
+//! A script behind the lock of its communication task.
+
+use super::actions::{Begun, Deed};
+use super::{Note, Watch};
+use crate::clock;
+use crate::comm::Comm;
+use crate::effects::{Effects, Stamped};
+use crate::failstop::FailStop;
+use crate::record::Step;
+use imrs_protocol::script::{
+    Action, Address, End, HOST_LIMIT, MAX_THREADS, Program, Script, ScriptFault, ScriptInput, ScriptOutbox,
+};
+use imrs_protocol::{CommTask, Contents, Input, NodeTable, PortId, ReplyTo, Request, Signal, TaskId, Ticks};
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+/// How many signals or requests of one input have room without allocating.
+const ROOM: usize = 16;
+
+pub(crate) struct Seat {
+    program: Arc<Program>,
+    script: Script,
+    /// What the communication task said and the script has not heard. Empty between inputs.
+    signals: VecDeque<Signal>,
+    /// What the script asked in its last step. Empty between steps.
+    requests: VecDeque<Request>,
+    side: Side,
+    stopped: bool,
+}
+
+/// What a step of the script needs besides its communication task.
+struct Side {
+    place: usize,
+    /// For each thread, the number of the action that it waits for.
+    acting: [Option<u64>; MAX_THREADS],
+    /// How many actions have begun.
+    begun: u64,
+    draws: fastrand::Rng,
+    watch: Option<Arc<dyn Watch>>,
+    ended: bool,
+}
+
+impl Seat {
+    pub fn new(place: usize, program: Arc<Program>, watch: Option<Arc<dyn Watch>>, seed: u64) -> Self {
+        // By name, so that no two tasks choose in step.
+        let salt = super::simulated::salt(&program.name);
+        let side = Side {
+            place,
+            acting: [None; MAX_THREADS],
+            begun: 0,
+            draws: fastrand::Rng::with_seed(seed ^ salt),
+            watch,
+            ended: false,
+        };
+        let (signals, requests) = (VecDeque::with_capacity(ROOM), VecDeque::with_capacity(ROOM));
+        Self { script: Script::new(&program), program, signals, requests, side, stopped: false }
+    }
+
+    pub const fn program(&self) -> &Arc<Program> {
+        &self.program
+    }
+
+    /// The script begins.
+    pub fn begin(&mut self, comm: &mut Comm, effects: &mut Effects) {
+        self.let_time_pass(comm, effects);
+        self.go_on(comm, ScriptInput::Begin, effects);
+    }
+
+    /// Input comes to the communication task.
+    pub fn take(&mut self, comm: &mut Comm, stamped: Stamped, effects: &mut Effects) {
+        let now = self.let_time_pass(comm, effects);
+        let mut input = stamped.input;
+        match &mut input {
+            Input::Advance(Ticks::ZERO) => return,
+            // What it waited for this step is taken from its life.
+            Input::Packet(packet) => packet.remaining = packet.remaining - Ticks(now - stamped.at.min(now)),
+            _ => {}
+        }
+        self.step(comm, Step { elapsed: Ticks::ZERO, input }, effects);
+        self.hear(comm, effects);
+    }
+
+    /// An action of this number has ended, unless it was cut short before.
+    pub fn acted(&mut self, comm: &mut Comm, end: (u8, u64), ok: bool, value: i32, effects: &mut Effects) {
+        let (level, number) = end;
+        // First: what is due by now may cut it short.
+        self.let_time_pass(comm, effects);
+        let Some(acting) = self.side.acting.get_mut(usize::from(level)) else { return };
+        if *acting != Some(number) || self.stopped {
+            return;
+        }
+        *acting = None;
+        self.side.note(comm, || Note::Acted { level, ok, value });
+        self.go_on(comm, ScriptInput::Acted { level, ok, value }, effects);
+    }
+
+    /// The node stops: the script acts no more, and takes back what it asked.
+    pub fn stop(&mut self, comm: &mut Comm, effects: &mut Effects) {
+        if std::mem::replace(&mut self.stopped, true) {
+            return;
+        }
+        for level in 0..MAX_THREADS {
+            self.side.cut_short(u8::try_from(level).unwrap_or(u8::MAX), effects);
+        }
+        let elapsed = comm.pass(clock::next());
+        self.step(comm, Step { elapsed, input: Input::Request(Request::Cancel) }, effects);
+        self.signals.clear();
+    }
+
+    /// The time comes first, as a step of its own. To the next whole microsecond: what is asked in this step is never
+    /// stamped before it was asked.
+    fn let_time_pass(&mut self, comm: &mut Comm, effects: &mut Effects) -> u64 {
+        let elapsed = comm.pass(clock::next());
+        if !elapsed.is_zero() {
+            self.step(comm, Step { elapsed, input: Input::Advance(Ticks::ZERO) }, effects);
+            self.hear(comm, effects);
+        }
+        comm.now()
+    }
+
+    fn step(&mut self, comm: &mut Comm, step: Step, effects: &mut Effects) {
+        let signals = &mut self.signals;
+        comm.run(step, &mut |signal| signals.push_back(signal), effects);
+    }
+
+    /// The script hears all that its communication task said.
+    fn hear(&mut self, comm: &mut Comm, effects: &mut Effects) {
+        if let Some(signal) = self.next_signal(comm) {
+            self.go_on(comm, ScriptInput::Signal(signal), effects);
+        }
+    }
+
+    fn next_signal(&mut self, comm: &Comm) -> Option<Signal> {
+        let signal = self.signals.pop_front()?;
+        self.side.note(comm, || Note::Answered(signal));
+        Some(signal)
+    }
+
+    /// Runs the script until it waits.
+    fn go_on(&mut self, comm: &mut Comm, input: ScriptInput, effects: &mut Effects) {
+        let _guard = FailStop::of("a script");
+        let (mut next, mut steps) = (Some(input), 0);
+        while let Some(input) = next {
+            if self.stopped {
+                self.signals.clear();
+                return;
+            }
+            steps += 1;
+            let mut out = Out {
+                machine: comm.machine(),
+                table: comm.table(),
+                now: comm.now(),
+                requests: &mut self.requests,
+                side: &mut self.side,
+                effects,
+            };
+            if steps > HOST_LIMIT {
+                self.script.stop(&self.program, ScriptFault::Runaway, &mut out);
+            } else {
+                self.script.step(&self.program, input, &mut out);
+            }
+            while let Some(request) = self.requests.pop_front() {
+                self.side.note(comm, || Note::Asked(request));
+                self.step(comm, Step { elapsed: Ticks::ZERO, input: Input::Request(request) }, effects);
+            }
+            next = self.next_signal(comm).map(ScriptInput::Signal);
+        }
+    }
+}
+
+impl Side {
+    fn note(&self, comm: &Comm, note: impl FnOnce() -> Note) {
+        self.note_at(comm.machine().task(), comm.now(), note);
+    }
+
+    fn note_at(&self, task: TaskId, at: u64, note: impl FnOnce() -> Note) {
+        if let Some(watch) = &self.watch {
+            watch.note(task, at, &note());
+        }
+    }
+
+    fn cut_short(&mut self, level: u8, effects: &mut Effects) -> bool {
+        let number = self.acting.get_mut(usize::from(level)).and_then(Option::take);
+        let place = self.place;
+        effects.deeds.extend(number.map(|number| Deed::CutShort { place, level, number }));
+        number.is_some()
+    }
+}
+
+/// Where the effects of a script go.
+struct Out<'a> {
+    machine: &'a CommTask,
+    table: &'a NodeTable,
+    now: u64,
+    requests: &'a mut VecDeque<Request>,
+    side: &'a mut Side,
+    effects: &'a mut Effects,
+}
+
+impl Out<'_> {
+    fn note(&self, note: impl FnOnce() -> Note) {
+        self.side.note_at(self.machine.task(), self.now, note);
+    }
+}
+
+impl ScriptOutbox for Out<'_> {
+    fn request(&mut self, request: Request) {
+        self.requests.push_back(request);
+    }
+
+    fn run(&mut self, action: Action<'_>) {
+        let Action { level, action, arguments, least, most } = action;
+        self.side.cut_short(level, self.effects);
+        let (place, number) = (self.side.place, self.side.begun);
+        self.side.begun += 1;
+        if let Some(acting) = self.side.acting.get_mut(usize::from(level)) {
+            *acting = Some(number);
+        }
+        let arguments = arguments.to_vec();
+        self.note(|| Note::Acts { level, action, arguments: arguments.clone(), most });
+        self.effects.deeds.push_back(Deed::Begin(Begun {
+            place,
+            level,
+            number,
+            action,
+            arguments,
+            least,
+            most,
+        }));
+    }
+
+    fn cut_short(&mut self, level: u8) {
+        if self.side.cut_short(level, self.effects) {
+            self.note(|| Note::CutShort(level));
+        }
+    }
+
+    fn choose(&mut self, alternatives: u16) -> Option<u16> {
+        Some(self.side.draws.u16(..alternatives.max(1)))
+    }
+
+    fn ended(&mut self, end: End) {
+        // D61: beats stop when the task has ended.
+        if self.machine.epoch().is_some() {
+            self.requests.push_back(Request::End);
+        }
+        self.note(|| Note::Ended(end));
+        if !std::mem::replace(&mut self.side.ended, true) {
+            self.effects.deeds.push_back(Deed::Ended { place: self.side.place, end });
+        }
+    }
+
+    fn statement(&mut self, at: Address) {
+        self.note(|| Note::Statement(at));
+    }
+
+    fn unanswered(&mut self, message: ReplyTo) {
+        self.note(|| Note::Unanswered(message));
+    }
+
+    fn fragment(&mut self, index: u8) -> Option<Contents> {
+        self.machine.fragment(index).copied()
+    }
+
+    fn published(&mut self) -> Option<Contents> {
+        self.machine.partner_published().copied()
+    }
+
+    fn arrival(&mut self, port: PortId, task: TaskId) -> Option<[u8; 8]> {
+        self.machine.meeting_arguments(self.table, port, task)
+    }
+
+    fn answer(&mut self, port: PortId, task: Option<TaskId>, index: u8) -> Option<Contents> {
+        if let Some(task) = task {
+            return self.machine.answer_fragment(port, task, index).copied();
+        }
+        let mut peers = self.table.port(port)?.peers(self.machine.task());
+        peers.find_map(|peer| self.machine.answer_fragment(port, peer, index).copied())
+    }
+}

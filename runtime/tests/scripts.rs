@@ -1,0 +1,267 @@
+//! Tasks that are scripts, on real nodes: with each other, with Rust tasks, and with actions outside.
+
+mod common;
+
+use common::{A, B, LONG, LONG_TICKS, ask, cell, network, on, one_node, report, table};
+use imrs_protocol::script::{Binary, End, Outcomes, Program, ProgramBuilder, StatementOutcome, Type};
+use imrs_protocol::{CellTable, Incarnation, NodeId, NodeTable, PortId, Target, TaskId, Ticks};
+use imrs_runtime::link::in_process::Faults;
+use imrs_runtime::record::{OutputDigest, Recorded, Recorder, Step, replay};
+use imrs_runtime::script::{Act, Actions, Commands, Ending, Functions, Note, Simulated, Stop, Watch};
+use imrs_runtime::{Runtime, TaskEnd};
+use std::collections::BTreeMap;
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+const ASK: PortId = PortId(0);
+
+/// Asks `times` times and ends; aborts where an answer is not one more than what it asked.
+fn asker(times: i64) -> Arc<Program> {
+    let mut b = ProgramBuilder::new("a");
+    let (n, answer) = (b.variable("n", Type::Int16), b.variable("answer", Type::Int16));
+    let top = b.label();
+    b.put(top);
+    b.send(ASK, Target::All, &[(Type::Int16, n)]).unpack(&[(Type::Int16, answer)]);
+    b.when(Outcomes::TIME_OUT, |b| {
+        b.abort("no answer in time");
+    });
+    b.statement().load(n).push(1).int(Binary::Add).store(n);
+    let right = b.label();
+    b.statement().load(answer).load(n).int(Binary::Equal).either(
+        |b| {
+            b.jump(right);
+        },
+        |b| {
+            b.abort("a wrong answer");
+        },
+    );
+    b.put(right);
+    let over = b.label();
+    b.statement().load(n).push(times).int(Binary::Less).unless(over).jump(top);
+    b.put(over);
+    b.end();
+    Arc::new(b.finish().expect("a sound program"))
+}
+
+/// Answers with one more than what it was asked, for ever.
+fn answerer() -> Arc<Program> {
+    let mut b = ProgramBuilder::new("b");
+    let n = b.variable("n", Type::Int16);
+    b.forever(|b| {
+        b.receive(ASK, None, &[(Type::Int16, n)]);
+        b.statement().load(n).push(1).int(Binary::Add).store(n);
+        b.reply(&[(Type::Int16, n)]);
+    });
+    b.end();
+    Arc::new(b.finish().expect("a sound program"))
+}
+
+/// Runs one action and ends; aborts where it fails.
+fn actor(least: Ticks, most: Ticks) -> Arc<Program> {
+    let mut b = ProgramBuilder::new("a");
+    b.run("grip", least, most);
+    b.when(Outcomes::of(&[StatementOutcome::Failed]), |b| {
+        b.abort("the grip failed");
+    });
+    b.end();
+    Arc::new(b.finish().expect("a sound program"))
+}
+
+fn end_of(runtime: Runtime, task: &str) -> TaskEnd {
+    let ends = runtime.stop(LONG);
+    ends.into_iter().find(|(name, _)| name == task).expect("a task of the node").1
+}
+
+#[test]
+fn scripts_of_two_nodes_ask_and_answer() {
+    let mut cell = cell(&[0, 1], Ticks(2_000));
+    cell.port(ask(LONG_TICKS));
+    let table = table(cell);
+    let network = network(&table, Faults::default());
+    let b = on(&network, &table, 1).script("b", answerer()).start().unwrap();
+    let a = on(&network, &table, 0).script("a", asker(500)).start().unwrap();
+    assert!(a.wait(LONG));
+    assert_eq!(end_of(a, "a"), TaskEnd::Script(End::Finished));
+    assert_eq!(end_of(b, "b"), TaskEnd::Returned, "it was stopped");
+}
+
+#[test]
+fn a_script_and_a_rust_task_share_a_node() {
+    let mut cell = cell(&[0, 0], Ticks(2_000));
+    cell.port(ask(LONG_TICKS));
+    let answers = |ctx: &mut imrs_runtime::Context| {
+        let port = ctx.port("ask")?;
+        while let Some(message) = ctx.receive(Some(port), None)? {
+            let n = i16::from_le_bytes(message.contents.as_bytes().try_into().expect("two bytes"));
+            ctx.reply(&message.from, &(n + 1).to_le_bytes())?;
+        }
+        Ok(())
+    };
+    let node =
+        one_node(&table(cell)).script("a", asker(100)).task("b", answers).hold_scripts().start().unwrap();
+    assert!(!node.wait(Duration::from_millis(20)), "the script waits to begin");
+    node.begin();
+    let deadline = Instant::now() + LONG;
+    while node.node().snapshot(0).tasks[0].liveness != imrs_wire::obs::Liveness::Ended {
+        assert!(Instant::now() < deadline, "the script does not end");
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    assert_eq!(end_of(node, "a"), TaskEnd::Script(End::Finished));
+}
+
+/// Keeps everything in memory.
+#[derive(Default)]
+struct Tape {
+    open: Mutex<BTreeMap<TaskId, Step>>,
+    closed: Mutex<BTreeMap<TaskId, Vec<Recorded>>>,
+}
+
+impl Recorder for Tape {
+    fn input(&self, task: TaskId, step: Step) {
+        assert_eq!(self.open.lock().unwrap().insert(task, step), None, "a step within a step");
+    }
+
+    fn output(&self, task: TaskId, digest: OutputDigest) {
+        let step = self.open.lock().unwrap().remove(&task).expect("an output belongs to an input");
+        self.closed.lock().unwrap().entry(task).or_default().push(Recorded { step, digest });
+    }
+}
+
+fn replays(table: &Arc<CellTable>, tape: &Tape, node: NodeId, task: TaskId) -> usize {
+    let steps = tape.closed.lock().unwrap().remove(&task).expect("steps");
+    replay(&NodeTable::new(Arc::clone(table), node), task, Incarnation(1), false, steps)
+        .expect("the same again")
+}
+
+#[test]
+fn what_scripts_did_can_be_done_again_bit_equal_under_loss() {
+    let mut cell = cell(&[0, 1], Ticks(2_000));
+    cell.port(ask(LONG_TICKS).retry(20, Ticks(5_000)));
+    let table = table(cell);
+    let network = network(&table, Faults { seed: 7, loss: 0.2, ..Faults::default() });
+    let tape = Arc::new(Tape::default());
+    let recorder = || Arc::clone(&tape) as Arc<dyn Recorder>;
+    let b = on(&network, &table, 1).script("b", answerer()).recorder(recorder()).start().unwrap();
+    let a = on(&network, &table, 0).script("a", asker(50)).recorder(recorder()).start().unwrap();
+    assert!(a.wait(LONG));
+    assert_eq!(end_of(a, "a"), TaskEnd::Script(End::Finished));
+    assert_eq!(end_of(b, "b"), TaskEnd::Returned);
+    assert!(replays(&table, &tape, NodeId(0), A) > 100);
+    assert!(replays(&table, &tape, NodeId(1), B) > 100);
+}
+
+fn act_with(actions: Arc<dyn Actions>) -> TaskEnd {
+    let node = one_node(&table(cell(&[0], Ticks(2_000))));
+    let node = node.script("a", actor(Ticks(0), Ticks(0))).actions(actions).start().unwrap();
+    assert!(node.wait(LONG));
+    end_of(node, "a")
+}
+
+fn simulated() -> Arc<dyn Actions> {
+    Simulated::start(1, Vec::new()).expect("a thread")
+}
+
+fn command(words: &[&str]) -> Arc<dyn Actions> {
+    let words = words.iter().map(ToString::to_string).collect();
+    Arc::new(Commands::new(BTreeMap::from([("grip".to_owned(), words)]), simulated()))
+}
+
+#[test]
+fn an_action_is_simulated_a_command_or_a_function() {
+    assert_eq!(act_with(simulated()), TaskEnd::Script(End::Finished));
+    assert_eq!(act_with(command(&["true"])), TaskEnd::Script(End::Finished));
+    assert_eq!(act_with(command(&["false"])), TaskEnd::Script(End::Aborted(0)));
+    assert_eq!(act_with(command(&["/no/such/program"])), TaskEnd::Script(End::Aborted(0)));
+    let functions = || Functions::new(simulated());
+    assert_eq!(act_with(Arc::new(functions().action("grip", |_| Ok(1)))), TaskEnd::Script(End::Finished));
+    let failing = functions().action("grip", |_| Err("no part there".into()));
+    assert_eq!(act_with(Arc::new(failing)), TaskEnd::Script(End::Aborted(0)));
+    let panicking = functions().action("grip", |_| panic!("the driver of the gripper"));
+    assert_eq!(act_with(Arc::new(panicking)), TaskEnd::Script(End::Aborted(0)));
+}
+
+/// Tells when an action begins, and when it was stopped.
+struct Told(std::sync::mpsc::Sender<&'static str>, Mutex<Vec<Ending>>);
+
+impl Actions for Told {
+    fn begin(&self, _act: &Act<'_>, ending: Ending) -> Option<Stop> {
+        self.1.lock().unwrap().push(ending);
+        let tell = self.0.clone();
+        let _ = tell.send("begins");
+        Some(Box::new(move || {
+            let _ = tell.send("stopped");
+        }))
+    }
+}
+
+#[test]
+fn a_node_that_stops_cuts_its_actions_short_and_their_ends_come_to_nothing() {
+    let (tell, told) = report();
+    let actions = Arc::new(Told(tell, Mutex::default()));
+    let node = one_node(&table(cell(&[0], Ticks(2_000))));
+    let bound = Arc::clone(&actions) as Arc<dyn Actions>;
+    let node = node.script("a", actor(Ticks(0), LONG_TICKS)).actions(bound).start().unwrap();
+    assert_eq!(told.recv_timeout(LONG), Ok("begins"));
+    assert_eq!(end_of(node, "a"), TaskEnd::Returned);
+    assert_eq!(told.recv_timeout(LONG), Ok("stopped"));
+    actions.1.lock().unwrap().drain(..).for_each(|ending| ending.done(0));
+}
+
+struct Notes(Mutex<Vec<(u64, Note)>>);
+
+impl Watch for Notes {
+    fn note(&self, _task: TaskId, at: u64, note: &Note) {
+        self.0.lock().unwrap().push((at, note.clone()));
+    }
+}
+
+#[test]
+fn a_simulated_action_takes_a_time_of_its_interval_the_same_for_the_same_seed() {
+    let run = |seed| {
+        let notes = Arc::new(Notes(Mutex::default()));
+        let results = vec![imrs_runtime::script::Results { name: "grip".into(), range: 0..=1_000_000 }];
+        let node = one_node(&table(cell(&[0], Ticks(2_000))));
+        let node = node
+            .script("a", actor(Ticks(20_000), Ticks(30_000)))
+            .actions(Simulated::start(seed, results).expect("a thread"))
+            .watch(Arc::clone(&notes) as Arc<dyn Watch>)
+            .start()
+            .unwrap();
+        assert!(node.wait(LONG));
+        assert_eq!(end_of(node, "a"), TaskEnd::Script(End::Finished));
+        let notes = notes.0.lock().unwrap();
+        let begun = notes.iter().find(|(_, note)| matches!(note, Note::Acts { .. })).expect("it begins").0;
+        let ended = notes.iter().find_map(|(at, note)| match note {
+            Note::Acted { value, ok: true, .. } => Some((*at, *value)),
+            _ => None,
+        });
+        let (ended, value) = ended.expect("it ends");
+        assert!(ended - begun >= 20_000, "{}", ended - begun);
+        value
+    };
+    let first = run(3);
+    assert_eq!(first, run(3));
+    assert_ne!(first, run(4));
+}
+
+#[test]
+fn a_command_that_is_cut_short_is_killed() {
+    let dir = std::env::temp_dir().join(format!("imrs-action-{}", std::process::id()));
+    let mark = dir.to_str().expect("UTF-8").to_owned();
+    let node = one_node(&table(cell(&[0], Ticks(2_000))));
+    let actions = command(&["sh", "-c", &format!("echo $$ > {mark}; exec sleep 600")]);
+    let node = node.script("a", actor(Ticks(0), LONG_TICKS)).actions(actions).start().unwrap();
+    let deadline = Instant::now() + LONG;
+    let pid: u32 = loop {
+        let text = std::fs::read_to_string(&dir).unwrap_or_default();
+        if let Ok(pid) = text.trim().parse() {
+            break pid;
+        }
+        assert!(Instant::now() < deadline, "the command does not start");
+        std::thread::sleep(Duration::from_millis(1));
+    };
+    std::fs::remove_file(&dir).expect("the mark");
+    assert!(std::path::Path::new(&format!("/proc/{pid}")).exists());
+    assert_eq!(end_of(node, "a"), TaskEnd::Returned);
+    assert!(!std::path::Path::new(&format!("/proc/{pid}")).exists(), "the command runs on");
+}

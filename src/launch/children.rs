@@ -1,0 +1,269 @@
+//! The nodes of a run, seen from the launcher: a process each (D64), or a thread each of this one.
+
+use super::launcher::LaunchError;
+use super::lines::{Order, Setup, Word, hear, say};
+use super::node::{self, NodeError};
+use crate::exit::Exit;
+use crate::output::complain;
+use imrs_protocol::NodeId;
+use imrs_runtime::link::in_process::Network;
+use signal_hook::consts::{SIGABRT, SIGBUS, SIGILL, SIGSEGV};
+use std::fmt;
+use std::io::{self, BufReader, PipeReader, Read, Write};
+use std::os::unix::process::{CommandExt, ExitStatusExt};
+use std::process::{Child, Command, ExitStatus, Stdio};
+use std::sync::Arc;
+use std::sync::mpsc::Sender;
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
+
+/// What reaches the launcher.
+#[derive(Debug)]
+pub enum Message {
+    /// A node said something.
+    Said(NodeId, Word),
+    /// A node's pipe has ended: its process has, or soon will.
+    Gone(NodeId),
+    /// The user wants the run to end.
+    Interrupted,
+}
+
+/// All node processes. Whatever happens to the launcher, none outlives it.
+pub struct Children(Vec<Process>);
+
+struct Process {
+    name: String,
+    body: Body,
+    /// Here while orders can be given.
+    orders: Option<Box<dyn Write + Send>>,
+    killed: bool,
+}
+
+/// What a node runs in.
+enum Body {
+    Process(Child),
+    /// Gone once it was joined.
+    Thread(Option<JoinHandle<Result<(), NodeError>>>),
+}
+
+/// What the launcher hears of a node with.
+type Words = Box<dyn Read + Send>;
+
+impl Children {
+    /// Starts a node for each setup: a process of its own, or a thread where a network joins them. What they say goes
+    /// to `messages`.
+    ///
+    /// # Errors
+    /// A process or a thread cannot be started.
+    pub fn start(
+        setups: &[Setup],
+        network: Option<&Arc<Network>>,
+        messages: &Sender<Message>,
+    ) -> Result<Self, LaunchError> {
+        let mut children = Self(Vec::new());
+        for (i, setup) in setups.iter().enumerate() {
+            let (body, mut orders, words) = match network {
+                Some(network) => as_thread(setup, network),
+                None => as_process(),
+            }
+            .map_err(LaunchError::Start)?;
+            let told = say(&mut orders, setup);
+            children.0.push(Process { name: setup.node.clone(), body, orders: Some(orders), killed: false });
+            // A node that is gone already says so by the end of its pipe.
+            drop(told);
+            let messages = messages.clone();
+            let reader = thread::Builder::new().name(format!("imrs {}", setup.node));
+            reader
+                .spawn(move || listen(NodeId::from_index(i), words, &messages))
+                .map_err(LaunchError::Start)?;
+        }
+        Ok(children)
+    }
+
+    /// The process of a node.
+    pub fn pid(&self, node: NodeId) -> u32 {
+        match &self.0[node.index()].body {
+            Body::Process(child) => child.id(),
+            Body::Thread(_) => std::process::id(),
+        }
+    }
+
+    /// The name of a node.
+    pub fn name(&self, node: NodeId) -> &str {
+        &self.0[node.index()].name
+    }
+
+    /// Gives all nodes an order. Those that are gone do not hear it.
+    pub fn order_all(&mut self, order: &Order) {
+        for process in &mut self.0 {
+            process.order(order);
+        }
+    }
+
+    /// Gives a node an order.
+    pub fn order(&mut self, node: NodeId, order: &Order) {
+        self.0[node.index()].order(order);
+    }
+
+    /// Kills a node, as a power cut would.
+    pub fn kill(&mut self, node: NodeId) {
+        let process = &mut self.0[node.index()];
+        match &mut process.body {
+            // It is gone already; that is seen later.
+            Body::Process(child) => drop(child.kill()),
+            Body::Thread(_) => process.order(&Order::Die),
+        }
+        process.killed = true;
+    }
+
+    /// Waits until all processes have ended, at most so long; then kills those that have not. Returns how each ended.
+    pub fn wait(mut self, patience: Duration) -> Vec<End> {
+        let deadline = Instant::now() + patience;
+        // Whoever has not heard the order sees the end of the pipe.
+        self.0.iter_mut().for_each(|process| process.orders = None);
+        self.0.iter_mut().map(|process| process.end(deadline)).collect()
+    }
+}
+
+impl Process {
+    fn order(&mut self, order: &Order) {
+        let failed = self.orders.as_mut().is_some_and(|pipe| say(pipe, order).is_err());
+        if failed {
+            self.orders = None;
+        }
+    }
+
+    fn end(&mut self, deadline: Instant) -> End {
+        let killed = self.killed;
+        match &mut self.body {
+            Body::Process(child) => end_of_process(child, killed, deadline),
+            Body::Thread(thread) => {
+                while thread.as_ref().is_some_and(|thread| !thread.is_finished()) {
+                    if Instant::now() >= deadline {
+                        return End::Hung;
+                    }
+                    thread::sleep(Duration::from_millis(2));
+                }
+                match thread.take().map(JoinHandle::join) {
+                    Some(Ok(Ok(()))) if killed => End::Killed,
+                    Some(Ok(Ok(()))) => End::Clean,
+                    Some(Ok(Err(_)) | Err(_)) | None => End::Code(Exit::Internal as i32),
+                }
+            }
+        }
+    }
+}
+
+fn end_of_process(child: &mut Child, killed: bool, deadline: Instant) -> End {
+    loop {
+        match child.try_wait() {
+            Ok(Some(status)) => return End::of(status, killed),
+            Ok(None) if Instant::now() < deadline => thread::sleep(Duration::from_millis(2)),
+            Ok(None) => {
+                let _ = child.kill();
+                let _ = child.wait();
+                return End::Hung;
+            }
+            Err(_) => return End::Hung,
+        }
+    }
+}
+
+impl Drop for Process {
+    fn drop(&mut self) {
+        if let Body::Process(child) = &mut self.body
+            && let Ok(None) = child.try_wait()
+        {
+            let _ = child.kill();
+            let _ = child.wait();
+        }
+    }
+}
+
+fn as_process() -> io::Result<(Body, Box<dyn Write + Send>, Words)> {
+    let mut child = Command::new(std::env::current_exe()?)
+        .arg("node")
+        .stdin(Stdio::piped())
+        .stdout(Stdio::piped())
+        // Ctrl-C reaches the launcher alone, which ends its nodes in order.
+        .process_group(0)
+        .spawn()?;
+    let (orders, words) = (child.stdin.take(), child.stdout.take());
+    let missing = || io::Error::other("no pipe");
+    let orders = Box::new(orders.ok_or_else(missing)?);
+    let words = Box::new(words.ok_or_else(missing)?);
+    Ok((Body::Process(child), orders, words))
+}
+
+fn as_thread(setup: &Setup, network: &Arc<Network>) -> io::Result<(Body, Box<dyn Write + Send>, Words)> {
+    let (ordered, orders): (PipeReader, _) = io::pipe()?;
+    let (words, told) = io::pipe()?;
+    let network = Arc::clone(network);
+    let run = move || {
+        let ended = node::run(BufReader::new(ordered), Box::new(told), Some(&network));
+        ended.inspect_err(|error| complain(error))
+    };
+    let thread = thread::Builder::new().name(format!("imrs node {}", setup.node)).spawn(run)?;
+    Ok((Body::Thread(Some(thread)), Box::new(orders), Box::new(words)))
+}
+
+/// How a node's process ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum End {
+    /// As it should.
+    Clean,
+    /// Killed by the launcher, as the schedule of faults says.
+    Killed,
+    /// With a code that says what went wrong.
+    Code(i32),
+    /// By a signal of somebody else.
+    Signal(i32),
+    /// It did not, and was killed.
+    Hung,
+}
+
+impl End {
+    fn of(status: ExitStatus, killed: bool) -> Self {
+        match (status.code(), status.signal()) {
+            (Some(0), _) => Self::Clean,
+            (Some(code), _) => Self::Code(code),
+            (None, Some(_)) if killed => Self::Killed,
+            (None, signal) => Self::Signal(signal.unwrap_or_default()),
+        }
+    }
+
+    /// `None` where it ended as it should; otherwise whether it is at fault itself.
+    pub fn at_fault(self) -> Option<bool> {
+        match self {
+            Self::Clean | Self::Killed => None,
+            Self::Code(_) | Self::Hung => Some(true),
+            Self::Signal(signal) => Some(matches!(signal, SIGABRT | SIGSEGV | SIGILL | SIGBUS)),
+        }
+    }
+}
+
+impl fmt::Display for End {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Clean => f.write_str("clean"),
+            Self::Killed => f.write_str("killed"),
+            Self::Code(code) => write!(f, "exit code {code}"),
+            Self::Signal(signal) => write!(f, "ended by signal {signal}"),
+            Self::Hung => f.write_str("did not stop: killed"),
+        }
+    }
+}
+
+fn listen(node: NodeId, words: Words, messages: &Sender<Message>) {
+    let mut words = BufReader::new(words);
+    loop {
+        let message = match hear(&mut words) {
+            Ok(Some(word)) => Message::Said(node, word),
+            Ok(None) | Err(_) => Message::Gone(node),
+        };
+        let last = matches!(message, Message::Gone(_));
+        if messages.send(message).is_err() || last {
+            return;
+        }
+    }
+}

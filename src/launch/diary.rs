@@ -1,0 +1,132 @@
+//! What the scripts do, as lines for a person: in the order of time, and no faster than can be read.
+
+use super::lines::Did;
+use crate::exit::Failure;
+use crate::output::{FAINT, Output, Styled};
+use imrs_protocol::Cell;
+use std::collections::BTreeMap;
+
+/// Nodes tell what happened every few milliseconds: after so long, in microseconds, nothing earlier is told any more.
+const SETTLED: u64 = 100_000;
+/// How many lines of one task are shown in one
+const PER_SPAN: u32 = 20;
+/// span of so many microseconds.
+const SPAN: u64 = 1_000_000;
+
+/// Collects lines until they can be shown.
+pub struct Diary {
+    /// When the run began.
+    began: u64,
+    /// By time, and then by when they were told.
+    waiting: BTreeMap<(u64, u64), Did>,
+    told: u64,
+    /// By task: the span that its last line was in, and how many came in it.
+    paces: Vec<(u64, u32)>,
+}
+
+impl Diary {
+    /// Nothing yet, of a cell whose run began at this instant of the clock that all processes of one machine share.
+    pub fn new(cell: &Cell, began: u64) -> Self {
+        Self { began, waiting: BTreeMap::new(), told: 0, paces: vec![(0, 0); cell.tasks.len()] }
+    }
+
+    /// The run begins only now.
+    pub fn begin(&mut self, at: u64) {
+        self.began = at;
+    }
+
+    /// A line.
+    pub fn add(&mut self, did: Did) {
+        self.waiting.insert((did.at, self.told), did);
+        self.told += 1;
+    }
+
+    /// Whether nothing waits.
+    pub fn is_empty(&self) -> bool {
+        self.waiting.is_empty()
+    }
+
+    /// Shows what is settled at `now`.
+    ///
+    /// # Errors
+    /// [`Failure::Output`].
+    pub fn show(&mut self, cell: &Cell, now: u64, out: &mut Output) -> Result<(), Failure> {
+        let later = self.waiting.split_off(&(now.saturating_sub(SETTLED), 0));
+        let settled = std::mem::replace(&mut self.waiting, later);
+        for did in settled.values() {
+            let left_out = self.pace(did);
+            if left_out.is_some() || did.always {
+                out.line(self.line(cell, did, left_out.unwrap_or_default()))?;
+            }
+        }
+        Ok(())
+    }
+
+    /// Shows the rest.
+    ///
+    /// # Errors
+    /// [`Failure::Output`].
+    pub fn close(&mut self, cell: &Cell, out: &mut Output) -> Result<(), Failure> {
+        self.show(cell, u64::MAX, out)
+    }
+
+    /// Whether this line is shown: then, how many were left out before it.
+    fn pace(&mut self, did: &Did) -> Option<u32> {
+        let span = did.at.saturating_sub(self.began) / SPAN;
+        let pace = self.paces.get_mut(did.task.index())?;
+        let left_out = if pace.0 == span { 0 } else { pace.1.saturating_sub(PER_SPAN) };
+        *pace = if pace.0 == span { (span, pace.1 + 1) } else { (span, 1) };
+        (pace.1 <= PER_SPAN).then_some(left_out)
+    }
+
+    fn line(&self, cell: &Cell, did: &Did, left_out: u32) -> String {
+        let ms = did.at.saturating_sub(self.began) / 1_000;
+        let at = format!("{:>4}.{:03} s", ms / 1_000, ms % 1_000);
+        let width = cell.tasks.iter().map(|task| task.name.len()).max().unwrap_or(0);
+        let task = cell.tasks.get(did.task.index()).map_or("", |task| task.name.as_str());
+        let line = did.line.map(|line| format!("line {line}")).unwrap_or_default();
+        let before = if left_out > 0 { format!("({left_out} lines left out) ") } else { String::new() };
+        format!(
+            "{} {task:<width$} {} {}{}",
+            Styled(FAINT, at),
+            Styled(FAINT, format!("{line:<8}")),
+            Styled(FAINT, before),
+            did.what
+        )
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cells::beam_lift;
+    use imrs_protocol::TaskId;
+
+    fn did(at: u64, task: u16) -> Did {
+        Did { at, task: TaskId(task), line: Some(3), what: format!("does {at}"), always: false }
+    }
+
+    #[test]
+    fn a_task_that_is_busy_is_shown_in_part_and_what_is_left_out_is_counted() {
+        let mut diary = Diary::new(&beam_lift::cell(), 0);
+        let shown = (0..50).filter(|at| diary.pace(&did(*at, 0)).is_some()).count();
+        assert_eq!(shown, usize::try_from(PER_SPAN).unwrap());
+        assert_eq!(diary.pace(&did(7, 1)), Some(0));
+        assert_eq!(diary.pace(&did(SPAN, 0)), Some(50 - PER_SPAN));
+        assert_eq!(diary.pace(&did(SPAN, 0)), Some(0));
+    }
+
+    #[test]
+    fn lines_wait_until_nothing_earlier_can_come() {
+        let cell = beam_lift::cell();
+        let mut diary = Diary::new(&cell, 0);
+        diary.add(did(200_000, 0));
+        diary.add(did(100_000, 1));
+        let mut out = Output::new(crate::args::Color::Never);
+        diary.show(&cell, 200_050, &mut out).unwrap();
+        assert_eq!(diary.waiting.values().map(|did| did.at).collect::<Vec<_>>(), [200_000]);
+        diary.close(&cell, &mut out).unwrap();
+        assert!(diary.is_empty());
+        assert!(diary.line(&cell, &did(1_234_000, 2), 4).contains("1.234 s"));
+    }
+}

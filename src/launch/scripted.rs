@@ -1,0 +1,196 @@
+//! What the scripts of a node do, told to the launcher without ever waiting for it.
+
+use super::lines::{Did, Event, Outcomes, What, Word};
+use crate::cells::Loaded;
+use imrs_protocol::script::{Address, End};
+use imrs_protocol::{Outcome, PortId, Request, Signal, TaskId, Usage};
+use imrs_runtime::script::{Note, Watch};
+use std::collections::BTreeMap;
+use std::sync::mpsc::Sender;
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// Hears what the scripts do, and tells what a person wants to know.
+pub struct Narrator {
+    loaded: Arc<Loaded>,
+    told: Sender<Word>,
+    state: Mutex<State>,
+}
+
+#[derive(Default)]
+struct State {
+    outcomes: Outcomes,
+    tasks: Vec<Progress>,
+}
+
+/// How far a script is.
+#[derive(Clone, Debug, Default)]
+struct Progress {
+    statement: Option<Address>,
+    /// By port, when and in which statement it last asked something there: handlers may run meanwhile.
+    asked: BTreeMap<PortId, (u64, Option<Address>)>,
+    /// The statement of its last message.
+    sends: Option<Address>,
+    /// By thread, the action that runs there.
+    acts: Vec<Acts>,
+}
+
+/// An action under way.
+#[derive(Clone, Copy, Debug)]
+struct Acts {
+    level: u8,
+    action: u16,
+    statement: Option<Address>,
+    /// It takes no time: a look, or an order to something else. Too many to tell.
+    at_once: bool,
+}
+
+impl Narrator {
+    /// Tells about the scripts of this cell.
+    pub fn new(loaded: Arc<Loaded>, told: Sender<Word>) -> Self {
+        let tasks = vec![Progress::default(); loaded.scripts.len()];
+        let state = Mutex::new(State { outcomes: Outcomes::default(), tasks });
+        Self { loaded, told, state }
+    }
+
+    /// How the class-2 messages of the scripts ended so far.
+    pub fn outcomes(&self) -> Outcomes {
+        self.state.lock().unwrap_or_else(PoisonError::into_inner).outcomes
+    }
+
+    fn tell(&self, word: Word) {
+        // Nobody listens any more when the node ends.
+        let _ = self.told.send(word);
+    }
+
+    fn did(&self, task: TaskId, at: u64, statement: Option<Address>, what: String) {
+        let line = statement.and_then(|statement| self.loaded.line(task, statement));
+        self.tell(Word::Did(Did { at, task, line, what, always: false }));
+    }
+
+    fn port(&self, port: PortId) -> &str {
+        self.loaded.table.port(port).map_or("?", |port| port.decl.name.as_str())
+    }
+
+    fn missing(&self, port: PortId, missing: u64) -> String {
+        let Some(port) = self.loaded.table.port(port) else { return String::new() };
+        let away = port.parties.iter().enumerate().filter(|(i, _)| missing >> i.min(&63) & 1 == 1);
+        let names = away.map(|(_, party)| self.loaded.table.cell().tasks[party.task.index()].name.as_str());
+        names.collect::<Vec<_>>().join(", ")
+    }
+
+    fn answered(&self, task: TaskId, at: u64, progress: &Progress, signal: &Signal, outcomes: &mut Outcomes) {
+        let asked = |port| progress.asked.get(&port).copied().unwrap_or((at, progress.statement));
+        match *signal {
+            Signal::Released { port, round, .. } => {
+                self.tell(Word::Event(Event { at, task, port, round, what: What::Released }));
+                self.did(task, at, asked(port).1, format!("all arrived at `{}`", self.port(port)));
+            }
+            Signal::GaveUp { port, round, missing } => {
+                let (since, statement) = asked(port);
+                let waited = at.saturating_sub(since);
+                let what = What::GaveUp { waited, missing };
+                self.tell(Word::Event(Event { at, task, port, round, what }));
+                let who = self.missing(port, missing);
+                self.did(task, at, statement, format!("time_out at `{}`: {who} missing", self.port(port)));
+            }
+            Signal::Outcome(outcome) => {
+                let (count, words) = match outcome {
+                    Outcome::Reply(_) => (&mut outcomes.replies, None),
+                    Outcome::Refused => (&mut outcomes.refused, Some("refused")),
+                    Outcome::TimedOutUnsent => {
+                        (&mut outcomes.timed_out_unsent, Some("time_out: it never left"))
+                    }
+                    Outcome::TimedOutUnknown => {
+                        (&mut outcomes.timed_out_unknown, Some("time_out: it may have run"))
+                    }
+                    Outcome::PeerRestarted => {
+                        (&mut outcomes.peer_restarted, Some("the peer restarted: it may have run"))
+                    }
+                };
+                *count += 1;
+                if let Some(words) = words {
+                    self.did(task, at, progress.sends, words.into());
+                }
+            }
+            _ => {}
+        }
+    }
+
+    fn ended(&self, task: TaskId, at: u64, statement: Option<Address>, end: End) {
+        let script = self.loaded.scripts.get(task.index()).and_then(Option::as_ref);
+        let at_line = |address: Option<Address>| {
+            let line = address.and_then(|address| self.loaded.line(task, address));
+            line.map(|line| format!(" (line {line})")).unwrap_or_default()
+        };
+        let (words, wrong, place) = match end {
+            End::Finished => ("finished".to_owned(), false, statement),
+            End::Fenced => ("lost its lease and does nothing more".to_owned(), false, statement),
+            End::Aborted(reason) => {
+                let reason = script.and_then(|script| script.program.reasons.get(usize::from(reason)));
+                let reason = reason.map(String::as_str).unwrap_or_default();
+                (format!("aborted: {reason}"), true, statement)
+            }
+            End::Assertion(at) => ("failed: an assertion does not hold".to_owned(), true, Some(at)),
+            End::Fault { fault, at } => (format!("failed: {fault}"), true, Some(at)),
+        };
+        let how = format!("{words}{}", if wrong { at_line(place) } else { String::new() });
+        let line = place.and_then(|place| self.loaded.line(task, place));
+        self.tell(Word::Did(Did { at, task, line, what: words, always: true }));
+        self.tell(Word::TaskEnded { task, how, wrong });
+    }
+}
+
+impl Watch for Narrator {
+    fn note(&self, task: TaskId, at: u64, note: &Note) {
+        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        let State { outcomes, tasks } = &mut *state;
+        let Some(progress) = tasks.get_mut(task.index()) else { return };
+        match note {
+            Note::Statement(statement) => progress.statement = Some(*statement),
+            Note::Asked(Request::Arrive { port, .. }) => {
+                progress.asked.insert(*port, (at, progress.statement));
+                self.did(task, at, progress.statement, format!("waits at `{}`", self.port(*port)));
+            }
+            Note::Asked(Request::Send { port, .. }) => {
+                progress.sends = progress.statement;
+                // Queries are beats and looks: too many to tell.
+                let usage = self.loaded.table.port(*port).and_then(|port| port.party(task)).map(|p| p.usage);
+                if usage == Some(Usage::Send) {
+                    self.did(task, at, progress.statement, format!("sends `{}`", self.port(*port)));
+                }
+            }
+            Note::Answered(signal) => self.answered(task, at, progress, signal, outcomes),
+            Note::Acts { level, action, most, .. } => {
+                let (statement, at_once) = (progress.statement, most.is_zero());
+                progress.acts.retain(|acts| acts.level != *level);
+                progress.acts.push(Acts { level: *level, action: *action, statement, at_once });
+                if !at_once {
+                    self.did(task, at, statement, format!("begins {}", self.loaded.action(task, *action)));
+                }
+            }
+            Note::Acted { level, ok, value } => {
+                if let Some(acts) = progress.take(*level).filter(|acts| !(acts.at_once && *ok)) {
+                    let how = if *ok { "ends" } else { "FAILED:" };
+                    let name = self.loaded.action(task, acts.action);
+                    let value = if *value == 0 { String::new() } else { format!(": {value}") };
+                    self.did(task, at, acts.statement, format!("{how} {name}{value}"));
+                }
+            }
+            Note::CutShort(level) => {
+                if let Some(acts) = progress.take(*level) {
+                    let name = self.loaded.action(task, acts.action);
+                    self.did(task, at, acts.statement, format!("{name} is cut short"));
+                }
+            }
+            Note::Ended(end) => self.ended(task, at, progress.statement, *end),
+            Note::Asked(_) | Note::Unanswered(_) => {}
+        }
+    }
+}
+
+impl Progress {
+    fn take(&mut self, level: u8) -> Option<Acts> {
+        let at = self.acts.iter().position(|acts| acts.level == level)?;
+        Some(self.acts.remove(at))
+    }
+}

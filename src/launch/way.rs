@@ -1,0 +1,50 @@
+//! A node's way to its neighbours: a socket of its own, or a network within this process.
+
+use imrs_protocol::{NodeId, Packet};
+use imrs_runtime::link::in_process::InProcess;
+use imrs_runtime::link::udp::UdpLink;
+use imrs_runtime::link::{Link, LinkBusy, PollEnd, Sink};
+use std::time::Instant;
+
+/// A link of either kind.
+pub enum Way {
+    /// Over UDP.
+    Udp(Box<UdpLink>),
+    /// Within this process.
+    InProcess(InProcess),
+}
+
+impl Way {
+    /// The socket, if there is one.
+    pub fn udp(&self) -> Option<&UdpLink> {
+        match self {
+            Self::Udp(link) => Some(link),
+            Self::InProcess(_) => None,
+        }
+    }
+
+    fn link(&self) -> &dyn Link {
+        match self {
+            Self::Udp(link) => link.as_ref(),
+            Self::InProcess(link) => link,
+        }
+    }
+}
+
+impl Link for Way {
+    fn ready(&self, next: NodeId) -> bool {
+        self.link().ready(next)
+    }
+
+    fn send_at(&self, next: NodeId, packets: &[Packet], at: Instant) -> Result<usize, LinkBusy> {
+        self.link().send_at(next, packets, at)
+    }
+
+    fn poll(&self, sink: &dyn Sink, until: Option<Instant>) -> PollEnd {
+        self.link().poll(sink, until)
+    }
+
+    fn wake(&self) {
+        self.link().wake();
+    }
+}

@@ -1,0 +1,214 @@
+//! `imrs run` as it is shipped: cells of the language on real processes and sockets, with real faults. Bounds of time are
+//! wide: the machine may be busy. What must hold on any machine is exact.
+
+mod support;
+
+use rustix::process::Signal;
+use serde_json::Value;
+use std::io::{BufRead, BufReader};
+use std::path::{Path, PathBuf};
+use std::process::Stdio;
+use support::{Said, imrs, is_alive, run_in, runtime_dir, signal, wait_until};
+
+/// Two tasks that meet and ask each other through a third node, which only relays.
+const RELAYED: &str = "\
+cell relayed;
+tick 1 msec;
+node na;  node nb;  node nm;
+link na -- nm delay 1 msec;  link nb -- nm delay 1 msec;
+type N is record n: int16; end;
+task a on na
+  port meet()     usage = waitfor  user_list = {b}  time_out = 2 sec  class = 2  retry = 8  resend = 20 msec;
+  port ask(q: N) -> N  usage = query  message_format = N  user_list = {b}  time_out = 1 sec  class = 2  retry = 20  resend = 30 msec;
+  var q: N;  var r: N;
+begin
+  while q.n < 5 do
+    run grip takes 100..120 msec;
+    waitfor meet() on time_out do abort \"nobody came\"; end;
+    query ask(q) -> r on time_out do abort \"no answer\"; end;
+    if r.n <> q.n + 1 then abort \"a wrong answer\"; end;
+    q.n := r.n;
+  end;
+end a;
+task b on nb
+  use_port meet()    usage = waitfor   time_out = 2 sec;
+  use_port ask(q: N) usage = response  time_out = 1 sec;
+begin
+  on query ask(q) do response(q.n + 1); end;
+  loop
+    waitfor meet() on time_out do abort \"nobody came\"; end;
+  end;
+end b;
+";
+
+struct Bench(tempfile::TempDir);
+
+impl Bench {
+    fn new() -> Self {
+        let bench = Self(runtime_dir());
+        std::fs::write(bench.cell(), RELAYED).expect("the cell is written");
+        bench
+    }
+
+    fn cell(&self) -> PathBuf {
+        self.0.path().join("relayed.cell")
+    }
+
+    fn run(&self, args: &[&str]) -> Said {
+        let cell = self.cell();
+        let cell = cell.to_str().expect("UTF-8");
+        run_in(self.0.path(), &[&["run", cell, "--seed", "3"], args].concat())
+    }
+}
+
+fn example(name: &str) -> String {
+    Path::new(env!("CARGO_MANIFEST_DIR")).join("examples").join(name).to_str().expect("UTF-8").into()
+}
+
+fn number(value: &Value) -> u64 {
+    value.as_u64().unwrap_or_else(|| panic!("no number: {value}"))
+}
+
+fn port<'a>(summary: &'a Value, name: &str) -> &'a Value {
+    let ports = summary["ports"].as_array().expect("ports");
+    ports.iter().find(|port| port["name"] == name).expect("a port of the cell")
+}
+
+fn exit<'a>(summary: &'a Value, node: &str) -> &'a Value {
+    let nodes = summary["nodes"].as_array().expect("nodes");
+    &nodes.iter().find(|one| one["name"] == node).expect("a node of the cell")["exit"]
+}
+
+#[test]
+fn scripts_meet_and_ask_through_a_node_that_only_relays() {
+    let bench = Bench::new();
+    for how in
+        [&["--for", "4s", "--format", "json"][..], &["--for", "4s", "--format", "json", "--in-process"]]
+    {
+        let said = bench.run(how);
+        let summary = said.last_json();
+        // When a has ended, b waits for it in vain: that abort is the finding.
+        assert_eq!(said.code, Some(1), "{said:?}");
+        assert!(said.err.contains("task `b` aborted: nobody came (line"), "{said:?}");
+        assert!(!said.err.contains("task `a`"), "{said:?}");
+        assert_eq!(number(&port(&summary, "ask")["delivered"]), 5, "{summary}");
+        assert_eq!(number(&summary["rendezvous"][0]["released"]), 5, "{summary}");
+        assert_eq!(number(&summary["rendezvous"][0]["false_releases"]), 0, "{summary}");
+        assert_eq!(summary["tasks"][0]["name"], "a", "{summary}");
+        assert_eq!(summary["tasks"][0]["end"], "finished", "{summary}");
+        for node in ["na", "nb", "nm"] {
+            assert_eq!(exit(&summary, node), "clean", "{summary}");
+        }
+    }
+}
+
+#[test]
+fn what_every_node_recorded_under_loss_replays_bit_equal() {
+    let bench = Bench::new();
+    let file = bench.0.path().join("run.imrs");
+    let file = file.to_str().expect("UTF-8");
+    let said = bench.run(&["--for", "3s", "--loss", "20%", "--record", file, "--format", "json"]);
+    assert_eq!(number(&said.last_json()["rendezvous"][0]["false_releases"]), 0, "{said:?}");
+    let cell = bench.cell();
+    for (node, tasks) in [("na", 1), ("nb", 1), ("nm", 0)] {
+        let file = file.replace("run.imrs", &format!("run.{node}.imrs"));
+        let cell = cell.to_str().expect("UTF-8");
+        let said = run_in(bench.0.path(), &["replay", &file, "--cell", cell, "--format", "json"]);
+        assert_eq!(said.code, Some(0), "{said:?}");
+        let replayed = said.last_json();
+        let replayed = replayed["tasks"].as_array().expect("tasks");
+        assert_eq!(replayed.len(), tasks, "{said:?}");
+        assert!(replayed.iter().all(|task| task["verdict"] == "same"), "{said:?}");
+    }
+}
+
+#[test]
+fn a_killed_node_and_a_cut_link_are_found_by_their_time_outs() {
+    let bench = Bench::new();
+    for fault in
+        [&["--kill", "a@1ms"][..], &["--cut", "na--nm@0s+10s"], &["--kill", "nm@1ms", "--in-process"]]
+    {
+        let said = bench.run(&[&["--for", "4s"], fault].concat());
+        assert_eq!(said.code, Some(1), "{said:?}");
+        assert!(said.err.contains(" aborted: no"), "{said:?}");
+        assert!(said.out.contains("false releases: 0"), "{said:?}");
+    }
+}
+
+#[test]
+fn an_action_is_a_command_where_one_is_bound() {
+    let bench = Bench::new();
+    let said = bench.run(&["--for", "2s", "--action", "grip=false"]);
+    assert_eq!(said.code, Some(1), "{said:?}");
+    assert!(said.err.contains("task `a` aborted: failure of `grip`"), "{said:?}");
+    assert!(said.out.contains("FAILED: grip"), "{said:?}");
+    let said = bench.run(&["--action", "gripp=true"]);
+    assert_eq!(said.code, Some(2), "{said:?}");
+    assert!(said.err.contains("did you mean `grip`?"), "{said:?}");
+}
+
+#[test]
+fn what_the_tasks_do_is_told_line_by_line() {
+    let bench = Bench::new();
+    let said = bench.run(&["--for", "2s", "--in-process"]);
+    for words in [
+        "begins grip",
+        "ends grip",
+        "waits at `meet`",
+        "all arrived at `meet`",
+        "b line 25  all arrived",
+        "finished",
+    ] {
+        assert!(said.out.contains(words), "`{words}` is missing in\n{}", said.out);
+    }
+    assert!(!said.out.contains('\u{1b}'), "{}", said.out);
+}
+
+#[test]
+fn the_examples_run() {
+    let dir = runtime_dir();
+    let said = run_in(
+        dir.path(),
+        &["run", &example("beam_lift.cell"), "--for", "2500ms", "--seed", "3", "--format", "json"],
+    );
+    let summary = said.last_json();
+    assert!(number(&summary["rendezvous"][0]["released"]) >= 1, "{said:?}");
+    assert_eq!(number(&summary["rendezvous"][0]["false_releases"]), 0, "{said:?}");
+    let said = run_in(
+        dir.path(),
+        &["run", &example("weld_cell.cell"), "--for", "4s", "--kill", "n1@1s", "--seed", "3"],
+    );
+    assert_eq!(said.code, Some(0), "{said:?}");
+    let welds = said.out.lines().filter(|line| line.contains("r2") && line.contains("begins weld"));
+    assert!(welds.count() >= 1, "the standby takes over\n{}", said.out);
+}
+
+#[test]
+fn what_is_no_cell_is_said_so() {
+    let dir = runtime_dir();
+    let said = run_in(dir.path(), &["run", "/no/such.cell"]);
+    assert_eq!(said.code, Some(2), "{said:?}");
+    let file = dir.path().join("faulty.cell");
+    std::fs::write(&file, "cell faulty;\nnode a\nnode b;\n").expect("the file is written");
+    let said = run_in(dir.path(), &["run", file.to_str().expect("UTF-8")]);
+    assert_eq!(said.code, Some(2), "{said:?}");
+    assert!(said.err.contains("error[E006]") && said.err.contains("faulty.cell:2:"), "{said:?}");
+}
+
+#[test]
+fn an_interrupt_ends_all_nodes_and_gives_the_summary() {
+    let dir = runtime_dir();
+    let cell = example("beam_lift.cell");
+    let mut command = imrs(dir.path(), &["run", &cell, "--format", "json"]);
+    let mut child = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().expect("it starts");
+    let mut lines = BufReader::new(child.stdout.take().expect("a pipe")).lines();
+    let mut line =
+        || -> Value { serde_json::from_str(&lines.next().expect("a line").expect("text")).expect("JSON") };
+    let started = line();
+    let nodes = started["started"].as_array().expect("nodes").iter();
+    let pids: Vec<u32> = nodes.map(|node| u32::try_from(number(&node["pid"])).expect("32 bits")).collect();
+    signal(child.id(), Signal::INT);
+    assert_eq!(line()["nodes"].as_array().expect("nodes").len(), 3);
+    assert_eq!(child.wait().expect("it ends").code(), Some(0));
+    wait_until("all nodes are gone", || pids.iter().all(|&pid| !is_alive(pid)));
+}
