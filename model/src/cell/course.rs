@@ -115,6 +115,7 @@ impl Course {
             mattered: vec![false; plan.checks.len()],
             both_active: false,
         };
+        course.floor.crossings.sort_by_key(|crossing| crossing.link);
         course.look();
         course
     }
@@ -316,6 +317,8 @@ impl Course {
         if let Err(violation) = result {
             self.floor.violation = Some(violation);
         }
+        // As the packed state has them: positions mean the same in a state that was never packed.
+        self.floor.crossings.sort_by_key(|crossing| crossing.link);
         self.look();
     }
 

@@ -123,10 +123,12 @@ fn end(course: &Course, turn: &ScriptTurn, phase: Phase) -> Option<Shown> {
         End::Fault { fault, at } => (Kind::ScriptFault, at, format!("{name}: {fault}")),
         End::Aborted(reason) => {
             let why = program.reasons.get(usize::from(reason)).map_or("", String::as_str);
-            match turn.passed.last() {
+            // A statement that asked whether a handler comes first had begun before this turn.
+            let begun = program.code.get(usize::from(turn.at)) == Some(&Op::Statement);
+            match turn.passed.last().copied().or_else(|| begun.then_some(turn.at)) {
                 // A bad end without a branch goes to no statement of the task.
                 None => (Kind::Ends, turn.at, format!("{name} ends: {why}")),
-                Some(&at) if fault_free => (Kind::Aborts, at, format!("{name} aborts: {why}")),
+                Some(at) if fault_free => (Kind::Aborts, at, format!("{name} aborts: {why}")),
                 Some(_) => return None,
             }
         }

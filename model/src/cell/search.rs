@@ -262,9 +262,6 @@ impl Search {
         let last = choices.len();
         walk(&mut course, None, if last == 0 { hit.steps } else { WALK });
         for (i, choice) in choices.into_iter().enumerate() {
-            if let Ok(state) = course.store() {
-                course.load(&state);
-            }
             walk(&mut course, Some(choice), if i + 1 == last { hit.steps } else { WALK });
         }
         path

@@ -84,6 +84,12 @@ impl Floor {
         if self.plan.room.is_some() {
             out.extend(&self.used);
         }
+        if self.counts_behind() {
+            for ((&behind, old), new) in self.behind.iter().zip(&self.rounds).zip(&bases.rounds) {
+                let from_first = i32::from(behind) + i32::from(new.steps_from(*old).cast_signed());
+                out.push(byte(from_first.clamp(0, i32::from(super::FAR_BEHIND)))?);
+            }
+        }
         for i in 0..self.stations.len() {
             self.store_station(i, &bases, &mut out)?;
         }

@@ -109,6 +109,9 @@ pub(crate) struct Floor {
     arriving: u8,
     /// What scripts have not taken yet. Empty between moves.
     inputs: VecDeque<(usize, ScriptInput)>,
+    /// In a cell whose nodes may restart, for each port how far what loaded rounds are relative to is from the first
+    /// round; [`FAR_BEHIND`] for more.
+    pub behind: Vec<u8>,
     /// What scripts did, where somebody judges it who goes on after a script's end.
     pub turns: Option<Vec<script::ScriptTurn>>,
 }
@@ -150,6 +153,9 @@ impl NodeOutbox for Wires<'_> {
     }
 }
 
+/// A new life that is so many rounds behind is behind like one that is farther: the machine only compares rounds.
+const FAR_BEHIND: u8 = 3;
+
 /// How many fused steps one move may take: more would be a loop without time.
 const FUSED: usize = 64;
 
@@ -173,10 +179,20 @@ impl Floor {
         floor
     }
 
-    /// The node starts again, in its next life, whose rounds are long past for the others.
+    /// The node of a cell starts again, in its next life, which counts from the beginning.
     pub(crate) fn restart_behind(&mut self, node: usize) -> Result<(), Violation> {
-        self.rounds.iter_mut().for_each(|round| *round = Round(round.0.wrapping_sub(8)));
-        self.restart(node)
+        let here = self.rounds.clone();
+        for (round, behind) in self.rounds.iter_mut().zip(&self.behind) {
+            *round = Round(round.0.wrapping_sub(u16::from(*behind)));
+        }
+        let result = self.restart(node);
+        self.rounds = here;
+        result
+    }
+
+    /// Whether states say how far behind a new life would be.
+    fn counts_behind(&self) -> bool {
+        self.turns.is_some() && self.plan.lives()
     }
 
     fn unbegun(plan: &Arc<FloorPlan>) -> Self {
@@ -204,6 +220,7 @@ impl Floor {
             spare: Vec::new(),
             arriving: 0,
             inputs: VecDeque::new(),
+            behind: vec![0; plan.cell.ports().len()],
             turns: None,
             links,
             plan: Arc::clone(plan),

@@ -69,6 +69,9 @@ impl Floor {
         if self.plan.room.is_some() {
             self.used.iter_mut().for_each(|used| *used = eye.byte());
         }
+        if self.counts_behind() {
+            self.behind.iter_mut().for_each(|behind| *behind = eye.byte());
+        }
         for i in 0..self.stations.len() {
             self.load_station(i, &mut eye);
         }

@@ -60,6 +60,9 @@ impl Text {
         println!("statements {:?}, not seen {:?}", verdicts.statements, verdicts.not_seen);
         for finding in &verdicts.findings {
             println!("{:?} {:?} at {}: {} | {}", finding.kind, finding.phase, finding.at_ticks, finding.cause, self.source(finding));
+            if std::env::var_os("CELL_CHARTS").is_some() {
+                println!("{}", finding.chart);
+            }
         }
         verdicts
     }
