@@ -4,7 +4,7 @@ use super::course::Course;
 use super::plan::Conduct;
 use super::verdict::{Kind, Phase};
 use crate::floor::script::ScriptTurn;
-use imrs_protocol::script::{Activity, Address, End, Op, Program, ScriptInput};
+use imrs_protocol::script::{Activity, Address, End, Op, Outcomes, Program, ScriptInput, Trigger};
 use imrs_protocol::{CellTable, Outcome, PortId, Signal, TaskId, Target};
 
 /// Something that a move showed to be wrong.
@@ -218,4 +218,28 @@ pub(super) fn statement(table: &CellTable, program: &Program, at: Address) -> St
         Some(Op::Lease) => "its lease".into(),
         _ => "a statement".into(),
     }
+}
+
+/// The operations that are reached when nothing ends badly and no timer, fence or take-over calls: what lies beyond
+/// needs a fault.
+pub(super) fn needs_no_fault(program: &Program) -> Vec<bool> {
+    let messages = program.handlers.iter().filter(|handler| matches!(handler.trigger, Trigger::Message(_)));
+    let mut open: Vec<Address> = messages.map(|handler| handler.entry).collect();
+    open.push(0);
+    let mut reached = vec![false; program.code.len()];
+    while let Some(at) = open.pop() {
+        let Some(flag) = reached.get_mut(usize::from(at)).filter(|flag| !**flag) else { continue };
+        *flag = true;
+        match program.code[usize::from(at)] {
+            Op::Jump(to) => open.push(to),
+            Op::Unless(to) => open.extend([to, at.saturating_add(1)]),
+            Op::Abort(_) | Op::End | Op::HandlerEnd => {}
+            // The answer of a statement may bring a message or none: only bad ends need a fault.
+            Op::On { outcomes, to } if outcomes.0 & !Outcomes::BAD.0 != 0 => {
+                open.extend([to, at.saturating_add(1)]);
+            }
+            _ => open.push(at.saturating_add(1)),
+        }
+    }
+    reached
 }

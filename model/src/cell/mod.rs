@@ -17,6 +17,7 @@
 
 mod course;
 mod judge;
+mod outside;
 mod plan;
 mod search;
 mod story;

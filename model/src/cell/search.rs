@@ -70,11 +70,14 @@ struct Done {
     findings: Vec<Finding>,
     reached: Reached,
     mattered: Vec<bool>,
+    /// Whether what follows some finding was not looked at.
+    pruned: bool,
 }
 
 /// Checks a cell: first without faults, which says what takes no fault to go wrong, then with those declared.
 #[must_use]
 pub fn check_cell(plan: &Arc<CellPlan>) -> Verdicts {
+    let plan = &super::outside::with_programs(plan);
     let none = CellFaults::default();
     let mut phases = vec![(Phase::FaultFree, none)];
     if !plan.faults.are_none() {
@@ -120,7 +123,8 @@ fn explore(plan: &Arc<CellPlan>, phase: Phase, faults: &CellFaults) -> Done {
         longest_state: search.longest as u64,
         seconds: start.elapsed().as_secs_f64(),
     };
-    Done { coverage, findings, reached: search.reached, mattered }
+    let pruned = search.hits.iter().any(|hit| hit.shown.last);
+    Done { coverage, findings, reached: search.reached, mattered, pruned }
 }
 
 impl Search {
@@ -287,7 +291,8 @@ impl Search {
 }
 
 fn conclude(plan: &Arc<CellPlan>, done: Vec<Done>) -> Verdicts {
-    let complete = done.iter().all(|done| done.coverage.complete);
+    // What nobody reached before a finding that ends its way may lie behind it.
+    let complete = done.iter().all(|done| done.coverage.complete && !done.pruned);
     let mut verdicts = Verdicts::default();
     for (number, conduct) in plan.tasks.iter().enumerate() {
         let Conduct::Program { program, .. } = conduct else {
@@ -301,9 +306,13 @@ fn conclude(plan: &Arc<CellPlan>, done: Vec<Done>) -> Verdicts {
         let count = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
         verdicts.statements.push((count(all.len() - missed.len()), count(all.len())));
         let task = TaskId::from_index(number);
+        let plain = judge::needs_no_fault(program);
         for at in missed {
+            let needs_fault = !plain[at];
             let at = Address::try_from(at).unwrap_or(Address::MAX);
-            if complete {
+            if needs_fault && complete {
+                verdicts.not_exercised.push((task, at));
+            } else if complete {
                 let cause = format!("{}: never reached", judge::name(&plan.table, number));
                 verdicts.findings.push(bare(Kind::Unreached, Some((task, at)), None, cause));
             } else {

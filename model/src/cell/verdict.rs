@@ -125,7 +125,10 @@ pub struct Verdicts {
     pub phases: Vec<Coverage>,
     /// For each task the statements reached, and how many it has.
     pub statements: Vec<(u32, u32)>,
-    /// Statements not reached where a search was ended by its budget, which proves nothing: task and operation.
+    /// Statements of branches, timers and take-overs that these faults never called for: task and operation.
+    pub not_exercised: Vec<(TaskId, Address)>,
+    /// Statements not reached where a budget ended a search, or a finding the way to them, which proves nothing: task and
+    /// operation.
     pub not_seen: Vec<(TaskId, Address)>,
 }
 
