@@ -110,7 +110,8 @@ pub(crate) struct Pen {
 impl Pen {
     pub fn new(names: Vec<String>) -> Self {
         let lane = ((COLUMNS - MARGIN) / names.len()).min(28);
-        let mut pen = Self { names, lane, steps: Vec::new(), lines: Vec::new(), last_tick: None, notes: Vec::new() };
+        let mut pen =
+            Self { names, lane, steps: Vec::new(), lines: Vec::new(), last_tick: None, notes: Vec::new() };
         let mut head = pen.empty(' ');
         for i in 0..pen.names.len() {
             pen.put(&mut head, pen.at(i), &pen.names[i]);

@@ -89,7 +89,9 @@ fn who_receives_too_slowly_lets_a_send_time_out() {
 
 #[test]
 fn two_that_wait_for_each_other_are_a_deadlock() {
-    let ports = format!("{PUT} port got(m: Num) usage = receive message_format = Num user_list = {{b}} time_out = 20 msec class = 2;");
+    let ports = format!(
+        "{PUT} port got(m: Num) usage = receive message_format = Num user_list = {{b}} time_out = 20 msec class = 2;"
+    );
     let uses = format!("{USE_PUT} use_port got(m: Num) usage = send time_out = 20 msec;");
     let a = "receive got(m); reply(); send put(m);";
     let cell = two(&ports, &uses, a, "receive put(m); reply(); use_send got(m);", "");
@@ -104,7 +106,8 @@ fn two_that_wait_for_each_other_are_a_deadlock() {
 #[test]
 fn assertions_faults_and_aborts_point_at_their_statement() {
     let send = "loop send put(m) on time_out do skip; end; delay 10 msec; end;";
-    let count = |body: &str| two(PUT, USE_PUT, send, &format!("loop receive put(m); reply(); {body} end;"), "");
+    let count =
+        |body: &str| two(PUT, USE_PUT, send, &format!("loop receive put(m); reply(); {body} end;"), "");
     let kind_of = |body: &str| {
         let found = all(&count(body));
         found.into_iter().find(|(kind, _)| *kind != Kind::TimeOut).expect("a finding")
@@ -140,7 +143,10 @@ fn an_action_that_fails_within_its_budget_ends_its_task() {
     let b = "loop receive put(m); reply(); run work takes 1..2 msec; end;";
     let cell = two(PUT, USE_PUT, idle, b, "faults fail 1;");
     let found_here = all(&cell);
-    assert!(found_here.iter().any(|(kind, at)| *kind == Kind::Ends && at.starts_with("run work")), "{found_here:?}");
+    assert!(
+        found_here.iter().any(|(kind, at)| *kind == Kind::Ends && at.starts_with("run work")),
+        "{found_here:?}"
+    );
 }
 
 #[test]
@@ -149,8 +155,7 @@ fn a_node_that_crashes_and_a_link_that_is_cut_are_the_named_ones() {
     let check = "check c: never a.x = 1;";
     let with = |faults: &str| {
         let verdicts = two(PUT, USE_PUT, send, TAKE, &format!("faults {faults};\n{check}")).check();
-        let found = verdicts.of(Kind::Check).next().map(|finding| finding.chart.clone());
-        found
+        verdicts.of(Kind::Check).next().map(|finding| finding.chart.clone())
     };
     assert!(with("crash nb").expect("b is gone").contains("CRASHES"));
     assert!(with("cut na--nb").expect("b is far").contains("CUT OFF"));
@@ -174,7 +179,13 @@ fn an_end_between_least_and_most_is_looked_at_on_demand() {
     // At 5 and at 60 ticks all is well; whoever ends while the other's beat of 20 ticks passes is not.
     let a = "run work takes 5..60 msec; x := 1; delay 1 msec; x := 0;";
     let b = "delay 20 msec; y := 1; delay 1 msec; y := 0;";
-    let mut cell = two(PUT, USE_PUT, &format!("{a} send put(m);"), &format!("{b} {TAKE}"), "check c: never a.x = 1 and b.y = 1;");
+    let mut cell = two(
+        PUT,
+        USE_PUT,
+        &format!("{a} send put(m);"),
+        &format!("{b} {TAKE}"),
+        "check c: never a.x = 1 and b.y = 1;",
+    );
     let has = |cell: &Text| cell.check().of(Kind::Check).next().is_some();
     assert!(!has(&cell));
     cell.plan.between = true;

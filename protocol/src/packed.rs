@@ -69,7 +69,9 @@ impl<'a> Eye<'a> {
     pub fn ticks(&mut self) -> Ticks {
         match self.byte() {
             u8::MAX => Ticks::FAR,
-            LONG => Ticks(u64::from(u32::from_le_bytes([self.byte(), self.byte(), self.byte(), self.byte()]))),
+            LONG => {
+                Ticks(u64::from(u32::from_le_bytes([self.byte(), self.byte(), self.byte(), self.byte()])))
+            }
             ticks => Ticks(u64::from(ticks)),
         }
     }

@@ -5,7 +5,7 @@ use crate::floor::Floor;
 use crate::floor::canon::number;
 use crate::floor::plan::{Errand, Faults, FloorPlan, TaskPlan, Way};
 use crate::floor::script::Running;
-use crate::state::Violation;
+use crate::state::{Packed, Violation};
 use imrs_protocol::script::{Activity, ScriptInput, eval};
 use imrs_protocol::{NodeInput, TaskId, Ticks};
 use serde::{Deserialize, Serialize};
@@ -61,6 +61,9 @@ struct Beside {
     due: Vec<Option<u32>>,
     /// Actions that do not end in this tick: task and thread.
     stays: Vec<(u8, u8)>,
+    /// The nodes that did something in this tick, bit by bit: those that may crash now. A crash between two steps of a
+    /// node and one right after the first of them are the same to everybody.
+    acted: u64,
 }
 
 /// The unpacked state of a cell.
@@ -90,10 +93,14 @@ impl Course {
         floor.way = Way::Exact;
         floor.transit = plan.transit;
         floor.faults = Faults { crash: u8::from(!faults.crash.is_empty()), ..Faults::default() };
-        floor.checks = plan.checks.iter().flat_map(|check| match &check.holds {
-            Holds::Always(terms) => vec![terms.clone()],
-            Holds::Leads { when, then, .. } => vec![when.clone(), then.clone()],
-        }).collect();
+        floor.checks = plan
+            .checks
+            .iter()
+            .flat_map(|check| match &check.holds {
+                Holds::Always(terms) => vec![terms.clone()],
+                Holds::Leads { when, then, .. } => vec![when.clone(), then.clone()],
+            })
+            .collect();
         let floor = Floor::of_cell(&Arc::new(floor));
         let beside = Beside {
             loss: faults.loss,
@@ -104,6 +111,7 @@ impl Course {
             cuts: vec![UNUSED; faults.cut.len()],
             due: vec![None; plan.checks.len()],
             stays: Vec::new(),
+            acted: u64::MAX,
         };
         let mut course = Self {
             plan: Arc::clone(plan),
@@ -135,6 +143,12 @@ impl Course {
         }
         out.extend(&b.crashed);
         out.extend(&b.cuts);
+        // Where it may not crash any more, nobody asks.
+        let may = f.crash.iter().zip(&b.crashed).filter(|(_, crashed)| **crashed == 0);
+        let may = may.fold(0_u64, |mask, (node, _)| mask | bit(node.index()));
+        if !f.crash.is_empty() {
+            out.extend((b.acted & may).to_le_bytes());
+        }
         for (check, due) in self.plan.checks.iter().zip(&b.due) {
             if matches!(check.holds, Holds::Leads { .. }) {
                 number(due.map_or(0, |left| left + 1), &mut out);
@@ -155,16 +169,16 @@ impl Course {
             state.get(at - 1).copied().unwrap_or(0)
         };
         let (b, f) = (&mut self.beside, &self.faults);
-        for (had, left) in [
-            (f.loss, &mut b.loss),
-            (f.dup, &mut b.dup),
-            (f.fail, &mut b.fail),
-            (f.drift, &mut b.drift),
-        ] {
+        for (had, left) in
+            [(f.loss, &mut b.loss), (f.dup, &mut b.dup), (f.fail, &mut b.fail), (f.drift, &mut b.drift)]
+        {
             *left = if had > 0 { byte() } else { 0 };
         }
         b.crashed.iter_mut().for_each(|crashed| *crashed = byte());
         b.cuts.iter_mut().for_each(|cut| *cut = byte());
+        if !f.crash.is_empty() {
+            b.acted = u64::from_le_bytes(std::array::from_fn(|_| byte()));
+        }
         for (check, due) in self.plan.checks.iter().zip(&mut b.due) {
             if matches!(check.holds, Holds::Leads { .. }) {
                 let left = match byte() {
@@ -184,6 +198,22 @@ impl Course {
         self.floor.load_bytes(state.get(at..).unwrap_or(&[]));
     }
 
+    /// The floor after a move that nothing is wrong with.
+    pub fn after(&mut self, state: &[u8], step: CellMove) -> Option<Packed> {
+        self.load(state);
+        self.apply(step);
+        self.floor.turns.iter_mut().for_each(Vec::clear);
+        let sound = self.broken.is_none() && !self.both_active && self.floor.violation.is_none();
+        sound.then(|| self.floor.store())
+    }
+
+    /// The floor without one of its packets.
+    pub fn without(&mut self, state: &[u8], packet: u8) -> Packed {
+        self.load(state);
+        self.floor.crossings.remove(usize::from(packet));
+        self.floor.store()
+    }
+
     /// What may happen next: the first node with something to do in this tick does it; when none has, time passes.
     pub fn moves(&self, moves: &mut Vec<CellMove>) {
         for node in 0..self.floor.stations.len() {
@@ -195,7 +225,8 @@ impl Course {
         for (at, (&node, &crashed)) in self.faults.crash.iter().zip(&self.beside.crashed).enumerate() {
             let earlier = self.faults.crash[..at].iter().zip(&self.beside.crashed);
             let first = !earlier.into_iter().any(|(&other, &done)| other == node && done == 0);
-            if crashed == 0 && first && self.floor.stations[node.index()].up {
+            let acted = self.beside.acted & bit(node.index()) != 0;
+            if crashed == 0 && first && acted && self.floor.stations[node.index()].up {
                 moves.push(CellMove::Crash(small(at)));
             }
         }
@@ -313,6 +344,7 @@ impl Course {
     /// Carries a move out and looks at what came of it.
     pub fn apply(&mut self, step: CellMove) {
         self.broken = None;
+        self.beside.acted |= self.node_of(step).map_or(0, bit);
         let result = self.carry_out(step).and_then(|()| self.floor.run_scripts());
         if let Err(violation) = result {
             self.floor.violation = Some(violation);
@@ -320,6 +352,27 @@ impl Course {
         // As the packed state has them: positions mean the same in a state that was never packed.
         self.floor.crossings.sort_by_key(|crossing| crossing.link);
         self.look();
+    }
+
+    /// The node at which a move happens.
+    fn node_of(&self, step: CellMove) -> Option<usize> {
+        match step {
+            CellMove::Deliver(i) | CellMove::Duplicate(i) | CellMove::Mend(i, _) => {
+                let link = self.floor.crossings.get(usize::from(i))?.link;
+                Some(self.floor.links[usize::from(link)].1.index())
+            }
+            CellMove::Acted(task, ..) | CellMove::Choose(task, _) => {
+                Some(self.floor.station_of(usize::from(task)))
+            }
+            CellMove::Restart(node) => Some(usize::from(node)),
+            CellMove::Pass
+            | CellMove::Drift(..)
+            | CellMove::Lose(_)
+            | CellMove::Cut(..)
+            | CellMove::Vanish(_)
+            | CellMove::GoOn(..)
+            | CellMove::Crash(_) => None,
+        }
     }
 
     fn carry_out(&mut self, step: CellMove) -> Result<(), Violation> {
@@ -401,6 +454,7 @@ impl Course {
         let Some(ticks) = self.next_event() else { return Ok(()) };
         self.passed += u64::from(ticks);
         self.beside.stays.clear();
+        self.beside.acted = 0;
         for (check, due) in self.beside.due.iter_mut().enumerate() {
             match due.map(|left| left.checked_sub(ticks)) {
                 Some(Some(left)) => *due = Some(left),
@@ -427,6 +481,10 @@ impl Course {
                 Some((at, false)) if at == node => ticks - 1,
                 Some(_) | None => ticks,
             };
+            let due = self.floor.stations[node].node.next_expiry();
+            if due.is_some_and(|due| due.0 <= u64::from(ticks)) {
+                self.beside.acted |= bit(node);
+            }
             if ticks > 0 {
                 self.floor.step(node, NodeInput::Advance(Ticks(u64::from(ticks))))?;
             }
@@ -437,7 +495,8 @@ impl Course {
 
     /// Looks at the checks and at who acts.
     fn look(&mut self) {
-        let is = |floor: &Floor, terms: &[_]| eval(terms, |term| floor.look_up(term)).map_or(true, |v| v != 0);
+        let is =
+            |floor: &Floor, terms: &[_]| eval(terms, |term| floor.look_up(term)).is_ok_and(|value| value != 0);
         for (at, check) in self.plan.checks.iter().enumerate() {
             match &check.holds {
                 Holds::Always(terms) => {
@@ -477,6 +536,11 @@ impl Course {
     pub fn crash_node(&self, number: u8) -> usize {
         self.faults.crash[usize::from(number)].index()
     }
+}
+
+/// The bit of a node; those past the last one share it.
+fn bit(node: usize) -> u64 {
+    1 << node.min(63)
 }
 
 pub(super) fn small(i: usize) -> u8 {

@@ -5,7 +5,7 @@ use super::plan::Conduct;
 use super::verdict::{Kind, Phase};
 use crate::floor::script::ScriptTurn;
 use imrs_protocol::script::{Activity, Address, End, Op, Outcomes, Program, ScriptInput, Trigger};
-use imrs_protocol::{CellTable, Outcome, PortId, Signal, TaskId, Target};
+use imrs_protocol::{CellTable, Outcome, PortId, Signal, Target, TaskId};
 
 /// Something that a move showed to be wrong.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -53,7 +53,14 @@ pub(super) fn judge(course: &mut Course, phase: Phase, reached: &mut Reached) ->
     if let Some(check) = course.broken {
         let name = &course.plan.checks[check].name;
         let cause = format!("`{name}` does not hold");
-        shown.push(Shown { kind: Kind::Check, task: None, address: None, check: Some(check), cause, last: true });
+        shown.push(Shown {
+            kind: Kind::Check,
+            task: None,
+            address: None,
+            check: Some(check),
+            cause,
+            last: true,
+        });
     }
     let whole = |kind, cause: &str| Shown {
         kind,
@@ -83,9 +90,9 @@ fn outcome(course: &Course, turn: &ScriptTurn, phase: Phase) -> Option<Shown> {
     let name = name(table, turn.task);
     let (kind, cause) = match signal {
         Signal::Outcome(Outcome::Refused) => (Kind::Refused, format!("{name}: {what} is refused")),
-        Signal::Outcome(
-            Outcome::TimedOutUnsent | Outcome::TimedOutUnknown | Outcome::PeerRestarted,
-        ) => (Kind::TimeOut, format!("{name}: {what} ends by its time_out")),
+        Signal::Outcome(Outcome::TimedOutUnsent | Outcome::TimedOutUnknown | Outcome::PeerRestarted) => {
+            (Kind::TimeOut, format!("{name}: {what} ends by its time_out"))
+        }
         Signal::Answers { answers, .. } if answers.answered != answers.asked => {
             (Kind::TimeOut, format!("{name}: {what} ends without all answers"))
         }
@@ -143,7 +150,8 @@ pub(super) fn deadlock(course: &Course) -> Option<Shown> {
         course.is_up(task) && matches!(course.activity(task), Some(Activity::Waits | Activity::Acts))
     };
     // Whoever waits can be helped by anybody who could still send it what it waits for.
-    let helpers: Vec<Vec<usize>> = (0..n).map(|task| if waits(task) { senders(course, task) } else { Vec::new() }).collect();
+    let helpers: Vec<Vec<usize>> =
+        (0..n).map(|task| if waits(task) { senders(course, task) } else { Vec::new() }).collect();
     let mut alive: Vec<bool> = (0..n).map(waits).collect();
     // Tasks whose helpers have all ended are at rest; what is left waits in a ring.
     loop {
@@ -200,7 +208,11 @@ pub(super) fn name(table: &CellTable, task: usize) -> &str {
 /// An operation in the cell's words.
 pub(super) fn statement(table: &CellTable, program: &Program, at: Address) -> String {
     let port = |port: PortId| {
-        table.cell().ports.get(port.index()).map_or_else(|| "?".to_string(), |port| format!("`{}`", port.name))
+        table
+            .cell()
+            .ports
+            .get(port.index())
+            .map_or_else(|| "?".to_string(), |port| format!("`{}`", port.name))
     };
     match program.code.get(usize::from(at)) {
         Some(Op::Send { port: at, to, .. }) => match to {

@@ -122,11 +122,14 @@ fn programs(plan: &CellPlan) -> impl Iterator<Item = &Program> {
 fn message(plan: &CellPlan, port: PortId) -> Format {
     let find = |program: &Program| {
         let sent = program.code.iter().find_map(|op| match *op {
-            Op::Send { port: at, format, .. } | Op::Arrive { port: at, format, .. } if at == port => Some(format),
+            Op::Send { port: at, format, .. } | Op::Arrive { port: at, format, .. } if at == port => {
+                Some(format)
+            }
             _ => None,
         });
         let handler = program.handlers.iter().find(|handler| handler.trigger == Trigger::Message(port));
-        let got = program.code.iter().position(|op| matches!(op, Op::Get { port: Some(at), .. } if *at == port));
+        let got =
+            program.code.iter().position(|op| matches!(op, Op::Get { port: Some(at), .. } if *at == port));
         let from = handler.map(|handler| usize::from(handler.entry)).or(got);
         let read = from.and_then(|from| next(program, from, unpacked));
         sent.or(read).and_then(|format| program.formats.get(usize::from(format)).cloned())
@@ -137,7 +140,8 @@ fn message(plan: &CellPlan, port: PortId) -> Format {
 /// The format of the answers.
 fn answer(plan: &CellPlan, port: PortId) -> Format {
     let find = |program: &Program| {
-        let asked = program.code.iter().position(|op| matches!(op, Op::Send { port: at, .. } if *at == port))?;
+        let asked =
+            program.code.iter().position(|op| matches!(op, Op::Send { port: at, .. } if *at == port))?;
         let read = next(program, asked, unpacked)?;
         program.formats.get(usize::from(read)).cloned()
     };

@@ -134,7 +134,7 @@ impl Search {
         let root = Origin { parent: u32::MAX, choice: 0, depth: 0 };
         self.walk(root, None);
         let mut looked = 0_u64;
-        let mut moves = Vec::new();
+        let (mut all, mut moves) = (Vec::new(), Vec::new());
         while let Some((at, state)) = self.queue.pop_front() {
             looked += 1;
             if looked.is_multiple_of(LOOK) {
@@ -149,18 +149,48 @@ impl Search {
                 return Some(format!("{} states", budget.states));
             }
             self.course.load(&state);
-            moves.clear();
-            self.course.moves(&mut moves);
+            (all.clear(), moves.clear());
+            self.course.moves(&mut all);
+            moves.extend((0_u16..).zip(all.iter().copied()));
+            if self.leave_out(&state, &mut moves) {
+                self.course.load(&state);
+            }
             let depth = self.origins[at as usize].depth.saturating_add(1);
-            for (choice, &step) in moves.iter().enumerate() {
-                if choice > 0 {
+            for (i, &(choice, step)) in moves.iter().enumerate() {
+                if i > 0 {
                     self.course.load(&state);
                 }
-                let choice = u16::try_from(choice).unwrap_or(u16::MAX);
                 self.walk(Origin { parent: at, choice, depth }, Some(step));
             }
         }
         None
+    }
+
+    /// Leaves out what takes a packet away that changes nothing where it arrives: the same happens when it arrives, with
+    /// more of the budget left, and a cut may as well begin with the next packet, or end before it. Says whether the
+    /// course was used.
+    fn leave_out(&mut self, state: &[u8], moves: &mut Vec<(u16, CellMove)>) -> bool {
+        let mut taken: Vec<u8> = moves.iter().filter_map(|&(_, step)| takes_away(step)).collect();
+        taken.dedup();
+        for &i in &taken {
+            let comes = |&&(_, step): &&(u16, CellMove)| {
+                matches!(step, CellMove::Deliver(at) | CellMove::Mend(at, _) if at == i)
+            };
+            let Some(&(_, arrives)) = moves.iter().find(comes) else { continue };
+            let course = &mut self.course;
+            let with = catch_unwind(AssertUnwindSafe(|| course.after(state, arrives)));
+            let without = course.without(state, i);
+            if !matches!(with, Ok(Some(with)) if with == without) {
+                continue;
+            }
+            let cut = moves.iter().any(|&(_, step)| step == CellMove::Vanish(i));
+            moves.retain(|&(_, step)| match step {
+                CellMove::Lose(at) | CellMove::Cut(at, _) => at != i,
+                CellMove::Mend(at, _) => at != i || !cut,
+                _ => true,
+            });
+        }
+        !taken.is_empty()
     }
 
     /// Makes a move, goes on while there is only one, and keeps where that leads.
@@ -255,7 +285,9 @@ impl Search {
                     moves.clear();
                     course.moves(&mut moves);
                     let alone = choice.is_none() && moves.len() != 1;
-                    let Some(&step) = moves.get(choice.take().unwrap_or(0)).filter(|_| !alone) else { return };
+                    let Some(&step) = moves.get(choice.take().unwrap_or(0)).filter(|_| !alone) else {
+                        return;
+                    };
                     path.push(step);
                     if catch_unwind(AssertUnwindSafe(|| course.apply(step))).is_err() {
                         return;
@@ -287,6 +319,23 @@ impl Search {
             steps: told.steps,
             chart: told.chart,
         }
+    }
+}
+
+/// The packet that a move takes off its link without an arrival.
+const fn takes_away(step: CellMove) -> Option<u8> {
+    match step {
+        CellMove::Lose(i) | CellMove::Cut(i, _) | CellMove::Vanish(i) => Some(i),
+        CellMove::Pass
+        | CellMove::Drift(..)
+        | CellMove::Deliver(_)
+        | CellMove::Duplicate(_)
+        | CellMove::Mend(..)
+        | CellMove::Acted(..)
+        | CellMove::GoOn(..)
+        | CellMove::Choose(..)
+        | CellMove::Crash(_)
+        | CellMove::Restart(_) => None,
     }
 }
 

@@ -3,8 +3,8 @@
 use super::course::{CellMove, Course};
 use super::judge::{name, position, statement};
 use super::plan::{CellFaults, CellPlan, Conduct};
-use crate::chart::Pen;
 pub use crate::chart::Note;
+use crate::chart::Pen;
 use crate::floor::chart::Lanes;
 use imrs_protocol::script::{Activity, Address, End};
 use imrs_protocol::{PortId, TaskId};
@@ -132,7 +132,9 @@ fn describe(course: &Course, step: CellMove) -> Option<(Lane, String)> {
             (Lane::Task(at), text)
         }
         CellMove::Choose(task, choice) => (Lane::Task(usize::from(task)), format!("chooses {choice}")),
-        CellMove::Crash(number) => (Lane::Node(super::course::small(course.crash_node(number))), "CRASHES".into()),
+        CellMove::Crash(number) => {
+            (Lane::Node(super::course::small(course.crash_node(number))), "CRASHES".into())
+        }
         CellMove::Restart(node) => (Lane::Node(node), "restarts".into()),
         CellMove::Drift(node, more) => {
             (Lane::Node(node), if more { "counts a tick twice" } else { "misses a tick" }.into())
@@ -172,7 +174,7 @@ fn view(course: &Course, task: usize) -> TaskView {
     let machine = station.node.task(TaskId::from_index(task)).filter(|_| up);
     let queues = machine.map_or_else(Vec::new, |machine| {
         let ports = machine.view(&station.table, 0).ports;
-        ports.iter().map(|port| (port.port, u16::try_from(port.len).unwrap_or(u16::MAX))).collect()
+        ports.iter().map(|port| (port.port, port.len)).collect()
     });
     let actor = course.floor.bodies[task].actor.as_ref();
     let what = |at| match &plan.tasks[task] {

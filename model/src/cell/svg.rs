@@ -22,7 +22,8 @@ pub fn svg(names: &[String], steps: &[Step], cause: &str) -> String {
     for (lane, name) in names.iter().enumerate() {
         let (x, end) = (x(lane), height - 2 * LINE);
         let _ = writeln!(out, "<text x=\"{x}\" y=\"{LINE}\" font-weight=\"bold\">{}</text>", escaped(name));
-        let _ = writeln!(out, "<line x1=\"{x}\" y1=\"{}\" x2=\"{x}\" y2=\"{end}\" stroke=\"#999\"/>", LINE + 6);
+        let _ =
+            writeln!(out, "<line x1=\"{x}\" y1=\"{}\" x2=\"{x}\" y2=\"{end}\" stroke=\"#999\"/>", LINE + 6);
     }
     let mut last = None;
     for (row, note) in notes.iter().enumerate() {
@@ -34,7 +35,8 @@ pub fn svg(names: &[String], steps: &[Step], cause: &str) -> String {
         }
         draw(&mut out, note, y, x);
     }
-    let _ = writeln!(out, "<text x=\"10\" y=\"{}\" font-weight=\"bold\">{}</text>", height - 8, escaped(cause));
+    let _ =
+        writeln!(out, "<text x=\"10\" y=\"{}\" font-weight=\"bold\">{}</text>", height - 8, escaped(cause));
     out.push_str("</svg>\n");
     out
 }

@@ -3,7 +3,9 @@
 use super::Floor;
 use super::plan::FloorPlan;
 use crate::state::Violation;
-use imrs_protocol::script::{Action, Activity, Address, End, Program, Script, ScriptInput, ScriptOutbox, eval};
+use imrs_protocol::script::{
+    Action, Activity, Address, End, Program, Script, ScriptInput, ScriptOutbox, eval,
+};
 use imrs_protocol::{CommTask, Contents, PortId, Request, TaskId};
 use std::sync::Arc;
 

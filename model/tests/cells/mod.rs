@@ -2,7 +2,9 @@
 
 use imrs_language::lower::{Behaviour, CheckKind, Lowered, Script};
 use imrs_language::{Source, Unit, compile};
-use imrs_model::cell::{CellCheck, CellFaults, CellPlan, Conduct, Finding, Holds, Kind, Verdicts, check_cell};
+use imrs_model::cell::{
+    CellCheck, CellFaults, CellPlan, Conduct, Finding, Holds, Kind, Verdicts, check_cell,
+};
 use imrs_protocol::CellTable;
 use std::sync::Arc;
 
@@ -59,7 +61,14 @@ impl Text {
         }
         println!("statements {:?}, not seen {:?}", verdicts.statements, verdicts.not_seen);
         for finding in &verdicts.findings {
-            println!("{:?} {:?} at {}: {} | {}", finding.kind, finding.phase, finding.at_ticks, finding.cause, self.source(finding));
+            println!(
+                "{:?} {:?} at {}: {} | {}",
+                finding.kind,
+                finding.phase,
+                finding.at_ticks,
+                finding.cause,
+                self.source(finding)
+            );
             if std::env::var_os("CELL_CHARTS").is_some() {
                 println!("{}", finding.chart);
             }
