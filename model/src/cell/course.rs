@@ -495,8 +495,9 @@ impl Course {
 
     /// Looks at the checks and at who acts.
     fn look(&mut self) {
-        let is =
-            |floor: &Floor, terms: &[_]| eval(terms, |term| floor.look_up(term)).is_ok_and(|value| value != 0);
+        let is = |floor: &Floor, terms: &[_]| {
+            eval(terms, |term| floor.look_up(term)).is_ok_and(|value| value != 0)
+        };
         for (at, check) in self.plan.checks.iter().enumerate() {
             match &check.holds {
                 Holds::Always(terms) => {

@@ -173,9 +173,7 @@ impl Search {
         let mut taken: Vec<u8> = moves.iter().filter_map(|&(_, step)| takes_away(step)).collect();
         taken.dedup();
         for &i in &taken {
-            let comes = |&&(_, step): &&(u16, CellMove)| {
-                matches!(step, CellMove::Deliver(at) | CellMove::Mend(at, _) if at == i)
-            };
+            let comes = |&&(_, step): &&(u16, CellMove)| matches!(step, CellMove::Deliver(at) | CellMove::Mend(at, _) if at == i);
             let Some(&(_, arrives)) = moves.iter().find(comes) else { continue };
             let course = &mut self.course;
             let with = catch_unwind(AssertUnwindSafe(|| course.after(state, arrives)));
