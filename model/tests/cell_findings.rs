@@ -220,3 +220,16 @@ fn a_task_outside_makes_any_use_of_its_ports() {
     let verdicts = cell.check();
     assert!(verdicts.statements[1].0 == verdicts.statements[1].1, "what a sends arrives");
 }
+
+#[test]
+fn a_query_may_not_last_longer_than_its_answer_takes() {
+    let ports = "port ask(m: Num) -> Num usage = query message_format = Num user_list = {b} time_out = 20 msec class = 2;";
+    let uses = "use_port ask(m: Num) -> Num usage = response time_out = 20 msec;";
+    let a = "loop query ask(m) -> m on time_out do skip; end; delay 50 msec; end;";
+    let b = "on query ask(q) do run look takes 1..30 msec; response(m); end;\nloop delay 10 msec; end;";
+    let found_here = all(&two(ports, uses, a, b, ""));
+    assert!(
+        found_here.iter().any(|(kind, at)| *kind == Kind::TimeOut && at.starts_with("query ask")),
+        "{found_here:?}"
+    );
+}

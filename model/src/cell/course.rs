@@ -2,9 +2,7 @@
 
 use super::plan::{CellFaults, CellPlan, Conduct, Holds};
 use crate::floor::Floor;
-use crate::floor::canon::number;
 use crate::floor::plan::{Errand, Faults, FloorPlan, TaskPlan, Way};
-use crate::floor::script::Running;
 use crate::state::{Packed, Violation};
 use imrs_protocol::script::{Activity, ScriptInput, eval};
 use imrs_protocol::{NodeInput, TaskId, Ticks};
@@ -43,27 +41,27 @@ pub enum CellMove {
 }
 
 /// What a declared cut of a link is at.
-const UNUSED: u8 = 0;
-const OPEN: u8 = 1;
+pub(super) const UNUSED: u8 = 0;
+pub(super) const OPEN: u8 = 1;
 const OVER: u8 = 2;
 
 /// What the cell's state has beside the floor's.
 #[derive(Clone, Debug, Default)]
-struct Beside {
-    loss: u8,
-    dup: u8,
-    fail: u8,
-    drift: u8,
+pub(super) struct Beside {
+    pub loss: u8,
+    pub dup: u8,
+    pub fail: u8,
+    pub drift: u8,
     /// For each declared crash, whether it happened.
-    crashed: Vec<u8>,
-    cuts: Vec<u8>,
+    pub crashed: Vec<u8>,
+    pub cuts: Vec<u8>,
     /// For each check that has to lead somewhere, the ticks left, once it must.
-    due: Vec<Option<u32>>,
+    pub due: Vec<Option<u32>>,
     /// Actions that do not end in this tick: task and thread.
-    stays: Vec<(u8, u8)>,
+    pub stays: Vec<(u8, u8)>,
     /// The nodes that did something in this tick, bit by bit: those that may crash now. A crash between two steps of a
     /// node and one right after the first of them are the same to everybody.
-    acted: u64,
+    pub acted: u64,
 }
 
 /// The unpacked state of a cell.
@@ -72,7 +70,7 @@ pub(super) struct Course {
     pub plan: Arc<CellPlan>,
     pub faults: CellFaults,
     pub floor: Floor,
-    beside: Beside,
+    pub beside: Beside,
     /// The check that was broken by the last move.
     pub broken: Option<usize>,
     /// Ticks that passed since this was last set to zero.
@@ -128,76 +126,6 @@ impl Course {
         course
     }
 
-    /// Writes the canonical state, or says what outgrew it.
-    pub fn store(&mut self) -> Result<Box<[u8]>, Violation> {
-        let floor = self.floor.store();
-        if let Some(violation) = floor.violation() {
-            return Err(violation);
-        }
-        let mut out = Vec::with_capacity(floor.len() + 16);
-        let (b, f) = (&self.beside, &self.faults);
-        for (had, left) in [(f.loss, b.loss), (f.dup, b.dup), (f.fail, b.fail), (f.drift, b.drift)] {
-            if had > 0 {
-                out.push(left);
-            }
-        }
-        out.extend(&b.crashed);
-        out.extend(&b.cuts);
-        // Where it may not crash any more, nobody asks.
-        let may = f.crash.iter().zip(&b.crashed).filter(|(_, crashed)| **crashed == 0);
-        let may = may.fold(0_u64, |mask, (node, _)| mask | bit(node.index()));
-        if !f.crash.is_empty() {
-            out.extend((b.acted & may).to_le_bytes());
-        }
-        for (check, due) in self.plan.checks.iter().zip(&b.due) {
-            if matches!(check.holds, Holds::Leads { .. }) {
-                number(due.map_or(0, |left| left + 1), &mut out);
-            }
-        }
-        if self.plan.between {
-            out.push(u8::try_from(b.stays.len()).map_err(|_| Violation::Overflow)?);
-            b.stays.iter().for_each(|&(task, level)| out.extend([task, level]));
-        }
-        out.extend_from_slice(&floor.0);
-        Ok(out.into_boxed_slice())
-    }
-
-    pub fn load(&mut self, state: &[u8]) {
-        let mut at = 0;
-        let mut byte = || {
-            at += 1;
-            state.get(at - 1).copied().unwrap_or(0)
-        };
-        let (b, f) = (&mut self.beside, &self.faults);
-        for (had, left) in
-            [(f.loss, &mut b.loss), (f.dup, &mut b.dup), (f.fail, &mut b.fail), (f.drift, &mut b.drift)]
-        {
-            *left = if had > 0 { byte() } else { 0 };
-        }
-        b.crashed.iter_mut().for_each(|crashed| *crashed = byte());
-        b.cuts.iter_mut().for_each(|cut| *cut = byte());
-        if !f.crash.is_empty() {
-            b.acted = u64::from_le_bytes(std::array::from_fn(|_| byte()));
-        }
-        for (check, due) in self.plan.checks.iter().zip(&mut b.due) {
-            if matches!(check.holds, Holds::Leads { .. }) {
-                let left = match byte() {
-                    u8::MAX => u32::from_le_bytes([byte(), byte(), byte(), byte()]),
-                    left => u32::from(left),
-                };
-                *due = left.checked_sub(1);
-            }
-        }
-        b.stays.clear();
-        if self.plan.between {
-            for _ in 0..byte() {
-                b.stays.push((byte(), byte()));
-            }
-        }
-        self.floor.violation = None;
-        self.floor.load_bytes(state.get(at..).unwrap_or(&[]));
-    }
-
     /// The floor after a move that nothing is wrong with.
     pub fn after(&mut self, state: &[u8], step: CellMove) -> Option<Packed> {
         self.load(state);
@@ -212,133 +140,6 @@ impl Course {
         self.load(state);
         self.floor.crossings.remove(usize::from(packet));
         self.floor.store()
-    }
-
-    /// What may happen next: the first node with something to do in this tick does it; when none has, time passes.
-    pub fn moves(&self, moves: &mut Vec<CellMove>) {
-        for node in 0..self.floor.stations.len() {
-            self.turn(node, moves);
-            if !moves.is_empty() {
-                return;
-            }
-        }
-        for (at, (&node, &crashed)) in self.faults.crash.iter().zip(&self.beside.crashed).enumerate() {
-            let earlier = self.faults.crash[..at].iter().zip(&self.beside.crashed);
-            let first = !earlier.into_iter().any(|(&other, &done)| other == node && done == 0);
-            let acted = self.beside.acted & bit(node.index()) != 0;
-            if crashed == 0 && first && acted && self.floor.stations[node.index()].up {
-                moves.push(CellMove::Crash(small(at)));
-            }
-        }
-        let down = |&i: &usize| !self.floor.stations[i].up;
-        moves.extend((0..self.floor.stations.len()).filter(down).map(|i| CellMove::Restart(small(i))));
-        if self.next_event().is_none() {
-            return;
-        }
-        moves.push(CellMove::Pass);
-        if self.beside.drift > 0 {
-            let up = (0..self.floor.stations.len()).filter(|&i| self.floor.stations[i].up);
-            moves.extend(up.flat_map(|i| [true, false].map(|more| CellMove::Drift(small(i), more))));
-        }
-    }
-
-    /// What may happen at a node in this tick.
-    fn turn(&self, node: usize, moves: &mut Vec<CellMove>) {
-        let floor = &self.floor;
-        let here = |&task: &usize| floor.station_of(task) == node;
-        let up = floor.stations[node].up;
-        let tasks = || (0..floor.bodies.len()).filter(here).filter(|_| up);
-        for task in tasks() {
-            let chooses = floor.bodies[task].actor.as_ref().and_then(|actor| actor.chooses());
-            if let Some(alternatives) = chooses {
-                moves.extend((0..alternatives).map(|choice| CellMove::Choose(small(task), choice)));
-                return;
-            }
-        }
-        for task in tasks() {
-            let Some(actor) = &floor.bodies[task].actor else { continue };
-            for action in &actor.running {
-                self.ends(task, action, moves);
-            }
-        }
-        for (i, crossing) in floor.crossings.iter().enumerate() {
-            let (_, to, bound) = floor.links[usize::from(crossing.link)];
-            let behind = floor.crossings[..i].iter().any(|other| other.link == crossing.link);
-            if to.index() == node && crossing.age >= bound && !behind {
-                self.arrivals(small(i), crossing.link, moves);
-            }
-        }
-    }
-
-    fn ends(&self, task: usize, action: &Running, moves: &mut Vec<CellMove>) {
-        if action.least > 0 || self.beside.stays.contains(&(small(task), action.level)) {
-            return;
-        }
-        let (task, level) = (small(task), action.level);
-        let values = self.values(usize::from(task), action.action).len().max(1);
-        moves.extend((0..values).map(|value| CellMove::Acted(task, level, true, small(value))));
-        if self.beside.fail > 0 {
-            moves.push(CellMove::Acted(task, level, false, 0));
-        }
-        if action.most > 0 {
-            moves.push(CellMove::GoOn(task, level));
-        }
-    }
-
-    fn values(&self, task: usize, action: u16) -> &[i32] {
-        match &self.plan.tasks[task] {
-            Conduct::Program { values, .. } => values.get(usize::from(action)).map_or(&[], Vec::as_slice),
-            Conduct::Extern(_) => &[],
-        }
-    }
-
-    /// The result that this end of an action gives.
-    pub fn value(&self, task: usize, level: u8, value: u8) -> i32 {
-        let actor = self.floor.bodies[task].actor.as_ref();
-        let running = actor.and_then(|actor| actor.running.iter().find(|action| action.level == level));
-        let values = running.map_or(&[][..], |action| self.values(task, action.action));
-        values.get(usize::from(value)).copied().unwrap_or(0)
-    }
-
-    fn arrivals(&self, i: u8, link: u8, moves: &mut Vec<CellMove>) {
-        let cuts = self.faults.cut.iter().zip(&self.beside.cuts).enumerate();
-        let of_link = |at: usize| at == usize::from(link) / 2;
-        let mut first = true;
-        for (number, (&at, &state)) in cuts {
-            if of_link(at) && state == OPEN {
-                moves.extend([CellMove::Vanish(i), CellMove::Mend(i, small(number))]);
-                return;
-            }
-        }
-        moves.push(CellMove::Deliver(i));
-        if self.beside.loss > 0 {
-            moves.push(CellMove::Lose(i));
-        }
-        if self.beside.dup > 0 {
-            moves.push(CellMove::Duplicate(i));
-        }
-        for (number, (&at, &state)) in self.faults.cut.iter().zip(&self.beside.cuts).enumerate() {
-            if of_link(at) && state == UNUSED && first {
-                moves.push(CellMove::Cut(i, small(number)));
-                first = false;
-            }
-        }
-    }
-
-    /// In how many ticks the next thing happens.
-    fn next_event(&self) -> Option<u32> {
-        let floor = &self.floor;
-        let packets = floor.crossings.iter().map(|crossing| {
-            u64::from(floor.links[usize::from(crossing.link)].2.saturating_sub(crossing.age))
-        });
-        let nodes = floor.stations.iter().filter(|s| s.up).filter_map(|s| s.node.next_expiry()).map(|t| t.0);
-        let actions = floor.bodies.iter().filter_map(|body| body.actor.as_ref()).flat_map(|a| &a.running);
-        let ends = actions.filter(|action| action.most != Running::FOREVER || action.least > 0);
-        let ends = ends.map(|action| u64::from(if action.least > 0 { action.least } else { action.most }));
-        // What is due is looked at when its last tick is over.
-        let due = self.beside.due.iter().flatten().map(|&left| u64::from(left) + 1);
-        let next = packets.chain(nodes).chain(ends).chain(due).min()?;
-        u32::try_from(next.max(1)).ok()
     }
 
     /// Carries a move out and looks at what came of it.
@@ -540,7 +341,7 @@ impl Course {
 }
 
 /// The bit of a node; those past the last one share it.
-fn bit(node: usize) -> u64 {
+pub(super) fn bit(node: usize) -> u64 {
     1 << node.min(63)
 }
 

@@ -13,10 +13,17 @@
 //! - What two nodes do in the same tick cannot reach each other in it: the nodes take turns in their order, and checks
 //!   are looked at after each turn. On one node every order of arrivals and ends of actions is tried, after what the
 //!   tick itself brings there (time_outs, timers, beats).
-//! - A node crashes, and comes back in its next life or stays down, between any two events of the cell.
+//! - A named node crashes after any of its steps, and comes back in its next life at any event of the cell, or stays down.
+//! - A named link is cut from any packet on, in both directions, until any later one.
+//! - A time_out and a packet of the same tick: the time_out comes first.
+//! - A task outside the cell chooses among all uses of its ports, or none, once in its period; its messages say zero.
+//!
+//! Not looked at: a task that goes on for ever without coming further (starvation).
 
+mod canon;
 mod course;
 mod judge;
+mod moves;
 mod outside;
 mod plan;
 mod search;

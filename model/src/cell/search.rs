@@ -78,6 +78,9 @@ struct Done {
 #[must_use]
 pub fn check_cell(plan: &Arc<CellPlan>) -> Verdicts {
     let plan = &super::outside::with_programs(plan);
+    if let Some(refused) = refused(plan) {
+        return Verdicts { findings: vec![refused], ..Verdicts::default() };
+    }
     let none = CellFaults::default();
     let mut phases = vec![(Phase::FaultFree, none)];
     if !plan.faults.are_none() {
@@ -93,6 +96,15 @@ pub fn check_cell(plan: &Arc<CellPlan>) -> Verdicts {
         phases.iter().map(run).collect()
     };
     conclude(plan, done)
+}
+
+/// A program that keeps numbers of messages: no canonical state could hold them (D51).
+fn refused(plan: &CellPlan) -> Option<Finding> {
+    let names = |task: &Conduct| matches!(task, Conduct::Program { program, .. } if program.names_messages());
+    let task = plan.tasks.iter().position(names)?;
+    let cause =
+        format!("{} keeps numbers of messages, which the checker cannot", judge::name(&plan.table, task));
+    Some(bare(Kind::Machine, Some((TaskId::from_index(task), 0)), None, cause))
 }
 
 fn explore(plan: &Arc<CellPlan>, phase: Phase, faults: &CellFaults) -> Done {
@@ -149,7 +161,8 @@ impl Search {
                 return Some(format!("{} states", budget.states));
             }
             self.course.load(&state);
-            (all.clear(), moves.clear());
+            all.clear();
+            moves.clear();
             self.course.moves(&mut all);
             moves.extend((0_u16..).zip(all.iter().copied()));
             if self.leave_out(&state, &mut moves) {
