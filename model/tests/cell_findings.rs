@@ -233,3 +233,28 @@ fn a_query_may_not_last_longer_than_its_answer_takes() {
         "{found_here:?}"
     );
 }
+
+#[test]
+fn faults_that_nobody_notices_change_no_finding() {
+    let send = "loop send put(m) on time_out do x := 1; delay 1 msec; x := 0; end; delay 10 msec; end;";
+    let meet = "loop run work takes 5..20 msec; waitfor meet() on time_out do x := 1; skip; end; end;";
+    let other = meet.replace('x', "y");
+    let cells = |faults: &str| {
+        let rest = format!("faults {faults};\ncheck c: a.x = 1 leads b.y = 1 within 60 msec;");
+        [two(PUT, USE_PUT, send, TAKE, &rest), two(MEET, USE_MEET, meet, &other, &rest)]
+    };
+    for faults in ["loss 2", "crash nb", "cut na--nb", "loss 1 crash nb", "loss 1 cut na--nb"] {
+        for mut cell in cells(faults) {
+            cell.plan.budget = Budget { states: 60_000, seconds: 600.0, bytes: 3 << 30 };
+            let reduced = cell.check();
+            cell.plan.everything = true;
+            let whole = cell.check();
+            if whole.is_complete() {
+                assert_eq!(cell.found(&reduced), cell.found(&whole), "{faults}");
+                assert_eq!(reduced.statements, whole.statements, "{faults}");
+            }
+            let states = |verdicts: &Verdicts| verdicts.phases[1].states;
+            assert!(states(&reduced) <= states(&whole));
+        }
+    }
+}

@@ -16,7 +16,7 @@ impl Course {
         for (at, (&node, &crashed)) in self.faults.crash.iter().zip(&self.beside.crashed).enumerate() {
             let earlier = self.faults.crash[..at].iter().zip(&self.beside.crashed);
             let first = !earlier.into_iter().any(|(&other, &done)| other == node && done == 0);
-            let acted = self.beside.acted & bit(node.index()) != 0;
+            let acted = self.plan.everything || self.beside.acted & bit(node.index()) != 0;
             if crashed == 0 && first && acted && self.floor.stations[node.index()].up {
                 moves.push(CellMove::Crash(small(at)));
             }

@@ -100,6 +100,8 @@ pub struct CellPlan {
     pub budget: Budget,
     /// Whether actions may end at every event between their least and most time, too.
     pub between: bool,
+    /// Whether also faults that nobody can notice are looked at, to check that leaving them out changes no finding.
+    pub everything: bool,
     /// How many packets a node's transit buffer holds.
     pub transit: u16,
     /// How many of the phases may run at a time.
@@ -117,6 +119,7 @@ impl CellPlan {
             checks: Vec::new(),
             budget: Budget::default(),
             between: false,
+            everything: false,
             transit: 16,
             jobs: 1,
         }

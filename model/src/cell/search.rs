@@ -183,6 +183,9 @@ impl Search {
     /// more of the budget left, and a cut may as well begin with the next packet, or end before it. Says whether the
     /// course was used.
     fn leave_out(&mut self, state: &[u8], moves: &mut Vec<(u16, CellMove)>) -> bool {
+        if self.course.plan.everything {
+            return false;
+        }
         let mut taken: Vec<u8> = moves.iter().filter_map(|&(_, step)| takes_away(step)).collect();
         taken.dedup();
         for &i in &taken {
