@@ -62,6 +62,8 @@ struct Search {
     hits: Vec<Hit>,
     moves: u64,
     longest: usize,
+    /// Whether some state had no packed form: what follows it was not looked at.
+    outgrown: bool,
 }
 
 /// What a phase comes to.
@@ -119,9 +121,12 @@ fn explore(plan: &Arc<CellPlan>, phase: Phase, faults: &CellFaults) -> Done {
         hits: Vec::new(),
         moves: 0,
         longest: 0,
+        outgrown: false,
     };
     search.reached = nothing_reached(&search.course);
     let ended_by = search.run(start);
+    let outgrown = || search.outgrown.then(|| "states that outgrow their packed form".to_string());
+    let ended_by = ended_by.or_else(outgrown);
     let mattered = search.course.mattered.clone();
     let findings: Vec<Finding> = search.hits.iter().map(|hit| search.tell(plan, faults, hit)).collect();
     let coverage = Coverage {
@@ -240,6 +245,8 @@ impl Search {
         }
         match self.course.store() {
             Ok(state) => self.keep(origin, state),
+            // As when members of a meeting give up by themselves for ever: their rounds differ more and more.
+            Err(Violation::Overflow) => self.outgrown = true,
             Err(violation) => {
                 let cause = violation.text().to_string();
                 let (kind, task, address, check) = (Kind::Machine, None, None, None);
