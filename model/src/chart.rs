@@ -6,7 +6,7 @@ use crate::scenario::Scenario;
 use crate::state::Packed;
 use crate::world::{Action, World};
 use imrs_protocol::{Control, Event, Kind, Observation, Outcome, Packet, Signal, TaskId};
-use serde::Serialize;
+use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
 /// A shortest way to a violation.
@@ -18,6 +18,33 @@ pub struct Counterexample {
     pub steps: Vec<String>,
     /// The steps as a sequence chart.
     pub chart: String,
+}
+
+/// A line of a chart, not yet drawn. Lanes are positions among the chart's names.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum Note {
+    /// Something happens at a lane.
+    Event {
+        /// Ticks since the start.
+        tick: u32,
+        /// Where.
+        lane: usize,
+        /// What.
+        text: String,
+    },
+    /// A packet between two lanes.
+    Packet {
+        /// Ticks since the start.
+        tick: u32,
+        /// From this lane
+        from: usize,
+        /// to this one.
+        to: usize,
+        /// What it is.
+        label: String,
+        /// What became of it, where it did not simply arrive.
+        fate: String,
+    },
 }
 
 /// The widest chart.
@@ -76,12 +103,15 @@ pub(crate) struct Pen {
     steps: Vec<String>,
     lines: Vec<String>,
     last_tick: Option<u32>,
+    /// What was drawn.
+    pub notes: Vec<Note>,
 }
 
 impl Pen {
     pub fn new(names: Vec<String>) -> Self {
         let lane = ((COLUMNS - MARGIN) / names.len()).min(28);
-        let mut pen = Self { names, lane, steps: Vec::new(), lines: Vec::new(), last_tick: None };
+        let mut pen =
+            Self { names, lane, steps: Vec::new(), lines: Vec::new(), last_tick: None, notes: Vec::new() };
         let mut head = pen.empty(' ');
         for i in 0..pen.names.len() {
             pen.put(&mut head, pen.at(i), &pen.names[i]);
@@ -120,12 +150,14 @@ impl Pen {
         let mut line = self.empty('|');
         self.put(&mut line, self.at(lane), &format!("* {text}"));
         self.line(tick, &line);
+        self.notes.push(Note::Event { tick, lane, text: text.into() });
         self.steps.push(format!("tick {tick}: {} {text}", self.names[lane]));
     }
 
     /// A packet between two lanes.
     pub fn arrow(&mut self, tick: u32, (from, to): (usize, usize), packet: &Packet, fate: &str) {
         let label = label(packet);
+        self.notes.push(Note::Packet { tick, from, to, label: label.clone(), fate: fate.into() });
         let mut line = self.empty('|');
         let (left, right) = (self.at(from.min(to)), self.at(from.max(to)));
         for slot in &mut line[left + 1..right] {
@@ -135,7 +167,7 @@ impl Pen {
         let room = (right - left).saturating_sub(4);
         let text: String = text.chars().take(room).collect();
         self.put(&mut line, left + 2 + (room - text.chars().count()) / 2, &text);
-        let lost = fate == "LOST";
+        let lost = matches!(fate, "LOST" | "CUT OFF");
         if from < to {
             line[right - 1] = if lost { 'x' } else { '>' };
         } else {

@@ -5,6 +5,7 @@
 
 #![forbid(unsafe_code)]
 
+pub mod cell;
 mod chart;
 mod claims;
 mod explore;

@@ -11,6 +11,8 @@ use crate::ticks::Ticks;
 const STATUS: u8 = 0x08;
 const MORE: u8 = 0x10;
 const FRAGMENT: u8 = 0x20;
+/// A length of time of four bytes follows.
+pub(crate) const LONG: u8 = 254;
 
 /// Appends bytes to a slice.
 pub(crate) struct Pen<'a> {
@@ -33,12 +35,17 @@ impl<'a> Pen<'a> {
         self.byte(number.try_into().map_err(|_| Overflow)?)
     }
 
-    /// A length of time: 255 for never.
+    /// A length of time: 255 for never, and what no single byte holds behind a 254.
     pub fn ticks(&mut self, ticks: Ticks) -> Result<(), Overflow> {
         if ticks == Ticks::FAR {
             return self.byte(u8::MAX);
         }
-        self.byte(u8::try_from(ticks.0).ok().filter(|&t| t != u8::MAX).ok_or(Overflow)?)
+        if let Some(short) = u8::try_from(ticks.0).ok().filter(|&short| short < LONG) {
+            return self.byte(short);
+        }
+        let long = u32::try_from(ticks.0).map_err(|_| Overflow)?;
+        self.byte(LONG)?;
+        long.to_le_bytes().iter().try_for_each(|&byte| self.byte(byte))
     }
 }
 
@@ -62,6 +69,9 @@ impl<'a> Eye<'a> {
     pub fn ticks(&mut self) -> Ticks {
         match self.byte() {
             u8::MAX => Ticks::FAR,
+            LONG => {
+                Ticks(u64::from(u32::from_le_bytes([self.byte(), self.byte(), self.byte(), self.byte()])))
+            }
             ticks => Ticks(u64::from(ticks)),
         }
     }
@@ -181,7 +191,7 @@ mod tests {
         let marks = (0..8_usize, any::<bool>(), any::<bool>(), 0..16_u8);
         let ids = (0..16_u16, 0..16_u16, 0..9_u16, 0..3_u8, 1..200_u32);
         let rounds = (0..200_u16, 0..200_u16, 0..200_u16);
-        let time = prop_oneof![Just(Ticks::FAR), (0..255_u64).prop_map(Ticks)];
+        let time = prop_oneof![Just(Ticks::FAR), (0..300_u64).prop_map(Ticks)];
         (marks, ids, rounds, time, proptest::collection::vec(any::<u8>(), 0..=12)).prop_map(
             |((kind, status, more, fragment), (d, s, p, life, back), rounds, remaining, bytes)| {
                 let mut packet = Packet {
@@ -267,7 +277,7 @@ mod tests {
         let own = [Frame::SEQUENCE; 16];
         let frame = Frame { rounds: &[], sequences: &own, lives: false };
         assert!(near.store(&frame, &mut bytes).is_ok());
-        let long = Packet { remaining: Ticks(255), ..near };
+        let long = Packet { remaining: Ticks(1 << 32), ..near };
         assert_eq!(long.store(&frame, &mut bytes), Err(Overflow), "a long time");
         let many = Packet { source: TaskId(16), ..near };
         assert_eq!(many.store(&frame, &mut bytes), Err(Overflow), "a task of a large cell");

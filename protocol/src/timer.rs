@@ -161,7 +161,7 @@ mod tests {
     #[test]
     fn loading_undoes_storing() {
         let mut timer = Timer::new(4);
-        for (owner, id, length) in [(1, 0, 9), (2, 7, 5), (3, 255, 9)] {
+        for (owner, id, length) in [(1, 0, 9), (2, 7, 5000), (3, 255, 9)] {
             timer.arm(TaskId(owner), TimeId(id), 0, Ticks(length));
         }
         timer.advance(Ticks(3), |_, _, _| {});
@@ -174,7 +174,7 @@ mod tests {
         assert_eq!(back.load(&bytes), len);
         assert_eq!(back.entries(), timer.entries());
         assert!(back.disarm(TaskId(3), TimeId(255)) && !back.disarm(TaskId(9), TimeId(9)));
-        timer.arm(TaskId(1), TimeId(1), 0, Ticks(255));
+        timer.arm(TaskId(1), TimeId(1), 0, Ticks(1 << 32));
         assert_eq!(timer.store(&mut bytes), Err(Overflow));
     }
 

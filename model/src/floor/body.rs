@@ -138,7 +138,7 @@ impl Body {
     /// A tick passes for it.
     pub fn tick(&mut self, plan: &TaskPlan) {
         if let Some(actor) = &mut self.actor {
-            return actor.tick();
+            return actor.pass(1);
         }
         self.rest = self.rest.saturating_sub(1);
         let last = self.levels.len() - 1;

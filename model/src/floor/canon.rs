@@ -14,6 +14,17 @@ fn byte(number: impl TryInto<u8>) -> Result<u8, Overflow> {
     number.try_into().map_err(|_| Overflow)
 }
 
+/// A length of time: short ones in one byte.
+pub(crate) fn number(length: u32, out: &mut Vec<u8>) {
+    match u8::try_from(length) {
+        Ok(short) if short < u8::MAX => out.push(short),
+        _ => {
+            out.push(u8::MAX);
+            out.extend(length.to_le_bytes());
+        }
+    }
+}
+
 /// The numbers that a state is written relative to.
 struct Bases {
     rounds: Vec<Round>,
@@ -73,6 +84,12 @@ impl Floor {
         if self.plan.room.is_some() {
             out.extend(&self.used);
         }
+        if self.counts_behind() {
+            for ((&behind, old), new) in self.behind.iter().zip(&self.rounds).zip(&bases.rounds) {
+                let from_first = i32::from(behind) + i32::from(new.steps_from(*old).cast_signed());
+                out.push(byte(from_first.clamp(0, i32::from(super::FAR_BEHIND)))?);
+            }
+        }
         for i in 0..self.stations.len() {
             self.store_station(i, &bases, &mut out)?;
         }
@@ -117,7 +134,14 @@ impl Floor {
         if let Some(actor) = &body.actor {
             put(out, |room| actor.script.store(&actor.program, &bases.frame(), room))?;
             out.push(byte(actor.running.len())?);
-            actor.running.iter().for_each(|action| out.extend([action.level, action.least, action.most]));
+            for action in &actor.running {
+                out.push(action.level);
+                if self.turns.is_some() {
+                    out.push(byte(action.action)?);
+                }
+                number(action.least, out);
+                number(action.most, out);
+            }
         } else {
             out.extend([body.times, body.rest]);
         }
@@ -205,10 +229,7 @@ impl Floor {
         let mut packed: Vec<(u8, Vec<u8>)> = Vec::with_capacity(self.crossings.len());
         for crossing in &self.crossings {
             let mut bytes = Vec::with_capacity(12);
-            if crossing.link > 15 || crossing.age > 15 {
-                return Err(Overflow);
-            }
-            bytes.push((crossing.link << 4) | crossing.age);
+            bytes.extend([crossing.link, crossing.age]);
             if bases.lives {
                 bytes.push(crossing.life.0);
             }
@@ -228,7 +249,8 @@ impl Floor {
     fn bases(&self) -> Bases {
         let sequences = (0..self.bodies.len()).map(|task| self.next_sequence(task)).collect();
         let lives = self.plan.lives();
-        if lives {
+        // A cell's checker says itself how far behind a new life is.
+        if lives && self.turns.is_none() {
             // A restarted node counts from its own beginning: only absolute rounds say how it relates to the others.
             return Bases { rounds: self.rounds.clone(), sequences, lives };
         }

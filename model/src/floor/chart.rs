@@ -49,8 +49,8 @@ fn concrete_move(floor: &Floor, target: &Packed) -> Option<(Move, Floor)> {
 }
 
 /// One lane for each task, and one for each node that only relays.
-struct Lanes {
-    names: Vec<String>,
+pub(crate) struct Lanes {
+    pub names: Vec<String>,
     /// For each node, its lane as a relay, if it has one.
     relays: Vec<Option<usize>>,
     tasks_on: Vec<Vec<usize>>,
@@ -58,7 +58,7 @@ struct Lanes {
 }
 
 impl Lanes {
-    fn new(plan: &FloorPlan) -> Self {
+    pub fn new(plan: &FloorPlan) -> Self {
         let mut names: Vec<String> =
             (0..plan.tasks.len()).map(|i| plan.name(TaskId::from_index(i)).to_string()).collect();
         let nodes = &plan.cell.cell().nodes;
@@ -76,13 +76,13 @@ impl Lanes {
     }
 
     /// The lane at which a packet is on a node: its own task there, the relay's lane, or the node's first task.
-    fn lane(&self, node: NodeId, task: TaskId) -> usize {
+    pub fn lane(&self, node: NodeId, task: TaskId) -> usize {
         let here = &self.tasks_on[node.index()];
         let own = here.contains(&task.index()).then_some(task.index());
         own.or(self.relays[node.index()]).or(here.first().copied()).unwrap_or(0)
     }
 
-    fn on_node(&self, node: u8) -> usize {
+    pub fn on_node(&self, node: u8) -> usize {
         self.lane(NodeId(u16::from(node)), TaskId(u16::MAX))
     }
 
@@ -115,7 +115,12 @@ impl Lanes {
             }
             _ => {}
         }
-        for effect in &floor.log {
+        self.effects(pen, tick, &floor.log);
+    }
+
+    /// What a step showed.
+    pub fn effects(&self, pen: &mut Pen, tick: u32, log: &[Effect]) {
+        for effect in log {
             match effect {
                 Effect::Seen(_, Some(task), seen) => pen.shown(tick, task.index(), &Shown::Seen(*seen)),
                 Effect::Told(task, signal) => pen.shown(tick, task.index(), &Shown::Told(*signal)),

@@ -3,15 +3,15 @@
 //! Like a `World` it is only ever a scratch pad over packed states (`canon`). A node is the
 //! protocol's own [`Node`]; what its tasks do is a [`plan::TaskPlan`]; what is watched are [`plan::FloorWatch`]es.
 
-mod body;
-mod canon;
-mod chart;
+pub(crate) mod body;
+pub(crate) mod canon;
+pub(crate) mod chart;
 mod judge;
 mod moves;
 mod order;
 pub mod plan;
 mod predicates;
-mod script;
+pub(crate) mod script;
 mod search;
 mod time;
 mod unpack;
@@ -109,6 +109,11 @@ pub(crate) struct Floor {
     arriving: u8,
     /// What scripts have not taken yet. Empty between moves.
     inputs: VecDeque<(usize, ScriptInput)>,
+    /// In a cell whose nodes may restart, for each port how far what loaded rounds are relative to is from the first
+    /// round; [`FAR_BEHIND`] for more.
+    pub behind: Vec<u8>,
+    /// What scripts did, where somebody judges it who goes on after a script's end.
+    pub turns: Option<Vec<script::ScriptTurn>>,
 }
 
 /// What a node did in one step, in order.
@@ -148,12 +153,49 @@ impl NodeOutbox for Wires<'_> {
     }
 }
 
+/// A new life that is so many rounds behind is behind like one that is farther: the machine only compares rounds.
+const FAR_BEHIND: u8 = 3;
+
 /// How many fused steps one move may take: more would be a loop without time.
 const FUSED: usize = 64;
 
 impl Floor {
     /// The floor in its first state.
     pub fn new(plan: &Arc<FloorPlan>) -> Self {
+        let mut floor = Self::unbegun(plan);
+        let begun = (0..floor.bodies.len()).try_for_each(|t| floor.begin(t)).and_then(|()| floor.settle());
+        // A number of a message in a variable is absolute: no canonical state could hold it (D51).
+        let mut programs = plan.tasks.iter().filter_map(|task| task.script.as_ref());
+        let absolute = programs.any(|program| program.names_messages());
+        floor.violation = if absolute { Some(Violation::Overflow) } else { begun.err() };
+        floor
+    }
+
+    /// A floor whose scripts are judged by somebody else, and go on after an end.
+    pub(crate) fn of_cell(plan: &Arc<FloorPlan>) -> Self {
+        let mut floor = Self { turns: Some(Vec::new()), ..Self::unbegun(plan) };
+        let begun = (0..floor.bodies.len()).try_for_each(|task| floor.begin(task));
+        floor.violation = begun.err();
+        floor
+    }
+
+    /// The node of a cell starts again, in its next life, which counts from the beginning.
+    pub(crate) fn restart_behind(&mut self, node: usize) -> Result<(), Violation> {
+        let here = self.rounds.clone();
+        for (round, behind) in self.rounds.iter_mut().zip(&self.behind) {
+            *round = Round(round.0.wrapping_sub(u16::from(*behind)));
+        }
+        let result = self.restart(node);
+        self.rounds = here;
+        result
+    }
+
+    /// Whether states say how far behind a new life would be.
+    fn counts_behind(&self) -> bool {
+        self.turns.is_some() && self.plan.lives()
+    }
+
+    fn unbegun(plan: &Arc<FloorPlan>) -> Self {
         let n = plan.nodes();
         let links = plan.links();
         let first = Incarnation(0);
@@ -178,17 +220,14 @@ impl Floor {
             spare: Vec::new(),
             arriving: 0,
             inputs: VecDeque::new(),
+            behind: vec![0; plan.cell.ports().len()],
+            turns: None,
             links,
             plan: Arc::clone(plan),
         };
         for i in 0..n {
             floor.set_clock(i);
         }
-        let begun = (0..floor.bodies.len()).try_for_each(|t| floor.begin(t)).and_then(|()| floor.settle());
-        // A number of a message in a variable is absolute: no canonical state could hold it (D51).
-        let mut programs = plan.tasks.iter().filter_map(|task| task.script.as_ref());
-        let absolute = programs.any(|program| program.names_messages());
-        floor.violation = if absolute { Some(Violation::Overflow) } else { begun.err() };
         floor
     }
 
@@ -264,7 +303,7 @@ impl Floor {
                 Ok(())
             }
             Move::Acted(task, level) => {
-                self.acted(usize::from(task), level);
+                self.acted(usize::from(task), level, true, 0);
                 Ok(())
             }
         }
@@ -272,7 +311,7 @@ impl Floor {
 
     /// Carries on what belongs to the move: what leaves buffers that have become free, and what tasks in a hurry do,
     /// while there is one such task. Where there are several, who comes first is a choice.
-    fn settle(&mut self) -> Result<(), Violation> {
+    pub(crate) fn settle(&mut self) -> Result<(), Violation> {
         for _ in 0..FUSED {
             self.flush()?;
             let forced = self.forced();
@@ -328,7 +367,7 @@ impl Floor {
         self.step(self.station_of(task), NodeInput::Request(TaskId::from_index(task), request))
     }
 
-    fn deliver(&mut self, crossing: Crossing, over: u8) -> Result<(), Violation> {
+    pub(crate) fn deliver(&mut self, crossing: Crossing, over: u8) -> Result<(), Violation> {
         let (from, to, bound) = self.links[usize::from(crossing.link)];
         let station = &mut self.stations[to.index()];
         if !station.up {
@@ -350,7 +389,7 @@ impl Floor {
     }
 
     /// Steps one node, puts what it sent on its links and lets the watches look at what came of it.
-    fn step(&mut self, i: usize, input: NodeInput) -> Result<(), Violation> {
+    pub(crate) fn step(&mut self, i: usize, input: NodeInput) -> Result<(), Violation> {
         let owed = std::mem::take(&mut self.stations[i].owed);
         if owed > 0 {
             self.drive(i, |node, out| node.step(NodeInput::Advance(Ticks(u64::from(owed))), out))?;

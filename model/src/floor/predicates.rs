@@ -82,7 +82,7 @@ impl Floor {
     }
 
     /// A node crashes: its tasks have asked nothing, and had arrived where they had. Call it while the node is up.
-    pub(super) fn note_crash(&mut self, node: usize) {
+    pub(crate) fn note_crash(&mut self, node: usize) {
         let arrived: Vec<bool> =
             self.ghosts.told.reached.iter().map(|&(port, task, _)| self.has_arrived(port, task)).collect();
         let on_node = |floor: &Self, task: TaskId| floor.station_of(task.index()) == node;
@@ -99,7 +99,7 @@ impl Floor {
     }
 
     /// A node restarts: its tasks have arrived nowhere.
-    pub(super) fn note_restart(&mut self, node: usize) {
+    pub(crate) fn note_restart(&mut self, node: usize) {
         for i in 0..self.ghosts.told.reached.len() {
             if self.station_of(self.ghosts.told.reached[i].1.index()) == node {
                 self.ghosts.told.reached[i].2 = false;
@@ -107,7 +107,7 @@ impl Floor {
         }
     }
 
-    pub(super) fn look_up(&self, term: Term) -> Option<i64> {
+    pub(crate) fn look_up(&self, term: Term) -> Option<i64> {
         match term {
             Term::Of { task, variable } => {
                 self.bodies.get(task.index())?.actor.as_ref()?.script.var(variable)

@@ -3,7 +3,9 @@
 use super::Floor;
 use super::plan::FloorPlan;
 use crate::state::Violation;
-use imrs_protocol::script::{Action, Activity, End, Program, Script, ScriptInput, ScriptOutbox, eval};
+use imrs_protocol::script::{
+    Action, Activity, Address, End, Program, Script, ScriptInput, ScriptOutbox, eval,
+};
 use imrs_protocol::{CommTask, Contents, PortId, Request, TaskId};
 use std::sync::Arc;
 
@@ -12,9 +14,16 @@ use std::sync::Arc;
 pub(crate) struct Running {
     /// Which of the script's threads waits for it.
     pub level: u8,
+    /// Which action.
+    pub action: u16,
     /// Ticks that it takes yet, at least and at most.
-    pub least: u8,
-    pub most: u8,
+    pub least: u32,
+    pub most: u32,
+}
+
+impl Running {
+    /// Of an action that need not end.
+    pub const FOREVER: u32 = u32::MAX;
 }
 
 /// A script and what it has begun.
@@ -46,12 +55,24 @@ impl Actor {
         self.chooses().is_some() || self.running.iter().any(|action| action.most == 0)
     }
 
-    pub fn tick(&mut self) {
+    pub fn pass(&mut self, ticks: u32) {
         for action in &mut self.running {
-            action.least = action.least.saturating_sub(1);
-            action.most = action.most.saturating_sub(u8::from(action.most != u8::MAX));
+            action.least = action.least.saturating_sub(ticks);
+            action.most = action.most.saturating_sub(if action.most == Running::FOREVER { 0 } else { ticks });
         }
     }
+}
+
+/// What a script made of one input, for who judges it.
+#[derive(Clone, Debug)]
+pub(crate) struct ScriptTurn {
+    pub task: usize,
+    /// The operation that it waited in.
+    pub at: Address,
+    pub input: ScriptInput,
+    /// The statements that it began.
+    pub passed: Vec<Address>,
+    pub end: Option<End>,
 }
 
 /// What one step of a script asks for.
@@ -62,6 +83,7 @@ struct Wanted<'a> {
     began: Vec<Running>,
     cut: Vec<u8>,
     end: Option<End>,
+    passed: Vec<Address>,
 }
 
 impl ScriptOutbox for Wanted<'_> {
@@ -70,9 +92,9 @@ impl ScriptOutbox for Wanted<'_> {
     }
 
     fn run(&mut self, action: Action<'_>) {
-        let ticks = |t: imrs_protocol::Ticks| u8::try_from(t.0).unwrap_or(u8::MAX);
-        let Action { level, least, most, .. } = action;
-        self.began.push(Running { level, least: ticks(least), most: ticks(most) });
+        let ticks = |t: imrs_protocol::Ticks| u32::try_from(t.0).unwrap_or(Running::FOREVER);
+        let Action { level, least, most, action, .. } = action;
+        self.began.push(Running { level, action, least: ticks(least), most: ticks(most) });
     }
 
     fn cut_short(&mut self, level: u8) {
@@ -85,6 +107,10 @@ impl ScriptOutbox for Wanted<'_> {
 
     fn ended(&mut self, end: End) {
         self.end = Some(end);
+    }
+
+    fn statement(&mut self, at: Address) {
+        self.passed.push(at);
     }
 
     fn fragment(&mut self, index: u8) -> Option<Contents> {
@@ -113,7 +139,7 @@ impl ScriptOutbox for Wanted<'_> {
 
 impl Floor {
     /// Leaves something for a script; false where the task has none.
-    pub(super) fn leave(&mut self, task: usize, input: ScriptInput) -> bool {
+    pub(crate) fn leave(&mut self, task: usize, input: ScriptInput) -> bool {
         let scripted = self.bodies[task].actor.is_some();
         if scripted {
             self.inputs.push_back((task, input));
@@ -122,7 +148,7 @@ impl Floor {
     }
 
     /// Runs scripts until all of them wait: who began goes on, so that nothing comes between its steps.
-    pub(super) fn run_scripts(&mut self) -> Result<(), Violation> {
+    pub(crate) fn run_scripts(&mut self) -> Result<(), Violation> {
         let mut last = None;
         for _ in 0..super::FUSED {
             let own = self.inputs.iter().position(|&(task, _)| Some(task) == last);
@@ -138,13 +164,23 @@ impl Floor {
         let machine = self.stations[station].node.task(TaskId::from_index(task));
         let Some(actor) = &mut self.bodies[task].actor else { return Ok(()) };
         let plan = &self.plan;
-        let mut wanted =
-            Wanted { plan, machine, requests: Vec::new(), began: Vec::new(), cut: Vec::new(), end: None };
+        let mut wanted = Wanted {
+            plan,
+            machine,
+            requests: Vec::new(),
+            began: Vec::new(),
+            cut: Vec::new(),
+            end: None,
+            passed: Vec::new(),
+        };
+        let at = actor.script.position();
         actor.script.step(&actor.program, input, &mut wanted);
         actor.running.retain(|action| !wanted.cut.contains(&action.level));
         actor.running.extend(&wanted.began);
         actor.running.sort_unstable_by_key(|action| action.level);
-        if matches!(wanted.end, Some(End::Fault { .. } | End::Assertion(_))) {
+        if let Some(turns) = &mut self.turns {
+            turns.push(ScriptTurn { task, at, input, passed: wanted.passed, end: wanted.end });
+        } else if matches!(wanted.end, Some(End::Fault { .. } | End::Assertion(_))) {
             return Err(Violation::Script);
         }
         let requests = wanted.requests;
@@ -163,11 +199,11 @@ impl Floor {
         Ok(())
     }
 
-    /// The action of this thread has ended well.
-    pub(super) fn acted(&mut self, task: usize, level: u8) {
+    /// The action of this thread has ended.
+    pub(crate) fn acted(&mut self, task: usize, level: u8, ok: bool, value: i32) {
         if let Some(actor) = &mut self.bodies[task].actor {
             actor.running.retain(|action| action.level != level);
         }
-        self.leave(task, ScriptInput::Acted { level, ok: true, value: 0 });
+        self.leave(task, ScriptInput::Acted { level, ok, value });
     }
 }

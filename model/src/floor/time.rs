@@ -109,7 +109,7 @@ impl Floor {
         self.judge_waits()
     }
 
-    pub(super) fn crash(&mut self, i: usize) {
+    pub(crate) fn crash(&mut self, i: usize) {
         self.ghosts.heard &= !(1 << i);
         let station = &mut self.stations[i];
         station.up = false;
@@ -126,7 +126,7 @@ impl Floor {
         }
     }
 
-    pub(super) fn restart(&mut self, i: usize) -> Result<(), Violation> {
+    pub(crate) fn restart(&mut self, i: usize) -> Result<(), Violation> {
         let station = &mut self.stations[i];
         station.life = Incarnation(station.life.0 + 1);
         station.up = true;

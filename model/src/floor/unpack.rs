@@ -21,6 +21,13 @@ impl<'a> Eye<'a> {
         byte
     }
 
+    fn number(&mut self) -> u32 {
+        match self.byte() {
+            u8::MAX => u32::from_le_bytes([self.byte(), self.byte(), self.byte(), self.byte()]),
+            short => u32::from(short),
+        }
+    }
+
     fn rest(&self) -> &'a [u8] {
         self.bytes.get(self.at..).unwrap_or(&[])
     }
@@ -38,8 +45,13 @@ impl<'a> Eye<'a> {
 impl Floor {
     /// Reads a state.
     pub fn load(&mut self, state: &Packed) {
-        let mut eye = Eye { bytes: &state.0, at: 1 };
         self.violation = state.violation();
+        self.load_bytes(&state.0);
+    }
+
+    /// Reads the bytes of a state without a violation.
+    pub fn load_bytes(&mut self, bytes: &[u8]) {
+        let mut eye = Eye { bytes, at: 1 };
         // A run that ended in a violation may have left some.
         self.inputs.clear();
         self.rounds.fill(Frame::ROUND);
@@ -57,21 +69,25 @@ impl Floor {
         if self.plan.room.is_some() {
             self.used.iter_mut().for_each(|used| *used = eye.byte());
         }
+        if self.counts_behind() {
+            self.behind.iter_mut().for_each(|behind| *behind = eye.byte());
+        }
         for i in 0..self.stations.len() {
             self.load_station(i, &mut eye);
         }
         for i in 0..self.bodies.len() {
             let body = &mut self.bodies[i];
-            load_body(body, self.plan.waits().is_some(), self.plan.lives(), &mut eye);
+            let named = self.turns.is_some();
+            load_body(body, (self.plan.waits().is_some(), self.plan.lives(), named), &mut eye);
         }
         self.load_ghosts(&mut eye);
         self.crossings.clear();
         while eye.at < eye.bytes.len() {
-            let head = eye.byte();
+            let (link, age) = (eye.byte(), eye.byte());
             let life = Incarnation(if self.plan.lives() { eye.byte() } else { 0 });
             let (packet, len) = Packet::load(eye.rest(), self.plan.lives());
             eye.at += len;
-            self.crossings.push(Crossing { packet, link: head >> 4, age: head & 15, life });
+            self.crossings.push(Crossing { packet, link, age, life });
         }
     }
 
@@ -137,12 +153,14 @@ impl Floor {
     }
 }
 
-fn load_body(body: &mut Body, waits: bool, lives: bool, eye: &mut Eye<'_>) {
+fn load_body(body: &mut Body, (waits, lives, named): (bool, bool, bool), eye: &mut Eye<'_>) {
     if let Some(actor) = &mut body.actor {
         eye.at += actor.script.load(&actor.program, lives, eye.rest());
         actor.running.clear();
         for _ in 0..eye.byte() {
-            actor.running.push(Running { level: eye.byte(), least: eye.byte(), most: eye.byte() });
+            let level = eye.byte();
+            let action = if named { u16::from(eye.byte()) } else { 0 };
+            actor.running.push(Running { level, action, least: eye.number(), most: eye.number() });
         }
     } else {
         (body.times, body.rest) = (eye.byte(), eye.byte());

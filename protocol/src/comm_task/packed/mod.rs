@@ -13,6 +13,7 @@ mod meetings;
 use super::CommTask;
 use super::desk::Overdue;
 use crate::ids::{Incarnation, MessageId, PortId, Round, Seq24, TaskId};
+use crate::packed::{Eye, Pen};
 use crate::packet::Contents;
 use crate::table::NodeTable;
 use crate::ticks::Ticks;
@@ -80,13 +81,13 @@ impl<'a> Writer<'a> {
         self.byte(u8::try_from(count).map_err(|_| Overflow)?)
     }
 
-    /// What is left until `instant`: 255 for never.
+    /// What is left until `instant`: as [`Pen::ticks`] writes it.
     fn left(&mut self, instant: Ticks, now: Ticks) -> Result<(), Overflow> {
-        if instant == Ticks::FAR {
-            return self.byte(u8::MAX);
-        }
-        let left = u8::try_from((instant - now).0).ok().filter(|&left| left != u8::MAX);
-        self.byte(left.ok_or(Overflow)?)
+        let left = if instant == Ticks::FAR { Ticks::FAR } else { instant - now };
+        let mut pen = Pen::new(self.bytes.get_mut(self.at..).ok_or(Overflow)?);
+        pen.ticks(left)?;
+        self.at += pen.at;
+        Ok(())
     }
 
     fn word(&mut self, word: u16) -> Result<(), Overflow> {
@@ -118,10 +119,10 @@ impl<'a> Reader<'a> {
     }
 
     fn left(&mut self) -> Ticks {
-        match self.byte() {
-            u8::MAX => Ticks::FAR,
-            left => Ticks(u64::from(left)),
-        }
+        let mut eye = Eye::new(self.bytes.get(self.at..).unwrap_or(&[]));
+        let left = eye.ticks();
+        self.at += eye.at;
+        left
     }
 
     fn round(&mut self) -> Round {

@@ -1,0 +1,350 @@
+//! The running cell: a floor whose scripts are judged and not stopped, and the faults that are named in the cell.
+
+use super::plan::{CellFaults, CellPlan, Conduct, Holds};
+use crate::floor::Floor;
+use crate::floor::plan::{Errand, Faults, FloorPlan, TaskPlan, Way};
+use crate::state::{Packed, Violation};
+use imrs_protocol::script::{Activity, ScriptInput, eval};
+use imrs_protocol::{NodeInput, TaskId, Ticks};
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+
+/// One thing that can happen next in a cell. Packets and links are positions in the state.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum CellMove {
+    /// Time passes until something happens.
+    Pass,
+    /// Time passes; this node counts one tick more or less.
+    Drift(u8, bool),
+    /// A packet arrives.
+    Deliver(u8),
+    /// It is lost.
+    Lose(u8),
+    /// It arrives, and will once more.
+    Duplicate(u8),
+    /// Its link is cut from here on: declared cut number so.
+    Cut(u8, u8),
+    /// Its link is still cut.
+    Vanish(u8),
+    /// Its link is no longer cut, and the packet arrives.
+    Mend(u8, u8),
+    /// An action ends: task, thread, whether well, and which of its values.
+    Acted(u8, u8, bool, u8),
+    /// An action does not end yet.
+    GoOn(u8, u8),
+    /// A script gets its choice.
+    Choose(u8, u16),
+    /// Declared crash number so happens.
+    Crash(u8),
+    /// A node starts again.
+    Restart(u8),
+}
+
+/// What a declared cut of a link is at.
+pub(super) const UNUSED: u8 = 0;
+pub(super) const OPEN: u8 = 1;
+const OVER: u8 = 2;
+
+/// What the cell's state has beside the floor's.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Beside {
+    pub loss: u8,
+    pub dup: u8,
+    pub fail: u8,
+    pub drift: u8,
+    /// For each declared crash, whether it happened.
+    pub crashed: Vec<u8>,
+    pub cuts: Vec<u8>,
+    /// For each check that has to lead somewhere, the ticks left, once it must.
+    pub due: Vec<Option<u32>>,
+    /// Actions that do not end in this tick: task and thread.
+    pub stays: Vec<(u8, u8)>,
+    /// The nodes that did something in this tick, bit by bit: those that may crash now. A crash between two steps of a
+    /// node and one right after the first of them are the same to everybody.
+    pub acted: u64,
+}
+
+/// The unpacked state of a cell.
+#[derive(Clone, Debug)]
+pub(super) struct Course {
+    pub plan: Arc<CellPlan>,
+    pub faults: CellFaults,
+    pub floor: Floor,
+    pub beside: Beside,
+    /// The check that was broken by the last move.
+    pub broken: Option<usize>,
+    /// Ticks that passed since this was last set to zero.
+    pub passed: u64,
+    /// For each check, whether what makes it matter was ever seen.
+    pub mattered: Vec<bool>,
+    /// Whether both tasks of a couple act.
+    pub both_active: bool,
+}
+
+impl Course {
+    pub fn new(plan: &Arc<CellPlan>, faults: &CellFaults) -> Self {
+        let tasks = plan.tasks.iter().map(|task| match task {
+            Conduct::Program { program, .. } => TaskPlan::scripted(Arc::clone(program)),
+            Conduct::Extern(_) => TaskPlan::new(Errand::Rest),
+        });
+        let mut floor = FloorPlan::new(Arc::clone(&plan.table), tasks.collect());
+        floor.way = Way::Exact;
+        floor.transit = plan.transit;
+        floor.faults = Faults { crash: u8::from(!faults.crash.is_empty()), ..Faults::default() };
+        floor.checks = plan
+            .checks
+            .iter()
+            .flat_map(|check| match &check.holds {
+                Holds::Always(terms) => vec![terms.clone()],
+                Holds::Leads { when, then, .. } => vec![when.clone(), then.clone()],
+            })
+            .collect();
+        let floor = Floor::of_cell(&Arc::new(floor));
+        let beside = Beside {
+            loss: faults.loss,
+            dup: faults.dup,
+            fail: faults.fail,
+            drift: faults.drift,
+            crashed: vec![0; faults.crash.len()],
+            cuts: vec![UNUSED; faults.cut.len()],
+            due: vec![None; plan.checks.len()],
+            stays: Vec::new(),
+            acted: u64::MAX,
+        };
+        let mut course = Self {
+            plan: Arc::clone(plan),
+            faults: faults.clone(),
+            floor,
+            beside,
+            broken: None,
+            passed: 0,
+            mattered: vec![false; plan.checks.len()],
+            both_active: false,
+        };
+        course.floor.crossings.sort_by_key(|crossing| crossing.link);
+        course.look();
+        course
+    }
+
+    /// The floor after a move that nothing is wrong with.
+    pub fn after(&mut self, state: &[u8], step: CellMove) -> Option<Packed> {
+        self.load(state);
+        self.apply(step);
+        self.floor.turns.iter_mut().for_each(Vec::clear);
+        let sound = self.broken.is_none() && !self.both_active && self.floor.violation.is_none();
+        sound.then(|| self.floor.store())
+    }
+
+    /// The floor without one of its packets.
+    pub fn without(&mut self, state: &[u8], packet: u8) -> Packed {
+        self.load(state);
+        self.floor.crossings.remove(usize::from(packet));
+        self.floor.store()
+    }
+
+    /// Carries a move out and looks at what came of it.
+    pub fn apply(&mut self, step: CellMove) {
+        self.broken = None;
+        self.beside.acted |= self.node_of(step).map_or(0, bit);
+        let result = self.carry_out(step).and_then(|()| self.floor.run_scripts());
+        if let Err(violation) = result {
+            self.floor.violation = Some(violation);
+        }
+        // As the packed state has them: positions mean the same in a state that was never packed.
+        self.floor.crossings.sort_by_key(|crossing| crossing.link);
+        self.look();
+    }
+
+    /// The node at which a move happens.
+    fn node_of(&self, step: CellMove) -> Option<usize> {
+        match step {
+            CellMove::Deliver(i) | CellMove::Duplicate(i) | CellMove::Mend(i, _) => {
+                let link = self.floor.crossings.get(usize::from(i))?.link;
+                Some(self.floor.links[usize::from(link)].1.index())
+            }
+            CellMove::Acted(task, ..) | CellMove::Choose(task, _) => {
+                Some(self.floor.station_of(usize::from(task)))
+            }
+            CellMove::Restart(node) => Some(usize::from(node)),
+            CellMove::Pass
+            | CellMove::Drift(..)
+            | CellMove::Lose(_)
+            | CellMove::Cut(..)
+            | CellMove::Vanish(_)
+            | CellMove::GoOn(..)
+            | CellMove::Crash(_) => None,
+        }
+    }
+
+    fn carry_out(&mut self, step: CellMove) -> Result<(), Violation> {
+        let floor = &mut self.floor;
+        match step {
+            CellMove::Pass => self.pass(None),
+            CellMove::Drift(node, more) => {
+                self.beside.drift -= 1;
+                self.pass(Some((usize::from(node), more)))
+            }
+            CellMove::Deliver(i) => {
+                let crossing = floor.crossings.remove(usize::from(i));
+                floor.deliver(crossing, 0)
+            }
+            CellMove::Lose(i) => {
+                self.beside.loss -= 1;
+                floor.crossings.remove(usize::from(i));
+                Ok(())
+            }
+            CellMove::Duplicate(i) => {
+                self.beside.dup -= 1;
+                let crossing = floor.crossings[usize::from(i)];
+                floor.deliver(crossing, 0)
+            }
+            CellMove::Cut(i, number) => {
+                self.beside.cuts[usize::from(number)] = OPEN;
+                floor.crossings.remove(usize::from(i));
+                Ok(())
+            }
+            CellMove::Vanish(i) => {
+                floor.crossings.remove(usize::from(i));
+                Ok(())
+            }
+            CellMove::Mend(i, number) => {
+                self.beside.cuts[usize::from(number)] = OVER;
+                let crossing = floor.crossings.remove(usize::from(i));
+                floor.deliver(crossing, 0)
+            }
+            CellMove::Acted(task, level, ok, value) => {
+                self.beside.fail -= u8::from(!ok);
+                let value = if ok { self.value(usize::from(task), level, value) } else { 0 };
+                self.floor.acted(usize::from(task), level, ok, value);
+                Ok(())
+            }
+            CellMove::GoOn(task, level) => {
+                self.go_on(usize::from(task), level);
+                Ok(())
+            }
+            CellMove::Choose(task, choice) => {
+                floor.leave(usize::from(task), ScriptInput::Chosen(choice));
+                Ok(())
+            }
+            CellMove::Crash(number) => {
+                self.beside.crashed[usize::from(number)] = 1;
+                let node = self.faults.crash[usize::from(number)].index();
+                floor.note_crash(node);
+                floor.crash(node);
+                Ok(())
+            }
+            CellMove::Restart(node) => {
+                floor.note_restart(usize::from(node));
+                floor.restart_behind(usize::from(node))
+            }
+        }
+    }
+
+    fn go_on(&mut self, task: usize, level: u8) {
+        if self.plan.between {
+            self.beside.stays.push((small(task), level));
+            self.beside.stays.sort_unstable();
+            return;
+        }
+        let Some(actor) = &mut self.floor.bodies[task].actor else { return };
+        let actions = actor.running.iter_mut().filter(|action| action.level == level);
+        actions.for_each(|action| action.least = action.most);
+    }
+
+    fn pass(&mut self, drift: Option<(usize, bool)>) -> Result<(), Violation> {
+        let Some(ticks) = self.next_event() else { return Ok(()) };
+        self.passed += u64::from(ticks);
+        self.beside.stays.clear();
+        self.beside.acted = 0;
+        for (check, due) in self.beside.due.iter_mut().enumerate() {
+            match due.map(|left| left.checked_sub(ticks)) {
+                Some(Some(left)) => *due = Some(left),
+                Some(None) => {
+                    *due = None;
+                    self.broken = Some(check);
+                }
+                None => {}
+            }
+        }
+        let floor = &mut self.floor;
+        let age = u8::try_from(ticks).unwrap_or(u8::MAX);
+        floor.crossings.iter_mut().for_each(|crossing| crossing.age = crossing.age.saturating_add(age));
+        let stations = 0..floor.stations.len();
+        for task in 0..floor.bodies.len() {
+            let up = floor.stations[floor.station_of(task)].up;
+            if let (true, Some(actor)) = (up, &mut floor.bodies[task].actor) {
+                actor.pass(ticks);
+            }
+        }
+        for node in stations.filter(|&i| self.floor.stations[i].up).collect::<Vec<_>>() {
+            let ticks = match drift {
+                Some((at, true)) if at == node => ticks + 1,
+                Some((at, false)) if at == node => ticks - 1,
+                Some(_) | None => ticks,
+            };
+            let due = self.floor.stations[node].node.next_expiry();
+            if due.is_some_and(|due| due.0 <= u64::from(ticks)) {
+                self.beside.acted |= bit(node);
+            }
+            if ticks > 0 {
+                self.floor.step(node, NodeInput::Advance(Ticks(u64::from(ticks))))?;
+            }
+            self.floor.run_scripts()?;
+        }
+        Ok(())
+    }
+
+    /// Looks at the checks and at who acts.
+    fn look(&mut self) {
+        let is = |floor: &Floor, terms: &[_]| {
+            eval(terms, |term| floor.look_up(term)).is_ok_and(|value| value != 0)
+        };
+        for (at, check) in self.plan.checks.iter().enumerate() {
+            match &check.holds {
+                Holds::Always(terms) => {
+                    if !is(&self.floor, terms) {
+                        self.broken = Some(at);
+                    }
+                }
+                Holds::Leads { when, then, within } => {
+                    let due = &mut self.beside.due[at];
+                    let when = is(&self.floor, when);
+                    self.mattered[at] |= when;
+                    if is(&self.floor, then) {
+                        *due = None;
+                    } else if when && due.is_none() && self.broken != Some(at) {
+                        *due = Some(u32::try_from(within.0).unwrap_or(u32::MAX - 1));
+                    }
+                }
+            }
+        }
+        let acts = |task: TaskId| {
+            let station = &self.floor.stations[self.floor.station_of(task.index())];
+            station.up && station.node.task(task).is_some_and(imrs_protocol::CommTask::is_active)
+        };
+        let couples = &self.plan.table.cell().couples;
+        self.both_active = couples.iter().any(|couple| acts(couple.primary) && acts(couple.standby));
+    }
+
+    /// What a task does.
+    pub fn activity(&self, task: usize) -> Option<Activity> {
+        Some(self.floor.bodies[task].actor.as_ref()?.script.activity())
+    }
+
+    pub fn is_up(&self, task: usize) -> bool {
+        self.floor.stations[self.floor.station_of(task)].up
+    }
+
+    pub fn crash_node(&self, number: u8) -> usize {
+        self.faults.crash[usize::from(number)].index()
+    }
+}
+
+/// The bit of a node; those past the last one share it.
+pub(super) fn bit(node: usize) -> u64 {
+    1 << node.min(63)
+}
+
+pub(super) fn small(i: usize) -> u8 {
+    u8::try_from(i).unwrap_or(u8::MAX)
+}

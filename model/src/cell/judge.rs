@@ -1,0 +1,257 @@
+//! What a move showed: findings, and the statements that were reached.
+
+use super::course::Course;
+use super::plan::Conduct;
+use super::verdict::{Kind, Phase};
+use crate::floor::script::ScriptTurn;
+use imrs_protocol::script::{Activity, Address, End, Op, Outcomes, Program, ScriptInput, Trigger};
+use imrs_protocol::{CellTable, Outcome, PortId, Signal, Target, TaskId};
+
+/// Something that a move showed to be wrong.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Shown {
+    pub kind: Kind,
+    pub task: Option<usize>,
+    pub address: Option<Address>,
+    pub check: Option<usize>,
+    pub cause: String,
+    /// Whether nothing that follows is looked at.
+    pub last: bool,
+}
+
+/// The statements of each task that were reached.
+pub(super) type Reached = Vec<Vec<bool>>;
+
+pub(super) fn nothing_reached(course: &Course) -> Reached {
+    let len = |task: &Conduct| match task {
+        Conduct::Program { program, .. } => program.code.len(),
+        Conduct::Extern(_) => 0,
+    };
+    course.plan.tasks.iter().map(|task| vec![false; len(task)]).collect()
+}
+
+fn program(course: &Course, task: usize) -> Option<&Program> {
+    match course.plan.tasks.get(task)? {
+        Conduct::Program { program, .. } => Some(program),
+        Conduct::Extern(_) => None,
+    }
+}
+
+/// Takes what the scripts did since the last call, and judges the state.
+pub(super) fn judge(course: &mut Course, phase: Phase, reached: &mut Reached) -> Vec<Shown> {
+    let turns = course.floor.turns.as_mut().map(std::mem::take).unwrap_or_default();
+    let mut shown = Vec::new();
+    for turn in &turns {
+        for &at in &turn.passed {
+            if let Some(flag) = reached[turn.task].get_mut(usize::from(at)) {
+                *flag = true;
+            }
+        }
+        shown.extend(outcome(course, turn, phase));
+        shown.extend(end(course, turn, phase));
+    }
+    if let Some(check) = course.broken {
+        let name = &course.plan.checks[check].name;
+        let cause = format!("`{name}` does not hold");
+        shown.push(Shown {
+            kind: Kind::Check,
+            task: None,
+            address: None,
+            check: Some(check),
+            cause,
+            last: true,
+        });
+    }
+    let whole = |kind, cause: &str| Shown {
+        kind,
+        task: None,
+        address: None,
+        check: None,
+        cause: cause.into(),
+        last: true,
+    };
+    if course.both_active {
+        shown.push(whole(Kind::TwoOwners, "both tasks of a couple act"));
+    }
+    if let Some(violation) = course.floor.violation {
+        shown.push(whole(Kind::Machine, violation.text()));
+    }
+    shown
+}
+
+/// A request that ended badly although nothing went wrong.
+fn outcome(course: &Course, turn: &ScriptTurn, phase: Phase) -> Option<Shown> {
+    let ScriptInput::Signal(signal) = turn.input else { return None };
+    if phase == Phase::Faults {
+        return None;
+    }
+    let table = &course.plan.table;
+    let what = statement(table, program(course, turn.task)?, turn.at);
+    let name = name(table, turn.task);
+    let (kind, cause) = match signal {
+        Signal::Outcome(Outcome::Refused) => (Kind::Refused, format!("{name}: {what} is refused")),
+        Signal::Outcome(Outcome::TimedOutUnsent | Outcome::TimedOutUnknown | Outcome::PeerRestarted) => {
+            (Kind::TimeOut, format!("{name}: {what} ends by its time_out"))
+        }
+        Signal::Answers { answers, .. } if answers.answered != answers.asked => {
+            (Kind::TimeOut, format!("{name}: {what} ends without all answers"))
+        }
+        Signal::Nothing => (Kind::TimeOut, format!("{name}: {what} ends by its time_out")),
+        Signal::GaveUp { port, missing, .. } => {
+            let parties = table.port(port).map_or(&[][..], |port| &port.parties);
+            let absent = parties.iter().enumerate().filter(|(i, _)| missing >> i & 1 == 1);
+            let absent: Vec<&str> = absent.map(|(_, party)| self::name(table, party.task.index())).collect();
+            let whom = if absent.is_empty() { "somebody".into() } else { absent.join(", ") };
+            (Kind::Stranded, format!("{name}: {what} waits in vain for {whom}"))
+        }
+        Signal::Accepted(_)
+        | Signal::Fault(_)
+        | Signal::Outcome(Outcome::Reply(_))
+        | Signal::Answers { .. }
+        | Signal::Interrupt(_)
+        | Signal::Granted(_)
+        | Signal::Message(_)
+        | Signal::Released { .. }
+        | Signal::TimeOut(_)
+        | Signal::Cancelled => return None,
+    };
+    Some(Shown { kind, task: Some(turn.task), address: Some(turn.at), check: None, cause, last: false })
+}
+
+/// A script that ended before its last statement.
+fn end(course: &Course, turn: &ScriptTurn, phase: Phase) -> Option<Shown> {
+    let table = &course.plan.table;
+    let program = program(course, turn.task)?;
+    let name = name(table, turn.task);
+    let fault_free = phase == Phase::FaultFree;
+    let (kind, address, cause) = match turn.end? {
+        End::Finished | End::Fenced => return None,
+        End::Assertion(at) => (Kind::Assertion, at, format!("{name}: an assertion does not hold")),
+        End::Fault { fault, at } => (Kind::ScriptFault, at, format!("{name}: {fault}")),
+        End::Aborted(reason) => {
+            let why = program.reasons.get(usize::from(reason)).map_or("", String::as_str);
+            // A statement that asked whether a handler comes first had begun before this turn.
+            let begun = program.code.get(usize::from(turn.at)) == Some(&Op::Statement);
+            match turn.passed.last().copied().or_else(|| begun.then_some(turn.at)) {
+                // A bad end without a branch goes to no statement of the task.
+                None => (Kind::Ends, turn.at, format!("{name} ends: {why}")),
+                Some(at) if fault_free => (Kind::Aborts, at, format!("{name} aborts: {why}")),
+                Some(_) => return None,
+            }
+        }
+    };
+    Some(Shown { kind, task: Some(turn.task), address: Some(address), check: None, cause, last: fault_free })
+}
+
+/// Nothing can happen any more: do some tasks wait for each other?
+pub(super) fn deadlock(course: &Course) -> Option<Shown> {
+    let n = course.plan.tasks.len();
+    let waits = |task: usize| {
+        course.is_up(task) && matches!(course.activity(task), Some(Activity::Waits | Activity::Acts))
+    };
+    // Whoever waits can be helped by anybody who could still send it what it waits for.
+    let helpers: Vec<Vec<usize>> =
+        (0..n).map(|task| if waits(task) { senders(course, task) } else { Vec::new() }).collect();
+    let mut alive: Vec<bool> = (0..n).map(waits).collect();
+    // Tasks whose helpers have all ended are at rest; what is left waits in a ring.
+    loop {
+        let at_rest = (0..n).find(|&task| alive[task] && !helpers[task].iter().any(|&helper| alive[helper]));
+        let Some(task) = at_rest else { break };
+        alive[task] = false;
+    }
+    let first = alive.iter().position(|&alive| alive)?;
+    let table = &course.plan.table;
+    let ring: Vec<String> = (0..n)
+        .filter(|&task| alive[task])
+        .map(|task| {
+            let at = position(course, task);
+            let what = program(course, task).map_or_else(String::new, |p| statement(table, p, at));
+            let whom: Vec<&str> = helpers[task].iter().map(|&helper| name(table, helper)).collect();
+            format!("{} waits at {what} for {}", name(table, task), whom.join(" or "))
+        })
+        .collect();
+    Some(Shown {
+        kind: Kind::Deadlock,
+        task: Some(first),
+        address: Some(position(course, first)),
+        check: None,
+        cause: ring.join("; "),
+        last: true,
+    })
+}
+
+pub(super) fn position(course: &Course, task: usize) -> Address {
+    course.floor.bodies[task].actor.as_ref().map_or(0, |actor| actor.script.position())
+}
+
+/// Who could send what this task waits for in a GET.
+fn senders(course: &Course, task: usize) -> Vec<usize> {
+    let table = &course.plan.table;
+    let at = TaskId::from_index(task);
+    let Some(program) = program(course, task) else { return Vec::new() };
+    let ports: Vec<PortId> = match program.code.get(usize::from(position(course, task))) {
+        Some(Op::Get { port: Some(port), .. }) => vec![*port],
+        Some(Op::Get { port: None, .. }) => table.ports_of(at).to_vec(),
+        _ => return Vec::new(),
+    };
+    let peers = ports.iter().filter_map(|&port| table.port(port)).flat_map(|port| port.peers(at));
+    let mut peers: Vec<usize> = peers.map(TaskId::index).collect();
+    peers.sort_unstable();
+    peers.dedup();
+    peers
+}
+
+pub(super) fn name(table: &CellTable, task: usize) -> &str {
+    table.cell().tasks.get(task).map_or("?", |task| &task.name)
+}
+
+/// An operation in the cell's words.
+pub(super) fn statement(table: &CellTable, program: &Program, at: Address) -> String {
+    let port = |port: PortId| {
+        table
+            .cell()
+            .ports
+            .get(port.index())
+            .map_or_else(|| "?".to_string(), |port| format!("`{}`", port.name))
+    };
+    match program.code.get(usize::from(at)) {
+        Some(Op::Send { port: at, to, .. }) => match to {
+            Target::One(task) => format!("{} to {}", port(*at), name(table, task.index())),
+            _ => port(*at),
+        },
+        Some(Op::Get { port: Some(at), .. }) => format!("receive {}", port(*at)),
+        Some(Op::Get { port: None, .. }) => "receive".into(),
+        Some(Op::Reply { .. } | Op::ReplyFor { .. }) => "reply".into(),
+        Some(Op::Arrive { port: at, .. }) => format!("waitfor {}", port(*at)),
+        Some(Op::Delay(_)) => "delay".into(),
+        Some(Op::Run { action, .. }) => {
+            format!("run `{}`", program.actions.get(usize::from(*action)).map_or("?", String::as_str))
+        }
+        Some(Op::Lease) => "its lease".into(),
+        _ => "a statement".into(),
+    }
+}
+
+/// The operations that are reached when nothing ends badly and no timer, fence or take-over calls: what lies beyond
+/// needs a fault.
+pub(super) fn needs_no_fault(program: &Program) -> Vec<bool> {
+    let messages = program.handlers.iter().filter(|handler| matches!(handler.trigger, Trigger::Message(_)));
+    let mut open: Vec<Address> = messages.map(|handler| handler.entry).collect();
+    open.push(0);
+    let mut reached = vec![false; program.code.len()];
+    while let Some(at) = open.pop() {
+        let Some(flag) = reached.get_mut(usize::from(at)).filter(|flag| !**flag) else { continue };
+        *flag = true;
+        match program.code[usize::from(at)] {
+            Op::Jump(to) => open.push(to),
+            Op::Unless(to) => open.extend([to, at.saturating_add(1)]),
+            Op::Abort(_) | Op::End | Op::HandlerEnd => {}
+            // The answer of a statement may bring a message or none: only bad ends need a fault.
+            Op::On { outcomes, to } if outcomes.0 & !Outcomes::BAD.0 != 0 => {
+                open.extend([to, at.saturating_add(1)]);
+            }
+            _ => open.push(at.saturating_add(1)),
+        }
+    }
+    reached
+}

@@ -1,0 +1,39 @@
+//! Checks a whole cell: the scripts of its tasks over the machine, every interleaving within declared faults.
+//!
+//! ```text
+//!   CellPlan --> Course (a Floor whose time jumps from event to event) --> search, without faults and with them
+//!                                                                           |
+//!   Verdicts: findings, each with the shortest way to it; bounds, sizes, coverage  <--+
+//! ```
+//!
+//! What is looked at, and what is not:
+//! - A packet takes exactly its link's bound, in the order sent; it may be lost, doubled or cut off within the budgets.
+//! - An action ends when its least time is over or when its most is; with [`CellPlan::between`] also whenever something
+//!   else happens in between. Each end gives each of the values worth trying, and may fail within the budget.
+//! - What two nodes do in the same tick cannot reach each other in it: the nodes take turns in their order, and checks
+//!   are looked at after each turn. On one node every order of arrivals and ends of actions is tried, after what the
+//!   tick itself brings there (time_outs, timers, beats).
+//! - A named node crashes after any of its steps, and comes back in its next life at any event of the cell, or stays down.
+//! - A named link is cut from any packet on, in both directions, until any later one.
+//! - A time_out and a packet of the same tick: the time_out comes first.
+//! - A task outside the cell chooses among all uses of its ports, or none, once in its period; its messages say zero.
+//!
+//! Not looked at: a task that goes on for ever without coming further (starvation).
+
+mod canon;
+mod course;
+mod judge;
+mod moves;
+mod outside;
+mod plan;
+mod search;
+mod story;
+mod svg;
+mod verdict;
+
+pub use course::CellMove;
+pub use plan::{Budget, CellCheck, CellFaults, CellPlan, Conduct, Holds};
+pub use search::check_cell;
+pub use story::{Note, Step, TaskView};
+pub use svg::svg;
+pub use verdict::{Coverage, Finding, Kind, Phase, Verdicts};

@@ -1,0 +1,134 @@
+//! What may happen next in a cell.
+
+use super::course::{CellMove, Course, OPEN, UNUSED, bit, small};
+use super::plan::Conduct;
+use crate::floor::script::Running;
+
+impl Course {
+    /// What may happen next: the first node with something to do in this tick does it; when none has, time passes.
+    pub fn moves(&self, moves: &mut Vec<CellMove>) {
+        for node in 0..self.floor.stations.len() {
+            self.turn(node, moves);
+            if !moves.is_empty() {
+                return;
+            }
+        }
+        for (at, (&node, &crashed)) in self.faults.crash.iter().zip(&self.beside.crashed).enumerate() {
+            let earlier = self.faults.crash[..at].iter().zip(&self.beside.crashed);
+            let first = !earlier.into_iter().any(|(&other, &done)| other == node && done == 0);
+            let acted = self.plan.everything || self.beside.acted & bit(node.index()) != 0;
+            if crashed == 0 && first && acted && self.floor.stations[node.index()].up {
+                moves.push(CellMove::Crash(small(at)));
+            }
+        }
+        let down = |&i: &usize| !self.floor.stations[i].up;
+        moves.extend((0..self.floor.stations.len()).filter(down).map(|i| CellMove::Restart(small(i))));
+        if self.next_event().is_none() {
+            return;
+        }
+        moves.push(CellMove::Pass);
+        if self.beside.drift > 0 {
+            let up = (0..self.floor.stations.len()).filter(|&i| self.floor.stations[i].up);
+            moves.extend(up.flat_map(|i| [true, false].map(|more| CellMove::Drift(small(i), more))));
+        }
+    }
+
+    /// What may happen at a node in this tick.
+    fn turn(&self, node: usize, moves: &mut Vec<CellMove>) {
+        let floor = &self.floor;
+        let here = |&task: &usize| floor.station_of(task) == node;
+        let up = floor.stations[node].up;
+        let tasks = || (0..floor.bodies.len()).filter(here).filter(|_| up);
+        for task in tasks() {
+            let chooses = floor.bodies[task].actor.as_ref().and_then(|actor| actor.chooses());
+            if let Some(alternatives) = chooses {
+                moves.extend((0..alternatives).map(|choice| CellMove::Choose(small(task), choice)));
+                return;
+            }
+        }
+        for task in tasks() {
+            let Some(actor) = &floor.bodies[task].actor else { continue };
+            for action in &actor.running {
+                self.ends(task, action, moves);
+            }
+        }
+        for (i, crossing) in floor.crossings.iter().enumerate() {
+            let (_, to, bound) = floor.links[usize::from(crossing.link)];
+            let behind = floor.crossings[..i].iter().any(|other| other.link == crossing.link);
+            if to.index() == node && crossing.age >= bound && !behind {
+                self.arrivals(small(i), crossing.link, moves);
+            }
+        }
+    }
+
+    fn ends(&self, task: usize, action: &Running, moves: &mut Vec<CellMove>) {
+        if action.least > 0 || self.beside.stays.contains(&(small(task), action.level)) {
+            return;
+        }
+        let (task, level) = (small(task), action.level);
+        let values = self.values(usize::from(task), action.action).len().max(1);
+        moves.extend((0..values).map(|value| CellMove::Acted(task, level, true, small(value))));
+        if self.beside.fail > 0 {
+            moves.push(CellMove::Acted(task, level, false, 0));
+        }
+        if action.most > 0 {
+            moves.push(CellMove::GoOn(task, level));
+        }
+    }
+
+    fn values(&self, task: usize, action: u16) -> &[i32] {
+        match &self.plan.tasks[task] {
+            Conduct::Program { values, .. } => values.get(usize::from(action)).map_or(&[], Vec::as_slice),
+            Conduct::Extern(_) => &[],
+        }
+    }
+
+    /// The result that this end of an action gives.
+    pub fn value(&self, task: usize, level: u8, value: u8) -> i32 {
+        let actor = self.floor.bodies[task].actor.as_ref();
+        let running = actor.and_then(|actor| actor.running.iter().find(|action| action.level == level));
+        let values = running.map_or(&[][..], |action| self.values(task, action.action));
+        values.get(usize::from(value)).copied().unwrap_or(0)
+    }
+
+    fn arrivals(&self, i: u8, link: u8, moves: &mut Vec<CellMove>) {
+        let cuts = self.faults.cut.iter().zip(&self.beside.cuts).enumerate();
+        let of_link = |at: usize| at == usize::from(link) / 2;
+        let mut first = true;
+        for (number, (&at, &state)) in cuts {
+            if of_link(at) && state == OPEN {
+                moves.extend([CellMove::Vanish(i), CellMove::Mend(i, small(number))]);
+                return;
+            }
+        }
+        moves.push(CellMove::Deliver(i));
+        if self.beside.loss > 0 {
+            moves.push(CellMove::Lose(i));
+        }
+        if self.beside.dup > 0 {
+            moves.push(CellMove::Duplicate(i));
+        }
+        for (number, (&at, &state)) in self.faults.cut.iter().zip(&self.beside.cuts).enumerate() {
+            if of_link(at) && state == UNUSED && first {
+                moves.push(CellMove::Cut(i, small(number)));
+                first = false;
+            }
+        }
+    }
+
+    /// In how many ticks the next thing happens.
+    pub fn next_event(&self) -> Option<u32> {
+        let floor = &self.floor;
+        let packets = floor.crossings.iter().map(|crossing| {
+            u64::from(floor.links[usize::from(crossing.link)].2.saturating_sub(crossing.age))
+        });
+        let nodes = floor.stations.iter().filter(|s| s.up).filter_map(|s| s.node.next_expiry()).map(|t| t.0);
+        let actions = floor.bodies.iter().filter_map(|body| body.actor.as_ref()).flat_map(|a| &a.running);
+        let ends = actions.filter(|action| action.most != Running::FOREVER || action.least > 0);
+        let ends = ends.map(|action| u64::from(if action.least > 0 { action.least } else { action.most }));
+        // What is due is looked at when its last tick is over.
+        let due = self.beside.due.iter().flatten().map(|&left| u64::from(left) + 1);
+        let next = packets.chain(nodes).chain(ends).chain(due).min()?;
+        u32::try_from(next.max(1)).ok()
+    }
+}

@@ -1,0 +1,162 @@
+//! Tasks whose body is outside the cell: any legal use of their ports, no more often than they may.
+
+use super::plan::{CellPlan, Conduct};
+use imrs_protocol::script::{
+    Address, Binary, Format, Op, Outcomes, Program, Slot, StatementOutcome, Term, Trigger, Type, Variable,
+};
+use imrs_protocol::{Class, PortId, Rate, Target, TaskId, Ticks, Usage};
+use std::sync::Arc;
+
+/// The plan with a program for each task that has none.
+pub(super) fn with_programs(plan: &Arc<CellPlan>) -> Arc<CellPlan> {
+    if !plan.tasks.iter().any(|task| matches!(task, Conduct::Extern(_))) {
+        return Arc::clone(plan);
+    }
+    let mut whole = (**plan).clone();
+    for (task, conduct) in whole.tasks.iter_mut().enumerate() {
+        if let Conduct::Extern(rate) = *conduct {
+            let program = Arc::new(any_use(plan, TaskId::from_index(task), rate));
+            *conduct = Conduct::Program { program, values: Vec::new() };
+        }
+    }
+    Arc::new(whole)
+}
+
+/// A program that chooses again and again what to do with its ports, or to do nothing.
+fn any_use(plan: &CellPlan, task: TaskId, rate: Option<Rate>) -> Program {
+    let table = &plan.table;
+    let pause = Ticks(rate.map_or(1, |rate| rate.per.0.div_ceil(u64::from(rate.count).max(1))).max(1));
+    let mut program = Program {
+        name: table.cell().tasks[task.index()].name.clone(),
+        variables: vec![Variable { name: "does".into(), of: Type::Int8, initial: 0 }],
+        ..Program::default()
+    };
+    let ports = table.ports_of(task).to_vec();
+    let uses: Vec<Vec<Op>> =
+        ports.iter().filter_map(|&port| once(plan, task, port, pause, &mut program)).collect();
+    let count = u16::try_from(uses.len() + 1).unwrap_or(u16::MAX);
+    program.code = vec![Op::Statement, Op::Choose(count), Op::Store(Slot::Task(0))];
+    for (number, body) in (0_i64..).zip(uses) {
+        let load = Op::Term(Term::Load(Slot::Task(0)));
+        program.code.extend([load, Op::Term(Term::Push(number)), Op::Term(Term::Int(Binary::Equal))]);
+        // The body, what forgets the choice, and the way back.
+        let beyond = address(program.code.len() + 1 + 2 + body.len() + 1);
+        program.code.push(Op::Unless(beyond));
+        forget(&mut program.code);
+        let start = address(program.code.len());
+        program.code.extend(body.into_iter().map(|op| moved(op, start)));
+        program.code.push(Op::Jump(0));
+    }
+    forget(&mut program.code);
+    program.code.extend([Op::Delay(pause), Op::Jump(0)]);
+    program
+}
+
+fn address(at: usize) -> Address {
+    Address::try_from(at).unwrap_or(Address::MAX)
+}
+
+/// A body's jumps are relative to its start.
+const fn moved(op: Op, start: Address) -> Op {
+    match op {
+        Op::On { outcomes, to } => Op::On { outcomes, to: to.saturating_add(start) },
+        Op::Jump(to) => Op::Jump(to.saturating_add(start)),
+        other => other,
+    }
+}
+
+fn forget(code: &mut Vec<Op>) {
+    code.extend([Op::Term(Term::Push(0)), Op::Store(Slot::Task(0))]);
+}
+
+/// One use of a port.
+fn once(plan: &CellPlan, task: TaskId, port: PortId, pause: Ticks, program: &mut Program) -> Option<Vec<Op>> {
+    let declared = plan.table.port(port)?;
+    let party = declared.party(task)?;
+    let is_command = declared.decl.class == Class::Command;
+    let mut format = |of: Format| {
+        program.formats.push(of);
+        u16::try_from(program.formats.len() - 1).unwrap_or(u16::MAX)
+    };
+    let zeros = |of: &Format| vec![Op::Term(Term::Push(0)); of.fields.len()];
+    Some(match party.usage {
+        Usage::Send | Usage::Query => {
+            let message = message(plan, port);
+            let mut body = zeros(&message);
+            let format = format(message);
+            body.extend([Op::Send { port, to: Target::All, format, time_out: None }, Op::Delay(pause)]);
+            body
+        }
+        Usage::Receive | Usage::Response => {
+            let mut body = vec![Op::Get { port: Some(port), source: None, time_out: Some(pause) }];
+            if is_command {
+                let answer = answer(plan, port);
+                let skip = Op::On {
+                    outcomes: Outcomes::of(&[StatementOutcome::Nothing]),
+                    to: address(body.len() + answer.fields.len() + 2),
+                };
+                body.push(skip);
+                body.extend(zeros(&answer));
+                body.push(Op::Reply { format: format(answer) });
+            }
+            body
+        }
+        Usage::Waitfor => {
+            let message = message(plan, port);
+            let mut body = zeros(&message);
+            body.extend([Op::Arrive { port, format: format(message), time_out: None }, Op::Delay(pause)]);
+            body
+        }
+        Usage::Reply => return None,
+    })
+}
+
+fn programs(plan: &CellPlan) -> impl Iterator<Item = &Program> {
+    plan.tasks.iter().filter_map(|task| match task {
+        Conduct::Program { program, .. } => Some(&**program),
+        Conduct::Extern(_) => None,
+    })
+}
+
+/// The format of a port's messages, as those programs that send or read them have it.
+fn message(plan: &CellPlan, port: PortId) -> Format {
+    let find = |program: &Program| {
+        let sent = program.code.iter().find_map(|op| match *op {
+            Op::Send { port: at, format, .. } | Op::Arrive { port: at, format, .. } if at == port => {
+                Some(format)
+            }
+            _ => None,
+        });
+        let handler = program.handlers.iter().find(|handler| handler.trigger == Trigger::Message(port));
+        let got =
+            program.code.iter().position(|op| matches!(op, Op::Get { port: Some(at), .. } if *at == port));
+        let from = handler.map(|handler| usize::from(handler.entry)).or(got);
+        let read = from.and_then(|from| next(program, from, unpacked));
+        sent.or(read).and_then(|format| program.formats.get(usize::from(format)).cloned())
+    };
+    programs(plan).find_map(find).unwrap_or_default()
+}
+
+/// The format of the answers.
+fn answer(plan: &CellPlan, port: PortId) -> Format {
+    let find = |program: &Program| {
+        let asked =
+            program.code.iter().position(|op| matches!(op, Op::Send { port: at, .. } if *at == port))?;
+        let read = next(program, asked, unpacked)?;
+        program.formats.get(usize::from(read)).cloned()
+    };
+    programs(plan).find_map(find).unwrap_or_default()
+}
+
+const fn unpacked(op: &Op) -> Option<u16> {
+    match op {
+        Op::Unpack { format, .. } => Some(*format),
+        _ => None,
+    }
+}
+
+/// The first such operation before the next request.
+fn next(program: &Program, from: usize, is: impl Fn(&Op) -> Option<u16>) -> Option<u16> {
+    let after = program.code.iter().skip(from + 1);
+    after.take_while(|op| !matches!(op, Op::Send { .. } | Op::Get { .. } | Op::Run { .. })).find_map(is)
+}

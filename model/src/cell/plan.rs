@@ -1,0 +1,127 @@
+//! What of a cell is checked, and within which bounds.
+
+use imrs_protocol::script::{Program, Term};
+use imrs_protocol::{CellTable, NodeId, Rate, Ticks};
+use std::sync::Arc;
+
+/// What a task does.
+#[derive(Clone, Debug)]
+pub enum Conduct {
+    /// It runs a program.
+    Program {
+        /// The program, its durations in ticks.
+        program: Arc<Program>,
+        /// For each of its actions the results worth trying; where there is none, 0.
+        values: Vec<Vec<i32>>,
+    },
+    /// A program outside the cell makes any legal use of its ports, at most so often.
+    Extern(Option<Rate>),
+}
+
+/// How many faults there may be.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct CellFaults {
+    /// Lost packets.
+    pub loss: u8,
+    /// Packets that arrive twice.
+    pub dup: u8,
+    /// Actions that fail.
+    pub fail: u8,
+    /// Ticks that some node's clock leaves out or counts twice.
+    pub drift: u8,
+    /// Nodes that crash, one entry for each crash.
+    pub crash: Vec<NodeId>,
+    /// Links that are cut for a while, one entry for each cut: positions in [`Cell::links`](imrs_protocol::Cell).
+    pub cut: Vec<usize>,
+}
+
+impl CellFaults {
+    /// Whether nothing may go wrong.
+    #[must_use]
+    pub fn are_none(&self) -> bool {
+        *self == Self::default()
+    }
+}
+
+/// What a check demands.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Holds {
+    /// This is true in every state.
+    Always(Vec<Term>),
+    /// Whenever `when` is true, `then` is, at once or within so many ticks.
+    Leads {
+        /// The one.
+        when: Vec<Term>,
+        /// The other.
+        then: Vec<Term>,
+        /// How long.
+        within: Ticks,
+    },
+}
+
+/// A check of the cell.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct CellCheck {
+    /// Its name.
+    pub name: String,
+    /// What it demands.
+    pub holds: Holds,
+}
+
+/// How much the search may use; what ends it first is told.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Budget {
+    /// States kept, in each phase.
+    pub states: u64,
+    /// Seconds, in each phase.
+    pub seconds: f64,
+    /// Resident memory of the whole process, in bytes.
+    pub bytes: u64,
+}
+
+impl Default for Budget {
+    fn default() -> Self {
+        Self { states: u64::MAX, seconds: 30.0, bytes: 4 << 30 }
+    }
+}
+
+/// A cell to check.
+#[derive(Clone, Debug)]
+pub struct CellPlan {
+    /// The declarations, in ticks.
+    pub table: Arc<CellTable>,
+    /// What each task does, by task.
+    pub tasks: Vec<Conduct>,
+    /// What may go wrong.
+    pub faults: CellFaults,
+    /// What must hold.
+    pub checks: Vec<CellCheck>,
+    /// How much the search may use.
+    pub budget: Budget,
+    /// Whether actions may end at every event between their least and most time, too.
+    pub between: bool,
+    /// Whether also faults that nobody can notice are looked at, to check that leaving them out changes no finding.
+    pub everything: bool,
+    /// How many packets a node's transit buffer holds.
+    pub transit: u16,
+    /// How many of the phases may run at a time.
+    pub jobs: usize,
+}
+
+impl CellPlan {
+    /// A cell without faults and checks.
+    #[must_use]
+    pub fn new(table: Arc<CellTable>, tasks: Vec<Conduct>) -> Self {
+        Self {
+            table,
+            tasks,
+            faults: CellFaults::default(),
+            checks: Vec::new(),
+            budget: Budget::default(),
+            between: false,
+            everything: false,
+            transit: 16,
+            jobs: 1,
+        }
+    }
+}

@@ -1,0 +1,213 @@
+//! The way to a finding: step by step with what each task does, and as a chart.
+
+use super::course::{CellMove, Course};
+use super::judge::{name, position, statement};
+use super::plan::{CellFaults, CellPlan, Conduct};
+pub use crate::chart::Note;
+use crate::chart::Pen;
+use crate::floor::chart::Lanes;
+use imrs_protocol::script::{Activity, Address, End};
+use imrs_protocol::{PortId, TaskId};
+use serde::{Deserialize, Serialize};
+use std::sync::Arc;
+
+/// The most lines of a chart: what lies before the last ones is left out.
+const LINES: usize = 160;
+
+/// What a task does after a step.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct TaskView {
+    /// Whether its node runs.
+    pub up: bool,
+    /// The operation that it waits in.
+    pub at: Address,
+    /// What it does, in words.
+    pub does: String,
+    /// Its variables, in the program's order.
+    pub variables: Vec<i64>,
+    /// Its ports and how many messages wait there.
+    pub queues: Vec<(PortId, u16)>,
+    /// Its actions: the thread, and the least and the most ticks that each takes yet.
+    pub acts: Vec<(u8, u32, u32)>,
+}
+
+/// A step of a way.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Step {
+    /// Ticks since the start.
+    pub tick: u64,
+    /// What happened.
+    pub step: CellMove,
+    /// What it showed.
+    pub notes: Vec<Note>,
+    /// The tasks after it, by task.
+    pub tasks: Vec<TaskView>,
+}
+
+/// A way told.
+pub(super) struct Told {
+    pub steps: Vec<Step>,
+    pub chart: String,
+    pub ticks: u64,
+}
+
+/// Walks a way again with everything kept.
+pub(super) fn tell(plan: &Arc<CellPlan>, faults: &CellFaults, moves: &[CellMove], cause: &str) -> Told {
+    let mut course = Course::new(plan, faults);
+    course.floor.keep_log = true;
+    let lanes = Lanes::new(&course.floor.plan);
+    let mut pen = Pen::new(lanes.names.clone());
+    let mut steps = Vec::new();
+    for &step in moves {
+        course.floor.log.clear();
+        let arrow = packet(&course, step, &lanes);
+        let before = describe(&course, step);
+        course.apply(step);
+        let tick = course.passed;
+        let shown = u32::try_from(tick).unwrap_or(u32::MAX);
+        let from = pen.notes.len();
+        if let Some((ends, packet, fate)) = arrow {
+            pen.arrow(shown, ends, &packet, fate);
+        }
+        if let Some((lane, text)) = before {
+            let lane = match lane {
+                Lane::Task(task) => task,
+                Lane::Node(node) => lanes.on_node(node),
+            };
+            pen.event(shown, lane, &text);
+        }
+        lanes.effects(&mut pen, shown, &course.floor.log);
+        ends(&mut course, &mut pen, shown);
+        let tasks = (0..plan.tasks.len()).map(|task| view(&course, task)).collect();
+        steps.push(Step { tick, step, notes: pen.notes[from..].to_vec(), tasks });
+        if course.floor.violation.is_some() {
+            break;
+        }
+    }
+    let ticks = course.passed;
+    let chart = pen.conclude(cause, u32::try_from(moves.len()).unwrap_or(u32::MAX)).chart;
+    Told { steps, chart: shorten(&chart), ticks }
+}
+
+enum Lane {
+    Task(usize),
+    Node(u8),
+}
+
+type Arrow = ((usize, usize), imrs_protocol::Packet, &'static str);
+
+fn packet(course: &Course, step: CellMove, lanes: &Lanes) -> Option<Arrow> {
+    let (i, fate) = match step {
+        CellMove::Deliver(i) | CellMove::Mend(i, _) => (i, ""),
+        CellMove::Lose(i) => (i, "LOST"),
+        CellMove::Duplicate(i) => (i, "TWICE"),
+        CellMove::Cut(i, _) | CellMove::Vanish(i) => (i, "CUT OFF"),
+        CellMove::Pass
+        | CellMove::Drift(..)
+        | CellMove::Acted(..)
+        | CellMove::GoOn(..)
+        | CellMove::Choose(..)
+        | CellMove::Crash(_)
+        | CellMove::Restart(_) => return None,
+    };
+    let crossing = course.floor.crossings.get(usize::from(i))?;
+    let (from, to, _) = course.floor.links[usize::from(crossing.link)];
+    let packet = crossing.packet;
+    Some(((lanes.lane(from, packet.source), lanes.lane(to, packet.destination)), packet, fate))
+}
+
+fn describe(course: &Course, step: CellMove) -> Option<(Lane, String)> {
+    Some(match step {
+        CellMove::Acted(task, level, ok, value) => {
+            let at = usize::from(task);
+            let actor = course.floor.bodies[at].actor.as_ref()?;
+            let running = actor.running.iter().find(|running| running.level == level)?;
+            let action = actor.program.actions.get(usize::from(running.action)).map_or("?", String::as_str);
+            let number = course.value(at, level, value);
+            let text = match (ok, number) {
+                (false, _) => format!("{action} FAILS"),
+                (true, 0) => format!("{action} ends"),
+                (true, number) => format!("{action} ends: {number}"),
+            };
+            (Lane::Task(at), text)
+        }
+        CellMove::Choose(task, choice) => (Lane::Task(usize::from(task)), format!("chooses {choice}")),
+        CellMove::Crash(number) => {
+            (Lane::Node(super::course::small(course.crash_node(number))), "CRASHES".into())
+        }
+        CellMove::Restart(node) => (Lane::Node(node), "restarts".into()),
+        CellMove::Drift(node, more) => {
+            (Lane::Node(node), if more { "counts a tick twice" } else { "misses a tick" }.into())
+        }
+        CellMove::Pass
+        | CellMove::Deliver(_)
+        | CellMove::Lose(_)
+        | CellMove::Duplicate(_)
+        | CellMove::Cut(..)
+        | CellMove::Vanish(_)
+        | CellMove::Mend(..)
+        | CellMove::GoOn(..) => return None,
+    })
+}
+
+/// Scripts that ended with the last move.
+fn ends(course: &mut Course, pen: &mut Pen, tick: u32) {
+    let turns = course.floor.turns.as_mut().map(std::mem::take).unwrap_or_default();
+    for turn in turns {
+        let text = match turn.end {
+            None => continue,
+            Some(End::Finished) => "ends".into(),
+            Some(End::Fenced) => "ends, FENCED".into(),
+            Some(End::Aborted(_)) => "ABORTS".into(),
+            Some(End::Assertion(_)) => "ASSERTION FAILS".into(),
+            Some(End::Fault { fault, .. }) => format!("FAULT: {fault}"),
+        };
+        pen.event(tick, turn.task, &text);
+    }
+}
+
+fn view(course: &Course, task: usize) -> TaskView {
+    let plan = &course.plan;
+    let up = course.is_up(task);
+    let at = position(course, task);
+    let station = &course.floor.stations[course.floor.station_of(task)];
+    let machine = station.node.task(TaskId::from_index(task)).filter(|_| up);
+    let queues = machine.map_or_else(Vec::new, |machine| {
+        let ports = machine.view(&station.table, 0).ports;
+        ports.iter().map(|port| (port.port, port.len)).collect()
+    });
+    let actor = course.floor.bodies[task].actor.as_ref();
+    let what = |at| match &plan.tasks[task] {
+        Conduct::Program { program, .. } => statement(&plan.table, program, at),
+        Conduct::Extern(_) => name(&plan.table, task).into(),
+    };
+    let does = match course.activity(task) {
+        _ if !up => "is down".into(),
+        None | Some(Activity::NotBegun) => "has not begun".into(),
+        Some(Activity::Waits) => format!("waits: {}", what(at)),
+        Some(Activity::Acts) => what(at),
+        Some(Activity::Chooses(_)) => "chooses".into(),
+        Some(Activity::Passive) => "is passive".into(),
+        Some(Activity::Ended(_)) => "has ended".into(),
+    };
+    let variables = actor.map_or_else(Vec::new, |actor| {
+        (0..).map_while(|at| actor.script.var(at)).take(actor.program.variables.len()).collect()
+    });
+    let acts = actor.map_or_else(Vec::new, |actor| {
+        actor.running.iter().map(|running| (running.level, running.least, running.most)).collect()
+    });
+    TaskView { up, at, does, variables, queues, acts }
+}
+
+/// The head and the end of a long chart.
+fn shorten(chart: &str) -> String {
+    let cut = |line: &str| line.chars().take(100).collect::<String>();
+    let lines: Vec<String> = chart.lines().map(cut).collect();
+    if lines.len() <= LINES {
+        return lines.join("\n");
+    }
+    let left_out = lines.len() - LINES;
+    let head = lines[..LINES / 4].join("\n");
+    let tail = lines[lines.len() - (LINES - LINES / 4)..].join("\n");
+    format!("{head}\n      ... {left_out} lines ...\n{tail}")
+}

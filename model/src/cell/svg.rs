@@ -1,0 +1,91 @@
+//! The way to a finding as a drawing.
+
+use super::story::{Note, Step};
+use std::fmt::Write;
+
+const LANE: usize = 190;
+const LINE: usize = 18;
+const LEFT: usize = 70;
+
+/// Draws the steps of a finding: one lane for each name. Colours are those of the page around it.
+#[must_use]
+pub fn svg(names: &[String], steps: &[Step], cause: &str) -> String {
+    let notes: Vec<&Note> = steps.iter().flat_map(|step| &step.notes).collect();
+    let (width, height) = (LEFT + LANE * names.len().max(1), LINE * (notes.len() + 4));
+    let mut out = String::new();
+    let _ = writeln!(
+        out,
+        "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" width=\"{width}\" \
+         height=\"{height}\" font-family=\"monospace\" font-size=\"12\" fill=\"#777\" stroke=\"none\">"
+    );
+    let x = |lane: usize| LEFT + LANE * lane + 10;
+    for (lane, name) in names.iter().enumerate() {
+        let (x, end) = (x(lane), height - 2 * LINE);
+        let _ = writeln!(out, "<text x=\"{x}\" y=\"{LINE}\" font-weight=\"bold\">{}</text>", escaped(name));
+        let _ =
+            writeln!(out, "<line x1=\"{x}\" y1=\"{}\" x2=\"{x}\" y2=\"{end}\" stroke=\"#999\"/>", LINE + 6);
+    }
+    let mut last = None;
+    for (row, note) in notes.iter().enumerate() {
+        let y = LINE * (row + 2);
+        let (Note::Event { tick, .. } | Note::Packet { tick, .. }) = note;
+        if last != Some(*tick) {
+            let _ = writeln!(out, "<text x=\"{}\" y=\"{y}\" text-anchor=\"end\">{tick}</text>", LEFT - 10);
+            last = Some(*tick);
+        }
+        draw(&mut out, note, y, x);
+    }
+    let _ =
+        writeln!(out, "<text x=\"10\" y=\"{}\" font-weight=\"bold\">{}</text>", height - 8, escaped(cause));
+    out.push_str("</svg>\n");
+    out
+}
+
+fn draw(out: &mut String, note: &Note, y: usize, x: impl Fn(usize) -> usize) {
+    match note {
+        Note::Event { lane, text, .. } => {
+            let at = x(*lane);
+            let _ = writeln!(out, "<circle cx=\"{at}\" cy=\"{}\" r=\"3\"/>", y - 4);
+            let _ = writeln!(out, "<text x=\"{}\" y=\"{y}\">{}</text>", at + 8, escaped(text));
+        }
+        Note::Packet { from, to, label, fate, .. } => {
+            let (a, b) = (x(*from), x(*to));
+            let (dash, colour) =
+                if fate.is_empty() { ("", "#5a8fd0") } else { (" stroke-dasharray=\"4 3\"", "#d0605a") };
+            let _ = writeln!(
+                out,
+                "<line x1=\"{a}\" y1=\"{y}\" x2=\"{b}\" y2=\"{y}\" stroke=\"{colour}\"{dash}/>"
+            );
+            let tip = if a < b { b - 6 } else { b + 6 };
+            let _ = writeln!(
+                out,
+                "<polygon points=\"{b},{y} {tip},{} {tip},{}\" fill=\"{colour}\"/>",
+                y - 4,
+                y + 4
+            );
+            let text = if fate.is_empty() { label.clone() } else { format!("{label} {fate}") };
+            let _ = writeln!(
+                out,
+                "<text x=\"{}\" y=\"{}\" text-anchor=\"middle\">{}</text>",
+                usize::midpoint(a, b),
+                y - 3,
+                escaped(&text)
+            );
+        }
+    }
+}
+
+fn escaped(text: &str) -> String {
+    let mut out = String::with_capacity(text.len());
+    for c in text.chars() {
+        match c {
+            '&' => out.push_str("&amp;"),
+            '<' => out.push_str("&lt;"),
+            '>' => out.push_str("&gt;"),
+            '"' => out.push_str("&quot;"),
+            c if c.is_control() => out.push(' '),
+            c => out.push(c),
+        }
+    }
+    out
+}

@@ -1,0 +1,146 @@
+//! What the check of a cell says.
+
+use super::course::CellMove;
+use super::story::Step;
+use imrs_protocol::TaskId;
+use imrs_protocol::script::Address;
+use serde::{Deserialize, Serialize};
+
+/// What is wrong.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub enum Kind {
+    /// Tasks wait for each other for ever, and nothing can happen any more.
+    Deadlock,
+    /// A request ends by its time_out although nothing went wrong.
+    TimeOut,
+    /// A member waits at a waitfor in vain although nothing went wrong.
+    Stranded,
+    /// A message is refused although nothing went wrong.
+    Refused,
+    /// A statement without a branch for it ends badly, and its task with it.
+    Ends,
+    /// A task aborts as it is told to, although nothing went wrong.
+    Aborts,
+    /// An `assert` does not hold.
+    Assertion,
+    /// A script ends in a fault.
+    ScriptFault,
+    /// A check does not hold.
+    Check,
+    /// Both tasks of a work couple act (D61).
+    TwoOwners,
+    /// A statement is never reached.
+    Unreached,
+    /// A check says nothing: what makes it matter never happens.
+    Vacuous,
+    /// The machine itself is at fault, or the state outgrew its packed form.
+    Machine,
+}
+
+impl Kind {
+    /// One or two words for a heading.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::Deadlock => "deadlock",
+            Self::TimeOut => "time_out without a fault",
+            Self::Stranded => "waits in vain without a fault",
+            Self::Refused => "refused without a fault",
+            Self::Ends => "ends the task",
+            Self::Aborts => "aborts without a fault",
+            Self::Assertion => "assertion",
+            Self::ScriptFault => "fault of the script",
+            Self::Check => "check",
+            Self::TwoOwners => "two owners",
+            Self::Unreached => "never reached",
+            Self::Vacuous => "check says nothing",
+            Self::Machine => "fault of the machine",
+        }
+    }
+}
+
+/// Which search found it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
+pub enum Phase {
+    /// Nothing goes wrong.
+    FaultFree,
+    /// What is declared goes wrong.
+    Faults,
+}
+
+/// Something that is wrong, and the shortest way to it.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Finding {
+    /// What.
+    pub kind: Kind,
+    /// Whether it takes a fault.
+    pub phase: Phase,
+    /// Whose it is.
+    pub task: Option<TaskId>,
+    /// The operation of its program.
+    pub address: Option<Address>,
+    /// The check, by its position.
+    pub check: Option<usize>,
+    /// One line in the cell's words.
+    pub cause: String,
+    /// When, in ticks from the start.
+    pub at_ticks: u64,
+    /// The moves that lead there: with the same plan they replay it.
+    pub moves: Vec<CellMove>,
+    /// The same, to be shown.
+    pub steps: Vec<Step>,
+    /// The same as a sequence chart of at most 100 columns.
+    pub chart: String,
+}
+
+/// What a phase has looked at.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Coverage {
+    /// Which.
+    pub phase: Phase,
+    /// Different states kept; between two of them only one thing can happen.
+    pub states: u64,
+    /// Moves made.
+    pub moves: u64,
+    /// The most choices on a shortest way to a state.
+    pub depth: u64,
+    /// Ticks of the longest shortest way.
+    pub ticks: u64,
+    /// Whether everything within the bounds was looked at.
+    pub complete: bool,
+    /// Which budget ended it.
+    pub ended_by: Option<String>,
+    /// Bytes of the longest state.
+    pub longest_state: u64,
+    /// Seconds that it took.
+    pub seconds: f64,
+}
+
+/// What the check of a cell found.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct Verdicts {
+    /// What is wrong, in the order of [`Kind`].
+    pub findings: Vec<Finding>,
+    /// What was looked at.
+    pub phases: Vec<Coverage>,
+    /// For each task the statements reached, and how many it has.
+    pub statements: Vec<(u32, u32)>,
+    /// Statements of branches, timers and take-overs that these faults never called for: task and operation.
+    pub not_exercised: Vec<(TaskId, Address)>,
+    /// Statements not reached where a budget ended a search, or a finding the way to them, which proves nothing: task and
+    /// operation.
+    pub not_seen: Vec<(TaskId, Address)>,
+}
+
+impl Verdicts {
+    /// Whether every phase looked at everything.
+    #[must_use]
+    pub fn is_complete(&self) -> bool {
+        self.phases.iter().all(|phase| phase.complete)
+    }
+
+    /// The findings of a kind.
+    pub fn of(&self, kind: Kind) -> impl Iterator<Item = &Finding> {
+        self.findings.iter().filter(move |finding| finding.kind == kind)
+    }
+}

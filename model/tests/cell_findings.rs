@@ -1,0 +1,260 @@
+//! Each kind of finding of a cell: the statement that it points at, and cells that have none.
+
+mod cells;
+
+use cells::Text;
+use imrs_model::cell::{Budget, Finding, Kind, Phase, Verdicts, svg};
+
+/// Two tasks on two nodes a tick apart; `a` owns what is declared in `ports`.
+fn two(ports: &str, uses: &str, a: &str, b: &str, rest: &str) -> Text {
+    let text = format!(
+        "cell two;\ntick 1 msec;\nnode na;  node nb;\nlink na -- nb delay 1 msec;\n\
+         type Num is record n: int8; end;\n\
+         task a on na\n{ports}\nvar x: int8; var m: Num;\nbegin\n{a}\nend a;\n\
+         task b on nb\n{uses}\nvar y: int8; var m: Num;\nbegin\n{b}\nend b;\n{rest}\n"
+    );
+    Text::new(&text)
+}
+
+const MEET: &str = "port meet() usage = waitfor user_list = {b} time_out = 50 msec class = 2;";
+const USE_MEET: &str = "use_port meet() usage = waitfor time_out = 50 msec;";
+
+const PUT: &str =
+    "port put(m: Num) usage = send message_format = Num user_list = {b} time_out = 20 msec class = 2;";
+const USE_PUT: &str = "use_port put(m: Num) usage = receive;";
+const TAKE: &str = "loop receive put(m); reply(); end;";
+fn found(kind: Kind, at: &str) -> (Kind, String) {
+    (kind, at.into())
+}
+
+/// What is found in a cell that can be looked at whole.
+fn all(text: &Text) -> Vec<(Kind, String)> {
+    let verdicts = text.check();
+    assert!(verdicts.is_complete());
+    for finding in &verdicts.findings {
+        let chart = &finding.chart;
+        assert!(chart.lines().all(|line| line.chars().count() <= 100), "{chart}");
+    }
+    text.found(&verdicts)
+}
+
+#[test]
+fn a_healthy_meeting_has_no_findings() {
+    let act = "loop run work takes 5..20 msec; waitfor meet() on time_out do skip; end; end;";
+    let cell = two(MEET, USE_MEET, act, act, "");
+    let verdicts = cell.check();
+    assert!(verdicts.is_complete() && verdicts.findings.is_empty());
+    assert_eq!(verdicts.not_exercised.len(), 2, "without a fault no branch is taken");
+    let verdicts = two(MEET, USE_MEET, act, act, "faults loss 2;").check();
+    assert!(verdicts.is_complete() && verdicts.findings.is_empty());
+    assert_eq!((verdicts.phases.len(), verdicts.not_exercised.len()), (2, 0));
+}
+
+#[test]
+fn a_member_that_comes_too_late_strands_the_other() {
+    let a = "loop run work takes 5..20 msec; waitfor meet() on time_out do skip; end; end;";
+    let cell = two(MEET, USE_MEET, a, "loop run work takes 5..90 msec; waitfor meet(); end;", "");
+    let verdicts = cell.check();
+    let stranded = verdicts.of(Kind::Stranded).next().expect("stranded");
+    assert!(cell.source(stranded).starts_with("waitfor meet()"));
+    assert_eq!(stranded.cause, "a: waitfor `meet` waits in vain for b");
+    assert_eq!((stranded.phase, stranded.at_ticks), (Phase::FaultFree, 55), "{}", stranded.chart);
+}
+
+#[test]
+fn what_no_branch_takes_ends_the_task_under_faults_only() {
+    let send = "loop send put(m); delay 10 msec; end;";
+    assert_eq!(all(&two(PUT, USE_PUT, send, TAKE, "")), []);
+    let cell = two(PUT, USE_PUT, send, TAKE, "faults loss 1;");
+    let verdicts = cell.check();
+    let [ends] = &verdicts.findings[..] else { panic!("{:?}", cell.found(&verdicts)) };
+    assert_eq!((ends.kind, ends.phase), (Kind::Ends, Phase::Faults));
+    assert!(cell.source(ends).starts_with("send put(m)") && ends.chart.contains("LOST"), "{}", ends.chart);
+    let names = ["a".to_string(), "b<".to_string()];
+    let drawn = svg(&names, &ends.steps, &ends.cause);
+    assert!(drawn.starts_with("<svg") && drawn.contains("b&lt;") && drawn.contains("LOST"));
+    let saved = serde_json::to_string(ends).expect("plain data");
+    let back: Finding = serde_json::from_str(&saved).expect("what was saved");
+    assert_eq!((back.moves, back.at_ticks), (ends.moves.clone(), ends.at_ticks));
+}
+
+#[test]
+fn who_receives_too_slowly_lets_a_send_time_out() {
+    let slow = "loop receive put(m); run work takes 1..40 msec; reply(); end;";
+    let send = "loop send put(m) on time_out do skip; end; delay 100 msec; end;";
+    let found_here = all(&two(PUT, USE_PUT, send, slow, ""));
+    assert_eq!(found_here[0].0, Kind::TimeOut);
+    assert!(found_here[0].1.starts_with("send put(m)"), "{found_here:?}");
+}
+
+#[test]
+fn two_that_wait_for_each_other_are_a_deadlock() {
+    let ports = format!(
+        "{PUT} port got(m: Num) usage = receive message_format = Num user_list = {{b}} time_out = 20 msec class = 2;"
+    );
+    let uses = format!("{USE_PUT} use_port got(m: Num) usage = send time_out = 20 msec;");
+    let a = "receive got(m); reply(); send put(m);";
+    let cell = two(&ports, &uses, a, "receive put(m); reply(); use_send got(m);", "");
+    let verdicts = cell.check();
+    let deadlock = verdicts.of(Kind::Deadlock).next().expect("a deadlock");
+    assert!(cell.source(deadlock).starts_with("receive got(m)"));
+    assert_eq!(deadlock.cause, "a waits at receive `got` for b; b waits at receive `put` for a");
+    // Who has told all lets the other wait in peace.
+    assert_eq!(all(&two(PUT, USE_PUT, "send put(m);", TAKE, "")), []);
+}
+
+#[test]
+fn assertions_faults_and_aborts_point_at_their_statement() {
+    let send = "loop send put(m) on time_out do skip; end; delay 10 msec; end;";
+    let count =
+        |body: &str| two(PUT, USE_PUT, send, &format!("loop receive put(m); reply(); {body} end;"), "");
+    let kind_of = |body: &str| {
+        let found = all(&count(body));
+        found.into_iter().find(|(kind, _)| *kind != Kind::TimeOut).expect("a finding")
+    };
+    assert_eq!(kind_of("y := y + 1; assert y < 3;"), found(Kind::Assertion, "assert y < 3"));
+    assert_eq!(kind_of("y := y + 50;").0, Kind::ScriptFault);
+    let (kind, at) = kind_of("y := y + 1; if y > 2 then abort \"enough\"; end;");
+    assert_eq!((kind, at.starts_with("abort")), (Kind::Aborts, true));
+}
+
+#[test]
+fn checks_hold_fail_and_say_nothing() {
+    let send = "loop x := 1; delay 5 msec; x := 0; send put(m); delay 10 msec; end;";
+    let with = |check: &str| two(PUT, USE_PUT, send, TAKE, check);
+    assert_eq!(all(&with("check c: never a.x > 1;")), []);
+    assert_eq!(all(&with("check c: never a.x = 1;")), [found(Kind::Check, "")]);
+    assert_eq!(all(&with("check c: a.x = 1 leads a.x = 0 within 5 msec;")), []);
+    assert_eq!(all(&with("check c: a.x = 1 leads a.x = 0 within 4 msec;")), [found(Kind::Check, "")]);
+    assert_eq!(all(&with("check c: a.x = 2 leads a.x = 0 within 4 msec;")), [found(Kind::Vacuous, "")]);
+}
+
+#[test]
+fn a_statement_that_nothing_leads_to_is_unreached() {
+    let send = "loop send put(m); if x > 0 then delay 3 msec; end; delay 10 msec; end;";
+    let found_here = all(&two(PUT, USE_PUT, send, TAKE, ""));
+    assert_eq!(found_here.len(), 1);
+    assert!(found_here[0].0 == Kind::Unreached && found_here[0].1.starts_with("delay 3 msec"));
+}
+
+#[test]
+fn an_action_that_fails_within_its_budget_ends_its_task() {
+    let idle = "loop delay 50 msec; send put(m); end;";
+    let b = "loop receive put(m); reply(); run work takes 1..2 msec; end;";
+    let cell = two(PUT, USE_PUT, idle, b, "faults fail 1;");
+    let found_here = all(&cell);
+    assert!(
+        found_here.iter().any(|(kind, at)| *kind == Kind::Ends && at.starts_with("run work")),
+        "{found_here:?}"
+    );
+}
+
+#[test]
+fn a_node_that_crashes_and_a_link_that_is_cut_are_the_named_ones() {
+    let send = "loop send put(m) on time_out do x := 1; delay 1 msec; x := 0; end; delay 10 msec; end;";
+    let check = "check c: never a.x = 1;";
+    let with = |faults: &str| {
+        let verdicts = two(PUT, USE_PUT, send, TAKE, &format!("faults {faults};\n{check}")).check();
+        verdicts.of(Kind::Check).next().map(|finding| finding.chart.clone())
+    };
+    assert!(with("crash nb").expect("b is gone").contains("CRASHES"));
+    assert!(with("cut na--nb").expect("b is far").contains("CUT OFF"));
+    assert!(with("dup 1").is_none());
+}
+
+#[test]
+fn a_budget_that_ends_the_search_gives_a_part() {
+    let act = "loop run work takes 5..20 msec; waitfor meet() on time_out do skip; end; end;";
+    let mut cell = two(MEET, USE_MEET, act, act, "faults loss 2;");
+    cell.plan.budget = Budget { states: 20, ..Budget::default() };
+    let verdicts = cell.check();
+    assert!(!verdicts.is_complete());
+    let faults = &verdicts.phases[1];
+    assert_eq!(faults.ended_by.as_deref(), Some("20 states"));
+    assert!(verdicts.not_exercised.is_empty() && verdicts.of(Kind::Unreached).next().is_none());
+}
+
+#[test]
+fn an_end_between_least_and_most_is_looked_at_on_demand() {
+    // At 5 and at 60 ticks all is well; whoever ends while the other's beat of 20 ticks passes is not.
+    let a = "run work takes 5..60 msec; x := 1; delay 1 msec; x := 0;";
+    let b = "delay 20 msec; y := 1; delay 1 msec; y := 0;";
+    let mut cell = two(
+        PUT,
+        USE_PUT,
+        &format!("{a} send put(m);"),
+        &format!("{b} {TAKE}"),
+        "check c: never a.x = 1 and b.y = 1;",
+    );
+    let has = |cell: &Text| cell.check().of(Kind::Check).next().is_some();
+    assert!(!has(&cell));
+    cell.plan.between = true;
+    assert!(has(&cell));
+}
+
+#[test]
+fn a_finding_replays() {
+    let send = "loop send put(m); delay 10 msec; end;";
+    let cell = two(PUT, USE_PUT, send, TAKE, "faults loss 1;");
+    let (one, two) = (cell.check(), cell.check());
+    let moves = |verdicts: &Verdicts| verdicts.findings.iter().map(|f| f.moves.clone()).collect::<Vec<_>>();
+    assert_eq!(moves(&one), moves(&two));
+    let ends = one.of(Kind::Ends).next().expect("it ends");
+    assert_eq!(ends.moves.len(), ends.steps.len());
+    assert_eq!(ends.steps.last().map(|step| step.tick), Some(ends.at_ticks));
+    assert!(ends.steps.last().is_some_and(|step| step.tasks[0].does == "has ended"));
+}
+
+#[test]
+fn a_task_outside_makes_any_use_of_its_ports() {
+    let text = "cell out;\ntick 1 msec;\nnode na;  node nb;\nlink na -- nb delay 1 msec;\n\
+        type Num is record n: int8; end;\n\
+        task a on na extern rate = 1/10 msec\n\
+        port put(m: Num) usage = send message_format = Num user_list = {b} time_out = 20 msec class = 2 \
+        rate = 1/10 msec;\nend a;\n\
+        task b on nb\nuse_port put(m: Num) usage = receive;\nvar y: bool; var m: Num;\nbegin\n\
+        loop receive put(m); y := true; reply(); y := false; run work takes 1..5 msec; end;\nend b;\n\
+        check c: never b.y;\n";
+    let cell = Text::new(&text.replace("never b.y", "never b.m.n > 0"));
+    assert_eq!(all(&cell), []);
+    let verdicts = cell.check();
+    assert!(verdicts.statements[1].0 == verdicts.statements[1].1, "what a sends arrives");
+}
+
+#[test]
+fn a_query_may_not_last_longer_than_its_answer_takes() {
+    let ports = "port ask(m: Num) -> Num usage = query message_format = Num user_list = {b} time_out = 20 msec class = 2;";
+    let uses = "use_port ask(m: Num) -> Num usage = response time_out = 20 msec;";
+    let a = "loop query ask(m) -> m on time_out do skip; end; delay 50 msec; end;";
+    let b = "on query ask(q) do run look takes 1..30 msec; response(m); end;\nloop delay 10 msec; end;";
+    let found_here = all(&two(ports, uses, a, b, ""));
+    assert!(
+        found_here.iter().any(|(kind, at)| *kind == Kind::TimeOut && at.starts_with("query ask")),
+        "{found_here:?}"
+    );
+}
+
+#[test]
+fn faults_that_nobody_notices_change_no_finding() {
+    let send = "loop send put(m) on time_out do x := 1; delay 1 msec; x := 0; end; delay 10 msec; end;";
+    let meet = "loop run work takes 5..20 msec; waitfor meet() on time_out do x := 1; skip; end; end;";
+    let other = meet.replace('x', "y");
+    let cells = |faults: &str| {
+        let rest = format!("faults {faults};\ncheck c: a.x = 1 leads b.y = 1 within 60 msec;");
+        [two(PUT, USE_PUT, send, TAKE, &rest), two(MEET, USE_MEET, meet, &other, &rest)]
+    };
+    for faults in ["loss 2", "crash nb", "cut na--nb", "loss 1 crash nb", "loss 1 cut na--nb"] {
+        for mut cell in cells(faults) {
+            cell.plan.budget = Budget { states: 60_000, seconds: 600.0, bytes: 3 << 30 };
+            let reduced = cell.check();
+            cell.plan.everything = true;
+            let whole = cell.check();
+            if whole.is_complete() {
+                assert_eq!(cell.found(&reduced), cell.found(&whole), "{faults}");
+                assert_eq!(reduced.statements, whole.statements, "{faults}");
+            }
+            let states = |verdicts: &Verdicts| verdicts.phases[1].states;
+            assert!(states(&reduced) <= states(&whole));
+        }
+    }
+}

@@ -1,0 +1,100 @@
+//! Cells from text, checked.
+
+use imrs_language::lower::{Behaviour, CheckKind, Lowered, Script};
+use imrs_language::{Source, Unit, compile};
+use imrs_model::cell::{
+    CellCheck, CellFaults, CellPlan, Conduct, Finding, Holds, Kind, Verdicts, check_cell,
+};
+use imrs_protocol::CellTable;
+use std::sync::Arc;
+
+/// A cell and the text it came from.
+pub struct Text {
+    text: String,
+    lowered: Lowered,
+    pub plan: CellPlan,
+}
+
+impl Text {
+    /// Compiles a cell for the checker.
+    pub fn new(text: &str) -> Self {
+        let source = Source::new(text.as_bytes()).expect("text");
+        let compiled = compile(&source);
+        let lowered = compiled.lower(Unit::Ticks).unwrap_or_else(|| panic!("{:?}", compiled.diagnostics));
+        let table = Arc::new(CellTable::new(lowered.cell.clone()).expect("a sound table"));
+        let conduct = |behaviour: &Behaviour| match behaviour {
+            Behaviour::Script(script) => Conduct::Program {
+                program: Arc::clone(&script.program),
+                values: script.actions.iter().map(|action| values(&action.values)).collect(),
+            },
+            Behaviour::Extern(rate) => Conduct::Extern(*rate),
+        };
+        let tasks = lowered.tasks.iter().map(conduct).collect();
+        let mut plan = CellPlan::new(table, tasks);
+        let faults = &lowered.faults;
+        plan.faults = CellFaults {
+            loss: faults.loss,
+            dup: faults.dup,
+            fail: faults.fail,
+            drift: faults.drift,
+            crash: faults.crash.clone(),
+            cut: faults.cut.clone(),
+        };
+        let check = |check: &imrs_language::lower::Check| CellCheck {
+            name: check.name.clone(),
+            holds: match &check.kind {
+                CheckKind::Always(terms) => Holds::Always(terms.clone()),
+                CheckKind::Leads { when, then, within } => {
+                    Holds::Leads { when: when.clone(), then: then.clone(), within: *within }
+                }
+            },
+        };
+        plan.checks = lowered.checks.iter().map(check).collect();
+        Self { text: text.into(), lowered, plan }
+    }
+
+    /// Checks it.
+    pub fn check(&self) -> Verdicts {
+        let verdicts = check_cell(&Arc::new(self.plan.clone()));
+        for phase in &verdicts.phases {
+            println!("{phase:?}");
+        }
+        println!("statements {:?}, not seen {:?}", verdicts.statements, verdicts.not_seen);
+        for finding in &verdicts.findings {
+            println!(
+                "{:?} {:?} at {}: {} | {}",
+                finding.kind,
+                finding.phase,
+                finding.at_ticks,
+                finding.cause,
+                self.source(finding)
+            );
+            if std::env::var_os("CELL_CHARTS").is_some() {
+                println!("{}", finding.chart);
+            }
+        }
+        verdicts
+    }
+
+    /// The statement that a finding points at.
+    pub fn source(&self, finding: &Finding) -> &str {
+        let (Some(task), Some(at)) = (finding.task, finding.address) else { return "" };
+        let Behaviour::Script(script) = &self.lowered.tasks[task.index()] else { return "" };
+        let Script { spans, .. } = &**script;
+        let span = spans[usize::from(at)];
+        &self.text[span.range()]
+    }
+
+    /// What is found, by kind and the beginning of the statement it points at.
+    pub fn found(&self, verdicts: &Verdicts) -> Vec<(Kind, String)> {
+        let short = |finding: &Finding| {
+            let line = self.source(finding).lines().next().unwrap_or_default();
+            (finding.kind, line.chars().take(24).collect())
+        };
+        verdicts.findings.iter().map(short).collect()
+    }
+}
+
+fn values(values: &[i64]) -> Vec<i32> {
+    values.iter().filter_map(|&value| i32::try_from(value).ok()).collect()
+}
