@@ -46,9 +46,11 @@ pub enum Verb {
 Examples:
   imrs verify                        all claims, smoke bounds
   imrs verify --claim no-false-release
+  imrs verify examples/weld_cell.cell  a cell, with the faults that it declares
+  imrs verify cell.cell --loss 1 --crash hoist --trace found.svg
   imrs verify --full --memory 8G     the large bounds
   imrs verify --format json | jq '.claims[] | select(.as_expected | not)'")]
-    Verify(VerifyArgs),
+    Verify(VerifyVerb),
     /// Compile a cell file and say everything that can be known without running it.
     #[command(after_help = "\
 Examples:
@@ -128,6 +130,43 @@ Examples:
     /// Run one node of a cell, as told on standard input. The launcher starts itself with this.
     #[command(hide = true)]
     Node,
+}
+
+/// What `verify` can be asked: about the protocol, or about a cell.
+#[derive(Args, Clone, Debug)]
+pub struct VerifyVerb {
+    /// The cell file; without one the protocol's own claims are checked.
+    #[arg(value_name = "CELL", conflicts_with_all = ["full", "claim"])]
+    pub cell: Option<PathBuf>,
+    /// The flags of both.
+    #[command(flatten)]
+    pub verify: VerifyArgs,
+    /// The flags of a cell.
+    #[command(flatten)]
+    pub faults: CellFaultArgs,
+}
+
+/// Faults beside those that a cell declares, and what to do with what is found.
+#[derive(Args, Clone, Debug)]
+pub struct CellFaultArgs {
+    /// Lose so many more packets than the cell declares.
+    #[arg(long, value_name = "N", requires = "cell", default_value_t = 0)]
+    pub loss: u8,
+    /// Deliver so many more packets twice.
+    #[arg(long, value_name = "N", requires = "cell", default_value_t = 0)]
+    pub dup: u8,
+    /// Let this node, or the node of this task, crash once.
+    #[arg(long, value_name = "NAME", requires = "cell")]
+    pub crash: Vec<String>,
+    /// Let clocks leave out or count twice so many more ticks.
+    #[arg(long, value_name = "N", requires = "cell", default_value_t = 0)]
+    pub drift: u8,
+    /// Give up after so long without faults, and after so long with them.
+    #[arg(long, value_name = "TIME", requires = "cell", default_value = "30s", value_parser = humantime::parse_duration)]
+    pub within: Duration,
+    /// Draw the first finding as a sequence chart into this file.
+    #[arg(long, value_name = "FILE.svg", requires = "cell")]
+    pub trace: Option<PathBuf>,
 }
 
 /// What `verify` can be asked.

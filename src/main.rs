@@ -48,8 +48,9 @@ fn run(cli: Cli) -> Result<Exit, Failure> {
         return Err(Failure::Usage("put the flags behind the verb they are for".into()));
     }
     let mut out = Output::new(cli.color);
-    match cli.verb.unwrap_or(Verb::Verify(cli.verify)) {
-        Verb::Verify(args) => verify::run(&args, &mut out),
+    let Some(verb) = cli.verb else { return verify::run(&cli.verify, &mut out) };
+    match verb {
+        Verb::Verify(args) => verify::run_verb(&args, &mut out),
         Verb::Check(args) => check::run(&args, &mut out),
         Verb::Fmt(args) => fmt::run(&args, &mut out),
         Verb::Explain(args) => explain::run(&args, &mut out),

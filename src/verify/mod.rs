@@ -1,9 +1,10 @@
 //! `imrs verify`: asks the model checker for its verdicts and shows them.
 
+mod cell;
 mod progress;
 mod report;
 
-use crate::args::{Format, VerifyArgs};
+use crate::args::{Format, VerifyArgs, VerifyVerb};
 use crate::exit::{Exit, Failure, did_you_mean};
 use crate::output::Output;
 use imrs_model::{Options, Outcome, Report};
@@ -14,6 +15,17 @@ use std::time::Instant;
 
 /// The memory that a claim may take unless told otherwise.
 const DEFAULT_MEMORY: u64 = 4 << 30;
+
+/// Checks a cell, or without one the protocol's claims.
+///
+/// # Errors
+/// [`Failure`].
+pub fn run_verb(args: &VerifyVerb, out: &mut Output) -> Result<Exit, Failure> {
+    match &args.cell {
+        Some(path) => cell::run(path, args, out),
+        None => run(&args.verify, out),
+    }
+}
 
 /// Checks the protocol's claims.
 ///
