@@ -39,13 +39,19 @@ fn the_rooms_import_each_other_only_along_the_arrows() {
         ("imrs-model", &["imrs-protocol", "imrs-wire"][..]),
         ("imrs-runtime", &["imrs-protocol", "imrs-wire"][..]),
         ("imrs-monitor", &["imrs-protocol", "imrs-wire"][..]),
-        ("imrs", &["imrs-protocol", "imrs-wire", "imrs-model", "imrs-runtime", "imrs-monitor"][..]),
+        (
+            "imrs",
+            &["imrs-protocol", "imrs-language", "imrs-wire", "imrs-model", "imrs-runtime", "imrs-monitor"][..],
+        ),
     ]);
     let imports = imports();
     for (package, (normal, dev)) in &imports {
         let Some(allowed) = allowed.get(package.as_str()) else {
             panic!("`{package}` is new here: say in ARCHITECTURE.md and in this test what it may import")
         };
+        // The checker's tests compile cells; the checker does not.
+        let tested_with = |name: &String| package == "imrs-model" && name == "imrs-language";
+        let dev = dev.iter().filter(|name| !tested_with(name));
         for name in normal.iter().chain(dev).filter(|name| imports.contains_key(*name)) {
             assert!(allowed.contains(&name.as_str()), "{package} must not import {name}");
         }
