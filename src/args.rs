@@ -38,9 +38,13 @@ pub struct Cli {
 /// The verbs.
 #[derive(Debug, Subcommand)]
 pub enum Verb {
-    /// Check the protocol's claims by exhausting every schedule within stated bounds.
+    /// Check the protocol's claims, or a cell, by exhausting every schedule within stated bounds.
     ///
-    /// Every claim has an expectation: the decided rules hold, and each rejected reading of the paper fails with a
+    /// With a cell file: its own scripts, first without faults, then with those that it declares. Deadlocks, waits in
+    /// vain, tasks that end badly, checks that do not hold: each on its line, with the shortest way there. A search
+    /// that ends before everything was looked at says so.
+    ///
+    /// Without: every claim has an expectation: the decided rules hold, and each rejected reading of the paper fails with a
     /// shortest counterexample. The verdict of a run is whether everything came out as expected.
     #[command(after_help = "\
 Examples:
