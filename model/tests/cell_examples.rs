@@ -17,7 +17,7 @@ task feed on n1
   port ready() usage = waitfor user_list = {left, right} time_out = 2 sec class = 2;
   var m: Num;
 begin
-  loop run fetch takes 100..300 msec; waitfor ready(); send part(m); end;
+  loop run fetch takes 100..300 msec; waitfor ready() on time_out do abort \"alone\"; end; send part(m); end;
 end feed;
 task left on n2
   use_port part(m: Num) usage = receive;  use_port ready() usage = waitfor time_out = 2 sec;
@@ -25,7 +25,7 @@ task left on n2
   port seen(m: Num) usage = send message_format = Num user_list = {watch} time_out = 50 msec class = 1 bounded_buffer[2];
   var m: Num;
 begin
-  loop waitfor ready(); receive part(m); reply(); run press takes 20..40 msec; send give(m); send seen(m); end;
+  loop waitfor ready() on time_out do abort \"alone\"; end; receive part(m); reply(); run press takes 20..40 msec; send give(m); send seen(m); end;
 end left;
 task right on n3
   use_port ready() usage = waitfor time_out = 2 sec;  use_port give(m: Num) usage = receive;
@@ -34,7 +34,7 @@ task right on n3
   var m: Num;
 begin
   on query asked(q) do response(m); end;
-  loop waitfor ready(); receive give(m); reply(); run stack takes 10..60 msec; send full(m); end;
+  loop waitfor ready() on time_out do abort \"alone\"; end; receive give(m); reply(); run stack takes 10..60 msec; send full(m); end;
 end right;
 task watch on n3
   use_port seen(m: Num) usage = receive;  use_port full(m: Num) usage = receive;

@@ -53,7 +53,13 @@ fn a_healthy_meeting_has_no_findings() {
 #[test]
 fn a_member_that_comes_too_late_strands_the_other() {
     let a = "loop run work takes 5..20 msec; waitfor meet() on time_out do skip; end; end;";
-    let cell = two(MEET, USE_MEET, a, "loop run work takes 5..90 msec; waitfor meet(); end;", "");
+    let cell = two(
+        MEET,
+        USE_MEET,
+        a,
+        "loop run work takes 5..90 msec; waitfor meet() on time_out do skip; end; end;",
+        "",
+    );
     let verdicts = cell.check();
     let stranded = verdicts.of(Kind::Stranded).next().expect("stranded");
     assert!(cell.source(stranded).starts_with("waitfor meet()"));
