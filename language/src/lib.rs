@@ -41,6 +41,7 @@ mod report;
 mod resolve;
 mod source;
 mod span;
+mod walk;
 mod words;
 
 pub use compile::{Compiled, Options, compile, compile_with};

@@ -2,7 +2,7 @@
 
 mod common;
 
-use common::{A, B, C, LONG, LONG_TICKS, cell, finish, network, on, table};
+use common::{A, B, C, LONG, LONG_TICKS, Tape, cell, finish, network, on, table};
 use imrs_protocol::{
     CellTable, Incarnation, Input, NodeId, NodeTable, PortDecl, Request, TaskId, Ticks, Usage,
 };
@@ -13,24 +13,6 @@ use imrs_wire::recording::{Record, RecordingReader};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
 use std::time::Duration;
-
-/// Keeps everything in memory.
-#[derive(Default)]
-struct Tape {
-    open: Mutex<BTreeMap<TaskId, Step>>,
-    closed: Mutex<BTreeMap<TaskId, Vec<Recorded>>>,
-}
-
-impl Recorder for Tape {
-    fn input(&self, task: TaskId, step: Step) {
-        assert_eq!(self.open.lock().unwrap().insert(task, step), None, "a step within a step");
-    }
-
-    fn output(&self, task: TaskId, digest: OutputDigest) {
-        let step = self.open.lock().unwrap().remove(&task).expect("an output belongs to an input");
-        self.closed.lock().unwrap().entry(task).or_default().push(Recorded { step, digest });
-    }
-}
 
 /// Meets, sends news, asks and answers, under loss and repetition.
 fn program(ctx: &mut Context) -> Result<(), TaskError> {

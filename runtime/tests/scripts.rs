@@ -2,11 +2,11 @@
 
 mod common;
 
-use common::{A, B, LONG, LONG_TICKS, ask, cell, network, on, one_node, report, table};
+use common::{A, B, LONG, LONG_TICKS, Tape, ask, cell, network, on, one_node, report, table};
 use imrs_protocol::script::{Binary, End, Outcomes, Program, ProgramBuilder, StatementOutcome, Type};
 use imrs_protocol::{CellTable, Incarnation, NodeId, NodeTable, PortId, Target, TaskId, Ticks};
 use imrs_runtime::link::in_process::Faults;
-use imrs_runtime::record::{OutputDigest, Recorded, Recorder, Step, replay};
+use imrs_runtime::record::{Recorder, replay};
 use imrs_runtime::script::{Act, Actions, Commands, Ending, Functions, Note, Simulated, Stop, Watch};
 use imrs_runtime::{Runtime, TaskEnd};
 use std::collections::BTreeMap;
@@ -107,24 +107,6 @@ fn a_script_and_a_rust_task_share_a_node() {
         std::thread::sleep(Duration::from_millis(1));
     }
     assert_eq!(end_of(node, "a"), TaskEnd::Script(End::Finished));
-}
-
-/// Keeps everything in memory.
-#[derive(Default)]
-struct Tape {
-    open: Mutex<BTreeMap<TaskId, Step>>,
-    closed: Mutex<BTreeMap<TaskId, Vec<Recorded>>>,
-}
-
-impl Recorder for Tape {
-    fn input(&self, task: TaskId, step: Step) {
-        assert_eq!(self.open.lock().unwrap().insert(task, step), None, "a step within a step");
-    }
-
-    fn output(&self, task: TaskId, digest: OutputDigest) {
-        let step = self.open.lock().unwrap().remove(&task).expect("an output belongs to an input");
-        self.closed.lock().unwrap().entry(task).or_default().push(Recorded { step, digest });
-    }
 }
 
 fn replays(table: &Arc<CellTable>, tape: &Tape, node: NodeId, task: TaskId) -> usize {

@@ -1,9 +1,10 @@
 //! Every message that waits for an answer gets one, whichever way a handler goes.
 
-use super::{flow, walk};
+use super::flow;
 use crate::codes::{NEVER_ANSWERED, NOT_ALWAYS_ANSWERED};
 use crate::diagnostic::Diagnostic;
 use crate::hir::{Hir, Port, Statement, StatementKind, Trigger};
+use crate::walk;
 use imrs_protocol::{Class, TaskId, Usage};
 
 pub(super) fn check(hir: &Hir, found: &mut Vec<Diagnostic>) {

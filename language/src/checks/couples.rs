@@ -1,10 +1,11 @@
 //! What a process class asks for (D24).
 
-use super::{is_draft, messages, task, walk};
+use super::{is_draft, messages, task};
 use crate::codes::{ACTS_EARLY, LOOSE, SERIAL, TIGHT};
 use crate::diagnostic::Diagnostic;
 use crate::hir::{Couple, CoupleKind, Hir, Port, StatementKind};
 use crate::span::Span;
+use crate::walk;
 use imrs_protocol::{Class, PortId, TaskId, Usage};
 
 pub(super) fn check(hir: &Hir, found: &mut Vec<Diagnostic>) {

@@ -1,9 +1,9 @@
 //! Statements that no way leads to.
 
-use super::walk;
 use crate::codes::UNREACHABLE;
 use crate::diagnostic::Diagnostic;
 use crate::hir::{Expr, Hir, Statement, StatementKind};
+use crate::walk;
 use imrs_protocol::script::{Op, Term};
 
 pub(super) fn check(hir: &Hir, found: &mut Vec<Diagnostic>) {
@@ -13,7 +13,7 @@ pub(super) fn check(hir: &Hir, found: &mut Vec<Diagnostic>) {
 }
 
 /// Whether a condition is the constant `true`.
-pub(super) fn is_true(condition: &Expr) -> bool {
+pub(crate) fn is_true(condition: &Expr) -> bool {
     condition.ops[..] == [Op::Term(Term::Push(1))]
 }
 

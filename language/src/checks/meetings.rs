@@ -1,11 +1,12 @@
 //! `waitfor` (§4.3): everybody comes, in one order, and can give up.
 
-use super::{is_draft, ring, task, tasks, walk};
+use super::{is_draft, ring, task, tasks};
 use crate::ast::BranchKind;
 use crate::codes::{CONDITIONAL, NEVER_COMES, NO_TIME_OUT, WAITFOR_ORDER};
 use crate::diagnostic::Diagnostic;
 use crate::hir::{Hir, Port, StatementKind};
 use crate::span::Span;
+use crate::walk;
 use imrs_protocol::{PortId, TaskId, Usage};
 
 pub(super) fn check(hir: &Hir, paper: bool, found: &mut Vec<Diagnostic>) {

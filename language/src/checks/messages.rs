@@ -1,12 +1,13 @@
 //! Messages: somebody takes them, nobody asks in a ring, and what asks can end badly.
 
-use super::{is_draft, ring, task, tasks, time, walk};
+use super::{is_draft, ring, task, tasks, time};
 use crate::ast::BranchKind;
 use crate::codes::{
     FULL, LITERAL_PENALTY, LONG_PENALTY, NEVER_RECEIVED, NOBODY_LISTENS, RING, TOO_BUSY, UNPREPARED,
 };
 use crate::diagnostic::Diagnostic;
 use crate::hir::{CoupleKind, Hir, Port, Recipients, Statement, StatementKind, Task, Trigger};
+use crate::walk;
 use imrs_protocol::{Class, PortId, TaskId, Usage};
 
 pub(super) fn check(hir: &Hir, paper: bool, found: &mut Vec<Diagnostic>) {

@@ -3,14 +3,13 @@
 
 mod answers;
 mod couples;
-mod flow;
+pub(crate) mod flow;
 mod meetings;
 mod messages;
 mod paper;
 mod ring;
 mod times;
 mod unused;
-mod walk;
 
 pub(crate) use paper::paper;
 

@@ -1,10 +1,11 @@
 //! Declarations that nothing uses.
 
 use super::couples::is_used_by_tasks;
-use super::{is_draft, messages, task, walk};
+use super::{is_draft, messages, task};
 use crate::codes::{DOES_NOTHING, UNUSED_PORT, UNUSED_VARIABLE};
 use crate::diagnostic::Diagnostic;
 use crate::hir::{CheckKind, Expr, Hir, Port, Statement, StatementKind, Task, Trigger};
+use crate::walk;
 use imrs_protocol::script::{Op, Slot, Term};
 use imrs_protocol::{PortId, TaskId, Usage};
 use std::collections::BTreeMap;

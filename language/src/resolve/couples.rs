@@ -6,6 +6,7 @@ use crate::ast::{self, CoupleKind as Said, Item, Name};
 use crate::diagnostic::Diagnostic;
 use crate::hir::{Couple, CoupleKind, Statement, StatementKind};
 use crate::span::Span;
+use crate::walk;
 use imrs_protocol::{PortId, TaskId, Usage};
 
 /// The bytes of a message that carries an epoch behind its contents (D78).
@@ -223,33 +224,9 @@ impl<'a> Resolver<'a> {
 
 /// Whether these statements send on a port.
 fn sends_on(statements: &[Statement], wanted: PortId) -> bool {
-    statements.iter().any(|statement| {
-        let branches = statement.branches.iter().any(|branch| sends_on(&branch.body, wanted));
-        branches
-            || match &statement.kind {
-                StatementKind::Send { port, .. } => *port == wanted,
-                StatementKind::Atomic(body) | StatementKind::Loop(body) | StatementKind::While(_, body) => {
-                    sends_on(body, wanted)
-                }
-                StatementKind::If { arms, otherwise } => {
-                    arms.iter().any(|(_, body)| sends_on(body, wanted)) || sends_on(otherwise, wanted)
-                }
-                StatementKind::Receive { .. }
-                | StatementKind::Reply { .. }
-                | StatementKind::Waitfor { .. }
-                | StatementKind::Order(_)
-                | StatementKind::Delay(_)
-                | StatementKind::Run { .. }
-                | StatementKind::Start { .. }
-                | StatementKind::Stop(_)
-                | StatementKind::Assign { .. }
-                | StatementKind::AssignAll { .. }
-                | StatementKind::Publish { .. }
-                | StatementKind::Published { .. }
-                | StatementKind::Exit
-                | StatementKind::Skip
-                | StatementKind::Abort(_)
-                | StatementKind::Assert(_) => false,
-            }
-    })
+    let mut sends = false;
+    walk::each(statements, &mut |statement| {
+        sends |= matches!(&statement.kind, StatementKind::Send { port, .. } if *port == wanted);
+    });
+    sends
 }

@@ -3,9 +3,11 @@
 
 use imrs_protocol::{Cell, CellTable, NodeId, PortDecl, TaskId, Ticks, Usage};
 use imrs_runtime::link::in_process::{Faults, Network};
+use imrs_runtime::record::{OutputDigest, Recorded, Recorder, Step};
 use imrs_runtime::{Builder, Runtime, TaskEnd};
-use std::sync::Arc;
+use std::collections::BTreeMap;
 use std::sync::mpsc::{Receiver, Sender, channel};
+use std::sync::{Arc, Mutex};
 use std::time::Duration;
 
 /// Long enough for anything that is not lost, on a machine that is not quiet.
@@ -71,4 +73,22 @@ pub fn finish(runtime: Runtime) {
 /// A channel for what the programs have to say.
 pub fn report<T>() -> (Sender<T>, Receiver<T>) {
     channel()
+}
+
+/// A recorder that keeps everything in memory.
+#[derive(Default)]
+pub struct Tape {
+    open: Mutex<BTreeMap<TaskId, Step>>,
+    pub closed: Mutex<BTreeMap<TaskId, Vec<Recorded>>>,
+}
+
+impl Recorder for Tape {
+    fn input(&self, task: TaskId, step: Step) {
+        assert_eq!(self.open.lock().unwrap().insert(task, step), None, "a step within a step");
+    }
+
+    fn output(&self, task: TaskId, digest: OutputDigest) {
+        let step = self.open.lock().unwrap().remove(&task).expect("an output belongs to an input");
+        self.closed.lock().unwrap().entry(task).or_default().push(Recorded { step, digest });
+    }
 }

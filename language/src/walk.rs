@@ -3,7 +3,7 @@
 use crate::hir::{Statement, StatementKind, Task};
 
 /// The statements in a statement, without those of its branches.
-pub(super) fn inner(statement: &Statement) -> Vec<&[Statement]> {
+pub(crate) fn inner(statement: &Statement) -> Vec<&[Statement]> {
     match &statement.kind {
         StatementKind::Atomic(body) | StatementKind::Loop(body) | StatementKind::While(_, body) => vec![body],
         StatementKind::If { arms, otherwise } => {
@@ -30,7 +30,7 @@ pub(super) fn inner(statement: &Statement) -> Vec<&[Statement]> {
 }
 
 /// Each statement, in the order of the text.
-pub(super) fn each<'h>(statements: &'h [Statement], see: &mut dyn FnMut(&'h Statement)) {
+pub(crate) fn each<'h>(statements: &'h [Statement], see: &mut dyn FnMut(&'h Statement)) {
     for statement in statements {
         see(statement);
         inner(statement).into_iter().for_each(|body| each(body, see));
@@ -39,30 +39,32 @@ pub(super) fn each<'h>(statements: &'h [Statement], see: &mut dyn FnMut(&'h Stat
 }
 
 /// The threads of a task: its body, its take-over and its handlers.
-pub(super) fn threads(task: &Task) -> impl Iterator<Item = &[Statement]> {
+pub(crate) fn threads(task: &Task) -> impl Iterator<Item = &[Statement]> {
     let handlers = task.handlers.iter().map(|handler| &handler.body[..]);
     [&task.body[..]].into_iter().chain(task.takeover.as_deref()).chain(handlers)
 }
 
 /// Each statement of a task.
-pub(super) fn of_task<'h>(task: &'h Task, see: &mut dyn FnMut(&'h Statement)) {
+pub(crate) fn of_task<'h>(task: &'h Task, see: &mut dyn FnMut(&'h Statement)) {
     threads(task).for_each(|thread| each(thread, see));
 }
 
 /// Whether the task has a statement like this.
-pub(super) fn any(task: &Task, mut is: impl FnMut(&Statement) -> bool) -> bool {
+pub(crate) fn any(task: &Task, mut is: impl FnMut(&Statement) -> bool) -> bool {
     let mut has = false;
     of_task(task, &mut |statement| has |= is(statement));
     has
 }
 
 /// Each statement that runs whenever the thread comes so far: no condition stands before it. Loops are gone through once.
-pub(super) fn certain<'h>(statements: &'h [Statement], see: &mut dyn FnMut(&'h Statement)) {
+pub(crate) fn certain<'h>(statements: &'h [Statement], see: &mut dyn FnMut(&'h Statement)) {
     for statement in statements {
         see(statement);
         match &statement.kind {
             StatementKind::Atomic(body) | StatementKind::Loop(body) => certain(body, see),
-            StatementKind::While(condition, body) if super::flow::is_true(condition) => certain(body, see),
+            StatementKind::While(condition, body) if crate::checks::flow::is_true(condition) => {
+                certain(body, see);
+            }
             _ => {}
         }
     }
