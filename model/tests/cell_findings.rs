@@ -260,7 +260,7 @@ fn faults_that_nobody_notices_change_no_finding() {
                 assert_eq!(reduced.statements, whole.statements, "{faults}");
             }
             let states = |verdicts: &Verdicts| verdicts.phases[1].states;
-            assert!(states(&reduced) <= states(&whole));
+            assert!(!whole.is_complete() || states(&reduced) <= states(&whole));
         }
     }
 }

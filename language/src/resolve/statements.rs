@@ -1,7 +1,7 @@
 //! Statements of a body or a handler.
 
 use super::expr::{self, Typed};
-use super::scope::{Found, Scope};
+use super::scope::{Entity, Found, Scope};
 use super::{ORDER, Resolver, STATEMENT, TYPES};
 use crate::ast::{self, BranchKind, Expr as Written, Place, StatementKind as Said};
 use crate::diagnostic::Diagnostic;
@@ -270,7 +270,7 @@ impl<'r, 'a> Thread<'r, 'a> {
         Some(StatementKind::Order(ranked))
     }
 
-    /// A port, a task, `timer` or `self`.
+    /// A port, a task, a timer of this task, all `timers`, or `self`.
     fn ranked(&mut self, name: &'a ast::Name) -> Option<Ranked> {
         let word = name.text.to_ascii_lowercase();
         if word == "self" {
@@ -294,10 +294,13 @@ impl<'r, 'a> Thread<'r, 'a> {
         if let Some(at) = resolver.tasks.get(&name.text) {
             return Some(Ranked::Source(TaskId::from_index(at)));
         }
+        if let Some(Entity::Timer(timer)) = self.scope.get(&name.text) {
+            return Some(Ranked::Timer(timer));
+        }
         let known = resolver.poison.ports.contains(name.text.as_str())
             || resolver.poison.tasks.contains(name.text.as_str());
         if !known {
-            let words = ["self", "timer"];
+            let words = ["self", "timers"];
             let names = resolver.ports.all().chain(resolver.tasks.all()).chain(words);
             let found = super::names::unknown("port or task", name, names);
             resolver.report(found);

@@ -1,13 +1,42 @@
 //! Cells as packed bytes and back: what is named in the cell, then the floor.
 
 use super::course::{Course, bit};
-use super::plan::Holds;
+use super::plan::{CellFaults, Holds};
 use crate::floor::canon::number;
 use crate::state::Violation;
 
+/// What may still go wrong, a byte for each kind: more in every byte allows all that less does.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Left([u8; 8]);
+
+impl Left {
+    /// Whether all that may go wrong with `other` may go wrong with this.
+    pub fn covers(self, other: Self) -> bool {
+        self.0.iter().zip(other.0).all(|(mine, others)| *mine >= others)
+    }
+}
+
+/// How many bytes at the beginning of a state are [`Left`].
+fn left_len(faults: &CellFaults) -> usize {
+    let counted = [faults.loss, faults.dup, faults.fail, faults.drift].iter().filter(|had| **had > 0).count();
+    let len = counted + faults.cut.len();
+    // A cut that is over allows a packet to be doubled, and one that is open does not. And there is no more room than this.
+    if faults.dup > 0 || len > 8 { counted } else { len }
+}
+
 impl Course {
-    /// Writes the canonical state, or says what outgrew it.
+    /// The two parts of a state: what may still go wrong, and the rest.
+    pub fn split<'a>(&self, state: &'a [u8]) -> (Left, &'a [u8]) {
+        let len = if self.plan.everything { 0 } else { left_len(&self.faults) };
+        let (budgets, core) = state.split_at(len.min(state.len()));
+        let mut left = Left::default();
+        left.0.iter_mut().zip(budgets).for_each(|(to, from)| *to = *from);
+        (left, core)
+    }
+
+    /// Writes the canonical state, or says what outgrew it. What may still go wrong comes first ([`Course::split`]).
     pub fn store(&mut self) -> Result<Box<[u8]>, Violation> {
+        self.bury();
         let floor = self.floor.store();
         if let Some(violation) = floor.violation() {
             return Err(violation);
@@ -19,11 +48,13 @@ impl Course {
                 out.push(left);
             }
         }
-        out.extend(&b.crashed);
         out.extend(&b.cuts);
+        out.extend(&b.crashed);
         // Where it may not crash any more, nobody asks.
         let may = f.crash.iter().zip(&b.crashed).filter(|(_, crashed)| **crashed == 0);
         let may = may.fold(0_u64, |mask, (node, _)| mask | bit(node.index()));
+        let down = (0..self.floor.stations.len()).filter(|&node| !self.floor.stations[node].up);
+        let may = down.fold(may, |mask, node| mask | bit(node));
         if !f.crash.is_empty() {
             out.extend((b.acted & may).to_le_bytes());
         }
@@ -52,8 +83,8 @@ impl Course {
         {
             *left = if had > 0 { byte() } else { 0 };
         }
-        b.crashed.iter_mut().for_each(|crashed| *crashed = byte());
         b.cuts.iter_mut().for_each(|cut| *cut = byte());
+        b.crashed.iter_mut().for_each(|crashed| *crashed = byte());
         if !f.crash.is_empty() {
             b.acted = u64::from_le_bytes(std::array::from_fn(|_| byte()));
         }

@@ -1,5 +1,6 @@
 //! The running cell: a floor whose scripts are judged and not stopped, and the faults that are named in the cell.
 
+use super::liveness::{self, Dead};
 use super::plan::{CellFaults, CellPlan, Conduct, Holds};
 use crate::floor::Floor;
 use crate::floor::plan::{Errand, Faults, FloorPlan, TaskPlan, Way};
@@ -40,10 +41,11 @@ pub enum CellMove {
     Restart(u8),
 }
 
-/// What a declared cut of a link is at.
-pub(super) const UNUSED: u8 = 0;
+/// What a declared cut of a link is at. An earlier one allows all that a later one does: what is over allows nothing, an
+/// open cut may end before the next packet, and one that is unused may begin with it.
+pub(super) const UNUSED: u8 = 2;
 pub(super) const OPEN: u8 = 1;
-const OVER: u8 = 2;
+const OVER: u8 = 0;
 
 /// What the cell's state has beside the floor's.
 #[derive(Clone, Debug, Default)]
@@ -60,7 +62,7 @@ pub(super) struct Beside {
     /// Actions that do not end in this tick: task and thread.
     pub stays: Vec<(u8, u8)>,
     /// The nodes that did something in this tick, bit by bit: those that may crash now. A crash between two steps of a
-    /// node and one right after the first of them are the same to everybody.
+    /// node and one right after the first of them are the same to everybody. And those that crashed in this tick.
     pub acted: u64,
 }
 
@@ -79,6 +81,8 @@ pub(super) struct Course {
     pub mattered: Vec<bool>,
     /// Whether both tasks of a couple act.
     pub both_active: bool,
+    /// The variables of each task that are dead, by operation.
+    dead: Vec<Dead>,
 }
 
 impl Course {
@@ -120,10 +124,23 @@ impl Course {
             passed: 0,
             mattered: vec![false; plan.checks.len()],
             both_active: false,
+            dead: if plan.everything { Vec::new() } else { liveness::dead(plan) },
         };
         course.floor.crossings.sort_by_key(|crossing| crossing.link);
         course.look();
         course
+    }
+
+    /// Forgets the variables that nobody reads any more.
+    pub fn bury(&mut self) {
+        for (body, dead) in self.floor.bodies.iter_mut().zip(&self.dead) {
+            let Some(actor) = &mut body.actor else { continue };
+            let mut left = dead.at(actor.script.own_position());
+            while left != 0 {
+                actor.script.bury_variable(u16::try_from(left.trailing_zeros()).unwrap_or(0));
+                left &= left - 1;
+            }
+        }
     }
 
     /// The floor after a move that nothing is wrong with.
@@ -231,6 +248,8 @@ impl Course {
                 let node = self.faults.crash[usize::from(number)].index();
                 floor.note_crash(node);
                 floor.crash(node);
+                // It may come back at once.
+                self.beside.acted |= bit(node);
                 Ok(())
             }
             CellMove::Restart(node) => {

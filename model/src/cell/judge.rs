@@ -19,6 +19,14 @@ pub(super) struct Shown {
     pub last: bool,
 }
 
+impl Shown {
+    /// Whether it is the same finding, on whatever way.
+    pub fn is_same(&self, other: &Self) -> bool {
+        let key = |shown: &Self| (shown.kind, shown.task, shown.address, shown.check);
+        key(self) == key(other)
+    }
+}
+
 /// The statements of each task that were reached.
 pub(super) type Reached = Vec<Vec<bool>>;
 

@@ -13,7 +13,8 @@
 //! - What two nodes do in the same tick cannot reach each other in it: the nodes take turns in their order, and checks
 //!   are looked at after each turn. On one node every order of arrivals and ends of actions is tried, after what the
 //!   tick itself brings there (time_outs, timers, beats).
-//! - A named node crashes after any of its steps, and comes back in its next life at any event of the cell, or stays down.
+//! - A named node crashes after any of its steps, and comes back in its next life at once, when a packet comes for it, or
+//!   when nothing else happens any more; or it stays down. With [`CellPlan::everything`] also at every other event.
 //! - A named link is cut from any packet on, in both directions, until any later one.
 //! - A time_out and a packet of the same tick: the time_out comes first.
 //! - A task outside the cell chooses among all uses of its ports, or none, once in its period; its messages say zero.
@@ -23,13 +24,16 @@
 mod canon;
 mod course;
 mod judge;
+mod liveness;
 mod moves;
 mod outside;
 mod plan;
 mod search;
+mod seen;
 mod story;
 mod svg;
 mod verdict;
+mod walker;
 
 pub use course::CellMove;
 pub use plan::{Budget, CellCheck, CellFaults, CellPlan, Conduct, Holds};

@@ -21,9 +21,11 @@ impl Course {
                 moves.push(CellMove::Crash(small(at)));
             }
         }
-        let down = |&i: &usize| !self.floor.stations[i].up;
-        moves.extend((0..self.floor.stations.len()).filter(down).map(|i| CellMove::Restart(small(i))));
-        if self.next_event().is_none() {
+        let next = self.next_event();
+        let now = |i: usize| self.plan.everything || next.is_none() || self.beside.acted & bit(i) != 0;
+        let down = (0..self.floor.stations.len()).filter(|&i| !self.floor.stations[i].up && now(i));
+        moves.extend(down.map(|i| CellMove::Restart(small(i))));
+        if next.is_none() {
             return;
         }
         moves.push(CellMove::Pass);
@@ -52,12 +54,17 @@ impl Course {
                 self.ends(task, action, moves);
             }
         }
+        let mut comes = false;
         for (i, crossing) in floor.crossings.iter().enumerate() {
             let (_, to, bound) = floor.links[usize::from(crossing.link)];
             let behind = floor.crossings[..i].iter().any(|other| other.link == crossing.link);
             if to.index() == node && crossing.age >= bound && !behind {
                 self.arrivals(small(i), crossing.link, moves);
+                comes = true;
             }
+        }
+        if comes && !up && !self.plan.everything {
+            moves.push(CellMove::Restart(small(node)));
         }
     }
 

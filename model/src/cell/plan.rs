@@ -100,11 +100,12 @@ pub struct CellPlan {
     pub budget: Budget,
     /// Whether actions may end at every event between their least and most time, too.
     pub between: bool,
-    /// Whether also faults that nobody can notice are looked at, to check that leaving them out changes no finding.
+    /// Whether to do without reductions, to check that they change no finding: also faults that nobody can notice, states
+    /// that others cover, variables that nobody reads any more, and restarts at every event.
     pub everything: bool,
     /// How many packets a node's transit buffer holds.
     pub transit: u16,
-    /// How many of the phases may run at a time.
+    /// How many threads search.
     pub jobs: usize,
 }
 

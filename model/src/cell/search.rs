@@ -1,68 +1,37 @@
 //! Breadth-first over the states in which there is a choice; what has none is walked through.
+//!
+//! A batch of kept states is walked on from in parallel, against what was kept before it; then what that came to is taken in
+//! in the order of the batch. So the answer is the same for any number of threads.
 
 use super::course::{CellMove, Course};
-use super::judge::{self, Reached, Shown, deadlock, judge, nothing_reached};
+use super::judge::{self, Reached, Shown};
 use super::plan::{CellFaults, CellPlan, Conduct, Holds};
+use super::seen::Seen;
 use super::story;
 use super::verdict::{Coverage, Finding, Kind, Phase, Verdicts};
+use super::walker::{Hit, Origin, WALK, Walker, Walks};
 use crate::explore::resident_bytes;
-use crate::state::Violation;
 use imrs_protocol::TaskId;
 use imrs_protocol::script::{Address, Op};
-use std::collections::hash_map::DefaultHasher;
-use std::collections::{HashSet, VecDeque};
-use std::hash::{BuildHasherDefault, Hash, Hasher};
+use std::collections::VecDeque;
 use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::Arc;
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, OnceLock};
 use std::time::Instant;
 
-/// How many moves without an alternative are walked through before a state is kept.
-const WALK: usize = 64;
-/// How many states pass between two looks at the budget.
-const LOOK: u64 = 256;
+/// How many states are walked on from between two looks at the budget.
+const BATCH: usize = 1024;
+/// How many of them a thread takes at a time.
+const PART: usize = 32;
 
-/// Hashes fingerprints to themselves.
 #[derive(Default)]
-struct Same(u64);
-
-impl Hasher for Same {
-    fn finish(&self) -> u64 {
-        self.0
-    }
-    fn write(&mut self, bytes: &[u8]) {
-        bytes.iter().for_each(|&byte| self.0 = self.0 << 8 | u64::from(byte));
-    }
-    fn write_u64(&mut self, number: u64) {
-        self.0 = number;
-    }
-}
-
-/// How a kept state was first reached: from which, by which of its moves, and in how many choices.
-#[derive(Clone, Copy)]
-struct Origin {
-    parent: u32,
-    choice: u16,
-    depth: u16,
-}
-
-/// A finding on the move number `steps` after `origin`.
-struct Hit {
-    shown: Shown,
-    origin: Origin,
-    steps: usize,
-}
-
 struct Search {
-    phase: Phase,
-    course: Course,
-    seen: HashSet<u64, BuildHasherDefault<Same>>,
+    seen: Seen,
     origins: Vec<Origin>,
     queue: VecDeque<(u32, Box<[u8]>)>,
-    reached: Reached,
     hits: Vec<Hit>,
     moves: u64,
     longest: usize,
-    /// Whether some state had no packed form: what follows it was not looked at.
     outgrown: bool,
 }
 
@@ -83,20 +52,10 @@ pub fn check_cell(plan: &Arc<CellPlan>) -> Verdicts {
     if let Some(refused) = refused(plan) {
         return Verdicts { findings: vec![refused], ..Verdicts::default() };
     }
-    let none = CellFaults::default();
-    let mut phases = vec![(Phase::FaultFree, none)];
+    let mut done = vec![explore(plan, Phase::FaultFree, &CellFaults::default())];
     if !plan.faults.are_none() {
-        phases.push((Phase::Faults, plan.faults.clone()));
+        done.push(explore(plan, Phase::Faults, &plan.faults));
     }
-    let run = |(phase, faults): &(Phase, CellFaults)| explore(plan, *phase, faults);
-    let done: Vec<Done> = if plan.jobs > 1 && phases.len() > 1 {
-        std::thread::scope(|scope| {
-            let threads: Vec<_> = phases.iter().map(|phase| scope.spawn(|| run(phase))).collect();
-            threads.into_iter().filter_map(|thread| thread.join().ok()).collect()
-        })
-    } else {
-        phases.iter().map(run).collect()
-    };
     conclude(plan, done)
 }
 
@@ -111,27 +70,17 @@ fn refused(plan: &CellPlan) -> Option<Finding> {
 
 fn explore(plan: &Arc<CellPlan>, phase: Phase, faults: &CellFaults) -> Done {
     let start = Instant::now();
-    let mut search = Search {
-        phase,
-        course: Course::new(plan, faults),
-        seen: HashSet::default(),
-        origins: Vec::new(),
-        queue: VecDeque::new(),
-        reached: Vec::new(),
-        hits: Vec::new(),
-        moves: 0,
-        longest: 0,
-        outgrown: false,
-    };
-    search.reached = nothing_reached(&search.course);
-    let ended_by = search.run(start);
+    let mut search = Search::default();
+    let walker = || Walker::new(phase, Course::new(plan, faults));
+    let mut walkers: Vec<Walker> = (0..plan.jobs.max(1)).map(|_| walker()).collect();
+    let ended_by = search.run(plan, &mut walkers, start);
     let outgrown = || search.outgrown.then(|| "states that outgrow their packed form".to_string());
     let ended_by = ended_by.or_else(outgrown);
-    let mattered = search.course.mattered.clone();
-    let findings: Vec<Finding> = search.hits.iter().map(|hit| search.tell(plan, faults, hit)).collect();
+    let tell = |hit: &Hit| search.tell(plan, phase, faults, hit);
+    let findings: Vec<Finding> = search.hits.iter().map(tell).collect();
     let coverage = Coverage {
         phase,
-        states: search.seen.len() as u64,
+        states: search.origins.len() as u64,
         moves: search.moves,
         depth: search.origins.iter().map(|origin| u64::from(origin.depth)).max().unwrap_or(0),
         ticks: findings.iter().map(|finding| finding.at_ticks).max().unwrap_or(0),
@@ -140,150 +89,92 @@ fn explore(plan: &Arc<CellPlan>, phase: Phase, faults: &CellFaults) -> Done {
         longest_state: search.longest as u64,
         seconds: start.elapsed().as_secs_f64(),
     };
+    let mut mattered = vec![false; plan.checks.len()];
+    for walker in &walkers {
+        mattered.iter_mut().zip(walker.mattered()).for_each(|(all, one)| *all |= one);
+    }
+    let reached = walkers.into_iter().map(|walker| walker.reached).reduce(joined).unwrap_or_default();
     let pruned = search.hits.iter().any(|hit| hit.shown.last);
-    Done { coverage, findings, reached: search.reached, mattered, pruned }
+    Done { coverage, findings, reached, mattered, pruned }
+}
+
+/// What was reached by the one or by the other.
+fn joined(mut all: Reached, one: Reached) -> Reached {
+    for (all, one) in all.iter_mut().flatten().zip(one.iter().flatten()) {
+        *all |= one;
+    }
+    all
 }
 
 impl Search {
     /// Says which budget ended it.
-    fn run(&mut self, start: Instant) -> Option<String> {
-        let budget = self.course.plan.budget;
-        let root = Origin { parent: u32::MAX, choice: 0, depth: 0 };
-        self.walk(root, None);
-        let mut looked = 0_u64;
-        let (mut all, mut moves) = (Vec::new(), Vec::new());
-        while let Some((at, state)) = self.queue.pop_front() {
-            looked += 1;
-            if looked.is_multiple_of(LOOK) {
-                if start.elapsed().as_secs_f64() > budget.seconds {
-                    return Some(format!("{} seconds", budget.seconds));
-                }
-                if resident_bytes().is_some_and(|bytes| bytes > budget.bytes) {
-                    return Some(format!("{} bytes of memory", budget.bytes));
-                }
+    fn run(&mut self, plan: &CellPlan, walkers: &mut [Walker], start: Instant) -> Option<String> {
+        let budget = plan.budget;
+        if let Some(first) = walkers.first_mut() {
+            first.start(&self.seen);
+            self.take_in(first.take());
+        }
+        while !self.queue.is_empty() {
+            if start.elapsed().as_secs_f64() > budget.seconds {
+                return Some(format!("{} seconds", budget.seconds));
             }
-            if self.seen.len() as u64 >= budget.states {
-                return Some(format!("{} states", budget.states));
+            if resident_bytes().is_some_and(|bytes| bytes > budget.bytes) {
+                return Some(format!("{} bytes of memory", budget.bytes));
             }
-            self.course.load(&state);
-            all.clear();
-            moves.clear();
-            self.course.moves(&mut all);
-            moves.extend((0_u16..).zip(all.iter().copied()));
-            if self.leave_out(&state, &mut moves) {
-                self.course.load(&state);
-            }
-            let depth = self.origins[at as usize].depth.saturating_add(1);
-            for (i, &(choice, step)) in moves.iter().enumerate() {
-                if i > 0 {
-                    self.course.load(&state);
+            let batch: Vec<_> = self.queue.drain(..self.queue.len().min(BATCH)).collect();
+            for walks in self.walk_on(&batch, walkers) {
+                self.take_in(walks);
+                if self.origins.len() as u64 >= budget.states {
+                    return Some(format!("{} states", budget.states));
                 }
-                self.walk(Origin { parent: at, choice, depth }, Some(step));
             }
         }
         None
     }
 
-    /// Leaves out what takes a packet away that changes nothing where it arrives: the same happens when it arrives, with
-    /// more of the budget left, and a cut may as well begin with the next packet, or end before it. Says whether the
-    /// course was used.
-    fn leave_out(&mut self, state: &[u8], moves: &mut Vec<(u16, CellMove)>) -> bool {
-        if self.course.plan.everything {
-            return false;
-        }
-        let mut taken: Vec<u8> = moves.iter().filter_map(|&(_, step)| takes_away(step)).collect();
-        taken.dedup();
-        for &i in &taken {
-            let comes = |&&(_, step): &&(u16, CellMove)| matches!(step, CellMove::Deliver(at) | CellMove::Mend(at, _) if at == i);
-            let Some(&(_, arrives)) = moves.iter().find(comes) else { continue };
-            let course = &mut self.course;
-            let with = catch_unwind(AssertUnwindSafe(|| course.after(state, arrives)));
-            let without = course.without(state, i);
-            if !matches!(with, Ok(Some(with)) if with == without) {
-                continue;
-            }
-            let cut = moves.iter().any(|&(_, step)| step == CellMove::Vanish(i));
-            moves.retain(|&(_, step)| match step {
-                CellMove::Lose(at) | CellMove::Cut(at, _) => at != i,
-                CellMove::Mend(at, _) => at != i || !cut,
-                _ => true,
-            });
-        }
-        !taken.is_empty()
-    }
-
-    /// Makes a move, goes on while there is only one, and keeps where that leads.
-    fn walk(&mut self, origin: Origin, first: Option<CellMove>) {
-        let mut step = first;
-        let mut moves = Vec::new();
-        for steps in 1..=WALK {
-            if let Some(step) = step {
-                self.moves += 1;
-                let course = &mut self.course;
-                if catch_unwind(AssertUnwindSafe(|| course.apply(step))).is_err() {
-                    self.course = Course::new(&Arc::clone(&self.course.plan), &self.course.faults.clone());
-                    self.course.floor.violation = Some(Violation::Panic);
+    /// Walks on from each state of a batch, and gives what that came to in the batch's order.
+    fn walk_on(&self, batch: &[(u32, Box<[u8]>)], walkers: &mut [Walker]) -> Vec<Walks> {
+        let parts: Vec<&[(u32, Box<[u8]>)]> = batch.chunks(PART).collect();
+        let done: Vec<OnceLock<Walks>> = parts.iter().map(|_| OnceLock::new()).collect();
+        let next = AtomicUsize::new(0);
+        let work = |walker: &mut Walker| {
+            while let at = next.fetch_add(1, Ordering::Relaxed)
+                && let Some(part) = parts.get(at)
+            {
+                for (state_at, state) in *part {
+                    let depth = self.origins[*state_at as usize].depth.saturating_add(1);
+                    walker.expand(*state_at, depth, state, &self.seen);
                 }
+                // Each part is taken by one thread.
+                let _ = done[at].set(walker.take());
             }
-            if self.look(origin, steps) {
-                return;
-            }
-            moves.clear();
-            self.course.moves(&mut moves);
-            if !moves.iter().any(|step| !matches!(step, CellMove::Crash(_) | CellMove::Restart(_))) {
-                if let Some(shown) = deadlock(&self.course) {
-                    self.note(shown, origin, steps);
-                }
-                if moves.is_empty() {
-                    return;
-                }
-            }
-            match moves[..] {
-                [only] if steps < WALK => step = Some(only),
-                _ => break,
-            }
-        }
-        match self.course.store() {
-            Ok(state) => self.keep(origin, state),
-            // As when members of a meeting give up by themselves for ever: their rounds differ more and more.
-            Err(Violation::Overflow) => self.outgrown = true,
-            Err(violation) => {
-                let cause = violation.text().to_string();
-                let (kind, task, address, check) = (Kind::Machine, None, None, None);
-                self.note(Shown { kind, task, address, check, cause, last: true }, origin, WALK);
-            }
-        }
-    }
-
-    /// Notes what the last move showed; whether nothing that follows is looked at.
-    fn look(&mut self, origin: Origin, steps: usize) -> bool {
-        let shown = judge(&mut self.course, self.phase, &mut self.reached);
-        let last = shown.iter().any(|shown| shown.last);
-        shown.into_iter().for_each(|shown| self.note(shown, origin, steps));
-        last
-    }
-
-    fn note(&mut self, shown: Shown, origin: Origin, steps: usize) {
-        let same = |hit: &Hit| {
-            let old = &hit.shown;
-            (old.kind, old.task, old.address, old.check)
-                == (shown.kind, shown.task, shown.address, shown.check)
         };
-        if !self.hits.iter().any(same) {
-            self.hits.push(Hit { shown, origin, steps });
+        match walkers {
+            [only] => work(only),
+            _ if parts.len() == 1 => walkers.iter_mut().take(1).for_each(work),
+            _ => std::thread::scope(|scope| {
+                walkers.iter_mut().for_each(|walker| drop(scope.spawn(|| work(walker))));
+            }),
         }
+        done.into_iter().filter_map(OnceLock::into_inner).collect()
     }
 
-    fn keep(&mut self, origin: Origin, state: Box<[u8]>) {
-        let mut hasher = DefaultHasher::new();
-        state.hash(&mut hasher);
-        if !self.seen.insert(hasher.finish()) {
-            return;
+    fn take_in(&mut self, walks: Walks) {
+        self.moves += walks.moves;
+        self.outgrown |= walks.outgrown;
+        for hit in walks.hits {
+            if !self.hits.iter().any(|known| known.shown.is_same(&hit.shown)) {
+                self.hits.push(hit);
+            }
         }
-        self.longest = self.longest.max(state.len());
-        let Ok(at) = u32::try_from(self.origins.len()) else { return };
-        self.origins.push(origin);
-        self.queue.push_back((at, state));
+        for stop in walks.stops {
+            let Ok(at) = u32::try_from(self.origins.len()) else { return };
+            if self.seen.insert(stop.mark) {
+                self.longest = self.longest.max(stop.state.len());
+                self.origins.push(stop.origin);
+                self.queue.push_back((at, stop.state));
+            }
+        }
     }
 
     /// The moves to a hit, walked through ones included.
@@ -324,13 +215,13 @@ impl Search {
         path
     }
 
-    fn tell(&self, plan: &Arc<CellPlan>, faults: &CellFaults, hit: &Hit) -> Finding {
+    fn tell(&self, plan: &Arc<CellPlan>, phase: Phase, faults: &CellFaults, hit: &Hit) -> Finding {
         let moves = self.path(plan, faults, hit);
         let told = story::tell(plan, faults, &moves, &hit.shown.cause);
         let Shown { kind, task, address, check, ref cause, .. } = hit.shown;
         Finding {
             kind,
-            phase: self.phase,
+            phase,
             task: task.map(TaskId::from_index),
             address,
             check,
@@ -340,23 +231,6 @@ impl Search {
             steps: told.steps,
             chart: told.chart,
         }
-    }
-}
-
-/// The packet that a move takes off its link without an arrival.
-const fn takes_away(step: CellMove) -> Option<u8> {
-    match step {
-        CellMove::Lose(i) | CellMove::Cut(i, _) | CellMove::Vanish(i) => Some(i),
-        CellMove::Pass
-        | CellMove::Drift(..)
-        | CellMove::Deliver(_)
-        | CellMove::Duplicate(_)
-        | CellMove::Mend(..)
-        | CellMove::Acted(..)
-        | CellMove::GoOn(..)
-        | CellMove::Choose(..)
-        | CellMove::Crash(_)
-        | CellMove::Restart(_) => None,
     }
 }
 

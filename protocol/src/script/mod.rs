@@ -377,6 +377,16 @@ impl Script {
         }
     }
 
+    /// The operation that the task's own thread waits in, below the handlers that run; `None` when it has ended.
+    #[must_use]
+    pub fn own_position(&self) -> Option<Address> {
+        match self.standing {
+            Standing::Ended(_) => None,
+            Standing::NotBegun => Some(0),
+            Standing::Lives => self.frames.first().map(|thread| thread.at),
+        }
+    }
+
     /// How many handlers run.
     #[must_use]
     pub const fn depth(&self) -> u8 {

@@ -395,6 +395,13 @@ impl Script {
             thread.message = thread.message.filter(&answerable);
         }
     }
+
+    /// Forgets a variable that nothing reads before it is written anew, as a checker knows from the program.
+    pub fn bury_variable(&mut self, index: u16) {
+        if let Some(variable) = self.variables.get_mut(usize::from(index)) {
+            *variable = 0;
+        }
+    }
 }
 
 /// Whether positions in the code take two bytes.
