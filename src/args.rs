@@ -52,6 +52,7 @@ Examples:
   imrs verify --claim no-false-release
   imrs verify examples/weld_cell.cell  a cell, with the faults that it declares
   imrs verify cell.cell --loss 1 --crash hoist --trace found.svg
+  imrs verify cell.cell --save found.imrs    then `imrs monitor --replay found.imrs`
   imrs verify --full --memory 8G     the large bounds
   imrs verify --format json | jq '.claims[] | select(.as_expected | not)'")]
     Verify(VerifyVerb),
@@ -159,6 +160,9 @@ pub struct CellFaultArgs {
     /// Deliver so many more packets twice.
     #[arg(long, value_name = "N", requires = "cell", default_value_t = 0)]
     pub dup: u8,
+    /// Let packets overtake the one before them on their link so many times [default: 1].
+    #[arg(long, value_name = "N", requires = "cell", num_args = 0..=1, default_value_t = 0, default_missing_value = "1")]
+    pub reorder: u8,
     /// Let this node, or the node of this task, crash once.
     #[arg(long, value_name = "NAME", requires = "cell")]
     pub crash: Vec<String>,
@@ -168,9 +172,15 @@ pub struct CellFaultArgs {
     /// Give up after so long without faults, and after so long with them.
     #[arg(long, value_name = "TIME", requires = "cell", default_value = "30s", value_parser = humantime::parse_duration)]
     pub within: Duration,
-    /// Draw the first finding as a sequence chart into this file.
+    /// Draw a finding as a sequence chart into this file.
     #[arg(long, value_name = "FILE.svg", requires = "cell")]
     pub trace: Option<PathBuf>,
+    /// Save a finding as a recording that `imrs monitor --replay FILE` shows step by step.
+    #[arg(long, value_name = "FILE", requires = "cell")]
+    pub save: Option<PathBuf>,
+    /// Which finding is drawn and saved, as they are numbered.
+    #[arg(long, value_name = "N", requires = "cell", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..))]
+    pub finding: u16,
 }
 
 /// What `verify` can be asked.

@@ -269,7 +269,8 @@ pub(crate) enum Shown {
     Told(Signal),
 }
 
-fn label(packet: &Packet) -> String {
+/// A packet in a word and its number.
+pub(crate) fn label(packet: &Packet) -> String {
     let round = || packet.meeting().round;
     let number = packet.id.sequence.get();
     match packet.kind {

@@ -3,6 +3,8 @@
 mod cell;
 mod progress;
 mod report;
+mod save;
+mod tell;
 
 use crate::args::{Format, VerifyArgs, VerifyVerb};
 use crate::exit::{Exit, Failure, did_you_mean};

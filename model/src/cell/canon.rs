@@ -14,7 +14,14 @@ impl Course {
         }
         let mut out = Vec::with_capacity(floor.len() + 16);
         let (b, f) = (&self.beside, &self.faults);
-        for (had, left) in [(f.loss, b.loss), (f.dup, b.dup), (f.fail, b.fail), (f.drift, b.drift)] {
+        let budgets = [
+            (f.loss, b.loss),
+            (f.dup, b.dup),
+            (f.reorder, b.reorder),
+            (f.fail, b.fail),
+            (f.drift, b.drift),
+        ];
+        for (had, left) in budgets {
             if had > 0 {
                 out.push(left);
             }
@@ -47,9 +54,14 @@ impl Course {
             state.get(at - 1).copied().unwrap_or(0)
         };
         let (b, f) = (&mut self.beside, &self.faults);
-        for (had, left) in
-            [(f.loss, &mut b.loss), (f.dup, &mut b.dup), (f.fail, &mut b.fail), (f.drift, &mut b.drift)]
-        {
+        let budgets = [
+            (f.loss, &mut b.loss),
+            (f.dup, &mut b.dup),
+            (f.reorder, &mut b.reorder),
+            (f.fail, &mut b.fail),
+            (f.drift, &mut b.drift),
+        ];
+        for (had, left) in budgets {
             *left = if had > 0 { byte() } else { 0 };
         }
         b.crashed.iter_mut().for_each(|crashed| *crashed = byte());
