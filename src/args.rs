@@ -113,7 +113,10 @@ While it runs, `imrs monitor` in another terminal shows the nodes.")]
 Examples:
   imrs monitor                          the nodes that run on this machine
   imrs monitor --once --format json     one sample, for programs
-  imrs monitor --connect unix:/run/user/1000/imrs/beam-lift/nl-812.sock")]
+  imrs monitor --connect unix:/run/user/1000/imrs/beam-lift/nl-812.sock
+  imrs monitor --record run.imrs --for 60s     without a screen
+  imrs monitor --replay run.imrs --at -30s --speed 4
+  imrs verify cell.cell --save found.imrs; imrs monitor --replay found.imrs")]
     Monitor(MonitorArgs),
     /// Run the state machine again on what a node recorded, and compare every output.
     #[command(after_help = "\
@@ -325,6 +328,21 @@ pub struct MonitorArgs {
     /// Draw with nothing but ASCII.
     #[arg(long)]
     pub ascii: bool,
+    /// Show a recording instead of running nodes: of `--record`, or a finding of `imrs verify CELL --save`.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["connect", "watch", "record"])]
+    pub replay: Option<PathBuf>,
+    /// Begin here: `3s`, `-30s` (before the end), or a tick of a finding.
+    #[arg(long, value_name = "TIME", requires = "replay", allow_hyphen_values = true)]
+    pub at: Option<imrs_monitor::At>,
+    /// Play so many times as fast; a finding plays a step a second.
+    #[arg(long, value_name = "N", requires = "replay", value_parser = speed)]
+    pub speed: Option<f64>,
+    /// Record what the nodes show; without a terminal, without a screen.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["once", "watch", "text"])]
+    pub record: Option<PathBuf>,
+    /// Record for so long, without a screen, and end.
+    #[arg(long = "for", value_name = "TIME", requires = "record", value_parser = humantime::parse_duration)]
+    pub record_for: Option<Duration>,
     /// The form of what is printed; JSON implies printing.
     #[arg(long, value_enum, value_name = "FORM", default_value_t = Format::Text)]
     pub format: Format,
@@ -410,6 +428,14 @@ pub fn early_color(args: impl IntoIterator<Item = String>) -> ColorChoice {
         Some("never") => ColorChoice::Never,
         Some(_) | None => ColorChoice::Auto,
     }
+}
+
+/// How many times as fast.
+fn speed(text: &str) -> Result<f64, String> {
+    let speed = text.trim_end_matches('x').parse::<f64>().ok();
+    speed
+        .filter(|speed| (0.001..=1000.0).contains(speed))
+        .ok_or_else(|| "write a number from 0.001 to 1000".to_owned())
 }
 
 /// A size in bytes: `512M`, `4G`; units are powers of 1024.

@@ -3,17 +3,22 @@
 mod cells;
 
 use cells::Text;
-use imrs_model::cell::{Budget, Finding, Kind, Phase, Verdicts, svg};
+use imrs_model::cell::{Budget, Finding, Kind, Phase, Verdicts, scenes, svg};
+use imrs_wire::obs::Liveness;
+use std::sync::Arc;
 
 /// Two tasks on two nodes a tick apart; `a` owns what is declared in `ports`.
 fn two(ports: &str, uses: &str, a: &str, b: &str, rest: &str) -> Text {
-    let text = format!(
+    Text::new(&two_text(ports, uses, a, b, rest))
+}
+
+fn two_text(ports: &str, uses: &str, a: &str, b: &str, rest: &str) -> String {
+    format!(
         "cell two;\ntick 1 msec;\nnode na;  node nb;\nlink na -- nb delay 1 msec;\n\
          type Num is record n: int8; end;\n\
          task a on na\n{ports}\nvar x: int8; var m: Num;\nbegin\n{a}\nend a;\n\
          task b on nb\n{uses}\nvar y: int8; var m: Num;\nbegin\n{b}\nend b;\n{rest}\n"
-    );
-    Text::new(&text)
+    )
 }
 
 const MEET: &str = "port meet() usage = waitfor user_list = {b} time_out = 50 msec class = 2;";
@@ -263,4 +268,30 @@ fn faults_that_nobody_notices_change_no_finding() {
             assert!(states(&reduced) <= states(&whole));
         }
     }
+}
+
+#[test]
+fn a_packet_overtakes_the_one_before_it_as_often_as_it_may() {
+    let put = PUT.replace("class = 2", "class = 1");
+    let a = "m.n := 1; send put(m); delay 1 msec; m.n := 2; send put(m);";
+    let b = "receive put(m); y := m.n; receive put(m); assert m.n > y;";
+    let mut cell =
+        Text::new(&two_text(&put, USE_PUT, a, b, "").replace("delay 1 msec;\ntype", "delay 3 msec;\ntype"));
+    assert_eq!(all(&cell), []);
+    cell.plan.faults.reorder = 1;
+    let verdicts = cell.check();
+    let [assertion] = &verdicts.findings[..] else { panic!("{:?}", cell.found(&verdicts)) };
+    assert_eq!((assertion.kind, assertion.phase), (Kind::Assertion, Phase::Faults));
+    assert!(assertion.chart.contains("OVERTAKES"), "{}", assertion.chart);
+
+    let scenes = scenes(&Arc::new(cell.plan.clone()), assertion);
+    assert_eq!(scenes.len(), assertion.moves.len() + 1);
+    let overtakes =
+        scenes.iter().find(|scene| scene.happened.iter().any(|word| word.contains("sent earlier")));
+    assert!(overtakes.expect("the step is told").odd);
+    let last = scenes.last().expect("steps");
+    let b = &last.nodes[1].snapshot.as_ref().expect("up").tasks[0];
+    assert_eq!(b.liveness, Liveness::Crashed);
+    assert_eq!(b.view.ports[0].counters.delivered, 2, "both were taken: {:?}", b.view);
+    assert!(scenes[0].nodes.iter().all(|node| node.snapshot.is_some()));
 }

@@ -51,7 +51,9 @@ pub fn run(path: &Path, args: &VerifyVerb, out: &mut Output) -> Result<Exit, Fai
     let saved = subject.keep(&plan, &verdicts, &args.faults)?;
     match args.verify.format.unwrap_or_default() {
         Format::Json => out.json(&subject.answer(&verdicts, saved))?,
-        Format::Text => Telling { subject: &subject, plan: &plan, verdicts: &verdicts, args, saved }.show(out)?,
+        Format::Text => {
+            Telling { subject: &subject, plan: &plan, verdicts: &verdicts, args, saved }.show(out)?
+        }
     }
     Ok(match (verdicts.findings.is_empty(), verdicts.is_complete()) {
         (false, _) => Exit::Finding,

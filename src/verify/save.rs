@@ -8,9 +8,7 @@ use imrs_protocol::NodeId;
 use imrs_wire::obs::{
     Events, Hello, NodeIdentity, Role, SCHEMA, ServerFrame, Snapshot, Table, TimedEvent, VERSION,
 };
-use imrs_wire::recording::{
-    Doing, Header, Place, Record, RecordingWriter, Shown, Step, Story, WriteError,
-};
+use imrs_wire::recording::{Doing, Header, Place, Record, RecordingWriter, Shown, Step, Story, WriteError};
 use std::fs::File;
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
@@ -75,7 +73,11 @@ impl Subject {
         }
         let doing = |(i, view): (usize, &imrs_model::cell::TaskView)| {
             let task = imrs_protocol::TaskId::from_index(i);
-            Doing { task, text: view.does.clone(), line: self.place(task, view.at).map(|(line, ..)| small(line)) }
+            Doing {
+                task,
+                text: view.does.clone(),
+                line: self.place(task, view.at).map(|(line, ..)| small(line)),
+            }
         };
         let tasks = scene.tasks.iter().enumerate().map(doing).collect();
         Step { number: small(number), tick: scene.tick, odd: scene.odd, happened, tasks }

@@ -14,13 +14,8 @@ impl Course {
         }
         let mut out = Vec::with_capacity(floor.len() + 16);
         let (b, f) = (&self.beside, &self.faults);
-        let budgets = [
-            (f.loss, b.loss),
-            (f.dup, b.dup),
-            (f.reorder, b.reorder),
-            (f.fail, b.fail),
-            (f.drift, b.drift),
-        ];
+        let budgets =
+            [(f.loss, b.loss), (f.dup, b.dup), (f.reorder, b.reorder), (f.fail, b.fail), (f.drift, b.drift)];
         for (had, left) in budgets {
             if had > 0 {
                 out.push(left);

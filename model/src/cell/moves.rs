@@ -68,9 +68,7 @@ impl Course {
                 _ if to.index() != node => {}
                 None if crossing.age >= bound => self.arrivals(small(i), crossing.link, moves),
                 // As late as it can: right before the one that it overtakes, but never in the tick that it left in.
-                Some(ahead)
-                    if ahead.age >= bound && crossing.age > 0 && self.may_overtake(crossing.link) =>
-                {
+                Some(ahead) if ahead.age >= bound && crossing.age > 0 && self.may_overtake(crossing.link) => {
                     moves.push(CellMove::Deliver(small(i)));
                 }
                 None | Some(_) => {}
