@@ -3,7 +3,7 @@
 mod cells;
 
 use cells::Text;
-use imrs_model::cell::{Budget, Finding, Kind, Phase, Verdicts, scenes, svg};
+use imrs_model::cell::{Budget, Finding, Happening, Kind, Phase, Verdicts, scenes, svg};
 use imrs_wire::obs::Liveness;
 use std::sync::Arc;
 
@@ -286,8 +286,12 @@ fn a_packet_overtakes_the_one_before_it_as_often_as_it_may() {
 
     let scenes = scenes(&Arc::new(cell.plan.clone()), assertion);
     assert_eq!(scenes.len(), assertion.moves.len() + 1);
-    let overtakes =
-        scenes.iter().find(|scene| scene.happened.iter().any(|word| word.contains("sent earlier")));
+    let overtakes = scenes.iter().find(|scene| {
+        scene
+            .happened
+            .iter()
+            .any(|happened| matches!(happened, Happening::Said(word) if word.contains("OVERTAKES")))
+    });
     assert!(overtakes.expect("the step is told").odd);
     let last = scenes.last().expect("steps");
     let b = &last.nodes[1].snapshot.as_ref().expect("up").tasks[0];

@@ -3,7 +3,7 @@
 use super::cell::Subject;
 use crate::cell_file::CellFileError;
 use crate::exit::Failure;
-use imrs_model::cell::{CellPlan, Finding, Scene, scenes};
+use imrs_model::cell::{CellPlan, Finding, Happening, Scene, scenes};
 use imrs_protocol::NodeId;
 use imrs_wire::obs::{
     Events, Hello, NodeIdentity, Role, SCHEMA, ServerFrame, Snapshot, Table, TimedEvent, VERSION,
@@ -63,14 +63,17 @@ impl Subject {
         }
     }
 
-    /// A step in words: what happened, then the statements that tasks began.
+    /// A step in words.
     fn step(&self, number: usize, scene: &Scene) -> Step {
-        let mut happened = scene.happened.clone();
-        for &(task, at) in &scene.began {
-            if let Some((line, _, text)) = self.place(task, at) {
-                happened.push(format!("{} begins line {line}: {text}", self.task(task)));
+        let words = |happening: &Happening| match happening {
+            Happening::Said(words) => Some(words.clone()),
+            // Where a task has no text there is nothing to show: it is any use of its ports.
+            Happening::Began(task, at) => {
+                let (line, _, text) = self.place(*task, *at)?;
+                Some(format!("{} begins line {line}: {text}", self.task(*task)))
             }
-        }
+        };
+        let happened = scene.happened.iter().filter_map(words).collect();
         let doing = |(i, view): (usize, &imrs_model::cell::TaskView)| {
             let task = imrs_protocol::TaskId::from_index(i);
             Doing {

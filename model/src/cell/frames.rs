@@ -26,6 +26,15 @@ pub struct NodeFrame {
     pub observed: Vec<(Option<TaskId>, Observation)>,
 }
 
+/// Something that happened in a step.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Happening {
+    /// In words.
+    Said(String),
+    /// A task began the statement at this operation of its program.
+    Began(TaskId, Address),
+}
+
 /// A step of the way to a finding.
 #[derive(Clone, Debug)]
 pub struct Scene {
@@ -33,10 +42,8 @@ pub struct Scene {
     pub tick: u64,
     /// Whether a fault happens in it, or a wait or a script ends badly.
     pub odd: bool,
-    /// What happened, in words, in its order.
-    pub happened: Vec<String>,
-    /// The statements that tasks began, in their order.
-    pub began: Vec<(TaskId, Address)>,
+    /// What happened, in its order.
+    pub happened: Vec<Happening>,
     /// What each task does after it, by task.
     pub tasks: Vec<story::TaskView>,
     /// The nodes after it, by node.
@@ -56,8 +63,9 @@ pub fn scenes(plan: &Arc<CellPlan>, finding: &Finding) -> Vec<Scene> {
     let mut scenes = vec![Scene {
         tick: 0,
         odd: false,
-        happened: vec!["the start".into()],
-        began: began(start.floor.turns.as_deref().unwrap_or_default()),
+        happened: std::iter::once(Happening::Said("the start".into()))
+            .chain(began(start.floor.turns.as_deref().unwrap_or_default()))
+            .collect(),
         tasks: (0..plan.tasks.len()).map(|task| story::view(&start, task)).collect(),
         nodes: nodes(&start, &[], &dropped),
     }];
@@ -73,13 +81,12 @@ pub fn scenes(plan: &Arc<CellPlan>, finding: &Finding) -> Vec<Scene> {
                 dropped[usize::from(*node)][*reason as usize] += 1;
             }
         }
-        let happened = words(walked, &notes, tick - last);
+        let happened = happenings(walked, tick - last);
         last = tick;
         scenes.push(Scene {
             tick,
             odd: is_fault(walked) || notes.iter().any(went_wrong) || walked.turns.iter().any(ended_badly),
             happened,
-            began: began(walked.turns),
             tasks,
             nodes: nodes(walked.course, log, &dropped),
         });
@@ -90,12 +97,11 @@ pub fn scenes(plan: &Arc<CellPlan>, finding: &Finding) -> Vec<Scene> {
     scenes
 }
 
-fn began(turns: &[ScriptTurn]) -> Vec<(TaskId, Address)> {
-    let began = |turn: &ScriptTurn| {
+fn began(turns: &[ScriptTurn]) -> impl Iterator<Item = Happening> {
+    turns.iter().flat_map(|turn| {
         let task = TaskId::from_index(turn.task);
-        turn.passed.iter().map(|&at| (task, at)).collect::<Vec<_>>()
-    };
-    turns.iter().flat_map(began).collect()
+        turn.passed.iter().map(move |&at| Happening::Began(task, at))
+    })
 }
 
 fn nodes(course: &Course, log: &[Effect], dropped: &[[u64; Reason::ALL.len()]]) -> Vec<NodeFrame> {
@@ -141,38 +147,42 @@ fn snapshot(course: &Course, node: usize, dropped: [u64; Reason::ALL.len()]) -> 
     Snapshot { timers, ..gathering.snapshot(transit) }
 }
 
-/// What happened in a step, in words.
-fn words(walked: &Walked<'_>, notes: &[Note], passed: u64) -> Vec<String> {
-    let names = &walked.lanes.names;
-    let name = |lane: usize| names.get(lane).map_or("?", String::as_str);
-    let mut words = Vec::new();
-    if passed > 0 {
-        words.push(format!("{passed} tick{} later", if passed == 1 { "" } else { "s" }));
-    }
-    for note in notes {
-        words.push(match note {
-            Note::Event { lane, text, .. } => format!("{} {text}", name(*lane)),
-            Note::Packet { from, to, label, fate, .. } => {
-                let fate = match fate.as_str() {
-                    "" => "arrives".to_owned(),
-                    "LOST" => "is LOST".to_owned(),
-                    "CUT OFF" => "is CUT OFF: its link is interrupted".to_owned(),
-                    "TWICE" => "arrives, and a copy of it comes later".to_owned(),
-                    "OVERTAKES" => "arrives before one that was sent earlier".to_owned(),
-                    other => other.to_owned(),
-                };
-                format!("{label} from {} to {} {fate}", name(*from), name(*to))
-            }
-        });
-    }
+/// What happened in a step: what came, what it began, what it ended and what left.
+fn happenings(walked: &Walked<'_>, passed: u64) -> Vec<Happening> {
+    let (came, ended) = walked.notes.split_at(walked.notes.len() - walked.ended);
+    let later = (passed > 0).then(|| format!("{passed} tick{} later", if passed == 1 { "" } else { "s" }));
+    let came = later.into_iter().chain(came.iter().map(|note| words(walked, note)));
     let nodes = &walked.course.plan.table.cell().nodes;
-    for effect in &walked.course.floor.log {
-        if let Effect::Sent(next, packet) = effect {
+    let left = walked.course.floor.log.iter().filter_map(|effect| match effect {
+        Effect::Sent(next, packet) => {
             let next = nodes.get(next.index()).map_or("?", |node| node.name.as_str());
-            words.push(format!("{} of {} leaves for {next}", label(packet), name(packet.source.index())));
+            let source = walked.lanes.names.get(packet.source.index()).map_or("?", String::as_str);
+            Some(format!("{} of {source} leaves for {next}", label(packet)))
+        }
+        Effect::Told(..) | Effect::Seen(..) => None,
+    });
+    let ended = ended.iter().map(|note| words(walked, note));
+    let said = Happening::Said;
+    came.map(said).chain(began(walked.turns)).chain(ended.chain(left).map(said)).collect()
+}
+
+/// A line of the chart in words.
+fn words(walked: &Walked<'_>, note: &Note) -> String {
+    let name = |lane: usize| walked.lanes.names.get(lane).map_or("?", String::as_str);
+    match note {
+        Note::Event { lane, text, .. } => format!("{} {text}", name(*lane)),
+        Note::Packet { from, to, label, fate, .. } => {
+            let fate = match fate.as_str() {
+                "" => "arrives",
+                "LOST" => "is LOST",
+                "CUT OFF" => "is CUT OFF: its link is interrupted",
+                "TWICE" => "arrives, and a copy of it comes later",
+                "OVERTAKES" => "OVERTAKES one that was sent earlier",
+                other => other,
+            };
+            format!("{label} from {} to {} {fate}", name(*from), name(*to))
         }
     }
-    words
 }
 
 /// Whether a step is a fault that was declared.

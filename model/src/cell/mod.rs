@@ -34,7 +34,7 @@ mod svg;
 mod verdict;
 
 pub use course::CellMove;
-pub use frames::{NodeFrame, Scene, scenes};
+pub use frames::{Happening, NodeFrame, Scene, scenes};
 pub use plan::{Budget, CellCheck, CellFaults, CellPlan, Conduct, Holds};
 pub use search::check_cell;
 pub use story::{Note, Step, TaskView};

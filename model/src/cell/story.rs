@@ -67,6 +67,8 @@ pub(super) struct Walked<'a> {
     pub lanes: &'a Lanes,
     pub step: CellMove,
     pub notes: &'a [Note],
+    /// How many of the notes, the last ones, tell that scripts ended.
+    pub ended: usize,
     /// What scripts did.
     pub turns: &'a [ScriptTurn],
 }
@@ -111,9 +113,10 @@ pub(super) fn walk(
         }
         lanes.effects(&mut pen, shown, &course.floor.log);
         let turns = course.floor.turns.as_mut().map(std::mem::take).unwrap_or_default();
+        let others = pen.notes.len();
         ends(&turns, &mut pen, shown);
-        let notes = &pen.notes[from..];
-        each(&Walked { course: &course, lanes: &lanes, step, notes, turns: &turns });
+        let (notes, ended) = (&pen.notes[from..], pen.notes.len() - others);
+        each(&Walked { course: &course, lanes: &lanes, step, notes, ended, turns: &turns });
         from = pen.notes.len();
         if course.floor.violation.is_some() {
             break;
