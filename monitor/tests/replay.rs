@@ -115,8 +115,13 @@ fn a_counterexample_is_wound_step_by_step() {
     stage.key(ms(5), KeyCode::End);
     assert_eq!(step(&stage), 40);
     let text = stage.text(ms(5), 120, 40);
-    for part in ["REPLAY 40/40 tick 80", "waits in vain for hoist", "beam.cell:31:5  waitfor lift();", "x nh"]
-    {
+    for part in [
+        "REPLAY 40/40",
+        "step 40 of 40, tick 80",
+        "waits in vain for hoist",
+        "beam.cell:31:5  waitfor lift();",
+        "x nh",
+    ] {
         assert!(text.contains(part), "{part}:\n{text}");
     }
     assert_eq!(stage.key(ms(5), KeyCode::Char('r')), Effect::Nothing, "a recording is not recorded");

@@ -90,13 +90,20 @@ pub(crate) fn text(player: &Player) -> String {
     for text in &step.happened {
         let _ = writeln!(out, "  happened: {}", shown_line(text));
     }
-    let names = player.store().lives().iter().map(|life| &life.names).max_by_key(|names| names.tasks.len());
-    for doing in &step.tasks {
-        let name = names.map_or_else(String::new, |names| names.task(doing.task).to_string());
-        let line = doing.line.map_or_else(String::new, |line| format!(", line {line}"));
-        let _ = writeln!(out, "  {name}{line}: {}", shown_line(&doing.text));
+    for text in tasks(player) {
+        let _ = writeln!(out, "  {text}");
     }
     out
+}
+
+/// What each task does after the step shown, and the line of its statement.
+pub(crate) fn tasks(player: &Player) -> impl Iterator<Item = String> {
+    let names = player.store().lives().iter().map(|life| &life.names).max_by_key(|names| names.tasks.len());
+    player.step().map_or(&[][..], |step| &step.tasks).iter().map(move |doing| {
+        let name = names.map_or_else(String::new, |names| names.task(doing.task).to_string());
+        let line = doing.line.map_or_else(String::new, |line| format!(", line {line}"));
+        format!("{name}{line}: {}", shown_line(&doing.text))
+    })
 }
 
 /// What a story is about, in one line.

@@ -7,7 +7,11 @@ use crate::theme::Ink;
 /// The pieces of the head: that this is a recording, and where in it one is.
 pub(super) fn head(player: &Player, pieces: &mut Vec<(String, Ink)>) {
     pieces.push(("  REPLAY".to_owned(), Ink::Warn));
-    pieces.push((format!(" {}", player.position()), Ink::Plain));
+    let position = match (player.step(), &player.film().story) {
+        (Some(step), Some(story)) => format!(" {}/{}", step.number, story.steps),
+        _ => format!(" {}", player.position()),
+    };
+    pieces.push((position, Ink::Plain));
 }
 
 /// How many rows of a screen so high are for what happened.
@@ -62,5 +66,6 @@ fn lines(player: &Player) -> Vec<(String, Ink)> {
             lines.push((format!("    {place}"), Ink::Dim));
         }
     }
+    lines.extend(tell::tasks(player).map(|text| (format!(" {text}"), Ink::Plain)));
     lines
 }
