@@ -2,6 +2,7 @@
 
 use crate::launch::{ActionCommand, Cut, Kill, Rate};
 use clap::{Args, ColorChoice, Parser, Subcommand, ValueEnum};
+use std::net::{SocketAddr, ToSocketAddrs};
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -50,6 +51,7 @@ pub enum Verb {
 Examples:
   imrs verify                        all claims, smoke bounds
   imrs verify --claim no-false-release
+  imrs verify --claim pairing --explore localhost:3000
   imrs verify examples/weld_cell.cell  a cell, with the faults that it declares
   imrs verify cell.cell --loss 1 --crash hoist --trace found.svg
   imrs verify cell.cell --save found.imrs    then `imrs monitor --replay found.imrs`
@@ -144,7 +146,7 @@ Examples:
 #[derive(Args, Clone, Debug)]
 pub struct VerifyVerb {
     /// The cell file; without one the protocol's own claims are checked.
-    #[arg(value_name = "CELL", conflicts_with_all = ["full", "claim"])]
+    #[arg(value_name = "CELL", conflicts_with_all = ["full", "claim", "explore"])]
     pub cell: Option<PathBuf>,
     /// The flags of both.
     #[command(flatten)]
@@ -195,6 +197,9 @@ pub struct VerifyArgs {
     /// Check this claim only, and show its counterexamples in full.
     #[arg(long, value_name = "NAME")]
     pub claim: Option<String>,
+    /// Serve the claim's first world to a browser, to walk through by hand: on this machine only.
+    #[arg(long, value_name = "HOST:PORT", requires = "claim", value_parser = loopback)]
+    pub explore: Option<SocketAddr>,
     /// Use so many threads [default: as many as there are cores].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     pub jobs: Option<u16>,
@@ -430,6 +435,15 @@ pub fn early_color(args: impl IntoIterator<Item = String>) -> ColorChoice {
     }
 }
 
+/// An address that only this machine can reach.
+fn loopback(text: &str) -> Result<SocketAddr, String> {
+    let example = "write 127.0.0.1:3000 or localhost:3000";
+    let mut all = text.to_socket_addrs().map_err(|error| format!("{error}: {example}"))?;
+    all.next()
+        .filter(|first| first.ip().is_loopback() && all.all(|other| other.ip().is_loopback()))
+        .ok_or_else(|| format!("others can reach it, and nobody is asked who they are: {example}"))
+}
+
 /// How many times as fast.
 fn speed(text: &str) -> Result<f64, String> {
     let speed = text.trim_end_matches('x').parse::<f64>().ok();
@@ -465,6 +479,15 @@ mod tests {
         for verb in command.get_subcommands().filter(|verb| !verb.is_hide_set()) {
             let help = verb.get_after_help().map(ToString::to_string).unwrap_or_default();
             assert!(help.contains("Example"), "`{}` shows no example", verb.get_name());
+        }
+    }
+
+    #[test]
+    fn only_this_machine_explores() {
+        assert_eq!(loopback("127.0.0.1:3000").map(|address| address.port()), Ok(3000));
+        assert!(loopback("[::1]:0").is_ok());
+        for text in ["0.0.0.0:3000", "192.0.2.1:80", "127.0.0.1", "3000", ""] {
+            assert!(loopback(text).is_err(), "{text}");
         }
     }
 

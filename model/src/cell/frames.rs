@@ -150,8 +150,9 @@ fn snapshot(course: &Course, node: usize, dropped: [u64; Reason::ALL.len()]) -> 
 /// What happened in a step: what came, what it began, what it ended and what left.
 fn happenings(walked: &Walked<'_>, passed: u64) -> Vec<Happening> {
     let (came, ended) = walked.notes.split_at(walked.notes.len() - walked.ended);
+    let words = |note: &Note| note.words(&walked.lanes.names);
     let later = (passed > 0).then(|| format!("{passed} tick{} later", if passed == 1 { "" } else { "s" }));
-    let came = later.into_iter().chain(came.iter().map(|note| words(walked, note)));
+    let came = later.into_iter().chain(came.iter().map(words));
     let nodes = &walked.course.plan.table.cell().nodes;
     let left = walked.course.floor.log.iter().filter_map(|effect| match effect {
         Effect::Sent(next, packet) => {
@@ -161,28 +162,9 @@ fn happenings(walked: &Walked<'_>, passed: u64) -> Vec<Happening> {
         }
         Effect::Told(..) | Effect::Seen(..) => None,
     });
-    let ended = ended.iter().map(|note| words(walked, note));
+    let ended = ended.iter().map(words);
     let said = Happening::Said;
     came.map(said).chain(began(walked.turns)).chain(ended.chain(left).map(said)).collect()
-}
-
-/// A line of the chart in words.
-fn words(walked: &Walked<'_>, note: &Note) -> String {
-    let name = |lane: usize| walked.lanes.names.get(lane).map_or("?", String::as_str);
-    match note {
-        Note::Event { lane, text, .. } => format!("{} {text}", name(*lane)),
-        Note::Packet { from, to, label, fate, .. } => {
-            let fate = match fate.as_str() {
-                "" => "arrives",
-                "LOST" => "is LOST",
-                "CUT OFF" => "is CUT OFF: its link is interrupted",
-                "TWICE" => "arrives, and a copy of it comes later",
-                "OVERTAKES" => "OVERTAKES one that was sent earlier",
-                other => other,
-            };
-            format!("{label} from {} to {} {fate}", name(*from), name(*to))
-        }
-    }
 }
 
 /// Whether a step is a fault that was declared.

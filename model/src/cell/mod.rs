@@ -38,5 +38,6 @@ pub use frames::{Happening, NodeFrame, Scene, scenes};
 pub use plan::{Budget, CellCheck, CellFaults, CellPlan, Conduct, Holds};
 pub use search::check_cell;
 pub use story::{Note, Step, TaskView};
+pub(crate) use svg::draw_notes;
 pub use svg::svg;
 pub use verdict::{Coverage, Finding, Kind, Phase, Verdicts};
