@@ -96,11 +96,16 @@ impl Explorer {
     }
 }
 
+/// Draws the path through these states.
+type Way = Box<dyn Fn(&[Packed]) -> Option<Pen> + Send + Sync>;
+/// Draws one step from a state.
+type OneStep<A> = Box<dyn Fn(&Packed, A) -> Pen + Send + Sync>;
+
 /// A world as a stateright model that draws its paths and steps.
 struct Drawn<G: Ground> {
     grounded: Grounded<G>,
-    way: Box<dyn Fn(&[Packed]) -> Option<Pen> + Send + Sync>,
-    step: Box<dyn Fn(&Packed, G::Action) -> Pen + Send + Sync>,
+    way: Way,
+    step: OneStep<G::Action>,
 }
 
 impl<G: Ground + 'static> Model for Drawn<G> {

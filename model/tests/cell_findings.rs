@@ -284,7 +284,7 @@ fn a_packet_overtakes_the_one_before_it_as_often_as_it_may() {
     assert_eq!((assertion.kind, assertion.phase), (Kind::Assertion, Phase::Faults));
     assert!(assertion.chart.contains("OVERTAKES"), "{}", assertion.chart);
 
-    let scenes = scenes(&Arc::new(cell.plan.clone()), assertion);
+    let scenes = scenes(&Arc::new(cell.plan), assertion);
     assert_eq!(scenes.len(), assertion.moves.len() + 1);
     let overtakes = scenes.iter().find(|scene| {
         scene

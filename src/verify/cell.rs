@@ -52,7 +52,7 @@ pub fn run(path: &Path, args: &VerifyVerb, out: &mut Output) -> Result<Exit, Fai
     match args.verify.format.unwrap_or_default() {
         Format::Json => out.json(&subject.answer(&verdicts, saved))?,
         Format::Text => {
-            Telling { subject: &subject, plan: &plan, verdicts: &verdicts, args, saved }.show(out)?
+            Telling { subject: &subject, plan: &plan, verdicts: &verdicts, args, saved }.show(out)?;
         }
     }
     Ok(match (verdicts.findings.is_empty(), verdicts.is_complete()) {
