@@ -244,16 +244,26 @@ fn what_the_screen_records_is_replayed_in_the_terminal() {
     terminal.assert_restored();
     terminal.keys(&["clear", "Enter"]);
     terminal.type_monitor("", &format!("--record {shown}"));
-    terminal.wait_for("a recording", |screen| screen.contains(" REC ") && screen.contains("hoist"));
+    terminal.wait_for("a recording", |screen| {
+        screen.contains(" REC ") && screen.contains("3/3 nodes") && screen.contains("hoist")
+    });
     terminal.keys(&["r"]);
     terminal.wait_for("the end of the recording", |screen| !screen.contains(" REC "));
     terminal.keys(&["q"]);
     terminal.assert_restored();
     terminal.keys(&["clear", "Enter"]);
     terminal.type_monitor("", &format!("--replay {shown}"));
-    terminal.wait_for("the recording", |screen| screen.contains("REPLAY") && screen.contains("armL"));
+    // Where it stands, and how long it is.
+    let position = |screen: &str| {
+        let (_, rest) = screen.split_once("REPLAY ")?;
+        let mut words = rest.split_whitespace();
+        Some((words.next()?.to_owned(), words.nth(1)?.to_owned()))
+    };
+    terminal.wait_for("its end, when it has played", |screen| {
+        screen.contains("armL") && position(screen).is_some_and(|(at, length)| at == length)
+    });
     terminal.keys(&["Home"]);
-    terminal.wait_for("its beginning", |screen| screen.contains("REPLAY 0us of "));
+    terminal.wait_for("its beginning", |screen| position(screen).is_some_and(|(at, length)| at != length));
     terminal.keys(&["q"]);
     terminal.assert_restored();
 
