@@ -183,9 +183,9 @@ pub struct CellFaultArgs {
     /// Save a finding as a recording that `imrs monitor --replay FILE` shows step by step.
     #[arg(long, value_name = "FILE", requires = "cell")]
     pub save: Option<PathBuf>,
-    /// Which finding is drawn and saved, as they are numbered.
-    #[arg(long, value_name = "N", requires = "cell", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..))]
-    pub finding: u16,
+    /// Which finding is drawn and saved, counted from 1 [default: the first that steps lead to].
+    #[arg(long, value_name = "N", requires = "cell", value_parser = clap::value_parser!(u16).range(1..))]
+    pub finding: Option<u16>,
 }
 
 /// What `verify` can be asked.

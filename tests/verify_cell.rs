@@ -124,3 +124,13 @@ fn statements_for_faults_that_did_not_come_about_are_told_as_untried() {
     assert!(answer.code == Some(0) && answer.out.contains(line), "{answer:?}");
     assert!(answer.out.contains("asker line 9"), "{answer:?}");
 }
+
+#[test]
+fn a_finding_that_no_steps_lead_to_is_not_saved_and_that_is_said() {
+    let (folder, path) = cell("7", "check idle: asker.at = 99 leads teller.x = 1 within 5 msec;\n");
+    let saved = folder.path().join("found.imrs");
+    let answer = run(&["verify", path.to_str().expect("text"), "--save", saved.to_str().expect("text")]);
+    assert_eq!(answer.code, Some(1), "{answer:?}");
+    assert!(answer.out.contains("nothing was saved to "), "{answer:?}");
+    assert!(!answer.out.contains("step by step") && !saved.exists(), "{answer:?}");
+}

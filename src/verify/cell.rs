@@ -131,14 +131,16 @@ impl Subject {
         verdicts: &Verdicts,
         args: &CellFaultArgs,
     ) -> Result<Option<usize>, Failure> {
-        let number = usize::from(args.finding);
-        let Some(finding) = verdicts.findings.get(number - 1) else {
-            return match verdicts.findings.len() {
-                // Without findings there is nothing to keep, and that is well.
-                0 => Ok(None),
-                n if number > 1 => Err(Failure::Usage(format!("--finding {number}: there are {n}"))),
-                _ => Ok(None),
-            };
+        let all = &verdicts.findings;
+        let at = match args.finding {
+            Some(number) => usize::from(number) - 1,
+            None => all.iter().position(|finding| !finding.moves.is_empty()).unwrap_or(0),
+        };
+        let Some(finding) = all.get(at) else {
+            // Without findings there is nothing to keep, and that is well.
+            let missed = args.finding.filter(|_| !all.is_empty());
+            let missed = missed.map(|number| format!("--finding {number}: there are {}", all.len()));
+            return missed.map_or(Ok(None), |missed| Err(Failure::Usage(missed)));
         };
         if let Some(path) = &args.trace {
             let names: Vec<String> = self.table.cell().tasks.iter().map(|task| task.name.clone()).collect();
@@ -149,7 +151,7 @@ impl Subject {
         let bounds = verdicts.phases.iter().find(|phase| phase.phase == finding.phase);
         let bounds = bounds.map(|phase| tell::bounds(plan, phase)).unwrap_or_default();
         let saved = super::save::save(path, self, plan, finding, bounds)?;
-        Ok(saved.then_some(number))
+        Ok(saved.then_some(at + 1))
     }
 
     fn answer<'a>(&'a self, verdicts: &'a Verdicts, saved: Option<usize>) -> Answer<'a> {

@@ -42,6 +42,11 @@ impl Telling<'_> {
             }
             out.line("")?;
         }
+        if let (Some(path), None, false) = (&self.args.faults.save, self.saved, verdicts.findings.is_empty())
+        {
+            let file = cell_file::shown(path);
+            out.line(Styled(NOTE, format!("nothing was saved to {file}: no steps lead to this finding")))?;
+        }
         for phase in &verdicts.phases {
             out.line(Styled(HEAD, bounds(self.plan, phase)))?;
             out.line(format!("  {}", looked_at(phase)))?;
