@@ -299,3 +299,28 @@ fn a_packet_overtakes_the_one_before_it_as_often_as_it_may() {
     assert_eq!(b.view.ports[0].counters.delivered, 2, "both were taken: {:?}", b.view);
     assert!(scenes[0].nodes.iter().all(|node| node.snapshot.is_some()));
 }
+
+#[test]
+fn what_monitors_see_of_a_finding_is_what_the_checker_saw() {
+    let send = "loop send put(m) on time_out do x := 1; delay 1 msec; x := 0; end; delay 10 msec; end;";
+    for faults in ["crash nb", "cut na--nb", "loss 2"] {
+        let rest = format!("faults {faults};\ncheck c: never a.x = 1;");
+        let cell = two(PUT, USE_PUT, send, TAKE, &rest);
+        let verdicts = cell.check();
+        let plan = Arc::new(cell.plan.clone());
+        for finding in &verdicts.findings {
+            let scenes = scenes(&plan, finding);
+            assert_eq!(scenes.len(), finding.steps.len() + 1, "{faults}");
+            assert!(scenes.iter().any(|scene| scene.odd), "{faults}");
+            for (scene, step) in scenes[1..].iter().zip(&finding.steps) {
+                assert_eq!((scene.tick, &scene.tasks), (step.tick, &step.tasks), "{faults}");
+                for (node, task) in scene.nodes.iter().zip(&step.tasks) {
+                    assert_eq!(node.snapshot.is_some(), task.up, "{faults}: one task on each node");
+                    let ports = node.snapshot.iter().flat_map(|seen| &seen.tasks[0].view.ports);
+                    let queues: Vec<_> = ports.map(|port| (port.port, port.len)).collect();
+                    assert_eq!(queues, task.queues, "{faults}");
+                }
+            }
+        }
+    }
+}
