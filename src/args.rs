@@ -2,6 +2,7 @@
 
 use crate::launch::{ActionCommand, Cut, Kill, Rate};
 use clap::{Args, ColorChoice, Parser, Subcommand, ValueEnum};
+use std::net::{SocketAddr, ToSocketAddrs};
 use std::path::PathBuf;
 use std::time::Duration;
 
@@ -50,8 +51,10 @@ pub enum Verb {
 Examples:
   imrs verify                        all claims, smoke bounds
   imrs verify --claim no-false-release
+  imrs verify --claim pairing --explore localhost:3000
   imrs verify examples/weld_cell.cell  a cell, with the faults that it declares
   imrs verify cell.cell --loss 1 --crash hoist --trace found.svg
+  imrs verify cell.cell --save found.imrs    then `imrs monitor --replay found.imrs`
   imrs verify --full --memory 8G     the large bounds
   imrs verify --format json | jq '.claims[] | select(.as_expected | not)'")]
     Verify(VerifyVerb),
@@ -112,7 +115,10 @@ While it runs, `imrs monitor` in another terminal shows the nodes.")]
 Examples:
   imrs monitor                          the nodes that run on this machine
   imrs monitor --once --format json     one sample, for programs
-  imrs monitor --connect unix:/run/user/1000/imrs/beam-lift/nl-812.sock")]
+  imrs monitor --connect unix:/run/user/1000/imrs/beam-lift/nl-812.sock
+  imrs monitor --record run.imrs --for 60s     without a screen
+  imrs monitor --replay run.imrs --at -30s --speed 4
+  imrs verify cell.cell --save found.imrs; imrs monitor --replay found.imrs")]
     Monitor(MonitorArgs),
     /// Run the state machine again on what a node recorded, and compare every output.
     #[command(after_help = "\
@@ -140,7 +146,7 @@ Examples:
 #[derive(Args, Clone, Debug)]
 pub struct VerifyVerb {
     /// The cell file; without one the protocol's own claims are checked.
-    #[arg(value_name = "CELL", conflicts_with_all = ["full", "claim"])]
+    #[arg(value_name = "CELL", conflicts_with_all = ["full", "claim", "explore"])]
     pub cell: Option<PathBuf>,
     /// The flags of both.
     #[command(flatten)]
@@ -159,6 +165,9 @@ pub struct CellFaultArgs {
     /// Deliver so many more packets twice.
     #[arg(long, value_name = "N", requires = "cell", default_value_t = 0)]
     pub dup: u8,
+    /// Let packets overtake the one before them on their link so many times [default: 1].
+    #[arg(long, value_name = "N", requires = "cell", num_args = 0..=1, default_value_t = 0, default_missing_value = "1")]
+    pub reorder: u8,
     /// Let this node, or the node of this task, crash once.
     #[arg(long, value_name = "NAME", requires = "cell")]
     pub crash: Vec<String>,
@@ -168,9 +177,15 @@ pub struct CellFaultArgs {
     /// Give up after so long without faults, and after so long with them.
     #[arg(long, value_name = "TIME", requires = "cell", default_value = "30s", value_parser = humantime::parse_duration)]
     pub within: Duration,
-    /// Draw the first finding as a sequence chart into this file.
+    /// Draw a finding as a sequence chart into this file.
     #[arg(long, value_name = "FILE.svg", requires = "cell")]
     pub trace: Option<PathBuf>,
+    /// Save a finding as a recording that `imrs monitor --replay FILE` shows step by step.
+    #[arg(long, value_name = "FILE", requires = "cell")]
+    pub save: Option<PathBuf>,
+    /// Which finding is drawn and saved, counted from 1 [default: the first that steps lead to].
+    #[arg(long, value_name = "N", requires = "cell", value_parser = clap::value_parser!(u16).range(1..))]
+    pub finding: Option<u16>,
 }
 
 /// What `verify` can be asked.
@@ -182,6 +197,9 @@ pub struct VerifyArgs {
     /// Check this claim only, and show its counterexamples in full.
     #[arg(long, value_name = "NAME")]
     pub claim: Option<String>,
+    /// Serve the claim's first world to a browser, to walk through by hand: on this machine only.
+    #[arg(long, value_name = "HOST:PORT", requires = "claim", value_parser = loopback)]
+    pub explore: Option<SocketAddr>,
     /// Use so many threads [default: as many as there are cores].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
     pub jobs: Option<u16>,
@@ -315,6 +333,21 @@ pub struct MonitorArgs {
     /// Draw with nothing but ASCII.
     #[arg(long)]
     pub ascii: bool,
+    /// Show a recording instead of running nodes: of `--record`, or a finding of `imrs verify CELL --save`.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["connect", "watch", "record"])]
+    pub replay: Option<PathBuf>,
+    /// Begin here: `3s`, `-30s` (before the end), or a tick of a finding.
+    #[arg(long, value_name = "TIME", requires = "replay", allow_hyphen_values = true)]
+    pub at: Option<imrs_monitor::At>,
+    /// Play so many times as fast; a finding plays a step a second.
+    #[arg(long, value_name = "N", requires = "replay", value_parser = speed)]
+    pub speed: Option<f64>,
+    /// Record what the nodes show; without a terminal, without a screen.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["once", "watch", "text"])]
+    pub record: Option<PathBuf>,
+    /// Record for so long, without a screen, and end.
+    #[arg(long = "for", value_name = "TIME", requires = "record", value_parser = humantime::parse_duration)]
+    pub record_for: Option<Duration>,
     /// The form of what is printed; JSON implies printing.
     #[arg(long, value_enum, value_name = "FORM", default_value_t = Format::Text)]
     pub format: Format,
@@ -402,6 +435,23 @@ pub fn early_color(args: impl IntoIterator<Item = String>) -> ColorChoice {
     }
 }
 
+/// An address that only this machine can reach.
+fn loopback(text: &str) -> Result<SocketAddr, String> {
+    let example = "write 127.0.0.1:3000 or localhost:3000";
+    let mut all = text.to_socket_addrs().map_err(|error| format!("{error}: {example}"))?;
+    all.next()
+        .filter(|first| first.ip().is_loopback() && all.all(|other| other.ip().is_loopback()))
+        .ok_or_else(|| format!("others can reach it, and nobody is asked who they are: {example}"))
+}
+
+/// How many times as fast.
+fn speed(text: &str) -> Result<f64, String> {
+    let speed = text.trim_end_matches('x').parse::<f64>().ok();
+    speed
+        .filter(|speed| (0.001..=1000.0).contains(speed))
+        .ok_or_else(|| "write a number from 0.001 to 1000".to_owned())
+}
+
 /// A size in bytes: `512M`, `4G`; units are powers of 1024.
 fn memory(text: &str) -> Result<u64, String> {
     let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
@@ -429,6 +479,15 @@ mod tests {
         for verb in command.get_subcommands().filter(|verb| !verb.is_hide_set()) {
             let help = verb.get_after_help().map(ToString::to_string).unwrap_or_default();
             assert!(help.contains("Example"), "`{}` shows no example", verb.get_name());
+        }
+    }
+
+    #[test]
+    fn only_this_machine_explores() {
+        assert_eq!(loopback("127.0.0.1:3000").map(|address| address.port()), Ok(3000));
+        assert!(loopback("[::1]:0").is_ok());
+        for text in ["0.0.0.0:3000", "192.0.2.1:80", "127.0.0.1", "3000", ""] {
+            assert!(loopback(text).is_err(), "{text}");
         }
     }
 

@@ -96,6 +96,11 @@ fn monitor(args: MonitorArgs, color: args::Color) -> Result<Exit, Failure> {
             args::Color::Never => imrs_monitor::ColorChoice::Never,
         },
         ascii: args.ascii,
+        replay: args.replay,
+        at: args.at,
+        speed: args.speed,
+        record: args.record,
+        record_for: args.record_for,
     };
     match imrs_monitor::run(&options)? {
         imrs_monitor::Verdict::Healthy => Ok(Exit::Well),

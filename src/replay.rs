@@ -42,8 +42,13 @@ pub enum ReplayError {
         /// The digest of its table.
         digest: u32,
     },
-    /// The recording has no node's inputs.
-    #[error("{0} holds no inputs of a node")]
+    /// The recording is of what a monitor saw.
+    #[error(
+        "{0} shows nodes as a monitor saw them, and has no inputs to run again: look at it with `imrs monitor --replay {0}`"
+    )]
+    Observations(PathBuf),
+    /// The recording is of a node that its cell does not have.
+    #[error("{0} holds no inputs of a node of its cell")]
     NoInputs(PathBuf),
 }
 
@@ -99,6 +104,7 @@ fn read(path: &PathBuf, given: Arc<CellTable>) -> Result<Replayed, ReplayError> 
     let damaged = |source: record::ReplayError| ReplayError::Read { path: path.clone(), source };
     let mut reader = RecordingReader::new(BufReader::new(file)).map_err(|error| damaged(error.into()))?;
     let header = reader.header().clone();
+    let node = header.node.ok_or_else(|| ReplayError::Observations(path.clone()))?;
     let table = Some(given).filter(|table| table.digest() == header.digest);
     let table = table.ok_or_else(|| ReplayError::OtherCell {
         path: path.clone(),
@@ -106,7 +112,7 @@ fn read(path: &PathBuf, given: Arc<CellTable>) -> Result<Replayed, ReplayError> 
         digest: header.digest,
     })?;
     let known = |node: &NodeId| node.index() < table.cell().nodes.len();
-    let node = header.node.filter(known).ok_or_else(|| ReplayError::NoInputs(path.clone()))?;
+    let node = Some(node).filter(known).ok_or_else(|| ReplayError::NoInputs(path.clone()))?;
     let table = NodeTable::new(table, node);
     let names = table.cell.cell();
     let replays = replay_recording(&mut reader, &table).map_err(damaged)?;

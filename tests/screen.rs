@@ -63,12 +63,17 @@ impl Terminal {
 
     /// Runs the monitor; when it has ended, the shell says with which code.
     fn start_monitor(&self, environment: &str) {
-        let folder = self.folder.display();
-        let program = env!("CARGO_BIN_EXE_imrs");
-        let line = format!("XDG_RUNTIME_DIR={folder} {environment} {program} monitor; echo \"ended: $?\"");
-        self.keys(&[&line, "Enter"]);
+        self.type_monitor(environment, "");
         self.wait_for("the overview", |screen| screen.contains("armL") && screen.contains("hoist"));
         assert!(self.on_alternate_screen());
+    }
+
+    fn type_monitor(&self, environment: &str, flags: &str) {
+        let folder = self.folder.display();
+        let program = env!("CARGO_BIN_EXE_imrs");
+        let line =
+            format!("XDG_RUNTIME_DIR={folder} {environment} {program} monitor {flags}; echo \"ended: $?\"");
+        self.keys(&[&line, "Enter"]);
     }
 
     fn wait_for(&self, what: &str, is_there: impl Fn(&str) -> bool) -> String {
@@ -223,4 +228,49 @@ fn a_node_that_appears_later_is_found() {
     });
     terminal.keys(&["q"]);
     terminal.assert_restored();
+}
+
+#[test]
+fn what_the_screen_records_is_replayed_in_the_terminal() {
+    if !tmux_is_here() {
+        return;
+    }
+    let demo = Demo::start(&["--for", "10m"]);
+    let terminal = Terminal::open(demo.dir.path());
+    let file = demo.dir.path().join("seen.imrs");
+    let shown = file.display();
+    terminal.start_monitor("");
+    terminal.keys(&["q"]);
+    terminal.assert_restored();
+    terminal.keys(&["clear", "Enter"]);
+    terminal.type_monitor("", &format!("--record {shown}"));
+    terminal.wait_for("a recording", |screen| {
+        screen.contains(" REC ") && screen.contains("3/3 nodes") && screen.contains("hoist")
+    });
+    terminal.keys(&["r"]);
+    terminal.wait_for("the end of the recording", |screen| !screen.contains(" REC "));
+    terminal.keys(&["q"]);
+    terminal.assert_restored();
+    terminal.keys(&["clear", "Enter"]);
+    terminal.type_monitor("", &format!("--replay {shown}"));
+    // Where it stands, and how long it is.
+    let position = |screen: &str| {
+        let (_, rest) = screen.split_once("REPLAY ")?;
+        let mut words = rest.split_whitespace();
+        Some((words.next()?.to_owned(), words.nth(1)?.to_owned()))
+    };
+    terminal.wait_for("its end, when it has played", |screen| {
+        screen.contains("armL") && position(screen).is_some_and(|(at, length)| at == length)
+    });
+    terminal.keys(&["Home"]);
+    terminal.wait_for("its beginning", |screen| position(screen).is_some_and(|(at, length)| at != length));
+    terminal.keys(&["q"]);
+    terminal.assert_restored();
+
+    let headless = demo.dir.path().join("headless.imrs");
+    let name = headless.to_str().expect("text");
+    let recorded = support::run_in(demo.dir.path(), &["monitor", "--record", name, "--for", "1s"]);
+    assert!(recorded.code == Some(0) && recorded.out.contains("monitor --replay"), "{recorded:?}");
+    let replayed = support::run(&["monitor", "--replay", name]);
+    assert!(replayed.code == Some(0) && replayed.out.contains("node nh: up"), "{replayed:?}");
 }

@@ -47,6 +47,27 @@ pub enum Note {
     },
 }
 
+impl Note {
+    /// The line in words, where the lanes have these names.
+    pub(crate) fn words(&self, names: &[String]) -> String {
+        let name = |lane: usize| names.get(lane).map_or("?", String::as_str);
+        match self {
+            Self::Event { lane, text, .. } => format!("{} {text}", name(*lane)),
+            Self::Packet { from, to, label, fate, .. } => {
+                let fate = match fate.as_str() {
+                    "" => "arrives",
+                    "LOST" => "is LOST",
+                    "CUT OFF" => "is CUT OFF: its link is interrupted",
+                    "TWICE" => "arrives, and a copy of it comes later",
+                    "OVERTAKES" => "OVERTAKES one that was sent earlier",
+                    other => other,
+                };
+                format!("{label} from {} to {} {fate}", name(*from), name(*to))
+            }
+        }
+    }
+}
+
 /// The widest chart.
 const COLUMNS: usize = 100;
 /// Columns for the tick.
@@ -57,25 +78,51 @@ const MARGIN: usize = 6;
 pub fn draw(scenario: &Arc<Scenario>, exploration: &Exploration) -> Option<Counterexample> {
     let states = exploration.states_on_path.as_ref()?;
     let violation = exploration.violation?;
-    let name = |i| scenario.name(TaskId::from_index(i)).to_string();
-    let mut pen = Pen::new((0..scenario.tasks()).map(name).collect());
+    let length = u32::try_from(states.len().saturating_sub(1)).unwrap_or(u32::MAX);
+    Some(walk(scenario, states)?.conclude(violation.text(), length))
+}
+
+/// Draws a path. `None` where its states do not follow from each other.
+pub(crate) fn walk(scenario: &Arc<Scenario>, states: &[Packed]) -> Option<Pen> {
+    let mut pen = pen(scenario);
     let mut world = World::new(scenario);
     world.keep_log = true;
     let mut tick = 0;
     for target in states.iter().skip(1) {
         let (action, next) = concrete_step(&world, target)?;
-        let flight = match action {
-            Action::Deliver(i) | Action::Overcharge(i, _) | Action::Lose(i) | Action::Duplicate(i) => {
-                world.flights.get(usize::from(i)).copied()
-            }
-            _ => None,
-        };
+        let flight = flight_of(&world, action);
         world = next;
         tick += u32::from(matches!(action, Action::Tick | Action::Late(_)));
         pen.step(tick, action, flight.as_ref(), &world);
     }
-    let length = u32::try_from(states.len().saturating_sub(1)).unwrap_or(u32::MAX);
-    Some(pen.conclude(violation.text(), length))
+    Some(pen)
+}
+
+fn pen(scenario: &Scenario) -> Pen {
+    let name = |i| scenario.name(TaskId::from_index(i)).to_string();
+    Pen::new((0..scenario.tasks()).map(name).collect())
+}
+
+/// The packet that an action is about.
+fn flight_of(world: &World, action: Action) -> Option<Flight> {
+    match action {
+        Action::Deliver(i) | Action::Overcharge(i, _) | Action::Lose(i) | Action::Duplicate(i) => {
+            world.flights.get(usize::from(i)).copied()
+        }
+        _ => None,
+    }
+}
+
+/// One step from a packed state, drawn. Members have the places that the state gives them.
+pub(crate) fn one_step(scenario: &Arc<Scenario>, state: &Packed, action: Action) -> Pen {
+    let (mut pen, mut world) = (pen(scenario), World::new(scenario));
+    world.load(state, None);
+    world.keep_log = true;
+    world.log.clear();
+    let flight = flight_of(&world, action);
+    world.apply(action);
+    pen.step(0, action, flight.as_ref(), &world);
+    pen
 }
 
 /// The step of `world` whose canonical result is `target`. States on a path name members by their sorted position; the
@@ -118,6 +165,11 @@ impl Pen {
         }
         pen.lines.push(format!("{:>MARGIN$}{}", "tick ", head.iter().collect::<String>().trim_end()));
         pen
+    }
+
+    /// Whose lanes are drawn.
+    pub fn names(&self) -> &[String] {
+        &self.names
     }
 
     const fn at(&self, lane: usize) -> usize {
@@ -269,7 +321,8 @@ pub(crate) enum Shown {
     Told(Signal),
 }
 
-fn label(packet: &Packet) -> String {
+/// A packet in a word and its number.
+pub(crate) fn label(packet: &Packet) -> String {
     let round = || packet.meeting().round;
     let number = packet.id.sequence.get();
     match packet.kind {

@@ -112,8 +112,29 @@ impl Counts {
     }
 }
 
+/// A world that a claim explores.
+#[derive(Clone, Debug)]
+pub(crate) enum Explored {
+    World(Arc<Scenario>),
+    Floor(Arc<FloorPlan>),
+}
+
+/// The first world that is explored for a claim, in its first row that does.
+pub(crate) fn first_explored(name: &str) -> Option<Explored> {
+    // One state is enough to know which world it is.
+    let limits = Limits { states: 1, ..Limits::default() };
+    all().into_iter().filter(|claim| claim.name == name).find_map(|claim| {
+        let mut work =
+            Work { first: None, name: claim.name, limits, progress: &Silent, counts: Counts::NONE };
+        let _ = (claim.settle)(&mut work);
+        work.first
+    })
+}
+
 /// Explorations in the service of one claim.
 pub(crate) struct Work<'a> {
+    /// The first world that was explored.
+    first: Option<Explored>,
     name: &'static str,
     limits: Limits,
     progress: &'a (dyn Progress + 'a),
@@ -123,6 +144,7 @@ pub(crate) struct Work<'a> {
 impl Work<'_> {
     /// Explores a scenario for the claim.
     pub fn explore(&mut self, scenario: &Arc<Scenario>) -> Exploration {
+        self.first.get_or_insert_with(|| Explored::World(Arc::clone(scenario)));
         let found = explore(scenario, self.limits, None);
         self.count(&found);
         found
@@ -142,6 +164,7 @@ impl Work<'_> {
 
     /// Explores a floor and judges.
     pub fn judge_floor(&mut self, plan: &Arc<FloorPlan>) -> (Outcome, Option<Counterexample>) {
+        self.first.get_or_insert_with(|| Explored::Floor(Arc::clone(plan)));
         let found = explore_floor(plan, self.limits);
         self.count(&found);
         (outcome(&found), draw_floor(plan, &found))
@@ -236,7 +259,7 @@ fn take<'a>(claims: &'a [Claim], next: &AtomicUsize) -> Option<(usize, &'a Claim
 /// Settles a claim, and with it the variant that comes of the same search.
 fn settle(claim: &Claim, limits: Limits, progress: &dyn Progress) -> Vec<Verdict> {
     progress.started(claim.name, claim.rule, claim.parties);
-    let mut work = Work { name: claim.name, limits, progress, counts: Counts::NONE };
+    let mut work = Work { first: None, name: claim.name, limits, progress, counts: Counts::NONE };
     let mut settled = (claim.settle)(&mut work);
     let variant = settled.variant.take();
     let row = (claim.name, claim.rule, claim.parties, settled.bounds.loss);

@@ -3,17 +3,22 @@
 mod cells;
 
 use cells::Text;
-use imrs_model::cell::{Budget, Finding, Kind, Phase, Verdicts, svg};
+use imrs_model::cell::{Budget, Finding, Happening, Kind, Phase, Verdicts, scenes, svg};
+use imrs_wire::obs::Liveness;
+use std::sync::Arc;
 
 /// Two tasks on two nodes a tick apart; `a` owns what is declared in `ports`.
 fn two(ports: &str, uses: &str, a: &str, b: &str, rest: &str) -> Text {
-    let text = format!(
+    Text::new(&two_text(ports, uses, a, b, rest))
+}
+
+fn two_text(ports: &str, uses: &str, a: &str, b: &str, rest: &str) -> String {
+    format!(
         "cell two;\ntick 1 msec;\nnode na;  node nb;\nlink na -- nb delay 1 msec;\n\
          type Num is record n: int8; end;\n\
          task a on na\n{ports}\nvar x: int8; var m: Num;\nbegin\n{a}\nend a;\n\
          task b on nb\n{uses}\nvar y: int8; var m: Num;\nbegin\n{b}\nend b;\n{rest}\n"
-    );
-    Text::new(&text)
+    )
 }
 
 const MEET: &str = "port meet() usage = waitfor user_list = {b} time_out = 50 msec class = 2;";
@@ -261,6 +266,61 @@ fn faults_that_nobody_notices_change_no_finding() {
             }
             let states = |verdicts: &Verdicts| verdicts.phases[1].states;
             assert!(!whole.is_complete() || states(&reduced) <= states(&whole));
+        }
+    }
+}
+
+#[test]
+fn a_packet_overtakes_the_one_before_it_as_often_as_it_may() {
+    let put = PUT.replace("class = 2", "class = 1");
+    let a = "m.n := 1; send put(m); delay 1 msec; m.n := 2; send put(m);";
+    let b = "receive put(m); y := m.n; receive put(m); assert m.n > y;";
+    let mut cell =
+        Text::new(&two_text(&put, USE_PUT, a, b, "").replace("delay 1 msec;\ntype", "delay 3 msec;\ntype"));
+    assert_eq!(all(&cell), []);
+    cell.plan.faults.reorder = 1;
+    let verdicts = cell.check();
+    let [assertion] = &verdicts.findings[..] else { panic!("{:?}", cell.found(&verdicts)) };
+    assert_eq!((assertion.kind, assertion.phase), (Kind::Assertion, Phase::Faults));
+    assert!(assertion.chart.contains("OVERTAKES"), "{}", assertion.chart);
+
+    let scenes = scenes(&Arc::new(cell.plan), assertion);
+    assert_eq!(scenes.len(), assertion.moves.len() + 1);
+    let overtakes = scenes.iter().find(|scene| {
+        scene
+            .happened
+            .iter()
+            .any(|happened| matches!(happened, Happening::Said(word) if word.contains("OVERTAKES")))
+    });
+    assert!(overtakes.expect("the step is told").odd);
+    let last = scenes.last().expect("steps");
+    let b = &last.nodes[1].snapshot.as_ref().expect("up").tasks[0];
+    assert_eq!(b.liveness, Liveness::Crashed);
+    assert_eq!(b.view.ports[0].counters.delivered, 2, "both were taken: {:?}", b.view);
+    assert!(scenes[0].nodes.iter().all(|node| node.snapshot.is_some()));
+}
+
+#[test]
+fn what_monitors_see_of_a_finding_is_what_the_checker_saw() {
+    let send = "loop send put(m) on time_out do x := 1; delay 1 msec; x := 0; end; delay 10 msec; end;";
+    for faults in ["crash nb", "cut na--nb", "loss 2"] {
+        let rest = format!("faults {faults};\ncheck c: never a.x = 1;");
+        let cell = two(PUT, USE_PUT, send, TAKE, &rest);
+        let verdicts = cell.check();
+        let plan = Arc::new(cell.plan.clone());
+        for finding in &verdicts.findings {
+            let scenes = scenes(&plan, finding);
+            assert_eq!(scenes.len(), finding.steps.len() + 1, "{faults}");
+            assert!(scenes.iter().any(|scene| scene.odd), "{faults}");
+            for (scene, step) in scenes[1..].iter().zip(&finding.steps) {
+                assert_eq!((scene.tick, &scene.tasks), (step.tick, &step.tasks), "{faults}");
+                for (node, task) in scene.nodes.iter().zip(&step.tasks) {
+                    assert_eq!(node.snapshot.is_some(), task.up, "{faults}: one task on each node");
+                    let ports = node.snapshot.iter().flat_map(|seen| &seen.tasks[0].view.ports);
+                    let queues: Vec<_> = ports.map(|port| (port.port, port.len)).collect();
+                    assert_eq!(queues, task.queues, "{faults}");
+                }
+            }
         }
     }
 }

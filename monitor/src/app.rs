@@ -5,6 +5,7 @@ mod steer;
 use crate::clock::Moment;
 use crate::keys;
 use crate::name::Name;
+use crate::replay::Player;
 use crate::rows::{Row, Shape, rows};
 use crate::source::Arrival;
 use crate::store::health::{self, Finding, Place};
@@ -39,6 +40,8 @@ pub enum Msg {
     Key(KeyEvent),
     /// The screen is now so many columns and rows.
     Resize(u16, u16),
+    /// Time has passed: a recording that plays moves on.
+    Time,
 }
 
 /// What the main loop has to do after a message.
@@ -48,6 +51,8 @@ pub enum Effect {
     Nothing,
     /// Draw.
     Draw,
+    /// Begin a recording, or end it.
+    Record,
     /// Give the terminal back until the user returns.
     Suspend,
     /// End.
@@ -71,6 +76,10 @@ pub struct App {
     live: Store,
     /// While paused: the store as it was, and when.
     frozen: Option<(Box<Store>, Moment)>,
+    /// The recording shown instead of running nodes.
+    replay: Option<Box<Player>>,
+    /// Where what comes in is recorded to.
+    pub recording: Option<String>,
     /// The screen shown.
     pub screen: Screen,
     /// The screen that `Esc` returns to.
@@ -101,6 +110,8 @@ impl App {
         Self {
             live: Store::default(),
             frozen: None,
+            replay: None,
+            recording: None,
             screen: Screen::Overview,
             before: Screen::Overview,
             theme,
@@ -117,9 +128,24 @@ impl App {
         }
     }
 
-    /// What is shown: the present, or what was when the user paused.
+    /// The overview of a recording.
+    #[must_use]
+    pub fn replaying(self, player: Player) -> Self {
+        Self { replay: Some(Box::new(player)), ..self }
+    }
+
+    /// The recording shown, if one is.
+    #[must_use]
+    pub fn replay(&self) -> Option<&Player> {
+        self.replay.as_deref()
+    }
+
+    /// What is shown: the present, what was when the user paused, or a place in a recording.
     #[must_use]
     pub fn store(&self) -> &Store {
+        if let Some(player) = &self.replay {
+            return player.store();
+        }
         self.frozen.as_ref().map_or(&self.live, |(store, _)| store)
     }
 
@@ -132,6 +158,9 @@ impl App {
     /// The moment that the screen shows.
     #[must_use]
     pub fn moment(&self, now: Moment) -> Moment {
+        if let Some(player) = &self.replay {
+            return player.moment();
+        }
         self.frozen.as_ref().map_or(now, |(_, at)| *at)
     }
 
@@ -159,6 +188,9 @@ impl App {
     /// How soon the screen must be drawn again though nothing comes in, because a countdown is on it.
     #[must_use]
     pub fn redraw_after(&self) -> Option<Duration> {
+        if let Some(player) = &self.replay {
+            return player.is_playing().then_some(Duration::from_millis(50));
+        }
         if self.frozen.is_some() || self.live.lives().is_empty() {
             return None;
         }
@@ -172,6 +204,10 @@ impl App {
             Msg::Feed(arrival) => {
                 self.live.apply(arrival);
                 if self.frozen.is_some() { Effect::Nothing } else { Effect::Draw }
+            }
+            Msg::Time => {
+                let moved = self.replay.as_mut().is_some_and(|player| player.advance(now));
+                if moved { Effect::Draw } else { Effect::Nothing }
             }
             Msg::Resize(width, height) => {
                 self.size = (width, height);

@@ -19,6 +19,14 @@ pub enum MonitorError {
     /// The folder of the sockets cannot be read.
     #[error(transparent)]
     Place(#[from] PlaceError),
+    /// A recording cannot be shown, or not be written.
+    #[error("{}: {why}", crate::name::shown_line(&.path.display().to_string()))]
+    Recording {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        why: String,
+    },
     /// The terminal failed, or standard output did.
     #[error("the terminal failed: {0}")]
     Terminal(#[source] io::Error),
@@ -36,7 +44,7 @@ impl MonitorError {
     pub const fn exit_code(&self) -> u8 {
         match self {
             Self::NothingFound { .. } => 3,
-            Self::Place(_) => 2,
+            Self::Place(_) | Self::Recording { .. } => 2,
             Self::Terminal(_) | Self::Signals(_) | Self::Internal => 70,
         }
     }

@@ -42,6 +42,20 @@ pub enum Action {
     NextError,
     /// The one before.
     PreviousError,
+    /// The beginning of a recording; elsewhere the first row.
+    Oldest,
+    /// The end of a recording; elsewhere the last row.
+    Newest,
+    /// The stop of a recording before this one.
+    StepBack,
+    /// The next stop of a recording.
+    StepOn,
+    /// The stop before this one at which something went wrong.
+    PreviousAnomaly,
+    /// The next stop at which something went wrong.
+    NextAnomaly,
+    /// Begins or ends a recording of what comes in.
+    Record,
     /// The next cell.
     Cell,
     /// The next theme.
@@ -105,8 +119,10 @@ pub const BINDINGS: &[Binding] = &[
     everywhere(&[key('j'), code(KeyCode::Down)], Action::Down, "down"),
     everywhere(&[code(KeyCode::PageUp), ctrl('b')], Action::PageUp, "a page up"),
     everywhere(&[code(KeyCode::PageDown), ctrl('f')], Action::PageDown, "a page down"),
-    everywhere(&[key('g'), code(KeyCode::Home)], Action::First, "first row"),
-    everywhere(&[key('G'), code(KeyCode::End)], Action::Last, "last row; events: follow"),
+    everywhere(&[key('g')], Action::First, "first row"),
+    everywhere(&[key('G')], Action::Last, "last row; events: follow"),
+    everywhere(&[code(KeyCode::Home)], Action::Oldest, "first row; in a recording its beginning"),
+    everywhere(&[code(KeyCode::End)], Action::Newest, "last row; in a recording its end"),
     on(&[Screen::Overview], &[key('h'), code(KeyCode::Left)], Action::Left, "hide the rows within"),
     on(&[Screen::Overview], &[key('l'), code(KeyCode::Right)], Action::Right, "show the rows within"),
     on(&[Screen::Port], &[key('h'), code(KeyCode::Left)], Action::Left, "previous port"),
@@ -124,7 +140,12 @@ pub const BINDINGS: &[Binding] = &[
     ),
     on(&[Screen::Events], &[key('e')], Action::NextError, "next bad event"),
     on(&[Screen::Events], &[key('E')], Action::PreviousError, "previous bad event"),
-    everywhere(&[key(' ')], Action::Pause, "pause this screen (never the nodes)"),
+    everywhere(&[key(' ')], Action::Pause, "pause this screen (never the nodes); play a recording"),
+    everywhere(&[key('[')], Action::StepBack, "in a recording: one step back"),
+    everywhere(&[key(']')], Action::StepOn, "in a recording: one step on"),
+    everywhere(&[key('{')], Action::PreviousAnomaly, "in a recording: back to where something went wrong"),
+    everywhere(&[key('}')], Action::NextAnomaly, "in a recording: on to where something goes wrong"),
+    everywhere(&[key('r')], Action::Record, "record what comes in, or end that"),
     everywhere(&[key('c')], Action::Cell, "next cell"),
     everywhere(&[key('t')], Action::Theme, "next theme"),
     everywhere(&[ctrl('z')], Action::Suspend, "to the shell; `fg` returns"),

@@ -16,6 +16,8 @@ pub mod keys;
 pub mod name;
 mod options;
 mod plain;
+pub mod record;
+pub mod replay;
 pub mod report;
 pub mod rows;
 mod signals;
@@ -29,12 +31,21 @@ pub mod view;
 pub use error::MonitorError;
 pub use options::{ColorChoice, Endpoint, EndpointError, Format, Options, Verdict};
 pub use plain::Watch;
+pub use replay::At;
 
 use clock::Clock;
 use imrs_wire::obs::place;
+use imrs_wire::recording::Status;
+use record::{Recorded, Tape};
+use replay::{Film, Player};
+use source::Memory;
 use source::live::{Live, Which};
 use std::io::{self, IsTerminal, Write};
+use std::sync::Arc;
 use theme::Theme;
+
+/// The file that the key for recording writes, where none was named.
+const RECORDING: &str = "monitor.imrs";
 
 /// Runs the monitor as the user asked: on the screen of a terminal, or printing where there is none.
 ///
@@ -43,6 +54,17 @@ use theme::Theme;
 pub fn run(options: &Options) -> Result<Verdict, MonitorError> {
     let screen = io::stdout().is_terminal() && io::stdin().is_terminal();
     let printed = options.once || options.watch.is_some() || options.text || options.format == Format::Json;
+    let headless = options.record_for.is_some() || !screen;
+    if let Some(path) = options.record.as_ref().filter(|_| headless) {
+        return plain::record(options, path, which(options), &mut io::stdout().lock());
+    }
+    if let Some(path) = &options.replay {
+        let player = Player::new(Arc::new(Film::open(path)?), options.speed.unwrap_or(1.0));
+        if !screen || printed {
+            return plain::replay(options, player, &mut io::stdout().lock());
+        }
+        return replay_on_screen(options, player);
+    }
     if !screen || printed {
         // Without a terminal nobody could end a screen: one sample, unless more was asked for.
         let once = options.once || !printed;
@@ -55,7 +77,35 @@ pub fn run(options: &Options) -> Result<Verdict, MonitorError> {
         return Err(MonitorError::NothingFound { looked: Some(base.clone()), failed: Vec::new() });
     }
     let theme = theme_for(options, |name| std::env::var(name).ok());
-    ui::show(Live::new(which), Clock::start(), app::App::new(theme, options.cell.clone()))?;
+    let (clock, tape) = (Clock::start(), Arc::new(Tape::default()));
+    let mut app = app::App::new(theme, options.cell.clone());
+    if let Some(path) = &options.record {
+        tape.start(path, clock.now())?;
+        app.recording = Some(name::shown_line(&path.display().to_string()));
+    }
+    let file = options.record.clone().unwrap_or_else(|| RECORDING.into());
+    let shown = ui::show(Live::new(which), clock, app, &tape, file);
+    let recorded = tape.stop();
+    shown?;
+    match recorded {
+        Some(Recorded { path, status: Status { failure: Some(why), .. } }) => {
+            Err(MonitorError::Recording { path, why })
+        }
+        Some(_) | None => Ok(Verdict::Healthy),
+    }
+}
+
+/// A counterexample stands still until one moves it; what was recorded from running nodes plays.
+fn replay_on_screen(options: &Options, mut player: Player) -> Result<Verdict, MonitorError> {
+    let clock = Clock::start();
+    match options.at {
+        Some(at) => player.seek(at),
+        None if player.film().story.is_none() => player.toggle(clock.now()),
+        None => {}
+    }
+    let theme = theme_for(options, |name| std::env::var(name).ok());
+    let app = app::App::new(theme, options.cell.clone()).replaying(player);
+    ui::show(Memory::default(), clock, app, &Arc::default(), RECORDING.into())?;
     Ok(Verdict::Healthy)
 }
 

@@ -6,6 +6,8 @@ use std::sync::Arc;
 
 /// The longest name that is shown, in characters.
 const LONGEST: usize = 64;
+/// The longest line of words.
+const LONGEST_LINE: usize = 240;
 
 /// A name as it was sent, and as it is shown.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -43,9 +45,19 @@ impl fmt::Display for Name {
 /// `text` with everything escaped that a terminal could act on, and cut where it is very long.
 #[must_use]
 pub fn shown(text: &str) -> String {
+    cut(text, LONGEST)
+}
+
+/// A line of words that came from a file, made fit to show as [`shown`] does.
+#[must_use]
+pub fn shown_line(text: &str) -> String {
+    cut(text, LONGEST_LINE)
+}
+
+fn cut(text: &str, longest: usize) -> String {
     let mut out = String::new();
     for (i, c) in text.chars().enumerate() {
-        if i == LONGEST {
+        if i == longest {
             out.push_str("..");
             break;
         }

@@ -1,5 +1,6 @@
 //! What the user asked for.
 
+use crate::replay::At;
 use std::fmt;
 use std::path::PathBuf;
 use std::str::FromStr;
@@ -83,6 +84,16 @@ pub struct Options {
     pub watch: Option<Duration>,
     /// Print lines instead of drawing a screen, for pipes and screen readers.
     pub text: bool,
+    /// Show this recording instead of running nodes.
+    pub replay: Option<PathBuf>,
+    /// Where in the recording to begin: at its end where it is printed, else at its beginning.
+    pub at: Option<At>,
+    /// How many times as fast a recording plays; at 1 a counterexample plays a step a second. `None`: 1.
+    pub speed: Option<f64>,
+    /// Record what comes in to this file.
+    pub record: Option<PathBuf>,
+    /// Record for so long without a screen.
+    pub record_for: Option<Duration>,
     /// The form of what is printed. JSON implies printing.
     pub format: Format,
     /// When to use colour.

@@ -3,7 +3,10 @@
 use crate::clock::Clock;
 use crate::error::MonitorError;
 use crate::options::{Format, Options, Verdict};
+use crate::record::{Recorded, Tape};
+use crate::replay::Player;
 use crate::report;
+use crate::signals::{self, Call, Listener};
 use crate::source::live::{Live, Which};
 use crate::source::{Arrival, Feed, Sink, Source, SourceId};
 use crate::store::Store;
@@ -11,6 +14,9 @@ use crate::store::journal::Entry;
 use imrs_wire::obs::ServerFrame;
 use std::collections::BTreeSet;
 use std::io::{self, Write};
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, sync_channel};
 use std::time::{Duration, Instant};
 
@@ -18,6 +24,8 @@ use std::time::{Duration, Instant};
 const PATIENCE: Duration = Duration::from_millis(1500);
 /// How often lines are written where no period was asked for.
 const PERIOD: Duration = Duration::from_secs(1);
+/// How often a recording without a screen looks whether it should end.
+const LOOK: Duration = Duration::from_millis(50);
 
 /// Nodes, and what is known of them.
 pub struct Watch {
@@ -35,9 +43,21 @@ impl Watch {
     /// # Errors
     /// [`MonitorError`].
     pub fn start(which: Which, clock: Clock) -> Result<Self, MonitorError> {
+        Self::start_taped(which, clock, &Arc::default())
+    }
+
+    /// Begins to watch `which`; what comes goes past `tape`.
+    ///
+    /// # Errors
+    /// [`MonitorError`].
+    pub fn start_taped(which: Which, clock: Clock, tape: &Arc<Tape>) -> Result<Self, MonitorError> {
         let (sender, arrivals) = sync_channel(64);
         let mut source = Live::new(which);
-        source.start(Sink::new(clock, move |arrival| sender.send(arrival).is_ok()))?;
+        let taped = Arc::clone(tape);
+        source.start(Sink::new(clock, move |arrival| {
+            taped.take(&arrival);
+            sender.send(arrival).is_ok()
+        }))?;
         Ok(Self { clock, store: Store::default(), arrivals, settled: BTreeSet::new(), source })
     }
 
@@ -83,6 +103,101 @@ impl Watch {
     }
 }
 
+/// Records what comes in without a screen, for so long or until a signal ends it.
+///
+/// # Errors
+/// [`MonitorError`]: also where a frame could not be written.
+pub fn record(
+    options: &Options,
+    path: &Path,
+    which: Which,
+    out: &mut impl Write,
+) -> Result<Verdict, MonitorError> {
+    let (clock, tape, looked) = (Clock::start(), Arc::new(Tape::default()), looked(&which));
+    tape.start(path, clock.now())?;
+    let ended = Arc::new(AtomicBool::new(false));
+    let called = Arc::clone(&ended);
+    let listener = Listener::start(move |call| {
+        match call {
+            Call::End(_) => called.store(true, Ordering::Relaxed),
+            Call::Stop => signals::stop(),
+            Call::GoOn => {}
+        }
+        true
+    })?;
+    let mut watch = Watch::start_taped(which, clock, &tape)?;
+    let found = watch.settle();
+    while found
+        && !ended.load(Ordering::Relaxed)
+        && options.record_for.is_none_or(|length| clock.now() < length)
+    {
+        watch.watch(LOOK);
+    }
+    drop(listener);
+    let failed = |why| MonitorError::Recording { path: path.to_owned(), why };
+    let Some(Recorded { status, .. }) = tape.stop() else { return Err(MonitorError::Internal) };
+    if let Some(why) = status.failure {
+        return Err(failed(why));
+    }
+    if !found {
+        // An empty recording is of no use to anybody.
+        let _ = std::fs::remove_file(path);
+        let failed = watch.store().troubles().map(str::to_owned).collect();
+        return Err(MonitorError::NothingFound { looked, failed });
+    }
+    if !status.ended {
+        return Err(failed("the disk takes too long: the recording has no end".to_owned()));
+    }
+    let (records, bytes, lost) = (status.records, status.bytes, status.lost);
+    let said = match options.format {
+        Format::Json => {
+            writeln!(out, "{{\"version\":1,\"records\":{records},\"bytes\":{bytes},\"lost\":{lost}}}")
+        }
+        Format::Text => {
+            let lost = if lost > 0 { format!(", {lost} lost") } else { String::new() };
+            let file = crate::name::shown_line(&path.display().to_string());
+            writeln!(out, "{records} records, {bytes} bytes{lost}: imrs monitor --replay {file}")
+        }
+    };
+    finish(said.map(|()| Verdict::Healthy))
+}
+
+/// Prints one stop of a recording: the one asked for, or the last.
+///
+/// # Errors
+/// [`MonitorError`]; a reader that has seen enough is none.
+pub fn replay(options: &Options, mut player: Player, out: &mut impl Write) -> Result<Verdict, MonitorError> {
+    match options.at {
+        Some(at) => player.seek(at),
+        None => player.go_to_end(),
+    }
+    let only = options.cell.as_deref();
+    let said = match options.format {
+        Format::Json => writeln!(out, "{}", report::json_of_replay(&player, only)),
+        Format::Text => out.write_all(report::text_of_replay(&player, only).as_bytes()),
+    };
+    let found = player.film().story.is_some() && player.is_at_end();
+    let critical = found || report::is_critical(player.store(), only, player.moment());
+    finish(
+        said.and_then(|()| out.flush()).map(|()| if critical { Verdict::Finding } else { Verdict::Healthy }),
+    )
+}
+
+fn looked(which: &Which) -> Option<PathBuf> {
+    match which {
+        Which::Under(base) => Some(base.clone()),
+        Which::Named(_) => None,
+    }
+}
+
+/// A reader that has seen enough is no error.
+fn finish(verdict: io::Result<Verdict>) -> Result<Verdict, MonitorError> {
+    match verdict {
+        Err(e) if e.kind() == io::ErrorKind::BrokenPipe => Ok(Verdict::Healthy),
+        other => other.map_err(MonitorError::Terminal),
+    }
+}
+
 /// Prints what `options` ask for to `out`.
 ///
 /// # Errors
@@ -93,10 +208,7 @@ pub fn print(
     clock: Clock,
     out: &mut impl Write,
 ) -> Result<Verdict, MonitorError> {
-    let looked = match &which {
-        Which::Under(base) => Some(base.clone()),
-        Which::Named(_) => None,
-    };
+    let looked = looked(&which);
     let mut watch = Watch::start(which, clock)?;
     let only = options.cell.as_deref();
     if !watch.settle() || report::cells(watch.store(), only).is_empty() {
@@ -112,10 +224,7 @@ pub fn print(
         verdict =
             if lines { happened(&watch, &mut next, options, out) } else { sample(&watch, options, out) };
     }
-    match verdict {
-        Err(e) if e.kind() == io::ErrorKind::BrokenPipe => Ok(Verdict::Healthy),
-        other => other.map_err(MonitorError::Terminal),
-    }
+    finish(verdict)
 }
 
 fn sample(watch: &Watch, options: &Options, out: &mut impl Write) -> io::Result<Verdict> {

@@ -2,6 +2,8 @@
 
 use crate::clock::{Moment, Span};
 use crate::name::{Name, shown_json};
+use crate::replay::tell::Position;
+use crate::replay::{Player, tell};
 use crate::store::health::{Finding, findings};
 use crate::store::journal::Level;
 use crate::store::meeting::{Meeting, Standing, meetings, state};
@@ -21,6 +23,9 @@ struct Report<'a> {
     findings: Vec<Found>,
     /// Where attaching failed, and why.
     troubles: Vec<&'a str>,
+    /// Where in a recording this is.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    replay: Option<Position<'a>>,
 }
 
 #[derive(Serialize)]
@@ -136,10 +141,28 @@ pub fn is_critical(store: &Store, only: Option<&str>, now: Moment) -> bool {
 /// Never: every key is a string and memory is the only thing that the encoding can run out of.
 #[must_use]
 pub fn json(store: &Store, only: Option<&str>, now: Moment) -> String {
+    whole(store, only, now, None)
+}
+
+/// The same of a recording, and where in it that is.
+///
+/// # Panics
+/// Never, as [`json`].
+#[must_use]
+pub fn json_of_replay(player: &Player, only: Option<&str>) -> String {
+    whole(player.store(), only, player.moment(), Some(tell::position(player)))
+}
+
+/// A recording at the stop shown as text, a fact per line.
+#[must_use]
+pub fn text_of_replay(player: &Player, only: Option<&str>) -> String {
+    tell::text(player) + &text(player.store(), only, player.moment())
+}
+
+fn whole(store: &Store, only: Option<&str>, now: Moment, replay: Option<Position<'_>>) -> String {
     let cells = cells(store, only);
-    let mut report =
-        Report { version: VERSION, nodes: Vec::new(), findings: Vec::new(), troubles: Vec::new() };
-    report.troubles = store.troubles().collect();
+    let troubles = store.troubles().collect();
+    let mut report = Report { version: VERSION, nodes: Vec::new(), findings: Vec::new(), troubles, replay };
     let unseen: Vec<_> = cells.iter().map(|cell| store.unseen(cell)).collect();
     for (cell, unseen) in cells.iter().zip(&unseen) {
         report.nodes.extend(store.lives_of(cell).map(|life| node(life, now)));
@@ -325,8 +348,8 @@ pub fn text(store: &Store, only: Option<&str>, now: Moment) -> String {
 fn text_node(life: &Life, now: Moment, out: &mut String) {
     let uptime = life.last.as_ref().map_or(0, |s| s.snapshot.uptime_us);
     let presence = life.presence(now);
-    let _ =
-        write!(out, "  node {}: {presence}, pid {}, incarnation {}", life.node, life.pid, life.incarnation);
+    let pid = if life.pid == 0 { String::new() } else { format!(", pid {}", life.pid) };
+    let _ = write!(out, "  node {}: {presence}{pid}, incarnation {}", life.node, life.incarnation);
     let _ = writeln!(out, ", ran {}", Span::micros(uptime));
     for task in life.tasks() {
         let does = match task.liveness {

@@ -3,12 +3,15 @@
 use crate::app::{App, Effect, Msg};
 use crate::clock::{Clock, Moment};
 use crate::error::MonitorError;
+use crate::name::shown_line;
+use crate::record::{Tape, free_name};
 use crate::signals::{self, Call, Listener};
-use crate::source::{Sink, Source};
+use crate::source::{Arrival, Feed, Sink, Source, SourceId};
 use crate::terminal::{self, Borrowed};
 use crate::view::view;
 use crossterm::event::{self, Event};
 use signal_hook::consts::SIGINT;
+use std::path::PathBuf;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
@@ -29,19 +32,30 @@ enum Input {
     NoKeys,
 }
 
-/// Shows `source` on the terminal until the user quits.
+/// Shows `source` on the terminal until the user quits. What it says goes past `tape`; `record` names the file of the
+/// key that records.
 ///
 /// # Errors
 /// [`MonitorError`].
-pub fn show(mut source: impl Source, clock: Clock, mut app: App) -> Result<(), MonitorError> {
+pub fn show(
+    mut source: impl Source,
+    clock: Clock,
+    mut app: App,
+    tape: &Arc<Tape>,
+    record: PathBuf,
+) -> Result<(), MonitorError> {
     let (sender, inputs) = sync_channel(QUEUE);
     let mut terminal = Borrowed::take()?;
     let for_signals = sender.clone();
     let listener = Listener::start(move |call| for_signals.try_send(Input::Call(call)).is_ok())?;
-    let for_feeds = sender.clone();
-    source.start(Sink::new(clock, move |arrival| for_feeds.send(Input::Msg(Msg::Feed(arrival))).is_ok()))?;
+    let (for_feeds, taped) = (sender.clone(), Arc::clone(tape));
+    source.start(Sink::new(clock, move |arrival| {
+        taped.take(&arrival);
+        for_feeds.send(Input::Msg(Msg::Feed(arrival))).is_ok()
+    }))?;
     let keys = Keys::start(sender)?;
-    let mut screen = Loop { app: &mut app, clock, inputs, due: Some(Duration::ZERO), drawn: None };
+    let mut screen =
+        Loop { app: &mut app, clock, inputs, due: Some(Duration::ZERO), drawn: None, tape, record };
     let ended = screen.run(&mut terminal);
     drop(keys);
     drop(terminal);
@@ -58,6 +72,9 @@ struct Loop<'a> {
     /// When the next frame is due, if any is.
     due: Option<Moment>,
     drawn: Option<Moment>,
+    tape: &'a Tape,
+    /// Where `r` records to.
+    record: PathBuf,
 }
 
 impl Loop<'_> {
@@ -70,6 +87,7 @@ impl Loop<'_> {
             }
             let now = self.clock.now();
             if self.due.is_some_and(|due| due <= now) {
+                self.app.update(Msg::Time, now);
                 terminal.draw(|area, buffer| view(self.app, now, area, buffer))?;
                 self.drawn = Some(now);
                 self.due = self.app.redraw_after().map(|after| now + after);
@@ -111,6 +129,10 @@ impl Loop<'_> {
                 let soonest = self.drawn.map_or(Duration::ZERO, |drawn| drawn + FRAME);
                 self.due = Some(self.due.map_or(soonest, |due| due.min(soonest)));
             }
+            Effect::Record => {
+                self.toggle_recording();
+                self.due = Some(Duration::ZERO);
+            }
             Effect::Suspend => {
                 terminal::give_back();
                 signals::stop();
@@ -120,6 +142,26 @@ impl Loop<'_> {
             Effect::Quit => return Ok(Next::Quit),
         }
         Ok(Next::GoOn)
+    }
+}
+
+impl Loop<'_> {
+    /// A recording that cannot begin says why where troubles are shown.
+    fn toggle_recording(&mut self) {
+        if self.tape.stop().is_some() {
+            self.app.recording = None;
+            return;
+        }
+        let path = free_name(&self.record);
+        let shown = shown_line(&path.display().to_string());
+        match self.tape.start(&path, self.clock.now()) {
+            Ok(()) => self.app.recording = Some(shown),
+            Err(error) => {
+                let at = self.clock.now();
+                let feed = Feed::Failed { why: format!("cannot record: {error}") };
+                self.app.update(Msg::Feed(Arrival { at, source: SourceId(u32::MAX), feed }), at);
+            }
+        }
     }
 }
 

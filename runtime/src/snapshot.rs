@@ -5,7 +5,7 @@ use crate::link::LinkDiscard;
 use crate::node::Node;
 use crate::sync::Ordering;
 use imrs_protocol::{Observation, Reason};
-use imrs_wire::obs::{Count, LinkView, NodeIdentity, Snapshot, TaskSnapshot, TimedEvent, TimerEntry};
+use imrs_wire::obs::{Count, Gathering, LinkView, NodeIdentity, Snapshot, TimedEvent, TimerEntry};
 use std::sync::Arc;
 
 impl Node {
@@ -27,29 +27,24 @@ impl Node {
     #[must_use]
     pub fn snapshot(&self, queue_limit: usize) -> Snapshot {
         let now = clock::now();
-        let mut discards: [u64; Reason::ALL.len()] =
+        let discards: [u64; Reason::ALL.len()] =
             std::array::from_fn(|reason| self.discards[reason].load(Ordering::Relaxed));
-        let mut tasks = Vec::with_capacity(self.members.list.len());
+        let mut gathering = Gathering::new(discards);
         for member in &self.members.list {
             let ((view, at), dropped) = self.look(member, |comm| (comm.view(queue_limit), *comm.discards()));
-            add(&mut discards, &dropped);
-            tasks.push(TaskSnapshot { liveness: member.liveness(), age_us: now.saturating_sub(at), view });
+            gathering.task(member.liveness(), now.saturating_sub(at), view, &dropped);
         }
         let (transit, transit_at) = self.dispatch.view();
-        add(&mut discards, &transit.discarded);
-        let counts = Reason::ALL.iter().zip(discards).map(|(reason, count)| named(reason.name(), count));
         let link_counts = LinkDiscard::NAMES.iter().zip(&self.link_discards);
         Snapshot {
             mono_us: now,
             uptime_us: now.saturating_sub(self.started),
             insecure: self.insecure,
-            tasks,
-            transit,
             transit_age_us: now.saturating_sub(transit_at),
             timers: self.timer_entries(now),
             links: self.link_views(now),
-            discards: counts.collect(),
             link_discards: link_counts.map(|(name, n)| named(name, n.load(Ordering::Relaxed))).collect(),
+            ..gathering.snapshot(transit)
         }
     }
 
@@ -80,10 +75,6 @@ impl Node {
         };
         self.peers.iter().zip(self.dispatch.sent()).map(view).collect()
     }
-}
-
-fn add(sum: &mut [u64], more: &[u64]) {
-    sum.iter_mut().zip(more).for_each(|(sum, more)| *sum += more);
 }
 
 fn named(name: &str, count: u64) -> Count {

@@ -1,10 +1,11 @@
 //! `imrs verify CELL`: the cell's own scripts and communication tasks under the checker, with the faults that it declares.
 
 use super::DEFAULT_MEMORY;
+use super::tell::{self, Telling};
 use crate::args::{CellFaultArgs, Format, VerifyVerb};
 use crate::cell_file::{self, CellFileError};
 use crate::exit::{Exit, Failure, did_you_mean};
-use crate::output::{BAD, FAINT, GOOD, HEAD, NOTE, Output, Styled, count, grouped};
+use crate::output::Output;
 use imrs_language::hir::Faults;
 use imrs_language::lower::{Behaviour, Check, CheckKind, Lowered};
 use imrs_language::{Source, Unit, compile, render};
@@ -18,15 +19,14 @@ use serde::Serialize;
 use std::path::Path;
 use std::sync::Arc;
 
-/// How many lines of a chart are shown of every finding but the first.
-const CHART_TAIL: usize = 8;
-
 /// A cell, what it was compiled from and to.
-struct Subject {
-    file: String,
+pub(super) struct Subject {
+    pub file: String,
     source: Source,
     lowered: Lowered,
-    table: Arc<CellTable>,
+    pub table: Arc<CellTable>,
+    /// Microseconds in a tick of the model.
+    pub tick_us: u64,
 }
 
 /// Checks a cell.
@@ -44,16 +44,16 @@ pub fn run(path: &Path, args: &VerifyVerb, out: &mut Output) -> Result<Exit, Fai
         let all: Vec<String> = errors.iter().map(ToString::to_string).collect();
         Failure::Usage(format!("{file}: in whole ticks the cell does not fit: {}", all.join("; ")))
     })?;
-    let subject = Subject { file, source, lowered, table };
-    let verdicts = check_cell(&Arc::new(subject.plan(args)?));
-    if let (Some(path), Some(finding)) = (&args.faults.trace, verdicts.findings.first()) {
-        let names: Vec<String> = subject.table.cell().tasks.iter().map(|task| task.name.clone()).collect();
-        std::fs::write(path, svg(&names, &finding.steps, &finding.cause))
-            .map_err(|source| CellFileError::Unwritable { path: path.clone(), source })?;
-    }
+    let tick_us = compiled.hir.as_ref().map_or(1, |hir| Unit::Ticks.usec(hir));
+    let subject = Subject { file, source, lowered, table, tick_us };
+    let plan = Arc::new(subject.plan(args)?);
+    let verdicts = check_cell(&plan);
+    let saved = subject.keep(&plan, &verdicts, &args.faults)?;
     match args.verify.format.unwrap_or_default() {
-        Format::Json => out.json(&subject.answer(&verdicts))?,
-        Format::Text => subject.show(&verdicts, out)?,
+        Format::Json => out.json(&subject.answer(&verdicts, saved))?,
+        Format::Text => {
+            Telling { subject: &subject, plan: &plan, verdicts: &verdicts, args, saved }.show(out)?;
+        }
     }
     Ok(match (verdicts.findings.is_empty(), verdicts.is_complete()) {
         (false, _) => Exit::Finding,
@@ -84,6 +84,7 @@ impl Subject {
             dup: declared.dup.saturating_add(more.dup),
             fail: declared.fail,
             drift: declared.drift.saturating_add(more.drift),
+            reorder: more.reorder,
             crash,
             cut: declared.cut.clone(),
         })
@@ -101,19 +102,19 @@ impl Subject {
         })
     }
 
-    fn task(&self, task: TaskId) -> &str {
+    pub fn task(&self, task: TaskId) -> &str {
         self.table.cell().tasks.get(task.index()).map_or("?", |task| task.name.as_str())
     }
 
     /// Line and column, from 1, and the first line of the statement that an operation belongs to.
-    fn place(&self, task: TaskId, at: Address) -> Option<(usize, usize, &str)> {
+    pub fn place(&self, task: TaskId, at: Address) -> Option<(usize, usize, &str)> {
         let Behaviour::Script(script) = self.lowered.tasks.get(task.index())? else { return None };
         let span = *script.spans.get(usize::from(at))?;
         let (line, column) = self.source.position(span.start);
         Some((line, column, self.source.slice(span).lines().next().unwrap_or_default()))
     }
 
-    fn place_of(&self, finding: &Finding) -> Option<(usize, usize, &str)> {
+    pub fn place_of(&self, finding: &Finding) -> Option<(usize, usize, &str)> {
         let of_check = || {
             let check = self.lowered.checks.get(finding.check?)?;
             let (line, column) = self.source.position(check.span.start);
@@ -123,85 +124,38 @@ impl Subject {
         of_task.or_else(of_check)
     }
 
-    fn show(&self, verdicts: &Verdicts, out: &mut Output) -> Result<(), Failure> {
-        for (i, finding) in verdicts.findings.iter().enumerate() {
-            let head = format!("{}: {}", finding.kind.name(), finding.cause);
-            out.line(Styled(if finding.kind == Kind::Vacuous { NOTE } else { BAD }, head))?;
-            if let Some((line, column, text)) = self.place_of(finding) {
-                out.line(format!("  --> {}:{line}:{column}  {text}", self.file))?;
-            }
-            self.chart(finding, i == 0, out)?;
-            out.line("")?;
+    /// Draws and saves the finding that was asked for. Returns its number if it was saved.
+    fn keep(
+        &self,
+        plan: &Arc<CellPlan>,
+        verdicts: &Verdicts,
+        args: &CellFaultArgs,
+    ) -> Result<Option<usize>, Failure> {
+        let all = &verdicts.findings;
+        let at = match args.finding {
+            Some(number) => usize::from(number) - 1,
+            None => all.iter().position(|finding| !finding.moves.is_empty()).unwrap_or(0),
+        };
+        let Some(finding) = all.get(at) else {
+            // Without findings there is nothing to keep, and that is well.
+            let missed = args.finding.filter(|_| !all.is_empty());
+            let missed = missed.map(|number| format!("--finding {number}: there are {}", all.len()));
+            return missed.map_or(Ok(None), |missed| Err(Failure::Usage(missed)));
+        };
+        if let Some(path) = &args.trace {
+            let names: Vec<String> = self.table.cell().tasks.iter().map(|task| task.name.clone()).collect();
+            std::fs::write(path, svg(&names, &finding.steps, &finding.cause))
+                .map_err(|source| CellFileError::Unwritable { path: path.clone(), source })?;
         }
-        for phase in &verdicts.phases {
-            out.line(Styled(HEAD, self.bounds(phase)))?;
-            out.line(format!("  {}", looked_at(phase)))?;
-        }
-        self.statements("not called for by these faults", &verdicts.not_exercised, out)?;
-        self.statements("not reached before the search ended", &verdicts.not_seen, out)?;
-        self.last_line(verdicts, out)
+        let Some(path) = &args.save else { return Ok(None) };
+        let bounds = verdicts.phases.iter().find(|phase| phase.phase == finding.phase);
+        let bounds = bounds.map(|phase| tell::bounds(plan, phase)).unwrap_or_default();
+        let saved = super::save::save(path, self, plan, finding, bounds)?;
+        Ok(saved.then_some(at + 1))
     }
 
-    fn chart(&self, finding: &Finding, whole: bool, out: &mut Output) -> Result<(), Failure> {
-        let lines: Vec<&str> = finding.chart.lines().collect();
-        let skipped = if whole { 0 } else { lines.len().saturating_sub(CHART_TAIL + 1) };
-        for (i, line) in lines.iter().enumerate() {
-            if i == 0 || i > skipped {
-                out.line(format!("  {line}"))?;
-            } else if i == skipped {
-                out.line(Styled(FAINT, format!("     ... {skipped} lines more")))?;
-            }
-        }
-        Ok(())
-    }
-
-    fn bounds(&self, phase: &Coverage) -> String {
-        let faults = &self.lowered.faults;
-        match phase.phase {
-            Phase::FaultFree => "Without faults".into(),
-            Phase::Faults => {
-                let names = faults.crash.iter().filter_map(|node| self.table.cell().nodes.get(node.index()));
-                let crash: String = names.map(|node| format!(", crash of {}", node.name)).collect();
-                let cut =
-                    if faults.cut.is_empty() { String::new() } else { format!(", {} cut", faults.cut.len()) };
-                format!(
-                    "With the declared faults ({} lost, {} doubled{crash}{cut}) and those asked for",
-                    faults.loss, faults.dup
-                )
-            }
-        }
-    }
-
-    fn statements(&self, what: &str, which: &[(TaskId, Address)], out: &mut Output) -> Result<(), Failure> {
-        let lines = which.iter().filter_map(|&(task, at)| Some((self.task(task), self.place(task, at)?.0)));
-        let mut lines: Vec<String> = lines.map(|(task, line)| format!("{task} line {line}")).collect();
-        lines.dedup();
-        if lines.is_empty() {
-            return Ok(());
-        }
-        out.line(Styled(FAINT, format!("  {}: {}", what, lines.join(", "))))
-    }
-
-    fn last_line(&self, verdicts: &Verdicts, out: &mut Output) -> Result<(), Failure> {
-        let (file, checks) = (&self.file, count(self.lowered.checks.len() as u64, "check"));
-        match (verdicts.findings.len(), verdicts.is_complete()) {
-            (0, true) => {
-                let text = format!(
-                    "{file}: nothing found, everything within these bounds was looked at; {checks} hold"
-                );
-                out.line(Styled(GOOD, text))
-            }
-            (0, false) => {
-                let text =
-                    format!("{file}: nothing found so far; the search was cut short: it proves nothing yet");
-                out.line(Styled(NOTE, text))
-            }
-            (n, _) => out.line(Styled(BAD, format!("{file}: {}", count(n as u64, "finding")))),
-        }
-    }
-
-    fn answer<'a>(&'a self, verdicts: &'a Verdicts) -> Answer<'a> {
-        let told = |finding: &'a Finding| {
+    fn answer<'a>(&'a self, verdicts: &'a Verdicts, saved: Option<usize>) -> Answer<'a> {
+        let told = |(i, finding): (usize, &'a Finding)| {
             let place = self.place_of(finding);
             Told {
                 kind: finding.kind.name(),
@@ -212,6 +166,7 @@ impl Subject {
                 cause: &finding.cause,
                 at_ticks: finding.at_ticks,
                 chart: &finding.chart,
+                saved: saved == Some(i + 1),
             }
         };
         let settled = |(i, check): (usize, &'a Check)| {
@@ -229,7 +184,7 @@ impl Subject {
             file: &self.file,
             complete: verdicts.is_complete(),
             claims: self.lowered.checks.iter().enumerate().map(settled).collect(),
-            findings: verdicts.findings.iter().map(told).collect(),
+            findings: verdicts.findings.iter().enumerate().map(told).collect(),
             phases: &verdicts.phases,
         }
     }
@@ -266,6 +221,8 @@ struct Told<'a> {
     cause: &'a str,
     at_ticks: u64,
     chart: &'a str,
+    /// Whether `--save` kept it.
+    saved: bool,
 }
 
 fn conduct(behaviour: &Behaviour) -> Conduct {
@@ -290,15 +247,4 @@ fn check(check: &Check) -> CellCheck {
         }
     };
     CellCheck { name: check.name.clone(), holds }
-}
-
-fn looked_at(phase: &Coverage) -> String {
-    let cut = phase.ended_by.as_ref().map(|by| format!("; cut short: {by}"));
-    format!(
-        "{} states, {} steps, {:.1} s{}",
-        grouped(phase.states),
-        grouped(phase.moves),
-        phase.seconds,
-        cut.unwrap_or_else(|| "; everything within the bounds".into())
-    )
 }

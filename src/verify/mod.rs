@@ -3,12 +3,15 @@
 mod cell;
 mod progress;
 mod report;
+mod save;
+mod tell;
 
 use crate::args::{Format, VerifyArgs, VerifyVerb};
 use crate::exit::{Exit, Failure, did_you_mean};
 use crate::output::Output;
-use imrs_model::{Options, Outcome, Report};
+use imrs_model::{Explorer, ExplorerError, Limits, Options, Outcome, Report};
 use progress::Lines;
+use std::net::SocketAddr;
 use std::num::NonZero;
 use std::thread;
 use std::time::Instant;
@@ -38,6 +41,9 @@ pub fn run(args: &VerifyArgs, out: &mut Output) -> Result<Exit, Failure> {
             return Err(Failure::Usage(format!("no claim `{claim}`{}", did_you_mean(claim, names))));
         }
     }
+    if let (Some(address), Some(claim)) = (args.explore, &args.claim) {
+        return explore(claim, address, args, out);
+    }
     let options = Options {
         full: args.full,
         claim: args.claim.clone(),
@@ -53,6 +59,19 @@ pub fn run(args: &VerifyArgs, out: &mut Output) -> Result<Exit, Failure> {
         Format::Text => report::show(&report, args.claim.is_some(), started.elapsed(), out)?,
     }
     Ok(verdict(&report))
+}
+
+/// Serves a claim's world until the process is ended.
+fn explore(claim: &str, address: SocketAddr, args: &VerifyArgs, out: &mut Output) -> Result<Exit, Failure> {
+    let refused = |error: ExplorerError| Failure::Usage(format!("{claim}: {error}"));
+    let explorer = Explorer::of_claim(claim).map_err(refused)?;
+    let limits = Limits { memory: args.memory.unwrap_or(DEFAULT_MEMORY), ..Limits::default() };
+    let mut said = Ok(());
+    explorer
+        .serve(address, limits, |address| said = out.line(format!("{claim}: http://{address}/ until Ctrl-C")))
+        .map_err(refused)?;
+    said?;
+    Ok(Exit::Well)
 }
 
 fn verdict(report: &Report) -> Exit {

@@ -18,10 +18,11 @@ impl Left {
 
 /// How many bytes at the beginning of a state are [`Left`].
 fn left_len(faults: &CellFaults) -> usize {
-    let counted = [faults.loss, faults.dup, faults.fail, faults.drift].iter().filter(|had| **had > 0).count();
+    let counted = [faults.loss, faults.dup, faults.reorder, faults.fail, faults.drift];
+    let counted = counted.iter().filter(|had| **had > 0).count();
     let len = counted + faults.cut.len();
-    // A cut that is over allows a packet to be doubled, and one that is open does not. And there is no more room than this.
-    if faults.dup > 0 || len > 8 { counted } else { len }
+    // A packet may be doubled or overtaken where a cut is over, and not where one is open. And there is no more room.
+    if faults.dup > 0 || faults.reorder > 0 || len > 8 { counted } else { len }
 }
 
 impl Course {
@@ -43,7 +44,9 @@ impl Course {
         }
         let mut out = Vec::with_capacity(floor.len() + 16);
         let (b, f) = (&self.beside, &self.faults);
-        for (had, left) in [(f.loss, b.loss), (f.dup, b.dup), (f.fail, b.fail), (f.drift, b.drift)] {
+        let budgets =
+            [(f.loss, b.loss), (f.dup, b.dup), (f.reorder, b.reorder), (f.fail, b.fail), (f.drift, b.drift)];
+        for (had, left) in budgets {
             if had > 0 {
                 out.push(left);
             }
@@ -78,9 +81,14 @@ impl Course {
             state.get(at - 1).copied().unwrap_or(0)
         };
         let (b, f) = (&mut self.beside, &self.faults);
-        for (had, left) in
-            [(f.loss, &mut b.loss), (f.dup, &mut b.dup), (f.fail, &mut b.fail), (f.drift, &mut b.drift)]
-        {
+        let budgets = [
+            (f.loss, &mut b.loss),
+            (f.dup, &mut b.dup),
+            (f.reorder, &mut b.reorder),
+            (f.fail, &mut b.fail),
+            (f.drift, &mut b.drift),
+        ];
+        for (had, left) in budgets {
             *left = if had > 0 { byte() } else { 0 };
         }
         b.cuts.iter_mut().for_each(|cut| *cut = byte());

@@ -52,6 +52,7 @@ const OVER: u8 = 0;
 pub(super) struct Beside {
     pub loss: u8,
     pub dup: u8,
+    pub reorder: u8,
     pub fail: u8,
     pub drift: u8,
     /// For each declared crash, whether it happened.
@@ -107,6 +108,7 @@ impl Course {
         let beside = Beside {
             loss: faults.loss,
             dup: faults.dup,
+            reorder: faults.reorder,
             fail: faults.fail,
             drift: faults.drift,
             crashed: vec![0; faults.crash.len()],
@@ -202,6 +204,7 @@ impl Course {
                 self.pass(Some((usize::from(node), more)))
             }
             CellMove::Deliver(i) => {
+                self.beside.reorder -= u8::from(floor.is_behind(usize::from(i)));
                 let crossing = floor.crossings.remove(usize::from(i));
                 floor.deliver(crossing, 0)
             }

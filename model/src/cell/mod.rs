@@ -7,7 +7,8 @@
 //! ```
 //!
 //! What is looked at, and what is not:
-//! - A packet takes exactly its link's bound, in the order sent; it may be lost, doubled or cut off within the budgets.
+//! - A packet takes exactly its link's bound, in the order sent; it may be lost, doubled or cut off within the budgets, or
+//!   arrive right before one that was sent earlier.
 //! - An action ends when its least time is over or when its most is; with [`CellPlan::between`] also whenever something
 //!   else happens in between. Each end gives each of the values worth trying, and may fail within the budget.
 //! - What two nodes do in the same tick cannot reach each other in it: the nodes take turns in their order, and checks
@@ -23,6 +24,7 @@
 
 mod canon;
 mod course;
+mod frames;
 mod judge;
 mod liveness;
 mod moves;
@@ -36,8 +38,10 @@ mod verdict;
 mod walker;
 
 pub use course::CellMove;
+pub use frames::{Happening, NodeFrame, Scene, scenes};
 pub use plan::{Budget, CellCheck, CellFaults, CellPlan, Conduct, Holds};
 pub use search::check_cell;
 pub use story::{Note, Step, TaskView};
+pub(crate) use svg::draw_notes;
 pub use svg::svg;
 pub use verdict::{Coverage, Finding, Kind, Phase, Verdicts};

@@ -2,7 +2,16 @@
 
 use super::course::{CellMove, Course, OPEN, UNUSED, bit, small};
 use super::plan::Conduct;
+use crate::floor::Floor;
 use crate::floor::script::Running;
+
+impl Floor {
+    /// Whether a packet is on its link behind another.
+    pub(super) fn is_behind(&self, packet: usize) -> bool {
+        let link = self.crossings.get(packet).map(|crossing| crossing.link);
+        self.crossings.iter().take(packet).any(|other| Some(other.link) == link)
+    }
+}
 
 impl Course {
     /// What may happen next: the first node with something to do in this tick does it; when none has, time passes.
@@ -57,15 +66,30 @@ impl Course {
         let mut comes = false;
         for (i, crossing) in floor.crossings.iter().enumerate() {
             let (_, to, bound) = floor.links[usize::from(crossing.link)];
-            let behind = floor.crossings[..i].iter().any(|other| other.link == crossing.link);
-            if to.index() == node && crossing.age >= bound && !behind {
-                self.arrivals(small(i), crossing.link, moves);
-                comes = true;
+            let ahead = floor.crossings[..i].iter().find(|other| other.link == crossing.link);
+            match ahead {
+                _ if to.index() != node => {}
+                None if crossing.age >= bound => {
+                    self.arrivals(small(i), crossing.link, moves);
+                    comes = true;
+                }
+                // As late as it can: right before the one that it overtakes, but never in the tick that it left in.
+                Some(ahead) if ahead.age >= bound && crossing.age > 0 && self.may_overtake(crossing.link) => {
+                    moves.push(CellMove::Deliver(small(i)));
+                }
+                None | Some(_) => {}
             }
         }
         if comes && !up && !self.plan.everything {
             moves.push(CellMove::Restart(small(node)));
         }
+    }
+
+    /// A link that is cut carries nothing, in no order.
+    fn may_overtake(&self, link: u8) -> bool {
+        let cuts = self.faults.cut.iter().zip(&self.beside.cuts);
+        let cut = cuts.into_iter().any(|(&at, &state)| at == usize::from(link) / 2 && state == OPEN);
+        self.beside.reorder > 0 && !cut
     }
 
     fn ends(&self, task: usize, action: &Running, moves: &mut Vec<CellMove>) {

@@ -25,6 +25,8 @@ pub struct CellFaults {
     pub loss: u8,
     /// Packets that arrive twice.
     pub dup: u8,
+    /// Packets that arrive before one that was sent earlier on their link.
+    pub reorder: u8,
     /// Actions that fail.
     pub fail: u8,
     /// Ticks that some node's clock leaves out or counts twice.

@@ -6,6 +6,7 @@ use super::plan::{CellFaults, CellPlan, Conduct};
 pub use crate::chart::Note;
 use crate::chart::Pen;
 use crate::floor::chart::Lanes;
+use crate::floor::script::ScriptTurn;
 use imrs_protocol::script::{Activity, Address, End};
 use imrs_protocol::{PortId, TaskId};
 use serde::{Deserialize, Serialize};
@@ -53,19 +54,53 @@ pub(super) struct Told {
 
 /// Walks a way again with everything kept.
 pub(super) fn tell(plan: &Arc<CellPlan>, faults: &CellFaults, moves: &[CellMove], cause: &str) -> Told {
+    let mut steps = Vec::new();
+    let (pen, ticks) = walk(plan, faults, moves, |walked| steps.push(walked.step()));
+    let chart = pen.conclude(cause, u32::try_from(moves.len()).unwrap_or(u32::MAX)).chart;
+    Told { steps, chart: shorten(&chart), ticks }
+}
+
+/// A step of a way that is walked.
+pub(super) struct Walked<'a> {
+    /// The cell after it; its log has what the step showed.
+    pub course: &'a Course,
+    pub lanes: &'a Lanes,
+    pub step: CellMove,
+    pub notes: &'a [Note],
+    /// How many of the notes, the last ones, tell that scripts ended.
+    pub ended: usize,
+    /// What scripts did.
+    pub turns: &'a [ScriptTurn],
+}
+
+impl Walked<'_> {
+    /// The step for those who have no cell at hand.
+    pub fn step(&self) -> Step {
+        let tasks = (0..self.course.plan.tasks.len()).map(|task| view(self.course, task)).collect();
+        Step { tick: self.course.passed, step: self.step, notes: self.notes.to_vec(), tasks }
+    }
+}
+
+/// Walks a way, and shows each step to `each`. Returns what was drawn, and the ticks that it took.
+pub(super) fn walk(
+    plan: &Arc<CellPlan>,
+    faults: &CellFaults,
+    moves: &[CellMove],
+    mut each: impl FnMut(&Walked<'_>),
+) -> (Pen, u64) {
     let mut course = Course::new(plan, faults);
     course.floor.keep_log = true;
     let lanes = Lanes::new(&course.floor.plan);
     let mut pen = Pen::new(lanes.names.clone());
-    let mut steps = Vec::new();
+    // What scripts do before anything happens is drawn with the first step.
+    ends(&course.floor.turns.replace(Vec::new()).unwrap_or_default(), &mut pen, 0);
+    let mut from = 0;
     for &step in moves {
         course.floor.log.clear();
         let arrow = packet(&course, step, &lanes);
         let before = describe(&course, step);
         course.apply(step);
-        let tick = course.passed;
-        let shown = u32::try_from(tick).unwrap_or(u32::MAX);
-        let from = pen.notes.len();
+        let shown = u32::try_from(course.passed).unwrap_or(u32::MAX);
         if let Some((ends, packet, fate)) = arrow {
             pen.arrow(shown, ends, &packet, fate);
         }
@@ -77,16 +112,17 @@ pub(super) fn tell(plan: &Arc<CellPlan>, faults: &CellFaults, moves: &[CellMove]
             pen.event(shown, lane, &text);
         }
         lanes.effects(&mut pen, shown, &course.floor.log);
-        ends(&mut course, &mut pen, shown);
-        let tasks = (0..plan.tasks.len()).map(|task| view(&course, task)).collect();
-        steps.push(Step { tick, step, notes: pen.notes[from..].to_vec(), tasks });
+        let turns = course.floor.turns.as_mut().map(std::mem::take).unwrap_or_default();
+        let others = pen.notes.len();
+        ends(&turns, &mut pen, shown);
+        let (notes, ended) = (&pen.notes[from..], pen.notes.len() - others);
+        each(&Walked { course: &course, lanes: &lanes, step, notes, ended, turns: &turns });
+        from = pen.notes.len();
         if course.floor.violation.is_some() {
             break;
         }
     }
-    let ticks = course.passed;
-    let chart = pen.conclude(cause, u32::try_from(moves.len()).unwrap_or(u32::MAX)).chart;
-    Told { steps, chart: shorten(&chart), ticks }
+    (pen, course.passed)
 }
 
 enum Lane {
@@ -98,6 +134,7 @@ type Arrow = ((usize, usize), imrs_protocol::Packet, &'static str);
 
 fn packet(course: &Course, step: CellMove, lanes: &Lanes) -> Option<Arrow> {
     let (i, fate) = match step {
+        CellMove::Deliver(i) if course.floor.is_behind(usize::from(i)) => (i, "OVERTAKES"),
         CellMove::Deliver(i) | CellMove::Mend(i, _) => (i, ""),
         CellMove::Lose(i) => (i, "LOST"),
         CellMove::Duplicate(i) => (i, "TWICE"),
@@ -151,10 +188,9 @@ fn describe(course: &Course, step: CellMove) -> Option<(Lane, String)> {
 }
 
 /// Scripts that ended with the last move.
-fn ends(course: &mut Course, pen: &mut Pen, tick: u32) {
-    let turns = course.floor.turns.as_mut().map(std::mem::take).unwrap_or_default();
+fn ends(turns: &[ScriptTurn], pen: &mut Pen, tick: u32) {
     for turn in turns {
-        let text = match turn.end {
+        let text = match &turn.end {
             None => continue,
             Some(End::Finished) => "ends".into(),
             Some(End::Fenced) => "ends, FENCED".into(),
@@ -166,7 +202,7 @@ fn ends(course: &mut Course, pen: &mut Pen, tick: u32) {
     }
 }
 
-fn view(course: &Course, task: usize) -> TaskView {
+pub(super) fn view(course: &Course, task: usize) -> TaskView {
     let plan = &course.plan;
     let up = course.is_up(task);
     let at = position(course, task);

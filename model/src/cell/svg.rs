@@ -10,7 +10,16 @@ const LEFT: usize = 70;
 /// Draws the steps of a finding: one lane for each name. Colours are those of the page around it.
 #[must_use]
 pub fn svg(names: &[String], steps: &[Step], cause: &str) -> String {
-    let notes: Vec<&Note> = steps.iter().flat_map(|step| &step.notes).collect();
+    draw_notes(names, steps.iter().flat_map(|step| &step.notes), cause)
+}
+
+/// Draws lines of a chart.
+pub(crate) fn draw_notes<'a>(
+    names: &[String],
+    notes: impl IntoIterator<Item = &'a Note>,
+    cause: &str,
+) -> String {
+    let notes: Vec<&Note> = notes.into_iter().collect();
     let (width, height) = (LEFT + LANE * names.len().max(1), LINE * (notes.len() + 4));
     let mut out = String::new();
     let _ = writeln!(

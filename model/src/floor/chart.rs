@@ -13,6 +13,12 @@ use std::sync::Arc;
 pub fn draw_floor(plan: &Arc<FloorPlan>, exploration: &Exploration<Move>) -> Option<Counterexample> {
     let states = exploration.states_on_path.as_ref()?;
     let violation = exploration.violation?;
+    let length = u32::try_from(states.len().saturating_sub(1)).unwrap_or(u32::MAX);
+    Some(walk(plan, states)?.conclude(violation.text(), length))
+}
+
+/// Draws a path. `None` where its states do not follow from each other.
+pub(crate) fn walk(plan: &Arc<FloorPlan>, states: &[Packed]) -> Option<Pen> {
     let lanes = Lanes::new(plan);
     let mut pen = Pen::new(lanes.names.clone());
     let mut floor = Floor::new(plan);
@@ -20,18 +26,35 @@ pub fn draw_floor(plan: &Arc<FloorPlan>, exploration: &Exploration<Move>) -> Opt
     let mut tick = 0;
     for target in states.iter().skip(1) {
         let (step, next) = concrete_move(&floor, target)?;
-        let crossing = match step {
-            Move::Deliver(i, _) | Move::Lose(i) | Move::Duplicate(i) => {
-                floor.crossings.get(usize::from(i)).copied()
-            }
-            _ => None,
-        };
+        let crossing = crossing_of(&floor, step);
         tick += next.passed;
         floor = next;
         lanes.step(&mut pen, tick, step, crossing.as_ref(), &floor);
     }
-    let length = u32::try_from(states.len().saturating_sub(1)).unwrap_or(u32::MAX);
-    Some(pen.conclude(violation.text(), length))
+    Some(pen)
+}
+
+/// The packet that a move is about.
+fn crossing_of(floor: &Floor, step: Move) -> Option<Crossing> {
+    match step {
+        Move::Deliver(i, _) | Move::Lose(i) | Move::Duplicate(i) => {
+            floor.crossings.get(usize::from(i)).copied()
+        }
+        _ => None,
+    }
+}
+
+/// One step from a packed state, drawn.
+pub(crate) fn one_step(plan: &Arc<FloorPlan>, state: &Packed, step: Move) -> Pen {
+    let (lanes, mut floor) = (Lanes::new(plan), Floor::new(plan));
+    let mut pen = Pen::new(lanes.names.clone());
+    floor.load(state);
+    floor.keep_log = true;
+    floor.log.clear();
+    let crossing = crossing_of(&floor, step);
+    floor.apply(step);
+    lanes.step(&mut pen, 0, step, crossing.as_ref(), &floor);
+    pen
 }
 
 /// The move of `floor` whose packed result is `target`. The chart walks the path with everything kept, so that numbers

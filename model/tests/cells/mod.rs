@@ -39,6 +39,7 @@ impl Text {
             drift: faults.drift,
             crash: faults.crash.clone(),
             cut: faults.cut.clone(),
+            ..CellFaults::default()
         };
         let check = |check: &imrs_language::lower::Check| CellCheck {
             name: check.name.clone(),

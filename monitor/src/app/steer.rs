@@ -31,6 +31,23 @@ impl App {
             Action::Quit => return Effect::Quit,
             Action::Suspend => return Effect::Suspend,
             Action::Show(screen) => self.show(screen),
+            Action::Record => return if self.replay.is_some() { Effect::Nothing } else { Effect::Record },
+            Action::StepBack
+            | Action::StepOn
+            | Action::PreviousAnomaly
+            | Action::NextAnomaly
+            | Action::Oldest
+            | Action::Newest
+            | Action::Pause
+                if self.replay.is_some() =>
+            {
+                self.wind(action, now);
+            }
+            Action::StepBack | Action::StepOn | Action::PreviousAnomaly | Action::NextAnomaly => {
+                return Effect::Nothing;
+            }
+            Action::Oldest => self.step(isize::MIN, now),
+            Action::Newest => self.step(isize::MAX, now),
             Action::Pause => {
                 self.frozen = match self.frozen.take() {
                     Some(_) => None,
@@ -63,6 +80,21 @@ impl App {
             Action::Last => self.step(isize::MAX, now),
         }
         Effect::Draw
+    }
+
+    /// Moves in the recording. The screens stay where they are, but for events, which follow.
+    fn wind(&mut self, action: Action, now: Moment) {
+        let Some(player) = &mut self.replay else { return };
+        self.held = None;
+        match action {
+            Action::StepBack => player.step_by(-1),
+            Action::StepOn => player.step_by(1),
+            Action::PreviousAnomaly => player.go_to_odd(false),
+            Action::NextAnomaly => player.go_to_odd(true),
+            Action::Oldest => player.go(0),
+            Action::Newest => player.go_to_end(),
+            _ => player.toggle(now),
+        }
     }
 
     fn show(&mut self, screen: Screen) {

@@ -141,7 +141,7 @@ impl Entry {
     }
 }
 
-const fn level_of(event: Event) -> Level {
+pub(crate) const fn level_of(event: Event) -> Level {
     match event {
         Event::Sent
         | Event::Resent

@@ -155,7 +155,9 @@ impl Store {
             lost: 0,
         };
         let again = self.lives.iter().any(|l| l.names.cell == life.names.cell && l.node == life.node);
-        let detail = format!("incarnation {}, pid {pid}, {}", life.incarnation, life.build);
+        // A node in a checker has no process.
+        let process = if pid == 0 { String::new() } else { format!("pid {pid}, ") };
+        let detail = format!("incarnation {}, {process}{}", life.incarnation, life.build);
         self.notice(
             at,
             &life,

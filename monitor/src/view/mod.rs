@@ -6,6 +6,7 @@ mod overview;
 mod pen;
 mod port;
 mod rendezvous;
+mod replay;
 
 use crate::app::{App, Screen};
 use crate::clock::{Moment, Span};
@@ -30,6 +31,14 @@ pub fn view(app: &App, now: Moment, area: Rect, buffer: &mut Buffer) {
     let middle = Rect { y: area.y + 1, height: area.height.saturating_sub(1 + foot), ..area };
     if foot == 1 {
         self::foot(app, now, &mut pen);
+    }
+    let told = app.replay().map_or(0, |player| replay::rows(player, middle.height));
+    let (middle, panel) = (
+        Rect { height: middle.height - told, ..middle },
+        Rect { y: middle.y + middle.height - told, height: told, ..middle },
+    );
+    if let Some(player) = app.replay() {
+        replay::draw(player, &mut Pen { buffer: pen.buffer, area: panel, theme: &app.theme });
     }
     let mut pen = Pen { buffer: pen.buffer, area: middle, theme: &app.theme };
     match app.screen {
@@ -98,12 +107,19 @@ fn cell_at_a_glance(app: &App, cell: &Name, narrow: bool, now: Moment, pieces: &
     let (up, all) = nodes(app, now);
     let nodes = if narrow { "" } else { " nodes" };
     pieces.push((format!("  {up}/{all}{nodes}"), if up < all { Ink::Bad } else { Ink::Plain }));
-    let (word, ink) = match (app.paused().is_some(), up) {
-        (true, _) => ("PAUSED", Ink::Warn),
-        (false, 0) => ("NOBODY THERE", Ink::Bad),
-        (false, _) => ("LIVE", Ink::Good),
-    };
-    pieces.push((format!("  {word}"), ink));
+    if let Some(player) = app.replay() {
+        replay::head(player, pieces);
+    } else {
+        let (word, ink) = match (app.paused().is_some(), up) {
+            (true, _) => ("PAUSED", Ink::Warn),
+            (false, 0) => ("NOBODY THERE", Ink::Bad),
+            (false, _) => ("LIVE", Ink::Good),
+        };
+        pieces.push((format!("  {word}"), ink));
+    }
+    if app.recording.is_some() {
+        pieces.push(("  REC".to_owned(), Ink::Bad));
+    }
     let insecure = app.store().lives_of(cell).filter_map(|l| l.last.as_ref()).any(|s| s.snapshot.insecure);
     if insecure {
         pieces.push(("  INSECURE".to_owned(), Ink::Warn));
@@ -133,6 +149,9 @@ fn foot(app: &App, now: Moment, pen: &mut Pen<'_>) {
     let mut pieces: Vec<(String, Ink)> = Vec::new();
     if let Some(at) = app.paused() {
         pieces.push((format!(" paused at {}; space goes on", Span(at)), Ink::Warn));
+    }
+    if let Some(file) = &app.recording {
+        pieces.push((format!(" recording to {file}; r ends it"), Ink::Warn));
     }
     if !app.shape.filter.is_empty() {
         pieces.push((format!(" filter /{}", app.shape.filter), Ink::Warn));

@@ -162,7 +162,9 @@ fn fold_sign(app: &App, row: &Row) -> &'static str {
 fn node(app: &App, life: &Life, row: &Row, now: Moment, cells: &mut Cells) {
     let presence = life.presence(now);
     let sign = if presence.is_gone() { app.theme.glyphs.dead } else { fold_sign(app, row) };
-    cells[0] = (format!("{sign} {} (pid {})", life.node, life.pid), Ink::Plain);
+    // A node in a checker has no process.
+    let pid = if life.pid == 0 { String::new() } else { format!(" (pid {})", life.pid) };
+    cells[0] = (format!("{sign} {}{pid}", life.node), Ink::Plain);
     let uptime = life.last.as_ref().map(|s| Duration::from_micros(s.snapshot.uptime_us));
     cells[1] = match (presence, uptime) {
         (Presence::Up, Some(uptime)) => (format!("up {}", Span(uptime)), Ink::Good),

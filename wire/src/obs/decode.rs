@@ -30,7 +30,7 @@ pub enum DecodeError {
 }
 
 /// The value that `bytes` are, where its type is an enum of `kinds` variants.
-pub(super) fn whole<T: DeserializeOwned>(bytes: &[u8], kinds: u32) -> Result<T, DecodeError> {
+pub(crate) fn whole<T: DeserializeOwned>(bytes: &[u8], kinds: u32) -> Result<T, DecodeError> {
     let (kind, _) = postcard::take_from_bytes::<u32>(bytes).map_err(DecodeError::Malformed)?;
     if kind >= kinds {
         return Err(DecodeError::UnknownKind(kind));

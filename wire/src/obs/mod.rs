@@ -25,13 +25,16 @@
 mod decode;
 mod frames;
 mod framing;
+mod gathering;
 mod handshake;
 pub mod place;
 
 pub use decode::DecodeError;
+pub(crate) use decode::whole;
 pub use frames::{
     Bye, ClientFrame, Count, Events, Goodbye, LinkName, LinkView, Liveness, NodeName, PartyName, PortName,
     ServerFrame, Snapshot, Subscribe, Table, TaskName, TaskSnapshot, TimedEvent, TimerEntry,
 };
 pub use framing::{FrameError, FrameReader, FrameWriter, MAX_FRAME, MAX_REQUEST};
+pub use gathering::Gathering;
 pub use handshake::{Handshake, Hello, NodeIdentity, Refusal, Role, SCHEMA, VERSION, Version, agree};

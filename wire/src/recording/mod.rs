@@ -18,10 +18,12 @@
 
 mod background;
 mod reader;
+mod shown;
 mod writer;
 
 pub use background::{FrameStream, Recording, Status, TaskStream};
 pub use reader::{Cause, Ending, ReadError, RecordingReader};
+pub use shown::{Doing, Place, Shown, ShownError, Step, Story};
 pub use writer::{RecordingWriter, WriteError};
 
 use imrs_protocol::{Incarnation, Input, NodeId, TaskId, Ticks};
@@ -98,7 +100,7 @@ pub enum Record {
         source: u16,
         /// When, in microseconds since the recording began.
         at: u64,
-        /// The frame.
+        /// What: a [`Shown`].
         bytes: Vec<u8>,
     },
     /// The recording was ended, and is whole but for the gaps it names. The last record.

@@ -2,4 +2,5 @@
 
 mod form;
 mod rig;
+mod shown;
 mod thread;

@@ -1,0 +1,200 @@
+//! The way to a finding as monitors see nodes: after each step the state of every node, and what was observed at it.
+
+use super::course::{CellMove, Course};
+use super::plan::{CellFaults, CellPlan};
+use super::story::{self, Note, Step, Walked};
+use super::verdict::{Finding, Phase};
+use crate::chart::label;
+use crate::floor::script::ScriptTurn;
+use crate::floor::{Effect, Station};
+use imrs_protocol::script::{Activity, Address, End};
+use imrs_protocol::{Event, Incarnation, NodeId, Observation, Reason, TaskId};
+use imrs_wire::obs::{Gathering, Liveness, Snapshot, TimerEntry};
+use std::sync::Arc;
+
+/// How many waiting messages of each port a snapshot lists.
+const QUEUE_LIMIT: usize = 64;
+
+/// A node after a step.
+#[derive(Clone, Debug)]
+pub struct NodeFrame {
+    /// Its life.
+    pub life: Incarnation,
+    /// Its state; none while it is down.
+    pub snapshot: Option<Snapshot>,
+    /// What was observed in the step: at a task, or in the transit buffer.
+    pub observed: Vec<(Option<TaskId>, Observation)>,
+}
+
+/// Something that happened in a step.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Happening {
+    /// In words.
+    Said(String),
+    /// A task began the statement at this operation of its program.
+    Began(TaskId, Address),
+}
+
+/// A step of the way to a finding.
+#[derive(Clone, Debug)]
+pub struct Scene {
+    /// Ticks since the start.
+    pub tick: u64,
+    /// Whether a fault happens in it, or a wait or a script ends badly.
+    pub odd: bool,
+    /// What happened, in its order.
+    pub happened: Vec<Happening>,
+    /// What each task does after it, by task.
+    pub tasks: Vec<story::TaskView>,
+    /// The nodes after it, by node.
+    pub nodes: Vec<NodeFrame>,
+}
+
+/// The way to a finding of `plan`: the state before its first step, then each step. Empty for a finding without a way.
+#[must_use]
+pub fn scenes(plan: &Arc<CellPlan>, finding: &Finding) -> Vec<Scene> {
+    let plan = &super::outside::with_programs(plan);
+    let faults = match finding.phase {
+        Phase::FaultFree => CellFaults::default(),
+        Phase::Faults => plan.faults.clone(),
+    };
+    let mut dropped = vec![[0; Reason::ALL.len()]; plan.table.cell().nodes.len()];
+    let start = Course::new(plan, &faults);
+    let mut scenes = vec![Scene {
+        tick: 0,
+        odd: false,
+        happened: std::iter::once(Happening::Said("the start".into()))
+            .chain(began(start.floor.turns.as_deref().unwrap_or_default()))
+            .collect(),
+        tasks: (0..plan.tasks.len()).map(|task| story::view(&start, task)).collect(),
+        nodes: nodes(&start, &[], &dropped),
+    }];
+    if finding.moves.is_empty() {
+        return Vec::new();
+    }
+    let mut last = 0;
+    story::walk(plan, &faults, &finding.moves, |walked| {
+        let Step { tick, tasks, notes, .. } = walked.step();
+        let log = &walked.course.floor.log;
+        for effect in log {
+            if let Effect::Seen(node, _, Observation { event: Event::Discarded(reason), .. }) = effect {
+                dropped[usize::from(*node)][*reason as usize] += 1;
+            }
+        }
+        let happened = happenings(walked, tick - last);
+        last = tick;
+        scenes.push(Scene {
+            tick,
+            odd: is_fault(walked) || notes.iter().any(went_wrong) || walked.turns.iter().any(ended_badly),
+            happened,
+            tasks,
+            nodes: nodes(walked.course, log, &dropped),
+        });
+    });
+    if let Some(found) = scenes.last_mut() {
+        found.odd = true;
+    }
+    scenes
+}
+
+fn began(turns: &[ScriptTurn]) -> impl Iterator<Item = Happening> {
+    turns.iter().flat_map(|turn| {
+        let task = TaskId::from_index(turn.task);
+        turn.passed.iter().map(move |&at| Happening::Began(task, at))
+    })
+}
+
+fn nodes(course: &Course, log: &[Effect], dropped: &[[u64; Reason::ALL.len()]]) -> Vec<NodeFrame> {
+    let frame = |(i, station): (usize, &Station)| {
+        let here = |effect: &Effect| match *effect {
+            Effect::Seen(node, task, observation) if usize::from(node) == i => Some((task, observation)),
+            Effect::Seen(..) | Effect::Sent(..) | Effect::Told(..) => None,
+        };
+        NodeFrame {
+            life: station.life,
+            snapshot: station.up.then(|| snapshot(course, i, dropped[i])),
+            observed: log.iter().filter_map(here).collect(),
+        }
+    };
+    course.floor.stations.iter().enumerate().map(frame).collect()
+}
+
+/// Clocks are left at zero: the model's time belongs to who shows it.
+fn snapshot(course: &Course, node: usize, dropped: [u64; Reason::ALL.len()]) -> Snapshot {
+    let station = &course.floor.stations[node];
+    let parts = station.node.parts();
+    let mut gathering = Gathering::new(dropped);
+    for (task, machine) in station.table.tasks_on(NodeId::from_index(node)).zip(&parts.tasks) {
+        let liveness = match course.activity(task.index()) {
+            Some(Activity::Ended(End::Finished | End::Aborted(_) | End::Fenced)) => Liveness::Ended,
+            Some(Activity::Ended(End::Assertion(_) | End::Fault { .. })) => Liveness::Crashed,
+            Some(
+                Activity::NotBegun
+                | Activity::Waits
+                | Activity::Acts
+                | Activity::Chooses(_)
+                | Activity::Passive,
+            )
+            | None => Liveness::Alive,
+        };
+        gathering.task(liveness, 0, machine.view(&station.table, QUEUE_LIMIT), &[]);
+    }
+    let entry = |(owner, id, remaining)| TimerEntry { owner, id, remaining };
+    // What the transit buffer drops was observed, and is counted with the rest.
+    let mut transit = parts.transit.view();
+    transit.discarded.clear();
+    let timers = parts.timer.entries().into_iter().map(entry).collect();
+    Snapshot { timers, ..gathering.snapshot(transit) }
+}
+
+/// What happened in a step: what came, what it began, what it ended and what left.
+fn happenings(walked: &Walked<'_>, passed: u64) -> Vec<Happening> {
+    let (came, ended) = walked.notes.split_at(walked.notes.len() - walked.ended);
+    let words = |note: &Note| note.words(&walked.lanes.names);
+    let later = (passed > 0).then(|| format!("{passed} tick{} later", if passed == 1 { "" } else { "s" }));
+    let came = later.into_iter().chain(came.iter().map(words));
+    let nodes = &walked.course.plan.table.cell().nodes;
+    let left = walked.course.floor.log.iter().filter_map(|effect| match effect {
+        Effect::Sent(next, packet) => {
+            let next = nodes.get(next.index()).map_or("?", |node| node.name.as_str());
+            let source = walked.lanes.names.get(packet.source.index()).map_or("?", String::as_str);
+            Some(format!("{} of {source} leaves for {next}", label(packet)))
+        }
+        Effect::Told(..) | Effect::Seen(..) => None,
+    });
+    let ended = ended.iter().map(words);
+    let said = Happening::Said;
+    came.map(said).chain(began(walked.turns)).chain(ended.chain(left).map(said)).collect()
+}
+
+/// Whether a step is a fault that was declared.
+const fn is_fault(walked: &Walked<'_>) -> bool {
+    match walked.step {
+        CellMove::Drift(..)
+        | CellMove::Lose(_)
+        | CellMove::Duplicate(_)
+        | CellMove::Cut(..)
+        | CellMove::Vanish(_)
+        | CellMove::Acted(_, _, false, _)
+        | CellMove::Crash(_) => true,
+        CellMove::Pass
+        | CellMove::Deliver(_)
+        | CellMove::Mend(..)
+        | CellMove::Acted(_, _, true, _)
+        | CellMove::GoOn(..)
+        | CellMove::Choose(..)
+        | CellMove::Restart(_) => false,
+    }
+}
+
+/// Whether what a chart shows went wrong. A packet's fate that is not to arrive does.
+fn went_wrong(note: &Note) -> bool {
+    matches!(note, Note::Packet { fate, .. } if !fate.is_empty())
+}
+
+fn ended_badly(turn: &ScriptTurn) -> bool {
+    match &turn.end {
+        Some(End::Aborted(_) | End::Assertion(_) | End::Fault { .. }) => true,
+        Some(End::Finished | End::Fenced) | None => false,
+    }
+}

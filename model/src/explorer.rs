@@ -1,0 +1,148 @@
+//! A claim's world to walk through by hand: stateright's Explorer, with each path as a sequence chart.
+
+use crate::cell::draw_notes;
+use crate::chart::{self, Pen};
+use crate::claims::Explored;
+use crate::explore::{Ground, Grounded, Limits};
+use crate::floor::{self, Floor};
+use crate::state::Packed;
+use crate::world::World;
+use stateright::{Model, Path, Property};
+use std::io;
+use std::net::{SocketAddr, TcpListener};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+
+/// Why nothing is served.
+#[derive(Debug)]
+pub enum ExplorerError {
+    /// The address is one that others can reach: what is served asks nobody who they are.
+    NotLoopback(SocketAddr),
+    /// The claim is settled without a search, or there is none of this name.
+    NothingToExplore,
+    /// The address cannot be served.
+    Unavailable(SocketAddr, io::Error),
+}
+
+impl std::fmt::Display for ExplorerError {
+    fn fmt(&self, f: &mut std::fmt::Formatter<'_>) -> std::fmt::Result {
+        match self {
+            Self::NotLoopback(address) => {
+                write!(f, "{address} can be reached by others: serve 127.0.0.1:PORT or [::1]:PORT")
+            }
+            Self::NothingToExplore => {
+                f.write_str("this claim is settled without a search: there is nothing to explore")
+            }
+            Self::Unavailable(address, error) => write!(f, "{address}: {error}"),
+        }
+    }
+}
+
+impl std::error::Error for ExplorerError {}
+
+/// The first world that a claim is settled in, ready to be explored.
+#[derive(Clone, Debug)]
+pub struct Explorer(Explored);
+
+impl Explorer {
+    /// The world of a claim, in the first of its rows.
+    ///
+    /// # Errors
+    /// [`ExplorerError::NothingToExplore`].
+    pub fn of_claim(name: &str) -> Result<Self, ExplorerError> {
+        crate::claims::first_explored(name).map(Self).ok_or(ExplorerError::NothingToExplore)
+    }
+
+    /// Serves the Explorer until the process ends; says on which address before it does. Port 0: any that is free.
+    ///
+    /// # Errors
+    /// [`ExplorerError::NotLoopback`] and [`ExplorerError::Unavailable`].
+    pub fn serve(
+        self,
+        address: SocketAddr,
+        limits: Limits,
+        ready: impl FnOnce(SocketAddr),
+    ) -> Result<(), ExplorerError> {
+        if !address.ip().is_loopback() {
+            return Err(ExplorerError::NotLoopback(address));
+        }
+        // stateright panics where it cannot bind: this finds out before, and finds a free port.
+        let probe = TcpListener::bind(address).and_then(|probe| probe.local_addr());
+        let address = probe.map_err(|error| ExplorerError::Unavailable(address, error))?;
+        ready(address);
+        match self.0 {
+            Explored::World(scenario) => {
+                let pad = World::new(&scenario);
+                let way = Arc::clone(&scenario);
+                let drawn = Drawn {
+                    grounded: Grounded::new(pad, limits, None),
+                    way: Box::new(move |states| chart::walk(&way, states)),
+                    step: Box::new(move |state, action| chart::one_step(&scenario, state, action)),
+                };
+                drop(drawn.checker().serve(address));
+            }
+            Explored::Floor(plan) => {
+                let pad = Floor::new(&plan);
+                let way = Arc::clone(&plan);
+                let drawn = Drawn {
+                    grounded: Grounded::new(pad, limits, None),
+                    way: Box::new(move |states| floor::chart::walk(&way, states)),
+                    step: Box::new(move |state, step| floor::chart::one_step(&plan, state, step)),
+                };
+                drop(drawn.checker().serve(address));
+            }
+        }
+        Ok(())
+    }
+}
+
+/// Draws the path through these states.
+type Way = Box<dyn Fn(&[Packed]) -> Option<Pen> + Send + Sync>;
+/// Draws one step from a state.
+type OneStep<A> = Box<dyn Fn(&Packed, A) -> Pen + Send + Sync>;
+
+/// A world as a stateright model that draws its paths and steps.
+struct Drawn<G: Ground> {
+    grounded: Grounded<G>,
+    way: Way,
+    step: OneStep<G::Action>,
+}
+
+impl<G: Ground + 'static> Model for Drawn<G> {
+    type State = Packed;
+    type Action = G::Action;
+
+    fn init_states(&self) -> Vec<Packed> {
+        self.grounded.init_states()
+    }
+
+    fn actions(&self, state: &Packed, actions: &mut Vec<G::Action>) {
+        self.grounded.actions(state, actions);
+    }
+
+    fn next_state(&self, state: &Packed, action: G::Action) -> Option<Packed> {
+        self.grounded.next_state(state, action)
+    }
+
+    fn properties(&self) -> Vec<Property<Self>> {
+        vec![Property::always("claim", |_, state: &Packed| state.violation().is_none())]
+    }
+
+    /// What happens, and what is wrong then: the bytes of a state say nothing to a person.
+    fn format_step(&self, state: &Packed, action: G::Action) -> Option<String> {
+        let wrong = self.next_state(state, action)?.violation();
+        // What panics was told by the state after it.
+        let pen = catch_unwind(AssertUnwindSafe(|| (self.step)(state, action))).ok();
+        let words = pen.iter().flat_map(|pen| pen.notes.iter().map(|note| note.words(pen.names())));
+        let words = words.chain(wrong.map(|wrong| format!("=> {}", wrong.text())));
+        Some(words.collect::<Vec<_>>().join("\n"))
+    }
+
+    fn as_svg(&self, path: Path<Packed, G::Action>) -> Option<String> {
+        let cause = path.last_state().violation().map_or("", |violation| violation.text());
+        let states = path.into_states();
+        // The way to a panic of the machine panics again.
+        let pen = catch_unwind(AssertUnwindSafe(|| (self.way)(&states))).ok()??;
+        Some(draw_notes(pen.names(), &pen.notes, cause))
+    }
+}

@@ -1,0 +1,151 @@
+//! Recording what sources say, as it comes: the frames of every node, for `--replay`.
+
+use crate::clock::Moment;
+use crate::error::MonitorError;
+use crate::source::{Arrival, Feed, SourceId};
+use imrs_wire::obs::{Hello, NodeIdentity, Role, SCHEMA, ServerFrame, VERSION};
+use imrs_wire::recording::{FrameStream, Header, Recording, Shown, Status};
+use std::collections::BTreeMap;
+use std::fs::File;
+use std::path::{Path, PathBuf};
+use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::time::{Duration, SystemTime, UNIX_EPOCH};
+
+/// How many frames may wait for the disk; what comes then is counted as lost.
+const ROOM: usize = 1024;
+/// How long the end of a recording may wait for the disk.
+const PATIENCE: Duration = Duration::from_secs(2);
+
+/// What is recorded, if anything is. What a recording that begins later must begin with is always kept.
+#[derive(Default)]
+pub struct Tape {
+    inner: Mutex<Inner>,
+}
+
+#[derive(Default)]
+struct Inner {
+    known: BTreeMap<SourceId, Known>,
+    running: Option<Running>,
+}
+
+/// Who a source is, and the names of its cell.
+struct Known {
+    identity: NodeIdentity,
+    attached: Vec<u8>,
+    table: Option<Vec<u8>>,
+}
+
+struct Running {
+    path: PathBuf,
+    recording: Recording,
+    streams: BTreeMap<SourceId, FrameStream>,
+    began: Moment,
+}
+
+impl Running {
+    fn put(&mut self, at: Moment, source: SourceId, bytes: Vec<u8>) {
+        // More sources than have numbers in a recording are not recorded.
+        let Ok(number) = u16::try_from(source.0) else { return };
+        let recording = &self.recording;
+        let stream = self.streams.entry(source).or_insert_with(|| recording.frames(number));
+        let at = u64::try_from(at.saturating_sub(self.began).as_micros()).unwrap_or(u64::MAX);
+        // Where there is no room the stream counts it, and the recording says so.
+        let _ = stream.frame(at, bytes);
+    }
+}
+
+/// How a recording ended.
+#[derive(Clone, Debug)]
+pub struct Recorded {
+    /// The file.
+    pub path: PathBuf,
+    /// How much was written, and what went wrong.
+    pub status: Status,
+}
+
+impl Tape {
+    /// Takes note of what a source said.
+    pub fn take(&self, arrival: &Arrival) {
+        let mut inner = self.inner();
+        let Arrival { at, source, feed } = arrival;
+        let bytes = match feed {
+            Feed::Attached { identity, pid, build } => {
+                let role = Role::Node(identity.clone());
+                let hello = Hello { schema: SCHEMA, pid: *pid, build: build.clone(), mono_us: 0, role };
+                let attached = Shown::Attached { version: VERSION, hello }.encode();
+                let known = Known { identity: identity.clone(), attached: attached.clone(), table: None };
+                inner.known.insert(*source, known);
+                attached
+            }
+            Feed::Frame(frame) => {
+                let is_table = matches!(**frame, ServerFrame::Table(_));
+                if !is_table && inner.running.is_none() {
+                    return;
+                }
+                let bytes = Shown::Said((**frame).clone()).encode();
+                if let Some(known) = inner.known.get_mut(source).filter(|_| is_table) {
+                    known.table = Some(bytes.clone());
+                }
+                bytes
+            }
+            Feed::Lost { why } => {
+                inner.known.remove(source);
+                Shown::Lost { why: why.clone() }.encode()
+            }
+            Feed::Failed { .. } | Feed::Left | Feed::Stale { .. } => return,
+        };
+        if let Some(running) = &mut inner.running {
+            running.put(*at, *source, bytes);
+        }
+    }
+
+    /// Begins a recording, in place of a file of this name.
+    ///
+    /// # Errors
+    /// [`MonitorError::Recording`].
+    pub fn start(&self, path: &Path, now: Moment) -> Result<(), MonitorError> {
+        let failed = |why: String| MonitorError::Recording { path: path.to_owned(), why };
+        let mut inner = self.inner();
+        let file = File::create(path).map_err(|error| failed(error.to_string()))?;
+        let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+        let first = inner.known.values().next().map(|known| &known.identity);
+        let header = Header {
+            cell: first.map_or_else(String::new, |first| first.cell.clone()),
+            digest: first.map_or(0, |first| first.digest),
+            build: concat!("imrs-monitor ", env!("CARGO_PKG_VERSION")).into(),
+            began: u64::try_from(since.as_micros()).unwrap_or(0),
+            ..Header::default()
+        };
+        let recording =
+            Recording::start(file, &header, ROOM, |_| {}).map_err(|error| failed(error.to_string()))?;
+        let mut running = Running { path: path.to_owned(), recording, streams: BTreeMap::new(), began: now };
+        for (&source, known) in &inner.known {
+            running.put(now, source, known.attached.clone());
+            if let Some(table) = &known.table {
+                running.put(now, source, table.clone());
+            }
+        }
+        inner.running = Some(running);
+        Ok(())
+    }
+
+    /// Ends the recording, if there is one.
+    pub fn stop(&self) -> Option<Recorded> {
+        let running = self.inner().running.take()?;
+        Some(Recorded { path: running.path, status: running.recording.stop(PATIENCE) })
+    }
+
+    fn inner(&self) -> MutexGuard<'_, Inner> {
+        self.inner.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// `path`, or if there is a file of that name the next that is free: `run.imrs`, `run-2.imrs`.
+#[must_use]
+pub fn free_name(path: &Path) -> PathBuf {
+    let stem = path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    let end = path.extension().map_or_else(String::new, |end| format!(".{}", end.to_string_lossy()));
+    let named = |number: u32| path.with_file_name(format!("{stem}-{number}{end}"));
+    let mut names = std::iter::once(path.to_owned()).chain((2..=u32::MAX).map(named));
+    names.find(|name| !name.exists()).unwrap_or_else(|| path.to_owned())
+}

@@ -1,0 +1,266 @@
+//! Looking at a recording of observations: the same screens as on running nodes, at any stop of the recording.
+//!
+//! A [`Film`] is the recording, a [`Player`] a place in it and whether it moves. Where the player stands depends on the
+//! film, the keys and the moments that it is told, and on nothing else.
+
+mod film;
+pub(crate) mod tell;
+
+pub use film::{Film, Stop};
+
+use crate::clock::{Moment, Span};
+use crate::store::Store;
+use film::Scene;
+use imrs_wire::recording::Step;
+use std::str::FromStr;
+use std::sync::Arc;
+use std::time::Duration;
+use thiserror::Error;
+
+/// How many states on the way are kept, to go back to.
+const KEPT: usize = 32;
+/// How long a step of a counterexample is shown at speed one: its ticks are too short to follow.
+const STEP: Duration = Duration::from_secs(1);
+
+/// Where to begin.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum At {
+    /// So long after the beginning.
+    After(Duration),
+    /// So long before the end.
+    BeforeEnd(Duration),
+    /// A tick of a counterexample; in another recording a second.
+    Tick(u64),
+}
+
+/// A text that names no time.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[error("`{0}` is no time: write 3s, 1500ms, -30s (before the end), or the tick of a counterexample")]
+pub struct AtError(String);
+
+impl FromStr for At {
+    type Err = AtError;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        let error = || AtError(crate::name::shown(text));
+        if let Ok(tick) = text.parse() {
+            return Ok(Self::Tick(tick));
+        }
+        let (end, rest) = text.strip_prefix('-').map_or((false, text), |rest| (true, rest));
+        let digits = rest.trim_end_matches(|c: char| c.is_ascii_alphabetic());
+        let number: f64 = digits.parse().map_err(|_| error())?;
+        let unit = match &rest[digits.len()..] {
+            "us" => 1e-6,
+            "ms" => 1e-3,
+            "s" => 1.0,
+            "m" | "min" => 60.0,
+            "h" => 3600.0,
+            _ => return Err(error()),
+        };
+        let length = Duration::try_from_secs_f64(number * unit).map_err(|_| error())?;
+        Ok(if end { Self::BeforeEnd(length) } else { Self::After(length) })
+    }
+}
+
+/// A place in a recording, and whether it moves.
+#[derive(Clone, Debug)]
+pub struct Player {
+    film: Arc<Film>,
+    store: Store,
+    step: Option<Step>,
+    /// The stop shown.
+    stop: usize,
+    /// The time shown, which lies between two stops while it plays.
+    at: Moment,
+    /// While it plays: since when, from which stop and time.
+    playing: Option<(Moment, usize, Moment)>,
+    speed: f64,
+    /// States on the way, by their stops.
+    kept: Vec<(usize, Store, Option<Step>)>,
+}
+
+impl Player {
+    /// At the first stop of a recording, standing still. `speed`: so many times as fast as it was recorded.
+    #[must_use]
+    pub fn new(film: Arc<Film>, speed: f64) -> Self {
+        let mut player = Self {
+            film,
+            store: Store::default(),
+            step: None,
+            stop: 0,
+            at: Duration::ZERO,
+            playing: None,
+            speed,
+            kept: Vec::new(),
+        };
+        player.show(None, 0);
+        player
+    }
+
+    /// The recording.
+    #[must_use]
+    pub fn film(&self) -> &Film {
+        &self.film
+    }
+
+    /// What is known at the stop shown.
+    #[must_use]
+    pub const fn store(&self) -> &Store {
+        &self.store
+    }
+
+    /// The step of a counterexample shown.
+    #[must_use]
+    pub const fn step(&self) -> Option<&Step> {
+        self.step.as_ref()
+    }
+
+    /// The number of the stop shown, from 0.
+    #[must_use]
+    pub const fn stop(&self) -> usize {
+        self.stop
+    }
+
+    /// The time shown.
+    #[must_use]
+    pub const fn moment(&self) -> Moment {
+        self.at
+    }
+
+    /// Whether it moves by itself.
+    #[must_use]
+    pub const fn is_playing(&self) -> bool {
+        self.playing.is_some()
+    }
+
+    /// Whether the last stop is shown.
+    #[must_use]
+    pub fn is_at_end(&self) -> bool {
+        self.stop + 1 == self.film.stops().len()
+    }
+
+    /// Where it stands, in words: `3 of 17, tick 4`, or `1.20s of 9.00s`.
+    #[must_use]
+    pub fn position(&self) -> String {
+        match (&self.step, &self.film.story) {
+            (Some(step), Some(story)) => format!("{}/{} tick {}", step.number, story.steps, step.tick),
+            _ => format!("{} of {}", Span(self.at), Span(self.film.length())),
+        }
+    }
+
+    /// Goes to a time.
+    pub fn seek(&mut self, at: At) {
+        let length = self.film.length();
+        let tick_us = self.film.story.as_ref().map_or(1_000_000, |story| story.tick_us);
+        let at = match at {
+            At::After(after) => after,
+            At::BeforeEnd(before) => length.saturating_sub(before),
+            At::Tick(tick) => Duration::from_micros(tick.saturating_mul(tick_us)),
+        };
+        self.go(self.film.stop_at(at.min(length)));
+    }
+
+    /// Goes to a stop and stands still there.
+    pub fn go(&mut self, stop: usize) {
+        self.playing = None;
+        self.turn_to(stop.min(self.film.stops().len().saturating_sub(1)));
+    }
+
+    /// One stop on or back.
+    pub fn step_by(&mut self, by: isize) {
+        self.go(self.stop.saturating_add_signed(by));
+    }
+
+    /// To the last stop.
+    pub fn go_to_end(&mut self) {
+        self.go(usize::MAX);
+    }
+
+    /// To the next stop at which something went wrong, or the one before.
+    pub fn go_to_odd(&mut self, forward: bool) {
+        let stops = self.film.stops();
+        let found = if forward {
+            (self.stop + 1..stops.len()).find(|&at| stops[at].odd)
+        } else {
+            (0..self.stop).rev().find(|&at| stops[at].odd)
+        };
+        self.go(found.unwrap_or(self.stop));
+    }
+
+    /// Plays on, or stands still. At the end it begins anew.
+    pub fn toggle(&mut self, now: Moment) {
+        if self.playing.take().is_none() {
+            if self.is_at_end() {
+                self.turn_to(0);
+            }
+            self.playing = Some((now, self.stop, self.at));
+        }
+    }
+
+    /// Moves on to where it should be at `now`. Says whether anything is shown otherwise.
+    pub fn advance(&mut self, now: Moment) -> bool {
+        let Some((since, from, at)) = self.playing else { return false };
+        let passed = now.saturating_sub(since).as_secs_f64() * self.speed;
+        let last = self.film.stops().len().saturating_sub(1);
+        let to = if self.film.story.is_some() {
+            #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a number of steps")]
+            let steps = (passed / STEP.as_secs_f64()) as usize;
+            from.saturating_add(steps).min(last)
+        } else {
+            let to = at.saturating_add(Duration::try_from_secs_f64(passed).unwrap_or(Duration::MAX));
+            self.at = to.min(self.film.length());
+            self.film.stop_at(self.at)
+        };
+        let between = self.at;
+        if to != self.stop {
+            self.turn_to(to);
+        }
+        if self.film.story.is_none() {
+            self.at = between;
+        }
+        if to == last {
+            self.playing = None;
+        }
+        true
+    }
+
+    fn turn_to(&mut self, stop: usize) {
+        if stop < self.stop {
+            let kept = self.kept.iter().rev().find(|(at, ..)| *at <= stop).cloned();
+            let from = kept.map(|(at, store, step)| {
+                (self.store, self.step) = (store, step);
+                at
+            });
+            if from.is_none() {
+                (self.store, self.step) = (Store::default(), None);
+            }
+            self.show(from, stop);
+        } else if stop > self.stop {
+            self.show(Some(self.stop), stop);
+        }
+    }
+
+    /// Takes over what came after the stop `from` (none: from the beginning) up to the stop `to`.
+    fn show(&mut self, from: Option<usize>, to: usize) {
+        let film = Arc::clone(&self.film);
+        let stops = film.stops();
+        let apart = stops.len().div_ceil(KEPT).max(16);
+        let first = from.map_or(0, |from| from + 1);
+        let mut next = from.and_then(|from| stops.get(from)).map_or(0, |stop| stop.frames);
+        for (number, stop) in stops.iter().enumerate().take(to + 1).skip(first) {
+            for frame in next..stop.frames {
+                match film.scene(frame) {
+                    Scene::Arrival(arrival) => self.store.apply(arrival),
+                    Scene::Step(step) => self.step = Some(step),
+                    Scene::Nothing => {}
+                }
+            }
+            next = stop.frames;
+            if number % apart == 0 && self.kept.last().is_none_or(|(at, ..)| *at < number) {
+                self.kept.push((number, self.store.clone(), self.step.clone()));
+            }
+        }
+        self.stop = to;
+        self.at = stops.get(to).map_or(Duration::ZERO, |stop| stop.at);
+    }
+}

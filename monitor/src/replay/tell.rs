@@ -1,0 +1,119 @@
+//! Where one is in a recording, as text and for programs.
+
+use super::Player;
+use crate::name::shown_line;
+use imrs_wire::recording::Story;
+use serde::Serialize;
+use std::fmt::Write as _;
+
+/// Where one is in a recording.
+#[derive(Serialize)]
+pub(crate) struct Position<'a> {
+    /// The stop shown, from 0, and how many there are.
+    stop: usize,
+    stops: usize,
+    at_us: u64,
+    /// Of a counterexample: ticks since its start.
+    tick: Option<u64>,
+    odd: bool,
+    happened: &'a [String],
+    tasks: Vec<Doing<'a>>,
+    story: Option<Told<'a>>,
+    /// What is to be known of the file.
+    notice: Option<&'a str>,
+}
+
+#[derive(Serialize)]
+struct Doing<'a> {
+    task: u16,
+    line: Option<u32>,
+    does: &'a str,
+}
+
+#[derive(Serialize)]
+struct Told<'a> {
+    file: &'a str,
+    kind: &'a str,
+    cause: &'a str,
+    line: Option<u32>,
+    column: Option<u32>,
+    text: Option<&'a str>,
+    bounds: &'a str,
+    tick_us: u64,
+    steps: u32,
+}
+
+/// Where `player` is, for programs.
+pub(crate) fn position(player: &Player) -> Position<'_> {
+    let film = player.film();
+    let step = player.step();
+    let tasks = step.map_or(&[][..], |step| &step.tasks).iter();
+    let story = film.story.as_ref().map(|story| Told {
+        file: &story.file,
+        kind: &story.kind,
+        cause: &story.cause,
+        line: story.place.as_ref().map(|place| place.line),
+        column: story.place.as_ref().map(|place| place.column),
+        text: story.place.as_ref().map(|place| place.text.as_str()),
+        bounds: &story.bounds,
+        tick_us: story.tick_us,
+        steps: story.steps,
+    });
+    Position {
+        stop: player.stop(),
+        stops: film.stops().len(),
+        at_us: u64::try_from(player.moment().as_micros()).unwrap_or(u64::MAX),
+        tick: step.map(|step| step.tick),
+        odd: film.stops().get(player.stop()).is_some_and(|stop| stop.odd),
+        happened: step.map_or(&[], |step| &step.happened),
+        tasks: tasks.map(|doing| Doing { task: doing.task.0, line: doing.line, does: &doing.text }).collect(),
+        story,
+        notice: film.notice.as_deref(),
+    }
+}
+
+/// Where `player` is and what happened there, a fact per line.
+pub(crate) fn text(player: &Player) -> String {
+    let film = player.film();
+    let mut out = format!("replay at {}\n", player.position());
+    if let Some(notice) = &film.notice {
+        let _ = writeln!(out, "  note: {}", shown_line(notice));
+    }
+    if let Some(story) = &film.story {
+        let _ = writeln!(out, "  finding: {}", cause(story));
+        if let Some(place) = place(story) {
+            let _ = writeln!(out, "  at {place}");
+        }
+        let _ = writeln!(out, "  searched: {}", shown_line(&story.bounds));
+    }
+    let Some(step) = player.step() else { return out };
+    for text in &step.happened {
+        let _ = writeln!(out, "  happened: {}", shown_line(text));
+    }
+    for text in tasks(player) {
+        let _ = writeln!(out, "  {text}");
+    }
+    out
+}
+
+/// What each task does after the step shown, and the line of its statement.
+pub(crate) fn tasks(player: &Player) -> impl Iterator<Item = String> {
+    let names = player.store().lives().iter().map(|life| &life.names).max_by_key(|names| names.tasks.len());
+    player.step().map_or(&[][..], |step| &step.tasks).iter().map(move |doing| {
+        let name = names.map_or_else(String::new, |names| names.task(doing.task).to_string());
+        let line = doing.line.map_or_else(String::new, |line| format!(", line {line}"));
+        format!("{name}{line}: {}", shown_line(&doing.text))
+    })
+}
+
+/// What a story is about, in one line.
+pub(crate) fn cause(story: &Story) -> String {
+    format!("{}: {}", shown_line(&story.kind), shown_line(&story.cause))
+}
+
+/// Where that stands in the cell's file.
+pub(crate) fn place(story: &Story) -> Option<String> {
+    let place = story.place.as_ref()?;
+    let first = place.text.lines().next().unwrap_or_default();
+    Some(format!("{}:{}:{}  {}", shown_line(&story.file), place.line, place.column, shown_line(first)))
+}

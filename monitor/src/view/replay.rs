@@ -1,0 +1,71 @@
+//! What a recording adds to every screen: where one is in it, and what happened in the step.
+
+use super::pen::Pen;
+use crate::replay::{Player, tell};
+use crate::theme::Ink;
+
+/// The pieces of the head: that this is a recording, and where in it one is.
+pub(super) fn head(player: &Player, pieces: &mut Vec<(String, Ink)>) {
+    pieces.push(("  REPLAY".to_owned(), Ink::Warn));
+    let position = match (player.step(), &player.film().story) {
+        (Some(step), Some(story)) => format!(" {}/{}", step.number, story.steps),
+        _ => format!(" {}", player.position()),
+    };
+    pieces.push((position, Ink::Plain));
+}
+
+/// How many rows of a screen so high are for what happened.
+pub(super) fn rows(player: &Player, height: u16) -> u16 {
+    match (player.step(), &player.film().notice) {
+        (None, None) => 0,
+        (None, Some(_)) => u16::from(height > 8),
+        (Some(_), _) if height < 12 => height.saturating_sub(8).min(2),
+        (Some(_), _) => (height / 3).min(14),
+    }
+}
+
+/// What happened in the step, and where the story stands in the cell's file.
+pub(super) fn draw(player: &Player, pen: &mut Pen<'_>) {
+    let lines = lines(player);
+    let room = usize::from(pen.height());
+    let shown = if lines.len() > room { room.saturating_sub(1) } else { lines.len() };
+    for (y, (text, ink)) in (0..).zip(lines.iter().take(shown)) {
+        pen.at(0, y, u16::MAX, text, *ink);
+    }
+    if lines.len() > shown {
+        let y = u16::try_from(shown).unwrap_or(0);
+        pen.at(0, y, u16::MAX, &format!("   ... {} lines more", lines.len() - shown), Ink::Dim);
+    }
+}
+
+/// The same as lines, the most telling first.
+fn lines(player: &Player) -> Vec<(String, Ink)> {
+    let mut lines = Vec::new();
+    if let Some(notice) = &player.film().notice {
+        lines.push((format!(" ! {}", crate::name::shown(notice)), Ink::Warn));
+    }
+    let (Some(step), Some(story)) = (player.step(), &player.film().story) else { return lines };
+    let rule = "-".repeat(usize::from(u8::MAX));
+    let moves =
+        if player.is_playing() { "playing, space stops" } else { "[ ] step  { } anomaly  space plays" };
+    lines.push((
+        format!("- step {} of {}, tick {}: {moves} {rule}", step.number, story.steps, step.tick),
+        Ink::Head,
+    ));
+    if player.is_at_end() {
+        lines.push((format!(" => {}", tell::cause(story)), Ink::Bad));
+        if let Some(place) = tell::place(story) {
+            lines.push((format!("    {place}"), Ink::Plain));
+        }
+    }
+    let ink = if step.odd { Ink::Warn } else { Ink::Plain };
+    lines.extend(step.happened.iter().map(|text| (format!(" {}", crate::name::shown_line(text)), ink)));
+    if !player.is_at_end() {
+        lines.push((format!(" => in the end: {}", tell::cause(story)), Ink::Dim));
+        if let Some(place) = tell::place(story) {
+            lines.push((format!("    {place}"), Ink::Dim));
+        }
+    }
+    lines.extend(tell::tasks(player).map(|text| (format!(" {text}"), Ink::Plain)));
+    lines
+}

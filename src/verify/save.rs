@@ -1,0 +1,172 @@
+//! A finding as a recording: what a monitor attached to every node would have seen, with the words for each step.
+
+use super::cell::Subject;
+use crate::cell_file::CellFileError;
+use crate::exit::Failure;
+use imrs_model::cell::{CellPlan, Finding, Happening, Scene, scenes};
+use imrs_protocol::NodeId;
+use imrs_wire::obs::{
+    Events, Hello, NodeIdentity, Role, SCHEMA, ServerFrame, Snapshot, Table, TimedEvent, VERSION,
+};
+use imrs_wire::recording::{Doing, Header, Place, Record, RecordingWriter, Shown, Step, Story, WriteError};
+use std::fs::File;
+use std::io::{self, BufWriter, Write};
+use std::path::Path;
+use std::sync::Arc;
+use std::time::{SystemTime, UNIX_EPOCH};
+
+const BUILD: &str = concat!("imrs ", env!("CARGO_PKG_VERSION"));
+
+/// Saves the way to a finding. False where it has none, as a statement that is never reached.
+///
+/// # Errors
+/// Where the file cannot be written.
+pub(super) fn save(
+    path: &Path,
+    subject: &Subject,
+    plan: &Arc<CellPlan>,
+    finding: &Finding,
+    bounds: String,
+) -> Result<bool, Failure> {
+    let scenes = scenes(plan, finding);
+    if scenes.is_empty() {
+        return Ok(false);
+    }
+    let unwritable = |source| CellFileError::Unwritable { path: path.to_owned(), source };
+    let file = File::create(path).map_err(unwritable)?;
+    let written = Film::begin(BufWriter::new(file), subject)
+        .and_then(|film| film.write(&scenes, subject.story(finding, bounds, scenes.len())));
+    written.map_err(|error| {
+        unwritable(match error {
+            WriteError::Io(error) => error,
+            other @ (WriteError::Encode(_) | WriteError::TooLong(_)) => io::Error::other(other.to_string()),
+        })
+    })?;
+    Ok(true)
+}
+
+impl Subject {
+    fn story(&self, finding: &Finding, bounds: String, scenes: usize) -> Story {
+        let place = self.place_of(finding).map(|(line, column, text)| Place {
+            line: small(line),
+            column: small(column),
+            text: text.into(),
+        });
+        Story {
+            file: self.file.clone(),
+            kind: finding.kind.name().into(),
+            cause: finding.cause.clone(),
+            place,
+            bounds,
+            tick_us: self.tick_us,
+            steps: small(scenes.saturating_sub(1)),
+        }
+    }
+
+    /// A step in words.
+    fn step(&self, number: usize, scene: &Scene) -> Step {
+        let words = |happening: &Happening| match happening {
+            Happening::Said(words) => Some(words.clone()),
+            // Where a task has no text there is nothing to show: it is any use of its ports.
+            Happening::Began(task, at) => {
+                let (line, _, text) = self.place(*task, *at)?;
+                Some(format!("{} begins line {line}: {text}", self.task(*task)))
+            }
+        };
+        let happened = scene.happened.iter().filter_map(words).collect();
+        let doing = |(i, view): (usize, &imrs_model::cell::TaskView)| {
+            let task = imrs_protocol::TaskId::from_index(i);
+            Doing {
+                task,
+                text: view.does.clone(),
+                line: self.place(task, view.at).map(|(line, ..)| small(line)),
+            }
+        };
+        let tasks = scene.tasks.iter().enumerate().map(doing).collect();
+        Step { number: small(number), tick: scene.tick, odd: scene.odd, happened, tasks }
+    }
+}
+
+/// The recording in the making.
+struct Film<'a, W> {
+    writer: RecordingWriter<W>,
+    subject: &'a Subject,
+    /// For each node the life that the recording is attached to.
+    attached: Vec<Option<imrs_protocol::Incarnation>>,
+    at: u64,
+}
+
+impl<'a, W: Write> Film<'a, W> {
+    fn begin(sink: W, subject: &'a Subject) -> Result<Self, WriteError> {
+        let cell = subject.table.cell();
+        let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+        let header = Header {
+            cell: cell.name.clone(),
+            digest: subject.table.digest(),
+            build: BUILD.into(),
+            began: u64::try_from(since.as_micros()).unwrap_or(0),
+            ..Header::default()
+        };
+        let writer = RecordingWriter::new(sink, &header)?;
+        Ok(Self { writer, subject, attached: vec![None; cell.nodes.len()], at: 0 })
+    }
+
+    fn write(mut self, scenes: &[Scene], story: Story) -> Result<(), WriteError> {
+        self.frame(0, &Shown::Story(story))?;
+        for (number, scene) in scenes.iter().enumerate() {
+            self.at = scene.tick.saturating_mul(self.subject.tick_us);
+            self.frame(0, &Shown::Step(self.subject.step(number, scene)))?;
+            for node in 0..scene.nodes.len() {
+                self.node(node, scene)?;
+            }
+        }
+        self.writer.finish()?.flush()?;
+        Ok(())
+    }
+
+    fn node(&mut self, node: usize, scene: &Scene) -> Result<(), WriteError> {
+        let frame = &scene.nodes[node];
+        if self.attached[node].is_some_and(|life| frame.snapshot.is_none() || life != frame.life) {
+            self.attached[node] = None;
+            self.frame(node, &Shown::Lost { why: "it crashed".into() })?;
+        }
+        let Some(snapshot) = &frame.snapshot else { return Ok(()) };
+        if self.attached[node].is_none() {
+            self.attached[node] = Some(frame.life);
+            self.introduce(node, frame.life)?;
+        }
+        let mono_us = self.at;
+        if !frame.observed.is_empty() {
+            let event = |&(task, what)| TimedEvent { mono_us, task, what };
+            let events = frame.observed.iter().map(event).collect();
+            self.frame(node, &Shown::Said(ServerFrame::Events(Events { lost: 0, events })))?;
+        }
+        let snapshot = Snapshot { mono_us, uptime_us: mono_us, ..snapshot.clone() };
+        self.frame(node, &Shown::Said(ServerFrame::Snapshot(snapshot)))
+    }
+
+    fn introduce(&mut self, node: usize, life: imrs_protocol::Incarnation) -> Result<(), WriteError> {
+        let cell = self.subject.table.cell();
+        let identity = NodeIdentity {
+            cell: cell.name.clone(),
+            digest: self.subject.table.digest(),
+            node: cell.nodes[node].name.clone(),
+            id: NodeId::from_index(node).0,
+            incarnation: life,
+            tick_us: self.subject.tick_us,
+        };
+        let role = Role::Node(identity);
+        let hello = Hello { schema: SCHEMA, pid: 0, build: BUILD.into(), mono_us: self.at, role };
+        self.frame(node, &Shown::Attached { version: VERSION, hello })?;
+        self.frame(node, &Shown::Said(ServerFrame::Table(Table::of(&self.subject.table))))
+    }
+
+    fn frame(&mut self, node: usize, shown: &Shown) -> Result<(), WriteError> {
+        let source = NodeId::from_index(node).0;
+        self.writer.append(&Record::Frame { source, at: self.at, bytes: shown.encode() })
+    }
+}
+
+fn small(number: usize) -> u32 {
+    u32::try_from(number).unwrap_or(u32::MAX)
+}

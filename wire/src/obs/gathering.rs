@@ -1,0 +1,39 @@
+//! A snapshot put together from the machines of a node, the same for a running node and for one in a checker.
+
+use super::frames::{Count, Liveness, Snapshot, TaskSnapshot};
+use imrs_protocol::{Reason, TaskView, TransitView};
+
+/// What the machines of a node say of themselves, while it is asked together.
+#[derive(Clone, Debug)]
+pub struct Gathering {
+    tasks: Vec<TaskSnapshot>,
+    discards: [u64; Reason::ALL.len()],
+}
+
+impl Gathering {
+    /// Nothing so far, but the messages that the node itself dropped, by [`Reason::ALL`] position.
+    #[must_use]
+    pub const fn new(discards: [u64; Reason::ALL.len()]) -> Self {
+        Self { tasks: Vec::new(), discards }
+    }
+
+    /// Adds a communication task: how it looked `age_us` microseconds before the sample, and the messages that it
+    /// dropped. Tasks are added in their order.
+    pub fn task(&mut self, liveness: Liveness, age_us: u64, view: TaskView, discards: &[u64]) {
+        self.add(discards);
+        self.tasks.push(TaskSnapshot { liveness, age_us, view });
+    }
+
+    /// The snapshot, but for what only the node knows: its clock, its Timer and its links.
+    #[must_use]
+    pub fn snapshot(mut self, transit: TransitView) -> Snapshot {
+        self.add(&transit.discarded);
+        let count = |(reason, count): (&Reason, u64)| Count { name: reason.name().into(), count };
+        let discards = Reason::ALL.iter().zip(self.discards).map(count).collect();
+        Snapshot { tasks: self.tasks, transit, discards, ..Snapshot::default() }
+    }
+
+    fn add(&mut self, more: &[u64]) {
+        self.discards.iter_mut().zip(more).for_each(|(sum, more)| *sum += more);
+    }
+}
