@@ -81,6 +81,7 @@ codes! {
     LEASE_TOO_SHORT "E306" "a lease that ends before it is renewed";
     ROUNDED "N101" "a duration is no multiple of the tick";
     SOON "N201" "a time_out of less than 20 ticks";
+    UNRANKED "N202" "handlers behind what the task does itself";
     UNPREPARED "W301" "nothing is said about a bad end";
     FULL "W302" "a buffer smaller than its senders are many";
     TOO_BUSY "W303" "too busy to answer in time";

@@ -14,6 +14,8 @@ pub use crate::ast::Duration;
 pub struct Hir {
     /// Its name.
     pub name: String,
+    /// Whether the paper's own rules hold (D92).
+    pub paper: bool,
     /// The declared lateness of timers (D42).
     pub tick: Option<Duration>,
     /// The granularity of the model, where it is coarser.
@@ -242,6 +244,11 @@ pub enum Captured {
     Answered(PortId, TaskId),
     /// `p.refused(t)`: whether it refused it.
     Refused(PortId, TaskId),
+    /// `p.told(t)`, `p.x(t)`: whether it is known what the task told at the waitfor, or answered; in the slots behind, its
+    /// fields.
+    Told(PortId, TaskId),
+    /// `ticket`: the number of the message that was received last.
+    Ticket,
 }
 
 /// A variable.
@@ -334,6 +341,22 @@ pub enum Recipients {
     These(Vec<TaskId>),
 }
 
+/// Which message an answer is for.
+#[derive(Clone, Debug)]
+pub enum Answered {
+    /// The one that the thread received last.
+    Last,
+    /// The one of this task that was taken before and is not answered.
+    Of(TaskId),
+    /// One that another task took: through a port of usage `reply` (D11).
+    Ticket {
+        /// Whose it is.
+        asker: TaskId,
+        /// Its number.
+        number: Expr,
+    },
+}
+
 /// Where one field of a message or a result goes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Destination {
@@ -370,12 +393,12 @@ pub enum StatementKind {
         /// How long.
         within: Option<Duration>,
     },
-    /// Answers the message received last.
+    /// Answers a message.
     Reply {
         /// The port whose message it answers; a port of usage `reply` for a third party. None where it cannot be told.
         port: Option<PortId>,
-        /// Whether it goes through a port of usage `reply`.
-        third_party: bool,
+        /// Which message it answers.
+        to: Answered,
         /// The fields.
         values: Vec<Expr>,
     },

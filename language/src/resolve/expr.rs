@@ -125,8 +125,29 @@ fn operand(leaves: &mut impl Leaves, written: &Written) -> Option<Typed> {
                 }
             }
         }
+        ExprKind::Trunc(inner) => {
+            let inner = typed(leaves, inner)?;
+            if inner.of == Type::Real {
+                return truncated(leaves, inner, span);
+            }
+            let label = if inner.of == Type::Bool { "a bool" } else { "whole already" };
+            leaves.report(mismatch("`trunc` wants a real", inner.span, label).help("write the value itself"));
+            None
+        }
         ExprKind::Binary(..) => typed(leaves, written),
     }
+}
+
+/// The whole part of a real.
+fn truncated(leaves: &mut impl Leaves, inner: Typed, span: Span) -> Option<Typed> {
+    let whole = unary(Term::ToInt, Type::Int32, inner, span);
+    if whole.constant.is_some_and(|value| !Type::Int32.holds(value)) {
+        leaves.report(
+            Diagnostic::error(TYPES, span, "the whole part is too large for an int32").label("always"),
+        );
+        return None;
+    }
+    Some(whole)
 }
 
 fn unary(term: Term, of: Type, inner: Typed, span: Span) -> Typed {
@@ -248,7 +269,7 @@ pub(super) fn coerced(leaves: &mut impl Leaves, value: Typed, of: Type, place: &
     if value.of == Type::Real && numbers {
         leaves.report(
             mismatch(&format!("{place} is {wanted}, not real"), value.span, "a real")
-                .help("a real is not rounded by itself: make it a real, or count in smaller units"),
+                .help("a real is not cut off by itself: write `trunc(..)` for its whole part"),
         );
         return None;
     }

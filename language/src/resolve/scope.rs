@@ -130,7 +130,7 @@ pub(super) fn path(names: &[Name]) -> String {
 }
 
 /// The slot so many places behind another.
-pub(super) fn after(first: Slot, by: usize) -> Slot {
+pub(crate) fn after(first: Slot, by: usize) -> Slot {
     let by = u16::try_from(by).unwrap_or(u16::MAX);
     match first {
         Slot::Task(at) => Slot::Task(at.saturating_add(by)),

@@ -4,7 +4,7 @@ use super::STATEMENT;
 use super::statements::{Thread, branch_word};
 use crate::ast::{self, BranchKind, Expr as Written, Name, Place, Verb};
 use crate::diagnostic::Diagnostic;
-use crate::hir::{Duration, Recipients, StatementKind};
+use crate::hir::{Answered, Duration, Recipients, StatementKind};
 use crate::span::Span;
 use imrs_protocol::{Class, PortId, Usage};
 
@@ -167,10 +167,15 @@ impl<'a> Thread<'_, 'a> {
         if let Some(name) = name {
             let (port, usage) = self.own_port(name)?;
             if usage == Usage::Reply {
-                let declared = self.resolver.hir.ports[port.index()].clone();
-                let what = format!("a message of `{}`", name.text);
-                let values = self.values(arguments, &declared.message, (&what, span, Some(declared.span)))?;
-                return Some(StatementKind::Reply { port: Some(port), third_party: true, values });
+                let declared = self.resolver.hir.ports[port.index()].span;
+                let message =
+                    format!("`{word}` through `{}` does not say whose message it answers", name.text);
+                let found = Diagnostic::error(STATEMENT, span, message)
+                    .label("for whom?")
+                    .also(declared, "its usage is reply: it answers what another task took")
+                    .help(format!("write `reply {}(..) for TASK ticket n`", name.text));
+                self.report(found);
+                return None;
             }
             self.received.retain(|&received| received == port);
         }
@@ -223,7 +228,7 @@ impl<'a> Thread<'_, 'a> {
         }
         let what = format!("an answer of `{}`", declared.name);
         let values = self.values(arguments, &declared.answer, (&what, span, Some(declared.span)))?;
-        Some(StatementKind::Reply { port: (commands.len() == 1).then_some(port), third_party: false, values })
+        Some(StatementKind::Reply { port: (commands.len() == 1).then_some(port), to: Answered::Last, values })
     }
 
     pub fn waitfor(
