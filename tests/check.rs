@@ -55,6 +55,11 @@ fn good_warned_and_faulty_cells_end_with_0_0_and_1() {
     assert_eq!(paper.code, Some(1));
     let codes: Vec<_> = paper.last_json()["diagnostics"].as_array().unwrap().clone();
     assert!(codes.iter().any(|found| found["code"] == "E117"), "{codes:?}");
+    for verb in ["verify", "run"] {
+        let refused = run(&[verb, "--paper", &example("beam_lift.cell")]);
+        let said = format!("{}{}", refused.out, refused.err);
+        assert!(matches!(refused.code, Some(1 | 2)) && said.contains("E117"), "{verb}: {refused:?}");
+    }
 }
 
 #[test]
@@ -155,9 +160,12 @@ fn explain_lists_shows_and_guesses() {
     assert_eq!(list.code, Some(0));
     for code in ["E005", "E104", "W303", "N201"] {
         assert!(list.out.lines().any(|line| line.starts_with(code)), "{code} is not in the list");
-        assert!(run(&["explain", code]).out.starts_with(&format!("# {code}: ")));
+        assert!(run(&["explain", code]).out.starts_with(&format!("{code}: ")));
     }
-    assert!(run(&["explain", "e104"]).out.contains("```cell,right"));
+    let page = run(&["explain", "e104"]).out;
+    assert!(page.contains("\nWrong:\n    cell c;\n") && page.contains("\nRight:\n    cell c;\n"), "{page}");
+    assert!(!page.contains("```") && !page.contains("# ") && !page.contains(ESCAPE), "no Markdown:\n{page}");
+    assert!(run(&["explain", "e104", "--color", "always"]).out.contains(ESCAPE));
     let misspelt = run(&["explain", "E1O4"]);
     assert_eq!(misspelt.code, Some(2), "{misspelt:?}");
     assert!(misspelt.err.contains("did you mean `E104`?"), "{}", misspelt.err);
@@ -165,6 +173,7 @@ fn explain_lists_shows_and_guesses() {
     assert!(unknown.code == Some(2) && unknown.err.contains("imrs explain"), "{unknown:?}");
     let json = run(&["explain", "W301", "--format", "json"]).last_json();
     assert_eq!(json["codes"][0]["code"], "W301");
+    assert!(json["codes"][0]["explanation"].as_str().expect("a text").contains("```cell,right"));
 }
 
 #[test]

@@ -80,7 +80,8 @@ fn loose(hir: &Hir, couple: &Couple, tasks: &[TaskId], over: TaskId, found: &mut
             found.push(
                 Diagnostic::warning(LOOSE, couple.span, message)
                     .label("the administrator owns the ports")
-                    .also(owner.span, "the administrator"),
+                    .also(owner.span, "the administrator")
+                    .help("let it own a port that the others use, and ask it through that"),
             );
         }
         for (port, place) in waits_for_ever(hir, member, over) {

@@ -267,7 +267,8 @@ impl<'a> Resolver<'a> {
         if let (Some(of), Usage::Waitfor | Usage::Reply) = (&decl.answer, usage) {
             self.report(
                 Diagnostic::error(OPTION, span_of(of), format!("a port of usage {usage} has no answer"))
-                    .label("nobody gives one"),
+                    .label("nobody gives one")
+                    .help("remove the `->`"),
             );
         }
         fields
@@ -281,7 +282,9 @@ impl<'a> Resolver<'a> {
             TypeName::Record(name) => self.record(name).map(|at| self.hir.records[at].fields.clone()),
             TypeName::Timer(span) => {
                 self.report(
-                    Diagnostic::error(TYPES, *span, "an answer cannot carry a timer").label("not a value"),
+                    Diagnostic::error(TYPES, *span, "an answer cannot carry a timer")
+                        .label("not a value")
+                        .help("answer how long it shall run, as an integer"),
                 );
                 None
             }

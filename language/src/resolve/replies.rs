@@ -45,7 +45,8 @@ impl<'a> Thread<'_, 'a> {
         if response && usage != Usage::Response {
             let found = Diagnostic::error(STATEMENT, span, "`response` to a message that is no query")
                 .label("write `reply`")
-                .also(declared.span, "the port");
+                .also(declared.span, "the port")
+                .help("`response` answers a query, `reply` a message");
             self.report(found);
             return None;
         }

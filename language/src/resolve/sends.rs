@@ -74,9 +74,12 @@ impl<'a> Thread<'_, 'a> {
         if let Some(port) = port {
             found = found.also(port, "the port");
         }
-        if usage == Usage::Send {
-            found = found.help("`send` is for the owner of a port, `use_send` for its users");
-        }
+        found = found.help(match usage {
+            Usage::Send => "`send` is for the owner of a port, `use_send` for its users",
+            Usage::Receive | Usage::Query | Usage::Reply | Usage::Response | Usage::Waitfor => {
+                "what a task does with a port is decided by the `usage` of its end"
+            }
+        });
         self.report(found);
         false
     }
@@ -108,7 +111,8 @@ impl<'a> Thread<'_, 'a> {
             self.report(
                 Diagnostic::error(STATEMENT, name.span, message)
                     .label("nothing comes to this end")
-                    .also(declared, "the port"),
+                    .also(declared, "the port")
+                    .help("receive from a port whose usage here is receive or response"),
             );
             return None;
         }
@@ -191,7 +195,8 @@ impl<'a> Thread<'_, 'a> {
         let Some(&port) = commands.first() else {
             let found = match self.received.first() {
                 None => Diagnostic::error(STATEMENT, span, format!("`{word}` without a message to answer"))
-                    .label("nothing was received here"),
+                    .label("nothing was received here")
+.help("answer in an `on query` or `on receive`, or behind a `receive`; what came earlier with `reply p(..) for t`"),
                 Some(port) => {
                     let port = &self.resolver.hir.ports[port.index()];
                     Diagnostic::error(STATEMENT, span, format!("`{word}` to a message of class 1"))
@@ -208,7 +213,8 @@ impl<'a> Thread<'_, 'a> {
             self.report(
                 Diagnostic::error(STATEMENT, span, "`response` to a message that is no query")
                     .label("write `reply`")
-                    .also(declared, "what was received"),
+                    .also(declared, "what was received")
+                    .help("`response` answers a query, `reply` a message"),
             );
             return None;
         }
@@ -244,7 +250,8 @@ impl<'a> Thread<'_, 'a> {
             self.report(
                 Diagnostic::error(STATEMENT, name.span, message)
                     .label("no rendezvous")
-                    .also(declared.span, "the port"),
+                    .also(declared.span, "the port")
+                    .help("`waitfor` needs a port of usage waitfor"),
             );
             return None;
         }
@@ -348,7 +355,9 @@ impl<'a> Thread<'_, 'a> {
         };
         if !fits {
             let message = format!("`{}` is never taken here", branch_word(branch.when));
-            self.report(Diagnostic::error(STATEMENT, branch.span, message).label(why));
+            self.report(
+                Diagnostic::error(STATEMENT, branch.span, message).label(why).help("remove this branch"),
+            );
         }
     }
 }

@@ -91,7 +91,8 @@ impl<'r, 'a> Thread<'r, 'a> {
             Said::Exit if self.loops == 0 => {
                 self.report(
                     Diagnostic::error(STATEMENT, span, "`exit` outside of a loop")
-                        .label("there is no loop to leave"),
+                        .label("there is no loop to leave")
+                        .help("put it into a `loop` or `while`; a task is ended by `abort \"why\"`"),
                 );
                 return None;
             }
@@ -253,7 +254,8 @@ impl<'r, 'a> Thread<'r, 'a> {
             if ranked.contains(&level) {
                 self.report(
                     Diagnostic::error(ORDER, name.span, format!("`{}` has a rank already", name.text))
-                        .label("named twice"),
+                        .label("named twice")
+                        .help("remove it once"),
                 );
                 continue;
             }
@@ -318,7 +320,8 @@ impl<'r, 'a> Thread<'r, 'a> {
                 self.report(
                     Diagnostic::error(STATEMENT, branch.span, "the same branch twice")
                         .label("the second one")
-                        .also(first, "the first one"),
+                        .also(first, "the first one")
+                        .help("put the statements of both into one"),
                 );
             } else if let Some(kind) = kind {
                 self.branch_fits(kind, branch);

@@ -58,7 +58,11 @@ impl Leaves for Thread<'_, '_> {
                     return None;
                 }
             };
-            self.report(Diagnostic::error(TYPES, name.span, message).label("no value of its own"));
+            self.report(
+                Diagnostic::error(TYPES, name.span, message)
+                    .label("no value of its own")
+                    .help("compare it with `=` or `<>`"),
+            );
             return None;
         }
         match self.find(place)? {
@@ -73,7 +77,11 @@ impl Leaves for Thread<'_, '_> {
                 None
             }
             Found::Timer(_) => {
-                self.report(Diagnostic::error(TYPES, place.span, "a timer has no value").label("a timer"));
+                self.report(
+                    Diagnostic::error(TYPES, place.span, "a timer has no value")
+                        .label("a timer")
+                        .help("set a variable in its `on expiry`, and look at that"),
+                );
                 None
             }
         }
@@ -83,7 +91,8 @@ impl Leaves for Thread<'_, '_> {
         let [port, word] = &of.path[..] else {
             self.report(
                 Diagnostic::error(TYPES, of.span, "no such question")
-                    .label("`p.answered(t)`, `p.refused(t)`, `p.told(t)` or `p.field(t)`"),
+                    .label("`p.answered(t)`, `p.refused(t)`, `p.told(t)` or `p.field(t)`")
+                    .help("name a port and what is asked about it"),
             );
             return None;
         };
@@ -99,7 +108,8 @@ impl Leaves for Thread<'_, '_> {
             let message = format!("`{}` is not at the other end of port `{}`", argument.text, port.text);
             let found = Diagnostic::error(STATEMENT, argument.span, message)
                 .label("was not asked")
-                .also(declared.user_list.unwrap_or(declared.span), "who was");
+                .also(declared.user_list.unwrap_or(declared.span), "who was")
+                .help("name a task at the other end of the port");
             self.report(found);
             return None;
         };
