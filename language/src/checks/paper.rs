@@ -101,8 +101,10 @@ fn statements(body: &[Statement], see: &mut dyn FnMut(&str, Span)) {
                 from.iter().for_each(|from| see("from", from.span));
                 within.iter().for_each(|within| see("within", within.span));
             }
-            StatementKind::Reply { .. }
-            | StatementKind::Order(_)
+            StatementKind::Reply { asker, .. } => {
+                asker.iter().for_each(|asker| see("for", asker.span));
+            }
+            StatementKind::Order(_)
             | StatementKind::Delay(_)
             | StatementKind::Assign { .. }
             | StatementKind::Exit

@@ -47,7 +47,9 @@ pub(super) fn nearest<'n>(name: &str, known: impl IntoIterator<Item = &'n str>) 
     let lower = name.to_lowercase();
     let far = known.into_iter().map(|other| (strsim::osa_distance(&lower, &other.to_lowercase()), other));
     // A slip in a short name, two or three in a long one; the case of letters is none.
-    let near = far.filter(|&(distance, other)| other != name && distance <= (name.len() / 3).clamp(1, 3));
+    // Of a name of one letter every other one is a slip.
+    let most = (name.len() / 3).clamp(1, 3).min(name.chars().count().saturating_sub(1));
+    let near = far.filter(|&(distance, other)| other != name && distance <= most);
     near.min().map(|(_, other)| other)
 }
 
