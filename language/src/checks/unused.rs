@@ -168,7 +168,7 @@ impl Uses {
                 }
             }
             StatementKind::Waitfor { values, .. } | StatementKind::Publish { values, .. } => {
-                values.iter().for_each(|value| self.reads(value))
+                values.iter().for_each(|value| self.reads(value));
             }
             StatementKind::Run { arguments, into, .. } => {
                 arguments.iter().for_each(|value| self.reads(value));
