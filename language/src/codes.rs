@@ -98,6 +98,7 @@ codes! {
     CONDITIONAL "W314" "a `waitfor` on a condition of one's own";
     LOAD "W315" "more than a link carries";
     DOES_NOTHING "W316" "a task that does nothing yet";
+    TELLS_NOBODY "W317" "a beat that tells nobody";
 }
 
 /// The page about a code, in capitals or not.

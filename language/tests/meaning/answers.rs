@@ -169,9 +169,9 @@ fn a_standby_reads_what_the_primary_published() {
         "{HEAD}type Prog is record spot: int8; phase: int8; end;
 task r1 on na
   port alive(p: Prog) usage = response user_list = {{r2}} time_out = 15 msec;
-  var p, q: Prog;
+  var p: Prog;
 begin
-  loop p.spot := p.spot + 1; p.phase := 7; alive := p; q := alive; delay 50 msec; end;
+  loop p.spot := p.spot + 1; p.phase := 7; alive := p; delay 50 msec; end;
 end r1;
 task r2 on nb standby of r1
   use_port alive(p: Prog) usage = query time_out = 15 msec;
@@ -193,6 +193,36 @@ couple work r1 -> r2 lease 100 msec takeover 400 msec every 20 msec via alive;
     floor.crash("na");
     floor.run(1_000);
     assert_eq!(floor.var("r2", "now.phase"), 7, "and after the take-over");
+}
+
+#[test]
+fn with_roles_that_change_both_publish_and_both_read() {
+    let text = |arrow: &str| {
+        format!(
+            "{HEAD}task r1 on na
+  port alive(n: int8) usage = response user_list = {{r2}} time_out = 15 msec;
+  var n, got: int8;
+begin loop n := 5; alive := n; got := alive; assert got >= 0; delay 20 msec; end;
+takeover loop got := alive; assert got >= 0; delay 20 msec; end; end r1;
+task r2 on nb standby of r1
+  use_port alive(n: int8) usage = query time_out = 15 msec;
+  var n, got: int8;
+begin loop got := alive; delay 20 msec; end;
+takeover loop n := 9; alive := n; assert got >= 0; delay 20 msec; end; end r2;
+couple work r1 {arrow} r2 lease 100 msec takeover 400 msec every 20 msec via alive;
+"
+        )
+    };
+    let said = |text: &str| {
+        all_found(text).into_iter().filter(|found| found.starts_with("W317")).collect::<Vec<_>>()
+    };
+    assert_eq!(said(&text("<->")), [""; 0]);
+    let one_way = text("->")
+        .replace("takeover loop got := alive; assert got >= 0; delay 20 msec; end; end r1;", "end r1;");
+    assert_eq!(said(&one_way), ["W317 `got := alive`", "W317 `alive := n`"]);
+    let mut floor = floor(&text("<->"));
+    floor.run(300);
+    assert_eq!(floor.var("r2", "got"), 5);
 }
 
 #[test]
