@@ -1,10 +1,12 @@
 //! Every message that waits for an answer gets one, whichever way a handler goes.
 
 use super::flow;
-use crate::codes::{NEVER_ANSWERED, NOT_ALWAYS_ANSWERED};
+use crate::codes::{NEVER_ANSWERED, NOT_ALWAYS_ANSWERED, STATEMENT};
 use crate::diagnostic::Diagnostic;
-use crate::hir::{Answered, Hir, Port, Statement, StatementKind, Task, Trigger};
+use crate::hir::{Answered, Capture, Captured, Hir, Port, Statement, StatementKind, Task, Trigger, Variable};
+use crate::span::Span;
 use crate::walk;
+use imrs_protocol::script::Slot;
 use imrs_protocol::{Class, PortId, TaskId, Usage};
 
 pub(super) fn check(hir: &Hir, found: &mut Vec<Diagnostic>) {
@@ -42,6 +44,51 @@ pub(super) fn check(hir: &Hir, found: &mut Vec<Diagnostic>) {
             }
         }
         received_in_body(hir, TaskId::from_index(at), found);
+        for handler in &task.handlers {
+            unasked(hir, &handler.captures, &[&handler.body], |slot| variable(&handler.locals, slot), found);
+        }
+        let bodies = [Some(&task.body), task.takeover.as_ref()].into_iter().flatten().collect::<Vec<_>>();
+        unasked(hir, &task.captures, &bodies, |slot| variable(&task.variables, slot), found);
+    }
+}
+
+/// Where a slot's variable stands.
+fn variable(variables: &[Variable], slot: Slot) -> Option<Span> {
+    let (Slot::Task(at) | Slot::Local(at)) = slot;
+    variables.get(usize::from(at)).map(|variable| variable.span)
+}
+
+/// `p.x(t)` and its like hear what the statements of their own thread brought (D93): without such a statement nothing.
+fn unasked(
+    hir: &Hir,
+    captures: &[Capture],
+    bodies: &[&Vec<Statement>],
+    place: impl Fn(Slot) -> Option<Span>,
+    found: &mut Vec<Diagnostic>,
+) {
+    for capture in captures {
+        let (Captured::Told(id, _) | Captured::Answered(id, _) | Captured::Refused(id, _)) = capture.what
+        else {
+            continue;
+        };
+        let mut asks = false;
+        for body in bodies {
+            walk::each(body, &mut |statement| {
+                asks |= match statement.kind {
+                    StatementKind::Send { port, .. } | StatementKind::Waitfor { port, .. } => port == id,
+                    _ => false,
+                };
+            });
+        }
+        let Some(span) = place(capture.slot).filter(|_| !asks) else { continue };
+        let port = &hir.ports[id.index()];
+        let message = format!("nothing is known of `{}` here", port.name);
+        found.push(
+            Diagnostic::error(STATEMENT, span, message)
+                .label("no statement of this body or handler asks or meets there")
+                .also(port.span, "the port")
+                .help("keep what was told in a variable, where it was heard, and look at that"),
+        );
     }
 }
 

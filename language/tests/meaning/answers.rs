@@ -80,6 +80,11 @@ task d on nd begin end d;
     assert_eq!(found(&text("lift.hight(b) > 3")), ["E102 `hight`"]);
     assert_eq!(found(&text("lift.height(d) > 3")), ["E113 `d`"]);
     assert_eq!(found(&text("s.x(b) > 3")), ["E102 `x`"], "class 1 is not answered");
+    let in_handler = text("true").replace(
+        "begin waitfor lift(1);",
+        "var t: timer; begin on expiry t do h := lift.told(b); end; start t 1 sec; waitfor lift(1);",
+    );
+    assert_eq!(found(&in_handler), ["E113 `lift.told(b)`"], "the handler meets nobody");
 }
 
 #[test]
