@@ -171,6 +171,9 @@ pub struct CellFaultArgs {
     /// Let this node, or the node of this task, crash once.
     #[arg(long, value_name = "NAME", requires = "cell")]
     pub crash: Vec<String>,
+    /// Allow only the words of the paper, and check its own rules.
+    #[arg(long, requires = "cell")]
+    pub paper: bool,
     /// Let clocks leave out or count twice so many more ticks.
     #[arg(long, value_name = "N", requires = "cell", default_value_t = 0)]
     pub drift: u8,
@@ -217,7 +220,7 @@ pub struct CheckArgs {
     /// The cell file; `-` is standard input.
     #[arg(value_name = "CELL")]
     pub cell: PathBuf,
-    /// Allow only the words of the paper.
+    /// Allow only the words of the paper, and look at its own rules.
     #[arg(long)]
     pub paper: bool,
     /// The form of the answer.
@@ -275,6 +278,9 @@ pub struct RunArgs {
     /// The cell.
     #[arg(value_name = "CELL")]
     pub cell: PathBuf,
+    /// Allow only the words of the paper, and run its own rules.
+    #[arg(long)]
+    pub paper: bool,
     /// Execute a command for an action; may be given several times.
     #[arg(long, value_name = "NAME=CMD")]
     pub action: Vec<ActionCommand>,
@@ -362,6 +368,9 @@ pub struct ReplayArgs {
     /// The cell that was run [default: a built-in one].
     #[arg(long, value_name = "CELL")]
     pub cell: Option<PathBuf>,
+    /// It was run with `--paper`.
+    #[arg(long, requires = "cell")]
+    pub paper: bool,
     /// The form of the answer.
     #[arg(long, value_enum, value_name = "FORM", default_value_t = Format::Text)]
     pub format: Format,

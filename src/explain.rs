@@ -2,7 +2,8 @@
 
 use crate::args::{ExplainArgs, Format};
 use crate::exit::{Exit, Failure, did_you_mean};
-use crate::output::{HEAD, Output, Styled};
+use crate::output::{BAD, FAINT, GOOD, HEAD, Output, Styled};
+use imrs_language::Word;
 use imrs_language::codes::{self, CodeEntry};
 use serde_json::json;
 
@@ -28,7 +29,7 @@ pub fn run(args: &ExplainArgs, out: &mut Output) -> Result<Exit, Failure> {
             }
             out.line("\nE is an error, W a warning, N a note. `imrs explain E104` shows one.")?;
         }
-        Format::Text => entries.iter().try_for_each(|entry| out.text(entry.explanation))?,
+        Format::Text => entries.iter().try_for_each(|entry| out.text(&shown(entry.explanation)))?,
     }
     Ok(Exit::Well)
 }
@@ -42,4 +43,57 @@ fn page(code: &str) -> Result<&'static CodeEntry, Failure> {
         let hint = if near.starts_with(": did") { near } else { ": `imrs explain` lists them".to_owned() };
         Failure::Usage(format!("no code `{code}`{hint}"))
     })
+}
+
+/// A page as a terminal shows it. Of Markdown the pages have a heading, paragraphs and fenced cells.
+fn shown(page: &str) -> String {
+    let mut lines: Vec<String> = Vec::new();
+    let mut in_cell = false;
+    for line in page.lines() {
+        if let Some(fence) = line.strip_prefix("```") {
+            in_cell = !in_cell;
+            match fence {
+                "cell,wrong" => lines.push(Styled(BAD, "Wrong:").to_string()),
+                "cell,right" => lines.push(Styled(GOOD, "Right:").to_string()),
+                _ => {}
+            }
+        } else if in_cell {
+            lines.push(format!("    {}", cell(line)));
+        } else if let Some(heading) = line.strip_prefix("# ") {
+            lines.push(Styled(HEAD, heading).to_string());
+        } else {
+            lines.push(prose(line));
+        }
+    }
+    lines.join("\n") + "\n"
+}
+
+/// A line of a cell, with its words and comments set off.
+fn cell(line: &str) -> String {
+    let (code, comment) = line.split_at(line.find("//").unwrap_or(line.len()));
+    let is_of_word = |c: char| c.is_alphanumeric() || c == '_';
+    let mut shown = String::new();
+    let mut rest = code;
+    while let Some(first) = rest.chars().next() {
+        let end = rest.find(|c| is_of_word(c) != is_of_word(first)).unwrap_or(rest.len());
+        let (piece, after) = rest.split_at(end);
+        rest = after;
+        match Word::find(piece) {
+            Some(word) if word.is_reserved() => shown += &Styled(HEAD, piece).to_string(),
+            Some(_) | None => shown += piece,
+        }
+    }
+    if comment.is_empty() { shown } else { shown + &Styled(FAINT, comment).to_string() }
+}
+
+/// A line of a paragraph: what stands between backticks is set off, too.
+fn prose(line: &str) -> String {
+    let mut shown = String::new();
+    for (at, piece) in line.split('`').enumerate() {
+        match at % 2 {
+            0 => shown += piece,
+            _ => shown += &Styled(HEAD, format!("`{piece}`")).to_string(),
+        }
+    }
+    shown
 }

@@ -87,7 +87,7 @@ struct Task {
 /// [`Failure`].
 pub fn run(args: &ReplayArgs, out: &mut Output) -> Result<Exit, Failure> {
     let given = match &args.cell {
-        Some(path) => cells::open(path)?.1.table,
+        Some(path) => cells::open(path, args.paper)?.1.table,
         None => cells::load(&cells::Source::BuiltIn(cells::beam_lift::NAME.into()))?.table,
     };
     let replayed = read(&args.file, given)?;

@@ -12,7 +12,7 @@ use std::collections::BTreeMap;
 /// # Errors
 /// [`Failure`].
 pub fn run(args: &RunArgs, out: &mut Output) -> Result<Exit, Failure> {
-    let (source, loaded) = cells::open(&args.cell)?;
+    let (source, loaded) = cells::open(&args.cell, args.paper)?;
     if let Some(at) = loaded.scripts.iter().position(Option::is_none) {
         let task = &loaded.table.cell().tasks[at].name;
         return Err(Failure::Usage(format!(

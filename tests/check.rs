@@ -55,6 +55,11 @@ fn good_warned_and_faulty_cells_end_with_0_0_and_1() {
     assert_eq!(paper.code, Some(1));
     let codes: Vec<_> = paper.last_json()["diagnostics"].as_array().unwrap().clone();
     assert!(codes.iter().any(|found| found["code"] == "E117"), "{codes:?}");
+    for verb in ["verify", "run"] {
+        let refused = run(&[verb, "--paper", &example("beam_lift.cell")]);
+        let said = format!("{}{}", refused.out, refused.err);
+        assert!(matches!(refused.code, Some(1 | 2)) && said.contains("E117"), "{verb}: {refused:?}");
+    }
 }
 
 #[test]
@@ -155,9 +160,12 @@ fn explain_lists_shows_and_guesses() {
     assert_eq!(list.code, Some(0));
     for code in ["E005", "E104", "W303", "N201"] {
         assert!(list.out.lines().any(|line| line.starts_with(code)), "{code} is not in the list");
-        assert!(run(&["explain", code]).out.starts_with(&format!("# {code}: ")));
+        assert!(run(&["explain", code]).out.starts_with(&format!("{code}: ")));
     }
-    assert!(run(&["explain", "e104"]).out.contains("```cell,right"));
+    let page = run(&["explain", "e104"]).out;
+    assert!(page.contains("\nWrong:\n    cell c;\n") && page.contains("\nRight:\n    cell c;\n"), "{page}");
+    assert!(!page.contains("```") && !page.contains("# ") && !page.contains(ESCAPE), "no Markdown:\n{page}");
+    assert!(run(&["explain", "e104", "--color", "always"]).out.contains(ESCAPE));
     let misspelt = run(&["explain", "E1O4"]);
     assert_eq!(misspelt.code, Some(2), "{misspelt:?}");
     assert!(misspelt.err.contains("did you mean `E104`?"), "{}", misspelt.err);
@@ -165,6 +173,7 @@ fn explain_lists_shows_and_guesses() {
     assert!(unknown.code == Some(2) && unknown.err.contains("imrs explain"), "{unknown:?}");
     let json = run(&["explain", "W301", "--format", "json"]).last_json();
     assert_eq!(json["codes"][0]["code"], "W301");
+    assert!(json["codes"][0]["explanation"].as_str().expect("a text").contains("```cell,right"));
 }
 
 #[test]
@@ -193,4 +202,101 @@ fn standard_input_is_a_file_like_any_other() {
     let said = run_with(&["check", "-"], "cell c");
     assert_eq!(said.code, Some(1));
     assert!(said.out.contains("<stdin>"), "{}", said.out);
+}
+
+/// A task that is busy while it is asked, and two that meet in a loop at different speeds.
+const BUSY: &str = "cell busy; tick 1 msec; node na; node nb; link na -- nb delay 1 msec;
+task a on na port q() -> int8 usage = response user_list = {b} time_out = 30 msec;
+begin on query q() do response(1); end; loop delay 1 sec; end; end a;
+task b on nb use_port q() usage = query; var n: int8;
+begin query q() -> n on time_out do skip; end; end b;
+";
+const LOOPS: &str = "cell loops; tick 1 msec; node na; node nb; link na -- nb delay 1 msec;
+task a on na port m() usage = waitfor user_list = {b} time_out = 50 msec; var n: int8;
+begin while n < 3 do waitfor m() on time_out do skip; end; n := n + 1; end; end a;
+task b on nb use_port m() usage = waitfor; var n: int8;
+begin while n < 3 do waitfor m() on time_out do skip; end; n := n + 1; delay 7 msec; end; end b;
+";
+
+#[test]
+fn the_papers_own_rules_fail_where_the_decisions_hold() {
+    for (cell, finding) in [(BUSY, "`q` ends by its time_out"), (LOOPS, "waitfor `m` waits in vain for a")] {
+        let (_dir, path) = file(cell.as_bytes());
+        let decided = run(&["verify", &path, "--jobs", "1"]);
+        assert_eq!(decided.code, Some(0), "{decided:?}");
+        let literal = run(&["verify", &path, "--jobs", "1", "--paper"]);
+        assert_eq!(literal.code, Some(1), "{literal:?}");
+        assert!(literal.out.contains(finding), "{}", literal.out);
+    }
+}
+
+/// A tool that has one task wait for it while another holds it.
+const LATER: &str = r"cell later;
+tick 1 msec;
+node na; node nb; node nd;
+link na -- nb delay 1 msec; link na -- nd delay 1 msec;
+task tool on na
+  port grab(n: int8) -> bool  usage = response  user_list = {b, d}  time_out = 300 msec  bounded_buffer[2];
+  port free()  usage = receive  user_list = {b, d}  time_out = 100 msec  class = 2  bounded_buffer[2];
+  var busy: bool; var b_waits, d_waits: bool;
+begin
+  order grab > free > self;
+  on query grab(n) do
+    if not busy then busy := true; response(true);
+    elsif sender = b then b_waits := true;
+    else d_waits := true;
+    end;
+  end;
+  on receive free() do
+    reply();
+    if b_waits then b_waits := false; response grab(true) for b on failed do busy := false; end;
+    elsif d_waits then d_waits := false; response grab(true) for d on failed do busy := false; end;
+    else busy := false;
+    end;
+  end;
+end tool;
+task b on nb
+  use_port grab(n: int8)  usage = query;  use_port free()  usage = send;
+  var holds: bool;
+begin
+  query grab(1) -> holds;
+  run weld takes 10..20 msec;
+  holds := false;
+  use_send free();
+end b;
+task d on nd
+  use_port grab(n: int8)  usage = query;  use_port free()  usage = send;
+  var holds: bool;
+begin
+  query grab(1) -> holds;
+  run weld takes 10..20 msec;
+  holds := false;
+  use_send free();
+end d;
+check one: never b.holds and d.holds;
+";
+
+#[test]
+fn an_answer_that_comes_later_is_checked_and_runs() {
+    let (_dir, path) = file(LATER.as_bytes());
+    let verified = run(&["verify", &path, "--jobs", "1"]);
+    assert_eq!(verified.code, Some(0), "{verified:?}");
+    assert!(verified.out.contains("1 check hold"), "{}", verified.out);
+    // Both give the tool back, whoever had to wait for it.
+    let ran = run(&["run", &path, "--in-process", "--for", "5s", "--format", "json"]);
+    assert_eq!(ran.code, Some(0), "{ran:?}");
+    let ports = ran.last_json()["ports"].as_array().expect("ports").clone();
+    let delivered: Vec<_> = ports.iter().map(|port| port["delivered"].as_u64()).collect();
+    assert_eq!(delivered, [Some(2), Some(2)], "{ran:?}");
+}
+
+#[test]
+fn the_first_cell_of_the_reference_holds() {
+    let page = fs::read_to_string(Path::new(env!("CARGO_MANIFEST_DIR")).join("specs/language/README.md"));
+    let page = page.expect("the reference");
+    let cell = page.split("```cell\n").nth(1).and_then(|rest| rest.split("```").next()).expect("a cell");
+    let (_dir, path) = file(cell.as_bytes());
+    let verified = run(&["verify", &path, "--jobs", "1", "--within", "5min"]);
+    assert_eq!(verified.code, Some(0), "{verified:?}");
+    assert!(verified.out.contains("everything within these bounds was looked at"), "{}", verified.out);
 }

@@ -339,14 +339,19 @@ pub enum StatementKind {
         /// How long it waits; without it, as long as the port's time_out says, or without end.
         within: Option<Duration>,
     },
-    /// `reply(args)`, `response(args)`; `reply p(args)` answers through a port of usage `reply` (D11).
+    /// `reply(args)`, `response(args)`; `reply p(args) for t` answers a message taken before; `reply p(args) for t ticket
+    /// n` one that another task took, through a port of usage `reply` (D11).
     Reply {
         /// Whether it says `response`.
         response: bool,
-        /// The port, for a third party.
+        /// The port.
         port: Option<Name>,
         /// The answer.
         arguments: Vec<Expr>,
+        /// Whose message it answers.
+        asker: Option<Name>,
+        /// The number of the message.
+        ticket: Option<Expr>,
     },
     /// `waitfor p(args)`
     Waitfor {
@@ -453,7 +458,10 @@ pub enum ExprKind {
     Real(String),
     /// `me.height`, `outcome`, `refused`, `sender`, `armL.me.moving` or `r1.active` in a check.
     Path(Place),
-    /// `lift.arrived(armR)`, `r2.asked(grab)`: in a check; `grab.answered(r1)`: after a query to several.
+    /// `trunc(x)`: the whole part of a real.
+    Trunc(Box<Expr>),
+    /// `lift.arrived(armR)`, `r2.asked(grab)`: in a check; `grab.answered(r1)`: after a query to several; `lift.height(armR)`:
+    /// what `armR` told there.
     Call {
         /// What is asked: `lift.arrived`.
         of: Place,

@@ -81,6 +81,7 @@ codes! {
     LEASE_TOO_SHORT "E306" "a lease that ends before it is renewed";
     ROUNDED "N101" "a duration is no multiple of the tick";
     SOON "N201" "a time_out of less than 20 ticks";
+    UNRANKED "N202" "handlers behind what the task does itself";
     UNPREPARED "W301" "nothing is said about a bad end";
     FULL "W302" "a buffer smaller than its senders are many";
     TOO_BUSY "W303" "too busy to answer in time";
@@ -97,6 +98,7 @@ codes! {
     CONDITIONAL "W314" "a `waitfor` on a condition of one's own";
     LOAD "W315" "more than a link carries";
     DOES_NOTHING "W316" "a task that does nothing yet";
+    TELLS_NOBODY "W317" "a beat that tells nobody";
 }
 
 /// The page about a code, in capitals or not.

@@ -32,7 +32,7 @@ impl Compiled {
 /// What is asked of a compilation.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub struct Options {
-    /// Only the words of the paper are allowed.
+    /// Only the words of the paper are allowed, and its own rules hold (D92).
     pub paper: bool,
 }
 
@@ -51,7 +51,8 @@ pub fn compile_with(source: &Source, options: Options) -> Compiled {
     if has_error(&diagnostics) {
         return Compiled { hir: None, diagnostics };
     }
-    let resolved = resolve(&parsed.file, source.text());
+    let mut resolved = resolve(&parsed.file, source.text());
+    resolved.hir.paper = options.paper;
     diagnostics.extend(resolved.diagnostics);
     if !has_error(&diagnostics) {
         diagnostics.extend(behaviour(&parsed.file, &resolved.hir, options));

@@ -1,6 +1,10 @@
 //! The cell with its names resolved and its expressions typed: what the checks read and what lowering turns into the
 //! declarations and scripts of [`imrs_protocol`]. Ids are positions, as in [`imrs_protocol::Cell`].
 
+mod whole;
+
+pub use whole::{Check, CheckKind, Couple, CoupleKind, Faults};
+
 use crate::ast::BranchKind;
 use crate::span::Span;
 use imrs_protocol::script::{Op, Slot, Type};
@@ -14,6 +18,8 @@ pub use crate::ast::Duration;
 pub struct Hir {
     /// Its name.
     pub name: String,
+    /// Whether the paper's own rules hold (D92).
+    pub paper: bool,
     /// The declared lateness of timers (D42).
     pub tick: Option<Duration>,
     /// The granularity of the model, where it is coarser.
@@ -242,6 +248,11 @@ pub enum Captured {
     Answered(PortId, TaskId),
     /// `p.refused(t)`: whether it refused it.
     Refused(PortId, TaskId),
+    /// `p.told(t)`, `p.x(t)`: whether it is known what the task told at the waitfor, or answered; in the slots behind, its
+    /// fields.
+    Told(PortId, TaskId),
+    /// `ticket`: the number of the message that was received last.
+    Ticket,
 }
 
 /// A variable.
@@ -334,6 +345,22 @@ pub enum Recipients {
     These(Vec<TaskId>),
 }
 
+/// Which message an answer is for.
+#[derive(Clone, Debug)]
+pub enum Answered {
+    /// The one that the thread received last.
+    Last,
+    /// The one of this task that was taken before and is not answered.
+    Of(TaskId),
+    /// One that another task took: through a port of usage `reply` (D11).
+    Ticket {
+        /// Whose it is.
+        asker: TaskId,
+        /// Its number.
+        number: Expr,
+    },
+}
+
 /// Where one field of a message or a result goes.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Destination {
@@ -370,12 +397,12 @@ pub enum StatementKind {
         /// How long.
         within: Option<Duration>,
     },
-    /// Answers the message received last.
+    /// Answers a message.
     Reply {
         /// The port whose message it answers; a port of usage `reply` for a third party. None where it cannot be told.
         port: Option<PortId>,
-        /// Whether it goes through a port of usage `reply`.
-        third_party: bool,
+        /// Which message it answers.
+        to: Answered,
         /// The fields.
         values: Vec<Expr>,
     },
@@ -474,94 +501,4 @@ pub struct Expr {
     pub ops: Vec<Op>,
     /// Where it stands.
     pub span: Span,
-}
-
-/// A process class (D24).
-#[derive(Clone, Debug)]
-pub struct Couple {
-    /// Which.
-    pub kind: CoupleKind,
-    /// Where it stands.
-    pub span: Span,
-}
-
-/// The process classes of Table 1.
-#[derive(Clone, Debug)]
-pub enum CoupleKind {
-    /// They share what a task administers.
-    Loose {
-        /// Who shares.
-        tasks: Vec<TaskId>,
-        /// The administrator.
-        over: TaskId,
-    },
-    /// They act together.
-    Tight(Vec<TaskId>),
-    /// One after the other.
-    Serial(TaskId, TaskId),
-    /// One takes over from the other (D61).
-    Work {
-        /// Who acts first.
-        primary: TaskId,
-        /// Who takes over.
-        standby: TaskId,
-        /// Whether they exchange roles then.
-        mutual: bool,
-        /// The lease.
-        lease: Duration,
-        /// The take-over.
-        takeover: Duration,
-        /// The period of the beats.
-        every: Duration,
-        /// Their port.
-        via: PortId,
-    },
-}
-
-/// What may go wrong, and how often.
-#[derive(Clone, Debug, Default)]
-pub struct Faults {
-    /// Lost packets.
-    pub loss: u8,
-    /// Packets that arrive twice.
-    pub dup: u8,
-    /// Actions that fail.
-    pub fail: u8,
-    /// Ticks that a clock leaves out or counts twice.
-    pub drift: u8,
-    /// Nodes that crash, one entry for each crash.
-    pub crash: Vec<NodeId>,
-    /// Links that are cut for a while, one entry for each cut: positions in [`Hir::links`].
-    pub cut: Vec<usize>,
-    /// Where the declaration stands.
-    pub span: Option<Span>,
-}
-
-/// What must hold.
-#[derive(Clone, Debug)]
-pub struct Check {
-    /// Its name.
-    pub name: String,
-    /// What must hold.
-    pub kind: CheckKind,
-    /// Where its name stands.
-    pub span: Span,
-}
-
-/// What must hold. The expressions are those of the script machine, with `Term::Of` and `Term::Is` (D45).
-#[derive(Clone, Debug)]
-pub enum CheckKind {
-    /// In every state.
-    Always(Expr),
-    /// In no state.
-    Never(Expr),
-    /// Whenever one is true, the other is, then or within so much time.
-    Leads {
-        /// The one.
-        when: Expr,
-        /// The other.
-        then: Expr,
-        /// How long.
-        within: Duration,
-    },
 }

@@ -299,7 +299,7 @@ fn open_comment(span: Span) -> Diagnostic {
 
 fn long_name(text: &str, span: Span) -> Diagnostic {
     let message = format!("this name has {} bytes; at most {LONGEST_NAME} are allowed", text.len());
-    Diagnostic::error(crate::codes::LIMIT, span, message)
+    Diagnostic::error(crate::codes::LIMIT, span, message).help("choose a shorter name")
 }
 
 fn bad_number(text: &str, span: Span) -> Diagnostic {

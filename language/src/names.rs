@@ -127,9 +127,9 @@ fn of_statement<'f>(kind: &'f StatementKind, see: &mut dyn FnMut(&'f Name)) {
             port.iter().chain(from).for_each(&mut *see);
             places(into, see);
         }
-        StatementKind::Reply { port, arguments, .. } => {
-            port.iter().for_each(&mut *see);
-            arguments.iter().for_each(|of| expr(of, see));
+        StatementKind::Reply { port, arguments, asker, ticket, .. } => {
+            port.iter().chain(asker).for_each(&mut *see);
+            arguments.iter().chain(ticket).for_each(|of| expr(of, see));
         }
         StatementKind::Waitfor { port, arguments, .. } => {
             see(port);
@@ -173,7 +173,7 @@ fn expr<'f>(of: &'f Expr, see: &mut dyn FnMut(&'f Name)) {
         ExprKind::Bool(_) | ExprKind::Int(_) | ExprKind::Real(_) => {}
         ExprKind::Path(place) => place.path.iter().for_each(see),
         ExprKind::Call { of, argument } => of.path.iter().chain([argument]).for_each(see),
-        ExprKind::Not(of) | ExprKind::Negate(of) => expr(of, see),
+        ExprKind::Not(of) | ExprKind::Negate(of) | ExprKind::Trunc(of) => expr(of, see),
         ExprKind::Binary(_, left, right) => [left, right].into_iter().for_each(|of| expr(of, see)),
     }
 }

@@ -1,7 +1,7 @@
 //! The named variants of the protocol's rules.
 //!
 //! The default of each is the decision taken; the others are the literal or naive readings that the model checker
-//! shows the shortest counterexample of. The runtime always runs [`Rules::DEFAULT`].
+//! shows the shortest counterexample of. Cells run [`Rules::DEFAULT`], or [`Rules::PAPER`] where that is asked for.
 
 use serde::{Deserialize, Serialize};
 
@@ -139,6 +139,20 @@ impl Rules {
         lease: LeaseRule::Echoed,
         heed_epochs: true,
         job_request: JobRequest::Standing,
+    };
+
+    /// The paper's own rules, where they differ from the decisions: meetings have no rounds and every packet of them is
+    /// sent once (§4.3), a receiver may use up all the time that is left (§4.1), and a rejection does nothing to a message
+    /// but what its port's penalty says (§5.1.1). Where the paper says nothing, the decisions stay.
+    pub const PAPER: Self = Self {
+        rounds: false,
+        join_fresher: false,
+        last_released: false,
+        answer_late_arrivals: false,
+        aborts: false,
+        reserve_way_back: false,
+        aging: Aging::Off,
+        ..Self::DEFAULT
     };
 }
 

@@ -5,7 +5,7 @@ pub mod beam_lift;
 use crate::cell_file;
 use crate::exit::Failure;
 use imrs_language::lower::{Action, Behaviour, Script};
-use imrs_language::{Unit, compile, render};
+use imrs_language::{Options, Unit, compile_with, render};
 use imrs_protocol::script::Type;
 use imrs_protocol::{Cell, CellTable, TaskId};
 use imrs_runtime::script::Results;
@@ -27,6 +27,8 @@ pub enum Source {
         name: String,
         /// The text.
         text: String,
+        /// Whether the paper's own rules hold.
+        paper: bool,
     },
 }
 
@@ -40,13 +42,13 @@ pub struct Loaded {
     source: Option<imrs_language::Source>,
 }
 
-/// Reads and compiles the cell of a file.
+/// Reads and compiles the cell of a file; `paper` as in [`Options`].
 ///
 /// # Errors
 /// The file cannot be read, or the cell has errors.
-pub fn open(path: &Path) -> Result<(Source, Loaded), Failure> {
+pub fn open(path: &Path, paper: bool) -> Result<(Source, Loaded), Failure> {
     let source = cell_file::read(path)?;
-    let source = Source::Text { name: cell_file::shown(path), text: source.text().to_owned() };
+    let source = Source::Text { name: cell_file::shown(path), text: source.text().to_owned(), paper };
     let loaded = load(&source)?;
     Ok((source, loaded))
 }
@@ -58,7 +60,7 @@ pub fn open(path: &Path) -> Result<(Source, Loaded), Failure> {
 pub fn load(source: &Source) -> Result<Loaded, Failure> {
     match source {
         Source::BuiltIn(name) => built_in(name),
-        Source::Text { name, text } => of_text(name, text),
+        Source::Text { name, text, paper } => of_text(name, text, Options { paper: *paper }),
     }
 }
 
@@ -69,9 +71,9 @@ fn built_in(name: &str) -> Result<Loaded, Failure> {
     Ok(Loaded { table: table(cell)?, scripts, source: None })
 }
 
-fn of_text(name: &str, text: &str) -> Result<Loaded, Failure> {
+fn of_text(name: &str, text: &str, options: Options) -> Result<Loaded, Failure> {
     let source = imrs_language::Source::new(text.as_bytes()).map_err(|found| said(&[*found], name, None))?;
-    let compiled = compile(&source);
+    let compiled = compile_with(&source, options);
     let Some(lowered) = compiled.lower(Unit::Microseconds) else {
         return Err(said(&compiled.diagnostics, name, Some(&source)));
     };

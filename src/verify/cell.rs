@@ -8,7 +8,7 @@ use crate::exit::{Exit, Failure, did_you_mean};
 use crate::output::Output;
 use imrs_language::hir::Faults;
 use imrs_language::lower::{Behaviour, Check, CheckKind, Lowered};
-use imrs_language::{Source, Unit, compile, render};
+use imrs_language::{Options, Source, Unit, compile_with, render};
 use imrs_model::cell::{
     Budget, CellCheck, CellFaults, CellPlan, Conduct, Coverage, Finding, Holds, Kind, Phase, Verdicts,
     check_cell, svg,
@@ -35,7 +35,7 @@ pub(super) struct Subject {
 /// [`Failure`].
 pub fn run(path: &Path, args: &VerifyVerb, out: &mut Output) -> Result<Exit, Failure> {
     let (file, source) = (cell_file::shown(path), cell_file::read(path)?);
-    let compiled = compile(&source);
+    let compiled = compile_with(&source, Options { paper: args.faults.paper });
     let Some(lowered) = compiled.lower(Unit::Ticks) else {
         out.text(&render::text(&compiled.diagnostics, &file, Some(&source), render::Style::Coloured))?;
         return Ok(Exit::Finding);

@@ -1,18 +1,23 @@
 //! Every message that waits for an answer gets one, whichever way a handler goes.
 
 use super::flow;
-use crate::codes::{NEVER_ANSWERED, NOT_ALWAYS_ANSWERED};
+use crate::codes::{NEVER_ANSWERED, NOT_ALWAYS_ANSWERED, STATEMENT};
 use crate::diagnostic::Diagnostic;
-use crate::hir::{Hir, Port, Statement, StatementKind, Trigger};
+use crate::hir::{Answered, Capture, Captured, Hir, Port, Statement, StatementKind, Task, Trigger, Variable};
+use crate::span::Span;
 use crate::walk;
-use imrs_protocol::{Class, TaskId, Usage};
+use imrs_protocol::script::Slot;
+use imrs_protocol::{Class, PortId, TaskId, Usage};
 
 pub(super) fn check(hir: &Hir, found: &mut Vec<Diagnostic>) {
     for (at, task) in hir.tasks.iter().enumerate() {
         for handler in &task.handlers {
             let Trigger::Message(id) = handler.trigger else { continue };
             let port = &hir.ports[id.index()];
-            if port.class == Class::Status || answered_by_others(hir, TaskId::from_index(at), port) {
+            if port.class == Class::Status
+                || answered_by_others(hir, TaskId::from_index(at), port)
+                || answers_later(task, id)
+            {
                 continue;
             }
             let ever = replies(&handler.body);
@@ -39,6 +44,51 @@ pub(super) fn check(hir: &Hir, found: &mut Vec<Diagnostic>) {
             }
         }
         received_in_body(hir, TaskId::from_index(at), found);
+        for handler in &task.handlers {
+            unasked(hir, &handler.captures, &[&handler.body], |slot| variable(&handler.locals, slot), found);
+        }
+        let bodies = [Some(&task.body), task.takeover.as_ref()].into_iter().flatten().collect::<Vec<_>>();
+        unasked(hir, &task.captures, &bodies, |slot| variable(&task.variables, slot), found);
+    }
+}
+
+/// Where a slot's variable stands.
+fn variable(variables: &[Variable], slot: Slot) -> Option<Span> {
+    let (Slot::Task(at) | Slot::Local(at)) = slot;
+    variables.get(usize::from(at)).map(|variable| variable.span)
+}
+
+/// `p.x(t)` and its like hear what the statements of their own thread brought (D93): without such a statement nothing.
+fn unasked(
+    hir: &Hir,
+    captures: &[Capture],
+    bodies: &[&Vec<Statement>],
+    place: impl Fn(Slot) -> Option<Span>,
+    found: &mut Vec<Diagnostic>,
+) {
+    for capture in captures {
+        let (Captured::Told(id, _) | Captured::Answered(id, _) | Captured::Refused(id, _)) = capture.what
+        else {
+            continue;
+        };
+        let mut asks = false;
+        for body in bodies {
+            walk::each(body, &mut |statement| {
+                asks |= match statement.kind {
+                    StatementKind::Send { port, .. } | StatementKind::Waitfor { port, .. } => port == id,
+                    _ => false,
+                };
+            });
+        }
+        let Some(span) = place(capture.slot).filter(|_| !asks) else { continue };
+        let port = &hir.ports[id.index()];
+        let message = format!("nothing is known of `{}` here", port.name);
+        found.push(
+            Diagnostic::error(STATEMENT, span, message)
+                .label("no statement of this body or handler asks or meets there")
+                .also(port.span, "the port")
+                .help("keep what was told in a variable, where it was heard, and look at that"),
+        );
     }
 }
 
@@ -48,9 +98,13 @@ fn received_in_body(hir: &Hir, id: TaskId, found: &mut Vec<Diagnostic>) {
     for body in [Some(&task.body), task.takeover.as_ref()].into_iter().flatten() {
         let answered = replies(body);
         walk::each(body, &mut |statement| {
-            let StatementKind::Receive { port: Some(port), .. } = statement.kind else { return };
-            let port = &hir.ports[port.index()];
-            if answered || port.class == Class::Status || answered_by_others(hir, id, port) {
+            let StatementKind::Receive { port: Some(taken), .. } = statement.kind else { return };
+            let port = &hir.ports[taken.index()];
+            if answered
+                || answers_later(task, taken)
+                || port.class == Class::Status
+                || answered_by_others(hir, id, port)
+            {
                 return;
             }
             let message = format!("a message of `{}` is never answered", port.name);
@@ -62,6 +116,14 @@ fn received_in_body(hir: &Hir, id: TaskId, found: &mut Vec<Diagnostic>) {
             );
         });
     }
+}
+
+/// Whether the task answers messages of the port some time after it took them.
+fn answers_later(task: &Task, id: PortId) -> bool {
+    walk::any(
+        task,
+        |statement| matches!(&statement.kind, StatementKind::Reply { port, to: Answered::Of(_), .. } if *port == Some(id)),
+    )
 }
 
 /// Whether it is an answer itself, or a port of usage `reply` may carry that of somebody else (D11).
@@ -78,7 +140,7 @@ fn answered_by_others(hir: &Hir, at: TaskId, port: &Port) -> bool {
 fn replies(body: &[Statement]) -> bool {
     let mut has = false;
     walk::each(body, &mut |statement| {
-        has |= matches!(statement.kind, StatementKind::Reply { third_party: false, .. });
+        has |= matches!(statement.kind, StatementKind::Reply { to: Answered::Last, .. });
     });
     has
 }
@@ -118,7 +180,7 @@ impl Ways {
     fn through(statement: &Statement, from: Reached) -> Self {
         let plain = |next| Self { next, exit: Reached::default() };
         let mut ways = match &statement.kind {
-            StatementKind::Reply { third_party: false, .. } => {
+            StatementKind::Reply { to: Answered::Last, .. } => {
                 plain(Reached { open: false, answered: from.open || from.answered })
             }
             StatementKind::Abort(_) => plain(Reached::default()),

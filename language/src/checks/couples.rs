@@ -1,7 +1,7 @@
 //! What a process class asks for (D24).
 
 use super::{is_draft, messages, task};
-use crate::codes::{ACTS_EARLY, LOOSE, SERIAL, TIGHT};
+use crate::codes::{ACTS_EARLY, LOOSE, SERIAL, TELLS_NOBODY, TIGHT};
 use crate::diagnostic::Diagnostic;
 use crate::hir::{Couple, CoupleKind, Hir, Port, StatementKind};
 use crate::span::Span;
@@ -14,7 +14,12 @@ pub(super) fn check(hir: &Hir, found: &mut Vec<Diagnostic>) {
             CoupleKind::Tight(tasks) => tight(hir, couple, tasks, found),
             CoupleKind::Serial(first, second) => serial(hir, couple, [*first, *second], found),
             CoupleKind::Loose { tasks, over } => loose(hir, couple, tasks, *over, found),
-            CoupleKind::Work { standby, .. } => waits(hir, couple, *standby, found),
+            CoupleKind::Work { primary, standby, mutual, .. } => {
+                waits(hir, couple, *standby, found);
+                if !mutual {
+                    beats(hir, couple, [*primary, *standby], found);
+                }
+            }
         }
     }
 }
@@ -38,6 +43,29 @@ fn reached(hir: &Hir, from: TaskId, among: &[TaskId], like: impl Fn(&Port) -> bo
         at += 1;
     }
     known
+}
+
+/// With one way only the primary's answers carry something, and only the standby hears them (D61, D78).
+fn beats(hir: &Hir, couple: &Couple, [primary, standby]: [TaskId; 2], found: &mut Vec<Diagnostic>) {
+    let (from, to) = (&task(hir, primary).name, &task(hir, standby).name);
+    let mut say = |span, message: String, label: &str| {
+        found.push(
+            Diagnostic::warning(TELLS_NOBODY, span, message)
+                .label(label)
+                .also(couple.span, format!("`{from}` answers the beats, `{to}` only asks"))
+                .help("write `<->` if they change roles, or remove this"),
+        );
+    };
+    walk::of_task(task(hir, standby), &mut |statement| {
+        if matches!(statement.kind, StatementKind::Publish { .. }) {
+            say(statement.span, format!("nobody hears what `{to}` publishes"), "carried by no beat");
+        }
+    });
+    walk::of_task(task(hir, primary), &mut |statement| {
+        if matches!(statement.kind, StatementKind::Published { .. }) {
+            say(statement.span, format!("`{to}` tells `{from}` nothing"), "there is never anything to read");
+        }
+    });
 }
 
 /// Its members call each other.
@@ -80,7 +108,8 @@ fn loose(hir: &Hir, couple: &Couple, tasks: &[TaskId], over: TaskId, found: &mut
             found.push(
                 Diagnostic::warning(LOOSE, couple.span, message)
                     .label("the administrator owns the ports")
-                    .also(owner.span, "the administrator"),
+                    .also(owner.span, "the administrator")
+                    .help("let it own a port that the others use, and ask it through that"),
             );
         }
         for (port, place) in waits_for_ever(hir, member, over) {

@@ -6,7 +6,7 @@ use crate::codes::{
     FULL, LITERAL_PENALTY, LONG_PENALTY, NEVER_RECEIVED, NOBODY_LISTENS, RING, TOO_BUSY, UNPREPARED,
 };
 use crate::diagnostic::Diagnostic;
-use crate::hir::{CoupleKind, Hir, Port, Recipients, Statement, StatementKind, Task, Trigger};
+use crate::hir::{Answered, CoupleKind, Hir, Port, Recipients, Statement, StatementKind, Task, Trigger};
 use crate::walk;
 use imrs_protocol::{Class, PortId, TaskId, Usage};
 
@@ -58,7 +58,7 @@ fn sending(hir: &Hir, id: PortId, from: TaskId, to: Option<TaskId>) -> Option<&S
                 };
                 *port == id && reaches
             }
-            StatementKind::Reply { port, third_party: true, .. } => *port == Some(id),
+            StatementKind::Reply { port, to: Answered::Ticket { .. }, .. } => *port == Some(id),
             _ => false,
         };
         if sends && first.is_none() {

@@ -7,10 +7,12 @@ pub(crate) mod flow;
 mod meetings;
 mod messages;
 mod paper;
+mod ranks;
 mod ring;
 mod times;
 mod unused;
 
+use messages::carries_beats;
 pub(crate) use paper::paper;
 
 use crate::diagnostic::Diagnostic;
@@ -24,6 +26,7 @@ pub(crate) fn all(hir: &Hir, paper: bool) -> Vec<Diagnostic> {
     meetings::check(hir, paper, &mut found);
     messages::check(hir, paper, &mut found);
     answers::check(hir, &mut found);
+    ranks::check(hir, &mut found);
     flow::check(hir, &mut found);
     times::check(hir, &mut found);
     couples::check(hir, &mut found);

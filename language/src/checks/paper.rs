@@ -1,7 +1,9 @@
 //! `--paper`: only what the paper's figures and text have. The network, the tick and the host are no part of them, so `node`,
 //! `link` and `tick` stay: without them there is no cell.
 
-use crate::ast::{File, Handler, Item, PortOptionKind, Statement, StatementKind, TaskDecl, Trigger};
+use crate::ast::{
+    BranchKind, File, Handler, Item, PortOptionKind, Statement, StatementKind, TaskDecl, Trigger,
+};
 use crate::codes::NOT_IN_THE_PAPER;
 use crate::diagnostic::Diagnostic;
 use crate::span::Span;
@@ -10,10 +12,14 @@ use crate::span::Span;
 pub(crate) fn paper(file: &File) -> Vec<Diagnostic> {
     let mut found = Vec::new();
     let mut see = |word: &str, span: Span| {
+        let help = match word {
+            "penalty" => "write `penalty = paper ..`: the Appendix's TIME_PENALTY",
+            _ => "remove it, or leave `--paper` out",
+        };
         found.push(
             Diagnostic::error(NOT_IN_THE_PAPER, span, format!("`{word}` is no word of the paper"))
                 .label("not under `--paper`")
-                .help("remove it, or check without `--paper`"),
+                .help(help),
         );
     };
     for item in &file.items {
@@ -22,6 +28,7 @@ pub(crate) fn paper(file: &File) -> Vec<Diagnostic> {
             Item::Faults(faults) => see("faults", faults.span),
             Item::Check(check) => see("check", check.span),
             Item::Task(task) => of_task(task, &mut see),
+            Item::Tick(tick) if tick.model => see("model", tick.span),
             Item::Tick(_) | Item::Link(_) | Item::Node(_) | Item::Type(_) => {}
         }
     }
@@ -57,7 +64,8 @@ fn of_task(task: &TaskDecl, see: &mut dyn FnMut(&str, Span)) {
         match trigger {
             Trigger::Silence { .. } => see("silence", *span),
             Trigger::Fence => see("fence", *span),
-            Trigger::Message { .. } | Trigger::Expiry(_) => {}
+            Trigger::Expiry(_) => see("expiry", *span),
+            Trigger::Message { .. } => {}
         }
         statements(body, see);
     }
@@ -70,29 +78,45 @@ fn of_task(task: &TaskDecl, see: &mut dyn FnMut(&str, Span)) {
 
 fn statements(body: &[Statement], see: &mut dyn FnMut(&str, Span)) {
     for statement in body {
+        let span = statement.span;
         match &statement.kind {
-            StatementKind::Run { .. } => see("run", statement.span),
-            StatementKind::Start { .. } => see("start", statement.span),
-            StatementKind::Stop(_) => see("stop", statement.span),
-            StatementKind::Assert(_) => see("assert", statement.span),
-            StatementKind::Atomic(body) | StatementKind::Loop(body) | StatementKind::While(_, body) => {
+            StatementKind::Run { .. } => see("run", span),
+            StatementKind::Start { .. } => see("start", span),
+            StatementKind::Stop(_) => see("stop", span),
+            StatementKind::Assert(_) => see("assert", span),
+            StatementKind::Abort(_) => see("abort", span),
+            StatementKind::Atomic(body) => {
+                see("atomic", span);
                 statements(body, see);
             }
+            StatementKind::Loop(body) | StatementKind::While(_, body) => statements(body, see),
             StatementKind::If { arms, otherwise } => {
                 arms.iter().for_each(|(_, body)| statements(body, see));
                 otherwise.iter().for_each(|body| statements(body, see));
             }
-            StatementKind::Send { .. }
-            | StatementKind::Receive { .. }
-            | StatementKind::Reply { .. }
-            | StatementKind::Waitfor { .. }
-            | StatementKind::Order(_)
+            StatementKind::Send { within, .. } | StatementKind::Waitfor { within, .. } => {
+                within.iter().for_each(|within| see("within", within.span));
+            }
+            StatementKind::Receive { from, within, .. } => {
+                from.iter().for_each(|from| see("from", from.span));
+                within.iter().for_each(|within| see("within", within.span));
+            }
+            StatementKind::Reply { asker, .. } => {
+                asker.iter().for_each(|asker| see("for", asker.span));
+            }
+            StatementKind::Order(_)
             | StatementKind::Delay(_)
             | StatementKind::Assign { .. }
             | StatementKind::Exit
-            | StatementKind::Skip
-            | StatementKind::Abort(_) => {}
+            | StatementKind::Skip => {}
         }
-        statement.branches.iter().for_each(|branch| statements(&branch.body, see));
+        for branch in &statement.branches {
+            match branch.when {
+                BranchKind::Refused => see("refused", branch.span),
+                BranchKind::Failed => see("failed", branch.span),
+                BranchKind::TimeOut => {}
+            }
+            statements(&branch.body, see);
+        }
     }
 }

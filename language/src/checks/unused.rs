@@ -4,7 +4,7 @@ use super::couples::is_used_by_tasks;
 use super::{is_draft, messages, task};
 use crate::codes::{DOES_NOTHING, UNUSED_PORT, UNUSED_VARIABLE};
 use crate::diagnostic::Diagnostic;
-use crate::hir::{CheckKind, Expr, Hir, Port, Statement, StatementKind, Task, Trigger};
+use crate::hir::{Answered, CheckKind, Expr, Hir, Port, Statement, StatementKind, Task, Trigger};
 use crate::walk;
 use imrs_protocol::script::{Op, Slot, Term};
 use imrs_protocol::{PortId, TaskId, Usage};
@@ -161,9 +161,15 @@ impl Uses {
             StatementKind::Receive { into, .. } | StatementKind::Published { into, .. } => {
                 into.iter().for_each(|to| mark(&mut self.written, to.slot));
             }
-            StatementKind::Reply { values, .. }
-            | StatementKind::Waitfor { values, .. }
-            | StatementKind::Publish { values, .. } => values.iter().for_each(|value| self.reads(value)),
+            StatementKind::Reply { to, values, .. } => {
+                values.iter().for_each(|value| self.reads(value));
+                if let Answered::Ticket { number, .. } = to {
+                    self.reads(number);
+                }
+            }
+            StatementKind::Waitfor { values, .. } | StatementKind::Publish { values, .. } => {
+                values.iter().for_each(|value| self.reads(value));
+            }
             StatementKind::Run { arguments, into, .. } => {
                 arguments.iter().for_each(|value| self.reads(value));
                 into.iter().for_each(|to| mark(&mut self.written, to.slot));

@@ -27,7 +27,8 @@ pub(super) fn cell(hir: &Hir, clock: &mut Clock) -> Cell {
     });
     let ports = ports.collect();
     let couples = hir.couples.iter().filter_map(|couple| self::couple(&couple.kind, clock)).collect();
-    Cell { name: hir.name.clone(), tick, nodes, links, tasks, ports, couples, rules: Rules::default() }
+    let rules = if hir.paper { Rules::PAPER } else { Rules::DEFAULT };
+    Cell { name: hir.name.clone(), tick, nodes, links, tasks, ports, couples, rules }
 }
 
 const fn via(kind: &CoupleKind) -> Option<PortId> {
@@ -79,13 +80,24 @@ fn port(hir: &Hir, port: &Port, is_beat: bool, clock: &mut Clock) -> PortDecl {
         retry: if waitfor { 0 } else { port.retry },
         resend,
         losses: if waitfor { retry } else { 0 },
-        margin: None,
-        penalty: port.penalty.map(|(length, literal)| Penalty { length: clock.bound(length), literal }),
+        margin: hir.paper.then_some(Ticks::ZERO),
+        penalty: penalty(hir, port, clock),
         latest: port.latest,
         fragments: if waitfor { 1 } else { packets(&port.message) },
         answer_fragments: packets(&port.answer),
         rate: port.rate.map(|(count, per)| Rate { count, per: clock.period(per) }),
         guard: port.guard.and_then(|couple| guard(hir, couple)),
+    }
+}
+
+/// The penalty of a port. The paper's `save` always has one: where none is declared, a tick (Appendix).
+fn penalty(hir: &Hir, port: &Port, clock: &mut Clock) -> Option<Penalty> {
+    match (port.penalty, hir.tick) {
+        (Some((length, literal)), _) => Some(Penalty { length: clock.bound(length), literal }),
+        (None, Some(tick)) if hir.paper && port.usage != Usage::Waitfor => {
+            Some(Penalty { length: clock.bound(tick), literal: true })
+        }
+        (None, _) => None,
     }
 }
 

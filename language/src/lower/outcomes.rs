@@ -3,7 +3,8 @@
 use super::task::Writer;
 use crate::ast::BranchKind;
 use crate::hir::{Branch, Captured, Statement};
-use imrs_protocol::script::{Binary, Mark, Op, Outcomes, StatementOutcome, Term};
+use crate::resolve::after;
+use imrs_protocol::script::{Binary, Mark, Op, Outcomes, Slot, StatementOutcome, Term, Type};
 use imrs_protocol::{PortId, TaskId};
 
 /// A way in which a statement may end badly: its branch, and what is said where it has none.
@@ -86,7 +87,9 @@ impl<'h> Writer<'h, '_> {
                 | Captured::Sender
                 | Captured::Received
                 | Captured::Answered(..)
-                | Captured::Refused(..) => continue,
+                | Captured::Refused(..)
+                | Captured::Told(..)
+                | Captured::Ticket => continue,
             };
             let push = |value| Op::Term(Term::Push(value));
             let int = |operator| Op::Term(Term::Int(operator));
@@ -110,6 +113,46 @@ impl<'h> Writer<'h, '_> {
                 ]),
             }
             self.emit.op(Op::Store(capture.slot));
+        }
+    }
+
+    /// Keeps what members told at a waitfor, or what those who were `asked` answered, where something asks for it. What is
+    /// not known is zero.
+    pub fn keep_told(&mut self, port: PortId, asked: Option<&[TaskId]>) {
+        let declared = &self.hir.ports[port.index()];
+        let fields = if asked.is_some() { &declared.answer } else { &declared.message };
+        let types: Vec<Type> = fields.iter().map(|field| field.of).collect();
+        for capture in self.captures {
+            let Captured::Told(of, task) = capture.what else { continue };
+            if of != port {
+                continue;
+            }
+            let slots: Vec<Slot> = (1..=types.len()).map(|at| after(capture.slot, at)).collect();
+            let (unknown, on) = (self.emit.label(), self.emit.label());
+            let format = self.emit.builder.format(&types);
+            match asked {
+                None => self.emit.op(Op::Arrival { port, task, format }),
+                // The only answer is there already.
+                Some([one]) if *one == task => self.emit.ops(&[
+                    Op::Outcome,
+                    Op::Term(Term::Push(StatementOutcome::Reply as i64)),
+                    Op::Term(Term::Int(Binary::Equal)),
+                ]),
+                Some(asked) if asked.contains(&task) => self.emit.op(Op::Answer { port, task }),
+                Some(_) => self.emit.op(Op::Term(Term::Push(0))),
+            }
+            self.emit.op(Op::Store(capture.slot));
+            self.emit.op(Op::Term(Term::Load(capture.slot)));
+            self.emit.unless(unknown);
+            let into = self.emit.builder.places(&slots);
+            self.emit.op(Op::Unpack { format, into });
+            self.emit.jump(on);
+            self.emit.put(unknown);
+            for slot in slots {
+                self.emit.op(Op::Term(Term::Push(0)));
+                self.emit.op(Op::Store(slot));
+            }
+            self.emit.put(on);
         }
     }
 }

@@ -3,9 +3,11 @@
 use super::outcomes::{Bad, FAILED, FENCED, REFUSED, TIMED_OUT, TOO_LATE};
 use super::silence;
 use super::task::Writer;
-use crate::codes::{ORDER, STATEMENT, TOO_MANY};
+use crate::codes::{ORDER, TOO_MANY};
 use crate::diagnostic::Diagnostic;
-use crate::hir::{Captured, Destination, Duration, Expr, Field, Recipients, Statement, StatementKind};
+use crate::hir::{
+    Answered, Captured, Destination, Duration, Expr, Field, Recipients, Statement, StatementKind,
+};
 use imrs_protocol::script::{Op, Outcomes, Slot, StatementOutcome, Term, Type};
 use imrs_protocol::{Class, PortId, Ranked, ServiceOrder, Target, TaskId, Ticks};
 
@@ -28,15 +30,14 @@ impl<'h> Writer<'h, '_> {
             StatementKind::Receive { port, into, from, within } => {
                 self.receive(statement, *port, into, (*from, *within));
             }
-            StatementKind::Reply { port, third_party, values } => {
-                self.reply(statement, *port, *third_party, values);
-            }
+            StatementKind::Reply { port, to, values } => self.reply(statement, *port, to, values),
             StatementKind::Waitfor { port, values, within } => {
                 let format = self.message_format(*port);
                 self.values(values);
                 let time_out = within.map(|length| self.clock.time_out(length));
                 self.emit.op(Op::Arrive { port: *port, format, time_out });
                 self.keep_outcome();
+                self.keep_told(*port, None);
                 let name = self.hir.ports[port.index()].name.clone();
                 self.branches(statement, &name, &[TIMED_OUT]);
             }
@@ -208,6 +209,7 @@ impl<'h> Writer<'h, '_> {
             let format = self.answer_format(port);
             self.unpack(format, into, None);
         }
+        self.keep_told(port, Some(&peers));
         let fenced = declared.guard.map(|_| FENCED);
         let ways: Vec<Bad> = match declared.class {
             Class::Status => Vec::new(),
@@ -251,8 +253,9 @@ impl<'h> Writer<'h, '_> {
 
     /// Reads what came, if something came; of a message also from whom, and what it ends.
     fn unpack(&mut self, format: u16, into: &[Destination], received: Option<Option<PortId>>) {
-        let keeps =
-            |capture: &crate::hir::Capture| matches!(capture.what, Captured::Sender | Captured::Received);
+        let keeps = |capture: &crate::hir::Capture| {
+            matches!(capture.what, Captured::Sender | Captured::Received | Captured::Ticket)
+        };
         let ends =
             received.is_some_and(|port| self.silences.iter().any(|s| port.is_none_or(|port| s.port == port)));
         let asks = received.is_some() && self.captures.iter().any(keeps);
@@ -281,21 +284,31 @@ impl<'h> Writer<'h, '_> {
         self.store(into, |writer| writer.emit.op(Op::Unpack { format, into: places }));
     }
 
-    fn reply(&mut self, statement: &'h Statement, port: Option<PortId>, third_party: bool, values: &[Expr]) {
-        if third_party {
-            let message = "a reply to a message that another task received cannot be written in a script yet";
-            let found = Diagnostic::error(STATEMENT, statement.span, message)
-                .label("not possible here")
-                .help("let the task that received the message answer it");
-            return self.errors.push(found);
-        }
-        let fields: Vec<Type> = match port {
-            Some(port) => self.hir.ports[port.index()].answer.iter().map(|field| field.of).collect(),
-            None => values.iter().map(|value| value.of).collect(),
+    fn reply(
+        &mut self,
+        statement: &'h Statement,
+        port: Option<PortId>,
+        to: &'h Answered,
+        values: &'h [Expr],
+    ) {
+        let fields = |fields: &[Field]| fields.iter().map(|field| field.of).collect();
+        let declared = port.map(|port| &self.hir.ports[port.index()]);
+        let fields: Vec<Type> = match (declared, to) {
+            (Some(port), Answered::Ticket { .. }) => fields(&port.message),
+            (Some(port), Answered::Last | Answered::Of(_)) => fields(&port.answer),
+            (None, _) => values.iter().map(|value| value.of).collect(),
         };
         let format = self.emit.builder.format(&fields);
+        if let Answered::Ticket { asker, number } = to {
+            self.emit.op(Op::Term(Term::Push(i64::from(asker.0))));
+            self.emit.ops(&number.ops);
+        }
         self.values(values);
-        self.emit.op(Op::Reply { format });
+        self.emit.op(match (to, port) {
+            (Answered::Of(task), Some(port)) => Op::ReplyOwed { port, task: *task, format },
+            (Answered::Ticket { .. }, Some(port)) => Op::ReplyFor { port, format },
+            (Answered::Last, _) | (_, None) => Op::Reply { format },
+        });
         self.keep_outcome();
         self.branches(statement, "reply", &[TOO_LATE]);
     }

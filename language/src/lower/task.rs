@@ -70,8 +70,20 @@ impl<'h> Writer<'h, '_> {
         self.silences = silences;
         self.statements(rest);
         self.emit.at = self.task.span;
+        if rest.is_empty() && !self.task.handlers.is_empty() {
+            self.serve();
+        }
         self.emit.op(Op::End);
         self.emit.flush();
+    }
+
+    /// A task of handlers alone is there for them: it waits in a plain `receive`, in which each of them may come.
+    fn serve(&mut self) {
+        let top = self.emit.label();
+        self.emit.put(top);
+        self.emit.op(Op::Statement);
+        self.emit.op(Op::Get { port: None, source: None, time_out: None });
+        self.emit.jump(top);
     }
 
     /// Whether the task acts under a lease from its beginning on (D61).
@@ -154,7 +166,10 @@ impl<'h> Writer<'h, '_> {
             let op = match capture.what {
                 Captured::Sender => Op::ReceivedSource,
                 Captured::Received => Op::ReceivedPort,
-                Captured::Outcome | Captured::Answered(..) | Captured::Refused(..) => continue,
+                Captured::Ticket => Op::ReceivedId,
+                Captured::Outcome | Captured::Answered(..) | Captured::Refused(..) | Captured::Told(..) => {
+                    continue;
+                }
             };
             self.emit.op(op);
             self.emit.op(Op::Store(capture.slot));

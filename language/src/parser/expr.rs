@@ -180,8 +180,13 @@ pub(super) fn place<'t>(text: &'t str) -> impl Part<'t, Place> {
 pub(super) fn expr<'t>(text: &'t str) -> impl Part<'t, Expr> {
     recursive(|expr| {
         let inner = expr.clone().delimited_by(just(Kind::ParenOpen), just(Kind::ParenClose));
+        let trunc = word(Word::Trunc).then(inner.clone());
+        let trunc = trunc.map_with(|(_, of): (Span, Expr), extra| Expr {
+            kind: ExprKind::Trunc(of.into()),
+            span: extra.span(),
+        });
         let in_parentheses = inner.map_with(|expr: Expr, extra| Expr { span: extra.span(), ..expr });
-        let operand = choice((literal(text), path_or_call(text), in_parentheses)).boxed();
+        let operand = choice((literal(text), trunc, path_or_call(text), in_parentheses)).boxed();
         let minus = sign(Kind::Minus).repeated();
         let signed = minus.foldr(operand, |minus, of: Expr| Expr {
             span: minus.to(of.span),

@@ -100,8 +100,13 @@ fn receive<'t>(source: &'t str) -> impl Part<'t, StatementKind> {
 
 fn reply<'t>(source: &'t str) -> impl Part<'t, StatementKind> {
     let verb = word(Word::Reply).to(false).or(word(Word::Response).to(true));
-    let line = verb.then(name(source).or_not()).then(arguments(source));
-    line.map(|((response, port), arguments)| StatementKind::Reply { response, port, arguments })
+    let ticket = word(Word::Ticket).ignore_then(expr(source)).or_not();
+    let asker = word(Word::For).ignore_then(name(source)).then(ticket).or_not();
+    let line = verb.then(name(source).or_not()).then(arguments(source)).then(asker);
+    line.map(|(((response, port), arguments), asker)| {
+        let (asker, ticket) = asker.unzip();
+        StatementKind::Reply { response, port, arguments, asker, ticket: ticket.flatten() }
+    })
 }
 
 fn waitfor<'t>(source: &'t str) -> impl Part<'t, StatementKind> {

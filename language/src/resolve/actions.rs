@@ -50,7 +50,8 @@ impl<'a> Thread<'_, 'a> {
             [_, second, ..] => {
                 self.report(
                     Diagnostic::error(super::ARGUMENTS, second.span, "an action has one result")
-                        .label("one too many"),
+                        .label("one too many")
+                        .help("let the others come from actions of their own: `run x -> a; run y -> b;`"),
                 );
                 return None;
             }
@@ -75,7 +76,8 @@ impl<'a> Thread<'_, 'a> {
             let span = least.span.to(most.span);
             self.report(
                 Diagnostic::error(INTERVAL, span, "`takes` ends before it begins")
-                    .label("the shorter time comes first"),
+                    .label("the shorter time comes first")
+                    .help("exchange the two"),
             );
         }
         let none = ast::Duration { usec: 0, span: action.span };
@@ -98,7 +100,8 @@ impl<'a> Thread<'_, 'a> {
             if value.constant.is_none() {
                 self.report(
                     Diagnostic::error(TYPES, end.span, "the ends of a range are constants")
-                        .label("not constant"),
+                        .label("not constant")
+                        .help("write numbers: `in 0 .. 900`"),
                 );
             }
             value.constant
@@ -108,7 +111,8 @@ impl<'a> Thread<'_, 'a> {
         if low_value > high_value {
             self.report(
                 Diagnostic::error(INTERVAL, span, "a range that ends before it begins")
-                    .label("the smaller number comes first"),
+                    .label("the smaller number comes first")
+                    .help("exchange the two"),
             );
             return None;
         }

@@ -52,7 +52,8 @@ impl<'a> Resolver<'a> {
         if tick.length.usec == 0 {
             self.report(
                 Diagnostic::error(OPTION, tick.length.span, format!("a `{what}` of no time"))
-                    .label("must be longer than 0"),
+                    .label("must be longer than 0")
+                    .help("say by how much timers may be late, such as `1 msec`"),
             );
         }
     }
@@ -64,7 +65,8 @@ impl<'a> Resolver<'a> {
             self.report(
                 Diagnostic::error(OPTION, model.span, "the `model tick` is not a multiple of the `tick`")
                     .label("counted in ticks")
-                    .also(tick.span, "the tick"),
+                    .also(tick.span, "the tick")
+                    .help("write a multiple of the tick, or the tick itself"),
             );
         }
     }
@@ -81,7 +83,8 @@ impl<'a> Resolver<'a> {
             if fits.is_none() {
                 self.report(
                     Diagnostic::error(OPTION, port.span, format!("{} is no UDP port", port.value))
-                        .label("1 to 65535"),
+                        .label("1 to 65535")
+                        .help("leave `port` out for one of its own choice, or write a free port"),
                 );
             }
             fits
@@ -207,7 +210,11 @@ impl<'a> Resolver<'a> {
                             a.span.to(b.span),
                             format!("no link joins `{}` and `{}`", a.text, b.text),
                         )
-                        .label("there is nothing to cut"),
+                        .label("there is nothing to cut")
+                        .help(format!(
+                            "name a link of the cell, or declare `link {} -- {} delay ..;`",
+                            a.text, b.text
+                        )),
                     ),
                 }
             }
@@ -218,7 +225,8 @@ impl<'a> Resolver<'a> {
         u8::try_from(n.value).unwrap_or_else(|_| {
             self.report(
                 Diagnostic::error(OPTION, n.span, format!("{} faults are more than are tried", n.value))
-                    .label("at most 255"),
+                    .label("at most 255")
+                    .help("write how many shall be tried: one or two tell the most"),
             );
             u8::MAX
         })

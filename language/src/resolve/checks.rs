@@ -99,8 +99,10 @@ impl Cell<'_, '_> {
             } else {
                 (format!("port `{}` is no waitfor", port.text), "nobody arrives there")
             };
-            let found =
-                Diagnostic::error(STATEMENT, span, message).label(label).also(declared.span, "the port");
+            let found = Diagnostic::error(STATEMENT, span, message)
+                .label(label)
+                .also(declared.span, "the port")
+                .help("ask about a `waitfor` port and one of its tasks");
             self.report(found);
             return None;
         }
@@ -193,7 +195,8 @@ impl Leaves for Cell<'_, '_> {
         }
         self.report(
             Diagnostic::error(TYPES, of.span, "no such question")
-                .label("`p.arrived(t)`, `t.asked(p)` or `t.answered(p)`"),
+                .label("`p.arrived(t)`, `t.asked(p)` or `t.answered(p)`")
+                .help("name one port and one task"),
         );
         None
     }

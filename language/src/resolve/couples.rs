@@ -63,7 +63,8 @@ impl<'a> Resolver<'a> {
                 if tasks.contains(&task) {
                     self.report(
                         Diagnostic::error(TWICE, name.span, format!("`{}` is listed twice", name.text))
-                            .label("the second time"),
+                            .label("the second time")
+                            .help("remove it once; a module stands for all its tasks"),
                     );
                 } else {
                     tasks.push(task);
@@ -79,7 +80,8 @@ impl<'a> Resolver<'a> {
         }
         self.report(
             Diagnostic::error(TWICE, name.span, format!("`{}` is coupled with itself", name.text))
-                .label("the same task"),
+                .label("the same task")
+                .help("name the other task"),
         );
         None
     }
@@ -96,7 +98,8 @@ impl<'a> Resolver<'a> {
                     Diagnostic::error(COUPLE, name.span, format!("`{}` is in two work couples", name.text))
                         .label("a task holds one lease")
                         .also(other, "the first one")
-                        .also(span, "the second one"),
+                        .also(span, "the second one")
+                        .help("keep one of them: let a task of its own stand by for the other work"),
                 );
             }
         }
@@ -162,7 +165,11 @@ impl<'a> Resolver<'a> {
             (Some(of), Some(&(_, primary, _))) if of.text != primary => {
                 let message =
                     format!("`{}` stands by for `{}`, its couple says `{primary}`", name.text, of.text);
-                Some(Diagnostic::error(TAKEOVER, of.span, message).label("another task"))
+                Some(
+                    Diagnostic::error(TAKEOVER, of.span, message)
+                        .label("another task")
+                        .help(format!("write `standby of {primary}`, or change the couple")),
+                )
             }
             _ => None,
         };

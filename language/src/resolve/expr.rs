@@ -100,7 +100,8 @@ fn operand(leaves: &mut impl Leaves, written: &Written) -> Option<Typed> {
             None => {
                 leaves.report(
                     Diagnostic::error(TYPES, span, format!("{text} is too large for a real"))
-                        .label("at most 3.4E38"),
+                        .label("at most 3.4E38")
+                        .help("write a smaller number"),
                 );
                 None
             }
@@ -125,8 +126,31 @@ fn operand(leaves: &mut impl Leaves, written: &Written) -> Option<Typed> {
                 }
             }
         }
+        ExprKind::Trunc(inner) => {
+            let inner = typed(leaves, inner)?;
+            if inner.of == Type::Real {
+                return truncated(leaves, inner, span);
+            }
+            let label = if inner.of == Type::Bool { "a bool" } else { "whole already" };
+            leaves.report(mismatch("`trunc` wants a real", inner.span, label).help("write the value itself"));
+            None
+        }
         ExprKind::Binary(..) => typed(leaves, written),
     }
+}
+
+/// The whole part of a real.
+fn truncated(leaves: &mut impl Leaves, inner: Typed, span: Span) -> Option<Typed> {
+    let whole = unary(Term::ToInt, Type::Int32, inner, span);
+    if whole.constant.is_some_and(|value| !Type::Int32.holds(value)) {
+        leaves.report(
+            Diagnostic::error(TYPES, span, "the whole part is too large for an int32")
+                .label("always")
+                .help("divide it first"),
+        );
+        return None;
+    }
+    Some(whole)
 }
 
 fn unary(term: Term, of: Type, inner: Typed, span: Span) -> Typed {
@@ -163,12 +187,16 @@ fn binary(leaves: &mut impl Leaves, operator: Binary, a: Typed, b: Typed, span: 
         | Binary::Greater
         | Binary::GreaterOrEqual => {
             if let Some(odd) = [&a, &b].into_iter().find(|value| value.of == Type::Bool) {
-                let found = mismatch(&format!("{sign} of a bool"), odd.span, "a bool, not a number");
+                let found = mismatch(&format!("{sign} of a bool"), odd.span, "a bool, not a number")
+                    .help("bools are joined with `and`, `or` and `not`, and compared with `=` and `<>`");
                 leaves.report(found);
                 return None;
             }
             if is_real && operator == Binary::Remainder {
-                leaves.report(mismatch("`mod` of reals", span, "only integers have a remainder"));
+                leaves.report(
+                    mismatch("`mod` of reals", span, "only integers have a remainder")
+                        .help("cut them off: `trunc(a) mod trunc(b)`"),
+                );
                 return None;
             }
             let of = match operator {
@@ -205,12 +233,20 @@ fn fold(leaves: &mut impl Leaves, term: Term, of: Type, a: Typed, b: Typed, span
             Err(ScriptFault::DivisionByZero) => "a division by zero",
             Err(_) => "the result is too large",
         };
-        leaves.report(Diagnostic::error(TYPES, span, why).label("always"));
+        leaves.report(
+            Diagnostic::error(TYPES, span, why)
+                .label("always")
+                .help("these are constants: write what is meant"),
+        );
         return None;
     }
     let divides = matches!(term, Term::Int(Binary::Divide | Binary::Remainder) | Term::Real(Binary::Divide));
     if divides && b.constant == Some(0) {
-        leaves.report(Diagnostic::error(TYPES, span, "a division by zero").label("always"));
+        leaves.report(
+            Diagnostic::error(TYPES, span, "a division by zero")
+                .label("always")
+                .help("divide by what is not zero"),
+        );
         return None;
     }
     let mut ops = a.ops;
@@ -248,7 +284,7 @@ pub(super) fn coerced(leaves: &mut impl Leaves, value: Typed, of: Type, place: &
     if value.of == Type::Real && numbers {
         leaves.report(
             mismatch(&format!("{place} is {wanted}, not real"), value.span, "a real")
-                .help("a real is not rounded by itself: make it a real, or count in smaller units"),
+                .help("a real is not cut off by itself: write `trunc(..)` for its whole part"),
         );
         return None;
     }
@@ -260,7 +296,7 @@ pub(super) fn coerced(leaves: &mut impl Leaves, value: Typed, of: Type, place: &
         } else {
             has
         };
-        leaves.report(mismatch(&format!("{place} is {wanted}"), value.span, has));
+        leaves.report(mismatch(&format!("{place} is {wanted}"), value.span, has).help(other_kind(of)));
         return None;
     }
     if let Some(constant) = value.constant
@@ -273,7 +309,8 @@ pub(super) fn coerced(leaves: &mut impl Leaves, value: Typed, of: Type, place: &
                 value.span,
                 format!("{constant} does not fit in {place}, which is {wanted}"),
             )
-            .label(format!("{wanted} is {low} to {high}")),
+            .label(format!("{wanted} is {low} to {high}"))
+            .help("write a number in this range, or choose a larger type"),
         );
         return None;
     }
@@ -282,6 +319,16 @@ pub(super) fn coerced(leaves: &mut impl Leaves, value: Typed, of: Type, place: &
 
 fn mismatch(message: &str, span: Span, label: &str) -> Diagnostic {
     Diagnostic::error(TYPES, span, message).label(label)
+}
+
+/// How a bool is got from a number, and a number from a bool.
+const fn other_kind(wanted: Type) -> &'static str {
+    match wanted {
+        Type::Bool => "a number is compared to get a bool: `x <> 0`",
+        Type::Int8 | Type::Int16 | Type::Int32 | Type::Word | Type::Real => {
+            "a bool is no number: write `if b then x := 1; else x := 0; end`"
+        }
+    }
 }
 
 /// The language's word for a type.

@@ -18,7 +18,8 @@ impl<'a> Resolver<'a> {
         if self.hir.tasks[task.index()].handlers.len() >= MOST_HANDLERS {
             return self.report(
                 Diagnostic::error(TOO_MANY, written.span, format!("more than {MOST_HANDLERS} handlers"))
-                    .label("one too many"),
+                    .label("one too many")
+                    .help("split the task"),
             );
         }
         let mut own = scope.clone();
@@ -68,7 +69,12 @@ impl<'a> Resolver<'a> {
         };
         let declared = self.hir.ports[port.index()].span;
         let message = format!("`on {said}` of port `{}`, whose usage here is {usage}", name.text);
-        self.report(Diagnostic::error(STATEMENT, name.span, message).label(right).also(declared, "the port"));
+        self.report(
+            Diagnostic::error(STATEMENT, name.span, message)
+                .label(right)
+                .also(declared, "the port")
+                .help("what comes is decided by the `usage` of this end of the port"),
+        );
         None
     }
 
@@ -134,7 +140,8 @@ impl<'a> Resolver<'a> {
         if let (true, Some(when)) = (captured > 0, when) {
             self.report(
                 Diagnostic::error(TYPES, when.span, "the condition of a silence looks at variables only")
-                    .label("not a variable"),
+                    .label("not a variable")
+                    .help("keep what it asks in a variable, and name that"),
             );
             return None;
         }
@@ -144,7 +151,8 @@ impl<'a> Resolver<'a> {
             self.report(
                 Diagnostic::error(STATEMENT, name.span, message)
                     .label("always silent: nothing comes to this end")
-                    .also(declared, "the port"),
+                    .also(declared, "the port")
+                    .help("name a port on which this task receives or responds"),
             );
             return None;
         }
@@ -165,7 +173,8 @@ impl<'a> Resolver<'a> {
             Some(Entity::Unknown) => {}
             Some(Entity::Plain(..) | Entity::Record { .. }) => self.report(
                 Diagnostic::error(TYPES, name.span, format!("`{}` is no timer", name.text))
-                    .label("never expires"),
+                    .label("never expires")
+                    .help(format!("declare a timer: `var {}: timer;`", name.text)),
             ),
             None => {
                 let found = super::names::unknown("timer", name, scope.all());

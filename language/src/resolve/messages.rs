@@ -78,7 +78,8 @@ impl<'a> Thread<'_, 'a> {
                 let message = format!("`{}` is not at the other end of port `{}`", name.text, declared.name);
                 let found = Diagnostic::error(STATEMENT, name.span, message)
                     .label("cannot receive this")
-                    .also(declared.user_list.unwrap_or(declared.span), "who can");
+                    .also(declared.user_list.unwrap_or(declared.span), "who can")
+                    .help("name tasks at the other end, or none: then all of them get it");
                 self.report(found);
                 whole = false;
             }
@@ -138,7 +139,9 @@ impl<'a> Thread<'_, 'a> {
         let n = fields.len();
         let has = if n == 1 { String::from("1 value") } else { format!("{n} values") };
         let message = format!("{what} has {has}, not {given}");
-        let mut found = Diagnostic::error(ARGUMENTS, at, message).label(format!("{given} given"));
+        let mut found = Diagnostic::error(ARGUMENTS, at, message)
+            .label(format!("{given} given"))
+            .help("give one value for each field, or a variable of the whole record");
         if let Some(declared) = declared {
             found = found.also(declared, format!("({})", list.join(", ")));
         }
@@ -160,7 +163,9 @@ impl<'a> Thread<'_, 'a> {
                 Some(Found::Whole(all)) => places.extend(all.into_iter().map(|to| (to, place.span))),
                 Some(Found::Timer(_)) => {
                     self.report(
-                        Diagnostic::error(TYPES, place.span, "a timer holds no value").label("a timer"),
+                        Diagnostic::error(TYPES, place.span, "a timer holds no value")
+                            .label("a timer")
+                            .help("name a variable of another type"),
                     );
                     whole = false;
                 }
@@ -180,7 +185,8 @@ impl<'a> Thread<'_, 'a> {
                 let message = format!("`{}` of {what} is {}", field.name, expr::word(field.of));
                 let found = Diagnostic::error(TYPES, *span, message)
                     .label(format!("{}: cannot take it", expr::word(to.of)))
-                    .also(declared, "declared here");
+                    .also(declared, "declared here")
+.help("read it into a variable of that type, and convert it then: `trunc(r)` cuts a real off");
                 self.report(found);
                 whole = false;
             }
@@ -198,7 +204,8 @@ impl<'a> Thread<'_, 'a> {
         let message = format!("`{}` is not at the other end of port `{}`", name.text, declared.name);
         let found = Diagnostic::error(STATEMENT, name.span, message)
             .label("not there")
-            .also(declared.user_list.unwrap_or(declared.span), "who is");
+            .also(declared.user_list.unwrap_or(declared.span), "who is")
+            .help("name a task at the other end of the port");
         self.report(found);
         None
     }

@@ -12,6 +12,7 @@ mod messages;
 mod names;
 mod options;
 mod ports;
+mod replies;
 mod scope;
 mod sends;
 mod statements;
@@ -20,6 +21,7 @@ mod users;
 mod words;
 
 pub(crate) use expr::word;
+pub(crate) use scope::after;
 
 use crate::ast;
 use crate::codes::{

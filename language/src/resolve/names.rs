@@ -39,12 +39,17 @@ pub(super) struct Poison<'a> {
     pub ports: BTreeSet<&'a str>,
 }
 
+/// So many names are listed where none is near.
+const SHOWN: usize = 6;
+
 /// The name among `known` that was probably meant.
 pub(super) fn nearest<'n>(name: &str, known: impl IntoIterator<Item = &'n str>) -> Option<&'n str> {
     let lower = name.to_lowercase();
     let far = known.into_iter().map(|other| (strsim::osa_distance(&lower, &other.to_lowercase()), other));
     // A slip in a short name, two or three in a long one; the case of letters is none.
-    let near = far.filter(|&(distance, other)| other != name && distance <= (name.len() / 3).clamp(1, 3));
+    // Of a name of one letter every other one is a slip.
+    let most = (name.len() / 3).clamp(1, 3).min(name.chars().count().saturating_sub(1));
+    let near = far.filter(|&(distance, other)| other != name && distance <= most);
     near.min().map(|(_, other)| other)
 }
 
@@ -52,9 +57,20 @@ pub(super) fn nearest<'n>(name: &str, known: impl IntoIterator<Item = &'n str>) 
 pub(super) fn unknown<'n>(what: &str, name: &Name, known: impl IntoIterator<Item = &'n str>) -> Diagnostic {
     let message = format!("there is no {what} `{}`", name.text);
     let found = Diagnostic::error(UNKNOWN_NAME, name.span, message).label(format!("no {what} has this name"));
-    match nearest(&name.text, known) {
-        Some(other) => found.help(format!("did you mean `{other}`?")),
-        None => found,
+    found.help(meant(&name.text, known))
+}
+
+/// What may have been meant, or what there is.
+pub(super) fn meant<'n>(name: &str, known: impl IntoIterator<Item = &'n str>) -> String {
+    let known: Vec<&str> = known.into_iter().filter(|name| !name.starts_with('(')).collect();
+    if let Some(other) = nearest(name, known.iter().copied()) {
+        return format!("did you mean `{other}`?");
+    }
+    let first = known.iter().take(SHOWN).map(|name| format!("`{name}`")).collect::<Vec<_>>().join(", ");
+    match known.len() {
+        0 => String::from("there is none at all: declare it"),
+        1..=SHOWN => format!("there is {first}"),
+        all => format!("there is {first} and {} more", all - SHOWN),
     }
 }
 

@@ -80,7 +80,8 @@ impl<'a> Resolver<'a> {
         if length.usec == 0 {
             self.report(
                 Diagnostic::error(OPTION, length.span, format!("a `{what}` of no time"))
-                    .label("must be longer than 0"),
+                    .label("must be longer than 0")
+                    .help("write how long, such as `20 msec`"),
             );
         }
         Some(length)
@@ -93,7 +94,8 @@ impl<'a> Resolver<'a> {
             _ => {
                 self.report(
                     Diagnostic::error(OPTION, rate.count.span, format!("a rate of {}", rate.count.value))
-                        .label("1 to 65535"),
+                        .label("1 to 65535")
+                        .help("write how many come in which time: `rate = 20/1 sec`"),
                 );
                 None
             }
@@ -118,7 +120,8 @@ impl<'a> Resolver<'a> {
         u8::try_from(number.value).unwrap_or_else(|_| {
             self.report(
                 Diagnostic::error(OPTION, number.span, format!("retry = {}", number.value))
-                    .label("at most 255"),
+                    .label("at most 255")
+                    .help("write how often it is sent again, such as 2"),
             );
             u8::MAX
         })

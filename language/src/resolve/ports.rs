@@ -202,7 +202,7 @@ impl<'a> Resolver<'a> {
             (said, Some(format)) => (said, format),
         };
         let fields = self.hir.records[record].fields.clone();
-        let agrees = decl.parameters.is_empty() || same_types(&said.fields, &fields);
+        let agrees = decl.parameters.is_empty() || same_types(&adopted(decl, &said.fields, &fields), &fields);
         if !agrees || said.record.is_some_and(|other| other != record) {
             let (name, declared) = (&self.hir.records[record].name, self.hir.records[record].span);
             let found = Diagnostic::error(
@@ -267,7 +267,8 @@ impl<'a> Resolver<'a> {
         if let (Some(of), Usage::Waitfor | Usage::Reply) = (&decl.answer, usage) {
             self.report(
                 Diagnostic::error(OPTION, span_of(of), format!("a port of usage {usage} has no answer"))
-                    .label("nobody gives one"),
+                    .label("nobody gives one")
+                    .help("remove the `->`"),
             );
         }
         fields
@@ -281,7 +282,9 @@ impl<'a> Resolver<'a> {
             TypeName::Record(name) => self.record(name).map(|at| self.hir.records[at].fields.clone()),
             TypeName::Timer(span) => {
                 self.report(
-                    Diagnostic::error(TYPES, *span, "an answer cannot carry a timer").label("not a value"),
+                    Diagnostic::error(TYPES, *span, "an answer cannot carry a timer")
+                        .label("not a value")
+                        .help("answer how long it shall run, as an integer"),
                 );
                 None
             }
@@ -326,6 +329,19 @@ impl<'a> Resolver<'a> {
         };
         self.found.extend(found);
     }
+}
+
+/// The parameters with what `fields` say of those without a type, as Figure 1 writes them.
+pub(super) fn adopted(decl: &PortDecl, said: &[Field], fields: &[Field]) -> Vec<Field> {
+    let mut adopted = said.to_vec();
+    if said.len() == fields.len() && decl.parameters.len() == fields.len() {
+        for ((own, parameter), field) in adopted.iter_mut().zip(&decl.parameters).zip(fields) {
+            if parameter.of.is_none() {
+                own.of = field.of;
+            }
+        }
+    }
+    adopted
 }
 
 /// `int16, bool`

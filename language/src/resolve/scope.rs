@@ -1,6 +1,6 @@
 //! The variables that a name may mean: a task's, and in front of them a handler's.
 
-use super::names::nearest;
+use super::names::meant;
 use crate::ast::{Name, Place};
 use crate::diagnostic::Diagnostic;
 use crate::hir::{Destination, Record};
@@ -97,7 +97,8 @@ impl<'a> Scope<'a> {
                 let message = format!("`{}` is no record", path(&place.path[..place.path.len() - 1]));
                 let found = Diagnostic::error(TYPES, field.span, message)
                     .label("it has no fields")
-                    .also(name.span, "a plain value");
+                    .also(name.span, "a plain value")
+                    .help("leave the field out, or declare the variable with a record's type");
                 Err(Some(Box::new(found)))
             }
         }
@@ -117,10 +118,7 @@ fn no_field(record: &Record, field: &Name) -> Diagnostic {
     let found = Diagnostic::error(UNKNOWN_NAME, field.span, message)
         .label("no such field")
         .also(record.span, "the record");
-    match nearest(&field.text, record.fields.iter().map(|field| field.name.as_str())) {
-        Some(other) => found.help(format!("did you mean `{other}`?")),
-        None => found,
-    }
+    found.help(meant(&field.text, record.fields.iter().map(|field| field.name.as_str())))
 }
 
 /// `me.height`
@@ -130,7 +128,7 @@ pub(super) fn path(names: &[Name]) -> String {
 }
 
 /// The slot so many places behind another.
-pub(super) fn after(first: Slot, by: usize) -> Slot {
+pub(crate) fn after(first: Slot, by: usize) -> Slot {
     let by = u16::try_from(by).unwrap_or(u16::MAX);
     match first {
         Slot::Task(at) => Slot::Task(at.saturating_add(by)),

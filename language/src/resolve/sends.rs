@@ -4,7 +4,7 @@ use super::STATEMENT;
 use super::statements::{Thread, branch_word};
 use crate::ast::{self, BranchKind, Expr as Written, Name, Place, Verb};
 use crate::diagnostic::Diagnostic;
-use crate::hir::{Duration, Recipients, StatementKind};
+use crate::hir::{Answered, Duration, Recipients, StatementKind};
 use crate::span::Span;
 use imrs_protocol::{Class, PortId, Usage};
 
@@ -74,9 +74,12 @@ impl<'a> Thread<'_, 'a> {
         if let Some(port) = port {
             found = found.also(port, "the port");
         }
-        if usage == Usage::Send {
-            found = found.help("`send` is for the owner of a port, `use_send` for its users");
-        }
+        found = found.help(match usage {
+            Usage::Send => "`send` is for the owner of a port, `use_send` for its users",
+            Usage::Receive | Usage::Query | Usage::Reply | Usage::Response | Usage::Waitfor => {
+                "what a task does with a port is decided by the `usage` of its end"
+            }
+        });
         self.report(found);
         false
     }
@@ -108,7 +111,8 @@ impl<'a> Thread<'_, 'a> {
             self.report(
                 Diagnostic::error(STATEMENT, name.span, message)
                     .label("nothing comes to this end")
-                    .also(declared, "the port"),
+                    .also(declared, "the port")
+                    .help("receive from a port whose usage here is receive or response"),
             );
             return None;
         }
@@ -167,10 +171,15 @@ impl<'a> Thread<'_, 'a> {
         if let Some(name) = name {
             let (port, usage) = self.own_port(name)?;
             if usage == Usage::Reply {
-                let declared = self.resolver.hir.ports[port.index()].clone();
-                let what = format!("a message of `{}`", name.text);
-                let values = self.values(arguments, &declared.message, (&what, span, Some(declared.span)))?;
-                return Some(StatementKind::Reply { port: Some(port), third_party: true, values });
+                let declared = self.resolver.hir.ports[port.index()].span;
+                let message =
+                    format!("`{word}` through `{}` does not say whose message it answers", name.text);
+                let found = Diagnostic::error(STATEMENT, span, message)
+                    .label("for whom?")
+                    .also(declared, "its usage is reply: it answers what another task took")
+                    .help(format!("write `reply {}(..) for TASK ticket n`", name.text));
+                self.report(found);
+                return None;
             }
             self.received.retain(|&received| received == port);
         }
@@ -186,7 +195,8 @@ impl<'a> Thread<'_, 'a> {
         let Some(&port) = commands.first() else {
             let found = match self.received.first() {
                 None => Diagnostic::error(STATEMENT, span, format!("`{word}` without a message to answer"))
-                    .label("nothing was received here"),
+                    .label("nothing was received here")
+.help("answer in an `on query` or `on receive`, or behind a `receive`; what came earlier with `reply p(..) for t`"),
                 Some(port) => {
                     let port = &self.resolver.hir.ports[port.index()];
                     Diagnostic::error(STATEMENT, span, format!("`{word}` to a message of class 1"))
@@ -203,7 +213,8 @@ impl<'a> Thread<'_, 'a> {
             self.report(
                 Diagnostic::error(STATEMENT, span, "`response` to a message that is no query")
                     .label("write `reply`")
-                    .also(declared, "what was received"),
+                    .also(declared, "what was received")
+                    .help("`response` answers a query, `reply` a message"),
             );
             return None;
         }
@@ -223,7 +234,7 @@ impl<'a> Thread<'_, 'a> {
         }
         let what = format!("an answer of `{}`", declared.name);
         let values = self.values(arguments, &declared.answer, (&what, span, Some(declared.span)))?;
-        Some(StatementKind::Reply { port: (commands.len() == 1).then_some(port), third_party: false, values })
+        Some(StatementKind::Reply { port: (commands.len() == 1).then_some(port), to: Answered::Last, values })
     }
 
     pub fn waitfor(
@@ -239,7 +250,8 @@ impl<'a> Thread<'_, 'a> {
             self.report(
                 Diagnostic::error(STATEMENT, name.span, message)
                     .label("no rendezvous")
-                    .also(declared.span, "the port"),
+                    .also(declared.span, "the port")
+                    .help("`waitfor` needs a port of usage waitfor"),
             );
             return None;
         }
@@ -343,7 +355,9 @@ impl<'a> Thread<'_, 'a> {
         };
         if !fits {
             let message = format!("`{}` is never taken here", branch_word(branch.when));
-            self.report(Diagnostic::error(STATEMENT, branch.span, message).label(why));
+            self.report(
+                Diagnostic::error(STATEMENT, branch.span, message).label(why).help("remove this branch"),
+            );
         }
     }
 }

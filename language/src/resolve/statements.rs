@@ -5,7 +5,7 @@ use super::scope::{Entity, Found, Scope};
 use super::{ORDER, Resolver, STATEMENT, TYPES};
 use crate::ast::{self, BranchKind, Expr as Written, Place, StatementKind as Said};
 use crate::diagnostic::Diagnostic;
-use crate::hir::{Branch, Capture, Captured, Destination, Expr, Statement, StatementKind, Variable};
+use crate::hir::{Branch, Capture, Captured, Destination, Expr, Field, Statement, StatementKind, Variable};
 use crate::span::Span;
 use imrs_protocol::script::{Slot, Type};
 use imrs_protocol::{PortId, Ranked, ServiceOrder, TaskId};
@@ -63,8 +63,11 @@ impl<'r, 'a> Thread<'r, 'a> {
             Said::Receive { port, into, from, within } => {
                 self.receive(port.as_ref(), into, from.as_ref(), *within)?
             }
-            Said::Reply { response, port, arguments } => {
+            Said::Reply { response, port, arguments, asker: None, .. } => {
                 self.reply(*response, port.as_ref(), arguments, span)?
+            }
+            Said::Reply { response, port, arguments, asker: Some(asker), ticket } => {
+                self.reply_for((*response, port.as_ref()), arguments, (asker, ticket.as_ref()), span)?
             }
             Said::Waitfor { port, arguments, within } => self.waitfor(port, arguments, *within)?,
             Said::Order(names) => self.order(names, span)?,
@@ -88,7 +91,8 @@ impl<'r, 'a> Thread<'r, 'a> {
             Said::Exit if self.loops == 0 => {
                 self.report(
                     Diagnostic::error(STATEMENT, span, "`exit` outside of a loop")
-                        .label("there is no loop to leave"),
+                        .label("there is no loop to leave")
+                        .help("put it into a `loop` or `while`; a task is ended by `abort \"why\"`"),
                 );
                 return None;
             }
@@ -250,7 +254,8 @@ impl<'r, 'a> Thread<'r, 'a> {
             if ranked.contains(&level) {
                 self.report(
                     Diagnostic::error(ORDER, name.span, format!("`{}` has a rank already", name.text))
-                        .label("named twice"),
+                        .label("named twice")
+                        .help("remove it once"),
                 );
                 continue;
             }
@@ -318,7 +323,8 @@ impl<'r, 'a> Thread<'r, 'a> {
                 self.report(
                     Diagnostic::error(STATEMENT, branch.span, "the same branch twice")
                         .label("the second one")
-                        .also(first, "the first one"),
+                        .also(first, "the first one")
+                        .help("put the statements of both into one"),
                 );
             } else if let Some(kind) = kind {
                 self.branch_fits(kind, branch);
@@ -341,21 +347,38 @@ impl<'r, 'a> Thread<'r, 'a> {
             Captured::Received => ("received", Type::Word),
             Captured::Answered(..) => ("answered", Type::Bool),
             Captured::Refused(..) => ("refused", Type::Bool),
+            Captured::Told(..) => ("told", Type::Bool),
+            Captured::Ticket => ("ticket", Type::Word),
         };
         if let Some(known) = self.captures.iter().find(|known| known.what == what) {
             return (known.slot, of);
         }
-        let variable = Variable { name: format!("({name})"), of, span };
-        let slot = if let Some(locals) = &mut self.locals {
+        let slot = self.keep(Variable { name: format!("({name})"), of, span });
+        self.captures.push(Capture { what, slot });
+        (slot, of)
+    }
+
+    /// A slot of its own for something that has no name in the cell.
+    fn keep(&mut self, variable: Variable) -> Slot {
+        if let Some(locals) = &mut self.locals {
             locals.push(variable);
             Slot::Local(u16::try_from(locals.len() - 1).unwrap_or(u16::MAX))
         } else {
             let variables = &mut self.resolver.hir.tasks[self.task.index()].variables;
             variables.push(variable);
             super::tasks::slot(variables.len() - 1)
-        };
-        self.captures.push(Capture { what, slot });
-        (slot, of)
+        }
+    }
+
+    /// The slot of whether it is known what a task told; its fields stand behind it.
+    pub fn told(&mut self, port: PortId, task: TaskId, fields: &[Field], span: Span) -> Slot {
+        let what = Captured::Told(port, task);
+        let is_new = self.captures.iter().all(|known| known.what != what);
+        let (slot, _) = self.capture(what, span);
+        for field in fields.iter().filter(|_| is_new) {
+            self.keep(Variable { name: format!("({})", field.name), of: field.of, span });
+        }
+        slot
     }
 }
 

@@ -1,7 +1,7 @@
 //! The users' ends of ports: `use_port` (R28, C4, C5, C6).
 
 use super::names::duplicate;
-use super::ports::{Options, same_types, span_of, types};
+use super::ports::{Options, adopted, same_types, span_of, types};
 use super::{DISAGREE, MISSING, NO_USE_PORT, NOT_LISTED, OPTION, Resolver, USAGES};
 use crate::ast::PortDecl;
 use crate::diagnostic::Diagnostic;
@@ -107,7 +107,7 @@ impl<'a> Resolver<'a> {
         let message = self.message(decl, options.format);
         let other = message.filter(|message| {
             let records = message.record.zip(port.record).is_some_and(|(a, b)| a != b);
-            records || !same_types(&message.fields, &port.message)
+            records || !same_types(&adopted(decl, &message.fields, &port.message), &port.message)
         });
         if let Some(other) = other {
             let message =

@@ -10,7 +10,7 @@ use crate::diagnostic::Diagnostic;
 use crate::hir::Captured;
 use crate::span::Span;
 use imrs_protocol::script::{Binary, Op, StatementOutcome, Term, Type};
-use imrs_protocol::{PortId, TaskId};
+use imrs_protocol::{Class, PortId, TaskId, Usage};
 
 /// The names of outcomes; `done` is every good one.
 const OUTCOMES: [(&str, &[StatementOutcome]); 15] = [
@@ -49,15 +49,20 @@ impl Leaves for Thread<'_, '_> {
             && !self.scope.has(&name.text)
         {
             let message = match name.text.to_ascii_lowercase().as_str() {
+                "ticket" => return Some(self.ticket(name.span)),
                 "outcome" => "`outcome` is compared with one: `outcome = refused`",
                 "sender" => "`sender` is compared with a task: `sender = armL`",
                 "received" => "`received` is compared with a port: `received = halt`",
                 _ => {
-                    self.unknown_variable(name, &["outcome", "sender", "received"]);
+                    self.unknown_variable(name, &["outcome", "sender", "received", "ticket"]);
                     return None;
                 }
             };
-            self.report(Diagnostic::error(TYPES, name.span, message).label("no value of its own"));
+            self.report(
+                Diagnostic::error(TYPES, name.span, message)
+                    .label("no value of its own")
+                    .help("compare it with `=` or `<>`"),
+            );
             return None;
         }
         match self.find(place)? {
@@ -72,7 +77,11 @@ impl Leaves for Thread<'_, '_> {
                 None
             }
             Found::Timer(_) => {
-                self.report(Diagnostic::error(TYPES, place.span, "a timer has no value").label("a timer"));
+                self.report(
+                    Diagnostic::error(TYPES, place.span, "a timer has no value")
+                        .label("a timer")
+                        .help("set a variable in its `on expiry`, and look at that"),
+                );
                 None
             }
         }
@@ -82,7 +91,8 @@ impl Leaves for Thread<'_, '_> {
         let [port, word] = &of.path[..] else {
             self.report(
                 Diagnostic::error(TYPES, of.span, "no such question")
-                    .label("`p.answered(t)` or `p.refused(t)`"),
+                    .label("`p.answered(t)`, `p.refused(t)`, `p.told(t)` or `p.field(t)`")
+                    .help("name a port and what is asked about it"),
             );
             return None;
         };
@@ -98,18 +108,15 @@ impl Leaves for Thread<'_, '_> {
             let message = format!("`{}` is not at the other end of port `{}`", argument.text, port.text);
             let found = Diagnostic::error(STATEMENT, argument.span, message)
                 .label("was not asked")
-                .also(declared.user_list.unwrap_or(declared.span), "who was");
+                .also(declared.user_list.unwrap_or(declared.span), "who was")
+                .help("name a task at the other end of the port");
             self.report(found);
             return None;
         };
         let what = match word.text.to_ascii_lowercase().as_str() {
             "answered" => Captured::Answered(id, task),
             "refused" => Captured::Refused(id, task),
-            _ => {
-                let found = super::names::unknown("question", word, ["answered", "refused"]);
-                self.report(found);
-                return None;
-            }
+            _ => return self.told_by(id, task, word, span),
         };
         let (slot, of) = self.capture(what, span);
         Some(Typed::new(of, vec![Op::Term(Term::Load(slot))], span))
@@ -140,6 +147,36 @@ impl Leaves for Thread<'_, '_> {
 }
 
 impl Thread<'_, '_> {
+    /// The number of the message that was received last.
+    fn ticket(&mut self, span: Span) -> Typed {
+        let (slot, of) = self.capture(Captured::Ticket, span);
+        Typed::new(of, vec![Op::Term(Term::Load(slot))], span)
+    }
+
+    /// `lift.height(armR)`: what a member told at a waitfor, or answered (D93).
+    fn told_by(&mut self, port: PortId, task: TaskId, word: &Name, span: Span) -> Option<Typed> {
+        let declared = self.resolver.hir.ports[port.index()].clone();
+        let meets = declared.usage == Usage::Waitfor;
+        let asks = matches!(declared.usage_of(self.task), Some(Usage::Send | Usage::Query))
+            && declared.class == Class::Command;
+        let fields = if meets { &declared.message } else { &declared.answer };
+        let at = fields.iter().position(|field| field.name == word.text);
+        let told = meets && word.text.eq_ignore_ascii_case("told");
+        if !(meets || asks) || (at.is_none() && !told) {
+            let words = if meets { &["told"][..] } else { &["answered", "refused"][..] };
+            let names = fields.iter().filter(|_| meets || asks).map(|field| field.name.as_str());
+            let found = super::names::unknown("question", word, words.iter().copied().chain(names));
+            self.report(found.also(declared.span, "the port"));
+            return None;
+        }
+        let first = self.told(port, task, fields, span);
+        let (slot, of) = match at {
+            Some(at) => (super::scope::after(first, at + 1), fields[at].of),
+            None => (first, Type::Bool),
+        };
+        Some(Typed::new(of, vec![Op::Term(Term::Load(slot))], span))
+    }
+
     fn compare(&mut self, which: &str, other: &Name, span: Span) -> Option<Typed> {
         let (what, values): (Captured, Vec<i64>) = match which {
             "outcome" => {

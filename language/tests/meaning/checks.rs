@@ -100,7 +100,7 @@ fn rings_of_meetings_and_of_calls() {
     let ask = "query q() on time_out do skip; end;";
     check(&pair(a, &format!("{b} loop receive p(); response(); {ask} end;")), &[]);
     check(&pair(a, &format!("{b} loop {ask} receive p(); response(); end;")), &["E202 `query p()`"]);
-    check(&pair(a, &format!("{b} on query p() do response(); end; loop {ask} end;")), &[]);
+    check(&pair(a, &format!("{b} order p > self; on query p() do response(); end; loop {ask} end;")), &[]);
 }
 
 #[test]
@@ -142,7 +142,7 @@ fn nothing_is_said_of_an_answer_that_somebody_else_may_give() {
 fn long_work_keeps_messages_waiting() {
     let ask = "port q() usage = query user_list = {b} time_out = 50 msec; begin query q() on time_out do skip; end;";
     let b = |body: &str| pair(ask, &format!("use_port q() usage = response; begin {body}"));
-    let handler = "on query q() do response(); end;";
+    let handler = "order q > self; on query q() do response(); end;";
     check(&b("loop run work takes 1..50 msec; receive q(); response(); end;"), &[]);
     check(
         &b("loop run work takes 1..51 msec; receive q(); response(); end;"),

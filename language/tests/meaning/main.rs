@@ -1,5 +1,6 @@
 //! What cells mean: names and types, lowered scripts, and how those run.
 
+mod answers;
 mod checks;
 mod exits;
 mod faults;

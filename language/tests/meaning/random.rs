@@ -1,13 +1,14 @@
 //! No file makes the compiler panic: what can be parsed is resolved, what is whole is lowered.
 
 use super::{BEAM_LIFT, WELD, source};
-use imrs_language::{Unit, compile, lower, parse, resolve};
+use imrs_language::{Options, Unit, compile, compile_with, lower, parse, resolve};
 use proptest::prelude::*;
 
 /// Everything that follows from a text.
 fn all(text: &str) {
     let source = source(text);
     let _ = compile(&source);
+    let _ = compile_with(&source, Options { paper: true });
     // Also what has syntax errors: what is left of it must do no harm.
     let resolved = resolve(&parse(&source).file, source.text());
     for unit in [Unit::Microseconds, Unit::Ticks] {
@@ -15,6 +16,18 @@ fn all(text: &str) {
             let _ = imrs_protocol::CellTable::new(lowered.cell);
         }
     }
+}
+
+/// The examples, and the whole cells of the reference: together they have every statement.
+fn texts() -> Vec<&'static str> {
+    let pages = [
+        include_str!("../../../specs/language/statements.md"),
+        include_str!("../../../specs/language/ports.md"),
+        include_str!("../../../specs/language/faults-and-checks.md"),
+    ];
+    let cells = pages.into_iter().flat_map(|page| page.split("```cell\n").skip(1));
+    let cells = cells.filter_map(|rest| rest.split("```").next());
+    [BEAM_LIFT, WELD].into_iter().chain(cells).collect()
 }
 
 /// Words, numbers and signs of a text.
@@ -63,10 +76,9 @@ proptest! {
 
     #[test]
     fn examples_with_words_exchanged(
-        weld: bool,
+        text in prop::sample::select(texts()),
         changes in prop::collection::vec((any::<prop::sample::Index>(), any::<prop::sample::Index>()), 1..12),
     ) {
-        let text = if weld { WELD } else { BEAM_LIFT };
         let mut tokens = tokens(text);
         let words: Vec<usize> = (0..tokens.len()).filter(|&at| is_word(&tokens[at])).collect();
         for (a, b) in changes {
@@ -77,8 +89,7 @@ proptest! {
     }
 
     #[test]
-    fn examples_with_pieces_left_out(weld: bool, from: prop::sample::Index, length in 0_usize..40) {
-        let text = if weld { WELD } else { BEAM_LIFT };
+    fn examples_with_pieces_left_out(text in prop::sample::select(texts()), from: prop::sample::Index, length in 0_usize..40) {
         let at = from.index(text.len());
         let end = (at + length).min(text.len());
         if text.is_char_boundary(at) && text.is_char_boundary(end) {

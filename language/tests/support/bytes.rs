@@ -1,8 +1,9 @@
 //! What holds for any bytes. Also the body of the fuzz target `cell`.
 
-use imrs_language::{Source, format, parse, render};
+use imrs_language::lower::Behaviour;
+use imrs_language::{Options, Source, Unit, compile_with, format, parse, render};
 
-/// Reads, reports and formats.
+/// Reads, reports, compiles and formats.
 pub fn check(bytes: &[u8]) {
     let source = match Source::new(bytes) {
         Ok(source) => source,
@@ -23,6 +24,25 @@ pub fn check(bytes: &[u8]) {
     assert_eq!(shown.is_empty(), parsed.diagnostics.is_empty());
     if parsed.diagnostics.is_empty() {
         formats(&source);
+        [false, true].into_iter().for_each(|paper| compiles(&source, paper));
+    }
+}
+
+/// Compiles and lowers in both units; what is lowered has programs that pass the machine's own check.
+pub fn compiles(source: &Source, paper: bool) {
+    let compiled = compile_with(source, Options { paper });
+    for found in &compiled.diagnostics {
+        for label in std::iter::once(&found.primary).chain(&found.secondary) {
+            assert!(source.text().get(label.span.range()).is_some(), "{label:?}");
+        }
+    }
+    for unit in [Unit::Microseconds, Unit::Ticks] {
+        for task in compiled.lower(unit).iter().flat_map(|lowered| &lowered.tasks) {
+            if let Behaviour::Script(script) = task {
+                script.program.check().expect("a program");
+                assert_eq!(script.spans.len(), script.program.code.len(), "a span for each operation");
+            }
+        }
     }
 }
 

@@ -60,3 +60,24 @@ fn codes_are_sorted_and_have_a_page_each() {
     assert_eq!(explain("e007").map(|entry| entry.code), Some("E007"));
     assert_eq!(explain("E999"), None);
 }
+
+/// What is wrong is told with a place that has a word for it, and with what to write instead.
+#[test]
+fn every_error_and_warning_says_what_to_write() {
+    let mut mute = Vec::new();
+    // Their messages say it: `expected ..`, `choose another name`.
+    let plain = ["E005", "E006", "E009"];
+    let serious = ALL.iter().filter(|entry| !entry.code.starts_with('N') && !plain.contains(&entry.code));
+    for entry in serious {
+        for text in blocks(entry.explanation, "wrong") {
+            let source = Source::new(text.as_bytes()).expect("a text");
+            let found = match entry.code.starts_with("E0") {
+                true => parse(&source).diagnostics,
+                false => compile_with(&source, Options { paper: entry.code == "E117" }).diagnostics,
+            };
+            let silent = found.iter().filter(|found| found.help.is_empty());
+            mute.extend(silent.map(|found| format!("{}: {}", found.code, found.message)));
+        }
+    }
+    assert!(mute.is_empty(), "without help: {mute:#?}");
+}

@@ -229,7 +229,7 @@ pub(super) fn statement(table: &CellTable, program: &Program, at: Address) -> St
         },
         Some(Op::Get { port: Some(at), .. }) => format!("receive {}", port(*at)),
         Some(Op::Get { port: None, .. }) => "receive".into(),
-        Some(Op::Reply { .. } | Op::ReplyFor { .. }) => "reply".into(),
+        Some(Op::Reply { .. } | Op::ReplyFor { .. } | Op::ReplyOwed { .. }) => "reply".into(),
         Some(Op::Arrive { port: at, .. }) => format!("waitfor {}", port(*at)),
         Some(Op::Delay(_)) => "delay".into(),
         Some(Op::Run { action, .. }) => {

@@ -6,7 +6,7 @@ use crate::state::Violation;
 use imrs_protocol::script::{
     Action, Activity, Address, End, Program, Script, ScriptInput, ScriptOutbox, eval,
 };
-use imrs_protocol::{CommTask, Contents, PortId, Request, TaskId};
+use imrs_protocol::{CommTask, Contents, PortId, ReplyTo, Request, TaskId};
 use std::sync::Arc;
 
 /// An action of a script that has begun.
@@ -125,6 +125,10 @@ impl ScriptOutbox for Wanted<'_> {
         let machine = self.machine?;
         let node = self.plan.cell.location(machine.task())?;
         machine.meeting_arguments(&self.plan.table(node), port, task)
+    }
+
+    fn owed(&mut self, port: PortId, task: TaskId) -> Option<ReplyTo> {
+        self.machine?.owed(port, task)
     }
 
     fn answer(&mut self, port: PortId, task: Option<TaskId>, index: u8) -> Option<Contents> {

@@ -309,6 +309,15 @@ impl CommTask {
         }
     }
 
+    /// The message of a task that was taken on this port and not answered: one at most (D75).
+    #[must_use]
+    pub fn owed(&self, port: PortId, task: TaskId) -> Option<ReplyTo> {
+        let Some(Role::Receives(inbox)) = self.role(port) else { return None };
+        let inbox = self.inboxes.get(usize::from(inbox))?;
+        let known = inbox.sources[inbox.source(task)?].command?;
+        matches!(known.fate, Fate::Delivered(_)).then_some(ReplyTo { port, source: task, id: known.id })
+    }
+
     /// What is left of the wait of the sender of a message that can still be answered.
     fn answerable(&self, inbox: usize, source: usize, to: ReplyTo) -> Result<Ticks, Fault> {
         // What is not remembered any more is over, and so is its sender's wait.

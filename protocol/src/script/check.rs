@@ -173,6 +173,7 @@ impl Program {
             Op::Choose(_) => (0, 1),
             Op::Send { format, .. }
             | Op::Reply { format }
+            | Op::ReplyOwed { format, .. }
             | Op::Arrive { format, .. }
             | Op::Publish { format } => (fields(format), 0),
             Op::ReplyFor { format, .. } => (fields(format) + 2, 0),
@@ -218,9 +219,10 @@ impl Program {
                 let places = self.places.get(usize::from(into)..).and_then(|places| places.get(..fields));
                 places.is_some_and(|places| places.iter().all(|&place| slot(place)))
             }
-            Op::Send { format, .. } | Op::Reply { format } | Op::ReplyFor { format, .. } => {
-                bytes(format).is_some()
-            }
+            Op::Send { format, .. }
+            | Op::Reply { format }
+            | Op::ReplyFor { format, .. }
+            | Op::ReplyOwed { format, .. } => bytes(format).is_some(),
             Op::Arrive { format, .. } | Op::Arrival { format, .. } => {
                 bytes(format).is_some_and(|bytes| bytes <= 8)
             }
@@ -276,6 +278,7 @@ const fn waits(op: Op) -> bool {
             | Op::Get { .. }
             | Op::Reply { .. }
             | Op::ReplyFor { .. }
+            | Op::ReplyOwed { .. }
             | Op::Arrive { .. }
             | Op::Order(_)
             | Op::Delay(_)

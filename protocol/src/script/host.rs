@@ -305,6 +305,10 @@ impl<O: HostOutbox> ScriptOutbox for ScriptEffects<'_, O> {
         self.node.task(self.task)?.meeting_arguments(&self.node.parts().table, port, task)
     }
 
+    fn owed(&mut self, port: PortId, task: TaskId) -> Option<ReplyTo> {
+        self.node.task(self.task)?.owed(port, task)
+    }
+
     fn answer(&mut self, port: PortId, task: Option<TaskId>, index: u8) -> Option<Contents> {
         let communication = self.node.task(self.task)?;
         match task {

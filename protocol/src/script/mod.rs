@@ -112,6 +112,11 @@ pub trait ScriptOutbox {
         let _ = (port, task);
         None
     }
+    /// The message of a task that was taken on this port and not answered: [`CommTask::owed`](crate::CommTask).
+    fn owed(&mut self, port: PortId, task: TaskId) -> Option<ReplyTo> {
+        let _ = (port, task);
+        None
+    }
     /// A fragment, from 0, of an answer to the last request on `port`: that of `task`, or of the only one asked.
     fn answer(&mut self, port: PortId, task: Option<TaskId>, index: u8) -> Option<Contents> {
         let _ = (port, task, index);

@@ -266,6 +266,16 @@ pub enum Op {
         /// Its format.
         format: u16,
     },
+    /// Reply to the message of `task` that this task took on `port` some time ago and has not answered (D93): pops the
+    /// fields. A task has one such message on a port at most (D75), so that no number is needed.
+    ReplyOwed {
+        /// The port that it came on.
+        port: PortId,
+        /// Whose it is.
+        task: TaskId,
+        /// The format of the answer.
+        format: u16,
+    },
     /// ARRIVE: pops the fields, at most 8 bytes of them. The others read them with [`Op::Arrival`].
     Arrive {
         /// The waitfor.

@@ -283,6 +283,36 @@ fn a_third_task_answers() {
     assert!(floor.activities().iter().all(|activity| *activity == Activity::Ended(End::Finished)));
 }
 
+/// B takes the questions of A and C, and answers them in the other order (D93).
+#[test]
+fn an_answer_may_come_later() {
+    let mut cell = triangle();
+    let ask = cell.port(PortDecl::new("ask", B, Usage::Response, &[A, C], Ticks(30)));
+    let asker = |name: &str, first: u64| {
+        let mut b = ProgramBuilder::new(name);
+        let (said, outcome) = (b.variable("said", Type::Int8), b.variable("outcome", Type::Int8));
+        b.delay(Ticks(first)).send(ask, Target::All, &[]).op(Op::Outcome).store(outcome);
+        b.unpack(&[(Type::Int8, said)]).end();
+        finish(b)
+    };
+    let mut b = ProgramBuilder::new("b");
+    let again = b.variable("again", Type::Int8);
+    b.receive(ask, None, &[]).receive(ask, None, &[]);
+    let format = b.format(&[Type::Int8]);
+    for (task, says) in [(C, 3), (A, 1), (A, 9)] {
+        b.statement().push(says).op(Op::ReplyOwed { port: ask, task, format });
+    }
+    b.op(Op::Outcome).store(again).end();
+    let answers = finish(b);
+    assert!(!answers.names_messages(), "a checker can look at it");
+    let mut floor = Floor::new(cell, vec![(A, asker("a", 1)), (B, answers), (C, asker("c", 3))]);
+    floor.begin();
+    floor.run(20);
+    assert_eq!([A, C].map(|task| floor.var(task, 0)), [1, 3]);
+    assert_eq!([A, C].map(|task| floor.var(task, 1)), [StatementOutcome::Reply as i64; 2]);
+    assert_eq!(floor.var(B, 0), StatementOutcome::Unanswerable as i64, "A is answered already");
+}
+
 #[test]
 fn who_arrives_tells_the_others() {
     let mut cell = triangle();

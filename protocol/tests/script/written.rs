@@ -93,6 +93,7 @@ fn ops() -> impl Strategy<Value = Op> {
         }),
         small().prop_map(|format| Op::Reply { format }),
         (port(), small()).prop_map(|(port, format)| Op::ReplyFor { port, format }),
+        (port(), small()).prop_map(|(port, format)| Op::ReplyOwed { port, task: PEER, format }),
         (port(), small()).prop_map(|(port, format)| Op::Arrival { port, task: PEER, format }),
         small().prop_map(|format| Op::Publish { format }),
         (port(), small(), time_out()).prop_map(|(port, format, time_out)| Op::Arrive {

@@ -270,6 +270,10 @@ impl ScriptOutbox for Out<'_> {
         self.machine.meeting_arguments(self.table, port, task)
     }
 
+    fn owed(&mut self, port: PortId, task: TaskId) -> Option<ReplyTo> {
+        self.machine.owed(port, task)
+    }
+
     fn answer(&mut self, port: PortId, task: Option<TaskId>, index: u8) -> Option<Contents> {
         if let Some(task) = task {
             return self.machine.answer_fragment(port, task, index).copied();

@@ -12,11 +12,16 @@ impl<'a, O: ScriptOutbox> Turn<'a, O> {
     /// request itself (D28).
     pub(super) fn transfer(&mut self, part: u8) -> Step {
         let op = self.op()?;
-        let (Op::Send { format, .. } | Op::Reply { format } | Op::ReplyFor { format, .. }) = op else {
+        let (Op::Send { format, .. }
+        | Op::Reply { format }
+        | Op::ReplyFor { format, .. }
+        | Op::ReplyOwed { format, .. }) = op
+        else {
             return Err(ScriptFault::Malformed);
         };
         let to = match op {
             Op::ReplyFor { port, format } => Some(self.named(port, format)?),
+            Op::ReplyOwed { port, task, .. } => self.out.owed(port, task),
             _ => self.frame().message,
         };
         let port = match (op, to) {
@@ -97,6 +102,7 @@ impl<'a, O: ScriptOutbox> Turn<'a, O> {
         let (Op::Send { format, .. }
         | Op::Reply { format }
         | Op::ReplyFor { format, .. }
+        | Op::ReplyOwed { format, .. }
         | Op::Arrive { format, .. }
         | Op::Publish { format }) = op
         else {

@@ -308,6 +308,7 @@ impl<'a, O: ScriptOutbox> Turn<'a, O> {
             (
                 Op::Reply { .. }
                 | Op::ReplyFor { .. }
+                | Op::ReplyOwed { .. }
                 | Op::Order(_)
                 | Op::Start { .. }
                 | Op::Stop(_)

@@ -93,7 +93,9 @@ impl<O: ScriptOutbox> Turn<'_, O> {
             }
             Op::HandlerEnd => return self.handler_end(),
             Op::Choose(alternatives) => return self.choose(alternatives),
-            Op::Send { .. } | Op::Reply { .. } | Op::ReplyFor { .. } => return self.transfer(1),
+            Op::Send { .. } | Op::Reply { .. } | Op::ReplyFor { .. } | Op::ReplyOwed { .. } => {
+                return self.transfer(1);
+            }
             Op::Run { action, arguments, least, most } => return self.act(action, arguments, least, most),
             Op::Get { .. }
             | Op::Arrive { .. }
