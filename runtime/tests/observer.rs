@@ -112,9 +112,9 @@ fn a_monitor_sees_tasks_queues_and_events() {
     let folder = Folder::new("sees");
     let (runtime, tell) = node();
     let observer = Observer::start_at(runtime.node().clone(), &folder.socket()).unwrap();
-    let mode = std::fs::metadata(observer.path()).unwrap().permissions().mode();
+    let mode = std::fs::metadata(socket(&observer)).unwrap().permissions().mode();
     assert_eq!(mode & 0o777, 0o600);
-    let mut monitor = Monitor::attach(observer.path());
+    let mut monitor = Monitor::attach(socket(&observer));
     monitor.subscribe(true, u16::MAX);
     let ServerFrame::Snapshot(first) = monitor.next() else { panic!("a snapshot comes at once") };
     assert_eq!(first.tasks.len(), 2);
@@ -154,18 +154,18 @@ fn other_versions_and_too_many_are_refused_by_name() {
     let (runtime, _tell) = node();
     let observer = Observer::start_at(runtime.node().clone(), &folder.socket()).unwrap();
     let other = Version { major: 9, minor: 1 };
-    let (_, answer) = Monitor::connect(observer.path()).say_hello(other, SCHEMA).unwrap();
+    let (_, answer) = Monitor::connect(socket(&observer)).say_hello(other, SCHEMA).unwrap();
     assert_eq!(answer, Handshake::Refused(Refusal::OtherMajor { node: VERSION, monitor: other }));
-    let (_, answer) = Monitor::connect(observer.path()).say_hello(VERSION, SCHEMA ^ 1).unwrap();
+    let (_, answer) = Monitor::connect(socket(&observer)).say_hello(VERSION, SCHEMA ^ 1).unwrap();
     assert_eq!(answer, Handshake::Refused(Refusal::OtherSchema { node: SCHEMA, monitor: SCHEMA ^ 1 }));
 
-    let attached: Vec<_> = (0..MAX_MONITORS).map(|_| Monitor::attach(observer.path())).collect();
-    let (_, answer) = Monitor::connect(observer.path()).say_hello(VERSION, SCHEMA).unwrap();
+    let attached: Vec<_> = (0..MAX_MONITORS).map(|_| Monitor::attach(socket(&observer))).collect();
+    let (_, answer) = Monitor::connect(socket(&observer)).say_hello(VERSION, SCHEMA).unwrap();
     assert!(matches!(answer, Handshake::Refused(Refusal::TooMany { .. })), "{answer:?}");
     drop(attached);
     let start = Instant::now();
     while !matches!(
-        Monitor::connect(observer.path()).say_hello(VERSION, SCHEMA),
+        Monitor::connect(socket(&observer)).say_hello(VERSION, SCHEMA),
         Ok((_, Handshake::Hello(_)))
     ) {
         assert!(start.elapsed() < LONG, "the places of those who left stay taken");
@@ -177,22 +177,22 @@ fn garbage_and_silence_cost_the_sender_only() {
     let folder = Folder::new("garbage");
     let (runtime, tell) = node();
     let observer = Observer::start_at(runtime.node().clone(), &folder.socket()).unwrap();
-    let mut silent = Monitor::attach(observer.path());
+    let mut silent = Monitor::attach(socket(&observer));
     // Subscribes with all the credit there is, and never reads.
     silent.subscribe(true, u16::MAX);
     let mut draws = fastrand::Rng::with_seed(11);
     for _ in 0..50 {
-        let mut garbage = UnixStream::connect(observer.path()).unwrap();
+        let mut garbage = UnixStream::connect(socket(&observer)).unwrap();
         let bytes: Vec<u8> = (0..draws.usize(0..200)).map(|_| draws.u8(..)).collect();
         let _ = garbage.write_all(&bytes);
     }
-    let mut confused = Monitor::attach(observer.path());
+    let mut confused = Monitor::attach(socket(&observer));
     confused.writer.push_bytes(&[0xff; 9]).unwrap();
     confused.writer.flush().unwrap();
     assert!(matches!(confused.next(), ServerFrame::Bye(bye) if bye.reason == Goodbye::Misunderstood));
     assert!(matches!(confused.reader.read_frame(), Err(FrameError::Closed)));
 
-    let mut monitor = Monitor::attach(observer.path());
+    let mut monitor = Monitor::attach(socket(&observer));
     monitor.subscribe(false, 2);
     assert!(matches!(monitor.next(), ServerFrame::Snapshot(_)));
     assert!(matches!(monitor.next(), ServerFrame::Snapshot(_)));
@@ -216,7 +216,7 @@ fn a_socket_nobody_serves_is_taken_over_and_a_served_one_is_not() {
     let observer = Observer::start_at(runtime.node().clone(), &folder.socket()).unwrap();
     let second = Observer::start_at(runtime.node().clone(), &folder.socket());
     assert!(matches!(second, Err(ObserverError::Taken(_))), "{second:?}");
-    drop(Monitor::attach(observer.path()));
+    drop(Monitor::attach(socket(&observer)));
     drop((observer, tell));
     drop(runtime);
 }

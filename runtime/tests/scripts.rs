@@ -140,7 +140,7 @@ fn act_with(actions: Arc<dyn Actions>) -> TaskEnd {
 }
 
 fn simulated() -> Arc<dyn Actions> {
-    Simulated::start(1, Vec::new()).expect("a thread")
+    Simulated::start(1, Vec::new(), Vec::new()).expect("a thread")
 }
 
 fn command(words: &[&str]) -> Arc<dyn Actions> {
@@ -201,11 +201,14 @@ impl Watch for Notes {
 fn a_simulated_action_takes_a_time_of_its_interval_the_same_for_the_same_seed() {
     let run = |seed| {
         let notes = Arc::new(Notes(Mutex::default()));
-        let results = vec![imrs_runtime::script::Results { name: "grip".into(), range: 0..=1_000_000 }];
+        let results = vec![imrs_runtime::script::Results {
+            name: "grip".into(),
+            give: imrs_runtime::script::Give::Whole(0, 1_000_000),
+        }];
         let node = one_node(&table(cell(&[0], Ticks(2_000))));
         let node = node
             .script("a", actor(Ticks(20_000), Ticks(30_000)))
-            .actions(Simulated::start(seed, results).expect("a thread"))
+            .actions(Simulated::start(seed, results, Vec::new()).expect("a thread"))
             .watch(Arc::clone(&notes) as Arc<dyn Watch>)
             .start()
             .unwrap();
