@@ -13,9 +13,15 @@ mod fmt;
 mod graph;
 mod launch;
 mod output;
+mod program;
 mod replay;
 mod run;
 mod verify;
+
+pub use imrs_runtime::script::Call;
+pub use imrs_runtime::{Context, Rendezvous, Sent, TaskEnd, TaskError};
+pub use launch::place::PlaceError;
+pub use program::{Program, ProgramError};
 
 use args::{Cli, Format, MonitorArgs, Verb, VerifyArgs, early_color};
 use clap::{CommandFactory, FromArgMatches};

@@ -4,7 +4,7 @@ mod common;
 
 use common::{A, B, LONG, LONG_TICKS, ask, cell, finish, one_node, report, table};
 use imrs_protocol::{Event, PortDecl, TaskState, Ticks, Usage};
-use imrs_runtime::observer::{MAX_MONITORS, Observer, ObserverError};
+use imrs_runtime::observer::{MAX_MONITORS, Observer, ObserverError, Place};
 use imrs_runtime::{Runtime, Sent};
 use imrs_wire::obs::{
     ClientFrame, DecodeError, FrameError, FrameReader, FrameWriter, Goodbye, Handshake, Hello, Liveness,
@@ -59,6 +59,13 @@ fn node() -> (Runtime, Sender<u8>) {
         .start()
         .unwrap();
     (runtime, tell)
+}
+
+fn socket(observer: &Observer) -> &Path {
+    match observer.place() {
+        Place::Unix(path) => path,
+        Place::Tcp(address) => panic!("at {address}"),
+    }
 }
 
 struct Monitor {
@@ -262,4 +269,30 @@ fn observing_changes_nothing_and_ends_without_a_trace() {
     let own: Vec<_> = events.iter().filter(|e| e.task == Some(A)).map(|e| e.what.number).collect();
     assert!(own.is_sorted(), "oldest first for each task");
     finish(node);
+}
+
+#[test]
+fn over_tcp_the_same_is_said() {
+    let (runtime, _tell) = node();
+    let any = std::net::SocketAddr::from(([127, 0, 0, 1], 0));
+    let observer = Observer::start_tcp(runtime.node().clone(), any).unwrap();
+    let Place::Tcp(address) = *observer.place() else { panic!("over TCP") };
+    let stream = std::net::TcpStream::connect(address).unwrap();
+    stream.set_read_timeout(Some(LONG)).unwrap();
+    let mut reader = FrameReader::new(stream.try_clone().unwrap(), MAX_FRAME);
+    let mut writer = FrameWriter::new(stream);
+    let hello = Hello { schema: SCHEMA, pid: 1, build: "test".into(), mono_us: 0, role: Role::Monitor };
+    writer.push_bytes(&Handshake::Hello(hello).encode(VERSION)).unwrap();
+    let wanted = Subscribe { period_us: 10_000, queue_limit: 8, events: false, credit: 1 };
+    writer.push(&ClientFrame::Subscribe(wanted)).unwrap();
+    writer.flush().unwrap();
+    let (_, answer) = Handshake::decode(reader.read_frame().unwrap()).unwrap();
+    assert!(matches!(answer, Handshake::Hello(Hello { role: Role::Node(_), .. })), "{answer:?}");
+    let mut next = || ServerFrame::decode(reader.read_frame().unwrap()).unwrap();
+    assert!(matches!(next(), ServerFrame::Table(_)));
+    assert!(matches!(next(), ServerFrame::Snapshot(_)));
+    let taken = Observer::start_tcp(runtime.node().clone(), address);
+    assert!(matches!(taken, Err(ObserverError::Tcp { .. })), "{taken:?}");
+    drop(observer);
+    assert!(matches!(next(), ServerFrame::Bye(_)));
 }

@@ -154,15 +154,14 @@ fn afterwards(story: &Story<'_>, at: u64) -> String {
     let held: u64 = story.summary.nodes.iter().map(|node| node.cut_off).sum();
     let left = story.task("armL");
     let again = left.map(|left| story.when(left, |deed| matches!(deed, Deed::Met(_)))).unwrap_or_default();
-    let gap = format!(
-        "The cut took {}; {} too old to count, and nothing of the gap was acted on later.",
-        count(held, "packet"),
-        if expired == 1 {
-            "1 message was dropped as".into()
-        } else {
-            format!("{expired} messages were dropped as")
-        }
-    );
+    let late = match expired {
+        0 => "none of them was made up for later".to_owned(),
+        n => format!(
+            "{} dropped as too old to count",
+            if n == 1 { "1 message was".into() } else { format!("{n} messages were") }
+        ),
+    };
+    let gap = format!("The cut took {}; {late}, and nothing of the gap was acted on.", count(held, "packet"));
     match again.iter().find(|met| **met > at) {
         Some(met) => format!("{gap} At {} all three met again.", story.at(*met)),
         None => gap,

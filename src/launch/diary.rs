@@ -2,7 +2,7 @@
 
 use super::deed::Did;
 use crate::exit::Failure;
-use crate::output::{FAINT, Output, Styled};
+use crate::output::{FAINT, NOTE, Output, Styled};
 use imrs_protocol::{Cell, CellTable};
 use std::collections::BTreeMap;
 
@@ -18,10 +18,16 @@ pub struct Diary {
     /// When the run began.
     began: u64,
     /// By time, and then by when they were told.
-    waiting: BTreeMap<(u64, u64), Did>,
+    waiting: BTreeMap<(u64, u64), Entry>,
     told: u64,
     /// By task: the span that its last line was in, and how many came in it.
     paces: Vec<(u64, u32)>,
+}
+
+/// A line to be.
+enum Entry {
+    Did(Did),
+    Fault(String),
 }
 
 impl Diary {
@@ -42,7 +48,13 @@ impl Diary {
 
     /// A line.
     pub fn add(&mut self, did: Did) {
-        self.waiting.insert((did.at, self.told), did);
+        self.waiting.insert((did.at, self.told), Entry::Did(did));
+        self.told += 1;
+    }
+
+    /// A fault, in words.
+    pub fn fault(&mut self, at: u64, words: String) {
+        self.waiting.insert((at, self.told), Entry::Fault(words));
         self.told += 1;
     }
 
@@ -58,7 +70,14 @@ impl Diary {
     pub fn show(&mut self, table: &CellTable, now: u64, out: &mut Output) -> Result<(), Failure> {
         let later = self.waiting.split_off(&(now.saturating_sub(SETTLED), 0));
         let settled = std::mem::replace(&mut self.waiting, later);
-        for did in settled.values() {
+        for ((at, _), entry) in &settled {
+            let did = match entry {
+                Entry::Did(did) => did,
+                Entry::Fault(words) => {
+                    out.line(format!("{} {}", Styled(FAINT, self.clock(*at)), Styled(NOTE, words)))?;
+                    continue;
+                }
+            };
             let left_out = self.pace(did);
             if left_out.is_some() || did.what.is_rare() {
                 out.line(self.line(table, did, left_out.unwrap_or_default()))?;
@@ -84,10 +103,14 @@ impl Diary {
         (pace.1 <= PER_SPAN).then_some(left_out)
     }
 
+    fn clock(&self, at: u64) -> String {
+        let ms = at.saturating_sub(self.began) / 1_000;
+        format!("{:>4}.{:03} s", ms / 1_000, ms % 1_000)
+    }
+
     fn line(&self, table: &CellTable, did: &Did, left_out: u32) -> String {
         let cell = table.cell();
-        let ms = did.at.saturating_sub(self.began) / 1_000;
-        let at = format!("{:>4}.{:03} s", ms / 1_000, ms % 1_000);
+        let at = self.clock(did.at);
         let width = cell.tasks.iter().map(|task| task.name.len()).max().unwrap_or(0);
         let task = cell.tasks.get(did.task.index()).map_or("", |task| task.name.as_str());
         let line = did.line.map(|line| format!("line {line}")).unwrap_or_default();
@@ -131,7 +154,7 @@ mod tests {
         diary.add(did(100_000, 1));
         let mut out = Output::new(crate::args::Color::Never);
         diary.show(&table, 200_050, &mut out).unwrap();
-        assert_eq!(diary.waiting.values().map(|did| did.at).collect::<Vec<_>>(), [200_000]);
+        assert_eq!(diary.waiting.keys().map(|(at, _)| *at).collect::<Vec<_>>(), [200_000]);
         diary.close(&table, &mut out).unwrap();
         assert!(diary.is_empty());
         assert!(diary.line(&table, &did(1_234_000, 2), 4).contains("1.234 s"));

@@ -95,7 +95,17 @@ impl Launcher<'_> {
                 self.children.order(b, &Order::Heal(name(a)));
             }
         }
-        self.came.push((now_us(), fault));
+        let at = now_us();
+        if self.run.args.format == Format::Text {
+            let words = match fault {
+                Fault::Kill(node) => format!("fault: node {} is killed", name(node)),
+                Fault::Restart(node) => format!("node {} is started again", name(node)),
+                Fault::Cut(a, b) => format!("fault: nothing passes between {} and {}", name(a), name(b)),
+                Fault::Heal(a, b) => format!("{} and {} reach each other again", name(a), name(b)),
+            };
+            self.diary.fault(at, words);
+        }
+        self.came.push((at, fault));
         Ok(())
     }
 

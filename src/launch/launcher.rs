@@ -293,7 +293,7 @@ fn setups(run: &Run<'_>, seed: u64) -> Result<Vec<(NodeId, Setup)>, LaunchError>
 }
 
 /// The address of the node that comes after so many others; port 0 is any free one for each.
-fn observed_at(first: SocketAddr, after: usize) -> SocketAddr {
+pub fn observed_at(first: SocketAddr, after: usize) -> SocketAddr {
     let port = first.port();
     let after = u16::try_from(after).unwrap_or(u16::MAX);
     SocketAddr::new(first.ip(), if port == 0 { 0 } else { port.saturating_add(after) })

@@ -88,10 +88,13 @@ pub fn summary(summary: &Summary, table: &CellTable, run: &Run<'_>, out: &mut Ou
     commands(summary, out)?;
     ports(summary, out)?;
     for node in &summary.nodes {
-        out.line(node_line(node))?;
+        out.line(node_line(node, relays(table, &node.name)))?;
     }
-    out.line("")?;
-    for line in in_words(summary, table, run) {
+    let words = in_words(summary, table, run);
+    if !words.is_empty() {
+        out.line("")?;
+    }
+    for line in words {
         out.line(line)?;
     }
     let Some(outcome) = &summary.outcome else { return Ok(()) };
@@ -193,10 +196,21 @@ fn ports(summary: &Summary, out: &mut Output) -> Result<(), Failure> {
     Ok(())
 }
 
-fn node_line(node: &NodeSummary) -> String {
+/// Whether others reach each other through this node.
+fn relays(table: &CellTable, name: &str) -> bool {
+    let Some(node) = table.cell().nodes.iter().position(|node| node.name == name) else { return false };
+    let neighbours: Vec<_> = table.neighbours(imrs_protocol::NodeId::from_index(node)).collect();
+    let joined = |a, b| table.neighbours(a).any(|next| next == b);
+    neighbours.iter().any(|&a| neighbours.iter().any(|&b| a != b && !joined(a, b)))
+}
+
+fn node_line(node: &NodeSummary, relays: bool) -> String {
     let mut parts = vec![node.exit.clone()];
     if node.lives > 1 {
         parts.push(format!("{} lives", node.lives));
+    }
+    if relays && node.forwarded > 0 {
+        parts.push(format!("passed {} on", count(node.forwarded, "packet")));
     }
     if node.lost_on_purpose > 0 {
         parts.push(format!("{} lost on purpose", count(node.lost_on_purpose, "packet")));
