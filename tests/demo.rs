@@ -78,7 +78,9 @@ fn a_link_that_fails_in_mid_lift_stops_both_arms() {
         if said.out.contains("Nothing moved just then") && attempt < 2 {
             continue;
         }
-        for words in ["armL asked `beat` and got TIME_OUT", "armR", "Neither arm ever went on alone", "As promised"] {
+        for words in
+            ["armL asked `beat` and got TIME_OUT", "armR", "Neither arm ever went on alone", "As promised"]
+        {
             assert!(said.out.contains(words), "`{words}` is missing in\n{}", said.out);
         }
         return;

@@ -3,7 +3,9 @@
 mod common;
 
 use common::{A, B, LONG, LONG_TICKS, Tape, ask, cell, network, on, one_node, report, table};
-use imrs_protocol::script::{Binary, End, Outcomes, Program, ProgramBuilder, StatementOutcome, Type};
+use imrs_protocol::script::{
+    Binary, End, Outcomes, Program, ProgramBuilder, ScriptFault, StatementOutcome, Type,
+};
 use imrs_protocol::{CellTable, Incarnation, NodeId, NodeTable, PortId, Target, TaskId, Ticks};
 use imrs_runtime::link::in_process::Faults;
 use imrs_runtime::record::{Recorder, replay};
@@ -107,6 +109,28 @@ fn a_script_and_a_rust_task_share_a_node() {
         std::thread::sleep(Duration::from_millis(1));
     }
     assert_eq!(end_of(node, "a"), TaskEnd::Script(End::Finished));
+}
+
+#[test]
+fn two_scripts_of_a_node_that_answer_each_other_for_ever_in_no_time_are_stopped() {
+    let mut cell = cell(&[0, 0], Ticks(2_000));
+    cell.port(ask(LONG_TICKS));
+    // More than two scripts may take together before anything comes from outside.
+    let node = one_node(&table(cell)).script("a", asker(30_000)).script("b", answerer()).start().unwrap();
+    let deadline = Instant::now() + LONG;
+    let alive = |node: &Runtime| {
+        let tasks = node.node().snapshot(0).tasks;
+        tasks.iter().all(|task| task.liveness == imrs_wire::obs::Liveness::Alive)
+    };
+    while alive(&node) {
+        assert!(Instant::now() < deadline, "nobody stops them");
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    let ends = node.stop(LONG);
+    let runaway = |(_, end): &(String, TaskEnd)| {
+        matches!(end, TaskEnd::Script(End::Fault { fault: ScriptFault::Runaway, .. }))
+    };
+    assert_eq!(ends.iter().filter(|end| runaway(end)).count(), 1, "{ends:?}");
 }
 
 fn replays(table: &Arc<CellTable>, tape: &Tape, node: NodeId, task: TaskId) -> usize {
