@@ -99,9 +99,14 @@ pub struct Program {
 
 type Function = Box<dyn Fn(&Call) -> Result<i32, String> + Send + Sync>;
 
+/// Which life of its node a program runs, and whether there was one before.
+type Life = (Incarnation, bool);
+
 /// A node that runs.
 struct Running {
     runtime: Runtime,
+    /// How long its scripts are kept from beginning.
+    held_back: Duration,
     /// Served while they are here.
     _observers: Vec<Observer>,
 }
@@ -198,6 +203,9 @@ impl Program {
         for (after, node) in nodes.into_iter().enumerate() {
             running.push(self.start(node, after, &network, Arc::clone(&actions))?);
         }
+        // Scripts of a later life could only wait in vain at first (D94). Those of a first one begin together.
+        let held_back = running.iter().map(|node: &Running| node.held_back).max().unwrap_or_default();
+        std::thread::sleep(held_back);
         running.iter().for_each(|node| node.runtime.begin());
         let end = length.map(|length| Instant::now() + length);
         let time_is_over = || end.is_some_and(|end| Instant::now() >= end);
@@ -262,9 +270,13 @@ impl Program {
             .actions(actions)
             .seed(self.seed)
             .hold_scripts();
+        let mut held_back = Duration::ZERO;
         builder = match &self.node {
             Some(_) => {
                 let (link, life) = self.link(node)?;
+                if life.1 {
+                    held_back = place::quarantine(&table, node);
+                }
                 builder.incarnation(life.0, life.1).link(link)
             }
             None => builder.link(Arc::new(network.join(node, Incarnation(0), false))),
@@ -286,10 +298,10 @@ impl Program {
             let address = crate::launch::observed_at(first, after);
             observers.push(Observer::start_tcp(Arc::clone(runtime.node()), address)?);
         }
-        Ok(Running { runtime, _observers: observers })
+        Ok(Running { runtime, held_back, _observers: observers })
     }
 
-    fn link(&self, node: NodeId) -> Result<(Arc<dyn Link>, (Incarnation, bool)), ProgramError> {
+    fn link(&self, node: NodeId) -> Result<(Arc<dyn Link>, Life), ProgramError> {
         let cell = self.loaded.table.cell();
         let address = place::address(&self.loaded, node)?;
         let neighbours = place::neighbours(&self.loaded, node)?;

@@ -262,11 +262,11 @@ fn nodes_started_one_by_one_meet_at_their_declared_addresses_and_again_in_their_
     let start = |node: &'static str, length: &'static str| {
         let args = ["run", &cell, "--node", node, "--for", length, "--format", "json"];
         let mut command = imrs(bench.0.path(), &args);
-        command.env("XDG_STATE_HOME", bench.0.path());
+        command.env("XDG_STATE_HOME", bench.0.path().join("state"));
         std::thread::spawn(move || support::finish(command))
     };
     for life in 0..2 {
-        let (b, a) = (start("nb", "9s"), start("na", "4s"));
+        let (b, a) = (start("nb", "30s"), start("na", "20s"));
         let (a, b) = (a.join().expect("it ends"), b.join().expect("it ends"));
         let summary = a.last_json();
         assert_eq!(a.code, Some(0), "life {life}: {a:?} {b:?}");
@@ -277,7 +277,7 @@ fn nodes_started_one_by_one_meet_at_their_declared_addresses_and_again_in_their_
         assert_eq!((&meet["false_releases"], &meet["start_skew_us"]), (&Value::Null, &Value::Null), "{meet}");
         assert_eq!(summary["nodes"].as_array().map(Vec::len), Some(1), "{summary}");
         let remembered =
-            std::fs::read_to_string(bench.0.path().join("imrs/relayed/na.life")).expect("its life");
+            std::fs::read_to_string(bench.0.path().join("state/imrs/relayed/na.life")).expect("its life");
         assert_eq!(remembered.trim(), life.to_string());
     }
 }
@@ -301,7 +301,7 @@ fn a_node_without_a_place_to_run_is_told_what_is_missing() {
         (bare, &["--restart", "na@1s"], "`na@1s` is not killed before it is started again"),
     ] {
         let mut command = imrs(bench.0.path(), &[&["run", cell, "--for", "2s"], args].concat());
-        command.env("XDG_STATE_HOME", bench.0.path());
+        command.env("XDG_STATE_HOME", bench.0.path().join("state"));
         let said = support::finish(command);
         assert_eq!(said.code, Some(2), "{args:?}: {said:?}");
         assert!(said.err.contains(words), "{args:?} does not say `{words}`: {}", said.err);

@@ -72,10 +72,10 @@ fn fault_in_words(story: &Story<'_>, at: u64, fault: Fault, primary: TaskId) -> 
 
 /// What a task was doing at an instant: `weld 3`.
 fn under_way(story: &Story<'_>, task: TaskId, at: u64) -> Option<String> {
-    let last = story.of(task).filter(|did| did.at <= at).filter(|did| {
+    let mut last = story.of(task).filter(|did| did.at <= at).filter(|did| {
         matches!(did.what, Deed::Begins { .. } | Deed::Ends { .. } | Deed::Fails(_) | Deed::CutShort(_))
     });
-    match &last.last()?.what {
+    match &last.next_back()?.what {
         Deed::Begins { action, arguments } => {
             Some(format!("{action} {}", arguments.join(" ")).trim_end().into())
         }
@@ -124,7 +124,7 @@ fn active(story: &Story<'_>, robot: TaskId) -> Vec<(u64, u64)> {
         match &did.what {
             Deed::Lease(Lease::Granted | Lease::TookOver) => since = since.or(Some(did.at)),
             Deed::Lease(Lease::Fenced) | Deed::Ended(_) => {
-                spans.extend(since.take().map(|from| (from, did.at)))
+                spans.extend(since.take().map(|from| (from, did.at)));
             }
             _ => {}
         }

@@ -162,7 +162,7 @@ impl Launcher<'_> {
             return Ok(());
         }
         if let Some((moment, been)) = &mut self.moment {
-            let of = &self.cell.tasks[did.task.index()].name == moment.task;
+            let of = self.cell.tasks[did.task.index()].name == moment.task;
             if of && matches!(&did.what, Deed::Begins { action, .. } if action == moment.action) {
                 *been += 1;
                 if *been == moment.time {

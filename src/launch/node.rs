@@ -2,6 +2,7 @@
 
 use super::deed::{Deed, Did, Lease};
 use super::lines::{Event, Figures, Order, Setup, What, Word, hear, say};
+use super::place::quarantine;
 use super::recorder::NodeRecording;
 use super::rt::{self, RtError};
 use super::scripted::Narrator;
@@ -92,6 +93,12 @@ struct Process {
     narrator: Arc<Narrator>,
     narrated: Receiver<Word>,
     untold: u64,
+    /// When its machines began.
+    since: Instant,
+    /// How long its scripts are kept from beginning.
+    held_back: Duration,
+    /// When they begin, once that is known and until they do.
+    begins: Option<Instant>,
     out: Words,
 }
 
@@ -175,6 +182,7 @@ impl Process {
         let link = Arc::new(FaultyLink::new(way, setup.seed.wrapping_add(u64::from(id.0))));
         link.set_loss(setup.loss);
 
+        let since = Instant::now();
         let (narrate, narrated) = mpsc::channel();
         let narrator = Arc::new(Narrator::new(Arc::clone(&loaded), narrate));
         let mut builder = Runtime::builder(Arc::clone(&cell), id)
@@ -219,6 +227,9 @@ impl Process {
             narrator,
             narrated,
             untold: 0,
+            since,
+            held_back: if setup.restarted { quarantine(&cell, id) } else { Duration::ZERO },
+            begins: None,
             out,
         })
     }
@@ -228,12 +239,19 @@ impl Process {
         let mut counted = Instant::now();
         let mut tell_at = Instant::now() + TELL_EVERY;
         loop {
-            match orders.recv_timeout(tell_at.saturating_duration_since(Instant::now())) {
+            let wake = self.begins.map_or(tell_at, |begins| begins.min(tell_at));
+            let order = orders.recv_timeout(wake.saturating_duration_since(Instant::now()));
+            if self.begins.is_some_and(|begins| begins <= Instant::now()) {
+                self.begins = None;
+                self.runtime.iter().for_each(Runtime::begin);
+            }
+            match order {
                 Ok(Order::Book(book)) => self.begin(&book)?,
                 Ok(Order::Cut(name)) => self.set_cut(&name, true),
                 Ok(Order::Heal(name)) => self.set_cut(&name, false),
                 Ok(Order::Stop) | Err(RecvTimeoutError::Disconnected) => return Ok(Leave::InOrder),
                 Ok(Order::Die) => return Ok(Leave::AtOnce),
+                Err(RecvTimeoutError::Timeout) if tell_at > Instant::now() => {}
                 Err(RecvTimeoutError::Timeout) => {
                     tell_at = Instant::now() + TELL_EVERY;
                     self.tell()?;
@@ -253,7 +271,10 @@ impl Process {
                 let _ = self.link.inner().udp().map(|udp| udp.set_address(node, Some(address)));
             }
         }
-        self.runtime.iter().for_each(Runtime::begin);
+        match self.held_back {
+            Duration::ZERO => self.runtime.iter().for_each(Runtime::begin),
+            held_back => self.begins = Some(self.since + held_back),
+        }
         Ok(say(&mut self.out, &Word::Started)?)
     }
 

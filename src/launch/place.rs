@@ -1,13 +1,14 @@
 //! Where a node is when it runs by itself: its address, those of its neighbours, and which of its lives this is.
 
 use crate::cells::Loaded;
-use imrs_protocol::{Incarnation, NodeId};
+use imrs_protocol::{CellTable, Class, Incarnation, NodeId, Ticks, Usage};
 use imrs_wire::obs::place::file_name;
 use std::collections::BTreeMap;
 use std::fs::{self, File};
 use std::io::{self, Write};
 use std::net::{SocketAddr, ToSocketAddrs};
 use std::path::{Path, PathBuf};
+use std::time::Duration;
 
 /// Why a node cannot run by itself.
 #[derive(Debug, thiserror::Error)]
@@ -63,6 +64,23 @@ pub fn neighbours(loaded: &Loaded, node: NodeId) -> Result<BTreeMap<String, Sock
     let of =
         |peer: NodeId| Ok((loaded.table.cell().nodes[peer.index()].name.clone(), address(loaded, peer)?));
     loaded.table.neighbours(node).map(of).collect()
+}
+
+/// How long the tasks of a restarted node hear nobody: as long as what was meant for an earlier life of it can be under
+/// way (D49, D67). Its scripts begin after that: before, they could only wait in vain (D94).
+pub fn quarantine(table: &CellTable, node: NodeId) -> Duration {
+    let mut longest = Ticks::ZERO;
+    for port in table.ports() {
+        if port.decl.usage != Usage::Waitfor && port.decl.class != Class::Command {
+            continue;
+        }
+        for own in port.parties.iter().filter(|party| table.location(party.task) == Some(node)) {
+            let others = port.parties.iter().filter(|party| party.task != own.task);
+            let lives = others.map(|party| party.time_out + table.bound_between(party.task, own.task));
+            longest = longest.max(lives.max().unwrap_or_default());
+        }
+    }
+    Duration::from_micros(longest.0)
 }
 
 /// Begins the next life of a node (D49): which one it is, and whether there was one before. What it is counted by lies in

@@ -207,9 +207,11 @@ impl Tally {
     }
 
     /// The last round that a member can have announced before it died: the one after the last that it said so of, or that
-    /// others spoke of while it lived.
+    /// began while it lived and released somebody.
     fn last_words(&self, death: &Death) -> i64 {
-        let spoken = |(round, meeting): (&i64, &Meeting)| (meeting.begun <= death.at).then_some(*round);
+        let spoken = |(round, meeting): (&i64, &Meeting)| {
+            (meeting.begun <= death.at && meeting.released != 0).then_some(*round)
+        };
         let heard = self.rounds.iter().filter_map(spoken).max();
         let said = Some(death.announced).filter(|&round| round != i64::MIN);
         // Killed before anything was told: the first round of all.
