@@ -36,7 +36,7 @@ fn node<'a>(summary: &'a Value, name: &str) -> &'a Value {
 
 #[test]
 fn without_faults_everybody_starts_together() {
-    let (summary, code, errors) = Demo::start(&["--for", "4s", "--no-fault"]).finish();
+    let (summary, code, errors) = Demo::start(&["--for", "2800ms", "--no-fault"]).finish();
     let lift = check(&summary);
     assert_eq!(code, Some(0), "{errors}");
     assert_eq!(summary["version"], 1);
@@ -192,7 +192,7 @@ fn a_cut_link_is_survived() {
 fn garbage_is_counted_by_reason_and_does_no_harm() {
     let dir = runtime_dir();
     let file = dir.path().join("run.imrs");
-    let demo = Demo::start(&["--for", "5s", "--no-fault", "--record", file.to_str().unwrap()]);
+    let demo = Demo::start(&["--for", "5s", "--loss", "1%", "--record", file.to_str().unwrap()]);
     let recorded = dir.path().join("run.nl.imrs");
     wait_until("the recording has its header", || {
         File::open(&recorded).is_ok_and(|file| RecordingReader::new(file).is_ok())
@@ -312,7 +312,7 @@ fn what_was_recorded_replays_bit_equal_and_a_changed_file_is_noticed() {
 
 #[test]
 fn a_monitor_sees_the_nodes_while_they_run() {
-    let demo = Demo::start(&["--for", "5s"]);
+    let demo = Demo::start(&["--for", "5s", "--loss", "1%"]);
     let mut nodes = Value::Null;
     wait_until("all nodes are seen", || {
         let said = run_in(demo.dir.path(), &["monitor", "--once", "--format", "json"]);

@@ -156,6 +156,15 @@ pub fn beam_lift() -> Arc<CellTable> {
 mod tests {
     use super::*;
 
+    /// D65: the patience of a meeting is well above its margin.
+    #[test]
+    fn the_beam_lift_leaves_time_to_meet_again() {
+        let table = beam_lift();
+        let lift = table.ports().iter().find(|port| port.decl.name == "lift").expect("the port");
+        assert_eq!(lift.parties.len(), 3);
+        assert!(lift.decl.time_out.0 > 10 * lift.margin.0, "{:?} on {:?}", lift.decl.time_out, lift.margin);
+    }
+
     #[test]
     fn every_demo_is_of_a_sound_cell_and_its_fault_is_of_names_in_it() {
         for scene in SCENES {
