@@ -101,7 +101,11 @@ fn when_the_robots_node_dies_the_other_takes_over_and_looks_at_the_spot() {
         assert!(said.out.contains(words), "`{words}` is missing in\n{}", said.out);
     }
     // They reach each other through nt, which passes their packets on.
-    assert!(said.out.lines().any(|line| line.contains("node nt") && line.contains("passed")), "{}", said.out);
+    assert!(
+        said.out.lines().any(|line| line.contains("node nt") && line.contains("passed on")),
+        "{}",
+        said.out
+    );
 }
 
 #[test]
@@ -158,6 +162,26 @@ fn a_killed_node_lives_again_and_the_others_hear_of_it() {
         // Its second life passes packets on.
         assert!(number(&relay["forwarded"]) > 0, "{summary}");
         assert_eq!(summary["outcome"]["held"], true, "{summary}");
+    }
+}
+
+#[test]
+fn who_dies_and_lives_again_is_not_said_to_have_gone_on_meanwhile() {
+    for (name, args) in [
+        ("failover-weld", ["--kill", "n1@1s", "--restart", "r1@3s", "--for", "5s"]),
+        ("beam-lift", ["--kill", "nr@1500ms", "--restart", "nr@3s", "--for", "7s"]),
+    ] {
+        let said = run(&[&["demo", name, "--seed", "3", "--format", "json"], &args[..]].concat());
+        assert_eq!(said.code, Some(0), "{said:?}");
+        let summary = said.last_json();
+        assert_ne!(summary["outcome"]["held"], false, "{summary}");
+        assert!(
+            summary["nodes"].as_array().unwrap().iter().any(|node| number(&node["lives"]) == 2),
+            "{summary}"
+        );
+        for meeting in summary["rendezvous"].as_array().unwrap() {
+            assert_eq!(number(&meeting["false_releases"]), 0, "{summary}");
+        }
     }
 }
 

@@ -74,6 +74,12 @@ fn movements(story: &Story<'_>, arm: TaskId) -> Vec<Movement> {
             _ => {}
         }
     }
+    // Who dies moves no more.
+    for death in story.deaths(arm) {
+        for movement in all.iter_mut().filter(|m| m.from <= death && m.to.is_none_or(|to| to > death)) {
+            movement.to = Some(death);
+        }
+    }
     all
 }
 

@@ -120,7 +120,13 @@ fn spot_in_words(story: &Story<'_>, primary: TaskId, standby: TaskId, taken: u64
 fn active(story: &Story<'_>, robot: TaskId) -> Vec<(u64, u64)> {
     let mut spans: Vec<(u64, u64)> = Vec::new();
     let mut since = None;
+    let deaths = story.deaths(robot);
+    let death = |from: u64, to: u64| deaths.iter().copied().find(|death| (from..=to).contains(death));
     for did in story.of(robot) {
+        if let Some((from, died)) = since.and_then(|from| Some((from, death(from, did.at)?))) {
+            spans.push((from, died));
+            since = None;
+        }
         match &did.what {
             Deed::Lease(Lease::Granted | Lease::TookOver) => since = since.or(Some(did.at)),
             Deed::Lease(Lease::Fenced) | Deed::Ended(_) => {
@@ -129,8 +135,7 @@ fn active(story: &Story<'_>, robot: TaskId) -> Vec<(u64, u64)> {
             _ => {}
         }
     }
-    let end = story.died(robot).unwrap_or(story.ended);
-    spans.extend(since.map(|from| (from, end)));
+    spans.extend(since.map(|from| (from, death(from, story.ended).unwrap_or(story.ended))));
     spans
 }
 

@@ -47,7 +47,9 @@ impl Launcher<'_> {
             if progress_at <= Instant::now() {
                 let of = self.run.length.map(|all| format!(" of {}", humantime::format_duration(all)));
                 let (so_far, of) = (now.as_secs(), of.unwrap_or_default());
-                progress.set_message(format!("{so_far} s{of}: {} rounds", self.gatherer.released()));
+                let met = self.gatherer.released();
+                let met = met.map(|met| format!(": {met} rounds")).unwrap_or_default();
+                progress.set_message(format!("{so_far} s{of}{met}"));
                 progress.tick();
                 progress_at = Instant::now() + PROGRESS_EVERY;
             }

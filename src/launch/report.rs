@@ -210,7 +210,7 @@ fn node_line(node: &NodeSummary, relays: bool) -> String {
         parts.push(format!("{} lives", node.lives));
     }
     if relays && node.forwarded > 0 {
-        parts.push(format!("passed {} on", count(node.forwarded, "packet")));
+        parts.push(format!("{} sent or passed on", count(node.forwarded, "packet")));
     }
     if node.lost_on_purpose > 0 {
         parts.push(format!("{} lost on purpose", count(node.lost_on_purpose, "packet")));

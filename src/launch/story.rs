@@ -109,6 +109,16 @@ impl Story<'_> {
         matches!(of_it.1, Fault::Kill(_)).then_some(of_it.0)
     }
 
+    /// When the node of a task was killed, each time.
+    pub fn deaths(&self, task: TaskId) -> Vec<u64> {
+        let node = self.loaded.table.location(task);
+        let kill = |(at, fault): &(u64, Fault)| match fault {
+            Fault::Kill(of) if Some(*of) == node => Some(*at),
+            Fault::Kill(_) | Fault::Restart(_) | Fault::Cut(..) | Fault::Heal(..) => None,
+        };
+        self.faults.iter().filter_map(kill).collect()
+    }
+
     /// The text of the line of a deed.
     pub fn text(&self, did: &Did) -> &str {
         did.line.map_or("", |line| self.loaded.text_of(line))

@@ -204,9 +204,9 @@ impl Gatherer {
         self.end = at;
     }
 
-    /// How many rounds have released everybody so far.
-    pub fn released(&self) -> u64 {
-        self.tallies.values().map(Tally::released).sum()
+    /// How many rounds have released everybody so far; none of a cell in which nobody meets.
+    pub fn released(&self) -> Option<u64> {
+        (!self.tallies.is_empty()).then(|| self.tallies.values().map(Tally::released).sum())
     }
 
     /// The summary. `exits` tells how the process of each node ended that ran here.
