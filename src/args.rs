@@ -92,8 +92,8 @@ Examples:
     /// action bound by --action is a command to execute: the action's arguments follow the command's own, without a
     /// shell; exit code 0 is success, the first line of standard output the result.
     ///
-    /// With --node one node of the cell runs here, at the address that the cell declares for it (node n at \"10.0.0.11\"
-    /// port 7000;), and sends to the others at theirs. Which of its lives this is it remembers in
+    /// With --node one node of the cell runs here, at the address that the cell declares for it (`node n at "10.0.0.11"
+    /// port 7000;`), and sends to the others at theirs. Which of its lives this is it remembers in
     /// $XDG_STATE_HOME/imrs. Nothing authenticates packets yet: off the loopback that takes --insecure.
     ///
     /// With --rt the nodes run under SCHED_FIFO with their memory locked; a kernel that does not allow it is an error.
@@ -145,9 +145,13 @@ Examples:
         /// The shell.
         shell: clap_complete::Shell,
     },
-    /// Print the manual page, in roff.
-    #[command(after_help = "Example:\n  imrs man | man -l -")]
-    Man,
+    /// Print a manual page, in roff.
+    #[command(after_help = "Examples:\n  imrs man | man -l -\n  imrs man run | man -l -")]
+    Man {
+        /// The verb that it is of [default: the command].
+        #[arg(value_name = "VERB")]
+        verb: Option<String>,
+    },
     /// Run one node of a cell, as told on standard input. The launcher starts itself with this.
     #[command(hide = true)]
     Node,

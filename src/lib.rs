@@ -75,17 +75,30 @@ fn run(cli: Cli) -> Result<Exit, Failure> {
             out.line(String::from_utf8_lossy(&script).trim_end())?;
             Ok(Exit::Well)
         }
-        Verb::Man => {
-            let mut page = Vec::new();
-            clap_mangen::Man::new(Cli::command()).render(&mut page).map_err(Failure::Output)?;
-            out.line(String::from_utf8_lossy(&page).trim_end())?;
-            Ok(Exit::Well)
-        }
+        Verb::Man { verb } => manual(verb.as_deref(), &mut out),
         Verb::Node => {
             launch::run_node()?;
             Ok(Exit::Well)
         }
     }
+}
+
+fn manual(verb: Option<&str>, out: &mut Output) -> Result<Exit, Failure> {
+    let mut command = Cli::command();
+    command.build();
+    let of = match verb {
+        None => command,
+        Some(name) => {
+            let verbs: Vec<&str> = command.get_subcommands().map(clap::Command::get_name).collect();
+            let hint = exit::did_you_mean(name, verbs);
+            let found = command.find_subcommand(name).cloned();
+            found.ok_or_else(|| Failure::Usage(format!("there is no verb `{name}`{hint}")))?
+        }
+    };
+    let mut page = Vec::new();
+    clap_mangen::Man::new(of).render(&mut page).map_err(Failure::Output)?;
+    out.line(String::from_utf8_lossy(&page).trim_end())?;
+    Ok(Exit::Well)
 }
 
 fn monitor(args: MonitorArgs, color: args::Color) -> Result<Exit, Failure> {

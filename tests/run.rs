@@ -325,15 +325,36 @@ fn nodes_are_watched_over_tcp() {
     assert_eq!(seen.last_json()["nodes"][0]["name"], "nr", "{seen:?}");
 }
 
+/// The scheduling policies of a process's threads: 1 is SCHED_FIFO.
+fn policies(pid: u64) -> Vec<String> {
+    let threads = std::fs::read_dir(format!("/proc/{pid}/task")).into_iter().flatten().flatten();
+    let policy = |stat: String| Some(stat.rsplit_once(')')?.1.split_whitespace().nth(38)?.to_owned());
+    threads.filter_map(|t| policy(std::fs::read_to_string(t.path().join("stat")).ok()?)).collect()
+}
+
 #[test]
 fn real_time_is_had_or_refused_with_what_to_do() {
     let bench = Bench::new();
-    let said = bench.run(&["--rt", "--for", "1s", "--format", "json"]);
-    if said.code == Some(2) {
-        assert!(said.err.contains("limits.conf") && said.err.contains("setcap"), "{said:?}");
-    } else {
-        assert_eq!(said.last_json()["rt"], true, "{said:?}");
-    }
+    let cell = bench.cell();
+    let cell = cell.to_str().expect("UTF-8");
+    let args = ["run", cell, "--rt", "--for", "10m", "--format", "json"];
+    let mut command = imrs(bench.0.path(), &args);
+    let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("it starts");
+    let mut lines = BufReader::new(child.stdout.take().expect("a pipe")).lines();
+    let Some(Ok(line)) = lines.next() else {
+        let output = child.wait_with_output().expect("it ends");
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(2), "{said}");
+        assert!(said.contains("limits.conf") && said.contains("setcap"), "{said}");
+        return;
+    };
+    let started: Value = serde_json::from_str(&line).expect("JSON");
+    let policies = policies(number(&started["started"][0]["pid"]));
+    signal(child.id(), Signal::INT);
+    let summary: Value = serde_json::from_str(&lines.next().expect("a line").expect("text")).expect("JSON");
+    child.wait().expect("it ends");
+    assert!(policies.len() > 3 && policies.iter().all(|policy| policy == "1"), "{policies:?}");
+    assert_eq!(summary["rt"], true, "{summary}");
 }
 
 #[test]

@@ -23,7 +23,11 @@ pub fn explain(story: &Story<'_>) -> Outcome {
         return Outcome::default();
     };
     let moves = [movements(story, left), movements(story, right)];
-    let mut words = vec![format!("The arms lifted the beam {}.", times(moves[0].len()))];
+    let mut words = vec![match moves[0].len() {
+        0 => "The arms never lifted the beam.".into(),
+        n => format!("The arms lifted the beam {}.", times(n)),
+    }];
+    words.extend(waiting(story));
     let cut = story.faults.iter().find_map(|(at, fault)| match fault {
         Fault::Cut(a, b) => Some((*at, [story.node(*a), story.node(*b)])),
         Fault::Kill(_) | Fault::Restart(_) | Fault::Heal(..) => None,
@@ -176,6 +180,24 @@ fn afterwards(story: &Story<'_>, at: u64) -> String {
 
 fn expired((name, count): (&String, &u64)) -> Option<u64> {
     name.starts_with("expired").then_some(*count)
+}
+
+/// Who died, and who waited for it no longer than it had to.
+fn waiting(story: &Story<'_>) -> Vec<String> {
+    let mut words = Vec::new();
+    for (at, fault) in &story.faults {
+        let Fault::Kill(node) = fault else { continue };
+        let killed = story.node(*node);
+        words.push(format!("At {} node {killed} was killed.", story.at(*at)));
+        for after in story.summary.after_kill.iter().filter(|after| after.killed == killed) {
+            words.push(format!(
+                "{} waited for it at `lift` {}, as long as its time_out says, and went home without a lift.",
+                after.task,
+                span(after.waited_us)
+            ));
+        }
+    }
+    words
 }
 
 fn times(n: usize) -> String {

@@ -35,8 +35,8 @@ pub struct Scene {
     introduction: &'static str,
     /// How long it runs.
     length: Duration,
-    /// Its fault.
-    moment: Moment,
+    /// Its fault, where the cell does not bring its trouble along.
+    moment: Option<Moment>,
     /// What simulated actions give as time goes on: an action, the one that it follows, and how long it takes.
     courses: &'static [(&'static str, &'static str, Duration)],
     /// Says what happened, and whether it was what is promised.
@@ -59,14 +59,14 @@ Two arms and a hoist meet at `lift` before every lift. While the arms move, the 
 one every few milliseconds whether it moves too (`beat`); an arm that gets no answer, or hears no
 question, stops by itself.",
         length: Duration::from_secs(8),
-        moment: Moment {
+        moment: Some(Moment {
             task: "armL",
             action: "start_lift",
             time: 2,
             after: ms(100),
             fault: Planned::Cut(["nl", "nr"], ms(40)),
             words: "in the middle of the second lift nothing passes between the arms for 40 ms",
-        },
+        }),
         courses: &[("read_height", "start_lift", ms(400))],
         explain: beam_lift::explain,
     },
@@ -79,14 +79,14 @@ question, stops by itself.",
 Robot r1 welds spot after spot; r2 stands by. r1 may act only while it holds the lease, which r2 renews
 by asking `alive` every few milliseconds. Both reach each other, and the tip dresser, through node nt.",
         length: Duration::from_secs(12),
-        moment: Moment {
+        moment: Some(Moment {
             task: "r1",
             action: "weld",
             time: 1,
             after: ms(300),
             fault: Planned::Kill("n1"),
             words: "in the middle of the first weld the node of r1 is killed (kill -9)",
-        },
+        }),
         courses: &[],
         explain: failover_weld::explain,
     },
@@ -127,7 +127,7 @@ pub fn run(args: &DemoArgs, out: &mut Output) -> Result<Exit, Failure> {
     let scene = SCENES.iter().find(|scene| scene.name == args.cell.name);
     let own_faults =
         launch.loss.0 > 0.0 || !launch.kill.is_empty() || !launch.cut.is_empty() || launch.node.is_some();
-    let moment = scene.map(|scene| &scene.moment).filter(|_| !args.no_fault && !own_faults);
+    let moment = scene.and_then(|scene| scene.moment.as_ref()).filter(|_| !args.no_fault && !own_faults);
     let course = |&(action, since, over): &(&str, &str, Duration)| Course {
         action: action.into(),
         since: since.into(),
@@ -170,13 +170,15 @@ mod tests {
         for scene in SCENES {
             let loaded = scene.load().unwrap_or_else(|error| panic!("{}: {error}", scene.name));
             let cell = loaded.table.cell();
-            assert!(cell.tasks.iter().any(|task| task.name == scene.moment.task), "{}", scene.name);
-            let mut actions = vec![scene.moment.action];
+            let mut actions = Vec::new();
             actions.extend(scene.courses.iter().flat_map(|(action, since, _)| [*action, *since]));
+            actions.extend(scene.moment.map(|moment| moment.action));
             for action in actions {
                 assert!(loaded.actions().any(|known| known == action), "{}: {action}", scene.name);
             }
-            let nodes = match scene.moment.fault {
+            let Some(moment) = scene.moment else { continue };
+            assert!(cell.tasks.iter().any(|task| task.name == moment.task), "{}", scene.name);
+            let nodes = match moment.fault {
                 Planned::Cut(ends, _) => ends.to_vec(),
                 Planned::Kill(node) => vec![node],
             };
