@@ -18,12 +18,17 @@ fn number(value: &Value) -> u64 {
     value.as_u64().unwrap_or_else(|| panic!("no number: {value}"))
 }
 
-/// What no fault may break.
+/// What no fault of the demo's own kind may break.
 fn check(summary: &Value) -> &Value {
+    assert_ne!(summary["outcome"]["held"], false, "{summary}");
+    check_rounds(summary)
+}
+
+/// What nothing may break.
+fn check_rounds(summary: &Value) -> &Value {
     let lift = &summary["rendezvous"][0];
     assert_eq!(lift["port"], "lift", "{summary}");
     assert_eq!(number(&lift["false_releases"]), 0, "{summary}");
-    assert_ne!(summary["outcome"]["held"], false, "{summary}");
     let ends = ["released", "timed_out", "divergent", "unknown"].map(|end| number(&lift[end]));
     assert_eq!(number(&lift["rounds"]), ends.iter().sum::<u64>(), "{summary}");
     lift
@@ -195,9 +200,11 @@ fn a_node_that_stood_still_carries_out_nothing_old() {
     thread::sleep(Duration::from_secs(5));
     signal(right, Signal::CONT);
     let (summary, code, errors) = demo.finish();
-    let lift = check(&summary);
-    // The partners gave up, as their scripts say.
-    assert!(code == Some(0) || code == Some(1) && errors.contains("aborted"), "{errors}");
+    let lift = check_rounds(&summary);
+    // The partners gave up, as their scripts say. An arm whose node is frozen in mid lift cannot stop: the demo says so.
+    let alone = summary["outcome"]["held"] == false;
+    assert!(!alone || summary["outcome"]["words"].to_string().contains("armR moved on for"), "{summary}");
+    assert!(code == Some(0) || code == Some(1) && (alone || errors.contains("aborted")), "{errors}");
     // They went on announcing themselves; what waited for the node in its kernel came out old.
     assert!(number(&node(&summary, "nr")["discards"]["expired_on_the_way"]) > 0, "{summary}");
     assert!(number(&lift["timed_out"]) + number(&lift["divergent"]) > 0, "{summary}");
