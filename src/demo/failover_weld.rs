@@ -12,23 +12,19 @@ pub fn explain(story: &Story<'_>) -> Outcome {
     let Some(couple) = couple else { return Outcome::default() };
     let (primary, standby) = (couple.primary, couple.standby);
     let (first, second) = (story.name(primary), story.name(standby));
-    let mut words = Vec::new();
-    for (at, fault) in &story.faults {
-        if let Some(words_of_it) = fault_in_words(story, *at, *fault, primary) {
-            words.push(words_of_it);
-        }
-    }
+    let in_words = |(at, fault): &(u64, Fault)| Some((*at, fault_in_words(story, *at, *fault, primary)?));
+    let mut told: Vec<(u64, String)> = story.faults.iter().filter_map(in_words).collect();
     let fenced = story.when(primary, |deed| *deed == Deed::Lease(Lease::Fenced));
-    if let Some(at) = fenced.first() {
-        words.push(format!(
-            "At {} the lease of {first} ran out, for nobody renewed it: {first} acts no more, whether it can be reached or not.",
-            story.at(*at)
-        ));
-    }
+    told.extend(fenced.first().map(|at| {
+        let when = story.at(*at);
+        (*at, format!("At {when} the lease of {first} ran out, for nobody renewed it: {first} acts no more, whether it can be reached or not."))
+    }));
     let taken = story.when(standby, |deed| *deed == Deed::Lease(Lease::TookOver)).first().copied();
-    match taken {
-        Some(at) => words.push(taking_over(story, &couple, at)),
-        None => words.push(format!("{second} never took over: it heard of {first} all the time.")),
+    told.extend(taken.map(|at| (at, taking_over(story, &couple, at))));
+    told.sort_by_key(|(at, _)| *at);
+    let mut words: Vec<String> = told.into_iter().map(|(_, words)| words).collect();
+    if taken.is_none() {
+        words.push(format!("{second} never took over: it heard of {first} all the time."));
     }
     if let Some(at) = taken {
         words.push(spot_in_words(story, primary, standby, at));
