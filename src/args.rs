@@ -1,6 +1,7 @@
 //! The command line: what can be asked for, and how it is explained.
 
-use crate::launch::{ActionCommand, Cut, Kill, Rate};
+use crate::demo::Scene;
+use crate::launch::{ActionCommand, Cut, Kill, Rate, Restart};
 use clap::{Args, ColorChoice, Parser, Subcommand, ValueEnum};
 use std::net::{SocketAddr, ToSocketAddrs};
 use std::path::PathBuf;
@@ -17,8 +18,8 @@ use std::time::Duration;
 Examples:
   imrs                               check the protocol's claims: under a minute
   imrs check examples/beam_lift.cell say what is wrong with a cell
-  imrs demo beam-lift                three nodes meet over loopback UDP for 10 s
-  imrs demo beam-lift --kill hoist@2s
+  imrs demo beam-lift                three nodes, a link that fails in mid lift
+  imrs demo failover-weld            a robot whose node dies, and the one that takes over
   imrs monitor                       watch the nodes that run on this machine
 
 Exit codes: 0 all well, 1 a finding, 2 bad input or usage, 3 nothing to attach to,
@@ -92,21 +93,36 @@ Examples:
     /// What the cell calls actions is simulated: each takes a time of its interval, the same under the same --seed. An
     /// action bound by --action is a command to execute: the action's arguments follow the command's own, without a
     /// shell; exit code 0 is success, the first line of standard output the result.
+    ///
+    /// With --node one node of the cell runs here, at the address that the cell declares for it (`node n at "10.0.0.11"
+    /// port 7000;`), and sends to the others at theirs. Which of its lives this is it remembers in
+    /// $XDG_STATE_HOME/imrs. Nothing authenticates packets yet: off the loopback that takes --insecure.
+    ///
+    /// With --rt the nodes run under SCHED_FIFO with their memory locked; a kernel that does not allow it is an error.
     #[command(after_help = "\
 Examples:
   imrs run examples/beam_lift.cell                    until Ctrl-C
   imrs run cell.cell --for 10s --in-process           in one process
   imrs run cell.cell --loss 10% --kill hoist@2s       with faults
+  imrs run cell.cell --kill hoist@2s --restart hoist@3s  and started again
+  imrs run cell.cell --node nl --insecure --rt        one node, on its robot
+  imrs run cell.cell --observe 127.0.0.1:7100         watched over TCP, too
   imrs run cell.cell --action 'grip=./grip --hard'    a robot's own command
   imrs run cell.cell --record run.imrs                to `imrs replay run.NODE.imrs --cell cell.cell`")]
     Run(RunArgs),
-    /// Run a built-in cell, one process per node over loopback UDP, and explain what happened.
+    /// Run a built-in cell with a fault, one process per node over loopback UDP, and explain what happened.
+    ///
+    /// Every demo brings a fault of its own, at the moment when it hurts. It ends with what came of it, in words, and
+    /// with 1 where that is not what is promised. It takes all flags of `run`; faults of your own take the place of
+    /// the demo's.
     #[command(after_help = "\
 Examples:
-  imrs demo beam-lift                        two arms and a hoist meet before every lift
+  imrs demo beam-lift                        a link fails in mid lift: both arms stop
+  imrs demo failover-weld                    a robot's node dies: the other takes over
+  imrs demo beam-lift --no-fault --for 5s    without any fault
   imrs demo beam-lift --loss 20% --for 30s   with every fifth packet lost
   imrs demo beam-lift --kill hoist@2s        with a node killed: nobody starts without it
-  imrs demo beam-lift --cut nl--nr@1s+40ms   with a link interrupted
+  imrs demo failover-weld --cut n1--nt@2s+1s with a link interrupted
 
 While it runs, `imrs monitor` in another terminal shows the nodes.")]
     Demo(DemoArgs),
@@ -115,7 +131,7 @@ While it runs, `imrs monitor` in another terminal shows the nodes.")]
 Examples:
   imrs monitor                          the nodes that run on this machine
   imrs monitor --once --format json     one sample, for programs
-  imrs monitor --connect unix:/run/user/1000/imrs/beam-lift/nl-812.sock
+  imrs monitor --connect unix:/run/user/1000/imrs/beam_lift/nl-812.sock
   imrs monitor --record run.imrs --for 60s     without a screen
   imrs monitor --replay run.imrs --at -30s --speed 4
   imrs verify cell.cell --save found.imrs; imrs monitor --replay found.imrs")]
@@ -134,9 +150,13 @@ Examples:
         /// The shell.
         shell: clap_complete::Shell,
     },
-    /// Print the manual page, in roff.
-    #[command(after_help = "Example:\n  imrs man | man -l -")]
-    Man,
+    /// Print a manual page, in roff.
+    #[command(after_help = "Examples:\n  imrs man | man -l -\n  imrs man run | man -l -")]
+    Man {
+        /// The verb that it is of [default: the command].
+        #[arg(value_name = "VERB")]
+        verb: Option<String>,
+    },
     /// Run one node of a cell, as told on standard input. The launcher starts itself with this.
     #[command(hide = true)]
     Node,
@@ -265,8 +285,11 @@ pub struct GraphArgs {
 #[derive(Args, Clone, Debug)]
 pub struct DemoArgs {
     /// Which cell.
-    #[arg(value_enum, value_name = "CELL")]
-    pub cell: DemoCell,
+    #[arg(value_enum, value_name = "NAME")]
+    pub cell: Scene,
+    /// Run without the demo's own fault; faults of your own take its place, too.
+    #[arg(long)]
+    pub no_fault: bool,
     /// How it is run.
     #[command(flatten)]
     pub launch: LaunchArgs,
@@ -293,9 +316,21 @@ pub struct RunArgs {
 #[derive(Args, Clone, Debug)]
 pub struct LaunchArgs {
     /// Run all nodes in this process, joined without sockets.
-    #[arg(long)]
+    #[arg(long, conflicts_with = "node")]
     pub in_process: bool,
-    /// How long to run [default: a demo 10s, a cell until its tasks end or Ctrl-C].
+    /// Run this node only, at the address that the cell declares; the others run elsewhere.
+    #[arg(long, value_name = "NAME")]
+    pub node: Option<String>,
+    /// Let packets leave this machine though nothing authenticates them, and let others watch.
+    #[arg(long)]
+    pub insecure: bool,
+    /// Serve monitors over TCP, too; of several nodes each takes the next port.
+    #[arg(long, value_name = "ADDR:PORT")]
+    pub observe: Option<SocketAddr>,
+    /// Run the nodes under SCHED_FIFO, with their memory locked.
+    #[arg(long)]
+    pub rt: bool,
+    /// How long to run [default: a demo about 10s, a cell until its tasks end or Ctrl-C].
     #[arg(long = "for", value_name = "TIME", value_parser = humantime::parse_duration)]
     pub length: Option<Duration>,
     /// Lose this share of all datagrams.
@@ -304,6 +339,9 @@ pub struct LaunchArgs {
     /// Kill a node, or the node of a task, after a while.
     #[arg(long, value_name = "NAME@TIME")]
     pub kill: Vec<Kill>,
+    /// Start a killed node again after a while (counted from the start), in its next life.
+    #[arg(long, value_name = "NAME@TIME")]
+    pub restart: Vec<Restart>,
     /// Interrupt the link between two nodes after a while, for a while.
     #[arg(long, value_name = "A--B@TIME+TIME")]
     pub cut: Vec<Cut>,
@@ -365,7 +403,7 @@ pub struct ReplayArgs {
     /// The recording of one node.
     #[arg(value_name = "FILE")]
     pub file: PathBuf,
-    /// The cell that was run [default: a built-in one].
+    /// The cell that was run [default: the cell of a demo].
     #[arg(long, value_name = "CELL")]
     pub cell: Option<PathBuf>,
     /// It was run with `--paper`.
@@ -374,13 +412,6 @@ pub struct ReplayArgs {
     /// The form of the answer.
     #[arg(long, value_enum, value_name = "FORM", default_value_t = Format::Text)]
     pub format: Format,
-}
-
-/// The cells that `demo` can run.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum DemoCell {
-    /// Two arms lift a beam with a hoist: they meet before every lift, and stop together.
-    BeamLift,
 }
 
 /// The form of an answer.

@@ -63,7 +63,7 @@ impl Failure {
                 Exit::Usage
             }
             Self::Launch(error) => error.exit(),
-            Self::Node(_) => Exit::Internal,
+            Self::Node(error) => error.exit(),
             Self::Monitor(error) => match error.exit_code() {
                 2 => Exit::Usage,
                 3 => Exit::Nothing,

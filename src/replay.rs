@@ -2,6 +2,7 @@
 
 use crate::args::{Format, ReplayArgs};
 use crate::cells;
+use crate::demo;
 use crate::exit::{Exit, Failure};
 use crate::output::{BAD, GOOD, NOTE, Output, Styled, count};
 use imrs_protocol::{CellTable, NodeId, NodeTable};
@@ -33,7 +34,7 @@ pub enum ReplayError {
         source: record::ReplayError,
     },
     /// The recording is of a cell that this program does not have.
-    #[error("{path} was made with another cell: `{cell}`, digest {digest:08x}")]
+    #[error("{path} was made with another cell: `{cell}`, digest {digest:08x}; name its file with --cell")]
     OtherCell {
         /// The file.
         path: PathBuf,
@@ -87,8 +88,8 @@ struct Task {
 /// [`Failure`].
 pub fn run(args: &ReplayArgs, out: &mut Output) -> Result<Exit, Failure> {
     let given = match &args.cell {
-        Some(path) => cells::open(path, args.paper)?.1.table,
-        None => cells::load(&cells::Source::BuiltIn(cells::beam_lift::NAME.into()))?.table,
+        Some(path) => Some(cells::open(path, args.paper)?.1.table),
+        None => None,
     };
     let replayed = read(&args.file, given)?;
     let diverged = replayed.tasks.iter().any(|task| task.divergence.is_some());
@@ -99,13 +100,14 @@ pub fn run(args: &ReplayArgs, out: &mut Output) -> Result<Exit, Failure> {
     Ok(if diverged { Exit::Finding } else { Exit::Well })
 }
 
-fn read(path: &PathBuf, given: Arc<CellTable>) -> Result<Replayed, ReplayError> {
+fn read(path: &PathBuf, given: Option<Arc<CellTable>>) -> Result<Replayed, ReplayError> {
     let file = File::open(path).map_err(|source| ReplayError::Open { path: path.clone(), source })?;
     let damaged = |source: record::ReplayError| ReplayError::Read { path: path.clone(), source };
     let mut reader = RecordingReader::new(BufReader::new(file)).map_err(|error| damaged(error.into()))?;
     let header = reader.header().clone();
     let node = header.node.ok_or_else(|| ReplayError::Observations(path.clone()))?;
-    let table = Some(given).filter(|table| table.digest() == header.digest);
+    let known = || demo::tables().find(|table| table.digest() == header.digest);
+    let table = given.map_or_else(known, |table| (table.digest() == header.digest).then_some(table));
     let table = table.ok_or_else(|| ReplayError::OtherCell {
         path: path.clone(),
         cell: header.cell.clone(),

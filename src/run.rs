@@ -1,11 +1,13 @@
 //! `imrs run`: a cell of the cell language on real nodes.
 
-use crate::args::RunArgs;
-use crate::cells;
+use crate::args::{LaunchArgs, RunArgs};
+use crate::cells::{self, Loaded};
 use crate::exit::{Exit, Failure, did_you_mean};
-use crate::launch::{self, Run};
+use crate::launch::{self, LaunchError, Run, place};
 use crate::output::Output;
+use imrs_protocol::NodeId;
 use std::collections::BTreeMap;
+use std::net::SocketAddr;
 
 /// Runs a cell.
 ///
@@ -13,12 +15,7 @@ use std::collections::BTreeMap;
 /// [`Failure`].
 pub fn run(args: &RunArgs, out: &mut Output) -> Result<Exit, Failure> {
     let (source, loaded) = cells::open(&args.cell, args.paper)?;
-    if let Some(at) = loaded.scripts.iter().position(Option::is_none) {
-        let task = &loaded.table.cell().tasks[at].name;
-        return Err(Failure::Usage(format!(
-            "task `{task}` is extern: a Rust program that links the runtime runs its node, not this command"
-        )));
-    }
+    let only = chosen(&loaded, &args.launch)?;
     let mut actions = BTreeMap::new();
     for bound in &args.action {
         if !loaded.actions().any(|action| action == bound.name) {
@@ -28,6 +25,45 @@ pub fn run(args: &RunArgs, out: &mut Output) -> Result<Exit, Failure> {
         actions.insert(bound.name.clone(), bound.words.clone());
     }
     let length = args.launch.length;
-    let run = Run { source, loaded: &loaded, args: &args.launch, length, actions, introduction: None };
-    launch::run(&run, out)
+    let (args, courses, tale) = (&args.launch, Vec::new(), None);
+    launch::run(&Run { source, loaded: &loaded, args, length, actions, courses, only, tale }, out)
+}
+
+/// The only node that is run here, if one was named; and whether all that was asked for goes together.
+///
+/// # Errors
+/// [`Failure::Usage`].
+pub fn chosen(loaded: &Loaded, args: &LaunchArgs) -> Result<Option<NodeId>, Failure> {
+    let nodes = &loaded.table.cell().nodes;
+    let position = |name: &String| {
+        let found = nodes.iter().position(|node| node.name == *name).map(NodeId::from_index);
+        let hint = || did_you_mean(name, nodes.iter().map(|node| node.name.as_str()));
+        found.ok_or_else(|| Failure::Usage(format!("the cell has no node `{name}`{}", hint())))
+    };
+    let only = args.node.as_ref().map(position).transpose()?;
+    for (at, task) in loaded.table.cell().tasks.iter().enumerate() {
+        if loaded.scripts[at].is_none() && only.is_none_or(|only| only == task.node) {
+            let node = &nodes[task.node.index()].name;
+            return Err(Failure::Usage(format!(
+                "task `{}` is extern: a Rust program says what it does. Write one that links `imrs` (examples/extern_task.rs) and let it run node `{node}`; run the others here with --node",
+                task.name
+            )));
+        }
+    }
+    let secure = |address: SocketAddr| args.insecure || address.ip().is_loopback();
+    if let Some(address) = args.observe.filter(|address| !secure(*address)) {
+        return Err(Failure::Usage(format!(
+            "--observe {address}: whoever reaches this address could watch the nodes, for nothing asks who it is. Take a loopback address (an ssh tunnel leads there), or add --insecure"
+        )));
+    }
+    if let Some(only) = only {
+        let address = place::address(loaded, only).map_err(LaunchError::from)?;
+        if !secure(address) {
+            return Err(Failure::Usage(format!(
+                "node `{}` at {address}: nothing authenticates its packets, so whoever reaches this address could forge them. On a network of your own add --insecure",
+                nodes[only.index()].name
+            )));
+        }
+    }
+    Ok(only)
 }

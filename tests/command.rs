@@ -128,4 +128,10 @@ fn completions_and_manual_are_generated() {
     }
     let manual = run(&["man"]);
     assert!(manual.out.contains(".TH imrs") && manual.out.contains("demo"), "{}", manual.out);
+    let manual = run(&["man", "run"]);
+    let plain = manual.out.replace('\\', "");
+    for flag in ["--node", "--observe", "--insecure", "--rt", "--restart"] {
+        assert!(plain.contains(flag), "{flag} is missing in\n{}", manual.out);
+    }
+    assert_eq!(run(&["man", "rnu"]).code, Some(2));
 }

@@ -1,4 +1,4 @@
-//! The beam lift as it is shipped: real processes, real sockets, real faults. Bounds of time are wide: the machine may be
+//! The demos as they are shipped: real processes, real sockets, real faults. Bounds of time are wide: the machine may be
 //! busy. What must hold on any machine is exact.
 
 mod support;
@@ -18,12 +18,17 @@ fn number(value: &Value) -> u64 {
     value.as_u64().unwrap_or_else(|| panic!("no number: {value}"))
 }
 
-/// What no fault may break.
+/// What no fault of the demo's own kind may break.
 fn check(summary: &Value) -> &Value {
+    assert_ne!(summary["outcome"]["held"], false, "{summary}");
+    check_rounds(summary)
+}
+
+/// What nothing may break.
+fn check_rounds(summary: &Value) -> &Value {
     let lift = &summary["rendezvous"][0];
     assert_eq!(lift["port"], "lift", "{summary}");
     assert_eq!(number(&lift["false_releases"]), 0, "{summary}");
-    assert_eq!(number(&summary["acted"]["executed_late"]), 0, "{summary}");
     let ends = ["released", "timed_out", "divergent", "unknown"].map(|end| number(&lift[end]));
     assert_eq!(number(&lift["rounds"]), ends.iter().sum::<u64>(), "{summary}");
     lift
@@ -36,11 +41,11 @@ fn node<'a>(summary: &'a Value, name: &str) -> &'a Value {
 
 #[test]
 fn without_faults_everybody_starts_together() {
-    let (summary, code, errors) = Demo::start(&["--for", "3s"]).finish();
+    let (summary, code, errors) = Demo::start(&["--for", "2800ms", "--no-fault"]).finish();
     let lift = check(&summary);
     assert_eq!(code, Some(0), "{errors}");
     assert_eq!(summary["version"], 1);
-    assert!(number(&lift["released"]) >= 10, "{summary}");
+    assert!(number(&lift["released"]) >= 1, "{summary}");
     assert_eq!((number(&lift["divergent"]), number(&lift["unknown"])), (0, 0), "{summary}");
     for figure in ["p50", "p99", "max"] {
         assert!(number(&lift["start_skew_us"][figure]) > 0, "{summary}");
@@ -59,22 +64,72 @@ fn without_faults_everybody_starts_together() {
 
 #[test]
 fn the_text_is_for_people_and_has_no_escapes_in_a_pipe() {
-    let said = run(&["demo", "beam-lift", "--for", "1s"]);
+    let said = run(&["demo", "beam-lift", "--no-fault", "--for", "2500ms"]);
     assert_eq!(said.code, Some(0), "{said:?}");
     assert!(!said.out.contains('\u{1b}') && said.err.is_empty(), "{said:?}");
-    for words in
-        ["imrs monitor", "false releases: 0", "start skew:", "none after its time_out", "Nobody ever started"]
-    {
+    for words in ["imrs monitor", "false releases: 0", "start skew:", "What happened", "The arms lifted"] {
         assert!(said.out.contains(words), "`{words}` is missing in\n{}", said.out);
+    }
+    assert!(said.out.lines().all(|line| line.chars().count() <= 120), "{}", said.out);
+}
+
+/// The fault comes when the arms move; on a machine that is busy enough it comes too late, and the demo says so.
+#[test]
+fn a_link_that_fails_in_mid_lift_stops_both_arms() {
+    for attempt in 0..3 {
+        let said = run(&["demo", "beam-lift", "--seed", "3"]);
+        assert_eq!(said.code, Some(0), "{said:?}");
+        assert!(said.out.contains("went dead"), "{said:?}");
+        if said.out.contains("Nothing moved just then") && attempt < 2 {
+            continue;
+        }
+        for words in
+            ["armL asked `beat` and got TIME_OUT", "armR", "Neither arm ever went on alone", "As promised"]
+        {
+            assert!(said.out.contains(words), "`{words}` is missing in\n{}", said.out);
+        }
+        return;
     }
 }
 
 #[test]
+fn when_the_robots_node_dies_the_other_takes_over_and_looks_at_the_spot() {
+    let said = run(&["demo", "failover-weld", "--seed", "3"]);
+    assert_eq!(said.code, Some(0), "{said:?}");
+    for words in [
+        "the node of r1 was killed, in the middle of `weld 0`",
+        "TAKES OVER",
+        "r2 began with `recheck 0`",
+        "At no instant were both robots active",
+        "As promised",
+    ] {
+        assert!(said.out.contains(words), "`{words}` is missing in\n{}", said.out);
+    }
+    // They reach each other through nt, which passes their packets on.
+    assert!(
+        said.out.lines().any(|line| line.contains("node nt") && line.contains("passed on")),
+        "{}",
+        said.out
+    );
+}
+
+#[test]
+fn a_robot_that_is_cut_off_stops_before_the_other_takes_over() {
+    let demo = ["demo", "failover-weld", "--cut", "n1--nt@1s+9s", "--for", "4s", "--format", "json"];
+    let said = run(&demo);
+    assert_eq!(said.code, Some(0), "{said:?}");
+    let summary = said.last_json();
+    assert_eq!(summary["outcome"]["held"], true, "{summary}");
+    let words = summary["outcome"]["words"].to_string();
+    assert!(words.contains("the lease of r1 ran out") && words.contains("took over"), "{words}");
+}
+
+#[test]
 fn lost_packets_cost_time_but_never_a_false_start() {
-    let (summary, code, errors) = Demo::start(&["--for", "4s", "--loss", "20%", "--seed", "5"]).finish();
+    let (summary, code, errors) = Demo::start(&["--for", "5s", "--loss", "20%", "--seed", "5"]).finish();
     let lift = check(&summary);
     assert_eq!(code, Some(0), "{errors}");
-    assert!(number(&lift["released"]) > 0, "{summary}");
+    assert!(number(&lift["rounds"]) > 0, "{summary}");
     assert!(
         summary["nodes"].as_array().unwrap().iter().all(|n| number(&n["lost_on_purpose"]) > 0),
         "{summary}"
@@ -86,41 +141,78 @@ fn lost_packets_cost_time_but_never_a_false_start() {
 
 #[test]
 fn with_the_hoist_killed_both_arms_get_their_time_out() {
-    let (summary, code, errors) = Demo::start(&["--for", "4s", "--kill", "hoist@1s"]).finish();
-    check(&summary);
+    let (summary, code, errors) = Demo::start(&["--for", "6s", "--kill", "hoist@1ms"]).finish();
+    let lift = check(&summary);
     assert_eq!(code, Some(0), "{errors}");
+    assert_eq!(number(&lift["released"]), 0, "{summary}");
     assert_eq!(node(&summary, "nh")["exit"], "killed");
     let after = summary["after_kill"].as_array().expect("who gave up");
     for arm in ["armL", "armR"] {
         let gave_up = after.iter().find(|a| a["task"] == arm).unwrap_or_else(|| panic!("{arm} in {summary}"));
         let (waited, time_out) = (number(&gave_up["waited_us"]), number(&gave_up["time_out_us"]));
-        assert_eq!(time_out, 200_000);
         // Never early; late only by what a busy machine adds.
         assert!(waited >= time_out && waited < time_out + 2_000_000, "{gave_up}");
     }
 }
 
 #[test]
+fn a_killed_node_lives_again_and_the_others_hear_of_it() {
+    for how in [&[][..], &["--in-process"]] {
+        let args = ["--kill", "nt@1s", "--restart", "dresser@1500ms", "--for", "9s", "--format", "json"];
+        let said = run(&[&["demo", "failover-weld"], &args[..], how].concat());
+        let summary = said.last_json();
+        assert_eq!(said.code, Some(0), "{said:?}");
+        let relay = node(&summary, "nt");
+        assert_eq!((&relay["exit"], number(&relay["lives"])), (&"clean".into(), 2), "{summary}");
+        // Its second life passes packets on.
+        assert!(number(&relay["forwarded"]) > 0, "{summary}");
+        assert_eq!(summary["outcome"]["held"], true, "{summary}");
+    }
+}
+
+#[test]
+fn who_dies_and_lives_again_is_not_said_to_have_gone_on_meanwhile() {
+    for (name, args) in [
+        ("failover-weld", ["--kill", "n1@1s", "--restart", "r1@3s", "--for", "5s"]),
+        ("beam-lift", ["--kill", "nr@1500ms", "--restart", "nr@3s", "--for", "7s"]),
+    ] {
+        let said = run(&[&["demo", name, "--seed", "3", "--format", "json"], &args[..]].concat());
+        assert_eq!(said.code, Some(0), "{said:?}");
+        let summary = said.last_json();
+        assert_ne!(summary["outcome"]["held"], false, "{summary}");
+        assert!(
+            summary["nodes"].as_array().unwrap().iter().any(|node| number(&node["lives"]) == 2),
+            "{summary}"
+        );
+        for meeting in summary["rendezvous"].as_array().unwrap() {
+            assert_eq!(number(&meeting["false_releases"]), 0, "{summary}");
+        }
+    }
+}
+
+#[test]
 fn a_node_that_stood_still_carries_out_nothing_old() {
-    let demo = Demo::start(&["--for", "4s"]);
+    let demo = Demo::start(&["--for", "8s", "--no-fault"]);
     let right = demo.pid("nr");
     thread::sleep(Duration::from_millis(800));
     signal(right, Signal::STOP);
-    thread::sleep(Duration::from_secs(1));
+    // Longer than anything lives in this cell.
+    thread::sleep(Duration::from_secs(5));
     signal(right, Signal::CONT);
     let (summary, code, errors) = demo.finish();
-    // `check` looks at the age of everything that was carried out.
-    let lift = check(&summary);
-    assert_eq!(code, Some(0), "{errors}");
-    assert!(number(&summary["acted"]["executed"]) > 0, "{summary}");
-    // The left arm and the hoist went on announcing themselves; what waited for the node in its kernel came out old.
+    let lift = check_rounds(&summary);
+    // The partners gave up, as their scripts say. An arm whose node is frozen in mid lift cannot stop: the demo says so.
+    let alone = summary["outcome"]["held"] == false;
+    assert!(!alone || summary["outcome"]["words"].to_string().contains("armR moved on for"), "{summary}");
+    assert!(code == Some(0) || code == Some(1) && (alone || errors.contains("aborted")), "{errors}");
+    // They went on announcing themselves; what waited for the node in its kernel came out old.
     assert!(number(&node(&summary, "nr")["discards"]["expired_on_the_way"]) > 0, "{summary}");
     assert!(number(&lift["timed_out"]) + number(&lift["divergent"]) > 0, "{summary}");
 }
 
 #[test]
 fn a_cut_link_is_survived() {
-    let (summary, code, errors) = Demo::start(&["--for", "4s", "--cut", "nl--nr@500ms+1s"]).finish();
+    let (summary, code, errors) = Demo::start(&["--for", "5s", "--cut", "nl--nr@500ms+1s"]).finish();
     let lift = check(&summary);
     assert_eq!(code, Some(0), "{errors}");
     assert!(number(&node(&summary, "nl")["cut_off"]) > 0, "{summary}");
@@ -131,7 +223,7 @@ fn a_cut_link_is_survived() {
 fn garbage_is_counted_by_reason_and_does_no_harm() {
     let dir = runtime_dir();
     let file = dir.path().join("run.imrs");
-    let demo = Demo::start(&["--for", "5s", "--record", file.to_str().unwrap()]);
+    let demo = Demo::start(&["--for", "5s", "--loss", "1%", "--record", file.to_str().unwrap()]);
     let recorded = dir.path().join("run.nl.imrs");
     wait_until("the recording has its header", || {
         File::open(&recorded).is_ok_and(|file| RecordingReader::new(file).is_ok())
@@ -195,15 +287,14 @@ fn garbage_is_counted_by_reason_and_does_no_harm() {
     }
 }
 
-/// Where the contents of the record begin that holds this byte: a changed length can look like the end of a file that was
-/// cut off, changed contents cannot.
-fn contents_near(bytes: &[u8], byte: usize) -> usize {
+/// Where the record begins that holds this byte.
+fn record_near(bytes: &[u8], byte: usize) -> usize {
     let mut at = 12;
     loop {
         let length: [u8; 4] = bytes[at..at + 4].try_into().unwrap();
-        let next = at + 8 + u32::from_le_bytes(length) as usize;
+        let next = at + 12 + u32::from_le_bytes(length) as usize;
         if next > byte {
-            return at + 8;
+            return at;
         }
         at = next;
     }
@@ -214,7 +305,7 @@ fn what_was_recorded_replays_bit_equal_and_a_changed_file_is_noticed() {
     let dir = runtime_dir();
     let file = dir.path().join("run.imrs");
     let (summary, code, errors) =
-        Demo::start(&["--for", "2s", "--loss", "10%", "--record", file.to_str().unwrap()]).finish();
+        Demo::start(&["--for", "3s", "--loss", "10%", "--record", file.to_str().unwrap()]).finish();
     check(&summary);
     assert_eq!(code, Some(0), "{errors}");
     for (node, task) in [("nl", "armL"), ("nr", "armR"), ("nh", "hoist")] {
@@ -228,18 +319,31 @@ fn what_was_recorded_replays_bit_equal_and_a_changed_file_is_noticed() {
         assert!(number(&of["steps"]) > 20, "{replayed}");
     }
     let recorded = dir.path().join("run.nl.imrs");
-    let mut bytes = std::fs::read(&recorded).unwrap();
-    let at = contents_near(&bytes, bytes.len() / 2);
-    bytes[at] ^= 1;
-    std::fs::write(&recorded, bytes).unwrap();
-    let said = run(&["replay", recorded.to_str().unwrap()]);
-    assert_eq!(said.code, Some(2), "{said:?}");
-    assert!(said.err.contains("at byte"), "{}", said.err);
+    let whole = std::fs::read(&recorded).unwrap();
+    let at = record_near(&whole, whole.len() / 2);
+    let replayed = |bytes: &[u8]| {
+        std::fs::write(&recorded, bytes).unwrap();
+        run(&["replay", recorded.to_str().unwrap()])
+    };
+    // In the length, its checksum, that of the contents, and the contents.
+    for place in [0, 2, 3, 5, 9, 12] {
+        let mut damaged = whole.clone();
+        damaged[at + place] ^= 1;
+        let said = replayed(&damaged);
+        assert_eq!(said.code, Some(2), "{said:?}");
+        assert!(said.err.contains(&format!("at byte {at}: the record is damaged")), "{}", said.err);
+    }
+    // A file that was cut off is as good as far as it goes.
+    for length in [at + 5, at + 20] {
+        let said = replayed(&whole[..length]);
+        assert_eq!(said.code, Some(0), "{said:?}");
+        assert!(said.out.contains("was cut off"), "{}", said.out);
+    }
 }
 
 #[test]
 fn a_monitor_sees_the_nodes_while_they_run() {
-    let demo = Demo::start(&["--for", "5s"]);
+    let demo = Demo::start(&["--for", "5s", "--loss", "1%"]);
     let mut nodes = Value::Null;
     wait_until("all nodes are seen", || {
         let said = run_in(demo.dir.path(), &["monitor", "--once", "--format", "json"]);

@@ -74,9 +74,13 @@ fn port<'a>(summary: &'a Value, name: &str) -> &'a Value {
     ports.iter().find(|port| port["name"] == name).expect("a port of the cell")
 }
 
-fn exit<'a>(summary: &'a Value, node: &str) -> &'a Value {
+fn node<'a>(summary: &'a Value, name: &str) -> &'a Value {
     let nodes = summary["nodes"].as_array().expect("nodes");
-    &nodes.iter().find(|one| one["name"] == node).expect("a node of the cell")["exit"]
+    nodes.iter().find(|one| one["name"] == name).expect("a node of the cell")
+}
+
+fn exit<'a>(summary: &'a Value, name: &str) -> &'a Value {
+    &node(summary, name)["exit"]
 }
 
 #[test]
@@ -99,6 +103,7 @@ fn scripts_meet_and_ask_through_a_node_that_only_relays() {
         for node in ["na", "nb", "nm"] {
             assert_eq!(exit(&summary, node), "clean", "{summary}");
         }
+        assert!(number(&node(&summary, "nm")["forwarded"]) >= 20, "{summary}");
     }
 }
 
@@ -126,6 +131,7 @@ fn what_every_node_recorded_under_loss_replays_bit_equal() {
 fn a_killed_node_and_a_cut_link_are_found_by_their_time_outs() {
     let bench = Bench::new();
     for fault in
+        // A node that is killed before it told anything leaves nothing that counts as false.
         [&["--kill", "a@1ms"][..], &["--cut", "na--nm@0s+10s"], &["--kill", "nm@1ms", "--in-process"]]
     {
         let said = bench.run(&[&["--for", "4s"], fault].concat());
@@ -211,4 +217,176 @@ fn an_interrupt_ends_all_nodes_and_gives_the_summary() {
     assert_eq!(line()["nodes"].as_array().expect("nodes").len(), 3);
     assert_eq!(child.wait().expect("it ends").code(), Some(0));
     wait_until("all nodes are gone", || pids.iter().all(|&pid| !is_alive(pid)));
+}
+
+#[test]
+fn robots_that_reach_each_other_through_a_third_node_are_relayed() {
+    let dir = runtime_dir();
+    let weld = example("weld_cell.cell");
+    for how in [&[][..], &["--in-process"]] {
+        let args = ["run", &weld, "--for", "2s", "--seed", "3", "--format", "json"];
+        let summary = run_in(dir.path(), &[&args[..], how].concat()).last_json();
+        // r1 and r2 are asked and answer every few milliseconds, and only nt lies between them.
+        let passed = number(&node(&summary, "nt")["forwarded"]);
+        assert!(passed >= 20, "{summary}");
+        for robot in ["n1", "n2"] {
+            assert!(number(&node(&summary, robot)["forwarded"]) > 0, "{summary}");
+        }
+    }
+}
+
+/// Two free UDP ports; somebody else may take one before it is used, which is unlikely.
+fn free_ports() -> [u16; 2] {
+    let sockets = [0, 1].map(|_| std::net::UdpSocket::bind("127.0.0.1:0").expect("a socket"));
+    sockets.map(|socket| socket.local_addr().expect("an address").port())
+}
+
+/// The cell of the two that meet, but each node has an address, and they are neighbours.
+fn placed(bench: &Bench, host: &str) -> String {
+    let [a, b] = free_ports();
+    let text = RELAYED
+        .replace(
+            "node na;  node nb;  node nm;",
+            &format!("node na at \"{host}\" port {a}; node nb at \"127.0.0.1\" port {b};"),
+        )
+        .replace("link na -- nm delay 1 msec;  link nb -- nm delay 1 msec;", "link na -- nb delay 1 msec;");
+    let file = bench.0.path().join("placed.cell");
+    std::fs::write(&file, text).expect("the cell is written");
+    file.to_str().expect("UTF-8").into()
+}
+
+#[test]
+fn nodes_started_one_by_one_meet_at_their_declared_addresses_and_again_in_their_next_lives() {
+    let bench = Bench::new();
+    let cell = placed(&bench, "127.0.0.1");
+    let start = |node: &'static str, length: &'static str| {
+        let args = ["run", &cell, "--node", node, "--for", length, "--format", "json"];
+        let mut command = imrs(bench.0.path(), &args);
+        command.env("XDG_STATE_HOME", bench.0.path().join("state"));
+        std::thread::spawn(move || support::finish(command))
+    };
+    for life in 0..2 {
+        let (b, a) = (start("nb", "30s"), start("na", "20s"));
+        let (a, b) = (a.join().expect("it ends"), b.join().expect("it ends"));
+        let summary = a.last_json();
+        assert_eq!(a.code, Some(0), "life {life}: {a:?} {b:?}");
+        assert_eq!(summary["tasks"][0]["end"], "finished", "{summary}");
+        assert_eq!(number(&port(&summary, "ask")["sent"]), 5, "{summary}");
+        // One node cannot know who had arrived at the other.
+        let meet = &summary["rendezvous"][0];
+        assert_eq!((&meet["false_releases"], &meet["start_skew_us"]), (&Value::Null, &Value::Null), "{meet}");
+        assert_eq!(summary["nodes"].as_array().map(Vec::len), Some(1), "{summary}");
+        let remembered =
+            std::fs::read_to_string(bench.0.path().join("state/imrs/relayed/na.life")).expect("its life");
+        assert_eq!(remembered.trim(), life.to_string());
+    }
+}
+
+#[test]
+fn a_node_without_a_place_to_run_is_told_what_is_missing() {
+    let bench = Bench::new();
+    let (bare, far) = (bench.cell(), placed(&bench, "192.0.2.7"));
+    let bare = bare.to_str().expect("UTF-8");
+    for (cell, args, words) in [
+        (
+            bare,
+            &["--node", "na"][..],
+            "node `na` has no address: write `node na at \"10.0.0.11\" port 7000;`",
+        ),
+        (bare, &["--node", "nx"], "the cell has no node `nx`"),
+        (&far, &["--node", "na"], "add --insecure"),
+        (&far, &["--node", "na", "--insecure"], "cannot bind UDP address 192.0.2.7"),
+        (&far, &["--node", "nb", "--kill", "na@1s"], "`na` is not run here"),
+        (bare, &["--observe", "0.0.0.0:0"], "--observe 0.0.0.0:0: whoever reaches this address"),
+        (bare, &["--restart", "na@1s"], "`na@1s` is not killed before it is started again"),
+    ] {
+        let mut command = imrs(bench.0.path(), &[&["run", cell, "--for", "2s"], args].concat());
+        command.env("XDG_STATE_HOME", bench.0.path().join("state"));
+        let said = support::finish(command);
+        assert_eq!(said.code, Some(2), "{args:?}: {said:?}");
+        assert!(said.err.contains(words), "{args:?} does not say `{words}`: {}", said.err);
+    }
+}
+
+#[test]
+fn nodes_are_watched_over_tcp() {
+    let dir = runtime_dir();
+    let cell = example("beam_lift.cell");
+    let args = ["run", &cell, "--observe", "127.0.0.1:0", "--format", "json"];
+    let mut child =
+        imrs(dir.path(), &args).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().expect("it starts");
+    let mut line = String::new();
+    BufReader::new(child.stdout.take().expect("a pipe")).read_line(&mut line).expect("a line");
+    let started: Value = serde_json::from_str(&line).expect("JSON");
+    let endpoint = format!("tcp:{}", started["started"][1]["observe"].as_str().expect("an address"));
+    let seen = run_in(dir.path(), &["monitor", "--connect", &endpoint, "--once", "--format", "json"]);
+    signal(child.id(), Signal::INT);
+    child.wait().expect("it ends");
+    assert_eq!(seen.last_json()["nodes"][0]["name"], "nr", "{seen:?}");
+}
+
+/// The scheduling policies of a process's threads: 1 is SCHED_FIFO.
+fn policies(pid: u64) -> Vec<String> {
+    let threads = std::fs::read_dir(format!("/proc/{pid}/task")).into_iter().flatten().flatten();
+    let policy = |stat: String| Some(stat.rsplit_once(')')?.1.split_whitespace().nth(38)?.to_owned());
+    threads.filter_map(|t| policy(std::fs::read_to_string(t.path().join("stat")).ok()?)).collect()
+}
+
+#[test]
+fn real_time_is_had_or_refused_with_what_to_do() {
+    let bench = Bench::new();
+    let cell = bench.cell();
+    let cell = cell.to_str().expect("UTF-8");
+    let args = ["run", cell, "--rt", "--for", "10m", "--format", "json"];
+    let mut command = imrs(bench.0.path(), &args);
+    let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("it starts");
+    let mut lines = BufReader::new(child.stdout.take().expect("a pipe")).lines();
+    let Some(Ok(line)) = lines.next() else {
+        let output = child.wait_with_output().expect("it ends");
+        let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        assert_eq!(output.status.code(), Some(2), "{said}");
+        assert!(said.contains("limits.conf") && said.contains("setcap"), "{said}");
+        return;
+    };
+    let started: Value = serde_json::from_str(&line).expect("JSON");
+    let policies = policies(number(&started["started"][0]["pid"]));
+    signal(child.id(), Signal::INT);
+    let summary: Value = serde_json::from_str(&lines.next().expect("a line").expect("text")).expect("JSON");
+    child.wait().expect("it ends");
+    assert!(policies.len() > 3 && policies.iter().all(|policy| policy == "1"), "{policies:?}");
+    assert_eq!(summary["rt"], true, "{summary}");
+}
+
+#[test]
+fn an_extern_task_is_a_rust_program() {
+    let dir = runtime_dir();
+    let cell = example("extern_task.cell");
+    let said = run_in(dir.path(), &["run", &cell]);
+    assert_eq!(said.code, Some(2), "{said:?}");
+    assert!(said.err.contains("task `camera` is extern") && said.err.contains("--node"), "{said:?}");
+    // All nodes in a process of its own.
+    let mut cargo = std::process::Command::new(env!("CARGO"));
+    cargo.args(["run", "--quiet", "--offline", "--example", "extern_task"]);
+    cargo.current_dir(env!("CARGO_MANIFEST_DIR")).env("XDG_RUNTIME_DIR", dir.path());
+    let output = cargo.output().expect("it runs");
+    let text = String::from_utf8_lossy(&output.stdout);
+    assert!(output.status.success(), "{output:?}");
+    assert_eq!(text.lines().filter(|line| line.starts_with("pick picks the part at (")).count(), 3, "{text}");
+    assert!(text.contains("camera: stopped") && text.contains("pick: done"), "{text}");
+}
+
+#[test]
+fn the_library_says_what_does_not_fit() {
+    use imrs::{Program, ProgramError};
+    let open = || Program::open(example("extern_task.cell")).expect("a cell");
+    let soon = Some(std::time::Duration::from_millis(1));
+    assert!(matches!(open().run(soon), Err(ProgramError::NoBody(task)) if task == "camera"));
+    let body = |task: &str| open().body(task, |_| Ok(()));
+    assert!(matches!(body("pick").run(soon), Err(ProgramError::NotExtern(task)) if task == "pick"));
+    assert!(matches!(body("pik").run(soon), Err(ProgramError::NoTask(task)) if task == "pik"));
+    let unknown = body("camera").action("pik_at", |_| Ok(0));
+    assert!(matches!(unknown.run(soon), Err(ProgramError::NoAction(name)) if name == "pik_at"));
+    assert!(matches!(body("camera").node("nx").run(soon), Err(ProgramError::NoNode(name)) if name == "nx"));
+    let faulty = Program::of_text("x.cell", "cell x;\nnode a\n");
+    assert!(matches!(faulty, Err(ProgramError::Cell(words)) if words.contains("x.cell:2:")));
 }

@@ -6,7 +6,7 @@ use crate::node::{Node, Plan};
 use crate::record::Recorder;
 use crate::script::{Actions, Seat, Simulated, Watch};
 use crate::threads::{Runtime, TaskProgram};
-use imrs_protocol::script::{Program, ProgramError};
+use imrs_protocol::script::{HOST_LIMIT, Program, ProgramError};
 use imrs_protocol::{CellTable, Incarnation, NodeId, NodeTable};
 use std::io;
 use std::sync::Arc;
@@ -180,15 +180,18 @@ impl Builder {
             link: self.link,
             recorder: self.recorder,
         });
+        let scripts =
+            programs.iter().filter(|(_, program)| matches!(program, TaskProgram::Script(_))).count();
+        let together = HOST_LIMIT.saturating_mul(u32::try_from(scripts).unwrap_or(u32::MAX));
         for (place, (name, program)) in programs.iter().enumerate() {
             if let TaskProgram::Script(program) = program {
                 program.check().map_err(|error| StartError::Script(name.clone(), error))?;
-                let seat = Seat::new(place, Arc::clone(program), self.watch.clone(), self.seed);
+                let seat = Seat::new(place, Arc::clone(program), self.watch.clone(), self.seed, together);
                 node.look(&node.members.list[place], |comm| comm.seat(seat));
             }
         }
         let seed = self.seed;
-        let actions = self.actions.map_or_else(|| Simulated::start(seed, Vec::new()), Ok);
+        let actions = self.actions.map_or_else(|| Simulated::start(seed, Vec::new(), Vec::new()), Ok);
         let actions = actions.map_err(|source| StartError::Thread { name: "imrs actions".into(), source })?;
         Runtime::start(Arc::new(node), programs, actions, self.holds)
     }

@@ -31,17 +31,19 @@ pub(crate) struct Effects {
     pub queue: VecDeque<Effect>,
     /// What scripts want done outside.
     pub deeds: VecDeque<Deed>,
+    /// How many steps scripts took since something came from outside of the node.
+    pub steps: u32,
     /// The task whose thread this is, if it waits for what it asks.
     pub waiter: Option<TaskId>,
 }
 
 impl Effects {
     pub fn new(waiter: Option<TaskId>) -> Self {
-        Self { queue: VecDeque::with_capacity(256), deeds: VecDeque::new(), waiter }
+        Self { queue: VecDeque::with_capacity(256), deeds: VecDeque::new(), steps: 0, waiter }
     }
 
     /// For a thread that only looks, and rarely finds work that others left it.
     pub fn of_an_onlooker() -> Self {
-        Self { queue: VecDeque::new(), deeds: VecDeque::new(), waiter: None }
+        Self { queue: VecDeque::new(), deeds: VecDeque::new(), steps: 0, waiter: None }
     }
 }

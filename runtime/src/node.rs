@@ -216,6 +216,7 @@ impl Node {
                 }
             }
             if effects.queue.is_empty() {
+                effects.steps = 0;
                 return;
             }
         }

@@ -1,10 +1,12 @@
-//! Shows a running node to monitors, over a Unix socket that only its user can open ([`imrs_wire::obs`]).
+//! Shows a running node to monitors ([`imrs_wire::obs`]): over a Unix socket that only its user can open, and where
+//! asked for over TCP, where nothing keeps anybody out who reaches the address.
 //!
 //! One thread serves all monitors. It only looks: there is no way from here into a machine. Without a monitor it sleeps
 //! in the kernel. A monitor that does not read costs one frame of memory and no time: nothing more is made for it
 //! until that frame has gone, so snapshots coalesce and events are counted as lost.
 
 mod client;
+mod stream;
 
 use crate::node::Node;
 use client::Client;
@@ -12,6 +14,7 @@ use imrs_wire::obs::place::{self, PlaceError};
 use rustix::event::{EventfdFlags, PollFd, PollFlags, Timespec, eventfd, poll};
 use std::fs::{self, Permissions};
 use std::io::{self, ErrorKind};
+use std::net::SocketAddr;
 use std::os::fd::{AsFd, OwnedFd};
 use std::os::unix::fs::PermissionsExt;
 use std::os::unix::net::{UnixListener, UnixStream};
@@ -19,6 +22,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
+use stream::Listener;
 
 /// How many monitors a node serves at once.
 pub const MAX_MONITORS: usize = 8;
@@ -34,6 +38,14 @@ pub enum ObserverError {
     /// Another process serves this socket.
     #[error("{0} is served by another process")]
     Taken(PathBuf),
+    /// The operating system refused the TCP address.
+    #[error("cannot serve monitors at tcp:{address}: {source}")]
+    Tcp {
+        /// The address.
+        address: SocketAddr,
+        /// Why.
+        source: io::Error,
+    },
     /// The operating system refused.
     #[error("cannot serve monitors at {path}: {source}")]
     Io {
@@ -47,9 +59,18 @@ pub enum ObserverError {
 /// Serves monitors until it is dropped.
 #[derive(Debug)]
 pub struct Observer {
-    path: PathBuf,
+    place: Place,
     stop: Arc<OwnedFd>,
     thread: Option<JoinHandle<()>>,
+}
+
+/// Where monitors find a node.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Place {
+    /// This Unix socket.
+    Unix(PathBuf),
+    /// This TCP address.
+    Tcp(SocketAddr),
 }
 
 impl Observer {
@@ -78,19 +99,36 @@ impl Observer {
         let listener = bind(path)?;
         // Until here the folder, which is this user's alone, kept others out.
         fs::set_permissions(path, Permissions::from_mode(0o600)).map_err(io)?;
-        listener.set_nonblocking(true).map_err(io)?;
-        let stop = Arc::new(eventfd(0, EventfdFlags::CLOEXEC).map_err(|e| io(e.into()))?);
-        let server =
-            Server { node, listener, stop: Arc::clone(&stop), clients: Vec::new(), rest_until: None };
-        let thread =
-            thread::Builder::new().name("imrs observer".into()).spawn(move || server.run()).map_err(io)?;
-        Ok(Self { path: path.into(), stop, thread: Some(thread) })
+        Self::serve(node, Listener::Unix(listener), Place::Unix(path.into())).map_err(io)
     }
 
-    /// The socket.
+    /// Shows `node` at a TCP address (port 0: any free one) to everybody who can reach it.
+    ///
+    /// # Errors
+    /// [`ObserverError::Tcp`].
+    pub fn start_tcp(node: Arc<Node>, address: SocketAddr) -> Result<Self, ObserverError> {
+        let failed = |source| ObserverError::Tcp { address, source };
+        let listener = Listener::tcp(address).map_err(failed)?;
+        let bound = match &listener {
+            Listener::Tcp(listener) => listener.local_addr().map_err(failed)?,
+            Listener::Unix(_) => address,
+        };
+        Self::serve(node, listener, Place::Tcp(bound)).map_err(failed)
+    }
+
+    fn serve(node: Arc<Node>, listener: Listener, place: Place) -> io::Result<Self> {
+        listener.set_nonblocking()?;
+        let stop = Arc::new(eventfd(0, EventfdFlags::CLOEXEC)?);
+        let server =
+            Server { node, listener, stop: Arc::clone(&stop), clients: Vec::new(), rest_until: None };
+        let thread = thread::Builder::new().name("imrs observer".into()).spawn(move || server.run())?;
+        Ok(Self { place, stop, thread: Some(thread) })
+    }
+
+    /// Where monitors find the node.
     #[must_use]
-    pub fn path(&self) -> &Path {
-        &self.path
+    pub const fn place(&self) -> &Place {
+        &self.place
     }
 }
 
@@ -101,7 +139,9 @@ impl Drop for Observer {
         if let Some(thread) = self.thread.take() {
             let _ = thread.join();
         }
-        let _ = fs::remove_file(&self.path);
+        if let Place::Unix(path) = &self.place {
+            let _ = fs::remove_file(path);
+        }
     }
 }
 
@@ -123,7 +163,7 @@ fn bind(path: &Path) -> Result<UnixListener, ObserverError> {
 
 struct Server {
     node: Arc<Node>,
-    listener: UnixListener,
+    listener: Listener,
     stop: Arc<OwnedFd>,
     clients: Vec<Client>,
     rest_until: Option<Instant>,
@@ -179,7 +219,7 @@ impl Server {
     fn accept(&mut self, now: Instant) {
         match self.listener.accept() {
             // Some more than are served are heard, to be told so; a crowd is turned away unheard.
-            Ok((stream, _)) if same_user(&stream) && self.clients.len() < 2 * MAX_MONITORS => {
+            Ok(Some(stream)) if self.clients.len() < 2 * MAX_MONITORS => {
                 let client =
                     Client::new(stream, Arc::clone(&self.node), self.clients.len() < MAX_MONITORS, now);
                 self.clients.extend(client);
@@ -199,9 +239,4 @@ impl Server {
 struct Ready {
     listener: bool,
     clients: Vec<bool>,
-}
-
-/// The folder and the mode keep other users out already; this holds where somebody loosened them.
-fn same_user(stream: &UnixStream) -> bool {
-    rustix::net::sockopt::socket_peercred(stream).is_ok_and(|peer| peer.uid == rustix::process::geteuid())
 }

@@ -13,7 +13,7 @@ mod simulated;
 pub use actions::{Act, Actions, Ending, Stop};
 pub use command::Commands;
 pub use functions::{Call, Functions};
-pub use simulated::{Results, Simulated};
+pub use simulated::{Course, Give, Results, Simulated};
 
 pub(crate) use actions::{Deed, Stage};
 pub(crate) use seat::Seat;

@@ -4,7 +4,7 @@ mod common;
 
 use common::{A, B, LONG, LONG_TICKS, ask, cell, finish, one_node, report, table};
 use imrs_protocol::{Event, PortDecl, TaskState, Ticks, Usage};
-use imrs_runtime::observer::{MAX_MONITORS, Observer, ObserverError};
+use imrs_runtime::observer::{MAX_MONITORS, Observer, ObserverError, Place};
 use imrs_runtime::{Runtime, Sent};
 use imrs_wire::obs::{
     ClientFrame, DecodeError, FrameError, FrameReader, FrameWriter, Goodbye, Handshake, Hello, Liveness,
@@ -61,6 +61,13 @@ fn node() -> (Runtime, Sender<u8>) {
     (runtime, tell)
 }
 
+fn socket(observer: &Observer) -> &Path {
+    match observer.place() {
+        Place::Unix(path) => path,
+        Place::Tcp(address) => panic!("at {address}"),
+    }
+}
+
 struct Monitor {
     reader: FrameReader<UnixStream>,
     writer: FrameWriter<UnixStream>,
@@ -112,9 +119,9 @@ fn a_monitor_sees_tasks_queues_and_events() {
     let folder = Folder::new("sees");
     let (runtime, tell) = node();
     let observer = Observer::start_at(runtime.node().clone(), &folder.socket()).unwrap();
-    let mode = std::fs::metadata(observer.path()).unwrap().permissions().mode();
+    let mode = std::fs::metadata(socket(&observer)).unwrap().permissions().mode();
     assert_eq!(mode & 0o777, 0o600);
-    let mut monitor = Monitor::attach(observer.path());
+    let mut monitor = Monitor::attach(socket(&observer));
     monitor.subscribe(true, u16::MAX);
     let ServerFrame::Snapshot(first) = monitor.next() else { panic!("a snapshot comes at once") };
     assert_eq!(first.tasks.len(), 2);
@@ -154,18 +161,18 @@ fn other_versions_and_too_many_are_refused_by_name() {
     let (runtime, _tell) = node();
     let observer = Observer::start_at(runtime.node().clone(), &folder.socket()).unwrap();
     let other = Version { major: 9, minor: 1 };
-    let (_, answer) = Monitor::connect(observer.path()).say_hello(other, SCHEMA).unwrap();
+    let (_, answer) = Monitor::connect(socket(&observer)).say_hello(other, SCHEMA).unwrap();
     assert_eq!(answer, Handshake::Refused(Refusal::OtherMajor { node: VERSION, monitor: other }));
-    let (_, answer) = Monitor::connect(observer.path()).say_hello(VERSION, SCHEMA ^ 1).unwrap();
+    let (_, answer) = Monitor::connect(socket(&observer)).say_hello(VERSION, SCHEMA ^ 1).unwrap();
     assert_eq!(answer, Handshake::Refused(Refusal::OtherSchema { node: SCHEMA, monitor: SCHEMA ^ 1 }));
 
-    let attached: Vec<_> = (0..MAX_MONITORS).map(|_| Monitor::attach(observer.path())).collect();
-    let (_, answer) = Monitor::connect(observer.path()).say_hello(VERSION, SCHEMA).unwrap();
+    let attached: Vec<_> = (0..MAX_MONITORS).map(|_| Monitor::attach(socket(&observer))).collect();
+    let (_, answer) = Monitor::connect(socket(&observer)).say_hello(VERSION, SCHEMA).unwrap();
     assert!(matches!(answer, Handshake::Refused(Refusal::TooMany { .. })), "{answer:?}");
     drop(attached);
     let start = Instant::now();
     while !matches!(
-        Monitor::connect(observer.path()).say_hello(VERSION, SCHEMA),
+        Monitor::connect(socket(&observer)).say_hello(VERSION, SCHEMA),
         Ok((_, Handshake::Hello(_)))
     ) {
         assert!(start.elapsed() < LONG, "the places of those who left stay taken");
@@ -177,22 +184,22 @@ fn garbage_and_silence_cost_the_sender_only() {
     let folder = Folder::new("garbage");
     let (runtime, tell) = node();
     let observer = Observer::start_at(runtime.node().clone(), &folder.socket()).unwrap();
-    let mut silent = Monitor::attach(observer.path());
+    let mut silent = Monitor::attach(socket(&observer));
     // Subscribes with all the credit there is, and never reads.
     silent.subscribe(true, u16::MAX);
     let mut draws = fastrand::Rng::with_seed(11);
     for _ in 0..50 {
-        let mut garbage = UnixStream::connect(observer.path()).unwrap();
+        let mut garbage = UnixStream::connect(socket(&observer)).unwrap();
         let bytes: Vec<u8> = (0..draws.usize(0..200)).map(|_| draws.u8(..)).collect();
         let _ = garbage.write_all(&bytes);
     }
-    let mut confused = Monitor::attach(observer.path());
+    let mut confused = Monitor::attach(socket(&observer));
     confused.writer.push_bytes(&[0xff; 9]).unwrap();
     confused.writer.flush().unwrap();
     assert!(matches!(confused.next(), ServerFrame::Bye(bye) if bye.reason == Goodbye::Misunderstood));
     assert!(matches!(confused.reader.read_frame(), Err(FrameError::Closed)));
 
-    let mut monitor = Monitor::attach(observer.path());
+    let mut monitor = Monitor::attach(socket(&observer));
     monitor.subscribe(false, 2);
     assert!(matches!(monitor.next(), ServerFrame::Snapshot(_)));
     assert!(matches!(monitor.next(), ServerFrame::Snapshot(_)));
@@ -216,7 +223,7 @@ fn a_socket_nobody_serves_is_taken_over_and_a_served_one_is_not() {
     let observer = Observer::start_at(runtime.node().clone(), &folder.socket()).unwrap();
     let second = Observer::start_at(runtime.node().clone(), &folder.socket());
     assert!(matches!(second, Err(ObserverError::Taken(_))), "{second:?}");
-    drop(Monitor::attach(observer.path()));
+    drop(Monitor::attach(socket(&observer)));
     drop((observer, tell));
     drop(runtime);
 }
@@ -262,4 +269,30 @@ fn observing_changes_nothing_and_ends_without_a_trace() {
     let own: Vec<_> = events.iter().filter(|e| e.task == Some(A)).map(|e| e.what.number).collect();
     assert!(own.is_sorted(), "oldest first for each task");
     finish(node);
+}
+
+#[test]
+fn over_tcp_the_same_is_said() {
+    let (runtime, _tell) = node();
+    let any = std::net::SocketAddr::from(([127, 0, 0, 1], 0));
+    let observer = Observer::start_tcp(runtime.node().clone(), any).unwrap();
+    let Place::Tcp(address) = *observer.place() else { panic!("over TCP") };
+    let stream = std::net::TcpStream::connect(address).unwrap();
+    stream.set_read_timeout(Some(LONG)).unwrap();
+    let mut reader = FrameReader::new(stream.try_clone().unwrap(), MAX_FRAME);
+    let mut writer = FrameWriter::new(stream);
+    let hello = Hello { schema: SCHEMA, pid: 1, build: "test".into(), mono_us: 0, role: Role::Monitor };
+    writer.push_bytes(&Handshake::Hello(hello).encode(VERSION)).unwrap();
+    let wanted = Subscribe { period_us: 10_000, queue_limit: 8, events: false, credit: 1 };
+    writer.push(&ClientFrame::Subscribe(wanted)).unwrap();
+    writer.flush().unwrap();
+    let (_, answer) = Handshake::decode(reader.read_frame().unwrap()).unwrap();
+    assert!(matches!(answer, Handshake::Hello(Hello { role: Role::Node(_), .. })), "{answer:?}");
+    let mut next = || ServerFrame::decode(reader.read_frame().unwrap()).unwrap();
+    assert!(matches!(next(), ServerFrame::Table(_)));
+    assert!(matches!(next(), ServerFrame::Snapshot(_)));
+    let taken = Observer::start_tcp(runtime.node().clone(), address);
+    assert!(matches!(taken, Err(ObserverError::Tcp { .. })), "{taken:?}");
+    drop(observer);
+    assert!(matches!(next(), ServerFrame::Bye(_)));
 }

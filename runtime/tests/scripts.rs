@@ -3,7 +3,9 @@
 mod common;
 
 use common::{A, B, LONG, LONG_TICKS, Tape, ask, cell, network, on, one_node, report, table};
-use imrs_protocol::script::{Binary, End, Outcomes, Program, ProgramBuilder, StatementOutcome, Type};
+use imrs_protocol::script::{
+    Binary, End, Outcomes, Program, ProgramBuilder, ScriptFault, StatementOutcome, Type,
+};
 use imrs_protocol::{CellTable, Incarnation, NodeId, NodeTable, PortId, Target, TaskId, Ticks};
 use imrs_runtime::link::in_process::Faults;
 use imrs_runtime::record::{Recorder, replay};
@@ -109,6 +111,28 @@ fn a_script_and_a_rust_task_share_a_node() {
     assert_eq!(end_of(node, "a"), TaskEnd::Script(End::Finished));
 }
 
+#[test]
+fn two_scripts_of_a_node_that_answer_each_other_for_ever_in_no_time_are_stopped() {
+    let mut cell = cell(&[0, 0], Ticks(2_000));
+    cell.port(ask(LONG_TICKS));
+    // More than two scripts may take together before anything comes from outside.
+    let node = one_node(&table(cell)).script("a", asker(30_000)).script("b", answerer()).start().unwrap();
+    let deadline = Instant::now() + LONG;
+    let alive = |node: &Runtime| {
+        let tasks = node.node().snapshot(0).tasks;
+        tasks.iter().all(|task| task.liveness == imrs_wire::obs::Liveness::Alive)
+    };
+    while alive(&node) {
+        assert!(Instant::now() < deadline, "nobody stops them");
+        std::thread::sleep(Duration::from_millis(1));
+    }
+    let ends = node.stop(LONG);
+    let runaway = |(_, end): &(String, TaskEnd)| {
+        matches!(end, TaskEnd::Script(End::Fault { fault: ScriptFault::Runaway, .. }))
+    };
+    assert_eq!(ends.iter().filter(|end| runaway(end)).count(), 1, "{ends:?}");
+}
+
 fn replays(table: &Arc<CellTable>, tape: &Tape, node: NodeId, task: TaskId) -> usize {
     let steps = tape.closed.lock().unwrap().remove(&task).expect("steps");
     replay(&NodeTable::new(Arc::clone(table), node), task, Incarnation(1), false, steps)
@@ -140,7 +164,7 @@ fn act_with(actions: Arc<dyn Actions>) -> TaskEnd {
 }
 
 fn simulated() -> Arc<dyn Actions> {
-    Simulated::start(1, Vec::new()).expect("a thread")
+    Simulated::start(1, Vec::new(), Vec::new()).expect("a thread")
 }
 
 fn command(words: &[&str]) -> Arc<dyn Actions> {
@@ -201,11 +225,14 @@ impl Watch for Notes {
 fn a_simulated_action_takes_a_time_of_its_interval_the_same_for_the_same_seed() {
     let run = |seed| {
         let notes = Arc::new(Notes(Mutex::default()));
-        let results = vec![imrs_runtime::script::Results { name: "grip".into(), range: 0..=1_000_000 }];
+        let results = vec![imrs_runtime::script::Results {
+            name: "grip".into(),
+            give: imrs_runtime::script::Give::Whole(0, 1_000_000),
+        }];
         let node = one_node(&table(cell(&[0], Ticks(2_000))));
         let node = node
             .script("a", actor(Ticks(20_000), Ticks(30_000)))
-            .actions(Simulated::start(seed, results).expect("a thread"))
+            .actions(Simulated::start(seed, results, Vec::new()).expect("a thread"))
             .watch(Arc::clone(&notes) as Arc<dyn Watch>)
             .start()
             .unwrap();

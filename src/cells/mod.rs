@@ -1,35 +1,26 @@
-//! The cells that can be run: the built-in ones, whose tasks are Rust programs, and those of the cell language.
-
-pub mod beam_lift;
+//! Cells of the cell language, compiled to run.
 
 use crate::cell_file;
 use crate::exit::Failure;
-use imrs_language::lower::{Action, Behaviour, Script};
+use imrs_language::lower::{Action, Address, Behaviour, Check, CheckKind, Script};
 use imrs_language::{Options, Unit, compile_with, render};
 use imrs_protocol::script::Type;
 use imrs_protocol::{Cell, CellTable, TaskId};
-use imrs_runtime::script::Results;
+use imrs_runtime::script::{Give, Results};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
-use std::ops::RangeInclusive;
 use std::path::Path;
 use std::sync::Arc;
 
-/// Where a cell comes from: what a node is told to run.
+/// The text of a cell: what a node is told to run.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(rename_all = "snake_case")]
-pub enum Source {
-    /// The built-in cell of this name.
-    BuiltIn(String),
-    /// This text.
-    Text {
-        /// The name of its file.
-        name: String,
-        /// The text.
-        text: String,
-        /// Whether the paper's own rules hold.
-        paper: bool,
-    },
+pub struct Source {
+    /// The name of its file.
+    pub name: String,
+    /// The text.
+    pub text: String,
+    /// Whether the paper's own rules hold.
+    pub paper: bool,
 }
 
 /// A cell with what its tasks do.
@@ -39,7 +30,11 @@ pub struct Loaded {
     pub table: Arc<CellTable>,
     /// By task, its script; none where a Rust program says what the task does.
     pub scripts: Vec<Option<Box<Script>>>,
-    source: Option<imrs_language::Source>,
+    /// By node, where it is.
+    pub addresses: Vec<Address>,
+    /// What must hold.
+    pub checks: Vec<Check>,
+    source: imrs_language::Source,
 }
 
 /// Reads and compiles the cell of a file; `paper` as in [`Options`].
@@ -48,7 +43,7 @@ pub struct Loaded {
 /// The file cannot be read, or the cell has errors.
 pub fn open(path: &Path, paper: bool) -> Result<(Source, Loaded), Failure> {
     let source = cell_file::read(path)?;
-    let source = Source::Text { name: cell_file::shown(path), text: source.text().to_owned(), paper };
+    let source = Source { name: cell_file::shown(path), text: source.text().to_owned(), paper };
     let loaded = load(&source)?;
     Ok((source, loaded))
 }
@@ -58,20 +53,8 @@ pub fn open(path: &Path, paper: bool) -> Result<(Source, Loaded), Failure> {
 /// # Errors
 /// The cell has errors.
 pub fn load(source: &Source) -> Result<Loaded, Failure> {
-    match source {
-        Source::BuiltIn(name) => built_in(name),
-        Source::Text { name, text, paper } => of_text(name, text, Options { paper: *paper }),
-    }
-}
-
-fn built_in(name: &str) -> Result<Loaded, Failure> {
-    let cell =
-        if name == beam_lift::NAME { beam_lift::cell() } else { Cell::new(name, imrs_protocol::Ticks(1)) };
-    let scripts = cell.tasks.iter().map(|_| None).collect();
-    Ok(Loaded { table: table(cell)?, scripts, source: None })
-}
-
-fn of_text(name: &str, text: &str, options: Options) -> Result<Loaded, Failure> {
+    let Source { name, text, paper } = source;
+    let options = Options { paper: *paper };
     let source = imrs_language::Source::new(text.as_bytes()).map_err(|found| said(&[*found], name, None))?;
     let compiled = compile_with(&source, options);
     let Some(lowered) = compiled.lower(Unit::Microseconds) else {
@@ -82,7 +65,8 @@ fn of_text(name: &str, text: &str, options: Options) -> Result<Loaded, Failure> 
         Behaviour::Extern(_) => None,
     };
     let scripts = lowered.tasks.into_iter().map(script).collect();
-    Ok(Loaded { table: table(lowered.cell)?, scripts, source: Some(source) })
+    let (addresses, checks) = (lowered.addresses, lowered.checks);
+    Ok(Loaded { table: table(lowered.cell)?, scripts, addresses, checks, source })
 }
 
 fn table(cell: Cell) -> Result<Arc<CellTable>, Failure> {
@@ -101,14 +85,45 @@ impl Loaded {
     pub fn line(&self, task: TaskId, at: u16) -> Option<usize> {
         let script = self.scripts.get(task.index())?.as_ref()?;
         let span = script.spans.get(usize::from(at))?;
-        Some(self.source.as_ref()?.position(span.start).0)
+        Some(self.source.position(span.start).0)
     }
 
     /// The name of an action of a task.
     pub fn action(&self, task: TaskId, action: u16) -> &str {
-        let script = self.scripts.get(task.index()).and_then(Option::as_ref);
-        let action = script.and_then(|script| script.actions.get(usize::from(action)));
-        action.map_or("?", |action| action.name.as_str())
+        self.one_action(task, action).map_or("?", |action| action.name.as_str())
+    }
+
+    /// A line of the text, from 1.
+    pub fn text_of(&self, line: usize) -> &str {
+        self.source.text().lines().nth(line.saturating_sub(1)).unwrap_or_default().trim()
+    }
+
+    /// The arguments of an action, as a person writes them.
+    pub fn arguments(&self, task: TaskId, action: u16, values: &[i64]) -> Vec<String> {
+        let types = self.one_action(task, action).map_or(&[][..], |action| &action.arguments);
+        let of = |(i, &value): (usize, &i64)| shown(types.get(i).copied(), value);
+        values.iter().enumerate().map(of).collect()
+    }
+
+    /// The result of an action, as a person writes it; none where nothing reads it.
+    pub fn result(&self, task: TaskId, action: u16, value: i32) -> Option<String> {
+        let of = self.one_action(task, action)?.result?;
+        // A real by its bits.
+        let bits = i64::from(value.cast_unsigned());
+        Some(shown(Some(of), if of == Type::Real { bits } else { i64::from(value) }))
+    }
+
+    /// How soon the check of this name wants what it leads to.
+    pub fn within(&self, check: &str) -> Option<u64> {
+        let check = self.checks.iter().find(|one| one.name == check)?;
+        match &check.kind {
+            CheckKind::Leads { within, .. } => Some(within.0),
+            CheckKind::Always(_) => None,
+        }
+    }
+
+    fn one_action(&self, task: TaskId, action: u16) -> Option<&Action> {
+        self.scripts.get(task.index())?.as_ref()?.actions.get(usize::from(action))
     }
 
     /// The names of all actions.
@@ -118,14 +133,24 @@ impl Loaded {
 
     /// What simulated actions give: what is declared, else what the cell compares it with, else something small.
     pub fn results(&self) -> Vec<Results> {
-        let mut results: BTreeMap<&str, RangeInclusive<i32>> = BTreeMap::new();
+        let mut results: BTreeMap<&str, (i64, i64, bool)> = BTreeMap::new();
         for action in self.all_actions() {
-            if let Some(range) = range(action) {
-                let known = results.entry(&action.name).or_insert_with(|| range.clone());
-                *known = *known.start().min(range.start())..=*known.end().max(range.end());
+            if let Some((least, most)) = range(action) {
+                let real = action.result == Some(Type::Real);
+                let known = results.entry(&action.name).or_insert((least, most, real));
+                *known = (known.0.min(least), known.1.max(most), real);
             }
         }
-        results.into_iter().map(|(name, range)| Results { name: name.into(), range }).collect()
+        let of = |(name, (least, most, real)): (&str, (i64, i64, bool))| {
+            #[expect(clippy::cast_precision_loss, reason = "the nearest real is meant")]
+            let give = if real {
+                Give::Real(least as f32, most as f32)
+            } else {
+                Give::Whole(i32::try_from(least).ok()?, i32::try_from(most).ok()?)
+            };
+            Some(Results { name: name.into(), give })
+        };
+        results.into_iter().filter_map(of).collect()
     }
 
     fn all_actions(&self) -> impl Iterator<Item = &Action> {
@@ -133,15 +158,20 @@ impl Loaded {
     }
 }
 
-fn range(action: &Action) -> Option<RangeInclusive<i32>> {
+/// The least and the most that an action gives.
+fn range(action: &Action) -> Option<(i64, i64)> {
     let compared = || Some((*action.values.iter().min()?, *action.values.iter().max()?));
     let of_type = || match action.result? {
         Type::Bool => Some((0, 1)),
-        Type::Int8 | Type::Int16 | Type::Int32 | Type::Word => Some((0, 100)),
-        // By its bits: 0 alone.
-        Type::Real => Some((0, 0)),
+        Type::Int8 | Type::Int16 | Type::Int32 | Type::Word | Type::Real => Some((0, 100)),
     };
-    let (least, most) = action.range.or_else(compared).or_else(of_type)?;
-    let (least, most) = (i32::try_from(least).ok()?, i32::try_from(most).ok()?);
-    (least <= most).then_some(least..=most)
+    action.range.or_else(compared).or_else(of_type).filter(|(least, most)| least <= most)
+}
+
+fn shown(of: Option<Type>, value: i64) -> String {
+    match of {
+        Some(Type::Real) => u32::try_from(value).map_or(0.0, f32::from_bits).to_string(),
+        Some(Type::Bool) => (value != 0).to_string(),
+        Some(Type::Int8 | Type::Int16 | Type::Int32 | Type::Word) | None => value.to_string(),
+    }
 }

@@ -1,210 +1,209 @@
-//! What the tasks of the beam lift do. The robots are simulated; their communication is not.
+//! Tightly coupled: what may not happen is that one arm goes on alone.
 
-use crate::cells::beam_lift::{ARM_L, ARM_R, BEAT, HALT, HOIST, LIFT};
-use crate::launch::clock::now_us;
-use crate::launch::probe::Probe;
-use fastrand::Rng;
-use imrs_protocol::{Delivery, Fault, PortId, Ranked, Round};
-use imrs_runtime::{Context, Rendezvous, RequestFault, TaskError};
-use std::ops::Range;
-use std::time::Duration;
+use crate::launch::Fault;
+use crate::launch::deed::{Deed, Did};
+use crate::launch::story::{Outcome, Story};
+use crate::output::{count, span};
+use imrs_protocol::TaskId;
 
-/// The program of a task: runs until the node stops.
-pub type Program = Box<dyn FnOnce(&mut Context) -> Result<(), TaskError> + Send>;
+/// How long after its partner an arm may be seen to stop, whatever this machine is busy with, in microseconds: one that
+/// is still moving then goes on alone.
+const ALONE: u64 = 1_000_000;
 
-/// How many heart-beats one lift takes.
-const STEPS: u8 = 4;
-/// The time between two heart-beats.
-const PERIOD: Duration = Duration::from_millis(3);
-/// How long the right arm moves without hearing of the left one.
-const SILENCE: Duration = Duration::from_millis(40);
-/// How long the hoist winds without hearing that it should stop.
-const WINDING: Duration = Duration::from_millis(50);
-
-/// The program of the task of this name.
-pub fn program(task: &str, probe: Probe, seed: u64) -> Option<Program> {
-    // Seeded by name, so that no two tasks work in step.
-    let salt = task.bytes().fold(0_u64, |hash, byte| hash.wrapping_mul(31).wrapping_add(u64::from(byte)));
-    let robot = Robot { probe, rng: Rng::with_seed(seed ^ salt) };
-    match task {
-        ARM_L => Some(Box::new(|ctx| robot.left_arm(ctx))),
-        ARM_R => Some(Box::new(|ctx| robot.right_arm(ctx))),
-        HOIST => Some(Box::new(|ctx| robot.hoist(ctx))),
-        _ => None,
-    }
+/// A movement of an arm: from its start to its stop, if that came.
+#[derive(Clone, Copy, Debug)]
+struct Movement {
+    from: u64,
+    to: Option<u64>,
 }
 
-/// What every message of the cell says: when it was sent, in which lift, and one more thing.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-struct Message {
-    sent_us: u64,
-    round: Round,
-    detail: u8,
-}
-
-impl Message {
-    fn now(round: Round, detail: u8) -> Self {
-        Self { sent_us: now_us(), round, detail }
-    }
-
-    fn to_bytes(self) -> [u8; 11] {
-        let mut bytes = [0; 11];
-        bytes[..8].copy_from_slice(&self.sent_us.to_le_bytes());
-        bytes[8..10].copy_from_slice(&self.round.0.to_le_bytes());
-        bytes[10] = self.detail;
-        bytes
-    }
-
-    fn from_bytes(bytes: &[u8]) -> Option<Self> {
-        let (sent_us, rest) = bytes.split_first_chunk()?;
-        let (round, rest) = rest.split_first_chunk()?;
-        let sent_us = u64::from_le_bytes(*sent_us);
-        Some(Self { sent_us, round: Round(u16::from_le_bytes(*round)), detail: *rest.first()? })
-    }
-}
-
-struct Robot {
-    probe: Probe,
-    rng: Rng,
-}
-
-impl Robot {
-    /// Leads: beats while it moves, and says when to stop.
-    fn left_arm(mut self, ctx: &mut Context) -> Result<(), TaskError> {
-        let (lift, beat, halt) = (ctx.port(LIFT)?, ctx.port(BEAT)?, ctx.port(HALT)?);
-        self.probe.wait_for_start();
-        loop {
-            self.work(ctx, 2_000..4_000)?;
-            let Some(round) = self.meet(ctx, lift)? else { continue };
-            self.work(ctx, 1_000..2_000)?;
-            let mut height = 0;
-            while height < STEPS {
-                let sent = ctx.send(beat, &Message::now(round, height).to_bytes())?;
-                self.probe.sent(sent);
-                let partner_moves = sent.reply().is_some_and(|answer| answer.as_bytes() == [1]);
-                if !partner_moves {
-                    break;
-                }
-                height += 1;
-                ctx.delay(PERIOD)?;
-            }
-            // Class 1: it is not waited for, and never holds up the own stop.
-            self.probe.sent(ctx.send(halt, &Message::now(round, u8::from(height < STEPS)).to_bytes())?);
-            self.work(ctx, 1_000..2_000)?;
+/// Says what happened to the lifts.
+pub fn explain(story: &Story<'_>) -> Outcome {
+    let (Some(left), Some(right)) = (story.task("armL"), story.task("armR")) else {
+        return Outcome::default();
+    };
+    let moves = [movements(story, left), movements(story, right)];
+    let mut words = vec![match moves[0].len() {
+        0 => "The arms never lifted the beam.".into(),
+        n => format!("The arms lifted the beam {}.", times(n)),
+    }];
+    words.extend(waiting(story));
+    let cut = story.faults.iter().find_map(|(at, fault)| match fault {
+        Fault::Cut(a, b) => Some((*at, [story.node(*a), story.node(*b)])),
+        Fault::Kill(_) | Fault::Restart(_) | Fault::Heal(..) => None,
+    });
+    let mut hit = false;
+    if let Some((at, [a, b])) = cut {
+        words.push(format!("At {} the link between {a} and {b} went dead.", story.at(at)));
+        hit = moves.iter().flatten().any(|m| m.from < at && m.to.is_none_or(|to| to > at));
+        if hit {
+            words.extend([left, right].into_iter().filter_map(|arm| why(story, arm, at)));
+        } else {
+            words.push("Nothing moved just then, so nothing had to stop.".into());
         }
     }
+    let alone =
+        [(0, left), (1, right)].into_iter().find_map(|(i, arm)| alone(story, &moves[i], &moves[1 - i], arm));
+    if let Some(skew) = skew(&moves).filter(|_| alone.is_none()) {
+        words.push(apart(story, skew));
+    }
+    if let Some((at, _)) = cut.filter(|_| hit) {
+        words.push(afterwards(story, at));
+    }
+    let kills = story.faults.iter().any(|(_, fault)| matches!(fault, Fault::Kill(_)));
+    let held = if let Some(words_of_it) = alone {
+        words.push(words_of_it);
+        Some(false)
+    } else if moves.iter().all(Vec::is_empty) && !kills {
+        None
+    } else {
+        words.push("Neither arm ever went on alone.".into());
+        Some(true)
+    };
+    Outcome { held, words }
+}
 
-    /// Answers heart-beats while it moves; stops when told to, or when it hears nothing.
-    fn right_arm(mut self, ctx: &mut Context) -> Result<(), TaskError> {
-        let (lift, beat, halt) = (ctx.port(LIFT)?, ctx.port(BEAT)?, ctx.port(HALT)?);
-        ctx.order(&[Ranked::Port(halt), Ranked::Port(beat)])?;
-        self.probe.wait_for_start();
-        loop {
-            self.work(ctx, 2_000..4_000)?;
-            let Some(round) = self.meet(ctx, lift)? else { continue };
-            self.work(ctx, 1_000..2_000)?;
-            while let Some(delivery) = ctx.receive(None, Some(SILENCE))? {
-                let message = Message::from_bytes(delivery.contents.as_bytes());
-                let ours = message.is_some_and(|m| m.round == round);
-                if delivery.from.port == beat {
-                    self.answer(ctx, &delivery, message, ours)?;
-                } else if ours {
-                    break;
+/// From each end of `start_lift` to the end of the next `stop_now`.
+fn movements(story: &Story<'_>, arm: TaskId) -> Vec<Movement> {
+    let mut all: Vec<Movement> = Vec::new();
+    for did in story.of(arm) {
+        let Deed::Ends { action, .. } = &did.what else { continue };
+        match action.as_str() {
+            "start_lift" => all.push(Movement { from: did.at, to: None }),
+            "stop_now" => {
+                if let Some(last) = all.last_mut() {
+                    last.to.get_or_insert(did.at);
                 }
             }
-            self.work(ctx, 1_000..2_000)?;
+            _ => {}
         }
     }
-
-    /// Winds while the arms lift; looks between two steps whether it should stop.
-    fn hoist(mut self, ctx: &mut Context) -> Result<(), TaskError> {
-        let (lift, halt) = (ctx.port(LIFT)?, ctx.port(HALT)?);
-        ctx.order(&[Ranked::Port(halt)])?;
-        self.probe.wait_for_start();
-        loop {
-            self.work(ctx, 0..6_000)?;
-            let Some(round) = self.meet(ctx, lift)? else { continue };
-            let end = now_us() + u64::try_from(WINDING.as_micros()).unwrap_or(u64::MAX);
-            while now_us() < end && !halted(ctx, halt, round)? {
-                self.work(ctx, 1_000..2_000)?;
-            }
+    // Who dies moves no more.
+    for death in story.deaths(arm) {
+        for movement in all.iter_mut().filter(|m| m.from <= death && m.to.is_none_or(|to| to > death)) {
+            movement.to = Some(death);
         }
     }
+    all
+}
 
-    /// Meets the others. `None` says that they did not all come; then nobody starts.
-    fn meet(&mut self, ctx: &mut Context, lift: PortId) -> Result<Option<Round>, TaskError> {
-        let asked = now_us();
-        match ctx.waitfor(lift)? {
-            Rendezvous::Released { round, .. } => {
-                self.probe.released(ctx.id(), lift, round);
-                Ok(Some(round))
-            }
-            Rendezvous::GaveUp { round, missing } => {
-                self.probe.gave_up(ctx.id(), lift, round, asked, missing);
-                Ok(None)
-            }
+/// What made an arm stop after this instant.
+fn why(story: &Story<'_>, arm: TaskId, at: u64) -> Option<String> {
+    let after = || story.of(arm).filter(move |did| did.at >= at);
+    let begins = |did: &&Did| matches!(&did.what, Deed::Begins { action, .. } if action == "stop_now");
+    let stops = after().find(begins)?;
+    let silent = after().take_while(|did| did.at <= stops.at);
+    let unanswered = silent.filter(|did| matches!(did.what, Deed::Unanswered { .. })).last();
+    let (name, when) = (story.name(arm), span(stops.at - at));
+    let line = stops.line.map(|line| format!(" (line {line})")).unwrap_or_default();
+    Some(match unanswered {
+        Some(_) => {
+            format!("{name} asked `beat` and got TIME_OUT; it began to stop {when} after the cut{line}.")
         }
-    }
-
-    /// Carries out a heart-beat, if its sender still waits: the answer is the proof that it was in time.
-    fn answer(
-        &mut self,
-        ctx: &mut Context,
-        delivery: &Delivery,
-        message: Option<Message>,
-        moving: bool,
-    ) -> Result<(), TaskError> {
-        let taken_up = now_us();
-        match ctx.reply(&delivery.from, &[u8::from(moving)]) {
-            Ok(()) => {
-                let age = message.map_or(0, |m| taken_up.saturating_sub(m.sent_us));
-                self.probe.executed(delivery.from.port, age);
-                Ok(())
-            }
-            Err(TaskError::Fault(RequestFault(Fault::Late))) => {
-                self.probe.turned_away();
-                Ok(())
-            }
-            Err(error) => Err(error),
+        None if story.text(stops).contains("silence") => {
+            format!("{name} heard no `beat` any more; by itself it began to stop {when} after the cut{line}.")
         }
-    }
+        None => format!("{name} was told to stop, and began to {when} after the cut{line}."),
+    })
+}
 
-    /// The robot does something for some microseconds.
-    fn work(&mut self, ctx: &mut Context, us: Range<u64>) -> Result<(), TaskError> {
-        ctx.delay(Duration::from_micros(self.rng.u64(us)))
+/// Whether an arm went on when its partner had stopped.
+fn alone(story: &Story<'_>, own: &[Movement], partner: &[Movement], arm: TaskId) -> Option<String> {
+    if story.died(arm).is_some() {
+        return None;
+    }
+    let stop_of_partner = |movement: &Movement| {
+        let end = movement.to.unwrap_or(story.ended);
+        let met =
+            partner.iter().filter(|other| other.from < end && other.to.is_none_or(|to| to > movement.from));
+        met.filter_map(|other| other.to).max()
+    };
+    own.iter().find_map(|movement| {
+        let stopped = stop_of_partner(movement)?;
+        let end = movement.to.unwrap_or(story.ended);
+        (end > stopped + ALONE).then(|| {
+            let longer = span(end - stopped);
+            format!(
+                "{} moved on for {longer} after its partner had stopped at {}.",
+                story.name(arm),
+                story.at(stopped)
+            )
+        })
+    })
+}
+
+/// The longest time between the stops of the two arms in one lift.
+fn skew(moves: &[Vec<Movement>; 2]) -> Option<u64> {
+    let [left, right] = moves;
+    let of = |one: &Movement| {
+        let to = one.to?;
+        let met = right.iter().find(|other| other.from < to && other.to.is_some_and(|end| end > one.from))?;
+        Some(met.to?.abs_diff(to))
+    };
+    left.iter().filter_map(of).max()
+}
+
+fn apart(story: &Story<'_>, skew: u64) -> String {
+    let words = format!("The arms never stopped more than {} apart", span(skew));
+    match story.loaded.within("stop_both") {
+        Some(allowed) if skew <= allowed => {
+            format!("{words}; check `stop_both` of the cell allows {}.", span(allowed))
+        }
+        Some(allowed) => format!(
+            "{words}. Check `stop_both` of the cell allows {}: this machine was too busy to keep that (--rt helps).",
+            span(allowed)
+        ),
+        None => format!("{words}."),
     }
 }
 
-/// Whether the order to stop this lift has come. One of an earlier lift is no order for this one.
-fn halted(ctx: &mut Context, halt: PortId, round: Round) -> Result<bool, TaskError> {
-    while let Some(delivery) = ctx.poll(Some(halt))? {
-        if Message::from_bytes(delivery.contents.as_bytes()).is_some_and(|m| m.round == round) {
-            return Ok(true);
-        }
+/// What came after the cut.
+fn afterwards(story: &Story<'_>, at: u64) -> String {
+    let expired: u64 =
+        story.summary.nodes.iter().flat_map(|node| node.discards.iter()).filter_map(expired).sum();
+    let held: u64 = story.summary.nodes.iter().map(|node| node.cut_off).sum();
+    let left = story.task("armL");
+    let again = left.map(|left| story.when(left, |deed| matches!(deed, Deed::Met(_)))).unwrap_or_default();
+    let late = match expired {
+        0 => "none of them was made up for later".to_owned(),
+        n => format!(
+            "{} dropped as too old to count",
+            if n == 1 { "1 message was".into() } else { format!("{n} messages were") }
+        ),
+    };
+    let gap = format!("The cut took {}; {late}, and nothing of the gap was acted on.", count(held, "packet"));
+    match again.iter().find(|met| **met > at) {
+        Some(met) => format!("{gap} At {} all three met again.", story.at(*met)),
+        None => gap,
     }
-    Ok(false)
 }
 
-#[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::cells::beam_lift;
-    use imrs_protocol::CONTENTS_BYTES;
+fn expired((name, count): (&String, &u64)) -> Option<u64> {
+    name.starts_with("expired").then_some(*count)
+}
 
-    #[test]
-    fn messages_fit_a_packet_and_come_out_as_they_went_in() {
-        let message = Message { sent_us: u64::MAX - 7, round: Round(0xbeef), detail: 3 };
-        let bytes = message.to_bytes();
-        assert!(bytes.len() <= CONTENTS_BYTES);
-        assert_eq!(Message::from_bytes(&bytes), Some(message));
-        assert_eq!(Message::from_bytes(&bytes[..10]), None);
-    }
-
-    #[test]
-    fn every_task_of_the_cell_has_a_program() {
-        for task in beam_lift::cell().tasks {
-            assert!(program(&task.name, Probe::detached(), 1).is_some(), "{}", task.name);
+/// Who died, and who waited for it no longer than it had to.
+fn waiting(story: &Story<'_>) -> Vec<String> {
+    let mut words = Vec::new();
+    for (at, fault) in &story.faults {
+        let Fault::Kill(node) = fault else { continue };
+        let killed = story.node(*node);
+        words.push(format!("At {} node {killed} was killed.", story.at(*at)));
+        for after in story.summary.after_kill.iter().filter(|after| after.killed == killed) {
+            words.push(format!(
+                "{} waited for it at `lift` {}, as long as its time_out says, and went home without a lift.",
+                after.task,
+                span(after.waited_us)
+            ));
         }
-        assert!(program("other", Probe::detached(), 1).is_none());
+    }
+    words
+}
+
+fn times(n: usize) -> String {
+    match n {
+        1 => "once".into(),
+        2 => "twice".into(),
+        n => format!("{n} times"),
     }
 }

@@ -1,37 +1,190 @@
-//! `imrs demo`: the built-in cells, with a fault injected and the outcome explained.
+//! `imrs demo`: cells of `examples/`, each with a fault at the moment when it hurts, and the outcome explained.
+//!
+//! A demo is a [`Scene`] in [`SCENES`] and a function that explains a run of it ([`Story`]).
 
 mod beam_lift;
+mod failover_weld;
 
-pub use beam_lift::program;
-
-use crate::args::{DemoArgs, DemoCell};
-use crate::cells::{self, Source};
+use crate::args::DemoArgs;
+use crate::cells::{self, Loaded, Source};
 use crate::exit::{Exit, Failure};
+use crate::launch::story::{Moment, Outcome, Planned, Story, Tale};
 use crate::launch::{self, Run};
 use crate::output::Output;
+use crate::run::chosen;
+use clap::ValueEnum;
+use clap::builder::PossibleValue;
+use imrs_protocol::CellTable;
+use imrs_runtime::script::Course;
 use std::collections::BTreeMap;
+use std::sync::Arc;
 use std::time::Duration;
 
-/// How long a demo runs unless told otherwise.
-const LENGTH: Duration = Duration::from_secs(10);
+/// A cell with a fault, and what to make of it.
+#[derive(Clone, Copy, Debug)]
+pub struct Scene {
+    /// What it is called on the command line.
+    name: &'static str,
+    /// What it shows, in a line.
+    about: &'static str,
+    /// The name of its file.
+    file: &'static str,
+    /// Its text.
+    text: &'static str,
+    /// What a person should know before.
+    introduction: &'static str,
+    /// How long it runs.
+    length: Duration,
+    /// Its fault, where the cell does not bring its trouble along.
+    moment: Option<Moment>,
+    /// What simulated actions give as time goes on: an action, the one that it follows, and how long it takes.
+    courses: &'static [(&'static str, &'static str, Duration)],
+    /// Says what happened, and whether it was what is promised.
+    explain: fn(&Story<'_>) -> Outcome,
+}
+
+const fn ms(ms: u64) -> Duration {
+    Duration::from_millis(ms)
+}
+
+/// All demos.
+static SCENES: &[Scene] = &[
+    Scene {
+        name: "beam-lift",
+        about: "two arms lift a beam with a hoist: tightly coupled; a link fails in mid lift",
+        file: "beam_lift.cell",
+        text: include_str!("../../examples/beam_lift.cell"),
+        introduction: "\
+Two arms and a hoist meet at `lift` before every lift. While the arms move, the left one asks the right
+one every few milliseconds whether it moves too (`beat`); an arm that gets no answer, or hears no
+question, stops by itself.",
+        length: Duration::from_secs(8),
+        moment: Some(Moment {
+            task: "armL",
+            action: "start_lift",
+            time: 2,
+            after: ms(100),
+            fault: Planned::Cut(["nl", "nr"], ms(40)),
+            words: "in the middle of the second lift nothing passes between the arms for 40 ms",
+        }),
+        courses: &[("read_height", "start_lift", ms(400))],
+        explain: beam_lift::explain,
+    },
+    Scene {
+        name: "failover-weld",
+        about: "two robots weld, one stands by for the other: work-coupled; the first one's node dies",
+        file: "weld_cell.cell",
+        text: include_str!("../../examples/weld_cell.cell"),
+        introduction: "\
+Robot r1 welds spot after spot; r2 stands by. r1 may act only while it holds the lease, which r2 renews
+by asking `alive` every few milliseconds. Both reach each other, and the tip dresser, through node nt.",
+        length: Duration::from_secs(12),
+        moment: Some(Moment {
+            task: "r1",
+            action: "weld",
+            time: 1,
+            after: ms(300),
+            fault: Planned::Kill("n1"),
+            words: "in the middle of the first weld the node of r1 is killed (kill -9)",
+        }),
+        courses: &[],
+        explain: failover_weld::explain,
+    },
+];
+
+impl ValueEnum for Scene {
+    fn value_variants<'a>() -> &'a [Self] {
+        SCENES
+    }
+
+    fn to_possible_value(&self) -> Option<PossibleValue> {
+        Some(PossibleValue::new(self.name).help(self.about))
+    }
+}
+
+impl Scene {
+    fn source(&self) -> Source {
+        Source { name: self.file.into(), text: self.text.into(), paper: false }
+    }
+
+    fn load(&self) -> Result<Loaded, Failure> {
+        cells::load(&self.source())
+    }
+}
+
+/// The cells of all demos.
+pub fn tables() -> impl Iterator<Item = Arc<CellTable>> {
+    SCENES.iter().filter_map(|scene| Some(scene.load().ok()?.table))
+}
 
 /// Runs a demo.
 ///
 /// # Errors
 /// [`Failure`].
 pub fn run(args: &DemoArgs, out: &mut Output) -> Result<Exit, Failure> {
-    let DemoCell::BeamLift = args.cell;
-    let source = Source::BuiltIn(cells::beam_lift::NAME.into());
-    let loaded = cells::load(&source)?;
+    let (launch, loaded) = (&args.launch, args.cell.load()?);
+    // The demo itself lives as long as the program.
+    let scene = SCENES.iter().find(|scene| scene.name == args.cell.name);
+    let own_faults =
+        launch.loss.0 > 0.0 || !launch.kill.is_empty() || !launch.cut.is_empty() || launch.node.is_some();
+    let moment = scene.and_then(|scene| scene.moment.as_ref()).filter(|_| !args.no_fault && !own_faults);
+    let course = |&(action, since, over): &(&str, &str, Duration)| Course {
+        action: action.into(),
+        since: since.into(),
+        over,
+    };
     let run = Run {
-        source,
+        source: args.cell.source(),
         loaded: &loaded,
-        args: &args.launch,
-        length: Some(args.launch.length.unwrap_or(LENGTH)),
+        args: launch,
+        length: Some(launch.length.unwrap_or(args.cell.length)),
         actions: BTreeMap::new(),
-        introduction: Some(
-            "All tasks meet at the waitfor `lift` before every lift; nobody is to start without the others.",
-        ),
+        courses: args.cell.courses.iter().map(course).collect(),
+        only: chosen(&loaded, launch)?,
+        tale: Some(Tale { introduction: args.cell.introduction, moment, explain: args.cell.explain }),
     };
     launch::run(&run, out)
+}
+
+/// The cell of the beam lift.
+#[cfg(test)]
+pub fn beam_lift() -> Arc<CellTable> {
+    SCENES[0].load().expect("a sound cell").table
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// D65: the patience of a meeting is well above its margin.
+    #[test]
+    fn the_beam_lift_leaves_time_to_meet_again() {
+        let table = beam_lift();
+        let lift = table.ports().iter().find(|port| port.decl.name == "lift").expect("the port");
+        assert_eq!(lift.parties.len(), 3);
+        assert!(lift.decl.time_out.0 > 10 * lift.margin.0, "{:?} on {:?}", lift.decl.time_out, lift.margin);
+    }
+
+    #[test]
+    fn every_demo_is_of_a_sound_cell_and_its_fault_is_of_names_in_it() {
+        for scene in SCENES {
+            let loaded = scene.load().unwrap_or_else(|error| panic!("{}: {error}", scene.name));
+            let cell = loaded.table.cell();
+            let mut actions = Vec::new();
+            actions.extend(scene.courses.iter().flat_map(|(action, since, _)| [*action, *since]));
+            actions.extend(scene.moment.map(|moment| moment.action));
+            for action in actions {
+                assert!(loaded.actions().any(|known| known == action), "{}: {action}", scene.name);
+            }
+            let Some(moment) = scene.moment else { continue };
+            assert!(cell.tasks.iter().any(|task| task.name == moment.task), "{}", scene.name);
+            let nodes = match moment.fault {
+                Planned::Cut(ends, _) => ends.to_vec(),
+                Planned::Kill(node) => vec![node],
+            };
+            for node in nodes {
+                assert!(cell.nodes.iter().any(|known| known.name == node), "{}: {node}", scene.name);
+            }
+        }
+    }
 }

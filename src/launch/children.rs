@@ -22,17 +22,24 @@ use std::time::{Duration, Instant};
 pub enum Message {
     /// A node said something.
     Said(NodeId, Word),
-    /// A node's pipe has ended: its process has, or soon will.
-    Gone(NodeId),
+    /// The pipe of a node in this life has ended: its process has, or soon will.
+    Gone(NodeId, usize),
     /// The user wants the run to end.
     Interrupted,
 }
 
 /// All node processes. Whatever happens to the launcher, none outlives it.
-pub struct Children(Vec<Process>);
+pub struct Children {
+    processes: Vec<Process>,
+    network: Option<Arc<Network>>,
+    messages: Sender<Message>,
+}
 
 struct Process {
+    node: NodeId,
     name: String,
+    /// How many lives it had before.
+    life: usize,
     body: Body,
     /// Here while orders can be given.
     orders: Option<Box<dyn Write + Send>>,
@@ -56,58 +63,106 @@ impl Children {
     /// # Errors
     /// A process or a thread cannot be started.
     pub fn start(
-        setups: &[Setup],
-        network: Option<&Arc<Network>>,
-        messages: &Sender<Message>,
+        setups: &[(NodeId, Setup)],
+        network: Option<Arc<Network>>,
+        messages: Sender<Message>,
     ) -> Result<Self, LaunchError> {
-        let mut children = Self(Vec::new());
-        for (i, setup) in setups.iter().enumerate() {
-            let (body, mut orders, words) = match network {
-                Some(network) => as_thread(setup, network),
-                None => as_process(),
-            }
-            .map_err(LaunchError::Start)?;
-            let told = say(&mut orders, setup);
-            children.0.push(Process { name: setup.node.clone(), body, orders: Some(orders), killed: false });
-            // A node that is gone already says so by the end of its pipe.
-            drop(told);
-            let messages = messages.clone();
-            let reader = thread::Builder::new().name(format!("imrs {}", setup.node));
-            reader
-                .spawn(move || listen(NodeId::from_index(i), words, &messages))
-                .map_err(LaunchError::Start)?;
+        let mut children = Self { processes: Vec::new(), network, messages };
+        for (node, setup) in setups {
+            let process = children.begin(*node, setup, 0)?;
+            children.processes.push(process);
         }
         Ok(children)
     }
 
+    /// Starts a killed node again.
+    ///
+    /// # Errors
+    /// A process or a thread cannot be started.
+    pub fn restart(&mut self, node: NodeId, setup: &Setup) -> Result<(), LaunchError> {
+        let Some(at) = self.processes.iter().position(|process| process.node == node) else { return Ok(()) };
+        let before = &mut self.processes[at];
+        // What is left of its last life ends first.
+        before.orders = None;
+        before.end(Instant::now() + BURIAL);
+        let life = before.life + 1;
+        self.processes[at] = self.begin(node, setup, life)?;
+        Ok(())
+    }
+
+    fn begin(&self, node: NodeId, setup: &Setup, life: usize) -> Result<Process, LaunchError> {
+        let (body, mut orders, words) = match &self.network {
+            Some(network) => as_thread(setup, network),
+            None => as_process(),
+        }
+        .map_err(LaunchError::Start)?;
+        // A node that is gone already says so by the end of its pipe.
+        let _ = say(&mut orders, setup);
+        let messages = self.messages.clone();
+        let reader = thread::Builder::new().name(format!("imrs {}", setup.node));
+        reader.spawn(move || listen((node, life), words, &messages)).map_err(LaunchError::Start)?;
+        Ok(Process { node, name: setup.node.clone(), life, body, orders: Some(orders), killed: false })
+    }
+
+    /// How many there are.
+    pub fn len(&self) -> usize {
+        self.processes.len()
+    }
+
+    /// Whether they are threads of this process.
+    pub const fn in_one_process(&self) -> bool {
+        self.network.is_some()
+    }
+
+    /// Which nodes.
+    pub fn nodes(&self) -> impl Iterator<Item = NodeId> {
+        self.processes.iter().map(|process| process.node)
+    }
+
     /// The process of a node.
     pub fn pid(&self, node: NodeId) -> u32 {
-        match &self.0[node.index()].body {
-            Body::Process(child) => child.id(),
-            Body::Thread(_) => std::process::id(),
+        match self.of(node).map(|process| &process.body) {
+            Some(Body::Process(child)) => child.id(),
+            Some(Body::Thread(_)) | None => std::process::id(),
         }
     }
 
     /// The name of a node.
     pub fn name(&self, node: NodeId) -> &str {
-        &self.0[node.index()].name
+        self.of(node).map_or("?", |process| &process.name)
+    }
+
+    /// Whether this is the life that a node is in, and the launcher did not end it.
+    pub fn lives(&self, node: NodeId, life: usize) -> bool {
+        self.of(node).is_some_and(|process| process.life == life && !process.killed)
+    }
+
+    /// The number of the life that a node is in.
+    pub fn life(&self, node: NodeId) -> usize {
+        self.of(node).map_or(0, |process| process.life)
+    }
+
+    fn of(&self, node: NodeId) -> Option<&Process> {
+        self.processes.iter().find(|process| process.node == node)
     }
 
     /// Gives all nodes an order. Those that are gone do not hear it.
     pub fn order_all(&mut self, order: &Order) {
-        for process in &mut self.0 {
+        for process in &mut self.processes {
             process.order(order);
         }
     }
 
     /// Gives a node an order.
     pub fn order(&mut self, node: NodeId, order: &Order) {
-        self.0[node.index()].order(order);
+        if let Some(process) = self.processes.iter_mut().find(|process| process.node == node) {
+            process.order(order);
+        }
     }
 
     /// Kills a node, as a power cut would.
     pub fn kill(&mut self, node: NodeId) {
-        let process = &mut self.0[node.index()];
+        let Some(process) = self.processes.iter_mut().find(|process| process.node == node) else { return };
         match &mut process.body {
             // It is gone already; that is seen later.
             Body::Process(child) => drop(child.kill()),
@@ -117,11 +172,11 @@ impl Children {
     }
 
     /// Waits until all processes have ended, at most so long; then kills those that have not. Returns how each ended.
-    pub fn wait(mut self, patience: Duration) -> Vec<End> {
+    pub fn wait(&mut self, patience: Duration) -> Vec<(NodeId, End)> {
         let deadline = Instant::now() + patience;
         // Whoever has not heard the order sees the end of the pipe.
-        self.0.iter_mut().for_each(|process| process.orders = None);
-        self.0.iter_mut().map(|process| process.end(deadline)).collect()
+        self.processes.iter_mut().for_each(|process| process.orders = None);
+        self.processes.iter_mut().map(|process| (process.node, process.end(deadline))).collect()
     }
 }
 
@@ -147,7 +202,8 @@ impl Process {
                 match thread.take().map(JoinHandle::join) {
                     Some(Ok(Ok(()))) if killed => End::Killed,
                     Some(Ok(Ok(()))) => End::Clean,
-                    Some(Ok(Err(_)) | Err(_)) | None => End::Code(Exit::Internal as i32),
+                    Some(Ok(Err(error))) => End::Code(error.exit() as i32),
+                    Some(Err(_)) | None => End::Code(Exit::Internal as i32),
                 }
             }
         }
@@ -207,6 +263,9 @@ fn as_thread(setup: &Setup, network: &Arc<Network>) -> io::Result<(Body, Box<dyn
     Ok((Body::Thread(Some(thread)), Box::new(orders), Box::new(words)))
 }
 
+/// How long the rest of a killed node has to be gone before it is started again.
+const BURIAL: Duration = Duration::from_secs(3);
+
 /// How a node's process ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum End {
@@ -254,14 +313,14 @@ impl fmt::Display for End {
     }
 }
 
-fn listen(node: NodeId, words: Words, messages: &Sender<Message>) {
+fn listen((node, life): (NodeId, usize), words: Words, messages: &Sender<Message>) {
     let mut words = BufReader::new(words);
     loop {
         let message = match hear(&mut words) {
             Ok(Some(word)) => Message::Said(node, word),
-            Ok(None) | Err(_) => Message::Gone(node),
+            Ok(None) | Err(_) => Message::Gone(node, life),
         };
-        let last = matches!(message, Message::Gone(_));
+        let last = matches!(message, Message::Gone(..));
         if messages.send(message).is_err() || last {
             return;
         }

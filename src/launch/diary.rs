@@ -1,9 +1,9 @@
 //! What the scripts do, as lines for a person: in the order of time, and no faster than can be read.
 
-use super::lines::Did;
+use super::deed::Did;
 use crate::exit::Failure;
-use crate::output::{FAINT, Output, Styled};
-use imrs_protocol::Cell;
+use crate::output::{FAINT, NOTE, Output, Styled};
+use imrs_protocol::{Cell, CellTable};
 use std::collections::BTreeMap;
 
 /// Nodes tell what happened every few milliseconds: after so long, in microseconds, nothing earlier is told any more.
@@ -18,10 +18,16 @@ pub struct Diary {
     /// When the run began.
     began: u64,
     /// By time, and then by when they were told.
-    waiting: BTreeMap<(u64, u64), Did>,
+    waiting: BTreeMap<(u64, u64), Entry>,
     told: u64,
     /// By task: the span that its last line was in, and how many came in it.
     paces: Vec<(u64, u32)>,
+}
+
+/// A line to be.
+enum Entry {
+    Did(Did),
+    Fault(String),
 }
 
 impl Diary {
@@ -35,9 +41,20 @@ impl Diary {
         self.began = at;
     }
 
+    /// When the run began.
+    pub const fn began(&self) -> u64 {
+        self.began
+    }
+
     /// A line.
     pub fn add(&mut self, did: Did) {
-        self.waiting.insert((did.at, self.told), did);
+        self.waiting.insert((did.at, self.told), Entry::Did(did));
+        self.told += 1;
+    }
+
+    /// A fault, in words.
+    pub fn fault(&mut self, at: u64, words: String) {
+        self.waiting.insert((at, self.told), Entry::Fault(words));
         self.told += 1;
     }
 
@@ -50,13 +67,20 @@ impl Diary {
     ///
     /// # Errors
     /// [`Failure::Output`].
-    pub fn show(&mut self, cell: &Cell, now: u64, out: &mut Output) -> Result<(), Failure> {
+    pub fn show(&mut self, table: &CellTable, now: u64, out: &mut Output) -> Result<(), Failure> {
         let later = self.waiting.split_off(&(now.saturating_sub(SETTLED), 0));
         let settled = std::mem::replace(&mut self.waiting, later);
-        for did in settled.values() {
+        for ((at, _), entry) in &settled {
+            let did = match entry {
+                Entry::Did(did) => did,
+                Entry::Fault(words) => {
+                    out.line(format!("{} {}", Styled(FAINT, self.clock(*at)), Styled(NOTE, words)))?;
+                    continue;
+                }
+            };
             let left_out = self.pace(did);
-            if left_out.is_some() || did.always {
-                out.line(self.line(cell, did, left_out.unwrap_or_default()))?;
+            if left_out.is_some() || did.what.is_rare() {
+                out.line(self.line(table, did, left_out.unwrap_or_default()))?;
             }
         }
         Ok(())
@@ -66,8 +90,8 @@ impl Diary {
     ///
     /// # Errors
     /// [`Failure::Output`].
-    pub fn close(&mut self, cell: &Cell, out: &mut Output) -> Result<(), Failure> {
-        self.show(cell, u64::MAX, out)
+    pub fn close(&mut self, table: &CellTable, out: &mut Output) -> Result<(), Failure> {
+        self.show(table, u64::MAX, out)
     }
 
     /// Whether this line is shown: then, how many were left out before it.
@@ -79,9 +103,14 @@ impl Diary {
         (pace.1 <= PER_SPAN).then_some(left_out)
     }
 
-    fn line(&self, cell: &Cell, did: &Did, left_out: u32) -> String {
-        let ms = did.at.saturating_sub(self.began) / 1_000;
-        let at = format!("{:>4}.{:03} s", ms / 1_000, ms % 1_000);
+    fn clock(&self, at: u64) -> String {
+        let ms = at.saturating_sub(self.began) / 1_000;
+        format!("{:>4}.{:03} s", ms / 1_000, ms % 1_000)
+    }
+
+    fn line(&self, table: &CellTable, did: &Did, left_out: u32) -> String {
+        let cell = table.cell();
+        let at = self.clock(did.at);
         let width = cell.tasks.iter().map(|task| task.name.len()).max().unwrap_or(0);
         let task = cell.tasks.get(did.task.index()).map_or("", |task| task.name.as_str());
         let line = did.line.map(|line| format!("line {line}")).unwrap_or_default();
@@ -91,7 +120,7 @@ impl Diary {
             Styled(FAINT, at),
             Styled(FAINT, format!("{line:<8}")),
             Styled(FAINT, before),
-            did.what
+            did.what.words(table)
         )
     }
 }
@@ -99,16 +128,17 @@ impl Diary {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cells::beam_lift;
+    use crate::demo::beam_lift;
+    use crate::launch::deed::Deed;
     use imrs_protocol::TaskId;
 
     fn did(at: u64, task: u16) -> Did {
-        Did { at, task: TaskId(task), line: Some(3), what: format!("does {at}"), always: false }
+        Did { at, task: TaskId(task), line: Some(3), what: Deed::CutShort(format!("{at}")) }
     }
 
     #[test]
     fn a_task_that_is_busy_is_shown_in_part_and_what_is_left_out_is_counted() {
-        let mut diary = Diary::new(&beam_lift::cell(), 0);
+        let mut diary = Diary::new(beam_lift().cell(), 0);
         let shown = (0..50).filter(|at| diary.pace(&did(*at, 0)).is_some()).count();
         assert_eq!(shown, usize::try_from(PER_SPAN).unwrap());
         assert_eq!(diary.pace(&did(7, 1)), Some(0));
@@ -118,15 +148,15 @@ mod tests {
 
     #[test]
     fn lines_wait_until_nothing_earlier_can_come() {
-        let cell = beam_lift::cell();
-        let mut diary = Diary::new(&cell, 0);
+        let table = beam_lift();
+        let mut diary = Diary::new(table.cell(), 0);
         diary.add(did(200_000, 0));
         diary.add(did(100_000, 1));
         let mut out = Output::new(crate::args::Color::Never);
-        diary.show(&cell, 200_050, &mut out).unwrap();
-        assert_eq!(diary.waiting.values().map(|did| did.at).collect::<Vec<_>>(), [200_000]);
-        diary.close(&cell, &mut out).unwrap();
+        diary.show(&table, 200_050, &mut out).unwrap();
+        assert_eq!(diary.waiting.keys().map(|(at, _)| *at).collect::<Vec<_>>(), [200_000]);
+        diary.close(&table, &mut out).unwrap();
         assert!(diary.is_empty());
-        assert!(diary.line(&cell, &did(1_234_000, 2), 4).contains("1.234 s"));
+        assert!(diary.line(&table, &did(1_234_000, 2), 4).contains("1.234 s"));
     }
 }

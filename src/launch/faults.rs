@@ -19,6 +19,18 @@ pub struct Kill {
     pub at: Duration,
 }
 
+/// A killed node that is started again, after so long, in its next life.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Restart(pub Kill);
+
+impl FromStr for Restart {
+    type Err = FaultError;
+
+    fn from_str(text: &str) -> Result<Self, FaultError> {
+        text.parse().map(Self)
+    }
+}
+
 /// A link that carries nothing for a while.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Cut {
@@ -86,6 +98,12 @@ pub enum FaultError {
     /// No link joins the two nodes.
     #[error("no link joins `{0}` and `{1}`")]
     NoLink(String, String),
+    /// A node is to be started again that runs.
+    #[error("`{0}` is not killed before it is started again: add --kill {1}@TIME")]
+    NotKilled(String, String),
+    /// The fault is of nodes that this run does not start.
+    #[error("`{0}` is not run here: --node runs one node only")]
+    NotHere(String),
     /// The fault comes after the end of the run.
     #[error("`{0}` comes after the end of the run: make --for longer")]
     TooLate(String),
@@ -154,33 +172,49 @@ fn time(text: &str) -> Result<Duration, FaultError> {
 pub enum Fault {
     /// The node's process is killed.
     Kill(NodeId),
+    /// The node is started again.
+    Restart(NodeId),
     /// The link between two nodes carries nothing from here on.
     Cut(NodeId, NodeId),
     /// The link works again.
     Heal(NodeId, NodeId),
 }
 
+/// The faults that were asked for.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Wanted<'a> {
+    /// Nodes that are killed.
+    pub kill: &'a [Kill],
+    /// Nodes that are started again.
+    pub restart: &'a [Restart],
+    /// Links that are cut.
+    pub cut: &'a [Cut],
+}
+
 /// All faults of a run, in the order of their times, counted from the start.
 ///
 /// # Errors
-/// A name that the cell does not have, two nodes without a link, or a time past the end of the run.
+/// A name that the cell does not have, two nodes without a link, a restart of a node that runs, or a time past the end
+/// of the run.
 pub fn schedule(
     cell: &Cell,
     length: Duration,
-    kills: &[Kill],
-    cuts: &[Cut],
+    wanted: &Wanted<'_>,
 ) -> Result<Vec<(Duration, Fault)>, FaultError> {
     let mut faults = Vec::new();
-    for kill in kills {
-        if kill.at >= length {
-            return Err(FaultError::TooLate(kill.to_string()));
-        }
+    let in_time = |at: Duration, fault: &dyn fmt::Display| {
+        if at < length { Ok(()) } else { Err(FaultError::TooLate(fault.to_string())) }
+    };
+    for kill in wanted.kill {
+        in_time(kill.at, kill)?;
         faults.push((kill.at, Fault::Kill(node(cell, &kill.name)?)));
     }
-    for cut in cuts {
-        if cut.at >= length {
-            return Err(FaultError::TooLate(cut.to_string()));
-        }
+    for Restart(again) in wanted.restart {
+        in_time(again.at, again)?;
+        faults.push((again.at, Fault::Restart(node(cell, &again.name)?)));
+    }
+    for cut in wanted.cut {
+        in_time(cut.at, cut)?;
         let (a, b) = (node(cell, &cut.ends[0])?, node(cell, &cut.ends[1])?);
         if !cell.links.iter().any(|l| (l.a, l.b) == (a, b) || (l.a, l.b) == (b, a)) {
             return Err(FaultError::NoLink(cut.ends[0].clone(), cut.ends[1].clone()));
@@ -189,11 +223,20 @@ pub fn schedule(
         faults.push((cut.at + cut.length, Fault::Heal(a, b)));
     }
     faults.sort_by_key(|(at, _)| *at);
+    for Restart(again) in wanted.restart {
+        let id = node(cell, &again.name)?;
+        let before = faults.iter().take_while(|fault| **fault != (again.at, Fault::Restart(id)));
+        let of_it =
+            |fault: &&(Duration, Fault)| matches!(fault.1, Fault::Kill(n) | Fault::Restart(n) if n == id);
+        if !matches!(before.filter(of_it).last(), Some((_, Fault::Kill(_)))) {
+            return Err(FaultError::NotKilled(again.to_string(), again.name.clone()));
+        }
+    }
     Ok(faults)
 }
 
 /// The node of this name, or the one that the task of this name runs on.
-fn node(cell: &Cell, name: &str) -> Result<NodeId, FaultError> {
+pub fn node(cell: &Cell, name: &str) -> Result<NodeId, FaultError> {
     let as_node = cell.nodes.iter().position(|n| n.name == name).map(NodeId::from_index);
     let as_task = || cell.tasks.iter().find(|t| t.name == name).map(|t| t.node);
     as_node.or_else(as_task).ok_or_else(|| {
@@ -206,7 +249,7 @@ fn node(cell: &Cell, name: &str) -> Result<NodeId, FaultError> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cells::beam_lift;
+    use crate::demo::beam_lift;
 
     #[test]
     fn rates_are_shares() {
@@ -238,12 +281,13 @@ mod tests {
 
     #[test]
     fn faults_come_in_the_order_of_their_times_and_only_where_they_can() {
-        let cell = beam_lift::cell();
+        let cell = beam_lift();
+        let cell = cell.cell();
         let second = Duration::from_secs(1);
         let of = |kills: &[&str], cuts: &[&str]| {
             let kills: Vec<Kill> = kills.iter().map(|k| k.parse().unwrap()).collect();
             let cuts: Vec<Cut> = cuts.iter().map(|c| c.parse().unwrap()).collect();
-            schedule(&cell, 3 * second, &kills, &cuts)
+            schedule(cell, 3 * second, &Wanted { kill: &kills, restart: &[], cut: &cuts })
         };
         let (nl, nr, nh) = (NodeId(0), NodeId(1), NodeId(2));
         assert_eq!(
@@ -256,6 +300,13 @@ mod tests {
         );
         let error = of(&["hoit@2s"], &[]).unwrap_err();
         assert_eq!(error.to_string(), "the cell has no node or task `hoit`: did you mean `hoist`?");
+        let again = |kill: &str, restart: &str| {
+            let (kill, restart) = ([kill.parse().unwrap()], [restart.parse().unwrap()]);
+            schedule(cell, 3 * second, &Wanted { kill: &kill, restart: &restart, cut: &[] })
+        };
+        assert_eq!(again("hoist@1s", "nh@2s").unwrap()[1], (2 * second, Fault::Restart(nh)));
+        assert_eq!(again("nh@2s", "nh@1s"), Err(FaultError::NotKilled("nh@1s".into(), "nh".into())));
+        assert_eq!(again("nl@1s", "nh@2s"), Err(FaultError::NotKilled("nh@2s".into(), "nh".into())));
         assert_eq!(of(&["nl@3s"], &[]), Err(FaultError::TooLate("nl@3s".into())));
         assert_eq!(of(&[], &["nl--armL@1s+1s"]), Err(FaultError::NoLink("nl".into(), "armL".into())));
     }

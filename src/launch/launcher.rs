@@ -2,18 +2,22 @@
 
 use super::children::{Children, Message};
 use super::clock::now_us;
+use super::deed::Did;
 use super::diary::Diary;
-use super::faults::{Fault, FaultError, schedule};
+use super::faults::{Fault, FaultError, Wanted, schedule};
 use super::lines::{Order, Setup, Word};
+use super::place::{self, PlaceError};
 use super::report;
+use super::rt::{self, RtError};
+use super::story::{Moment, Story, Tale};
 use super::summary::{Gatherer, Summary};
 use crate::args::{Format, LaunchArgs};
 use crate::cells::{Loaded, Source};
 use crate::exit::{Exit, Failure};
 use crate::output::{Output, complain};
-use imrs_protocol::{Cell, NodeId, TaskId};
+use imrs_protocol::{Cell, CellTable, NodeId, TaskId};
 use imrs_runtime::link::in_process::{self, Network};
-use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use imrs_runtime::script::Course;
 use serde::Serialize;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
@@ -32,10 +36,6 @@ const READY_WITHIN: Duration = Duration::from_secs(20);
 const STOP_WITHIN: Duration = Duration::from_secs(5);
 /// How long after its last word a process has to end.
 const EXIT_WITHIN: Duration = Duration::from_secs(1);
-/// How often lines about what scripts do are looked through.
-const SHOW_EVERY: Duration = Duration::from_millis(50);
-/// How often the progress line changes.
-const PROGRESS_EVERY: Duration = Duration::from_millis(250);
 
 /// Why a cell could not be run.
 #[derive(Debug, thiserror::Error)]
@@ -47,16 +47,29 @@ pub enum LaunchError {
     #[error("cannot start the nodes: {0}")]
     Start(io::Error),
     /// A node did not get ready.
-    #[error("node `{0}` did not get ready")]
-    NotReady(String),
+    #[error("node `{name}` did not get ready")]
+    NotReady {
+        /// Its name.
+        name: String,
+        /// Whether it said that it was asked for what cannot be had.
+        refused: bool,
+    },
+    /// The node cannot run by itself.
+    #[error(transparent)]
+    Place(#[from] PlaceError),
+    /// There is no real time here.
+    #[error(transparent)]
+    Rt(#[from] RtError),
 }
 
 impl LaunchError {
     /// The exit code it leads to.
     pub fn exit(&self) -> Exit {
         match self {
-            Self::Fault(_) => Exit::Usage,
-            Self::Start(_) | Self::NotReady(_) => Exit::Internal,
+            Self::Fault(_) | Self::Place(_) | Self::Rt(_) | Self::NotReady { refused: true, .. } => {
+                Exit::Usage
+            }
+            Self::Start(_) | Self::NotReady { refused: false, .. } => Exit::Internal,
         }
     }
 }
@@ -79,6 +92,8 @@ pub struct StartedNode<'a> {
     pub pid: u32,
     /// Its socket, if it has one.
     pub address: Option<SocketAddr>,
+    /// Where it serves monitors over TCP.
+    pub observe: Option<SocketAddr>,
 }
 
 /// What is run, and how.
@@ -93,26 +108,42 @@ pub struct Run<'a> {
     pub length: Option<Duration>,
     /// By action, the command to execute for it.
     pub actions: BTreeMap<String, Vec<String>>,
-    /// What a person should know before.
-    pub introduction: Option<&'static str>,
+    /// What simulated actions give as time goes on.
+    pub courses: Vec<Course>,
+    /// The only node that is run here, in place of all.
+    pub only: Option<NodeId>,
+    /// What a demo adds.
+    pub tale: Option<Tale>,
 }
 
-struct Launcher<'a> {
-    run: &'a Run<'a>,
-    cell: &'a Cell,
-    diary: Diary,
+pub(super) struct Launcher<'a> {
+    pub(super) run: &'a Run<'a>,
+    pub(super) cell: &'a Cell,
+    pub(super) setups: Vec<(NodeId, Setup)>,
+    pub(super) diary: Diary,
     /// Scripts that ended by themselves.
-    ended: Vec<TaskId>,
-    children: Children,
-    messages: Receiver<Message>,
-    gatherer: Gatherer,
+    pub(super) ended: Vec<TaskId>,
+    pub(super) children: Children,
+    pub(super) messages: Receiver<Message>,
+    pub(super) gatherer: Gatherer,
     /// What nodes said before all had started.
-    early: Vec<Message>,
+    pub(super) early: Vec<Message>,
     /// Nodes whose pipe has ended.
-    gone: Vec<NodeId>,
-    trouble: Vec<Trouble>,
-    stopping: bool,
-    interrupted: bool,
+    pub(super) gone: Vec<NodeId>,
+    /// The addresses of the nodes.
+    pub(super) book: BTreeMap<String, SocketAddr>,
+    /// Faults to come, by their time since the start.
+    pub(super) faults: Vec<(Duration, Fault)>,
+    /// Faults that came, on the common clock.
+    pub(super) came: Vec<(u64, Fault)>,
+    /// The fault that waits for the cell to come to a certain point, and how often it has been there.
+    pub(super) moment: Option<(&'static Moment, usize)>,
+    /// What the scripts did, where a story is told.
+    pub(super) deeds: Vec<Did>,
+    pub(super) started: Instant,
+    pub(super) trouble: Vec<Trouble>,
+    pub(super) stopping: bool,
+    pub(super) interrupted: bool,
 }
 
 /// A length that no run reaches.
@@ -126,18 +157,27 @@ pub fn run(run: &Run<'_>, out: &mut Output) -> Result<Exit, Failure> {
     let (args, table) = (run.args, &run.loaded.table);
     let cell = table.cell();
     let length = run.length.unwrap_or(WITHOUT_END);
-    let faults = schedule(cell, length, &args.kill, &args.cut).map_err(LaunchError::Fault)?;
+    let wanted = Wanted { kill: &args.kill, restart: &args.restart, cut: &args.cut };
+    let faults = schedule(cell, length, &wanted).map_err(LaunchError::Fault)?;
+    if let Some(only) = run.only {
+        here(cell, only, &faults).map_err(LaunchError::Fault)?;
+    }
+    if args.rt {
+        rt::check().map_err(LaunchError::Rt)?;
+    }
     let seed = args.seed.unwrap_or_else(|| fastrand::u64(..1_000_000));
 
     let (sender, messages) = mpsc::channel();
     watch_signals(sender.clone())?;
     let network = args.in_process.then(|| Network::new(Arc::clone(table), in_process::Faults::default()));
-    let children = Children::start(&setups(run, seed), network.as_ref(), &sender)?;
-    drop(sender);
-    let gatherer = Gatherer::new(Arc::clone(table));
+    let setups = setups(run, seed)?;
+    let children = Children::start(&setups, network, sender)?;
+    let gatherer = Gatherer::new(Arc::clone(table), children.nodes().collect());
+    let book = run.only.map(|only| place::neighbours(run.loaded, only)).transpose();
     let mut launcher = Launcher {
         run,
         cell,
+        setups,
         diary: Diary::new(cell, now_us()),
         ended: Vec::new(),
         children,
@@ -145,21 +185,33 @@ pub fn run(run: &Run<'_>, out: &mut Output) -> Result<Exit, Failure> {
         gatherer,
         early: Vec::new(),
         gone: Vec::new(),
+        book: book.map_err(LaunchError::Place)?.unwrap_or_default(),
+        faults,
+        came: Vec::new(),
+        moment: run.tale.and_then(|tale| tale.moment).map(|moment| (moment, 0)),
+        deeds: Vec::new(),
+        started: Instant::now(),
         trouble: Vec::new(),
         stopping: false,
         interrupted: false,
     };
-    let addresses = launcher.wait_for_all(|word| if let Word::Bound(at) = word { Some(at) } else { None })?;
-    let book = cell.nodes.iter().zip(&addresses).filter_map(|(n, at)| Some((n.name.clone(), (*at)?)));
-    launcher.children.order_all(&Order::Book(book.collect()));
+    let bound = launcher.wait_for_all(|word| match word {
+        Word::Bound { address, observe } => Some((address, observe)),
+        _ => None,
+    })?;
+    let addresses = bound.iter().filter_map(|(node, (at, _))| Some((launcher.name(*node), (*at)?)));
+    let addresses: Vec<_> = addresses.collect();
+    launcher.book.extend(addresses);
+    let book = Order::Book(launcher.book.clone());
+    launcher.children.order_all(&book);
     launcher.diary.begin(now_us());
     launcher.wait_for_all(|word| matches!(word, Word::Started).then_some(()))?;
 
-    let started = Instant::now();
-    launcher.announce(seed, &addresses, out)?;
-    launcher.follow(started, length, &faults, out)?;
-    let seconds = started.elapsed().as_secs_f64();
-    let (summary, trouble) = launcher.finish(seconds, seed, args.loss.0);
+    launcher.started = Instant::now();
+    launcher.announce(seed, &bound, out)?;
+    launcher.follow(length, out)?;
+    let seconds = launcher.started.elapsed().as_secs_f64();
+    let (summary, trouble) = launcher.finish(seconds, seed);
     match args.format {
         Format::Json => out.json(&summary)?,
         Format::Text => report::summary(&summary, table, run, out)?,
@@ -170,36 +222,81 @@ pub fn run(run: &Run<'_>, out: &mut Output) -> Result<Exit, Failure> {
     Ok(verdict(&summary, &trouble))
 }
 
+/// Whether the faults are of this node.
+fn here(cell: &Cell, only: NodeId, faults: &[(Duration, Fault)]) -> Result<(), FaultError> {
+    for (_, fault) in faults {
+        match *fault {
+            Fault::Kill(node) | Fault::Restart(node) if node != only => {
+                return Err(FaultError::NotHere(cell.nodes[node.index()].name.clone()));
+            }
+            Fault::Cut(a, b) | Fault::Heal(a, b) if a != only && b != only => {
+                return Err(FaultError::NotHere(cell.nodes[a.index()].name.clone()));
+            }
+            Fault::Kill(_) | Fault::Restart(_) | Fault::Cut(..) | Fault::Heal(..) => {}
+        }
+    }
+    Ok(())
+}
+
 /// Something that no run should have, besides what is in its summary.
-struct Trouble {
+pub(super) struct Trouble {
     /// Whether it is this program's fault; otherwise somebody interfered.
-    at_fault: bool,
-    what: String,
+    pub(super) at_fault: bool,
+    pub(super) what: String,
 }
 
 /// Broken promises are a finding, and so is a node that somebody else ended. What faults do to a run is not.
 fn verdict(summary: &Summary, trouble: &[Trouble]) -> Exit {
-    let false_release = summary.rendezvous.iter().any(|r| r.rounds.false_releases > 0);
+    let false_release = summary.rendezvous.iter().any(|r| r.false_releases.is_some_and(|n| n > 0));
+    let broken = summary.outcome.as_ref().is_some_and(|outcome| outcome.held == Some(false));
     if trouble.iter().any(|t| t.at_fault) {
         Exit::Internal
-    } else if false_release || summary.acted.is_some_and(|a| a.executed_late > 0) || !trouble.is_empty() {
+    } else if false_release || broken || !trouble.is_empty() {
         Exit::Finding
     } else {
         Exit::Well
     }
 }
 
-fn setups(run: &Run<'_>, seed: u64) -> Vec<Setup> {
-    let setup = |name: &str| Setup {
-        cell: run.source.clone(),
-        node: name.into(),
-        incarnation: 0,
-        seed,
-        loss: run.args.loss.0,
-        record: run.args.record.as_ref().map(|file| record_file(file, name)),
-        actions: run.actions.clone(),
-    };
-    run.loaded.table.cell().nodes.iter().map(|node| setup(&node.name)).collect()
+fn setups(run: &Run<'_>, seed: u64) -> Result<Vec<(NodeId, Setup)>, LaunchError> {
+    let cell = run.loaded.table.cell();
+    let mut all = Vec::new();
+    for (i, node) in cell.nodes.iter().enumerate() {
+        let id = NodeId::from_index(i);
+        if run.only.is_some_and(|only| only != id) {
+            continue;
+        }
+        let mut setup = Setup {
+            cell: run.source.clone(),
+            node: node.name.clone(),
+            incarnation: 0,
+            restarted: false,
+            bind: None,
+            // One after the other, where there are several.
+            observe: run.args.observe.map(|first| observed_at(first, all.len())),
+            rt: run.args.rt,
+            seed,
+            loss: run.args.loss.0,
+            record: run.args.record.as_ref().map(|file| record_file(file, &node.name)),
+            actions: run.actions.clone(),
+            courses: run.courses.clone(),
+        };
+        if run.only.is_some() {
+            setup.bind = Some(place::address(run.loaded, id)?);
+            // Its neighbours may have heard of an earlier life of it (D49).
+            let (life, restarted) = place::next_life(&cell.name, &node.name)?;
+            (setup.incarnation, setup.restarted) = (life.0, restarted);
+        }
+        all.push((id, setup));
+    }
+    Ok(all)
+}
+
+/// The address of the node that comes after so many others; port 0 is any free one for each.
+pub fn observed_at(first: SocketAddr, after: usize) -> SocketAddr {
+    let port = first.port();
+    let after = u16::try_from(after).unwrap_or(u16::MAX);
+    SocketAddr::new(first.ip(), if port == 0 { 0 } else { port.saturating_add(after) })
 }
 
 /// Each node writes a file of its own: `run.imrs` becomes `run.nl.imrs`.
@@ -224,10 +321,13 @@ fn watch_signals(messages: mpsc::Sender<Message>) -> Result<(), LaunchError> {
 
 impl Launcher<'_> {
     /// Waits until every node has said what `wanted` picks out. Returns that by node.
-    fn wait_for_all<T>(&mut self, wanted: impl Fn(Word) -> Option<T>) -> Result<Vec<T>, LaunchError> {
+    fn wait_for_all<T>(
+        &mut self,
+        wanted: impl Fn(Word) -> Option<T>,
+    ) -> Result<BTreeMap<NodeId, T>, LaunchError> {
         let deadline = Instant::now() + READY_WITHIN;
         let mut heard: BTreeMap<NodeId, T> = BTreeMap::new();
-        while heard.len() < self.cell.nodes.len() {
+        while heard.len() < self.children.len() {
             let left = deadline.saturating_duration_since(Instant::now());
             match self.messages.recv_timeout(left) {
                 Ok(Message::Said(node, word @ (Word::Event(_) | Word::Did(_) | Word::TaskEnded { .. }))) => {
@@ -238,176 +338,92 @@ impl Launcher<'_> {
                         heard.insert(node, value);
                     }
                 }
-                Ok(Message::Gone(node)) => {
-                    return Err(LaunchError::NotReady(self.children.name(node).into()));
+                Ok(Message::Gone(node, _)) => {
+                    let ends = self.children.wait(EXIT_WITHIN);
+                    let refused = ends.contains(&(node, super::children::End::Code(Exit::Usage as i32)));
+                    return Err(LaunchError::NotReady { name: self.name(node), refused });
                 }
                 Ok(Message::Interrupted) => self.interrupted = true,
                 Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => {
-                    let late =
-                        (0..self.cell.nodes.len()).map(NodeId::from_index).find(|n| !heard.contains_key(n));
-                    let name = late.map(|node| self.children.name(node).to_owned());
-                    return Err(LaunchError::NotReady(name.unwrap_or_default()));
+                    let late = self.children.nodes().find(|node| !heard.contains_key(node));
+                    let name = late.map(|node| self.name(node)).unwrap_or_default();
+                    return Err(LaunchError::NotReady { name, refused: false });
                 }
             }
         }
-        Ok(heard.into_values().collect())
+        Ok(heard)
     }
 
-    fn announce(&self, seed: u64, addresses: &[Option<SocketAddr>], out: &mut Output) -> Result<(), Failure> {
-        let node = |(i, &address): (usize, &Option<SocketAddr>)| {
-            let id = NodeId::from_index(i);
+    pub(super) fn name(&self, node: NodeId) -> String {
+        self.children.name(node).to_owned()
+    }
+
+    pub(super) fn table(&self) -> &CellTable {
+        &self.run.loaded.table
+    }
+
+    fn announce(
+        &self,
+        seed: u64,
+        bound: &BTreeMap<NodeId, (Option<SocketAddr>, Option<SocketAddr>)>,
+        out: &mut Output,
+    ) -> Result<(), Failure> {
+        let node = |(&id, &(address, observe)): (&NodeId, &(Option<SocketAddr>, Option<SocketAddr>))| {
             let tasks = self.cell.tasks.iter().filter(|t| t.node == id).map(|t| t.name.as_str());
             StartedNode {
-                name: &self.cell.nodes[i].name,
+                name: &self.cell.nodes[id.index()].name,
                 tasks: tasks.collect(),
                 pid: self.children.pid(id),
                 address,
+                observe,
             }
         };
-        let started: Vec<_> = addresses.iter().enumerate().map(node).collect();
+        let started: Vec<_> = bound.iter().map(node).collect();
         match self.run.args.format {
             Format::Json => out.json(&Started { version: 1, started }),
             Format::Text => report::started(self.run, seed, &started, out),
         }
     }
 
-    /// Follows the run until its end, carrying out the faults on time.
-    fn follow(
-        &mut self,
-        started: Instant,
-        length: Duration,
-        faults: &[(Duration, Fault)],
-        out: &mut Output,
-    ) -> Result<(), Failure> {
-        for message in std::mem::take(&mut self.early) {
-            self.take(message);
-        }
-        let mut faults = faults.iter().peekable();
-        let progress = progress_line(self.run.args.format);
-        let mut progress_at = started;
-        while !self.interrupted && !self.is_over() {
-            let now = started.elapsed();
-            if now >= length {
-                break;
-            }
-            while let Some((_, fault)) = faults.next_if(|(at, _)| *at <= now) {
-                self.carry_out(*fault);
-            }
-            let shows = !self.diary.is_empty();
-            if shows {
-                progress.suspend(|| self.diary.show(self.cell, now_us(), out))?;
-            }
-            if progress_at <= Instant::now() {
-                let of = self.run.length.map(|all| format!(" of {}", humantime::format_duration(all)));
-                let (so_far, of) = (now.as_secs(), of.unwrap_or_default());
-                progress.set_message(format!("{so_far} s{of}: {} rounds", self.gatherer.released()));
-                progress.tick();
-                progress_at = Instant::now() + PROGRESS_EVERY;
-            }
-            let next_fault = faults.peek().map_or(length, |(at, _)| *at);
-            let mut until = (started + next_fault.min(length)).min(progress_at);
-            if shows {
-                until = until.min(Instant::now() + SHOW_EVERY);
-            }
-            match self.messages.recv_timeout(until.saturating_duration_since(Instant::now())) {
-                Ok(message) => self.take(message),
-                Err(RecvTimeoutError::Timeout) => {}
-                Err(RecvTimeoutError::Disconnected) => break,
-            }
-        }
-        progress.finish_and_clear();
-        self.diary.close(self.cell, out)?;
-        Ok(())
-    }
-
-    /// Whether nothing can happen any more: all nodes are gone, or every task is a script and has ended.
-    fn is_over(&self) -> bool {
-        let scripts = self.run.loaded.scripts.iter().all(Option::is_some);
-        self.gone.len() == self.cell.nodes.len() || scripts && self.ended.len() == self.cell.tasks.len()
-    }
-
-    fn carry_out(&mut self, fault: Fault) {
-        let name = |node: NodeId| self.cell.nodes[node.index()].name.clone();
-        match fault {
-            Fault::Kill(node) => {
-                let at = now_us();
-                self.children.kill(node);
-                self.gatherer.killed(node, at);
-            }
-            Fault::Cut(a, b) => {
-                self.children.order(a, &Order::Cut(name(b)));
-                self.children.order(b, &Order::Cut(name(a)));
-            }
-            Fault::Heal(a, b) => {
-                self.children.order(a, &Order::Heal(name(b)));
-                self.children.order(b, &Order::Heal(name(a)));
-            }
-        }
-    }
-
-    fn take(&mut self, message: Message) {
-        match message {
-            Message::Said(_, Word::Event(event)) => self.gatherer.event(&event),
-            Message::Said(node, Word::Figures(figures)) => self.gatherer.figures(node, *figures),
-            Message::Said(_, Word::TaskFailed { task, how }) => {
-                self.trouble.push(Trouble { at_fault: true, what: format!("task `{task}` {how}") });
-            }
-            Message::Said(_, Word::Did(did)) => {
-                if self.run.args.format == Format::Text && !self.stopping {
-                    self.diary.add(did);
-                }
-            }
-            Message::Said(_, Word::TaskEnded { task, how, wrong }) => {
-                self.ended.push(task);
-                if wrong {
-                    let what = format!("task `{}` {how}", self.cell.tasks[task.index()].name);
-                    self.trouble.push(Trouble { at_fault: false, what });
-                }
-                self.gatherer.script_ended(task, how);
-            }
-            Message::Said(_, Word::Bound(_) | Word::Started | Word::Done) => {}
-            Message::Gone(node) => {
-                // One that was not killed by this launcher: somebody else did, or it is at fault. Its last words are missing.
-                if !self.stopping {
-                    self.gatherer.killed(node, now_us());
-                }
-                self.gone.push(node);
-            }
-            Message::Interrupted => self.interrupted = true,
-        }
-    }
-
     /// Stops the nodes, hears the rest of what they say, and sums up.
-    fn finish(mut self, seconds: f64, seed: u64, loss: f64) -> (Summary, Vec<Trouble>) {
-        self.gatherer.ended(now_us());
+    fn finish(mut self, seconds: f64, seed: u64) -> (Summary, Vec<Trouble>) {
+        let end = now_us();
+        self.gatherer.ended(end);
         self.stopping = true;
         self.children.order_all(&Order::Stop);
         self.interrupted = false;
         let deadline = Instant::now() + STOP_WITHIN;
-        while self.gone.len() < self.cell.nodes.len() && !self.interrupted {
+        while self.gone.len() < self.children.len() && !self.interrupted {
             match self.messages.recv_timeout(deadline.saturating_duration_since(Instant::now())) {
-                Ok(message) => self.take(message),
+                // Nothing that is heard now starts anything.
+                Ok(message) => drop(self.take(message)),
                 Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => break,
             }
         }
         let ends = self.children.wait(deadline.saturating_duration_since(Instant::now()) + EXIT_WITHIN);
-        for (node, end) in self.cell.nodes.iter().zip(&ends) {
+        for (node, end) in &ends {
             if let Some(at_fault) = end.at_fault() {
-                self.trouble.push(Trouble { at_fault, what: format!("node `{}`: {end}", node.name) });
+                let what = format!("node `{}`: {end}", self.cell.nodes[node.index()].name);
+                self.trouble.push(Trouble { at_fault, what });
             }
         }
-        let exits: Vec<String> = ends.iter().map(ToString::to_string).collect();
-        (self.gatherer.summary(seconds, seed, loss, &exits), self.trouble)
+        let exits: Vec<(NodeId, String)> = ends.iter().map(|(node, end)| (*node, end.to_string())).collect();
+        let mut summary = self.gatherer.summary(seconds, seed, self.run.args.loss.0, &exits);
+        summary.rt = self.run.args.rt;
+        if let Some(tale) = self.run.tale {
+            self.deeds.sort_by_key(|did| did.at);
+            let story = Story {
+                loaded: self.run.loaded,
+                began: self.diary.began(),
+                ended: end,
+                deeds: self.deeds,
+                faults: self.came,
+                summary: &summary,
+            };
+            summary.outcome = Some((tale.explain)(&story));
+        }
+        (summary, self.trouble)
     }
-}
-
-/// A line on standard error while the run lasts, if a person may be looking.
-fn progress_line(format: Format) -> ProgressBar {
-    let target = match format {
-        Format::Text => ProgressDrawTarget::stderr(),
-        Format::Json => ProgressDrawTarget::hidden(),
-    };
-    ProgressBar::with_draw_target(None, target).with_style(ProgressStyle::default_spinner())
 }
 
 #[cfg(test)]

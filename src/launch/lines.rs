@@ -1,7 +1,9 @@
 //! What the launcher and the nodes say to each other: one JSON document per line, over the pipes between them.
 
+use super::deed::Did;
 use crate::cells::Source;
 use imrs_protocol::{PortCounters, PortId, Round, TaskId};
+use imrs_runtime::script::Course;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::io::{self, BufRead, Write};
@@ -17,6 +19,14 @@ pub struct Setup {
     pub node: String,
     /// Which life of the node this is.
     pub incarnation: u8,
+    /// Whether an earlier one may have taken requests (D49).
+    pub restarted: bool,
+    /// Where its socket is; any free port of the loopback where nothing is said.
+    pub bind: Option<SocketAddr>,
+    /// Where it serves monitors over TCP.
+    pub observe: Option<SocketAddr>,
+    /// Whether it runs under the real-time scheduler.
+    pub rt: bool,
     /// Seeds the injected loss and the lengths of the tasks' work.
     pub seed: u64,
     /// The share of its datagrams that the node loses on purpose.
@@ -25,13 +35,15 @@ pub struct Setup {
     pub record: Option<PathBuf>,
     /// By action, the command to execute for it.
     pub actions: BTreeMap<String, Vec<String>>,
+    /// What simulated actions give as time goes on.
+    pub courses: Vec<Course>,
 }
 
 /// Every later line to a node. The end of the pipe is the end of the launcher, and of the node.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Order {
-    /// The address book: by the name of the node. The node starts.
+    /// The address book: by the name of the node. With the first one the node starts; a later one says what is new.
     Book(BTreeMap<String, SocketAddr>),
     /// From now on, sends nothing to this node.
     Cut(String),
@@ -47,21 +59,19 @@ pub enum Order {
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum Word {
-    /// The node has its way to the others; a socket, if it has a process of its own.
-    Bound(Option<SocketAddr>),
+    /// The node has its way to the others.
+    Bound {
+        /// Its socket, if it has a process of its own.
+        address: Option<SocketAddr>,
+        /// Where it serves monitors over TCP.
+        observe: Option<SocketAddr>,
+    },
     /// The node's tasks run.
     Started,
     /// Something happened at a waitfor.
     Event(Event),
     /// The node's figures since its start.
     Figures(Box<Figures>),
-    /// A task ended otherwise than by being stopped.
-    TaskFailed {
-        /// Its name.
-        task: String,
-        /// How.
-        how: String,
-    },
     /// A script did something worth a line.
     Did(Did),
     /// A script ended by itself.
@@ -70,26 +80,23 @@ pub enum Word {
         task: TaskId,
         /// How, in words.
         how: String,
-        /// Whether that is a finding.
-        wrong: bool,
+        /// What to think of it.
+        sort: EndSort,
     },
     /// Everything has been said.
     Done,
 }
 
-/// Something that a script did.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Did {
-    /// When, on the monotonic clock that all processes of one machine share, in microseconds.
-    pub at: u64,
-    /// The task.
-    pub task: TaskId,
-    /// The line of the cell's text.
-    pub line: Option<usize>,
-    /// What, in words.
-    pub what: String,
-    /// Whether it is shown however busy the task is.
-    pub always: bool,
+/// What to think of the end of a script.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum EndSort {
+    /// It came to its end, or lost its lease.
+    Well,
+    /// It gave up, as its text says.
+    Aborted,
+    /// It did what must not be.
+    Failed,
 }
 
 /// Something that happened at a waitfor.
@@ -131,14 +138,14 @@ pub struct Figures {
     pub ports: Vec<(TaskId, PortId, PortCounters)>,
     /// How the class-2 messages of its tasks ended.
     pub outcomes: Outcomes,
-    /// The messages that its tasks acted on; a script's are not dated, so nothing is known of theirs.
-    pub acted: Option<Acted>,
     /// What its machines dropped, by reason.
     pub discards: BTreeMap<String, u64>,
     /// What its link dropped, by reason.
     pub link_discards: BTreeMap<String, u64>,
     /// What its link counted besides.
     pub link: BTreeMap<String, u64>,
+    /// Packets that left by its transit buffer: its own and those that it relayed.
+    pub forwarded: u64,
     /// Packets that its link lost on purpose.
     pub lost_on_purpose: u64,
     /// Packets that its link held back because of a cut.
@@ -162,19 +169,6 @@ pub struct Outcomes {
     pub peer_restarted: u64,
 }
 
-/// What tasks did with the messages they received.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Acted {
-    /// Commands that were carried out.
-    pub executed: u64,
-    /// Those of them that were older than their time_out, by the clock that all processes of one machine share.
-    pub executed_late: u64,
-    /// Commands that came too late to be answered, and were not carried out.
-    pub turned_away: u64,
-    /// The age of the oldest command that was carried out, in microseconds.
-    pub oldest_us: u64,
-}
-
 impl std::ops::AddAssign for Outcomes {
     fn add_assign(&mut self, other: Self) {
         self.replies += other.replies;
@@ -185,12 +179,25 @@ impl std::ops::AddAssign for Outcomes {
     }
 }
 
-impl std::ops::AddAssign for Acted {
-    fn add_assign(&mut self, other: Self) {
-        self.executed += other.executed;
-        self.executed_late += other.executed_late;
-        self.turned_away += other.turned_away;
-        self.oldest_us = self.oldest_us.max(other.oldest_us);
+impl Figures {
+    /// Adds those of another life of the node.
+    pub fn add(&mut self, other: &Self) {
+        self.ports.extend_from_slice(&other.ports);
+        self.outcomes += other.outcomes;
+        let maps = [
+            (&mut self.discards, &other.discards),
+            (&mut self.link_discards, &other.link_discards),
+            (&mut self.link, &other.link),
+        ];
+        for (sum, more) in maps {
+            for (name, count) in more {
+                *sum.entry(name.clone()).or_default() += count;
+            }
+        }
+        self.forwarded += other.forwarded;
+        self.lost_on_purpose += other.lost_on_purpose;
+        self.cut_off += other.cut_off;
+        self.untold += other.untold;
     }
 }
 

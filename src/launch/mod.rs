@@ -5,20 +5,24 @@
 //! between nodes passes it.
 
 mod children;
-pub mod clock;
+mod clock;
+pub mod deed;
 mod diary;
 mod faults;
+mod follow;
 mod launcher;
 mod lines;
 mod node;
-pub mod probe;
+pub mod place;
 mod recorder;
 mod report;
+mod rt;
 mod scripted;
+pub mod story;
 mod summary;
 mod tally;
 mod way;
 
-pub use faults::{ActionCommand, Cut, Kill, Rate};
-pub use launcher::{LaunchError, Run, run};
+pub use faults::{ActionCommand, Cut, Fault, Kill, Rate, Restart};
+pub use launcher::{LaunchError, Run, observed_at, run};
 pub use node::{NodeError, run_process as run_node};

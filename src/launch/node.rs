@@ -1,20 +1,22 @@
 //! One node of a run: does what its launcher says, in a process or a thread of its own.
 
+use super::deed::{Deed, Did, Lease};
 use super::lines::{Event, Figures, Order, Setup, What, Word, hear, say};
-use super::probe::Probe;
+use super::place::quarantine;
 use super::recorder::NodeRecording;
+use super::rt::{self, RtError};
 use super::scripted::Narrator;
 use super::way::Way;
 use crate::cells::{self, Loaded};
-use crate::demo;
+use crate::exit::Exit;
 use crate::output::complain;
-use imrs_protocol::{Event as Observed, Incarnation, NodeId, NodeTable, TaskId};
+use imrs_protocol::{Event as Observed, Incarnation, NodeId, NodeTable};
 use imrs_runtime::link::faulty::FaultyLink;
 use imrs_runtime::link::in_process::Network;
 use imrs_runtime::link::udp::{UdpError, UdpLink, UdpOptions};
-use imrs_runtime::observer::Observer;
+use imrs_runtime::observer::{Observer, ObserverError, Place};
 use imrs_runtime::script::{Actions, Commands, Simulated};
-use imrs_runtime::{Builder, Observations, Runtime, StartError, TaskEnd};
+use imrs_runtime::{Observations, Runtime, StartError};
 use imrs_wire::obs::{Count, TimedEvent};
 use imrs_wire::recording::WriteError;
 use rustix::process::{Signal, set_parent_process_death_signal};
@@ -53,6 +55,23 @@ pub enum NodeError {
     /// The node cannot record.
     #[error("node: cannot record: {0}")]
     Record(#[from] WriteError),
+    /// The node cannot be watched where that was asked for.
+    #[error("node: {0}")]
+    Observe(#[from] ObserverError),
+    /// The node cannot run in real time.
+    #[error(transparent)]
+    Rt(#[from] RtError),
+}
+
+impl NodeError {
+    /// The exit code it leads to.
+    pub const fn exit(&self) -> Exit {
+        match self {
+            // What was asked for cannot be had on this machine.
+            Self::Link(_) | Self::Record(_) | Self::Observe(_) | Self::Rt(_) => Exit::Usage,
+            Self::Pipe(_) | Self::Setup(_) | Self::Start(_) => Exit::Internal,
+        }
+    }
 }
 
 type FaultyWay = FaultyLink<Way>;
@@ -65,17 +84,21 @@ struct Process {
     /// Here until it is stopped.
     runtime: Option<Runtime>,
     node: Arc<imrs_runtime::Node>,
-    /// Monitors are served while this is here. A node runs without, too.
+    /// Monitors are served while these are here. A node runs without the first, too.
     _observer: Option<Observer>,
+    over_tcp: Option<Observer>,
     observations: Observations,
     recording: Option<NodeRecording>,
-    probe: Probe,
-    told: Receiver<Event>,
-    /// What the scripts do, where there are any.
+    /// What the scripts do.
     narrator: Arc<Narrator>,
     narrated: Receiver<Word>,
-    scripted: bool,
     untold: u64,
+    /// When its machines began.
+    since: Instant,
+    /// How long its scripts are kept from beginning.
+    held_back: Duration,
+    /// When they begin, once that is known and until they do.
+    begins: Option<Instant>,
     out: Words,
 }
 
@@ -103,7 +126,11 @@ pub fn run(
     let (orders, ordered) = mpsc::channel();
     let mut node = Process::start(&setup, out, network)?;
     let address = node.link.inner().udp().map(UdpLink::local_address);
-    say(&mut node.out, &Word::Bound(address))?;
+    let observe = node.over_tcp.as_ref().and_then(|observer| match observer.place() {
+        Place::Tcp(address) => Some(*address),
+        Place::Unix(_) => None,
+    });
+    say(&mut node.out, &Word::Bound { address, observe })?;
     thread::Builder::new().name("imrs orders".into()).spawn(move || listen(input, &orders))?;
     match node.serve(&ordered)? {
         Leave::InOrder => node.end(),
@@ -131,6 +158,10 @@ fn listen(mut input: impl BufRead, orders: &Sender<Order>) {
 
 impl Process {
     fn start(setup: &Setup, out: Words, network: Option<&Arc<Network>>) -> Result<Self, NodeError> {
+        if setup.rt {
+            // Before any other thread of the node: they are started in its likeness.
+            rt::begin()?;
+        }
         let loaded = cells::load(&setup.cell).map_err(|error| NodeError::Setup(error.to_string()))?;
         let (cell, loaded) = (Arc::clone(&loaded.table), Arc::new(loaded));
         let id = cell.cell().nodes.iter().position(|n| n.name == setup.node).map(NodeId::from_index);
@@ -139,24 +170,23 @@ impl Process {
 
         let life = Incarnation(setup.incarnation);
         let way = match network {
-            Some(network) => Way::InProcess(network.join(id, life, false)),
+            Some(network) => Way::InProcess(network.join(id, life, setup.restarted)),
             None => {
                 let any_port = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));
-                let options = UdpOptions::new(life, false);
-                Way::Udp(Box::new(UdpLink::bind(table.clone(), any_port, options)?))
+                let (address, options) =
+                    (setup.bind.unwrap_or(any_port), UdpOptions::new(life, setup.restarted));
+                Way::Udp(Box::new(UdpLink::bind(table.clone(), address, options)?))
             }
         };
         // Of all links of the cell, no two lose the same datagrams.
         let link = Arc::new(FaultyLink::new(way, setup.seed.wrapping_add(u64::from(id.0))));
         link.set_loss(setup.loss);
 
-        let (tell, told) = mpsc::channel();
-        let probe = Probe::new(&cell, tell);
+        let since = Instant::now();
         let (narrate, narrated) = mpsc::channel();
         let narrator = Arc::new(Narrator::new(Arc::clone(&loaded), narrate));
-        let scripted = loaded.scripts.iter().any(Option::is_some);
         let mut builder = Runtime::builder(Arc::clone(&cell), id)
-            .incarnation(life, false)
+            .incarnation(life, setup.restarted)
             .insecure(true)
             .link(Arc::clone(&link) as Arc<dyn imrs_runtime::link::Link>)
             .actions(actions(setup, &loaded)?)
@@ -164,7 +194,10 @@ impl Process {
             .seed(setup.seed)
             .hold_scripts();
         for task in cell.tasks_on(id) {
-            builder = with_program(builder, &loaded, task, &probe, setup.seed)?;
+            let name = &cell.cell().tasks[task.index()].name;
+            let script = loaded.scripts[task.index()].as_ref();
+            let script = script.ok_or_else(|| NodeError::Setup(format!("the extern task `{name}`")))?;
+            builder = builder.script(name, Arc::clone(&script.program));
         }
         let recording = match &setup.record {
             Some(path) => Some(NodeRecording::start(path, setup, &NodeTable::new(Arc::clone(&cell), id))?),
@@ -180,21 +213,23 @@ impl Process {
         if let Err(error) = &observer {
             complain(format_args!("node {} runs, but no monitor can see it: {error}", setup.node));
         }
-        let (runtime, _observer) = (Some(runtime), observer.ok());
+        let over_tcp = setup.observe.map(|address| Observer::start_tcp(Arc::clone(&node), address));
+        let (runtime, _observer, over_tcp) = (Some(runtime), observer.ok(), over_tcp.transpose()?);
         Ok(Self {
             table,
             link,
             runtime,
             node,
             _observer,
+            over_tcp,
             observations,
             recording,
-            probe,
-            told,
             narrator,
             narrated,
-            scripted,
             untold: 0,
+            since,
+            held_back: if setup.restarted { quarantine(&cell, id) } else { Duration::ZERO },
+            begins: None,
             out,
         })
     }
@@ -204,12 +239,19 @@ impl Process {
         let mut counted = Instant::now();
         let mut tell_at = Instant::now() + TELL_EVERY;
         loop {
-            match orders.recv_timeout(tell_at.saturating_duration_since(Instant::now())) {
+            let wake = self.begins.map_or(tell_at, |begins| begins.min(tell_at));
+            let order = orders.recv_timeout(wake.saturating_duration_since(Instant::now()));
+            if self.begins.is_some_and(|begins| begins <= Instant::now()) {
+                self.begins = None;
+                self.runtime.iter().for_each(Runtime::begin);
+            }
+            match order {
                 Ok(Order::Book(book)) => self.begin(&book)?,
                 Ok(Order::Cut(name)) => self.set_cut(&name, true),
                 Ok(Order::Heal(name)) => self.set_cut(&name, false),
                 Ok(Order::Stop) | Err(RecvTimeoutError::Disconnected) => return Ok(Leave::InOrder),
                 Ok(Order::Die) => return Ok(Leave::AtOnce),
+                Err(RecvTimeoutError::Timeout) if tell_at > Instant::now() => {}
                 Err(RecvTimeoutError::Timeout) => {
                     tell_at = Instant::now() + TELL_EVERY;
                     self.tell()?;
@@ -229,8 +271,10 @@ impl Process {
                 let _ = self.link.inner().udp().map(|udp| udp.set_address(node, Some(address)));
             }
         }
-        self.probe.start();
-        self.runtime.iter().for_each(Runtime::begin);
+        match self.held_back {
+            Duration::ZERO => self.runtime.iter().for_each(Runtime::begin),
+            held_back => self.begins = Some(self.since + held_back),
+        }
         Ok(say(&mut self.out, &Word::Started)?)
     }
 
@@ -249,15 +293,13 @@ impl Process {
         for neighbour in self.table.neighbours(self.table.node) {
             self.link.set_cut(neighbour, true);
         }
-        self.probe.start();
         drop(self.runtime.take().map(|runtime| runtime.stop(PATIENCE)));
     }
 
     /// Stops the tasks, and tells the rest.
     fn end(mut self) -> Result<(), NodeError> {
-        // Tasks that still wait for the start can end, too.
-        self.probe.start();
-        let ends = self.runtime.take().map(|runtime| runtime.stop(PATIENCE)).unwrap_or_default();
+        // What scripts came to was told when they ended.
+        drop(self.runtime.take().map(|runtime| runtime.stop(PATIENCE)));
         self.tell()?;
         self.count()?;
         let recorded = self.recording.take().and_then(|recording| recording.stop(PATIENCE));
@@ -265,20 +307,19 @@ impl Process {
             let (name, lost) = (self.node.name(), status.lost);
             complain(format_args!("the recording of node {name} misses {lost} inputs"));
         }
-        for (task, how) in ends.into_iter().filter_map(|(task, end)| Some((task, trouble(&end)?))) {
-            say(&mut self.out, &Word::TaskFailed { task, how })?;
-        }
         Ok(say(&mut self.out, &Word::Done)?)
     }
 
     fn tell(&mut self) -> Result<(), NodeError> {
         // Taken before the observations, and told after them: no release is told whose announcement is not.
-        let events: Vec<Event> = self.told.try_iter().collect();
         let narrated: Vec<Word> = self.narrated.try_iter().collect();
         let mut observed = Vec::new();
         self.untold += self.observations.drain(ROOM, &mut observed);
-        for event in observed.iter().filter_map(announcement).chain(events) {
+        for event in observed.iter().filter_map(announcement) {
             say(&mut self.out, &Word::Event(event))?;
+        }
+        for did in observed.iter().filter_map(lease) {
+            say(&mut self.out, &Word::Did(did))?;
         }
         for word in narrated {
             say(&mut self.out, &word)?;
@@ -288,9 +329,6 @@ impl Process {
 
     fn count(&mut self) -> Result<(), NodeError> {
         let snapshot = self.node.snapshot(0);
-        let (mut outcomes, acted) = self.probe.counts();
-        outcomes += self.narrator.outcomes();
-        let acted = (!self.scripted).then_some(acted);
         let injected = self.link.injected();
         let ports = snapshot.tasks.iter().flat_map(|task| {
             let of = task.view.task;
@@ -301,11 +339,11 @@ impl Process {
             self.link.inner().udp().into_iter().flat_map(UdpLink::counts).filter(|&(_, count)| count > 0);
         let figures = Figures {
             ports: ports.collect(),
-            outcomes,
-            acted,
+            outcomes: self.narrator.outcomes(),
             discards: named(&snapshot.discards),
             link_discards: dropped,
             link: counted.map(|(name, count)| (name.to_owned(), count)).collect(),
+            forwarded: snapshot.transit.forwarded,
             lost_on_purpose: injected.lost_packets,
             cut_off: injected.cut_packets,
             untold: self.untold,
@@ -316,25 +354,8 @@ impl Process {
 
 /// Who carries out the actions of the scripts.
 fn actions(setup: &Setup, loaded: &Loaded) -> Result<Arc<dyn Actions>, NodeError> {
-    let simulated = Simulated::start(setup.seed, loaded.results())?;
+    let simulated = Simulated::start(setup.seed, loaded.results(), setup.courses.clone())?;
     Ok(Arc::new(Commands::new(setup.actions.clone(), simulated)))
-}
-
-/// Gives a task what it does.
-fn with_program(
-    builder: Builder,
-    loaded: &Loaded,
-    task: TaskId,
-    probe: &Probe,
-    seed: u64,
-) -> Result<Builder, NodeError> {
-    let name = &loaded.table.cell().tasks[task.index()].name;
-    if let Some(script) = &loaded.scripts[task.index()] {
-        return Ok(builder.script(name, Arc::clone(&script.program)));
-    }
-    let program = demo::program(name, probe.clone(), seed);
-    let program = program.ok_or_else(|| NodeError::Setup(format!("the task `{name}`")))?;
-    Ok(builder.task(name, program))
 }
 
 /// The counters that counted anything.
@@ -344,7 +365,7 @@ fn named(counts: &[Count]) -> BTreeMap<String, u64> {
 
 /// The announcement of a round, if that is what was observed.
 fn announcement(event: &TimedEvent) -> Option<Event> {
-    let task: TaskId = event.task?;
+    let task = event.task?;
     let announced = matches!(event.what.event, Observed::Reached | Observed::Rejoined);
     let round = imrs_protocol::Round(u16::try_from(event.what.number).ok()?);
     announced.then_some(Event {
@@ -356,13 +377,13 @@ fn announcement(event: &TimedEvent) -> Option<Event> {
     })
 }
 
-/// What is wrong with how a task ended. A program that returns by itself is wrong here, too: all of these run until stopped.
-fn trouble(end: &TaskEnd) -> Option<String> {
-    match end {
-        // What a script came to was told when it ended.
-        TaskEnd::Returned | TaskEnd::Script(_) => None,
-        TaskEnd::Failed(error) => Some(error.to_string()),
-        TaskEnd::Panicked(message) => Some(format!("panicked: {message}")),
-        TaskEnd::Unfinished => Some("did not end when it was stopped".into()),
-    }
+/// What became of a lease, if that is what was observed.
+fn lease(event: &TimedEvent) -> Option<Did> {
+    let lease = match event.what.event {
+        Observed::Granted => Lease::Granted,
+        Observed::TookOver => Lease::TookOver,
+        Observed::Fenced => Lease::Fenced,
+        _ => return None,
+    };
+    Some(Did { at: event.mono_us, task: event.task?, line: None, what: Deed::Lease(lease) })
 }

@@ -22,7 +22,7 @@ impl NodeRecording {
         let file = OpenOptions::new().write(true).create(true).truncate(true).open(path)?;
         let name = path.display().to_string();
         let failed = move |error: &WriteError| complain(format_args!("{name} is no longer written: {error}"));
-        let life = (Incarnation(setup.incarnation), false);
+        let life = (Incarnation(setup.incarnation), setup.restarted);
         let build = concat!("imrs ", env!("CARGO_PKG_VERSION"));
         Ok(Self(FileRecorder::start(file, table, life, true, build, failed)?))
     }

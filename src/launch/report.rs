@@ -1,5 +1,6 @@
 //! The summary of a run, as a person reads it.
 
+use super::faults::Restart;
 use super::launcher::{Run, StartedNode};
 use super::summary::{NodeSummary, RendezvousSummary, Summary};
 use crate::args::LaunchArgs;
@@ -17,22 +18,39 @@ pub fn started(run: &Run<'_>, seed: u64, nodes: &[StartedNode<'_>], out: &mut Ou
         "{}: {}, {} (checksummed, not authenticated)",
         Styled(HEAD, &run.loaded.table.cell().name),
         count(nodes.len() as u64, "node"),
-        if run.args.in_process { "all in this process" } else { "one process each, over loopback UDP" },
+        how(run),
     ))?;
     for node in nodes {
         let tasks = node.tasks.join(", ");
         let tasks = if tasks.is_empty() { "nothing: it relays".to_owned() } else { format!("runs {tasks}") };
         let address = node.address.map(|address| address.to_string()).unwrap_or_default();
-        out.line(format!("  {:<4} {tasks:<13} pid {:<8} {address}", node.name, node.pid).trim_end())?;
+        let watch = node.observe.map(|at| format!("  watched at tcp:{at}")).unwrap_or_default();
+        let line = format!("  {:<4} {tasks:<13} pid {:<8} {address}{watch}", node.name, node.pid);
+        out.line(line.trim_end())?;
     }
-    if let Some(words) = run.introduction {
-        out.line(words)?;
+    if run.args.rt {
+        out.line("Real time: SCHED_FIFO, memory locked.")?;
+    }
+    if let Some(tale) = &run.tale {
+        out.line("")?;
+        out.line(tale.introduction)?;
     }
     for fault in faults(run.args, seed) {
         out.line(format!("{} {fault}", Styled(NOTE, "fault:")))?;
     }
+    if let Some(moment) = run.tale.and_then(|tale| tale.moment) {
+        out.line(format!("{} {} (--no-fault runs without)", Styled(NOTE, "fault:"), moment.words))?;
+    }
     out.line("To watch: `imrs monitor` in another terminal. Ctrl-C ends the run early.")?;
     out.line("")
+}
+
+fn how(run: &Run<'_>) -> &'static str {
+    match (run.only, run.args.in_process) {
+        (Some(_), _) => "of all the only one here, over UDP",
+        (None, true) => "all in this process",
+        (None, false) => "one process each, over loopback UDP",
+    }
 }
 
 fn faults(args: &LaunchArgs, seed: u64) -> Vec<String> {
@@ -43,6 +61,10 @@ fn faults(args: &LaunchArgs, seed: u64) -> Vec<String> {
     for kill in &args.kill {
         let at = humantime::format_duration(kill.at);
         faults.push(format!("the node of `{}` is killed after {at}", kill.name));
+    }
+    for Restart(again) in &args.restart {
+        let at = humantime::format_duration(again.at);
+        faults.push(format!("the node of `{}` is started again after {at}, in its next life", again.name));
     }
     for cut in &args.cut {
         let (at, length) = (humantime::format_duration(cut.at), humantime::format_duration(cut.length));
@@ -66,13 +88,40 @@ pub fn summary(summary: &Summary, table: &CellTable, run: &Run<'_>, out: &mut Ou
     commands(summary, out)?;
     ports(summary, out)?;
     for node in &summary.nodes {
-        out.line(node_line(node))?;
+        out.line(node_line(node, relays(table, &node.name)))?;
     }
-    out.line("")?;
-    for line in in_words(summary, table, run) {
+    let words = in_words(summary, table, run);
+    if !words.is_empty() {
+        out.line("")?;
+    }
+    for line in words {
         out.line(line)?;
     }
-    Ok(())
+    let Some(outcome) = &summary.outcome else { return Ok(()) };
+    out.line("")?;
+    out.line(Styled(HEAD, "What happened"))?;
+    for words in &outcome.words {
+        wrapped(words, out)?;
+    }
+    match outcome.held {
+        Some(true) => out.line(format!("  {}", Styled(GOOD, "As promised."))),
+        Some(false) => out.line(format!("  {}", Styled(BAD, "NOT as promised."))),
+        None => out.line(format!("  {}", Styled(NOTE, "Not put to the test in this run."))),
+    }
+}
+
+/// A sentence or two, in lines that fit a narrow terminal.
+fn wrapped(words: &str, out: &mut Output) -> Result<(), Failure> {
+    let mut line = String::from(" ");
+    for word in words.split(' ') {
+        if line.chars().count() + word.chars().count() >= 96 {
+            out.line(&line)?;
+            line = String::from(" ");
+        }
+        line.push(' ');
+        line.push_str(word);
+    }
+    out.line(line)
 }
 
 fn meetings(rendezvous: &RendezvousSummary, out: &mut Output) -> Result<(), Failure> {
@@ -89,8 +138,11 @@ fn meetings(rendezvous: &RendezvousSummary, out: &mut Output) -> Result<(), Fail
         line += &format!(", {} unknown (a killed node's last words are missing)", grouped(r.unknown));
     }
     out.line(line)?;
-    let style = if r.false_releases == 0 { GOOD } else { BAD };
-    out.line(format!("    false releases: {}", Styled(style, grouped(r.false_releases))))?;
+    match rendezvous.false_releases {
+        Some(0) => out.line(format!("    false releases: {}", Styled(GOOD, "0")))?,
+        Some(n) => out.line(format!("    false releases: {}", Styled(BAD, grouped(n))))?,
+        None => return out.line("    false releases and start skew: not known of a part of the nodes"),
+    }
     match r.start_skew_us {
         Some(skew) => out.line(format!(
             "    start skew: {} p50, {} p99, {} at most",
@@ -114,18 +166,7 @@ fn commands(summary: &Summary, out: &mut Output) -> Result<(), Failure> {
     ];
     let named = others.iter().filter(|(n, _)| *n > 0).map(|(n, what)| format!("{} {what}", grouped(*n)));
     parts.extend(named);
-    out.line(format!("  commands: {} ended: {}", grouped(sent), parts.join(", ")))?;
-    let Some(a) = &summary.acted else { return Ok(()) };
-    let late = match a.executed_late {
-        0 => Styled(GOOD, "none after its time_out".to_owned()),
-        n => Styled(BAD, format!("{} AFTER their time_out", grouped(n))),
-    };
-    out.line(format!(
-        "    {} carried out, {late} (the oldest was {} old); {} came too late and were not carried out",
-        grouped(a.executed),
-        span(a.oldest_us),
-        grouped(a.turned_away),
-    ))
+    out.line(format!("  commands: {} ended: {}", grouped(sent), parts.join(", ")))
 }
 
 fn ports(summary: &Summary, out: &mut Output) -> Result<(), Failure> {
@@ -155,8 +196,22 @@ fn ports(summary: &Summary, out: &mut Output) -> Result<(), Failure> {
     Ok(())
 }
 
-fn node_line(node: &NodeSummary) -> String {
+/// Whether others reach each other through this node.
+fn relays(table: &CellTable, name: &str) -> bool {
+    let Some(node) = table.cell().nodes.iter().position(|node| node.name == name) else { return false };
+    let neighbours: Vec<_> = table.neighbours(imrs_protocol::NodeId::from_index(node)).collect();
+    let joined = |a, b| table.neighbours(a).any(|next| next == b);
+    neighbours.iter().any(|&a| neighbours.iter().any(|&b| a != b && !joined(a, b)))
+}
+
+fn node_line(node: &NodeSummary, relays: bool) -> String {
     let mut parts = vec![node.exit.clone()];
+    if node.lives > 1 {
+        parts.push(format!("{} lives", node.lives));
+    }
+    if relays && node.forwarded > 0 {
+        parts.push(format!("{} sent or passed on", count(node.forwarded, "packet")));
+    }
     if node.lost_on_purpose > 0 {
         parts.push(format!("{} lost on purpose", count(node.lost_on_purpose, "packet")));
     }
@@ -181,15 +236,19 @@ fn in_words(summary: &Summary, table: &CellTable, run: &Run<'_>) -> Vec<String> 
     let (args, mut words) = (run.args, Vec::new());
     for rendezvous in &summary.rendezvous {
         let r = &rendezvous.rounds;
-        words.push(match r.false_releases {
-            0 if r.released > 0 => {
-                format!("Nobody ever started at `{}` before all had arrived.", rendezvous.port)
+        match rendezvous.false_releases {
+            Some(0) if r.released > 0 => {
+                words.push(format!("Nobody ever started at `{}` before all had arrived.", rendezvous.port));
             }
-            0 => format!("Nobody started at `{}`, because not all ever arrived.", rendezvous.port),
-            n => {
-                format!("{}: {} happened before all had arrived.", Styled(BAD, "FAULT"), count(n, "release"))
+            Some(0) => {
+                words.push(format!("Nobody started at `{}`, because not all ever arrived.", rendezvous.port));
             }
-        });
+            Some(n) => {
+                let fault = Styled(BAD, "FAULT");
+                words.push(format!("{fault}: {} happened before all had arrived.", count(n, "release")));
+            }
+            None => {}
+        }
         if let Some(margin) = margin(table, &rendezvous.port).filter(|_| r.divergent > 0) {
             words.push(format!(
                 "In {} some started and others gave up: more packets were lost, or later, than the margin of {} covers.",
@@ -216,11 +275,6 @@ fn in_words(summary: &Summary, table: &CellTable, run: &Run<'_>) -> Vec<String> 
             "Lost packets were made up for by {} within the same time_outs.",
             count(again, "copy").replace("copys", "copies")
         ));
-    }
-    if run.introduction.is_some() && args.loss.0 == 0.0 && args.kill.is_empty() && args.cut.is_empty() {
-        words.push(
-            "Next: the same with faults: --loss 20%, --kill hoist@2s, --cut nl--nr@1s+40ms.".to_owned(),
-        );
     }
     words
 }

@@ -1,6 +1,7 @@
 //! What the scripts of a node do, told to the launcher without ever waiting for it.
 
-use super::lines::{Did, Event, Outcomes, What, Word};
+use super::deed::{Deed, Did, Unanswered};
+use super::lines::{EndSort, Event, Outcomes, What, Word};
 use crate::cells::Loaded;
 use imrs_protocol::script::{Address, End};
 use imrs_protocol::{Outcome, PortId, Request, Signal, TaskId, Usage};
@@ -28,8 +29,8 @@ struct Progress {
     statement: Option<Address>,
     /// By port, when and in which statement it last asked something there: handlers may run meanwhile.
     asked: BTreeMap<PortId, (u64, Option<Address>)>,
-    /// The statement of its last message.
-    sends: Option<Address>,
+    /// Its last message: on which port, by which statement.
+    sends: Option<(PortId, Option<Address>)>,
     /// By thread, the action that runs there.
     acts: Vec<Acts>,
 }
@@ -62,20 +63,15 @@ impl Narrator {
         let _ = self.told.send(word);
     }
 
-    fn did(&self, task: TaskId, at: u64, statement: Option<Address>, what: String) {
+    fn did(&self, task: TaskId, at: u64, statement: Option<Address>, what: Deed) {
         let line = statement.and_then(|statement| self.loaded.line(task, statement));
-        self.tell(Word::Did(Did { at, task, line, what, always: false }));
+        self.tell(Word::Did(Did { at, task, line, what }));
     }
 
-    fn port(&self, port: PortId) -> &str {
-        self.loaded.table.port(port).map_or("?", |port| port.decl.name.as_str())
-    }
-
-    fn missing(&self, port: PortId, missing: u64) -> String {
-        let Some(port) = self.loaded.table.port(port) else { return String::new() };
+    fn missing(&self, port: PortId, missing: u64) -> Vec<TaskId> {
+        let Some(port) = self.loaded.table.port(port) else { return Vec::new() };
         let away = port.parties.iter().enumerate().filter(|(i, _)| missing >> i.min(&63) & 1 == 1);
-        let names = away.map(|(_, party)| self.loaded.table.cell().tasks[party.task.index()].name.as_str());
-        names.collect::<Vec<_>>().join(", ")
+        away.map(|(_, party)| party.task).collect()
     }
 
     fn answered(&self, task: TaskId, at: u64, progress: &Progress, signal: &Signal, outcomes: &mut Outcomes) {
@@ -83,33 +79,27 @@ impl Narrator {
         match *signal {
             Signal::Released { port, round, .. } => {
                 self.tell(Word::Event(Event { at, task, port, round, what: What::Released }));
-                self.did(task, at, asked(port).1, format!("all arrived at `{}`", self.port(port)));
+                self.did(task, at, asked(port).1, Deed::Met(port));
             }
             Signal::GaveUp { port, round, missing } => {
                 let (since, statement) = asked(port);
                 let waited = at.saturating_sub(since);
                 let what = What::GaveUp { waited, missing };
                 self.tell(Word::Event(Event { at, task, port, round, what }));
-                let who = self.missing(port, missing);
-                self.did(task, at, statement, format!("time_out at `{}`: {who} missing", self.port(port)));
+                let missing = self.missing(port, missing);
+                self.did(task, at, statement, Deed::GaveUp { port, missing });
             }
             Signal::Outcome(outcome) => {
-                let (count, words) = match outcome {
+                let (count, how) = match outcome {
                     Outcome::Reply(_) => (&mut outcomes.replies, None),
-                    Outcome::Refused => (&mut outcomes.refused, Some("refused")),
-                    Outcome::TimedOutUnsent => {
-                        (&mut outcomes.timed_out_unsent, Some("time_out: it never left"))
-                    }
-                    Outcome::TimedOutUnknown => {
-                        (&mut outcomes.timed_out_unknown, Some("time_out: it may have run"))
-                    }
-                    Outcome::PeerRestarted => {
-                        (&mut outcomes.peer_restarted, Some("the peer restarted: it may have run"))
-                    }
+                    Outcome::Refused => (&mut outcomes.refused, Some(Unanswered::Refused)),
+                    Outcome::TimedOutUnsent => (&mut outcomes.timed_out_unsent, Some(Unanswered::NeverLeft)),
+                    Outcome::TimedOutUnknown => (&mut outcomes.timed_out_unknown, Some(Unanswered::Unknown)),
+                    Outcome::PeerRestarted => (&mut outcomes.peer_restarted, Some(Unanswered::PeerRestarted)),
                 };
                 *count += 1;
-                if let Some(words) = words {
-                    self.did(task, at, progress.sends, words.into());
+                if let (Some(how), Some((port, statement))) = (how, progress.sends) {
+                    self.did(task, at, statement, Deed::Unanswered { port, how });
                 }
             }
             _ => {}
@@ -122,21 +112,24 @@ impl Narrator {
             let line = address.and_then(|address| self.loaded.line(task, address));
             line.map(|line| format!(" (line {line})")).unwrap_or_default()
         };
-        let (words, wrong, place) = match end {
-            End::Finished => ("finished".to_owned(), false, statement),
-            End::Fenced => ("lost its lease and does nothing more".to_owned(), false, statement),
+        let (words, sort, place) = match end {
+            End::Finished => ("finished".to_owned(), EndSort::Well, statement),
+            End::Fenced => ("lost its lease and does nothing more".to_owned(), EndSort::Well, statement),
             End::Aborted(reason) => {
                 let reason = script.and_then(|script| script.program.reasons.get(usize::from(reason)));
                 let reason = reason.map(String::as_str).unwrap_or_default();
-                (format!("aborted: {reason}"), true, statement)
+                (format!("aborted: {reason}"), EndSort::Aborted, statement)
             }
-            End::Assertion(at) => ("failed: an assertion does not hold".to_owned(), true, Some(at)),
-            End::Fault { fault, at } => (format!("failed: {fault}"), true, Some(at)),
+            End::Assertion(at) => {
+                ("failed: an assertion does not hold".to_owned(), EndSort::Failed, Some(at))
+            }
+            End::Fault { fault, at } => (format!("failed: {fault}"), EndSort::Failed, Some(at)),
         };
-        let how = format!("{words}{}", if wrong { at_line(place) } else { String::new() });
+        let at_line = if sort == EndSort::Well { String::new() } else { at_line(place) };
+        let how = format!("{words}{at_line}");
         let line = place.and_then(|place| self.loaded.line(task, place));
-        self.tell(Word::Did(Did { at, task, line, what: words, always: true }));
-        self.tell(Word::TaskEnded { task, how, wrong });
+        self.tell(Word::Did(Did { at, task, line, what: Deed::Ended(words) }));
+        self.tell(Word::TaskEnded { task, how, sort });
     }
 }
 
@@ -149,37 +142,39 @@ impl Watch for Narrator {
             Note::Statement(statement) => progress.statement = Some(*statement),
             Note::Asked(Request::Arrive { port, .. }) => {
                 progress.asked.insert(*port, (at, progress.statement));
-                self.did(task, at, progress.statement, format!("waits at `{}`", self.port(*port)));
+                self.did(task, at, progress.statement, Deed::Waits(*port));
             }
             Note::Asked(Request::Send { port, .. }) => {
-                progress.sends = progress.statement;
+                progress.sends = Some((*port, progress.statement));
                 // Queries are beats and looks: too many to tell.
                 let usage = self.loaded.table.port(*port).and_then(|port| port.party(task)).map(|p| p.usage);
                 if usage == Some(Usage::Send) {
-                    self.did(task, at, progress.statement, format!("sends `{}`", self.port(*port)));
+                    self.did(task, at, progress.statement, Deed::Sends(*port));
                 }
             }
             Note::Answered(signal) => self.answered(task, at, progress, signal, outcomes),
-            Note::Acts { level, action, most, .. } => {
+            Note::Acts { level, action, arguments, most } => {
                 let (statement, at_once) = (progress.statement, most.is_zero());
                 progress.acts.retain(|acts| acts.level != *level);
                 progress.acts.push(Acts { level: *level, action: *action, statement, at_once });
                 if !at_once {
-                    self.did(task, at, statement, format!("begins {}", self.loaded.action(task, *action)));
+                    let arguments = self.loaded.arguments(task, *action, arguments);
+                    let action = self.loaded.action(task, *action).to_owned();
+                    self.did(task, at, statement, Deed::Begins { action, arguments });
                 }
             }
             Note::Acted { level, ok, value } => {
                 if let Some(acts) = progress.take(*level).filter(|acts| !(acts.at_once && *ok)) {
-                    let how = if *ok { "ends" } else { "FAILED:" };
-                    let name = self.loaded.action(task, acts.action);
-                    let value = if *value == 0 { String::new() } else { format!(": {value}") };
-                    self.did(task, at, acts.statement, format!("{how} {name}{value}"));
+                    let value = self.loaded.result(task, acts.action, *value);
+                    let action = self.loaded.action(task, acts.action).to_owned();
+                    let what = if *ok { Deed::Ends { action, value } } else { Deed::Fails(action) };
+                    self.did(task, at, acts.statement, what);
                 }
             }
             Note::CutShort(level) => {
                 if let Some(acts) = progress.take(*level) {
-                    let name = self.loaded.action(task, acts.action);
-                    self.did(task, at, acts.statement, format!("{name} is cut short"));
+                    let name = self.loaded.action(task, acts.action).to_owned();
+                    self.did(task, at, acts.statement, Deed::CutShort(name));
                 }
             }
             Note::Ended(end) => self.ended(task, at, progress.statement, *end),

@@ -1,6 +1,7 @@
 //! What a run comes to: gathered from the nodes while it lasts, summed up at its end.
 
-use super::lines::{Acted, Event, Figures, Outcomes, What};
+use super::lines::{Event, Figures, Outcomes, What};
+use super::story::Outcome;
 use super::tally::{Rounds, Tally};
 use imrs_protocol::{CellTable, NodeId, PortCounters, PortId, TaskId, Usage};
 use serde::Serialize;
@@ -26,14 +27,16 @@ pub struct Summary {
     pub rendezvous: Vec<RendezvousSummary>,
     /// How the class-2 messages of the tasks ended.
     pub commands: Outcomes,
-    /// The messages that tasks acted on, where these say when they were sent.
-    pub acted: Option<Acted>,
     /// Who gave up first after each kill, and when.
     pub after_kill: Vec<AfterKill>,
     /// How scripts ended that did so by themselves.
     pub tasks: Vec<TaskSummary>,
     /// By node.
     pub nodes: Vec<NodeSummary>,
+    /// Whether the nodes ran under the real-time scheduler.
+    pub rt: bool,
+    /// What came of a demo.
+    pub outcome: Option<Outcome>,
 }
 
 /// A script that ended by itself.
@@ -76,6 +79,8 @@ pub struct RendezvousSummary {
     /// What came of its rounds.
     #[serde(flatten)]
     pub rounds: Rounds,
+    /// Of a part of the nodes nobody knows who had arrived at the others: `None` then.
+    pub false_releases: Option<u64>,
 }
 
 /// A task that gave up because a node was killed.
@@ -100,6 +105,10 @@ pub struct NodeSummary {
     pub name: String,
     /// How its process ended: `clean`, `killed` by the launcher, or what went wrong.
     pub exit: String,
+    /// How many lives it had: one, and one for each restart.
+    pub lives: usize,
+    /// Packets that left it over links: its own, and those that it relayed for others.
+    pub forwarded: u64,
     /// What its machines dropped, by reason.
     pub discards: BTreeMap<String, u64>,
     /// What its link dropped, by reason.
@@ -116,7 +125,10 @@ pub struct NodeSummary {
 pub struct Gatherer {
     table: Arc<CellTable>,
     tallies: BTreeMap<PortId, Tally>,
-    figures: Vec<Figures>,
+    /// By node and life.
+    figures: Vec<Vec<Figures>>,
+    /// The nodes that are heard: all, or the one that is run here.
+    here: Vec<NodeId>,
     kills: Vec<(NodeId, u64)>,
     after_kill: Vec<AfterKill>,
     ended: Vec<TaskSummary>,
@@ -125,16 +137,19 @@ pub struct Gatherer {
 }
 
 impl Gatherer {
-    /// Nothing yet.
-    pub fn new(table: Arc<CellTable>) -> Self {
+    /// Nothing yet, of a run of these nodes.
+    pub fn new(table: Arc<CellTable>, here: Vec<NodeId>) -> Self {
         let waitfors = table.ports().iter().filter(|port| port.decl.usage == Usage::Waitfor);
-        let tallies =
-            waitfors.map(|port| (port.id, Tally::new(port.parties.iter().map(|p| p.task)))).collect();
-        let figures = table.cell().nodes.iter().map(|_| Figures::default()).collect();
+        let heard = |task: &TaskId| table.location(*task).is_some_and(|node| here.contains(&node));
+        let tally =
+            |port: &imrs_protocol::Port| Tally::new(port.parties.iter().map(|p| p.task).filter(heard));
+        let tallies = waitfors.map(|port| (port.id, tally(port))).collect();
+        let figures = table.cell().nodes.iter().map(|_| vec![Figures::default()]).collect();
         Self {
             table,
             tallies,
             figures,
+            here,
             kills: Vec::new(),
             after_kill: Vec::new(),
             ended: Vec::new(),
@@ -160,9 +175,15 @@ impl Gatherer {
         if figures.untold > 0 {
             self.for_tasks_on(node, Tally::untold);
         }
-        if let Some(kept) = self.figures.get_mut(node.index()) {
+        if let Some(kept) = self.figures.get_mut(node.index()).and_then(|lives| lives.last_mut()) {
             *kept = figures;
         }
+    }
+
+    /// A killed node was started again, at this instant of the clock that all processes of one machine share.
+    pub fn revived(&mut self, node: NodeId, at: u64) {
+        self.figures[node.index()].push(Figures::default());
+        self.for_tasks_on(node, |tally, task| tally.revived(task, at));
     }
 
     /// A node was killed, at this instant of the clock that all processes of one machine share.
@@ -183,46 +204,51 @@ impl Gatherer {
         self.end = at;
     }
 
-    /// How many rounds have released everybody so far.
-    pub fn released(&self) -> u64 {
-        self.tallies.values().map(Tally::released).sum()
+    /// How many rounds have released everybody so far; none of a cell in which nobody meets.
+    pub fn released(&self) -> Option<u64> {
+        (!self.tallies.is_empty()).then(|| self.tallies.values().map(Tally::released).sum())
     }
 
-    /// The summary. `exits` tells how each node's process ended.
-    pub fn summary(&self, seconds: f64, seed: u64, loss: f64, exits: &[String]) -> Summary {
-        let rendezvous = self
-            .tallies
-            .iter()
-            .map(|(&port, tally)| RendezvousSummary { port: self.port_name(port), rounds: tally.rounds() });
-        let node = |(i, figures): (usize, &Figures)| NodeSummary {
-            name: self.table.cell().nodes[i].name.clone(),
-            exit: exits.get(i).cloned().unwrap_or_default(),
-            discards: figures.discards.clone(),
-            link_discards: figures.link_discards.clone(),
-            link: figures.link.clone(),
-            lost_on_purpose: figures.lost_on_purpose,
-            cut_off: figures.cut_off,
-        };
-        let (mut commands, mut acted) = (Outcomes::default(), None);
-        for figures in &self.figures {
-            commands += figures.outcomes;
-            if let Some(more) = figures.acted {
-                *acted.get_or_insert_with(Acted::default) += more;
+    /// The summary. `exits` tells how the process of each node ended that ran here.
+    pub fn summary(&self, seconds: f64, seed: u64, loss: f64, exits: &[(NodeId, String)]) -> Summary {
+        let all = self.here.len() == self.table.cell().nodes.len();
+        let rendezvous = self.tallies.iter().map(|(&port, tally)| {
+            let mut rounds = tally.rounds();
+            let false_releases = all.then_some(rounds.false_releases);
+            rounds.start_skew_us = rounds.start_skew_us.filter(|_| all);
+            RendezvousSummary { port: self.port_name(port), rounds, false_releases }
+        });
+        let figures: Vec<Figures> = self.figures.iter().map(|lives| over_lives(lives)).collect();
+        let node = |(node, exit): &(NodeId, String)| {
+            let figures = &figures[node.index()];
+            NodeSummary {
+                name: self.table.cell().nodes[node.index()].name.clone(),
+                exit: exit.clone(),
+                lives: self.figures[node.index()].len(),
+                forwarded: figures.forwarded,
+                discards: figures.discards.clone(),
+                link_discards: figures.link_discards.clone(),
+                link: figures.link.clone(),
+                lost_on_purpose: figures.lost_on_purpose,
+                cut_off: figures.cut_off,
             }
-        }
+        };
+        let mut commands = Outcomes::default();
+        figures.iter().for_each(|figures| commands += figures.outcomes);
         Summary {
             version: 1,
             cell: self.table.cell().name.clone(),
             seconds,
             seed,
             loss,
-            ports: self.ports(),
+            ports: self.ports(&figures),
             rendezvous: rendezvous.collect(),
             commands,
-            acted,
             after_kill: self.after_kill.clone(),
             tasks: self.ended.clone(),
-            nodes: self.figures.iter().enumerate().map(node).collect(),
+            nodes: exits.iter().map(node).collect(),
+            rt: false,
+            outcome: None,
         }
     }
 
@@ -255,9 +281,9 @@ impl Gatherer {
         }
     }
 
-    fn ports(&self) -> Vec<PortSummary> {
+    fn ports(&self, figures: &[Figures]) -> Vec<PortSummary> {
         let mut sums = vec![PortCounters::default(); self.table.ports().len()];
-        for &(task, port, mut counters) in self.figures.iter().flat_map(|f| &f.ports) {
+        for &(task, port, mut counters) in figures.iter().flat_map(|f| &f.ports) {
             let usage = self.table.port(port).and_then(|p| p.party(task)).map(|p| p.usage);
             if matches!(usage, Some(Usage::Send | Usage::Query)) {
                 // What is delivered at the sending end are the answers.
@@ -286,6 +312,12 @@ impl Gatherer {
     }
 }
 
+fn over_lives(lives: &[Figures]) -> Figures {
+    let mut sum = Figures::default();
+    lives.iter().for_each(|figures| sum.add(figures));
+    sum
+}
+
 fn add(sum: &mut PortCounters, more: &PortCounters) {
     sum.sent += more.sent;
     sum.resent += more.resent;
@@ -299,11 +331,11 @@ fn add(sum: &mut PortCounters, more: &PortCounters) {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::cells::beam_lift;
+    use crate::demo::beam_lift;
     use imrs_protocol::Round;
 
     fn gatherer() -> Gatherer {
-        Gatherer::new(Arc::new(CellTable::new(beam_lift::cell()).unwrap()))
+        Gatherer::new(beam_lift(), [0, 1, 2].map(NodeId).to_vec())
     }
 
     #[test]
@@ -320,28 +352,41 @@ mod tests {
         gatherer.event(&give_up(4_000, 1, hoist_missing));
         let kept: Vec<_> = gatherer.after_kill.iter().map(|a| (a.task.as_str(), a.after_kill_us)).collect();
         assert_eq!(kept, [("armL", 1_000), ("armR", 3_000)]);
-        assert!(gatherer.after_kill.iter().all(|a| a.killed == "nh" && a.time_out_us == 200_000));
+        let time_out = beam_lift().ports()[0].decl.time_out.0;
+        assert!(gatherer.after_kill.iter().all(|a| a.killed == "nh" && a.time_out_us == time_out));
     }
 
     #[test]
     fn figures_replace_earlier_ones_of_the_node_and_add_up_over_nodes() {
         let mut gatherer = gatherer();
-        let figures = |sent, oldest_us| Figures {
+        let figures = |sent| Figures {
             ports: vec![(TaskId(0), PortId(1), PortCounters { sent, ..PortCounters::default() })],
-            acted: Some(Acted { executed: sent, oldest_us, ..Acted::default() }),
             ..Figures::default()
         };
-        gatherer.figures(NodeId(0), figures(1, 50));
-        gatherer.figures(NodeId(0), figures(5, 60));
-        gatherer.figures(NodeId(1), figures(2, 40));
-        let summary = gatherer.summary(1.0, 7, 0.0, &["clean".into(), "clean".into(), "killed".into()]);
-        assert_eq!(
-            (summary.ports[1].sent, summary.acted.map(|a| (a.executed, a.oldest_us))),
-            (7, Some((7, 60)))
-        );
+        gatherer.figures(NodeId(0), figures(1));
+        gatherer.figures(NodeId(0), figures(5));
+        gatherer.figures(NodeId(1), figures(2));
+        // The next life counts from the beginning.
+        gatherer.killed(NodeId(1), 7);
+        gatherer.revived(NodeId(1), 9);
+        gatherer.figures(NodeId(1), figures(3));
+        let exits = [(NodeId(0), "clean".into()), (NodeId(1), "clean".into()), (NodeId(2), "killed".into())];
+        let summary = gatherer.summary(1.0, 7, 0.0, &exits);
+        assert_eq!(summary.ports[1].sent, 10);
+        assert_eq!((summary.nodes[1].lives, summary.nodes[2].lives), (2, 1));
         assert_eq!(summary.nodes[2].exit, "killed");
         let json = serde_json::to_value(&summary).unwrap();
         assert_eq!(json["rendezvous"][0]["start_skew_us"], serde_json::Value::Null);
         assert_eq!(json["rendezvous"][0]["port"], "lift");
+        assert_eq!(json["rendezvous"][0]["false_releases"], 0);
+    }
+
+    #[test]
+    fn what_one_node_cannot_know_is_null() {
+        let gatherer = Gatherer::new(beam_lift(), vec![NodeId(1)]);
+        let json =
+            serde_json::to_value(gatherer.summary(1.0, 7, 0.0, &[(NodeId(1), "clean".into())])).unwrap();
+        assert_eq!(json["nodes"].as_array().unwrap().len(), 1);
+        assert_eq!(json["rendezvous"][0]["false_releases"], serde_json::Value::Null);
     }
 }

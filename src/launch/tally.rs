@@ -19,10 +19,19 @@ struct Member {
     last: i64,
     /// The last round announced.
     announced: i64,
-    /// When its node was killed: what happened just before was not told.
-    died: Option<u64>,
+    /// Its node's last death: what happened just before was not told.
+    died: Option<Death>,
     /// Some of its announcements were not told.
     untold: bool,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Death {
+    at: u64,
+    /// The last round announced before.
+    announced: i64,
+    /// When its node was started again.
+    revived: Option<u64>,
 }
 
 /// What is known of one round. Sets of members are bits by position.
@@ -53,6 +62,7 @@ pub struct Rounds {
     /// Rounds that the end of the run cut short; not among `rounds`.
     pub unfinished: u64,
     /// Releases in a round that not all members had announced.
+    #[serde(skip)]
     pub false_releases: u64,
     /// The time between the first and the last member's start, in microseconds, of the rounds that released all;
     /// `None` without any.
@@ -120,7 +130,20 @@ impl Tally {
     /// The member's node was killed.
     pub fn died(&mut self, task: TaskId, at: u64) {
         if let Some(place) = self.place(task) {
-            self.members[place].died.get_or_insert(at);
+            let member = &mut self.members[place];
+            let alive = member.died.is_none_or(|death| death.revived.is_some());
+            if alive {
+                member.died = Some(Death { at, announced: member.announced, revived: None });
+            }
+        }
+    }
+
+    /// The member's node was started again. It counts its rounds from the beginning, and goes on in those of the others.
+    pub fn revived(&mut self, task: TaskId, at: u64) {
+        if let Some(place) = self.place(task)
+            && let Some(death) = &mut self.members[place].died
+        {
+            death.revived.get_or_insert(at);
         }
     }
 
@@ -178,9 +201,22 @@ impl Tally {
     /// round among their last words: it lives on at the others as long as the killed member would have waited.
     fn killed(&self, round: i64, meeting: &Meeting) -> u64 {
         self.members(|member| {
-            let next = member.announced.saturating_add(1) == round;
-            member.died.is_some_and(|died| meeting.begun <= died || next)
+            let Some(death) = member.died else { return false };
+            meeting.begun <= death.at || round <= self.last_words(&death)
         })
+    }
+
+    /// The last round that a member can have announced before it died: the one after the last that it said so of, or that
+    /// began while it lived and released somebody.
+    fn last_words(&self, death: &Death) -> i64 {
+        let spoken = |(round, meeting): (&i64, &Meeting)| {
+            (meeting.begun <= death.at && meeting.released != 0).then_some(*round)
+        };
+        let heard = self.rounds.iter().filter_map(spoken).max();
+        let said = Some(death.announced).filter(|&round| round != i64::MIN);
+        // Killed before anything was told: the first round of all.
+        let before = self.rounds.keys().next().map_or(0, |first| first - 1);
+        heard.max(said).unwrap_or(before) + 1
     }
 
     /// The members of whom it is not known how the round ended for them: they were killed before they could say.
@@ -227,7 +263,11 @@ impl Tally {
 
     /// Whether one of these members was dead before the round began.
     fn buried(&self, meeting: &Meeting, of: u64) -> bool {
-        let dead = |m: &Member| m.died.is_some_and(|died| died < meeting.begun);
+        let dead = |m: &Member| {
+            m.died.is_some_and(|death| {
+                death.at < meeting.begun && death.revived.is_none_or(|again| meeting.begun < again)
+            })
+        };
         self.members.iter().enumerate().any(|(place, m)| of & 1 << place != 0 && dead(m))
     }
 }
@@ -320,16 +360,47 @@ mod tests {
         half.take(&Event { at: 9, task: TaskId(2), port: PortId(0), round: Round(1), what: What::Released });
         half.died(TaskId(2), 12);
         assert_eq!((half.rounds().false_releases, half.rounds().released), (0, 1));
-        // Nor is anything known of a node that was killed meanwhile; but one killed before cannot have announced it.
-        let mut killed = tally(&events);
-        killed.died(TaskId(2), 7);
-        assert_eq!(killed.rounds(), Rounds { rounds: 1, unknown: 1, ..Rounds::default() });
-        let mut killed = tally(&events);
+        // Nor is anything known of a node that was killed meanwhile, or before it told anything at all.
+        for at in [7, 4] {
+            let mut killed = tally(&events);
+            killed.died(TaskId(2), at);
+            assert_eq!(killed.rounds(), Rounds { rounds: 1, unknown: 1, ..Rounds::default() });
+        }
+        // But nobody who was killed before a round can have announced the next.
+        let mut later = events.to_vec();
+        later.extend(events.map(|(at, task, _, what)| (at + 10, task, 2, what)));
+        let mut killed = tally(&later);
         killed.died(TaskId(2), 4);
-        assert_eq!(
-            killed.rounds(),
-            Rounds { rounds: 1, divergent: 1, false_releases: 2, ..Rounds::default() }
-        );
+        let rounds = killed.rounds();
+        assert_eq!((rounds.unknown, rounds.divergent, rounds.false_releases), (1, 1, 2));
+    }
+
+    #[test]
+    fn who_was_started_again_counts_again() {
+        let both = |at, round, what| [(at, 0, round, what), (at, 1, round, what)];
+        let mut events = all_announce(5, 1);
+        events.extend((0..3).map(|task| (6, task, 1, What::Released)));
+        // Killed at 10; the others wait in vain in round 2 and meet it again in round 3.
+        events.extend(both(20, 2, What::Announced).into_iter().chain(both(220, 2, GAVE_UP)));
+        let mut tally = tally(&events);
+        tally.died(TaskId(2), 10);
+        tally.revived(TaskId(2), 230);
+        let mut say = |at, task, round, what| {
+            tally.take(&Event { at, task: TaskId(task), port: PortId(0), round: Round(round), what });
+        };
+        // Its own count begins anew.
+        say(231, 2, 1, What::Announced);
+        for task in 0..3 {
+            say(240, task, 3, What::Announced);
+            say(241, task, 3, What::Released);
+        }
+        // Round 4 without it is false again.
+        for task in 0..2 {
+            say(250, task, 4, What::Announced);
+            say(251, task, 4, What::Released);
+        }
+        let rounds = tally.rounds();
+        assert_eq!((rounds.released, rounds.unknown, rounds.false_releases), (2, 1, 2));
     }
 
     #[test]

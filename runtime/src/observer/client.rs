@@ -1,6 +1,7 @@
 //! One monitor of a node.
 
 use super::MAX_MONITORS;
+use super::stream::Stream;
 use crate::clock;
 use crate::node::Node;
 use crate::snapshot::Observations;
@@ -9,7 +10,6 @@ use imrs_wire::obs::{
     MAX_REQUEST, Refusal, Role, SCHEMA, ServerFrame, Subscribe, Table, VERSION, Version, agree,
 };
 use std::os::fd::{AsFd, BorrowedFd};
-use std::os::unix::net::UnixStream;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -30,8 +30,8 @@ const REQUESTS: usize = 16;
 
 pub(super) struct Client {
     node: Arc<Node>,
-    reader: FrameReader<UnixStream>,
-    writer: FrameWriter<UnixStream>,
+    reader: FrameReader<Stream>,
+    writer: FrameWriter<Stream>,
     state: State,
     /// Whether there is room for it. If not it hears so and goes.
     welcome: bool,
@@ -69,8 +69,8 @@ impl From<FrameError> for Gone {
 
 impl Client {
     /// A new connection, or `None` where the system has no resources for it.
-    pub fn new(stream: UnixStream, node: Arc<Node>, welcome: bool, now: Instant) -> Option<Self> {
-        stream.set_nonblocking(true).ok()?;
+    pub fn new(stream: Stream, node: Arc<Node>, welcome: bool, now: Instant) -> Option<Self> {
+        stream.set_nonblocking().ok()?;
         let reader = FrameReader::new(stream.try_clone().ok()?, MAX_REQUEST);
         let writer = FrameWriter::new(stream);
         Some(Self { node, reader, writer, state: State::Greeting { until: now + GREETING }, welcome })
@@ -250,7 +250,7 @@ impl Client {
 fn push_snapshot(
     node: &Node,
     mut queue_limit: u8,
-    writer: &mut FrameWriter<UnixStream>,
+    writer: &mut FrameWriter<Stream>,
 ) -> Result<(), FrameError> {
     loop {
         let snapshot = ServerFrame::Snapshot(node.snapshot(queue_limit.into()));

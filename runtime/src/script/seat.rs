@@ -25,6 +25,9 @@ pub(crate) struct Seat {
     /// What the script asked in its last step. Empty between steps.
     requests: VecDeque<Request>,
     side: Side,
+    /// How many steps the scripts of the node may take together before something must come from outside: two that
+    /// answer each other for ever would keep the thread that runs them, and with it whatever that should do besides.
+    together: u32,
     stopped: bool,
 }
 
@@ -41,7 +44,13 @@ struct Side {
 }
 
 impl Seat {
-    pub fn new(place: usize, program: Arc<Program>, watch: Option<Arc<dyn Watch>>, seed: u64) -> Self {
+    pub fn new(
+        place: usize,
+        program: Arc<Program>,
+        watch: Option<Arc<dyn Watch>>,
+        seed: u64,
+        together: u32,
+    ) -> Self {
         // By name, so that no two tasks choose in step.
         let salt = super::simulated::salt(&program.name);
         let side = Side {
@@ -53,7 +62,7 @@ impl Seat {
             ended: false,
         };
         let (signals, requests) = (VecDeque::with_capacity(ROOM), VecDeque::with_capacity(ROOM));
-        Self { script: Script::new(&program), program, signals, requests, side, stopped: false }
+        Self { script: Script::new(&program), program, signals, requests, side, together, stopped: false }
     }
 
     pub const fn program(&self) -> &Arc<Program> {
@@ -146,6 +155,8 @@ impl Seat {
                 return;
             }
             steps += 1;
+            effects.steps = effects.steps.saturating_add(1);
+            let runs_away = steps > HOST_LIMIT || effects.steps > self.together;
             let mut out = Out {
                 machine: comm.machine(),
                 table: comm.table(),
@@ -154,8 +165,9 @@ impl Seat {
                 side: &mut self.side,
                 effects,
             };
-            if steps > HOST_LIMIT {
+            if runs_away {
                 self.script.stop(&self.program, ScriptFault::Runaway, &mut out);
+                effects.steps = 0;
             } else {
                 self.script.step(&self.program, input, &mut out);
             }

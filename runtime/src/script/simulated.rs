@@ -2,27 +2,78 @@
 
 use super::actions::{Act, Actions, Ending, Stop};
 use crate::clock;
+use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::io;
-use std::ops::RangeInclusive;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 /// What the actions of one name give, in all tasks.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Results {
     /// The name of the action.
     pub name: String,
-    /// Any of these.
-    pub range: RangeInclusive<i32>,
+    /// What it gives.
+    pub give: Give,
+}
+
+/// What an action gives: anything from the least to the most.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Give {
+    /// Whole numbers, and truth values as 0 and 1.
+    Whole(i32, i32),
+    /// Finite reals.
+    Real(f32, f32),
+}
+
+impl Give {
+    /// Any value, a `real` by its bits.
+    fn any(self, draws: &mut fastrand::Rng) -> i32 {
+        match self {
+            Self::Whole(least, most) => draws.i32(least..=most.max(least)),
+            Self::Real(..) => self.at(draws.f64()),
+        }
+    }
+
+    /// The value, a `real` by its bits, so far from the least (0) to the most (1).
+    fn at(self, share: f64) -> i32 {
+        match self {
+            #[expect(clippy::cast_possible_truncation, reason = "between two numbers of 32 bits")]
+            Self::Whole(least, most) => {
+                (f64::from(least) + share * (f64::from(most) - f64::from(least))).floor() as i32
+            }
+            #[expect(clippy::cast_possible_truncation, reason = "the nearest real is meant")]
+            Self::Real(least, most) => {
+                let value = (f64::from(least) + share * (f64::from(most) - f64::from(least))) as f32;
+                // The scripts know no other zero, and no infinity.
+                let value = if value == 0.0 || !value.is_finite() { 0.0 } else { value };
+                value.to_bits().cast_signed()
+            }
+        }
+    }
+}
+
+/// An action whose results follow the time: from the least, when `since` last ended in the same task, to the most after
+/// `over`, and the most from then on.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Course {
+    /// The action that gives the results.
+    pub action: String,
+    /// The action that they follow.
+    pub since: String,
+    /// How long it takes.
+    pub over: Duration,
 }
 
 /// A simulated robot. How long an action takes and what it gives follow from the seed, the name of the task and how
 /// many actions the task began before.
 pub struct Simulated {
     seed: u64,
-    results: BTreeMap<String, RangeInclusive<i32>>,
+    results: BTreeMap<String, Give>,
+    courses: Vec<Course>,
+    /// By task and action that a course follows: when it last ends.
+    followed: Mutex<BTreeMap<(String, String), Instant>>,
     shared: Arc<Shared>,
 }
 
@@ -56,12 +107,22 @@ impl Simulated {
     ///
     /// # Errors
     /// The operating system refused the thread that ends the actions.
-    pub fn start(seed: u64, results: Vec<Results>) -> io::Result<Arc<dyn Actions>> {
+    pub fn start(seed: u64, results: Vec<Results>, courses: Vec<Course>) -> io::Result<Arc<dyn Actions>> {
         let shared = Arc::new(Shared { state: Mutex::default(), changed: Condvar::new() });
         let ends = Arc::clone(&shared);
         thread::Builder::new().name("imrs actions".into()).spawn(move || run(&ends))?;
-        let results = results.into_iter().map(|one| (one.name, one.range)).collect();
-        Ok(Arc::new(Self { seed, results, shared }))
+        let results = results.into_iter().map(|one| (one.name, one.give)).collect();
+        let followed = Mutex::default();
+        Ok(Arc::new(Self { seed, results, courses, followed, shared }))
+    }
+
+    /// Where the results of an action stand now that follow another one.
+    fn on_its_course(&self, act: &Act<'_>, now: Instant) -> Option<f64> {
+        let course = self.courses.iter().find(|course| course.action == act.name)?;
+        let followed = self.followed.lock().unwrap_or_else(PoisonError::into_inner);
+        let since = followed.get(&(act.task.to_owned(), course.since.clone()));
+        let passed = since.map_or(Duration::ZERO, |since| now.saturating_duration_since(*since));
+        Some(if passed >= course.over { 1.0 } else { passed.div_duration_f64(course.over) })
     }
 }
 
@@ -70,10 +131,18 @@ impl Actions for Simulated {
         let mut draws = fastrand::Rng::with_seed(self.seed ^ salt(act.task).rotate_left(17) ^ act.number);
         let spread = act.most.saturating_sub(act.least);
         let length = act.least + spread.mul_f64(draws.f64());
-        let range = self.results.get(act.name).cloned().unwrap_or(0..=0);
-        let value = draws.i32(range);
+        let now = Instant::now();
+        if self.courses.iter().any(|course| course.since == act.name) {
+            let mut followed = self.followed.lock().unwrap_or_else(PoisonError::into_inner);
+            followed.insert((act.task.into(), act.name.into()), now + length);
+        }
+        let give = |give: &Give| match self.on_its_course(act, now) {
+            Some(share) => give.at(share),
+            None => give.any(&mut draws),
+        };
+        let value = self.results.get(act.name).map_or(0, give);
         let mut state = self.shared.lock();
-        let key = (Instant::now() + length, state.numbers);
+        let key = (now + length, state.numbers);
         state.numbers += 1;
         let first = state.under_way.keys().next().is_none_or(|earliest| key < *earliest);
         state.under_way.insert(key, (value, ending));
@@ -123,4 +192,23 @@ fn run(shared: &Shared) {
     let left = std::mem::take(&mut state.under_way);
     drop(state);
     drop(left);
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_given_lies_between_the_least_and_the_most() {
+        for (share, whole) in [(0.0, -3), (0.5, 0), (0.99, 2), (1.0, 3)] {
+            assert_eq!(Give::Whole(-3, 3).at(share), whole, "{share}");
+        }
+        assert_eq!(Give::Whole(i32::MIN, i32::MAX).at(1.0), i32::MAX);
+        let mut draws = fastrand::Rng::with_seed(7);
+        assert!((0..100).all(|_| (-3..=3).contains(&Give::Whole(-3, 3).any(&mut draws))));
+        let real = |least, most, share| f32::from_bits(Give::Real(least, most).at(share).cast_unsigned());
+        assert_eq!((real(-1.0, 3.0, 0.5), real(2.0, 2.0, 0.3)), (1.0, 2.0));
+        // No negative zero.
+        assert_eq!(Give::Real(-0.0, -0.0).at(0.0), 0);
+    }
 }

@@ -5,12 +5,14 @@
 //!  0..8   magic "\x9dimrsrec"
 //!  8..10  version, little endian        10..12  zero
 //! then records, the first a Header:
-//!  0..4   length of the contents        4..8  CRC-32/MEF over the length and the contents
-//!  8..    contents: a Record in postcard
+//!  0..4   length of the contents        4..8  CRC-32/MEF over the length
+//!  8..12  CRC-32/MEF over the contents
+//!  12..   contents: a Record in postcard
 //! ```
 //!
 //! A file that was cut off at any byte reads up to its last whole record; [`Ending`] tells that from a recording that
-//! was ended. Each stream is complete in itself, or says by a [`Record::Gap`] that it is not, so no order between streams
+//! was ended. The length has a checksum of its own: a damaged one is damage, and not the end of a file that was cut off
+//! (D95). Each stream is complete in itself, or says by a [`Record::Gap`] that it is not, so no order between streams
 //! is needed.
 //!
 //! [`Recording`] writes from a thread of its own. Handing a record over never blocks and never fails for the node: what
@@ -32,13 +34,13 @@ use serde::{Deserialize, Serialize};
 /// The first bytes of every recording.
 pub const MAGIC: [u8; 8] = *b"\x9dimrsrec";
 /// The format of this library.
-pub const VERSION: u16 = 3;
+pub const VERSION: u16 = 4;
 /// The longest contents of a record, in bytes.
 pub const MAX_RECORD_BYTES: usize = 2 << 20;
 
 const PROLOGUE_BYTES: usize = 12;
-/// Length and checksum.
-const RECORD_HEAD_BYTES: usize = 8;
+/// Length and two checksums.
+const RECORD_HEAD_BYTES: usize = 12;
 
 /// What a recording is about.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]

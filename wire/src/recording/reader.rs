@@ -154,8 +154,12 @@ impl<R: Read> RecordingReader<R> {
         if head == [0; RECORD_HEAD_BYTES] && self.only_zeros_follow()? {
             return Ok(None);
         }
-        let length_bytes = [head[0], head[1], head[2], head[3]];
-        let length = u32::from_le_bytes(length_bytes);
+        let word = |at: usize| [head[at], head[at + 1], head[at + 2], head[at + 3]];
+        // Before the length is believed: a damaged one would look like a file that was cut off.
+        if checksum(&word(0)) != u32::from_le_bytes(word(4)) {
+            return Err(self.error(Cause::Checksum));
+        }
+        let length = u32::from_le_bytes(word(0));
         let end = RECORD_HEAD_BYTES.saturating_add(usize::try_from(length).unwrap_or(usize::MAX));
         if end > RECORD_HEAD_BYTES + MAX_RECORD_BYTES {
             return Err(self.error(Cause::TooLong(length)));
@@ -164,7 +168,7 @@ impl<R: Read> RecordingReader<R> {
             return Ok(None);
         }
         let contents = &self.pending[RECORD_HEAD_BYTES..end];
-        if checksum(length_bytes, contents) != u32::from_le_bytes([head[4], head[5], head[6], head[7]]) {
+        if checksum(contents) != u32::from_le_bytes(word(8)) {
             return Err(self.error(Cause::Checksum));
         }
         let (record, rest) =

@@ -59,9 +59,10 @@ impl<W: Write> RecordingWriter<W> {
             return Err(WriteError::TooLong(length));
         }
         let length = u32::try_from(length).map_err(|_| WriteError::TooLong(length))?.to_le_bytes();
-        let checksum = checksum(length, &self.bytes[RECORD_HEAD_BYTES..]);
+        let contents = checksum(&self.bytes[RECORD_HEAD_BYTES..]);
         self.bytes[..4].copy_from_slice(&length);
-        self.bytes[4..8].copy_from_slice(&checksum.to_le_bytes());
+        self.bytes[4..8].copy_from_slice(&checksum(&length).to_le_bytes());
+        self.bytes[8..12].copy_from_slice(&contents.to_le_bytes());
         self.sink.write_all(&self.bytes)?;
         self.written += self.bytes.len() as u64;
         Ok(())
@@ -92,9 +93,8 @@ impl<W: Write> RecordingWriter<W> {
     }
 }
 
-pub(super) fn checksum(length: [u8; 4], contents: &[u8]) -> u32 {
+pub(super) fn checksum(bytes: &[u8]) -> u32 {
     let mut crc = CRC.digest();
-    crc.update(&length);
-    crc.update(contents);
+    crc.update(bytes);
     crc.finalize()
 }

@@ -1,0 +1,44 @@
+//! A cell whose camera is a Rust program: it finds parts on a belt, and a scripted robot picks them.
+//!
+//! `cargo run --example extern_task`, or the camera alone: `cargo run --example extern_task -- --node nc`, beside
+//! `imrs run examples/extern_task.cell --node np`.
+
+use imrs::{Context, Program, ProgramError, TaskEnd, TaskError};
+use std::time::Duration;
+
+const CELL: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/examples/extern_task.cell");
+/// 30 pictures a second.
+const PERIOD: Duration = Duration::from_millis(34);
+
+/// Sees a part every picture; every other one lies out of reach.
+fn camera(ctx: &mut Context) -> Result<(), TaskError> {
+    let pose = ctx.port("pose")?;
+    for picture in 0_i16.. {
+        let x = if picture % 2 == 0 { 120 + picture } else { 900 };
+        // A record is its fields, one after the other, little endian.
+        let [a, b] = x.to_le_bytes();
+        let [c, d] = 40_i16.to_le_bytes();
+        // A status: nobody confirms it, and what comes too late is dropped.
+        let _copies = ctx.send(pose, &[a, b, c, d])?;
+        ctx.delay(PERIOD)?;
+    }
+    Ok(())
+}
+
+fn main() -> Result<(), ProgramError> {
+    let mut program = Program::open(CELL)?.body("camera", camera).action("pick_at", |call| {
+        let [x, y] = call.arguments[..] else { return Err("no place".into()) };
+        println!("{} picks the part at ({x}, {y})", call.task);
+        Ok(0)
+    });
+    let args: Vec<String> = std::env::args().collect();
+    if let [_, flag, node] = &args[..]
+        && flag == "--node"
+    {
+        program = program.node(node);
+    }
+    for (task, end) in program.run(Some(Duration::from_secs(3)))? {
+        println!("{task}: {}", if matches!(end, TaskEnd::Script(_)) { "done" } else { "stopped" });
+    }
+    Ok(())
+}

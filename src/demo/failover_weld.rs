@@ -1,0 +1,183 @@
+//! Work-coupled: what may not happen is that both robots are active, or that a spot is welded twice unseen.
+
+use crate::launch::Fault;
+use crate::launch::deed::{Deed, Lease};
+use crate::launch::story::{Outcome, Story};
+use crate::output::span;
+use imrs_protocol::TaskId;
+
+/// Says who was active when, and what became of the spot under way.
+pub fn explain(story: &Story<'_>) -> Outcome {
+    let couple = story.loaded.table.cell().couples.first().cloned();
+    let Some(couple) = couple else { return Outcome::default() };
+    let (primary, standby) = (couple.primary, couple.standby);
+    let (first, second) = (story.name(primary), story.name(standby));
+    let in_words = |(at, fault): &(u64, Fault)| Some((*at, fault_in_words(story, *at, *fault, primary)?));
+    let mut told: Vec<(u64, String)> = story.faults.iter().filter_map(in_words).collect();
+    let fenced = story.when(primary, |deed| *deed == Deed::Lease(Lease::Fenced));
+    told.extend(fenced.first().map(|at| {
+        let when = story.at(*at);
+        (*at, format!("At {when} the lease of {first} ran out, for nobody renewed it: {first} acts no more, whether it can be reached or not."))
+    }));
+    let taken = story.when(standby, |deed| *deed == Deed::Lease(Lease::TookOver)).first().copied();
+    told.extend(taken.map(|at| (at, taking_over(story, &couple, at))));
+    told.sort_by_key(|(at, _)| *at);
+    let mut words: Vec<String> = told.into_iter().map(|(_, words)| words).collect();
+    if taken.is_none() {
+        words.push(format!("{second} never took over: it heard of {first} all the time."));
+    }
+    if let Some(at) = taken {
+        words.push(spot_in_words(story, primary, standby, at));
+    }
+    let both = overlap(&active(story, primary), &active(story, standby));
+    let twice = welded_twice(story, primary, standby);
+    let killed = story.died(primary).is_some_and(|at| at + 2 * couple.takeover.0 < story.ended);
+    let stranded = killed && taken.is_none();
+    if let Some(at) = both {
+        words.push(format!("At {} both robots were active.", story.at(at)));
+    } else {
+        words.push("At no instant were both robots active.".into());
+    }
+    words.extend(
+        twice.iter().map(|spot| format!("Spot {spot} was welded twice, and nobody looked at it between.")),
+    );
+    if stranded {
+        words.push(format!("{first} is gone, and {second} did not take over."));
+    }
+    let bad = both.is_some() || twice.is_some() || stranded;
+    let tested = taken.is_some() || !fenced.is_empty();
+    Outcome { held: if bad { Some(false) } else { tested.then_some(true) }, words }
+}
+
+fn fault_in_words(story: &Story<'_>, at: u64, fault: Fault, primary: TaskId) -> Option<String> {
+    let when = story.at(at);
+    match fault {
+        Fault::Kill(node) if story.loaded.table.location(primary) == Some(node) => {
+            let during = under_way(story, primary, at);
+            let during = during.map(|action| format!(", in the middle of `{action}`")).unwrap_or_default();
+            Some(format!("At {when} the node of {} was killed{during}.", story.name(primary)))
+        }
+        Fault::Kill(node) => Some(format!("At {when} node {} was killed.", story.node(node))),
+        Fault::Restart(node) => Some(format!("At {when} node {} was started again.", story.node(node))),
+        Fault::Cut(a, b) => {
+            Some(format!("At {when} the link between {} and {} went dead.", story.node(a), story.node(b)))
+        }
+        Fault::Heal(..) => None,
+    }
+}
+
+/// What a task was doing at an instant: `weld 3`.
+fn under_way(story: &Story<'_>, task: TaskId, at: u64) -> Option<String> {
+    let mut last = story.of(task).filter(|did| did.at <= at).filter(|did| {
+        matches!(did.what, Deed::Begins { .. } | Deed::Ends { .. } | Deed::Fails(_) | Deed::CutShort(_))
+    });
+    match &last.next_back()?.what {
+        Deed::Begins { action, arguments } => {
+            Some(format!("{action} {}", arguments.join(" ")).trim_end().into())
+        }
+        _ => None,
+    }
+}
+
+fn taking_over(story: &Story<'_>, couple: &imrs_protocol::CoupleDecl, at: u64) -> String {
+    let (first, second) = (story.name(couple.primary), story.name(couple.standby));
+    let since = story.died(couple.primary).filter(|died| *died <= at);
+    let since = since.map(|died| format!(", {} after the death", span(at - died))).unwrap_or_default();
+    format!(
+        "{second} got no answer to its beats and took over at {}{since}. The cell has it wait {} for the last answer; the lease of {first} ends after {}, so {first} has stopped by then.",
+        story.at(at),
+        span(couple.takeover.0),
+        span(couple.lease.0)
+    )
+}
+
+/// What became of the spot that the first robot had under way when the second took over.
+fn spot_in_words(story: &Story<'_>, primary: TaskId, standby: TaskId, taken: u64) -> String {
+    let open = under_way(story, primary, taken);
+    let next = story.of(standby).filter(|did| did.at >= taken).find_map(|did| match &did.what {
+        Deed::Begins { action, arguments } => Some(format!("{action} {}", arguments.join(" "))),
+        _ => None,
+    });
+    let (first, second) = (story.name(primary), story.name(standby));
+    match (open, next) {
+        (Some(open), Some(next)) if next.starts_with("recheck") => format!(
+            "{first} had told {second} that it was at work on a spot (`{open}`). So {second} began with `{}`: the spot is looked at, not welded a second time unseen.",
+            next.trim_end()
+        ),
+        (Some(open), Some(next)) => {
+            format!("{first} had begun `{open}`; {second} went on with `{}`.", next.trim_end())
+        }
+        (None, Some(next)) => format!("{second} went on with `{}`.", next.trim_end()),
+        (_, None) => format!("{second} had begun nothing yet when the run ended."),
+    }
+}
+
+/// When a robot was active: from the lease to the fence, its end, or its node's death.
+fn active(story: &Story<'_>, robot: TaskId) -> Vec<(u64, u64)> {
+    let mut spans: Vec<(u64, u64)> = Vec::new();
+    let mut since = None;
+    let deaths = story.deaths(robot);
+    let death = |from: u64, to: u64| deaths.iter().copied().find(|death| (from..=to).contains(death));
+    for did in story.of(robot) {
+        if let Some((from, died)) = since.and_then(|from| Some((from, death(from, did.at)?))) {
+            spans.push((from, died));
+            since = None;
+        }
+        match &did.what {
+            Deed::Lease(Lease::Granted | Lease::TookOver) => since = since.or(Some(did.at)),
+            Deed::Lease(Lease::Fenced) | Deed::Ended(_) => {
+                spans.extend(since.take().map(|from| (from, did.at)));
+            }
+            _ => {}
+        }
+    }
+    spans.extend(since.map(|from| (from, death(from, story.ended).unwrap_or(story.ended))));
+    spans
+}
+
+/// The first instant that two lists of spans share.
+fn overlap(a: &[(u64, u64)], b: &[(u64, u64)]) -> Option<u64> {
+    let shared = |x: &(u64, u64), y: &(u64, u64)| (x.0.max(y.0) < x.1.min(y.1)).then(|| x.0.max(y.0));
+    a.iter().flat_map(|x| b.iter().filter_map(move |y| shared(x, y))).min()
+}
+
+/// A spot that the first robot welded to its end, and the second once more without looking at it.
+fn welded_twice(story: &Story<'_>, primary: TaskId, standby: TaskId) -> Option<String> {
+    let done = welded(story, primary);
+    let mut looked_at: Vec<String> = Vec::new();
+    for did in story.of(standby) {
+        let Deed::Begins { action, arguments } = &did.what else { continue };
+        let spot = arguments.join(" ");
+        match action.as_str() {
+            "recheck" => looked_at.push(spot),
+            "weld" if done.contains(&spot) && !looked_at.contains(&spot) => return Some(spot),
+            _ => {}
+        }
+    }
+    None
+}
+
+/// The spots that a robot has welded to their end.
+fn welded(story: &Story<'_>, robot: TaskId) -> Vec<String> {
+    let (mut done, mut open) = (Vec::new(), None);
+    for did in story.of(robot) {
+        match &did.what {
+            Deed::Begins { action, arguments } if action == "weld" => open = Some(arguments.join(" ")),
+            Deed::Ends { action, .. } if action == "weld" => done.extend(open.take()),
+            Deed::CutShort(action) | Deed::Fails(action) if action == "weld" => open = None,
+            _ => {}
+        }
+    }
+    done
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn spans_share_an_instant_or_do_not() {
+        assert_eq!(overlap(&[(0, 10)], &[(10, 20)]), None);
+        assert_eq!(overlap(&[(0, 10), (30, 40)], &[(10, 20), (35, 36)]), Some(35));
+    }
+}

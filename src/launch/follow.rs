@@ -1,0 +1,225 @@
+//! Following a run: what the nodes say, and the faults on their time.
+
+use super::children::Message;
+use super::clock::now_us;
+use super::deed::{Deed, Did};
+use super::faults::{Fault, node};
+use super::launcher::{LaunchError, Launcher, Trouble, record_file};
+use super::lines::{EndSort, Order, Word};
+use super::story::{Moment, Planned};
+use crate::args::Format;
+use crate::exit::Failure;
+use crate::output::Output;
+use imrs_protocol::{NodeId, TaskId};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use std::sync::Arc;
+use std::sync::mpsc::RecvTimeoutError;
+use std::time::{Duration, Instant};
+
+/// How often lines about what scripts do are looked through.
+const SHOW_EVERY: Duration = Duration::from_millis(50);
+/// How often the progress line changes.
+const PROGRESS_EVERY: Duration = Duration::from_millis(250);
+/// Of a longer story the rest is left out.
+const LONGEST_STORY: usize = 1_000_000;
+
+impl Launcher<'_> {
+    /// Follows the run until its end, carrying out the faults on time.
+    pub(super) fn follow(&mut self, length: Duration, out: &mut Output) -> Result<(), Failure> {
+        for message in std::mem::take(&mut self.early) {
+            self.take(message)?;
+        }
+        let progress = progress_line(self.run.args.format);
+        let mut progress_at = self.started;
+        while !self.interrupted && !self.is_over() {
+            let now = self.started.elapsed();
+            if now >= length {
+                break;
+            }
+            while self.faults.first().is_some_and(|(at, _)| *at <= now) {
+                let (_, fault) = self.faults.remove(0);
+                self.carry_out(fault)?;
+            }
+            let shows = !self.diary.is_empty();
+            if shows {
+                progress.suspend(|| self.diary.show(&self.run.loaded.table, now_us(), out))?;
+            }
+            if progress_at <= Instant::now() {
+                let of = self.run.length.map(|all| format!(" of {}", humantime::format_duration(all)));
+                let (so_far, of) = (now.as_secs(), of.unwrap_or_default());
+                let met = self.gatherer.released();
+                let met = met.map(|met| format!(": {met} rounds")).unwrap_or_default();
+                progress.set_message(format!("{so_far} s{of}{met}"));
+                progress.tick();
+                progress_at = Instant::now() + PROGRESS_EVERY;
+            }
+            let next_fault = self.faults.first().map_or(length, |(at, _)| *at);
+            let mut until = (self.started + next_fault.min(length)).min(progress_at);
+            if shows {
+                until = until.min(Instant::now() + SHOW_EVERY);
+            }
+            match self.messages.recv_timeout(until.saturating_duration_since(Instant::now())) {
+                Ok(message) => self.take(message)?,
+                Err(RecvTimeoutError::Timeout) => {}
+                Err(RecvTimeoutError::Disconnected) => break,
+            }
+        }
+        progress.finish_and_clear();
+        self.diary.close(&self.run.loaded.table, out)
+    }
+
+    /// Whether nothing can happen any more: all nodes are gone for good, or every task here is a script and has ended.
+    fn is_over(&self) -> bool {
+        if self.faults.iter().any(|(_, fault)| matches!(fault, Fault::Restart(_))) {
+            return false;
+        }
+        let tasks = self.children.nodes().flat_map(|node| self.table().tasks_on(node));
+        let mut tasks = tasks.peekable();
+        let runs = tasks.peek().is_some();
+        self.gone.len() == self.children.len() || runs && tasks.all(|task| self.ended.contains(&task))
+    }
+
+    fn carry_out(&mut self, fault: Fault) -> Result<(), LaunchError> {
+        let name = |node: NodeId| self.cell.nodes[node.index()].name.clone();
+        match fault {
+            Fault::Kill(node) => {
+                let at = now_us();
+                self.children.kill(node);
+                self.gatherer.killed(node, at);
+            }
+            Fault::Restart(node) => self.restart(node)?,
+            Fault::Cut(a, b) => {
+                self.children.order(a, &Order::Cut(name(b)));
+                self.children.order(b, &Order::Cut(name(a)));
+            }
+            Fault::Heal(a, b) => {
+                self.children.order(a, &Order::Heal(name(b)));
+                self.children.order(b, &Order::Heal(name(a)));
+            }
+        }
+        let at = now_us();
+        if self.run.args.format == Format::Text {
+            let words = match fault {
+                Fault::Kill(node) => format!("fault: node {} is killed", name(node)),
+                Fault::Restart(node) => format!("node {} is started again", name(node)),
+                Fault::Cut(a, b) => format!("fault: nothing passes between {} and {}", name(a), name(b)),
+                Fault::Heal(a, b) => format!("{} and {} reach each other again", name(a), name(b)),
+            };
+            self.diary.fault(at, words);
+        }
+        self.came.push((at, fault));
+        Ok(())
+    }
+
+    /// Starts a killed node in its next life. The others hear where it is when it has a socket.
+    fn restart(&mut self, node: NodeId) -> Result<(), LaunchError> {
+        let Some((_, setup)) = self.setups.iter_mut().find(|(of, _)| *of == node) else { return Ok(()) };
+        setup.incarnation = setup.incarnation.wrapping_add(1);
+        setup.restarted = true;
+        let life = self.children.life(node) + 1;
+        let record = self.run.args.record.as_ref();
+        setup.record = record.map(|file| record_file(file, &format!("{}-{}", setup.node, life + 1)));
+        let setup = setup.clone();
+        self.children.restart(node, &setup)?;
+        self.gatherer.revived(node, now_us());
+        self.gone.retain(|gone| *gone != node);
+        let table = Arc::clone(&self.run.loaded.table);
+        self.ended.retain(|task| table.location(*task) != Some(node));
+        if self.children.in_one_process() {
+            let book = Order::Book(self.book.clone());
+            self.children.order(node, &book);
+        }
+        Ok(())
+    }
+
+    pub(super) fn take(&mut self, message: Message) -> Result<(), LaunchError> {
+        match message {
+            Message::Said(_, Word::Event(event)) => self.gatherer.event(&event),
+            Message::Said(node, Word::Figures(figures)) => self.gatherer.figures(node, *figures),
+            Message::Said(_, Word::Did(did)) => self.did(did)?,
+            Message::Said(_, Word::TaskEnded { task, how, sort }) => self.task_ended(task, how, sort),
+            // It was started again: all hear where it is, and it hears where all are.
+            Message::Said(node, Word::Bound { address: Some(address), .. }) => {
+                self.book.insert(self.name(node), address);
+                let book = Order::Book(self.book.clone());
+                self.children.order_all(&book);
+            }
+            Message::Said(_, Word::Bound { address: None, .. } | Word::Started | Word::Done) => {}
+            Message::Gone(node, life) => {
+                // Not killed by this launcher: somebody else did, or it is at fault. Its last words are missing.
+                if !self.stopping && self.children.lives(node, life) {
+                    self.gatherer.killed(node, now_us());
+                }
+                if self.children.life(node) == life {
+                    self.gone.push(node);
+                }
+            }
+            Message::Interrupted => self.interrupted = true,
+        }
+        Ok(())
+    }
+
+    fn did(&mut self, did: Did) -> Result<(), LaunchError> {
+        if self.stopping {
+            return Ok(());
+        }
+        if let Some((moment, been)) = &mut self.moment {
+            let of = self.cell.tasks[did.task.index()].name == moment.task;
+            if of && matches!(&did.what, Deed::Begins { action, .. } if action == moment.action) {
+                *been += 1;
+                if *been == moment.time {
+                    let moment = *moment;
+                    self.moment = None;
+                    self.plan(moment, did.at)?;
+                }
+            }
+        }
+        if self.run.tale.is_some() && self.deeds.len() < LONGEST_STORY {
+            self.deeds.push(did.clone());
+        }
+        if self.run.args.format == Format::Text {
+            self.diary.add(did);
+        }
+        Ok(())
+    }
+
+    /// The cell has come to the point that a fault waited for, at this instant of the common clock.
+    fn plan(&mut self, moment: &Moment, at: u64) -> Result<(), LaunchError> {
+        let passed = Duration::from_micros(now_us().saturating_sub(at));
+        let due = self.started.elapsed() + moment.after.saturating_sub(passed);
+        match moment.fault {
+            Planned::Kill(name) => self.faults.push((due, Fault::Kill(node(self.cell, name)?))),
+            Planned::Cut([a, b], length) => {
+                let (a, b) = (node(self.cell, a)?, node(self.cell, b)?);
+                self.faults.push((due, Fault::Cut(a, b)));
+                self.faults.push((due + length, Fault::Heal(a, b)));
+            }
+        }
+        self.faults.sort_by_key(|(at, _)| *at);
+        Ok(())
+    }
+
+    fn task_ended(&mut self, task: TaskId, how: String, sort: EndSort) {
+        self.ended.push(task);
+        // Whether it may give up after a fault is for the story to say.
+        let expected = sort == EndSort::Aborted && self.run.tale.is_some() && self.is_disturbed();
+        if sort != EndSort::Well && !expected {
+            let what = format!("task `{}` {how}", self.cell.tasks[task.index()].name);
+            self.trouble.push(Trouble { at_fault: false, what });
+        }
+        self.gatherer.script_ended(task, how);
+    }
+
+    fn is_disturbed(&self) -> bool {
+        !self.came.is_empty() || self.run.args.loss.0 > 0.0
+    }
+}
+
+/// A line on standard error while the run lasts, if a person may be looking.
+fn progress_line(format: Format) -> ProgressBar {
+    let target = match format {
+        Format::Text => ProgressDrawTarget::stderr(),
+        Format::Json => ProgressDrawTarget::hidden(),
+    };
+    ProgressBar::with_draw_target(None, target).with_style(ProgressStyle::default_spinner())
+}

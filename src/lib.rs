@@ -1,0 +1,149 @@
+//! The `imrs` command: wiring only. It reads the command line, asks the crates that can answer, and shows the answers.
+//! Besides, [`Program`]: how a Rust program runs nodes of a cell file.
+#![forbid(unsafe_code)]
+
+mod args;
+mod cell_file;
+mod cells;
+mod check;
+mod demo;
+mod exit;
+mod explain;
+mod fmt;
+mod graph;
+mod launch;
+mod output;
+mod program;
+mod replay;
+mod run;
+mod verify;
+
+pub use imrs_runtime::script::Call;
+pub use imrs_runtime::{Context, Rendezvous, Sent, TaskEnd, TaskError};
+pub use launch::place::PlaceError;
+pub use program::{Program, ProgramError};
+
+use args::{Cli, Format, MonitorArgs, Verb, VerifyArgs, early_color};
+use clap::{CommandFactory, FromArgMatches};
+use exit::{Exit, Failure};
+use output::{Output, complain};
+use std::process::ExitCode;
+
+/// The `imrs` command: does what the command line says. Returns its exit code.
+#[doc(hidden)]
+#[must_use]
+pub fn command() -> ExitCode {
+    report_panics();
+    let command = Cli::command().color(early_color(std::env::args()));
+    let parsed = command.try_get_matches().and_then(|matches| Cli::from_arg_matches(&matches));
+    let cli = match parsed {
+        Ok(cli) => cli,
+        Err(error) => {
+            // Nobody is left to tell where even this cannot be printed.
+            let _ = error.print();
+            return if error.use_stderr() { Exit::Usage } else { Exit::Well }.into();
+        }
+    };
+    match run(cli) {
+        Ok(exit) => exit.into(),
+        Err(failure) => {
+            complain(&failure);
+            failure.exit().into()
+        }
+    }
+}
+
+fn run(cli: Cli) -> Result<Exit, Failure> {
+    if cli.verb.is_some() && cli.verify != VerifyArgs::default() {
+        return Err(Failure::Usage("put the flags behind the verb they are for".into()));
+    }
+    let mut out = Output::new(cli.color);
+    let Some(verb) = cli.verb else { return verify::run(&cli.verify, &mut out) };
+    match verb {
+        Verb::Verify(args) => verify::run_verb(&args, &mut out),
+        Verb::Check(args) => check::run(&args, &mut out),
+        Verb::Fmt(args) => fmt::run(&args, &mut out),
+        Verb::Explain(args) => explain::run(&args, &mut out),
+        Verb::Graph(args) => graph::run(&args, &mut out),
+        Verb::Run(args) => run::run(&args, &mut out),
+        Verb::Demo(args) => demo::run(&args, &mut out),
+        Verb::Monitor(args) => monitor(args, cli.color),
+        Verb::Replay(args) => replay::run(&args, &mut out),
+        Verb::Completions { shell } => {
+            let mut script = Vec::new();
+            clap_complete::generate(shell, &mut Cli::command(), "imrs", &mut script);
+            out.line(String::from_utf8_lossy(&script).trim_end())?;
+            Ok(Exit::Well)
+        }
+        Verb::Man { verb } => manual(verb.as_deref(), &mut out),
+        Verb::Node => {
+            launch::run_node()?;
+            Ok(Exit::Well)
+        }
+    }
+}
+
+fn manual(verb: Option<&str>, out: &mut Output) -> Result<Exit, Failure> {
+    let mut command = Cli::command();
+    command.build();
+    let of = match verb {
+        None => command,
+        Some(name) => {
+            let verbs: Vec<&str> = command.get_subcommands().map(clap::Command::get_name).collect();
+            let hint = exit::did_you_mean(name, verbs);
+            let found = command.find_subcommand(name).cloned();
+            found.ok_or_else(|| Failure::Usage(format!("there is no verb `{name}`{hint}")))?
+        }
+    };
+    let mut page = Vec::new();
+    clap_mangen::Man::new(of).render(&mut page).map_err(Failure::Output)?;
+    out.line(String::from_utf8_lossy(&page).trim_end())?;
+    Ok(Exit::Well)
+}
+
+fn monitor(args: MonitorArgs, color: args::Color) -> Result<Exit, Failure> {
+    let options = imrs_monitor::Options {
+        connect: args.connect,
+        base: None,
+        cell: args.cell,
+        once: args.once,
+        watch: args.watch,
+        text: args.text,
+        format: match args.format {
+            Format::Text => imrs_monitor::Format::Text,
+            Format::Json => imrs_monitor::Format::Json,
+        },
+        color: match color {
+            args::Color::Auto => imrs_monitor::ColorChoice::Auto,
+            args::Color::Always => imrs_monitor::ColorChoice::Always,
+            args::Color::Never => imrs_monitor::ColorChoice::Never,
+        },
+        ascii: args.ascii,
+        replay: args.replay,
+        at: args.at,
+        speed: args.speed,
+        record: args.record,
+        record_for: args.record_for,
+    };
+    match imrs_monitor::run(&options)? {
+        imrs_monitor::Verdict::Healthy => Ok(Exit::Well),
+        imrs_monitor::Verdict::Finding => Ok(Exit::Finding),
+    }
+}
+
+/// A panic is a fault of this program: it ends with exit code 70 and says what to report. A task of a cell that panics is
+/// that task's crash; the runtime reports it and the process goes on.
+fn report_panics() {
+    let default = std::panic::take_hook();
+    std::panic::set_hook(Box::new(move |panic| {
+        default(panic);
+        if std::thread::current().name() == Some("main") {
+            complain(format_args!(
+                "this is a fault of imrs {}. Please report the lines above and the command:\n  {}",
+                env!("CARGO_PKG_VERSION"),
+                std::env::args().collect::<Vec<_>>().join(" ")
+            ));
+            std::process::exit(Exit::Internal as i32);
+        }
+    }));
+}

@@ -1,0 +1,319 @@
+//! Running nodes of a cell file from a Rust program.
+
+use crate::cells::{self, Loaded, Source};
+use crate::launch::place::{self, PlaceError};
+use imrs_protocol::{Incarnation, NodeId, NodeTable};
+use imrs_runtime::link::Link;
+use imrs_runtime::link::in_process::{Faults, Network};
+use imrs_runtime::link::udp::{UdpError, UdpLink, UdpOptions};
+use imrs_runtime::observer::{Observer, ObserverError};
+use imrs_runtime::script::{Actions, Call, Functions, Simulated};
+use imrs_runtime::{Context, Runtime, StartError, TaskEnd, TaskError};
+use std::collections::BTreeMap;
+use std::io;
+use std::net::SocketAddr;
+use std::path::Path;
+use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+/// How long the programs of the tasks have to end when the run does.
+const PATIENCE: Duration = Duration::from_secs(2);
+/// How often the ends of the tasks are looked at.
+const LOOK_EVERY: Duration = Duration::from_millis(10);
+
+type Body = Box<dyn FnOnce(&mut Context) -> Result<(), TaskError> + Send>;
+
+/// Why a program cannot run its nodes.
+#[derive(Debug, thiserror::Error)]
+pub enum ProgramError {
+    /// The file cannot be read, or the cell has errors.
+    #[error("{0}")]
+    Cell(String),
+    /// The cell has no task of this name.
+    #[error("the cell has no task `{0}`")]
+    NoTask(String),
+    /// The cell has no action of this name.
+    #[error("the cell has no action `{0}`")]
+    NoAction(String),
+    /// The cell has no node of this name.
+    #[error("the cell has no node `{0}`")]
+    NoNode(String),
+    /// The task has a script in the cell: only an extern task has a body in Rust.
+    #[error(
+        "task `{0}` has a script in the cell; write `task {0} on … extern` there to give it a body in Rust"
+    )]
+    NotExtern(String),
+    /// The extern task runs here and was given no body.
+    #[error("task `{0}` is extern and was given no body: call `body(\"{0}\", …)`")]
+    NoBody(String),
+    /// The node's address is no loopback address, and nothing authenticates its packets.
+    #[error(
+        "node `{0}` at {1}: nothing authenticates its packets; call `insecure()` on a network of your own"
+    )]
+    Insecure(String, SocketAddr),
+    /// The node cannot run by itself.
+    #[error(transparent)]
+    Place(#[from] PlaceError),
+    /// The node has no socket.
+    #[error(transparent)]
+    Link(#[from] UdpError),
+    /// A node did not start.
+    #[error(transparent)]
+    Start(#[from] StartError),
+    /// Monitors cannot be served.
+    #[error(transparent)]
+    Observe(#[from] ObserverError),
+    /// The operating system refused a thread.
+    #[error("cannot start the actions: {0}")]
+    Actions(io::Error),
+}
+
+/// Nodes of a cell file, with Rust functions for its actions and Rust bodies for its extern tasks.
+///
+/// All nodes run as threads of this process, joined without sockets; or with [`node`](Self::node) one of them, over UDP
+/// at the address that the cell declares for it. Actions without a function are simulated. Monitors find the nodes as
+/// they find those of `imrs run`.
+///
+/// ```no_run
+/// # fn main() -> Result<(), imrs::ProgramError> {
+/// let ends = imrs::Program::open("examples/extern_task.cell")?
+///     .action("pick", |call| if call.arguments[0] < 500 { Ok(0) } else { Err("out of reach".into()) })
+///     .body("camera", |ctx| ctx.delay(std::time::Duration::from_secs(1)))
+///     .run(Some(std::time::Duration::from_secs(5)))?;
+/// for (task, end) in ends {
+///     println!("{task}: {end:?}");
+/// }
+/// # Ok(())
+/// # }
+/// ```
+#[must_use = "nothing runs before `run`"]
+pub struct Program {
+    loaded: Loaded,
+    actions: Vec<(String, Function)>,
+    bodies: BTreeMap<String, Body>,
+    node: Option<String>,
+    insecure: bool,
+    observe: Option<SocketAddr>,
+    seed: u64,
+}
+
+type Function = Box<dyn Fn(&Call) -> Result<i32, String> + Send + Sync>;
+
+/// Which life of its node a program runs, and whether there was one before.
+type Life = (Incarnation, bool);
+
+/// A node that runs.
+struct Running {
+    runtime: Runtime,
+    /// How long its scripts are kept from beginning.
+    held_back: Duration,
+    /// Served while they are here.
+    _observers: Vec<Observer>,
+}
+
+impl Program {
+    /// The cell of a file.
+    ///
+    /// # Errors
+    /// [`ProgramError::Cell`], with the compiler's diagnostics.
+    pub fn open(path: impl AsRef<Path>) -> Result<Self, ProgramError> {
+        let (_, loaded) =
+            cells::open(path.as_ref(), false).map_err(|error| ProgramError::Cell(error.to_string()))?;
+        Ok(Self::of(loaded))
+    }
+
+    /// The cell of a text; `name` stands for its file in diagnostics.
+    ///
+    /// # Errors
+    /// [`ProgramError::Cell`], with the compiler's diagnostics.
+    pub fn of_text(name: &str, text: &str) -> Result<Self, ProgramError> {
+        let source = Source { name: name.into(), text: text.into(), paper: false };
+        cells::load(&source).map(Self::of).map_err(|error| ProgramError::Cell(error.to_string()))
+    }
+
+    fn of(loaded: Loaded) -> Self {
+        Self {
+            loaded,
+            actions: Vec::new(),
+            bodies: BTreeMap::new(),
+            node: None,
+            insecure: false,
+            observe: None,
+            seed: 0,
+        }
+    }
+
+    /// The function that carries out an action, in all tasks: its result (a `real` by its bits), or why it failed. Each
+    /// call has a thread of its own; one that panics has failed.
+    pub fn action(
+        mut self,
+        name: &str,
+        function: impl Fn(&Call) -> Result<i32, String> + Send + Sync + 'static,
+    ) -> Self {
+        self.actions.push((name.into(), Box::new(function)));
+        self
+    }
+
+    /// What an extern task does: run once, on a thread of its own.
+    pub fn body(
+        mut self,
+        task: &str,
+        body: impl FnOnce(&mut Context) -> Result<(), TaskError> + Send + 'static,
+    ) -> Self {
+        self.bodies.insert(task.into(), Box::new(body));
+        self
+    }
+
+    /// Runs only this node, at the address that the cell declares; the others run elsewhere, as by `imrs run --node`.
+    pub fn node(mut self, name: &str) -> Self {
+        self.node = Some(name.into());
+        self
+    }
+
+    /// Lets the node's packets leave this machine though nothing authenticates them, and monitors from elsewhere look.
+    pub const fn insecure(mut self) -> Self {
+        self.insecure = true;
+        self
+    }
+
+    /// Serves monitors at this TCP address, too; of several nodes each takes the next port.
+    pub const fn observe(mut self, address: SocketAddr) -> Self {
+        self.observe = Some(address);
+        self
+    }
+
+    /// Seeds what is simulated and left to chance.
+    pub const fn seed(mut self, seed: u64) -> Self {
+        self.seed = seed;
+        self
+    }
+
+    /// Runs the nodes until the programs of all their tasks have ended, at most so long, then stops them. Returns how each
+    /// program ended.
+    ///
+    /// # Errors
+    /// [`ProgramError`]: nothing runs then.
+    pub fn run(mut self, length: Option<Duration>) -> Result<Vec<(String, TaskEnd)>, ProgramError> {
+        let nodes = self.nodes()?;
+        self.check(&nodes)?;
+        let actions = self.all_actions()?;
+        let table = Arc::clone(&self.loaded.table);
+        let network = Network::new(table, Faults::default());
+        let mut running = Vec::new();
+        for (after, node) in nodes.into_iter().enumerate() {
+            running.push(self.start(node, after, &network, Arc::clone(&actions))?);
+        }
+        // Scripts of a later life could only wait in vain at first (D94). Those of a first one begin together.
+        let held_back = running.iter().map(|node: &Running| node.held_back).max().unwrap_or_default();
+        std::thread::sleep(held_back);
+        running.iter().for_each(|node| node.runtime.begin());
+        let end = length.map(|length| Instant::now() + length);
+        let time_is_over = || end.is_some_and(|end| Instant::now() >= end);
+        while !time_is_over() && !running.iter().all(|node| node.runtime.wait(Duration::ZERO)) {
+            let left = end.map_or(LOOK_EVERY, |end| end.saturating_duration_since(Instant::now()));
+            std::thread::sleep(left.min(LOOK_EVERY));
+        }
+        Ok(running.into_iter().flat_map(|node| node.runtime.stop(PATIENCE)).collect())
+    }
+
+    /// The nodes that run here.
+    fn nodes(&self) -> Result<Vec<NodeId>, ProgramError> {
+        let all = &self.loaded.table.cell().nodes;
+        let Some(name) = &self.node else { return Ok((0..all.len()).map(NodeId::from_index).collect()) };
+        let node = all.iter().position(|node| node.name == *name).map(NodeId::from_index);
+        let node = node.ok_or_else(|| ProgramError::NoNode(name.clone()))?;
+        let address = place::address(&self.loaded, node)?;
+        if !self.insecure && !address.ip().is_loopback() {
+            return Err(ProgramError::Insecure(name.clone(), address));
+        }
+        Ok(vec![node])
+    }
+
+    fn check(&self, nodes: &[NodeId]) -> Result<(), ProgramError> {
+        let tasks = &self.loaded.table.cell().tasks;
+        for name in self.bodies.keys() {
+            let at = tasks.iter().position(|task| task.name == *name);
+            let at = at.ok_or_else(|| ProgramError::NoTask(name.clone()))?;
+            if self.loaded.scripts[at].is_some() {
+                return Err(ProgramError::NotExtern(name.clone()));
+            }
+        }
+        for (task, script) in tasks.iter().zip(&self.loaded.scripts) {
+            let here = nodes.contains(&task.node);
+            if here && script.is_none() && !self.bodies.contains_key(&task.name) {
+                return Err(ProgramError::NoBody(task.name.clone()));
+            }
+        }
+        let unknown = self.actions.iter().find(|(name, _)| !self.loaded.actions().any(|known| known == name));
+        unknown.map_or(Ok(()), |(name, _)| Err(ProgramError::NoAction(name.clone())))
+    }
+
+    fn all_actions(&mut self) -> Result<Arc<dyn Actions>, ProgramError> {
+        let simulated = Simulated::start(self.seed, self.loaded.results(), Vec::new());
+        let mut functions = Functions::new(simulated.map_err(ProgramError::Actions)?);
+        for (name, function) in std::mem::take(&mut self.actions) {
+            functions = functions.action(&name, function);
+        }
+        Ok(Arc::new(functions))
+    }
+
+    fn start(
+        &mut self,
+        node: NodeId,
+        after: usize,
+        network: &Arc<Network>,
+        actions: Arc<dyn Actions>,
+    ) -> Result<Running, ProgramError> {
+        let table = Arc::clone(&self.loaded.table);
+        let mut builder = Runtime::builder(Arc::clone(&table), node)
+            .insecure(true)
+            .actions(actions)
+            .seed(self.seed)
+            .hold_scripts();
+        let mut held_back = Duration::ZERO;
+        builder = match &self.node {
+            Some(_) => {
+                let (link, life) = self.link(node)?;
+                if life.1 {
+                    held_back = place::quarantine(&table, node);
+                }
+                builder.incarnation(life.0, life.1).link(link)
+            }
+            None => builder.link(Arc::new(network.join(node, Incarnation(0), false))),
+        };
+        for task in table.tasks_on(node) {
+            let name = &table.cell().tasks[task.index()].name;
+            builder = match (&self.loaded.scripts[task.index()], self.bodies.remove(name)) {
+                (Some(script), _) => builder.script(name, Arc::clone(&script.program)),
+                (None, Some(body)) => builder.task(name, body),
+                // Said before.
+                (None, None) => return Err(ProgramError::NoBody(name.clone())),
+            };
+        }
+        let runtime = builder.start()?;
+        let mut observers = vec![];
+        // A node runs without a monitor, too; an address that was asked for must be had.
+        observers.extend(Observer::start(Arc::clone(runtime.node())).ok());
+        if let Some(first) = self.observe {
+            let address = crate::launch::observed_at(first, after);
+            observers.push(Observer::start_tcp(Arc::clone(runtime.node()), address)?);
+        }
+        Ok(Running { runtime, held_back, _observers: observers })
+    }
+
+    fn link(&self, node: NodeId) -> Result<(Arc<dyn Link>, Life), ProgramError> {
+        let cell = self.loaded.table.cell();
+        let address = place::address(&self.loaded, node)?;
+        let neighbours = place::neighbours(&self.loaded, node)?;
+        let life = place::next_life(&cell.name, &cell.nodes[node.index()].name)?;
+        let table = NodeTable::new(Arc::clone(&self.loaded.table), node);
+        let link = UdpLink::bind(table, address, UdpOptions::new(life.0, life.1))?;
+        for (i, peer) in cell.nodes.iter().enumerate() {
+            if let Some(&address) = neighbours.get(&peer.name) {
+                // All of these are neighbours.
+                let _ = link.set_address(NodeId::from_index(i), Some(address));
+            }
+        }
+        Ok((Arc::new(link), life))
+    }
+}
