@@ -1,11 +1,11 @@
 //! `imrs replay`: runs the state machine again on what a node recorded, and compares every output.
 
 use crate::args::{Format, ReplayArgs};
-use crate::cells;
+use crate::cells::{self, Loaded};
 use crate::exit::{Exit, Failure};
 use crate::output::{BAD, GOOD, NOTE, Output, Styled, count};
-use imrs_protocol::{CellTable, NodeId, NodeTable};
-use imrs_runtime::record::{self, Verdict, replay_recording};
+use imrs_protocol::{NodeId, NodeTable};
+use imrs_runtime::record::{self, Verdict, replay_scripts};
 use imrs_wire::recording::{Ending, RecordingReader};
 use serde::Serialize;
 use std::fs::File;
@@ -82,10 +82,10 @@ struct Task {
 /// [`Failure`].
 pub fn run(args: &ReplayArgs, out: &mut Output) -> Result<Exit, Failure> {
     let given = match &args.cell {
-        Some(path) => cells::open(path)?.1.table,
-        None => cells::load(&cells::Source::BuiltIn(cells::beam_lift::NAME.into()))?.table,
+        Some(path) => cells::open(path)?.1,
+        None => cells::load(&cells::Source::BuiltIn(cells::beam_lift::NAME.into()))?,
     };
-    let replayed = read(&args.file, given)?;
+    let replayed = read(&args.file, &given)?;
     let diverged = replayed.tasks.iter().any(|task| task.divergence.is_some());
     match args.format {
         Format::Json => out.json(&replayed)?,
@@ -94,12 +94,12 @@ pub fn run(args: &ReplayArgs, out: &mut Output) -> Result<Exit, Failure> {
     Ok(if diverged { Exit::Finding } else { Exit::Well })
 }
 
-fn read(path: &PathBuf, given: Arc<CellTable>) -> Result<Replayed, ReplayError> {
+fn read(path: &PathBuf, given: &Loaded) -> Result<Replayed, ReplayError> {
     let file = File::open(path).map_err(|source| ReplayError::Open { path: path.clone(), source })?;
     let damaged = |source: record::ReplayError| ReplayError::Read { path: path.clone(), source };
     let mut reader = RecordingReader::new(BufReader::new(file)).map_err(|error| damaged(error.into()))?;
     let header = reader.header().clone();
-    let table = Some(given).filter(|table| table.digest() == header.digest);
+    let table = Some(Arc::clone(&given.table)).filter(|table| table.digest() == header.digest);
     let table = table.ok_or_else(|| ReplayError::OtherCell {
         path: path.clone(),
         cell: header.cell.clone(),
@@ -109,7 +109,7 @@ fn read(path: &PathBuf, given: Arc<CellTable>) -> Result<Replayed, ReplayError> 
     let node = header.node.filter(known).ok_or_else(|| ReplayError::NoInputs(path.clone()))?;
     let table = NodeTable::new(table, node);
     let names = table.cell.cell();
-    let replays = replay_recording(&mut reader, &table).map_err(damaged)?;
+    let replays = replay_scripts(&mut reader, &table, |task| given.program(task)).map_err(damaged)?;
     let tasks = replays.iter().map(|replay| Task {
         name: names.tasks[replay.task().index()].name.clone(),
         steps: replay.judged(),
@@ -118,10 +118,11 @@ fn read(path: &PathBuf, given: Arc<CellTable>) -> Result<Replayed, ReplayError> 
         verdict: match replay.verdict() {
             Verdict::Same => "same",
             Verdict::Unknown => "unknown",
-            Verdict::Differs(_) => "differs",
+            Verdict::Differs(_) | Verdict::ScriptDiffers(_) => "differs",
         },
         divergence: match replay.verdict() {
             Verdict::Differs(divergence) => Some(divergence.to_string()),
+            Verdict::ScriptDiffers(divergence) => Some(divergence.to_string()),
             Verdict::Same | Verdict::Unknown => None,
         },
     });
