@@ -1,16 +1,18 @@
 //! `imrs replay`: runs the state machine again on what a node recorded, and compares every output.
 
+mod path;
+
 use crate::args::{Format, ReplayArgs};
 use crate::cells::{self, Loaded};
 use crate::exit::{Exit, Failure};
 use crate::output::{BAD, GOOD, NOTE, Output, Styled, count};
 use imrs_protocol::{NodeId, NodeTable};
 use imrs_runtime::record::{self, Verdict, replay_scripts};
-use imrs_wire::recording::{Ending, RecordingReader};
+use imrs_wire::recording::{Ending, Header, RecordingReader};
 use serde::Serialize;
 use std::fs::File;
 use std::io::{self, BufReader};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// Why a recording cannot be replayed.
@@ -76,39 +78,60 @@ struct Task {
     divergence: Option<String>,
 }
 
-/// Replays a recording.
+/// Replays recordings.
 ///
 /// # Errors
 /// [`Failure`].
 pub fn run(args: &ReplayArgs, out: &mut Output) -> Result<Exit, Failure> {
+    if args.model {
+        return path::run(args, out);
+    }
     let given = match &args.cell {
         Some(path) => cells::open(path)?.1,
         None => cells::load(&cells::Source::BuiltIn(cells::beam_lift::NAME.into()))?,
     };
-    let replayed = read(&args.file, &given)?;
-    let diverged = replayed.tasks.iter().any(|task| task.divergence.is_some());
-    match args.format {
-        Format::Json => out.json(&replayed)?,
-        Format::Text => show(&replayed, out)?,
+    let mut exit = Exit::Well;
+    for file in &args.files {
+        let replayed = read(file, &given)?;
+        if replayed.tasks.iter().any(|task| task.divergence.is_some()) {
+            exit = Exit::Finding;
+        }
+        match args.format {
+            Format::Json => out.json(&replayed)?,
+            Format::Text => show(&replayed, out)?,
+        }
     }
-    Ok(if diverged { Exit::Finding } else { Exit::Well })
+    Ok(exit)
 }
 
-fn read(path: &PathBuf, given: &Loaded) -> Result<Replayed, ReplayError> {
-    let file = File::open(path).map_err(|source| ReplayError::Open { path: path.clone(), source })?;
-    let damaged = |source: record::ReplayError| ReplayError::Read { path: path.clone(), source };
-    let mut reader = RecordingReader::new(BufReader::new(file)).map_err(|error| damaged(error.into()))?;
+/// A recording of a node of a known cell.
+struct Opened {
+    reader: RecordingReader<BufReader<File>>,
+    header: Header,
+    table: NodeTable,
+}
+
+fn open(path: &Path, given: &Loaded) -> Result<Opened, ReplayError> {
+    let own = || path.to_owned();
+    let file = File::open(path).map_err(|source| ReplayError::Open { path: own(), source })?;
+    let reader = RecordingReader::new(BufReader::new(file))
+        .map_err(|error| ReplayError::Read { path: own(), source: error.into() })?;
     let header = reader.header().clone();
     let table = Some(Arc::clone(&given.table)).filter(|table| table.digest() == header.digest);
     let table = table.ok_or_else(|| ReplayError::OtherCell {
-        path: path.clone(),
+        path: own(),
         cell: header.cell.clone(),
         digest: header.digest,
     })?;
     let known = |node: &NodeId| node.index() < table.cell().nodes.len();
-    let node = header.node.filter(known).ok_or_else(|| ReplayError::NoInputs(path.clone()))?;
-    let table = NodeTable::new(table, node);
+    let node = header.node.filter(known).ok_or_else(|| ReplayError::NoInputs(own()))?;
+    Ok(Opened { reader, header, table: NodeTable::new(table, node) })
+}
+
+fn read(path: &Path, given: &Loaded) -> Result<Replayed, ReplayError> {
+    let Opened { mut reader, header, table } = open(path, given)?;
     let names = table.cell.cell();
+    let damaged = |source| ReplayError::Read { path: path.to_owned(), source };
     let replays = replay_scripts(&mut reader, &table, |task| given.program(task)).map_err(damaged)?;
     let tasks = replays.iter().map(|replay| Task {
         name: names.tasks[replay.task().index()].name.clone(),
@@ -129,7 +152,7 @@ fn read(path: &PathBuf, given: &Loaded) -> Result<Replayed, ReplayError> {
     Ok(Replayed {
         version: 1,
         cell: header.cell,
-        node: names.nodes[node.index()].name.clone(),
+        node: names.nodes[table.node.index()].name.clone(),
         build: header.build,
         insecure: header.insecure,
         tasks: tasks.collect(),

@@ -268,7 +268,8 @@ struct Told<'a> {
     chart: &'a str,
 }
 
-fn conduct(behaviour: &Behaviour) -> Conduct {
+/// What a task does in the model.
+pub fn conduct(behaviour: &Behaviour) -> Conduct {
     match behaviour {
         Behaviour::Script(script) => {
             let values =

@@ -4,6 +4,8 @@ mod cell;
 mod progress;
 mod report;
 
+pub use cell::conduct;
+
 use crate::args::{Format, VerifyArgs, VerifyVerb};
 use crate::exit::{Exit, Failure, did_you_mean};
 use crate::output::Output;

@@ -1,0 +1,459 @@
+//! Follows a recorded run through the model: the same scripts and machines, the same links and nodes, led by what each
+//! task took.
+//!
+//! ```text
+//!   recorded:  task by task, what it took and what its script made of it, in microseconds
+//!   followed:  at the tick of each of these the node's clock counts, then the same input comes: the script must make
+//!              the same of it
+//! ```
+//!
+//! What is wider than in [`check_cell`](super::check_cell):
+//! - a packet may arrive at any time after it was sent, or never; the caller measures how long it took;
+//! - an action ends at any tick between its least and its most, with any result;
+//! - each node counts its own ticks from its beginning, and notices a tick later than it comes: [`Followed::behind`].
+
+use super::course::Course;
+use super::judge::{name, statement};
+use super::plan::{CellFaults, CellPlan, Conduct};
+use super::run::{Followed, Happened, Happening, Late, Run, Turn, Unexplained};
+use crate::floor::script::Running;
+use imrs_protocol::script::{Address, ScriptInput};
+use imrs_protocol::{Call, NodeInput, NodeOutbox, Outcome, Packet, Signal, TaskId, Ticks};
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::Arc;
+use std::time::Instant;
+
+/// How many ticks the clock of a node may be ahead of the run: what a message has left is rounded at every node.
+const AHEAD: u64 = 2;
+/// How many ticks late a node may notice that time has passed: one that is declared (D42).
+const LATE: u64 = 1;
+
+/// Something that a task took, and what came of it.
+#[derive(Clone, Debug)]
+struct Group {
+    at: u64,
+    cause: Happened,
+    /// Whether it sent anything that left its node.
+    sent: bool,
+    turns: Vec<Turn>,
+}
+
+struct Follower<'a> {
+    run: &'a Run,
+    course: Course,
+    /// For each node, the microsecond at which it began, the ticks that its tasks counted, and those that its actions
+    /// did.
+    starts: Vec<u64>,
+    clocks: Vec<u64>,
+    acts: Vec<u64>,
+    /// By task and thread, by how many ticks the action there takes longer than its most.
+    over: BTreeMap<(usize, u8), u64>,
+    /// For each task, what is still to follow.
+    groups: Vec<VecDeque<Group>>,
+    /// For each task, what its script in the model did and the run has not shown yet.
+    pending: Vec<VecDeque<Turn>>,
+    out: Followed,
+}
+
+/// Why a group cannot be followed now.
+enum No {
+    /// Its packet is not under way: somebody else may have to go on first.
+    NotYet(String),
+    Never(String),
+}
+
+/// Follows a run. The plan's faults are not used: those of the run are.
+#[must_use]
+pub fn follow_run(plan: &Arc<CellPlan>, run: &Run) -> Followed {
+    let plan = super::outside::with_programs(plan);
+    let course = Course::new(&plan, &CellFaults::default());
+    let nodes = course.floor.stations.len();
+    let groups: Vec<_> = (0..plan.tasks.len()).map(|task| groups(&course, run, task)).collect();
+    let first = |node: usize| {
+        let here = (0..plan.tasks.len()).filter(|&task| course.floor.station_of(task) == node);
+        let begins = here.filter_map(|task| run.tasks.get(task)?.iter().find(|h| h.what == Happened::Begun));
+        begins.map(|begun| begun.at).min().unwrap_or(0)
+    };
+    let starts = (0..nodes).map(first).collect();
+    let mut follower = Follower {
+        run,
+        starts,
+        clocks: vec![0; nodes],
+        acts: vec![0; nodes],
+        over: BTreeMap::new(),
+        pending: vec![VecDeque::new(); plan.tasks.len()],
+        groups,
+        course,
+        out: Followed::default(),
+    };
+    follower.collect();
+    follower.go(Instant::now());
+    follower.count_lost();
+    follower.out
+}
+
+/// What a task took, each with what came of it. Time in which nothing shows is left out.
+fn groups(course: &Course, run: &Run, task: usize) -> VecDeque<Group> {
+    let mut groups: VecDeque<Group> = VecDeque::new();
+    let here = course.floor.station_of(task);
+    for Happening { at, what, .. } in run.tasks.get(task).into_iter().flatten() {
+        match what {
+            Happened::Sent(packet) => {
+                let leaves = course.floor.station_of(packet.destination.index()) != here;
+                if let Some(group) = groups.back_mut() {
+                    group.sent |= leaves;
+                }
+            }
+            Happened::Turn(turn) => {
+                if let Some(group) = groups.back_mut() {
+                    group.turns.push(turn.clone());
+                }
+            }
+            Happened::Stopped => break,
+            cause => {
+                groups.push_back(Group { at: *at, cause: cause.clone(), sent: false, turns: Vec::new() });
+            }
+        }
+    }
+    groups.retain(|group| group.cause != Happened::Time || group.sent || !group.turns.is_empty());
+    groups
+}
+
+impl Follower<'_> {
+    fn go(&mut self, start: Instant) {
+        let budget = self.course.plan.budget;
+        loop {
+            if start.elapsed().as_secs_f64() > budget.seconds {
+                self.out.ended_by = Some(format!("{} seconds", budget.seconds));
+                return;
+            }
+            let mut order: Vec<(u64, usize)> = Vec::new();
+            for (task, groups) in self.groups.iter().enumerate() {
+                order.extend(groups.front().map(|group| (group.at, task)));
+            }
+            order.sort_unstable();
+            let mut first = None;
+            let mut went = false;
+            for &(at, task) in &order {
+                match self.follow(task) {
+                    Ok(()) => {
+                        self.groups[task].pop_front();
+                        self.out.until = at;
+                        self.out.inputs += 1;
+                        went = true;
+                        break;
+                    }
+                    Err(No::NotYet(why)) => {
+                        first.get_or_insert((at, task, why));
+                    }
+                    Err(No::Never(why)) => {
+                        first = Some((at, task, why));
+                        break;
+                    }
+                }
+            }
+            if went {
+                continue;
+            }
+            self.out.unexplained = first.map(|(at, task, why)| Unexplained {
+                at,
+                task: TaskId::from_index(task),
+                address: self.address(task),
+                why,
+            });
+            return;
+        }
+    }
+
+    /// Where the run's next turn of a task begins; else where the task stands in the model.
+    fn address(&self, task: usize) -> Address {
+        let next = self.groups[task].front().and_then(|group| group.turns.first()).map(|turn| turn.at);
+        next.unwrap_or_else(|| super::judge::position(&self.course, task))
+    }
+
+    fn follow(&mut self, task: usize) -> Result<(), No> {
+        let Some(group) = self.groups[task].front().cloned() else { return Ok(()) };
+        let node = self.course.floor.station_of(task);
+        let now = group.at.saturating_sub(self.starts[node]) / self.run.tick.max(1);
+        match group.cause {
+            Happened::Begun => {}
+            Happened::Time => self.let_time_show(task, node, now, &group)?,
+            Happened::Came(packet) => self.packet(task, node, now, packet)?,
+            Happened::Acted(level, ok, value) => {
+                self.quiet(task, "its action ends")?;
+                self.catch_up(node, now)?;
+                self.acted(task, group.at, (level, ok, value))?;
+            }
+            Happened::Chosen(choice) => {
+                self.quiet(task, "it chooses")?;
+                self.course.floor.leave(task, ScriptInput::Chosen(choice));
+                self.made()?;
+            }
+            Happened::Sent(_) | Happened::Turn(_) | Happened::Stopped => {}
+        }
+        for turn in &group.turns {
+            self.expect(task, turn)?;
+        }
+        Ok(())
+    }
+
+    /// The model has made a move.
+    fn made(&mut self) -> Result<(), No> {
+        self.out.moves += 1;
+        let course = &mut self.course;
+        let result = course.floor.run_scripts();
+        course.floor.crossings.sort_by_key(|crossing| crossing.link);
+        self.collect();
+        result.map_err(|violation| No::Never(violation.text().into()))
+    }
+
+    fn collect(&mut self) {
+        let turns = self.course.floor.turns.as_mut().map(std::mem::take).unwrap_or_default();
+        for turn in turns {
+            let (at, input, passed, end) = (turn.at, turn.input, turn.passed, turn.end);
+            self.pending[turn.task].push_back(Turn { at, input, passed, end });
+        }
+    }
+
+    /// Nothing of the model waits for the run to show it, before a task takes something new.
+    fn quiet(&self, task: usize, what: &str) -> Result<(), No> {
+        match self.pending[task].front() {
+            None => Ok(()),
+            Some(turn) => {
+                Err(No::Never(format!("{what}, but in the model {} first", self.tell(task, turn))))
+            }
+        }
+    }
+
+    fn expect(&mut self, task: usize, turn: &Turn) -> Result<(), No> {
+        let Some(made) = self.pending[task].pop_front() else {
+            return Err(No::Never(format!("{}: in the model nothing happens", self.tell(task, turn))));
+        };
+        if !alike(&made, turn) {
+            let (run, model) = (self.tell(task, turn), self.tell(task, &made));
+            return Err(No::Never(format!("{run}; in the model: {model}")));
+        }
+        self.out.turns += 1;
+        Ok(())
+    }
+
+    /// The ticks until time alone makes a node act.
+    fn expiry(&self, node: usize) -> Option<u64> {
+        self.course.floor.stations[node].node.next_expiry().map(|ticks| ticks.0.max(1))
+    }
+
+    fn count(&mut self, node: usize, ticks: u64) -> Result<(), No> {
+        if ticks == 0 {
+            return Ok(());
+        }
+        self.clocks[node] += ticks;
+        let step = self.course.floor.step(node, NodeInput::Advance(Ticks(ticks)));
+        step.map_err(|violation| No::Never(violation.text().into()))?;
+        self.made()
+    }
+
+    /// Whether so much time shows anything at a node.
+    fn shows(&self, node: usize, ticks: u64) -> bool {
+        let mut look = Look(false);
+        self.course.floor.stations[node].node.clone().step(NodeInput::Advance(Ticks(ticks)), &mut look);
+        look.0
+    }
+
+    /// Lets a node count up to a tick, but not to where time would show: the run shows that later.
+    fn catch_up(&mut self, node: usize, now: u64) -> Result<(), No> {
+        self.let_actions_go_on(node, now);
+        while self.clocks[node] < now {
+            let left = now - self.clocks[node];
+            let Some(expiry) = self.expiry(node).filter(|&expiry| expiry <= left) else {
+                return self.count(node, left);
+            };
+            if self.shows(node, expiry) {
+                self.count(node, expiry - 1)?;
+                return Ok(());
+            }
+            self.count(node, expiry)?;
+        }
+        Ok(())
+    }
+
+    fn let_actions_go_on(&mut self, node: usize, now: u64) {
+        let ticks = u32::try_from(now.saturating_sub(self.acts[node])).unwrap_or(u32::MAX);
+        self.acts[node] = self.acts[node].max(now);
+        for task in 0..self.course.floor.bodies.len() {
+            if self.course.floor.station_of(task) == node
+                && let Some(actor) = &mut self.course.floor.bodies[task].actor
+            {
+                self.over.retain(|&(of, level), _| {
+                    of != task || actor.running.iter().any(|running| running.level == level)
+                });
+                for running in actor.running.iter().filter(|running| running.most < ticks) {
+                    *self.over.entry((task, running.level)).or_default() += u64::from(ticks - running.most);
+                }
+                actor.pass(ticks);
+            }
+        }
+    }
+
+    /// A task acts so many ticks after it is time.
+    fn late(&mut self, task: usize, at: u64, ticks: u64) {
+        self.out.behind = self.out.behind.max(ticks);
+        if ticks > LATE {
+            let address = self.address(task);
+            self.out.late.push(Late { at, task: TaskId::from_index(task), address, ticks });
+        }
+    }
+
+    /// Time makes a task act, as the run says.
+    fn let_time_show(&mut self, task: usize, node: usize, now: u64, group: &Group) -> Result<(), No> {
+        self.let_actions_go_on(node, now);
+        let mut sent = false;
+        while self.pending[task].len() < group.turns.len() || (group.turns.is_empty() && !sent) {
+            let what = || match group.turns.first() {
+                Some(turn) => self.tell(task, turn),
+                None => "it sends again".into(),
+            };
+            let Some(expiry) = self.expiry(node) else {
+                return Err(No::Never(format!("{}: in the model no time_out runs", what())));
+            };
+            let then = self.clocks[node] + expiry;
+            if then > now + AHEAD {
+                let early = then - now;
+                return Err(No::Never(format!("{}: in the model {early} ticks later", what())));
+            }
+            sent |= self.shows(node, expiry);
+            self.count(node, expiry)?;
+            self.late(task, group.at, now.saturating_sub(then));
+            self.out.ahead = self.out.ahead.max(then.saturating_sub(now));
+        }
+        Ok(())
+    }
+
+    fn packet(&mut self, task: usize, node: usize, now: u64, packet: Packet) -> Result<(), No> {
+        if self.course.floor.station_of(packet.source.index()) == node {
+            return Ok(());
+        }
+        let Some(first) = self.under_way(&packet) else {
+            let table = &self.course.plan.table;
+            let (from, kind) = (name(table, packet.source.index()), packet.kind);
+            let why = format!("a {kind:?} of {from} arrives that the model has not sent: {packet:?}");
+            return Err(No::NotYet(why));
+        };
+        self.quiet(task, "a packet comes")?;
+        self.catch_up(node, now)?;
+        let mut at = Some(first);
+        while let Some(i) = at {
+            let crossing = self.course.floor.crossings.remove(i);
+            let last = self.course.floor.links[usize::from(crossing.link)].1.index() == node;
+            let step = self.course.floor.deliver(crossing, 0);
+            step.map_err(|violation| No::Never(violation.text().into()))?;
+            self.made()?;
+            if last {
+                return Ok(());
+            }
+            // It was at a node that only passes it on.
+            at = self.under_way(&packet);
+        }
+        Err(No::Never("a packet arrives that a node on the way drops in the model".into()))
+    }
+
+    /// The packet that is under way in the model and nearest to this one in what is left of its life.
+    fn under_way(&self, packet: &Packet) -> Option<usize> {
+        let left = packet.remaining.0 / self.run.tick.max(1);
+        let same = |other: &Packet| {
+            Packet { remaining: packet.remaining, hops: packet.hops, ..*other } == *packet
+        };
+        let floor = &self.course.floor;
+        let all = floor.crossings.iter().enumerate().filter(|(_, crossing)| same(&crossing.packet));
+        let distance = |at: usize| {
+            let crossing = &floor.crossings[at];
+            let charge = u64::from(floor.links[usize::from(crossing.link)].2);
+            crossing.packet.remaining.0.saturating_sub(charge).abs_diff(left)
+        };
+        all.map(|(at, _)| at).min_by_key(|&at| distance(at))
+    }
+
+    fn acted(&mut self, task: usize, at: u64, (level, ok, value): (u8, bool, i32)) -> Result<(), No> {
+        let over = self.over.remove(&(task, level)).unwrap_or(0);
+        self.late(task, at, over);
+        let runs = |running: &&Running| running.level == level;
+        let actor = self.course.floor.bodies[task].actor.as_ref();
+        let Some(&Running { action, least, .. }) = actor.and_then(|actor| actor.running.iter().find(runs))
+        else {
+            return Err(No::Never("an action ends that the model has not begun".into()));
+        };
+        if least > 0 {
+            return Err(No::Never(format!("an action ends {least} ticks before its least time is over")));
+        }
+        if let Conduct::Program { values, .. } = &self.course.plan.tasks[task] {
+            let tried = values.get(usize::from(action)).map_or(&[][..], Vec::as_slice);
+            let is_tried = if tried.is_empty() { value == 0 } else { tried.contains(&value) };
+            self.out.other_values += u64::from(ok && !is_tried);
+        }
+        self.course.floor.acted(task, level, ok, value);
+        self.made()
+    }
+
+    /// What is left under way when the run ends was lost, but for what was sent just before.
+    fn count_lost(&mut self) {
+        let floor = &self.course.floor;
+        for (at, (from, to, _)) in floor.links.iter().enumerate() {
+            let left = floor.crossings.iter().filter(|crossing| usize::from(crossing.link) == at).count();
+            if left > 0 {
+                self.out.lost.push((from.index(), to.index(), left as u64));
+            }
+        }
+    }
+
+    fn tell(&self, task: usize, turn: &Turn) -> String {
+        let table = &self.course.plan.table;
+        let what = match &self.course.plan.tasks[task] {
+            Conduct::Program { program, .. } => statement(table, program, turn.at),
+            Conduct::Extern(_) => String::new(),
+        };
+        format!("{}: {what}: {}", name(table, task), said(&turn.input))
+    }
+}
+
+/// What came, in a few words.
+fn said(input: &ScriptInput) -> String {
+    match input {
+        ScriptInput::Begin => "begins".into(),
+        ScriptInput::Acted { ok: true, value, .. } => format!("the action ends: {value}"),
+        ScriptInput::Acted { ok: false, .. } => "the action fails".into(),
+        ScriptInput::Chosen(choice) => format!("chooses {choice}"),
+        ScriptInput::Signal(signal) => match signal {
+            Signal::Outcome(Outcome::Reply(_)) => "is answered".into(),
+            Signal::Released { round, .. } => format!("is released from round {}", round.0),
+            other => format!("{other:?}"),
+        },
+    }
+}
+
+/// Whether two turns are the same but for what is counted in other units.
+fn alike(a: &Turn, b: &Turn) -> bool {
+    (a.at, &a.passed, a.end) == (b.at, &b.passed, b.end) && plain(a.input) == plain(b.input)
+}
+
+/// Without what is left of lives.
+fn plain(mut input: ScriptInput) -> ScriptInput {
+    if let ScriptInput::Signal(
+        Signal::Message(delivery) | Signal::Interrupt(Call::Message(delivery)),
+    ) = &mut input
+    {
+        delivery.budget = Ticks::ZERO;
+    }
+    input
+}
+
+/// Whether anything shows.
+struct Look(bool);
+
+impl NodeOutbox for Look {
+    fn link(&mut self, _: imrs_protocol::NodeId, _: Packet) {
+        self.0 = true;
+    }
+
+    fn signal(&mut self, _: TaskId, _: Signal) {
+        self.0 = true;
+    }
+}
