@@ -11,7 +11,7 @@ use imrs_language::{Unit, compile};
 use imrs_model::cell::{
     Budget, CellPlan, Conduct, Followed, Happened, Happening, Run, Turn, Unexplained, follow_run,
 };
-use imrs_protocol::{CellTable, NodeId, Packet, TaskId, Ticks};
+use imrs_protocol::{CellTable, NodeId, Packet, Ticks};
 use imrs_runtime::record::{self, Verdict, replay_scripts};
 use imrs_wire::recording::Ending;
 use serde::Serialize;
@@ -117,6 +117,7 @@ fn read(args: &ReplayArgs, loaded: &Loaded) -> Result<Recorded, Failure> {
 fn happening(happening: record::Happening) -> Happening {
     use record::Happened as Was;
     let what = match happening.what {
+        Was::Started => Happened::Started,
         Was::Begun => Happened::Begun,
         Was::Came(packet) => Happened::Came(packet),
         // Lives of nodes are not followed: no launcher starts a node again.

@@ -10,18 +10,18 @@
 //! What is wider than in [`check_cell`](super::check_cell):
 //! - a packet may arrive at any time after it was sent, or never; the caller measures how long it took;
 //! - an action ends at any tick between its least and its most, with any result;
-//! - each node counts its own ticks from its beginning, and notices a tick later than it comes: [`Followed::behind`].
+//! - each node counts its own ticks from its own start, its tasks begin any time after it, and it notices a tick later than it comes: [`Followed::behind`].
 
 use super::course::Course;
 use super::judge::{name, statement};
 use super::plan::{CellFaults, CellPlan, Conduct};
 use super::run::{Followed, Happened, Happening, Late, Run, Turn, Unexplained};
+use crate::floor::Floor;
 use crate::floor::script::Running;
 use imrs_protocol::script::{Address, ScriptInput};
 use imrs_protocol::{Call, NodeInput, NodeOutbox, Outcome, Packet, Signal, TaskId, Ticks};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
-use std::time::Instant;
 
 /// How many ticks the clock of a node may be ahead of the run: what a message has left is rounded at every node.
 const AHEAD: u64 = 2;
@@ -38,9 +38,16 @@ struct Group {
     turns: Vec<Turn>,
 }
 
-struct Follower<'a> {
-    run: &'a Run,
+/// How a tick is rounded where it is not rounded down: for the group number so of a task, by so much.
+pub(super) type Roundings = BTreeMap<(usize, usize), i64>;
+
+/// A run that is followed so far.
+#[derive(Clone)]
+pub(super) struct Follower {
+    /// Microseconds.
+    tick: u64,
     course: Course,
+    pub roundings: Roundings,
     /// For each node, the microsecond at which it began, the ticks that its tasks counted, and those that its actions
     /// did.
     starts: Vec<u64>,
@@ -48,11 +55,14 @@ struct Follower<'a> {
     acts: Vec<u64>,
     /// By task and thread, by how many ticks the action there takes longer than its most.
     over: BTreeMap<(usize, u8), u64>,
-    /// For each task, what is still to follow.
-    groups: Vec<VecDeque<Group>>,
+    /// For each task, what it took, and how much of it was followed.
+    groups: Arc<Vec<Vec<Group>>>,
+    next: Vec<usize>,
+    /// What was followed, in order: task, and which of its groups.
+    pub done: Vec<(usize, usize)>,
     /// For each task, what its script in the model did and the run has not shown yet.
     pending: Vec<VecDeque<Turn>>,
-    out: Followed,
+    pub out: Followed,
 }
 
 /// Why a group cannot be followed now.
@@ -62,56 +72,37 @@ enum No {
     Never(String),
 }
 
-/// Follows a run. The plan's faults are not used: those of the run are.
-#[must_use]
-pub fn follow_run(plan: &Arc<CellPlan>, run: &Run) -> Followed {
-    let plan = super::outside::with_programs(plan);
-    let course = Course::new(&plan, &CellFaults::default());
-    let nodes = course.floor.stations.len();
-    let groups: Vec<_> = (0..plan.tasks.len()).map(|task| groups(&course, run, task)).collect();
-    let first = |node: usize| {
-        let here = (0..plan.tasks.len()).filter(|&task| course.floor.station_of(task) == node);
-        let begins = here.filter_map(|task| run.tasks.get(task)?.iter().find(|h| h.what == Happened::Begun));
-        begins.map(|begun| begun.at).min().unwrap_or(0)
-    };
-    let starts = (0..nodes).map(first).collect();
-    let mut follower = Follower {
-        run,
-        starts,
-        clocks: vec![0; nodes],
-        acts: vec![0; nodes],
-        over: BTreeMap::new(),
-        pending: vec![VecDeque::new(); plan.tasks.len()],
-        groups,
-        course,
-        out: Followed::default(),
-    };
-    follower.collect();
-    follower.go(Instant::now());
-    follower.count_lost();
-    follower.out
+/// Where following a run stops.
+#[derive(Clone, Debug)]
+pub(super) enum Stop {
+    /// All of it was followed.
+    Over,
+    /// So much of it as was asked.
+    Far,
+    /// The model cannot do the next thing.
+    Stuck(Unexplained),
 }
 
 /// What a task took, each with what came of it. Time in which nothing shows is left out.
-fn groups(course: &Course, run: &Run, task: usize) -> VecDeque<Group> {
-    let mut groups: VecDeque<Group> = VecDeque::new();
+fn groups(course: &Course, run: &Run, task: usize) -> Vec<Group> {
+    let mut groups: Vec<Group> = Vec::new();
     let here = course.floor.station_of(task);
     for Happening { at, what, .. } in run.tasks.get(task).into_iter().flatten() {
         match what {
             Happened::Sent(packet) => {
                 let leaves = course.floor.station_of(packet.destination.index()) != here;
-                if let Some(group) = groups.back_mut() {
+                if let Some(group) = groups.last_mut() {
                     group.sent |= leaves;
                 }
             }
             Happened::Turn(turn) => {
-                if let Some(group) = groups.back_mut() {
+                if let Some(group) = groups.last_mut() {
                     group.turns.push(turn.clone());
                 }
             }
             Happened::Stopped => break,
             cause => {
-                groups.push_back(Group { at: *at, cause: cause.clone(), sent: false, turns: Vec::new() });
+                groups.push(Group { at: *at, cause: cause.clone(), sent: false, turns: Vec::new() });
             }
         }
     }
@@ -119,69 +110,107 @@ fn groups(course: &Course, run: &Run, task: usize) -> VecDeque<Group> {
     groups
 }
 
-impl Follower<'_> {
-    fn go(&mut self, start: Instant) {
-        let budget = self.course.plan.budget;
-        loop {
-            if start.elapsed().as_secs_f64() > budget.seconds {
-                self.out.ended_by = Some(format!("{} seconds", budget.seconds));
-                return;
-            }
-            let mut order: Vec<(u64, usize)> = Vec::new();
+impl Follower {
+    pub fn new(plan: &Arc<CellPlan>, run: &Run) -> Self {
+        let mut course = Course::new(plan, &CellFaults::default());
+        course.floor = Floor::waiting(&Arc::clone(&course.floor.plan));
+        let (nodes, tasks) = (course.floor.stations.len(), plan.tasks.len());
+        let groups: Vec<_> = (0..tasks).map(|task| groups(&course, run, task)).collect();
+        let first = |node: usize| {
+            let here = (0..tasks).filter(|&task| course.floor.station_of(task) == node);
+            here.filter_map(|task| run.tasks.get(task)?.first()).map(|first| first.at).min().unwrap_or(0)
+        };
+        Self {
+            tick: run.tick.max(1),
+            starts: (0..nodes).map(first).collect(),
+            clocks: vec![0; nodes],
+            acts: vec![0; nodes],
+            over: BTreeMap::new(),
+            pending: vec![VecDeque::new(); tasks],
+            groups: Arc::new(groups),
+            next: vec![0; tasks],
+            done: Vec::new(),
+            roundings: Roundings::new(),
+            course,
+            out: Followed::default(),
+        }
+    }
+
+    /// The group of a task that comes next.
+    pub fn stuck_at(&self, task: TaskId) -> (usize, usize) {
+        (task.index(), self.next[task.index()])
+    }
+
+    /// The node of a task.
+    pub fn node_of(&self, task: TaskId) -> usize {
+        self.course.floor.station_of(task.index())
+    }
+
+    /// Follows the run until so many of its inputs were followed, or it cannot.
+    pub fn go(&mut self, inputs: usize) -> Stop {
+        let mut order: Vec<(u64, usize)> = Vec::new();
+        while self.done.len() < inputs {
+            order.clear();
             for (task, groups) in self.groups.iter().enumerate() {
-                order.extend(groups.front().map(|group| (group.at, task)));
+                order.extend(groups.get(self.next[task]).map(|group| (group.at, task)));
+            }
+            if order.is_empty() {
+                return Stop::Over;
             }
             order.sort_unstable();
             let mut first = None;
-            let mut went = false;
-            for &(at, task) in &order {
-                match self.follow(task) {
-                    Ok(()) => {
-                        self.groups[task].pop_front();
-                        self.out.until = at;
-                        self.out.inputs += 1;
-                        went = true;
-                        break;
-                    }
-                    Err(No::NotYet(why)) => {
-                        first.get_or_insert((at, task, why));
-                    }
-                    Err(No::Never(why)) => {
-                        first = Some((at, task, why));
-                        break;
-                    }
+            let went = order.iter().find_map(|&(at, task)| match self.follow(task) {
+                Ok(()) => Some(Ok((at, task))),
+                Err(No::NotYet(why)) => {
+                    first.get_or_insert((at, task, why));
+                    None
                 }
-            }
-            if went {
-                continue;
-            }
-            self.out.unexplained = first.map(|(at, task, why)| Unexplained {
-                at,
-                task: TaskId::from_index(task),
-                address: self.address(task),
-                why,
+                Err(No::Never(why)) => Some(Err((at, task, why))),
             });
-            return;
+            let stuck = |(at, task, why): (u64, usize, String)| {
+                let address = self.address(task);
+                Stop::Stuck(Unexplained { at, task: TaskId::from_index(task), address, why })
+            };
+            match (went, first) {
+                (Some(Ok((at, task))), _) => {
+                    self.done.push((task, self.next[task]));
+                    self.next[task] += 1;
+                    self.out.until = at;
+                }
+                (Some(Err(never)), _) => return stuck(never),
+                (None, Some(not_yet)) => return stuck(not_yet),
+                (None, None) => return Stop::Over,
+            }
         }
+        Stop::Far
     }
 
     /// Where the run's next turn of a task begins; else where the task stands in the model.
     fn address(&self, task: usize) -> Address {
-        let next = self.groups[task].front().and_then(|group| group.turns.first()).map(|turn| turn.at);
-        next.unwrap_or_else(|| super::judge::position(&self.course, task))
+        let next = self.groups[task].get(self.next[task]).and_then(|group| group.turns.first());
+        next.map_or_else(|| super::judge::position(&self.course, task), |turn| turn.at)
     }
 
     fn follow(&mut self, task: usize) -> Result<(), No> {
-        let Some(group) = self.groups[task].front().cloned() else { return Ok(()) };
+        let groups = Arc::clone(&self.groups);
+        let Some(group) = groups[task].get(self.next[task]) else { return Ok(()) };
+        if std::env::var_os("DBG").is_some() { eprintln!("{} {} clocks {:?} {:?} || pending {:?}", group.at-self.starts[0], name(&self.course.plan.table, task), self.clocks, group, self.pending[task]); }
         let node = self.course.floor.station_of(task);
-        let now = group.at.saturating_sub(self.starts[node]) / self.run.tick.max(1);
+        let now = group.at.saturating_sub(self.starts[node]) / self.tick;
+        let counted = now.saturating_add_signed(self.rounding(task));
         match group.cause {
-            Happened::Begun => {}
-            Happened::Time => self.let_time_show(task, node, now, &group)?,
-            Happened::Came(packet) => self.packet(task, node, now, packet)?,
+            Happened::Started => {}
+            Happened::Begun => {
+                self.catch_up(node, counted)?;
+                self.course.floor.leave(task, ScriptInput::Begin);
+                self.made()?;
+            }
+            Happened::Time => self.let_time_show(task, node, now, group)?,
+            Happened::Came(packet) => self.packet(task, node, (now, counted), packet)?,
             Happened::Acted(level, ok, value) => {
                 self.quiet(task, "its action ends")?;
-                self.catch_up(node, now)?;
+                self.let_actions_go_on(node, now);
+                self.catch_up(node, counted)?;
                 self.acted(task, group.at, (level, ok, value))?;
             }
             Happened::Chosen(choice) => {
@@ -191,10 +220,11 @@ impl Follower<'_> {
             }
             Happened::Sent(_) | Happened::Turn(_) | Happened::Stopped => {}
         }
-        for turn in &group.turns {
-            self.expect(task, turn)?;
-        }
-        Ok(())
+        group.turns.iter().try_for_each(|turn| self.expect(task, turn))
+    }
+
+    fn rounding(&self, task: usize) -> i64 {
+        self.roundings.get(&(task, self.next[task])).copied().unwrap_or(0)
     }
 
     /// The model has made a move.
@@ -261,7 +291,6 @@ impl Follower<'_> {
 
     /// Lets a node count up to a tick, but not to where time would show: the run shows that later.
     fn catch_up(&mut self, node: usize, now: u64) -> Result<(), No> {
-        self.let_actions_go_on(node, now);
         while self.clocks[node] < now {
             let left = now - self.clocks[node];
             let Some(expiry) = self.expiry(node).filter(|&expiry| expiry <= left) else {
@@ -328,7 +357,13 @@ impl Follower<'_> {
         Ok(())
     }
 
-    fn packet(&mut self, task: usize, node: usize, now: u64, packet: Packet) -> Result<(), No> {
+    fn packet(
+        &mut self,
+        task: usize,
+        node: usize,
+        (now, counted): (u64, u64),
+        packet: Packet,
+    ) -> Result<(), No> {
         if self.course.floor.station_of(packet.source.index()) == node {
             return Ok(());
         }
@@ -339,7 +374,8 @@ impl Follower<'_> {
             return Err(No::NotYet(why));
         };
         self.quiet(task, "a packet comes")?;
-        self.catch_up(node, now)?;
+        self.let_actions_go_on(node, now);
+        self.catch_up(node, counted)?;
         let mut at = Some(first);
         while let Some(i) = at {
             let crossing = self.course.floor.crossings.remove(i);
@@ -358,7 +394,7 @@ impl Follower<'_> {
 
     /// The packet that is under way in the model and nearest to this one in what is left of its life.
     fn under_way(&self, packet: &Packet) -> Option<usize> {
-        let left = packet.remaining.0 / self.run.tick.max(1);
+        let left = packet.remaining.0 / self.tick;
         let same = |other: &Packet| {
             Packet { remaining: packet.remaining, hops: packet.hops, ..*other } == *packet
         };
@@ -394,7 +430,7 @@ impl Follower<'_> {
     }
 
     /// What is left under way when the run ends was lost, but for what was sent just before.
-    fn count_lost(&mut self) {
+    pub fn count_lost(&mut self) {
         let floor = &self.course.floor;
         for (at, (from, to, _)) in floor.links.iter().enumerate() {
             let left = floor.crossings.iter().filter(|crossing| usize::from(crossing.link) == at).count();

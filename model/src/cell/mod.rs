@@ -23,6 +23,7 @@
 mod canon;
 mod course;
 mod follow;
+mod guide;
 mod judge;
 mod moves;
 mod outside;
@@ -34,7 +35,7 @@ mod svg;
 mod verdict;
 
 pub use course::CellMove;
-pub use follow::follow_run;
+pub use guide::follow_run;
 pub use plan::{Budget, CellCheck, CellFaults, CellPlan, Conduct, Holds};
 pub use run::{Followed, Happened, Happening, Late, Run, Turn, Unexplained};
 pub use search::check_cell;

@@ -17,6 +17,8 @@ pub struct Happening {
 /// What happened.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Happened {
+    /// Its communication task started.
+    Started,
     /// Its script began.
     Begun,
     /// A packet came, with what was left of its life in microseconds.
@@ -76,6 +78,8 @@ pub struct Followed {
     pub ahead: u64,
     /// Every time that a node acted later than a tick after it was time.
     pub late: Vec<Late>,
+    /// How often a time was not rounded down to its tick, but up or farther down.
+    pub rounded: u64,
     /// Results of actions that the checker does not try.
     pub other_values: u64,
     /// The first thing that the model cannot do.

@@ -231,7 +231,8 @@ impl<'t> Replay<'t> {
     pub fn happened(self) -> Option<Vec<Happening>> {
         let (task, base) = (self.task, self.base?);
         let all = self.happened.filter(|_| self.script.is_some())?;
-        Some(all.into_iter().map(|(at, what)| Happening { at: base.saturating_add(at), task, what }).collect())
+        let started = std::iter::once((0, Happened::Started));
+        Some(started.chain(all).map(|(at, what)| Happening { at: base.saturating_add(at), task, what }).collect())
     }
 
     /// Records are missing here.

@@ -43,6 +43,8 @@ pub struct Happening {
 /// What happened.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Happened {
+    /// Its communication task started.
+    Started,
     /// Its script began.
     Begun,
     /// A packet came, with what was left of its life.
