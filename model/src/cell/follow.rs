@@ -19,7 +19,9 @@ use super::run::{Followed, Happened, Happening, Late, Run, Turn, Unexplained};
 use crate::floor::Floor;
 use crate::floor::script::Running;
 use imrs_protocol::script::{Address, ScriptInput};
-use imrs_protocol::{Call, NodeInput, NodeOutbox, Outcome, Packet, Signal, TaskId, Ticks};
+use imrs_protocol::{
+    Call, CellTable, NodeInput, NodeOutbox, Outcome, Packet, PortId, Signal, TaskId, Ticks,
+};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
@@ -38,8 +40,23 @@ struct Group {
     turns: Vec<Turn>,
 }
 
-/// How a tick is rounded where it is not rounded down: for the group number so of a task, by so much.
-pub(super) type Roundings = BTreeMap<(usize, usize), i64>;
+/// How the time of something is rounded where it is not rounded down to its tick.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Rounding {
+    /// It is one tick later.
+    Up,
+    /// It is one tick earlier.
+    Down,
+    /// What the packet has left is one tick less.
+    Charged,
+}
+
+impl Rounding {
+    pub const ALL: [Self; 3] = [Self::Up, Self::Down, Self::Charged];
+}
+
+/// For groups of tasks, by their numbers.
+pub(super) type Roundings = BTreeMap<(usize, usize), Rounding>;
 
 /// A run that is followed so far.
 #[derive(Clone)]
@@ -194,7 +211,6 @@ impl Follower {
     fn follow(&mut self, task: usize) -> Result<(), No> {
         let groups = Arc::clone(&self.groups);
         let Some(group) = groups[task].get(self.next[task]) else { return Ok(()) };
-        if std::env::var_os("DBG").is_some() { eprintln!("{} {} clocks {:?} {:?} || pending {:?}", group.at-self.starts[0], name(&self.course.plan.table, task), self.clocks, group, self.pending[task]); }
         let node = self.course.floor.station_of(task);
         let now = group.at.saturating_sub(self.starts[node]) / self.tick;
         let counted = now.saturating_add_signed(self.rounding(task));
@@ -205,7 +221,7 @@ impl Follower {
                 self.course.floor.leave(task, ScriptInput::Begin);
                 self.made()?;
             }
-            Happened::Time => self.let_time_show(task, node, now, group)?,
+            Happened::Time => self.let_time_show(task, node, (now, counted), group)?,
             Happened::Came(packet) => self.packet(task, node, (now, counted), packet)?,
             Happened::Acted(level, ok, value) => {
                 self.quiet(task, "its action ends")?;
@@ -224,7 +240,11 @@ impl Follower {
     }
 
     fn rounding(&self, task: usize) -> i64 {
-        self.roundings.get(&(task, self.next[task])).copied().unwrap_or(0)
+        match self.roundings.get(&(task, self.next[task])) {
+            Some(Rounding::Up) => 1,
+            Some(Rounding::Down) => -1,
+            Some(Rounding::Charged) | None => 0,
+        }
     }
 
     /// The model has made a move.
@@ -333,7 +353,13 @@ impl Follower {
     }
 
     /// Time makes a task act, as the run says.
-    fn let_time_show(&mut self, task: usize, node: usize, now: u64, group: &Group) -> Result<(), No> {
+    fn let_time_show(
+        &mut self,
+        task: usize,
+        node: usize,
+        (now, counted): (u64, u64),
+        group: &Group,
+    ) -> Result<(), No> {
         self.let_actions_go_on(node, now);
         let mut sent = false;
         while self.pending[task].len() < group.turns.len() || (group.turns.is_empty() && !sent) {
@@ -349,8 +375,10 @@ impl Follower {
                 let early = then - now;
                 return Err(No::Never(format!("{}: in the model {early} ticks later", what())));
             }
-            sent |= self.shows(node, expiry);
-            self.count(node, expiry)?;
+            // A node that is late counts all at once.
+            let ticks = expiry.max(counted.saturating_sub(self.clocks[node]));
+            sent |= self.shows(node, ticks);
+            self.count(node, ticks)?;
             self.late(task, group.at, now.saturating_sub(then));
             self.out.ahead = self.out.ahead.max(then.saturating_sub(now));
         }
@@ -370,17 +398,23 @@ impl Follower {
         let Some(first) = self.under_way(&packet) else {
             let table = &self.course.plan.table;
             let (from, kind) = (name(table, packet.source.index()), packet.kind);
-            let why = format!("a {kind:?} of {from} arrives that the model has not sent: {packet:?}");
+            let port = statement_port(table, packet.port);
+            let why = format!("a {kind:?} of {from} on {port} arrives that the model has not sent");
             return Err(No::NotYet(why));
         };
         self.quiet(task, "a packet comes")?;
         self.let_actions_go_on(node, now);
         self.catch_up(node, counted)?;
+        let charge = u64::from(self.roundings.get(&(task, self.next[task])) == Some(&Rounding::Charged));
         let mut at = Some(first);
         while let Some(i) = at {
             let crossing = self.course.floor.crossings.remove(i);
-            let last = self.course.floor.links[usize::from(crossing.link)].1.index() == node;
-            let step = self.course.floor.deliver(crossing, 0);
+            let (_, to, bound) = self.course.floor.links[usize::from(crossing.link)];
+            let last = to.index() == node;
+            // What it was charged beyond the bound, in whole ticks (D20).
+            let left = crossing.packet.remaining.0.saturating_sub(u64::from(bound)) * self.tick;
+            let over = if last { left.saturating_sub(packet.remaining.0) / self.tick + charge } else { 0 };
+            let step = self.course.floor.deliver(crossing, u8::try_from(over).unwrap_or(u8::MAX));
             step.map_err(|violation| No::Never(violation.text().into()))?;
             self.made()?;
             if last {
@@ -448,6 +482,10 @@ impl Follower {
         };
         format!("{}: {what}: {}", name(table, task), said(&turn.input))
     }
+}
+
+fn statement_port(table: &CellTable, port: PortId) -> String {
+    table.port(port).map_or_else(|| "?".into(), |port| format!("`{}`", port.decl.name))
 }
 
 /// What came, in a few words.

@@ -1,0 +1,108 @@
+//! Finds the roundings with which a run can be followed.
+//!
+//! What happened between two ticks belongs to the one before or the one after: two times of a node that are ordered
+//! within a tick, or span one tick more or less than they should, say which. First every time is rounded down. Where the
+//! run cannot be followed then, one of the last times is rounded otherwise, the nearest first.
+
+use super::follow::{Follower, Rounding, Stop};
+use super::plan::CellPlan;
+use super::run::{Followed, Run, Unexplained};
+use std::sync::Arc;
+use std::time::Instant;
+
+/// How many inputs lie between two kept states.
+const KEEP_EVERY: usize = 32;
+/// How many inputs back another rounding is tried.
+const BACK: usize = 400;
+/// How far beyond the place where it was stuck a rounding must lead.
+const BEYOND: usize = 12;
+
+struct Guide {
+    start: Instant,
+    seconds: f64,
+    /// The run so far, and states on the way there.
+    at: Follower,
+    kept: Vec<Follower>,
+}
+
+/// Follows a run. The plan's faults are not used: those of the run are.
+#[must_use]
+pub fn follow_run(plan: &Arc<CellPlan>, run: &Run) -> Followed {
+    let plan = super::outside::with_programs(plan);
+    let at = Follower::new(&plan, run);
+    let kept = vec![at.clone()];
+    let mut guide = Guide { start: Instant::now(), seconds: plan.budget.seconds, at, kept };
+    let stuck = guide.follow();
+    let mut follower = guide.at;
+    follower.count_lost();
+    let mut out = follower.out;
+    out.inputs = follower.done.len() as u64;
+    out.rounded = follower.roundings.len() as u64;
+    match stuck {
+        Ok(unexplained) => out.unexplained = unexplained,
+        Err(by) => out.ended_by = Some(by),
+    }
+    out
+}
+
+impl Guide {
+    fn follow(&mut self) -> Result<Option<Unexplained>, String> {
+        loop {
+            let far = self.at.done.len() + KEEP_EVERY;
+            match self.at.go(far) {
+                Stop::Over => return Ok(None),
+                Stop::Far => self.keep(),
+                Stop::Stuck(stuck) => {
+                    if !self.round_otherwise(&stuck)? {
+                        return Ok(Some(stuck));
+                    }
+                }
+            }
+            if self.start.elapsed().as_secs_f64() > self.seconds {
+                return Err(format!("{} seconds", self.seconds));
+            }
+        }
+    }
+
+    fn keep(&mut self) {
+        self.kept.push(self.at.clone());
+        if self.kept.len() > BACK.div_ceil(KEEP_EVERY) + 2 {
+            self.kept.remove(0);
+        }
+    }
+
+    /// Tries other roundings of what came before; whether one leads on.
+    fn round_otherwise(&mut self, stuck: &Unexplained) -> Result<bool, String> {
+        let reached = self.at.done.len();
+        let node = self.at.node_of(stuck.task);
+        let mut candidates: Vec<(usize, usize)> = self.at.done.iter().rev().take(BACK).copied().collect();
+        candidates.insert(0, self.at.stuck_at(stuck.task));
+        // Times of the same node first.
+        candidates.sort_by_key(|&(task, _)| self.at.node_of(imrs_protocol::TaskId::from_index(task)) != node);
+        for candidate in candidates {
+            for by in Rounding::ALL {
+                if self.start.elapsed().as_secs_f64() > self.seconds {
+                    return Err(format!("{} seconds", self.seconds));
+                }
+                let before = |follower: &&Follower| !follower.done.contains(&candidate);
+                let Some(mut trial) = self.kept.iter().rev().find(before).cloned() else { break };
+                trial.roundings.clone_from(&self.at.roundings);
+                if trial.roundings.insert(candidate, by) == Some(by) {
+                    continue;
+                }
+                let led = match trial.go(reached + BEYOND) {
+                    Stop::Over | Stop::Far => true,
+                    Stop::Stuck(_) => false,
+                };
+                if led {
+                    let kept = trial.done.len() - BEYOND.min(trial.done.len());
+                    self.kept.retain(|follower| follower.done.len() <= kept && !follower.done.contains(&candidate));
+                    self.at = trial;
+                    self.keep();
+                    return Ok(true);
+                }
+            }
+        }
+        Ok(false)
+    }
+}
