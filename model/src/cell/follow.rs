@@ -16,7 +16,7 @@ use super::course::Course;
 use super::judge::{name, statement};
 use super::plan::{CellFaults, CellPlan, Conduct};
 use super::run::{Followed, Happened, Happening, Late, Run, Turn, Unexplained};
-use crate::floor::Floor;
+use crate::floor::{Effect, Floor};
 use crate::floor::script::Running;
 use imrs_protocol::script::{Address, ScriptInput};
 use imrs_protocol::{
@@ -35,8 +35,8 @@ const LATE: u64 = 1;
 struct Group {
     at: u64,
     cause: Happened,
-    /// Whether it sent anything that left its node.
-    sent: bool,
+    /// What left its node.
+    sent: Vec<Packet>,
     turns: Vec<Turn>,
 }
 
@@ -49,10 +49,12 @@ pub(super) enum Rounding {
     Down,
     /// What the packet has left is one tick less.
     Charged,
+    /// Time that passed unnoticed is counted at once where timers end, and else tick by tick.
+    Otherwise,
 }
 
 impl Rounding {
-    pub const ALL: [Self; 3] = [Self::Up, Self::Down, Self::Charged];
+    pub const ALL: [Self; 4] = [Self::Up, Self::Down, Self::Otherwise, Self::Charged];
 }
 
 /// For groups of tasks, by their numbers.
@@ -79,6 +81,8 @@ pub(super) struct Follower {
     pub done: Vec<(usize, usize)>,
     /// For each task, what its script in the model did and the run has not shown yet.
     pending: Vec<VecDeque<Turn>>,
+    /// For each task, what it sent in the model and the run has not shown yet, and in which tick of its node.
+    sends: Vec<Vec<(u64, Packet)>>,
     pub out: Followed,
 }
 
@@ -108,8 +112,8 @@ fn groups(course: &Course, run: &Run, task: usize) -> Vec<Group> {
         match what {
             Happened::Sent(packet) => {
                 let leaves = course.floor.station_of(packet.destination.index()) != here;
-                if let Some(group) = groups.last_mut() {
-                    group.sent |= leaves;
+                if let Some(group) = groups.last_mut().filter(|_| leaves) {
+                    group.sent.push(named(packet));
                 }
             }
             Happened::Turn(turn) => {
@@ -119,11 +123,11 @@ fn groups(course: &Course, run: &Run, task: usize) -> Vec<Group> {
             }
             Happened::Stopped => break,
             cause => {
-                groups.push(Group { at: *at, cause: cause.clone(), sent: false, turns: Vec::new() });
+                groups.push(Group { at: *at, cause: cause.clone(), sent: Vec::new(), turns: Vec::new() });
             }
         }
     }
-    groups.retain(|group| group.cause != Happened::Time || group.sent || !group.turns.is_empty());
+    groups.retain(|group| group.cause != Happened::Time || !group.sent.is_empty() || !group.turns.is_empty());
     groups
 }
 
@@ -131,6 +135,7 @@ impl Follower {
     pub fn new(plan: &Arc<CellPlan>, run: &Run) -> Self {
         let mut course = Course::new(plan, &CellFaults::default());
         course.floor = Floor::waiting(&Arc::clone(&course.floor.plan));
+        course.floor.keep_log = true;
         let (nodes, tasks) = (course.floor.stations.len(), plan.tasks.len());
         let groups: Vec<_> = (0..tasks).map(|task| groups(&course, run, task)).collect();
         let first = |node: usize| {
@@ -144,6 +149,7 @@ impl Follower {
             acts: vec![0; nodes],
             over: BTreeMap::new(),
             pending: vec![VecDeque::new(); tasks],
+            sends: vec![Vec::new(); tasks],
             groups: Arc::new(groups),
             next: vec![0; tasks],
             done: Vec::new(),
@@ -219,7 +225,7 @@ impl Follower {
             Happened::Begun => {
                 self.catch_up(node, counted)?;
                 self.course.floor.leave(task, ScriptInput::Begin);
-                self.made()?;
+                self.made(node)?;
             }
             Happened::Time => self.let_time_show(task, node, (now, counted), group)?,
             Happened::Came(packet) => self.packet(task, node, (now, counted), packet)?,
@@ -227,41 +233,67 @@ impl Follower {
                 self.quiet(task, "its action ends")?;
                 self.let_actions_go_on(node, now);
                 self.catch_up(node, counted)?;
-                self.acted(task, group.at, (level, ok, value))?;
+                self.acted(task, node, group.at, (level, ok, value))?;
             }
             Happened::Chosen(choice) => {
                 self.quiet(task, "it chooses")?;
                 self.course.floor.leave(task, ScriptInput::Chosen(choice));
-                self.made()?;
+                self.made(node)?;
             }
             Happened::Sent(_) | Happened::Turn(_) | Happened::Stopped => {}
         }
-        group.turns.iter().try_for_each(|turn| self.expect(task, turn))
+        group.turns.iter().try_for_each(|turn| self.expect(task, turn))?;
+        for packet in &group.sent {
+            let Some(at) = self.sends[task].iter().position(|(_, sent)| sent == packet) else {
+                return Err(No::Never(format!("{}, which it does not in the model", self.sends_what(packet))));
+            };
+            self.sends[task].remove(at);
+        }
+        let old = self.sends[task].iter().find(|(at, _)| at + AHEAD < now);
+        old.map_or(Ok(()), |(_, packet)| {
+            Err(No::Never(format!("in the model {}, which it does not in the run", self.sends_what(packet))))
+        })
+    }
+
+    fn sends_what(&self, packet: &Packet) -> String {
+        let table = &self.course.plan.table;
+        let (from, to) = (name(table, packet.source.index()), name(table, packet.destination.index()));
+        let again = if packet.resent { " again" } else { "" };
+        format!("{from} sends a {:?} on {} to {to}{again}", packet.kind, statement_port(table, packet.port))
     }
 
     fn rounding(&self, task: usize) -> i64 {
         match self.roundings.get(&(task, self.next[task])) {
             Some(Rounding::Up) => 1,
             Some(Rounding::Down) => -1,
-            Some(Rounding::Charged) | None => 0,
+            Some(Rounding::Charged | Rounding::Otherwise) | None => 0,
         }
     }
 
     /// The model has made a move.
-    fn made(&mut self) -> Result<(), No> {
+    fn made(&mut self, node: usize) -> Result<(), No> {
         self.out.moves += 1;
         let course = &mut self.course;
         let result = course.floor.run_scripts();
         course.floor.crossings.sort_by_key(|crossing| crossing.link);
-        self.collect();
+        self.collect(node);
         result.map_err(|violation| No::Never(violation.text().into()))
     }
 
-    fn collect(&mut self) {
+    fn collect(&mut self, node: usize) {
         let turns = self.course.floor.turns.as_mut().map(std::mem::take).unwrap_or_default();
         for turn in turns {
             let (at, input, passed, end) = (turn.at, turn.input, turn.passed, turn.end);
             self.pending[turn.task].push_back(Turn { at, input, passed, end });
+        }
+        for effect in std::mem::take(&mut self.course.floor.log) {
+            if let Effect::Sent(_, packet) = effect {
+                let task = packet.source.index();
+                // Not what a node only passes on.
+                if self.course.floor.station_of(task) == node {
+                    self.sends[task].push((self.clocks[node], named(&packet)));
+                }
+            }
         }
     }
 
@@ -299,7 +331,7 @@ impl Follower {
         self.clocks[node] += ticks;
         let step = self.course.floor.step(node, NodeInput::Advance(Ticks(ticks)));
         step.map_err(|violation| No::Never(violation.text().into()))?;
-        self.made()
+        self.made(node)
     }
 
     /// Whether so much time shows anything at a node.
@@ -361,11 +393,12 @@ impl Follower {
         group: &Group,
     ) -> Result<(), No> {
         self.let_actions_go_on(node, now);
-        let mut sent = false;
-        while self.pending[task].len() < group.turns.len() || (group.turns.is_empty() && !sent) {
-            let what = || match group.turns.first() {
-                Some(turn) => self.tell(task, turn),
-                None => "it sends again".into(),
+        let stepwise = self.steps_timers(task, group);
+        while self.pending[task].len() < group.turns.len() || !self.has_sent(task, group) {
+            let what = || match (group.turns.first(), group.sent.first()) {
+                (Some(turn), _) => self.tell(task, turn),
+                (None, Some(packet)) => self.sends_what(packet),
+                (None, None) => String::new(),
             };
             let Some(expiry) = self.expiry(node) else {
                 return Err(No::Never(format!("{}: in the model no time_out runs", what())));
@@ -375,14 +408,30 @@ impl Follower {
                 let early = then - now;
                 return Err(No::Never(format!("{}: in the model {early} ticks later", what())));
             }
-            // A node that is late counts all at once.
-            let ticks = expiry.max(counted.saturating_sub(self.clocks[node]));
-            sent |= self.shows(node, ticks);
+            let all = if stepwise { 0 } else { counted.saturating_sub(self.clocks[node]) };
+            let ticks = expiry.max(all);
             self.count(node, ticks)?;
             self.late(task, group.at, now.saturating_sub(then));
             self.out.ahead = self.out.ahead.max(then.saturating_sub(now));
         }
         Ok(())
+    }
+
+    /// Whether the model's task has sent what the run's did.
+    fn has_sent(&self, task: usize, group: &Group) -> bool {
+        group.sent.iter().all(|packet| self.sends[task].iter().any(|(_, sent)| sent == packet))
+    }
+
+    /// A node that is late gives its communication tasks all the time at once, but ends each timer by itself.
+    fn steps_timers(&self, task: usize, group: &Group) -> bool {
+        let timer = |turn: &Turn| {
+            matches!(
+                turn.input,
+                ScriptInput::Signal(Signal::TimeOut(_) | Signal::Interrupt(Call::Timer(_)))
+            )
+        };
+        let otherwise = self.roundings.get(&(task, self.next[task])) == Some(&Rounding::Otherwise);
+        group.turns.first().is_some_and(timer) != otherwise
     }
 
     fn packet(
@@ -416,7 +465,7 @@ impl Follower {
             let over = if last { left.saturating_sub(packet.remaining.0) / self.tick + charge } else { 0 };
             let step = self.course.floor.deliver(crossing, u8::try_from(over).unwrap_or(u8::MAX));
             step.map_err(|violation| No::Never(violation.text().into()))?;
-            self.made()?;
+            self.made(to.index())?;
             if last {
                 return Ok(());
             }
@@ -429,9 +478,7 @@ impl Follower {
     /// The packet that is under way in the model and nearest to this one in what is left of its life.
     fn under_way(&self, packet: &Packet) -> Option<usize> {
         let left = packet.remaining.0 / self.tick;
-        let same = |other: &Packet| {
-            Packet { remaining: packet.remaining, hops: packet.hops, ..*other } == *packet
-        };
+        let same = |other: &Packet| named(other) == named(packet);
         let floor = &self.course.floor;
         let all = floor.crossings.iter().enumerate().filter(|(_, crossing)| same(&crossing.packet));
         let distance = |at: usize| {
@@ -442,7 +489,7 @@ impl Follower {
         all.map(|(at, _)| at).min_by_key(|&at| distance(at))
     }
 
-    fn acted(&mut self, task: usize, at: u64, (level, ok, value): (u8, bool, i32)) -> Result<(), No> {
+    fn acted(&mut self, task: usize, node: usize, at: u64, (level, ok, value): (u8, bool, i32)) -> Result<(), No> {
         let over = self.over.remove(&(task, level)).unwrap_or(0);
         self.late(task, at, over);
         let runs = |running: &&Running| running.level == level;
@@ -460,7 +507,7 @@ impl Follower {
             self.out.other_values += u64::from(ok && !is_tried);
         }
         self.course.floor.acted(task, level, ok, value);
-        self.made()
+        self.made(node)
     }
 
     /// What is left under way when the run ends was lost, but for what was sent just before.
@@ -501,6 +548,11 @@ fn said(input: &ScriptInput) -> String {
             other => format!("{other:?}"),
         },
     }
+}
+
+/// Without what relays and time change.
+fn named(packet: &Packet) -> Packet {
+    Packet { remaining: Ticks::ZERO, hops: 0, ..*packet }
 }
 
 /// Whether two turns are the same but for what is counted in other units.
