@@ -11,10 +11,11 @@ use imrs_language::{Unit, compile};
 use imrs_model::cell::{
     Budget, CellPlan, Conduct, Followed, Happened, Happening, Run, Turn, Unexplained, follow_run,
 };
-use imrs_protocol::{CellTable, NodeId, Packet, Ticks};
+use imrs_protocol::{CellTable, NodeId, Packet, TaskId, Ticks};
 use imrs_runtime::record::{self, Verdict, replay_scripts};
 use imrs_wire::recording::Ending;
 use serde::Serialize;
+use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
 
@@ -212,6 +213,10 @@ struct Told {
     late_at_most: u64,
     early_at_most: u64,
     other_values: u64,
+    /// Moves of killed nodes after the end of their recordings.
+    guessed: u64,
+    /// Times that were not rounded down to their tick.
+    rounded: u64,
     breaches: Vec<Breach>,
     unexplained: Option<Where>,
 }
@@ -252,11 +257,17 @@ impl Told {
                 first: seconds(first),
             })
             .collect();
-        for late in &followed.late {
-            let (task, line) = (&cell.tasks[late.task.index()], loaded.line(late.task, late.address));
+        // By task and line: how late at most, how often, and when first.
+        let mut late: BTreeMap<(TaskId, Option<usize>), (u64, u64, u64)> = BTreeMap::new();
+        for one in &followed.late {
+            let line = loaded.line(one.task, one.address);
+            let all = late.entry((one.task, line)).or_insert((0, 0, one.at));
+            *all = (all.0.max(one.ticks), all.1 + 1, all.2);
+        }
+        for ((task, line), (most, times, first)) in late {
             let line = line.map(|line| format!(" line {line}")).unwrap_or_default();
-            let what = format!("{}{line} acted {} ticks late", task.name, late.ticks);
-            breaches.push(Breach { what, times: 1, first: seconds(late.at) });
+            let what = format!("{}{line} acted up to {} late", cell.tasks[task.index()].name, count(most, "tick"));
+            breaches.push(Breach { what, times, first: seconds(first) });
         }
         let unexplained = followed.unexplained.as_ref().map(|Unexplained { at, task, address, why }| {
             let declared = &cell.tasks[task.index()];
@@ -284,6 +295,8 @@ impl Told {
             late_at_most: followed.behind,
             early_at_most: followed.ahead,
             other_values: followed.other_values,
+            guessed: followed.guessed,
+            rounded: followed.rounded,
             breaches,
             unexplained,
         }

@@ -23,21 +23,18 @@
 mod canon;
 mod course;
 mod follow;
-mod guide;
 mod judge;
 mod moves;
 mod outside;
 mod plan;
-mod run;
 mod search;
 mod story;
 mod svg;
 mod verdict;
 
 pub use course::CellMove;
-pub use guide::follow_run;
+pub use follow::{Followed, Happened, Happening, Late, Run, Turn, Unexplained, follow_run};
 pub use plan::{Budget, CellCheck, CellFaults, CellPlan, Conduct, Holds};
-pub use run::{Followed, Happened, Happening, Late, Run, Turn, Unexplained};
 pub use search::check_cell;
 pub use story::{Note, Step, TaskView};
 pub use svg::svg;

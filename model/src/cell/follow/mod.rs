@@ -12,15 +12,23 @@
 //! - an action ends at any tick between its least and its most, with any result;
 //! - each node counts its own ticks from its own start, its tasks begin any time after it, and it notices a tick later than it comes: [`Followed::behind`].
 
+mod guide;
+mod packets;
+mod run;
+mod time;
+
+pub use guide::follow_run;
+pub use run::{Followed, Happened, Happening, Late, Run, Turn, Unexplained};
+
 use super::course::Course;
 use super::judge::{name, statement};
 use super::plan::{CellFaults, CellPlan, Conduct};
-use super::run::{Followed, Happened, Happening, Late, Run, Turn, Unexplained};
+
 use crate::floor::{Effect, Floor};
 use crate::floor::script::Running;
 use imrs_protocol::script::{Address, ScriptInput};
 use imrs_protocol::{
-    Call, CellTable, NodeInput, NodeOutbox, Outcome, Packet, PortId, Signal, TaskId, Ticks,
+    Call, CellTable, Outcome, Packet, PortId, Signal, TaskId, Ticks,
 };
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
@@ -77,6 +85,10 @@ pub(super) struct Follower {
     /// For each task, what it took, and how much of it was followed.
     groups: Arc<Vec<Vec<Group>>>,
     next: Vec<usize>,
+    /// For each node, whether its recording ends by itself.
+    whole: Vec<bool>,
+    /// Moves of killed nodes that no recording has.
+    guessed: u64,
     /// What was followed, in order: task, and which of its groups.
     pub done: Vec<(usize, usize)>,
     /// For each task, what its script in the model did and the run has not shown yet.
@@ -152,6 +164,8 @@ impl Follower {
             sends: vec![Vec::new(); tasks],
             groups: Arc::new(groups),
             next: vec![0; tasks],
+            whole: run.whole.clone(),
+            guessed: 0,
             done: Vec::new(),
             roundings: Roundings::new(),
             course,
@@ -259,7 +273,7 @@ impl Follower {
         let table = &self.course.plan.table;
         let (from, to) = (name(table, packet.source.index()), name(table, packet.destination.index()));
         let again = if packet.resent { " again" } else { "" };
-        format!("{from} sends a {:?} on {} to {to}{again}", packet.kind, statement_port(table, packet.port))
+        format!("{from} sends a {:?} on {} to {to}{again}", packet.kind, port_name(table, packet.port))
     }
 
     fn rounding(&self, task: usize) -> i64 {
@@ -319,176 +333,6 @@ impl Follower {
         Ok(())
     }
 
-    /// The ticks until time alone makes a node act.
-    fn expiry(&self, node: usize) -> Option<u64> {
-        self.course.floor.stations[node].node.next_expiry().map(|ticks| ticks.0.max(1))
-    }
-
-    fn count(&mut self, node: usize, ticks: u64) -> Result<(), No> {
-        if ticks == 0 {
-            return Ok(());
-        }
-        self.clocks[node] += ticks;
-        let step = self.course.floor.step(node, NodeInput::Advance(Ticks(ticks)));
-        step.map_err(|violation| No::Never(violation.text().into()))?;
-        self.made(node)
-    }
-
-    /// Whether so much time shows anything at a node.
-    fn shows(&self, node: usize, ticks: u64) -> bool {
-        let mut look = Look(false);
-        self.course.floor.stations[node].node.clone().step(NodeInput::Advance(Ticks(ticks)), &mut look);
-        look.0
-    }
-
-    /// Lets a node count up to a tick, but not to where time would show: the run shows that later.
-    fn catch_up(&mut self, node: usize, now: u64) -> Result<(), No> {
-        while self.clocks[node] < now {
-            let left = now - self.clocks[node];
-            let Some(expiry) = self.expiry(node).filter(|&expiry| expiry <= left) else {
-                return self.count(node, left);
-            };
-            if self.shows(node, expiry) {
-                self.count(node, expiry - 1)?;
-                return Ok(());
-            }
-            self.count(node, expiry)?;
-        }
-        Ok(())
-    }
-
-    fn let_actions_go_on(&mut self, node: usize, now: u64) {
-        let ticks = u32::try_from(now.saturating_sub(self.acts[node])).unwrap_or(u32::MAX);
-        self.acts[node] = self.acts[node].max(now);
-        for task in 0..self.course.floor.bodies.len() {
-            if self.course.floor.station_of(task) == node
-                && let Some(actor) = &mut self.course.floor.bodies[task].actor
-            {
-                self.over.retain(|&(of, level), _| {
-                    of != task || actor.running.iter().any(|running| running.level == level)
-                });
-                for running in actor.running.iter().filter(|running| running.most < ticks) {
-                    *self.over.entry((task, running.level)).or_default() += u64::from(ticks - running.most);
-                }
-                actor.pass(ticks);
-            }
-        }
-    }
-
-    /// A task acts so many ticks after it is time.
-    fn late(&mut self, task: usize, at: u64, ticks: u64) {
-        self.out.behind = self.out.behind.max(ticks);
-        if ticks > LATE {
-            let address = self.address(task);
-            self.out.late.push(Late { at, task: TaskId::from_index(task), address, ticks });
-        }
-    }
-
-    /// Time makes a task act, as the run says.
-    fn let_time_show(
-        &mut self,
-        task: usize,
-        node: usize,
-        (now, counted): (u64, u64),
-        group: &Group,
-    ) -> Result<(), No> {
-        self.let_actions_go_on(node, now);
-        let stepwise = self.steps_timers(task, group);
-        while self.pending[task].len() < group.turns.len() || !self.has_sent(task, group) {
-            let what = || match (group.turns.first(), group.sent.first()) {
-                (Some(turn), _) => self.tell(task, turn),
-                (None, Some(packet)) => self.sends_what(packet),
-                (None, None) => String::new(),
-            };
-            let Some(expiry) = self.expiry(node) else {
-                return Err(No::Never(format!("{}: in the model no time_out runs", what())));
-            };
-            let then = self.clocks[node] + expiry;
-            if then > now + AHEAD {
-                let early = then - now;
-                return Err(No::Never(format!("{}: in the model {early} ticks later", what())));
-            }
-            let all = if stepwise { 0 } else { counted.saturating_sub(self.clocks[node]) };
-            let ticks = expiry.max(all);
-            self.count(node, ticks)?;
-            self.late(task, group.at, now.saturating_sub(then));
-            self.out.ahead = self.out.ahead.max(then.saturating_sub(now));
-        }
-        Ok(())
-    }
-
-    /// Whether the model's task has sent what the run's did.
-    fn has_sent(&self, task: usize, group: &Group) -> bool {
-        group.sent.iter().all(|packet| self.sends[task].iter().any(|(_, sent)| sent == packet))
-    }
-
-    /// A node that is late gives its communication tasks all the time at once, but ends each timer by itself.
-    fn steps_timers(&self, task: usize, group: &Group) -> bool {
-        let timer = |turn: &Turn| {
-            matches!(
-                turn.input,
-                ScriptInput::Signal(Signal::TimeOut(_) | Signal::Interrupt(Call::Timer(_)))
-            )
-        };
-        let otherwise = self.roundings.get(&(task, self.next[task])) == Some(&Rounding::Otherwise);
-        group.turns.first().is_some_and(timer) != otherwise
-    }
-
-    fn packet(
-        &mut self,
-        task: usize,
-        node: usize,
-        (now, counted): (u64, u64),
-        packet: Packet,
-    ) -> Result<(), No> {
-        if self.course.floor.station_of(packet.source.index()) == node {
-            return Ok(());
-        }
-        let Some(first) = self.under_way(&packet) else {
-            let table = &self.course.plan.table;
-            let (from, kind) = (name(table, packet.source.index()), packet.kind);
-            let port = statement_port(table, packet.port);
-            let why = format!("a {kind:?} of {from} on {port} arrives that the model has not sent");
-            return Err(No::NotYet(why));
-        };
-        self.quiet(task, "a packet comes")?;
-        self.let_actions_go_on(node, now);
-        self.catch_up(node, counted)?;
-        let charge = u64::from(self.roundings.get(&(task, self.next[task])) == Some(&Rounding::Charged));
-        let mut at = Some(first);
-        while let Some(i) = at {
-            let crossing = self.course.floor.crossings.remove(i);
-            let (_, to, bound) = self.course.floor.links[usize::from(crossing.link)];
-            let last = to.index() == node;
-            // What it was charged beyond the bound, in whole ticks (D20).
-            let left = crossing.packet.remaining.0.saturating_sub(u64::from(bound)) * self.tick;
-            let over = if last { left.saturating_sub(packet.remaining.0) / self.tick + charge } else { 0 };
-            let step = self.course.floor.deliver(crossing, u8::try_from(over).unwrap_or(u8::MAX));
-            step.map_err(|violation| No::Never(violation.text().into()))?;
-            self.made(to.index())?;
-            if last {
-                return Ok(());
-            }
-            // It was at a node that only passes it on.
-            at = self.under_way(&packet);
-        }
-        Err(No::Never("a packet arrives that a node on the way drops in the model".into()))
-    }
-
-    /// The packet that is under way in the model and nearest to this one in what is left of its life.
-    fn under_way(&self, packet: &Packet) -> Option<usize> {
-        let left = packet.remaining.0 / self.tick;
-        let same = |other: &Packet| named(other) == named(packet);
-        let floor = &self.course.floor;
-        let all = floor.crossings.iter().enumerate().filter(|(_, crossing)| same(&crossing.packet));
-        let distance = |at: usize| {
-            let crossing = &floor.crossings[at];
-            let charge = u64::from(floor.links[usize::from(crossing.link)].2);
-            crossing.packet.remaining.0.saturating_sub(charge).abs_diff(left)
-        };
-        all.map(|(at, _)| at).min_by_key(|&at| distance(at))
-    }
-
     fn acted(&mut self, task: usize, node: usize, at: u64, (level, ok, value): (u8, bool, i32)) -> Result<(), No> {
         let over = self.over.remove(&(task, level)).unwrap_or(0);
         self.late(task, at, over);
@@ -510,17 +354,6 @@ impl Follower {
         self.made(node)
     }
 
-    /// What is left under way when the run ends was lost, but for what was sent just before.
-    pub fn count_lost(&mut self) {
-        let floor = &self.course.floor;
-        for (at, (from, to, _)) in floor.links.iter().enumerate() {
-            let left = floor.crossings.iter().filter(|crossing| usize::from(crossing.link) == at).count();
-            if left > 0 {
-                self.out.lost.push((from.index(), to.index(), left as u64));
-            }
-        }
-    }
-
     fn tell(&self, task: usize, turn: &Turn) -> String {
         let table = &self.course.plan.table;
         let what = match &self.course.plan.tasks[task] {
@@ -531,7 +364,7 @@ impl Follower {
     }
 }
 
-fn statement_port(table: &CellTable, port: PortId) -> String {
+fn port_name(table: &CellTable, port: PortId) -> String {
     table.port(port).map_or_else(|| "?".into(), |port| format!("`{}`", port.decl.name))
 }
 
@@ -569,17 +402,4 @@ fn plain(mut input: ScriptInput) -> ScriptInput {
         delivery.budget = Ticks::ZERO;
     }
     input
-}
-
-/// Whether anything shows.
-struct Look(bool);
-
-impl NodeOutbox for Look {
-    fn link(&mut self, _: imrs_protocol::NodeId, _: Packet) {
-        self.0 = true;
-    }
-
-    fn signal(&mut self, _: TaskId, _: Signal) {
-        self.0 = true;
-    }
 }

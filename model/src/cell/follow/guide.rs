@@ -4,9 +4,10 @@
 //! within a tick, or span one tick more or less than they should, say which. First every time is rounded down. Where the
 //! run cannot be followed then, one of the last times is rounded otherwise, the nearest first.
 
-use super::follow::{Follower, Rounding, Stop};
-use super::plan::CellPlan;
 use super::run::{Followed, Run, Unexplained};
+use super::{Follower, Rounding, Stop};
+use crate::cell::outside::with_programs;
+use crate::cell::plan::CellPlan;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -28,7 +29,7 @@ struct Guide {
 /// Follows a run. The plan's faults are not used: those of the run are.
 #[must_use]
 pub fn follow_run(plan: &Arc<CellPlan>, run: &Run) -> Followed {
-    let plan = super::outside::with_programs(plan);
+    let plan = with_programs(plan);
     let at = Follower::new(&plan, run);
     let kept = vec![at.clone()];
     let mut guide = Guide { start: Instant::now(), seconds: plan.budget.seconds, at, kept };
@@ -37,6 +38,7 @@ pub fn follow_run(plan: &Arc<CellPlan>, run: &Run) -> Followed {
     follower.count_lost();
     let mut out = follower.out;
     out.inputs = follower.done.len() as u64;
+    out.guessed = follower.guessed;
     out.rounded = follower.roundings.len() as u64;
     match stuck {
         Ok(unexplained) => out.unexplained = unexplained,

@@ -78,6 +78,8 @@ pub struct Followed {
     pub ahead: u64,
     /// Every time that a node acted later than a tick after it was time.
     pub late: Vec<Late>,
+    /// Moves of killed nodes that no recording has.
+    pub guessed: u64,
     /// How often a time was not rounded down to its tick, but up or farther down.
     pub rounded: u64,
     /// Results of actions that the checker does not try.
