@@ -8,6 +8,8 @@ use super::run::{Followed, Run, Unexplained};
 use super::{Follower, Rounding, Stop};
 use crate::cell::outside::with_programs;
 use crate::cell::plan::CellPlan;
+use imrs_protocol::TaskId;
+use std::cmp::Reverse;
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -17,6 +19,18 @@ const KEEP_EVERY: usize = 32;
 const BACK: usize = 400;
 /// How far beyond the place where it was stuck a rounding must lead.
 const BEYOND: usize = 12;
+
+/// How many roundings together may lead on, and how many of the best are tried with another one.
+const DEEP: usize = 4;
+const WIDTH: usize = 3;
+
+/// Where a rounding leads.
+struct Trial {
+    follower: Follower,
+    rounded: (usize, usize),
+    stuck: Option<Unexplained>,
+    led: bool,
+}
 
 struct Guide {
     start: Instant,
@@ -55,7 +69,7 @@ impl Guide {
                 Stop::Over => return Ok(None),
                 Stop::Far => self.keep(),
                 Stop::Stuck(stuck) => {
-                    if !self.round_otherwise(&stuck)? {
+                    if !self.round_otherwise(&stuck, DEEP)? {
                         return Ok(Some(stuck));
                     }
                 }
@@ -73,38 +87,70 @@ impl Guide {
         }
     }
 
-    /// Tries other roundings of what came before; whether one leads on.
-    fn round_otherwise(&mut self, stuck: &Unexplained) -> Result<bool, String> {
+    /// Tries other roundings of what came before; whether one leads on. Where none leads far, the best of them may need
+    /// a second one.
+    fn round_otherwise(&mut self, stuck: &Unexplained, deep: usize) -> Result<bool, String> {
+        let mut better = self.trials(stuck)?;
+        if better.first().is_some_and(|trial| trial.led) {
+            let trial = better.swap_remove(0);
+            self.adopt(trial.follower, trial.rounded);
+            return Ok(true);
+        }
+        better.sort_by_key(|trial| Reverse(trial.follower.done.len()));
+        better.truncate(if deep > 1 { WIDTH } else { 0 });
+        for Trial { follower, rounded, stuck, .. } in better {
+            let (at, kept) = (self.at.clone(), self.kept.clone());
+            self.adopt(follower, rounded);
+            if let Some(stuck) = stuck
+                && self.round_otherwise(&stuck, deep - 1)?
+            {
+                return Ok(true);
+            }
+            (self.at, self.kept) = (at, kept);
+        }
+        Ok(false)
+    }
+
+    /// Goes on from here; what was kept after the time that was rounded otherwise is no way there.
+    fn adopt(&mut self, follower: Follower, rounded: (usize, usize)) {
+        self.kept.retain(|kept| !kept.done.contains(&rounded));
+        self.at = follower;
+    }
+
+    /// What other roundings lead to: all that get on, or only the first that gets far.
+    fn trials(&self, stuck: &Unexplained) -> Result<Vec<Trial>, String> {
         let reached = self.at.done.len();
         let node = self.at.node_of(stuck.task);
         let mut candidates: Vec<(usize, usize)> = self.at.done.iter().rev().take(BACK).copied().collect();
         candidates.insert(0, self.at.stuck_at(stuck.task));
         // Times of the same node first.
-        candidates.sort_by_key(|&(task, _)| self.at.node_of(imrs_protocol::TaskId::from_index(task)) != node);
-        for candidate in candidates {
+        candidates.sort_by_key(|&(task, _)| self.at.node_of(TaskId::from_index(task)) != node);
+        let mut better = Vec::new();
+        for rounded in candidates {
+            let before = |follower: &&Follower| !follower.done.contains(&rounded);
+            let Some(before) = self.kept.iter().rev().find(before) else { continue };
             for by in Rounding::ALL {
                 if self.start.elapsed().as_secs_f64() > self.seconds {
                     return Err(format!("{} seconds", self.seconds));
                 }
-                let before = |follower: &&Follower| !follower.done.contains(&candidate);
-                let Some(mut trial) = self.kept.iter().rev().find(before).cloned() else { break };
-                trial.roundings.clone_from(&self.at.roundings);
-                if trial.roundings.insert(candidate, by) == Some(by) {
+                let mut follower = before.clone();
+                follower.roundings.clone_from(&self.at.roundings);
+                if follower.roundings.insert(rounded, by) == Some(by) {
                     continue;
                 }
-                let led = match trial.go(reached + BEYOND) {
-                    Stop::Over | Stop::Far => true,
-                    Stop::Stuck(_) => false,
+                let stuck = match follower.go(reached + BEYOND) {
+                    Stop::Over | Stop::Far => None,
+                    Stop::Stuck(stuck) => Some(stuck),
                 };
+                let led = stuck.is_none();
                 if led {
-                    let kept = trial.done.len() - BEYOND.min(trial.done.len());
-                    self.kept.retain(|follower| follower.done.len() <= kept && !follower.done.contains(&candidate));
-                    self.at = trial;
-                    self.keep();
-                    return Ok(true);
+                    return Ok(vec![Trial { follower, rounded, stuck, led }]);
+                }
+                if follower.done.len() > reached {
+                    better.push(Trial { follower, rounded, stuck, led });
                 }
             }
         }
-        Ok(false)
+        Ok(better)
     }
 }
