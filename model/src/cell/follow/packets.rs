@@ -70,6 +70,7 @@ impl Follower {
         }
         let at = self.groups[task].get(self.next[task]).map_or(0, |group| group.at);
         let now = at.saturating_sub(self.starts[node]) / self.tick;
+        self.let_actions_go_on(node, now);
         for _ in 0..GUESSES {
             let to = |packet: &Packet| self.course.floor.station_of(packet.destination.index()) == node;
             let coming = self.course.floor.crossings.iter().map(|crossing| crossing.packet);
@@ -81,6 +82,13 @@ impl Follower {
                     trials.push(trial);
                 }
             }
+            for (task, level) in self.may_end(node) {
+                let mut trial = self.clone();
+                trial.course.floor.acted(task, level, true, 0);
+                if trial.made(node).is_ok() {
+                    trials.push(trial);
+                }
+            }
             let mut later = self.clone();
             if let Some(expiry) = later.expiry(node)
                 && later.clocks[node] + expiry <= now + AHEAD
@@ -88,17 +96,34 @@ impl Follower {
             {
                 trials.push(later);
             }
-            let found = trials.iter().position(|trial| trial.under_way(wanted).is_some());
+            let found = trials.iter().position(|trial| trial.like(wanted).is_some());
             let Some(next) = (!trials.is_empty()).then(|| trials.swap_remove(found.unwrap_or(0))) else {
                 return false;
             };
             *self = next;
             self.guessed += 1;
-            if found.is_some() {
+            if let Some(at) = self.like(wanted) {
+                // What its actions gave nobody knows, so neither what it said.
+                self.course.floor.crossings[at].packet.contents = wanted.contents;
                 return true;
             }
         }
         false
+    }
+
+    /// The actions of a node's tasks that may end now.
+    fn may_end(&self, node: usize) -> Vec<(usize, u8)> {
+        let floor = &self.course.floor;
+        let here = (0..floor.bodies.len()).filter(|&task| floor.station_of(task) == node);
+        let actors = here.filter_map(|task| Some((task, floor.bodies[task].actor.as_ref()?)));
+        let running = actors.flat_map(|(task, actor)| actor.running.iter().map(move |action| (task, action)));
+        running.filter(|(_, action)| action.least == 0).map(|(task, action)| (task, action.level)).collect()
+    }
+
+    /// A packet under way that is this one but for what it says.
+    fn like(&self, packet: &Packet) -> Option<usize> {
+        let like = |other: &Packet| named(&Packet { contents: packet.contents, ..*other }) == named(packet);
+        self.course.floor.crossings.iter().position(|crossing| like(&crossing.packet))
     }
 
     /// The packet that is under way in the model and nearest to this one in what is left of its life.
