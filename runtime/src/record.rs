@@ -11,7 +11,8 @@ mod script;
 pub use file::FileRecorder;
 pub use imrs_wire::recording::ScriptStep;
 pub use replay::{
-    Divergence, KeyframeError, Recorded, Replay, ReplayError, ScriptDivergence, Verdict, replay, replay_recording, replay_scripts,
+    Divergence, KeyframeError, Recorded, Replay, ReplayError, ScriptDivergence, Verdict, replay,
+    replay_recording, replay_scripts,
 };
 pub use script::{Happened, Happening};
 

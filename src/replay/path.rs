@@ -7,9 +7,11 @@ use crate::cells::{self, Loaded};
 use crate::exit::{Exit, Failure};
 use crate::output::{BAD, GOOD, NOTE, Output, Styled, count};
 use crate::verify::conduct;
-use imrs_language::{Unit, compile};
+use imrs_language::hir::Faults;
+use imrs_language::{Compiled, Unit, compile};
 use imrs_model::cell::{
-    Budget, CellPlan, Conduct, Followed, Happened, Happening, Run, Turn, Unexplained, follow_run,
+    Budget, CellFaults, CellPlan, Conduct, Followed, Happened, Happening, Run, Steps, Turn, Unexplained,
+    follow_run, steps_in_model,
 };
 use imrs_protocol::{CellTable, NodeId, Packet, TaskId, Ticks};
 use imrs_runtime::record::{self, Verdict, replay_scripts};
@@ -18,6 +20,9 @@ use serde::Serialize;
 use std::collections::BTreeMap;
 use std::path::Path;
 use std::sync::Arc;
+
+/// How many seconds the steps of a run are looked for where `imrs verify` looks.
+const WALKS: f64 = 5.0;
 
 /// What was recorded of a run.
 struct Recorded {
@@ -37,14 +42,19 @@ pub fn run(args: &ReplayArgs, out: &mut Output) -> Result<Exit, Failure> {
         return Err(Failure::Usage("say with --cell which cell was run".into()));
     };
     let (_, loaded) = cells::open(path)?;
-    let plan = plan(path, args)?;
-    let mut recorded = read(args, &loaded)?;
+    let (mut searched, plan) = plans(path, args)?;
+    let mut recorded = match read(args, &loaded)? {
+        Ok(recorded) => recorded,
+        Err(differs) => return told_apart(&differs, &loaded, args, out),
+    };
     let breaches = breaches(&recorded.tasks, &loaded.table);
     end_where_nodes_stop(&mut recorded.tasks);
     let tick = loaded.table.cell().tick.0;
     let run = Run { tick, tasks: recorded.tasks, whole: recorded.whole };
     let followed = follow_run(&Arc::new(plan), &run);
-    let told = Told::new(&loaded, &followed, breaches, recorded.start);
+    searched.budget.seconds = WALKS.min(searched.budget.seconds);
+    let steps = steps_in_model(&Arc::new(searched), &run);
+    let told = Told::new(&loaded, &followed, &steps, (breaches, recorded.start));
     match args.format {
         Format::Json => out.json(&told)?,
         Format::Text => told.show(&cell_file::shown(path), out)?,
@@ -56,12 +66,17 @@ pub fn run(args: &ReplayArgs, out: &mut Output) -> Result<Exit, Failure> {
     })
 }
 
-/// The cell as the model has it; a `model tick` is for searches only.
-fn plan(path: &Path, args: &ReplayArgs) -> Result<CellPlan, Failure> {
+/// The cell as `imrs verify` explores it, and the same without its `model tick`, which is for searches only.
+fn plans(path: &Path, args: &ReplayArgs) -> Result<(CellPlan, CellPlan), Failure> {
     let mut compiled = compile(&cell_file::read(path)?);
+    let searched = plan(&compiled, args)?;
     if let Some(hir) = &mut compiled.hir {
         hir.model_tick = None;
     }
+    Ok((searched, plan(&compiled, args)?))
+}
+
+fn plan(compiled: &Compiled, args: &ReplayArgs) -> Result<CellPlan, Failure> {
     let lowered = compiled.lower(Unit::Ticks);
     let lowered = lowered.ok_or_else(|| Failure::Usage("the cell has errors: see `imrs check`".into()))?;
     let table = CellTable::new(lowered.cell).map(Arc::new).map_err(|errors| {
@@ -75,11 +90,48 @@ fn plan(path: &Path, args: &ReplayArgs) -> Result<CellPlan, Failure> {
     }
     let mut plan = CellPlan::new(table, tasks);
     plan.budget = Budget { seconds: args.within.as_secs_f64(), ..plan.budget };
+    let Faults { loss, dup, fail, drift, .. } = lowered.faults;
+    plan.faults = CellFaults { loss, dup, fail, drift, crash: lowered.faults.crash, cut: lowered.faults.cut };
     Ok(plan)
 }
 
+/// A task whose recording is not even what its own machine does.
+struct Differs {
+    task: TaskId,
+    how: String,
+}
+
+fn told_apart(
+    differs: &Differs,
+    loaded: &Loaded,
+    args: &ReplayArgs,
+    out: &mut Output,
+) -> Result<Exit, Failure> {
+    let cell = loaded.table.cell();
+    let task = &cell.tasks[differs.task.index()];
+    let at = Where {
+        node: cell.nodes[task.node.index()].name.clone(),
+        task: task.name.clone(),
+        line: None,
+        seconds: 0.0,
+        why: differs.how.clone(),
+    };
+    let told = Told { cell: cell.name.clone(), complete: true, unexplained: Some(at), ..Told::default() };
+    match args.format {
+        Format::Json => out.json(&told)?,
+        Format::Text => {
+            let text = format!(
+                "`{}` did something else than its own state machine does: {}",
+                task.name, differs.how
+            );
+            out.line(Styled(BAD, text))?;
+        }
+    }
+    Ok(Exit::Finding)
+}
+
 /// Replays all recordings of a run.
-fn read(args: &ReplayArgs, loaded: &Loaded) -> Result<Recorded, Failure> {
+fn read(args: &ReplayArgs, loaded: &Loaded) -> Result<Result<Recorded, Differs>, Failure> {
     let cell = loaded.table.cell();
     let mut tasks = vec![None; cell.tasks.len()];
     let mut whole = vec![true; cell.nodes.len()];
@@ -94,12 +146,15 @@ fn read(args: &ReplayArgs, loaded: &Loaded) -> Result<Recorded, Failure> {
             match replay.verdict() {
                 Verdict::Same => {}
                 Verdict::Unknown => {
-                    let what = format!("{}: inputs of `{name}` are missing: it cannot be followed", path.display());
+                    let what =
+                        format!("{}: inputs of `{name}` are missing: it cannot be followed", path.display());
                     return Err(Failure::Usage(what));
                 }
-                Verdict::Differs(_) | Verdict::ScriptDiffers(_) => {
-                    let what = format!("{}: `{name}` does not replay: see `imrs replay` without --model", path.display());
-                    return Err(Failure::Usage(what));
+                Verdict::Differs(divergence) => {
+                    return Ok(Err(Differs { task, how: divergence.to_string() }));
+                }
+                Verdict::ScriptDiffers(divergence) => {
+                    return Ok(Err(Differs { task, how: divergence.to_string() }));
                 }
             }
             let happened = replay.happened().unwrap_or_default();
@@ -108,11 +163,13 @@ fn read(args: &ReplayArgs, loaded: &Loaded) -> Result<Recorded, Failure> {
     }
     if let Some(missing) = tasks.iter().position(Option::is_none) {
         let node = &cell.nodes[cell.tasks[missing].node.index()].name;
-        return Err(Failure::Usage(format!("the recording of node `{node}` is missing: name the files of all")));
+        return Err(Failure::Usage(format!(
+            "the recording of node `{node}` is missing: name the files of all"
+        )));
     }
     let tasks: Vec<Vec<Happening>> = tasks.into_iter().flatten().collect();
     let start = tasks.iter().flatten().map(|happening| happening.at).min().unwrap_or(0);
-    Ok(Recorded { tasks, whole, start })
+    Ok(Ok(Recorded { tasks, whole, start }))
 }
 
 fn happening(happening: record::Happening) -> Happening {
@@ -172,14 +229,15 @@ fn breaches(tasks: &[Vec<Happening>], table: &CellTable) -> Vec<Slow> {
     for task in tasks {
         for happening in task {
             let Happened::Came(packet) = &happening.what else { continue };
-            let (Some(from), Some(to)) = (table.location(packet.source), table.location(packet.destination)) else {
+            let (Some(from), Some(to)) = (table.location(packet.source), table.location(packet.destination))
+            else {
                 continue;
             };
             let Some(bound) = table.path_bound(from, to).filter(|_| from != to) else { continue };
             let all = tasks.get(packet.source.index()).into_iter().flatten();
-            let sent = all.take_while(|other| other.at <= happening.at).filter(|other| {
-                matches!(&other.what, Happened::Sent(other) if named(other) == named(packet))
-            });
+            let sent = all.take_while(|other| other.at <= happening.at).filter(
+                |other| matches!(&other.what, Happened::Sent(other) if named(other) == named(packet)),
+            );
             let Some(took) = sent.last().map(|sent| happening.at - sent.at) else { continue };
             if took <= bound.0 {
                 continue;
@@ -194,7 +252,7 @@ fn breaches(tasks: &[Vec<Happening>], table: &CellTable) -> Vec<Slow> {
 }
 
 /// The answer.
-#[derive(Debug, Serialize)]
+#[derive(Debug, Default, Serialize)]
 struct Told {
     version: u32,
     cell: String,
@@ -217,6 +275,9 @@ struct Told {
     guessed: u64,
     /// Times that were not rounded down to their tick.
     rounded: u64,
+    /// Kinds of step of its scripts, and the lines of those that were not met where `imrs verify` looks.
+    kinds: usize,
+    kinds_not_met: Vec<String>,
     breaches: Vec<Breach>,
     unexplained: Option<Where>,
 }
@@ -238,7 +299,7 @@ struct Where {
 }
 
 impl Told {
-    fn new(loaded: &Loaded, followed: &Followed, slow: Vec<Slow>, start: u64) -> Self {
+    fn new(loaded: &Loaded, followed: &Followed, steps: &Steps, (slow, start): (Vec<Slow>, u64)) -> Self {
         let cell = loaded.table.cell();
         let seconds = |at: u64| at.saturating_sub(start) as f64 / 1e6;
         let node = |node: usize| cell.nodes[node].name.clone();
@@ -266,7 +327,8 @@ impl Told {
         }
         for ((task, line), (most, times, first)) in late {
             let line = line.map(|line| format!(" line {line}")).unwrap_or_default();
-            let what = format!("{}{line} acted up to {} late", cell.tasks[task.index()].name, count(most, "tick"));
+            let what =
+                format!("{}{line} acted up to {} late", cell.tasks[task.index()].name, count(most, "tick"));
             breaches.push(Breach { what, times, first: seconds(first) });
         }
         let unexplained = followed.unexplained.as_ref().map(|Unexplained { at, task, address, why }| {
@@ -279,7 +341,14 @@ impl Told {
                 why: why.clone(),
             }
         });
-        let lost = followed.lost.iter().map(|&(from, to, packets)| Lost { from: node(from), to: node(to), packets });
+        let line = |task: TaskId, at| match loaded.line(task, at) {
+            Some(line) => format!("{} line {line}", cell.tasks[task.index()].name),
+            None => cell.tasks[task.index()].name.clone(),
+        };
+        let mut kinds_not_met: Vec<String> = steps.missing.iter().map(|&(task, at)| line(task, at)).collect();
+        kinds_not_met.dedup();
+        let lost =
+            followed.lost.iter().map(|&(from, to, packets)| Lost { from: node(from), to: node(to), packets });
         Self {
             version: 1,
             cell: cell.name.clone(),
@@ -297,6 +366,8 @@ impl Told {
             other_values: followed.other_values,
             guessed: followed.guessed,
             rounded: followed.rounded,
+            kinds: steps.kinds,
+            kinds_not_met,
             breaches,
             unexplained,
         }
@@ -311,11 +382,19 @@ impl Told {
             count(self.moves, "move")
         );
         for lost in &self.lost {
-            out.line(format!("  {} -> {}: {} never arrived", lost.from, lost.to, count(lost.packets, "packet")))?;
+            out.line(format!(
+                "  {} -> {}: {} never arrived",
+                lost.from,
+                lost.to,
+                count(lost.packets, "packet")
+            ))?;
         }
         for breach in &self.breaches {
             let Breach { what, times, first } = breach;
-            let text = format!("  outside the assumptions: {what} ({}, first at {first:.3} s)", count(*times, "time"));
+            let text = format!(
+                "  outside the assumptions: {what} ({}, first at {first:.3} s)",
+                count(*times, "time")
+            );
             out.line(Styled(NOTE, text))?;
         }
         match (&self.unexplained, &self.ended_by) {
@@ -332,12 +411,21 @@ impl Told {
                 out.line(format!("  {far}"))
             }
             (None, None) => {
+                let late = count(self.late_at_most, "tick");
                 let widened = format!(
-                    "  links took up to their bound, actions ended anywhere in their intervals, nodes acted up to {} late",
-                    count(self.late_at_most, "tick")
+                    "  beside what `imrs verify` explores: links faster than their bound, actions that end between \
+                     their least and most time, nodes that act up to {late} late"
                 );
                 out.line(Styled(GOOD, format!("{file}: this run is a path of the model ({far})")))?;
-                out.line(widened)
+                out.line(widened)?;
+                let kinds = count(self.kinds as u64, "kind");
+                out.line(match &self.kinds_not_met[..] {
+                    [] => format!("  {kinds} of step of its scripts: `imrs verify` looks at all of them"),
+                    lines => format!(
+                        "  {kinds} of step of its scripts: not met where `imrs verify` looks: {}",
+                        lines.join(", ")
+                    ),
+                })
             }
         }
     }

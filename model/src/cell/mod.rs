@@ -33,7 +33,9 @@ mod svg;
 mod verdict;
 
 pub use course::CellMove;
-pub use follow::{Followed, Happened, Happening, Late, Run, Turn, Unexplained, follow_run};
+pub use follow::{
+    Followed, Happened, Happening, Late, Run, Steps, Turn, Unexplained, follow_run, steps_in_model,
+};
 pub use plan::{Budget, CellCheck, CellFaults, CellPlan, Conduct, Holds};
 pub use search::check_cell;
 pub use story::{Note, Step, TaskView};

@@ -174,7 +174,8 @@ impl<'t> Replay<'t> {
             self.lose_script();
         }
         let Some(machine) = &mut self.machine else { return };
-        let mut heard = Heard { at: self.passed, happened: self.happened.as_mut(), script: self.script.as_mut() };
+        let mut heard =
+            Heard { at: self.passed, happened: self.happened.as_mut(), script: self.script.as_mut() };
         match entry.step.input {
             Input::Packet(packet) => heard.note(Happened::Came(packet)),
             Input::PeerRestarted(node) => heard.note(Happened::PeerRestarted(node)),
@@ -232,7 +233,12 @@ impl<'t> Replay<'t> {
         let (task, base) = (self.task, self.base?);
         let all = self.happened.filter(|_| self.script.is_some())?;
         let started = std::iter::once((0, Happened::Started));
-        Some(started.chain(all).map(|(at, what)| Happening { at: base.saturating_add(at), task, what }).collect())
+        Some(
+            started
+                .chain(all)
+                .map(|(at, what)| Happening { at: base.saturating_add(at), task, what })
+                .collect(),
+        )
     }
 
     /// Records are missing here.

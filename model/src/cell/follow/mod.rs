@@ -15,21 +15,21 @@
 mod guide;
 mod packets;
 mod run;
+mod steps;
 mod time;
 
 pub use guide::follow_run;
 pub use run::{Followed, Happened, Happening, Late, Run, Turn, Unexplained};
+pub use steps::{Steps, steps_in_model};
 
 use super::course::Course;
 use super::judge::{name, statement};
 use super::plan::{CellFaults, CellPlan, Conduct};
 
-use crate::floor::{Effect, Floor};
 use crate::floor::script::Running;
+use crate::floor::{Effect, Floor};
 use imrs_protocol::script::{Address, ScriptInput};
-use imrs_protocol::{
-    Call, CellTable, Outcome, Packet, PortId, Signal, TaskId, Ticks,
-};
+use imrs_protocol::{Call, CellTable, Outcome, Packet, PortId, Signal, TaskId, Ticks};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
@@ -259,7 +259,10 @@ impl Follower {
         group.turns.iter().try_for_each(|turn| self.expect(task, turn))?;
         for packet in &group.sent {
             let Some(at) = self.sends[task].iter().position(|(_, sent)| sent == packet) else {
-                return Err(No::Never(format!("{}, which it does not in the model", self.sends_what(packet))));
+                return Err(No::Never(format!(
+                    "{}, which it does not in the model",
+                    self.sends_what(packet)
+                )));
             };
             self.sends[task].remove(at);
         }
@@ -315,9 +318,7 @@ impl Follower {
     fn quiet(&self, task: usize, what: &str) -> Result<(), No> {
         match self.pending[task].front() {
             None => Ok(()),
-            Some(turn) => {
-                Err(No::Never(format!("{what}, but in the model {} first", self.tell(task, turn))))
-            }
+            Some(turn) => Err(No::Never(format!("{what}, but in the model {} first", self.tell(task, turn)))),
         }
     }
 
@@ -333,7 +334,13 @@ impl Follower {
         Ok(())
     }
 
-    fn acted(&mut self, task: usize, node: usize, at: u64, (level, ok, value): (u8, bool, i32)) -> Result<(), No> {
+    fn acted(
+        &mut self,
+        task: usize,
+        node: usize,
+        at: u64,
+        (level, ok, value): (u8, bool, i32),
+    ) -> Result<(), No> {
         let over = self.over.remove(&(task, level)).unwrap_or(0);
         self.late(task, at, over);
         let runs = |running: &&Running| running.level == level;
@@ -395,9 +402,8 @@ fn alike(a: &Turn, b: &Turn) -> bool {
 
 /// Without what is left of lives.
 fn plain(mut input: ScriptInput) -> ScriptInput {
-    if let ScriptInput::Signal(
-        Signal::Message(delivery) | Signal::Interrupt(Call::Message(delivery)),
-    ) = &mut input
+    if let ScriptInput::Signal(Signal::Message(delivery) | Signal::Interrupt(Call::Message(delivery))) =
+        &mut input
     {
         delivery.budget = Ticks::ZERO;
     }

@@ -113,10 +113,7 @@ impl Follower {
     /// A node that is late gives its communication tasks all the time at once, but ends each timer by itself.
     pub(super) fn steps_timers(&self, task: usize, group: &Group) -> bool {
         let timer = |turn: &Turn| {
-            matches!(
-                turn.input,
-                ScriptInput::Signal(Signal::TimeOut(_) | Signal::Interrupt(Call::Timer(_)))
-            )
+            matches!(turn.input, ScriptInput::Signal(Signal::TimeOut(_) | Signal::Interrupt(Call::Timer(_))))
         };
         let otherwise = self.roundings.get(&(task, self.next[task])) == Some(&Rounding::Otherwise);
         group.turns.first().is_some_and(timer) != otherwise
