@@ -1,6 +1,7 @@
 //! `imrs replay`: runs the state machine again on what a node recorded, and compares every output.
 
 mod path;
+mod told;
 
 use crate::args::{Format, ReplayArgs};
 use crate::cells::{self, Loaded};

@@ -18,13 +18,17 @@ const WELD: &str = "weld_cell.cell";
 struct Recorded {
     folder: tempfile::TempDir,
     cell: String,
-    nodes: [&'static str; 3],
+    nodes: &'static [&'static str],
 }
 
 impl Recorded {
     fn of(example: &str, args: &[&str]) -> Self {
-        let folder = runtime_dir();
         let cell = Path::new(env!("CARGO_MANIFEST_DIR")).join("examples").join(example);
+        let nodes = if example == BEAM { &["nl", "nr", "nh"] } else { &["n1", "n2", "nt"] };
+        Self::with(runtime_dir(), &cell, nodes, args)
+    }
+
+    fn with(folder: tempfile::TempDir, cell: &Path, nodes: &'static [&'static str], args: &[&str]) -> Self {
         let cell: String = cell.to_str().expect("UTF-8").into();
         let file = folder.path().join("run.imrs");
         let file = file.to_str().expect("UTF-8");
@@ -32,7 +36,6 @@ impl Recorded {
         let said = run_in(folder.path(), &[&run[..], args].concat());
         // Where a fault was asked for, a task may have aborted: that is a finding of the run.
         assert!(matches!(said.code, Some(0 | 1)), "{said:?}");
-        let nodes = if example == BEAM { ["nl", "nr", "nh"] } else { ["n1", "n2", "nt"] };
         Self { folder, cell, nodes }
     }
 
@@ -63,7 +66,7 @@ impl Recorded {
         records.iter().for_each(|record| writer.append(record).expect("written"));
         writer.flush().expect("written");
         let of = |other: &&str| if *other == node { changed.clone() } else { self.file(other) };
-        self.nodes.iter().map(|other| of(&other)).collect()
+        self.nodes.iter().map(of).collect()
     }
 }
 
@@ -204,6 +207,29 @@ fn a_member_that_never_heard_of_the_others_is_not_released() {
     });
     let [node, task, _] = no_path(&run.follow(&files));
     assert_eq!((node.as_str(), task.as_str()), ("nh", "hoist"));
+}
+
+#[test]
+fn an_action_does_not_end_before_its_least_time() {
+    const GRIPS: &str =
+        "cell grips; tick 1 msec; node n; task a on n begin loop run grip takes 100..200 msec; end; end a;";
+    let folder = runtime_dir();
+    let cell = folder.path().join("grips.cell");
+    std::fs::write(&cell, GRIPS).expect("the cell is written");
+    let run = Recorded::with(folder, &cell, &["n"], &["--for", "1s"]);
+    is_path(&run.follow(&run.files()));
+    let files = run.change("n", |records| {
+        let acted = |record: &Record| matches!(record, Record::Script { step: ScriptStep::Acted { .. }, .. });
+        let at = records.iter().position(acted).expect("an action that ended");
+        let Some(Record::Input { elapsed, .. }) = records[..at].last_mut() else {
+            panic!("no time before it")
+        };
+        // Nothing but time tells it from a run where the robot was so fast.
+        elapsed.0 /= 10;
+    });
+    let [_, task, why] = no_path(&run.follow(&files));
+    assert_eq!(task, "a");
+    assert!(why.contains("before its least time"), "{why}");
 }
 
 #[test]

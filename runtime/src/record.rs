@@ -5,15 +5,14 @@
 //! of all outputs so far: a replay that reaches the same digests made bit-equal outputs.
 
 mod file;
+mod recording;
 mod replay;
 mod script;
 
 pub use file::FileRecorder;
 pub use imrs_wire::recording::ScriptStep;
-pub use replay::{
-    Divergence, KeyframeError, Recorded, Replay, ReplayError, ScriptDivergence, Verdict, replay,
-    replay_recording, replay_scripts,
-};
+pub use recording::{ReplayError, replay_recording, replay_scripts};
+pub use replay::{Divergence, KeyframeError, Recorded, Replay, ScriptDivergence, Verdict, replay};
 pub use script::{Happened, Happening};
 
 pub(crate) use script::Did;

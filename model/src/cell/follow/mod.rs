@@ -17,6 +17,7 @@ mod packets;
 mod run;
 mod steps;
 mod time;
+mod words;
 
 pub use guide::follow_run;
 pub use run::{Followed, Happened, Happening, Late, Run, Turn, Unexplained};
@@ -25,11 +26,12 @@ pub use steps::{Steps, steps_in_model};
 use super::course::Course;
 use super::judge::{name, statement};
 use super::plan::{CellFaults, CellPlan, Conduct};
+use words::{alike, named, port_name, said};
 
 use crate::floor::script::Running;
 use crate::floor::{Effect, Floor};
 use imrs_protocol::script::{Address, ScriptInput};
-use imrs_protocol::{Call, CellTable, Outcome, Packet, PortId, Signal, TaskId, Ticks};
+use imrs_protocol::{Packet, TaskId};
 use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 
@@ -369,43 +371,4 @@ impl Follower {
         };
         format!("{}: {what}: {}", name(table, task), said(&turn.input))
     }
-}
-
-fn port_name(table: &CellTable, port: PortId) -> String {
-    table.port(port).map_or_else(|| "?".into(), |port| format!("`{}`", port.decl.name))
-}
-
-/// What came, in a few words.
-fn said(input: &ScriptInput) -> String {
-    match input {
-        ScriptInput::Begin => "begins".into(),
-        ScriptInput::Acted { ok: true, value, .. } => format!("the action ends: {value}"),
-        ScriptInput::Acted { ok: false, .. } => "the action fails".into(),
-        ScriptInput::Chosen(choice) => format!("chooses {choice}"),
-        ScriptInput::Signal(signal) => match signal {
-            Signal::Outcome(Outcome::Reply(_)) => "is answered".into(),
-            Signal::Released { round, .. } => format!("is released from round {}", round.0),
-            other => format!("{other:?}"),
-        },
-    }
-}
-
-/// Without what relays and time change.
-fn named(packet: &Packet) -> Packet {
-    Packet { remaining: Ticks::ZERO, hops: 0, ..*packet }
-}
-
-/// Whether two turns are the same but for what is counted in other units.
-fn alike(a: &Turn, b: &Turn) -> bool {
-    (a.at, &a.passed, a.end) == (b.at, &b.passed, b.end) && plain(a.input) == plain(b.input)
-}
-
-/// Without what is left of lives.
-fn plain(mut input: ScriptInput) -> ScriptInput {
-    if let ScriptInput::Signal(Signal::Message(delivery) | Signal::Interrupt(Call::Message(delivery))) =
-        &mut input
-    {
-        delivery.budget = Ticks::ZERO;
-    }
-    input
 }

@@ -1,6 +1,7 @@
 //! Packets of a run that is followed: each was sent in the model before it arrives.
 
-use super::{AHEAD, Follower, No, Rounding, named, port_name};
+use super::words::{named, port_name};
+use super::{AHEAD, Follower, No, Rounding};
 use crate::cell::judge::name;
 use imrs_protocol::Packet;
 
@@ -24,7 +25,7 @@ impl Follower {
             let table = &self.course.plan.table;
             let (from, kind) = (name(table, packet.source.index()), packet.kind);
             let port = port_name(table, packet.port);
-            let why = format!("a {kind:?} of {from} on {port} arrives that the model has not sent");
+            let why = format!("{kind:?} of {from} on {port} arrives that the model has not sent");
             return Err(No::NotYet(why));
         }
         self.quiet(task, "a packet comes")?;
