@@ -11,7 +11,7 @@ use crate::verify::conduct;
 use imrs_language::hir::Faults;
 use imrs_language::{Compiled, Unit, compile};
 use imrs_model::cell::{
-    Budget, CellFaults, CellPlan, Conduct, Happened, Happening, Run, Turn, follow_run, steps_in_model,
+    Budget, CellFaults, CellPlan, Conduct, Happened, Happening, Run, Steps, Turn, follow_run, steps_in_model,
 };
 use imrs_protocol::{CellTable, NodeId, Packet, TaskId, Ticks};
 use imrs_runtime::record::{self, Verdict, replay_scripts};
@@ -51,7 +51,10 @@ pub fn run(args: &ReplayArgs, out: &mut Output) -> Result<Exit, Failure> {
     let run = Run { tick, tasks: recorded.tasks, whole: recorded.whole };
     let followed = follow_run(&Arc::new(plan), &run);
     searched.budget.seconds = WALKS.min(searched.budget.seconds);
-    let steps = steps_in_model(&Arc::new(searched), &run);
+    let steps = match followed.unexplained {
+        Some(_) => Steps::default(),
+        None => steps_in_model(&Arc::new(searched), &run),
+    };
     let told = Told::new(&loaded, &followed, &steps, (slow, recorded.start));
     tell(&told, path, args, out)
 }
