@@ -140,7 +140,8 @@ Examples:
     #[command(after_help = "\
 Examples:
   imrs demo beam-lift --record run.imrs
-  imrs replay run.nl.imrs")]
+  imrs replay run.nl.imrs
+  imrs replay run.*.imrs --cell cell.cell --model    was this run a path of the model?")]
     Replay(ReplayArgs),
     /// Print a shell's completion script.
     #[command(
@@ -400,15 +401,21 @@ pub struct MonitorArgs {
 /// What `replay` can be asked.
 #[derive(Args, Clone, Debug)]
 pub struct ReplayArgs {
-    /// The recording of one node.
-    #[arg(value_name = "FILE")]
-    pub file: PathBuf,
+    /// The recordings of nodes.
+    #[arg(value_name = "FILE", required = true)]
+    pub files: Vec<PathBuf>,
     /// The cell that was run [default: the cell of a demo].
     #[arg(long, value_name = "CELL")]
     pub cell: Option<PathBuf>,
     /// It was run with `--paper`.
     #[arg(long, requires = "cell")]
     pub paper: bool,
+    /// Say whether the whole run is a path of the model that `imrs verify` explores: takes the recordings of all nodes.
+    #[arg(long, requires = "cell")]
+    pub model: bool,
+    /// Give up following the model after so long.
+    #[arg(long, value_name = "TIME", requires = "model", default_value = "30s", value_parser = humantime::parse_duration)]
+    pub within: Duration,
     /// The form of the answer.
     #[arg(long, value_enum, value_name = "FORM", default_value_t = Format::Text)]
     pub format: Format,

@@ -1,17 +1,20 @@
 //! `imrs replay`: runs the state machine again on what a node recorded, and compares every output.
 
+mod path;
+mod told;
+
 use crate::args::{Format, ReplayArgs};
-use crate::cells;
+use crate::cells::{self, Loaded};
 use crate::demo;
 use crate::exit::{Exit, Failure};
 use crate::output::{BAD, GOOD, NOTE, Output, Styled, count};
-use imrs_protocol::{CellTable, NodeId, NodeTable};
-use imrs_runtime::record::{self, Verdict, replay_recording};
-use imrs_wire::recording::{Ending, RecordingReader};
+use imrs_protocol::{NodeId, NodeTable};
+use imrs_runtime::record::{self, Verdict, replay_scripts};
+use imrs_wire::recording::{Ending, Header, RecordingReader};
 use serde::Serialize;
 use std::fs::File;
 use std::io::{self, BufReader};
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 /// Why a recording cannot be replayed.
@@ -82,42 +85,60 @@ struct Task {
     divergence: Option<String>,
 }
 
-/// Replays a recording.
+/// Replays recordings.
 ///
 /// # Errors
 /// [`Failure`].
 pub fn run(args: &ReplayArgs, out: &mut Output) -> Result<Exit, Failure> {
-    let given = match &args.cell {
-        Some(path) => Some(cells::open(path, args.paper)?.1.table),
-        None => None,
-    };
-    let replayed = read(&args.file, given)?;
-    let diverged = replayed.tasks.iter().any(|task| task.divergence.is_some());
-    match args.format {
-        Format::Json => out.json(&replayed)?,
-        Format::Text => show(&replayed, out)?,
+    if args.model {
+        return path::run(args, out);
     }
-    Ok(if diverged { Exit::Finding } else { Exit::Well })
+    let known = match &args.cell {
+        Some(path) => vec![cells::open(path, args.paper)?.1],
+        None => demo::cells().collect(),
+    };
+    let mut exit = Exit::Well;
+    for file in &args.files {
+        let replayed = read(file, &known)?;
+        if replayed.tasks.iter().any(|task| task.divergence.is_some()) {
+            exit = Exit::Finding;
+        }
+        match args.format {
+            Format::Json => out.json(&replayed)?,
+            Format::Text => show(&replayed, out)?,
+        }
+    }
+    Ok(exit)
 }
 
-fn read(path: &PathBuf, given: Option<Arc<CellTable>>) -> Result<Replayed, ReplayError> {
-    let file = File::open(path).map_err(|source| ReplayError::Open { path: path.clone(), source })?;
-    let damaged = |source: record::ReplayError| ReplayError::Read { path: path.clone(), source };
-    let mut reader = RecordingReader::new(BufReader::new(file)).map_err(|error| damaged(error.into()))?;
+/// A recording of a node of a known cell.
+struct Opened<'a> {
+    reader: RecordingReader<BufReader<File>>,
+    header: Header,
+    table: NodeTable,
+    cell: &'a Loaded,
+}
+
+fn open<'a>(path: &Path, known: &'a [Loaded]) -> Result<Opened<'a>, ReplayError> {
+    let own = || path.to_owned();
+    let file = File::open(path).map_err(|source| ReplayError::Open { path: own(), source })?;
+    let reader = RecordingReader::new(BufReader::new(file))
+        .map_err(|error| ReplayError::Read { path: own(), source: error.into() })?;
     let header = reader.header().clone();
-    let node = header.node.ok_or_else(|| ReplayError::Observations(path.clone()))?;
-    let known = || demo::tables().find(|table| table.digest() == header.digest);
-    let table = given.map_or_else(known, |table| (table.digest() == header.digest).then_some(table));
-    let table = table.ok_or_else(|| ReplayError::OtherCell {
-        path: path.clone(),
-        cell: header.cell.clone(),
-        digest: header.digest,
+    let cell = known.iter().find(|cell| cell.table.digest() == header.digest).ok_or_else(|| {
+        ReplayError::OtherCell { path: own(), cell: header.cell.clone(), digest: header.digest }
     })?;
-    let known = |node: &NodeId| node.index() < table.cell().nodes.len();
-    let node = Some(node).filter(known).ok_or_else(|| ReplayError::NoInputs(path.clone()))?;
-    let table = NodeTable::new(table, node);
+    let node = header.node.ok_or_else(|| ReplayError::Observations(own()))?;
+    let declared = |node: &NodeId| node.index() < cell.table.cell().nodes.len();
+    let node = Some(node).filter(declared).ok_or_else(|| ReplayError::NoInputs(own()))?;
+    Ok(Opened { reader, header, table: NodeTable::new(Arc::clone(&cell.table), node), cell })
+}
+
+fn read(path: &Path, known: &[Loaded]) -> Result<Replayed, ReplayError> {
+    let Opened { mut reader, header, table, cell } = open(path, known)?;
     let names = table.cell.cell();
-    let replays = replay_recording(&mut reader, &table).map_err(damaged)?;
+    let damaged = |source| ReplayError::Read { path: path.to_owned(), source };
+    let replays = replay_scripts(&mut reader, &table, |task| cell.program(task)).map_err(damaged)?;
     let tasks = replays.iter().map(|replay| Task {
         name: names.tasks[replay.task().index()].name.clone(),
         steps: replay.judged(),
@@ -126,17 +147,18 @@ fn read(path: &PathBuf, given: Option<Arc<CellTable>>) -> Result<Replayed, Repla
         verdict: match replay.verdict() {
             Verdict::Same => "same",
             Verdict::Unknown => "unknown",
-            Verdict::Differs(_) => "differs",
+            Verdict::Differs(_) | Verdict::ScriptDiffers(_) => "differs",
         },
         divergence: match replay.verdict() {
             Verdict::Differs(divergence) => Some(divergence.to_string()),
+            Verdict::ScriptDiffers(divergence) => Some(divergence.to_string()),
             Verdict::Same | Verdict::Unknown => None,
         },
     });
     Ok(Replayed {
         version: 1,
         cell: header.cell,
-        node: names.nodes[node.index()].name.clone(),
+        node: names.nodes[table.node.index()].name.clone(),
         build: header.build,
         insecure: header.insecure,
         tasks: tasks.collect(),

@@ -124,6 +124,11 @@ impl Comm {
         self.rebase_in_time();
     }
 
+    /// Who writes down what happens here.
+    pub fn recorder(&self) -> Option<&dyn Recorder> {
+        self.recorder.as_deref()
+    }
+
     /// The machine's state, and when it was so.
     pub fn view(&self, queue_limit: usize) -> (TaskView, Micros) {
         (self.machine.view(&self.table, queue_limit), self.last)

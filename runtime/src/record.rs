@@ -5,12 +5,17 @@
 //! of all outputs so far: a replay that reaches the same digests made bit-equal outputs.
 
 mod file;
+mod recording;
 mod replay;
+mod script;
 
 pub use file::FileRecorder;
-pub use replay::{
-    Divergence, KeyframeError, Recorded, Replay, ReplayError, Verdict, replay, replay_recording,
-};
+pub use imrs_wire::recording::ScriptStep;
+pub use recording::{ReplayError, replay_recording, replay_scripts};
+pub use replay::{Divergence, KeyframeError, Recorded, Replay, ScriptDivergence, Verdict, replay};
+pub use script::{Happened, Happening};
+
+pub(crate) use script::Did;
 
 use imrs_protocol::{CommTask, Input, NodeTable, Observation, Outbox, Packet, Signal, TaskId, Ticks, TimeId};
 use postcard::ser_flavors::Flavor;
@@ -33,6 +38,12 @@ pub trait Recorder: Send + Sync {
     /// The digest of everything that `task` has put out, this step included.
     fn output(&self, task: TaskId, digest: OutputDigest);
 
+    /// What the script of `task` is about to take, besides the signals of its communication task, and the digest of
+    /// everything that it has done before.
+    fn script(&self, task: TaskId, step: ScriptStep, done: OutputDigest) {
+        let _ = (task, step, done);
+    }
+
     /// Whether the state of `task` is wanted, because steps of it were lost. Asked before every step.
     fn wants_keyframe(&self, task: TaskId) -> bool {
         let _ = task;
@@ -46,7 +57,7 @@ pub trait Recorder: Send + Sync {
     }
 }
 
-/// Names everything that a communication task has put out so far, in order. Equal in two runs only if every packet,
+/// Names everything that a communication task, or a script, has put out so far, in order. Equal in two runs only if every packet,
 /// every signal and every request to the Timer was equal (but for collisions of 64 bits). It is taken of the outputs in
 /// postcard, so it is the same in every build and on every machine.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -56,7 +67,7 @@ impl OutputDigest {
     /// Of no output. FNV-1a's offset.
     pub const START: Self = Self(0xcbf2_9ce4_8422_2325);
 
-    fn add(&mut self, output: &Output) {
+    pub(crate) fn add(&mut self, output: &impl Serialize) {
         // Nothing in an output can fail to be written down; if ever, the digest stops in both runs alike.
         let _ = postcard::serialize_with_flavor(output, self);
     }

@@ -7,6 +7,7 @@
 mod actions;
 mod command;
 mod functions;
+mod knows;
 mod seat;
 mod simulated;
 
@@ -16,6 +17,7 @@ pub use functions::{Call, Functions};
 pub use simulated::{Course, Give, Results, Simulated};
 
 pub(crate) use actions::{Deed, Stage};
+pub(crate) use knows::Knows;
 pub(crate) use seat::Seat;
 
 use imrs_protocol::script::{Address, End};

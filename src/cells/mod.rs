@@ -4,7 +4,7 @@ use crate::cell_file;
 use crate::exit::Failure;
 use imrs_language::lower::{Action, Address, Behaviour, Check, CheckKind, Script};
 use imrs_language::{Options, Unit, compile_with, render};
-use imrs_protocol::script::Type;
+use imrs_protocol::script::{Program, Type};
 use imrs_protocol::{Cell, CellTable, TaskId};
 use imrs_runtime::script::{Give, Results};
 use serde::{Deserialize, Serialize};
@@ -86,6 +86,11 @@ impl Loaded {
         let script = self.scripts.get(task.index())?.as_ref()?;
         let span = script.spans.get(usize::from(at))?;
         Some(self.source.position(span.start).0)
+    }
+
+    /// The program of a task's script.
+    pub fn program(&self, task: TaskId) -> Option<&Arc<Program>> {
+        Some(&self.scripts.get(task.index())?.as_ref()?.program)
     }
 
     /// The name of an action of a task.

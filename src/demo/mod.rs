@@ -113,8 +113,8 @@ impl Scene {
 }
 
 /// The cells of all demos.
-pub fn tables() -> impl Iterator<Item = Arc<CellTable>> {
-    SCENES.iter().filter_map(|scene| Some(scene.load().ok()?.table))
+pub fn cells() -> impl Iterator<Item = Loaded> {
+    SCENES.iter().filter_map(|scene| scene.load().ok())
 }
 
 /// Runs a demo.

@@ -225,7 +225,8 @@ struct Told<'a> {
     saved: bool,
 }
 
-fn conduct(behaviour: &Behaviour) -> Conduct {
+/// What a task does in the model.
+pub fn conduct(behaviour: &Behaviour) -> Conduct {
     match behaviour {
         Behaviour::Script(script) => {
             let values =

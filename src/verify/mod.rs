@@ -6,6 +6,8 @@ mod report;
 mod save;
 mod tell;
 
+pub use cell::conduct;
+
 use crate::args::{Format, VerifyArgs, VerifyVerb};
 use crate::exit::{Exit, Failure, did_you_mean};
 use crate::output::Output;

@@ -3,7 +3,7 @@
 use super::cell::Subject;
 use crate::cell_file::CellFileError;
 use crate::exit::Failure;
-use imrs_model::cell::{CellPlan, Finding, Happening, Scene, scenes};
+use imrs_model::cell::{CellPlan, Finding, Scene, Shows, scenes};
 use imrs_protocol::NodeId;
 use imrs_wire::obs::{
     Events, Hello, NodeIdentity, Role, SCHEMA, ServerFrame, Snapshot, Table, TimedEvent, VERSION,
@@ -65,10 +65,10 @@ impl Subject {
 
     /// A step in words.
     fn step(&self, number: usize, scene: &Scene) -> Step {
-        let words = |happening: &Happening| match happening {
-            Happening::Said(words) => Some(words.clone()),
+        let words = |happening: &Shows| match happening {
+            Shows::Said(words) => Some(words.clone()),
             // Where a task has no text there is nothing to show: it is any use of its ports.
-            Happening::Began(task, at) => {
+            Shows::Began(task, at) => {
                 let (line, _, text) = self.place(*task, *at)?;
                 Some(format!("{} begins line {line}: {text}", self.task(*task)))
             }

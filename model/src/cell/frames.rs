@@ -28,7 +28,7 @@ pub struct NodeFrame {
 
 /// Something that happened in a step.
 #[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Happening {
+pub enum Shows {
     /// In words.
     Said(String),
     /// A task began the statement at this operation of its program.
@@ -43,7 +43,7 @@ pub struct Scene {
     /// Whether a fault happens in it, or a wait or a script ends badly.
     pub odd: bool,
     /// What happened, in its order.
-    pub happened: Vec<Happening>,
+    pub happened: Vec<Shows>,
     /// What each task does after it, by task.
     pub tasks: Vec<story::TaskView>,
     /// The nodes after it, by node.
@@ -63,7 +63,7 @@ pub fn scenes(plan: &Arc<CellPlan>, finding: &Finding) -> Vec<Scene> {
     let mut scenes = vec![Scene {
         tick: 0,
         odd: false,
-        happened: std::iter::once(Happening::Said("the start".into()))
+        happened: std::iter::once(Shows::Said("the start".into()))
             .chain(began(start.floor.turns.as_deref().unwrap_or_default()))
             .collect(),
         tasks: (0..plan.tasks.len()).map(|task| story::view(&start, task)).collect(),
@@ -97,10 +97,10 @@ pub fn scenes(plan: &Arc<CellPlan>, finding: &Finding) -> Vec<Scene> {
     scenes
 }
 
-fn began(turns: &[ScriptTurn]) -> impl Iterator<Item = Happening> {
+fn began(turns: &[ScriptTurn]) -> impl Iterator<Item = Shows> {
     turns.iter().flat_map(|turn| {
         let task = TaskId::from_index(turn.task);
-        turn.passed.iter().map(move |&at| Happening::Began(task, at))
+        turn.passed.iter().map(move |&at| Shows::Began(task, at))
     })
 }
 
@@ -148,7 +148,7 @@ fn snapshot(course: &Course, node: usize, dropped: [u64; Reason::ALL.len()]) -> 
 }
 
 /// What happened in a step: what came, what it began, what it ended and what left.
-fn happenings(walked: &Walked<'_>, passed: u64) -> Vec<Happening> {
+fn happenings(walked: &Walked<'_>, passed: u64) -> Vec<Shows> {
     let (came, ended) = walked.notes.split_at(walked.notes.len() - walked.ended);
     let words = |note: &Note| note.words(&walked.lanes.names);
     let later = (passed > 0).then(|| format!("{passed} tick{} later", if passed == 1 { "" } else { "s" }));
@@ -163,7 +163,7 @@ fn happenings(walked: &Walked<'_>, passed: u64) -> Vec<Happening> {
         Effect::Told(..) | Effect::Seen(..) => None,
     });
     let ended = ended.iter().map(words);
-    let said = Happening::Said;
+    let said = Shows::Said;
     came.map(said).chain(began(walked.turns)).chain(ended.chain(left).map(said)).collect()
 }
 

@@ -24,6 +24,7 @@
 
 mod canon;
 mod course;
+mod follow;
 mod frames;
 mod judge;
 mod liveness;
@@ -38,7 +39,10 @@ mod verdict;
 mod walker;
 
 pub use course::CellMove;
-pub use frames::{Happening, NodeFrame, Scene, scenes};
+pub use follow::{
+    Followed, Happened, Happening, Late, Run, Steps, Turn, Unexplained, follow_run, steps_in_model,
+};
+pub use frames::{NodeFrame, Scene, Shows, scenes};
 pub use plan::{Budget, CellCheck, CellFaults, CellPlan, Conduct, Holds};
 pub use search::check_cell;
 pub use story::{Note, Step, TaskView};

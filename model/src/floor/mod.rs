@@ -173,10 +173,15 @@ impl Floor {
 
     /// A floor whose scripts are judged by somebody else, and go on after an end.
     pub(crate) fn of_cell(plan: &Arc<FloorPlan>) -> Self {
-        let mut floor = Self { turns: Some(Vec::new()), ..Self::unbegun(plan) };
+        let mut floor = Self::waiting(plan);
         let begun = (0..floor.bodies.len()).try_for_each(|task| floor.begin(task));
         floor.violation = begun.err();
         floor
+    }
+
+    /// The same, before any script has begun.
+    pub(crate) fn waiting(plan: &Arc<FloorPlan>) -> Self {
+        Self { turns: Some(Vec::new()), ..Self::unbegun(plan) }
     }
 
     /// The node of a cell starts again, in its next life, which counts from the beginning.

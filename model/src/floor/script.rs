@@ -106,6 +106,10 @@ impl ScriptOutbox for Wanted<'_> {
     }
 
     fn ended(&mut self, end: End) {
+        // D61: beats stop when the task has ended.
+        if self.machine.is_some_and(|machine| machine.epoch().is_some()) {
+            self.requests.push(Request::End);
+        }
         self.end = Some(end);
     }
 

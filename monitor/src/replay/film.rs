@@ -98,6 +98,7 @@ impl Film {
                     Record::Header(_)
                     | Record::Input { .. }
                     | Record::Keyframe { .. }
+                    | Record::Script { .. }
                     | Record::Gap { stream: Stream::Task(_), .. }
                     | Record::End,
                 )) => {}

@@ -2,7 +2,7 @@
 
 use super::{OutputDigest, Recorder, Step};
 use imrs_protocol::{CommTask, Incarnation, NodeTable, TaskId};
-use imrs_wire::recording::{Header, Recording, Status, TaskStream, WriteError};
+use imrs_wire::recording::{Header, Recording, ScriptStep, Status, TaskStream, WriteError};
 use std::io::Write;
 use std::sync::{Arc, Mutex, PoisonError};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -88,6 +88,12 @@ impl Recorder for FileRecorder {
             if let Some(Step { elapsed, input }) = track.open.take() {
                 track.stream.input(elapsed, input, digest.0);
             }
+        });
+    }
+
+    fn script(&self, task: TaskId, step: ScriptStep, done: OutputDigest) {
+        self.with(task, |track| {
+            track.stream.script(step, done.0);
         });
     }
 

@@ -3,12 +3,13 @@
 //! What was lost cannot be judged: a replay goes on from the next keyframe, and its verdict is [`Verdict::Unknown`], never
 //! [`Verdict::Same`].
 
+use super::script::{Again, Happened, Happening};
 use super::{Digesting, OutputDigest, Step, run};
-use imrs_protocol::{
-    CommTask, Incarnation, NodeId, NodeTable, Outbox, Packet, Signal, TaskId, Ticks, TimeId,
-};
-use imrs_wire::recording::{ReadError, Record, RecordingReader, Stream};
-use std::io::Read;
+use crate::script::Knows;
+use imrs_protocol::script::Program;
+use imrs_protocol::{CommTask, Incarnation, Input, NodeTable, Outbox, Packet, Signal, TaskId, Ticks, TimeId};
+use imrs_wire::recording::ScriptStep;
+use std::sync::Arc;
 
 /// A recorded step and the digest after it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -44,6 +45,18 @@ pub enum Verdict {
     Unknown,
     /// The first step that put out something else.
     Differs(Divergence),
+    /// The script of the task did something else than recorded.
+    ScriptDiffers(ScriptDivergence),
+}
+
+/// The script did something else than the recording says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("after step {index} of {task} its script did something else than recorded")]
+pub struct ScriptDivergence {
+    /// The task.
+    pub task: TaskId,
+    /// How many steps of the communication task had been run.
+    pub index: usize,
 }
 
 /// Why a replay cannot go on from a keyframe.
@@ -63,31 +76,6 @@ pub enum KeyframeError {
     Contradicts(TaskId),
 }
 
-/// Why a recording cannot be replayed.
-#[derive(Debug, thiserror::Error)]
-pub enum ReplayError {
-    /// The recording is damaged.
-    #[error(transparent)]
-    Read(#[from] ReadError),
-    /// It was made with another cell.
-    #[error("the recording is of a cell with digest {recorded:08x}, not {given:08x}")]
-    OtherCell {
-        /// The digest in the recording.
-        recorded: u32,
-        /// The digest of the table to replay with.
-        given: u32,
-    },
-    /// It was made by another node, or by none.
-    #[error("the recording holds no inputs of node {0}")]
-    OtherNode(NodeId),
-    /// It holds records of a task of another node.
-    #[error("the recording holds records of {0}, which runs on another node")]
-    ForeignTask(TaskId),
-    /// A keyframe is not what it should be.
-    #[error(transparent)]
-    Keyframe(#[from] KeyframeError),
-}
-
 /// A communication task that is run again, step by step.
 #[derive(Clone, Debug)]
 pub struct Replay<'t> {
@@ -101,6 +89,15 @@ pub struct Replay<'t> {
     unjudged: usize,
     lost: u64,
     divergence: Option<Divergence>,
+    /// `None` where the task has none that is to run again, or it is not known where it stands.
+    script: Option<Again>,
+    script_divergence: Option<ScriptDivergence>,
+    /// Microseconds since the first step.
+    passed: u64,
+    /// Of the node's clock at the first step.
+    base: Option<u64>,
+    /// By microseconds since the first step.
+    happened: Option<Vec<(u64, Happened)>>,
 }
 
 impl<'t> Replay<'t> {
@@ -117,20 +114,51 @@ impl<'t> Replay<'t> {
             unjudged: 0,
             lost: 0,
             divergence: None,
+            script: None,
+            script_divergence: None,
+            passed: 0,
+            base: None,
+            happened: None,
         }
+    }
+
+    /// Runs the task's script again, too.
+    #[must_use]
+    pub fn with_script(self, program: &Arc<Program>) -> Self {
+        Self { script: Some(Again::new(program)), ..self }
+    }
+
+    /// Keeps what happens.
+    #[must_use]
+    pub fn keeping(self) -> Self {
+        Self { happened: Some(Vec::new()), ..self }
     }
 
     /// Runs the next step. After a gap, or a step that put out something else, steps are only counted until a keyframe
     /// comes.
     pub fn step(&mut self, entry: Recorded) {
-        let Some(machine) = &mut self.machine else {
+        if self.machine.is_none() {
             self.unjudged += 1;
             return;
-        };
-        let mut out = Digesting { digest: Some(&mut self.digest), out: &mut Ignore };
+        }
+        self.passed = self.passed.saturating_add(entry.step.elapsed.0);
+        if self.script.as_mut().is_some_and(|script| !script.expects(&entry.step.input)) {
+            self.lose_script();
+        }
+        let Some(machine) = &mut self.machine else { return };
+        let mut heard =
+            Heard { at: self.passed, happened: self.happened.as_mut(), script: self.script.as_mut() };
+        match entry.step.input {
+            Input::Packet(packet) => heard.note(Happened::Came(packet)),
+            Input::PeerRestarted(node) => heard.note(Happened::PeerRestarted(node)),
+            Input::Advance(_) | Input::TimeOut { .. } | Input::Unsent(_) => heard.note(Happened::Time),
+            Input::Request(_) => {}
+        }
+        let mut out = Digesting { digest: Some(&mut self.digest), out: &mut heard };
         run(machine, self.table, entry.step, &mut out);
         if self.digest == entry.digest {
             self.judged += 1;
+            self.let_script_go_on();
             return;
         }
         let (recorded, replayed) = (entry.digest, self.digest);
@@ -138,13 +166,57 @@ impl<'t> Replay<'t> {
         let divergence = Divergence { task: self.task, index, step: entry.step, recorded, replayed };
         self.divergence.get_or_insert(divergence);
         self.unjudged += 1;
-        self.machine = None;
+        (self.machine, self.script) = (None, None);
+    }
+
+    /// The script takes what follows from no step of its communication task.
+    pub fn script(&mut self, step: ScriptStep, done: OutputDigest) {
+        if let ScriptStep::Begin { at } = step {
+            self.base.get_or_insert(at.saturating_sub(self.passed));
+        }
+        let (Some(script), Some(machine)) = (&mut self.script, &self.machine) else { return };
+        let Some(what) = script.take(Knows { machine, table: self.table }, step, done) else {
+            return self.lose_script();
+        };
+        if let Some(happened) = &mut self.happened {
+            happened.extend(what.into_iter().map(|what| (self.passed, what)));
+        }
+        self.let_script_go_on();
+    }
+
+    fn lose_script(&mut self) {
+        let index = self.judged + self.unjudged;
+        self.script_divergence.get_or_insert(ScriptDivergence { task: self.task, index });
+        self.script = None;
+    }
+
+    fn let_script_go_on(&mut self) {
+        let (Some(script), Some(machine)) = (&mut self.script, &self.machine) else { return };
+        while let Some(what) = script.go_on(Knows { machine, table: self.table }) {
+            if let Some(happened) = &mut self.happened {
+                happened.push((self.passed, what));
+            }
+        }
+    }
+
+    /// What happened, in order, where that was kept. `None` where it is not known when, or not all of it.
+    #[must_use]
+    pub fn happened(self) -> Option<Vec<Happening>> {
+        let (task, base) = (self.task, self.base?);
+        let all = self.happened.filter(|_| self.script.is_some())?;
+        let started = std::iter::once((0, Happened::Started));
+        Some(
+            started
+                .chain(all)
+                .map(|(at, what)| Happening { at: base.saturating_add(at), task, what })
+                .collect(),
+        )
     }
 
     /// Records are missing here.
     pub fn gap(&mut self, lost: u64) {
         self.lost = self.lost.saturating_add(lost);
-        self.machine = None;
+        (self.machine, self.script) = (None, None);
     }
 
     /// Goes on from a recorded state.
@@ -195,6 +267,9 @@ impl<'t> Replay<'t> {
     /// What was found so far.
     #[must_use]
     pub const fn verdict(&self) -> Verdict {
+        if let Some(divergence) = self.script_divergence {
+            return Verdict::ScriptDiffers(divergence);
+        }
         match self.divergence {
             Some(divergence) => Verdict::Differs(divergence),
             None if self.lost > 0 || self.unjudged > 0 || self.machine.is_none() => Verdict::Unknown,
@@ -225,53 +300,32 @@ pub fn replay(
     Ok(replay.judged)
 }
 
-/// Replays what a node recorded, as far as the reader has whole records: one [`Replay`] for each task of the node,
-/// ascending. [`RecordingReader::ending`] says then whether the recording was ended; a verdict holds for what was read.
-///
-/// # Errors
-/// [`ReplayError`].
-pub fn replay_recording<'t, R: Read>(
-    reader: &mut RecordingReader<R>,
-    table: &'t NodeTable,
-) -> Result<Vec<Replay<'t>>, ReplayError> {
-    let header = reader.header();
-    if header.digest != table.digest() {
-        return Err(ReplayError::OtherCell { recorded: header.digest, given: table.digest() });
-    }
-    if header.node != Some(table.node) {
-        return Err(ReplayError::OtherNode(table.node));
-    }
-    let life = (header.incarnation, header.restarted);
-    let tasks = table.tasks_on(table.node);
-    let mut replays: Vec<Replay<'t>> = tasks.map(|task| Replay::new(table, task, life.0, life.1)).collect();
-    while let Some(record) = reader.next_record()? {
-        match record {
-            Record::Input { task, elapsed, input, outputs } => {
-                let step = Step { elapsed, input };
-                of(&mut replays, task)?.step(Recorded { step, digest: OutputDigest(outputs) });
-            }
-            Record::Keyframe { task, state, outputs } => {
-                of(&mut replays, task)?.keyframe(&state, OutputDigest(outputs))?;
-            }
-            Record::Gap { stream: Stream::Task(task), lost } => of(&mut replays, task)?.gap(lost),
-            Record::Gap { stream: Stream::Frames(_), .. }
-            | Record::Header(_)
-            | Record::Frame { .. }
-            | Record::End => {}
+/// Where the outputs of a step go.
+struct Heard<'a> {
+    at: u64,
+    happened: Option<&'a mut Vec<(u64, Happened)>>,
+    script: Option<&'a mut Again>,
+}
+
+impl Heard<'_> {
+    fn note(&mut self, what: Happened) {
+        if let Some(happened) = &mut self.happened {
+            happened.push((self.at, what));
         }
     }
-    Ok(replays)
 }
 
-fn of<'a, 't>(replays: &'a mut [Replay<'t>], task: TaskId) -> Result<&'a mut Replay<'t>, ReplayError> {
-    replays.iter_mut().find(|replay| replay.task == task).ok_or(ReplayError::ForeignTask(task))
-}
+impl Outbox for Heard<'_> {
+    fn transmit(&mut self, packet: Packet) {
+        self.note(Happened::Sent(packet));
+    }
 
-struct Ignore;
+    fn signal(&mut self, signal: Signal) {
+        if let Some(script) = &mut self.script {
+            script.said(signal);
+        }
+    }
 
-impl Outbox for Ignore {
-    fn transmit(&mut self, _packet: Packet) {}
-    fn signal(&mut self, _signal: Signal) {}
     fn arm(&mut self, _id: TimeId, _turn: u8, _length: Ticks) {}
     fn disarm(&mut self, _id: TimeId) {}
 }

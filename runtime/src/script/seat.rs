@@ -1,16 +1,16 @@
 //! A script behind the lock of its communication task.
 
 use super::actions::{Begun, Deed};
-use super::{Note, Watch};
+use super::{Knows, Note, Watch};
 use crate::clock;
 use crate::comm::Comm;
 use crate::effects::{Effects, Stamped};
 use crate::failstop::FailStop;
-use crate::record::Step;
+use crate::record::{Did, OutputDigest, Recorder, ScriptStep, Step};
 use imrs_protocol::script::{
     Action, Address, End, HOST_LIMIT, MAX_THREADS, Program, Script, ScriptFault, ScriptInput, ScriptOutbox,
 };
-use imrs_protocol::{CommTask, Contents, Input, NodeTable, PortId, ReplyTo, Request, Signal, TaskId, Ticks};
+use imrs_protocol::{Contents, Input, PortId, ReplyTo, Request, Signal, TaskId, Ticks};
 use std::collections::VecDeque;
 use std::sync::Arc;
 
@@ -40,6 +40,8 @@ struct Side {
     begun: u64,
     draws: fastrand::Rng,
     watch: Option<Arc<dyn Watch>>,
+    /// Of everything that the script has done, where that is recorded.
+    done: OutputDigest,
     ended: bool,
 }
 
@@ -59,6 +61,7 @@ impl Seat {
             begun: 0,
             draws: fastrand::Rng::with_seed(seed ^ salt),
             watch,
+            done: OutputDigest::START,
             ended: false,
         };
         let (signals, requests) = (VecDeque::with_capacity(ROOM), VecDeque::with_capacity(ROOM));
@@ -71,7 +74,8 @@ impl Seat {
 
     /// The script begins.
     pub fn begin(&mut self, comm: &mut Comm, effects: &mut Effects) {
-        self.let_time_pass(comm, effects);
+        let at = self.let_time_pass(comm, effects);
+        self.side.record(comm, ScriptStep::Begin { at });
         self.go_on(comm, ScriptInput::Begin, effects);
     }
 
@@ -99,6 +103,7 @@ impl Seat {
             return;
         }
         *acting = None;
+        self.side.record(comm, ScriptStep::Acted { level, ok, value });
         self.side.note(comm, || Note::Acted { level, ok, value });
         self.go_on(comm, ScriptInput::Acted { level, ok, value }, effects);
     }
@@ -111,6 +116,7 @@ impl Seat {
         for level in 0..MAX_THREADS {
             self.side.cut_short(u8::try_from(level).unwrap_or(u8::MAX), effects);
         }
+        self.side.record(comm, ScriptStep::Stopped);
         let elapsed = comm.pass(clock::next());
         self.step(comm, Step { elapsed, input: Input::Request(Request::Cancel) }, effects);
         self.signals.clear();
@@ -158,8 +164,8 @@ impl Seat {
             effects.steps = effects.steps.saturating_add(1);
             let runs_away = steps > HOST_LIMIT || effects.steps > self.together;
             let mut out = Out {
-                machine: comm.machine(),
-                table: comm.table(),
+                knows: Knows { machine: comm.machine(), table: comm.table() },
+                recorder: comm.recorder(),
                 now: comm.now(),
                 requests: &mut self.requests,
                 side: &mut self.side,
@@ -181,6 +187,12 @@ impl Seat {
 }
 
 impl Side {
+    fn record(&self, comm: &Comm, step: ScriptStep) {
+        if let Some(recorder) = comm.recorder() {
+            recorder.script(comm.machine().task(), step, self.done);
+        }
+    }
+
     fn note(&self, comm: &Comm, note: impl FnOnce() -> Note) {
         self.note_at(comm.machine().task(), comm.now(), note);
     }
@@ -201,8 +213,8 @@ impl Side {
 
 /// Where the effects of a script go.
 struct Out<'a> {
-    machine: &'a CommTask,
-    table: &'a NodeTable,
+    knows: Knows<'a>,
+    recorder: Option<&'a dyn Recorder>,
     now: u64,
     requests: &'a mut VecDeque<Request>,
     side: &'a mut Side,
@@ -211,7 +223,13 @@ struct Out<'a> {
 
 impl Out<'_> {
     fn note(&self, note: impl FnOnce() -> Note) {
-        self.side.note_at(self.machine.task(), self.now, note);
+        self.side.note_at(self.knows.machine.task(), self.now, note);
+    }
+
+    fn did(&mut self, did: &Did<'_>) {
+        if self.recorder.is_some() {
+            self.side.done.add(did);
+        }
     }
 }
 
@@ -221,6 +239,7 @@ impl ScriptOutbox for Out<'_> {
     }
 
     fn run(&mut self, action: Action<'_>) {
+        self.did(&Did::of(action));
         let Action { level, action, arguments, least, most } = action;
         self.side.cut_short(level, self.effects);
         let (place, number) = (self.side.place, self.side.begun);
@@ -242,18 +261,24 @@ impl ScriptOutbox for Out<'_> {
     }
 
     fn cut_short(&mut self, level: u8) {
+        self.did(&Did::CutShort(level));
         if self.side.cut_short(level, self.effects) {
             self.note(|| Note::CutShort(level));
         }
     }
 
     fn choose(&mut self, alternatives: u16) -> Option<u16> {
-        Some(self.side.draws.u16(..alternatives.max(1)))
+        let choice = self.side.draws.u16(..alternatives.max(1));
+        if let Some(recorder) = self.recorder {
+            recorder.script(self.knows.machine.task(), ScriptStep::Chosen(choice), self.side.done);
+        }
+        Some(choice)
     }
 
     fn ended(&mut self, end: End) {
+        self.did(&Did::Ended(end));
         // D61: beats stop when the task has ended.
-        if self.machine.epoch().is_some() {
+        if self.knows.machine.epoch().is_some() {
             self.requests.push_back(Request::End);
         }
         self.note(|| Note::Ended(end));
@@ -263,23 +288,25 @@ impl ScriptOutbox for Out<'_> {
     }
 
     fn statement(&mut self, at: Address) {
+        self.did(&Did::Statement(at));
         self.note(|| Note::Statement(at));
     }
 
     fn unanswered(&mut self, message: ReplyTo) {
+        self.did(&Did::Unanswered(message));
         self.note(|| Note::Unanswered(message));
     }
 
     fn fragment(&mut self, index: u8) -> Option<Contents> {
-        self.machine.fragment(index).copied()
+        self.knows.fragment(index)
     }
 
     fn published(&mut self) -> Option<Contents> {
-        self.machine.partner_published().copied()
+        self.knows.published()
     }
 
     fn arrival(&mut self, port: PortId, task: TaskId) -> Option<[u8; 8]> {
-        self.machine.meeting_arguments(self.table, port, task)
+        self.knows.arrival(port, task)
     }
 
     fn owed(&mut self, port: PortId, task: TaskId) -> Option<ReplyTo> {
@@ -287,10 +314,6 @@ impl ScriptOutbox for Out<'_> {
     }
 
     fn answer(&mut self, port: PortId, task: Option<TaskId>, index: u8) -> Option<Contents> {
-        if let Some(task) = task {
-            return self.machine.answer_fragment(port, task, index).copied();
-        }
-        let mut peers = self.table.port(port)?.peers(self.machine.task());
-        peers.find_map(|peer| self.machine.answer_fragment(port, peer, index).copied())
+        self.knows.answer(port, task, index)
     }
 }

@@ -1,6 +1,6 @@
 //! Writing from a thread of its own, so that no disk ever holds up a node.
 
-use super::{Header, MAX_RECORD_BYTES, Record, RecordingWriter, Stream, WriteError};
+use super::{Header, MAX_RECORD_BYTES, Record, RecordingWriter, ScriptStep, Stream, WriteError};
 use imrs_protocol::{Input, TaskId, Ticks};
 use std::io::{BufWriter, Write};
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
@@ -314,6 +314,15 @@ impl TaskStream {
         let fits = !self.needs_keyframe;
         let record = Record::Input { task: self.task, elapsed, input, outputs };
         let taken = self.outlet.hand_over_if(fits, record);
+        self.needs_keyframe |= !taken;
+        taken
+    }
+
+    /// Records what the task's script took; `done` is the digest of everything that it had done before. Returns whether
+    /// it was taken, as for an input.
+    pub fn script(&mut self, step: ScriptStep, done: u64) -> bool {
+        let fits = !self.needs_keyframe;
+        let taken = self.outlet.hand_over_if(fits, Record::Script { task: self.task, step, done });
         self.needs_keyframe |= !taken;
         taken
     }

@@ -107,6 +107,39 @@ pub enum Record {
     },
     /// The recording was ended, and is whole but for the gaps it names. The last record.
     End,
+    /// What the script of a task took, besides the signals of its communication task: those follow from its inputs. It
+    /// comes at the time of the task's previous record.
+    Script {
+        /// The task.
+        task: TaskId,
+        /// What it took.
+        step: ScriptStep,
+        /// A digest of everything that the script had done before.
+        done: u64,
+    },
+}
+
+/// What a script takes that follows from nothing else.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub enum ScriptStep {
+    /// It begins.
+    Begin {
+        /// The node's monotonic clock, in microseconds: only nodes of one machine have it in common.
+        at: u64,
+    },
+    /// The action of one of its threads has ended.
+    Acted {
+        /// The thread.
+        level: u8,
+        /// Whether it succeeded.
+        ok: bool,
+        /// Its result.
+        value: i32,
+    },
+    /// A choice was made for it.
+    Chosen(u16),
+    /// It acts no more: its node stops.
+    Stopped,
 }
 
 /// A stream within a recording.

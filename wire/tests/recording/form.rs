@@ -4,7 +4,9 @@ use crate::rig::{header, read};
 use imrs_protocol::{
     Contents, Incarnation, Input, MessageId, NodeId, PortId, Request, Seq24, Target, TaskId, Ticks, TimeId,
 };
-use imrs_wire::recording::{Cause, Ending, Record, RecordingReader, RecordingWriter, Stream, WriteError};
+use imrs_wire::recording::{
+    Cause, Ending, Record, RecordingReader, RecordingWriter, ScriptStep, Stream, WriteError,
+};
 use proptest::prelude::*;
 use std::io::{self, Cursor, Read};
 use std::sync::{Arc, Mutex};
@@ -24,12 +26,17 @@ fn records() -> Vec<Record> {
         input,
         outputs: 0x0102_0304_0506_0708,
     };
+    let script = |step| Record::Script { task, step, done: 0x1112_1314_1516_1718 };
     vec![
         input(1_000, Input::Request(send)),
         input(0, Input::Advance(Ticks::ZERO)),
         input(20, Input::TimeOut { id: TimeId(9), turn: 3 }),
         input(1, Input::Unsent(id)),
         input(1, Input::PeerRestarted(NodeId(1))),
+        script(ScriptStep::Begin { at: 86_400_000_000 }),
+        script(ScriptStep::Acted { level: 1, ok: true, value: -7 }),
+        script(ScriptStep::Chosen(2)),
+        script(ScriptStep::Stopped),
         Record::Gap { stream: Stream::Task(task), lost: 12 },
         Record::Keyframe { task, state: vec![1, 2, 3], outputs: 5 },
         Record::Gap { stream: frames, lost: 1 },
@@ -73,7 +80,8 @@ fn version_4_is_these_bytes() {
 }
 
 /// The inputs and keyframes of the first two are those of machines without handlers, and without epochs that are said
-/// before they are acted in: no machine of today can go on from them. The third has no checksum of its lengths.
+/// before they are acted in: no machine of today can go on from them. The third has no checksum of its lengths, and lacks
+/// what scripts took.
 #[test]
 fn older_versions_are_refused_by_their_numbers() {
     let kept = [

@@ -1,0 +1,156 @@
+//! Finds the roundings with which a run can be followed.
+//!
+//! What happened between two ticks belongs to the one before or the one after: two times of a node that are ordered
+//! within a tick, or span one tick more or less than they should, say which. First every time is rounded down. Where the
+//! run cannot be followed then, one of the last times is rounded otherwise, the nearest first.
+
+use super::run::{Followed, Run, Unexplained};
+use super::{Follower, Rounding, Stop};
+use crate::cell::outside::with_programs;
+use crate::cell::plan::CellPlan;
+use imrs_protocol::TaskId;
+use std::cmp::Reverse;
+use std::sync::Arc;
+use std::time::Instant;
+
+/// How many inputs lie between two kept states.
+const KEEP_EVERY: usize = 32;
+/// How many inputs back another rounding is tried.
+const BACK: usize = 400;
+/// How far beyond the place where it was stuck a rounding must lead.
+const BEYOND: usize = 12;
+
+/// How many roundings together may lead on, and how many of the best are tried with another one.
+const DEEP: usize = 4;
+const WIDTH: usize = 3;
+
+/// Where a rounding leads.
+struct Trial {
+    follower: Follower,
+    rounded: (usize, usize),
+    stuck: Option<Unexplained>,
+    led: bool,
+}
+
+struct Guide {
+    start: Instant,
+    seconds: f64,
+    /// The run so far, and states on the way there.
+    at: Follower,
+    kept: Vec<Follower>,
+}
+
+/// Follows a run. The plan's faults are not used: those of the run are.
+#[must_use]
+pub fn follow_run(plan: &Arc<CellPlan>, run: &Run) -> Followed {
+    let plan = with_programs(plan);
+    let at = Follower::new(&plan, run);
+    let kept = vec![at.clone()];
+    let mut guide = Guide { start: Instant::now(), seconds: plan.budget.seconds, at, kept };
+    let stuck = guide.follow();
+    let mut follower = guide.at;
+    follower.count_lost();
+    let mut out = follower.out;
+    out.inputs = follower.done.len() as u64;
+    out.guessed = follower.guessed;
+    out.rounded = follower.roundings.len() as u64;
+    match stuck {
+        Ok(unexplained) => out.unexplained = unexplained,
+        Err(by) => out.ended_by = Some(by),
+    }
+    out
+}
+
+impl Guide {
+    fn follow(&mut self) -> Result<Option<Unexplained>, String> {
+        loop {
+            let far = self.at.done.len() + KEEP_EVERY;
+            match self.at.go(far) {
+                Stop::Over => return Ok(None),
+                Stop::Far => self.keep(),
+                Stop::Stuck(stuck) => {
+                    if !self.round_otherwise(&stuck, DEEP)? {
+                        return Ok(Some(stuck));
+                    }
+                }
+            }
+            if self.start.elapsed().as_secs_f64() > self.seconds {
+                return Err(format!("{} seconds", self.seconds));
+            }
+        }
+    }
+
+    fn keep(&mut self) {
+        self.kept.push(self.at.clone());
+        if self.kept.len() > BACK.div_ceil(KEEP_EVERY) + 2 {
+            self.kept.remove(0);
+        }
+    }
+
+    /// Tries other roundings of what came before; whether one leads on. Where none leads far, the best of them may need
+    /// a second one.
+    fn round_otherwise(&mut self, stuck: &Unexplained, deep: usize) -> Result<bool, String> {
+        let mut better = self.trials(stuck)?;
+        if better.first().is_some_and(|trial| trial.led) {
+            let trial = better.swap_remove(0);
+            self.adopt(trial.follower, trial.rounded);
+            return Ok(true);
+        }
+        better.sort_by_key(|trial| Reverse(trial.follower.done.len()));
+        better.truncate(if deep > 1 { WIDTH } else { 0 });
+        for Trial { follower, rounded, stuck, .. } in better {
+            let (at, kept) = (self.at.clone(), self.kept.clone());
+            self.adopt(follower, rounded);
+            if let Some(stuck) = stuck
+                && self.round_otherwise(&stuck, deep - 1)?
+            {
+                return Ok(true);
+            }
+            (self.at, self.kept) = (at, kept);
+        }
+        Ok(false)
+    }
+
+    /// Goes on from here; what was kept after the time that was rounded otherwise is no way there.
+    fn adopt(&mut self, follower: Follower, rounded: (usize, usize)) {
+        self.kept.retain(|kept| !kept.done.contains(&rounded));
+        self.at = follower;
+    }
+
+    /// What other roundings lead to: all that get on, or only the first that gets far.
+    fn trials(&self, stuck: &Unexplained) -> Result<Vec<Trial>, String> {
+        let reached = self.at.done.len();
+        let node = self.at.node_of(stuck.task);
+        let mut candidates: Vec<(usize, usize)> = self.at.done.iter().rev().take(BACK).copied().collect();
+        candidates.insert(0, self.at.stuck_at(stuck.task));
+        // Times of the same node first.
+        candidates.sort_by_key(|&(task, _)| self.at.node_of(TaskId::from_index(task)) != node);
+        let mut better = Vec::new();
+        for rounded in candidates {
+            let before = |follower: &&Follower| !follower.done.contains(&rounded);
+            let Some(before) = self.kept.iter().rev().find(before) else { continue };
+            for by in Rounding::ALL {
+                if self.start.elapsed().as_secs_f64() > self.seconds {
+                    return Err(format!("{} seconds", self.seconds));
+                }
+                let mut follower = before.clone();
+                follower.roundings.clone_from(&self.at.roundings);
+                if follower.roundings.insert(rounded, by) == Some(by) {
+                    continue;
+                }
+                let stuck = match follower.go(reached + BEYOND) {
+                    Stop::Over | Stop::Far => None,
+                    Stop::Stuck(stuck) => Some(stuck),
+                };
+                let led = stuck.is_none();
+                if led {
+                    return Ok(vec![Trial { follower, rounded, stuck, led }]);
+                }
+                if follower.done.len() > reached {
+                    better.push(Trial { follower, rounded, stuck, led });
+                }
+            }
+        }
+        Ok(better)
+    }
+}

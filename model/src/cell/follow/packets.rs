@@ -1,0 +1,154 @@
+//! Packets of a run that is followed: each was sent in the model before it arrives.
+
+use super::words::{named, port_name};
+use super::{AHEAD, Follower, No, Rounding};
+use crate::cell::judge::name;
+use imrs_protocol::Packet;
+
+/// How many moves of a killed node are guessed for one packet.
+const GUESSES: usize = 8;
+
+impl Follower {
+    /// A packet comes to a task, as the run says.
+    pub(super) fn packet(
+        &mut self,
+        task: usize,
+        node: usize,
+        (now, counted): (u64, u64),
+        packet: Packet,
+    ) -> Result<(), No> {
+        let from = self.course.floor.station_of(packet.source.index());
+        if from == node {
+            return Ok(());
+        }
+        if self.under_way(&packet).is_none() && !self.guess(from, task, &packet) {
+            let table = &self.course.plan.table;
+            let (from, kind) = (name(table, packet.source.index()), packet.kind);
+            let port = port_name(table, packet.port);
+            let why = format!("{kind:?} of {from} on {port} arrives that the model has not sent");
+            return Err(No::NotYet(why));
+        }
+        self.quiet(task, "a packet comes")?;
+        self.let_actions_go_on(node, now);
+        self.catch_up(node, counted)?;
+        let more = u64::from(self.roundings.get(&(task, self.next[task])) == Some(&Rounding::Charged));
+        match self.carry(&packet, node, Some(more))? {
+            true => Ok(()),
+            false => Err(No::Never("a packet arrives that a node on the way drops in the model".into())),
+        }
+    }
+
+    /// Carries a packet from link to link to a node; false where it is dropped on the way. `more` says how many ticks it
+    /// is charged beyond what the run says that it has left; none where the run does not say.
+    fn carry(&mut self, packet: &Packet, node: usize, more: Option<u64>) -> Result<bool, No> {
+        while let Some(i) = self.under_way(packet) {
+            let crossing = self.course.floor.crossings.remove(i);
+            let (_, to, bound) = self.course.floor.links[usize::from(crossing.link)];
+            let last = to.index() == node;
+            // What it was charged beyond the bound, in whole ticks (D20).
+            let left = crossing.packet.remaining.0.saturating_sub(u64::from(bound)) * self.tick;
+            let over = match more.filter(|_| last) {
+                Some(more) => left.saturating_sub(packet.remaining.0) / self.tick + more,
+                None => 0,
+            };
+            let step = self.course.floor.deliver(crossing, u8::try_from(over).unwrap_or(u8::MAX));
+            step.map_err(|violation| No::Never(violation.text().into()))?;
+            self.made(to.index())?;
+            if last {
+                return Ok(true);
+            }
+        }
+        Ok(false)
+    }
+
+    /// A node that was killed may have done more than its recording has: what takes it to this packet. Of what is under
+    /// way to it the last comes first.
+    fn guess(&mut self, node: usize, task: usize, wanted: &Packet) -> bool {
+        let over = (0..self.next.len()).filter(|&task| self.course.floor.station_of(task) == node);
+        let mut over = over.map(|task| self.next[task] == self.groups[task].len());
+        if self.whole.get(node).copied().unwrap_or(true) || !over.all(|over| over) {
+            return false;
+        }
+        let at = self.groups[task].get(self.next[task]).map_or(0, |group| group.at);
+        let now = at.saturating_sub(self.starts[node]) / self.tick;
+        self.let_actions_go_on(node, now);
+        for _ in 0..GUESSES {
+            let to = |packet: &Packet| self.course.floor.station_of(packet.destination.index()) == node;
+            let coming = self.course.floor.crossings.iter().map(|crossing| crossing.packet);
+            let coming: Vec<Packet> = coming.filter(to).collect();
+            let mut trials: Vec<Self> = Vec::new();
+            for packet in coming.iter().rev() {
+                let mut trial = self.clone();
+                if matches!(trial.carry(packet, node, None), Ok(true)) {
+                    trials.push(trial);
+                }
+            }
+            for (task, level) in self.may_end(node) {
+                let mut trial = self.clone();
+                trial.course.floor.acted(task, level, true, 0);
+                if trial.made(node).is_ok() {
+                    trials.push(trial);
+                }
+            }
+            let mut later = self.clone();
+            if let Some(expiry) = later.expiry(node)
+                && later.clocks[node] + expiry <= now + AHEAD
+                && later.count(node, expiry).is_ok()
+            {
+                trials.push(later);
+            }
+            let found = trials.iter().position(|trial| trial.like(wanted).is_some());
+            let Some(next) = (!trials.is_empty()).then(|| trials.swap_remove(found.unwrap_or(0))) else {
+                return false;
+            };
+            *self = next;
+            self.guessed += 1;
+            if let Some(at) = self.like(wanted) {
+                // What its actions gave nobody knows, so neither what it said.
+                self.course.floor.crossings[at].packet.contents = wanted.contents;
+                return true;
+            }
+        }
+        false
+    }
+
+    /// The actions of a node's tasks that may end now.
+    fn may_end(&self, node: usize) -> Vec<(usize, u8)> {
+        let floor = &self.course.floor;
+        let here = (0..floor.bodies.len()).filter(|&task| floor.station_of(task) == node);
+        let actors = here.filter_map(|task| Some((task, floor.bodies[task].actor.as_ref()?)));
+        let running = actors.flat_map(|(task, actor)| actor.running.iter().map(move |action| (task, action)));
+        running.filter(|(_, action)| action.least == 0).map(|(task, action)| (task, action.level)).collect()
+    }
+
+    /// A packet under way that is this one but for what it says.
+    fn like(&self, packet: &Packet) -> Option<usize> {
+        let like = |other: &Packet| named(&Packet { contents: packet.contents, ..*other }) == named(packet);
+        self.course.floor.crossings.iter().position(|crossing| like(&crossing.packet))
+    }
+
+    /// The packet that is under way in the model and nearest to this one in what is left of its life.
+    pub(super) fn under_way(&self, packet: &Packet) -> Option<usize> {
+        let left = packet.remaining.0 / self.tick;
+        let same = |other: &Packet| named(other) == named(packet);
+        let floor = &self.course.floor;
+        let all = floor.crossings.iter().enumerate().filter(|(_, crossing)| same(&crossing.packet));
+        let distance = |at: usize| {
+            let crossing = &floor.crossings[at];
+            let charge = u64::from(floor.links[usize::from(crossing.link)].2);
+            crossing.packet.remaining.0.saturating_sub(charge).abs_diff(left)
+        };
+        all.map(|(at, _)| at).min_by_key(|&at| distance(at))
+    }
+
+    /// What is left under way when the run ends was lost, but for what was sent just before.
+    pub(super) fn count_lost(&mut self) {
+        let floor = &self.course.floor;
+        for (at, (from, to, _)) in floor.links.iter().enumerate() {
+            let left = floor.crossings.iter().filter(|crossing| usize::from(crossing.link) == at).count();
+            if left > 0 {
+                self.out.lost.push((from.index(), to.index(), left as u64));
+            }
+        }
+    }
+}

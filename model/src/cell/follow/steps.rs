@@ -1,0 +1,148 @@
+//! Which steps of a run's scripts are also taken where [`check_cell`](crate::cell::check_cell) looks: links take exactly
+//! their bound, actions end at their least or their most, faults are those declared.
+
+use super::run::{Happened, Run, Turn};
+use crate::cell::course::{CellMove, Course};
+use crate::cell::outside::with_programs;
+use crate::cell::plan::CellPlan;
+use imrs_protocol::script::{Address, End, ScriptInput};
+use imrs_protocol::{Call, Outcome, PortId, Signal, TaskId};
+use std::collections::BTreeSet;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+use std::time::Instant;
+
+/// Moves of one walk.
+const LENGTH: usize = 6_000;
+
+/// A step of a script, without what it was told: where it waited, what came, where it went on.
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord)]
+struct Kind {
+    task: usize,
+    at: Address,
+    came: (u8, Option<PortId>),
+    passed: Vec<Address>,
+    ended: bool,
+}
+
+impl Kind {
+    fn of(task: usize, turn: &Turn) -> Self {
+        let ended = turn.end.is_some_and(|end| end != End::Finished);
+        Self { task, at: turn.at, came: came(&turn.input), passed: turn.passed.clone(), ended }
+    }
+}
+
+/// What steps of a run the model takes, too.
+#[derive(Clone, Debug, Default)]
+pub struct Steps {
+    /// How many kinds of step the run has.
+    pub kinds: usize,
+    /// Those that were not met, by task and by the operation that the script waited in.
+    pub missing: Vec<(TaskId, Address)>,
+    /// Walks through the model.
+    pub walks: u64,
+}
+
+/// Walks at random through the model within the plan's faults, always the same way, until every kind of step of the run
+/// was met or the plan's budget is used up. What is not met may still be there.
+#[must_use]
+pub fn steps_in_model(plan: &Arc<CellPlan>, run: &Run) -> Steps {
+    let (start, plan) = (Instant::now(), with_programs(plan));
+    let mut missing = BTreeSet::new();
+    for happening in run.tasks.iter().flatten() {
+        if let Happened::Turn(turn) = &happening.what {
+            missing.insert(Kind::of(happening.task.index(), turn));
+        }
+    }
+    let mut steps = Steps { kinds: missing.len(), ..Steps::default() };
+    let mut draw = Draw(1);
+    while !missing.is_empty() && start.elapsed().as_secs_f64() < plan.budget.seconds {
+        steps.walks += 1;
+        walk(&plan, &mut draw, &mut missing);
+    }
+    steps.missing = missing.iter().map(|kind| (TaskId::from_index(kind.task), kind.at)).collect();
+    steps.missing.dedup();
+    steps
+}
+
+fn walk(plan: &Arc<CellPlan>, draw: &mut Draw, missing: &mut BTreeSet<Kind>) {
+    // Every other walk is without faults: what takes long is not reached where something always goes wrong.
+    let faults = if draw.below(2) == 0 { Default::default() } else { plan.faults.clone() };
+    let mut course = Course::new(plan, &faults);
+    let mut moves = Vec::new();
+    for _ in 0..LENGTH {
+        for turn in course.floor.turns.as_mut().map(std::mem::take).unwrap_or_default() {
+            let (at, input, passed, end) = (turn.at, turn.input, turn.passed, turn.end);
+            missing.remove(&Kind::of(turn.task, &Turn { at, input, passed, end }));
+        }
+        moves.clear();
+        course.moves(&mut moves);
+        let is_fault = |step: &CellMove| {
+            matches!(
+                step,
+                CellMove::Crash(_)
+                    | CellMove::Lose(_)
+                    | CellMove::Cut(..)
+                    | CellMove::Duplicate(_)
+                    | CellMove::Drift(..)
+            )
+        };
+        // Faults are rare, or they would all happen at the beginning.
+        if draw.below(64) > 0 && moves.iter().any(|step| !is_fault(step)) {
+            moves.retain(|step| !is_fault(step));
+        }
+        let Some(&step) = moves.get(draw.below(moves.len())) else { return };
+        let made = catch_unwind(AssertUnwindSafe(|| course.apply(step)));
+        if made.is_err() || course.floor.violation.is_some() || missing.is_empty() {
+            return;
+        }
+    }
+}
+
+/// What came, but for numbers and contents.
+fn came(input: &ScriptInput) -> (u8, Option<PortId>) {
+    let signal = match input {
+        ScriptInput::Begin => return (0, None),
+        ScriptInput::Acted { ok, .. } => return (1 + u8::from(*ok), None),
+        ScriptInput::Chosen(_) => return (3, None),
+        ScriptInput::Signal(signal) => signal,
+    };
+    match signal {
+        Signal::Accepted(_) => (4, None),
+        Signal::Fault(_) => (5, None),
+        Signal::Outcome(outcome) => {
+            let way = match outcome {
+                Outcome::Reply(_) => 6,
+                Outcome::Refused => 7,
+                Outcome::TimedOutUnsent => 8,
+                Outcome::TimedOutUnknown => 9,
+                Outcome::PeerRestarted => 10,
+            };
+            (way, None)
+        }
+        Signal::Answers { port, .. } => (11, Some(*port)),
+        Signal::Interrupt(Call::Message(delivery)) => (12, Some(delivery.from.port)),
+        Signal::Interrupt(Call::Timer(id)) => (13, Some(PortId(u16::from(id.0)))),
+        Signal::Interrupt(Call::Fenced) => (14, None),
+        Signal::Interrupt(Call::TakeOver(_)) => (15, None),
+        Signal::Granted(_) => (16, None),
+        Signal::Message(delivery) => (17, Some(delivery.from.port)),
+        Signal::Nothing => (18, None),
+        Signal::Released { port, .. } => (19, Some(*port)),
+        Signal::GaveUp { port, .. } => (20, Some(*port)),
+        Signal::TimeOut(id) => (21, Some(PortId(u16::from(id.0)))),
+        Signal::Cancelled => (22, None),
+    }
+}
+
+/// Numbers that look random: xorshift.
+struct Draw(u64);
+
+impl Draw {
+    fn below(&mut self, limit: usize) -> usize {
+        self.0 ^= self.0 << 13;
+        self.0 ^= self.0 >> 7;
+        self.0 ^= self.0 << 17;
+        usize::try_from(self.0 % limit.max(1) as u64).unwrap_or(0)
+    }
+}

@@ -1,0 +1,229 @@
+//! Scripts in a recording: run again beside their communication tasks, and compared.
+
+use super::OutputDigest;
+use crate::script::Knows;
+use imrs_protocol::script::{
+    Action, Address, End, HOST_LIMIT, Program, Script, ScriptFault, ScriptInput, ScriptOutbox,
+};
+use imrs_protocol::{Contents, Input, NodeId, Packet, PortId, ReplyTo, Request, Signal, TaskId, Ticks};
+use imrs_wire::recording::ScriptStep;
+use serde::Serialize;
+use std::collections::VecDeque;
+use std::sync::Arc;
+
+/// What one thing that a script does is called in the digest. What it asks is compared as the input that it becomes.
+/// The order of the variants is part of the recordings' format.
+#[derive(Serialize)]
+pub(crate) enum Did<'a> {
+    Statement(Address),
+    Acts { level: u8, action: u16, arguments: &'a [i64], least: Ticks, most: Ticks },
+    CutShort(u8),
+    Unanswered(ReplyTo),
+    Ended(End),
+}
+
+impl<'a> Did<'a> {
+    pub const fn of(action: Action<'a>) -> Self {
+        let Action { level, action, arguments, least, most } = action;
+        Self::Acts { level, action, arguments, least, most }
+    }
+}
+
+/// Something that happened at a task of a recorded node.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Happening {
+    /// When: microseconds of the node's monotonic clock.
+    pub at: u64,
+    /// Where.
+    pub task: TaskId,
+    /// What.
+    pub what: Happened,
+}
+
+/// What happened.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Happened {
+    /// Its communication task started.
+    Started,
+    /// Its script began.
+    Begun,
+    /// A packet came, with what was left of its life.
+    Came(Packet),
+    /// It noticed that time has passed.
+    Time,
+    /// A node that it knows has a new life.
+    PeerRestarted(NodeId),
+    /// The action of a thread ended: whether well, and its result.
+    Acted(u8, bool, i32),
+    /// A choice was made for it.
+    Chosen(u16),
+    /// Its communication task sent a packet.
+    Sent(Packet),
+    /// Its script took something: where it waited, what came, the statements that it began, whether it ended.
+    Turn(Address, ScriptInput, Vec<Address>, Option<End>),
+    /// Its node stopped.
+    Stopped,
+}
+
+/// A script that is run again.
+#[derive(Clone, Debug)]
+pub(super) struct Again {
+    program: Arc<Program>,
+    script: Script,
+    done: OutputDigest,
+    /// What it asked and the recording has not shown yet.
+    requests: VecDeque<Request>,
+    signals: VecDeque<Signal>,
+    /// Steps since something came from outside.
+    steps: u32,
+    pub stopped: bool,
+    ended: Vec<End>,
+    passed: Vec<Address>,
+}
+
+impl Again {
+    pub fn new(program: &Arc<Program>) -> Self {
+        Self {
+            script: Script::new(program),
+            program: Arc::clone(program),
+            done: OutputDigest::START,
+            requests: VecDeque::new(),
+            signals: VecDeque::new(),
+            steps: 0,
+            stopped: false,
+            ended: Vec::new(),
+            passed: Vec::new(),
+        }
+    }
+
+    /// Whether this input of the communication task may come now: while the script asks, only what it asks may.
+    pub fn expects(&mut self, input: &Input) -> bool {
+        match (input, self.requests.pop_front()) {
+            (Input::Request(asked), Some(request)) => *asked == request,
+            (Input::Request(asked), None) => self.stopped && *asked == Request::Cancel,
+            (_, None) => {
+                self.steps = 0;
+                true
+            }
+            (_, Some(_)) => false,
+        }
+    }
+
+    pub fn said(&mut self, signal: Signal) {
+        if !self.stopped {
+            self.signals.push_back(signal);
+        }
+    }
+
+    /// Takes what the recording says that it took; false where it had done something else before, or still asks.
+    pub fn take(&mut self, knows: Knows<'_>, step: ScriptStep, done: OutputDigest) -> Option<Vec<Happened>> {
+        if self.done != done || (!self.requests.is_empty() && !matches!(step, ScriptStep::Chosen(_))) {
+            return None;
+        }
+        let (input, what) = match step {
+            ScriptStep::Begin { .. } => (ScriptInput::Begin, Happened::Begun),
+            ScriptStep::Acted { level, ok, value } => {
+                (ScriptInput::Acted { level, ok, value }, Happened::Acted(level, ok, value))
+            }
+            ScriptStep::Chosen(choice) => (ScriptInput::Chosen(choice), Happened::Chosen(choice)),
+            ScriptStep::Stopped => {
+                self.stopped = true;
+                self.signals.clear();
+                return Some(vec![Happened::Stopped]);
+            }
+        };
+        if !matches!(step, ScriptStep::Chosen(_)) {
+            self.steps = 0;
+        }
+        Some(vec![what, self.run(knows, input)])
+    }
+
+    /// The next thing that it makes of what its communication task said; none while it asks.
+    pub fn go_on(&mut self, knows: Knows<'_>) -> Option<Happened> {
+        if !self.requests.is_empty() {
+            return None;
+        }
+        let signal = self.signals.pop_front()?;
+        Some(self.run(knows, ScriptInput::Signal(signal)))
+    }
+
+    fn run(&mut self, knows: Knows<'_>, input: ScriptInput) -> Happened {
+        let at = self.script.position();
+        self.steps += 1;
+        let mut out = Out {
+            knows,
+            done: &mut self.done,
+            requests: &mut self.requests,
+            ended: &mut self.ended,
+            passed: &mut self.passed,
+        };
+        if self.steps > HOST_LIMIT {
+            self.script.stop(&self.program, ScriptFault::Runaway, &mut out);
+        } else {
+            self.script.step(&self.program, input, &mut out);
+        }
+        let end = self.ended.last().copied();
+        self.ended.clear();
+        Happened::Turn(at, input, std::mem::take(&mut self.passed), end)
+    }
+}
+
+struct Out<'a> {
+    knows: Knows<'a>,
+    done: &'a mut OutputDigest,
+    requests: &'a mut VecDeque<Request>,
+    ended: &'a mut Vec<End>,
+    passed: &'a mut Vec<Address>,
+}
+
+impl ScriptOutbox for Out<'_> {
+    fn request(&mut self, request: Request) {
+        self.requests.push_back(request);
+    }
+
+    fn run(&mut self, action: Action<'_>) {
+        self.done.add(&Did::of(action));
+    }
+
+    fn cut_short(&mut self, level: u8) {
+        self.done.add(&Did::CutShort(level));
+    }
+
+    /// The recording has it next.
+    fn choose(&mut self, _: u16) -> Option<u16> {
+        None
+    }
+
+    fn ended(&mut self, end: End) {
+        self.done.add(&Did::Ended(end));
+        if self.knows.machine.epoch().is_some() {
+            self.requests.push_back(Request::End);
+        }
+        self.ended.push(end);
+    }
+
+    fn statement(&mut self, at: Address) {
+        self.done.add(&Did::Statement(at));
+        self.passed.push(at);
+    }
+
+    fn unanswered(&mut self, message: ReplyTo) {
+        self.done.add(&Did::Unanswered(message));
+    }
+
+    fn fragment(&mut self, index: u8) -> Option<Contents> {
+        self.knows.fragment(index)
+    }
+
+    fn published(&mut self) -> Option<Contents> {
+        self.knows.published()
+    }
+
+    fn arrival(&mut self, port: PortId, task: TaskId) -> Option<[u8; 8]> {
+        self.knows.arrival(port, task)
+    }
+
+    fn answer(&mut self, port: PortId, task: Option<TaskId>, index: u8) -> Option<Contents> {
+        self.knows.answer(port, task, index)
+    }
+}

@@ -1,0 +1,231 @@
+//! `imrs replay FILE... --cell CELL --model`: is this run a path of the model that `imrs verify` explores?
+
+use super::told::Told;
+use super::{Opened, ReplayError, open};
+use crate::args::{Format, ReplayArgs};
+use crate::cell_file;
+use crate::cells::{self, Loaded};
+use crate::exit::{Exit, Failure};
+use crate::output::Output;
+use crate::verify::conduct;
+use imrs_language::hir::Faults;
+use imrs_language::{Compiled, Unit, compile};
+use imrs_model::cell::{
+    Budget, CellFaults, CellPlan, Conduct, Happened, Happening, Run, Steps, Turn, follow_run, steps_in_model,
+};
+use imrs_protocol::{CellTable, NodeId, Packet, TaskId, Ticks};
+use imrs_runtime::record::{self, Verdict, replay_scripts};
+use imrs_wire::recording::Ending;
+use std::path::Path;
+use std::sync::Arc;
+
+/// How many seconds the steps of a run are looked for where `imrs verify` looks.
+const WALKS: f64 = 5.0;
+
+/// What was recorded of a run.
+struct Recorded {
+    /// For each task, what happened.
+    tasks: Vec<Vec<Happening>>,
+    whole: Vec<bool>,
+    /// When the first task began.
+    start: u64,
+}
+
+/// Follows a run.
+///
+/// # Errors
+/// [`Failure`].
+pub fn run(args: &ReplayArgs, out: &mut Output) -> Result<Exit, Failure> {
+    let Some(path) = &args.cell else {
+        return Err(Failure::Usage("say with --cell which cell was run".into()));
+    };
+    let (_, loaded) = cells::open(path, args.paper)?;
+    let (mut searched, plan) = plans(path, args)?;
+    let mut recorded = match read(args, &loaded)? {
+        Ok(recorded) => recorded,
+        Err(Differs { task, how }) => return tell(&Told::of_task(&loaded, task, how), path, args, out),
+    };
+    let slow = slow_links(&recorded.tasks, &loaded.table);
+    end_where_nodes_stop(&mut recorded.tasks);
+    let tick = loaded.table.cell().tick.0;
+    let run = Run { tick, tasks: recorded.tasks, whole: recorded.whole };
+    let followed = follow_run(&Arc::new(plan), &run);
+    searched.budget.seconds = WALKS.min(searched.budget.seconds);
+    let steps = match followed.unexplained {
+        Some(_) => Steps::default(),
+        None => steps_in_model(&Arc::new(searched), &run),
+    };
+    let told = Told::new(&loaded, &followed, &steps, (slow, recorded.start));
+    tell(&told, path, args, out)
+}
+
+fn tell(told: &Told, path: &Path, args: &ReplayArgs, out: &mut Output) -> Result<Exit, Failure> {
+    match args.format {
+        Format::Json => out.json(told)?,
+        Format::Text => told.show(&cell_file::shown(path), out)?,
+    }
+    Ok(told.verdict())
+}
+
+/// The cell as `imrs verify` explores it, and the same without its `model tick`, which is for searches only.
+fn plans(path: &Path, args: &ReplayArgs) -> Result<(CellPlan, CellPlan), Failure> {
+    let mut compiled = compile(&cell_file::read(path)?);
+    let searched = plan(&compiled, args)?;
+    if let Some(hir) = &mut compiled.hir {
+        hir.model_tick = None;
+    }
+    Ok((searched, plan(&compiled, args)?))
+}
+
+fn plan(compiled: &Compiled, args: &ReplayArgs) -> Result<CellPlan, Failure> {
+    let lowered = compiled.lower(Unit::Ticks);
+    let lowered = lowered.ok_or_else(|| Failure::Usage("the cell has errors: see `imrs check`".into()))?;
+    let table = CellTable::new(lowered.cell).map(Arc::new).map_err(|errors| {
+        let all: Vec<String> = errors.iter().map(ToString::to_string).collect();
+        Failure::Usage(format!("in whole ticks the cell does not fit: {}", all.join("; ")))
+    })?;
+    let tasks: Vec<Conduct> = lowered.tasks.iter().map(conduct).collect();
+    if let Some(at) = tasks.iter().position(|task| matches!(task, Conduct::Extern(_))) {
+        let name = &table.cell().tasks[at].name;
+        return Err(Failure::Usage(format!("what the extern task `{name}` did is not in the model")));
+    }
+    let mut plan = CellPlan::new(table, tasks);
+    plan.budget = Budget { seconds: args.within.as_secs_f64(), ..plan.budget };
+    let Faults { loss, dup, fail, drift, .. } = lowered.faults;
+    plan.faults = CellFaults { loss, dup, fail, drift, crash: lowered.faults.crash, cut: lowered.faults.cut };
+    Ok(plan)
+}
+
+/// A task whose recording is not even what its own machine does.
+struct Differs {
+    task: TaskId,
+    how: String,
+}
+
+/// Replays all recordings of a run.
+fn read(args: &ReplayArgs, loaded: &Loaded) -> Result<Result<Recorded, Differs>, Failure> {
+    let cell = loaded.table.cell();
+    let mut tasks = vec![None; cell.tasks.len()];
+    let mut whole = vec![true; cell.nodes.len()];
+    for path in &args.files {
+        let Opened { mut reader, table, .. } = open(path, std::slice::from_ref(loaded))?;
+        let damaged = |source| ReplayError::Read { path: path.clone(), source };
+        let replays = replay_scripts(&mut reader, &table, |task| loaded.program(task)).map_err(damaged)?;
+        whole[table.node.index()] = reader.ending() == Ending::Ended;
+        for replay in replays {
+            let task = replay.task();
+            let name = &cell.tasks[task.index()].name;
+            match replay.verdict() {
+                Verdict::Same => {}
+                Verdict::Unknown => {
+                    let what =
+                        format!("{}: inputs of `{name}` are missing: it cannot be followed", path.display());
+                    return Err(Failure::Usage(what));
+                }
+                Verdict::Differs(divergence) => {
+                    return Ok(Err(Differs { task, how: divergence.to_string() }));
+                }
+                Verdict::ScriptDiffers(divergence) => {
+                    return Ok(Err(Differs { task, how: divergence.to_string() }));
+                }
+            }
+            let happened = replay.happened().unwrap_or_default();
+            tasks[task.index()] = Some(happened.into_iter().map(happening).collect::<Vec<_>>());
+        }
+    }
+    if let Some(missing) = tasks.iter().position(Option::is_none) {
+        let node = &cell.nodes[cell.tasks[missing].node.index()].name;
+        return Err(Failure::Usage(format!(
+            "the recording of node `{node}` is missing: name the files of all"
+        )));
+    }
+    let tasks: Vec<Vec<Happening>> = tasks.into_iter().flatten().collect();
+    let start = tasks.iter().flatten().map(|happening| happening.at).min().unwrap_or(0);
+    Ok(Ok(Recorded { tasks, whole, start }))
+}
+
+fn happening(happening: record::Happening) -> Happening {
+    use record::Happened as Was;
+    let what = match happening.what {
+        Was::Started => Happened::Started,
+        Was::Begun => Happened::Begun,
+        Was::Came(packet) => Happened::Came(packet),
+        // Lives of nodes are not followed: no launcher starts a node again.
+        Was::Time | Was::PeerRestarted(_) => Happened::Time,
+        Was::Acted(level, ok, value) => Happened::Acted(level, ok, value),
+        Was::Chosen(choice) => Happened::Chosen(choice),
+        Was::Sent(packet) => Happened::Sent(packet),
+        Was::Turn(at, input, passed, end) => Happened::Turn(Turn { at, input, passed, end }),
+        Was::Stopped => Happened::Stopped,
+    };
+    Happening { at: happening.at, task: happening.task, what }
+}
+
+/// Without what relays and time change.
+fn named(packet: &Packet) -> Packet {
+    Packet { remaining: Ticks::ZERO, hops: 0, ..*packet }
+}
+
+/// A node that stops takes back what its tasks wait in, which no model does: the run ends before anybody hears of that.
+fn end_where_nodes_stop(tasks: &mut [Vec<Happening>]) {
+    let mut taken_back = Vec::new();
+    for task in tasks.iter() {
+        let stopped = task.iter().position(|happening| happening.what == Happened::Stopped);
+        let after = task.iter().skip(stopped.unwrap_or(task.len()));
+        taken_back.extend(after.filter_map(|happening| match &happening.what {
+            Happened::Sent(packet) => Some(named(packet)),
+            _ => None,
+        }));
+    }
+    let heard = |happening: &&Happening| matches!(&happening.what, Happened::Came(packet) if taken_back.contains(&named(packet)));
+    let end = tasks.iter().flatten().filter(heard).map(|happening| happening.at).min();
+    if let Some(end) = end {
+        tasks.iter_mut().for_each(|task| task.retain(|happening| happening.at < end));
+    }
+}
+
+/// A link, or a way of several, that took longer than its bound.
+pub struct Slow {
+    /// From this node
+    pub from: NodeId,
+    /// to this one.
+    pub to: NodeId,
+    /// Microseconds that it took at most.
+    pub most: u64,
+    /// Microseconds that it should take at most.
+    pub bound: u64,
+    /// How often.
+    pub times: u64,
+    /// When first: microseconds of the run's clock.
+    pub first: u64,
+}
+
+fn slow_links(tasks: &[Vec<Happening>], table: &CellTable) -> Vec<Slow> {
+    let mut slow: Vec<Slow> = Vec::new();
+    for task in tasks {
+        for happening in task {
+            let Happened::Came(packet) = &happening.what else { continue };
+            let (Some(from), Some(to)) = (table.location(packet.source), table.location(packet.destination))
+            else {
+                continue;
+            };
+            let Some(bound) = table.path_bound(from, to).filter(|_| from != to) else { continue };
+            let all = tasks.get(packet.source.index()).into_iter().flatten();
+            let sent = all.take_while(|other| other.at <= happening.at).filter(
+                |other| matches!(&other.what, Happened::Sent(other) if named(other) == named(packet)),
+            );
+            let Some(took) = sent.last().map(|sent| happening.at - sent.at) else { continue };
+            if took <= bound.0 {
+                continue;
+            }
+            let (at, bound) = (happening.at, bound.0);
+            match slow.iter_mut().find(|one| (one.from, one.to) == (from, to)) {
+                Some(one) => {
+                    (one.most, one.times, one.first) = (one.most.max(took), one.times + 1, one.first.min(at));
+                }
+                None => slow.push(Slow { from, to, most: took, bound, times: 1, first: at }),
+            }
+        }
+    }
+    slow
+}

@@ -1,0 +1,244 @@
+//! What following a run came to, for people and for programs.
+
+use super::path::Slow;
+use crate::cells::Loaded;
+use crate::exit::{Exit, Failure};
+use crate::output::{BAD, GOOD, NOTE, Output, Styled, count};
+use imrs_model::cell::{Followed, Steps, Unexplained};
+use imrs_protocol::{NodeId, TaskId};
+use serde::Serialize;
+use std::collections::BTreeMap;
+
+/// A promise of the cell about its surroundings that the run did not keep.
+#[derive(Debug, Serialize)]
+pub struct Breach {
+    what: String,
+    times: u64,
+    /// Seconds since the first task began.
+    first: f64,
+}
+
+/// Links that took too long, and tasks that acted late: by task and line.
+fn breaches(loaded: &Loaded, followed: &Followed, slow: &[Slow], start: u64) -> Vec<Breach> {
+    let cell = loaded.table.cell();
+    let node = |node: NodeId| cell.nodes[node.index()].name.as_str();
+    let link = |slow: &Slow| {
+        let (from, to, most, bound) = (node(slow.from), node(slow.to), msec(slow.most), msec(slow.bound));
+        let what = format!("link {from}--{to} took {most:.1} ms, bound {bound} ms");
+        Breach { what, times: slow.times, first: since(start, slow.first) }
+    };
+    // How late at most, how often, and when first.
+    let mut late: BTreeMap<(TaskId, Option<usize>), (u64, u64, u64)> = BTreeMap::new();
+    for one in &followed.late {
+        let line = loaded.line(one.task, one.address);
+        let all = late.entry((one.task, line)).or_insert((0, 0, one.at));
+        *all = (all.0.max(one.ticks), all.1 + 1, all.2);
+    }
+    let act = |((task, line), (most, times, first)): ((TaskId, Option<usize>), (u64, u64, u64))| {
+        let line = line.map(|line| format!(" line {line}")).unwrap_or_default();
+        let name = &cell.tasks[task.index()].name;
+        let what = format!("{name}{line} acted up to {} late", count(most, "tick"));
+        Breach { what, times, first: since(start, first) }
+    };
+    slow.iter().map(link).chain(late.into_iter().map(act)).collect()
+}
+
+/// Seconds.
+fn since(start: u64, at: u64) -> f64 {
+    at.saturating_sub(start) as f64 / 1e6
+}
+
+fn msec(us: u64) -> f64 {
+    us as f64 / 1e3
+}
+
+/// The answer.
+#[derive(Debug, Default, Serialize)]
+pub struct Told {
+    version: u32,
+    cell: String,
+    /// Whether the model can do what the run did.
+    path: bool,
+    /// Whether the links and nodes kept what the cell declares of them.
+    within_assumptions: bool,
+    complete: bool,
+    ended_by: Option<String>,
+    seconds: f64,
+    inputs: u64,
+    turns: u64,
+    moves: u64,
+    lost: Vec<Lost>,
+    /// Ticks.
+    late_at_most: u64,
+    early_at_most: u64,
+    other_values: u64,
+    /// Moves of killed nodes after the end of their recordings.
+    guessed: u64,
+    /// Times that were not rounded down to their tick.
+    rounded: u64,
+    /// Kinds of step of its scripts, and the lines of those that were not met where `imrs verify` looks.
+    kinds: usize,
+    kinds_not_met: Vec<String>,
+    breaches: Vec<Breach>,
+    unexplained: Option<Where>,
+}
+
+#[derive(Debug, Serialize)]
+/// Packets of a link that never arrived.
+pub struct Lost {
+    from: String,
+    to: String,
+    packets: u64,
+}
+
+/// A place in the run and in the cell.
+#[derive(Debug, Serialize)]
+pub struct Where {
+    node: String,
+    task: String,
+    line: Option<usize>,
+    seconds: f64,
+    why: String,
+}
+
+impl Told {
+    /// Of a run that was followed: with the links that took too long, and when the run started.
+    pub fn new(loaded: &Loaded, followed: &Followed, steps: &Steps, (slow, start): (Vec<Slow>, u64)) -> Self {
+        let cell = loaded.table.cell();
+        let seconds = |at| since(start, at);
+        let node = |node: usize| cell.nodes[node].name.clone();
+        let breaches = breaches(loaded, followed, &slow, start);
+        let unexplained = followed.unexplained.as_ref().map(|Unexplained { at, task, address, why }| {
+            let declared = &cell.tasks[task.index()];
+            Where {
+                node: node(declared.node.index()),
+                task: declared.name.clone(),
+                line: loaded.line(*task, *address),
+                seconds: seconds(*at),
+                why: why.clone(),
+            }
+        });
+        let line = |task: TaskId, at| match loaded.line(task, at) {
+            Some(line) => format!("{} line {line}", cell.tasks[task.index()].name),
+            None => cell.tasks[task.index()].name.clone(),
+        };
+        let mut kinds_not_met: Vec<String> = steps.missing.iter().map(|&(task, at)| line(task, at)).collect();
+        kinds_not_met.dedup();
+        let lost =
+            followed.lost.iter().map(|&(from, to, packets)| Lost { from: node(from), to: node(to), packets });
+        Self {
+            version: 1,
+            cell: cell.name.clone(),
+            path: unexplained.is_none() && followed.ended_by.is_none(),
+            within_assumptions: breaches.is_empty(),
+            complete: followed.ended_by.is_none(),
+            ended_by: followed.ended_by.clone(),
+            seconds: seconds(followed.until),
+            inputs: followed.inputs,
+            turns: followed.turns,
+            moves: followed.moves,
+            lost: lost.collect(),
+            late_at_most: followed.behind,
+            early_at_most: followed.ahead,
+            other_values: followed.other_values,
+            guessed: followed.guessed,
+            rounded: followed.rounded,
+            kinds: steps.kinds,
+            kinds_not_met,
+            breaches,
+            unexplained,
+        }
+    }
+
+    /// Of a task whose recording is not even what its own machine does.
+    pub fn of_task(loaded: &Loaded, task: TaskId, how: String) -> Self {
+        let cell = loaded.table.cell();
+        let declared = &cell.tasks[task.index()];
+        let at = Where {
+            node: cell.nodes[declared.node.index()].name.clone(),
+            task: declared.name.clone(),
+            line: None,
+            seconds: 0.0,
+            why: how,
+        };
+        Self { version: 1, cell: cell.name.clone(), complete: true, unexplained: Some(at), ..Self::default() }
+    }
+
+    /// What the exit code depends on: whether something is unexplained, and whether all was looked at.
+    pub fn verdict(&self) -> Exit {
+        match (&self.unexplained, self.complete) {
+            (Some(_), _) => Exit::Finding,
+            (None, false) => Exit::Budget,
+            (None, true) => Exit::Well,
+        }
+    }
+
+    /// Writes it for people.
+    ///
+    /// # Errors
+    /// The output cannot be written.
+    pub fn show(&self, file: &str, out: &mut Output) -> Result<(), Failure> {
+        let far = format!(
+            "{:.3} s, {}, {}, {}",
+            self.seconds,
+            count(self.inputs, "input"),
+            count(self.turns, "turn"),
+            count(self.moves, "move")
+        );
+        for lost in &self.lost {
+            out.line(format!(
+                "  {} -> {}: {} never arrived",
+                lost.from,
+                lost.to,
+                count(lost.packets, "packet")
+            ))?;
+        }
+        for breach in &self.breaches {
+            let Breach { what, times, first } = breach;
+            let text = format!(
+                "  outside the assumptions: {what} ({}, first at {first:.3} s)",
+                count(*times, "time")
+            );
+            out.line(Styled(NOTE, text))?;
+        }
+        match (&self.unexplained, &self.ended_by) {
+            (Some(at), _) => {
+                let Where { node, task, line, seconds, why } = at;
+                let line = line.map(|line| format!(" line {line}")).unwrap_or_default();
+                out.line(Styled(BAD, format!("{file}: this run is no path of the model")))?;
+                out.line(format!("  after {far}"))?;
+                out.line(format!("  at {seconds:.6} s on {node}, {task}{line}: {why}"))
+            }
+            (None, Some(by)) => {
+                let text = format!("{file}: so far this run is a path of the model; cut short: {by}");
+                out.line(Styled(NOTE, text))?;
+                out.line(format!("  {far}"))
+            }
+            (None, None) => {
+                let late = count(self.late_at_most, "tick");
+                let widened = format!(
+                    "  beside what `imrs verify` explores: links faster than their bound, actions that end between \
+                     their least and most time, nodes that act up to {late} late"
+                );
+                out.line(Styled(GOOD, format!("{file}: this run is a path of the model ({far})")))?;
+                out.line(widened)?;
+                if self.other_values > 0 {
+                    let results = count(self.other_values, "result");
+                    out.line(format!("  {results} of actions that `imrs verify` does not try"))?;
+                }
+                if self.guessed > 0 {
+                    let moves = count(self.guessed, "move");
+                    out.line(format!("  {moves} of killed nodes after the end of their recordings"))?;
+                }
+                let kinds = count(self.kinds as u64, "kind");
+                out.line(match &self.kinds_not_met[..] {
+                    [] => format!("  {kinds} of step of its scripts: `imrs verify` looks at all of them"),
+                    lines => format!(
+                        "  {kinds} of step of its scripts: not met where `imrs verify` looks: {}",
+                        lines.join(", ")
+                    ),
+                })
+            }
+        }
+    }
+}
