@@ -223,6 +223,10 @@ impl ScriptOutbox for Out<'_> {
         self.knows.arrival(port, task)
     }
 
+    fn owed(&mut self, port: PortId, task: TaskId) -> Option<ReplyTo> {
+        self.knows.owed(port, task)
+    }
+
     fn answer(&mut self, port: PortId, task: Option<TaskId>, index: u8) -> Option<Contents> {
         self.knows.answer(port, task, index)
     }

@@ -1,6 +1,6 @@
 //! What a script learns of its communication task, besides the signals.
 
-use imrs_protocol::{CommTask, Contents, NodeTable, PortId, TaskId};
+use imrs_protocol::{CommTask, Contents, NodeTable, PortId, ReplyTo, TaskId};
 
 /// A communication task, for its script to ask.
 #[derive(Clone, Copy)]
@@ -23,6 +23,11 @@ impl Knows<'_> {
     /// What a member told at a waitfor.
     pub fn arrival(self, port: PortId, task: TaskId) -> Option<[u8; 8]> {
         self.machine.meeting_arguments(self.table, port, task)
+    }
+
+    /// The message of a task that this one took and still owes an answer.
+    pub fn owed(self, port: PortId, task: TaskId) -> Option<ReplyTo> {
+        self.machine.owed(port, task)
     }
 
     /// A fragment of an answer: that of `task`, or of the only one asked.

@@ -310,7 +310,7 @@ impl ScriptOutbox for Out<'_> {
     }
 
     fn owed(&mut self, port: PortId, task: TaskId) -> Option<ReplyTo> {
-        self.machine.owed(port, task)
+        self.knows.owed(port, task)
     }
 
     fn answer(&mut self, port: PortId, task: Option<TaskId>, index: u8) -> Option<Contents> {
