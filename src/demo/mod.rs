@@ -14,10 +14,8 @@ use crate::output::Output;
 use crate::run::chosen;
 use clap::ValueEnum;
 use clap::builder::PossibleValue;
-use imrs_protocol::CellTable;
 use imrs_runtime::script::Course;
 use std::collections::BTreeMap;
-use std::sync::Arc;
 use std::time::Duration;
 
 /// A cell with a fault, and what to make of it.

@@ -92,7 +92,15 @@ fn plan(compiled: &Compiled, args: &ReplayArgs) -> Result<CellPlan, Failure> {
     let mut plan = CellPlan::new(table, tasks);
     plan.budget = Budget { seconds: args.within.as_secs_f64(), ..plan.budget };
     let Faults { loss, dup, fail, drift, .. } = lowered.faults;
-    plan.faults = CellFaults { loss, dup, fail, drift, crash: lowered.faults.crash, cut: lowered.faults.cut };
+    plan.faults = CellFaults {
+        loss,
+        dup,
+        reorder: 0,
+        fail,
+        drift,
+        crash: lowered.faults.crash,
+        cut: lowered.faults.cut,
+    };
     Ok(plan)
 }
 
