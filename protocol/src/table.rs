@@ -204,6 +204,22 @@ impl CellTable {
         bound.unwrap_or(Ticks::FAR)
     }
 
+    /// How long the tasks of a restarted node hear nobody: as long as what was meant for an earlier life of it can be under
+    /// way (D49, D67). Its scripts begin after that: before, they could only wait in vain (D94).
+    #[must_use]
+    pub fn quarantine(&self, node: NodeId) -> Ticks {
+        let held = |port: &&Port| port.decl.usage == Usage::Waitfor || port.decl.class == crate::packet::Class::Command;
+        let mut longest = Ticks::ZERO;
+        for port in self.ports.iter().filter(held) {
+            for own in port.parties.iter().filter(|party| self.location(party.task) == Some(node)) {
+                let others = port.parties.iter().filter(|party| party.task != own.task);
+                let lives = others.map(|party| party.time_out + self.bound_between(party.task, own.task));
+                longest = longest.max(lives.max().unwrap_or_default());
+            }
+        }
+        longest
+    }
+
     /// The declared bound of the link between two neighbours.
     #[must_use]
     pub fn link_bound(&self, a: NodeId, b: NodeId) -> Option<Ticks> {

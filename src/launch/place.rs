@@ -1,7 +1,7 @@
 //! Where a node is when it runs by itself: its address, those of its neighbours, and which of its lives this is.
 
 use crate::cells::Loaded;
-use imrs_protocol::{CellTable, Class, Incarnation, NodeId, Ticks, Usage};
+use imrs_protocol::{CellTable, Incarnation, NodeId};
 use imrs_wire::obs::place::file_name;
 use std::collections::BTreeMap;
 use std::fs::{self, File};
@@ -66,21 +66,9 @@ pub fn neighbours(loaded: &Loaded, node: NodeId) -> Result<BTreeMap<String, Sock
     loaded.table.neighbours(node).map(of).collect()
 }
 
-/// How long the tasks of a restarted node hear nobody: as long as what was meant for an earlier life of it can be under
-/// way (D49, D67). Its scripts begin after that: before, they could only wait in vain (D94).
+/// How long the scripts of a restarted node are held back.
 pub fn quarantine(table: &CellTable, node: NodeId) -> Duration {
-    let mut longest = Ticks::ZERO;
-    for port in table.ports() {
-        if port.decl.usage != Usage::Waitfor && port.decl.class != Class::Command {
-            continue;
-        }
-        for own in port.parties.iter().filter(|party| table.location(party.task) == Some(node)) {
-            let others = port.parties.iter().filter(|party| party.task != own.task);
-            let lives = others.map(|party| party.time_out + table.bound_between(party.task, own.task));
-            longest = longest.max(lives.max().unwrap_or_default());
-        }
-    }
-    Duration::from_micros(longest.0)
+    Duration::from_micros(table.quarantine(node).0)
 }
 
 /// Begins the next life of a node (D49): which one it is, and whether there was one before. What it is counted by lies in

@@ -61,6 +61,9 @@ impl Course {
         if !f.crash.is_empty() {
             out.extend((b.acted & may).to_le_bytes());
         }
+        for node in &f.crash {
+            number(b.held_back[node.index()].unwrap_or(0), &mut out);
+        }
         for (check, due) in self.plan.checks.iter().zip(&b.due) {
             if matches!(check.holds, Holds::Leads { .. }) {
                 number(due.map_or(0, |left| left + 1), &mut out);
@@ -96,13 +99,16 @@ impl Course {
         if !f.crash.is_empty() {
             b.acted = u64::from_le_bytes(std::array::from_fn(|_| byte()));
         }
+        let number = |byte: &mut dyn FnMut() -> u8| match byte() {
+            u8::MAX => u32::from_le_bytes(std::array::from_fn(|_| byte())),
+            short => u32::from(short),
+        };
+        for node in &f.crash {
+            b.held_back[node.index()] = Some(number(&mut byte)).filter(|left| *left > 0);
+        }
         for (check, due) in self.plan.checks.iter().zip(&mut b.due) {
             if matches!(check.holds, Holds::Leads { .. }) {
-                let left = match byte() {
-                    u8::MAX => u32::from_le_bytes([byte(), byte(), byte(), byte()]),
-                    left => u32::from(left),
-                };
-                *due = left.checked_sub(1);
+                *due = number(&mut byte).checked_sub(1);
             }
         }
         b.stays.clear();

@@ -6,7 +6,7 @@ use crate::floor::Floor;
 use crate::floor::plan::{Errand, Faults, FloorPlan, TaskPlan, Way};
 use crate::state::{Packed, Violation};
 use imrs_protocol::script::{Activity, ScriptInput, eval};
-use imrs_protocol::{NodeInput, TaskId, Ticks};
+use imrs_protocol::{NodeId, NodeInput, TaskId, Ticks};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
@@ -62,6 +62,8 @@ pub(super) struct Beside {
     pub due: Vec<Option<u32>>,
     /// Actions that do not end in this tick: task and thread.
     pub stays: Vec<(u8, u8)>,
+    /// For each node, in how many ticks its scripts begin: they are held back after a restart (D94).
+    pub held_back: Vec<Option<u32>>,
     /// The nodes that did something in this tick, bit by bit: those that may crash now. A crash between two steps of a
     /// node and one right after the first of them are the same to everybody. And those that crashed in this tick.
     pub acted: u64,
@@ -115,6 +117,7 @@ impl Course {
             cuts: vec![UNUSED; faults.cut.len()],
             due: vec![None; plan.checks.len()],
             stays: Vec::new(),
+            held_back: vec![None; plan.table.cell().nodes.len()],
             acted: u64::MAX,
         };
         let mut course = Self {
@@ -251,13 +254,18 @@ impl Course {
                 let node = self.faults.crash[usize::from(number)].index();
                 floor.note_crash(node);
                 floor.crash(node);
+                self.beside.held_back[node] = None;
                 // It may come back at once.
                 self.beside.acted |= bit(node);
                 Ok(())
             }
             CellMove::Restart(node) => {
-                floor.note_restart(usize::from(node));
-                floor.restart_behind(usize::from(node))
+                let at = usize::from(node);
+                floor.note_restart(at);
+                floor.restart_behind(at)?;
+                let quarantine = self.plan.table.quarantine(NodeId::from_index(at));
+                self.beside.held_back[at] = u32::try_from(quarantine.0).ok().filter(|ticks| *ticks > 0);
+                if self.beside.held_back[at].is_some() { Ok(()) } else { self.floor.begin_all(at) }
             }
         }
     }
@@ -312,6 +320,14 @@ impl Course {
                 self.floor.step(node, NodeInput::Advance(Ticks(u64::from(ticks))))?;
             }
             self.floor.run_scripts()?;
+            if let Some(left) = &mut self.beside.held_back[node] {
+                *left = left.saturating_sub(u32::try_from(ticks).unwrap_or(u32::MAX));
+                if *left == 0 {
+                    self.beside.held_back[node] = None;
+                    self.beside.acted |= bit(node);
+                    self.floor.begin_all(node)?;
+                }
+            }
         }
         Ok(())
     }

@@ -159,7 +159,8 @@ impl Course {
         let ends = ends.map(|action| u64::from(if action.least > 0 { action.least } else { action.most }));
         // What is due is looked at when its last tick is over.
         let due = self.beside.due.iter().flatten().map(|&left| u64::from(left) + 1);
-        let next = packets.chain(nodes).chain(ends).chain(due).min()?;
+        let held_back = self.beside.held_back.iter().flatten().map(|&left| u64::from(left));
+        let next = packets.chain(nodes).chain(ends).chain(due).chain(held_back).min()?;
         u32::try_from(next.max(1)).ok()
     }
 }

@@ -185,6 +185,7 @@ impl Floor {
     }
 
     /// The node of a cell starts again, in its next life, which counts from the beginning.
+    /// Its scripts have not begun: see [`begin_all`](Self::begin_all).
     pub(crate) fn restart_behind(&mut self, node: usize) -> Result<(), Violation> {
         let here = self.rounds.clone();
         for (round, behind) in self.rounds.iter_mut().zip(&self.behind) {

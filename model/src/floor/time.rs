@@ -137,6 +137,12 @@ impl Floor {
             task.visit_mut(&mut from);
         }
         self.set_clock(i);
+        // A cell's checker holds scripts back, as nodes do (D94).
+        if self.turns.is_some() { Ok(()) } else { self.begin_all(i) }
+    }
+
+    /// Begins the tasks of a node.
+    pub(crate) fn begin_all(&mut self, i: usize) -> Result<(), Violation> {
         let here = |task: &usize| self.station_of(*task) == i;
         let tasks: Vec<usize> = (0..self.bodies.len()).filter(here).collect();
         tasks.into_iter().try_for_each(|task| self.begin(task))
