@@ -37,7 +37,7 @@ pub struct Hir {
     /// The process classes (D24).
     pub couples: Vec<Couple>,
     /// What may go wrong.
-    pub faults: Faults,
+    pub faults: Vec<Faults>,
     /// What must hold.
     pub checks: Vec<Check>,
     /// Where each line of the text begins, in bytes: findings at run time name lines.

@@ -3,7 +3,7 @@
 mod cells;
 
 use cells::Text;
-use imrs_model::cell::{Budget, Finding, Happening, Kind, Phase, Verdicts, scenes, svg};
+use imrs_model::cell::{Budget, CellFaults, Finding, Happening, Kind, Phase, Verdicts, scenes, svg};
 use imrs_wire::obs::Liveness;
 use std::sync::Arc;
 
@@ -278,7 +278,7 @@ fn a_packet_overtakes_the_one_before_it_as_often_as_it_may() {
     let mut cell =
         Text::new(&two_text(&put, USE_PUT, a, b, "").replace("delay 1 msec;\ntype", "delay 3 msec;\ntype"));
     assert_eq!(all(&cell), []);
-    cell.plan.faults.reorder = 1;
+    cell.plan.faults = vec![CellFaults { reorder: 1, ..CellFaults::default() }];
     let verdicts = cell.check();
     let [assertion] = &verdicts.findings[..] else { panic!("{:?}", cell.found(&verdicts)) };
     assert_eq!((assertion.kind, assertion.phase), (Kind::Assertion, Phase::Faults));

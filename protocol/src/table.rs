@@ -208,7 +208,9 @@ impl CellTable {
     /// way (D49, D67). Its scripts begin after that: before, they could only wait in vain (D94).
     #[must_use]
     pub fn quarantine(&self, node: NodeId) -> Ticks {
-        let held = |port: &&Port| port.decl.usage == Usage::Waitfor || port.decl.class == crate::packet::Class::Command;
+        let held = |port: &&Port| {
+            port.decl.usage == Usage::Waitfor || port.decl.class == crate::packet::Class::Command
+        };
         let mut longest = Ticks::ZERO;
         for port in self.ports.iter().filter(held) {
             for own in port.parties.iter().filter(|party| self.location(party.task) == Some(node)) {

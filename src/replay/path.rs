@@ -7,11 +7,10 @@ use crate::cell_file;
 use crate::cells::{self, Loaded};
 use crate::exit::{Exit, Failure};
 use crate::output::Output;
-use crate::verify::conduct;
-use imrs_language::hir::Faults;
+use crate::verify::{conduct, faults};
 use imrs_language::{Compiled, Unit, compile};
 use imrs_model::cell::{
-    Budget, CellFaults, CellPlan, Conduct, Happened, Happening, Run, Steps, Turn, follow_run, steps_in_model,
+    Budget, CellPlan, Conduct, Happened, Happening, Run, Steps, Turn, follow_run, steps_in_model,
 };
 use imrs_protocol::{CellTable, NodeId, Packet, TaskId, Ticks};
 use imrs_runtime::record::{self, Verdict, replay_scripts};
@@ -91,16 +90,7 @@ fn plan(compiled: &Compiled, args: &ReplayArgs) -> Result<CellPlan, Failure> {
     }
     let mut plan = CellPlan::new(table, tasks);
     plan.budget = Budget { seconds: args.within.as_secs_f64(), ..plan.budget };
-    let Faults { loss, dup, fail, drift, .. } = lowered.faults;
-    plan.faults = CellFaults {
-        loss,
-        dup,
-        reorder: 0,
-        fail,
-        drift,
-        crash: lowered.faults.crash,
-        cut: lowered.faults.cut,
-    };
+    plan.faults = lowered.faults.iter().map(faults).collect();
     Ok(plan)
 }
 

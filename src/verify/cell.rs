@@ -66,7 +66,7 @@ impl Subject {
     fn plan(&self, args: &VerifyVerb) -> Result<CellPlan, Failure> {
         let tasks = self.lowered.tasks.iter().map(conduct).collect();
         let mut plan = CellPlan::new(Arc::clone(&self.table), tasks);
-        plan.faults = self.faults(&self.lowered.faults, &args.faults)?;
+        plan.faults = self.hypotheses(&args.faults)?;
         plan.checks = self.lowered.checks.iter().map(check).collect();
         let seconds = args.faults.within.as_secs_f64();
         plan.budget = Budget { seconds, bytes: args.verify.memory.unwrap_or(DEFAULT_MEMORY), ..plan.budget };
@@ -74,20 +74,21 @@ impl Subject {
         Ok(plan)
     }
 
-    fn faults(&self, declared: &Faults, more: &CellFaultArgs) -> Result<CellFaults, Failure> {
-        let mut crash = declared.crash.clone();
-        for name in &more.crash {
-            crash.push(self.node(name)?);
+    /// The declared hypotheses, each with the faults asked for.
+    fn hypotheses(&self, more: &CellFaultArgs) -> Result<Vec<CellFaults>, Failure> {
+        let crash = more.crash.iter().map(|name| self.node(name)).collect::<Result<Vec<_>, _>>()?;
+        let mut all: Vec<CellFaults> = self.lowered.faults.iter().map(faults).collect();
+        if all.is_empty() {
+            all.push(CellFaults::default());
         }
-        Ok(CellFaults {
-            loss: declared.loss.saturating_add(more.loss),
-            dup: declared.dup.saturating_add(more.dup),
-            fail: declared.fail,
-            drift: declared.drift.saturating_add(more.drift),
-            reorder: more.reorder,
-            crash,
-            cut: declared.cut.clone(),
-        })
+        for faults in &mut all {
+            faults.loss = faults.loss.saturating_add(more.loss);
+            faults.dup = faults.dup.saturating_add(more.dup);
+            faults.drift = faults.drift.saturating_add(more.drift);
+            faults.reorder = more.reorder;
+            faults.crash.extend(&crash);
+        }
+        Ok(all)
     }
 
     /// The node of this name, or that of the task of this name.
@@ -148,7 +149,9 @@ impl Subject {
                 .map_err(|source| CellFileError::Unwritable { path: path.clone(), source })?;
         }
         let Some(path) = &args.save else { return Ok(None) };
-        let bounds = verdicts.phases.iter().find(|phase| phase.phase == finding.phase);
+        let searched =
+            |phase: &&Coverage| (phase.phase, phase.hypothesis) == (finding.phase, finding.hypothesis);
+        let bounds = verdicts.phases.iter().find(searched);
         let bounds = bounds.map(|phase| tell::bounds(plan, phase)).unwrap_or_default();
         let saved = super::save::save(path, self, plan, finding, bounds)?;
         Ok(saved.then_some(at + 1))
@@ -248,4 +251,17 @@ fn check(check: &Check) -> CellCheck {
         }
     };
     CellCheck { name: check.name.clone(), holds }
+}
+
+/// A declared hypothesis, for the checker.
+pub fn faults(declared: &Faults) -> CellFaults {
+    CellFaults {
+        loss: declared.loss,
+        dup: declared.dup,
+        reorder: 0,
+        fail: declared.fail,
+        drift: declared.drift,
+        crash: declared.crash.clone(),
+        cut: declared.cut.clone(),
+    }
 }

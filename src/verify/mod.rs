@@ -6,7 +6,7 @@ mod report;
 mod save;
 mod tell;
 
-pub use cell::conduct;
+pub use cell::{conduct, faults};
 
 use crate::args::{Format, VerifyArgs, VerifyVerb};
 use crate::exit::{Exit, Failure, did_you_mean};

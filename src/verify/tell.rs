@@ -152,12 +152,12 @@ fn chart(finding: &Finding, whole: bool, out: &mut Output) -> Result<(), Failure
 pub(super) fn bounds(plan: &CellPlan, phase: &Coverage) -> String {
     match phase.phase {
         Phase::FaultFree => "Without faults".into(),
-        Phase::Faults => format!("With at most {}", faults(plan)),
+        Phase::Faults => format!("With at most {}", faults(plan, phase.hypothesis)),
     }
 }
 
-fn faults(plan: &CellPlan) -> String {
-    let (cell, faults) = (plan.table.cell(), &plan.faults);
+fn faults(plan: &CellPlan, hypothesis: usize) -> String {
+    let (cell, Some(faults)) = (plan.table.cell(), plan.faults.get(hypothesis)) else { return String::new() };
     let node = |at: usize| cell.nodes.get(at).map_or("?", |node| node.name.as_str());
     let counted = [
         (faults.loss, "packet lost", "packets lost"),

@@ -46,7 +46,7 @@ pub enum CoupleKind {
     },
 }
 
-/// What may go wrong, and how often.
+/// A hypothesis of what may go wrong, and how often: of several each one is looked at by itself.
 #[derive(Clone, Debug, Default)]
 pub struct Faults {
     /// Lost packets.
@@ -62,7 +62,7 @@ pub struct Faults {
     /// Links that are cut for a while, one entry for each cut: positions in [`Hir::links`].
     pub cut: Vec<usize>,
     /// Where the declaration stands.
-    pub span: Option<Span>,
+    pub span: Span,
 }
 
 /// What must hold.

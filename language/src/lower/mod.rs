@@ -34,7 +34,7 @@ pub struct Lowered {
     /// Where each node is, by `NodeId`.
     pub addresses: Vec<Address>,
     /// What may go wrong.
-    pub faults: hir::Faults,
+    pub faults: Vec<hir::Faults>,
     /// What must hold.
     pub checks: Vec<Check>,
     /// What was rounded.

@@ -4,7 +4,7 @@ use super::names::duplicate;
 use super::{DUPLICATE, MISSING, OPTION, Resolver, TOO_MANY, TWICE, TYPES, UNKNOWN_NAME};
 use crate::ast::{self, Item, TypeName};
 use crate::diagnostic::Diagnostic;
-use crate::hir::{Field, Link, Node, Record};
+use crate::hir::{Faults, Field, Link, Node, Record};
 use crate::span::Span;
 use imrs_protocol::NodeId;
 
@@ -171,39 +171,31 @@ impl<'a> Resolver<'a> {
     pub(super) fn faults(&mut self, file: &'a ast::File) {
         for item in &file.items {
             let Item::Faults(decl) = item else { continue };
-            if let Some(first) = self.hir.faults.span {
-                self.report(
-                    Diagnostic::error(DUPLICATE, decl.span, "the cell has two `faults`")
-                        .label("the second one")
-                        .also(first, "the first one")
-                        .help("say all of them in one"),
-                );
-                continue;
-            }
-            self.hir.faults.span = Some(decl.span);
-            decl.faults.iter().for_each(|fault| self.fault(fault));
+            let mut hypothesis = Faults { span: decl.span, ..Faults::default() };
+            decl.faults.iter().for_each(|fault| self.fault(fault, &mut hypothesis));
+            self.hir.faults.push(hypothesis);
         }
     }
 
-    fn fault(&mut self, fault: &'a ast::Fault) {
+    fn fault(&mut self, fault: &'a ast::Fault, faults: &mut Faults) {
         match fault {
-            ast::Fault::Loss(n) => self.hir.faults.loss = self.times(*n),
-            ast::Fault::Dup(n) => self.hir.faults.dup = self.times(*n),
-            ast::Fault::Fail(n) => self.hir.faults.fail = self.times(*n),
-            ast::Fault::Drift(n) => self.hir.faults.drift = self.times(*n),
+            ast::Fault::Loss(n) => faults.loss = self.times(*n),
+            ast::Fault::Dup(n) => faults.dup = self.times(*n),
+            ast::Fault::Fail(n) => faults.fail = self.times(*n),
+            ast::Fault::Drift(n) => faults.drift = self.times(*n),
             ast::Fault::Crash(name) => {
                 // A task stands for its node; a node may be named itself.
                 let task = self.tasks.get(&name.text).map(|at| self.hir.tasks[at].node);
                 let node = task.or_else(|| self.nodes.get(&name.text).map(NodeId::from_index));
                 match node {
-                    Some(node) => self.hir.faults.crash.push(node),
+                    Some(node) => faults.crash.push(node),
                     None => drop(self.task(name)),
                 }
             }
             ast::Fault::Cut(a, b) => {
                 let (Some(from), Some(to)) = (self.node(a), self.node(b)) else { return };
                 match self.link_between(from, to) {
-                    Some(link) => self.hir.faults.cut.push(link),
+                    Some(link) => faults.cut.push(link),
                     None => self.report(
                         Diagnostic::error(
                             UNKNOWN_NAME,

@@ -56,7 +56,7 @@ pub fn scenes(plan: &Arc<CellPlan>, finding: &Finding) -> Vec<Scene> {
     let plan = &super::outside::with_programs(plan);
     let faults = match finding.phase {
         Phase::FaultFree => CellFaults::default(),
-        Phase::Faults => plan.faults.clone(),
+        Phase::Faults => plan.faults.get(finding.hypothesis).cloned().unwrap_or_default(),
     };
     let mut dropped = vec![[0; Reason::ALL.len()]; plan.table.cell().nodes.len()];
     let start = Course::new(plan, &faults);

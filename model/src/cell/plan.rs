@@ -94,8 +94,8 @@ pub struct CellPlan {
     pub table: Arc<CellTable>,
     /// What each task does, by task.
     pub tasks: Vec<Conduct>,
-    /// What may go wrong.
-    pub faults: CellFaults,
+    /// Hypotheses of what may go wrong, each looked at by itself.
+    pub faults: Vec<CellFaults>,
     /// What must hold.
     pub checks: Vec<CellCheck>,
     /// How much the search may use.
@@ -118,7 +118,7 @@ impl CellPlan {
         Self {
             table,
             tasks,
-            faults: CellFaults::default(),
+            faults: Vec::new(),
             checks: Vec::new(),
             budget: Budget::default(),
             between: false,

@@ -52,9 +52,9 @@ pub fn check_cell(plan: &Arc<CellPlan>) -> Verdicts {
     if let Some(refused) = refused(plan) {
         return Verdicts { findings: vec![refused], ..Verdicts::default() };
     }
-    let mut done = vec![explore(plan, Phase::FaultFree, &CellFaults::default())];
-    if !plan.faults.are_none() {
-        done.push(explore(plan, Phase::Faults, &plan.faults));
+    let mut done = vec![explore(plan, (Phase::FaultFree, 0), &CellFaults::default())];
+    for (hypothesis, faults) in plan.faults.iter().enumerate().filter(|(_, faults)| !faults.are_none()) {
+        done.push(explore(plan, (Phase::Faults, hypothesis), faults));
     }
     conclude(plan, done)
 }
@@ -68,7 +68,7 @@ fn refused(plan: &CellPlan) -> Option<Finding> {
     Some(bare(Kind::Machine, Some((TaskId::from_index(task), 0)), None, cause))
 }
 
-fn explore(plan: &Arc<CellPlan>, phase: Phase, faults: &CellFaults) -> Done {
+fn explore(plan: &Arc<CellPlan>, (phase, hypothesis): (Phase, usize), faults: &CellFaults) -> Done {
     let start = Instant::now();
     let mut search = Search::default();
     let walker = || Walker::new(phase, Course::new(plan, faults));
@@ -76,10 +76,11 @@ fn explore(plan: &Arc<CellPlan>, phase: Phase, faults: &CellFaults) -> Done {
     let ended_by = search.run(plan, &mut walkers, start);
     let outgrown = || search.outgrown.then(|| "states that outgrow their packed form".to_string());
     let ended_by = ended_by.or_else(outgrown);
-    let tell = |hit: &Hit| search.tell(plan, phase, faults, hit);
+    let tell = |hit: &Hit| search.tell(plan, (phase, hypothesis), faults, hit);
     let findings: Vec<Finding> = search.hits.iter().map(tell).collect();
     let coverage = Coverage {
         phase,
+        hypothesis,
         states: search.origins.len() as u64,
         moves: search.moves,
         depth: search.origins.iter().map(|origin| u64::from(origin.depth)).max().unwrap_or(0),
@@ -215,13 +216,20 @@ impl Search {
         path
     }
 
-    fn tell(&self, plan: &Arc<CellPlan>, phase: Phase, faults: &CellFaults, hit: &Hit) -> Finding {
+    fn tell(
+        &self,
+        plan: &Arc<CellPlan>,
+        (phase, hypothesis): (Phase, usize),
+        faults: &CellFaults,
+        hit: &Hit,
+    ) -> Finding {
         let moves = self.path(plan, faults, hit);
         let told = story::tell(plan, faults, &moves, &hit.shown.cause);
         let Shown { kind, task, address, check, ref cause, .. } = hit.shown;
         Finding {
             kind,
             phase,
+            hypothesis,
             task: task.map(TaskId::from_index),
             address,
             check,
@@ -288,6 +296,7 @@ fn bare(kind: Kind, place: Option<(TaskId, Address)>, check: Option<usize>, caus
     Finding {
         kind,
         phase: Phase::FaultFree,
+        hypothesis: 0,
         task: place.map(|(task, _)| task),
         address: place.map(|(_, at)| at),
         check,

@@ -75,6 +75,8 @@ pub struct Finding {
     pub kind: Kind,
     /// Whether it takes a fault.
     pub phase: Phase,
+    /// With faults, which of the plan's hypotheses.
+    pub hypothesis: usize,
     /// Whose it is.
     pub task: Option<TaskId>,
     /// The operation of its program.
@@ -98,6 +100,8 @@ pub struct Finding {
 pub struct Coverage {
     /// Which.
     pub phase: Phase,
+    /// With faults, which of the plan's hypotheses.
+    pub hypothesis: usize,
     /// Different states kept; between two of them only one thing can happen.
     pub states: u64,
     /// Moves made.

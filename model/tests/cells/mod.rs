@@ -31,8 +31,7 @@ impl Text {
         };
         let tasks = lowered.tasks.iter().map(conduct).collect();
         let mut plan = CellPlan::new(table, tasks);
-        let faults = &lowered.faults;
-        plan.faults = CellFaults {
+        let hypothesis = |faults: &imrs_language::hir::Faults| CellFaults {
             loss: faults.loss,
             dup: faults.dup,
             fail: faults.fail,
@@ -41,6 +40,7 @@ impl Text {
             cut: faults.cut.clone(),
             ..CellFaults::default()
         };
+        plan.faults = lowered.faults.iter().map(hypothesis).collect();
         let check = |check: &imrs_language::lower::Check| CellCheck {
             name: check.name.clone(),
             holds: match &check.kind {

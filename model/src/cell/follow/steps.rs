@@ -67,7 +67,9 @@ pub fn steps_in_model(plan: &Arc<CellPlan>, run: &Run) -> Steps {
 
 fn walk(plan: &Arc<CellPlan>, draw: &mut Draw, missing: &mut BTreeSet<Kind>) {
     // Every other walk is without faults: what takes long is not reached where something always goes wrong.
-    let faults = if draw.below(2) == 0 { Default::default() } else { plan.faults.clone() };
+    let faulty = draw.below(2) == 1;
+    let hypothesis = plan.faults.get(draw.below(plan.faults.len())).filter(|_| faulty);
+    let faults = hypothesis.cloned().unwrap_or_default();
     let mut course = Course::new(plan, &faults);
     let mut moves = Vec::new();
     for _ in 0..LENGTH {
