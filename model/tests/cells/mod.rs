@@ -1,4 +1,5 @@
 //! Cells from text, checked.
+#![allow(dead_code, reason = "every test binary uses a part of it")]
 
 use imrs_language::lower::{Behaviour, CheckKind, Lowered, Script};
 use imrs_language::{Source, Unit, compile};
@@ -84,6 +85,19 @@ impl Text {
         let Script { spans, .. } = &**script;
         let span = spans[usize::from(at)];
         &self.text[span.range()]
+    }
+
+    /// Line and column, from 1, of what a finding points at: its statement, or its check.
+    pub fn place(&self, finding: &Finding) -> Option<(usize, usize)> {
+        let of_check = || Some(self.lowered.checks.get(finding.check?)?.span.start);
+        let of_task = || match &self.lowered.tasks[finding.task?.index()] {
+            Behaviour::Script(script) => {
+                script.spans.get(usize::from(finding.address?)).map(|span| span.start)
+            }
+            Behaviour::Extern(_) => None,
+        };
+        let start = of_task().or_else(of_check)?;
+        Some(Source::new(self.text.as_bytes()).expect("text").position(start))
     }
 
     /// What is found, by kind and the beginning of the statement it points at.

@@ -1,0 +1,154 @@
+//! Cells of `examples/faulty` with one fault each that shows only when the cell runs: the checker finds it, and nothing
+//! else, where the file says; and where its wrong lines are put right, nothing.
+//!
+//! The first lines of such a file are comments:
+//! ```text
+//! (* finds: W302 10:102 *)                               where there are warnings, what `imrs check` says
+//! (* verify finds: "deadlock" 16:5 "cause", .. *)        kind, line:column if it has a place, cause if it matters
+//! (* what the engineer got wrong *)
+//! (* right: 29: loop receive next(); reply(); end; *)    what line 29 should be; as many as it takes
+//! ```
+
+mod cells;
+
+use cells::Text;
+use imrs_model::cell::{Budget, Finding, Kind, Phase, Verdicts, scenes};
+use std::collections::BTreeSet;
+use std::path::Path;
+use std::sync::Arc;
+
+/// Fewer say too little about the checker.
+const FEWEST: usize = 25;
+
+/// Every kind of finding.
+const KINDS: [Kind; 13] = [
+    Kind::Deadlock,
+    Kind::TimeOut,
+    Kind::Stranded,
+    Kind::Refused,
+    Kind::Ends,
+    Kind::Aborts,
+    Kind::Assertion,
+    Kind::ScriptFault,
+    Kind::Check,
+    Kind::TwoOwners,
+    Kind::Unreached,
+    Kind::Vacuous,
+    Kind::Machine,
+];
+
+struct Faulty {
+    name: String,
+    text: String,
+    /// What must be found, as the file says it.
+    finds: String,
+}
+
+/// The cells of which something is said to be found by the checker.
+fn faulty() -> Vec<Faulty> {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples/faulty");
+    let mut all = Vec::new();
+    for entry in std::fs::read_dir(folder).expect("the folder of faulty cells").flatten() {
+        let text = std::fs::read_to_string(entry.path()).expect("a cell file");
+        let said = text.lines().take(2).find_map(|line| comment(line, "verify finds"));
+        let Some(finds) = said.map(str::to_owned) else { continue };
+        all.push(Faulty { name: entry.file_name().to_string_lossy().into_owned(), text, finds });
+    }
+    all.sort_by(|a, b| a.name.cmp(&b.name));
+    assert!(all.len() >= FEWEST, "only {} faulty cells", all.len());
+    all
+}
+
+/// What a line `(* NAME: .. *)` says.
+fn comment<'a>(line: &'a str, name: &str) -> Option<&'a str> {
+    Some(line.strip_prefix("(* ")?.strip_prefix(name)?.strip_prefix(": ")?.strip_suffix("*)")?.trim())
+}
+
+/// The text with its wrong lines put right; `None` where it says nothing about them.
+fn right(text: &str) -> Option<String> {
+    let mut lines: Vec<&str> = text.lines().collect();
+    let said: Vec<&str> = text.lines().filter_map(|line| comment(line, "right")).collect();
+    for said in &said {
+        let (number, line) = said.split_once(':').expect("a line and what it should be");
+        let at = number.parse::<usize>().expect("a number") - 1;
+        assert_ne!(lines[at].trim(), line.trim(), "line {number} is right already");
+        lines[at] = line.trim();
+    }
+    (!said.is_empty()).then(|| lines.join("\n"))
+}
+
+/// The whole of a cell: bounded by its states, however long that takes.
+fn check(text: &Text) -> Verdicts {
+    let verdicts = text.check();
+    assert!(verdicts.is_complete(), "{:?}", verdicts.phases);
+    verdicts
+}
+
+fn cell(text: &str) -> Text {
+    let mut cell = Text::new(text);
+    cell.plan.budget = Budget { states: 100_000, seconds: 600.0, bytes: 4 << 30 };
+    cell
+}
+
+/// A finding as the files say it, its cause only where the file has one, too.
+fn told(cell: &Text, finding: &Finding, finds: &str) -> String {
+    let place = cell.place(finding).map_or_else(String::new, |(line, column)| format!(" {line}:{column}"));
+    let short = format!("\"{}\"{place}", finding.kind.name());
+    if finds.contains(&format!("{short} \"")) { format!("{short} \"{}\"", finding.cause) } else { short }
+}
+
+#[test]
+fn each_fault_is_found_where_its_cell_says_and_nothing_else() {
+    let (mut surprising, mut kinds) = (Vec::new(), BTreeSet::new());
+    for Faulty { name, text, finds } in faulty() {
+        let cell = cell(&text);
+        let verdicts = check(&cell);
+        let found: Vec<String> = verdicts.findings.iter().map(|found| told(&cell, found, &finds)).collect();
+        if found.join(", ") != finds {
+            surprising.push(format!("{name}: {}, not {finds}", found.join(", ")));
+        }
+        kinds.extend(verdicts.findings.iter().map(|found| found.kind));
+    }
+    assert!(surprising.is_empty(), "{}", surprising.join("\n"));
+    assert_eq!(kinds, BTreeSet::from(KINDS), "each kind has its cell");
+}
+
+#[test]
+fn where_the_wrong_lines_are_right_nothing_is_found() {
+    for Faulty { name, text, finds } in faulty() {
+        let Some(right) = right(&text) else {
+            assert!(finds.contains(Kind::Machine.name()), "{name}: what would be right?");
+            continue;
+        };
+        let cell = cell(&right);
+        let verdicts = check(&cell);
+        assert!(verdicts.findings.is_empty(), "{name}: {:?}", cell.found(&verdicts));
+    }
+}
+
+#[test]
+fn the_way_to_each_fault_is_told_and_the_same_twice() {
+    for Faulty { name, text, .. } in faulty() {
+        let cell = cell(&text);
+        let (once, again) = (check(&cell), check(&cell));
+        let plan = Arc::new(cell.plan.clone());
+        assert_eq!(once.findings.len(), again.findings.len(), "{name}");
+        for (finding, other) in once.findings.iter().zip(&again.findings) {
+            let way = |finding: &Finding| (finding.moves.clone(), finding.at_ticks, finding.chart.clone());
+            assert_eq!(way(finding), way(other), "{name}");
+            if matches!(finding.kind, Kind::Unreached | Kind::Vacuous | Kind::Machine) {
+                assert!(finding.moves.is_empty(), "{name}: nothing leads there");
+                continue;
+            }
+            let (steps, chart) = (&finding.steps, &finding.chart);
+            assert!(!steps.is_empty() && steps.len() == finding.moves.len(), "{name}");
+            assert_eq!(steps.last().map(|step| step.tick), Some(finding.at_ticks), "{name}");
+            assert_eq!(scenes(&plan, finding).len(), steps.len() + 1, "{name}: it replays");
+            assert!(chart.lines().all(|line| line.chars().count() <= 100), "{name}:\n{chart}");
+            assert!(chart.lines().last().is_some_and(|line| line.contains("=> ")), "{name}:\n{chart}");
+            // A cell that declares faults is wrong only where they come about.
+            let phase = if plan.faults.are_none() { Phase::FaultFree } else { Phase::Faults };
+            assert_eq!(finding.phase, phase, "{name}");
+        }
+    }
+}
