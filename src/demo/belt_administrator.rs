@@ -20,7 +20,7 @@ pub fn explain(story: &Story<'_>) -> Outcome {
     let speeds: Vec<(u64, i64)> =
         story.of(administrator).filter_map(|did| Some((did.at, argument(did, "drive")?))).collect();
     let changes = speeds.windows(2).filter(|pair| pair[0].1 != pair[1].1).count();
-    let asked = [slower, faster].map(|robot| {
+    let robots = [slower, faster].map(|robot| {
         (
             answers(story, robot, "adapt").len(),
             answers(story, robot, "give_way").len(),
@@ -28,8 +28,12 @@ pub fn explain(story: &Story<'_>) -> Outcome {
         )
     });
     let mut words = vec![format!("The belt changed its speed {}.", times(changes))];
-    for (won, lost, name) in &asked {
-        words.push(format!("{name} was first {}, and was told another version {}.", times(*won), times(*lost)));
+    for (won, lost, name) in &robots {
+        words.push(format!(
+            "{name} changed it {}, and gave way {}: the other was first, or the belt at its limit.",
+            times(*won),
+            times(*lost)
+        ));
     }
     let together = together(story, slower, faster);
     words.extend(together.clone());
@@ -64,7 +68,8 @@ fn together(story: &Story<'_>, slower: TaskId, faster: TaskId) -> Option<String>
     let pairs = [(slower, faster), (faster, slower)].into_iter().flat_map(|(first, second)| {
         let gave_way = answers(story, second, "give_way");
         answers(story, first, "adapt").into_iter().filter_map(move |(at, speed)| {
-            let other = gave_way.iter().find(|(other, told)| at.abs_diff(*other) < TOGETHER && *told == speed)?;
+            let other =
+                gave_way.iter().find(|(other, told)| at.abs_diff(*other) < TOGETHER && *told == speed)?;
             Some((at.max(other.0), first, second, speed))
         })
     });

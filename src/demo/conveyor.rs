@@ -28,7 +28,11 @@ pub fn explain(story: &Story<'_>) -> Outcome {
         words.push(match story.summary.nodes.iter().find(|n| n.name == story.node(node)) {
             Some(of) if of.cut_off > 0 => {
                 let lost = count(of.cut_off, "packet");
-                format!("At {} node {} was cut off for {length}; {lost} of it went nowhere.", story.at(from), of.name)
+                format!(
+                    "At {} node {} was cut off for {length}; {lost} of it went nowhere.",
+                    story.at(from),
+                    of.name
+                )
             }
             _ => format!("At {} node {} stood still for {length}.", story.at(from), story.node(node)),
         });
@@ -72,7 +76,9 @@ fn expired(story: &Story<'_>) -> String {
     match pose.map_or(0, |port| port.expired) {
         0 => "No pose became too old on its way.".into(),
         1 => "1 pose became older than 66 ms while pick was busy, and was thrown away.".into(),
-        n => format!("{n} poses became older than 66 ms, most of them while pick was busy, and were thrown away."),
+        n => format!(
+            "{n} poses became older than 66 ms, most of them while pick was busy, and were thrown away."
+        ),
     }
 }
 

@@ -19,10 +19,12 @@ struct Holding {
 
 /// Says who had the tool when, and what became of it when its holder died.
 pub fn explain(story: &Story<'_>) -> Outcome {
-    let robots: Vec<TaskId> = ["weldA", "weldB", "inspC"].iter().filter_map(|name| story.task(name)).collect();
+    let robots: Vec<TaskId> =
+        ["weldA", "weldB", "inspC"].iter().filter_map(|name| story.task(name)).collect();
     let mut held: Vec<Holding> = robots.iter().flat_map(|robot| holdings(story, *robot)).collect();
     held.sort_by_key(|holding| holding.from);
-    let mut words: Vec<String> = robots.iter().map(|robot| turns(story, *robot, &held)).collect();
+    let mut words = vec![asking(story)];
+    words.extend(robots.iter().map(|robot| turns(story, *robot, &held)));
     let died = story.faults.iter().find_map(|(at, fault)| match fault {
         Fault::Kill(node) => Some((*at, *node)),
         Fault::Restart(_) | Fault::Cut(..) | Fault::Heal(..) | Fault::Pause(_) | Fault::Resume(_) => None,
@@ -73,17 +75,24 @@ fn holdings(story: &Story<'_>, robot: TaskId) -> Vec<Holding> {
     all
 }
 
-/// How often a robot asked, and how often it had the tool.
+/// How often the robots asked, and what became of that.
+fn asking(story: &Story<'_>) -> String {
+    let Some(grab) = story.summary.ports.iter().find(|port| port.name == "grab") else {
+        return String::new();
+    };
+    let asked = count(grab.sent, "time");
+    match grab.timed_out + grab.refused {
+        0 => format!(
+            "The robots asked for the tool {asked}, and were told yes or no each time, before their time_outs."
+        ),
+        n => format!("The robots asked for the tool {asked}; {n} of that without an answer."),
+    }
+}
+
+/// How often a robot had the tool.
 fn turns(story: &Story<'_>, robot: TaskId, held: &[Holding]) -> String {
-    let port = story.loaded.table.ports().iter().find(|port| port.decl.name == "grab").map(|port| port.id);
-    let asked = story.when(robot, |deed| matches!(deed, Deed::Sends(at) if Some(*at) == port)).len();
     let had = held.iter().filter(|h| h.by == robot).count();
-    format!(
-        "{} asked for the tool {}, and had it {}.",
-        story.name(robot),
-        count(u64::try_from(asked).unwrap_or(u64::MAX), "time"),
-        count(u64::try_from(had).unwrap_or(u64::MAX), "time")
-    )
+    format!("{} had it {}.", story.name(robot), count(u64::try_from(had).unwrap_or(u64::MAX), "time"))
 }
 
 /// What became of the tool of somebody who died. Returns whether another had it in time; `None` where the run ended before.

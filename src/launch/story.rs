@@ -130,11 +130,7 @@ impl Story<'_> {
     pub fn pause(&self) -> Option<(NodeId, u64, u64)> {
         let (at, node) = self.faults.iter().find_map(|(at, fault)| match fault {
             Fault::Pause(node) => Some((*at, *node)),
-            Fault::Kill(_)
-            | Fault::Restart(_)
-            | Fault::Cut(..)
-            | Fault::Heal(..)
-            | Fault::Resume(_) => None,
+            Fault::Kill(_) | Fault::Restart(_) | Fault::Cut(..) | Fault::Heal(..) | Fault::Resume(_) => None,
         })?;
         let on = self.faults.iter().find(|(_, fault)| *fault == Fault::Resume(node));
         Some((node, at, on.map_or(self.ended, |(on, _)| *on)))
