@@ -40,6 +40,38 @@ fn every_cell_holds_under_the_faults_that_it_declares() {
     }
 }
 
+/// What a cell says, what it must not say, and the check that notices.
+const SPOILT: [(&str, &str, &str, &str); 9] = [
+    ("shared_tool", "start lent 4 sec", "start lent 2 sec", "one_holder"),
+    ("shared_tool", "start lent 4 sec", "start lent 5 sec", "dead_holder"),
+    ("shared_tool", "time_out = 400 msec retry = 2", "time_out = 400 msec retry = 0", "b_is_heard"),
+    ("shared_tool", "time_out = 400 msec retry = 2", "time_out = 400 msec retry = 0", "c_is_heard"),
+    ("conveyor", "if held then", "if held or p.x > 5 then", "no_drop"),
+    ("conveyor", "drop_into_box takes 320 msec", "drop_into_box takes 3 sec", "not_jammed"),
+    ("belt", "s.version = now.version and ", "", "r2_has_seen"),
+    ("belt", " and s.mm_s <= 500", "", "limits"),
+    ("belt", "time_out = 100 msec retry = 2", "time_out = 100 msec retry = 0", "r1_is_told"),
+];
+
+#[test]
+fn every_check_can_fail() {
+    let folder = support::runtime_dir();
+    for (name, says, instead, check) in SPOILT {
+        let file = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("examples/{name}.cell"));
+        let text = std::fs::read_to_string(file).expect("the cell");
+        assert!(text.contains(says), "{name}: {says}");
+        let spoilt = folder.path().join(format!("{name}.cell"));
+        std::fs::write(&spoilt, text.replacen(says, instead, 1)).expect("written");
+        let spoilt = spoilt.to_str().expect("UTF-8");
+        let said = run(&["verify", spoilt, "--jobs", "1", "--within", "50s", "--format", "json"]);
+        assert_eq!(said.code, Some(1), "{name}, {instead}: {said:?}");
+        let verdict = said.last_json();
+        let claims = verdict["claims"].as_array().expect("claims");
+        let fails = claims.iter().any(|claim| claim["name"] == check && claim["outcome"] == "fails");
+        assert!(fails, "{name}, {instead}: {check} holds: {verdict}");
+    }
+}
+
 #[test]
 fn every_cell_runs() {
     for (name, file) in cells().iter().filter(|(name, _)| !RUN_APART.contains(&name.as_str())) {
