@@ -119,6 +119,9 @@ Examples:
 Examples:
   imrs demo beam-lift                        a link fails in mid lift: both arms stop
   imrs demo failover-weld                    a robot's node dies: the other takes over
+  imrs demo shared-tool                      the holder of a tool dies: another gets it
+  imrs demo conveyor                         a camera stands still: nothing old is picked
+  imrs demo belt-administrator               two want another speed at once: one gives way
   imrs demo beam-lift --no-fault --for 5s    without any fault
   imrs demo beam-lift --loss 20% --for 30s   with every fifth packet lost
   imrs demo beam-lift --kill hoist@2s        with a node killed: nobody starts without it

@@ -114,6 +114,45 @@ fn when_the_robots_node_dies_the_other_takes_over_and_looks_at_the_spot() {
 }
 
 #[test]
+fn the_tool_of_a_dead_robot_goes_to_another() {
+    let said = run(&["demo", "shared-tool", "--seed", "3"]);
+    assert_eq!(said.code, Some(0), "{said:?}");
+    for words in [
+        "the node of weldA was killed, and weldA had the tool",
+        "Nobody brought it back",
+        "At no instant had two of them the tool",
+        "As promised",
+    ] {
+        assert!(said.out.contains(words), "`{words}` is missing in\n{}", said.out);
+    }
+}
+
+#[test]
+fn a_camera_that_stands_still_costs_time_and_no_wrong_grip() {
+    for (how, words) in [(&[][..], "node nc stood still for"), (&["--in-process"], "node nc was cut off for")]
+    {
+        let said = run(&[&["demo", "conveyor", "--seed", "3", "--format", "json"][..], how].concat());
+        assert_eq!(said.code, Some(0), "{said:?}");
+        let summary = said.last_json();
+        assert_eq!(summary["outcome"]["held"], true, "{summary}");
+        assert!(summary["outcome"]["words"].to_string().contains(words), "{summary}");
+        assert_eq!(number(&summary["rendezvous"][0]["false_releases"]), 0, "{summary}");
+        // Who stood still ended well.
+        assert_eq!(node(&summary, "nc")["exit"], "clean", "{summary}");
+    }
+}
+
+#[test]
+fn of_two_that_change_the_speed_at_once_one_gives_way() {
+    let said = run(&["demo", "belt-administrator", "--seed", "3"]);
+    assert_eq!(said.code, Some(0), "{said:?}");
+    for words in ["both had asked for another speed", "gave way", "No version of the speed was changed twice"]
+    {
+        assert!(said.out.contains(words), "`{words}` is missing in\n{}", said.out);
+    }
+}
+
+#[test]
 fn a_robot_that_is_cut_off_stops_before_the_other_takes_over() {
     let demo = ["demo", "failover-weld", "--cut", "n1--nt@1s+9s", "--for", "4s", "--format", "json"];
     let said = run(&demo);

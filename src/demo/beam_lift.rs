@@ -30,7 +30,7 @@ pub fn explain(story: &Story<'_>) -> Outcome {
     words.extend(waiting(story));
     let cut = story.faults.iter().find_map(|(at, fault)| match fault {
         Fault::Cut(a, b) => Some((*at, [story.node(*a), story.node(*b)])),
-        Fault::Kill(_) | Fault::Restart(_) | Fault::Heal(..) => None,
+        Fault::Kill(_) | Fault::Restart(_) | Fault::Heal(..) | Fault::Pause(_) | Fault::Resume(_) => None,
     });
     let mut hit = false;
     if let Some((at, [a, b])) = cut {

@@ -62,7 +62,8 @@ fn fault_in_words(story: &Story<'_>, at: u64, fault: Fault, primary: TaskId) -> 
         Fault::Cut(a, b) => {
             Some(format!("At {when} the link between {} and {} went dead.", story.node(a), story.node(b)))
         }
-        Fault::Heal(..) => None,
+        Fault::Pause(node) => Some(format!("At {when} node {} stood still.", story.node(node))),
+        Fault::Heal(..) | Fault::Resume(_) => None,
     }
 }
 

@@ -3,7 +3,10 @@
 //! A demo is a [`Scene`] in [`SCENES`] and a function that explains a run of it ([`Story`]).
 
 mod beam_lift;
+mod belt_administrator;
+mod conveyor;
 mod failover_weld;
+mod shared_tool;
 
 use crate::args::DemoArgs;
 use crate::cells::{self, Loaded, Source};
@@ -87,6 +90,59 @@ by asking `alive` every few milliseconds. Both reach each other, and the tip dre
         }),
         courses: &[],
         explain: failover_weld::explain,
+    },
+    Scene {
+        name: "shared-tool",
+        about: "three robots share a tip dresser: loosely coupled; one chatters, and dies with the tool in its hand",
+        file: "shared_tool.cell",
+        text: include_str!("../../examples/shared_tool.cell"),
+        introduction: "\
+Two welding robots and an inspector share a tool. While it is lent, weldA asks again every 50 ms with a
+time_out of 20 ms, the others wait until they hear that it is free. Who is not back after 4 s loses it.",
+        length: Duration::from_secs(12),
+        moment: Some(Moment {
+            task: "weldA",
+            action: "dress",
+            time: 1,
+            after: ms(300),
+            fault: Planned::Kill("na"),
+            words: "while weldA has the tool its node is killed (kill -9)",
+        }),
+        courses: &[],
+        explain: shared_tool::explain,
+    },
+    Scene {
+        name: "conveyor",
+        about: "one robot picks from a belt and hands on to another: serially coupled; the camera stands still",
+        file: "conveyor.cell",
+        text: include_str!("../../examples/conveyor.cell"),
+        introduction: "\
+A camera tells where the parts on a belt are; what it said more than 66 ms ago counts no more. pick takes
+a part, meets place at `give`, and lets go when place holds the part.",
+        length: Duration::from_secs(6),
+        moment: Some(Moment {
+            task: "pick",
+            action: "open",
+            time: 2,
+            after: ms(10),
+            fault: Planned::Pause("nc", ms(150)),
+            words: "when pick is about to look for its third part, the camera stands still for 150 ms (--in-process: is cut off)",
+        }),
+        courses: &[],
+        explain: conveyor::explain,
+    },
+    Scene {
+        name: "belt-administrator",
+        about: "robots that share nothing but a belt: independent; two want another speed in the same tick",
+        file: "belt.cell",
+        text: include_str!("../../examples/belt.cell"),
+        introduction: "\
+The administrator of a belt tells its speed and the version of that 20 times in a second. r1 may want it
+slower and r2 faster: both look when they hear the status, and so they ask at the same time.",
+        length: Duration::from_secs(4),
+        moment: None,
+        courses: &[],
+        explain: belt_administrator::explain,
     },
 ];
 
@@ -178,7 +234,7 @@ mod tests {
             assert!(cell.tasks.iter().any(|task| task.name == moment.task), "{}", scene.name);
             let nodes = match moment.fault {
                 Planned::Cut(ends, _) => ends.to_vec(),
-                Planned::Kill(node) => vec![node],
+                Planned::Kill(node) | Planned::Pause(node, _) => vec![node],
             };
             for node in nodes {
                 assert!(cell.nodes.iter().any(|known| known.name == node), "{}: {node}", scene.name);

@@ -7,6 +7,7 @@ use crate::exit::Exit;
 use crate::output::complain;
 use imrs_protocol::NodeId;
 use imrs_runtime::link::in_process::Network;
+use rustix::process::{Pid, Signal, kill_process};
 use signal_hook::consts::{SIGABRT, SIGBUS, SIGILL, SIGSEGV};
 use std::fmt;
 use std::io::{self, BufReader, PipeReader, Read, Write};
@@ -169,6 +170,16 @@ impl Children {
             Body::Thread(_) => process.order(&Order::Die),
         }
         process.killed = true;
+    }
+
+    /// Stops the process of a node, or lets it go on. Returns whether it has one of its own.
+    pub fn stand_still(&mut self, node: NodeId, stands: bool) -> bool {
+        let Some(process) = self.of(node) else { return false };
+        let Body::Process(child) = &process.body else { return false };
+        let signal = if stands { Signal::STOP } else { Signal::CONT };
+        // It is gone already; that is seen later.
+        let _ = kill_process(Pid::from_child(child), signal);
+        true
     }
 
     /// Waits until all processes have ended, at most so long; then kills those that have not. Returns how each ended.

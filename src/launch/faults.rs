@@ -178,6 +178,10 @@ pub enum Fault {
     Cut(NodeId, NodeId),
     /// The link works again.
     Heal(NodeId, NodeId),
+    /// The node stands still.
+    Pause(NodeId),
+    /// The node goes on.
+    Resume(NodeId),
 }
 
 /// The faults that were asked for.

@@ -96,6 +96,12 @@ impl Launcher<'_> {
                 self.children.order(a, &Order::Heal(name(b)));
                 self.children.order(b, &Order::Heal(name(a)));
             }
+            Fault::Pause(node) | Fault::Resume(node) => {
+                let stands = matches!(fault, Fault::Pause(_));
+                if !self.children.stand_still(node, stands) {
+                    self.set_apart(node, stands);
+                }
+            }
         }
         let at = now_us();
         if self.run.args.format == Format::Text {
@@ -104,11 +110,30 @@ impl Launcher<'_> {
                 Fault::Restart(node) => format!("node {} is started again", name(node)),
                 Fault::Cut(a, b) => format!("fault: nothing passes between {} and {}", name(a), name(b)),
                 Fault::Heal(a, b) => format!("{} and {} reach each other again", name(a), name(b)),
+                Fault::Pause(node) if self.children.in_one_process() => {
+                    format!("fault: nothing passes between {} and the others", name(node))
+                }
+                Fault::Pause(node) => format!("fault: node {} stands still", name(node)),
+                Fault::Resume(node) if self.children.in_one_process() => {
+                    format!("{} and the others reach each other again", name(node))
+                }
+                Fault::Resume(node) => format!("node {} goes on", name(node)),
             };
             self.diary.fault(at, words);
         }
         self.came.push((at, fault));
         Ok(())
+    }
+
+    /// Cuts or heals all links of a node.
+    fn set_apart(&mut self, node: NodeId, apart: bool) {
+        let order = |name: &str| if apart { Order::Cut(name.into()) } else { Order::Heal(name.into()) };
+        let cell = self.cell;
+        for link in cell.links.iter().filter(|link| link.a == node || link.b == node) {
+            let other = if link.a == node { link.b } else { link.a };
+            self.children.order(node, &order(&cell.nodes[other.index()].name));
+            self.children.order(other, &order(&cell.nodes[node.index()].name));
+        }
     }
 
     /// Starts a killed node in its next life. The others hear where it is when it has a socket.
@@ -189,6 +214,11 @@ impl Launcher<'_> {
         let due = self.started.elapsed() + moment.after.saturating_sub(passed);
         match moment.fault {
             Planned::Kill(name) => self.faults.push((due, Fault::Kill(node(self.cell, name)?))),
+            Planned::Pause(name, length) => {
+                let node = node(self.cell, name)?;
+                self.faults.push((due, Fault::Pause(node)));
+                self.faults.push((due + length, Fault::Resume(node)));
+            }
             Planned::Cut([a, b], length) => {
                 let (a, b) = (node(self.cell, a)?, node(self.cell, b)?);
                 self.faults.push((due, Fault::Cut(a, b)));

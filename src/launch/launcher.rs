@@ -226,16 +226,30 @@ pub fn run(run: &Run<'_>, out: &mut Output) -> Result<Exit, Failure> {
 fn here(cell: &Cell, only: NodeId, faults: &[(Duration, Fault)]) -> Result<(), FaultError> {
     for (_, fault) in faults {
         match *fault {
-            Fault::Kill(node) | Fault::Restart(node) if node != only => {
+            Fault::Kill(node) | Fault::Restart(node) | Fault::Pause(node) | Fault::Resume(node)
+                if node != only =>
+            {
                 return Err(FaultError::NotHere(cell.nodes[node.index()].name.clone()));
             }
             Fault::Cut(a, b) | Fault::Heal(a, b) if a != only && b != only => {
                 return Err(FaultError::NotHere(cell.nodes[a.index()].name.clone()));
             }
-            Fault::Kill(_) | Fault::Restart(_) | Fault::Cut(..) | Fault::Heal(..) => {}
+            Fault::Kill(_)
+            | Fault::Restart(_)
+            | Fault::Cut(..)
+            | Fault::Heal(..)
+            | Fault::Pause(_)
+            | Fault::Resume(_) => {}
         }
     }
     Ok(())
+}
+
+const fn resumed(fault: Fault) -> Option<NodeId> {
+    match fault {
+        Fault::Resume(node) => Some(node),
+        Fault::Kill(_) | Fault::Restart(_) | Fault::Cut(..) | Fault::Heal(..) | Fault::Pause(_) => None,
+    }
 }
 
 /// Something that no run should have, besides what is in its summary.
@@ -390,6 +404,10 @@ impl Launcher<'_> {
         let end = now_us();
         self.gatherer.ended(end);
         self.stopping = true;
+        // Who stands still hears nothing.
+        for node in std::mem::take(&mut self.faults).into_iter().filter_map(|(_, fault)| resumed(fault)) {
+            self.children.stand_still(node, false);
+        }
         self.children.order_all(&Order::Stop);
         self.interrupted = false;
         let deadline = Instant::now() + STOP_WITHIN;

@@ -43,6 +43,8 @@ pub enum Planned {
     Cut([&'static str; 2], Duration),
     /// The node is killed.
     Kill(&'static str),
+    /// The node stands still for so long (SIGSTOP); one that shares its process with others is cut off from them in place of that.
+    Pause(&'static str, Duration),
 }
 
 /// What came of a demo.
@@ -114,9 +116,24 @@ impl Story<'_> {
         let node = self.loaded.table.location(task);
         let kill = |(at, fault): &(u64, Fault)| match fault {
             Fault::Kill(of) if Some(*of) == node => Some(*at),
-            Fault::Kill(_) | Fault::Restart(_) | Fault::Cut(..) | Fault::Heal(..) => None,
+            Fault::Kill(_)
+            | Fault::Restart(_)
+            | Fault::Cut(..)
+            | Fault::Heal(..)
+            | Fault::Pause(_)
+            | Fault::Resume(_) => None,
         };
         self.faults.iter().filter_map(kill).collect()
+    }
+
+    /// When a node first stood still, and when it went on.
+    pub fn pause(&self) -> Option<(NodeId, u64, u64)> {
+        let (at, node) = self.faults.iter().find_map(|(at, fault)| match fault {
+            Fault::Pause(node) => Some((*at, *node)),
+            Fault::Kill(_) | Fault::Restart(_) | Fault::Cut(..) | Fault::Heal(..) | Fault::Resume(_) => None,
+        })?;
+        let on = self.faults.iter().find(|(_, fault)| *fault == Fault::Resume(node));
+        Some((node, at, on.map_or(self.ended, |(on, _)| *on)))
     }
 
     /// The text of the line of a deed.

@@ -1,0 +1,87 @@
+//! Serially coupled: what may not happen is that a pick acts on what was long ago, or that the belt jams.
+
+use crate::launch::deed::Deed;
+use crate::launch::story::{Outcome, Story};
+use crate::output::{count, span};
+use imrs_protocol::TaskId;
+
+/// How long after the pause the next part may be on its way, whatever this machine is busy with, in microseconds.
+const JAMMED: u64 = 3_000_000;
+
+/// Says how many parts were handed on, and what a camera that stood still cost.
+pub fn explain(story: &Story<'_>) -> Outcome {
+    let (Some(pick), Some(place)) = (story.task("pick"), story.task("place")) else {
+        return Outcome::default();
+    };
+    let grips = begins(story, pick, "grip_at");
+    let handed = begins(story, place, "put_away").len();
+    let boxed = begins(story, pick, "drop_into_box").len();
+    let mut words = vec![format!(
+        "pick took {} from the belt: {} went to place, {} into the box.",
+        parts(grips.len()),
+        handed,
+        boxed
+    )];
+    let mut held = None;
+    if let Some((node, from, to)) = story.pause() {
+        let length = span(to - from);
+        words.push(match story.summary.nodes.iter().find(|n| n.name == story.node(node)) {
+            Some(of) if of.cut_off > 0 => {
+                let lost = count(of.cut_off, "packet");
+                format!(
+                    "At {} node {} was cut off for {length}; {lost} of it went nowhere.",
+                    story.at(from),
+                    of.name
+                )
+            }
+            _ => format!("At {} node {} stood still for {length}.", story.at(from), story.node(node)),
+        });
+        let next = grips.iter().copied().find(|at| *at > from);
+        words.push(waited(story, from, to, next));
+        held = match next {
+            Some(_) => Some(true),
+            None if story.ended > to + JAMMED => Some(false),
+            None => None,
+        };
+        words.push(expired(story));
+    }
+    if held == Some(true) {
+        words.push("The belt did not jam: the robots went on by themselves.".into());
+    }
+    Outcome { held, words }
+}
+
+fn begins(story: &Story<'_>, task: TaskId, name: &str) -> Vec<u64> {
+    story.when(task, |deed| matches!(deed, Deed::Begins { action, .. } if action == name))
+}
+
+fn waited(story: &Story<'_>, from: u64, to: u64, next: Option<u64>) -> String {
+    match next {
+        Some(at) if at >= to => format!(
+            "pick took nothing meanwhile; {} after the camera went on, at {}, it had a new pose and took the next part.",
+            span(at - to),
+            story.at(at)
+        ),
+        Some(at) => format!(
+            "At {}, {} into that, pick took a part on a pose from before, which still counted.",
+            story.at(at),
+            span(at - from)
+        ),
+        None => "After that pick took no part any more.".into(),
+    }
+}
+
+fn expired(story: &Story<'_>) -> String {
+    let pose = story.summary.ports.iter().find(|port| port.name == "pose");
+    match pose.map_or(0, |port| port.expired) {
+        0 => "No pose became too old on its way.".into(),
+        1 => "1 pose became older than 66 ms while pick was busy, and was thrown away.".into(),
+        n => format!(
+            "{n} poses became older than 66 ms, most of them while pick was busy, and were thrown away."
+        ),
+    }
+}
+
+fn parts(n: usize) -> String {
+    count(u64::try_from(n).unwrap_or(u64::MAX), "part")
+}
