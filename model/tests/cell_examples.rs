@@ -5,7 +5,6 @@ mod cells;
 use cells::Text;
 use imrs_model::cell::{Budget, Kind, Phase, Verdicts};
 
-const BEAM: &str = include_str!("../../examples/beam_lift.cell");
 const WELD: &str = include_str!("../../examples/weld_cell.cell");
 const FOUR: &str = "cell four;
 tick 1 msec;
@@ -55,34 +54,30 @@ fn checked(text: &str, states: u64) -> (Text, Verdicts) {
 }
 
 #[test]
-fn the_beam_is_wound_longer_than_the_arms_wait() {
-    let (cell, verdicts) =
-        checked(&BEAM.replacen("tick 1 msec;", "tick 1 msec;\nmodel tick 20 msec;", 1), 20_000);
-    let [fault_free, faults] = &verdicts.phases[..] else { panic!("two phases") };
-    assert!(fault_free.complete && !faults.complete);
-    let stranded =
-        verdicts.of(Kind::Stranded).find(|f| f.task.is_some_and(|task| task.0 == 0)).expect("armL");
-    assert_eq!(stranded.cause, "armL: waitfor `lift` waits in vain for hoist");
-    assert!(cell.source(stranded).starts_with("waitfor lift()"));
-    // armR moves before armL has begun to: not a stop, but what the check forbids.
-    let stop = verdicts.of(Kind::Check).find(|finding| finding.check == Some(1)).expect("stop_both");
-    assert_eq!(stop.phase, Phase::FaultFree);
-    assert!(verdicts.of(Kind::Machine).next().is_none());
-}
-
-#[test]
-fn the_weld_cell_is_sound_without_faults() {
-    let (_, verdicts) = checked(WELD, 20_000);
-    assert!(verdicts.phases[0].complete && !verdicts.phases[1].complete);
-    assert_eq!(verdicts.findings.iter().filter(|finding| finding.phase == Phase::FaultFree).count(), 0);
-    assert!(verdicts.of(Kind::TwoOwners).next().is_none() && verdicts.of(Kind::Machine).next().is_none());
-}
-
-#[test]
 fn four_tasks_and_six_ports_are_looked_at_whole() {
     let (cell, verdicts) = checked(FOUR, 500_000);
     assert!(verdicts.is_complete());
     let found = cell.found(&verdicts);
     assert!(found.iter().all(|(kind, _)| *kind == Kind::Ends), "{found:?}");
     assert!(!found.is_empty(), "a lost packet ends whom no branch helps");
+}
+
+#[test]
+fn any_number_of_threads_finds_the_same() {
+    let text = WELD.replace("within 200 msec", "within 100 msec").replace("retry = 3 resend = 40 msec", "");
+    let mut cell = Text::new(&text);
+    cell.plan.budget = Budget { states: 3_000, seconds: 600.0, bytes: 3 << 30 };
+    let mut told = [1, 2, 3].map(|jobs| {
+        cell.plan.jobs = jobs;
+        let verdicts = cell.check();
+        let phases =
+            verdicts.phases.iter().map(|phase| (phase.states, phase.moves, phase.depth)).collect::<Vec<_>>();
+        let findings =
+            verdicts.findings.into_iter().map(|finding| (finding.kind, finding.moves)).collect::<Vec<_>>();
+        (phases, findings, verdicts.statements)
+    });
+    told.rotate_left(1);
+    assert!(told[0].0.iter().any(|&(states, ..)| states >= 1_000), "{:?}", told[0].0);
+    assert_eq!(told[0], told[1]);
+    assert_eq!(told[0], told[2]);
 }

@@ -202,7 +202,7 @@ pub fn run(args: &DemoArgs, out: &mut Output) -> Result<Exit, Failure> {
 
 /// The cell of the beam lift.
 #[cfg(test)]
-pub fn beam_lift() -> Arc<CellTable> {
+pub fn beam_lift() -> std::sync::Arc<imrs_protocol::CellTable> {
     SCENES[0].load().expect("a sound cell").table
 }
 

@@ -108,12 +108,16 @@ impl Telling<'_> {
     }
 
     fn last_line(&self, out: &mut Output) -> Result<(), Failure> {
-        let (file, checks) = (&self.subject.file, count(self.plan.checks.len() as u64, "check"));
+        let file = &self.subject.file;
+        let checks = match self.plan.checks.len() {
+            0 => String::new(),
+            1 => "; the check holds".to_owned(),
+            n => format!("; all {n} checks hold"),
+        };
         match (self.verdicts.findings.len(), self.verdicts.is_complete()) {
             (0, true) => {
-                let text = format!(
-                    "{file}: nothing found, everything within these bounds was looked at; {checks} hold"
-                );
+                let text =
+                    format!("{file}: nothing found, everything within these bounds was looked at{checks}");
                 out.line(Styled(GOOD, text))
             }
             (0, false) => {
@@ -184,6 +188,13 @@ fn looked_at(phase: &Coverage) -> String {
         grouped(phase.states),
         grouped(phase.moves),
         phase.seconds,
-        cut.unwrap_or_else(|| "; everything within the bounds".into())
+        cut.unwrap_or_else(|| {
+            let whole = if phase.pruned {
+                "; everything up to the findings"
+            } else {
+                "; everything within the bounds"
+            };
+            whole.into()
+        })
     )
 }

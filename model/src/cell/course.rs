@@ -321,7 +321,7 @@ impl Course {
             }
             self.floor.run_scripts()?;
             if let Some(left) = &mut self.beside.held_back[node] {
-                *left = left.saturating_sub(u32::try_from(ticks).unwrap_or(u32::MAX));
+                *left = left.saturating_sub(ticks);
                 if *left == 0 {
                     self.beside.held_back[node] = None;
                     self.beside.acted |= bit(node);

@@ -24,11 +24,14 @@ const BATCH: usize = 1024;
 /// How many of them a thread takes at a time.
 const PART: usize = 32;
 
+/// A kept state and its number.
+type Kept = (u32, Box<[u8]>);
+
 #[derive(Default)]
 struct Search {
     seen: Seen,
     origins: Vec<Origin>,
-    queue: VecDeque<(u32, Box<[u8]>)>,
+    queue: VecDeque<Kept>,
     hits: Vec<Hit>,
     moves: u64,
     longest: usize,
@@ -41,8 +44,6 @@ struct Done {
     findings: Vec<Finding>,
     reached: Reached,
     mattered: Vec<bool>,
-    /// Whether what follows some finding was not looked at.
-    pruned: bool,
 }
 
 /// Checks a cell: first without faults, which says what takes no fault to go wrong, then with those declared.
@@ -86,6 +87,7 @@ fn explore(plan: &Arc<CellPlan>, (phase, hypothesis): (Phase, usize), faults: &C
         depth: search.origins.iter().map(|origin| u64::from(origin.depth)).max().unwrap_or(0),
         ticks: findings.iter().map(|finding| finding.at_ticks).max().unwrap_or(0),
         complete: ended_by.is_none(),
+        pruned: search.hits.iter().any(|hit| hit.shown.last),
         ended_by,
         longest_state: search.longest as u64,
         seconds: start.elapsed().as_secs_f64(),
@@ -95,13 +97,12 @@ fn explore(plan: &Arc<CellPlan>, (phase, hypothesis): (Phase, usize), faults: &C
         mattered.iter_mut().zip(walker.mattered()).for_each(|(all, one)| *all |= one);
     }
     let reached = walkers.into_iter().map(|walker| walker.reached).reduce(joined).unwrap_or_default();
-    let pruned = search.hits.iter().any(|hit| hit.shown.last);
-    Done { coverage, findings, reached, mattered, pruned }
+    Done { coverage, findings, reached, mattered }
 }
 
 /// What was reached by the one or by the other.
 fn joined(mut all: Reached, one: Reached) -> Reached {
-    for (all, one) in all.iter_mut().flatten().zip(one.iter().flatten()) {
+    for (all, one) in all.iter_mut().flatten().zip(one.into_iter().flatten()) {
         *all |= one;
     }
     all
@@ -134,8 +135,8 @@ impl Search {
     }
 
     /// Walks on from each state of a batch, and gives what that came to in the batch's order.
-    fn walk_on(&self, batch: &[(u32, Box<[u8]>)], walkers: &mut [Walker]) -> Vec<Walks> {
-        let parts: Vec<&[(u32, Box<[u8]>)]> = batch.chunks(PART).collect();
+    fn walk_on(&self, batch: &[Kept], walkers: &mut [Walker]) -> Vec<Walks> {
+        let parts: Vec<&[Kept]> = batch.chunks(PART).collect();
         let done: Vec<OnceLock<Walks>> = parts.iter().map(|_| OnceLock::new()).collect();
         let next = AtomicUsize::new(0);
         let work = |walker: &mut Walker| {
@@ -244,8 +245,11 @@ impl Search {
 
 fn conclude(plan: &Arc<CellPlan>, done: Vec<Done>) -> Verdicts {
     // What nobody reached before a finding that ends its way may lie behind it.
-    let complete = done.iter().all(|done| done.coverage.complete && !done.pruned);
+    let complete = done.iter().all(|done| done.coverage.complete && !done.coverage.pruned);
     let mut verdicts = Verdicts::default();
+    let gives = |conduct: &Conduct| matches!(conduct, Conduct::Program { values, .. } if values.iter().any(|v| !v.is_empty()));
+    let tried =
+        if plan.tasks.iter().any(gives) { " with the results of actions that were tried" } else { "" };
     for (number, conduct) in plan.tasks.iter().enumerate() {
         let Conduct::Program { program, .. } = conduct else {
             verdicts.statements.push((0, 0));
@@ -265,7 +269,7 @@ fn conclude(plan: &Arc<CellPlan>, done: Vec<Done>) -> Verdicts {
             if needs_fault && complete {
                 verdicts.not_exercised.push((task, at));
             } else if complete {
-                let cause = format!("{}: never reached", judge::name(&plan.table, number));
+                let cause = format!("{}: never reached{tried}", judge::name(&plan.table, number));
                 verdicts.findings.push(bare(Kind::Unreached, Some((task, at)), None, cause));
             } else {
                 verdicts.not_seen.push((task, at));

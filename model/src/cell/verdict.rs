@@ -112,6 +112,8 @@ pub struct Coverage {
     pub ticks: u64,
     /// Whether everything within the bounds was looked at.
     pub complete: bool,
+    /// Whether what follows some finding was not looked at.
+    pub pruned: bool,
     /// Which budget ended it.
     pub ended_by: Option<String>,
     /// Bytes of the longest state.
