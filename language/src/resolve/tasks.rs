@@ -123,8 +123,8 @@ impl<'a> Resolver<'a> {
                     (TypeName::Record(_), None) => Entity::Unknown,
                     (TypeName::Record(_), Some(record)) => {
                         for field in self.hir.records[record].fields.clone() {
-                            let name = format!("{}.{}", name.text, field.name);
-                            self.variable(id, name, field.of, field.span);
+                            let leaf = format!("{}.{}", name.text, field.name);
+                            self.variable(id, leaf, field.of, name.span);
                         }
                         Entity::Record { record, first: slot(at) }
                     }
