@@ -3,7 +3,7 @@
 mod cells;
 
 use cells::Text;
-use imrs_model::cell::{Budget, CellFaults, Finding, Happening, Kind, Phase, Verdicts, scenes, svg};
+use imrs_model::cell::{Budget, CellFaults, Finding, Kind, Phase, Shows, Verdicts, scenes, svg};
 use imrs_wire::obs::Liveness;
 use std::sync::Arc;
 
@@ -290,7 +290,7 @@ fn a_packet_overtakes_the_one_before_it_as_often_as_it_may() {
         scene
             .happened
             .iter()
-            .any(|happened| matches!(happened, Happening::Said(word) if word.contains("OVERTAKES")))
+            .any(|happened| matches!(happened, Shows::Said(word) if word.contains("OVERTAKES")))
     });
     assert!(overtakes.expect("the step is told").odd);
     let last = scenes.last().expect("steps");
