@@ -3,7 +3,7 @@
 mod cells;
 
 use cells::Text;
-use imrs_model::cell::{Budget, Kind, Phase, Verdicts};
+use imrs_model::cell::{Budget, Kind, Verdicts};
 
 const WELD: &str = include_str!("../../examples/weld_cell.cell");
 const FOUR: &str = "cell four;

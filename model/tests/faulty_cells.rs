@@ -86,7 +86,7 @@ fn check(text: &Text) -> Verdicts {
 
 fn cell(text: &str) -> Text {
     let mut cell = Text::new(text);
-    cell.plan.budget = Budget { states: 100_000, seconds: 600.0, bytes: 4 << 30 };
+    cell.plan.budget = Budget { states: 250_000, seconds: 600.0, bytes: 4 << 30 };
     cell
 }
 
