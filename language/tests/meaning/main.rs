@@ -11,8 +11,8 @@ mod runs;
 
 use imrs_language::{Compiled, Diagnostic, Source, compile, render};
 
-const BEAM_LIFT: &str = include_str!("../../../examples/beam_lift.cell");
-const WELD: &str = include_str!("../../../examples/weld_cell.cell");
+const BEAM_LIFT: &str = include_str!("cells/beam_lift.cell");
+const WELD: &str = include_str!("cells/weld_cell.cell");
 
 fn source(text: &str) -> Source {
     Source::new(text.as_bytes()).expect("a text")
