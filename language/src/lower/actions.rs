@@ -1,6 +1,6 @@
 //! What passes between a script and the actions outside.
 
-use super::Action;
+use super::{Action, Behaviour};
 use crate::hir::{CheckKind, Destination, Expr, Hir};
 use imrs_protocol::TaskId;
 use imrs_protocol::script::{Binary, Op, Program, Slot, Term, Type};
@@ -41,6 +41,7 @@ impl Uses {
             arguments: Vec::new(),
             result: None,
             range: None,
+            travels: false,
             values: Vec::new(),
         };
         let mut compared = Vec::new();
@@ -54,13 +55,15 @@ impl Uses {
             };
             let terms: Vec<Option<Term>> = program.code.iter().map(term).collect();
             both_sides(&terms, |term| term == Term::Load(to.slot), &mut compared);
+            action.travels |= goes_elsewhere(&terms, Term::Load(to.slot));
             for check in exprs(hir) {
                 let terms: Vec<Option<Term>> = check.ops.iter().map(term).collect();
                 let is = |term| matches!((term, to.slot), (Term::Of { task: t, variable }, Slot::Task(at)) if t == task && variable == at);
                 both_sides(&terms, is, &mut compared);
             }
         }
-        action.values = values(&action, compared);
+        action.values = compared;
+        action.values = values(&action);
         action
     }
 }
@@ -119,9 +122,53 @@ fn whole(bits: i64) -> i64 {
     whole
 }
 
-fn values(action: &Action, compared: Vec<i64>) -> Vec<i64> {
+/// Whether a variable is read elsewhere than in a comparison with a constant.
+fn goes_elsewhere(terms: &[Option<Term>], variable: Term) -> bool {
+    let compares = |window: &[Option<Term>]| {
+        let mut into = Vec::new();
+        both_sides(window, |term| term == variable, &mut into);
+        !into.is_empty()
+    };
+    let read = (0..terms.len()).filter(|&at| terms[at] == Some(variable));
+    read.into_iter().any(|at| {
+        let (ahead, behind) =
+            (terms.get(at..at + 3), at.checked_sub(1).and_then(|from| terms.get(from..from + 3)));
+        !ahead.is_some_and(compares) && !behind.is_some_and(compares)
+    })
+}
+
+/// How many results are tried at most because somebody else compares with them.
+const MOST: usize = 16;
+
+/// Gives each action whose result travels what any task or check of the cell compares anything with, within its range.
+pub(super) fn try_what_others_compare(hir: &Hir, tasks: &mut [Behaviour]) {
+    let mut all = Vec::new();
+    let any = |term| matches!(term, Term::Load(_) | Term::Of { .. });
+    for task in &*tasks {
+        let Behaviour::Script(script) = task else { continue };
+        both_sides(&script.program.code.iter().map(term).collect::<Vec<_>>(), any, &mut all);
+    }
+    for check in exprs(hir) {
+        both_sides(&check.ops.iter().map(term).collect::<Vec<_>>(), any, &mut all);
+    }
+    all.sort_unstable();
+    all.dedup();
+    all.truncate(MOST);
+    for task in tasks {
+        let Behaviour::Script(script) = task else { continue };
+        let travel =
+            script.actions.iter_mut().filter(|action| action.travels && action.result != Some(Type::Bool));
+        for action in travel {
+            action.values.extend(&all);
+            action.values = values(action);
+        }
+    }
+}
+
+/// What is worth trying of these: what the result's type and range allow.
+fn values(action: &Action) -> Vec<i64> {
     let Some(of) = action.result else { return Vec::new() };
-    let mut values = compared;
+    let mut values = action.values.clone();
     match (of, action.range) {
         (Type::Bool, _) => values = vec![0, 1],
         (_, Some((low, high))) => values.extend([low, high]),

@@ -74,7 +74,10 @@ pub struct Action {
     pub result: Option<Type>,
     /// The least and the most that it gives.
     pub range: Option<(i64, i64)>,
-    /// Results that a checker should try: the ends of the range, and both sides of what the results are compared with.
+    /// Whether its result also goes elsewhere than into comparisons: into a message, say.
+    pub travels: bool,
+    /// Results that a checker should try: the ends of the range, and both sides of what the results are compared with; of
+    /// those that travel, of whatever the cell compares with.
     pub values: Vec<i64>,
 }
 
@@ -138,6 +141,7 @@ pub fn lower(hir: &Hir, unit: Unit) -> Result<Lowered, Vec<Diagnostic>> {
     if !errors.is_empty() {
         return Err(errors);
     }
+    actions::try_what_others_compare(hir, &mut tasks);
     let addresses = hir.nodes.iter().map(|node| Address { host: node.host.clone(), port: node.port });
     let checks = hir.checks.iter().map(|check| self::check(check, &mut clock)).collect();
     let (addresses, faults) = (addresses.collect(), hir.faults.clone());

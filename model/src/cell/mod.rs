@@ -18,6 +18,7 @@
 //!   when nothing else happens any more; or it stays down. With [`CellPlan::everything`] also at every other event.
 //! - A named link is cut from any packet on, in both directions, until any later one.
 //! - A time_out and a packet of the same tick: the time_out comes first.
+//! - Scripts of a node that came back begin when its quarantine is over, as on real nodes.
 //! - A task outside the cell chooses among all uses of its ports, or none, once in its period; its messages say zero.
 //!
 //! Not looked at: a task that goes on for ever without coming further (starvation).
