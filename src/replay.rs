@@ -125,10 +125,10 @@ fn open<'a>(path: &Path, known: &'a [Loaded]) -> Result<Opened<'a>, ReplayError>
     let reader = RecordingReader::new(BufReader::new(file))
         .map_err(|error| ReplayError::Read { path: own(), source: error.into() })?;
     let header = reader.header().clone();
+    let node = header.node.ok_or_else(|| ReplayError::Observations(own()))?;
     let cell = known.iter().find(|cell| cell.table.digest() == header.digest).ok_or_else(|| {
         ReplayError::OtherCell { path: own(), cell: header.cell.clone(), digest: header.digest }
     })?;
-    let node = header.node.ok_or_else(|| ReplayError::Observations(own()))?;
     let declared = |node: &NodeId| node.index() < cell.table.cell().nodes.len();
     let node = Some(node).filter(declared).ok_or_else(|| ReplayError::NoInputs(own()))?;
     Ok(Opened { reader, header, table: NodeTable::new(Arc::clone(&cell.table), node), cell })

@@ -247,6 +247,8 @@ fn what_the_screen_records_is_replayed_in_the_terminal() {
     terminal.wait_for("a recording", |screen| {
         screen.contains(" REC ") && screen.contains("3/3 nodes") && screen.contains("hoist")
     });
+    // Long enough to have an end that is not its beginning.
+    thread::sleep(Duration::from_secs(1));
     terminal.keys(&["r"]);
     terminal.wait_for("the end of the recording", |screen| !screen.contains(" REC "));
     terminal.keys(&["q"]);

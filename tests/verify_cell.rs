@@ -38,7 +38,10 @@ fn a_sound_cell_holds_within_its_bounds() {
     let (_folder, path) = cell("7", "faults loss 2;\ncheck small: never asker.at > 7;\n");
     let answer = run(&["verify", path.to_str().expect("text"), "--dup", "1"]);
     assert_eq!(answer.code, Some(0), "{answer:?}");
-    assert!(answer.out.contains("everything within these bounds was looked at; the check holds"), "{answer:?}");
+    assert!(
+        answer.out.contains("everything within these bounds was looked at; the check holds"),
+        "{answer:?}"
+    );
 }
 
 #[test]
