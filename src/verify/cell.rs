@@ -27,6 +27,8 @@ pub(super) struct Subject {
     pub table: Arc<CellTable>,
     /// Microseconds in a tick of the model.
     pub tick_us: u64,
+    /// Microseconds to whose multiples times of actions, delays and timers are rounded outward, where the cell says so.
+    pub model_tick_us: Option<u64>,
 }
 
 /// Checks a cell.
@@ -45,7 +47,8 @@ pub fn run(path: &Path, args: &VerifyVerb, out: &mut Output) -> Result<Exit, Fai
         Failure::Usage(format!("{file}: in whole ticks the cell does not fit: {}", all.join("; ")))
     })?;
     let tick_us = compiled.hir.as_ref().map_or(1, |hir| Unit::Ticks.usec(hir));
-    let subject = Subject { file, source, lowered, table, tick_us };
+    let model_tick_us = compiled.hir.as_ref().and_then(|hir| hir.model_tick).map(|tick| tick.usec);
+    let subject = Subject { file, source, lowered, table, tick_us, model_tick_us };
     let plan = Arc::new(subject.plan(args)?);
     let verdicts = check_cell(&plan);
     let saved = subject.keep(&plan, &verdicts, &args.faults)?;
@@ -186,6 +189,12 @@ impl Subject {
             cell: &self.lowered.cell.name,
             file: &self.file,
             complete: verdicts.is_complete(),
+            looked_at: LookedAt {
+                tick_us: self.tick_us,
+                model_tick_us: self.model_tick_us,
+                packets_take: "the bound of their link",
+                actions_take: "their least or their most time",
+            },
             claims: self.lowered.checks.iter().enumerate().map(settled).collect(),
             findings: verdicts.findings.iter().enumerate().map(told).collect(),
             phases: &verdicts.phases,
@@ -200,10 +209,21 @@ struct Answer<'a> {
     cell: &'a str,
     file: &'a str,
     complete: bool,
+    looked_at: LookedAt,
     /// The checks of the file.
     claims: Vec<Settled<'a>>,
     findings: Vec<Told<'a>>,
     phases: &'a [Coverage],
+}
+
+/// Which times are looked at.
+#[derive(Serialize)]
+struct LookedAt {
+    tick_us: u64,
+    /// Times of actions, delays and timers are rounded outward to its multiples.
+    model_tick_us: Option<u64>,
+    packets_take: &'static str,
+    actions_take: &'static str,
 }
 
 #[derive(Serialize)]

@@ -51,11 +51,28 @@ impl Telling<'_> {
             out.line(Styled(HEAD, bounds(self.plan, phase)))?;
             out.line(format!("  {}", looked_at(phase)))?;
         }
+        out.line(Styled(FAINT, format!("  looked at: {}", self.times())))?;
         let untried = "only for faults that did not come about within these bounds, so not tried (more faults: --loss, --dup, --reorder, --crash, --drift)";
         self.statements(untried, &verdicts.not_exercised, out)?;
         let unseen = "not reached before the search ended, which says nothing about them";
         self.statements(unseen, &verdicts.not_seen, out)?;
         self.last_line(out)
+    }
+
+    /// Which times are looked at: what a verdict is about.
+    fn times(&self) -> String {
+        let msec = |usec: u64| match (usec / 1000, usec % 1000) {
+            (whole, 0) => format!("{whole} msec"),
+            _ => format!("{usec} usec"),
+        };
+        let tick = msec(self.subject.tick_us);
+        let model = self.subject.model_tick_us.map(|usec| {
+            format!("; times of actions, delays and timers rounded outward to a model tick of {}", msec(usec))
+        });
+        let model = model.unwrap_or_default();
+        format!(
+            "packets that take their link's bound, actions that end at their least or most time; tick {tick}{model}"
+        )
     }
 
     /// The command that shows a finding step by step. None where there is no way to it.
