@@ -59,7 +59,7 @@ pub struct Faults {
     pub drift: u8,
     /// Nodes that crash, one entry for each crash.
     pub crash: Vec<NodeId>,
-    /// Links that are cut for a while, one entry for each cut: positions in [`Hir::links`].
+    /// Links that are cut for a while, one entry for each cut: positions in [`Hir::links`](super::Hir).
     pub cut: Vec<usize>,
     /// Where the declaration stands.
     pub span: Span,
