@@ -87,9 +87,13 @@ impl Course {
 
     /// A link that is cut carries nothing, in no order.
     fn may_overtake(&self, link: u8) -> bool {
-        let cuts = self.faults.cut.iter().zip(&self.beside.cuts);
-        let cut = cuts.into_iter().any(|(&at, &state)| at == usize::from(link) / 2 && state == OPEN);
-        self.beside.reorder > 0 && !cut
+        self.beside.reorder > 0 && self.cut_of(link, OPEN).is_none()
+    }
+
+    /// The first declared cut of a link, in either direction, that is at this.
+    fn cut_of(&self, link: u8, at: u8) -> Option<u8> {
+        let mut cuts = self.faults.cut.iter().zip(&self.beside.cuts);
+        cuts.position(|(&of, &state)| of == usize::from(link) / 2 && state == at).map(small)
     }
 
     fn ends(&self, task: usize, action: &Running, moves: &mut Vec<CellMove>) {
@@ -123,14 +127,9 @@ impl Course {
     }
 
     fn arrivals(&self, i: u8, link: u8, moves: &mut Vec<CellMove>) {
-        let cuts = self.faults.cut.iter().zip(&self.beside.cuts).enumerate();
-        let of_link = |at: usize| at == usize::from(link) / 2;
-        let mut first = true;
-        for (number, (&at, &state)) in cuts {
-            if of_link(at) && state == OPEN {
-                moves.extend([CellMove::Vanish(i), CellMove::Mend(i, small(number))]);
-                return;
-            }
+        if let Some(number) = self.cut_of(link, OPEN) {
+            moves.extend([CellMove::Vanish(i), CellMove::Mend(i, number)]);
+            return;
         }
         moves.push(CellMove::Deliver(i));
         if self.beside.loss > 0 {
@@ -139,11 +138,8 @@ impl Course {
         if self.beside.dup > 0 {
             moves.push(CellMove::Duplicate(i));
         }
-        for (number, (&at, &state)) in self.faults.cut.iter().zip(&self.beside.cuts).enumerate() {
-            if of_link(at) && state == UNUSED && first {
-                moves.push(CellMove::Cut(i, small(number)));
-                first = false;
-            }
+        if let Some(number) = self.cut_of(link, UNUSED) {
+            moves.push(CellMove::Cut(i, number));
         }
     }
 
