@@ -201,6 +201,9 @@ pub struct CellFaultArgs {
     /// Let clocks leave out or count twice so many more ticks.
     #[arg(long, value_name = "N", requires = "cell", default_value_t = 0)]
     pub drift: u8,
+    /// When actions end, and packets arrive.
+    #[arg(long, value_name = "WHEN", requires = "cell", value_enum, default_value_t)]
+    pub times: Times,
     /// Give up after so long without faults, and after so long with them.
     #[arg(long, value_name = "TIME", requires = "cell", default_value = "30s", value_parser = humantime::parse_duration)]
     pub within: Duration,
@@ -213,6 +216,18 @@ pub struct CellFaultArgs {
     /// Which finding is drawn and saved, counted from 1 [default: the first that steps lead to].
     #[arg(long, value_name = "N", requires = "cell", value_parser = clap::value_parser!(u16).range(1..))]
     pub finding: Option<u16>,
+}
+
+/// When the actions of a cell end, and its packets arrive, under the checker.
+#[derive(clap::ValueEnum, Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Times {
+    /// Without faults as `between`, with them as `ends`.
+    #[default]
+    Auto,
+    /// Actions at their least or most time, packets at their link's bound.
+    Ends,
+    /// At both ends, or right after anything that happens between them: more states.
+    Between,
 }
 
 /// What `verify` can be asked.

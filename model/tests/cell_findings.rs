@@ -3,7 +3,7 @@
 mod cells;
 
 use cells::Text;
-use imrs_model::cell::{Budget, CellFaults, Finding, Kind, Phase, Shows, Verdicts, scenes, svg};
+use imrs_model::cell::{Budget, CellFaults, Finding, Kind, Phase, Shows, Times, Verdicts, scenes, svg};
 use imrs_wire::obs::Liveness;
 use std::sync::Arc;
 
@@ -186,7 +186,7 @@ fn a_budget_that_ends_the_search_gives_a_part() {
 }
 
 #[test]
-fn an_end_between_least_and_most_is_looked_at_on_demand() {
+fn an_end_between_least_and_most_is_looked_at_without_faults() {
     // At 5 and at 60 ticks all is well; whoever ends while the other's beat of 20 ticks passes is not.
     let a = "run work takes 5..60 msec; x := 1; delay 1 msec; x := 0;";
     let b = "delay 20 msec; y := 1; delay 1 msec; y := 0;";
@@ -198,8 +198,9 @@ fn an_end_between_least_and_most_is_looked_at_on_demand() {
         "check c: never a.x = 1 and b.y = 1;",
     );
     let has = |cell: &Text| cell.check().of(Kind::Check).next().is_some();
+    cell.plan.times = Times::Ends;
     assert!(!has(&cell));
-    cell.plan.between = true;
+    cell.plan.times = Times::Auto;
     assert!(has(&cell));
 }
 

@@ -2,7 +2,7 @@
 
 use super::DEFAULT_MEMORY;
 use super::tell::{self, Telling};
-use crate::args::{CellFaultArgs, Format, VerifyVerb};
+use crate::args::{self, CellFaultArgs, Format, VerifyVerb};
 use crate::cell_file::{self, CellFileError};
 use crate::exit::{Exit, Failure, did_you_mean};
 use crate::output::Output;
@@ -10,7 +10,7 @@ use imrs_language::hir::Faults;
 use imrs_language::lower::{Behaviour, Check, CheckKind, Lowered};
 use imrs_language::{Options, Source, Unit, compile_with, render};
 use imrs_model::cell::{
-    Budget, CellCheck, CellFaults, CellPlan, Conduct, Coverage, Finding, Holds, Kind, Phase, Verdicts,
+    Budget, CellCheck, CellFaults, CellPlan, Conduct, Coverage, Finding, Holds, Kind, Phase, Times, Verdicts,
     check_cell, svg,
 };
 use imrs_protocol::script::Address;
@@ -73,6 +73,11 @@ impl Subject {
         plan.checks = self.lowered.checks.iter().map(check).collect();
         let seconds = args.faults.within.as_secs_f64();
         plan.budget = Budget { seconds, bytes: args.verify.memory.unwrap_or(DEFAULT_MEMORY), ..plan.budget };
+        plan.times = match args.faults.times {
+            args::Times::Auto => Times::Auto,
+            args::Times::Ends => Times::Ends,
+            args::Times::Between => Times::Between,
+        };
         plan.jobs = args.verify.jobs.map_or(2, usize::from);
         Ok(plan)
     }
@@ -189,12 +194,7 @@ impl Subject {
             cell: &self.lowered.cell.name,
             file: &self.file,
             complete: verdicts.is_complete(),
-            looked_at: LookedAt {
-                tick_us: self.tick_us,
-                model_tick_us: self.model_tick_us,
-                packets_take: "the bound of their link",
-                actions_take: "their least or their most time",
-            },
+            looked_at: LookedAt { tick_us: self.tick_us, model_tick_us: self.model_tick_us },
             claims: self.lowered.checks.iter().enumerate().map(settled).collect(),
             findings: verdicts.findings.iter().enumerate().map(told).collect(),
             phases: &verdicts.phases,
@@ -222,8 +222,6 @@ struct LookedAt {
     tick_us: u64,
     /// Times of actions, delays and timers are rounded outward to its multiples.
     model_tick_us: Option<u64>,
-    packets_take: &'static str,
-    actions_take: &'static str,
 }
 
 #[derive(Serialize)]

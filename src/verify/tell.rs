@@ -1,7 +1,7 @@
 //! What the check of a cell found, as a person reads it.
 
 use super::cell::Subject;
-use crate::args::VerifyVerb;
+use crate::args::{Times, VerifyVerb};
 use crate::cell_file;
 use crate::exit::Failure;
 use crate::output::{BAD, FAINT, GOOD, HEAD, NOTE, Output, Styled, count, grouped};
@@ -70,9 +70,17 @@ impl Telling<'_> {
             format!("; times of actions, delays and timers rounded outward to a model tick of {}", msec(usec))
         });
         let model = model.unwrap_or_default();
-        format!(
-            "packets that take their link's bound, actions that end at their least or most time; tick {tick}{model}"
-        )
+        let ends = "packets that take their link's bound, actions that end at their least or most time";
+        let between = "packets that arrive, and actions that end, at either end of their times or right after anything that \
+            happens between";
+        let phases = &self.verdicts.phases;
+        let of = |between: bool| phases.iter().any(|phase| phase.between == between);
+        let times = match (of(true), of(false)) {
+            (true, true) => format!("without faults: {between}; with faults: {ends}"),
+            (true, false) => between.into(),
+            (false, _) => ends.into(),
+        };
+        format!("{times}; tick {tick}{model}")
     }
 
     /// The command that shows a finding step by step. None where there is no way to it.
@@ -94,6 +102,11 @@ impl Telling<'_> {
                 ];
                 for (flag, count) in counts.into_iter().filter(|(_, count)| *count > 0) {
                     let _ = write!(command, " --{flag} {count}");
+                }
+                if let Some(times) = clap::ValueEnum::to_possible_value(&faults.times)
+                    && faults.times != Times::default()
+                {
+                    let _ = write!(command, " --times {}", times.get_name());
                 }
                 for name in &faults.crash {
                     let _ = write!(command, " --crash {}", quoted(name));

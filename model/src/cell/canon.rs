@@ -69,9 +69,10 @@ impl Course {
                 number(due.map_or(0, |left| left + 1), &mut out);
             }
         }
-        if self.plan.between {
+        if self.between {
             out.push(u8::try_from(b.stays.len()).map_err(|_| Violation::Overflow)?);
             b.stays.iter().for_each(|&(task, level)| out.extend([task, level]));
+            out.extend(b.slow.to_le_bytes());
         }
         out.extend_from_slice(&floor.0);
         Ok(out.into_boxed_slice())
@@ -112,10 +113,11 @@ impl Course {
             }
         }
         b.stays.clear();
-        if self.plan.between {
+        if self.between {
             for _ in 0..byte() {
                 b.stays.push((byte(), byte()));
             }
+            b.slow = u64::from_le_bytes(std::array::from_fn(|_| byte()));
         }
         self.floor.violation = None;
         self.floor.load_bytes(state.get(at..).unwrap_or(&[]));

@@ -33,6 +33,8 @@ pub enum CellMove {
     Acted(u8, u8, bool, u8),
     /// An action does not end yet.
     GoOn(u8, u8),
+    /// What comes next on this link is still on its way.
+    Stay(u8),
     /// A script gets its choice.
     Choose(u8, u16),
     /// Declared crash number so happens.
@@ -60,8 +62,10 @@ pub(super) struct Beside {
     pub cuts: Vec<u8>,
     /// For each check that has to lead somewhere, the ticks left, once it must.
     pub due: Vec<Option<u32>>,
-    /// Actions that do not end in this tick: task and thread.
+    /// Actions that do not end before something else happens, or their most time is over: task and thread.
     pub stays: Vec<(u8, u8)>,
+    /// Links, bit by bit, whose first packet does not arrive before something else happens, or its bound is over.
+    pub slow: u64,
     /// For each node, in how many ticks its scripts begin: they are held back after a restart (D94).
     pub held_back: Vec<Option<u32>>,
     /// The nodes that did something in this tick, bit by bit: those that may crash now. A crash between two steps of a
@@ -76,6 +80,8 @@ pub(super) struct Course {
     pub faults: CellFaults,
     pub floor: Floor,
     pub beside: Beside,
+    /// Whether actions may end, and packets arrive, between their ends.
+    pub between: bool,
     /// The check that was broken by the last move.
     pub broken: Option<usize>,
     /// Ticks that passed since this was last set to zero.
@@ -117,6 +123,7 @@ impl Course {
             cuts: vec![UNUSED; faults.cut.len()],
             due: vec![None; plan.checks.len()],
             stays: Vec::new(),
+            slow: 0,
             held_back: vec![None; plan.table.cell().nodes.len()],
             acted: u64::MAX,
         };
@@ -125,6 +132,7 @@ impl Course {
             faults: faults.clone(),
             floor,
             beside,
+            between: plan.times.between(faults),
             broken: None,
             passed: 0,
             mattered: vec![false; plan.checks.len()],
@@ -167,13 +175,17 @@ impl Course {
     /// Carries a move out and looks at what came of it.
     pub fn apply(&mut self, step: CellMove) {
         self.broken = None;
-        self.beside.acted |= self.node_of(step).map_or(0, bit);
+        if let Some(node) = self.node_of(step) {
+            self.beside.acted |= bit(node);
+            self.stir();
+        }
         let result = self.carry_out(step).and_then(|()| self.floor.run_scripts());
         if let Err(violation) = result {
             self.floor.violation = Some(violation);
         }
         // As the packed state has them: positions mean the same in a state that was never packed.
         self.floor.crossings.sort_by_key(|crossing| crossing.link);
+        self.settle();
         self.look();
     }
 
@@ -194,6 +206,7 @@ impl Course {
             | CellMove::Cut(..)
             | CellMove::Vanish(_)
             | CellMove::GoOn(..)
+            | CellMove::Stay(_)
             | CellMove::Crash(_) => None,
         }
     }
@@ -213,7 +226,8 @@ impl Course {
             }
             CellMove::Lose(i) => {
                 self.beside.loss -= 1;
-                floor.crossings.remove(usize::from(i));
+                let link = floor.crossings.remove(usize::from(i)).link;
+                self.beside.slow &= !bit(usize::from(link));
                 Ok(())
             }
             CellMove::Duplicate(i) => {
@@ -223,11 +237,13 @@ impl Course {
             }
             CellMove::Cut(i, number) => {
                 self.beside.cuts[usize::from(number)] = OPEN;
-                floor.crossings.remove(usize::from(i));
+                let link = floor.crossings.remove(usize::from(i)).link;
+                self.beside.slow &= !bit(usize::from(link));
                 Ok(())
             }
             CellMove::Vanish(i) => {
-                floor.crossings.remove(usize::from(i));
+                let link = floor.crossings.remove(usize::from(i)).link;
+                self.beside.slow &= !bit(usize::from(link));
                 Ok(())
             }
             CellMove::Mend(i, number) => {
@@ -243,6 +259,10 @@ impl Course {
             }
             CellMove::GoOn(task, level) => {
                 self.go_on(usize::from(task), level);
+                Ok(())
+            }
+            CellMove::Stay(link) => {
+                self.beside.slow |= bit(usize::from(link));
                 Ok(())
             }
             CellMove::Choose(task, choice) => {
@@ -270,21 +290,9 @@ impl Course {
         }
     }
 
-    fn go_on(&mut self, task: usize, level: u8) {
-        if self.plan.between {
-            self.beside.stays.push((small(task), level));
-            self.beside.stays.sort_unstable();
-            return;
-        }
-        let Some(actor) = &mut self.floor.bodies[task].actor else { return };
-        let actions = actor.running.iter_mut().filter(|action| action.level == level);
-        actions.for_each(|action| action.least = action.most);
-    }
-
     fn pass(&mut self, drift: Option<(usize, bool)>) -> Result<(), Violation> {
         let Some(ticks) = self.next_event() else { return Ok(()) };
         self.passed += u64::from(ticks);
-        self.beside.stays.clear();
         self.beside.acted = 0;
         for (check, due) in self.beside.due.iter_mut().enumerate() {
             match due.map(|left| left.checked_sub(ticks)) {
@@ -328,6 +336,9 @@ impl Course {
                     self.floor.begin_all(node)?;
                 }
             }
+        }
+        if self.beside.acted != 0 {
+            self.stir();
         }
         Ok(())
     }

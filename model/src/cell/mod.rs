@@ -7,10 +7,12 @@
 //! ```
 //!
 //! What is looked at, and what is not:
-//! - A packet takes exactly its link's bound, in the order sent; it may be lost, doubled or cut off within the budgets, or
+//! - A packet takes its link's bound, in the order sent; it may be lost, doubled or cut off within the budgets, or
 //!   arrive right before one that was sent earlier.
-//! - An action ends when its least time is over or when its most is; with [`CellPlan::between`] also whenever something
-//!   else happens in between. Each end gives each of the values worth trying, and may fail within the budget.
+//! - An action ends when its least time is over or when its most is. Each end gives each of the values worth trying, and
+//!   may fail within the budget.
+//! - Where a search looks between the ends ([`Times`]), an action also ends, and a packet also arrives, right after whatever
+//!   else happens in the cell meanwhile; a packet also after one tick.
 //! - What two nodes do in the same tick cannot reach each other in it: the nodes take turns in their order, and checks
 //!   are looked at after each turn. On one node every order of arrivals and ends of actions is tried, after what the
 //!   tick itself brings there (time_outs, timers, beats).
@@ -21,8 +23,10 @@
 //! - Scripts of a node that came back begin when its quarantine is over, as on real nodes.
 //! - A task outside the cell chooses among all uses of its ports, or none, once in its period; its messages say zero.
 //!
-//! Not looked at: a task that goes on for ever without coming further (starvation).
+//! A request that ends by its time_out without a fault is starvation where it was put off more often than aging allows.
+//! Not looked at: a task that goes on for ever without coming further.
 
+mod between;
 mod canon;
 mod course;
 mod follow;
@@ -34,6 +38,7 @@ mod outside;
 mod plan;
 mod search;
 mod seen;
+mod starve;
 mod story;
 mod svg;
 mod verdict;
@@ -44,7 +49,7 @@ pub use follow::{
     Followed, Happened, Happening, Late, Run, Steps, Turn, Unexplained, follow_run, steps_in_model,
 };
 pub use frames::{NodeFrame, Scene, Shows, scenes};
-pub use plan::{Budget, CellCheck, CellFaults, CellPlan, Conduct, Holds};
+pub use plan::{Budget, CellCheck, CellFaults, CellPlan, Conduct, Holds, Times};
 pub use search::check_cell;
 pub use story::{Note, Step, TaskView};
 pub(crate) use svg::draw_notes;

@@ -2,8 +2,8 @@
 
 use super::course::{CellMove, Course, OPEN, UNUSED, bit, small};
 use super::plan::Conduct;
-use crate::floor::Floor;
 use crate::floor::script::Running;
+use crate::floor::{Crossing, Floor};
 
 impl Floor {
     /// Whether a packet is on its link behind another.
@@ -73,6 +73,9 @@ impl Course {
                     self.arrivals(small(i), crossing.link, moves);
                     comes = true;
                 }
+                None if up && self.may_come_early(crossing) => {
+                    moves.extend([CellMove::Deliver(small(i)), CellMove::Stay(crossing.link)]);
+                }
                 // As late as it can: right before the one that it overtakes, but never in the tick that it left in.
                 Some(ahead) if ahead.age >= bound && crossing.age > 0 && self.may_overtake(crossing.link) => {
                     moves.push(CellMove::Deliver(small(i)));
@@ -94,6 +97,13 @@ impl Course {
     fn cut_of(&self, link: u8, at: u8) -> Option<u8> {
         let mut cuts = self.faults.cut.iter().zip(&self.beside.cuts);
         cuts.position(|(&of, &state)| of == usize::from(link) / 2 && state == at).map(small)
+    }
+
+    fn may_come_early(&self, crossing: &Crossing) -> bool {
+        self.between
+            && crossing.age > 0
+            && self.beside.slow & bit(usize::from(crossing.link)) == 0
+            && self.cut_of(crossing.link, OPEN).is_none()
     }
 
     fn ends(&self, task: usize, action: &Running, moves: &mut Vec<CellMove>) {
@@ -147,7 +157,9 @@ impl Course {
     pub fn next_event(&self) -> Option<u32> {
         let floor = &self.floor;
         let packets = floor.crossings.iter().map(|crossing| {
-            u64::from(floor.links[usize::from(crossing.link)].2.saturating_sub(crossing.age))
+            let bound = floor.links[usize::from(crossing.link)].2;
+            let at = if self.between && crossing.age == 0 { bound.min(1) } else { bound };
+            u64::from(at.saturating_sub(crossing.age))
         });
         let nodes = floor.stations.iter().filter(|s| s.up).filter_map(|s| s.node.next_expiry()).map(|t| t.0);
         let actions = floor.bodies.iter().filter_map(|body| body.actor.as_ref()).flat_map(|a| &a.running);

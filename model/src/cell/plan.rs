@@ -87,6 +87,30 @@ impl Default for Budget {
     }
 }
 
+/// When actions end, between their least and their most time, and packets arrive, between one tick and their link's bound.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum Times {
+    /// Without faults as [`Between`](Self::Between), with them as [`Ends`](Self::Ends).
+    #[default]
+    Auto,
+    /// Actions at their least or most time, packets at their bound.
+    Ends,
+    /// At both ends, or right after anything that happens between them.
+    Between,
+}
+
+impl Times {
+    /// Whether a search with these faults looks between the ends.
+    #[must_use]
+    pub fn between(self, faults: &CellFaults) -> bool {
+        match self {
+            Self::Auto => faults.are_none(),
+            Self::Ends => false,
+            Self::Between => true,
+        }
+    }
+}
+
 /// A cell to check.
 #[derive(Clone, Debug)]
 pub struct CellPlan {
@@ -100,8 +124,8 @@ pub struct CellPlan {
     pub checks: Vec<CellCheck>,
     /// How much the search may use.
     pub budget: Budget,
-    /// Whether actions may end at every event between their least and most time, too.
-    pub between: bool,
+    /// When actions end and packets arrive.
+    pub times: Times,
     /// Whether to do without reductions, to check that they change no finding: also faults that nobody can notice, states
     /// that others cover, variables that nobody reads any more, and restarts at every event.
     pub everything: bool,
@@ -121,7 +145,7 @@ impl CellPlan {
             faults: Vec::new(),
             checks: Vec::new(),
             budget: Budget::default(),
-            between: false,
+            times: Times::Auto,
             everything: false,
             transit: 16,
             jobs: 1,

@@ -7,9 +7,9 @@ use super::course::{CellMove, Course};
 use super::judge::{self, Reached, Shown};
 use super::plan::{CellFaults, CellPlan, Conduct, Holds};
 use super::seen::Seen;
-use super::story;
 use super::verdict::{Coverage, Finding, Kind, Phase, Verdicts};
 use super::walker::{Hit, Origin, WALK, Walker, Walks};
+use super::{starve, story};
 use crate::explore::resident_bytes;
 use imrs_protocol::TaskId;
 use imrs_protocol::script::{Address, Op};
@@ -82,6 +82,7 @@ fn explore(plan: &Arc<CellPlan>, (phase, hypothesis): (Phase, usize), faults: &C
     let coverage = Coverage {
         phase,
         hypothesis,
+        between: plan.times.between(faults),
         states: search.origins.len() as u64,
         moves: search.moves,
         depth: search.origins.iter().map(|origin| u64::from(origin.depth)).max().unwrap_or(0),
@@ -225,8 +226,13 @@ impl Search {
         hit: &Hit,
     ) -> Finding {
         let moves = self.path(plan, faults, hit);
-        let told = story::tell(plan, faults, &moves, &hit.shown.cause);
-        let Shown { kind, task, address, check, ref cause, .. } = hit.shown;
+        let Shown { mut kind, task, address, check, mut cause, .. } = hit.shown.clone();
+        if let (Kind::TimeOut, Some(place)) = (kind, task.zip(address))
+            && let Some(how) = starve::starved(plan, &moves, place)
+        {
+            (kind, cause) = (Kind::Starves, how);
+        }
+        let told = story::tell(plan, faults, &moves, &cause);
         Finding {
             kind,
             phase,
@@ -234,7 +240,7 @@ impl Search {
             task: task.map(TaskId::from_index),
             address,
             check,
-            cause: cause.clone(),
+            cause,
             at_ticks: told.ticks,
             moves,
             steps: told.steps,

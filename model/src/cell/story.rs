@@ -143,6 +143,7 @@ fn packet(course: &Course, step: CellMove, lanes: &Lanes) -> Option<Arrow> {
         | CellMove::Drift(..)
         | CellMove::Acted(..)
         | CellMove::GoOn(..)
+        | CellMove::Stay(_)
         | CellMove::Choose(..)
         | CellMove::Crash(_)
         | CellMove::Restart(_) => return None,
@@ -183,7 +184,8 @@ fn describe(course: &Course, step: CellMove) -> Option<(Lane, String)> {
         | CellMove::Cut(..)
         | CellMove::Vanish(_)
         | CellMove::Mend(..)
-        | CellMove::GoOn(..) => return None,
+        | CellMove::GoOn(..)
+        | CellMove::Stay(_) => return None,
     })
 }
 

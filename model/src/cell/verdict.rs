@@ -13,6 +13,8 @@ pub enum Kind {
     Deadlock,
     /// A request ends by its time_out although nothing went wrong.
     TimeOut,
+    /// A request is put off more often than aging allows, although nothing went wrong (D58).
+    Starves,
     /// A member waits at a waitfor in vain although nothing went wrong.
     Stranded,
     /// A message is refused although nothing went wrong.
@@ -44,6 +46,7 @@ impl Kind {
         match self {
             Self::Deadlock => "deadlock",
             Self::TimeOut => "time_out without a fault",
+            Self::Starves => "starvation",
             Self::Stranded => "waits in vain without a fault",
             Self::Refused => "refused without a fault",
             Self::Ends => "ends the task",
@@ -102,6 +105,8 @@ pub struct Coverage {
     pub phase: Phase,
     /// With faults, which of the plan's hypotheses.
     pub hypothesis: usize,
+    /// Whether actions that end, and packets that arrive, between their ends were looked at.
+    pub between: bool,
     /// Different states kept; between two of them only one thing can happen.
     pub states: u64,
     /// Moves made.

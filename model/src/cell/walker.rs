@@ -210,6 +210,7 @@ const fn takes_away(step: CellMove) -> Option<u8> {
         | CellMove::Mend(..)
         | CellMove::Acted(..)
         | CellMove::GoOn(..)
+        | CellMove::Stay(_)
         | CellMove::Choose(..)
         | CellMove::Crash(_)
         | CellMove::Restart(_) => None,

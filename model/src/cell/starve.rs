@@ -1,0 +1,93 @@
+//! Starvation: a request that is there all the time, and is put off more often than aging allows (§5.1.1, D58, D59).
+//!
+//! A request that ends by its time_out may have come late, or may have been passed over while it waited. On the way to
+//! such an end each request is watched where it waits: how often it was rejected by rank, and how many other messages were
+//! taken before it. Aging bounds both. What goes beyond a bound `K` never was to be served, however long it lived.
+
+use super::judge::{name, statement};
+use super::plan::{CellFaults, CellPlan, Conduct};
+use super::story;
+use imrs_protocol::aging::bypass_limit;
+use imrs_protocol::script::{Address, Op, ScriptInput};
+use imrs_protocol::{PortId, Signal, TaskId};
+use std::sync::Arc;
+
+/// What a request met where it waits.
+#[derive(Clone, Copy, Default)]
+struct Wait {
+    /// Rejections counted on its port up to now.
+    counted: u64,
+    /// Those of them since it is there.
+    rejected: u64,
+    /// Messages of others that were taken meanwhile.
+    passed: u64,
+    /// How many messages its port holds at most.
+    capacity: u64,
+}
+
+/// Says how a request that ended by its time_out starved, if it did.
+pub(super) fn starved(
+    plan: &Arc<CellPlan>,
+    moves: &[super::CellMove],
+    (task, address): (usize, Address),
+) -> Option<String> {
+    let Conduct::Program { program, .. } = &plan.tasks[task] else { return None };
+    let Some(Op::Send { port, .. }) = program.code.get(usize::from(address)) else { return None };
+    let source = TaskId::from_index(task);
+    let peers: Vec<usize> = plan.table.port(*port)?.peers(source).map(TaskId::index).collect();
+    let mut waits = vec![Wait::default(); peers.len()];
+    let mut last = Vec::new();
+    story::walk(plan, &CellFaults::default(), moves, |walked| {
+        last.clone_from(&waits);
+        for (wait, &peer) in waits.iter_mut().zip(&peers) {
+            let station = &walked.course.floor.stations[walked.course.floor.station_of(peer)];
+            let machine = station.node.task(TaskId::from_index(peer));
+            let view = machine.map(|machine| machine.view(&station.table, usize::MAX));
+            let view = view.as_ref().and_then(|view| view.ports.iter().find(|view| view.port == *port));
+            let Some(view) = view else { continue };
+            let rejected = wait.rejected + view.counters.rejected.saturating_sub(wait.counted);
+            let waits = view.queue.iter().any(|held| held.source == source);
+            let passed = if waits { wait.passed } else { 0 };
+            let rejected = if waits { rejected } else { 0 };
+            let capacity = u64::from(view.capacity);
+            *wait = Wait { counted: view.counters.rejected, rejected, passed, capacity };
+            if !waits {
+                continue;
+            }
+            let took = |turn: &&crate::floor::script::ScriptTurn| {
+                let taken = |signal: &Signal| matches!(signal, Signal::Message(_) | Signal::Interrupt(_));
+                turn.task == peer && matches!(&turn.input, ScriptInput::Signal(signal) if taken(signal))
+            };
+            wait.passed += walked.turns.iter().filter(took).count() as u64;
+        }
+    });
+    let found = last.iter().zip(&peers).find_map(|(wait, &peer)| {
+        let (refusals, bypasses) = bounds(plan, peer, *port, source);
+        let bypasses = (bypasses + 1) * wait.capacity.max(1);
+        let (times, most, how) = match (wait.rejected > refusals, wait.passed > bypasses) {
+            (true, _) => (wait.rejected, refusals, "rejected"),
+            (false, true) => (wait.passed, bypasses, "passed over"),
+            (false, false) => return None,
+        };
+        Some((peer, times, most, how))
+    });
+    let (peer, times, most, how) = found?;
+    let (asker, asked) = (name(&plan.table, task), name(&plan.table, peer));
+    let what = statement(&plan.table, program, address);
+    Some(format!(
+        "{asker}: {what} starves: {how} {times} times at {asked}; with aging it is served after at most K = {most}"
+    ))
+}
+
+/// How often aging lets a message be rejected by rank, and passed over by GETs (D58, D59).
+fn bounds(plan: &CellPlan, task: usize, port: PortId, source: TaskId) -> (u64, u64) {
+    let orders = match &plan.tasks[task] {
+        Conduct::Program { program, .. } => program.orders.as_slice(),
+        Conduct::Extern(_) => &[],
+    };
+    let rank = orders.iter().map(|order| u64::from(order.rank(port, source))).max().unwrap_or(1).max(1);
+    let levels = orders.iter().map(|order| order.ranked().len()).max().unwrap_or(0);
+    let ports = u16::try_from(plan.table.ports_of(TaskId::from_index(task)).len()).unwrap_or(u16::MAX);
+    let limit = bypass_limit(ports, u8::try_from(levels).unwrap_or(u8::MAX));
+    (rank, u64::from(limit.saturating_add(ports.saturating_sub(1))))
+}
