@@ -205,6 +205,23 @@ fn an_end_between_least_and_most_is_looked_at_without_faults() {
 }
 
 #[test]
+fn a_packet_that_comes_sooner_than_its_bound_is_looked_at_without_faults() {
+    let text = "cell early;\ntick 1 msec;\nnode na; node nb;\nlink na -- nb delay 20 msec;\n\
+        task a on na\nport put() usage = send user_list = {b} time_out = 80 msec class = 2;\nbegin\n\
+        send put() on time_out do skip; end;\nend a;\n\
+        task b on nb\nuse_port put() usage = receive;\nvar ready, early: bool;\nbegin\n\
+        on receive put() do early := not ready; reply(); end;\norder put > self;\n\
+        delay 10 msec; ready := true; delay 100 msec;\nend b;\ncheck c: never b.early;\n";
+    let mut cell = Text::new(text);
+    let mut has = |times: Times| {
+        cell.plan.times = times;
+        cell.check().of(Kind::Check).next().is_some()
+    };
+    assert!(has(Times::Auto));
+    assert!(!has(Times::Ends), "after 20 ticks it is ready");
+}
+
+#[test]
 fn a_finding_replays() {
     let send = "loop send put(m); delay 10 msec; end;";
     let cell = two(PUT, USE_PUT, send, TAKE, "faults loss 1;");

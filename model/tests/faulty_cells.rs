@@ -21,9 +21,10 @@ use std::sync::Arc;
 const FEWEST: usize = 25;
 
 /// Every kind of finding.
-const KINDS: [Kind; 13] = [
+const KINDS: [Kind; 14] = [
     Kind::Deadlock,
     Kind::TimeOut,
+    Kind::Starves,
     Kind::Stranded,
     Kind::Refused,
     Kind::Ends,

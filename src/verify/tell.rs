@@ -70,17 +70,14 @@ impl Telling<'_> {
             format!("; times of actions, delays and timers rounded outward to a model tick of {}", msec(usec))
         });
         let model = model.unwrap_or_default();
-        let ends = "packets that take their link's bound, actions that end at their least or most time";
-        let between = "packets that arrive, and actions that end, at either end of their times or right after anything that \
-            happens between";
-        let phases = &self.verdicts.phases;
-        let of = |between: bool| phases.iter().any(|phase| phase.between == between);
-        let times = match (of(true), of(false)) {
-            (true, true) => format!("without faults: {between}; with faults: {ends}"),
-            (true, false) => between.into(),
-            (false, _) => ends.into(),
+        let ends = "at the ends: packets take their link's bound, actions their least or their most time";
+        let between = self.verdicts.phases.iter().any(|phase| phase.between);
+        let between = if between {
+            "; between them: also until right after anything that happens meanwhile"
+        } else {
+            ""
         };
-        format!("{times}; tick {tick}{model}")
+        format!("{ends}{between}; tick {tick}{model}")
     }
 
     /// The command that shows a finding step by step. None where there is no way to it.
@@ -184,10 +181,12 @@ fn chart(finding: &Finding, whole: bool, out: &mut Output) -> Result<(), Failure
 
 /// What may go wrong in a phase, declared and asked for together.
 pub(super) fn bounds(plan: &CellPlan, phase: &Coverage) -> String {
-    match phase.phase {
-        Phase::FaultFree => "Without faults".into(),
+    let faults = match phase.phase {
+        Phase::FaultFree | Phase::Between => "Without faults".into(),
         Phase::Faults => format!("With at most {}", faults(plan, phase.hypothesis)),
-    }
+    };
+    let times = if phase.between { "times at their ends and between" } else { "times at their ends" };
+    format!("{faults}, {times}")
 }
 
 fn faults(plan: &CellPlan, hypothesis: usize) -> String {

@@ -1,7 +1,7 @@
 //! The running cell: a floor whose scripts are judged and not stopped, and the faults that are named in the cell.
 
 use super::liveness::{self, Dead};
-use super::plan::{CellFaults, CellPlan, Conduct, Holds};
+use super::plan::{CellFaults, CellPlan, Conduct, Holds, Times};
 use crate::floor::Floor;
 use crate::floor::plan::{Errand, Faults, FloorPlan, TaskPlan, Way};
 use crate::state::{Packed, Violation};
@@ -132,7 +132,7 @@ impl Course {
             faults: faults.clone(),
             floor,
             beside,
-            between: plan.times.between(faults),
+            between: plan.times == Times::Between,
             broken: None,
             passed: 0,
             mattered: vec![false; plan.checks.len()],

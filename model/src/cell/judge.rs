@@ -133,7 +133,7 @@ fn end(course: &Course, turn: &ScriptTurn, phase: Phase) -> Option<Shown> {
     let table = &course.plan.table;
     let program = program(course, turn.task)?;
     let name = name(table, turn.task);
-    let fault_free = phase == Phase::FaultFree;
+    let fault_free = phase != Phase::Faults;
     let (kind, address, cause) = match turn.end? {
         End::Finished | End::Fenced => return None,
         End::Assertion(at) => (Kind::Assertion, at, format!("{name}: an assertion does not hold")),

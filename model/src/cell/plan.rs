@@ -90,7 +90,8 @@ impl Default for Budget {
 /// When actions end, between their least and their most time, and packets arrive, between one tick and their link's bound.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Times {
-    /// Without faults as [`Between`](Self::Between), with them as [`Ends`](Self::Ends).
+    /// With faults as [`Ends`](Self::Ends); without them as [`Between`](Self::Between) where that does not take more than
+    /// [`AUTO_STATES`](Self::AUTO_STATES), and else both: the ends wholly, what is between them so far.
     #[default]
     Auto,
     /// Actions at their least or most time, packets at their bound.
@@ -100,15 +101,8 @@ pub enum Times {
 }
 
 impl Times {
-    /// Whether a search with these faults looks between the ends.
-    #[must_use]
-    pub fn between(self, faults: &CellFaults) -> bool {
-        match self {
-            Self::Auto => faults.are_none(),
-            Self::Ends => false,
-            Self::Between => true,
-        }
-    }
+    /// How many states what lies between the ends may take before they are looked at alone.
+    pub const AUTO_STATES: u64 = 20_000;
 }
 
 /// A cell to check.

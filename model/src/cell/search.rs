@@ -5,7 +5,7 @@
 
 use super::course::{CellMove, Course};
 use super::judge::{self, Reached, Shown};
-use super::plan::{CellFaults, CellPlan, Conduct, Holds};
+use super::plan::{CellFaults, CellPlan, Conduct, Holds, Times};
 use super::seen::Seen;
 use super::verdict::{Coverage, Finding, Kind, Phase, Verdicts};
 use super::walker::{Hit, Origin, WALK, Walker, Walks};
@@ -53,11 +53,36 @@ pub fn check_cell(plan: &Arc<CellPlan>) -> Verdicts {
     if let Some(refused) = refused(plan) {
         return Verdicts { findings: vec![refused], ..Verdicts::default() };
     }
-    let mut done = vec![explore(plan, (Phase::FaultFree, 0), &CellFaults::default())];
+    let mut done = without_faults(plan);
+    let plan = &timed(plan, plan.times == Times::Between);
     for (hypothesis, faults) in plan.faults.iter().enumerate().filter(|(_, faults)| !faults.are_none()) {
         done.push(explore(plan, (Phase::Faults, hypothesis), faults));
     }
     conclude(plan, done)
+}
+
+/// The same cell with other times.
+pub(super) fn timed(plan: &Arc<CellPlan>, between: bool) -> Arc<CellPlan> {
+    let times = if between { Times::Between } else { Times::Ends };
+    Arc::new(CellPlan { times, ..CellPlan::clone(plan) })
+}
+
+fn without_faults(plan: &Arc<CellPlan>) -> Vec<Done> {
+    let none = CellFaults::default();
+    let whole = |between| explore(&timed(plan, between), (Phase::FaultFree, 0), &none);
+    if plan.times != Times::Auto {
+        return vec![whole(plan.times == Times::Between)];
+    }
+    let mut short = CellPlan::clone(&timed(plan, true));
+    short.budget.states = short.budget.states.min(Times::AUTO_STATES);
+    short.budget.seconds /= 2.0;
+    let mut between = explore(&Arc::new(short), (Phase::FaultFree, 0), &none);
+    if between.coverage.complete {
+        return vec![between];
+    }
+    between.coverage.phase = Phase::Between;
+    between.findings.iter_mut().for_each(|finding| finding.phase = Phase::Between);
+    vec![whole(false), between]
 }
 
 /// A program that keeps numbers of messages: no canonical state could hold them (D51).
@@ -82,7 +107,7 @@ fn explore(plan: &Arc<CellPlan>, (phase, hypothesis): (Phase, usize), faults: &C
     let coverage = Coverage {
         phase,
         hypothesis,
-        between: plan.times.between(faults),
+        between: plan.times == Times::Between,
         states: search.origins.len() as u64,
         moves: search.moves,
         depth: search.origins.iter().map(|origin| u64::from(origin.depth)).max().unwrap_or(0),
@@ -237,6 +262,7 @@ impl Search {
             kind,
             phase,
             hypothesis,
+            between: plan.times == Times::Between,
             task: task.map(TaskId::from_index),
             address,
             check,
@@ -251,7 +277,8 @@ impl Search {
 
 fn conclude(plan: &Arc<CellPlan>, done: Vec<Done>) -> Verdicts {
     // What nobody reached before a finding that ends its way may lie behind it.
-    let complete = done.iter().all(|done| done.coverage.complete && !done.coverage.pruned);
+    let done_with = |coverage: &Coverage| coverage.phase == Phase::Between || coverage.complete;
+    let complete = done.iter().all(|done| done_with(&done.coverage) && !done.coverage.pruned);
     let mut verdicts = Verdicts::default();
     let gives = |conduct: &Conduct| matches!(conduct, Conduct::Program { values, .. } if values.iter().any(|v| !v.is_empty()));
     let tried =
@@ -307,6 +334,7 @@ fn bare(kind: Kind, place: Option<(TaskId, Address)>, check: Option<usize>, caus
         kind,
         phase: Phase::FaultFree,
         hypothesis: 0,
+        between: false,
         task: place.map(|(task, _)| task),
         address: place.map(|(_, at)| at),
         check,

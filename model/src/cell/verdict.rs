@@ -67,6 +67,9 @@ impl Kind {
 pub enum Phase {
     /// Nothing goes wrong.
     FaultFree,
+    /// The same between the ends, as far as that was looked at: where it is too much to be looked at wholly
+    /// ([`Times::Auto`](super::Times::Auto)).
+    Between,
     /// What is declared goes wrong.
     Faults,
 }
@@ -80,6 +83,8 @@ pub struct Finding {
     pub phase: Phase,
     /// With faults, which of the plan's hypotheses.
     pub hypothesis: usize,
+    /// Whether its way needs times between the ends.
+    pub between: bool,
     /// Whose it is.
     pub task: Option<TaskId>,
     /// The operation of its program.
@@ -144,10 +149,10 @@ pub struct Verdicts {
 }
 
 impl Verdicts {
-    /// Whether every phase looked at everything.
+    /// Whether every phase looked at everything: what lies between the ends only where that was asked for.
     #[must_use]
     pub fn is_complete(&self) -> bool {
-        self.phases.iter().all(|phase| phase.complete)
+        self.phases.iter().all(|phase| phase.complete || phase.phase == Phase::Between)
     }
 
     /// The findings of a kind.

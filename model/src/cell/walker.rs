@@ -177,7 +177,7 @@ impl Walker {
 
     /// Whether a state with more left to go wrong was kept here: where packets arrive there was a choice then.
     fn is_covered(&mut self, moves: &[CellMove], seen: &Seen) -> bool {
-        if self.phase == Phase::FaultFree || !matches!(moves, [CellMove::Deliver(_) | CellMove::Vanish(_)]) {
+        if self.phase != Phase::Faults || !matches!(moves, [CellMove::Deliver(_) | CellMove::Vanish(_)]) {
             return false;
         }
         let Ok(state) = self.course.store() else { return false };
