@@ -6,44 +6,7 @@ use cells::Text;
 use imrs_model::cell::{Budget, Kind, Verdicts};
 
 const WELD: &str = include_str!("../../examples/weld_cell.cell");
-const FOUR: &str = "cell four;
-tick 1 msec;
-node n1;  node n2;  node n3;
-link n1 -- n2 delay 1 msec;  link n2 -- n3 delay 1 msec;  link n1 -- n3 delay 1 msec;
-type Num is record n: int8; end;
-task feed on n1
-  port part(m: Num) usage = send message_format = Num user_list = {left} time_out = 200 msec class = 2;
-  port ready() usage = waitfor user_list = {left, right} time_out = 2 sec class = 2;
-  var m: Num;
-begin
-  loop run fetch takes 100..300 msec; waitfor ready() on time_out do abort \"alone\"; end; send part(m); end;
-end feed;
-task left on n2
-  use_port part(m: Num) usage = receive;  use_port ready() usage = waitfor time_out = 2 sec;
-  port give(m: Num) usage = send message_format = Num user_list = {right} time_out = 300 msec class = 2;
-  port seen(m: Num) usage = send message_format = Num user_list = {watch} time_out = 50 msec class = 1 bounded_buffer[2];
-  var m: Num;
-begin
-  loop waitfor ready() on time_out do abort \"alone\"; end; receive part(m); reply(); run press takes 20..40 msec; send give(m); send seen(m); end;
-end left;
-task right on n3
-  use_port ready() usage = waitfor time_out = 2 sec;  use_port give(m: Num) usage = receive;
-  port asked(m: Num) -> Num usage = response message_format = Num user_list = {watch} time_out = 50 msec class = 2;
-  port full(m: Num) usage = send message_format = Num user_list = {watch} time_out = 50 msec class = 1 bounded_buffer[2];
-  var m: Num;
-begin
-  on query asked(q) do response(m); end;
-  loop waitfor ready() on time_out do abort \"alone\"; end; receive give(m); reply(); run stack takes 10..60 msec; send full(m); end;
-end right;
-task watch on n3
-  use_port seen(m: Num) usage = receive;  use_port full(m: Num) usage = receive;
-  use_port asked(m: Num) -> Num usage = query time_out = 50 msec;
-  var m: Num;
-begin
-  loop receive full(m); query asked(m) -> m; receive seen(m); end;
-end watch;
-faults loss 1;
-";
+const PRESS: &str = include_str!("../../examples/press_line.cell");
 
 /// Checks a cell within so many states for each phase.
 fn checked(text: &str, states: u64) -> (Text, Verdicts) {
@@ -55,11 +18,15 @@ fn checked(text: &str, states: u64) -> (Text, Verdicts) {
 
 #[test]
 fn four_tasks_and_six_ports_are_looked_at_whole() {
-    let (cell, verdicts) = checked(FOUR, 500_000);
-    assert!(verdicts.is_complete());
-    let found = cell.found(&verdicts);
-    assert!(found.iter().all(|(kind, _)| *kind == Kind::Ends), "{found:?}");
-    assert!(!found.is_empty(), "a lost packet ends whom no branch helps");
+    let (cell, verdicts) = checked(PRESS, 500_000);
+    assert!(verdicts.is_complete(), "{:?}", verdicts.phases);
+    assert_eq!(cell.found(&verdicts), []);
+    // Where nothing is sent again and no branch helps, a lost packet ends a task.
+    let helpless = PRESS
+        .replace("class = 2 retry = 2 resend = 40 msec", "class = 2 retry = 0")
+        .replace(" on time_out do abort \"left is gone\"; end on refused do abort \"left is full\"; end", "");
+    let (cell, verdicts) = checked(&helpless, 500_000);
+    assert!(cell.found(&verdicts).iter().any(|(kind, _)| *kind == Kind::Ends), "{:?}", cell.found(&verdicts));
 }
 
 #[test]
