@@ -1,5 +1,6 @@
 //! What a move showed: findings, and the statements that were reached.
 
+use super::context::partners;
 use super::course::Course;
 use super::plan::Conduct;
 use super::verdict::{Kind, Phase};
@@ -17,12 +18,22 @@ pub(super) struct Shown {
     pub cause: String,
     /// Whether nothing that follows is looked at.
     pub last: bool,
+    /// The couple, by position among the cell's work couples.
+    pub couple: Option<usize>,
+    /// The other tasks that it concerns.
+    pub others: Vec<usize>,
 }
 
 impl Shown {
+    /// Something that is wrong with no task in particular.
+    pub fn whole(kind: Kind, cause: &str) -> Self {
+        let (cause, others) = (cause.into(), Vec::new());
+        Self { kind, task: None, address: None, check: None, cause, last: true, couple: None, others }
+    }
+
     /// Whether it is the same finding, on whatever way.
     pub fn is_same(&self, other: &Self) -> bool {
-        let key = |shown: &Self| (shown.kind, shown.task, shown.address, shown.check);
+        let key = |shown: &Self| (shown.kind, shown.task, shown.address, shown.check, shown.couple);
         key(self) == key(other)
     }
 }
@@ -38,7 +49,7 @@ pub(super) fn nothing_reached(course: &Course) -> Reached {
     course.plan.tasks.iter().map(|task| vec![false; len(task)]).collect()
 }
 
-fn program(course: &Course, task: usize) -> Option<&Program> {
+pub(super) fn program(course: &Course, task: usize) -> Option<&Program> {
     match course.plan.tasks.get(task)? {
         Conduct::Program { program, .. } => Some(program),
         Conduct::Extern(_) => None,
@@ -61,30 +72,25 @@ pub(super) fn judge(course: &mut Course, phase: Phase, reached: &mut Reached) ->
     if let Some(check) = course.broken {
         let name = &course.plan.checks[check].name;
         let cause = format!("`{name}` does not hold");
-        shown.push(Shown {
-            kind: Kind::Check,
-            task: None,
-            address: None,
-            check: Some(check),
-            cause,
-            last: true,
-        });
+        shown.push(Shown { check: Some(check), ..Shown::whole(Kind::Check, &cause) });
     }
-    let whole = |kind, cause: &str| Shown {
-        kind,
-        task: None,
-        address: None,
-        check: None,
-        cause: cause.into(),
-        last: true,
-    };
     if course.both_active {
-        shown.push(whole(Kind::TwoOwners, "both tasks of a couple act"));
+        shown.extend(two_owners(course));
     }
     if let Some(violation) = course.floor.violation {
-        shown.push(whole(Kind::Machine, violation.text()));
+        shown.push(Shown::whole(Kind::Machine, violation.text()));
     }
     shown
+}
+
+/// The couple of which both tasks act.
+fn two_owners(course: &Course) -> Option<Shown> {
+    let couples = &course.plan.table.cell().couples;
+    let at = couples.iter().position(|couple| course.acts(couple.primary) && course.acts(couple.standby))?;
+    let both = [couples[at].primary.index(), couples[at].standby.index()];
+    let [primary, standby] = both.map(|task| name(&course.plan.table, task));
+    let cause = format!("{primary} and {standby} both act");
+    Some(Shown { couple: Some(at), others: both.into(), ..Shown::whole(Kind::TwoOwners, &cause) })
 }
 
 /// A request that ended badly although nothing went wrong.
@@ -96,6 +102,7 @@ fn outcome(course: &Course, turn: &ScriptTurn, phase: Phase) -> Option<Shown> {
     let table = &course.plan.table;
     let what = statement(table, program(course, turn.task)?, turn.at);
     let name = name(table, turn.task);
+    let mut others = partners(course, turn.task, turn.at);
     let (kind, cause) = match signal {
         Signal::Outcome(Outcome::Refused) => (Kind::Refused, format!("{name}: {what} is refused")),
         Signal::Outcome(Outcome::TimedOutUnsent | Outcome::TimedOutUnknown | Outcome::PeerRestarted) => {
@@ -110,7 +117,8 @@ fn outcome(course: &Course, turn: &ScriptTurn, phase: Phase) -> Option<Shown> {
         Signal::GaveUp { port, missing, .. } => {
             let parties = table.port(port).map_or(&[][..], |port| &port.parties);
             let absent = parties.iter().enumerate().filter(|(i, _)| missing >> i & 1 == 1);
-            let absent: Vec<&str> = absent.map(|(_, party)| self::name(table, party.task.index())).collect();
+            others = absent.map(|(_, party)| party.task.index()).collect();
+            let absent: Vec<&str> = others.iter().map(|&task| self::name(table, task)).collect();
             let whom = if absent.is_empty() { "somebody".into() } else { absent.join(", ") };
             (Kind::Stranded, format!("{name}: {what} waits in vain for {whom}"))
         }
@@ -125,7 +133,8 @@ fn outcome(course: &Course, turn: &ScriptTurn, phase: Phase) -> Option<Shown> {
         | Signal::TimeOut(_)
         | Signal::Cancelled => return None,
     };
-    Some(Shown { kind, task: Some(turn.task), address: Some(turn.at), check: None, cause, last: false })
+    let (task, address) = (Some(turn.task), Some(turn.at));
+    Some(Shown { task, address, others, last: false, ..Shown::whole(kind, &cause) })
 }
 
 /// A script that ended before its last statement.
@@ -150,7 +159,8 @@ fn end(course: &Course, turn: &ScriptTurn, phase: Phase) -> Option<Shown> {
             }
         }
     };
-    Some(Shown { kind, task: Some(turn.task), address: Some(address), check: None, cause, last: fault_free })
+    let (task, address) = (Some(turn.task), Some(address));
+    Some(Shown { task, address, last: fault_free, ..Shown::whole(kind, &cause) })
 }
 
 /// Nothing can happen any more: do some tasks wait for each other?
@@ -181,12 +191,10 @@ pub(super) fn deadlock(course: &Course) -> Option<Shown> {
         })
         .collect();
     Some(Shown {
-        kind: Kind::Deadlock,
         task: Some(first),
         address: Some(position(course, first)),
-        check: None,
-        cause: ring.join("; "),
-        last: true,
+        others: (0..n).filter(|&task| alive[task]).collect(),
+        ..Shown::whole(Kind::Deadlock, &ring.join("; "))
     })
 }
 

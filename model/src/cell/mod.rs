@@ -24,6 +24,7 @@
 //! Not looked at: a task that goes on for ever without coming further (starvation).
 
 mod canon;
+mod context;
 mod course;
 mod follow;
 mod frames;
@@ -46,7 +47,8 @@ pub use follow::{
 pub use frames::{NodeFrame, Scene, Shows, scenes};
 pub use plan::{Budget, CellCheck, CellFaults, CellPlan, Conduct, Holds};
 pub use search::check_cell;
-pub use story::{Note, Step, TaskView};
+pub use crate::chart::{Folding, chart};
+pub use story::{Note, Step, TaskView, lanes};
 pub(crate) use svg::draw_notes;
 pub use svg::svg;
-pub use verdict::{Coverage, Finding, Kind, Phase, Verdicts};
+pub use verdict::{Concerned, Coverage, Finding, Kind, Phase, Refused, Verdicts};

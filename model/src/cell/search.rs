@@ -8,7 +8,7 @@ use super::judge::{self, Reached, Shown};
 use super::plan::{CellFaults, CellPlan, Conduct, Holds};
 use super::seen::Seen;
 use super::story;
-use super::verdict::{Coverage, Finding, Kind, Phase, Verdicts};
+use super::verdict::{Coverage, Finding, Kind, Phase, Refused, Verdicts};
 use super::walker::{Hit, Origin, WALK, Walker, Walks};
 use crate::explore::resident_bytes;
 use imrs_protocol::TaskId;
@@ -51,7 +51,7 @@ struct Done {
 pub fn check_cell(plan: &Arc<CellPlan>) -> Verdicts {
     let plan = &super::outside::with_programs(plan);
     if let Some(refused) = refused(plan) {
-        return Verdicts { findings: vec![refused], ..Verdicts::default() };
+        return Verdicts { refused: Some(refused), ..Verdicts::default() };
     }
     let mut done = vec![explore(plan, (Phase::FaultFree, 0), &CellFaults::default())];
     for (hypothesis, faults) in plan.faults.iter().enumerate().filter(|(_, faults)| !faults.are_none()) {
@@ -61,12 +61,15 @@ pub fn check_cell(plan: &Arc<CellPlan>) -> Verdicts {
 }
 
 /// A program that keeps numbers of messages: no canonical state could hold them (D51).
-fn refused(plan: &CellPlan) -> Option<Finding> {
-    let names = |task: &Conduct| matches!(task, Conduct::Program { program, .. } if program.names_messages());
-    let task = plan.tasks.iter().position(names)?;
-    let cause =
-        format!("{} keeps numbers of messages, which the checker cannot", judge::name(&plan.table, task));
-    Some(bare(Kind::Machine, Some((TaskId::from_index(task), 0)), None, cause))
+fn refused(plan: &CellPlan) -> Option<Refused> {
+    let names = |task: &Conduct| match task {
+        Conduct::Program { program, .. } => program.code.iter().position(|op| *op == Op::ReceivedId),
+        Conduct::Extern(_) => None,
+    };
+    let (task, at) = plan.tasks.iter().enumerate().find_map(|(i, task)| Some((i, names(task)?)))?;
+    let name = judge::name(&plan.table, task);
+    let why = format!("{name} keeps the number of a message, which the checker cannot follow (D51)");
+    Some(Refused { task: TaskId::from_index(task), at: Address::try_from(at).unwrap_or(Address::MAX), why })
 }
 
 fn explore(plan: &Arc<CellPlan>, (phase, hypothesis): (Phase, usize), faults: &CellFaults) -> Done {
@@ -79,12 +82,15 @@ fn explore(plan: &Arc<CellPlan>, (phase, hypothesis): (Phase, usize), faults: &C
     let ended_by = ended_by.or_else(outgrown);
     let tell = |hit: &Hit| search.tell(plan, (phase, hypothesis), faults, hit);
     let findings: Vec<Finding> = search.hits.iter().map(tell).collect();
+    let depth = search.origins.iter().map(|origin| u64::from(origin.depth)).max().unwrap_or(0);
+    let next = search.queue.front().and_then(|(at, _)| search.origins.get(*at as usize));
     let coverage = Coverage {
         phase,
         hypothesis,
         states: search.origins.len() as u64,
         moves: search.moves,
-        depth: search.origins.iter().map(|origin| u64::from(origin.depth)).max().unwrap_or(0),
+        depth,
+        whole_depth: next.map_or(depth, |next| u64::from(next.depth)),
         ticks: findings.iter().map(|finding| finding.at_ticks).max().unwrap_or(0),
         complete: ended_by.is_none(),
         pruned: search.hits.iter().any(|hit| hit.shown.last),
@@ -225,8 +231,8 @@ impl Search {
         hit: &Hit,
     ) -> Finding {
         let moves = self.path(plan, faults, hit);
-        let told = story::tell(plan, faults, &moves, &hit.shown.cause);
-        let Shown { kind, task, address, check, ref cause, .. } = hit.shown;
+        let told = story::tell(plan, faults, &moves, &hit.shown);
+        let Shown { kind, task, address, check, couple, .. } = hit.shown;
         Finding {
             kind,
             phase,
@@ -234,7 +240,9 @@ impl Search {
             task: task.map(TaskId::from_index),
             address,
             check,
-            cause: cause.clone(),
+            couple,
+            others: told.others,
+            cause: told.cause,
             at_ticks: told.ticks,
             moves,
             steps: told.steps,
@@ -304,6 +312,8 @@ fn bare(kind: Kind, place: Option<(TaskId, Address)>, check: Option<usize>, caus
         task: place.map(|(task, _)| task),
         address: place.map(|(_, at)| at),
         check,
+        couple: None,
+        others: Vec::new(),
         cause,
         at_ticks: 0,
         moves: Vec::new(),
