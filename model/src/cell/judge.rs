@@ -1,11 +1,11 @@
 //! What a move showed: findings, and the statements that were reached.
 
-use super::context::partners;
+use super::context::{partners, terms};
 use super::course::Course;
 use super::plan::Conduct;
 use super::verdict::{Kind, Phase};
 use crate::floor::script::ScriptTurn;
-use imrs_protocol::script::{Activity, Address, End, Op, Outcomes, Program, ScriptInput, Trigger};
+use imrs_protocol::script::{Activity, Address, End, Op, Outcomes, Program, ScriptInput, Term, Trigger};
 use imrs_protocol::{CellTable, Outcome, PortId, Signal, Target, TaskId};
 
 /// Something that a move showed to be wrong.
@@ -38,15 +38,46 @@ impl Shown {
     }
 }
 
-/// The statements of each task that were reached.
-pub(super) type Reached = Vec<Vec<bool>>;
+/// What was reached.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Reached {
+    /// For each task, its operations.
+    pub statements: Vec<Vec<bool>>,
+    /// For each check, what it reads that never changed yet, and what that is.
+    pub still: Vec<Vec<(Term, Option<i64>)>>,
+}
+
+impl Reached {
+    /// What was reached by the one or by the other.
+    pub fn join(mut self, other: Self) -> Self {
+        for (all, one) in self.statements.iter_mut().flatten().zip(other.statements.into_iter().flatten()) {
+            *all |= one;
+        }
+        for (all, one) in self.still.iter_mut().zip(&other.still) {
+            all.retain(|read| one.contains(read));
+        }
+        self
+    }
+
+    fn note(&mut self, course: &Course) {
+        for still in &mut self.still {
+            still.retain(|&(term, first)| course.floor.look_up(term) == first);
+        }
+    }
+}
 
 pub(super) fn nothing_reached(course: &Course) -> Reached {
     let len = |task: &Conduct| match task {
         Conduct::Program { program, .. } => program.code.len(),
         Conduct::Extern(_) => 0,
     };
-    course.plan.tasks.iter().map(|task| vec![false; len(task)]).collect()
+    let first = |term: Term| (term, course.floor.look_up(term));
+    Reached {
+        statements: course.plan.tasks.iter().map(|task| vec![false; len(task)]).collect(),
+        still: (0..course.plan.checks.len())
+            .map(|check| terms(course, check).into_iter().map(first).collect())
+            .collect(),
+    }
 }
 
 pub(super) fn program(course: &Course, task: usize) -> Option<&Program> {
@@ -59,10 +90,11 @@ pub(super) fn program(course: &Course, task: usize) -> Option<&Program> {
 /// Takes what the scripts did since the last call, and judges the state.
 pub(super) fn judge(course: &mut Course, phase: Phase, reached: &mut Reached) -> Vec<Shown> {
     let turns = course.floor.turns.as_mut().map(std::mem::take).unwrap_or_default();
+    reached.note(course);
     let mut shown = Vec::new();
     for turn in &turns {
         for &at in &turn.passed {
-            if let Some(flag) = reached[turn.task].get_mut(usize::from(at)) {
+            if let Some(flag) = reached.statements[turn.task].get_mut(usize::from(at)) {
                 *flag = true;
             }
         }

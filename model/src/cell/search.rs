@@ -3,6 +3,7 @@
 //! A batch of kept states is walked on from in parallel, against what was kept before it; then what that came to is taken in
 //! in the order of the batch. So the answer is the same for any number of threads.
 
+use super::context;
 use super::course::{CellMove, Course};
 use super::judge::{self, Reached, Shown};
 use super::plan::{CellFaults, CellPlan, Conduct, Holds};
@@ -12,7 +13,7 @@ use super::verdict::{Coverage, Finding, Kind, Phase, Refused, Verdicts};
 use super::walker::{Hit, Origin, WALK, Walker, Walks};
 use crate::explore::resident_bytes;
 use imrs_protocol::TaskId;
-use imrs_protocol::script::{Address, Op};
+use imrs_protocol::script::{Address, Op, Term};
 use std::collections::VecDeque;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -78,7 +79,7 @@ fn explore(plan: &Arc<CellPlan>, (phase, hypothesis): (Phase, usize), faults: &C
     let walker = || Walker::new(phase, Course::new(plan, faults));
     let mut walkers: Vec<Walker> = (0..plan.jobs.max(1)).map(|_| walker()).collect();
     let ended_by = search.run(plan, &mut walkers, start);
-    let outgrown = || search.outgrown.then(|| "states that outgrow their packed form".to_string());
+    let outgrown = || search.outgrown.then(|| "some states outgrow their packed form".to_string());
     let ended_by = ended_by.or_else(outgrown);
     let tell = |hit: &Hit| search.tell(plan, (phase, hypothesis), faults, hit);
     let findings: Vec<Finding> = search.hits.iter().map(tell).collect();
@@ -102,16 +103,8 @@ fn explore(plan: &Arc<CellPlan>, (phase, hypothesis): (Phase, usize), faults: &C
     for walker in &walkers {
         mattered.iter_mut().zip(walker.mattered()).for_each(|(all, one)| *all |= one);
     }
-    let reached = walkers.into_iter().map(|walker| walker.reached).reduce(joined).unwrap_or_default();
+    let reached = walkers.into_iter().map(|walker| walker.reached).reduce(Reached::join).unwrap_or_default();
     Done { coverage, findings, reached, mattered }
-}
-
-/// What was reached by the one or by the other.
-fn joined(mut all: Reached, one: Reached) -> Reached {
-    for (all, one) in all.iter_mut().flatten().zip(one.into_iter().flatten()) {
-        *all |= one;
-    }
-    all
 }
 
 impl Search {
@@ -124,10 +117,10 @@ impl Search {
         }
         while !self.queue.is_empty() {
             if start.elapsed().as_secs_f64() > budget.seconds {
-                return Some(format!("{} seconds", budget.seconds));
+                return Some(format!("out of time ({} s)", budget.seconds));
             }
             if resident_bytes().is_some_and(|bytes| bytes > budget.bytes) {
-                return Some(format!("{} bytes of memory", budget.bytes));
+                return Some(format!("out of memory ({} MiB)", budget.bytes >> 20));
             }
             let batch: Vec<_> = self.queue.drain(..self.queue.len().min(BATCH)).collect();
             for walks in self.walk_on(&batch, walkers) {
@@ -265,7 +258,7 @@ fn conclude(plan: &Arc<CellPlan>, done: Vec<Done>) -> Verdicts {
         };
         let is = |at: &usize| program.code[*at] == Op::Statement;
         let all: Vec<usize> = (0..program.code.len()).filter(is).collect();
-        let missed = |at: &&usize| !done.iter().any(|done| done.reached[number][**at]);
+        let missed = |at: &&usize| !done.iter().any(|done| done.reached.statements[number][**at]);
         let missed: Vec<usize> = all.iter().filter(missed).copied().collect();
         let count = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
         verdicts.statements.push((count(all.len() - missed.len()), count(all.len())));
@@ -291,6 +284,7 @@ fn conclude(plan: &Arc<CellPlan>, done: Vec<Done>) -> Verdicts {
             verdicts.findings.push(bare(Kind::Vacuous, None, Some(number), cause));
         }
     }
+    verdicts.still = still(plan, &done);
     for done in done {
         verdicts.phases.push(done.coverage);
         for finding in done.findings {
@@ -302,6 +296,18 @@ fn conclude(plan: &Arc<CellPlan>, done: Vec<Done>) -> Verdicts {
     }
     verdicts.findings.sort_by_key(|finding| (finding.kind, finding.phase, finding.task, finding.address));
     verdicts
+}
+
+/// What checks read and what never changed in any state of any phase: `r2.active = false`.
+fn still(plan: &Arc<CellPlan>, done: &[Done]) -> Vec<(usize, String)> {
+    let start = Course::new(plan, &CellFaults::default());
+    let all = done.iter().map(|done| done.reached.clone()).reduce(Reached::join).unwrap_or_default();
+    let checks = all.still.into_iter().enumerate();
+    let said = |(check, terms): (usize, Vec<(Term, Option<i64>)>)| {
+        let start = &start;
+        terms.into_iter().filter_map(move |(term, _)| Some((check, context::value(start, term)?)))
+    };
+    checks.flat_map(said).collect()
 }
 
 fn bare(kind: Kind, place: Option<(TaskId, Address)>, check: Option<usize>, cause: String) -> Finding {

@@ -159,6 +159,8 @@ pub struct Verdicts {
     pub findings: Vec<Finding>,
     /// What was looked at.
     pub phases: Vec<Coverage>,
+    /// What checks read that never changed in any state: the check's position, and what it was, as `r2.active = false`.
+    pub still: Vec<(usize, String)>,
     /// For each task the statements reached, and how many it has.
     pub statements: Vec<(u32, u32)>,
     /// Statements of branches, timers and take-overs that these faults never called for: task and operation.

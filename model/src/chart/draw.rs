@@ -6,6 +6,8 @@ use super::{Note, fate_words};
 const COLUMNS: usize = 78;
 /// Columns that all lanes take together, where that is enough for them.
 const LANES: usize = 36;
+/// Columns of a lane at least, where there is room: an arrow is to be seen.
+const NARROW: usize = 8;
 /// Fewer columns for the words are of no use: rather no lanes.
 const WORDS: usize = 30;
 /// The longest cycle, in notes, that is looked for.
@@ -78,7 +80,7 @@ impl<'a> Sheet<'a> {
         let margin = last.to_string().len().max("tick".len()) + 2;
         let longest = names.iter().map(|name| name.chars().count()).max().unwrap_or(0);
         let most = (LANES / names.len().max(1)).max(3);
-        let lane = (longest + 2).clamp(3, most.max(3));
+        let lane = (longest + 2).max(NARROW).min(most);
         let fits = margin + lane * names.len() + WORDS <= COLUMNS;
         Self { names, margin, lane: if fits { lane } else { 0 } }
     }
@@ -262,7 +264,7 @@ mod tests {
         let drawn = chart(&names(), &notes, "`small` does not hold: armL.at = 9", Folding::Repeats);
         assert_eq!(
             drawn,
-            "tick  armL  armR\n   3  |---->|     armL -> armR: QUERY beat #0\n      |     *     armR: takes beat #0 of armL\n   4  |x----|     armR -> armL: SEND halt #1 is LOST\n      => `small` does not hold: armL.at = 9"
+            "tick  armL    armR\n   3  |------>|       armL -> armR: QUERY beat #0\n      |       *       armR: takes beat #0 of armL\n   4  |x------|       armR -> armL: SEND halt #1 is LOST\n      => `small` does not hold: armL.at = 9"
         );
     }
 
