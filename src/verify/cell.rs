@@ -10,8 +10,8 @@ use imrs_language::hir::{CoupleKind, Faults};
 use imrs_language::lower::{Behaviour, Check, CheckKind, Lowered};
 use imrs_language::{Options, Source, Span, Unit, compile_with, render};
 use imrs_model::cell::{
-    Budget, CellCheck, CellFaults, CellPlan, Conduct, Coverage, Finding, Folding, Holds, Verdicts,
-    chart, check_cell, lanes, svg,
+    Budget, CellCheck, CellFaults, CellPlan, Conduct, Coverage, Finding, Folding, Holds, Verdicts, chart,
+    check_cell, lanes, svg,
 };
 use imrs_protocol::script::Address;
 use imrs_protocol::{CellTable, NodeId, TaskId};

@@ -6,18 +6,12 @@ use super::plan::Holds;
 use super::story::view;
 use super::verdict::{Concerned, Kind};
 use imrs_protocol::TaskId;
-use imrs_protocol::script::{
-    Activity, Address, End, Op, Predicate, Slot, Term, Type, Variable,
-};
+use imrs_protocol::script::{Activity, Address, End, Op, Predicate, Slot, Term, Type, Variable};
 use std::fmt::Write as _;
 
 /// The cause with the values that it is about, and the tasks that it concerns. `begun`: for each task, the statement that
 /// it began last.
-pub(super) fn context(
-    course: &Course,
-    shown: &Shown,
-    begun: &[Option<Address>],
-) -> (String, Vec<Concerned>) {
+pub(super) fn context(course: &Course, shown: &Shown, begun: &[Option<Address>]) -> (String, Vec<Concerned>) {
     let values = match shown.kind {
         Kind::Assertion | Kind::ScriptFault => of_statement(course, shown),
         Kind::Check => shown.check.map_or_else(Vec::new, |check| of_check(course, check)),

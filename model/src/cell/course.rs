@@ -357,7 +357,8 @@ impl Course {
             }
         }
         let couples = &self.plan.table.cell().couples;
-        self.both_active = couples.iter().any(|couple| self.acts(couple.primary) && self.acts(couple.standby));
+        self.both_active =
+            couples.iter().any(|couple| self.acts(couple.primary) && self.acts(couple.standby));
     }
 
     /// Whether a task of a couple acts (D61).

@@ -40,6 +40,7 @@ mod svg;
 mod verdict;
 mod walker;
 
+pub use crate::chart::{Folding, chart};
 pub use course::CellMove;
 pub use follow::{
     Followed, Happened, Happening, Late, Run, Steps, Turn, Unexplained, follow_run, steps_in_model,
@@ -47,7 +48,6 @@ pub use follow::{
 pub use frames::{NodeFrame, Scene, Shows, scenes};
 pub use plan::{Budget, CellCheck, CellFaults, CellPlan, Conduct, Holds};
 pub use search::check_cell;
-pub use crate::chart::{Folding, chart};
 pub use story::{Note, Step, TaskView, lanes};
 pub(crate) use svg::draw_notes;
 pub use svg::svg;

@@ -1,7 +1,7 @@
 //! The way to a finding: step by step with what each task does, and as a chart.
 
-use super::course::{CellMove, Course};
 use super::context::context;
+use super::course::{CellMove, Course};
 use super::judge::{Shown, name, position, statement};
 use super::plan::{CellFaults, CellPlan, Conduct};
 use super::verdict::Concerned;

@@ -259,7 +259,8 @@ mod tests {
 
     #[test]
     fn a_packet_is_an_arrow_and_says_who_sends_what_on_which_port() {
-        let lost = Note::Packet { tick: 4, from: 1, to: 0, label: "SEND halt #1".into(), fate: "LOST".into() };
+        let lost =
+            Note::Packet { tick: 4, from: 1, to: 0, label: "SEND halt #1".into(), fate: "LOST".into() };
         let notes = [&beat(0, 3)[..], &[lost]].concat();
         let drawn = chart(&names(), &notes, "`small` does not hold: armL.at = 9", Folding::Repeats);
         assert_eq!(
@@ -290,12 +291,19 @@ mod tests {
 
     #[test]
     fn no_chart_is_wider_than_a_terminal_and_no_word_is_left_out() {
-        let long = "a_port_with_a_name_that_is_much_longer_than_any_that_a_person_would_ever_want_to_type_again";
+        let long =
+            "a_port_with_a_name_that_is_much_longer_than_any_that_a_person_would_ever_want_to_type_again";
         for tasks in [1, 2, 5, 9, 30] {
             let names: Vec<String> = (0..tasks).map(|i| format!("inspector_of_station_{i}")).collect();
             let notes = [
                 Note::Event { tick: 123_456, lane: tasks - 1, text: format!("drops {long} #12: refused") },
-                Note::Packet { tick: 123_457, from: tasks - 1, to: 0, label: long.into(), fate: "CUT OFF".into() },
+                Note::Packet {
+                    tick: 123_457,
+                    from: tasks - 1,
+                    to: 0,
+                    label: long.into(),
+                    fate: "CUT OFF".into(),
+                },
             ];
             let drawn = chart(&names, &notes, &format!("{long} {long}"), Folding::Repeats);
             assert!(drawn.lines().all(|line| line.chars().count() <= COLUMNS), "{drawn}");
