@@ -172,11 +172,7 @@ pub fn replay(options: &Options, mut player: Player, out: &mut impl Write) -> Re
     let all = options.text && !options.once && options.at.is_none();
     let said = match options.format {
         Format::Text if all && player.film().story.is_some() => steps(&mut player, out),
-        Format::Text if all => {
-            player.go_to_end();
-            let mut entries = player.store().journal().since(0);
-            entries.try_for_each(|entry| writeln!(out, "{}", line(entry)))
-        }
+        Format::Text if all => entries(&mut player, out),
         Format::Json | Format::Text => {
             match options.at {
                 Some(at) => player.seek(at),
@@ -201,6 +197,18 @@ fn steps(player: &mut Player, out: &mut impl Write) -> io::Result<()> {
     for stop in 0..player.film().stops().len() {
         player.go(stop);
         write!(out, "\n{}", tell::step(player))?;
+    }
+    Ok(())
+}
+
+/// A line for everything that matters and that happened. The journal keeps the last of it only: it is read stop by stop.
+fn entries(player: &mut Player, out: &mut impl Write) -> io::Result<()> {
+    let mut next = 0;
+    for stop in 0..player.film().stops().len() {
+        player.go(stop);
+        let journal = player.store().journal();
+        journal.since(next).try_for_each(|entry| writeln!(out, "{}", line(entry)))?;
+        next = journal.next_number();
     }
     Ok(())
 }

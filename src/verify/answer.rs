@@ -1,6 +1,7 @@
 //! What the check of a cell found, as programs read it.
 
 use super::cell::Subject;
+use super::tell::help;
 use imrs_model::cell::{CellFaults, CellPlan, Concerned, Coverage, Finding, Kind, Phase, Verdicts};
 use imrs_protocol::CellTable;
 use serde::Serialize;
@@ -57,6 +58,8 @@ struct Told<'a> {
     line: usize,
     column: usize,
     cause: &'a str,
+    /// What is usually to be done.
+    help: &'static str,
     /// What the other tasks that it concerns do.
     meanwhile: Vec<Meanwhile<'a>>,
     at_ticks: u64,
@@ -167,6 +170,7 @@ impl Subject {
             line,
             column,
             cause: &finding.cause,
+            help: help(finding.kind),
             meanwhile: finding.others.iter().map(meanwhile).collect(),
             at_ticks: finding.at_ticks,
             chart: &finding.chart,

@@ -51,6 +51,7 @@ impl Telling<'_> {
             }
             let whole = i + 1 == self.args.faults.finding.map_or(1, usize::from);
             chart(finding, (i + 1, whole), out)?;
+            out.line(format!("  help: {}", help(finding.kind)))?;
             if let Some(how) = self.step_by_step(i + 1, finding) {
                 out.line(format!("  step by step: {how}"))?;
             }
@@ -68,7 +69,11 @@ impl Telling<'_> {
         out.line(Styled(FAINT, format!("  looked at: {}", self.times())))?;
         let untried = "never reached at these bounds, which lack the faults that lead there (more faults: --loss, --dup, --reorder, --crash, --drift)";
         self.statements(untried, &verdicts.not_exercised, out)?;
-        let unseen = "not reached before the search ended, which says nothing about them";
+        let unseen = if verdicts.is_complete() {
+            "not reached on the ways up to the findings, which says nothing about them"
+        } else {
+            "not reached before the search ended, which says nothing about them"
+        };
         self.statements(unseen, &verdicts.not_seen, out)?;
         for (check, what) in &verdicts.still {
             let name = self.plan.checks.get(*check).map_or("?", |check| check.name.as_str());
@@ -82,6 +87,9 @@ impl Telling<'_> {
         let name = self.subject.task(other.task);
         let place = other.at.and_then(|at| self.subject.place(other.task, at));
         let Some((line, _, text)) = place else { return format!("{name} {}", other.does) };
+        if text == name {
+            return format!("{name} only answers what comes (line {line})");
+        }
         if other.does.starts_with("has ") || other.does.starts_with("is ") {
             return format!("{name} {} (last at line {line}: {})", other.does, short(text));
         }
@@ -179,8 +187,9 @@ impl Telling<'_> {
                 out.line(Styled(GOOD, text))
             }
             (0, false) => {
-                let text =
-                    format!("{file}: nothing found so far; the search was cut short: it proves nothing yet");
+                let text = format!(
+                    "{file}: nothing found so far; the search was cut short: it proves nothing yet (--within and --memory give it more)"
+                );
                 out.line(Styled(NOTE, text))
             }
             (n, _) => out.line(Styled(BAD, format!("{file}: {}", count(n as u64, "finding")))),
@@ -195,6 +204,29 @@ fn quoted(word: &str) -> String {
         return word.to_owned();
     }
     format!("'{}'", word.replace('\'', r"'\''"))
+}
+
+/// What is usually to be done.
+pub(super) const fn help(kind: Kind) -> &'static str {
+    match kind {
+        Kind::Deadlock => {
+            "let one of them give up (`within .. on time_out do ..`), or do first what the others wait for"
+        }
+        Kind::TimeOut => "let the other side answer sooner, or give the message a longer time_out",
+        Kind::Stranded => "let the others come in time, or give the waitfor a longer time_out",
+        Kind::Refused => {
+            "make the buffer larger (`bounded_buffer[n]`), or let the receiver take its messages sooner"
+        }
+        Kind::Ends => "say what then: `on time_out do .. end`, `on refused do .. end`, `on failed do .. end`",
+        Kind::Aborts => "nothing had gone wrong: look at what leads there, or do something else than abort",
+        Kind::Assertion => "correct what leads to these values, or what is asserted",
+        Kind::ScriptFault => "take a wider type, or keep the values in range",
+        Kind::Check => "correct what the tasks above do there, or the check",
+        Kind::TwoOwners => "give the couple a longer takeover or a shorter lease",
+        Kind::Unreached => "remove it, or correct the condition that keeps it from being reached",
+        Kind::Vacuous => "correct the left side of the check, or what should make it true",
+        Kind::Machine => "this is a fault of imrs, not of the cell: please report it with the file",
+    }
 }
 
 /// The beginning of a long text.

@@ -191,8 +191,9 @@ fn end(course: &Course, turn: &ScriptTurn, phase: Phase) -> Option<Shown> {
             }
         }
     };
-    let (task, address) = (Some(turn.task), Some(address));
-    Some(Shown { task, address, last: fault_free, ..Shown::whole(kind, &cause) })
+    let (task, at) = (Some(turn.task), Some(address));
+    let others = if kind == Kind::Ends { partners(course, turn.task, address) } else { Vec::new() };
+    Some(Shown { task, address: at, others, last: fault_free, ..Shown::whole(kind, &cause) })
 }
 
 /// Nothing can happen any more: do some tasks wait for each other?
