@@ -12,7 +12,7 @@
 mod cells;
 
 use cells::Text;
-use imrs_model::cell::{Budget, CellFaults, Finding, Kind, Phase, Verdicts, scenes};
+use imrs_model::cell::{Budget, CellFaults, Finding, Kind, Note, Phase, Verdicts, lanes, scenes, svg};
 use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::Arc;
@@ -77,6 +77,10 @@ fn right(text: &str) -> Option<String> {
         lines[at] = line.trim();
     }
     (!said.is_empty()).then(|| lines.join("\n"))
+}
+
+fn is_packet(note: &Note) -> bool {
+    matches!(note, Note::Packet { .. })
 }
 
 /// The whole of a cell: bounded by its states, however long that takes.
@@ -185,6 +189,13 @@ fn the_way_to_each_fault_is_told_and_the_same_twice() {
             assert!(!steps.is_empty() && steps.len() == finding.moves.len(), "{name}");
             assert_eq!(steps.last().map(|step| step.tick), Some(finding.at_ticks), "{name}");
             assert_eq!(scenes(&plan, finding).len(), steps.len() + 1, "{name}: it replays");
+            let (names, notes) = (lanes(&plan), steps.iter().flat_map(|step| &step.notes));
+            let drawn = svg(&names, steps, &finding.cause);
+            assert_eq!(
+                drawn.matches("<polygon").count(),
+                notes.clone().filter(|note| is_packet(note)).count()
+            );
+            assert!(names.iter().all(|name| drawn.contains(&format!(">{name}</text>"))), "{name}: {names:?}");
             assert!(chart.lines().all(|line| line.chars().count() <= 78), "{name}:\n{chart}");
             assert!(chart.lines().any(|line| line.trim_start().starts_with("=> ")), "{name}:\n{chart}");
             // A cell that declares faults is wrong only where they come about.

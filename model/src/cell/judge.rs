@@ -134,7 +134,7 @@ fn outcome(course: &Course, turn: &ScriptTurn, phase: Phase) -> Option<Shown> {
     let table = &course.plan.table;
     let what = statement(table, program(course, turn.task)?, turn.at);
     let name = name(table, turn.task);
-    let mut others = partners(course, turn.task, turn.at);
+    let mut others = None;
     let (kind, cause) = match signal {
         Signal::Outcome(Outcome::Refused) => (Kind::Refused, format!("{name}: {what} is refused")),
         Signal::Outcome(Outcome::TimedOutUnsent | Outcome::TimedOutUnknown | Outcome::PeerRestarted) => {
@@ -149,7 +149,8 @@ fn outcome(course: &Course, turn: &ScriptTurn, phase: Phase) -> Option<Shown> {
         Signal::GaveUp { port, missing, .. } => {
             let parties = table.port(port).map_or(&[][..], |port| &port.parties);
             let absent = parties.iter().enumerate().filter(|(i, _)| missing >> i & 1 == 1);
-            others = absent.map(|(_, party)| party.task.index()).collect();
+            let absent: Vec<usize> = absent.map(|(_, party)| party.task.index()).collect();
+            let others = others.insert(absent);
             let absent: Vec<&str> = others.iter().map(|&task| self::name(table, task)).collect();
             let whom = if absent.is_empty() { "somebody".into() } else { absent.join(", ") };
             (Kind::Stranded, format!("{name}: {what} waits in vain for {whom}"))
@@ -166,6 +167,7 @@ fn outcome(course: &Course, turn: &ScriptTurn, phase: Phase) -> Option<Shown> {
         | Signal::Cancelled => return None,
     };
     let (task, address) = (Some(turn.task), Some(turn.at));
+    let others = others.unwrap_or_else(|| partners(course, turn.task, turn.at));
     Some(Shown { task, address, others, last: false, ..Shown::whole(kind, &cause) })
 }
 
