@@ -207,7 +207,7 @@ pub struct CellFaultArgs {
     /// Give up after so long without faults, and after so long with them.
     #[arg(long, value_name = "TIME", requires = "cell", default_value = "30s", value_parser = humantime::parse_duration)]
     pub within: Duration,
-    /// Draw a finding as a sequence chart into this file.
+    /// Draw a finding as a sequence chart, with all that repeats, into this file: SVG, or text where its name ends in .txt.
     #[arg(long, value_name = "FILE.svg", requires = "cell")]
     pub trace: Option<PathBuf>,
     /// Save a finding as a recording that `imrs monitor --replay FILE` shows step by step.
@@ -390,7 +390,7 @@ pub struct MonitorArgs {
     /// Print a sample every so often.
     #[arg(long, value_name = "TIME", value_parser = humantime::parse_duration)]
     pub watch: Option<Duration>,
-    /// Print lines instead of drawing a screen: for pipes and screen readers.
+    /// Print lines instead of drawing a screen: for pipes and screen readers. Of a finding that is replayed, every step.
     #[arg(long)]
     pub text: bool,
     /// Draw with nothing but ASCII.

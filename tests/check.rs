@@ -227,6 +227,11 @@ fn the_papers_own_rules_fail_where_the_decisions_hold() {
         let literal = run(&["verify", &path, "--jobs", "1", "--paper"]);
         assert_eq!(literal.code, Some(1), "{literal:?}");
         assert!(literal.out.contains(finding), "{}", literal.out);
+        assert!(
+            literal.out.contains(" --paper --save FILE"),
+            "the way to it takes the flag: {}",
+            literal.out
+        );
     }
 }
 

@@ -91,7 +91,7 @@ fn a_saved_finding_is_shown_step_by_step_by_the_monitor_alone() {
     let shown = run(&["monitor", "--replay", saved]);
     assert_eq!(shown.code, Some(1), "its end is the finding: {shown:?}");
     for part in [
-        "finding: assertion: asker: an assertion does not hold",
+        "finding: assertion: asker: an assertion does not hold: at = 9",
         "pair.cell:10:3  assert at < 9",
         "happened: asker begins line 10: assert at < 9",
         "happened: asker ASSERTION FAILS",
@@ -108,7 +108,7 @@ fn a_saved_finding_is_shown_step_by_step_by_the_monitor_alone() {
     assert_eq!((&said["replay"]["tick"], &said["replay"]["story"]["line"]), (&1.into(), &10.into()));
     assert_eq!(said["nodes"][0]["tasks"][0]["state"], "await_reply", "{said}");
     let happened = said["replay"]["happened"].to_string();
-    assert!(happened.contains("QUERY #0 from asker to teller arrives"), "{happened}");
+    assert!(happened.contains("QUERY where #0 from asker to teller arrives"), "{happened}");
 
     let refused = run(&["replay", saved]);
     assert_eq!(refused.code, Some(2), "{refused:?}");
@@ -123,9 +123,112 @@ fn a_saved_finding_is_shown_step_by_step_by_the_monitor_alone() {
 fn statements_for_faults_that_did_not_come_about_are_told_as_untried() {
     let (_folder, path) = cell("7", "");
     let answer = run(&["verify", path.to_str().expect("text")]);
-    let line = "statements only for faults that did not come about within these bounds, so not tried";
+    let line = "statements never reached at these bounds, which lack the faults that lead there";
     assert!(answer.code == Some(0) && answer.out.contains(line), "{answer:?}");
-    assert!(answer.out.contains("asker line 9"), "{answer:?}");
+    assert!(answer.out.contains("    asker 9:39  at := 0"), "{answer:?}");
+}
+
+/// The text of what is printed, which a terminal of 80 columns must not wrap where it is a chart.
+fn chart_of(out: &str) -> Vec<&str> {
+    let from = out.lines().skip_while(|line| !line.starts_with("  tick  "));
+    from.take_while(|line| !line.starts_with("  step by step")).collect()
+}
+
+#[test]
+fn a_finding_says_the_values_the_ports_and_what_the_others_do() {
+    let (folder, path) = cell("9", "check small: never asker.at > 7;\n");
+    let (name, file) = (path.to_str().expect("text"), folder.path().join("all.txt"));
+    let answer = run(&["verify", name, "--trace", file.to_str().expect("text")]);
+    for part in [
+        "assertion: asker: an assertion does not hold: at = 9\n",
+        "check: `small` does not hold: asker.at = 9\n",
+        "  meanwhile asker has ended: its assertion did not hold (last at line 10: assert at < 9)\n",
+        "asker -> teller: QUERY where #0",
+        "teller: takes where #0 of asker",
+    ] {
+        assert!(answer.out.contains(part), "{part}: {}", answer.out);
+    }
+    let drawn = chart_of(&answer.out);
+    assert!(drawn.len() > 3 && drawn.iter().all(|line| line.chars().count() <= 80), "{drawn:?}");
+    let whole = std::fs::read_to_string(file).expect("drawn");
+    assert!(whole.contains("asker -> teller: QUERY where #0"), "{whole}");
+}
+
+#[test]
+fn the_command_that_is_suggested_has_the_flags_that_led_there() {
+    let (_folder, path) = cell("9", "");
+    let name = path.to_str().expect("text").to_owned();
+    let answer = run(&["verify", &name, "--loss", "1"]);
+    let again = format!("step by step: imrs verify {name} --loss 1 --save FILE");
+    assert!(answer.out.contains(&again), "{}", answer.out);
+}
+
+#[test]
+fn a_check_of_what_never_changes_is_told() {
+    let (_folder, path) = cell("0", "check small: never asker.at > 7;\n");
+    let answer = run(&["verify", path.to_str().expect("text")]);
+    assert_eq!(answer.code, Some(0), "{answer:?}");
+    let told = "check `small`: asker.at = 0 in every state that was looked at";
+    assert!(answer.out.contains(told), "{answer:?}");
+    let answer = run(&["verify", path.to_str().expect("text"), "--format", "json"]);
+    let said: serde_json::Value = serde_json::from_str(&answer.out).expect("one line of JSON");
+    assert_eq!(said["claims"][0]["never_changed"][0], "asker.at = 0");
+    let phase = &said["phases"][0];
+    assert_eq!((&phase["with_faults"], &phase["bounds"]["loss"]), (&false.into(), &0.into()), "{said}");
+}
+
+#[test]
+fn a_cell_that_the_checker_cannot_look_at_is_not_checked_and_not_found_wrong() {
+    let cell = "examples/faulty/clerk_hands_a_ticket_on.cell";
+    let answer = run(&["verify", cell]);
+    assert_eq!(answer.code, Some(4), "{answer:?}");
+    assert!(answer.out.contains("not checked: clerk keeps the number of a message"), "{answer:?}");
+    assert!(answer.out.contains(&format!("  --> {cell}:18:8  receive ask()")), "{answer:?}");
+    let answer = run(&["verify", cell, "--format", "json"]);
+    let said: serde_json::Value = serde_json::from_str(&answer.out).expect("one line of JSON");
+    assert_eq!(said["findings"], serde_json::json!([]), "{said}");
+    assert_eq!((&said["not_checked"]["line"], &said["complete"]), (&18.into(), &false.into()), "{said}");
+}
+
+#[test]
+fn a_search_that_is_cut_short_says_how_far_it_came() {
+    let answer = run(&["verify", "examples/weld_cell.cell", "--within", "1s"]);
+    assert_eq!(answer.code, Some(4), "{answer:?}");
+    let told = "cut short, out of time (1 s): every order of events was looked at up to its choice ";
+    assert!(answer.out.contains(told), "{answer:?}");
+}
+
+#[test]
+fn a_replayed_finding_is_told_step_by_step_as_text() {
+    let (folder, path) = cell("9", "");
+    let saved = folder.path().join("found.imrs");
+    let (name, saved) = (path.to_str().expect("text"), saved.to_str().expect("text"));
+    assert_eq!(run(&["verify", name, "--save", saved]).code, Some(1));
+    let all = run(&["monitor", "--replay", saved, "--text"]);
+    assert_eq!(all.code, Some(1), "{all:?}");
+    let steps: Vec<&str> = all.out.split("\n\n").collect();
+    assert!(steps[0].starts_with("  finding: assertion: asker"), "{}", all.out);
+    assert!(steps[1].starts_with("step 0/") && steps[1].contains("happened: the start"), "{}", all.out);
+    let last = steps.last().expect("the last step");
+    assert!(last.contains("asker begins line 10: assert at < 9"), "{}", all.out);
+    assert!(last.contains("happened: asker ASSERTION FAILS"), "{}", all.out);
+    let number = format!("step {0}/{0} ", steps.len() - 2);
+    assert!(last.starts_with(&number), "each step is there: {}", all.out);
+
+    let once = run(&["monitor", "--replay", saved, "--text", "--once"]);
+    assert!(once.out.starts_with("replay at ") && !once.out.contains("step 0/"), "{}", once.out);
+    let one = run(&["monitor", "--replay", saved, "--text", "--at", "1"]);
+    assert!(one.out.contains("tick 1\n") && !one.out.contains("ASSERTION"), "{}", one.out);
+}
+
+/// What is quoted is what is printed.
+#[test]
+fn the_finding_in_the_reference_is_what_is_said() {
+    let page = std::fs::read_to_string("specs/language/faults-and-checks.md").expect("the page");
+    let quoted = page.split("says first:\n\n```text\n").nth(1).and_then(|rest| rest.split("```").next());
+    let answer = run(&["verify", "examples/faulty/camera_looks_too_long.cell"]);
+    let printed = answer.out.split("  step by step").next().expect("a finding");
+    assert_eq!(quoted, Some(printed), "{}", answer.out);
 }
 
 #[test]

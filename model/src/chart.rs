@@ -1,11 +1,15 @@
-//! A counterexample as a sequence chart: one lane a task, one line a step, at most 100 columns.
+//! A counterexample as a sequence chart: what happened, in words, and who had a part in it.
+
+mod draw;
+
+pub use draw::{Folding, chart};
 
 use crate::explore::Exploration;
 use crate::network::Flight;
 use crate::scenario::Scenario;
 use crate::state::Packed;
 use crate::world::{Action, World};
-use imrs_protocol::{Control, Event, Kind, Observation, Outcome, Packet, Signal, TaskId};
+use imrs_protocol::{Control, Event, Kind, Observation, Outcome, Packet, PortId, Signal, TaskId};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
@@ -45,33 +49,46 @@ pub enum Note {
         /// What became of it, where it did not simply arrive.
         fate: String,
     },
+    /// Something that happens at no lane.
+    Remark {
+        /// Ticks since the start.
+        tick: u32,
+        /// What.
+        text: String,
+    },
 }
 
 impl Note {
+    /// Ticks since the start.
+    pub(crate) const fn tick(&self) -> u32 {
+        let (Self::Event { tick, .. } | Self::Packet { tick, .. } | Self::Remark { tick, .. }) = self;
+        *tick
+    }
+
     /// The line in words, where the lanes have these names.
     pub(crate) fn words(&self, names: &[String]) -> String {
         let name = |lane: usize| names.get(lane).map_or("?", String::as_str);
         match self {
             Self::Event { lane, text, .. } => format!("{} {text}", name(*lane)),
             Self::Packet { from, to, label, fate, .. } => {
-                let fate = match fate.as_str() {
-                    "" => "arrives",
-                    "LOST" => "is LOST",
-                    "CUT OFF" => "is CUT OFF: its link is interrupted",
-                    "TWICE" => "arrives, and a copy of it comes later",
-                    "OVERTAKES" => "OVERTAKES one that was sent earlier",
-                    other => other,
-                };
+                let fate = if fate.is_empty() { "arrives" } else { fate_words(fate) };
                 format!("{label} from {} to {} {fate}", name(*from), name(*to))
             }
+            Self::Remark { text, .. } => text.clone(),
         }
     }
 }
 
-/// The widest chart.
-const COLUMNS: usize = 100;
-/// Columns for the tick.
-const MARGIN: usize = 6;
+/// What became of a packet that did not simply arrive.
+fn fate_words(fate: &str) -> &str {
+    match fate {
+        "LOST" => "is LOST",
+        "CUT OFF" => "is CUT OFF: its link is interrupted",
+        "TWICE" => "arrives, and a copy of it comes later",
+        "OVERTAKES" => "OVERTAKES one that was sent earlier",
+        other => other,
+    }
+}
 
 /// Draws the path of an exploration; `None` where it found no violation.
 #[must_use]
@@ -143,28 +160,23 @@ fn concrete_step(world: &World, target: &Packed) -> Option<(Action, World)> {
     })
 }
 
-/// Draws one lane for each name.
+/// Takes down what happens, one lane for each name.
 pub(crate) struct Pen {
     names: Vec<String>,
-    lane: usize,
-    steps: Vec<String>,
-    lines: Vec<String>,
-    last_tick: Option<u32>,
+    /// The names of the ports, by port; empty where a port says nothing.
+    ports: Vec<String>,
     /// What was drawn.
     pub notes: Vec<Note>,
 }
 
 impl Pen {
-    pub fn new(names: Vec<String>) -> Self {
-        let lane = ((COLUMNS - MARGIN) / names.len()).min(28);
-        let mut pen =
-            Self { names, lane, steps: Vec::new(), lines: Vec::new(), last_tick: None, notes: Vec::new() };
-        let mut head = pen.empty(' ');
-        for i in 0..pen.names.len() {
-            pen.put(&mut head, pen.at(i), &pen.names[i]);
-        }
-        pen.lines.push(format!("{:>MARGIN$}{}", "tick ", head.iter().collect::<String>().trim_end()));
-        pen
+    pub const fn new(names: Vec<String>) -> Self {
+        Self { names, ports: Vec::new(), notes: Vec::new() }
+    }
+
+    /// Says which port each message is on.
+    pub fn naming(self, ports: Vec<String>) -> Self {
+        Self { ports, ..self }
     }
 
     /// Whose lanes are drawn.
@@ -172,63 +184,23 @@ impl Pen {
         &self.names
     }
 
-    const fn at(&self, lane: usize) -> usize {
-        lane * self.lane
+    /// The names of the ports.
+    pub fn ports(&self) -> &[String] {
+        &self.ports
     }
 
-    fn empty(&self, mark: char) -> Vec<char> {
-        let n = self.names.len();
-        let mut line = vec![' '; (n * self.lane).min(COLUMNS - MARGIN)];
-        for i in 0..n {
-            line[i * self.lane] = mark;
-        }
-        line
-    }
-
-    fn put(&self, line: &mut [char], at: usize, text: &str) {
-        for (slot, c) in line.iter_mut().skip(at).zip(text.chars()) {
-            *slot = c;
-        }
-    }
-
-    fn line(&mut self, tick: u32, line: &[char]) {
-        let shown = if self.last_tick == Some(tick) { String::new() } else { tick.to_string() };
-        self.last_tick = Some(tick);
-        let text: String = line.iter().collect();
-        self.lines.push(format!("{shown:>4}  {}", text.trim_end()));
-    }
-
+    /// Something happens at a lane. What is said twice in a row is said once.
     pub fn event(&mut self, tick: u32, lane: usize, text: &str) {
-        let mut line = self.empty('|');
-        self.put(&mut line, self.at(lane), &format!("* {text}"));
-        self.line(tick, &line);
-        self.notes.push(Note::Event { tick, lane, text: text.into() });
-        self.steps.push(format!("tick {tick}: {} {text}", self.names[lane]));
+        let note = Note::Event { tick, lane, text: text.into() };
+        if self.notes.last() != Some(&note) {
+            self.notes.push(note);
+        }
     }
 
     /// A packet between two lanes.
     pub fn arrow(&mut self, tick: u32, (from, to): (usize, usize), packet: &Packet, fate: &str) {
-        let label = label(packet);
-        self.notes.push(Note::Packet { tick, from, to, label: label.clone(), fate: fate.into() });
-        let mut line = self.empty('|');
-        let (left, right) = (self.at(from.min(to)), self.at(from.max(to)));
-        for slot in &mut line[left + 1..right] {
-            *slot = '-';
-        }
-        let text = if fate.is_empty() { format!(" {label} ") } else { format!(" {label} {fate} ") };
-        let room = (right - left).saturating_sub(4);
-        let text: String = text.chars().take(room).collect();
-        self.put(&mut line, left + 2 + (room - text.chars().count()) / 2, &text);
-        let lost = matches!(fate, "LOST" | "CUT OFF");
-        if from < to {
-            line[right - 1] = if lost { 'x' } else { '>' };
-        } else {
-            line[left + 1] = if lost { 'x' } else { '<' };
-        }
-        self.line(tick, &line);
-        let verb = if fate.is_empty() { "arrives" } else { fate };
-        self.steps
-            .push(format!("tick {tick}: {label} from {} to {} {verb}", self.names[from], self.names[to]));
+        let label = label(packet, &self.ports);
+        self.notes.push(Note::Packet { tick, from, to, label, fate: fate.into() });
     }
 
     fn step(&mut self, tick: u32, action: Action, flight: Option<&Flight>, world: &World) {
@@ -250,10 +222,7 @@ impl Pen {
             Action::Late(i) => self.event(tick, usize::from(i), "LATE TIMER"),
             Action::Crash(i) => self.event(tick, usize::from(i), "CRASHES"),
             Action::Restart(i) => self.event(tick, usize::from(i), "restarts"),
-            Action::Heal => {
-                self.lines.push("      the faults stop here".into());
-                self.steps.push(format!("tick {tick}: the faults stop"));
-            }
+            Action::Heal => self.notes.push(Note::Remark { tick, text: "the faults stop here".into() }),
             _ => {}
         }
         for (task, shown) in &world.log {
@@ -272,34 +241,37 @@ impl Pen {
         }
     }
 
-    pub fn conclude(mut self, text: &str, length: u32) -> Counterexample {
-        self.lines.push(format!("      => {text}"));
-        self.steps.push(format!("so {text}"));
-        Counterexample { length, steps: self.steps, chart: self.lines.join("\n") }
+    pub fn conclude(self, text: &str, length: u32) -> Counterexample {
+        let step = |note: &Note| format!("tick {}: {}", note.tick(), note.words(&self.names));
+        let steps = self.notes.iter().map(step).chain([format!("so {text}")]).collect();
+        let drawn = chart(&self.names, &self.notes, text, Folding::Repeats);
+        Counterexample { length, steps, chart: drawn }
     }
 
     fn told(&self, seen: &Observation) -> Option<String> {
         let number = seen.number;
+        let message = || named(seen.port, &self.ports, format_args!("#{number}"));
+        let meeting = || named(seen.port, &self.ports, format_args!("round {number}"));
         let peer = || self.names.get(seen.peer.index()).map_or("?", String::as_str);
         Some(match seen.event {
-            Event::Reached => format!("reaches r{number}"),
-            Event::Rejoined => format!("goes on to r{number}"),
-            Event::ReleasedComplete => format!("RELEASED r{number} (all here)"),
-            Event::ReleasedByConfirm => format!("RELEASED r{number} (told)"),
+            Event::Reached => format!("reaches {}", meeting()),
+            Event::Rejoined => format!("goes on to {}", meeting()),
+            Event::ReleasedComplete => format!("RELEASED {} (all here)", meeting()),
+            Event::ReleasedByConfirm => format!("RELEASED {} (told)", meeting()),
             Event::WithinMargin => "all here, but too late".into(),
-            Event::GaveUp => format!("GIVES UP r{number}"),
-            Event::Sent => format!("sends #{number}"),
-            Event::Resent => format!("sends #{number} again"),
-            Event::Replied => format!("answers #{number}"),
-            Event::Delivered => format!("takes #{number} of {}", peer()),
-            Event::TimedOut => format!("TIME_OUT of #{number}"),
-            Event::TimedOutUnsent => format!("TIME_OUT of #{number}, unsent"),
-            Event::Rejected => format!("rejects #{number} of {}", peer()),
+            Event::GaveUp => format!("GIVES UP {}", meeting()),
+            Event::Sent => format!("sends {}", message()),
+            Event::Resent => format!("sends {} again", message()),
+            Event::Replied => format!("answers {}", message()),
+            Event::Delivered => format!("takes {} of {}", message(), peer()),
+            Event::TimedOut => format!("TIME_OUT of {}", message()),
+            Event::TimedOutUnsent => format!("TIME_OUT of {}, unsent", message()),
+            Event::Rejected => format!("rejects {} of {}", message(), peer()),
             Event::Resumed => "goes on".into(),
             Event::Granted => format!("ACTS in epoch {number}"),
             Event::TookOver => format!("TAKES OVER in epoch {number}"),
-            Event::Fenced => "is FENCED".into(),
-            Event::Discarded(reason) => format!("drops #{number}: {}", reason.name()),
+            Event::Fenced => "is FENCED: its lease is lost".into(),
+            Event::Discarded(reason) => format!("drops {}: {}", message(), reason.name()),
             Event::Interrupted
             | Event::Enqueued
             | Event::Answered
@@ -312,6 +284,14 @@ impl Pen {
     }
 }
 
+/// A message or a round of a port: with the port's name, where it has one.
+fn named(port: PortId, ports: &[String], what: std::fmt::Arguments<'_>) -> String {
+    match ports.get(port.index()) {
+        Some(name) => format!("{name} {what}"),
+        None => what.to_string(),
+    }
+}
+
 /// What a step showed about a task.
 #[derive(Clone, Copy, Debug)]
 pub(crate) enum Shown {
@@ -321,22 +301,26 @@ pub(crate) enum Shown {
     Told(Signal),
 }
 
-/// A packet in a word and its number.
-pub(crate) fn label(packet: &Packet) -> String {
-    let round = || packet.meeting().round;
+/// A packet in a word, with the port that it is for, where ports have names, and its number.
+pub(crate) fn label(packet: &Packet, ports: &[String]) -> String {
     let number = packet.id.sequence.get();
+    let message = |kind: &str| format!("{kind} {}", named(packet.port, ports, format_args!("#{number}")));
+    let meeting = |kind: &str| {
+        let round = packet.meeting().round.0;
+        format!("{kind} {}", named(packet.port, ports, format_args!("round {round}")))
+    };
     match packet.kind {
-        Kind::Send => format!("SEND #{number}"),
-        Kind::Query => format!("QUERY #{number}"),
-        Kind::Reply => format!("REPLY #{number}"),
-        Kind::Response => format!("RESPONSE #{number}"),
-        Kind::Arrive => format!("ARRIVE {}", round()),
-        Kind::Confirm => format!("CONFIRM {}", round()),
-        Kind::Abort => format!("ABORT {} go on with {}", round(), packet.meeting().next_round()),
+        Kind::Send => message("SEND"),
+        Kind::Query => message("QUERY"),
+        Kind::Reply => message("REPLY"),
+        Kind::Response => message("RESPONSE"),
+        Kind::Arrive => meeting("ARRIVE"),
+        Kind::Confirm => meeting("CONFIRM"),
+        Kind::Abort => format!("{}, go on with {}", meeting("ABORT"), packet.meeting().next_round().0),
         Kind::Control => match packet.control() {
-            Some(Control::Refused) => format!("REFUSED #{number}"),
-            Some(Control::RefusedOnTheWay) => format!("REFUSED ON THE WAY #{number}"),
-            Some(Control::Restarted) => format!("RESTARTED #{number}"),
+            Some(Control::Refused) => message("REFUSED"),
+            Some(Control::RefusedOnTheWay) => message("REFUSED ON THE WAY"),
+            Some(Control::Restarted) => message("RESTARTED"),
             Some(Control::Probe) => "PROBE".into(),
             None => "CONTROL".into(),
         },
@@ -349,7 +333,7 @@ fn said(signal: &Signal) -> Option<String> {
         Signal::Outcome(Outcome::Refused) => Some("is refused".into()),
         Signal::Outcome(Outcome::PeerRestarted) => Some("hears of the restart".into()),
         Signal::Interrupt(_) => Some("is interrupted".into()),
-        Signal::Fault(fault) => Some(format!("is told of a fault: {fault:?}")),
+        Signal::Fault(fault) => Some(format!("is told: {fault}")),
         _ => None,
     }
 }

@@ -38,7 +38,7 @@ fn all(text: &Text) -> Vec<(Kind, String)> {
     assert!(verdicts.is_complete());
     for finding in &verdicts.findings {
         let chart = &finding.chart;
-        assert!(chart.lines().all(|line| line.chars().count() <= 100), "{chart}");
+        assert!(chart.lines().all(|line| line.chars().count() <= 78), "{chart}");
     }
     text.found(&verdicts)
 }

@@ -56,7 +56,7 @@ fn fails(plan: &Arc<FloorPlan>) -> Violation {
     assert_eq!(path.len(), depth);
     let drawn = draw_floor(plan, &explore_floor(plan, Limits::default())).expect("a chart");
     assert_eq!(drawn.length as usize, depth);
-    assert!(drawn.chart.lines().all(|line| line.chars().count() <= 100), "{}", drawn.chart);
+    assert!(drawn.chart.lines().all(|line| line.chars().count() <= 78), "{}", drawn.chart);
     found.violation.expect("fails")
 }
 

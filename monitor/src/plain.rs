@@ -4,7 +4,7 @@ use crate::clock::Clock;
 use crate::error::MonitorError;
 use crate::options::{Format, Options, Verdict};
 use crate::record::{Recorded, Tape};
-use crate::replay::Player;
+use crate::replay::{Player, tell};
 use crate::report;
 use crate::signals::{self, Call, Listener};
 use crate::source::live::{Live, Which};
@@ -162,25 +162,55 @@ pub fn record(
     finish(said.map(|()| Verdict::Healthy))
 }
 
-/// Prints one stop of a recording: the one asked for, or the last.
+/// Prints a recording: with `text` every step of a finding, or a line for everything that matters and that happened; else
+/// one stop, the one asked for or the last.
 ///
 /// # Errors
 /// [`MonitorError`]; a reader that has seen enough is none.
 pub fn replay(options: &Options, mut player: Player, out: &mut impl Write) -> Result<Verdict, MonitorError> {
-    match options.at {
-        Some(at) => player.seek(at),
-        None => player.go_to_end(),
-    }
     let only = options.cell.as_deref();
+    let all = options.text && !options.once && options.at.is_none();
     let said = match options.format {
-        Format::Json => writeln!(out, "{}", report::json_of_replay(&player, only)),
-        Format::Text => out.write_all(report::text_of_replay(&player, only).as_bytes()),
+        Format::Text if all && player.film().story.is_some() => steps(&mut player, out),
+        Format::Text if all => entries(&mut player, out),
+        Format::Json | Format::Text => {
+            match options.at {
+                Some(at) => player.seek(at),
+                None => player.go_to_end(),
+            }
+            match options.format {
+                Format::Json => writeln!(out, "{}", report::json_of_replay(&player, only)),
+                Format::Text => out.write_all(report::text_of_replay(&player, only).as_bytes()),
+            }
+        }
     };
     let found = player.film().story.is_some() && player.is_at_end();
     let critical = found || report::is_critical(player.store(), only, player.moment());
     finish(
         said.and_then(|()| out.flush()).map(|()| if critical { Verdict::Finding } else { Verdict::Healthy }),
     )
+}
+
+/// Every step of a finding, a block each.
+fn steps(player: &mut Player, out: &mut impl Write) -> io::Result<()> {
+    out.write_all(tell::story(player).as_bytes())?;
+    for stop in 0..player.film().stops().len() {
+        player.go(stop);
+        write!(out, "\n{}", tell::step(player))?;
+    }
+    Ok(())
+}
+
+/// A line for everything that matters and that happened. The journal keeps the last of it only: it is read stop by stop.
+fn entries(player: &mut Player, out: &mut impl Write) -> io::Result<()> {
+    let mut next = 0;
+    for stop in 0..player.film().stops().len() {
+        player.go(stop);
+        let journal = player.store().journal();
+        journal.since(next).try_for_each(|entry| writeln!(out, "{}", line(entry)))?;
+        next = journal.next_number();
+    }
+    Ok(())
 }
 
 fn looked(which: &Which) -> Option<PathBuf> {

@@ -6,6 +6,7 @@
 use crate::ids::{MessageId, PortId, Round, TaskId};
 use crate::packet::{Class, Contents};
 use crate::ticks::Ticks;
+use core::fmt;
 use serde::{Deserialize, Serialize};
 
 /// How many bytes a task can publish for the answers to the beats of its couple (D61, D78).
@@ -315,6 +316,23 @@ pub enum Fault {
     NothingToAnswer,
     /// The execution budget has ended; the sender is beyond waiting.
     Late,
+}
+
+impl fmt::Display for Fault {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str(match self {
+            Self::NotYourPort => "the port is not the task's own",
+            Self::WrongUsage => "the port's usage does not allow this",
+            Self::NotAPeer => "that task is not at the other end of the port",
+            Self::Busy => "another request of the task is not over",
+            Self::TooManyTimers => "the task has too many timers",
+            Self::WrongLength => "the message has the wrong length",
+            Self::NotInterrupted => "no handler runs",
+            Self::Fenced => "the task does not hold the lease that the port needs",
+            Self::NothingToAnswer => "no message waits for an answer",
+            Self::Late => "the execution budget has ended, nobody waits for the answer any more",
+        })
+    }
 }
 
 /// What a communication task answers its task.

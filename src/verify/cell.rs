@@ -6,24 +6,25 @@ use crate::args::{self, CellFaultArgs, Format, VerifyVerb};
 use crate::cell_file::{self, CellFileError};
 use crate::exit::{Exit, Failure, did_you_mean};
 use crate::output::Output;
-use imrs_language::hir::Faults;
+use imrs_language::hir::{CoupleKind, Faults};
 use imrs_language::lower::{Behaviour, Check, CheckKind, Lowered};
-use imrs_language::{Options, Source, Unit, compile_with, render};
+use imrs_language::{Options, Source, Span, Unit, compile_with, render};
 use imrs_model::cell::{
-    Budget, CellCheck, CellFaults, CellPlan, Conduct, Coverage, Finding, Holds, Kind, Phase, Times, Verdicts,
-    check_cell, svg,
+    Budget, CellCheck, CellFaults, CellPlan, Conduct, Coverage, Finding, Folding, Holds, Times, Verdicts,
+    chart, check_cell, lanes, svg,
 };
 use imrs_protocol::script::Address;
 use imrs_protocol::{CellTable, NodeId, TaskId};
-use serde::Serialize;
 use std::path::Path;
 use std::sync::Arc;
 
 /// A cell, what it was compiled from and to.
 pub(super) struct Subject {
     pub file: String,
-    source: Source,
-    lowered: Lowered,
+    pub source: Source,
+    pub lowered: Lowered,
+    /// Where the work couples stand, as the table has them.
+    couples: Vec<Span>,
     pub table: Arc<CellTable>,
     /// Microseconds in a tick of the model.
     pub tick_us: u64,
@@ -48,12 +49,15 @@ pub fn run(path: &Path, args: &VerifyVerb, out: &mut Output) -> Result<Exit, Fai
     })?;
     let tick_us = compiled.hir.as_ref().map_or(1, |hir| Unit::Ticks.usec(hir));
     let model_tick_us = compiled.hir.as_ref().and_then(|hir| hir.model_tick).map(|tick| tick.usec);
-    let subject = Subject { file, source, lowered, table, tick_us, model_tick_us };
+    let couples = compiled.hir.iter().flat_map(|hir| &hir.couples);
+    let couples = couples.filter(|couple| matches!(couple.kind, CoupleKind::Work { .. }));
+    let couples = couples.map(|couple| couple.span).collect();
+    let subject = Subject { file, source, lowered, couples, table, tick_us, model_tick_us };
     let plan = Arc::new(subject.plan(args)?);
     let verdicts = check_cell(&plan);
     let saved = subject.keep(&plan, &verdicts, &args.faults)?;
     match args.verify.format.unwrap_or_default() {
-        Format::Json => out.json(&subject.answer(&verdicts, saved))?,
+        Format::Json => out.json(&subject.answer(&plan, &verdicts, saved))?,
         Format::Text => {
             Telling { subject: &subject, plan: &plan, verdicts: &verdicts, args, saved }.show(out)?;
         }
@@ -123,14 +127,27 @@ impl Subject {
         Some((line, column, self.source.slice(span).lines().next().unwrap_or_default()))
     }
 
-    pub fn place_of(&self, finding: &Finding) -> Option<(usize, usize, &str)> {
+    pub fn place_of(&self, finding: &Finding) -> (usize, usize, &str) {
         let of_check = || {
             let check = self.lowered.checks.get(finding.check?)?;
             let (line, column) = self.source.position(check.span.start);
             Some((line, column, self.source.slice(check.span)))
         };
         let of_task = finding.task.zip(finding.address).and_then(|(task, at)| self.place(task, at));
-        of_task.or_else(of_check)
+        let of_couple = || {
+            let span = *self.couples.get(finding.couple?)?;
+            let (line, column) = self.source.position(span.start);
+            Some((line, column, self.source.slice(span).lines().next().unwrap_or_default()))
+        };
+        of_task.or_else(of_check).or_else(of_couple).unwrap_or_else(|| self.head())
+    }
+
+    /// The declaration of the cell: what is wrong with nothing in particular is wrong with it.
+    fn head(&self) -> (usize, usize, &str) {
+        let mut lines = (1..).zip(self.source.text().lines());
+        let head = lines.find(|(_, text)| text.trim_start().starts_with("cell "));
+        let (line, text) = head.unwrap_or((1, ""));
+        (line, 1 + text.chars().take_while(|c| c.is_whitespace()).count(), text.trim())
     }
 
     /// Draws and saves the finding that was asked for. Returns its number if it was saved.
@@ -152,8 +169,14 @@ impl Subject {
             return missed.map_or(Ok(None), |missed| Err(Failure::Usage(missed)));
         };
         if let Some(path) = &args.trace {
-            let names: Vec<String> = self.table.cell().tasks.iter().map(|task| task.name.clone()).collect();
-            std::fs::write(path, svg(&names, &finding.steps, &finding.cause))
+            let names = lanes(plan);
+            let drawn = if path.extension().is_some_and(|of| of == "txt") {
+                let notes: Vec<_> = finding.steps.iter().flat_map(|step| step.notes.clone()).collect();
+                chart(&names, &notes, &finding.cause, Folding::Nothing) + "\n"
+            } else {
+                svg(&names, &finding.steps, &finding.cause)
+            };
+            std::fs::write(path, drawn)
                 .map_err(|source| CellFileError::Unwritable { path: path.clone(), source })?;
         }
         let Some(path) = &args.save else { return Ok(None) };
@@ -164,86 +187,6 @@ impl Subject {
         let saved = super::save::save(path, self, plan, finding, bounds)?;
         Ok(saved.then_some(at + 1))
     }
-
-    fn answer<'a>(&'a self, verdicts: &'a Verdicts, saved: Option<usize>) -> Answer<'a> {
-        let told = |(i, finding): (usize, &'a Finding)| {
-            let place = self.place_of(finding);
-            Told {
-                kind: finding.kind.name(),
-                with_faults: finding.phase == Phase::Faults,
-                task: finding.task.map(|task| self.task(task)),
-                line: place.map(|(line, ..)| line),
-                column: place.map(|(_, column, _)| column),
-                cause: &finding.cause,
-                at_ticks: finding.at_ticks,
-                chart: &finding.chart,
-                saved: saved == Some(i + 1),
-            }
-        };
-        let settled = |(i, check): (usize, &'a Check)| {
-            let fails = verdicts.findings.iter().any(|f| f.kind == Kind::Check && f.check == Some(i));
-            let outcome = match (fails, verdicts.is_complete()) {
-                (true, _) => "fails",
-                (false, true) => "holds",
-                (false, false) => "unknown",
-            };
-            Settled { name: &check.name, expect: "holds", outcome, as_expected: outcome == "holds" }
-        };
-        Answer {
-            version: 1,
-            cell: &self.lowered.cell.name,
-            file: &self.file,
-            complete: verdicts.is_complete(),
-            looked_at: LookedAt { tick_us: self.tick_us, model_tick_us: self.model_tick_us },
-            claims: self.lowered.checks.iter().enumerate().map(settled).collect(),
-            findings: verdicts.findings.iter().enumerate().map(told).collect(),
-            phases: &verdicts.phases,
-        }
-    }
-}
-
-/// The answer for programs.
-#[derive(Serialize)]
-struct Answer<'a> {
-    version: u32,
-    cell: &'a str,
-    file: &'a str,
-    complete: bool,
-    looked_at: LookedAt,
-    /// The checks of the file.
-    claims: Vec<Settled<'a>>,
-    findings: Vec<Told<'a>>,
-    phases: &'a [Coverage],
-}
-
-/// Which times are looked at.
-#[derive(Serialize)]
-struct LookedAt {
-    tick_us: u64,
-    /// Times of actions, delays and timers are rounded outward to its multiples.
-    model_tick_us: Option<u64>,
-}
-
-#[derive(Serialize)]
-struct Settled<'a> {
-    name: &'a str,
-    expect: &'static str,
-    outcome: &'static str,
-    as_expected: bool,
-}
-
-#[derive(Serialize)]
-struct Told<'a> {
-    kind: &'static str,
-    with_faults: bool,
-    task: Option<&'a str>,
-    line: Option<usize>,
-    column: Option<usize>,
-    cause: &'a str,
-    at_ticks: u64,
-    chart: &'a str,
-    /// Whether `--save` kept it.
-    saved: bool,
 }
 
 /// What a task does in the model.

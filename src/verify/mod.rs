@@ -1,5 +1,6 @@
 //! `imrs verify`: asks the model checker for its verdicts and shows them.
 
+mod answer;
 mod cell;
 mod progress;
 mod report;

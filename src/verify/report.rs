@@ -1,7 +1,7 @@
 //! The verdicts, as a person reads them.
 
 use crate::exit::Failure;
-use crate::output::{BAD, FAINT, GOOD, HEAD, NOTE, Output, Styled, grouped};
+use crate::output::{BAD, FAINT, GOOD, HEAD, NOTE, Output, Styled, count, grouped};
 use imrs_model::{Outcome, Report, Verdict};
 use std::collections::BTreeSet;
 use std::time::Duration;
@@ -220,5 +220,5 @@ fn last_line(report: &Report, took: Duration, out: &mut Output) -> Result<(), Fa
     let states: u64 = report.claims.iter().map(|v| v.states).sum();
     let style = if good == all { GOOD } else { BAD };
     let what = Styled(style, format!("{good} of {all} as expected"));
-    out.line(format!("{what}, {} states in {:.1} s", grouped(states), took.as_secs_f64()))
+    out.line(format!("{what}, {} in {:.1} s", count(states, "state"), took.as_secs_f64()))
 }

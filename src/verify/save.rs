@@ -47,11 +47,8 @@ pub(super) fn save(
 
 impl Subject {
     fn story(&self, finding: &Finding, bounds: String, scenes: usize) -> Story {
-        let place = self.place_of(finding).map(|(line, column, text)| Place {
-            line: small(line),
-            column: small(column),
-            text: text.into(),
-        });
+        let (line, column, text) = self.place_of(finding);
+        let place = Some(Place { line: small(line), column: small(column), text: text.into() });
         Story {
             file: self.file.clone(),
             kind: finding.kind.name().into(),

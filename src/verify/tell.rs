@@ -5,13 +5,17 @@ use crate::args::{Times, VerifyVerb};
 use crate::cell_file;
 use crate::exit::Failure;
 use crate::output::{BAD, FAINT, GOOD, HEAD, NOTE, Output, Styled, count, grouped};
-use imrs_model::cell::{CellPlan, Coverage, Finding, Kind, Phase, Verdicts};
+use imrs_model::cell::{CellPlan, Concerned, Coverage, Finding, Kind, Phase, Verdicts};
 use imrs_protocol::TaskId;
 use imrs_protocol::script::Address;
 use std::fmt::Write as _;
 
 /// How many lines of a chart are shown of every finding but the first.
 const CHART_TAIL: usize = 8;
+/// So many statements are shown with their text.
+const FEW: usize = 6;
+/// The most columns of a statement's text.
+const EXCERPT: usize = 48;
 
 /// What there is to tell.
 pub(super) struct Telling<'a> {
@@ -30,13 +34,24 @@ impl Telling<'_> {
     /// [`Failure::Output`].
     pub fn show(&self, out: &mut Output) -> Result<(), Failure> {
         let (subject, verdicts) = (self.subject, self.verdicts);
+        if let Some(refused) = &verdicts.refused {
+            out.line(Styled(NOTE, format!("not checked: {}", refused.why)))?;
+            if let Some((line, column, text)) = subject.place(refused.task, refused.at) {
+                out.line(format!("  --> {}:{line}:{column}  {text}", subject.file))?;
+            }
+            return out.line(Styled(NOTE, format!("{}: not checked: it proves nothing", subject.file)));
+        }
         for (i, finding) in verdicts.findings.iter().enumerate() {
             let head = format!("{}: {}", finding.kind.name(), finding.cause);
             out.line(Styled(if finding.kind == Kind::Vacuous { NOTE } else { BAD }, head))?;
-            if let Some((line, column, text)) = subject.place_of(finding) {
-                out.line(format!("  --> {}:{line}:{column}  {text}", subject.file))?;
+            let (line, column, text) = subject.place_of(finding);
+            out.line(format!("  --> {}:{line}:{column}  {text}", subject.file))?;
+            for other in &finding.others {
+                out.line(format!("  meanwhile {}", self.meanwhile(other)))?;
             }
-            chart(finding, i == 0, out)?;
+            let whole = i + 1 == self.args.faults.finding.map_or(1, usize::from);
+            chart(finding, (i + 1, whole), out)?;
+            out.line(format!("  help: {}", help(finding.kind)))?;
             if let Some(how) = self.step_by_step(i + 1, finding) {
                 out.line(format!("  step by step: {how}"))?;
             }
@@ -52,11 +67,33 @@ impl Telling<'_> {
             out.line(format!("  {}", looked_at(phase)))?;
         }
         out.line(Styled(FAINT, format!("  looked at: {}", self.times())))?;
-        let untried = "only for faults that did not come about within these bounds, so not tried (more faults: --loss, --dup, --reorder, --crash, --drift)";
+        let untried = "never reached at these bounds, which lack the faults that lead there (more faults: --loss, --dup, --reorder, --crash, --drift)";
         self.statements(untried, &verdicts.not_exercised, out)?;
-        let unseen = "not reached before the search ended, which says nothing about them";
+        let unseen = if verdicts.is_complete() {
+            "not reached on the ways up to the findings, which says nothing about them"
+        } else {
+            "not reached before the search ended, which says nothing about them"
+        };
         self.statements(unseen, &verdicts.not_seen, out)?;
+        for (check, what) in &verdicts.still {
+            let name = self.plan.checks.get(*check).map_or("?", |check| check.name.as_str());
+            out.line(Styled(NOTE, format!("  check `{name}`: {what} in every state that was looked at")))?;
+        }
         self.last_line(out)
+    }
+
+    /// What a task does when a finding is found: `camera, line 22: run look`.
+    fn meanwhile(&self, other: &Concerned) -> String {
+        let name = self.subject.task(other.task);
+        let place = other.at.and_then(|at| self.subject.place(other.task, at));
+        let Some((line, _, text)) = place else { return format!("{name} {}", other.does) };
+        if text == name {
+            return format!("{name} only answers what comes (line {line})");
+        }
+        if other.does.starts_with("has ") || other.does.starts_with("is ") {
+            return format!("{name} {} (last at line {line}: {})", other.does, short(text));
+        }
+        format!("{name} is at line {line}: {}", short(text))
     }
 
     /// Which times are looked at: what a verdict is about.
@@ -91,6 +128,9 @@ impl Telling<'_> {
             Some(_) | None => {
                 let mut command = format!("imrs verify {}", quoted(&self.subject.file));
                 let faults = &self.args.faults;
+                if faults.paper {
+                    command.push_str(" --paper");
+                }
                 let counts = [
                     ("loss", faults.loss),
                     ("dup", faults.dup),
@@ -116,13 +156,22 @@ impl Telling<'_> {
         }
     }
 
-    /// Lines of statements, by task: `armL 12, 14; hoist 31`.
+    /// Statements and their lines, by task: `armL line 12, 14; hoist line 31`, with their text where they are few.
     fn statements(&self, what: &str, which: &[(TaskId, Address)], out: &mut Output) -> Result<(), Failure> {
         let subject = self.subject;
-        let lines = which.iter().filter_map(|&(task, at)| Some((task, subject.place(task, at)?.0)));
-        let mut lines: Vec<(TaskId, usize)> = lines.collect();
+        let places: Vec<_> =
+            which.iter().filter_map(|&(task, at)| Some((task, subject.place(task, at)?))).collect();
+        let mut lines: Vec<(TaskId, usize)> = places.iter().map(|&(task, (line, ..))| (task, line)).collect();
         lines.dedup();
         if lines.is_empty() {
+            return Ok(());
+        }
+        if places.len() <= FEW {
+            out.line(Styled(FAINT, format!("  statements {what}:")))?;
+            for (task, (line, column, text)) in places {
+                let text = format!("    {} {line}:{column}  {}", subject.task(task), short(text));
+                out.line(Styled(FAINT, text))?;
+            }
             return Ok(());
         }
         let of_task = |same: &[(TaskId, usize)]| {
@@ -148,8 +197,9 @@ impl Telling<'_> {
                 out.line(Styled(GOOD, text))
             }
             (0, false) => {
-                let text =
-                    format!("{file}: nothing found so far; the search was cut short: it proves nothing yet");
+                let text = format!(
+                    "{file}: nothing found so far; the search was cut short: it proves nothing yet (--within and --memory give it more)"
+                );
                 out.line(Styled(NOTE, text))
             }
             (n, _) => out.line(Styled(BAD, format!("{file}: {}", count(n as u64, "finding")))),
@@ -166,14 +216,48 @@ fn quoted(word: &str) -> String {
     format!("'{}'", word.replace('\'', r"'\''"))
 }
 
-fn chart(finding: &Finding, whole: bool, out: &mut Output) -> Result<(), Failure> {
+/// What is usually to be done.
+pub(super) const fn help(kind: Kind) -> &'static str {
+    match kind {
+        Kind::Deadlock => {
+            "let one of them give up (`within .. on time_out do ..`), or do first what the others wait for"
+        }
+        Kind::TimeOut => "let the other side answer sooner, or give the message a longer time_out",
+        Kind::Starves => "let it age: `penalty = T` without `paper`, or rank it before what goes first",
+        Kind::Stranded => "let the others come in time, or give the waitfor a longer time_out",
+        Kind::Refused => {
+            "make the buffer larger (`bounded_buffer[n]`), or let the receiver take its messages sooner"
+        }
+        Kind::Ends => "say what then: `on time_out do .. end`, `on refused do .. end`, `on failed do .. end`",
+        Kind::Aborts => "nothing had gone wrong: look at what leads there, or do something else than abort",
+        Kind::Assertion => "correct what leads to these values, or what is asserted",
+        Kind::ScriptFault => "take a wider type, or keep the values in range",
+        Kind::Check => "correct what the tasks above do there, or the check",
+        Kind::TwoOwners => "give the couple a longer takeover or a shorter lease",
+        Kind::Unreached => "remove it, or correct the condition that keeps it from being reached",
+        Kind::Vacuous => "correct the left side of the check, or what should make it true",
+        Kind::Machine => "this is a fault of imrs, not of the cell: please report it with the file",
+    }
+}
+
+/// The beginning of a long text.
+fn short(text: &str) -> String {
+    if text.chars().count() <= EXCERPT {
+        return text.to_owned();
+    }
+    let kept: String = text.chars().take(EXCERPT - 3).collect();
+    format!("{}...", kept.trim_end())
+}
+
+fn chart(finding: &Finding, (number, whole): (usize, bool), out: &mut Output) -> Result<(), Failure> {
     let lines: Vec<&str> = finding.chart.lines().collect();
     let skipped = if whole { 0 } else { lines.len().saturating_sub(CHART_TAIL + 1) };
     for (i, line) in lines.iter().enumerate() {
         if i == 0 || i > skipped {
             out.line(format!("  {line}"))?;
         } else if i == skipped {
-            out.line(Styled(FAINT, format!("     ... {skipped} lines more")))?;
+            let more = count(skipped as u64, "line");
+            out.line(Styled(FAINT, format!("     ... {more} before: --finding {number} shows all")))?;
         }
     }
     Ok(())
@@ -211,19 +295,18 @@ fn faults(plan: &CellPlan, hypothesis: usize) -> String {
 }
 
 fn looked_at(phase: &Coverage) -> String {
-    let cut = phase.ended_by.as_ref().map(|by| format!("; cut short: {by}"));
+    let whole = match (&phase.ended_by, phase.pruned) {
+        (Some(by), _) => {
+            let whole = grouped(phase.whole_depth);
+            format!("cut short, {by}: every order of events was looked at up to its choice {whole}")
+        }
+        (None, true) => "everything up to the findings".into(),
+        (None, false) => "everything within the bounds".into(),
+    };
     format!(
-        "{} states, {} steps, {:.1} s{}",
-        grouped(phase.states),
-        grouped(phase.moves),
-        phase.seconds,
-        cut.unwrap_or_else(|| {
-            let whole = if phase.pruned {
-                "; everything up to the findings"
-            } else {
-                "; everything within the bounds"
-            };
-            whole.into()
-        })
+        "{}, {}, {:.1} s; {whole}",
+        count(phase.states, "state"),
+        count(phase.moves, "step"),
+        phase.seconds
     )
 }

@@ -367,12 +367,15 @@ impl Course {
                 }
             }
         }
-        let acts = |task: TaskId| {
-            let station = &self.floor.stations[self.floor.station_of(task.index())];
-            station.up && station.node.task(task).is_some_and(imrs_protocol::CommTask::is_active)
-        };
         let couples = &self.plan.table.cell().couples;
-        self.both_active = couples.iter().any(|couple| acts(couple.primary) && acts(couple.standby));
+        self.both_active =
+            couples.iter().any(|couple| self.acts(couple.primary) && self.acts(couple.standby));
+    }
+
+    /// Whether a task of a couple acts (D61).
+    pub fn acts(&self, task: TaskId) -> bool {
+        let station = &self.floor.stations[self.floor.station_of(task.index())];
+        station.up && station.node.task(task).is_some_and(imrs_protocol::CommTask::is_active)
     }
 
     /// What a task does.

@@ -159,7 +159,7 @@ fn happenings(walked: &Walked<'_>, passed: u64) -> Vec<Shows> {
         Effect::Sent(next, packet) => {
             let next = nodes.get(next.index()).map_or("?", |node| node.name.as_str());
             let source = walked.lanes.names.get(packet.source.index()).map_or("?", String::as_str);
-            Some(format!("{} of {source} leaves for {next}", label(packet)))
+            Some(format!("{} of {source} leaves for {next}", label(packet, walked.ports)))
         }
         Effect::Told(..) | Effect::Seen(..) => None,
     });

@@ -1,10 +1,11 @@
 //! What a move showed: findings, and the statements that were reached.
 
+use super::context::{partners, terms};
 use super::course::Course;
 use super::plan::Conduct;
 use super::verdict::{Kind, Phase};
 use crate::floor::script::ScriptTurn;
-use imrs_protocol::script::{Activity, Address, End, Op, Outcomes, Program, ScriptInput, Trigger};
+use imrs_protocol::script::{Activity, Address, End, Op, Outcomes, Program, ScriptInput, Term, Trigger};
 use imrs_protocol::{CellTable, Outcome, PortId, Signal, Target, TaskId};
 
 /// Something that a move showed to be wrong.
@@ -17,28 +18,69 @@ pub(super) struct Shown {
     pub cause: String,
     /// Whether nothing that follows is looked at.
     pub last: bool,
+    /// The couple, by position among the cell's work couples.
+    pub couple: Option<usize>,
+    /// The other tasks that it concerns.
+    pub others: Vec<usize>,
 }
 
 impl Shown {
+    /// Something that is wrong with no task in particular.
+    pub fn whole(kind: Kind, cause: &str) -> Self {
+        let (cause, others) = (cause.into(), Vec::new());
+        Self { kind, task: None, address: None, check: None, cause, last: true, couple: None, others }
+    }
+
     /// Whether it is the same finding, on whatever way.
     pub fn is_same(&self, other: &Self) -> bool {
-        let key = |shown: &Self| (shown.kind, shown.task, shown.address, shown.check);
+        let key = |shown: &Self| (shown.kind, shown.task, shown.address, shown.check, shown.couple);
         key(self) == key(other)
     }
 }
 
-/// The statements of each task that were reached.
-pub(super) type Reached = Vec<Vec<bool>>;
+/// What was reached.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Reached {
+    /// For each task, its operations.
+    pub statements: Vec<Vec<bool>>,
+    /// For each check, what it reads that never changed yet, and what that is.
+    pub still: Vec<Vec<(Term, Option<i64>)>>,
+}
+
+impl Reached {
+    /// What was reached by the one or by the other.
+    pub fn join(mut self, other: Self) -> Self {
+        for (all, one) in self.statements.iter_mut().flatten().zip(other.statements.into_iter().flatten()) {
+            *all |= one;
+        }
+        for (all, one) in self.still.iter_mut().zip(&other.still) {
+            all.retain(|read| one.contains(read));
+        }
+        self
+    }
+
+    fn note(&mut self, course: &Course) {
+        for still in &mut self.still {
+            still.retain(|&(term, first)| course.floor.look_up(term) == first);
+        }
+    }
+}
 
 pub(super) fn nothing_reached(course: &Course) -> Reached {
     let len = |task: &Conduct| match task {
         Conduct::Program { program, .. } => program.code.len(),
         Conduct::Extern(_) => 0,
     };
-    course.plan.tasks.iter().map(|task| vec![false; len(task)]).collect()
+    let first = |term: Term| (term, course.floor.look_up(term));
+    Reached {
+        statements: course.plan.tasks.iter().map(|task| vec![false; len(task)]).collect(),
+        still: (0..course.plan.checks.len())
+            .map(|check| terms(course, check).into_iter().map(first).collect())
+            .collect(),
+    }
 }
 
-fn program(course: &Course, task: usize) -> Option<&Program> {
+pub(super) fn program(course: &Course, task: usize) -> Option<&Program> {
     match course.plan.tasks.get(task)? {
         Conduct::Program { program, .. } => Some(program),
         Conduct::Extern(_) => None,
@@ -48,10 +90,11 @@ fn program(course: &Course, task: usize) -> Option<&Program> {
 /// Takes what the scripts did since the last call, and judges the state.
 pub(super) fn judge(course: &mut Course, phase: Phase, reached: &mut Reached) -> Vec<Shown> {
     let turns = course.floor.turns.as_mut().map(std::mem::take).unwrap_or_default();
+    reached.note(course);
     let mut shown = Vec::new();
     for turn in &turns {
         for &at in &turn.passed {
-            if let Some(flag) = reached[turn.task].get_mut(usize::from(at)) {
+            if let Some(flag) = reached.statements[turn.task].get_mut(usize::from(at)) {
                 *flag = true;
             }
         }
@@ -61,30 +104,25 @@ pub(super) fn judge(course: &mut Course, phase: Phase, reached: &mut Reached) ->
     if let Some(check) = course.broken {
         let name = &course.plan.checks[check].name;
         let cause = format!("`{name}` does not hold");
-        shown.push(Shown {
-            kind: Kind::Check,
-            task: None,
-            address: None,
-            check: Some(check),
-            cause,
-            last: true,
-        });
+        shown.push(Shown { check: Some(check), ..Shown::whole(Kind::Check, &cause) });
     }
-    let whole = |kind, cause: &str| Shown {
-        kind,
-        task: None,
-        address: None,
-        check: None,
-        cause: cause.into(),
-        last: true,
-    };
     if course.both_active {
-        shown.push(whole(Kind::TwoOwners, "both tasks of a couple act"));
+        shown.extend(two_owners(course));
     }
     if let Some(violation) = course.floor.violation {
-        shown.push(whole(Kind::Machine, violation.text()));
+        shown.push(Shown::whole(Kind::Machine, violation.text()));
     }
     shown
+}
+
+/// The couple of which both tasks act.
+fn two_owners(course: &Course) -> Option<Shown> {
+    let couples = &course.plan.table.cell().couples;
+    let at = couples.iter().position(|couple| course.acts(couple.primary) && course.acts(couple.standby))?;
+    let both = [couples[at].primary.index(), couples[at].standby.index()];
+    let [primary, standby] = both.map(|task| name(&course.plan.table, task));
+    let cause = format!("{primary} and {standby} both act");
+    Some(Shown { couple: Some(at), others: both.into(), ..Shown::whole(Kind::TwoOwners, &cause) })
 }
 
 /// A request that ended badly although nothing went wrong.
@@ -96,6 +134,7 @@ fn outcome(course: &Course, turn: &ScriptTurn, phase: Phase) -> Option<Shown> {
     let table = &course.plan.table;
     let what = statement(table, program(course, turn.task)?, turn.at);
     let name = name(table, turn.task);
+    let mut others = None;
     let (kind, cause) = match signal {
         Signal::Outcome(Outcome::Refused) => (Kind::Refused, format!("{name}: {what} is refused")),
         Signal::Outcome(Outcome::TimedOutUnsent | Outcome::TimedOutUnknown | Outcome::PeerRestarted) => {
@@ -110,7 +149,9 @@ fn outcome(course: &Course, turn: &ScriptTurn, phase: Phase) -> Option<Shown> {
         Signal::GaveUp { port, missing, .. } => {
             let parties = table.port(port).map_or(&[][..], |port| &port.parties);
             let absent = parties.iter().enumerate().filter(|(i, _)| missing >> i & 1 == 1);
-            let absent: Vec<&str> = absent.map(|(_, party)| self::name(table, party.task.index())).collect();
+            let absent: Vec<usize> = absent.map(|(_, party)| party.task.index()).collect();
+            let others = others.insert(absent);
+            let absent: Vec<&str> = others.iter().map(|&task| self::name(table, task)).collect();
             let whom = if absent.is_empty() { "somebody".into() } else { absent.join(", ") };
             (Kind::Stranded, format!("{name}: {what} waits in vain for {whom}"))
         }
@@ -125,7 +166,9 @@ fn outcome(course: &Course, turn: &ScriptTurn, phase: Phase) -> Option<Shown> {
         | Signal::TimeOut(_)
         | Signal::Cancelled => return None,
     };
-    Some(Shown { kind, task: Some(turn.task), address: Some(turn.at), check: None, cause, last: false })
+    let (task, address) = (Some(turn.task), Some(turn.at));
+    let others = others.unwrap_or_else(|| partners(course, turn.task, turn.at));
+    Some(Shown { task, address, others, last: false, ..Shown::whole(kind, &cause) })
 }
 
 /// A script that ended before its last statement.
@@ -150,7 +193,9 @@ fn end(course: &Course, turn: &ScriptTurn, phase: Phase) -> Option<Shown> {
             }
         }
     };
-    Some(Shown { kind, task: Some(turn.task), address: Some(address), check: None, cause, last: fault_free })
+    let (task, at) = (Some(turn.task), Some(address));
+    let others = if kind == Kind::Ends { partners(course, turn.task, address) } else { Vec::new() };
+    Some(Shown { task, address: at, others, last: fault_free, ..Shown::whole(kind, &cause) })
 }
 
 /// Nothing can happen any more: do some tasks wait for each other?
@@ -181,12 +226,10 @@ pub(super) fn deadlock(course: &Course) -> Option<Shown> {
         })
         .collect();
     Some(Shown {
-        kind: Kind::Deadlock,
         task: Some(first),
         address: Some(position(course, first)),
-        check: None,
-        cause: ring.join("; "),
-        last: true,
+        others: (0..n).filter(|&task| alive[task]).collect(),
+        ..Shown::whole(Kind::Deadlock, &ring.join("; "))
     })
 }
 

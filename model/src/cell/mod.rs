@@ -28,6 +28,7 @@
 
 mod between;
 mod canon;
+mod context;
 mod course;
 mod follow;
 mod frames;
@@ -44,6 +45,7 @@ mod svg;
 mod verdict;
 mod walker;
 
+pub use crate::chart::{Folding, chart};
 pub use course::CellMove;
 pub use follow::{
     Followed, Happened, Happening, Late, Run, Steps, Turn, Unexplained, follow_run, steps_in_model,
@@ -51,7 +53,7 @@ pub use follow::{
 pub use frames::{NodeFrame, Scene, Shows, scenes};
 pub use plan::{Budget, CellCheck, CellFaults, CellPlan, Conduct, Holds, Times};
 pub use search::check_cell;
-pub use story::{Note, Step, TaskView};
+pub use story::{Note, Step, TaskView, lanes};
 pub(crate) use svg::draw_notes;
 pub use svg::svg;
-pub use verdict::{Coverage, Finding, Kind, Phase, Verdicts};
+pub use verdict::{Concerned, Coverage, Finding, Kind, Phase, Refused, Verdicts};

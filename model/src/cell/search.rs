@@ -3,16 +3,17 @@
 //! A batch of kept states is walked on from in parallel, against what was kept before it; then what that came to is taken in
 //! in the order of the batch. So the answer is the same for any number of threads.
 
+use super::context;
 use super::course::{CellMove, Course};
 use super::judge::{self, Reached, Shown};
 use super::plan::{CellFaults, CellPlan, Conduct, Holds, Times};
 use super::seen::Seen;
-use super::verdict::{Coverage, Finding, Kind, Phase, Verdicts};
+use super::verdict::{Coverage, Finding, Kind, Phase, Refused, Verdicts};
 use super::walker::{Hit, Origin, WALK, Walker, Walks};
 use super::{starve, story};
 use crate::explore::resident_bytes;
 use imrs_protocol::TaskId;
-use imrs_protocol::script::{Address, Op};
+use imrs_protocol::script::{Address, Op, Term};
 use std::collections::VecDeque;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicUsize, Ordering};
@@ -51,7 +52,7 @@ struct Done {
 pub fn check_cell(plan: &Arc<CellPlan>) -> Verdicts {
     let plan = &super::outside::with_programs(plan);
     if let Some(refused) = refused(plan) {
-        return Verdicts { findings: vec![refused], ..Verdicts::default() };
+        return Verdicts { refused: Some(refused), ..Verdicts::default() };
     }
     let mut done = without_faults(plan);
     let plan = &timed(plan, plan.times == Times::Between);
@@ -86,12 +87,15 @@ fn without_faults(plan: &Arc<CellPlan>) -> Vec<Done> {
 }
 
 /// A program that keeps numbers of messages: no canonical state could hold them (D51).
-fn refused(plan: &CellPlan) -> Option<Finding> {
-    let names = |task: &Conduct| matches!(task, Conduct::Program { program, .. } if program.names_messages());
-    let task = plan.tasks.iter().position(names)?;
-    let cause =
-        format!("{} keeps numbers of messages, which the checker cannot", judge::name(&plan.table, task));
-    Some(bare(Kind::Machine, Some((TaskId::from_index(task), 0)), None, cause))
+fn refused(plan: &CellPlan) -> Option<Refused> {
+    let names = |task: &Conduct| match task {
+        Conduct::Program { program, .. } => program.code.iter().position(|op| *op == Op::ReceivedId),
+        Conduct::Extern(_) => None,
+    };
+    let (task, at) = plan.tasks.iter().enumerate().find_map(|(i, task)| Some((i, names(task)?)))?;
+    let name = judge::name(&plan.table, task);
+    let why = format!("{name} keeps the number of a message, which the checker cannot follow (D51)");
+    Some(Refused { task: TaskId::from_index(task), at: Address::try_from(at).unwrap_or(Address::MAX), why })
 }
 
 fn explore(plan: &Arc<CellPlan>, (phase, hypothesis): (Phase, usize), faults: &CellFaults) -> Done {
@@ -100,17 +104,20 @@ fn explore(plan: &Arc<CellPlan>, (phase, hypothesis): (Phase, usize), faults: &C
     let walker = || Walker::new(phase, Course::new(plan, faults));
     let mut walkers: Vec<Walker> = (0..plan.jobs.max(1)).map(|_| walker()).collect();
     let ended_by = search.run(plan, &mut walkers, start);
-    let outgrown = || search.outgrown.then(|| "states that outgrow their packed form".to_string());
+    let outgrown = || search.outgrown.then(|| "some states outgrow their packed form".to_string());
     let ended_by = ended_by.or_else(outgrown);
     let tell = |hit: &Hit| search.tell(plan, (phase, hypothesis), faults, hit);
     let findings: Vec<Finding> = search.hits.iter().map(tell).collect();
+    let depth = search.origins.iter().map(|origin| u64::from(origin.depth)).max().unwrap_or(0);
+    let next = search.queue.front().and_then(|(at, _)| search.origins.get(*at as usize));
     let coverage = Coverage {
         phase,
         hypothesis,
         between: plan.times == Times::Between,
         states: search.origins.len() as u64,
         moves: search.moves,
-        depth: search.origins.iter().map(|origin| u64::from(origin.depth)).max().unwrap_or(0),
+        depth,
+        whole_depth: next.map_or(depth, |next| u64::from(next.depth)),
         ticks: findings.iter().map(|finding| finding.at_ticks).max().unwrap_or(0),
         complete: ended_by.is_none(),
         pruned: search.hits.iter().any(|hit| hit.shown.last),
@@ -122,16 +129,8 @@ fn explore(plan: &Arc<CellPlan>, (phase, hypothesis): (Phase, usize), faults: &C
     for walker in &walkers {
         mattered.iter_mut().zip(walker.mattered()).for_each(|(all, one)| *all |= one);
     }
-    let reached = walkers.into_iter().map(|walker| walker.reached).reduce(joined).unwrap_or_default();
+    let reached = walkers.into_iter().map(|walker| walker.reached).reduce(Reached::join).unwrap_or_default();
     Done { coverage, findings, reached, mattered }
-}
-
-/// What was reached by the one or by the other.
-fn joined(mut all: Reached, one: Reached) -> Reached {
-    for (all, one) in all.iter_mut().flatten().zip(one.into_iter().flatten()) {
-        *all |= one;
-    }
-    all
 }
 
 impl Search {
@@ -144,10 +143,10 @@ impl Search {
         }
         while !self.queue.is_empty() {
             if start.elapsed().as_secs_f64() > budget.seconds {
-                return Some(format!("{} seconds", budget.seconds));
+                return Some(format!("out of time ({} s)", budget.seconds));
             }
             if resident_bytes().is_some_and(|bytes| bytes > budget.bytes) {
-                return Some(format!("{} bytes of memory", budget.bytes));
+                return Some(format!("out of memory ({} MiB)", budget.bytes >> 20));
             }
             let batch: Vec<_> = self.queue.drain(..self.queue.len().min(BATCH)).collect();
             for walks in self.walk_on(&batch, walkers) {
@@ -251,13 +250,14 @@ impl Search {
         hit: &Hit,
     ) -> Finding {
         let moves = self.path(plan, faults, hit);
-        let Shown { mut kind, task, address, check, mut cause, .. } = hit.shown.clone();
-        if let (Kind::TimeOut, Some(place)) = (kind, task.zip(address))
+        let mut shown = hit.shown.clone();
+        if let (Kind::TimeOut, Some(place)) = (shown.kind, shown.task.zip(shown.address))
             && let Some(how) = starve::starved(plan, &moves, place)
         {
-            (kind, cause) = (Kind::Starves, how);
+            (shown.kind, shown.cause) = (Kind::Starves, how);
         }
-        let told = story::tell(plan, faults, &moves, &cause);
+        let told = story::tell(plan, faults, &moves, &shown);
+        let Shown { kind, task, address, check, couple, .. } = shown;
         Finding {
             kind,
             phase,
@@ -266,7 +266,9 @@ impl Search {
             task: task.map(TaskId::from_index),
             address,
             check,
-            cause,
+            couple,
+            others: told.others,
+            cause: told.cause,
             at_ticks: told.ticks,
             moves,
             steps: told.steps,
@@ -290,7 +292,7 @@ fn conclude(plan: &Arc<CellPlan>, done: Vec<Done>) -> Verdicts {
         };
         let is = |at: &usize| program.code[*at] == Op::Statement;
         let all: Vec<usize> = (0..program.code.len()).filter(is).collect();
-        let missed = |at: &&usize| !done.iter().any(|done| done.reached[number][**at]);
+        let missed = |at: &&usize| !done.iter().any(|done| done.reached.statements[number][**at]);
         let missed: Vec<usize> = all.iter().filter(missed).copied().collect();
         let count = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
         verdicts.statements.push((count(all.len() - missed.len()), count(all.len())));
@@ -316,6 +318,7 @@ fn conclude(plan: &Arc<CellPlan>, done: Vec<Done>) -> Verdicts {
             verdicts.findings.push(bare(Kind::Vacuous, None, Some(number), cause));
         }
     }
+    verdicts.still = still(plan, &done);
     for done in done {
         verdicts.phases.push(done.coverage);
         for finding in done.findings {
@@ -329,6 +332,18 @@ fn conclude(plan: &Arc<CellPlan>, done: Vec<Done>) -> Verdicts {
     verdicts
 }
 
+/// What checks read and what never changed in any state of any phase: `r2.active = false`.
+fn still(plan: &Arc<CellPlan>, done: &[Done]) -> Vec<(usize, String)> {
+    let start = Course::new(plan, &CellFaults::default());
+    let all = done.iter().map(|done| done.reached.clone()).reduce(Reached::join).unwrap_or_default();
+    let checks = all.still.into_iter().enumerate();
+    let said = |(check, terms): (usize, Vec<(Term, Option<i64>)>)| {
+        let start = &start;
+        terms.into_iter().filter_map(move |(term, _)| Some((check, context::value(start, term)?)))
+    };
+    checks.flat_map(said).collect()
+}
+
 fn bare(kind: Kind, place: Option<(TaskId, Address)>, check: Option<usize>, cause: String) -> Finding {
     Finding {
         kind,
@@ -338,6 +353,8 @@ fn bare(kind: Kind, place: Option<(TaskId, Address)>, check: Option<usize>, caus
         task: place.map(|(task, _)| task),
         address: place.map(|(_, at)| at),
         check,
+        couple: None,
+        others: Vec::new(),
         cause,
         at_ticks: 0,
         moves: Vec::new(),

@@ -1,10 +1,12 @@
 //! The way to a finding: step by step with what each task does, and as a chart.
 
+use super::context::context;
 use super::course::{CellMove, Course};
-use super::judge::{name, position, statement};
+use super::judge::{Shown, name, position, statement};
 use super::plan::{CellFaults, CellPlan, Conduct};
+use super::verdict::Concerned;
 pub use crate::chart::Note;
-use crate::chart::Pen;
+use crate::chart::{Folding, Pen, chart};
 use crate::floor::chart::Lanes;
 use crate::floor::script::ScriptTurn;
 use imrs_protocol::script::{Activity, Address, End};
@@ -50,14 +52,24 @@ pub(super) struct Told {
     pub steps: Vec<Step>,
     pub chart: String,
     pub ticks: u64,
+    /// The cause, with the values that it is about.
+    pub cause: String,
+    pub others: Vec<Concerned>,
+}
+
+/// The names of the lanes of a chart: the tasks, and the nodes that only relay.
+#[must_use]
+pub fn lanes(plan: &CellPlan) -> Vec<String> {
+    Lanes::of(&plan.table).names
 }
 
 /// Walks a way again with everything kept.
-pub(super) fn tell(plan: &Arc<CellPlan>, faults: &CellFaults, moves: &[CellMove], cause: &str) -> Told {
+pub(super) fn tell(plan: &Arc<CellPlan>, faults: &CellFaults, moves: &[CellMove], shown: &Shown) -> Told {
     let mut steps = Vec::new();
-    let (pen, ticks) = walk(plan, faults, moves, |walked| steps.push(walked.step()));
-    let chart = pen.conclude(cause, u32::try_from(moves.len()).unwrap_or(u32::MAX)).chart;
-    Told { steps, chart: shorten(&chart), ticks }
+    let Way { pen, course, begun } = walk(plan, faults, moves, |walked| steps.push(walked.step()));
+    let (cause, others) = context(&course, shown, &begun);
+    let drawn = chart(pen.names(), &pen.notes, &cause, Folding::Repeats);
+    Told { steps, chart: shorten(&drawn), ticks: course.passed, cause, others }
 }
 
 /// A step of a way that is walked.
@@ -65,6 +77,8 @@ pub(super) struct Walked<'a> {
     /// The cell after it; its log has what the step showed.
     pub course: &'a Course,
     pub lanes: &'a Lanes,
+    /// The names of the ports.
+    pub ports: &'a [String],
     pub step: CellMove,
     pub notes: &'a [Note],
     /// How many of the notes, the last ones, tell that scripts ended.
@@ -81,19 +95,32 @@ impl Walked<'_> {
     }
 }
 
-/// Walks a way, and shows each step to `each`. Returns what was drawn, and the ticks that it took.
+/// A way that was walked.
+pub(super) struct Way {
+    pub pen: Pen,
+    /// The cell at its end.
+    pub course: Course,
+    /// The statement that each task began last.
+    pub begun: Vec<Option<Address>>,
+}
+
+/// Walks a way, and shows each step to `each`.
 pub(super) fn walk(
     plan: &Arc<CellPlan>,
     faults: &CellFaults,
     moves: &[CellMove],
     mut each: impl FnMut(&Walked<'_>),
-) -> (Pen, u64) {
+) -> Way {
     let mut course = Course::new(plan, faults);
     course.floor.keep_log = true;
     let lanes = Lanes::new(&course.floor.plan);
-    let mut pen = Pen::new(lanes.names.clone());
+    let ports = plan.table.cell().ports.iter().map(|port| port.name.clone()).collect();
+    let mut pen = Pen::new(lanes.names.clone()).naming(ports);
     // What scripts do before anything happens is drawn with the first step.
-    ends(&course.floor.turns.replace(Vec::new()).unwrap_or_default(), &mut pen, 0);
+    let turns = course.floor.turns.replace(Vec::new()).unwrap_or_default();
+    let mut begun = vec![None; plan.tasks.len()];
+    note_begun(&turns, &mut begun);
+    ends(&turns, &mut pen, 0);
     let mut from = 0;
     for &step in moves {
         course.floor.log.clear();
@@ -114,15 +141,25 @@ pub(super) fn walk(
         lanes.effects(&mut pen, shown, &course.floor.log);
         let turns = course.floor.turns.as_mut().map(std::mem::take).unwrap_or_default();
         let others = pen.notes.len();
+        note_begun(&turns, &mut begun);
         ends(&turns, &mut pen, shown);
         let (notes, ended) = (&pen.notes[from..], pen.notes.len() - others);
-        each(&Walked { course: &course, lanes: &lanes, step, notes, ended, turns: &turns });
+        let ports = pen.ports();
+        each(&Walked { course: &course, lanes: &lanes, ports, step, notes, ended, turns: &turns });
         from = pen.notes.len();
         if course.floor.violation.is_some() {
             break;
         }
     }
-    (pen, course.passed)
+    Way { pen, course, begun }
+}
+
+fn note_begun(turns: &[ScriptTurn], begun: &mut [Option<Address>]) {
+    for turn in turns {
+        if let (Some(last), Some(&at)) = (begun.get_mut(turn.task), turn.passed.last()) {
+            *last = Some(at);
+        }
+    }
 }
 
 enum Lane {
@@ -239,13 +276,12 @@ pub(super) fn view(course: &Course, task: usize) -> TaskView {
 
 /// The head and the end of a long chart.
 fn shorten(chart: &str) -> String {
-    let cut = |line: &str| line.chars().take(100).collect::<String>();
-    let lines: Vec<String> = chart.lines().map(cut).collect();
+    let lines: Vec<&str> = chart.lines().collect();
     if lines.len() <= LINES {
-        return lines.join("\n");
+        return chart.to_owned();
     }
     let left_out = lines.len() - LINES;
     let head = lines[..LINES / 4].join("\n");
     let tail = lines[lines.len() - (LINES - LINES / 4)..].join("\n");
-    format!("{head}\n      ... {left_out} lines ...\n{tail}")
+    format!("{head}\n      ... {left_out} lines left out ...\n{tail}")
 }

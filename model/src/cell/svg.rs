@@ -3,7 +3,10 @@
 use super::story::{Note, Step};
 use std::fmt::Write;
 
-const LANE: usize = 190;
+/// Columns of the drawing for a lane, at least and at most.
+const LANE: (usize, usize) = (120, 360);
+/// Columns that a character takes, in tenths.
+const CHARACTER: usize = 73;
 const LINE: usize = 18;
 const LEFT: usize = 70;
 
@@ -20,14 +23,16 @@ pub(crate) fn draw_notes<'a>(
     cause: &str,
 ) -> String {
     let notes: Vec<&Note> = notes.into_iter().collect();
-    let (width, height) = (LEFT + LANE * names.len().max(1), LINE * (notes.len() + 4));
+    let lane = lane_width(&notes);
+    let lines = LEFT + lane * names.len().max(1);
+    let (width, height) = (lines.max(wide(cause) + 20), LINE * (notes.len() + 4));
     let mut out = String::new();
     let _ = writeln!(
         out,
         "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" width=\"{width}\" \
          height=\"{height}\" font-family=\"monospace\" font-size=\"12\" fill=\"#777\" stroke=\"none\">"
     );
-    let x = |lane: usize| LEFT + LANE * lane + 10;
+    let x = |at: usize| LEFT + lane * at + 10;
     for (lane, name) in names.iter().enumerate() {
         let (x, end) = (x(lane), height - 2 * LINE);
         let _ = writeln!(out, "<text x=\"{x}\" y=\"{LINE}\" font-weight=\"bold\">{}</text>", escaped(name));
@@ -37,10 +42,10 @@ pub(crate) fn draw_notes<'a>(
     let mut last = None;
     for (row, note) in notes.iter().enumerate() {
         let y = LINE * (row + 2);
-        let (Note::Event { tick, .. } | Note::Packet { tick, .. }) = note;
-        if last != Some(*tick) {
+        let tick = note.tick();
+        if last != Some(tick) {
             let _ = writeln!(out, "<text x=\"{}\" y=\"{y}\" text-anchor=\"end\">{tick}</text>", LEFT - 10);
-            last = Some(*tick);
+            last = Some(tick);
         }
         draw(&mut out, note, y, x);
     }
@@ -50,12 +55,30 @@ pub(crate) fn draw_notes<'a>(
     out
 }
 
+/// How wide a text is.
+fn wide(text: &str) -> usize {
+    text.chars().count() * CHARACTER / 10
+}
+
+/// Wide enough for the texts of events, and for the labels of packets between two lanes.
+fn lane_width(notes: &[&Note]) -> usize {
+    let widest = notes.iter().map(|note| match note {
+        Note::Event { text, .. } => wide(text) + 24,
+        Note::Packet { label, fate, .. } => wide(label) + wide(fate) + 40,
+        Note::Remark { .. } => 0,
+    });
+    widest.max().unwrap_or(0).clamp(LANE.0, LANE.1)
+}
+
 fn draw(out: &mut String, note: &Note, y: usize, x: impl Fn(usize) -> usize) {
     match note {
         Note::Event { lane, text, .. } => {
             let at = x(*lane);
             let _ = writeln!(out, "<circle cx=\"{at}\" cy=\"{}\" r=\"3\"/>", y - 4);
             let _ = writeln!(out, "<text x=\"{}\" y=\"{y}\">{}</text>", at + 8, escaped(text));
+        }
+        Note::Remark { text, .. } => {
+            let _ = writeln!(out, "<text x=\"{}\" y=\"{y}\">{}</text>", x(0) + 8, escaped(text));
         }
         Note::Packet { from, to, label, fate, .. } => {
             let (a, b) = (x(*from), x(*to));

@@ -74,6 +74,17 @@ pub enum Phase {
     Faults,
 }
 
+/// What a task that a finding concerns does when it is found.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Concerned {
+    /// Which.
+    pub task: TaskId,
+    /// The operation that it is at, or was at last; none where it began no statement.
+    pub at: Option<Address>,
+    /// What it does, in words.
+    pub does: String,
+}
+
 /// Something that is wrong, and the shortest way to it.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct Finding {
@@ -91,6 +102,10 @@ pub struct Finding {
     pub address: Option<Address>,
     /// The check, by its position.
     pub check: Option<usize>,
+    /// The work couple, by its position among the cell's.
+    pub couple: Option<usize>,
+    /// What the other tasks that it concerns do.
+    pub others: Vec<Concerned>,
     /// One line in the cell's words.
     pub cause: String,
     /// When, in ticks from the start.
@@ -99,7 +114,7 @@ pub struct Finding {
     pub moves: Vec<CellMove>,
     /// The same, to be shown.
     pub steps: Vec<Step>,
-    /// The same as a sequence chart of at most 100 columns.
+    /// The same as a sequence chart of at most 78 columns: what happens again and again is drawn once.
     pub chart: String,
 }
 
@@ -118,6 +133,8 @@ pub struct Coverage {
     pub moves: u64,
     /// The most choices on a shortest way to a state.
     pub depth: u64,
+    /// Everything that takes at most so many choices was looked at.
+    pub whole_depth: u64,
     /// Ticks of the longest shortest way.
     pub ticks: u64,
     /// Whether everything within the bounds was looked at.
@@ -132,13 +149,28 @@ pub struct Coverage {
     pub seconds: f64,
 }
 
+/// Why a cell is not checked.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Refused {
+    /// Whose it is.
+    pub task: TaskId,
+    /// The operation of its program.
+    pub at: Address,
+    /// One line.
+    pub why: String,
+}
+
 /// What the check of a cell found.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Verdicts {
+    /// Why nothing was looked at, if so.
+    pub refused: Option<Refused>,
     /// What is wrong, in the order of [`Kind`].
     pub findings: Vec<Finding>,
     /// What was looked at.
     pub phases: Vec<Coverage>,
+    /// What checks read that never changed in any state: the check's position, and what it was, as `r2.active = false`.
+    pub still: Vec<(usize, String)>,
     /// For each task the statements reached, and how many it has.
     pub statements: Vec<(u32, u32)>,
     /// Statements of branches, timers and take-overs that these faults never called for: task and operation.
@@ -152,7 +184,8 @@ impl Verdicts {
     /// Whether every phase looked at everything: what lies between the ends only where that was asked for.
     #[must_use]
     pub fn is_complete(&self) -> bool {
-        self.phases.iter().all(|phase| phase.complete || phase.phase == Phase::Between)
+        let ended = |phase: &Coverage| phase.complete || phase.phase == Phase::Between;
+        self.refused.is_none() && self.phases.iter().all(ended)
     }
 
     /// The findings of a kind.

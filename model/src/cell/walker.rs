@@ -157,9 +157,7 @@ impl Walker {
             // As when members of a meeting give up by themselves for ever: their rounds differ more and more.
             Err(Violation::Overflow) => self.walks.outgrown = true,
             Err(violation) => {
-                let cause = violation.text().to_string();
-                let (kind, task, address, check) = (Kind::Machine, None, None, None);
-                self.note(Shown { kind, task, address, check, cause, last: true }, origin, WALK);
+                self.note(Shown::whole(Kind::Machine, violation.text()), origin, WALK);
             }
         }
     }

@@ -5,7 +5,7 @@ use super::{Crossing, Effect, Floor, Move};
 use crate::chart::{Counterexample, Pen, Shown};
 use crate::explore::Exploration;
 use crate::state::Packed;
-use imrs_protocol::{NodeId, TaskId};
+use imrs_protocol::{CellTable, NodeId, TaskId};
 use std::sync::Arc;
 
 /// Draws the path of an exploration; `None` where it found no violation.
@@ -82,20 +82,24 @@ pub(crate) struct Lanes {
 
 impl Lanes {
     pub fn new(plan: &FloorPlan) -> Self {
-        let mut names: Vec<String> =
-            (0..plan.tasks.len()).map(|i| plan.name(TaskId::from_index(i)).to_string()).collect();
-        let nodes = &plan.cell.cell().nodes;
+        Self { links: plan.links(), ..Self::of(&plan.cell) }
+    }
+
+    /// The lanes of a cell, without its links.
+    pub fn of(table: &CellTable) -> Self {
+        let mut names: Vec<String> = table.cell().tasks.iter().map(|task| task.name.clone()).collect();
+        let nodes = &table.cell().nodes;
         let mut relays = vec![None; nodes.len()];
         let mut tasks_on = Vec::new();
         for (i, node) in nodes.iter().enumerate() {
-            let here: Vec<usize> = plan.cell.tasks_on(NodeId::from_index(i)).map(TaskId::index).collect();
+            let here: Vec<usize> = table.tasks_on(NodeId::from_index(i)).map(TaskId::index).collect();
             if here.is_empty() {
                 relays[i] = Some(names.len());
                 names.push(node.name.clone());
             }
             tasks_on.push(here);
         }
-        Self { names, relays, tasks_on, links: plan.links() }
+        Self { names, relays, tasks_on, links: Vec::new() }
     }
 
     /// The lane at which a packet is on a node: its own task there, the relay's lane, or the node's first task.

@@ -1,18 +1,22 @@
 //! Cells from text, checked.
 #![allow(dead_code, reason = "every test binary uses a part of it")]
 
+use imrs_language::hir::CoupleKind;
 use imrs_language::lower::{Behaviour, CheckKind, Lowered, Script};
 use imrs_language::{Source, Unit, compile};
 use imrs_model::cell::{
     CellCheck, CellFaults, CellPlan, Conduct, Finding, Holds, Kind, Verdicts, check_cell,
 };
-use imrs_protocol::CellTable;
+use imrs_protocol::script::Address;
+use imrs_protocol::{CellTable, TaskId};
 use std::sync::Arc;
 
 /// A cell and the text it came from.
 pub struct Text {
     text: String,
     lowered: Lowered,
+    /// Where the work couples begin.
+    couples: Vec<u32>,
     pub plan: CellPlan,
 }
 
@@ -52,7 +56,10 @@ impl Text {
             },
         };
         plan.checks = lowered.checks.iter().map(check).collect();
-        Self { text: text.into(), lowered, plan }
+        let couples = compiled.hir.iter().flat_map(|hir| &hir.couples);
+        let couples = couples.filter(|couple| matches!(couple.kind, CoupleKind::Work { .. }));
+        let couples = couples.map(|couple| couple.span.start).collect();
+        Self { text: text.into(), lowered, couples, plan }
     }
 
     /// Checks it.
@@ -87,7 +94,7 @@ impl Text {
         &self.text[span.range()]
     }
 
-    /// Line and column, from 1, of what a finding points at: its statement, or its check.
+    /// Line and column, from 1, of what a finding points at: its statement, its check, or its couple.
     pub fn place(&self, finding: &Finding) -> Option<(usize, usize)> {
         let of_check = || Some(self.lowered.checks.get(finding.check?)?.span.start);
         let of_task = || match &self.lowered.tasks[finding.task?.index()] {
@@ -96,8 +103,18 @@ impl Text {
             }
             Behaviour::Extern(_) => None,
         };
-        let start = of_task().or_else(of_check)?;
-        Some(Source::new(self.text.as_bytes()).expect("text").position(start))
+        let of_couple = || self.couples.get(finding.couple?).copied();
+        Some(self.position(of_task().or_else(of_check).or_else(of_couple)?))
+    }
+
+    /// Line and column of an operation.
+    pub fn place_of(&self, task: TaskId, at: Address) -> Option<(usize, usize)> {
+        let Behaviour::Script(script) = &self.lowered.tasks[task.index()] else { return None };
+        Some(self.position(script.spans.get(usize::from(at))?.start))
+    }
+
+    fn position(&self, start: u32) -> (usize, usize) {
+        Source::new(self.text.as_bytes()).expect("text").position(start)
     }
 
     /// What is found, by kind and the beginning of the statement it points at.

@@ -2,6 +2,7 @@
 
 use super::Player;
 use crate::name::shown_line;
+use crate::store::{Life, Presence};
 use imrs_wire::recording::Story;
 use serde::Serialize;
 use std::fmt::Write as _;
@@ -74,8 +75,20 @@ pub(crate) fn position(player: &Player) -> Position<'_> {
 
 /// Where `player` is and what happened there, a fact per line.
 pub(crate) fn text(player: &Player) -> String {
+    format!("replay at {}\n{}{}", player.position(), story(player), happened(player))
+}
+
+/// The step that `player` shows: what happened, what the tasks do after it and what waits for them, a fact per line.
+pub(crate) fn step(player: &Player) -> String {
+    let odd = player.film().stops().get(player.stop()).is_some_and(|stop| stop.odd);
+    let odd = if odd { "  !" } else { "" };
+    format!("step {}{odd}\n{}{}", player.position(), happened(player), queues(player))
+}
+
+/// What a recording is about, a fact per line.
+pub(crate) fn story(player: &Player) -> String {
     let film = player.film();
-    let mut out = format!("replay at {}\n", player.position());
+    let mut out = String::new();
     if let Some(notice) = &film.notice {
         let _ = writeln!(out, "  note: {}", shown_line(notice));
     }
@@ -86,12 +99,38 @@ pub(crate) fn text(player: &Player) -> String {
         }
         let _ = writeln!(out, "  searched: {}", shown_line(&story.bounds));
     }
-    let Some(step) = player.step() else { return out };
-    for text in &step.happened {
+    out
+}
+
+fn happened(player: &Player) -> String {
+    let mut out = String::new();
+    for text in player.step().map_or(&[][..], |step| &step.happened) {
         let _ = writeln!(out, "  happened: {}", shown_line(text));
     }
     for text in tasks(player) {
         let _ = writeln!(out, "  {text}");
+    }
+    out
+}
+
+/// What waits in the ports of the tasks and in the transit buffers of the nodes that run; nothing where they are empty.
+fn queues(player: &Player) -> String {
+    let mut out = String::new();
+    let up = |life: &&Life| matches!(life.presence(player.moment()), Presence::Up | Presence::Silent(_));
+    for life in player.store().lives().iter().filter(up) {
+        let Some(sample) = &life.last else { continue };
+        for task in &sample.snapshot.tasks {
+            let name = life.names.task(task.view.task);
+            for port in task.view.ports.iter().filter(|port| port.len > 0) {
+                let at = life.names.port_name(port.port);
+                let _ = writeln!(out, "  {name} has {} of {} waiting in {at}", port.len, port.capacity);
+            }
+        }
+        let transit = &sample.snapshot.transit;
+        if transit.len > 0 {
+            let (node, len, capacity) = (&life.node, transit.len, transit.capacity);
+            let _ = writeln!(out, "  node {node} has {len} of {capacity} in transit");
+        }
     }
     out
 }

@@ -161,7 +161,7 @@ impl fmt::Display for ScriptFault {
             Self::Unexpected => "an answer that nobody asked for",
             Self::WrongContents => "a message is not of the declared format",
             Self::NothingReceived => "no message or answer came",
-            Self::Request(fault) => return write!(f, "the request is at fault: {fault:?}"),
+            Self::Request(fault) => return write!(f, "the request is at fault: {fault}"),
         })
     }
 }

@@ -185,7 +185,10 @@ fn faults_are_told_in_words() {
         (ScriptFault::Unexpected, "an answer that nobody asked for"),
         (ScriptFault::WrongContents, "a message is not of the declared format"),
         (ScriptFault::NothingReceived, "no message or answer came"),
-        (ScriptFault::Request(Fault::Busy), "the request is at fault: Busy"),
+        (
+            ScriptFault::Request(Fault::Busy),
+            "the request is at fault: another request of the task is not over",
+        ),
     ];
     for (fault, words) in faults {
         assert_eq!(fault.to_string(), words);

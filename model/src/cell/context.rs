@@ -1,0 +1,171 @@
+//! What stands beside a finding: the values that it is about, and what the tasks concerned do then.
+
+use super::course::Course;
+use super::judge::{Shown, name, program};
+use super::plan::Holds;
+use super::story::view;
+use super::verdict::{Concerned, Kind};
+use imrs_protocol::TaskId;
+use imrs_protocol::script::{Activity, Address, End, Op, Predicate, Slot, Term, Type, Variable};
+use std::fmt::Write as _;
+
+/// The cause with the values that it is about, and the tasks that it concerns. `begun`: for each task, the statement that
+/// it began last.
+pub(super) fn context(course: &Course, shown: &Shown, begun: &[Option<Address>]) -> (String, Vec<Concerned>) {
+    let values = match shown.kind {
+        Kind::Assertion | Kind::ScriptFault => of_statement(course, shown),
+        Kind::Check => shown.check.map_or_else(Vec::new, |check| of_check(course, check)),
+        Kind::Deadlock
+        | Kind::TimeOut
+        | Kind::Starves
+        | Kind::Stranded
+        | Kind::Refused
+        | Kind::Ends
+        | Kind::Aborts
+        | Kind::TwoOwners
+        | Kind::Unreached
+        | Kind::Vacuous
+        | Kind::Machine => Vec::new(),
+    };
+    let mut cause = shown.cause.clone();
+    if !values.is_empty() {
+        let _ = write!(cause, ": {}", values.join(", "));
+    }
+    let mut tasks = shown.others.clone();
+    if let Some(check) = shown.check {
+        tasks.extend(terms(course, check).iter().filter_map(about));
+    }
+    tasks.sort_unstable();
+    tasks.dedup();
+    (cause, tasks.into_iter().map(|task| concerned(course, task, begun)).collect())
+}
+
+fn concerned(course: &Course, task: usize, begun: &[Option<Address>]) -> Concerned {
+    let last = begun.get(task).copied().flatten();
+    let view = view(course, task);
+    let (at, does) = match course.activity(task).filter(|_| course.is_up(task)) {
+        Some(Activity::Ended(end)) => (last, ended(course, task, end)),
+        Some(Activity::NotBegun | Activity::Passive) | None => (None, view.does),
+        Some(Activity::Waits | Activity::Acts | Activity::Chooses(_)) => (Some(view.at), view.does),
+    };
+    Concerned { task: TaskId::from_index(task), at, does }
+}
+
+fn ended(course: &Course, task: usize, end: End) -> String {
+    match end {
+        End::Finished => "has ended: it came to its end".into(),
+        End::Fenced => "has ended: it lost its lease".into(),
+        End::Assertion(_) => "has ended: its assertion did not hold".into(),
+        End::Fault { fault, .. } => format!("has ended: {fault}"),
+        End::Aborted(reason) => {
+            let reasons = program(course, task).map_or(&[][..], |program| &program.reasons);
+            format!("has ended: {}", reasons.get(usize::from(reason)).map_or("it aborted", String::as_str))
+        }
+    }
+}
+
+/// The variables that the statement of a finding reads: `height = 42`. Those of handlers are gone with their thread.
+fn of_statement(course: &Course, shown: &Shown) -> Vec<String> {
+    let read = || {
+        let (task, at) = (shown.task?, usize::from(shown.address?));
+        let program = program(course, task)?;
+        let script = &course.floor.bodies.get(task)?.actor.as_ref()?.script;
+        let begins = program.code.get(..at)?.iter().rposition(|op| *op == Op::Statement).unwrap_or(0);
+        let mut values = Vec::new();
+        for op in &program.code[begins..=at.min(program.code.len() - 1)] {
+            let Op::Term(Term::Load(Slot::Task(variable))) = *op else { continue };
+            let Some(declared) = program.variables.get(usize::from(variable)) else { continue };
+            values.extend(script.var(variable).map(|value| equals(&declared.name, declared, value)));
+        }
+        Some(values)
+    };
+    let mut values = read().unwrap_or_default();
+    let mut seen = std::collections::BTreeSet::new();
+    values.retain(|value| seen.insert(value.clone()));
+    values
+}
+
+fn equals(name: &str, declared: &Variable, value: i64) -> String {
+    let value = match declared.of {
+        Type::Bool => (value != 0).to_string(),
+        Type::Real => u32::try_from(value).map(f32::from_bits).unwrap_or_default().to_string(),
+        Type::Int8 | Type::Int16 | Type::Int32 | Type::Word => value.to_string(),
+    };
+    format!("{name} = {value}")
+}
+
+/// What a check reads, both sides of it where one leads to the other.
+pub(super) fn terms(course: &Course, check: usize) -> Vec<Term> {
+    let looks = |term: &Term| matches!(term, Term::Of { .. } | Term::Is(_));
+    let mut all: Vec<Term> = Vec::new();
+    let Some(check) = course.plan.checks.get(check) else { return all };
+    let both = match &check.holds {
+        Holds::Always(terms) => [&terms[..], &[]],
+        Holds::Leads { when, then, .. } => [&when[..], &then[..]],
+    };
+    for term in both.into_iter().flatten().filter(|term| looks(term)) {
+        if !all.contains(term) {
+            all.push(*term);
+        }
+    }
+    all
+}
+
+fn about(term: &Term) -> Option<usize> {
+    match *term {
+        Term::Of { task, .. }
+        | Term::Is(
+            Predicate::Active(task)
+            | Predicate::Arrived { task, .. }
+            | Predicate::Asked { task, .. }
+            | Predicate::Answered { task, .. },
+        ) => Some(task.index()),
+        _ => None,
+    }
+}
+
+/// What a check reads and what it was: `robot.height = 42`.
+fn of_check(course: &Course, check: usize) -> Vec<String> {
+    terms(course, check).into_iter().filter_map(|term| value(course, term)).collect()
+}
+
+/// What a term of a check is now, in the words of the check.
+pub(super) fn value(course: &Course, term: Term) -> Option<String> {
+    let (table, value) = (&course.plan.table, course.floor.look_up(term)?);
+    let task = |task: TaskId| name(table, task.index());
+    let port =
+        |port: imrs_protocol::PortId| table.cell().ports.get(port.index()).map_or("?", |port| &port.name);
+    let truth = value != 0;
+    Some(match term {
+        Term::Of { task: of, variable } => {
+            let declared = program(course, of.index())?.variables.get(usize::from(variable))?;
+            equals(&format!("{}.{}", task(of), declared.name), declared, value)
+        }
+        Term::Is(Predicate::Active(of)) => format!("{}.active = {truth}", task(of)),
+        Term::Is(Predicate::Arrived { port: at, task: of }) => {
+            format!("{}.arrived({}) = {truth}", port(at), task(of))
+        }
+        Term::Is(Predicate::Asked { task: of, port: at }) => {
+            format!("{}.asked({}) = {truth}", task(of), port(at))
+        }
+        Term::Is(Predicate::Answered { task: of, port: at }) => {
+            format!("{}.answered({}) = {truth}", task(of), port(at))
+        }
+        _ => return None,
+    })
+}
+
+/// Whom a request that ended badly was for: those who should have answered, or come.
+pub(super) fn partners(course: &Course, task: usize, at: Address) -> Vec<usize> {
+    use imrs_protocol::Target;
+    let peers = |port| {
+        let table = &course.plan.table;
+        let of = TaskId::from_index(task);
+        table.port(port).into_iter().flat_map(move |port| port.peers(of)).map(TaskId::index).collect()
+    };
+    match program(course, task).and_then(|program| program.code.get(usize::from(at))) {
+        Some(Op::Send { to: Target::One(to), .. }) => vec![to.index()],
+        Some(Op::Send { port, .. } | Op::Get { port: Some(port), .. }) => peers(*port),
+        _ => Vec::new(),
+    }
+}

@@ -1,0 +1,211 @@
+//! What the check of a cell found, as programs read it.
+
+use super::cell::Subject;
+use super::tell::help;
+use imrs_model::cell::{CellFaults, CellPlan, Concerned, Coverage, Finding, Kind, Phase, Verdicts};
+use imrs_protocol::CellTable;
+use serde::Serialize;
+
+/// The answer for programs.
+#[derive(Serialize)]
+pub(super) struct Answer<'a> {
+    version: u32,
+    cell: &'a str,
+    file: &'a str,
+    complete: bool,
+    /// Why nothing was looked at; null where something was.
+    not_checked: Option<NotChecked<'a>>,
+    looked_at: LookedAt,
+    /// The checks of the file.
+    claims: Vec<Settled<'a>>,
+    findings: Vec<Told<'a>>,
+    phases: Vec<Searched<'a>>,
+}
+
+#[derive(Serialize)]
+struct NotChecked<'a> {
+    why: &'a str,
+    task: &'a str,
+    line: Option<usize>,
+    column: Option<usize>,
+}
+
+/// Which times are looked at.
+#[derive(Serialize)]
+struct LookedAt {
+    tick_us: u64,
+    /// Times of actions, delays and timers are rounded outward to its multiples.
+    model_tick_us: Option<u64>,
+}
+
+#[derive(Serialize)]
+struct Settled<'a> {
+    name: &'a str,
+    expect: &'static str,
+    outcome: &'static str,
+    as_expected: bool,
+    /// What it reads that never changed: `r2.active = false`.
+    never_changed: Vec<&'a str>,
+}
+
+#[derive(Serialize)]
+struct Told<'a> {
+    kind: &'static str,
+    with_faults: bool,
+    task: Option<&'a str>,
+    line: usize,
+    column: usize,
+    cause: &'a str,
+    /// What is usually to be done.
+    help: &'static str,
+    /// What the other tasks that it concerns do.
+    meanwhile: Vec<Meanwhile<'a>>,
+    at_ticks: u64,
+    chart: &'a str,
+    /// Whether `--save` kept it.
+    saved: bool,
+}
+
+#[derive(Serialize)]
+struct Meanwhile<'a> {
+    task: &'a str,
+    line: Option<usize>,
+    column: Option<usize>,
+    does: &'a str,
+}
+
+/// A search.
+#[derive(Serialize)]
+struct Searched<'a> {
+    with_faults: bool,
+    bounds: Bounds<'a>,
+    /// `ends`: packets take their link's bound, actions their least or most time; `between`: they also arrive and end right
+    /// after anything that happens meanwhile.
+    times: &'static str,
+    states: u64,
+    transitions: u64,
+    /// Choices: the most on a shortest way to a state, and up to how many everything was looked at.
+    depth: u64,
+    whole_depth: u64,
+    complete: bool,
+    /// Whether what follows some finding was not looked at.
+    pruned: bool,
+    /// Which budget ended it.
+    ended_by: Option<&'a str>,
+    seconds: f64,
+}
+
+/// What may go wrong in a search: counts, the nodes that crash, the ends of the links that are cut.
+#[derive(Serialize)]
+struct Bounds<'a> {
+    loss: u8,
+    dup: u8,
+    reorder: u8,
+    fail: u8,
+    drift: u8,
+    crash: Vec<&'a str>,
+    cut: Vec<[&'a str; 2]>,
+}
+
+impl Subject {
+    /// `saved`: the number of the finding that `--save` kept.
+    pub(super) fn answer<'a>(
+        &'a self,
+        plan: &'a CellPlan,
+        verdicts: &'a Verdicts,
+        saved: Option<usize>,
+    ) -> Answer<'a> {
+        let settled = |check: usize| {
+            let fails = verdicts.findings.iter().any(|f| f.kind == Kind::Check && f.check == Some(check));
+            let outcome = match (fails, verdicts.is_complete()) {
+                (true, _) => "fails",
+                (false, true) => "holds",
+                (false, false) => "unknown",
+            };
+            let still = verdicts.still.iter().filter(|(of, _)| *of == check);
+            Settled {
+                name: &self.lowered.checks[check].name,
+                expect: "holds",
+                outcome,
+                as_expected: outcome == "holds",
+                never_changed: still.map(|(_, what)| what.as_str()).collect(),
+            }
+        };
+        let not_checked = verdicts.refused.as_ref().map(|refused| {
+            let place = self.place(refused.task, refused.at);
+            let (line, column) = (place.map(|place| place.0), place.map(|place| place.1));
+            NotChecked { why: &refused.why, task: self.task(refused.task), line, column }
+        });
+        Answer {
+            version: 1,
+            cell: &self.lowered.cell.name,
+            file: &self.file,
+            complete: verdicts.is_complete(),
+            not_checked,
+            looked_at: LookedAt { tick_us: self.tick_us, model_tick_us: self.model_tick_us },
+            claims: (0..self.lowered.checks.len()).map(settled).collect(),
+            findings: (1..)
+                .zip(&verdicts.findings)
+                .map(|(number, finding)| self.told(finding, saved == Some(number)))
+                .collect(),
+            phases: verdicts.phases.iter().map(|phase| searched(plan, phase)).collect(),
+        }
+    }
+
+    fn told<'a>(&'a self, finding: &'a Finding, saved: bool) -> Told<'a> {
+        let (line, column, _) = self.place_of(finding);
+        let meanwhile = |other: &'a Concerned| {
+            let place = other.at.and_then(|at| self.place(other.task, at));
+            let (line, column) = (place.map(|place| place.0), place.map(|place| place.1));
+            Meanwhile { task: self.task(other.task), line, column, does: &other.does }
+        };
+        Told {
+            kind: finding.kind.name(),
+            with_faults: finding.phase == Phase::Faults,
+            task: finding.task.map(|task| self.task(task)),
+            line,
+            column,
+            cause: &finding.cause,
+            help: help(finding.kind),
+            meanwhile: finding.others.iter().map(meanwhile).collect(),
+            at_ticks: finding.at_ticks,
+            chart: &finding.chart,
+            saved,
+        }
+    }
+}
+
+fn searched<'a>(plan: &'a CellPlan, phase: &'a Coverage) -> Searched<'a> {
+    let with_faults = phase.phase == Phase::Faults;
+    let faults = plan.faults.get(phase.hypothesis).filter(|_| with_faults);
+    Searched {
+        with_faults,
+        bounds: bounds(&plan.table, faults),
+        times: if phase.between { "between" } else { "ends" },
+        states: phase.states,
+        transitions: phase.moves,
+        depth: phase.depth,
+        whole_depth: phase.whole_depth,
+        complete: phase.complete,
+        pruned: phase.pruned,
+        ended_by: phase.ended_by.as_deref(),
+        seconds: phase.seconds,
+    }
+}
+
+fn bounds<'a>(table: &'a CellTable, faults: Option<&CellFaults>) -> Bounds<'a> {
+    let cell = table.cell();
+    let node = |at: usize| cell.nodes.get(at).map_or("?", |node| node.name.as_str());
+    let count = |of: fn(&CellFaults) -> u8| faults.map_or(0, of);
+    let crash = faults.map_or(&[][..], |faults| &faults.crash);
+    let links = faults.map_or(&[][..], |faults| &faults.cut).iter().filter_map(|&at| cell.links.get(at));
+    Bounds {
+        loss: count(|faults| faults.loss),
+        dup: count(|faults| faults.dup),
+        reorder: count(|faults| faults.reorder),
+        fail: count(|faults| faults.fail),
+        drift: count(|faults| faults.drift),
+        crash: crash.iter().map(|at| node(at.index())).collect(),
+        cut: links.map(|link| [node(link.a.index()), node(link.b.index())]).collect(),
+    }
+}
