@@ -2,7 +2,7 @@
 
 use crate::ast::File;
 use crate::checks;
-use crate::codes::{DEADLINE, SHORT_TIME_OUT, TOO_MANY};
+use crate::codes::{DEADLINE, SHORT_TIME_OUT, SOON, TOO_MANY};
 use crate::diagnostic::{Diagnostic, Severity};
 use crate::hir::Hir;
 use crate::lower::{Lowered, Unit, lower, table_errors};
@@ -71,12 +71,24 @@ fn behaviour(file: &File, hir: &Hir, options: Options) -> Vec<Diagnostic> {
     if found.iter().any(|found| found.code == TOO_MANY) {
         return found;
     }
-    // A time_out that cannot cover its way is not also said to be short: both point at their port.
+    let checked = checks::all(hir, options.paper);
+    // The checks know more of a deadline than the table does; both point at its port. A time_out that cannot cover its way
+    // is not also said to be short.
     let port = |found: &Diagnostic| found.secondary.first().map(|label| label.span);
-    let deadlines: Vec<Option<Span>> =
-        found.iter().filter(|found| found.code == DEADLINE).map(port).collect();
-    let again = |found: &Diagnostic| found.code == SHORT_TIME_OUT && deadlines.contains(&port(found));
-    found.extend(checks::all(hir, options.paper).into_iter().filter(|found| !again(found)));
+    let of = |all: &[Diagnostic], code| -> Vec<Option<Span>> {
+        all.iter().filter(|found| found.code == code).map(port).collect()
+    };
+    let known = of(&checked, DEADLINE);
+    found.retain(|found| found.code != DEADLINE || !known.contains(&port(found)));
+    let deadlines = [known, of(&found, DEADLINE)].concat();
+    let soon = found.iter().chain(&checked).filter(|found| found.code == DEADLINE);
+    let soon: Vec<Span> = soon.map(|found| found.primary.span).collect();
+    let again = |found: &Diagnostic| match found.code {
+        SHORT_TIME_OUT => deadlines.contains(&port(found)),
+        SOON => soon.contains(&found.primary.span),
+        _ => false,
+    };
+    found.extend(checked.into_iter().filter(|found| !again(found)));
     if options.paper {
         found.extend(checks::paper(file));
     }

@@ -119,7 +119,7 @@ fn received_in_body(hir: &Hir, id: TaskId, found: &mut Vec<Diagnostic>) {
 }
 
 /// Whether the task answers messages of the port some time after it took them.
-fn answers_later(task: &Task, id: PortId) -> bool {
+pub(super) fn answers_later(task: &Task, id: PortId) -> bool {
     walk::any(
         task,
         |statement| matches!(&statement.kind, StatementKind::Reply { port, to: Answered::Of(_), .. } if *port == Some(id)),
@@ -127,7 +127,7 @@ fn answers_later(task: &Task, id: PortId) -> bool {
 }
 
 /// Whether it is an answer itself, or a port of usage `reply` may carry that of somebody else (D11).
-fn answered_by_others(hir: &Hir, at: TaskId, port: &Port) -> bool {
+pub(super) fn answered_by_others(hir: &Hir, at: TaskId, port: &Port) -> bool {
     if port.usage == Usage::Reply {
         return true;
     }
