@@ -57,7 +57,8 @@ fn meeting(hir: &Hir, port: &Port) -> u64 {
     let tick = tick(hir);
     let parties: Vec<TaskId> = std::iter::once(port.owner).chain(port.peers(port.owner)).collect();
     let way = |a: &TaskId, b: &TaskId| delay(hir, &times::way(hir, task(hir, *a).node, task(hir, *b).node));
-    let farthest = parties.iter().flat_map(|a| parties.iter().map(move |b| way(a, b))).max().unwrap_or_default();
+    let farthest =
+        parties.iter().flat_map(|a| parties.iter().map(move |b| way(a, b))).max().unwrap_or_default();
     let losses = port.users.iter().filter_map(|user| user.retry).fold(port.retry, u8::max);
     let needed = |time_out: u64| {
         let resend = port.resend.map_or(time_out / (u64::from(losses) + 1), |resend| resend.usec);
@@ -178,8 +179,11 @@ fn too_short(hir: &Hir, port: &Port, life: Duration, needs: &[&Need]) -> Option<
     let has = time(life.usec);
     if life.usec <= worst.certain() {
         let needed = time(worst.certain());
-        let message =
-            format!("deadline cannot be met: `{}` {} takes {needed}, it has {has}", port.name, worst.round(hir));
+        let message = format!(
+            "deadline cannot be met: `{}` {} takes {needed}, it has {has}",
+            port.name,
+            worst.round(hir)
+        );
         let mut label = format!("must exceed {}", worst.parts(0, worst.work.least));
         if label.contains(" x ") || label.contains(" + ") {
             label = format!("{label} = {needed}");
@@ -191,8 +195,7 @@ fn too_short(hir: &Hir, port: &Port, life: Duration, needs: &[&Need]) -> Option<
     if life.usec > enough || life.usec < tick.saturating_mul(times::LEAST_TICKS) {
         return None;
     }
-    let message =
-        format!("`{}` {} may take {}, it has {has}", port.name, worst.round(hir), time(enough));
+    let message = format!("`{}` {} may take {}, it has {has}", port.name, worst.round(hir), time(enough));
     let label = format!("should exceed {}", worst.parts(tick, worst.work.slow));
     let found = Diagnostic::warning(TIGHT_DEADLINE, life.span, message).label(label);
     Some(found.also(port.span, "the port").help(help))

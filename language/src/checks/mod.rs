@@ -14,8 +14,8 @@ mod times;
 mod unused;
 mod work;
 
-use messages::carries_beats;
 pub(crate) use deadlines::least as least_time_out;
+use messages::carries_beats;
 pub(crate) use paper::paper;
 
 use crate::diagnostic::Diagnostic;

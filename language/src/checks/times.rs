@@ -42,7 +42,7 @@ fn time_outs(hir: &Hir, id: PortId, port: &Port, found: &mut Vec<Diagnostic>) {
     } else if ticks < FEW_TICKS {
         found.push(
             Diagnostic::note(SOON, life.span, message)
-                .label(format!("a timer may be late by one tick: {} percent of it", 100 / ticks))
+                .label(format!("a timer may be late by one tick: {} percent of it", 100 / ticks)),
         );
     }
 }

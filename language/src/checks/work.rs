@@ -75,7 +75,8 @@ impl Search<'_> {
     /// Whether an answer may be given behind another message, or by another task (D11, D93).
     fn is_answered_elsewhere(self, task: &Task, id: TaskId, port: PortId) -> bool {
         let declared = &self.hir.ports[port.index()];
-        super::answers::answers_later(task, port) || super::answers::answered_by_others(self.hir, id, declared)
+        super::answers::answers_later(task, port)
+            || super::answers::answered_by_others(self.hir, id, declared)
     }
 
     /// `receives` is the port whose messages a `receive` takes.
@@ -96,7 +97,9 @@ impl Search<'_> {
         let plain = |next| Left { next, ..Left::default() };
         let mut left = match &statement.kind {
             StatementKind::Reply { to: Answered::Last, .. } => Left { answer: from, ..Left::default() },
-            StatementKind::Receive { port, .. } if receives.is_some_and(|of| port.is_none_or(|p| p == of)) => {
+            StatementKind::Receive { port, .. }
+                if receives.is_some_and(|of| port.is_none_or(|p| p == of)) =>
+            {
                 plain(Some(0))
             }
             StatementKind::Abort(_) => Left::default(),
@@ -130,11 +133,18 @@ impl Search<'_> {
     /// bound, a packet may be quicker.
     fn takes(self, kind: &StatementKind) -> u64 {
         match kind {
-            StatementKind::Run { takes, .. } => if self.slow { takes.1.usec } else { takes.0.usec },
+            StatementKind::Run { takes, .. } => {
+                if self.slow {
+                    takes.1.usec
+                } else {
+                    takes.0.usec
+                }
+            }
             StatementKind::Delay(length) => length.usec,
             StatementKind::Send { port, .. } if self.hir.ports[port.index()].class == Class::Command => {
                 let declared = &self.hir.ports[port.index()];
-                let takers = std::iter::once(declared.owner).chain(declared.users.iter().map(|user| user.task));
+                let takers =
+                    std::iter::once(declared.owner).chain(declared.users.iter().map(|user| user.task));
                 let answers = takers.filter(|&task| {
                     matches!(declared.usage_of(task), Some(Usage::Receive | Usage::Response))
                 });
@@ -148,9 +158,5 @@ impl Search<'_> {
 }
 
 fn either(a: Left, b: Left) -> Left {
-    Left {
-        next: quicker(a.next, b.next),
-        exit: quicker(a.exit, b.exit),
-        answer: quicker(a.answer, b.answer),
-    }
+    Left { next: quicker(a.next, b.next), exit: quicker(a.exit, b.exit), answer: quicker(a.answer, b.answer) }
 }
