@@ -87,6 +87,10 @@ fn node(hir: &Hir, task: TaskId) -> NodeId {
 /// The links of the quickest way.
 pub(super) fn way(hir: &Hir, from: NodeId, to: NodeId) -> Vec<usize> {
     let mut best: Vec<Option<(u64, Option<usize>)>> = vec![None; hir.nodes.len()];
+    // Of a cell with errors a task's node may be missing.
+    if from.index().max(to.index()) >= best.len() {
+        return Vec::new();
+    }
     best[from.index()] = Some((0, None));
     for _ in 0..hir.nodes.len() {
         for (at, link) in hir.links.iter().enumerate() {

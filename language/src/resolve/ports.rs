@@ -33,6 +33,8 @@ pub(super) struct Options<'a> {
     pub penalty: Option<(Duration, bool, Span)>,
     pub rate: Option<(u16, Duration)>,
     pub latest: Option<Span>,
+    /// Whether one of them cannot be used: what the port is then is not known.
+    pub broken: bool,
 }
 
 impl<'a> Resolver<'a> {
@@ -96,6 +98,9 @@ impl<'a> Resolver<'a> {
             ..self.blank(owner, decl, usage)
         };
         self.hir.ports.push(port);
+        if options.broken || self.lost.touches(decl.span) {
+            self.poison_port(at, decl);
+        }
         self.fitting(decl, usage, &options);
         self.short_enough(at, decl);
         if let Some((names, _)) = options.user_list {
@@ -118,6 +123,8 @@ impl<'a> Resolver<'a> {
             }
             _ => duplicate("ports", &decl.name, first),
         };
+        // What this task does with it is meant for a port that is not there.
+        self.poison.ports.insert(&decl.name.text);
         self.report(found);
     }
 

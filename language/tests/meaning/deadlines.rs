@@ -72,7 +72,8 @@ fn the_work_of_an_answer_counts() {
 
 #[test]
 fn what_a_receive_takes_is_answered_behind_it() {
-    let body = |body: &str| limits(1, &format!("var x: bool; begin loop run turn -> x takes 1 msec; {body} end;"));
+    let body =
+        |body: &str| limits(1, &format!("var x: bool; begin loop run turn -> x takes 1 msec; {body} end;"));
     assert_eq!(body("receive q(); delay 10 msec; response();"), (15, 17));
     assert_eq!(body("receive; delay 10 msec; response();"), (15, 17));
     assert_eq!(body("receive q(); if x then delay 10 msec; end; response();"), (5, 7));
