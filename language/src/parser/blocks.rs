@@ -190,12 +190,13 @@ impl<'t> Driver<'t> {
             None if !branches => self.semicolon(from, to),
             Some(_) | None => self.at = to,
         }
+        let branches = branches || !self.is_behind_semicolon() && self.is_branch(self.at);
         if read.stopped.is_some() {
             self.broken = self.at;
         }
         let mut statement = read.output.map(|kind| Statement { kind, branches: Vec::new(), span });
         if branches {
-            while self.is_branch(self.at) || self.word(self.at) == Some(Word::Do) {
+            while self.is_branch(self.at) || self.word(self.at) == Some(Word::Do) || self.skips_end() {
                 let branch = self.branch();
                 if let (Some(statement), Some(branch)) = (&mut statement, branch) {
                     statement.branches.push(branch);
@@ -204,6 +205,18 @@ impl<'t> Driver<'t> {
             self.semicolon_of_end();
         }
         into.extend(statement);
+    }
+
+    /// Skips an `end` too many between two branches of a statement.
+    fn skips_end(&mut self) -> bool {
+        let stray = self.word(self.at) == Some(Word::End)
+            && self.word(self.at + 1) == Some(Word::On)
+            && self.is_branch(self.at + 1);
+        if stray {
+            self.unexpected(STRAY_END, "remove it", |_| "this `end` closes nothing".to_owned());
+            self.at += 1;
+        }
+        stray
     }
 
     /// Whether a branch of a statement begins here: `on time_out`, also without its `on`.

@@ -40,10 +40,11 @@ pub(super) fn name<'t>(text: &'t str) -> impl Part<'t, Name> {
         .labelled(NAME)
 }
 
-/// A name or `self`.
+/// What has a rank: a name, `self`, or `timer` for all timers of the task.
 pub(super) fn name_or_self<'t>(text: &'t str) -> impl Part<'t, Name> {
     let myself = word(Word::Myself).map(|span| Name { text: "self".to_owned(), span });
-    myself.or(name(text)).labelled("a name or `self`")
+    let timers = word(Word::Timer).map(|span| Name { text: "timer".to_owned(), span });
+    choice((myself, timers, name(text))).labelled("a name, `self` or `timer`")
 }
 
 /// A whole number.

@@ -370,7 +370,10 @@ impl<'t> Driver<'t> {
             // A word of the language as a name: the line goes on behind it.
             let mut index = to + 1;
             while index < self.tokens.len() && !self.is_first_of_line(index) {
-                if self.kind(index) == Some(Kind::Semicolon) {
+                if matches!(
+                    self.kind(index),
+                    Some(Kind::Semicolon | Kind::Word(Word::On | Word::Do | Word::Then))
+                ) {
                     self.at = index;
                     break;
                 }

@@ -67,7 +67,10 @@ impl<'a> Resolver<'a> {
             self.poison_port(at, decl);
             return;
         };
-        let answer = self.answer(decl, usage, &message);
+        let answer = self.answer(decl, usage, &message).unwrap_or_else(|| {
+            self.poison_port(at, decl);
+            Vec::new()
+        });
         let class = self.class(decl, usage, &options, usage_span);
         if options.time_out.is_none() {
             self.report(
@@ -125,6 +128,7 @@ impl<'a> Resolver<'a> {
         };
         // What this task does with it is meant for a port that is not there.
         self.poison.ports.insert(&decl.name.text);
+        self.poisoned_ports.extend(self.ports.get(&decl.name.text));
         self.report(found);
     }
 
@@ -265,11 +269,11 @@ impl<'a> Resolver<'a> {
     }
 
     /// What an answer holds.
-    fn answer(&mut self, decl: &'a PortDecl, usage: Usage, message: &Message) -> Vec<Field> {
+    fn answer(&mut self, decl: &'a PortDecl, usage: Usage, message: &Message) -> Option<Vec<Field>> {
         let fields = match (&decl.answer, usage) {
-            (Some(of), _) => self.answer_of(of).unwrap_or_default(),
-            (None, Usage::Query | Usage::Response) => message.fields.clone(),
-            (None, Usage::Send | Usage::Receive | Usage::Reply | Usage::Waitfor) => Vec::new(),
+            (Some(of), _) => self.answer_of(of),
+            (None, Usage::Query | Usage::Response) => Some(message.fields.clone()),
+            (None, Usage::Send | Usage::Receive | Usage::Reply | Usage::Waitfor) => Some(Vec::new()),
         };
         if let (Some(of), Usage::Waitfor | Usage::Reply) = (&decl.answer, usage) {
             self.report(

@@ -189,7 +189,7 @@ proptest! {
         let text = format!(
             "cell c; tick {tick} usec; node na; node nb; link na -- nb delay {delay} usec;
             task a on na port q() usage = {usage} user_list = {{b}} time_out = {time_out} usec {repeats}; begin {a} end a;
-            task b on nb use_port q() usage = {other}; {b} end b;"
+            task b on nb use_port q() usage = {other}; begin {b} end b;"
         );
         let Some((wrong, right)) = offered(&text) else { return Ok(()) };
         let mended = text.replacen(&format!("time_out = {wrong}"), &format!("time_out = {right}"), 1);

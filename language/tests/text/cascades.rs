@@ -116,9 +116,9 @@ fn one_wrong_word_is_few_errors() {
 }
 
 /// Percent of the mutants with an error that have exactly one, at least.
-const MOSTLY_ONE: usize = 70;
+const MOSTLY_ONE: usize = 80;
 /// Percent of them that have more than three, at most.
-const SELDOM_MORE: usize = 0;
+const SELDOM_MORE: usize = 1;
 
 /// The wrong example of each page is one finding, through all phases, and says what to write.
 #[test]
