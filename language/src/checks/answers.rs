@@ -146,7 +146,7 @@ fn replies(body: &[Statement]) -> bool {
 }
 
 /// In which state a point may be reached: with the message still open, or answered.
-#[derive(Clone, Copy, Default)]
+#[derive(Clone, Copy, Default, PartialEq, Eq)]
 struct Reached {
     open: bool,
     answered: bool,
@@ -188,7 +188,9 @@ impl Ways {
             StatementKind::Atomic(body) => Self::of(body, from),
             StatementKind::Loop(body) => {
                 let once = Self::of(body, from);
-                let again = Self::of(body, from.or(once.next));
+                let head = from.or(once.next);
+                // Loops in loops would be gone through too often.
+                let again = if head == from { once } else { Self::of(body, head) };
                 plain(once.exit.or(again.exit))
             }
             StatementKind::While(condition, body) => {

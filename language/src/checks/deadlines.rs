@@ -40,13 +40,18 @@ pub(super) fn check(hir: &Hir, found: &mut Vec<Diagnostic>) {
 }
 
 /// The least time_out of a port, in whole ticks, that no check of durations complains about: not too short for the tick
-/// (E206), for the way and the work (E201), nor for their ticks (W318).
-pub(crate) fn least(hir: &Hir, id: PortId) -> u64 {
+/// (E206), for the way and the work (E201), nor for their ticks (W318). With `of` that of the messages that have this one.
+pub(crate) fn least(hir: &Hir, id: PortId, of: Option<Duration>) -> u64 {
     let tick = tick(hir);
     let port = &hir.ports[id.index()];
     let least = match port.usage {
         Usage::Waitfor => meeting(hir, port),
-        _ => needs(hir, id).iter().map(|need| after(need.enough(hir), tick)).max().unwrap_or_default(),
+        _ => needs(hir, id)
+            .iter()
+            .filter(|need| of.is_none() || life(port, need.from) == of)
+            .map(|need| after(need.enough(hir), tick))
+            .max()
+            .unwrap_or_default(),
     };
     least.max(tick.saturating_mul(times::LEAST_TICKS))
 }

@@ -36,7 +36,7 @@ fn time_outs(hir: &Hir, id: PortId, port: &Port, found: &mut Vec<Diagnostic>) {
                 .also(port.span, "the port")
                 .help(format!(
                     "give it {} or more, or the cell a shorter tick",
-                    time(super::deadlines::least(hir, id))
+                    time(super::deadlines::least(hir, id, Some(life)))
                 )),
         );
     } else if ticks < FEW_TICKS {

@@ -3,7 +3,10 @@
 
 use crate::hir::{Answered, Hir, Statement, StatementKind, Task, Trigger};
 use imrs_protocol::{Class, PortId, TaskId, Usage};
+use std::cell::Cell;
 
+/// So many statements are looked at for one answer.
+const STEPS: u32 = 100_000;
 /// So many answers may each wait for another one; what is behind counts as no time.
 const DEEPEST: usize = 8;
 
@@ -20,9 +23,13 @@ pub(super) struct Work {
 
 /// The work of `task` for an answer on `port`.
 pub(super) fn of(hir: &Hir, task: TaskId, port: PortId) -> Work {
-    let least = Search { hir, slow: false, depth: 0 }.answer(task, port);
-    let slow = Search { hir, slow: true, depth: 0 }.answer(task, port);
-    Work { least: least.unwrap_or_default(), slow: slow.unwrap_or_default() }
+    let search = |slow| {
+        let steps = Cell::new(STEPS);
+        let answer = Search { hir, slow, depth: 0, steps: &steps }.answer(task, port);
+        // What was not looked at to its end may be quicker.
+        answer.filter(|_| steps.get() > 0).unwrap_or_default()
+    };
+    Work { least: search(false), slow: search(true) }
 }
 
 /// One search for the quickest way.
@@ -33,6 +40,8 @@ struct Search<'h> {
     slow: bool,
     /// How many answers wait for this one.
     depth: usize,
+    /// How many statements are still looked at: loops in loops are gone through again and again.
+    steps: &'h Cell<u32>,
 }
 
 /// How long a message was open where a point is reached, at least; none where it is reached with no message open.
@@ -83,6 +92,8 @@ impl Search<'_> {
     fn statements(self, statements: &[Statement], from: Open, receives: Option<PortId>) -> Left {
         let mut left = Left { next: from, ..Left::default() };
         for statement in statements {
+            let Some(rest) = self.steps.get().checked_sub(1) else { return Left::default() };
+            self.steps.set(rest);
             let step = self.through(statement, left.next, receives);
             left = Left {
                 next: step.next,
@@ -106,15 +117,13 @@ impl Search<'_> {
             StatementKind::Exit => Left { exit: from, ..Left::default() },
             StatementKind::Atomic(body) => self.statements(body, from, receives),
             StatementKind::Loop(body) => {
-                let once = self.statements(body, from, receives);
-                let again = self.statements(body, quicker(from, once.next), receives);
-                Left { next: again.exit, exit: None, answer: again.answer }
+                let turned = self.turned(body, from, receives);
+                Left { next: turned.exit, exit: None, answer: turned.answer }
             }
             StatementKind::While(_, body) => {
-                let once = self.statements(body, from, receives);
-                let again = self.statements(body, quicker(from, once.next), receives);
-                let next = quicker(quicker(from, again.next), again.exit);
-                Left { next, exit: None, answer: again.answer }
+                let turned = self.turned(body, from, receives);
+                let next = quicker(quicker(from, turned.next), turned.exit);
+                Left { next, exit: None, answer: turned.answer }
             }
             StatementKind::If { arms, otherwise } => {
                 let arms = arms.iter().map(|(_, body)| self.statements(body, from, receives));
@@ -127,6 +136,13 @@ impl Search<'_> {
             left = either(left, self.statements(&branch.body, from, receives));
         }
         left
+    }
+
+    /// The statements of a loop, whose beginning is reached from its end, too.
+    fn turned(self, body: &[Statement], from: Open, receives: Option<PortId>) -> Left {
+        let once = self.statements(body, from, receives);
+        let head = quicker(from, once.next);
+        if head == from { once } else { self.statements(body, head, receives) }
     }
 
     /// How long a statement takes at least where it ends well. What is under way counts for nothing: a link's delay is a

@@ -106,7 +106,7 @@ impl Mapping<'_> {
             )
         };
         let enough = self.hir.ports.iter().position(|port| port.name == name);
-        let enough = enough.map_or(0, |at| least_time_out(self.hir, PortId::from_index(at)));
+        let enough = enough.map_or(0, |at| least_time_out(self.hir, PortId::from_index(at), None));
         let more = needs_more(least.0.saturating_mul(self.usec), enough, self.hir);
         Diagnostic::error(DEADLINE, at, message)
             .label(label)

@@ -10,6 +10,9 @@ use crate::lexer::Kind;
 use crate::span::Span;
 use crate::words::Word;
 
+/// So many tokens of a task's head are looked through for its `begin`.
+const LONGEST_HEAD: usize = 2000;
+
 impl Driver<'_> {
     /// The whole file.
     pub(super) fn file(&mut self) -> File {
@@ -221,7 +224,7 @@ impl Driver<'_> {
 
     /// Whether the `begin` of the task is still to come.
     fn begins_later(&self) -> bool {
-        let rest = self.at..self.tokens.len();
+        let rest = self.at..self.tokens.len().min(self.at + LONGEST_HEAD);
         let mut words = rest.map(|index| (index, self.word(index)));
         words
             .find(|(index, word)| {
