@@ -4,7 +4,7 @@
 //! and no answer comes sooner than the actions in front of it end. A tick is how late a node may act, not how late it
 //! always does (D42): what only ticks and slow actions use up is a warning (D99).
 
-use super::messages::{carries_beats, senders};
+use super::messages::{carries_beats, senders, sends_to};
 use super::work::{self, Work};
 use super::{task, tasks, time, times};
 use crate::codes::{DEADLINE, TIGHT_DEADLINE};
@@ -160,8 +160,8 @@ fn needs(hir: &Hir, id: PortId) -> Vec<Need> {
                 continue;
             }
             let answered = port.class == Class::Command && port.usage != Usage::Reply;
-            // Of the beats of a couple the communication tasks take care (D61).
-            let works = answered && !carries_beats(hir, id);
+            // Of the beats of a couple the communication tasks take care (D61). Who is never asked works for nobody.
+            let works = answered && !carries_beats(hir, id) && sends_to(hir, id, from, to);
             let work = if works { work::of(hir, to, id) } else { Work::default() };
             needs.push(Need { from, to, way: delay(hir, &links), links: links.len() as u64, answered, work });
         }

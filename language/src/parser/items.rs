@@ -268,6 +268,9 @@ impl Driver<'_> {
             self.lose(from, to);
             self.skip_rest();
         }
+        if stopped.is_some() {
+            self.broken = self.at;
+        }
         let (name, parameters, answer) = head.output?;
         let owner = self.word(from) == Some(Word::Port);
         let span = self.span(from).to(self.span(to.max(1) - 1));

@@ -326,6 +326,9 @@ impl<'t> Driver<'t> {
         if context == Context::Head && !self.is_behind_semicolon() {
             self.skip_rest();
         }
+        if read.stopped.is_some() {
+            self.broken = self.at;
+        }
         read.output
     }
 
@@ -395,9 +398,11 @@ impl<'t> Driver<'t> {
 
     /// Skips `;` and says that they are too many.
     fn stray_semicolons(&mut self) {
-        self.unexpected(crate::codes::UNEXPECTED, "remove it", |_| {
-            "nothing stands in front of this `;`".to_owned()
-        });
+        if self.broken != self.at {
+            self.unexpected(crate::codes::UNEXPECTED, "remove it", |_| {
+                "nothing stands in front of this `;`".to_owned()
+            });
+        }
         while self.kind(self.at) == Some(Kind::Semicolon) {
             self.at += 1;
         }

@@ -102,6 +102,10 @@ struct Resolver<'a> {
     broken_records: BTreeSet<usize>,
     /// Variables of types that are not known: their uses are not looked at.
     broken_variables: BTreeSet<(TaskId, &'a str)>,
+    /// Ports whose `user_list` names somebody unknown, by position: any task may be meant.
+    guessed_users: BTreeSet<usize>,
+    /// Tasks with a `use_port` of an unknown port: any port may be meant.
+    guessed_uses: BTreeSet<TaskId>,
     /// Who stands by for whom, as written, and whether the roles are exchanged.
     coupled: Vec<(&'a str, &'a str, bool)>,
     /// The shapes of the actions of each task.

@@ -107,6 +107,12 @@ impl<'a> Resolver<'a> {
         self.fitting(decl, usage, &options);
         self.short_enough(at, decl);
         if let Some((names, _)) = options.user_list {
+            let known = |name: &Name| {
+                self.tasks.get(&name.text).is_some() || self.modules.contains_key(name.text.as_str())
+            };
+            if !names.iter().all(known) {
+                self.guessed_users.insert(at);
+            }
             self.hir.ports[at].users = self.users(owner, names);
         }
     }

@@ -154,6 +154,23 @@ fn the_shortest_time_out_of_a_sender_is_meant() {
     assert_eq!(found.help, ["give it 27 msec or more"]);
 }
 
+#[test]
+fn who_is_never_asked_needs_no_time() {
+    let text = |asked: &str| {
+        format!(
+            "cell c; tick 1 msec; node na; node nb; link na -- nb delay 1 msec;
+            task a on na port q() usage = query user_list = {{b, d}} time_out = 40 msec;
+            begin loop query q({asked}) on time_out do skip; end; end; end a;
+            task b on nb use_port q() usage = response; begin order q > self; on query q() do response(); end; end b;
+            task d on nb use_port q() usage = response;
+            begin order q > self; on query q() do run look takes 50 msec; response(); end; end d;"
+        )
+    };
+    assert_eq!(all_found(&text("b")), [""; 0]);
+    assert_eq!(all_found(&text("d")), ["E201 `40 msec`"]);
+    assert_eq!(all_found(&text("")), ["E201 `40 msec`"]);
+}
+
 /// What a help line offers in the form `give it 27 msec or more`.
 fn offered(text: &str) -> Option<(String, String)> {
     let source = source(text);
