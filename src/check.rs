@@ -2,7 +2,7 @@
 
 use crate::args::{CheckArgs, Format};
 use crate::cell_file::{read, shown};
-use crate::exit::{Exit, Failure};
+use crate::exit::{Exit, Failure, turned_down};
 use crate::output::{BAD, GOOD, NOTE, Output, Styled, count};
 use imrs_language::render::{self, Located};
 use imrs_language::{Compiled, Diagnostic, Options, Severity, compile_with};
@@ -19,6 +19,8 @@ struct Checked<'a> {
     warnings: usize,
     notes: usize,
     diagnostics: Vec<Located<'a>>,
+    /// What was not checked because of errors, in a sentence; none where everything was.
+    unchecked: Option<&'a str>,
 }
 
 /// Checks a cell file.
@@ -39,13 +41,17 @@ pub fn run(args: &CheckArgs, out: &mut Output) -> Result<Exit, Failure> {
             warnings: of(found, Severity::Warning),
             notes: of(found, Severity::Note),
             diagnostics: render::located(found, &file, Some(&source)),
+            unchecked: compiled.unchecked,
         })?,
         Format::Text => {
             out.text(&render::text(found, &file, Some(&source), render::Style::Coloured))?;
+            if let Some(unchecked) = compiled.unchecked {
+                out.line(format!("\n{}: {unchecked}", Styled(NOTE, "note".to_owned())))?;
+            }
             verdict(&file, &compiled, out)?;
         }
     }
-    Ok(if errors == 0 { Exit::Well } else { Exit::Finding })
+    Ok(if errors == 0 { Exit::Well } else { turned_down(found) })
 }
 
 fn of(found: &[Diagnostic], severity: Severity) -> usize {

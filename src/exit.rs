@@ -1,5 +1,6 @@
 //! How the command ends: its exit codes, and the errors that lead to them.
 
+use imrs_language::Diagnostic;
 use std::io;
 use std::process::ExitCode;
 
@@ -71,6 +72,12 @@ impl Failure {
             },
         }
     }
+}
+
+/// What a verb ends with where the compiler turned a cell down: what is larger or deeper than is looked at is bad input, like a
+/// file that is too long.
+pub fn turned_down(found: &[Diagnostic]) -> Exit {
+    if found.iter().any(Diagnostic::is_limit) { Exit::Usage } else { Exit::Finding }
 }
 
 /// Of `names`, the one most like `wanted`, as the end of an error message: ": did you mean `x`?", or all of them.

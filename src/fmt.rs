@@ -2,7 +2,7 @@
 
 use crate::args::FmtArgs;
 use crate::cell_file::{CellFileError, is_stdin, read, shown};
-use crate::exit::{Exit, Failure};
+use crate::exit::{Exit, Failure, turned_down};
 use crate::output::{Output, complain, complain_in_full};
 use imrs_language::{format, render};
 use std::path::Path;
@@ -41,7 +41,7 @@ fn one(path: &Path, only_check: bool, out: &mut Output) -> Result<Exit, Failure>
             let shown = render::text(&found, &file, Some(&source), render::Style::Coloured);
             complain_in_full(out.color, &shown);
             complain(format_args!("{file}: not formatted: it cannot be read"));
-            return Ok(Exit::Finding);
+            return Ok(turned_down(&found));
         }
     };
     if only_check {

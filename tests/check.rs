@@ -100,24 +100,54 @@ fn strange_texts_are_findings_and_no_faults() {
         let said = check_bytes(&bytes);
         assert_eq!(said.code, Some(if round % 2 == 0 { 1 } else { 2 }), "{said:?}");
     }
-    let deep = format!("cell c; node n; task t on n begin {} end t;", "if true then ".repeat(50_000));
-    assert_eq!(check_bytes(deep.as_bytes()).code, Some(1));
-    let deep = format!("cell c; task t on n begin x := {}1; end t;", "(".repeat(100_000));
-    assert_eq!(check_bytes(deep.as_bytes()).code, Some(1));
     assert_eq!(check_bytes(b"").code, Some(1));
 }
 
 #[test]
-fn ten_errors_are_ten_diagnostics() {
-    let bad: String = (0..10).map(|at| format!("task t{at} on nowhere{at} begin end t{at};\n")).collect();
-    let said = check_bytes(format!("cell c; tick 1 msec;\nnode n;\n{bad}").as_bytes());
+fn what_is_larger_or_deeper_than_is_looked_at_ends_with_2() {
+    let blocks = format!("cell c; node n; task t on n begin {} end t;", "if true then ".repeat(50_000));
+    let signs = format!("cell c; task t on n begin x := {}1; end t;", "(".repeat(100_000));
+    let name = format!("cell c; tick 1 msec; node {};", "n".repeat(65));
+    let script = format!(
+        "cell c; tick 1 msec; node n; task t on n var x: int8; begin {} run go x; end t;",
+        "x := x + 1; ".repeat(14_000)
+    );
+    for (text, code) in [(blocks, "E012"), (signs, "E012"), (name, "E012"), (script, "E123")] {
+        let said = check_bytes(text.as_bytes());
+        assert_eq!(said.code, Some(2), "{code}");
+        let found = said.last_json()["diagnostics"].clone();
+        assert!(found.as_array().is_some_and(|all| all.len() == 1) && found[0]["code"] == code, "{found}");
+        let (_dir, path) = file(text.as_bytes());
+        for verb in ["verify", "graph", "run"] {
+            let said = run(&[verb, &path]);
+            assert_eq!(said.code, Some(2), "{verb}, {code}: {said:?}");
+            assert!(format!("{}{}", said.out, said.err).contains(code), "{verb}, {code}");
+        }
+    }
+}
+
+/// Syntax, names, types, behaviour and times in one file: each is said, and that not everything was looked at.
+#[test]
+fn ten_different_errors_are_ten_diagnostics() {
+    let text = include_str!("../language/tests/text/ten.cell");
+    let said = check_bytes(text.as_bytes());
     assert_eq!(said.code, Some(1));
     let report = said.last_json();
-    assert_eq!(report["errors"], 10, "{report}");
+    assert_eq!((&report["errors"], &report["warnings"]), (&10.into(), &0.into()), "{report}");
     let found = report["diagnostics"].as_array().expect("diagnostics");
-    let lines: Vec<_> =
-        found.iter().map(|found| found["labels"][0]["start"]["line"].as_u64().unwrap()).collect();
-    assert_eq!(lines, (3..13).collect::<Vec<u64>>());
+    let place = |found: &serde_json::Value| {
+        format!("{} {}", found["labels"][0]["start"]["line"], found["code"].as_str().unwrap())
+    };
+    let wrong = text.lines().enumerate();
+    let wrong =
+        wrong.filter_map(|(at, line)| Some(format!("{} {}", at + 1, line.split_once("// wrong: ")?.1)));
+    assert_eq!(found.iter().map(place).collect::<Vec<_>>(), wrong.collect::<Vec<_>>());
+    let unchecked = report["unchecked"].as_str().expect("what was not checked");
+    let (_dir, path) = file(text.as_bytes());
+    let shown = run(&["check", &path]).out;
+    let lines: Vec<&str> = shown.lines().rev().take(3).collect();
+    assert!(lines.iter().any(|line| *line == format!("note: {unchecked}")), "{lines:?}");
+    assert!(run(&["check", &example("belt.cell"), "--format", "json"]).last_json()["unchecked"].is_null());
 }
 
 #[test]

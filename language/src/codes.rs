@@ -99,6 +99,7 @@ codes! {
     LOAD "W315" "more than a link carries";
     DOES_NOTHING "W316" "a task that does nothing yet";
     TELLS_NOBODY "W317" "a beat that tells nobody";
+    TIGHT_DEADLINE "W318" "a deadline that late ticks and slow actions can miss";
 }
 
 /// The page about a code, in capitals or not.

@@ -2,12 +2,13 @@
 
 use crate::ast::File;
 use crate::checks;
-use crate::codes::{DEADLINE, SHORT_TIME_OUT, TOO_MANY};
+use crate::codes::{DEADLINE, SHORT_TIME_OUT, SOON, TOO_MANY};
 use crate::diagnostic::{Diagnostic, Severity};
 use crate::hir::Hir;
+use crate::lost::Doubts;
 use crate::lower::{Lowered, Unit, lower, table_errors};
 use crate::parser::parse;
-use crate::resolve::resolve;
+use crate::resolve::resolve_rest;
 use crate::source::Source;
 use crate::span::Span;
 use imrs_protocol::CellTable;
@@ -17,8 +18,11 @@ use imrs_protocol::CellTable;
 pub struct Compiled {
     /// The cell; none where a diagnostic is an error.
     pub hir: Option<Hir>,
-    /// What is to be said about it, in the order of the phases and then of the file.
+    /// What is to be said about it: of a cell without errors in the order of the phases and then of the file, of others in
+    /// the order of the file.
     pub diagnostics: Vec<Diagnostic>,
+    /// What was not checked, or not all of it, because of errors, as a sentence about the diagnostics.
+    pub unchecked: Option<&'static str>,
 }
 
 impl Compiled {
@@ -42,24 +46,42 @@ pub fn compile(source: &Source) -> Compiled {
     compile_with(source, Options::default())
 }
 
-/// Compiles a file: syntax, names and types, then what the cell does and what the machine's own tables say. A phase runs only where the one
-/// before it found no error, so that one fault is said once.
+/// Compiles a file: syntax, names and types, then what the cell does and what the machine's own tables say. Where a phase found
+/// errors, the later ones look at what is left, and say what does not follow from those: one fault is said once.
 #[must_use]
 pub fn compile_with(source: &Source, options: Options) -> Compiled {
     let parsed = parse(source);
     let mut diagnostics = parsed.diagnostics;
-    if has_error(&diagnostics) {
-        return Compiled { hir: None, diagnostics };
+    if parsed.lost.all {
+        return Compiled { hir: None, diagnostics, unchecked: Some(NOTHING_ELSE) };
     }
-    let mut resolved = resolve(&parsed.file, source.text());
+    let syntax = has_error(&diagnostics);
+    let mut resolved = resolve_rest(&parsed.file, source.text(), &parsed.lost);
     resolved.hir.paper = options.paper;
-    diagnostics.extend(resolved.diagnostics);
-    if !has_error(&diagnostics) {
-        diagnostics.extend(behaviour(&parsed.file, &resolved.hir, options));
+    let mut doubts = Doubts::new(&parsed.lost, source, &diagnostics);
+    if syntax {
+        resolved.diagnostics.retain(|found| doubts.keeps_name(found));
     }
-    let hir = (!has_error(&diagnostics)).then_some(resolved.hir);
-    Compiled { hir, diagnostics }
+    let types = has_error(&resolved.diagnostics);
+    if !(syntax || types) {
+        diagnostics.extend(resolved.diagnostics);
+        diagnostics.extend(behaviour(&parsed.file, &resolved.hir, options));
+        let whole = !has_error(&diagnostics);
+        return Compiled { hir: whole.then_some(resolved.hir), diagnostics, unchecked: None };
+    }
+    doubts.add(&resolved.diagnostics);
+    diagnostics.extend(resolved.diagnostics);
+    let found = behaviour(&parsed.file, &resolved.hir, options).into_iter();
+    diagnostics.extend(found.filter(|found| doubts.keeps_behaviour(found)));
+    diagnostics.sort_by_key(|found| found.primary.span.start);
+    Compiled { hir: None, diagnostics, unchecked: Some(if syntax { NAMES_AND_TIMES } else { TIMES }) }
 }
+
+const NOTHING_ELSE: &str = "names, types, behaviour and times were not checked: mend this first";
+const NAMES_AND_TIMES: &str =
+    "names, types, behaviour and times were checked only where these errors leave no doubt: mend them first";
+const TIMES: &str =
+    "behaviour and times were checked only where these errors leave no doubt: mend them first";
 
 fn has_error(diagnostics: &[Diagnostic]) -> bool {
     diagnostics.iter().any(|found| found.severity == Severity::Error)
@@ -71,12 +93,24 @@ fn behaviour(file: &File, hir: &Hir, options: Options) -> Vec<Diagnostic> {
     if found.iter().any(|found| found.code == TOO_MANY) {
         return found;
     }
-    // A time_out that cannot cover its way is not also said to be short: both point at their port.
+    let checked = checks::all(hir, options.paper);
+    // The checks know more of a deadline than the table does; both point at its port. A time_out that cannot cover its way
+    // is not also said to be short.
     let port = |found: &Diagnostic| found.secondary.first().map(|label| label.span);
-    let deadlines: Vec<Option<Span>> =
-        found.iter().filter(|found| found.code == DEADLINE).map(port).collect();
-    let again = |found: &Diagnostic| found.code == SHORT_TIME_OUT && deadlines.contains(&port(found));
-    found.extend(checks::all(hir, options.paper).into_iter().filter(|found| !again(found)));
+    let of = |all: &[Diagnostic], code| -> Vec<Option<Span>> {
+        all.iter().filter(|found| found.code == code).map(port).collect()
+    };
+    let known = of(&checked, DEADLINE);
+    found.retain(|found| found.code != DEADLINE || !known.contains(&port(found)));
+    let deadlines = [known, of(&found, DEADLINE)].concat();
+    let soon = found.iter().chain(&checked).filter(|found| found.code == DEADLINE);
+    let soon: Vec<Span> = soon.map(|found| found.primary.span).collect();
+    let again = |found: &Diagnostic| match found.code {
+        SHORT_TIME_OUT => deadlines.contains(&port(found)),
+        SOON => soon.contains(&found.primary.span),
+        _ => false,
+    };
+    found.extend(checked.into_iter().filter(|found| !again(found)));
     if options.paper {
         found.extend(checks::paper(file));
     }

@@ -1,5 +1,6 @@
 //! What is said about a cell file: a stable code, what is wrong, where, and what to write instead.
 
+use crate::codes;
 use crate::span::Span;
 use serde::Serialize;
 use std::fmt;
@@ -69,6 +70,12 @@ impl Diagnostic {
     #[must_use]
     pub fn note(code: &'static str, span: Span, message: impl Into<String>) -> Self {
         Self::new(code, Severity::Note, span, message.into())
+    }
+
+    /// Whether it says that the file is larger, longer or deeper than is looked at.
+    #[must_use]
+    pub fn is_limit(&self) -> bool {
+        matches!(self.code, codes::LIMIT | codes::TOO_MANY)
     }
 
     fn new(code: &'static str, severity: Severity, span: Span, message: String) -> Self {

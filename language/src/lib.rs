@@ -33,6 +33,7 @@ mod diagnostic;
 mod format;
 pub mod hir;
 mod lexer;
+mod lost;
 pub mod lower;
 mod names;
 mod parser;

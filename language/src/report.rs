@@ -33,6 +33,11 @@ impl Report {
         self.stopped
     }
 
+    /// Whether there is more than is shown.
+    pub(crate) fn is_more(&self) -> bool {
+        self.more > 0
+    }
+
     /// Where those that are shown stand, sorted.
     pub(crate) fn places(&self) -> Vec<u32> {
         let mut places: Vec<u32> = self.shown.iter().map(|found| found.primary.span.start).collect();

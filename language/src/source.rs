@@ -22,7 +22,9 @@ impl Source {
     pub fn new(bytes: &[u8]) -> Result<Self, Box<Diagnostic>> {
         if bytes.len() > LONGEST_FILE {
             let message = format!("the file has {} bytes; at most {LONGEST_FILE} are read", bytes.len());
-            return Err(Box::new(Diagnostic::error(LIMIT, Span::default(), message)));
+            let found =
+                Diagnostic::error(LIMIT, Span::default(), message).help("split it: is it a cell file?");
+            return Err(Box::new(found));
         }
         let bytes = bytes.strip_prefix("\u{feff}".as_bytes()).unwrap_or(bytes);
         match std::str::from_utf8(bytes) {

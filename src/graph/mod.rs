@@ -5,7 +5,7 @@ mod svg;
 
 use crate::args::{GraphArgs, Picture};
 use crate::cell_file::{read, shown};
-use crate::exit::{Exit, Failure};
+use crate::exit::{Exit, Failure, turned_down};
 use crate::output::{Output, complain_in_full, span};
 use imrs_language::hir::{Hir, Port};
 use imrs_language::{compile, render};
@@ -22,7 +22,7 @@ pub fn run(args: &GraphArgs, out: &mut Output) -> Result<Exit, Failure> {
         let found =
             render::text(&compiled.diagnostics, &shown(&args.cell), Some(&source), render::Style::Coloured);
         complain_in_full(out.color, &found);
-        return Ok(Exit::Finding);
+        return Ok(turned_down(&compiled.diagnostics));
     };
     out.text(&match args.to {
         Picture::Svg => svg::draw(hir),

@@ -4,7 +4,7 @@ use super::DEFAULT_MEMORY;
 use super::tell::{self, Telling};
 use crate::args::{self, CellFaultArgs, Format, VerifyVerb};
 use crate::cell_file::{self, CellFileError};
-use crate::exit::{Exit, Failure, did_you_mean};
+use crate::exit::{Exit, Failure, did_you_mean, turned_down};
 use crate::output::Output;
 use imrs_language::hir::{CoupleKind, Faults};
 use imrs_language::lower::{Behaviour, Check, CheckKind, Lowered};
@@ -41,7 +41,7 @@ pub fn run(path: &Path, args: &VerifyVerb, out: &mut Output) -> Result<Exit, Fai
     let compiled = compile_with(&source, Options { paper: args.faults.paper });
     let Some(lowered) = compiled.lower(Unit::Ticks) else {
         out.text(&render::text(&compiled.diagnostics, &file, Some(&source), render::Style::Coloured))?;
-        return Ok(Exit::Finding);
+        return Ok(turned_down(&compiled.diagnostics));
     };
     let table = CellTable::new(lowered.cell.clone()).map(Arc::new).map_err(|errors| {
         let all: Vec<String> = errors.iter().map(ToString::to_string).collect();

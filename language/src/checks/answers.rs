@@ -119,7 +119,7 @@ fn received_in_body(hir: &Hir, id: TaskId, found: &mut Vec<Diagnostic>) {
 }
 
 /// Whether the task answers messages of the port some time after it took them.
-fn answers_later(task: &Task, id: PortId) -> bool {
+pub(super) fn answers_later(task: &Task, id: PortId) -> bool {
     walk::any(
         task,
         |statement| matches!(&statement.kind, StatementKind::Reply { port, to: Answered::Of(_), .. } if *port == Some(id)),
@@ -127,7 +127,7 @@ fn answers_later(task: &Task, id: PortId) -> bool {
 }
 
 /// Whether it is an answer itself, or a port of usage `reply` may carry that of somebody else (D11).
-fn answered_by_others(hir: &Hir, at: TaskId, port: &Port) -> bool {
+pub(super) fn answered_by_others(hir: &Hir, at: TaskId, port: &Port) -> bool {
     if port.usage == Usage::Reply {
         return true;
     }
@@ -146,7 +146,7 @@ fn replies(body: &[Statement]) -> bool {
 }
 
 /// In which state a point may be reached: with the message still open, or answered.
-#[derive(Clone, Copy, Default)]
+#[derive(Clone, Copy, Default, PartialEq, Eq)]
 struct Reached {
     open: bool,
     answered: bool,
@@ -188,7 +188,9 @@ impl Ways {
             StatementKind::Atomic(body) => Self::of(body, from),
             StatementKind::Loop(body) => {
                 let once = Self::of(body, from);
-                let again = Self::of(body, from.or(once.next));
+                let head = from.or(once.next);
+                // Loops in loops would be gone through too often.
+                let again = if head == from { once } else { Self::of(body, head) };
                 plain(once.exit.or(again.exit))
             }
             StatementKind::While(condition, body) => {

@@ -68,6 +68,11 @@ fn sending(hir: &Hir, id: PortId, from: TaskId, to: Option<TaskId>) -> Option<&S
     first
 }
 
+/// Whether `from` may ever send to `to` through the port.
+pub(super) fn sends_to(hir: &Hir, id: PortId, from: TaskId, to: TaskId) -> bool {
+    task(hir, from).is_extern || sending(hir, id, from, Some(to)).is_some()
+}
+
 pub(super) fn is_sent(hir: &Hir, id: PortId, from: TaskId) -> bool {
     task(hir, from).is_extern || sending(hir, id, from, None).is_some()
 }

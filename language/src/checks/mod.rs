@@ -3,6 +3,7 @@
 
 mod answers;
 mod couples;
+mod deadlines;
 pub(crate) mod flow;
 mod meetings;
 mod messages;
@@ -11,7 +12,9 @@ mod ranks;
 mod ring;
 mod times;
 mod unused;
+mod work;
 
+pub(crate) use deadlines::least as least_time_out;
 use messages::carries_beats;
 pub(crate) use paper::paper;
 
@@ -29,6 +32,7 @@ pub(crate) fn all(hir: &Hir, paper: bool) -> Vec<Diagnostic> {
     ranks::check(hir, &mut found);
     flow::check(hir, &mut found);
     times::check(hir, &mut found);
+    deadlines::check(hir, &mut found);
     couples::check(hir, &mut found);
     unused::check(hir, &mut found);
     found.sort_by_key(|diagnostic| (diagnostic.primary.span, diagnostic.code));

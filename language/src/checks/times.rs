@@ -4,10 +4,10 @@ use super::time;
 use crate::codes::{LOAD, SHORT_TIME_OUT, SOON};
 use crate::diagnostic::Diagnostic;
 use crate::hir::{Hir, Port};
-use imrs_protocol::{Class, NodeId, TaskId};
+use imrs_protocol::{Class, NodeId, PortId, TaskId};
 
 /// A shorter time_out is lost to the lateness of the timers alone (D42).
-const LEAST_TICKS: u64 = 4;
+pub(super) const LEAST_TICKS: u64 = 4;
 /// Below so many ticks the tick is felt.
 const FEW_TICKS: u64 = 20;
 /// A packet on the wire: 32 bytes, its envelope, IP and UDP, Ethernet and the gap.
@@ -16,14 +16,14 @@ const BITS: f64 = 138.0 * 8.0;
 const PLENTY: f64 = 100e6;
 
 pub(super) fn check(hir: &Hir, found: &mut Vec<Diagnostic>) {
-    for port in &hir.ports {
-        time_outs(hir, port, found);
+    for (at, port) in hir.ports.iter().enumerate() {
+        time_outs(hir, PortId::from_index(at), port, found);
     }
     loads(hir, found);
 }
 
 /// The shortest time_out of a port against the tick.
-fn time_outs(hir: &Hir, port: &Port, found: &mut Vec<Diagnostic>) {
+fn time_outs(hir: &Hir, id: PortId, port: &Port, found: &mut Vec<Diagnostic>) {
     let Some(tick) = hir.tick.map(|tick| tick.usec.max(1)) else { return };
     let all = port.time_out.into_iter().chain(port.users.iter().filter_map(|user| user.time_out));
     let Some(life) = all.min_by_key(|life| life.usec) else { return };
@@ -36,7 +36,7 @@ fn time_outs(hir: &Hir, port: &Port, found: &mut Vec<Diagnostic>) {
                 .also(port.span, "the port")
                 .help(format!(
                     "give it {} or more, or the cell a shorter tick",
-                    time(tick.saturating_mul(LEAST_TICKS))
+                    time(super::deadlines::least(hir, id, Some(life)))
                 )),
         );
     } else if ticks < FEW_TICKS {
@@ -85,8 +85,12 @@ fn node(hir: &Hir, task: TaskId) -> NodeId {
 }
 
 /// The links of the quickest way.
-fn way(hir: &Hir, from: NodeId, to: NodeId) -> Vec<usize> {
+pub(super) fn way(hir: &Hir, from: NodeId, to: NodeId) -> Vec<usize> {
     let mut best: Vec<Option<(u64, Option<usize>)>> = vec![None; hir.nodes.len()];
+    // Of a cell with errors a task's node may be missing.
+    if from.index().max(to.index()) >= best.len() {
+        return Vec::new();
+    }
     best[from.index()] = Some((0, None));
     for _ in 0..hir.nodes.len() {
         for (at, link) in hir.links.iter().enumerate() {

@@ -1,6 +1,7 @@
 //! What the table of a cell refuses, as diagnostics on the lines that say so.
 
 use super::Unit;
+use crate::checks::least_time_out;
 use crate::codes::{
     COUPLE, DEADLINE, DISAGREE, DUPLICATE, LEASE_TOO_SHORT, MISSING, NO_LINK, OPTION, RATE,
     TAKEOVER_TOO_SOON, TOO_LONG, TOO_MANY, TWICE, UNKNOWN_NAME, WRAPS,
@@ -8,7 +9,7 @@ use crate::codes::{
 use crate::diagnostic::Diagnostic;
 use crate::hir::{CoupleKind, Duration, Hir, Port};
 use crate::span::Span;
-use imrs_protocol::{CellError, Ticks, Usage};
+use imrs_protocol::{CellError, PortId, Ticks};
 
 /// What [`CellTable::new`](imrs_protocol::CellTable::new) says of the lowered cell, where the file says it. `unit` is
 /// that of the cell.
@@ -98,30 +99,19 @@ impl Mapping<'_> {
                 format!("must exceed {needs}: the margin for lost packets, and the way"),
             )
         } else {
+            // Only in the ticks of the model: in microseconds the checks say it first, and more of it.
             (
-                format!(
-                    "deadline cannot be met: `{name}` takes {needs} there and back, its time_out is {has}"
-                ),
-                self.there_and_back(name, least),
+                format!("deadline cannot be met: `{name}` takes {needs}, its time_out is {has}"),
+                format!("must exceed {needs}: the links on its way, in ticks"),
             )
         };
-        let tick = self.hir.tick.map_or(1, |tick| tick.usec.div_ceil(self.usec));
-        let enough = self.time(Ticks(least.0.saturating_add(tick)));
+        let enough = self.hir.ports.iter().position(|port| port.name == name);
+        let enough = enough.map_or(0, |at| least_time_out(self.hir, PortId::from_index(at), None));
+        let more = needs_more(least.0.saturating_mul(self.usec), enough, self.hir);
         Diagnostic::error(DEADLINE, at, message)
             .label(label)
             .also(self.port_span(name), "the port")
-            .help(format!("give it {enough} or more, and the time that the answer takes"))
-    }
-
-    /// `must exceed 2 x 1 msec (links)`; an answer that goes a way of its own needs it once.
-    fn there_and_back(&self, name: &str, least: Ticks) -> String {
-        let third_party = self.port(name).is_some_and(|port| port.usage == Usage::Reply);
-        if third_party {
-            format!("must exceed {}: the links on its way", self.time(least))
-        } else {
-            let way = self.time(Ticks(least.0 / 2));
-            format!("must exceed 2 x {way} on the links = {}", self.time(least))
-        }
+            .help(format!("give it {} or more", self.time(Ticks(more.div_ceil(self.usec)))))
     }
 
     /// `60/1 msec x 1 receiver x 200 sec = 12000000 > 2^23`
@@ -244,6 +234,12 @@ impl Mapping<'_> {
     fn whole(&self) -> Span {
         self.hir.tick.map_or_else(Span::default, |tick| tick.span)
     }
+}
+
+/// The longer one: what the table needs and a tick, or what the checks find to be enough.
+fn needs_more(least: u64, enough: u64, hir: &Hir) -> u64 {
+    let tick = hir.tick.map_or(1, |tick| tick.usec.max(1));
+    enough.max(least.saturating_add(tick))
 }
 
 const fn code(error: &CellError) -> &'static str {

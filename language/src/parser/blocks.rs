@@ -21,13 +21,19 @@ impl<'t> Driver<'t> {
             match self.word(self.at) {
                 Some(Word::Takeover) => {
                     if takeover.is_some() {
-                        self.unexpected(MISPLACED, |_| "a task has one `takeover`".to_owned());
+                        self.unexpected(MISPLACED, "put all of it behind the first one", |_| {
+                            "a task has one `takeover`".to_owned()
+                        });
                     }
                     self.at += 1;
                     takeover.get_or_insert_default();
                 }
                 Some(Word::End) if self.is_stray_end() => {
-                    self.unexpected(STRAY_END, |_| "this `end` closes nothing".to_owned());
+                    self.unexpected(
+                        STRAY_END,
+                        "remove it, or write the `if`, `loop` or `do` that it closes",
+                        |_| "this `end` closes nothing".to_owned(),
+                    );
                     self.at += 1;
                     if self.kind(self.at) == Some(Kind::Semicolon) {
                         self.at += 1;
@@ -60,7 +66,11 @@ impl<'t> Driver<'t> {
                     if self.open.iter().any(|opener| opener.word == Word::If) {
                         return;
                     }
-                    self.unexpected(MISPLACED, |found| format!("{} belongs to no `if`", found.describe()));
+                    self.unexpected(
+                        MISPLACED,
+                        "write `if .. then` in front of it, or remove an `end` there",
+                        |found| format!("{} belongs to no `if`", found.describe()),
+                    );
                     self.at = self.reach(self.at + 1, Context::Body);
                     if matches!(self.word(self.at), Some(Word::Then)) {
                         self.at += 1;
@@ -69,10 +79,12 @@ impl<'t> Driver<'t> {
                 Kind::Semicolon => self.stray_semicolons(),
                 Kind::Word(Word::On) => self.on(into, &mut handlers),
                 Kind::Word(Word::Port | Word::UsePort | Word::Var) => {
-                    self.unexpected(MISPLACED, |found| {
+                    self.unexpected(MISPLACED, "move it there", |found| {
                         format!("{} stands in front of `begin`", found.describe())
                     });
+                    let from = self.at;
                     self.at = self.reach(self.at + 1, Context::Head);
+                    self.lose(from, self.at);
                     if self.kind(self.at) == Some(Kind::Semicolon) {
                         self.at += 1;
                     }
@@ -88,28 +100,37 @@ impl<'t> Driver<'t> {
         if matches!(self.word(self.at + 1), Some(Word::TimeOut | Word::Refused | Word::Failed)) {
             let branch = self.source.slice(self.span(self.at).to(self.span(self.at + 1)));
             let span = self.span(self.at);
-            self.report.push(|| {
-                let message = format!("`{branch}` belongs to the statement in front of it");
-                Diagnostic::error(MISPLACED, span, message).help("remove the `;` in front of it")
-            });
-            if let Some(branch) = self.branch()
-                && let Some(last) = into.last_mut()
-            {
-                last.branches.push(branch);
+            if self.broken != self.at {
+                self.report.push(|| {
+                    let message = format!("`{branch}` belongs to the statement in front of it");
+                    Diagnostic::error(MISPLACED, span, message).help("remove the `;` in front of it")
+                });
+            }
+            while self.is_branch(self.at) {
+                if let Some(branch) = self.branch()
+                    && let Some(last) = into.last_mut()
+                {
+                    last.branches.push(branch);
+                }
             }
             self.semicolon_of_end();
             return;
         }
         let from = self.at;
         if handlers.is_none() {
-            self.unexpected(MISPLACED, |_| "a handler stands in no block of a task".to_owned());
+            self.unexpected(
+                MISPLACED,
+                "move it out of the block: behind `begin`, or behind the `end` of a statement",
+                |_| "a handler stands in no block of a task".to_owned(),
+            );
         }
         let trigger = self.head(|d| &d.statements.trigger, from + 1, Word::Do);
         let span = self.head_span(from, Word::Do);
         let body = self.block(Opener { word: Word::On, span: self.span(from) });
         self.semicolon_of_end();
-        if let (Some(trigger), Some(handlers)) = (trigger, handlers) {
-            handlers.push(Handler { trigger, body, span });
+        match (trigger, handlers) {
+            (Some(trigger), Some(handlers)) => handlers.push(Handler { trigger, body, span }),
+            (None, _) | (_, None) => self.lose(from, self.at),
         }
     }
 
@@ -145,10 +166,13 @@ impl<'t> Driver<'t> {
                 self.skip_line(from + 1);
             }
             _ => {
-                self.unexpected(UNEXPECTED, |found| {
-                    format!("expected a statement, found {}", found.describe())
-                });
+                self.unexpected(
+                    UNEXPECTED,
+                    "write a statement, such as `send p(x);` or `x := 1;`, or remove this",
+                    |found| format!("expected a statement, found {}", found.describe()),
+                );
                 self.skip_line(from + 1);
+                self.broken = self.at;
             }
         }
         self.at = self.at.max(from + 1);
@@ -160,15 +184,19 @@ impl<'t> Driver<'t> {
         let to = self.reach(from + 1, Context::Body);
         let read = self.read(line, from, to, ";");
         let span = self.span(from).to(self.span(to - 1));
-        let branches = self.kind(to) == Some(Kind::Word(Word::On)) && !self.is_handler(to);
+        let branches = self.is_branch(to) || read.stopped.is_some() && self.word(to) == Some(Word::Do);
         match read.stopped {
             Some(stopped) if !branches => self.recover(from, to, stopped),
             None if !branches => self.semicolon(from, to),
             Some(_) | None => self.at = to,
         }
+        let branches = branches || !self.is_behind_semicolon() && self.is_branch(self.at);
+        if read.stopped.is_some() {
+            self.broken = self.at;
+        }
         let mut statement = read.output.map(|kind| Statement { kind, branches: Vec::new(), span });
         if branches {
-            while self.word(self.at) == Some(Word::On) && !self.is_handler(self.at) {
+            while self.is_branch(self.at) || self.word(self.at) == Some(Word::Do) || self.skips_end() {
                 let branch = self.branch();
                 if let (Some(statement), Some(branch)) = (&mut statement, branch) {
                     statement.branches.push(branch);
@@ -177,6 +205,25 @@ impl<'t> Driver<'t> {
             self.semicolon_of_end();
         }
         into.extend(statement);
+    }
+
+    /// Skips an `end` too many between two branches of a statement.
+    fn skips_end(&mut self) -> bool {
+        let stray = self.word(self.at) == Some(Word::End)
+            && self.word(self.at + 1) == Some(Word::On)
+            && self.is_branch(self.at + 1);
+        if stray {
+            self.unexpected(STRAY_END, "remove it", |_| "this `end` closes nothing".to_owned());
+            self.at += 1;
+        }
+        stray
+    }
+
+    /// Whether a branch of a statement begins here: `on time_out`, also without its `on`.
+    fn is_branch(&self, index: usize) -> bool {
+        let of_branch = matches!(self.word(index), Some(Word::TimeOut | Word::Refused | Word::Failed));
+        self.word(index) == Some(Word::On) && !self.is_handler(index)
+            || of_branch && self.word(index + 1) == Some(Word::Do)
     }
 
     /// Whether the `on` here begins a handler.
@@ -189,9 +236,25 @@ impl<'t> Driver<'t> {
 
     fn branch(&mut self) -> Option<Branch> {
         let from = self.at;
+        if self.word(from) != Some(Word::On) {
+            // Without its `on`, or behind a line that could not be read.
+            if self.word(from) != Some(Word::Do) {
+                self.unexpected(UNEXPECTED, "write `on` in front of it", |found| {
+                    format!("expected `on` or `;`, found {}", found.describe())
+                });
+                self.at += 1;
+            }
+            self.at += 1;
+            self.block(Opener { word: Word::On, span: self.span(from) });
+            self.lose(from, self.at);
+            return None;
+        }
         let when = self.head(|d| &d.statements.branch, from + 1, Word::Do);
         let span = self.head_span(from, Word::Do);
         let body = self.block(Opener { word: Word::On, span: self.span(from) });
+        if when.is_none() {
+            self.lose(from, self.at);
+        }
         when.map(|when| Branch { when, body, span })
     }
 
@@ -217,11 +280,13 @@ impl<'t> Driver<'t> {
             }
             _ => self.skip_line(self.at),
         }
+        self.lose(from, self.at);
     }
 
     /// Goes on behind the `;` of a line that is of no use.
     fn skip_line(&mut self, from: usize) {
         self.at = self.reach(from, Context::Body);
+        self.lose(from.saturating_sub(1), self.at);
         if matches!(self.kind(self.at), Some(Kind::Semicolon | Kind::Word(Word::Then | Word::Do))) {
             self.at += 1;
         }
@@ -242,7 +307,9 @@ impl<'t> Driver<'t> {
         loop {
             match self.word(self.at) {
                 Some(word @ (Word::Elsif | Word::Else)) if otherwise.is_some() => {
-                    self.unexpected(MISPLACED, |_| format!("`{}` behind the `else`", word.text()));
+                    self.unexpected(MISPLACED, "move it in front of the `else`", |_| {
+                        format!("`{}` behind the `else`", word.text())
+                    });
                     self.skip_line(self.at + 1);
                     self.open_block(opener);
                 }
@@ -266,6 +333,10 @@ impl<'t> Driver<'t> {
     /// The branches and the `;` of a statement that is a block.
     fn finish(&mut self, kind: Option<StatementKind>, span: Span, into: &mut Vec<Statement>) {
         self.semicolon_of_end();
+        if kind.is_none() {
+            let end = self.span(self.at.saturating_sub(1)).end;
+            self.lost.spans.push(Span { start: span.start, end: end.max(span.end) });
+        }
         into.extend(kind.map(|kind| Statement { kind, branches: Vec::new(), span }));
     }
 
@@ -281,7 +352,10 @@ impl<'t> Driver<'t> {
         let mut body = Vec::new();
         if self.open.len() > limits::DEEPEST {
             // Where `do` is missing often enough, the count of the words was too low.
-            self.report.push(|| Diagnostic::error(LIMIT, opener.span, "too many blocks are nested here"));
+            self.report.push(|| {
+                Diagnostic::error(LIMIT, opener.span, "too many blocks are nested here")
+                    .help("split the task, or close the blocks above")
+            });
             self.at = self.tokens.len();
             return body;
         }
@@ -299,6 +373,7 @@ impl<'t> Driver<'t> {
         }
         let named = self.at + 1;
         if self.is_name(named)
+            && !self.is_branch(named)
             && (!self.is_first_of_line(named) || self.kind(named + 1) == Some(Kind::Semicolon))
         {
             self.unclosed(opener);
@@ -316,7 +391,7 @@ impl<'t> Driver<'t> {
             && !self.is_first_of_line(self.at)
             && self.kind(self.at + 1) == Some(Kind::Semicolon)
         {
-            self.unexpected(STRAY_END, |_| "a block is closed by `end` alone".to_owned());
+            self.unexpected(STRAY_END, "write `end;`", |_| "a block is closed by `end` alone".to_owned());
             self.at += 1;
         }
     }

@@ -40,10 +40,11 @@ pub(super) fn name<'t>(text: &'t str) -> impl Part<'t, Name> {
         .labelled(NAME)
 }
 
-/// A name or `self`.
+/// What has a rank: a name, `self`, or `timer` for all timers of the task.
 pub(super) fn name_or_self<'t>(text: &'t str) -> impl Part<'t, Name> {
     let myself = word(Word::Myself).map(|span| Name { text: "self".to_owned(), span });
-    myself.or(name(text)).labelled("a name or `self`")
+    let timers = word(Word::Timer).map(|span| Name { text: "timer".to_owned(), span });
+    choice((myself, timers, name(text))).labelled("a name, `self` or `timer`")
 }
 
 /// A whole number.
@@ -66,7 +67,8 @@ fn digits(text: &str) -> String {
 }
 
 fn too_large(span: Span, most: u64) -> Failure {
-    let found = Diagnostic::error(NUMBER, span, format!("this number is larger than {most}"));
+    let found = Diagnostic::error(NUMBER, span, format!("this number is larger than {most}"))
+        .help(format!("write a number up to {most}"));
     Failure::Said(Box::new(found))
 }
 
@@ -134,7 +136,11 @@ pub(super) fn durations<'t>(text: &'t str) -> impl Part<'t, (Duration, Duration)
 fn length(number: &str, unit: u64, span: Span) -> Result<Duration, Box<Diagnostic>> {
     let number = digits(number);
     let wrong = |message: &str| Diagnostic::error(NUMBER, span, message);
-    let too_long = || Box::new(wrong("this time is too long to be told"));
+    let too_long = || {
+        Box::new(
+            wrong("this time is too long to be told").help("write a shorter one: years are never waited for"),
+        )
+    };
     if let Ok(whole) = number.parse::<u64>() {
         let usec = whole.checked_mul(unit).ok_or_else(too_long)?;
         return Ok(Duration { usec, span });
@@ -266,7 +272,8 @@ fn literal<'t>(text: &'t str) -> impl Part<'t, Expr> {
         let span: Span = extra.span();
         let number = digits(&text[span.range()]);
         if !number.parse::<f32>().is_ok_and(f32::is_finite) {
-            let found = Diagnostic::error(NUMBER, span, "this number is too large for a `real`");
+            let found = Diagnostic::error(NUMBER, span, "this number is too large for a `real`")
+                .help("write a number below 1e308");
             emitter.emit(Failure::Said(Box::new(found)));
         }
         Expr { kind: ExprKind::Real(number), span }

@@ -37,6 +37,10 @@ pub(super) const NAME: &str = "a name";
 pub(super) const TYPE: &str = "a type";
 /// Likewise.
 pub(super) const OPTION: &str = "an option";
+/// Likewise.
+pub(super) const USAGE: &str = "a usage (`send`, `receive`, `reply`, `query`, `response`, `waitfor`)";
+/// Likewise.
+pub(super) const FAULT: &str = "a fault (`loss`, `dup`, `fail`, `drift`, `crash`, `cut`)";
 
 impl<'t> Error<'t, Tokens<'t>> for Failure {
     fn merge(self, other: Self) -> Self {
@@ -145,10 +149,16 @@ pub(super) fn unexpected(expected: &[Expected], found: &Found<'_>, end: &str) ->
     let wanted = in_words(expected, end);
     let what = found.describe();
     if wanted.is_empty() {
-        return Diagnostic::error(UNEXPECTED, found.span, format!("{what} does not belong here"));
+        return Diagnostic::error(UNEXPECTED, found.span, format!("{what} does not belong here"))
+            .help("remove it");
     }
     let diagnostic = Diagnostic::error(UNEXPECTED, found.span, format!("expected {wanted}, found {what}"));
-    diagnostic.label(format!("expected {wanted}"))
+    let help = if can_end && !starts_anew {
+        "write `;` here, or remove what follows".replace("`;`", &format!("`{end}`"))
+    } else {
+        format!("write {wanted} here")
+    };
+    diagnostic.label(format!("expected {wanted}")).help(help)
 }
 
 /// Whether a name might have stood there.
@@ -161,6 +171,7 @@ pub(super) fn missing_semicolon(found: &Found<'_>) -> Diagnostic {
     let at = Span { start: found.after.end.saturating_sub(1).max(found.after.start), end: found.after.end };
     Diagnostic::error(SEMICOLON, at, format!("expected `;`, found {}", found.describe()))
         .label("a `;` is missing behind this")
+        .help("write `;` behind it")
 }
 
 /// Says which word was probably meant.
@@ -172,7 +183,9 @@ pub(super) fn misspelt(span: Span, text: &str, word: Word) -> Diagnostic {
 /// Says that a name is none.
 pub(super) fn reserved(span: Span, text: &str) -> Diagnostic {
     let message = format!("`{text}` is a word of the language: choose another name");
-    Diagnostic::error(RESERVED, span, message).label("a name is expected here")
+    Diagnostic::error(RESERVED, span, message)
+        .label("a name is expected here")
+        .help(format!("write another name, such as `{text}_1`"))
 }
 
 /// The option, or the word that may stand here, that was probably meant.
@@ -185,6 +198,17 @@ fn near_option(expected: &[Expected], found: &Found<'_>) -> Option<Word> {
         match one {
             Expected::Token(Kind::Word(word)) => words.push(*word),
             Expected::Label(OPTION) => words.extend(Word::OPTIONS),
+            Expected::Label(USAGE) => words.extend([
+                Word::Send,
+                Word::Receive,
+                Word::Reply,
+                Word::Query,
+                Word::Response,
+                Word::Waitfor,
+            ]),
+            Expected::Label(FAULT) => {
+                words.extend([Word::Loss, Word::Dup, Word::Fail, Word::Drift, Word::Crash, Word::Cut]);
+            }
             Expected::Token(_) | Expected::Label(_) | Expected::End => {}
         }
     }

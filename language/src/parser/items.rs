@@ -10,6 +10,9 @@ use crate::lexer::Kind;
 use crate::span::Span;
 use crate::words::Word;
 
+/// So many tokens of a task's head are looked through for its `begin`.
+const LONGEST_HEAD: usize = 2000;
+
 impl Driver<'_> {
     /// The whole file.
     pub(super) fn file(&mut self) -> File {
@@ -17,14 +20,29 @@ impl Driver<'_> {
         if self.word(0) == Some(Word::Cell) {
             file.name = self.line(|d| &d.lines.cell, Context::Top);
         } else if !(self.open_ended && self.tokens.is_empty()) {
-            self.unexpected(UNEXPECTED, |found| {
-                format!("a cell file begins with `cell name;`, found {}", found.describe())
-            });
+            self.unexpected(
+                UNEXPECTED,
+                "write `cell` and its name in front of this: `cell my_cell;`",
+                |found| format!("a cell file begins with `cell name;`, found {}", found.describe()),
+            );
             self.faulty.insert(0, self.span(0).start);
         }
         while self.at < self.tokens.len() && !self.report.is_enough() {
-            if let Some(item) = self.item() {
-                file.items.push(item);
+            let (from, lost) = (self.at, self.lost.spans.len());
+            let shapes = match self.word(from) {
+                Some(Word::Node | Word::Link | Word::Tick | Word::Model) => true,
+                Some(word) => !Word::DECLARATIONS.contains(&word),
+                None => true,
+            };
+            self.lost.items.push((self.span(from).start, shapes));
+            match self.item() {
+                Some(item) => file.items.push(item),
+                None if self.at > from && self.kind(from) != Some(Kind::Semicolon) => {
+                    self.lost.spans.truncate(lost);
+                    self.lose(from, self.at);
+                    self.lost.outside = true;
+                }
+                None => {}
             }
         }
         file
@@ -35,7 +53,9 @@ impl Driver<'_> {
             Some(Kind::Word(Word::Task)) => self.task().map(Item::Task),
             Some(Kind::Word(Word::Type)) => self.record().map(Item::Type),
             Some(Kind::Word(Word::Cell)) => {
-                self.unexpected(MISPLACED, |_| "a file has one `cell`, in its first line".to_owned());
+                self.unexpected(MISPLACED, "remove this one, or put it into a file of its own", |_| {
+                    "a file has one `cell`, in its first line".to_owned()
+                });
                 self.line(|d| &d.lines.cell, Context::Top);
                 None
             }
@@ -59,7 +79,7 @@ impl Driver<'_> {
         let is_line = self.is_name(self.at)
             && !matches!(self.kind(self.at + 1), Some(Kind::Assign | Kind::Dot | Kind::Equal));
         let code = if is_line { MISSPELT } else { UNEXPECTED };
-        self.unexpected(code, |found| {
+        self.unexpected(code, "begin with the word of a declaration: `node n1;`, `task arm on n1 ..`; statements belong into a task", |found| {
             format!(
                 "expected a declaration (`node`, `link`, `type`, `task`, `couple`, `faults`, `check`), found {}",
                 found.describe()
@@ -116,7 +136,7 @@ impl Driver<'_> {
         let span = opener.span.to(self.span(self.at));
         self.at += 1;
         if self.kind(self.at) == Some(Kind::Name) && !self.is_first_of_line(self.at) {
-            self.unexpected(STRAY_END, |_| "a record is closed by `end` alone".to_owned());
+            self.unexpected(STRAY_END, "write `end;`", |_| "a record is closed by `end` alone".to_owned());
             self.at += 1;
         }
         // Figure 1 has none behind the `end`.
@@ -135,13 +155,11 @@ impl Driver<'_> {
         }
         let head = self.read(|d| &d.lines.task_head, from, to, "begin");
         self.at = to;
-        if head.stopped.is_some_and(|stopped| stopped.reserved) {
-            while self.at < self.tokens.len() && !self.is_first_of_line(self.at) {
-                self.at += 1;
-            }
+        if head.stopped.is_some() && self.kind(to) != Some(Kind::Semicolon) {
+            self.skip_rest();
         } else if self.kind(to) == Some(Kind::Semicolon) {
             if head.stopped.is_none() {
-                self.unexpected(UNEXPECTED, |_| "no `;` ends the head of a task".to_owned());
+                self.unexpected(UNEXPECTED, "remove it", |_| "no `;` ends the head of a task".to_owned());
             }
             self.at += 1;
         }
@@ -171,7 +189,9 @@ impl Driver<'_> {
                 }
                 Some(Kind::Word(Word::End)) => {
                     if task.is_extern.is_none() && !task.name.text.is_empty() {
-                        self.unexpected(UNEXPECTED, |_| "expected `begin`, found `end`".to_owned());
+                        self.unexpected(UNEXPECTED, "write `begin` in front of the `end`", |_| {
+                            "expected `begin`, found `end`".to_owned()
+                        });
                     }
                     return false;
                 }
@@ -179,21 +199,40 @@ impl Driver<'_> {
                 None => return false,
                 Some(_) if self.is_declaration(self.at) || self.report.is_enough() => return false,
                 Some(kind) => {
-                    self.unexpected(UNEXPECTED, |found| {
-                        let found = found.describe();
-                        format!("expected `port`, `use_port`, `var` or `begin`, found {found}")
-                    });
+                    self.unexpected(
+                        UNEXPECTED,
+                        "declare ports and variables here, and write `begin` in front of statements",
+                        |found| {
+                            let found = found.describe();
+                            format!("expected `port`, `use_port`, `var` or `begin`, found {found}")
+                        },
+                    );
                     let is_statement = matches!(kind, Kind::Word(word) if Word::STATEMENTS.contains(&word));
-                    if is_statement {
+                    if is_statement && !self.begins_later() {
                         return true;
                     }
+                    let from = self.at;
                     self.at = self.reach(self.at + 1, Context::Head);
+                    self.lose(from, self.at);
                     if self.kind(self.at) == Some(Kind::Semicolon) {
                         self.at += 1;
                     }
                 }
             }
         }
+    }
+
+    /// Whether the `begin` of the task is still to come.
+    fn begins_later(&self) -> bool {
+        let rest = self.at..self.tokens.len().min(self.at + LONGEST_HEAD);
+        let mut words = rest.map(|index| (index, self.word(index)));
+        words
+            .find(|(index, word)| {
+                *word == Some(Word::Begin)
+                    || *word == Some(Word::End) && self.is_name(index + 1)
+                    || self.is_declaration(*index)
+            })
+            .is_some_and(|(_, word)| word == Some(Word::Begin))
     }
 
     /// A port: its head and each option are read on their own, so that each may be wrong on its own.
@@ -206,7 +245,11 @@ impl Driver<'_> {
         if let Some(stopped) = head.stopped
             && (stopped.reserved || first == to)
         {
+            self.lose(from, to);
             self.recover(from, to, stopped);
+            if !self.is_behind_semicolon() {
+                self.skip_rest();
+            }
             return None;
         }
         let mut options: Vec<PortOption> = Vec::new();
@@ -220,6 +263,13 @@ impl Driver<'_> {
         match stopped {
             Some(stopped) => self.recover(from, to, stopped),
             None => self.semicolon(from, to),
+        }
+        if !self.is_behind_semicolon() {
+            self.lose(from, to);
+            self.skip_rest();
+        }
+        if stopped.is_some() {
+            self.broken = self.at;
         }
         let (name, parameters, answer) = head.output?;
         let owner = self.word(from) == Some(Word::Port);

@@ -3,7 +3,7 @@
 use super::expr::{
     Part, duration, durations, expr, name, name_or_self, number, place, rate, sign, text, word,
 };
-use super::failure::{OPTION, TYPE};
+use super::failure::{FAULT, OPTION, TYPE, USAGE};
 use super::{Extra, Tokens};
 use crate::ast::{
     CheckDecl, CheckKind, CoupleDecl, CoupleKind, Expr, Fault, FaultsDecl, Field, Item, LinkDecl, Name,
@@ -131,7 +131,7 @@ fn faults<'t>(source: &'t str) -> impl Part<'t, Item> {
         crash,
         cut,
     ))
-    .labelled("a fault (`loss`, `dup`, `fail`, `drift`, `crash`, `cut`)");
+    .labelled(FAULT);
     let faults = word(Word::Faults).ignore_then(fault.repeated().at_least(1).collect());
     faults.map_with(|faults, extra| Item::Faults(FaultsDecl { faults, span: extra.span() }))
 }
@@ -241,7 +241,7 @@ fn usage<'t>() -> impl Part<'t, Usage> {
         word(Word::Response).to(Usage::Response),
         word(Word::Waitfor).to(Usage::Waitfor),
     ))
-    .labelled("a usage (`send`, `receive`, `reply`, `query`, `response`, `waitfor`)")
+    .labelled(USAGE)
 }
 
 /// `{a, b}`, `(a b)`: Figure 1 has parentheses and no commas, the text of §3 braces and commas (D10).

@@ -15,6 +15,7 @@ mod statements;
 use crate::ast::File;
 use crate::diagnostic::Diagnostic;
 use crate::lexer::{Kind, Token, lex};
+use crate::lost::Lost;
 use crate::report::Report;
 use crate::source::Source;
 use crate::span::Span;
@@ -55,6 +56,8 @@ pub struct Parsed {
     pub file: File,
     /// What is wrong, in the order of the text: at most 100, and a line that says how many more there are.
     pub diagnostics: Vec<Diagnostic>,
+    /// What could not be read.
+    pub(crate) lost: Lost,
 }
 
 /// Reads a cell file.
@@ -63,12 +66,12 @@ pub fn parse(source: &Source) -> Parsed {
     let mut report = Report::default();
     let mut lexed = lex(source.text(), &mut report);
     if report.is_enough() {
-        return Parsed { file: File::default(), diagnostics: report.finish() };
+        return nothing(report);
     }
     mend::mend(&mut lexed.tokens, source, &mut report);
     if let Some(found) = limits::exceeded(&lexed.tokens) {
         report.push(|| found);
-        return Parsed { file: File::default(), diagnostics: report.finish() };
+        return nothing(report);
     }
     let faulty = report.places();
     let mut driver = Driver {
@@ -83,9 +86,18 @@ pub fn parse(source: &Source) -> Parsed {
         suspects: Vec::new(),
         open_ended: lexed.open_ended,
         left_open: None,
+        broken: usize::MAX,
+        lost: Lost::default(),
     };
     let file = driver.file();
-    Parsed { file, diagnostics: driver.report.finish() }
+    driver.lost.all = lexed.open_ended || driver.report.is_more();
+    Parsed { file, diagnostics: driver.report.finish(), lost: driver.lost }
+}
+
+/// Nothing was read.
+fn nothing(report: Report) -> Parsed {
+    let lost = Lost { all: true, ..Lost::default() };
+    Parsed { file: File::default(), diagnostics: report.finish(), lost }
 }
 
 /// What kind of line is read: that decides which words end it.
@@ -127,6 +139,10 @@ struct Driver<'t> {
     open_ended: bool,
     /// Where a block was found not to be closed: no `;` is missed there.
     left_open: Option<usize>,
+    /// Behind a statement that could not be read: its branches may follow.
+    broken: usize,
+    /// What could not be read.
+    lost: Lost,
 }
 
 /// What became of a line.
@@ -229,10 +245,11 @@ impl<'t> Driver<'t> {
         let last = Span { start: self.span(to).start, end: self.span(to).start };
         let (output, failures) = line(self).parse(tokens.split_token_span(last)).into_output_errors();
         let known = self.is_faulty(from, to);
-        let mut stopped = None;
+        let (mut stopped, mut said) = (None, false);
         for failure in failures {
             match failure {
                 Failure::Said(found) => {
+                    said = true;
                     if !self.faulty.contains(&found.primary.span.start) {
                         self.report.push(|| *found);
                     }
@@ -250,7 +267,16 @@ impl<'t> Driver<'t> {
                 }
             }
         }
+        if output.is_none() || known || said {
+            self.lose(from, to);
+        }
         Read { output, stopped }
+    }
+
+    /// Remembers that these tokens mean nothing to anybody.
+    fn lose(&mut self, from: usize, to: usize) {
+        let last = self.span(to.saturating_sub(1).max(from));
+        self.lost.spans.push(self.span(from).to(last));
     }
 
     /// The token that ends a line whose first words are read already: its `;`, or a word that cannot stand in it.
@@ -292,9 +318,16 @@ impl<'t> Driver<'t> {
         let from = self.at;
         let to = self.reach(from + 1, context);
         let read = self.read(line, from, to, ";");
+        self.lost.outside |= context == Context::Top && read.output.is_none();
         match read.stopped {
             None => self.semicolon(from, to),
             Some(stopped) => self.recover(from, to, stopped),
+        }
+        if context == Context::Head && !self.is_behind_semicolon() {
+            self.skip_rest();
+        }
+        if read.stopped.is_some() {
+            self.broken = self.at;
         }
         read.output
     }
@@ -310,6 +343,25 @@ impl<'t> Driver<'t> {
         }
     }
 
+    /// Skips what is left of a line behind what could not be read, up to a word that begins something else.
+    fn skip_rest(&mut self) {
+        while self.at < self.tokens.len() && !self.is_first_of_line(self.at) {
+            match self.kind(self.at) {
+                Some(Kind::Semicolon) => {
+                    self.at += 1;
+                    return;
+                }
+                Some(Kind::Word(Word::Port | Word::UsePort | Word::Var | Word::Begin | Word::End)) => return,
+                _ => self.at += 1,
+            }
+        }
+    }
+
+    /// Whether what was read last ended with a `;`.
+    fn is_behind_semicolon(&self) -> bool {
+        self.at > 0 && self.kind(self.at - 1) == Some(Kind::Semicolon)
+    }
+
     /// Goes on behind a line that could not be read.
     fn recover(&mut self, from: usize, to: usize, stopped: Stopped) {
         if stopped.can_end && stopped.at > from && self.is_first_of_line(stopped.at) {
@@ -321,7 +373,10 @@ impl<'t> Driver<'t> {
             // A word of the language as a name: the line goes on behind it.
             let mut index = to + 1;
             while index < self.tokens.len() && !self.is_first_of_line(index) {
-                if self.kind(index) == Some(Kind::Semicolon) {
+                if matches!(
+                    self.kind(index),
+                    Some(Kind::Semicolon | Kind::Word(Word::On | Word::Do | Word::Then))
+                ) {
                     self.at = index;
                     break;
                 }
@@ -333,17 +388,21 @@ impl<'t> Driver<'t> {
         }
     }
 
-    /// Reports what nobody expects at the next token.
-    fn unexpected(&mut self, code: &'static str, message: impl FnOnce(&Found<'t>) -> String) {
+    /// Reports what nobody expects at the next token, and what to write.
+    fn unexpected(&mut self, code: &'static str, help: &str, message: impl FnOnce(&Found<'t>) -> String) {
         let found = self.found(self.at);
         if !self.is_faulty(self.at, self.at + 1) {
-            self.report.push(|| Diagnostic::error(code, found.span, message(&found)));
+            self.report.push(|| Diagnostic::error(code, found.span, message(&found)).help(help));
         }
     }
 
     /// Skips `;` and says that they are too many.
     fn stray_semicolons(&mut self) {
-        self.unexpected(crate::codes::UNEXPECTED, |_| "nothing stands in front of this `;`".to_owned());
+        if self.broken != self.at {
+            self.unexpected(crate::codes::UNEXPECTED, "remove it", |_| {
+                "nothing stands in front of this `;`".to_owned()
+            });
+        }
         while self.kind(self.at) == Some(Kind::Semicolon) {
             self.at += 1;
         }

@@ -22,6 +22,7 @@ impl<'a> Resolver<'a> {
                 Item::Link(_) | Item::Task(_) | Item::Couple(_) | Item::Faults(_) | Item::Check(_) => {}
             }
         }
+        self.nested_records(file);
         for item in &file.items {
             if let Item::Link(link) = item {
                 self.link(link);
@@ -128,6 +129,7 @@ impl<'a> Resolver<'a> {
             return self.report(duplicate("types", &record.name, first));
         }
         let mut fields: Vec<Field> = Vec::new();
+        let mut whole = !self.lost.touches(self.lost.around(record.name.span));
         for field in &record.fields {
             if let Some(first) = fields.iter().find(|other| other.name == field.name.text) {
                 let found = duplicate("fields of a record", &field.name, first.span);
@@ -143,21 +145,40 @@ impl<'a> Resolver<'a> {
                             .label("timers are variables of a task")
                             .help(format!("declare it in the task: `var {}: timer;`", field.name.text)),
                     );
+                    whole = false;
                     continue;
                 }
-                Some(TypeName::Record(name)) => {
-                    self.report(
-                        Diagnostic::error(TYPES, name.span, "a record cannot hold a record")
-                            .label("not a plain type")
-                            .help("write its fields out: bool, int8, int16, int32, word or real"),
-                    );
+                Some(TypeName::Record(_)) => {
+                    whole = false;
                     continue;
                 }
             };
             fields.push(Field { name: field.name.text.clone(), of, span: field.name.span });
         }
         let (name, span) = (record.name.text.clone(), record.name.span);
+        if !whole {
+            self.broken_records.insert(self.hir.records.len());
+        }
         self.hir.records.push(Record { name, fields, span });
+    }
+
+    /// Fields that are of no plain type: of a record, or of nothing that is known.
+    fn nested_records(&mut self, file: &'a ast::File) {
+        for item in &file.items {
+            let Item::Type(record) = item else { continue };
+            for field in &record.fields {
+                let Some(TypeName::Record(name)) = &field.of else { continue };
+                if self.records.get(&name.text).is_none() {
+                    self.record(name);
+                    continue;
+                }
+                self.report(
+                    Diagnostic::error(TYPES, name.span, "a record cannot hold a record")
+                        .label("not a plain type")
+                        .help("write its fields out: bool, int8, int16, int32, word or real"),
+                );
+            }
+        }
     }
 
     pub(super) fn too_many(&mut self, what: &str, span: Span) {

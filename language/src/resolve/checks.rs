@@ -156,6 +156,11 @@ impl Leaves for Cell<'_, '_> {
         {
             return Some(is(Predicate::Active(task), place.span));
         }
+        if rest.first().is_some_and(|first| {
+            self.resolver.broken_variables.iter().any(|(of, name)| *of == task && *name == first.text)
+        }) {
+            return None;
+        }
         let Some(last) = rest.last() else {
             self.report(
                 Diagnostic::error(TYPES, place.span, format!("`{}` is a task, not a value", name.text))

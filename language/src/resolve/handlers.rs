@@ -35,10 +35,14 @@ impl<'a> Resolver<'a> {
             ast::Trigger::Expiry(timer) => self.expiry(scope, timer),
             ast::Trigger::Fence => Some(Trigger::Fence),
         };
+        if let (None, ast::Trigger::Message { variables, .. }) = (&trigger, &written.trigger) {
+            variables.iter().for_each(|name| own.shadow(name, Entity::Unknown));
+        }
         let reads = locals.len();
         let mut thread = Thread::new(self, task, &own, Some(locals));
-        if let Some(Trigger::Message(port)) = trigger {
-            thread.may_have_received(port);
+        match trigger {
+            Some(Trigger::Message(port)) => thread.may_have_received(port),
+            Some(_) | None => thread.received_unknown = trigger.is_none(),
         }
         let body = thread.statements(&written.body);
         let (locals, captures) = (thread.locals.unwrap_or_default(), thread.captures);

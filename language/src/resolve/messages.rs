@@ -107,6 +107,10 @@ impl<'a> Thread<'_, 'a> {
             }
         }
         if values.len() != fields.len() {
+            // One that is not known may be a whole record.
+            if values.iter().any(Option::is_none) {
+                return None;
+            }
             self.wrong_count(values.len(), fields, (what, written_span(written, at), declared));
             return None;
         }

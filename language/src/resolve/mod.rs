@@ -31,6 +31,7 @@ use crate::codes::{
 };
 use crate::diagnostic::{Diagnostic, Severity};
 use crate::hir::Hir;
+use crate::lost::Lost;
 use imrs_protocol::{PortId, TaskId};
 use names::{Names, Poison};
 use std::collections::{BTreeMap, BTreeSet};
@@ -55,14 +56,29 @@ impl Resolved {
 /// Resolves the names of a file and types its expressions. `text` is the file's text, for its lines.
 #[must_use]
 pub fn resolve(file: &ast::File, text: &str) -> Resolved {
-    let mut resolver = Resolver::default();
+    resolve_rest(file, text, &Lost::default())
+}
+
+/// The same of a file of which parts could not be read: what is declared half is not looked at where it is used.
+pub(crate) fn resolve_rest(file: &ast::File, text: &str, lost: &Lost) -> Resolved {
+    let mut resolver = Resolver { lost: lost.clone(), ..Resolver::default() };
     let ends = text.bytes().enumerate().filter(|&(_, byte)| byte == b'\n');
     let lines = std::iter::once(0).chain(ends.map(|(at, _)| u32::try_from(at + 1).unwrap_or(u32::MAX)));
     resolver.hir.lines = lines.collect();
     resolver.file(file);
     let Resolver { hir, mut found, .. } = resolver;
     found.sort_by_key(|diagnostic| diagnostic.primary.span);
+    said_once(&mut found, lost);
     Resolved { hir, diagnostics: found }
+}
+
+/// A name that is unknown is said once in a declaration of the file: its other uses mean the same thing.
+fn said_once(found: &mut Vec<Diagnostic>, lost: &Lost) {
+    let mut said = BTreeSet::new();
+    found.retain(|found| {
+        found.code != UNKNOWN_NAME
+            || said.insert((lost.around(found.primary.span).start, found.message.clone()))
+    });
 }
 
 /// What is known while a file is resolved.
@@ -82,6 +98,14 @@ struct Resolver<'a> {
     written: Vec<&'a ast::TaskDecl>,
     /// Ports that are declared wrongly, by position: their uses are not looked at.
     poisoned_ports: BTreeSet<usize>,
+    /// Records of which not all fields are known, by position: what holds them is not looked at.
+    broken_records: BTreeSet<usize>,
+    /// Variables of types that are not known: their uses are not looked at.
+    broken_variables: BTreeSet<(TaskId, &'a str)>,
+    /// Ports whose `user_list` names somebody unknown, by position: any task may be meant.
+    guessed_users: BTreeSet<usize>,
+    /// Tasks with a `use_port` of an unknown port: any port may be meant.
+    guessed_uses: BTreeSet<TaskId>,
     /// Who stands by for whom, as written, and whether the roles are exchanged.
     coupled: Vec<(&'a str, &'a str, bool)>,
     /// The shapes of the actions of each task.
@@ -90,6 +114,8 @@ struct Resolver<'a> {
     beats: Vec<PortId>,
     /// Whether there is a couple whose beats have no proper port.
     beats_unknown: bool,
+    /// What could not be read.
+    lost: Lost,
 }
 
 impl<'a> Resolver<'a> {

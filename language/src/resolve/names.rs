@@ -95,6 +95,7 @@ impl<'a> Resolver<'a> {
         None
     }
 
+    /// A record; none where not all of its fields are known, which is said where it is declared.
     pub(super) fn record(&mut self, name: &'a Name) -> Option<usize> {
         let at = self.records.get(&name.text);
         if at.is_none() && self.poison.records.insert(&name.text) {
@@ -102,7 +103,7 @@ impl<'a> Resolver<'a> {
             let found = unknown("type", name, self.records.all().chain(plain));
             self.report(found);
         }
-        at
+        at.filter(|at| !self.broken_records.contains(at))
     }
 
     pub(super) fn task(&mut self, name: &'a Name) -> Option<TaskId> {

@@ -58,6 +58,7 @@ impl<'a> Resolver<'a> {
                                 .label("1 or 2")
                                 .help("class 1 informs and is not answered; class 2 commands and is"),
                         );
+                        options.broken = true;
                         None
                     }
                 }

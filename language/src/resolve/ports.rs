@@ -33,6 +33,8 @@ pub(super) struct Options<'a> {
     pub penalty: Option<(Duration, bool, Span)>,
     pub rate: Option<(u16, Duration)>,
     pub latest: Option<Span>,
+    /// Whether one of them cannot be used: what the port is then is not known.
+    pub broken: bool,
 }
 
 impl<'a> Resolver<'a> {
@@ -65,7 +67,10 @@ impl<'a> Resolver<'a> {
             self.poison_port(at, decl);
             return;
         };
-        let answer = self.answer(decl, usage, &message);
+        let answer = self.answer(decl, usage, &message).unwrap_or_else(|| {
+            self.poison_port(at, decl);
+            Vec::new()
+        });
         let class = self.class(decl, usage, &options, usage_span);
         if options.time_out.is_none() {
             self.report(
@@ -96,9 +101,18 @@ impl<'a> Resolver<'a> {
             ..self.blank(owner, decl, usage)
         };
         self.hir.ports.push(port);
+        if options.broken || self.lost.touches(decl.span) {
+            self.poison_port(at, decl);
+        }
         self.fitting(decl, usage, &options);
         self.short_enough(at, decl);
         if let Some((names, _)) = options.user_list {
+            let known = |name: &Name| {
+                self.tasks.get(&name.text).is_some() || self.modules.contains_key(name.text.as_str())
+            };
+            if !names.iter().all(known) {
+                self.guessed_users.insert(at);
+            }
             self.hir.ports[at].users = self.users(owner, names);
         }
     }
@@ -118,6 +132,9 @@ impl<'a> Resolver<'a> {
             }
             _ => duplicate("ports", &decl.name, first),
         };
+        // What this task does with it is meant for a port that is not there.
+        self.poison.ports.insert(&decl.name.text);
+        self.poisoned_ports.extend(self.ports.get(&decl.name.text));
         self.report(found);
     }
 
@@ -258,11 +275,11 @@ impl<'a> Resolver<'a> {
     }
 
     /// What an answer holds.
-    fn answer(&mut self, decl: &'a PortDecl, usage: Usage, message: &Message) -> Vec<Field> {
+    fn answer(&mut self, decl: &'a PortDecl, usage: Usage, message: &Message) -> Option<Vec<Field>> {
         let fields = match (&decl.answer, usage) {
-            (Some(of), _) => self.answer_of(of).unwrap_or_default(),
-            (None, Usage::Query | Usage::Response) => message.fields.clone(),
-            (None, Usage::Send | Usage::Receive | Usage::Reply | Usage::Waitfor) => Vec::new(),
+            (Some(of), _) => self.answer_of(of),
+            (None, Usage::Query | Usage::Response) => Some(message.fields.clone()),
+            (None, Usage::Send | Usage::Receive | Usage::Reply | Usage::Waitfor) => Some(Vec::new()),
         };
         if let (Some(of), Usage::Waitfor | Usage::Reply) = (&decl.answer, usage) {
             self.report(

@@ -93,6 +93,7 @@ impl<'a> Thread<'_, 'a> {
     ) -> Option<StatementKind> {
         let Some(name) = name else {
             self.received = self.unhandled();
+            self.received_unknown |= !self.resolver.poisoned_ports.is_empty();
             let from = from.map(|from| self.resolver.task(from));
             if from == Some(None) {
                 return None;
@@ -104,8 +105,12 @@ impl<'a> Thread<'_, 'a> {
                 within,
             });
         };
-        let (port, usage) = self.own_port(name)?;
+        let Some((port, usage)) = self.own_port(name) else {
+            self.received_unknown = true;
+            return None;
+        };
         if !matches!(usage, Usage::Receive | Usage::Response) {
+            self.received_unknown = true;
             let declared = self.resolver.hir.ports[port.index()].span;
             let message = format!("`receive` on port `{}`, whose usage here is {usage}", name.text);
             self.report(
@@ -193,6 +198,9 @@ impl<'a> Thread<'_, 'a> {
             self.resolver.hir.ports[port.index()].usage_of(self.task) == Some(Usage::Response)
         };
         let Some(&port) = commands.first() else {
+            if self.received_unknown {
+                return None;
+            }
             let found = match self.received.first() {
                 None => Diagnostic::error(STATEMENT, span, format!("`{word}` without a message to answer"))
                     .label("nothing was received here")

@@ -20,6 +20,8 @@ pub(super) struct Thread<'r, 'a> {
     pub captures: Vec<Capture>,
     /// The ports of which the last received message may be.
     pub received: Vec<PortId>,
+    /// Whether something was received of which nothing is known.
+    pub received_unknown: bool,
     /// How many loops are open.
     loops: usize,
 }
@@ -31,7 +33,16 @@ impl<'r, 'a> Thread<'r, 'a> {
         scope: &'r Scope<'a>,
         locals: Option<Vec<Variable>>,
     ) -> Self {
-        Self { resolver, task, scope, locals, captures: Vec::new(), received: Vec::new(), loops: 0 }
+        Self {
+            resolver,
+            task,
+            scope,
+            locals,
+            captures: Vec::new(),
+            received: Vec::new(),
+            received_unknown: false,
+            loops: 0,
+        }
     }
 
     pub fn forget_received(&mut self) {
@@ -109,8 +120,11 @@ impl<'r, 'a> Thread<'r, 'a> {
         let mut later = Vec::new();
         received_in(body, &mut later);
         for name in later {
-            if let Some(at) = self.resolver.ports.get(&name.text) {
-                self.may_have_received(PortId::from_index(at));
+            match self.resolver.ports.get(&name.text) {
+                Some(at) if !self.resolver.poisoned_ports.contains(&at) => {
+                    self.may_have_received(PortId::from_index(at));
+                }
+                Some(_) | None => self.received_unknown = true,
             }
         }
         self.loops += 1;

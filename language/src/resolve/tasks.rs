@@ -120,7 +120,10 @@ impl<'a> Resolver<'a> {
                         timers.push(Timer { name: name.text.clone(), span: name.span });
                         Entity::Timer(TimeId(u8::try_from(timers.len() - 1).unwrap_or(u8::MAX)))
                     }
-                    (TypeName::Record(_), None) => Entity::Unknown,
+                    (TypeName::Record(_), None) => {
+                        self.broken_variables.insert((id, &name.text));
+                        Entity::Unknown
+                    }
                     (TypeName::Record(_), Some(record)) => {
                         for field in self.hir.records[record].fields.clone() {
                             let leaf = format!("{}.{}", name.text, field.name);

@@ -17,6 +17,7 @@ impl<'a> Resolver<'a> {
                 let options = self.options(decl);
                 let Some(port) = self.port(&decl.name) else {
                     self.poison.ports.insert(&decl.name.text);
+                    self.guessed_uses.insert(TaskId::from_index(at));
                     continue;
                 };
                 if let Some(&(_, first)) = used.iter().find(|&&(other, _)| other == port) {
@@ -47,7 +48,7 @@ impl<'a> Resolver<'a> {
             return self.report(found);
         }
         if port.user(task).is_none() {
-            if let Some(list) = port.user_list {
+            if let Some(list) = port.user_list.filter(|_| !self.guessed_users.contains(&id.index())) {
                 let message = format!("`{name}` uses port `{}` but is not in its user_list", port.name);
                 let found = Diagnostic::error(NOT_LISTED, decl.name.span, message)
                     .label("not listed")
@@ -147,7 +148,7 @@ impl<'a> Resolver<'a> {
             return self.report(found);
         }
         for user in port.users.clone() {
-            if user.span.is_some() {
+            if user.span.is_some() || self.guessed_uses.contains(&user.task) {
                 continue;
             }
             let (port, task) = (&self.hir.ports[at], &self.hir.tasks[user.task.index()]);

@@ -92,7 +92,7 @@ fn e102_names_of_nothing() {
 fn e103_a_port_of_two_owners() {
     let text =
         pair(SEND, "begin", "port p(v: Pos) usage = receive user_list = {a} time_out = 5 msec;", "begin");
-    check(&text, &["E107 `b`", "E103 `p`"]);
+    check(&text, &["E103 `p`"]);
 }
 
 #[test]
@@ -274,6 +274,10 @@ fn e118_timers() {
 #[test]
 fn e119_orders() {
     body("begin order p > self > p;", &["E119 `p`"]);
+    let timers = "var w: timer; var v: timer; begin order ORDER; start w 5 msec; start v 5 msec; on expiry w do skip; end; on expiry v do skip; end;";
+    for order in ["timer > p > self", "w > p > self > v", "w > self > timer", "p > TIMER"] {
+        body(&timers.replace("ORDER", order), &[]);
+    }
     let tasks: String = (0..9).map(|i| format!("task t{i} on na begin end t{i}; ")).collect();
     let order: Vec<String> = (0..9).map(|i| format!("t{i}")).collect();
     check(&format!("{HEAD}{tasks}task a on na begin order {}; end a;", order.join(" > ")), &["E119 `t8`"]);

@@ -2,6 +2,7 @@
 
 mod answers;
 mod checks;
+mod deadlines;
 mod exits;
 mod faults;
 mod floor;

@@ -10,6 +10,10 @@ const HEAD: &str = "# Codes
 What `imrs check` says has a code: E for an error, W for a warning, N for a note. A cell with an error is not run and not verified; one with
 warnings is. `imrs explain E104` shows a code with a wrong cell and a right one. This page is written from those.
 
+An error hides no others: what of a file could be read is checked, and nothing is said that may only follow from an error. Where
+something was therefore left out, a last line says so (`unchecked` with `--format json`). The exit code is 1 where there are errors, 2 where the
+file is larger or deeper than is looked at (E012, E123).
+
 ## What the paper asks of its compiler
 
 | the paper (§3, §5) | code |
@@ -21,7 +25,7 @@ warnings is. `imrs explain E104` shows a code with a wrong cell and a right one.
 | message_format of the two ends is equal | E108 |
 | only listed tasks use a port, and all of them do | E106, E107 |
 | a parameter is one word where nothing is said | E112, where it does not fit |
-| where tasks are best placed, from their time_outs | E201, E207, W315 |
+| where tasks are best placed, from their time_outs | E201, W318, E207, W315 |
 
 What it leaves to the programmer is found, too: calls in a ring (E202), meetings in different orders (E203) or without somebody (E104, W314),
 commands that nobody takes or answers (E204, E209, W308), a bad end of which nothing is said (E208, W301), buffers that are too small (W302),

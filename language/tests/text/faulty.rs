@@ -36,20 +36,28 @@ fn faulty_texts_are_reported_as_recorded() {
     assert!(surprising.is_empty(), "{}", surprising.join("\n"));
 }
 
+/// Syntax, names, types, behaviour and times: each error is said on its line, and nothing follows from it.
 #[test]
-fn ten_unrelated_errors_are_ten_errors() {
+fn ten_different_errors_are_ten_diagnostics() {
     let text = include_str!("ten.cell");
-    let lines: Vec<usize> = text
-        .lines()
-        .enumerate()
-        .filter(|(_, line)| line.contains("// wrong"))
-        .map(|(index, _)| index + 1)
-        .collect();
+    let said = |line: &str| line.split_once("// wrong: ").map(|(_, code)| code.to_owned());
+    let wrong = text.lines().enumerate().filter_map(|(at, line)| Some((at + 1, said(line)?)));
+    let wrong: Vec<(usize, String)> = wrong.collect();
     let source = source(text);
-    let found = parse(&source).diagnostics;
-    let places: Vec<usize> = found.iter().map(|found| source.position(found.primary.span.start).0).collect();
-    assert_eq!(places, lines, "{}", rendered(text));
-    assert_eq!(lines.len(), 10);
+    let compiled = imrs_language::compile(&source);
+    let place = |found: &imrs_language::Diagnostic| {
+        (source.position(found.primary.span.start).0, found.code.to_owned())
+    };
+    let found: Vec<(usize, String)> = compiled.diagnostics.iter().map(place).collect();
+    assert_eq!(found, wrong);
+    let mut codes: Vec<&str> = wrong.iter().map(|(_, code)| &code[..]).collect();
+    codes.sort_unstable();
+    codes.dedup();
+    assert_eq!(codes.len(), 10, "{codes:?}");
+    let of = |kind: &str| codes.iter().filter(|code| code.starts_with(kind)).count();
+    assert_eq!((of("E0"), of("E1"), of("E2")), (3, 4, 3));
+    let unchecked = compiled.unchecked.expect("what was not checked");
+    assert!(unchecked.contains("names") && unchecked.contains("times"), "{unchecked}");
 }
 
 #[test]

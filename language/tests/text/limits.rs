@@ -1,6 +1,6 @@
 //! What is larger than is allowed is refused, quickly and without overflow.
 
-use crate::{codes, diagnostics};
+use crate::{codes, diagnostics, source};
 use imrs_language::{LONGEST_FILE, Source, format};
 use std::time::{Duration, Instant};
 
@@ -106,4 +106,31 @@ fn a_long_text_without_faults_is_read_and_formatted_quickly() {
     let formatted = format(&source).expect("no error");
     println!("{} bytes in {:?}", text.len(), begin.elapsed());
     assert!(formatted.len() > text.len() && begin.elapsed() < Duration::from_secs(30));
+}
+
+/// Each loop of sixty in one another is not gone through twice for each one around it.
+#[test]
+fn loops_in_loops_are_checked_quickly() {
+    let loops = |begin: &str, inside: &str| format!("{} {inside} {}", begin.repeat(58), "end; ".repeat(58));
+    for (begin, inside) in [
+        ("loop receive q(); ", "response(); exit;"),
+        ("while x do ", "response(); x := false;"),
+        ("loop if x then exit; end; ", "receive q(); delay 5 msec; response();"),
+    ] {
+        let text = format!(
+            "cell c; tick 1 msec; node n;
+            task a on n port q() usage = query user_list = {{b}} time_out = 90 msec; begin query q() on time_out do skip; end; end a;
+            task b on n use_port q() usage = response; var x: bool;
+            begin run look -> x; order q > self; {} end b;",
+            loops(begin, inside)
+        );
+        let begun = Instant::now();
+        let _ = imrs_language::compile(&source(&text));
+        let handled = text.replace(&loops(begin, inside), "").replace(
+            "end b;",
+            &format!("on query q() do {} end; end b;", loops(begin, inside).replace("receive q();", "skip;")),
+        );
+        let _ = imrs_language::compile(&source(&handled));
+        assert!(begun.elapsed().as_secs() < 20, "{begin}");
+    }
 }

@@ -1,6 +1,7 @@
 //! What can be seen of the language from outside: texts in, trees, diagnostics and formatted texts out.
 
 mod bytes;
+mod cascades;
 mod examples;
 mod explanations;
 mod faulty;

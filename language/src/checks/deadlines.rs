@@ -1,0 +1,207 @@
+//! Deadlines that the way and the work of an answer use up.
+//!
+//! What is certain is an error: each link takes its whole bound from a message's life (D20), the way back is kept free (D18),
+//! and no answer comes sooner than the actions in front of it end. A tick is how late a node may act, not how late it
+//! always does (D42): what only ticks and slow actions use up is a warning (D99).
+
+use super::messages::{carries_beats, senders, sends_to};
+use super::work::{self, Work};
+use super::{task, tasks, time, times};
+use crate::codes::{DEADLINE, TIGHT_DEADLINE};
+use crate::diagnostic::Diagnostic;
+use crate::hir::{Duration, Hir, Port, Recipients, StatementKind};
+use crate::walk;
+use imrs_protocol::margin::least_margin;
+use imrs_protocol::{Class, PortId, TaskId, Ticks, Usage};
+
+pub(super) fn check(hir: &Hir, found: &mut Vec<Diagnostic>) {
+    for (at, port) in hir.ports.iter().enumerate() {
+        let needs = needs(hir, PortId::from_index(at));
+        let mut lives: Vec<Duration> = needs.iter().filter_map(|need| life(port, need.from)).collect();
+        lives.sort_by_key(|life| life.span.start);
+        lives.dedup();
+        for life in lives {
+            let own: Vec<&Need> =
+                needs.iter().filter(|need| self::life(port, need.from) == Some(life)).collect();
+            found.extend(too_short(hir, port, life, &own));
+        }
+    }
+    for (from, sender) in tasks(hir) {
+        walk::of_task(sender, &mut |statement| {
+            let StatementKind::Send { port, to, within: Some(within), .. } = &statement.kind else { return };
+            let needs = needs(hir, *port);
+            let own = needs.iter().filter(|need| match to {
+                Recipients::All => need.from == from,
+                Recipients::These(tasks) => need.from == from && tasks.contains(&need.to),
+            });
+            found.extend(too_short(hir, &hir.ports[port.index()], *within, &own.collect::<Vec<_>>()));
+        });
+    }
+}
+
+/// The least time_out of a port, in whole ticks, that no check of durations complains about: not too short for the tick
+/// (E206), for the way and the work (E201), nor for their ticks (W318). With `of` that of the messages that have this one.
+pub(crate) fn least(hir: &Hir, id: PortId, of: Option<Duration>) -> u64 {
+    let tick = tick(hir);
+    let port = &hir.ports[id.index()];
+    let least = match port.usage {
+        Usage::Waitfor => meeting(hir, port),
+        _ => needs(hir, id)
+            .iter()
+            .filter(|need| of.is_none() || life(port, need.from) == of)
+            .map(|need| after(need.enough(hir), tick))
+            .max()
+            .unwrap_or_default(),
+    };
+    least.max(tick.saturating_mul(times::LEAST_TICKS))
+}
+
+/// The least time_out of a `waitfor`: longer than its margin and the farthest way (D56). Without a `resend` of its own the
+/// margin grows with the time_out.
+fn meeting(hir: &Hir, port: &Port) -> u64 {
+    let tick = tick(hir);
+    let parties: Vec<TaskId> = std::iter::once(port.owner).chain(port.peers(port.owner)).collect();
+    let way = |a: &TaskId, b: &TaskId| delay(hir, &times::way(hir, task(hir, *a).node, task(hir, *b).node));
+    let farthest =
+        parties.iter().flat_map(|a| parties.iter().map(move |b| way(a, b))).max().unwrap_or_default();
+    let losses = port.users.iter().filter_map(|user| user.retry).fold(port.retry, u8::max);
+    let needed = |time_out: u64| {
+        let resend = port.resend.map_or(time_out / (u64::from(losses) + 1), |resend| resend.usec);
+        let margin = least_margin(Ticks(farthest), losses, Ticks(resend), Ticks(tick)).0;
+        after(if hir.paper { farthest } else { margin.saturating_add(farthest) }, tick)
+    };
+    let mut least = needed(0);
+    for _ in 0..ROUNDS {
+        let more = needed(least);
+        if more <= least {
+            break;
+        }
+        least = more;
+    }
+    least
+}
+
+/// After so many rounds even a margin that grows with its time_out, for 255 losses, has come to its end.
+const ROUNDS: usize = 10_000;
+
+/// The first whole tick behind a time.
+fn after(usec: u64, tick: u64) -> u64 {
+    (usec / tick).saturating_add(1).saturating_mul(tick)
+}
+
+fn tick(hir: &Hir) -> u64 {
+    hir.tick.map_or(1, |tick| tick.usec.max(1))
+}
+
+/// How long a message of this task lives.
+fn life(port: &Port, from: TaskId) -> Option<Duration> {
+    port.user(from).and_then(|user| user.time_out).or(port.time_out)
+}
+
+/// What a message needs, and its answer.
+struct Need {
+    from: TaskId,
+    to: TaskId,
+    /// The delays of the links on the way, and how many they are.
+    way: u64,
+    links: u64,
+    /// Whether an answer comes back.
+    answered: bool,
+    work: Work,
+}
+
+impl Need {
+    fn ways(&self) -> u64 {
+        if self.answered { 2 } else { 1 }
+    }
+
+    /// So long it certainly takes: what is not longer never does.
+    fn certain(&self) -> u64 {
+        self.way.saturating_mul(self.ways()).saturating_add(self.work.least)
+    }
+
+    /// So long it may take where nothing goes wrong: each node on the way acts a tick late, and the actions are slow.
+    fn enough(&self, hir: &Hir) -> u64 {
+        let ticks = self.links.saturating_mul(tick(hir));
+        let way = self.way.saturating_add(ticks).saturating_mul(self.ways());
+        way.saturating_add(self.work.slow)
+    }
+
+    /// `a -> b -> a`
+    fn round(&self, hir: &Hir) -> String {
+        let (from, to) = (&task(hir, self.from).name, &task(hir, self.to).name);
+        if self.answered { format!("{from} -> {to} -> {from}") } else { format!("{from} -> {to}") }
+    }
+
+    /// `2 x 3 msec on the links`, with `links` more for each link, and so much work.
+    fn parts(&self, more: u64, work: u64) -> String {
+        let ways = if self.answered { "2 x " } else { "" };
+        let tick = match more {
+            0 => String::new(),
+            more => format!(" + {ways}{} for the ticks of its nodes", time(more.saturating_mul(self.links))),
+        };
+        let work = if work == 0 { String::new() } else { format!(" + {} for the answer", time(work)) };
+        format!("{ways}{} on the links{tick}{work}", time(self.way))
+    }
+}
+
+/// What the messages of a port need, for each sender and receiver whose nodes are joined.
+fn needs(hir: &Hir, id: PortId) -> Vec<Need> {
+    let port = &hir.ports[id.index()];
+    let mut needs = Vec::new();
+    if port.usage == Usage::Waitfor {
+        return needs;
+    }
+    for from in senders(port) {
+        for to in port.peers(from) {
+            let (a, b) = (task(hir, from).node, task(hir, to).node);
+            let links = times::way(hir, a, b);
+            if links.is_empty() && a != b {
+                continue;
+            }
+            let answered = port.class == Class::Command && port.usage != Usage::Reply;
+            // Of the beats of a couple the communication tasks take care (D61). Who is never asked works for nobody.
+            let works = answered && !carries_beats(hir, id) && sends_to(hir, id, from, to);
+            let work = if works { work::of(hir, to, id) } else { Work::default() };
+            needs.push(Need { from, to, way: delay(hir, &links), links: links.len() as u64, answered, work });
+        }
+    }
+    needs
+}
+
+/// The delays of these links.
+fn delay(hir: &Hir, links: &[usize]) -> u64 {
+    links.iter().fold(0, |sum: u64, &link| sum.saturating_add(hir.links[link].delay.usec))
+}
+
+/// What is said of a life that those messages have.
+fn too_short(hir: &Hir, port: &Port, life: Duration, needs: &[&Need]) -> Option<Diagnostic> {
+    let enough = needs.iter().map(|need| need.enough(hir)).max()?;
+    let tick = tick(hir);
+    let least = after(enough, tick).max(tick.saturating_mul(times::LEAST_TICKS));
+    let help = format!("give it {} or more", time(least));
+    let worst = needs.iter().max_by_key(|need| need.certain())?;
+    let has = time(life.usec);
+    if life.usec <= worst.certain() {
+        let needed = time(worst.certain());
+        let message = format!(
+            "deadline cannot be met: `{}` {} takes {needed}, it has {has}",
+            port.name,
+            worst.round(hir)
+        );
+        let mut label = format!("must exceed {}", worst.parts(0, worst.work.least));
+        if label.contains(" x ") || label.contains(" + ") {
+            label = format!("{label} = {needed}");
+        }
+        let found = Diagnostic::error(DEADLINE, life.span, message).label(label).also(port.span, "the port");
+        return Some(found.help(help));
+    }
+    let worst = needs.iter().max_by_key(|need| need.enough(hir))?;
+    if life.usec > enough || life.usec < tick.saturating_mul(times::LEAST_TICKS) {
+        return None;
+    }
+    let message = format!("`{}` {} may take {}, it has {has}", port.name, worst.round(hir), time(enough));
+    let label = format!("should exceed {}", worst.parts(tick, worst.work.slow));
+    let found = Diagnostic::warning(TIGHT_DEADLINE, life.span, message).label(label);
+    Some(found.also(port.span, "the port").help(help))
+}

@@ -1,0 +1,178 @@
+//! How long an answer takes where it is given: the time between a message's arrival in a task and the answer to it, as far as
+//! the statements on the way say so.
+
+use crate::hir::{Answered, Hir, Statement, StatementKind, Task, Trigger};
+use imrs_protocol::{Class, PortId, TaskId, Usage};
+use std::cell::Cell;
+
+/// So many statements are looked at for one answer.
+const STEPS: u32 = 100_000;
+/// So many answers may each wait for another one; what is behind counts as no time.
+const DEEPEST: usize = 8;
+
+/// The least time between what a task takes of a port and its answer, in microseconds: on the quickest way that its
+/// statements have, and where each `run` is as quick, or as slow, as it declares. Nothing where no way is known: what is
+/// answered later, by others, or by a program.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord)]
+pub(super) struct Work {
+    /// With the quickest actions: no answer comes sooner.
+    pub least: u64,
+    /// With the slowest actions, on the way that is then the quickest: it may take so long, whatever the values are.
+    pub slow: u64,
+}
+
+/// The work of `task` for an answer on `port`.
+pub(super) fn of(hir: &Hir, task: TaskId, port: PortId) -> Work {
+    let search = |slow| {
+        let steps = Cell::new(STEPS);
+        let answer = Search { hir, slow, depth: 0, steps: &steps }.answer(task, port);
+        // What was not looked at to its end may be quicker.
+        answer.filter(|_| steps.get() > 0).unwrap_or_default()
+    };
+    Work { least: search(false), slow: search(true) }
+}
+
+/// One search for the quickest way.
+#[derive(Clone, Copy)]
+struct Search<'h> {
+    hir: &'h Hir,
+    /// Whether actions are as slow as they declare.
+    slow: bool,
+    /// How many answers wait for this one.
+    depth: usize,
+    /// How many statements are still looked at: loops in loops are gone through again and again.
+    steps: &'h Cell<u32>,
+}
+
+/// How long a message was open where a point is reached, at least; none where it is reached with no message open.
+type Open = Option<u64>;
+
+/// How statements are left.
+#[derive(Clone, Copy, Default)]
+struct Left {
+    next: Open,
+    exit: Open,
+    /// The quickest answer on the way.
+    answer: Open,
+}
+
+fn quicker(a: Open, b: Open) -> Open {
+    match (a, b) {
+        (Some(a), Some(b)) => Some(a.min(b)),
+        (one, None) | (None, one) => one,
+    }
+}
+
+impl Search<'_> {
+    fn answer(self, id: TaskId, port: PortId) -> Option<u64> {
+        let task = &self.hir.tasks[id.index()];
+        if task.is_extern || self.depth >= DEEPEST || self.is_answered_elsewhere(task, id, port) {
+            return None;
+        }
+        let mut best = None;
+        for handler in &task.handlers {
+            if matches!(handler.trigger, Trigger::Message(of) if of == port) {
+                best = quicker(best, self.statements(&handler.body, Some(0), None).answer);
+            }
+        }
+        for body in [Some(&task.body), task.takeover.as_ref()].into_iter().flatten() {
+            best = quicker(best, self.statements(body, None, Some(port)).answer);
+        }
+        best
+    }
+
+    /// Whether an answer may be given behind another message, or by another task (D11, D93).
+    fn is_answered_elsewhere(self, task: &Task, id: TaskId, port: PortId) -> bool {
+        let declared = &self.hir.ports[port.index()];
+        super::answers::answers_later(task, port)
+            || super::answers::answered_by_others(self.hir, id, declared)
+    }
+
+    /// `receives` is the port whose messages a `receive` takes.
+    fn statements(self, statements: &[Statement], from: Open, receives: Option<PortId>) -> Left {
+        let mut left = Left { next: from, ..Left::default() };
+        for statement in statements {
+            let Some(rest) = self.steps.get().checked_sub(1) else { return Left::default() };
+            self.steps.set(rest);
+            let step = self.through(statement, left.next, receives);
+            left = Left {
+                next: step.next,
+                exit: quicker(left.exit, step.exit),
+                answer: quicker(left.answer, step.answer),
+            };
+        }
+        left
+    }
+
+    fn through(self, statement: &Statement, from: Open, receives: Option<PortId>) -> Left {
+        let plain = |next| Left { next, ..Left::default() };
+        let mut left = match &statement.kind {
+            StatementKind::Reply { to: Answered::Last, .. } => Left { answer: from, ..Left::default() },
+            StatementKind::Receive { port, .. }
+                if receives.is_some_and(|of| port.is_none_or(|p| p == of)) =>
+            {
+                plain(Some(0))
+            }
+            StatementKind::Abort(_) => Left::default(),
+            StatementKind::Exit => Left { exit: from, ..Left::default() },
+            StatementKind::Atomic(body) => self.statements(body, from, receives),
+            StatementKind::Loop(body) => {
+                let turned = self.turned(body, from, receives);
+                Left { next: turned.exit, exit: None, answer: turned.answer }
+            }
+            StatementKind::While(_, body) => {
+                let turned = self.turned(body, from, receives);
+                let next = quicker(quicker(from, turned.next), turned.exit);
+                Left { next, exit: None, answer: turned.answer }
+            }
+            StatementKind::If { arms, otherwise } => {
+                let arms = arms.iter().map(|(_, body)| self.statements(body, from, receives));
+                arms.fold(self.statements(otherwise, from, receives), either)
+            }
+            kind => plain(from.map(|open| open.saturating_add(self.takes(kind)))),
+        };
+        for branch in &statement.branches {
+            // What ends badly may do so at once.
+            left = either(left, self.statements(&branch.body, from, receives));
+        }
+        left
+    }
+
+    /// The statements of a loop, whose beginning is reached from its end, too.
+    fn turned(self, body: &[Statement], from: Open, receives: Option<PortId>) -> Left {
+        let once = self.statements(body, from, receives);
+        let head = quicker(from, once.next);
+        if head == from { once } else { self.statements(body, head, receives) }
+    }
+
+    /// How long a statement takes at least where it ends well. What is under way counts for nothing: a link's delay is a
+    /// bound, a packet may be quicker.
+    fn takes(self, kind: &StatementKind) -> u64 {
+        match kind {
+            StatementKind::Run { takes, .. } => {
+                if self.slow {
+                    takes.1.usec
+                } else {
+                    takes.0.usec
+                }
+            }
+            StatementKind::Delay(length) => length.usec,
+            StatementKind::Send { port, .. } if self.hir.ports[port.index()].class == Class::Command => {
+                let declared = &self.hir.ports[port.index()];
+                let takers =
+                    std::iter::once(declared.owner).chain(declared.users.iter().map(|user| user.task));
+                let answers = takers.filter(|&task| {
+                    matches!(declared.usage_of(task), Some(Usage::Receive | Usage::Response))
+                });
+                let deeper = Self { depth: self.depth + 1, ..self };
+                // Whom it is for is not looked at: the quickest of those who can answer.
+                answers.map(|task| deeper.answer(task, *port).unwrap_or_default()).min().unwrap_or_default()
+            }
+            _ => 0,
+        }
+    }
+}
+
+fn either(a: Left, b: Left) -> Left {
+    Left { next: quicker(a.next, b.next), exit: quicker(a.exit, b.exit), answer: quicker(a.answer, b.answer) }
+}

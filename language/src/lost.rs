@@ -1,0 +1,127 @@
+//! What of a file could not be read, and which later findings may only follow from that.
+//!
+//! Names, types and times of the other parts are checked all the same. A finding is kept where it stands on what is there: it is
+//! dropped where something that was not read could be what it misses.
+
+use crate::codes::{
+    ACTION, ACTS_EARLY, ARGUMENTS, DEADLINE, DISAGREE, DUPLICATE, HANDLERS, INTERVAL, LEASE_TOO_SHORT,
+    NEVER_ANSWERED, NEVER_COMES, NEVER_RECEIVED, NO_LINK, NO_TIME_OUT, OPTION, ORDER, RATE, RING,
+    SHORT_TIME_OUT, STATEMENT, TAKEOVER_TOO_SOON, TOO_LONG, TOO_MANY, TWICE, TWO_OWNERS, TYPES, UNKNOWN_NAME,
+    USAGES, WAITFOR_ORDER, WRAPS,
+};
+use crate::diagnostic::{Diagnostic, Severity};
+use crate::source::Source;
+use crate::span::Span;
+use std::collections::BTreeSet;
+
+/// What could not be read.
+#[derive(Clone, Debug, Default)]
+pub(crate) struct Lost {
+    /// Lines, blocks, whole declarations.
+    pub spans: Vec<Span>,
+    /// Where the declarations of the file begin, readable or not, in the order of the text, and whether they may say by which
+    /// way nodes are joined.
+    pub items: Vec<(u32, bool)>,
+    /// Whether something is lost that is neither in a task nor in a record, or one of these.
+    pub outside: bool,
+    /// Whether so much is lost that nothing else can be said.
+    pub all: bool,
+}
+
+/// What is known to be wrong, and so not to be built upon.
+pub(crate) struct Doubts<'s> {
+    lost: &'s Lost,
+    source: &'s Source,
+    /// What is called something in lost parts: it may be declared there.
+    names: BTreeSet<&'s str>,
+    /// The declarations that have a finding in them, by position in the text.
+    items: BTreeSet<usize>,
+}
+
+impl Lost {
+    /// Whether a part of this could not be read.
+    pub fn touches(&self, span: Span) -> bool {
+        self.spans.iter().any(|lost| lost.start < span.end && span.start < lost.end)
+    }
+
+    /// The declaration of the file in which a place is.
+    fn item(&self, span: Span) -> usize {
+        self.items.partition_point(|(begin, _)| *begin <= span.start)
+    }
+
+    /// The declaration of the file in which this stands, from its first word up to the next one.
+    pub fn around(&self, span: Span) -> Span {
+        let at = self.item(span);
+        let begin = |at: usize| self.items.get(at).map(|(begin, _)| *begin);
+        Span {
+            start: at.checked_sub(1).and_then(begin).unwrap_or_default(),
+            end: begin(at).unwrap_or(u32::MAX),
+        }
+    }
+}
+
+impl<'s> Doubts<'s> {
+    /// What the findings about the syntax of a file leave in doubt.
+    pub fn new(lost: &'s Lost, source: &'s Source, found: &[Diagnostic]) -> Self {
+        let texts = lost.spans.iter().map(|span| source.slice(*span));
+        let names = texts.flat_map(words).collect();
+        let mut doubts = Self { lost, source, names, items: BTreeSet::new() };
+        doubts.add(found);
+        doubts
+    }
+
+    /// These findings are in doubt, too, wherever they point.
+    pub fn add(&mut self, found: &[Diagnostic]) {
+        let errors = found.iter().filter(|found| found.severity == Severity::Error);
+        self.items.extend(errors.flat_map(places).map(|span| self.lost.item(span)));
+    }
+
+    /// Whether a finding about names and types stands on what was read.
+    pub fn keeps_name(&self, found: &Diagnostic) -> bool {
+        if self.lost.touches(found.primary.span) {
+            return false;
+        }
+        match found.code {
+            UNKNOWN_NAME => {
+                !words(self.source.slice(found.primary.span)).any(|name| self.names.contains(name))
+            }
+            DUPLICATE | TWO_OWNERS | USAGES | DISAGREE | ARGUMENTS | TOO_LONG | OPTION | TYPES | ACTION
+            | HANDLERS | ORDER | TWICE | TOO_MANY | INTERVAL => true,
+            // The others miss something, or may.
+            _ => !self.in_doubt(found) && !self.lost.outside,
+        }
+    }
+
+    /// Whether an error of behaviour or time stands on declarations that are right.
+    pub fn keeps_behaviour(&self, found: &Diagnostic) -> bool {
+        let known = match found.code {
+            NEVER_COMES | RING | WAITFOR_ORDER | NEVER_RECEIVED | SHORT_TIME_OUT | NO_TIME_OUT
+            | ACTS_EARLY | WRAPS | STATEMENT => true,
+            // Of another link, or a shorter one, nothing is known.
+            DEADLINE | RATE | NO_LINK | TAKEOVER_TOO_SOON | LEASE_TOO_SHORT => !self.ways_in_doubt(),
+            NEVER_ANSWERED => self.lost.spans.is_empty(),
+            _ => false,
+        };
+        known && !self.in_doubt(found)
+    }
+
+    /// Whether a link may be missing, or be another one.
+    fn ways_in_doubt(&self) -> bool {
+        let shapes = |item: &usize| {
+            item.checked_sub(1).and_then(|at| self.lost.items.get(at)).is_none_or(|(_, shapes)| *shapes)
+        };
+        self.items.iter().any(shapes)
+    }
+
+    fn in_doubt(&self, found: &Diagnostic) -> bool {
+        places(found).any(|span| self.items.contains(&self.lost.item(span)))
+    }
+}
+
+fn words(text: &str) -> impl Iterator<Item = &str> {
+    text.split(|c: char| !(c.is_alphanumeric() || c == '_')).filter(|word| !word.is_empty())
+}
+
+fn places(found: &Diagnostic) -> impl Iterator<Item = Span> + '_ {
+    std::iter::once(&found.primary).chain(&found.secondary).map(|label| label.span)
+}
