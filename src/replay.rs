@@ -138,7 +138,7 @@ fn read(path: &Path, known: &[Loaded]) -> Result<Replayed, ReplayError> {
     let Opened { mut reader, header, table, cell } = open(path, known)?;
     let names = table.cell.cell();
     let damaged = |source| ReplayError::Read { path: path.to_owned(), source };
-    let replays = replay_scripts(&mut reader, &table, |task| cell.program(task)).map_err(damaged)?;
+    let replays = replay_scripts(&mut reader, &table, |task| cell.program(task), None).map_err(damaged)?;
     let tasks = replays.iter().map(|replay| Task {
         name: names.tasks[replay.task().index()].name.clone(),
         steps: replay.judged(),

@@ -90,6 +90,7 @@ pub fn summary(summary: &Summary, table: &CellTable, run: &Run<'_>, out: &mut Ou
     for node in &summary.nodes {
         out.line(node_line(node, relays(table, &node.name)))?;
     }
+    summary.checks.show(out)?;
     let words = in_words(summary, table, run);
     if !words.is_empty() {
         out.line("")?;
@@ -234,6 +235,12 @@ fn listed(counts: &BTreeMap<String, u64>) -> String {
 /// What happened, in sentences.
 fn in_words(summary: &Summary, table: &CellTable, run: &Run<'_>) -> Vec<String> {
     let (args, mut words) = (run.args, Vec::new());
+    if summary.checks.is_broken() {
+        words.push(match &args.record {
+            Some(_) => "Whether links and nodes were in time, as the cell declares them: `imrs replay` with `--model`.".into(),
+            None => "With --record, `imrs replay` with `--model` says whether links and nodes were in time.".into(),
+        });
+    }
     for rendezvous in &summary.rendezvous {
         let r = &rendezvous.rounds;
         match rendezvous.false_releases {

@@ -4,7 +4,7 @@
 use super::run::{Late, Turn};
 use super::{AHEAD, Follower, Group, LATE, No, Rounding};
 use imrs_protocol::script::ScriptInput;
-use imrs_protocol::{Call, NodeInput, NodeOutbox, Packet, Signal, TaskId, Ticks};
+use imrs_protocol::{Call, NodeInput, NodeOutbox, Packet, Signal, TaskId, Ticks, TimeId};
 
 impl Follower {
     /// The ticks until time alone makes a node act.
@@ -96,13 +96,38 @@ impl Follower {
                 let early = then - now;
                 return Err(No::Never(format!("{}: in the model {early} ticks later", what())));
             }
-            let all = if stepwise { 0 } else { counted.saturating_sub(self.clocks[node]) };
-            let ticks = expiry.max(all);
-            self.count(node, ticks)?;
+            match self.comes_first(task, group) {
+                Some(id) => self.end_first(task, node, id, expiry)?,
+                None => {
+                    let all = if stepwise { 0 } else { counted.saturating_sub(self.clocks[node]) };
+                    self.count(node, expiry.max(all))?;
+                }
+            }
             self.late(task, group.at, now.saturating_sub(then));
             self.out.ahead = self.out.ahead.max(then.saturating_sub(now));
         }
         Ok(())
+    }
+
+    /// The timer or delay that comes first of what ends in its tick, where the run is rounded so and it still runs.
+    fn comes_first(&self, task: usize, group: &Group) -> Option<TimeId> {
+        if self.roundings.get(&(task, self.next[task])) != Some(&Rounding::First) {
+            return None;
+        }
+        let (id, expiry) = (ends(group.turns.first()?)?, self.expiry(self.course.floor.station_of(task))?);
+        let entries =
+            self.course.floor.stations[self.course.floor.station_of(task)].node.parts().timer.entries();
+        let this = |&&(owner, of, _): &&(TaskId, TimeId, Ticks)| (owner.index(), of) == (task, id);
+        entries.iter().find(this).filter(|(.., left)| left.0 <= expiry).map(|_| id)
+    }
+
+    /// Counts until right before a tick in which a timer ends, and lets that end before all else in it.
+    fn end_first(&mut self, task: usize, node: usize, id: TimeId, expiry: u64) -> Result<(), No> {
+        self.count(node, expiry - 1)?;
+        self.course.floor.stations[node].node.parts_mut().timer.end_now(TaskId::from_index(task), id);
+        let step = self.course.floor.step(node, NodeInput::Advance(Ticks::ZERO));
+        step.map_err(|violation| No::Never(violation.text().into()))?;
+        self.made(node)
     }
 
     /// Whether the model's task has sent what the run's did.
@@ -112,11 +137,18 @@ impl Follower {
 
     /// A node that is late gives its communication tasks all the time at once, but ends each timer by itself.
     pub(super) fn steps_timers(&self, task: usize, group: &Group) -> bool {
-        let timer = |turn: &Turn| {
-            matches!(turn.input, ScriptInput::Signal(Signal::TimeOut(_) | Signal::Interrupt(Call::Timer(_))))
-        };
         let otherwise = self.roundings.get(&(task, self.next[task])) == Some(&Rounding::Otherwise);
-        group.turns.first().is_some_and(timer) != otherwise
+        group.turns.first().and_then(ends).is_some() != otherwise
+    }
+}
+
+/// The timer or delay that ends with this turn.
+const fn ends(turn: &Turn) -> Option<TimeId> {
+    match turn.input {
+        ScriptInput::Signal(Signal::TimeOut(id) | Signal::Interrupt(Call::Timer(id))) => Some(id),
+        ScriptInput::Signal(_) | ScriptInput::Begin | ScriptInput::Acted { .. } | ScriptInput::Chosen(_) => {
+            None
+        }
     }
 }
 
