@@ -110,11 +110,12 @@ fn read(args: &ReplayArgs, loaded: &Loaded) -> Result<Result<Recorded, Differs>,
     let cell = loaded.table.cell();
     let mut tasks = vec![None; cell.tasks.len()];
     let mut whole = vec![true; cell.nodes.len()];
+    let given = args.cell.as_deref().map(cell_file::shown);
     let looker = Arc::new(Looker::new(loaded));
     let watch: Arc<dyn Watch> = Arc::clone(&looker) as Arc<dyn Watch>;
     let mut changes = Vec::new();
     for path in &args.files {
-        let Opened { mut reader, table, .. } = open(path, std::slice::from_ref(loaded))?;
+        let Opened { mut reader, table, .. } = open(path, std::slice::from_ref(loaded), given.as_deref())?;
         let damaged = |source| ReplayError::Read { path: path.clone(), source };
         let replays = replay_scripts(&mut reader, &table, |task| loaded.program(task), Some(&watch));
         let replays = replays.map_err(damaged)?;
@@ -134,7 +135,8 @@ fn read(args: &ReplayArgs, loaded: &Loaded) -> Result<Result<Recorded, Differs>,
                     return Ok(Err(Differs { task, how: divergence.to_string() }));
                 }
                 Verdict::ScriptDiffers(divergence) => {
-                    return Ok(Err(Differs { task, how: divergence.to_string() }));
+                    let how = format!("{divergence}, or its statements were changed since the run");
+                    return Ok(Err(Differs { task, how }));
                 }
             }
             let of_task = seen.iter().filter(|change| change.task == task).cloned();
@@ -154,15 +156,15 @@ fn read(args: &ReplayArgs, loaded: &Loaded) -> Result<Result<Recorded, Differs>,
     Ok(Ok(Recorded { tasks, whole, start, changes }))
 }
 
-/// What came of the checks, as the run itself judged them: up to where the first node stopped.
+/// What came of the checks, as the run itself judged them: up to where its nodes stopped.
 fn judge(loaded: &Loaded, recorded: &Recorded) -> Settlement {
     let nodes: Vec<NodeId> = (0..recorded.whole.len()).map(NodeId::from_index).collect();
     let mut judge = Judge::new(loaded, &nodes);
+    // A task that stops has last acted before: the last of them says best when the run ended.
     let all = recorded.tasks.iter().flatten();
-    let stopped = all.clone().filter(|happening| happening.what == Happened::Stopped);
-    if let Some(over) =
-        stopped.map(|happening| happening.at).min().or(all.map(|happening| happening.at).max())
-    {
+    let stops = all.clone().filter(|happening| happening.what == Happened::Stopped);
+    let last = stops.map(|happening| happening.at).max();
+    if let Some(over) = last.or_else(|| all.map(|happening| happening.at).max()) {
         judge.over(over);
     }
     recorded.changes.iter().for_each(|change| judge.change(change.clone()));
