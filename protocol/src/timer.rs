@@ -73,12 +73,13 @@ impl Timer {
         slot.and_then(|slot| self.queue.remove(slot)).is_some()
     }
 
-    /// Lets an entry end now instead of later: with the next `advance`, be it of no time. For a checker: where time is
-    /// counted in ticks, what ends within one tick may end in another order than it was armed in. False when there is none.
-    pub fn end_now(&mut self, owner: TaskId, id: TimeId) -> bool {
+    /// Lets an entry end after so long from now, whatever it was armed for; of no time: with the next `advance`, be that of
+    /// none, too. For a checker of what a node did: counted in ticks, what ends within one may end in another order than
+    /// it was armed in, and a node may notice late. False when there is none.
+    pub fn put(&mut self, owner: TaskId, id: TimeId, left: Ticks) -> bool {
         let slot = self.index.remove(name(owner, id));
         let Some(entry) = slot.and_then(|slot| self.queue.remove(slot)) else { return false };
-        let Ok(slot) = self.queue.push(Entry { expires: self.now, ..entry }) else { return false };
+        let Ok(slot) = self.queue.push(Entry { expires: self.now + left, ..entry }) else { return false };
         self.index.insert(name(owner, id), slot);
         true
     }
@@ -169,18 +170,21 @@ mod tests {
     }
 
     #[test]
-    fn an_entry_that_ends_now_goes_before_those_of_the_next_tick() {
+    fn an_entry_that_is_put_ends_then() {
         let mut timer = Timer::new(2);
         timer.arm(TaskId(1), TimeId(0), 7, Ticks(5));
         timer.arm(TaskId(1), TimeId(1), 8, Ticks(5));
         let mut over = Vec::new();
         timer.advance(Ticks(4), |_, id, turn| over.push((id, turn)));
-        assert!(timer.end_now(TaskId(1), TimeId(1)) && !timer.end_now(TaskId(2), TimeId(1)));
+        assert!(timer.put(TaskId(1), TimeId(1), Ticks::ZERO) && !timer.put(TaskId(2), TimeId(1), Ticks(1)));
         timer.advance(Ticks::ZERO, |_, id, turn| over.push((id, turn)));
         assert_eq!(over, [(TimeId(1), 8)]);
+        assert!(timer.put(TaskId(1), TimeId(0), Ticks(3)));
+        timer.advance(Ticks(2), |_, id, turn| over.push((id, turn)));
+        assert_eq!(over.len(), 1);
         timer.advance(Ticks(1), |_, id, turn| over.push((id, turn)));
         assert_eq!(over, [(TimeId(1), 8), (TimeId(0), 7)]);
-        assert!(!timer.end_now(TaskId(1), TimeId(0)));
+        assert!(!timer.put(TaskId(1), TimeId(0), Ticks::ZERO));
     }
 
     #[test]

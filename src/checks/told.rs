@@ -119,7 +119,7 @@ impl Settlement {
     pub fn show(&self, out: &mut Output) -> Result<(), Failure> {
         for settled in &self.0 {
             let Settled { name, line, mattered, times, first, elsewhere, .. } = settled;
-            let came = mattered.filter(|came| *came > 0).map(|came| format!(" {}", count(came, "time")));
+            let came = mattered.map(|came| format!(" (its condition came {})", count(came, "time")));
             let what = match settled.outcome {
                 Outcome::Held => Styled(GOOD, format!("held{}", came.unwrap_or_default())),
                 Outcome::Broken => Styled(BAD, format!("DID NOT HOLD, {}", count(*times, "time"))),

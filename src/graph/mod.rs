@@ -31,14 +31,15 @@ pub fn run(args: &GraphArgs, out: &mut Output) -> Result<Exit, Failure> {
     Ok(Exit::Well)
 }
 
-/// What is said at the arrow of a port: `beat: query, class 2, 5 ms`.
+/// What is said at the arrow of a port, by what they do with it who begin: `beat: query, class 2, 5 ms`.
 fn label(port: &Port) -> String {
     let class = match port.class {
         Class::Status => 1,
         Class::Command => 2,
     };
     let life = port.time_out.map(|length| format!(", {}", span(length.usec))).unwrap_or_default();
-    format!("{}: {}, class {class}{life}", port.name, port.usage)
+    let begins = if flow(port.usage).to_users { port.usage } else { port.usage.counterpart() };
+    format!("{}: {begins}, class {class}{life}", port.name)
 }
 
 /// What passes between the owner of a port and each of its users.

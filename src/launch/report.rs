@@ -85,8 +85,11 @@ pub fn summary(summary: &Summary, table: &CellTable, run: &Run<'_>, out: &mut Ou
     for rendezvous in &summary.rendezvous {
         meetings(rendezvous, out)?;
     }
-    commands(summary, out)?;
-    ports(summary, out)?;
+    // Of a cell whose tasks tell each other nothing there is nothing to tell.
+    if !summary.ports.is_empty() {
+        commands(summary, out)?;
+        ports(summary, out)?;
+    }
     for node in &summary.nodes {
         out.line(node_line(node, relays(table, &node.name)))?;
     }

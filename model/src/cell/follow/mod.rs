@@ -61,7 +61,7 @@ pub(super) enum Rounding {
     Charged,
     /// Time that passed unnoticed is counted at once where timers end, and else tick by tick.
     Otherwise,
-    /// Of what ends in one tick the timer or delay that the run shows comes first.
+    /// The timer or delay that the run shows ends before the time_outs of its tick.
     First,
 }
 
@@ -86,6 +86,8 @@ pub(super) struct Follower {
     acts: Vec<u64>,
     /// By task and thread, by how many ticks the action there takes longer than its most.
     over: BTreeMap<(usize, u8), u64>,
+    /// By how many ticks the ends of timers were put off, that the run has not shown yet.
+    put_off: BTreeMap<time::Timer, u64>,
     /// For each task, what it took, and how much of it was followed.
     groups: Arc<Vec<Vec<Group>>>,
     next: Vec<usize>,
@@ -166,6 +168,7 @@ impl Follower {
             clocks: vec![0; nodes],
             acts: vec![0; nodes],
             over: BTreeMap::new(),
+            put_off: BTreeMap::new(),
             pending: vec![VecDeque::new(); tasks],
             sends: vec![Vec::new(); tasks],
             groups: Arc::new(groups),
