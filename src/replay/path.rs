@@ -159,22 +159,21 @@ fn read(args: &ReplayArgs, loaded: &Loaded) -> Result<Result<Recorded, Differs>,
 /// What came of the checks, as the run itself judged them: up to where its nodes stopped.
 fn judge(loaded: &Loaded, recorded: &Recorded) -> Settlement {
     let nodes: Vec<NodeId> = (0..recorded.whole.len()).map(NodeId::from_index).collect();
-    let mut judge = Judge::new(loaded, &nodes);
-    // A task that stops has last acted before: the last of them says best when the run ended.
-    let all = recorded.tasks.iter().flatten();
-    let stops = all.clone().filter(|happening| happening.what == Happened::Stopped);
-    let last = stops.map(|happening| happening.at).max();
-    if let Some(over) = last.or_else(|| all.map(|happening| happening.at).max()) {
-        judge.over(over);
-    }
+    let (mut judge, mut over) = (Judge::new(loaded, &nodes), recorded.start);
     recorded.changes.iter().for_each(|change| judge.change(change.clone()));
-    for node in nodes.into_iter().filter(|node| !recorded.whole[node.index()]) {
-        // A node that was killed may have done more than its recording has.
-        let tasks = loaded.table.tasks_on(node).flat_map(|task| &recorded.tasks[task.index()]);
-        let last = tasks.map(|happening| happening.at).max().unwrap_or(recorded.start);
-        judge.told(node, last);
+    for node in nodes {
+        // From when it stopped nothing is known of a node; of one that was killed, from its last record.
+        let tasks = loaded.table.tasks_on(node).map(|task| &recorded.tasks[task.index()]);
+        let all: Vec<&Happening> = tasks.flatten().collect();
+        let stop = all.iter().find(|happening| happening.what == Happened::Stopped);
+        let last = stop.or_else(|| all.iter().max_by_key(|happening| happening.at));
+        if let Some(last) = last.map(|happening| happening.at) {
+            judge.told(node, last);
+            over = over.max(last);
+        }
         judge.gone(node);
     }
+    judge.over(over);
     judge.all_told();
     judge.settle();
     judge.settlement(recorded.start)

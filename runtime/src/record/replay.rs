@@ -7,7 +7,9 @@ use super::script::{Again, Watched};
 use super::{Digesting, OutputDigest, Step, run};
 use crate::script::{Knows, Watch};
 use imrs_protocol::script::Program;
-use imrs_protocol::{CommTask, Incarnation, Input, NodeTable, Outbox, Packet, Signal, TaskId, Ticks, TimeId};
+use imrs_protocol::{
+    CommTask, Incarnation, Input, NodeTable, Outbox, Packet, Request, Signal, TaskId, Ticks, TimeId,
+};
 use imrs_wire::recording::{Happened, Happening, ScriptStep};
 use std::sync::Arc;
 
@@ -162,6 +164,13 @@ impl<'t> Replay<'t> {
         let at = self.passed;
         if self.script.as_mut().is_some_and(|script| !script.expects(at, &entry.step.input)) {
             self.lose_script();
+        }
+        // With the last thing that it asks it stops: now, and not when it last did something.
+        if let Input::Request(Request::Cancel) = entry.step.input
+            && let Some((at, Happened::Stopped)) =
+                self.happened.as_mut().and_then(|happened| happened.last_mut())
+        {
+            *at = self.passed;
         }
         let Some(machine) = &mut self.machine else { return };
         let mut heard =

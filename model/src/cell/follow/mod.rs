@@ -251,7 +251,7 @@ impl Follower {
                 self.made(node)?;
             }
             Happened::Time | Happened::PeerRestarted(_) => {
-                self.let_time_show(task, node, (now, counted), group)?
+                self.let_time_show(task, node, (now, counted), group)?;
             }
             Happened::Came(packet) => self.packet(task, node, (now, counted), packet)?,
             Happened::Acted(level, ok, value) => {
