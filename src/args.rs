@@ -99,6 +99,9 @@ Examples:
     /// action bound by --action is a command to execute: the action's arguments follow the command's own, without a
     /// shell; exit code 0 is success, the first line of standard output the result.
     ///
+    /// The cell's checks (`never`, `always`, `leads`) are judged by what the run does; one that does not hold is told with
+    /// its line and values, and ends with exit code 1. With --node those about tasks of that node are.
+    ///
     /// With --node one node of the cell runs here, at the address that the cell declares for it (`node n at "10.0.0.11"
     /// port 7000;`), and sends to the others at theirs. Which of its lives this is it remembers in
     /// $XDG_STATE_HOME/imrs. Nothing authenticates packets yet: off the loopback that takes --insecure.

@@ -111,6 +111,39 @@ fn a_recording_is_judged_as_the_run_was() {
 }
 
 #[test]
+fn a_recording_of_another_text_of_the_cell_is_refused_as_that() {
+    let bench = Bench::new();
+    bench.run(&["--record", &bench.path("o.imrs"), "--in-process"]);
+    let (na, changed) = (bench.path("o.na.imrs"), bench.path("changed.cell"));
+    let replay = |text: &str| {
+        std::fs::write(&changed, text).expect("the cell is written");
+        run_in(bench.0.path(), &["replay", &na, "--cell", &changed])
+    };
+    assert_eq!(replay(OVERLAP).code, Some(0));
+    let other = replay(&OVERLAP.replace("delay 1 msec", "delay 2 msec"));
+    assert_eq!(other.code, Some(2), "{other:?}");
+    assert!(other.err.contains("was made from another text of cell `overlap`"), "{other:?}");
+    let digests = other.err.split("digest").count() + other.err.split("file have").count();
+    assert_eq!(digests, 2 + 2, "both digests: {other:?}");
+    let foreign = replay(&OVERLAP.replace("cell overlap", "cell overlay"));
+    assert_eq!(foreign.code, Some(2), "{foreign:?}");
+    assert!(
+        foreign.err.contains("is a recording of cell `overlap`") && foreign.err.contains("is cell `overlay`"),
+        "{foreign:?}"
+    );
+    let statements = replay(
+        &OVERLAP
+            .replace("n := n + 1", "n := n + 2")
+            .replace("busy := true; run", "busy := not busy; delay 1 msec; run"),
+    );
+    assert_eq!(statements.code, Some(1), "{statements:?}");
+    assert!(statements.out.contains("were changed since the run"), "{statements:?}");
+    let none = run_in(bench.0.path(), &["replay", &na]);
+    assert_eq!(none.code, Some(2), "{none:?}");
+    assert!(none.err.contains("name its file with --cell"), "{none:?}");
+}
+
+#[test]
 fn a_node_by_itself_judges_what_it_can_see() {
     let bench = Bench::new();
     let said = bench.run(&["--node", "nb"]);

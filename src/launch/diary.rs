@@ -2,7 +2,7 @@
 
 use super::deed::Did;
 use crate::exit::Failure;
-use crate::output::{BAD, FAINT, NOTE, Output, Styled};
+use crate::output::{BAD, FAINT, NOTE, Output, Styled, count};
 use imrs_protocol::{Cell, CellTable};
 use std::collections::BTreeMap;
 
@@ -125,7 +125,11 @@ impl Diary {
         let width = cell.tasks.iter().map(|task| task.name.len()).max().unwrap_or(0);
         let task = cell.tasks.get(did.task.index()).map_or("", |task| task.name.as_str());
         let line = did.line.map(|line| format!("line {line}")).unwrap_or_default();
-        let before = if left_out > 0 { format!("({left_out} lines left out) ") } else { String::new() };
+        let before = if left_out > 0 {
+            format!("({} left out) ", count(left_out.into(), "line"))
+        } else {
+            String::new()
+        };
         format!(
             "{} {task:<width$} {} {}{}",
             Styled(FAINT, at),

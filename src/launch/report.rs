@@ -20,12 +20,16 @@ pub fn started(run: &Run<'_>, seed: u64, nodes: &[StartedNode<'_>], out: &mut Ou
         count(nodes.len() as u64, "node"),
         how(run),
     ))?;
+    let tasks = |node: &StartedNode<'_>| match &node.tasks[..] {
+        [] => "nothing: it relays".to_owned(),
+        tasks => format!("runs {}", tasks.join(", ")),
+    };
+    let width = nodes.iter().map(|node| tasks(node).chars().count()).max().unwrap_or(0);
     for node in nodes {
-        let tasks = node.tasks.join(", ");
-        let tasks = if tasks.is_empty() { "nothing: it relays".to_owned() } else { format!("runs {tasks}") };
+        let tasks = tasks(node);
         let address = node.address.map(|address| address.to_string()).unwrap_or_default();
         let watch = node.observe.map(|at| format!("  watched at tcp:{at}")).unwrap_or_default();
-        let line = format!("  {:<4} {tasks:<13} pid {:<8} {address}{watch}", node.name, node.pid);
+        let line = format!("  {:<4} {tasks:<width$} pid {:<8} {address}{watch}", node.name, node.pid);
         out.line(line.trim_end())?;
     }
     if run.args.rt {
@@ -243,6 +247,12 @@ fn in_words(summary: &Summary, table: &CellTable, run: &Run<'_>) -> Vec<String> 
             Some(_) => "Whether links and nodes were in time, as the cell declares them: `imrs replay` with `--model`.".into(),
             None => "With --record, `imrs replay` with `--model` says whether links and nodes were in time.".into(),
         });
+        if !faults(args, summary.seed).is_empty() || run.tale.is_some_and(|tale| tale.moment.is_some()) {
+            words.push(
+                "Faults came in this run: a cell's checks are promised with those that its `faults` declare."
+                    .into(),
+            );
+        }
     }
     for rendezvous in &summary.rendezvous {
         let r = &rendezvous.rounds;
