@@ -140,7 +140,7 @@ fn a_camera_that_stands_still_costs_time_and_no_wrong_grip() {
         let parts = summary["outcome"]["words"][0].as_str().expect("a sentence");
         let numbers = parts.split(|c: char| !c.is_ascii_digit()).filter_map(|number| number.parse().ok());
         let numbers: Vec<u64> = numbers.collect();
-        assert!(numbers.len() >= 3 && numbers[0] == numbers[1..].iter().sum(), "{parts}");
+        assert!(numbers.len() >= 3 && numbers[0] == numbers[1..].iter().sum::<u64>(), "{parts}");
         assert_eq!(number(&summary["rendezvous"][0]["false_releases"]), 0, "{summary}");
         // Who stood still ended well.
         assert_eq!(node(&summary, "nc")["exit"], "clean", "{summary}");
