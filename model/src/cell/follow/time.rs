@@ -112,7 +112,11 @@ impl Follower {
                 None => {
                     // A node that is late gives its communication tasks all the time at once, but ends timers one by one.
                     let at_once = timer.is_some() == (rounding == Some(Rounding::Otherwise));
-                    self.count(node, if at_once { expiry.max(all) } else { expiry })?;
+                    let ticks = if at_once { expiry.max(all) } else { expiry };
+                    if timer.is_none() && self.rest(node).is_some_and(|rest| rest <= ticks) {
+                        self.put_timers_off(node, ticks);
+                    }
+                    self.count(node, ticks)?;
                     then
                 }
             };
@@ -145,22 +149,32 @@ impl Follower {
         let timers = self.timers(node);
         let Some(&(.., left)) = timers.iter().find(|(one, ..)| *one == timer) else { return Ok(None) };
         let ticks = all.max(u64::try_from(left).unwrap_or(0));
-        let mut rest = self.course.floor.stations[node].node.clone();
-        for ((of, id), ..) in &timers {
-            rest.parts_mut().timer.disarm(*of, *id);
-        }
         let is_first = timers.iter().all(|(.., other)| *other >= left);
-        if !is_first || rest.next_expiry().is_some_and(|expiry| expiry.0 <= ticks) {
+        if !is_first || self.rest(node).is_some_and(|rest| rest <= ticks) {
             return Ok(None);
         }
         let due = self.clocks[node].saturating_add_signed(left);
-        for ((of, id), other, _) in timers.into_iter().filter(|(_, other, _)| *other <= ticks) {
-            self.course.floor.stations[node].node.parts_mut().timer.put(of, id, Ticks(ticks + 1));
-            *self.put_off.entry((of, id)).or_default() += ticks + 1 - other;
-        }
+        self.put_timers_off(node, ticks);
         self.count(node, ticks)?;
         self.end_now(node, timer)?;
         Ok(Some(due))
+    }
+
+    /// The ticks until time alone makes a node act without its Timer.
+    fn rest(&self, node: usize) -> Option<u64> {
+        let mut rest = self.course.floor.stations[node].node.clone();
+        for (of, id, _) in rest.parts().timer.entries() {
+            rest.parts_mut().timer.disarm(of, id);
+        }
+        rest.next_expiry().map(|ticks| ticks.0)
+    }
+
+    /// Timers that end within so many ticks end right after these: the run shows later when.
+    fn put_timers_off(&mut self, node: usize, ticks: u64) {
+        for ((of, id), left, _) in self.timers(node).into_iter().filter(|(_, left, _)| *left <= ticks) {
+            self.course.floor.stations[node].node.parts_mut().timer.put(of, id, Ticks(ticks + 1));
+            *self.put_off.entry((of, id)).or_default() += ticks + 1 - left;
+        }
     }
 
     /// A timer ends before all else in its tick. Returns that; `None` where it does not end in the next tick in which
