@@ -1,11 +1,16 @@
 //! The command line: what can be asked for, and how it is explained.
 
-use crate::demo::Scene;
-use crate::launch::{ActionCommand, Cut, Kill, Rate, Restart};
-use clap::{Args, ColorChoice, Parser, Subcommand, ValueEnum};
-use std::net::{SocketAddr, ToSocketAddrs};
-use std::path::PathBuf;
-use std::time::Duration;
+mod cell;
+mod monitor;
+mod run;
+mod verify;
+
+pub use cell::{CheckArgs, ExplainArgs, FmtArgs, GraphArgs, Picture};
+pub use monitor::MonitorArgs;
+pub use run::{DemoArgs, LaunchArgs, ReplayArgs, RunArgs};
+pub use verify::{CellFaultArgs, Times, VerifyArgs, VerifyVerb};
+
+use clap::{ColorChoice, Parser, Subcommand, ValueEnum};
 
 /// Write a multi-robot cell once, check it exhaustively, run exactly that code, watch it live.
 ///
@@ -94,6 +99,9 @@ Examples:
     /// action bound by --action is a command to execute: the action's arguments follow the command's own, without a
     /// shell; exit code 0 is success, the first line of standard output the result.
     ///
+    /// The cell's checks (`never`, `always`, `leads`) are judged by what the run does; one that does not hold is told with
+    /// its line and values, and ends with exit code 1. With --node those about tasks of that node are.
+    ///
     /// With --node one node of the cell runs here, at the address that the cell declares for it (`node n at "10.0.0.11"
     /// port 7000;`), and sends to the others at theirs. Which of its lives this is it remembers in
     /// $XDG_STATE_HOME/imrs. Nothing authenticates packets yet: off the loopback that takes --insecure.
@@ -166,279 +174,6 @@ Examples:
     Node,
 }
 
-/// What `verify` can be asked: about the protocol, or about a cell.
-#[derive(Args, Clone, Debug)]
-pub struct VerifyVerb {
-    /// The cell file; without one the protocol's own claims are checked.
-    #[arg(value_name = "CELL", conflicts_with_all = ["full", "claim", "explore"])]
-    pub cell: Option<PathBuf>,
-    /// The flags of both.
-    #[command(flatten)]
-    pub verify: VerifyArgs,
-    /// The flags of a cell.
-    #[command(flatten)]
-    pub faults: CellFaultArgs,
-}
-
-/// Faults beside those that a cell declares, and what to do with what is found.
-#[derive(Args, Clone, Debug)]
-pub struct CellFaultArgs {
-    /// Lose so many more packets than the cell declares.
-    #[arg(long, value_name = "N", requires = "cell", default_value_t = 0)]
-    pub loss: u8,
-    /// Deliver so many more packets twice.
-    #[arg(long, value_name = "N", requires = "cell", default_value_t = 0)]
-    pub dup: u8,
-    /// Let packets overtake the one before them on their link so many times [default: 1].
-    #[arg(long, value_name = "N", requires = "cell", num_args = 0..=1, default_value_t = 0, default_missing_value = "1")]
-    pub reorder: u8,
-    /// Let this node, or the node of this task, crash once.
-    #[arg(long, value_name = "NAME", requires = "cell")]
-    pub crash: Vec<String>,
-    /// Allow only the words of the paper, and check its own rules.
-    #[arg(long, requires = "cell")]
-    pub paper: bool,
-    /// Let clocks leave out or count twice so many more ticks.
-    #[arg(long, value_name = "N", requires = "cell", default_value_t = 0)]
-    pub drift: u8,
-    /// When actions end, and packets arrive.
-    #[arg(long, value_name = "WHEN", requires = "cell", value_enum, default_value_t)]
-    pub times: Times,
-    /// Give up after so long without faults, and after so long with them.
-    #[arg(long, value_name = "TIME", requires = "cell", default_value = "30s", value_parser = humantime::parse_duration)]
-    pub within: Duration,
-    /// Draw a finding as a sequence chart, with all that repeats, into this file: SVG, or text where its name ends in .txt.
-    #[arg(long, value_name = "FILE.svg", requires = "cell")]
-    pub trace: Option<PathBuf>,
-    /// Save a finding as a recording that `imrs monitor --replay FILE` shows step by step.
-    #[arg(long, value_name = "FILE", requires = "cell")]
-    pub save: Option<PathBuf>,
-    /// Which finding is drawn and saved, counted from 1 [default: the first that steps lead to].
-    #[arg(long, value_name = "N", requires = "cell", value_parser = clap::value_parser!(u16).range(1..))]
-    pub finding: Option<u16>,
-}
-
-/// When the actions of a cell end, and its packets arrive, under the checker.
-#[derive(clap::ValueEnum, Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub enum Times {
-    /// Without faults as `between`, with them as `ends`.
-    #[default]
-    Auto,
-    /// Actions at their least or most time, packets at their link's bound.
-    Ends,
-    /// At both ends, or right after anything that happens between them: more states.
-    Between,
-}
-
-/// What `verify` can be asked.
-#[derive(Args, Clone, Debug, Default, PartialEq, Eq)]
-pub struct VerifyArgs {
-    /// Check the large bounds instead of the smoke bounds.
-    #[arg(long)]
-    pub full: bool,
-    /// Check this claim only, and show its counterexamples in full.
-    #[arg(long, value_name = "NAME")]
-    pub claim: Option<String>,
-    /// Serve the claim's first world to a browser, to walk through by hand: on this machine only.
-    #[arg(long, value_name = "HOST:PORT", requires = "claim", value_parser = loopback)]
-    pub explore: Option<SocketAddr>,
-    /// Use so many threads [default: as many as there are cores].
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
-    pub jobs: Option<u16>,
-    /// Give up a claim that needs more memory than this [default: 4G].
-    #[arg(long, value_name = "SIZE", value_parser = memory)]
-    pub memory: Option<u64>,
-    /// The form of the answer [default: text].
-    #[arg(long, value_enum, value_name = "FORM")]
-    pub format: Option<Format>,
-}
-
-/// What `check` can be asked.
-#[derive(Args, Clone, Debug)]
-pub struct CheckArgs {
-    /// The cell file; `-` is standard input.
-    #[arg(value_name = "CELL")]
-    pub cell: PathBuf,
-    /// Allow only the words of the paper, and look at its own rules.
-    #[arg(long)]
-    pub paper: bool,
-    /// The form of the answer.
-    #[arg(long, value_enum, value_name = "FORM", default_value_t = Format::Text)]
-    pub format: Format,
-}
-
-/// What `fmt` can be asked.
-#[derive(Args, Clone, Debug)]
-pub struct FmtArgs {
-    /// The cell files; `-` is standard input, written to standard output.
-    #[arg(value_name = "CELL", required = true)]
-    pub cells: Vec<PathBuf>,
-    /// Change nothing; say what would be changed.
-    #[arg(long)]
-    pub check: bool,
-}
-
-/// What `explain` can be asked.
-#[derive(Args, Clone, Debug)]
-pub struct ExplainArgs {
-    /// The code [default: list them all].
-    #[arg(value_name = "CODE")]
-    pub code: Option<String>,
-    /// The form of the answer.
-    #[arg(long, value_enum, value_name = "FORM", default_value_t = Format::Text)]
-    pub format: Format,
-}
-
-/// What `graph` can be asked.
-#[derive(Args, Clone, Debug)]
-pub struct GraphArgs {
-    /// The cell file; `-` is standard input.
-    #[arg(value_name = "CELL")]
-    pub cell: PathBuf,
-    /// The form of the picture.
-    #[arg(long, value_enum, value_name = "FORM", default_value_t = Picture::Svg)]
-    pub to: Picture,
-}
-
-/// What `demo` can be asked.
-#[derive(Args, Clone, Debug)]
-pub struct DemoArgs {
-    /// Which cell.
-    #[arg(value_enum, value_name = "NAME")]
-    pub cell: Scene,
-    /// Run without the demo's own fault; faults of your own take its place, too.
-    #[arg(long)]
-    pub no_fault: bool,
-    /// How it is run.
-    #[command(flatten)]
-    pub launch: LaunchArgs,
-}
-
-/// What `run` can be asked.
-#[derive(Args, Clone, Debug)]
-pub struct RunArgs {
-    /// The cell.
-    #[arg(value_name = "CELL")]
-    pub cell: PathBuf,
-    /// Allow only the words of the paper, and run its own rules.
-    #[arg(long)]
-    pub paper: bool,
-    /// Execute a command for an action; may be given several times.
-    #[arg(long, value_name = "NAME=CMD")]
-    pub action: Vec<ActionCommand>,
-    /// How it is run.
-    #[command(flatten)]
-    pub launch: LaunchArgs,
-}
-
-/// How a cell is run.
-#[derive(Args, Clone, Debug)]
-pub struct LaunchArgs {
-    /// Run all nodes in this process, joined without sockets.
-    #[arg(long, conflicts_with = "node")]
-    pub in_process: bool,
-    /// Run this node only, at the address that the cell declares; the others run elsewhere.
-    #[arg(long, value_name = "NAME")]
-    pub node: Option<String>,
-    /// Let packets leave this machine though nothing authenticates them, and let others watch.
-    #[arg(long)]
-    pub insecure: bool,
-    /// Serve monitors over TCP, too; of several nodes each takes the next port.
-    #[arg(long, value_name = "ADDR:PORT")]
-    pub observe: Option<SocketAddr>,
-    /// Run the nodes under SCHED_FIFO, with their memory locked.
-    #[arg(long)]
-    pub rt: bool,
-    /// How long to run [default: a demo about 10s, a cell until its tasks end or Ctrl-C].
-    #[arg(long = "for", value_name = "TIME", value_parser = humantime::parse_duration)]
-    pub length: Option<Duration>,
-    /// Lose this share of all datagrams.
-    #[arg(long, value_name = "RATE", default_value = "0%")]
-    pub loss: Rate,
-    /// Kill a node, or the node of a task, after a while.
-    #[arg(long, value_name = "NAME@TIME")]
-    pub kill: Vec<Kill>,
-    /// Start a killed node again after a while (counted from the start), in its next life.
-    #[arg(long, value_name = "NAME@TIME")]
-    pub restart: Vec<Restart>,
-    /// Interrupt the link between two nodes after a while, for a while.
-    #[arg(long, value_name = "A--B@TIME+TIME")]
-    pub cut: Vec<Cut>,
-    /// Record what goes into every communication task; each node writes a file of its own beside this name.
-    #[arg(long, value_name = "FILE")]
-    pub record: Option<PathBuf>,
-    /// Seeds the lost packets and the lengths of the tasks' work [default: from the clock].
-    #[arg(long, value_name = "N")]
-    pub seed: Option<u64>,
-    /// The form of the answer; JSON ends with one line, the summary.
-    #[arg(long, value_enum, value_name = "FORM", default_value_t = Format::Text)]
-    pub format: Format,
-}
-
-/// What `monitor` can be asked.
-#[derive(Args, Clone, Debug)]
-pub struct MonitorArgs {
-    /// Attach to this node; may be given several times [default: all nodes on this machine].
-    #[arg(long, short, value_name = "ADDR")]
-    pub connect: Vec<imrs_monitor::Endpoint>,
-    /// Show only the cell of this name.
-    #[arg(long, value_name = "NAME")]
-    pub cell: Option<String>,
-    /// Print one sample and end.
-    #[arg(long)]
-    pub once: bool,
-    /// Print a sample every so often.
-    #[arg(long, value_name = "TIME", value_parser = humantime::parse_duration)]
-    pub watch: Option<Duration>,
-    /// Print lines instead of drawing a screen: for pipes and screen readers. Of a finding that is replayed, every step.
-    #[arg(long)]
-    pub text: bool,
-    /// Draw with nothing but ASCII.
-    #[arg(long)]
-    pub ascii: bool,
-    /// Show a recording instead of running nodes: of `--record`, or a finding of `imrs verify CELL --save`.
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["connect", "watch", "record"])]
-    pub replay: Option<PathBuf>,
-    /// Begin here: `3s`, `-30s` (before the end), or a tick of a finding.
-    #[arg(long, value_name = "TIME", requires = "replay", allow_hyphen_values = true)]
-    pub at: Option<imrs_monitor::At>,
-    /// Play so many times as fast; a finding plays a step a second.
-    #[arg(long, value_name = "N", requires = "replay", value_parser = speed)]
-    pub speed: Option<f64>,
-    /// Record what the nodes show; without a terminal, without a screen.
-    #[arg(long, value_name = "FILE", conflicts_with_all = ["once", "watch", "text"])]
-    pub record: Option<PathBuf>,
-    /// Record for so long, without a screen, and end.
-    #[arg(long = "for", value_name = "TIME", requires = "record", value_parser = humantime::parse_duration)]
-    pub record_for: Option<Duration>,
-    /// The form of what is printed; JSON implies printing.
-    #[arg(long, value_enum, value_name = "FORM", default_value_t = Format::Text)]
-    pub format: Format,
-}
-
-/// What `replay` can be asked.
-#[derive(Args, Clone, Debug)]
-pub struct ReplayArgs {
-    /// The recordings of nodes.
-    #[arg(value_name = "FILE", required = true)]
-    pub files: Vec<PathBuf>,
-    /// The cell that was run [default: the cell of a demo].
-    #[arg(long, value_name = "CELL")]
-    pub cell: Option<PathBuf>,
-    /// It was run with `--paper`.
-    #[arg(long, requires = "cell")]
-    pub paper: bool,
-    /// Say whether the whole run is a path of the model that `imrs verify` explores: takes the recordings of all nodes.
-    #[arg(long, requires = "cell")]
-    pub model: bool,
-    /// Give up following the model after so long.
-    #[arg(long, value_name = "TIME", requires = "model", default_value = "30s", value_parser = humantime::parse_duration)]
-    pub within: Duration,
-    /// The form of the answer.
-    #[arg(long, value_enum, value_name = "FORM", default_value_t = Format::Text)]
-    pub format: Format,
-}
-
 /// The form of an answer.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum Format {
@@ -447,15 +182,6 @@ pub enum Format {
     Text,
     /// For programs.
     Json,
-}
-
-/// The form of a picture.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Picture {
-    /// For a browser.
-    Svg,
-    /// For Graphviz.
-    Dot,
 }
 
 /// When to use colour.
@@ -500,38 +226,6 @@ pub fn early_color(args: impl IntoIterator<Item = String>) -> ColorChoice {
     }
 }
 
-/// An address that only this machine can reach.
-fn loopback(text: &str) -> Result<SocketAddr, String> {
-    let example = "write 127.0.0.1:3000 or localhost:3000";
-    let mut all = text.to_socket_addrs().map_err(|error| format!("{error}: {example}"))?;
-    all.next()
-        .filter(|first| first.ip().is_loopback() && all.all(|other| other.ip().is_loopback()))
-        .ok_or_else(|| format!("others can reach it, and nobody is asked who they are: {example}"))
-}
-
-/// How many times as fast.
-fn speed(text: &str) -> Result<f64, String> {
-    let speed = text.trim_end_matches('x').parse::<f64>().ok();
-    speed
-        .filter(|speed| (0.001..=1000.0).contains(speed))
-        .ok_or_else(|| "write a number from 0.001 to 1000".to_owned())
-}
-
-/// A size in bytes: `512M`, `4G`; units are powers of 1024.
-fn memory(text: &str) -> Result<u64, String> {
-    let digits = text.trim_end_matches(|c: char| c.is_ascii_alphabetic());
-    let shift = match &text[digits.len()..] {
-        "" | "B" => 0,
-        "K" | "KiB" => 10,
-        "M" | "MiB" => 20,
-        "G" | "GiB" => 30,
-        "T" | "TiB" => 40,
-        unit => return Err(format!("unknown unit `{unit}`: write 512M or 4G")),
-    };
-    let number: u64 = digits.parse().map_err(|_| "write a whole number and a unit: 512M or 4G".to_owned())?;
-    number.checked_mul(1 << shift).filter(|&bytes| bytes > 0).ok_or_else(|| "out of range".to_owned())
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -544,23 +238,6 @@ mod tests {
         for verb in command.get_subcommands().filter(|verb| !verb.is_hide_set()) {
             let help = verb.get_after_help().map(ToString::to_string).unwrap_or_default();
             assert!(help.contains("Example"), "`{}` shows no example", verb.get_name());
-        }
-    }
-
-    #[test]
-    fn only_this_machine_explores() {
-        assert_eq!(loopback("127.0.0.1:3000").map(|address| address.port()), Ok(3000));
-        assert!(loopback("[::1]:0").is_ok());
-        for text in ["0.0.0.0:3000", "192.0.2.1:80", "127.0.0.1", "3000", ""] {
-            assert!(loopback(text).is_err(), "{text}");
-        }
-    }
-
-    #[test]
-    fn sizes_have_units() {
-        assert_eq!((memory("4G"), memory("512M"), memory("7")), (Ok(4 << 30), Ok(512 << 20), Ok(7)));
-        for text in ["", "G", "4X", "-1G", "0", "99999999999T"] {
-            assert!(memory(text).is_err(), "{text}");
         }
     }
 

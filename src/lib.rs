@@ -6,6 +6,7 @@ mod args;
 mod cell_file;
 mod cells;
 mod check;
+mod checks;
 mod demo;
 mod exit;
 mod explain;

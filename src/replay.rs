@@ -4,6 +4,7 @@ mod path;
 mod told;
 
 use crate::args::{Format, ReplayArgs};
+use crate::cell_file;
 use crate::cells::{self, Loaded};
 use crate::demo;
 use crate::exit::{Exit, Failure};
@@ -36,8 +37,10 @@ pub enum ReplayError {
         /// Where and why.
         source: record::ReplayError,
     },
-    /// The recording is of a cell that this program does not have.
-    #[error("{path} was made with another cell: `{cell}`, digest {digest:08x}; name its file with --cell")]
+    /// No cell was given, and the recording is of none that this program has.
+    #[error(
+        "{path} is of cell `{cell}` (digest {digest:08x}), which is not that of a demo as it is built in: name its file with --cell"
+    )]
     OtherCell {
         /// The file.
         path: PathBuf,
@@ -45,6 +48,41 @@ pub enum ReplayError {
         cell: String,
         /// The digest of its table.
         digest: u32,
+    },
+    /// The recording was made from another text of the cell.
+    #[error(
+        "{path} was made from another text of cell `{cell}` than {given}: its declarations have digest {recorded:08x}, those of the \
+         file have {now:08x}. Replay it with the text that was run"
+    )]
+    OtherText {
+        /// The recording.
+        path: PathBuf,
+        /// The name of the cell.
+        cell: String,
+        /// The file of the cell.
+        given: String,
+        /// The digest in the recording.
+        recorded: u32,
+        /// The digest of what is in the file.
+        now: u32,
+    },
+    /// The recording is of a cell other than the given one.
+    #[error(
+        "{path} is a recording of cell `{cell}` (digest {recorded:08x}), and {given} is cell `{other}` (digest {now:08x})"
+    )]
+    NotThisCell {
+        /// The recording.
+        path: PathBuf,
+        /// The name of its cell.
+        cell: String,
+        /// The given file.
+        given: String,
+        /// The name of the cell in it.
+        other: String,
+        /// The digest in the recording.
+        recorded: u32,
+        /// The digest of what is in the file.
+        now: u32,
     },
     /// The recording is of what a monitor saw.
     #[error(
@@ -83,6 +121,8 @@ struct Task {
     verdict: &'static str,
     /// The first step that put out something else, if any did.
     divergence: Option<String>,
+    #[serde(skip)]
+    script_differs: bool,
 }
 
 /// Replays recordings.
@@ -93,19 +133,19 @@ pub fn run(args: &ReplayArgs, out: &mut Output) -> Result<Exit, Failure> {
     if args.model {
         return path::run(args, out);
     }
-    let known = match &args.cell {
-        Some(path) => vec![cells::open(path, args.paper)?.1],
-        None => demo::cells().collect(),
+    let (given, known) = match &args.cell {
+        Some(path) => (Some(cell_file::shown(path)), vec![cells::open(path, args.paper)?.1]),
+        None => (None, demo::cells().collect()),
     };
     let mut exit = Exit::Well;
     for file in &args.files {
-        let replayed = read(file, &known)?;
+        let replayed = read(file, &known, given.as_deref())?;
         if replayed.tasks.iter().any(|task| task.divergence.is_some()) {
             exit = Exit::Finding;
         }
         match args.format {
             Format::Json => out.json(&replayed)?,
-            Format::Text => show(&replayed, out)?,
+            Format::Text => show(&replayed, given.as_deref(), out)?,
         }
     }
     Ok(exit)
@@ -119,26 +159,39 @@ struct Opened<'a> {
     cell: &'a Loaded,
 }
 
-fn open<'a>(path: &Path, known: &'a [Loaded]) -> Result<Opened<'a>, ReplayError> {
+/// Opens a recording of one of these cells; `given` is the file of the only one, where one was named.
+fn open<'a>(path: &Path, known: &'a [Loaded], given: Option<&str>) -> Result<Opened<'a>, ReplayError> {
     let own = || path.to_owned();
     let file = File::open(path).map_err(|source| ReplayError::Open { path: own(), source })?;
     let reader = RecordingReader::new(BufReader::new(file))
         .map_err(|error| ReplayError::Read { path: own(), source: error.into() })?;
     let header = reader.header().clone();
     let node = header.node.ok_or_else(|| ReplayError::Observations(own()))?;
-    let cell = known.iter().find(|cell| cell.table.digest() == header.digest).ok_or_else(|| {
-        ReplayError::OtherCell { path: own(), cell: header.cell.clone(), digest: header.digest }
-    })?;
+    let cell = known.iter().find(|cell| cell.table.digest() == header.digest);
+    let cell = cell.ok_or_else(|| other_cell(own(), &header, known, given))?;
     let declared = |node: &NodeId| node.index() < cell.table.cell().nodes.len();
     let node = Some(node).filter(declared).ok_or_else(|| ReplayError::NoInputs(own()))?;
     Ok(Opened { reader, header, table: NodeTable::new(Arc::clone(&cell.table), node), cell })
 }
 
-fn read(path: &Path, known: &[Loaded]) -> Result<Replayed, ReplayError> {
-    let Opened { mut reader, header, table, cell } = open(path, known)?;
+fn other_cell(path: PathBuf, header: &Header, known: &[Loaded], given: Option<&str>) -> ReplayError {
+    let (cell, recorded) = (header.cell.clone(), header.digest);
+    let Some((given, only)) = given.zip(known.first()) else {
+        return ReplayError::OtherCell { path, cell, digest: recorded };
+    };
+    let (given, other, now) = (given.to_owned(), only.table.cell().name.clone(), only.table.digest());
+    if cell == other {
+        ReplayError::OtherText { path, cell, given, recorded, now }
+    } else {
+        ReplayError::NotThisCell { path, cell, given, other, recorded, now }
+    }
+}
+
+fn read(path: &Path, known: &[Loaded], given: Option<&str>) -> Result<Replayed, ReplayError> {
+    let Opened { mut reader, header, table, cell } = open(path, known, given)?;
     let names = table.cell.cell();
     let damaged = |source| ReplayError::Read { path: path.to_owned(), source };
-    let replays = replay_scripts(&mut reader, &table, |task| cell.program(task)).map_err(damaged)?;
+    let replays = replay_scripts(&mut reader, &table, |task| cell.program(task), None).map_err(damaged)?;
     let tasks = replays.iter().map(|replay| Task {
         name: names.tasks[replay.task().index()].name.clone(),
         steps: replay.judged(),
@@ -149,6 +202,7 @@ fn read(path: &Path, known: &[Loaded]) -> Result<Replayed, ReplayError> {
             Verdict::Unknown => "unknown",
             Verdict::Differs(_) | Verdict::ScriptDiffers(_) => "differs",
         },
+        script_differs: matches!(replay.verdict(), Verdict::ScriptDiffers(_)),
         divergence: match replay.verdict() {
             Verdict::Differs(divergence) => Some(divergence.to_string()),
             Verdict::ScriptDiffers(divergence) => Some(divergence.to_string()),
@@ -166,7 +220,7 @@ fn read(path: &Path, known: &[Loaded]) -> Result<Replayed, ReplayError> {
     })
 }
 
-fn show(replayed: &Replayed, out: &mut Output) -> Result<(), Failure> {
+fn show(replayed: &Replayed, given: Option<&str>, out: &mut Output) -> Result<(), Failure> {
     out.line(format!("node {} of cell {}, recorded by {}", replayed.node, replayed.cell, replayed.build))?;
     for task in &replayed.tasks {
         let steps = count(task.steps as u64, "step");
@@ -183,6 +237,15 @@ fn show(replayed: &Replayed, out: &mut Output) -> Result<(), Failure> {
                 Styled(NOTE, "unknown")
             ))?,
         }
+    }
+    // Statements are no part of the digest: that of declarations is the same after they were changed.
+    if replayed.tasks.iter().any(|task| task.script_differs)
+        && let Some(given) = given
+    {
+        out.line(Styled(
+            NOTE,
+            format!("  If the statements in {given} were changed since the run, that is why."),
+        ))?;
     }
     if !replayed.whole {
         out.line(Styled(NOTE, "  The recording was cut off: it has no end."))?;

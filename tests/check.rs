@@ -212,13 +212,14 @@ fn graphs_show_nodes_tasks_and_ports_and_are_the_same_each_time() {
     let svg = run(&["graph", &path]);
     assert_eq!(svg.code, Some(0), "{svg:?}");
     assert!(svg.out.starts_with("<svg ") && svg.out.ends_with("</svg>\n"), "{}", svg.out);
-    for word in ["dresser", "r1", "n2", "grab: response, class 2, 200 ms", "links: n1 -- nt"] {
+    for word in ["dresser", "r1", "n2", "grab: query, class 2, 200 ms", "links: n1 -- nt"] {
         assert!(svg.out.contains(word), "no {word}:\n{}", svg.out);
     }
     assert_eq!(svg.out, run(&["graph", &path, "--to", "svg"]).out);
     let dot = run(&["graph", &path, "--to", "dot"]);
     assert!(dot.out.starts_with("digraph \"weld\" {") && dot.out.ends_with("}\n"), "{}", dot.out);
-    assert_eq!(dot.out.matches(" -> ").count(), 2 + 2 + 1 + 1, "an arrow to each user:\n{}", dot.out);
+    let (asked, told) = (2 + 1, 2 + 1);
+    assert_eq!(dot.out.matches(" -> ").count(), 2 * asked + told, "there and back:\n{}", dot.out);
     assert_eq!(dot.out.matches('{').count(), dot.out.matches('}').count());
     let faulty = run(&["graph", &example("faulty/both_active.cell")]);
     assert_eq!((faulty.code, faulty.out.as_str()), (Some(1), ""));
@@ -334,4 +335,89 @@ fn the_first_cell_of_the_reference_holds() {
     let verified = run(&["verify", &path, "--jobs", "1", "--within", "5min"]);
     assert_eq!(verified.code, Some(0), "{verified:?}");
     assert!(verified.out.contains("everything within these bounds was looked at"), "{}", verified.out);
+}
+
+/// What begins an exchange goes to who is told; an answer comes back; at a waitfor all tell all.
+#[test]
+fn the_arrows_of_a_graph_go_as_messages_do() {
+    let expected: [(&str, &[&str]); 6] = [
+        (
+            "beam_lift",
+            &[
+                "t0 -> t1 lift: waitfor both",
+                "t0 -> t2 lift: waitfor both",
+                "t0 -> t1 beat: query",
+                "t1 -> t0 beat: answer dashed",
+                "t0 -> t1 halt: send",
+                "t0 -> t2 halt: send",
+            ],
+        ),
+        (
+            "weld_cell",
+            &[
+                "t1 -> t0 grab: query",
+                "t0 -> t1 grab: answer dashed",
+                "t2 -> t0 grab: query",
+                "t0 -> t2 grab: answer dashed",
+                "t1 -> t0 free: send",
+                "t2 -> t0 free: send",
+                "t1 -> t2 prog: send",
+                "t2 -> t1 alive: query",
+                "t1 -> t2 alive: answer dashed",
+            ],
+        ),
+        (
+            "shared_tool",
+            &[
+                "t1 -> t0 grab: query",
+                "t0 -> t1 grab: answer dashed",
+                "t2 -> t0 grab: query",
+                "t0 -> t2 grab: answer dashed",
+                "t3 -> t0 grab: query",
+                "t0 -> t3 grab: answer dashed",
+                "t1 -> t0 free: send",
+                "t2 -> t0 free: send",
+                "t3 -> t0 free: send",
+                "t0 -> t2 idle: send",
+                "t0 -> t3 idle: send",
+            ],
+        ),
+        (
+            "conveyor",
+            &[
+                "t0 -> t1 pose: send",
+                "t1 -> t2 coming: send",
+                "t1 -> t2 give: waitfor both",
+                "t2 -> t1 release: send",
+            ],
+        ),
+        (
+            "belt",
+            &[
+                "t0 -> t1 speed: send",
+                "t0 -> t2 speed: send",
+                "t1 -> t0 set_speed: query",
+                "t0 -> t1 set_speed: answer dashed",
+                "t2 -> t0 set_speed: query",
+                "t0 -> t2 set_speed: answer dashed",
+            ],
+        ),
+        ("extern_task", &["t0 -> t1 pose: send"]),
+    ];
+    for (name, expected) in expected {
+        let dot = run(&["graph", &example(&format!("{name}.cell")), "--to", "dot"]).out;
+        let edge = |line: &str| {
+            let (ends, rest) = line.trim().split_once(" [label=\"")?;
+            let (label, rest) = rest.split_once('"')?;
+            let label = label.split(',').next()?;
+            let dashed = if rest.contains("style=dashed") { " dashed" } else { "" };
+            let both = if rest.contains("dir=both") { " both" } else { "" };
+            ends.contains("->").then(|| format!("{ends} {label}{dashed}{both}"))
+        };
+        assert_eq!(dot.lines().filter_map(edge).collect::<Vec<_>>(), expected, "{name}");
+        // In the picture the heads of answers are white.
+        let svg = run(&["graph", &example(&format!("{name}.cell"))]).out;
+        let answers = expected.iter().any(|edge| edge.contains("answer"));
+        assert_eq!(svg.contains("fill=\"white\" stroke=\"black\""), answers, "{name}");
+    }
 }

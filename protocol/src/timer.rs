@@ -73,6 +73,17 @@ impl Timer {
         slot.and_then(|slot| self.queue.remove(slot)).is_some()
     }
 
+    /// Lets an entry end after so long from now, whatever it was armed for; of no time: with the next `advance`, be that of
+    /// none, too. For a checker of what a node did: counted in ticks, what ends within one may end in another order than
+    /// it was armed in, and a node may notice late. False when there is none.
+    pub fn put(&mut self, owner: TaskId, id: TimeId, left: Ticks) -> bool {
+        let slot = self.index.remove(name(owner, id));
+        let Some(entry) = slot.and_then(|slot| self.queue.remove(slot)) else { return false };
+        let Ok(slot) = self.queue.push(Entry { expires: self.now + left, ..entry }) else { return false };
+        self.index.insert(name(owner, id), slot);
+        true
+    }
+
     /// Time passes: names every entry that is over, earliest first, and removes it.
     pub fn advance(&mut self, elapsed: Ticks, mut due: impl FnMut(TaskId, TimeId, u8)) {
         self.now += elapsed;
@@ -156,6 +167,24 @@ mod tests {
         timer.advance(Ticks(9), |owner, id, _| over.push((owner, id)));
         assert_eq!(over, [(TaskId(2), TimeId(0)), (TaskId(1), TimeId(1)), (TaskId(1), TimeId(0))]);
         assert_eq!(timer.next_expiry(), None);
+    }
+
+    #[test]
+    fn an_entry_that_is_put_ends_then() {
+        let mut timer = Timer::new(2);
+        timer.arm(TaskId(1), TimeId(0), 7, Ticks(5));
+        timer.arm(TaskId(1), TimeId(1), 8, Ticks(5));
+        let mut over = Vec::new();
+        timer.advance(Ticks(4), |_, id, turn| over.push((id, turn)));
+        assert!(timer.put(TaskId(1), TimeId(1), Ticks::ZERO) && !timer.put(TaskId(2), TimeId(1), Ticks(1)));
+        timer.advance(Ticks::ZERO, |_, id, turn| over.push((id, turn)));
+        assert_eq!(over, [(TimeId(1), 8)]);
+        assert!(timer.put(TaskId(1), TimeId(0), Ticks(3)));
+        timer.advance(Ticks(2), |_, id, turn| over.push((id, turn)));
+        assert_eq!(over.len(), 1);
+        timer.advance(Ticks(1), |_, id, turn| over.push((id, turn)));
+        assert_eq!(over, [(TimeId(1), 8), (TimeId(0), 7)]);
+        assert!(!timer.put(TaskId(1), TimeId(0), Ticks::ZERO));
     }
 
     #[test]

@@ -124,6 +124,16 @@ impl Node {
         &self.table.cell().nodes[self.table.node.index()].name
     }
 
+    /// An instant, in microseconds of the monotonic clock, before which every step of a script of this node has been
+    /// told to its [`Watch`](crate::script::Watch): none is told later with an earlier time.
+    #[must_use]
+    pub fn told_until(&self) -> u64 {
+        let now = clock::now();
+        // A step is stamped and told under the lock of its task: one that was stamped before is over after this.
+        self.members.list.iter().for_each(|member| self.look(member, |_| ()));
+        now
+    }
+
     /// A request of a task, from its own thread; then whatever that brings about.
     pub(crate) fn ask(
         &self,

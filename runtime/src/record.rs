@@ -10,10 +10,9 @@ mod replay;
 mod script;
 
 pub use file::FileRecorder;
-pub use imrs_wire::recording::ScriptStep;
+pub use imrs_wire::recording::{Happened, Happening, ScriptStep, Turn};
 pub use recording::{ReplayError, replay_recording, replay_scripts};
 pub use replay::{Divergence, KeyframeError, Recorded, Replay, ScriptDivergence, Verdict, replay};
-pub use script::{Happened, Happening};
 
 pub(crate) use script::Did;
 

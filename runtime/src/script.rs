@@ -17,16 +17,31 @@ pub use functions::{Call, Functions};
 pub use simulated::{Course, Give, Results, Simulated};
 
 pub(crate) use actions::{Deed, Stage};
-pub(crate) use knows::Knows;
+pub(crate) use knows::{Does, Knows, Outlet};
 pub(crate) use seat::Seat;
 
-use imrs_protocol::script::{Address, End};
-use imrs_protocol::{ReplyTo, Request, Signal, TaskId, Ticks};
+use imrs_protocol::script::{Address, End, Script};
+use imrs_protocol::{CommTask, ReplyTo, Request, Signal, TaskId, Ticks};
 
 /// Is told what scripts do. Called under a lock that messages wait for: it must hand the note on and return.
 pub trait Watch: Send + Sync {
     /// What the script of `task` did at `at`, in microseconds of the monotonic clock.
     fn note(&self, task: TaskId, at: u64, note: &Note);
+
+    /// How `task` stands since `at`, in microseconds of the monotonic clock, now that its script waits: a state between
+    /// two steps of the cell, as checks see it (D101). Called after every step.
+    fn stands(&self, task: TaskId, at: u64, stands: &Stands<'_>) {
+        let _ = (task, at, stands);
+    }
+}
+
+/// How a task stands between two steps.
+#[derive(Clone, Copy, Debug)]
+pub struct Stands<'a> {
+    /// Its script.
+    pub script: &'a Script,
+    /// Its communication task.
+    pub machine: &'a CommTask,
 }
 
 /// What a script does.

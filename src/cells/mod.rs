@@ -3,9 +3,9 @@
 use crate::cell_file;
 use crate::exit::Failure;
 use imrs_language::lower::{Action, Address, Behaviour, Check, CheckKind, Script};
-use imrs_language::{Options, Unit, compile_with, render};
-use imrs_protocol::script::{Program, Type};
-use imrs_protocol::{Cell, CellTable, TaskId};
+use imrs_language::{Options, Span, Unit, compile_with, render};
+use imrs_protocol::script::{Predicate, Program, Term, Type, Variable};
+use imrs_protocol::{Cell, CellTable, PortId, TaskId};
 use imrs_runtime::script::{Give, Results};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -116,6 +116,50 @@ impl Loaded {
         // A real by its bits.
         let bits = i64::from(value.cast_unsigned());
         Some(shown(Some(of), if of == Type::Real { bits } else { i64::from(value) }))
+    }
+
+    /// The line, from 1, at which something begins.
+    pub fn line_of(&self, span: Span) -> usize {
+        self.source.position(span.start).0
+    }
+
+    /// What a check asks, as it is written there; `None` of constants and operators.
+    pub fn term(&self, term: Term) -> Option<String> {
+        let task = |task: TaskId| self.table.cell().tasks.get(task.index()).map(|task| task.name.as_str());
+        let port = |port: PortId| self.table.port(port).map(|port| port.decl.name.as_str());
+        match term {
+            Term::Of { task: of, .. } => Some(format!("{}.{}", task(of)?, self.variable(term)?.name)),
+            Term::Is(Predicate::Active(of)) => Some(format!("{}.active", task(of)?)),
+            Term::Is(Predicate::Asked { task: of, port: at }) => {
+                Some(format!("{}.asked({})", task(of)?, port(at)?))
+            }
+            Term::Is(Predicate::Answered { task: of, port: at }) => {
+                Some(format!("{}.answered({})", task(of)?, port(at)?))
+            }
+            Term::Is(Predicate::Arrived { port: at, task: of }) => {
+                Some(format!("{}.arrived({})", port(at)?, task(of)?))
+            }
+            Term::Push(_)
+            | Term::Load(_)
+            | Term::Int(_)
+            | Term::Real(_)
+            | Term::Negate
+            | Term::NegateReal
+            | Term::Not
+            | Term::ToReal
+            | Term::ToInt => None,
+        }
+    }
+
+    /// A value of that, as a person writes it.
+    pub fn shown(&self, term: Term, value: i64) -> String {
+        let is_truth = matches!(term, Term::Is(_));
+        shown(self.variable(term).map(|variable| variable.of).or(is_truth.then_some(Type::Bool)), value)
+    }
+
+    fn variable(&self, term: Term) -> Option<&Variable> {
+        let Term::Of { task, variable } = term else { return None };
+        self.program(task)?.variables.get(usize::from(variable))
     }
 
     /// How soon the check of this name wants what it leads to.

@@ -16,11 +16,16 @@ pub fn explain(story: &Story<'_>) -> Outcome {
     let grips = begins(story, pick, "grip_at");
     let handed = begins(story, place, "put_away").len();
     let boxed = begins(story, pick, "drop_into_box").len();
+    // What pick holds, or place has not yet put away, when the run ends.
+    let rest = grips.len().saturating_sub(handed + boxed);
+    let on_the_way = match rest {
+        0 => String::new(),
+        1 => "; 1 was still in the robots' hands when the run ended".into(),
+        n => format!("; {n} were still in the robots' hands when the run ended"),
+    };
     let mut words = vec![format!(
-        "pick took {} from the belt: {} went to place, {} into the box.",
+        "pick took {} from the belt: {handed} went to place, {boxed} into the box{on_the_way}.",
         parts(grips.len()),
-        handed,
-        boxed
     )];
     let mut held = None;
     if let Some((node, from, to)) = story.pause() {

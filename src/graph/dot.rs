@@ -1,6 +1,7 @@
-//! A cell for Graphviz: a cluster for each node, an edge from the owner of a port to each of its users.
+//! A cell for Graphviz: a cluster for each node, an edge for what passes between the owner of a port and each of its users,
+//! from who begins to who is told; dashed, the answer.
 
-use super::{label, links};
+use super::{flow, label, links};
 use imrs_language::hir::Hir;
 
 pub(super) fn write(hir: &Hir) -> String {
@@ -20,7 +21,15 @@ pub(super) fn write(hir: &Hir) -> String {
     for port in &hir.ports {
         let text = quoted(&label(port));
         for user in &port.users {
-            out.push_str(&format!("  t{} -> t{} [label={text}];\n", port.owner.index(), user.task.index()));
+            let (owner, user) = (port.owner.index(), user.task.index());
+            let flow = flow(port.usage);
+            let (from, to) = if flow.to_users { (owner, user) } else { (user, owner) };
+            let both = if flow.to_users && flow.to_owner { ", dir=both" } else { "" };
+            out.push_str(&format!("  t{from} -> t{to} [label={text}{both}];\n"));
+            if flow.answer_to_owner.is_some() {
+                let answer = quoted(&format!("{}: answer", port.name));
+                out.push_str(&format!("  t{to} -> t{from} [label={answer}, style=dashed];\n"));
+            }
         }
     }
     out.push_str("}\n");

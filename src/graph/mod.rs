@@ -9,7 +9,7 @@ use crate::exit::{Exit, Failure, turned_down};
 use crate::output::{Output, complain_in_full, span};
 use imrs_language::hir::{Hir, Port};
 use imrs_language::{compile, render};
-use imrs_protocol::Class;
+use imrs_protocol::{Class, Usage};
 
 /// Draws a cell.
 ///
@@ -31,14 +31,37 @@ pub fn run(args: &GraphArgs, out: &mut Output) -> Result<Exit, Failure> {
     Ok(Exit::Well)
 }
 
-/// What is said at the arrow of a port: `beat: query, class 2, 5 ms`.
+/// What is said at the arrow of a port, by what they do with it who begin: `beat: query, class 2, 5 ms`.
 fn label(port: &Port) -> String {
     let class = match port.class {
         Class::Status => 1,
         Class::Command => 2,
     };
     let life = port.time_out.map(|length| format!(", {}", span(length.usec))).unwrap_or_default();
-    format!("{}: {}, class {class}{life}", port.name, port.usage)
+    let begins = if flow(port.usage).to_users { port.usage } else { port.usage.counterpart() };
+    format!("{}: {begins}, class {class}{life}", port.name)
+}
+
+/// What passes between the owner of a port and each of its users.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+struct Flow {
+    /// To the users and to the owner: what begins the exchange.
+    to_users: bool,
+    to_owner: bool,
+    /// Which way the answer goes, where there is one: `true` to the owner.
+    answer_to_owner: Option<bool>,
+}
+
+const fn flow(usage: Usage) -> Flow {
+    let (to_users, to_owner, answer_to_owner) = match usage {
+        Usage::Send | Usage::Reply => (true, false, None),
+        Usage::Receive => (false, true, None),
+        Usage::Query => (true, false, Some(true)),
+        Usage::Response => (false, true, Some(false)),
+        // All tell all that they have arrived.
+        Usage::Waitfor => (true, true, None),
+    };
+    Flow { to_users, to_owner, answer_to_owner }
 }
 
 /// The links, a line each: `na -- nb, 1.0 ms`.

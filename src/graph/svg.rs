@@ -1,7 +1,8 @@
-//! A cell as SVG: the nodes in a row, their tasks side by side in them, and below a row for each port with an arrow from
-//! its owner to its users. Nothing overlaps, and the same cell gives the same picture.
+//! A cell as SVG: the nodes in a row, their tasks side by side in them, and below a row for each port with arrows along
+//! what passes between its owner and its users; a white head is that of the answer. Nothing
+//! overlaps, and the same cell gives the same picture.
 
-use super::{label, links};
+use super::{flow, label, links};
 use imrs_language::hir::{Hir, Port};
 use std::fmt::Write;
 
@@ -92,17 +93,28 @@ fn boxes(hir: &Hir, plan: &Plan, end: usize, out: &mut String) {
 }
 
 fn arrow(port: &Port, plan: &Plan, y: usize, width: usize, out: &mut String) {
-    let from = plan.tasks[port.owner.index()];
-    let (mut least, mut most) = (from, from);
-    for user in &port.users {
-        let to = plan.tasks[user.task.index()];
-        (least, most) = (least.min(to), most.max(to));
-        let tail = if to > from { to.saturating_sub(8) } else { to + 8 };
-        let (top, low) = (y - 4, y + 4);
-        out.push_str(&format!("<path d=\"M{to} {y} L{tail} {top} L{tail} {low} Z\"/>\n"));
-    }
+    let owner = plan.tasks[port.owner.index()];
+    let users: Vec<usize> = port.users.iter().map(|user| plan.tasks[user.task.index()]).collect();
+    let least = users.iter().copied().fold(owner, usize::min);
+    let most = users.iter().copied().fold(owner, usize::max);
     line(out, (least, y), (most, y), "stroke=\"black\"");
-    out.push_str(&format!("<circle cx=\"{from}\" cy=\"{y}\" r=\"3\"/>\n"));
+    let flow = flow(port.usage);
+    // At the owner a head for each side from which something comes.
+    let sides = [users.iter().find(|user| **user < owner), users.iter().find(|user| **user > owner)];
+    for &user in &users {
+        match (flow.to_users, flow.answer_to_owner) {
+            (true, _) => head(out, (user, y), owner, "black"),
+            (false, Some(false)) => head(out, (user, y), owner, "white"),
+            (false, _) => start(out, (user, y)),
+        }
+    }
+    for &user in sides.into_iter().flatten() {
+        match (flow.to_owner, flow.answer_to_owner) {
+            (true, _) => head(out, (owner, y), user, "black"),
+            (false, Some(true)) => head(out, (owner, y), user, "white"),
+            (false, _) => start(out, (owner, y)),
+        }
+    }
     let label = label(port);
     let half = label.chars().count() * CHARACTER / 2 + MARGIN / 2;
     let middle = ((least + most) / 2).min(width.saturating_sub(half)).max(half);
@@ -115,6 +127,21 @@ fn arrow(port: &Port, plan: &Plan, y: usize, width: usize, out: &mut String) {
         y - 20
     );
     text(out, (middle, y - 8), "middle", &label);
+}
+
+/// The head of an arrow that comes from the side of `from`.
+fn head(out: &mut String, (x, y): (usize, usize), from: usize, fill: &str) {
+    let tail = if x > from { x.saturating_sub(8) } else { x + 8 };
+    let (top, low) = (y - 4, y + 4);
+    let _ = writeln!(
+        out,
+        "<path d=\"M{x} {y} L{tail} {top} L{tail} {low} Z\" fill=\"{fill}\" stroke=\"black\"/>"
+    );
+}
+
+/// Where an arrow begins.
+fn start(out: &mut String, (x, y): (usize, usize)) {
+    let _ = writeln!(out, "<circle cx=\"{x}\" cy=\"{y}\" r=\"3\"/>");
 }
 
 fn rectangle(out: &mut String, (x, y): (usize, usize), (width, height): (usize, usize), fill: &str) {

@@ -2,7 +2,7 @@
 
 use super::deed::Did;
 use crate::exit::Failure;
-use crate::output::{FAINT, NOTE, Output, Styled};
+use crate::output::{BAD, FAINT, NOTE, Output, Styled, count};
 use imrs_protocol::{Cell, CellTable};
 use std::collections::BTreeMap;
 
@@ -28,6 +28,7 @@ pub struct Diary {
 enum Entry {
     Did(Did),
     Fault(String),
+    Broken(String),
 }
 
 impl Diary {
@@ -58,6 +59,12 @@ impl Diary {
         self.told += 1;
     }
 
+    /// A check that does not hold, in words.
+    pub fn broken(&mut self, at: u64, words: String) {
+        self.waiting.insert((at, self.told), Entry::Broken(words));
+        self.told += 1;
+    }
+
     /// Whether nothing waits.
     pub fn is_empty(&self) -> bool {
         self.waiting.is_empty()
@@ -75,6 +82,10 @@ impl Diary {
                 Entry::Did(did) => did,
                 Entry::Fault(words) => {
                     out.line(format!("{} {}", Styled(FAINT, self.clock(*at)), Styled(NOTE, words)))?;
+                    continue;
+                }
+                Entry::Broken(words) => {
+                    out.line(format!("{} {}", Styled(FAINT, self.clock(*at)), Styled(BAD, words)))?;
                     continue;
                 }
             };
@@ -114,7 +125,11 @@ impl Diary {
         let width = cell.tasks.iter().map(|task| task.name.len()).max().unwrap_or(0);
         let task = cell.tasks.get(did.task.index()).map_or("", |task| task.name.as_str());
         let line = did.line.map(|line| format!("line {line}")).unwrap_or_default();
-        let before = if left_out > 0 { format!("({left_out} lines left out) ") } else { String::new() };
+        let before = if left_out > 0 {
+            format!("({} left out) ", count(left_out.into(), "line"))
+        } else {
+            String::new()
+        };
         format!(
             "{} {task:<width$} {} {}{}",
             Styled(FAINT, at),

@@ -40,6 +40,11 @@ impl Launcher<'_> {
                 let (_, fault) = self.faults.remove(0);
                 self.carry_out(fault)?;
             }
+            for broken in self.judge.settle() {
+                if self.run.args.format == Format::Text {
+                    self.diary.broken(broken.at, broken.words(self.run.loaded));
+                }
+            }
             let shows = !self.diary.is_empty();
             if shows {
                 progress.suspend(|| self.diary.show(&self.run.loaded.table, now_us(), out))?;
@@ -86,6 +91,7 @@ impl Launcher<'_> {
                 let at = now_us();
                 self.children.kill(node);
                 self.gatherer.killed(node, at);
+                self.judge.killed(node, at);
             }
             Fault::Restart(node) => self.restart(node)?,
             Fault::Cut(a, b) => {
@@ -146,7 +152,9 @@ impl Launcher<'_> {
         setup.record = record.map(|file| record_file(file, &format!("{}-{}", setup.node, life + 1)));
         let setup = setup.clone();
         self.children.restart(node, &setup)?;
-        self.gatherer.revived(node, now_us());
+        let at = now_us();
+        self.gatherer.revived(node, at);
+        self.judge.revived(node, at);
         self.gone.retain(|gone| *gone != node);
         let table = Arc::clone(&self.run.loaded.table);
         self.ended.retain(|task| table.location(*task) != Some(node));
@@ -162,6 +170,8 @@ impl Launcher<'_> {
             Message::Said(_, Word::Event(event)) => self.gatherer.event(&event),
             Message::Said(node, Word::Figures(figures)) => self.gatherer.figures(node, *figures),
             Message::Said(_, Word::Did(did)) => self.did(did)?,
+            Message::Said(_, Word::Stands(change)) => self.judge.change(change),
+            Message::Said(node, Word::Told(until)) => self.judge.told(node, until),
             Message::Said(_, Word::TaskEnded { task, how, sort }) => self.task_ended(task, how, sort),
             // It was started again: all hear where it is, and it hears where all are.
             Message::Said(node, Word::Bound { address: Some(address), .. }) => {
@@ -173,10 +183,13 @@ impl Launcher<'_> {
             Message::Gone(node, life) => {
                 // Not killed by this launcher: somebody else did, or it is at fault. Its last words are missing.
                 if !self.stopping && self.children.lives(node, life) {
-                    self.gatherer.killed(node, now_us());
+                    let at = now_us();
+                    self.gatherer.killed(node, at);
+                    self.judge.killed(node, at);
                 }
                 if self.children.life(node) == life {
                     self.gone.push(node);
+                    self.judge.gone(node);
                 }
             }
             Message::Interrupted => self.interrupted = true,

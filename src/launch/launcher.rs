@@ -13,6 +13,7 @@ use super::story::{Moment, Story, Tale};
 use super::summary::{Gatherer, Summary};
 use crate::args::{Format, LaunchArgs};
 use crate::cells::{Loaded, Source};
+use crate::checks::Judge;
 use crate::exit::{Exit, Failure};
 use crate::output::{Output, complain};
 use imrs_protocol::{Cell, CellTable, NodeId, TaskId};
@@ -126,6 +127,7 @@ pub(super) struct Launcher<'a> {
     pub(super) children: Children,
     pub(super) messages: Receiver<Message>,
     pub(super) gatherer: Gatherer,
+    pub(super) judge: Judge<'a>,
     /// What nodes said before all had started.
     pub(super) early: Vec<Message>,
     /// Nodes whose pipe has ended.
@@ -172,7 +174,9 @@ pub fn run(run: &Run<'_>, out: &mut Output) -> Result<Exit, Failure> {
     let network = args.in_process.then(|| Network::new(Arc::clone(table), in_process::Faults::default()));
     let setups = setups(run, seed)?;
     let children = Children::start(&setups, network, sender)?;
-    let gatherer = Gatherer::new(Arc::clone(table), children.nodes().collect());
+    let here: Vec<NodeId> = children.nodes().collect();
+    let judge = Judge::new(run.loaded, &here);
+    let gatherer = Gatherer::new(Arc::clone(table), here);
     let book = run.only.map(|only| place::neighbours(run.loaded, only)).transpose();
     let mut launcher = Launcher {
         run,
@@ -183,6 +187,7 @@ pub fn run(run: &Run<'_>, out: &mut Output) -> Result<Exit, Failure> {
         children,
         messages,
         gatherer,
+        judge,
         early: Vec::new(),
         gone: Vec::new(),
         book: book.map_err(LaunchError::Place)?.unwrap_or_default(),
@@ -262,7 +267,8 @@ pub(super) struct Trouble {
 /// Broken promises are a finding, and so is a node that somebody else ended. What faults do to a run is not.
 fn verdict(summary: &Summary, trouble: &[Trouble]) -> Exit {
     let false_release = summary.rendezvous.iter().any(|r| r.false_releases.is_some_and(|n| n > 0));
-    let broken = summary.outcome.as_ref().is_some_and(|outcome| outcome.held == Some(false));
+    let broken = summary.outcome.as_ref().is_some_and(|outcome| outcome.held == Some(false))
+        || summary.checks.is_broken();
     if trouble.iter().any(|t| t.at_fault) {
         Exit::Internal
     } else if false_release || broken || !trouble.is_empty() {
@@ -344,9 +350,14 @@ impl Launcher<'_> {
         while heard.len() < self.children.len() {
             let left = deadline.saturating_duration_since(Instant::now());
             match self.messages.recv_timeout(left) {
-                Ok(Message::Said(node, word @ (Word::Event(_) | Word::Did(_) | Word::TaskEnded { .. }))) => {
-                    self.early.push(Message::Said(node, word));
-                }
+                Ok(Message::Said(
+                    node,
+                    word @ (Word::Event(_)
+                    | Word::Did(_)
+                    | Word::TaskEnded { .. }
+                    | Word::Stands(_)
+                    | Word::Told(_)),
+                )) => self.early.push(Message::Said(node, word)),
                 Ok(Message::Said(node, word)) => {
                     if let Some(value) = wanted(word) {
                         heard.insert(node, value);
@@ -370,6 +381,10 @@ impl Launcher<'_> {
 
     pub(super) fn name(&self, node: NodeId) -> String {
         self.children.name(node).to_owned()
+    }
+
+    fn all_nodes(&self) -> Vec<NodeId> {
+        (0..self.cell.nodes.len()).map(NodeId::from_index).collect()
     }
 
     pub(super) fn table(&self) -> &CellTable {
@@ -403,6 +418,7 @@ impl Launcher<'_> {
     fn finish(mut self, seconds: f64, seed: u64) -> (Summary, Vec<Trouble>) {
         let end = now_us();
         self.gatherer.ended(end);
+        self.judge.over(end);
         self.stopping = true;
         // Who stands still hears nothing.
         for node in std::mem::take(&mut self.faults).into_iter().filter_map(|(_, fault)| resumed(fault)) {
@@ -428,6 +444,13 @@ impl Launcher<'_> {
         let exits: Vec<(NodeId, String)> = ends.iter().map(|(node, end)| (*node, end.to_string())).collect();
         let mut summary = self.gatherer.summary(seconds, seed, self.run.args.loss.0, &exits);
         summary.rt = self.run.args.rt;
+        for node in self.run.only.map_or_else(|| self.all_nodes(), |only| vec![only]) {
+            self.judge.gone(node);
+        }
+        self.judge.settle();
+        summary.checks = self.judge.settlement(self.diary.began());
+        let complaints = summary.checks.complaints();
+        self.trouble.extend(complaints.map(|what| Trouble { at_fault: false, what }));
         if let Some(tale) = self.run.tale {
             self.deeds.sort_by_key(|did| did.at);
             let story = Story {

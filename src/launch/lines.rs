@@ -2,6 +2,7 @@
 
 use super::deed::Did;
 use crate::cells::Source;
+use crate::checks::Change;
 use imrs_protocol::{PortCounters, PortId, Round, TaskId};
 use imrs_runtime::script::Course;
 use serde::{Deserialize, Serialize};
@@ -83,6 +84,10 @@ pub enum Word {
         /// What to think of it.
         sort: EndSort,
     },
+    /// What checks ask of a task has changed.
+    Stands(Change),
+    /// Everything that was before this instant has been told, in microseconds of the clock that all processes share.
+    Told(u64),
     /// Everything has been said.
     Done,
 }

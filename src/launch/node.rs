@@ -311,6 +311,7 @@ impl Process {
     }
 
     fn tell(&mut self) -> Result<(), NodeError> {
+        let until = self.narrator.is_asked().then(|| self.node.told_until());
         // Taken before the observations, and told after them: no release is told whose announcement is not.
         let narrated: Vec<Word> = self.narrated.try_iter().collect();
         let mut observed = Vec::new();
@@ -324,7 +325,7 @@ impl Process {
         for word in narrated {
             say(&mut self.out, &word)?;
         }
-        Ok(())
+        until.map_or(Ok(()), |until| Ok(say(&mut self.out, &Word::Told(until))?))
     }
 
     fn count(&mut self) -> Result<(), NodeError> {

@@ -20,12 +20,16 @@ pub fn started(run: &Run<'_>, seed: u64, nodes: &[StartedNode<'_>], out: &mut Ou
         count(nodes.len() as u64, "node"),
         how(run),
     ))?;
+    let tasks = |node: &StartedNode<'_>| match &node.tasks[..] {
+        [] => "nothing: it relays".to_owned(),
+        tasks => format!("runs {}", tasks.join(", ")),
+    };
+    let width = nodes.iter().map(|node| tasks(node).chars().count()).max().unwrap_or(0);
     for node in nodes {
-        let tasks = node.tasks.join(", ");
-        let tasks = if tasks.is_empty() { "nothing: it relays".to_owned() } else { format!("runs {tasks}") };
+        let tasks = tasks(node);
         let address = node.address.map(|address| address.to_string()).unwrap_or_default();
         let watch = node.observe.map(|at| format!("  watched at tcp:{at}")).unwrap_or_default();
-        let line = format!("  {:<4} {tasks:<13} pid {:<8} {address}{watch}", node.name, node.pid);
+        let line = format!("  {:<4} {tasks:<width$} pid {:<8} {address}{watch}", node.name, node.pid);
         out.line(line.trim_end())?;
     }
     if run.args.rt {
@@ -85,11 +89,15 @@ pub fn summary(summary: &Summary, table: &CellTable, run: &Run<'_>, out: &mut Ou
     for rendezvous in &summary.rendezvous {
         meetings(rendezvous, out)?;
     }
-    commands(summary, out)?;
-    ports(summary, out)?;
+    // Of a cell whose tasks tell each other nothing there is nothing to tell.
+    if !summary.ports.is_empty() {
+        commands(summary, out)?;
+        ports(summary, out)?;
+    }
     for node in &summary.nodes {
         out.line(node_line(node, relays(table, &node.name)))?;
     }
+    summary.checks.show(out)?;
     let words = in_words(summary, table, run);
     if !words.is_empty() {
         out.line("")?;
@@ -234,6 +242,18 @@ fn listed(counts: &BTreeMap<String, u64>) -> String {
 /// What happened, in sentences.
 fn in_words(summary: &Summary, table: &CellTable, run: &Run<'_>) -> Vec<String> {
     let (args, mut words) = (run.args, Vec::new());
+    if summary.checks.is_broken() {
+        words.push(match &args.record {
+            Some(_) => "Whether links and nodes were in time, as the cell declares them: `imrs replay` with `--model`.".into(),
+            None => "With --record, `imrs replay` with `--model` says whether links and nodes were in time.".into(),
+        });
+        if !faults(args, summary.seed).is_empty() || run.tale.is_some_and(|tale| tale.moment.is_some()) {
+            words.push(
+                "Faults came in this run: a cell's checks are promised with those that its `faults` declare."
+                    .into(),
+            );
+        }
+    }
     for rendezvous in &summary.rendezvous {
         let r = &rendezvous.rounds;
         match rendezvous.false_releases {

@@ -3,9 +3,10 @@
 use super::deed::{Deed, Did, Unanswered};
 use super::lines::{EndSort, Event, Outcomes, What, Word};
 use crate::cells::Loaded;
+use crate::checks::{Change, Sight};
 use imrs_protocol::script::{Address, End};
 use imrs_protocol::{Outcome, PortId, Request, Signal, TaskId, Usage};
-use imrs_runtime::script::{Note, Watch};
+use imrs_runtime::script::{Note, Stands, Watch};
 use std::collections::BTreeMap;
 use std::sync::mpsc::Sender;
 use std::sync::{Arc, Mutex, PoisonError};
@@ -17,10 +18,10 @@ pub struct Narrator {
     state: Mutex<State>,
 }
 
-#[derive(Default)]
 struct State {
     outcomes: Outcomes,
     tasks: Vec<Progress>,
+    sight: Sight,
 }
 
 /// How far a script is.
@@ -49,13 +50,19 @@ impl Narrator {
     /// Tells about the scripts of this cell.
     pub fn new(loaded: Arc<Loaded>, told: Sender<Word>) -> Self {
         let tasks = vec![Progress::default(); loaded.scripts.len()];
-        let state = Mutex::new(State { outcomes: Outcomes::default(), tasks });
+        let sight = Sight::new(&loaded);
+        let state = Mutex::new(State { outcomes: Outcomes::default(), tasks, sight });
         Self { loaded, told, state }
     }
 
     /// How the class-2 messages of the scripts ended so far.
     pub fn outcomes(&self) -> Outcomes {
         self.state.lock().unwrap_or_else(PoisonError::into_inner).outcomes
+    }
+
+    /// Whether checks of the cell ask what tasks do.
+    pub fn is_asked(&self) -> bool {
+        !self.state.lock().unwrap_or_else(PoisonError::into_inner).sight.is_blind()
     }
 
     fn tell(&self, word: Word) {
@@ -136,7 +143,8 @@ impl Narrator {
 impl Watch for Narrator {
     fn note(&self, task: TaskId, at: u64, note: &Note) {
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
-        let State { outcomes, tasks } = &mut *state;
+        let State { outcomes, tasks, sight } = &mut *state;
+        sight.note(task, note);
         let Some(progress) = tasks.get_mut(task.index()) else { return };
         match note {
             Note::Statement(statement) => progress.statement = Some(*statement),
@@ -179,6 +187,13 @@ impl Watch for Narrator {
             }
             Note::Ended(end) => self.ended(task, at, progress.statement, *end),
             Note::Asked(_) | Note::Unanswered(_) => {}
+        }
+    }
+
+    fn stands(&self, task: TaskId, at: u64, stands: &Stands<'_>) {
+        let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
+        if let Some(values) = state.sight.look(task, stands) {
+            self.tell(Word::Stands(Change { at, task, values }));
         }
     }
 }

@@ -3,6 +3,7 @@
 use super::lines::{Event, Figures, Outcomes, What};
 use super::story::Outcome;
 use super::tally::{Rounds, Tally};
+use crate::checks::Settlement;
 use imrs_protocol::{CellTable, NodeId, PortCounters, PortId, TaskId, Usage};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -33,6 +34,8 @@ pub struct Summary {
     pub tasks: Vec<TaskSummary>,
     /// By node.
     pub nodes: Vec<NodeSummary>,
+    /// What came of the checks of the cell.
+    pub checks: Settlement,
     /// Whether the nodes ran under the real-time scheduler.
     pub rt: bool,
     /// What came of a demo.
@@ -247,6 +250,7 @@ impl Gatherer {
             after_kill: self.after_kill.clone(),
             tasks: self.ended.clone(),
             nodes: exits.iter().map(node).collect(),
+            checks: Settlement::default(),
             rt: false,
             outcome: None,
         }

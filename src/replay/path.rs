@@ -5,21 +5,23 @@ use super::{Opened, ReplayError, open};
 use crate::args::{Format, ReplayArgs};
 use crate::cell_file;
 use crate::cells::{self, Loaded};
+use crate::checks::{Change, Judge, Looker, Settlement};
 use crate::exit::{Exit, Failure};
 use crate::output::Output;
 use crate::verify::{conduct, faults};
 use imrs_language::{Compiled, Unit, compile};
 use imrs_model::cell::{
-    Budget, CellPlan, Conduct, Happened, Happening, Run, Steps, Turn, follow_run, steps_in_model,
+    Budget, CellPlan, Conduct, Happened, Happening, Run, Steps, follow_run, steps_in_model,
 };
 use imrs_protocol::{CellTable, NodeId, Packet, TaskId, Ticks};
-use imrs_runtime::record::{self, Verdict, replay_scripts};
+use imrs_runtime::record::{Verdict, replay_scripts};
+use imrs_runtime::script::Watch;
 use imrs_wire::recording::Ending;
 use std::path::Path;
 use std::sync::Arc;
 
 /// How many seconds the steps of a run are looked for where `imrs verify` looks.
-const WALKS: f64 = 5.0;
+pub const WALKS: f64 = 5.0;
 
 /// What was recorded of a run.
 struct Recorded {
@@ -28,6 +30,8 @@ struct Recorded {
     whole: Vec<bool>,
     /// When the first task began.
     start: u64,
+    /// What checks ask of the tasks, by their nodes.
+    changes: Vec<Change>,
 }
 
 /// Follows a run.
@@ -44,6 +48,7 @@ pub fn run(args: &ReplayArgs, out: &mut Output) -> Result<Exit, Failure> {
         Ok(recorded) => recorded,
         Err(Differs { task, how }) => return tell(&Told::of_task(&loaded, task, how), path, args, out),
     };
+    let checks = judge(&loaded, &recorded);
     let slow = slow_links(&recorded.tasks, &loaded.table);
     end_where_nodes_stop(&mut recorded.tasks);
     let tick = loaded.table.cell().tick.0;
@@ -54,7 +59,7 @@ pub fn run(args: &ReplayArgs, out: &mut Output) -> Result<Exit, Failure> {
         Some(_) => Steps::default(),
         None => steps_in_model(&Arc::new(searched), &run),
     };
-    let told = Told::new(&loaded, &followed, &steps, (slow, recorded.start));
+    let told = Told::new(&loaded, &followed, &steps, (slow, recorded.start), checks);
     tell(&told, path, args, out)
 }
 
@@ -105,10 +110,16 @@ fn read(args: &ReplayArgs, loaded: &Loaded) -> Result<Result<Recorded, Differs>,
     let cell = loaded.table.cell();
     let mut tasks = vec![None; cell.tasks.len()];
     let mut whole = vec![true; cell.nodes.len()];
+    let given = args.cell.as_deref().map(cell_file::shown);
+    let looker = Arc::new(Looker::new(loaded));
+    let watch: Arc<dyn Watch> = Arc::clone(&looker) as Arc<dyn Watch>;
+    let mut changes = Vec::new();
     for path in &args.files {
-        let Opened { mut reader, table, .. } = open(path, std::slice::from_ref(loaded))?;
+        let Opened { mut reader, table, .. } = open(path, std::slice::from_ref(loaded), given.as_deref())?;
         let damaged = |source| ReplayError::Read { path: path.clone(), source };
-        let replays = replay_scripts(&mut reader, &table, |task| loaded.program(task)).map_err(damaged)?;
+        let replays = replay_scripts(&mut reader, &table, |task| loaded.program(task), Some(&watch));
+        let replays = replays.map_err(damaged)?;
+        let seen = looker.changes();
         whole[table.node.index()] = reader.ending() == Ending::Ended;
         for replay in replays {
             let task = replay.task();
@@ -124,11 +135,14 @@ fn read(args: &ReplayArgs, loaded: &Loaded) -> Result<Result<Recorded, Differs>,
                     return Ok(Err(Differs { task, how: divergence.to_string() }));
                 }
                 Verdict::ScriptDiffers(divergence) => {
-                    return Ok(Err(Differs { task, how: divergence.to_string() }));
+                    let how = format!("{divergence}, or its statements were changed since the run");
+                    return Ok(Err(Differs { task, how }));
                 }
             }
-            let happened = replay.happened().unwrap_or_default();
-            tasks[task.index()] = Some(happened.into_iter().map(happening).collect::<Vec<_>>());
+            let of_task = seen.iter().filter(|change| change.task == task).cloned();
+            let base = replay.base().unwrap_or_default();
+            changes.extend(of_task.map(|change| Change { at: base.saturating_add(change.at), ..change }));
+            tasks[task.index()] = Some(replay.happened().unwrap_or_default());
         }
     }
     if let Some(missing) = tasks.iter().position(Option::is_none) {
@@ -139,24 +153,30 @@ fn read(args: &ReplayArgs, loaded: &Loaded) -> Result<Result<Recorded, Differs>,
     }
     let tasks: Vec<Vec<Happening>> = tasks.into_iter().flatten().collect();
     let start = tasks.iter().flatten().map(|happening| happening.at).min().unwrap_or(0);
-    Ok(Ok(Recorded { tasks, whole, start }))
+    Ok(Ok(Recorded { tasks, whole, start, changes }))
 }
 
-fn happening(happening: record::Happening) -> Happening {
-    use record::Happened as Was;
-    let what = match happening.what {
-        Was::Started => Happened::Started,
-        Was::Begun => Happened::Begun,
-        Was::Came(packet) => Happened::Came(packet),
-        // Lives of nodes are not followed: no launcher starts a node again.
-        Was::Time | Was::PeerRestarted(_) => Happened::Time,
-        Was::Acted(level, ok, value) => Happened::Acted(level, ok, value),
-        Was::Chosen(choice) => Happened::Chosen(choice),
-        Was::Sent(packet) => Happened::Sent(packet),
-        Was::Turn(at, input, passed, end) => Happened::Turn(Turn { at, input, passed, end }),
-        Was::Stopped => Happened::Stopped,
-    };
-    Happening { at: happening.at, task: happening.task, what }
+/// What came of the checks, as the run itself judged them: up to where its nodes stopped.
+fn judge(loaded: &Loaded, recorded: &Recorded) -> Settlement {
+    let nodes: Vec<NodeId> = (0..recorded.whole.len()).map(NodeId::from_index).collect();
+    let (mut judge, mut over) = (Judge::new(loaded, &nodes), recorded.start);
+    recorded.changes.iter().for_each(|change| judge.change(change.clone()));
+    for node in nodes {
+        // From when it stopped nothing is known of a node; of one that was killed, from its last record.
+        let tasks = loaded.table.tasks_on(node).map(|task| &recorded.tasks[task.index()]);
+        let all: Vec<&Happening> = tasks.flatten().collect();
+        let stop = all.iter().find(|happening| happening.what == Happened::Stopped);
+        let last = stop.or_else(|| all.iter().max_by_key(|happening| happening.at));
+        if let Some(last) = last.map(|happening| happening.at) {
+            judge.told(node, last);
+            over = over.max(last);
+        }
+        judge.gone(node);
+    }
+    judge.over(over);
+    judge.all_told();
+    judge.settle();
+    judge.settlement(recorded.start)
 }
 
 /// Without what relays and time change.

@@ -1,7 +1,8 @@
 //! What following a run came to, for people and for programs.
 
-use super::path::Slow;
+use super::path::{Slow, WALKS};
 use crate::cells::Loaded;
+use crate::checks::Settlement;
 use crate::exit::{Exit, Failure};
 use crate::output::{BAD, GOOD, NOTE, Output, Styled, count};
 use imrs_model::cell::{Followed, Steps, Unexplained};
@@ -80,6 +81,8 @@ pub struct Told {
     kinds: usize,
     kinds_not_met: Vec<String>,
     breaches: Vec<Breach>,
+    /// Those of the cell, judged by this run.
+    checks: Settlement,
     unexplained: Option<Where>,
 }
 
@@ -103,7 +106,13 @@ pub struct Where {
 
 impl Told {
     /// Of a run that was followed: with the links that took too long, and when the run started.
-    pub fn new(loaded: &Loaded, followed: &Followed, steps: &Steps, (slow, start): (Vec<Slow>, u64)) -> Self {
+    pub fn new(
+        loaded: &Loaded,
+        followed: &Followed,
+        steps: &Steps,
+        (slow, start): (Vec<Slow>, u64),
+        checks: Settlement,
+    ) -> Self {
         let cell = loaded.table.cell();
         let seconds = |at| since(start, at);
         let node = |node: usize| cell.nodes[node].name.clone();
@@ -146,6 +155,7 @@ impl Told {
             kinds: steps.kinds,
             kinds_not_met,
             breaches,
+            checks,
             unexplained,
         }
     }
@@ -164,9 +174,11 @@ impl Told {
         Self { version: 1, cell: cell.name.clone(), complete: true, unexplained: Some(at), ..Self::default() }
     }
 
-    /// What the exit code depends on: whether something is unexplained, and whether all was looked at.
+    /// What the exit code depends on: whether a check did not hold, whether something is unexplained, and whether all was
+    /// looked at.
     pub fn verdict(&self) -> Exit {
         match (&self.unexplained, self.complete) {
+            _ if self.checks.is_broken() => Exit::Finding,
             (Some(_), _) => Exit::Finding,
             (None, false) => Exit::Budget,
             (None, true) => Exit::Well,
@@ -215,30 +227,39 @@ impl Told {
                 out.line(format!("  {far}"))
             }
             (None, None) => {
-                let late = count(self.late_at_most, "tick");
-                let widened = format!(
-                    "  beside what `imrs verify` explores: links faster than their bound, actions that end between \
-                     their least and most time, nodes that act up to {late} late"
-                );
                 out.line(Styled(GOOD, format!("{file}: this run is a path of the model ({far})")))?;
-                out.line(widened)?;
-                if self.other_values > 0 {
-                    let results = count(self.other_values, "result");
-                    out.line(format!("  {results} of actions that `imrs verify` does not try"))?;
-                }
-                if self.guessed > 0 {
-                    let moves = count(self.guessed, "move");
-                    out.line(format!("  {moves} of killed nodes after the end of their recordings"))?;
-                }
-                let kinds = count(self.kinds as u64, "kind");
-                out.line(match &self.kinds_not_met[..] {
-                    [] => format!("  {kinds} of step of its scripts: `imrs verify` looks at all of them"),
-                    lines => format!(
-                        "  {kinds} of step of its scripts: not met where `imrs verify` looks: {}",
-                        lines.join(", ")
-                    ),
-                })
+                self.compare(out)
             }
+        }?;
+        self.checks.show(out)
+    }
+
+    /// What of the run `imrs verify` explores, too, and what not.
+    fn compare(&self, out: &mut Output) -> Result<(), Failure> {
+        let late = count(self.late_at_most, "tick");
+        let late = (self.late_at_most > 0).then(|| format!(", nodes that act up to {late} late"));
+        out.line(format!(
+            "  beside what `imrs verify` explores: links faster than their bound, actions that end between their least and \
+             most time{}",
+            late.unwrap_or_default()
+        ))?;
+        if self.other_values > 0 {
+            let results = count(self.other_values, "result");
+            out.line(format!("  and {results} of actions that `imrs verify` does not try"))?;
+        }
+        if self.guessed > 0 {
+            let moves = count(self.guessed, "move");
+            out.line(format!("  {moves} of killed nodes after the end of their recordings"))?;
+        }
+        let kinds = count(self.kinds as u64, "kind");
+        let other = if self.other_values > 0 { ", with results that it tries" } else { "" };
+        let what = "of step of its scripts (where it waited, what came, where it went on)";
+        match &self.kinds_not_met[..] {
+            [] => out.line(format!("  {kinds} {what}: `imrs verify` takes steps of all of them{other}")),
+            lines => out.line(format!(
+                "  {kinds} {what}: {WALKS} s of random walks where `imrs verify` looks did not meet one at {}; the search may",
+                lines.join(", ")
+            )),
         }
     }
 }

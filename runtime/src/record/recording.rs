@@ -2,6 +2,7 @@
 
 use super::replay::{KeyframeError, Recorded, Replay};
 use super::{OutputDigest, Step};
+use crate::script::Watch;
 use imrs_protocol::script::Program;
 use imrs_protocol::{NodeId, NodeTable, TaskId};
 use imrs_wire::recording::{ReadError, Record, RecordingReader, Stream};
@@ -42,10 +43,11 @@ pub fn replay_recording<'t, R: Read>(
     reader: &mut RecordingReader<R>,
     table: &'t NodeTable,
 ) -> Result<Vec<Replay<'t>>, ReplayError> {
-    replay_scripts(reader, table, |_| None)
+    replay_scripts(reader, table, |_| None, None)
 }
 
-/// The same, with the scripts of those tasks that `script` knows; what happened is kept.
+/// The same, with the scripts of those tasks that `script` knows; what happened is kept, and `watch` is told as
+/// [`Replay::watched`] says.
 ///
 /// # Errors
 /// [`ReplayError`].
@@ -53,6 +55,7 @@ pub fn replay_scripts<'t, 'p, R: Read>(
     reader: &mut RecordingReader<R>,
     table: &'t NodeTable,
     script: impl Fn(TaskId) -> Option<&'p Arc<Program>>,
+    watch: Option<&Arc<dyn Watch>>,
 ) -> Result<Vec<Replay<'t>>, ReplayError> {
     let header = reader.header();
     if header.digest != table.digest() {
@@ -65,7 +68,12 @@ pub fn replay_scripts<'t, 'p, R: Read>(
     let tasks = table.tasks_on(table.node);
     let replay = |task| {
         let replay = Replay::new(table, task, life.0, life.1);
-        script(task).map_or(replay.clone(), |program| replay.with_script(program).keeping())
+        let Some(program) = script(task) else { return replay };
+        let replay = replay.with_script(program).keeping();
+        match watch {
+            Some(watch) => replay.watched(watch),
+            None => replay,
+        }
     };
     let mut replays: Vec<Replay<'t>> = tasks.map(replay).collect();
     while let Some(record) = reader.next_record()? {

@@ -3,12 +3,14 @@
 //! What was lost cannot be judged: a replay goes on from the next keyframe, and its verdict is [`Verdict::Unknown`], never
 //! [`Verdict::Same`].
 
-use super::script::{Again, Happened, Happening};
+use super::script::{Again, Watched};
 use super::{Digesting, OutputDigest, Step, run};
-use crate::script::Knows;
+use crate::script::{Knows, Watch};
 use imrs_protocol::script::Program;
-use imrs_protocol::{CommTask, Incarnation, Input, NodeTable, Outbox, Packet, Signal, TaskId, Ticks, TimeId};
-use imrs_wire::recording::ScriptStep;
+use imrs_protocol::{
+    CommTask, Incarnation, Input, NodeTable, Outbox, Packet, Request, Signal, TaskId, Ticks, TimeId,
+};
+use imrs_wire::recording::{Happened, Happening, ScriptStep};
 use std::sync::Arc;
 
 /// A recorded step and the digest after it.
@@ -128,6 +130,23 @@ impl<'t> Replay<'t> {
         Self { script: Some(Again::new(program)), ..self }
     }
 
+    /// Tells what the script asks and is answered, and how its task stands; times are microseconds since the first step,
+    /// which [`base`](Self::base) says when it was.
+    #[must_use]
+    pub fn watched(mut self, watch: &Arc<dyn Watch>) -> Self {
+        let watched = Watched { task: self.task, watch: Arc::clone(watch) };
+        if let Some(script) = &mut self.script {
+            script.watched = Some(watched);
+        }
+        self
+    }
+
+    /// When the first step was, in microseconds of the node's monotonic clock; `None` where no script has begun.
+    #[must_use]
+    pub const fn base(&self) -> Option<u64> {
+        self.base
+    }
+
     /// Keeps what happens.
     #[must_use]
     pub fn keeping(self) -> Self {
@@ -142,8 +161,16 @@ impl<'t> Replay<'t> {
             return;
         }
         self.passed = self.passed.saturating_add(entry.step.elapsed.0);
-        if self.script.as_mut().is_some_and(|script| !script.expects(&entry.step.input)) {
+        let at = self.passed;
+        if self.script.as_mut().is_some_and(|script| !script.expects(at, &entry.step.input)) {
             self.lose_script();
+        }
+        // With the last thing that it asks it stops: now, and not when it last did something.
+        if let Input::Request(Request::Cancel) = entry.step.input
+            && let Some((at, Happened::Stopped)) =
+                self.happened.as_mut().and_then(|happened| happened.last_mut())
+        {
+            *at = self.passed;
         }
         let Some(machine) = &mut self.machine else { return };
         let mut heard =
@@ -192,11 +219,12 @@ impl<'t> Replay<'t> {
 
     fn let_script_go_on(&mut self) {
         let (Some(script), Some(machine)) = (&mut self.script, &self.machine) else { return };
-        while let Some(what) = script.go_on(Knows { machine, table: self.table }) {
+        while let Some(what) = script.go_on(self.passed, Knows { machine, table: self.table }) {
             if let Some(happened) = &mut self.happened {
                 happened.push((self.passed, what));
             }
         }
+        script.show(self.passed, machine);
     }
 
     /// What happened, in order, where that was kept. `None` where it is not known when, or not all of it.

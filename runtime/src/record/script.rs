@@ -1,14 +1,13 @@
 //! Scripts in a recording: run again beside their communication tasks, and compared.
 
 use super::OutputDigest;
-use crate::script::Knows;
-use imrs_protocol::script::{
-    Action, Address, End, HOST_LIMIT, Program, Script, ScriptFault, ScriptInput, ScriptOutbox,
-};
-use imrs_protocol::{Contents, Input, NodeId, Packet, PortId, ReplyTo, Request, Signal, TaskId, Ticks};
-use imrs_wire::recording::ScriptStep;
+use crate::script::{Does, Knows, Note, Outlet, Stands, Watch};
+use imrs_protocol::script::{Action, Address, End, HOST_LIMIT, Program, Script, ScriptFault, ScriptInput};
+use imrs_protocol::{CommTask, Input, ReplyTo, Request, Signal, TaskId, Ticks};
+use imrs_wire::recording::{Happened, ScriptStep, Turn};
 use serde::Serialize;
 use std::collections::VecDeque;
+use std::fmt;
 use std::sync::Arc;
 
 /// What one thing that a script does is called in the digest. What it asks is compared as the input that it becomes.
@@ -29,40 +28,17 @@ impl<'a> Did<'a> {
     }
 }
 
-/// Something that happened at a task of a recorded node.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Happening {
-    /// When: microseconds of the node's monotonic clock.
-    pub at: u64,
-    /// Where.
+/// Who is told what a script that is run again does.
+#[derive(Clone)]
+pub(super) struct Watched {
     pub task: TaskId,
-    /// What.
-    pub what: Happened,
+    pub watch: Arc<dyn Watch>,
 }
 
-/// What happened.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Happened {
-    /// Its communication task started.
-    Started,
-    /// Its script began.
-    Begun,
-    /// A packet came, with what was left of its life.
-    Came(Packet),
-    /// It noticed that time has passed.
-    Time,
-    /// A node that it knows has a new life.
-    PeerRestarted(NodeId),
-    /// The action of a thread ended: whether well, and its result.
-    Acted(u8, bool, i32),
-    /// A choice was made for it.
-    Chosen(u16),
-    /// Its communication task sent a packet.
-    Sent(Packet),
-    /// Its script took something: where it waited, what came, the statements that it began, whether it ended.
-    Turn(Address, ScriptInput, Vec<Address>, Option<End>),
-    /// Its node stopped.
-    Stopped,
+impl fmt::Debug for Watched {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Watched").field("task", &self.task).finish_non_exhaustive()
+    }
 }
 
 /// A script that is run again.
@@ -79,6 +55,7 @@ pub(super) struct Again {
     pub stopped: bool,
     ended: Vec<End>,
     passed: Vec<Address>,
+    pub watched: Option<Watched>,
 }
 
 impl Again {
@@ -93,13 +70,33 @@ impl Again {
             stopped: false,
             ended: Vec::new(),
             passed: Vec::new(),
+            watched: None,
+        }
+    }
+
+    fn note(&self, at: u64, note: &Note) {
+        if let Some(Watched { task, watch }) = &self.watched {
+            watch.note(*task, at, note);
+        }
+    }
+
+    /// Shows how the task stands, unless its script is in the midst of a step or its node stops.
+    pub fn show(&self, at: u64, machine: &CommTask) {
+        if let Some(Watched { task, watch }) = &self.watched
+            && self.requests.is_empty()
+            && !self.stopped
+        {
+            watch.stands(*task, at, &Stands { script: &self.script, machine });
         }
     }
 
     /// Whether this input of the communication task may come now: while the script asks, only what it asks may.
-    pub fn expects(&mut self, input: &Input) -> bool {
+    pub fn expects(&mut self, at: u64, input: &Input) -> bool {
         match (input, self.requests.pop_front()) {
-            (Input::Request(asked), Some(request)) => *asked == request,
+            (Input::Request(asked), Some(request)) => {
+                self.note(at, &Note::Asked(request));
+                *asked == request
+            }
             (Input::Request(asked), None) => self.stopped && *asked == Request::Cancel,
             (_, None) => {
                 self.steps = 0;
@@ -139,24 +136,26 @@ impl Again {
     }
 
     /// The next thing that it makes of what its communication task said; none while it asks.
-    pub fn go_on(&mut self, knows: Knows<'_>) -> Option<Happened> {
+    pub fn go_on(&mut self, at: u64, knows: Knows<'_>) -> Option<Happened> {
         if !self.requests.is_empty() {
             return None;
         }
         let signal = self.signals.pop_front()?;
+        self.note(at, &Note::Answered(signal));
         Some(self.run(knows, ScriptInput::Signal(signal)))
     }
 
     fn run(&mut self, knows: Knows<'_>, input: ScriptInput) -> Happened {
         let at = self.script.position();
         self.steps += 1;
-        let mut out = Out {
+        let does = Out {
             knows,
             done: &mut self.done,
             requests: &mut self.requests,
             ended: &mut self.ended,
             passed: &mut self.passed,
         };
+        let mut out = Outlet { knows, does };
         if self.steps > HOST_LIMIT {
             self.script.stop(&self.program, ScriptFault::Runaway, &mut out);
         } else {
@@ -164,7 +163,7 @@ impl Again {
         }
         let end = self.ended.last().copied();
         self.ended.clear();
-        Happened::Turn(at, input, std::mem::take(&mut self.passed), end)
+        Happened::Turn(Turn { at, input, passed: std::mem::take(&mut self.passed), end })
     }
 }
 
@@ -176,7 +175,7 @@ struct Out<'a> {
     passed: &'a mut Vec<Address>,
 }
 
-impl ScriptOutbox for Out<'_> {
+impl Does for Out<'_> {
     fn request(&mut self, request: Request) {
         self.requests.push_back(request);
     }
@@ -209,25 +208,5 @@ impl ScriptOutbox for Out<'_> {
 
     fn unanswered(&mut self, message: ReplyTo) {
         self.done.add(&Did::Unanswered(message));
-    }
-
-    fn fragment(&mut self, index: u8) -> Option<Contents> {
-        self.knows.fragment(index)
-    }
-
-    fn published(&mut self) -> Option<Contents> {
-        self.knows.published()
-    }
-
-    fn arrival(&mut self, port: PortId, task: TaskId) -> Option<[u8; 8]> {
-        self.knows.arrival(port, task)
-    }
-
-    fn owed(&mut self, port: PortId, task: TaskId) -> Option<ReplyTo> {
-        self.knows.owed(port, task)
-    }
-
-    fn answer(&mut self, port: PortId, task: Option<TaskId>, index: u8) -> Option<Contents> {
-        self.knows.answer(port, task, index)
     }
 }

@@ -1,6 +1,7 @@
 //! What a script learns of its communication task, besides the signals.
 
-use imrs_protocol::{CommTask, Contents, NodeTable, PortId, ReplyTo, TaskId};
+use imrs_protocol::script::{Action, Address, End, ScriptOutbox};
+use imrs_protocol::{CommTask, Contents, NodeTable, PortId, ReplyTo, Request, TaskId};
 
 /// A communication task, for its script to ask.
 #[derive(Clone, Copy)]
@@ -37,5 +38,73 @@ impl Knows<'_> {
         }
         let mut peers = self.table.port(port)?.peers(self.machine.task());
         peers.find_map(|peer| self.machine.answer_fragment(port, peer, index).copied())
+    }
+}
+
+/// What becomes of what a script does, as [`ScriptOutbox`] has it; what it asks of its communication task is answered
+/// by [`Outlet`].
+pub(crate) trait Does {
+    fn request(&mut self, request: Request);
+    fn run(&mut self, action: Action<'_>);
+    fn cut_short(&mut self, level: u8);
+    fn choose(&mut self, alternatives: u16) -> Option<u16>;
+    fn ended(&mut self, end: End);
+    fn statement(&mut self, at: Address);
+    fn unanswered(&mut self, message: ReplyTo);
+}
+
+/// Where the output of a script goes.
+pub(crate) struct Outlet<'a, D> {
+    pub knows: Knows<'a>,
+    pub does: D,
+}
+
+impl<D: Does> ScriptOutbox for Outlet<'_, D> {
+    fn request(&mut self, request: Request) {
+        self.does.request(request);
+    }
+
+    fn run(&mut self, action: Action<'_>) {
+        self.does.run(action);
+    }
+
+    fn cut_short(&mut self, level: u8) {
+        self.does.cut_short(level);
+    }
+
+    fn choose(&mut self, alternatives: u16) -> Option<u16> {
+        self.does.choose(alternatives)
+    }
+
+    fn ended(&mut self, end: End) {
+        self.does.ended(end);
+    }
+
+    fn statement(&mut self, at: Address) {
+        self.does.statement(at);
+    }
+
+    fn unanswered(&mut self, message: ReplyTo) {
+        self.does.unanswered(message);
+    }
+
+    fn fragment(&mut self, index: u8) -> Option<Contents> {
+        self.knows.fragment(index)
+    }
+
+    fn published(&mut self) -> Option<Contents> {
+        self.knows.published()
+    }
+
+    fn arrival(&mut self, port: PortId, task: TaskId) -> Option<[u8; 8]> {
+        self.knows.arrival(port, task)
+    }
+
+    fn owed(&mut self, port: PortId, task: TaskId) -> Option<ReplyTo> {
+        self.knows.owed(port, task)
+    }
+
+    fn answer(&mut self, port: PortId, task: Option<TaskId>, index: u8) -> Option<Contents> {
+        self.knows.answer(port, task, index)
     }
 }

@@ -1,16 +1,17 @@
 //! A script behind the lock of its communication task.
 
 use super::actions::{Begun, Deed};
-use super::{Knows, Note, Watch};
+use super::knows::{Does, Outlet};
+use super::{Knows, Note, Stands, Watch};
 use crate::clock;
 use crate::comm::Comm;
 use crate::effects::{Effects, Stamped};
 use crate::failstop::FailStop;
 use crate::record::{Did, OutputDigest, Recorder, ScriptStep, Step};
 use imrs_protocol::script::{
-    Action, Address, End, HOST_LIMIT, MAX_THREADS, Program, Script, ScriptFault, ScriptInput, ScriptOutbox,
+    Action, Address, End, HOST_LIMIT, MAX_THREADS, Program, Script, ScriptFault, ScriptInput,
 };
-use imrs_protocol::{Contents, Input, PortId, ReplyTo, Request, Signal, TaskId, Ticks};
+use imrs_protocol::{Input, ReplyTo, Request, Signal, TaskId, Ticks};
 use std::collections::VecDeque;
 use std::sync::Arc;
 
@@ -77,6 +78,7 @@ impl Seat {
         let at = self.let_time_pass(comm, effects);
         self.side.record(comm, ScriptStep::Begin { at });
         self.go_on(comm, ScriptInput::Begin, effects);
+        self.show(comm);
     }
 
     /// Input comes to the communication task.
@@ -91,6 +93,7 @@ impl Seat {
         }
         self.step(comm, Step { elapsed: Ticks::ZERO, input }, effects);
         self.hear(comm, effects);
+        self.show(comm);
     }
 
     /// An action of this number has ended, unless it was cut short before.
@@ -106,6 +109,7 @@ impl Seat {
         self.side.record(comm, ScriptStep::Acted { level, ok, value });
         self.side.note(comm, || Note::Acted { level, ok, value });
         self.go_on(comm, ScriptInput::Acted { level, ok, value }, effects);
+        self.show(comm);
     }
 
     /// The node stops: the script acts no more, and takes back what it asked.
@@ -129,8 +133,17 @@ impl Seat {
         if !elapsed.is_zero() {
             self.step(comm, Step { elapsed, input: Input::Advance(Ticks::ZERO) }, effects);
             self.hear(comm, effects);
+            self.show(comm);
         }
         comm.now()
+    }
+
+    /// The script waits: this is a state of the cell, as checks see it.
+    fn show(&self, comm: &Comm) {
+        if let Some(watch) = &self.side.watch {
+            let stands = Stands { script: &self.script, machine: comm.machine() };
+            watch.stands(comm.machine().task(), comm.now(), &stands);
+        }
     }
 
     fn step(&mut self, comm: &mut Comm, step: Step, effects: &mut Effects) {
@@ -163,14 +176,16 @@ impl Seat {
             steps += 1;
             effects.steps = effects.steps.saturating_add(1);
             let runs_away = steps > HOST_LIMIT || effects.steps > self.together;
-            let mut out = Out {
-                knows: Knows { machine: comm.machine(), table: comm.table() },
+            let knows = Knows { machine: comm.machine(), table: comm.table() };
+            let does = Out {
+                knows,
                 recorder: comm.recorder(),
                 now: comm.now(),
                 requests: &mut self.requests,
                 side: &mut self.side,
                 effects,
             };
+            let mut out = Outlet { knows, does };
             if runs_away {
                 self.script.stop(&self.program, ScriptFault::Runaway, &mut out);
                 effects.steps = 0;
@@ -233,7 +248,7 @@ impl Out<'_> {
     }
 }
 
-impl ScriptOutbox for Out<'_> {
+impl Does for Out<'_> {
     fn request(&mut self, request: Request) {
         self.requests.push_back(request);
     }
@@ -295,25 +310,5 @@ impl ScriptOutbox for Out<'_> {
     fn unanswered(&mut self, message: ReplyTo) {
         self.did(&Did::Unanswered(message));
         self.note(|| Note::Unanswered(message));
-    }
-
-    fn fragment(&mut self, index: u8) -> Option<Contents> {
-        self.knows.fragment(index)
-    }
-
-    fn published(&mut self) -> Option<Contents> {
-        self.knows.published()
-    }
-
-    fn arrival(&mut self, port: PortId, task: TaskId) -> Option<[u8; 8]> {
-        self.knows.arrival(port, task)
-    }
-
-    fn owed(&mut self, port: PortId, task: TaskId) -> Option<ReplyTo> {
-        self.knows.owed(port, task)
-    }
-
-    fn answer(&mut self, port: PortId, task: Option<TaskId>, index: u8) -> Option<Contents> {
-        self.knows.answer(port, task, index)
     }
 }

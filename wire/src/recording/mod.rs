@@ -19,11 +19,13 @@
 //! finds the queue full becomes a gap, and after a disk error everything does.
 
 mod background;
+mod happened;
 mod reader;
 mod shown;
 mod writer;
 
 pub use background::{FrameStream, Recording, Status, TaskStream};
+pub use happened::{Happened, Happening, Turn};
 pub use reader::{Cause, Ending, ReadError, RecordingReader};
 pub use shown::{Doing, Place, Shown, ShownError, Step, Story};
 pub use writer::{RecordingWriter, WriteError};

@@ -61,10 +61,12 @@ pub(super) enum Rounding {
     Charged,
     /// Time that passed unnoticed is counted at once where timers end, and else tick by tick.
     Otherwise,
+    /// The timer or delay that the run shows ends before the time_outs of its tick.
+    First,
 }
 
 impl Rounding {
-    pub const ALL: [Self; 4] = [Self::Up, Self::Down, Self::Otherwise, Self::Charged];
+    pub const ALL: [Self; 5] = [Self::First, Self::Up, Self::Down, Self::Otherwise, Self::Charged];
 }
 
 /// For groups of tasks, by their numbers.
@@ -84,6 +86,8 @@ pub(super) struct Follower {
     acts: Vec<u64>,
     /// By task and thread, by how many ticks the action there takes longer than its most.
     over: BTreeMap<(usize, u8), u64>,
+    /// By how many ticks the ends of timers were put off, that the run has not shown yet.
+    put_off: BTreeMap<time::Timer, u64>,
     /// For each task, what it took, and how much of it was followed.
     groups: Arc<Vec<Vec<Group>>>,
     next: Vec<usize>,
@@ -141,7 +145,9 @@ fn groups(course: &Course, run: &Run, task: usize) -> Vec<Group> {
             }
         }
     }
-    groups.retain(|group| group.cause != Happened::Time || !group.sent.is_empty() || !group.turns.is_empty());
+    // Lives of nodes are not followed: that one began is time that passes.
+    let idle = |group: &Group| matches!(group.cause, Happened::Time | Happened::PeerRestarted(_));
+    groups.retain(|group| !idle(group) || !group.sent.is_empty() || !group.turns.is_empty());
     groups
 }
 
@@ -162,6 +168,7 @@ impl Follower {
             clocks: vec![0; nodes],
             acts: vec![0; nodes],
             over: BTreeMap::new(),
+            put_off: BTreeMap::new(),
             pending: vec![VecDeque::new(); tasks],
             sends: vec![Vec::new(); tasks],
             groups: Arc::new(groups),
@@ -243,7 +250,9 @@ impl Follower {
                 self.course.floor.leave(task, ScriptInput::Begin);
                 self.made(node)?;
             }
-            Happened::Time => self.let_time_show(task, node, (now, counted), group)?,
+            Happened::Time | Happened::PeerRestarted(_) => {
+                self.let_time_show(task, node, (now, counted), group)?;
+            }
             Happened::Came(packet) => self.packet(task, node, (now, counted), packet)?,
             Happened::Acted(level, ok, value) => {
                 self.quiet(task, "its action ends")?;
@@ -285,7 +294,7 @@ impl Follower {
         match self.roundings.get(&(task, self.next[task])) {
             Some(Rounding::Up) => 1,
             Some(Rounding::Down) => -1,
-            Some(Rounding::Charged | Rounding::Otherwise) | None => 0,
+            Some(Rounding::Charged | Rounding::Otherwise | Rounding::First) | None => 0,
         }
     }
 

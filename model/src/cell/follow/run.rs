@@ -1,54 +1,9 @@
 //! What nodes did in a recorded run, for [`follow_run`](super::follow_run).
 
-use imrs_protocol::script::{Address, End, ScriptInput};
-use imrs_protocol::{Packet, TaskId};
+use imrs_protocol::TaskId;
+use imrs_protocol::script::Address;
 
-/// Something that happened at a task.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Happening {
-    /// When: microseconds of a clock that all nodes of the run have in common.
-    pub at: u64,
-    /// Where.
-    pub task: TaskId,
-    /// What.
-    pub what: Happened,
-}
-
-/// What happened.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Happened {
-    /// Its communication task started.
-    Started,
-    /// Its script began.
-    Begun,
-    /// A packet came, with what was left of its life in microseconds.
-    Came(Packet),
-    /// It noticed that time has passed.
-    Time,
-    /// The action of a thread ended: whether well, and its result.
-    Acted(u8, bool, i32),
-    /// A choice was made for it.
-    Chosen(u16),
-    /// Its communication task sent a packet.
-    Sent(Packet),
-    /// Its script took something: where it waited, what came, the statements that it began, whether it ended.
-    Turn(Turn),
-    /// Its node stopped, or was cut off for good: nothing that it does from here on is judged.
-    Stopped,
-}
-
-/// What a script made of one input.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Turn {
-    /// The operation that it waited in.
-    pub at: Address,
-    /// What came.
-    pub input: ScriptInput,
-    /// The statements that it began.
-    pub passed: Vec<Address>,
-    /// How it ended, if it did.
-    pub end: Option<End>,
-}
+pub use imrs_wire::recording::{Happened, Happening, Turn};
 
 /// What all tasks of a run did.
 #[derive(Clone, Debug, Default)]

@@ -4,7 +4,10 @@
 use super::run::{Late, Turn};
 use super::{AHEAD, Follower, Group, LATE, No, Rounding};
 use imrs_protocol::script::ScriptInput;
-use imrs_protocol::{Call, NodeInput, NodeOutbox, Packet, Signal, TaskId, Ticks};
+use imrs_protocol::{Call, NodeInput, NodeOutbox, Packet, Signal, TaskId, Ticks, TimeId};
+
+/// A timer or delay: whose, and which.
+pub(super) type Timer = (TaskId, TimeId);
 
 impl Follower {
     /// The ticks until time alone makes a node act.
@@ -81,7 +84,7 @@ impl Follower {
         group: &Group,
     ) -> Result<(), No> {
         self.let_actions_go_on(node, now);
-        let stepwise = self.steps_timers(task, group);
+        let rounding = self.roundings.get(&(task, self.next[task])).copied();
         while self.pending[task].len() < group.turns.len() || !self.has_sent(task, group) {
             let what = || match (group.turns.first(), group.sent.first()) {
                 (Some(turn), _) => self.tell(task, turn),
@@ -96,27 +99,117 @@ impl Follower {
                 let early = then - now;
                 return Err(No::Never(format!("{}: in the model {early} ticks later", what())));
             }
-            let all = if stepwise { 0 } else { counted.saturating_sub(self.clocks[node]) };
-            let ticks = expiry.max(all);
-            self.count(node, ticks)?;
-            self.late(task, group.at, now.saturating_sub(then));
-            self.out.ahead = self.out.ahead.max(then.saturating_sub(now));
+            let all = counted.saturating_sub(self.clocks[node]);
+            let timer = group.turns.first().and_then(ends).map(|id| (TaskId::from_index(task), id));
+            let due = match (timer, rounding) {
+                (Some(_), Some(Rounding::Otherwise)) | (None, None) => None,
+                (Some(timer), Some(Rounding::First)) => self.end_before_others(node, timer, expiry)?,
+                (Some(timer), _) => self.end_one(node, timer, all)?,
+                (None, _) => None,
+            };
+            let due = match due {
+                Some(due) => due,
+                None => {
+                    // A node that is late gives its communication tasks all the time at once, but ends timers one by one.
+                    let at_once = timer.is_some() == (rounding == Some(Rounding::Otherwise));
+                    let ticks = if at_once { expiry.max(all) } else { expiry };
+                    if timer.is_none() && self.rest(node).is_some_and(|rest| rest <= ticks) {
+                        self.put_timers_off(node, ticks);
+                    }
+                    self.count(node, ticks)?;
+                    then
+                }
+            };
+            self.late(task, group.at, now.saturating_sub(due));
+            self.out.ahead = self.out.ahead.max(due.saturating_sub(now));
         }
         Ok(())
+    }
+
+    /// The timers and delays of a node: whose, which, in how many ticks it ends, and in how many it was to end: a late node
+    /// has not noticed yet that it did where that is less.
+    fn timers(&mut self, node: usize) -> Vec<(Timer, u64, i64)> {
+        let entries = self.course.floor.stations[node].node.parts().timer.entries();
+        // Put off it ends with the next tick, or it was started again.
+        let known = |timer: &Timer| entries.iter().any(|&(of, id, left)| (of, id) == *timer && left.0 <= 1);
+        let here = |of: TaskId| self.course.floor.station_of(of.index()) == node;
+        self.put_off.retain(|timer, _| !here(timer.0) || known(timer));
+        let entry = |(of, id, left): (TaskId, TimeId, Ticks)| {
+            let put_off = self.put_off.get(&(of, id)).copied().unwrap_or(0);
+            let left_once = i64::try_from(left.0).unwrap_or(i64::MAX).saturating_sub_unsigned(put_off);
+            ((of, id), left.0, left_once)
+        };
+        entries.into_iter().map(entry).collect()
+    }
+
+    /// All the time passes at once, and then one timer ends; others that are over by then wait to be noticed. Of those that
+    /// end in one tick any may be the first, of others the earliest. Returns the tick in which it was to end; `None`,
+    /// and nothing happens, where something else comes first.
+    fn end_one(&mut self, node: usize, timer: Timer, all: u64) -> Result<Option<u64>, No> {
+        let timers = self.timers(node);
+        let Some(&(.., left)) = timers.iter().find(|(one, ..)| *one == timer) else { return Ok(None) };
+        let ticks = all.max(u64::try_from(left).unwrap_or(0));
+        let is_first = timers.iter().all(|(.., other)| *other >= left);
+        if !is_first || self.rest(node).is_some_and(|rest| rest <= ticks) {
+            return Ok(None);
+        }
+        let due = self.clocks[node].saturating_add_signed(left);
+        self.put_timers_off(node, ticks);
+        self.count(node, ticks)?;
+        self.end_now(node, timer)?;
+        Ok(Some(due))
+    }
+
+    /// The ticks until time alone makes a node act without its Timer.
+    fn rest(&self, node: usize) -> Option<u64> {
+        let mut rest = self.course.floor.stations[node].node.clone();
+        for (of, id, _) in rest.parts().timer.entries() {
+            rest.parts_mut().timer.disarm(of, id);
+        }
+        rest.next_expiry().map(|ticks| ticks.0)
+    }
+
+    /// Timers that end within so many ticks end right after these: the run shows later when.
+    fn put_timers_off(&mut self, node: usize, ticks: u64) {
+        for ((of, id), left, _) in self.timers(node).into_iter().filter(|(_, left, _)| *left <= ticks) {
+            self.course.floor.stations[node].node.parts_mut().timer.put(of, id, Ticks(ticks + 1));
+            *self.put_off.entry((of, id)).or_default() += ticks + 1 - left;
+        }
+    }
+
+    /// A timer ends before all else in its tick. Returns that; `None` where it does not end in the next tick in which
+    /// anything does.
+    fn end_before_others(&mut self, node: usize, timer: Timer, expiry: u64) -> Result<Option<u64>, No> {
+        if !self.timers(node).iter().any(|(one, left, _)| *one == timer && *left <= expiry) {
+            return Ok(None);
+        }
+        let due = self.clocks[node] + expiry;
+        self.count(node, expiry - 1)?;
+        self.end_now(node, timer)?;
+        Ok(Some(due))
+    }
+
+    fn end_now(&mut self, node: usize, (of, id): Timer) -> Result<(), No> {
+        self.put_off.remove(&(of, id));
+        self.course.floor.stations[node].node.parts_mut().timer.put(of, id, Ticks::ZERO);
+        let step = self.course.floor.step(node, NodeInput::Advance(Ticks::ZERO));
+        step.map_err(|violation| No::Never(violation.text().into()))?;
+        self.made(node)
     }
 
     /// Whether the model's task has sent what the run's did.
     pub(super) fn has_sent(&self, task: usize, group: &Group) -> bool {
         group.sent.iter().all(|packet| self.sends[task].iter().any(|(_, sent)| sent == packet))
     }
+}
 
-    /// A node that is late gives its communication tasks all the time at once, but ends each timer by itself.
-    pub(super) fn steps_timers(&self, task: usize, group: &Group) -> bool {
-        let timer = |turn: &Turn| {
-            matches!(turn.input, ScriptInput::Signal(Signal::TimeOut(_) | Signal::Interrupt(Call::Timer(_))))
-        };
-        let otherwise = self.roundings.get(&(task, self.next[task])) == Some(&Rounding::Otherwise);
-        group.turns.first().is_some_and(timer) != otherwise
+/// The timer or delay that ends with this turn.
+const fn ends(turn: &Turn) -> Option<TimeId> {
+    match turn.input {
+        ScriptInput::Signal(Signal::TimeOut(id) | Signal::Interrupt(Call::Timer(id))) => Some(id),
+        ScriptInput::Signal(_) | ScriptInput::Begin | ScriptInput::Acted { .. } | ScriptInput::Chosen(_) => {
+            None
+        }
     }
 }
 

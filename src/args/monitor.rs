@@ -1,0 +1,55 @@
+//! What `imrs monitor` can be asked.
+
+use super::Format;
+use clap::Args;
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// What `monitor` can be asked.
+#[derive(Args, Clone, Debug)]
+pub struct MonitorArgs {
+    /// Attach to this node; may be given several times [default: all nodes on this machine].
+    #[arg(long, short, value_name = "ADDR")]
+    pub connect: Vec<imrs_monitor::Endpoint>,
+    /// Show only the cell of this name.
+    #[arg(long, value_name = "NAME")]
+    pub cell: Option<String>,
+    /// Print one sample and end.
+    #[arg(long)]
+    pub once: bool,
+    /// Print a sample every so often.
+    #[arg(long, value_name = "TIME", value_parser = humantime::parse_duration)]
+    pub watch: Option<Duration>,
+    /// Print lines instead of drawing a screen: for pipes and screen readers. Of a finding that is replayed, every step.
+    #[arg(long)]
+    pub text: bool,
+    /// Draw with nothing but ASCII.
+    #[arg(long)]
+    pub ascii: bool,
+    /// Show a recording instead of running nodes: of `--record`, or a finding of `imrs verify CELL --save`.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["connect", "watch", "record"])]
+    pub replay: Option<PathBuf>,
+    /// Begin here: `3s`, `-30s` (before the end), or a tick of a finding.
+    #[arg(long, value_name = "TIME", requires = "replay", allow_hyphen_values = true)]
+    pub at: Option<imrs_monitor::At>,
+    /// Play so many times as fast; a finding plays a step a second.
+    #[arg(long, value_name = "N", requires = "replay", value_parser = speed)]
+    pub speed: Option<f64>,
+    /// Record what the nodes show; without a terminal, without a screen.
+    #[arg(long, value_name = "FILE", conflicts_with_all = ["once", "watch", "text"])]
+    pub record: Option<PathBuf>,
+    /// Record for so long, without a screen, and end.
+    #[arg(long = "for", value_name = "TIME", requires = "record", value_parser = humantime::parse_duration)]
+    pub record_for: Option<Duration>,
+    /// The form of what is printed; JSON implies printing.
+    #[arg(long, value_enum, value_name = "FORM", default_value_t = Format::Text)]
+    pub format: Format,
+}
+
+/// How many times as fast.
+fn speed(text: &str) -> Result<f64, String> {
+    let speed = text.trim_end_matches('x').parse::<f64>().ok();
+    speed
+        .filter(|speed| (0.001..=1000.0).contains(speed))
+        .ok_or_else(|| "write a number from 0.001 to 1000".to_owned())
+}

@@ -1,0 +1,107 @@
+//! How cells are run, and runs looked at again: `imrs run`, `demo`, `replay`.
+
+use super::Format;
+use crate::demo::Scene;
+use crate::launch::{ActionCommand, Cut, Kill, Rate, Restart};
+use clap::Args;
+use std::net::SocketAddr;
+use std::path::PathBuf;
+use std::time::Duration;
+
+/// What `demo` can be asked.
+#[derive(Args, Clone, Debug)]
+pub struct DemoArgs {
+    /// Which cell.
+    #[arg(value_enum, value_name = "NAME")]
+    pub cell: Scene,
+    /// Run without the demo's own fault; faults of your own take its place, too.
+    #[arg(long)]
+    pub no_fault: bool,
+    /// How it is run.
+    #[command(flatten)]
+    pub launch: LaunchArgs,
+}
+
+/// What `run` can be asked.
+#[derive(Args, Clone, Debug)]
+pub struct RunArgs {
+    /// The cell.
+    #[arg(value_name = "CELL")]
+    pub cell: PathBuf,
+    /// Allow only the words of the paper, and run its own rules.
+    #[arg(long)]
+    pub paper: bool,
+    /// Execute a command for an action; may be given several times.
+    #[arg(long, value_name = "NAME=CMD")]
+    pub action: Vec<ActionCommand>,
+    /// How it is run.
+    #[command(flatten)]
+    pub launch: LaunchArgs,
+}
+
+/// How a cell is run.
+#[derive(Args, Clone, Debug)]
+pub struct LaunchArgs {
+    /// Run all nodes in this process, joined without sockets.
+    #[arg(long, conflicts_with = "node")]
+    pub in_process: bool,
+    /// Run this node only, at the address that the cell declares; the others run elsewhere.
+    #[arg(long, value_name = "NAME")]
+    pub node: Option<String>,
+    /// Let packets leave this machine though nothing authenticates them, and let others watch.
+    #[arg(long)]
+    pub insecure: bool,
+    /// Serve monitors over TCP, too; of several nodes each takes the next port.
+    #[arg(long, value_name = "ADDR:PORT")]
+    pub observe: Option<SocketAddr>,
+    /// Run the nodes under SCHED_FIFO, with their memory locked.
+    #[arg(long)]
+    pub rt: bool,
+    /// How long to run [default: a demo about 10s, a cell until its tasks end or Ctrl-C].
+    #[arg(long = "for", value_name = "TIME", value_parser = humantime::parse_duration)]
+    pub length: Option<Duration>,
+    /// Lose this share of all datagrams.
+    #[arg(long, value_name = "RATE", default_value = "0%")]
+    pub loss: Rate,
+    /// Kill a node, or the node of a task, after a while.
+    #[arg(long, value_name = "NAME@TIME")]
+    pub kill: Vec<Kill>,
+    /// Start a killed node again after a while (counted from the start), in its next life.
+    #[arg(long, value_name = "NAME@TIME")]
+    pub restart: Vec<Restart>,
+    /// Interrupt the link between two nodes after a while, for a while.
+    #[arg(long, value_name = "A--B@TIME+TIME")]
+    pub cut: Vec<Cut>,
+    /// Record what goes into every communication task; each node writes a file of its own beside this name.
+    #[arg(long, value_name = "FILE")]
+    pub record: Option<PathBuf>,
+    /// Seeds the lost packets and the lengths of the tasks' work [default: from the clock].
+    #[arg(long, value_name = "N")]
+    pub seed: Option<u64>,
+    /// The form of the answer; JSON ends with one line, the summary.
+    #[arg(long, value_enum, value_name = "FORM", default_value_t = Format::Text)]
+    pub format: Format,
+}
+
+/// What `replay` can be asked.
+#[derive(Args, Clone, Debug)]
+pub struct ReplayArgs {
+    /// The recordings of nodes.
+    #[arg(value_name = "FILE", required = true)]
+    pub files: Vec<PathBuf>,
+    /// The cell that was run [default: the cell of a demo].
+    #[arg(long, value_name = "CELL")]
+    pub cell: Option<PathBuf>,
+    /// It was run with `--paper`.
+    #[arg(long, requires = "cell")]
+    pub paper: bool,
+    /// Say whether the whole run is a path of the model that `imrs verify` explores: takes the recordings of all nodes.
+    #[arg(long, requires = "cell")]
+    pub model: bool,
+    /// Give up following the model after so long.
+    #[arg(long, value_name = "TIME", requires = "model", default_value = "30s", value_parser = humantime::parse_duration)]
+    pub within: Duration,
+    /// The form of the answer.
+    #[arg(long, value_enum, value_name = "FORM", default_value_t = Format::Text)]
+    pub format: Format,
+}

@@ -1,0 +1,449 @@
+//! Judges the checks by what the tasks of a run told of themselves, in the order of its times.
+
+use super::told::{Outcome, Settled, Settlement};
+use super::{Ask, Change, asks, of, terms};
+use crate::cells::Loaded;
+use imrs_language::lower::CheckKind;
+use imrs_protocol::script::{Predicate, Term, eval};
+use imrs_protocol::{NodeId, PortId, Round, TaskId};
+use std::collections::BTreeMap;
+
+/// How exactly the order of two steps on different nodes is known, in microseconds: each is stamped with the next whole
+/// one. What lasted no longer may never have been.
+const READING: u64 = 1;
+/// How many changes may wait for a node that tells nothing: beyond, nothing is known from before.
+const WAITING: usize = 1 << 20;
+/// How many times of a check that did not hold are told.
+const TOLD: usize = 3;
+
+/// Judges the checks of a run.
+pub struct Judge<'a> {
+    loaded: &'a Loaded,
+    /// By task.
+    asks: Vec<Vec<Ask>>,
+    /// By task, as it stands; `None` where that is not known.
+    stand: Vec<Option<Vec<i64>>>,
+    /// By check.
+    courses: Vec<Course>,
+    /// By time, and then by when they came.
+    changes: BTreeMap<(u64, u64), Event>,
+    came: u64,
+    /// By node, up to when it has told everything; none where it is not heard.
+    told: Vec<Option<u64>>,
+    /// By node, when it was killed, until all of its words were heard.
+    killed: Vec<Option<u64>>,
+    /// The first instant that is no part of the run.
+    over: u64,
+    settled: u64,
+}
+
+enum Event {
+    Change(Change),
+    /// From now on it is not known what the tasks of the node do.
+    Unknown(NodeId),
+    /// The node is dead.
+    Dead(NodeId),
+}
+
+/// One check so far.
+#[derive(Default)]
+struct Course {
+    /// One of its tasks is on a node that is not heard: which.
+    elsewhere: Option<TaskId>,
+    /// Whether it could ever be judged.
+    judged: bool,
+    /// Of `leads`, how often its condition came, and whether it is there.
+    mattered: u64,
+    matters: bool,
+    /// Since when it does not hold, and the values then.
+    since: Option<(u64, Vec<String>)>,
+    /// This time is told already.
+    is_told: bool,
+    /// Of `leads`, since when it matters, and when it is too late.
+    due: Option<(u64, u64)>,
+    times: u64,
+    broken: Vec<Broken>,
+}
+
+/// A check did not hold.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Broken {
+    /// Which.
+    pub check: usize,
+    /// When, in microseconds of the nodes' clock.
+    pub at: u64,
+    /// Of `leads`, since when it should have come to hold.
+    pub since: Option<u64>,
+    /// What it is about: `armL.me.moving = true`.
+    pub values: Vec<String>,
+}
+
+impl<'a> Judge<'a> {
+    /// Nothing yet, of a run in which these nodes are heard.
+    pub fn new(loaded: &'a Loaded, here: &[NodeId]) -> Self {
+        let cell = loaded.table.cell();
+        let asks = asks(loaded);
+        let told = (0..cell.nodes.len()).map(|node| here.contains(&NodeId::from_index(node)).then_some(0));
+        let is_elsewhere = |task: &TaskId| {
+            loaded.table.location(*task).is_none_or(|node| !here.contains(&node))
+                || loaded.program(*task).is_none()
+        };
+        let course = |check| {
+            let tasks = terms(check).flat_map(|term| of(&loaded.table, *term)).map(|(task, _)| task);
+            Course { elsewhere: tasks.into_iter().find(is_elsewhere), ..Course::default() }
+        };
+        Self {
+            stand: vec![None; asks.len()],
+            courses: loaded.checks.iter().map(course).collect(),
+            changes: BTreeMap::new(),
+            came: 0,
+            told: told.collect(),
+            killed: vec![None; cell.nodes.len()],
+            over: u64::MAX,
+            settled: 0,
+            loaded,
+            asks,
+        }
+    }
+
+    /// A task stands otherwise.
+    pub fn change(&mut self, change: Change) {
+        self.push(change.at, Event::Change(change));
+    }
+
+    fn push(&mut self, at: u64, event: Event) {
+        if self.changes.len() >= WAITING {
+            self.changes.clear();
+            self.stand.fill(None);
+        }
+        self.changes.insert((at, self.came), event);
+        self.came += 1;
+    }
+
+    /// A node has told everything that was before this instant.
+    pub fn told(&mut self, node: NodeId, until: u64) {
+        if let Some(Some(told)) = self.told.get_mut(node.index()) {
+            *told = until.max(*told);
+        }
+    }
+
+    /// A node was killed. Its last words may still come.
+    pub fn killed(&mut self, node: NodeId, at: u64) {
+        if let Some(killed) = self.killed.get_mut(node.index()) {
+            killed.get_or_insert(at);
+        }
+    }
+
+    /// All words of a node were heard. What it did after the last of them nobody knows, unless it had told everything.
+    pub fn gone(&mut self, node: NodeId) {
+        let until = self.told.get_mut(node.index()).and_then(|told| told.replace(u64::MAX));
+        let Some(until) = until.filter(|until| *until < u64::MAX) else { return };
+        let loaded = self.loaded;
+        let is_lost =
+            |change: &Change| loaded.table.location(change.task) == Some(node) && change.at >= until;
+        self.changes.retain(|_, event| !matches!(event, Event::Change(change) if is_lost(change)));
+        self.push(until, Event::Unknown(node));
+        if let Some(at) = self.killed[node.index()] {
+            self.push(at.max(until), Event::Dead(node));
+        }
+    }
+
+    /// All nodes have told everything.
+    pub fn all_told(&mut self) {
+        self.told.iter_mut().flatten().for_each(|told| *told = u64::MAX);
+    }
+
+    /// A killed node was started again.
+    pub fn revived(&mut self, node: NodeId, at: u64) {
+        self.gone(node);
+        self.killed[node.index()] = None;
+        self.told[node.index()] = Some(at);
+    }
+
+    /// What is from here on is no part of the run.
+    pub fn over(&mut self, at: u64) {
+        self.over = self.over.min(at);
+    }
+
+    /// Judges as far as all nodes have told everything. Returns what does not hold, the first times.
+    pub fn settle(&mut self) -> Vec<Broken> {
+        let until = self.told.iter().flatten().copied().min().unwrap_or(u64::MAX).min(self.over);
+        let mut broken = Vec::new();
+        while let Some(entry) = self.changes.first_entry().filter(|entry| entry.key().0 < until) {
+            let ((at, _), event) = entry.remove_entry();
+            let at = at.max(self.settled);
+            self.pass(at, &mut broken);
+            self.take(event);
+            self.look(at);
+        }
+        if until < u64::MAX {
+            self.pass(until.max(self.settled), &mut broken);
+        }
+        broken
+    }
+
+    /// What came of the checks.
+    pub fn settlement(&self, began: u64) -> Settlement {
+        let settled = |(at, course): (usize, &Course)| {
+            let outcome = match (course.elsewhere, course.judged) {
+                _ if course.times > 0 => Outcome::Broken,
+                (Some(_), _) => Outcome::Elsewhere,
+                (None, false) => Outcome::Unknown,
+                (None, true) if self.leads(at) && course.mattered == 0 => Outcome::Untested,
+                (None, true) => Outcome::Held,
+            };
+            let name = |task: TaskId| self.loaded.table.cell().tasks[task.index()].name.clone();
+            let (mattered, elsewhere) =
+                (self.leads(at).then_some(course.mattered), course.elsewhere.map(name));
+            Settled::new(
+                self.loaded,
+                at,
+                outcome,
+                (mattered, course.times),
+                course.broken.first(),
+                elsewhere,
+                began,
+            )
+        };
+        Settlement(self.courses.iter().enumerate().map(settled).collect())
+    }
+
+    fn leads(&self, check: usize) -> bool {
+        matches!(self.loaded.checks[check].kind, CheckKind::Leads { .. })
+    }
+
+    /// Time passes with everything as it is.
+    fn pass(&mut self, until: u64, broken: &mut Vec<Broken>) {
+        self.settled = until;
+        for check in 0..self.courses.len() {
+            let course = &self.courses[check];
+            let late = course.due.filter(|&(_, late)| late < until);
+            let found = match (&course.since, late) {
+                (Some((at, values)), _) if !course.is_told && until > at + READING => {
+                    Some(Broken { check, at: *at, since: None, values: values.clone() })
+                }
+                (_, Some((since, at))) => {
+                    Some(Broken { check, at, since: Some(since), values: self.values(check) })
+                }
+                (_, None) => None,
+            };
+            let Some(found) = found else { continue };
+            let course = &mut self.courses[check];
+            (course.due, course.is_told) = (None, true);
+            course.times += 1;
+            if course.broken.len() < TOLD {
+                course.broken.push(found.clone());
+                broken.push(found);
+            }
+        }
+    }
+
+    fn take(&mut self, event: Event) {
+        match event {
+            Event::Change(Change { task, values, .. }) => {
+                if let Some(stand) = self.stand.get_mut(task.index()) {
+                    *stand = Some(values);
+                }
+            }
+            Event::Unknown(node) => self.set_all(node, |_, _| None),
+            Event::Dead(node) => self.set_all(node, dead),
+        }
+    }
+
+    fn set_all(&mut self, node: NodeId, stand: impl Fn(&Loaded, (TaskId, &[Ask])) -> Option<Vec<i64>>) {
+        for task in self.loaded.table.tasks_on(node) {
+            self.stand[task.index()] = stand(self.loaded, (task, &self.asks[task.index()]));
+        }
+    }
+
+    /// What is so now, at this instant.
+    fn look(&mut self, now: u64) {
+        let loaded = self.loaded;
+        for (at, check) in loaded.checks.iter().enumerate() {
+            if self.courses[at].elsewhere.is_some() {
+                continue;
+            }
+            match &check.kind {
+                CheckKind::Always(terms) => {
+                    let holds = self.is(terms);
+                    let starts = holds == Some(false) && self.courses[at].since.is_none();
+                    let values = starts.then(|| self.values(at));
+                    let course = &mut self.courses[at];
+                    course.judged |= holds.is_some();
+                    if let Some(values) = values {
+                        course.since = Some((now, values));
+                    } else if holds != Some(false) {
+                        (course.since, course.is_told) = (None, false);
+                    }
+                }
+                CheckKind::Leads { when, then, within } => {
+                    let (when, then) = (self.is(when), self.is(then));
+                    // A node notices a tick late what it is time for (D42).
+                    let late = now.saturating_add(within.0 + loaded.table.cell().tick.0 + READING);
+                    let course = &mut self.courses[at];
+                    course.judged |= when.is_some() && then.is_some();
+                    course.mattered += u64::from(when == Some(true) && !course.matters);
+                    course.matters = when == Some(true);
+                    match (when, then) {
+                        (_, None) => course.due = None,
+                        (_, Some(true)) => (course.due, course.is_told) = (None, false),
+                        (Some(true), Some(false)) if course.due.is_none() && !course.is_told => {
+                            course.due = Some((now, late));
+                        }
+                        (Some(true) | None, Some(false)) => {}
+                        (Some(false), Some(false)) => course.is_told = false,
+                    }
+                }
+            }
+        }
+    }
+
+    /// Whether an expression is true; `None` where it is not known.
+    fn is(&self, terms: &[Term]) -> Option<bool> {
+        let mut known = true;
+        let value = eval(terms, |term| {
+            let value = self.value(term);
+            known &= value.is_some();
+            value
+        });
+        // As the checker has it: what cannot be computed is not true.
+        known.then_some(value.is_ok_and(|value| value != 0))
+    }
+
+    fn value(&self, term: Term) -> Option<i64> {
+        if let Term::Is(Predicate::Arrived { port, task }) = term {
+            return self.has_arrived(port, task).map(i64::from);
+        }
+        let (task, ask) = of(&self.loaded.table, term).pop()?;
+        self.seen(task, ask)
+    }
+
+    fn seen(&self, task: TaskId, ask: Ask) -> Option<i64> {
+        let at = self.asks[task.index()].iter().position(|one| *one == ask)?;
+        self.stand[task.index()].as_ref()?.get(at).copied()
+    }
+
+    /// Whether the task reached the waitfor and nobody has begun a later meeting there since (D85).
+    fn has_arrived(&self, port: PortId, task: TaskId) -> Option<bool> {
+        let (mut newest, mut own) = (None, None);
+        for party in &self.loaded.table.port(port)?.parties {
+            let seen = self.seen(party.task, Ask::Arrived(port))?;
+            let Ok(seen) = u32::try_from(seen) else { continue };
+            let round = u16::try_from(seen.wrapping_sub(1)).ok().map(Round);
+            newest = round.into_iter().chain(newest).reduce(Round::fresher);
+            if party.task == task {
+                own = Some(round);
+            }
+        }
+        Some(own.is_some_and(|round| round.is_none() || round == newest))
+    }
+
+    /// What a check is about, in words.
+    fn values(&self, check: usize) -> Vec<String> {
+        let mut words = Vec::new();
+        for term in terms(&self.loaded.checks[check]) {
+            let Some(name) = self.loaded.term(*term) else { continue };
+            let value =
+                self.value(*term).map_or_else(|| "unknown".into(), |value| self.loaded.shown(*term, value));
+            let word = format!("{name} = {value}");
+            if !words.contains(&word) {
+                words.push(word);
+            }
+        }
+        words
+    }
+}
+
+/// A task whose node is down, as the checker has it: its variables are those of a new life, and it does nothing. Where it
+/// had arrived the others may have gone on from: that is not known.
+fn dead(loaded: &Loaded, (task, asks): (TaskId, &[Ask])) -> Option<Vec<i64>> {
+    let program = loaded.program(task)?;
+    let value = |ask: &Ask| match ask {
+        Ask::Variable(at) => program.variables.get(usize::from(*at)).map(|variable| variable.initial),
+        Ask::Active | Ask::Asked(_) | Ask::Answered(_) => Some(0),
+        Ask::Arrived(_) => None,
+    };
+    asks.iter().map(value).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cells::{Source, load};
+
+    const CELL: &str = "cell c; tick 1 msec; node n; node m; link n -- m delay 1 msec;
+task a on n var x: bool; begin loop run w takes 5 msec; x := true; end; end a;
+task b on m var y: bool; begin loop run w takes 5 msec; y := true; end; end b;
+check apart: never a.x and b.y;
+check soon: a.x leads b.y within 5 msec;";
+
+    fn loaded() -> Loaded {
+        load(&Source { name: "c.cell".into(), text: CELL.into(), paper: false }).expect("a sound cell")
+    }
+
+    /// Judges changes of `a.x` and `b.y` by their times; both are false at first.
+    fn judge<'a>(loaded: &'a Loaded, changes: &[(u64, u16, i64)]) -> Judge<'a> {
+        let mut judge = Judge::new(loaded, &[NodeId(0), NodeId(1)]);
+        for &(at, task, value) in [(1, 0, 0), (1, 1, 0)].iter().chain(changes) {
+            judge.change(Change { at, task: TaskId(task), values: vec![value] });
+        }
+        judge
+    }
+
+    fn broken(judge: &mut Judge<'_>) -> Vec<(usize, u64)> {
+        judge.settle().iter().map(|broken| (broken.check, broken.at)).collect()
+    }
+
+    #[test]
+    fn changes_are_judged_in_the_order_of_their_times_once_all_have_told_them() {
+        let loaded = loaded();
+        let mut judge = judge(&loaded, &[(900, 1, 0), (500, 0, 1), (300, 1, 1), (1_000, 0, 0)]);
+        judge.told(NodeId(0), 2_000);
+        assert_eq!(broken(&mut judge), []);
+        judge.told(NodeId(1), 400);
+        assert_eq!(broken(&mut judge), []);
+        judge.told(NodeId(1), 2_000);
+        assert_eq!(broken(&mut judge), [(0, 500)]);
+        assert!(judge.settlement(0).is_broken());
+    }
+
+    #[test]
+    fn what_lasts_no_longer_than_clocks_are_read_exactly_is_no_finding() {
+        let loaded = loaded();
+        for (until, found) in [(501, &[][..]), (502, &[(0, 500)])] {
+            let mut judge = judge(&loaded, &[(400, 1, 1), (500, 0, 1), (until, 1, 0)]);
+            judge.told(NodeId(0), 5_000);
+            judge.told(NodeId(1), 5_000);
+            assert_eq!(broken(&mut judge), found, "{until}");
+        }
+    }
+
+    #[test]
+    fn what_should_come_may_be_a_tick_late_and_the_end_of_the_run_is_no_end_of_waiting() {
+        let loaded = loaded();
+        let late = 100 + 5_000 + 1_000 + READING;
+        for (came, found) in [(late, &[][..]), (late + 1, &[(1, late)])] {
+            let mut judge = judge(&loaded, &[(100, 0, 1), (200, 0, 0), (came, 1, 1)]);
+            judge.all_told();
+            judge.over(10_000);
+            assert_eq!(broken(&mut judge), found, "{came}");
+        }
+        let mut judge = judge(&loaded, &[(100, 0, 1)]);
+        judge.all_told();
+        judge.over(late);
+        assert_eq!(broken(&mut judge), []);
+    }
+
+    #[test]
+    fn after_its_last_words_nothing_is_known_of_a_killed_node_until_it_is_dead() {
+        let loaded = loaded();
+        // b stops being there at 300 at the latest; that it was so at 350 came too late to be all.
+        let mut judge = judge(&loaded, &[(100, 1, 1), (350, 1, 1), (310, 0, 1)]);
+        judge.told(NodeId(0), 10_000);
+        judge.told(NodeId(1), 300);
+        judge.killed(NodeId(1), 400);
+        judge.gone(NodeId(1));
+        // Dead it has the variables of a new life: from then on b.y does not come any more.
+        assert_eq!(broken(&mut judge), [(1, 400 + 5_000 + 1_000 + READING)]);
+    }
+}

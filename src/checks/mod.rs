@@ -1,0 +1,83 @@
+//! The checks of a cell (`never`, `always`, `leads … within`), judged by what a run did (D101).
+//!
+//! ```text
+//!   node:      after every step of a script, what checks ask of its task: told where it changed        Sight
+//!   launcher:  all changes in the order of their times, up to where every node has told everything     Judge
+//! ```
+//!
+//! A recording shows the same changes when it is run again, so that `imrs replay --model` judges as the run did.
+
+mod judge;
+mod sight;
+mod told;
+
+pub use judge::{Broken, Judge};
+pub use sight::{Change, Looker, Sight};
+pub use told::Settlement;
+
+use crate::cells::Loaded;
+use imrs_language::lower::{Check, CheckKind};
+use imrs_protocol::script::{Predicate, Term};
+use imrs_protocol::{CellTable, PortId, TaskId};
+
+/// What checks ask of one task.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Ask {
+    /// The value of a variable, by its position.
+    Variable(u16),
+    /// Whether it may act.
+    Active,
+    /// Whether it waits for an answer on this port.
+    Asked(PortId),
+    /// Whether its last request on this port was answered.
+    Answered(PortId),
+    /// How far it came at this waitfor: −1 where it was not there in this life, else 1 more than its last round, 0 without.
+    Arrived(PortId),
+}
+
+/// For each task, what the checks of the cell ask of it.
+pub fn asks(loaded: &Loaded) -> Vec<Vec<Ask>> {
+    let mut asks = vec![Vec::new(); loaded.table.cell().tasks.len()];
+    for term in loaded.checks.iter().flat_map(terms) {
+        for (task, ask) in of(&loaded.table, *term) {
+            if let Some(asks) = asks.get_mut(task.index()).filter(|asks: &&mut Vec<Ask>| !asks.contains(&ask))
+            {
+                asks.push(ask);
+            }
+        }
+    }
+    asks
+}
+
+/// All terms of a check.
+fn terms(check: &Check) -> impl Iterator<Item = &Term> {
+    let (one, other) = match &check.kind {
+        CheckKind::Always(terms) => (terms.as_slice(), &[][..]),
+        CheckKind::Leads { when, then, .. } => (when.as_slice(), then.as_slice()),
+    };
+    one.iter().chain(other)
+}
+
+/// What must be known for a term: of which tasks, and what.
+fn of(table: &CellTable, term: Term) -> Vec<(TaskId, Ask)> {
+    match term {
+        Term::Of { task, variable } => vec![(task, Ask::Variable(variable))],
+        Term::Is(Predicate::Active(task)) => vec![(task, Ask::Active)],
+        Term::Is(Predicate::Asked { task, port }) => vec![(task, Ask::Asked(port))],
+        Term::Is(Predicate::Answered { task, port }) => vec![(task, Ask::Answered(port))],
+        // Who has arrived depends on the round that the others are in (D85).
+        Term::Is(Predicate::Arrived { port, .. }) => {
+            let parties = table.port(port).map_or(&[][..], |port| &port.parties);
+            parties.iter().map(|party| (party.task, Ask::Arrived(port))).collect()
+        }
+        Term::Push(_)
+        | Term::Load(_)
+        | Term::Int(_)
+        | Term::Real(_)
+        | Term::Negate
+        | Term::NegateReal
+        | Term::Not
+        | Term::ToReal
+        | Term::ToInt => Vec::new(),
+    }
+}

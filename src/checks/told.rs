@@ -1,0 +1,140 @@
+//! What came of the checks, for people and for programs.
+
+use super::Broken;
+use crate::cells::Loaded;
+use crate::exit::Failure;
+use crate::output::{BAD, GOOD, NOTE, Output, Styled, count, span};
+use serde::Serialize;
+
+/// What came of a check.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Outcome {
+    /// It held.
+    Held,
+    /// It did not.
+    Broken,
+    /// What should lead somewhere never came.
+    Untested,
+    /// One of its tasks runs elsewhere.
+    Elsewhere,
+    /// Of one of its tasks nothing was heard.
+    Unknown,
+}
+
+/// All checks of a cell after a run.
+#[derive(Clone, Debug, Default, Serialize)]
+#[serde(transparent)]
+pub struct Settlement(pub Vec<Settled>);
+
+/// A check after a run.
+#[derive(Clone, Debug, Serialize)]
+pub struct Settled {
+    name: String,
+    /// Of the cell's text.
+    line: usize,
+    outcome: Outcome,
+    /// Of `leads`, how often it came to matter.
+    mattered: Option<u64>,
+    /// How often it did not hold.
+    times: u64,
+    first: Option<First>,
+    /// The first of its tasks that runs elsewhere.
+    elsewhere: Option<String>,
+    /// The text of its line.
+    #[serde(skip)]
+    text: String,
+}
+
+/// The first time that a check did not hold.
+#[derive(Clone, Debug, Serialize)]
+struct First {
+    /// Since the run began.
+    seconds: f64,
+    values: Vec<String>,
+    #[serde(skip)]
+    words: String,
+}
+
+impl Broken {
+    /// What a person reads: `check no_early (line 71) does not hold: armL.me.moving = true, armR.gripping = true`.
+    pub fn words(&self, loaded: &Loaded) -> String {
+        let check = &loaded.checks[self.check];
+        let waited = self.since.map(|since| format!(" {} after its condition came", span(self.at - since)));
+        format!(
+            "check {} (line {}) does not hold{}: {}",
+            check.name,
+            loaded.line_of(check.span),
+            waited.unwrap_or_default(),
+            self.values.join(", ")
+        )
+    }
+}
+
+impl Settled {
+    /// Of the check at this position; `counts`: how often it mattered and how often it did not hold.
+    pub(super) fn new(
+        loaded: &Loaded,
+        at: usize,
+        outcome: Outcome,
+        counts: (Option<u64>, u64),
+        first: Option<&Broken>,
+        elsewhere: Option<String>,
+        began: u64,
+    ) -> Self {
+        let check = &loaded.checks[at];
+        let line = loaded.line_of(check.span);
+        let first = first.map(|first| First {
+            seconds: first.at.saturating_sub(began) as f64 / 1e6,
+            values: first.values.clone(),
+            words: first.words(loaded),
+        });
+        let (mattered, times) = counts;
+        let (name, text) = (check.name.clone(), loaded.text_of(line).to_owned());
+        Self { name, line, outcome, mattered, times, first, elsewhere, text }
+    }
+
+    /// What is wrong, in a line; `None` where nothing is.
+    fn complaint(&self) -> Option<String> {
+        let First { seconds, words, .. } = self.first.as_ref()?;
+        Some(format!("{words}, at {seconds:.3} s (`{}`)", self.text))
+    }
+}
+
+impl Settlement {
+    /// What does not hold, a line each.
+    pub fn complaints(&self) -> impl Iterator<Item = String> {
+        self.0.iter().filter_map(Settled::complaint)
+    }
+
+    /// Whether a check did not hold.
+    pub fn is_broken(&self) -> bool {
+        self.0.iter().any(|settled| settled.outcome == Outcome::Broken)
+    }
+
+    /// A line for each check.
+    ///
+    /// # Errors
+    /// [`Failure::Output`].
+    pub fn show(&self, out: &mut Output) -> Result<(), Failure> {
+        for settled in &self.0 {
+            let Settled { name, line, mattered, times, first, elsewhere, .. } = settled;
+            let came = mattered.map(|came| format!(" (its condition came {})", count(came, "time")));
+            let what = match settled.outcome {
+                Outcome::Held => Styled(GOOD, format!("held{}", came.unwrap_or_default())),
+                Outcome::Broken => Styled(BAD, format!("DID NOT HOLD, {}", count(*times, "time"))),
+                Outcome::Untested => Styled(NOTE, "not put to the test: its condition never came".into()),
+                Outcome::Elsewhere => {
+                    let task = elsewhere.as_deref().unwrap_or("?");
+                    Styled(NOTE, format!("not evaluated here: `{task}` runs elsewhere"))
+                }
+                Outcome::Unknown => Styled(NOTE, "not evaluated: one of its tasks told nothing".into()),
+            };
+            out.line(format!("  check {name} (line {line}): {what}"))?;
+            if let Some(First { seconds, values, .. }) = first {
+                out.line(format!("    first at {seconds:.3} s: {}", values.join(", ")))?;
+            }
+        }
+        Ok(())
+    }
+}

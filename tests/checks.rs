@@ -1,0 +1,198 @@
+//! The checks of a cell are judged by what a run does. How late this machine is changes no verdict here.
+
+mod support;
+
+use serde_json::Value;
+use std::path::Path;
+use support::{Said, run_in, runtime_dir};
+
+/// `apart` and `soon` cannot hold; what `quiet` is about never comes.
+const OVERLAP: &str = "\
+cell overlap;
+tick 1 msec;
+node na at \"127.0.0.1\" port 7431;  node nb at \"127.0.0.1\" port 7432;
+link na -- nb delay 1 msec;
+task a on na
+  var busy: bool;
+begin
+  loop busy := true; run work takes 60 msec; busy := false; delay 20 msec; end;
+end a;
+task b on nb
+  var busy, never_so: bool; var n: int16;
+begin
+  loop
+    delay 20 msec; busy := true; run work takes 60 msec; busy := false;
+    n := n + 1; never_so := n < 0;
+  end;
+end b;
+check apart: never a.busy and b.busy;
+check soon: a.busy leads not a.busy within 30 msec;
+check in_time: a.busy leads not a.busy within 50 sec;
+check quiet: b.never_so leads a.busy within 1 msec;
+check b_counts: always b.n >= 0;
+";
+
+struct Bench(tempfile::TempDir);
+
+impl Bench {
+    fn new() -> Self {
+        let bench = Self(runtime_dir());
+        std::fs::write(bench.path("overlap.cell"), OVERLAP).expect("the cell is written");
+        bench
+    }
+
+    fn path(&self, name: &str) -> String {
+        self.0.path().join(name).to_str().expect("UTF-8").into()
+    }
+
+    fn run(&self, args: &[&str]) -> Said {
+        run_in(self.0.path(), &[&["run", &self.path("overlap.cell"), "--for", "1s"], args].concat())
+    }
+}
+
+fn outcomes(answer: &Value) -> Vec<(&str, &str)> {
+    let checks = answer["checks"].as_array().expect("checks").iter();
+    checks
+        .map(|check| (check["name"].as_str().expect("a name"), check["outcome"].as_str().expect("a word")))
+        .collect()
+}
+
+const EXPECTED: [(&str, &str); 5] = [
+    ("apart", "broken"),
+    ("soon", "broken"),
+    ("in_time", "held"),
+    ("quiet", "untested"),
+    ("b_counts", "held"),
+];
+
+#[test]
+fn a_check_that_a_run_breaks_is_told_with_its_line_and_values() {
+    let bench = Bench::new();
+    for how in [&[][..], &["--in-process"]] {
+        let said = bench.run(how);
+        assert_eq!(said.code, Some(1), "{said:?}");
+        let words = "check apart (line 18) does not hold: a.busy = true, b.busy = true";
+        assert!(said.out.contains(words), "{said:?}");
+        // With the text of its line, where only complaints are looked at.
+        assert!(
+            said.err.contains(words) && said.err.contains("`check apart: never a.busy and b.busy;`"),
+            "{said:?}"
+        );
+        assert!(said.err.contains("check soon (line 19) does not hold"), "{said:?}");
+        assert!(!said.err.contains("in_time") && !said.err.contains("b_counts"), "{said:?}");
+        for line in [
+            "check in_time (line 20): held",
+            "check quiet (line 21): not put to the test",
+            "check b_counts (line 22): held",
+        ] {
+            assert!(said.out.contains(line), "{said:?}");
+        }
+    }
+}
+
+#[test]
+fn a_recording_is_judged_as_the_run_was() {
+    let bench = Bench::new();
+    let said = bench.run(&["--record", &bench.path("o.imrs"), "--format", "json"]);
+    assert_eq!(said.code, Some(1), "{said:?}");
+    assert_eq!(outcomes(&said.last_json()), EXPECTED, "{said:?}");
+    let (cell, na, nb) = (bench.path("overlap.cell"), bench.path("o.na.imrs"), bench.path("o.nb.imrs"));
+    let replay = ["replay", &na, &nb, "--cell", &cell, "--model", "--format", "json"];
+    let said = run_in(bench.0.path(), &replay);
+    assert_eq!(said.code, Some(1), "{said:?}");
+    let answer = said.last_json();
+    assert_eq!(answer["path"], true, "{said:?}");
+    assert_eq!(outcomes(&answer), EXPECTED, "{said:?}");
+    assert_eq!(answer["checks"][0]["line"], 18, "{said:?}");
+    assert_eq!(answer["checks"][0]["first"]["values"][1], "b.busy = true", "{said:?}");
+    // In lines for people, too.
+    let said = run_in(bench.0.path(), &replay[..6]);
+    assert!(said.out.contains("check apart (line 18): DID NOT HOLD"), "{said:?}");
+}
+
+#[test]
+fn a_recording_of_another_text_of_the_cell_is_refused_as_that() {
+    let bench = Bench::new();
+    bench.run(&["--record", &bench.path("o.imrs"), "--in-process"]);
+    let (na, changed) = (bench.path("o.na.imrs"), bench.path("changed.cell"));
+    let replay = |text: &str| {
+        std::fs::write(&changed, text).expect("the cell is written");
+        run_in(bench.0.path(), &["replay", &na, "--cell", &changed])
+    };
+    assert_eq!(replay(OVERLAP).code, Some(0));
+    let other = replay(&OVERLAP.replace("delay 1 msec", "delay 2 msec"));
+    assert_eq!(other.code, Some(2), "{other:?}");
+    assert!(other.err.contains("was made from another text of cell `overlap`"), "{other:?}");
+    let digests = other.err.split("digest").count() + other.err.split("file have").count();
+    assert_eq!(digests, 2 + 2, "both digests: {other:?}");
+    let foreign = replay(&OVERLAP.replace("cell overlap", "cell overlay"));
+    assert_eq!(foreign.code, Some(2), "{foreign:?}");
+    assert!(
+        foreign.err.contains("is a recording of cell `overlap`") && foreign.err.contains("is cell `overlay`"),
+        "{foreign:?}"
+    );
+    let statements = replay(
+        &OVERLAP
+            .replace("n := n + 1", "n := n + 2")
+            .replace("busy := true; run", "busy := not busy; delay 1 msec; run"),
+    );
+    assert_eq!(statements.code, Some(1), "{statements:?}");
+    assert!(statements.out.contains("were changed since the run"), "{statements:?}");
+    let none = run_in(bench.0.path(), &["replay", &na]);
+    assert_eq!(none.code, Some(2), "{none:?}");
+    assert!(none.err.contains("name its file with --cell"), "{none:?}");
+}
+
+#[test]
+fn a_node_by_itself_judges_what_it_can_see() {
+    let bench = Bench::new();
+    let said = bench.run(&["--node", "nb"]);
+    assert_eq!(said.code, Some(0), "{said:?}");
+    assert!(said.out.contains("check apart (line 18): not evaluated here: `a` runs elsewhere"), "{said:?}");
+    assert!(said.out.contains("check b_counts (line 22): held"), "{said:?}");
+}
+
+#[test]
+fn of_a_killed_node_nothing_is_made_up() {
+    let bench = Bench::new();
+    // Before b was ever busy, and after that it never can be.
+    let said = bench.run(&["--kill", "b@1ms", "--format", "json"]);
+    let summary = said.last_json();
+    let apart = &outcomes(&summary)[0];
+    assert_ne!(apart.1, "broken", "{said:?}");
+    assert_eq!(outcomes(&summary)[1].1, "broken", "{said:?}");
+}
+
+/// Where this machine is later than the cell declares, a check may fail: then the same recording says that it was.
+#[test]
+fn the_runs_of_the_examples_break_no_check_in_time() {
+    for example in ["beam_lift", "belt", "conveyor", "shared_tool", "weld_cell"] {
+        let dir = runtime_dir();
+        let cell = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("examples/{example}.cell"));
+        let (cell, file) = (cell.to_str().expect("UTF-8"), dir.path().join("run.imrs"));
+        let file = file.to_str().expect("UTF-8");
+        let run = ["run", cell, "--for", "3s", "--seed", "7", "--record", file, "--format", "json"];
+        let said = run_in(dir.path(), &run);
+        let summary = said.last_json();
+        let broken = outcomes(&summary).iter().filter(|(_, outcome)| *outcome == "broken").count();
+        assert!(
+            !outcomes(&summary).is_empty()
+                && outcomes(&summary).iter().all(|(_, outcome)| *outcome != "unknown"),
+            "{said:?}"
+        );
+        if broken == 0 {
+            assert_eq!(said.code, Some(0), "{said:?}");
+            continue;
+        }
+        let nodes = summary["nodes"].as_array().expect("nodes").iter();
+        let files: Vec<String> = nodes
+            .map(|node| {
+                file.replace("run.imrs", &format!("run.{}.imrs", node["name"].as_str().expect("a name")))
+            })
+            .collect();
+        let files: Vec<&str> = files.iter().map(String::as_str).collect();
+        let how = ["--cell", cell, "--model", "--format", "json"];
+        let said = run_in(dir.path(), &[&["replay"], &files[..], &how[..]].concat());
+        assert_eq!(said.last_json()["within_assumptions"], false, "{said:?}");
+    }
+}
