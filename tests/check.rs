@@ -251,7 +251,7 @@ begin while n < 3 do waitfor m() on time_out do skip; end; n := n + 1; delay 7 m
 
 #[test]
 fn the_papers_own_rules_fail_where_the_decisions_hold() {
-    for (cell, finding) in [(BUSY, "`q` ends by its time_out"), (LOOPS, "waitfor `m` waits in vain for a")] {
+    for (cell, finding) in [(BUSY, "`q` starves: rejected"), (LOOPS, "waitfor `m` waits in vain for a")] {
         let (_dir, path) = file(cell.as_bytes());
         let decided = run(&["verify", &path, "--jobs", "1"]);
         assert_eq!(decided.code, Some(0), "{decided:?}");

@@ -223,7 +223,7 @@ pub(super) const fn help(kind: Kind) -> &'static str {
             "let one of them give up (`within .. on time_out do ..`), or do first what the others wait for"
         }
         Kind::TimeOut => "let the other side answer sooner, or give the message a longer time_out",
-        Kind::Starves => "let it age: `penalty = T` without `paper`, or rank it before what goes first",
+        Kind::Starves => "let it age (`penalty = T` without `paper`), or rank it before what goes first",
         Kind::Stranded => "let the others come in time, or give the waitfor a longer time_out",
         Kind::Refused => {
             "make the buffer larger (`bounded_buffer[n]`), or let the receiver take its messages sooner"

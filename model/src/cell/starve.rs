@@ -74,9 +74,7 @@ pub(super) fn starved(
     let (peer, times, most, how) = found?;
     let (asker, asked) = (name(&plan.table, task), name(&plan.table, peer));
     let what = statement(&plan.table, program, address);
-    Some(format!(
-        "{asker}: {what} starves: {how} {times} times at {asked}; with aging it is served after at most K = {most}"
-    ))
+    Some(format!("{asker}: {what} starves: {how} {times} times at {asked}, where aging allows K = {most}"))
 }
 
 /// How often aging lets a message be rejected by rank, and passed over by GETs (D58, D59).
