@@ -1,10 +1,11 @@
-//! Which steps of a run's scripts are also taken where [`check_cell`](crate::cell::check_cell) looks: links take exactly
-//! their bound, actions end at their least or their most, faults are those declared.
+//! Which steps of a run's scripts are also taken where [`check_cell`](crate::cell::check_cell) looks: without
+//! faults, links and actions within their times; with those declared, at the ends of them.
 
 use super::run::{Happened, Run, Turn};
 use crate::cell::course::{CellMove, Course};
 use crate::cell::outside::with_programs;
-use crate::cell::plan::CellPlan;
+use crate::cell::plan::{CellFaults, CellPlan};
+use crate::cell::search::timed;
 use imrs_protocol::script::{Address, End, ScriptInput};
 use imrs_protocol::{Call, Outcome, PortId, Signal, TaskId};
 use std::collections::BTreeSet;
@@ -56,21 +57,25 @@ pub fn steps_in_model(plan: &Arc<CellPlan>, run: &Run) -> Steps {
     }
     let mut steps = Steps { kinds: missing.len(), ..Steps::default() };
     let mut draw = Draw(1);
+    let between = timed(&plan, true);
     while !missing.is_empty() && start.elapsed().as_secs_f64() < plan.budget.seconds {
         steps.walks += 1;
-        walk(&plan, &mut draw, &mut missing);
+        // Every other walk is without faults: what takes long is not reached where something always goes wrong.
+        match draw.below(2) {
+            0 => walk(&between, &CellFaults::default(), &mut draw, &mut missing),
+            _ => {
+                let hypothesis = plan.faults.get(draw.below(plan.faults.len()));
+                walk(&plan, &hypothesis.cloned().unwrap_or_default(), &mut draw, &mut missing);
+            }
+        }
     }
     steps.missing = missing.iter().map(|kind| (TaskId::from_index(kind.task), kind.at)).collect();
     steps.missing.dedup();
     steps
 }
 
-fn walk(plan: &Arc<CellPlan>, draw: &mut Draw, missing: &mut BTreeSet<Kind>) {
-    // Every other walk is without faults: what takes long is not reached where something always goes wrong.
-    let faulty = draw.below(2) == 1;
-    let hypothesis = plan.faults.get(draw.below(plan.faults.len())).filter(|_| faulty);
-    let faults = hypothesis.cloned().unwrap_or_default();
-    let mut course = Course::new(plan, &faults);
+fn walk(plan: &Arc<CellPlan>, faults: &CellFaults, draw: &mut Draw, missing: &mut BTreeSet<Kind>) {
+    let mut course = Course::new(plan, faults);
     let mut moves = Vec::new();
     for _ in 0..LENGTH {
         for turn in course.floor.turns.as_mut().map(std::mem::take).unwrap_or_default() {
