@@ -239,8 +239,8 @@ impl Told {
         let late = count(self.late_at_most, "tick");
         let late = (self.late_at_most > 0).then(|| format!(", nodes that act up to {late} late"));
         out.line(format!(
-            "  beside what `imrs verify` explores: links faster than their bound, actions that end between their least and \
-             most time{}",
+            "  beside what `imrs verify` explores: arrivals and ends anywhere within their bounds (of those it tries some, \
+             without faults){}",
             late.unwrap_or_default()
         ))?;
         if self.other_values > 0 {
