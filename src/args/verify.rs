@@ -61,13 +61,15 @@ pub struct CellFaultArgs {
 /// When the actions of a cell end, and its packets arrive, under the checker.
 #[derive(clap::ValueEnum, Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Times {
-    /// Without faults as `between`, with them as `ends`.
+    /// The first of `every`, `between` and `ends` that does not take too many states.
     #[default]
     Auto,
     /// Actions at their least or most time, packets at their link's bound.
     Ends,
-    /// At both ends, or right after anything that happens between them: more states.
+    /// At both ends, or right after anything that happens between them.
     Between,
+    /// At every tick, or every model tick where the cell has one.
+    Every,
 }
 
 /// What `verify` can be asked.

@@ -2,7 +2,7 @@
 
 use super::cell::Subject;
 use super::tell::help;
-use imrs_model::cell::{CellFaults, CellPlan, Concerned, Coverage, Finding, Kind, Phase, Verdicts};
+use imrs_model::cell::{CellFaults, CellPlan, Concerned, Coverage, Finding, Kind, Phase, Times, Verdicts};
 use imrs_protocol::CellTable;
 use serde::Serialize;
 
@@ -80,7 +80,7 @@ struct Searched<'a> {
     with_faults: bool,
     bounds: Bounds<'a>,
     /// `ends`: packets take their link's bound, actions their least or most time; `between`: they also arrive and end right
-    /// after anything that happens meanwhile.
+    /// after anything that happens meanwhile; `every`: at every tick, or model tick.
     times: &'static str,
     states: u64,
     transitions: u64,
@@ -181,7 +181,11 @@ fn searched<'a>(plan: &'a CellPlan, phase: &'a Coverage) -> Searched<'a> {
     Searched {
         with_faults,
         bounds: bounds(&plan.table, faults),
-        times: if phase.between { "between" } else { "ends" },
+        times: match phase.times {
+            Times::Auto | Times::Ends => "ends",
+            Times::Between => "between",
+            Times::Every => "every",
+        },
         states: phase.states,
         transitions: phase.moves,
         depth: phase.depth,

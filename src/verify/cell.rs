@@ -81,7 +81,10 @@ impl Subject {
             args::Times::Auto => Times::Auto,
             args::Times::Ends => Times::Ends,
             args::Times::Between => Times::Between,
+            args::Times::Every => Times::Every,
         };
+        let step = self.model_tick_us.unwrap_or(self.tick_us) / self.tick_us.max(1);
+        plan.step = u32::try_from(step).unwrap_or(u32::MAX).max(1);
         plan.jobs = args.verify.jobs.map_or(2, usize::from);
         Ok(plan)
     }

@@ -1,11 +1,11 @@
 //! What the check of a cell found, as a person reads it.
 
 use super::cell::Subject;
-use crate::args::{Times, VerifyVerb};
+use crate::args::{self, VerifyVerb};
 use crate::cell_file;
 use crate::exit::Failure;
 use crate::output::{BAD, FAINT, GOOD, HEAD, NOTE, Output, Styled, count, grouped};
-use imrs_model::cell::{CellPlan, Concerned, Coverage, Finding, Kind, Phase, Verdicts};
+use imrs_model::cell::{CellPlan, Concerned, Coverage, Finding, Kind, Phase, Times, Verdicts};
 use imrs_protocol::TaskId;
 use imrs_protocol::script::Address;
 use std::fmt::Write as _;
@@ -107,14 +107,17 @@ impl Telling<'_> {
             format!("; times of actions, delays and timers rounded outward to a model tick of {}", msec(usec))
         });
         let model = model.unwrap_or_default();
-        let ends = "at the ends: packets take their link's bound, actions their least or their most time";
-        let between = self.verdicts.phases.iter().any(|phase| phase.between);
-        let between = if between {
-            "; between them: also until right after anything that happens meanwhile"
-        } else {
-            ""
-        };
-        format!("{ends}{between}; tick {tick}{model}")
+        let mut used: Vec<Times> = self.verdicts.phases.iter().map(|phase| phase.times).collect();
+        used.sort_unstable_by(|a, b| b.cmp(a));
+        used.dedup();
+        let words = used.iter().map(|times| match times {
+            Times::Every if self.plan.step > 1 => "every model tick: any of them within a packet's bound and an action's times",
+            Times::Every => "every tick: any of them within a packet's bound and an action's times",
+            Times::Between => "the ends and after events: the bound of a packet, the least and the most time of an action, and right after anything else that happens",
+            Times::Ends | Times::Auto => "the ends: the bound of a packet, the least and the most time of an action",
+        });
+        let words: Vec<&str> = words.collect();
+        format!("{}; tick {tick}{model}", words.join("; "))
     }
 
     /// The command that shows a finding step by step. None where there is no way to it.
@@ -141,7 +144,7 @@ impl Telling<'_> {
                     let _ = write!(command, " --{flag} {count}");
                 }
                 if let Some(times) = clap::ValueEnum::to_possible_value(&faults.times)
-                    && faults.times != Times::default()
+                    && faults.times != args::Times::default()
                 {
                     let _ = write!(command, " --times {}", times.get_name());
                 }
@@ -192,9 +195,13 @@ impl Telling<'_> {
         };
         match (self.verdicts.findings.len(), self.verdicts.is_complete()) {
             (0, true) => {
-                let text =
-                    format!("{file}: nothing found, everything within these bounds was looked at{checks}");
-                out.line(Styled(GOOD, text))
+                let whole = self.verdicts.phases.iter().all(|phase| phase.times == Times::Every);
+                let what =
+                    if whole { "within these bounds" } else { "within these bounds and at these times" };
+                out.line(Styled(
+                    GOOD,
+                    format!("{file}: nothing found, everything {what} was looked at{checks}"),
+                ))
             }
             (0, false) => {
                 let text = format!(
@@ -266,10 +273,15 @@ fn chart(finding: &Finding, (number, whole): (usize, bool), out: &mut Output) ->
 /// What may go wrong in a phase, declared and asked for together.
 pub(super) fn bounds(plan: &CellPlan, phase: &Coverage) -> String {
     let faults = match phase.phase {
-        Phase::FaultFree | Phase::Between => "Without faults".into(),
+        Phase::FaultFree => "Without faults".into(),
         Phase::Faults => format!("With at most {}", faults(plan, phase.hypothesis)),
     };
-    let times = if phase.between { "times at their ends and between" } else { "times at their ends" };
+    let times = match phase.times {
+        Times::Every if plan.step > 1 => "at every model tick",
+        Times::Every => "at every tick",
+        Times::Between => "at the ends of times and after events",
+        Times::Ends | Times::Auto => "at the ends of times",
+    };
     format!("{faults}, {times}")
 }
 

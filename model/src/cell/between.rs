@@ -1,11 +1,13 @@
 //! Times between the ends: an action may end before its most time, and a packet arrive before its link's bound.
 //!
-//! What a time decides is what comes before what. So an action ends at its least time, at its most, or right after anything
-//! that happens in the cell between them; a packet arrives after one tick, at its link's bound, or right after anything
-//! that happens between them. That tries every order of two things that are near each other. What it leaves out is how long it
-//! then is to what comes later.
+//! With [`Times::Between`] what a time decides is what comes before what: an action ends at its least time, at its most, or
+//! right after anything that happens in the cell between them; a packet arrives after one tick, at its link's bound, or right
+//! after anything that happens between them. That tries every order of two things that are near each other, and leaves
+//! out how long it then is to what comes later. With [`Times::Every`] nothing is left out but what lies between two ticks.
 
 use super::course::{Course, bit, small};
+use super::plan::Times;
+use crate::floor::script::Running;
 
 impl Course {
     /// Something happened: what waited for that may end or arrive now.
@@ -14,9 +16,38 @@ impl Course {
         self.beside.slow = 0;
     }
 
+    /// Time passed: where every tick counts, what waited may end or arrive now.
+    pub fn next_step(&mut self) {
+        if self.times != Times::Every {
+            return;
+        }
+        let (floor, beside, step) = (&self.floor, &mut self.beside, self.plan.step);
+        beside.stays.retain(|&(task, level)| {
+            let actor = floor.bodies[usize::from(task)].actor.as_ref();
+            let running = actor.and_then(|actor| actor.running.iter().find(|action| action.level == level));
+            running.is_some_and(|action| action.most % step != 0 || action.most == Running::FOREVER)
+        });
+        for crossing in &floor.crossings {
+            let bound = floor.links[usize::from(crossing.link)].2;
+            if u32::from(bound.saturating_sub(crossing.age)) % step == 0 {
+                beside.slow &= !bit(usize::from(crossing.link));
+            }
+        }
+    }
+
+    /// In how many ticks something that takes so many more at most may end or arrive.
+    pub fn to_next_step(&self, most: u32) -> u32 {
+        let step = self.plan.step;
+        if self.times == Times::Every && most != Running::FOREVER {
+            most - (most.saturating_sub(1) / step) * step
+        } else {
+            most
+        }
+    }
+
     /// Nothing waits that is not there any more.
     pub fn settle(&mut self) {
-        if !self.between {
+        if self.times == Times::Ends {
             return;
         }
         let (floor, beside) = (&self.floor, &mut self.beside);
@@ -31,7 +62,7 @@ impl Course {
 
     /// An action does not end at its least time.
     pub fn go_on(&mut self, task: usize, level: u8) {
-        if self.between {
+        if self.times != Times::Ends {
             self.beside.stays.push((small(task), level));
             self.beside.stays.sort_unstable();
             return;

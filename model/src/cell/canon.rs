@@ -1,7 +1,7 @@
 //! Cells as packed bytes and back: what is named in the cell, then the floor.
 
 use super::course::{Course, bit};
-use super::plan::{CellFaults, Holds};
+use super::plan::{CellFaults, Holds, Times};
 use crate::floor::canon::number;
 use crate::state::Violation;
 
@@ -69,7 +69,7 @@ impl Course {
                 number(due.map_or(0, |left| left + 1), &mut out);
             }
         }
-        if self.between {
+        if self.times != Times::Ends {
             out.push(u8::try_from(b.stays.len()).map_err(|_| Violation::Overflow)?);
             b.stays.iter().for_each(|&(task, level)| out.extend([task, level]));
             out.extend(b.slow.to_le_bytes());
@@ -113,7 +113,7 @@ impl Course {
             }
         }
         b.stays.clear();
-        if self.between {
+        if self.times != Times::Ends {
             for _ in 0..byte() {
                 b.stays.push((byte(), byte()));
             }

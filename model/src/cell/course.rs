@@ -80,8 +80,8 @@ pub(super) struct Course {
     pub faults: CellFaults,
     pub floor: Floor,
     pub beside: Beside,
-    /// Whether actions may end, and packets arrive, between their ends.
-    pub between: bool,
+    /// When actions end, and packets arrive.
+    pub times: Times,
     /// The check that was broken by the last move.
     pub broken: Option<usize>,
     /// Ticks that passed since this was last set to zero.
@@ -132,7 +132,7 @@ impl Course {
             faults: faults.clone(),
             floor,
             beside,
-            between: plan.times == Times::Between,
+            times: plan.times.max(Times::Ends),
             broken: None,
             passed: 0,
             mattered: vec![false; plan.checks.len()],
@@ -339,6 +339,8 @@ impl Course {
         }
         if self.beside.acted != 0 {
             self.stir();
+        } else {
+            self.next_step();
         }
         Ok(())
     }

@@ -54,9 +54,9 @@ pub struct Scene {
 #[must_use]
 pub fn scenes(plan: &Arc<CellPlan>, finding: &Finding) -> Vec<Scene> {
     let plan = &super::outside::with_programs(plan);
-    let plan = &super::search::timed(plan, finding.between);
+    let plan = &super::search::timed(plan, finding.times);
     let faults = match finding.phase {
-        Phase::FaultFree | Phase::Between => CellFaults::default(),
+        Phase::FaultFree => CellFaults::default(),
         Phase::Faults => plan.faults.get(finding.hypothesis).cloned().unwrap_or_default(),
     };
     let mut dropped = vec![[0; Reason::ALL.len()]; plan.table.cell().nodes.len()];

@@ -1,7 +1,7 @@
 //! What may happen next in a cell.
 
 use super::course::{CellMove, Course, OPEN, UNUSED, bit, small};
-use super::plan::Conduct;
+use super::plan::{Conduct, Times};
 use crate::floor::script::Running;
 use crate::floor::{Crossing, Floor};
 
@@ -100,7 +100,7 @@ impl Course {
     }
 
     fn may_come_early(&self, crossing: &Crossing) -> bool {
-        self.between
+        self.times != Times::Ends
             && crossing.age > 0
             && self.beside.slow & bit(usize::from(crossing.link)) == 0
             && self.cut_of(crossing.link, OPEN).is_none()
@@ -158,13 +158,18 @@ impl Course {
         let floor = &self.floor;
         let packets = floor.crossings.iter().map(|crossing| {
             let bound = floor.links[usize::from(crossing.link)].2;
-            let at = if self.between && crossing.age == 0 { bound.min(1) } else { bound };
-            u64::from(at.saturating_sub(crossing.age))
+            let left = bound.saturating_sub(crossing.age);
+            match (self.times, crossing.age) {
+                (Times::Between | Times::Every, 0) => u64::from(left.min(1)),
+                _ => u64::from(self.to_next_step(u32::from(left))),
+            }
         });
         let nodes = floor.stations.iter().filter(|s| s.up).filter_map(|s| s.node.next_expiry()).map(|t| t.0);
         let actions = floor.bodies.iter().filter_map(|body| body.actor.as_ref()).flat_map(|a| &a.running);
         let ends = actions.filter(|action| action.most != Running::FOREVER || action.least > 0);
-        let ends = ends.map(|action| u64::from(if action.least > 0 { action.least } else { action.most }));
+        let ends = ends.map(|action| {
+            u64::from(if action.least > 0 { action.least } else { self.to_next_step(action.most) })
+        });
         // What is due is looked at when its last tick is over.
         let due = self.beside.due.iter().flatten().map(|&left| u64::from(left) + 1);
         let held_back = self.beside.held_back.iter().flatten().map(|&left| u64::from(left));

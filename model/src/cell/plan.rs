@@ -1,7 +1,8 @@
 //! What of a cell is checked, and within which bounds.
 
-use imrs_protocol::script::{Program, Term};
+use imrs_protocol::script::{Op, Program, Term};
 use imrs_protocol::{CellTable, NodeId, Rate, Ticks};
+use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
 /// What a task does.
@@ -88,21 +89,26 @@ impl Default for Budget {
 }
 
 /// When actions end, between their least and their most time, and packets arrive, between one tick and their link's bound.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash, Serialize, Deserialize)]
 pub enum Times {
-    /// With faults as [`Ends`](Self::Ends); without them as [`Between`](Self::Between) where that does not take more than
-    /// [`AUTO_STATES`](Self::AUTO_STATES), and else both: the ends wholly, what is between them so far.
+    /// As [`Every`](Self::Every) where that takes no more than [`AUTO_STATES`](Self::AUTO_STATES), or
+    /// [`AUTO_STATES_WITH_FAULTS`](Self::AUTO_STATES_WITH_FAULTS); else as [`Between`](Self::Between) where that takes no
+    /// more; else as [`Ends`](Self::Ends).
     #[default]
     Auto,
     /// Actions at their least or most time, packets at their bound.
     Ends,
     /// At both ends, or right after anything that happens between them.
     Between,
+    /// At every tick from the one to the other, or every [`CellPlan::step`] of them.
+    Every,
 }
 
 impl Times {
-    /// How many states what lies between the ends may take before they are looked at alone.
+    /// How many states the finer times may take without faults before coarser ones are looked at.
     pub const AUTO_STATES: u64 = 20_000;
+    /// The same with faults.
+    pub const AUTO_STATES_WITH_FAULTS: u64 = 5_000;
 }
 
 /// A cell to check.
@@ -120,6 +126,8 @@ pub struct CellPlan {
     pub budget: Budget,
     /// When actions end and packets arrive.
     pub times: Times,
+    /// Of how many ticks [`Times::Every`] takes one: counted back from the most time.
+    pub step: u32,
     /// Whether to do without reductions, to check that they change no finding: also faults that nobody can notice, states
     /// that others cover, variables that nobody reads any more, and restarts at every event.
     pub everything: bool,
@@ -140,9 +148,21 @@ impl CellPlan {
             checks: Vec::new(),
             budget: Budget::default(),
             times: Times::Auto,
+            step: 1,
             everything: false,
             transit: 16,
             jobs: 1,
         }
+    }
+
+    /// Whether every action and every packet takes one time only.
+    pub(super) fn is_exact(&self) -> bool {
+        let exact = |conduct: &Conduct| match conduct {
+            Conduct::Program { program, .. } => {
+                program.code.iter().all(|op| !matches!(op, Op::Run { least, most, .. } if least < most))
+            }
+            Conduct::Extern(_) => true,
+        };
+        self.tasks.iter().all(exact) && self.table.cell().links.iter().all(|link| link.delay.0 <= 1)
     }
 }

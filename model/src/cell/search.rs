@@ -54,36 +54,53 @@ pub fn check_cell(plan: &Arc<CellPlan>) -> Verdicts {
     if let Some(refused) = refused(plan) {
         return Verdicts { refused: Some(refused), ..Verdicts::default() };
     }
-    let mut done = without_faults(plan);
-    let plan = &timed(plan, plan.times == Times::Between);
+    let mut done = vec![look(plan, (Phase::FaultFree, 0), &CellFaults::default())];
     for (hypothesis, faults) in plan.faults.iter().enumerate().filter(|(_, faults)| !faults.are_none()) {
-        done.push(explore(plan, (Phase::Faults, hypothesis), faults));
+        done.push(look(plan, (Phase::Faults, hypothesis), faults));
     }
     conclude(plan, done)
 }
 
 /// The same cell with other times.
-pub(super) fn timed(plan: &Arc<CellPlan>, between: bool) -> Arc<CellPlan> {
-    let times = if between { Times::Between } else { Times::Ends };
+pub(super) fn timed(plan: &Arc<CellPlan>, times: Times) -> Arc<CellPlan> {
     Arc::new(CellPlan { times, ..CellPlan::clone(plan) })
 }
 
-fn without_faults(plan: &Arc<CellPlan>) -> Vec<Done> {
-    let none = CellFaults::default();
-    let whole = |between| explore(&timed(plan, between), (Phase::FaultFree, 0), &none);
+/// Searches at the finest times that are not too much.
+fn look(plan: &Arc<CellPlan>, phase: (Phase, usize), faults: &CellFaults) -> Done {
     if plan.times != Times::Auto {
-        return vec![whole(plan.times == Times::Between)];
+        return explore(plan, phase, faults);
     }
-    let mut short = CellPlan::clone(&timed(plan, true));
-    short.budget.states = short.budget.states.min(Times::AUTO_STATES);
-    short.budget.seconds /= 2.0;
-    let mut between = explore(&Arc::new(short), (Phase::FaultFree, 0), &none);
-    if between.coverage.complete {
-        return vec![between];
+    if plan.is_exact() {
+        let mut done = explore(&timed(plan, Times::Ends), phase, faults);
+        done.coverage.times = Times::Every;
+        return done;
     }
-    between.coverage.phase = Phase::Between;
-    between.findings.iter_mut().for_each(|finding| finding.phase = Phase::Between);
-    vec![whole(false), between]
+    let most = if faults.are_none() { Times::AUTO_STATES } else { Times::AUTO_STATES_WITH_FAULTS };
+    let mut tried: Option<Done> = None;
+    for times in [Times::Every, Times::Between] {
+        let mut short = CellPlan::clone(&timed(plan, times));
+        short.budget.states = short.budget.states.min(most);
+        short.budget.seconds /= 4.0;
+        let done = explore(&Arc::new(short), phase, faults).with(tried);
+        if done.coverage.complete {
+            return done;
+        }
+        tried = Some(done);
+    }
+    explore(&timed(plan, Times::Ends), phase, faults).with(tried)
+}
+
+impl Done {
+    /// What was found, and reached, on the way to this search, too.
+    fn with(mut self, earlier: Option<Self>) -> Self {
+        if let Some(earlier) = earlier {
+            self.findings.extend(earlier.findings);
+            self.reached = self.reached.join(earlier.reached);
+            self.mattered.iter_mut().zip(earlier.mattered).for_each(|(all, one)| *all |= one);
+        }
+        self
+    }
 }
 
 /// A program that keeps numbers of messages: no canonical state could hold them (D51).
@@ -113,7 +130,7 @@ fn explore(plan: &Arc<CellPlan>, (phase, hypothesis): (Phase, usize), faults: &C
     let coverage = Coverage {
         phase,
         hypothesis,
-        between: plan.times == Times::Between,
+        times: plan.times,
         states: search.origins.len() as u64,
         moves: search.moves,
         depth,
@@ -262,7 +279,7 @@ impl Search {
             kind,
             phase,
             hypothesis,
-            between: plan.times == Times::Between,
+            times: plan.times,
             task: task.map(TaskId::from_index),
             address,
             check,
@@ -279,8 +296,7 @@ impl Search {
 
 fn conclude(plan: &Arc<CellPlan>, done: Vec<Done>) -> Verdicts {
     // What nobody reached before a finding that ends its way may lie behind it.
-    let done_with = |coverage: &Coverage| coverage.phase == Phase::Between || coverage.complete;
-    let complete = done.iter().all(|done| done_with(&done.coverage) && !done.coverage.pruned);
+    let complete = done.iter().all(|done| done.coverage.complete && !done.coverage.pruned);
     let mut verdicts = Verdicts::default();
     let gives = |conduct: &Conduct| matches!(conduct, Conduct::Program { values, .. } if values.iter().any(|v| !v.is_empty()));
     let tried =
@@ -349,7 +365,7 @@ fn bare(kind: Kind, place: Option<(TaskId, Address)>, check: Option<usize>, caus
         kind,
         phase: Phase::FaultFree,
         hypothesis: 0,
-        between: false,
+        times: Times::Ends,
         task: place.map(|(task, _)| task),
         address: place.map(|(_, at)| at),
         check,

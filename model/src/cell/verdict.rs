@@ -1,6 +1,7 @@
 //! What the check of a cell says.
 
 use super::course::CellMove;
+use super::plan::Times;
 use super::story::Step;
 use imrs_protocol::TaskId;
 use imrs_protocol::script::Address;
@@ -67,9 +68,6 @@ impl Kind {
 pub enum Phase {
     /// Nothing goes wrong.
     FaultFree,
-    /// The same between the ends, as far as that was looked at: where it is too much to be looked at wholly
-    /// ([`Times::Auto`](super::Times::Auto)).
-    Between,
     /// What is declared goes wrong.
     Faults,
 }
@@ -94,8 +92,8 @@ pub struct Finding {
     pub phase: Phase,
     /// With faults, which of the plan's hypotheses.
     pub hypothesis: usize,
-    /// Whether its way needs times between the ends.
-    pub between: bool,
+    /// At which times it was found.
+    pub times: Times,
     /// Whose it is.
     pub task: Option<TaskId>,
     /// The operation of its program.
@@ -125,8 +123,8 @@ pub struct Coverage {
     pub phase: Phase,
     /// With faults, which of the plan's hypotheses.
     pub hypothesis: usize,
-    /// Whether actions that end, and packets that arrive, between their ends were looked at.
-    pub between: bool,
+    /// At which times: never [`Times::Auto`].
+    pub times: Times,
     /// Different states kept; between two of them only one thing can happen.
     pub states: u64,
     /// Moves made.
@@ -181,11 +179,10 @@ pub struct Verdicts {
 }
 
 impl Verdicts {
-    /// Whether every phase looked at everything: what lies between the ends only where that was asked for.
+    /// Whether every phase looked at everything at its times.
     #[must_use]
     pub fn is_complete(&self) -> bool {
-        let ended = |phase: &Coverage| phase.complete || phase.phase == Phase::Between;
-        self.refused.is_none() && self.phases.iter().all(ended)
+        self.refused.is_none() && self.phases.iter().all(|phase| phase.complete)
     }
 
     /// The findings of a kind.

@@ -4,7 +4,7 @@
 use super::run::{Happened, Run, Turn};
 use crate::cell::course::{CellMove, Course};
 use crate::cell::outside::with_programs;
-use crate::cell::plan::{CellFaults, CellPlan};
+use crate::cell::plan::{CellFaults, CellPlan, Times};
 use crate::cell::search::timed;
 use imrs_protocol::script::{Address, End, ScriptInput};
 use imrs_protocol::{Call, Outcome, PortId, Signal, TaskId};
@@ -57,7 +57,7 @@ pub fn steps_in_model(plan: &Arc<CellPlan>, run: &Run) -> Steps {
     }
     let mut steps = Steps { kinds: missing.len(), ..Steps::default() };
     let mut draw = Draw(1);
-    let between = timed(&plan, true);
+    let between = timed(&plan, Times::Between);
     while !missing.is_empty() && start.elapsed().as_secs_f64() < plan.budget.seconds {
         steps.walks += 1;
         // Every other walk is without faults: what takes long is not reached where something always goes wrong.
