@@ -205,6 +205,24 @@ fn an_end_between_least_and_most_is_looked_at_without_faults() {
 }
 
 #[test]
+fn a_fixed_time_before_a_collision_needs_every_tick() {
+    let a = "run drive takes 0..100 msec; delay 20 msec; x := 1; run pass takes 10 msec; x := 0;";
+    let b = "delay 70 msec; y := 1; run pass takes 10 msec; y := 0;";
+    let check = "check c: never a.x = 1 and b.y = 1;";
+    let mut cell = two(PUT, USE_PUT, &format!("{a} send put(m);"), &format!("{b} {TAKE}"), check);
+    let mut has = |times: Times, step: u32| {
+        (cell.plan.times, cell.plan.step) = (times, step);
+        let verdicts = cell.check();
+        (verdicts.of(Kind::Check).next().is_some(), verdicts.phases[0].times)
+    };
+    assert_eq!(has(Times::Between, 1), (false, Times::Between));
+    assert_eq!(has(Times::Every, 1), (true, Times::Every));
+    assert_eq!(has(Times::Every, 5), (true, Times::Every), "45 is a multiple");
+    assert_eq!(has(Times::Every, 50), (true, Times::Every), "50 is one, and meets at its end");
+    assert_eq!(has(Times::Auto, 1), (true, Times::Every));
+}
+
+#[test]
 fn a_packet_that_comes_sooner_than_its_bound_is_looked_at_without_faults() {
     let text = "cell early;\ntick 1 msec;\nnode na; node nb;\nlink na -- nb delay 20 msec;\n\
         task a on na\nport put() usage = send user_list = {b} time_out = 80 msec class = 2;\nbegin\n\

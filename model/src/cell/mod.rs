@@ -11,8 +11,8 @@
 //!   arrive right before one that was sent earlier.
 //! - An action ends when its least time is over or when its most is. Each end gives each of the values worth trying, and
 //!   may fail within the budget.
-//! - Where a search looks between the ends ([`Times`]), an action also ends, and a packet also arrives, right after whatever
-//!   else happens in the cell meanwhile; a packet also after one tick.
+//! - That is [`Times::Ends`]. The finer [`Times`] let actions end and packets arrive right after whatever else happens in the
+//!   cell meanwhile, or at every tick.
 //! - What two nodes do in the same tick cannot reach each other in it: the nodes take turns in their order, and checks
 //!   are looked at after each turn. On one node every order of arrivals and ends of actions is tried, after what the
 //!   tick itself brings there (time_outs, timers, beats).

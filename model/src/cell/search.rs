@@ -103,8 +103,22 @@ impl Done {
     }
 }
 
-/// A program that keeps numbers of messages: no canonical state could hold them (D51).
+/// What one search can hold: a bit for each node and for each way of a link, a byte for a task.
+const MOST: (usize, usize, usize) = (64, 255, 32);
+
+/// A cell that is too large, or a program that keeps numbers of messages: no canonical state could hold them (D51).
 fn refused(plan: &CellPlan) -> Option<Refused> {
+    let cell = plan.table.cell();
+    let (nodes, tasks, links) = MOST;
+    if cell.nodes.len() > nodes || cell.tasks.len() > tasks || cell.links.len() > links {
+        let why = format!(
+            "{} nodes, {} tasks and {} links are more than the checker takes: at most {nodes}, {tasks} and {links}",
+            cell.nodes.len(),
+            cell.tasks.len(),
+            cell.links.len()
+        );
+        return Some(Refused { task: TaskId::from_index(0), at: 0, why });
+    }
     let names = |task: &Conduct| match task {
         Conduct::Program { program, .. } => program.code.iter().position(|op| *op == Op::ReceivedId),
         Conduct::Extern(_) => None,
