@@ -260,11 +260,8 @@ impl<S: Station> Handoff<S> {
                 self.word.swap(READY);
                 return false;
             }
-            Plant::None
-            | Plant::NoSecondLook
-            | Plant::SilentStop
-            | Plant::NoFence
-            | Plant::DropsWhenFull => {}
+            Plant::None | Plant::NoSecondLook | Plant::SilentStop | Plant::NoFence | Plant::DropsWhenFull => {
+            }
         }
         self.word.swap(READY) == SLEEPING
     }

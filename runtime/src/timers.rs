@@ -43,8 +43,7 @@ impl Timers {
         // Time that passed here since the task asked is not added to its delay.
         let length = length - Ticks(state.last.saturating_sub(at));
         state.disarm(owner, id);
-        let timer =
-            if effects.waiter == Some(owner) { &mut state.attended } else { &mut state.unattended };
+        let timer = if effects.waiter == Some(owner) { &mut state.attended } else { &mut state.unattended };
         if !timer.arm(owner, id, turn, length) {
             // A full Timer ends the delay at once rather than never.
             let stamped = Stamped { at: state.last, input: Input::TimeOut { id, turn } };

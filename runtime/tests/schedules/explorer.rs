@@ -1,10 +1,10 @@
 //! shuttle as the explorer: schedules drawn by PCT (probabilistic concurrency testing), which finds a bug that needs so
 //! many ordered steps with a known probability in each. Every atomic operation counts as sequentially consistent.
 
+use shuttle::scheduler::PctScheduler;
 pub(crate) use shuttle::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, AtomicUsize, Ordering, fence};
 pub(crate) use shuttle::sync::{Arc, Condvar, Mutex, Mutex as PlainMutex, MutexGuard};
 pub(crate) use shuttle::thread;
-use shuttle::scheduler::PctScheduler;
 use shuttle::{Config, FailurePersistence, Runner};
 use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};

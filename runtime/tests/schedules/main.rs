@@ -1,5 +1,5 @@
 //! The concurrent pieces of the runtime under many schedules, by shuttle: the same source and the same scenes that loom
-//! explores in the unit tests, with fewer threads' worth of care for old values and many more schedules.
+//! explores in the unit tests, with no old values but many more schedules.
 
 #[allow(dead_code, reason = "the pieces bring along what no scene needs")]
 #[path = "../../src/alarm.rs"]
