@@ -71,11 +71,13 @@ fn heavy_libraries_stay_in_their_rooms() {
             let uses = normal.contains(library) || dev.contains(library);
             assert!(!uses || package == room, "{library} in {package}: it belongs in {room}");
         }
-        assert!(!normal.contains("loom"), "{package}: loom is for tests");
-        assert!(
-            !dev.contains("loom") || package == "imrs-runtime",
-            "{package}: loom is for the runtime's tests"
-        );
+        for explorer in ["loom", "shuttle"] {
+            assert!(!normal.contains(explorer), "{package}: {explorer} is for tests");
+            assert!(
+                !dev.contains(explorer) || package == "imrs-runtime",
+                "{package}: {explorer} is for the runtime's tests"
+            );
+        }
     }
 }
 

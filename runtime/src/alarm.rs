@@ -4,6 +4,7 @@
 //! and is rung only if an earlier one is published: a stream of messages with equal time_outs never rings it.
 
 use crate::clock::{FAR, Micros, nanos_of};
+use crate::handoff::Rest;
 use crate::sync::{AtomicU64, Ordering, Word, fence};
 
 #[derive(Debug)]
@@ -13,7 +14,20 @@ pub(crate) struct Alarm {
     target: AtomicU64,
     rung: Word,
     #[cfg(test)]
-    pub no_open_target: bool,
+    pub plant: Plant,
+}
+
+/// The bugs that the explorers must find.
+#[cfg(test)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Plant {
+    None,
+    /// While the slots are looked at, the old target still stands.
+    NoOpenTarget,
+    /// Nothing orders a slot and the target.
+    NoFence,
+    /// The end is looked for before what has been rung so far.
+    EndBeforeRung,
 }
 
 /// The earliest expiry, and what has been rung so far.
@@ -30,7 +44,7 @@ impl Alarm {
             target: AtomicU64::new(FAR),
             rung: Word::new(0),
             #[cfg(test)]
-            no_open_target: false,
+            plant: Plant::None,
         }
     }
 
@@ -45,7 +59,7 @@ impl Alarm {
             return;
         }
         // Pairs with the one in `earliest`: either that sees the slot, or this sees the open target.
-        fence(Ordering::SeqCst);
+        self.fence();
         if at < self.target.load(Ordering::Relaxed) {
             self.ring();
         }
@@ -67,20 +81,88 @@ impl Alarm {
         let rung = self.rung.load();
         // While the slots are looked at, whatever is published rings.
         #[cfg(test)]
-        let open = !self.no_open_target;
+        let open = self.plant != Plant::NoOpenTarget;
         #[cfg(not(test))]
         let open = true;
         if open {
             self.target.store(FAR, Ordering::Relaxed);
         }
-        fence(Ordering::SeqCst);
+        self.fence();
         let at = self.slots.iter().map(|slot| slot.load(Ordering::Relaxed)).min().unwrap_or(FAR);
         self.target.store(at, Ordering::Relaxed);
         Earliest { at, rung }
     }
 
+    /// Sleeps until something expires that nobody waits for, and returns the time then; for the Timer thread alone.
+    /// `None` as soon as `closing` says so: whoever makes it say so rings afterwards.
+    pub fn next(&self, closing: impl Fn() -> bool, clock: impl Fn() -> Micros) -> Option<Micros> {
+        loop {
+            #[cfg(test)]
+            if self.plant == Plant::EndBeforeRung {
+                if closing() {
+                    return None;
+                }
+                self.sleep(self.earliest());
+                continue;
+            }
+            let earliest = self.earliest();
+            if closing() {
+                return None;
+            }
+            let now = clock();
+            if earliest.at <= now {
+                return Some(now);
+            }
+            self.sleep(earliest);
+        }
+    }
+
+    fn fence(&self) {
+        #[cfg(test)]
+        if self.plant == Plant::NoFence {
+            return;
+        }
+        fence(Ordering::SeqCst);
+    }
+
     /// Sleeps until then, or until rung. Without an expiry it sleeps until rung.
     pub fn sleep(&self, until: Earliest) {
         self.rung.wait(until.rung, nanos_of(until.at));
+    }
+}
+
+/// Who looks after the time of one machine: its task's thread, where that sleeps no longer than until the next expiry;
+/// else the Timer's. Changed only under the lock of that machine.
+#[derive(Debug)]
+pub(crate) struct Cover {
+    slot: usize,
+    /// Until when the task's thread sleeps.
+    until: Option<Micros>,
+    /// For the test that must fail: any sleep covers any expiry.
+    #[cfg(test)]
+    pub covers_all: bool,
+}
+
+impl Cover {
+    pub const fn new(slot: usize) -> Self {
+        Self {
+            slot,
+            until: None,
+            #[cfg(test)]
+            covers_all: false,
+        }
+    }
+
+    /// The machine next expires at `due`, and its task's thread does this: publishes what nobody waits for.
+    pub fn settle(&mut self, alarm: &Alarm, rest: Rest, due: Micros) {
+        match rest {
+            Rest::No => self.until = None,
+            Rest::Begins => self.until = Some(due),
+            Rest::GoesOn => {}
+        }
+        #[cfg(test)]
+        let due = if self.covers_all && self.until.is_some() { FAR } else { due };
+        let covered = self.until.is_some_and(|until| until <= due);
+        alarm.publish(self.slot, if covered { FAR } else { due });
     }
 }

@@ -1,6 +1,6 @@
 //! A communication task behind its lock, with its clock, its recorder and its observations.
 
-use crate::alarm::Alarm;
+use crate::alarm::{Alarm, Cover};
 use crate::clock::{FAR, Micros};
 use crate::effects::{Effect, Effects, Stamped};
 use crate::failstop::FailStop;
@@ -22,13 +22,10 @@ pub(crate) struct Comm {
     machine: CommTask,
     table: NodeTable,
     alarm: Arc<Alarm>,
-    /// The position of this communication task among those of the node.
-    slot: usize,
+    cover: Cover,
     /// When the machine last advanced.
     last: Micros,
     rebased: Micros,
-    /// Until when the sleeping task's thread looks after this machine's time.
-    covered: Micros,
     recorder: Option<Arc<dyn Recorder>>,
     digest: OutputDigest,
     ring: Ring,
@@ -50,10 +47,9 @@ impl Comm {
             machine,
             table,
             alarm,
-            slot,
+            cover: Cover::new(slot),
             last: now,
             rebased: now,
-            covered: 0,
             recorder,
             digest: OutputDigest::START,
             ring: Ring::new(),
@@ -204,13 +200,7 @@ impl Station for Comm {
 
     fn settle(&mut self, rest: Rest, _effects: &mut Effects) -> Micros {
         let due = self.due();
-        match rest {
-            Rest::No => self.covered = 0,
-            Rest::Begins => self.covered = due,
-            Rest::GoesOn => {}
-        }
-        // Whoever sleeps until then looks after it: the Timer thread serves only expiries that nobody waits for.
-        self.alarm.publish(self.slot, if due >= self.covered && self.covered != 0 { FAR } else { due });
+        self.cover.settle(&self.alarm, rest, due);
         due
     }
 }

@@ -60,6 +60,9 @@ pub(crate) struct Handoff<S: Station> {
     word: Word,
     #[cfg(test)]
     pub plant: Plant,
+    /// Room in the inbox, and whether anybody found none.
+    #[cfg(test)]
+    pub room: (usize, std::sync::atomic::AtomicBool),
 }
 
 struct Core<S: Station> {
@@ -82,7 +85,7 @@ pub(crate) struct Entry<M> {
     pub until: u64,
 }
 
-/// The bugs that the loom tests must find.
+/// The bugs that the explorers must find.
 #[cfg(test)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Plant {
@@ -95,6 +98,10 @@ pub(crate) enum Plant {
     NoWake,
     /// Stopping does not wake.
     SilentStop,
+    /// Nothing orders the inbox and the lock.
+    NoFence,
+    /// Input that finds the lock held and the inbox full is gone.
+    DropsWhenFull,
 }
 
 impl<S: Station> Handoff<S> {
@@ -112,6 +119,8 @@ impl<S: Station> Handoff<S> {
             word: Word::new(RUNNING),
             #[cfg(test)]
             plant: Plant::None,
+            #[cfg(test)]
+            room: (INBOX, std::sync::atomic::AtomicBool::new(false)),
         }
     }
 
@@ -120,6 +129,10 @@ impl<S: Station> Handoff<S> {
         if let Some(core) = try_lock(&self.core) {
             self.work(core, Some(input), effects);
         } else if let Err(input) = self.leave(input) {
+            #[cfg(test)]
+            if self.plant == Plant::DropsWhenFull {
+                return;
+            }
             // The lock is held for a bounded time, so this wait is bounded too.
             self.work(lock(&self.core), Some(input), effects);
         }
@@ -208,6 +221,11 @@ impl<S: Station> Handoff<S> {
     /// finds it; [`nudge`](Self::nudge) makes sure that somebody does.
     pub fn leave(&self, input: S::Input) -> Result<(), S::Input> {
         let mut inbox = lock(&self.inbox);
+        #[cfg(test)]
+        if inbox.len() >= self.room.0 {
+            self.room.1.store(true, Ordering::Relaxed);
+            return Err(input);
+        }
         if inbox.len() >= INBOX {
             return Err(input);
         }
@@ -242,7 +260,8 @@ impl<S: Station> Handoff<S> {
                 self.word.swap(READY);
                 return false;
             }
-            Plant::None | Plant::NoSecondLook | Plant::SilentStop => {}
+            Plant::None | Plant::NoSecondLook | Plant::SilentStop | Plant::NoFence | Plant::DropsWhenFull => {
+            }
         }
         self.word.swap(READY) == SLEEPING
     }
@@ -271,13 +290,21 @@ impl<S: Station> Handoff<S> {
             return;
         }
         loop {
-            fence(Ordering::SeqCst);
+            self.fence();
             if self.queued.load(Ordering::Relaxed) == 0 {
                 return;
             }
             let Some(core) = try_lock(&self.core) else { return };
             self.work(core, None, effects);
         }
+    }
+
+    fn fence(&self) {
+        #[cfg(test)]
+        if self.plant == Plant::NoFence {
+            return;
+        }
+        fence(Ordering::SeqCst);
     }
 }
 

@@ -45,6 +45,8 @@ mod context;
 mod effects;
 #[cfg(test)]
 mod explored;
+#[cfg(test)]
+mod explorer;
 mod failstop;
 mod handoff;
 pub mod link;

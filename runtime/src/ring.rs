@@ -13,11 +13,28 @@ pub(crate) struct Ring {
     /// How many were ever written.
     written: u64,
     readers: usize,
+    /// How many are kept.
+    room: usize,
+    /// For the test that must fail: what is overwritten is read as what it was.
+    #[cfg(test)]
+    pub forgets_the_loss: bool,
 }
 
 impl Ring {
     pub fn new() -> Self {
-        Self { kept: Vec::new(), written: 0, readers: 0 }
+        Self::of(KEPT)
+    }
+
+    /// One that keeps `room` observations.
+    pub fn of(room: usize) -> Self {
+        Self {
+            kept: Vec::new(),
+            written: 0,
+            readers: 0,
+            room,
+            #[cfg(test)]
+            forgets_the_loss: false,
+        }
     }
 
     /// Notes an observation, if anybody wants it.
@@ -26,7 +43,7 @@ impl Ring {
             return;
         }
         let entry = (at, observation);
-        if self.kept.len() < KEPT {
+        if self.kept.len() < self.room {
             self.kept.push(entry);
         } else {
             let at = self.position(self.written);
@@ -37,7 +54,7 @@ impl Ring {
 
     /// Begins to follow: returns the position to read from.
     pub fn subscribe(&mut self) -> u64 {
-        self.kept.reserve_exact(KEPT.saturating_sub(self.kept.len()));
+        self.kept.reserve_exact(self.room.saturating_sub(self.kept.len()));
         self.readers += 1;
         self.written
     }
@@ -52,6 +69,8 @@ impl Ring {
     pub fn read(&self, from: u64, room: usize, mut each: impl FnMut(Micros, Observation)) -> (u64, u64) {
         let oldest = self.written - self.kept.len() as u64;
         let begin = from.max(oldest);
+        #[cfg(test)]
+        let begin = if self.forgets_the_loss { from } else { begin };
         let end = self.written.min(begin.saturating_add(room as u64));
         for number in begin..end {
             let (at, observation) = self.kept[self.position(number)];
@@ -60,9 +79,9 @@ impl Ring {
         (end, begin - from)
     }
 
-    #[expect(clippy::cast_possible_truncation, reason = "the remainder is below KEPT")]
+    #[expect(clippy::cast_possible_truncation, reason = "the remainder is below `room`")]
     fn position(&self, number: u64) -> usize {
-        (number % KEPT as u64) as usize
+        (number % self.room as u64) as usize
     }
 }
 

@@ -1,10 +1,12 @@
-//! What the hand-offs are made of. The unit-test build takes loom's, so that every interleaving is explored; tests
-//! with real threads live in `tests/` and get the real ones.
+//! What the hand-offs are made of. The unit-test build takes those of `crate::explorer`, under which schedules are
+//! explored; tests with real threads live in `tests/` and get the real ones.
 
 #[cfg(test)]
-pub(crate) use explored::{Mutex, MutexGuard, lock, try_lock};
+pub(crate) use crate::explorer::{
+    AtomicBool, AtomicU32, AtomicU64, AtomicUsize, Mutex, MutexGuard, Ordering, fence, lock, try_lock,
+};
 #[cfg(test)]
-pub(crate) use loom::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, AtomicUsize, Ordering, fence};
+use crate::explorer::{Condvar, PlainMutex};
 #[cfg(not(test))]
 pub(crate) use real::{lock, try_lock};
 #[cfg(not(test))]
@@ -32,66 +34,12 @@ mod real {
     }
 }
 
-/// loom explores no `try_lock` against the release of its own mutex (a release is no point where it branches). This
-/// mutex says in an atomic that it is held, which loom explores, old values included: the weakest lock that is one.
-#[cfg(test)]
-mod explored {
-    use loom::sync::atomic::{AtomicBool, Ordering};
-    use std::ops::{Deref, DerefMut};
-
-    #[derive(Debug)]
-    pub(crate) struct Mutex<T> {
-        held: AtomicBool,
-        value: loom::sync::Mutex<T>,
-    }
-
-    pub(crate) struct MutexGuard<'a, T> {
-        mutex: &'a Mutex<T>,
-        guard: loom::sync::MutexGuard<'a, T>,
-    }
-
-    impl<T> Mutex<T> {
-        pub fn new(value: T) -> Self {
-            Self { held: AtomicBool::new(false), value: loom::sync::Mutex::new(value) }
-        }
-    }
-
-    pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-        let guard = mutex.value.lock().unwrap();
-        mutex.held.store(true, Ordering::Relaxed);
-        MutexGuard { mutex, guard }
-    }
-
-    pub(crate) fn try_lock<T>(mutex: &Mutex<T>) -> Option<MutexGuard<'_, T>> {
-        (!mutex.held.load(Ordering::Relaxed)).then(|| lock(mutex))
-    }
-
-    impl<T> Drop for MutexGuard<'_, T> {
-        fn drop(&mut self) {
-            self.mutex.held.store(false, Ordering::Release);
-        }
-    }
-
-    impl<T> Deref for MutexGuard<'_, T> {
-        type Target = T;
-        fn deref(&self) -> &T {
-            &self.guard
-        }
-    }
-
-    impl<T> DerefMut for MutexGuard<'_, T> {
-        fn deref_mut(&mut self) -> &mut T {
-            &mut self.guard
-        }
-    }
-}
-
 /// A number that one thread can sleep on.
 #[derive(Debug)]
 pub(crate) struct Word {
     value: AtomicU32,
     #[cfg(test)]
-    sleeper: (loom::sync::Mutex<()>, loom::sync::Condvar),
+    sleeper: (PlainMutex<()>, Condvar),
 }
 
 impl Word {
@@ -99,7 +47,7 @@ impl Word {
         Self {
             value: AtomicU32::new(value),
             #[cfg(test)]
-            sleeper: (loom::sync::Mutex::new(()), loom::sync::Condvar::new()),
+            sleeper: (PlainMutex::new(()), Condvar::new()),
         }
     }
 
@@ -147,7 +95,7 @@ impl Word {
 
 #[cfg(test)]
 impl Word {
-    /// loom has no time: a deadline never passes by itself, see [`time_out`](Self::time_out).
+    /// An explorer has no time: a deadline never passes by itself, see [`time_out`](Self::time_out).
     pub fn wait(&self, value: u32, _deadline: Option<u64>) {
         let guard = self.sleeper.0.lock().unwrap();
         if self.load() == value {

@@ -258,17 +258,8 @@ fn run_timer(node: &Node, closing: &AtomicBool) {
     let _guard = FailStop::of("the Timer's thread");
     clock::sleep_exactly();
     let mut effects = Effects::new(None);
-    loop {
-        let earliest = node.alarm.earliest();
-        if closing.load(Ordering::SeqCst) {
-            return;
-        }
-        let now = clock::now();
-        if earliest.at <= now {
-            node.tend(now, &mut effects);
-        } else {
-            node.alarm.sleep(earliest);
-        }
+    while let Some(now) = node.alarm.next(|| closing.load(Ordering::SeqCst), clock::now) {
+        node.tend(now, &mut effects);
     }
 }
 

@@ -5,7 +5,7 @@ use crate::alarm::Alarm;
 use crate::clock::{FAR, Micros};
 use crate::effects::{Effect, Effects, Stamped};
 use crate::sync::{Mutex, lock};
-use imrs_protocol::{Input, TaskId, Ticks, TimeId, Timer};
+use imrs_protocol::{CommTask, Input, TaskId, Ticks, TimeId, Timer};
 use std::sync::Arc;
 
 pub(crate) struct Timers {
@@ -15,15 +15,18 @@ pub(crate) struct Timers {
 }
 
 struct State {
-    timer: Timer,
+    /// The entries that a task's thread sleeps for.
+    attended: Timer,
+    /// Those that no thread sleeps for: the Timer thread looks after them. Apart, so that its next one costs no search.
+    unattended: Timer,
     last: Micros,
-    /// Entries that no thread sleeps for: the Timer thread looks after them.
-    unattended: Vec<(TaskId, TimeId, Micros)>,
 }
 
 impl Timers {
+    /// `timer` is empty and has room for the entries of all `tasks` tasks of the node.
     pub fn new(timer: Timer, tasks: usize, alarm: Arc<Alarm>, slot: usize, now: Micros) -> Self {
-        let state = State { timer, last: now, unattended: Vec::with_capacity(tasks) };
+        let room = u16::try_from(tasks.saturating_mul(CommTask::ENTRIES)).unwrap_or(u16::MAX);
+        let state = State { attended: timer, unattended: Timer::new(room), last: now };
         Self { alarm, slot, state: Mutex::new(state) }
     }
 
@@ -39,14 +42,12 @@ impl Timers {
         state.advance(at, effects);
         // Time that passed here since the task asked is not added to its delay.
         let length = length - Ticks(state.last.saturating_sub(at));
-        state.forget(owner, id);
-        if !state.timer.arm(owner, id, turn, length) {
+        state.disarm(owner, id);
+        let timer = if effects.waiter == Some(owner) { &mut state.attended } else { &mut state.unattended };
+        if !timer.arm(owner, id, turn, length) {
             // A full Timer ends the delay at once rather than never.
             let stamped = Stamped { at: state.last, input: Input::TimeOut { id, turn } };
             effects.queue.push_back(Effect::Feed(owner, stamped));
-        } else if effects.waiter != Some(owner) {
-            let until = state.last.saturating_add(length.0);
-            state.unattended.push((owner, id, until));
         }
         self.publish(&state);
     }
@@ -54,8 +55,7 @@ impl Timers {
     pub fn disarm(&self, at: Micros, owner: TaskId, id: TimeId, effects: &mut Effects) {
         let mut state = lock(&self.state);
         state.advance(at, effects);
-        state.timer.disarm(owner, id);
-        state.forget(owner, id);
+        state.disarm(owner, id);
         self.publish(&state);
     }
 
@@ -66,15 +66,18 @@ impl Timers {
         self.publish(&state);
     }
 
-    /// The entries with what is left of each, and when it was so.
+    /// The entries with what is left of each, soonest first, and when it was so.
     pub fn entries(&self) -> (Vec<(TaskId, TimeId, Ticks)>, Micros) {
         let state = lock(&self.state);
-        (state.timer.entries(), state.last)
+        let mut entries = state.attended.entries();
+        entries.extend(state.unattended.entries());
+        entries.sort_by_key(|&(_, _, left)| left);
+        (entries, state.last)
     }
 
     fn publish(&self, state: &State) {
-        let next = state.unattended.iter().map(|&(_, _, until)| until).min();
-        self.alarm.publish(self.slot, next.unwrap_or(FAR));
+        let next = state.unattended.next_expiry();
+        self.alarm.publish(self.slot, next.map_or(FAR, |left| state.last.saturating_add(left.0)));
     }
 }
 
@@ -82,15 +85,17 @@ impl State {
     fn advance(&mut self, now: Micros, effects: &mut Effects) {
         let elapsed = now.saturating_sub(self.last);
         self.last += elapsed;
-        let (last, unattended) = (self.last, &mut self.unattended);
-        self.timer.advance(Ticks(elapsed), |owner, id, turn| {
-            unattended.retain(|&(o, i, _)| (o, i) != (owner, id));
-            let stamped = Stamped { at: last, input: Input::TimeOut { id, turn } };
-            effects.queue.push_back(Effect::Feed(owner, stamped));
-        });
+        for timer in [&mut self.attended, &mut self.unattended] {
+            timer.advance(Ticks(elapsed), |owner, id, turn| {
+                let stamped = Stamped { at: self.last, input: Input::TimeOut { id, turn } };
+                effects.queue.push_back(Effect::Feed(owner, stamped));
+            });
+        }
     }
 
-    fn forget(&mut self, owner: TaskId, id: TimeId) {
-        self.unattended.retain(|&(o, i, _)| (o, i) != (owner, id));
+    fn disarm(&mut self, owner: TaskId, id: TimeId) {
+        if !self.attended.disarm(owner, id) {
+            self.unattended.disarm(owner, id);
+        }
     }
 }

@@ -6,9 +6,19 @@ use crate::sync::{AtomicBool, Mutex, Ordering, fence, try_lock};
 pub(crate) struct Turn<T> {
     wanted: AtomicBool,
     inside: Mutex<T>,
-    /// For the loom test that must fail: the one at work does not look again.
     #[cfg(test)]
-    pub leaves_blindly: bool,
+    pub plant: Plant,
+}
+
+/// The bugs that the explorers must find.
+#[cfg(test)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Plant {
+    None,
+    /// The one at work does not look again.
+    LeavesBlindly,
+    /// Nothing orders the wish and the lock.
+    NoFence,
 }
 
 impl<T> Turn<T> {
@@ -17,7 +27,7 @@ impl<T> Turn<T> {
             wanted: AtomicBool::new(false),
             inside: Mutex::new(inside),
             #[cfg(test)]
-            leaves_blindly: false,
+            plant: Plant::None,
         }
     }
 
@@ -32,7 +42,7 @@ impl<T> Turn<T> {
         loop {
             // Between the wish and the lock here, between the lock and the wish after letting go: one of two threads
             // sees the other.
-            fence(Ordering::SeqCst);
+            self.fence();
             if !self.wanted.load(Ordering::Relaxed) {
                 return;
             }
@@ -42,9 +52,17 @@ impl<T> Turn<T> {
             }
             drop(inside);
             #[cfg(test)]
-            if self.leaves_blindly {
+            if self.plant == Plant::LeavesBlindly {
                 return;
             }
         }
+    }
+
+    fn fence(&self) {
+        #[cfg(test)]
+        if self.plant == Plant::NoFence {
+            return;
+        }
+        fence(Ordering::SeqCst);
     }
 }

@@ -1,55 +1,11 @@
-//! Every interleaving of the hand-offs with at most three preemptions, by loom. In this build the locks and atomics of [`crate::sync`] are loom's.
-//!
-//! Each test asserts which outcomes were seen, and has a twin with a planted bug that must be found: an exploration
-//! that sees one outcome or misses the bug shows nothing.
+//! The hand-off: answers, wake-ups, what is left for the holder of the lock, time_outs, stopping. And the turn.
 
-use crate::alarm::Alarm;
+use super::DEADLOCK;
 use crate::clock::FAR;
+use crate::explorer::{Arc, SEES_OLD_VALUES, explore, must_fail, thread};
 use crate::handoff::{Handoff, Plant, Rest, Station};
-use crate::turn::Turn;
-use loom::sync::Arc;
-use loom::thread;
-use std::collections::BTreeMap;
-use std::panic::{AssertUnwindSafe, catch_unwind};
-use std::sync::Mutex as StdMutex;
-use std::time::{Duration, Instant};
-
-/// An exploration that takes longer shows nothing and fails.
-const CAP: Duration = Duration::from_secs(120);
-
-/// How often each outcome was seen.
-type Histogram<O> = BTreeMap<O, u64>;
-
-/// Runs `body` in every interleaving with at most three preemptions.
-fn explore<O: Ord + Send + 'static>(body: impl Fn() -> O + Send + Sync + 'static) -> Histogram<O> {
-    let seen = std::sync::Arc::new(StdMutex::new(Histogram::new()));
-    let shared = std::sync::Arc::clone(&seen);
-    let mut builder = loom::model::Builder::new();
-    builder.preemption_bound = Some(3);
-    builder.max_duration = Some(CAP);
-    let start = Instant::now();
-    builder.check(move || {
-        let outcome = body();
-        *shared.lock().unwrap().entry(outcome).or_insert(0) += 1;
-    });
-    assert!(start.elapsed() < CAP, "the exploration did not end");
-    let seen = std::mem::take(&mut *seen.lock().unwrap());
-    assert!(seen.values().sum::<u64>() > 1, "only one execution was explored");
-    seen
-}
-
-/// Expects that the exploration finds a planted bug, by its symptom.
-fn must_fail<O: Ord + Send + 'static>(symptom: &str, body: impl Fn() -> O + Send + Sync + 'static) {
-    let Err(panic) = catch_unwind(AssertUnwindSafe(|| explore(body))) else {
-        panic!("the planted bug was not found");
-    };
-    let text = panic.downcast_ref::<String>().cloned();
-    let text = text.or_else(|| panic.downcast_ref::<&str>().map(ToString::to_string)).unwrap_or_default();
-    assert!(text.contains(symptom), "another failure than the planted one: {text}");
-}
-
-/// What loom says when every thread sleeps.
-const DEADLOCK: &str = "deadlock";
+use crate::sync::{Mutex, lock};
+use crate::turn::{self, Turn};
 
 /// A machine of two states: its task has asked, or not. It keeps an answer that comes before the question.
 #[derive(Default)]
@@ -191,6 +147,39 @@ fn without_a_second_look_input_stays_behind() {
     must_fail("input stayed behind", || two_bring(Plant::NoSecondLook));
 }
 
+#[test]
+fn without_its_fence_the_second_look_is_in_vain() {
+    if SEES_OLD_VALUES {
+        must_fail("input stayed behind", || two_bring(Plant::NoFence));
+    }
+}
+
+/// Three threads bring input at once where the inbox has room for one. Whether one of them found it full.
+fn three_bring(plant: Plant) -> bool {
+    let mut handoff = Handoff::new(Toy::default());
+    (handoff.plant, handoff.room.0) = (plant, 1);
+    let handoff = Arc::new(handoff);
+    let others = [bring(&handoff, Brought::Answer), bring(&handoff, Brought::Answer)];
+    let mut own = 0;
+    handoff.deliver(Brought::Answer, &mut own);
+    for other in others {
+        other.join().unwrap();
+    }
+    assert_eq!(handoff.with(|toy| toy.fed, &mut own), 3, "input stayed behind");
+    handoff.room.1.load(std::sync::atomic::Ordering::Relaxed)
+}
+
+#[test]
+fn whoever_finds_the_inbox_full_waits_for_the_lock() {
+    let seen = explore(|| three_bring(Plant::None));
+    assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [false, true], "{seen:?}");
+}
+
+#[test]
+fn input_that_a_full_inbox_drops_is_missed() {
+    must_fail("input stayed behind", || three_bring(Plant::DropsWhenFull));
+}
+
 /// One thread looks while another brings input. Whether the one who looks had to work.
 fn one_looks(plant: Plant) -> u32 {
     let handoff = toy(plant);
@@ -302,58 +291,18 @@ fn stopping_silently_leaves_a_sleeper_behind() {
     must_fail(DEADLOCK, || stop_while_waiting(Plant::SilentStop, false));
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-enum Found {
-    AtOnce,
-    AfterSleep,
-}
-
-/// The Timer thread has served one expiry and looks for the next while another thread publishes one.
-fn publish_while_looking(buggy: bool) -> Found {
-    let mut alarm = Alarm::new(2);
-    alarm.no_open_target = buggy;
-    let alarm = Arc::new(alarm);
-    alarm.publish(1, 3);
-    assert_eq!(alarm.earliest().at, 3);
-    let publisher = Arc::clone(&alarm);
-    let other = thread::spawn(move || publisher.publish(0, 5));
-    alarm.publish(1, FAR);
-    let mut found = Found::AtOnce;
-    loop {
-        let earliest = alarm.earliest();
-        if earliest.at == 5 {
-            break;
-        }
-        alarm.sleep(earliest);
-        found = Found::AfterSleep;
-    }
-    other.join().unwrap();
-    found
-}
-
-#[test]
-fn the_timer_thread_hears_of_every_expiry() {
-    let seen = explore(|| publish_while_looking(false));
-    assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [Found::AtOnce, Found::AfterSleep], "{seen:?}");
-}
-
-#[test]
-fn a_target_that_is_not_opened_hides_an_expiry() {
-    must_fail(DEADLOCK, || publish_while_looking(true));
-}
-
 /// Two threads put something down and take a turn to carry it away. How much one of them carried, at the most.
-fn two_take_turns(buggy: bool) -> u32 {
-    fn put_and_take(turn: &Turn<()>, pile: &loom::sync::Mutex<u32>) -> u32 {
-        *pile.lock().unwrap() += 1;
+fn two_take_turns(plant: turn::Plant) -> u32 {
+    fn put_and_take(turn: &Turn<()>, pile: &Mutex<u32>) -> u32 {
+        *lock(pile) += 1;
         turn.want();
         let mut carried = 0;
-        turn.take(|()| carried += std::mem::take(&mut *pile.lock().unwrap()));
+        turn.take(|()| carried += std::mem::take(&mut *lock(pile)));
         carried
     }
     let mut turn = Turn::new(());
-    turn.leaves_blindly = buggy;
-    let shared = Arc::new((turn, loom::sync::Mutex::new(0)));
+    turn.plant = plant;
+    let shared = Arc::new((turn, Mutex::new(0)));
     let theirs = Arc::clone(&shared);
     let other = thread::spawn(move || put_and_take(&theirs.0, &theirs.1));
     let own = put_and_take(&shared.0, &shared.1);
@@ -364,11 +313,18 @@ fn two_take_turns(buggy: bool) -> u32 {
 
 #[test]
 fn nothing_is_left_lying_by_those_who_found_another_at_work() {
-    let seen = explore(|| two_take_turns(false));
+    let seen = explore(|| two_take_turns(turn::Plant::None));
     assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [1, 2], "{seen:?}");
 }
 
 #[test]
 fn leaving_without_another_look_leaves_something_lying() {
-    must_fail("something was left lying", || two_take_turns(true));
+    must_fail("something was left lying", || two_take_turns(turn::Plant::LeavesBlindly));
+}
+
+#[test]
+fn without_its_fence_the_turn_leaves_something_lying() {
+    if SEES_OLD_VALUES {
+        must_fail("something was left lying", || two_take_turns(turn::Plant::NoFence));
+    }
 }

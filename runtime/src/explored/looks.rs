@@ -1,0 +1,209 @@
+//! Looking from outside while a machine works, and news that must be there in time.
+
+use crate::clock::FAR;
+use crate::explorer::{Arc, explore, must_fail, thread};
+use crate::handoff::{Handoff, Rest, Station};
+use crate::ring::Ring;
+use crate::sync::{AtomicU64, Mutex, Ordering, lock};
+use imrs_protocol::{Event, Observation, PortId, TaskId, Ticks};
+
+/// A machine that counts what it observes.
+struct Observed {
+    ring: Ring,
+    count: u32,
+}
+
+impl Station for Observed {
+    type Input = ();
+    type Mail = ();
+    type Effects = ();
+
+    fn feed(&mut self, (): (), (): &mut ()) -> Option<()> {
+        let what = Observation {
+            event: Event::Sent,
+            port: PortId(0),
+            peer: TaskId(0),
+            number: self.count,
+            remaining: Ticks(1),
+        };
+        self.ring.push(0, what);
+        self.count += 1;
+        None
+    }
+
+    fn settle(&mut self, _rest: Rest, (): &mut ()) -> u64 {
+        FAR
+    }
+}
+
+/// A machine observes three things while somebody follows, in a ring that keeps two. How many the follower lost: what it reads is
+/// in order, and with what it lost makes three.
+fn follow(forgets_the_loss: bool) -> u64 {
+    let mut ring = Ring::of(2);
+    ring.forgets_the_loss = forgets_the_loss;
+    let handoff = Arc::new(Handoff::new(Observed { ring, count: 0 }));
+    let mut from = handoff.with(|observed| observed.ring.subscribe(), &mut ());
+    let writer = Arc::clone(&handoff);
+    let other = thread::spawn(move || (0..3).for_each(|_| writer.deliver((), &mut ())));
+    let (mut expected, mut lost) = (0, 0);
+    let mut read = || {
+        let mut numbers = [None; 3];
+        let mut slots = numbers.iter_mut();
+        let each = |_, what: Observation| *slots.next().unwrap() = Some(what.number);
+        let (next, gone) = handoff.with(|observed| observed.ring.read(from, 3, each), &mut ());
+        (from, expected, lost) = (next, expected + gone, lost + gone);
+        for number in numbers.into_iter().flatten() {
+            assert_eq!(u64::from(number), expected, "out of order");
+            expected += 1;
+        }
+    };
+    read();
+    other.join().unwrap();
+    read();
+    assert_eq!(expected, 3, "an observation is neither read nor lost");
+    lost
+}
+
+#[test]
+fn whoever_follows_reads_in_order_and_knows_what_it_lost() {
+    let seen = explore(|| follow(false));
+    assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [0, 1], "{seen:?}");
+}
+
+#[test]
+fn a_reader_that_does_not_know_its_loss_reads_out_of_order() {
+    must_fail("out of order", || follow(true));
+}
+
+/// A machine that tells what it does with the time of it.
+#[derive(Default)]
+struct Teller {
+    told: [Option<u64>; 2],
+    count: usize,
+}
+
+/// Where the stamp of a step comes from: the clock, or the one that brings the input, which is the bug.
+struct Stamps {
+    clock: Arc<AtomicU64>,
+    brought: Option<u64>,
+}
+
+impl Stamps {
+    /// Time goes on with every look at the clock.
+    fn now(clock: &AtomicU64) -> u64 {
+        clock.fetch_add(1, Ordering::AcqRel)
+    }
+}
+
+impl Station for Teller {
+    type Input = Stamps;
+    type Mail = ();
+    type Effects = ();
+
+    fn feed(&mut self, stamps: Stamps, (): &mut ()) -> Option<()> {
+        let at = stamps.brought.unwrap_or_else(|| Stamps::now(&stamps.clock));
+        self.told[self.count] = Some(at);
+        self.count += 1;
+        None
+    }
+
+    fn settle(&mut self, _rest: Rest, (): &mut ()) -> u64 {
+        FAR
+    }
+}
+
+/// Somebody asks until when all has been told, while steps are told. How many came before: those after it are not
+/// older than the answer.
+fn told_until(stamped_outside: bool) -> usize {
+    let clock = Arc::new(AtomicU64::new(0));
+    let handoff = Arc::new(Handoff::new(Teller::default()));
+    let (theirs, machine) = (Arc::clone(&clock), Arc::clone(&handoff));
+    let other = thread::spawn(move || {
+        for _ in 0..2 {
+            let brought = stamped_outside.then(|| Stamps::now(&theirs));
+            machine.deliver(Stamps { clock: Arc::clone(&theirs), brought }, &mut ());
+        }
+    });
+    let now = Stamps::now(&clock);
+    let before = handoff.with(|teller| teller.count, &mut ());
+    other.join().unwrap();
+    let told = handoff.with(|teller| teller.told, &mut ());
+    let after = told.iter().skip(before).flatten();
+    after.for_each(|&at| assert!(at > now, "told too late"));
+    before
+}
+
+#[test]
+fn nothing_is_told_later_with_an_earlier_time() {
+    let seen = explore(|| told_until(false));
+    assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [0, 1, 2], "{seen:?}");
+}
+
+#[test]
+fn a_stamp_from_outside_the_lock_is_told_too_late() {
+    must_fail("told too late", || told_until(true));
+}
+
+/// A machine that waits for the fate of its packet.
+#[derive(Default)]
+struct Sender {
+    fate: Option<Fate>,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Fate {
+    Unsent,
+    Unknown,
+}
+
+impl Station for Sender {
+    type Input = Fate;
+    type Mail = Fate;
+    type Effects = ();
+
+    fn feed(&mut self, fate: Fate, (): &mut ()) -> Option<Fate> {
+        self.fate.is_none().then(|| *self.fate.insert(fate))
+    }
+
+    fn settle(&mut self, _rest: Rest, (): &mut ()) -> u64 {
+        FAR
+    }
+}
+
+/// A packet expires in the buffer at the same time as its sender's time_out. Whoever drops it says so; the sender looks
+/// into the buffer before it decides. Whether it had to drop the packet itself. The bug: the news comes after the buffer
+/// was let go.
+fn expire_in_the_buffer(news_comes_late: bool) -> bool {
+    fn advance(buffer: &Mutex<bool>, handoff: &Handoff<Sender>, news_comes_late: bool) -> bool {
+        let mut held = lock(buffer);
+        let dropped = std::mem::take(&mut *held);
+        let held = (!news_comes_late).then_some(held);
+        if dropped {
+            assert!(handoff.leave(Fate::Unsent).is_ok(), "the inbox has room");
+        }
+        drop(held);
+        dropped
+    }
+    let shared = Arc::new((Mutex::new(true), Handoff::new(Sender::default())));
+    let theirs = Arc::clone(&shared);
+    let other = thread::spawn(move || {
+        advance(&theirs.0, &theirs.1, news_comes_late);
+        theirs.1.nudge(&mut ());
+    });
+    let own = advance(&shared.0, &shared.1, news_comes_late);
+    let fate = shared.1.enter(Fate::Unknown, &mut ()).mail;
+    assert_eq!(fate, Some(Fate::Unsent), "the news came too late");
+    other.join().unwrap();
+    own
+}
+
+#[test]
+fn the_sender_knows_that_its_packet_never_left() {
+    let seen = explore(|| expire_in_the_buffer(false));
+    assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [false, true], "{seen:?}");
+}
+
+#[test]
+fn news_after_the_buffer_was_let_go_comes_too_late() {
+    must_fail("the news came too late", || expire_in_the_buffer(true));
+}

@@ -1,0 +1,190 @@
+//! Time: who looks after an expiry, and how the Timer's thread ends.
+
+use super::DEADLOCK;
+use crate::alarm::{Alarm, Cover, Plant};
+use crate::clock::{FAR, Micros};
+use crate::explorer::{Arc, SEES_OLD_VALUES, explore, must_fail, thread};
+use crate::handoff::{Handoff, Rest, Station};
+use crate::sync::{AtomicBool, Ordering};
+
+fn alarm(slots: usize, plant: Plant) -> Arc<Alarm> {
+    let mut alarm = Alarm::new(slots);
+    alarm.plant = plant;
+    Arc::new(alarm)
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Found {
+    AtOnce,
+    AfterSleep,
+}
+
+/// The Timer thread has served one expiry and looks for the next while another thread publishes one.
+fn publish_while_looking(plant: Plant) -> Found {
+    let alarm = alarm(2, plant);
+    alarm.publish(1, 3);
+    assert_eq!(alarm.earliest().at, 3);
+    let publisher = Arc::clone(&alarm);
+    let other = thread::spawn(move || publisher.publish(0, 5));
+    alarm.publish(1, FAR);
+    let mut found = Found::AtOnce;
+    loop {
+        let earliest = alarm.earliest();
+        if earliest.at == 5 {
+            break;
+        }
+        alarm.sleep(earliest);
+        found = Found::AfterSleep;
+    }
+    other.join().unwrap();
+    found
+}
+
+#[test]
+fn the_timer_thread_hears_of_every_expiry() {
+    let seen = explore(|| publish_while_looking(Plant::None));
+    assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [Found::AtOnce, Found::AfterSleep], "{seen:?}");
+}
+
+#[test]
+fn a_target_that_is_not_opened_hides_an_expiry() {
+    must_fail(DEADLOCK, || publish_while_looking(Plant::NoOpenTarget));
+}
+
+#[test]
+fn without_its_fence_the_alarm_hides_an_expiry() {
+    if SEES_OLD_VALUES {
+        must_fail(DEADLOCK, || publish_while_looking(Plant::NoFence));
+    }
+}
+
+/// The instant of this scene, for all its threads.
+const NOW: Micros = 3;
+
+/// The Timer's thread, until it is told to end. How often it was needed.
+fn serve(alarm: &Alarm, closing: &AtomicBool, mut tend: impl FnMut()) -> u32 {
+    let mut served = 0;
+    while alarm.next(|| closing.load(Ordering::SeqCst), || NOW).is_some() {
+        served += 1;
+        tend();
+    }
+    served
+}
+
+/// The node closes while the Timer's thread works or sleeps. How often that was needed before.
+fn close(plant: Plant) -> u32 {
+    let alarm = alarm(1, plant);
+    let closing = Arc::new(AtomicBool::new(false));
+    let (theirs, told) = (Arc::clone(&alarm), Arc::clone(&closing));
+    let timer = thread::spawn(move || serve(&theirs, &told, || theirs.publish(0, FAR)));
+    alarm.publish(0, NOW);
+    closing.store(true, Ordering::SeqCst);
+    alarm.ring();
+    timer.join().unwrap()
+}
+
+#[test]
+fn closing_ends_the_timer_thread() {
+    let seen = explore(|| close(Plant::None));
+    assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [0, 1], "{seen:?}");
+}
+
+#[test]
+fn looking_for_the_end_too_soon_sleeps_through_it() {
+    must_fail(DEADLOCK, || close(Plant::EndBeforeRung));
+}
+
+/// A machine with one thing to expire, now or in a long time.
+struct Timed {
+    alarm: Arc<Alarm>,
+    cover: Cover,
+    due: Micros,
+}
+
+#[derive(Clone, Copy)]
+enum Moment {
+    /// The task asks something that has a long time.
+    Asked,
+    /// What comes from elsewhere expires now.
+    Sooner,
+    TimeIsUp,
+    Nothing,
+}
+
+impl Station for Timed {
+    type Input = Moment;
+    type Mail = ();
+    /// Whether this thread has served the expiry.
+    type Effects = bool;
+
+    fn feed(&mut self, moment: Moment, served: &mut bool) -> Option<()> {
+        match moment {
+            Moment::Asked => self.due = self.due.min(2 * NOW),
+            Moment::Sooner => self.due = NOW,
+            Moment::TimeIsUp if self.due <= NOW => {
+                self.due = FAR;
+                *served = true;
+                return Some(());
+            }
+            Moment::TimeIsUp | Moment::Nothing => {}
+        }
+        None
+    }
+
+    fn settle(&mut self, rest: Rest, _served: &mut bool) -> Micros {
+        self.cover.settle(&self.alarm, rest, self.due);
+        self.due
+    }
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum ServedBy {
+    TheTask,
+    TheTimer,
+}
+
+/// A task sleeps for a long time while an expiry comes that is due at once. Either it hears of it before it sleeps, or
+/// the Timer's thread sees to it.
+fn an_expiry_changes_hands(covers_all: bool) -> ServedBy {
+    let alarm = alarm(1, Plant::None);
+    let mut cover = Cover::new(0);
+    cover.covers_all = covers_all;
+    let handoff = Arc::new(Handoff::new(Timed { alarm: Arc::clone(&alarm), cover, due: FAR }));
+    let closing = Arc::new(AtomicBool::new(false));
+    let (elsewhere, machine) = (Arc::clone(&handoff), Arc::clone(&handoff));
+    let sooner = thread::spawn(move || elsewhere.deliver(Moment::Sooner, &mut false));
+    let (theirs, told) = (Arc::clone(&alarm), Arc::clone(&closing));
+    let timer = thread::spawn(move || {
+        let mut served = false;
+        serve(&theirs, &told, || machine.deliver_now(Moment::TimeIsUp, &mut served));
+        served
+    });
+    let mut own = false;
+    let mut entry = handoff.enter(Moment::Asked, &mut own);
+    while entry.mail.is_none() {
+        let moment = if entry.until <= NOW {
+            Moment::TimeIsUp
+        } else {
+            handoff.sleep(Some(entry.until));
+            Moment::Nothing
+        };
+        entry = handoff.enter(moment, &mut own);
+    }
+    closing.store(true, Ordering::SeqCst);
+    alarm.ring();
+    sooner.join().unwrap();
+    let timers = timer.join().unwrap();
+    assert!(own != timers, "an expiry is served once");
+    if own { ServedBy::TheTask } else { ServedBy::TheTimer }
+}
+
+#[test]
+fn an_expiry_always_has_somebody_to_look_after_it() {
+    let seen = explore(|| an_expiry_changes_hands(false));
+    assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [ServedBy::TheTask, ServedBy::TheTimer], "{seen:?}");
+}
+
+#[test]
+fn an_expiry_before_the_end_of_the_sleep_needs_the_timer() {
+    must_fail(DEADLOCK, || an_expiry_changes_hands(true));
+}

@@ -1,0 +1,101 @@
+//! loom as the explorer: what the hand-offs are made of in the unit tests, and how a scene is explored.
+
+pub(crate) use loom::sync::atomic::{AtomicBool, AtomicU32, AtomicU64, AtomicUsize, Ordering, fence};
+pub(crate) use loom::sync::{Condvar, Mutex as PlainMutex};
+pub(crate) use loom::thread;
+use std::collections::BTreeMap;
+use std::ops::{Deref, DerefMut};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+/// Not loom's: that one counts as a step, and cannot be dropped by a thread that is given up in a deadlock.
+pub(crate) use std::sync::Arc;
+use std::time::{Duration, Instant};
+
+/// Whether a load may give a value that was overwritten, where the orderings allow it.
+pub(crate) const SEES_OLD_VALUES: bool = true;
+
+/// The most preemptions of one execution.
+const PREEMPTIONS: usize = 3;
+/// An exploration that takes longer shows nothing and fails. None needs more than seconds; the machine may be busy.
+const CAP: Duration = Duration::from_secs(120);
+
+/// How often each outcome was seen.
+pub(crate) type Histogram<O> = BTreeMap<O, u64>;
+
+/// Runs `body` in every interleaving with at most [`PREEMPTIONS`].
+pub(crate) fn explore<O: Ord + Send + 'static>(body: impl Fn() -> O + Send + Sync + 'static) -> Histogram<O> {
+    let seen = std::sync::Arc::new(std::sync::Mutex::new(Histogram::new()));
+    let shared = std::sync::Arc::clone(&seen);
+    let mut builder = loom::model::Builder::new();
+    builder.preemption_bound = Some(PREEMPTIONS);
+    builder.max_duration = Some(CAP);
+    let start = Instant::now();
+    builder.check(move || {
+        let outcome = body();
+        *shared.lock().unwrap().entry(outcome).or_insert(0) += 1;
+    });
+    assert!(start.elapsed() < CAP, "the exploration did not end");
+    let seen = std::mem::take(&mut *seen.lock().unwrap());
+    assert!(seen.values().sum::<u64>() > 1, "only one execution was explored");
+    seen
+}
+
+/// Expects that the exploration finds a planted bug, by its symptom.
+pub(crate) fn must_fail<O: Ord + Send + 'static>(
+    symptom: &str,
+    body: impl Fn() -> O + Send + Sync + 'static,
+) {
+    let Err(panic) = catch_unwind(AssertUnwindSafe(|| explore(body))) else {
+        panic!("the planted bug was not found");
+    };
+    let text = panic.downcast_ref::<String>().cloned();
+    let text = text.or_else(|| panic.downcast_ref::<&str>().map(ToString::to_string)).unwrap_or_default();
+    assert!(text.contains(symptom), "another failure than the planted one: {text}");
+}
+
+/// loom explores no `try_lock` against the release of its own mutex (a release is no point where it branches). This
+/// mutex says in an atomic that it is held, which loom explores, old values included: the weakest lock that is one.
+#[derive(Debug)]
+pub(crate) struct Mutex<T> {
+    held: AtomicBool,
+    value: PlainMutex<T>,
+}
+
+pub(crate) struct MutexGuard<'a, T> {
+    mutex: &'a Mutex<T>,
+    guard: loom::sync::MutexGuard<'a, T>,
+}
+
+impl<T> Mutex<T> {
+    pub fn new(value: T) -> Self {
+        Self { held: AtomicBool::new(false), value: PlainMutex::new(value) }
+    }
+}
+
+pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    let guard = mutex.value.lock().unwrap();
+    mutex.held.store(true, Ordering::Relaxed);
+    MutexGuard { mutex, guard }
+}
+
+pub(crate) fn try_lock<T>(mutex: &Mutex<T>) -> Option<MutexGuard<'_, T>> {
+    (!mutex.held.load(Ordering::Relaxed)).then(|| lock(mutex))
+}
+
+impl<T> Drop for MutexGuard<'_, T> {
+    fn drop(&mut self) {
+        self.mutex.held.store(false, Ordering::Release);
+    }
+}
+
+impl<T> Deref for MutexGuard<'_, T> {
+    type Target = T;
+    fn deref(&self) -> &T {
+        &self.guard
+    }
+}
+
+impl<T> DerefMut for MutexGuard<'_, T> {
+    fn deref_mut(&mut self) -> &mut T {
+        &mut self.guard
+    }
+}
