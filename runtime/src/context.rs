@@ -223,6 +223,12 @@ impl<S> Context<S> {
         self.accepted(Request::Publish(contents))
     }
 
+    /// What the partner's last answer to a beat carried (D61); `None` before the first one.
+    #[must_use]
+    pub fn published(&mut self) -> Option<Contents> {
+        self.caller.look(|comm| comm.machine().partner_published().copied())
+    }
+
     fn get(
         &mut self,
         port: Option<PortId>,

@@ -41,6 +41,8 @@ mod alarm;
 mod builder;
 mod clock;
 mod comm;
+#[doc(hidden)]
+pub mod compiled;
 mod context;
 mod effects;
 #[cfg(test)]

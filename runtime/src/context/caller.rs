@@ -137,7 +137,8 @@ impl Caller {
         whole
     }
 
-    fn look<R>(&mut self, look: impl FnOnce(&mut Comm) -> R) -> R {
+    /// Looks at the communication task. Nothing of it changes by that.
+    pub fn look<R>(&mut self, look: impl FnOnce(&mut Comm) -> R) -> R {
         let seen = self.node.members.list[self.place].handoff.with(look, &mut self.effects);
         self.node.carry_out(&mut self.effects);
         seen
