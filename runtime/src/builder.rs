@@ -123,11 +123,22 @@ impl Builder {
 
     /// The program of a task: run once, on a thread of its own.
     pub fn task(
-        mut self,
+        self,
         name: &str,
         program: impl FnOnce(&mut Context) -> Result<(), TaskError> + Send + 'static,
     ) -> Self {
-        self.programs.push((name.into(), TaskProgram::Body(Box::new(program))));
+        self.task_with(name, (), program)
+    }
+
+    /// As [`task`](Self::task), with a state that the program and its handlers share: [`Context::state`].
+    pub fn task_with<S: Send + 'static>(
+        mut self,
+        name: &str,
+        state: S,
+        program: impl FnOnce(&mut Context<S>) -> Result<(), TaskError> + Send + 'static,
+    ) -> Self {
+        let body = move |node, place| program(&mut Context::new(node, place, state));
+        self.programs.push((name.into(), TaskProgram::Body(Box::new(body))));
         self
     }
 

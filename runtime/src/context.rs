@@ -1,131 +1,53 @@
 //! What a task's program says to its communication task (§II, §5.2.1).
 
+mod caller;
+mod handlers;
+mod outcome;
+mod typed;
+
+pub use outcome::{Asked, Received, Rendezvous, RequestFault, Sent, TaskError};
+
+pub(crate) use caller::Caller;
+
 use crate::clock;
-use crate::comm::Mail;
-use crate::effects::Effects;
 use crate::node::Node;
+use handlers::Handlers;
 use imrs_protocol::{
-    Contents, Delivery, Fault, Outcome, PortId, Ranked, ReleasedBy, ReplyTo, Request, Round, ServiceOrder,
+    CONTENTS_BYTES, Contents, Delivery, PUBLISHED_BYTES, PortId, Ranked, ReplyTo, Request, ServiceOrder,
     Signal, Target, TaskId, Ticks, TimeId,
 };
 use std::sync::Arc;
 use std::time::Duration;
 
-/// Why a call of a task's program was not carried out.
-#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
-pub enum TaskError {
-    /// The node stops: the program should return.
-    #[error("the node stops")]
-    Stopped,
-    /// The request is at fault; nothing was done.
-    #[error("{0}")]
-    Fault(#[from] RequestFault),
-    /// The cell has no port of this name, or the task is no party of it.
-    #[error("the task has no port `{0}`: check the name and the port's user_list")]
-    NoPort(String),
-    /// The cell has no task of this name.
-    #[error("the cell has no task `{0}`")]
-    NoTask(String),
-    /// The message does not fit a packet.
-    #[error("a message of {0} bytes does not fit: 12 are the most")]
-    TooLong(usize),
-    /// More ports in one `order` than it has levels.
-    #[error("`order` ranks at most 8 ports, not {0}")]
-    TooManyLevels(usize),
-}
-
-/// A [`Fault`] as an error.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("{}", explain(.0))]
-pub struct RequestFault(pub Fault);
-
-fn explain(fault: &Fault) -> &'static str {
-    match fault {
-        Fault::NotYourPort => "the task neither owns nor uses this port",
-        Fault::WrongUsage => "the port's usage does not allow this",
-        Fault::NotAPeer => "the named task is not at the other end of the port",
-        Fault::TooManyTimers => "the task has as many timers as it may",
-        Fault::WrongLength => "the message has more fragments than its format, or one is missing",
-        Fault::NotInterrupted => "no handler runs",
-        Fault::Fenced => "the task does not hold the lease that this port acts under",
-        Fault::Busy => "another request is outstanding",
-        Fault::NothingToAnswer => "no such message waits for a reply",
-        Fault::Late => "the execution budget has ended: the sender is beyond waiting",
-    }
-}
-
-/// How a `send` ended.
-#[must_use = "a command that was not answered may or may not have run"]
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Sent {
-    /// Class 1: so many copies were accepted. What becomes of them is not reported (R53).
-    Copies(u16),
-    /// Class 2: how it ended.
-    Outcome(Outcome),
-}
-
-impl Sent {
-    /// The answer to a class-2 message, if there is one.
-    #[must_use]
-    pub fn reply(self) -> Option<Contents> {
-        match self {
-            Self::Outcome(Outcome::Reply(contents)) => Some(contents),
-            Self::Outcome(
-                Outcome::Refused
-                | Outcome::TimedOutUnsent
-                | Outcome::TimedOutUnknown
-                | Outcome::PeerRestarted,
-            )
-            | Self::Copies(_) => None,
-        }
-    }
-}
-
-/// How a `waitfor` ended (§4.3). Both ends are normal: every program says what it does on time_out.
-#[must_use = "a task that gave up must not act as if all had arrived"]
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Rendezvous {
-    /// All have arrived.
-    Released {
-        /// The round, the same for all that this meeting releases.
-        round: Round,
-        /// How this task came to know.
-        by: ReleasedBy,
-    },
-    /// The time_out ended first.
-    GaveUp {
-        /// The round waited in.
-        round: Round,
-        /// Bit `i`: party `i` of the port (owner first) had not arrived.
-        missing: u64,
-    },
-}
+/// How many bytes one packet carries.
+const PACKET: usize = CONTENTS_BYTES;
 
 /// A task's end of its communication task. Every call that waits ends by its time_out, or with
 /// [`TaskError::Stopped`] when the node stops.
-pub struct Context {
-    node: Arc<Node>,
-    place: usize,
-    effects: Effects,
-    stopped: bool,
+///
+/// `S` is the state that the program and its handlers share: see [`Builder::task_with`](crate::Builder::task_with).
+pub struct Context<S = ()> {
+    /// What the program and its handlers share.
+    pub state: S,
+    caller: Caller,
+    handlers: Handlers<S>,
 }
 
-impl Context {
-    pub(crate) fn new(node: Arc<Node>, place: usize) -> Self {
-        let task = node.members.list[place].task;
-        Self { node, place, effects: Effects::new(Some(task)), stopped: false }
+impl<S> Context<S> {
+    pub(crate) fn new(node: Arc<Node>, place: usize, state: S) -> Self {
+        Self { state, caller: Caller::new(node, place), handlers: Handlers::default() }
     }
 
     /// The task.
     #[must_use]
     pub fn id(&self) -> TaskId {
-        self.node.members.list[self.place].task
+        self.caller.task()
     }
 
     /// The task's name.
     #[must_use]
     pub fn name(&self) -> &str {
-        &self.node.table.cell().tasks[self.id().index()].name
+        &self.caller.node.table.cell().tasks[self.id().index()].name
     }
 
     /// Looks up a port of this task. Do it once, before the work begins.
@@ -133,8 +55,9 @@ impl Context {
     /// # Errors
     /// [`TaskError::NoPort`].
     pub fn port(&self, name: &str) -> Result<PortId, TaskError> {
-        let own = self.node.table.ports_of(self.id()).iter();
-        let named = |id: &&PortId| self.node.table.port(**id).is_some_and(|port| port.decl.name == name);
+        let own = self.caller.node.table.ports_of(self.id()).iter();
+        let named =
+            |id: &&PortId| self.caller.node.table.port(**id).is_some_and(|port| port.decl.name == name);
         own.copied().find(|id| named(&id)).ok_or_else(|| TaskError::NoPort(name.into()))
     }
 
@@ -143,12 +66,12 @@ impl Context {
     /// # Errors
     /// [`TaskError::NoTask`].
     pub fn task(&self, name: &str) -> Result<TaskId, TaskError> {
-        let position = self.node.table.cell().tasks.iter().position(|task| task.name == name);
+        let position = self.caller.node.table.cell().tasks.iter().position(|task| task.name == name);
         position.map(TaskId::from_index).ok_or_else(|| TaskError::NoTask(name.into()))
     }
 
-    /// Sends to all tasks at the other end of the port (R39). Class 1 returns at once; class 2, which must have one
-    /// task at its other end, waits for the answer.
+    /// Sends to all tasks at the other end of the port (R39). Class 1 returns at once; class 2 waits for the answers. A
+    /// message may be as long as the port's format: up to 16 packets of 12 bytes (D28).
     ///
     /// # Errors
     /// [`TaskError`].
@@ -175,11 +98,13 @@ impl Context {
         contents: &[u8],
         time_out: Option<Duration>,
     ) -> Result<Sent, TaskError> {
-        let (contents, time_out) = (packed(contents)?, time_out.map(ticks));
+        let packets = self.caller.node.table.port(port).map_or(1, |port| port.decl.fragments);
+        let (contents, time_out) = (self.staged(port, contents, packets)?, time_out.map(ticks));
         let request = Request::Send { port, to, contents, time_out };
         match self.call(request)? {
             Signal::Accepted(copies) => Ok(Sent::Copies(copies)),
             Signal::Outcome(outcome) => Ok(Sent::Outcome(outcome)),
+            Signal::Answers { answers, .. } => Ok(Sent::Several(answers)),
             other => mismatch(&request, &other),
         }
     }
@@ -223,11 +148,9 @@ impl Context {
     /// # Errors
     /// [`Fault::Late`] where the sender is beyond waiting: it will not hear this answer.
     pub fn reply(&mut self, to: &ReplyTo, contents: &[u8]) -> Result<(), TaskError> {
-        let request = Request::Reply { to: *to, contents: packed(contents)? };
-        match self.call(request)? {
-            Signal::Accepted(_) => Ok(()),
-            other => mismatch(&request, &other),
-        }
+        let packets = self.caller.node.table.port(to.port).map_or(1, |port| port.decl.answer_fragments);
+        let contents = self.staged(to.port, contents, packets)?;
+        self.accepted(Request::Reply { to: *to, contents })
     }
 
     /// Waits until all tasks of the port have reached this point (§4.3), at most for the port's time_out.
@@ -263,11 +186,7 @@ impl Context {
     /// [`TaskError::TooManyLevels`].
     pub fn order(&mut self, named: &[Ranked]) -> Result<(), TaskError> {
         let order = ServiceOrder::new(named).ok_or(TaskError::TooManyLevels(named.len()))?;
-        let request = Request::Order(order);
-        match self.call(request)? {
-            Signal::Accepted(_) => Ok(()),
-            other => mismatch(&request, &other),
-        }
+        self.accepted(Request::Order(order))
     }
 
     /// Lets time pass (§5.1.2): at least `length`.
@@ -275,11 +194,39 @@ impl Context {
     /// # Errors
     /// [`TaskError::Stopped`].
     pub fn delay(&mut self, length: Duration) -> Result<(), TaskError> {
-        let request = Request::Delay { id: TimeId(0), length: ticks(length) };
+        // A handler may delay above a thread that does: each has a name of its own, above those of timers.
+        let request = Request::Delay { id: TimeId(u8::MAX - self.caller.depth), length: ticks(length) };
         match self.call(request)? {
             Signal::TimeOut(_) => Ok(()),
             other => mismatch(&request, &other),
         }
+    }
+
+    /// Waits until the task holds the lease of its couple (D61). Returns the epoch that it acts under.
+    ///
+    /// # Errors
+    /// [`Fault::WrongUsage`](imrs_protocol::Fault::WrongUsage) where the task is the primary of no couple.
+    pub fn lease(&mut self) -> Result<u8, TaskError> {
+        match self.call(Request::Lease)? {
+            Signal::Granted(epoch) => Ok(epoch),
+            other => mismatch(&Request::Lease, &other),
+        }
+    }
+
+    /// What the answers to the partner's beats carry from here on: at most 8 bytes (D61).
+    ///
+    /// # Errors
+    /// [`TaskError::TooLong`].
+    pub fn publish(&mut self, bytes: &[u8]) -> Result<(), TaskError> {
+        let few = Some(bytes).filter(|bytes| bytes.len() <= PUBLISHED_BYTES);
+        let contents = few.and_then(Contents::new).ok_or(TaskError::TooLong(bytes.len()))?;
+        self.accepted(Request::Publish(contents))
+    }
+
+    /// What the partner's last answer to a beat carried (D61); `None` before the first one.
+    #[must_use]
+    pub fn published(&mut self) -> Option<Contents> {
+        self.caller.look(|comm| comm.machine().partner_published().copied())
     }
 
     fn get(
@@ -294,13 +241,13 @@ impl Context {
             let request = Request::Get { port, source, time_out: left };
             let (signal, waited) = self.call_and_age(request)?;
             match signal {
-                Signal::Message(message) if message.budget > waited => {
-                    return Ok(Some(Delivery { budget: message.budget - waited, ..message }));
-                }
-                // The thread or its whole process stood still with the message in hand: nothing old is handed over.
                 Signal::Message(message) => {
-                    let handoff = &self.node.members.list[self.place].handoff;
-                    handoff.with(|comm| comm.expired_in_hand(&message), &mut self.effects);
+                    self.caller.taken = Some(message.from);
+                    if message.budget > waited {
+                        return Ok(Some(Delivery { budget: message.budget - waited, ..message }));
+                    }
+                    // The thread or its whole process stood still with the message in hand: nothing old is handed over.
+                    self.caller.expired_in_hand(&message);
                 }
                 Signal::Nothing => return Ok(None),
                 other => mismatch(&request, &other),
@@ -313,45 +260,41 @@ impl Context {
         self.call_and_age(request).map(|(signal, _)| signal)
     }
 
-    /// Asks, and waits for the answer: first that of the machine, then asleep until it is brought, or until the
-    /// machine has something to do by itself. Says too how old the answer is.
+    /// Asks and waits for the answer; handlers run meanwhile. Says too how old the answer is.
     fn call_and_age(&mut self, request: Request) -> Result<(Signal, Ticks), TaskError> {
-        if self.stopped {
-            return Err(TaskError::Stopped);
-        }
         let asked = clock::next();
         let over = match request {
             Request::Delay { length, .. } => asked.saturating_add(length.0),
             _ => clock::FAR,
         };
-        let mut now = asked;
-        let mut entry = self.node.ask(self.place, asked, request, &mut self.effects);
-        loop {
-            self.stopped = entry.stopped;
-            match entry.mail {
-                Some(Mail { signal: Signal::Fault(fault), .. }) => return Err(RequestFault(fault).into()),
-                Some(Mail { signal, at }) => return Ok((signal, Ticks(now.saturating_sub(at)))),
-                None if entry.stopped => {
-                    self.give_up();
-                    return Err(TaskError::Stopped);
-                }
-                None => {}
-            }
-            let until = entry.until.min(over);
-            self.node.members.list[self.place].handoff.sleep(clock::nanos_of(until));
-            now = clock::now();
-            entry = self.node.come_back(self.place, now, now >= until, &mut self.effects);
+        let (mut signal, mut age) = self.caller.call(asked, request, over)?;
+        while let Signal::Interrupt(call) = signal {
+            self.interrupted(call, age)?;
+            (signal, age) = self.caller.call(clock::next(), Request::Return, over)?;
+        }
+        Ok((signal, age))
+    }
+
+    fn accepted(&mut self, request: Request) -> Result<(), TaskError> {
+        match self.call(request)? {
+            Signal::Accepted(_) => Ok(()),
+            other => mismatch(&request, &other),
         }
     }
 
-    /// Takes back whatever is outstanding: members of a `waitfor` are told.
-    pub(crate) fn give_up(&mut self) {
-        let _answered = self.node.ask(self.place, clock::next(), Request::Cancel, &mut self.effects);
+    /// Notes all of a message but its first packet, which is returned (D28).
+    fn staged(&mut self, port: PortId, bytes: &[u8], packets: u8) -> Result<Contents, TaskError> {
+        let too_long = || TaskError::TooLong(bytes.len());
+        if bytes.len() > PACKET * usize::from(packets.max(1)) {
+            return Err(too_long());
+        }
+        let (first, rest) = bytes.split_at(bytes.len().min(PACKET));
+        for (index, part) in (1..).zip(rest.chunks(PACKET)) {
+            let contents = Contents::new(part).ok_or_else(too_long)?;
+            self.accepted(Request::Part { port, index, contents })?;
+        }
+        Contents::new(first).ok_or_else(too_long)
     }
-}
-
-fn packed(contents: &[u8]) -> Result<Contents, TaskError> {
-    Contents::new(contents).ok_or(TaskError::TooLong(contents.len()))
 }
 
 fn ticks(length: Duration) -> Ticks {

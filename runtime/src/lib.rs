@@ -41,6 +41,8 @@ mod alarm;
 mod builder;
 mod clock;
 mod comm;
+#[doc(hidden)]
+pub mod compiled;
 mod context;
 mod effects;
 #[cfg(test)]
@@ -51,6 +53,7 @@ mod failstop;
 mod handoff;
 pub mod link;
 mod member;
+pub mod message;
 mod node;
 pub mod observer;
 pub mod record;
@@ -66,7 +69,9 @@ mod transit;
 mod turn;
 
 pub use builder::{Builder, StartError, TRANSIT_CAPACITY};
-pub use context::{Context, Rendezvous, RequestFault, Sent, TaskError};
+pub use context::{Asked, Context, Received, Rendezvous, RequestFault, Sent, TaskError};
+pub use imrs_protocol as protocol;
+pub use message::Message;
 pub use node::Node;
 pub use snapshot::Observations;
 pub use threads::{Runtime, TaskEnd};

@@ -3,7 +3,7 @@
 use crate::builder::{Builder, StartError};
 use crate::clock;
 use crate::comm::Comm;
-use crate::context::{Context, TaskError};
+use crate::context::{Caller, TaskError};
 use crate::effects::Effects;
 use crate::failstop::FailStop;
 use crate::link::{Link, PollEnd};
@@ -19,7 +19,8 @@ use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
-pub(crate) type TaskBody = Box<dyn FnOnce(&mut Context) -> Result<(), TaskError> + Send>;
+/// Runs a task's program with a context for this place of the node.
+pub(crate) type TaskBody = Box<dyn FnOnce(Arc<Node>, usize) -> Result<(), TaskError> + Send>;
 
 /// What a task runs.
 pub(crate) enum TaskProgram {
@@ -241,15 +242,14 @@ fn spawn(name: &str, run: impl FnOnce() + Send + 'static) -> Result<JoinHandle<(
 
 fn run_task(node: &Arc<Node>, place: usize, program: TaskBody) -> TaskEnd {
     clock::sleep_exactly();
-    let mut context = Context::new(Arc::clone(node), place);
-    let end = match catch_unwind(AssertUnwindSafe(|| program(&mut context))) {
+    let end = match catch_unwind(AssertUnwindSafe(|| program(Arc::clone(node), place))) {
         Ok(Ok(()) | Err(TaskError::Stopped)) => TaskEnd::Returned,
         Ok(Err(error)) => TaskEnd::Failed(error),
         Err(panic) => TaskEnd::Panicked(message(panic.as_ref())),
     };
     let crashed = matches!(end, TaskEnd::Panicked(_));
     node.members.list[place].set_liveness(if crashed { Liveness::Crashed } else { Liveness::Ended });
-    context.give_up();
+    Caller::new(Arc::clone(node), place).end();
     end
 }
 

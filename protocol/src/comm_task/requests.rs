@@ -68,7 +68,8 @@ impl CommTask {
             Ok(None) => {}
             Err(fault) => {
                 // What was staged for a message that is not sent is no part of the next one.
-                if let Request::Send { port, .. } = request {
+                if let Request::Send { port, .. } | Request::Reply { to: ReplyTo { port, .. }, .. } = request
+                {
                     self.unstage(port);
                 }
                 out.signal(Signal::Fault(fault));

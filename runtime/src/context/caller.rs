@@ -1,0 +1,146 @@
+//! The thread of a task before its communication task: asks, sleeps, and comes back with the answer.
+
+use super::outcome::TaskError;
+use crate::clock::{self, Micros};
+use crate::comm::{Comm, Mail};
+use crate::effects::Effects;
+use crate::handoff::Entry;
+use crate::message::Bytes;
+use crate::node::Node;
+use imrs_protocol::{Contents, Delivery, PortId, ReplyTo, Request, Signal, TaskId, Ticks};
+use std::sync::Arc;
+
+pub(crate) struct Caller {
+    pub node: Arc<Node>,
+    place: usize,
+    effects: Effects,
+    stopped: bool,
+    /// What a handler failed with: whatever it interrupted cannot be gone on with.
+    failed: Option<TaskError>,
+    /// The message that was taken last.
+    pub taken: Option<ReplyTo>,
+    /// How many handlers run above the task's thread.
+    pub depth: u8,
+    /// Whether the current thread is in an `atomic` section.
+    pub atomic: bool,
+}
+
+impl Caller {
+    pub fn new(node: Arc<Node>, place: usize) -> Self {
+        let task = node.members.list[place].task;
+        Self {
+            node,
+            place,
+            effects: Effects::new(Some(task)),
+            stopped: false,
+            failed: None,
+            taken: None,
+            depth: 0,
+            atomic: false,
+        }
+    }
+
+    pub fn task(&self) -> TaskId {
+        self.node.members.list[self.place].task
+    }
+
+    /// Asks, and waits for the answer: first that of the machine, then asleep until it is brought, until the machine has
+    /// something to do by itself, or until `over`. Says too how old the answer is.
+    pub fn call(
+        &mut self,
+        asked: Micros,
+        request: Request,
+        over: Micros,
+    ) -> Result<(Signal, Ticks), TaskError> {
+        if let Some(error) = &self.failed {
+            return Err(error.clone());
+        }
+        if self.stopped {
+            return Err(TaskError::Stopped);
+        }
+        let mut now = asked;
+        let mut entry = self.node.ask(self.place, asked, request, &mut self.effects);
+        loop {
+            let Entry { mail, stopped, until } = entry;
+            self.stopped = stopped;
+            match mail {
+                Some(Mail { signal: Signal::Fault(fault), .. }) => {
+                    return Err(super::RequestFault(fault).into());
+                }
+                Some(Mail { signal, at }) => return Ok((signal, Ticks(now.saturating_sub(at)))),
+                None if stopped => {
+                    self.give_up();
+                    return Err(TaskError::Stopped);
+                }
+                None => {}
+            }
+            let until = until.min(over);
+            self.node.members.list[self.place].handoff.sleep(clock::nanos_of(until));
+            now = clock::now();
+            entry = self.node.come_back(self.place, now, now >= until, &mut self.effects);
+        }
+    }
+
+    /// A handler failed: so does everything from now on.
+    pub fn fail(&mut self, error: TaskError) {
+        self.give_up();
+        self.failed.get_or_insert(error);
+    }
+
+    /// Takes back whatever is outstanding, of handlers and what they interrupted: members of a `waitfor` are told.
+    pub fn give_up(&mut self) {
+        self.tell(Request::Abandon);
+    }
+
+    /// The program has ended: it answers no beat any more, so that its partner takes over (D61).
+    pub fn end(&mut self) {
+        self.give_up();
+        self.tell(Request::End);
+    }
+
+    fn tell(&mut self, request: Request) {
+        let _answered = self.node.ask(self.place, clock::next(), request, &mut self.effects);
+    }
+
+    /// The message came too late into the hands of the task.
+    pub fn expired_in_hand(&mut self, message: &Delivery) {
+        self.look(|comm| comm.expired_in_hand(message));
+    }
+
+    /// A taken message with all its fragments (D28).
+    pub fn whole(&mut self, message: &Delivery) -> Result<Bytes, TaskError> {
+        let mut whole = Bytes::of(&message.contents);
+        if message.fragments > 1 {
+            if self.taken != Some(message.from) {
+                return Err(TaskError::Gone);
+            }
+            self.look(|comm| {
+                for index in 1..message.fragments {
+                    comm.machine().fragment(index).into_iter().for_each(|part| whole.append(part));
+                }
+            });
+        }
+        Ok(whole)
+    }
+
+    /// The answer of `task` with all its fragments. `first` is its first one.
+    pub fn whole_answer(&mut self, port: PortId, task: TaskId, first: Option<&Contents>) -> Bytes {
+        let mut whole = first.map(Bytes::of).unwrap_or_default();
+        let from = u8::from(first.is_some());
+        let fragments = self.node.table.port(port).map_or(1, |port| port.decl.answer_fragments);
+        if fragments > from {
+            self.look(|comm| {
+                let parts = (from..fragments).map_while(|i| comm.machine().answer_fragment(port, task, i));
+                parts.for_each(|part| whole.append(part));
+            });
+        }
+        whole
+    }
+
+    /// Looks at the communication task. Nothing of it changes by that.
+    pub fn look<R>(&mut self, look: impl FnOnce(&mut Comm) -> R) -> R {
+        let seen = self.node.members.list[self.place].handoff.with(look, &mut self.effects);
+        self.node.carry_out(&mut self.effects);
+        seen
+    }
+}

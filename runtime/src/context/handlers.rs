@@ -1,0 +1,228 @@
+//! Handlers: what interrupts a task's waits (D15, D46).
+
+use super::outcome::{RequestFault, TaskError};
+use super::{Context, ticks};
+use crate::message::Message;
+use imrs_protocol::{Call, Delivery, Fault, PortId, Request, Ticks, TimeId};
+use std::rc::Rc;
+use std::time::Duration;
+
+type OnMessage<S> = Rc<dyn Fn(&mut Context<S>, Delivery) -> Result<(), TaskError>>;
+type OnTimer<S> = Rc<dyn Fn(&mut Context<S>) -> Result<(), TaskError>>;
+type OnTakeover<S> = Rc<dyn Fn(&mut Context<S>, u8) -> Result<(), TaskError>>;
+
+/// The handlers of a task. Shared while they run, so that one may interrupt itself where its message outranks it.
+pub(super) struct Handlers<S> {
+    messages: Vec<(PortId, OnMessage<S>)>,
+    timers: Vec<(TimeId, OnTimer<S>)>,
+    fence: Option<OnTimer<S>>,
+    takeover: Option<OnTakeover<S>>,
+}
+
+impl<S> Default for Handlers<S> {
+    fn default() -> Self {
+        Self { messages: Vec::new(), timers: Vec::new(), fence: None, takeover: None }
+    }
+}
+
+/// # Handlers
+///
+/// A handler runs on the task's own thread, inside a call that waits, or in [`boundary`](Context::boundary): a Rust
+/// program cannot be interrupted in between. Whether a message or the end of a timer interrupts is decided by its
+/// communication task, by [`order`](Context::order) (D16): without one, `self` ranks first and a handler runs only while the
+/// task waits in a [`receive`](Context::receive), or after it was rejected as often as the rules allow (D58). The
+/// interrupted wait then goes on with what remains of its time.
+///
+/// What a handler fails with, its task fails with: every later call of the program returns that error.
+///
+/// ```
+/// use imrs_protocol::{Cell, CellTable, PortDecl, Ranked, Ticks, Usage};
+/// use imrs_runtime::{Asked, Context, Runtime};
+/// use std::{sync::Arc, time::Duration};
+///
+/// let mut cell = Cell::new("pose", Ticks(1_000));
+/// let here = cell.node("here");
+/// let (arm, eye) = (cell.task("arm", here), cell.task("eye", here));
+/// cell.port(PortDecl::new("pose", eye, Usage::Query, &[arm], Ticks(500_000)).command());
+/// let table = Arc::new(CellTable::new(cell).expect("a sound cell"));
+///
+/// let node = Runtime::builder(table, here)
+///     .task_with("arm", (120_i16, false), |ctx: &mut Context<(i16, bool)>| {
+///         let pose = ctx.port("pose")?;
+///         ctx.order(&[Ranked::Port(pose), Ranked::Own])?;
+///         ctx.on_query(pose, |ctx, ()| {
+///             ctx.state.1 = true;
+///             Ok(ctx.state.0)
+///         })?;
+///         while !ctx.state.1 {
+///             ctx.delay(Duration::from_millis(20))?; // interrupted by the query
+///         }
+///         Ok(())
+///     })
+///     .task("eye", |ctx| {
+///         let pose = ctx.port("pose")?;
+///         match ctx.query::<(), i16>(pose, &())? {
+///             Asked::Reply(x) => assert_eq!(x, 120),
+///             Asked::Refused | Asked::TimedOutUnsent => panic!("the arm was not asked"),
+///             Asked::TimedOutUnknown | Asked::PeerRestarted => panic!("the arm may have answered"),
+///         }
+///         Ok(())
+///     })
+///     .start()
+///     .expect("a node that starts");
+/// assert!(node.wait(Duration::from_secs(10)));
+/// # let ends = node.stop(Duration::from_secs(10));
+/// # assert!(ends.iter().all(|(_, end)| *end == imrs_runtime::TaskEnd::Returned), "{ends:?}");
+/// ```
+impl<S> Context<S> {
+    /// From here on, messages of this port are handled: [`receive`](Context::receive) without a port skips it.
+    ///
+    /// # Errors
+    /// [`Fault::WrongUsage`] where the task does not receive on this port.
+    pub fn on_message(
+        &mut self,
+        port: PortId,
+        handler: impl Fn(&mut Self, Delivery) -> Result<(), TaskError> + 'static,
+    ) -> Result<(), TaskError> {
+        self.accepted(Request::Handle { port, handled: true })?;
+        self.handlers.messages.retain(|(of, _)| *of != port);
+        self.handlers.messages.push((port, Rc::new(handler)));
+        Ok(())
+    }
+
+    /// Answers each query or command of this port with what the handler returns. An answer that is too late is none: its
+    /// sender has its outcome (D18).
+    ///
+    /// # Errors
+    /// As [`on_message`](Self::on_message); where it runs, [`TaskError::NotThisType`].
+    pub fn on_query<M: Message, R: Message>(
+        &mut self,
+        port: PortId,
+        handler: impl Fn(&mut Self, M) -> Result<R, TaskError> + 'static,
+    ) -> Result<(), TaskError> {
+        self.on_message(port, move |ctx, delivery| {
+            let question = ctx.read(&delivery)?;
+            let answer = handler(ctx, question)?;
+            match ctx.answer(&delivery.from, &answer) {
+                Err(TaskError::Fault(RequestFault(Fault::Late))) => Ok(()),
+                other => other,
+            }
+        })
+    }
+
+    /// Messages of this port wait for [`receive`](Context::receive) again.
+    ///
+    /// # Errors
+    /// As [`on_message`](Self::on_message).
+    pub fn unhandle(&mut self, port: PortId) -> Result<(), TaskError> {
+        self.accepted(Request::Handle { port, handled: false })?;
+        self.handlers.messages.retain(|(of, _)| *of != port);
+        Ok(())
+    }
+
+    /// What is done when this timer of the task ends (Figure 3).
+    pub fn on_timer(
+        &mut self,
+        timer: TimeId,
+        handler: impl Fn(&mut Self) -> Result<(), TaskError> + 'static,
+    ) {
+        self.handlers.timers.retain(|(of, _)| *of != timer);
+        self.handlers.timers.push((timer, Rc::new(handler)));
+    }
+
+    /// Starts a timer, anew where it runs.
+    ///
+    /// # Errors
+    /// [`TaskError::NoHandler`]; [`Fault::TooManyTimers`].
+    pub fn start_timer(&mut self, timer: TimeId, length: Duration) -> Result<(), TaskError> {
+        if !self.handlers.timers.iter().any(|(of, _)| *of == timer) {
+            return Err(TaskError::NoHandler(timer));
+        }
+        self.accepted(Request::Start { id: timer, length: ticks(length) })
+    }
+
+    /// Stops a timer; its handler does not run any more.
+    ///
+    /// # Errors
+    /// [`TaskError`].
+    pub fn stop_timer(&mut self, timer: TimeId) -> Result<(), TaskError> {
+        self.accepted(Request::Stop { id: timer })
+    }
+
+    /// What is done when the task loses its lease (D61). It outranks everything, `atomic` sections too. Whatever the
+    /// program then sends on a port under the lease is refused with [`Fault::Fenced`], handler or not.
+    pub fn on_fence(&mut self, handler: impl Fn(&mut Self) -> Result<(), TaskError> + 'static) {
+        self.handlers.fence = Some(Rc::new(handler));
+    }
+
+    /// What a standby does when it takes over, under the epoch that it is given (D61).
+    pub fn on_takeover(&mut self, handler: impl Fn(&mut Self, u8) -> Result<(), TaskError> + 'static) {
+        self.handlers.takeover = Some(Rc::new(handler));
+    }
+
+    /// A statement boundary: handlers that outrank the task's thread run here. For loops that compute and do not wait.
+    ///
+    /// # Errors
+    /// [`TaskError`].
+    pub fn boundary(&mut self) -> Result<(), TaskError> {
+        self.accepted(Request::Boundary)
+    }
+
+    /// No handler interrupts what is done here, though it waits (D15); only the loss of the lease does.
+    ///
+    /// # Errors
+    /// [`TaskError`], of the section too.
+    pub fn atomic<R>(
+        &mut self,
+        section: impl FnOnce(&mut Self) -> Result<R, TaskError>,
+    ) -> Result<R, TaskError> {
+        if self.caller.atomic {
+            return section(self);
+        }
+        self.accepted(Request::Atomic(true))?;
+        self.caller.atomic = true;
+        let done = section(self);
+        self.caller.atomic = false;
+        self.accepted(Request::Atomic(false))?;
+        done
+    }
+
+    /// Runs the handler for `call`. The answer was given `age` ago.
+    pub(super) fn interrupted(&mut self, call: Call, age: Ticks) -> Result<(), TaskError> {
+        let atomic = std::mem::take(&mut self.caller.atomic);
+        self.caller.depth += 1;
+        let done = self.handle(call, age);
+        self.caller.depth -= 1;
+        self.caller.atomic = atomic;
+        if let Err(error) = &done {
+            self.caller.fail(error.clone());
+        }
+        done
+    }
+
+    fn handle(&mut self, call: Call, age: Ticks) -> Result<(), TaskError> {
+        match call {
+            Call::Message(message) => {
+                self.caller.taken = Some(message.from);
+                // The thread or its whole process stood still with the message in hand: nothing old is handed over.
+                if message.budget <= age {
+                    self.caller.expired_in_hand(&message);
+                    return Ok(());
+                }
+                let of_port = self.handlers.messages.iter().find(|(port, _)| *port == message.from.port);
+                let handler = of_port.map(|(_, handler)| Rc::clone(handler));
+                let message = Delivery { budget: message.budget - age, ..message };
+                handler.map_or(Ok(()), |handler| handler(self, message))
+            }
+            Call::Timer(timer) => {
+                let of_timer = self.handlers.timers.iter().find(|(of, _)| *of == timer);
+                let handler = of_timer.map(|(_, handler)| Rc::clone(handler));
+                handler.map_or(Ok(()), |handler| handler(self))
+            }
+            Call::Fenced => self.handlers.fence.clone().map_or(Ok(()), |handler| handler(self)),
+            Call::TakeOver(epoch) => {
+                self.handlers.takeover.clone().map_or(Ok(()), |handler| handler(self, epoch))
+            }
+        }
+    }
+}

@@ -1,0 +1,157 @@
+//! How the calls of a task's program end.
+
+use crate::message::Bytes;
+use imrs_protocol::{Answers, Contents, Fault, Outcome, ReleasedBy, ReplyTo, Round, Ticks, TimeId};
+
+/// Why a call of a task's program was not carried out.
+#[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
+pub enum TaskError {
+    /// The node stops: the program should return.
+    #[error("the node stops")]
+    Stopped,
+    /// The request is at fault; nothing was done.
+    #[error("{0}")]
+    Fault(#[from] RequestFault),
+    /// The cell has no port of this name, or the task is no party of it.
+    #[error("the task has no port `{0}`: check the name and the port's user_list")]
+    NoPort(String),
+    /// The cell has no task of this name.
+    #[error("the cell has no task `{0}`")]
+    NoTask(String),
+    /// The message does not fit the packets that the port's format has.
+    #[error("a message of {0} bytes is longer than its port's format allows")]
+    TooLong(usize),
+    /// More ports in one `order` than it has levels.
+    #[error("`order` ranks at most 8 ports, not {0}")]
+    TooManyLevels(usize),
+    /// What came is no message of the type that the program reads it as.
+    #[error("{0} bytes came that are no `{1}`: check that both ends use the port's format")]
+    NotThisType(usize, &'static str),
+    /// A field holds what no message can: a real that is not finite.
+    #[error("a `{0}` with a real that is not finite cannot be sent")]
+    NotSendable(&'static str),
+    /// The task took another message since: the fragments of this one are gone.
+    #[error("only the message that was taken last can be read whole")]
+    Gone,
+    /// A timer is started whose end nobody handles.
+    #[error("timer {0:?} has no handler: call `on_timer` first")]
+    NoHandler(TimeId),
+}
+
+/// A [`Fault`] as an error.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
+#[error("{}", explain(.0))]
+pub struct RequestFault(pub Fault);
+
+fn explain(fault: &Fault) -> &'static str {
+    match fault {
+        Fault::NotYourPort => "the task neither owns nor uses this port",
+        Fault::WrongUsage => "the port's usage does not allow this",
+        Fault::NotAPeer => "the named task is not at the other end of the port",
+        Fault::TooManyTimers => "the task has as many timers as it may",
+        Fault::WrongLength => "the message has more fragments than its format, or one is missing",
+        Fault::NotInterrupted => "no handler runs",
+        Fault::Fenced => "the task does not hold the lease that this port acts under",
+        Fault::Busy => "another request is outstanding",
+        Fault::NothingToAnswer => "no such message waits for a reply",
+        Fault::Late => "the execution budget has ended: the sender is beyond waiting",
+    }
+}
+
+/// How a `send` ended.
+#[must_use = "a command that was not answered may or may not have run"]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Sent {
+    /// Class 1: so many copies were accepted. What becomes of them is not reported (R53).
+    Copies(u16),
+    /// Class 2: how it ended.
+    Outcome(Outcome),
+    /// Class 2 to several tasks (R26, R40): how it ended at each.
+    Several(Answers),
+}
+
+impl Sent {
+    /// The answer to a class-2 message to one task, if there is one; of a longer format its first packet.
+    #[must_use]
+    pub fn reply(self) -> Option<Contents> {
+        match self {
+            Self::Outcome(Outcome::Reply(contents)) => Some(contents),
+            Self::Outcome(
+                Outcome::Refused
+                | Outcome::TimedOutUnsent
+                | Outcome::TimedOutUnknown
+                | Outcome::PeerRestarted,
+            )
+            | Self::Copies(_)
+            | Self::Several(_) => None,
+        }
+    }
+}
+
+/// How a query or a command ended, with its answer (D33). A `match` must say what the program does in each case: after
+/// two of them the other task may have acted.
+#[must_use = "a command that was not answered may or may not have run"]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Asked<M = Bytes> {
+    /// The answer.
+    Reply(M),
+    /// No space at the destination or on the way; it did not run.
+    Refused,
+    /// The time_out ended and no copy ever left this node; it did not run.
+    TimedOutUnsent,
+    /// The time_out ended without an answer; it may have run.
+    TimedOutUnknown,
+    /// The destination's node restarted meanwhile; it may have run.
+    PeerRestarted,
+}
+
+impl<M> Asked<M> {
+    /// The answer, if there is one.
+    #[must_use]
+    pub fn reply(self) -> Option<M> {
+        match self {
+            Self::Reply(answer) => Some(answer),
+            Self::Refused | Self::TimedOutUnsent | Self::TimedOutUnknown | Self::PeerRestarted => None,
+        }
+    }
+
+    /// Whether the other task may have acted on the message without this program knowing how that went.
+    #[must_use]
+    pub const fn may_have_run(&self) -> bool {
+        match self {
+            Self::TimedOutUnknown | Self::PeerRestarted => true,
+            Self::Reply(_) | Self::Refused | Self::TimedOutUnsent => false,
+        }
+    }
+}
+
+/// A message of a known type.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Received<M> {
+    /// What it says.
+    pub message: M,
+    /// Names it for a reply, and its sender.
+    pub from: ReplyTo,
+    /// What is left of its life, in microseconds: of a command, the execution budget (D18).
+    pub budget: Ticks,
+}
+
+/// How a `waitfor` ended (§4.3). Both ends are normal: every program says what it does on time_out.
+#[must_use = "a task that gave up must not act as if all had arrived"]
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Rendezvous {
+    /// All have arrived.
+    Released {
+        /// The round, the same for all that this meeting releases.
+        round: Round,
+        /// How this task came to know.
+        by: ReleasedBy,
+    },
+    /// The time_out ended first.
+    GaveUp {
+        /// The round waited in.
+        round: Round,
+        /// Bit `i`: party `i` of the port (owner first) had not arrived.
+        missing: u64,
+    },
+}

@@ -1,0 +1,210 @@
+//! Messages of known types: what is sent, asked and answered is a [`Message`].
+
+use super::Context;
+use super::outcome::{Asked, Received, RequestFault, Sent, TaskError};
+use crate::message::{Bytes, LONGEST, Message};
+use imrs_protocol::{Answers, Class, Delivery, Fault, Outcome, PortId, ReplyTo, Target, TaskId};
+use std::any::type_name;
+use std::sync::Arc;
+use std::time::Duration;
+
+impl<S> Context<S> {
+    /// Tells all tasks at the other end of a class-1 port. Returns how many copies were accepted.
+    ///
+    /// # Errors
+    /// [`TaskError`].
+    pub fn tell<M: Message>(&mut self, port: PortId, message: &M) -> Result<u16, TaskError> {
+        self.expect_class(port, Class::Status)?;
+        match self.send_message(port, Target::All, message, None)? {
+            Sent::Copies(copies) => Ok(copies),
+            Sent::Outcome(_) | Sent::Several(_) => Err(wrong_usage()),
+        }
+    }
+
+    /// Asks the task at the other end of a port: a query, or a command where the port's usage is `send` and its class 2.
+    /// Waits for the answer, at most for the port's time_out.
+    ///
+    /// # Errors
+    /// [`TaskError`]; [`TaskError::NotThisType`] where the answer is none of `R`.
+    pub fn query<M: Message, R: Message>(
+        &mut self,
+        port: PortId,
+        question: &M,
+    ) -> Result<Asked<R>, TaskError> {
+        self.query_with(port, Target::All, question, None)
+    }
+
+    /// As [`query`](Self::query), of one of several tasks at the other end, or with a shorter life than the port's.
+    ///
+    /// # Errors
+    /// As [`query`](Self::query).
+    pub fn query_with<M: Message, R: Message>(
+        &mut self,
+        port: PortId,
+        to: Target,
+        question: &M,
+        time_out: Option<Duration>,
+    ) -> Result<Asked<R>, TaskError> {
+        self.expect_class(port, Class::Command)?;
+        let peer = self.peer(port, to)?;
+        let Sent::Outcome(outcome) = self.send_message(port, Target::One(peer), question, time_out)? else {
+            return Err(wrong_usage());
+        };
+        self.asked(port, peer, outcome)
+    }
+
+    /// Asks several tasks at once (R26, R40), and tells for each how that ended. Waits until all have answered or refused,
+    /// at most for the port's time_out.
+    ///
+    /// # Errors
+    /// As [`query`](Self::query).
+    pub fn query_all<M: Message, R: Message>(
+        &mut self,
+        port: PortId,
+        to: Target,
+        question: &M,
+        mut each: impl FnMut(TaskId, Asked<R>),
+    ) -> Result<(), TaskError> {
+        self.expect_class(port, Class::Command)?;
+        match self.send_message(port, to, question, None)? {
+            Sent::Copies(_) => Err(wrong_usage()),
+            Sent::Outcome(outcome) => {
+                let peer = self.peer(port, to)?;
+                each(peer, self.asked(port, peer, outcome)?);
+                Ok(())
+            }
+            Sent::Several(answers) => self.each_answer(port, &answers, each),
+        }
+    }
+
+    /// Waits for the most urgent message of a port and reads it. `None` says that the time_out ended first.
+    ///
+    /// # Errors
+    /// [`TaskError`]; [`TaskError::NotThisType`]: the message is gone then.
+    pub fn take<M: Message>(
+        &mut self,
+        port: PortId,
+        time_out: Option<Duration>,
+    ) -> Result<Option<Received<M>>, TaskError> {
+        let Some(delivery) = self.receive(Some(port), time_out)? else { return Ok(None) };
+        let message = self.read(&delivery)?;
+        Ok(Some(Received { message, from: delivery.from, budget: delivery.budget }))
+    }
+
+    /// Reads the message that was taken last, with all its fragments (D28).
+    ///
+    /// # Errors
+    /// [`TaskError::NotThisType`]; [`TaskError::Gone`] where a longer one is read after another was taken.
+    pub fn read<M: Message>(&mut self, delivery: &Delivery) -> Result<M, TaskError> {
+        let whole = self.caller.whole(delivery)?;
+        decoded(&whole)
+    }
+
+    /// Answers a received query or command. Does not wait.
+    ///
+    /// # Errors
+    /// As [`reply`](Self::reply).
+    pub fn answer<R: Message>(&mut self, to: &ReplyTo, answer: &R) -> Result<(), TaskError> {
+        let mut room = [0; LONGEST];
+        let bytes = encoded(answer, &mut room)?;
+        self.reply(to, bytes)
+    }
+
+    fn send_message<M: Message>(
+        &mut self,
+        port: PortId,
+        to: Target,
+        message: &M,
+        time_out: Option<Duration>,
+    ) -> Result<Sent, TaskError> {
+        let mut room = [0; LONGEST];
+        let bytes = encoded(message, &mut room)?;
+        self.send_with(port, to, bytes, time_out)
+    }
+
+    fn expect_class(&self, port: PortId, class: Class) -> Result<(), TaskError> {
+        let decl = self.caller.node.table.port(port);
+        if decl.is_some_and(|port| port.decl.class != class) { Err(wrong_usage()) } else { Ok(()) }
+    }
+
+    /// The one task that is meant.
+    fn peer(&self, port: PortId, to: Target) -> Result<TaskId, TaskError> {
+        let port = self.caller.node.table.port(port).ok_or_else(|| fault(Fault::NotYourPort))?;
+        let meant = |task: &TaskId| match to {
+            Target::All => true,
+            Target::One(one) => *task == one,
+            Target::Some(bits) => port.party_index(*task).is_some_and(|at| at < 64 && bits >> at & 1 == 1),
+        };
+        let mut all = port.peers(self.id()).filter(meant);
+        match (all.next(), all.next()) {
+            (Some(peer), None) => Ok(peer),
+            (None, _) => Err(fault(Fault::NotAPeer)),
+            (Some(_), Some(_)) => Err(wrong_usage()),
+        }
+    }
+
+    fn asked<R: Message>(
+        &mut self,
+        port: PortId,
+        peer: TaskId,
+        outcome: Outcome,
+    ) -> Result<Asked<R>, TaskError> {
+        Ok(match outcome {
+            Outcome::Reply(first) => {
+                Asked::Reply(decoded(&self.caller.whole_answer(port, peer, Some(&first)))?)
+            }
+            Outcome::Refused => Asked::Refused,
+            Outcome::TimedOutUnsent => Asked::TimedOutUnsent,
+            Outcome::TimedOutUnknown => Asked::TimedOutUnknown,
+            Outcome::PeerRestarted => Asked::PeerRestarted,
+        })
+    }
+
+    fn each_answer<R: Message>(
+        &mut self,
+        port: PortId,
+        answers: &Answers,
+        mut each: impl FnMut(TaskId, Asked<R>),
+    ) -> Result<(), TaskError> {
+        let cell = Arc::clone(&self.caller.node.table.cell);
+        let parties = cell.port(port).map(|port| &port.parties[..]).unwrap_or_default();
+        for (at, party) in parties.iter().enumerate().take(64) {
+            let bit = 1 << at;
+            if answers.asked & bit == 0 {
+                continue;
+            }
+            each(
+                party.task,
+                if answers.answered & bit != 0 {
+                    Asked::Reply(decoded(&self.caller.whole_answer(port, party.task, None))?)
+                } else if answers.refused & bit != 0 {
+                    Asked::Refused
+                } else if answers.restarted & bit != 0 {
+                    Asked::PeerRestarted
+                } else if answers.unsent & bit != 0 {
+                    Asked::TimedOutUnsent
+                } else {
+                    Asked::TimedOutUnknown
+                },
+            );
+        }
+        Ok(())
+    }
+}
+
+fn fault(fault: Fault) -> TaskError {
+    RequestFault(fault).into()
+}
+
+fn wrong_usage() -> TaskError {
+    fault(Fault::WrongUsage)
+}
+
+fn encoded<'a, M: Message>(message: &M, room: &'a mut [u8; LONGEST]) -> Result<&'a [u8], TaskError> {
+    let length = message.encode(room).ok_or_else(|| TaskError::NotSendable(type_name::<M>()))?;
+    room.get(..length).ok_or(TaskError::TooLong(length))
+}
+
+fn decoded<M: Message>(bytes: &Bytes) -> Result<M, TaskError> {
+    M::decode(bytes).ok_or_else(|| TaskError::NotThisType(bytes.len(), type_name::<M>()))
+}

@@ -1,0 +1,37 @@
+//! The Rust programs of the process classes (D24): each runs, and ends as it says.
+
+#[path = "../examples/independent.rs"]
+mod independent;
+#[path = "../examples/loose.rs"]
+mod loose;
+#[path = "../examples/serial.rs"]
+mod serial;
+#[path = "../examples/tight.rs"]
+mod tight;
+#[path = "../examples/work.rs"]
+mod work;
+
+#[test]
+fn independent_robots_share_the_speed_of_a_belt() {
+    independent::main();
+}
+
+#[test]
+fn loosely_coupled_welders_share_a_tool() {
+    loose::main();
+}
+
+#[test]
+fn tightly_coupled_arms_lift_a_beam() {
+    tight::main();
+}
+
+#[test]
+fn serialized_robots_hand_over_parts() {
+    serial::main();
+}
+
+#[test]
+fn a_work_coupled_robot_goes_on_where_the_other_crashed() {
+    work::main();
+}
