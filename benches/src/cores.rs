@@ -1,0 +1,97 @@
+//! Where threads run.
+
+use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
+use std::sync::OnceLock;
+
+/// A place for a thread.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Core {
+    /// The first core that this process may use.
+    First,
+    /// The second one; the first where there is no other.
+    Second,
+}
+
+/// The cores that the process was started on.
+fn allowed() -> &'static [usize] {
+    static ALLOWED: OnceLock<Vec<usize>> = OnceLock::new();
+    ALLOWED.get_or_init(|| {
+        let set = sched_getaffinity(None).unwrap_or_else(|_| CpuSet::new());
+        let found: Vec<usize> = (0..CpuSet::MAX_CPU).filter(|&core| set.is_set(core)).collect();
+        if found.is_empty() { vec![0] } else { found }
+    })
+}
+
+/// How many cores this process may use.
+#[must_use]
+pub fn count() -> usize {
+    allowed().len()
+}
+
+/// Keeps the calling thread, and those it starts, on one core. Whether the kernel allowed it.
+pub fn pin(core: Core) -> bool {
+    let allowed = allowed();
+    let at = match core {
+        Core::First => allowed.first(),
+        Core::Second => allowed.get(1).or(allowed.first()),
+    };
+    at.is_some_and(|&at| set([at]))
+}
+
+/// Lets the calling thread run wherever the process may.
+pub fn unpin() -> bool {
+    set(allowed().iter().copied())
+}
+
+fn set(cores: impl IntoIterator<Item = usize>) -> bool {
+    let mut set = CpuSet::new();
+    for core in cores {
+        set.set(core);
+    }
+    sched_setaffinity(None, &set).is_ok()
+}
+
+/// Has the kernel end this thread's sleeps on time, as the runtime's threads do.
+pub fn sleep_exactly() {
+    // Refused only by a kernel without the call.
+    let _ = rustix::thread::set_current_timer_slack(std::num::NonZeroU64::new(1));
+}
+
+/// How often the threads of this process went to sleep by themselves so far.
+#[must_use]
+pub fn sleeps() -> u64 {
+    let tasks = std::fs::read_dir("/proc/self/task").into_iter().flatten().flatten();
+    let of = |status: String| {
+        let line = status.lines().find_map(|line| line.strip_prefix("voluntary_ctxt_switches:"))?;
+        line.trim().parse::<u64>().ok()
+    };
+    tasks.filter_map(|task| of(std::fs::read_to_string(task.path().join("status")).ok()?)).sum()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_thread_that_is_pinned_may_use_one_core_and_then_all_again() {
+        std::thread::spawn(|| {
+            let all = count();
+            assert!(pin(Core::Second));
+            let set = sched_getaffinity(None).expect("a set");
+            assert_eq!(set.count(), 1);
+            assert!(unpin());
+            assert_eq!(sched_getaffinity(None).expect("a set").count() as usize, all);
+        })
+        .join()
+        .expect("no panic");
+    }
+
+    #[test]
+    fn sleeps_are_counted() {
+        let before = sleeps();
+        for _ in 0..20 {
+            std::thread::sleep(std::time::Duration::from_millis(1));
+        }
+        assert!(sleeps() >= before + 20);
+    }
+}
