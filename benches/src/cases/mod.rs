@@ -3,11 +3,20 @@
 pub mod cells;
 pub mod floors;
 pub mod handoff;
+pub mod queues;
+pub mod urgent;
 
 use crate::suite::Suite;
 
 /// All suites, with the peers that this build has.
 #[must_use]
 pub fn all() -> Vec<Suite> {
-    vec![handoff::awake(), handoff::threads()]
+    vec![
+        handoff::awake(),
+        handoff::threads(),
+        urgent::urgent(),
+        urgent::streams(),
+        queues::queues(),
+        queues::timers(),
+    ]
 }
