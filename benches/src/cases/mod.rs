@@ -2,7 +2,10 @@
 
 pub mod cells;
 pub mod floors;
+pub mod growth;
 pub mod handoff;
+pub mod meet;
+pub mod network;
 pub mod queues;
 pub mod urgent;
 
@@ -18,5 +21,9 @@ pub fn all() -> Vec<Suite> {
         urgent::streams(),
         queues::queues(),
         queues::timers(),
+        growth::growth(),
+        growth::footprint(),
+        meet::meetings(),
+        network::network(),
     ]
 }
