@@ -11,6 +11,7 @@ pub mod cores;
 pub mod harness;
 pub mod machine;
 pub mod memory;
+mod peers;
 pub mod report;
 pub mod sample;
 pub mod suite;

@@ -14,7 +14,7 @@ use crate::suite::Suite;
 /// All suites, with the peers that this build has.
 #[must_use]
 pub fn all() -> Vec<Suite> {
-    vec![
+    let mut suites = vec![
         handoff::awake(),
         handoff::threads(),
         urgent::urgent(),
@@ -25,5 +25,7 @@ pub fn all() -> Vec<Suite> {
         growth::footprint(),
         meet::meetings(),
         network::network(),
-    ]
+    ];
+    crate::peers::join(&mut suites);
+    suites
 }
