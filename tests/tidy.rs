@@ -4,8 +4,10 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 const ROOT: &str = env!("CARGO_MANIFEST_DIR");
-const ROOMS: [&str; 10] =
-    ["src", "tests", "examples", "protocol", "language", "wire", "model", "runtime", "monitor", "fuzz"];
+const ROOMS: [&str; 11] = [
+    "src", "tests", "examples", "protocol", "language", "wire", "model", "runtime", "monitor", "benches",
+    "fuzz",
+];
 /// Longer files want to be two.
 const LONGEST_FILE: usize = 600;
 

@@ -2,8 +2,9 @@
 //! and with memory counted.
 
 use clap::Parser;
-use imrs_bench::{BenchArgs, Verdict, memory, run};
+use imrs_bench::{BenchArgs, BenchError, Verdict, memory, run};
 use std::alloc::{GlobalAlloc, Layout, System};
+use std::io::Write;
 use std::process::ExitCode;
 
 /// Measure the runtime against floors and peers, in rounds.
@@ -42,7 +43,9 @@ unsafe impl GlobalAlloc for Counting {
 static ALLOCATOR: Counting = Counting;
 
 fn main() -> ExitCode {
-    match run(&Cli::parse().bench, &mut std::io::stdout().lock()) {
+    let mut out = std::io::stdout().lock();
+    let mut say = |text: &str| out.write_all(text.as_bytes()).map_err(BenchError::Output);
+    match run(&Cli::parse().bench, &mut say) {
         Ok(Verdict::Well) => ExitCode::SUCCESS,
         Ok(Verdict::Missed) => ExitCode::from(1),
         Err(error) => {

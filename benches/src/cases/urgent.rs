@@ -62,6 +62,12 @@ fn two_channels() -> (impl FnMut(bool) + Send, impl FnMut() -> Option<bool>) {
     (send, receive)
 }
 
+/// How many urgent messages a round: a median of fewer says nothing.
+#[must_use]
+pub fn times(effort: Effort) -> u32 {
+    effort.of(21).max(9)
+}
+
 /// Fills what `make` makes, then sends the urgent one, then lets the receiver begin: everything hot, two cores.
 pub fn urgent_through<S, R>(effort: Effort, make: impl Fn() -> (S, R)) -> Sample
 where
@@ -69,8 +75,8 @@ where
     R: FnMut() -> Option<bool>,
 {
     let (mut send, mut receive) = make();
-    let gate = AtomicU64::new(0);
-    let times = u64::from(effort.of(12));
+    let gate = Gate::default();
+    let times = u64::from(times(effort));
     let begins = Instant::now();
     let sent = AtomicU64::new(0);
     cores::pin(Core::First);
@@ -80,14 +86,14 @@ where
             cores::pin(Core::Second);
             for time in 0..times {
                 (0..BEHIND).for_each(|_| send(false));
+                gate.filled(time);
                 sent.store(nanos_of(begins.elapsed()), Ordering::SeqCst);
                 send(true);
-                gate.store(2 * time + 1, Ordering::SeqCst);
-                until(gate, 2 * time + 2);
+                gate.sent(time);
             }
         });
         let one = |time: u64| {
-            until(gate, 2 * time + 1);
+            gate.ready(time);
             let mut took = 0;
             for _ in 0..=BEHIND {
                 if receive().expect("a message") {
@@ -96,7 +102,7 @@ where
                     serve();
                 }
             }
-            gate.store(2 * time + 2, Ordering::SeqCst);
+            gate.served(time);
             took
         };
         (0..times).map(one).collect()
@@ -105,9 +111,44 @@ where
     Sample::of(nanos, 1)
 }
 
-fn until(gate: &AtomicU64, value: u64) {
-    while gate.load(Ordering::SeqCst) < value {
-        std::thread::yield_now();
+/// Sender and receiver in step: both are awake and on their cores when the urgent message is sent, so that neither waits
+/// for the scheduler.
+#[derive(Default)]
+struct Gate(AtomicU64);
+
+impl Gate {
+    fn reach(&self, step: u64) {
+        self.0.store(step, Ordering::SeqCst);
+    }
+
+    fn until(&self, step: u64, between: fn()) {
+        while self.0.load(Ordering::SeqCst) < step {
+            between();
+        }
+    }
+
+    /// The sender: all that is not urgent waits. Returns when the receiver is awake.
+    fn filled(&self, time: u64) {
+        self.reach(4 * time + 1);
+        self.until(4 * time + 2, std::hint::spin_loop);
+    }
+
+    /// The sender: the urgent one is sent. Returns when all are served.
+    fn sent(&self, time: u64) {
+        self.reach(4 * time + 3);
+        self.until(4 * time + 4, std::thread::yield_now);
+    }
+
+    /// The receiver: returns when the urgent one is sent.
+    fn ready(&self, time: u64) {
+        self.until(4 * time + 1, std::thread::yield_now);
+        self.reach(4 * time + 2);
+        self.until(4 * time + 3, std::hint::spin_loop);
+    }
+
+    /// The receiver: all are served.
+    fn served(&self, time: u64) {
+        self.reach(4 * time + 4);
     }
 }
 
@@ -125,9 +166,9 @@ fn urgent_in_ports(effort: Effort) -> Sample {
             cell.port(PortDecl::new(name, cells::A, Usage::Send, &[cells::B], life).bounded_buffer(n))
         });
     let (tell, told) = channel();
-    let times = u64::from(effort.of(12));
+    let times = u64::from(times(effort));
     let (begins, sent) = (Instant::now(), Arc::new(AtomicU64::new(0)));
-    let gate = Arc::new(AtomicU64::new(0));
+    let gate = Arc::new(Gate::default());
     let (other_gate, other_sent) = (Arc::clone(&gate), Arc::clone(&sent));
     let node = Runtime::builder(cells::table(cell), NodeId(0))
         .task("t0", move |ctx| {
@@ -136,10 +177,10 @@ fn urgent_in_ports(effort: Effort) -> Sample {
                 for _ in 0..BEHIND {
                     let _copies = ctx.send(work, &cells::FULL)?;
                 }
+                other_gate.filled(time);
                 other_sent.store(nanos_of(begins.elapsed()), Ordering::SeqCst);
                 let _copies = ctx.send(halt, &cells::FULL)?;
-                other_gate.store(2 * time + 1, Ordering::SeqCst);
-                until(&other_gate, 2 * time + 2);
+                other_gate.sent(time);
             }
             Ok(())
         })
@@ -147,7 +188,7 @@ fn urgent_in_ports(effort: Effort) -> Sample {
             cores::pin(Core::First);
             let mut nanos = Vec::new();
             for time in 0..times {
-                until(&gate, 2 * time + 1);
+                gate.ready(time);
                 let mut took = 0;
                 for _ in 0..=BEHIND {
                     let message = ctx.receive(None, None)?.expect("a message");
@@ -158,7 +199,7 @@ fn urgent_in_ports(effort: Effort) -> Sample {
                     }
                 }
                 nanos.push(took);
-                gate.store(2 * time + 2, Ordering::SeqCst);
+                gate.served(time);
             }
             tell.send(Sample::of(nanos, 1)).expect("the harness listens");
             Ok(())
