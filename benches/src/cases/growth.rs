@@ -11,6 +11,7 @@ use imrs_protocol::{
     PortDecl, PortId, Request, Signal, Target, TaskId, Ticks, Usage,
 };
 use imrs_runtime::Runtime;
+use std::cell::OnceCell;
 use std::sync::Arc;
 use std::sync::mpsc::channel;
 use std::time::Duration;
@@ -20,12 +21,11 @@ use std::time::Duration;
 pub fn growth() -> Suite {
     let mut suite = Suite::new("growth");
     for (tasks, name) in [(2, "2 tasks"), (10_000, "10,000 tasks")] {
-        // Made once: what is measured is messages, not the making of tables.
-        let table = crowd(tasks);
+        let table = Once::new(move || crowd(tasks));
         suite.case(
             format!("machine/ask of {name}"),
             "send, receive, reply between two tasks of a node with so many tasks, a port each",
-            move |effort| ask_in_a_crowd(effort, &table),
+            move |effort| ask_in_a_crowd(effort, table.get()),
         );
     }
     suite.row(Row::new(
@@ -36,21 +36,21 @@ pub fn growth() -> Suite {
         Goal::AtMost(1.1),
     ));
     for ports in [4, 1_024, 10_000] {
-        let table = fan(ports, 1);
+        let table = Once::new(move || fan(ports, 1));
         suite.case(
             format!("machine/get over {ports} ports"),
             "take the most urgent message of any port and send another, one waiting in every port",
-            move |effort| get_over_ports(effort, &table, ports),
+            move |effort| get_over_ports(effort, table.get(), ports),
         );
     }
     let few = "machine/get over 4 ports";
     suite.row(Row::new("growth", "machine/get over 1024 ports", few, Stat::P50, Goal::AtMost(1.5)));
     for waiting in [16, 10_000] {
-        let table = fan(1, waiting);
+        let table = Once::new(move || fan(1, waiting));
         suite.case(
             format!("machine/tick over {waiting} messages"),
             "time passes, and nothing is due of so many messages that wait",
-            move |effort| tick(effort, &table, waiting),
+            move |effort| tick(effort, table.get(), waiting),
         );
     }
     let few = "machine/tick over 16 messages";
@@ -93,6 +93,19 @@ pub fn footprint() -> Suite {
         suite.row(Row::bounded("memory", what, subject, Stat::Count, Goal::AtMost(bound)));
     }
     suite
+}
+
+/// A table that is made when it is first needed, and kept: what is measured is messages.
+struct Once<F>(OnceCell<Arc<CellTable>>, F);
+
+impl<F: Fn() -> Arc<CellTable>> Once<F> {
+    fn new(make: F) -> Self {
+        Self(OnceCell::new(), make)
+    }
+
+    fn get(&self) -> &Arc<CellTable> {
+        self.0.get_or_init(&self.1)
+    }
 }
 
 fn crowd(tasks: usize) -> Arc<CellTable> {
@@ -190,22 +203,30 @@ fn allocations() -> Sample {
     let node = Runtime::builder(cells::asking(1, Usage::Send), NodeId(0))
         .task("t0", move |ctx| {
             cells::ask(ctx, &cells::FULL, 1, 1)?;
-            let ask = || {
-                (0..TIMES).try_for_each(|_| {
-                    let sent = ctx.send(ASK, &cells::FULL)?;
-                    assert!(sent.reply().is_some(), "an answer in time");
-                    Ok::<(), imrs_runtime::TaskError>(())
+            let mut series = || {
+                memory::counted(|| {
+                    (0..TIMES).try_for_each(|_| {
+                        let sent = ctx.send(ASK, &cells::FULL)?;
+                        assert!(sent.reply().is_some(), "an answer in time");
+                        Ok::<(), imrs_runtime::TaskError>(())
+                    })
                 })
             };
-            let (done, allocated) = memory::counted(ask);
-            done?;
-            tell.send(allocated).expect("the harness listens");
+            // The fewest of some series: the harness's own threads may still be on their way to their waits.
+            let mut least = None;
+            for _ in 0..5 {
+                let (done, allocated) = series();
+                done?;
+                let calls = allocated.map(|allocated| allocated.calls);
+                least = least.min(calls).or(calls);
+            }
+            tell.send(least).expect("the harness listens");
             Ok(())
         })
         .task("t1", cells::answer)
         .start()
         .expect("a node that starts");
-    let count = cells::hear(node, &told).map(|allocated| allocated.calls as f64 / f64::from(TIMES));
+    let count = cells::hear(node, &told).map(|calls| calls as f64 / f64::from(TIMES));
     Sample { count, ..Sample::default() }
 }
 

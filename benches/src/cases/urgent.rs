@@ -65,7 +65,7 @@ fn two_channels() -> (impl FnMut(bool) + Send, impl FnMut() -> Option<bool>) {
 /// How many urgent messages a round: a median of fewer says nothing.
 #[must_use]
 pub fn times(effort: Effort) -> u32 {
-    effort.of(21).max(9)
+    effort.of(100).max(9)
 }
 
 /// Fills what `make` makes, then sends the urgent one, then lets the receiver begin: everything hot, two cores.
