@@ -1,6 +1,8 @@
 //! Where threads run.
 
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
+use std::collections::BTreeMap;
+use std::ffi::OsString;
 use std::sync::OnceLock;
 
 /// A place for a thread.
@@ -57,15 +59,32 @@ pub fn sleep_exactly() {
     let _ = rustix::thread::set_current_timer_slack(std::num::NonZeroU64::new(1));
 }
 
-/// How often the threads of this process went to sleep by themselves so far.
-#[must_use]
-pub fn sleeps() -> u64 {
-    let tasks = std::fs::read_dir("/proc/self/task").into_iter().flatten().flatten();
-    let of = |status: String| {
-        let line = status.lines().find_map(|line| line.strip_prefix("voluntary_ctxt_switches:"))?;
-        line.trim().parse::<u64>().ok()
-    };
-    tasks.filter_map(|task| of(std::fs::read_to_string(task.path().join("status")).ok()?)).sum()
+/// How often each thread of this process went to sleep by itself so far.
+#[derive(Debug)]
+pub struct Sleeps(BTreeMap<OsString, u64>);
+
+impl Sleeps {
+    /// Until now.
+    #[must_use]
+    pub fn now() -> Self {
+        let tasks = std::fs::read_dir("/proc/self/task").into_iter().flatten().flatten();
+        let of = |status: String| {
+            let line = status.lines().find_map(|line| line.strip_prefix("voluntary_ctxt_switches:"))?;
+            line.trim().parse::<u64>().ok()
+        };
+        let all = tasks.filter_map(|task| {
+            let status = std::fs::read_to_string(task.path().join("status")).ok()?;
+            Some((task.file_name(), of(status)?))
+        });
+        Self(all.collect())
+    }
+
+    /// How often they have slept since; threads that ended meanwhile do not count.
+    #[must_use]
+    pub fn since(&self) -> u64 {
+        let before = |thread| self.0.get(thread).copied().unwrap_or_default();
+        Self::now().0.iter().map(|(thread, now)| now.saturating_sub(before(thread))).sum()
+    }
 }
 
 #[cfg(test)]
@@ -88,10 +107,10 @@ mod tests {
 
     #[test]
     fn sleeps_are_counted() {
-        let before = sleeps();
+        let before = Sleeps::now();
         for _ in 0..20 {
             std::thread::sleep(std::time::Duration::from_millis(1));
         }
-        assert!(sleeps() >= before + 20);
+        assert!(before.since() >= 20);
     }
 }

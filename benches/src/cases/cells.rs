@@ -61,9 +61,9 @@ pub fn ask(ctx: &mut Context, contents: &[u8], times: u32, group: u32) -> Result
         Err(error) => failed = Some(error),
     };
     laps(WARM_UP, 1, &mut round_trip);
-    let before = crate::cores::sleeps();
+    let before = crate::cores::Sleeps::now();
     let nanos = laps(times, group, &mut round_trip);
-    let slept = (crate::cores::sleeps() - before) as f64 / f64::from(times);
+    let slept = before.since() as f64 / f64::from(times);
     match failed {
         Some(error) => Err(error),
         None => Ok(Sample::of(nanos, group).with(slept)),

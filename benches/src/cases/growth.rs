@@ -243,10 +243,10 @@ fn idle() -> Sample {
         .expect("a node that starts");
     told.recv().expect("the task gets that far");
     std::thread::sleep(Duration::from_millis(100));
-    let before = cores::sleeps();
+    let before = cores::Sleeps::now();
     std::thread::sleep(Duration::from_millis(500));
     // This thread's own sleep is one.
-    let slept = cores::sleeps() - before - 1;
+    let slept = before.since().saturating_sub(1);
     cells::stop(node);
     Sample::counted(slept as f64 * 2.0)
 }

@@ -150,8 +150,7 @@ fn thread_asks_script(effort: Effort) -> Sample {
         .script("t1", cells::answerer())
         .start()
         .expect("a node that starts");
-    let sample = cells::hear(node, &told);
-    sample
+    cells::hear(node, &told)
 }
 
 /// What a node told its tasks last.

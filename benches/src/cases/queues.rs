@@ -145,7 +145,7 @@ pub fn timers() -> Suite {
     suite.case(
         "floor/clock_nanosleep",
         "lateness of an absolute clock_nanosleep, timer slack 1 ns",
-        |effort| lateness_of_the_kernel(effort),
+        lateness_of_the_kernel,
     );
     suite.case(
         "runtime/delay",

@@ -14,7 +14,7 @@ pub fn rows(results: &Results, slack: f64) -> String {
         let verdict = verdict(outcome, slack).to_owned();
         [row.id.into(), row.what.clone(), stat, bound, ratio(outcome), unit(outcome).into(), verdict]
     };
-    table(std::iter::once(header).chain(results.rows.iter().map(of)).collect())
+    table(&std::iter::once(header).chain(results.rows.iter().map(of)).collect::<Vec<_>>())
 }
 
 /// The cases of a suite: what each took, medians over the rounds.
@@ -26,10 +26,10 @@ pub fn cases(results: &Results) -> String {
         let count = case.median(Stat::Count).map_or_else(String::new, super::short);
         [case.name.clone(), took(Stat::P50), took(Stat::P99), took(Stat::P999), took(Stat::Mean), count]
     };
-    table(std::iter::once(header).chain(results.cases.iter().map(of)).collect())
+    table(&std::iter::once(header).chain(results.cases.iter().map(of)).collect::<Vec<_>>())
 }
 
-fn table<const N: usize>(lines: Vec<[String; N]>) -> String {
+fn table<const N: usize>(lines: &[[String; N]]) -> String {
     let width = |column: usize| lines.iter().map(|line| line[column].chars().count()).max().unwrap_or(0);
     let widths: [usize; N] = std::array::from_fn(width);
     let line = |cells: &[String; N]| {
@@ -44,6 +44,6 @@ mod tests {
     #[test]
     fn columns_stand_below_each_other() {
         let lines = [["a", "b"], ["long", "c"]].map(|line| line.map(String::from));
-        assert_eq!(super::table(lines.into()), "a     b\nlong  c\n");
+        assert_eq!(super::table(&lines), "a     b\nlong  c\n");
     }
 }
