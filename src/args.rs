@@ -154,6 +154,16 @@ Examples:
   imrs replay run.nl.imrs
   imrs replay run.*.imrs --cell cell.cell --model    was this run a path of the model?")]
     Replay(ReplayArgs),
+    /// Measure the runtime on this machine, side by side with hand-written floors.
+    ///
+    /// Cases are measured in turns, round by round, and only ratios of one round are judged: times of a shared machine move
+    /// by a factor of two. The package `imrs-bench` adds the channels, actors and links that people would pick instead.
+    #[command(after_help = "\
+Examples:
+  imrs bench --quick                         that it runs: half a minute
+  imrs bench threads network --rounds 15     hand-overs between threads and nodes
+  imrs bench --format json > ratios.json; imrs bench --list")]
+    Bench(imrs_bench::BenchArgs),
     /// Print a shell's completion script.
     #[command(
         after_help = "Example:\n  imrs completions bash > ~/.local/share/bash-completion/completions/imrs"

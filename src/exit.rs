@@ -51,6 +51,9 @@ pub enum Failure {
     /// The recording cannot be replayed.
     #[error(transparent)]
     Replay(#[from] crate::replay::ReplayError),
+    /// Nothing could be measured, or the answer not be kept.
+    #[error(transparent)]
+    Bench(#[from] imrs_bench::BenchError),
     /// The monitor could not do its work.
     #[error(transparent)]
     Monitor(#[from] imrs_monitor::MonitorError),
@@ -60,9 +63,12 @@ impl Failure {
     /// The exit code it leads to.
     pub fn exit(&self) -> Exit {
         match self {
-            Self::Usage(_) | Self::CellFile(_) | Self::Cell(_) | Self::Output(_) | Self::Replay(_) => {
-                Exit::Usage
-            }
+            Self::Usage(_)
+            | Self::CellFile(_)
+            | Self::Cell(_)
+            | Self::Output(_)
+            | Self::Replay(_)
+            | Self::Bench(_) => Exit::Usage,
             Self::Launch(error) => error.exit(),
             Self::Node(error) => error.exit(),
             Self::Monitor(error) => match error.exit_code() {

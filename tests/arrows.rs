@@ -40,9 +40,18 @@ fn the_rooms_import_each_other_only_along_the_arrows() {
         ("imrs-runtime", &["imrs-protocol", "imrs-wire"][..]),
         ("imrs-monitor", &["imrs-protocol", "imrs-wire"][..]),
         ("imrs-macros", &["imrs-protocol", "imrs-language"][..]),
+        ("imrs-bench", &["imrs-protocol", "imrs-runtime"][..]),
         (
             "imrs",
-            &["imrs-protocol", "imrs-language", "imrs-wire", "imrs-model", "imrs-runtime", "imrs-monitor"][..],
+            &[
+                "imrs-protocol",
+                "imrs-language",
+                "imrs-wire",
+                "imrs-model",
+                "imrs-runtime",
+                "imrs-monitor",
+                "imrs-bench",
+            ][..],
         ),
     ]);
     let imports = imports();
@@ -75,7 +84,9 @@ fn heavy_libraries_stay_in_their_rooms() {
             ("indicatif", "imrs"),
         ] {
             let uses = normal.contains(library) || dev.contains(library);
-            assert!(!uses || package == room, "{library} in {package}: it belongs in {room}");
+            // The measurements are a program of their own, too.
+            let measures = package == "imrs-bench" && library == "clap";
+            assert!(!uses || package == room || measures, "{library} in {package}: it belongs in {room}");
         }
         for explorer in ["loom", "shuttle"] {
             assert!(!normal.contains(explorer), "{package}: {explorer} is for tests");
@@ -105,6 +116,27 @@ fn robots_carry_no_model_checker_and_no_screen() {
         for absent in ["stateright", "ratatui", "crossterm", "clap", "loom", "imrs-model", "imrs-monitor"] {
             assert_ne!(name, absent, "imrs-runtime brings {absent} along");
         }
+    }
+}
+
+#[test]
+fn the_command_is_built_without_what_it_is_measured_against() {
+    let output = Command::new(env!("CARGO"))
+        .args(["tree", "-p", "imrs", "-e", "normal,build", "--prefix", "none", "--offline"])
+        .current_dir(ROOT)
+        .output()
+        .expect("cargo tree");
+    let tree = String::from_utf8_lossy(&output.stdout);
+    assert!(
+        output.status.success() && tree.contains("imrs-bench"),
+        "{}",
+        String::from_utf8_lossy(&output.stderr)
+    );
+    let peers =
+        ["tokio", "kameo", "ractor", "actix", "crossbeam-channel", "flume", "kanal", "rtrb", "zeromq"];
+    for line in tree.lines() {
+        let name = line.split(' ').next().unwrap_or_default();
+        assert!(!peers.contains(&name), "the command brings {name} along");
     }
 }
 

@@ -22,6 +22,7 @@ fn every_verb_explains_itself_with_an_example() {
         "demo",
         "monitor",
         "replay",
+        "bench",
         "completions",
         "man",
     ];
@@ -49,6 +50,7 @@ fn what_makes_no_sense_is_a_usage_error_that_names_it() {
         (&["demo", "beam-lift", "--kill", "hoist@20s"], "after the end"),
         (&["demo", "beam-lift", "--cut", "nl-nr@1s+1s"], "nl--nr@1s+40ms"),
         (&["replay", "/no/such/file"], "/no/such/file"),
+        (&["bench", "quees"], "there is no suite `quees`"),
     ] {
         let said = run(args);
         assert_eq!(said.code, Some(2), "{args:?}: {said:?}");

@@ -4,9 +4,9 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 const ROOT: &str = env!("CARGO_MANIFEST_DIR");
-const ROOMS: [&str; 11] = [
+const ROOMS: [&str; 12] = [
     "src", "tests", "examples", "protocol", "language", "wire", "model", "runtime", "macros", "monitor",
-    "fuzz",
+    "benches", "fuzz",
 ];
 /// Longer files want to be two.
 const LONGEST_FILE: usize = 600;

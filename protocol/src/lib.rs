@@ -30,7 +30,9 @@ mod node;
 mod observe;
 mod packed;
 mod packet;
-mod queue;
+// Measured by itself in `benches/`; no part of the interface.
+#[doc(hidden)]
+pub mod queue;
 mod request;
 pub mod route;
 pub mod rules;

@@ -11,10 +11,10 @@ use core::cmp::Reverse;
 use serde::{Deserialize, Serialize};
 
 /// Names an entry while it is in the queue.
-pub(crate) type Slot = u16;
+pub type Slot = u16;
 
 /// What decides the places of an entry.
-pub(crate) trait Entry {
+pub trait Entry {
     /// Whether urgency is all that matters: then the other two orders are not kept.
     const PLAIN: bool = false;
 
@@ -27,7 +27,7 @@ pub(crate) trait Entry {
 }
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub(crate) struct Queue<T> {
+pub struct Queue<T> {
     entries: Box<[Option<T>]>,
     free: Vec<Slot>,
     urgent: Heap,
@@ -63,6 +63,7 @@ impl<T: Entry> Queue<T> {
         Self { entries, free: (0..capacity).rev().collect(), urgent, due, last }
     }
 
+    #[expect(clippy::len_without_is_empty, reason = "public for measurements alone")]
     pub fn len(&self) -> usize {
         self.urgent.slots.len()
     }

@@ -1,0 +1,141 @@
+//! Small cells for the cases, and what their tasks run.
+
+use crate::sample::{Sample, laps};
+use imrs_protocol::script::{Binary, End, Program, ProgramBuilder, Type};
+use imrs_protocol::{Cell, CellTable, NodeId, PortDecl, PortId, Target, TaskId, Ticks, Usage};
+use imrs_runtime::{Context, Rendezvous, Runtime, TaskEnd, TaskError};
+use std::sync::Arc;
+use std::sync::mpsc::Receiver;
+use std::time::Duration;
+
+/// The asking task.
+pub const A: TaskId = TaskId(0);
+/// The answering task.
+pub const B: TaskId = TaskId(1);
+/// The port that A asks on.
+pub const ASK: PortId = PortId(0);
+/// Longer than anything here takes. Every message carries it: its end would be reported.
+pub const LONG: Duration = Duration::from_secs(60);
+/// The same in ticks of a microsecond.
+pub const LONG_TICKS: Ticks = Ticks(60_000_000);
+/// Round trips before anything is timed.
+pub const WARM_UP: u32 = 100;
+
+/// `tasks` tasks spread over `nodes` nodes that are all joined.
+pub fn cell(tasks: usize, nodes: usize) -> Cell {
+    let mut cell = Cell::new("bench", Ticks(1));
+    for node in 0..nodes {
+        cell.node(&format!("n{node}"));
+        for other in 0..node {
+            cell.link(NodeId::from_index(other), NodeId::from_index(node), Ticks(2_000));
+        }
+    }
+    for task in 0..tasks {
+        cell.task(&format!("t{task}"), NodeId::from_index(task % nodes));
+    }
+    cell
+}
+
+/// A checked table.
+pub fn table(cell: Cell) -> Arc<CellTable> {
+    Arc::new(CellTable::new(cell).expect("a sound cell"))
+}
+
+/// As much as fits a packet.
+pub const FULL: [u8; 12] = [7; 12];
+/// One number, as the scripts here have it.
+pub const NUMBER: [u8; 4] = [7; 4];
+
+/// A asks B, by `send` (class 2) or by `query`.
+pub fn asking(nodes: usize, usage: Usage) -> Arc<CellTable> {
+    let mut cell = cell(2, nodes);
+    cell.port(PortDecl::new("ask", A, usage, &[B], LONG_TICKS).command());
+    table(cell)
+}
+
+/// Asks `times` times, after some rounds to warm up; the times of each, and the sleeps of all threads for all of them.
+pub fn ask(ctx: &mut Context, contents: &[u8], times: u32, group: u32) -> Result<Sample, TaskError> {
+    let mut failed = None;
+    let mut round_trip = || match ctx.send(ASK, contents) {
+        Ok(sent) => assert!(sent.reply().is_some(), "no answer but {sent:?}"),
+        Err(error) => failed = Some(error),
+    };
+    laps(WARM_UP, 1, &mut round_trip);
+    let before = crate::cores::Sleeps::now();
+    let nanos = laps(times, group, &mut round_trip);
+    let slept = before.since() as f64 / f64::from(times);
+    match failed {
+        Some(error) => Err(error),
+        None => Ok(Sample::of(nanos, group).with(slept)),
+    }
+}
+
+/// Answers until the node stops.
+pub fn answer(ctx: &mut Context) -> Result<(), TaskError> {
+    while let Some(message) = ctx.receive(Some(ASK), None)? {
+        ctx.reply(&message.from, message.contents.as_bytes())?;
+    }
+    Ok(())
+}
+
+/// Meets the others; all of them come.
+pub fn meet(ctx: &mut Context, port: PortId) -> Result<(), TaskError> {
+    match ctx.waitfor(port)? {
+        Rendezvous::Released { .. } => Ok(()),
+        Rendezvous::GaveUp { missing, .. } => panic!("{missing:#b} were missing"),
+    }
+}
+
+/// Waits for what a task of the node measured, and stops the node.
+pub fn hear<T>(node: Runtime, told: &Receiver<T>) -> T {
+    let heard = told.recv_timeout(LONG);
+    stop(node);
+    heard.expect("the task that measures told what it measured")
+}
+
+/// Stops a node; no task of it may have failed.
+pub fn stop(node: Runtime) {
+    let ends = node.stop(LONG);
+    let well = |end: &TaskEnd| matches!(end, TaskEnd::Returned | TaskEnd::Script(End::Finished));
+    assert!(ends.iter().all(|(_, end)| well(end)), "{ends:?}");
+}
+
+/// A script that asks `times` times and ends.
+pub fn asker(times: u32) -> Arc<Program> {
+    let mut b = ProgramBuilder::new("asker");
+    let (n, answer) = (b.variable("n", Type::Int32), b.variable("answer", Type::Int32));
+    let (top, over) = (b.label(), b.label());
+    b.put(top);
+    b.send(ASK, Target::All, &[(Type::Int32, n)]).unpack(&[(Type::Int32, answer)]);
+    b.statement().load(n).push(1).int(Binary::Add).store(n);
+    b.statement().load(n).push(i64::from(times)).int(Binary::Less).unless(over).jump(top);
+    b.put(over);
+    b.end();
+    Arc::new(b.finish().expect("a sound program"))
+}
+
+/// A script that answers what it was asked, for ever.
+pub fn answerer() -> Arc<Program> {
+    let mut b = ProgramBuilder::new("answerer");
+    let n = b.variable("n", Type::Int32);
+    b.forever(|b| {
+        b.receive(ASK, None, &[(Type::Int32, n)]);
+        b.reply(&[(Type::Int32, n)]);
+    });
+    b.end();
+    Arc::new(b.finish().expect("a sound program"))
+}
+
+/// A script that meets the others `times` times and ends.
+pub fn meeter(port: PortId, times: u32) -> Arc<Program> {
+    let mut b = ProgramBuilder::new("meeter");
+    let n = b.variable("n", Type::Int32);
+    let (top, over) = (b.label(), b.label());
+    b.put(top);
+    b.waitfor(port);
+    b.statement().load(n).push(1).int(Binary::Add).store(n);
+    b.statement().load(n).push(i64::from(times)).int(Binary::Less).unless(over).jump(top);
+    b.put(over);
+    b.end();
+    Arc::new(b.finish().expect("a sound program"))
+}

@@ -1,0 +1,190 @@
+//! Send, receive, reply within a node, a deadline armed for every message (P1 to P5).
+
+use super::cells::{self, A, ASK, B};
+use super::floors::{self, GROUP};
+use crate::cores::{self, Core};
+use crate::sample::{Sample, each, nanos_of};
+use crate::suite::{Effort, Goal, Row, Stat, Suite};
+use imrs_protocol::{
+    Contents, Incarnation, Node, NodeId, NodeInput, NodeOutbox, NodeTable, Packet, Request, Signal, Target,
+    TaskId, Usage,
+};
+use imrs_runtime::Runtime;
+use std::sync::mpsc::channel;
+use std::time::Instant;
+
+const ONE: [Core; 2] = [Core::First; 2];
+const TWO: [Core; 2] = [Core::First, Core::Second];
+
+/// Hand-overs with both ends awake in one thread (P1, P5), or a thread at one end (P4).
+#[must_use]
+pub fn awake() -> Suite {
+    let mut suite = Suite::new("awake");
+    suite.case(
+        "floor/coroutines",
+        "two boxed futures and a queue of who runs next, one thread, hot",
+        floors::coroutines,
+    );
+    suite.case(
+        "machine/ask",
+        "send, receive, reply through the state machine of a node alone: no lock, no clock, no thread",
+        |effort| machine(effort, Usage::Send),
+    );
+    suite.case("machine/query", "the same on a query port", |effort| machine(effort, Usage::Query));
+    suite.case(
+        "runtime/scripts ask",
+        "two scripts of a running node, run by the thread that began them; a value is the mean of a node's round trips",
+        |effort| scripts(effort, Usage::Send),
+    );
+    suite.case("runtime/scripts query", "the same on a query port", |effort| scripts(effort, Usage::Query));
+    suite.case(
+        "runtime/thread asks script",
+        "a Rust task's thread asks a script of its node, and runs it: nobody sleeps",
+        thread_asks_script,
+    );
+    let coroutines = "floor/coroutines";
+    suite.row(Row::new("P1", "runtime/scripts ask", coroutines, Stat::Mean, Goal::AtMost(7.0)));
+    suite.row(Row::new("P1", "machine/ask", coroutines, Stat::Mean, Goal::AtMost(7.0)));
+    suite.row(Row::new("P5", "runtime/scripts query", "runtime/scripts ask", Stat::P50, Goal::AtMost(0.8)));
+    suite.row(Row::new("P5", "machine/query", "machine/ask", Stat::P50, Goal::AtMost(0.8)));
+    suite
+}
+
+/// Hand-overs between two threads, hot (P2) or asleep (P3).
+#[must_use]
+pub fn threads() -> Suite {
+    let mut suite = Suite::new("threads");
+    suite.case("floor/spinning line", "two hot threads on two cores, one cache line", floors::spinning_line);
+    suite.case(
+        "floor/spin then futex",
+        "the same; who waits too long sleeps, and is woken only if it does",
+        floors::spin_then_futex,
+    );
+    for (name, places) in [("one core", ONE), ("two cores", TWO)] {
+        suite.case(
+            format!("floor/park {name}"),
+            "two threads asleep in turn, std::thread::park",
+            move |effort| floors::relay(effort, 1_500, 2, places, false),
+        );
+        suite.case(
+            format!("floor/park_timeout {name}"),
+            "two threads asleep in turn, each sleep with a time_out",
+            move |effort| floors::relay(effort, 1_500, 2, places, true),
+        );
+        suite.case(
+            format!("floor/relay of 4 {name}"),
+            "what a thread per communication task would cost: four threads wake each other in a row and back",
+            move |effort| floors::relay(effort, 500, 4, places, true),
+        );
+        suite.case(
+            format!("runtime/threads {name}"),
+            "two Rust tasks of a node, each on a thread that sleeps before every message; counts sleeps per round trip",
+            move |effort| sleeping(effort, places),
+        );
+    }
+    let hot = "runtime/threads two cores";
+    suite.row(Row::new("P2", hot, "floor/spinning line", Stat::P50, Goal::AtMost(2.2)));
+    suite.row(Row::within("P2", hot, Stat::P999, Stat::P50, Goal::AtMost(3.0)));
+    let one = "runtime/threads one core";
+    suite.row(Row::new("P3", one, "floor/park_timeout one core", Stat::P50, Goal::AtMost(1.15)));
+    suite.row(Row::new("P3", hot, "floor/park_timeout two cores", Stat::P50, Goal::AtMost(1.10)));
+    for (subject, floor) in [(one, "floor/relay of 4 one core"), (hot, "floor/relay of 4 two cores")] {
+        suite.row(Row::new("P3", subject, floor, Stat::P50, Goal::AtMost(0.4)));
+        let what = format!("{subject}: sleeps per round trip, each ended by a futex wake");
+        suite.row(Row::bounded("P3", &what, subject, Stat::Count, Goal::AtMost(2.02)));
+    }
+    suite
+}
+
+/// Two Rust tasks on threads of their own.
+fn sleeping(effort: Effort, places: [Core; 2]) -> Sample {
+    let (tell, told) = channel();
+    let times = effort.of(1_500);
+    cores::pin(places[0]);
+    let node = Runtime::builder(cells::asking(1, Usage::Send), NodeId(0))
+        .task("t0", move |ctx| {
+            cores::pin(places[0]);
+            tell.send(cells::ask(ctx, &cells::FULL, times, 1)?).expect("the harness listens");
+            Ok(())
+        })
+        .task("t1", move |ctx| {
+            cores::pin(places[1]);
+            cells::answer(ctx)
+        })
+        .start()
+        .expect("a node that starts");
+    let sample = cells::hear(node, &told);
+    cores::unpin();
+    sample
+}
+
+/// Two scripts of one node. The thread that lets them begin runs both of them to their end.
+fn scripts(effort: Effort, usage: Usage) -> Sample {
+    // One input may cause 10,000 steps of a script.
+    const TIMES: u32 = 1_000;
+    let table = cells::asking(1, usage);
+    let mut nanos = Vec::new();
+    for _ in 0..effort.of(24) {
+        let node = Runtime::builder(table.clone(), NodeId(0))
+            .script("t0", cells::asker(TIMES))
+            .script("t1", cells::answerer())
+            .hold_scripts()
+            .start()
+            .expect("a node that starts");
+        let begins = Instant::now();
+        node.begin();
+        nanos.push(nanos_of(begins.elapsed()));
+        cells::stop(node);
+    }
+    Sample::of(nanos, TIMES)
+}
+
+fn thread_asks_script(effort: Effort) -> Sample {
+    let (tell, told) = channel();
+    let times = effort.of(100_000);
+    let node = Runtime::builder(cells::asking(1, Usage::Send), NodeId(0))
+        .task("t0", move |ctx| {
+            tell.send(cells::ask(ctx, &cells::NUMBER, times, GROUP)?).expect("the harness listens");
+            Ok(())
+        })
+        .script("t1", cells::answerer())
+        .start()
+        .expect("a node that starts");
+    cells::hear(node, &told)
+}
+
+/// What a node told its tasks last.
+#[derive(Default)]
+struct Told([Option<Signal>; 2]);
+
+impl NodeOutbox for Told {
+    fn ready(&mut self, _: NodeId) -> bool {
+        false
+    }
+    fn link(&mut self, _: NodeId, _: Packet) {}
+    fn signal(&mut self, task: TaskId, signal: Signal) {
+        if let Some(slot) = self.0.get_mut(task.index()) {
+            *slot = Some(signal);
+        }
+    }
+}
+
+/// A round trip through the machine of a node whose first two tasks are A and B.
+pub fn machine_round_trip(node: &mut Node, contents: Contents) {
+    let mut told = Told::default();
+    let get = Request::Get { port: Some(ASK), source: None, time_out: None };
+    node.step(NodeInput::Request(B, get), &mut told);
+    let send = Request::Send { port: ASK, to: Target::All, contents, time_out: None };
+    node.step(NodeInput::Request(A, send), &mut told);
+    let Some(Signal::Message(message)) = told.0[1] else { panic!("B was told {:?}", told.0[1]) };
+    let reply = Request::Reply { to: message.from, contents: message.contents };
+    node.step(NodeInput::Request(B, reply), &mut told);
+    assert!(matches!(told.0[0], Some(Signal::Outcome(_))), "A was told {:?}", told.0[0]);
+}
+
+fn machine(effort: Effort, usage: Usage) -> Sample {
+    let table = NodeTable::new(cells::asking(1, usage), NodeId(0));
+    let mut node = Node::new(table, Incarnation(0), false, 4);
+    let contents = Contents::new(&cells::FULL).expect("12 bytes fit");
+    each(effort.of(200_000), GROUP, || machine_round_trip(&mut node, contents))
+}

@@ -1,0 +1,31 @@
+//! The cases that need no peer: floors written by hand, and what is to be measured.
+
+pub mod cells;
+pub mod floors;
+pub mod growth;
+pub mod handoff;
+pub mod meet;
+pub mod network;
+pub mod queues;
+pub mod urgent;
+
+use crate::suite::Suite;
+
+/// All suites, with the peers that this build has.
+#[must_use]
+pub fn all() -> Vec<Suite> {
+    let mut suites = vec![
+        handoff::awake(),
+        handoff::threads(),
+        urgent::urgent(),
+        urgent::streams(),
+        queues::queues(),
+        queues::timers(),
+        growth::growth(),
+        growth::footprint(),
+        meet::meetings(),
+        network::network(),
+    ];
+    crate::peers::join(&mut suites);
+    suites
+}

@@ -1,0 +1,184 @@
+//! Node to node over UDP on the loopback (P11, P12).
+
+use super::cells::{self, LONG_TICKS};
+use super::floors;
+use super::urgent::WINDOW;
+use crate::cores::{self, Core};
+use crate::sample::Sample;
+use crate::suite::{Effort, Goal, Row, Stat, Suite};
+use imrs_protocol::{CellTable, Incarnation, NodeId, NodeTable, PortDecl, PortId, Usage};
+use imrs_runtime::link::udp::{UdpLink, UdpOptions};
+use imrs_runtime::{Builder, Runtime};
+use std::net::{Ipv4Addr, UdpSocket};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::mpsc::channel;
+use std::time::{Duration, Instant};
+
+/// How many packets of 32 bytes the floor of P12 puts into one datagram.
+const COALESCED: usize = 43;
+
+/// Round trips and streams over UDP.
+#[must_use]
+pub fn network() -> Suite {
+    let mut suite = Suite::new("network");
+    for (name, other) in [("one core", Core::First), ("two cores", Core::Second)] {
+        suite.case(
+            format!("floor/UDP {name}"),
+            "32 bytes there and back between two threads asleep in their sockets, with a time_out; plain",
+            move |effort| floors::udp(effort, 1_500, other, false),
+        );
+        suite.case(
+            format!("runtime/UDP {name}"),
+            "send, receive, reply between Rust tasks of two nodes of one process, deadline in the packet, checksum mode",
+            move |effort| ask(effort, other),
+        );
+    }
+    suite.case("floor/UDP spinning", "32 bytes there and back, two hot threads, two cores", |effort| {
+        floors::udp(effort, 3_000, Core::Second, true)
+    });
+    suite.case(
+        "floor/UDP one way, 43 a datagram",
+        "packets of 32 bytes, 43 to a datagram, between two threads on two cores; nanoseconds per packet",
+        coalesced,
+    );
+    suite.case(
+        "runtime/UDP one way",
+        "class-1 messages from a task to one of another node, at most 256 under way; nanoseconds per message",
+        one_way,
+    );
+    let (one, two) = ("runtime/UDP one core", "runtime/UDP two cores");
+    suite.row(Row::new("P11", one, "floor/UDP one core", Stat::P50, Goal::AtMost(1.2)));
+    suite.row(Row::new("P11", two, "floor/UDP two cores", Stat::P50, Goal::AtMost(1.15)));
+    suite.row(Row::new("P11", two, "floor/UDP spinning", Stat::P50, Goal::AtMost(1.3)));
+    let (stream, floor) = ("runtime/UDP one way", "floor/UDP one way, 43 a datagram");
+    suite.row(Row::new("P12", stream, floor, Stat::Mean, Goal::AtLeast(0.8)));
+    suite
+}
+
+/// Builders of the two nodes, each with a link that knows the other's address.
+fn two_nodes(table: &Arc<CellTable>) -> [Builder; 2] {
+    let bind = |node| {
+        let options = UdpOptions::new(Incarnation(1), false);
+        let table = NodeTable::new(Arc::clone(table), node);
+        UdpLink::bind(table, (Ipv4Addr::LOCALHOST, 0).into(), options).expect("a socket")
+    };
+    let nodes = [NodeId(0), NodeId(1)];
+    let links = nodes.map(bind);
+    for (link, other) in [(0, 1), (1, 0)] {
+        let address = Some(links[other].local_address());
+        links[link].set_address(nodes[other], address).expect("a neighbour");
+    }
+    let mut nodes = nodes.into_iter();
+    links.map(|link| {
+        let node = nodes.next().expect("as many as links");
+        Runtime::builder(Arc::clone(table), node).incarnation(Incarnation(1), false).link(Arc::new(link))
+    })
+}
+
+fn ask(effort: Effort, other: Core) -> Sample {
+    let table = cells::asking(2, Usage::Send);
+    let [a, b] = two_nodes(&table);
+    let (tell, told) = channel();
+    let times = effort.of(1_500);
+    // A node's own threads run where the thread that starts it does.
+    cores::pin(other);
+    let b = b.task("t1", cells::answer).start().expect("a node that starts");
+    cores::pin(Core::First);
+    let measure = move |ctx: &mut imrs_runtime::Context| {
+        tell.send(cells::ask(ctx, &cells::FULL, times, 1)?).expect("the harness listens");
+        Ok(())
+    };
+    let a = a.task("t0", measure).start().expect("a node that starts");
+    let sample = cells::hear(a, &told);
+    cells::stop(b);
+    cores::unpin();
+    sample
+}
+
+fn one_way(effort: Effort) -> Sample {
+    let mut cell = cells::cell(2, 2);
+    let window = u16::try_from(WINDOW).expect("few");
+    let decl = PortDecl::new("news", cells::A, Usage::Send, &[cells::B], LONG_TICKS);
+    cell.port(decl.bounded_buffer(window));
+    let [a, b] = two_nodes(&cells::table(cell));
+    let times = u64::from(effort.of(30_000));
+    let taken = Arc::new(AtomicU64::new(0));
+    let other = Arc::clone(&taken);
+    let (tell, told) = channel();
+    cores::pin(Core::First);
+    let b = b.task("t1", move |ctx| {
+        let mut begins = None;
+        // A datagram that the kernel drops must not hold up the rest: the sender counts what came.
+        while let Some(_message) = ctx.receive(None, None)? {
+            let begins = *begins.get_or_insert_with(Instant::now);
+            let count = other.fetch_add(1, Ordering::Release) + 1;
+            if count == times {
+                tell.send(Sample::of_all(begins.elapsed(), times)).expect("the harness listens");
+            }
+        }
+        Ok(())
+    });
+    let b = b.start().expect("a node that starts");
+    cores::pin(Core::Second);
+    let a = a.task("t0", move |ctx| {
+        let mut sent = 0;
+        let mut last = Instant::now();
+        let mut written_off = 0;
+        while taken.load(Ordering::Acquire) < times {
+            let under_way = (sent - written_off) - taken.load(Ordering::Acquire).min(sent - written_off);
+            if under_way < WINDOW {
+                let _copies = ctx.send(PortId(0), &cells::FULL)?;
+                (sent, last) = (sent + 1, Instant::now());
+            } else if last.elapsed() > Duration::from_millis(20) {
+                written_off += under_way;
+            } else {
+                std::thread::yield_now();
+            }
+        }
+        Ok(())
+    });
+    let a = a.start().expect("a node that starts");
+    let sample = cells::hear(b, &told);
+    cells::stop(a);
+    cores::unpin();
+    sample
+}
+
+fn coalesced(effort: Effort) -> Sample {
+    let socket = || {
+        let socket = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0)).expect("a socket");
+        socket.set_read_timeout(Some(Duration::from_millis(20))).expect("an option");
+        socket
+    };
+    let (a, b) = (socket(), socket());
+    a.connect(b.local_addr().expect("bound")).expect("an address");
+    let datagrams = u64::from(effort.of(120_000)) / COALESCED as u64;
+    let taken = AtomicU64::new(0);
+    let elapsed = std::thread::scope(|s| {
+        let taken = &taken;
+        s.spawn(move || {
+            cores::pin(Core::Second);
+            let datagram = [7; 32 * COALESCED];
+            for sent in 0..datagrams {
+                // As many bytes under way as in the window of messages.
+                while sent.saturating_sub(taken.load(Ordering::Acquire)) > WINDOW / COALESCED as u64 {
+                    std::thread::yield_now();
+                }
+                a.send(&datagram).expect("sent");
+            }
+        });
+        cores::pin(Core::First);
+        let begins = Instant::now();
+        let mut buffer = [0; 2_048];
+        while taken.load(Ordering::Acquire) < datagrams {
+            // Nothing is lost on the loopback while less is under way than the socket holds.
+            if b.recv(&mut buffer).is_ok() {
+                taken.fetch_add(1, Ordering::Release);
+            }
+        }
+        begins.elapsed()
+    });
+    cores::unpin();
+    Sample::of_all(elapsed, datagrams * COALESCED as u64)
+}

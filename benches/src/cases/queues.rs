@@ -1,0 +1,281 @@
+//! The deadline queue and the timers by themselves (P8, P13), and how late a time_out comes (P14).
+
+use super::cells;
+use super::floors::GROUP;
+use crate::cores;
+use crate::sample::{Sample, each, nanos_of};
+use crate::suite::{Effort, Goal, Row, Stat, Suite};
+use imrs_protocol::queue::{Entry, Queue};
+use imrs_protocol::{NodeId, TaskId, Ticks, TimeId, Timer};
+use imrs_runtime::Runtime;
+use rustix::time::{ClockId, Timespec, clock_gettime};
+use std::cmp::Reverse;
+use std::collections::BinaryHeap;
+use std::sync::mpsc::channel;
+use std::time::{Duration, Instant};
+
+/// The most that a queue of the machine holds.
+const MOST: u16 = 65_000;
+const SIZES: [(u16, &str); 3] = [(16, "16"), (1_000, "1k"), (MOST, "65k")];
+
+/// A packet's key and a payload of its size.
+struct Waiting {
+    deadline: u64,
+    number: u64,
+    _packet: [u64; 4],
+}
+
+impl Entry for Waiting {
+    fn key(&self) -> u128 {
+        u128::from(self.deadline) << 64 | u128::from(self.number)
+    }
+    fn due(&self) -> Ticks {
+        Ticks(self.deadline)
+    }
+    fn yields(&self) -> bool {
+        false
+    }
+}
+
+/// The same, in one order only.
+struct Plain(Waiting);
+
+impl Entry for Plain {
+    const PLAIN: bool = true;
+    fn key(&self) -> u128 {
+        self.0.key()
+    }
+    fn due(&self) -> Ticks {
+        self.0.due()
+    }
+    fn yields(&self) -> bool {
+        false
+    }
+}
+
+/// The queue of what waits.
+#[must_use]
+pub fn queues() -> Suite {
+    let mut suite = Suite::new("queues");
+    for (size, name) in SIZES {
+        let named = |of: &str| format!("{of} {name}");
+        suite.case(
+            named("machine/queue"),
+            "pop the most urgent and push another of 48 bytes, in three orders: urgency, expiry, who makes room",
+            move |effort| held(effort, size, |waiting| waiting),
+        );
+        suite.case(named("machine/plain queue"), "the same in the order of urgency alone", move |effort| {
+            held(effort, size, Plain)
+        });
+        suite.case(
+            named("floor/BinaryHeap"),
+            "std's heap of keys of 16 bytes, without payload, expiry or removal of any entry",
+            move |effort| heap(effort, size),
+        );
+        let bound = if size == MOST { 0.6 } else { 0.85 };
+        let floor = named("floor/BinaryHeap");
+        suite.row(Row::new("P8", named("machine/queue"), &floor, Stat::P50, Goal::AtMost(bound)));
+        suite.row(Row::new("P8", named("machine/plain queue"), &floor, Stat::P50, Goal::AtMost(bound)));
+    }
+    suite.row(Row::new("growth", "machine/queue 1k", "machine/queue 16", Stat::P50, Goal::AtMost(2.0)));
+    suite.row(Row::new("growth", "machine/queue 65k", "machine/queue 16", Stat::P50, Goal::AtMost(4.0)));
+    suite
+}
+
+/// Deadlines a bounded while ahead of the last one, in no order, the same in every run.
+fn deadlines() -> impl FnMut(u64) -> u64 {
+    let mut state = 0x2545_F491_4F6C_DD1D_u64;
+    move |now| {
+        state ^= state << 13;
+        state ^= state >> 7;
+        state ^= state << 17;
+        now + (state & 0xF_FFFF)
+    }
+}
+
+fn held<T: Entry>(effort: Effort, size: u16, entry: impl Fn(Waiting) -> T) -> Sample {
+    let mut next = deadlines();
+    let mut queue = Queue::new(size + 1);
+    let mut number = 0;
+    let mut push = |queue: &mut Queue<T>, now| {
+        number += 1;
+        let waiting = Waiting { deadline: next(now), number, _packet: [number; 4] };
+        assert!(queue.push(entry(waiting)).is_ok(), "room");
+    };
+    (0..size).for_each(|_| push(&mut queue, 0));
+    each(effort.of(100_000), GROUP, || {
+        let first = queue.pop_if(|_| true).expect("not empty");
+        push(&mut queue, first.due().0);
+    })
+}
+
+fn heap(effort: Effort, size: u16) -> Sample {
+    let mut next = deadlines();
+    let mut number = 0;
+    let mut key = |now| {
+        number += 1;
+        Reverse((next(now), number))
+    };
+    let mut heap: BinaryHeap<Reverse<(u64, u64)>> = (0..size).map(|_| key(0)).collect();
+    each(effort.of(100_000), GROUP, || {
+        let Reverse((now, _)) = heap.pop().expect("not empty");
+        heap.push(key(now));
+    })
+}
+
+/// Timers.
+#[must_use]
+pub fn timers() -> Suite {
+    let mut suite = Suite::new("timers");
+    for (size, name) in [(1_000, "1k"), (10_000, "10k"), (MOST, "65k")] {
+        suite.case(
+            format!("machine/timer {name}"),
+            "arm and disarm one among so many of the Timer's",
+            move |effort| arm_and_disarm(effort, size),
+        );
+        suite.case(
+            format!("floor/wheel {name}"),
+            "arm and cancel in a hashed wheel of doubly linked entries",
+            move |effort| wheel(effort, size),
+        );
+        let floor = format!("floor/wheel {name}");
+        suite.row(Row::new("P13", format!("machine/timer {name}"), &floor, Stat::P50, Goal::AtMost(4.0)));
+    }
+    suite.row(Row::new("growth", "machine/timer 65k", "machine/timer 1k", Stat::P50, Goal::AtMost(1.3)));
+    suite.case(
+        "floor/clock_nanosleep",
+        "lateness of an absolute clock_nanosleep, timer slack 1 ns",
+        lateness_of_the_kernel,
+    );
+    suite.case(
+        "runtime/delay",
+        "lateness of a task's delay, from the call; counts those that ended early",
+        lateness_of_a_delay,
+    );
+    suite.case(
+        "runtime/time_out",
+        "lateness of the time_out of a receive, from the call; counts those that ended early",
+        lateness_of_a_receive,
+    );
+    for own in ["runtime/delay", "runtime/time_out"] {
+        suite.row(Row::new("P14", own, "floor/clock_nanosleep", Stat::P50, Goal::AtMost(1.1)));
+        let what = format!("{own}: how many ended early");
+        suite.row(Row::bounded("P14", &what, own, Stat::Count, Goal::AtMost(0.0)));
+    }
+    suite
+}
+
+fn arm_and_disarm(effort: Effort, size: u16) -> Sample {
+    let mut next = deadlines();
+    let mut timer = Timer::new(size + 1);
+    for owner in 0..size {
+        assert!(timer.arm(TaskId(owner), TimeId(0), 0, Ticks(next(1))), "room");
+    }
+    each(effort.of(100_000), GROUP, || {
+        assert!(timer.arm(TaskId(u16::MAX), TimeId(1), 0, Ticks(next(1))), "room");
+        assert!(timer.disarm(TaskId(u16::MAX), TimeId(1)), "it is there");
+    })
+}
+
+/// The floor: entries in a slab, linked both ways within the slot of their time.
+struct Wheel {
+    links: Vec<[u32; 2]>,
+    slots: u32,
+}
+
+impl Wheel {
+    fn new(entries: u32, slots: u32) -> Self {
+        // The heads of the slots stand behind the entries, each linked to itself.
+        let links = (0..entries + slots).map(|at| [at, at]).collect();
+        Self { links, slots }
+    }
+
+    fn arm(&mut self, entry: u32, at: u64) {
+        #[expect(clippy::cast_possible_truncation, reason = "a remainder of a u32")]
+        let slot = (at % u64::from(self.slots)) as u32;
+        let head = self.links.len() as u32 - self.slots + slot;
+        let first = self.links[head as usize][1];
+        self.links[entry as usize] = [head, first];
+        self.links[first as usize][0] = entry;
+        self.links[head as usize][1] = entry;
+    }
+
+    fn cancel(&mut self, entry: u32) {
+        let [before, after] = self.links[entry as usize];
+        self.links[before as usize][1] = after;
+        self.links[after as usize][0] = before;
+    }
+}
+
+fn wheel(effort: Effort, size: u16) -> Sample {
+    let (mut next, size) = (deadlines(), u32::from(size));
+    let mut wheel = Wheel::new(size + 1, 4_096);
+    for entry in 0..size {
+        wheel.arm(entry, next(1));
+    }
+    each(effort.of(100_000), GROUP, || {
+        wheel.arm(size, next(1));
+        wheel.cancel(std::hint::black_box(size));
+    })
+}
+
+/// 1 to 2 ms, each time another.
+fn lengths() -> impl FnMut() -> Duration {
+    let mut next = deadlines();
+    move || Duration::from_micros(1_000 + next(0) % 1_000)
+}
+
+fn lateness(times: u32, mut sleep: impl FnMut(Duration)) -> Sample {
+    let mut length = lengths();
+    let (mut nanos, mut early) = (Vec::new(), 0);
+    for _ in 0..times {
+        let length = length();
+        let begins = Instant::now();
+        sleep(length);
+        match begins.elapsed().checked_sub(length) {
+            Some(late) => nanos.push(nanos_of(late)),
+            None => early += 1,
+        }
+    }
+    Sample::of(nanos, 1).with(f64::from(early))
+}
+
+fn lateness_of_the_kernel(effort: Effort) -> Sample {
+    let times = effort.of(150);
+    // A thread of its own, so that the timer slack is not that of the next case.
+    let thread = std::thread::spawn(move || {
+        cores::sleep_exactly();
+        lateness(times, |length| {
+            let now = clock_gettime(ClockId::Monotonic);
+            let nanos = now.tv_nsec + i64::try_from(length.as_nanos()).unwrap_or(i64::MAX);
+            let until =
+                Timespec { tv_sec: now.tv_sec + nanos / 1_000_000_000, tv_nsec: nanos % 1_000_000_000 };
+            while rustix::thread::clock_nanosleep_absolute(ClockId::Monotonic, &until).is_err() {}
+        })
+    });
+    thread.join().expect("no panic")
+}
+
+fn lateness_of_a_delay(effort: Effort) -> Sample {
+    late_task(effort, |ctx, length| ctx.delay(length).expect("the node runs"))
+}
+
+fn lateness_of_a_receive(effort: Effort) -> Sample {
+    late_task(effort, |ctx, length| {
+        let nothing = ctx.receive(None, Some(length)).expect("the node runs");
+        assert_eq!(nothing, None);
+    })
+}
+
+fn late_task(effort: Effort, sleep: fn(&mut imrs_runtime::Context, Duration)) -> Sample {
+    let times = effort.of(150);
+    let (tell, told) = channel();
+    let node = Runtime::builder(cells::table(cells::cell(1, 1)), NodeId(0))
+        .task("t0", move |ctx| {
+            tell.send(lateness(times, |length| sleep(ctx, length))).expect("the harness listens");
+            Ok(())
+        })
+        .start()
+        .expect("a node that starts");
+    cells::hear(node, &told)
+}

@@ -1,0 +1,361 @@
+//! An urgent message behind a full port, and how fast many messages go (P6, P7).
+
+use super::cells::{self, LONG_TICKS};
+use crate::cores::{self, Core};
+use crate::sample::{Sample, nanos_of};
+use crate::suite::{Effort, Goal, Row, Stat, Suite};
+use imrs_protocol::{NodeId, PortDecl, PortId, TaskId, Ticks, Usage};
+use imrs_runtime::Runtime;
+use std::collections::BinaryHeap;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::mpsc::{TryRecvError, channel, sync_channel};
+use std::sync::{Arc, Condvar, Mutex};
+use std::time::{Duration, Instant};
+
+/// How many messages wait before the urgent one.
+pub const BEHIND: u16 = 1_024;
+/// What one of them takes to be served.
+const SERVICE: Duration = Duration::from_micros(2);
+/// How many messages of one sender may be under way at once.
+pub const WINDOW: u64 = 256;
+
+/// An urgent message behind 1,024 others.
+#[must_use]
+pub fn urgent() -> Suite {
+    let mut suite = Suite::new("urgent");
+    suite.case(
+        "runtime/urgent behind 1024",
+        "from the call that sends it until its receiver has it; 1,024 others of 2 us each wait in another port of the task",
+        urgent_in_ports,
+    );
+    suite.case(
+        "floor/one FIFO behind 1024",
+        "the same through std::sync::mpsc::sync_channel: it comes last",
+        |effort| {
+            urgent_through(effort, || {
+                let (tell, told) = sync_channel::<bool>(usize::from(BEHIND) + 1);
+                (move |urgent| tell.send(urgent).expect("it listens"), move || told.recv().ok())
+            })
+        },
+    );
+    suite.case(
+        "floor/two channels behind 1024",
+        "a channel of its own for what is urgent, looked at first: the order is the program's",
+        |effort| urgent_through(effort, two_channels),
+    );
+    let (own, fifo) = ("runtime/urgent behind 1024", "floor/one FIFO behind 1024");
+    suite.row(Row::new("P7", own, "floor/two channels behind 1024", Stat::P50, Goal::AtMost(1.2)));
+    suite.row(Row::new("P7", own, fifo, Stat::P50, Goal::AtLeast(1_000.0)));
+    suite.row(Row::new("P7", own, fifo, Stat::P99, Goal::AtMost(0.02)));
+    suite
+}
+
+fn two_channels() -> (impl FnMut(bool) + Send, impl FnMut() -> Option<bool>) {
+    let capacity = usize::from(BEHIND) + 1;
+    let (urgent, first) = sync_channel::<bool>(capacity);
+    let (other, second) = sync_channel::<bool>(capacity);
+    let send = move |is: bool| if is { &urgent } else { &other }.send(is).expect("it listens");
+    let receive = move || match first.try_recv() {
+        Ok(urgent) => Some(urgent),
+        Err(TryRecvError::Empty | TryRecvError::Disconnected) => second.recv().ok(),
+    };
+    (send, receive)
+}
+
+/// How many urgent messages a round: a median of fewer says nothing.
+#[must_use]
+pub fn times(effort: Effort) -> u32 {
+    effort.of(100).max(9)
+}
+
+/// Fills what `make` makes, then sends the urgent one, then lets the receiver begin: everything hot, two cores.
+pub fn urgent_through<S, R>(effort: Effort, make: impl Fn() -> (S, R)) -> Sample
+where
+    S: FnMut(bool) + Send,
+    R: FnMut() -> Option<bool>,
+{
+    let (mut send, mut receive) = make();
+    let gate = Gate::default();
+    let times = u64::from(times(effort));
+    let begins = Instant::now();
+    let sent = AtomicU64::new(0);
+    cores::pin(Core::First);
+    let nanos = std::thread::scope(|s| {
+        let (gate, sent) = (&gate, &sent);
+        s.spawn(move || {
+            cores::pin(Core::Second);
+            for time in 0..times {
+                (0..BEHIND).for_each(|_| send(false));
+                gate.filled(time);
+                sent.store(nanos_of(begins.elapsed()), Ordering::SeqCst);
+                send(true);
+                gate.sent(time);
+            }
+        });
+        let one = |time: u64| {
+            gate.ready(time);
+            let mut took = 0;
+            for _ in 0..=BEHIND {
+                if receive().expect("a message") {
+                    took = nanos_of(begins.elapsed()) - sent.load(Ordering::SeqCst);
+                } else if took == 0 {
+                    serve();
+                }
+            }
+            gate.served(time);
+            took
+        };
+        (0..times).map(one).collect()
+    });
+    cores::unpin();
+    Sample::of(nanos, 1)
+}
+
+/// Sender and receiver in step: both are awake and on their cores when the urgent message is sent, so that neither waits
+/// for the scheduler.
+#[derive(Default)]
+struct Gate(AtomicU64);
+
+impl Gate {
+    fn reach(&self, step: u64) {
+        self.0.store(step, Ordering::SeqCst);
+    }
+
+    fn until(&self, step: u64, between: fn()) {
+        while self.0.load(Ordering::SeqCst) < step {
+            between();
+        }
+    }
+
+    /// The sender: all that is not urgent waits. Returns when the receiver is awake.
+    fn filled(&self, time: u64) {
+        self.reach(4 * time + 1);
+        self.until(4 * time + 2, std::hint::spin_loop);
+    }
+
+    /// The sender: the urgent one is sent. Returns when all are served.
+    fn sent(&self, time: u64) {
+        self.reach(4 * time + 3);
+        self.until(4 * time + 4, std::thread::yield_now);
+    }
+
+    /// The receiver: returns when the urgent one is sent.
+    fn ready(&self, time: u64) {
+        self.until(4 * time + 1, std::thread::yield_now);
+        self.reach(4 * time + 2);
+        self.until(4 * time + 3, std::hint::spin_loop);
+    }
+
+    /// The receiver: all are served.
+    fn served(&self, time: u64) {
+        self.reach(4 * time + 4);
+    }
+}
+
+fn serve() {
+    let begins = Instant::now();
+    while begins.elapsed() < SERVICE {
+        std::hint::spin_loop();
+    }
+}
+
+fn urgent_in_ports(effort: Effort) -> Sample {
+    let mut cell = cells::cell(2, 1);
+    let [work, halt] =
+        [("work", LONG_TICKS, BEHIND), ("halt", Ticks(1_000_000), 1)].map(|(name, life, n)| {
+            cell.port(PortDecl::new(name, cells::A, Usage::Send, &[cells::B], life).bounded_buffer(n))
+        });
+    let (tell, told) = channel();
+    let times = u64::from(times(effort));
+    let (begins, sent) = (Instant::now(), Arc::new(AtomicU64::new(0)));
+    let gate = Arc::new(Gate::default());
+    let (other_gate, other_sent) = (Arc::clone(&gate), Arc::clone(&sent));
+    let node = Runtime::builder(cells::table(cell), NodeId(0))
+        .task("t0", move |ctx| {
+            cores::pin(Core::Second);
+            for time in 0..times {
+                for _ in 0..BEHIND {
+                    let _copies = ctx.send(work, &cells::FULL)?;
+                }
+                other_gate.filled(time);
+                other_sent.store(nanos_of(begins.elapsed()), Ordering::SeqCst);
+                let _copies = ctx.send(halt, &cells::FULL)?;
+                other_gate.sent(time);
+            }
+            Ok(())
+        })
+        .task("t1", move |ctx| {
+            cores::pin(Core::First);
+            let mut nanos = Vec::new();
+            for time in 0..times {
+                gate.ready(time);
+                let mut took = 0;
+                for _ in 0..=BEHIND {
+                    let message = ctx.receive(None, None)?.expect("a message");
+                    if message.from.port == halt {
+                        took = nanos_of(begins.elapsed()) - sent.load(Ordering::SeqCst);
+                    } else if took == 0 {
+                        serve();
+                    }
+                }
+                nanos.push(took);
+                gate.served(time);
+            }
+            tell.send(Sample::of(nanos, 1)).expect("the harness listens");
+            Ok(())
+        })
+        .start()
+        .expect("a node that starts");
+    cells::hear(node, &told)
+}
+
+/// Many messages of 32 bytes to one receiver.
+#[must_use]
+pub fn streams() -> Suite {
+    let mut suite = Suite::new("streams");
+    for senders in [1, 4] {
+        let name = |of: &str| format!("{of} {senders}->1");
+        suite.case(
+            name("runtime/stream"),
+            "class-1 messages from tasks on threads to one; at most 256 under way of each; nanoseconds per message",
+            move |effort| stream_of_ports(effort, senders),
+        );
+        suite.case(
+            name("floor/mutex heap"),
+            "what one would write: a Mutex around a BinaryHeap, two Condvars, at most 1,024 waiting",
+            move |effort| stream_through(effort, senders, naive_heap),
+        );
+        suite.case(
+            name("floor/std channel"),
+            "std::sync::mpsc::sync_channel(1024): no order",
+            move |effort| {
+                stream_through(effort, senders, || {
+                    let (tell, told) = sync_channel::<Message>(1_024);
+                    (move |m| tell.send(m).expect("it listens"), move || told.recv().expect("a message"))
+                })
+            },
+        );
+        let times = if senders == 1 { 6.0 } else { 15.0 };
+        let (own, naive) = (name("runtime/stream"), name("floor/mutex heap"));
+        suite.row(Row::new("P6", own, &naive, Stat::Mean, Goal::AtLeast(times)));
+    }
+    suite
+}
+
+/// 32 bytes, as a packet has.
+pub type Message = [u64; 4];
+
+fn naive_heap() -> (impl FnMut(Message) + Clone + Send, impl FnMut() -> Message) {
+    struct Shared {
+        heap: Mutex<BinaryHeap<Message>>,
+        came: Condvar,
+        went: Condvar,
+    }
+    let shared = Arc::new(Shared { heap: Mutex::default(), came: Condvar::new(), went: Condvar::new() });
+    let other = Arc::clone(&shared);
+    let send = move |message| {
+        let mut heap = shared.heap.lock().expect("no panic");
+        while heap.len() >= 1_024 {
+            heap = shared.went.wait(heap).expect("no panic");
+        }
+        heap.push(message);
+        drop(heap);
+        shared.came.notify_one();
+    };
+    let receive = move || {
+        let mut heap = other.heap.lock().expect("no panic");
+        loop {
+            if let Some(message) = heap.pop() {
+                drop(heap);
+                other.went.notify_one();
+                return message;
+            }
+            heap = other.came.wait(heap).expect("no panic");
+        }
+    };
+    (send, receive)
+}
+
+/// `senders` threads on one core send to one on the other.
+pub fn stream_through<S, R>(effort: Effort, senders: usize, make: impl Fn() -> (S, R)) -> Sample
+where
+    S: FnMut(Message) + Clone + Send,
+    R: FnMut() -> Message,
+{
+    let (send, mut receive) = make();
+    let each = u64::from(effort.of(60_000)) / senders as u64;
+    cores::pin(Core::First);
+    let elapsed = std::thread::scope(|s| {
+        for _ in 0..senders {
+            let mut send = send.clone();
+            s.spawn(move || {
+                cores::pin(Core::Second);
+                // Later ones are not more urgent: keys in no order, the same in every run.
+                (0..each).for_each(|n| send([n.wrapping_mul(0x9E37_79B9_7F4A_7C15), n, 0, 0]));
+            });
+        }
+        let begins = Instant::now();
+        for _ in 0..each * senders as u64 {
+            std::hint::black_box(receive());
+        }
+        begins.elapsed()
+    });
+    cores::unpin();
+    Sample::of_all(elapsed, each * senders as u64)
+}
+
+fn stream_of_ports(effort: Effort, senders: usize) -> Sample {
+    let mut cell = cells::cell(senders + 1, 1);
+    let receiver = TaskId::from_index(senders);
+    let window = u16::try_from(WINDOW).expect("few");
+    for sender in 0..senders {
+        let decl = PortDecl::new(
+            &format!("p{sender}"),
+            TaskId::from_index(sender),
+            Usage::Send,
+            &[receiver],
+            LONG_TICKS,
+        );
+        cell.port(decl.bounded_buffer(window));
+    }
+    let each = u64::from(effort.of(60_000)) / senders as u64;
+    let taken: Arc<[AtomicU64]> = (0..senders).map(|_| AtomicU64::new(0)).collect();
+    let goes = Arc::new(AtomicBool::new(false));
+    let mut builder = Runtime::builder(cells::table(cell), NodeId(0));
+    for sender in 0..senders {
+        let (taken, goes) = (Arc::clone(&taken), Arc::clone(&goes));
+        builder = builder.task(&format!("t{sender}"), move |ctx| {
+            cores::pin(Core::Second);
+            while !goes.load(Ordering::Acquire) {
+                std::thread::yield_now();
+            }
+            let port = PortId::from_index(sender);
+            for n in 0..each {
+                // A class-1 port forgets what does not fit: the sender keeps to the window by itself.
+                while n - taken[sender].load(Ordering::Acquire) >= WINDOW {
+                    std::thread::yield_now();
+                }
+                let life = Duration::from_secs(30 + (n.wrapping_mul(0x9E37_79B9) & 15));
+                let _copies = ctx.send_with(port, imrs_protocol::Target::All, &cells::FULL, Some(life))?;
+            }
+            Ok(())
+        });
+    }
+    let (tell, told) = channel();
+    let node = builder
+        .task(&format!("t{senders}"), move |ctx| {
+            cores::pin(Core::First);
+            goes.store(true, Ordering::Release);
+            let begins = Instant::now();
+            for _ in 0..each * senders as u64 {
+                let message = ctx.receive(None, None)?.expect("a message");
+                taken[message.from.port.index()].fetch_add(1, Ordering::Release);
+            }
+            let sample = Sample::of_all(begins.elapsed(), each * senders as u64);
+            tell.send(sample).expect("the harness listens");
+            Ok(())
+        })
+        .start()
+        .expect("a node that starts");
+    cells::hear(node, &told)
+}

@@ -1,0 +1,116 @@
+//! Where threads run.
+
+use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
+use std::collections::BTreeMap;
+use std::ffi::OsString;
+use std::sync::OnceLock;
+
+/// A place for a thread.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Core {
+    /// The first core that this process may use.
+    First,
+    /// The second one; the first where there is no other.
+    Second,
+}
+
+/// The cores that the process was started on.
+fn allowed() -> &'static [usize] {
+    static ALLOWED: OnceLock<Vec<usize>> = OnceLock::new();
+    ALLOWED.get_or_init(|| {
+        let set = sched_getaffinity(None).unwrap_or_else(|_| CpuSet::new());
+        let found: Vec<usize> = (0..CpuSet::MAX_CPU).filter(|&core| set.is_set(core)).collect();
+        if found.is_empty() { vec![0] } else { found }
+    })
+}
+
+/// How many cores this process may use.
+#[must_use]
+pub fn count() -> usize {
+    allowed().len()
+}
+
+/// Keeps the calling thread, and those it starts, on one core. Whether the kernel allowed it.
+pub fn pin(core: Core) -> bool {
+    let allowed = allowed();
+    let at = match core {
+        Core::First => allowed.first(),
+        Core::Second => allowed.get(1).or(allowed.first()),
+    };
+    at.is_some_and(|&at| set([at]))
+}
+
+/// Lets the calling thread run wherever the process may.
+pub fn unpin() -> bool {
+    set(allowed().iter().copied())
+}
+
+fn set(cores: impl IntoIterator<Item = usize>) -> bool {
+    let mut set = CpuSet::new();
+    for core in cores {
+        set.set(core);
+    }
+    sched_setaffinity(None, &set).is_ok()
+}
+
+/// Has the kernel end this thread's sleeps on time, as the runtime's threads do.
+pub fn sleep_exactly() {
+    // Refused only by a kernel without the call.
+    let _ = rustix::thread::set_current_timer_slack(std::num::NonZeroU64::new(1));
+}
+
+/// How often each thread of this process went to sleep by itself so far.
+#[derive(Debug)]
+pub struct Sleeps(BTreeMap<OsString, u64>);
+
+impl Sleeps {
+    /// Until now.
+    #[must_use]
+    pub fn now() -> Self {
+        let tasks = std::fs::read_dir("/proc/self/task").into_iter().flatten().flatten();
+        let of = |status: String| {
+            let line = status.lines().find_map(|line| line.strip_prefix("voluntary_ctxt_switches:"))?;
+            line.trim().parse::<u64>().ok()
+        };
+        let all = tasks.filter_map(|task| {
+            let status = std::fs::read_to_string(task.path().join("status")).ok()?;
+            Some((task.file_name(), of(status)?))
+        });
+        Self(all.collect())
+    }
+
+    /// How often they have slept since; threads that ended meanwhile do not count.
+    #[must_use]
+    pub fn since(&self) -> u64 {
+        let before = |thread| self.0.get(thread).copied().unwrap_or_default();
+        Self::now().0.iter().map(|(thread, now)| now.saturating_sub(before(thread))).sum()
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_thread_that_is_pinned_may_use_one_core_and_then_all_again() {
+        std::thread::spawn(|| {
+            let all = count();
+            assert!(pin(Core::Second));
+            let set = sched_getaffinity(None).expect("a set");
+            assert_eq!(set.count(), 1);
+            assert!(unpin());
+            assert_eq!(sched_getaffinity(None).expect("a set").count() as usize, all);
+        })
+        .join()
+        .expect("no panic");
+    }
+
+    #[test]
+    fn sleeps_are_counted() {
+        let before = Sleeps::now();
+        for _ in 0..20 {
+            std::thread::sleep(std::time::Duration::from_millis(1));
+        }
+        assert!(before.since() >= 20);
+    }
+}

@@ -1,0 +1,56 @@
+//! The measurements as a program of their own: with `--features peers,network-peers` also what people would pick instead,
+//! and with memory counted.
+
+use clap::Parser;
+use imrs_bench::{BenchArgs, BenchError, Verdict, memory, run};
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::io::Write;
+use std::process::ExitCode;
+
+/// Measure the runtime against floors and peers, in rounds.
+#[derive(Debug, Parser)]
+#[command(name = "imrs-bench", version)]
+struct Cli {
+    #[command(flatten)]
+    bench: BenchArgs,
+}
+
+struct Counting;
+
+// SAFETY: every call goes to the system's allocator unchanged.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        memory::allocated(layout.size());
+        // SAFETY: the caller's promise is passed on.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        memory::freed(layout.size());
+        // SAFETY: the caller's promise is passed on.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+
+    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        memory::freed(layout.size());
+        memory::allocated(size);
+        // SAFETY: the caller's promise is passed on.
+        unsafe { System.realloc(pointer, layout, size) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+fn main() -> ExitCode {
+    let mut out = std::io::stdout().lock();
+    let mut say = |text: &str| out.write_all(text.as_bytes()).map_err(BenchError::Output);
+    match run(&Cli::parse().bench, &mut say) {
+        Ok(Verdict::Well) => ExitCode::SUCCESS,
+        Ok(Verdict::Missed) => ExitCode::from(1),
+        Err(error) => {
+            eprintln!("error: {error}");
+            ExitCode::from(2)
+        }
+    }
+}

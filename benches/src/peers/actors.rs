@@ -1,0 +1,283 @@
+//! Tasks and actors of one thread: tokio, kameo, ractor, actix.
+
+use super::posts::{Actix, Kameo, Mail, Post, Ractor, Tokio, Took};
+use crate::cases::floors::GROUP;
+use crate::cases::urgent::BEHIND;
+use crate::cores::{self, Core};
+use crate::sample::{Sample, each, nanos_of};
+use crate::suite::{Effort, Goal, Row, Stat, Suite};
+use std::time::{Duration, Instant};
+use tokio::task::{LocalSet, spawn_local};
+
+/// Adds them to a suite.
+pub fn join(suite: &mut Suite) {
+    match suite.name {
+        "awake" => awake(suite),
+        "urgent" => urgent(suite),
+        "streams" => streams(suite),
+        "timers" => timers(suite),
+        "meetings" => meetings(suite),
+        _ => {}
+    }
+}
+
+fn block_on<T>(work: impl Future<Output = T>) -> T {
+    let runtime = tokio::runtime::Builder::new_current_thread().enable_all().build().expect("a runtime");
+    LocalSet::new().block_on(&runtime, work)
+}
+
+/// By name of the peer: starts it, lets `work` use it, ends it.
+fn with<W: Work>(peer: &str, work: W) -> Sample {
+    cores::pin(Core::First);
+    let sample = match peer {
+        "tokio mpsc+oneshot" => block_on(async { work.run(Tokio::start()).await }),
+        "kameo" => block_on(async { work.run(Kameo::start()).await }),
+        "ractor" => block_on(async {
+            let actor = Ractor::start().await;
+            let sample = work.run(actor.clone()).await;
+            actor.stop();
+            sample
+        }),
+        _ => actix::System::new().block_on(async { work.run(Actix::start()).await }),
+    };
+    cores::unpin();
+    sample
+}
+
+const PEERS: [&str; 4] = ["tokio mpsc+oneshot", "kameo", "ractor", "actix"];
+
+/// Something to do with any of them.
+trait Work {
+    async fn run<P: Post>(self, post: P) -> Sample;
+}
+
+struct Asks(u32);
+
+impl Work for Asks {
+    async fn run<P: Post>(self, post: P) -> Sample {
+        for _ in 0..100 {
+            post.ask().await;
+        }
+        let mut nanos = Vec::new();
+        for _ in 0..self.0 / GROUP {
+            let begins = Instant::now();
+            for _ in 0..GROUP {
+                post.ask().await;
+            }
+            nanos.push(nanos_of(begins.elapsed()));
+        }
+        Sample::of(nanos, GROUP)
+    }
+}
+
+fn awake(suite: &mut Suite) {
+    let about = "ask and answer between two coroutines of one thread: no deadline, no order";
+    for peer in PEERS {
+        suite.case(format!("{peer}/ask"), about, move |effort| with(peer, Asks(effort.of(60_000))));
+    }
+    suite.case(
+        "kameo/ask from a thread",
+        "blocking_send from a plain thread, the actor on a runtime of another one, two cores",
+        kameo_from_a_thread,
+    );
+    let own = "runtime/scripts ask";
+    suite.row(Row::new("P1", own, "tokio mpsc+oneshot/ask", Stat::P50, Goal::AtMost(0.75)));
+    for peer in ["ractor/ask", "kameo/ask", "actix/ask"] {
+        suite.row(Row::new("P1", own, peer, Stat::P50, Goal::AtLeast(2.5)));
+    }
+    let thread = "runtime/thread asks script";
+    suite.row(Row::new("P4", thread, "kameo/ask from a thread", Stat::P50, Goal::AtMost(0.8)));
+}
+
+fn kameo_from_a_thread(effort: Effort) -> Sample {
+    let (tell, told) = std::sync::mpsc::channel();
+    let (end, ended) = tokio::sync::oneshot::channel::<()>();
+    let sample = std::thread::scope(|s| {
+        s.spawn(move || {
+            cores::pin(Core::Second);
+            block_on(async {
+                tell.send(Kameo::start().0).expect("it listens");
+                let _ = ended.await;
+            });
+        });
+        let actor = told.recv().expect("it starts");
+        cores::pin(Core::First);
+        let sample = each(effort.of(1_500), 1, || {
+            actor.ask(Took).blocking_send().expect("an answer");
+        });
+        drop(end);
+        sample
+    });
+    cores::unpin();
+    sample
+}
+
+struct Behind(u32);
+
+impl Work for Behind {
+    async fn run<P: Post>(self, post: P) -> Sample {
+        let mut nanos = Vec::new();
+        for _ in 0..self.0 {
+            // All of them wait before any is served: without this the runtime lets the receiver in between.
+            let fill = async {
+                for _ in 0..BEHIND {
+                    post.tell(Mail::Work).await;
+                }
+                post.tell(Mail::Urgent(Instant::now())).await;
+            };
+            tokio::task::unconstrained(fill).await;
+            nanos.push(post.ask().await);
+        }
+        Sample::of(nanos, 1)
+    }
+}
+
+fn urgent(suite: &mut Suite) {
+    for peer in PEERS {
+        let name = format!("{peer}/FIFO behind 1024");
+        suite.row(Row::new("P7", "runtime/urgent behind 1024", &name, Stat::P50, Goal::AtLeast(1_000.0)));
+        suite.case(name, "the same through its mailbox: the urgent one comes last", move |effort| {
+            with(peer, Behind(crate::cases::urgent::times(effort)))
+        });
+    }
+}
+
+struct Stream(u32, u32);
+
+impl Work for Stream {
+    async fn run<P: Post>(self, post: P) -> Sample {
+        let Self(senders, times) = self;
+        let each = times / senders;
+        let begins = Instant::now();
+        let send = |post: P| async move {
+            for n in 0..u64::from(each) {
+                post.tell(Mail::Plain([n; 4])).await;
+            }
+        };
+        let senders: Vec<_> = (0..senders).map(|_| spawn_local(send(post.clone()))).collect();
+        let count = senders.len() as u64;
+        for sender in senders {
+            sender.await.expect("no panic");
+        }
+        // Answered when all that came before is served.
+        post.ask().await;
+        Sample::of_all(begins.elapsed(), u64::from(each) * count)
+    }
+}
+
+fn streams(suite: &mut Suite) {
+    for senders in [1, 4] {
+        for peer in PEERS {
+            let name = format!("{peer}/tell {senders}->1");
+            if senders == 4 {
+                let times = if matches!(peer, "kameo" | "ractor") { 4.0 } else { 2.0 };
+                suite.row(Row::new("P6", "runtime/stream 4->1", &name, Stat::Mean, Goal::AtLeast(times)));
+            }
+            suite.case(name, "told by coroutines of the same thread: nobody is woken", move |effort| {
+                with(peer, Stream(senders, effort.of(60_000)))
+            });
+        }
+    }
+}
+
+fn timers(suite: &mut Suite) {
+    suite.case(
+        "tokio/sleep",
+        "make a tokio::time::sleep, poll it once and drop it, 1,000 others waiting",
+        sleeps_of_tokio,
+    );
+    suite.case("tokio/DelayQueue", "insert and remove in a DelayQueue of 1,000 others", delay_queue);
+    suite.case("tokio/sleep lateness", "lateness of tokio::time::sleep", |effort| {
+        let times = effort.of(150);
+        block_on(async move {
+            let mut nanos = Vec::new();
+            for n in 0..times {
+                let length = Duration::from_micros(1_000 + u64::from(n) * 7_919 % 1_000);
+                let begins = Instant::now();
+                tokio::time::sleep(length).await;
+                nanos.push(nanos_of(begins.elapsed().saturating_sub(length)));
+            }
+            Sample::of(nanos, 1)
+        })
+    });
+    let own = "machine/timer 1k";
+    suite.row(Row::new("P13", own, "tokio/sleep", Stat::P50, Goal::AtLeast(15.0)));
+    suite.row(Row::new("P13", own, "tokio/DelayQueue", Stat::P50, Goal::AtLeast(4.0)));
+    for own in ["runtime/delay", "runtime/time_out"] {
+        suite.row(Row::new("P14", own, "tokio/sleep lateness", Stat::P50, Goal::AtMost(0.06)));
+    }
+}
+
+fn sleeps_of_tokio(effort: Effort) -> Sample {
+    use std::task::{Context, Waker};
+    let times = effort.of(100_000);
+    block_on(async move {
+        let mut context = Context::from_waker(Waker::noop());
+        let sleep = |n: u64| Box::pin(tokio::time::sleep(Duration::from_millis(1_000 + n % 1_000)));
+        let mut others: Vec<_> = (0..1_000).map(sleep).collect();
+        for other in &mut others {
+            assert!(other.as_mut().poll(&mut context).is_pending());
+        }
+        let mut n = 0;
+        each(times, GROUP, || {
+            n += 1;
+            let sleep = tokio::time::sleep(Duration::from_millis(1_000 + n % 1_000));
+            let mut sleep = std::pin::pin!(sleep);
+            assert!(sleep.as_mut().poll(&mut context).is_pending());
+        })
+    })
+}
+
+fn delay_queue(effort: Effort) -> Sample {
+    let times = effort.of(100_000);
+    block_on(async move {
+        let mut queue = tokio_util::time::DelayQueue::new();
+        let length = |n: u64| Duration::from_millis(1_000 + n * 7_919 % 1_000);
+        for n in 0..1_000 {
+            queue.insert(n, length(n));
+        }
+        let mut n = 1_000;
+        each(times, GROUP, || {
+            n += 1;
+            let key = queue.insert(n, length(n));
+            queue.remove(&key);
+        })
+    })
+}
+
+fn meetings(suite: &mut Suite) {
+    for n in [2, 4, 8, 16_usize] {
+        let name = format!("tokio/Barrier of {n}");
+        suite.case(
+            name.clone(),
+            "coroutines of one thread meet again and again: no deadline",
+            move |effort| {
+                cores::pin(Core::First);
+                let sample = block_on(barrier(effort.of(1_000), n));
+                cores::unpin();
+                sample
+            },
+        );
+        let own = format!("runtime/scripts meet of {n}");
+        suite.row(Row::new("P10", own, &name, Stat::P50, Goal::AtMost(3.0)));
+    }
+}
+
+async fn barrier(times: u32, n: usize) -> Sample {
+    let barrier = std::rc::Rc::new(tokio::sync::Barrier::new(n));
+    let begins = Instant::now();
+    let all: Vec<_> = (0..n)
+        .map(|_| {
+            let barrier = std::rc::Rc::clone(&barrier);
+            spawn_local(async move {
+                for _ in 0..times {
+                    barrier.wait().await;
+                }
+            })
+        })
+        .collect();
+    for one in all {
+        one.await.expect("no panic");
+    }
+    Sample::of_all(begins.elapsed(), u64::from(times))
+}

@@ -1,0 +1,27 @@
+//! What people would pick instead, in the suites of the cases that it is compared with.
+
+#[cfg(feature = "peers")]
+mod actors;
+#[cfg(feature = "peers")]
+mod channels;
+#[cfg(feature = "network-peers")]
+mod network;
+#[cfg(feature = "peers")]
+mod posts;
+
+use crate::suite::Suite;
+
+/// Adds the peers that this build has.
+pub fn join(suites: &mut [Suite]) {
+    for suite in suites {
+        #[cfg(feature = "peers")]
+        {
+            channels::join(suite);
+            actors::join(suite);
+        }
+        #[cfg(feature = "network-peers")]
+        network::join(suite);
+        #[cfg(not(any(feature = "peers", feature = "network-peers")))]
+        let _ = suite;
+    }
+}

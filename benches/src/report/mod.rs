@@ -1,0 +1,70 @@
+//! What is told of the results.
+
+mod json;
+mod page;
+mod svg;
+mod text;
+
+pub use json::json;
+pub use page::{PageError, renew};
+pub use svg::plot;
+pub use text::{cases, rows};
+
+use crate::harness::Outcome;
+use crate::suite::{Against, Goal};
+
+/// A ratio with its spread, as tables have it.
+pub(crate) fn ratio(outcome: &Outcome) -> String {
+    let Some(ratio) = outcome.ratio else { return "not measured".into() };
+    let (median, least, most) = (short(ratio.median), short(ratio.least), short(ratio.most));
+    format!("{median} ({least} to {most})")
+}
+
+/// What is compared with the bound.
+pub(crate) fn unit(outcome: &Outcome) -> &'static str {
+    match (&outcome.row.against, outcome.row.goal) {
+        (Against::Nothing, _) => "the number itself",
+        (_, Goal::AtMost(_)) => "times its time",
+        (_, Goal::AtLeast(_)) => "times faster",
+    }
+}
+
+/// The verdict in a word.
+pub(crate) fn verdict(outcome: &Outcome, slack: f64) -> &'static str {
+    match outcome.met(slack) {
+        Some(true) => "met",
+        Some(false) => "NOT MET",
+        None => "not measured",
+    }
+}
+
+/// A number with three digits that count.
+pub(crate) fn short(value: f64) -> String {
+    match value.abs() {
+        size if size >= 100.0 => format!("{value:.0}"),
+        size if size >= 10.0 => format!("{value:.1}"),
+        size if size >= 0.1 || size == 0.0 => format!("{value:.2}"),
+        _ => format!("{value:.4}"),
+    }
+}
+
+/// Nanoseconds in the unit that reads best.
+pub(crate) fn time(nanos: f64) -> String {
+    match nanos {
+        n if n >= 1e6 => format!("{} ms", short(n / 1e6)),
+        n if n >= 1e3 => format!("{} us", short(n / 1e3)),
+        n => format!("{} ns", short(n)),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn numbers_are_short() {
+        let found = [0.0, 0.0123, 0.5, 12.34, 1_234.5].map(short);
+        assert_eq!(found, ["0.00", "0.0123", "0.50", "12.3", "1234"]);
+        assert_eq!([9.0, 2_500.0, 4e6].map(time), ["9.00 ns", "2.50 us", "4.00 ms"]);
+    }
+}

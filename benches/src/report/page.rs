@@ -1,0 +1,78 @@
+//! The table in `specs/performance.md`: written by the harness, between two marks, and by nobody else.
+
+use super::{ratio, unit, verdict};
+use crate::harness::Results;
+use crate::machine::Facts;
+use std::fmt::Write;
+use std::io;
+use std::path::{Path, PathBuf};
+
+const BEGIN: &str = "<!-- measured: begin -->";
+const END: &str = "<!-- measured: end -->";
+
+/// Why the page was not renewed.
+#[derive(Debug, thiserror::Error)]
+pub enum PageError {
+    /// It cannot be read or written.
+    #[error("cannot renew {path}: {source}")]
+    File {
+        /// The page.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// The place of the table is not marked.
+    #[error("{0} has no lines `{BEGIN}` and `{END}`")]
+    NoMarks(PathBuf),
+}
+
+/// Puts the rows of these suites into the page, in the place of what stood there.
+///
+/// # Errors
+/// [`PageError`].
+pub fn renew(path: &Path, facts: &Facts, rounds: u32, slack: f64, all: &[Results]) -> Result<(), PageError> {
+    let failed = |source| PageError::File { path: path.into(), source };
+    let page = std::fs::read_to_string(path).map_err(failed)?;
+    let renewed = between(&page, &table(facts, rounds, slack, all));
+    let renewed = renewed.ok_or_else(|| PageError::NoMarks(path.into()))?;
+    std::fs::write(path, renewed).map_err(failed)
+}
+
+fn between(page: &str, table: &str) -> Option<String> {
+    let (before, rest) = page.split_once(BEGIN)?;
+    let (_, after) = rest.split_once(END)?;
+    Some(format!("{before}{BEGIN}\n{table}{END}{after}"))
+}
+
+fn table(facts: &Facts, rounds: u32, slack: f64, all: &[Results]) -> String {
+    let mut text = format!("Measured {}; {rounds} rounds.\n\n", facts.line());
+    text += "| goal | what | of | bound | measured: median (range) | | |\n|---|---|---|---|---|---|---|\n";
+    for outcome in all.iter().flat_map(|results| &results.rows) {
+        let row = &outcome.row;
+        let (bound, measured) = (row.goal.to_string(), ratio(outcome));
+        // Writing to a string does not fail.
+        let _ = writeln!(
+            text,
+            "| {} | {} | {} | {bound} | {measured} | {} | {} |",
+            row.id,
+            row.what,
+            row.stat.name(),
+            unit(outcome),
+            verdict(outcome, slack)
+        );
+    }
+    text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn only_what_stands_between_the_marks_is_replaced() {
+        let page = format!("before\n{BEGIN}\nold\n{END}\nafter\n");
+        let renewed = between(&page, "new\n").expect("marks");
+        assert_eq!(renewed, format!("before\n{BEGIN}\nnew\n{END}\nafter\n"));
+        assert_eq!(between("no marks", "new\n"), None);
+    }
+}

@@ -1,0 +1,108 @@
+//! What one measurement of a case comes to.
+
+use std::time::{Duration, Instant};
+
+/// The distribution of what was timed, in nanoseconds.
+#[derive(Clone, Copy, Debug, Default, PartialEq, serde::Serialize)]
+pub struct Sample {
+    /// The median.
+    pub p50: f64,
+    /// The 99th percentile.
+    pub p99: f64,
+    /// The 99.9th percentile.
+    pub p999: f64,
+    /// The mean.
+    pub mean: f64,
+    /// A number that is no time: bytes, allocations, sleeps; each case says which.
+    pub count: Option<f64>,
+}
+
+impl Sample {
+    /// Of times in nanoseconds, in any order; each is one of `group` that were timed together.
+    #[must_use]
+    pub fn of(mut nanos: Vec<u64>, group: u32) -> Self {
+        nanos.sort_unstable();
+        let Some(last) = nanos.len().checked_sub(1) else { return Self::default() };
+        let group = f64::from(group.max(1));
+        let at = |share: f64| {
+            #[expect(
+                clippy::cast_possible_truncation,
+                clippy::cast_sign_loss,
+                reason = "a share of a length"
+            )]
+            let position = (last as f64 * share).round() as usize;
+            nanos[position.min(last)] as f64 / group
+        };
+        let mean = nanos.iter().sum::<u64>() as f64 / nanos.len() as f64 / group;
+        Self { p50: at(0.5), p99: at(0.99), p999: at(0.999), mean, count: None }
+    }
+
+    /// Of one time that stands for `operations` of them.
+    #[must_use]
+    pub fn of_all(elapsed: Duration, operations: u64) -> Self {
+        let each = elapsed.as_nanos() as f64 / operations.max(1) as f64;
+        Self { p50: each, p99: each, p999: each, mean: each, count: None }
+    }
+
+    /// Of a number that is no time.
+    #[must_use]
+    pub fn counted(count: f64) -> Self {
+        Self::default().with(count)
+    }
+
+    /// The same with a number that is no time.
+    #[must_use]
+    pub const fn with(mut self, count: f64) -> Self {
+        self.count = Some(count);
+        self
+    }
+}
+
+/// Times `operation`, `times` times. Where one takes less than reading the clock twice, `group` of them are timed
+/// together.
+pub fn each(times: u32, group: u32, mut operation: impl FnMut()) -> Sample {
+    Sample::of(laps(times, group, &mut operation), group)
+}
+
+/// The times of [`each`], for those who put several lists together.
+pub fn laps(times: u32, group: u32, operation: &mut impl FnMut()) -> Vec<u64> {
+    let mut nanos = Vec::with_capacity(times as usize);
+    let mut before = Instant::now();
+    for _ in 0..times / group.max(1) {
+        for _ in 0..group {
+            operation();
+        }
+        let after = Instant::now();
+        nanos.push(nanos_of(after - before));
+        before = after;
+    }
+    nanos
+}
+
+/// A length in nanoseconds.
+#[must_use]
+pub fn nanos_of(length: Duration) -> u64 {
+    u64::try_from(length.as_nanos()).unwrap_or(u64::MAX)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn percentiles_are_those_of_the_sorted_list() {
+        let sample = Sample::of((1..=1_001).rev().collect(), 1);
+        assert_eq!((sample.p50, sample.p99, sample.p999, sample.mean), (501.0, 991.0, 1_000.0, 501.0));
+        let grouped = Sample::of(vec![40, 80], 8);
+        assert_eq!((grouped.p50, grouped.mean), (10.0, 7.5));
+        assert_eq!(Sample::of(Vec::new(), 1), Sample::default());
+        assert_eq!(Sample::of_all(Duration::from_micros(3), 3).p99, 1_000.0);
+    }
+
+    #[test]
+    fn every_operation_is_timed() {
+        let mut done = 0;
+        let nanos = laps(100, 10, &mut || done += 1);
+        assert_eq!((done, nanos.len()), (100, 10));
+    }
+}

@@ -1,0 +1,207 @@
+//! What is measured, and against what.
+
+use crate::sample::Sample;
+use std::fmt;
+
+/// How much of everything a round does.
+#[derive(Clone, Copy, Debug)]
+pub struct Effort(pub f64);
+
+impl Effort {
+    /// So many at full effort; never none.
+    #[must_use]
+    pub fn of(self, full: u32) -> u32 {
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a share of a u32")]
+        let share = (f64::from(full) * self.0.clamp(0.0, 1.0)) as u32;
+        share.max(1)
+    }
+}
+
+/// One thing that is measured: sets everything up, measures, and takes everything down again.
+pub type Run = Box<dyn Fn(Effort) -> Sample>;
+
+/// A named measurement.
+pub struct Case {
+    /// Its name: what it is of, a slash, what it does.
+    pub name: String,
+    /// What is measured, exactly.
+    pub about: &'static str,
+    /// Measures once.
+    pub run: Run,
+}
+
+impl Case {
+    /// A case.
+    pub fn new(
+        name: impl Into<String>,
+        about: &'static str,
+        run: impl Fn(Effort) -> Sample + 'static,
+    ) -> Self {
+        Self { name: name.into(), about, run: Box::new(run) }
+    }
+}
+
+/// A number of a sample.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize)]
+#[serde(rename_all = "lowercase")]
+pub enum Stat {
+    /// The median time.
+    P50,
+    /// The 99th percentile of the times.
+    P99,
+    /// The 99.9th percentile of the times.
+    P999,
+    /// The mean time.
+    Mean,
+    /// The number that is no time.
+    Count,
+}
+
+impl Stat {
+    /// This number of a sample.
+    #[must_use]
+    pub const fn of(self, sample: &Sample) -> Option<f64> {
+        match self {
+            Self::P50 => Some(sample.p50),
+            Self::P99 => Some(sample.p99),
+            Self::P999 => Some(sample.p999),
+            Self::Mean => Some(sample.mean),
+            Self::Count => sample.count,
+        }
+    }
+
+    /// Its name in tables.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::P50 => "p50",
+            Self::P99 => "p99",
+            Self::P999 => "p99.9",
+            Self::Mean => "mean",
+            Self::Count => "count",
+        }
+    }
+}
+
+/// What a case is measured against.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Against {
+    /// The same number of another case.
+    Case(String),
+    /// Another number of itself.
+    Itself(Stat),
+    /// Nothing: the number itself is bounded.
+    Nothing,
+}
+
+/// What a row asks for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub enum Goal {
+    /// The subject takes at most so many times what the other takes.
+    AtMost(f64),
+    /// The other takes at least so many times what the subject takes.
+    AtLeast(f64),
+}
+
+impl Goal {
+    /// The ratio that is compared with the bound.
+    #[must_use]
+    pub fn ratio(self, subject: f64, against: f64) -> Option<f64> {
+        let (over, under) = match self {
+            Self::AtMost(_) => (subject, against),
+            Self::AtLeast(_) => (against, subject),
+        };
+        (under > 0.0).then(|| over / under)
+    }
+
+    /// Whether a ratio meets it, with `slack` (1.0 for none).
+    #[must_use]
+    pub fn met(self, ratio: f64, slack: f64) -> bool {
+        match self {
+            Self::AtMost(bound) => ratio <= bound * slack,
+            Self::AtLeast(bound) => ratio >= bound / slack,
+        }
+    }
+}
+
+impl fmt::Display for Goal {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::AtMost(bound) => write!(f, "<= {bound}"),
+            Self::AtLeast(bound) => write!(f, ">= {bound}"),
+        }
+    }
+}
+
+/// A goal: a case, what it is measured against, and the bound of the ratio.
+#[derive(Clone, Debug)]
+pub struct Row {
+    /// The goal's number.
+    pub id: &'static str,
+    /// What is compared, in words.
+    pub what: String,
+    /// The case.
+    pub subject: String,
+    /// Its peer or floor.
+    pub against: Against,
+    /// Which number of both.
+    pub stat: Stat,
+    /// The bound.
+    pub goal: Goal,
+}
+
+impl Row {
+    /// Two cases.
+    pub fn new(id: &'static str, subject: impl Into<String>, against: &str, stat: Stat, goal: Goal) -> Self {
+        let subject = subject.into();
+        let what = format!("{subject} : {against}");
+        Self { id, what, subject, against: Against::Case(against.into()), stat, goal }
+    }
+
+    /// Two numbers of one case.
+    pub fn within(id: &'static str, subject: &str, stat: Stat, against: Stat, goal: Goal) -> Self {
+        let what = format!("{subject}, {} : {}", stat.name(), against.name());
+        Self { id, what, subject: subject.into(), against: Against::Itself(against), stat, goal }
+    }
+
+    /// A number that is bounded itself.
+    pub fn bounded(id: &'static str, what: &str, subject: &str, stat: Stat, goal: Goal) -> Self {
+        Self { id, what: what.into(), subject: subject.into(), against: Against::Nothing, stat, goal }
+    }
+}
+
+/// Cases that are measured in turns, and what is asked of their ratios.
+#[derive(Default)]
+pub struct Suite {
+    /// Its name.
+    pub name: &'static str,
+    /// What is measured in turns: A B C A B C.
+    pub cases: Vec<Case>,
+    /// What is asked.
+    pub rows: Vec<Row>,
+}
+
+impl Suite {
+    /// A suite of nothing.
+    #[must_use]
+    pub fn new(name: &'static str) -> Self {
+        Self { name, ..Self::default() }
+    }
+
+    /// Adds a case.
+    pub fn case(
+        &mut self,
+        name: impl Into<String>,
+        about: &'static str,
+        run: impl Fn(Effort) -> Sample + 'static,
+    ) -> &mut Self {
+        self.cases.push(Case::new(name, about, run));
+        self
+    }
+
+    /// Adds a row.
+    pub fn row(&mut self, row: Row) -> &mut Self {
+        self.rows.push(row);
+        self
+    }
+}
