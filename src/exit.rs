@@ -103,10 +103,7 @@ mod tests {
         let names = ["no-false-release", "pairing", "at-most-once"];
         assert_eq!(did_you_mean("no-false-relese", names), ": did you mean `no-false-release`?");
         let twice = names.into_iter().chain(names);
-        assert_eq!(
-            did_you_mean("xyz", twice),
-            ": there are no-false-release, pairing, at-most-once"
-        );
+        assert_eq!(did_you_mean("xyz", twice), ": there are no-false-release, pairing, at-most-once");
         assert_eq!(did_you_mean("xyz", []), ": there are none");
         assert_eq!(did_you_mean("xyz", names), ": there are no-false-release, pairing, at-most-once");
     }

@@ -222,9 +222,9 @@ fn divergence(verdict: Verdict, name: &str) -> Option<String> {
         Verdict::Differs(Divergence { index, .. }) => {
             Some(format!("with recorded step {index} `{name}` puts out something else than recorded"))
         }
-        Verdict::ScriptDiffers(ScriptDivergence { index, .. }) => {
-            Some(format!("after recorded step {index} the statements of `{name}` do something else than recorded"))
-        }
+        Verdict::ScriptDiffers(ScriptDivergence { index, .. }) => Some(format!(
+            "after recorded step {index} the statements of `{name}` do something else than recorded"
+        )),
         Verdict::Same | Verdict::Unknown => None,
     }
 }

@@ -236,7 +236,9 @@ impl Pen {
     pub fn shown(&mut self, tick: u32, lane: usize, shown: &Shown) {
         let text = match shown {
             Shown::Seen(seen) => self.told(seen),
-            Shown::Told(signal) => said(signal, &self.ports, self.timers.get(lane).map_or(&[], Vec::as_slice)),
+            Shown::Told(signal) => {
+                said(signal, &self.ports, self.timers.get(lane).map_or(&[], Vec::as_slice))
+            }
         };
         if let Some(text) = text {
             self.event(tick, lane, &text);

@@ -142,7 +142,9 @@ impl Origin {
             (Holds::Leads { .. }, Some((since, read))) => {
                 let until = end.passed;
                 let read = if read.is_empty() { String::new() } else { format!(" ({})", read.join(", ")) };
-                format!("; what leads to it was so at tick {since}{read}, what it leads to was not by tick {until}")
+                format!(
+                    "; what leads to it was so at tick {since}{read}, what it leads to was not by tick {until}"
+                )
             }
             (Holds::Always(_), _) if !self.acted.is_empty() => {
                 let tasks: Vec<&str> = self.acted.iter().map(|&task| name(&end.plan.table, task)).collect();
