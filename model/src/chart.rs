@@ -345,8 +345,8 @@ fn said(signal: &Signal, ports: &[String], timers: &[String]) -> Option<String> 
             Some(name) => format!("timer {name} ends, its handler runs"),
             None => "a timer ends, its handler runs".into(),
         }),
-        Signal::Interrupt(Call::Fenced) => Some("is interrupted: its lease is lost".into()),
-        Signal::Interrupt(Call::TakeOver(_)) => Some("is interrupted: its partner is gone".into()),
+        // What fences it, or makes it take over, is said just before.
+        Signal::Interrupt(Call::Fenced | Call::TakeOver(_)) => Some("is interrupted".into()),
         Signal::Fault(fault) => Some(format!("is told: {fault}")),
         _ => None,
     }
