@@ -1,7 +1,7 @@
 //! Cell files as they come from a disk or a pipe.
 
 use imrs_language::{LONGEST_FILE, Source};
-use std::fs::File;
+use std::fs::{self, File};
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
@@ -14,6 +14,9 @@ pub enum CellFileError {
     /// It is a folder.
     #[error("{}: this is a folder: name one cell file in it", .0.display())]
     Folder(PathBuf),
+    /// It is a pipe, a device or the like: reading it might never end.
+    #[error("{}: not a regular file: name a cell file, or `-` for standard input", .0.display())]
+    NotAFile(PathBuf),
     /// It has more bytes than are read.
     #[error("{}: larger than {} MiB, the most that is read: is it a cell file?", .0.display(), LONGEST_FILE >> 20)]
     TooLarge(PathBuf),
@@ -59,6 +62,10 @@ pub fn shown(path: &Path) -> String {
 /// [`CellFileError`], all but `Unwritable`.
 pub fn read(path: &Path) -> Result<Source, CellFileError> {
     let own = || PathBuf::from(shown(path));
+    // What cannot be looked at fails below, with its reason.
+    if !is_stdin(path) && fs::metadata(path).is_ok_and(|of| !of.is_file() && !of.is_dir()) {
+        return Err(CellFileError::NotAFile(own()));
+    }
     let bytes = bytes(path).map_err(|source| match source.kind() {
         io::ErrorKind::NotFound => CellFileError::Missing(own()),
         io::ErrorKind::IsADirectory => CellFileError::Folder(own()),

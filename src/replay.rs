@@ -10,7 +10,7 @@ use crate::demo;
 use crate::exit::{Exit, Failure};
 use crate::output::{BAD, GOOD, NOTE, Output, Styled, count};
 use imrs_protocol::{NodeId, NodeTable};
-use imrs_runtime::record::{self, Verdict, replay_scripts};
+use imrs_runtime::record::{self, Divergence, ScriptDivergence, Verdict, replay_scripts};
 use imrs_wire::recording::{Ending, Header, RecordingReader};
 use serde::Serialize;
 use std::fs::File;
@@ -203,11 +203,7 @@ fn read(path: &Path, known: &[Loaded], given: Option<&str>) -> Result<Replayed, 
             Verdict::Differs(_) | Verdict::ScriptDiffers(_) => "differs",
         },
         script_differs: matches!(replay.verdict(), Verdict::ScriptDiffers(_)),
-        divergence: match replay.verdict() {
-            Verdict::Differs(divergence) => Some(divergence.to_string()),
-            Verdict::ScriptDiffers(divergence) => Some(divergence.to_string()),
-            Verdict::Same | Verdict::Unknown => None,
-        },
+        divergence: divergence(replay.verdict(), &names.tasks[replay.task().index()].name),
     });
     Ok(Replayed {
         version: 1,
@@ -218,6 +214,19 @@ fn read(path: &Path, known: &[Loaded], given: Option<&str>) -> Result<Replayed, 
         tasks: tasks.collect(),
         whole: reader.ending() == Ending::Ended,
     })
+}
+
+/// What a task of this name did that its recording does not say.
+fn divergence(verdict: Verdict, name: &str) -> Option<String> {
+    match verdict {
+        Verdict::Differs(Divergence { index, .. }) => {
+            Some(format!("with recorded step {index} `{name}` puts out something else than recorded"))
+        }
+        Verdict::ScriptDiffers(ScriptDivergence { index, .. }) => Some(format!(
+            "after recorded step {index} the statements of `{name}` do something else than recorded"
+        )),
+        Verdict::Same | Verdict::Unknown => None,
+    }
 }
 
 fn show(replayed: &Replayed, given: Option<&str>, out: &mut Output) -> Result<(), Failure> {

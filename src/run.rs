@@ -40,6 +40,9 @@ pub fn chosen(loaded: &Loaded, args: &LaunchArgs) -> Result<Option<NodeId>, Fail
         let hint = || did_you_mean(name, nodes.iter().map(|node| node.name.as_str()));
         found.ok_or_else(|| Failure::Usage(format!("the cell has no node `{name}`{}", hint())))
     };
+    if args.length.is_some_and(|length| length.is_zero()) {
+        return Err(Failure::Usage("--for 0s: nothing would run".into()));
+    }
     let only = args.node.as_ref().map(position).transpose()?;
     for (at, task) in loaded.table.cell().tasks.iter().enumerate() {
         if loaded.scripts[at].is_none() && only.is_none_or(|only| only == task.node) {

@@ -85,6 +85,19 @@ fn what_cannot_be_read_ends_with_2_and_is_named() {
 }
 
 #[test]
+fn a_pipe_is_no_cell_file_and_is_not_waited_for() {
+    let dir = tempfile::tempdir().expect("a folder");
+    let path = dir.path().join("pipe.cell");
+    let made = std::process::Command::new("mkfifo").arg(&path).status().expect("mkfifo");
+    assert!(made.success(), "{made}");
+    for verb in ["check", "verify", "run"] {
+        let said = run(&[verb, path.to_str().expect("UTF-8")]);
+        assert_eq!(said.code, Some(2), "{verb}: {said:?}");
+        assert!(said.err.contains("not a regular file"), "{verb}: {said:?}");
+    }
+}
+
+#[test]
 fn strange_texts_are_findings_and_no_faults() {
     let mut seed = 0x9E37_79B9_u32;
     for round in 0..20 {

@@ -138,8 +138,12 @@ fn welds_with_faults_are_paths_of_the_model() {
 
 #[test]
 fn nodes_of_two_runs_are_no_run() {
-    let [one, other] =
-        ["11", "12"].map(|seed| Recorded::of(BEAM, &["--for", "2s", "--seed", seed, "--in-process"]));
+    let [one, other] = ["11", "12"].map(|seed| {
+        let run = Recorded::of(BEAM, &["--for", "2s", "--seed", seed, "--in-process"]);
+        // So that one is over clearly before the other begins.
+        std::thread::sleep(std::time::Duration::from_millis(300));
+        run
+    });
     let mut files = one.files();
     files[0] = other.file("nl");
     // Each of them replays bit-equal by itself.
@@ -148,8 +152,14 @@ fn nodes_of_two_runs_are_no_run() {
         let said = run_in(one.folder.path(), &["replay", file, "--cell", &one.cell]);
         assert_eq!(said.code, Some(0), "{said:?}");
     }
-    let [_, _, why] = no_path(&one.follow(&files));
-    assert!(!why.is_empty());
+    let mixed = one.follow(&files);
+    assert_eq!(mixed.code, Some(2), "{mixed:?}");
+    assert!(mixed.err.contains("these are of two runs: "), "{mixed:?}");
+    files = one.files();
+    files.push(one.file("nl"));
+    let twice = one.follow(&files);
+    assert_eq!(twice.code, Some(2), "{twice:?}");
+    assert!(twice.err.contains("node nl is given twice: "), "{twice:?}");
 }
 
 #[test]

@@ -148,6 +148,11 @@ fn an_action_is_a_command_where_one_is_bound() {
     assert_eq!(said.code, Some(1), "{said:?}");
     assert!(said.err.contains("task `a` aborted: failure of `grip`"), "{said:?}");
     assert!(said.out.contains("FAILED: grip"), "{said:?}");
+    let line = said.err.lines().find(|line| line.contains("task `a` aborted")).expect("told");
+    assert_eq!(line.matches("line ").count(), 1, "{line}");
+    let said = bench.run(&["--for", "0s"]);
+    assert_eq!(said.code, Some(2), "{said:?}");
+    assert!(said.err.contains("nothing would run"), "{said:?}");
     let said = bench.run(&["--action", "gripp=true"]);
     assert_eq!(said.code, Some(2), "{said:?}");
     assert!(said.err.contains("did you mean `grip`?"), "{said:?}");

@@ -141,7 +141,7 @@ fn a_finding_says_the_values_the_ports_and_what_the_others_do() {
     let answer = run(&["verify", name, "--trace", file.to_str().expect("text")]);
     for part in [
         "assertion: asker: an assertion does not hold: at = 9\n",
-        "check: `small` does not hold: asker.at = 9\n",
+        "check: `small` does not hold: asker.at = 9; so since a step of asker\n",
         "  meanwhile asker has ended: its assertion did not hold (last at line 10: assert at < 9)\n",
         "asker -> teller: QUERY where #0",
         "teller: takes where #0 of asker",

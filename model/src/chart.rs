@@ -9,7 +9,7 @@ use crate::network::Flight;
 use crate::scenario::Scenario;
 use crate::state::Packed;
 use crate::world::{Action, World};
-use imrs_protocol::{Control, Event, Kind, Observation, Outcome, Packet, PortId, Signal, TaskId};
+use imrs_protocol::{Call, Control, Event, Kind, Observation, Outcome, Packet, PortId, Signal, TaskId};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
@@ -165,18 +165,20 @@ pub(crate) struct Pen {
     names: Vec<String>,
     /// The names of the ports, by port; empty where a port says nothing.
     ports: Vec<String>,
+    /// The names of each task's timers; empty where they have none.
+    timers: Vec<Vec<String>>,
     /// What was drawn.
     pub notes: Vec<Note>,
 }
 
 impl Pen {
     pub const fn new(names: Vec<String>) -> Self {
-        Self { names, ports: Vec::new(), notes: Vec::new() }
+        Self { names, ports: Vec::new(), timers: Vec::new(), notes: Vec::new() }
     }
 
-    /// Says which port each message is on.
-    pub fn naming(self, ports: Vec<String>) -> Self {
-        Self { ports, ..self }
+    /// Says which port each message is on, and which timer of its task ends.
+    pub fn naming(self, ports: Vec<String>, timers: Vec<Vec<String>>) -> Self {
+        Self { ports, timers, ..self }
     }
 
     /// Whose lanes are drawn.
@@ -234,7 +236,9 @@ impl Pen {
     pub fn shown(&mut self, tick: u32, lane: usize, shown: &Shown) {
         let text = match shown {
             Shown::Seen(seen) => self.told(seen),
-            Shown::Told(signal) => said(signal),
+            Shown::Told(signal) => {
+                said(signal, &self.ports, self.timers.get(lane).map_or(&[], Vec::as_slice))
+            }
         };
         if let Some(text) = text {
             self.event(tick, lane, &text);
@@ -327,12 +331,22 @@ pub(crate) fn label(packet: &Packet, ports: &[String]) -> String {
     }
 }
 
-fn said(signal: &Signal) -> Option<String> {
+/// An answer to a task, whose timers have these names.
+fn said(signal: &Signal, ports: &[String], timers: &[String]) -> Option<String> {
     match signal {
         Signal::Outcome(Outcome::Reply(_)) => Some("gets the answer".into()),
         Signal::Outcome(Outcome::Refused) => Some("is refused".into()),
         Signal::Outcome(Outcome::PeerRestarted) => Some("hears of the restart".into()),
-        Signal::Interrupt(_) => Some("is interrupted".into()),
+        Signal::Interrupt(Call::Message(delivery)) => Some(match ports.get(delivery.from.port.index()) {
+            Some(name) => format!("is interrupted by {name}"),
+            None => "is interrupted".into(),
+        }),
+        Signal::Interrupt(Call::Timer(timer)) => Some(match timers.get(usize::from(timer.0)) {
+            Some(name) => format!("timer {name} ends, its handler runs"),
+            None => "a timer ends, its handler runs".into(),
+        }),
+        // What fences it, or makes it take over, is said just before.
+        Signal::Interrupt(Call::Fenced | Call::TakeOver(_)) => Some("is interrupted".into()),
         Signal::Fault(fault) => Some(format!("is told: {fault}")),
         _ => None,
     }

@@ -209,17 +209,20 @@ pub fn schedule(
     let in_time = |at: Duration, fault: &dyn fmt::Display| {
         if at < length { Ok(()) } else { Err(FaultError::TooLate(fault.to_string())) }
     };
+    // A name that is unknown is wrong whatever the time: it is told first.
     for kill in wanted.kill {
+        let at = node(cell, &kill.name)?;
         in_time(kill.at, kill)?;
-        faults.push((kill.at, Fault::Kill(node(cell, &kill.name)?)));
+        faults.push((kill.at, Fault::Kill(at)));
     }
     for Restart(again) in wanted.restart {
+        let at = node(cell, &again.name)?;
         in_time(again.at, again)?;
-        faults.push((again.at, Fault::Restart(node(cell, &again.name)?)));
+        faults.push((again.at, Fault::Restart(at)));
     }
     for cut in wanted.cut {
-        in_time(cut.at, cut)?;
         let (a, b) = (node(cell, &cut.ends[0])?, node(cell, &cut.ends[1])?);
+        in_time(cut.at, cut)?;
         if !cell.links.iter().any(|l| (l.a, l.b) == (a, b) || (l.a, l.b) == (b, a)) {
             return Err(FaultError::NoLink(cut.ends[0].clone(), cut.ends[1].clone()));
         }
@@ -302,6 +305,8 @@ mod tests {
                 (6 * second, Fault::Heal(nl, nr))
             ])
         );
+        let late = of(&["hoit@9s"], &[]).unwrap_err();
+        assert!(matches!(late, FaultError::NoNode { .. }), "{late}");
         let error = of(&["hoit@2s"], &[]).unwrap_err();
         assert_eq!(error.to_string(), "the cell has no node or task `hoit`: did you mean `hoist`?");
         let again = |kill: &str, restart: &str| {

@@ -117,7 +117,7 @@ impl Narrator {
         let script = self.loaded.scripts.get(task.index()).and_then(Option::as_ref);
         let at_line = |address: Option<Address>| {
             let line = address.and_then(|address| self.loaded.line(task, address));
-            line.map(|line| format!(" (line {line})")).unwrap_or_default()
+            line.map(|line| format!("line {line}"))
         };
         let (words, sort, place) = match end {
             End::Finished => ("finished".to_owned(), EndSort::Well, statement),
@@ -132,8 +132,11 @@ impl Narrator {
             }
             End::Fault { fault, at } => (format!("failed: {fault}"), EndSort::Failed, Some(at)),
         };
-        let at_line = if sort == EndSort::Well { String::new() } else { at_line(place) };
-        let how = format!("{words}{at_line}");
+        // Why a task aborted may end with its line already.
+        let how = match at_line(place).filter(|line| sort != EndSort::Well && !words.ends_with(line)) {
+            Some(line) => format!("{words} ({line})"),
+            None => words.clone(),
+        };
         let line = place.and_then(|place| self.loaded.line(task, place));
         self.tell(Word::Did(Did { at, task, line, what: Deed::Ended(words) }));
         self.tell(Word::TaskEnded { task, how, sort });

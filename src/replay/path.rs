@@ -66,7 +66,11 @@ pub fn run(args: &ReplayArgs, out: &mut Output) -> Result<Exit, Failure> {
 fn tell(told: &Told, path: &Path, args: &ReplayArgs, out: &mut Output) -> Result<Exit, Failure> {
     match args.format {
         Format::Json => out.json(told)?,
-        Format::Text => told.show(&cell_file::shown(path), out)?,
+        Format::Text => {
+            let files: Vec<String> = args.files.iter().map(|file| file.display().to_string()).collect();
+            told.show(&cell_file::shown(path), out)?;
+            out.line(format!("  recorded in {}", files.join(", ")))?;
+        }
     }
     Ok(told.verdict())
 }
@@ -114,13 +118,21 @@ fn read(args: &ReplayArgs, loaded: &Loaded) -> Result<Result<Recorded, Differs>,
     let looker = Arc::new(Looker::new(loaded));
     let watch: Arc<dyn Watch> = Arc::clone(&looker) as Arc<dyn Watch>;
     let mut changes = Vec::new();
+    let mut of_node: Vec<Option<&Path>> = vec![None; cell.nodes.len()];
+    let mut spans = Vec::new();
     for path in &args.files {
         let Opened { mut reader, table, .. } = open(path, std::slice::from_ref(loaded), given.as_deref())?;
+        if let Some(before) = of_node[table.node.index()].replace(path) {
+            let node = &cell.nodes[table.node.index()].name;
+            let (before, path) = (before.display(), path.display());
+            return Err(Failure::Usage(format!("node {node} is given twice: {before} and {path}")));
+        }
         let damaged = |source| ReplayError::Read { path: path.clone(), source };
         let replays = replay_scripts(&mut reader, &table, |task| loaded.program(task), Some(&watch));
         let replays = replays.map_err(damaged)?;
         let seen = looker.changes();
         whole[table.node.index()] = reader.ending() == Ending::Ended;
+        let mut span: Option<Span<'_>> = None;
         for replay in replays {
             let task = replay.task();
             let name = &cell.tasks[task.index()].name;
@@ -131,20 +143,27 @@ fn read(args: &ReplayArgs, loaded: &Loaded) -> Result<Result<Recorded, Differs>,
                         format!("{}: inputs of `{name}` are missing: it cannot be followed", path.display());
                     return Err(Failure::Usage(what));
                 }
-                Verdict::Differs(divergence) => {
-                    return Ok(Err(Differs { task, how: divergence.to_string() }));
-                }
-                Verdict::ScriptDiffers(divergence) => {
-                    let how = format!("{divergence}, or its statements were changed since the run");
+                verdict @ (Verdict::Differs(_) | Verdict::ScriptDiffers(_)) => {
+                    let how = super::divergence(verdict, name).unwrap_or_default();
+                    let how = format!(
+                        "{how}: its statements were changed since the run, or an action took longer than its interval"
+                    );
                     return Ok(Err(Differs { task, how }));
                 }
             }
             let of_task = seen.iter().filter(|change| change.task == task).cloned();
             let base = replay.base().unwrap_or_default();
             changes.extend(of_task.map(|change| Change { at: base.saturating_add(change.at), ..change }));
-            tasks[task.index()] = Some(replay.happened().unwrap_or_default());
+            let happened = replay.happened().unwrap_or_default();
+            for at in happened.iter().map(|happening| happening.at) {
+                let span = span.get_or_insert(Span { path, first: at, last: at });
+                (span.first, span.last) = (span.first.min(at), span.last.max(at));
+            }
+            tasks[task.index()] = Some(happened);
         }
+        spans.extend(span);
     }
+    of_one_run(spans)?;
     if let Some(missing) = tasks.iter().position(Option::is_none) {
         let node = &cell.nodes[cell.tasks[missing].node.index()].name;
         return Err(Failure::Usage(format!(
@@ -154,6 +173,41 @@ fn read(args: &ReplayArgs, loaded: &Loaded) -> Result<Result<Recorded, Differs>,
     let tasks: Vec<Vec<Happening>> = tasks.into_iter().flatten().collect();
     let start = tasks.iter().flatten().map(|happening| happening.at).min().unwrap_or(0);
     Ok(Ok(Recorded { tasks, whole, start, changes }))
+}
+
+/// When a recording was made, in microseconds of the monotonic clock.
+struct Span<'a> {
+    path: &'a Path,
+    first: u64,
+    last: u64,
+}
+
+/// So many microseconds may lie between the ends of what one node did and the beginning of what another did: the nodes
+/// of a run begin together.
+const APART: u64 = 100_000;
+
+/// No recording may begin after all that began before it had ended.
+fn of_one_run(mut spans: Vec<Span<'_>>) -> Result<(), Failure> {
+    spans.sort_by_key(|span| span.first);
+    let Some((first, others)) = spans.split_first() else { return Ok(()) };
+    let mut before = first;
+    for span in others {
+        if span.first > before.last.saturating_add(APART) {
+            let shown = |span: &Span<'_>| {
+                let (first, last) = (span.first as f64 / 1e6, span.last as f64 / 1e6);
+                format!("{} from {first:.3} s to {last:.3} s", span.path.display())
+            };
+            return Err(Failure::Usage(format!(
+                "these are of two runs: {}, {} of the machine's clock",
+                shown(before),
+                shown(span)
+            )));
+        }
+        if span.last > before.last {
+            before = span;
+        }
+    }
+    Ok(())
 }
 
 /// What came of the checks, as the run itself judged them: up to where its nodes stopped.

@@ -67,7 +67,13 @@ impl Subject {
             // Where a task has no text there is nothing to show: it is any use of its ports.
             Shows::Began(task, at) => {
                 let (line, _, text) = self.place(*task, *at)?;
-                Some(format!("{} begins line {line}: {text}", self.task(*task)))
+                let name = self.task(*task);
+                // A task that only answers has its name for a text.
+                Some(if text == name {
+                    format!("{name} begins (line {line})")
+                } else {
+                    format!("{name} begins line {line}: {text}")
+                })
             }
         };
         let happened = scene.happened.iter().filter_map(words).collect();

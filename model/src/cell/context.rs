@@ -5,6 +5,7 @@ use super::judge::{Shown, name, program};
 use super::plan::Holds;
 use super::story::view;
 use super::verdict::{Concerned, Kind};
+use crate::floor::script::ScriptTurn;
 use imrs_protocol::TaskId;
 use imrs_protocol::script::{Activity, Address, End, Op, Predicate, Slot, Term, Type, Variable};
 use std::fmt::Write as _;
@@ -92,6 +93,66 @@ fn equals(name: &str, declared: &Variable, value: i64) -> String {
         Type::Int8 | Type::Int16 | Type::Int32 | Type::Word => value.to_string(),
     };
     format!("{name} = {value}")
+}
+
+/// What a broken check goes back to.
+pub(super) struct Origin {
+    check: Option<usize>,
+    /// Since when, in ticks, the right side of a `leads` is owed, and what its left side read then.
+    owed: Option<(u64, Vec<String>)>,
+    /// The tasks whose scripts acted in the last step.
+    acted: Vec<usize>,
+}
+
+impl Origin {
+    /// Of a check, from the start of a way.
+    pub fn new(start: &Course, check: Option<usize>) -> Self {
+        let mut origin = Self { check, owed: None, acted: Vec::new() };
+        origin.note(start, &[]);
+        origin
+    }
+
+    /// Another step of the way.
+    pub fn note(&mut self, course: &Course, turns: &[ScriptTurn]) {
+        let Some(check) = self.check else { return };
+        self.acted = turns.iter().map(|turn| turn.task).collect();
+        self.acted.sort_unstable();
+        self.acted.dedup();
+        let is_owed = course.beside.due.get(check).is_some_and(Option::is_some);
+        if course.broken == Some(check) {
+            return;
+        }
+        if !is_owed {
+            self.owed = None;
+        } else if self.owed.is_none()
+            && let Some(Holds::Leads { when, .. }) = course.plan.checks.get(check).map(|check| &check.holds)
+        {
+            let read = when.iter().filter_map(|term| value(course, *term)).collect();
+            self.owed = Some((course.passed, read));
+        }
+    }
+
+    /// What follows the cause of the finding.
+    pub fn words(&self, end: &Course) -> String {
+        let Some(holds) = self.check.and_then(|check| end.plan.checks.get(check)).map(|check| &check.holds)
+        else {
+            return String::new();
+        };
+        match (holds, &self.owed) {
+            (Holds::Leads { .. }, Some((since, read))) => {
+                let until = end.passed;
+                let read = if read.is_empty() { String::new() } else { format!(" ({})", read.join(", ")) };
+                format!(
+                    "; what leads to it was so at tick {since}{read}, what it leads to was not by tick {until}"
+                )
+            }
+            (Holds::Always(_), _) if !self.acted.is_empty() => {
+                let tasks: Vec<&str> = self.acted.iter().map(|&task| name(&end.plan.table, task)).collect();
+                format!("; so since a step of {}", tasks.join(" and "))
+            }
+            (Holds::Leads { .. }, None) | (Holds::Always(_), _) => String::new(),
+        }
+    }
 }
 
 /// What a check reads, both sides of it where one leads to the other.

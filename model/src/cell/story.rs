@@ -1,6 +1,6 @@
 //! The way to a finding: step by step with what each task does, and as a chart.
 
-use super::context::context;
+use super::context::{Origin, context};
 use super::course::{CellMove, Course};
 use super::judge::{Shown, name, position, statement};
 use super::plan::{CellFaults, CellPlan, Conduct};
@@ -66,8 +66,13 @@ pub fn lanes(plan: &CellPlan) -> Vec<String> {
 /// Walks a way again with everything kept.
 pub(super) fn tell(plan: &Arc<CellPlan>, faults: &CellFaults, moves: &[CellMove], shown: &Shown) -> Told {
     let mut steps = Vec::new();
-    let Way { pen, course, begun } = walk(plan, faults, moves, |walked| steps.push(walked.step()));
-    let (cause, others) = context(&course, shown, &begun);
+    let mut origin = Origin::new(&Course::new(plan, faults), shown.check);
+    let Way { pen, course, begun } = walk(plan, faults, moves, |walked| {
+        steps.push(walked.step());
+        origin.note(walked.course, walked.turns);
+    });
+    let (mut cause, others) = context(&course, shown, &begun);
+    cause.push_str(&origin.words(&course));
     let drawn = chart(pen.names(), &pen.notes, &cause, Folding::Repeats);
     Told { steps, chart: shorten(&drawn), ticks: course.passed, cause, others }
 }
@@ -115,7 +120,12 @@ pub(super) fn walk(
     course.floor.keep_log = true;
     let lanes = Lanes::new(&course.floor.plan);
     let ports = plan.table.cell().ports.iter().map(|port| port.name.clone()).collect();
-    let mut pen = Pen::new(lanes.names.clone()).naming(ports);
+    let timers = |task: &Conduct| match task {
+        Conduct::Program { program, .. } => program.timers.clone(),
+        Conduct::Extern(_) => Vec::new(),
+    };
+    let timers = plan.tasks.iter().map(timers).collect();
+    let mut pen = Pen::new(lanes.names.clone()).naming(ports, timers);
     // What scripts do before anything happens is drawn with the first step.
     let turns = course.floor.turns.replace(Vec::new()).unwrap_or_default();
     let mut begun = vec![None; plan.tasks.len()];
