@@ -82,8 +82,13 @@ fn look(plan: &Arc<CellPlan>, phase: (Phase, usize), faults: &CellFaults) -> Don
         let mut short = CellPlan::clone(&timed(plan, times));
         short.budget.states = short.budget.states.min(most);
         short.budget.seconds /= 4.0;
-        let done = explore(&Arc::new(short), phase, faults).with(tried);
+        let mut done = explore(&Arc::new(short.clone()), phase, faults).with(tried);
         if done.coverage.complete {
+            if !done.findings.is_empty() {
+                // What shows at the ends, too, is told as it happens there: their round times are easier to follow.
+                short.times = Times::Ends;
+                done.findings.splice(0..0, explore(&Arc::new(short), phase, faults).findings);
+            }
             return done;
         }
         tried = Some(done);

@@ -55,8 +55,12 @@ impl CommTask {
                 | flag(took_over, TOOK_OVER),
         )?;
         w.byte(lease.epoch)?;
-        if frame.lives {
-            w.byte(lease.life.map_or(0, |life| life.0))?;
+        let life = lease.life.map_or(0, |life| life.0);
+        match frame.lives {
+            true => w.byte(life)?,
+            // A forged answer may speak of a life where there are none.
+            false if life != 0 => return Err(Overflow),
+            false => {}
         }
         match lease.post {
             Post::Waits => {
