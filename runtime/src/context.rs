@@ -146,7 +146,7 @@ impl<S> Context<S> {
     /// Answers a received class-2 message. Does not wait.
     ///
     /// # Errors
-    /// [`Fault::Late`] where the sender is beyond waiting: it will not hear this answer.
+    /// `Fault::Late` where the sender is beyond waiting: it will not hear this answer.
     pub fn reply(&mut self, to: &ReplyTo, contents: &[u8]) -> Result<(), TaskError> {
         let packets = self.caller.node.table.port(to.port).map_or(1, |port| port.decl.answer_fragments);
         let contents = self.staged(to.port, contents, packets)?;
