@@ -106,9 +106,9 @@ pub enum Times {
 
 impl Times {
     /// How many states the finer times may take without faults before coarser ones are looked at.
-    pub const AUTO_STATES: u64 = 20_000;
+    pub const AUTO_STATES: u64 = 30_000;
     /// The same with faults.
-    pub const AUTO_STATES_WITH_FAULTS: u64 = 5_000;
+    pub const AUTO_STATES_WITH_FAULTS: u64 = 8_000;
 }
 
 /// A cell to check.

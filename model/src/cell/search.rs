@@ -9,7 +9,7 @@ use super::judge::{self, Reached, Shown};
 use super::plan::{CellFaults, CellPlan, Conduct, Holds, Times};
 use super::seen::Seen;
 use super::verdict::{Coverage, Finding, Kind, Phase, Refused, Verdicts};
-use super::walker::{Hit, Origin, WALK, Walker, Walks};
+use super::walker::{Hit, Origin, Walker, Walks};
 use super::{starve, story};
 use crate::explore::resident_bytes;
 use imrs_protocol::TaskId;
@@ -37,6 +37,8 @@ struct Search {
     moves: u64,
     longest: usize,
     outgrown: bool,
+    /// The least depth of a batch that was not taken in to its end.
+    batch: Option<u16>,
 }
 
 /// What a phase comes to.
@@ -145,7 +147,8 @@ fn explore(plan: &Arc<CellPlan>, (phase, hypothesis): (Phase, usize), faults: &C
     let tell = |hit: &Hit| search.tell(plan, (phase, hypothesis), faults, hit);
     let findings: Vec<Finding> = search.hits.iter().map(tell).collect();
     let depth = search.origins.iter().map(|origin| u64::from(origin.depth)).max().unwrap_or(0);
-    let next = search.queue.front().and_then(|(at, _)| search.origins.get(*at as usize));
+    let depth_of = |&(at, _): &Kept| search.origins.get(at as usize).map(|origin| origin.depth);
+    let left = search.queue.iter().filter_map(depth_of).chain(search.batch).min();
     let coverage = Coverage {
         phase,
         hypothesis,
@@ -153,7 +156,7 @@ fn explore(plan: &Arc<CellPlan>, (phase, hypothesis): (Phase, usize), faults: &C
         states: search.origins.len() as u64,
         moves: search.moves,
         depth,
-        whole_depth: next.map_or(depth, |next| u64::from(next.depth)),
+        whole_depth: left.map_or(depth, u64::from),
         ticks: findings.iter().map(|finding| finding.at_ticks).max().unwrap_or(0),
         complete: ended_by.is_none(),
         pruned: search.hits.iter().any(|hit| hit.shown.last),
@@ -188,6 +191,8 @@ impl Search {
             for walks in self.walk_on(&batch, walkers) {
                 self.take_in(walks);
                 if self.origins.len() as u64 >= budget.states {
+                    let depths = batch.iter().filter_map(|&(at, _)| self.origins.get(at as usize));
+                    self.batch = depths.map(|origin| origin.depth).min();
                     return Some(format!("{} states", budget.states));
                 }
             }
@@ -205,8 +210,7 @@ impl Search {
                 && let Some(part) = parts.get(at)
             {
                 for (state_at, state) in *part {
-                    let depth = self.origins[*state_at as usize].depth.saturating_add(1);
-                    walker.expand(*state_at, depth, state, &self.seen);
+                    walker.expand(*state_at, self.origins[*state_at as usize].depth, state, &self.seen);
                 }
                 // Each part is taken by one thread.
                 let _ = done[at].set(walker.take());
@@ -242,38 +246,29 @@ impl Search {
 
     /// The moves to a hit, walked through ones included.
     fn path(&self, plan: &Arc<CellPlan>, faults: &CellFaults, hit: &Hit) -> Vec<CellMove> {
-        let mut choices = Vec::new();
+        let mut walks = Vec::new();
         let mut origin = hit.origin;
         while origin.parent != u32::MAX {
-            choices.push(usize::from(origin.choice));
+            walks.push((Some(usize::from(origin.choice)), origin.steps));
             origin = self.origins[origin.parent as usize];
         }
-        choices.reverse();
+        walks.push((None, origin.steps));
         let mut course = Course::new(plan, faults);
         let mut path = Vec::new();
         let mut moves = Vec::new();
-        // The walk before the first choice has one move less: it begins with none.
-        let mut walk = |course: &mut Course, first: Option<usize>, most: usize| {
-            let mut choice = first;
-            for steps in 1..=most {
-                if steps > 1 || choice.is_some() {
-                    moves.clear();
-                    course.moves(&mut moves);
-                    let alone = choice.is_none() && moves.len() != 1;
-                    let Some(&step) = moves.get(choice.take().unwrap_or(0)).filter(|_| !alone) else {
-                        return;
-                    };
-                    path.push(step);
-                    if catch_unwind(AssertUnwindSafe(|| course.apply(step))).is_err() {
-                        return;
-                    }
+        for (mut choice, steps) in walks.into_iter().rev() {
+            for _ in 0..steps {
+                moves.clear();
+                course.moves(&mut moves);
+                let alone = choice.is_none() && moves.len() != 1;
+                let Some(&step) = moves.get(choice.take().unwrap_or(0)).filter(|_| !alone) else {
+                    return path;
+                };
+                path.push(step);
+                if catch_unwind(AssertUnwindSafe(|| course.apply(step))).is_err() {
+                    return path;
                 }
             }
-        };
-        let last = choices.len();
-        walk(&mut course, None, if last == 0 { hit.steps } else { WALK });
-        for (i, choice) in choices.into_iter().enumerate() {
-            walk(&mut course, Some(choice), if i + 1 == last { hit.steps } else { WALK });
         }
         path
     }

@@ -30,11 +30,20 @@ pub(super) struct Mark {
     left: Left,
 }
 
+/// Of so many states without an alternative one is kept: which depends on the state alone, so that two ways through it both
+/// stop there, and the second goes no further.
+const POSTS: u64 = 4;
+
 impl Mark {
     pub fn of((left, core): (Left, &[u8])) -> Self {
         let mut hasher = DefaultHasher::new();
         core.hash(&mut hasher);
         Self { core: hasher.finish(), left }
+    }
+
+    /// Whether it is kept although only one thing can happen next.
+    pub fn is_post(self) -> bool {
+        self.core.is_multiple_of(POSTS)
     }
 }
 

@@ -9,7 +9,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
 /// How many moves without an alternative are walked through before a state is kept.
-pub(super) const WALK: usize = 64;
+const WALK: u16 = 512;
 
 /// How a kept state was first reached: from which, by which of its moves, and in how many choices.
 #[derive(Clone, Copy)]
@@ -17,13 +17,14 @@ pub(super) struct Origin {
     pub parent: u32,
     pub choice: u16,
     pub depth: u16,
+    /// How many moves the walk from there made, that one included.
+    pub steps: u16,
 }
 
-/// A finding on the move number `steps` after `origin`.
+/// A finding, on the last move of the walk that `origin` names.
 pub(super) struct Hit {
     pub shown: Shown,
     pub origin: Origin,
-    pub steps: usize,
 }
 
 /// Where a walk ended.
@@ -31,6 +32,16 @@ pub(super) struct Stop {
     pub origin: Origin,
     pub mark: Mark,
     pub state: Box<[u8]>,
+}
+
+/// What the states that were kept say about one without an alternative.
+enum Known {
+    /// Walk on.
+    No,
+    /// One that may do all that this one may was kept.
+    Covered,
+    /// It is one of those to keep.
+    Post,
 }
 
 /// What some walks came to, in their order.
@@ -70,23 +81,24 @@ impl Walker {
 
     /// Walks from the start of the cell.
     pub fn start(&mut self, seen: &Seen) {
-        self.walk(Origin { parent: u32::MAX, choice: 0, depth: 0 }, None, seen);
+        self.walk(Origin { parent: u32::MAX, choice: 0, depth: 0, steps: 0 }, None, seen);
     }
 
     /// Walks from a kept state, by each of its moves.
-    pub fn expand(&mut self, at: u32, depth: u16, state: &[u8], seen: &Seen) {
+    pub fn expand(&mut self, at: u32, before: u16, state: &[u8], seen: &Seen) {
         self.course.load(state);
         let mut all = std::mem::take(&mut self.all);
         all.clear();
         self.course.moves(&mut all);
         let mut moves: Vec<(u16, CellMove)> = (0_u16..).zip(all.iter().copied()).collect();
         self.all = all;
+        let depth = before.saturating_add(u16::from(moves.len() > 1));
         let mut fresh = !self.leave_out(state, &mut moves);
         for (choice, step) in moves {
             if !std::mem::take(&mut fresh) {
                 self.course.load(state);
             }
-            self.walk(Origin { parent: at, choice, depth }, Some(step), seen);
+            self.walk(Origin { parent: at, choice, depth, steps: 0 }, Some(step), seen);
         }
     }
 
@@ -119,32 +131,35 @@ impl Walker {
     }
 
     /// Makes a move, and goes on while there is only one.
-    fn walk(&mut self, origin: Origin, first: Option<CellMove>, seen: &Seen) {
+    fn walk(&mut self, mut origin: Origin, first: Option<CellMove>, seen: &Seen) {
         let mut step = first;
         let mut moves = Vec::new();
-        for steps in 1..=WALK {
+        loop {
+            origin.steps += u16::from(step.is_some());
             if let Some(step) = step {
                 self.apply(step);
             }
-            if self.look(origin, steps) {
+            if self.look(origin) {
                 return;
             }
             moves.clear();
             self.course.moves(&mut moves);
             if !moves.iter().any(|step| !matches!(step, CellMove::Crash(_) | CellMove::Restart(_))) {
                 if let Some(shown) = deadlock(&self.course) {
-                    self.note(shown, origin, steps);
+                    self.note(shown, origin);
                 }
                 if moves.is_empty() {
                     return;
                 }
             }
             match moves[..] {
-                [only] if steps < WALK => step = Some(only),
+                [only] if origin.steps < WALK => step = Some(only),
                 _ => break,
             }
-            if self.is_covered(&moves, seen) {
-                return;
+            match self.is_known(&moves, seen) {
+                Known::Covered => return,
+                Known::Post => break,
+                Known::No => {}
             }
         }
         match self.course.store() {
@@ -157,7 +172,7 @@ impl Walker {
             // As when members of a meeting give up by themselves for ever: their rounds differ more and more.
             Err(Violation::Overflow) => self.walks.outgrown = true,
             Err(violation) => {
-                self.note(Shown::whole(Kind::Machine, violation.text()), origin, WALK);
+                self.note(Shown::whole(Kind::Machine, violation.text()), origin);
             }
         }
     }
@@ -173,26 +188,34 @@ impl Walker {
         }
     }
 
-    /// Whether a state with more left to go wrong was kept here: where packets arrive there was a choice then.
-    fn is_covered(&mut self, moves: &[CellMove], seen: &Seen) -> bool {
-        if self.phase != Phase::Faults || !matches!(moves, [CellMove::Deliver(_) | CellMove::Vanish(_)]) {
-            return false;
+    /// Asks what was kept where a packet is about to arrive: with more left to go wrong there was a choice there, and ways
+    /// that met since meet at the next post.
+    fn is_known(&mut self, moves: &[CellMove], seen: &Seen) -> Known {
+        if !matches!(moves, [CellMove::Deliver(_) | CellMove::Vanish(_)]) {
+            return Known::No;
         }
-        let Ok(state) = self.course.store() else { return false };
-        seen.covers(Mark::of(self.course.split(&state)))
+        let Ok(state) = self.course.store() else { return Known::No };
+        let mark = Mark::of(self.course.split(&state));
+        if seen.covers(mark) {
+            Known::Covered
+        } else if mark.is_post() {
+            Known::Post
+        } else {
+            Known::No
+        }
     }
 
     /// Notes what the last move showed; whether nothing that follows is looked at.
-    fn look(&mut self, origin: Origin, steps: usize) -> bool {
+    fn look(&mut self, origin: Origin) -> bool {
         let shown = judge(&mut self.course, self.phase, &mut self.reached);
         let last = shown.iter().any(|shown| shown.last);
-        shown.into_iter().for_each(|shown| self.note(shown, origin, steps));
+        shown.into_iter().for_each(|shown| self.note(shown, origin));
         last
     }
 
-    fn note(&mut self, shown: Shown, origin: Origin, steps: usize) {
+    fn note(&mut self, shown: Shown, origin: Origin) {
         if !self.walks.hits.iter().any(|known| known.shown.is_same(&shown)) {
-            self.walks.hits.push(Hit { shown, origin, steps });
+            self.walks.hits.push(Hit { shown, origin });
         }
     }
 }
