@@ -7,7 +7,9 @@ use crate::launch::{self, LaunchError, Run, place};
 use crate::output::Output;
 use imrs_protocol::NodeId;
 use std::collections::BTreeMap;
+use std::env;
 use std::net::SocketAddr;
+use std::path::Path;
 
 /// Runs a cell.
 ///
@@ -22,11 +24,26 @@ pub fn run(args: &RunArgs, out: &mut Output) -> Result<Exit, Failure> {
             let hint = did_you_mean(&bound.name, loaded.actions());
             return Err(Failure::Usage(format!("the cell has no action `{}`{hint}", bound.name)));
         }
+        if let Some(program) = bound.words.first().filter(|program| !is_there(program)) {
+            return Err(Failure::Usage(format!(
+                "--action {}: there is no program `{program}`: give its path, or put its folder into PATH",
+                bound.name
+            )));
+        }
         actions.insert(bound.name.clone(), bound.words.clone());
     }
     let length = args.launch.length;
     let (args, courses, tale) = (&args.launch, Vec::new(), None);
     launch::run(&Run { source, loaded: &loaded, args, length, actions, courses, only, tale }, out)
+}
+
+/// Whether the program of a command can be found, as it will be.
+fn is_there(program: &str) -> bool {
+    if Path::new(program).components().count() > 1 {
+        return Path::new(program).is_file();
+    }
+    let folders = env::var_os("PATH").unwrap_or_default();
+    env::split_paths(&folders).any(|folder| folder.join(program).is_file())
 }
 
 /// The only node that is run here, if one was named; and whether all that was asked for goes together.

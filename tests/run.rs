@@ -156,6 +156,9 @@ fn an_action_is_a_command_where_one_is_bound() {
     let said = bench.run(&["--action", "gripp=true"]);
     assert_eq!(said.code, Some(2), "{said:?}");
     assert!(said.err.contains("did you mean `grip`?"), "{said:?}");
+    let said = bench.run(&["--action", "grip=no-such-gripper --slow"]);
+    assert_eq!(said.code, Some(2), "{said:?}");
+    assert!(said.err.contains("there is no program `no-such-gripper`"), "{said:?}");
 }
 
 #[test]

@@ -177,7 +177,14 @@ fn an_action_is_simulated_a_command_or_a_function() {
     assert_eq!(act_with(simulated()), TaskEnd::Script(End::Finished));
     assert_eq!(act_with(command(&["true"])), TaskEnd::Script(End::Finished));
     assert_eq!(act_with(command(&["false"])), TaskEnd::Script(End::Aborted(0)));
-    assert_eq!(act_with(command(&["/no/such/program"])), TaskEnd::Script(End::Aborted(0)));
+    let (tell, told) = std::sync::mpsc::channel();
+    let words = BTreeMap::from([("grip".to_owned(), vec!["/no/such/program".to_owned()])]);
+    let commands = Commands::new(words, simulated()).tell(move |action, program, why| {
+        tell.send((action.to_owned(), program.to_owned(), why.kind())).unwrap();
+    });
+    assert_eq!(act_with(Arc::new(commands)), TaskEnd::Script(End::Aborted(0)));
+    let missing = ("grip".to_owned(), "/no/such/program".to_owned(), std::io::ErrorKind::NotFound);
+    assert_eq!(told.try_recv(), Ok(missing));
     let functions = || Functions::new(simulated());
     assert_eq!(act_with(Arc::new(functions().action("grip", |_| Ok(1)))), TaskEnd::Script(End::Finished));
     let failing = functions().action("grip", |_| Err("no part there".into()));

@@ -356,7 +356,10 @@ impl Process {
 /// Who carries out the actions of the scripts.
 fn actions(setup: &Setup, loaded: &Loaded) -> Result<Arc<dyn Actions>, NodeError> {
     let simulated = Simulated::start(setup.seed, loaded.results(), setup.courses.clone())?;
-    Ok(Arc::new(Commands::new(setup.actions.clone(), simulated)))
+    let commands = Commands::new(setup.actions.clone(), simulated);
+    Ok(Arc::new(commands.tell(|action, program, why| {
+        complain(format_args!("action `{action}`: cannot execute `{program}`: {why}"));
+    })))
 }
 
 /// The counters that counted anything.

@@ -2,7 +2,7 @@
 
 use super::actions::{Act, Actions, Ending, Stop};
 use std::collections::BTreeMap;
-use std::io::Read;
+use std::io::{self, Read};
 use std::process::{Child, Command, Stdio};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
@@ -21,13 +21,24 @@ const LONGEST_ANSWER: u64 = 64;
 pub struct Commands {
     commands: BTreeMap<String, Vec<String>>,
     others: Arc<dyn Actions>,
+    tell: Tell,
 }
+
+/// What hears of a command that could not be executed: the action, its program, and why.
+type Tell = Box<dyn Fn(&str, &str, &io::Error) + Send + Sync>;
 
 impl Commands {
     /// By the name of the action, its program and that one's first arguments.
     #[must_use]
     pub fn new(commands: BTreeMap<String, Vec<String>>, others: Arc<dyn Actions>) -> Self {
-        Self { commands, others }
+        Self { commands, others, tell: Box::new(|_, _, _| {}) }
+    }
+
+    /// Who is told of a command that could not be executed: the name of the action, its program, and why. To the script
+    /// it is an action that failed.
+    #[must_use]
+    pub fn tell(self, tell: impl Fn(&str, &str, &io::Error) + Send + Sync + 'static) -> Self {
+        Self { tell: Box::new(tell), ..self }
     }
 }
 
@@ -41,7 +52,8 @@ impl Actions for Commands {
         let started = command.stdin(Stdio::null()).stdout(Stdio::piped()).spawn();
         let child = match started {
             Ok(child) => Arc::new(Mutex::new(child)),
-            Err(_) => {
+            Err(why) => {
+                (self.tell)(act.name, program, &why);
                 ending.failed();
                 return None;
             }
