@@ -23,13 +23,13 @@ struct Entry {
 }
 
 impl queue::Entry for Entry {
-    const PLAIN: bool = true;
+    type Side = ();
 
     fn key(&self) -> u128 {
         (u128::from(self.expires.0) << 64) | u128::from(self.armed)
     }
 
-    fn due(&self) -> Ticks {
+    fn due(&self, (): &()) -> Ticks {
         self.expires
     }
 
@@ -102,7 +102,7 @@ impl Timer {
     /// The internal clock goes back to zero; behaviour does not change.
     pub fn rebase(&mut self) {
         let now = core::mem::take(&mut self.now);
-        self.queue.change_all(|entry| entry.expires = entry.expires - now);
+        self.queue.change_all(|entry, ()| entry.expires = entry.expires - now);
     }
 
     /// The entries with what is left of each, earliest first.

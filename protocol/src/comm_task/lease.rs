@@ -561,6 +561,7 @@ impl CommTask {
             while let Some(old) = self.inboxes[inbox].queue.pop_if(|_: &Held| true) {
                 self.discard(port, &old, Reason::StaleEpoch, out);
             }
+            self.touch(inbox);
         }
     }
 }

@@ -1,6 +1,6 @@
 //! The user layer up (§5.2.1): packets for the task.
 
-use super::inbox::{Admission, Held};
+use super::inbox::{Admission, Aged, Held};
 use super::memory::{Fate, Remembered, Seen};
 use super::rendezvous::is_older;
 use super::{CommTask, Outbox, Pending, Role, note};
@@ -26,6 +26,7 @@ impl CommTask {
                 if packet.kind == mapping::message_kind(port) && packet.class == port.decl.class =>
             {
                 self.message(table, port, usize::from(inbox), packet, out);
+                self.touch(usize::from(inbox));
             }
             (Kind::Reply | Kind::Response, Role::Asks(desk)) if packet.kind == mapping::answer_kind(port) => {
                 self.answer(table, desk, packet, out);
@@ -150,7 +151,7 @@ impl CommTask {
         if !short || inbox.queue.get(slot).is_none_or(|held| held.fragments > 1 || held.expires >= expires) {
             return;
         }
-        inbox.queue.change(slot, |held| held.expires = expires);
+        inbox.queue.change(slot, |held, _| held.expires = expires);
         if let Some(remembered) = &mut inbox.sources[source].command {
             remembered.sender_until = remembered.sender_until.max(sender_until);
             remembered.until = remembered.until.max(sender_until);
@@ -195,11 +196,9 @@ impl CommTask {
             expires: now + packet.remaining - reserved,
             contents: packet.contents,
             fragments,
-            rejections: 0,
-            rejected_first: 0,
-            not_before: now,
             arrival: 0,
         };
+        let mut aged = Aged::default();
         if self.inboxes[inbox].latest && !self.supersedes(inbox, &held, out) {
             self.inboxes[inbox].sources[source].assembly.close(held.id);
             return self.discard(packet.port, &held, Reason::Superseded, out);
@@ -211,14 +210,14 @@ impl CommTask {
             return self.hand_over(packet.port, &held, out);
         }
         if self.inboxes[inbox].handled && self.interruptible(false) {
-            if self.held_outranks(table, packet.port, &held) {
+            if self.held_outranks(table, packet.port, &held, aged) {
                 self.count(packet.port, |c| c.enqueued += 1);
                 self.take_assembled((inbox, source), &held);
                 return self.interrupt(packet.port, &held, out);
             }
-            self.reject_arrived(table, packet.port, &mut held, out);
+            self.reject_arrived(table, packet.port, (&mut held, &mut aged), out);
         }
-        self.store_message(port, (inbox, source), held, out);
+        self.store_message(port, (inbox, source), (held, aged), out);
         self.inboxes[inbox].sources[source].assembly.close(held.id);
     }
 
@@ -254,15 +253,16 @@ impl CommTask {
         &mut self,
         port: &Port,
         (inbox, source): (usize, usize),
-        message: Held,
+        (message, aged): (Held, Aged),
         out: &mut impl Outbox,
     ) {
         let message = Held { arrival: self.arrivals, ..message };
         self.arrivals += 1;
+        let served = self.served;
         let entry = &mut self.inboxes[inbox];
         let id = entry.port;
         let left = message.expires - self.now;
-        let (slot, lost) = match entry.admit(message) {
+        let (slot, lost) = match entry.admit(message, aged, served) {
             Admission::Kept(slot) => (Some(slot), None),
             Admission::Replaced(slot, evicted) => (Some(slot), Some((evicted, Reason::Evicted))),
             Admission::Turned => (None, Some((message, Reason::Refused))),
@@ -315,14 +315,15 @@ impl CommTask {
 
     /// Takes a message out of a port's buffer to hand it over.
     pub(super) fn take(&mut self, inbox: usize, slot: Slot) -> Option<Held> {
-        let inbox = &mut self.inboxes[inbox];
-        let held = inbox.queue.remove(slot)?;
-        inbox.bypassed = 0;
+        let entry = &mut self.inboxes[inbox];
+        let held = entry.queue.remove(slot)?;
+        entry.begin(self.served);
         self.taken.0 = Some(held.contents);
-        match inbox.bodies.get(usize::from(slot)) {
+        match entry.bodies.get(usize::from(slot)) {
             Some(body) => self.taken.1.copy(body),
             None => self.taken.1.clear(),
         }
+        self.touch(inbox);
         Some(held)
     }
 
@@ -375,6 +376,7 @@ impl CommTask {
                     if let Some(entry) = self.inboxes[inbox].source(source) {
                         self.withdraw_superseded((inbox, entry), out);
                         self.inboxes[inbox].sources[entry].forget();
+                        self.touch(inbox);
                     }
                 }
             }

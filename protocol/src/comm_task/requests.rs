@@ -7,7 +7,7 @@ use crate::ids::{MessageId, PortId, TaskId};
 use crate::mapping;
 use crate::observe::Event;
 use crate::packet::Contents;
-use crate::queue::{Entry, Slot};
+use crate::queue::Slot;
 use crate::request::{Fault, ReplyTo, Request, Signal, Target};
 use crate::rules::{Aging, Memory, TimeStamp};
 use crate::table::{NodeTable, Port};
@@ -229,8 +229,8 @@ impl CommTask {
     ) -> bool {
         let Some((inbox, slot)) = self.most_urgent(port, source) else { return false };
         if port.is_none() && source.is_none() && table.rules().aging != Aging::Off {
-            let passed_over = self.inboxes.iter_mut().filter(|inbox| !inbox.handled && inbox.queue.len() > 0);
-            passed_over.for_each(|inbox| inbox.bypassed = inbox.bypassed.saturating_add(1));
+            // All other ports without a handler were passed over.
+            self.served += 1;
         }
         let Some(message) = self.take(inbox, slot) else { return false };
         let port = self.inboxes[inbox].port;
@@ -241,19 +241,19 @@ impl CommTask {
     /// D14: a GET chooses among port heads: first one that was passed over too often (D58); then by urgency, class,
     /// `order`, port, source and arrival. Ports with a handler are not looked at unless they are named.
     fn most_urgent(&self, port: Option<PortId>, source: Option<TaskId>) -> Option<(usize, Slot)> {
-        let limit = self.bypass_limit();
-        let over_all = port.is_none() && source.is_none();
-        let asked = self.inboxes.iter().enumerate();
-        let asked = asked.filter(|(_, inbox)| port.map_or(!inbox.handled, |p| p == inbox.port));
-        let heads = asked.filter_map(|(i, inbox)| {
+        let head = |at: usize| self.inboxes.get(at)?.head(source).map(|(slot, _)| (at, slot));
+        if let Some(port) = port {
+            let Some(Role::Receives(inbox)) = self.role(port) else { return None };
+            return head(usize::from(inbox));
+        }
+        if source.is_none() {
+            return head(self.next_served()?);
+        }
+        let open = self.inboxes.iter().enumerate().filter(|(_, inbox)| !inbox.handled);
+        let heads = open.filter_map(|(at, inbox)| {
             let (slot, message) = inbox.head(source)?;
-            let key = message.key();
             let rank = self.order.rank(inbox.port, message.source);
-            let bypassed = if over_all && inbox.bypassed >= limit { inbox.bypassed } else { 0 };
-            let place = (message.expires, message.class, rank, inbox.port, key);
-            // Of ports passed over too often, the lower one where all else is alike: not the more urgent one.
-            let place = if bypassed > 0 { (Ticks::ZERO, message.class, 0, inbox.port, key) } else { place };
-            Some(((u16::MAX - bypassed, place), (i, slot)))
+            Some(((message.expires, message.class, rank, inbox.port), (at, slot)))
         });
         heads.min_by_key(|&(key, _)| key).map(|(_, place)| place)
     }
@@ -375,8 +375,14 @@ impl CommTask {
     fn set_handled(&mut self, port: PortId, handled: bool) -> Result<Signal, Fault> {
         match self.role(port) {
             Some(Role::Receives(inbox)) => {
-                let inbox = &mut self.inboxes[usize::from(inbox)];
-                (inbox.handled, inbox.bypassed) = (handled, 0);
+                let entry = &mut self.inboxes[usize::from(inbox)];
+                entry.handled = handled;
+                entry.begin(self.served);
+                if handled {
+                    entry.queue.watch();
+                    self.heads.watch(&self.inboxes);
+                }
+                self.touch(usize::from(inbox));
                 Ok(Signal::Accepted(0))
             }
             Some(

@@ -61,7 +61,7 @@ fn planted(fault: impl FnOnce(&mut CommTask)) -> Violation {
 fn a_planted_fault_in_a_buffer_or_memory_is_found() {
     let id = MessageId::default();
     let inbox = |task: &mut CommTask, change: fn(&mut Held)| {
-        task.inboxes[0].queue.change_all(change);
+        task.inboxes[0].queue.change_all(|held, _| change(held));
     };
     assert_eq!(planted(|t| inbox(t, |h| h.expires = Ticks(10))), Violation::HoldsExpired(MOVE, A, id));
     assert_eq!(planted(|t| inbox(t, |h| h.class = Class::Status)), Violation::HoldsForeign(MOVE, A, id));
@@ -116,9 +116,10 @@ fn a_planted_fault_in_a_wait_for_an_answer_is_found() {
 #[test]
 fn a_planted_fault_among_handlers_is_found() {
     use crate::comm_task::levels::Level;
-    let holds = |t: &mut CommTask, change: fn(&mut Held)| {
+    let holds = |t: &mut CommTask, change: fn(&mut Aged)| {
         t.inboxes[0].handled = true;
-        t.inboxes[0].queue.change_all(change);
+        t.inboxes[0].queue.watch();
+        t.inboxes[0].queue.change_all(|_, aged| change(aged));
     };
     let id = MessageId::default();
     assert_eq!(planted(|t| holds(t, |h| h.not_before = Ticks(10))), Violation::NotOffered(MOVE, A, id));
