@@ -108,11 +108,13 @@ impl Assembly {
         (self.id, self.have, self.fragments, self.expires) = (id, 0, None, Ticks::FAR);
     }
 
-    /// Forgets the fragments of `id`, if they are here.
-    pub fn close(&mut self, id: MessageId) {
-        if self.id == id {
+    /// Forgets the fragments of `id`. Whether there were some.
+    pub fn close(&mut self, id: MessageId) -> bool {
+        let closes = self.have != 0 && self.id == id;
+        if closes {
             self.have = 0;
         }
+        closes
     }
 
     /// Puts a fragment that fits the room.

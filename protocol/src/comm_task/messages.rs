@@ -342,14 +342,17 @@ impl CommTask {
     /// The task takes a message: from here on its execution budget runs.
     pub(super) fn delivery(&mut self, port: PortId, message: &Held, out: &mut impl Outbox) -> Delivery {
         if let Some(Role::Receives(inbox)) = self.role(port) {
-            let inbox = &mut self.inboxes[usize::from(inbox)];
-            if let Some(at) = inbox.source(message.source) {
-                let source = &mut inbox.sources[at];
-                source.assembly.close(message.id);
+            let entry = &mut self.inboxes[usize::from(inbox)];
+            if let Some(at) = entry.source(message.source) {
+                let source = &mut entry.sources[at];
+                let closed = source.assembly.close(message.id);
                 if let Some(remembered) = &mut source.command
                     && remembered.id == message.id
                 {
                     remembered.fate = Fate::Delivered(message.expires);
+                }
+                if closed {
+                    self.touch(usize::from(inbox));
                 }
             }
         }
