@@ -62,6 +62,8 @@ impl Entry for Held {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Inbox {
     pub port: PortId,
+    /// Where the port stands among the task's own.
+    pub local: u16,
     pub queue: Queue<Held>,
     /// Whether the task has a handler for its messages (D15).
     pub handled: bool,
@@ -88,13 +90,14 @@ pub(crate) enum Admission {
 }
 
 impl Inbox {
-    pub fn new(port: &Port, own: TaskId) -> Self {
+    pub fn new(port: &Port, own: TaskId, local: u16) -> Self {
         let decl = &port.decl;
         let mut sources: Vec<Source> = port.peers(own).map(|peer| Source::new(peer, decl)).collect();
         sources.sort_unstable_by_key(|source| source.task);
         let bodies = if decl.fragments > 1 { decl.bounded_buffer } else { 0 };
         Self {
             port: port.id,
+            local,
             queue: Queue::new(decl.bounded_buffer),
             handled: false,
             latest: decl.latest,

@@ -213,10 +213,12 @@ impl CommTask {
     /// Offers what waits to the current thread, if that waits: while nothing is due this looks at no port, else at each of
     /// them and at everything that is due.
     pub(super) fn offer_to_waiting(&mut self, table: &NodeTable, out: &mut impl Outbox) {
-        let due_by = self.due_by();
-        let any = self.called().is_some()
+        if matches!(self.top().pending, Pending::Nothing) {
+            return;
+        }
+        let any = (self.has_offers() && self.next_due() <= self.due_by())
             || self.timers.ended().next().is_some()
-            || (self.has_offers() && self.next_due() <= due_by);
+            || self.called().is_some();
         if any && self.interruptible(false) {
             self.offer(table, out);
         }
@@ -250,9 +252,8 @@ impl CommTask {
                 out.signal(Signal::Interrupt(Call::Timer(id)));
             }
             What::Message(inbox, slot) => {
-                let port = self.inboxes[inbox].port;
                 if let Some(held) = self.take(inbox, slot) {
-                    self.interrupt(port, &held, out);
+                    self.interrupt(inbox, &held, out);
                 }
             }
         }
@@ -383,11 +384,12 @@ impl CommTask {
         self.rejections += 1;
     }
 
-    pub(super) fn interrupt(&mut self, port: PortId, held: &Held, out: &mut impl Outbox) {
+    pub(super) fn interrupt(&mut self, inbox: usize, held: &Held, out: &mut impl Outbox) {
+        let port = self.inboxes[inbox].port;
         let rank = self.order.rank(port, held.source);
         self.begin_handler(rank);
         note(out, Event::Interrupted, port, held.source, held.id, held.expires - self.now);
-        let delivery = self.delivery(port, held, out);
+        let delivery = self.delivery(inbox, held, out);
         out.signal(Signal::Interrupt(Call::Message(delivery)));
     }
 

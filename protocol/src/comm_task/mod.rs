@@ -248,6 +248,7 @@ impl CommTask {
             let Some(port) = table.port(id) else { continue };
             let Some(party) = port.party(task) else { continue };
             let asks = port.decl.class == Class::Command;
+            let local = index(locals.len());
             let mut fragments = port.decl.fragments;
             let role = match party.usage {
                 Usage::Query | Usage::Response
@@ -257,7 +258,7 @@ impl CommTask {
                     Role::Beats
                 }
                 Usage::Send | Usage::Query if asks => {
-                    desks.push(Desk::new(port, task));
+                    desks.push(Desk::new(port, task, local));
                     Role::Asks(index(desks.len() - 1))
                 }
                 Usage::Send | Usage::Query => Role::Sends,
@@ -265,7 +266,7 @@ impl CommTask {
                 Usage::Receive | Usage::Response => {
                     longest = longest.max(fragments);
                     fragments = port.decl.answer_fragments;
-                    inboxes.push(Inbox::new(port, task));
+                    inboxes.push(Inbox::new(port, task, local));
                     sources.extend(port.peers(task));
                     guards.extend(port.decl.guard.map(Guard::new));
                     Role::Receives(index(inboxes.len() - 1))
@@ -353,7 +354,7 @@ impl CommTask {
     /// Whether the thread that runs, the task's own or a handler, has no outstanding request.
     #[must_use]
     pub fn is_idle(&self) -> bool {
-        self.top().pending == Pending::Nothing
+        matches!(self.top().pending, Pending::Nothing)
     }
 
     fn scene<'a>(&self, table: &'a NodeTable) -> Scene<'a> {
@@ -362,9 +363,14 @@ impl CommTask {
             task: self.task,
             incarnation: self.incarnation,
             restarted: self.restarted,
-            quarantined: self.now < self.quarantine_until && table.rules().quarantine,
+            quarantined: self.is_quarantined(table),
             now: self.now,
         }
+    }
+
+    /// Messages sent to an earlier life of the task may still arrive (D49).
+    fn is_quarantined(&self, table: &NodeTable) -> bool {
+        self.now < self.quarantine_until && table.rules().quarantine
     }
 
     fn local_at(&self, port: PortId) -> Option<usize> {
@@ -382,6 +388,12 @@ impl CommTask {
 
     fn count(&mut self, port: PortId, count: impl FnOnce(&mut PortCounters)) {
         if let Some(local) = self.local(port) {
+            count(&mut local.counters);
+        }
+    }
+
+    fn count_at(&mut self, local: u16, count: impl FnOnce(&mut PortCounters)) {
+        if let Some(local) = self.locals.get_mut(usize::from(local)) {
             count(&mut local.counters);
         }
     }
