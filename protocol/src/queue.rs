@@ -75,7 +75,6 @@ fn due<T: Entry>(entries: &[Option<T>], sides: &[T::Side], slot: Slot) -> (Ticks
 }
 
 /// The instant in a key.
-#[expect(clippy::cast_possible_truncation, reason = "the upper half")]
 fn instant(key: u128) -> Ticks {
     Ticks((key >> 64) as u64)
 }

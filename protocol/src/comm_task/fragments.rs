@@ -122,6 +122,12 @@ impl Assembly {
 
     /// Puts a fragment that fits the room.
     pub fn put(&mut self, packet: &Packet, expires: Ticks) -> Step {
+        if self.have == 0 && self.fragments.is_none() && packet.fragment == 0 && !packet.more {
+            let Some(slot) = self.contents.first_mut() else { return Step::Broken };
+            *slot = packet.contents;
+            (self.have, self.fragments, self.expires) = (1, Some(1), self.expires.min(expires));
+            return Step::Whole(1);
+        }
         let Some(slot) = self.contents.get_mut(usize::from(packet.fragment)) else { return Step::Broken };
         let bit = 1_u16.checked_shl(u32::from(packet.fragment)).unwrap_or(0);
         let ends = (!packet.more).then_some(packet.fragment + 1);

@@ -105,13 +105,14 @@ impl CommTask {
 
     /// Ends the wait of the thread that waits so: tells it, or leaves word for when it resumes.
     pub(super) fn conclude(&mut self, wait: Pending, finished: Finished, out: &mut impl Outbox) {
-        let top = usize::from(self.depth);
-        let Some(at) = self.running().iter().position(|level| level.pending == wait) else { return };
-        self.levels[at].pending = Pending::Nothing;
-        if at == top {
-            self.tell(finished, out);
-        } else {
-            self.levels[at].finished = Some(finished);
+        let top = self.top_mut();
+        if top.pending == wait {
+            top.pending = Pending::Nothing;
+            return self.tell(finished, out);
+        }
+        let below = self.levels.iter_mut().take(usize::from(self.depth));
+        for level in below.filter(|level| level.pending == wait).take(1) {
+            (level.pending, level.finished) = (Pending::Nothing, Some(finished));
         }
     }
 

@@ -317,13 +317,13 @@ impl CommTask {
     pub fn handle(&mut self, table: &NodeTable, input: Input, out: &mut impl Outbox) {
         let waited = !self.is_idle();
         let request = matches!(input, Input::Request(_));
-        match input {
-            Input::Advance(elapsed) => self.advance(table, elapsed, out),
+        match &input {
+            Input::Advance(elapsed) => self.advance(table, *elapsed, out),
             Input::Request(request) => self.request(table, request, out),
-            Input::Packet(packet) => self.packet(table, &packet, out),
-            Input::TimeOut { id, turn } => self.time_is_over(id, turn, out),
-            Input::Unsent(id) => self.unsent(id),
-            Input::PeerRestarted(node) => self.peer_restarted(table, node, out),
+            Input::Packet(packet) => self.packet(table, packet, out),
+            Input::TimeOut { id, turn } => self.time_is_over(*id, *turn, out),
+            Input::Unsent(id) => self.unsent(*id),
+            Input::PeerRestarted(node) => self.peer_restarted(table, *node, out),
         }
         // What was asked meanwhile by a thread that waits is answered: it gets no second signal.
         if !(request && waited) {

@@ -15,8 +15,8 @@ use crate::ticks::Ticks;
 
 impl CommTask {
     /// The task's request: it always outranks what the communication task is doing (§5.2.1).
-    pub(super) fn request(&mut self, table: &NodeTable, request: Request, out: &mut impl Outbox) {
-        let done = match request {
+    pub(super) fn request(&mut self, table: &NodeTable, request: &Request, out: &mut impl Outbox) {
+        let done = match *request {
             Request::Cancel => Ok(Some(self.cancel(table, out))),
             Request::Abandon => Ok(Some(self.abandon(table, out))),
             Request::Reply { to, contents } => self.reply(table, to, contents, out).map(Some),
@@ -68,7 +68,7 @@ impl CommTask {
             Ok(None) => {}
             Err(fault) => {
                 // What was staged for a message that is not sent is no part of the next one.
-                if let Request::Send { port, .. } | Request::Reply { to: ReplyTo { port, .. }, .. } = request
+                if let Request::Send { port, .. } | Request::Reply { to: ReplyTo { port, .. }, .. } = *request
                 {
                     self.unstage(port);
                 }

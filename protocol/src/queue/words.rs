@@ -86,6 +86,7 @@ impl Words {
         self.places.len()
     }
 
+    #[expect(clippy::len_without_is_empty, reason = "as of the queue")]
     pub fn len(&self) -> usize {
         usize::from(self.len)
     }
