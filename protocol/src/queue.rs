@@ -295,14 +295,14 @@ impl<T: Entry> Queue<T> {
 
     /// Whether each order is what a look at all entries says.
     pub fn is_in_order(&self) -> bool {
-        let firsts =
-            self.iter().map(|(_, entry)| entry.key()).min() == self.first().map(|(_, entry)| entry.key());
+        let key = |slot| urgency(&self.entries, slot);
+        let urgent = self.urgent.is_in_order(|slot| instant(key(slot)), key);
         let all = |slot| self.watch.as_ref().map(|watch| due(&self.entries, &watch.sides, slot).0);
         let dues =
             self.iter().filter_map(|(slot, _)| all(slot)).min().unwrap_or(Ticks::FAR) == self.next_due();
         let last = self.iter().max_by_key(|(_, entry)| (entry.yields(), entry.key())).map(|(slot, _)| slot);
         let held = self.entries.iter().flatten().count() == self.len();
-        firsts && dues && held && (self.last.is_none() || self.last == last)
+        urgent && dues && held && (self.last.is_none() || self.last == last)
     }
 }
 

@@ -201,20 +201,22 @@ impl CommTask {
         if let Some((_, inbox)) = ports().find(|&(at, inbox)| !is(at, inbox)) {
             return Some(inbox.port);
         }
-        let first = |words: &Words, least: Option<u16>| words.first() == least;
-        let right = first(&heads.urgent, heads.urgent.iter().min_by_key(|&at| urgency(inboxes, order, at)))
-            && first(&heads.eldest, heads.eldest.iter().min_by_key(|&at| age(inboxes, at)))
-            && first(&heads.offers, heads.offers.iter().min_by_key(|&at| next_due(inboxes, at)))
-            && first(&heads.ends, heads.ends.iter().min_by_key(|&at| end(inboxes, at)));
+        let urgent = |at| urgency(inboxes, order, at);
+        let age = |at| age(inboxes, at);
+        let offer = |at| next_due(inboxes, at);
+        let end = |at| end(inboxes, at);
+        let right = heads.urgent.is_in_order(|at| urgent(at).0, urgent)
+            && heads.eldest.is_in_order(|at| Ticks(age(at).0), age)
+            && heads.offers.is_in_order(|at| offer(at).0, offer)
+            && heads.ends.is_in_order(|at| end(at).0, end);
         if !right {
             return inboxes.first().map(|inbox| inbox.port);
         }
-        let waits =
-            |&(at, meeting): &(u16, &Rendezvous)| heads.meetings.has(at) != (meeting.due() != Ticks::FAR);
-        let wrong = (0_u16..).zip(meetings.iter()).find(waits).map(|(_, meeting)| meeting.port);
-        let least = heads.meetings.iter().min_by_key(|&at| next_act(meetings, at));
-        wrong.or_else(|| {
-            meetings.first().filter(|_| heads.meetings.first() != least).map(|meeting| meeting.port)
-        })
+        let acts = |meeting: &Rendezvous| meeting.due() != Ticks::FAR;
+        let mut waitfors = (0_u16..).zip(meetings.iter());
+        let wrong = waitfors.find(|&(at, meeting)| heads.meetings.has(at) != acts(meeting));
+        let act = |at| next_act(meetings, at);
+        let right = heads.meetings.is_in_order(|at| act(at).0, act);
+        wrong.map(|(_, meeting)| meeting).or(meetings.first().filter(|_| !right)).map(|meeting| meeting.port)
     }
 }

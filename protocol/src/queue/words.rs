@@ -177,6 +177,17 @@ impl Words {
         }
     }
 
+    /// Whether every number stands where its instant and its key say.
+    pub fn is_in_order<K: Ord>(&self, instant: impl Fn(Slot) -> Ticks, key: impl Fn(Slot) -> K) -> bool {
+        let (taken, rest) = self.words.split_at(self.len());
+        let stands = |(at, &found): (usize, &u64)| {
+            found == word(instant(slot(found)), slot(found))
+                && self.place_of(slot(found)) == Some(at)
+                && (at == 0 || !is_less(found, taken[(at - 1) / 4], &key))
+        };
+        taken.iter().enumerate().all(stands) && rest.iter().all(|&word| is_nothing(word))
+    }
+
     /// Finds the place of a word from one where it may stand.
     fn settle<K: Ord>(&mut self, at: usize, moving: u64, key: &impl Fn(Slot) -> K) {
         if at > 0 && is_less(moving, self.words[(at - 1) / 4], key) {
