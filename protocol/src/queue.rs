@@ -2,9 +2,8 @@
 //! room (D60) is looked for when the queue is full (D108).
 //!
 //! The order of urgency has a word of eight bytes for each entry and two more for its place ([`Words`]): sifting never moves
-//! an entry, each can be removed by its slot, and each change costs O(log n). What is due first is kept in an order of slots.
+//! an entry, each can be removed by its slot, and each change costs O(log n). What is due first is kept likewise.
 
-mod heap;
 mod words;
 
 pub use words::Words;
@@ -13,7 +12,6 @@ use crate::ticks::Ticks;
 use alloc::boxed::Box;
 use alloc::vec;
 use alloc::vec::Vec;
-use heap::Heap;
 use serde::{Deserialize, Serialize};
 
 /// Names an entry while it is in the queue.
@@ -55,7 +53,7 @@ pub struct Queue<T: Entry> {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 struct Watch<S> {
     sides: Box<[S]>,
-    due: Heap,
+    due: Words,
 }
 
 /// A queue of nothing, which takes no memory.
@@ -101,9 +99,10 @@ impl<T: Entry> Queue<T> {
             return;
         }
         let sides: Box<[T::Side]> = vec![T::Side::default(); self.entries.len()].into();
-        let mut due_first = Heap::new(narrow(self.entries.len()));
+        let mut due_first = Words::new(narrow(self.entries.len()));
         for slot in self.urgent.iter() {
-            due_first.push(slot, |slot| due(&self.entries, &sides, slot));
+            let key = |slot| due(&self.entries, &sides, slot);
+            due_first.push(slot, key(slot).0, key);
         }
         self.watch = Some(Box::new(Watch { sides, due: due_first }));
     }
@@ -144,7 +143,8 @@ impl<T: Entry> Queue<T> {
         if let Some(watch) = &mut self.watch {
             let Watch { sides, due: order } = &mut **watch;
             sides[usize::from(slot)] = side;
-            order.push(slot, |slot| due(entries, sides, slot));
+            let key = |slot| due(entries, sides, slot);
+            order.push(slot, key(slot).0, key);
         }
         if let Some(last) = self.last.and_then(|last| self.get(last))
             && (yields, key) > (last.yields(), last.key())
@@ -248,7 +248,8 @@ impl<T: Entry> Queue<T> {
         if let Some(watch) = &mut self.watch {
             let Watch { sides, due: order } = &mut **watch;
             sides[usize::from(slot)] = side;
-            order.moved(slot, |slot| due(entries, sides, slot));
+            let key = |slot| due(entries, sides, slot);
+            order.moved(slot, key(slot).0, key);
         }
         self.last = None;
     }
@@ -264,7 +265,8 @@ impl<T: Entry> Queue<T> {
         self.urgent.order(|slot| instant(key(slot)), key);
         if let Some(watch) = &mut self.watch {
             let Watch { sides, due: order } = &mut **watch;
-            order.order(|slot| due(entries, sides, slot));
+            let key = |slot| due(entries, sides, slot);
+            order.order(|slot| key(slot).0, key);
         }
         self.last = None;
     }
@@ -297,9 +299,10 @@ impl<T: Entry> Queue<T> {
     pub fn is_in_order(&self) -> bool {
         let key = |slot| urgency(&self.entries, slot);
         let urgent = self.urgent.is_in_order(|slot| instant(key(slot)), key);
-        let all = |slot| self.watch.as_ref().map(|watch| due(&self.entries, &watch.sides, slot).0);
-        let dues =
-            self.iter().filter_map(|(slot, _)| all(slot)).min().unwrap_or(Ticks::FAR) == self.next_due();
+        let dues = self.watch.as_ref().is_none_or(|watch| {
+            let key = |slot| due(&self.entries, &watch.sides, slot);
+            watch.due.len() == self.len() && watch.due.is_in_order(|slot| key(slot).0, key)
+        });
         let last = self.iter().max_by_key(|(_, entry)| (entry.yields(), entry.key())).map(|(slot, _)| slot);
         let held = self.entries.iter().flatten().count() == self.len();
         urgent && dues && held && (self.last.is_none() || self.last == last)

@@ -101,6 +101,38 @@ impl Words {
         self.words[..self.len()].iter().map(|&word| slot(word))
     }
 
+    /// The numbers of the greatest part around the first one of which `is_in` holds, parents before children: where that
+    /// holds of all numbers before some instant, these.
+    pub fn upper(&self, is_in: impl Fn(Slot) -> bool) -> impl Iterator<Item = Slot> {
+        let mut at = Some(0);
+        core::iter::from_fn(move || {
+            loop {
+                let place = at?;
+                let number = self.words[..self.len()].get(place).map(|&word| slot(word));
+                let found = number.filter(|&number| is_in(number));
+                let child = 4 * place + 1;
+                at = match found {
+                    Some(_) if child < self.len() => Some(child),
+                    Some(_) | None => self.beside(place),
+                };
+                if found.is_some() {
+                    return found;
+                }
+            }
+        })
+    }
+
+    /// The next place to look at when those below one are done with.
+    fn beside(&self, mut place: usize) -> Option<usize> {
+        while place > 0 {
+            if !place.is_multiple_of(4) && place + 1 < self.len() {
+                return Some(place + 1);
+            }
+            place = (place - 1) / 4;
+        }
+        None
+    }
+
     fn place_of(&self, number: Slot) -> Option<usize> {
         let place = usize::from(*self.places.get(usize::from(number))?);
         let stands = self.words.get(place).is_some_and(|&word| !is_nothing(word) && slot(word) == number);
