@@ -4,72 +4,100 @@ use crate::queue::Slot;
 use alloc::boxed::Box;
 use alloc::vec;
 
+/// How many low bits of a word are the slot; above them stands the key and one more.
+const SLOT_BITS: u32 = 16;
+const EMPTY: u64 = 0;
+
 /// Open addressing with linear probing; at most half full, so that a search looks at few places.
 #[derive(Clone, Debug)]
 pub(crate) struct Index {
-    places: Box<[Option<(u32, Slot)>]>,
+    places: Box<[u64]>,
+    /// How far the product with a key is shifted to its home.
+    shift: u32,
+}
+
+/// Where a key stands, or may stand.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Place(usize);
+
+fn word(key: u32, slot: Slot) -> u64 {
+    ((u64::from(key) + 1) << SLOT_BITS) | u64::from(slot)
+}
+
+const fn is_of(word: u64, key: u32) -> bool {
+    word >> SLOT_BITS == key as u64 + 1
+}
+
+#[expect(clippy::cast_possible_truncation, reason = "the low bits are the slot")]
+const fn slot(word: u64) -> Slot {
+    word as Slot
 }
 
 impl Index {
     /// An index for `capacity` keys. The only allocation it ever makes.
     pub fn new(capacity: u16) -> Self {
-        let places = (usize::from(capacity) * 2).next_power_of_two();
-        Self { places: vec![None; places].into_boxed_slice() }
+        let places = (usize::from(capacity) * 2).next_power_of_two().max(2);
+        Self { places: vec![EMPTY; places].into_boxed_slice(), shift: u32::BITS - places.trailing_zeros() }
     }
 
-    /// Where the probing for a key begins: the high bits of a product by the golden ratio.
-    fn home(&self, key: u32) -> usize {
-        let mixed = key.wrapping_mul(0x9e37_79b9) >> 8;
-        mixed as usize & (self.places.len() - 1)
+    /// Where the probing for a key begins: the high bits of a product by the golden ratio, so that keys in a row spread.
+    const fn home(&self, key: u32) -> usize {
+        (key.wrapping_mul(0x9e37_79b9) >> self.shift) as usize
     }
 
-    fn after(&self, place: usize) -> usize {
+    const fn after(&self, place: usize) -> usize {
         (place + 1) & (self.places.len() - 1)
     }
 
-    /// Where a key stands.
-    fn find(&self, key: u32) -> Option<usize> {
+    /// The slot of a key if it is known, and where it stands, or where it is to be noted before anything else changes.
+    pub fn look(&self, key: u32) -> (Place, Option<Slot>) {
         let mut place = self.home(key);
-        while let Some((known, _)) = self.places[place] {
-            if known == key {
-                return Some(place);
+        loop {
+            match self.places[place] {
+                EMPTY => return (Place(place), None),
+                word if is_of(word, key) => return (Place(place), Some(slot(word))),
+                _ => place = self.after(place),
             }
-            place = self.after(place);
         }
-        None
     }
 
-    /// Notes the slot of a key that is not known. There must be fewer keys than the capacity.
-    pub fn insert(&mut self, key: u32, slot: Slot) {
-        let mut place = self.home(key);
-        while self.places[place].is_some() {
-            place = self.after(place);
-        }
-        self.places[place] = Some((key, slot));
+    /// Notes the slot of a key where [`look`](Self::look) said. There must be fewer keys than the capacity.
+    pub fn note(&mut self, Place(place): Place, key: u32, slot: Slot) {
+        self.places[place] = word(key, slot);
     }
 
     /// Forgets a key and says where it was.
     pub fn remove(&mut self, key: u32) -> Option<Slot> {
-        let mut hole = self.find(key)?;
-        let (_, slot) = self.places[hole].take()?;
+        let (Place(mut hole), found) = self.look(key);
+        found?;
         // What was pushed past the hole by others moves back into it, so that every search still finds its key.
         let mut place = self.after(hole);
-        while let Some((other, _)) = self.places[place] {
+        loop {
+            let word = self.places[place];
+            if word == EMPTY {
+                break;
+            }
             let mask = self.places.len() - 1;
-            let from_home = place.wrapping_sub(self.home(other)) & mask;
+            let from_home = place.wrapping_sub(self.home(key_of(word))) & mask;
             let from_hole = place.wrapping_sub(hole) & mask;
             if from_home >= from_hole {
-                self.places[hole] = self.places[place].take();
+                self.places[hole] = word;
                 hole = place;
             }
             place = self.after(place);
         }
-        Some(slot)
+        self.places[hole] = EMPTY;
+        found
     }
 
     pub fn clear(&mut self) {
-        self.places.fill(None);
+        self.places.fill(EMPTY);
     }
+}
+
+#[expect(clippy::cast_possible_truncation, reason = "a key has 32 bits")]
+const fn key_of(word: u64) -> u32 {
+    ((word >> SLOT_BITS) - 1) as u32
 }
 
 #[cfg(test)]
@@ -86,18 +114,19 @@ mod tests {
             for (n, (insert, key)) in steps.into_iter().enumerate() {
                 let slot = u16::try_from(n).unwrap();
                 if insert && map.len() < 12 && !map.contains_key(&key) {
-                    index.insert(key, slot);
+                    let (place, found) = index.look(key);
+                    prop_assert_eq!(found, None);
+                    index.note(place, key, slot);
                     map.insert(key, slot);
                 } else if !insert {
                     prop_assert_eq!(index.remove(key), map.remove(&key));
                 }
                 for key in 0..40 {
-                    let place = index.find(key);
-                    prop_assert_eq!(place.and_then(|p| index.places[p]).map(|(_, s)| s), map.get(&key).copied());
+                    prop_assert_eq!(index.look(key).1, map.get(&key).copied());
                 }
             }
             index.clear();
-            prop_assert!((0..40).all(|key| index.find(key).is_none()));
+            prop_assert!((0..40).all(|key| index.look(key).1.is_none()));
         }
     }
 
@@ -106,9 +135,12 @@ mod tests {
     fn keys_spread() {
         let mut index = Index::new(512);
         let keys = || (0..64_u32).flat_map(|task| (0..8).map(move |id| (task << 8) | id));
-        keys().enumerate().for_each(|(slot, key)| index.insert(key, u16::try_from(slot).unwrap()));
+        for (slot, key) in keys().enumerate() {
+            let (place, _) = index.look(key);
+            index.note(place, key, u16::try_from(slot).unwrap());
+        }
         let mask = index.places.len() - 1;
-        let steps = |key| index.find(key).map(|place| place.wrapping_sub(index.home(key)) & mask).unwrap();
+        let steps = |key| index.look(key).0.0.wrapping_sub(index.home(key)) & mask;
         let (all, worst) = keys().map(steps).fold((0, 0), |(all, worst), n| (all + n, worst.max(n)));
         assert!(all < 512 && worst < 16, "{all} steps for 512 keys, {worst} for one");
     }

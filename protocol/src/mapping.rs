@@ -41,6 +41,14 @@ pub(crate) fn destinations(
     Ok(Peers::Several(port.peers(from).filter(move |&peer| to == Target::All || wanted & bit(peer) != 0)))
 }
 
+/// The one task that a message goes to, where that shows without a look at all parties.
+pub(crate) fn only_peer(port: &Port, from: TaskId, to: Target) -> Option<TaskId> {
+    match (&*port.parties, to) {
+        ([owner, user], Target::All) => Some(if owner.task == from { user.task } else { owner.task }),
+        (_, Target::All | Target::One(_) | Target::Some(_)) => None,
+    }
+}
+
 /// One task, or those of an iterator.
 enum Peers<I> {
     One(Option<TaskId>),
@@ -119,11 +127,14 @@ pub(crate) fn answer(to: ReplyTo, from: TaskId, kind: Kind, remaining: Ticks, co
 }
 
 /// The packets of a message: the first one and its further fragments (D28).
-pub(crate) fn in_fragments(first: &Packet, parts: &Parts, mut transmit: impl FnMut(Packet)) {
+pub(crate) fn in_fragments(first: Packet, parts: &Parts, mut transmit: impl FnMut(Packet)) {
+    if parts.have == 0 {
+        return transmit(first);
+    }
     let fragments = parts.fragments().unwrap_or(1);
-    transmit(Packet { more: fragments > 1, ..*first });
+    transmit(Packet { more: fragments > 1, ..first });
     for index in 1..fragments {
         let contents = parts.get(index).copied().unwrap_or_default();
-        transmit(Packet { contents, fragment: index, more: index + 1 < fragments, ..*first });
+        transmit(Packet { contents, fragment: index, more: index + 1 < fragments, ..first });
     }
 }

@@ -1,38 +1,59 @@
-//! A bounded queue of what waits, in three orders at once: the most urgent first (§III), what is due first, and what makes
-//! room first (D60).
+//! A bounded queue of what waits: the most urgent first (§III), and where it is watched, what is due first, too. Who makes
+//! room (D60) is looked for when the queue is full (D108).
 //!
-//! Each order is a 4-ary heap of slots, two bytes an entry and two more for its place: sifting never moves a message, every
-//! entry can be removed by its slot, and each change costs O(log n).
+//! The order of urgency has a word of eight bytes for each entry and two more for its place ([`Words`]): sifting never moves
+//! an entry, each can be removed by its slot, and each change costs O(log n). What is due first is kept likewise.
+
+mod words;
+
+pub use words::Words;
 
 use crate::ticks::Ticks;
 use alloc::boxed::Box;
+use alloc::vec;
 use alloc::vec::Vec;
-use core::cmp::Reverse;
 use serde::{Deserialize, Serialize};
 
 /// Names an entry while it is in the queue.
 pub type Slot = u16;
 
+/// No slot: a queue has at most 65,535.
+const NONE: Slot = Slot::MAX;
+
 /// What decides the places of an entry.
 pub trait Entry {
-    /// Whether urgency is all that matters: then the other two orders are not kept.
-    const PLAIN: bool = false;
+    /// What is kept of an entry beside it where the queue is watched, and decides when it is due.
+    type Side: Copy + Default;
 
-    /// Its urgency: the least is served first. No two entries of a queue have the same.
+    /// Its urgency, an instant in the upper half: the least is served first. No two entries of a queue have the same.
     fn key(&self) -> u128;
     /// When it is to be looked at again.
-    fn due(&self) -> Ticks;
+    fn due(&self, side: &Self::Side) -> Ticks;
     /// Whether it makes room before those that do not, however urgent.
     fn yields(&self) -> bool;
 }
 
 #[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct Queue<T> {
+#[serde(bound(
+    serialize = "T: Serialize, T::Side: Serialize",
+    deserialize = "T: Deserialize<'de>, T::Side: Deserialize<'de>"
+))]
+pub struct Queue<T: Entry> {
     entries: Box<[Option<T>]>,
-    free: Vec<Slot>,
-    urgent: Heap,
-    due: Heap,
-    last: Heap,
+    /// Beside the place of a slot that is taken, the next one of a slot that is free.
+    urgent: Words,
+    free: Slot,
+    watch: Option<Box<Watch<T::Side>>>,
+    /// Who makes room first, while nothing has changed that since it was looked for.
+    #[serde(skip)]
+    last: Option<Slot>,
+}
+
+/// What a queue that is watched keeps besides.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct Watch<S> {
+    sides: Box<[S]>,
+    due: Words,
 }
 
 /// A queue of nothing, which takes no memory.
@@ -46,26 +67,58 @@ fn urgency<T: Entry>(entries: &[Option<T>], slot: Slot) -> u128 {
     entries[usize::from(slot)].as_ref().map_or(u128::MAX, Entry::key)
 }
 
-fn due<T: Entry>(entries: &[Option<T>], slot: Slot) -> (Ticks, u128) {
-    entries[usize::from(slot)].as_ref().map_or((Ticks::FAR, u128::MAX), |entry| (entry.due(), entry.key()))
+fn due<T: Entry>(entries: &[Option<T>], sides: &[T::Side], slot: Slot) -> (Ticks, u128) {
+    let (entry, side) = (entries[usize::from(slot)].as_ref(), &sides[usize::from(slot)]);
+    entry.map_or((Ticks::FAR, u128::MAX), |entry| (entry.due(side), entry.key()))
 }
 
-fn last<T: Entry>(entries: &[Option<T>], slot: Slot) -> Reverse<(bool, u128)> {
-    Reverse(entries[usize::from(slot)].as_ref().map_or((false, 0), |entry| (entry.yields(), entry.key())))
+/// The instant in a key.
+fn instant(key: u128) -> Ticks {
+    Ticks((key >> 64) as u64)
 }
 
 impl<T: Entry> Queue<T> {
-    /// A queue of at most `capacity` entries. The only allocation it ever makes.
+    /// A queue of at most `capacity` entries. It allocates now, and when it is watched first.
     pub fn new(capacity: u16) -> Self {
-        let others = if T::PLAIN { 0 } else { capacity };
-        let [urgent, due, last] = [capacity, others, others].map(Heap::new);
         let entries = (0..capacity).map(|_| None).collect();
-        Self { entries, free: (0..capacity).rev().collect(), urgent, due, last }
+        let mut new = Self { entries, urgent: Words::new(capacity), free: NONE, watch: None, last: None };
+        new.free_all();
+        new
+    }
+
+    /// As [`new`](Self::new), and watched.
+    pub fn watched(capacity: u16) -> Self {
+        let mut new = Self::new(capacity);
+        new.watch();
+        new
+    }
+
+    /// From here on it is known what is due first.
+    pub fn watch(&mut self) {
+        if self.watch.is_some() {
+            return;
+        }
+        let sides: Box<[T::Side]> = vec![T::Side::default(); self.entries.len()].into();
+        let mut due_first = Words::new(narrow(self.entries.len()));
+        for slot in self.urgent.iter() {
+            let key = |slot| due(&self.entries, &sides, slot);
+            due_first.push(slot, key(slot).0, key);
+        }
+        self.watch = Some(Box::new(Watch { sides, due: due_first }));
+    }
+
+    /// Links all slots, the lowest first.
+    fn free_all(&mut self) {
+        self.free = NONE;
+        for slot in (0..narrow(self.entries.len())).rev() {
+            self.urgent.keep(slot, self.free);
+            self.free = slot;
+        }
     }
 
     #[expect(clippy::len_without_is_empty, reason = "public for measurements alone")]
     pub fn len(&self) -> usize {
-        self.urgent.slots.len()
+        self.urgent.len()
     }
 
     pub fn capacity(&self) -> usize {
@@ -74,13 +127,29 @@ impl<T: Entry> Queue<T> {
 
     /// Adds an entry, or hands it back when the queue is full.
     pub fn push(&mut self, entry: T) -> Result<Slot, T> {
-        let Some(slot) = self.free.pop() else { return Err(entry) };
-        self.entries[usize::from(slot)] = Some(entry);
+        self.push_with(entry, T::Side::default())
+    }
+
+    /// As [`push`](Self::push), with what is kept beside it where the queue is watched.
+    pub fn push_with(&mut self, entry: T, side: T::Side) -> Result<Slot, T> {
+        let slot = self.free;
+        let Some(vacant) = self.entries.get_mut(usize::from(slot)) else { return Err(entry) };
+        self.free = self.urgent.kept(slot);
+        let key = entry.key();
+        let yields = entry.yields();
+        *vacant = Some(entry);
         let entries = &self.entries;
-        self.urgent.push(slot, |slot| urgency(entries, slot));
-        if !T::PLAIN {
-            self.due.push(slot, |slot| due(entries, slot));
-            self.last.push(slot, |slot| last(entries, slot));
+        self.urgent.push(slot, instant(key), |slot| urgency(entries, slot));
+        if let Some(watch) = &mut self.watch {
+            let Watch { sides, due: order } = &mut **watch;
+            sides[usize::from(slot)] = side;
+            let key = |slot| due(entries, sides, slot);
+            order.push(slot, key(slot).0, key);
+        }
+        if let Some(last) = self.last.and_then(|last| self.get(last))
+            && (yields, key) > (last.yields(), last.key())
+        {
+            self.last = Some(slot);
         }
         Ok(slot)
     }
@@ -89,19 +158,30 @@ impl<T: Entry> Queue<T> {
         self.entries.get(usize::from(slot))?.as_ref()
     }
 
+    /// What is kept beside an entry; the default where the queue is not watched.
+    pub fn side(&self, slot: Slot) -> T::Side {
+        self.watch.as_ref().and_then(|watch| watch.sides.get(usize::from(slot)).copied()).unwrap_or_default()
+    }
+
     /// The most urgent entry.
     pub fn first(&self) -> Option<(Slot, &T)> {
         self.named(self.urgent.first())
     }
 
-    /// The entry that makes room first: of those that yield, or of all if none does, the least urgent one.
-    pub fn last(&self) -> Option<(Slot, &T)> {
-        self.named(self.last.first())
+    /// The entry that makes room first: of those that yield, or of all if none does, the least urgent one. It is looked for
+    /// among all, and remembered until it goes.
+    pub fn last(&mut self) -> Option<(Slot, &T)> {
+        if self.last.is_none() {
+            let all = self.urgent.iter().filter_map(|slot| self.named(Some(slot)));
+            self.last = all.max_by_key(|(_, entry)| (entry.yields(), entry.key())).map(|(slot, _)| slot);
+        }
+        self.named(self.last)
     }
 
-    /// When the first of them is due: never, where there is none.
+    /// When the first of them is due: never, where there is none, or the queue is not watched.
     pub fn next_due(&self) -> Ticks {
-        self.named(self.due.first()).map_or(Ticks::FAR, |(_, entry)| entry.due())
+        let Some(watch) = &self.watch else { return Ticks::FAR };
+        watch.due.first().map_or(Ticks::FAR, |slot| due(&self.entries, &watch.sides, slot).0)
     }
 
     fn named(&self, slot: Option<Slot>) -> Option<(Slot, &T)> {
@@ -113,11 +193,15 @@ impl<T: Entry> Queue<T> {
         self.get(slot)?;
         let entries = &self.entries;
         self.urgent.remove(slot, |slot| urgency(entries, slot));
-        if !T::PLAIN {
-            self.due.remove(slot, |slot| due(entries, slot));
-            self.last.remove(slot, |slot| last(entries, slot));
+        if let Some(watch) = &mut self.watch {
+            let Watch { sides, due: order } = &mut **watch;
+            order.remove(slot, |slot| due(entries, sides, slot));
         }
-        self.free.push(slot);
+        self.urgent.keep(slot, self.free);
+        self.free = slot;
+        if self.last == Some(slot) {
+            self.last = None;
+        }
         self.entries[usize::from(slot)].take()
     }
 
@@ -129,19 +213,21 @@ impl<T: Entry> Queue<T> {
 
     /// Takes out the entry that is due first, if it is by `now`.
     pub fn pop_due(&mut self, now: Ticks) -> Option<T> {
-        let (slot, entry) = self.named(self.due.first())?;
-        if entry.due() <= now { self.remove(slot) } else { None }
+        let slot = self.watch.as_ref()?.due.first()?;
+        if self.next_due() <= now { self.remove(slot) } else { None }
     }
 
     /// All entries in no particular order.
     pub fn iter(&self) -> impl Iterator<Item = (Slot, &T)> {
-        self.urgent.slots.iter().filter_map(|&slot| self.named(Some(slot)))
+        self.urgent.iter().filter_map(|slot| self.named(Some(slot)))
     }
 
-    /// The entries that are due by `now`, in no particular order. Costs as many steps as there are of them.
+    /// The entries of a watched queue that are due by `now`, in no particular order. Costs as many steps as there are of them.
     pub fn all_due(&self, now: Ticks) -> impl Iterator<Item = (Slot, &T)> {
-        let is_due = move |slot: Slot| self.get(slot).is_some_and(|entry| entry.due() <= now);
-        self.due.upper(is_due).filter_map(|slot| self.named(Some(slot)))
+        let due_by = move |watch: &Watch<T::Side>, slot| due(&self.entries, &watch.sides, slot).0 <= now;
+        let watch = self.watch.as_deref();
+        let all = watch.map(|watch| watch.due.upper(move |slot| due_by(watch, slot)));
+        all.into_iter().flatten().filter_map(|slot| self.named(Some(slot)))
     }
 
     /// All entries, most urgent first. Allocates: for views and canonical states, not for the message path.
@@ -151,154 +237,75 @@ impl<T: Entry> Queue<T> {
         all
     }
 
-    /// Changes one entry and finds its new places.
-    pub fn change(&mut self, slot: Slot, change: impl FnOnce(&mut T)) {
+    /// Changes one entry, and what is kept beside it where the queue is watched, and finds its new places.
+    pub fn change(&mut self, slot: Slot, change: impl FnOnce(&mut T, &mut T::Side)) {
         let Some(entry) = self.entries.get_mut(usize::from(slot)).and_then(Option::as_mut) else { return };
-        change(entry);
+        let mut side = self.watch.as_ref().map(|watch| watch.sides[usize::from(slot)]).unwrap_or_default();
+        change(entry, &mut side);
+        let key = entry.key();
         let entries = &self.entries;
-        self.urgent.moved(slot, |slot| urgency(entries, slot));
-        if !T::PLAIN {
-            self.due.moved(slot, |slot| due(entries, slot));
-            self.last.moved(slot, |slot| last(entries, slot));
+        self.urgent.moved(slot, instant(key), |slot| urgency(entries, slot));
+        if let Some(watch) = &mut self.watch {
+            let Watch { sides, due: order } = &mut **watch;
+            sides[usize::from(slot)] = side;
+            let key = |slot| due(entries, sides, slot);
+            order.moved(slot, key(slot).0, key);
         }
+        self.last = None;
     }
 
     /// Changes every entry; the queue is put in order again afterwards.
-    pub fn change_all(&mut self, change: impl FnMut(&mut T)) {
-        self.entries.iter_mut().flatten().for_each(change);
+    pub fn change_all(&mut self, mut change: impl FnMut(&mut T, &mut T::Side)) {
+        if self.len() == 0 {
+            return;
+        }
+        self.adjust(&mut change);
         let entries = &self.entries;
-        self.urgent.order(|slot| urgency(entries, slot));
-        self.due.order(|slot| due(entries, slot));
-        self.last.order(|slot| last(entries, slot));
+        let key = |slot| urgency(entries, slot);
+        self.urgent.order(|slot| instant(key(slot)), key);
+        if let Some(watch) = &mut self.watch {
+            let Watch { sides, due: order } = &mut **watch;
+            let key = |slot| due(entries, sides, slot);
+            order.order(|slot| key(slot).0, key);
+        }
+        self.last = None;
     }
 
     /// Changes what decides no entry's place.
-    pub fn adjust(&mut self, change: impl FnMut(&mut T)) {
-        self.entries.iter_mut().flatten().for_each(change);
+    pub fn adjust(&mut self, mut change: impl FnMut(&mut T, &mut T::Side)) {
+        for slot in self.urgent.iter() {
+            let at = usize::from(slot);
+            let Some(entry) = &mut self.entries[at] else { continue };
+            match &mut self.watch {
+                Some(watch) => change(entry, &mut watch.sides[at]),
+                None => change(entry, &mut T::Side::default()),
+            }
+        }
     }
 
     /// Removes everything.
     pub fn clear(&mut self) {
-        if self.urgent.slots.is_empty() && self.free.is_sorted_by(|a, b| a >= b) {
-            return;
-        }
         self.entries.fill_with(|| None);
-        [&mut self.urgent, &mut self.due, &mut self.last].into_iter().for_each(|heap| heap.slots.clear());
+        self.urgent.clear();
+        if let Some(watch) = &mut self.watch {
+            watch.due.clear();
+        }
         // Slots are handed out from the same order whatever went before: two equal queues stay equal in the future.
-        self.free.clear();
-        self.free.extend((0..narrow(self.entries.len())).rev());
-    }
-}
-
-/// Slots in the order of a key that the queue knows: the least is at 0, the children of `i` at `4 i + 1 ..= 4 i + 4`.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-struct Heap {
-    slots: Vec<Slot>,
-    /// Where a slot stands.
-    positions: Box<[u16]>,
-}
-
-impl Heap {
-    fn new(capacity: u16) -> Self {
-        let positions = (0..capacity).map(|_| 0).collect();
-        Self { slots: Vec::with_capacity(usize::from(capacity)), positions }
+        self.free_all();
+        self.last = None;
     }
 
-    fn first(&self) -> Option<Slot> {
-        self.slots.first().copied()
-    }
-
-    fn push<K: Ord>(&mut self, slot: Slot, key: impl Fn(Slot) -> K) {
-        self.slots.push(slot);
-        self.sift_up(self.slots.len() - 1, &key);
-    }
-
-    fn remove<K: Ord>(&mut self, slot: Slot, key: impl Fn(Slot) -> K) {
-        let position = usize::from(self.positions[usize::from(slot)]);
-        self.slots.swap_remove(position);
-        if let Some(&moved) = self.slots.get(position) {
-            self.place(position, moved);
-            self.moved(moved, key);
-        }
-    }
-
-    fn moved<K: Ord>(&mut self, slot: Slot, key: impl Fn(Slot) -> K) {
-        let position = usize::from(self.positions[usize::from(slot)]);
-        self.sift_down(position, &key);
-        self.sift_up(usize::from(self.positions[usize::from(slot)]), &key);
-    }
-
-    fn order<K: Ord>(&mut self, key: impl Fn(Slot) -> K) {
-        for position in (0..self.slots.len()).rev() {
-            self.sift_down(position, &key);
-        }
-    }
-
-    /// The slots of the greatest part around the first one of which `is_in` holds, parents before children: where that
-    /// holds of all slots below some key, these.
-    fn upper(&self, is_in: impl Fn(Slot) -> bool) -> impl Iterator<Item = Slot> {
-        let mut at = Some(0);
-        core::iter::from_fn(move || {
-            loop {
-                let position = at?;
-                let slot = self.slots.get(position).copied();
-                let found = slot.filter(|&slot| is_in(slot));
-                let child = 4 * position + 1;
-                at = match found {
-                    Some(_) if child < self.slots.len() => Some(child),
-                    Some(_) | None => self.beside(position),
-                };
-                if found.is_some() {
-                    return found;
-                }
-            }
-        })
-    }
-
-    /// The next position to look at when those below one are done with.
-    fn beside(&self, mut position: usize) -> Option<usize> {
-        while position > 0 {
-            if !position.is_multiple_of(4) && position + 1 < self.slots.len() {
-                return Some(position + 1);
-            }
-            position = (position - 1) / 4;
-        }
-        None
-    }
-
-    fn sift_up<K: Ord>(&mut self, mut at: usize, key: &impl Fn(Slot) -> K) {
-        let moving = self.slots[at];
-        let own = key(moving);
-        while at > 0 {
-            let parent = (at - 1) / 4;
-            if key(self.slots[parent]) <= own {
-                break;
-            }
-            self.place(at, self.slots[parent]);
-            at = parent;
-        }
-        self.place(at, moving);
-    }
-
-    fn sift_down<K: Ord>(&mut self, mut at: usize, key: &impl Fn(Slot) -> K) {
-        let moving = self.slots[at];
-        let own = key(moving);
-        loop {
-            let first = 4 * at + 1;
-            let children = first..(first + 4).min(self.slots.len());
-            let Some(least) = children.min_by_key(|&child| key(self.slots[child])) else { break };
-            if key(self.slots[least]) >= own {
-                break;
-            }
-            self.place(at, self.slots[least]);
-            at = least;
-        }
-        self.place(at, moving);
-    }
-
-    fn place(&mut self, at: usize, slot: Slot) {
-        self.slots[at] = slot;
-        self.positions[usize::from(slot)] = narrow(at);
+    /// Whether each order is what a look at all entries says.
+    pub fn is_in_order(&self) -> bool {
+        let key = |slot| urgency(&self.entries, slot);
+        let urgent = self.urgent.is_in_order(|slot| instant(key(slot)), key);
+        let dues = self.watch.as_ref().is_none_or(|watch| {
+            let key = |slot| due(&self.entries, &watch.sides, slot);
+            watch.due.len() == self.len() && watch.due.is_in_order(|slot| key(slot).0, key)
+        });
+        let last = self.iter().max_by_key(|(_, entry)| (entry.yields(), entry.key())).map(|(slot, _)| slot);
+        let held = self.entries.iter().flatten().count() == self.len();
+        urgent && dues && held && (self.last.is_none() || self.last == last)
     }
 }
 
@@ -312,19 +319,20 @@ mod tests {
     use super::*;
     use proptest::prelude::*;
 
+    /// When it is due is kept beside it.
     #[derive(Clone, Copy, Debug, PartialEq)]
     struct Item {
         key: u128,
-        due: u64,
         yields: bool,
     }
 
     impl Entry for Item {
+        type Side = Ticks;
         fn key(&self) -> u128 {
             self.key
         }
-        fn due(&self) -> Ticks {
-            Ticks(self.due)
+        fn due(&self, side: &Ticks) -> Ticks {
+            *side
         }
         fn yields(&self) -> bool {
             self.yields
@@ -332,21 +340,24 @@ mod tests {
     }
 
     /// What the queue says against what a plain list says.
-    fn agrees(queue: &Queue<Item>, model: &[(Slot, Item)]) -> Result<(), TestCaseError> {
+    fn agrees(queue: &mut Queue<Item>, model: &[(Slot, Item, u64)]) -> Result<(), TestCaseError> {
         let named = |found: Option<(Slot, &Item)>| found.map(|(slot, item)| (slot, *item));
         prop_assert_eq!((queue.len(), queue.capacity()), (model.len(), 20));
-        prop_assert_eq!(named(queue.first()), model.iter().min_by_key(|(_, i)| i.key).copied());
-        prop_assert_eq!(named(queue.last()), model.iter().max_by_key(|(_, i)| (i.yields, i.key)).copied());
-        let due = model.iter().map(|(_, i)| Ticks(i.due)).min().unwrap_or(Ticks::FAR);
+        let all = model.iter().map(|&(slot, item, _)| (slot, item));
+        prop_assert_eq!(named(queue.first()), all.clone().min_by_key(|(_, i)| i.key));
+        prop_assert_eq!(named(queue.last()), all.clone().max_by_key(|(_, i)| (i.yields, i.key)));
+        let due = model.iter().map(|&(_, _, due)| Ticks(due)).min().unwrap_or(Ticks::FAR);
         prop_assert_eq!(queue.next_due(), due);
-        let mut sorted = model.to_vec();
+        prop_assert!(queue.is_in_order());
+        let mut sorted: Vec<_> = all.collect();
         sorted.sort_by_key(|(_, i)| i.key);
         let found: Vec<_> = queue.sorted().into_iter().map(|(slot, item)| (slot, *item)).collect();
         prop_assert_eq!(&found, &sorted);
         for now in [0, 2, 5, 9] {
             let mut found: Vec<_> = queue.all_due(Ticks(now)).map(|(slot, _)| slot).collect();
             found.sort_unstable();
-            let mut all: Vec<_> = model.iter().filter(|(_, i)| i.due <= now).map(|&(slot, _)| slot).collect();
+            let mut all: Vec<_> =
+                model.iter().filter(|(_, _, due)| *due <= now).map(|&(slot, ..)| slot).collect();
             all.sort_unstable();
             prop_assert_eq!(found, all, "due by {}", now);
         }
@@ -357,48 +368,51 @@ mod tests {
         /// Against a plain list: pushes, pops, removals and changes of any entry, and of all.
         #[test]
         fn behaves_like_a_list(steps in proptest::collection::vec((0..9_u8, any::<u16>(), 0..10_u64, any::<bool>()), 0..200)) {
-            let mut queue = Queue::new(20);
-            let mut model: Vec<(Slot, Item)> = Vec::new();
+            let mut queue = Queue::watched(20);
+            let mut model: Vec<(Slot, Item, u64)> = Vec::new();
             for (n, (what, a, at, yields)) in steps.into_iter().enumerate() {
-                let item = Item { key: (u128::from(a) << 64) | n as u128, due: at, yields };
+                // Some instants are equal, and some past the end of a word.
+                let instant = u64::from(a % 8) << if a & 8 == 0 { 0 } else { 61 };
+                let item = Item { key: (u128::from(instant) << 64) | n as u128, yields };
                 let nth = model.get(usize::from(a) % 20).copied();
                 match (what, nth) {
-                    (0..=3, _) => match queue.push(item) {
-                        Ok(slot) => model.push((slot, item)),
+                    (0..=3, _) => match queue.push_with(item, Ticks(at)) {
+                        Ok(slot) => model.push((slot, item, at)),
                         Err(back) => prop_assert!(back == item && model.len() == 20),
                     },
                     (4, _) => {
                         let popped = queue.pop_if(|_| true);
-                        let first = model.iter().min_by_key(|(_, i)| i.key).copied();
-                        prop_assert_eq!(popped, first.map(|(_, item)| item));
+                        let first = model.iter().min_by_key(|(_, i, _)| i.key).copied();
+                        prop_assert_eq!(popped, first.map(|(_, item, _)| item));
                         model.retain(|&entry| Some(entry) != first);
                     }
                     (5, _) => {
                         let popped = queue.pop_due(Ticks(4));
-                        let first = model.iter().filter(|(_, i)| i.due <= 4).min_by_key(|(_, i)| (i.due, i.key));
-                        prop_assert_eq!(popped, first.map(|&(_, item)| item));
-                        model.retain(|&(_, item)| Some(item) != popped);
+                        let first = model.iter().filter(|(_, _, due)| *due <= 4).min_by_key(|(_, i, due)| (*due, i.key));
+                        prop_assert_eq!(popped, first.map(|&(_, item, _)| item));
+                        model.retain(|&(_, item, _)| Some(item) != popped);
                     }
                     (6, _) => {
-                        queue.change_all(|item| item.key ^= 0xff << 64);
-                        model.iter_mut().for_each(|(_, item)| item.key ^= 0xff << 64);
+                        queue.change_all(|item, due| (item.key, *due) = (item.key ^ (0xff << 64), Ticks(due.0 ^ 3)));
+                        model.iter_mut().for_each(|(_, item, due)| (item.key, *due) = (item.key ^ (0xff << 64), *due ^ 3));
                     }
-                    (7, Some((slot, old))) => {
+                    (7, Some((slot, old, _))) => {
                         prop_assert_eq!(queue.remove(slot), Some(old));
                         prop_assert_eq!(queue.remove(slot), None);
-                        model.retain(|&(s, _)| s != slot);
+                        model.retain(|&(s, ..)| s != slot);
                     }
-                    (_, Some((slot, _))) => {
-                        queue.change(slot, |old| *old = item);
-                        model.iter_mut().filter(|(s, _)| *s == slot).for_each(|(_, old)| *old = item);
+                    (_, Some((slot, ..))) => {
+                        queue.change(slot, |old, due| (*old, *due) = (item, Ticks(at)));
+                        let changed = model.iter_mut().filter(|(s, ..)| *s == slot);
+                        changed.for_each(|(_, old, due)| (*old, *due) = (item, at));
                     }
                     (_, None) => {}
                 }
-                agrees(&queue, &model)?;
+                agrees(&mut queue, &model)?;
             }
             queue.clear();
-            agrees(&queue, &[])?;
-            let again = Item { key: 1, due: 1, yields: false };
+            agrees(&mut queue, &[])?;
+            let again = Item { key: 1, yields: false };
             prop_assert_eq!((queue.push(again), queue.push(again)), (Ok(0), Ok(1)));
         }
     }

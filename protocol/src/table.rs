@@ -89,6 +89,8 @@ pub struct CellTable {
     routes: Box<[Option<Hop>]>,
     /// For each task, the ports it owns or uses, ascending.
     ports_of: Box<[Box<[PortId]>]>,
+    /// The node of each task.
+    locations: Box<[NodeId]>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -139,7 +141,8 @@ impl CellTable {
         }
         let ports_of = ports_of.into_iter().map(Vec::into_boxed_slice).collect();
         let digest = digest::of_cell(&cell, &ports);
-        Ok(Self { cell, ports, digest, routes, ports_of })
+        let locations = cell.tasks.iter().map(|task| task.node).collect();
+        Ok(Self { cell, ports, digest, routes, ports_of, locations })
     }
 
     /// The declarations.
@@ -175,7 +178,7 @@ impl CellTable {
     /// The node that `task` runs on.
     #[must_use]
     pub fn location(&self, task: TaskId) -> Option<NodeId> {
-        self.cell.tasks.get(task.index()).map(|t| t.node)
+        self.locations.get(task.index()).copied()
     }
 
     /// The tasks that run on `node`.
@@ -333,8 +336,9 @@ fn compile_port(cell: &Cell, id: PortId, decl: &PortDecl, routes: &[Option<Hop>]
     let users = decl.users.iter().map(user);
     // D32: a module stands for all its tasks; the owner is no user of its own port, and a task that is named is named.
     let of_module = |t: &TaskDecl| t.module.as_ref().is_some_and(|module| decl.modules.contains(module));
-    let others =
-        cell.tasks.iter().enumerate().filter(|(_, t)| of_module(t)).map(|(i, _)| TaskId::from_index(i));
+    // Most ports name no module: a look at every task for each of them would cost the square of both.
+    let tasks = if decl.modules.is_empty() { &[][..] } else { &cell.tasks[..] };
+    let others = tasks.iter().enumerate().filter(|(_, t)| of_module(t)).map(|(i, _)| TaskId::from_index(i));
     let unnamed = others.filter(|&t| t != decl.owner && decl.users.iter().all(|u| u.task != t));
     let parties: Box<[Party]> =
         core::iter::once(owner).chain(users).chain(unnamed.map(|task| user(&UserDecl::new(task)))).collect();

@@ -23,13 +23,13 @@ struct Entry {
 }
 
 impl queue::Entry for Entry {
-    const PLAIN: bool = true;
+    type Side = ();
 
     fn key(&self) -> u128 {
         (u128::from(self.expires.0) << 64) | u128::from(self.armed)
     }
 
-    fn due(&self) -> Ticks {
+    fn due(&self, (): &()) -> Ticks {
         self.expires
     }
 
@@ -58,12 +58,16 @@ impl Timer {
     /// Starts an entry; one of the same owner and id is replaced. False when the Timer is full. `turn` comes back with
     /// the entry: it tells the owner this start of it from an earlier one.
     pub fn arm(&mut self, owner: TaskId, id: TimeId, turn: u8, length: Ticks) -> bool {
-        self.disarm(owner, id);
-        let expires = self.now + length;
-        let armed = self.armed;
+        let (expires, armed) = (self.now + length, self.armed);
         self.armed += 1;
-        let Ok(slot) = self.queue.push(Entry { owner, id, turn, expires, armed }) else { return false };
-        self.index.insert(name(owner, id), slot);
+        let entry = Entry { owner, id, turn, expires, armed };
+        let (place, known) = self.index.look(name(owner, id));
+        if let Some(slot) = known {
+            self.queue.change(slot, |old, ()| *old = entry);
+            return true;
+        }
+        let Ok(slot) = self.queue.push(entry) else { return false };
+        self.index.note(place, name(owner, id), slot);
         true
     }
 
@@ -77,10 +81,9 @@ impl Timer {
     /// none, too. For a checker of what a node did: counted in ticks, what ends within one may end in another order than
     /// it was armed in, and a node may notice late. False when there is none.
     pub fn put(&mut self, owner: TaskId, id: TimeId, left: Ticks) -> bool {
-        let slot = self.index.remove(name(owner, id));
-        let Some(entry) = slot.and_then(|slot| self.queue.remove(slot)) else { return false };
-        let Ok(slot) = self.queue.push(Entry { expires: self.now + left, ..entry }) else { return false };
-        self.index.insert(name(owner, id), slot);
+        let (_, known) = self.index.look(name(owner, id));
+        let Some(slot) = known else { return false };
+        self.queue.change(slot, |entry, ()| entry.expires = self.now + left);
         true
     }
 
@@ -102,7 +105,7 @@ impl Timer {
     /// The internal clock goes back to zero; behaviour does not change.
     pub fn rebase(&mut self) {
         let now = core::mem::take(&mut self.now);
-        self.queue.change_all(|entry| entry.expires = entry.expires - now);
+        self.queue.change_all(|entry, ()| entry.expires = entry.expires - now);
     }
 
     /// The entries with what is left of each, earliest first.

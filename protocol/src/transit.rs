@@ -43,12 +43,14 @@ struct Waiting {
 
 /// Smallest time_out first (§5.1.1), commands before status, then in order of arrival.
 impl Entry for Waiting {
+    type Side = ();
+
     fn key(&self) -> u128 {
         let class = u128::from(self.packet.class == Class::Status);
         (u128::from(self.expires.0) << 64) | (class << 63) | u128::from(self.arrival & (u64::MAX >> 1))
     }
 
-    fn due(&self) -> Ticks {
+    fn due(&self, (): &()) -> Ticks {
         self.leave_by
     }
 
@@ -79,8 +81,8 @@ impl Transit {
         Self {
             now: Ticks::ZERO,
             arrivals: 0,
-            queue: Queue::new(capacity),
-            words: Queue::new(capacity.min(WORDS)),
+            queue: Queue::watched(capacity),
+            words: Queue::watched(capacity.min(WORDS)),
             forwarded: 0,
             discarded: [0; Reason::ALL.len()],
         }
@@ -135,7 +137,7 @@ impl Transit {
     }
 
     /// Which held packet makes room for a newcomer; `None`: the newcomer itself goes.
-    fn victim(&self, table: &NodeTable, newcomer: &Waiting) -> Option<Slot> {
+    fn victim(&mut self, table: &NodeTable, newcomer: &Waiting) -> Option<Slot> {
         if table.rules().eviction == Eviction::ByTime {
             // The literal reading of §III: time_out alone decides.
             let (slot, least_urgent) = self.queue.iter().max_by_key(|(_, waiting)| waiting.key())?;
@@ -180,7 +182,7 @@ impl Transit {
 
     fn change_all(&mut self, instant: impl Fn(Ticks) -> Ticks) {
         for queue in [&mut self.queue, &mut self.words] {
-            queue.change_all(|waiting| {
+            queue.change_all(|waiting, ()| {
                 (waiting.expires, waiting.leave_by) = (instant(waiting.expires), instant(waiting.leave_by));
             });
         }

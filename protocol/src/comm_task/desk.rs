@@ -57,6 +57,8 @@ pub(crate) struct Asked {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Desk {
     pub port: PortId,
+    /// Where the port stands among the task's own.
+    pub local: u16,
     pub phase: Phase,
     /// Whether several tasks were asked.
     pub set: bool,
@@ -79,7 +81,7 @@ pub(crate) struct Overdue {
 }
 
 impl Desk {
-    pub fn new(port: &Port, own: TaskId) -> Self {
+    pub fn new(port: &Port, own: TaskId, local: u16) -> Self {
         let fragments = port.decl.answer_fragments;
         let asked = |task| Asked {
             task,
@@ -92,6 +94,7 @@ impl Desk {
         };
         Self {
             port: port.id,
+            local,
             phase: Phase::Closed,
             set: false,
             deadline: Ticks::FAR,
@@ -136,7 +139,8 @@ impl Desk {
 
     /// Forgets what was answered.
     pub fn forget(&mut self) {
-        for asked in &mut self.asked {
+        // Of who was not asked since there is nothing to forget.
+        for asked in self.asked.iter_mut().filter(|asked| asked.answer != Answer::NotAsked) {
             (asked.answer, asked.packets_out, asked.id) = (Answer::NotAsked, 0, MessageId::default());
             asked.by = None;
             asked.contents.begin(MessageId::default());
@@ -217,7 +221,7 @@ impl CommTask {
             note(out, Event::Resent, port.id, to, id, left);
             let desk = &self.desks[at];
             let first = mapping::message(port, self.task, to, id, stamp, desk.contents);
-            mapping::in_fragments(&Packet { resent: true, ..first }, &desk.parts, |p| out.transmit(p));
+            mapping::in_fragments(Packet { resent: true, ..first }, &desk.parts, |p| out.transmit(p));
         }
     }
 
@@ -260,7 +264,8 @@ impl CommTask {
         };
         asked.answer = answer;
         let (task, id) = (asked.task, asked.id);
-        self.count(port, |c| match answer {
+        let local = desk.local;
+        self.count_at(local, |c| match answer {
             Answer::Answered => c.delivered += 1,
             Answer::Refused => c.refused += 1,
             Answer::Restarted | Answer::NotAsked | Answer::Open => {}
@@ -298,9 +303,11 @@ impl CommTask {
     pub(super) fn answer(&mut self, table: &NodeTable, at: u16, packet: &Packet, out: &mut impl Outbox) {
         let at = usize::from(at);
         let desk = &self.desks[at];
-        let from = desk.find(packet.source).filter(|_| desk.port == packet.port);
-        match from.filter(|&from| desk.waits_for(packet.id) == Some(from)) {
-            Some(asked) => self.answered(table, at, asked, packet, out),
+        let open = |asked: &Asked| asked.answer == Answer::Open && asked.id == packet.id;
+        let from =
+            desk.find(packet.source).filter(|&from| desk.phase == Phase::Open && open(&desk.asked[from]));
+        match from {
+            Some(asked) => self.answered(at, asked, packet, out),
             None => self.late_answer(table, packet, out),
         }
     }
@@ -309,7 +316,7 @@ impl CommTask {
     pub(super) fn third_party(&mut self, table: &NodeTable, packet: &Packet, out: &mut impl Outbox) {
         let found = self.desks.iter().enumerate().find_map(|(at, d)| Some((at, d.waits_for(packet.id)?)));
         match found {
-            Some((at, asked)) => self.answered(table, at, asked, packet, out),
+            Some((at, asked)) => self.answered(at, asked, packet, out),
             None => self.late_answer(table, packet, out),
         }
     }
@@ -326,23 +333,15 @@ impl CommTask {
         self.drop_packet(packet, if stale { Reason::StaleIncarnation } else { Reason::Unexpected }, out);
     }
 
-    fn answered(
-        &mut self,
-        table: &NodeTable,
-        at: usize,
-        asked: usize,
-        packet: &Packet,
-        out: &mut impl Outbox,
-    ) {
+    fn answered(&mut self, at: usize, asked: usize, packet: &Packet, out: &mut impl Outbox) {
         let unsent = self.desks[at].asked[asked].packets_out == 0;
         let event = match (packet.kind, packet.control()) {
             (Kind::Reply | Kind::Response, _) => {
-                let fragments = table.port(self.desks[at].port).map_or(1, |port| port.decl.answer_fragments);
+                let entry = &mut self.desks[at].asked[asked];
                 let index = packet.fragment.saturating_add(u8::from(packet.more));
-                if index >= fragments {
+                if usize::from(index) >= entry.contents.contents.len() {
                     return self.drop_packet(packet, Reason::NotAllowed, out);
                 }
-                let entry = &mut self.desks[at].asked[asked];
                 let whole = packet.fragment == 0 && !packet.more;
                 let by = (packet.port, packet.source);
                 if entry.contents.is_open() && entry.by != Some(by) {

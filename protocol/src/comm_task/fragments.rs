@@ -54,6 +54,9 @@ impl Parts {
 
     /// Takes over fragments from 1 on, of which `have` are there.
     pub fn fill<'a>(&mut self, have: u16, from: impl Iterator<Item = &'a Contents>) {
+        if self.parts.is_empty() {
+            return;
+        }
         let room = 1_u32.checked_shl(u32::try_from(self.parts.len()).unwrap_or(16)).unwrap_or(0);
         self.have = have & u16::try_from(room.wrapping_sub(1) & 0xffff).unwrap_or(u16::MAX);
         for (slot, contents) in self.parts.iter_mut().zip(from) {
@@ -108,15 +111,23 @@ impl Assembly {
         (self.id, self.have, self.fragments, self.expires) = (id, 0, None, Ticks::FAR);
     }
 
-    /// Forgets the fragments of `id`, if they are here.
-    pub fn close(&mut self, id: MessageId) {
-        if self.id == id {
+    /// Forgets the fragments of `id`. Whether there were some.
+    pub fn close(&mut self, id: MessageId) -> bool {
+        let closes = self.have != 0 && self.id == id;
+        if closes {
             self.have = 0;
         }
+        closes
     }
 
     /// Puts a fragment that fits the room.
     pub fn put(&mut self, packet: &Packet, expires: Ticks) -> Step {
+        if self.have == 0 && self.fragments.is_none() && packet.fragment == 0 && !packet.more {
+            let Some(slot) = self.contents.first_mut() else { return Step::Broken };
+            *slot = packet.contents;
+            (self.have, self.fragments, self.expires) = (1, Some(1), self.expires.min(expires));
+            return Step::Whole(1);
+        }
         let Some(slot) = self.contents.get_mut(usize::from(packet.fragment)) else { return Step::Broken };
         let bit = 1_u16.checked_shl(u32::from(packet.fragment)).unwrap_or(0);
         let ends = (!packet.more).then_some(packet.fragment + 1);
@@ -174,14 +185,14 @@ impl CommTask {
         Err(Fault::WrongLength)
     }
 
-    /// How many packets the message takes that was staged on a port. Where one of them is missing, nothing stays staged.
-    pub(super) fn staged(&mut self, port: PortId) -> Result<u8, Fault> {
-        let Some(local) = self.local(port) else { return Err(Fault::NotYourPort) };
-        let fragments = local.staged.fragments();
-        if fragments.is_none() {
-            local.staged.clear();
+    /// Whether the message that was staged on a port is whole. Where a packet of it is missing, nothing stays staged.
+    pub(super) fn staged(&mut self, local: usize) -> Result<(), Fault> {
+        let staged = &mut self.locals[local].staged;
+        if staged.fragments().is_some() {
+            return Ok(());
         }
-        fragments.ok_or(Fault::WrongLength)
+        staged.clear();
+        Err(Fault::WrongLength)
     }
 
     /// One of several packets of a message. Returns the message once it is whole, as one packet with the least life of

@@ -65,6 +65,7 @@ impl CommTask {
             let rendezvous = &mut self.meetings[usize::from(meeting)];
             rendezvous.owes_confirm = false;
             (rendezvous.copies_left, rendezvous.copy_at) = (0, Ticks::FAR);
+            self.heads.touch_meeting(&self.meetings, meeting);
         }
     }
 }

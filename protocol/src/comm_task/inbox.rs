@@ -22,18 +22,25 @@ pub(crate) struct Held {
     pub contents: Contents,
     /// How many packets it takes; those after the first one lie in the inbox (D28).
     pub fragments: u8,
+    /// Numbers the messages of the task as they were stored.
+    pub arrival: u64,
+}
+
+/// What a waiting message has been through on a port with a handler.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub(crate) struct Aged {
     /// How often it was rejected by rank, while that counts (D58), and which rejection was the first.
     pub rejections: u8,
     pub rejected_first: u64,
     /// Before this instant it is not offered again.
     pub not_before: Ticks,
-    /// Numbers the messages of the task as they were stored.
-    pub arrival: u64,
 }
 
 /// The order of service within a port (D14): least time_out first, then commands, then the lower source, then the earlier
 /// arrival. The order among ports is the user layer's.
 impl Entry for Held {
+    type Side = Aged;
+
     fn key(&self) -> u128 {
         let class = u128::from(self.class == Class::Status);
         let source = u128::from(self.source.0);
@@ -41,8 +48,8 @@ impl Entry for Held {
         (u128::from(self.expires.0) << 64) | (class << 63) | (source << 47) | arrival
     }
 
-    fn due(&self) -> Ticks {
-        self.not_before
+    fn due(&self, aged: &Aged) -> Ticks {
+        aged.not_before
     }
 
     /// All messages of a port are of one class.
@@ -55,20 +62,20 @@ impl Entry for Held {
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Inbox {
     pub port: PortId,
+    /// Where the port stands among the task's own.
+    pub local: u16,
     pub queue: Queue<Held>,
     /// Whether the task has a handler for its messages (D15).
     pub handled: bool,
     /// Whether a message takes the place of the one of the same source that still waits.
     pub latest: bool,
-    /// How many others were served since this port had something to offer, or was served itself (D58).
-    pub bypassed: u16,
+    /// Since which GET over all ports this one has had something to offer, or was not served itself; of one with a handler:
+    /// how often others were served meanwhile (D58).
+    pub since: u64,
     /// What is remembered of each task that may send here, ascending.
     pub sources: Box<[Source]>,
     /// For each slot of the queue, what comes after the first packet.
     pub bodies: Box<[Parts]>,
-    /// Room for those that are rejected together; empty between two inputs.
-    #[serde(skip)]
-    pub turned: Vec<Slot>,
 }
 
 /// What happened to a message offered to a full buffer.
@@ -83,21 +90,37 @@ pub(crate) enum Admission {
 }
 
 impl Inbox {
-    pub fn new(port: &Port, own: TaskId) -> Self {
+    pub fn new(port: &Port, own: TaskId, local: u16) -> Self {
         let decl = &port.decl;
         let mut sources: Vec<Source> = port.peers(own).map(|peer| Source::new(peer, decl)).collect();
         sources.sort_unstable_by_key(|source| source.task);
         let bodies = if decl.fragments > 1 { decl.bounded_buffer } else { 0 };
         Self {
             port: port.id,
+            local,
             queue: Queue::new(decl.bounded_buffer),
             handled: false,
             latest: decl.latest,
-            bypassed: 0,
+            since: 0,
             sources: sources.into(),
             bodies: (0..bodies).map(|_| Parts::new(decl.fragments)).collect(),
-            turned: Vec::with_capacity(usize::from(decl.bounded_buffer)),
         }
+    }
+
+    /// How many others were served since this port had something to offer, or was served itself (D58). `served` is the number
+    /// of GETs over all ports that were.
+    pub fn bypassed(&self, served: u64) -> u16 {
+        let times = match (self.queue.len(), self.handled) {
+            (0, _) => 0,
+            (_, true) => self.since,
+            (_, false) => served.saturating_sub(self.since),
+        };
+        u16::try_from(times).unwrap_or(u16::MAX)
+    }
+
+    /// It has something to offer from now on, or was served.
+    pub fn begin(&mut self, served: u64) {
+        self.since = if self.handled { 0 } else { served };
     }
 
     /// Where the memory of a source stands.
@@ -117,17 +140,19 @@ impl Inbox {
 
     /// Offers a message (D60): of status messages the one with most time left goes, the newcomer included; a command
     /// is turned away unless it is more urgent than the least urgent one held.
-    pub fn admit(&mut self, held: Held) -> Admission {
+    ///
+    /// `served`: see [`bypassed`](Self::bypassed).
+    pub fn admit(&mut self, held: Held, aged: Aged, served: u64) -> Admission {
         if self.queue.len() == 0 {
-            self.bypassed = 0;
+            self.begin(served);
         }
-        if let Ok(slot) = self.queue.push(held) {
+        if let Ok(slot) = self.queue.push_with(held, aged) {
             return Admission::Kept(slot);
         }
         match self.queue.last().map(|(slot, last)| (slot, last.key())) {
             Some((slot, last)) if last > held.key() => {
                 let evicted = self.queue.remove(slot);
-                match (evicted, self.queue.push(held)) {
+                match (evicted, self.queue.push_with(held, aged)) {
                     (Some(evicted), Ok(slot)) => Admission::Replaced(slot, evicted),
                     (None, Ok(slot)) => Admission::Kept(slot),
                     (_, Err(_)) => Admission::Turned,

@@ -2,7 +2,7 @@
 //! and debug runs all call [`check`]; a violation is a fault of the machine, never of a program or of the network.
 
 use super::desk::{Desk, Phase};
-use super::inbox::{Held, Inbox};
+use super::inbox::{Aged, Held, Inbox};
 use super::lease::{Lease, Post};
 use super::levels::{DEPTH, Finished};
 use super::memory::{Fate, Remembered};
@@ -62,6 +62,8 @@ pub enum Violation {
     PastLease(Ticks),
     /// What the task is to be told of its lease is not so.
     WrongCall,
+    /// An order that is kept over what waits is not what a look at all of it says.
+    OutOfOrder(PortId),
 }
 
 impl fmt::Display for Violation {
@@ -116,6 +118,7 @@ impl fmt::Display for Violation {
             Self::PastLease(until) => {
                 write!(f, "the lease, or the wait for it, should have ended at {until}")
             }
+            Self::OutOfOrder(port) => write!(f, "what waits at port {port} is not in order"),
             Self::WrongCall => f.write_str("what the task is to be told of its lease is not so"),
             Self::HoldsFragments(port, source) => {
                 write!(f, "port {port} holds fragments of {source} that cannot become a message")
@@ -145,7 +148,7 @@ pub fn check(task: &CommTask, table: &NodeTable) -> Result<(), Violation> {
         }
         check_meeting(task, table, meeting)?;
     }
-    Ok(())
+    task.out_of_order().map_or(Ok(()), |port| Err(Violation::OutOfOrder(port)))
 }
 
 /// Nobody acts past its lease, and whoever acts does so in an epoch (D61).
@@ -175,7 +178,8 @@ fn check_inbox(task: &CommTask, table: &NodeTable, inbox: &Inbox) -> Result<(), 
     // The variants lengthen lives where a message waits: it outlives what its sender, and the memory, think of it.
     let literal = port.decl.penalty.is_some_and(|penalty| penalty.literal);
     let exact = table.rules().charge_residence && !literal;
-    for (_, held) in inbox.queue.iter() {
+    for (slot, held) in inbox.queue.iter() {
+        let aged = inbox.queue.side(slot);
         let (id, source) = (inbox.port, held.source);
         if held.expires <= task.now {
             return Err(Violation::HoldsExpired(id, source, held.id));
@@ -187,8 +191,8 @@ fn check_inbox(task: &CommTask, table: &NodeTable, inbox: &Inbox) -> Result<(), 
         if remembers && held.class == Class::Command && !is_remembered(task, inbox, held) {
             return Err(Violation::NotRemembered(id, source, held.id));
         }
-        check_rejections(task, table, port, held)?;
-        if inbox.handled && task.interruptible(false) && held.not_before <= task.now {
+        check_rejections(task, table, port, held, aged)?;
+        if inbox.handled && task.interruptible(false) && aged.not_before <= task.now {
             return Err(Violation::NotOffered(id, source, held.id));
         }
     }
@@ -205,16 +209,22 @@ fn check_inbox(task: &CommTask, table: &NodeTable, inbox: &Inbox) -> Result<(), 
 }
 
 /// How often and for how long a message was rejected (D58).
-fn check_rejections(task: &CommTask, table: &NodeTable, port: &Port, held: &Held) -> Result<(), Violation> {
+fn check_rejections(
+    task: &CommTask,
+    table: &NodeTable,
+    port: &Port,
+    held: &Held,
+    aged: Aged,
+) -> Result<(), Violation> {
     let penalty = port.decl.penalty;
     let counts = table.rules().aging == Aging::Bounded && !penalty.is_some_and(|penalty| penalty.literal);
     let cap = if counts { CommTask::cap(task.order.rank(port.id, held.source)) } else { 0 };
     let (id, source) = (port.id, held.source);
-    if held.rejections > cap {
+    if aged.rejections > cap {
         return Err(Violation::RejectedTooOften(id, source, held.id));
     }
     let length = penalty.map_or(table.cell().tick, |penalty| penalty.length).max(Ticks(1));
-    if held.not_before > task.now + length {
+    if aged.not_before > task.now + length {
         return Err(Violation::RejectedTooLong(id, source, held.id));
     }
     Ok(())

@@ -521,17 +521,16 @@ impl CommTask {
         Contents::new(&bytes[..=len]).ok_or(Fault::WrongLength)
     }
 
-    /// The message without its epoch; `None` where a newer one was heard of. With a newer one goes what still waits of
+    /// What a message says under the lease of a couple, without its epoch; `None` where a newer one was heard of. With a newer one goes what still waits of
     /// older ones.
     pub(super) fn within_epoch(
         &mut self,
         table: &NodeTable,
         port: &Port,
-        (inbox, source): (usize, usize),
+        (couple, inbox, source): (u8, usize, usize),
         packet: &Packet,
         out: &mut impl Outbox,
-    ) -> Option<Packet> {
-        let Some(couple) = port.decl.guard else { return Some(*packet) };
+    ) -> Option<Contents> {
         let now = self.now;
         let guard = self.guards.iter_mut().find(|guard| guard.couple == couple)?;
         let declared = port.party(packet.source).map_or(Ticks::ZERO, |party| party.time_out);
@@ -549,8 +548,9 @@ impl CommTask {
         if newer && heeds {
             self.drop_orders(table, couple, out);
         }
-        Some(Packet { contents: Contents::new(bytes).unwrap_or_default(), ..*packet })
+        Some(Contents::new(bytes).unwrap_or_default())
     }
+
     /// Drops what still waits of an epoch that has passed, on every port of the couple.
     fn drop_orders(&mut self, table: &NodeTable, couple: u8, out: &mut impl Outbox) {
         for inbox in 0..self.inboxes.len() {
@@ -561,6 +561,7 @@ impl CommTask {
             while let Some(old) = self.inboxes[inbox].queue.pop_if(|_: &Held| true) {
                 self.discard(port, &old, Reason::StaleEpoch, out);
             }
+            self.touch(inbox);
         }
     }
 }

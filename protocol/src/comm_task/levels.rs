@@ -2,7 +2,7 @@
 //! waits is offered to whom (D16, D58).
 
 use super::desk::Phase;
-use super::inbox::Held;
+use super::inbox::{Aged, Held};
 use super::{CommTask, Outbox, Pending, note};
 use crate::ids::{PortId, Round};
 use crate::observe::{Event, Observation};
@@ -105,13 +105,14 @@ impl CommTask {
 
     /// Ends the wait of the thread that waits so: tells it, or leaves word for when it resumes.
     pub(super) fn conclude(&mut self, wait: Pending, finished: Finished, out: &mut impl Outbox) {
-        let top = usize::from(self.depth);
-        let Some(at) = self.running().iter().position(|level| level.pending == wait) else { return };
-        self.levels[at].pending = Pending::Nothing;
-        if at == top {
-            self.tell(finished, out);
-        } else {
-            self.levels[at].finished = Some(finished);
+        let top = self.top_mut();
+        if top.pending == wait {
+            top.pending = Pending::Nothing;
+            return self.tell(finished, out);
+        }
+        let below = self.levels.iter_mut().take(usize::from(self.depth));
+        for level in below.filter(|level| level.pending == wait).take(1) {
+            (level.pending, level.finished) = (Pending::Nothing, Some(finished));
         }
     }
 
@@ -166,10 +167,10 @@ impl CommTask {
         if base == 0 { 1 } else { base }
     }
 
-    pub(super) fn held_outranks(&self, table: &NodeTable, port: PortId, held: &Held) -> bool {
+    pub(super) fn held_outranks(&self, table: &NodeTable, port: PortId, held: &Held, aged: Aged) -> bool {
         let base = self.order.rank(port, held.source);
-        let rank = base.saturating_sub(held.rejections);
-        self.outranks(table, rank, held.rejections >= Self::cap(base))
+        let rank = base.saturating_sub(aged.rejections);
+        self.outranks(table, rank, aged.rejections >= Self::cap(base))
     }
 
     /// How often a port may be passed over before it goes first (D58).
@@ -182,8 +183,7 @@ impl CommTask {
         if !self.interruptible(false) {
             return Ticks::FAR;
         }
-        let handled = self.inboxes.iter().filter(|inbox| inbox.handled);
-        handled.map(|inbox| inbox.queue.next_due()).min().unwrap_or(Ticks::FAR)
+        self.next_due()
     }
 
     /// The task says what outranks what (D16). What was rejected so often that it outranks the thread does so under the new
@@ -192,11 +192,12 @@ impl CommTask {
         let old = core::mem::replace(&mut self.order, order);
         for inbox in &mut self.inboxes {
             let port = inbox.port;
-            inbox.queue.adjust(|held| {
+            inbox.queue.adjust(|held, aged| {
                 let [before, after] = [old, order].map(|order| Self::cap(order.rank(port, held.source)));
-                held.rejections = if held.rejections >= before { after } else { held.rejections.min(after) };
+                aged.rejections = if aged.rejections >= before { after } else { aged.rejections.min(after) };
             });
         }
+        self.touch_all();
     }
 
     /// A timer that is over and outranks the thread that could be interrupted: it should have been offered.
@@ -210,13 +211,15 @@ impl CommTask {
         if self.is_idle_get() { Ticks::FAR } else { self.now }
     }
 
-    /// Offers what waits to the current thread, if that waits. While nothing is due this looks at each port once,
-    /// however much waits there; else at everything that is due.
+    /// Offers what waits to the current thread, if that waits: while nothing is due this looks at no port, else at each of
+    /// them and at everything that is due.
     pub(super) fn offer_to_waiting(&mut self, table: &NodeTable, out: &mut impl Outbox) {
-        let due_by = self.due_by();
-        let any = self.called().is_some()
+        if matches!(self.top().pending, Pending::Nothing) {
+            return;
+        }
+        let any = (self.has_offers() && self.next_due() <= self.due_by())
             || self.timers.ended().next().is_some()
-            || self.inboxes.iter().any(|i| i.handled && i.queue.len() > 0 && i.queue.next_due() <= due_by);
+            || self.called().is_some();
         if any && self.interruptible(false) {
             self.offer(table, out);
         }
@@ -250,9 +253,8 @@ impl CommTask {
                 out.signal(Signal::Interrupt(Call::Timer(id)));
             }
             What::Message(inbox, slot) => {
-                let port = self.inboxes[inbox].port;
                 if let Some(held) = self.take(inbox, slot) {
-                    self.interrupt(port, &held, out);
+                    self.interrupt(inbox, &held, out);
                 }
             }
         }
@@ -264,19 +266,21 @@ impl CommTask {
         let handled = self.inboxes.iter().enumerate().filter(|(_, inbox)| inbox.handled);
         let messages = handled.flat_map(|(i, inbox)| {
             let due = inbox.queue.all_due(due_by);
-            due.filter(|(_, h)| self.held_outranks(table, inbox.port, h)).map(move |(slot, held)| {
+            let due = due.map(|(slot, held)| (slot, held, inbox.queue.side(slot)));
+            let ready = due.filter(|&(_, held, aged)| self.held_outranks(table, inbox.port, held, aged));
+            ready.map(move |(slot, held, aged)| {
                 let base = self.order.rank(inbox.port, held.source);
-                let capped = held.rejections >= Self::cap(base);
+                let capped = aged.rejections >= Self::cap(base);
                 let turn = if capped && self.capped_last {
-                    Turn::CappedAgain(held.rejected_first)
+                    Turn::CappedAgain(aged.rejected_first)
                 } else if capped {
-                    Turn::Capped(held.rejected_first)
-                } else if inbox.bypassed >= limit {
-                    Turn::Bypassed(u16::MAX - inbox.bypassed)
+                    Turn::Capped(aged.rejected_first)
+                } else if inbox.bypassed(self.served) >= limit {
+                    Turn::Bypassed(u16::MAX - inbox.bypassed(self.served))
                 } else {
                     Turn::InOrder
                 };
-                let rank = base.saturating_sub(held.rejections);
+                let rank = base.saturating_sub(aged.rejections);
                 Offer {
                     key: (turn, rank, held.expires, held.class, inbox.port, held.key()),
                     what: What::Message(i, slot),
@@ -305,9 +309,10 @@ impl CommTask {
             let inbox = &self.inboxes[i];
             let (port, handled) = (inbox.port, inbox.handled);
             let other = !matches!(first, What::Message(taken, _) if taken == i);
-            let ready = |(_, held): (Slot, &Held)| self.held_outranks(table, port, held);
-            if other && handled && inbox.queue.all_due(due_by).any(ready) {
-                self.inboxes[i].bypassed = self.inboxes[i].bypassed.saturating_add(1);
+            let queue = &inbox.queue;
+            let ready = |(slot, held): (Slot, &Held)| self.held_outranks(table, port, held, queue.side(slot));
+            if other && handled && queue.all_due(due_by).any(ready) {
+                self.inboxes[i].since = self.inboxes[i].since.saturating_add(1);
             }
         }
     }
@@ -322,22 +327,31 @@ impl CommTask {
                 continue;
             }
             let mut queue = core::mem::take(&mut inbox.queue);
-            let mut turned = core::mem::take(&mut inbox.turned);
-            let due = queue.all_due(due_by).filter(|(_, held)| !self.held_outranks(table, id, held));
+            let mut turned = core::mem::take(&mut self.turned);
+            let outranks = |slot, held| self.held_outranks(table, id, held, queue.side(slot));
+            let due = queue.all_due(due_by).filter(|&(slot, held)| !outranks(slot, held));
             turned.extend(due.map(|(slot, _)| slot));
             turned.sort_unstable_by_key(|&slot| queue.get(slot).map(Entry::key));
             for &slot in &turned {
-                queue.change(slot, |held| self.reject(table, id, held, round, out));
+                queue.change(slot, |held, aged| self.reject(table, id, (held, aged), round, out));
                 self.rejections = round + 1;
             }
             self.count(id, |c| c.rejected += turned.len() as u64);
             turned.clear();
-            (self.inboxes[i].queue, self.inboxes[i].turned) = (queue, turned);
+            (self.inboxes[i].queue, self.turned) = (queue, turned);
+            self.touch(i);
         }
     }
 
     /// The message does not outrank the current thread: it is offered again later, one level higher (D4, D58).
-    fn reject(&self, table: &NodeTable, port: PortId, held: &mut Held, round: u64, out: &mut impl Outbox) {
+    fn reject(
+        &self,
+        table: &NodeTable,
+        port: PortId,
+        (held, aged): (&mut Held, &mut Aged),
+        round: u64,
+        out: &mut impl Outbox,
+    ) {
         let penalty = table.port(port).and_then(|port| port.decl.penalty);
         let length = penalty.map_or(table.cell().tick, |penalty| penalty.length);
         let left = held.expires - self.now;
@@ -345,16 +359,16 @@ impl CommTask {
         if penalty.is_some_and(|penalty| penalty.literal) {
             // The Appendix's `save`: the penalty lengthens the life that it makes less urgent.
             held.expires += length;
-            held.not_before = self.now + length.max(Ticks(1));
+            aged.not_before = self.now + length.max(Ticks(1));
             return;
         }
-        held.not_before = self.now + length.min(Ticks(left.0 / 2)).max(Ticks(1));
+        aged.not_before = self.now + length.min(Ticks(left.0 / 2)).max(Ticks(1));
         if table.rules().aging == Aging::Bounded {
-            if held.rejections == 0 {
-                held.rejected_first = round;
+            if aged.rejections == 0 {
+                aged.rejected_first = round;
             }
             let cap = Self::cap(self.order.rank(port, held.source));
-            held.rejections = held.rejections.saturating_add(1).min(cap);
+            aged.rejections = aged.rejections.saturating_add(1).min(cap);
         }
     }
 
@@ -363,19 +377,20 @@ impl CommTask {
         &mut self,
         table: &NodeTable,
         port: PortId,
-        held: &mut Held,
+        message: (&mut Held, &mut Aged),
         out: &mut impl Outbox,
     ) {
         self.count(port, |c| c.rejected += 1);
-        self.reject(table, port, held, self.rejections, out);
+        self.reject(table, port, message, self.rejections, out);
         self.rejections += 1;
     }
 
-    pub(super) fn interrupt(&mut self, port: PortId, held: &Held, out: &mut impl Outbox) {
+    pub(super) fn interrupt(&mut self, inbox: usize, held: &Held, out: &mut impl Outbox) {
+        let port = self.inboxes[inbox].port;
         let rank = self.order.rank(port, held.source);
         self.begin_handler(rank);
         note(out, Event::Interrupted, port, held.source, held.id, held.expires - self.now);
-        let delivery = self.delivery(port, held, out);
+        let delivery = self.delivery(inbox, held, out);
         out.signal(Signal::Interrupt(Call::Message(delivery)));
     }
 

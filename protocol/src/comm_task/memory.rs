@@ -136,7 +136,7 @@ impl Source {
 
     /// Looks a class-2 message of the present life up.
     pub fn look_up(&self, id: MessageId, now: Ticks) -> Seen {
-        match self.command.filter(|c| c.until > now) {
+        match self.command.as_ref().filter(|c| c.until > now) {
             None => Seen::New,
             Some(c) if c.id == id && c.fate == Fate::Lapsed => Seen::New,
             Some(c) if c.id == id => Seen::Again(c.fate),

@@ -1,6 +1,6 @@
 //! The user layer up (§5.2.1): packets for the task.
 
-use super::inbox::{Admission, Held};
+use super::inbox::{Admission, Aged, Held};
 use super::memory::{Fate, Remembered, Seen};
 use super::rendezvous::is_older;
 use super::{CommTask, Outbox, Pending, Role, note};
@@ -26,6 +26,7 @@ impl CommTask {
                 if packet.kind == mapping::message_kind(port) && packet.class == port.decl.class =>
             {
                 self.message(table, port, usize::from(inbox), packet, out);
+                self.touch(usize::from(inbox));
             }
             (Kind::Reply | Kind::Response, Role::Asks(desk)) if packet.kind == mapping::answer_kind(port) => {
                 self.answer(table, desk, packet, out);
@@ -71,8 +72,9 @@ impl CommTask {
             TimeStamp::Remaining => packet.remaining,
             TimeStamp::Absolute => packet.remaining - self.now,
         };
+        let way_back = table.bound_between(self.task, packet.source);
         let reserved = match packet.class {
-            Class::Command if table.rules().reserve_way_back => table.bound_between(self.task, packet.source),
+            Class::Command if table.rules().reserve_way_back => way_back,
             Class::Command | Class::Status => Ticks::ZERO,
         };
         if packet.fragment.saturating_add(u8::from(packet.more)) >= port.decl.fragments {
@@ -82,18 +84,24 @@ impl CommTask {
             return self.expire_on_arrival(packet, out);
         }
         let Some(source) = self.inboxes[inbox].source(packet.source) else { return };
-        let packet = Packet { remaining, ..*packet };
-        if !self.is_fresh(table, (inbox, source), port, (&packet, reserved), out) {
+        let counted;
+        let packet = if remaining == packet.remaining {
+            packet
+        } else {
+            counted = Packet { remaining, ..*packet };
+            &counted
+        };
+        if !self.is_fresh(table, (inbox, source), port, (packet, reserved), out) {
             return;
         }
-        let whole = if packet.more || packet.fragment > 0 {
-            self.assemble((inbox, source), &packet, reserved, out)
+        let bounds = (reserved, way_back);
+        if packet.more || packet.fragment > 0 {
+            if let Some((whole, fragments)) = self.assemble((inbox, source), packet, reserved, out) {
+                self.take_in(table, port, (inbox, source), (&whole, fragments), bounds, out);
+            }
         } else {
-            self.overtake((inbox, source), &packet, out);
-            Some((packet, 1))
-        };
-        if let Some((packet, fragments)) = whole {
-            self.take_in(table, port, (inbox, source), &packet, (fragments, reserved), out);
+            self.overtake((inbox, source), packet, out);
+            self.take_in(table, port, (inbox, source), (packet, 1), bounds, out);
         }
     }
 
@@ -106,8 +114,7 @@ impl CommTask {
         (packet, reserved): (&Packet, Ticks),
         out: &mut impl Outbox,
     ) -> bool {
-        let to = ReplyTo { port: packet.port, source: packet.source, id: packet.id };
-        if packet.class == Class::Command && self.scene(table).quarantined {
+        if packet.class == Class::Command && self.is_quarantined(table) {
             // D49: it may be a copy of one that the earlier life ran.
             self.control(packet, Control::Restarted, out);
             return false;
@@ -131,8 +138,9 @@ impl CommTask {
             Seen::Again(Fate::Refused) => self.control(packet, Control::Refused, out),
             Seen::Again(Fate::Answered(contents)) => {
                 let kind = mapping::answer_kind(port);
+                let to = ReplyTo { port: packet.port, source: packet.source, id: packet.id };
                 let answer = mapping::answer(to, self.task, kind, packet.remaining, contents);
-                mapping::in_fragments(&answer, &entry.answer, |packet| out.transmit(packet));
+                mapping::in_fragments(answer, &entry.answer, |packet| out.transmit(packet));
             }
         }
         self.duplicate(packet, out);
@@ -150,7 +158,7 @@ impl CommTask {
         if !short || inbox.queue.get(slot).is_none_or(|held| held.fragments > 1 || held.expires >= expires) {
             return;
         }
-        inbox.queue.change(slot, |held| held.expires = expires);
+        inbox.queue.change(slot, |held, _| held.expires = expires);
         if let Some(remembered) = &mut inbox.sources[source].command {
             remembered.sender_until = remembered.sender_until.max(sender_until);
             remembered.until = remembered.until.max(sender_until);
@@ -164,13 +172,19 @@ impl CommTask {
         table: &NodeTable,
         port: &Port,
         (inbox, source): (usize, usize),
-        packet: &Packet,
-        (fragments, reserved): (u8, Ticks),
+        (packet, fragments): (&Packet, u8),
+        (reserved, way_back): (Ticks, Ticks),
         out: &mut impl Outbox,
     ) {
-        let Some(packet) = &self.within_epoch(table, port, (inbox, source), packet, out) else { return };
+        let contents = match port.decl.guard {
+            None => packet.contents,
+            Some(couple) => {
+                let said = self.within_epoch(table, port, (couple, inbox, source), packet, out);
+                let Some(contents) = said else { return };
+                contents
+            }
+        };
         let now = self.now;
-        let way_back = table.bound_between(self.task, packet.source);
         // What a link charges is only a bound: this copy may have been charged more than a later one will be. So copies
         // are remembered as long as the declared life lets any of them arrive, not as long as this one seems to live.
         let declared = port.party(packet.source).map_or(Ticks::ZERO, |party| party.time_out);
@@ -193,32 +207,31 @@ impl CommTask {
             id: packet.id,
             class: packet.class,
             expires: now + packet.remaining - reserved,
-            contents: packet.contents,
+            contents,
             fragments,
-            rejections: 0,
-            rejected_first: 0,
-            not_before: now,
             arrival: 0,
         };
+        let mut aged = Aged::default();
         if self.inboxes[inbox].latest && !self.supersedes(inbox, &held, out) {
             self.inboxes[inbox].sources[source].assembly.close(held.id);
             return self.discard(packet.port, &held, Reason::Superseded, out);
         }
         if self.wants(inbox, packet) {
             self.top_mut().pending = Pending::Nothing;
-            self.count(packet.port, |c| c.enqueued += 1);
+            let local = self.inboxes[inbox].local;
+            self.count_at(local, |c| c.enqueued += 1);
             self.take_assembled((inbox, source), &held);
-            return self.hand_over(packet.port, &held, out);
+            return self.hand_over(inbox, &held, out);
         }
         if self.inboxes[inbox].handled && self.interruptible(false) {
-            if self.held_outranks(table, packet.port, &held) {
+            if self.held_outranks(table, packet.port, &held, aged) {
                 self.count(packet.port, |c| c.enqueued += 1);
                 self.take_assembled((inbox, source), &held);
-                return self.interrupt(packet.port, &held, out);
+                return self.interrupt(inbox, &held, out);
             }
-            self.reject_arrived(table, packet.port, &mut held, out);
+            self.reject_arrived(table, packet.port, (&mut held, &mut aged), out);
         }
-        self.store_message(port, (inbox, source), held, out);
+        self.store_message(port, (inbox, source), (held, aged), out);
         self.inboxes[inbox].sources[source].assembly.close(held.id);
     }
 
@@ -254,15 +267,16 @@ impl CommTask {
         &mut self,
         port: &Port,
         (inbox, source): (usize, usize),
-        message: Held,
+        (message, aged): (Held, Aged),
         out: &mut impl Outbox,
     ) {
         let message = Held { arrival: self.arrivals, ..message };
         self.arrivals += 1;
+        let served = self.served;
         let entry = &mut self.inboxes[inbox];
-        let id = entry.port;
+        let (id, local) = (entry.port, entry.local);
         let left = message.expires - self.now;
-        let (slot, lost) = match entry.admit(message) {
+        let (slot, lost) = match entry.admit(message, aged, served) {
             Admission::Kept(slot) => (Some(slot), None),
             Admission::Replaced(slot, evicted) => (Some(slot), Some((evicted, Reason::Evicted))),
             Admission::Turned => (None, Some((message, Reason::Refused))),
@@ -272,7 +286,7 @@ impl CommTask {
                 let rest = entry.sources[source].assembly.contents.iter().skip(1);
                 body.fill(rest_of(message.fragments), rest);
             }
-            self.count(id, |c| c.enqueued += 1);
+            self.count_at(local, |c| c.enqueued += 1);
             note(out, Event::Enqueued, id, message.source, message.id, left);
         }
         let Some((lost, reason)) = lost else { return };
@@ -315,45 +329,51 @@ impl CommTask {
 
     /// Takes a message out of a port's buffer to hand it over.
     pub(super) fn take(&mut self, inbox: usize, slot: Slot) -> Option<Held> {
-        let inbox = &mut self.inboxes[inbox];
-        let held = inbox.queue.remove(slot)?;
-        inbox.bypassed = 0;
+        let entry = &mut self.inboxes[inbox];
+        let held = entry.queue.remove(slot)?;
+        entry.begin(self.served);
         self.taken.0 = Some(held.contents);
-        match inbox.bodies.get(usize::from(slot)) {
+        match entry.bodies.get(usize::from(slot)) {
             Some(body) => self.taken.1.copy(body),
             None => self.taken.1.clear(),
         }
+        self.touch(inbox);
         Some(held)
     }
 
     /// As [`take`](Self::take), of a message that was never stored.
     fn take_assembled(&mut self, (inbox, source): (usize, usize), held: &Held) {
         self.taken.0 = Some(held.contents);
+        if held.fragments < 2 {
+            return self.taken.1.clear();
+        }
         let assembly = &mut self.inboxes[inbox].sources[source].assembly;
         self.taken.1.fill(rest_of(held.fragments), assembly.contents.iter().skip(1));
     }
 
-    pub(super) fn hand_over(&mut self, port: PortId, message: &Held, out: &mut impl Outbox) {
-        let delivery = self.delivery(port, message, out);
+    pub(super) fn hand_over(&mut self, inbox: usize, message: &Held, out: &mut impl Outbox) {
+        let delivery = self.delivery(inbox, message, out);
         out.signal(Signal::Message(delivery));
     }
 
     /// The task takes a message: from here on its execution budget runs.
-    pub(super) fn delivery(&mut self, port: PortId, message: &Held, out: &mut impl Outbox) -> Delivery {
-        if let Some(Role::Receives(inbox)) = self.role(port) {
-            let inbox = &mut self.inboxes[usize::from(inbox)];
-            if let Some(at) = inbox.source(message.source) {
-                let source = &mut inbox.sources[at];
-                source.assembly.close(message.id);
-                if let Some(remembered) = &mut source.command
-                    && remembered.id == message.id
-                {
-                    remembered.fate = Fate::Delivered(message.expires);
-                }
+    pub(super) fn delivery(&mut self, inbox: usize, message: &Held, out: &mut impl Outbox) -> Delivery {
+        let entry = &mut self.inboxes[inbox];
+        let (port, local) = (entry.port, entry.local);
+        if let Some(at) = entry.source(message.source) {
+            let source = &mut entry.sources[at];
+            let closed = source.assembly.close(message.id);
+            if let Some(remembered) = &mut source.command
+                && remembered.id == message.id
+            {
+                remembered.fate = Fate::Delivered(message.expires);
+            }
+            if closed {
+                self.touch(inbox);
             }
         }
         let budget = message.expires - self.now;
-        self.count(port, |c| c.delivered += 1);
+        self.count_at(local, |c| c.delivered += 1);
         note(out, Event::Delivered, port, message.source, message.id, budget);
         Delivery {
             from: ReplyTo { port, source: message.source, id: message.id },
@@ -375,6 +395,7 @@ impl CommTask {
                     if let Some(entry) = self.inboxes[inbox].source(source) {
                         self.withdraw_superseded((inbox, entry), out);
                         self.inboxes[inbox].sources[entry].forget();
+                        self.touch(inbox);
                     }
                 }
             }
@@ -389,9 +410,12 @@ impl CommTask {
         let now = self.now;
         let entry = &self.inboxes[inbox].sources[source];
         let task = entry.task;
-        let held = entry.command.filter(|c| c.fate == Fate::Held && c.until > now);
-        let Some(old) = held else { return };
-        if let Some(withdrawn) = self.inboxes[inbox].withdraw(task, old.id) {
+        let Some(old) = &entry.command else { return };
+        if !matches!(old.fate, Fate::Held) || old.until <= now {
+            return;
+        }
+        let id = old.id;
+        if let Some(withdrawn) = self.inboxes[inbox].withdraw(task, id) {
             let port = self.inboxes[inbox].port;
             self.discard(port, &withdrawn, Reason::Superseded, out);
         }

@@ -9,6 +9,7 @@
 
 mod desk;
 mod fragments;
+mod heads;
 mod ignores;
 mod inbox;
 pub mod invariants;
@@ -31,12 +32,14 @@ use crate::cell::Usage;
 use crate::ids::{Incarnation, MessageId, NodeId, PortId, Seq24, TaskId};
 use crate::observe::{Event, Observation, PortCounters, Reason};
 use crate::packet::{Class, Contents, Packet};
+use crate::queue::Slot;
 use crate::request::{Request, ServiceOrder, Signal, TimeId};
 use crate::table::{NodeTable, Port};
 use crate::ticks::Ticks;
 use alloc::boxed::Box;
 use alloc::vec::Vec;
 use desk::{Desk, Overdue};
+use heads::Heads;
 use inbox::Inbox;
 use lease::{Guard, Lease};
 use levels::{DEPTH, Finished, Level};
@@ -184,6 +187,9 @@ pub struct CommTask {
     desks: Box<[Desk]>,
     inboxes: Box<[Inbox]>,
     meetings: Box<[Rendezvous]>,
+    heads: Heads,
+    /// How many GETs over all ports were served (D58).
+    served: u64,
     /// One per task that may send to this one, ascending.
     lives: Box<[Known]>,
     /// Its side of its couple, if it is in one (D61).
@@ -192,6 +198,9 @@ pub struct CommTask {
     guards: Box<[Guard]>,
     /// The message the task took last (D28).
     taken: (Option<Contents>, Parts),
+    /// Room for those that are rejected together; empty between two inputs.
+    #[serde(skip)]
+    turned: Vec<Slot>,
 }
 
 impl CommTask {
@@ -224,10 +233,13 @@ impl CommTask {
             desks: Box::default(),
             inboxes: Box::default(),
             meetings: Box::default(),
+            heads: Heads::default(),
+            served: 0,
             lives: Box::default(),
             lease: None,
             guards: Box::default(),
             taken: (None, Parts::default()),
+            turned: Vec::new(),
         };
         let (mut locals, mut desks) = (Vec::new(), Vec::new());
         let (mut inboxes, mut meetings, mut sources) = (Vec::new(), Vec::new(), Vec::new());
@@ -236,6 +248,7 @@ impl CommTask {
             let Some(port) = table.port(id) else { continue };
             let Some(party) = port.party(task) else { continue };
             let asks = port.decl.class == Class::Command;
+            let local = index(locals.len());
             let mut fragments = port.decl.fragments;
             let role = match party.usage {
                 Usage::Query | Usage::Response
@@ -245,7 +258,7 @@ impl CommTask {
                     Role::Beats
                 }
                 Usage::Send | Usage::Query if asks => {
-                    desks.push(Desk::new(port, task));
+                    desks.push(Desk::new(port, task, local));
                     Role::Asks(index(desks.len() - 1))
                 }
                 Usage::Send | Usage::Query => Role::Sends,
@@ -253,7 +266,7 @@ impl CommTask {
                 Usage::Receive | Usage::Response => {
                     longest = longest.max(fragments);
                     fragments = port.decl.answer_fragments;
-                    inboxes.push(Inbox::new(port, task));
+                    inboxes.push(Inbox::new(port, task, local));
                     sources.extend(port.peers(task));
                     guards.extend(port.decl.guard.map(Guard::new));
                     Role::Receives(index(inboxes.len() - 1))
@@ -280,7 +293,10 @@ impl CommTask {
         guards.dedup();
         new.guards = guards.into();
         new.taken.1 = Parts::new(longest);
+        let most = inboxes.iter().map(|inbox: &Inbox| inbox.queue.capacity()).max();
+        new.turned = Vec::with_capacity(most.unwrap_or_default());
         (new.locals, new.desks) = (locals.into(), desks.into());
+        new.heads = Heads::new(&inboxes, meetings.len());
         (new.inboxes, new.meetings) = (inboxes.into(), meetings.into());
         new
     }
@@ -301,13 +317,13 @@ impl CommTask {
     pub fn handle(&mut self, table: &NodeTable, input: Input, out: &mut impl Outbox) {
         let waited = !self.is_idle();
         let request = matches!(input, Input::Request(_));
-        match input {
-            Input::Advance(elapsed) => self.advance(table, elapsed, out),
+        match &input {
+            Input::Advance(elapsed) => self.advance(table, *elapsed, out),
             Input::Request(request) => self.request(table, request, out),
-            Input::Packet(packet) => self.packet(table, &packet, out),
-            Input::TimeOut { id, turn } => self.time_is_over(id, turn, out),
-            Input::Unsent(id) => self.unsent(id),
-            Input::PeerRestarted(node) => self.peer_restarted(table, node, out),
+            Input::Packet(packet) => self.packet(table, packet, out),
+            Input::TimeOut { id, turn } => self.time_is_over(*id, *turn, out),
+            Input::Unsent(id) => self.unsent(*id),
+            Input::PeerRestarted(node) => self.peer_restarted(table, *node, out),
         }
         // What was asked meanwhile by a thread that waits is answered: it gets no second signal.
         if !(request && waited) {
@@ -328,17 +344,17 @@ impl CommTask {
             | Pending::Lease
             | Pending::Boundary => Ticks::FAR,
         };
-        let waits = self.meetings.iter().map(Rendezvous::due).chain(self.desks.iter().map(Desk::due));
-        let buffers = self.inboxes.iter().map(Inbox::due);
+        let answers = self.open_desks().map(|desk| self.desks[desk].due());
         let lease = self.lease.as_ref().map_or(Ticks::FAR, Lease::due);
-        let due = waits.chain(buffers).fold(get.min(self.next_offer()).min(lease), Ticks::min);
+        let waits = get.min(self.next_offer()).min(lease).min(self.next_end());
+        let due = answers.fold(waits, Ticks::min);
         (due != Ticks::FAR).then(|| due - self.now)
     }
 
     /// Whether the thread that runs, the task's own or a handler, has no outstanding request.
     #[must_use]
     pub fn is_idle(&self) -> bool {
-        self.top().pending == Pending::Nothing
+        matches!(self.top().pending, Pending::Nothing)
     }
 
     fn scene<'a>(&self, table: &'a NodeTable) -> Scene<'a> {
@@ -347,9 +363,14 @@ impl CommTask {
             task: self.task,
             incarnation: self.incarnation,
             restarted: self.restarted,
-            quarantined: self.now < self.quarantine_until && table.rules().quarantine,
+            quarantined: self.is_quarantined(table),
             now: self.now,
         }
+    }
+
+    /// Messages sent to an earlier life of the task may still arrive (D49).
+    fn is_quarantined(&self, table: &NodeTable) -> bool {
+        self.now < self.quarantine_until && table.rules().quarantine
     }
 
     fn local_at(&self, port: PortId) -> Option<usize> {
@@ -371,6 +392,12 @@ impl CommTask {
         }
     }
 
+    fn count_at(&mut self, local: u16, count: impl FnOnce(&mut PortCounters)) {
+        if let Some(local) = self.locals.get_mut(usize::from(local)) {
+            count(&mut local.counters);
+        }
+    }
+
     /// Runs a step of a rendezvous with its surroundings, and tells the task where that releases it.
     fn meet<R, O: Outbox>(
         &mut self,
@@ -387,7 +414,9 @@ impl CommTask {
         let counters = &mut self.locals[at].counters;
         let mut at = At { scene: &scene, port, counters, released: None };
         let done = step(rendezvous, &mut at, out);
-        if let Some((round, by)) = at.released {
+        let released = at.released;
+        self.heads.touch_meeting(&self.meetings, meeting);
+        if let Some((round, by)) = released {
             self.conclude(Pending::Meeting(meeting), Finished::Released { port: id, round, by }, out);
         }
         Some(done)
@@ -399,11 +428,12 @@ impl CommTask {
         if !table.rules().charge_residence {
             self.give_back(elapsed);
         }
-        for i in 0..self.inboxes.len() {
+        while let Some(i) = self.expired() {
             self.discard_expired(i, out);
             if !self.inboxes[i].bodies.is_empty() {
                 self.discard_incomplete(i, out);
             }
+            self.touch(i);
         }
         if let Pending::Get { deadline, .. } = self.top().pending
             && deadline <= self.now
@@ -411,15 +441,24 @@ impl CommTask {
             self.top_mut().pending = Pending::Nothing;
             out.signal(Signal::Nothing);
         }
-        for i in 0..self.desks.len() {
-            self.advance_desk(table, i, out);
+        let mut from = 0;
+        while let Some(desk) = self.due_desk(from) {
+            self.advance_desk(table, desk, out);
+            from = desk + 1;
         }
-        for i in 0..self.meetings.len() {
-            if self.meetings[i].due() <= self.now {
-                self.advance_meeting(table, index(i), out);
+        if self.next_act() <= self.now {
+            for i in 0..self.meetings.len() {
+                if self.meetings[i].due() <= self.now {
+                    self.advance_meeting(table, index(i), out);
+                }
             }
         }
         self.beat(table, out, Lease::advance);
+    }
+
+    /// The lowest desk from one on that has something to do.
+    fn due_desk(&self, from: usize) -> Option<usize> {
+        self.open_desks().filter(|&desk| desk >= from && self.desks[desk].due() <= self.now).min()
     }
 
     fn advance_meeting(&mut self, table: &NodeTable, meeting: u16, out: &mut impl Outbox) {
@@ -436,8 +475,9 @@ impl CommTask {
     /// The literal reading without residence: waiting costs no life.
     fn give_back(&mut self, elapsed: Ticks) {
         for inbox in &mut self.inboxes {
-            inbox.queue.change_all(|held| held.expires += elapsed);
+            inbox.queue.change_all(|held, _| held.expires += elapsed);
         }
+        self.touch_all();
     }
 
     /// Drops what has no time left: simple removal at the local station (§5.1.1).

@@ -152,10 +152,10 @@ impl CommTask {
         let mut v = ByRef(visitor);
         relatives!(self, v);
         for inbox in &self.inboxes {
-            for (_, held) in inbox.queue.iter() {
+            for (slot, held) in inbox.queue.iter() {
                 v.sequence(held.source, &held.id.sequence);
                 v.instant(&held.expires);
-                v.instant(&held.not_before);
+                v.instant(&inbox.queue.side(slot).not_before);
             }
         }
     }
@@ -164,12 +164,13 @@ impl CommTask {
     pub fn visit_mut(&mut self, v: &mut impl VisitMut) {
         relatives!(self, v, mut);
         for inbox in &mut self.inboxes {
-            inbox.queue.change_all(|held| {
+            inbox.queue.change_all(|held, aged| {
                 v.sequence(held.source, &mut held.id.sequence);
                 v.instant(&mut held.expires);
-                v.instant(&mut held.not_before);
+                v.instant(&mut aged.not_before);
             });
         }
+        self.touch_all();
     }
 
     /// Sets the internal clock back to zero; behaviour does not change. Dead state is dropped first, so that no
@@ -219,9 +220,6 @@ impl CommTask {
             *guard = Guard { until: now, ..Guard::new(guard.couple) };
         }
         for inbox in &mut self.inboxes {
-            if inbox.queue.len() == 0 {
-                inbox.bypassed = 0;
-            }
             for source in &mut inbox.sources {
                 source.command = source.command.filter(|c| c.until > now);
                 if source.status.until <= now {

@@ -7,7 +7,7 @@ use crate::ids::{MessageId, PortId, TaskId};
 use crate::mapping;
 use crate::observe::Event;
 use crate::packet::Contents;
-use crate::queue::{Entry, Slot};
+use crate::queue::Slot;
 use crate::request::{Fault, ReplyTo, Request, Signal, Target};
 use crate::rules::{Aging, Memory, TimeStamp};
 use crate::table::{NodeTable, Port};
@@ -15,8 +15,8 @@ use crate::ticks::Ticks;
 
 impl CommTask {
     /// The task's request: it always outranks what the communication task is doing (§5.2.1).
-    pub(super) fn request(&mut self, table: &NodeTable, request: Request, out: &mut impl Outbox) {
-        let done = match request {
+    pub(super) fn request(&mut self, table: &NodeTable, request: &Request, out: &mut impl Outbox) {
+        let done = match *request {
             Request::Cancel => Ok(Some(self.cancel(table, out))),
             Request::Abandon => Ok(Some(self.abandon(table, out))),
             Request::Reply { to, contents } => self.reply(table, to, contents, out).map(Some),
@@ -68,7 +68,7 @@ impl CommTask {
             Ok(None) => {}
             Err(fault) => {
                 // What was staged for a message that is not sent is no part of the next one.
-                if let Request::Send { port, .. } | Request::Reply { to: ReplyTo { port, .. }, .. } = request
+                if let Request::Send { port, .. } | Request::Reply { to: ReplyTo { port, .. }, .. } = *request
                 {
                     self.unstage(port);
                 }
@@ -89,88 +89,112 @@ impl CommTask {
         let (port, party) = mapping::own_end(table, id, self.task)?;
         // The declared life is what receivers and a restarted node reckon with: a request may only shorten it.
         let life = time_out.map_or(party.time_out, |wanted| wanted.min(party.time_out));
-        let contents = self.under_lease(port, contents)?;
-        match self.role(id) {
-            Some(Role::Sends) => {
-                let peers = mapping::destinations(port, self.task, to)?;
-                self.staged(id)?;
-                let mut copies = 0;
-                for peer in peers {
-                    self.send_packets(table, port, peer, life, contents, out);
-                    copies += 1;
-                }
-                self.unstage(id);
+        let contents = if port.decl.guard.is_some() { self.under_lease(port, contents)? } else { contents };
+        let local = self.local_at(id).ok_or(Fault::NotYourPort)?;
+        let message = (port, life, contents);
+        match self.locals[local].role {
+            Role::Sends => {
+                let copies = match mapping::only_peer(port, self.task, to) {
+                    Some(peer) => {
+                        self.staged(local)?;
+                        self.send_packets(table, local, peer, message, out);
+                        1
+                    }
+                    None => {
+                        let peers = mapping::destinations(port, self.task, to)?;
+                        self.staged(local)?;
+                        let mut copies = 0;
+                        for peer in peers {
+                            self.send_packets(table, local, peer, message, out);
+                            copies += 1;
+                        }
+                        copies
+                    }
+                };
+                self.locals[local].staged.clear();
                 Ok(Some(Signal::Accepted(copies)))
             }
-            Some(Role::Asks(desk)) => {
-                let asked = mapping::destinations(port, self.task, to)?.count();
+            Role::Asks(desk) => {
+                let only = mapping::only_peer(port, self.task, to);
+                let asked = match only {
+                    Some(_) => 1,
+                    None => mapping::destinations(port, self.task, to)?.count(),
+                };
                 if self.desks[usize::from(desk)].phase != Phase::Closed {
                     return Err(Fault::Busy);
                 }
-                self.staged(id)?;
-                self.ask(table, usize::from(desk), port, (to, asked > 1), life, contents, out);
-                self.unstage(id);
+                self.staged(local)?;
+                let packets = self.locals[local].staged.fragments().unwrap_or(1);
+                self.desks[usize::from(desk)].forget();
+                match only {
+                    Some(peer) => self.ask(table, (desk, local), (peer, packets), message, out),
+                    None => {
+                        for peer in mapping::destinations(port, self.task, to)? {
+                            self.ask(table, (desk, local), (peer, packets), message, out);
+                        }
+                    }
+                }
+                self.await_answers((desk, local), asked > 1, party.retry, message);
+                self.locals[local].staged.clear();
                 Ok(None)
             }
-            Some(Role::Receives(_) | Role::Meets(_) | Role::Replies | Role::Hears | Role::Beats) | None => {
+            Role::Receives(_) | Role::Meets(_) | Role::Replies | Role::Hears | Role::Beats => {
                 Err(Fault::WrongUsage)
             }
         }
     }
 
-    /// A class-2 message: to one task, or to several (R26, R40).
-    #[expect(clippy::too_many_arguments, reason = "the request, taken apart")]
+    /// A class-2 message to one of the tasks that are asked (R26, R40).
     fn ask(
         &mut self,
         table: &NodeTable,
-        at: usize,
-        port: &Port,
-        (to, set): (Target, bool),
-        life: Ticks,
-        contents: Contents,
+        (desk, local): (u16, usize),
+        (peer, packets): (TaskId, u8),
+        message: (&Port, Ticks, Contents),
         out: &mut impl Outbox,
     ) {
-        self.desks[at].forget();
-        let staged = self.local_at(port.id);
-        for peer in mapping::destinations(port, self.task, to).into_iter().flatten() {
-            let id = self.send_packets(table, port, peer, life, contents, out);
-            let packets = staged.and_then(|at| self.locals[at].staged.fragments()).unwrap_or(1);
-            if let Some(asked) = self.desks[at].find(peer) {
-                let asked = &mut self.desks[at].asked[asked];
-                (asked.id, asked.answer, asked.packets_out) = (id, Answer::Open, u16::from(packets));
-            }
+        let id = self.send_packets(table, local, peer, message, out);
+        let desk = &mut self.desks[usize::from(desk)];
+        if let Some(asked) = desk.find(peer) {
+            let asked = &mut desk.asked[asked];
+            (asked.id, asked.answer, asked.packets_out) = (id, Answer::Open, u16::from(packets));
         }
-        let retries = port.party(self.task).map_or(0, |party| party.retry);
-        let desk = &mut self.desks[at];
-        (desk.phase, desk.set, desk.deadline) = (Phase::Open, set, self.now + life);
-        desk.copies_left = retries;
-        desk.copy_at = if retries > 0 { self.now + port.decl.resend } else { Ticks::FAR };
+    }
+
+    /// The task waits for the answers to what it asked.
+    fn await_answers(
+        &mut self,
+        (desk, local): (u16, usize),
+        set: bool,
+        retries: u8,
+        (port, life, contents): (&Port, Ticks, Contents),
+    ) {
+        let deadline = self.now + life;
+        let copy_at = if retries > 0 { self.now + port.decl.resend } else { Ticks::FAR };
+        self.top_mut().pending = Pending::Reply(desk);
+        let desk = &mut self.desks[usize::from(desk)];
+        (desk.phase, desk.set, desk.deadline) = (Phase::Open, set, deadline);
+        (desk.copies_left, desk.copy_at) = (retries, copy_at);
         desk.contents = contents;
-        desk.parts.clear();
-        if let Some(local) = staged {
-            desk.parts.copy(&self.locals[local].staged);
-        }
-        self.top_mut().pending = Pending::Reply(super::index(at));
+        desk.parts.copy(&self.locals[local].staged);
     }
 
     /// Sends a message, with what was staged for it, to one task.
     fn send_packets(
         &mut self,
         table: &NodeTable,
-        port: &Port,
+        local: usize,
         to: TaskId,
-        life: Ticks,
-        contents: Contents,
+        (port, life, contents): (&Port, Ticks, Contents),
         out: &mut impl Outbox,
     ) -> MessageId {
         let id = MessageId { incarnation: self.incarnation, sequence: self.next_sequence };
         self.next_sequence = self.next_sequence.next();
         let packet = mapping::message(port, self.task, to, id, self.stamp(table, life), contents);
-        self.count(packet.port, |c| c.sent += 1);
+        let local = &mut self.locals[local];
+        local.counters.sent += 1;
         note(out, Event::Sent, packet.port, to, id, life);
-        if let Some(local) = self.local_at(port.id) {
-            mapping::in_fragments(&packet, &self.locals[local].staged, |packet| out.transmit(packet));
-        }
+        mapping::in_fragments(packet, &local.staged, |packet| out.transmit(packet));
         id
     }
 
@@ -229,31 +253,30 @@ impl CommTask {
     ) -> bool {
         let Some((inbox, slot)) = self.most_urgent(port, source) else { return false };
         if port.is_none() && source.is_none() && table.rules().aging != Aging::Off {
-            let passed_over = self.inboxes.iter_mut().filter(|inbox| !inbox.handled && inbox.queue.len() > 0);
-            passed_over.for_each(|inbox| inbox.bypassed = inbox.bypassed.saturating_add(1));
+            // All other ports without a handler were passed over.
+            self.served += 1;
         }
         let Some(message) = self.take(inbox, slot) else { return false };
-        let port = self.inboxes[inbox].port;
-        self.hand_over(port, &message, out);
+        self.hand_over(inbox, &message, out);
         true
     }
 
     /// D14: a GET chooses among port heads: first one that was passed over too often (D58); then by urgency, class,
     /// `order`, port, source and arrival. Ports with a handler are not looked at unless they are named.
     fn most_urgent(&self, port: Option<PortId>, source: Option<TaskId>) -> Option<(usize, Slot)> {
-        let limit = self.bypass_limit();
-        let over_all = port.is_none() && source.is_none();
-        let asked = self.inboxes.iter().enumerate();
-        let asked = asked.filter(|(_, inbox)| port.map_or(!inbox.handled, |p| p == inbox.port));
-        let heads = asked.filter_map(|(i, inbox)| {
+        let head = |at: usize| self.inboxes.get(at)?.head(source).map(|(slot, _)| (at, slot));
+        if let Some(port) = port {
+            let Some(Role::Receives(inbox)) = self.role(port) else { return None };
+            return head(usize::from(inbox));
+        }
+        if source.is_none() {
+            return head(self.next_served()?);
+        }
+        let open = self.inboxes.iter().enumerate().filter(|(_, inbox)| !inbox.handled);
+        let heads = open.filter_map(|(at, inbox)| {
             let (slot, message) = inbox.head(source)?;
-            let key = message.key();
             let rank = self.order.rank(inbox.port, message.source);
-            let bypassed = if over_all && inbox.bypassed >= limit { inbox.bypassed } else { 0 };
-            let place = (message.expires, message.class, rank, inbox.port, key);
-            // Of ports passed over too often, the lower one where all else is alike: not the more urgent one.
-            let place = if bypassed > 0 { (Ticks::ZERO, message.class, 0, inbox.port, key) } else { place };
-            Some(((u16::MAX - bypassed, place), (i, slot)))
+            Some(((message.expires, message.class, rank, inbox.port), (at, slot)))
         });
         heads.min_by_key(|&(key, _)| key).map(|(_, place)| place)
     }
@@ -266,33 +289,34 @@ impl CommTask {
         out: &mut impl Outbox,
     ) -> Result<Signal, Fault> {
         let (port, party) = mapping::own_end(table, to.port, self.task)?;
-        if self.role(to.port) == Some(Role::Replies) {
-            if !port.peers(self.task).any(|peer| peer == to.source) {
-                return Err(Fault::NotAPeer);
+        let local = self.local_at(to.port).ok_or(Fault::NotYourPort)?;
+        let inbox = match self.locals[local].role {
+            Role::Replies => {
+                if !port.peers(self.task).any(|peer| peer == to.source) {
+                    return Err(Fault::NotAPeer);
+                }
+                self.staged(local)?;
+                self.locals[local].counters.sent += 1;
+                self.send_answer((port, local), to, party.time_out, contents, out);
+                return Ok(Signal::Accepted(1));
             }
-            self.staged(to.port)?;
-            self.count(to.port, |c| c.sent += 1);
-            self.send_answer(port, to, party.time_out, contents, out);
-            return Ok(Signal::Accepted(1));
-        }
-        let Some(Role::Receives(inbox)) = self.role(to.port) else { return Err(Fault::NothingToAnswer) };
-        let inbox = usize::from(inbox);
+            Role::Receives(inbox) => usize::from(inbox),
+            Role::Sends | Role::Asks(_) | Role::Meets(_) | Role::Hears | Role::Beats => {
+                return Err(Fault::NothingToAnswer);
+            }
+        };
         let Some(at) = self.inboxes[inbox].source(to.source) else { return Err(Fault::NothingToAnswer) };
         let left = self.answerable(inbox, at, to)?;
-        self.staged(to.port)?;
-        let local = self.local_at(to.port);
+        self.staged(local)?;
         let source = &mut self.inboxes[inbox].sources[at];
         if let Some(remembered) = &mut source.command {
             remembered.fate = Fate::Answered(contents);
         }
-        source.answer.clear();
-        if let Some(local) = local {
-            source.answer.copy(&self.locals[local].staged);
-        }
+        source.answer.copy(&self.locals[local].staged);
         if table.rules().memory == Memory::UntilAnswered {
             source.command = None;
         }
-        self.send_answer(port, to, left, contents, out);
+        self.send_answer((port, local), to, left, contents, out);
         Ok(Signal::Accepted(1))
     }
 
@@ -322,7 +346,7 @@ impl CommTask {
     /// What is left of the wait of the sender of a message that can still be answered.
     fn answerable(&self, inbox: usize, source: usize, to: ReplyTo) -> Result<Ticks, Fault> {
         // What is not remembered any more is over, and so is its sender's wait.
-        let known = self.inboxes[inbox].sources[source].command.filter(|c| c.until > self.now);
+        let known = self.inboxes[inbox].sources[source].command.as_ref().filter(|c| c.until > self.now);
         let Some(remembered) = known else { return Err(Fault::Late) };
         if remembered.id != to.id {
             // A newer message took the slot: its sender has given this one up.
@@ -338,7 +362,7 @@ impl CommTask {
 
     fn send_answer(
         &mut self,
-        port: &Port,
+        (port, local): (&Port, usize),
         to: ReplyTo,
         left: Ticks,
         contents: Contents,
@@ -346,10 +370,9 @@ impl CommTask {
     ) {
         note(out, Event::Replied, to.port, to.source, to.id, left);
         let packet = mapping::answer(to, self.task, mapping::answer_kind(port), left, contents);
-        if let Some(local) = self.local_at(to.port) {
-            mapping::in_fragments(&packet, &self.locals[local].staged, |packet| out.transmit(packet));
-        }
-        self.unstage(to.port);
+        let staged = &mut self.locals[local].staged;
+        mapping::in_fragments(packet, staged, |packet| out.transmit(packet));
+        staged.clear();
     }
 
     fn arrive(
@@ -375,8 +398,14 @@ impl CommTask {
     fn set_handled(&mut self, port: PortId, handled: bool) -> Result<Signal, Fault> {
         match self.role(port) {
             Some(Role::Receives(inbox)) => {
-                let inbox = &mut self.inboxes[usize::from(inbox)];
-                (inbox.handled, inbox.bypassed) = (handled, 0);
+                let entry = &mut self.inboxes[usize::from(inbox)];
+                entry.handled = handled;
+                entry.begin(self.served);
+                if handled {
+                    entry.queue.watch();
+                    self.heads.watch(&self.inboxes);
+                }
+                self.touch(usize::from(inbox));
                 Ok(Signal::Accepted(0))
             }
             Some(

@@ -2,6 +2,7 @@
 
 use super::*;
 use crate::cell::{Cell, PortDecl, Usage};
+use crate::comm_task::heads::Heads;
 use crate::comm_task::timers::Started;
 use crate::comm_task::{Input, Outbox};
 use crate::ids::{Incarnation, NodeId, Seq24};
@@ -61,7 +62,7 @@ fn planted(fault: impl FnOnce(&mut CommTask)) -> Violation {
 fn a_planted_fault_in_a_buffer_or_memory_is_found() {
     let id = MessageId::default();
     let inbox = |task: &mut CommTask, change: fn(&mut Held)| {
-        task.inboxes[0].queue.change_all(change);
+        task.inboxes[0].queue.change_all(|held, _| change(held));
     };
     assert_eq!(planted(|t| inbox(t, |h| h.expires = Ticks(10))), Violation::HoldsExpired(MOVE, A, id));
     assert_eq!(planted(|t| inbox(t, |h| h.class = Class::Status)), Violation::HoldsForeign(MOVE, A, id));
@@ -74,6 +75,17 @@ fn a_planted_fault_in_a_buffer_or_memory_is_found() {
     assert_eq!(planted(|t| memory(t, |c| c.fate = Fate::Refused)), not_remembered);
     assert_eq!(planted(|t| memory(t, |c| c.until = Ticks(10))), not_remembered);
     assert_eq!(planted(|t| memory(t, |c| c.until = Ticks(15))), Violation::MemoryTooShort(A, id));
+}
+
+#[test]
+fn an_order_that_was_not_kept_right_is_found() {
+    let held =
+        |t: &mut CommTask, change: fn(&mut Held)| t.inboxes[0].queue.change_all(|held, _| change(held));
+    assert_eq!(planted(|t| held(t, |h| h.expires += Ticks(1))), Violation::OutOfOrder(MOVE));
+    assert_eq!(planted(|t| t.inboxes[0].since = 7), Violation::OutOfOrder(MOVE));
+    assert_eq!(planted(|t| t.heads = Heads::new(&t.inboxes, 1)), Violation::OutOfOrder(MOVE));
+    let copy = |t: &mut CommTask| (t.meetings[0].copies_left, t.meetings[0].copy_at) = (1, Ticks(12));
+    assert_eq!(planted(copy), Violation::OutOfOrder(LIFT));
 }
 
 #[test]
@@ -116,9 +128,10 @@ fn a_planted_fault_in_a_wait_for_an_answer_is_found() {
 #[test]
 fn a_planted_fault_among_handlers_is_found() {
     use crate::comm_task::levels::Level;
-    let holds = |t: &mut CommTask, change: fn(&mut Held)| {
+    let holds = |t: &mut CommTask, change: fn(&mut Aged)| {
         t.inboxes[0].handled = true;
-        t.inboxes[0].queue.change_all(change);
+        t.inboxes[0].queue.watch();
+        t.inboxes[0].queue.change_all(|_, aged| change(aged));
     };
     let id = MessageId::default();
     assert_eq!(planted(|t| holds(t, |h| h.not_before = Ticks(10))), Violation::NotOffered(MOVE, A, id));

@@ -1,7 +1,7 @@
 //! The packed form of a port's receiving end.
 
 use super::{CommTask, Frame, Overflow, Reader, Writer, load_id, store_id};
-use crate::comm_task::inbox::{Held, Inbox};
+use crate::comm_task::inbox::{Aged, Held, Inbox};
 use crate::comm_task::memory::{Fate, Remembered, Source, Window};
 use crate::ids::TaskId;
 use crate::packet::Class;
@@ -50,12 +50,13 @@ impl CommTask {
         let form = Form::of(table, inbox);
         let waiting = u8::try_from(inbox.queue.len()).ok().filter(|&len| len <= WAITING).ok_or(Overflow)?;
         let flag = |set: bool, bit: u8| if set { bit } else { 0 };
-        w.byte(waiting | flag(inbox.bypassed > 0, BYPASSED) | flag(inbox.handled, HANDLED))?;
-        if inbox.bypassed > 0 {
-            w.count(usize::from(inbox.bypassed))?;
+        let bypassed = inbox.bypassed(self.served);
+        w.byte(waiting | flag(bypassed > 0, BYPASSED) | flag(inbox.handled, HANDLED))?;
+        if bypassed > 0 {
+            w.count(usize::from(bypassed))?;
         }
         for (slot, held) in inbox.queue.sorted() {
-            self.store_held(held, frame, w)?;
+            self.store_held(held, inbox.queue.side(slot), frame, w)?;
             if form.long {
                 w.byte(held.fragments)?;
                 if let Some(body) = inbox.bodies.get(usize::from(slot)).filter(|_| held.fragments > 1) {
@@ -66,23 +67,30 @@ impl CommTask {
         inbox.sources.iter().try_for_each(|source| self.store_source(source, form, frame, w))
     }
 
-    fn store_held(&self, held: &Held, frame: &Frame<'_>, w: &mut Writer<'_>) -> Result<(), Overflow> {
+    fn store_held(
+        &self,
+        held: &Held,
+        aged: Aged,
+        frame: &Frame<'_>,
+        w: &mut Writer<'_>,
+    ) -> Result<(), Overflow> {
         let flag = |set: bool, bit: u8| if set { bit } else { 0 };
         w.count(held.source.index())?;
         store_id(held.source, held.id, frame, w)?;
-        let (rejected, later) = (held.rejections > 0, held.not_before > self.now);
+        let (rejected, later) = (aged.rejections > 0, aged.not_before > self.now);
         w.byte(flag(held.class == Class::Status, STATUS) | flag(rejected, REJECTED) | flag(later, LATER))?;
         w.left(held.expires, self.now)?;
         w.contents(&held.contents)?;
         if rejected {
-            w.byte(held.rejections)?;
+            w.byte(aged.rejections)?;
             // Only the order of first rejections matters: their place among those of all that waits.
-            let all = self.inboxes.iter().flat_map(|inbox| inbox.queue.iter());
-            let before = all.filter(|(_, h)| h.rejections > 0 && h.rejected_first < held.rejected_first);
+            let queues = self.inboxes.iter().map(|inbox| &inbox.queue);
+            let all = queues.flat_map(|queue| queue.iter().map(|(slot, _)| queue.side(slot)));
+            let before = all.filter(|a| a.rejections > 0 && a.rejected_first < aged.rejected_first);
             w.count(before.count())?;
         }
         if later {
-            w.left(held.not_before, self.now)?;
+            w.left(aged.not_before, self.now)?;
         }
         Ok(())
     }
@@ -150,17 +158,24 @@ impl CommTask {
         let inbox = &mut self.inboxes[i];
         let first = r.byte();
         inbox.handled = first & HANDLED != 0;
-        inbox.bypassed = if first & BYPASSED != 0 { u16::from(r.byte()) } else { 0 };
+        let bypassed = if first & BYPASSED != 0 { u64::from(r.byte()) } else { 0 };
+        inbox.since = if inbox.handled { bypassed } else { self.served - bypassed };
         inbox.queue.clear();
+        if inbox.handled {
+            inbox.queue.watch();
+        }
         for _ in 0..first & WAITING {
-            let mut held = load_held(r, lives);
-            if held.rejections > 0 {
-                self.rejections = self.rejections.max(held.rejected_first + 1);
+            let (mut held, aged) = load_held(r, lives);
+            if aged.rejections > 0 {
+                self.rejections = self.rejections.max(aged.rejected_first + 1);
+            }
+            if aged != Aged::default() {
+                inbox.queue.watch();
             }
             if form.long {
                 held.fragments = r.byte();
             }
-            let pushed = inbox.queue.push(Held { arrival: self.arrivals, ..held });
+            let pushed = inbox.queue.push_with(Held { arrival: self.arrivals, ..held }, aged);
             if let Ok(slot) = pushed
                 && let Some(body) = inbox.bodies.get_mut(usize::from(slot))
             {
@@ -177,7 +192,7 @@ impl CommTask {
     }
 }
 
-fn load_held(r: &mut Reader<'_>, lives: bool) -> Held {
+fn load_held(r: &mut Reader<'_>, lives: bool) -> (Held, Aged) {
     let source = TaskId(u16::from(r.byte()));
     let id = load_id(r, lives);
     let flags = r.byte();
@@ -188,18 +203,8 @@ fn load_held(r: &mut Reader<'_>, lives: bool) -> Held {
         (rejections, rejected_first) = (r.byte(), 1 + u64::from(r.byte()));
     }
     let not_before = if flags & LATER != 0 { r.left() } else { Ticks::ZERO };
-    Held {
-        source,
-        id,
-        class,
-        expires,
-        contents,
-        fragments: 1,
-        rejections,
-        rejected_first,
-        not_before,
-        arrival: 0,
-    }
+    let held = Held { source, id, class, expires, contents, fragments: 1, arrival: 0 };
+    (held, Aged { rejections, rejected_first, not_before })
 }
 
 fn load_source(source: &mut Source, form: Form, lives: bool, r: &mut Reader<'_>) {

@@ -227,6 +227,8 @@ impl CommTask {
         }
         self.arrivals = 0;
         self.rejections = 1;
+        // As if that many had been served: no port was passed over more often.
+        self.served = u64::from(u8::MAX);
         for i in 0..self.inboxes.len() {
             self.load_inbox(table, i, lives, &mut r);
         }
@@ -236,6 +238,10 @@ impl CommTask {
         }
         self.load_lease(lives, &mut r);
         self.load_guards(&mut r);
+        if self.inboxes.iter().any(|inbox| inbox.handled) {
+            self.heads.watch(&self.inboxes);
+        }
+        self.touch_all();
         r.at
     }
 

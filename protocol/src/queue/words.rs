@@ -1,0 +1,264 @@
+//! An order of small numbers by an instant each.
+
+use super::{Slot, narrow};
+use crate::ticks::Ticks;
+use alloc::boxed::Box;
+use alloc::vec;
+use serde::{Deserialize, Serialize};
+
+/// How many low bits of a word are the number; the others are its instant.
+const NUMBER_BITS: u32 = 16;
+/// What stands where nothing stands, in each of four places: after every other word, and no two alike.
+const NOTHING: [u64; 4] = {
+    let step = 1 << NUMBER_BITS;
+    [u64::MAX - 3 * step, u64::MAX - 2 * step, u64::MAX - step, u64::MAX]
+};
+
+/// Numbers in the order of an instant each and of what decides between equal ones, least first: a 4-ary heap, the children
+/// of `i` at `4 i + 1 ..= 4 i + 4`.
+///
+/// An entry is one word: the instant above the number. Four of them are half a line of the cache, and comparing two looks at
+/// nothing else unless the instants are equal. Instants past 2^48 - 5 ticks (8.9 years of microseconds) count as equal here.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub struct Words {
+    /// One for the first entry, then groups of four children.
+    words: Box<[u64]>,
+    /// Where a number stands, if it does.
+    places: Box<[u16]>,
+    len: u16,
+}
+
+/// A number's word.
+fn word(instant: Ticks, slot: Slot) -> u64 {
+    const LAST: u64 = (1 << (u64::BITS - NUMBER_BITS)) - 5;
+    (instant.0.min(LAST) << NUMBER_BITS) | u64::from(slot)
+}
+
+/// The number of a word.
+#[expect(clippy::cast_possible_truncation, reason = "the low bits are the number")]
+const fn slot(word: u64) -> Slot {
+    word as Slot
+}
+
+const fn is_nothing(word: u64) -> bool {
+    word >= NOTHING[0]
+}
+
+/// The word of nothing at a position: the first one stands alone, before groups of four.
+const fn nothing(at: usize) -> u64 {
+    NOTHING[(at + 3) % 4]
+}
+
+const fn is_tie(a: u64, b: u64) -> bool {
+    (a ^ b) >> NUMBER_BITS == 0
+}
+
+fn is_less<K: Ord>(a: u64, b: u64, key: &impl Fn(Slot) -> K) -> bool {
+    if is_tie(a, b) { key(slot(a)) < key(slot(b)) } else { a < b }
+}
+
+/// Which of four words is the least.
+fn least<K: Ord>(group: &[u64; 4], key: &impl Fn(Slot) -> K) -> usize {
+    let [a, b, c, d] = *group;
+    let (left, low) = if b < a { (1, b) } else { (0, a) };
+    let (right, high) = if d < c { (3, d) } else { (2, c) };
+    let at = if high < low { right } else { left };
+    if (a ^ b).min(c ^ d).min(low ^ high) >> NUMBER_BITS == 0 { least_of_equals(group, at, key) } else { at }
+}
+
+/// The same, where `at` is one of several of that instant.
+#[cold]
+fn least_of_equals<K: Ord>(group: &[u64; 4], at: usize, key: &impl Fn(Slot) -> K) -> usize {
+    let equal = (0..4).filter(|&i| is_tie(group[i], group[at]));
+    equal.min_by_key(|&i| key(slot(group[i]))).unwrap_or(at)
+}
+
+impl Words {
+    /// An order of numbers less than `capacity`. The only allocation it ever makes.
+    pub fn new(capacity: u16) -> Self {
+        let capacity = usize::from(capacity);
+        let words = if capacity == 0 { 0 } else { 1 + (capacity - 1).next_multiple_of(4) };
+        let words = (0..words).map(nothing).collect();
+        Self { words, places: vec![0; capacity].into(), len: 0 }
+    }
+
+    pub fn capacity(&self) -> usize {
+        self.places.len()
+    }
+
+    #[expect(clippy::len_without_is_empty, reason = "as of the queue")]
+    pub fn len(&self) -> usize {
+        usize::from(self.len)
+    }
+
+    /// The number that stands first.
+    pub fn first(&self) -> Option<Slot> {
+        self.words.first().filter(|&&word| !is_nothing(word)).map(|&word| slot(word))
+    }
+
+    /// All numbers in no particular order.
+    pub fn iter(&self) -> impl Iterator<Item = Slot> {
+        self.words[..self.len()].iter().map(|&word| slot(word))
+    }
+
+    /// The numbers of the greatest part around the first one of which `is_in` holds, parents before children: where that
+    /// holds of all numbers before some instant, these.
+    pub fn upper(&self, is_in: impl Fn(Slot) -> bool) -> impl Iterator<Item = Slot> {
+        let mut at = Some(0);
+        core::iter::from_fn(move || {
+            loop {
+                let place = at?;
+                let number = self.words[..self.len()].get(place).map(|&word| slot(word));
+                let found = number.filter(|&number| is_in(number));
+                let child = 4 * place + 1;
+                at = match found {
+                    Some(_) if child < self.len() => Some(child),
+                    Some(_) | None => self.beside(place),
+                };
+                if found.is_some() {
+                    return found;
+                }
+            }
+        })
+    }
+
+    /// The next place to look at when those below one are done with.
+    fn beside(&self, mut place: usize) -> Option<usize> {
+        while place > 0 {
+            if !place.is_multiple_of(4) && place + 1 < self.len() {
+                return Some(place + 1);
+            }
+            place = (place - 1) / 4;
+        }
+        None
+    }
+
+    fn place_of(&self, number: Slot) -> Option<usize> {
+        let place = usize::from(*self.places.get(usize::from(number))?);
+        let stands = self.words.get(place).is_some_and(|&word| !is_nothing(word) && slot(word) == number);
+        stands.then_some(place)
+    }
+
+    /// Keeps a number for a number that does not stand here, until it does.
+    pub fn keep(&mut self, number: Slot, kept: u16) {
+        if let Some(place) = self.places.get_mut(usize::from(number)) {
+            *place = kept;
+        }
+    }
+
+    /// What is kept for a number that does not stand here.
+    pub fn kept(&self, number: Slot) -> u16 {
+        self.places.get(usize::from(number)).copied().unwrap_or_default()
+    }
+
+    pub fn has(&self, number: Slot) -> bool {
+        self.place_of(number).is_some()
+    }
+
+    /// Puts a number that does not stand here.
+    pub fn push<K: Ord>(&mut self, number: Slot, instant: Ticks, key: impl Fn(Slot) -> K) {
+        let at = self.len();
+        self.len += 1;
+        self.sift_up(at, word(instant, number), &key);
+    }
+
+    /// Takes a number out, if it stands here.
+    pub fn remove<K: Ord>(&mut self, number: Slot, key: impl Fn(Slot) -> K) {
+        if let Some(place) = self.place_of(number) {
+            self.remove_at(place, &key);
+        }
+    }
+
+    fn remove_at<K: Ord>(&mut self, place: usize, key: &impl Fn(Slot) -> K) {
+        self.len -= 1;
+        let end = usize::from(self.len);
+        let last = core::mem::replace(&mut self.words[end], nothing(end));
+        if place < self.len() {
+            self.settle(place, last, key);
+        }
+    }
+
+    /// A number has another instant or another key now.
+    pub fn moved<K: Ord>(&mut self, number: Slot, instant: Ticks, key: impl Fn(Slot) -> K) {
+        if let Some(place) = self.place_of(number) {
+            self.settle(place, word(instant, number), &key);
+        }
+    }
+
+    /// Puts a number, moves it or takes it out, so that it stands here where it has an instant.
+    pub fn set<K: Ord>(&mut self, number: Slot, instant: Option<Ticks>, key: impl Fn(Slot) -> K) {
+        match (self.place_of(number), instant) {
+            (Some(place), Some(instant)) => self.settle(place, word(instant, number), &key),
+            (Some(place), None) => self.remove_at(place, &key),
+            (None, Some(instant)) => self.push(number, instant, key),
+            (None, None) => {}
+        }
+    }
+
+    pub fn clear(&mut self) {
+        let len = self.len();
+        self.words[..len].iter_mut().enumerate().for_each(|(at, word)| *word = nothing(at));
+        self.len = 0;
+    }
+
+    /// All instants have changed.
+    pub fn order<K: Ord>(&mut self, instant: impl Fn(Slot) -> Ticks, key: impl Fn(Slot) -> K) {
+        for at in (0..self.len()).rev() {
+            let number = slot(self.words[at]);
+            self.sift_down(at, word(instant(number), number), &key);
+        }
+    }
+
+    /// Whether every number stands where its instant and its key say.
+    pub fn is_in_order<K: Ord>(&self, instant: impl Fn(Slot) -> Ticks, key: impl Fn(Slot) -> K) -> bool {
+        let (taken, rest) = self.words.split_at(self.len());
+        let stands = |(at, &found): (usize, &u64)| {
+            found == word(instant(slot(found)), slot(found))
+                && self.place_of(slot(found)) == Some(at)
+                && (at == 0 || !is_less(found, taken[(at - 1) / 4], &key))
+        };
+        taken.iter().enumerate().all(stands) && rest.iter().all(|&word| is_nothing(word))
+    }
+
+    /// Finds the place of a word from one where it may stand.
+    fn settle<K: Ord>(&mut self, at: usize, moving: u64, key: &impl Fn(Slot) -> K) {
+        if at > 0 && is_less(moving, self.words[(at - 1) / 4], key) {
+            self.sift_up(at, moving, key);
+        } else {
+            self.sift_down(at, moving, key);
+        }
+    }
+
+    fn sift_up<K: Ord>(&mut self, mut at: usize, moving: u64, key: &impl Fn(Slot) -> K) {
+        while at > 0 {
+            let parent = (at - 1) / 4;
+            let above = self.words[parent];
+            if !is_less(moving, above, key) {
+                break;
+            }
+            self.place(at, above);
+            at = parent;
+        }
+        self.place(at, moving);
+    }
+
+    fn sift_down<K: Ord>(&mut self, mut at: usize, moving: u64, key: &impl Fn(Slot) -> K) {
+        loop {
+            let first = 4 * at + 1;
+            let Some(group) = self.words.get(first..).and_then(|rest| rest.first_chunk()) else { break };
+            let child = least(group, key);
+            let below = group[child];
+            if is_nothing(below) || !is_less(below, moving, key) {
+                break;
+            }
+            self.place(at, below);
+            at = first + child;
+        }
+        self.place(at, moving);
+    }
+
+    fn place(&mut self, at: usize, word: u64) {
+        self.words[at] = word;
+        self.places[usize::from(slot(word))] = narrow(at);
+    }
+}
