@@ -7,9 +7,10 @@ pub mod faulty;
 pub mod in_process;
 pub mod udp;
 
+pub use crate::lead::Came;
 use imrs_protocol::{Incarnation, NodeId, Packet, PacketError, Ticks};
 use std::fmt;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 /// Where a link puts what it receives: implemented by the node.
 ///
@@ -58,6 +59,24 @@ pub trait Link: Send + Sync {
 
     /// Ends a poll.
     fn wake(&self);
+
+    /// Where the thread of a task may wait in the link itself while another thread polls, if it may.
+    fn leading(&self) -> Option<&dyn Leading> {
+        None
+    }
+}
+
+/// A link that a task's thread can wait in (D40): what comes in while it does is told to it alone, and to nobody that
+/// polls. One thread at a time.
+pub trait Leading: Send + Sync {
+    /// Waits until something comes in, for at most so long, or until [`call`](Self::call). Takes nothing in.
+    fn wait(&self, left: Option<Duration>) -> Came;
+
+    /// Takes in what [`wait`](Self::wait) told of. False where the thread that polls is at it: it takes that in, too.
+    fn take_in(&self, sink: &dyn Sink) -> bool;
+
+    /// Ends the present wait, or else the next one.
+    fn call(&self);
 }
 
 /// The link takes nothing for this neighbour now.

@@ -13,6 +13,8 @@ mod explorer;
 #[allow(dead_code, reason = "the pieces bring along what no scene needs")]
 #[path = "../../src/handoff.rs"]
 mod handoff;
+#[path = "../../src/lead.rs"]
+mod lead;
 #[path = "../../src/ring.rs"]
 mod ring;
 #[allow(dead_code, reason = "the pieces bring along what no scene needs")]

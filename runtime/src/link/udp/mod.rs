@@ -17,15 +17,17 @@ mod peer;
 mod receive;
 mod socket;
 mod statistics;
+mod watch;
 
 pub use statistics::UdpCount;
 
-use super::{Link, LinkBusy, PollEnd, Sink};
+use super::{Came, Leading, Link, LinkBusy, PollEnd, Sink};
+use crate::turn::Turn;
 use imrs_protocol::{Incarnation, NodeId, NodeTable, Packet, Ticks};
 use imrs_wire::envelope::{Envelope, MAX_PACKETS};
 use peer::{Peer, lock};
 use receive::Receiving;
-use socket::{Receiver, Waited, Wake};
+use socket::{Receiver, Waited};
 use statistics::Statistics;
 use std::io;
 use std::net::{SocketAddr, UdpSocket};
@@ -33,6 +35,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use thiserror::Error;
+use watch::{Seen, Watch};
 
 /// The kernel's queue, where nothing else is asked for: some 200 full datagrams.
 const DEFAULT_QUEUE_BYTES: usize = 256 * 1024;
@@ -76,8 +79,8 @@ pub enum UdpError {
         /// What the system said.
         source: io::Error,
     },
-    /// The event counter that ends waits cannot be made.
-    #[error("cannot make an eventfd: {0}")]
+    /// What waits in the socket and ends such waits (epoll, eventfd) cannot be made.
+    #[error("cannot make an epoll or an eventfd: {0}")]
     Wake(io::Error),
 }
 
@@ -96,11 +99,16 @@ pub struct UdpLink {
     options: UdpOptions,
     socket: UdpSocket,
     local: SocketAddr,
-    wake: Wake,
+    /// The leader waits here.
+    leader: Watch,
+    /// Whoever polls waits here.
+    polling: Watch,
+    /// Whoever receives has the turn, while it receives.
+    receiving: Turn<Box<Receiving>>,
     /// All neighbours, ascending.
     peers: Box<[Peer]>,
-    turn: Mutex<Turn>,
-    turn_changed: Condvar,
+    poll: Mutex<Poll>,
+    poll_changed: Condvar,
     /// The kernel's send queue was found full.
     blocked: AtomicBool,
     /// [`Link::wake`] was called, and no poll has ended for it yet.
@@ -112,10 +120,9 @@ pub struct UdpLink {
     statistics: Statistics,
 }
 
-/// One thread at a time waits in the socket; the others wait for their turn.
-struct Turn {
-    /// Here while nobody waits in the socket. Whoever takes it holds no lock while the sink works.
-    receiving: Option<Box<Receiving>>,
+/// One thread at a time polls; the others wait until it goes.
+struct Poll {
+    taken: bool,
     /// How often the link was woken.
     wakes: u64,
 }
@@ -134,16 +141,19 @@ impl UdpLink {
         let (socket, stamped, empty) = socket::bind(address, options.queue_bytes)?;
         let local = socket.local_addr().map_err(|source| UdpError::Bind { address, source })?;
         let lives = peers.iter().map(|_| None).collect();
-        let receiving = Box::new(Receiving { receiver: Receiver::new(stamped), empty, lives });
+        let receiving = Box::new(Receiving { receiver: Receiver::new(stamped), empty, last: empty, lives });
         Ok(Self {
             table,
             options,
-            socket,
             local,
-            wake: Wake::new()?,
+            // In this order.
+            leader: Watch::new(&socket, Seen::Readable)?,
+            polling: Watch::new(&socket, Seen::Woken)?,
+            receiving: Turn::new(receiving),
+            socket,
             peers,
-            turn: Mutex::new(Turn { receiving: Some(receiving), wakes: 0 }),
-            turn_changed: Condvar::new(),
+            poll: Mutex::new(Poll { taken: false, wakes: 0 }),
+            poll_changed: Condvar::new(),
             blocked: AtomicBool::new(false),
             woken: AtomicBool::new(false),
             address_known: AtomicBool::new(false),
@@ -167,7 +177,7 @@ impl UdpLink {
         *lock(&peer.address) = address;
         if address.is_some() {
             self.address_known.store(true, Ordering::Release);
-            self.wake.wake();
+            self.polling.wake().wake();
         }
         Ok(())
     }
@@ -203,28 +213,46 @@ impl UdpLink {
         u64::try_from(at.saturating_duration_since(self.origin).as_micros()).unwrap_or(u64::MAX)
     }
 
-    /// Waits for this thread's turn to wait in the socket.
+    /// Waits until no other thread polls.
     ///
     /// # Errors
     /// Why it waits no longer.
-    fn take_turn(&self, until: Option<Instant>) -> Result<OwnTurn<'_>, PollEnd> {
-        let mut turn = lock(&self.turn);
-        let wakes = turn.wakes;
+    fn take_poll(&self, until: Option<Instant>) -> Result<OwnPoll<'_>, PollEnd> {
+        let mut poll = lock(&self.poll);
+        let wakes = poll.wakes;
         loop {
-            if let Some(receiving) = turn.receiving.take() {
-                return Ok(OwnTurn { link: self, receiving: Some(receiving) });
+            if !std::mem::replace(&mut poll.taken, true) {
+                return Ok(OwnPoll { link: self });
             }
-            turn = match until.map(|until| until.saturating_duration_since(Instant::now())) {
+            poll = match until.map(|until| until.saturating_duration_since(Instant::now())) {
                 Some(Duration::ZERO) => return Err(PollEnd::TimedOut),
                 Some(left) => {
-                    self.turn_changed.wait_timeout(turn, left).unwrap_or_else(PoisonError::into_inner).0
+                    self.poll_changed.wait_timeout(poll, left).unwrap_or_else(PoisonError::into_inner).0
                 }
-                None => self.turn_changed.wait(turn).unwrap_or_else(PoisonError::into_inner),
+                None => self.poll_changed.wait(poll).unwrap_or_else(PoisonError::into_inner),
             };
-            if turn.wakes != wakes {
+            if poll.wakes != wakes {
                 return Err(PollEnd::Woken);
             }
         }
+    }
+
+    /// Waits for a datagram, for a wake, or, where the kernel's send queue was full, until it is not.
+    fn wait(&self, until: Option<Instant>) -> io::Result<Waited> {
+        if self.blocked.load(Ordering::Acquire) {
+            return socket::wait(&self.socket, self.polling.wake(), true, until);
+        }
+        self.polling.wait(&self.socket, until).map(|seen| match seen {
+            Seen::Readable => Waited::Readable,
+            Seen::Woken => Waited::Woken,
+            Seen::TimedOut => Waited::TimedOut,
+        })
+    }
+
+    /// The kernel is out of memory for a wait itself: the next one is not tried at once.
+    fn wait_failed(&self) {
+        self.statistics.add(UdpCount::ReceiveFailed, 1);
+        std::thread::sleep(Duration::from_millis(1));
     }
 
     /// Whether the event counter means the end of a poll, or only that the poll must look at the socket again.
@@ -232,7 +260,7 @@ impl UdpLink {
         if self.address_known.swap(false, Ordering::AcqRel) {
             if self.woken.load(Ordering::Acquire) {
                 // One poll ends for each.
-                self.wake.wake();
+                self.polling.wake().wake();
             }
             return Some(PollEnd::Ready);
         }
@@ -240,17 +268,36 @@ impl UdpLink {
     }
 }
 
-/// A thread's turn. Ends when it goes, also where a sink panics.
-struct OwnTurn<'a> {
+/// A thread's poll. Ends when it goes, also where a sink panics.
+struct OwnPoll<'a> {
     link: &'a UdpLink,
-    /// Always here until the turn ends.
-    receiving: Option<Box<Receiving>>,
 }
 
-impl Drop for OwnTurn<'_> {
+impl Drop for OwnPoll<'_> {
     fn drop(&mut self) {
-        lock(&self.link.turn).receiving = self.receiving.take();
-        self.link.turn_changed.notify_one();
+        lock(&self.link.poll).taken = false;
+        self.link.poll_changed.notify_one();
+    }
+}
+
+impl Leading for UdpLink {
+    fn wait(&self, left: Option<Duration>) -> Came {
+        let until = left.and_then(|left| Instant::now().checked_add(left));
+        self.leader.wait(&self.socket, until).map_or_else(
+            |_| {
+                self.wait_failed();
+                Came::Call
+            },
+            Came::from,
+        )
+    }
+
+    fn take_in(&self, sink: &dyn Sink) -> bool {
+        self.receiving.once(|receiving| self.receive_one(receiving, sink)).is_some()
+    }
+
+    fn call(&self) {
+        self.leader.wake().wake();
     }
 }
 
@@ -292,7 +339,7 @@ impl Link for UdpLink {
                 self.statistics.add(UdpCount::Busy, 1);
                 self.blocked.store(true, Ordering::Release);
                 // Whoever waits in the socket does not yet wait for this.
-                self.wake.wake();
+                self.polling.wake().wake();
                 return Err(LinkBusy);
             }
             Err(error) => self.statistics.send_failed(&error),
@@ -302,15 +349,15 @@ impl Link for UdpLink {
     }
 
     fn poll(&self, sink: &dyn Sink, until: Option<Instant>) -> PollEnd {
-        let mut turn = match self.take_turn(until) {
-            Ok(turn) => turn,
+        let _poll = match self.take_poll(until) {
+            Ok(poll) => poll,
             Err(end) => return end,
         };
         loop {
-            let writable = self.blocked.load(Ordering::Acquire);
-            let end = match socket::wait(&self.socket, &self.wake, writable, until) {
+            let end = match self.wait(until) {
                 Ok(Waited::Readable) => {
-                    let any = turn.receiving.as_mut().is_some_and(|receiving| self.drain(receiving, sink));
+                    let mut any = false;
+                    self.receiving.must(|receiving| any |= self.drain(receiving, sink));
                     any.then_some(PollEnd::Received)
                 }
                 Ok(Waited::Writable) => {
@@ -320,9 +367,7 @@ impl Link for UdpLink {
                 Ok(Waited::Woken) => self.end_of_wake(),
                 Ok(Waited::TimedOut) => Some(PollEnd::TimedOut),
                 Err(_) => {
-                    // The kernel is out of memory for the wait itself: try again, but not at once.
-                    self.statistics.add(UdpCount::ReceiveFailed, 1);
-                    std::thread::sleep(Duration::from_millis(1));
+                    self.wait_failed();
                     None
                 }
             };
@@ -333,9 +378,13 @@ impl Link for UdpLink {
     }
 
     fn wake(&self) {
-        lock(&self.turn).wakes += 1;
+        lock(&self.poll).wakes += 1;
         self.woken.store(true, Ordering::Release);
-        self.wake.wake();
-        self.turn_changed.notify_all();
+        self.polling.wake().wake();
+        self.poll_changed.notify_all();
+    }
+
+    fn leading(&self) -> Option<&dyn Leading> {
+        Some(self)
     }
 }
