@@ -1,7 +1,7 @@
 //! One at a time, and nobody waits: who wants work done says so and takes its turn; who finds another one at it leaves
 //! the work to that one, who looks again before it leaves.
 
-use crate::sync::{AtomicBool, Mutex, Ordering, fence, lock, try_lock};
+use crate::sync::{AtomicBool, Mutex, Ordering, fence, try_lock};
 
 pub(crate) struct Turn<T> {
     wanted: AtomicBool,
@@ -53,35 +53,6 @@ impl<T> Turn<T> {
             drop(inside);
             #[cfg(test)]
             if self.plant == Plant::LeavesBlindly {
-                return;
-            }
-        }
-    }
-
-    /// Works once, unless another thread is at it in [`must`](Self::must): that one works once more before it leaves.
-    /// What there was to say was said before. `None` where it was left to the other.
-    pub fn once<R>(&self, work: impl FnOnce(&mut T) -> R) -> Option<R> {
-        self.want();
-        self.fence();
-        let mut inside = try_lock(&self.inside)?;
-        self.wanted.swap(false, Ordering::AcqRel);
-        Some(work(&mut inside))
-    }
-
-    /// Works, after the one that is at it, and then for those who left work to this one.
-    pub fn must(&self, mut work: impl FnMut(&mut T)) {
-        loop {
-            let mut inside = lock(&self.inside);
-            self.wanted.swap(false, Ordering::AcqRel);
-            work(&mut inside);
-            drop(inside);
-            #[cfg(test)]
-            if self.plant == Plant::LeavesBlindly {
-                return;
-            }
-            // As in `take`.
-            self.fence();
-            if !self.wanted.load(Ordering::Relaxed) {
                 return;
             }
         }

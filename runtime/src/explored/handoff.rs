@@ -9,14 +9,14 @@ use crate::turn::{self, Turn};
 
 /// A machine of two states: its task has asked, or not. It keeps an answer that comes before the question.
 #[derive(Default)]
-struct Toy {
+pub(super) struct Toy {
     asked: bool,
     kept: u32,
     fed: u32,
 }
 
 #[derive(Clone, Copy)]
-enum Brought {
+pub(super) enum Brought {
     Question,
     Answer,
     TimeIsUp,
@@ -24,7 +24,7 @@ enum Brought {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-enum Got {
+pub(super) enum Got {
     Answer,
     TimedOut,
 }

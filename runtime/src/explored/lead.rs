@@ -6,7 +6,7 @@ use super::handoff::{Brought, Toy};
 use crate::explorer::{Arc, Condvar, PlainMutex, explore, must_fail, thread};
 use crate::handoff::{self, Bell, Handoff};
 use crate::lead::{Came, Lead, Led};
-use crate::turn::{self, Turn};
+use crate::sync::{Mutex, lock, try_lock};
 
 /// A socket as the kernel tells of it: a datagram is told to the leader if one waits, else to the thread that polls.
 struct Socket {
@@ -24,6 +24,8 @@ struct State {
     leads: bool,
     told: bool,
     called: bool,
+    /// For the test that must fail: what was told once is not told again though it is still there.
+    edges: bool,
 }
 
 impl Socket {
@@ -66,6 +68,7 @@ impl Socket {
         while state.open > 0 && !(state.told && !state.datagrams.is_empty()) {
             state = self.pollers.wait(state).unwrap();
         }
+        state.told &= !state.edges;
         state.open > 0
     }
 
@@ -90,10 +93,10 @@ impl Bell for Socket {
 }
 
 struct Scene {
-    socket: Arc<Socket>,
+    socket: std::sync::Arc<Socket>,
     handoff: Handoff<Toy>,
     lead: Lead,
-    receiving: Turn<()>,
+    receiving: Mutex<()>,
 }
 
 /// What is planted.
@@ -103,23 +106,22 @@ struct Planted {
     no_bell: bool,
     /// The leader leaves what it was told of when its own wait is over.
     leaves_told: bool,
-    /// The one that polls does not look again after its turn.
-    leaves_blindly: bool,
+    /// The kernel tells of edges, not of levels.
+    edges: bool,
 }
 
 impl Scene {
     fn new(planted: Planted, datagrams: u32) -> Arc<Self> {
-        let socket = Arc::new(Socket::expecting(datagrams));
-        let mut handoff = Handoff::new(Toy::default(), Some(Arc::clone(&socket) as Arc<dyn Bell>));
-        let (mut lead, mut receiving) = (Lead::new(), Turn::new(()));
+        let socket = std::sync::Arc::new(Socket::expecting(datagrams));
+        let bell: std::sync::Arc<dyn Bell> = socket.clone();
+        let mut handoff = Handoff::new(Toy::default(), Some(bell));
+        let mut lead = Lead::new();
         if planted.no_bell {
             handoff.plant = handoff::Plant::NoBell;
         }
-        if planted.leaves_blindly {
-            receiving.plant = turn::Plant::LeavesBlindly;
-        }
+        socket.state.lock().unwrap().edges = planted.edges;
         lead.leaves_blindly = planted.leaves_told;
-        Arc::new(Self { socket, handoff, lead, receiving })
+        Arc::new(Self { socket, handoff, lead, receiving: Mutex::new(()) })
     }
 
     fn deliver(&self, datagram: Option<bool>) {
@@ -132,12 +134,11 @@ impl Scene {
     fn run_poller(&self) -> u32 {
         let mut took = 0;
         while self.socket.poll() {
-            self.receiving.must(|()| {
-                while let Some(datagram) = self.socket.take() {
-                    took += 1;
-                    self.deliver(Some(datagram));
-                }
-            });
+            let _turn = lock(&self.receiving);
+            while let Some(datagram) = self.socket.take() {
+                took += 1;
+                self.deliver(Some(datagram));
+            }
         }
         took
     }
@@ -148,10 +149,11 @@ impl Scene {
         let mut entry = self.handoff.enter(Brought::Question, &mut worked);
         while entry.mail.is_none() {
             let take_in = || {
-                let taken = self.receiving.once(|()| self.socket.take());
-                took += u32::from(taken.flatten().is_some());
-                taken.into_iter().for_each(|datagram| self.deliver(datagram));
-                taken.is_some()
+                let Some(_turn) = try_lock(&self.receiving) else { return false };
+                let datagram = self.socket.take();
+                took += u32::from(datagram.is_some());
+                self.deliver(datagram);
+                true
             };
             led = self.lead.wait(&self.handoff, || self.socket.wait(), take_in);
             if led == Led::No {
@@ -220,12 +222,10 @@ fn a_leader_that_leaves_what_it_was_told_of_hands_it_to_nobody() {
 /// The one that polls finds the socket empty, and the next datagram is told to the leader before the turn is free.
 fn two_datagrams(planted: Planted) -> (Led, u32) {
     let scene = Scene::new(planted, 2);
+    scene.socket.arrive(false);
     let (poller, network) = (Arc::clone(&scene), Arc::clone(&scene));
     let poller = thread::spawn(move || poller.run_poller());
-    let network = thread::spawn(move || {
-        network.socket.arrive(false);
-        network.socket.arrive(true);
-    });
+    let network = thread::spawn(move || network.socket.arrive(true));
     let went = scene.run_task();
     network.join().unwrap();
     assert_eq!(went.1 + poller.join().unwrap(), 2, "a datagram was taken twice or not at all");
@@ -240,6 +240,6 @@ fn what_the_leader_leaves_to_the_one_at_work_is_taken() {
 }
 
 #[test]
-fn one_at_work_who_does_not_look_again_leaves_a_datagram() {
-    must_fail(DEADLOCK, || two_datagrams(Planted { leaves_blindly: true, ..Planted::default() }));
+fn one_at_work_who_is_told_of_edges_leaves_a_datagram() {
+    must_fail(DEADLOCK, || two_datagrams(Planted { edges: true, ..Planted::default() }));
 }

@@ -15,7 +15,7 @@ use std::time::{Duration, Instant};
 /// Where a link puts what it receives: implemented by the node.
 ///
 /// What is handed over is dealt with at once, by the same thread: it may call [`Link::send_at`] before the call returns.
-/// A link holds no lock of its own while it calls its sink.
+/// A link holds no lock while it calls its sink that a sender or a waiting task would wait for.
 pub trait Sink: Send + Sync {
     /// A packet that was decoded and checked. `charge` is what the link and the kernel's queue had cost it at `at`, in
     /// microseconds; the sink charges what has passed since, so that a node that was stopped between the two cannot make

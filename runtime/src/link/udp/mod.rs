@@ -22,7 +22,7 @@ mod watch;
 pub use statistics::UdpCount;
 
 use super::{Came, Leading, Link, LinkBusy, PollEnd, Sink};
-use crate::turn::Turn;
+use crate::sync;
 use imrs_protocol::{Incarnation, NodeId, NodeTable, Packet, Ticks};
 use imrs_wire::envelope::{Envelope, MAX_PACKETS};
 use peer::{Peer, lock};
@@ -103,8 +103,9 @@ pub struct UdpLink {
     leader: Watch,
     /// Whoever polls waits here.
     polling: Watch,
-    /// Whoever receives has the turn, while it receives.
-    receiving: Turn<Box<Receiving>>,
+    /// Locked by whoever receives, while it receives. The leader never waits for it: whoever polls looks at the socket
+    /// again before it waits.
+    receiving: sync::Mutex<Receiving>,
     /// All neighbours, ascending.
     peers: Box<[Peer]>,
     poll: Mutex<Poll>,
@@ -141,7 +142,7 @@ impl UdpLink {
         let (socket, stamped, empty) = socket::bind(address, options.queue_bytes)?;
         let local = socket.local_addr().map_err(|source| UdpError::Bind { address, source })?;
         let lives = peers.iter().map(|_| None).collect();
-        let receiving = Box::new(Receiving { receiver: Receiver::new(stamped), empty, last: empty, lives });
+        let receiving = Receiving { receiver: Receiver::new(stamped), empty, last: empty, lives };
         Ok(Self {
             table,
             options,
@@ -149,7 +150,7 @@ impl UdpLink {
             // In this order.
             leader: Watch::new(&socket, Seen::Readable)?,
             polling: Watch::new(&socket, Seen::Woken)?,
-            receiving: Turn::new(receiving),
+            receiving: sync::Mutex::new(receiving),
             socket,
             peers,
             poll: Mutex::new(Poll { taken: false, wakes: 0 }),
@@ -293,7 +294,8 @@ impl Leading for UdpLink {
     }
 
     fn take_in(&self, sink: &dyn Sink) -> bool {
-        self.receiving.once(|receiving| self.receive_one(receiving, sink)).is_some()
+        let receiving = sync::try_lock(&self.receiving);
+        receiving.map(|mut receiving| self.receive_one(&mut receiving, sink)).is_some()
     }
 
     fn call(&self) {
@@ -356,8 +358,7 @@ impl Link for UdpLink {
         loop {
             let end = match self.wait(until) {
                 Ok(Waited::Readable) => {
-                    let mut any = false;
-                    self.receiving.must(|receiving| any |= self.drain(receiving, sink));
+                    let any = self.drain(&mut sync::lock(&self.receiving), sink);
                     any.then_some(PollEnd::Received)
                 }
                 Ok(Waited::Writable) => {
