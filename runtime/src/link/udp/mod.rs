@@ -25,7 +25,7 @@ use super::{Came, Leading, Link, LinkBusy, PollEnd, Sink};
 use crate::sync;
 use imrs_protocol::{Incarnation, NodeId, NodeTable, Packet, Ticks};
 use imrs_wire::envelope::{Envelope, MAX_PACKETS};
-use peer::{Peer, lock};
+use peer::{Peer, Way, lock};
 use receive::Receiving;
 use socket::{Receiver, Waited};
 use statistics::Statistics;
@@ -175,7 +175,7 @@ impl UdpLink {
     /// Where the node is no neighbour.
     pub fn set_address(&self, node: NodeId, address: Option<SocketAddr>) -> Result<(), NotANeighbour> {
         let (_, peer) = self.peer(node).ok_or(NotANeighbour(node))?;
-        *lock(&peer.address) = address;
+        *lock(&peer.way) = address.map(|address| Way::new(self.local, address));
         if address.is_some() {
             self.address_known.store(true, Ordering::Release);
             self.polling.wake().wake();
@@ -194,14 +194,22 @@ impl UdpLink {
         UdpCount::ALL.iter().map(|&count| (count.name(), self.statistics.get(count)))
     }
 
-    fn transmit(&self, bytes: &[u8], address: SocketAddr) -> io::Result<()> {
-        loop {
-            match self.socket.send_to(bytes, address) {
-                Ok(_) => return Ok(()),
-                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-                Err(error) => return Err(error),
+    /// Hands a datagram to the kernel.
+    fn transmit(&self, bytes: &[u8], way: &Way) -> io::Result<()> {
+        if let Some(connected) = &way.connected {
+            let mut sent = retried(|| connected.send(bytes));
+            if let Err(error) = sent.as_ref()
+                && error.kind() == io::ErrorKind::ConnectionRefused
+            {
+                // Said of an earlier datagram; this one has not been tried.
+                self.statistics.send_failed(error);
+                sent = retried(|| connected.send(bytes));
+            }
+            if sent.is_ok() {
+                return Ok(());
             }
         }
+        retried(|| self.socket.send_to(bytes, way.address))
     }
 
     fn peer(&self, node: NodeId) -> Option<(usize, &Peer)> {
@@ -269,6 +277,16 @@ impl UdpLink {
     }
 }
 
+/// Does it again while a signal interrupts it.
+fn retried(mut send: impl FnMut() -> io::Result<usize>) -> io::Result<()> {
+    loop {
+        match send() {
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+            sent => return sent.map(|_| ()),
+        }
+    }
+}
+
 /// A thread's poll. Ends when it goes, also where a sink panics.
 struct OwnPoll<'a> {
     link: &'a UdpLink,
@@ -305,7 +323,7 @@ impl Leading for UdpLink {
 
 impl Link for UdpLink {
     fn ready(&self, next: NodeId) -> bool {
-        let known = self.peer(next).is_some_and(|(_, peer)| lock(&peer.address).is_some());
+        let known = self.peer(next).is_some_and(|(_, peer)| lock(&peer.way).is_some());
         if known && self.blocked.load(Ordering::Acquire) && socket::takes(&self.socket) {
             self.blocked.store(false, Ordering::Release);
         }
@@ -314,7 +332,8 @@ impl Link for UdpLink {
 
     fn send_at(&self, next: NodeId, packets: &[Packet], at: Instant) -> Result<usize, LinkBusy> {
         let (_, peer) = self.peer(next).ok_or(LinkBusy)?;
-        let address = lock(&peer.address).ok_or(LinkBusy)?;
+        let way = lock(&peer.way);
+        let way = way.as_ref().ok_or(LinkBusy)?;
         let tx_mono = self.micros(at);
         let echo = lock(&peer.heard).and_then(|heard| heard.echo(tx_mono));
         let outgoing = &mut *lock(&peer.outgoing);
@@ -332,7 +351,7 @@ impl Link for UdpLink {
         let sender = self.table.node;
         let envelope = Envelope { sender, incarnation, restarted, counter: outgoing.counter, tx_mono, echo };
         let bytes = outgoing.datagram.seal(&envelope, self.table.digest());
-        match self.transmit(bytes, address) {
+        match self.transmit(bytes, way) {
             Ok(()) => {
                 self.statistics.add(UdpCount::DatagramsSent, 1);
                 self.statistics.add(UdpCount::PacketsSent, taken as u64);
