@@ -18,7 +18,7 @@ use crate::reverse_path::can_come;
 use crate::script::Stage;
 use crate::sync::{AtomicU64, Mutex, Ordering, lock};
 use crate::timers::Timers;
-use crate::transit::Dispatch;
+use crate::transit::{BATCH, Dispatch};
 use imrs_protocol::route::{Arrival, Departure, arrived, departing};
 use imrs_protocol::{
     CommTask, Incarnation, Input, NodeId, NodeTable, Packet, Reason, Request, TaskId, Ticks, discarded,
@@ -224,7 +224,10 @@ impl Node {
                     Effect::Disarm(at, task, id) => self.timers.disarm(at, task, id, effects),
                 }
             }
-            self.dispatch.pump(latest, effects);
+            if !effects.holds || effects.held >= BATCH {
+                effects.held = 0;
+                self.dispatch.pump(latest, effects);
+            }
             while let Some(deed) = effects.deeds.pop_front() {
                 if let Some(stage) = self.stage.get() {
                     stage.perform(self, deed);
@@ -242,7 +245,10 @@ impl Node {
             Departure::Local(task) => {
                 self.feed(task, Stamped { at, input: Input::Packet(packet) }, effects);
             }
-            Departure::Link(_) | Departure::Unroutable => self.dispatch.offer(at, packet, effects),
+            Departure::Link(_) | Departure::Unroutable => {
+                effects.held += 1;
+                self.dispatch.offer(at, packet, effects);
+            }
         }
     }
 

@@ -88,9 +88,23 @@ impl Caller {
         }
     }
 
+    /// From here on what is sent waits for more, or no longer. Returns what it was before.
+    pub fn hold(&mut self, holds: bool) -> bool {
+        let before = std::mem::replace(&mut self.effects.holds, holds);
+        if !holds && self.effects.held > 0 {
+            self.node.carry_out(&mut self.effects);
+        }
+        before
+    }
+
     /// Waits until there is something for the task, or until then: in the link itself where that can be and its answer is
     /// likely to come from there, else asleep.
     fn wait(&mut self, until: Micros) {
+        if self.effects.holds {
+            // Nothing that was sent waits while the task does.
+            self.hold(false);
+            self.effects.holds = true;
+        }
         let node = &self.node;
         let member = &node.members.list[self.place];
         let leading = node.link.as_ref().and_then(|link| link.leading());

@@ -58,13 +58,7 @@ pub(super) struct Outgoing {
 
 impl Peer {
     pub(super) fn new(node: NodeId, declared: Ticks) -> Self {
-        Self {
-            node,
-            declared,
-            way: Mutex::default(),
-            outgoing: Mutex::default(),
-            heard: Mutex::default(),
-        }
+        Self { node, declared, way: Mutex::default(), outgoing: Mutex::default(), heard: Mutex::default() }
     }
 }
 
