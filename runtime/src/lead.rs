@@ -12,8 +12,8 @@ use crate::sync::{AtomicBool, Ordering};
 pub enum Came {
     /// Something came in.
     Something,
-    /// The leader was called.
-    Call,
+    /// The leader was called, or a part of the wait is over.
+    Nothing,
     /// The time is over.
     Time,
 }
@@ -76,7 +76,7 @@ impl Lead {
                     led = Led::No;
                     break;
                 }
-                Came::Call => {}
+                Came::Nothing => {}
                 Came::Time => break,
             }
         }

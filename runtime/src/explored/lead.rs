@@ -54,7 +54,7 @@ impl Socket {
                 return Came::Something;
             }
             if std::mem::take(&mut state.called) {
-                return Came::Call;
+                return Came::Nothing;
             }
             state.leads = true;
             state = self.leaders.wait(state).unwrap();

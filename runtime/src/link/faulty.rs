@@ -138,6 +138,10 @@ impl<L: Link> Link for FaultyLink<L> {
         self.inner.wake();
     }
 
+    fn failures(&self) -> Vec<(&'static str, u64)> {
+        self.inner.failures()
+    }
+
     fn leading(&self) -> Option<&dyn Leading> {
         self.inner.leading()
     }

@@ -60,6 +60,11 @@ pub trait Link: Send + Sync {
     /// Ends a poll.
     fn wake(&self);
 
+    /// What went wrong on the link itself, counted by name: what no sink was told of.
+    fn failures(&self) -> Vec<(&'static str, u64)> {
+        Vec::new()
+    }
+
     /// Where the thread of a task may wait in the link itself while another thread polls, if it may.
     fn leading(&self) -> Option<&dyn Leading> {
         None
@@ -69,7 +74,8 @@ pub trait Link: Send + Sync {
 /// A link that a task's thread can wait in (D40): what comes in while it does is told to it alone, and to nobody that
 /// polls. One thread at a time.
 pub trait Leading: Send + Sync {
-    /// Waits until something comes in, for at most so long, or until [`call`](Self::call). Takes nothing in.
+    /// Waits until something comes in, for at most so long, or until [`call`](Self::call). Takes nothing in, and may end
+    /// early for no reason; that the time is over it says only where `left` is zero.
     fn wait(&self, left: Option<Duration>) -> Came;
 
     /// Takes in what [`wait`](Self::wait) told of. False where the thread that polls is at it: it takes that in, too.

@@ -124,6 +124,8 @@ pub struct UdpLink {
 /// One thread at a time polls; the others wait until it goes.
 struct Poll {
     taken: bool,
+    /// How many wait.
+    waiting: usize,
     /// How often the link was woken.
     wakes: u64,
 }
@@ -153,7 +155,7 @@ impl UdpLink {
             receiving: sync::Mutex::new(receiving),
             socket,
             peers,
-            poll: Mutex::new(Poll { taken: false, wakes: 0 }),
+            poll: Mutex::new(Poll { taken: false, waiting: 0, wakes: 0 }),
             poll_changed: Condvar::new(),
             blocked: AtomicBool::new(false),
             woken: AtomicBool::new(false),
@@ -233,13 +235,18 @@ impl UdpLink {
             if !std::mem::replace(&mut poll.taken, true) {
                 return Ok(OwnPoll { link: self });
             }
+            poll.waiting += 1;
             poll = match until.map(|until| until.saturating_duration_since(Instant::now())) {
-                Some(Duration::ZERO) => return Err(PollEnd::TimedOut),
+                Some(Duration::ZERO) => {
+                    poll.waiting -= 1;
+                    return Err(PollEnd::TimedOut);
+                }
                 Some(left) => {
                     self.poll_changed.wait_timeout(poll, left).unwrap_or_else(PoisonError::into_inner).0
                 }
                 None => self.poll_changed.wait(poll).unwrap_or_else(PoisonError::into_inner),
             };
+            poll.waiting -= 1;
             if poll.wakes != wakes {
                 return Err(PollEnd::Woken);
             }
@@ -294,21 +301,23 @@ struct OwnPoll<'a> {
 
 impl Drop for OwnPoll<'_> {
     fn drop(&mut self) {
-        lock(&self.link.poll).taken = false;
-        self.link.poll_changed.notify_one();
+        let mut poll = lock(&self.link.poll);
+        poll.taken = false;
+        if poll.waiting > 0 {
+            self.link.poll_changed.notify_one();
+        }
     }
 }
 
 impl Leading for UdpLink {
     fn wait(&self, left: Option<Duration>) -> Came {
-        let until = left.and_then(|left| Instant::now().checked_add(left));
-        self.leader.wait(&self.socket, until).map_or_else(
-            |_| {
+        match self.leader.wait_some(&self.socket, left) {
+            Ok(seen) => seen.map_or(Came::Nothing, Came::from),
+            Err(_) => {
                 self.wait_failed();
-                Came::Call
-            },
-            Came::from,
-        )
+                Came::Nothing
+            }
+        }
     }
 
     fn take_in(&self, sink: &dyn Sink) -> bool {
@@ -402,6 +411,11 @@ impl Link for UdpLink {
         self.woken.store(true, Ordering::Release);
         self.polling.wake().wake();
         self.poll_changed.notify_all();
+    }
+
+    fn failures(&self) -> Vec<(&'static str, u64)> {
+        let failures = UdpCount::FAILURES.iter();
+        failures.map(|&count| (count.name(), self.statistics.get(count))).collect()
     }
 
     fn leading(&self) -> Option<&dyn Leading> {

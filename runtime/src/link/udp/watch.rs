@@ -68,17 +68,23 @@ impl Watch {
     pub(super) fn wait(&self, socket: &UdpSocket, until: Option<Instant>) -> io::Result<Seen> {
         loop {
             let left = until.map(|until| until.saturating_duration_since(Instant::now()));
-            let seen = match left {
-                Some(left) if left < COARSE => self.wait_exactly(socket, left),
-                left => self.wait_long(left),
-            };
-            match seen {
-                Ok(Seen::TimedOut) if left.is_some_and(|left| left.is_zero()) => return Ok(Seen::TimedOut),
-                // A part of the wait, or interrupted: there is more of it.
-                Ok(Seen::TimedOut) | Err(rustix::io::Errno::INTR) => {}
-                Ok(seen) => return Ok(seen),
-                Err(errno) => return Err(errno.into()),
+            if let Some(seen) = self.wait_some(socket, left)? {
+                return Ok(seen);
             }
+        }
+    }
+
+    /// As [`wait`](Self::wait), for at most `left`, but it may end without anything: then there is more to wait.
+    pub(super) fn wait_some(&self, socket: &UdpSocket, left: Option<Duration>) -> io::Result<Option<Seen>> {
+        let seen = match left {
+            Some(left) if left < COARSE => self.wait_exactly(socket, left),
+            left => self.wait_long(left),
+        };
+        match seen {
+            Ok(Seen::TimedOut) if left.is_some_and(|left| left.is_zero()) => Ok(Some(Seen::TimedOut)),
+            Ok(Seen::TimedOut) | Err(rustix::io::Errno::INTR) => Ok(None),
+            Ok(seen) => Ok(Some(seen)),
+            Err(errno) => Err(errno.into()),
         }
     }
 
@@ -119,7 +125,7 @@ impl From<Seen> for Came {
     fn from(seen: Seen) -> Self {
         match seen {
             Seen::Readable => Self::Something,
-            Seen::Woken => Self::Call,
+            Seen::Woken => Self::Nothing,
             Seen::TimedOut => Self::Time,
         }
     }
