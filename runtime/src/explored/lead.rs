@@ -65,7 +65,7 @@ impl Socket {
     /// The wait of the one that polls. False once nothing more is to come.
     fn poll(&self) -> bool {
         let mut state = self.state.lock().unwrap();
-        while state.open > 0 && !(state.told && !state.datagrams.is_empty()) {
+        while state.open > 0 && (!state.told || state.datagrams.is_empty()) {
             state = self.pollers.wait(state).unwrap();
         }
         state.told &= !state.edges;
