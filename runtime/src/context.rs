@@ -109,6 +109,25 @@ impl<S> Context<S> {
         }
     }
 
+    /// What `work` sends leaves together: all packets for one neighbour in one datagram, the most urgent first. They
+    /// leave when it ends, before anything in it waits, and as soon as a datagram is full. Without this every message
+    /// leaves at once. No time_out makes them leave earlier, so `work` should do nothing but send.
+    ///
+    /// ```no_run
+    /// # use imrs_runtime::{Context, TaskError, protocol::PortId};
+    /// # fn tell(ctx: &mut Context, joints: &[PortId; 12], angles: &[[u8; 8]; 12]) -> Result<(), TaskError> {
+    /// ctx.together(|ctx| {
+    ///     joints.iter().zip(angles).try_for_each(|(port, angle)| ctx.send(*port, angle).map(|_| ()))
+    /// })
+    /// # }
+    /// ```
+    pub fn together<R>(&mut self, work: impl FnOnce(&mut Self) -> R) -> R {
+        let before = self.caller.hold(true);
+        let done = work(self);
+        self.caller.hold(before);
+        done
+    }
+
     /// Waits for the most urgent message of a port, or, without a port, of all the task's ports (R68). `None` says that
     /// the time_out ended first; without one it waits without end.
     ///

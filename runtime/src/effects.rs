@@ -33,17 +33,20 @@ pub(crate) struct Effects {
     pub deeds: VecDeque<Deed>,
     /// How many steps scripts took since something came from outside of the node.
     pub steps: u32,
+    /// Whether what is sent waits for more, and how many packets of this thread do.
+    pub holds: bool,
+    pub held: usize,
     /// The task whose thread this is, if it waits for what it asks.
     pub waiter: Option<TaskId>,
 }
 
 impl Effects {
     pub fn new(waiter: Option<TaskId>) -> Self {
-        Self { queue: VecDeque::with_capacity(256), deeds: VecDeque::new(), steps: 0, waiter }
+        Self { queue: VecDeque::with_capacity(256), waiter, ..Self::of_an_onlooker() }
     }
 
     /// For a thread that only looks, and rarely finds work that others left it.
     pub fn of_an_onlooker() -> Self {
-        Self { queue: VecDeque::new(), deeds: VecDeque::new(), steps: 0, waiter: None }
+        Self { queue: VecDeque::new(), deeds: VecDeque::new(), steps: 0, holds: false, held: 0, waiter: None }
     }
 }

@@ -8,12 +8,14 @@
 //! - [`Handoff::enter`] is for the task's own thread, which needs the answer.
 //!
 //! The answer is mail: written under the lock, together with the word that says so. The task's thread sleeps on the
-//! word, and is woken only if the word says that it sleeps.
+//! word, and is woken only if the word says that it sleeps. It may also wait elsewhere: then the word says so, and it is
+//! called from there by a [`Bell`].
 //!
 //! The shared part knows nothing of messages: it is generic over the [`Station`], so that the tests can explore every
 //! interleaving with a station of two states.
 
 use crate::sync::{AtomicUsize, Mutex, MutexGuard, Ordering, Word, fence, lock, try_lock};
+use std::sync::Arc;
 
 /// What runs behind the lock.
 pub(crate) trait Station {
@@ -29,6 +31,12 @@ pub(crate) trait Station {
 
     /// Called last before the lock is released. Returns when the station next has something to do by itself.
     fn settle(&mut self, rest: Rest, effects: &mut Self::Effects) -> u64;
+}
+
+/// Calls back a task's thread that waits elsewhere than on its word.
+pub(crate) trait Bell: Send + Sync {
+    /// Ends its present wait there, or else the next one.
+    fn ring(&self);
 }
 
 /// What the task's thread does once the lock is released.
@@ -48,6 +56,8 @@ const RUNNING: u32 = 0;
 const SLEEPING: u32 = 1;
 /// There is something for the task's thread; sleeping is over.
 const READY: u32 = 2;
+/// The task's thread waits elsewhere, or is about to: the bell calls it.
+const AWAY: u32 = 3;
 
 /// How many inputs wait in an inbox before who brings more waits for the lock.
 const INBOX: usize = 64;
@@ -58,6 +68,8 @@ pub(crate) struct Handoff<S: Station> {
     /// How many inputs are in the inbox, to be read without its lock.
     queued: AtomicUsize,
     word: Word,
+    /// Where the task's thread may wait elsewhere.
+    bell: Option<Arc<dyn Bell>>,
     #[cfg(test)]
     pub plant: Plant,
     /// Room in the inbox, and whether anybody found none.
@@ -96,6 +108,8 @@ pub(crate) enum Plant {
     NoMark,
     /// The word is marked, but nobody is woken.
     NoWake,
+    /// Who waits elsewhere is not called.
+    NoBell,
     /// Stopping does not wake.
     SilentStop,
     /// Nothing orders the inbox and the lock.
@@ -105,7 +119,8 @@ pub(crate) enum Plant {
 }
 
 impl<S: Station> Handoff<S> {
-    pub fn new(station: S) -> Self {
+    /// `bell` calls the task's thread where it waits elsewhere ([`go_away`](Self::go_away)).
+    pub fn new(station: S, bell: Option<Arc<dyn Bell>>) -> Self {
         Self {
             core: Mutex::new(Core {
                 station,
@@ -117,6 +132,7 @@ impl<S: Station> Handoff<S> {
             inbox: Mutex::new(Vec::with_capacity(INBOX)),
             queued: AtomicUsize::new(0),
             word: Word::new(RUNNING),
+            bell,
             #[cfg(test)]
             plant: Plant::None,
             #[cfg(test)]
@@ -172,19 +188,27 @@ impl<S: Station> Handoff<S> {
         slept
     }
 
+    /// The task's thread goes to wait where the bell calls it. False where there is something for it already.
+    pub fn go_away(&self) -> bool {
+        self.word.replace(RUNNING, AWAY)
+    }
+
+    /// It is back from there, and runs. False where there is something for it.
+    pub fn come_home(&self) -> bool {
+        self.word.replace(AWAY, RUNNING)
+    }
+
     /// Ends all waits of the task, now and later.
     pub fn stop(&self, effects: &mut S::Effects) {
         let mut core = lock(&self.core);
         core.stopped = true;
-        let asleep = self.word.swap(READY) == SLEEPING;
+        let was = self.word.swap(READY);
         drop(core);
         #[cfg(test)]
         if self.plant == Plant::SilentStop {
             return;
         }
-        if asleep {
-            self.word.wake();
-        }
+        self.call(was);
         self.second_look(effects);
     }
 
@@ -241,29 +265,45 @@ impl<S: Station> Handoff<S> {
             core.feed(input, effects);
         }
         let new_mail = !had_mail && core.mail.is_some();
-        let asleep = new_mail && self.mark();
+        let was = if new_mail { self.mark() } else { RUNNING };
         core.resting &= !new_mail;
         let rest = if core.resting { Rest::GoesOn } else { Rest::No };
         core.station.settle(rest, effects);
         drop(core);
-        if asleep {
-            self.word.wake();
-        }
+        self.call(was);
     }
 
-    /// Says that there is mail; whether somebody must be woken for it.
-    fn mark(&self) -> bool {
+    /// Says that there is mail. Returns what the task's thread did until then.
+    fn mark(&self) -> u32 {
         #[cfg(test)]
         match self.plant {
-            Plant::NoMark => return self.word.load() == SLEEPING,
+            Plant::NoMark => return self.word.load(),
             Plant::NoWake => {
                 self.word.swap(READY);
-                return false;
+                return RUNNING;
             }
-            Plant::None | Plant::NoSecondLook | Plant::SilentStop | Plant::NoFence | Plant::DropsWhenFull => {
-            }
+            Plant::None
+            | Plant::NoSecondLook
+            | Plant::SilentStop
+            | Plant::NoFence
+            | Plant::DropsWhenFull
+            | Plant::NoBell => {}
         }
-        self.word.swap(READY) == SLEEPING
+        self.word.swap(READY)
+    }
+
+    /// Makes the task's thread look, that did this until its word was marked.
+    fn call(&self, was: u32) {
+        if was == SLEEPING {
+            self.word.wake();
+        }
+        #[cfg(test)]
+        if self.plant == Plant::NoBell {
+            return;
+        }
+        if let Some(bell) = self.bell.as_ref().filter(|_| was == AWAY) {
+            bell.ring();
+        }
     }
 
     fn drain(&self, core: &mut Core<S>, effects: &mut S::Effects) {

@@ -51,6 +51,7 @@ mod explored;
 mod explorer;
 mod failstop;
 mod handoff;
+mod lead;
 pub mod link;
 mod member;
 pub mod message;

@@ -1,21 +1,30 @@
 //! The communication tasks of a node, each behind its hand-off.
 
 use crate::comm::Comm;
-use crate::handoff::Handoff;
+use crate::handoff::{Bell, Handoff};
 use imrs_protocol::TaskId;
 use imrs_wire::obs::Liveness;
-use std::sync::atomic::{AtomicU8, Ordering};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
 
 /// A task of the node.
 pub(crate) struct Member {
     pub task: TaskId,
     pub handoff: Handoff<Comm>,
     life: AtomicU8,
+    /// Whether its next wait is likely to be ended by what a link brings: what ended the last one.
+    pub by_link: AtomicBool,
 }
 
 impl Member {
-    pub fn new(task: TaskId, comm: Comm) -> Self {
-        Self { task, handoff: Handoff::new(comm), life: AtomicU8::new(Liveness::Alive as u8) }
+    /// `bell` calls the task's thread where it waits in the link.
+    pub fn new(task: TaskId, comm: Comm, bell: Option<Arc<dyn Bell>>) -> Self {
+        Self {
+            task,
+            handoff: Handoff::new(comm, bell),
+            life: AtomicU8::new(Liveness::Alive as u8),
+            by_link: AtomicBool::new(true),
+        }
     }
 
     pub fn liveness(&self) -> Liveness {

@@ -9,15 +9,16 @@ use crate::clock::{self, Micros};
 use crate::comm::{Comm, Mail};
 use crate::effects::{Effect, Effects, Stamped};
 use crate::failstop::FailStop;
-use crate::handoff::Entry;
-use crate::link::{Link, LinkDiscard, Sink};
+use crate::handoff::{Bell, Entry};
+use crate::lead::Lead;
+use crate::link::{Leading, Link, LinkDiscard, Sink};
 use crate::member::{Member, Members};
 use crate::record::Recorder;
 use crate::reverse_path::can_come;
 use crate::script::Stage;
 use crate::sync::{AtomicU64, Mutex, Ordering, lock};
 use crate::timers::Timers;
-use crate::transit::Dispatch;
+use crate::transit::{BATCH, Dispatch};
 use imrs_protocol::route::{Arrival, Departure, arrived, departing};
 use imrs_protocol::{
     CommTask, Incarnation, Input, NodeId, NodeTable, Packet, Reason, Request, TaskId, Ticks, discarded,
@@ -45,6 +46,7 @@ pub struct Node {
     pub(crate) timers: Timers,
     pub(crate) alarm: Arc<Alarm>,
     pub(crate) link: Option<Arc<dyn Link>>,
+    pub(crate) lead: Lead,
     pub(crate) peers: Box<[Peer]>,
     /// Where the scripts of the node act. Here from the start on, unless it has none.
     pub(crate) stage: OnceLock<Stage>,
@@ -69,10 +71,12 @@ impl Node {
         let imrs_protocol::Parts { table, tasks, transit, timer } = plan.machine.into_parts();
         let count = tasks.len();
         let alarm = Arc::new(Alarm::new(count + 2));
+        let bell = plan.link.clone().map(|link| Arc::new(LinkBell(link)) as Arc<dyn Bell>);
         let member = |(slot, machine): (usize, CommTask)| {
             let recorder = plan.recorder.clone();
             let task = machine.task();
-            Member::new(task, Comm::new(machine, table.clone(), slot, Arc::clone(&alarm), recorder, now))
+            let comm = Comm::new(machine, table.clone(), slot, Arc::clone(&alarm), recorder, now);
+            Member::new(task, comm, bell.clone())
         };
         let list = tasks.into_vec().into_iter().enumerate().map(member).collect();
         let members = Arc::new(Members::new(list, table.cell().tasks.len()));
@@ -99,6 +103,7 @@ impl Node {
             alarm,
             stage: OnceLock::new(),
             link: plan.link,
+            lead: Lead::new(),
             peers: table.neighbours(table.node).map(peer).collect(),
             discards: std::array::from_fn(|_| AtomicU64::new(0)),
             link_discards: std::array::from_fn(|_| AtomicU64::new(0)),
@@ -219,7 +224,10 @@ impl Node {
                     Effect::Disarm(at, task, id) => self.timers.disarm(at, task, id, effects),
                 }
             }
-            self.dispatch.pump(latest, effects);
+            if !effects.holds || effects.held >= BATCH {
+                effects.held = 0;
+                self.dispatch.pump(latest, effects);
+            }
             while let Some(deed) = effects.deeds.pop_front() {
                 if let Some(stage) = self.stage.get() {
                     stage.perform(self, deed);
@@ -237,7 +245,10 @@ impl Node {
             Departure::Local(task) => {
                 self.feed(task, Stamped { at, input: Input::Packet(packet) }, effects);
             }
-            Departure::Link(_) | Departure::Unroutable => self.dispatch.offer(at, packet, effects),
+            Departure::Link(_) | Departure::Unroutable => {
+                effects.held += 1;
+                self.dispatch.offer(at, packet, effects);
+            }
         }
     }
 
@@ -255,6 +266,9 @@ impl Node {
         };
         match arrival {
             Arrival::Local(task, packet) => {
+                if let Some(member) = self.members.of(task) {
+                    member.by_link.store(true, Ordering::Relaxed);
+                }
                 self.feed(task, Stamped { at, input: Input::Packet(packet) }, effects);
             }
             Arrival::Relay(packet) => self.dispatch.offer(at, packet, effects),
@@ -277,6 +291,15 @@ impl Node {
 
     fn peer(&self, node: NodeId) -> Option<&Peer> {
         self.peers.iter().find(|peer| peer.node == node)
+    }
+}
+
+/// Calls a task's thread that waits in the link.
+struct LinkBell(Arc<dyn Link>);
+
+impl Bell for LinkBell {
+    fn ring(&self) {
+        self.0.leading().into_iter().for_each(Leading::call);
     }
 }
 

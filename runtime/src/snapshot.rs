@@ -36,6 +36,8 @@ impl Node {
         }
         let (transit, transit_at) = self.dispatch.view();
         let link_counts = LinkDiscard::NAMES.iter().zip(&self.link_discards);
+        let link_counts = link_counts.map(|(name, n)| (*name, n.load(Ordering::Relaxed)));
+        let failures = self.link.iter().flat_map(|link| link.failures());
         Snapshot {
             mono_us: now,
             uptime_us: now.saturating_sub(self.started),
@@ -43,7 +45,7 @@ impl Node {
             transit_age_us: now.saturating_sub(transit_at),
             timers: self.timer_entries(now),
             links: self.link_views(now),
-            link_discards: link_counts.map(|(name, n)| named(name, n.load(Ordering::Relaxed))).collect(),
+            link_discards: link_counts.chain(failures).map(|(name, n)| named(name, n)).collect(),
             ..gathering.snapshot(transit)
         }
     }

@@ -20,7 +20,7 @@ use std::sync::Arc;
 use std::time::Instant;
 
 /// The most packets that are handed to a link at once: what an Ethernet frame holds.
-const BATCH: usize = 44;
+pub(crate) const BATCH: usize = 44;
 
 pub(crate) struct Dispatch {
     table: NodeTable,

@@ -9,7 +9,7 @@ use imrs_protocol::{
 use imrs_runtime::link::faulty::FaultyLink;
 use imrs_runtime::link::in_process::Faults;
 use imrs_runtime::link::udp::{UdpLink, UdpOptions};
-use imrs_runtime::link::{Link, LinkBusy, LinkDiscard, PollEnd, Sink};
+use imrs_runtime::link::{Came, Leading, Link, LinkBusy, LinkDiscard, PollEnd, Sink};
 use imrs_runtime::{Context, Runtime, Sent, TaskError};
 use std::sync::{Arc, Condvar, Mutex};
 use std::thread;
@@ -47,6 +47,15 @@ impl<L> Stopping<L> {
         Self { inner, stop, open, opened: Condvar::new(), charges: Mutex::default() }
     }
 
+    fn pass(&self) {
+        drop(self.opened.wait_while(self.open.lock().unwrap(), |open| !*open).unwrap());
+    }
+
+    fn watching<'a>(&'a self, sink: &'a dyn Sink) -> Watching<'a> {
+        let stop = if self.stop == Where::BeforeTheSink { STOP } else { Duration::ZERO };
+        Watching { sink, stop, charges: &self.charges }
+    }
+
     fn open(&self) {
         *self.open.lock().unwrap() = true;
         self.opened.notify_all();
@@ -63,15 +72,33 @@ impl<L: Link> Link for Stopping<L> {
     }
 
     fn poll(&self, sink: &dyn Sink, until: Option<Instant>) -> PollEnd {
-        let closed = |open: &mut bool| !*open;
-        drop(self.opened.wait_while(self.open.lock().unwrap(), closed).unwrap());
-        let stop = if self.stop == Where::BeforeTheSink { STOP } else { Duration::ZERO };
-        self.inner.poll(&Watching { sink, stop, charges: &self.charges }, until)
+        self.pass();
+        self.inner.poll(&self.watching(sink), until)
     }
 
     fn wake(&self) {
         self.open();
         self.inner.wake();
+    }
+
+    fn leading(&self) -> Option<&dyn Leading> {
+        self.inner.leading().map(|_| self as &dyn Leading)
+    }
+}
+
+/// A task that waits in the link is stopped where the receiving thread would be.
+impl<L: Link> Leading for Stopping<L> {
+    fn wait(&self, left: Option<Duration>) -> Came {
+        self.pass();
+        self.inner.leading().unwrap().wait(left)
+    }
+
+    fn take_in(&self, sink: &dyn Sink) -> bool {
+        self.inner.leading().unwrap().take_in(&self.watching(sink))
+    }
+
+    fn call(&self) {
+        self.inner.leading().unwrap().call();
     }
 }
 

@@ -3,7 +3,7 @@
 use imrs_protocol::{NodeId, Packet};
 use imrs_runtime::link::in_process::InProcess;
 use imrs_runtime::link::udp::UdpLink;
-use imrs_runtime::link::{Link, LinkBusy, PollEnd, Sink};
+use imrs_runtime::link::{Leading, Link, LinkBusy, PollEnd, Sink};
 use std::time::Instant;
 
 /// A link of either kind.
@@ -46,5 +46,13 @@ impl Link for Way {
 
     fn wake(&self) {
         self.link().wake();
+    }
+
+    fn failures(&self) -> Vec<(&'static str, u64)> {
+        self.link().failures()
+    }
+
+    fn leading(&self) -> Option<&dyn Leading> {
+        self.link().leading()
     }
 }

@@ -44,8 +44,13 @@ pub fn network() -> Suite {
     );
     suite.case(
         "runtime/UDP one way",
-        "class-1 messages from a task to one of another node, at most 256 under way; nanoseconds per message",
-        one_way,
+        "class-1 messages from a task to one of another node, sent 43 together, at most 256 under way; nanoseconds per message",
+        |effort| one_way(effort, COALESCED as u64),
+    );
+    suite.case(
+        "runtime/UDP one way, each alone",
+        "the same, each message sent by itself: a datagram each",
+        |effort| one_way(effort, 1),
     );
     let (one, two) = ("runtime/UDP one core", "runtime/UDP two cores");
     suite.row(Row::new("P11", one, "floor/UDP one core", Stat::P50, Goal::AtMost(1.2)));
@@ -96,7 +101,7 @@ fn ask(effort: Effort, other: Core) -> Sample {
     sample
 }
 
-fn one_way(effort: Effort) -> Sample {
+fn one_way(effort: Effort, together: u64) -> Sample {
     let mut cell = cells::cell(2, 2);
     let window = u16::try_from(WINDOW).expect("few");
     let decl = PortDecl::new("news", cells::A, Usage::Send, &[cells::B], LONG_TICKS);
@@ -127,9 +132,11 @@ fn one_way(effort: Effort) -> Sample {
         let mut written_off = 0;
         while taken.load(Ordering::Acquire) < times {
             let under_way = (sent - written_off) - taken.load(Ordering::Acquire).min(sent - written_off);
-            if under_way < WINDOW {
-                let _copies = ctx.send(PortId(0), &cells::FULL)?;
-                (sent, last) = (sent + 1, Instant::now());
+            if under_way + together <= WINDOW {
+                ctx.together(|ctx| {
+                    (0..together).try_for_each(|_| ctx.send(PortId(0), &cells::FULL).map(|_copies| ()))
+                })?;
+                (sent, last) = (sent + together, Instant::now());
             } else if last.elapsed() > Duration::from_millis(20) {
                 written_off += under_way;
             } else {

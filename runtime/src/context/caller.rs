@@ -4,16 +4,22 @@ use super::outcome::TaskError;
 use crate::clock::{self, Micros};
 use crate::comm::{Comm, Mail};
 use crate::effects::Effects;
+use crate::failstop::FailStop;
 use crate::handoff::Entry;
+use crate::lead::Led;
 use crate::message::Bytes;
-use crate::node::Node;
+use crate::node::{Inlet, Node};
 use imrs_protocol::{Contents, Delivery, PortId, ReplyTo, Request, Signal, TaskId, Ticks};
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
+use std::time::Duration;
 
 pub(crate) struct Caller {
     pub node: Arc<Node>,
     place: usize,
     effects: Effects,
+    /// What it receives with where it leads. Made when it first does.
+    inlet: Option<Inlet>,
     stopped: bool,
     /// What a handler failed with: whatever it interrupted cannot be gone on with.
     failed: Option<TaskError>,
@@ -32,6 +38,7 @@ impl Caller {
             node,
             place,
             effects: Effects::new(Some(task)),
+            inlet: None,
             stopped: false,
             failed: None,
             taken: None,
@@ -75,10 +82,49 @@ impl Caller {
                 None => {}
             }
             let until = until.min(over);
-            self.node.members.list[self.place].handoff.sleep(clock::nanos_of(until));
+            self.wait(until);
             now = clock::now();
             entry = self.node.come_back(self.place, now, now >= until, &mut self.effects);
         }
+    }
+
+    /// From here on what is sent waits for more, or no longer. Returns what it was before.
+    pub fn hold(&mut self, holds: bool) -> bool {
+        let before = std::mem::replace(&mut self.effects.holds, holds);
+        if !holds && self.effects.held > 0 {
+            self.node.carry_out(&mut self.effects);
+        }
+        before
+    }
+
+    /// Waits until there is something for the task, or until then: in the link itself where that can be and its answer is
+    /// likely to come from there, else asleep.
+    fn wait(&mut self, until: Micros) {
+        if self.effects.holds {
+            // Nothing that was sent waits while the task does.
+            self.hold(false);
+            self.effects.holds = true;
+        }
+        let node = &self.node;
+        let member = &node.members.list[self.place];
+        let leading = node.link.as_ref().and_then(|link| link.leading());
+        if let Some(leading) = leading.filter(|_| member.by_link.load(Ordering::Relaxed)) {
+            let inlet = self.inlet.get_or_insert_with(|| Inlet::new(Arc::clone(node)));
+            let left =
+                || (until != clock::FAR).then(|| Duration::from_micros(until.saturating_sub(clock::now())));
+            let take_in = || {
+                let _guard = FailStop::of("a task's thread that receives");
+                leading.take_in(inlet)
+            };
+            // Set again by what the link brings, whoever takes it in.
+            member.by_link.store(false, Ordering::Relaxed);
+            match node.lead.wait(&member.handoff, || leading.wait(left()), take_in) {
+                Led::ToTheEnd => return member.by_link.store(true, Ordering::Relaxed),
+                Led::Called => return,
+                Led::No => member.by_link.store(true, Ordering::Relaxed),
+            }
+        }
+        member.handoff.sleep(clock::nanos_of(until));
     }
 
     /// A handler failed: so does everything from now on.

@@ -9,14 +9,14 @@ use crate::turn::{self, Turn};
 
 /// A machine of two states: its task has asked, or not. It keeps an answer that comes before the question.
 #[derive(Default)]
-struct Toy {
+pub(super) struct Toy {
     asked: bool,
     kept: u32,
     fed: u32,
 }
 
 #[derive(Clone, Copy)]
-enum Brought {
+pub(super) enum Brought {
     Question,
     Answer,
     TimeIsUp,
@@ -24,7 +24,7 @@ enum Brought {
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-enum Got {
+pub(super) enum Got {
     Answer,
     TimedOut,
 }
@@ -69,7 +69,7 @@ impl Station for Toy {
 }
 
 fn toy(plant: Plant) -> Arc<Handoff<Toy>> {
-    let mut handoff = Handoff::new(Toy::default());
+    let mut handoff = Handoff::new(Toy::default(), None);
     handoff.plant = plant;
     Arc::new(handoff)
 }
@@ -156,7 +156,7 @@ fn without_its_fence_the_second_look_is_in_vain() {
 
 /// Three threads bring input at once where the inbox has room for one. Whether one of them found it full.
 fn three_bring(plant: Plant) -> bool {
-    let mut handoff = Handoff::new(Toy::default());
+    let mut handoff = Handoff::new(Toy::default(), None);
     (handoff.plant, handoff.room.0) = (plant, 1);
     let handoff = Arc::new(handoff);
     let others = [bring(&handoff, Brought::Answer), bring(&handoff, Brought::Answer)];

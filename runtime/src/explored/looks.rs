@@ -41,7 +41,7 @@ impl Station for Observed {
 fn follow(forgets_the_loss: bool) -> u64 {
     let mut ring = Ring::of(2);
     ring.forgets_the_loss = forgets_the_loss;
-    let handoff = Arc::new(Handoff::new(Observed { ring, count: 0 }));
+    let handoff = Arc::new(Handoff::new(Observed { ring, count: 0 }, None));
     let mut from = handoff.with(|observed| observed.ring.subscribe(), &mut ());
     let writer = Arc::clone(&handoff);
     let other = thread::spawn(move || (0..3).for_each(|_| writer.deliver((), &mut ())));
@@ -116,7 +116,7 @@ impl Station for Teller {
 /// older than the answer.
 fn told_until(stamped_outside: bool) -> usize {
     let clock = Arc::new(AtomicU64::new(0));
-    let handoff = Arc::new(Handoff::new(Teller::default()));
+    let handoff = Arc::new(Handoff::new(Teller::default(), None));
     let (theirs, machine) = (Arc::clone(&clock), Arc::clone(&handoff));
     let other = thread::spawn(move || {
         for _ in 0..2 {
@@ -184,7 +184,7 @@ fn expire_in_the_buffer(news_comes_late: bool) -> bool {
         drop(held);
         dropped
     }
-    let shared = Arc::new((Mutex::new(true), Handoff::new(Sender::default())));
+    let shared = Arc::new((Mutex::new(true), Handoff::new(Sender::default(), None)));
     let theirs = Arc::clone(&shared);
     let other = thread::spawn(move || {
         advance(&theirs.0, &theirs.1, news_comes_late);

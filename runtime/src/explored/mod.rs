@@ -6,6 +6,7 @@
 //! be found: an exploration that sees one outcome or misses the bug shows nothing.
 
 mod handoff;
+mod lead;
 mod looks;
 mod time;
 

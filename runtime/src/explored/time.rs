@@ -149,7 +149,7 @@ fn an_expiry_changes_hands(covers_all: bool) -> ServedBy {
     let alarm = alarm(1, Plant::None);
     let mut cover = Cover::new(0);
     cover.covers_all = covers_all;
-    let handoff = Arc::new(Handoff::new(Timed { alarm: Arc::clone(&alarm), cover, due: FAR }));
+    let handoff = Arc::new(Handoff::new(Timed { alarm: Arc::clone(&alarm), cover, due: FAR }, None));
     let closing = Arc::new(AtomicBool::new(false));
     let (elsewhere, machine) = (Arc::clone(&handoff), Arc::clone(&handoff));
     let sooner = thread::spawn(move || elsewhere.deliver(Moment::Sooner, &mut false));

@@ -3,7 +3,7 @@
 //! Faults act on the sending side, so each end of a link has its own; what they take is counted apart from everything
 //! that really happened. A lost send loses its whole datagram, as a network would.
 
-use super::{Link, LinkBusy, PollEnd, Sink};
+use super::{Leading, Link, LinkBusy, PollEnd, Sink};
 use imrs_protocol::{NodeId, Packet};
 use imrs_wire::envelope::MAX_PACKETS;
 use std::ops::Range;
@@ -136,5 +136,13 @@ impl<L: Link> Link for FaultyLink<L> {
 
     fn wake(&self) {
         self.inner.wake();
+    }
+
+    fn failures(&self) -> Vec<(&'static str, u64)> {
+        self.inner.failures()
+    }
+
+    fn leading(&self) -> Option<&dyn Leading> {
+        self.inner.leading()
     }
 }

@@ -7,14 +7,15 @@ pub mod faulty;
 pub mod in_process;
 pub mod udp;
 
+pub use crate::lead::Came;
 use imrs_protocol::{Incarnation, NodeId, Packet, PacketError, Ticks};
 use std::fmt;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 /// Where a link puts what it receives: implemented by the node.
 ///
 /// What is handed over is dealt with at once, by the same thread: it may call [`Link::send_at`] before the call returns.
-/// A link holds no lock of its own while it calls its sink.
+/// A link holds no lock while it calls its sink that a sender or a waiting task would wait for.
 pub trait Sink: Send + Sync {
     /// A packet that was decoded and checked. `charge` is what the link and the kernel's queue had cost it at `at`, in
     /// microseconds; the sink charges what has passed since, so that a node that was stopped between the two cannot make
@@ -58,6 +59,30 @@ pub trait Link: Send + Sync {
 
     /// Ends a poll.
     fn wake(&self);
+
+    /// What went wrong on the link itself, counted by name: what no sink was told of.
+    fn failures(&self) -> Vec<(&'static str, u64)> {
+        Vec::new()
+    }
+
+    /// Where the thread of a task may wait in the link itself while another thread polls, if it may.
+    fn leading(&self) -> Option<&dyn Leading> {
+        None
+    }
+}
+
+/// A link that a task's thread can wait in (D40): what comes in while it does is told to it alone, and to nobody that
+/// polls. One thread at a time.
+pub trait Leading: Send + Sync {
+    /// Waits until something comes in, for at most so long, or until [`call`](Self::call). Takes nothing in, and may end
+    /// early for no reason; that the time is over it says only where `left` is zero.
+    fn wait(&self, left: Option<Duration>) -> Came;
+
+    /// Takes in what [`wait`](Self::wait) told of. False where the thread that polls is at it: it takes that in, too.
+    fn take_in(&self, sink: &dyn Sink) -> bool;
+
+    /// Ends the present wait, or else the next one.
+    fn call(&self);
 }
 
 /// The link takes nothing for this neighbour now.

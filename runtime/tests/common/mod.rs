@@ -1,6 +1,8 @@
 //! Cells and small helpers shared by the tests with real threads.
 #![allow(dead_code, reason = "every test program uses some of these")]
 
+pub mod udp;
+
 use imrs_protocol::{Cell, CellTable, NodeId, PortDecl, TaskId, Ticks, Usage};
 use imrs_runtime::link::in_process::{Faults, Network};
 use imrs_runtime::record::{OutputDigest, Recorded, Recorder, Step};

@@ -177,6 +177,12 @@ fn errors_of_the_network_are_counted_and_survived() {
     for n in 0..20 {
         assert_eq!(a.send(C, &[packet(n)]), Ok(1), "nobody is there, which only the counters need to know");
     }
+    // The kernel says it of a datagram when the next one is sent.
+    assert!(a.count(UdpCount::SendRefused) > 0);
+    // Once somebody is there, nothing that is sent is lost for what was said before.
+    let back = UdpLink::bind(table(C), gone, UdpOptions::new(Incarnation(1), false)).unwrap();
+    assert_eq!(a.send(C, &[packet(20)]), Ok(1));
+    assert_eq!(memory.take_packets(&back, 1)[0].1, packet(20));
     // An address of another family cannot be reached from this socket.
     a.set_address(C, Some("[::1]:9".parse().unwrap())).unwrap();
     assert_eq!(a.send(C, &[packet(1)]), Ok(1));

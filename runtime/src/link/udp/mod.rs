@@ -17,15 +17,17 @@ mod peer;
 mod receive;
 mod socket;
 mod statistics;
+mod watch;
 
 pub use statistics::UdpCount;
 
-use super::{Link, LinkBusy, PollEnd, Sink};
+use super::{Came, Leading, Link, LinkBusy, PollEnd, Sink};
+use crate::sync;
 use imrs_protocol::{Incarnation, NodeId, NodeTable, Packet, Ticks};
 use imrs_wire::envelope::{Envelope, MAX_PACKETS};
-use peer::{Peer, lock};
+use peer::{Peer, Way, lock};
 use receive::Receiving;
-use socket::{Receiver, Waited, Wake};
+use socket::{Receiver, Waited};
 use statistics::Statistics;
 use std::io;
 use std::net::{SocketAddr, UdpSocket};
@@ -33,6 +35,7 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use thiserror::Error;
+use watch::{Seen, Watch};
 
 /// The kernel's queue, where nothing else is asked for: some 200 full datagrams.
 const DEFAULT_QUEUE_BYTES: usize = 256 * 1024;
@@ -76,8 +79,8 @@ pub enum UdpError {
         /// What the system said.
         source: io::Error,
     },
-    /// The event counter that ends waits cannot be made.
-    #[error("cannot make an eventfd: {0}")]
+    /// What waits in the socket and ends such waits (epoll, eventfd) cannot be made.
+    #[error("cannot make an epoll or an eventfd: {0}")]
     Wake(io::Error),
 }
 
@@ -96,11 +99,17 @@ pub struct UdpLink {
     options: UdpOptions,
     socket: UdpSocket,
     local: SocketAddr,
-    wake: Wake,
+    /// The leader waits here.
+    leader: Watch,
+    /// Whoever polls waits here.
+    polling: Watch,
+    /// Locked by whoever receives, while it receives. The leader never waits for it: whoever polls looks at the socket
+    /// again before it waits.
+    receiving: sync::Mutex<Receiving>,
     /// All neighbours, ascending.
     peers: Box<[Peer]>,
-    turn: Mutex<Turn>,
-    turn_changed: Condvar,
+    poll: Mutex<Poll>,
+    poll_changed: Condvar,
     /// The kernel's send queue was found full.
     blocked: AtomicBool,
     /// [`Link::wake`] was called, and no poll has ended for it yet.
@@ -112,10 +121,11 @@ pub struct UdpLink {
     statistics: Statistics,
 }
 
-/// One thread at a time waits in the socket; the others wait for their turn.
-struct Turn {
-    /// Here while nobody waits in the socket. Whoever takes it holds no lock while the sink works.
-    receiving: Option<Box<Receiving>>,
+/// One thread at a time polls; the others wait until it goes.
+struct Poll {
+    taken: bool,
+    /// How many wait.
+    waiting: usize,
     /// How often the link was woken.
     wakes: u64,
 }
@@ -134,16 +144,19 @@ impl UdpLink {
         let (socket, stamped, empty) = socket::bind(address, options.queue_bytes)?;
         let local = socket.local_addr().map_err(|source| UdpError::Bind { address, source })?;
         let lives = peers.iter().map(|_| None).collect();
-        let receiving = Box::new(Receiving { receiver: Receiver::new(stamped), empty, lives });
+        let receiving = Receiving { receiver: Receiver::new(stamped), empty, last: empty, lives };
         Ok(Self {
             table,
             options,
-            socket,
             local,
-            wake: Wake::new()?,
+            // In this order.
+            leader: Watch::new(&socket, Seen::Readable)?,
+            polling: Watch::new(&socket, Seen::Woken)?,
+            receiving: sync::Mutex::new(receiving),
+            socket,
             peers,
-            turn: Mutex::new(Turn { receiving: Some(receiving), wakes: 0 }),
-            turn_changed: Condvar::new(),
+            poll: Mutex::new(Poll { taken: false, waiting: 0, wakes: 0 }),
+            poll_changed: Condvar::new(),
             blocked: AtomicBool::new(false),
             woken: AtomicBool::new(false),
             address_known: AtomicBool::new(false),
@@ -164,10 +177,10 @@ impl UdpLink {
     /// Where the node is no neighbour.
     pub fn set_address(&self, node: NodeId, address: Option<SocketAddr>) -> Result<(), NotANeighbour> {
         let (_, peer) = self.peer(node).ok_or(NotANeighbour(node))?;
-        *lock(&peer.address) = address;
+        *lock(&peer.way) = address.map(|address| Way::new(self.local, address));
         if address.is_some() {
             self.address_known.store(true, Ordering::Release);
-            self.wake.wake();
+            self.polling.wake().wake();
         }
         Ok(())
     }
@@ -183,14 +196,22 @@ impl UdpLink {
         UdpCount::ALL.iter().map(|&count| (count.name(), self.statistics.get(count)))
     }
 
-    fn transmit(&self, bytes: &[u8], address: SocketAddr) -> io::Result<()> {
-        loop {
-            match self.socket.send_to(bytes, address) {
-                Ok(_) => return Ok(()),
-                Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-                Err(error) => return Err(error),
+    /// Hands a datagram to the kernel.
+    fn transmit(&self, bytes: &[u8], way: &Way) -> io::Result<()> {
+        if let Some(connected) = &way.connected {
+            let mut sent = retried(|| connected.send(bytes));
+            if let Err(error) = sent.as_ref()
+                && error.kind() == io::ErrorKind::ConnectionRefused
+            {
+                // Said of an earlier datagram; this one has not been tried.
+                self.statistics.send_failed(error);
+                sent = retried(|| connected.send(bytes));
+            }
+            if sent.is_ok() {
+                return Ok(());
             }
         }
+        retried(|| self.socket.send_to(bytes, way.address))
     }
 
     fn peer(&self, node: NodeId) -> Option<(usize, &Peer)> {
@@ -203,28 +224,51 @@ impl UdpLink {
         u64::try_from(at.saturating_duration_since(self.origin).as_micros()).unwrap_or(u64::MAX)
     }
 
-    /// Waits for this thread's turn to wait in the socket.
+    /// Waits until no other thread polls.
     ///
     /// # Errors
     /// Why it waits no longer.
-    fn take_turn(&self, until: Option<Instant>) -> Result<OwnTurn<'_>, PollEnd> {
-        let mut turn = lock(&self.turn);
-        let wakes = turn.wakes;
+    fn take_poll(&self, until: Option<Instant>) -> Result<OwnPoll<'_>, PollEnd> {
+        let mut poll = lock(&self.poll);
+        let wakes = poll.wakes;
         loop {
-            if let Some(receiving) = turn.receiving.take() {
-                return Ok(OwnTurn { link: self, receiving: Some(receiving) });
+            if !std::mem::replace(&mut poll.taken, true) {
+                return Ok(OwnPoll { link: self });
             }
-            turn = match until.map(|until| until.saturating_duration_since(Instant::now())) {
-                Some(Duration::ZERO) => return Err(PollEnd::TimedOut),
-                Some(left) => {
-                    self.turn_changed.wait_timeout(turn, left).unwrap_or_else(PoisonError::into_inner).0
+            poll.waiting += 1;
+            poll = match until.map(|until| until.saturating_duration_since(Instant::now())) {
+                Some(Duration::ZERO) => {
+                    poll.waiting -= 1;
+                    return Err(PollEnd::TimedOut);
                 }
-                None => self.turn_changed.wait(turn).unwrap_or_else(PoisonError::into_inner),
+                Some(left) => {
+                    self.poll_changed.wait_timeout(poll, left).unwrap_or_else(PoisonError::into_inner).0
+                }
+                None => self.poll_changed.wait(poll).unwrap_or_else(PoisonError::into_inner),
             };
-            if turn.wakes != wakes {
+            poll.waiting -= 1;
+            if poll.wakes != wakes {
                 return Err(PollEnd::Woken);
             }
         }
+    }
+
+    /// Waits for a datagram, for a wake, or, where the kernel's send queue was full, until it is not.
+    fn wait(&self, until: Option<Instant>) -> io::Result<Waited> {
+        if self.blocked.load(Ordering::Acquire) {
+            return socket::wait(&self.socket, self.polling.wake(), true, until);
+        }
+        self.polling.wait(&self.socket, until).map(|seen| match seen {
+            Seen::Readable => Waited::Readable,
+            Seen::Woken => Waited::Woken,
+            Seen::TimedOut => Waited::TimedOut,
+        })
+    }
+
+    /// The kernel is out of memory for a wait itself: the next one is not tried at once.
+    fn wait_failed(&self) {
+        self.statistics.add(UdpCount::ReceiveFailed, 1);
+        std::thread::sleep(Duration::from_millis(1));
     }
 
     /// Whether the event counter means the end of a poll, or only that the poll must look at the socket again.
@@ -232,7 +276,7 @@ impl UdpLink {
         if self.address_known.swap(false, Ordering::AcqRel) {
             if self.woken.load(Ordering::Acquire) {
                 // One poll ends for each.
-                self.wake.wake();
+                self.polling.wake().wake();
             }
             return Some(PollEnd::Ready);
         }
@@ -240,23 +284,55 @@ impl UdpLink {
     }
 }
 
-/// A thread's turn. Ends when it goes, also where a sink panics.
-struct OwnTurn<'a> {
-    link: &'a UdpLink,
-    /// Always here until the turn ends.
-    receiving: Option<Box<Receiving>>,
+/// Does it again while a signal interrupts it.
+fn retried(mut send: impl FnMut() -> io::Result<usize>) -> io::Result<()> {
+    loop {
+        match send() {
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+            sent => return sent.map(|_| ()),
+        }
+    }
 }
 
-impl Drop for OwnTurn<'_> {
+/// A thread's poll. Ends when it goes, also where a sink panics.
+struct OwnPoll<'a> {
+    link: &'a UdpLink,
+}
+
+impl Drop for OwnPoll<'_> {
     fn drop(&mut self) {
-        lock(&self.link.turn).receiving = self.receiving.take();
-        self.link.turn_changed.notify_one();
+        let mut poll = lock(&self.link.poll);
+        poll.taken = false;
+        if poll.waiting > 0 {
+            self.link.poll_changed.notify_one();
+        }
+    }
+}
+
+impl Leading for UdpLink {
+    fn wait(&self, left: Option<Duration>) -> Came {
+        match self.leader.wait_some(&self.socket, left) {
+            Ok(seen) => seen.map_or(Came::Nothing, Came::from),
+            Err(_) => {
+                self.wait_failed();
+                Came::Nothing
+            }
+        }
+    }
+
+    fn take_in(&self, sink: &dyn Sink) -> bool {
+        let receiving = sync::try_lock(&self.receiving);
+        receiving.map(|mut receiving| self.receive_one(&mut receiving, sink)).is_some()
+    }
+
+    fn call(&self) {
+        self.leader.wake().wake();
     }
 }
 
 impl Link for UdpLink {
     fn ready(&self, next: NodeId) -> bool {
-        let known = self.peer(next).is_some_and(|(_, peer)| lock(&peer.address).is_some());
+        let known = self.peer(next).is_some_and(|(_, peer)| lock(&peer.way).is_some());
         if known && self.blocked.load(Ordering::Acquire) && socket::takes(&self.socket) {
             self.blocked.store(false, Ordering::Release);
         }
@@ -265,7 +341,8 @@ impl Link for UdpLink {
 
     fn send_at(&self, next: NodeId, packets: &[Packet], at: Instant) -> Result<usize, LinkBusy> {
         let (_, peer) = self.peer(next).ok_or(LinkBusy)?;
-        let address = lock(&peer.address).ok_or(LinkBusy)?;
+        let way = lock(&peer.way);
+        let way = way.as_ref().ok_or(LinkBusy)?;
         let tx_mono = self.micros(at);
         let echo = lock(&peer.heard).and_then(|heard| heard.echo(tx_mono));
         let outgoing = &mut *lock(&peer.outgoing);
@@ -283,7 +360,7 @@ impl Link for UdpLink {
         let sender = self.table.node;
         let envelope = Envelope { sender, incarnation, restarted, counter: outgoing.counter, tx_mono, echo };
         let bytes = outgoing.datagram.seal(&envelope, self.table.digest());
-        match self.transmit(bytes, address) {
+        match self.transmit(bytes, way) {
             Ok(()) => {
                 self.statistics.add(UdpCount::DatagramsSent, 1);
                 self.statistics.add(UdpCount::PacketsSent, taken as u64);
@@ -292,7 +369,7 @@ impl Link for UdpLink {
                 self.statistics.add(UdpCount::Busy, 1);
                 self.blocked.store(true, Ordering::Release);
                 // Whoever waits in the socket does not yet wait for this.
-                self.wake.wake();
+                self.polling.wake().wake();
                 return Err(LinkBusy);
             }
             Err(error) => self.statistics.send_failed(&error),
@@ -302,15 +379,14 @@ impl Link for UdpLink {
     }
 
     fn poll(&self, sink: &dyn Sink, until: Option<Instant>) -> PollEnd {
-        let mut turn = match self.take_turn(until) {
-            Ok(turn) => turn,
+        let _poll = match self.take_poll(until) {
+            Ok(poll) => poll,
             Err(end) => return end,
         };
         loop {
-            let writable = self.blocked.load(Ordering::Acquire);
-            let end = match socket::wait(&self.socket, &self.wake, writable, until) {
+            let end = match self.wait(until) {
                 Ok(Waited::Readable) => {
-                    let any = turn.receiving.as_mut().is_some_and(|receiving| self.drain(receiving, sink));
+                    let any = self.drain(&mut sync::lock(&self.receiving), sink);
                     any.then_some(PollEnd::Received)
                 }
                 Ok(Waited::Writable) => {
@@ -320,9 +396,7 @@ impl Link for UdpLink {
                 Ok(Waited::Woken) => self.end_of_wake(),
                 Ok(Waited::TimedOut) => Some(PollEnd::TimedOut),
                 Err(_) => {
-                    // The kernel is out of memory for the wait itself: try again, but not at once.
-                    self.statistics.add(UdpCount::ReceiveFailed, 1);
-                    std::thread::sleep(Duration::from_millis(1));
+                    self.wait_failed();
                     None
                 }
             };
@@ -333,9 +407,18 @@ impl Link for UdpLink {
     }
 
     fn wake(&self) {
-        lock(&self.turn).wakes += 1;
+        lock(&self.poll).wakes += 1;
         self.woken.store(true, Ordering::Release);
-        self.wake.wake();
-        self.turn_changed.notify_all();
+        self.polling.wake().wake();
+        self.poll_changed.notify_all();
+    }
+
+    fn failures(&self) -> Vec<(&'static str, u64)> {
+        let failures = UdpCount::FAILURES.iter();
+        failures.map(|&count| (count.name(), self.statistics.get(count))).collect()
+    }
+
+    fn leading(&self) -> Option<&dyn Leading> {
+        Some(self)
     }
 }

@@ -4,7 +4,9 @@ use super::delay::{DRIFT_PPM, LinkDelay};
 use crate::link::LinkDiscard;
 use imrs_protocol::{Incarnation, NodeId, Ticks};
 use imrs_wire::envelope::{Datagram, Echo, Envelope, ReplayWindow, supersedes};
-use std::net::SocketAddr;
+use nix::sys::socket::{setsockopt, sockopt};
+use std::io;
+use std::net::{SocketAddr, UdpSocket};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 
 /// Locks, whatever a panic elsewhere left: every value here is whole at any time.
@@ -17,10 +19,34 @@ pub(super) struct Peer {
     pub(super) node: NodeId,
     /// The declared bound of the link to it, in microseconds.
     pub(super) declared: Ticks,
-    pub(super) address: Mutex<Option<SocketAddr>>,
+    pub(super) way: Mutex<Option<Way>>,
     pub(super) outgoing: Mutex<Outgoing>,
     /// Its clock, as its last datagram showed it.
     pub(super) heard: Mutex<Option<Heard>>,
+}
+
+/// Where a neighbour receives, and a socket that is connected to it.
+///
+/// The connected socket only sends. The kernel looks up the route once, and says there that nobody listens
+/// (ECONNREFUSED). Where it fails or takes nothing, the link's own socket sends.
+pub(super) struct Way {
+    pub(super) address: SocketAddr,
+    pub(super) connected: Option<UdpSocket>,
+}
+
+impl Way {
+    /// The way from `local` to `address`.
+    pub(super) fn new(local: SocketAddr, address: SocketAddr) -> Self {
+        let connect = || -> io::Result<UdpSocket> {
+            let socket = UdpSocket::bind((local.ip(), 0))?;
+            socket.set_nonblocking(true)?;
+            socket.connect(address)?;
+            // Never read: so that it holds nothing.
+            setsockopt(&socket, sockopt::RcvBuf, &0)?;
+            Ok(socket)
+        };
+        Self { address, connected: connect().ok() }
+    }
 }
 
 /// The datagram that is being made for a neighbour, and its number.
@@ -32,13 +58,7 @@ pub(super) struct Outgoing {
 
 impl Peer {
     pub(super) fn new(node: NodeId, declared: Ticks) -> Self {
-        Self {
-            node,
-            declared,
-            address: Mutex::default(),
-            outgoing: Mutex::default(),
-            heard: Mutex::default(),
-        }
+        Self { node, declared, way: Mutex::default(), outgoing: Mutex::default(), heard: Mutex::default() }
     }
 }
 

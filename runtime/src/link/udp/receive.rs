@@ -10,25 +10,45 @@ use crate::residency::{Evidence, Reading, residency};
 use imrs_protocol::{Packet, Ticks};
 use imrs_wire::envelope::{self, EnvelopeError};
 use std::io;
+use std::time::Duration;
 
 /// How many datagrams one poll takes at most before it gives way to whatever else its thread has to do.
 const BATCH: usize = 64;
+/// How long ago the socket may have been seen empty before whoever takes one datagram looks for more.
+const EMPTY_OFTEN: Duration = Duration::from_millis(10);
+
 /// What the thread has that waits in the socket and receives.
 pub(super) struct Receiving {
     pub(super) receiver: Receiver,
     /// The clocks when the socket was last seen empty.
     pub(super) empty: Reading,
+    /// The clocks when a datagram was last taken.
+    pub(super) last: Reading,
     /// By the position of the neighbour.
     pub(super) lives: Box<[Option<Life>]>,
 }
 
 impl UdpLink {
+    /// Takes the datagram that the leader was told of: whatever came after it was told to whoever polls. To see the
+    /// socket empty costs a system call more, so that is done only now and then: nothing rests on it while the stamps can
+    /// be believed.
+    pub(super) fn receive_one(&self, receiving: &mut Receiving, sink: &dyn Sink) {
+        let Receiving { receiver, empty, last, .. } = &*receiving;
+        let lately = last.after.saturating_duration_since(empty.after) < EMPTY_OFTEN;
+        let most = if lately && receiver.stamped { 1 } else { BATCH };
+        self.receive(receiving, most, sink);
+    }
+
     /// Takes what waits, up to a [`BATCH`]. Returns whether any datagram came in.
     pub(super) fn drain(&self, receiving: &mut Receiving, sink: &dyn Sink) -> bool {
-        let Receiving { receiver, empty, lives } = receiving;
+        self.receive(receiving, BATCH, sink)
+    }
+
+    fn receive(&self, receiving: &mut Receiving, most: usize, sink: &dyn Sink) -> bool {
+        let Receiving { receiver, empty, last, lives } = receiving;
         // Read before the socket is looked at: if it turns out to be empty, it was so after this.
-        let mut before = Reading::take();
-        for taken in 0..BATCH {
+        let mut before = if most > 1 { Reading::take() } else { *last };
+        for taken in 0..most {
             match receiver.receive(&self.socket) {
                 Ok((received, dropped)) => {
                     let now = Reading::take();
@@ -37,7 +57,7 @@ impl UdpLink {
                     if let Err(reason) = self.deliver(&received, &now, empty, lives, sink) {
                         sink.discarded(reason);
                     }
-                    before = now;
+                    (before, *last) = (now, now);
                 }
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
                     *empty = before;

@@ -28,7 +28,7 @@ pub(super) struct Receiver {
     /// The kernel's count of datagrams that found its queue full: since the socket was made, around the wrap.
     dropped: u32,
     /// Whether stamps are those of the arrival.
-    stamped: bool,
+    pub(super) stamped: bool,
 }
 
 impl Receiver {
@@ -120,7 +120,11 @@ impl Wake {
         let _ = rustix::io::write(&self.0, &1_u64.to_ne_bytes());
     }
 
-    fn clear(&self) {
+    pub(super) const fn fd(&self) -> &OwnedFd {
+        &self.0
+    }
+
+    pub(super) fn clear(&self) {
         // Fails only where somebody else has cleared it.
         let _ = rustix::io::read(&self.0, &mut [0_u8; 8]);
     }

@@ -57,6 +57,20 @@ counts! {
     NewLives = "new_lives",
 }
 
+impl UdpCount {
+    /// Those that count what was lost, or may have been.
+    pub const FAILURES: [Self; 8] = [
+        Self::KernelDropped,
+        Self::SendRefused,
+        Self::SendNoBuffers,
+        Self::SendNoNetwork,
+        Self::SendNoHost,
+        Self::SendForbidden,
+        Self::SendFailed,
+        Self::ReceiveFailed,
+    ];
+}
+
 /// A UDP link's counters. They only grow.
 #[derive(Debug, Default)]
 pub(super) struct Statistics([AtomicU64; UdpCount::ALL.len()]);

@@ -1,0 +1,245 @@
+//! Leader and followers at a socket: a leader that takes in its own answer, one that is called, datagrams that belong to
+//! others, and the thread that polls.
+
+use super::DEADLOCK;
+use super::handoff::{Brought, Toy};
+use crate::explorer::{Arc, Condvar, PlainMutex, explore, must_fail, thread};
+use crate::handoff::{self, Bell, Handoff};
+use crate::lead::{Came, Lead, Led};
+use crate::sync::{Mutex, lock, try_lock};
+
+/// A socket as the kernel tells of it: a datagram is told to the leader if one waits, else to the thread that polls.
+struct Socket {
+    state: PlainMutex<State>,
+    leaders: Condvar,
+    pollers: Condvar,
+}
+
+#[derive(Default)]
+struct State {
+    /// For the leader's task, if true.
+    datagrams: Vec<bool>,
+    /// How many nobody has taken yet, of those that have come and those still to come.
+    open: u32,
+    leads: bool,
+    told: bool,
+    called: bool,
+    /// For the test that must fail: what was told once is not told again though it is still there.
+    edges: bool,
+}
+
+impl Socket {
+    fn expecting(datagrams: u32) -> Self {
+        let state = State { open: datagrams, ..State::default() };
+        Self { state: PlainMutex::new(state), leaders: Condvar::new(), pollers: Condvar::new() }
+    }
+
+    fn arrive(&self, for_the_leader: bool) {
+        let mut state = self.state.lock().unwrap();
+        state.datagrams.push(for_the_leader);
+        if state.leads {
+            state.leads = false;
+            self.leaders.notify_one();
+        } else {
+            state.told = true;
+            self.pollers.notify_one();
+        }
+    }
+
+    /// The leader's wait. What was told to it is there when it returns, unless the one that polls has taken it.
+    fn wait(&self) -> Came {
+        let mut state = self.state.lock().unwrap();
+        loop {
+            if !state.datagrams.is_empty() {
+                return Came::Something;
+            }
+            if std::mem::take(&mut state.called) {
+                return Came::Nothing;
+            }
+            state.leads = true;
+            state = self.leaders.wait(state).unwrap();
+            state.leads = false;
+        }
+    }
+
+    /// The wait of the one that polls. False once nothing more is to come.
+    fn poll(&self) -> bool {
+        let mut state = self.state.lock().unwrap();
+        while state.open > 0 && (!state.told || state.datagrams.is_empty()) {
+            state = self.pollers.wait(state).unwrap();
+        }
+        state.told &= !state.edges;
+        state.open > 0
+    }
+
+    fn take(&self) -> Option<bool> {
+        let mut state = self.state.lock().unwrap();
+        let datagram = state.datagrams.pop();
+        if datagram.is_some() {
+            state.open -= 1;
+            if state.open == 0 {
+                self.pollers.notify_one();
+            }
+        }
+        datagram
+    }
+}
+
+impl Bell for Socket {
+    fn ring(&self) {
+        self.state.lock().unwrap().called = true;
+        self.leaders.notify_one();
+    }
+}
+
+struct Scene {
+    socket: std::sync::Arc<Socket>,
+    handoff: Handoff<Toy>,
+    lead: Lead,
+    receiving: Mutex<()>,
+}
+
+/// What is planted.
+#[derive(Clone, Copy, Debug, Default)]
+struct Planted {
+    /// Whoever is called is not.
+    no_bell: bool,
+    /// The leader leaves what it was told of when its own wait is over.
+    leaves_told: bool,
+    /// The kernel tells of edges, not of levels.
+    edges: bool,
+}
+
+impl Scene {
+    fn new(planted: Planted, datagrams: u32) -> Arc<Self> {
+        let socket = std::sync::Arc::new(Socket::expecting(datagrams));
+        let bell: std::sync::Arc<dyn Bell> = socket.clone();
+        let mut handoff = Handoff::new(Toy::default(), Some(bell));
+        let mut lead = Lead::new();
+        if planted.no_bell {
+            handoff.plant = handoff::Plant::NoBell;
+        }
+        socket.state.lock().unwrap().edges = planted.edges;
+        lead.leaves_blindly = planted.leaves_told;
+        Arc::new(Self { socket, handoff, lead, receiving: Mutex::new(()) })
+    }
+
+    fn deliver(&self, datagram: Option<bool>) {
+        if datagram == Some(true) {
+            self.handoff.deliver(Brought::Answer, &mut 0);
+        }
+    }
+
+    /// The thread that receives for the node: all that is told to it. How many it took.
+    fn run_poller(&self) -> u32 {
+        let mut took = 0;
+        while self.socket.poll() {
+            let _turn = lock(&self.receiving);
+            while let Some(datagram) = self.socket.take() {
+                took += 1;
+                self.deliver(Some(datagram));
+            }
+        }
+        took
+    }
+
+    /// The task asks and waits. How it went, and how many datagrams it took.
+    fn run_task(&self) -> (Led, u32) {
+        let (mut worked, mut took, mut led) = (0, 0, Led::ToTheEnd);
+        let mut entry = self.handoff.enter(Brought::Question, &mut worked);
+        while entry.mail.is_none() {
+            let take_in = || {
+                let Some(_turn) = try_lock(&self.receiving) else { return false };
+                let datagram = self.socket.take();
+                took += u32::from(datagram.is_some());
+                self.deliver(datagram);
+                true
+            };
+            led = self.lead.wait(&self.handoff, || self.socket.wait(), take_in);
+            if led == Led::No {
+                self.handoff.sleep(None);
+            }
+            entry = self.handoff.enter(Brought::Nothing, &mut worked);
+        }
+        (led, took)
+    }
+}
+
+/// The answer comes as a datagram. How the task's wait went, and whether it took its answer itself.
+fn answer_by_datagram(planted: Planted) -> (Led, u32) {
+    let scene = Scene::new(planted, 1);
+    let (poller, network) = (Arc::clone(&scene), Arc::clone(&scene));
+    let poller = thread::spawn(move || poller.run_poller());
+    let network = thread::spawn(move || network.socket.arrive(true));
+    let went = scene.run_task();
+    network.join().unwrap();
+    assert_eq!(went.1 + poller.join().unwrap(), 1, "a datagram was taken twice or not at all");
+    went
+}
+
+#[test]
+fn an_answer_by_datagram_ends_the_wait_whoever_takes_it() {
+    let seen = explore(|| answer_by_datagram(Planted::default()));
+    let outcomes: Vec<_> = seen.keys().copied().collect();
+    let expected = [(Led::ToTheEnd, 0), (Led::ToTheEnd, 1), (Led::Called, 0), (Led::No, 0)];
+    assert_eq!(outcomes, expected, "{seen:?}");
+}
+
+#[test]
+fn who_leads_and_is_not_called_waits_for_ever() {
+    must_fail(DEADLOCK, || answer_by_datagram(Planted { no_bell: true, ..Planted::default() }));
+}
+
+/// The answer comes from another task of the node, a datagram for somebody else meanwhile. Whether the leader was called,
+/// and whether it took that datagram.
+fn answer_by_another_task(planted: Planted) -> (Led, u32) {
+    let scene = Scene::new(planted, 1);
+    let (poller, other) = (Arc::clone(&scene), Arc::clone(&scene));
+    let poller = thread::spawn(move || poller.run_poller());
+    let other = thread::spawn(move || {
+        other.socket.arrive(false);
+        other.handoff.deliver(Brought::Answer, &mut 0);
+    });
+    let went = scene.run_task();
+    other.join().unwrap();
+    assert_eq!(went.1 + poller.join().unwrap(), 1, "a datagram was taken twice or not at all");
+    went
+}
+
+#[test]
+fn a_datagram_for_others_is_taken_though_the_leader_leaves() {
+    let seen = explore(|| answer_by_another_task(Planted::default()));
+    let took = |count| seen.keys().any(|&(_, took)| took == count);
+    let led = |led| seen.keys().any(|&(seen, _)| seen == led);
+    assert!(took(0) && took(1) && led(Led::ToTheEnd) && led(Led::Called), "{seen:?}");
+}
+
+#[test]
+fn a_leader_that_leaves_what_it_was_told_of_hands_it_to_nobody() {
+    must_fail(DEADLOCK, || answer_by_another_task(Planted { leaves_told: true, ..Planted::default() }));
+}
+
+/// The one that polls finds the socket empty, and the next datagram is told to the leader before the turn is free.
+fn two_datagrams(planted: Planted) -> (Led, u32) {
+    let scene = Scene::new(planted, 2);
+    scene.socket.arrive(false);
+    let (poller, network) = (Arc::clone(&scene), Arc::clone(&scene));
+    let poller = thread::spawn(move || poller.run_poller());
+    let network = thread::spawn(move || network.socket.arrive(true));
+    let went = scene.run_task();
+    network.join().unwrap();
+    assert_eq!(went.1 + poller.join().unwrap(), 2, "a datagram was taken twice or not at all");
+    went
+}
+
+#[test]
+fn what_the_leader_leaves_to_the_one_at_work_is_taken() {
+    let seen = explore(|| two_datagrams(Planted::default()));
+    assert!((0..=2).all(|count| seen.keys().any(|&(_, took)| took == count)), "{seen:?}");
+    assert!(seen.keys().any(|&(led, _)| led == Led::No), "{seen:?}");
+}
+
+#[test]
+fn one_at_work_who_is_told_of_edges_leaves_a_datagram() {
+    must_fail(DEADLOCK, || two_datagrams(Planted { edges: true, ..Planted::default() }));
+}

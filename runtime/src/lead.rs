@@ -1,0 +1,86 @@
+//! Leader and followers (D40): one task's thread at a time waits in the link itself, takes in what comes, and so finds
+//! its own answer with nobody to wake it; the others sleep on their words. Nothing has to be handed on when it leaves: the
+//! thread that receives for the node is told by the kernel of whatever comes while nobody leads.
+//!
+//! What the leader was told of, nobody else was. So it takes that in before it looks whether its own wait is over.
+
+use crate::handoff::{Handoff, Station};
+use crate::sync::{AtomicBool, Ordering};
+
+/// Why a wait in the link ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Came {
+    /// Something came in.
+    Something,
+    /// The leader was called, or a part of the wait is over.
+    Nothing,
+    /// The time is over.
+    Time,
+}
+
+/// How a task's wait went.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub(crate) enum Led {
+    /// It led, and its wait is over.
+    ToTheEnd,
+    /// It led, and its wait was ended by another thread.
+    Called,
+    /// It did not lead, or not to the end: others do what there is to do, and it sleeps.
+    No,
+}
+
+#[derive(Debug)]
+pub(crate) struct Lead {
+    taken: AtomicBool,
+    /// For the test that must fail: whoever finds its own wait over leaves what it was told of.
+    #[cfg(test)]
+    pub leaves_blindly: bool,
+}
+
+impl Lead {
+    pub fn new() -> Self {
+        Self {
+            taken: AtomicBool::new(false),
+            #[cfg(test)]
+            leaves_blindly: false,
+        }
+    }
+
+    /// Waits in the link for the task of `handoff`, unless another one leads. `take_in` takes in what `wait` told of;
+    /// false where another thread is at it and will.
+    pub fn wait<S: Station>(
+        &self,
+        handoff: &Handoff<S>,
+        mut wait: impl FnMut() -> Came,
+        mut take_in: impl FnMut() -> bool,
+    ) -> Led {
+        if self.taken.swap(true, Ordering::AcqRel) {
+            return Led::No;
+        }
+        let mut led = Led::ToTheEnd;
+        while handoff.go_away() {
+            let came = wait();
+            // From here on its own mail wakes nobody.
+            let called = !handoff.come_home();
+            #[cfg(test)]
+            if self.leaves_blindly && called {
+                led = Led::Called;
+                break;
+            }
+            if called {
+                led = Led::Called;
+            }
+            match came {
+                Came::Something if take_in() => {}
+                Came::Something => {
+                    led = Led::No;
+                    break;
+                }
+                Came::Nothing => {}
+                Came::Time => break,
+            }
+        }
+        self.taken.store(false, Ordering::Release);
+        led
+    }
+}

@@ -1,0 +1,41 @@
+//! Whole nodes over loopback UDP.
+
+use imrs_protocol::{CellTable, Incarnation, NodeId, NodeTable};
+use imrs_runtime::link::faulty::FaultyLink;
+use imrs_runtime::link::udp::{UdpLink, UdpOptions};
+use imrs_runtime::{Builder, Runtime};
+use std::sync::Arc;
+
+/// Links of all nodes of a cell that know each other's addresses.
+pub fn links(table: &Arc<CellTable>, loss: f64) -> Vec<Arc<FaultyLink<UdpLink>>> {
+    let count = table.cell().nodes.len();
+    let bind = |node| {
+        let here = NodeTable::new(Arc::clone(table), NodeId::from_index(node));
+        let address = "127.0.0.1:0".parse().expect("an address");
+        UdpLink::bind(here, address, UdpOptions::new(Incarnation(1), false)).expect("a free port")
+    };
+    let links: Vec<UdpLink> = (0..count).map(bind).collect();
+    for (a, from) in links.iter().enumerate() {
+        for (b, to) in links.iter().enumerate().filter(|&(b, _)| a != b) {
+            from.set_address(NodeId::from_index(b), Some(to.local_address())).expect("a neighbour");
+        }
+    }
+    let faulty = |(seed, link)| {
+        let link = FaultyLink::new(link, seed);
+        link.set_loss(loss);
+        Arc::new(link)
+    };
+    (0..).zip(links).map(faulty).collect()
+}
+
+pub fn builders(table: &Arc<CellTable>, links: &[Arc<FaultyLink<UdpLink>>]) -> Vec<Builder> {
+    let links = links.iter().cloned().enumerate();
+    links
+        .map(|(node, link)| {
+            Runtime::builder(Arc::clone(table), NodeId::from_index(node))
+                .incarnation(Incarnation(1), false)
+                .insecure(true)
+                .link(link)
+        })
+        .collect()
+}

@@ -1,0 +1,228 @@
+//! A task that waits in the socket (D40): who is woken, who is not, and what becomes of what is for others. A program of
+//! its own, for the kernel counts sleeps by thread.
+
+mod common;
+
+use common::udp::{builders, links};
+use common::{A, B, C, LONG, LONG_TICKS, ask, cell, finish, report, table};
+use imrs_protocol::{CellTable, PortDecl, Ticks, Usage};
+use imrs_runtime::link::udp::UdpCount;
+use imrs_runtime::{Builder, Context, Sent, TaskEnd, TaskError};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::{Duration, Instant};
+
+fn sleeps_of(thread: &std::path::Path) -> u64 {
+    let status = std::fs::read_to_string(thread.join("status")).expect("a thread");
+    let line = status.lines().find_map(|line| line.strip_prefix("voluntary_ctxt_switches:"));
+    line.expect("counted").trim().parse().expect("a number")
+}
+
+/// How often the threads slept that receive for a node without waiting for anything themselves.
+fn sleeps_of_receivers() -> u64 {
+    let threads = std::fs::read_dir("/proc/self/task").expect("the threads of this process").flatten();
+    let named = |path: &std::path::Path| std::fs::read_to_string(path.join("comm")).unwrap_or_default();
+    let receivers = threads.map(|t| t.path()).filter(|path| named(path).trim() == "imrs receive");
+    receivers.map(|path| sleeps_of(&path)).sum()
+}
+
+fn nodes<const N: usize>(table: &Arc<CellTable>) -> [Builder; N] {
+    let nodes = builders(table, &links(table, 0.0));
+    nodes.try_into().unwrap_or_else(|_| panic!("{N} nodes"))
+}
+
+/// One test, for the threads of another one would be counted, too.
+#[test]
+fn leaders() {
+    a_reply_wakes_one_thread();
+    what_is_for_others_does_not_wait_for_a_task_that_computes();
+    a_leader_is_called_by_tasks_of_its_own_node();
+    time_outs_end_and_stopping_ends_a_wait();
+    what_is_sent_together_leaves_in_full_datagrams();
+}
+
+fn a_reply_wakes_one_thread() {
+    const TRIPS: u64 = 20;
+    const PAUSE: Duration = Duration::from_millis(2);
+    let mut cell = cell(&[0, 1], Ticks(1_000));
+    cell.port(ask(LONG_TICKS));
+    let [first, second] = nodes(&table(cell));
+    let first = first.task("a", |ctx| {
+        let ask = ctx.port("ask")?;
+        let mut fewest = u64::MAX;
+        // Where a task is stopped by others just before it waits, the receiving thread takes the datagram: not every
+        // time in each of so many series.
+        for _ in 0..50 {
+            let before = sleeps_of_receivers();
+            for _ in 0..TRIPS {
+                ctx.delay(PAUSE)?;
+                ctx.send(ask, b"?")?.reply().expect("nothing is lost");
+            }
+            fewest = fewest.min(sleeps_of_receivers() - before);
+            if fewest < TRIPS / 2 {
+                return Ok(());
+            }
+        }
+        panic!("the receiving threads slept {fewest} times in {TRIPS} round trips");
+    });
+    let second = second.task("b", |ctx| {
+        while let Some(question) = ctx.receive(None, None)? {
+            // Until then `a` waits.
+            ctx.delay(PAUSE)?;
+            ctx.reply(&question.from, b"!")?;
+        }
+        Ok(())
+    });
+    let second = second.start().unwrap();
+    finish(first.start().unwrap());
+    finish_stopped(second);
+}
+
+fn finish_stopped(runtime: imrs_runtime::Runtime) {
+    let ends = runtime.stop(LONG);
+    assert!(ends.iter().all(|(_, end)| *end == TaskEnd::Returned), "{ends:?}");
+}
+
+/// `a` leads, takes its message and then asks for nothing; what comes for `b` of the same node comes through.
+fn what_is_for_others_does_not_wait_for_a_task_that_computes() {
+    let mut cell = cell(&[0, 0, 1], Ticks(1_000));
+    cell.port(PortDecl::new("to-a", C, Usage::Send, &[A], LONG_TICKS).command());
+    cell.port(PortDecl::new("to-b", C, Usage::Send, &[B], LONG_TICKS).command());
+    let [here, there] = nodes(&table(cell));
+    let (free, done) = (Arc::new(AtomicBool::new(false)), Arc::new(AtomicBool::new(false)));
+    let (busy, others) = (Arc::clone(&free), Arc::clone(&done));
+    let here = here
+        .task("a", move |ctx| {
+            let message = ctx.receive(None, None)?.expect("only a message ends it");
+            ctx.reply(&message.from, b"")?;
+            let start = Instant::now();
+            while !others.load(Ordering::Acquire) {
+                assert!(start.elapsed() < LONG, "what is for others waits for this task");
+                std::hint::spin_loop();
+            }
+            Ok(())
+        })
+        .task("b", move |ctx| {
+            for _ in 0..20 {
+                let message = ctx.receive(None, None)?.expect("only a message ends it");
+                ctx.reply(&message.from, b"")?;
+            }
+            free.store(true, Ordering::Release);
+            Ok(())
+        });
+    let there = there.task("c", move |ctx| {
+        let ports = [ctx.port("to-a")?, ctx.port("to-b")?];
+        // `a` sleeps first, and leads, as likely as not.
+        ctx.delay(Duration::from_millis(20))?;
+        ctx.send(ports[0], b"")?.reply().expect("nothing is lost");
+        for _ in 0..20 {
+            ctx.send(ports[1], b"")?.reply().expect("it is not `a` that must take it in");
+        }
+        done.store(true, Ordering::Release);
+        Ok(())
+    });
+    let here = here.start().unwrap();
+    finish(there.start().unwrap());
+    finish(here);
+    assert!(busy.load(Ordering::Acquire));
+}
+
+/// `b` waits in the link for answers of its own node, and for datagrams, in turns.
+fn a_leader_is_called_by_tasks_of_its_own_node() {
+    let mut cell = cell(&[0, 0, 1], Ticks(1_000));
+    cell.port(ask(LONG_TICKS));
+    cell.port(PortDecl::new("far", C, Usage::Send, &[B], LONG_TICKS).command());
+    let [here, there] = nodes(&table(cell));
+    let asking = |name: &'static str| {
+        move |ctx: &mut Context| -> Result<(), TaskError> {
+            let port = ctx.port(name)?;
+            for _ in 0..300 {
+                ctx.send(port, b"?")?.reply().expect("nothing is lost");
+            }
+            Ok(())
+        }
+    };
+    let here = here.task("a", asking("ask")).task("b", |ctx| {
+        for _ in 0..600 {
+            let question = ctx.receive(None, None)?.expect("only a message ends it");
+            ctx.reply(&question.from, b"!")?;
+        }
+        Ok(())
+    });
+    let here = here.start().unwrap();
+    finish(there.task("c", asking("far")).start().unwrap());
+    finish(here);
+}
+
+fn time_outs_end_and_stopping_ends_a_wait() {
+    let mut cell = cell(&[0, 1], Ticks(1_000));
+    cell.port(ask(Ticks(30_000)));
+    let table = table(cell);
+    let [first, _silent] = nodes(&table);
+    let (tell, told) = report();
+    let first = first.task("a", move |ctx| {
+        let ask = ctx.port("ask")?;
+        for micros in [0, 300, 1_500, 12_000] {
+            let (length, start) = (Duration::from_micros(micros), Instant::now());
+            assert_eq!(ctx.receive(None, Some(length))?, None);
+            assert!(start.elapsed() >= length, "{micros} us");
+        }
+        let start = Instant::now();
+        assert!(matches!(ctx.send(ask, b"?")?, Sent::Outcome(_)), "nobody answers");
+        assert!(start.elapsed() >= Duration::from_millis(30));
+        tell.send(()).expect("the test listens");
+        ctx.receive(None, None).map(|_| ())
+    });
+    let first = first.start().unwrap();
+    told.recv_timeout(LONG).expect("time_outs end");
+    finish_stopped(first);
+}
+
+fn what_is_sent_together_leaves_in_full_datagrams() {
+    const MESSAGES: usize = 100;
+    let mut cell = cell(&[0, 1], Ticks(1_000));
+    let decl = PortDecl::new("news", A, Usage::Send, &[B], LONG_TICKS);
+    cell.port(decl.bounded_buffer(MESSAGES as u16));
+    cell.port(ask(LONG_TICKS));
+    let table = table(cell);
+    let links = links(&table, 0.0);
+    let (count, alone) = (Arc::clone(&links[0]), Arc::new(AtomicU64::new(0)));
+    let both = builders(&table, &links);
+    let [first, second] = <[Builder; 2]>::try_from(both).unwrap_or_else(|_| panic!("two nodes"));
+    let sent = Arc::clone(&alone);
+    let first = first.task("a", move |ctx| {
+        let (news, ask) = (ctx.port("news")?, ctx.port("ask")?);
+        let datagrams = || count.inner().count(UdpCount::DatagramsSent);
+        ctx.together(|ctx| (0..MESSAGES).try_for_each(|_| ctx.send(news, b"news").map(|_| ())))?;
+        assert_eq!(datagrams(), 3, "44, 44 and 12");
+        ctx.together(|ctx| {
+            let _copies = ctx.send(news, b"news")?;
+            assert_eq!(datagrams(), 3, "it waits for more");
+            // What waits for an answer waits with nothing unsent.
+            ctx.send(ask, b"?")?.reply().expect("nothing is lost");
+            assert_eq!(datagrams(), 4, "both in one");
+            ctx.send(news, b"news").map(|_| ())
+        })?;
+        assert_eq!(datagrams(), 5);
+        let _copies = ctx.send(news, b"news")?;
+        assert_eq!(datagrams(), 6, "a lone message leaves at once");
+        sent.store(1, Ordering::Release);
+        Ok(())
+    });
+    let second = second.task("b", move |ctx| {
+        let (mut news, port) = (0, ctx.port("ask")?);
+        while news < MESSAGES + 3 {
+            let message = ctx.receive(None, None)?.expect("only a message ends it");
+            if message.from.port == port {
+                ctx.reply(&message.from, b"!")?;
+            } else {
+                news += 1;
+            }
+        }
+        Ok(())
+    });
+    let second = second.start().unwrap();
+    finish(first.start().unwrap());
+    assert_eq!(alone.load(Ordering::Acquire), 1);
+    finish(second);
+}
