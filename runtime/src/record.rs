@@ -8,14 +8,17 @@ mod file;
 mod recording;
 mod replay;
 mod script;
+mod verdict;
 
-pub use file::FileRecorder;
-pub use imrs_wire::recording::{Happened, Happening, ScriptStep, Turn};
+pub use file::{About, FileRecorder};
+pub use imrs_wire::recording::{Happened, Happening, RecordingReader, ScriptStep, Turn};
 pub use recording::{ReplayError, replay_recording, replay_scripts};
-pub use replay::{Divergence, KeyframeError, Recorded, Replay, ScriptDivergence, Verdict, replay};
+pub use replay::{KeyframeError, Recorded, Replay, replay};
+pub use verdict::{Divergence, InvariantBroken, Miscount, ScriptDivergence, Verdict};
 
 pub(crate) use script::Did;
 
+use imrs_protocol::script::Program;
 use imrs_protocol::{CommTask, Input, NodeTable, Observation, Outbox, Packet, Signal, TaskId, Ticks, TimeId};
 use postcard::ser_flavors::Flavor;
 use serde::Serialize;
@@ -86,6 +89,17 @@ impl Flavor for &mut OutputDigest {
     }
 }
 
+/// Names what the scripts of a node do: the digest of their programs, by task; zero where there are none. Two texts of a
+/// cell that differ in comments, or in names of their files, have the same one.
+#[must_use]
+pub fn statements<'p>(programs: impl IntoIterator<Item = (TaskId, &'p Program)>) -> u32 {
+    let mut digest = OutputDigest::START;
+    programs.into_iter().for_each(|program| digest.add(&program));
+    let OutputDigest(whole) = digest;
+    let folded = u32::try_from((whole >> 32) ^ (whole & u64::from(u32::MAX))).unwrap_or(u32::MAX);
+    if digest == OutputDigest::START { 0 } else { folded.max(1) }
+}
+
 /// What one output is called in the digest. The order of the variants, and of those in them, is part of the recordings'
 /// format.
 #[derive(Serialize)]
@@ -136,15 +150,19 @@ impl<O: Outbox> Outbox for Digesting<'_, O> {
     }
 }
 
-/// Runs one step: first the time passes, then the input comes. The runtime and the replay both do exactly this.
+impl Step {
+    /// What the machine takes: first the time passes, then the input comes. The runtime and the replay both do exactly
+    /// this.
+    pub(crate) fn parts(self) -> impl Iterator<Item = Input> {
+        let time = (!self.elapsed.is_zero()).then_some(Input::Advance(self.elapsed));
+        let input = Some(self.input).filter(|input| *input != Input::Advance(Ticks::ZERO));
+        time.into_iter().chain(input)
+    }
+}
+
+/// Runs one step.
 pub(crate) fn run(machine: &mut CommTask, table: &NodeTable, step: Step, out: &mut impl Outbox) {
-    if !step.elapsed.is_zero() {
-        machine.handle(table, Input::Advance(step.elapsed), out);
-    }
-    match step.input {
-        Input::Advance(Ticks::ZERO) => {}
-        input => machine.handle(table, input, out),
-    }
+    step.parts().for_each(|input| machine.handle(table, input, out));
 }
 
 #[cfg(test)]

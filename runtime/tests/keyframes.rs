@@ -10,7 +10,7 @@ use imrs_protocol::{
 };
 use imrs_runtime::link::in_process::Faults;
 use imrs_runtime::record::{
-    FileRecorder, KeyframeError, OutputDigest, Recorded, Recorder, Replay, ReplayError, Step, Verdict,
+    About, FileRecorder, KeyframeError, OutputDigest, Recorded, Recorder, Replay, ReplayError, Step, Verdict,
     replay_recording,
 };
 use imrs_runtime::{Context, TaskError};
@@ -244,7 +244,13 @@ fn a_node_whose_disk_was_stuck_is_recorded_on_and_its_replay_is_unknown() {
     let here = NodeTable::new(Arc::clone(&table), NodeId(0));
     let disk = Disk::default();
     let failed = |error: &WriteError| panic!("{error}");
-    let recorder = FileRecorder::start(disk.clone(), &here, (LIFE, false), false, "a test", failed).unwrap();
+    let recorder = FileRecorder::start(
+        disk.clone(),
+        &here,
+        &About { life: (LIFE, false), insecure: false, build: "a test", statements: 0 },
+        failed,
+    )
+    .unwrap();
     let (status, in_program) = (Arc::clone(&recorder), disk.clone());
     let (tell, told) = report();
     let node = one_node(&table)

@@ -200,7 +200,7 @@ impl Process {
             builder = builder.script(name, Arc::clone(&script.program));
         }
         let recording = match &setup.record {
-            Some(path) => Some(NodeRecording::start(path, setup, &NodeTable::new(Arc::clone(&cell), id))?),
+            Some(path) => Some(NodeRecording::start(path, setup, &loaded, &table)?),
             None => None,
         };
         if let Some(recording) = &recording {

@@ -335,6 +335,12 @@ impl TaskStream {
         self.needs_keyframe = !taken;
         taken
     }
+
+    /// Records that the task took `inputs` inputs, and that no more will come; `outputs` is the digest of everything it
+    /// put out. Returns whether there was room.
+    pub fn close(&mut self, inputs: u64, outputs: u64) -> bool {
+        self.outlet.hand_over_if(true, Record::Close { task: self.task, inputs, outputs })
+    }
 }
 
 /// Where the frames of one source go.
