@@ -35,10 +35,10 @@ pub struct Step {
 /// Takes the inputs of a node's communication tasks. It is called under a lock that the node's messages wait for: it
 /// must hand the step on and return, never write to a disk or wait.
 pub trait Recorder: Send + Sync {
-    /// What `task` is about to take. Its life, for a log that begins here, is that of the node.
-    fn input(&self, task: TaskId, step: Step);
-    /// The digest of everything that `task` has put out, this step included.
-    fn output(&self, task: TaskId, digest: OutputDigest);
+    /// What `task` has taken, and the digest of everything that it has put out, this step included. Its life, for a log
+    /// that begins here, is that of the node. Returns whether its state is wanted before the next step, because steps
+    /// of it were lost.
+    fn step(&self, task: TaskId, step: Step, digest: OutputDigest) -> bool;
 
     /// What the script of `task` is about to take, besides the signals of its communication task, and the digest of
     /// everything that it has done before.
@@ -46,14 +46,13 @@ pub trait Recorder: Send + Sync {
         let _ = (task, step, done);
     }
 
-    /// Whether the state of `task` is wanted, because steps of it were lost. Asked before every step.
+    /// Whether the state of `task` is wanted before its first step.
     fn wants_keyframe(&self, task: TaskId) -> bool {
         let _ = task;
         false
     }
 
-    /// The state of a machine between two steps, and the digest of everything that it has put out, where
-    /// [`wants_keyframe`](Self::wants_keyframe) said so.
+    /// The state of a machine between two steps, and the digest of everything that it has put out, where it was wanted.
     fn keyframe(&self, machine: &CommTask, digest: OutputDigest) {
         let _ = (machine, digest);
     }

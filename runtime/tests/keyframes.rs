@@ -46,15 +46,11 @@ impl Recorder for Tape {
         assert!(self.open.lock().unwrap().insert(machine.task(), entry).is_none(), "a step within a step");
     }
 
-    fn input(&self, task: TaskId, step: Step) {
-        let recorded = Recorded { step, digest: OutputDigest(0) };
-        self.open.lock().unwrap().get_mut(&task).expect("a keyframe before it").recorded = Some(recorded);
-    }
-
-    fn output(&self, task: TaskId, digest: OutputDigest) {
-        let mut entry = self.open.lock().unwrap().remove(&task).expect("a step before it");
-        entry.recorded.as_mut().expect("a step before it").digest = digest;
+    fn step(&self, task: TaskId, step: Step, digest: OutputDigest) -> bool {
+        let mut entry = self.open.lock().unwrap().remove(&task).expect("a keyframe before it");
+        entry.recorded = Some(Recorded { step, digest });
         self.closed.lock().unwrap().entry(task).or_default().push(entry);
+        true
     }
 }
 

@@ -22,8 +22,6 @@ pub struct FileRecorder {
 
 struct Track {
     stream: TaskStream,
-    /// The step whose output is still to come.
-    open: Option<Step>,
     /// How many steps there were.
     inputs: u64,
     /// The digest of all outputs.
@@ -70,7 +68,7 @@ impl FileRecorder {
         let tasks: Box<[TaskId]> = table.tasks_on(table.node).collect();
         let track = |&task: &TaskId| {
             let stream = recording.task(task);
-            Mutex::new(Track { stream, open: None, inputs: 0, outputs: OutputDigest::START })
+            Mutex::new(Track { stream, inputs: 0, outputs: OutputDigest::START })
         };
         let tracks = tasks.iter().map(track).collect();
         Ok(Arc::new(Self { recording: Mutex::new(Some(recording)), tracks, tasks }))
@@ -102,32 +100,19 @@ impl FileRecorder {
 }
 
 impl Recorder for FileRecorder {
-    fn input(&self, task: TaskId, step: Step) {
+    fn step(&self, task: TaskId, Step { elapsed, input }: Step, digest: OutputDigest) -> bool {
+        let mut wanted = false;
         self.with(task, |track| {
-            track.open = Some(step);
-            track.inputs += 1;
+            (track.inputs, track.outputs) = (track.inputs + 1, digest);
+            wanted = !track.stream.input(elapsed, input, digest.0) && track.stream.wants_keyframe();
         });
-    }
-
-    fn output(&self, task: TaskId, digest: OutputDigest) {
-        self.with(task, |track| {
-            track.outputs = digest;
-            if let Some(Step { elapsed, input }) = track.open.take() {
-                track.stream.input(elapsed, input, digest.0);
-            }
-        });
+        wanted
     }
 
     fn script(&self, task: TaskId, step: ScriptStep, done: OutputDigest) {
         self.with(task, |track| {
             track.stream.script(step, done.0);
         });
-    }
-
-    fn wants_keyframe(&self, task: TaskId) -> bool {
-        let mut wanted = false;
-        self.with(task, |track| wanted = track.stream.wants_keyframe());
-        wanted
     }
 
     /// Allocates, unlike everything else on a message's way: once for each gap.
