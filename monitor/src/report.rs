@@ -363,7 +363,9 @@ fn text_node(life: &Life, now: Moment, out: &mut String) {
     let presence = life.presence(now);
     let pid = if life.pid == 0 { String::new() } else { format!(", pid {}", life.pid) };
     let _ = write!(out, "  node {}: {presence}{pid}, incarnation {}", life.node, life.incarnation);
-    let _ = writeln!(out, ", ran {}", Span::micros(uptime));
+    let _ = write!(out, ", ran {}", Span::micros(uptime));
+    let real_time = life.last.as_ref().and_then(|s| real_time(s.snapshot.real_time));
+    let _ = writeln!(out, "{}", real_time.map_or_else(String::new, |how| format!(", real time {how}")));
     for task in life.tasks() {
         let does = match task.liveness {
             Liveness::Crashed => "CRASHED".to_owned(),

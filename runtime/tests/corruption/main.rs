@@ -8,9 +8,9 @@ mod runs;
 
 use change::{Change, change_bytes, change_records};
 use imrs_protocol::{CommTask, Input, NodeTable, Outbox, Packet, Signal, TaskId, Ticks, TimeId};
-use imrs_runtime::record::{RecordingReader, Verdict, replay_scripts};
+use imrs_runtime::record::{RecordingReader, Verdict, replay_recording, replay_scripts};
 use imrs_runtime::script::{Note, Stands, Watch};
-use imrs_wire::recording::{Ending, Header, Record, RecordingWriter};
+use imrs_wire::recording::{Ending, Header, Record, RecordingWriter, Stream};
 use runs::Recorded;
 use std::collections::BTreeMap;
 use std::hash::{DefaultHasher, Hash, Hasher};
@@ -192,6 +192,41 @@ fn changed_bytes_of_the_file_are_noticed() {
     tell("changed bytes", &counts);
     let noticed: usize = counts.values().map(|count| count.noticed).sum();
     assert!(noticed * 1_000 >= observable * 999, "{noticed} of {observable}: {counts:#?}");
+}
+
+/// After a gap all that is known is the keyframe: a changed one may say anything, and is refused or replayed.
+#[test]
+fn changed_keyframes_are_refused_or_replayed() {
+    let runs = runs();
+    let mut random = fastrand::Rng::with_seed(19);
+    let mut refused = 0;
+    for _ in 0..wanted() {
+        let run = &runs[random.usize(..runs.len())];
+        let (header, whole) = records(&run.bytes);
+        let at = random.usize(1..whole.len() / 2);
+        let (before, after) = whole.split_at(at);
+        let Some(task) = run.table.tasks_on(run.table.node).next() else { continue };
+        let mut machine = CommTask::new(&run.table, task, header.incarnation, header.restarted);
+        let mut digest = 0;
+        for record in before {
+            if let Record::Input { elapsed, input, outputs, .. } = record {
+                again(&mut machine, &run.table, *elapsed, *input, &mut Outputs::default());
+                digest = *outputs;
+            }
+        }
+        let mut state = postcard::to_allocvec(&machine).expect("memory takes everything");
+        for _ in 0..random.usize(1..4) {
+            let at = random.usize(..state.len());
+            state[at] = if random.bool() { state[at] ^ (1 << random.u8(..8)) } else { random.u8(..) };
+        }
+        let gap = Record::Gap { stream: Stream::Task(task), lost: at as u64 };
+        let changed = [&[gap, Record::Keyframe { task, state, outputs: digest }], after].concat();
+        let bytes = written(&header, &changed);
+        assert!(is_noticed(&bytes, run), "a gap is never called good");
+        let mut reader = RecordingReader::new(&bytes[..]).expect("its header is whole");
+        refused += usize::from(replay_recording(&mut reader, &run.table).is_err());
+    }
+    assert!(refused > 0, "no changed keyframe was refused");
 }
 
 /// Seen with `--nocapture`, and kept in the log of `.ci/long`.
