@@ -84,7 +84,6 @@ impl Onlooker {
     }
 
     /// The node tells its recorder.
-    #[must_use]
     pub fn told_by(&self, node: Builder) -> Builder {
         let node = node.incarnation(LIFE.0, LIFE.1);
         match &self.recorder {

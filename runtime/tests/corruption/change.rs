@@ -53,7 +53,7 @@ pub fn change_records(records: &[Record], random: &mut fastrand::Rng) -> Option<
             changed.swap(at, other);
         }
         Change::Time | Change::Input | Change::Outputs | Change::Script => {
-            alter(&mut changed[at], change, random)
+            alter(&mut changed[at], change, random);
         }
     }
     (changed != records).then_some((change, changed))
@@ -122,7 +122,7 @@ fn alter_request(request: &mut Request, random: &mut fastrand::Rng) {
         }
         Request::Arrive { arguments, .. } => arguments[random.usize(..8)] ^= 1 << random.u8(..8),
         Request::Get { time_out, .. } | Request::Send { time_out, .. } => {
-            *time_out = Some(Ticks(random.u64(..50_000)))
+            *time_out = Some(Ticks(random.u64(..50_000)));
         }
         Request::Delay { length, .. } => length.0 ^= 1 << random.u8(..16),
         other => *other = Request::Cancel,
