@@ -42,11 +42,10 @@ impl Slacks {
 
 /// The machines' threads come by here.
 impl Recorder for Slacks {
-    fn input(&self, _task: TaskId, _step: Step) {
+    fn step(&self, _task: TaskId, _step: Step, _digest: OutputDigest) -> bool {
         self.note();
+        false
     }
-
-    fn output(&self, _task: TaskId, _digest: OutputDigest) {}
 }
 
 /// The thread that receives comes by here; nothing else happens.
