@@ -78,8 +78,16 @@ fn sleeps_of_the_timer() -> u64 {
         let field = |name: &str| status.lines().find_map(|l| l.strip_prefix(name).map(str::trim));
         (field("Name:")? == "imrs timer").then(|| field("voluntary_ctxt_switches:")?.parse().ok()).flatten()
     };
-    let threads = std::fs::read_dir("/proc/self/task").expect("the threads of this process");
-    threads.flatten().find_map(|thread| of(thread.path())).expect("the Timer's thread")
+    let end = Instant::now() + common::LONG;
+    loop {
+        let threads = std::fs::read_dir("/proc/self/task").expect("the threads of this process");
+        if let Some(slept) = threads.flatten().find_map(|thread| of(thread.path())) {
+            return slept;
+        }
+        // It names itself once it runs.
+        assert!(Instant::now() < end, "there is no thread of the Timer");
+        std::thread::sleep(Duration::from_millis(1));
+    }
 }
 
 /// Stops this process for [`STOP`], and returns once it goes on.
