@@ -106,7 +106,8 @@ Examples:
     /// port 7000;`), and sends to the others at theirs. Which of its lives this is it remembers in
     /// $XDG_STATE_HOME/imrs. Nothing authenticates packets yet: off the loopback that takes --insecure.
     ///
-    /// With --rt the nodes run under SCHED_FIFO with their memory locked; a kernel that does not allow it is an error.
+    /// With --rt the nodes run under SCHED_FIFO with their memory locked, each on one core. What the kernel refuses of that is
+    /// said once and shown in the monitor (`NO RT`); the nodes run without it.
     #[command(after_help = "\
 Examples:
   imrs run examples/beam_lift.cell                    until Ctrl-C

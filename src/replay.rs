@@ -10,11 +10,13 @@ use crate::demo;
 use crate::exit::{Exit, Failure};
 use crate::output::{BAD, GOOD, NOTE, Output, Styled, count};
 use imrs_protocol::{NodeId, NodeTable};
-use imrs_runtime::record::{self, Divergence, ScriptDivergence, Verdict, replay_scripts};
+use imrs_runtime::record::{
+    self, Divergence, InvariantBroken, Miscount, ScriptDivergence, Verdict, replay_scripts,
+};
 use imrs_wire::recording::{Ending, Header, RecordingReader};
 use serde::Serialize;
 use std::fs::File;
-use std::io::{self, BufReader};
+use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -64,6 +66,23 @@ pub enum ReplayError {
         /// The digest in the recording.
         recorded: u32,
         /// The digest of what is in the file.
+        now: u32,
+    },
+    /// The recording was made with the same declarations and other statements.
+    #[error(
+        "{path} was made from another text of cell `{cell}` than {given}: its statements have digest {recorded:08x}, those of the \
+         file have {now:08x}. Replay it with the text that was run"
+    )]
+    OtherStatements {
+        /// The recording.
+        path: PathBuf,
+        /// The name of the cell.
+        cell: String,
+        /// The file of the cell, or of what is built in.
+        given: String,
+        /// The digest in the recording.
+        recorded: u32,
+        /// The digest of the statements of the same node in the file.
         now: u32,
     },
     /// The recording is of a cell other than the given one.
@@ -121,8 +140,6 @@ struct Task {
     verdict: &'static str,
     /// The first step that put out something else, if any did.
     divergence: Option<String>,
-    #[serde(skip)]
-    script_differs: bool,
 }
 
 /// Replays recordings.
@@ -145,7 +162,7 @@ pub fn run(args: &ReplayArgs, out: &mut Output) -> Result<Exit, Failure> {
         }
         match args.format {
             Format::Json => out.json(&replayed)?,
-            Format::Text => show(&replayed, given.as_deref(), out)?,
+            Format::Text => show(&replayed, out)?,
         }
     }
     Ok(exit)
@@ -153,7 +170,7 @@ pub fn run(args: &ReplayArgs, out: &mut Output) -> Result<Exit, Failure> {
 
 /// A recording of a node of a known cell.
 struct Opened<'a> {
-    reader: RecordingReader<BufReader<File>>,
+    reader: RecordingReader<File>,
     header: Header,
     table: NodeTable,
     cell: &'a Loaded,
@@ -163,7 +180,7 @@ struct Opened<'a> {
 fn open<'a>(path: &Path, known: &'a [Loaded], given: Option<&str>) -> Result<Opened<'a>, ReplayError> {
     let own = || path.to_owned();
     let file = File::open(path).map_err(|source| ReplayError::Open { path: own(), source })?;
-    let reader = RecordingReader::new(BufReader::new(file))
+    let reader = RecordingReader::new(file)
         .map_err(|error| ReplayError::Read { path: own(), source: error.into() })?;
     let header = reader.header().clone();
     let node = header.node.ok_or_else(|| ReplayError::Observations(own()))?;
@@ -171,6 +188,12 @@ fn open<'a>(path: &Path, known: &'a [Loaded], given: Option<&str>) -> Result<Ope
     let cell = cell.ok_or_else(|| other_cell(own(), &header, known, given))?;
     let declared = |node: &NodeId| node.index() < cell.table.cell().nodes.len();
     let node = Some(node).filter(declared).ok_or_else(|| ReplayError::NoInputs(own()))?;
+    let (recorded, now) = (header.statements, cell.statements(node));
+    if recorded != now {
+        let given = given.unwrap_or("the demo of this program").to_owned();
+        let cell = header.cell;
+        return Err(ReplayError::OtherStatements { path: own(), cell, given, recorded, now });
+    }
     Ok(Opened { reader, header, table: NodeTable::new(Arc::clone(&cell.table), node), cell })
 }
 
@@ -200,9 +223,10 @@ fn read(path: &Path, known: &[Loaded], given: Option<&str>) -> Result<Replayed, 
         verdict: match replay.verdict() {
             Verdict::Same => "same",
             Verdict::Unknown => "unknown",
-            Verdict::Differs(_) | Verdict::ScriptDiffers(_) => "differs",
+            Verdict::Differs(_) | Verdict::ScriptDiffers(_) | Verdict::Breaks(_) | Verdict::Miscounts(_) => {
+                "differs"
+            }
         },
-        script_differs: matches!(replay.verdict(), Verdict::ScriptDiffers(_)),
         divergence: divergence(replay.verdict(), &names.tasks[replay.task().index()].name),
     });
     Ok(Replayed {
@@ -225,11 +249,21 @@ fn divergence(verdict: Verdict, name: &str) -> Option<String> {
         Verdict::ScriptDiffers(ScriptDivergence { index, .. }) => Some(format!(
             "after recorded step {index} the statements of `{name}` do something else than recorded"
         )),
+        Verdict::Breaks(InvariantBroken { index, violation, .. }) => Some(format!(
+            "after recorded step {index} an invariant of the machine does not hold: {violation}"
+        )),
+        Verdict::Miscounts(Miscount { said, found, .. }) if said != found => Some(format!(
+            "its last record says that `{name}` took {}, and {found} are there",
+            count(said, "input")
+        )),
+        Verdict::Miscounts(_) => {
+            Some(format!("its last record says that `{name}` put out something else than its inputs lead to"))
+        }
         Verdict::Same | Verdict::Unknown => None,
     }
 }
 
-fn show(replayed: &Replayed, given: Option<&str>, out: &mut Output) -> Result<(), Failure> {
+fn show(replayed: &Replayed, out: &mut Output) -> Result<(), Failure> {
     out.line(format!("node {} of cell {}, recorded by {}", replayed.node, replayed.cell, replayed.build))?;
     for task in &replayed.tasks {
         let steps = count(task.steps as u64, "step");
@@ -246,15 +280,6 @@ fn show(replayed: &Replayed, given: Option<&str>, out: &mut Output) -> Result<()
                 Styled(NOTE, "unknown")
             ))?,
         }
-    }
-    // Statements are no part of the digest: that of declarations is the same after they were changed.
-    if replayed.tasks.iter().any(|task| task.script_differs)
-        && let Some(given) = given
-    {
-        out.line(Styled(
-            NOTE,
-            format!("  If the statements in {given} were changed since the run, that is why."),
-        ))?;
     }
     if !replayed.whole {
         out.line(Styled(NOTE, "  The recording was cut off: it has no end."))?;

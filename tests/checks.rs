@@ -136,8 +136,10 @@ fn a_recording_of_another_text_of_the_cell_is_refused_as_that() {
             .replace("n := n + 1", "n := n + 2")
             .replace("busy := true; run", "busy := not busy; delay 1 msec; run"),
     );
-    assert_eq!(statements.code, Some(1), "{statements:?}");
-    assert!(statements.out.contains("were changed since the run"), "{statements:?}");
+    assert_eq!(statements.code, Some(2), "{statements:?}");
+    assert!(statements.err.contains("its statements have digest"), "{statements:?}");
+    // Of `na`, whose statements are the same; and comments are none.
+    assert_eq!(replay(&OVERLAP.replace("cell overlap;", "cell overlap;  // the same")).code, Some(0));
     let none = run_in(bench.0.path(), &["replay", &na]);
     assert_eq!(none.code, Some(2), "{none:?}");
     assert!(none.err.contains("name its file with --cell"), "{none:?}");

@@ -182,6 +182,12 @@ fn what_nobody_sent_is_no_path() {
             (*elapsed, *digest) = (Ticks::ZERO, outputs.expect("an input before it"));
         }
         records.insert(at, forged);
+        // Its count alone would give it away.
+        for record in records {
+            if let Record::Close { inputs, .. } = record {
+                *inputs += 1;
+            }
+        }
     });
     let [node, task, why] = no_path(&run.follow(&files));
     assert_eq!((node.as_str(), task.as_str()), ("nl", "armL"));

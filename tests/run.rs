@@ -340,29 +340,67 @@ fn policies(pid: u64) -> Vec<String> {
     threads.filter_map(|t| policy(std::fs::read_to_string(t.path().join("stat")).ok()?)).collect()
 }
 
+/// Which cores each thread of a process may use.
+fn cores(pid: u64) -> Vec<String> {
+    let threads = std::fs::read_dir(format!("/proc/{pid}/task")).into_iter().flatten().flatten();
+    let status = threads.filter_map(|t| std::fs::read_to_string(t.path().join("status")).ok());
+    let of = |status: String| {
+        Some(status.lines().find_map(|line| line.strip_prefix("Cpus_allowed_list:"))?.trim().to_owned())
+    };
+    status.filter_map(of).collect()
+}
+
 #[test]
 fn real_time_is_had_or_refused_with_what_to_do() {
-    let bench = Bench::new();
-    let cell = bench.cell();
-    let cell = cell.to_str().expect("UTF-8");
-    let args = ["run", cell, "--rt", "--for", "10m", "--format", "json"];
-    let mut command = imrs(bench.0.path(), &args);
-    let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("it starts");
-    let mut lines = BufReader::new(child.stdout.take().expect("a pipe")).lines();
-    let Some(Ok(line)) = lines.next() else {
-        let output = child.wait_with_output().expect("it ends");
-        let said = String::from_utf8_lossy(&output.stderr).into_owned();
-        assert_eq!(output.status.code(), Some(2), "{said}");
-        assert!(said.contains("limits.conf") && said.contains("setcap"), "{said}");
-        return;
-    };
-    let started: Value = serde_json::from_str(&line).expect("JSON");
-    let policies = policies(number(&started["started"][0]["pid"]));
-    signal(child.id(), Signal::INT);
-    let summary: Value = serde_json::from_str(&lines.next().expect("a line").expect("text")).expect("JSON");
-    child.wait().expect("it ends");
-    assert!(policies.len() > 3 && policies.iter().all(|policy| policy == "1"), "{policies:?}");
-    assert_eq!(summary["rt"], true, "{summary}");
+    for rights in [true, false] {
+        let bench = Bench::new();
+        let cell = bench.cell();
+        let args = ["run", cell.to_str().expect("UTF-8"), "--rt", "--for", "10m", "--format", "json"];
+        let mut command = imrs(bench.0.path(), &args);
+        if !rights {
+            // Whoever has no rights was refused above.
+            if !rustix::process::geteuid().is_root() {
+                return;
+            }
+            if std::process::Command::new("setpriv").arg("--version").output().is_err() {
+                let required = std::env::var_os("IMRS_REQUIRE_ALL").is_some_and(|value| value == "1");
+                assert!(!required, "setpriv is missing, and IMRS_REQUIRE_ALL=1 requires it");
+                eprintln!("not refused: setpriv is missing");
+                return;
+            }
+            let without = "-sys_nice,-ipc_lock";
+            let program = command.get_program().to_owned();
+            command = std::process::Command::new("setpriv");
+            command.args(["--bounding-set", without, "--inh-caps", without, "--"]).arg(program).args(args);
+            command.env("XDG_RUNTIME_DIR", bench.0.path()).stdin(Stdio::null());
+        }
+        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("it starts");
+        let mut lines = BufReader::new(child.stdout.take().expect("a pipe")).lines();
+        let line = lines.next().expect("a line").expect("text");
+        let started: Value = serde_json::from_str(&line).expect("JSON");
+        let policies = policies(number(&started["started"][0]["pid"]));
+        let cores = cores(number(&started["started"][0]["pid"]));
+        let seen = run_in(bench.0.path(), &["monitor", "--once", "--format", "json"]);
+        let seen = seen.last_json();
+        signal(child.id(), Signal::INT);
+        let summary: Value =
+            serde_json::from_str(&lines.next().expect("a line").expect("text")).expect("JSON");
+        let said = child.wait_with_output().expect("it ends");
+        let said = String::from_utf8_lossy(&said.stderr).into_owned();
+        let shown = seen["nodes"][0]["real_time"].as_str().unwrap_or_default();
+        assert!(cores.iter().all(|cores| cores.parse::<u32>().is_ok()), "one core: {cores:?}");
+        if summary["rt"] == true {
+            assert!(policies.len() > 3 && policies.iter().all(|policy| policy == "1"), "{policies:?}");
+            assert_eq!((shown, said.contains("--rt")), ("had", false), "{seen} {said}");
+            assert!(rights, "rights that were taken away");
+        } else {
+            // Once for each, not once for each node.
+            assert_eq!(said.matches("SCHED_FIFO").count(), 1, "{said}");
+            assert!(said.contains("limits.conf") && said.contains("setcap"), "{said}");
+            assert!(shown.starts_with("refused") && shown.contains("scheduler"), "{seen}");
+            assert!(policies.iter().all(|policy| policy == "0"), "{policies:?}");
+        }
+    }
 }
 
 #[test]

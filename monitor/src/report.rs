@@ -9,7 +9,7 @@ use crate::store::journal::Level;
 use crate::store::meeting::{Meeting, Standing, meetings, state};
 use crate::store::{Life, Store};
 use imrs_protocol::{Class, MeetingState, MeetingView, PortView, TaskState, Usage};
-use imrs_wire::obs::{Count, Liveness, TaskSnapshot};
+use imrs_wire::obs::{Count, Liveness, RealTime, TaskSnapshot};
 use serde::Serialize;
 use std::fmt::Write as _;
 
@@ -40,6 +40,8 @@ struct Node<'a> {
     build: Option<&'a str>,
     uptime_us: Option<u64>,
     insecure: Option<bool>,
+    /// Where real time was asked for: `had`, or what was refused of it.
+    real_time: Option<String>,
     transit: Transit,
     discards: Vec<Reason<'a>>,
     link_discards: Vec<Reason<'a>>,
@@ -197,12 +199,22 @@ fn node(life: &Life, now: Moment) -> Node<'_> {
         build: Some(life.build.raw()),
         uptime_us: snapshot.map(|s| s.uptime_us),
         insecure: snapshot.map(|s| s.insecure),
+        real_time: snapshot.and_then(|s| real_time(s.real_time)),
         transit,
         discards: snapshot.map_or(&[][..], |s| &s.discards).iter().map(reason).collect(),
         link_discards: snapshot.map_or(&[][..], |s| &s.link_discards).iter().map(reason).collect(),
         lost_events: life.lost,
         tasks: life.tasks().iter().map(|t| task(life, t, now)).collect(),
     }
+}
+
+fn real_time(of: RealTime) -> Option<String> {
+    let RealTime::Refused { memory, scheduler, core } = of else {
+        return (of == RealTime::Had).then(|| "had".to_owned());
+    };
+    let all = [(memory, "memory"), (scheduler, "scheduler"), (core, "core")];
+    let refused: Vec<&str> = all.into_iter().filter_map(|(refused, what)| refused.then_some(what)).collect();
+    Some(format!("refused: {}", refused.join(", ")))
 }
 
 fn reason(count: &Count) -> Reason<'_> {
@@ -220,6 +232,7 @@ fn not_seen<'a>(cell: &'a Name, name: &'a Name, killed: bool) -> Node<'a> {
         build: None,
         uptime_us: None,
         insecure: None,
+        real_time: None,
         transit: Transit::default(),
         discards: Vec::new(),
         link_discards: Vec::new(),
@@ -350,7 +363,9 @@ fn text_node(life: &Life, now: Moment, out: &mut String) {
     let presence = life.presence(now);
     let pid = if life.pid == 0 { String::new() } else { format!(", pid {}", life.pid) };
     let _ = write!(out, "  node {}: {presence}{pid}, incarnation {}", life.node, life.incarnation);
-    let _ = writeln!(out, ", ran {}", Span::micros(uptime));
+    let _ = write!(out, ", ran {}", Span::micros(uptime));
+    let real_time = life.last.as_ref().and_then(|s| real_time(s.snapshot.real_time));
+    let _ = writeln!(out, "{}", real_time.map_or_else(String::new, |how| format!(", real time {how}")));
     for task in life.tasks() {
         let does = match task.liveness {
             Liveness::Crashed => "CRASHED".to_owned(),

@@ -8,6 +8,7 @@ use crate::script::{Actions, Seat, Simulated, Watch};
 use crate::threads::{Runtime, TaskProgram};
 use imrs_protocol::script::{HOST_LIMIT, Program, ProgramError};
 use imrs_protocol::{CellTable, Incarnation, NodeId, NodeTable};
+use imrs_wire::obs::RealTime;
 use std::io;
 use std::sync::Arc;
 
@@ -61,6 +62,7 @@ pub struct Builder {
     incarnation: Incarnation,
     restarted: bool,
     insecure: bool,
+    real_time: RealTime,
     capacity: u16,
     link: Option<Arc<dyn Link>>,
     recorder: Option<Arc<dyn Recorder>>,
@@ -79,6 +81,7 @@ impl Builder {
             incarnation: Incarnation(0),
             restarted: false,
             insecure: false,
+            real_time: RealTime::NotAsked,
             capacity: TRANSIT_CAPACITY,
             link: None,
             recorder: None,
@@ -106,6 +109,12 @@ impl Builder {
     /// Says that packets travel without authentication: shown wherever the node is shown.
     pub fn insecure(mut self, insecure: bool) -> Self {
         self.insecure = insecure;
+        self
+    }
+
+    /// Says whether this thread, whose likeness the node's threads are, runs in real time: shown wherever the node is shown.
+    pub fn real_time(mut self, real_time: RealTime) -> Self {
+        self.real_time = real_time;
         self
     }
 
@@ -188,6 +197,7 @@ impl Builder {
             machine,
             incarnation: self.incarnation,
             insecure: self.insecure,
+            real_time: self.real_time,
             link: self.link,
             recorder: self.recorder,
         });

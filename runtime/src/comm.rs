@@ -27,6 +27,8 @@ pub(crate) struct Comm {
     last: Micros,
     rebased: Micros,
     recorder: Option<Arc<dyn Recorder>>,
+    /// Whether the recorder wants the machine's state before the next step.
+    wants_keyframe: bool,
     digest: OutputDigest,
     ring: Ring,
     discards: [u64; Reason::ALL.len()],
@@ -43,9 +45,12 @@ impl Comm {
         recorder: Option<Arc<dyn Recorder>>,
         now: Micros,
     ) -> Self {
+        let wants_keyframe =
+            recorder.as_ref().is_some_and(|recorder| recorder.wants_keyframe(machine.task()));
         Self {
             machine,
             table,
+            wants_keyframe,
             alarm,
             cover: Cover::new(slot),
             last: now,
@@ -98,11 +103,10 @@ impl Comm {
 
     /// The machine takes one step; what it answers goes to `answers`.
     pub fn run(&mut self, step: Step, answers: &mut dyn FnMut(Signal), effects: &mut Effects) {
-        if let Some(recorder) = &self.recorder {
-            if recorder.wants_keyframe(self.machine.task()) {
-                recorder.keyframe(&self.machine, self.digest);
-            }
-            recorder.input(self.machine.task(), step);
+        if self.wants_keyframe
+            && let Some(recorder) = &self.recorder
+        {
+            recorder.keyframe(&self.machine, self.digest);
         }
         let mut out = Out {
             at: self.last,
@@ -115,7 +119,7 @@ impl Comm {
         let digest = self.recorder.is_some().then_some(&mut self.digest);
         run(&mut self.machine, &self.table, step, &mut Digesting { digest, out: &mut out });
         if let Some(recorder) = &self.recorder {
-            recorder.output(self.machine.task(), self.digest);
+            self.wants_keyframe = recorder.step(self.machine.task(), step, self.digest);
         }
         self.rebase_in_time();
     }

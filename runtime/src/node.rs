@@ -23,6 +23,7 @@ use imrs_protocol::route::{Arrival, Departure, arrived, departing};
 use imrs_protocol::{
     CommTask, Incarnation, Input, NodeId, NodeTable, Packet, Reason, Request, TaskId, Ticks, discarded,
 };
+use imrs_wire::obs::RealTime;
 use std::sync::{Arc, OnceLock};
 use std::time::Instant;
 
@@ -31,6 +32,7 @@ pub(crate) struct Plan {
     pub machine: imrs_protocol::Node,
     pub incarnation: Incarnation,
     pub insecure: bool,
+    pub real_time: RealTime,
     pub link: Option<Arc<dyn Link>>,
     pub recorder: Option<Arc<dyn Recorder>>,
 }
@@ -40,6 +42,7 @@ pub struct Node {
     pub(crate) table: NodeTable,
     pub(crate) incarnation: Incarnation,
     pub(crate) insecure: bool,
+    pub(crate) real_time: RealTime,
     pub(crate) started: Micros,
     pub(crate) members: Arc<Members>,
     pub(crate) dispatch: Dispatch,
@@ -89,6 +92,7 @@ impl Node {
         Self {
             incarnation: plan.incarnation,
             insecure: plan.insecure,
+            real_time: plan.real_time,
             started: now,
             dispatch: Dispatch::new(
                 table.clone(),

@@ -42,6 +42,7 @@ impl Node {
             mono_us: now,
             uptime_us: now.saturating_sub(self.started),
             insecure: self.insecure,
+            real_time: self.real_time,
             transit_age_us: now.saturating_sub(transit_at),
             timers: self.timer_entries(now),
             links: self.link_views(now),

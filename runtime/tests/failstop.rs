@@ -16,11 +16,9 @@ const CHILD: &str = "IMRS_TEST_FAIL_STOP";
 struct Broken;
 
 impl Recorder for Broken {
-    fn input(&self, _task: TaskId, _step: Step) {
+    fn step(&self, _task: TaskId, _step: Step, _digest: OutputDigest) -> bool {
         panic!("this panic is part of the test");
     }
-
-    fn output(&self, _task: TaskId, _digest: OutputDigest) {}
 }
 
 #[test]

@@ -10,8 +10,8 @@ use imrs_protocol::{
 };
 use imrs_runtime::link::in_process::Faults;
 use imrs_runtime::record::{
-    FileRecorder, KeyframeError, OutputDigest, Recorded, Recorder, Replay, ReplayError, Step, Verdict,
-    replay_recording,
+    About, FileRecorder, InvariantBroken, KeyframeError, Miscount, OutputDigest, Recorded, Recorder, Replay,
+    ReplayError, Step, Verdict, replay_recording,
 };
 use imrs_runtime::{Context, TaskError};
 use imrs_wire::recording::{Header, Record, RecordingReader, RecordingWriter, Stream, WriteError};
@@ -46,15 +46,11 @@ impl Recorder for Tape {
         assert!(self.open.lock().unwrap().insert(machine.task(), entry).is_none(), "a step within a step");
     }
 
-    fn input(&self, task: TaskId, step: Step) {
-        let recorded = Recorded { step, digest: OutputDigest(0) };
-        self.open.lock().unwrap().get_mut(&task).expect("a keyframe before it").recorded = Some(recorded);
-    }
-
-    fn output(&self, task: TaskId, digest: OutputDigest) {
-        let mut entry = self.open.lock().unwrap().remove(&task).expect("a step before it");
-        entry.recorded.as_mut().expect("a step before it").digest = digest;
+    fn step(&self, task: TaskId, step: Step, digest: OutputDigest) -> bool {
+        let mut entry = self.open.lock().unwrap().remove(&task).expect("a keyframe before it");
+        entry.recorded = Some(Recorded { step, digest });
         self.closed.lock().unwrap().entry(task).or_default().push(entry);
+        true
     }
 }
 
@@ -244,7 +240,13 @@ fn a_node_whose_disk_was_stuck_is_recorded_on_and_its_replay_is_unknown() {
     let here = NodeTable::new(Arc::clone(&table), NodeId(0));
     let disk = Disk::default();
     let failed = |error: &WriteError| panic!("{error}");
-    let recorder = FileRecorder::start(disk.clone(), &here, (LIFE, false), false, "a test", failed).unwrap();
+    let recorder = FileRecorder::start(
+        disk.clone(),
+        &here,
+        &About { life: (LIFE, false), insecure: false, build: "a test", statements: 0 },
+        failed,
+    )
+    .unwrap();
     let (status, in_program) = (Arc::clone(&recorder), disk.clone());
     let (tell, told) = report();
     let node = one_node(&table)
@@ -329,4 +331,74 @@ fn recordings_of_others_are_refused() {
     assert!(matches!(replayed(digest, None, &[]), Err(ReplayError::OtherNode(_))));
     let broken = Record::Keyframe { task: A, state: vec![1, 2, 3], outputs: 0 };
     assert!(matches!(replayed(digest, node, &[broken]), Err(ReplayError::Keyframe(_))));
+}
+
+/// A state of a table whose port has a larger buffer is one that this machine cannot have.
+#[test]
+fn a_state_that_breaks_an_invariant_is_named() {
+    let with_room_for = |messages: u16| {
+        let mut cell = cell(&[0, 1], Ticks(1_000));
+        cell.port(PortDecl::new("news", A, Usage::Send, &[B], LONG_TICKS).bounded_buffer(messages));
+        NodeTable::new(table(cell), NodeId(1))
+    };
+    let (wide, narrow) = (with_room_for(3), with_room_for(1));
+    let mut machine = CommTask::new(&wide, B, LIFE, false);
+    for sequence in 1..=3 {
+        let packet = Packet {
+            kind: imrs_protocol::Kind::Send,
+            class: imrs_protocol::Class::Status,
+            more: false,
+            resent: false,
+            urgent: false,
+            hops: 0,
+            fragment: 0,
+            destination: B,
+            source: A,
+            port: imrs_protocol::PortId(0),
+            id: imrs_protocol::MessageId { incarnation: LIFE, sequence: imrs_protocol::Seq24::new(sequence) },
+            remaining: Ticks(1_000_000),
+            contents: imrs_protocol::Contents::EMPTY,
+        };
+        machine.handle(&wide, Input::Packet(packet), &mut All::default());
+    }
+    let state = postcard::to_allocvec(&machine).unwrap();
+    let time = Step { elapsed: Ticks(1), input: Input::Advance(Ticks::ZERO) };
+    let verdict = |table: &NodeTable| {
+        let mut replay = Replay::new(table, B, LIFE, false);
+        replay.gap(1);
+        replay.keyframe(&state, OutputDigest(5)).unwrap();
+        replay.step(Recorded { step: time, digest: OutputDigest(5) });
+        replay.verdict()
+    };
+    assert_eq!(verdict(&wide), Verdict::Unknown);
+    let violation = imrs_protocol::invariants::Violation::Overfull(imrs_protocol::PortId(0));
+    let broken = InvariantBroken { task: B, index: 0, violation };
+    assert_eq!(verdict(&narrow), Verdict::Breaks(broken));
+}
+
+/// Nothing is missing in between and still the last record counts more, or other outputs: something was lost unseen.
+#[test]
+fn a_last_record_that_does_not_fit_is_told() {
+    let here = NodeTable::new(table(cell(&[0], Ticks(0))), NodeId(0));
+    let start = OutputDigest::START;
+    let time = Step { elapsed: Ticks(1), input: Input::Advance(Ticks::ZERO) };
+    let closed = |gap: u64, inputs: u64, outputs: OutputDigest| {
+        let mut replay = Replay::new(&here, A, LIFE, false);
+        replay.step(Recorded { step: time, digest: start });
+        if gap > 0 {
+            replay.gap(gap);
+        }
+        replay.close(inputs, outputs);
+        replay.verdict()
+    };
+    let other = OutputDigest(3);
+    assert_eq!(closed(0, 1, start), Verdict::Same);
+    let miscount = |said, said_outputs| {
+        Verdict::Miscounts(Miscount { task: A, said, found: 1, said_outputs, outputs: start })
+    };
+    assert_eq!(closed(0, 2, start), miscount(2, start));
+    assert_eq!(closed(0, 1, other), miscount(1, other));
+    // A gap explains it, but for more than it has.
+    assert_eq!(closed(2, 3, other), Verdict::Unknown);
+    assert_eq!(closed(2, 4, other), miscount(4, other));
 }

@@ -7,7 +7,7 @@ use imrs_protocol::{
     CellTable, Incarnation, Input, NodeId, NodeTable, PortDecl, Request, TaskId, Ticks, Usage,
 };
 use imrs_runtime::link::in_process::Faults;
-use imrs_runtime::record::{FileRecorder, OutputDigest, Recorded, Recorder, Step, replay};
+use imrs_runtime::record::{About, FileRecorder, OutputDigest, Recorded, Recorder, Step, replay};
 use imrs_runtime::{Context, TaskError};
 use imrs_wire::recording::{Record, RecordingReader};
 use std::collections::BTreeMap;
@@ -125,7 +125,13 @@ fn a_recording_in_a_file_replays_bit_equal() {
     let kept = Kept::default();
     let life = (Incarnation(4), false);
     let failed = |error: &imrs_wire::recording::WriteError| panic!("{error}");
-    let recorder = FileRecorder::start(kept.clone(), &here, life, false, "a test", failed).unwrap();
+    let recorder = FileRecorder::start(
+        kept.clone(),
+        &here,
+        &About { life, insecure: false, build: "a test", statements: 0 },
+        failed,
+    )
+    .unwrap();
     let node = common::one_node(&table)
         .incarnation(life.0, life.1)
         .recorder(Arc::clone(&recorder) as _)
@@ -162,7 +168,7 @@ fn a_recording_in_a_file_replays_bit_equal() {
             Record::Header(header) => {
                 assert_eq!((header.digest, header.incarnation), (table.digest(), life.0));
             }
-            Record::Script { .. } | Record::End => {}
+            Record::Script { .. } | Record::Close { .. } | Record::End => {}
             other @ (Record::Keyframe { .. } | Record::Gap { .. } | Record::Frame { .. }) => {
                 panic!("{other:?}")
             }

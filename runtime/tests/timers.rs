@@ -42,11 +42,10 @@ impl Slacks {
 
 /// The machines' threads come by here.
 impl Recorder for Slacks {
-    fn input(&self, _task: TaskId, _step: Step) {
+    fn step(&self, _task: TaskId, _step: Step, _digest: OutputDigest) -> bool {
         self.note();
+        false
     }
-
-    fn output(&self, _task: TaskId, _digest: OutputDigest) {}
 }
 
 /// The thread that receives comes by here; nothing else happens.
@@ -79,8 +78,16 @@ fn sleeps_of_the_timer() -> u64 {
         let field = |name: &str| status.lines().find_map(|l| l.strip_prefix(name).map(str::trim));
         (field("Name:")? == "imrs timer").then(|| field("voluntary_ctxt_switches:")?.parse().ok()).flatten()
     };
-    let threads = std::fs::read_dir("/proc/self/task").expect("the threads of this process");
-    threads.flatten().find_map(|thread| of(thread.path())).expect("the Timer's thread")
+    let end = Instant::now() + common::LONG;
+    loop {
+        let threads = std::fs::read_dir("/proc/self/task").expect("the threads of this process");
+        if let Some(slept) = threads.flatten().find_map(|thread| of(thread.path())) {
+            return slept;
+        }
+        // It names itself once it runs.
+        assert!(Instant::now() < end, "there is no thread of the Timer");
+        std::thread::sleep(Duration::from_millis(1));
+    }
 }
 
 /// Stops this process for [`STOP`], and returns once it goes on.

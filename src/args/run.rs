@@ -54,7 +54,7 @@ pub struct LaunchArgs {
     /// Serve monitors over TCP, too; of several nodes each takes the next port.
     #[arg(long, value_name = "ADDR:PORT")]
     pub observe: Option<SocketAddr>,
-    /// Run the nodes under SCHED_FIFO, with their memory locked.
+    /// Run the nodes under SCHED_FIFO, with their memory locked, each on one core.
     #[arg(long)]
     pub rt: bool,
     /// How long to run [default: a demo about 10s, a cell until its tasks end or Ctrl-C].

@@ -5,7 +5,8 @@ use crate::exit::Failure;
 use imrs_language::lower::{Action, Address, Behaviour, Check, CheckKind, Script};
 use imrs_language::{Options, Span, Unit, compile_with, render};
 use imrs_protocol::script::{Predicate, Program, Term, Type, Variable};
-use imrs_protocol::{Cell, CellTable, PortId, TaskId};
+use imrs_protocol::{Cell, CellTable, NodeId, PortId, TaskId};
+use imrs_runtime::record::statements;
 use imrs_runtime::script::{Give, Results};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
@@ -91,6 +92,12 @@ impl Loaded {
     /// The program of a task's script.
     pub fn program(&self, task: TaskId) -> Option<&Arc<Program>> {
         Some(&self.scripts.get(task.index())?.as_ref()?.program)
+    }
+
+    /// The digest of what the scripts of a node do; zero where it has none.
+    pub fn statements(&self, node: NodeId) -> u32 {
+        let tasks = self.table.tasks_on(node);
+        statements(tasks.filter_map(|task| Some((task, &**self.program(task)?))))
     }
 
     /// The name of an action of a task.

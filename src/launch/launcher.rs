@@ -8,7 +8,7 @@ use super::faults::{Fault, FaultError, Wanted, schedule};
 use super::lines::{Order, Setup, Word};
 use super::place::{self, PlaceError};
 use super::report;
-use super::rt::{self, RtError};
+use super::rt;
 use super::story::{Moment, Story, Tale};
 use super::summary::{Gatherer, Summary};
 use crate::args::{Format, LaunchArgs};
@@ -58,18 +58,13 @@ pub enum LaunchError {
     /// The node cannot run by itself.
     #[error(transparent)]
     Place(#[from] PlaceError),
-    /// There is no real time here.
-    #[error(transparent)]
-    Rt(#[from] RtError),
 }
 
 impl LaunchError {
     /// The exit code it leads to.
     pub fn exit(&self) -> Exit {
         match self {
-            Self::Fault(_) | Self::Place(_) | Self::Rt(_) | Self::NotReady { refused: true, .. } => {
-                Exit::Usage
-            }
+            Self::Fault(_) | Self::Place(_) | Self::NotReady { refused: true, .. } => Exit::Usage,
             Self::Start(_) | Self::NotReady { refused: false, .. } => Exit::Internal,
         }
     }
@@ -119,6 +114,8 @@ pub struct Run<'a> {
 
 pub(super) struct Launcher<'a> {
     pub(super) run: &'a Run<'a>,
+    /// Whether the nodes are in real time: asked for, and not refused.
+    real_time: bool,
     pub(super) cell: &'a Cell,
     pub(super) setups: Vec<(NodeId, Setup)>,
     pub(super) diary: Diary,
@@ -164,8 +161,9 @@ pub fn run(run: &Run<'_>, out: &mut Output) -> Result<Exit, Failure> {
     if let Some(only) = run.only {
         here(cell, only, &faults).map_err(LaunchError::Fault)?;
     }
-    if args.rt {
-        rt::check().map_err(LaunchError::Rt)?;
+    let refused = if args.rt { rt::refused() } else { Vec::new() };
+    for refused in &refused {
+        complain(format_args!("{refused}; the nodes run without it"));
     }
     let seed = args.seed.unwrap_or_else(|| fastrand::u64(..1_000_000));
 
@@ -180,6 +178,7 @@ pub fn run(run: &Run<'_>, out: &mut Output) -> Result<Exit, Failure> {
     let book = run.only.map(|only| place::neighbours(run.loaded, only)).transpose();
     let mut launcher = Launcher {
         run,
+        real_time: args.rt && refused.is_empty(),
         cell,
         setups,
         diary: Diary::new(cell, now_us()),
@@ -410,7 +409,7 @@ impl Launcher<'_> {
         let started: Vec<_> = bound.iter().map(node).collect();
         match self.run.args.format {
             Format::Json => out.json(&Started { version: 1, started }),
-            Format::Text => report::started(self.run, seed, &started, out),
+            Format::Text => report::started(self.run, (seed, self.real_time), &started, out),
         }
     }
 
@@ -443,7 +442,7 @@ impl Launcher<'_> {
         }
         let exits: Vec<(NodeId, String)> = ends.iter().map(|(node, end)| (*node, end.to_string())).collect();
         let mut summary = self.gatherer.summary(seconds, seed, self.run.args.loss.0, &exits);
-        summary.rt = self.run.args.rt;
+        summary.rt = self.real_time;
         for node in self.run.only.map_or_else(|| self.all_nodes(), |only| vec![only]) {
             self.judge.gone(node);
         }

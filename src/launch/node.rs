@@ -4,7 +4,7 @@ use super::deed::{Deed, Did, Lease};
 use super::lines::{Event, Figures, Order, Setup, What, Word, hear, say};
 use super::place::quarantine;
 use super::recorder::NodeRecording;
-use super::rt::{self, RtError};
+use super::rt;
 use super::scripted::Narrator;
 use super::way::Way;
 use crate::cells::{self, Loaded};
@@ -17,7 +17,7 @@ use imrs_runtime::link::udp::{UdpError, UdpLink, UdpOptions};
 use imrs_runtime::observer::{Observer, ObserverError, Place};
 use imrs_runtime::script::{Actions, Commands, Simulated};
 use imrs_runtime::{Observations, Runtime, StartError};
-use imrs_wire::obs::{Count, TimedEvent};
+use imrs_wire::obs::{Count, RealTime, TimedEvent};
 use imrs_wire::recording::WriteError;
 use rustix::process::{Signal, set_parent_process_death_signal};
 use std::collections::BTreeMap;
@@ -58,9 +58,6 @@ pub enum NodeError {
     /// The node cannot be watched where that was asked for.
     #[error("node: {0}")]
     Observe(#[from] ObserverError),
-    /// The node cannot run in real time.
-    #[error(transparent)]
-    Rt(#[from] RtError),
 }
 
 impl NodeError {
@@ -68,7 +65,7 @@ impl NodeError {
     pub const fn exit(&self) -> Exit {
         match self {
             // What was asked for cannot be had on this machine.
-            Self::Link(_) | Self::Record(_) | Self::Observe(_) | Self::Rt(_) => Exit::Usage,
+            Self::Link(_) | Self::Record(_) | Self::Observe(_) => Exit::Usage,
             Self::Pipe(_) | Self::Setup(_) | Self::Start(_) => Exit::Internal,
         }
     }
@@ -158,15 +155,13 @@ fn listen(mut input: impl BufRead, orders: &Sender<Order>) {
 
 impl Process {
     fn start(setup: &Setup, out: Words, network: Option<&Arc<Network>>) -> Result<Self, NodeError> {
-        if setup.rt {
-            // Before any other thread of the node: they are started in its likeness.
-            rt::begin()?;
-        }
         let loaded = cells::load(&setup.cell).map_err(|error| NodeError::Setup(error.to_string()))?;
         let (cell, loaded) = (Arc::clone(&loaded.table), Arc::new(loaded));
         let id = cell.cell().nodes.iter().position(|n| n.name == setup.node).map(NodeId::from_index);
         let id = id.ok_or_else(|| NodeError::Setup(format!("the node `{}`", setup.node)))?;
         let table = NodeTable::new(Arc::clone(&cell), id);
+        // Before any other thread of the node: they are started in its likeness.
+        let real_time = if setup.rt { rt::begin(id.index()) } else { RealTime::NotAsked };
 
         let life = Incarnation(setup.incarnation);
         let way = match network {
@@ -188,6 +183,7 @@ impl Process {
         let mut builder = Runtime::builder(Arc::clone(&cell), id)
             .incarnation(life, setup.restarted)
             .insecure(true)
+            .real_time(real_time)
             .link(Arc::clone(&link) as Arc<dyn imrs_runtime::link::Link>)
             .actions(actions(setup, &loaded)?)
             .watch(Arc::clone(&narrator) as Arc<dyn imrs_runtime::script::Watch>)
@@ -200,7 +196,7 @@ impl Process {
             builder = builder.script(name, Arc::clone(&script.program));
         }
         let recording = match &setup.record {
-            Some(path) => Some(NodeRecording::start(path, setup, &NodeTable::new(Arc::clone(&cell), id))?),
+            Some(path) => Some(NodeRecording::start(path, setup, &loaded, &table)?),
             None => None,
         };
         if let Some(recording) = &recording {

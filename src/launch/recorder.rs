@@ -1,9 +1,10 @@
 //! Writes down what goes into the communication tasks of a node (D62).
 
 use super::lines::Setup;
+use crate::cells::Loaded;
 use crate::output::complain;
 use imrs_protocol::{Incarnation, NodeTable};
-use imrs_runtime::record::{FileRecorder, Recorder};
+use imrs_runtime::record::{About, FileRecorder, Recorder};
 use imrs_wire::recording::{Status, WriteError};
 use std::fs::OpenOptions;
 use std::path::Path;
@@ -18,13 +19,17 @@ impl NodeRecording {
     ///
     /// # Errors
     /// The file cannot be made or written.
-    pub fn start(path: &Path, setup: &Setup, table: &NodeTable) -> Result<Self, WriteError> {
+    pub fn start(path: &Path, setup: &Setup, loaded: &Loaded, table: &NodeTable) -> Result<Self, WriteError> {
         let file = OpenOptions::new().write(true).create(true).truncate(true).open(path)?;
         let name = path.display().to_string();
         let failed = move |error: &WriteError| complain(format_args!("{name} is no longer written: {error}"));
-        let life = (Incarnation(setup.incarnation), setup.restarted);
-        let build = concat!("imrs ", env!("CARGO_PKG_VERSION"));
-        Ok(Self(FileRecorder::start(file, table, life, true, build, failed)?))
+        let about = About {
+            life: (Incarnation(setup.incarnation), setup.restarted),
+            insecure: true,
+            build: concat!("imrs ", env!("CARGO_PKG_VERSION")),
+            statements: loaded.statements(table.node),
+        };
+        Ok(Self(FileRecorder::start(file, table, &about, failed)?))
     }
 
     /// Who is told of every input.

@@ -13,7 +13,12 @@ use std::collections::BTreeMap;
 ///
 /// # Errors
 /// [`Failure::Output`].
-pub fn started(run: &Run<'_>, seed: u64, nodes: &[StartedNode<'_>], out: &mut Output) -> Result<(), Failure> {
+pub fn started(
+    run: &Run<'_>,
+    (seed, real_time): (u64, bool),
+    nodes: &[StartedNode<'_>],
+    out: &mut Output,
+) -> Result<(), Failure> {
     out.line(format!(
         "{}: {}, {} (checksummed, not authenticated)",
         Styled(HEAD, &run.loaded.table.cell().name),
@@ -32,8 +37,8 @@ pub fn started(run: &Run<'_>, seed: u64, nodes: &[StartedNode<'_>], out: &mut Ou
         let line = format!("  {:<4} {tasks:<width$} pid {:<8} {address}{watch}", node.name, node.pid);
         out.line(line.trim_end())?;
     }
-    if run.args.rt {
-        out.line("Real time: SCHED_FIFO, memory locked.")?;
+    if real_time {
+        out.line("Real time: SCHED_FIFO, memory locked, each node on one core.")?;
     }
     if let Some(tale) = &run.tale {
         out.line("")?;

@@ -1,7 +1,10 @@
-//! The real-time scheduler of the kernel, where it was asked for (`--rt`).
+//! The real-time scheduler of the kernel, where it was asked for (`--rt`): SCHED_FIFO, memory that stays, one core for each
+//! node. What the kernel refuses is said once by the launcher and shown by every node; the nodes run without it.
 
+use imrs_wire::obs::RealTime;
 use rustix::io::Errno;
 use rustix::mm::{MlockAllFlags, mlockall, munlockall};
+use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 use std::thread;
 use thread_priority::unix::{set_thread_priority_and_policy, thread_native_id};
 use thread_priority::{
@@ -24,28 +27,43 @@ pub enum RtError {
         "--rt: the kernel does not let this user choose SCHED_FIFO ({0}): set `rtprio` to 50 in /etc/security/limits.conf, or give the program the right with `setcap cap_ipc_lock,cap_sys_nice+ep`"
     )]
     Scheduler(String),
+    /// The core may not be chosen.
+    #[error("--rt: the kernel does not let this user choose a core ({0})")]
+    Core(Errno),
 }
 
-/// From here on this thread, and every thread that it starts, runs under SCHED_FIFO; the memory of the process stays in
-/// its place.
-///
-/// # Errors
-/// [`RtError`].
-pub fn begin() -> Result<(), RtError> {
-    mlockall(MlockAllFlags::CURRENT | MlockAllFlags::FUTURE).map_err(RtError::Memory)?;
-    choose()
+/// From here on this thread, and every thread that it starts, runs under SCHED_FIFO on one core; the memory of the process
+/// stays in its place. Nodes take the cores that the process may use in turns, by their `place` in the cell.
+pub fn begin(place: usize) -> RealTime {
+    let refused = [lock().is_err(), choose().is_err(), pin(place).is_err()];
+    match refused {
+        [false, false, false] => RealTime::Had,
+        [memory, scheduler, core] => RealTime::Refused { memory, scheduler, core },
+    }
 }
 
-/// Whether [`begin`] would do, without doing it.
-///
-/// # Errors
-/// [`RtError`].
-pub fn check() -> Result<(), RtError> {
-    mlockall(MlockAllFlags::CURRENT | MlockAllFlags::FUTURE).map_err(RtError::Memory)?;
+/// What [`begin`] would be refused, without doing it.
+pub fn refused() -> Vec<RtError> {
+    let memory = lock();
     // On a thread that ends right away.
-    let chosen = thread::spawn(choose).join();
-    munlockall().map_err(RtError::Memory)?;
-    chosen.unwrap_or_else(|_| Err(RtError::Scheduler("no thread".into())))
+    let tried = thread::spawn(|| [choose(), pin(0)]).join();
+    let all = tried.unwrap_or_else(|_| [Err(RtError::Scheduler("no thread".into())), Ok(())]);
+    // Nothing was locked where that was refused.
+    let _ = munlockall();
+    std::iter::once(memory).chain(all).filter_map(Result::err).collect()
+}
+
+fn lock() -> Result<(), RtError> {
+    mlockall(MlockAllFlags::CURRENT | MlockAllFlags::FUTURE).map_err(RtError::Memory)
+}
+
+fn pin(place: usize) -> Result<(), RtError> {
+    let allowed = sched_getaffinity(None).map_err(RtError::Core)?;
+    let cores: Vec<usize> = (0..CpuSet::MAX_CPU).filter(|&core| allowed.is_set(core)).collect();
+    let Some(&core) = cores.get(place % cores.len().max(1)) else { return Err(RtError::Core(Errno::INVAL)) };
+    let mut one = CpuSet::new();
+    one.set(core);
+    sched_setaffinity(None, &one).map_err(RtError::Core)
 }
 
 fn choose() -> Result<(), RtError> {

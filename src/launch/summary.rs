@@ -36,7 +36,7 @@ pub struct Summary {
     pub nodes: Vec<NodeSummary>,
     /// What came of the checks of the cell.
     pub checks: Settlement,
-    /// Whether the nodes ran under the real-time scheduler.
+    /// Whether the nodes ran in real time: asked for with `--rt`, and not refused.
     pub rt: bool,
     /// What came of a demo.
     pub outcome: Option<Outcome>,

@@ -143,11 +143,11 @@ fn read(args: &ReplayArgs, loaded: &Loaded) -> Result<Result<Recorded, Differs>,
                         format!("{}: inputs of `{name}` are missing: it cannot be followed", path.display());
                     return Err(Failure::Usage(what));
                 }
-                verdict @ (Verdict::Differs(_) | Verdict::ScriptDiffers(_)) => {
+                verdict @ (Verdict::Differs(_)
+                | Verdict::ScriptDiffers(_)
+                | Verdict::Breaks(_)
+                | Verdict::Miscounts(_)) => {
                     let how = super::divergence(verdict, name).unwrap_or_default();
-                    let how = format!(
-                        "{how}: its statements were changed since the run, or an action took longer than its interval"
-                    );
                     return Ok(Err(Differs { task, how }));
                 }
             }

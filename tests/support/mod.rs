@@ -5,7 +5,7 @@ use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
 use std::io::{BufRead, BufReader, Read};
 use std::net::SocketAddr;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Output, Stdio};
 use std::sync::mpsc::{self, Receiver};
 use std::thread;
@@ -70,9 +70,46 @@ pub fn run(args: &[&str]) -> Said {
     run_in(dir.path(), args)
 }
 
-/// Runs a command to its end, in this runtime folder.
+/// Runs a command to its end, in this runtime folder. What it recorded of nodes replays.
 pub fn run_in(dir: &Path, args: &[&str]) -> Said {
-    finish(imrs(dir, args))
+    let said = finish(imrs(dir, args));
+    if let ["run", cell, ..] = args
+        && let Some(at) = args.iter().position(|arg| *arg == "--record")
+        && matches!(said.code, Some(0 | 1))
+    {
+        replays(dir, Path::new(args[at + 1]), Some(cell));
+    }
+    said
+}
+
+/// What the nodes of a run recorded beside `file` is bit-equal when it is run again, and every state that it comes to is
+/// sound. Of a killed node as far as its recording goes.
+pub fn replays(dir: &Path, file: &Path, cell: Option<&str>) {
+    let stem = file.file_stem().expect("a name").to_str().expect("UTF-8");
+    let beside = file.parent().expect("a folder").read_dir().expect("the folder of the recordings");
+    let beside = beside.map(|entry| entry.expect("an entry").path());
+    let is_one = |path: &PathBuf| {
+        let name = path.file_name().and_then(|name| name.to_str()).expect("UTF-8");
+        name.strip_prefix(stem).is_some_and(|rest| rest.starts_with('.'))
+            && name.ends_with(".imrs")
+            && path != file
+    };
+    let files: Vec<PathBuf> = beside.filter(is_one).collect();
+    assert!(!files.is_empty(), "{} has no recordings", file.display());
+    let files: Vec<&str> = files.iter().map(|file| file.to_str().expect("UTF-8")).collect();
+    let cell = cell.map_or(Vec::new(), |cell| vec!["--cell", cell]);
+    let said = finish(imrs(dir, &[&["replay"], &files[..], &cell[..], &["--format", "json"]].concat()));
+    assert_eq!(said.code, Some(0), "{said:?}");
+    let answers = said.out.lines().map(|line| serde_json::from_str::<Value>(line).expect("JSON"));
+    let tasks: Vec<Value> =
+        answers.flat_map(|answer| answer["tasks"].as_array().expect("tasks").clone()).collect();
+    // A disk that could not keep up is no fault of the machine: what is missing was told.
+    let judged = |task: &&Value| task["verdict"] == "same" || number(&task["lost"]) > 0;
+    assert!(!tasks.is_empty() && tasks.iter().filter(judged).count() == tasks.len(), "{tasks:?}");
+}
+
+fn number(value: &Value) -> u64 {
+    value.as_u64().unwrap_or_else(|| panic!("{value} is no number"))
 }
 
 /// Runs a command to its end.
@@ -118,6 +155,8 @@ pub fn wait_until(what: &str, mut is_so: impl FnMut() -> bool) {
 /// A running demo.
 pub struct Demo {
     pub dir: TempDir,
+    /// Where it records: every demo of a test is replayed when it is over.
+    record: PathBuf,
     child: Child,
     lines: Receiver<String>,
     errors: Option<thread::JoinHandle<String>>,
@@ -129,7 +168,13 @@ impl Demo {
     /// Starts `imrs demo beam-lift --format json` with these arguments, and waits until its nodes run.
     pub fn start(args: &[&str]) -> Self {
         let dir = runtime_dir();
-        let all = [&["demo", "beam-lift", "--format", "json"], args].concat();
+        let record = match args.iter().position(|arg| *arg == "--record") {
+            Some(at) => PathBuf::from(args[at + 1]),
+            None => dir.path().join("own.imrs"),
+        };
+        let own = ["--record", record.to_str().expect("UTF-8")];
+        let own = if args.contains(&"--record") { &[][..] } else { &own };
+        let all = [&["demo", "beam-lift", "--format", "json"], own, args].concat();
         let mut command = imrs(dir.path(), &all);
         let mut child =
             command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("the demo starts");
@@ -147,7 +192,7 @@ impl Demo {
             let _ = err.read_to_string(&mut text);
             text
         }));
-        let mut demo = Self { dir, child, lines, errors, nodes: Vec::new() };
+        let mut demo = Self { dir, record, child, lines, errors, nodes: Vec::new() };
         let started: Value = serde_json::from_str(&demo.line()).expect("JSON");
         let node = |node: &Value| {
             let name = node["name"].as_str().expect("a name").to_owned();
@@ -191,6 +236,9 @@ impl Demo {
         let summary = self.line();
         let code = self.child.wait().expect("the demo ends").code();
         let errors = self.errors.take().map(|thread| thread.join().expect("its errors")).unwrap_or_default();
+        if matches!(code, Some(0 | 1)) {
+            replays(self.dir.path(), &self.record, None);
+        }
         (serde_json::from_str(&summary).expect("JSON"), code, errors)
     }
 }

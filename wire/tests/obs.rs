@@ -144,6 +144,7 @@ fn snapshot() -> Snapshot {
         mono_us: 0x0123_4567_89ab_cdef,
         uptime_us: 252_000_000,
         insecure: true,
+        real_time: RealTime::Refused { memory: true, scheduler: false, core: true },
         tasks: tasks(),
         transit: TransitView {
             len: 2,

@@ -2,6 +2,7 @@
 
 use super::cells::{self, A, ASK, B};
 use super::floors::{self, GROUP};
+use super::recording::{Onlooker, Watched};
 use crate::cores::{self, Core};
 use crate::sample::{Sample, each, nanos_of};
 use crate::suite::{Effort, Goal, Row, Stat, Suite};
@@ -34,9 +35,11 @@ pub fn awake() -> Suite {
     suite.case(
         "runtime/scripts ask",
         "two scripts of a running node, run by the thread that began them; a value is the mean of a node's round trips",
-        |effort| scripts(effort, Usage::Send),
+        |effort| scripts(effort, Usage::Send, Watched::Not),
     );
-    suite.case("runtime/scripts query", "the same on a query port", |effort| scripts(effort, Usage::Query));
+    suite.case("runtime/scripts query", "the same on a query port", |effort| {
+        scripts(effort, Usage::Query, Watched::Not)
+    });
     suite.case(
         "runtime/thread asks script",
         "a Rust task's thread asks a script of its node, and runs it: nobody sleeps",
@@ -119,22 +122,24 @@ fn sleeping(effort: Effort, places: [Core; 2]) -> Sample {
 }
 
 /// Two scripts of one node. The thread that lets them begin runs both of them to their end.
-fn scripts(effort: Effort, usage: Usage) -> Sample {
+pub fn scripts(effort: Effort, usage: Usage, how: Watched) -> Sample {
     // One input may cause 10,000 steps of a script.
     const TIMES: u32 = 1_000;
     let table = cells::asking(1, usage);
     let mut nanos = Vec::new();
     for _ in 0..effort.of(24) {
+        let mut onlooker = Onlooker::of(how, &table, NodeId(0));
         let node = Runtime::builder(table.clone(), NodeId(0))
             .script("t0", cells::asker(TIMES))
             .script("t1", cells::answerer())
-            .hold_scripts()
-            .start()
-            .expect("a node that starts");
+            .hold_scripts();
+        let node = onlooker.told_by(node).start().expect("a node that starts");
+        onlooker.look(how, &node);
         let begins = Instant::now();
         node.begin();
         nanos.push(nanos_of(begins.elapsed()));
         cells::stop(node);
+        onlooker.leave();
     }
     Sample::of(nanos, TIMES)
 }

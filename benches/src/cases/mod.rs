@@ -7,6 +7,7 @@ pub mod handoff;
 pub mod meet;
 pub mod network;
 pub mod queues;
+pub mod recording;
 pub mod urgent;
 
 use crate::suite::Suite;
@@ -25,6 +26,7 @@ pub fn all() -> Vec<Suite> {
         growth::footprint(),
         meet::meetings(),
         network::network(),
+        recording::recording(),
     ];
     crate::peers::join(&mut suites);
     suites

@@ -2,6 +2,7 @@
 
 use super::cells::{self, LONG_TICKS};
 use super::floors;
+use super::recording::{Onlooker, Watched};
 use super::urgent::WINDOW;
 use crate::cores::{self, Core};
 use crate::sample::Sample;
@@ -31,7 +32,7 @@ pub fn network() -> Suite {
         suite.case(
             format!("runtime/UDP {name}"),
             "send, receive, reply between Rust tasks of two nodes of one process, deadline in the packet, checksum mode",
-            move |effort| ask(effort, other),
+            move |effort| ask(effort, other, Watched::Not),
         );
     }
     suite.case("floor/UDP spinning", "32 bytes there and back, two hot threads, two cores", |effort| {
@@ -81,9 +82,12 @@ fn two_nodes(table: &Arc<CellTable>) -> [Builder; 2] {
     })
 }
 
-fn ask(effort: Effort, other: Core) -> Sample {
+/// Between two nodes over UDP; the tasks run on the first core and on this one.
+pub fn ask(effort: Effort, other: Core, how: Watched) -> Sample {
     let table = cells::asking(2, Usage::Send);
     let [a, b] = two_nodes(&table);
+    let mut onlookers = [NodeId(0), NodeId(1)].map(|node| Onlooker::of(how, &table, node));
+    let (a, b) = (onlookers[0].told_by(a), onlookers[1].told_by(b));
     let (tell, told) = channel();
     let times = effort.of(1_500);
     // A node's own threads run where the thread that starts it does.
@@ -95,8 +99,10 @@ fn ask(effort: Effort, other: Core) -> Sample {
         Ok(())
     };
     let a = a.task("t0", measure).start().expect("a node that starts");
+    onlookers.iter_mut().zip([&a, &b]).for_each(|(onlooker, node)| onlooker.look(how, node));
     let sample = cells::hear(a, &told);
     cells::stop(b);
+    onlookers.into_iter().for_each(Onlooker::leave);
     cores::unpin();
     sample
 }

@@ -99,6 +99,7 @@ impl Film {
                     | Record::Input { .. }
                     | Record::Keyframe { .. }
                     | Record::Script { .. }
+                    | Record::Close { .. }
                     | Record::Gap { stream: Stream::Task(_), .. }
                     | Record::End,
                 )) => {}

@@ -11,7 +11,7 @@ use crate::store::meeting::state;
 use crate::store::{Left, Life, LifeId, Presence};
 use crate::theme::Ink;
 use imrs_protocol::{PortCounters, PortView, Usage};
-use imrs_wire::obs::{Liveness, TaskSnapshot};
+use imrs_wire::obs::{Liveness, RealTime, TaskSnapshot};
 use std::time::Duration;
 
 /// Name, state, queue, slack, rate, expired, overflow, rejected, health.
@@ -172,6 +172,11 @@ fn node(app: &App, life: &Life, row: &Row, now: Moment, cells: &mut Cells) {
         (Presence::Silent(_), _) => (presence.to_string(), Ink::Warn),
         _ => (format!("{presence} (incarn. {})", life.incarnation), Ink::Dim),
     };
+    match life.last.as_ref().map(|s| s.snapshot.real_time).filter(|_| !presence.is_gone()) {
+        Some(RealTime::Had) => cells[1].0 += "  rt",
+        Some(RealTime::Refused { .. }) => cells[1] = (format!("{}  NO RT", cells[1].0), Ink::Warn),
+        Some(RealTime::NotAsked) | None => {}
+    }
     let ports = life.tasks().iter().flat_map(|t| t.view.ports.iter().map(move |p| (t, p)));
     sum(life, ports, now, cells);
     if let Some(transit) =

@@ -22,38 +22,54 @@ pub struct FileRecorder {
 
 struct Track {
     stream: TaskStream,
-    /// The step whose output is still to come.
-    open: Option<Step>,
+    /// How many steps there were.
+    inputs: u64,
+    /// The digest of all outputs.
+    outputs: OutputDigest,
+}
+
+/// Whose recording it is.
+#[derive(Clone, Copy, Debug)]
+pub struct About<'a> {
+    /// The life of the node, and whether an earlier one may have taken requests.
+    pub life: (Incarnation, bool),
+    /// Whether its links run without keys.
+    pub insecure: bool,
+    /// Names the program.
+    pub build: &'a str,
+    /// The digest of what its scripts do ([`statements`](super::statements)).
+    pub statements: u32,
 }
 
 impl FileRecorder {
-    /// Begins to record a node in this life. `build` names the program; `on_failure` is called at most once, when the
-    /// disk fails: the node goes on, unrecorded.
+    /// Begins to record a node. `on_failure` is called at most once, when the disk fails: the node goes on, unrecorded.
     ///
     /// # Errors
     /// Where not even the beginning can be written.
     pub fn start(
         sink: impl Write + Send + 'static,
         table: &NodeTable,
-        life: (Incarnation, bool),
-        insecure: bool,
-        build: &str,
+        about: &About<'_>,
         on_failure: impl FnOnce(&WriteError) + Send + 'static,
     ) -> Result<Arc<Self>, WriteError> {
         let began = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         let header = Header {
             cell: table.cell().name.clone(),
             digest: table.digest(),
+            statements: about.statements,
             node: Some(table.node),
-            incarnation: life.0,
-            restarted: life.1,
-            build: build.into(),
-            insecure,
+            incarnation: about.life.0,
+            restarted: about.life.1,
+            build: about.build.into(),
+            insecure: about.insecure,
             began: u64::try_from(began.as_micros()).unwrap_or(u64::MAX),
         };
         let recording = Recording::start(sink, &header, CAPACITY, on_failure)?;
         let tasks: Box<[TaskId]> = table.tasks_on(table.node).collect();
-        let track = |&task: &TaskId| Mutex::new(Track { stream: recording.task(task), open: None });
+        let track = |&task: &TaskId| {
+            let stream = recording.task(task);
+            Mutex::new(Track { stream, inputs: 0, outputs: OutputDigest::START })
+        };
         let tracks = tasks.iter().map(track).collect();
         Ok(Arc::new(Self { recording: Mutex::new(Some(recording)), tracks, tasks }))
     }
@@ -67,8 +83,13 @@ impl FileRecorder {
     /// Ends the recording: to be called after the node has stopped. Waits for the disk as long as `patience`. `None`
     /// where it was stopped before.
     pub fn stop(&self, patience: Duration) -> Option<Status> {
-        let recording = self.recording.lock().unwrap_or_else(PoisonError::into_inner).take();
-        recording.map(|recording| recording.stop(patience))
+        let recording = self.recording.lock().unwrap_or_else(PoisonError::into_inner).take()?;
+        for track in &self.tracks {
+            let mut track = track.lock().unwrap_or_else(PoisonError::into_inner);
+            let (inputs, outputs) = (track.inputs, track.outputs.0);
+            track.stream.close(inputs, outputs);
+        }
+        Some(recording.stop(patience))
     }
 
     fn with(&self, task: TaskId, write: impl FnOnce(&mut Track)) {
@@ -79,28 +100,19 @@ impl FileRecorder {
 }
 
 impl Recorder for FileRecorder {
-    fn input(&self, task: TaskId, step: Step) {
-        self.with(task, |track| track.open = Some(step));
-    }
-
-    fn output(&self, task: TaskId, digest: OutputDigest) {
+    fn step(&self, task: TaskId, Step { elapsed, input }: Step, digest: OutputDigest) -> bool {
+        let mut wanted = false;
         self.with(task, |track| {
-            if let Some(Step { elapsed, input }) = track.open.take() {
-                track.stream.input(elapsed, input, digest.0);
-            }
+            (track.inputs, track.outputs) = (track.inputs + 1, digest);
+            wanted = !track.stream.input(elapsed, input, digest.0) && track.stream.wants_keyframe();
         });
+        wanted
     }
 
     fn script(&self, task: TaskId, step: ScriptStep, done: OutputDigest) {
         self.with(task, |track| {
             track.stream.script(step, done.0);
         });
-    }
-
-    fn wants_keyframe(&self, task: TaskId) -> bool {
-        let mut wanted = false;
-        self.with(task, |track| wanted = track.stream.wants_keyframe());
-        wanted
     }
 
     /// Allocates, unlike everything else on a message's way: once for each gap.

@@ -1,7 +1,7 @@
 //! Replaying the recording of a node.
 
 use super::replay::{KeyframeError, Recorded, Replay};
-use super::{OutputDigest, Step};
+use super::{OutputDigest, Step, statements};
 use crate::script::Watch;
 use imrs_protocol::script::Program;
 use imrs_protocol::{NodeId, NodeTable, TaskId};
@@ -21,6 +21,14 @@ pub enum ReplayError {
         /// The digest in the recording.
         recorded: u32,
         /// The digest of the table to replay with.
+        given: u32,
+    },
+    /// It was made with the same declarations and other statements.
+    #[error("the recording is of statements with digest {recorded:08x}, not {given:08x}")]
+    OtherStatements {
+        /// The digest in the recording.
+        recorded: u32,
+        /// The digest of the given scripts.
         given: u32,
     },
     /// It was made by another node, or by none.
@@ -46,8 +54,8 @@ pub fn replay_recording<'t, R: Read>(
     replay_scripts(reader, table, |_| None, None)
 }
 
-/// The same, with the scripts of those tasks that `script` knows; what happened is kept, and `watch` is told as
-/// [`Replay::watched`] says.
+/// The same, with the scripts of those tasks that `script` knows. With somebody who watches, who is told as
+/// [`Replay::watched`] says, what happened is kept, too: that takes memory for all of it.
 ///
 /// # Errors
 /// [`ReplayError`].
@@ -64,18 +72,22 @@ pub fn replay_scripts<'t, 'p, R: Read>(
     if header.node != Some(table.node) {
         return Err(ReplayError::OtherNode(table.node));
     }
+    let programs = || table.tasks_on(table.node).filter_map(|task| Some((task, &**script(task)?)));
+    let (recorded, given) = (header.statements, statements(programs()));
+    if recorded != 0 && given != 0 && recorded != given {
+        return Err(ReplayError::OtherStatements { recorded, given });
+    }
     let life = (header.incarnation, header.restarted);
-    let tasks = table.tasks_on(table.node);
     let replay = |task| {
         let replay = Replay::new(table, task, life.0, life.1);
         let Some(program) = script(task) else { return replay };
-        let replay = replay.with_script(program).keeping();
+        let replay = replay.with_script(program);
         match watch {
-            Some(watch) => replay.watched(watch),
+            Some(watch) => replay.keeping().watched(watch),
             None => replay,
         }
     };
-    let mut replays: Vec<Replay<'t>> = tasks.map(replay).collect();
+    let mut replays: Vec<Replay<'t>> = table.tasks_on(table.node).map(replay).collect();
     while let Some(record) = reader.next_record()? {
         match record {
             Record::Input { task, elapsed, input, outputs } => {
@@ -87,6 +99,9 @@ pub fn replay_scripts<'t, 'p, R: Read>(
             }
             Record::Script { task, step, done } => {
                 of(&mut replays, task)?.script(step, OutputDigest(done));
+            }
+            Record::Close { task, inputs, outputs } => {
+                of(&mut replays, task)?.close(inputs, OutputDigest(outputs));
             }
             Record::Gap { stream: Stream::Task(task), lost } => of(&mut replays, task)?.gap(lost),
             Record::Gap { stream: Stream::Frames(_), .. }

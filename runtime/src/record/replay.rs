@@ -4,13 +4,16 @@
 //! [`Verdict::Same`].
 
 use super::script::{Again, Watched};
-use super::{Digesting, OutputDigest, Step, run};
+use super::verdict::{Divergence, InvariantBroken, Miscount, ScriptDivergence, Verdict};
+use super::{Digesting, OutputDigest, Step};
 use crate::script::{Knows, Watch};
 use imrs_protocol::script::Program;
 use imrs_protocol::{
     CommTask, Incarnation, Input, NodeTable, Outbox, Packet, Request, Signal, TaskId, Ticks, TimeId,
+    invariants,
 };
 use imrs_wire::recording::{Happened, Happening, ScriptStep};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
 /// A recorded step and the digest after it.
@@ -20,45 +23,6 @@ pub struct Recorded {
     pub step: Step,
     /// What had been put out after it.
     pub digest: OutputDigest,
-}
-
-/// The machine did something else than the recording says.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("step {index} of {task} put out something else than recorded: {step:?}")]
-pub struct Divergence {
-    /// The communication task's task.
-    pub task: TaskId,
-    /// Which step, counted from zero; steps that were not recorded are not counted.
-    pub index: usize,
-    /// The step.
-    pub step: Step,
-    /// The recorded digest after it.
-    pub recorded: OutputDigest,
-    /// The digest after it now.
-    pub replayed: OutputDigest,
-}
-
-/// What a replay says of a task's recording.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Verdict {
-    /// Nothing is missing, and every output was the same.
-    Same,
-    /// Every output that could be judged was the same, but steps are missing.
-    Unknown,
-    /// The first step that put out something else.
-    Differs(Divergence),
-    /// The script of the task did something else than recorded.
-    ScriptDiffers(ScriptDivergence),
-}
-
-/// The script did something else than the recording says.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, thiserror::Error)]
-#[error("after step {index} of {task} its script did something else than recorded")]
-pub struct ScriptDivergence {
-    /// The task.
-    pub task: TaskId,
-    /// How many steps of the communication task had been run.
-    pub index: usize,
 }
 
 /// Why a replay cannot go on from a keyframe.
@@ -86,11 +50,16 @@ pub struct Replay<'t> {
     incarnation: Incarnation,
     /// `None` while its state is not known.
     machine: Option<CommTask>,
+    /// Whether it goes on from a keyframe.
+    resumed: bool,
     digest: OutputDigest,
     judged: usize,
     unjudged: usize,
     lost: u64,
     divergence: Option<Divergence>,
+    broken: Option<InvariantBroken>,
+    miscount: Option<Miscount>,
+    closed: bool,
     /// `None` where the task has none that is to run again, or it is not known where it stands.
     script: Option<Again>,
     script_divergence: Option<ScriptDivergence>,
@@ -111,11 +80,15 @@ impl<'t> Replay<'t> {
             task,
             incarnation,
             machine: Some(CommTask::new(table, task, incarnation, restarted)),
+            resumed: false,
             digest: OutputDigest::START,
             judged: 0,
             unjudged: 0,
             lost: 0,
             divergence: None,
+            broken: None,
+            miscount: None,
+            closed: false,
             script: None,
             script_divergence: None,
             passed: 0,
@@ -156,6 +129,12 @@ impl<'t> Replay<'t> {
     /// Runs the next step. After a gap, or a step that put out something else, steps are only counted until a keyframe
     /// comes.
     pub fn step(&mut self, entry: Recorded) {
+        if self.closed {
+            // Counted, and told as more than there should be.
+            self.unjudged += 1;
+            self.close(self.found() - 1, self.digest);
+            return;
+        }
         if self.machine.is_none() {
             self.unjudged += 1;
             return;
@@ -182,8 +161,15 @@ impl<'t> Replay<'t> {
             Input::Request(_) => {}
         }
         let mut out = Digesting { digest: Some(&mut self.digest), out: &mut heard };
-        run(machine, self.table, entry.step, &mut out);
-        if self.digest == entry.digest {
+        let mut run = || Some(run_checked(machine, self.table, entry.step, &mut out));
+        // A recorded state may be none that a machine can be in: that is the recording's fault, and this program's to say.
+        let ran = if self.resumed { catch_unwind(AssertUnwindSafe(run)).unwrap_or(None) } else { run() };
+        let (sound, went_wrong) = (ran.unwrap_or(Ok(())), ran.is_none());
+        if let Err(violation) = sound {
+            let index = self.judged + self.unjudged;
+            self.broken.get_or_insert(InvariantBroken { task: self.task, index, violation });
+        }
+        if self.digest == entry.digest && !went_wrong {
             self.judged += 1;
             self.let_script_go_on();
             return;
@@ -247,6 +233,23 @@ impl<'t> Replay<'t> {
         (self.machine, self.script) = (None, None);
     }
 
+    /// The node stopped: the task had taken `inputs` inputs since the beginning of its life, and put out what `outputs` is
+    /// the digest of.
+    pub fn close(&mut self, inputs: u64, outputs: OutputDigest) {
+        self.closed = true;
+        let found = self.found();
+        // Of what is lost some is no input.
+        let counts = found <= inputs && inputs <= found.saturating_add(self.lost);
+        if !counts || (self.machine.is_some() && outputs != self.digest) {
+            let (task, said, said_outputs, outputs) = (self.task, inputs, outputs, self.digest);
+            self.miscount.get_or_insert(Miscount { task, said, found, said_outputs, outputs });
+        }
+    }
+
+    fn found(&self) -> u64 {
+        (self.judged + self.unjudged) as u64
+    }
+
     /// Goes on from a recorded state.
     ///
     /// # Errors
@@ -261,10 +264,13 @@ impl<'t> Replay<'t> {
         if (task, life) != (self.task, self.incarnation) {
             return Err(KeyframeError::Foreign(self.task, task, life));
         }
-        if self.machine.is_some() && digest != self.digest {
-            return Err(KeyframeError::Contradicts(self.task));
+        if let Some(known) = &self.machine {
+            let same = postcard::to_allocvec(known).is_ok_and(|known| known == state);
+            if digest != self.digest || !same {
+                return Err(KeyframeError::Contradicts(self.task));
+            }
         }
-        (self.machine, self.digest) = (Some(machine), digest);
+        (self.machine, self.resumed, self.digest) = (Some(machine), true, digest);
         Ok(())
     }
 
@@ -295,15 +301,34 @@ impl<'t> Replay<'t> {
     /// What was found so far.
     #[must_use]
     pub const fn verdict(&self) -> Verdict {
+        if let Some(broken) = self.broken {
+            return Verdict::Breaks(broken);
+        }
         if let Some(divergence) = self.script_divergence {
             return Verdict::ScriptDiffers(divergence);
         }
-        match self.divergence {
-            Some(divergence) => Verdict::Differs(divergence),
-            None if self.lost > 0 || self.unjudged > 0 || self.machine.is_none() => Verdict::Unknown,
-            None => Verdict::Same,
+        match (self.divergence, self.miscount) {
+            (Some(divergence), _) => Verdict::Differs(divergence),
+            (None, Some(miscount)) => Verdict::Miscounts(miscount),
+            (None, None) if self.lost > 0 || self.unjudged > 0 || self.machine.is_none() => Verdict::Unknown,
+            (None, None) => Verdict::Same,
         }
     }
+}
+
+/// Runs one step as the runtime does, and looks at both states that the machine comes to.
+fn run_checked(
+    machine: &mut CommTask,
+    table: &NodeTable,
+    step: Step,
+    out: &mut impl Outbox,
+) -> Result<(), invariants::Violation> {
+    let mut sound = Ok(());
+    for step in step.parts() {
+        machine.handle(table, step, out);
+        sound = sound.and_then(|()| invariants::check(machine, table));
+    }
+    sound
 }
 
 /// Runs the machine of `task` through its recorded inputs, from its start in the given life of its node, and compares

@@ -157,6 +157,25 @@ pub struct LinkView {
     pub received: u64,
 }
 
+/// Whether a node runs in real time.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub enum RealTime {
+    /// Nobody asked for it.
+    #[default]
+    NotAsked,
+    /// Under SCHED_FIFO, its memory locked, on one core.
+    Had,
+    /// The kernel refused some of it.
+    Refused {
+        /// Its memory is not locked.
+        memory: bool,
+        /// It runs under the ordinary scheduler.
+        scheduler: bool,
+        /// It may move from core to core.
+        core: bool,
+    },
+}
+
 /// The whole state of a node at one instant (a keyframe). Never longer than a frame: a node whose snapshot would be
 /// sends fewer messages per port.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -167,6 +186,8 @@ pub struct Snapshot {
     pub uptime_us: u64,
     /// Whether packets travel without authentication.
     pub insecure: bool,
+    /// Whether it runs in real time.
+    pub real_time: RealTime,
     /// Its tasks, ascending.
     pub tasks: Vec<TaskSnapshot>,
     /// Its transit buffer.

@@ -33,7 +33,7 @@ pub use decode::DecodeError;
 pub(crate) use decode::whole;
 pub use frames::{
     Bye, ClientFrame, Count, Events, Goodbye, LinkName, LinkView, Liveness, NodeName, PartyName, PortName,
-    ServerFrame, Snapshot, Subscribe, Table, TaskName, TaskSnapshot, TimedEvent, TimerEntry,
+    RealTime, ServerFrame, Snapshot, Subscribe, Table, TaskName, TaskSnapshot, TimedEvent, TimerEntry,
 };
 pub use framing::{FrameError, FrameReader, FrameWriter, MAX_FRAME, MAX_REQUEST};
 pub use gathering::Gathering;

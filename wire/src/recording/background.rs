@@ -101,8 +101,7 @@ impl Recording {
         let capacity = capacity.max(1);
         let (queue, records) = mpsc::sync_channel(capacity);
         let shared = Arc::new(Shared { capacity, ..Shared::default() });
-        shared.records.store(1, Ordering::Relaxed);
-        shared.bytes.store(writer.written(), Ordering::Relaxed);
+        shared.count(&writer);
         let for_thread = Arc::clone(&shared);
         let run = move || {
             let Err(error) = write(writer, &records, &for_thread) else { return true };
@@ -193,6 +192,11 @@ impl Shared {
         taken
     }
 
+    fn count<W: Write>(&self, writer: &RecordingWriter<W>) {
+        self.records.store(writer.records(), Ordering::Relaxed);
+        self.bytes.store(writer.written(), Ordering::Relaxed);
+    }
+
     /// Whether a good part of the queue is free, and what is put into it will be written.
     fn has_room(&self) -> bool {
         self.queued.load(Ordering::Relaxed) <= self.capacity / 2
@@ -211,10 +215,12 @@ fn write<W: Write>(
         let mut taken = 0;
         for message in std::iter::once(first).chain(queue.try_iter()).take(BATCH) {
             taken += 1;
-            shared.queued.fetch_sub(1, Ordering::Relaxed);
-            append(&mut writer, message, shared)?;
+            append(&mut writer, message)?;
         }
         writer.flush()?;
+        // Once for all of them: the streams count in the same memory.
+        shared.queued.fetch_sub(taken, Ordering::Relaxed);
+        shared.count(&writer);
         if shared.stopping.load(Ordering::Acquire) {
             break;
         }
@@ -224,29 +230,25 @@ fn write<W: Write>(
     }
     // What was handed over before the stop, and no more: the streams may go on.
     for message in queue.try_iter().take(shared.capacity) {
-        append(&mut writer, message, shared)?;
+        append(&mut writer, message)?;
     }
     let streams = shared.streams().clone();
     for losses in streams {
         if let Some(lost) = losses.take() {
-            append(&mut writer, Message::Record(Record::Gap { stream: losses.stream, lost }), shared)?;
+            writer.append(&Record::Gap { stream: losses.stream, lost })?;
         }
     }
-    append(&mut writer, Message::Record(Record::End), shared)?;
-    writer.flush()
+    writer.append(&Record::End)?;
+    writer.flush()?;
+    shared.count(&writer);
+    Ok(())
 }
 
-fn append<W: Write>(
-    writer: &mut RecordingWriter<W>,
-    message: Message,
-    shared: &Shared,
-) -> Result<(), WriteError> {
-    if let Message::Record(record) = message {
-        writer.append(&record)?;
-        shared.records.fetch_add(1, Ordering::Relaxed);
-        shared.bytes.store(writer.written(), Ordering::Relaxed);
+fn append<W: Write>(writer: &mut RecordingWriter<W>, message: Message) -> Result<(), WriteError> {
+    match message {
+        Message::Record(record) => writer.append(&record),
+        Message::Stop => Ok(()),
     }
-    Ok(())
 }
 
 /// A stream's end of the queue.
@@ -334,6 +336,12 @@ impl TaskStream {
         let taken = self.outlet.hand_over_if(fits, Record::Keyframe { task: self.task, state, outputs });
         self.needs_keyframe = !taken;
         taken
+    }
+
+    /// Records that the task took `inputs` inputs, and that no more will come; `outputs` is the digest of everything it
+    /// put out. Returns whether there was room.
+    pub fn close(&mut self, inputs: u64, outputs: u64) -> bool {
+        self.outlet.hand_over_if(true, Record::Close { task: self.task, inputs, outputs })
     }
 }
 

@@ -36,7 +36,7 @@ use serde::{Deserialize, Serialize};
 /// The first bytes of every recording.
 pub const MAGIC: [u8; 8] = *b"\x9dimrsrec";
 /// The format of this library.
-pub const VERSION: u16 = 4;
+pub const VERSION: u16 = 5;
 /// The longest contents of a record, in bytes.
 pub const MAX_RECORD_BYTES: usize = 2 << 20;
 
@@ -51,6 +51,8 @@ pub struct Header {
     pub cell: String,
     /// The digest of its table: only with this table can inputs be replayed.
     pub digest: u32,
+    /// The digest of the statements that the scripts of the node ran; zero where none did, or nobody said.
+    pub statements: u32,
     /// The node whose inputs these are; `None` in a recording of observations.
     pub node: Option<NodeId>,
     /// Its life.
@@ -118,6 +120,15 @@ pub enum Record {
         step: ScriptStep,
         /// A digest of everything that the script had done before.
         done: u64,
+    },
+    /// The inputs of a task end here: its node has stopped. What was lost just before shows by this.
+    Close {
+        /// The task.
+        task: TaskId,
+        /// How many inputs it took since the beginning of its life, those that are missing included.
+        inputs: u64,
+        /// The digest of everything it put out.
+        outputs: u64,
     },
 }
 

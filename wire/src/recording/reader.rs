@@ -5,7 +5,8 @@ use super::{Header, MAGIC, MAX_RECORD_BYTES, PROLOGUE_BYTES, RECORD_HEAD_BYTES, 
 use std::io::{self, ErrorKind, Read};
 use thiserror::Error;
 
-/// How much room is made before the bytes for it have come: a damaged length costs a reader no more than this.
+/// How much is read at once, and room is made before the bytes for it have come: a damaged length costs a reader no
+/// more than this.
 const STEP: usize = 64 * 1024;
 
 /// What cannot be read, and where.
@@ -66,16 +67,17 @@ pub enum Ending {
 
 /// Reads a recording record by record.
 ///
-/// It reads in small pieces: give it a [`BufReader`](std::io::BufReader) of a file. Where the records stop without an error, reading again later goes on with what was appended meanwhile: so the
-/// recording of a running node can be followed.
+/// It reads ahead. Where the records stop without an error, reading again later goes on with what was appended meanwhile:
+/// so the recording of a running node can be followed.
 #[derive(Debug)]
 pub struct RecordingReader<R> {
     source: R,
     header: Header,
     /// Where the next record begins.
     offset: u64,
-    /// What has come of it.
-    pending: Vec<u8>,
+    /// What was read, of it and of what follows, from `at` on.
+    bytes: Vec<u8>,
+    at: usize,
     ended: bool,
     failed: bool,
 }
@@ -88,11 +90,11 @@ impl<R: Read> RecordingReader<R> {
     pub fn new(source: R) -> Result<Self, ReadError> {
         let (ended, failed) = (false, false);
         let mut reader =
-            Self { source, header: Header::default(), offset: 0, pending: Vec::new(), ended, failed };
-        if !reader.fill(PROLOGUE_BYTES)? || reader.pending[..8] != MAGIC {
+            Self { source, header: Header::default(), offset: 0, bytes: Vec::new(), at: 0, ended, failed };
+        if !reader.fill(PROLOGUE_BYTES)? || reader.pending()[..8] != MAGIC {
             return Err(reader.error(Cause::NotARecording));
         }
-        let version = u16::from_le_bytes([reader.pending[8], reader.pending[9]]);
+        let version = u16::from_le_bytes([reader.pending()[8], reader.pending()[9]]);
         if version != VERSION {
             return Err(reader.error(Cause::Version(version)));
         }
@@ -119,7 +121,7 @@ impl<R: Read> RecordingReader<R> {
 
     /// How the recording ends. Means something once the records have stopped.
     pub const fn ending(&self) -> Ending {
-        match (self.ended, self.pending.is_empty()) {
+        match (self.ended, self.at == self.bytes.len()) {
             (true, _) => Ending::Ended,
             (false, true) => Ending::Open,
             (false, false) => Ending::Torn { offset: self.offset },
@@ -149,7 +151,7 @@ impl<R: Read> RecordingReader<R> {
         if !self.fill(RECORD_HEAD_BYTES)? {
             return Ok(None);
         }
-        let head: [u8; RECORD_HEAD_BYTES] = std::array::from_fn(|i| self.pending[i]);
+        let head: [u8; RECORD_HEAD_BYTES] = std::array::from_fn(|i| self.pending()[i]);
         // A file system that was not told to write may leave zeros where a record should be.
         if head == [0; RECORD_HEAD_BYTES] && self.only_zeros_follow()? {
             return Ok(None);
@@ -167,7 +169,7 @@ impl<R: Read> RecordingReader<R> {
         if !self.fill(end)? {
             return Ok(None);
         }
-        let contents = &self.pending[RECORD_HEAD_BYTES..end];
+        let contents = &self.pending()[RECORD_HEAD_BYTES..end];
         if checksum(contents) != u32::from_le_bytes(word(8)) {
             return Err(self.error(Cause::Checksum));
         }
@@ -180,18 +182,27 @@ impl<R: Read> RecordingReader<R> {
         Ok(Some(record))
     }
 
+    /// What has come of the next record, and what follows it.
+    fn pending(&self) -> &[u8] {
+        &self.bytes[self.at..]
+    }
+
     fn advance(&mut self, bytes: usize) {
-        self.pending.drain(..bytes);
+        self.at += bytes;
         self.offset += bytes as u64;
     }
 
     /// Reads until `want` bytes of the record are there. False where the source has no more for now.
     fn fill(&mut self, want: usize) -> Result<bool, ReadError> {
-        while self.pending.len() < want {
-            let have = self.pending.len();
-            self.pending.resize(want.min(have + STEP), 0);
-            let read = self.source.read(&mut self.pending[have..]);
-            self.pending.truncate(have + *read.as_ref().unwrap_or(&0));
+        while self.bytes.len() - self.at < want {
+            if self.at > 0 {
+                self.bytes.drain(..self.at);
+                self.at = 0;
+            }
+            let have = self.bytes.len();
+            self.bytes.resize(have + STEP, 0);
+            let read = self.source.read(&mut self.bytes[have..]);
+            self.bytes.truncate(have + *read.as_ref().unwrap_or(&0));
             match read {
                 Ok(0) => return Ok(false),
                 Ok(_) => {}
@@ -204,11 +215,11 @@ impl<R: Read> RecordingReader<R> {
 
     fn only_zeros_follow(&mut self) -> Result<bool, ReadError> {
         loop {
-            let more = self.fill(self.pending.len() + STEP)?;
-            if self.pending.iter().any(|&byte| byte != 0) {
+            let more = self.fill(self.pending().len() + STEP)?;
+            if self.pending().iter().any(|&byte| byte != 0) {
                 return Ok(false);
             }
-            self.pending.truncate(RECORD_HEAD_BYTES);
+            self.bytes.truncate(self.at + RECORD_HEAD_BYTES);
             if !more {
                 return Ok(true);
             }

@@ -25,6 +25,7 @@ pub struct RecordingWriter<W> {
     sink: W,
     /// The record in the making; reused.
     bytes: Vec<u8>,
+    records: u64,
     written: u64,
 }
 
@@ -34,7 +35,7 @@ impl<W: Write> RecordingWriter<W> {
     /// # Errors
     /// Where the header cannot be written.
     pub fn new(sink: W, header: &Header) -> Result<Self, WriteError> {
-        let mut writer = Self { sink, bytes: Vec::new(), written: 0 };
+        let mut writer = Self { sink, bytes: Vec::new(), records: 0, written: 0 };
         let mut prologue = [0; PROLOGUE_BYTES];
         prologue[..8].copy_from_slice(&MAGIC);
         prologue[8..10].copy_from_slice(&VERSION.to_le_bytes());
@@ -65,7 +66,14 @@ impl<W: Write> RecordingWriter<W> {
         self.bytes[8..12].copy_from_slice(&contents.to_le_bytes());
         self.sink.write_all(&self.bytes)?;
         self.written += self.bytes.len() as u64;
+        self.records += 1;
         Ok(())
+    }
+
+    /// How many records were written, the header included.
+    #[must_use]
+    pub const fn records(&self) -> u64 {
+        self.records
     }
 
     /// How many bytes were written.

@@ -7,6 +7,7 @@ pub fn header() -> Header {
     Header {
         cell: "beam".into(),
         digest: 0xdead_beef,
+        statements: 0x0bad_cafe,
         node: Some(NodeId(2)),
         incarnation: Incarnation(7),
         restarted: true,

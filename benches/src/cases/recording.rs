@@ -1,0 +1,207 @@
+//! What recording and being watched cost a node, and how fast a recording is replayed (D62).
+
+use super::cells;
+use super::{handoff, network};
+use crate::cores::Core;
+use crate::sample::Sample;
+use crate::suite::{Effort, Goal, Row, Stat, Suite};
+use imrs_protocol::{CellTable, Incarnation, NodeId, NodeTable, Usage};
+use imrs_runtime::record::{About, FileRecorder, RecordingReader, Replay, Verdict, replay_recording};
+use imrs_runtime::{Builder, Context, Observations, Runtime};
+use std::io::{self, Write};
+use std::sync::mpsc::channel;
+use std::sync::{Arc, Mutex};
+use std::time::{Duration, Instant};
+
+/// In the life that is recorded.
+const LIFE: (Incarnation, bool) = (Incarnation(1), false);
+/// How long a recording may take to be ended.
+const PATIENCE: Duration = Duration::from_secs(60);
+
+/// Who looks on.
+#[derive(Clone, Copy)]
+pub enum Watched {
+    /// Nobody.
+    Not,
+    /// A recorder that writes into a file that takes everything.
+    Recorded,
+    /// A reader of its observations, who takes them every 20 ms.
+    Observed,
+}
+
+/// Recording, observation, replay.
+#[must_use]
+pub fn recording() -> Suite {
+    let mut suite = Suite::new("recording");
+    for (name, how) in
+        [("alone", Watched::Not), ("recorded", Watched::Recorded), ("observed", Watched::Observed)]
+    {
+        suite.case(
+            format!("threads {name}"),
+            "send, receive, reply between two Rust tasks of a node, each on a thread that sleeps before every message",
+            move |effort| threads(effort, how),
+        );
+        suite.case(
+            format!("UDP {name}"),
+            "send, receive, reply between Rust tasks of two nodes of one process; both are recorded or observed",
+            move |effort| network::ask(effort, Core::Second, how),
+        );
+        suite.case(
+            format!("scripts {name}"),
+            "two scripts of a running node, run by the thread that began them: nothing sleeps, no kernel",
+            move |effort| handoff::scripts(effort, Usage::Send, how),
+        );
+    }
+    suite.case(
+        "replay",
+        "a recording in memory is read, run again and compared; nanoseconds per input, one thread; counts bytes per input",
+        replay,
+    );
+    for of in ["threads", "UDP", "scripts"] {
+        let (recorded, observed, alone) =
+            (format!("{of} recorded"), format!("{of} observed"), format!("{of} alone"));
+        suite.row(Row::new("D62", recorded, &alone, Stat::P50, Goal::AtMost(1.05)));
+        suite.row(Row::new("D62", observed, &alone, Stat::P50, Goal::AtMost(1.05)));
+    }
+    let what = "replay: nanoseconds per recorded event (1 M events/s)";
+    suite.row(Row::bounded("D62", what, "replay", Stat::Mean, Goal::AtMost(1_000.0)));
+    suite
+}
+
+/// Somebody who looks on at a node.
+pub struct Onlooker {
+    recorder: Option<Arc<FileRecorder>>,
+    observer: Option<(std::sync::mpsc::Sender<()>, std::thread::JoinHandle<()>)>,
+}
+
+impl Onlooker {
+    /// Of a node that is still to start: its recorder.
+    #[must_use]
+    pub fn of(how: Watched, table: &Arc<CellTable>, node: NodeId) -> Self {
+        let recorder = matches!(how, Watched::Recorded)
+            .then(|| recorder(io::sink(), &NodeTable::new(Arc::clone(table), node)));
+        Self { recorder, observer: None }
+    }
+
+    /// The node tells its recorder.
+    pub fn told_by(&self, node: Builder) -> Builder {
+        let node = node.incarnation(LIFE.0, LIFE.1);
+        match &self.recorder {
+            Some(recorder) => node.recorder(Arc::clone(recorder) as _),
+            None => node,
+        }
+    }
+
+    /// The node runs: it is observed from here on.
+    pub fn look(&mut self, how: Watched, node: &Runtime) {
+        if matches!(how, Watched::Observed) {
+            let (stop, stopped) = channel();
+            let observations = node.node().observe();
+            self.observer = Some((stop, std::thread::spawn(move || drain(observations, &stopped))));
+        }
+    }
+
+    /// The node has stopped.
+    pub fn leave(self) {
+        if let Some((stop, thread)) = self.observer {
+            drop(stop);
+            thread.join().expect("it only reads");
+        }
+        if let Some(recorder) = self.recorder {
+            let status = recorder.stop(PATIENCE).expect("stopped once");
+            assert!(status.ended, "{status:?}");
+        }
+    }
+}
+
+fn drain(mut observations: Observations, stopped: &std::sync::mpsc::Receiver<()>) {
+    let mut events = Vec::new();
+    while stopped.recv_timeout(Duration::from_millis(20)) == Err(std::sync::mpsc::RecvTimeoutError::Timeout) {
+        events.clear();
+        let _lost = observations.drain(usize::MAX, &mut events);
+    }
+}
+
+fn recorder(sink: impl Write + Send + 'static, table: &NodeTable) -> Arc<FileRecorder> {
+    let failed = |error: &_| panic!("memory takes everything: {error}");
+    let about = About { life: LIFE, insecure: true, build: "bench", statements: 0 };
+    FileRecorder::start(sink, table, &about, failed).expect("a recording")
+}
+
+fn threads(effort: Effort, how: Watched) -> Sample {
+    let table = cells::asking(1, Usage::Send);
+    let (tell, told) = channel();
+    let times = effort.of(1_500);
+    let mut onlooker = Onlooker::of(how, &table, NodeId(0));
+    let node = onlooker.told_by(Runtime::builder(table, NodeId(0)));
+    let node = node
+        .task("t0", move |ctx| {
+            tell.send(cells::ask(ctx, &cells::FULL, times, 1)?).expect("the harness listens");
+            Ok(())
+        })
+        .task("t1", cells::answer)
+        .start()
+        .expect("a node that starts");
+    onlooker.look(how, &node);
+    let sample = cells::hear(node, &told);
+    onlooker.leave();
+    sample
+}
+
+/// A sink that keeps what was written.
+#[derive(Clone, Default)]
+struct Kept(Arc<Mutex<Vec<u8>>>);
+
+impl Write for Kept {
+    fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+        self.0.lock().expect("nobody panics here").extend_from_slice(bytes);
+        Ok(bytes.len())
+    }
+
+    fn flush(&mut self) -> io::Result<()> {
+        Ok(())
+    }
+}
+
+/// A recorded node whose tasks asked and answered.
+fn recorded(times: u32) -> (Arc<CellTable>, Vec<u8>) {
+    let table = cells::asking(1, Usage::Send);
+    let kept = Kept::default();
+    let recorder = recorder(kept.clone(), &NodeTable::new(Arc::clone(&table), NodeId(0)));
+    let (tell, told) = channel();
+    let ask = move |ctx: &mut Context| {
+        for _ in 0..times {
+            let _outcome = ctx.send(cells::ASK, &cells::FULL)?;
+        }
+        tell.send(()).expect("the harness listens");
+        Ok(())
+    };
+    let node = Runtime::builder(Arc::clone(&table), NodeId(0))
+        .incarnation(LIFE.0, LIFE.1)
+        .recorder(Arc::clone(&recorder) as _)
+        .task("t0", ask)
+        .task("t1", cells::answer)
+        .start()
+        .expect("a node that starts");
+    cells::hear(node, &told);
+    let status = recorder.stop(PATIENCE).expect("stopped once");
+    assert!(status.ended && status.lost == 0, "{status:?}");
+    let bytes = std::mem::take(&mut *kept.0.lock().expect("nobody panics here"));
+    (table, bytes)
+}
+
+fn replay(effort: Effort) -> Sample {
+    // All of it finds room between the node and the disk, however late the disk is.
+    let (table, bytes) = recorded(3_500);
+    let table = NodeTable::new(table, NodeId(0));
+    let (times, mut events) = (effort.of(20), 0);
+    let begins = Instant::now();
+    for _ in 0..times {
+        let mut reader = RecordingReader::new(&bytes[..]).expect("a recording");
+        let replays = replay_recording(&mut reader, &table).expect("whole");
+        assert!(replays.iter().all(|replay| replay.verdict() == Verdict::Same));
+        events += replays.iter().map(Replay::judged).sum::<usize>();
+    }
+    Sample::of_all(begins.elapsed(), events as u64)
+        .with(bytes.len() as f64 * f64::from(times) / events as f64)
+}
