@@ -5,7 +5,8 @@ mod common;
 
 use common::udp::{builders, links};
 use common::{A, B, C, LONG, LONG_TICKS, ask, cell, finish, report, table};
-use imrs_protocol::{CellTable, PortDecl, Ticks, Usage};
+use imrs_protocol::script::ProgramBuilder;
+use imrs_protocol::{CellTable, PortDecl, PortId, Target, Ticks, Usage};
 use imrs_runtime::link::udp::UdpCount;
 use imrs_runtime::{Builder, Context, Sent, TaskEnd, TaskError};
 use std::sync::Arc;
@@ -39,6 +40,7 @@ fn leaders() {
     a_leader_is_called_by_tasks_of_its_own_node();
     time_outs_end_and_stopping_ends_a_wait();
     what_is_sent_together_leaves_in_full_datagrams();
+    what_a_script_sends_before_it_waits_leaves_together();
 }
 
 fn a_reply_wakes_one_thread() {
@@ -225,4 +227,32 @@ fn what_is_sent_together_leaves_in_full_datagrams() {
     finish(first.start().unwrap());
     assert_eq!(alone.load(Ordering::Acquire), 1);
     finish(second);
+}
+
+fn what_a_script_sends_before_it_waits_leaves_together() {
+    const MESSAGES: usize = 5;
+    let mut cell = cell(&[0, 1], Ticks(1_000));
+    let decl = PortDecl::new("news", A, Usage::Send, &[B], LONG_TICKS);
+    cell.port(decl.bounded_buffer(16));
+    let table = table(cell);
+    let links = links(&table, 0.0);
+    let both = builders(&table, &links);
+    let [first, second] = <[Builder; 2]>::try_from(both).unwrap_or_else(|_| panic!("two nodes"));
+    let mut script = ProgramBuilder::new("a");
+    for _ in 0..MESSAGES {
+        script.send(PortId(0), Target::All, &[]);
+    }
+    script.end();
+    let script = Arc::new(script.finish().expect("a sound program"));
+    let second = second.task("b", |ctx| {
+        for _ in 0..MESSAGES {
+            ctx.receive(None, None)?.expect("only a message ends it");
+        }
+        Ok(())
+    });
+    let second = second.start().unwrap();
+    let first = first.script("a", script).start().unwrap();
+    finish(second);
+    assert_eq!(links[0].inner().count(UdpCount::DatagramsSent), 1);
+    drop(first);
 }
