@@ -270,7 +270,9 @@ fn damage_and_other_versions_are_named() {
     let mut newer = whole;
     newer[8] = 9;
     let refusal = |bytes: &[u8]| Film::read(bytes).unwrap_err();
-    assert_eq!(refusal(&newer), "at byte 0: a recording of version 9, this program reads 4");
+    let reads = imrs_wire::recording::VERSION;
+    let why = format!("at byte 0: a recording of version 9, this program reads {reads}");
+    assert_eq!(refusal(&newer), why);
     let other = attached(0, Version { major: 2, minor: 0 });
     let why = refusal(&written(&[(0, 0, other)]));
     assert!(why.contains("the node speaks imrs-obs 2.0, this program 1.0"), "{why}");
