@@ -11,7 +11,6 @@ const LEFT_OUT: [&str; 11] = [
     "counters",
     "arrivals",
     "arrival",
-    "slots",
     "places",
     "words",
     "free",
