@@ -53,7 +53,7 @@ pub enum ReplayError {
     },
     /// The recording was made from another text of the cell.
     #[error(
-        "{path} was made from another text of cell `{cell}` than {given}: its declarations have digest {recorded:08x}, those of the \
+        "{path} was made from another text of cell `{cell}` than {given}: its {what} have digest {recorded:08x}, those of the \
          file have {now:08x}. Replay it with the text that was run"
     )]
     OtherText {
@@ -61,28 +61,13 @@ pub enum ReplayError {
         path: PathBuf,
         /// The name of the cell.
         cell: String,
-        /// The file of the cell.
-        given: String,
-        /// The digest in the recording.
-        recorded: u32,
-        /// The digest of what is in the file.
-        now: u32,
-    },
-    /// The recording was made with the same declarations and other statements.
-    #[error(
-        "{path} was made from another text of cell `{cell}` than {given}: its statements have digest {recorded:08x}, those of the \
-         file have {now:08x}. Replay it with the text that was run"
-    )]
-    OtherStatements {
-        /// The recording.
-        path: PathBuf,
-        /// The name of the cell.
-        cell: String,
         /// The file of the cell, or of what is built in.
         given: String,
-        /// The digest in the recording.
+        /// What differs first: its declarations, or only the statements of the node.
+        what: &'static str,
+        /// The digest of that in the recording.
         recorded: u32,
-        /// The digest of the statements of the same node in the file.
+        /// The digest of that in the file.
         now: u32,
     },
     /// The recording is of a cell other than the given one.
@@ -192,7 +177,7 @@ fn open<'a>(path: &Path, known: &'a [Loaded], given: Option<&str>) -> Result<Ope
     if recorded != now {
         let given = given.unwrap_or("the demo of this program").to_owned();
         let cell = header.cell;
-        return Err(ReplayError::OtherStatements { path: own(), cell, given, recorded, now });
+        return Err(ReplayError::OtherText { path: own(), cell, given, what: "statements", recorded, now });
     }
     Ok(Opened { reader, header, table: NodeTable::new(Arc::clone(&cell.table), node), cell })
 }
@@ -204,7 +189,7 @@ fn other_cell(path: PathBuf, header: &Header, known: &[Loaded], given: Option<&s
     };
     let (given, other, now) = (given.to_owned(), only.table.cell().name.clone(), only.table.digest());
     if cell == other {
-        ReplayError::OtherText { path, cell, given, recorded, now }
+        ReplayError::OtherText { path, cell, given, what: "declarations", recorded, now }
     } else {
         ReplayError::NotThisCell { path, cell, given, other, recorded, now }
     }

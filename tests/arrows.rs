@@ -98,21 +98,22 @@ fn heavy_libraries_stay_in_their_rooms() {
     }
 }
 
-#[test]
-fn robots_carry_no_model_checker_and_no_screen() {
+/// All packages that one is built from; `known` must be among them.
+fn tree_of(package: &str, known: &str) -> Vec<String> {
     let output = Command::new(env!("CARGO"))
-        .args(["tree", "-p", "imrs-runtime", "-e", "normal,build", "--prefix", "none", "--offline"])
+        .args(["tree", "-p", package, "-e", "normal,build", "--prefix", "none", "--offline"])
         .current_dir(ROOT)
         .output()
         .expect("cargo tree");
     let tree = String::from_utf8_lossy(&output.stdout);
-    assert!(
-        output.status.success() && tree.contains("imrs-protocol"),
-        "{}",
-        String::from_utf8_lossy(&output.stderr)
-    );
-    for line in tree.lines() {
-        let name = line.split(' ').next().unwrap_or_default();
+    assert!(output.status.success() && tree.contains(known), "{}", String::from_utf8_lossy(&output.stderr));
+    tree.lines().map(|line| line.split(' ').next().unwrap_or_default().to_owned()).collect()
+}
+
+#[test]
+fn robots_carry_no_model_checker_and_no_screen() {
+    let tree = tree_of("imrs-runtime", "imrs-protocol");
+    for name in &tree {
         for absent in ["stateright", "ratatui", "crossterm", "clap", "loom", "imrs-model", "imrs-monitor"] {
             assert_ne!(name, absent, "imrs-runtime brings {absent} along");
         }
@@ -121,22 +122,11 @@ fn robots_carry_no_model_checker_and_no_screen() {
 
 #[test]
 fn the_command_is_built_without_what_it_is_measured_against() {
-    let output = Command::new(env!("CARGO"))
-        .args(["tree", "-p", "imrs", "-e", "normal,build", "--prefix", "none", "--offline"])
-        .current_dir(ROOT)
-        .output()
-        .expect("cargo tree");
-    let tree = String::from_utf8_lossy(&output.stdout);
-    assert!(
-        output.status.success() && tree.contains("imrs-bench"),
-        "{}",
-        String::from_utf8_lossy(&output.stderr)
-    );
+    let tree = tree_of("imrs", "imrs-bench");
     let peers =
         ["tokio", "kameo", "ractor", "actix", "crossbeam-channel", "flume", "kanal", "rtrb", "zeromq"];
-    for line in tree.lines() {
-        let name = line.split(' ').next().unwrap_or_default();
-        assert!(!peers.contains(&name), "the command brings {name} along");
+    for name in &tree {
+        assert!(!peers.contains(&name.as_str()), "the command brings {name} along");
     }
 }
 

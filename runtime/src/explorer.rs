@@ -5,7 +5,6 @@ pub(crate) use loom::sync::{Condvar, Mutex as PlainMutex};
 pub(crate) use loom::thread;
 use std::collections::BTreeMap;
 use std::ops::{Deref, DerefMut};
-use std::panic::{AssertUnwindSafe, catch_unwind};
 /// Not loom's: that one counts as a step, and cannot be dropped by a thread that is given up in a deadlock.
 pub(crate) use std::sync::Arc;
 use std::time::{Duration, Instant};
@@ -37,19 +36,6 @@ pub(crate) fn explore<O: Ord + Send + 'static>(body: impl Fn() -> O + Send + Syn
     let seen = std::mem::take(&mut *seen.lock().unwrap());
     assert!(seen.values().sum::<u64>() > 1, "only one execution was explored");
     seen
-}
-
-/// Expects that the exploration finds a planted bug, by its symptom.
-pub(crate) fn must_fail<O: Ord + Send + 'static>(
-    symptom: &str,
-    body: impl Fn() -> O + Send + Sync + 'static,
-) {
-    let Err(panic) = catch_unwind(AssertUnwindSafe(|| explore(body))) else {
-        panic!("the planted bug was not found");
-    };
-    let text = panic.downcast_ref::<String>().cloned();
-    let text = text.or_else(|| panic.downcast_ref::<&str>().map(ToString::to_string)).unwrap_or_default();
-    assert!(text.contains(symptom), "another failure than the planted one: {text}");
 }
 
 /// loom explores no `try_lock` against the release of its own mutex (a release is no point where it branches). This

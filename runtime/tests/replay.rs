@@ -2,58 +2,19 @@
 
 mod common;
 
-use common::{A, B, C, LONG, LONG_TICKS, Tape, cell, finish, network, on, table};
-use imrs_protocol::{
-    CellTable, Incarnation, Input, NodeId, NodeTable, PortDecl, Request, TaskId, Ticks, Usage,
-};
-use imrs_runtime::link::in_process::Faults;
+use common::{LONG, LONG_TICKS, Tape, busy, cell, finish, meets_and_asks, on, table};
+use imrs_protocol::{CellTable, Incarnation, Input, NodeId, NodeTable, Request, TaskId, Ticks};
 use imrs_runtime::record::{About, FileRecorder, OutputDigest, Recorded, Recorder, Step, replay};
-use imrs_runtime::{Context, TaskError};
 use imrs_wire::recording::{Record, RecordingReader};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
-use std::time::Duration;
-
-/// Meets, sends news, asks and answers, under loss and repetition.
-fn program(ctx: &mut Context) -> Result<(), TaskError> {
-    let (lift, news) = (ctx.port("lift")?, ctx.port("news")?);
-    for round in 0..20_u8 {
-        let _either = ctx.waitfor_with(lift, [round; 8], None)?;
-        if ctx.id() == A {
-            let _copies = ctx.send(news, &[round])?;
-            let ask = ctx.port("ask")?;
-            let _outcome = ctx.send(ask, &[round])?;
-        } else {
-            while let Some(message) = ctx.receive(None, Some(Duration::from_millis(5)))? {
-                if message.class == imrs_protocol::Class::Command {
-                    // A late reply is refused; the recording must hold that, too.
-                    let _late = ctx.reply(&message.from, b"yes");
-                }
-            }
-        }
-        ctx.delay(Duration::from_millis(1))?;
-    }
-    Ok(())
-}
 
 fn run_recorded() -> (Arc<CellTable>, BTreeMap<TaskId, Vec<Recorded>>) {
-    let mut cell = cell(&[0, 1, 2], Ticks(2_000));
-    cell.port(PortDecl::new("lift", A, Usage::Waitfor, &[B, C], Ticks(200_000)).resend(Ticks(10_000), 1));
-    cell.port(PortDecl::new("news", A, Usage::Send, &[B, C], LONG_TICKS).bounded_buffer(4));
-    cell.port(PortDecl::new("ask", A, Usage::Send, &[B], Ticks(40_000)).command().retry(1, Ticks(15_000)));
-    let table = table(cell);
-    let faults = Faults {
-        seed: 3,
-        loss: 0.05,
-        duplicates: 0.1,
-        most_delay: Duration::from_millis(1),
-        ..Faults::default()
-    };
-    let network = network(&table, faults);
+    let (table, network) = busy();
     let tape = Arc::new(Tape::default());
     let builder = |(node, task)| {
         let recorder: Arc<dyn Recorder> = Arc::clone(&tape) as _;
-        on(&network, &table, node).recorder(recorder).task(task, program)
+        on(&network, &table, node).recorder(recorder).task(task, |ctx| meets_and_asks(ctx, 20))
     };
     let builders: Vec<_> = (0..3).zip(["a", "b", "c"]).map(builder).collect();
     let nodes: Vec<_> = builders.into_iter().map(|node| node.start().unwrap()).collect();

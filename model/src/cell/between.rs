@@ -24,7 +24,7 @@ impl Course {
         let (floor, beside, step) = (&self.floor, &mut self.beside, self.plan.step);
         beside.stays.retain(|&(task, level)| {
             let actor = floor.bodies[usize::from(task)].actor.as_ref();
-            let running = actor.and_then(|actor| actor.running.iter().find(|action| action.level == level));
+            let running = actor.and_then(|actor| actor.runs(level));
             running.is_some_and(|action| action.most % step != 0 || action.most == Running::FOREVER)
         });
         for crossing in &floor.crossings {
@@ -53,7 +53,7 @@ impl Course {
         let (floor, beside) = (&self.floor, &mut self.beside);
         beside.stays.retain(|&(task, level)| {
             let actor = floor.bodies[usize::from(task)].actor.as_ref();
-            let running = actor.and_then(|actor| actor.running.iter().find(|action| action.level == level));
+            let running = actor.and_then(|actor| actor.runs(level));
             running.is_some_and(|action| action.least == 0 && action.most > 0)
         });
         let full = floor.crossings.iter().fold(0, |full, crossing| full | bit(usize::from(crossing.link)));

@@ -131,7 +131,7 @@ impl Course {
     /// The result that this end of an action gives.
     pub fn value(&self, task: usize, level: u8, value: u8) -> i32 {
         let actor = self.floor.bodies[task].actor.as_ref();
-        let running = actor.and_then(|actor| actor.running.iter().find(|action| action.level == level));
+        let running = actor.and_then(|actor| actor.runs(level));
         let values = running.map_or(&[][..], |action| self.values(task, action.action));
         values.get(usize::from(value)).copied().unwrap_or(0)
     }

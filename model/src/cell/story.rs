@@ -206,7 +206,7 @@ fn describe(course: &Course, step: CellMove) -> Option<(Lane, String)> {
         CellMove::Acted(task, level, ok, value) => {
             let at = usize::from(task);
             let actor = course.floor.bodies[at].actor.as_ref()?;
-            let running = actor.running.iter().find(|running| running.level == level)?;
+            let running = actor.runs(level)?;
             let action = actor.program.actions.get(usize::from(running.action)).map_or("?", String::as_str);
             let number = course.value(at, level, value);
             let text = match (ok, number) {

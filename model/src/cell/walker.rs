@@ -40,8 +40,8 @@ enum Known {
     No,
     /// One that may do all that this one may was kept.
     Covered,
-    /// It is one of those to keep.
-    Post,
+    /// It is one of those to keep: its packed form.
+    Post(Mark, Box<[u8]>),
 }
 
 /// What some walks came to, in their order.
@@ -158,7 +158,10 @@ impl Walker {
             }
             match self.is_known(&moves, seen) {
                 Known::Covered => return,
-                Known::Post => break,
+                Known::Post(mark, state) => {
+                    self.walks.stops.push(Stop { origin, mark, state });
+                    return;
+                }
                 Known::No => {}
             }
         }
@@ -199,7 +202,7 @@ impl Walker {
         if seen.covers(mark) {
             Known::Covered
         } else if mark.is_post() {
-            Known::Post
+            Known::Post(mark, state)
         } else {
             Known::No
         }

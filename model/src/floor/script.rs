@@ -55,6 +55,11 @@ impl Actor {
         self.chooses().is_some() || self.running.iter().any(|action| action.most == 0)
     }
 
+    /// The action that a thread waits for.
+    pub fn runs(&self, level: u8) -> Option<&Running> {
+        self.running.iter().find(|action| action.level == level)
+    }
+
     pub fn pass(&mut self, ticks: u32) {
         for action in &mut self.running {
             action.least = action.least.saturating_sub(ticks);

@@ -1,8 +1,8 @@
 //! The hand-off: answers, wake-ups, what is left for the holder of the lock, time_outs, stopping. And the turn.
 
-use super::DEADLOCK;
+use super::{DEADLOCK, must_fail};
 use crate::clock::FAR;
-use crate::explorer::{Arc, SEES_OLD_VALUES, explore, must_fail, thread};
+use crate::explorer::{Arc, SEES_OLD_VALUES, explore, thread};
 use crate::handoff::{Handoff, Plant, Rest, Station};
 use crate::sync::{Mutex, lock};
 use crate::turn::{self, Turn};

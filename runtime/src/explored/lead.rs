@@ -1,9 +1,9 @@
 //! Leader and followers at a socket: a leader that takes in its own answer, one that is called, datagrams that belong to
 //! others, and the thread that polls.
 
-use super::DEADLOCK;
 use super::handoff::{Brought, Toy};
-use crate::explorer::{Arc, Condvar, PlainMutex, explore, must_fail, thread};
+use super::{DEADLOCK, must_fail};
+use crate::explorer::{Arc, Condvar, PlainMutex, explore, thread};
 use crate::handoff::{self, Bell, Handoff};
 use crate::lead::{Came, Lead, Led};
 use crate::sync::{Mutex, lock, try_lock};

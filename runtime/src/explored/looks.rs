@@ -1,7 +1,8 @@
 //! Looking from outside while a machine works, and news that must be there in time.
 
+use super::must_fail;
 use crate::clock::FAR;
-use crate::explorer::{Arc, explore, must_fail, thread};
+use crate::explorer::{Arc, explore, thread};
 use crate::handoff::{Handoff, Rest, Station};
 use crate::ring::Ring;
 use crate::sync::{AtomicU64, Mutex, Ordering, lock};

@@ -10,5 +10,18 @@ mod lead;
 mod looks;
 mod time;
 
+use crate::explorer::explore;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+
 /// What an explorer says when every thread sleeps.
 const DEADLOCK: &str = "deadlock";
+
+/// Expects that the exploration finds a planted bug, by its symptom.
+fn must_fail<O: Ord + Send + 'static>(symptom: &str, body: impl Fn() -> O + Send + Sync + 'static) {
+    let Err(panic) = catch_unwind(AssertUnwindSafe(|| explore(body))) else {
+        panic!("the planted bug was not found");
+    };
+    let text = panic.downcast_ref::<String>().cloned();
+    let text = text.or_else(|| panic.downcast_ref::<&str>().map(ToString::to_string)).unwrap_or_default();
+    assert!(text.contains(symptom), "another failure than the planted one: {text}");
+}

@@ -1,9 +1,9 @@
 //! Time: who looks after an expiry, and how the Timer's thread ends.
 
-use super::DEADLOCK;
+use super::{DEADLOCK, must_fail};
 use crate::alarm::{Alarm, Cover, Plant};
 use crate::clock::{FAR, Micros};
-use crate::explorer::{Arc, SEES_OLD_VALUES, explore, must_fail, thread};
+use crate::explorer::{Arc, SEES_OLD_VALUES, explore, thread};
 use crate::handoff::{Handoff, Rest, Station};
 use crate::sync::{AtomicBool, Ordering};
 

@@ -3,10 +3,10 @@
 
 pub mod udp;
 
-use imrs_protocol::{Cell, CellTable, NodeId, PortDecl, TaskId, Ticks, Usage};
+use imrs_protocol::{Cell, CellTable, Class, NodeId, PortDecl, TaskId, Ticks, Usage};
 use imrs_runtime::link::in_process::{Faults, Network};
 use imrs_runtime::record::{OutputDigest, Recorded, Recorder, Step};
-use imrs_runtime::{Builder, Runtime, TaskEnd};
+use imrs_runtime::{Builder, Context, Runtime, TaskEnd, TaskError};
 use std::collections::BTreeMap;
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex};
@@ -63,6 +63,41 @@ pub fn on(network: &Arc<Network>, table: &Arc<CellTable>, node: u16) -> Builder 
 
 pub fn network(table: &Arc<CellTable>, faults: Faults) -> Arc<Network> {
     Network::new(Arc::clone(table), faults)
+}
+
+/// Three nodes of a task each, for [`meets_and_asks`], and a network that loses and repeats packets.
+pub fn busy() -> (Arc<CellTable>, Arc<Network>) {
+    let mut cell = cell(&[0, 1, 2], Ticks(2_000));
+    cell.port(PortDecl::new("lift", A, Usage::Waitfor, &[B, C], Ticks(200_000)).resend(Ticks(10_000), 1));
+    cell.port(PortDecl::new("news", A, Usage::Send, &[B, C], LONG_TICKS).bounded_buffer(4));
+    cell.port(PortDecl::new("ask", A, Usage::Send, &[B], Ticks(40_000)).command().retry(1, Ticks(15_000)));
+    let table = table(cell);
+    let most_delay = Duration::from_millis(1);
+    let network =
+        network(&table, Faults { seed: 3, loss: 0.05, duplicates: 0.1, most_delay, ..Faults::default() });
+    (table, network)
+}
+
+/// A task of [`busy`]: meets so often; between that `a` sends news and asks, and the others answer.
+pub fn meets_and_asks(ctx: &mut Context, rounds: u8) -> Result<(), TaskError> {
+    let (lift, news) = (ctx.port("lift")?, ctx.port("news")?);
+    for round in 0..rounds {
+        let _either = ctx.waitfor_with(lift, [round; 8], None)?;
+        if ctx.id() == A {
+            let _copies = ctx.send(news, &[round])?;
+            let ask = ctx.port("ask")?;
+            let _outcome = ctx.send(ask, &[round])?;
+        } else {
+            while let Some(message) = ctx.receive(None, Some(Duration::from_millis(5)))? {
+                if message.class == Class::Command {
+                    // A late reply is refused; a recording must hold that, too.
+                    let _late = ctx.reply(&message.from, b"yes");
+                }
+            }
+        }
+        ctx.delay(Duration::from_millis(1))?;
+    }
+    Ok(())
 }
 
 /// Waits for all programs, stops the node and expects that every program returned.

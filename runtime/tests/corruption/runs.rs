@@ -1,17 +1,16 @@
 //! Recordings of runs that do a bit of everything.
 
-use crate::common::{A, B, C, LONG, LONG_TICKS, cell, finish, network, on, table};
+use crate::common::{A, B, LONG, busy, cell, finish, meets_and_asks, network, on, table};
 use imrs_protocol::script::{Binary, Op, Outcomes, Program, ProgramBuilder, StatementOutcome, Type};
 use imrs_protocol::{Incarnation, NodeId, NodeTable, PortDecl, PortId, Target, TaskId, Ticks, Usage};
+use imrs_runtime::Runtime;
 use imrs_runtime::link::in_process::Faults;
 use imrs_runtime::record::{About, FileRecorder, statements};
 use imrs_runtime::script::{Actions, Call, Functions, Simulated};
-use imrs_runtime::{Context, Runtime, TaskError};
 use std::collections::BTreeMap;
 use std::io::{self, Write};
 use std::sync::atomic::{AtomicI32, Ordering};
 use std::sync::{Arc, Mutex};
-use std::time::Duration;
 
 const LIFE: (Incarnation, bool) = (Incarnation(1), false);
 
@@ -56,41 +55,15 @@ impl Recording {
     }
 }
 
-/// Meets, sends news, asks and answers, under loss and repetition.
-fn program(ctx: &mut Context) -> Result<(), TaskError> {
-    let (lift, news) = (ctx.port("lift")?, ctx.port("news")?);
-    for round in 0..15_u8 {
-        let _either = ctx.waitfor_with(lift, [round; 8], None)?;
-        if ctx.id() == A {
-            let _copies = ctx.send(news, &[round])?;
-            let ask = ctx.port("ask")?;
-            let _outcome = ctx.send(ask, &[round])?;
-        } else {
-            while let Some(message) = ctx.receive(None, Some(Duration::from_millis(5)))? {
-                if message.class == imrs_protocol::Class::Command {
-                    let _late = ctx.reply(&message.from, b"yes");
-                }
-            }
-        }
-        ctx.delay(Duration::from_millis(1))?;
-    }
-    Ok(())
-}
-
 /// Three nodes of a Rust task each.
 pub fn tasks() -> Vec<Recorded> {
-    let mut cell = cell(&[0, 1, 2], Ticks(2_000));
-    cell.port(PortDecl::new("lift", A, Usage::Waitfor, &[B, C], Ticks(200_000)).resend(Ticks(10_000), 1));
-    cell.port(PortDecl::new("news", A, Usage::Send, &[B, C], LONG_TICKS).bounded_buffer(4));
-    cell.port(PortDecl::new("ask", A, Usage::Send, &[B], Ticks(40_000)).command().retry(1, Ticks(15_000)));
-    let table = table(cell);
-    let most_delay = Duration::from_millis(1);
-    let network =
-        network(&table, Faults { seed: 3, loss: 0.05, duplicates: 0.1, most_delay, ..Faults::default() });
+    let (table, network) = busy();
     let start = |(node, task)| {
         let here = NodeTable::new(Arc::clone(&table), NodeId(node));
         let recording = Recording::of(&here, &BTreeMap::new());
-        let builder = on(&network, &table, node).recorder(Arc::clone(&recording.0) as _).task(task, program);
+        let builder = on(&network, &table, node)
+            .recorder(Arc::clone(&recording.0) as _)
+            .task(task, |ctx| meets_and_asks(ctx, 15));
         (here, recording, builder)
     };
     let nodes: Vec<_> = (0..3).zip(["a", "b", "c"]).map(start).collect();

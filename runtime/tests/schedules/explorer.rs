@@ -7,7 +7,6 @@ pub(crate) use shuttle::sync::{Arc, Condvar, Mutex, Mutex as PlainMutex, MutexGu
 pub(crate) use shuttle::thread;
 use shuttle::{Config, FailurePersistence, Runner};
 use std::collections::BTreeMap;
-use std::panic::{AssertUnwindSafe, catch_unwind};
 
 /// A load gives the last value always.
 pub(crate) const SEES_OLD_VALUES: bool = false;
@@ -42,19 +41,6 @@ pub(crate) fn explore<O: Ord + Send + 'static>(body: impl Fn() -> O + Send + Syn
     let seen = std::mem::take(&mut *seen.lock().unwrap());
     assert_eq!(seen.values().sum::<u64>(), ran as u64, "a schedule did not come to its end");
     seen
-}
-
-/// Expects that one of the schedules shows a planted bug, by its symptom.
-pub(crate) fn must_fail<O: Ord + Send + 'static>(
-    symptom: &str,
-    body: impl Fn() -> O + Send + Sync + 'static,
-) {
-    let Err(panic) = catch_unwind(AssertUnwindSafe(|| explore(body))) else {
-        panic!("the planted bug was not found");
-    };
-    let text = panic.downcast_ref::<String>().cloned();
-    let text = text.or_else(|| panic.downcast_ref::<&str>().map(ToString::to_string)).unwrap_or_default();
-    assert!(text.contains(symptom), "another failure than the planted one: {text}");
 }
 
 pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
