@@ -5,6 +5,8 @@ pub mod journal;
 mod life;
 pub mod meeting;
 mod names;
+pub mod trail;
+pub mod waits;
 
 pub use life::{Condition, Left, Life, LifeId, Presence, SILENT, Sample};
 pub use names::{Names, PortInfo, TaskInfo};
@@ -17,6 +19,7 @@ use imrs_wire::obs::{Count, Events, Goodbye, Liveness, NodeIdentity, ServerFrame
 use journal::{Entry, Journal, Level, What};
 use std::collections::BTreeMap;
 use std::sync::Arc;
+use trail::Trail;
 
 /// How many earlier lives of one node are kept beside the present one.
 const EARLIER_LIVES: usize = 3;
@@ -31,6 +34,7 @@ pub struct Store {
     of_source: BTreeMap<SourceId, LifeId>,
     born: u32,
     journal: Journal,
+    trail: Trail,
     /// For each source that cannot attach, why.
     troubles: BTreeMap<SourceId, String>,
     /// Cells and nodes, as file names, whose sockets were left behind.
@@ -114,6 +118,12 @@ impl Store {
     #[must_use]
     pub const fn journal(&self) -> &Journal {
         &self.journal
+    }
+
+    /// What the machines observed, one by one.
+    #[must_use]
+    pub const fn trail(&self) -> &Trail {
+        &self.trail
     }
 
     /// Why sources cannot attach.
@@ -257,6 +267,7 @@ impl Store {
 
     fn events(&mut self, at: Moment, index: usize, events: Events) {
         let life = &mut self.lives[index];
+        self.trail.take(at, life.id, &events);
         let newest = events.events.iter().map(|e| e.mono_us).max().unwrap_or(0);
         life.lost = life.lost.saturating_add(events.lost);
         for event in events.events {
