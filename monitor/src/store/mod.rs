@@ -8,6 +8,8 @@ pub mod meeting;
 mod names;
 pub mod rounds;
 pub mod service;
+pub mod trail;
+pub mod waits;
 
 pub use life::{Condition, Left, Life, LifeId, Presence, SILENT, Sample};
 pub use names::{Names, PortInfo, TaskInfo};
@@ -20,6 +22,7 @@ use imrs_wire::obs::{Count, Events, Goodbye, Liveness, NodeIdentity, ServerFrame
 use journal::{Entry, Journal, Level, What};
 use std::collections::BTreeMap;
 use std::sync::Arc;
+use trail::Trail;
 
 /// How many earlier lives of one node are kept beside the present one.
 const EARLIER_LIVES: usize = 3;
@@ -37,6 +40,7 @@ pub struct Store {
     services: service::Services,
     histories: rounds::Histories,
     judged: conformance::Judged,
+    trail: Trail,
     /// For each source that cannot attach, why.
     troubles: BTreeMap<SourceId, String>,
     /// Cells and nodes, as file names, whose sockets were left behind.
@@ -121,6 +125,12 @@ impl Store {
     #[must_use]
     pub const fn journal(&self) -> &Journal {
         &self.journal
+    }
+
+    /// What the machines observed, one by one.
+    #[must_use]
+    pub const fn trail(&self) -> &Trail {
+        &self.trail
     }
 
     /// Why sources cannot attach.
@@ -270,6 +280,7 @@ impl Store {
 
     fn events(&mut self, at: Moment, index: usize, events: Events) {
         let life = &mut self.lives[index];
+        self.trail.take(at, life.id, &events);
         let newest = events.events.iter().map(|e| e.mono_us).max().unwrap_or(0);
         life.lost = life.lost.saturating_add(events.lost);
         self.services.happened(life.id, &events);

@@ -1,0 +1,242 @@
+//! Who waits for whom, over every way of waiting: a `waitfor` whose members are missing, a request that is not yet
+//! answered, a receive that only one task can end. From these follow the tasks that everybody waits for, and the
+//! cycles in which each waits for the next.
+
+use super::meeting::{Meeting, Standing, meetings};
+use super::names::Names;
+use super::trail::Seen;
+use super::{Life, Presence, Store};
+use crate::clock::Moment;
+use crate::name::Name;
+use imrs_protocol::{Event, NodeId, PortId, TaskId, TaskState, Usage};
+use imrs_wire::obs::Liveness;
+use std::collections::btree_map::Entry;
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
+use std::time::Duration;
+
+/// How old the state of a node may be in the store: the period of its snapshots, and the way to the monitor.
+const PERIOD: Duration = Duration::from_millis(200);
+
+/// That a task waits for another.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Wait {
+    /// Who waits.
+    pub waiter: TaskId,
+    /// For whom.
+    pub on: TaskId,
+    /// At this port.
+    pub port: PortId,
+    /// How: `waitfor lift`, `reply grip`, `receive beat`.
+    pub why: String,
+}
+
+/// Tasks of which each waits for the next, and the last for the first: only a time-out ends it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Cycle {
+    /// The tasks, the least first.
+    pub tasks: Vec<TaskId>,
+    /// For each of them, what it waits for: `armL waits for hoist (waitfor lift)`.
+    pub why: Vec<String>,
+}
+
+/// A task that others wait for.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Awaited {
+    /// Which.
+    pub task: TaskId,
+    /// Those who wait for it, or for one who waits for it; ascending.
+    pub by: Vec<TaskId>,
+    /// How the first of them waits.
+    pub why: String,
+}
+
+/// Every wait of a cell that only the one who is named can end, by waiter.
+#[must_use]
+pub fn waits(store: &Store, cell: &Name, now: Moment) -> Vec<Wait> {
+    let Some(names) = store.names(cell) else { return Vec::new() };
+    let mut found = Vec::new();
+    for meeting in meetings(store, cell, now) {
+        at_meeting(&meeting, names, &mut found);
+    }
+    let nodes = (0..names.nodes.len()).filter_map(|i| store.latest(cell, NodeId::from_index(i)));
+    for life in nodes.filter(|life| life.presence(now) == Presence::Up) {
+        for task in life.tasks().iter().filter(|task| task.liveness == Liveness::Alive) {
+            found.extend(at_port(life, task.view.task, &task.view.state));
+        }
+    }
+    found.sort_by_key(|wait| (wait.waiter, wait.on, wait.port));
+    found
+}
+
+/// A member waits for those who have not arrived. Whether it has heard of an arrival does not matter: what is on the
+/// way comes.
+fn at_meeting(meeting: &Meeting, names: &Names, found: &mut Vec<Wait>) {
+    let waiting = meeting.members.iter().filter(|m| m.standing == Standing::Arrived);
+    for member in waiting {
+        for awaited in member.waits_for.iter().filter_map(|&j| meeting.members.get(j)) {
+            if !matches!(awaited.standing, Standing::Arrived | Standing::Released) {
+                let why = format!("waitfor {}", names.port_name(meeting.port));
+                found.push(Wait { waiter: member.task, on: awaited.task, port: meeting.port, why });
+            }
+        }
+    }
+}
+
+fn at_port(life: &Life, waiter: TaskId, state: &TaskState) -> Option<Wait> {
+    let names = &life.names;
+    match state {
+        TaskState::AwaitingReply { port, from, .. } => {
+            let why = format!("reply {}", names.port_name(*port));
+            Some(Wait { waiter, on: *from, port: *port, why })
+        }
+        TaskState::Receiving { port, .. } => {
+            let (port, on) = sole_sender(life, waiter, *port)?;
+            Some(Wait { waiter, on, port, why: format!("receive {}", names.port_name(port)) })
+        }
+        TaskState::Running | TaskState::Waiting { .. } | TaskState::Delaying => None,
+    }
+}
+
+/// The only task that can end a receive, if there is but one and nothing waits to be taken.
+fn sole_sender(life: &Life, task: TaskId, port: Option<PortId>) -> Option<(PortId, TaskId)> {
+    let view = &life.task(task)?.view;
+    let takes = |p: &&imrs_protocol::PortView| {
+        p.capacity > 0 && p.usage != Usage::Waitfor && port.is_none_or(|wanted| wanted == p.port)
+    };
+    let mut senders = BTreeSet::new();
+    for port in view.ports.iter().filter(takes) {
+        if port.len > 0 {
+            return None;
+        }
+        let parties = life.names.port(port.port).map_or(&[][..], |info| &info.parties);
+        let others = parties.iter().filter(|p| p.task != task && sends(p.usage));
+        senders.extend(others.map(|p| (port.port, p.task)));
+    }
+    let only: BTreeSet<TaskId> = senders.iter().map(|(_, task)| *task).collect();
+    if only.len() == 1 { senders.first().copied() } else { None }
+}
+
+const fn sends(usage: Usage) -> bool {
+    match usage {
+        Usage::Send | Usage::Query | Usage::Reply => true,
+        Usage::Receive | Usage::Response | Usage::Waitfor => false,
+    }
+}
+
+/// The cycles among the waits of a cell. One that what is still on its way can end is none: each task in it must have
+/// sent nothing for so long that all it sent has come, and is known to the monitor.
+#[must_use]
+pub fn cycles(store: &Store, cell: &Name, now: Moment) -> Vec<Cycle> {
+    let Some(names) = store.names(cell) else { return Vec::new() };
+    let mut waits = waits(store, cell, now);
+    settle(&mut waits);
+    trim(&mut waits);
+    if waits.is_empty() {
+        return Vec::new();
+    }
+    let busy = busy(store, cell, names, now);
+    waits.retain(|wait| !busy.contains(&wait.waiter));
+    trim(&mut waits);
+    let mut cycles = Vec::new();
+    while let Some(found) = waits.first().and_then(|wait| shortest(&waits, wait.waiter)) {
+        let tasks: Vec<TaskId> = found.iter().map(|wait| wait.waiter).collect();
+        let told = |wait: &&Wait| {
+            format!("{} waits for {} ({})", names.task(wait.waiter), names.task(wait.on), wait.why)
+        };
+        let why = found.iter().map(told).collect();
+        waits.retain(|wait| !tasks.contains(&wait.waiter));
+        trim(&mut waits);
+        cycles.push(Cycle { tasks, why });
+    }
+    cycles
+}
+
+/// A request is on its way between one who waits for its answer and one who waits to receive it.
+fn settle(waits: &mut Vec<Wait>) {
+    let ends: BTreeSet<_> = waits.iter().map(|w| (w.waiter, w.on, w.port)).collect();
+    waits.retain(|w| !ends.contains(&(w.on, w.waiter, w.port)));
+}
+
+/// Leaves only waits of tasks that are waited for and wait: a cycle has no others.
+fn trim(waits: &mut Vec<Wait>) {
+    loop {
+        let waiters: BTreeSet<_> = waits.iter().map(|w| w.waiter).collect();
+        let awaited: BTreeSet<_> = waits.iter().map(|w| w.on).collect();
+        let before = waits.len();
+        waits.retain(|w| waiters.contains(&w.on) && awaited.contains(&w.waiter));
+        if waits.len() == before {
+            return;
+        }
+    }
+}
+
+/// The tasks that have sent anything so lately that it may still be on its way.
+fn busy(store: &Store, cell: &Name, names: &Names, now: Moment) -> BTreeSet<TaskId> {
+    let lives: Vec<_> = store.lives_of(cell).collect();
+    let tick_us = lives.iter().map(|l| l.tick_us).max().unwrap_or(1);
+    let link_us = names.links.iter().map(|l| l.delay.0.saturating_mul(tick_us)).max().unwrap_or(0);
+    let settled = PERIOD.saturating_add(Duration::from_micros(link_us.saturating_mul(3)));
+    let since = now.saturating_sub(settled);
+    let acts = |seen: &Seen| {
+        matches!(
+            seen.what.event,
+            Event::Sent | Event::Replied | Event::Reached | Event::Rejoined | Event::Confirmed
+        )
+    };
+    let mut busy = BTreeSet::new();
+    for batch in store.trail().batches().rev().take_while(|batch| batch.at >= since) {
+        if lives.iter().any(|l| l.id == batch.life) {
+            let late = batch.seen.iter().filter(|seen| acts(seen) && batch.moment(seen) >= since);
+            busy.extend(late.filter_map(|seen| seen.task));
+        }
+    }
+    busy
+}
+
+/// The shortest way from `start` back to itself.
+fn shortest(waits: &[Wait], start: TaskId) -> Option<Vec<&Wait>> {
+    let mut came: BTreeMap<TaskId, &Wait> = BTreeMap::new();
+    let mut next = VecDeque::from([start]);
+    while let Some(at) = next.pop_front() {
+        for wait in waits.iter().filter(|w| w.waiter == at) {
+            if wait.on == start {
+                let mut way = vec![wait];
+                let mut back = at;
+                while back != start {
+                    let step = came.get(&back)?;
+                    way.push(step);
+                    back = step.waiter;
+                }
+                way.reverse();
+                return Some(way);
+            }
+            if let Entry::Vacant(first) = came.entry(wait.on) {
+                first.insert(wait);
+                next.push_back(wait.on);
+            }
+        }
+    }
+    None
+}
+
+/// The tasks that others wait for and that wait for none of the others themselves, the most awaited first. In a cycle
+/// everybody is waited for by everybody, and nobody is named.
+#[must_use]
+pub fn awaited(store: &Store, cell: &Name, now: Moment) -> Vec<Awaited> {
+    let waits = waits(store, cell, now);
+    let waiters: BTreeSet<_> = waits.iter().map(|w| w.waiter).collect();
+    let ends: BTreeSet<_> = waits.iter().map(|w| w.on).filter(|on| !waiters.contains(on)).collect();
+    let mut found: Vec<Awaited> = Vec::new();
+    for task in ends {
+        let mut by = BTreeSet::new();
+        let mut next = vec![task];
+        while let Some(at) = next.pop() {
+            let more: Vec<_> = waits.iter().filter(|w| w.on == at && by.insert(w.waiter)).collect();
+            next.extend(more.iter().map(|w| w.waiter));
+        }
+        let why = waits.iter().find(|w| w.on == task).map_or_else(String::new, |w| w.why.clone());
+        found.push(Awaited { task, by: by.into_iter().collect(), why });
+    }
+    found.sort_by_key(|a| std::cmp::Reverse(a.by.len()));
+    found
+}
