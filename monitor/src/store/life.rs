@@ -143,6 +143,8 @@ pub struct Life {
     pub(super) next_base: Option<Sample>,
     /// Events that it could not keep for this monitor.
     pub lost: u64,
+    /// The same, as it was at `base` and will be at the next one.
+    pub(super) lost_before: (u64, u64),
 }
 
 impl Life {
@@ -211,12 +213,19 @@ impl Life {
         (seconds > 0.0).then(|| grown as f64 / seconds)
     }
 
+    /// Events that it could not keep for this monitor, lately.
+    #[must_use]
+    pub const fn lost_lately(&self) -> u64 {
+        self.lost.saturating_sub(self.lost_before.0)
+    }
+
     /// Takes a snapshot over; counters are compared with one that is [`RATE`] to twice that older.
     pub(super) fn take(&mut self, at: Moment, snapshot: Snapshot) {
         let sample = Sample { at, snapshot: Arc::new(snapshot) };
         let due = self.next_base.as_ref().is_none_or(|next| at.saturating_sub(next.at) >= RATE);
         if due {
             self.base = self.next_base.replace(sample.clone());
+            self.lost_before = (self.lost_before.1, self.lost);
         }
         if self.base.is_none() {
             self.base = self.next_base.clone();
