@@ -1,11 +1,15 @@
 //! Screen 2: the messages that wait at one port, in the order they will be served, and how long each still has.
 
-use super::pen::{Column, Pen, bar};
+use super::Hit;
+use super::pen::{Column, Pen, bar, first_row};
 use crate::app::App;
 use crate::clock::{Moment, Span};
 use crate::store::{Life, PortInfo};
 use crate::theme::Ink;
 use imrs_protocol::{Class, PortView, TaskId};
+
+/// The rows above the table.
+const ABOVE: u16 = 3;
 
 pub(super) fn draw(app: &App, now: Moment, pen: &mut Pen<'_>) {
     let queues = app.queues(now);
@@ -24,8 +28,18 @@ pub(super) fn draw(app: &App, now: Moment, pen: &mut Pen<'_>) {
     counters(view, pen);
     let whole = info.and_then(|i| i.time_out(end.task)).map_or(0, |t| t.0.saturating_mul(life.tick_us));
     let age_us = task.age_us;
-    let mut table = pen.below(3);
+    let mut table = pen.below(ABOVE);
     queue(app, life, view, (whole, age_us), now, &mut table);
+}
+
+/// The message at a row below the head.
+pub(super) fn hit(app: &App, now: Moment, size: (u16, u16), y: u16) -> Option<Hit> {
+    let end = app.port(&app.queues(now))?;
+    let view = app.store().life(end.life)?.port(end.task, end.port)?;
+    let row = usize::from(y.checked_sub(ABOVE + 1)?);
+    let room = usize::from(size.1.saturating_sub(2 + ABOVE + 1));
+    let at = first_row(app.entry(view), view.queue.len(), room) + row;
+    (at < view.queue.len()).then_some(Hit::Entry(at))
 }
 
 fn about(
