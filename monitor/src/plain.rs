@@ -94,7 +94,7 @@ impl Watch {
         let settles = match &arrival.feed {
             Feed::Frame(frame) => matches!(**frame, ServerFrame::Snapshot(_)),
             Feed::Lost { .. } | Feed::Failed { .. } | Feed::Left | Feed::Stale { .. } => true,
-            Feed::Attached { .. } => false,
+            Feed::Attached { .. } | Feed::Judged { .. } => false,
         };
         if settles {
             self.settled.insert(arrival.source);

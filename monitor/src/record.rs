@@ -92,7 +92,7 @@ impl Tape {
                 inner.known.remove(source);
                 Shown::Lost { why: why.clone() }.encode()
             }
-            Feed::Failed { .. } | Feed::Left | Feed::Stale { .. } => return,
+            Feed::Judged { .. } | Feed::Failed { .. } | Feed::Left | Feed::Stale { .. } => return,
         };
         if let Some(running) = &mut inner.running {
             running.put(*at, *source, bytes);

@@ -58,8 +58,6 @@ pub struct Glyphs {
     pub penalty: &'static str,
     /// In a bar: when the message will be done.
     pub done: &'static str,
-    /// In a bar: not offered again before this is over.
-    pub wait: &'static str,
     /// Heights, from nothing to full.
     pub heights: [&'static str; 8],
 }
@@ -81,7 +79,6 @@ const ASCII: Glyphs = Glyphs {
     met: "*",
     penalty: "^",
     done: "|",
-    wait: ":",
     heights: [".", "1", "2", "3", "4", "5", "6", "7"],
 };
 
@@ -102,7 +99,6 @@ const UNICODE: Glyphs = Glyphs {
     met: "◆",
     penalty: "↑",
     done: "┃",
-    wait: "▒",
     heights: ["▁", "▂", "▃", "▄", "▅", "▆", "▇", "█"],
 };
 

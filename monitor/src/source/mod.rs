@@ -5,6 +5,7 @@ mod session;
 
 use crate::clock::{Clock, Moment};
 use crate::error::MonitorError;
+use crate::store::conformance::Conformance;
 use imrs_wire::obs::{NodeIdentity, ServerFrame};
 use std::sync::Arc;
 
@@ -26,6 +27,17 @@ pub enum Feed {
     },
     /// The node said something.
     Frame(Box<ServerFrame>),
+    /// The validator has judged what a node recorded. Comes from no node: it names the one that it is about.
+    Judged {
+        /// The name of its cell.
+        cell: String,
+        /// Its name.
+        node: String,
+        /// Which of its lives.
+        incarnation: u8,
+        /// What it found.
+        said: Box<Conformance>,
+    },
     /// The source is no longer attached.
     Lost {
         /// Why, for people.

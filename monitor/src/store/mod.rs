@@ -1,5 +1,6 @@
 //! All that the monitor knows: the lives of the nodes and what happened in them. Reducers only: no clock, no I/O.
 
+pub mod conformance;
 pub mod coverage;
 pub mod health;
 pub mod journal;
@@ -7,6 +8,8 @@ mod life;
 pub mod meeting;
 pub mod message;
 mod names;
+pub mod rounds;
+pub mod service;
 pub mod timeline;
 pub mod trail;
 pub mod waits;
@@ -37,6 +40,9 @@ pub struct Store {
     of_source: BTreeMap<SourceId, LifeId>,
     born: u32,
     journal: Journal,
+    services: service::Services,
+    histories: rounds::Histories,
+    judged: conformance::Judged,
     trail: Trail,
     /// For each source that cannot attach, why.
     troubles: BTreeMap<SourceId, String>,
@@ -51,6 +57,7 @@ impl Store {
         match feed {
             Feed::Attached { identity, pid, build } => self.attach(at, source, &identity, pid, &build),
             Feed::Frame(frame) => self.frame(at, source, *frame),
+            Feed::Judged { cell, node, incarnation, said } => self.judge((&cell, &node, incarnation), *said),
             Feed::Lost { why } => self.end(at, source, Condition::Dead { since: at, why }),
             Feed::Failed { why } => {
                 if self.troubles.len() < TROUBLES || self.troubles.contains_key(&source) {
@@ -196,6 +203,10 @@ impl Store {
         let forgotten: Vec<_> =
             self.lives.iter().filter(|l| gone(l) && later(l) > EARLIER_LIVES).map(|l| l.id).collect();
         self.lives.retain(|l| !forgotten.contains(&l.id));
+        for id in forgotten {
+            self.services.forget(id);
+            self.judged.remove(&id);
+        }
     }
 
     fn frame(&mut self, at: Moment, source: SourceId, frame: ServerFrame) {
@@ -229,7 +240,9 @@ impl Store {
         if let Some(before) = before {
             self.compare(at, index, &before.snapshot, &snapshot);
         }
-        self.lives[index].take(at, snapshot);
+        let life = &mut self.lives[index];
+        self.services.sampled(life.id, life.tick_us, &snapshot);
+        life.take(at, snapshot);
     }
 
     /// Notices what no machine observes: tasks that end, and what links drop.
@@ -274,10 +287,15 @@ impl Store {
         self.trail.take(at, life.id, &events);
         let newest = events.events.iter().map(|e| e.mono_us).max().unwrap_or(0);
         life.lost = life.lost.saturating_add(events.lost);
+        self.services.happened(life.id, &events);
         for event in events.events {
             let what = What::Observed { task: event.task, observation: event.what };
             let earlier = std::time::Duration::from_micros(newest - event.mono_us);
             let at = at.saturating_sub(earlier);
+            if let Some(task) = event.task {
+                let round = (event.what.port, event.what.number);
+                self.histories.happened(&life.names.cell, task, at, event.what.event, round);
+            }
             self.journal.add(Entry {
                 number: 0,
                 at,
@@ -296,6 +314,15 @@ impl Store {
             };
             let (node, names) = (life.node.clone(), life.names.clone());
             self.journal.add(Entry { number: 0, at, node, names, what, times: events.lost });
+        }
+    }
+
+    /// Takes over what the validator says of a node; of one that is not known it is of no use.
+    fn judge(&mut self, (cell, node, incarnation): (&str, &str, u8), said: conformance::Conformance) {
+        let one =
+            |l: &&Life| l.names.cell.raw() == cell && l.node.raw() == node && l.incarnation == incarnation;
+        if let Some(life) = self.lives.iter().rfind(one) {
+            self.judged.insert(life.id, Arc::new(said));
         }
     }
 

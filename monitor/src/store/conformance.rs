@@ -1,0 +1,75 @@
+//! Whether nodes do what the verified machine does (D63): what the validator says of the inputs that they record.
+
+use super::{LifeId, Store};
+use std::collections::BTreeMap;
+use std::sync::Arc;
+
+/// What is known of a node's conformance.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Verdict {
+    /// Nothing: it does not record, or a part of its recording is missing.
+    Unknown {
+        /// Why.
+        why: String,
+    },
+    /// Every step so far was what the machine does.
+    Conforms,
+    /// A step was not.
+    Violates {
+        /// Which, counted from zero.
+        step: u64,
+        /// What differed.
+        what: String,
+    },
+}
+
+/// How often a kind of transition was seen.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Kind {
+    /// Its name.
+    pub name: String,
+    /// How often.
+    pub fired: u64,
+}
+
+/// The conformance of one life of a node.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Conformance {
+    /// What the validator says.
+    pub verdict: Verdict,
+    /// How many steps it has judged.
+    pub steps: u64,
+    /// Assumptions of the check that the run broke (loss, lateness, ...): no fault of the machine.
+    pub breaches: Vec<String>,
+    /// Every kind of transition, those that never fired included.
+    pub kinds: Vec<Kind>,
+}
+
+impl Conformance {
+    /// Nothing is known, because of `why`.
+    #[must_use]
+    pub fn unknown(why: &str) -> Self {
+        Self {
+            verdict: Verdict::Unknown { why: why.into() },
+            steps: 0,
+            breaches: Vec::new(),
+            kinds: Vec::new(),
+        }
+    }
+
+    /// How many of its kinds have fired, of how many.
+    #[must_use]
+    pub fn covered(&self) -> (usize, usize) {
+        (self.kinds.iter().filter(|kind| kind.fired > 0).count(), self.kinds.len())
+    }
+}
+
+/// What is known of a life's conformance: at least why nothing is.
+#[must_use]
+pub fn conformance(store: &Store, life: LifeId) -> Conformance {
+    let known = store.judged.get(&life).map(|known| known.as_ref().clone());
+    known.unwrap_or_else(|| Conformance::unknown("not recorded: start the node with --record"))
+}
+
+/// What has been judged.
+pub(super) type Judged = BTreeMap<LifeId, Arc<Conformance>>;

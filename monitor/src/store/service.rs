@@ -1,0 +1,330 @@
+//! How a port is served, learnt from what its node tells: how long a message takes once it is its turn, how the sources
+//! fare against each other, how full the buffer has been.
+
+use super::{LifeId, Store};
+use imrs_protocol::{Event, PortId, Reason, TaskId};
+use imrs_wire::obs::{Events, Snapshot};
+use std::collections::{BTreeMap, VecDeque};
+use std::sync::Arc;
+
+/// How many service times are kept of each port: enough for a 99th percentile, few enough to follow a change.
+const TIMES: usize = 256;
+/// How many samples of the buffer are kept.
+const FILL: usize = 60;
+/// How many messages with rejections, and how many sources, are kept of each port.
+const KNOWN: usize = 256;
+/// With fewer times nothing is foretold.
+const LEAST: usize = 5;
+
+/// How the messages of one source have fared.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Share {
+    /// Messages that came.
+    pub offered: u64,
+    /// Messages handed to the task.
+    pub served: u64,
+    /// Times that a message was rejected by rank (R16).
+    pub rejected: u64,
+}
+
+/// How a port is served.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub struct Service {
+    /// How long a message takes once it is its turn, in microseconds: until it is answered, or until the next one that
+    /// waited is taken. The median; `None` where too little was seen.
+    pub p50_us: Option<u64>,
+    /// The 99th percentile of the same: what a prediction goes by.
+    pub p99_us: Option<u64>,
+    /// How many such times were seen, at most the last 256.
+    pub samples: usize,
+    /// Each source, ascending.
+    pub by_source: Vec<(TaskId, Share)>,
+    /// How full the buffer was at the last samples, oldest first.
+    pub fill: Vec<u16>,
+    /// The slack of the most urgent message at those samples where one waited: the 5th percentile, in microseconds.
+    pub slack_p5_us: Option<u64>,
+    /// Its median.
+    pub slack_p50_us: Option<u64>,
+    rejected: BTreeMap<(TaskId, u32), u32>,
+}
+
+impl Service {
+    /// When a message is done that stands at `position` (from 0) in the buffer, in microseconds from now, as it went so far.
+    #[must_use]
+    pub fn done_in(&self, position: usize) -> Option<u64> {
+        let turns = u64::try_from(position).unwrap_or(u64::MAX).saturating_add(1);
+        self.p99_us.map(|each| each.saturating_mul(turns))
+    }
+
+    /// Jain's index over the part of its messages that each source had served: 1 where all fare alike, 1/n where one has
+    /// everything. `None` with fewer than two sources.
+    #[must_use]
+    pub fn jain(&self) -> Option<f64> {
+        #[expect(clippy::cast_precision_loss, reason = "an index between 0 and 1")]
+        let part = |share: &Share| share.served as f64 / share.offered as f64;
+        let parts: Vec<f64> =
+            self.by_source.iter().filter(|(_, s)| s.offered > 0).map(|(_, s)| part(s)).collect();
+        let squares: f64 = parts.iter().map(|x| x * x).sum();
+        let sum: f64 = parts.iter().sum();
+        #[expect(clippy::cast_precision_loss, reason = "a number of sources")]
+        (parts.len() > 1 && squares > 0.0).then(|| sum * sum / (parts.len() as f64 * squares))
+    }
+
+    /// How often a waiting message was rejected by rank.
+    #[must_use]
+    pub fn rejections(&self, source: TaskId, number: u32) -> u32 {
+        self.rejected.get(&(source, number)).copied().unwrap_or(0)
+    }
+
+    /// The message rejected most often among those that still wait.
+    #[must_use]
+    pub fn most_rejected(&self) -> Option<(TaskId, u32, u32)> {
+        let most = self.rejected.iter().max_by_key(|(_, times)| **times);
+        most.map(|(&(source, number), &times)| (source, number, times))
+    }
+}
+
+/// How a port of a task is served, if anything is known of it.
+#[must_use]
+pub fn service(store: &Store, life: LifeId, task: TaskId, port: PortId) -> Option<Service> {
+    store.services.ports.get(&(life, task, port)).map(|port| port.service())
+}
+
+/// What is learnt of all ports.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Services {
+    ports: BTreeMap<(LifeId, TaskId, PortId), Arc<Port>>,
+}
+
+/// What is learnt of one port.
+#[derive(Clone, Debug, Default)]
+struct Port {
+    /// How many messages wait.
+    waiting: u32,
+    /// The message that the task has in hand, since when, and whether others waited behind it.
+    in_hand: Option<(TaskId, u32, u64, bool)>,
+    times: VecDeque<u32>,
+    shares: BTreeMap<TaskId, Share>,
+    rejected: BTreeMap<(TaskId, u32), u32>,
+    fill: VecDeque<u16>,
+    slack: VecDeque<u64>,
+}
+
+impl Services {
+    /// Learns from what happened in a life, in the order of each task.
+    pub fn happened(&mut self, life: LifeId, events: &Events) {
+        if events.lost > 0 {
+            // Across a gap nothing can be measured.
+            for (_, port) in self.ports.range_mut(of(life)) {
+                Arc::make_mut(port).in_hand = None;
+            }
+        }
+        for event in &events.events {
+            let what = event.what;
+            let (Some(task), true) = (event.task, what.port != PortId::NONE) else { continue };
+            let concerns = matches!(
+                what.event,
+                Event::Enqueued
+                    | Event::Delivered
+                    | Event::Replied
+                    | Event::Rejected
+                    | Event::Discarded(Reason::Expired | Reason::Evicted | Reason::Superseded)
+            );
+            if concerns {
+                let port = self.ports.entry((life, task, what.port)).or_default();
+                Arc::make_mut(port).happened(event.mono_us, what.event, what.peer, what.number);
+            }
+        }
+    }
+
+    /// Learns from a sample: how full the buffers are.
+    pub fn sampled(&mut self, life: LifeId, tick_us: u64, snapshot: &Snapshot) {
+        for task in &snapshot.tasks {
+            for view in task.view.ports.iter().filter(|view| view.capacity > 0) {
+                let key = (life, task.view.task, view.port);
+                // Of a port that was always empty nothing is kept.
+                if view.len == 0 && !self.ports.contains_key(&key) {
+                    continue;
+                }
+                let port = Arc::make_mut(self.ports.entry(key).or_default());
+                port.waiting = view.len.into();
+                keep(&mut port.fill, view.len, FILL);
+                if let Some(slack) = view.min_slack {
+                    let left = slack.0.saturating_mul(tick_us).saturating_sub(task.age_us);
+                    keep(&mut port.slack, left, FILL);
+                }
+            }
+        }
+    }
+
+    /// Drops what was learnt of a life.
+    pub fn forget(&mut self, life: LifeId) {
+        self.ports.retain(|(of, _, _), _| *of != life);
+    }
+}
+
+fn of(life: LifeId) -> std::ops::RangeInclusive<(LifeId, TaskId, PortId)> {
+    (life, TaskId(0), PortId(0))..=(life, TaskId(u16::MAX), PortId(u16::MAX))
+}
+
+impl Port {
+    fn happened(&mut self, at: u64, event: Event, source: TaskId, number: u32) {
+        match event {
+            Event::Enqueued => {
+                self.waiting += 1;
+                self.share(source).offered += 1;
+            }
+            Event::Delivered => {
+                if let Some((.., since, true)) = self.in_hand.take() {
+                    self.took(at.saturating_sub(since));
+                }
+                // What is handed to a task that waits never was in the buffer.
+                if self.waiting == 0 {
+                    self.share(source).offered += 1;
+                }
+                self.waiting = self.waiting.saturating_sub(1);
+                self.share(source).served += 1;
+                self.rejected.remove(&(source, number));
+                self.in_hand = Some((source, number, at, self.waiting > 0));
+            }
+            Event::Replied => {
+                if let Some((.., since, _)) = self.in_hand.take_if(|(s, n, ..)| (*s, *n) == (source, number))
+                {
+                    self.took(at.saturating_sub(since));
+                }
+            }
+            Event::Rejected => {
+                self.share(source).rejected += 1;
+                if self.rejected.len() < KNOWN || self.rejected.contains_key(&(source, number)) {
+                    *self.rejected.entry((source, number)).or_default() += 1;
+                }
+            }
+            _ => {
+                self.waiting = self.waiting.saturating_sub(1);
+                self.rejected.remove(&(source, number));
+            }
+        }
+    }
+
+    fn took(&mut self, us: u64) {
+        keep(&mut self.times, u32::try_from(us).unwrap_or(u32::MAX), TIMES);
+    }
+
+    fn share(&mut self, source: TaskId) -> &mut Share {
+        // What a node sends is not trusted: it cannot make a monitor remember without end.
+        let source = if self.shares.len() < KNOWN || self.shares.contains_key(&source) {
+            source
+        } else {
+            TaskId(u16::MAX)
+        };
+        self.shares.entry(source).or_default()
+    }
+
+    fn service(&self) -> Service {
+        let mut times: Vec<u64> = self.times.iter().map(|us| u64::from(*us)).collect();
+        let mut slack: Vec<u64> = self.slack.iter().copied().collect();
+        let known = times.len() >= LEAST;
+        Service {
+            p50_us: percentile(&mut times, 50).filter(|_| known),
+            p99_us: percentile(&mut times, 99).filter(|_| known),
+            samples: times.len(),
+            by_source: self.shares.iter().map(|(source, share)| (*source, *share)).collect(),
+            fill: self.fill.iter().copied().collect(),
+            slack_p5_us: percentile(&mut slack, 5),
+            slack_p50_us: percentile(&mut slack, 50),
+            rejected: self.rejected.clone(),
+        }
+    }
+}
+
+/// Adds `value`, and drops the oldest where there would be more than `most`.
+fn keep<T>(kept: &mut VecDeque<T>, value: T, most: usize) {
+    if kept.len() == most {
+        kept.pop_front();
+    }
+    kept.push_back(value);
+}
+
+/// The value that `percent` of `values` are not above; `None` without any.
+pub(super) fn percentile(values: &mut [u64], percent: usize) -> Option<u64> {
+    values.sort_unstable();
+    let rank = (values.len() * percent).div_ceil(100).max(1);
+    values.get(rank - 1).copied()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use imrs_protocol::{Observation, Ticks};
+    use imrs_wire::obs::TimedEvent;
+
+    const PORT: PortId = PortId(3);
+
+    fn event(mono_us: u64, event: Event, source: u16, number: u32) -> TimedEvent {
+        let what = Observation { event, port: PORT, peer: TaskId(source), number, remaining: Ticks(1) };
+        TimedEvent { mono_us, task: Some(TaskId(0)), what }
+    }
+
+    fn learnt(events: Vec<TimedEvent>) -> Service {
+        let mut services = Services::default();
+        services.happened(LifeId(1), &Events { lost: 0, events });
+        services.ports[&(LifeId(1), TaskId(0), PORT)].service()
+    }
+
+    #[test]
+    fn a_message_takes_until_it_is_answered_or_until_the_next_that_waited_is_taken() {
+        let mut all: Vec<_> = (0..6).map(|n| event(0, Event::Enqueued, 1, n)).collect();
+        all.extend((0..6).map(|n| event(u64::from(n) * 1_000, Event::Delivered, 1, n)));
+        // The last one waited for nobody: how long it took is only known because it is answered.
+        all.push(event(5_300, Event::Replied, 1, 5));
+        let service = learnt(all);
+        assert_eq!((service.samples, service.p50_us, service.p99_us), (6, Some(1_000), Some(1_000)));
+        assert_eq!(service.done_in(0), Some(1_000));
+        assert_eq!(service.done_in(2), Some(3_000));
+    }
+
+    #[test]
+    fn a_task_that_waits_for_work_is_not_slow() {
+        let all = (0..9).map(|n| event(u64::from(n) * 1_000_000, Event::Delivered, 1, n)).collect();
+        let service = learnt(all);
+        assert_eq!((service.samples, service.p99_us), (0, None));
+        assert_eq!(service.by_source, [(TaskId(1), Share { offered: 9, served: 9, rejected: 0 })]);
+    }
+
+    #[test]
+    fn sources_that_fare_alike_have_index_one_and_a_starved_one_lowers_it() {
+        let fair = (0..4).flat_map(|n| [event(0, Event::Delivered, 1, n), event(0, Event::Delivered, 2, n)]);
+        assert_eq!(learnt(fair.collect()).jain(), Some(1.0));
+        let mut unfair: Vec<_> = (0..4).map(|n| event(0, Event::Delivered, 1, n)).collect();
+        unfair.push(event(0, Event::Enqueued, 2, 9));
+        unfair.extend((0..3).map(|_| event(0, Event::Rejected, 2, 9)));
+        let service = learnt(unfair);
+        assert_eq!(service.jain(), Some(0.5));
+        assert_eq!(service.rejections(TaskId(2), 9), 3);
+        assert_eq!(service.most_rejected(), Some((TaskId(2), 9, 3)));
+    }
+
+    #[test]
+    fn a_gap_ends_what_was_being_measured() {
+        let mut services = Services::default();
+        let first = vec![
+            event(0, Event::Enqueued, 1, 0),
+            event(0, Event::Enqueued, 1, 1),
+            event(0, Event::Delivered, 1, 0),
+        ];
+        services.happened(LifeId(1), &Events { lost: 0, events: first });
+        let later = vec![event(9_000_000, Event::Delivered, 1, 1)];
+        services.happened(LifeId(1), &Events { lost: 7, events: later });
+        assert_eq!(services.ports[&(LifeId(1), TaskId(0), PORT)].service().samples, 0);
+    }
+
+    #[test]
+    fn percentiles_are_values_that_occurred() {
+        let mut values: Vec<u64> = (1..=100).rev().collect();
+        assert_eq!(percentile(&mut values, 99), Some(99));
+        assert_eq!(percentile(&mut values, 50), Some(50));
+        assert_eq!(percentile(&mut values, 5), Some(5));
+        assert_eq!(percentile(&mut [7], 99), Some(7));
+        assert_eq!(percentile(&mut [], 50), None);
+    }
+}
