@@ -1,18 +1,26 @@
 //! What is on the screen, as a value; everything that happens is a [`Msg`] that [`App::update`] reduces.
 
+mod command;
+pub mod lanes;
+mod mouse;
 mod steer;
+
+pub use command::COMMANDS;
 
 use crate::clock::Moment;
 use crate::keys;
 use crate::name::Name;
+use crate::options::Endpoint;
 use crate::replay::Player;
 use crate::rows::{Row, Shape, rows};
 use crate::source::Arrival;
 use crate::store::health::{self, Finding, Place};
+use crate::store::message::MessageKey;
 use crate::store::{Condition, LifeId, Store};
 use crate::theme::Theme;
-use crossterm::event::{KeyEvent, KeyEventKind};
-use imrs_protocol::{PortId, TaskId, Usage};
+use crossterm::event::{KeyEvent, KeyEventKind, MouseEvent};
+use imrs_protocol::{MessageId, PortId, PortView, TaskId, Usage};
+use lanes::Lanes;
 use std::time::Duration;
 
 /// The screens.
@@ -23,12 +31,35 @@ pub enum Screen {
     Overview,
     /// One port's queue.
     Port,
+    /// One message, from its birth to its end.
+    Message,
     /// Who waits for whom.
     Rendezvous,
+    /// What happened in each task, side by side.
+    Timeline,
+    /// What runs out when.
+    Timers,
     /// What happened.
     Events,
+    /// Whether the nodes do what the model does.
+    Model,
     /// The keys and signs.
     Help,
+}
+
+impl Screen {
+    /// All of them.
+    pub const ALL: [Self; 9] = [
+        Self::Overview,
+        Self::Port,
+        Self::Message,
+        Self::Rendezvous,
+        Self::Timeline,
+        Self::Timers,
+        Self::Events,
+        Self::Model,
+        Self::Help,
+    ];
 }
 
 /// Something that happened to the monitor.
@@ -38,6 +69,10 @@ pub enum Msg {
     Feed(Arrival),
     /// A key was pressed.
     Key(KeyEvent),
+    /// The mouse did something.
+    Mouse(MouseEvent),
+    /// The main loop has something to tell the user, at the foot.
+    Told(String),
     /// The screen is now so many columns and rows.
     Resize(u16, u16),
     /// Time has passed: a recording that plays moves on.
@@ -45,7 +80,7 @@ pub enum Msg {
 }
 
 /// What the main loop has to do after a message.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Effect {
     /// Nothing: the screen is as it was.
     Nothing,
@@ -53,6 +88,12 @@ pub enum Effect {
     Draw,
     /// Begin a recording, or end it.
     Record,
+    /// Write the screen as text into a file.
+    Write,
+    /// Give this to the terminal's clipboard.
+    Copy(String),
+    /// Attach to this node too.
+    Connect(Endpoint),
     /// Give the terminal back until the user returns.
     Suspend,
     /// End.
@@ -100,6 +141,27 @@ pub struct App {
     pub everything: bool,
     /// Whether keys go into the filter.
     pub typing: bool,
+    /// The command that is typed.
+    pub command: Option<String>,
+    /// What was last told at the foot; the next key takes it away.
+    pub told: Option<String>,
+    /// The message whose life is shown.
+    message: Option<MessageKey>,
+    /// The screen that it was chosen on.
+    chosen_on: Screen,
+    /// The selected message of the queue shown: it stays selected while others come and go.
+    entry: Option<(TaskId, MessageId)>,
+    lanes: Lanes,
+    /// What the user marked, to compare with.
+    mark: Option<Box<(Moment, Store)>>,
+    /// Whether counters are shown since the mark.
+    pub since_mark: bool,
+    /// Whether only what is in a wait-for cycle is shown of who waits for whom.
+    pub only_cycles: bool,
+    /// Whether the mouse is used.
+    pub mouse: bool,
+    /// Whether countdowns are drawn once a second only.
+    pub reduced_motion: bool,
     size: (u16, u16),
 }
 
@@ -124,6 +186,17 @@ impl App {
             held: None,
             everything: false,
             typing: false,
+            command: None,
+            told: None,
+            message: None,
+            chosen_on: Screen::Port,
+            entry: None,
+            lanes: Lanes::default(),
+            mark: None,
+            since_mark: false,
+            only_cycles: false,
+            mouse: true,
+            reduced_motion: false,
             size: (80, 24),
         }
     }
@@ -195,7 +268,7 @@ impl App {
             return None;
         }
         let attached = self.live.lives().iter().any(|l| l.condition == Condition::Attached);
-        Some(Duration::from_millis(if attached { 100 } else { 1000 }))
+        Some(Duration::from_millis(if attached && !self.reduced_motion { 100 } else { 1000 }))
     }
 
     /// Takes a message over.
@@ -203,7 +276,12 @@ impl App {
         match msg {
             Msg::Feed(arrival) => {
                 self.live.apply(arrival);
-                if self.frozen.is_some() { Effect::Nothing } else { Effect::Draw }
+                // With reduced motion the screen changes with the countdowns, not with every word of a node.
+                if self.frozen.is_some() || self.reduced_motion { Effect::Nothing } else { Effect::Draw }
+            }
+            Msg::Told(text) => {
+                self.told = Some(text);
+                Effect::Draw
             }
             Msg::Time => {
                 let moved = self.replay.as_mut().is_some_and(|player| player.advance(now));
@@ -215,9 +293,14 @@ impl App {
             }
             Msg::Key(event) if event.kind == KeyEventKind::Release => Effect::Nothing,
             Msg::Key(event) if self.typing => self.typed(&event),
+            Msg::Key(event) if self.command.is_some() => self.typed_command(&event),
             Msg::Key(event) => {
-                keys::action(&event, self.screen).map_or(Effect::Nothing, |action| self.act(action, now))
+                let told = self.told.take().is_some();
+                let effect = keys::action(&event, self.screen).map(|action| self.act(action, now));
+                let nothing = if told { Effect::Draw } else { Effect::Nothing };
+                effect.unwrap_or(nothing)
             }
+            Msg::Mouse(event) => self.clicked(event, now),
         }
     }
 
@@ -262,6 +345,25 @@ impl App {
         let there =
             |end: &PortEnd| self.store().life(end.life).is_some_and(|l| l.port(end.task, end.port).is_some());
         self.port.filter(there).or_else(|| queues.first().copied())
+    }
+
+    /// Which message of a queue is selected: the chosen one while it waits there, or what has taken its place.
+    #[must_use]
+    pub fn entry(&self, view: &PortView) -> usize {
+        let chosen = |(source, id)| view.queue.iter().position(|e| (e.source, e.id) == (source, id));
+        self.entry.and_then(chosen).unwrap_or(self.scroll).min(view.queue.len().saturating_sub(1))
+    }
+
+    /// The message whose life is shown.
+    #[must_use]
+    pub const fn message(&self) -> Option<MessageKey> {
+        self.message
+    }
+
+    /// What the user marked, and when.
+    #[must_use]
+    pub fn mark(&self) -> Option<(Moment, &Store)> {
+        self.mark.as_deref().map(|(at, store)| (*at, store))
     }
 
     /// The event lines shown, oldest first.

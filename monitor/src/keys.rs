@@ -56,6 +56,26 @@ pub enum Action {
     NextAnomaly,
     /// Begins or ends a recording of what comes in.
     Record,
+    /// Writes the screen as text into a file.
+    Write,
+    /// Copies what the selected row is called.
+    Copy,
+    /// Begins to type a command.
+    Command,
+    /// Remembers the present, to compare with.
+    Mark,
+    /// Shows counters since the mark, or since the start.
+    Difference,
+    /// Shows only what is in a wait-for cycle.
+    Cycles,
+    /// Less time a row.
+    Closer,
+    /// More time a row.
+    Wider,
+    /// The next row that matches the filter, or at which something is wrong.
+    NextMatch,
+    /// The one before.
+    PreviousMatch,
     /// The next cell.
     Cell,
     /// The next theme.
@@ -108,12 +128,18 @@ const fn on(on: &'static [Screen], keys: &'static [Key], action: Action, help: &
     Binding { keys, action, help, on }
 }
 
+/// The screens that the filter acts on.
+pub const FILTERED: &[Screen] = &[Screen::Overview, Screen::Events, Screen::Timeline];
+
 /// All keys. The first line that fits decides.
 pub const BINDINGS: &[Binding] = &[
     everywhere(&[key('1')], Action::Show(Screen::Overview), "overview: nodes, tasks, ports"),
     everywhere(&[key('2')], Action::Show(Screen::Port), "one port's queue in the order of service"),
     everywhere(&[key('3')], Action::Show(Screen::Rendezvous), "who waits for whom"),
+    everywhere(&[key('4')], Action::Show(Screen::Timeline), "what happened in each task, side by side"),
+    everywhere(&[key('5')], Action::Show(Screen::Timers), "what runs out when"),
     everywhere(&[key('6')], Action::Show(Screen::Events), "what happened"),
+    everywhere(&[key('7')], Action::Show(Screen::Model), "do the nodes do what the model does"),
     everywhere(&[key('?')], Action::Show(Screen::Help), "this help"),
     everywhere(&[key('k'), code(KeyCode::Up)], Action::Up, "up"),
     everywhere(&[key('j'), code(KeyCode::Down)], Action::Down, "down"),
@@ -127,9 +153,20 @@ pub const BINDINGS: &[Binding] = &[
     on(&[Screen::Overview], &[key('l'), code(KeyCode::Right)], Action::Right, "show the rows within"),
     on(&[Screen::Port], &[key('h'), code(KeyCode::Left)], Action::Left, "previous port"),
     on(&[Screen::Port], &[key('l'), code(KeyCode::Right)], Action::Right, "next port"),
+    on(&[Screen::Timeline], &[key('h'), code(KeyCode::Left)], Action::Left, "the lane to the left"),
+    on(&[Screen::Timeline], &[key('l'), code(KeyCode::Right)], Action::Right, "the lane to the right"),
+    on(&[Screen::Timeline], &[key('+'), key('=')], Action::Closer, "less time a row, down to an event a row"),
+    on(&[Screen::Timeline], &[key('-')], Action::Wider, "more time a row"),
+    on(&[Screen::Rendezvous], &[key('c')], Action::Cycles, "only what waits in a cycle, or all"),
+    on(
+        &[Screen::Port, Screen::Events, Screen::Timeline],
+        &[code(KeyCode::Enter)],
+        Action::Enter,
+        "the life of this message",
+    ),
     on(&[Screen::Overview], &[code(KeyCode::Enter)], Action::Enter, "open: node, task, port, meeting"),
     everywhere(&[code(KeyCode::Esc)], Action::Back, "back; clear the filter"),
-    on(&[Screen::Overview, Screen::Events], &[key('/')], Action::Filter, "show only rows with a text"),
+    on(FILTERED, &[key('/')], Action::Filter, "show only rows with a text"),
     on(&[Screen::Overview], &[key('s')], Action::Sort, "sort by name, slack, queue, health"),
     on(&[Screen::Overview], &[key('i')], Action::Invert, "invert the order"),
     on(
@@ -145,8 +182,25 @@ pub const BINDINGS: &[Binding] = &[
     everywhere(&[key(']')], Action::StepOn, "in a recording: one step on"),
     everywhere(&[key('{')], Action::PreviousAnomaly, "in a recording: back to where something went wrong"),
     everywhere(&[key('}')], Action::NextAnomaly, "in a recording: on to where something goes wrong"),
+    on(
+        &[Screen::Overview, Screen::Events],
+        &[key('n')],
+        Action::NextMatch,
+        "next row that the filter finds, or that is in trouble",
+    ),
+    on(&[Screen::Overview, Screen::Events], &[key('N')], Action::PreviousMatch, "the one before"),
+    everywhere(&[key('m')], Action::Mark, "mark the present, to compare with"),
+    on(&[Screen::Overview], &[key('d')], Action::Difference, "counters since the mark, or since the start"),
+    everywhere(&[key('w')], Action::Write, "write this screen as text into a file"),
+    on(
+        &[Screen::Overview, Screen::Port, Screen::Message, Screen::Events, Screen::Timeline],
+        &[key('y')],
+        Action::Copy,
+        "copy what the row is called (terminals with OSC 52)",
+    ),
+    everywhere(&[key(':')], Action::Command, "a command: connect, port, node, theme, quit"),
     everywhere(&[key('r')], Action::Record, "record what comes in, or end that"),
-    everywhere(&[key('c')], Action::Cell, "next cell"),
+    everywhere(&[key('C')], Action::Cell, "next cell"),
     everywhere(&[key('t')], Action::Theme, "next theme"),
     everywhere(&[ctrl('z')], Action::Suspend, "to the shell; `fg` returns"),
     everywhere(&[key('q'), ctrl('c')], Action::Quit, "quit"),

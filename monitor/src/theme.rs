@@ -44,6 +44,22 @@ pub struct Glyphs {
     pub no: &'static str,
     /// Between two ends.
     pub arrow: &'static str,
+    /// The same, to the left.
+    pub back: &'static str,
+    /// The way of a message between tasks of one node, whose clock measured it.
+    pub way: &'static str,
+    /// The way of a message between nodes, whose clocks are only estimated.
+    pub guessed: &'static str,
+    /// A task that lives on.
+    pub lane: &'static str,
+    /// A rendezvous.
+    pub met: &'static str,
+    /// Rejected, and ranked later.
+    pub penalty: &'static str,
+    /// In a bar: when the message will be done.
+    pub done: &'static str,
+    /// Heights, from nothing to full.
+    pub heights: [&'static str; 8],
 }
 
 const ASCII: Glyphs = Glyphs {
@@ -56,6 +72,14 @@ const ASCII: Glyphs = Glyphs {
     yes: "Y",
     no: ".",
     arrow: ">",
+    back: "<",
+    way: "-",
+    guessed: "~",
+    lane: "|",
+    met: "*",
+    penalty: "^",
+    done: "|",
+    heights: [".", "1", "2", "3", "4", "5", "6", "7"],
 };
 
 const UNICODE: Glyphs = Glyphs {
@@ -68,6 +92,14 @@ const UNICODE: Glyphs = Glyphs {
     yes: "✓",
     no: "·",
     arrow: "→",
+    back: "←",
+    way: "─",
+    guessed: "~",
+    lane: "│",
+    met: "◆",
+    penalty: "↑",
+    done: "┃",
+    heights: ["▁", "▂", "▃", "▄", "▅", "▆", "▇", "█"],
 };
 
 /// A set of styles and signs.
@@ -91,6 +123,18 @@ impl Theme {
     pub const COLOUR_ASCII: Self = Self { name: "colour-ascii", glyphs: ASCII, colour: true };
     /// All of them, in the order that the key for it goes through.
     pub const ALL: [Self; 4] = [Self::COLOUR, Self::MONO, Self::ASCII, Self::COLOUR_ASCII];
+
+    /// The theme of a name.
+    #[must_use]
+    pub fn named(name: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|theme| theme.name == name)
+    }
+
+    /// The names of all themes.
+    #[must_use]
+    pub fn names() -> Vec<&'static str> {
+        Self::ALL.iter().map(|theme| theme.name).collect()
+    }
 
     /// The theme after this one.
     #[must_use]

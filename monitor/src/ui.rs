@@ -4,14 +4,17 @@ use crate::app::{App, Effect, Msg};
 use crate::clock::{Clock, Moment};
 use crate::error::MonitorError;
 use crate::name::shown_line;
+use crate::options::Endpoint;
 use crate::record::{Tape, free_name};
 use crate::signals::{self, Call, Listener};
+use crate::source::live::{Live, Which};
 use crate::source::{Arrival, Feed, Sink, Source, SourceId};
 use crate::terminal::{self, Borrowed};
-use crate::view::view;
+use crate::view::{text, view};
 use crossterm::event::{self, Event};
+use ratatui::buffer::Buffer;
 use signal_hook::consts::SIGINT;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
@@ -24,6 +27,11 @@ const FRAME: Duration = Duration::from_millis(33);
 const QUEUE: usize = 64;
 /// How often the thread that reads keys looks whether it should end.
 const LOOK: Duration = Duration::from_millis(200);
+
+/// The numbers of sources that the user adds begin here: those found by themselves stay below.
+const MORE: u32 = 60_000;
+/// What a written screen is called, before a number makes the name free.
+const FRAME_FILE: &str = "monitor-screen.txt";
 
 enum Input {
     Msg(Msg),
@@ -45,7 +53,7 @@ pub fn show(
     record: PathBuf,
 ) -> Result<(), MonitorError> {
     let (sender, inputs) = sync_channel(QUEUE);
-    let mut terminal = Borrowed::take()?;
+    let mut terminal = Borrowed::take(app.mouse)?;
     let for_signals = sender.clone();
     let listener = Listener::start(move |call| for_signals.try_send(Input::Call(call)).is_ok())?;
     let (for_feeds, taped) = (sender.clone(), Arc::clone(tape));
@@ -53,9 +61,18 @@ pub fn show(
         taped.take(&arrival);
         for_feeds.send(Input::Msg(Msg::Feed(arrival))).is_ok()
     }))?;
-    let keys = Keys::start(sender)?;
-    let mut screen =
-        Loop { app: &mut app, clock, inputs, due: Some(Duration::ZERO), drawn: None, tape, record };
+    let keys = Keys::start(sender.clone())?;
+    let mut screen = Loop {
+        app: &mut app,
+        clock,
+        inputs,
+        due: Some(Duration::ZERO),
+        drawn: None,
+        tape,
+        record,
+        sender,
+        more: Vec::new(),
+    };
     let ended = screen.run(&mut terminal);
     drop(keys);
     drop(terminal);
@@ -72,9 +89,13 @@ struct Loop<'a> {
     /// When the next frame is due, if any is.
     due: Option<Moment>,
     drawn: Option<Moment>,
-    tape: &'a Tape,
+    tape: &'a Arc<Tape>,
     /// Where `r` records to.
     record: PathBuf,
+    /// For sources that are added.
+    sender: SyncSender<Input>,
+    /// The sources that the user added.
+    more: Vec<Live>,
 }
 
 impl Loop<'_> {
@@ -133,6 +154,20 @@ impl Loop<'_> {
                 self.toggle_recording();
                 self.due = Some(Duration::ZERO);
             }
+            Effect::Write => {
+                let told = self.write(terminal);
+                self.tell(told);
+            }
+            Effect::Copy(text) => {
+                terminal.copy(&text)?;
+                self.due = Some(Duration::ZERO);
+            }
+            Effect::Connect(endpoint) => {
+                if let Err(error) = self.connect(endpoint) {
+                    self.tell(format!("cannot attach: {error}"));
+                }
+                self.due = Some(Duration::ZERO);
+            }
             Effect::Suspend => {
                 terminal::give_back();
                 signals::stop();
@@ -165,6 +200,43 @@ impl Loop<'_> {
     }
 }
 
+impl Loop<'_> {
+    /// Says something at the foot.
+    fn tell(&mut self, text: String) {
+        self.app.update(Msg::Told(text), self.clock.now());
+        self.due = Some(Duration::ZERO);
+    }
+
+    /// Writes the screen as it would be drawn now into a file of its own, and says which.
+    fn write(&self, terminal: &Borrowed) -> String {
+        let path = free_name(Path::new(FRAME_FILE));
+        let written = terminal.area().and_then(|area| {
+            let mut buffer = Buffer::empty(area);
+            view(self.app, self.clock.now(), area, &mut buffer);
+            std::fs::write(&path, text(&buffer))
+        });
+        match written {
+            Ok(()) => format!("this screen is in {}", shown_line(&path.display().to_string())),
+            Err(error) => format!("cannot write {}: {error}", shown_line(&path.display().to_string())),
+        }
+    }
+
+    /// Attaches to one more node, until the end.
+    fn connect(&mut self, endpoint: Endpoint) -> Result<(), MonitorError> {
+        let number = u32::try_from(self.more.len()).unwrap_or(u32::MAX);
+        let id = SourceId(MORE.saturating_add(number));
+        let (taped, sender) = (Arc::clone(self.tape), self.sender.clone());
+        let mut source = Live::new(Which::Named(vec![endpoint]));
+        source.start(Sink::new(self.clock, move |arrival| {
+            let arrival = Arrival { source: id, ..arrival };
+            taped.take(&arrival);
+            sender.send(Input::Msg(Msg::Feed(arrival))).is_ok()
+        }))?;
+        self.more.push(source);
+        Ok(())
+    }
+}
+
 enum Next {
     GoOn,
     Quit,
@@ -184,6 +256,7 @@ impl Keys {
             while !stopped.load(Ordering::Relaxed) {
                 let input = match event::poll(LOOK).and_then(|ready| ready.then(event::read).transpose()) {
                     Ok(Some(Event::Key(key))) => Input::Msg(Msg::Key(key)),
+                    Ok(Some(Event::Mouse(mouse))) => Input::Msg(Msg::Mouse(mouse)),
                     Ok(Some(Event::Resize(width, height))) => Input::Msg(Msg::Resize(width, height)),
                     Ok(_) => continue,
                     Err(_) => Input::NoKeys,

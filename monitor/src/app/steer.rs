@@ -1,10 +1,13 @@
 //! What keys do.
 
 use super::{App, Effect, PortEnd, Screen, port_end};
-use crate::clock::Moment;
-use crate::keys::Action;
+use crate::clock::{Moment, Span};
+use crate::keys::{self, Action};
+use crate::rows::Row;
 use crate::store::health::Place;
-use crate::store::journal::Level;
+use crate::store::journal::{Level, What};
+use crate::store::message::{MessageKey, key_of};
+use crate::store::trail::Seen;
 use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 use imrs_protocol::Usage;
 
@@ -46,6 +49,19 @@ impl App {
             Action::StepBack | Action::StepOn | Action::PreviousAnomaly | Action::NextAnomaly => {
                 return Effect::Nothing;
             }
+            Action::Write => return Effect::Write,
+            Action::Copy => return self.copy(now),
+            Action::Command => self.command = Some(String::new()),
+            Action::Mark => self.set_mark(now),
+            Action::Difference => self.since_mark = self.mark.is_some() && !self.since_mark,
+            Action::Cycles => {
+                self.only_cycles = !self.only_cycles;
+                self.scroll = 0;
+            }
+            Action::Closer => self.zoom(true),
+            Action::Wider => self.zoom(false),
+            Action::NextMatch => self.jump_to_match(true, now),
+            Action::PreviousMatch => self.jump_to_match(false, now),
             Action::Oldest => self.step(isize::MIN, now),
             Action::Newest => self.step(isize::MAX, now),
             Action::Pause => {
@@ -70,6 +86,9 @@ impl App {
             Action::Left | Action::Right if self.screen == Screen::Port => {
                 self.turn(action == Action::Right, now);
             }
+            Action::Left | Action::Right if self.screen == Screen::Timeline => {
+                self.next_lane(action == Action::Right);
+            }
             Action::Left => self.fold(true, now),
             Action::Right => self.fold(false, now),
             Action::Up => self.step(-1, now),
@@ -77,7 +96,10 @@ impl App {
             Action::PageUp => self.step(-self.page(), now),
             Action::PageDown => self.step(self.page(), now),
             Action::First => self.step(isize::MIN, now),
-            Action::Last => self.step(isize::MAX, now),
+            Action::Last => {
+                self.step(isize::MAX, now);
+                self.follow_chart();
+            }
         }
         Effect::Draw
     }
@@ -108,13 +130,18 @@ impl App {
             }
         }
         self.scroll = 0;
+        self.entry = None;
     }
 
     fn back(&mut self) {
-        if !self.shape.filter.is_empty() && matches!(self.screen, Screen::Overview | Screen::Events) {
+        if !self.shape.filter.is_empty() && keys::FILTERED.contains(&self.screen) {
             self.shape.filter.clear();
         } else if self.screen != Screen::Overview {
-            self.screen = if self.screen == Screen::Help { self.before } else { Screen::Overview };
+            self.screen = match self.screen {
+                Screen::Help => self.before,
+                Screen::Message => self.chosen_on,
+                _ => Screen::Overview,
+            };
             self.scroll = 0;
         }
     }
@@ -146,6 +173,13 @@ impl App {
     }
 
     fn enter(&mut self, now: Moment) {
+        if self.screen != Screen::Overview {
+            if let Some(key) = self.message_here(now) {
+                (self.message, self.chosen_on) = (Some(key), self.screen);
+                self.show(Screen::Message);
+            }
+            return;
+        }
         let rows = self.rows(&self.findings(now), now);
         let Some(row) = rows.get(self.selected(&rows)).copied() else { return };
         self.selected = Some(row.place);
@@ -153,6 +187,101 @@ impl App {
             Some(end) if self.is_waitfor(end) => self.show(Screen::Rendezvous),
             Some(_) => self.show(Screen::Port),
             None => self.fold(row.open, now),
+        }
+    }
+
+    /// The message that the selected row is of.
+    fn message_here(&self, now: Moment) -> Option<MessageKey> {
+        match self.screen {
+            Screen::Port => {
+                let end = self.port(&self.queues(now))?;
+                let view = self.store().life(end.life)?.port(end.task, end.port)?;
+                let entry = view.queue.get(self.entry(view))?;
+                Some(MessageKey { source: entry.source, port: end.port, number: entry.id.sequence.get() })
+            }
+            Screen::Timeline => {
+                let chart = self.chart();
+                key_of(&chart.mark(chart.bottom)?.seen)
+            }
+            Screen::Events => {
+                let lines = self.events();
+                let held = self.held.unwrap_or(u64::MAX);
+                match &lines.iter().rfind(|e| e.number <= held)?.what {
+                    What::Observed { task, observation } => {
+                        key_of(&Seen { mono_us: 0, task: *task, what: *observation })
+                    }
+                    What::Noticed { .. } => None,
+                }
+            }
+            Screen::Message => self.message,
+            Screen::Overview | Screen::Rendezvous | Screen::Timers | Screen::Model | Screen::Help => None,
+        }
+    }
+
+    /// What the selected row is called, for the clipboard.
+    fn copy(&mut self, now: Moment) -> Effect {
+        let names = self.cell().and_then(|cell| self.store().names(&cell).cloned());
+        let text = match (self.screen, self.message_here(now), names) {
+            (_, Some(key), Some(names)) => {
+                format!("{}.{}#{}", names.task(key.source), names.port_name(key.port), key.number)
+            }
+            (Screen::Overview, _, _) => {
+                let rows = self.rows(&self.findings(now), now);
+                let row = rows.get(self.selected(&rows));
+                row.map_or_else(String::new, |row| crate::view::label(self, row.place))
+            }
+            (Screen::Port, None, Some(names)) => {
+                let end = self.port(&self.queues(now));
+                end.map_or_else(String::new, |end| {
+                    format!("{}.{}", names.task(end.task), names.port_name(end.port))
+                })
+            }
+            _ => String::new(),
+        };
+        if text.is_empty() {
+            return Effect::Nothing;
+        }
+        self.told = Some(format!("copied {text}"));
+        Effect::Copy(text)
+    }
+
+    fn set_mark(&mut self, now: Moment) {
+        let at = self.moment(now);
+        self.mark = Some(Box::new((at, self.store().clone())));
+        self.told = Some(format!("marked at {}; d shows what has changed since", Span(at)));
+    }
+
+    /// To the next row that the filter finds by itself; without a filter, to the next at which something is wrong.
+    fn jump_to_match(&mut self, forward: bool, now: Moment) {
+        match self.screen {
+            Screen::Overview => {
+                let findings = self.findings(now);
+                let rows = self.rows(&findings, now);
+                let at = self.selected(&rows);
+                let fits = |row: &Row| {
+                    if self.shape.filter.is_empty() {
+                        findings.iter().any(|f| f.place == row.place)
+                    } else {
+                        let label = crate::view::label(self, row.place).to_lowercase();
+                        let own = label.rsplit('.').next().unwrap_or("");
+                        own.contains(&self.shape.filter)
+                    }
+                };
+                let found = if forward {
+                    (at + 1..rows.len()).chain(0..at).find(|&i| fits(&rows[i]))
+                } else {
+                    (0..at).rev().chain((at + 1..rows.len()).rev()).find(|&i| fits(&rows[i]))
+                };
+                self.selected = found.map(|i| rows[i].place).or(self.selected);
+            }
+            Screen::Events => self.jump_in_events(forward, Level::Warn),
+            Screen::Port
+            | Screen::Message
+            | Screen::Rendezvous
+            | Screen::Timeline
+            | Screen::Timers
+            | Screen::Model
+            | Screen::Help => {}
         }
     }
 
@@ -181,7 +310,9 @@ impl App {
                 self.selected = rows.get(to).map(|r| r.place);
             }
             Screen::Events => self.step_events(by),
-            Screen::Port | Screen::Rendezvous | Screen::Help => {
+            Screen::Timeline => self.step_chart(by),
+            Screen::Port => self.step_queue(by, now),
+            Screen::Message | Screen::Rendezvous | Screen::Timers | Screen::Model | Screen::Help => {
                 let most = self.lines(now).saturating_sub(1);
                 self.scroll = self.scroll.saturating_add_signed(by).min(most);
             }
@@ -190,15 +321,16 @@ impl App {
 
     /// How many lines the screens that only scroll have.
     fn lines(&self, now: Moment) -> usize {
-        match self.screen {
-            Screen::Port => {
-                let end = self.port(&self.queues(now));
-                let view = end.and_then(|e| self.store().life(e.life).and_then(|l| l.port(e.task, e.port)));
-                view.map_or(0, |v| v.queue.len())
-            }
-            Screen::Rendezvous | Screen::Help => crate::view::length(self, now),
-            Screen::Overview | Screen::Events => 0,
-        }
+        crate::view::length(self, now, self.size.0)
+    }
+
+    pub(super) fn step_queue(&mut self, by: isize, now: Moment) {
+        let end = self.port(&self.queues(now));
+        let view = end.and_then(|e| self.store().life(e.life).and_then(|l| l.port(e.task, e.port)));
+        let Some(view) = view else { return };
+        let to = self.entry(view).saturating_add_signed(by).min(view.queue.len().saturating_sub(1));
+        let entry = view.queue.get(to).map(|e| (e.source, e.id));
+        (self.scroll, self.entry) = (to, entry);
     }
 
     fn step_events(&mut self, by: isize) {
@@ -211,9 +343,13 @@ impl App {
     }
 
     fn jump_to_error(&mut self, forward: bool) {
+        self.jump_in_events(forward, Level::Bad);
+    }
+
+    fn jump_in_events(&mut self, forward: bool, least: Level) {
         let lines = self.events();
         let at = self.held.unwrap_or(u64::MAX);
-        let mut bad = lines.iter().filter(|e| e.level() == Level::Bad).map(|e| e.number);
+        let mut bad = lines.iter().filter(|e| e.level() >= least).map(|e| e.number);
         let found = if forward { bad.find(|n| *n > at) } else { bad.rfind(|n| *n < at) };
         if found.is_some() {
             self.held = found;

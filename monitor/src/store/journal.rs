@@ -180,7 +180,7 @@ pub(crate) const fn level_of(event: Event) -> Level {
     }
 }
 
-const fn word(event: Event) -> &'static str {
+pub(crate) const fn word(event: Event) -> &'static str {
     match event {
         Event::Sent => "sent",
         Event::Resent => "resent",

@@ -3,8 +3,9 @@
 use super::names::Names;
 use crate::clock::{Moment, Span};
 use crate::name::Name;
-use imrs_protocol::{NodeId, PortId, PortView, TaskId, Ticks};
+use imrs_protocol::{NodeId, PortId, PortView, TaskId, Ticks, TimeId};
 use imrs_wire::obs::{Snapshot, TaskSnapshot};
+use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::Arc;
 use std::time::Duration;
@@ -15,6 +16,9 @@ pub const SILENT: Duration = Duration::from_secs(1);
 const FRESH: Duration = Duration::from_millis(200);
 /// Rates are taken over at least so long.
 pub(super) const RATE: Duration = Duration::from_secs(2);
+
+/// How many timers of one node are remembered.
+const TIMERS: usize = 1024;
 
 /// A life of a node, for as long as the monitor runs.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -145,6 +149,8 @@ pub struct Life {
     pub lost: u64,
     /// The same, as it was at `base` and will be at the next one.
     pub(super) lost_before: (u64, u64),
+    /// The longest that each timer was ever seen to have left: nothing says how long it was armed for.
+    pub(super) longest: BTreeMap<(TaskId, TimeId), Ticks>,
 }
 
 impl Life {
@@ -219,8 +225,20 @@ impl Life {
         self.lost.saturating_sub(self.lost_before.0)
     }
 
+    /// How long a timer seems to be armed for, in microseconds: the most that was ever seen left of it.
+    #[must_use]
+    pub fn longest_timer(&self, task: TaskId, id: TimeId) -> Option<u64> {
+        self.longest.get(&(task, id)).map(|ticks| ticks.0.saturating_mul(self.tick_us))
+    }
+
     /// Takes a snapshot over; counters are compared with one that is [`RATE`] to twice that older.
     pub(super) fn take(&mut self, at: Moment, snapshot: Snapshot) {
+        for timer in &snapshot.timers {
+            if self.longest.len() < TIMERS || self.longest.contains_key(&(timer.owner, timer.id)) {
+                let longest = self.longest.entry((timer.owner, timer.id)).or_default();
+                *longest = (*longest).max(timer.remaining);
+            }
+        }
         let sample = Sample { at, snapshot: Arc::new(snapshot) };
         let due = self.next_base.as_ref().is_none_or(|next| at.saturating_sub(next.at) >= RATE);
         if due {

@@ -1,13 +1,16 @@
 //! All that the monitor knows: the lives of the nodes and what happened in them. Reducers only: no clock, no I/O.
 
 pub mod conformance;
+pub mod coverage;
 pub mod health;
 pub mod journal;
 mod life;
 pub mod meeting;
+pub mod message;
 mod names;
 pub mod rounds;
 pub mod service;
+pub mod timeline;
 pub mod trail;
 pub mod waits;
 
@@ -171,6 +174,7 @@ impl Store {
             next_base: None,
             lost: 0,
             lost_before: (0, 0),
+            longest: BTreeMap::new(),
         };
         let again = self.lives.iter().any(|l| l.names.cell == life.names.cell && l.node == life.node);
         // A node in a checker has no process.

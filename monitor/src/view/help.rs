@@ -6,7 +6,7 @@ use crate::keys::BINDINGS;
 use crate::theme::Ink;
 
 pub(super) fn draw(app: &App, pen: &mut Pen<'_>) {
-    let lines = lines(app);
+    let lines = lines(app, pen.area.width);
     let room = usize::from(pen.height());
     let first = app.scroll.min(lines.len().saturating_sub(1));
     for (y, (left, right, ink)) in (0..).zip(lines.iter().skip(first).take(room)) {
@@ -16,7 +16,7 @@ pub(super) fn draw(app: &App, pen: &mut Pen<'_>) {
 }
 
 /// Left, right, and how the right looks.
-pub(super) fn lines(app: &App) -> Vec<(String, String, Ink)> {
+pub(super) fn lines(app: &App, _width: u16) -> Vec<(String, String, Ink)> {
     let mut lines = vec![heading("KEYS")];
     for binding in BINDINGS {
         let on: Vec<_> = binding.on.iter().map(|screen| format!("{screen:?}").to_lowercase()).collect();

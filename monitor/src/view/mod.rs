@@ -2,15 +2,22 @@
 
 mod events;
 mod help;
+mod message;
+mod model;
 mod overview;
 mod pen;
 mod port;
 mod rendezvous;
 mod replay;
+mod timeline;
+mod timers;
+mod words;
 
 use crate::app::{App, Screen};
 use crate::clock::{Moment, Span};
 use crate::name::Name;
+use crate::rows::Sort;
+use crate::store::health::Place;
 use crate::store::journal::Level;
 use crate::store::{Condition, Presence};
 use crate::theme::Ink;
@@ -46,54 +53,142 @@ pub fn view(app: &App, now: Moment, area: Rect, buffer: &mut Buffer) {
         _ if app.cell().is_none() => nothing(app, &mut pen),
         Screen::Overview => overview::draw(app, now, &mut pen),
         Screen::Port => port::draw(app, now, &mut pen),
+        Screen::Message => message::draw(app, now, &mut pen),
         Screen::Rendezvous => rendezvous::draw(app, now, &mut pen),
+        Screen::Timeline => timeline::draw(app, now, &mut pen),
+        Screen::Timers => timers::draw(app, now, &mut pen),
         Screen::Events => events::draw(app, now, &mut pen),
+        Screen::Model => model::draw(app, now, &mut pen),
     }
 }
 
-/// How many lines the screen of `app` has where it only scrolls.
-pub(crate) fn length(app: &App, now: Moment) -> usize {
+/// How many lines the screen of `app` has at a width, where it only scrolls.
+pub(crate) fn length(app: &App, now: Moment, width: u16) -> usize {
+    let now = app.moment(now);
     match app.screen {
-        Screen::Rendezvous => rendezvous::lines(app, app.moment(now)).len(),
-        Screen::Help => help::lines(app).len(),
-        Screen::Overview | Screen::Port | Screen::Events => 0,
+        Screen::Message => message::length(app),
+        Screen::Rendezvous => rendezvous::lines(app, now, width).len(),
+        Screen::Timers => timers::lines(app, now).len(),
+        Screen::Model => model::lines(app, now, width).len(),
+        Screen::Help => help::lines(app, width).len(),
+        Screen::Overview | Screen::Port | Screen::Timeline | Screen::Events => 0,
     }
 }
 
-const TABS: [(Screen, &str); 4] = [
-    (Screen::Overview, "1 Over"),
-    (Screen::Port, "2 Port"),
-    (Screen::Rendezvous, "3 Rdv"),
-    (Screen::Events, "6 Events"),
+pub(crate) use overview::label;
+
+/// What a place on the screen is, for the mouse.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Hit {
+    /// The name of a screen.
+    Tab(Screen),
+    /// A row of the overview.
+    Row(Place),
+    /// The title of a column that rows can be sorted by.
+    Title(Sort),
+    /// A message of a queue, by its place in it.
+    Entry(usize),
+}
+
+/// What is at a column and row of a screen of this size.
+#[must_use]
+pub fn hit(app: &App, now: Moment, size: (u16, u16), at: (u16, u16)) -> Option<Hit> {
+    let moment = app.moment(now);
+    let (x, y) = at;
+    if y == 0 {
+        let mut end = 0;
+        let pieces = pieces(app, size.0, moment);
+        let piece = pieces.iter().find(|(text, ..)| {
+            end += ratatui::text::Span::raw(text.as_str()).width();
+            usize::from(x) < end
+        });
+        return piece.and_then(|(_, _, tab)| *tab).map(Hit::Tab);
+    }
+    if y + 1 >= size.1 {
+        return None;
+    }
+    match app.screen {
+        Screen::Overview => overview::hit(app, now, size, (x, y - 1)),
+        Screen::Port => port::hit(app, now, size, y - 1),
+        Screen::Message
+        | Screen::Rendezvous
+        | Screen::Timeline
+        | Screen::Timers
+        | Screen::Events
+        | Screen::Model
+        | Screen::Help => None,
+    }
+}
+
+/// A buffer as text, line by line, without what only fills.
+#[must_use]
+pub fn text(buffer: &Buffer) -> String {
+    let area = buffer.area;
+    let mut out = String::new();
+    for y in area.y..area.y + area.height {
+        let row: String = (area.x..area.x + area.width).map(|x| buffer[(x, y)].symbol()).collect();
+        out += row.trim_end();
+        out.push('\n');
+    }
+    out
+}
+
+/// The screens that the head names; the others belong to one of them.
+const TABS: [(Screen, char, &str); 7] = [
+    (Screen::Overview, '1', "Over"),
+    (Screen::Port, '2', "Port"),
+    (Screen::Rendezvous, '3', "Rdv"),
+    (Screen::Timeline, '4', "Time"),
+    (Screen::Timers, '5', "Timers"),
+    (Screen::Events, '6', "Events"),
+    (Screen::Model, '7', "Model"),
 ];
 
+/// A piece of the head, and the screen that a click on it shows.
+type Piece = (String, Ink, Option<Screen>);
+
 fn head(app: &App, now: Moment, pen: &mut Pen<'_>) {
-    let narrow = pen.area.width < 60;
-    let mut pieces = vec![(" imrs ".to_owned(), Ink::Head)];
+    let pieces = pieces(app, pen.area.width, now);
+    let pieces: Vec<_> = pieces.iter().map(|(text, ink, _)| (text.as_str(), *ink)).collect();
+    pen.line(0, &pieces);
+}
+
+fn pieces(app: &App, width: u16, now: Moment) -> Vec<Piece> {
+    let narrow = width < 60;
+    let mut glance = vec![(" imrs ".to_owned(), Ink::Head)];
     if let Some(cell) = app.cell() {
-        cell_at_a_glance(app, &cell, narrow, now, &mut pieces);
+        cell_at_a_glance(app, &cell, narrow, now, &mut glance);
     }
-    let tabs = tabs(app.screen, narrow);
+    let mut pieces: Vec<Piece> = glance.into_iter().map(|(text, ink)| (text, ink, None)).collect();
+    let tabs = tabs(app.screen, width);
     if narrow {
         // What comes last is cut first: where one is matters more than what one could know from the screen.
         let at = pieces.len().min(4);
         pieces.splice(at..at, tabs);
     } else {
-        pieces.push(("  ".to_owned(), Ink::Plain));
+        pieces.push(("  ".to_owned(), Ink::Plain, None));
         pieces.extend(tabs);
-        pieces.push(("  ? help".to_owned(), Ink::Dim));
+        pieces.push(("  ? help".to_owned(), Ink::Dim, Some(Screen::Help)));
     }
-    let pieces: Vec<_> = pieces.iter().map(|(text, ink)| (text.as_str(), *ink)).collect();
-    pen.line(0, &pieces);
+    pieces
 }
 
-fn tabs(shown: Screen, narrow: bool) -> Vec<(String, Ink)> {
-    if narrow {
-        let name = TABS.iter().find(|(screen, _)| *screen == shown).map_or("Help", |(_, name)| name);
-        return vec![(format!(" [{name}]"), Ink::Head)];
+/// With room the names of all screens; with less their keys, and the name of the one that is shown.
+fn tabs(shown: Screen, width: u16) -> Vec<Piece> {
+    let shown_tab = if shown == Screen::Message { Screen::Port } else { shown };
+    if width < 60 {
+        let tab = TABS.iter().find(|(screen, ..)| *screen == shown_tab);
+        let name = tab.map_or("Help".to_owned(), |(_, key, name)| format!("{key} {name}"));
+        return vec![(format!(" [{name}]"), Ink::Head, None)];
     }
-    let tab = |(screen, name): &(Screen, &str)| {
-        if *screen == shown { (format!("[{name}]"), Ink::Head) } else { (format!(" {name} "), Ink::Dim) }
+    let tab = |(screen, key, name): &(Screen, char, &str)| {
+        if *screen == shown_tab {
+            (format!("[{key} {name}]"), Ink::Head, Some(*screen))
+        } else if width < 110 {
+            (format!(" {key} "), Ink::Dim, Some(*screen))
+        } else {
+            (format!(" {key} {name} "), Ink::Dim, Some(*screen))
+        }
     };
     TABS.iter().map(tab).collect()
 }
@@ -102,7 +197,7 @@ fn tabs(shown: Screen, narrow: bool) -> Vec<(String, Ink)> {
 fn cell_at_a_glance(app: &App, cell: &Name, narrow: bool, now: Moment, pieces: &mut Vec<(String, Ink)>) {
     let cells = app.cells();
     let at = cells.iter().position(|c| c == cell).filter(|_| cells.len() > 1);
-    let of = at.map_or_else(String::new, |at| format!(" ({}/{}, c: next)", at + 1, cells.len()));
+    let of = at.map_or_else(String::new, |at| format!(" ({}/{}, C: next)", at + 1, cells.len()));
     pieces.push((format!(" {cell}{of}"), Ink::Plain));
     let (up, all) = nodes(app, now);
     let nodes = if narrow { "" } else { " nodes" };
@@ -146,7 +241,20 @@ fn foot(app: &App, now: Moment, pen: &mut Pen<'_>) {
         pen.line(y, &[(" /", Ink::Head), (&app.shape.filter, Ink::Plain), ("_", Ink::Plain)]);
         return;
     }
+    if let Some(command) = &app.command {
+        pen.line(y, &[(" :", Ink::Head), (command, Ink::Plain), ("_", Ink::Plain)]);
+        return;
+    }
     let mut pieces: Vec<(String, Ink)> = Vec::new();
+    if let Some(told) = &app.told {
+        pieces.push((format!(" {told}"), Ink::Head));
+    }
+    if let Some((at, _)) = app.mark().filter(|_| app.since_mark) {
+        pieces.push((
+            format!(" counters since the mark, {} ago; d ends it", Span(now.saturating_sub(at))),
+            Ink::Warn,
+        ));
+    }
     if let Some(at) = app.paused() {
         pieces.push((format!(" paused at {}; space goes on", Span(at)), Ink::Warn));
     }

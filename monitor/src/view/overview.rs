@@ -1,7 +1,8 @@
 //! Screen 1: nodes, their tasks, their ports; the worst of what is within a row stands in the row.
 
+use super::Hit;
 use super::mark;
-use super::pen::{Column, Pen, bar, first_row};
+use super::pen::{Column, Pen, bar, first_row, widths};
 use crate::app::App;
 use crate::clock::{Moment, Span};
 use crate::rows::{Row, Sort};
@@ -93,8 +94,35 @@ pub(super) fn draw(app: &App, now: Moment, pen: &mut Pen<'_>) {
     }
 }
 
+/// What is at a column and row below the head.
+pub(super) fn hit(app: &App, now: Moment, size: (u16, u16), at: (u16, u16)) -> Option<Hit> {
+    let (x, y) = at;
+    if y == 0 {
+        let (columns, _) = columns(size.0);
+        let widths = widths(&columns, size.0.saturating_sub(2));
+        let mut start = 2;
+        for (column, width) in columns.iter().zip(widths) {
+            if x >= start && x < start + width {
+                return match column.title {
+                    "NODE/TASK/PORT" => Some(Hit::Title(Sort::Name)),
+                    "QUEUE" => Some(Hit::Title(Sort::Queue)),
+                    "SLACK" => Some(Hit::Title(Sort::Slack)),
+                    "HEALTH" => Some(Hit::Title(Sort::Health)),
+                    _ => None,
+                };
+            }
+            start += width + 1;
+        }
+        return None;
+    }
+    let rows = app.rows(&app.findings(now), now);
+    let height = usize::from(size.1.saturating_sub(3));
+    let first = first_row(app.selected(&rows), rows.len(), height);
+    rows.get(first + usize::from(y) - 1).map(|row| Hit::Row(row.place))
+}
+
 /// What a place is called: `node.task.port`, as far as it goes.
-pub(super) fn label(app: &App, place: Place) -> String {
+pub(crate) fn label(app: &App, place: Place) -> String {
     let store = app.store();
     let Ok(life) = place.node else {
         let cell = app.cell().and_then(|c| store.names(&c).cloned());

@@ -75,19 +75,7 @@ impl Pen<'_> {
 
     /// The widths that `columns` get.
     pub(super) fn widths(&self, columns: &[Column]) -> Vec<u16> {
-        let gaps = u16::try_from(columns.len().saturating_sub(1)).unwrap_or(0);
-        let fixed: u16 = columns.iter().map(|c| c.width).sum();
-        let open = columns.iter().filter(|c| c.width == 0).count();
-        let left = self.area.width.saturating_sub(fixed + gaps);
-        let share = left / u16::try_from(open).unwrap_or(1).max(1);
-        let mut spare = left - share * u16::try_from(open).unwrap_or(0);
-        let mut width = |c: &Column| {
-            if c.width > 0 {
-                return c.width;
-            }
-            share + std::mem::take(&mut spare)
-        };
-        columns.iter().map(&mut width).collect()
+        widths(columns, self.area.width)
     }
 
     /// Writes a row of a table.
@@ -106,6 +94,23 @@ impl Pen<'_> {
         let cells: Vec<_> = columns.iter().map(|c| (c.title, Ink::Dim)).collect();
         self.row(y, columns, widths, &cells);
     }
+}
+
+/// The widths that `columns` get in `width`.
+pub(super) fn widths(columns: &[Column], width: u16) -> Vec<u16> {
+    let gaps = u16::try_from(columns.len().saturating_sub(1)).unwrap_or(0);
+    let fixed: u16 = columns.iter().map(|c| c.width).sum();
+    let open = columns.iter().filter(|c| c.width == 0).count();
+    let left = width.saturating_sub(fixed + gaps);
+    let share = left / u16::try_from(open).unwrap_or(1).max(1);
+    let mut spare = left - share * u16::try_from(open).unwrap_or(0);
+    let mut width = |c: &Column| {
+        if c.width > 0 {
+            return c.width;
+        }
+        share + std::mem::take(&mut spare)
+    };
+    columns.iter().map(&mut width).collect()
 }
 
 /// A bar of `width` columns of which `part` of `whole` is full. What is not nothing shows at least one full column.

@@ -1,11 +1,18 @@
 //! Screen 2: the messages that wait at one port, in the order they will be served, and how long each still has.
 
-use super::pen::{Column, Pen, bar};
+use super::Hit;
+use super::pen::{Column, Pen, bar, first_row};
 use crate::app::App;
 use crate::clock::{Moment, Span};
+use crate::store::service::{Service, Share, service};
 use crate::store::{Life, PortInfo};
 use crate::theme::Ink;
-use imrs_protocol::{Class, PortView, TaskId};
+use imrs_protocol::{Class, PortView, QueueEntry, TaskId};
+
+/// The rows above the table: with little room only what the port is and what it has counted.
+const fn above(height: u16) -> u16 {
+    if height < 14 { 2 } else { 5 }
+}
 
 pub(super) fn draw(app: &App, now: Moment, pen: &mut Pen<'_>) {
     let queues = app.queues(now);
@@ -20,12 +27,70 @@ pub(super) fn draw(app: &App, now: Moment, pen: &mut Pen<'_>) {
         .iter()
         .position(|q| *q == end)
         .map_or_else(String::new, |i| format!("{}/{}", i + 1, queues.len()));
+    let above = above(pen.height());
     about(life, end.task, view, info, &at, now, pen);
     counters(view, pen);
+    let served = service(app.store(), end.life, end.task, end.port);
+    if above > 2 {
+        shares(life, served.as_ref(), pen);
+        fill(app, view, served.as_ref(), pen);
+    }
     let whole = info.and_then(|i| i.time_out(end.task)).map_or(0, |t| t.0.saturating_mul(life.tick_us));
-    let age_us = task.age_us;
-    let mut table = pen.below(3);
-    queue(app, life, view, (whole, age_us), now, &mut table);
+    let queue = Queue { app, life, view, served: served.as_ref(), whole_us: whole, age_us: task.age_us, now };
+    queue.draw(&mut pen.below(above));
+}
+
+/// The message at a row below the head.
+pub(super) fn hit(app: &App, now: Moment, size: (u16, u16), y: u16) -> Option<Hit> {
+    let end = app.port(&app.queues(now))?;
+    let view = app.store().life(end.life)?.port(end.task, end.port)?;
+    let height = size.1.saturating_sub(2);
+    let row = usize::from(y.checked_sub(above(height) + 1)?);
+    let room = usize::from(height.saturating_sub(above(height) + 1));
+    let at = first_row(app.entry(view), view.queue.len(), room) + row;
+    (at < view.queue.len()).then_some(Hit::Entry(at))
+}
+
+/// How long the task takes for a message, and how its sources fare against each other.
+fn shares(life: &Life, served: Option<&Service>, pen: &mut Pen<'_>) {
+    let Some(served) = served else {
+        pen.line(2, &[(" service: ", Ink::Dim), ("nothing seen of it yet", Ink::Dim)]);
+        return;
+    };
+    let time = |us: Option<u64>| us.map_or_else(|| "-".to_owned(), |us| Span::micros(us).to_string());
+    let svc = format!("p50 {} p99 {}", time(served.p50_us), time(served.p99_us));
+    let samples = format!(" of {}", served.samples);
+    let mut pieces = vec![(" service: ".to_owned(), Ink::Dim), (svc, Ink::Plain), (samples, Ink::Dim)];
+    pieces.push(("  by source: ".to_owned(), Ink::Dim));
+    if let Some(jain) = served.jain() {
+        let ink = if jain < 0.8 { Ink::Warn } else { Ink::Plain };
+        pieces.push((format!("Jain {jain:.2} "), ink));
+    }
+    let share = |(source, share): &(TaskId, Share)| {
+        let rejected = if share.rejected > 0 { format!(", {} rejected", share.rejected) } else { String::new() };
+        format!("{} {}/{}{rejected}", life.names.task(*source), share.served, share.offered)
+    };
+    let each: Vec<_> = served.by_source.iter().map(share).collect();
+    pieces.push((each.join("  "), Ink::Plain));
+    let pieces: Vec<_> = pieces.iter().map(|(text, ink)| (text.as_str(), *ink)).collect();
+    pen.line(2, &pieces);
+}
+
+/// How full the buffer has been, and how urgent what waited in it.
+fn fill(app: &App, view: &PortView, served: Option<&Service>, pen: &mut Pen<'_>) {
+    let Some(served) = served else { return };
+    let heights = app.theme.glyphs.heights;
+    let top = usize::from(view.capacity.max(1));
+    let height = |len: &u16| {
+        let at = (usize::from(*len) * (heights.len() - 1)).div_ceil(top).min(heights.len() - 1);
+        heights[at]
+    };
+    let room = usize::from(pen.area.width.saturating_sub(40)).max(10);
+    let late = served.fill.iter().skip(served.fill.len().saturating_sub(room));
+    let drawn: String = late.map(height).collect();
+    let time = |us: Option<u64>| us.map_or_else(|| "-".to_owned(), |us| Span::micros(us).to_string());
+    let slack = format!("  slack p5 {} p50 {}", time(served.slack_p5_us), time(served.slack_p50_us));
+    pen.line(3, &[(" fill: ", Ink::Dim), (&drawn, Ink::Bar), (&slack, Ink::Plain)]);
 }
 
 fn about(
@@ -83,51 +148,144 @@ fn counters(view: &PortView, pen: &mut Pen<'_>) {
     pen.line(1, &[(" since start: ", Ink::Dim), (&text.join("  "), Ink::Plain)]);
 }
 
-fn queue(app: &App, life: &Life, view: &PortView, whole_age: (u64, u64), now: Moment, pen: &mut Pen<'_>) {
-    let (whole, age_us) = whole_age;
-    let wide = pen.area.width >= 60;
-    let mut columns = vec![Column::right("#", 4), Column::left("FROM", if wide { 16 } else { 8 })];
-    if wide {
-        columns.extend([Column::left("MSG", 12), Column::left("CLS", 3)]);
-    }
-    columns.extend([Column::right("REMAIN", 8), Column::left("LEFT OF LIFE", 0)]);
-    let widths = pen.widths(&columns);
-    pen.titles(0, &columns, &widths);
-    if view.queue.is_empty() {
-        pen.line(1, &[("    - no message waits -", Ink::Dim)]);
-        return;
-    }
-    let room = usize::from(pen.height().saturating_sub(1));
-    let last = widths.last().copied().unwrap_or(0);
-    for (y, (i, entry)) in (1..).zip(view.queue.iter().enumerate().skip(app.scroll).take(room)) {
-        let left = life.left(entry.remaining, age_us, now);
-        let urgent = left.us < whole / 10;
-        let ink = if left.us == 0 {
-            Ink::Bad
-        } else if urgent {
-            Ink::Warn
-        } else {
-            Ink::Plain
+/// The messages of a port, and what their fate is judged by.
+struct Queue<'a> {
+    app: &'a App,
+    life: &'a Life,
+    view: &'a PortView,
+    served: Option<&'a Service>,
+    /// The whole life of a message.
+    whole_us: u64,
+    /// How long before the snapshot the remaining times were true.
+    age_us: u64,
+    now: Moment,
+}
+
+/// How many rejections by rank make a message a starving one.
+const STARVING: u32 = 3;
+
+impl Queue<'_> {
+    fn draw(&self, pen: &mut Pen<'_>) {
+        let width = pen.area.width;
+        let shown: &[usize] = match width {
+            0..60 => &[0, 1, 4, 5],
+            60..100 => &[0, 1, 2, 4, 5, 8],
+            _ => &[0, 1, 2, 3, 4, 5, 6, 7, 8],
         };
-        let number = (i + 1).to_string();
-        let from = life.names.task(entry.source);
-        let id = format!("#{}", entry.id);
-        let class = if entry.class == Class::Command { "2" } else { "1" };
-        let remain = if left.us == 0 { "expired".to_owned() } else { left.to_string() };
-        let bar = format!("[{}]", bar(&app.theme, last.saturating_sub(2).min(60), left.us, whole));
-        let mut cells = vec![(number.as_str(), Ink::Dim), (from.shown(), Ink::Plain)];
-        if wide {
-            cells.extend([(id.as_str(), Ink::Dim), (class, Ink::Plain)]);
+        let columns: Vec<Column> = shown.iter().map(|&i| column(i, width)).collect();
+        let mut inner = pen.below(0);
+        inner.area.x += 1.min(inner.area.width);
+        inner.area.width = inner.area.width.saturating_sub(1);
+        let widths = inner.widths(&columns);
+        inner.titles(0, &columns, &widths);
+        if self.view.queue.is_empty() {
+            inner.line(1, &[("   - no message waits -", Ink::Dim)]);
+            return;
         }
-        cells
-            .extend([(remain.as_str(), ink), (bar.as_str(), if ink == Ink::Plain { Ink::Bar } else { ink })]);
-        pen.row(y, &columns, &widths, &cells);
+        let bar_at = shown.iter().position(|&i| i == 5).unwrap_or(0);
+        let bar_width = widths.get(bar_at).map_or(0, |w| w.saturating_sub(2)).min(60);
+        let room = usize::from(inner.height().saturating_sub(1));
+        let selected = self.app.entry(self.view);
+        let first = first_row(selected, self.view.queue.len(), room);
+        for (y, (i, entry)) in (1..).zip(self.view.queue.iter().enumerate().skip(first).take(room)) {
+            let cells = self.cells(i, entry, bar_width);
+            let cells: Vec<_> = shown.iter().map(|&c| (cells[c].0.as_str(), cells[c].1)).collect();
+            let mut inner = pen.below(0);
+            inner.area.x += 1.min(inner.area.width);
+            inner.area.width = inner.area.width.saturating_sub(1);
+            inner.row(y, &columns, &widths, &cells);
+            if i == selected {
+                pen.at(0, y, 1, self.app.theme.glyphs.selected, Ink::Head);
+                pen.select(y);
+            }
+        }
+        self.hidden(first + room, pen);
     }
-    let listed = app.scroll + room;
-    let hidden = usize::from(view.len).max(view.queue.len()).saturating_sub(listed);
-    if hidden > 0 && pen.height() > 0 {
-        let text = format!(" {hidden} more ");
-        let x = pen.area.width.saturating_sub(u16::try_from(text.len()).unwrap_or(0));
-        pen.at(x, 0, u16::MAX, &text, Ink::Head);
+
+    /// At the right of the titles: how many rows are below.
+    fn hidden(&self, shown: usize, pen: &mut Pen<'_>) {
+        let hidden = usize::from(self.view.len).max(self.view.queue.len()).saturating_sub(shown);
+        if hidden > 0 && pen.height() > 0 {
+            let text = format!(" {hidden} more ");
+            let x = pen.area.width.saturating_sub(u16::try_from(text.len()).unwrap_or(0));
+            pen.at(x, 0, u16::MAX, &text, Ink::Head);
+        }
+    }
+
+    /// Place, source, id, class, time left, bar, age, rejections, verdict.
+    fn cells(&self, at: usize, entry: &QueueEntry, bar_width: u16) -> [(String, Ink); 9] {
+        let left = self.life.left(entry.remaining, self.age_us, self.now);
+        let rejected = self.served.map_or(0, |s| s.rejections(entry.source, entry.id.sequence.get()));
+        let done_us = self.served.and_then(|served| served.done_in(at));
+        let (verdict, ink) = self.verdict(at, entry, left.us, done_us, rejected);
+        let tight = if ink == Ink::Plain && left.us < self.whole_us / 10 { Ink::Warn } else { ink };
+        let remain = if left.us == 0 { "expired".to_owned() } else { left.to_string() };
+        let age = Span::micros(self.whole_us.saturating_sub(left.us)).to_string();
+        let class = if entry.class == Class::Command { "2" } else { "1" };
+        let bar = self.bar(bar_width, left.us, done_us);
+        [
+            ((at + 1).to_string(), Ink::Dim),
+            (self.life.names.task(entry.source).to_string(), Ink::Plain),
+            (format!("#{}", entry.id), Ink::Dim),
+            (class.to_owned(), Ink::Plain),
+            (remain, tight),
+            (bar, if tight == Ink::Plain { Ink::Bar } else { tight }),
+            (age, Ink::Dim),
+            (rejected.to_string(), if rejected > 0 { Ink::Warn } else { Ink::Dim }),
+            (verdict, ink),
+        ]
+    }
+
+    /// What is left of a message's life, and in it the mark by which it is likely to be done.
+    fn bar(&self, width: u16, left_us: u64, done_us: Option<u64>) -> String {
+        let plain = bar(&self.app.theme, width, left_us, self.whole_us);
+        let Some(done_us) = done_us.filter(|_| self.whole_us > 0 && width > 0) else { return format!("[{plain}]") };
+        let at = u128::from(done_us) * u128::from(width) / u128::from(self.whole_us);
+        let at = usize::try_from(at).unwrap_or(usize::MAX).min(usize::from(width) - 1);
+        let marked = |(i, sign): (usize, char)| {
+            if i == at { self.app.theme.glyphs.done.to_owned() } else { sign.to_string() }
+        };
+        format!("[{}]", plain.chars().enumerate().map(marked).collect::<String>())
+    }
+
+    fn verdict(
+        &self,
+        at: usize,
+        entry: &QueueEntry,
+        left_us: u64,
+        done_us: Option<u64>,
+        rejected: u32,
+    ) -> (String, Ink) {
+        let full = self.view.len >= self.view.capacity && self.view.capacity > 0;
+        // Only class 1 makes room for others, the least urgent first.
+        let last = self.view.queue.iter().rposition(|e| e.class == Class::Status) == Some(at);
+        match done_us {
+            _ if left_us == 0 => ("expired".to_owned(), Ink::Bad),
+            Some(needs) if left_us < needs => {
+                (format!("!! MISS likely: needs {}", Span::micros(needs)), Ink::Bad)
+            }
+            _ if rejected >= STARVING => (format!("! starving: {rejected} rejects"), Ink::Warn),
+            _ if full && last && entry.class == Class::Status => {
+                ("! first to go: the buffer is full".to_owned(), Ink::Warn)
+            }
+            Some(_) => ("ok".to_owned(), Ink::Plain),
+            None => ("-".to_owned(), Ink::Plain),
+        }
+    }
+}
+
+/// The columns, in the order of [`Queue::cells`].
+const fn column(which: usize, width: u16) -> Column {
+    let wide = width >= 100;
+    match which {
+        0 => Column::right("#", 2),
+        1 => Column::left("FROM", if width < 60 { 8 } else if wide { 16 } else { 10 }),
+        2 => Column::left("MSG", if wide { 12 } else { 9 }),
+        3 => Column::left("CLS", 3),
+        4 => Column::right("REMAIN", 8),
+        5 => Column::left("LEFT OF LIFE", if width < 60 { 0 } else if width < 100 { 18 } else if width < 160 { 30 } else { 62 }),
+        6 => Column::right("AGE", 7),
+        7 => Column::right("REJ", 4),
+        _ => Column::left("VERDICT", 0),
     }
 }

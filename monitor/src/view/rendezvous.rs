@@ -24,8 +24,8 @@ pub(super) fn draw(app: &App, now: Moment, pen: &mut Pen<'_>) {
 }
 
 /// All lines of the screen, for scrolling.
-pub(super) fn lines(app: &App, now: Moment) -> Vec<Line> {
-    cards(app, now, 80)
+pub(super) fn lines(app: &App, now: Moment, width: u16) -> Vec<Line> {
+    cards(app, now, width)
 }
 
 fn cards(app: &App, now: Moment, width: u16) -> Vec<Line> {

@@ -1,0 +1,205 @@
+//! The timeline as the user wants it: which lanes, how fine, and how far back.
+
+use super::App;
+use crate::clock::Moment;
+use crate::name::Name;
+use crate::store::timeline::{Gap, Mark, Timeline, timeline};
+use crate::store::{Life, LifeId};
+use imrs_protocol::{NodeId, TaskId};
+use std::time::Duration;
+
+/// How many marks are put in order for a frame.
+const MOST: usize = 4096;
+/// Quiet rows that are drawn one by one; more of them take one row.
+const QUIET: u128 = 2;
+
+/// How much time a row takes; `None`: every mark has a row.
+pub const ZOOMS: [Option<Duration>; 8] = [
+    None,
+    Some(Duration::from_millis(1)),
+    Some(Duration::from_millis(5)),
+    Some(Duration::from_millis(20)),
+    Some(Duration::from_millis(100)),
+    Some(Duration::from_millis(500)),
+    Some(Duration::from_secs(2)),
+    Some(Duration::from_secs(10)),
+];
+
+/// A mark, wherever it stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Anchor {
+    life: LifeId,
+    task: TaskId,
+    mono_us: u64,
+    number: u32,
+}
+
+impl Anchor {
+    fn of(mark: &Mark) -> Self {
+        Self { life: mark.life, task: mark.task, mono_us: mark.seen.mono_us, number: mark.seen.what.number }
+    }
+}
+
+/// How the user wants the timeline.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Lanes {
+    /// The lane whose clock labels the rows.
+    lane: Option<TaskId>,
+    /// Where in [`ZOOMS`].
+    zoom: usize,
+    /// The mark in the last row; `None`: the latest.
+    held: Option<Anchor>,
+}
+
+/// A row of the timeline.
+#[derive(Clone, Debug)]
+pub enum Slice {
+    /// These marks.
+    Marks(Vec<usize>),
+    /// Observations were lost here.
+    Lost(Gap),
+    /// Nothing happened for so long.
+    Quiet(Duration),
+}
+
+/// The timeline in rows.
+#[derive(Clone, Debug, Default)]
+pub struct Chart {
+    /// All marks.
+    pub timeline: Timeline,
+    /// The lanes, in the order of the cell.
+    pub lanes: Vec<TaskId>,
+    /// The selected one, among the lanes.
+    pub lane: usize,
+    /// The rows, oldest first.
+    pub rows: Vec<Slice>,
+    /// The last row shown.
+    pub bottom: usize,
+    /// Whether the bottom row stays where it is.
+    pub held: bool,
+    /// How much time a row takes.
+    pub zoom: Option<Duration>,
+}
+
+impl Chart {
+    /// The mark that stands for a row, if it has any.
+    #[must_use]
+    pub fn mark(&self, row: usize) -> Option<&Mark> {
+        match self.rows.get(row)? {
+            Slice::Marks(marks) => marks.last().and_then(|&at| self.timeline.marks.get(at)),
+            Slice::Lost(_) | Slice::Quiet(_) => None,
+        }
+    }
+}
+
+impl App {
+    /// The timeline of the cell shown.
+    #[must_use]
+    pub fn chart(&self) -> Chart {
+        let Some(cell) = self.cell() else { return Chart::default() };
+        let timeline = timeline(self.store(), &cell, MOST);
+        let lanes = self.wanted_lanes(&cell);
+        let lane = self.lanes.lane.and_then(|wanted| lanes.iter().position(|t| *t == wanted)).unwrap_or(0);
+        let zoom = ZOOMS.get(self.lanes.zoom).copied().flatten();
+        let rows = slices(&timeline, &lanes, zoom);
+        let last = rows.len().saturating_sub(1);
+        let is_held = |row: &Slice| match row {
+            Slice::Marks(marks) => {
+                marks.iter().any(|&at| Some(Anchor::of(&timeline.marks[at])) == self.lanes.held)
+            }
+            Slice::Lost(_) | Slice::Quiet(_) => false,
+        };
+        let held = self.lanes.held.map(|_| rows.iter().rposition(is_held).unwrap_or(0));
+        let bottom = held.unwrap_or(last).min(last);
+        Chart { timeline, lanes, lane, rows, bottom, held: held.is_some(), zoom }
+    }
+
+    /// The tasks whose name or node has the filter's text; all, if none has.
+    fn wanted_lanes(&self, cell: &Name) -> Vec<TaskId> {
+        let Some(names) = self.store().names(cell) else { return Vec::new() };
+        let all = || (0..names.tasks.len()).map(TaskId::from_index);
+        let has = |name: &Name| name.shown().to_lowercase().contains(&self.shape.filter);
+        let wanted = |task: &TaskId| {
+            has(&names.task(*task)) || names.home(*task).is_some_and(|node| has(&names.node(node)))
+        };
+        let found: Vec<_> = all().filter(wanted).collect();
+        if found.is_empty() { all().collect() } else { found }
+    }
+
+    /// The life that a task of the cell shown lives now.
+    #[must_use]
+    pub fn life_of_task(&self, task: TaskId) -> Option<&Life> {
+        let cell = self.cell()?;
+        let home: NodeId = self.store().names(&cell)?.home(task)?;
+        self.store().latest(&cell, home)
+    }
+
+    pub(super) fn next_lane(&mut self, forward: bool) {
+        let chart = self.chart();
+        let count = chart.lanes.len().max(1);
+        let to = if forward { chart.lane + 1 } else { chart.lane + count - 1 } % count;
+        self.lanes.lane = chart.lanes.get(to).copied();
+    }
+
+    pub(super) fn zoom(&mut self, closer: bool) {
+        let to = if closer { self.lanes.zoom.saturating_sub(1) } else { self.lanes.zoom + 1 };
+        self.lanes.zoom = to.min(ZOOMS.len() - 1);
+    }
+
+    pub(super) fn step_chart(&mut self, by: isize) {
+        let chart = self.chart();
+        let last = chart.rows.len().saturating_sub(1);
+        let mut to = chart.bottom.saturating_add_signed(by).min(last);
+        // Only rows with marks can be held: the next such one in the direction one goes.
+        while chart.mark(to).is_none() && to > 0 && to < last {
+            to = if by < 0 { to - 1 } else { to + 1 };
+        }
+        self.lanes.held = chart.mark(to).map(Anchor::of).filter(|_| to < last);
+    }
+
+    pub(super) fn follow_chart(&mut self) {
+        self.lanes.held = None;
+    }
+}
+
+/// What a node's own clock says at a moment of the monitor's: since the node started, in microseconds.
+#[must_use]
+pub fn own_clock(life: &Life, at: Moment) -> Option<u64> {
+    let last = life.last.as_ref()?;
+    let uptime = Duration::from_micros(last.snapshot.uptime_us);
+    let passed = (at + uptime).saturating_sub(last.at);
+    u64::try_from(passed.as_micros()).ok()
+}
+
+fn slices(timeline: &Timeline, lanes: &[TaskId], zoom: Option<Duration>) -> Vec<Slice> {
+    let mut rows = Vec::new();
+    let mut gaps = timeline.gaps.iter().peekable();
+    let mut before: Option<u128> = None;
+    let marks = timeline.marks.iter().enumerate().filter(|(_, mark)| lanes.contains(&mark.task));
+    for (at, mark) in marks {
+        while let Some(gap) = gaps.next_if(|gap| gap.order <= mark.order) {
+            rows.push(Slice::Lost(*gap));
+            before = None;
+        }
+        let Some(zoom) = zoom else {
+            rows.push(Slice::Marks(vec![at]));
+            continue;
+        };
+        let bucket = mark.order.as_micros() / zoom.as_micros().max(1);
+        match (before, rows.last_mut()) {
+            (Some(same), Some(Slice::Marks(marks))) if same == bucket => marks.push(at),
+            (earlier, _) => {
+                let quiet = earlier.map_or(0, |earlier| bucket.saturating_sub(earlier).saturating_sub(1));
+                if quiet > QUIET {
+                    rows.push(Slice::Quiet(zoom.saturating_mul(u32::try_from(quiet).unwrap_or(u32::MAX))));
+                } else {
+                    rows.extend((0..quiet).map(|_| Slice::Marks(Vec::new())));
+                }
+                rows.push(Slice::Marks(vec![at]));
+            }
+        }
+        before = Some(bucket);
+    }
+    rows.extend(gaps.map(|gap| Slice::Lost(*gap)));
+    rows
+}

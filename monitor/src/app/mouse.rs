@@ -1,0 +1,60 @@
+//! What the mouse does: it is never needed, everything has a key.
+
+use super::{App, Effect};
+use crate::clock::Moment;
+use crate::keys::Action;
+use crate::view::Hit;
+use crossterm::event::{MouseButton, MouseEvent, MouseEventKind};
+
+/// How many rows a turn of the wheel goes.
+const WHEEL: usize = 3;
+
+impl App {
+    pub(super) fn clicked(&mut self, event: MouseEvent, now: Moment) -> Effect {
+        if !self.mouse {
+            return Effect::Nothing;
+        }
+        match event.kind {
+            MouseEventKind::ScrollUp => self.again(Action::Up, now),
+            MouseEventKind::ScrollDown => self.again(Action::Down, now),
+            MouseEventKind::Down(MouseButton::Left) => {
+                match crate::view::hit(self, now, self.size, (event.column, event.row)) {
+                    Some(Hit::Tab(screen)) => self.act(Action::Show(screen), now),
+                    Some(Hit::Row(place)) if self.selected == Some(place) => self.act(Action::Enter, now),
+                    Some(Hit::Row(place)) => {
+                        self.selected = Some(place);
+                        Effect::Draw
+                    }
+                    Some(Hit::Entry(at)) if self.scroll == at && self.entry.is_some() => {
+                        self.act(Action::Enter, now)
+                    }
+                    Some(Hit::Entry(at)) => {
+                        self.scroll = at;
+                        self.entry = None;
+                        self.step_queue(0, now);
+                        Effect::Draw
+                    }
+                    Some(Hit::Title(sort)) if self.shape.sort == sort => self.act(Action::Invert, now),
+                    Some(Hit::Title(sort)) => {
+                        (self.shape.sort, self.shape.inverted) = (sort, false);
+                        Effect::Draw
+                    }
+                    None => Effect::Nothing,
+                }
+            }
+            MouseEventKind::Down(_)
+            | MouseEventKind::Up(_)
+            | MouseEventKind::Drag(_)
+            | MouseEventKind::Moved
+            | MouseEventKind::ScrollLeft
+            | MouseEventKind::ScrollRight => Effect::Nothing,
+        }
+    }
+
+    fn again(&mut self, action: Action, now: Moment) -> Effect {
+        for _ in 0..WHEEL {
+            self.act(action, now);
+        }
+        Effect::Draw
+    }
+}

@@ -1,0 +1,254 @@
+//! What happened in each task, in an order that respects causes: what a task sent stands before what others made of it,
+//! whatever the clocks of their nodes say.
+//!
+//! The paper has no synchronized clock, and neither has the monitor: each node's clock is put against the monitor's by
+//! the snapshot that took the shortest way, and what follows from that across nodes is an estimate.
+
+use super::trail::Seen;
+use super::{LifeId, Store};
+use crate::clock::Moment;
+use crate::name::Name;
+use imrs_protocol::{Event, PortId, TaskId};
+use std::cmp::Reverse;
+use std::collections::{BTreeMap, BinaryHeap};
+use std::time::Duration;
+
+/// How far the clocks of two nodes may be apart in the monitor's estimate, where one looks for the cause of something.
+const APART: Duration = Duration::from_millis(100);
+
+/// Something that happened in a task.
+#[derive(Clone, Copy, Debug)]
+pub struct Mark {
+    /// In this life of its node.
+    pub life: LifeId,
+    /// In this task; for what a transit buffer dropped, the task that had sent it.
+    pub task: TaskId,
+    /// Whether a transit buffer of this life's node dropped it.
+    pub in_transit: bool,
+    /// What, and when on the node's own clock.
+    pub seen: Seen,
+    /// When on the monitor's clock, as far as can be told.
+    pub at: Moment,
+    /// A moment by which all is ordered: [`Mark::at`], but never before its cause.
+    pub order: Moment,
+    /// The cause in another task: its place among the marks.
+    pub cause: Option<usize>,
+}
+
+/// That observations were lost.
+#[derive(Clone, Copy, Debug)]
+pub struct Gap {
+    /// Of this life.
+    pub life: LifeId,
+    /// So many.
+    pub lost: u64,
+    /// Before this.
+    pub order: Moment,
+}
+
+/// The marks of a cell in their order, and the gaps between them.
+#[derive(Clone, Debug, Default)]
+pub struct Timeline {
+    /// The marks.
+    pub marks: Vec<Mark>,
+    /// The gaps, in their order.
+    pub gaps: Vec<Gap>,
+}
+
+/// The last `most` marks of a cell.
+#[must_use]
+pub fn timeline(store: &Store, cell: &Name, most: usize) -> Timeline {
+    timeline_of(store, cell, most, |_| true)
+}
+
+/// The last `most` marks of a cell that are wanted.
+#[must_use]
+pub fn timeline_of(store: &Store, cell: &Name, most: usize, wanted: impl Fn(&Seen) -> bool) -> Timeline {
+    let lives: Vec<LifeId> = store.lives_of(cell).map(|life| life.id).collect();
+    let offsets = offsets(store, cell);
+    let mut marks: Vec<Mark> = Vec::new();
+    let mut gaps = Vec::new();
+    for batch in store.trail().batches().rev().filter(|batch| lives.contains(&batch.life)) {
+        if marks.len() >= most {
+            break;
+        }
+        let moment = |seen: &Seen| match offsets.get(&batch.life) {
+            Some(offset) => moment(seen.mono_us, *offset),
+            None => batch.moment(seen),
+        };
+        if batch.lost > 0 {
+            let order = batch.seen.iter().map(moment).min().unwrap_or(batch.at);
+            gaps.push(Gap { life: batch.life, lost: batch.lost, order });
+        }
+        for seen in batch.seen.iter().rev().filter(|seen| wanted(seen)) {
+            let at = moment(seen);
+            let (task, in_transit) = seen.task.map_or((seen.what.peer, true), |task| (task, false));
+            marks.push(Mark { life: batch.life, task, in_transit, seen: *seen, at, order: at, cause: None });
+        }
+    }
+    marks.reverse();
+    marks.sort_by_key(|mark| mark.at);
+    find_causes(&mut marks);
+    gaps.sort_by_key(|gap| gap.order);
+    Timeline { marks: ordered(marks), gaps }
+}
+
+/// For each life, how far the monitor's clock is ahead of the node's, in microseconds.
+fn offsets(store: &Store, cell: &Name) -> BTreeMap<LifeId, i128> {
+    let offset = |life: &super::Life| {
+        let samples = [&life.last, &life.base].into_iter().flatten();
+        let ahead = samples.map(|s| micros(s.at) - i128::from(s.snapshot.mono_us));
+        Some((life.id, ahead.min()?))
+    };
+    store.lives_of(cell).filter_map(offset).collect()
+}
+
+fn moment(mono_us: u64, offset: i128) -> Moment {
+    Duration::from_micros(u64::try_from(i128::from(mono_us) + offset).unwrap_or(0))
+}
+
+fn micros(at: Moment) -> i128 {
+    i128::try_from(at.as_micros()).unwrap_or(i128::MAX)
+}
+
+/// What can be the cause of something elsewhere: by whom, on which port, of which kind, with which number.
+type Act = (TaskId, PortId, Kind, u32);
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Kind {
+    Message,
+    Answer,
+    Arrival,
+    Confirm,
+    GivingUp,
+}
+
+/// What a mark may be the cause of.
+fn act(mark: &Mark) -> Option<Act> {
+    let what = mark.seen.what;
+    let kind = match what.event {
+        Event::Sent => Kind::Message,
+        Event::Replied => Kind::Answer,
+        Event::Reached | Event::Rejoined => Kind::Arrival,
+        Event::Confirmed => Kind::Confirm,
+        Event::GaveUp => Kind::GivingUp,
+        Event::Resent
+        | Event::Enqueued
+        | Event::Delivered
+        | Event::Answered
+        | Event::RefusedByPeer
+        | Event::TimedOut
+        | Event::TimedOutUnsent
+        | Event::PeerRestarted
+        | Event::Discarded(_)
+        | Event::PartnerArrived
+        | Event::PartnerAborted
+        | Event::ReleasedComplete
+        | Event::ReleasedByConfirm
+        | Event::WithinMargin
+        | Event::Rejected
+        | Event::Interrupted
+        | Event::Resumed
+        | Event::Granted
+        | Event::TookOver
+        | Event::Fenced => return None,
+    };
+    Some((mark.task, what.port, kind, what.number))
+}
+
+/// What a mark is caused by. A confirmation does not say who sent it: whoever confirmed that round.
+fn caused_by(mark: &Mark) -> Option<(Option<TaskId>, PortId, Kind, u32)> {
+    let what = mark.seen.what;
+    let (from, kind) = match what.event {
+        Event::Enqueued | Event::Delivered | Event::Rejected | Event::Discarded(_) => {
+            (Some(what.peer), Kind::Message)
+        }
+        Event::Answered => (Some(what.peer), Kind::Answer),
+        Event::PartnerArrived => (Some(what.peer), Kind::Arrival),
+        Event::PartnerAborted => (Some(what.peer), Kind::GivingUp),
+        Event::ReleasedByConfirm => (None, Kind::Confirm),
+        Event::Sent
+        | Event::Resent
+        | Event::Replied
+        | Event::RefusedByPeer
+        | Event::TimedOut
+        | Event::TimedOutUnsent
+        | Event::PeerRestarted
+        | Event::Reached
+        | Event::Rejoined
+        | Event::Confirmed
+        | Event::ReleasedComplete
+        | Event::WithinMargin
+        | Event::GaveUp
+        | Event::Interrupted
+        | Event::Resumed
+        | Event::Granted
+        | Event::TookOver
+        | Event::Fenced => return None,
+    };
+    Some((from, what.port, kind, what.number))
+}
+
+/// Finds each mark's cause: the latest that fits and is not clearly later, since numbers begin anew with a new life.
+fn find_causes(marks: &mut [Mark]) {
+    let mut acts: BTreeMap<(PortId, Kind, u32), Vec<usize>> = BTreeMap::new();
+    for (at, mark) in marks.iter().enumerate() {
+        if let Some((_, port, kind, number)) = act(mark) {
+            acts.entry((port, kind, number)).or_default().push(at);
+        }
+    }
+    // What a task does with a message that it already has follows from what it did with it before.
+    let mut had: BTreeMap<(LifeId, TaskId, Option<TaskId>, PortId, Kind, u32), usize> = BTreeMap::new();
+    for at in 0..marks.len() {
+        let mark = marks[at];
+        let Some((from, port, kind, number)) = caused_by(&mark) else { continue };
+        if had.insert((mark.life, mark.task, from, port, kind, number), at).is_some() {
+            continue;
+        }
+        let fits = |&&candidate: &&usize| {
+            let cause: &Mark = &marks[candidate];
+            let whose = from.is_none_or(|from| from == cause.task) && cause.task != mark.task;
+            whose && cause.at <= mark.at.saturating_add(APART)
+        };
+        let all = acts.get(&(port, kind, number)).map_or(&[][..], Vec::as_slice);
+        marks[at].cause = all.iter().rfind(fits).copied();
+    }
+}
+
+/// The marks ordered so that none stands before its cause or before what its task did earlier, else by their moments.
+fn ordered(mut marks: Vec<Mark>) -> Vec<Mark> {
+    let mut after: Vec<Vec<usize>> = vec![Vec::new(); marks.len()];
+    let mut open: Vec<usize> = vec![0; marks.len()];
+    let mut last: BTreeMap<(LifeId, TaskId, bool), usize> = BTreeMap::new();
+    for at in 0..marks.len() {
+        let mark = marks[at];
+        let earlier = last.insert((mark.life, mark.task, mark.in_transit), at);
+        for before in earlier.into_iter().chain(mark.cause) {
+            after[before].push(at);
+            open[at] += 1;
+        }
+    }
+    let ready = (0..marks.len()).filter(|&at| open[at] == 0);
+    let mut ready: BinaryHeap<_> = ready.map(|at| Reverse((marks[at].order, at))).collect();
+    let mut order = Vec::with_capacity(marks.len());
+    let mut placed = vec![usize::MAX; marks.len()];
+    while let Some(Reverse((moment, at))) = ready.pop() {
+        placed[at] = order.len();
+        order.push(at);
+        for &next in &after[at] {
+            marks[next].order = marks[next].order.max(moment);
+            open[next] -= 1;
+            if open[next] == 0 {
+                ready.push(Reverse((marks[next].order, next)));
+            }
+        }
+    }
+    // What a node says is not trusted: causes that form a circle are none.
+    for at in (0..marks.len()).filter(|&at| placed[at] == usize::MAX).collect::<Vec<_>>() {
+        marks[at].cause = None;
+        placed[at] = order.len();
+        order.push(at);
+    }
+    let placed_cause = |mark: &Mark| mark.cause.and_then(|cause| placed.get(cause).copied());
+    order.iter().map(|&at| Mark { cause: placed_cause(&marks[at]), ..marks[at] }).collect()
+}

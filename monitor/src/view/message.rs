@@ -1,0 +1,201 @@
+//! Screen 2b: the life of one message, stage by stage, and what each stage took of it.
+
+use super::pen::{Column, Pen, bar};
+use crate::app::App;
+use crate::app::lanes::own_clock;
+use crate::clock::{Moment, Span};
+use crate::store::Names;
+use crate::store::message::{MessageKey, Passed, Stage, life_of};
+use crate::theme::Ink;
+use imrs_protocol::Event;
+use std::time::Duration;
+
+const COLUMNS: [Column; 8] = [
+    Column::right("AT", 10),
+    Column::left("WHERE", 16),
+    Column::left("WHAT", 18),
+    Column::right("LEFT", 7),
+    Column::right("CHARGED", 8),
+    Column::right("CLOCKS", 8),
+    Column::left("SINCE", 12),
+    Column::left("LEFT OF LIFE", 0),
+];
+
+pub(super) fn draw(app: &App, now: Moment, pen: &mut Pen<'_>) {
+    let Some((cell, key)) = app.cell().zip(app.message()) else {
+        let text =
+            " No message is chosen: press Enter on one in a port's queue (2), the events or the timeline.";
+        pen.line(1, &[(text, Ink::Plain)]);
+        return;
+    };
+    let Some(names) = app.store().names(&cell).cloned() else { return };
+    let stages = life_of(app.store(), &cell, key);
+    let whole_us = whole(app, &names, key, &stages);
+    about(&names, key, whole_us, pen);
+    if stages.is_empty() {
+        let text = " Nothing is known of it any more: it was born before the monitor came, or too long ago.";
+        pen.line(2, &[(text, Ink::Dim)]);
+    }
+    let rows = u16::try_from(stages.len()).unwrap_or(u16::MAX);
+    table(app, &names, &stages, whole_us, &mut pen.below(2));
+    let mut rest = pen.below(rows.saturating_add(4).max(4));
+    let mut lines = sentence(&stages, usize::from(rest.area.width));
+    lines.extend(waiting(app, &names, key, now));
+    for (y, (text, ink)) in (0..).zip(&lines) {
+        rest.line(y, &[(text, *ink)]);
+    }
+}
+
+/// The whole life of the message in microseconds: what it was sent with, or what its source's end of the port gives.
+fn whole(app: &App, names: &Names, key: MessageKey, stages: &[Stage]) -> u64 {
+    let sent = stages.iter().find(|s| s.mark.seen.what.event == Event::Sent).map(|s| s.left_us);
+    let tick_us = app.life_of_task(key.source).map_or(1, |life| life.tick_us);
+    let declared = names.port(key.port).and_then(|info| info.time_out(key.source));
+    let declared = declared.map_or(0, |ticks| ticks.0.saturating_mul(tick_us));
+    let most = stages.iter().map(|s| s.left_us).max().unwrap_or(0);
+    sent.unwrap_or(declared).max(most)
+}
+
+fn about(names: &Names, key: MessageKey, whole_us: u64, pen: &mut Pen<'_>) {
+    let home = |task| names.home(task).map_or_else(String::new, |node| format!("@{}", names.node(node)));
+    let name = format!(" {}#{}", names.port_name(key.port), key.number);
+    let source = format!("  of {}{}", names.task(key.source), home(key.source));
+    let info = names.port(key.port);
+    let class = match info.map(|info| info.class) {
+        Some(imrs_protocol::Class::Command) => "  class 2",
+        Some(imrs_protocol::Class::Status) => "  class 1",
+        None => "",
+    };
+    let life = format!("  whole life {}", Span::micros(whole_us));
+    pen.line(0, &[(&name, Ink::Head), (&source, Ink::Plain), (class, Ink::Dim), (&life, Ink::Plain)]);
+}
+
+fn table(app: &App, names: &Names, stages: &[Stage], whole_us: u64, pen: &mut Pen<'_>) {
+    let width = pen.area.width;
+    let shown: &[usize] = match width {
+        0..60 => &[1, 2, 3, 4],
+        60..110 => &[0, 1, 2, 3, 4, 5, 7],
+        _ => &[0, 1, 2, 3, 4, 5, 6, 7],
+    };
+    let mut columns: Vec<Column> = shown.iter().map(|&i| COLUMNS[i]).collect();
+    if width < 60 {
+        (columns[0].width, columns[1].width) = (10, 10);
+    } else if width < 110 {
+        (columns[1].width, columns[2].width) = (12, 12);
+    }
+    let widths = pen.widths(&columns);
+    pen.titles(0, &columns, &widths);
+    let bar_width = widths.last().map_or(0, |w| w.saturating_sub(2).min(60));
+    let room = usize::from(pen.height().saturating_sub(1));
+    for (y, stage) in (1..).zip(stages.iter().skip(app.scroll).take(room)) {
+        let event = stage.mark.seen.what.event;
+        let ink = super::words::ink(event);
+        let life = app.store().life(stage.mark.life);
+        let at = life.and_then(|life| own_clock(life, stage.mark.at)).map_or_else(String::new, clock);
+        let node = life.map_or_else(String::new, |life| life.node.to_string());
+        let place = if stage.mark.in_transit {
+            "transit".to_owned()
+        } else {
+            names.task(stage.mark.task).to_string()
+        };
+        let what = word(event);
+        let left = Span::micros(stage.left_us).to_string();
+        let charged = stage.charged_us.map_or_else(|| "-".to_owned(), minus);
+        let clocks = stage.passed.map_or_else(|| "-".to_owned(), clocks);
+        let since = stage.after.and_then(|at| stages.get(at)).map_or("", |s| word(s.mark.seen.what.event));
+        let bar = format!("[{}]", bar(&app.theme, bar_width, stage.left_us, whole_us));
+        let place = format!("{place}@{node}");
+        let tight = stage.left_us < whole_us / 10;
+        let left_ink = if tight { Ink::Warn } else { Ink::Plain };
+        let all = [
+            (at.as_str(), Ink::Dim),
+            (place.as_str(), Ink::Plain),
+            (what, ink),
+            (left.as_str(), left_ink),
+            (charged.as_str(), Ink::Plain),
+            (clocks.as_str(), Ink::Dim),
+            (since, Ink::Dim),
+            (bar.as_str(), if tight { Ink::Warn } else { Ink::Bar }),
+        ];
+        let cells: Vec<_> = shown.iter().map(|&i| all[i]).collect();
+        pen.row(y, &columns, &widths, &cells);
+    }
+}
+
+fn clock(us: u64) -> String {
+    let at = Duration::from_micros(us);
+    format!("{}:{:02}.{:03}", at.as_secs() / 60 % 60, at.as_secs() % 60, at.subsec_millis())
+}
+
+fn minus(us: u64) -> String {
+    format!("-{}", Span::micros(us))
+}
+
+fn clocks(passed: Passed) -> String {
+    let sign = if passed.estimated { "~" } else { "" };
+    format!("{sign}{}", Span::micros(passed.us))
+}
+
+/// The stage in one or two words.
+const fn word(event: Event) -> &'static str {
+    match event {
+        Event::Discarded(reason) => reason.name(),
+        Event::RefusedByPeer => "refused by peer",
+        Event::TimedOutUnsent => "timed out unsent",
+        Event::PeerRestarted => "peer restarted",
+        Event::Rejected => "rejected by rank",
+        Event::Resent => "sent again",
+        other => crate::store::journal::word(other),
+    }
+}
+
+/// The whole story in a sentence, in lines of at most `width`.
+fn sentence(stages: &[Stage], width: usize) -> Vec<(String, Ink)> {
+    let part = |stage: &Stage| {
+        let event = word(stage.mark.seen.what.event);
+        let left = Span::micros(stage.left_us);
+        match (stage.mark.seen.what.event, stage.charged_us) {
+            (Event::Sent, _) => format!("sent with {left}"),
+            (Event::Delivered, Some(us)) => format!("{event} with {left} (-{} waiting)", Span::micros(us)),
+            (_, Some(us)) => format!("{event} with {left} (-{})", Span::micros(us)),
+            (_, None) => format!("{event} with {left}"),
+        }
+    };
+    let mut lines = vec![(" ".to_owned(), Ink::Plain)];
+    for (i, stage) in stages.iter().enumerate() {
+        let text = part(stage) + if i + 1 < stages.len() { "; " } else { "." };
+        let last = lines.len() - 1;
+        if lines[last].0.len() + text.len() > width && lines[last].0.len() > 1 {
+            lines.push((format!(" {text}"), Ink::Plain));
+        } else {
+            lines[last].0 += &text;
+        }
+    }
+    lines
+}
+
+/// Where it waits now.
+fn waiting(app: &App, names: &Names, key: MessageKey, now: Moment) -> Option<(String, Ink)> {
+    let cell = app.cell()?;
+    for life in app.store().lives_of(&cell) {
+        for task in life.tasks() {
+            let port = task.view.ports.iter().find(|p| p.port == key.port);
+            let queue = port.map_or(&[][..], |port| &port.queue);
+            let fits =
+                |e: &&imrs_protocol::QueueEntry| e.source == key.source && e.id.sequence.get() == key.number;
+            if let Some(entry) = queue.iter().find(fits) {
+                let left = life.left(entry.remaining, task.age_us, now);
+                let text =
+                    format!(" now it waits at {}@{}: {left} left.", names.task(task.view.task), life.node);
+                return Some((text, if left.us == 0 { Ink::Bad } else { Ink::Good }));
+            }
+        }
+    }
+    None
+}
+
+/// How many stages it has, for scrolling.
+pub(super) fn length(app: &App) -> usize {
+    let key = app.cell().zip(app.message());
+    key.map_or(0, |(cell, key)| life_of(app.store(), &cell, key).len())
+}

@@ -1,0 +1,152 @@
+//! Screen 7: whether each node does what the model does, and which transitions were seen at all (D63).
+
+use super::pen::{Pen, bar};
+use crate::app::App;
+use crate::clock::Moment;
+use crate::store::Life;
+use crate::store::coverage::{KINDS, is_possible};
+use crate::store::trail::Trail;
+use crate::theme::Ink;
+use imrs_protocol::{Event, TaskId};
+
+pub(super) type Line = Vec<(String, Ink)>;
+
+pub(super) fn draw(app: &App, now: Moment, pen: &mut Pen<'_>) {
+    let lines = lines(app, now, pen.area.width);
+    let room = usize::from(pen.height());
+    let first = app.scroll.min(lines.len().saturating_sub(1));
+    for (y, line) in (0..).zip(lines.iter().skip(first).take(room)) {
+        let pieces: Vec<_> = line.iter().map(|(text, ink)| (text.as_str(), *ink)).collect();
+        pen.line(y, &pieces);
+    }
+}
+
+/// All lines of the screen, for scrolling.
+pub(super) fn lines(app: &App, now: Moment, width: u16) -> Vec<Line> {
+    let Some(cell) = app.cell() else { return Vec::new() };
+    let store = app.store();
+    let mut lines: Vec<Line> = Vec::new();
+    let mut whole = Sum::default();
+    for life in store.lives_of(&cell) {
+        if store.latest(&cell, life.node_id).is_none_or(|latest| latest.id != life.id) {
+            continue;
+        }
+        if !lines.is_empty() {
+            lines.push(Vec::new());
+        }
+        node(app, life, now, width, &mut lines);
+        for task in life.tasks() {
+            let sum = Sum::of(store.trail(), life, task.view.task);
+            whole.add(&sum);
+            coverage(app, life, task.view.task, &sum, width, &mut lines);
+        }
+    }
+    let (fired, possible) = (whole.fired.len(), whole.fired.len() + whole.never.len());
+    let percent = (fired * 100).checked_div(possible).unwrap_or(0);
+    let head = format!(" {fired} of {possible} transition kinds seen ({percent}%)");
+    lines.insert(
+        0,
+        vec![(head, Ink::Head), ("  since the monitor came; a count says how often".into(), Ink::Dim)],
+    );
+    lines
+}
+
+/// What the checker says of the inputs that a node recorded.
+fn node(app: &App, life: &Life, now: Moment, width: u16, lines: &mut Vec<Line>) {
+    let gone = life.presence(now).is_gone();
+    let sign = if gone { app.theme.glyphs.dead } else { " " };
+    let why =
+        if width < 60 { "" } else { ": its inputs are not recorded, nothing is replayed against the model" };
+    lines.push(vec![
+        (format!("{sign}{}", life.node), Ink::Head),
+        ("  conforms: ".to_owned(), Ink::Dim),
+        ("UNKNOWN".to_owned(), Ink::Warn),
+        (why.to_owned(), Ink::Dim),
+    ]);
+    if life.lost > 0 {
+        lines.push(vec![(
+            format!("   {} observations lost: what they were is not counted", life.lost),
+            Ink::Warn,
+        )]);
+    }
+}
+
+/// The kinds that a task was seen at, and those that it could come to.
+#[derive(Default)]
+struct Sum {
+    fired: Vec<(Event, u64)>,
+    never: Vec<Event>,
+}
+
+impl Sum {
+    fn of(trail: &Trail, life: &Life, task: TaskId) -> Self {
+        let counts = trail.fired(life.id, Some(task));
+        let mut sum = Self::default();
+        let Some(snapshot) = life.task(task) else { return sum };
+        for (at, kind) in KINDS.into_iter().enumerate() {
+            match counts.and_then(|counts| counts.get(at)).copied().unwrap_or(0) {
+                0 if is_possible(kind, &snapshot.view) => sum.never.push(kind),
+                0 => {}
+                count => sum.fired.push((kind, count)),
+            }
+        }
+        sum
+    }
+
+    /// A kind that was seen anywhere counts once.
+    fn add(&mut self, other: &Self) {
+        for &(kind, count) in &other.fired {
+            self.never.retain(|never| *never != kind);
+            match self.fired.iter_mut().find(|(known, _)| *known == kind) {
+                Some((_, sum)) => *sum = sum.saturating_add(count),
+                None => self.fired.push((kind, count)),
+            }
+        }
+        for &kind in &other.never {
+            if !self.never.contains(&kind) && !self.fired.iter().any(|(known, _)| *known == kind) {
+                self.never.push(kind);
+            }
+        }
+    }
+}
+
+fn coverage(app: &App, life: &Life, task: TaskId, sum: &Sum, width: u16, lines: &mut Vec<Line>) {
+    let (fired, all) = (sum.fired.len() as u64, (sum.fired.len() + sum.never.len()) as u64);
+    lines.push(vec![
+        (format!("   {:12} ", life.names.task(task).to_string()), Ink::Plain),
+        (format!("{fired:2}/{all:2} "), Ink::Plain),
+        (format!("[{}]", bar(&app.theme, if width < 60 { 10 } else { 20 }, fired, all)), Ink::Bar),
+    ]);
+    let seen = sum.fired.iter().map(|(kind, count)| format!("{} {count}", name(*kind)));
+    wrapped("     seen:  ", seen, Ink::Plain, width, lines);
+    wrapped("     never: ", sum.never.iter().map(|kind| name(*kind)), Ink::Dim, width, lines);
+}
+
+fn name(event: Event) -> String {
+    match event {
+        Event::Discarded(reason) => format!("x {}", reason.name()),
+        Event::ReleasedComplete => "released (all)".to_owned(),
+        Event::ReleasedByConfirm => "released (confirm)".to_owned(),
+        other => crate::store::journal::word(other).to_owned(),
+    }
+}
+
+/// Words in lines of at most `width`.
+fn wrapped(title: &str, words: impl Iterator<Item = String>, ink: Ink, width: u16, lines: &mut Vec<Line>) {
+    let mut text = String::new();
+    let mut head = title.to_owned();
+    let room = usize::from(width).saturating_sub(title.len());
+    for word in words {
+        if !text.is_empty() && text.len() + word.len() + 2 > room {
+            lines.push(vec![(std::mem::replace(&mut head, " ".repeat(title.len())), Ink::Dim), (text, ink)]);
+            text = String::new();
+        }
+        if !text.is_empty() {
+            text += ", ";
+        }
+        text += &word;
+    }
+    if !text.is_empty() {
+        lines.push(vec![(head, Ink::Dim), (text, ink)]);
+    }
+}

@@ -1,0 +1,213 @@
+//! Screen 4: what happened in each task, side by side, time downwards. No effect stands above its cause; the ways of
+//! messages are drawn between the lanes.
+
+use super::pen::Pen;
+use super::words::{ink, short};
+use crate::app::App;
+use crate::app::lanes::{Chart, Slice, own_clock};
+use crate::clock::{Moment, Span};
+use crate::store::timeline::Mark;
+use crate::theme::Ink;
+use std::time::Duration;
+
+/// The columns of the time.
+const AXIS: u16 = 11;
+/// The least columns of a lane.
+const LANE: u16 = 24;
+
+pub(super) fn draw(app: &App, now: Moment, pen: &mut Pen<'_>) {
+    let chart = app.chart();
+    if chart.lanes.is_empty() {
+        pen.line(1, &[(" This cell has no tasks yet.", Ink::Plain)]);
+        return;
+    }
+    let room = usize::from(pen.height().saturating_sub(1));
+    let first = (chart.bottom + 1).saturating_sub(room);
+    let list = pen.area.width < AXIS + LANE + 20;
+    let sheet = Sheet::new(&chart, pen.area.width);
+    if list {
+        pen.line(0, &[("     TIME  TASK       WHAT", Ink::Dim)]);
+    } else {
+        sheet.heads(app, &chart, pen);
+    }
+    let rows = chart.rows.iter().enumerate().skip(first).take(room);
+    for (y, (at, row)) in (1..).zip(rows) {
+        match row {
+            Slice::Lost(gap) => {
+                let node = app.store().life(gap.life).map_or_else(String::new, |l| l.node.to_string());
+                let text = format!("== lost {} events of {node} ", gap.lost);
+                pen.line(y, &[(&text, Ink::Warn), (&"=".repeat(200), Ink::Warn)]);
+            }
+            Slice::Quiet(time) => {
+                let text = format!("  {}", Span(*time));
+                let quiet = format!("{text:AXIS$} nothing", AXIS = usize::from(AXIS));
+                pen.line(y, &[(&quiet, Ink::Dim)]);
+            }
+            Slice::Marks(marks) => {
+                let marks: Vec<&Mark> = marks.iter().map(|&i| &chart.timeline.marks[i]).collect();
+                let (time, exact) = time(app, &chart, &marks);
+                pen.at(0, y, AXIS, &time, if exact { Ink::Plain } else { Ink::Dim });
+                if list {
+                    narrow(app, &marks, y, pen);
+                } else {
+                    sheet.row(app, &chart, &marks, y, pen);
+                }
+            }
+        }
+        if chart.held && at == chart.bottom {
+            pen.select(y);
+        }
+    }
+    if chart.rows.is_empty() {
+        pen.line(1, &[(" Nothing has happened since the monitor came.", Ink::Dim)]);
+    }
+    corner(&chart, now, pen);
+}
+
+/// At the right of the titles: how fine, and whether new rows are followed.
+fn corner(chart: &Chart, _now: Moment, pen: &mut Pen<'_>) {
+    let zoom = chart.zoom.map_or_else(|| "each event".to_owned(), |zoom| format!("{} a row", Span(zoom)));
+    let newer = chart.rows.len().saturating_sub(chart.bottom + 1);
+    let text = if chart.held { format!(" {zoom}, +{newer} new, G follows ") } else { format!(" {zoom} ") };
+    let x = pen.area.width.saturating_sub(u16::try_from(text.len()).unwrap_or(0));
+    pen.at(x, 0, u16::MAX, &text, if chart.held { Ink::Warn } else { Ink::Dim });
+}
+
+/// The time of a row on the clock of the selected lane's node, since that started; whether it was read there.
+fn time(app: &App, chart: &Chart, marks: &[&Mark]) -> (String, bool) {
+    let life = chart.lanes.get(chart.lane).and_then(|task| app.life_of_task(*task));
+    let Some(life) = life else { return (String::new(), false) };
+    let own = marks.iter().find(|mark| mark.life == life.id);
+    let at = own.map(|mark| mark.at).or_else(|| marks.first().map(|mark| mark.order));
+    let Some(us) = at.and_then(|at| own_clock(life, at)) else { return (String::new(), false) };
+    let at = Duration::from_micros(us);
+    let (minutes, seconds) = (at.as_secs() / 60 % 60, at.as_secs() % 60);
+    let text = format!("{minutes:2}:{seconds:02}.{:03}", at.subsec_millis());
+    let sign = if own.is_some() { ' ' } else { '~' };
+    (format!("{sign}{text}"), own.is_some())
+}
+
+fn narrow(app: &App, marks: &[&Mark], y: u16, pen: &mut Pen<'_>) {
+    let Some(mark) = marks.first() else { return };
+    let Some(life) = app.store().life(mark.life) else { return };
+    let more = if marks.len() > 1 { format!("+{} ", marks.len() - 1) } else { String::new() };
+    let what = more + &short(mark, &life.names, &app.theme);
+    pen.at(AXIS, y, 10, life.names.task(mark.task).shown(), Ink::Plain);
+    pen.at(AXIS + 11, y, u16::MAX, &what, ink(mark.seen.what.event));
+}
+
+/// Where the lanes stand.
+struct Sheet {
+    first: usize,
+    count: usize,
+    width: u16,
+}
+
+impl Sheet {
+    fn new(chart: &Chart, width: u16) -> Self {
+        let room = width.saturating_sub(AXIS);
+        let count = usize::from(room / LANE).clamp(1, chart.lanes.len().max(1));
+        let first = (chart.lane + 1).saturating_sub(count);
+        Self { first, count, width: room / u16::try_from(count).unwrap_or(1).max(1) }
+    }
+
+    /// The column of a lane, or of the edge behind which it lies.
+    fn x(&self, lane: usize) -> (u16, bool) {
+        let at = lane.saturating_sub(self.first).min(self.count);
+        let x = AXIS + u16::try_from(at).unwrap_or(0).saturating_mul(self.width);
+        (x, lane >= self.first && lane < self.first + self.count)
+    }
+
+    fn heads(&self, app: &App, chart: &Chart, pen: &mut Pen<'_>) {
+        pen.at(0, 0, AXIS, "     TIME", Ink::Dim);
+        for (at, task) in chart.lanes.iter().enumerate().skip(self.first).take(self.count) {
+            let (x, _) = self.x(at);
+            let life = app.life_of_task(*task);
+            let cell = app.cell();
+            let names = cell.and_then(|cell| app.store().names(&cell).cloned());
+            let name = names.map_or_else(String::new, |names| names.task(*task).to_string());
+            let node = life.map_or_else(String::new, |life| format!("@{}", life.node));
+            let sign = if at == chart.lane { app.theme.glyphs.selected } else { " " };
+            let inkling = if at == chart.lane { Ink::Head } else { Ink::Plain };
+            let end = pen.at(x.saturating_sub(1), 0, self.width, &format!("{sign}{name}"), inkling);
+            pen.at(end, 0, (x + self.width).saturating_sub(end + 1), &node, Ink::Dim);
+        }
+        let after = chart.lanes.len().saturating_sub(self.first + self.count);
+        if self.first > 0 || after > 0 {
+            let more = format!("{}{}", self.first, app.theme.glyphs.back);
+            pen.at(0, 0, 4, if self.first > 0 { &more } else { "" }, Ink::Warn);
+        }
+    }
+
+    fn row(&self, app: &App, chart: &Chart, marks: &[&Mark], y: u16, pen: &mut Pen<'_>) {
+        let mut taken = vec![false; usize::from(pen.area.width)];
+        for lane in self.first..self.first + self.count {
+            pen.at(self.x(lane).0, y, 1, app.theme.glyphs.lane, Ink::Dim);
+        }
+        let lane_of = |mark: &Mark| chart.lanes.iter().position(|task| *task == mark.task);
+        for lane in self.first..self.first + self.count {
+            let here: Vec<_> = marks.iter().filter(|mark| lane_of(mark) == Some(lane)).collect();
+            let Some(mark) = here.first() else { continue };
+            let Some(life) = app.store().life(mark.life) else { continue };
+            let (x, _) = self.x(lane);
+            let more = if here.len() > 1 { format!(" +{}", here.len() - 1) } else { String::new() };
+            let room = self.width.saturating_sub(3);
+            let text: String = short(mark, &life.names, &app.theme);
+            let text = cut(&text, usize::from(room).saturating_sub(more.len())) + &more;
+            let worst = here.iter().map(|mark| ink(mark.seen.what.event)).max_by_key(|ink| match ink {
+                Ink::Bad => 2,
+                Ink::Warn => 1,
+                _ => 0,
+            });
+            let end = pen.at(x + 2, y, room, &text, worst.unwrap_or(Ink::Plain));
+            mark_taken(&mut taken, x, end);
+        }
+        for mark in marks {
+            let cause = mark.cause.and_then(|cause| chart.timeline.marks.get(cause));
+            if let (Some(to), Some(cause)) = (lane_of(mark), cause)
+                && let Some(from) = lane_of(cause)
+                && self.x(to).1
+            {
+                let sign =
+                    if cause.life == mark.life { app.theme.glyphs.way } else { app.theme.glyphs.guessed };
+                self.way(app, (from, to), sign, y, &taken, pen);
+            }
+        }
+    }
+
+    /// Draws the way of a message on the row where it ends, around all that stands there.
+    fn way(
+        &self,
+        app: &App,
+        (from, to): (usize, usize),
+        sign: &str,
+        y: u16,
+        taken: &[bool],
+        pen: &mut Pen<'_>,
+    ) {
+        let (a, b) = (self.x(from).0, self.x(to).0);
+        let free = |x: u16| !taken.get(usize::from(x)).copied().unwrap_or(true);
+        if a < b {
+            for x in (a + 1..b).filter(|&x| free(x)) {
+                pen.at(x, y, 1, if x + 1 == b { app.theme.glyphs.arrow } else { sign }, Ink::Dim);
+            }
+        } else {
+            let start = (b..a).find(|&x| free(x)).map_or(a, |x| x + 1);
+            for x in (start..a).filter(|&x| free(x)) {
+                pen.at(x, y, 1, if x == start { app.theme.glyphs.back } else { sign }, Ink::Dim);
+            }
+        }
+    }
+}
+
+fn mark_taken(taken: &mut [bool], from: u16, to: u16) {
+    for x in from..to {
+        if let Some(cell) = taken.get_mut(usize::from(x)) {
+            *cell = true;
+        }
+    }
+}
+
+fn cut(text: &str, width: usize) -> String {
+    text.chars().take(width).collect()
+}

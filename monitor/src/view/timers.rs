@@ -1,0 +1,188 @@
+//! Screen 5: everything that runs out, soonest first: the Timer's entries of each node, and the waits that have an end.
+
+use super::pen::{Column, Pen, bar};
+use crate::app::App;
+use crate::clock::{Moment, Span};
+use crate::store::trail::Trail;
+use crate::store::{Left, Life};
+use crate::theme::Ink;
+use imrs_protocol::{Event, PortId, TaskId, TaskState, TimeId};
+
+/// One thing that runs out.
+struct Entry {
+    owner: TaskId,
+    id: String,
+    kind: &'static str,
+    /// Its whole length in microseconds; `None`: nobody said.
+    length_us: Option<u64>,
+    left: Left,
+    what: String,
+}
+
+/// A line of the screen.
+pub(super) enum Line {
+    Node(String, Ink),
+    Entry(Box<[(String, Ink); 6]>, Left, Option<u64>),
+    Note(&'static str),
+}
+
+const COLUMNS: [Column; 7] = [
+    Column::left("OWNER", 14),
+    Column::left("ID", 5),
+    Column::left("KIND", 8),
+    Column::right("LENGTH", 7),
+    Column::right("LEFT", 7),
+    Column::left("", 22),
+    Column::left("WHAT", 0),
+];
+
+pub(super) fn draw(app: &App, now: Moment, pen: &mut Pen<'_>) {
+    let lines = lines(app, now);
+    let width = pen.area.width;
+    let shown: &[usize] = match width {
+        0..60 => &[0, 2, 4, 6],
+        60..100 => &[0, 1, 2, 3, 4, 5],
+        _ => &[0, 1, 2, 3, 4, 5, 6],
+    };
+    let mut columns: Vec<Column> = shown.iter().map(|&i| COLUMNS[i]).collect();
+    for column in &mut columns {
+        column.width = match (column.title, width) {
+            ("OWNER", 0..60) => 10,
+            ("", 60..100) => 0,
+            ("", 160..) => 42,
+            _ => column.width,
+        };
+    }
+    let mut inner = pen.below(0);
+    inner.area.x += 1.min(inner.area.width);
+    inner.area.width = inner.area.width.saturating_sub(1);
+    let widths = inner.widths(&columns);
+    inner.titles(0, &columns, &widths);
+    let room = usize::from(inner.height().saturating_sub(1));
+    for (y, line) in (1..).zip(lines.iter().skip(app.scroll).take(room)) {
+        match line {
+            Line::Node(text, ink) => inner.line(y, &[(text, *ink)]),
+            Line::Note(text) => inner.line(y, &[("  ", Ink::Plain), (text, Ink::Dim)]),
+            Line::Entry(cells, left, length) => {
+                let at = shown.iter().position(|&i| i == 5);
+                let room = at.map_or(0, |at| widths[at].saturating_sub(2).min(40));
+                let drawn = length.map_or_else(String::new, |length| {
+                    format!("[{}]", bar(&app.theme, room, left.us, length))
+                });
+                let ink = if cells[4].1 == Ink::Plain { Ink::Bar } else { cells[4].1 };
+                let all: [(&str, Ink); 7] = std::array::from_fn(|i| match i {
+                    5 => (drawn.as_str(), ink),
+                    6 => (cells[5].0.as_str(), cells[5].1),
+                    _ => (cells[i].0.as_str(), cells[i].1),
+                });
+                let cells: Vec<_> = shown.iter().map(|&i| all[i]).collect();
+                inner.row(y, &columns, &widths, &cells);
+            }
+        }
+    }
+}
+
+/// All lines of the screen, for scrolling.
+pub(super) fn lines(app: &App, now: Moment) -> Vec<Line> {
+    let Some(cell) = app.cell() else { return Vec::new() };
+    let store = app.store();
+    let mut lines = Vec::new();
+    for life in store.lives_of(&cell) {
+        if store.latest(&cell, life.node_id).is_none_or(|latest| latest.id != life.id) {
+            continue;
+        }
+        let gone = life.presence(now).is_gone();
+        let timers = life.last.as_ref().map_or(0, |s| s.snapshot.timers.len());
+        let presence = if gone { format!("  {}", life.presence(now)) } else { String::new() };
+        lines.push(Line::Node(
+            format!("{}{presence}  Timer: {timers} running  {}", life.node, lateness(life)),
+            if gone { Ink::Dim } else { Ink::Head },
+        ));
+        let mut entries = entries(life, store.trail(), now);
+        entries.sort_by_key(|entry| (entry.left.us, entry.owner));
+        if entries.is_empty() {
+            lines.push(Line::Note("nothing runs out here"));
+        }
+        lines.extend(entries.into_iter().map(|entry| line(life, entry, gone)));
+    }
+    lines
+}
+
+/// How late the Timer was, as far as the node says it.
+fn lateness(_life: &Life) -> String {
+    "late: -".to_owned()
+}
+
+fn line(life: &Life, entry: Entry, gone: bool) -> Line {
+    let tight = entry.length_us.is_some_and(|length| entry.left.us < length / 10);
+    let ink = match (gone, entry.left.us, tight) {
+        (true, _, _) => Ink::Dim,
+        // A delay or a timer that ends is its ordinary course; a wait that ends is not.
+        (false, 0, _) if entry.kind != "timer" && entry.kind != "delay" => Ink::Bad,
+        (false, _, true) if entry.kind != "timer" && entry.kind != "delay" => Ink::Warn,
+        (false, _, _) => Ink::Plain,
+    };
+    let plain = if gone { Ink::Dim } else { Ink::Plain };
+    let length = entry.length_us.map_or_else(|| "-".to_owned(), |us| Span::micros(us).to_string());
+    let left = if entry.left.us == 0 { "over".to_owned() } else { entry.left.to_string() };
+    let cells = [
+        (life.names.task(entry.owner).to_string(), plain),
+        (entry.id, Ink::Dim),
+        (entry.kind.to_owned(), plain),
+        (length, Ink::Dim),
+        (left, ink),
+        (entry.what, Ink::Dim),
+    ];
+    Line::Entry(Box::new(cells), entry.left, entry.length_us)
+}
+
+fn entries(life: &Life, trail: &Trail, now: Moment) -> Vec<Entry> {
+    let mut found = Vec::new();
+    let Some(last) = &life.last else { return found };
+    let timers = &last.snapshot.timers;
+    for timer in timers {
+        // A task's delays have the names above those of its timers, in scripts and in programs alike.
+        let of_owner = timers.iter().filter(|t| t.owner == timer.owner);
+        let last_name = of_owner.map(|t| t.id).max() == Some(timer.id);
+        let delays = life.task(timer.owner).is_some_and(|t| t.view.state == TaskState::Delaying);
+        let delay = timer.id >= TimeId(128) || (delays && last_name);
+        found.push(Entry {
+            owner: timer.owner,
+            id: format!("t{}", timer.id.0),
+            kind: if delay { "delay" } else { "timer" },
+            length_us: life.longest_timer(timer.owner, timer.id),
+            left: life.left(timer.remaining, 0, now),
+            what: if delay { "the task goes on" } else { "its handler begins" }.to_owned(),
+        });
+    }
+    for task in life.tasks() {
+        let owner = task.view.task;
+        let whole = |port: PortId| {
+            let time_out = life.names.port(port).and_then(|info| info.time_out(owner));
+            time_out.map(|t| t.0.saturating_mul(life.tick_us))
+        };
+        let mut add = |id: String, kind, length_us, remaining, what| {
+            let left = life.left(remaining, task.age_us, now);
+            found.push(Entry { owner, id, kind, length_us, left, what });
+        };
+        match task.view.state {
+            TaskState::Receiving { port, remaining: Some(remaining) } => {
+                let at = port.map_or_else(|| "any port".to_owned(), |p| life.names.port_name(p).to_string());
+                add("-".to_owned(), "receive", None, remaining, format!("a message at {at}"));
+            }
+            TaskState::AwaitingReply { port, from, remaining } => {
+                let number = trail.last_number(life.id, owner, Event::Sent, port);
+                let id = number.map_or_else(|| "-".to_owned(), |n| format!("#{n}"));
+                let what =
+                    format!("the answer to {} from {}", life.names.port_name(port), life.names.task(from));
+                add(id, "reply", whole(port), remaining, what);
+            }
+            TaskState::Waiting { port, round, remaining } => {
+                let what = format!("the others at {}", life.names.port_name(port));
+                add(round.to_string(), "waitfor", whole(port), remaining, what);
+            }
+            TaskState::Running | TaskState::Delaying | TaskState::Receiving { remaining: None, .. } => {}
+        }
+    }
+    found
+}
