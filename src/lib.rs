@@ -11,6 +11,7 @@ mod checks;
 mod demo;
 mod exit;
 mod explain;
+mod export;
 mod fmt;
 mod graph;
 mod launch;
@@ -71,6 +72,7 @@ fn run(cli: Cli) -> Result<Exit, Failure> {
         Verb::Demo(args) => demo::run(&args, &mut out),
         Verb::Monitor(args) => monitor(args, cli.color),
         Verb::Replay(args) => replay::run(&args, &mut out),
+        Verb::Export(args) => export::run(&args, &mut out),
         Verb::Bench(args) => bench::run(&args, &mut out),
         Verb::Completions { shell } => {
             let mut script = Vec::new();

@@ -207,6 +207,13 @@ impl App {
         Self { replay: Some(Box::new(player)), ..self }
     }
 
+    /// Shows a stop of the recording.
+    pub fn show_stop(&mut self, stop: usize) {
+        if let Some(player) = &mut self.replay {
+            player.go(stop);
+        }
+    }
+
     /// The recording shown, if one is.
     #[must_use]
     pub fn replay(&self) -> Option<&Player> {

@@ -12,6 +12,7 @@
 pub mod app;
 pub mod clock;
 mod error;
+pub mod export;
 pub mod keys;
 pub mod name;
 mod options;

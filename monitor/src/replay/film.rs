@@ -48,7 +48,7 @@ pub struct Film {
 }
 
 /// What a frame means to who shows it.
-pub(super) enum Scene {
+pub(crate) enum Scene {
     Arrival(Arrival),
     Step(Step),
     Nothing,
@@ -174,8 +174,13 @@ impl Film {
         self.stops.partition_point(|stop| stop.at <= at).saturating_sub(1)
     }
 
+    /// How many frames it has.
+    pub(crate) const fn frames(&self) -> usize {
+        self.frames.len()
+    }
+
     /// Frame number so.
-    pub(super) fn scene(&self, number: usize) -> Scene {
+    pub(crate) fn scene(&self, number: usize) -> Scene {
         let Some(frame) = self.frames.get(number) else { return Scene::Nothing };
         // It was decoded when the file was read.
         let Ok(shown) = Shown::decode(&self.bytes[frame.bytes.clone()]) else { return Scene::Nothing };

@@ -10,7 +10,7 @@ pub use film::{Film, Stop};
 
 use crate::clock::{Moment, Span};
 use crate::store::Store;
-use film::Scene;
+pub(crate) use film::Scene;
 use imrs_wire::recording::Step;
 use std::str::FromStr;
 use std::sync::Arc;

@@ -225,6 +225,12 @@ impl Store {
         }
     }
 
+    /// The life that a source speaks for.
+    #[must_use]
+    pub fn life_of(&self, source: SourceId) -> Option<&Life> {
+        self.life(*self.of_source.get(&source)?)
+    }
+
     fn index_of(&self, source: SourceId) -> Option<usize> {
         let id = self.of_source.get(&source)?;
         self.lives.iter().position(|l| l.id == *id)

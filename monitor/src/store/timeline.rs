@@ -198,7 +198,7 @@ fn find_causes(marks: &mut [Mark]) {
         }
     }
     // What a task does with a message that it already has follows from what it did with it before.
-    let mut had: BTreeMap<(LifeId, TaskId, Option<TaskId>, PortId, Kind, u32), usize> = BTreeMap::new();
+    let mut had = BTreeMap::new();
     for at in 0..marks.len() {
         let mark = marks[at];
         let Some((from, port, kind, number)) = caused_by(&mark) else { continue };
