@@ -67,7 +67,8 @@ fn shares(life: &Life, served: Option<&Service>, pen: &mut Pen<'_>) {
         pieces.push((format!("Jain {jain:.2} "), ink));
     }
     let share = |(source, share): &(TaskId, Share)| {
-        let rejected = if share.rejected > 0 { format!(", {} rejected", share.rejected) } else { String::new() };
+        let rejected =
+            if share.rejected > 0 { format!(", {} rejected", share.rejected) } else { String::new() };
         format!("{} {}/{}{rejected}", life.names.task(*source), share.served, share.offered)
     };
     let each: Vec<_> = served.by_source.iter().map(share).collect();
@@ -239,7 +240,9 @@ impl Queue<'_> {
     /// What is left of a message's life, and in it the mark by which it is likely to be done.
     fn bar(&self, width: u16, left_us: u64, done_us: Option<u64>) -> String {
         let plain = bar(&self.app.theme, width, left_us, self.whole_us);
-        let Some(done_us) = done_us.filter(|_| self.whole_us > 0 && width > 0) else { return format!("[{plain}]") };
+        let Some(done_us) = done_us.filter(|_| self.whole_us > 0 && width > 0) else {
+            return format!("[{plain}]");
+        };
         let at = u128::from(done_us) * u128::from(width) / u128::from(self.whole_us);
         let at = usize::try_from(at).unwrap_or(usize::MAX).min(usize::from(width) - 1);
         let marked = |(i, sign): (usize, char)| {
@@ -266,7 +269,7 @@ impl Queue<'_> {
             }
             _ if rejected >= STARVING => (format!("! starving: {rejected} rejects"), Ink::Warn),
             _ if full && last && entry.class == Class::Status => {
-                ("! first to go: the buffer is full".to_owned(), Ink::Warn)
+                ("! first to go: full".to_owned(), Ink::Warn)
             }
             Some(_) => ("ok".to_owned(), Ink::Plain),
             None => ("-".to_owned(), Ink::Plain),
@@ -279,11 +282,31 @@ const fn column(which: usize, width: u16) -> Column {
     let wide = width >= 100;
     match which {
         0 => Column::right("#", 2),
-        1 => Column::left("FROM", if width < 60 { 8 } else if wide { 16 } else { 10 }),
+        1 => Column::left(
+            "FROM",
+            if width < 60 {
+                8
+            } else if wide {
+                16
+            } else {
+                10
+            },
+        ),
         2 => Column::left("MSG", if wide { 12 } else { 9 }),
         3 => Column::left("CLS", 3),
         4 => Column::right("REMAIN", 8),
-        5 => Column::left("LEFT OF LIFE", if width < 60 { 0 } else if width < 100 { 18 } else if width < 160 { 30 } else { 62 }),
+        5 => Column::left(
+            "LEFT OF LIFE",
+            if width < 60 {
+                0
+            } else if width < 100 {
+                18
+            } else if width < 160 {
+                30
+            } else {
+                62
+            },
+        ),
         6 => Column::right("AGE", 7),
         7 => Column::right("REJ", 4),
         _ => Column::left("VERDICT", 0),
