@@ -1,19 +1,35 @@
-//! `imrs explain`: the pages about the codes of diagnostics.
+//! `imrs explain`: the pages about the codes of diagnostics, and about what the monitor warns of.
 
 use crate::args::{ExplainArgs, Format};
 use crate::exit::{Exit, Failure, did_you_mean};
 use crate::output::{BAD, FAINT, GOOD, HEAD, Output, Styled};
-use imrs_language::Word;
-use imrs_language::codes::{self, CodeEntry};
+use imrs_language::{Word, codes};
+use imrs_monitor::store::health::codes as lints;
 use serde_json::json;
+
+/// A code and its page.
+struct Entry {
+    code: &'static str,
+    title: &'static str,
+    explanation: &'static str,
+}
+
+/// Those of `imrs check`, then those of `imrs monitor`.
+fn entries() -> impl Iterator<Item = Entry> {
+    let diagnostics =
+        codes::ALL.iter().map(|of| Entry { code: of.code, title: of.title, explanation: of.explanation });
+    let lints =
+        lints::ALL.iter().map(|of| Entry { code: of.code, title: of.title, explanation: of.explanation });
+    diagnostics.chain(lints)
+}
 
 /// Explains a code, or lists them.
 ///
 /// # Errors
 /// [`Failure`].
 pub fn run(args: &ExplainArgs, out: &mut Output) -> Result<Exit, Failure> {
-    let entries: Vec<&CodeEntry> = match &args.code {
-        None => codes::ALL.iter().collect(),
+    let entries: Vec<Entry> = match &args.code {
+        None => entries().collect(),
         Some(code) => vec![page(code)?],
     };
     match args.format {
@@ -27,22 +43,33 @@ pub fn run(args: &ExplainArgs, out: &mut Output) -> Result<Exit, Failure> {
             for entry in entries {
                 out.line(format!("{}  {}", Styled(HEAD, entry.code), entry.title))?;
             }
-            out.line("\nE is an error, W a warning, N a note. `imrs explain E104` shows one.")?;
+            out.line(
+                "\nE is an error, W a warning, N a note of `imrs check`; those in words come from `imrs monitor`.\n\
+                 `imrs explain E104` shows one.",
+            )?;
         }
         Format::Text => entries.iter().try_for_each(|entry| out.text(&shown(entry.explanation)))?,
     }
     Ok(Exit::Well)
 }
 
-fn page(code: &str) -> Result<&'static CodeEntry, Failure> {
-    codes::explain(code).ok_or_else(|| {
-        // An O for a zero is the likeliest slip.
-        let upper = code.to_ascii_uppercase().replace('O', "0");
-        let near = did_you_mean(&upper, codes::ALL.iter().map(|entry| entry.code));
-        // The list of all is too long for a line.
-        let hint = if near.starts_with(": did") { near } else { ": `imrs explain` lists them".to_owned() };
-        Failure::Usage(format!("no code `{code}`{hint}"))
-    })
+fn page(code: &str) -> Result<Entry, Failure> {
+    let upper = code.to_ascii_uppercase();
+    if let Some(found) = entries().find(|entry| entry.code.eq_ignore_ascii_case(code)) {
+        return Ok(found);
+    }
+    // An O for a zero is the likeliest slip.
+    let slip = upper.replace('O', "0");
+    let near = did_you_mean(&slip, codes::ALL.iter().map(|entry| entry.code));
+    let lower = code.to_ascii_lowercase();
+    let near = if near.starts_with(": did") {
+        near
+    } else {
+        did_you_mean(&lower, lints::ALL.iter().map(|l| l.code))
+    };
+    // The list of all is too long for a line.
+    let hint = if near.starts_with(": did") { near } else { ": `imrs explain` lists them".to_owned() };
+    Err(Failure::Usage(format!("no code `{code}`{hint}")))
 }
 
 /// A page as a terminal shows it. Of Markdown the pages have a heading, paragraphs and fenced cells.

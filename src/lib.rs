@@ -126,7 +126,8 @@ fn monitor(args: MonitorArgs, color: args::Color) -> Result<Exit, Failure> {
         at: args.at,
         speed: args.speed,
         record: args.record,
-        record_for: args.record_for,
+        length: args.length,
+        assertions: args.assertions.clone(),
     };
     match imrs_monitor::run(&options)? {
         imrs_monitor::Verdict::Healthy => Ok(Exit::Well),

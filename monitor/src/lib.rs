@@ -16,6 +16,7 @@ pub mod keys;
 pub mod name;
 mod options;
 mod plain;
+pub mod query;
 pub mod record;
 pub mod replay;
 pub mod report;
@@ -53,8 +54,12 @@ const RECORDING: &str = "monitor.imrs";
 /// [`MonitorError`], with the exit code that the command should end with.
 pub fn run(options: &Options) -> Result<Verdict, MonitorError> {
     let screen = io::stdout().is_terminal() && io::stdin().is_terminal();
-    let printed = options.once || options.watch.is_some() || options.text || options.format == Format::Json;
-    let headless = options.record_for.is_some() || !screen;
+    let printed = options.once
+        || options.watch.is_some()
+        || options.text
+        || !options.assertions.is_empty()
+        || options.format == Format::Json;
+    let headless = (options.length.is_some() && options.record.is_some()) || !screen;
     if let Some(path) = options.record.as_ref().filter(|_| headless) {
         return plain::record(options, path, which(options), &mut io::stdout().lock());
     }

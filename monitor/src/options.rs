@@ -1,5 +1,6 @@
 //! What the user asked for.
 
+use crate::query::Assertion;
 use crate::replay::At;
 use std::fmt;
 use std::path::PathBuf;
@@ -92,8 +93,10 @@ pub struct Options {
     pub speed: Option<f64>,
     /// Record what comes in to this file.
     pub record: Option<PathBuf>,
-    /// Record for so long without a screen.
-    pub record_for: Option<Duration>,
+    /// Record, or hold `assertions` against what comes in, for so long without a screen.
+    pub length: Option<Duration>,
+    /// What must hold of the cells: without `length` once, else at every sample. Implies printing.
+    pub assertions: Vec<Assertion>,
     /// The form of what is printed. JSON implies printing.
     pub format: Format,
     /// When to use colour.
@@ -107,7 +110,7 @@ pub struct Options {
 pub enum Verdict {
     /// Nothing critical is shown, or the user closed the screen.
     Healthy,
-    /// Something critical is shown.
+    /// Something critical is shown, or an assertion does not hold.
     Finding,
 }
 

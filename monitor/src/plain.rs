@@ -3,6 +3,7 @@
 use crate::clock::Clock;
 use crate::error::MonitorError;
 use crate::options::{Format, Options, Verdict};
+use crate::query::Assertion;
 use crate::record::{Recorded, Tape};
 use crate::replay::{Player, tell};
 use crate::report;
@@ -24,6 +25,8 @@ use std::time::{Duration, Instant};
 const PATIENCE: Duration = Duration::from_millis(1500);
 /// How often lines are written where no period was asked for.
 const PERIOD: Duration = Duration::from_secs(1);
+/// How often assertions are held against what has come.
+const ASSERTED: Duration = Duration::from_millis(100);
 /// How often a recording without a screen looks whether it should end.
 const LOOK: Duration = Duration::from_millis(50);
 
@@ -127,9 +130,7 @@ pub fn record(
     })?;
     let mut watch = Watch::start_taped(which, clock, &tape)?;
     let found = watch.settle();
-    while found
-        && !ended.load(Ordering::Relaxed)
-        && options.record_for.is_none_or(|length| clock.now() < length)
+    while found && !ended.load(Ordering::Relaxed) && options.length.is_none_or(|length| clock.now() < length)
     {
         watch.watch(LOOK);
     }
@@ -170,6 +171,9 @@ pub fn record(
 pub fn replay(options: &Options, mut player: Player, out: &mut impl Write) -> Result<Verdict, MonitorError> {
     let only = options.cell.as_deref();
     let all = options.text && !options.once && options.at.is_none();
+    if !options.assertions.is_empty() {
+        return finish(asserted_of(options, &mut player, out));
+    }
     let said = match options.format {
         Format::Text if all && player.film().story.is_some() => steps(&mut player, out),
         Format::Text if all => entries(&mut player, out),
@@ -189,6 +193,38 @@ pub fn replay(options: &Options, mut player: Player, out: &mut impl Write) -> Re
     finish(
         said.and_then(|()| out.flush()).map(|()| if critical { Verdict::Finding } else { Verdict::Healthy }),
     )
+}
+
+/// Holds the assertions against every stop of a recording, or the one asked for.
+fn asserted_of(options: &Options, player: &mut Player, out: &mut impl Write) -> io::Result<Verdict> {
+    let stops = match options.at {
+        Some(at) => {
+            player.seek(at);
+            player.stop()..player.stop() + 1
+        }
+        None => 0..player.film().stops().len(),
+    };
+    let mut held = Vec::new();
+    for stop in stops {
+        player.go(stop);
+        let cells = report::cells(player.store(), options.cell.as_deref());
+        let hold = |assertion: &Assertion| assertion.holds(player.store(), &cells, player.moment());
+        held = options.assertions.iter().map(hold).collect();
+        if held.iter().any(|held| !held.holds) {
+            break;
+        }
+    }
+    let failed = held.iter().any(|held| !held.holds);
+    match options.format {
+        Format::Json => writeln!(out, "{}", report::json_of_assertions(&options.assertions, &held))?,
+        Format::Text => {
+            out.write_all(report::text_of_assertions(&options.assertions, &held).as_bytes())?;
+            if failed {
+                writeln!(out, "  at {}", player.position())?;
+            }
+        }
+    }
+    Ok(if failed { Verdict::Finding } else { Verdict::Healthy })
 }
 
 /// Every step of a finding, a block each.
@@ -245,6 +281,9 @@ pub fn print(
         let failed = watch.store().troubles().map(str::to_owned).collect();
         return Err(MonitorError::NothingFound { looked, failed });
     }
+    if !options.assertions.is_empty() {
+        return finish(asserted(&mut watch, options, out));
+    }
     let repeat = !options.once && (options.watch.is_some() || options.text);
     let lines = repeat && options.watch.is_none() && options.format == Format::Text;
     let mut verdict = sample(&watch, options, out);
@@ -255,6 +294,31 @@ pub fn print(
             if lines { happened(&watch, &mut next, options, out) } else { sample(&watch, options, out) };
     }
     finish(verdict)
+}
+
+/// Holds the assertions against what is known: once, or every so often until one does not hold or the time is over.
+fn asserted(watch: &mut Watch, options: &Options, out: &mut impl Write) -> io::Result<Verdict> {
+    let until = options.length.map(|length| Instant::now() + length);
+    loop {
+        let now = watch.clock.now();
+        let cells = report::cells(watch.store(), options.cell.as_deref());
+        let held: Vec<_> =
+            options.assertions.iter().map(|assertion| assertion.holds(watch.store(), &cells, now)).collect();
+        let failed = held.iter().any(|held| !held.holds);
+        let over = until.is_none_or(|until| Instant::now() >= until);
+        if failed || over {
+            match options.format {
+                Format::Json => writeln!(out, "{}", report::json_of_assertions(&options.assertions, &held))?,
+                Format::Text => {
+                    out.write_all(report::text_of_assertions(&options.assertions, &held).as_bytes())?;
+                }
+            }
+            out.flush()?;
+            return Ok(if failed { Verdict::Finding } else { Verdict::Healthy });
+        }
+        let left = until.map_or(LOOK, |until| until.saturating_duration_since(Instant::now()));
+        watch.watch(options.watch.unwrap_or(ASSERTED).min(left));
+    }
 }
 
 fn sample(watch: &Watch, options: &Options, out: &mut impl Write) -> io::Result<Verdict> {

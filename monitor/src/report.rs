@@ -2,6 +2,7 @@
 
 use crate::clock::{Moment, Span};
 use crate::name::{Name, shown_json};
+use crate::query::{Assertion, Held};
 use crate::replay::tell::Position;
 use crate::replay::{Player, tell};
 use crate::store::health::{Finding, findings};
@@ -327,6 +328,58 @@ fn found(store: &Store, cell: &Name, finding: &Finding) -> Found {
         port: life.zip(finding.place.port).map(|(l, p)| raw_port(l, p).to_owned()),
         text: finding.text.clone(),
     }
+}
+
+#[derive(Serialize)]
+struct Asserted<'a> {
+    version: u32,
+    holds: bool,
+    assertions: Vec<One<'a>>,
+}
+
+#[derive(Serialize)]
+struct One<'a> {
+    assertion: &'a str,
+    holds: bool,
+    values: &'a [String],
+}
+
+/// What came of assertions, as one line of JSON without the line's end.
+///
+/// # Panics
+/// Never, as [`json`].
+#[must_use]
+pub fn json_of_assertions(assertions: &[Assertion], held: &[Held]) -> String {
+    let all = assertions.iter().zip(held);
+    let report = Asserted {
+        version: VERSION,
+        holds: held.iter().all(|held| held.holds),
+        assertions: all
+            .map(|(assertion, held)| One {
+                assertion: assertion.text(),
+                holds: held.holds,
+                values: &held.values,
+            })
+            .collect(),
+    };
+    serde_json::to_string(&report).expect("strings and numbers")
+}
+
+/// What came of assertions, a line each.
+#[must_use]
+pub fn text_of_assertions(assertions: &[Assertion], held: &[Held]) -> String {
+    let mut out = String::new();
+    for (assertion, held) in assertions.iter().zip(held) {
+        let word = if held.holds { "holds" } else { "FALSE" };
+        let values = held.values.join(", ");
+        let _ = writeln!(
+            out,
+            "{word}: {}  ({})",
+            crate::name::shown_line(assertion.text()),
+            crate::name::shown_line(&values)
+        );
+    }
+    out
 }
 
 /// The wanted cells as text, a fact per line.

@@ -1,12 +1,13 @@
 //! What `imrs monitor` can be asked.
 
 use super::Format;
-use clap::Args;
+use clap::{ArgGroup, Args};
 use std::path::PathBuf;
 use std::time::Duration;
 
 /// What `monitor` can be asked.
 #[derive(Args, Clone, Debug)]
+#[command(group(ArgGroup::new("lasting").args(["record", "assertions"]).multiple(true)))]
 pub struct MonitorArgs {
     /// Attach to this node; may be given several times [default: all nodes on this machine].
     #[arg(long, short, value_name = "ADDR")]
@@ -38,9 +39,13 @@ pub struct MonitorArgs {
     /// Record what the nodes show; without a terminal, without a screen.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["once", "watch", "text"])]
     pub record: Option<PathBuf>,
-    /// Record for so long, without a screen, and end.
-    #[arg(long = "for", value_name = "TIME", requires = "record", value_parser = humantime::parse_duration)]
-    pub record_for: Option<Duration>,
+    /// Record or assert for so long, without a screen, and end.
+    #[arg(long = "for", value_name = "TIME", requires = "lasting", value_parser = humantime::parse_duration)]
+    pub length: Option<Duration>,
+    /// End with exit code 1 unless this holds, now or (with --for) all the time: `expired==0 and min_slack>5ms`,
+    /// `count(class=2 and fill>80%) == 0`, `up>=3`, `critical==0`.
+    #[arg(long = "assert", value_name = "CONDITION", conflicts_with = "record")]
+    pub assertions: Vec<imrs_monitor::query::Assertion>,
     /// The form of what is printed; JSON implies printing.
     #[arg(long, value_enum, value_name = "FORM", default_value_t = Format::Text)]
     pub format: Format,

@@ -73,6 +73,15 @@ impl Entry {
         }
     }
 
+    /// Where a machine observed it, and what; none where the monitor noticed it.
+    #[must_use]
+    pub const fn observed(&self) -> Option<(Option<TaskId>, &Observation)> {
+        match &self.what {
+            What::Observed { task, observation } => Some((*task, observation)),
+            What::Noticed { .. } => None,
+        }
+    }
+
     /// In one word.
     #[must_use]
     pub const fn kind(&self) -> &'static str {

@@ -147,6 +147,8 @@ pub struct Life {
     pub(super) next_base: Option<Sample>,
     /// Events that it could not keep for this monitor.
     pub lost: u64,
+    /// The same, as it was at `base` and will be at the next one.
+    pub(super) lost_before: (u64, u64),
     /// The longest that each timer was ever seen to have left: nothing says how long it was armed for.
     pub(super) longest: BTreeMap<(TaskId, TimeId), Ticks>,
 }
@@ -217,6 +219,12 @@ impl Life {
         (seconds > 0.0).then(|| grown as f64 / seconds)
     }
 
+    /// Events that it could not keep for this monitor, lately.
+    #[must_use]
+    pub const fn lost_lately(&self) -> u64 {
+        self.lost.saturating_sub(self.lost_before.0)
+    }
+
     /// How long a timer seems to be armed for, in microseconds: the most that was ever seen left of it.
     #[must_use]
     pub fn longest_timer(&self, task: TaskId, id: TimeId) -> Option<u64> {
@@ -235,6 +243,7 @@ impl Life {
         let due = self.next_base.as_ref().is_none_or(|next| at.saturating_sub(next.at) >= RATE);
         if due {
             self.base = self.next_base.replace(sample.clone());
+            self.lost_before = (self.lost_before.1, self.lost);
         }
         if self.base.is_none() {
             self.base = self.next_base.clone();

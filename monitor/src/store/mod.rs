@@ -173,6 +173,7 @@ impl Store {
             base: None,
             next_base: None,
             lost: 0,
+            lost_before: (0, 0),
             longest: BTreeMap::new(),
         };
         let again = self.lives.iter().any(|l| l.names.cell == life.names.cell && l.node == life.node);

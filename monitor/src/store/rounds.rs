@@ -44,6 +44,8 @@ pub struct Round {
     pub came: Vec<(TaskId, Moment)>,
     /// How it ended for each who has left it.
     pub ended: Vec<(TaskId, End)>,
+    /// When anything was last told of it.
+    pub last: Moment,
 }
 
 impl Round {
@@ -187,6 +189,7 @@ impl Histories {
                 left.end(task, End::Left);
             }
         }
+        history.round(number).last = at;
         match end {
             None => history.came(task, number, at),
             // Somebody whose arrival was not seen tells nothing of how long the others gathered.

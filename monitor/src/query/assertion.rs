@@ -1,0 +1,219 @@
+//! A condition on a whole cell: for scripts and continuous integration.
+
+use super::fields::{Field, PortRow, Row};
+use super::parse::{self, QueryError};
+use super::{Condition, Filter, Value, operator_holds};
+use crate::clock::{Moment, Span};
+use crate::name::Name;
+use crate::store::health::{Finding, findings};
+use crate::store::journal::Level;
+use crate::store::{Presence, Store};
+use std::cell::RefCell;
+
+/// How the values of all rows become one.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Aggregate {
+    Sum,
+    Min,
+    Max,
+}
+
+impl Aggregate {
+    pub const ALL: [Self; 3] = [Self::Sum, Self::Min, Self::Max];
+
+    pub const fn word(self) -> &'static str {
+        match self {
+            Self::Sum => "sum",
+            Self::Min => "min",
+            Self::Max => "max",
+        }
+    }
+
+    pub fn named(word: &str) -> Option<Self> {
+        Self::ALL.into_iter().find(|aggregate| aggregate.word() == word)
+    }
+}
+
+/// Something that is known of a whole cell.
+#[derive(Clone, Debug, PartialEq)]
+pub(super) enum Amount {
+    /// Over all ports.
+    Over(Aggregate, Field),
+    /// So many ports.
+    Count(Condition<Field>),
+    /// Nodes that are up.
+    Up,
+    /// Nodes that the cell declares.
+    Nodes,
+    /// What is wrong, of any level but notes.
+    Findings,
+    /// What is critical.
+    Critical,
+    /// Events that were lost on the way to the monitor.
+    Lost,
+}
+
+impl Amount {
+    pub fn named(word: &str) -> Option<Self> {
+        Some(match word {
+            "up" => Self::Up,
+            "nodes" => Self::Nodes,
+            "findings" => Self::Findings,
+            "critical" => Self::Critical,
+            "lost" => Self::Lost,
+            _ => return None,
+        })
+    }
+}
+
+/// A condition on a whole cell: `expired==0 and min_slack>5ms`, `count(class=2 and fill>80%) == 0 and up>=3`.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Assertion {
+    text: String,
+    condition: Condition<Amount>,
+}
+
+/// What came of an assertion.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Held {
+    /// Whether it holds.
+    pub holds: bool,
+    /// What was compared, with the values of this moment: `expired = 3`.
+    pub values: Vec<String>,
+}
+
+impl std::str::FromStr for Assertion {
+    type Err = QueryError;
+
+    fn from_str(text: &str) -> Result<Self, Self::Err> {
+        parse::assertion(text).map(|condition| Self { text: text.to_owned(), condition })
+    }
+}
+
+impl Assertion {
+    /// As it was written.
+    #[must_use]
+    pub fn text(&self) -> &str {
+        &self.text
+    }
+
+    /// Whether it holds of the cells `wanted` together.
+    #[must_use]
+    pub fn holds(&self, store: &Store, wanted: &[Name], now: Moment) -> Held {
+        let cells: Vec<_> = wanted.iter().map(|cell| (cell, findings(store, cell, now))).collect();
+        let values = RefCell::new(Vec::new());
+        let compare = |amount: &Amount, operator, right: &Value<'_>| {
+            let value = amount.value(store, &cells, now, matches!(right, Value::Time(_)));
+            let said = format!("{} = {}", amount.name(), shown(&value));
+            if !values.borrow().contains(&said) {
+                values.borrow_mut().push(said);
+            }
+            operator_holds(&value, operator, right)
+        };
+        let holds = self.condition.holds(&compare, &|_| false);
+        Held { holds, values: values.into_inner() }
+    }
+}
+
+fn shown(value: &Value<'_>) -> String {
+    match value {
+        Value::Missing => "nothing".to_owned(),
+        Value::Number(number) if number.is_infinite() => "nothing".to_owned(),
+        Value::Time(us) if us.is_infinite() => "nothing".to_owned(),
+        Value::Number(number) => format!("{number}"),
+        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a time for people")]
+        Value::Time(us) => Span::micros(*us as u64).to_string(),
+        Value::Text(text) => text.to_string(),
+    }
+}
+
+type Cells<'a> = [(&'a Name, Vec<Finding>)];
+
+impl Amount {
+    fn name(&self) -> String {
+        match self {
+            Self::Over(aggregate, field) => {
+                let name =
+                    super::FIELDS.iter().find(|info| info.field == *field).map_or("", |info| info.name);
+                if *aggregate == Aggregate::Sum {
+                    name.to_owned()
+                } else {
+                    format!("{}({name})", aggregate.word())
+                }
+            }
+            Self::Count(_) => "count(...)".to_owned(),
+            Self::Up => "up".to_owned(),
+            Self::Nodes => "nodes".to_owned(),
+            Self::Findings => "findings".to_owned(),
+            Self::Critical => "critical".to_owned(),
+            Self::Lost => "lost".to_owned(),
+        }
+    }
+
+    fn value(&self, store: &Store, cells: &Cells<'_>, now: Moment, time: bool) -> Value<'static> {
+        #[expect(clippy::cast_precision_loss, reason = "a count for comparing")]
+        let number = |count: usize| Value::Number(count as f64);
+        let lives = || cells.iter().flat_map(|(cell, _)| store.lives_of(cell));
+        match self {
+            Self::Over(aggregate, field) => over(*aggregate, *field, store, cells, now, time),
+            Self::Count(condition) => {
+                let filter = Filter(condition.clone());
+                let mut count = 0;
+                each_port(store, cells, now, &mut |row| count += usize::from(filter.takes(row)));
+                number(count)
+            }
+            Self::Up => number(lives().filter(|life| life.presence(now) == Presence::Up).count()),
+            Self::Nodes => {
+                let known = |cell: &Name| store.names(cell).map_or(0, |names| names.nodes.len());
+                number(cells.iter().map(|(cell, _)| known(cell)).sum())
+            }
+            Self::Findings | Self::Critical => {
+                let least = if *self == Self::Critical { Level::Bad } else { Level::Warn };
+                number(cells.iter().flat_map(|(_, all)| all).filter(|f| f.level >= least).count())
+            }
+            #[expect(clippy::cast_precision_loss, reason = "a count for comparing")]
+            Self::Lost => Value::Number(lives().map(|life| life.lost).sum::<u64>() as f64),
+        }
+    }
+}
+
+/// The value of a field over all ports that have it. The least of none is more than anything, the greatest less.
+fn over(
+    aggregate: Aggregate,
+    field: Field,
+    store: &Store,
+    cells: &Cells<'_>,
+    now: Moment,
+    time: bool,
+) -> Value<'static> {
+    let mut whole = match aggregate {
+        Aggregate::Sum => 0.0,
+        Aggregate::Min => f64::INFINITY,
+        Aggregate::Max => f64::NEG_INFINITY,
+    };
+    each_port(store, cells, now, &mut |row| {
+        let (Value::Number(value) | Value::Time(value)) = row.field(field) else { return };
+        whole = match aggregate {
+            Aggregate::Sum => whole + value,
+            Aggregate::Min => whole.min(value),
+            Aggregate::Max => whole.max(value),
+        };
+    });
+    if time { Value::Time(whole) } else { Value::Number(whole) }
+}
+
+/// The ports of the present lives: what an earlier life counted is history.
+fn each_port(store: &Store, cells: &Cells<'_>, now: Moment, each: &mut impl FnMut(&PortRow<'_>)) {
+    for (cell, findings) in cells {
+        let latest = |life: &&crate::store::Life| {
+            store.latest(cell, life.node_id).is_some_and(|latest| latest.id == life.id)
+        };
+        for life in store.lives_of(cell).filter(latest) {
+            for task in life.tasks() {
+                for port in &task.view.ports {
+                    each(&PortRow { store, life, task, port, findings, now });
+                }
+            }
+        }
+    }
+}

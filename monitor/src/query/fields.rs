@@ -1,0 +1,288 @@
+//! What rows have that can be asked for.
+
+use super::Value;
+use crate::clock::Moment;
+use crate::store::health::{Finding, Place};
+use crate::store::journal::{Entry, Level};
+use crate::store::meeting::state;
+use crate::store::service::service;
+use crate::store::{Life, Store};
+use imrs_protocol::{Class, PortView};
+use imrs_wire::obs::{Liveness, TaskSnapshot};
+use std::borrow::Cow;
+
+/// What a field is compared with.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Kind {
+    /// A count or a percentage.
+    Number,
+    /// A length of time.
+    Time,
+    /// A name or word.
+    Text,
+}
+
+/// A field and what it is.
+#[derive(Clone, Copy, Debug)]
+pub struct FieldInfo {
+    /// Which.
+    pub field: Field,
+    /// As it is written.
+    pub name: &'static str,
+    /// What it is compared with.
+    pub kind: Kind,
+    /// What it is.
+    pub help: &'static str,
+}
+
+macro_rules! fields {
+    ($($field:ident $name:literal $kind:ident $help:literal;)*) => {
+        /// Something that a row has.
+        #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+        pub enum Field {
+            $(#[doc = $help] $field,)*
+        }
+
+        /// All fields, in the order of the help.
+        pub const FIELDS: &[FieldInfo] = &[$(FieldInfo {
+            field: Field::$field,
+            name: $name,
+            kind: Kind::$kind,
+            help: $help,
+        },)*];
+    };
+}
+
+fields! {
+    Cell "cell" Text "the cell";
+    Node "node" Text "the node";
+    Task "task" Text "the task";
+    Port "port" Text "the port";
+    State "state" Text "what the task does: run, receive ..., reply ..., waitfor ..., delay, ended, crashed";
+    Usage "usage" Text "what the task does with the port: send, receive, query, response, reply, waitfor";
+    Health "health" Text "ok, note, warning, critical";
+    Code "code" Text "what is wrong with the row: the code of `imrs explain`";
+    Class "class" Number "1: status, 2: command";
+    Len "len" Number "messages that wait";
+    Capacity "capacity" Number "messages that may wait";
+    Fill "fill" Number "how full the buffer is, in percent";
+    Slack "slack" Time "what is left of the most urgent message";
+    Rate "rate" Number "messages a second, lately";
+    Sent "sent" Number "messages sent, or waitfors reached";
+    Resent "resent" Number "copies sent again";
+    Enqueued "enqueued" Number "messages that came";
+    Delivered "delivered" Number "messages taken, or waitfors released";
+    Expired "expired" Number "messages whose life ended here";
+    Refused "refused" Number "messages that found no space";
+    Evicted "evicted" Number "messages dropped for space";
+    Rejected "rejected" Number "times that a message was rejected by rank";
+    Duplicates "duplicates" Number "copies of messages seen before";
+    TimedOut "timed_out" Number "requests that ended by time_out";
+    Dropped "dropped" Number "other drops";
+    Service "service" Time "how long a message takes once it is its turn, 99th percentile";
+    Kind "kind" Text "of an event: sent, delivered, discard, ...";
+    Peer "peer" Text "of an event: the other task";
+    Number "number" Number "of an event: the message or round";
+    Ago "ago" Time "of an event: how long ago";
+}
+
+/// The field of this name.
+pub(super) fn find(name: &str) -> Option<&'static FieldInfo> {
+    let name = match name {
+        "in" => "enqueued",
+        "served" => "delivered",
+        "queue" => "len",
+        other => other,
+    };
+    FIELDS.iter().find(|info| info.name == name)
+}
+
+/// Something with fields.
+pub trait Row {
+    /// What the row has.
+    fn field(&self, field: Field) -> Value<'_>;
+    /// Whether `words`, in lower case, occur in the row.
+    fn mentions(&self, words: &str) -> bool;
+}
+
+/// A port of a task, on the overview.
+#[derive(Clone, Copy, Debug)]
+pub struct PortRow<'a> {
+    /// What is known.
+    pub store: &'a Store,
+    /// The node.
+    pub life: &'a Life,
+    /// The task.
+    pub task: &'a TaskSnapshot,
+    /// The port.
+    pub port: &'a PortView,
+    /// All that is wrong in the cell.
+    pub findings: &'a [Finding],
+    /// The moment shown.
+    pub now: Moment,
+}
+
+/// A node or task without a port of its own in the row.
+#[derive(Clone, Copy, Debug)]
+pub struct NodeRow<'a> {
+    /// The node.
+    pub life: &'a Life,
+    /// The task, if it is one's row.
+    pub task: Option<&'a TaskSnapshot>,
+    /// All that is wrong in the cell.
+    pub findings: &'a [Finding],
+}
+
+/// An event.
+#[derive(Clone, Copy, Debug)]
+pub struct EventRow<'a> {
+    /// The line of the journal.
+    pub entry: &'a Entry,
+    /// The moment shown.
+    pub now: Moment,
+}
+
+fn text<'a>(text: impl Into<Cow<'a, str>>) -> Value<'a> {
+    Value::Text(text.into())
+}
+
+#[expect(clippy::cast_precision_loss, reason = "a count for comparing")]
+const fn count(count: u64) -> Value<'static> {
+    Value::Number(count as f64)
+}
+
+#[expect(clippy::cast_precision_loss, reason = "a time for comparing")]
+const fn micros(us: u64) -> Value<'static> {
+    Value::Time(us as f64)
+}
+
+const fn level(level: Option<Level>) -> &'static str {
+    match level {
+        Some(Level::Bad) => "critical",
+        Some(Level::Warn) => "warning",
+        Some(Level::Note | Level::Trace) => "note",
+        None => "ok",
+    }
+}
+
+fn worst(findings: &[Finding], place: Place) -> Option<&Finding> {
+    // The worst come first.
+    findings.iter().find(|finding| place.holds(&finding.place))
+}
+
+fn doing(life: &Life, task: &TaskSnapshot) -> String {
+    match task.liveness {
+        Liveness::Alive => state(life, &task.view.state),
+        Liveness::Ended => "ended".to_owned(),
+        Liveness::Crashed => "crashed".to_owned(),
+    }
+}
+
+impl Row for PortRow<'_> {
+    fn field(&self, field: Field) -> Value<'_> {
+        let Self { store, life, task, port, findings, now } = *self;
+        let c = &port.counters;
+        let place = Place { node: Ok(life.id), task: Some(task.view.task), port: Some(port.port) };
+        match field {
+            Field::Port => text(life.names.port_name(port.port).raw().to_owned()),
+            Field::Usage => text(port.usage.word()),
+            Field::Health => text(level(worst(findings, place).map(|f| f.level))),
+            Field::Code => worst(findings, place).map_or(Value::Missing, |f| text(f.code)),
+            Field::Class => count(if port.class == Class::Command { 2 } else { 1 }),
+            Field::Len => count(port.len.into()),
+            Field::Capacity => count(port.capacity.into()),
+            Field::Fill if port.capacity == 0 => Value::Missing,
+            Field::Fill => Value::Number(f64::from(port.len) * 100.0 / f64::from(port.capacity)),
+            Field::Slack => {
+                port.min_slack.map_or(Value::Missing, |s| micros(life.left(s, task.age_us, now).us))
+            }
+            Field::Rate => life.rate(task.view.task, port.port).map_or(Value::Missing, Value::Number),
+            Field::Sent => count(c.sent),
+            Field::Resent => count(c.resent),
+            Field::Enqueued => count(c.enqueued),
+            Field::Delivered => count(c.delivered),
+            Field::Expired => count(c.expired),
+            Field::Refused => count(c.refused),
+            Field::Evicted => count(c.evicted),
+            Field::Rejected => count(c.rejected),
+            Field::Duplicates => count(c.duplicates),
+            Field::TimedOut => count(c.timed_out),
+            Field::Dropped => count(c.dropped),
+            Field::Service => {
+                let service = service(store, life.id, task.view.task, port.port);
+                service.and_then(|s| s.p99_us).map_or(Value::Missing, micros)
+            }
+            Field::Cell | Field::Node | Field::Task | Field::State => {
+                node_field(life, Some(task), findings, field)
+            }
+            Field::Kind | Field::Peer | Field::Number | Field::Ago => Value::Missing,
+        }
+    }
+
+    fn mentions(&self, words: &str) -> bool {
+        self.life.names.port_name(self.port.port).shown().to_lowercase().contains(words)
+            || NodeRow { life: self.life, task: Some(self.task), findings: self.findings }.mentions(words)
+    }
+}
+
+impl Row for NodeRow<'_> {
+    fn field(&self, field: Field) -> Value<'_> {
+        node_field(self.life, self.task, self.findings, field)
+    }
+
+    fn mentions(&self, words: &str) -> bool {
+        let has = |name: &crate::name::Name| name.shown().to_lowercase().contains(words);
+        has(&self.life.node) || self.task.is_some_and(|task| has(&self.life.names.task(task.view.task)))
+    }
+}
+
+fn node_field<'a>(
+    life: &'a Life,
+    task: Option<&TaskSnapshot>,
+    findings: &[Finding],
+    field: Field,
+) -> Value<'a> {
+    let place = Place { node: Ok(life.id), task: task.map(|t| t.view.task), port: None };
+    match (field, task) {
+        (Field::Cell, _) => text(life.names.cell.raw()),
+        (Field::Node, _) => text(life.node.raw()),
+        (Field::Task, Some(task)) => text(life.names.task(task.view.task).raw().to_owned()),
+        (Field::State, Some(task)) => text(doing(life, task)),
+        (Field::Health, _) => text(level(worst(findings, place).map(|f| f.level))),
+        (Field::Code, _) => worst(findings, place).map_or(Value::Missing, |f| text(f.code)),
+        _ => Value::Missing,
+    }
+}
+
+impl Row for EventRow<'_> {
+    fn field(&self, field: Field) -> Value<'_> {
+        let Self { entry, now } = *self;
+        let observed = entry.observed();
+        match field {
+            Field::Cell => text(entry.names.cell.raw()),
+            Field::Node => text(entry.node.raw()),
+            Field::Kind => text(entry.kind()),
+            Field::Health => text(level((entry.level() > Level::Trace).then(|| entry.level()))),
+            Field::Ago => micros(u64::try_from(now.saturating_sub(entry.at).as_micros()).unwrap_or(u64::MAX)),
+            Field::Task => observed
+                .and_then(|(task, _)| task)
+                .map_or(Value::Missing, |task| text(entry.names.task(task).raw().to_owned())),
+            Field::Port => {
+                observed.map_or(Value::Missing, |(_, o)| text(entry.names.port_name(o.port).raw().to_owned()))
+            }
+            Field::Peer => {
+                observed.map_or(Value::Missing, |(_, o)| text(entry.names.task(o.peer).raw().to_owned()))
+            }
+            Field::Number => observed.map_or(Value::Missing, |(_, o)| count(o.number.into())),
+            Field::Class => observed
+                .and_then(|(_, o)| entry.names.port(o.port))
+                .map_or(Value::Missing, |port| count(if port.class == Class::Command { 2 } else { 1 })),
+            Field::Slack => observed.map_or(Value::Missing, |(_, o)| micros(o.remaining.0)),
+            _ => Value::Missing,
+        }
+    }
+
+    fn mentions(&self, words: &str) -> bool {
+        self.entry.mentions(words)
+    }
+}

@@ -1,0 +1,85 @@
+//! What the monitor warns of: a code, how much it matters, and a page about each.
+
+use crate::store::journal::Level;
+
+/// Something that the monitor warns of.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Lint {
+    /// A name that stays the same, for programs and for `imrs explain`.
+    pub code: &'static str,
+    /// How much it matters.
+    pub level: Level,
+    /// What it is about, in a few words.
+    pub title: &'static str,
+    /// The page, in Markdown: what it means, when it is raised, what to do.
+    pub explanation: &'static str,
+}
+
+macro_rules! lints {
+    ($($name:ident $level:ident $code:literal $title:literal;)*) => {
+        $(pub(super) const $name: Lint = Lint {
+            code: $code,
+            level: Level::$level,
+            title: $title,
+            explanation: include_str!(concat!("explain/", $code, ".md")),
+        };)*
+
+        /// All that the monitor warns of, the worst first.
+        pub const ALL: &[Lint] = &[$($name,)*];
+    };
+}
+
+lints! {
+    NODE_DEAD Bad "node-dead" "a node is gone";
+    TASK_CRASHED Bad "task-crashed" "a task panicked";
+    LOST_MEMBER Bad "rendezvous-lost-member" "somebody waits for one who is no more";
+    WAIT_CYCLE Bad "wait-cycle" "tasks wait for each other in a circle";
+    DIVERGENT Bad "divergent-rendezvous" "a rendezvous ended differently for its members";
+    COMMAND_EVICTED Bad "command-evicted" "a command was dropped for space";
+    MODEL_VIOLATION Bad "model-violation" "a node does not do what was verified";
+    DIGEST_MISMATCH Bad "digest-mismatch" "nodes run different cells under one name";
+    VERSION_MISMATCH Warn "version-mismatch" "nodes of different releases";
+    RENDEZVOUS_STUCK Warn "rendezvous-stuck" "a rendezvous will soon be given up";
+    WITHIN_MARGIN Warn "within-margin" "all arrived, too late to go on alone";
+    DEADLINE_RISK Warn "deadline-risk" "a message will miss its deadline";
+    STARVING Warn "starving" "a message is rejected again and again";
+    STATUS_FLOOD Warn "status-flood" "more class-1 messages than are taken";
+    TIME_OUTS Warn "time-outs" "requests ended by time_out";
+    REFUSED Warn "refused" "messages found no space";
+    EVICTED Warn "evicted" "messages gave way to more urgent ones";
+    EXPIRED Warn "expired" "messages whose life ended here";
+    TRANSIT_FULL Warn "transit-full" "packets wait for their way out";
+    TIMER_LATE Warn "timer-late" "timers end later than the cell declares";
+    KERNEL_RESIDENCY Warn "kernel-residency" "datagrams wait in the kernel, or are dropped there";
+    INTEGRITY Warn "integrity" "datagrams that were damaged, forged or repeated";
+    LINK_DISCARDS Warn "link-discards" "datagrams that cannot be used";
+    NODE_SILENT Warn "node-silent" "a node says nothing, though attached";
+    NO_REAL_TIME Note "no-real-time" "real time was asked for and refused";
+    EVENTS_LOST Note "events-lost" "the node could not keep all events for this monitor";
+}
+
+/// The lint of this code.
+#[must_use]
+pub fn find(code: &str) -> Option<&'static Lint> {
+    ALL.iter().find(|lint| lint.code == code)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::collections::BTreeSet;
+
+    #[test]
+    fn codes_are_unique_and_every_page_says_what_it_means_and_what_to_do() {
+        let codes: BTreeSet<_> = ALL.iter().map(|lint| lint.code).collect();
+        assert_eq!(codes.len(), ALL.len());
+        for lint in ALL {
+            let heading = format!("# {}: {}\n", lint.code, lint.title);
+            assert!(lint.explanation.starts_with(&heading), "{}", lint.code);
+            for part in ["Raised when", "What to do:"] {
+                assert!(lint.explanation.contains(part), "{} has no `{part}`", lint.code);
+            }
+        }
+        assert!(ALL.is_sorted_by_key(|lint| std::cmp::Reverse(lint.level)));
+    }
+}

@@ -1,0 +1,56 @@
+//! What is wrong between nodes: what came in damaged or from strangers, what the kernel dropped, what waits to leave.
+
+use super::codes::{self, Lint};
+use super::{Finding, Lately, Place};
+use crate::store::Life;
+
+/// Names of what a link drops or fails in (`runtime/src/link`), and what each is a sign of. Others are
+/// [`codes::LINK_DISCARDS`], but for those that a link counts in its ordinary course.
+const SIGNS: &[(&str, &Lint)] = &[
+    ("checksum", &codes::INTEGRITY),
+    ("length", &codes::INTEGRITY),
+    ("too_short", &codes::INTEGRITY),
+    ("not_imrs", &codes::INTEGRITY),
+    ("replayed", &codes::INTEGRITY),
+    ("packet_checksum", &codes::INTEGRITY),
+    ("packet_malformed", &codes::INTEGRITY),
+    ("packet_port", &codes::INTEGRITY),
+    ("version", &codes::VERSION_MISMATCH),
+    ("mode", &codes::VERSION_MISMATCH),
+    ("packet_version", &codes::VERSION_MISMATCH),
+    ("other_cell", &codes::DIGEST_MISMATCH),
+    ("kernel_dropped", &codes::KERNEL_RESIDENCY),
+];
+
+/// Packets of an earlier life of a neighbour still arrive after it came back: the ordinary course of a restart.
+const ORDINARY: &[&str] = &["stale_incarnation"];
+
+pub(super) fn look(life: &Life, lately: &Lately<'_>, found: &mut Vec<Finding>) {
+    let place = Place::node(life);
+    for (name, more) in lately.link_discards() {
+        if ORDINARY.contains(&name) {
+            continue;
+        }
+        let sign = SIGNS.iter().find(|(known, _)| *known == name);
+        let lint = sign.map_or(&codes::LINK_DISCARDS, |(_, lint)| *lint);
+        let text = format!("link drops: {} (+{more})", crate::name::shown(name));
+        found.push(Finding::new(lint, place, text));
+    }
+    let transit = &lately.after.transit;
+    if transit.capacity > 0 && u32::from(transit.len) * 10 >= u32::from(transit.capacity) * 9 {
+        let text = format!("transit buffer {} of {}", transit.len, transit.capacity);
+        found.push(Finding::new(&codes::TRANSIT_FULL, place, text));
+    }
+}
+
+impl<'a> Lately<'a> {
+    /// What links have dropped lately, by reason.
+    fn link_discards(&self) -> impl Iterator<Item = (&'a str, u64)> + use<'a> {
+        let before = self.before;
+        self.after.link_discards.iter().filter_map(move |count| {
+            let was = before?.link_discards.iter().find(|c| c.name == count.name).map_or(0, |c| c.count);
+            let more = count.count.saturating_sub(was);
+            (more > 0).then_some((count.name.as_str(), more))
+        })
+    }
+}

@@ -1,0 +1,90 @@
+//! What is wrong, seen from what is known: each finding names its place and says what it means.
+
+pub mod codes;
+mod links;
+mod meetings;
+mod node;
+mod port;
+
+use super::journal::Level;
+use super::{Life, LifeId, Store};
+use crate::clock::Moment;
+use crate::name::Name;
+use codes::Lint;
+use imrs_protocol::{NodeId, PortId, TaskId};
+use imrs_wire::obs::Snapshot;
+
+/// Where something is wrong: the whole node, one task, or one port.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
+pub struct Place {
+    /// The life of the node, or the node that was never seen.
+    pub node: Result<LifeId, NodeId>,
+    /// The task.
+    pub task: Option<TaskId>,
+    /// The port.
+    pub port: Option<PortId>,
+}
+
+impl Place {
+    /// A whole node.
+    const fn node(life: &Life) -> Self {
+        Self { node: Ok(life.id), task: None, port: None }
+    }
+
+    /// Whether `other` is this place or within it.
+    #[must_use]
+    pub fn holds(&self, other: &Self) -> bool {
+        self.node == other.node
+            && (self.task.is_none() || self.task == other.task)
+            && (self.port.is_none() || self.port == other.port)
+    }
+}
+
+/// Something that is wrong.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Finding {
+    /// How much it matters.
+    pub level: Level,
+    /// A name that stays the same, for programs: see [`codes`].
+    pub code: &'static str,
+    /// Where.
+    pub place: Place,
+    /// In words.
+    pub text: String,
+}
+
+impl Finding {
+    const fn new(lint: &Lint, place: Place, text: String) -> Self {
+        Self { level: lint.level, code: lint.code, place, text }
+    }
+}
+
+/// All that is wrong in a cell now, worst first.
+#[must_use]
+pub fn findings(store: &Store, cell: &Name, now: Moment) -> Vec<Finding> {
+    let mut found = Vec::new();
+    for life in store.lives_of(cell) {
+        // An earlier life is history; the present one is what counts.
+        if store.latest(cell, life.node_id).is_some_and(|latest| latest.id == life.id) {
+            node::look(store, life, now, &mut found);
+        }
+    }
+    node::never_seen(store, cell, &mut found);
+    node::unlike(store, cell, now, &mut found);
+    meetings::look(store, cell, now, &mut found);
+    found.sort_by(|a, b| (b.level, a.place).cmp(&(a.level, b.place)));
+    found
+}
+
+/// How much a counter has grown since [`Life::base`], and the snapshot it stood in then.
+struct Lately<'a> {
+    before: Option<&'a Snapshot>,
+    after: &'a Snapshot,
+}
+
+impl<'a> Lately<'a> {
+    fn of(life: &'a Life) -> Option<Self> {
+        let after = &life.last.as_ref()?.snapshot;
+        Some(Self { before: life.base.as_ref().map(|s| &*s.snapshot), after })
+    }
+}

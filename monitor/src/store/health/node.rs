@@ -1,0 +1,94 @@
+//! What is wrong with a node as a whole, and with its tasks.
+
+use super::{Finding, Lately, Place, codes, links, port};
+use crate::clock::{Moment, Span};
+use crate::name::Name;
+use crate::store::conformance::{Verdict, conformance};
+use crate::store::{Condition, Life, Presence, Store};
+use imrs_wire::obs::{Liveness, RealTime};
+use std::collections::BTreeMap;
+
+pub(super) fn look(store: &Store, life: &Life, now: Moment, found: &mut Vec<Finding>) {
+    let place = Place::node(life);
+    match life.presence(now) {
+        Presence::Dead(_) => {
+            let why = match &life.condition {
+                Condition::Dead { why, .. } => crate::name::shown(why),
+                Condition::Attached | Condition::Stopped { .. } => String::new(),
+            };
+            found.push(Finding::new(&codes::NODE_DEAD, place, format!("dead, last state kept: {why}")));
+            return;
+        }
+        Presence::Silent(since) => {
+            let text = format!("silent for {}, though attached", Span(since));
+            found.push(Finding::new(&codes::NODE_SILENT, place, text));
+        }
+        Presence::Stopped(_) => return,
+        Presence::Up => {}
+    }
+    if let Verdict::Violates { step, what } = conformance(store, life.id).verdict {
+        let text = format!("does not do what was verified: step {step}: {}", crate::name::shown_line(&what));
+        found.push(Finding::new(&codes::MODEL_VIOLATION, place, text));
+    }
+    let Some(lately) = Lately::of(life) else { return };
+    if let RealTime::Refused { memory, scheduler, core } = lately.after.real_time {
+        let all = [(scheduler, "the scheduler"), (memory, "locked memory"), (core, "the core")];
+        let refused: Vec<_> = all.into_iter().filter_map(|(is, what)| is.then_some(what)).collect();
+        let text = format!("real time was refused: {}", refused.join(", "));
+        found.push(Finding::new(&codes::NO_REAL_TIME, place, text));
+    }
+    let lost = life.lost_lately();
+    if lost > 0 {
+        let text = format!("{lost} events were lost on the way to this monitor");
+        found.push(Finding::new(&codes::EVENTS_LOST, place, text));
+    }
+    links::look(life, &lately, found);
+    for task in &lately.after.tasks {
+        let place = Place { task: Some(task.view.task), ..place };
+        if task.liveness == Liveness::Crashed {
+            found.push(Finding::new(&codes::TASK_CRASHED, place, "the task panicked".to_owned()));
+        }
+        port::look(store, life, &lately, task, found);
+    }
+}
+
+/// Nodes of which only a socket is left.
+pub(super) fn never_seen(store: &Store, cell: &Name, found: &mut Vec<Finding>) {
+    for (id, _, killed) in store.unseen(cell) {
+        if killed {
+            let place = Place { node: Err(id), task: None, port: None };
+            found.push(Finding::new(&codes::NODE_DEAD, place, "dead: its socket was left behind".to_owned()));
+        }
+    }
+}
+
+/// Nodes that are not what most of their cell are: of another text, or another release.
+pub(super) fn unlike(store: &Store, cell: &Name, now: Moment, found: &mut Vec<Finding>) {
+    let latest = |life: &&Life| store.latest(cell, life.node_id).is_some_and(|latest| latest.id == life.id);
+    let up: Vec<&Life> =
+        store.lives_of(cell).filter(latest).filter(|life| !life.presence(now).is_gone()).collect();
+    if let Some(usual) = most_usual(up.iter().map(|life| life.digest)) {
+        for life in up.iter().filter(|life| life.digest != usual) {
+            let text = format!(
+                "runs another text of the cell: digest {:08x}, the others have {usual:08x}",
+                life.digest
+            );
+            found.push(Finding::new(&codes::DIGEST_MISMATCH, Place::node(life), text));
+        }
+    }
+    if let Some(usual) = most_usual(up.iter().map(|life| life.build.clone())) {
+        for life in up.iter().filter(|life| life.build != usual) {
+            let text = format!("is of another release: {}, the others are {usual}", life.build);
+            found.push(Finding::new(&codes::VERSION_MISMATCH, Place::node(life), text));
+        }
+    }
+}
+
+/// What most of `all` are; of equally many, the greatest.
+fn most_usual<T: Ord>(all: impl Iterator<Item = T>) -> Option<T> {
+    let mut count: BTreeMap<T, usize> = BTreeMap::new();
+    for one in all {
+        *count.entry(one).or_default() += 1;
+    }
+    count.into_iter().max_by_key(|(_, times)| *times).map(|(one, _)| one)
+}

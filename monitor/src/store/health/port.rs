@@ -1,0 +1,98 @@
+//! What is wrong at a port: what it has lost lately, and what it is about to lose. Of what has happened only the most
+//! telling is said: a flood also evicts and lets expire.
+
+use super::codes::{self, Lint};
+use super::{Finding, Lately, Place};
+use crate::clock::Span;
+use crate::store::service::service;
+use crate::store::{Life, Store};
+use imrs_protocol::{Class, PortCounters, PortView};
+use imrs_wire::obs::TaskSnapshot;
+
+/// A message that was rejected so often starves (R16, D58).
+const REJECTIONS: u32 = 3;
+/// So many class-1 messages dropped for space within some seconds are a flood, if they are a quarter of what came.
+const FLOOD: u64 = 10;
+
+pub(super) fn look(
+    store: &Store,
+    life: &Life,
+    lately: &Lately<'_>,
+    task: &TaskSnapshot,
+    found: &mut Vec<Finding>,
+) {
+    let earlier = lately.before.and_then(|s| s.tasks.iter().find(|t| t.view.task == task.view.task));
+    for port in &task.view.ports {
+        let place = Place { task: Some(task.view.task), port: Some(port.port), ..Place::node(life) };
+        let earlier = earlier.and_then(|t| t.view.ports.iter().find(|p| p.port == port.port));
+        if let Some((lint, text)) = earlier.and_then(|e| grown(port.class, &e.counters, &port.counters)) {
+            found.push(Finding::new(lint, place, text));
+        }
+        if port.len > 0
+            && let Some((lint, text)) = waiting(store, life, task, port)
+        {
+            found.push(Finding::new(lint, place, text));
+        }
+    }
+}
+
+/// What a port has lost lately, the most telling first.
+fn grown(class: Class, before: &PortCounters, after: &PortCounters) -> Option<(&'static Lint, String)> {
+    let more = |of: fn(&PortCounters) -> u64| of(after).saturating_sub(of(before));
+    let (evicted, refused) = (more(|c| c.evicted), more(|c| c.refused));
+    let came = more(|c| c.enqueued).saturating_add(refused);
+    let dropped = evicted.saturating_add(refused);
+    if class == Class::Status && dropped >= FLOOD && dropped.saturating_mul(4) >= came {
+        return Some((&codes::STATUS_FLOOD, format!("flood: {dropped} of {came} dropped for space")));
+    }
+    let evicted_as = if class == Class::Command { &codes::COMMAND_EVICTED } else { &codes::EVICTED };
+    let rows = [
+        (evicted_as, "evicted for space", if class == Class::Command { evicted } else { 0 }),
+        (&codes::TIME_OUTS, "time-outs of requests", more(|c| c.timed_out)),
+        (&codes::REFUSED, "refused for space", refused),
+        (evicted_as, "evicted for space", evicted),
+        (&codes::EXPIRED, "expired", more(|c| c.expired)),
+    ];
+    let (lint, words, count) = rows.into_iter().find(|(.., count)| *count > 0)?;
+    Some((lint, format!("{words} (+{count})")))
+}
+
+/// What will go wrong with a message that waits.
+fn waiting(
+    store: &Store,
+    life: &Life,
+    task: &TaskSnapshot,
+    port: &PortView,
+) -> Option<(&'static Lint, String)> {
+    let service = service(store, life.id, task.view.task, port.port);
+    let waits =
+        |source, number| port.queue.iter().any(|e| (e.source, e.id.sequence.get()) == (source, number));
+    let starved = service.as_ref().and_then(|s| s.most_rejected()).filter(|(.., times)| *times >= REJECTIONS);
+    if let Some((source, number, times)) = starved
+        && waits(source, number)
+    {
+        let from = life.names.task(source);
+        return Some((&codes::STARVING, format!("starving: #{number} of {from} was rejected {times} times")));
+    }
+    // As the node saw it: between two snapshots a short-lived message comes and goes, and counting its time down here
+    // would raise an alarm about one that was taken long ago.
+    for (position, entry) in port.queue.iter().enumerate() {
+        let left = life.left_when_seen(entry.remaining, task.age_us);
+        if let Some(needed) = service.as_ref().and_then(|s| s.done_in(position))
+            && left < needed
+        {
+            let from = life.names.task(entry.source);
+            let text = format!(
+                "expiring: #{} of {from} has {} left and needs {}",
+                entry.id.sequence.get(),
+                Span::micros(left),
+                Span::micros(needed)
+            );
+            return Some((&codes::DEADLINE_RISK, text));
+        }
+    }
+    let left = life.left_when_seen(port.min_slack?, task.age_us);
+    let whole = life.names.port(port.port)?.time_out(task.view.task)?;
+    let late = left < whole.0.saturating_mul(life.tick_us) / 10;
+    late.then(|| (&codes::DEADLINE_RISK, "expiring: a message has a tenth of its life left".to_owned()))
+}

@@ -1,0 +1,129 @@
+//! Conditions: what they say of rows and of cells, and what is said of texts that are none.
+
+mod common;
+
+use common::{Stage, ms};
+use imrs_monitor::name::Name;
+use imrs_monitor::query::{Assertion, FIELDS, Filter, PortRow};
+use imrs_monitor::store::Store;
+use imrs_monitor::store::health::findings;
+use imrs_monitor::theme::Theme;
+use proptest::prelude::*;
+use std::time::Duration;
+
+const NOW: Duration = ms(1_000);
+
+/// `node.task.port` of the ports that a filter takes.
+fn taken(store: &Store, text: &str) -> Vec<String> {
+    let filter = Filter::parse(text).unwrap().unwrap();
+    let found = findings(store, &Name::new("beam-lift"), NOW);
+    let mut taken = Vec::new();
+    for life in store.lives() {
+        for task in life.tasks() {
+            for port in &task.view.ports {
+                let row = PortRow { store, life, task, port, findings: &found, now: NOW };
+                if filter.takes(&row) {
+                    let task = life.names.task(task.view.task);
+                    taken.push(format!("{}.{task}.{}", life.node, life.names.port_name(port.port)));
+                }
+            }
+        }
+    }
+    taken
+}
+
+#[test]
+fn filters_pick_ports_by_what_they_have() {
+    let stage = Stage::cell(Theme::ASCII);
+    let store = stage.app.store();
+    assert_eq!(taken(store, "slack<20ms and class=2"), ["nr.armR.beat"]);
+    assert_eq!(taken(store, "fill>30%"), ["nr.armR.beat"]);
+    assert_eq!(taken(store, "usage=send and node=nl"), ["nl.armL.beat"]);
+    assert_eq!(
+        taken(store, "usage = send or (usage = receive and node = nl)"),
+        ["nl.armL.beat", "nl.armL.halt", "nh.hoist.halt"]
+    );
+    assert_eq!(taken(store, "not task~arm"), ["nh.hoist.lift", "nh.hoist.halt"]);
+    assert_eq!(taken(store, "beat"), ["nl.armL.beat", "nr.armR.beat"]);
+    assert_eq!(taken(store, "armr && !lift"), ["nr.armR.beat", "nr.armR.halt"]);
+    assert_eq!(taken(store, "health=warning"), ["nr.armR.beat"]);
+    // What has no slack is not below anything, and is unequal to everything.
+    assert_eq!(taken(store, "slack<10s"), ["nr.armR.beat"]);
+    assert_eq!(taken(store, "slack!=7ms").len(), 7);
+    assert_eq!(Filter::parse("  ").unwrap(), None);
+}
+
+#[test]
+fn what_is_no_condition_is_told_where_and_what_would_be_right() {
+    let error = |text: &str| Filter::parse(text).unwrap_err().to_string();
+    assert_eq!(
+        error("slack<20"),
+        "at column 7: `20` cannot be compared with `slack`: write a time, as 20ms, 5us or 1.5s"
+    );
+    assert_eq!(
+        error("len<5ms"),
+        "at column 5: `5ms` cannot be compared with `len`: write a number, as 3 or 80%"
+    );
+    assert_eq!(error("slak<20ms"), "at column 1: no field `slak`: did you mean `slack`?");
+    assert!(error("colour=3").contains("there are cell, node, task"));
+    assert_eq!(error("len>"), "at column 5: what `len` is compared with was expected here");
+    assert_eq!(error("(len>3"), "at column 7: `)` is missing here");
+    assert_eq!(error("len>3 len<9"), "at column 7: `and`, `or` or the end was expected here");
+    assert_eq!(error("len~3"), "at column 5: `~` looks into texts, and `len` is none");
+    assert_eq!(error("node=\"nl"), "at column 6: a text that begins here is not closed");
+    assert_eq!(error("a and"), "at column 6: a condition was expected here");
+    assert!(error(&"(".repeat(100)).contains("nested too deeply"));
+    let error = |text: &str| text.parse::<Assertion>().unwrap_err().to_string();
+    assert_eq!(error("node=nl"), "at column 1: `node` is a text of each row: write count(node=...)");
+    assert_eq!(error("up"), "at column 3: a comparison was expected here, as in `up < 3`");
+}
+
+#[test]
+fn assertions_speak_of_whole_cells() {
+    let mut stage = Stage::cell(Theme::ASCII);
+    let beam = [Name::new("beam-lift")];
+    let held = |stage: &Stage, text: &str, at: Duration| {
+        let held = text.parse::<Assertion>().unwrap().holds(stage.app.store(), &beam, at);
+        (held.holds, held.values.join(", "))
+    };
+    assert_eq!(held(&stage, "up>=3 and nodes=3", NOW), (true, "up = 3, nodes = 3".to_owned()));
+    assert_eq!(held(&stage, "min_slack>5ms", NOW), (true, "min(slack) = 7ms".to_owned()));
+    assert_eq!(held(&stage, "min(slack)>5ms", ms(1_004)).0, false);
+    assert_eq!(held(&stage, "expired==0", NOW), (false, "expired = 16".to_owned()));
+    assert_eq!(held(&stage, "max(len)=3 and sum(len)=3", NOW).0, true);
+    assert_eq!(held(&stage, "count(class=2 and fill>30%)=1", NOW), (true, "count(...) = 1".to_owned()));
+    assert_eq!(held(&stage, "critical=0 or findings=0", NOW).0, true);
+    stage.lose(ms(1_050), 2);
+    assert_eq!(held(&stage, "up>=3", ms(1_060)), (false, "up = 2".to_owned()));
+    assert_eq!(held(&stage, "critical=0", ms(1_060)).0, false);
+    // Where nothing waits, nothing is urgent.
+    let nothing = "min_slack>5ms".parse::<Assertion>().unwrap().holds(&Store::default(), &[], NOW);
+    assert_eq!((nothing.holds, nothing.values.join(", ")), (true, "min(slack) = nothing".to_owned()));
+}
+
+#[test]
+fn every_field_can_be_asked_for_under_its_name() {
+    for info in FIELDS {
+        let literal = match info.kind {
+            imrs_monitor::query::Kind::Number => "1",
+            imrs_monitor::query::Kind::Time => "1ms",
+            imrs_monitor::query::Kind::Text => "word",
+        };
+        assert!(Filter::parse(&format!("{}={literal}", info.name)).is_ok(), "{}", info.name);
+    }
+}
+
+proptest! {
+    #[test]
+    fn no_text_makes_the_parser_panic(text in "\\PC{0,40}") {
+        let _ = Filter::parse(&text);
+        let _ = text.parse::<Assertion>();
+    }
+
+    #[test]
+    fn no_words_of_the_language_make_it_panic(words in proptest::collection::vec("and|or|not|\\(|\\)|len|slack|=|<|3|5ms|nl|count", 0..12)) {
+        let text = words.join(" ");
+        let _ = Filter::parse(&text);
+        let _ = text.parse::<Assertion>();
+    }
+}
