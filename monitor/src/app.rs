@@ -361,6 +361,12 @@ impl App {
         self.entry.and_then(chosen).unwrap_or(self.scroll).min(view.queue.len().saturating_sub(1))
     }
 
+    /// The screen that the help is about.
+    #[must_use]
+    pub const fn helped(&self) -> Screen {
+        self.before
+    }
+
     /// The message whose life is shown.
     #[must_use]
     pub const fn message(&self) -> Option<MessageKey> {

@@ -109,20 +109,38 @@ pub struct Theme {
     pub name: &'static str,
     /// The signs.
     pub glyphs: Glyphs,
-    colour: bool,
+    palette: Palette,
+}
+
+/// The colours.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Palette {
+    /// None: bold, dim, underlined and reversed only.
+    None,
+    /// For a dark background.
+    Dark,
+    /// For a light background.
+    Light,
+    /// The strongest that a terminal has, and nothing dim.
+    Contrast,
 }
 
 impl Theme {
     /// Colours that people with any colour vision tell apart (Okabe and Ito), from the 256 that terminals have.
-    pub const COLOUR: Self = Self { name: "colour", glyphs: UNICODE, colour: true };
+    pub const COLOUR: Self = Self { name: "colour", glyphs: UNICODE, palette: Palette::Dark };
     /// No colour: bold, dim, underlined and reversed only.
-    pub const MONO: Self = Self { name: "mono", glyphs: UNICODE, colour: false };
+    pub const MONO: Self = Self { name: "mono", glyphs: UNICODE, palette: Palette::None };
     /// No colour and nothing but ASCII.
-    pub const ASCII: Self = Self { name: "ascii", glyphs: ASCII, colour: false };
+    pub const ASCII: Self = Self { name: "ascii", glyphs: ASCII, palette: Palette::None };
     /// Colour, and nothing but ASCII.
-    pub const COLOUR_ASCII: Self = Self { name: "colour-ascii", glyphs: ASCII, colour: true };
+    pub const COLOUR_ASCII: Self = Self { name: "colour-ascii", glyphs: ASCII, palette: Palette::Dark };
+    /// The same colours, darker, for a light background.
+    pub const LIGHT: Self = Self { name: "light", glyphs: UNICODE, palette: Palette::Light };
+    /// The strongest colours, nothing dim, for eyes or light that need it.
+    pub const CONTRAST: Self = Self { name: "contrast", glyphs: UNICODE, palette: Palette::Contrast };
     /// All of them, in the order that the key for it goes through.
-    pub const ALL: [Self; 4] = [Self::COLOUR, Self::MONO, Self::ASCII, Self::COLOUR_ASCII];
+    pub const ALL: [Self; 6] =
+        [Self::COLOUR, Self::LIGHT, Self::CONTRAST, Self::MONO, Self::ASCII, Self::COLOUR_ASCII];
 
     /// The theme of a name.
     #[must_use]
@@ -159,25 +177,34 @@ impl Theme {
     pub fn style(&self, ink: Ink) -> Style {
         let plain = Style::new();
         let modifier = |m: Modifier| plain.add_modifier(m);
-        if self.colour {
-            return match ink {
-                Ink::Plain => plain,
-                Ink::Head => modifier(Modifier::BOLD).fg(Color::Indexed(74)),
-                Ink::Dim => plain.fg(Color::Indexed(245)),
-                Ink::Selected => modifier(Modifier::REVERSED),
-                Ink::Good => plain.fg(Color::Indexed(36)),
-                Ink::Warn => plain.fg(Color::Indexed(214)),
-                Ink::Bad => modifier(Modifier::BOLD).fg(Color::Indexed(202)),
-                Ink::Bar => plain.fg(Color::Indexed(74)),
-            };
-        }
-        match ink {
-            Ink::Plain | Ink::Good | Ink::Bar => plain,
-            Ink::Head => modifier(Modifier::BOLD | Modifier::UNDERLINED),
-            Ink::Dim => modifier(Modifier::DIM),
-            Ink::Selected => modifier(Modifier::REVERSED),
-            Ink::Warn => modifier(Modifier::UNDERLINED),
-            Ink::Bad => modifier(Modifier::BOLD),
+        let colour = |index: u8| plain.fg(Color::Indexed(index));
+        let bold = |index: u8| colour(index).add_modifier(Modifier::BOLD);
+        match (self.palette, ink) {
+            (_, Ink::Plain) => plain,
+            (_, Ink::Selected) => modifier(Modifier::REVERSED),
+            (Palette::Dark, Ink::Head) => bold(74),
+            (Palette::Dark, Ink::Dim) => colour(245),
+            (Palette::Dark, Ink::Good) => colour(36),
+            (Palette::Dark, Ink::Warn) => colour(214),
+            (Palette::Dark, Ink::Bad) => bold(202),
+            (Palette::Dark, Ink::Bar) => colour(74),
+            (Palette::Light, Ink::Head) => bold(25),
+            (Palette::Light, Ink::Dim) => colour(241),
+            (Palette::Light, Ink::Good) => colour(29),
+            (Palette::Light, Ink::Warn) => colour(130),
+            (Palette::Light, Ink::Bad) => bold(160),
+            (Palette::Light, Ink::Bar) => colour(25),
+            (Palette::Contrast, Ink::Head) => bold(15).add_modifier(Modifier::UNDERLINED),
+            (Palette::Contrast, Ink::Dim) => plain,
+            (Palette::Contrast, Ink::Good) => bold(10),
+            (Palette::Contrast, Ink::Warn) => bold(11),
+            (Palette::Contrast, Ink::Bad) => bold(15).bg(Color::Indexed(160)),
+            (Palette::Contrast, Ink::Bar) => bold(14),
+            (Palette::None, Ink::Good | Ink::Bar) => plain,
+            (Palette::None, Ink::Head) => modifier(Modifier::BOLD | Modifier::UNDERLINED),
+            (Palette::None, Ink::Dim) => modifier(Modifier::DIM),
+            (Palette::None, Ink::Warn) => modifier(Modifier::UNDERLINED),
+            (Palette::None, Ink::Bad) => modifier(Modifier::BOLD),
         }
     }
 }
@@ -195,6 +222,14 @@ mod tests {
             }
             assert!(theme.style(Ink::Selected).add_modifier.contains(Modifier::REVERSED));
         }
+    }
+
+    #[test]
+    fn every_theme_is_found_by_its_name() {
+        for (name, theme) in Theme::names().into_iter().zip(Theme::ALL) {
+            assert_eq!(Theme::named(name), Some(theme));
+        }
+        assert_eq!(Theme::named("Colour"), None);
     }
 
     #[test]

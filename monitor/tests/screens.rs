@@ -2,13 +2,13 @@
 
 mod common;
 
-use common::{BEAT, HALT, LIFT, Stage, events, ms, observed, styles, text};
-use crossterm::event::KeyCode;
-use imrs_monitor::app::{Msg, Screen};
-use imrs_monitor::keys::BINDINGS;
+use common::{BEAT, HALT, LIFT, Stage, at, events, left, ms, observed, snapshot, styles, text};
+use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
+use imrs_monitor::app::{Effect, Msg, Screen};
+use imrs_monitor::keys::{self, Action, BINDINGS};
 use imrs_monitor::source::Feed;
 use imrs_monitor::theme::Theme;
-use imrs_protocol::{Event, Reason};
+use imrs_protocol::{Event, MeetingState, Reason, TaskState};
 use imrs_wire::obs::ServerFrame;
 use std::time::Duration;
 
@@ -36,10 +36,67 @@ fn dead(theme: Theme) -> Stage {
     stage
 }
 
+/// Marked, after which two more messages expired.
+fn marked(theme: Theme) -> Stage {
+    let mut stage = stage(theme);
+    stage.keys(ms(1_060), "m");
+    let mut later = snapshot(1);
+    let beat = later.tasks[0].view.ports.iter_mut().find(|p| p.port == BEAT).unwrap();
+    beat.counters.expired += 2;
+    stage.frame(ms(1_100), 1, ServerFrame::Snapshot(later));
+    stage
+}
+
 /// A scene's name, and how to get there.
 type Scene = (&'static str, fn(Theme) -> Stage, &'static str);
 
-const SCENES: [Scene; 10] = [
+/// The right arm has answered many beats, each in four milliseconds, and its buffer is full.
+fn served(theme: Theme) -> Stage {
+    let mut stage = Stage::busy(theme);
+    let beats = (0..8).flat_map(|n| {
+        let at = 4_900 + 4 * u64::from(n);
+        let number = 8_900 + n;
+        [
+            (at, left(Event::Enqueued, BEAT, 0, number, 190)),
+            (at, left(Event::Delivered, BEAT, 0, number, 190)),
+            (at + 4, left(Event::Replied, BEAT, 0, number, 186)),
+        ]
+    });
+    let beats: Vec<_> = beats.collect();
+    stage.frame(ms(1_100), 1, ServerFrame::Events(at(1, &beats)));
+    let rejected: Vec<_> = (0..3).map(|n| (4_940 + n, left(Event::Rejected, BEAT, 0, 8_813, 140))).collect();
+    stage.frame(ms(1_100), 1, ServerFrame::Events(at(1, &rejected)));
+    let mut full = snapshot(1);
+    let beat = full.tasks[0].view.ports.iter_mut().find(|p| p.port == BEAT).unwrap();
+    for entry in &mut beat.queue {
+        entry.remaining = imrs_protocol::Ticks(entry.remaining.0 + 50_000);
+    }
+    beat.queue[0].remaining = imrs_protocol::Ticks(52_000);
+    beat.queue[2].class = imrs_protocol::Class::Status;
+    beat.len = 8;
+    stage.frame(ms(1_100), 1, ServerFrame::Snapshot(full));
+    stage
+}
+
+/// The left arm waits for the right one at the lift, and that for a beat of the left one.
+fn cycle(theme: Theme) -> Stage {
+    let mut stage = Stage::cell(theme);
+    let mut left = snapshot(0);
+    left.tasks[0].view.meetings[0].members[1].arrived = false;
+    stage.frame(ms(1_100), 0, ServerFrame::Snapshot(left));
+    let mut right = snapshot(1);
+    let view = &mut right.tasks[0].view;
+    view.state = TaskState::Receiving { port: Some(BEAT), remaining: None };
+    view.meetings[0].state = MeetingState::Away;
+    view.meetings[0].remaining = None;
+    let beat = view.ports.iter_mut().find(|p| p.port == BEAT).unwrap();
+    (beat.len, beat.min_slack) = (0, None);
+    beat.queue.clear();
+    stage.frame(ms(1_100), 1, ServerFrame::Snapshot(right));
+    stage
+}
+
+const SCENES: [Scene; 23] = [
     ("overview", stage, ""),
     ("overview_dead", dead, "jjjj"),
     ("overview_filter", stage, "/bea"),
@@ -50,6 +107,19 @@ const SCENES: [Scene; 10] = [
     ("events", dead, "6"),
     ("events_held", dead, "6akk"),
     ("help", stage, "?"),
+    ("help_port", stage, "2?"),
+    ("help_timeline", stage, "4?"),
+    ("port_served", served, "2lj"),
+    ("message", served, "2l\n"),
+    ("rendezvous_cycle", cycle, "3"),
+    ("rendezvous_busy", Stage::busy, "3"),
+    ("timeline", Stage::busy, "4"),
+    ("timeline_held", Stage::busy, "4lkkkk"),
+    ("timeline_zoomed", Stage::busy, "4----"),
+    ("timers", Stage::busy, "5"),
+    ("model", Stage::busy, "7"),
+    ("overview_marked", marked, "d"),
+    ("command", stage, ":port be"),
 ];
 
 fn snap(name: &str, make: impl Fn(Theme) -> Stage, keys: &str, now: Duration) {
@@ -137,28 +207,34 @@ fn the_selection_is_marked_by_a_sign_and_by_reversing_in_every_theme() {
 fn the_help_lists_every_key_and_every_key_does_something_where_it_says() {
     let mut stage = stage(Theme::ASCII);
     stage.keys(NOW, "?");
-    let text = stage.text(NOW, 120, 100);
+    let text = stage.text(NOW, 120, 150);
     for binding in BINDINGS {
-        let line =
-            text.lines().find(|l| l.contains(binding.help)).unwrap_or_else(|| panic!("{}", binding.help));
-        assert!(line.contains(&binding.label()), "{line}");
-        let screens = [Screen::Overview, Screen::Port, Screen::Rendezvous, Screen::Events, Screen::Help];
-        for screen in screens.into_iter().filter(|s| binding.is_on(*s)) {
+        let told = |line: &str| line.contains(binding.help) && line.contains(&binding.label());
+        assert!(text.lines().any(told), "{} {}", binding.label(), binding.help);
+        for screen in Screen::ALL.into_iter().filter(|s| binding.is_on(*s)) {
             for key in binding.keys {
-                let modifiers = if key.ctrl {
-                    crossterm::event::KeyModifiers::CONTROL
-                } else {
-                    crossterm::event::KeyModifiers::NONE
-                };
-                let event = crossterm::event::KeyEvent::new(key.code, modifiers);
-                assert_eq!(
-                    imrs_monitor::keys::action(&event, screen),
-                    Some(binding.action),
-                    "{key:?} on {screen:?}"
-                );
+                let modifiers = if key.ctrl { KeyModifiers::CONTROL } else { KeyModifiers::NONE };
+                let event = KeyEvent::new(key.code, modifiers);
+                assert_eq!(keys::action(&event, screen), Some(binding.action), "{key:?} on {screen:?}");
+                press(&event, screen, binding.action);
             }
         }
     }
+}
+
+/// Pressed where the table says, a key does something; those of a recording do where one is shown.
+fn press(event: &KeyEvent, screen: Screen, action: Action) {
+    let mut stage = Stage::busy(Theme::ASCII);
+    if screen == Screen::Message {
+        stage.keys(NOW, "2l\n");
+    } else if let Some(show) = BINDINGS.iter().find(|b| b.action == Action::Show(screen)) {
+        stage.key(NOW, show.keys[0].code);
+    }
+    assert_eq!(stage.app.screen, screen);
+    let effect = stage.app.update(Msg::Key(*event), NOW);
+    let of_recordings =
+        matches!(action, Action::StepBack | Action::StepOn | Action::PreviousAnomaly | Action::NextAnomaly);
+    assert_eq!(effect == Effect::Nothing, of_recordings, "{event:?} on {screen:?}");
 }
 
 #[test]

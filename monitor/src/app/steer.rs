@@ -174,9 +174,12 @@ impl App {
 
     fn enter(&mut self, now: Moment) {
         if self.screen != Screen::Overview {
-            if let Some(key) = self.message_here(now) {
-                (self.message, self.chosen_on) = (Some(key), self.screen);
-                self.show(Screen::Message);
+            match self.message_here(now) {
+                Some(key) => {
+                    (self.message, self.chosen_on) = (Some(key), self.screen);
+                    self.show(Screen::Message);
+                }
+                None => self.told = Some("this row is of no message".to_owned()),
             }
             return;
         }
@@ -239,7 +242,8 @@ impl App {
             _ => String::new(),
         };
         if text.is_empty() {
-            return Effect::Nothing;
+            self.told = Some("there is nothing to copy here".to_owned());
+            return Effect::Draw;
         }
         self.told = Some(format!("copied {text}"));
         Effect::Copy(text)

@@ -10,7 +10,7 @@ use crate::clock::Moment;
 use crate::name::Name;
 use imrs_protocol::{Event, PortId, TaskId};
 use std::cmp::Reverse;
-use std::collections::{BTreeMap, BinaryHeap};
+use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
 use std::time::Duration;
 
 /// How far the clocks of two nodes may be apart in the monitor's estimate, where one looks for the cause of something.
@@ -198,11 +198,11 @@ fn find_causes(marks: &mut [Mark]) {
         }
     }
     // What a task does with a message that it already has follows from what it did with it before.
-    let mut had = BTreeMap::new();
+    let mut had = BTreeSet::new();
     for at in 0..marks.len() {
         let mark = marks[at];
         let Some((from, port, kind, number)) = caused_by(&mark) else { continue };
-        if had.insert((mark.life, mark.task, from, port, kind, number), at).is_some() {
+        if !had.insert((mark.life, mark.task, from, port, kind, number)) {
             continue;
         }
         let fits = |&&candidate: &&usize| {
@@ -232,22 +232,30 @@ fn ordered(mut marks: Vec<Mark>) -> Vec<Mark> {
     let mut ready: BinaryHeap<_> = ready.map(|at| Reverse((marks[at].order, at))).collect();
     let mut order = Vec::with_capacity(marks.len());
     let mut placed = vec![usize::MAX; marks.len()];
-    while let Some(Reverse((moment, at))) = ready.pop() {
+    let (mut latest, mut first_open) = (Duration::ZERO, 0);
+    while order.len() < marks.len() {
+        let Some(Reverse((moment, at))) = ready.pop() else {
+            // What a node says is not trusted: causes that form a circle are none. The first mark that is open stands
+            // after all that its task did earlier, so that only its cause is missing.
+            while placed.get(first_open).is_some_and(|place| *place != usize::MAX) {
+                first_open += 1;
+            }
+            let Some(mark) = marks.get_mut(first_open) else { break };
+            mark.cause = None;
+            mark.order = mark.order.max(latest);
+            ready.push(Reverse((mark.order, first_open)));
+            continue;
+        };
+        latest = moment;
         placed[at] = order.len();
         order.push(at);
-        for &next in &after[at] {
+        for &next in after[at].iter().filter(|&&next| placed[next] == usize::MAX) {
             marks[next].order = marks[next].order.max(moment);
-            open[next] -= 1;
+            open[next] = open[next].saturating_sub(1);
             if open[next] == 0 {
                 ready.push(Reverse((marks[next].order, next)));
             }
         }
-    }
-    // What a node says is not trusted: causes that form a circle are none.
-    for at in (0..marks.len()).filter(|&at| placed[at] == usize::MAX).collect::<Vec<_>>() {
-        marks[at].cause = None;
-        placed[at] = order.len();
-        order.push(at);
     }
     let placed_cause = |mark: &Mark| mark.cause.and_then(|cause| placed.get(cause).copied());
     order.iter().map(|&at| Mark { cause: placed_cause(&marks[at]), ..marks[at] }).collect()

@@ -1,56 +1,187 @@
-//! The help: made from the table of keys, so that it cannot be wrong.
+//! The help: made from the table of keys, so that it cannot be wrong; first what is of the screen that one came from.
 
 use super::pen::Pen;
-use crate::app::App;
-use crate::keys::BINDINGS;
-use crate::theme::Ink;
+use crate::app::{App, COMMANDS, Screen};
+use crate::keys::{BINDINGS, Binding};
+use crate::theme::{Ink, Theme};
+
+/// Left, right, and how the right looks.
+type Line = (String, String, Ink);
 
 pub(super) fn draw(app: &App, pen: &mut Pen<'_>) {
-    let lines = lines(app, pen.area.width);
+    let lines = lines(app);
     let room = usize::from(pen.height());
     let first = app.scroll.min(lines.len().saturating_sub(1));
+    let left_width = if pen.area.width < 60 { 11 } else { 15 };
     for (y, (left, right, ink)) in (0..).zip(lines.iter().skip(first).take(room)) {
-        pen.at(1, y, 14, left, if *ink == Ink::Head { Ink::Head } else { Ink::Plain });
-        pen.at(16, y, u16::MAX, right, *ink);
+        if right.is_empty() {
+            pen.at(1, y, u16::MAX, left, *ink);
+        } else {
+            pen.at(1, y, left_width - 1, left, if *ink == Ink::Head { Ink::Head } else { Ink::Plain });
+            pen.at(left_width + 1, y, u16::MAX, right, *ink);
+        }
+    }
+    let rest = lines.len().saturating_sub(first + room);
+    if rest > 0 && pen.height() > 0 {
+        let text = format!(" {rest} more lines: j, PgDn ");
+        let x = pen.area.width.saturating_sub(u16::try_from(text.len()).unwrap_or(0));
+        pen.at(x, 0, u16::MAX, &text, Ink::Head);
     }
 }
 
-/// Left, right, and how the right looks.
-pub(super) fn lines(app: &App, _width: u16) -> Vec<(String, String, Ink)> {
-    let mut lines = vec![heading("KEYS")];
-    for binding in BINDINGS {
-        let on: Vec<_> = binding.on.iter().map(|screen| format!("{screen:?}").to_lowercase()).collect();
-        let on = if on.is_empty() { String::new() } else { format!("  ({})", on.join(", ")) };
-        lines.push((binding.label(), format!("{}{on}", binding.help), Ink::Plain));
-    }
-    let glyphs = app.theme.glyphs;
+/// All lines, for scrolling.
+pub(super) fn lines(app: &App) -> Vec<Line> {
+    let screen = app.helped();
+    let mut lines = vec![heading(&format!("KEYS: {}", title(screen)))];
+    let here = |b: &&Binding| b.on.contains(&screen);
+    let elsewhere = |b: &&Binding| !b.on.is_empty() && !b.on.contains(&screen);
+    lines.extend(BINDINGS.iter().filter(here).map(|b| (b.label(), b.help.to_owned(), Ink::Plain)));
+    lines.push(heading("KEYS EVERYWHERE"));
+    let everywhere = BINDINGS.iter().filter(|b| b.on.is_empty());
+    lines.extend(everywhere.map(|b| (b.label(), b.help.to_owned(), Ink::Plain)));
+    lines.push(heading("COMMANDS, after a colon"));
+    lines.extend(COMMANDS.iter().map(|(usage, help)| {
+        let (word, rest) = usage.split_once(' ').map_or((*usage, ""), |(word, rest)| (word, rest));
+        let help = if rest.is_empty() { (*help).to_owned() } else { format!("{rest}: {help}") };
+        (format!(":{word}"), help, Ink::Plain)
+    }));
     lines.push(heading("SIGNS"));
-    let mut sign = |sign: &str, text: &str, ink| lines.push((sign.to_owned(), text.to_owned(), ink));
-    sign(glyphs.selected, "the row that keys act on", Ink::Plain);
-    sign(&format!("{} {}", glyphs.open, glyphs.closed), "rows within are shown, hidden", Ink::Plain);
-    sign(glyphs.dead, "dead: the last state is kept", Ink::Dim);
-    sign("?", "never seen by this monitor, or not known", Ink::Dim);
-    sign("!", "look at this soon", Ink::Warn);
-    sign("!!", "look at this now", Ink::Bad);
-    sign("~", "an estimate: the sample is older than two periods", Ink::Plain);
-    sign(&format!("{} {}", glyphs.full, glyphs.empty), "left, gone", Ink::Bar);
-    sign(
-        &format!("{} {}", glyphs.yes, glyphs.no),
-        "knows of the arrival, does not (row of column)",
-        Ink::Plain,
-    );
-    lines.push(heading("COLUMNS"));
-    let mut column = |name: &str, text: &str| lines.push((name.to_owned(), text.to_owned(), Ink::Plain));
-    column("QUEUE", "messages waiting / space; of a waitfor: arrived / members");
-    column("SLACK", "what is left of the most urgent message, or of the wait");
-    column("MSG/s", "sent and served by this end, over the last seconds");
-    column("EXP", "messages whose life ended here");
-    column("OVF", "messages refused or evicted for space");
-    column("REJ", "messages the task rejected by rank");
-    column("CONFIRMS", "confirmations this member holds from others");
+    lines.extend(signs(&app.theme));
+    lines.push(heading("COLOURS, never without a sign or a word"));
+    lines.extend(colours(&app.theme));
+    let columns = columns(screen);
+    if !columns.is_empty() {
+        lines.push(heading(&format!("COLUMNS AND FIGURES: {}", title(screen))));
+        lines.extend(columns.iter().map(|(name, text)| ((*name).to_owned(), (*text).to_owned(), Ink::Plain)));
+    }
+    lines.push(heading("KEYS ON OTHER SCREENS"));
+    lines.extend(BINDINGS.iter().filter(elsewhere).map(|b| {
+        let on: Vec<_> = b.on.iter().map(|screen| title(*screen)).collect();
+        (b.label(), format!("{}  ({})", b.help, on.join(", ")), Ink::Dim)
+    }));
     lines
 }
 
-fn heading(text: &str) -> (String, String, Ink) {
+fn heading(text: &str) -> Line {
     (text.to_owned(), String::new(), Ink::Head)
+}
+
+const fn title(screen: Screen) -> &'static str {
+    match screen {
+        Screen::Overview => "overview",
+        Screen::Port => "port",
+        Screen::Message => "life of a message",
+        Screen::Rendezvous => "rendezvous",
+        Screen::Timeline => "timeline",
+        Screen::Timers => "timers",
+        Screen::Events => "events",
+        Screen::Model => "model",
+        Screen::Help => "help",
+    }
+}
+
+fn signs(theme: &Theme) -> Vec<Line> {
+    let signs = theme.glyphs;
+    let two = |a: &str, b: &str| format!("{a} {b}");
+    let line = |sign: String, text: &str, ink| (sign, text.to_owned(), ink);
+    vec![
+        line(signs.selected.to_owned(), "the row that keys act on", Ink::Plain),
+        line(two(signs.open, signs.closed), "rows within are shown, hidden", Ink::Plain),
+        line(signs.dead.to_owned(), "dead: the last state is kept; of a message: lost", Ink::Plain),
+        line("?".to_owned(), "never seen by this monitor, or not known", Ink::Plain),
+        line("!".to_owned(), "look at this soon", Ink::Warn),
+        line("!!".to_owned(), "look at this now", Ink::Bad),
+        line("~".to_owned(), "an estimate: an old sample, or clocks of two nodes", Ink::Plain),
+        line(two(signs.full, signs.empty), "left, gone", Ink::Bar),
+        line(
+            signs.done.to_owned(),
+            "in a bar: when it is likely done (99 of 100); less left is a miss",
+            Ink::Bar,
+        ),
+        line(
+            two(signs.heights[1], signs.heights[7]),
+            "how full a buffer was, the latest at the right",
+            Ink::Bar,
+        ),
+        line(two(signs.yes, signs.no), "knows of the arrival, does not (row of column)", Ink::Plain),
+        line(two(signs.arrow, signs.back), "waits for; on the timeline: from, to", Ink::Plain),
+        line(two(signs.way, signs.guessed), "a message's way: within a node, between nodes", Ink::Plain),
+        line(two(signs.lane, signs.met), "a task; a rendezvous", Ink::Plain),
+        line(signs.penalty.to_owned(), "rejected by rank, and ranked later", Ink::Plain),
+        line("==".to_owned(), "events were lost here", Ink::Warn),
+    ]
+}
+
+fn colours(theme: &Theme) -> Vec<Line> {
+    let line = |sign: &str, text: &str, ink| (sign.to_owned(), format!("{text} (theme {})", theme.name), ink);
+    vec![
+        line("good", "all well", Ink::Good),
+        line("warn", "soon, or not as it should be", Ink::Warn),
+        line("bad", "now: somebody waits in vain, or is dead", Ink::Bad),
+        line("bar", "life that is left", Ink::Bar),
+        line("dim", "of less weight, or old", Ink::Dim),
+    ]
+}
+
+/// What the columns of a screen mean.
+const fn columns(screen: Screen) -> &'static [(&'static str, &'static str)] {
+    match screen {
+        Screen::Overview | Screen::Help => &[
+            ("QUEUE", "messages waiting / space; of a waitfor: arrived / members"),
+            ("SLACK", "what is left of the most urgent message, or of the wait"),
+            ("MSG/s", "sent and served by this end, over the last seconds"),
+            ("EXP", "messages whose life ended here"),
+            ("OVF", "messages refused or evicted for space"),
+            ("REJ", "messages the task rejected by rank"),
+            ("RES", "copies sent again"),
+            ("T/O", "own requests that ended by time_out"),
+            ("HEALTH", "the worst of what is within the row"),
+            ("links", "whether anything came over each link in the last second"),
+            ("model", "what the validator says of the recorded inputs"),
+        ],
+        Screen::Port => &[
+            ("#", "the place in the order of service: earliest deadline first"),
+            ("CLS", "class 1: status; class 2: command, answered"),
+            ("REMAIN", "what is left of its life"),
+            ("AGE", "how much of its life is gone"),
+            ("REJ", "how often it was rejected by rank"),
+            ("VERDICT", "place x 99th percentile of the service time against its life"),
+            ("service", "how long the task takes for one, once it is its turn"),
+            ("Jain", "1: all sources fare alike; 1/n: one has everything"),
+            ("by source", "served / offered"),
+            ("slack p5", "5 of 100 samples had less left for the most urgent message"),
+        ],
+        Screen::Message => &[
+            ("AT", "on the node's own clock, since it started"),
+            ("LEFT", "what was left of its life then"),
+            ("CHARGED", "what the protocol took off since the stage named in SINCE"),
+            ("CLOCKS", "what clocks saw pass since then; ~ between two nodes"),
+        ],
+        Screen::Rendezvous => &[
+            ("ARRIVED", "whether the member waits in the round shown, since when"),
+            ("CONFIRMS", "confirmations this member holds from others"),
+            ("WAITS FOR", "whose arrival it has not heard of"),
+            ("history", "the last 50 rounds: how they ended"),
+            ("gather", "from the first arrival to the last"),
+            ("slowest", "who came last most often"),
+        ],
+        Screen::Timeline => &[
+            ("TIME", "on the clock of the selected lane's node, since it started"),
+            ("#12 r3", "a message's number; a round"),
+            ("+2", "so many more in this row"),
+        ],
+        Screen::Timers => &[
+            ("KIND", "timer, delay: of the Timer; receive, reply, waitfor: waits with an end"),
+            ("LENGTH", "its time_out; of a timer the most that was ever seen left"),
+            ("LEFT", "until it runs out"),
+            ("late", "how late the node's Timer was"),
+        ],
+        Screen::Events => &[("AGO", "when it came"), ("x37", "so many times in a row")],
+        Screen::Model => &[
+            ("conforms", "every recorded step was what the verified machine does"),
+            ("UNKNOWN", "nothing is recorded, or a part of it is missing"),
+            ("seen", "transition kinds that were observed, and how often"),
+            ("never", "kinds that the task's ports make possible, and that did not occur"),
+        ],
+    }
 }

@@ -19,8 +19,11 @@ use crate::name::Name;
 use crate::rows::Sort;
 use crate::store::health::Place;
 use crate::store::journal::Level;
+use crate::store::waits;
 use crate::store::{Condition, Presence};
 use crate::theme::Ink;
+use imrs_protocol::TaskId;
+use imrs_wire::obs::Liveness;
 use pen::Pen;
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
@@ -70,7 +73,7 @@ pub(crate) fn length(app: &App, now: Moment, width: u16) -> usize {
         Screen::Rendezvous => rendezvous::lines(app, now, width).len(),
         Screen::Timers => timers::lines(app, now).len(),
         Screen::Model => model::lines(app, now, width).len(),
-        Screen::Help => help::lines(app, width).len(),
+        Screen::Help => help::lines(app).len(),
         Screen::Overview | Screen::Port | Screen::Timeline | Screen::Events => 0,
     }
 }
@@ -275,6 +278,34 @@ fn foot(app: &App, now: Moment, pen: &mut Pen<'_>) {
     }
     let pieces: Vec<_> = pieces.iter().map(|(text, ink)| (text.as_str(), *ink)).collect();
     pen.line(y, &pieces);
+}
+
+/// Whom the most tasks of a cell wait for, and how: what one looks for first when nothing moves.
+fn awaited(app: &App, cell: &Name, now: Moment) -> Option<(String, Ink)> {
+    let store = app.store();
+    let names = store.names(cell)?;
+    let first = waits::awaited(store, cell, now).into_iter().next()?;
+    let tasks = (0..names.tasks.len()).filter(|at| TaskId::from_index(*at) != first.task).count();
+    let life = names.home(first.task).and_then(|node| store.latest(cell, node));
+    let node = names.home(first.task).map_or_else(String::new, |node| format!("@{}", names.node(node)));
+    let gone = life.map(|life| life.presence(now)).filter(|presence| presence.is_gone());
+    let crashed = life.and_then(|l| l.task(first.task)).is_some_and(|t| t.liveness != Liveness::Alive);
+    let state = match (gone, crashed) {
+        (Some(gone), _) => format!(", {gone}"),
+        (None, true) => ", no longer running".to_owned(),
+        (None, false) => String::new(),
+    };
+    let by: Vec<_> = first.by.iter().take(4).map(|task| names.task(*task).to_string()).collect();
+    let more = if first.by.len() > 4 { ", ..." } else { "" };
+    let all = if first.by.len() >= tasks { "everybody waits" } else { "waiting" };
+    let text = format!(
+        " {} {all} for {}{node}{state} ({}): {}{more}",
+        app.theme.glyphs.arrow,
+        names.task(first.task),
+        first.why,
+        by.join(", ")
+    );
+    Some((text, if state.is_empty() { Ink::Warn } else { Ink::Bad }))
 }
 
 /// The sign for how much something matters.

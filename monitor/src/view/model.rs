@@ -1,13 +1,19 @@
 //! Screen 7: whether each node does what the model does, and which transitions were seen at all (D63).
 
 use super::pen::{Pen, bar};
+use super::words::short;
 use crate::app::App;
 use crate::clock::Moment;
 use crate::store::Life;
+use crate::store::conformance::{Verdict, conformance};
 use crate::store::coverage::{KINDS, is_possible};
-use crate::store::trail::Trail;
+use crate::store::timeline::timeline_of;
+use crate::store::trail::{KEPT, Trail};
 use crate::theme::Ink;
 use imrs_protocol::{Event, TaskId};
+
+/// How many observations before a violation are shown.
+const BEFORE: usize = 20;
 
 pub(super) type Line = Vec<(String, Ink)>;
 
@@ -51,23 +57,56 @@ pub(super) fn lines(app: &App, now: Moment, width: u16) -> Vec<Line> {
     lines
 }
 
-/// What the checker says of the inputs that a node recorded.
+/// What the validator says of the inputs that a node recorded.
 fn node(app: &App, life: &Life, now: Moment, width: u16, lines: &mut Vec<Line>) {
+    let told = conformance(app.store(), life.id);
     let gone = life.presence(now).is_gone();
     let sign = if gone { app.theme.glyphs.dead } else { " " };
-    let why =
-        if width < 60 { "" } else { ": its inputs are not recorded, nothing is replayed against the model" };
+    let (word, ink, rest) = match &told.verdict {
+        Verdict::Unknown { why } => ("UNKNOWN", Ink::Warn, crate::name::shown_line(why)),
+        Verdict::Conforms => ("conforms", Ink::Good, String::new()),
+        Verdict::Violates { step, what } => {
+            ("VIOLATES", Ink::Bad, format!("at step {step}: {}", crate::name::shown_line(what)))
+        }
+    };
+    let steps = if told.steps > 0 { format!("  {} steps checked", told.steps) } else { String::new() };
     lines.push(vec![
         (format!("{sign}{}", life.node), Ink::Head),
-        ("  conforms: ".to_owned(), Ink::Dim),
-        ("UNKNOWN".to_owned(), Ink::Warn),
-        (why.to_owned(), Ink::Dim),
+        (format!("  {word}"), ink),
+        (steps, Ink::Plain),
     ]);
+    wrapped(
+        "   ",
+        rest.split(' ').map(str::to_owned),
+        " ",
+        if ink == Ink::Bad { ink } else { Ink::Dim },
+        width,
+        lines,
+    );
+    for breach in &told.breaches {
+        let text = format!("   assumption broken: {}", crate::name::shown_line(breach));
+        lines.push(vec![(text, Ink::Warn)]);
+    }
+    if matches!(told.verdict, Verdict::Violates { .. }) {
+        lines.push(vec![(format!("   the last {BEFORE} that was observed:"), Ink::Dim)]);
+        let timeline = timeline_of(app.store(), &life.names.cell, KEPT, |_| true);
+        let own: Vec<_> = timeline.marks.iter().filter(|mark| mark.life == life.id).collect();
+        for mark in own.iter().skip(own.len().saturating_sub(BEFORE)) {
+            let task = life.names.task(mark.task).to_string();
+            let text = format!("     {task:12} {}", short(mark, &life.names, &app.theme));
+            lines.push(vec![(text, super::words::ink(mark.seen.what.event))]);
+        }
+    }
+    if !told.kinds.is_empty() {
+        let (fired, all) = told.covered();
+        lines.push(vec![(format!("   validator: {fired}/{all} transition kinds"), Ink::Plain)]);
+        let never = told.kinds.iter().filter(|kind| kind.fired == 0);
+        let names = never.map(|kind| crate::name::shown(&kind.name));
+        wrapped("     never: ", names, ", ", Ink::Dim, width, lines);
+    }
     if life.lost > 0 {
-        lines.push(vec![(
-            format!("   {} observations lost: what they were is not counted", life.lost),
-            Ink::Warn,
-        )]);
+        let text = format!("   {} observations lost: what they were is not counted", life.lost);
+        lines.push(vec![(text, Ink::Warn)]);
     }
 }
 
@@ -118,8 +157,8 @@ fn coverage(app: &App, life: &Life, task: TaskId, sum: &Sum, width: u16, lines: 
         (format!("[{}]", bar(&app.theme, if width < 60 { 10 } else { 20 }, fired, all)), Ink::Bar),
     ]);
     let seen = sum.fired.iter().map(|(kind, count)| format!("{} {count}", name(*kind)));
-    wrapped("     seen:  ", seen, Ink::Plain, width, lines);
-    wrapped("     never: ", sum.never.iter().map(|kind| name(*kind)), Ink::Dim, width, lines);
+    wrapped("     seen:  ", seen, ", ", Ink::Plain, width, lines);
+    wrapped("     never: ", sum.never.iter().map(|kind| name(*kind)), ", ", Ink::Dim, width, lines);
 }
 
 fn name(event: Event) -> String {
@@ -132,17 +171,24 @@ fn name(event: Event) -> String {
 }
 
 /// Words in lines of at most `width`.
-fn wrapped(title: &str, words: impl Iterator<Item = String>, ink: Ink, width: u16, lines: &mut Vec<Line>) {
+fn wrapped(
+    title: &str,
+    words: impl Iterator<Item = String>,
+    between: &str,
+    ink: Ink,
+    width: u16,
+    lines: &mut Vec<Line>,
+) {
     let mut text = String::new();
     let mut head = title.to_owned();
     let room = usize::from(width).saturating_sub(title.len());
     for word in words {
-        if !text.is_empty() && text.len() + word.len() + 2 > room {
+        if !text.is_empty() && text.len() + word.len() + between.len() > room {
             lines.push(vec![(std::mem::replace(&mut head, " ".repeat(title.len())), Ink::Dim), (text, ink)]);
             text = String::new();
         }
         if !text.is_empty() {
-            text += ", ";
+            text += between;
         }
         text += &word;
     }

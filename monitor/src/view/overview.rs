@@ -5,18 +5,23 @@ use super::mark;
 use super::pen::{Column, Pen, bar, first_row, widths};
 use crate::app::App;
 use crate::clock::{Moment, Span};
+use crate::name::Name;
 use crate::rows::{Row, Sort};
+use crate::store::conformance::{Verdict, conformance};
 use crate::store::health::{Finding, Place};
 use crate::store::journal::Level;
 use crate::store::meeting::state;
 use crate::store::{Left, Life, LifeId, Presence};
 use crate::theme::Ink;
-use imrs_protocol::{PortCounters, PortView, Usage};
+use imrs_protocol::{NodeId, PortCounters, PortView, TaskId, Usage};
 use imrs_wire::obs::{Liveness, RealTime, TaskSnapshot};
 use std::time::Duration;
 
-/// Name, state, queue, slack, rate, expired, overflow, rejected, health.
-type Cells = [(String, Ink); 9];
+/// Name, state, queue, slack, rate, expired, overflow, rejected, re-sent, timed out, health.
+type Cells = [(String, Ink); 11];
+
+/// The place of the health among them.
+const HEALTH_CELL: usize = 10;
 
 const NAME: Column = Column::left("NODE/TASK/PORT", 0);
 const HEALTH: Column = Column::left("HEALTH", 0);
@@ -27,7 +32,7 @@ fn columns(width: u16) -> (Vec<Column>, &'static [usize]) {
     let queue = |w| Column::left("QUEUE", w);
     let slack = Column::right("SLACK", 7);
     match width {
-        0..60 => (vec![NAME, queue(5), slack, Column::left("", 2)], &[0, 2, 3, 8]),
+        0..60 => (vec![NAME, queue(5), slack, Column::left("", 2)], &[0, 2, 3, HEALTH_CELL]),
         60..116 => (
             vec![
                 Column::left(NAME.title, 20),
@@ -37,12 +42,12 @@ fn columns(width: u16) -> (Vec<Column>, &'static [usize]) {
                 Column::right("EXP", 4),
                 HEALTH,
             ],
-            &[0, 1, 2, 3, 5, 8],
+            &[0, 1, 2, 3, 5, HEALTH_CELL],
         ),
-        _ => (
+        116..160 => (
             vec![
-                Column::left(NAME.title, if width < 160 { 26 } else { 36 }),
-                state(if width < 160 { 28 } else { 40 }),
+                Column::left(NAME.title, 26),
+                state(28),
                 queue(11),
                 slack,
                 Column::right("MSG/s", 6),
@@ -51,7 +56,23 @@ fn columns(width: u16) -> (Vec<Column>, &'static [usize]) {
                 Column::right("REJ", 4),
                 HEALTH,
             ],
-            &[0, 1, 2, 3, 4, 5, 6, 7, 8],
+            &[0, 1, 2, 3, 4, 5, 6, 7, HEALTH_CELL],
+        ),
+        _ => (
+            vec![
+                Column::left(NAME.title, 36),
+                state(40),
+                queue(11),
+                slack,
+                Column::right("MSG/s", 6),
+                Column::right("EXP", 4),
+                Column::right("OVF", 4),
+                Column::right("REJ", 4),
+                Column::right("RES", 4),
+                Column::right("T/O", 4),
+                HEALTH,
+            ],
+            &[0, 1, 2, 3, 4, 5, 6, 7, 8, 9, HEALTH_CELL],
         ),
     }
 }
@@ -76,8 +97,11 @@ pub(super) fn draw(app: &App, now: Moment, pen: &mut Pen<'_>) {
         let x = titles.area.width.saturating_sub(u16::try_from(text.len()).unwrap_or(0));
         titles.at(x, 0, u16::MAX, &text, Ink::Head);
     }
-    let height = usize::from(pen.height().saturating_sub(1));
+    let below = below(pen.area.width, pen.height());
+    let height = usize::from(pen.height().saturating_sub(1 + below));
     let first = first_row(selected, rows.len(), height);
+    let foot = pen.height().saturating_sub(below);
+    self::foot(app, now, &mut pen.below(foot));
     // Only the rows in sight are made: a cell of ten thousand ports costs no more than what is seen of it.
     for (y, (i, row)) in (1..).zip(rows.iter().enumerate().skip(first).take(height)) {
         let cells = cells(app, row, &findings, pen.area.width, now);
@@ -92,6 +116,88 @@ pub(super) fn draw(app: &App, now: Moment, pen: &mut Pen<'_>) {
             pen.select(y);
         }
     }
+}
+
+/// How many rows at the foot are for whom everybody waits for, the links and the model.
+const fn below(_width: u16, height: u16) -> u16 {
+    match height {
+        0..8 => 0,
+        8..16 => 1,
+        _ => 2,
+    }
+}
+
+/// Whom everybody waits for; the links, and what the model says.
+fn foot(app: &App, now: Moment, pen: &mut Pen<'_>) {
+    let Some(cell) = app.cell().filter(|_| pen.height() > 0) else { return };
+    match super::awaited(app, &cell, now) {
+        Some((text, ink)) => pen.line(0, &[(&text, ink)]),
+        None => pen.line(0, &[(" nobody waits for one who alone could end it", Ink::Dim)]),
+    }
+    let mut pieces = links(app, &cell, now);
+    pieces.extend(model(app, &cell));
+    let pieces: Vec<_> = pieces.iter().map(|(text, ink)| (text.as_str(), *ink)).collect();
+    pen.line(1, &pieces);
+}
+
+/// For each link what its two ends lately sent over it, or that nothing comes over it.
+fn links(app: &App, cell: &Name, now: Moment) -> Vec<(String, Ink)> {
+    let store = app.store();
+    let Some(names) = store.names(cell) else { return Vec::new() };
+    let mut pieces = vec![(" links".to_owned(), Ink::Dim)];
+    let mut quiet = 0;
+    for link in &names.links {
+        let ends = [(link.a, link.b), (link.b, link.a)];
+        let heard = ends.map(|(at, peer)| heard(app, cell, at, peer, now));
+        let name = format!(" {}-{} ", names.node(link.a), names.node(link.b));
+        let silent = |heard: &Option<u64>| heard.is_none_or(|us| us > DOWN_US);
+        match heard {
+            [None, None] => quiet += 1,
+            _ if heard.iter().all(silent) => {
+                let ago = heard.iter().flatten().min().copied().unwrap_or(0);
+                pieces.push((format!("{name}silent {}", Span::micros(ago)), Ink::Warn));
+            }
+            _ => pieces.push((format!("{name}ok"), Ink::Plain)),
+        }
+    }
+    if quiet > 0 {
+        pieces.push((format!("  {quiet} unknown"), Ink::Dim));
+    }
+    pieces
+}
+
+/// A link over which nothing has come for so long is told as silent.
+const DOWN_US: u64 = 1_000_000;
+
+/// How long ago anything came to `at` from `peer`; `None`: never, or nobody says.
+fn heard(app: &App, cell: &Name, at: NodeId, peer: NodeId, now: Moment) -> Option<u64> {
+    let life = app.store().latest(cell, at).filter(|life| !life.presence(now).is_gone())?;
+    let last = life.last.as_ref()?;
+    last.snapshot.links.iter().find(|link| link.peer == peer)?.heard_us
+}
+
+/// What the validator says of all nodes together.
+fn model(app: &App, cell: &Name) -> Vec<(String, Ink)> {
+    let store = app.store();
+    let (mut steps, mut unknown, mut violated) = (0_u64, 0, None);
+    let mut lives = 0;
+    for life in store.lives_of(cell) {
+        let told = conformance(store, life.id);
+        lives += 1;
+        steps = steps.saturating_add(told.steps);
+        match told.verdict {
+            Verdict::Unknown { .. } => unknown += 1,
+            Verdict::Conforms => {}
+            Verdict::Violates { .. } => violated = violated.or_else(|| Some(life.node.to_string())),
+        }
+    }
+    let (text, ink) = match violated {
+        Some(node) => (format!("{node} VIOLATES it (7)"), Ink::Bad),
+        None if unknown == lives => ("UNKNOWN, not recorded".to_owned(), Ink::Dim),
+        None if unknown > 0 => (format!("conforms in {steps} steps, {unknown} nodes UNKNOWN"), Ink::Warn),
+        None => (format!("conforms in {steps} steps"), Ink::Good),
+    };
+    vec![("  model: ".to_owned(), Ink::Dim), (text, ink)]
 }
 
 /// What is at a column and row below the head.
@@ -116,7 +222,11 @@ pub(super) fn hit(app: &App, now: Moment, size: (u16, u16), at: (u16, u16)) -> O
         return None;
     }
     let rows = app.rows(&app.findings(now), now);
-    let height = usize::from(size.1.saturating_sub(3));
+    let below = below(size.0, size.1.saturating_sub(2));
+    let height = usize::from(size.1.saturating_sub(3 + below));
+    if usize::from(y) > height {
+        return None;
+    }
     let first = first_row(app.selected(&rows), rows.len(), height);
     rows.get(first + usize::from(y) - 1).map(|row| Hit::Row(row.place))
 }
@@ -171,7 +281,8 @@ fn cells(app: &App, row: &Row, findings: &[Finding], width: u16, now: Moment) ->
         }
     }
     let within_gone = row.depth > 0 && row.place.node.is_ok_and(|id| is_gone(app, id, now));
-    cells[8] = if within_gone && ink == Ink::Good { ("-".to_owned(), Ink::Dim) } else { (health, ink) };
+    cells[HEALTH_CELL] =
+        if within_gone && ink == Ink::Good { ("-".to_owned(), Ink::Dim) } else { (health, ink) };
     cells
 }
 
@@ -206,7 +317,7 @@ fn node(app: &App, life: &Life, row: &Row, now: Moment, cells: &mut Cells) {
         Some(RealTime::NotAsked) | None => {}
     }
     let ports = life.tasks().iter().flat_map(|t| t.view.ports.iter().map(move |p| (t, p)));
-    sum(life, ports, now, cells);
+    sum(app, life, ports, now, cells);
     if let Some(transit) =
         life.last.as_ref().map(|s| &s.snapshot.transit).filter(|t| t.len > 0 && !presence.is_gone())
     {
@@ -224,7 +335,7 @@ fn task(app: &App, life: &Life, task: &TaskSnapshot, row: &Row, now: Moment, cel
             (state(life, &task.view.state) + &left, Ink::Plain)
         }
     };
-    sum(life, task.view.ports.iter().map(|p| (task, p)), now, cells);
+    sum(app, life, task.view.ports.iter().map(|p| (task, p)), now, cells);
 }
 
 /// What is left of the wait that the task is in.
@@ -240,6 +351,7 @@ fn remaining(life: &Life, task: &TaskSnapshot, now: Moment) -> Option<Left> {
 
 /// The sums over ports: queue, least slack, rate, counters.
 fn sum<'a>(
+    app: &App,
     life: &Life,
     ports: impl Iterator<Item = (&'a TaskSnapshot, &'a PortView)>,
     now: Moment,
@@ -256,25 +368,44 @@ fn sum<'a>(
         let left = port.min_slack.map(|s| life.left(s, task.age_us, now));
         least = [least, left].into_iter().flatten().min();
         rate = [rate, life.rate(task.view.task, port.port)].into_iter().flatten().reduce(|a, b| a + b);
-        let c = &port.counters;
+        let c = counted(app, life, task.view.task, port);
         total.expired = total.expired.saturating_add(c.expired);
         total.refused = total.refused.saturating_add(c.refused).saturating_add(c.evicted);
         total.rejected = total.rejected.saturating_add(c.rejected);
+        total.resent = total.resent.saturating_add(c.resent);
+        total.timed_out = total.timed_out.saturating_add(c.timed_out);
     }
     if capacity > 0 {
         cells[2] = (format!("{len}/{capacity}"), Ink::Plain);
     }
     cells[3] = (least.map_or_else(|| "-".to_owned(), |l| l.to_string()), Ink::Plain);
     cells[4] = (per_second(rate), Ink::Plain);
-    counts(cells, total.expired, total.refused, total.rejected);
+    counts(cells, &total);
+}
+
+/// A port's counters since the start, or since the mark if that is wanted.
+fn counted(app: &App, life: &Life, task: TaskId, view: &PortView) -> PortCounters {
+    let marked = app.mark().filter(|_| app.since_mark);
+    let before = marked.and_then(|(_, store)| store.life(life.id)?.port(task, view.port)).map(|p| p.counters);
+    let (now, before) = (view.counters, before.unwrap_or_default());
+    PortCounters {
+        expired: now.expired.saturating_sub(before.expired),
+        refused: now.refused.saturating_sub(before.refused),
+        evicted: now.evicted.saturating_sub(before.evicted),
+        rejected: now.rejected.saturating_sub(before.rejected),
+        resent: now.resent.saturating_sub(before.resent),
+        timed_out: now.timed_out.saturating_sub(before.timed_out),
+        ..now
+    }
 }
 
 fn per_second(rate: Option<f64>) -> String {
     rate.map_or_else(|| "-".to_owned(), |rate| format!("{rate:.0}"))
 }
 
-fn counts(cells: &mut Cells, expired: u64, overflow: u64, rejected: u64) {
-    for (cell, count) in [(5, expired), (6, overflow), (7, rejected)] {
+fn counts(cells: &mut Cells, c: &PortCounters) {
+    let overflow = c.refused.saturating_add(c.evicted);
+    for (cell, count) in [(5, c.expired), (6, overflow), (7, c.rejected), (8, c.resent), (9, c.timed_out)] {
         cells[cell] = (short(count), if count > 0 { Ink::Warn } else { Ink::Dim });
     }
 }
@@ -315,8 +446,7 @@ fn port(
         cells[3] = (left.map_or_else(|| "-".to_owned(), |l| l.to_string()), Ink::Plain);
     }
     cells[4] = (per_second(life.rate(task.view.task, view.port)), Ink::Plain);
-    let c = &view.counters;
-    counts(cells, c.expired, c.refused.saturating_add(c.evicted), c.rejected);
+    counts(cells, &counted(app, life, task.view.task, view));
 }
 
 /// The worst finding within a row; only its sign where there is no room.

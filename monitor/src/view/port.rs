@@ -269,7 +269,7 @@ impl Queue<'_> {
             }
             _ if rejected >= STARVING => (format!("! starving: {rejected} rejects"), Ink::Warn),
             _ if full && last && entry.class == Class::Status => {
-                ("! first to go: the buffer is full".to_owned(), Ink::Warn)
+                ("! first to go: full".to_owned(), Ink::Warn)
             }
             Some(_) => ("ok".to_owned(), Ink::Plain),
             None => ("-".to_owned(), Ink::Plain),

@@ -3,9 +3,13 @@
 use super::pen::{Pen, bar};
 use crate::app::App;
 use crate::clock::{Moment, Span};
+use crate::name::Name;
 use crate::store::Presence;
 use crate::store::meeting::{Meeting, Member, Standing, meetings};
+use crate::store::rounds::history;
+use crate::store::waits::cycles;
 use crate::theme::Ink;
+use imrs_protocol::TaskId;
 
 type Line = Vec<(String, Ink)>;
 
@@ -30,15 +34,63 @@ pub(super) fn lines(app: &App, now: Moment, width: u16) -> Vec<Line> {
 
 fn cards(app: &App, now: Moment, width: u16) -> Vec<Line> {
     let Some(cell) = app.cell() else { return Vec::new() };
-    let all = meetings(app.store(), &cell, now);
-    let mut lines = Vec::new();
-    for meeting in &all {
+    let mut lines = who(app, &cell, now);
+    let cycles = cycles(app.store(), &cell, now);
+    let in_cycle = |task: TaskId| cycles.iter().any(|cycle| cycle.tasks.contains(&task));
+    for cycle in &cycles {
+        lines.push(vec![(" !! wait-for cycle: only a time-out ends it".to_owned(), Ink::Bad)]);
+        lines.extend(cycle.why.iter().map(|why| vec![(format!("      {why}"), Ink::Bad)]));
+    }
+    if app.only_cycles {
+        let text =
+            if cycles.is_empty() { " No wait-for cycle." } else { " Only what waits in a cycle is shown." };
+        lines.push(vec![(format!("{text} c: show all"), Ink::Warn)]);
+    }
+    for meeting in &meetings(app.store(), &cell, now) {
+        if app.only_cycles && !meeting.members.iter().any(|m| !m.waits_for.is_empty() && in_cycle(m.task)) {
+            continue;
+        }
         if !lines.is_empty() {
             lines.push(Vec::new());
         }
         card(app, meeting, width, &mut lines);
+        lines.extend(past(app, &cell, meeting, width));
     }
     lines
+}
+
+/// Whom everybody waits for, in one line.
+fn who(app: &App, cell: &Name, now: Moment) -> Vec<Line> {
+    super::awaited(app, cell, now).map(|text| vec![text]).into_iter().collect()
+}
+
+/// How the last rounds ended.
+fn past(app: &App, cell: &Name, meeting: &Meeting, width: u16) -> Vec<Line> {
+    let Some(history) = history(app.store(), cell, meeting.port) else { return Vec::new() };
+    let told = history.summary(meeting.members.len());
+    let time = |us: Option<u64>| us.map_or_else(|| "-".to_owned(), |us| Span::micros(us).to_string());
+    let mut line = vec![
+        (format!("   history ({}): ", history.rounds().count()), Ink::Dim),
+        (format!("done {}", told.done), Ink::Plain),
+        (format!("  timed out {}", told.in_vain), if told.in_vain > 0 { Ink::Warn } else { Ink::Plain }),
+    ];
+    let divided = if told.divergent > 0 { Ink::Bad } else { Ink::Plain };
+    line.push((format!("  some without others {}", told.divergent), divided));
+    let mut more = vec![(
+        format!("gather p50 {} p99 {}", time(told.gather_p50_us), time(told.gather_p99_us)),
+        Ink::Plain,
+    )];
+    let member = |task| meeting.members.iter().find(|m| m.task == task).map(|m| m.name.to_string());
+    if let Some((name, percent)) = told.slowest.and_then(|(task, percent)| Some((member(task)?, percent))) {
+        more.push((format!("  slowest {name} ({percent}%)"), Ink::Plain));
+    }
+    if width < 100 {
+        more.insert(0, ("   ".to_owned(), Ink::Plain));
+        return vec![line, more];
+    }
+    line.push(("  ".to_owned(), Ink::Plain));
+    line.extend(more);
+    vec![line]
 }
 
 fn card(app: &App, meeting: &Meeting, width: u16, lines: &mut Vec<Line>) {

@@ -10,6 +10,7 @@ use imrs_monitor::theme::Theme;
 use imrs_protocol::*;
 use imrs_wire::obs::{
     Count, Events, LinkView, Liveness, NodeIdentity, ServerFrame, Snapshot, Table, TaskSnapshot, TimedEvent,
+    TimerEntry,
 };
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
@@ -134,6 +135,62 @@ pub fn events(node: usize, list: &[Observation]) -> Events {
     Events { lost: 0, events: list.iter().enumerate().map(event).collect() }
 }
 
+/// Events at times of the node's own clock, in milliseconds. A snapshot is taken at 5,000.
+pub fn at(node: usize, list: &[(u64, Observation)]) -> Events {
+    let event = |(ms, what): &(u64, Observation)| TimedEvent {
+        mono_us: ms * 1_000,
+        task: Some(TaskId(node as u16)),
+        what: *what,
+    };
+    Events { lost: 0, events: list.iter().map(event).collect() }
+}
+
+/// An observation with so many milliseconds left.
+pub fn left(event: Event, port: PortId, peer: u16, number: u32, ms: u64) -> Observation {
+    Observation { remaining: Ticks(ms * 1_000), ..observed(event, port, peer, number) }
+}
+
+/// Everything that happened to the messages of a busy second: beats that are queued, taken and answered, one that is
+/// rejected, a round in which the hoist is missing, and seventeen events lost.
+pub fn traffic() -> [Events; 3] {
+    use Event::*;
+    let arm_l = at(
+        0,
+        &[
+            (4_800, left(Sent, BEAT, 1, 8_810, 200)),
+            (4_842, left(Answered, BEAT, 1, 8_810, 158)),
+            (4_850, left(Reached, LIFT, 0, 12, 1_000)),
+            (4_866, left(PartnerArrived, LIFT, 1, 12, 990)),
+            (4_870, left(Sent, BEAT, 1, 8_812, 200)),
+            (4_880, left(Sent, BEAT, 1, 8_813, 200)),
+        ],
+    );
+    let arm_r = at(
+        1,
+        &[
+            (4_806, left(Enqueued, BEAT, 0, 8_810, 194)),
+            (4_830, left(Delivered, BEAT, 0, 8_810, 170)),
+            (4_835, left(Replied, BEAT, 0, 8_810, 165)),
+            (4_858, left(PartnerArrived, LIFT, 0, 12, 992)),
+            (4_860, left(Reached, LIFT, 1, 12, 1_000)),
+            (4_875, left(Enqueued, BEAT, 0, 8_812, 195)),
+            (4_885, left(Enqueued, BEAT, 0, 8_813, 195)),
+            (4_890, left(Rejected, BEAT, 0, 8_813, 190)),
+            (4_895, left(Discarded(Reason::Duplicate), BEAT, 0, 8_812, 175)),
+        ],
+    );
+    let mut hoist = at(
+        2,
+        &[
+            (4_700, left(GaveUp, LIFT, 2, 11, 0)),
+            (4_880, left(Sent, HALT, 0, 7, 100)),
+            (4_990, left(Discarded(Reason::ExpiredOnTheWay), HALT, 0, 6, 0)),
+        ],
+    );
+    hoist.lost = 17;
+    [arm_l, arm_r, hoist]
+}
+
 pub const fn ms(ms: u64) -> Duration {
     Duration::from_millis(ms)
 }
@@ -181,13 +238,33 @@ impl Stage {
         stage
     }
 
+    /// The cell with all that [`traffic`] has, and a timer and a delay that run.
+    pub fn busy(theme: Theme) -> Self {
+        let mut stage = Self::cell(theme);
+        for (node, events) in traffic().into_iter().enumerate() {
+            stage.frame(ms(1_000), node, ServerFrame::Events(events));
+        }
+        for node in 0..3 {
+            let mut busy = snapshot(node);
+            let timer = |id: u8, ms: u64| TimerEntry {
+                owner: TaskId(node as u16),
+                id: TimeId(id),
+                remaining: Ticks(ms * 1_000),
+            };
+            busy.timers = if node == 2 { vec![timer(0, 45), timer(255, 600)] } else { Vec::new() };
+            busy.mono_us += 100_000;
+            stage.frame(ms(1_100), node, ServerFrame::Snapshot(busy));
+        }
+        stage
+    }
+
     pub fn key(&mut self, now: Duration, code: KeyCode) -> Effect {
         self.app.update(Msg::Key(KeyEvent::new(code, KeyModifiers::NONE)), now)
     }
 
     pub fn keys(&mut self, now: Duration, text: &str) {
         for c in text.chars() {
-            self.key(now, KeyCode::Char(c));
+            self.key(now, if c == '\n' { KeyCode::Enter } else { KeyCode::Char(c) });
         }
     }
 
