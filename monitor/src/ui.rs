@@ -55,7 +55,7 @@ pub fn show(
     }))?;
     let keys = Keys::start(sender)?;
     let mut screen =
-        Loop { app: &mut app, clock, inputs, due: Some(Duration::ZERO), drawn: None, tape, record };
+        Loop { app: &mut app, clock, inputs, due: Some(Duration::ZERO), drawn: None, tape, record, gaps: 0 };
     let ended = screen.run(&mut terminal);
     drop(keys);
     drop(terminal);
@@ -75,6 +75,8 @@ struct Loop<'a> {
     tape: &'a Tape,
     /// Where `r` records to.
     record: PathBuf,
+    /// How often a state was missing, when it was last looked.
+    gaps: u64,
 }
 
 impl Loop<'_> {
@@ -88,6 +90,7 @@ impl Loop<'_> {
             let now = self.clock.now();
             if self.due.is_some_and(|due| due <= now) {
                 self.app.update(Msg::Time, now);
+                self.wish();
                 terminal.draw(|area, buffer| view(self.app, now, area, buffer))?;
                 self.drawn = Some(now);
                 self.due = self.app.redraw_after().map(|after| now + after);
@@ -146,6 +149,16 @@ impl Loop<'_> {
 }
 
 impl Loop<'_> {
+    /// Tells those who talk with nodes what the screen needs.
+    fn wish(&mut self) {
+        let wishes = self.tape.wishes();
+        wishes.want(self.app.want());
+        let gaps = self.app.live().gaps();
+        if std::mem::replace(&mut self.gaps, gaps) < gaps {
+            wishes.want_whole();
+        }
+    }
+
     /// A recording that cannot begin says why where troubles are shown.
     fn toggle_recording(&mut self) {
         if self.tape.stop().is_some() {
