@@ -17,7 +17,7 @@ use std::time::Duration;
 /// How long anything is kept.
 pub const LENGTH: Duration = Duration::from_secs(600);
 /// How much memory it takes at most, in bytes; a busy system is kept for as long as that lasts.
-pub const BUDGET: usize = 24 << 20;
+pub const BUDGET: usize = 46 << 20;
 /// How long a reel is.
 const REEL: Duration = Duration::from_secs(30);
 /// How many lives of nodes are remembered, the gone ones included.
@@ -92,7 +92,7 @@ impl History {
         self.open.last = *at;
         Arc::make_mut(&mut self.open.reel).put(*at, number, odd, &bytes);
         // A reel of a very busy system ends early, so that what is dropped is a small part of all.
-        if self.open.reel.weight() >= BUDGET / 8 {
+        if self.open.reel.weight() >= BUDGET / 16 {
             self.close();
         }
         self.forget(*at);
