@@ -19,6 +19,7 @@ mod output;
 mod program;
 mod replay;
 mod run;
+mod token;
 mod verify;
 
 pub use imrs_runtime::script::Call;
@@ -109,6 +110,7 @@ fn manual(verb: Option<&str>, out: &mut Output) -> Result<Exit, Failure> {
 fn monitor(args: MonitorArgs, color: args::Color) -> Result<Exit, Failure> {
     let options = imrs_monitor::Options {
         connect: args.connect,
+        token: args.token.as_deref().map(token::read).transpose()?,
         base: None,
         cell: args.cell,
         once: args.once,

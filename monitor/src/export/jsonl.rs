@@ -57,7 +57,7 @@ fn lines(store: &Store, arrival: &Arrival) -> Vec<Value> {
 
 /// Whether a frame says how a node looks.
 pub(super) const fn is_state(frame: &ServerFrame) -> bool {
-    matches!(frame, ServerFrame::Snapshot(_))
+    matches!(frame, ServerFrame::Snapshot(_) | ServerFrame::Delta(_))
 }
 
 /// Something that happened, with the names of the cell.
