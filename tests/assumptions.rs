@@ -5,7 +5,7 @@
 mod support;
 
 use imrs_protocol::{Input, Kind, Packet};
-use imrs_wire::recording::{Record, RecordingReader, RecordingWriter, ScriptStep, Stream};
+use imrs_wire::recording::{Record, RecordingReader, RecordingWriter, Stream};
 use serde_json::Value;
 use std::fs::File;
 use std::io::BufReader;
@@ -19,26 +19,34 @@ node n1; node n2;
 link n1 -- n2 delay 10 msec;
 type Count is record n: int16; end;
 task a on n1
-  port there(c: Count) usage = send message_format = Count user_list = {b} time_out = 20 sec class = 1 bounded_buffer[4];
-  use_port back(c: Count) usage = receive;
-  var c, d: Count;
+  port there(c: Count) usage = send message_format = Count user_list = {b_hears} time_out = 20 sec class = 1 bounded_buffer[4];
+  var c: Count;
 begin
-  loop
-    run work takes 5..1000 msec on failed do d.n := 0; end;
-    c.n := c.n mod 1000 + 1; send there(c); receive back(d) time_out 10 msec on time_out do d.n := 0; end;
-  end;
+  loop run work takes 5..1000 msec on failed do c.n := 0; end; c.n := c.n mod 1000 + 1; send there(c); end;
 end a;
-task b on n2
-  port back(c: Count) usage = send message_format = Count user_list = {a} time_out = 20 sec class = 1 bounded_buffer[4];
-  use_port there(c: Count) usage = receive;
-  var c, d: Count;
+task a_hears on n1
+  use_port back(c: Count) usage = receive;
+  var d: Count; var same: bool;
 begin
-  loop
-    run work takes 5..1000 msec on failed do d.n := 0; end;
-    c.n := c.n mod 1000 + 1; send back(c); receive there(d) time_out 10 msec on time_out do d.n := 0; end;
-  end;
+  loop receive back(d); same := d.n = 0; end;
+end a_hears;
+task b on n2
+  port back(c: Count) usage = send message_format = Count user_list = {a_hears} time_out = 20 sec class = 1 bounded_buffer[4];
+  var c: Count;
+begin
+  loop run work takes 5..1000 msec on failed do c.n := 0; end; c.n := c.n mod 1000 + 1; send back(c); end;
 end b;
+task b_hears on n2
+  use_port there(c: Count) usage = receive;
+  var d: Count; var same: bool;
+begin
+  loop receive there(d); same := d.n = 0; end;
+end b_hears;
 ";
+
+/// An action that takes its time, and one that fails after it.
+const WORKS: &str = "work=sleep 0.05";
+const FAILS: &str = "work=timeout 0.05 sleep 9";
 
 struct Run(tempfile::TempDir);
 
@@ -48,7 +56,7 @@ impl Run {
         let run = Self(runtime_dir());
         std::fs::write(run.path("news.cell"), format!("{NEWS}{faults}\n")).expect("the cell is written");
         let (cell, file) = (run.path("news.cell"), run.path("run.imrs"));
-        let all = [&["run", &cell, "--record", &file, "--for", "3s", "--seed", "3", "--in-process"], args];
+        let all = [&["run", &cell, "--record", &file, "--for", "3s", "--seed", "3"], args];
         let said = run_in(run.0.path(), &all.concat());
         assert!(matches!(said.code, Some(0 | 1)), "{said:?}");
         run
@@ -101,30 +109,36 @@ impl Run {
 
 #[test]
 fn a_run_without_faults_loses_doubles_and_fails_nothing() {
-    let kinds: Vec<String> = Run::of("", &[]).breaches().into_iter().map(|(kind, ..)| kind).collect();
+    let kinds: Vec<String> = Run::of("", &["--action", WORKS, "--in-process"])
+        .breaches()
+        .into_iter()
+        .map(|(kind, ..)| kind)
+        .collect();
     // How late links and nodes are is this machine's.
     assert!(kinds.iter().all(|kind| ["delay", "late"].contains(&kind.as_str())), "{kinds:?}");
 }
 
 #[test]
 fn more_lost_packets_than_declared_are_named_and_as_many_are_not() {
-    let some = Run::of("faults loss 1;", &["--loss", "40%"]);
+    let some = Run::of("faults loss 1;", &["--action", WORKS, "--loss", "40%"]);
     let (what, lost) = some.breach("loss").expect("of some dozens a few are lost");
     assert_eq!(what, format!("{lost} packets never arrived, the cell declares `loss 1`"));
     let said = some.follow("text");
     let line = format!("outside the assumptions: {what} (first at ");
     assert!(said.out.contains(&line), "{said:?}");
-    let (what, lost) = Run::of("", &["--loss", "40%"]).breach("loss").expect("of some dozens a few are lost");
+    let (what, lost) = Run::of("", &["--action", WORKS, "--loss", "40%"])
+        .breach("loss")
+        .expect("of some dozens a few are lost");
     assert_eq!(what, format!("{lost} packets never arrived, the cell declares no `loss`"));
-    assert_eq!(Run::of("faults loss 250;", &["--loss", "40%"]).breach("loss"), None);
-    let whole = Run::of("faults loss 250;", &["--cut", "n1--n2@500ms+1s"]);
+    assert_eq!(Run::of("faults loss 250;", &["--action", WORKS, "--loss", "40%"]).breach("loss"), None);
+    let whole = Run::of("faults loss 250;", &["--action", WORKS, "--cut", "n1--n2@500ms+1s"]);
     assert_eq!(whole.breach("loss"), None);
-    assert!(Run::of("", &["--cut", "n1--n2@500ms+1s"]).breach("loss").is_some());
+    assert!(Run::of("", &["--action", WORKS, "--cut", "n1--n2@500ms+1s"]).breach("loss").is_some());
 }
 
 #[test]
 fn faults_that_are_declared_apart_do_not_come_together() {
-    let run = Run::of("faults loss 250;\nfaults fail 250;", &["--loss", "40%", "--action", "work=false"]);
+    let run = Run::of("faults loss 250;\nfaults fail 250;", &["--loss", "40%", "--action", FAILS]);
     let (what, _) = run.breach("together").expect("packets were lost and actions failed");
     assert!(what.ends_with("; no `faults` of the cell declares them together"), "{what}");
     assert_eq!((run.breach("loss"), run.breach("fail")), (None, None));
@@ -132,9 +146,15 @@ fn faults_that_are_declared_apart_do_not_come_together() {
 
 #[test]
 fn a_killed_node_is_named_where_no_crash_of_it_is_declared() {
-    let (what, _) = Run::of("faults crash n1;", &["--kill", "n2@1s"]).breach("crash").expect("n2 was killed");
+    let (what, _) = Run::of("faults crash n1;", &["--action", WORKS, "--kill", "n2@1s"])
+        .breach("crash")
+        .expect("n2 was killed");
     assert!(what.starts_with("node n2 was killed") && what.ends_with("no `crash` of it"), "{what}");
-    assert_eq!(Run::of("faults crash n1;\nfaults crash n2;", &["--kill", "n2@1s"]).breach("crash"), None);
+    assert_eq!(
+        Run::of("faults crash n1;\nfaults crash n2;", &["--action", WORKS, "--kill", "n2@1s"])
+            .breach("crash"),
+        None
+    );
 }
 
 fn is_news(record: &Record) -> bool {
@@ -145,67 +165,74 @@ fn is_news(record: &Record) -> bool {
 fn a_packet_that_a_link_doubled_is_a_path_and_named() {
     let double = |run: &Run| {
         run.change("n2", |records| {
-            let at = records.iter().position(is_news).expect("news");
-            let mut copy = records[at].clone();
-            // Its machine drops the copy: nothing that it puts out is another.
-            let Record::Input { elapsed, .. } = &mut copy else { panic!("an input") };
+            let news: Vec<usize> = (0..records.len()).filter(|&at| is_news(&records[at])).collect();
+            let [first, next, ..] = news[..] else { panic!("news") };
+            // When its task waits again. Its machine drops the copy: nothing that it puts out is another.
+            let mut copy = records[first].clone();
+            let Record::Input { task: doubled, elapsed, outputs, .. } = &mut copy else { panic!("an input") };
+            let doubled = *doubled;
             elapsed.0 = 0;
-            records.insert(at + 1, copy);
+            let before = records[..next].iter().rev().find_map(|record| match record {
+                Record::Input { task, outputs, .. } if *task == doubled => Some(*outputs),
+                _ => None,
+            });
+            *outputs = before.expect("the news itself");
+            records.insert(next, copy);
             for record in records {
-                if let Record::Close { inputs, .. } = record {
+                if let Record::Close { task, inputs, .. } = record
+                    && *task == doubled
+                {
                     *inputs += 1;
                 }
             }
         });
     };
-    let run = Run::of("faults loss 3;", &[]);
+    let run = Run::of("faults loss 3;", &["--action", WORKS, "--in-process"]);
     double(&run);
     let (what, _) = run.breach("dup").expect("a copy");
     assert_eq!(what, "1 packet arrived twice, the cell declares no `dup`");
-    let run = Run::of("faults dup 1;", &[]);
+    let run = Run::of("faults dup 1;", &["--action", WORKS, "--in-process"]);
     double(&run);
     assert_eq!(run.breach("dup"), None);
 }
 
-/// Nothing but its times tells the recording of a node whose clock is fast from one whose actions take longer.
+/// Nothing but its times tells the recording of a node whose clock is fast from another.
 #[test]
 fn clocks_that_run_apart_are_named() {
     let slow_down = |run: &Run| {
         run.change("n2", |records| {
-            let acted =
-                |record: &Record| matches!(record, Record::Script { step: ScriptStep::Acted { .. }, .. });
-            for at in 1..records.len() {
-                if acted(&records[at])
-                    && let Record::Input { elapsed, .. } = &mut records[at - 1]
+            // Its tasks wait for an action or for news then, and in their machines no time runs.
+            for record in records {
+                if let Record::Input { elapsed, .. } = record
+                    && elapsed.0 > 1_000
                 {
                     elapsed.0 += elapsed.0 / 5;
                 }
             }
         });
     };
-    let run = Run::of("", &["--action", "work=sleep 0.05"]);
+    let run = Run::of("", &["--action", WORKS, "--in-process"]);
     assert_eq!(run.breach("drift"), None);
     slow_down(&run);
     let (what, _) = run.breach("drift").expect("a fifth of three seconds, less what packets take");
     assert!(what.starts_with("the clocks of n1 and n2 ran apart by at least "), "{what}");
     assert!(what.ends_with("the cell declares no `drift`"), "{what}");
-    let run = Run::of("faults drift 250;", &["--action", "work=sleep 0.05"]);
+    let run = Run::of("faults drift 250;", &["--action", WORKS, "--in-process"]);
     slow_down(&run);
     assert_eq!(run.breach("drift"), None);
 }
 
 #[test]
 fn of_a_run_with_a_gap_nothing_is_said() {
-    let run = Run::of("", &[]);
+    let run = Run::of("", &["--action", WORKS, "--in-process"]);
     run.change("n1", |records| {
         let at = records.iter().position(is_news).expect("news");
-        let Record::Input { stream, .. } = records[at] else { panic!("an input") };
-        let stream: Stream = stream;
-        records[at] = Record::Gap { stream, lost: 1 };
+        let Record::Input { task, .. } = records[at] else { panic!("an input") };
+        records[at] = Record::Gap { stream: Stream::Task(task), lost: 1 };
     });
     let said = run.follow("text");
     assert_eq!(said.code, Some(4), "{said:?}");
-    let words = "UNKNOWN whether this run is a path of the model: inputs of `a` are missing in ";
+    let words = "UNKNOWN whether this run is a path of the model: inputs of `a_hears` are missing in ";
     assert!(said.out.contains(words), "{said:?}");
     assert_eq!(run.follow("json").last_json()["path"], false);
 }

@@ -108,8 +108,8 @@ impl Assumed<'_> {
     /// Faults that the cell declares a number of.
     fn counted(&self, around: &Surroundings) -> Vec<Breach> {
         let all = |of: fn(&Way) -> &Vec<u64>| {
-            let times = || around.ways.values().flat_map(move |way| of(way));
-            (times().count() as u64, times().min().copied().unwrap_or(0))
+            let times: Vec<u64> = around.ways.values().flat_map(of).copied().collect();
+            (times.len() as u64, times.iter().min().copied().unwrap_or(0))
         };
         let (lost, copied) = (all(|way| &way.lost), all(|way| &way.copies));
         let failed = (around.failed.len() as u64, around.failed.iter().min().copied().unwrap_or(0));
