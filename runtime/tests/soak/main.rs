@@ -30,9 +30,10 @@ fn at_half_load_every_request_has_its_outcome_and_nothing_grows() {
     let (flat_out, flat_busy) =
         busy(|| run(Plan { length: Duration::from_secs(2), ..Plan::default() }, pause));
     let flat_rate = judge(&flat_out);
-    let period = Some(Duration::from_secs_f64(3.0 * 2.0 / flat_rate));
+    let pace = Duration::from_secs_f64(3.0 * 2.0 / flat_rate);
+    let period = Some(pace);
     println!("flat out: {flat_rate:.0} cycles/s, {flat_busy:.2} cores busy");
-    println!("at half load each driver begins a cycle every {:.3?}", period.unwrap_or_default());
+    println!("at half load each driver begins a cycle every {pace:.3?}");
 
     let (begin, length) = (Instant::now(), wanted());
     let every = (length / 400).max(Duration::from_millis(50));
