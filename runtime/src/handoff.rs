@@ -219,8 +219,9 @@ impl<S: Station> Handoff<S> {
 
     /// Does something with the station that may lead to work, from anywhere.
     pub fn visit(&self, visit: impl FnOnce(&mut S, &mut S::Effects), effects: &mut S::Effects) {
+        // What was left may be an answer: only who works it off marks the word.
+        self.second_look(effects);
         let mut core = lock(&self.core);
-        self.drain(&mut core, effects);
         visit(&mut core.station, effects);
         let rest = if core.resting { Rest::GoesOn } else { Rest::No };
         core.station.settle(rest, effects);
