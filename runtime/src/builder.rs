@@ -1,5 +1,6 @@
 //! Starting a node: which task runs what, over which link.
 
+use crate::clock;
 use crate::context::{Context, TaskError};
 use crate::link::Link;
 use crate::node::{Node, Plan};
@@ -11,9 +12,14 @@ use imrs_protocol::{CellTable, Incarnation, NodeId, NodeTable};
 use imrs_wire::obs::RealTime;
 use std::io;
 use std::sync::Arc;
+use std::time::Duration;
 
 /// How many packets the transit buffer of a node holds unless told otherwise.
 pub const TRANSIT_CAPACITY: u16 = 1024;
+
+/// For how long a thread that waits looks before it sleeps, unless told otherwise: about what it takes to wake a thread
+/// on another core (D110).
+pub const SPIN: Duration = Duration::from_micros(50);
 
 /// Why a node was not started.
 #[derive(Debug, thiserror::Error)]
@@ -70,6 +76,7 @@ pub struct Builder {
     actions: Option<Arc<dyn Actions>>,
     watch: Option<Arc<dyn Watch>>,
     seed: u64,
+    spin: Duration,
     holds: bool,
 }
 
@@ -89,6 +96,7 @@ impl Builder {
             actions: None,
             watch: None,
             seed: 0,
+            spin: SPIN,
             holds: false,
         }
     }
@@ -175,6 +183,14 @@ impl Builder {
         self
     }
 
+    /// For how long the thread of a task that waits looks for what it waits for before it sleeps [default: [`SPIN`]]; zero: not
+    /// at all. It looks only where a wait of that kind was as brief the last time, and while no other thread of a task needs
+    /// the core, so a wait that is long costs at most this once, and idle tasks cost nothing (D110).
+    pub fn spin(mut self, budget: Duration) -> Self {
+        self.spin = budget;
+        self
+    }
+
     /// Keeps the scripts from beginning until [`Runtime::begin`].
     pub fn hold_scripts(mut self) -> Self {
         self.holds = true;
@@ -200,6 +216,7 @@ impl Builder {
             real_time: self.real_time,
             link: self.link,
             recorder: self.recorder,
+            spin: clock::micros(self.spin),
         });
         let scripts =
             programs.iter().filter(|(_, program)| matches!(program, TaskProgram::Script(_))).count();

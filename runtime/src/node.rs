@@ -35,7 +35,11 @@ pub(crate) struct Plan {
     pub real_time: RealTime,
     pub link: Option<Arc<dyn Link>>,
     pub recorder: Option<Arc<dyn Recorder>>,
+    pub spin: Micros,
 }
+
+/// What a task asks next without letting go of its communication task, after such an answer; nothing for most.
+pub(crate) type More<'a> = &'a mut dyn FnMut(&Mail) -> Option<Request>;
 
 /// A node that runs. Shared by its threads, and by whoever observes it.
 pub struct Node {
@@ -50,6 +54,8 @@ pub struct Node {
     pub(crate) alarm: Arc<Alarm>,
     pub(crate) link: Option<Arc<dyn Link>>,
     pub(crate) lead: Lead,
+    /// For how long a task's thread looks before it sleeps.
+    pub(crate) spin: Micros,
     pub(crate) peers: Box<[Peer]>,
     /// Where the scripts of the node act. Here from the start on, unless it has none.
     pub(crate) stage: OnceLock<Stage>,
@@ -108,6 +114,7 @@ impl Node {
             stage: OnceLock::new(),
             link: plan.link,
             lead: Lead::new(),
+            spin: plan.spin,
             peers: table.neighbours(table.node).map(peer).collect(),
             discards: std::array::from_fn(|_| AtomicU64::new(0)),
             link_discards: std::array::from_fn(|_| AtomicU64::new(0)),
@@ -143,15 +150,16 @@ impl Node {
         now
     }
 
-    /// A request of a task, from its own thread; then whatever that brings about.
+    /// A request of a task, from its own thread, and those that [`More`] says; then whatever that brings about.
     pub(crate) fn ask(
         &self,
         place: usize,
         at: Micros,
         request: Request,
+        more: More<'_>,
         effects: &mut Effects,
     ) -> Entry<Mail> {
-        self.enter(place, Stamped { at, input: Input::Request(request) }, effects)
+        self.enter(place, Stamped { at, input: Input::Request(request) }, more, effects)
     }
 
     /// A task's thread is back from its sleep. `due` says that it came because its time is over.
@@ -160,6 +168,7 @@ impl Node {
         place: usize,
         now: Micros,
         due: bool,
+        more: More<'_>,
         effects: &mut Effects,
     ) -> Entry<Mail> {
         if due {
@@ -168,11 +177,13 @@ impl Node {
             self.timers.advance(now, effects);
             self.carry_out(effects);
         }
-        self.enter(place, Stamped { at: now, input: Input::Advance(Ticks::ZERO) }, effects)
+        self.enter(place, Stamped { at: now, input: Input::Advance(Ticks::ZERO) }, more, effects)
     }
 
-    fn enter(&self, place: usize, stamped: Stamped, effects: &mut Effects) -> Entry<Mail> {
-        let entry = self.members.list[place].handoff.enter(stamped, effects);
+    fn enter(&self, place: usize, stamped: Stamped, more: More<'_>, effects: &mut Effects) -> Entry<Mail> {
+        let at = stamped.at;
+        let next = |mail: &Mail| more(mail).map(|next| Stamped { at, input: Input::Request(next) });
+        let entry = self.members.list[place].handoff.enter_and(stamped, next, effects);
         self.carry_out(effects);
         entry
     }
