@@ -111,11 +111,11 @@ impl Kind {
 }
 
 /// How waits of one kind went.
-#[derive(Clone, Copy, Debug, Default)]
+#[derive(Clone, Copy, Debug)]
 struct Habit {
     /// Whether the last one was brief: what ended it came within the budget, however late the thread noticed.
     brief: bool,
-    /// How many more often it looked in vain than not, at most [`Self::MOST`].
+    /// How much more often it looked in vain than not, at most [`Self::MOST`].
     vain: u32,
     /// How many waits go by before it looks again.
     pause: u32,
@@ -123,22 +123,34 @@ struct Habit {
 
 impl Habit {
     const MOST: u32 = 10;
+    /// How many waits that are not brief go by before it looks all the same: two ends that both sleep wake each other so
+    /// late that no wait would ever be brief.
+    const UNLIKELY: u32 = 63;
+    const NEW: Self = Self { brief: false, vain: 0, pause: Self::UNLIKELY };
 
     fn tries(&mut self) -> bool {
-        if !self.brief {
-            return false;
-        }
         let due = self.pause == 0;
-        self.pause = self.pause.saturating_sub(1);
+        self.pause = match (due, self.brief) {
+            (false, _) => self.pause - 1,
+            (true, true) => 0,
+            (true, false) => Self::UNLIKELY,
+        };
         due
     }
 
     fn looked(&mut self, found: bool) {
         if found {
-            self.vain = self.vain.saturating_sub(1);
+            (self.vain, self.pause) = (self.vain.saturating_sub(1), 0);
         } else {
             self.vain = (self.vain + 1).min(Self::MOST);
-            self.pause = (1 << self.vain) - 1;
+            self.pause = self.pause.max((1 << self.vain) - 1);
+        }
+    }
+
+    fn ended(&mut self, brief: bool) {
+        self.brief = brief;
+        if brief && self.vain == 0 {
+            self.pause = 0;
         }
     }
 }
@@ -148,7 +160,7 @@ impl Habit {
 pub(crate) struct Patience {
     /// For how long it looks before it sleeps.
     budget: Micros,
-    /// Those of the calling thread, once it had a reason to ask.
+    /// Those of the calling thread, once it has waited.
     cores: Option<Cores>,
     habits: [Habit; 3],
 }
@@ -158,12 +170,12 @@ impl Patience {
     const LOOKS: u32 = 16;
 
     pub fn new(budget: Micros) -> Self {
-        Self { budget, cores: None, habits: [Habit::default(); 3] }
+        Self { budget, cores: None, habits: [Habit::NEW; 3] }
     }
 
     /// A wait of this kind was ended by what came after so long.
     pub fn learn(&mut self, kind: Kind, after: Micros) {
-        self.habits[kind as usize].brief = after <= self.budget;
+        self.habits[kind as usize].ended(after <= self.budget);
     }
 
     /// Looks, where that is worth it, for what ends the wait: at most for the budget, and not beyond `until`. Whether it is
@@ -175,7 +187,7 @@ impl Patience {
         until: Micros,
         mut there: impl FnMut() -> bool,
     ) -> bool {
-        if self.budget == 0 || !self.habits[kind as usize].tries() {
+        if self.budget == 0 {
             return false;
         }
         let cores = *self.cores.get_or_insert_with(|| {
@@ -183,11 +195,16 @@ impl Patience {
             presence.keeps_to(cores.only);
             cores
         });
+        let habit = &mut self.habits[kind as usize];
+        if !habit.tries() {
+            return false;
+        }
         let mut ends = FAR;
+        let mut looks = false;
         while cores.free() {
             for _ in 0..Self::LOOKS {
                 if there() {
-                    self.habits[kind as usize].looked(true);
+                    habit.looked(true);
                     return true;
                 }
                 std::hint::spin_loop();
@@ -197,10 +214,98 @@ impl Patience {
                 ends = now.saturating_add(self.budget).min(until);
             }
             if now >= ends {
-                self.habits[kind as usize].looked(false);
-                return false;
+                break;
             }
+            looks = true;
+        }
+        if looks {
+            habit.looked(false);
         }
         false
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const FREE: Cores = Cores { most: isize::MAX, only: None };
+    const CROWDED: Cores = Cores { most: isize::MIN, only: None };
+
+    fn patience(cores: Cores) -> Patience {
+        Patience { cores: Some(cores), ..Patience::new(200) }
+    }
+
+    /// How often a wait that nothing ends is looked at, of so many.
+    fn tried(patience: &mut Patience, waits: u32) -> u32 {
+        let presence = Presence::new();
+        let mut tried = 0;
+        for _ in 0..waits {
+            let mut looks = 0;
+            let there = || {
+                looks += 1;
+                false
+            };
+            assert!(!patience.look(Kind::Message, &presence, FAR, there));
+            tried += u32::from(looks > 0);
+        }
+        tried
+    }
+
+    #[test]
+    fn it_looks_where_the_last_wait_was_brief_and_finds_what_comes() {
+        let (mut patience, presence) = (patience(FREE), Presence::new());
+        assert!(!patience.look(Kind::Message, &presence, FAR, || true), "nothing is known yet");
+        patience.learn(Kind::Message, 200);
+        assert!(!patience.look(Kind::Answers, &presence, FAR, || true), "of the other kind nothing is known");
+        for _ in 0..100 {
+            let mut looks = 0;
+            let third = || {
+                looks += 1;
+                looks == 3
+            };
+            assert!(patience.look(Kind::Message, &presence, FAR, third));
+        }
+    }
+
+    #[test]
+    fn waits_that_are_long_are_looked_at_once_in_64_and_less_each_time_in_vain() {
+        let mut patience = patience(FREE);
+        assert_eq!(tried(&mut patience, 64), 1);
+        // Another 63 go by six times, then 127, 255, 511, and 1,023 from there on.
+        assert_eq!(tried(&mut patience, 10_000), 17);
+    }
+
+    #[test]
+    fn waits_that_are_brief_only_where_it_sleeps_are_hardly_looked_at() {
+        let mut patience = patience(FREE);
+        let mut all = 0;
+        for _ in 0..5_000 {
+            patience.learn(Kind::Message, 5);
+            all += tried(&mut patience, 1);
+        }
+        assert!((10..=16).contains(&all), "{all} of 5,000");
+    }
+
+    #[test]
+    fn it_does_not_look_where_others_need_the_core_or_without_a_budget() {
+        let mut crowded = patience(CROWDED);
+        let mut none = Patience { budget: 0, ..patience(FREE) };
+        for patience in [&mut crowded, &mut none] {
+            patience.learn(Kind::Message, 0);
+            assert_eq!(tried(patience, 100), 0);
+        }
+    }
+
+    #[test]
+    fn it_looks_no_longer_than_the_budget_and_not_beyond_the_end() {
+        let (mut patience, presence) = (patience(FREE), Presence::new());
+        patience.learn(Kind::Message, 0);
+        let begins = clock::now();
+        assert!(!patience.look(Kind::Message, &presence, FAR, || false));
+        assert!(clock::now() - begins >= 200);
+        patience.budget = FAR;
+        (patience.habits[1].pause, patience.habits[1].brief) = (0, true);
+        assert!(!patience.look(Kind::Message, &presence, clock::now() + 50, || false), "it ends");
     }
 }

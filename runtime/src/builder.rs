@@ -77,6 +77,7 @@ pub struct Builder {
     watch: Option<Arc<dyn Watch>>,
     seed: u64,
     spin: Duration,
+    spin_tail: Duration,
     holds: bool,
 }
 
@@ -97,6 +98,7 @@ impl Builder {
             watch: None,
             seed: 0,
             spin: SPIN,
+            spin_tail: Duration::ZERO,
             holds: false,
         }
     }
@@ -191,6 +193,14 @@ impl Builder {
         self
     }
 
+    /// How long before the end of a delay or a time_out a task's thread wakes, to look at the clock until then [default: zero,
+    /// not at all]. What the kernel takes to wake it, tens of microseconds, then makes nothing late; each wait that ends by its time costs so
+    /// much of a core. A thread that waits in the socket for a message is woken by the kernel as ever (D110).
+    pub fn spin_tail(mut self, length: Duration) -> Self {
+        self.spin_tail = length;
+        self
+    }
+
     /// Keeps the scripts from beginning until [`Runtime::begin`].
     pub fn hold_scripts(mut self) -> Self {
         self.holds = true;
@@ -217,6 +227,7 @@ impl Builder {
             link: self.link,
             recorder: self.recorder,
             spin: clock::micros(self.spin),
+            spin_tail: clock::micros(self.spin_tail),
         });
         let scripts =
             programs.iter().filter(|(_, program)| matches!(program, TaskProgram::Script(_))).count();

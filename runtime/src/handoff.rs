@@ -173,7 +173,7 @@ impl<S: Station> Handoff<S> {
     }
 
     /// Brings input from the task's own thread and takes what there is for it. Goes on under the same lock: as long as there
-    /// is an answer for which `more` has another input, that one is brought, too. What has come meanwhile is taken in before.
+    /// is an answer for which `more` has another input, that one is brought, too.
     pub fn enter_and(
         &self,
         mut input: S::Input,
@@ -183,13 +183,15 @@ impl<S: Station> Handoff<S> {
         let mut core = lock(&self.core);
         self.word.store(RUNNING);
         core.resting = false;
+        self.drain(&mut core, effects);
         let mail = loop {
-            self.drain(&mut core, effects);
             core.feed(input, effects);
             let mail = core.mail.take();
-            match mail.as_ref().and_then(&mut more) {
-                Some(next) => input = next,
-                None => break mail,
+            let Some(next) = mail.as_ref().and_then(&mut more) else { break mail };
+            input = next;
+            // Not for each: the inbox is on its way between two cores. Never full, so that nobody waits for the lock.
+            if self.queued.load(Ordering::Relaxed) >= INBOX / 2 {
+                self.drain(&mut core, effects);
             }
         };
         let stopped = core.stopped;

@@ -36,6 +36,7 @@ pub(crate) struct Plan {
     pub link: Option<Arc<dyn Link>>,
     pub recorder: Option<Arc<dyn Recorder>>,
     pub spin: Micros,
+    pub spin_tail: Micros,
 }
 
 /// What a task asks next without letting go of its communication task, after such an answer; nothing for most.
@@ -56,6 +57,8 @@ pub struct Node {
     pub(crate) lead: Lead,
     /// For how long a task's thread looks before it sleeps.
     pub(crate) spin: Micros,
+    /// How long before the end of its time it wakes, to look until then.
+    pub(crate) spin_tail: Micros,
     pub(crate) peers: Box<[Peer]>,
     /// Where the scripts of the node act. Here from the start on, unless it has none.
     pub(crate) stage: OnceLock<Stage>,
@@ -115,6 +118,7 @@ impl Node {
             link: plan.link,
             lead: Lead::new(),
             spin: plan.spin,
+            spin_tail: plan.spin_tail,
             peers: table.neighbours(table.node).map(peer).collect(),
             discards: std::array::from_fn(|_| AtomicU64::new(0)),
             link_discards: std::array::from_fn(|_| AtomicU64::new(0)),

@@ -118,27 +118,47 @@ impl Caller {
         }
         let node = &self.node;
         let member = &node.members.list[self.place];
-        let leading = node.link.as_ref().and_then(|link| link.leading());
-        if let Some(leading) = leading.filter(|_| member.by_link.load(Ordering::Relaxed)) {
-            let inlet = self.inlet.get_or_insert_with(|| Inlet::new(Arc::clone(node)));
+        // Whoever waits for a time alone waits for it more exactly on its word.
+        let tail = node.spin_tail;
+        let link = node.link.as_ref().filter(|_| tail == 0 || kind.is_some());
+        let leading = link.and_then(|link| link.leading());
+        // Set again by what the link brings, whoever takes it in.
+        let leading = leading.filter(|_| member.by_link.swap(false, Ordering::Relaxed));
+        let handoff = &member.handoff;
+        let inlet = leading.map(|_| &*self.inlet.get_or_insert_with(|| Inlet::new(Arc::clone(node))));
+        let leading = leading.zip(inlet);
+        let take_in = || {
+            let _guard = FailStop::of("a task's thread that receives");
+            leading.is_some_and(|(leading, inlet)| leading.take_in(inlet))
+        };
+        let there = || handoff.is_called() || (take_in() && handoff.is_called());
+        if kind.is_some_and(|kind| self.patience.look(kind, &handoff.presence, until, there)) {
+            return;
+        }
+        if let Some((leading, _)) = leading {
             let left =
                 || (until != clock::FAR).then(|| Duration::from_micros(until.saturating_sub(clock::now())));
-            let take_in = || {
-                let _guard = FailStop::of("a task's thread that receives");
-                leading.take_in(inlet)
-            };
-            // Set again by what the link brings, whoever takes it in.
-            member.by_link.store(false, Ordering::Relaxed);
-            match node.lead.wait(&member.handoff, || leading.wait(left()), take_in) {
+            match node.lead.wait(handoff, || leading.wait(left()), take_in) {
                 Led::ToTheEnd => return member.by_link.store(true, Ordering::Relaxed),
                 Led::Called => return,
                 Led::No => member.by_link.store(true, Ordering::Relaxed),
             }
         }
-        let handoff = &member.handoff;
-        let there = || handoff.is_called();
-        if !kind.is_some_and(|kind| self.patience.look(kind, &handoff.presence, until, there)) {
+        if tail == 0 || until == clock::FAR {
             handoff.sleep(clock::nanos_of(until));
+            return;
+        }
+        let early = until.saturating_sub(tail);
+        while !handoff.is_called() {
+            let now = clock::now();
+            if now >= until {
+                return;
+            }
+            if now < early {
+                handoff.sleep(clock::nanos_of(early));
+            } else {
+                std::hint::spin_loop();
+            }
         }
     }
 
