@@ -45,6 +45,7 @@ mod comm;
 pub mod compiled;
 mod context;
 mod effects;
+mod executor;
 #[cfg(test)]
 mod explored;
 #[cfg(test)]
@@ -70,7 +71,7 @@ mod transit;
 mod turn;
 
 pub use builder::{Builder, StartError, TRANSIT_CAPACITY};
-pub use context::{Asked, Context, Received, Rendezvous, RequestFault, Sent, TaskError};
+pub use context::{Asked, AsyncContext, Context, Received, Rendezvous, RequestFault, Sent, TaskError};
 pub use imrs_protocol as protocol;
 pub use message::Message;
 pub use node::Node;
