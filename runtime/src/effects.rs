@@ -70,6 +70,10 @@ impl Bundles {
         bundle.push_back(stamped);
     }
 
+    pub fn is_empty(&self) -> bool {
+        self.full.is_empty()
+    }
+
     /// Takes out what one script gets next. To be [given back](Self::give_back) empty.
     pub fn pop(&mut self) -> Option<(usize, VecDeque<Stamped>)> {
         let place = self.full.pop_front()?;

@@ -264,9 +264,11 @@ impl Node {
         match departing(&self.table, &packet) {
             Departure::Local(task) => {
                 let Some(place) = self.members.place(task) else { return };
-                let (member, stamped) =
-                    (&self.members.list[place], Stamped { at, input: Input::Packet(packet) });
-                if member.scripted.load(Ordering::Relaxed) {
+                let member = &self.members.list[place];
+                let stamped = Stamped { at, input: Input::Packet(packet) };
+                // The only one that there is to do needs no bundle.
+                let alone = effects.queue.is_empty() && effects.bundles.is_empty();
+                if member.scripted.load(Ordering::Relaxed) && !alone {
                     effects.bundles.push(place, stamped);
                 } else {
                     member.handoff.deliver(stamped, effects);
