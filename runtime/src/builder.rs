@@ -1,7 +1,8 @@
 //! Starting a node: which task runs what, over which link.
 
 use crate::clock;
-use crate::context::{Context, TaskError};
+use crate::context::{AsyncContext, Context, TaskError};
+use crate::executor;
 use crate::link::Link;
 use crate::node::{Node, Plan};
 use crate::record::Recorder;
@@ -10,8 +11,10 @@ use crate::threads::{Runtime, TaskProgram};
 use imrs_protocol::script::{HOST_LIMIT, Program, ProgramError};
 use imrs_protocol::{CellTable, Incarnation, NodeId, NodeTable};
 use imrs_wire::obs::RealTime;
+use std::future::Future;
 use std::io;
 use std::sync::Arc;
+use std::sync::atomic::Ordering;
 use std::time::Duration;
 
 /// How many packets the transit buffer of a node holds unless told otherwise.
@@ -161,6 +164,70 @@ impl Builder {
         self
     }
 
+    /// The program of a task, as a future: run on one thread of the node together with all others that are futures. Nothing
+    /// in it may keep that thread: it waits by `await`, for its communication task or for anything else, woken from
+    /// whatever thread. A panic is a crash of this task alone.
+    ///
+    /// ```
+    /// use imrs_protocol::{Cell, CellTable, PortDecl, Ticks, Usage};
+    /// use imrs_runtime::{Asked, AsyncContext, Runtime};
+    /// use std::{sync::Arc, time::Duration};
+    ///
+    /// let mut cell = Cell::new("greeting", Ticks(1_000));
+    /// let here = cell.node("here");
+    /// let (asker, answerer) = (cell.task("asker", here), cell.task("answerer", here));
+    /// cell.port(PortDecl::new("ask", asker, Usage::Send, &[answerer], Ticks(500_000)).command());
+    /// let table = Arc::new(CellTable::new(cell).expect("a sound cell"));
+    ///
+    /// let node = Runtime::builder(table, here)
+    ///     .async_task("asker", |mut ctx: AsyncContext| async move {
+    ///         let ask = ctx.port("ask")?;
+    ///         match ctx.query::<i16, i16>(ask, &20).await? {
+    ///             Asked::Reply(sum) => assert_eq!(sum, 21),
+    ///             Asked::Refused | Asked::TimedOutUnsent => panic!("it was not asked"),
+    ///             Asked::TimedOutUnknown | Asked::PeerRestarted => panic!("it may have answered"),
+    ///         }
+    ///         Ok(())
+    ///     })
+    ///     .async_task("answerer", |mut ctx: AsyncContext| async move {
+    ///         let ask = ctx.port("ask")?;
+    ///         if let Some(question) = ctx.take::<i16>(ask, None).await? {
+    ///             ctx.answer(&question.from, &(question.message + 1))?;
+    ///         }
+    ///         Ok(())
+    ///     })
+    ///     .start()
+    ///     .expect("a node that starts");
+    /// assert!(node.wait(Duration::from_secs(10)));
+    /// # let ends = node.stop(Duration::from_secs(10));
+    /// # assert!(ends.iter().all(|(_, end)| *end == imrs_runtime::TaskEnd::Returned), "{ends:?}");
+    /// ```
+    pub fn async_task<F>(self, name: &str, program: impl FnOnce(AsyncContext) -> F + Send + 'static) -> Self
+    where
+        F: Future<Output = Result<(), TaskError>> + 'static,
+    {
+        self.async_task_with(name, (), program)
+    }
+
+    /// As [`async_task`](Self::async_task), with a state that the program and its handlers share:
+    /// [`AsyncContext::state`].
+    pub fn async_task_with<S, F>(
+        mut self,
+        name: &str,
+        state: S,
+        program: impl FnOnce(AsyncContext<S>) -> F + Send + 'static,
+    ) -> Self
+    where
+        S: Send + 'static,
+        F: Future<Output = Result<(), TaskError>> + 'static,
+    {
+        let body = move |node, place| -> executor::Program {
+            Box::pin(program(AsyncContext::new(node, place, state)))
+        };
+        self.programs.push((name.into(), TaskProgram::Async(Box::new(body))));
+        self
+    }
+
     /// The script of a task, with durations in microseconds. It has no thread: whoever brings it input runs it.
     pub fn script(mut self, name: &str, program: Arc<Program>) -> Self {
         self.programs.push((name.into(), TaskProgram::Script(program)));
@@ -236,7 +303,9 @@ impl Builder {
             if let TaskProgram::Script(program) = program {
                 program.check().map_err(|error| StartError::Script(name.clone(), error))?;
                 let seat = Seat::new(place, Arc::clone(program), self.watch.clone(), self.seed, together);
-                node.look(&node.members.list[place], |comm| comm.seat(seat));
+                let member = &node.members.list[place];
+                member.scripted.store(true, Ordering::Relaxed);
+                node.look(member, |comm| comm.seat(seat));
             }
         }
         let seed = self.seed;

@@ -207,7 +207,8 @@ impl Station for Comm {
         mail
     }
 
-    fn settle(&mut self, rest: Rest, _effects: &mut Effects) -> Micros {
+    fn settle(&mut self, rest: Rest, effects: &mut Effects) -> Micros {
+        effects.turn = None;
         let due = self.due();
         self.cover.settle(&self.alarm, rest, due);
         due

@@ -1,11 +1,13 @@
 //! What a task's program says to its communication task (§II, §5.2.1).
 
+mod asynchronous;
 mod caller;
 mod handlers;
 mod many;
 mod outcome;
 mod typed;
 
+pub use asynchronous::AsyncContext;
 pub use many::MANY;
 pub use outcome::{Asked, Received, Rendezvous, RequestFault, Sent, TaskError};
 
@@ -59,10 +61,7 @@ impl<S> Context<S> {
     /// # Errors
     /// [`TaskError::NoPort`].
     pub fn port(&self, name: &str) -> Result<PortId, TaskError> {
-        let own = self.caller.node.table.ports_of(self.id()).iter();
-        let named =
-            |id: &&PortId| self.caller.node.table.port(**id).is_some_and(|port| port.decl.name == name);
-        own.copied().find(|id| named(&id)).ok_or_else(|| TaskError::NoPort(name.into()))
+        self.caller.port(name)
     }
 
     /// Looks up a task of the cell.
@@ -70,8 +69,7 @@ impl<S> Context<S> {
     /// # Errors
     /// [`TaskError::NoTask`].
     pub fn task(&self, name: &str) -> Result<TaskId, TaskError> {
-        let position = self.caller.node.table.cell().tasks.iter().position(|task| task.name == name);
-        position.map(TaskId::from_index).ok_or_else(|| TaskError::NoTask(name.into()))
+        self.caller.named(name)
     }
 
     /// Sends to all tasks at the other end of the port (R39). Class 1 returns at once; class 2 waits for the answers. A

@@ -1,6 +1,6 @@
 //! What a machine wants done, and by whom. Filled under a lock, carried out after it, by the thread that held it (D39).
 
-use crate::clock::Micros;
+use crate::clock::{self, Micros};
 use crate::script::Deed;
 use imrs_protocol::{Input, Packet, TaskId, Ticks, TimeId};
 use std::collections::VecDeque;
@@ -38,6 +38,58 @@ pub(crate) struct Effects {
     pub held: usize,
     /// The task whose thread this is, if it waits for what it asks.
     pub waiter: Option<TaskId>,
+    /// What goes to scripts of the node.
+    pub bundles: Bundles,
+    /// The time of the turn at a script that this thread has; none between two turns.
+    pub turn: Option<Micros>,
+}
+
+/// The most packets that a script takes in one turn, with one look at the clock (D112).
+const BUNDLE: usize = 32;
+
+/// Packets for scripts of the node, tied together by who gets them: so that each script takes its own under one lock.
+#[derive(Debug, Default)]
+pub(crate) struct Bundles {
+    /// By position among the node's tasks.
+    of: Vec<VecDeque<Stamped>>,
+    /// Those that hold something, in the order in which they began to. Once for every [`BUNDLE`] of packets.
+    full: VecDeque<usize>,
+    /// An empty one.
+    spare: VecDeque<Stamped>,
+}
+
+impl Bundles {
+    pub fn push(&mut self, place: usize, stamped: Stamped) {
+        if self.of.len() <= place {
+            self.of.resize_with(place + 1, VecDeque::new);
+        }
+        let bundle = &mut self.of[place];
+        if bundle.len().is_multiple_of(BUNDLE) {
+            self.full.push_back(place);
+        }
+        bundle.push_back(stamped);
+    }
+
+    pub fn is_empty(&self) -> bool {
+        self.full.is_empty()
+    }
+
+    /// Takes out what one script gets next. To be [given back](Self::give_back) empty.
+    pub fn pop(&mut self) -> Option<(usize, VecDeque<Stamped>)> {
+        let place = self.full.pop_front()?;
+        let bundle = self.of.get_mut(place)?;
+        let mut next = std::mem::take(&mut self.spare);
+        if bundle.len() > BUNDLE {
+            next.extend(bundle.drain(..BUNDLE));
+        } else {
+            std::mem::swap(bundle, &mut next);
+        }
+        Some((place, next))
+    }
+
+    pub fn give_back(&mut self, empty: VecDeque<Stamped>) {
+        self.spare = empty;
+    }
 }
 
 impl Effects {
@@ -47,6 +99,20 @@ impl Effects {
 
     /// For a thread that only looks, and rarely finds work that others left it.
     pub fn of_an_onlooker() -> Self {
-        Self { queue: VecDeque::new(), deeds: VecDeque::new(), steps: 0, holds: false, held: 0, waiter: None }
+        Self {
+            queue: VecDeque::new(),
+            deeds: VecDeque::new(),
+            steps: 0,
+            holds: false,
+            held: 0,
+            waiter: None,
+            bundles: Bundles::default(),
+            turn: None,
+        }
+    }
+
+    /// The time of this turn at a script: the next whole microsecond when it began.
+    pub fn time_of_turn(&mut self) -> Micros {
+        *self.turn.get_or_insert_with(clock::next)
     }
 }

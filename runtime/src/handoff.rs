@@ -16,6 +16,7 @@
 
 use crate::awake::Presence;
 use crate::sync::{AtomicUsize, Mutex, MutexGuard, Ordering, Word, fence, lock, try_lock};
+use std::collections::VecDeque;
 use std::sync::Arc;
 
 /// What runs behind the lock.
@@ -59,6 +60,8 @@ const SLEEPING: u32 = 1;
 const READY: u32 = 2;
 /// The task's thread waits elsewhere, or is about to: the bell calls it.
 const AWAY: u32 = 3;
+/// The task's program is a future that waits, or is about to: the bell calls it.
+const LISTENING: u32 = 4;
 
 /// How many inputs wait in an inbox before who brings more waits for the lock.
 const INBOX: usize = 64;
@@ -160,6 +163,19 @@ impl<S: Station> Handoff<S> {
         self.second_look(effects);
     }
 
+    /// As [`deliver`](Self::deliver), for several inputs under one lock: takes all of `inputs`, the first one first.
+    pub fn deliver_all(&self, inputs: &mut VecDeque<S::Input>, effects: &mut S::Effects) {
+        if let Some(core) = try_lock(&self.core) {
+            self.work(core, inputs.drain(..), effects);
+        }
+        while let Some(input) = inputs.pop_front() {
+            if let Err(input) = self.leave(input) {
+                self.work(lock(&self.core), std::iter::once(input).chain(inputs.drain(..)), effects);
+            }
+        }
+        self.second_look(effects);
+    }
+
     /// As [`deliver`](Self::deliver), and the input has been taken on return.
     pub fn deliver_now(&self, input: S::Input, effects: &mut S::Effects) {
         self.work(lock(&self.core), Some(input), effects);
@@ -201,6 +217,28 @@ impl<S: Station> Handoff<S> {
         drop(core);
         self.second_look(effects);
         Entry { mail, stopped, until }
+    }
+
+    /// As [`enter`](Self::enter), for a task that is a future: it never rests, so others look after its time; and where there
+    /// is an answer already, it takes that and brings nothing.
+    pub fn enter_awake(&self, input: S::Input, effects: &mut S::Effects) -> Entry<S::Mail> {
+        let mut core = lock(&self.core);
+        self.word.store(RUNNING);
+        self.drain(&mut core, effects);
+        if core.mail.is_none() {
+            core.feed(input, effects);
+        }
+        let mail = core.mail.take();
+        let stopped = core.stopped;
+        let until = core.station.settle(Rest::No, effects);
+        drop(core);
+        self.second_look(effects);
+        Entry { mail, stopped, until }
+    }
+
+    /// The future waits from here on; the bell calls it. False where there is something for it already.
+    pub fn listen(&self) -> bool {
+        self.word.replace(RUNNING, LISTENING)
     }
 
     /// Sleeps until there is mail, the node stops, or `deadline` (nanoseconds of the monotonic clock) has passed. May
@@ -313,10 +351,15 @@ impl<S: Station> Handoff<S> {
         Ok(())
     }
 
-    fn work(&self, mut core: MutexGuard<'_, Core<S>>, input: Option<S::Input>, effects: &mut S::Effects) {
+    fn work(
+        &self,
+        mut core: MutexGuard<'_, Core<S>>,
+        inputs: impl IntoIterator<Item = S::Input>,
+        effects: &mut S::Effects,
+    ) {
         let had_mail = core.mail.is_some();
         self.drain(&mut core, effects);
-        if let Some(input) = input {
+        for input in inputs {
             core.feed(input, effects);
         }
         let new_mail = !had_mail && core.mail.is_some();
@@ -361,7 +404,7 @@ impl<S: Station> Handoff<S> {
         if self.plant == Plant::NoBell {
             return;
         }
-        if let Some(bell) = self.bell.as_ref().filter(|_| was == AWAY) {
+        if let Some(bell) = self.bell.as_ref().filter(|_| was == AWAY || was == LISTENING) {
             bell.ring();
         }
     }

@@ -46,6 +46,7 @@ mod comm;
 pub mod compiled;
 mod context;
 mod effects;
+mod executor;
 #[cfg(test)]
 mod explored;
 #[cfg(test)]
@@ -73,7 +74,7 @@ mod turn;
 mod vitals;
 
 pub use builder::{Builder, SPIN, StartError, TRANSIT_CAPACITY};
-pub use context::{Asked, Context, MANY, Received, Rendezvous, RequestFault, Sent, TaskError};
+pub use context::{Asked, AsyncContext, Context, MANY, Received, Rendezvous, RequestFault, Sent, TaskError};
 pub use imrs_protocol as protocol;
 pub use message::Message;
 pub use node::Node;

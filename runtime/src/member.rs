@@ -2,28 +2,36 @@
 
 use crate::comm::Comm;
 use crate::handoff::{Bell, Handoff};
+use crate::sync::{Mutex, lock};
 use imrs_protocol::TaskId;
 use imrs_wire::obs::Liveness;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
+use std::task::Waker;
 
 /// A task of the node.
 pub(crate) struct Member {
     pub task: TaskId,
     pub handoff: Handoff<Comm>,
+    pub bell: Arc<Doorbell>,
     life: AtomicU8,
+    /// Whether it has a script: set before anything happens.
+    pub scripted: AtomicBool,
     /// Whether its next wait is likely to be ended by what a link brings: what ended the last one.
     pub by_link: AtomicBool,
 }
 
 impl Member {
-    /// `bell` calls the task's thread where it waits in the link.
-    pub fn new(task: TaskId, comm: Comm, bell: Option<Arc<dyn Bell>>) -> Self {
+    /// `link` calls the task's thread where it waits in the link.
+    pub fn new(task: TaskId, comm: Comm, link: Option<Arc<dyn Bell>>) -> Self {
+        let bell = Arc::new(Doorbell { link, waker: Mutex::new(None) });
         Self {
             task,
-            handoff: Handoff::new(comm, bell),
+            handoff: Handoff::new(comm, Some(Arc::clone(&bell) as Arc<dyn Bell>)),
+            bell,
             life: AtomicU8::new(Liveness::Alive as u8),
             by_link: AtomicBool::new(true),
+            scripted: AtomicBool::new(false),
         }
     }
 
@@ -37,6 +45,34 @@ impl Member {
 
     pub fn set_liveness(&self, liveness: Liveness) {
         self.life.store(liveness as u8, Ordering::Relaxed);
+    }
+}
+
+/// Calls a task that waits elsewhere than on its word: in the link, or as a future.
+pub(crate) struct Doorbell {
+    link: Option<Arc<dyn Bell>>,
+    waker: Mutex<Option<Waker>>,
+}
+
+impl Doorbell {
+    /// From here on `waker` is called.
+    pub fn listen(&self, waker: &Waker) {
+        let mut own = lock(&self.waker);
+        match &mut *own {
+            Some(own) => own.clone_from(waker),
+            None => *own = Some(waker.clone()),
+        }
+    }
+}
+
+impl Bell for Doorbell {
+    fn ring(&self) {
+        let waker = lock(&self.waker).clone();
+        match (waker, &self.link) {
+            (Some(waker), _) => waker.wake(),
+            (None, Some(link)) => link.ring(),
+            (None, None) => {}
+        }
     }
 }
 
@@ -60,7 +96,11 @@ impl Members {
 
     /// The member that runs `task`, if this node does.
     pub fn of(&self, task: TaskId) -> Option<&Member> {
-        let place = self.places.get(task.index()).copied().flatten()?;
-        self.list.get(usize::from(place))
+        self.list.get(self.place(task)?)
+    }
+
+    /// Where it stands in the list.
+    pub fn place(&self, task: TaskId) -> Option<usize> {
+        self.places.get(task.index()).copied().flatten().map(usize::from)
     }
 }

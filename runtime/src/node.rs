@@ -195,6 +195,13 @@ impl Node {
         entry
     }
 
+    /// A task that is a future brings input, unless there is something for it, and looks.
+    pub(crate) fn look_in(&self, place: usize, stamped: Stamped, effects: &mut Effects) -> Entry<Mail> {
+        let entry = self.members.list[place].handoff.enter_awake(stamped, effects);
+        self.carry_out(effects);
+        entry
+    }
+
     /// Looks at a communication task. Nothing of it changes by that.
     pub(crate) fn look<R>(&self, member: &Member, look: impl FnOnce(&mut Comm) -> R) -> R {
         let _guard = FailStop::of("a look at a communication task");
@@ -228,23 +235,13 @@ impl Node {
         let _guard = FailStop::of("the route layer, the Timer or a link");
         loop {
             let mut latest = 0;
-            while let Some(effect) = effects.queue.pop_front() {
-                match effect {
-                    Effect::Transmit(at, packet) => {
-                        latest = latest.max(at);
-                        self.transmit(at, packet, effects);
-                    }
-                    Effect::Feed(task, stamped) => self.feed(task, stamped, effects),
-                    Effect::Nudge(task) => {
-                        if let Some(member) = self.members.of(task) {
-                            member.handoff.nudge(effects);
-                        }
-                    }
-                    Effect::Arm(at, task, id, turn, length) => {
-                        self.timers.arm(at, task, (id, turn), length, effects);
-                    }
-                    Effect::Disarm(at, task, id) => self.timers.disarm(at, task, id, effects),
+            loop {
+                while let Some(effect) = effects.queue.pop_front() {
+                    self.carry_out_one(effect, &mut latest, effects);
                 }
+                let Some((place, mut bundle)) = effects.bundles.pop() else { break };
+                self.members.list[place].handoff.deliver_all(&mut bundle, effects);
+                effects.bundles.give_back(bundle);
             }
             if !effects.holds || effects.held >= BATCH {
                 effects.held = 0;
@@ -262,10 +259,38 @@ impl Node {
         }
     }
 
+    fn carry_out_one(&self, effect: Effect, latest: &mut Micros, effects: &mut Effects) {
+        match effect {
+            Effect::Transmit(at, packet) => {
+                *latest = at.max(*latest);
+                self.transmit(at, packet, effects);
+            }
+            Effect::Feed(task, stamped) => self.feed(task, stamped, effects),
+            Effect::Nudge(task) => {
+                if let Some(member) = self.members.of(task) {
+                    member.handoff.nudge(effects);
+                }
+            }
+            Effect::Arm(at, task, id, turn, length) => {
+                self.timers.arm(at, task, (id, turn), length, effects);
+            }
+            Effect::Disarm(at, task, id) => self.timers.disarm(at, task, id, effects),
+        }
+    }
+
     fn transmit(&self, at: Micros, packet: Packet, effects: &mut Effects) {
         match departing(&self.table, &packet) {
             Departure::Local(task) => {
-                self.feed(task, Stamped { at, input: Input::Packet(packet) }, effects);
+                let Some(place) = self.members.place(task) else { return };
+                let member = &self.members.list[place];
+                let stamped = Stamped { at, input: Input::Packet(packet) };
+                // The only one that there is to do needs no bundle.
+                let alone = effects.queue.is_empty() && effects.bundles.is_empty();
+                if member.scripted.load(Ordering::Relaxed) && !alone {
+                    effects.bundles.push(place, stamped);
+                } else {
+                    member.handoff.deliver(stamped, effects);
+                }
             }
             Departure::Link(_) | Departure::Unroutable => {
                 effects.held += 1;

@@ -1,4 +1,4 @@
-//! The threads of a node: one per task, one that receives, and the Timer's.
+//! The threads of a node: one per task, one for those that are futures, one that receives, and the Timer's.
 
 use crate::awake;
 use crate::builder::{Builder, StartError};
@@ -6,6 +6,7 @@ use crate::clock;
 use crate::comm::Comm;
 use crate::context::{Caller, TaskError};
 use crate::effects::Effects;
+use crate::executor::{AsyncBody, Executor};
 use crate::failstop::FailStop;
 use crate::link::{Link, PollEnd};
 use crate::node::{Inlet, Node};
@@ -27,6 +28,8 @@ pub(crate) type TaskBody = Box<dyn FnOnce(Arc<Node>, usize) -> Result<(), TaskEr
 pub(crate) enum TaskProgram {
     /// A Rust program, on a thread of its own.
     Body(TaskBody),
+    /// A Rust program that is a future, on the thread of the node's futures.
+    Async(AsyncBody),
     /// A script, run by whoever brings it input.
     Script(Arc<Program>),
 }
@@ -42,7 +45,8 @@ pub enum TaskEnd {
     Panicked(String),
     /// It is a script, and ended by itself.
     Script(End),
-    /// It was still running when patience ended. Its thread goes on; it can no longer ask for anything.
+    /// It was still running when patience ended. Its thread goes on; it can no longer ask for anything. One that is a future
+    /// is dropped when it next waits.
     Unfinished,
 }
 
@@ -55,6 +59,7 @@ pub struct Runtime {
     /// The name of each task, and its thread if it has one.
     tasks: Vec<(String, Option<JoinHandle<()>>)>,
     helpers: Vec<JoinHandle<()>>,
+    executor: Option<Executor>,
 }
 
 /// What the threads of a node tell each other besides messages.
@@ -119,18 +124,28 @@ impl Runtime {
         });
         awake::quota();
         // From here on an error drops the runtime, and with it whatever runs already.
-        let mut runtime = Self { node, shared, tasks: Vec::new(), helpers: Vec::new() };
+        let mut runtime = Self { node, shared, tasks: Vec::new(), helpers: Vec::new(), executor: None };
         let (weak, ends) = (Arc::downgrade(&runtime.node), Arc::clone(&runtime.shared));
         let ended = move |place: usize, end| ends.ended(place, TaskEnd::Script(end));
         let _ = runtime.node.stage.set(Stage::new(weak, actions, Box::new(ended)));
         runtime.start_timer()?;
         runtime.start_receiver()?;
+        let mut futures = Vec::new();
         for (place, (name, program)) in programs.into_iter().enumerate() {
             let thread = match program {
+                TaskProgram::Async(body) => {
+                    futures.push((place, body));
+                    None
+                }
                 TaskProgram::Body(body) => Some(runtime.start_task(place, &name, body)?),
                 TaskProgram::Script(_) => None,
             };
             runtime.tasks.push((name, thread));
+        }
+        if !futures.is_empty() {
+            let ends = Arc::clone(&runtime.shared);
+            let ended = move |place, end| ends.ended(place, end);
+            runtime.executor = Some(Executor::start(&runtime.node, futures, ended)?);
         }
         if !holds {
             runtime.begin();
@@ -175,6 +190,9 @@ impl Runtime {
             // A panic there has ended the process.
             let _ = helper.join();
         }
+        if let Some(executor) = self.executor.take() {
+            executor.join();
+        }
         let mut ends = std::mem::take(&mut *self.shared.ends());
         let tasks = std::mem::take(&mut self.tasks).into_iter().zip(ends.drain(..));
         let join = |thread: Option<JoinHandle<()>>, end: Option<TaskEnd>| match thread {
@@ -194,8 +212,8 @@ impl Runtime {
             member.handoff.visit(stop, &mut effects);
             self.node.carry_out(&mut effects);
         }
-        for (place, (_, thread)) in self.tasks.iter().enumerate() {
-            if thread.is_none() {
+        for (place, member) in self.node.members.list.iter().enumerate() {
+            if member.scripted.load(Ordering::Relaxed) {
                 self.shared.stopped(place);
             }
         }
@@ -206,6 +224,9 @@ impl Runtime {
         self.node.alarm.ring();
         if let Some(link) = &self.node.link {
             link.wake();
+        }
+        if let Some(executor) = &self.executor {
+            executor.close();
         }
     }
 
@@ -235,7 +256,7 @@ impl Drop for Runtime {
     }
 }
 
-fn spawn(name: &str, run: impl FnOnce() + Send + 'static) -> Result<JoinHandle<()>, StartError> {
+pub(crate) fn spawn(name: &str, run: impl FnOnce() + Send + 'static) -> Result<JoinHandle<()>, StartError> {
     // The kernel keeps 15 bytes of a thread's name; a zero byte in it would be refused.
     let kernel_name = name.replace('\0', " ");
     let started = thread::Builder::new().name(kernel_name).spawn(run);
@@ -290,7 +311,7 @@ fn join(thread: JoinHandle<()>, end: Option<TaskEnd>) -> TaskEnd {
     }
 }
 
-fn message(panic: &(dyn Any + Send)) -> String {
+pub(crate) fn message(panic: &(dyn Any + Send)) -> String {
     let text = panic.downcast_ref::<&str>().map(ToString::to_string);
     text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_else(|| "no message".into())
 }

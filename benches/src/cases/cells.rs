@@ -1,12 +1,12 @@
 //! Small cells for the cases, and what their tasks run.
 
-use crate::sample::{Sample, laps};
+use crate::sample::{Sample, laps, nanos_of};
 use imrs_protocol::script::{Binary, End, Program, ProgramBuilder, Type};
 use imrs_protocol::{Cell, CellTable, NodeId, PortDecl, PortId, Target, TaskId, Ticks, Usage};
-use imrs_runtime::{Context, Rendezvous, Runtime, TaskEnd, TaskError};
+use imrs_runtime::{AsyncContext, Context, Rendezvous, Runtime, TaskEnd, TaskError};
 use std::sync::Arc;
 use std::sync::mpsc::Receiver;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// The asking task.
 pub const A: TaskId = TaskId(0);
@@ -73,6 +73,31 @@ pub fn ask(ctx: &mut Context, contents: &[u8], times: u32, group: u32) -> Result
 /// Answers until the node stops.
 pub fn answer(ctx: &mut Context) -> Result<(), TaskError> {
     while let Some(message) = ctx.receive(Some(ASK), None)? {
+        ctx.reply(&message.from, message.contents.as_bytes())?;
+    }
+    Ok(())
+}
+
+/// As [`ask`], by a task that is a future; the times of each of so many in a row.
+pub async fn ask_as_future(ctx: &mut AsyncContext, times: u32, group: u32) -> Result<Sample, TaskError> {
+    let mut nanos = Vec::with_capacity(usize::try_from(times / group).unwrap_or_default());
+    for round in 0..=times / group {
+        let begins = Instant::now();
+        for _ in 0..group {
+            let sent = ctx.send(ASK, &FULL).await?;
+            assert!(sent.reply().is_some(), "no answer but {sent:?}");
+        }
+        // The first one warms up.
+        if round > 0 {
+            nanos.push(nanos_of(begins.elapsed()));
+        }
+    }
+    Ok(Sample::of(nanos, group))
+}
+
+/// As [`answer`], by a task that is a future.
+pub async fn answer_as_future(mut ctx: AsyncContext) -> Result<(), TaskError> {
+    while let Some(message) = ctx.receive(Some(ASK), None).await? {
         ctx.reply(&message.from, message.contents.as_bytes())?;
     }
     Ok(())

@@ -41,12 +41,18 @@ pub fn awake() -> Suite {
         scripts(effort, Usage::Query, Watched::Not)
     });
     suite.case(
+        "runtime/futures ask",
+        "two Rust tasks of a running node, each a future, on the one thread of the node's futures",
+        futures,
+    );
+    suite.case(
         "runtime/thread asks script",
         "a Rust task's thread asks a script of its node, and runs it: nobody sleeps",
         thread_asks_script,
     );
     let coroutines = "floor/coroutines";
     suite.row(Row::new("P1", "runtime/scripts ask", coroutines, Stat::Mean, Goal::AtMost(7.0)));
+    suite.row(Row::new("P1", "runtime/futures ask", coroutines, Stat::Mean, Goal::AtMost(7.0)));
     suite.row(Row::new("P1", "machine/ask", coroutines, Stat::Mean, Goal::AtMost(7.0)));
     suite.row(Row::new("P5", "runtime/scripts query", "runtime/scripts ask", Stat::P50, Goal::AtMost(0.8)));
     suite.row(Row::new("P5", "machine/query", "machine/ask", Stat::P50, Goal::AtMost(0.8)));
@@ -155,6 +161,21 @@ pub fn scripts(effort: Effort, usage: Usage, how: Watched) -> Sample {
         onlooker.leave();
     }
     Sample::of(nanos, TIMES)
+}
+
+/// Two futures of one node.
+fn futures(effort: Effort) -> Sample {
+    let (tell, told) = channel();
+    let times = effort.of(24_000);
+    let node = Runtime::builder(cells::asking(1, Usage::Send), NodeId(0))
+        .async_task("t0", move |mut ctx| async move {
+            tell.send(cells::ask_as_future(&mut ctx, times, GROUP).await?).expect("the harness listens");
+            Ok(())
+        })
+        .async_task("t1", cells::answer_as_future)
+        .start()
+        .expect("a node that starts");
+    cells::hear(node, &told)
 }
 
 fn thread_asks_script(effort: Effort) -> Sample {

@@ -413,9 +413,12 @@ impl CommTask {
         let at = self.locals.binary_search_by_key(&id, |local| local.port).ok()?;
         let counters = &mut self.locals[at].counters;
         let mut at = At { scene: &scene, port, counters, released: None };
+        let due = rendezvous.due();
         let done = step(rendezvous, &mut at, out);
         let released = at.released;
-        self.heads.touch_meeting(&self.meetings, meeting);
+        if rendezvous.due() != due {
+            self.heads.touch_meeting(&self.meetings, meeting);
+        }
         if let Some((round, by)) = released {
             self.conclude(Pending::Meeting(meeting), Finished::Released { port: id, round, by }, out);
         }

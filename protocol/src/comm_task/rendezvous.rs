@@ -379,7 +379,8 @@ impl Rendezvous {
     /// The least patience left among the others, if all of them are here.
     fn least_patience(&self, at: &At<'_>) -> Option<Ticks> {
         let mut least = Ticks::FAR;
-        for (member, party) in self.members.iter().zip(&at.port.parties) {
+        // From the end: those who come in the order of the list are missed there longest.
+        for (member, party) in self.members.iter().zip(&at.port.parties).rev() {
             if party.task != at.scene.task {
                 let arrived = member.arrived.filter(|_| self.is_here(member, at.scene.now))?;
                 least = least.min(arrived.expires - at.scene.now);

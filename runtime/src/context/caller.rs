@@ -4,15 +4,16 @@ use super::outcome::TaskError;
 use crate::awake::{Kind, Patience};
 use crate::clock::{self, Micros};
 use crate::comm::{Comm, Mail};
-use crate::effects::Effects;
+use crate::effects::{Effects, Stamped};
 use crate::failstop::FailStop;
 use crate::handoff::Entry;
 use crate::lead::Led;
 use crate::message::Bytes;
 use crate::node::{Inlet, More, Node};
-use imrs_protocol::{Contents, Delivery, PortId, ReplyTo, Request, Signal, TaskId, Ticks};
+use imrs_protocol::{Contents, Delivery, Input, PortId, ReplyTo, Request, Signal, TaskId, Ticks};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
+use std::task::Waker;
 use std::time::Duration;
 
 pub(crate) struct Caller {
@@ -51,8 +52,60 @@ impl Caller {
         }
     }
 
+    /// For a task whose program is a future: no thread of it ever sleeps.
+    pub fn of_a_future(node: Arc<Node>, place: usize) -> Self {
+        Self { effects: Effects::new(None), ..Self::new(node, place) }
+    }
+
+    /// As [`call`](Self::call), without waiting: what there is for the task now. Asks nothing where there is an answer to an
+    /// earlier request.
+    pub fn call_now(&mut self, request: Option<Request>) -> Result<Option<(Signal, Ticks)>, TaskError> {
+        if let Some(error) = &self.failed {
+            return Err(error.clone());
+        }
+        if self.stopped {
+            return Err(TaskError::Stopped);
+        }
+        let (at, input) = match request {
+            Some(request) => (clock::next(), Input::Request(request)),
+            None => (clock::now(), Input::Advance(Ticks::ZERO)),
+        };
+        let entry = self.node.look_in(self.place, Stamped { at, input }, &mut self.effects);
+        self.stopped = entry.stopped;
+        match entry.mail {
+            Some(Mail { signal: Signal::Fault(fault), .. }) => Err(super::RequestFault(fault).into()),
+            Some(Mail { signal, at: since }) => Ok(Some((signal, Ticks(at.saturating_sub(since))))),
+            None if entry.stopped => {
+                self.give_up();
+                Err(TaskError::Stopped)
+            }
+            None => Ok(None),
+        }
+    }
+
+    /// The future waits: `waker` is called when there is something for it. False where there is already.
+    pub fn listen(&self, waker: &Waker) -> bool {
+        let member = &self.node.members.list[self.place];
+        member.bell.listen(waker);
+        member.handoff.listen()
+    }
+
     pub fn task(&self) -> TaskId {
         self.node.members.list[self.place].task
+    }
+
+    /// The port of the task that has this name.
+    pub fn port(&self, name: &str) -> Result<PortId, TaskError> {
+        let table = &self.node.table;
+        let named = |id: &PortId| table.port(*id).is_some_and(|port| port.decl.name == name);
+        let mut own = table.ports_of(self.task()).iter().copied();
+        own.find(named).ok_or_else(|| TaskError::NoPort(name.into()))
+    }
+
+    /// The task of the cell that has this name.
+    pub fn named(&self, name: &str) -> Result<TaskId, TaskError> {
+        let position = self.node.table.cell().tasks.iter().position(|task| task.name == name);
+        position.map(TaskId::from_index).ok_or_else(|| TaskError::NoTask(name.into()))
     }
 
     /// Asks, and waits for the answer: first that of the machine, then asleep until it is brought, until the machine has

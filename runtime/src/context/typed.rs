@@ -1,7 +1,7 @@
 //! Messages of known types: what is sent, asked and answered is a [`Message`].
 
-use super::Context;
 use super::outcome::{Asked, Received, RequestFault, Sent, TaskError};
+use super::{Caller, Context};
 use crate::message::{Bytes, LONGEST, Message};
 use imrs_protocol::{Answers, Class, Delivery, Fault, Outcome, PortId, ReplyTo, Target, TaskId};
 use std::any::type_name;
@@ -14,7 +14,7 @@ impl<S> Context<S> {
     /// # Errors
     /// [`TaskError`].
     pub fn tell<M: Message>(&mut self, port: PortId, message: &M) -> Result<u16, TaskError> {
-        self.expect_class(port, Class::Status)?;
+        self.caller.expect_class(port, Class::Status)?;
         match self.send_message(port, Target::All, message, None)? {
             Sent::Copies(copies) => Ok(copies),
             Sent::Outcome(_) | Sent::Several(_) => Err(wrong_usage()),
@@ -45,12 +45,12 @@ impl<S> Context<S> {
         question: &M,
         time_out: Option<Duration>,
     ) -> Result<Asked<R>, TaskError> {
-        self.expect_class(port, Class::Command)?;
-        let peer = self.peer(port, to)?;
+        self.caller.expect_class(port, Class::Command)?;
+        let peer = self.caller.peer(port, to)?;
         let Sent::Outcome(outcome) = self.send_message(port, Target::One(peer), question, time_out)? else {
             return Err(wrong_usage());
         };
-        self.asked(port, peer, outcome)
+        self.caller.asked(port, peer, outcome)
     }
 
     /// Asks several tasks at once (R26, R40), and tells for each how that ended. Waits until all have answered or refused,
@@ -65,12 +65,12 @@ impl<S> Context<S> {
         question: &M,
         mut each: impl FnMut(TaskId, Asked<R>),
     ) -> Result<(), TaskError> {
-        self.expect_class(port, Class::Command)?;
+        self.caller.expect_class(port, Class::Command)?;
         match self.send_message(port, to, question, None)? {
             Sent::Copies(_) => Err(wrong_usage()),
             Sent::Outcome(outcome) => {
-                let peer = self.peer(port, to)?;
-                each(peer, self.asked(port, peer, outcome)?);
+                let peer = self.caller.peer(port, to)?;
+                each(peer, self.caller.asked(port, peer, outcome)?);
                 Ok(())
             }
             Sent::Several(answers) => self.each_answer(port, &answers, each),
@@ -122,44 +122,6 @@ impl<S> Context<S> {
         self.send_with(port, to, bytes, time_out)
     }
 
-    fn expect_class(&self, port: PortId, class: Class) -> Result<(), TaskError> {
-        let decl = self.caller.node.table.port(port);
-        if decl.is_some_and(|port| port.decl.class != class) { Err(wrong_usage()) } else { Ok(()) }
-    }
-
-    /// The one task that is meant.
-    fn peer(&self, port: PortId, to: Target) -> Result<TaskId, TaskError> {
-        let port = self.caller.node.table.port(port).ok_or_else(|| fault(Fault::NotYourPort))?;
-        let meant = |task: &TaskId| match to {
-            Target::All => true,
-            Target::One(one) => *task == one,
-            Target::Some(bits) => port.party_index(*task).is_some_and(|at| at < 64 && bits >> at & 1 == 1),
-        };
-        let mut all = port.peers(self.id()).filter(meant);
-        match (all.next(), all.next()) {
-            (Some(peer), None) => Ok(peer),
-            (None, _) => Err(fault(Fault::NotAPeer)),
-            (Some(_), Some(_)) => Err(wrong_usage()),
-        }
-    }
-
-    fn asked<R: Message>(
-        &mut self,
-        port: PortId,
-        peer: TaskId,
-        outcome: Outcome,
-    ) -> Result<Asked<R>, TaskError> {
-        Ok(match outcome {
-            Outcome::Reply(first) => {
-                Asked::Reply(decoded(&self.caller.whole_answer(port, peer, Some(&first)))?)
-            }
-            Outcome::Refused => Asked::Refused,
-            Outcome::TimedOutUnsent => Asked::TimedOutUnsent,
-            Outcome::TimedOutUnknown => Asked::TimedOutUnknown,
-            Outcome::PeerRestarted => Asked::PeerRestarted,
-        })
-    }
-
     fn each_answer<R: Message>(
         &mut self,
         port: PortId,
@@ -192,19 +154,62 @@ impl<S> Context<S> {
     }
 }
 
-fn fault(fault: Fault) -> TaskError {
+impl Caller {
+    /// Whether messages of the port are of this class; a port that there is not is a fault of the request.
+    pub(super) fn expect_class(&self, port: PortId, class: Class) -> Result<(), TaskError> {
+        let decl = self.node.table.port(port);
+        if decl.is_some_and(|port| port.decl.class != class) { Err(wrong_usage()) } else { Ok(()) }
+    }
+
+    /// The one task that is meant.
+    pub(super) fn peer(&self, port: PortId, to: Target) -> Result<TaskId, TaskError> {
+        let port = self.node.table.port(port).ok_or_else(|| fault(Fault::NotYourPort))?;
+        let meant = |task: &TaskId| match to {
+            Target::All => true,
+            Target::One(one) => *task == one,
+            Target::Some(bits) => port.party_index(*task).is_some_and(|at| at < 64 && bits >> at & 1 == 1),
+        };
+        let mut all = port.peers(self.task()).filter(meant);
+        match (all.next(), all.next()) {
+            (Some(peer), None) => Ok(peer),
+            (None, _) => Err(fault(Fault::NotAPeer)),
+            (Some(_), Some(_)) => Err(wrong_usage()),
+        }
+    }
+
+    /// How it ended, with the whole answer.
+    pub(super) fn asked<R: Message>(
+        &mut self,
+        port: PortId,
+        peer: TaskId,
+        outcome: Outcome,
+    ) -> Result<Asked<R>, TaskError> {
+        Ok(match outcome {
+            Outcome::Reply(first) => Asked::Reply(decoded(&self.whole_answer(port, peer, Some(&first)))?),
+            Outcome::Refused => Asked::Refused,
+            Outcome::TimedOutUnsent => Asked::TimedOutUnsent,
+            Outcome::TimedOutUnknown => Asked::TimedOutUnknown,
+            Outcome::PeerRestarted => Asked::PeerRestarted,
+        })
+    }
+}
+
+pub(super) fn fault(fault: Fault) -> TaskError {
     RequestFault(fault).into()
 }
 
-fn wrong_usage() -> TaskError {
+pub(super) fn wrong_usage() -> TaskError {
     fault(Fault::WrongUsage)
 }
 
-fn encoded<'a, M: Message>(message: &M, room: &'a mut [u8; LONGEST]) -> Result<&'a [u8], TaskError> {
+pub(super) fn encoded<'a, M: Message>(
+    message: &M,
+    room: &'a mut [u8; LONGEST],
+) -> Result<&'a [u8], TaskError> {
     let length = message.encode(room).ok_or_else(|| TaskError::NotSendable(type_name::<M>()))?;
     room.get(..length).ok_or(TaskError::TooLong(length))
 }
 
-fn decoded<M: Message>(bytes: &Bytes) -> Result<M, TaskError> {
+pub(super) fn decoded<M: Message>(bytes: &Bytes) -> Result<M, TaskError> {
     M::decode(bytes).ok_or_else(|| TaskError::NotThisType(bytes.len(), type_name::<M>()))
 }

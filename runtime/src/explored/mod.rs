@@ -5,6 +5,7 @@
 //! A scene returns what came out. Each test asserts the whole set of outcomes, and has twins with a planted bug that must
 //! be found: an exploration that sees one outcome or misses the bug shows nothing.
 
+mod futures;
 mod handoff;
 mod lead;
 mod looks;

@@ -10,11 +10,10 @@ use std::collections::VecDeque;
 use std::fmt;
 use std::sync::Arc;
 
-/// What one thing that a script does is called in the digest. What it asks is compared as the input that it becomes.
+/// What one thing that a script does is called in the digest, but for the statements that it begins. What it asks is compared as the input that it becomes.
 /// The order of the variants is part of the recordings' format.
 #[derive(Serialize)]
 pub(crate) enum Did<'a> {
-    Statement(Address),
     Acts { level: u8, action: u16, arguments: &'a [i64], least: Ticks, most: Ticks },
     CutShort(u8),
     Unanswered(ReplyTo),
@@ -202,7 +201,7 @@ impl Does for Out<'_> {
     }
 
     fn statement(&mut self, at: Address) {
-        self.done.add(&Did::Statement(at));
+        self.done.passed(at);
         self.passed.push(at);
     }
 

@@ -127,9 +127,9 @@ impl Seat {
     }
 
     /// The time comes first, as a step of its own. To the next whole microsecond: what is asked in this step is never
-    /// stamped before it was asked.
+    /// stamped before its turn began.
     fn let_time_pass(&mut self, comm: &mut Comm, effects: &mut Effects) -> u64 {
-        let elapsed = comm.pass(clock::next());
+        let elapsed = comm.pass(effects.time_of_turn());
         if !elapsed.is_zero() {
             self.step(comm, Step { elapsed, input: Input::Advance(Ticks::ZERO) }, effects);
             self.hear(comm, effects);
@@ -303,7 +303,9 @@ impl Does for Out<'_> {
     }
 
     fn statement(&mut self, at: Address) {
-        self.did(&Did::Statement(at));
+        if self.recorder.is_some() {
+            self.side.done.passed(at);
+        }
         self.note(|| Note::Statement(at));
     }
 

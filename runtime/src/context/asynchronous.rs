@@ -1,0 +1,577 @@
+//! What a task's program says to its communication task where it is a future (D113).
+
+use super::outcome::{Asked, Received, Rendezvous, RequestFault, Sent, TaskError};
+use super::typed::{decoded, encoded, wrong_usage};
+use super::{Caller, PACKET, mismatch, ticks};
+use crate::clock::{self, Micros};
+use crate::message::{LONGEST, Message};
+use crate::node::Node;
+use imrs_protocol::{
+    Call, Class, Contents, Delivery, Fault, PUBLISHED_BYTES, PortId, Ranked, ReplyTo, Request, ServiceOrder,
+    Signal, Target, TaskId, Ticks, TimeId,
+};
+use std::future::Future;
+use std::pin::Pin;
+use std::rc::Rc;
+use std::sync::Arc;
+use std::task::{Context as Poller, Poll};
+use std::time::Duration;
+
+type OnMessage<S> = Rc<dyn Fn(&mut AsyncContext<S>, &Delivery) -> Result<(), TaskError>>;
+type OnTimer<S> = Rc<dyn Fn(&mut S) -> Result<(), TaskError>>;
+
+/// The end that a task has of its communication task where its program is a future: see
+/// [`Builder::async_task`](crate::Builder::async_task). What waits is an `async` function, and means what the one of the
+/// same name of [`Context`](crate::Context) means; what never waits is a function.
+///
+/// # What is dropped
+///
+/// The future of a call that waits may be dropped before it is ready, as `select!` does. Then the wait is cancelled by the
+/// machine's own means ([`Request::Cancel`]):
+///
+/// - a `receive` is taken back. A message that had come by then is kept, and the next `receive` that it suits has it, unless
+///   its life has ended;
+/// - a `delay`, or a wait for the `lease`, is over;
+/// - who leaves a `waitfor` tells the others, as on time_out;
+/// - of a command or a query nobody hears the answer any more: the other task may have acted.
+///
+/// # Handlers
+///
+/// A handler runs where the program waits in a call of this type, as [`order`](Self::order) ranks it, is no future and gets
+/// the state alone (D46). One that must wait belongs to a task with a thread, or to a script. What a handler fails with,
+/// every later call of the program returns.
+pub struct AsyncContext<S = ()> {
+    /// What the program and its handlers share.
+    pub state: S,
+    caller: Caller,
+    messages: Vec<(PortId, OnMessage<S>)>,
+    timers: Vec<(TimeId, OnTimer<S>)>,
+    /// Messages that came for a `receive` that was dropped, and when.
+    kept: Vec<(Delivery, Micros)>,
+}
+
+impl<S> AsyncContext<S> {
+    pub(crate) fn new(node: Arc<Node>, place: usize, state: S) -> Self {
+        let caller = Caller::of_a_future(node, place);
+        Self { state, caller, messages: Vec::new(), timers: Vec::new(), kept: Vec::new() }
+    }
+
+    /// The task.
+    #[must_use]
+    pub fn id(&self) -> TaskId {
+        self.caller.task()
+    }
+
+    /// The task's name.
+    #[must_use]
+    pub fn name(&self) -> &str {
+        &self.caller.node.table.cell().tasks[self.id().index()].name
+    }
+
+    /// Looks up a port of this task. Do it once, before the work begins.
+    ///
+    /// # Errors
+    /// [`TaskError::NoPort`].
+    pub fn port(&self, name: &str) -> Result<PortId, TaskError> {
+        self.caller.port(name)
+    }
+
+    /// Looks up a task of the cell.
+    ///
+    /// # Errors
+    /// [`TaskError::NoTask`].
+    pub fn task(&self, name: &str) -> Result<TaskId, TaskError> {
+        self.caller.named(name)
+    }
+
+    /// Sends to all tasks at the other end of the port (R39). Class 1 is ready at once; class 2 waits for the answers.
+    ///
+    /// # Errors
+    /// [`TaskError`].
+    pub async fn send(&mut self, port: PortId, contents: &[u8]) -> Result<Sent, TaskError> {
+        self.send_with(port, Target::All, contents, None).await
+    }
+
+    /// Sends to one of the tasks at the other end of the port (R43).
+    ///
+    /// # Errors
+    /// [`TaskError`].
+    pub async fn send_to(&mut self, port: PortId, to: TaskId, contents: &[u8]) -> Result<Sent, TaskError> {
+        self.send_with(port, Target::One(to), contents, None).await
+    }
+
+    /// Sends with another life than the port's time_out.
+    ///
+    /// # Errors
+    /// [`TaskError`].
+    pub async fn send_with(
+        &mut self,
+        port: PortId,
+        to: Target,
+        contents: &[u8],
+        time_out: Option<Duration>,
+    ) -> Result<Sent, TaskError> {
+        let packets = self.caller.node.table.port(port).map_or(1, |port| port.decl.fragments);
+        let (contents, time_out) = (self.staged(port, contents, packets)?, time_out.map(ticks));
+        let request = Request::Send { port, to, contents, time_out };
+        match self.ask(request).await?.0 {
+            Signal::Accepted(copies) => Ok(Sent::Copies(copies)),
+            Signal::Outcome(outcome) => Ok(Sent::Outcome(outcome)),
+            Signal::Answers { answers, .. } => Ok(Sent::Several(answers)),
+            other => mismatch(&request, &other),
+        }
+    }
+
+    /// Tells all tasks at the other end of a class-1 port. Returns how many copies were accepted.
+    ///
+    /// # Errors
+    /// [`TaskError`].
+    pub fn tell<M: Message>(&mut self, port: PortId, message: &M) -> Result<u16, TaskError> {
+        self.caller.expect_class(port, Class::Status)?;
+        let mut room = [0; LONGEST];
+        let packets = self.caller.node.table.port(port).map_or(1, |port| port.decl.fragments);
+        let contents = self.staged(port, encoded(message, &mut room)?, packets)?;
+        self.at_once(Request::Send { port, to: Target::All, contents, time_out: None })
+    }
+
+    /// Asks the task at the other end of a port: a query, or a command where the port's usage is `send` and its class 2.
+    /// Waits for the answer, at most for the port's time_out.
+    ///
+    /// # Errors
+    /// [`TaskError`]; [`TaskError::NotThisType`] where the answer is none of `R`.
+    pub async fn query<M: Message, R: Message>(
+        &mut self,
+        port: PortId,
+        question: &M,
+    ) -> Result<Asked<R>, TaskError> {
+        self.query_with(port, Target::All, question, None).await
+    }
+
+    /// As [`query`](Self::query), of one of several tasks at the other end, or with a shorter life than the port's.
+    ///
+    /// # Errors
+    /// As [`query`](Self::query).
+    pub async fn query_with<M: Message, R: Message>(
+        &mut self,
+        port: PortId,
+        to: Target,
+        question: &M,
+        time_out: Option<Duration>,
+    ) -> Result<Asked<R>, TaskError> {
+        self.caller.expect_class(port, Class::Command)?;
+        let peer = self.caller.peer(port, to)?;
+        let mut room = [0; LONGEST];
+        let bytes = encoded(question, &mut room)?;
+        match self.send_with(port, Target::One(peer), bytes, time_out).await? {
+            Sent::Outcome(outcome) => self.caller.asked(port, peer, outcome),
+            Sent::Copies(_) | Sent::Several(_) => Err(wrong_usage()),
+        }
+    }
+
+    /// Waits for the most urgent message of a port, or, without a port, of all the task's ports (R68). `None` says that
+    /// the time_out ended first; without one it waits without end.
+    ///
+    /// # Errors
+    /// [`TaskError`].
+    pub async fn receive(
+        &mut self,
+        port: Option<PortId>,
+        time_out: Option<Duration>,
+    ) -> Result<Option<Delivery>, TaskError> {
+        self.get(port, None, time_out).await
+    }
+
+    /// As [`receive`](Self::receive), from one source alone.
+    ///
+    /// # Errors
+    /// [`TaskError`].
+    pub async fn receive_from(
+        &mut self,
+        port: Option<PortId>,
+        source: TaskId,
+        time_out: Option<Duration>,
+    ) -> Result<Option<Delivery>, TaskError> {
+        self.get(port, Some(source), time_out).await
+    }
+
+    /// Waits for the most urgent message of a port and reads it. `None` says that the time_out ended first.
+    ///
+    /// # Errors
+    /// [`TaskError`]; [`TaskError::NotThisType`]: the message is gone then.
+    pub async fn take<M: Message>(
+        &mut self,
+        port: PortId,
+        time_out: Option<Duration>,
+    ) -> Result<Option<Received<M>>, TaskError> {
+        let Some(delivery) = self.receive(Some(port), time_out).await? else { return Ok(None) };
+        let message = self.read(&delivery)?;
+        Ok(Some(Received { message, from: delivery.from, budget: delivery.budget }))
+    }
+
+    /// Reads the message that was taken last, with all its fragments (D28).
+    ///
+    /// # Errors
+    /// [`TaskError::NotThisType`]; [`TaskError::Gone`] where a longer one is read after another was taken.
+    pub fn read<M: Message>(&mut self, delivery: &Delivery) -> Result<M, TaskError> {
+        decoded(&self.caller.whole(delivery)?)
+    }
+
+    /// Answers a received class-2 message.
+    ///
+    /// # Errors
+    /// `Fault::Late` where the sender is beyond waiting: it will not hear this answer.
+    pub fn reply(&mut self, to: &ReplyTo, contents: &[u8]) -> Result<(), TaskError> {
+        let packets = self.caller.node.table.port(to.port).map_or(1, |port| port.decl.answer_fragments);
+        let contents = self.staged(to.port, contents, packets)?;
+        self.at_once(Request::Reply { to: *to, contents }).map(|_| ())
+    }
+
+    /// Answers a received query or command with a message.
+    ///
+    /// # Errors
+    /// As [`reply`](Self::reply).
+    pub fn answer<R: Message>(&mut self, to: &ReplyTo, answer: &R) -> Result<(), TaskError> {
+        let mut room = [0; LONGEST];
+        self.reply(to, encoded(answer, &mut room)?)
+    }
+
+    /// Waits until all tasks of the port have reached this point (§4.3), at most for the port's time_out.
+    ///
+    /// # Errors
+    /// [`TaskError`].
+    pub async fn waitfor(&mut self, port: PortId) -> Result<Rendezvous, TaskError> {
+        self.waitfor_with(port, [0; 8], None).await
+    }
+
+    /// As [`waitfor`](Self::waitfor), telling the others something, or with a shorter time_out than the port's.
+    ///
+    /// # Errors
+    /// [`TaskError`].
+    pub async fn waitfor_with(
+        &mut self,
+        port: PortId,
+        arguments: [u8; 8],
+        time_out: Option<Duration>,
+    ) -> Result<Rendezvous, TaskError> {
+        let request = Request::Arrive { port, arguments, time_out: time_out.map(ticks) };
+        match self.ask(request).await?.0 {
+            Signal::Released { round, by, .. } => Ok(Rendezvous::Released { round, by }),
+            Signal::GaveUp { round, missing, .. } => Ok(Rendezvous::GaveUp { round, missing }),
+            other => mismatch(&request, &other),
+        }
+    }
+
+    /// Ranks ports, sources, timers and the task's own thread from here on (§5.1.1).
+    ///
+    /// # Errors
+    /// [`TaskError::TooManyLevels`].
+    pub fn order(&mut self, named: &[Ranked]) -> Result<(), TaskError> {
+        let order = ServiceOrder::new(named).ok_or(TaskError::TooManyLevels(named.len()))?;
+        self.at_once(Request::Order(order)).map(|_| ())
+    }
+
+    /// Lets time pass (§5.1.2): at least `length`.
+    ///
+    /// # Errors
+    /// [`TaskError::Stopped`].
+    pub async fn delay(&mut self, length: Duration) -> Result<(), TaskError> {
+        let request = Request::Delay { id: TimeId(u8::MAX), length: ticks(length) };
+        match self.ask(request).await?.0 {
+            Signal::TimeOut(_) => Ok(()),
+            other => mismatch(&request, &other),
+        }
+    }
+
+    /// Waits until the task holds the lease of its couple (D61). Returns the epoch that it acts under.
+    ///
+    /// # Errors
+    /// [`Fault::WrongUsage`] where the task is the primary of no couple.
+    pub async fn lease(&mut self) -> Result<u8, TaskError> {
+        match self.ask(Request::Lease).await?.0 {
+            Signal::Granted(epoch) => Ok(epoch),
+            other => mismatch(&Request::Lease, &other),
+        }
+    }
+
+    /// What the answers to the partner's beats carry from here on: at most 8 bytes (D61).
+    ///
+    /// # Errors
+    /// [`TaskError::TooLong`].
+    pub fn publish(&mut self, bytes: &[u8]) -> Result<(), TaskError> {
+        let few = Some(bytes).filter(|bytes| bytes.len() <= PUBLISHED_BYTES);
+        let contents = few.and_then(Contents::new).ok_or(TaskError::TooLong(bytes.len()))?;
+        self.at_once(Request::Publish(contents)).map(|_| ())
+    }
+
+    /// What the partner's last answer to a beat carried (D61); `None` before the first one.
+    #[must_use]
+    pub fn published(&mut self) -> Option<Contents> {
+        self.caller.look(|comm| comm.machine().partner_published().copied())
+    }
+
+    /// From here on, messages of this port are handled: [`receive`](Self::receive) without a port skips it.
+    ///
+    /// # Errors
+    /// [`Fault::WrongUsage`] where the task does not receive on this port; where the handler runs,
+    /// [`TaskError::NotThisType`].
+    pub fn on_message<M: Message>(
+        &mut self,
+        port: PortId,
+        handler: impl Fn(&mut S, M) -> Result<(), TaskError> + 'static,
+    ) -> Result<(), TaskError> {
+        self.handle(port, move |ctx, delivery| {
+            let message = ctx.read(delivery)?;
+            handler(&mut ctx.state, message)
+        })
+    }
+
+    /// Answers each query or command of this port with what the handler returns. An answer that is too late is none: its
+    /// sender has its outcome (D18).
+    ///
+    /// # Errors
+    /// As [`on_message`](Self::on_message).
+    pub fn on_query<M: Message, R: Message>(
+        &mut self,
+        port: PortId,
+        handler: impl Fn(&mut S, M) -> Result<R, TaskError> + 'static,
+    ) -> Result<(), TaskError> {
+        self.handle(port, move |ctx, delivery| {
+            let question = ctx.read(delivery)?;
+            let answer = handler(&mut ctx.state, question)?;
+            match ctx.answer(&delivery.from, &answer) {
+                Err(TaskError::Fault(RequestFault(Fault::Late))) => Ok(()),
+                other => other,
+            }
+        })
+    }
+
+    /// Messages of this port wait for [`receive`](Self::receive) again.
+    ///
+    /// # Errors
+    /// As [`on_message`](Self::on_message).
+    pub fn unhandle(&mut self, port: PortId) -> Result<(), TaskError> {
+        self.at_once(Request::Handle { port, handled: false })?;
+        self.messages.retain(|(of, _)| *of != port);
+        Ok(())
+    }
+
+    /// What is done when this timer of the task ends (Figure 3).
+    pub fn on_timer(&mut self, timer: TimeId, handler: impl Fn(&mut S) -> Result<(), TaskError> + 'static) {
+        self.timers.retain(|(of, _)| *of != timer);
+        self.timers.push((timer, Rc::new(handler)));
+    }
+
+    /// Starts a timer, anew where it runs.
+    ///
+    /// # Errors
+    /// [`TaskError::NoHandler`]; [`Fault::TooManyTimers`].
+    pub fn start_timer(&mut self, timer: TimeId, length: Duration) -> Result<(), TaskError> {
+        if !self.timers.iter().any(|(of, _)| *of == timer) {
+            return Err(TaskError::NoHandler(timer));
+        }
+        self.at_once(Request::Start { id: timer, length: ticks(length) }).map(|_| ())
+    }
+
+    /// Stops a timer; its handler does not run any more.
+    ///
+    /// # Errors
+    /// [`TaskError`].
+    pub fn stop_timer(&mut self, timer: TimeId) -> Result<(), TaskError> {
+        self.at_once(Request::Stop { id: timer }).map(|_| ())
+    }
+
+    fn handle(
+        &mut self,
+        port: PortId,
+        handler: impl Fn(&mut Self, &Delivery) -> Result<(), TaskError> + 'static,
+    ) -> Result<(), TaskError> {
+        self.at_once(Request::Handle { port, handled: true })?;
+        self.messages.retain(|(of, _)| *of != port);
+        self.messages.push((port, Rc::new(handler)));
+        Ok(())
+    }
+
+    async fn get(
+        &mut self,
+        port: Option<PortId>,
+        source: Option<TaskId>,
+        time_out: Option<Duration>,
+    ) -> Result<Option<Delivery>, TaskError> {
+        if let Some(kept) = self.kept(port, source) {
+            return Ok(Some(kept));
+        }
+        let until = time_out.map(|time_out| clock::now().saturating_add(clock::micros(time_out)));
+        let mut left = time_out.map(ticks);
+        loop {
+            let request = Request::Get { port, source, time_out: left };
+            let (signal, waited) = self.ask(request).await?;
+            match signal {
+                Signal::Message(message) => {
+                    if let Some(message) = self.in_hand(message, waited) {
+                        return Ok(Some(message));
+                    }
+                }
+                Signal::Nothing => return Ok(None),
+                other => mismatch(&request, &other),
+            }
+            left = until.map(|until| Ticks(until.saturating_sub(clock::now())));
+        }
+    }
+
+    /// A message that came for a call that was dropped, and still lives.
+    fn kept(&mut self, port: Option<PortId>, source: Option<TaskId>) -> Option<Delivery> {
+        let suits = |delivery: &Delivery| {
+            port.is_none_or(|port| port == delivery.from.port)
+                && source.is_none_or(|source| source == delivery.from.source)
+        };
+        while let Some(at) = self.kept.iter().position(|(delivery, _)| suits(delivery)) {
+            let (delivery, since) = self.kept.remove(at);
+            let message = self.in_hand(delivery, Ticks(clock::now().saturating_sub(since)));
+            if message.is_some() {
+                return message;
+            }
+        }
+        None
+    }
+
+    /// The message as it is so long after its communication task gave it: nothing old is handed over.
+    fn in_hand(&mut self, message: Delivery, waited: Ticks) -> Option<Delivery> {
+        self.caller.taken = Some(message.from);
+        if message.budget > waited {
+            return Some(Delivery { budget: message.budget - waited, ..message });
+        }
+        self.caller.expired_in_hand(&message);
+        None
+    }
+
+    fn ask(&mut self, request: Request) -> Asking<'_, S> {
+        Asking { context: self, next: Some(request), stage: Stage::New }
+    }
+
+    /// What is answered without waiting. Returns how many copies were accepted, where copies are sent.
+    fn at_once(&mut self, request: Request) -> Result<u16, TaskError> {
+        match self.caller.call_now(Some(request))? {
+            Some((Signal::Accepted(copies), _)) => Ok(copies),
+            Some((other, _)) => mismatch(&request, &other),
+            None => Err(wrong_usage()),
+        }
+    }
+
+    /// Notes all of a message but its first packet, which is returned (D28).
+    fn staged(&mut self, port: PortId, bytes: &[u8], packets: u8) -> Result<Contents, TaskError> {
+        let too_long = || TaskError::TooLong(bytes.len());
+        if bytes.len() > PACKET * usize::from(packets.max(1)) {
+            return Err(too_long());
+        }
+        let (first, rest) = bytes.split_at(bytes.len().min(PACKET));
+        for (index, part) in (1..).zip(rest.chunks(PACKET)) {
+            let contents = Contents::new(part).ok_or_else(too_long)?;
+            self.at_once(Request::Part { port, index, contents })?;
+        }
+        Contents::new(first).ok_or_else(too_long)
+    }
+
+    /// Runs the handler for `call`. The answer was given `age` ago.
+    fn interrupted(&mut self, call: Call, age: Ticks) -> Result<(), TaskError> {
+        let done = match call {
+            Call::Message(message) => {
+                let of_port = self.messages.iter().find(|(port, _)| *port == message.from.port);
+                let handler = of_port.map(|(_, handler)| Rc::clone(handler));
+                match (handler, self.in_hand(message, age)) {
+                    (Some(handler), Some(message)) => handler(self, &message),
+                    (None, _) | (_, None) => Ok(()),
+                }
+            }
+            Call::Timer(timer) => {
+                let of_timer = self.timers.iter().find(|(of, _)| *of == timer);
+                let handler = of_timer.map(|(_, handler)| Rc::clone(handler));
+                handler.map_or(Ok(()), |handler| handler(&mut self.state))
+            }
+            // Who must act on either is a task with a thread, or a script; what it sends under the lease is refused.
+            Call::Fenced | Call::TakeOver(_) => Ok(()),
+        };
+        if let Err(error) = &done {
+            self.caller.fail(error.clone());
+        }
+        done
+    }
+
+    /// Cancels the wait. Handlers whose turn it was have had it; a message that was there is kept.
+    fn withdraw(&mut self) {
+        let mut next = Request::Cancel;
+        loop {
+            match self.caller.call_now(Some(next)) {
+                Ok(Some((Signal::Interrupt(call), age))) => {
+                    if self.interrupted(call, age).is_err() {
+                        return;
+                    }
+                    next = Request::Return;
+                }
+                Ok(Some((Signal::Message(message), age))) => {
+                    return self.kept.push((message, clock::now().saturating_sub(age.0)));
+                }
+                Ok(None) => next = Request::Cancel,
+                Ok(Some(_)) | Err(_) => return,
+            }
+        }
+    }
+}
+
+/// One request and its answer: the one outstanding communication of the task (R93).
+struct Asking<'a, S> {
+    context: &'a mut AsyncContext<S>,
+    /// What is to be asked next.
+    next: Option<Request>,
+    stage: Stage,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Stage {
+    New,
+    Waits,
+    Over,
+}
+
+impl<S> Future for Asking<'_, S> {
+    type Output = Result<(Signal, Ticks), TaskError>;
+
+    fn poll(self: Pin<&mut Self>, poller: &mut Poller<'_>) -> Poll<Self::Output> {
+        let Self { context, next, stage } = self.get_mut();
+        *stage = Stage::Waits;
+        loop {
+            let answer = context.caller.call_now(next.take());
+            match answer {
+                Ok(Some((Signal::Interrupt(call), age))) => match context.interrupted(call, age) {
+                    Ok(()) => *next = Some(Request::Return),
+                    Err(error) => {
+                        *stage = Stage::Over;
+                        return Poll::Ready(Err(error));
+                    }
+                },
+                Ok(Some(answer)) => {
+                    *stage = Stage::Over;
+                    return Poll::Ready(Ok(answer));
+                }
+                Err(error) => {
+                    *stage = Stage::Over;
+                    return Poll::Ready(Err(error));
+                }
+                Ok(None) if context.caller.listen(poller.waker()) => return Poll::Pending,
+                Ok(None) => {}
+            }
+        }
+    }
+}
+
+impl<S> Drop for Asking<'_, S> {
+    fn drop(&mut self) {
+        if self.stage != Stage::Waits {
+            return;
+        }
+        if std::thread::panicking() {
+            // No handler may run here: the task has crashed, and gives everything up.
+            return self.context.caller.give_up();
+        }
+        self.context.withdraw();
+    }
+}

@@ -1,0 +1,140 @@
+//! A task that is a future: it listens, and gives up what it asked.
+
+use super::{DEADLOCK, must_fail};
+use crate::clock::FAR;
+use crate::explorer::{Arc, explore, thread};
+use crate::handoff::{Bell, Handoff, Plant, Rest, Station};
+use crate::sync::Word;
+
+/// A machine whose task has asked, or not. As the real one it says that a wait is cancelled even where there is none.
+#[derive(Default)]
+struct Asked {
+    waits: bool,
+    kept: u32,
+}
+
+#[derive(Clone, Copy)]
+enum Brought {
+    Question,
+    Message,
+    Cancel,
+    Nothing,
+}
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+enum Got {
+    Message,
+    Cancelled,
+}
+
+impl Station for Asked {
+    type Input = Brought;
+    type Mail = Got;
+    type Effects = ();
+
+    fn feed(&mut self, input: Brought, (): &mut ()) -> Option<Got> {
+        match input {
+            Brought::Question => {
+                self.waits = true;
+                None
+            }
+            Brought::Message if std::mem::take(&mut self.waits) => Some(Got::Message),
+            Brought::Message => {
+                self.kept += 1;
+                None
+            }
+            Brought::Cancel => {
+                self.waits = false;
+                Some(Got::Cancelled)
+            }
+            Brought::Nothing => None,
+        }
+    }
+
+    fn settle(&mut self, _rest: Rest, (): &mut ()) -> u64 {
+        FAR
+    }
+}
+
+/// What the executor sleeps on.
+struct Waker(Word);
+
+impl Bell for Waker {
+    fn ring(&self) {
+        self.0.store(1);
+        self.0.wake();
+    }
+}
+
+fn of_a_future(plant: Plant) -> (Arc<Handoff<Asked>>, std::sync::Arc<Waker>) {
+    let waker = std::sync::Arc::new(Waker(Word::new(0)));
+    let bell = std::sync::Arc::clone(&waker) as std::sync::Arc<dyn Bell>;
+    let mut handoff = Handoff::new(Asked::default(), Some(bell));
+    handoff.plant = plant;
+    (Arc::new(handoff), waker)
+}
+
+fn bring_a_message(handoff: &Arc<Handoff<Asked>>) -> thread::JoinHandle<()> {
+    let handoff = Arc::clone(handoff);
+    thread::spawn(move || handoff.deliver(Brought::Message, &mut ()))
+}
+
+/// The future asks and listens; another thread brings the message. How often it was polled again.
+fn ask_and_listen(plant: Plant) -> u32 {
+    let (handoff, waker) = of_a_future(plant);
+    let mut polls = 0;
+    let mut entry = handoff.enter_awake(Brought::Question, &mut ());
+    let other = bring_a_message(&handoff);
+    while entry.mail.is_none() {
+        polls += 1;
+        if handoff.listen() {
+            while waker.0.load() == 0 {
+                waker.0.wait(0, None);
+            }
+            waker.0.store(0);
+        }
+        entry = handoff.enter_awake(Brought::Nothing, &mut ());
+    }
+    other.join().unwrap();
+    polls
+}
+
+#[test]
+fn a_future_that_listens_is_woken() {
+    let seen = explore(|| ask_and_listen(Plant::None));
+    assert!(seen.contains_key(&1), "{seen:?}");
+}
+
+#[test]
+fn a_future_that_is_not_called_waits_for_ever() {
+    must_fail(DEADLOCK, || ask_and_listen(Plant::NoBell));
+    must_fail(DEADLOCK, || ask_and_listen(Plant::NoMark));
+}
+
+/// The future gives its wait up while another thread brings the message. What it found.
+fn give_up(blindly: bool) -> Got {
+    let (handoff, _waker) = of_a_future(Plant::None);
+    handoff.enter_awake(Brought::Question, &mut ());
+    let other = bring_a_message(&handoff);
+    let entry = if blindly {
+        handoff.enter(Brought::Cancel, &mut ())
+    } else {
+        handoff.enter_awake(Brought::Cancel, &mut ())
+    };
+    other.join().unwrap();
+    let got = entry.mail.expect("one or the other");
+    let kept = handoff.with(|asked| asked.kept, &mut ());
+    assert_eq!(kept + u32::from(got == Got::Message), 1, "a message is gone");
+    got
+}
+
+#[test]
+fn a_message_for_a_wait_that_is_given_up_is_found_or_kept() {
+    let seen = explore(|| give_up(false));
+    assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [Got::Message, Got::Cancelled], "{seen:?}");
+}
+
+#[test]
+fn a_wait_that_is_given_up_blindly_loses_a_message() {
+    must_fail("a message is gone", || give_up(true));
+}
