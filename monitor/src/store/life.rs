@@ -291,7 +291,6 @@ impl Life {
             }
             return fits;
         }
-        self.keep_base(at);
         let Some(last) = &mut self.last else { return false };
         // Looked at before it is copied, where it is shared with an earlier sample.
         if delta.base_us != Some(last.snapshot.mono_us)
@@ -300,6 +299,7 @@ impl Life {
             return false;
         }
         last.at = at;
+        self.sampled(at);
         true
     }
 
@@ -322,13 +322,13 @@ impl Life {
     /// Takes a snapshot over; counters are compared with one that is [`RATE`] to twice that older.
     pub(super) fn take(&mut self, at: Moment, snapshot: Snapshot) {
         self.last = Some(Sample { at, snapshot: Arc::new(snapshot) });
-        self.keep_base(at);
+        self.sampled(at);
     }
 
-    /// Keeps what it said last for comparison, when it is time.
-    fn keep_base(&mut self, at: Moment) {
+    /// There is a new `last`: keeps it for comparison, when it is time.
+    fn sampled(&mut self, at: Moment) {
         let due = self.next_base.as_ref().is_none_or(|next| at.saturating_sub(next.at) >= RATE);
-        if due && self.last.is_some() {
+        if due {
             self.base = std::mem::replace(&mut self.next_base, self.last.clone());
         }
         if self.base.is_none() {
