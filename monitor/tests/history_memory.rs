@@ -47,7 +47,7 @@ fn go_on(state: &mut Snapshot, period: u64, dirty: usize) {
         for (i, port) in task.view.ports.iter_mut().enumerate() {
             port.min_slack = port.min_slack.map(|left| left - Ticks(100_000));
             let draw = (period * 31 + i as u64 * 7 + t as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15) >> 33;
-            if (i + period as usize) % (100 / dirty) == 0 {
+            if (i + period as usize).is_multiple_of(100 / dirty) {
                 port.counters.enqueued += 20;
                 port.counters.delivered += 20;
                 port.len = (draw % 8) as u16;
