@@ -153,7 +153,7 @@ fn hostile_monitors_cost_a_bounded_amount_of_memory() {
     let grows = |begin: i64| LIVE.load(Ordering::Relaxed) - begin;
     let before = LIVE.load(Ordering::Relaxed);
     let mut most = [0_i64; 3];
-    let mut traffic = |most: &mut i64| {
+    let traffic = |most: &mut i64| {
         for _ in 0..30 {
             tell.send(2_000).unwrap();
             finished.recv_timeout(LONG).unwrap();
