@@ -118,6 +118,7 @@ Examples:
   imrs run cell.cell --kill hoist@2s --restart hoist@3s  and started again
   imrs run cell.cell --node nl --insecure --rt        one node, on its robot
   imrs run cell.cell --observe 127.0.0.1:7100         watched over TCP, too
+  imrs run cell.cell --observe 0.0.0.0:7100 --observe-token FILE  by who has the file
   imrs run cell.cell --action 'grip=./grip --hard'    a robot's own command
   imrs run cell.cell --record run.imrs                to `imrs replay run.NODE.imrs --cell cell.cell`")]
     Run(RunArgs),
@@ -148,6 +149,7 @@ Examples:
   imrs monitor --assert 'up>=3 and expired==0' --for 60s    exit code 1 unless that holds
   imrs monitor --once --format json     one sample, for programs
   imrs monitor --connect unix:/run/user/1000/imrs/beam_lift/nl-812.sock
+  imrs monitor --connect tcp:robot:7100 --token FILE    the whole cell of that node
   imrs monitor --record run.imrs --for 60s     without a screen
   imrs monitor --replay run.imrs --at -30s --speed 4
   imrs verify cell.cell --save found.imrs; imrs monitor --replay found.imrs")]

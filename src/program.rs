@@ -6,9 +6,10 @@ use imrs_protocol::{Incarnation, NodeId, NodeTable};
 use imrs_runtime::link::Link;
 use imrs_runtime::link::in_process::{Faults, Network};
 use imrs_runtime::link::udp::{UdpError, UdpLink, UdpOptions};
-use imrs_runtime::observer::{Observer, ObserverError};
+use imrs_runtime::observer::{Observer, ObserverError, Showing};
 use imrs_runtime::script::{Actions, Call, Functions, Simulated};
 use imrs_runtime::{Context, Runtime, StartError, TaskEnd, TaskError};
+use imrs_wire::obs::{Token, TokenError};
 use std::collections::BTreeMap;
 use std::io;
 use std::net::SocketAddr;
@@ -51,6 +52,14 @@ pub enum ProgramError {
         "node `{0}` at {1}: nothing authenticates its packets; call `insecure()` on a network of your own"
     )]
     Insecure(String, SocketAddr),
+    /// Monitors would be served where anybody could watch.
+    #[error(
+        "monitors at {0}: whoever reaches this address could watch, for nothing asks who it is; call `observe_token(…)`, or take a loopback address"
+    )]
+    Watched(SocketAddr),
+    /// The text can be no token.
+    #[error(transparent)]
+    Token(#[from] TokenError),
     /// The node cannot run by itself.
     #[error(transparent)]
     Place(#[from] PlaceError),
@@ -94,6 +103,7 @@ pub struct Program {
     node: Option<String>,
     insecure: bool,
     observe: Option<SocketAddr>,
+    token: Option<String>,
     seed: u64,
 }
 
@@ -139,6 +149,7 @@ impl Program {
             node: None,
             insecure: false,
             observe: None,
+            token: None,
             seed: 0,
         }
     }
@@ -170,15 +181,22 @@ impl Program {
         self
     }
 
-    /// Lets the node's packets leave this machine though nothing authenticates them, and monitors from elsewhere look.
+    /// Lets the node's packets leave this machine though nothing authenticates them.
     pub const fn insecure(mut self) -> Self {
         self.insecure = true;
         self
     }
 
-    /// Serves monitors at this TCP address, too; of several nodes each takes the next port.
+    /// Serves monitors at this TCP address, too; of several nodes each takes the next port. Off the loopback that takes
+    /// [`observe_token`](Self::observe_token).
     pub const fn observe(mut self, address: SocketAddr) -> Self {
         self.observe = Some(address);
+        self
+    }
+
+    /// Over TCP shows the nodes only to monitors that have this token, of 16 to 256 bytes.
+    pub fn observe_token(mut self, token: &str) -> Self {
+        self.token = Some(token.into());
         self
     }
 
@@ -296,7 +314,11 @@ impl Program {
         observers.extend(Observer::start(Arc::clone(runtime.node())).ok());
         if let Some(first) = self.observe {
             let address = crate::launch::observed_at(first, after);
-            observers.push(Observer::start_tcp(Arc::clone(runtime.node()), address)?);
+            let token = self.token.as_deref().map(Token::of).transpose()?;
+            if token.is_none() && !address.ip().is_loopback() {
+                return Err(ProgramError::Watched(address));
+            }
+            observers.push(Showing::new(Arc::clone(runtime.node())).token(token).start_tcp(address)?);
         }
         Ok(Running { runtime, held_back, _observers: observers })
     }

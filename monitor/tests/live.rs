@@ -153,7 +153,11 @@ fn another_version_is_refused_with_both_named() {
 
 #[test]
 fn strangers_and_silence_are_told_apart() {
-    let trouble = trouble_with(|mut peer| peer.raw(b"\x20\0\0\0HTTP/1.1 400 Bad Request\r\n\r\nxxxx"));
+    let trouble = trouble_with(|mut peer| {
+        // A connection that is closed with something unread may be reset before anything of it is read.
+        let _ = peer.reader.read_frame();
+        peer.raw(b"\x20\0\0\0HTTP/1.1 400 Bad Request\r\n\r\nxxxx");
+    });
     assert!(trouble.contains("does not speak imrs-obs"), "{trouble}");
     let trouble = trouble_with(|_peer| thread::sleep(LIMIT));
     assert!(trouble.contains("no answer in 1s; is the node stopped?"), "{trouble}");

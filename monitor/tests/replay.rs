@@ -282,6 +282,23 @@ fn damage_and_other_versions_are_named() {
     assert!(missing.exit_code() == 2 && missing.to_string().starts_with("no/such.imrs: "), "{missing}");
 }
 
+/// A recording of version 1.0 has whole snapshots only, and plays as ever.
+#[test]
+fn recordings_of_version_1_0_are_playable() {
+    let Shown::Attached { hello, .. } = attached(0, VERSION) else { panic!("attached") };
+    let hello = imrs_wire::obs::Hello { schema: 0x3723_afbb, ..hello };
+    let old = Shown::Attached { version: Version { major: 1, minor: 0 }, hello };
+    let said = |frame: ServerFrame| Shown::Said(frame);
+    let records = [
+        (0, 0, old),
+        (0, 0, said(ServerFrame::Table(table()))),
+        (0, 100_000, said(ServerFrame::Snapshot(snapshot(0)))),
+    ];
+    let mut player = Player::new(Arc::new(Film::read(written(&records).as_slice()).unwrap()), 1.0);
+    player.go_to_end();
+    assert_eq!(*player.store().lives()[0].last.as_ref().unwrap().snapshot, snapshot(0));
+}
+
 #[test]
 fn lost_frames_are_counted() {
     let mut writer = RecordingWriter::new(Vec::new(), &Header::default()).unwrap();

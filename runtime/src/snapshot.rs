@@ -152,7 +152,7 @@ impl Observations {
         let Some((transit, tasks)) = self.positions.split_last_mut() else { return 0 };
         let mut follow = |ring: &Ring, position: &mut u64, task: Option<TaskId>| {
             if !wanted(task) {
-                *position = ring.end();
+                (*position, _) = ring.read(*position, usize::MAX, |_, _| {});
                 return;
             }
             let each = |mono_us, what: Observation| events.push(TimedEvent { mono_us, task, what });

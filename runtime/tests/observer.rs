@@ -100,13 +100,13 @@ impl Monitor {
         monitor
     }
 
-    fn say(&mut self, frame: ClientFrame) {
-        self.writer.push(&frame).unwrap();
+    fn say(&mut self, frame: &ClientFrame) {
+        self.writer.push(frame).unwrap();
         self.writer.flush().unwrap();
     }
 
     fn subscribe(&mut self, events: bool, credit: u16) {
-        self.say(ClientFrame::Subscribe(Subscribe { period_us: 10_000, queue_limit: 8, events, credit }));
+        self.say(&ClientFrame::Subscribe(Subscribe { period_us: 10_000, queue_limit: 8, events, credit }));
     }
 
     fn next(&mut self) -> ServerFrame {
@@ -208,7 +208,7 @@ fn garbage_and_silence_cost_the_sender_only() {
     monitor.reader.get_ref().set_read_timeout(Some(Duration::from_millis(100))).unwrap();
     assert!(matches!(monitor.reader.read_frame(), Err(FrameError::NotReady)));
     monitor.reader.get_ref().set_read_timeout(Some(LONG)).unwrap();
-    monitor.say(ClientFrame::Credit(1));
+    monitor.say(&ClientFrame::Credit(1));
     assert!(matches!(monitor.next(), ServerFrame::Snapshot(_)));
     tell.send(1).expect("the node still runs");
     drop((silent, observer));

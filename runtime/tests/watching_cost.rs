@@ -232,6 +232,8 @@ fn no_event_goes_missing_uncounted() {
     let (told, hears) = channel();
     let reading = thread::spawn(move || {
         let mut reader = FrameReader::new(stream, MAX_FRAME);
+        let hello = reader.read_frame().map(|hello| Handshake::decode(hello).is_ok());
+        assert!(matches!(hello, Ok(true)));
         loop {
             match reader.read_frame().map(ServerFrame::decode) {
                 Ok(Ok(frame)) => {

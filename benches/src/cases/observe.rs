@@ -118,7 +118,8 @@ fn changes(suite: &mut Suite) {
 fn watched(effort: Effort, crowd: Crowd) -> Sample {
     let table = cells::asking(1, Usage::Send);
     let (tell, told) = channel();
-    let times = effort.of(3_000);
+    // Long enough for some periods of everything that monitors are told.
+    let times = effort.of(30_000);
     let onlooker = Onlooker::of(Watched::Not, &table, NodeId(0));
     let node = onlooker.told_by(Runtime::builder(table, NodeId(0)));
     let (begin, begins) = channel::<()>();

@@ -311,7 +311,6 @@ impl Life {
             }
             return fits;
         }
-        self.keep_base(at);
         let Some(last) = &mut self.last else { return false };
         // Looked at before it is copied, where it is shared with an earlier sample.
         if delta.base_us != Some(last.snapshot.mono_us)
@@ -320,7 +319,7 @@ impl Life {
             return false;
         }
         last.at = at;
-        self.note_timers();
+        self.sampled(at);
         true
     }
 
@@ -343,8 +342,7 @@ impl Life {
     /// Takes a snapshot over; counters are compared with one that is [`RATE`] to twice that older.
     pub(super) fn take(&mut self, at: Moment, snapshot: Snapshot) {
         self.last = Some(Sample { at, snapshot: Arc::new(snapshot) });
-        self.note_timers();
-        self.keep_base(at);
+        self.sampled(at);
     }
 
     /// Remembers how long timers are, as far as it was seen.
@@ -358,10 +356,11 @@ impl Life {
         }
     }
 
-    /// Keeps what it said last for comparison, when it is time.
-    fn keep_base(&mut self, at: Moment) {
+    /// There is a new `last`: keeps it for comparison, when it is time.
+    fn sampled(&mut self, at: Moment) {
+        self.note_timers();
         let due = self.next_base.as_ref().is_none_or(|next| at.saturating_sub(next.at) >= RATE);
-        if due && self.last.is_some() {
+        if due {
             self.base = std::mem::replace(&mut self.next_base, self.last.clone());
             self.lost_before = (self.lost_before.1, self.lost);
         }

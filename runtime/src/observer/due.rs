@@ -46,8 +46,8 @@ struct Following {
 struct More {
     /// What it was told last: what changed is reckoned from this.
     told: Option<Snapshot>,
-    /// Whether the watched queues are told next.
-    detail: bool,
+    /// Since when the watched queues are to be told.
+    detail: Option<Instant>,
     vitals: Option<(Duration, Instant)>,
     late: Seen,
     whole: Option<(Duration, Instant)>,
@@ -80,7 +80,7 @@ impl Subscription {
         let period = period(wanted.period_us);
         let more = more.unwrap_or_else(|| More {
             told: None,
-            detail: false,
+            detail: None,
             vitals: None,
             late: Seen::default(),
             whole: None,
@@ -117,6 +117,7 @@ impl Subscription {
         }
         if let Some(more) = &self.more {
             due = due.min(more.places.1);
+            due = more.detail.map_or(due, |since| due.min(since));
             due = more.vitals.map_or(due, |(_, at)| due.min(at));
         }
         Some(due)
@@ -171,7 +172,7 @@ impl Subscription {
                 }
                 Ok(()) => {
                     if let Some(more) = &mut self.more {
-                        more.detail = !self.watching.ports.is_empty();
+                        more.detail = (!self.watching.ports.is_empty()).then_some(now);
                     }
                     return Ok(());
                 }
@@ -181,8 +182,7 @@ impl Subscription {
     }
 
     fn detail(&mut self, showing: &Showing) -> Option<ServerFrame> {
-        let more = self.more.as_mut().filter(|more| more.detail)?;
-        more.detail = false;
+        self.more.as_mut()?.detail.take()?;
         Some(ServerFrame::Detail(showing.node.detail(&self.watching.ports)))
     }
 

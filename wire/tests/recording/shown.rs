@@ -9,6 +9,9 @@ fn hello(schema: u32) -> Hello {
     Hello { schema, pid: 7, build: "imrs 1".into(), mono_us: 9, role: Role::Monitor }
 }
 
+/// What the released programs of version 1.0 were built from.
+const SCHEMA_1_0: u32 = 0x3723_afbb;
+
 /// One of each kind.
 fn every() -> [Shown; 5] {
     let place = Some(Place { line: 3, column: 4, text: "send a;".into() });
@@ -24,7 +27,7 @@ fn every() -> [Shown; 5] {
     let doing = Doing { task: TaskId(1), text: "waits".into(), line: Some(12) };
     let step = Step { number: 1, tick: 300, odd: true, happened: vec!["x".into()], tasks: vec![doing] };
     [
-        Shown::Attached { version: Version { major: 1, minor: 0 }, hello: hello(SCHEMA) },
+        Shown::Attached { version: Version { major: 1, minor: 0 }, hello: hello(SCHEMA_1_0) },
         Shown::Said(ServerFrame::Table(Table::default())),
         Shown::Lost { why: "gone".into() },
         Shown::Story(story),
