@@ -75,6 +75,7 @@ impl App {
             Action::Filter => self.typing = true,
             Action::Sort => self.shape.sort = self.shape.sort.next(),
             Action::Invert => self.shape.inverted = !self.shape.inverted,
+            Action::Everything if self.screen == Screen::Timeline => self.thin_chart(),
             Action::Everything => {
                 self.everything = !self.everything;
                 self.held = None;

@@ -284,28 +284,34 @@ fn foot(app: &App, now: Moment, pen: &mut Pen<'_>) {
 fn awaited(app: &App, cell: &Name, now: Moment) -> Option<(String, Ink)> {
     let store = app.store();
     let names = store.names(cell)?;
-    let first = waits::awaited(store, cell, now).into_iter().next()?;
-    let tasks = (0..names.tasks.len()).filter(|at| TaskId::from_index(*at) != first.task).count();
-    let life = names.home(first.task).and_then(|node| store.latest(cell, node));
-    let node = names.home(first.task).map_or_else(String::new, |node| format!("@{}", names.node(node)));
-    let gone = life.map(|life| life.presence(now)).filter(|presence| presence.is_gone());
-    let crashed = life.and_then(|l| l.task(first.task)).is_some_and(|t| t.liveness != Liveness::Alive);
-    let state = match (gone, crashed) {
-        (Some(gone), _) => format!(", {gone}"),
-        (None, true) => ", no longer running".to_owned(),
-        (None, false) => String::new(),
+    let found = waits::awaited(store, cell, now);
+    let first = found.first()?;
+    let same: Vec<TaskId> = found.iter().filter(|a| a.by == first.by).map(|a| a.task).collect();
+    let life = |task| names.home(task).and_then(|node| store.latest(cell, node));
+    let told = |task: &TaskId| {
+        let node = names.home(*task).map_or_else(String::new, |node| format!("@{}", names.node(node)));
+        let gone = life(*task).map(|life| life.presence(now)).filter(|presence| presence.is_gone());
+        let runs = life(*task).and_then(|l| l.task(*task)).is_none_or(|t| t.liveness == Liveness::Alive);
+        let state = match (gone, runs) {
+            (Some(gone), _) => format!(", {gone}"),
+            (None, false) => ", no longer running".to_owned(),
+            (None, true) => String::new(),
+        };
+        (format!("{}{node}{state}", names.task(*task)), state.is_empty())
     };
-    let by: Vec<_> = first.by.iter().take(4).map(|task| names.task(*task).to_string()).collect();
-    let more = if first.by.len() > 4 { ", ..." } else { "" };
-    let all = if first.by.len() >= tasks { "everybody waits" } else { "waiting" };
-    let text = format!(
-        " {} {all} for {}{node}{state} ({}): {}{more}",
-        app.theme.glyphs.arrow,
-        names.task(first.task),
-        first.why,
-        by.join(", ")
-    );
-    Some((text, if state.is_empty() { Ink::Warn } else { Ink::Bad }))
+    let whom: Vec<_> = same.iter().take(3).map(told).collect();
+    let ink = if whom.iter().all(|(_, runs)| *runs) { Ink::Warn } else { Ink::Bad };
+    let whom: Vec<_> = whom.into_iter().map(|(text, _)| text).collect();
+    let few: Vec<_> = first.by.iter().take(4).map(|task| names.task(*task).to_string()).collect();
+    let few = few.join(", ") + if first.by.len() > 4 { ", ..." } else { "" };
+    let sign = app.theme.glyphs.arrow;
+    let everybody = first.by.len() > 1 && first.by.len() + same.len() >= names.tasks.len();
+    let text = match (everybody, first.by.len()) {
+        (true, _) => format!(" {sign} EVERYBODY waits for {} ({}): {few}", whom.join(", "), first.why),
+        (false, 1) => format!(" {sign} {few} waits for {} ({})", whom.join(", "), first.why),
+        (false, many) => format!(" {sign} {many} tasks wait for {} ({}): {few}", whom.join(", "), first.why),
+    };
+    Some((text, ink))
 }
 
 /// The sign for how much something matters.

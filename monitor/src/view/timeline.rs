@@ -67,6 +67,7 @@ pub(super) fn draw(app: &App, now: Moment, pen: &mut Pen<'_>) {
 /// At the right of the titles: how fine, and whether new rows are followed.
 fn corner(chart: &Chart, _now: Moment, pen: &mut Pen<'_>) {
     let zoom = chart.zoom.map_or_else(|| "each event".to_owned(), |zoom| format!("{} a row", Span(zoom)));
+    let zoom = if chart.sparse { format!("no ordinary messages, {zoom}") } else { zoom };
     let newer = chart.rows.len().saturating_sub(chart.bottom + 1);
     let text = if chart.held { format!(" {zoom}, +{newer} new, G follows ") } else { format!(" {zoom} ") };
     let x = pen.area.width.saturating_sub(u16::try_from(text.len()).unwrap_or(0));
