@@ -82,8 +82,9 @@ impl Store {
 
     /// The lives of the nodes of one cell.
     pub fn lives_of<'a>(&'a self, cell: &Name) -> impl Iterator<Item = &'a Life> + use<'a> {
-        let cell = cell.clone();
-        self.lives.iter().filter(move |l| l.names.cell == cell)
+        let first = self.lives.partition_point(|l| l.names.cell < *cell);
+        let after = self.lives.partition_point(|l| l.names.cell <= *cell);
+        self.lives.get(first..after).unwrap_or_default().iter()
     }
 
     /// One life.
@@ -95,7 +96,9 @@ impl Store {
     /// The latest life of a node of a cell.
     #[must_use]
     pub fn latest(&self, cell: &Name, node: NodeId) -> Option<&Life> {
-        self.lives_of(cell).filter(|l| l.node_id == node).last()
+        let upto = self.lives.partition_point(|l| (&l.names.cell, l.node_id) <= (cell, node));
+        let last = self.lives.get(upto.checked_sub(1)?)?;
+        (last.node_id == node && last.names.cell == *cell).then_some(last)
     }
 
     /// The cells that are known, sorted.

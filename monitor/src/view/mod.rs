@@ -17,7 +17,7 @@ use crate::app::{App, Screen};
 use crate::clock::{Moment, Span};
 use crate::name::Name;
 use crate::rows::Sort;
-use crate::store::health::Place;
+use crate::store::health::{Finding, Place};
 use crate::store::journal::Level;
 use crate::store::waits;
 use crate::store::{Condition, Presence};
@@ -37,10 +37,11 @@ pub fn view(app: &App, now: Moment, area: Rect, buffer: &mut Buffer) {
         return;
     }
     head(app, now, &mut pen);
+    let findings = app.findings(now);
     let foot = u16::from(area.height > 2);
     let middle = Rect { y: area.y + 1, height: area.height.saturating_sub(1 + foot), ..area };
     if foot == 1 {
-        self::foot(app, now, &mut pen);
+        self::foot(app, &findings, now, &mut pen);
     }
     let told = app.replay().map_or(0, |player| replay::rows(player, middle.height));
     let (middle, panel) = (
@@ -54,7 +55,7 @@ pub fn view(app: &App, now: Moment, area: Rect, buffer: &mut Buffer) {
     match app.screen {
         Screen::Help => help::draw(app, &mut pen),
         _ if app.cell().is_none() => nothing(app, &mut pen),
-        Screen::Overview => overview::draw(app, now, &mut pen),
+        Screen::Overview => overview::draw(app, &findings, now, &mut pen),
         Screen::Port => port::draw(app, now, &mut pen),
         Screen::Message => message::draw(app, now, &mut pen),
         Screen::Rendezvous => rendezvous::draw(app, now, &mut pen),
@@ -238,7 +239,7 @@ fn nodes(app: &App, now: Moment) -> (usize, usize) {
     (up, known.max(store.lives_of(&cell).filter(|l| l.condition == Condition::Attached).count()))
 }
 
-fn foot(app: &App, now: Moment, pen: &mut Pen<'_>) {
+fn foot(app: &App, findings: &[Finding], now: Moment, pen: &mut Pen<'_>) {
     let y = pen.height() - 1;
     if app.typing {
         pen.line(y, &[(" /", Ink::Head), (&app.shape.filter, Ink::Plain), ("_", Ink::Plain)]);
@@ -269,7 +270,7 @@ fn foot(app: &App, now: Moment, pen: &mut Pen<'_>) {
     }
     if let Some(trouble) = app.store().troubles().next() {
         pieces.push((format!(" ! {trouble}"), Ink::Warn));
-    } else if let Some(worst) = app.findings(now).first().filter(|f| f.level >= Level::Warn) {
+    } else if let Some(worst) = findings.first().filter(|f| f.level >= Level::Warn) {
         let place = overview::label(app, worst.place);
         let ink = if worst.level == Level::Bad { Ink::Bad } else { Ink::Warn };
         pieces.push((format!(" {} {place}: {}", mark(worst.level), worst.text), ink));
