@@ -16,10 +16,11 @@ use crate::rows::{Row, Shape, rows};
 use crate::source::Arrival;
 use crate::store::health::{self, Finding, Place};
 use crate::store::message::MessageKey;
-use crate::store::{Condition, LifeId, Store};
+use crate::store::{Condition, Life, LifeId, Store};
 use crate::theme::Theme;
 use crossterm::event::{KeyEvent, KeyEventKind, MouseEvent};
 use imrs_protocol::{MessageId, PortId, PortView, TaskId, Usage};
+use imrs_wire::obs::TaskSnapshot;
 use lanes::Lanes;
 use std::time::Duration;
 
@@ -328,15 +329,20 @@ impl App {
 
     /// The ports that receive, in the order of the overview.
     #[must_use]
-    pub fn queues(&self, now: Moment) -> Vec<PortEnd> {
+    pub fn queues(&self) -> Vec<PortEnd> {
         let Some(cell) = self.cell() else { return Vec::new() };
-        let all = rows(self.store(), &cell, &Shape::default(), &[], self.moment(now));
-        let ends = all.into_iter().filter_map(|row| port_end(row.place));
-        let receives = |end: &PortEnd| {
-            let view = self.store().life(end.life).and_then(|l| l.port(end.task, end.port));
-            view.is_some_and(|v| v.capacity > 0 && v.usage != Usage::Waitfor)
+        let store = self.store();
+        let latest = |life: &&Life| store.latest(&cell, life.node_id).is_some_and(|l| l.id == life.id);
+        let ends = |life: &Life| {
+            let (life, tasks) = (life.id, life.tasks().iter());
+            let receives = |port: &&PortView| port.capacity > 0 && port.usage != Usage::Waitfor;
+            let of = move |task: &TaskSnapshot| {
+                let end = |port: &PortView| PortEnd { life, task: task.view.task, port: port.port };
+                task.view.ports.iter().filter(receives).map(end).collect::<Vec<_>>()
+            };
+            tasks.flat_map(of).collect::<Vec<_>>()
         };
-        ends.filter(receives).collect()
+        store.lives_of(&cell).filter(latest).flat_map(ends).collect()
     }
 
     /// The port shown: the chosen one, or the first of `queues`.

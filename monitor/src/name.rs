@@ -10,18 +10,10 @@ const LONGEST: usize = 64;
 const LONGEST_LINE: usize = 240;
 
 /// A name as it was sent, and as it is shown.
-#[derive(Clone, Debug, Eq, PartialOrd, Ord, Hash)]
+#[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
 pub struct Name {
     raw: Arc<str>,
     shown: Arc<str>,
-}
-
-// How a name is shown follows from what was sent; copies of one name are alike without looking.
-#[expect(clippy::derived_hash_with_manual_eq, reason = "names that are equal by this have equal fields")]
-impl PartialEq for Name {
-    fn eq(&self, other: &Self) -> bool {
-        Arc::ptr_eq(&self.raw, &other.raw) || self.raw == other.raw
-    }
 }
 
 impl Name {

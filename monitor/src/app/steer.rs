@@ -85,7 +85,7 @@ impl App {
             Action::Back => self.back(),
             Action::Enter => self.enter(now),
             Action::Left | Action::Right if self.screen == Screen::Port => {
-                self.turn(action == Action::Right, now);
+                self.turn(action == Action::Right);
             }
             Action::Left | Action::Right if self.screen == Screen::Timeline => {
                 self.next_lane(action == Action::Right);
@@ -175,7 +175,7 @@ impl App {
 
     fn enter(&mut self, now: Moment) {
         if self.screen != Screen::Overview {
-            match self.message_here(now) {
+            match self.message_here() {
                 Some(key) => {
                     (self.message, self.chosen_on) = (Some(key), self.screen);
                     self.show(Screen::Message);
@@ -195,10 +195,10 @@ impl App {
     }
 
     /// The message that the selected row is of.
-    fn message_here(&self, now: Moment) -> Option<MessageKey> {
+    fn message_here(&self) -> Option<MessageKey> {
         match self.screen {
             Screen::Port => {
-                let end = self.port(&self.queues(now))?;
+                let end = self.port(&self.queues())?;
                 let view = self.store().life(end.life)?.port(end.task, end.port)?;
                 let entry = view.queue.get(self.entry(view))?;
                 Some(MessageKey { source: entry.source, port: end.port, number: entry.id.sequence.get() })
@@ -225,7 +225,7 @@ impl App {
     /// What the selected row is called, for the clipboard.
     fn copy(&mut self, now: Moment) -> Effect {
         let names = self.cell().and_then(|cell| self.store().names(&cell).cloned());
-        let text = match (self.screen, self.message_here(now), names) {
+        let text = match (self.screen, self.message_here(), names) {
             (_, Some(key), Some(names)) => {
                 format!("{}.{}#{}", names.task(key.source), names.port_name(key.port), key.number)
             }
@@ -235,7 +235,7 @@ impl App {
                 row.map_or_else(String::new, |row| crate::view::label(self, row.place))
             }
             (Screen::Port, None, Some(names)) => {
-                let end = self.port(&self.queues(now));
+                let end = self.port(&self.queues());
                 end.map_or_else(String::new, |end| {
                     format!("{}.{}", names.task(end.task), names.port_name(end.port))
                 })
@@ -295,8 +295,8 @@ impl App {
         view.is_some_and(|v| v.usage == Usage::Waitfor)
     }
 
-    fn turn(&mut self, forward: bool, now: Moment) {
-        let queues = self.queues(now);
+    fn turn(&mut self, forward: bool) {
+        let queues = self.queues();
         if queues.is_empty() {
             return;
         }
@@ -316,7 +316,7 @@ impl App {
             }
             Screen::Events => self.step_events(by),
             Screen::Timeline => self.step_chart(by),
-            Screen::Port => self.step_queue(by, now),
+            Screen::Port => self.step_queue(by),
             Screen::Message | Screen::Rendezvous | Screen::Timers | Screen::Model | Screen::Help => {
                 let most = self.lines(now).saturating_sub(1);
                 self.scroll = self.scroll.saturating_add_signed(by).min(most);
@@ -329,8 +329,8 @@ impl App {
         crate::view::length(self, now, self.size.0)
     }
 
-    pub(super) fn step_queue(&mut self, by: isize, now: Moment) {
-        let end = self.port(&self.queues(now));
+    pub(super) fn step_queue(&mut self, by: isize) {
+        let end = self.port(&self.queues());
         let view = end.and_then(|e| self.store().life(e.life).and_then(|l| l.port(e.task, e.port)));
         let Some(view) = view else { return };
         let to = self.entry(view).saturating_add_signed(by).min(view.queue.len().saturating_sub(1));

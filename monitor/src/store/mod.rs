@@ -236,7 +236,10 @@ impl Store {
     /// The names belong to the cell that the node said it is of, whatever the table says.
     fn table(&mut self, index: usize, table: Table) {
         let cell = self.lives[index].names.cell.raw().to_owned();
-        self.lives[index].names = Arc::new(Names::new(Table { cell, ..table }));
+        let told = Names::new(Table { cell, ..table });
+        // All nodes of a cell tell the same: it is kept once.
+        let known = self.lives.iter().find(|l| *l.names == told).map(|l| Arc::clone(&l.names));
+        self.lives[index].names = known.unwrap_or_else(|| Arc::new(told));
     }
 
     fn snapshot(&mut self, at: Moment, index: usize, snapshot: Snapshot) {

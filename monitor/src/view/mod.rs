@@ -113,7 +113,7 @@ pub fn hit(app: &App, now: Moment, size: (u16, u16), at: (u16, u16)) -> Option<H
     }
     match app.screen {
         Screen::Overview => overview::hit(app, now, size, (x, y - 1)),
-        Screen::Port => port::hit(app, now, size, y - 1),
+        Screen::Port => port::hit(app, size, y - 1),
         Screen::Message
         | Screen::Rendezvous
         | Screen::Timeline

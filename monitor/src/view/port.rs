@@ -15,7 +15,7 @@ const fn above(height: u16) -> u16 {
 }
 
 pub(super) fn draw(app: &App, now: Moment, pen: &mut Pen<'_>) {
-    let queues = app.queues(now);
+    let queues = app.queues();
     let Some(end) = app.port(&queues) else {
         pen.line(1, &[(" No port of this cell receives messages.", Ink::Plain)]);
         return;
@@ -41,8 +41,8 @@ pub(super) fn draw(app: &App, now: Moment, pen: &mut Pen<'_>) {
 }
 
 /// The message at a row below the head.
-pub(super) fn hit(app: &App, now: Moment, size: (u16, u16), y: u16) -> Option<Hit> {
-    let end = app.port(&app.queues(now))?;
+pub(super) fn hit(app: &App, size: (u16, u16), y: u16) -> Option<Hit> {
+    let end = app.port(&app.queues())?;
     let view = app.store().life(end.life)?.port(end.task, end.port)?;
     let height = size.1.saturating_sub(2);
     let row = usize::from(y.checked_sub(above(height) + 1)?);
