@@ -1,11 +1,13 @@
 //! The command line: what can be asked for, and how it is explained.
 
 mod cell;
+mod export;
 mod monitor;
 mod run;
 mod verify;
 
 pub use cell::{CheckArgs, ExplainArgs, FmtArgs, GraphArgs, Picture};
+pub use export::{ExportArgs, ExportForm};
 pub use monitor::MonitorArgs;
 pub use run::{DemoArgs, LaunchArgs, ReplayArgs, RunArgs};
 pub use verify::{CellFaultArgs, Times, VerifyArgs, VerifyVerb};
@@ -155,6 +157,15 @@ Examples:
   imrs replay run.nl.imrs
   imrs replay run.*.imrs --cell cell.cell --model    was this run a path of the model?")]
     Replay(ReplayArgs),
+    /// Turn a recording of `imrs monitor` into what other tools open: MCAP, lines of JSON, a sequence chart, an asciicast.
+    #[command(after_help = "\
+Examples:
+  imrs monitor --record run.imrs --for 30s
+  imrs export run.imrs --to mcap                     Foxglove and PlotJuggler open run.mcap
+  imrs export run.imrs --to jsonl -o - | jq 'select(.event == \"timed out\")'
+  imrs export run.imrs --to svg --last 200           a sequence chart
+  imrs export run.imrs --to asciicast --keys 3       the meetings, as the screen showed them")]
+    Export(ExportArgs),
     /// Measure the runtime on this machine, side by side with hand-written floors.
     ///
     /// Cases are measured in turns, round by round, and only ratios of one round are judged: times of a shared machine move

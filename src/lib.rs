@@ -11,6 +11,7 @@ mod checks;
 mod demo;
 mod exit;
 mod explain;
+mod export;
 mod fmt;
 mod graph;
 mod launch;
@@ -18,6 +19,7 @@ mod output;
 mod program;
 mod replay;
 mod run;
+mod token;
 mod verify;
 
 pub use imrs_runtime::script::Call;
@@ -71,6 +73,7 @@ fn run(cli: Cli) -> Result<Exit, Failure> {
         Verb::Demo(args) => demo::run(&args, &mut out),
         Verb::Monitor(args) => monitor(args, cli.color),
         Verb::Replay(args) => replay::run(&args, &mut out),
+        Verb::Export(args) => export::run(&args, &mut out),
         Verb::Bench(args) => bench::run(&args, &mut out),
         Verb::Completions { shell } => {
             let mut script = Vec::new();
@@ -107,6 +110,7 @@ fn manual(verb: Option<&str>, out: &mut Output) -> Result<Exit, Failure> {
 fn monitor(args: MonitorArgs, color: args::Color) -> Result<Exit, Failure> {
     let options = imrs_monitor::Options {
         connect: args.connect,
+        token: args.token.as_deref().map(token::read).transpose()?,
         base: None,
         cell: args.cell,
         once: args.once,

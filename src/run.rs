@@ -71,9 +71,10 @@ pub fn chosen(loaded: &Loaded, args: &LaunchArgs) -> Result<Option<NodeId>, Fail
         }
     }
     let secure = |address: SocketAddr| args.insecure || address.ip().is_loopback();
-    if let Some(address) = args.observe.filter(|address| !secure(*address)) {
+    let asks = args.observe_token.is_some() || args.observe_insecure;
+    if let Some(address) = args.observe.filter(|address| !asks && !address.ip().is_loopback()) {
         return Err(Failure::Usage(format!(
-            "--observe {address}: whoever reaches this address could watch the nodes, for nothing asks who it is. Take a loopback address (an ssh tunnel leads there), or add --insecure"
+            "--observe {address}: whoever reaches this address could watch the nodes, for nothing asks who it is. Add --observe-token FILE and give the monitor the same file (imrs monitor --connect tcp:{address} --token FILE), take a loopback address (an ssh tunnel leads there), or add --observe-insecure"
         )));
     }
     if let Some(only) = only {

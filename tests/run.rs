@@ -306,6 +306,8 @@ fn a_node_without_a_place_to_run_is_told_what_is_missing() {
         (&far, &["--node", "na", "--insecure"], "cannot bind UDP address 192.0.2.7"),
         (&far, &["--node", "nb", "--kill", "na@1s"], "`na` is not run here"),
         (bare, &["--observe", "0.0.0.0:0"], "--observe 0.0.0.0:0: whoever reaches this address"),
+        (bare, &["--observe", "0.0.0.0:0"], "--observe-token FILE"),
+        (bare, &["--observe", "0.0.0.0:0", "--observe-token", "/no/token"], "the token /no/token: "),
         (bare, &["--restart", "na@1s"], "`na@1s` is not killed before it is started again"),
     ] {
         let mut command = imrs(bench.0.path(), &[&["run", cell, "--for", "2s"], args].concat());
@@ -316,21 +318,35 @@ fn a_node_without_a_place_to_run_is_told_what_is_missing() {
     }
 }
 
+/// One address and the token of the run show the whole cell; without the token it shows nothing but why.
 #[test]
 fn nodes_are_watched_over_tcp() {
     let dir = runtime_dir();
-    let cell = example("beam_lift.cell");
-    let args = ["run", &cell, "--observe", "127.0.0.1:0", "--format", "json"];
+    let (cell, token) = (example("beam_lift.cell"), dir.path().join("token"));
+    let (token, other) = (token.to_str().expect("UTF-8"), dir.path().join("other"));
+    std::fs::write(token, "the token of this run\n").expect("a file");
+    std::fs::write(&other, "the token of another run\n").expect("a file");
+    let args = ["run", &cell, "--observe", "127.0.0.1:0", "--observe-token", token, "--format", "json"];
     let mut child =
         imrs(dir.path(), &args).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().expect("it starts");
     let mut line = String::new();
     BufReader::new(child.stdout.take().expect("a pipe")).read_line(&mut line).expect("a line");
     let started: Value = serde_json::from_str(&line).expect("JSON");
     let endpoint = format!("tcp:{}", started["started"][1]["observe"].as_str().expect("an address"));
-    let seen = run_in(dir.path(), &["monitor", "--connect", &endpoint, "--once", "--format", "json"]);
+    let once = ["monitor", "--connect", &endpoint, "--once", "--format", "json"];
+    let seen = run_in(dir.path(), &[&once[..], &["--token", token]].concat());
+    let denied = run_in(dir.path(), &once);
+    let wrong = run_in(dir.path(), &[&once[..], &["--token", other.to_str().expect("UTF-8")]].concat());
     signal(child.id(), Signal::INT);
     child.wait().expect("it ends");
-    assert_eq!(seen.last_json()["nodes"][0]["name"], "nr", "{seen:?}");
+    let seen_json = seen.last_json();
+    let nodes = seen_json["nodes"].as_array().expect("nodes");
+    let names: Vec<_> = nodes.iter().map(|node| node["name"].as_str().expect("a name")).collect();
+    let all = started["started"].as_array().expect("nodes");
+    assert_eq!(names.len(), all.len(), "{seen:?}");
+    assert!(names.contains(&"nl") && names.contains(&"nr"), "{names:?}");
+    assert!(denied.code == Some(3) && denied.err.contains("asks for a token"), "{denied:?}");
+    assert!(wrong.code == Some(3) && wrong.err.contains("another token"), "{wrong:?}");
 }
 
 /// The scheduling policies of a process's threads: 1 is SCHED_FIFO.

@@ -8,12 +8,13 @@ mod steer;
 pub use command::COMMANDS;
 
 use crate::clock::Moment;
+use crate::history::History;
 use crate::keys;
 use crate::name::Name;
 use crate::options::Endpoint;
 use crate::replay::Player;
 use crate::rows::{Row, Shape, rows};
-use crate::source::Arrival;
+use crate::source::{Arrival, Wanted};
 use crate::store::health::{self, Finding, Place};
 use crate::store::message::MessageKey;
 use crate::store::{Condition, Life, LifeId, Store};
@@ -23,6 +24,9 @@ use imrs_protocol::{MessageId, PortId, PortView, TaskId, Usage};
 use imrs_wire::obs::TaskSnapshot;
 use lanes::Lanes;
 use std::time::Duration;
+
+/// Of more ports than this only the queues that are looked at are asked for.
+const MANY: usize = 2_000;
 
 /// The screens.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash)]
@@ -118,6 +122,10 @@ pub struct App {
     live: Store,
     /// While paused: the store as it was, and when.
     frozen: Option<(Box<Store>, Moment)>,
+    /// What came in lately.
+    history: History,
+    /// While paused and gone back: where in it.
+    back: Option<Box<Player>>,
     /// The recording shown instead of running nodes.
     replay: Option<Box<Player>>,
     /// Where what comes in is recorded to.
@@ -173,6 +181,8 @@ impl App {
         Self {
             live: Store::default(),
             frozen: None,
+            history: History::default(),
+            back: None,
             replay: None,
             recording: None,
             screen: Screen::Overview,
@@ -208,16 +218,51 @@ impl App {
         Self { replay: Some(Box::new(player)), ..self }
     }
 
+    /// Shows a stop of the recording.
+    pub fn show_stop(&mut self, stop: usize) {
+        if let Some(player) = &mut self.replay {
+            player.go(stop);
+        }
+    }
+
     /// The recording shown, if one is.
     #[must_use]
     pub fn replay(&self) -> Option<&Player> {
         self.replay.as_deref()
     }
 
+    /// The place in the present run that is shown, while the screen stands still and the user has gone back.
+    #[must_use]
+    pub fn gone_back(&self) -> Option<&Player> {
+        self.back.as_deref()
+    }
+
+    /// What came in lately.
+    #[must_use]
+    pub const fn history(&self) -> &History {
+        &self.history
+    }
+
+    /// What the screen needs of the nodes.
+    #[must_use]
+    pub fn want(&self) -> Wanted {
+        let end = self.port.filter(|_| self.screen == Screen::Port);
+        let watched = end.and_then(|end| Some((self.live.life(end.life)?, end)));
+        let ports =
+            |life: &crate::store::Life| life.tasks().iter().map(|task| task.view.ports.len()).sum::<usize>();
+        let many = self.live.lives().iter().map(ports).sum::<usize>() > MANY;
+        Wanted {
+            watched: watched.iter().map(|(life, end)| (life.node_id, end.task, end.port)).collect(),
+            cell: watched.map(|(life, _)| life.names.cell.raw().to_owned()),
+            queue_limit: if many { 0 } else { Wanted::default().queue_limit },
+            ..Wanted::default()
+        }
+    }
+
     /// What is shown: the present, what was when the user paused, or a place in a recording.
     #[must_use]
     pub fn store(&self) -> &Store {
-        if let Some(player) = &self.replay {
+        if let Some(player) = self.replay.as_ref().or(self.back.as_ref()) {
             return player.store();
         }
         self.frozen.as_ref().map_or(&self.live, |(store, _)| store)
@@ -232,7 +277,7 @@ impl App {
     /// The moment that the screen shows.
     #[must_use]
     pub fn moment(&self, now: Moment) -> Moment {
-        if let Some(player) = &self.replay {
+        if let Some(player) = self.replay.as_ref().or(self.back.as_ref()) {
             return player.moment();
         }
         self.frozen.as_ref().map_or(now, |(_, at)| *at)
@@ -276,6 +321,7 @@ impl App {
     pub fn update(&mut self, msg: Msg, now: Moment) -> Effect {
         match msg {
             Msg::Feed(arrival) => {
+                self.history.take(&arrival, &self.live);
                 self.live.apply(arrival);
                 // With reduced motion the screen changes with the countdowns, not with every word of a node.
                 if self.frozen.is_some() || self.reduced_motion { Effect::Nothing } else { Effect::Draw }

@@ -12,6 +12,8 @@
 pub mod app;
 pub mod clock;
 mod error;
+pub mod export;
+pub mod history;
 pub mod keys;
 pub mod name;
 mod options;
@@ -90,7 +92,7 @@ pub fn run(options: &Options) -> Result<Verdict, MonitorError> {
         app.recording = Some(name::shown_line(&path.display().to_string()));
     }
     let file = options.record.clone().unwrap_or_else(|| RECORDING.into());
-    let shown = ui::show(Live::new(which), clock, app, &tape, file);
+    let shown = ui::show(live(options, which, &tape), clock, app, &tape, file);
     let recorded = tape.stop();
     shown?;
     match recorded {
@@ -121,6 +123,11 @@ fn replay_on_screen(options: &Options, mut player: Player) -> Result<Verdict, Mo
 /// [`MonitorError`]; a reader that has seen enough is none.
 pub fn print(options: &Options, out: &mut impl Write) -> Result<Verdict, MonitorError> {
     plain::print(options, which(options), Clock::start(), out)
+}
+
+/// The nodes that `options` name, with the wishes of `tape`.
+fn live(options: &Options, which: Which, tape: &Tape) -> Live {
+    Live::new(which).with_token(options.token.clone()).with_wishes(tape.wishes())
 }
 
 fn which(options: &Options) -> Which {

@@ -2,6 +2,7 @@
 
 use crate::query::Assertion;
 use crate::replay::At;
+use imrs_wire::obs::Token;
 use std::fmt;
 use std::path::PathBuf;
 use std::str::FromStr;
@@ -75,6 +76,8 @@ pub enum ColorChoice {
 pub struct Options {
     /// The nodes to attach to; empty: all that the socket folder has.
     pub connect: Vec<Endpoint>,
+    /// What nodes that ask for it are shown.
+    pub token: Option<Token>,
     /// The folder to look for nodes in instead of [`imrs_wire::obs::place::base_dir`].
     pub base: Option<PathBuf>,
     /// Show only the cell of this name.

@@ -46,16 +46,15 @@ impl Watch {
     /// # Errors
     /// [`MonitorError`].
     pub fn start(which: Which, clock: Clock) -> Result<Self, MonitorError> {
-        Self::start_taped(which, clock, &Arc::default())
+        Self::start_taped(Live::new(which), clock, &Arc::default())
     }
 
-    /// Begins to watch `which`; what comes goes past `tape`.
+    /// Begins to watch `source`; what comes goes past `tape`.
     ///
     /// # Errors
     /// [`MonitorError`].
-    pub fn start_taped(which: Which, clock: Clock, tape: &Arc<Tape>) -> Result<Self, MonitorError> {
+    pub fn start_taped(mut source: Live, clock: Clock, tape: &Arc<Tape>) -> Result<Self, MonitorError> {
         let (sender, arrivals) = sync_channel(64);
-        let mut source = Live::new(which);
         let taped = Arc::clone(tape);
         source.start(Sink::new(clock, move |arrival| {
             taped.take(&arrival);
@@ -95,14 +94,18 @@ impl Watch {
 
     fn take(&mut self, arrival: Arrival) {
         let settles = match &arrival.feed {
-            Feed::Frame(frame) => matches!(**frame, ServerFrame::Snapshot(_)),
+            Feed::Frame(frame) => matches!(**frame, ServerFrame::Snapshot(_) | ServerFrame::Delta(_)),
             Feed::Lost { .. } | Feed::Failed { .. } | Feed::Left | Feed::Stale { .. } => true,
             Feed::Attached { .. } | Feed::Judged { .. } => false,
         };
         if settles {
             self.settled.insert(arrival.source);
         }
+        let gaps = self.store.gaps();
         self.store.apply(arrival);
+        if self.store.gaps() > gaps {
+            self.source.wishes().want_whole();
+        }
     }
 }
 
@@ -128,7 +131,7 @@ pub fn record(
         }
         true
     })?;
-    let mut watch = Watch::start_taped(which, clock, &tape)?;
+    let mut watch = Watch::start_taped(crate::live(options, which, &tape), clock, &tape)?;
     let found = watch.settle();
     while found && !ended.load(Ordering::Relaxed) && options.length.is_none_or(|length| clock.now() < length)
     {
@@ -275,7 +278,8 @@ pub fn print(
     out: &mut impl Write,
 ) -> Result<Verdict, MonitorError> {
     let looked = looked(&which);
-    let mut watch = Watch::start(which, clock)?;
+    let tape = Arc::default();
+    let mut watch = Watch::start_taped(crate::live(options, which, &tape), clock, &tape)?;
     let only = options.cell.as_deref();
     if !watch.settle() || report::cells(watch.store(), only).is_empty() {
         let failed = watch.store().troubles().map(str::to_owned).collect();

@@ -2,10 +2,10 @@
 
 use crate::clock::Moment;
 use crate::error::MonitorError;
-use crate::source::{Arrival, Feed, SourceId};
+use crate::source::{Arrival, Feed, SourceId, Wishes};
 use imrs_wire::obs::{Hello, NodeIdentity, Role, SCHEMA, ServerFrame, VERSION};
 use imrs_wire::recording::{FrameStream, Header, Recording, Shown, Status};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
@@ -20,6 +20,8 @@ const PATIENCE: Duration = Duration::from_secs(2);
 #[derive(Default)]
 pub struct Tape {
     inner: Mutex<Inner>,
+    /// Who is asked for whole snapshots: a recording begins with them.
+    wishes: Wishes,
 }
 
 #[derive(Default)]
@@ -40,17 +42,46 @@ struct Running {
     recording: Recording,
     streams: BTreeMap<SourceId, FrameStream>,
     began: Moment,
+    /// Of which sources the recording has a state that changes can be reckoned from.
+    whole: BTreeSet<SourceId>,
 }
 
 impl Running {
-    fn put(&mut self, at: Moment, source: SourceId, bytes: Vec<u8>) {
+    /// Whether a frame means something after what was recorded before it.
+    fn follows(&mut self, source: SourceId, frame: &ServerFrame) -> bool {
+        match frame {
+            ServerFrame::Snapshot(_) => {
+                self.whole.insert(source);
+                true
+            }
+            ServerFrame::Delta(delta) if delta.is_whole() => {
+                self.whole.insert(source);
+                true
+            }
+            ServerFrame::Delta(_) => self.whole.contains(&source),
+            // Of clocks that are other ones when the recording is looked at, and addresses that nobody follows.
+            ServerFrame::Pong(_) | ServerFrame::Places(_) | ServerFrame::Denied(_) => false,
+            ServerFrame::Table(_)
+            | ServerFrame::Events(_)
+            | ServerFrame::Bye(_)
+            | ServerFrame::Detail(_)
+            | ServerFrame::Vitals(_) => true,
+        }
+    }
+
+    /// False where there was no room: what changes afterwards can be reckoned from nothing.
+    fn put(&mut self, at: Moment, source: SourceId, bytes: Vec<u8>) -> bool {
         // More sources than have numbers in a recording are not recorded.
-        let Ok(number) = u16::try_from(source.0) else { return };
+        let Ok(number) = u16::try_from(source.0) else { return true };
         let recording = &self.recording;
         let stream = self.streams.entry(source).or_insert_with(|| recording.frames(number));
         let at = u64::try_from(at.saturating_sub(self.began).as_micros()).unwrap_or(u64::MAX);
         // Where there is no room the stream counts it, and the recording says so.
-        let _ = stream.frame(at, bytes);
+        let kept = stream.frame(at, bytes);
+        if !kept {
+            self.whole.remove(&source);
+        }
+        kept
     }
 }
 
@@ -64,6 +95,12 @@ pub struct Recorded {
 }
 
 impl Tape {
+    /// What is wanted of the nodes: of the tape, whole snapshots. Whoever feeds it passes them on.
+    #[must_use]
+    pub const fn wishes(&self) -> &Wishes {
+        &self.wishes
+    }
+
     /// Takes note of what a source said.
     pub fn take(&self, arrival: &Arrival) {
         let mut inner = self.inner();
@@ -79,7 +116,8 @@ impl Tape {
             }
             Feed::Frame(frame) => {
                 let is_table = matches!(**frame, ServerFrame::Table(_));
-                if !is_table && inner.running.is_none() {
+                let follows = inner.running.as_mut().is_some_and(|running| running.follows(*source, frame));
+                if !is_table && !follows {
                     return;
                 }
                 let bytes = Shown::Said((**frame).clone()).encode();
@@ -94,8 +132,10 @@ impl Tape {
             }
             Feed::Judged { .. } | Feed::Failed { .. } | Feed::Left | Feed::Stale { .. } => return,
         };
-        if let Some(running) = &mut inner.running {
-            running.put(*at, *source, bytes);
+        if let Some(running) = &mut inner.running
+            && !running.put(*at, *source, bytes)
+        {
+            self.wishes.want_whole();
         }
     }
 
@@ -118,7 +158,13 @@ impl Tape {
         };
         let recording =
             Recording::start(file, &header, ROOM, |_| {}).map_err(|error| failed(error.to_string()))?;
-        let mut running = Running { path: path.to_owned(), recording, streams: BTreeMap::new(), began: now };
+        let mut running = Running {
+            path: path.to_owned(),
+            recording,
+            streams: BTreeMap::new(),
+            began: now,
+            whole: BTreeSet::new(),
+        };
         for (&source, known) in &inner.known {
             running.put(now, source, known.attached.clone());
             if let Some(table) = &known.table {
@@ -126,6 +172,7 @@ impl Tape {
             }
         }
         inner.running = Some(running);
+        self.wishes.want_whole();
         Ok(())
     }
 

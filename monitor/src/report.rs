@@ -344,6 +344,11 @@ struct One<'a> {
     values: &'a [String],
 }
 
+/// One node at a moment, as it stands in [`json`].
+pub(crate) fn node_value(life: &Life, now: Moment) -> serde_json::Value {
+    serde_json::to_value(node(life, now)).unwrap_or_default()
+}
+
 /// What came of assertions, as one line of JSON without the line's end.
 ///
 /// # Panics

@@ -72,6 +72,7 @@ pub fn show(
         record,
         sender,
         more: Vec::new(),
+        gaps: 0,
     };
     let ended = screen.run(&mut terminal);
     drop(keys);
@@ -96,6 +97,8 @@ struct Loop<'a> {
     sender: SyncSender<Input>,
     /// The sources that the user added.
     more: Vec<Live>,
+    /// How often a state was missing, when it was last looked.
+    gaps: u64,
 }
 
 impl Loop<'_> {
@@ -109,6 +112,7 @@ impl Loop<'_> {
             let now = self.clock.now();
             if self.due.is_some_and(|due| due <= now) {
                 self.app.update(Msg::Time, now);
+                self.wish();
                 terminal.draw(|area, buffer| view(self.app, now, area, buffer))?;
                 self.drawn = Some(now);
                 self.due = self.app.redraw_after().map(|after| now + after);
@@ -181,6 +185,16 @@ impl Loop<'_> {
 }
 
 impl Loop<'_> {
+    /// Tells those who talk with nodes what the screen needs.
+    fn wish(&mut self) {
+        let wishes = self.tape.wishes();
+        wishes.want(self.app.want());
+        let gaps = self.app.live().gaps();
+        if std::mem::replace(&mut self.gaps, gaps) < gaps {
+            wishes.want_whole();
+        }
+    }
+
     /// A recording that cannot begin says why where troubles are shown.
     fn toggle_recording(&mut self) {
         if self.tape.stop().is_some() {

@@ -8,9 +8,10 @@ use imrs_monitor::clock::Clock;
 use imrs_monitor::source::live::Which;
 use imrs_monitor::store::Presence;
 use imrs_monitor::{Endpoint, Format, Options, Verdict, Watch, report};
-use imrs_protocol::Event;
+use imrs_protocol::{Event, NodeId};
 use imrs_wire::obs::{
-    ClientFrame, Handshake, Refusal, SCHEMA, ServerFrame, Snapshot, VERSION, Version, place,
+    ClientFrame, Delta, Denied, Handshake, NodePlace, Places, Refusal, SCHEMA, ServerFrame, Snapshot,
+    VERSION, Version, place,
 };
 use std::os::unix::net::UnixListener;
 use std::path::{Path, PathBuf};
@@ -138,7 +139,7 @@ fn a_dead_node_is_shown_dead_and_comes_back_after_a_restart() {
 #[test]
 fn another_version_is_refused_with_both_named() {
     let trouble = trouble_with(|mut peer| drop(peer.hello(0, Version { major: 2, minor: 3 }, SCHEMA)));
-    assert!(trouble.contains("it speaks imrs-obs 2.3, this monitor 1.0"), "{trouble}");
+    assert!(trouble.contains("it speaks imrs-obs 2.3, this monitor 1.1"), "{trouble}");
     let trouble = trouble_with(|mut peer| drop(peer.hello(0, VERSION, SCHEMA ^ 1)));
     assert!(trouble.contains("other frame types"), "{trouble}");
     let trouble = trouble_with(|mut peer| {
@@ -403,4 +404,92 @@ fn lines_say_what_happens_while_it_happens() {
         line.contains("nl gave up lift at armL round ") || line.contains("nl aborted lift at armL round"),
         "{line}"
     );
+}
+
+/// What the programs of version 1.0 say of themselves.
+const OLD: (Version, u32) = (Version { major: 1, minor: 0 }, 0x3723_afbb);
+
+#[test]
+fn a_node_of_version_1_0_is_asked_in_its_own_words() {
+    let (_temp, base) = base();
+    let sent = Arc::new(AtomicU32::new(0));
+    let count = sent.clone();
+    listen(&base, "nl", move |mut peer| {
+        peer.hello(0, OLD.0, OLD.1).unwrap();
+        peer.say(&ServerFrame::Table(table())).unwrap();
+        let frame = peer.reader.read_frame().unwrap();
+        let Ok(ClientFrame::Subscribe(wanted)) = ClientFrame::decode(frame) else { panic!("{frame:?}") };
+        assert!(wanted.events && wanted.queue_limit == 64 && wanted.credit > 0);
+        let mut credit = wanted.credit;
+        while count.load(Ordering::Relaxed) < 30 {
+            peer.say(&ServerFrame::Snapshot(snapshot(0))).unwrap();
+            count.fetch_add(1, Ordering::Relaxed);
+            credit -= 1;
+            while credit == 0 {
+                // Nothing else is ever said to it.
+                let frame = peer.reader.read_frame().unwrap();
+                let Ok(ClientFrame::Credit(more)) = ClientFrame::decode(frame) else { panic!("{frame:?}") };
+                credit += more;
+            }
+        }
+        thread::sleep(LIMIT);
+    });
+    let (mut watch, _) = watch(&base);
+    until(&mut watch, "30 snapshots", |_| sent.load(Ordering::Relaxed) == 30);
+    assert!(!watch.store().lives()[0].tasks().is_empty());
+}
+
+#[test]
+fn a_change_that_does_not_follow_is_answered_by_asking_for_all() {
+    let (_temp, base) = base();
+    listen(&base, "nl", move |mut peer| {
+        peer.greet(0).unwrap();
+        let later = Snapshot { mono_us: 9_000_000, uptime_us: 1, ..snapshot(0) };
+        peer.say(&ServerFrame::Delta(Delta::whole(&snapshot(0)))).unwrap();
+        let elsewhere = Snapshot { mono_us: 77, ..snapshot(0) };
+        peer.say(&ServerFrame::Delta(Delta::between(&elsewhere, &later))).unwrap();
+        while !matches!(peer.hear(), Ok(ClientFrame::Whole)) {}
+        peer.say(&ServerFrame::Delta(Delta::whole(&later))).unwrap();
+        thread::sleep(LIMIT);
+    });
+    let (mut watch, _) = watch(&base);
+    until(&mut watch, "the later state", |w| {
+        w.store().lives().iter().any(|l| l.last.as_ref().is_some_and(|s| s.snapshot.uptime_us == 1))
+    });
+    assert_eq!(watch.store().gaps(), 0, "what does not follow is not passed on");
+}
+
+#[test]
+fn a_node_that_asks_for_a_token_is_no_dead_node() {
+    let trouble = trouble_with(|mut peer| {
+        peer.hello(0, VERSION, SCHEMA).unwrap();
+        assert!(matches!(peer.hear(), Ok(ClientFrame::Want(_))), "there is no token to show");
+        peer.say(&ServerFrame::Denied(Denied::NoToken)).unwrap();
+    });
+    assert!(trouble.contains("--token FILE"), "{trouble}");
+}
+
+#[test]
+fn one_address_leads_to_the_whole_cell() {
+    let (_temp, base) = base();
+    let third = listen(&base, NODES[2], |mut peer| peer.serve(2));
+    let first = listen(&base, NODES[0], move |mut peer| {
+        peer.hello(0, VERSION, SCHEMA).unwrap();
+        peer.say(&ServerFrame::Table(table())).unwrap();
+        assert!(matches!(peer.hear(), Ok(ClientFrame::Want(_))));
+        let place = |address: String| NodePlace { node: NodeId(2), address };
+        let nodes = vec![place("tcp:nowhere".into()), place(format!("unix:{}", third.display()))];
+        for _ in 0..3 {
+            // However often it is told: it is followed once.
+            peer.say(&ServerFrame::Places(Places { nodes: nodes.clone() })).unwrap();
+        }
+        peer.say(&ServerFrame::Snapshot(snapshot(0))).unwrap();
+        thread::sleep(LIMIT);
+    });
+    let named = Which::Named(vec![Endpoint::Unix(first)]);
+    let mut watch = Watch::start(named, Clock::start()).unwrap();
+    assert!(watch.settle());
+    let shown = |w: &Watch| w.store().lives().iter().filter(|l| l.last.is_some()).count();
+    until(&mut watch, "two nodes", |w| shown(w) == 2);
+    assert_eq!(shown(&watch), 2);
 }

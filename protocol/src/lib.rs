@@ -47,8 +47,8 @@ pub use comm_task::{CommTask, Frame, Input, Outbox, Overflow, Visit, VisitMut, i
 pub use ids::{Incarnation, MessageId, NodeId, PortId, Round, Seq24, TaskId};
 pub use node::{Node, NodeInput, NodeOutbox, Parts, discarded};
 pub use observe::{
-    Event, MeetingState, MeetingView, MemberView, Observation, PortCounters, PortView, QueueEntry, Reason,
-    TaskState, TaskView, TransitView,
+    Event, HeldView, MeetingState, MeetingView, MemberView, Observation, PortCounters, PortView, QueueEntry,
+    QueueView, Reason, TaskState, TaskView, TransitView,
 };
 pub use packet::{
     CONTENTS_BYTES, Class, Contents, Control, Kind, MAX_HOPS, Meeting, PACKET_BYTES, PACKET_VERSION, Packet,

@@ -254,6 +254,39 @@ pub struct PortView {
     pub counters: PortCounters,
 }
 
+/// What a waiting message has been through, and what that makes of it: its life, its urgency and when it is offered next
+/// are three things (D4).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub struct HeldView {
+    /// The message.
+    pub entry: QueueEntry,
+    /// Where it stands among the messages that the task ever stored: a lower one came earlier.
+    pub arrival: u64,
+    /// How many packets it takes (D28).
+    pub fragments: u8,
+    /// On a port with a handler, its rank there: what the task says, less the rejections. Zero is the most urgent.
+    pub rank: Option<u8>,
+    /// How often it was rejected by rank, while that counts (D58).
+    pub rejections: u8,
+    /// Whether it was rejected so often that it outranks the task's own thread (D58).
+    pub capped: bool,
+    /// How long it is not offered again: its penalty.
+    pub back_off: Ticks,
+}
+
+/// A queue as somebody looks at it who watches this port.
+#[derive(Clone, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub struct QueueView {
+    /// Whether the task has a handler for its messages.
+    pub handled: bool,
+    /// How often others were served while this port had something to offer, and how often it may be passed over (D58).
+    pub bypassed: u16,
+    /// See there.
+    pub bypass_limit: u16,
+    /// The waiting messages in the order of their lives, as many as were asked for.
+    pub queue: Vec<HeldView>,
+}
+
 /// Where one task stands in a rendezvous.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum MeetingState {

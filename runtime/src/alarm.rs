@@ -70,6 +70,11 @@ impl Alarm {
         self.slots[slot].load(Ordering::Relaxed)
     }
 
+    /// The earliest of all slots, as the Timer thread last saw them.
+    pub fn target(&self) -> Micros {
+        self.target.load(Ordering::Relaxed)
+    }
+
     /// Wakes the Timer thread.
     pub fn ring(&self) {
         self.rung.increment();

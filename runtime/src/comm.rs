@@ -10,8 +10,8 @@ use crate::ring::Ring;
 use crate::script::Seat;
 use imrs_protocol::script::Program;
 use imrs_protocol::{
-    CommTask, Delivery, Event, Input, NodeTable, Observation, Outbox, Packet, Reason, Signal, TaskId,
-    TaskView, Ticks, TimeId,
+    CommTask, Delivery, Event, Input, NodeTable, Observation, Outbox, Packet, PortId, QueueView, Reason,
+    Signal, TaskId, TaskView, Ticks, TimeId,
 };
 use std::sync::Arc;
 
@@ -129,9 +129,14 @@ impl Comm {
         self.recorder.as_deref()
     }
 
-    /// The machine's state, and when it was so.
-    pub fn view(&self, queue_limit: usize) -> (TaskView, Micros) {
-        (self.machine.view(&self.table, queue_limit), self.last)
+    /// The machine's state with so many waiting messages of each port, and when it was so.
+    pub fn view(&self, queue_limit: impl Fn(PortId) -> usize) -> (TaskView, Micros) {
+        (self.machine.view_of(&self.table, queue_limit), self.last)
+    }
+
+    /// What waits at a port, and when it was so.
+    pub fn queue(&self, port: PortId, limit: usize) -> Option<(QueueView, Micros)> {
+        Some((self.machine.queue_view(port, limit)?, self.last))
     }
 
     pub fn discards(&self) -> &[u64; Reason::ALL.len()] {

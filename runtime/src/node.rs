@@ -10,6 +10,7 @@ use crate::comm::{Comm, Mail};
 use crate::effects::{Effect, Effects, Stamped};
 use crate::failstop::FailStop;
 use crate::handoff::{Bell, Entry};
+use crate::lateness::LatenessCounts;
 use crate::lead::Lead;
 use crate::link::{Leading, Link, LinkDiscard, Sink};
 use crate::member::{Member, Members};
@@ -48,6 +49,7 @@ pub struct Node {
     pub(crate) dispatch: Dispatch,
     pub(crate) timers: Timers,
     pub(crate) alarm: Arc<Alarm>,
+    pub(crate) lateness: LatenessCounts,
     pub(crate) link: Option<Arc<dyn Link>>,
     pub(crate) lead: Lead,
     pub(crate) peers: Box<[Peer]>,
@@ -105,6 +107,7 @@ impl Node {
             members,
             timers: Timers::new(timer, count, Arc::clone(&alarm), count + 1, now),
             alarm,
+            lateness: LatenessCounts::new(table.cell().tick.0),
             stage: OnceLock::new(),
             link: plan.link,
             lead: Lead::new(),

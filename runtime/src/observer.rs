@@ -1,17 +1,22 @@
 //! Shows a running node to monitors ([`imrs_wire::obs`]): over a Unix socket that only its user can open, and where
-//! asked for over TCP, where nothing keeps anybody out who reaches the address.
+//! asked for over TCP, where a token keeps others out, or nothing does.
 //!
 //! One thread serves all monitors. It only looks: there is no way from here into a machine. Without a monitor it sleeps
 //! in the kernel. A monitor that does not read costs one frame of memory and no time: nothing more is made for it
 //! until that frame has gone, so snapshots coalesce and events are counted as lost.
 
 mod client;
+mod due;
+mod showing;
 mod stream;
+
+pub use showing::{AddressBook, RecordingWatch, Showing};
 
 use crate::node::Node;
 use client::Client;
-use imrs_wire::obs::place::{self, PlaceError};
+use imrs_wire::obs::place::PlaceError;
 use rustix::event::{EventfdFlags, PollFd, PollFlags, Timespec, eventfd, poll};
+use rustix::process::setpriority_process;
 use std::fs::{self, Permissions};
 use std::io::{self, ErrorKind};
 use std::net::SocketAddr;
@@ -26,6 +31,8 @@ use stream::Listener;
 
 /// How many monitors a node serves at once.
 pub const MAX_MONITORS: usize = 8;
+/// Who looks comes after who works.
+const LEAST_PRIORITY: i32 = 19;
 /// How long the listener rests when the process has no file descriptor left for a new monitor.
 const REST: Duration = Duration::from_millis(500);
 
@@ -79,15 +86,7 @@ impl Observer {
     /// # Errors
     /// [`ObserverError`].
     pub fn start(node: Arc<Node>) -> Result<Self, ObserverError> {
-        let cell = &node.table().cell().name;
-        let path = place::prepare_socket(cell, node.name(), std::process::id())?;
-        for socket in place::sockets_in(&place::base_dir())? {
-            if socket.parent() == path.parent() {
-                // Not there, not ours or alive after all: then it stays.
-                let _ = place::remove_if_stale(&socket);
-            }
-        }
-        Self::start_at(node, &path)
+        Showing::new(node).start()
     }
 
     /// Shows `node` at a socket of one's own choice.
@@ -95,11 +94,7 @@ impl Observer {
     /// # Errors
     /// [`ObserverError`].
     pub fn start_at(node: Arc<Node>, path: &Path) -> Result<Self, ObserverError> {
-        let io = |source: io::Error| ObserverError::Io { path: path.into(), source };
-        let listener = bind(path)?;
-        // Until here the folder, which is this user's alone, kept others out.
-        fs::set_permissions(path, Permissions::from_mode(0o600)).map_err(io)?;
-        Self::serve(node, Listener::Unix(listener), Place::Unix(path.into())).map_err(io)
+        Showing::new(node).start_at(path)
     }
 
     /// Shows `node` at a TCP address (port 0: any free one) to everybody who can reach it.
@@ -107,20 +102,32 @@ impl Observer {
     /// # Errors
     /// [`ObserverError::Tcp`].
     pub fn start_tcp(node: Arc<Node>, address: SocketAddr) -> Result<Self, ObserverError> {
+        Showing::new(node).start_tcp(address)
+    }
+
+    fn serve_at(showing: Showing, path: &Path) -> Result<Self, ObserverError> {
+        let io = |source: io::Error| ObserverError::Io { path: path.into(), source };
+        let listener = bind(path)?;
+        // Until here the folder, which is this user's alone, kept others out.
+        fs::set_permissions(path, Permissions::from_mode(0o600)).map_err(io)?;
+        Self::serve(showing, Listener::Unix(listener), Place::Unix(path.into())).map_err(io)
+    }
+
+    fn serve_tcp(showing: Showing, address: SocketAddr) -> Result<Self, ObserverError> {
         let failed = |source| ObserverError::Tcp { address, source };
         let listener = Listener::tcp(address).map_err(failed)?;
         let bound = match &listener {
             Listener::Tcp(listener) => listener.local_addr().map_err(failed)?,
             Listener::Unix(_) => address,
         };
-        Self::serve(node, listener, Place::Tcp(bound)).map_err(failed)
+        Self::serve(showing, listener, Place::Tcp(bound)).map_err(failed)
     }
 
-    fn serve(node: Arc<Node>, listener: Listener, place: Place) -> io::Result<Self> {
+    fn serve(showing: Showing, listener: Listener, place: Place) -> io::Result<Self> {
         listener.set_nonblocking()?;
         let stop = Arc::new(eventfd(0, EventfdFlags::CLOEXEC)?);
         let server =
-            Server { node, listener, stop: Arc::clone(&stop), clients: Vec::new(), rest_until: None };
+            Server { showing, listener, stop: Arc::clone(&stop), clients: Vec::new(), rest_until: None };
         let thread = thread::Builder::new().name("imrs observer".into()).spawn(move || server.run())?;
         Ok(Self { place, stop, thread: Some(thread) })
     }
@@ -162,7 +169,7 @@ fn bind(path: &Path) -> Result<UnixListener, ObserverError> {
 }
 
 struct Server {
-    node: Arc<Node>,
+    showing: Showing,
     listener: Listener,
     stop: Arc<OwnedFd>,
     clients: Vec<Client>,
@@ -171,6 +178,8 @@ struct Server {
 
 impl Server {
     fn run(mut self) {
+        // Of this thread alone. Refused nowhere; if it were, the thread would be one like others.
+        let _ = setpriority_process(None, LEAST_PRIORITY);
         loop {
             let Some(ready) = self.sleep() else { return self.say_goodbye() };
             let now = Instant::now();
@@ -220,9 +229,8 @@ impl Server {
         match self.listener.accept() {
             // Some more than are served are heard, to be told so; a crowd is turned away unheard.
             Ok(Some(stream)) if self.clients.len() < 2 * MAX_MONITORS => {
-                let client =
-                    Client::new(stream, Arc::clone(&self.node), self.clients.len() < MAX_MONITORS, now);
-                self.clients.extend(client);
+                let welcome = self.clients.len() < MAX_MONITORS;
+                self.clients.extend(Client::new(stream, self.showing.clone(), welcome, now));
             }
             Ok(_) => {}
             Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted) => {}

@@ -59,6 +59,11 @@ impl Ring {
         self.written
     }
 
+    /// The position after all that was written.
+    pub const fn end(&self) -> u64 {
+        self.written
+    }
+
     /// Ends following.
     pub fn unsubscribe(&mut self) {
         self.readers = self.readers.saturating_sub(1);

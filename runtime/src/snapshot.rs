@@ -3,10 +3,32 @@
 use crate::clock;
 use crate::link::LinkDiscard;
 use crate::node::Node;
+use crate::ring::Ring;
 use crate::sync::Ordering;
-use imrs_protocol::{Observation, Reason};
-use imrs_wire::obs::{Count, Gathering, LinkView, NodeIdentity, Snapshot, TimedEvent, TimerEntry};
+use imrs_protocol::{Observation, PortId, Reason, TaskId};
+use imrs_wire::obs::{
+    Count, Detail, Gathering, LinkView, NodeIdentity, PortDetail, Snapshot, TimedEvent, TimerEntry,
+};
 use std::sync::Arc;
+
+/// The most waiting messages of a port that anybody is shown.
+pub(crate) const QUEUE_LIMIT: u8 = 64;
+
+/// How much of a node somebody looks at.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Watching {
+    /// How many waiting messages of each port.
+    pub queue_limit: usize,
+    /// The ports of which all are shown, but at most 64.
+    pub ports: Vec<(TaskId, PortId)>,
+}
+
+impl Watching {
+    fn limit(&self, task: TaskId, port: PortId) -> usize {
+        let watched = !self.ports.is_empty() && self.ports.contains(&(task, port));
+        if watched { QUEUE_LIMIT.into() } else { self.queue_limit }
+    }
+}
 
 impl Node {
     /// Its introduction to a monitor.
@@ -26,12 +48,19 @@ impl Node {
     /// its own lock, one after the other: the parts of a snapshot are of slightly different instants.
     #[must_use]
     pub fn snapshot(&self, queue_limit: usize) -> Snapshot {
+        self.snapshot_of(&Watching { queue_limit, ports: Vec::new() })
+    }
+
+    /// [`snapshot`](Self::snapshot), with more of some ports.
+    #[must_use]
+    pub fn snapshot_of(&self, watching: &Watching) -> Snapshot {
         let now = clock::now();
         let discards: [u64; Reason::ALL.len()] =
             std::array::from_fn(|reason| self.discards[reason].load(Ordering::Relaxed));
         let mut gathering = Gathering::new(discards);
         for member in &self.members.list {
-            let ((view, at), dropped) = self.look(member, |comm| (comm.view(queue_limit), *comm.discards()));
+            let ((view, at), dropped) = self
+                .look(member, |comm| (comm.view(|port| watching.limit(member.task, port)), *comm.discards()));
             gathering.task(member.liveness(), now.saturating_sub(at), view, &dropped);
         }
         let (transit, transit_at) = self.dispatch.view();
@@ -49,6 +78,18 @@ impl Node {
             link_discards: link_counts.chain(failures).map(|(name, n)| named(name, n)).collect(),
             ..gathering.snapshot(transit)
         }
+    }
+
+    /// What waits at the ports that are watched, as far as the node has them.
+    #[must_use]
+    pub fn detail(&self, ports: &[(TaskId, PortId)]) -> Detail {
+        let now = clock::now();
+        let one = |&(task, port): &(TaskId, PortId)| {
+            let member = self.members.of(task)?;
+            let (queue, at) = self.look(member, |comm| comm.queue(port, QUEUE_LIMIT.into()))?;
+            Some(PortDetail { task, port, age_us: now.saturating_sub(at), queue })
+        };
+        Detail { mono_us: now, ports: ports.iter().filter_map(one).collect() }
     }
 
     /// Begins to follow what is observed from now on. Only while somebody does are observations kept.
@@ -96,19 +137,34 @@ impl Observations {
     /// Adds what was observed since the last call to `events`, at most `room` of each machine, oldest first for each.
     /// Returns how many were lost.
     pub fn drain(&mut self, room: usize, events: &mut Vec<TimedEvent>) -> u64 {
+        self.drain_of(|_| true, room, events)
+    }
+
+    /// As [`drain`](Self::drain), of the machines that are wanted (`None`: the transit buffer): what others observed is
+    /// passed over, and not counted.
+    pub fn drain_of(
+        &mut self,
+        wanted: impl Fn(Option<TaskId>) -> bool,
+        room: usize,
+        events: &mut Vec<TimedEvent>,
+    ) -> u64 {
         let mut lost = 0;
         let Some((transit, tasks)) = self.positions.split_last_mut() else { return 0 };
-        for (member, position) in self.node.members.list.iter().zip(tasks) {
-            let task = Some(member.task);
+        let mut follow = |ring: &Ring, position: &mut u64, task: Option<TaskId>| {
+            if !wanted(task) {
+                *position = ring.end();
+                return;
+            }
             let each = |mono_us, what: Observation| events.push(TimedEvent { mono_us, task, what });
-            let (next, gone) = self.node.look(member, |comm| comm.ring().read(*position, room, each));
+            let (next, gone) = ring.read(*position, room, each);
             *position = next;
             lost += gone;
+        };
+        for (member, position) in self.node.members.list.iter().zip(tasks) {
+            self.node.look(member, |comm| follow(comm.ring(), position, Some(member.task)));
         }
-        let each = |mono_us, what: Observation| events.push(TimedEvent { mono_us, task: None, what });
-        let (next, gone) = self.node.dispatch.with_ring(|ring| ring.read(*transit, room, each));
-        *transit = next;
-        lost + gone
+        self.node.dispatch.with_ring(|ring| follow(ring, transit, None));
+        lost
     }
 }
 
@@ -117,6 +173,6 @@ impl Drop for Observations {
         for member in &self.node.members.list {
             self.node.look(member, |comm| comm.ring().unsubscribe());
         }
-        self.node.dispatch.with_ring(crate::ring::Ring::unsubscribe);
+        self.node.dispatch.with_ring(Ring::unsubscribe);
     }
 }

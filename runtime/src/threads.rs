@@ -259,6 +259,7 @@ fn run_timer(node: &Node, closing: &AtomicBool) {
     clock::sleep_exactly();
     let mut effects = Effects::new(None);
     while let Some(now) = node.alarm.next(|| closing.load(Ordering::SeqCst), clock::now) {
+        node.lateness.note(now.saturating_sub(node.alarm.target()));
         node.tend(now, &mut effects);
     }
 }

@@ -12,6 +12,9 @@ pub struct MonitorArgs {
     /// Attach to this node; may be given several times [default: all nodes on this machine].
     #[arg(long, short, value_name = "ADDR")]
     pub connect: Vec<imrs_monitor::Endpoint>,
+    /// Show nodes that ask for it the token in this file.
+    #[arg(long, value_name = "FILE", conflicts_with = "replay")]
+    pub token: Option<PathBuf>,
     /// Show only the cell of this name.
     #[arg(long, value_name = "NAME")]
     pub cell: Option<String>,

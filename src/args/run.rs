@@ -48,12 +48,18 @@ pub struct LaunchArgs {
     /// Run this node only, at the address that the cell declares; the others run elsewhere.
     #[arg(long, value_name = "NAME")]
     pub node: Option<String>,
-    /// Let packets leave this machine though nothing authenticates them, and let others watch.
+    /// Let packets leave this machine though nothing authenticates them.
     #[arg(long)]
     pub insecure: bool,
     /// Serve monitors over TCP, too; of several nodes each takes the next port.
     #[arg(long, value_name = "ADDR:PORT")]
     pub observe: Option<SocketAddr>,
+    /// Over TCP show the nodes only to monitors that have the token in this file (16 to 256 bytes).
+    #[arg(long, value_name = "FILE", requires = "observe")]
+    pub observe_token: Option<PathBuf>,
+    /// Serve monitors off the loopback though nothing asks who they are.
+    #[arg(long, requires = "observe", conflicts_with = "observe_token")]
+    pub observe_insecure: bool,
     /// Run the nodes under SCHED_FIFO, with their memory locked, each on one core.
     #[arg(long)]
     pub rt: bool,

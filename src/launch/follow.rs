@@ -174,10 +174,12 @@ impl Launcher<'_> {
             Message::Said(node, Word::Told(until)) => self.judge.told(node, until),
             Message::Said(_, Word::TaskEnded { task, how, sort }) => self.task_ended(task, how, sort),
             // It was started again: all hear where it is, and it hears where all are.
-            Message::Said(node, Word::Bound { address: Some(address), .. }) => {
+            Message::Said(node, Word::Bound { address: Some(address), observe }) => {
                 self.book.insert(self.name(node), address);
                 let book = Order::Book(self.book.clone());
                 self.children.order_all(&book);
+                self.observed.extend(observe.map(|address| (self.name(node), address)));
+                self.tell_observed();
             }
             Message::Said(_, Word::Bound { address: None, .. } | Word::Started | Word::Done) => {}
             Message::Gone(node, life) => {

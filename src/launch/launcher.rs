@@ -19,6 +19,7 @@ use crate::output::{Output, complain};
 use imrs_protocol::{Cell, CellTable, NodeId, TaskId};
 use imrs_runtime::link::in_process::{self, Network};
 use imrs_runtime::script::Course;
+use imrs_wire::obs::Token;
 use serde::Serialize;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
@@ -131,6 +132,8 @@ pub(super) struct Launcher<'a> {
     pub(super) gone: Vec<NodeId>,
     /// The addresses of the nodes.
     pub(super) book: BTreeMap<String, SocketAddr>,
+    /// Where they serve monitors over TCP.
+    pub(super) observed: BTreeMap<String, SocketAddr>,
     /// Faults to come, by their time since the start.
     pub(super) faults: Vec<(Duration, Fault)>,
     /// Faults that came, on the common clock.
@@ -170,7 +173,8 @@ pub fn run(run: &Run<'_>, out: &mut Output) -> Result<Exit, Failure> {
     let (sender, messages) = mpsc::channel();
     watch_signals(sender.clone())?;
     let network = args.in_process.then(|| Network::new(Arc::clone(table), in_process::Faults::default()));
-    let setups = setups(run, seed)?;
+    let token = args.observe_token.as_deref().map(crate::token::read).transpose()?;
+    let setups = setups(run, seed, token.as_ref())?;
     let children = Children::start(&setups, network, sender)?;
     let here: Vec<NodeId> = children.nodes().collect();
     let judge = Judge::new(run.loaded, &here);
@@ -190,6 +194,7 @@ pub fn run(run: &Run<'_>, out: &mut Output) -> Result<Exit, Failure> {
         early: Vec::new(),
         gone: Vec::new(),
         book: book.map_err(LaunchError::Place)?.unwrap_or_default(),
+        observed: BTreeMap::new(),
         faults,
         came: Vec::new(),
         moment: run.tale.and_then(|tale| tale.moment).map(|moment| (moment, 0)),
@@ -208,6 +213,10 @@ pub fn run(run: &Run<'_>, out: &mut Output) -> Result<Exit, Failure> {
     launcher.book.extend(addresses);
     let book = Order::Book(launcher.book.clone());
     launcher.children.order_all(&book);
+    for (&node, &(_, observe)) in &bound {
+        launcher.observed.extend(observe.map(|address| (launcher.name(node), address)));
+    }
+    launcher.tell_observed();
     launcher.diary.begin(now_us());
     launcher.wait_for_all(|word| matches!(word, Word::Started).then_some(()))?;
 
@@ -277,7 +286,7 @@ fn verdict(summary: &Summary, trouble: &[Trouble]) -> Exit {
     }
 }
 
-fn setups(run: &Run<'_>, seed: u64) -> Result<Vec<(NodeId, Setup)>, LaunchError> {
+fn setups(run: &Run<'_>, seed: u64, token: Option<&Token>) -> Result<Vec<(NodeId, Setup)>, LaunchError> {
     let cell = run.loaded.table.cell();
     let mut all = Vec::new();
     for (i, node) in cell.nodes.iter().enumerate() {
@@ -293,6 +302,7 @@ fn setups(run: &Run<'_>, seed: u64) -> Result<Vec<(NodeId, Setup)>, LaunchError>
             bind: None,
             // One after the other, where there are several.
             observe: run.args.observe.map(|first| observed_at(first, all.len())),
+            observe_token: token.cloned(),
             rt: run.args.rt,
             seed,
             loss: run.args.loss.0,
@@ -380,6 +390,13 @@ impl Launcher<'_> {
 
     pub(super) fn name(&self, node: NodeId) -> String {
         self.children.name(node).to_owned()
+    }
+
+    /// Every node hears where the others serve monitors over TCP, so that one address finds all.
+    pub(super) fn tell_observed(&mut self) {
+        if !self.observed.is_empty() {
+            self.children.order_all(&Order::Observed(self.observed.clone()));
+        }
     }
 
     fn all_nodes(&self) -> Vec<NodeId> {

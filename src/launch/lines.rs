@@ -5,6 +5,7 @@ use crate::cells::Source;
 use crate::checks::Change;
 use imrs_protocol::{PortCounters, PortId, Round, TaskId};
 use imrs_runtime::script::Course;
+use imrs_wire::obs::Token;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::io::{self, BufRead, Write};
@@ -26,6 +27,8 @@ pub struct Setup {
     pub bind: Option<SocketAddr>,
     /// Where it serves monitors over TCP.
     pub observe: Option<SocketAddr>,
+    /// What monitors must show it there.
+    pub observe_token: Option<Token>,
     /// Whether it runs under the real-time scheduler.
     pub rt: bool,
     /// Seeds the injected loss and the lengths of the tasks' work.
@@ -46,6 +49,8 @@ pub struct Setup {
 pub enum Order {
     /// The address book: by the name of the node. With the first one the node starts; a later one says what is new.
     Book(BTreeMap<String, SocketAddr>),
+    /// Where the nodes serve monitors over TCP: by the name of the node.
+    Observed(BTreeMap<String, SocketAddr>),
     /// From now on, sends nothing to this node.
     Cut(String),
     /// Sends to it again.

@@ -14,7 +14,7 @@ use imrs_protocol::{Event as Observed, Incarnation, NodeId, NodeTable};
 use imrs_runtime::link::faulty::FaultyLink;
 use imrs_runtime::link::in_process::Network;
 use imrs_runtime::link::udp::{UdpError, UdpLink, UdpOptions};
-use imrs_runtime::observer::{Observer, ObserverError, Place};
+use imrs_runtime::observer::{AddressBook, Observer, ObserverError, Place, Showing};
 use imrs_runtime::script::{Actions, Commands, Simulated};
 use imrs_runtime::{Observations, Runtime, StartError};
 use imrs_wire::obs::{Count, RealTime, TimedEvent};
@@ -84,6 +84,8 @@ struct Process {
     /// Monitors are served while these are here. A node runs without the first, too.
     _observer: Option<Observer>,
     over_tcp: Option<Observer>,
+    /// Where the other nodes serve monitors over TCP.
+    observed_at: AddressBook,
     observations: Observations,
     recording: Option<NodeRecording>,
     /// What the scripts do.
@@ -205,11 +207,17 @@ impl Process {
         let runtime = builder.start()?;
         let node = Arc::clone(runtime.node());
         let observations = node.observe();
-        let observer = Observer::start(Arc::clone(&node));
+        let observed_at = AddressBook::default();
+        let mut showing =
+            Showing::new(Arc::clone(&node)).token(setup.observe_token.clone()).book(observed_at.clone());
+        if let (Some(recording), Some(path)) = (&recording, &setup.record) {
+            showing = showing.recording(recording.watch(path));
+        }
+        let observer = showing.clone().start();
         if let Err(error) = &observer {
             complain(format_args!("node {} runs, but no monitor can see it: {error}", setup.node));
         }
-        let over_tcp = setup.observe.map(|address| Observer::start_tcp(Arc::clone(&node), address));
+        let over_tcp = setup.observe.map(|address| showing.start_tcp(address));
         let (runtime, _observer, over_tcp) = (Some(runtime), observer.ok(), over_tcp.transpose()?);
         Ok(Self {
             table,
@@ -218,6 +226,7 @@ impl Process {
             node,
             _observer,
             over_tcp,
+            observed_at,
             observations,
             recording,
             narrator,
@@ -243,6 +252,7 @@ impl Process {
             }
             match order {
                 Ok(Order::Book(book)) => self.begin(&book)?,
+                Ok(Order::Observed(places)) => self.observed(&places),
                 Ok(Order::Cut(name)) => self.set_cut(&name, true),
                 Ok(Order::Heal(name)) => self.set_cut(&name, false),
                 Ok(Order::Stop) | Err(RecvTimeoutError::Disconnected) => return Ok(Leave::InOrder),
@@ -272,6 +282,15 @@ impl Process {
             held_back => self.begins = Some(self.since + held_back),
         }
         Ok(say(&mut self.out, &Word::Started)?)
+    }
+
+    /// Passes on to monitors where the other nodes are.
+    fn observed(&self, places: &BTreeMap<String, SocketAddr>) {
+        for (name, &address) in places {
+            if let Some(node) = self.node_named(name).filter(|&node| node != self.table.node) {
+                self.observed_at.put(node, address);
+            }
+        }
     }
 
     fn set_cut(&self, name: &str, cut: bool) {

@@ -4,7 +4,9 @@ use super::lines::Setup;
 use crate::cells::Loaded;
 use crate::output::complain;
 use imrs_protocol::{Incarnation, NodeTable};
+use imrs_runtime::observer::RecordingWatch;
 use imrs_runtime::record::{About, FileRecorder, Recorder};
+use imrs_wire::obs::RecordingFacts;
 use imrs_wire::recording::{Status, WriteError};
 use std::fs::OpenOptions;
 use std::path::Path;
@@ -35,6 +37,15 @@ impl NodeRecording {
     /// Who is told of every input.
     pub fn recorder(&self) -> Arc<dyn Recorder> {
         Arc::clone(&self.0) as Arc<dyn Recorder>
+    }
+
+    /// How it goes, for monitors.
+    pub fn watch(&self, path: &Path) -> RecordingWatch {
+        let (recorder, path) = (Arc::clone(&self.0), path.display().to_string());
+        Arc::new(move || {
+            let status = recorder.status()?;
+            Some(RecordingFacts { path: path.clone(), lost: status.lost, failure: status.failure })
+        })
     }
 
     /// Ends the recording and says how it went.

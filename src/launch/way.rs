@@ -52,6 +52,10 @@ impl Link for Way {
         self.link().failures()
     }
 
+    fn evidence(&self) -> Vec<(&'static str, u64)> {
+        self.link().evidence()
+    }
+
     fn leading(&self) -> Option<&dyn Leading> {
         self.link().leading()
     }

@@ -220,6 +220,83 @@ fn samples() -> Vec<(&'static str, Vec<u8>)> {
     ]
 }
 
+/// Every kind of frame that version 1.1 added.
+fn samples_1_1() -> Vec<(&'static str, Vec<u8>)> {
+    let server = |frame: ServerFrame| postcard::to_allocvec(&frame).unwrap();
+    let client = |frame: ClientFrame| postcard::to_allocvec(&frame).unwrap();
+    let held = HeldView {
+        entry: ports()[1].queue[0],
+        arrival: 4_417,
+        fragments: 2,
+        rank: Some(1),
+        rejections: 4,
+        capped: true,
+        back_off: Ticks(80_000),
+    };
+    let queue = QueueView { handled: true, bypassed: 3, bypass_limit: 9, queue: vec![held] };
+    let port = PortDetail { task: TaskId(1), port: PortId(513), age_us: 40, queue };
+    let vitals = Vitals {
+        mono_us: 77,
+        timer: Lateness { count: 9_000, late: 3, p50_us: 64, p99_us: 512, max_us: 801 },
+        links: vec![count("clock_set", 1)],
+        recording: Some(RecordingFacts {
+            path: "/r/run.nl.imrs".into(),
+            lost: 2,
+            failure: Some("full".into()),
+        }),
+        cpu_us: 123_456,
+        memory: 6 << 20,
+        threads: 7,
+    };
+    let place = NodePlace { node: NodeId(1), address: "tcp:127.0.0.1:7101".into() };
+    let want = Want {
+        period_us: 100_000,
+        queue_limit: 0,
+        watched: vec![(TaskId(1), PortId(513))],
+        events: Some(EventFilter { kinds: Kinds::NONE.and(Event::GaveUp), tasks: vec![TaskId(4)] }),
+        vitals_us: 1_000_000,
+        whole_us: 0,
+        credit: 8,
+    };
+    let (changed, other) = deltas();
+    vec![
+        ("delta_parts", server(ServerFrame::Delta(changed))),
+        ("delta_anew", server(ServerFrame::Delta(other))),
+        ("delta_whole", server(ServerFrame::Delta(Delta::whole(&snapshot())))),
+        ("detail", server(ServerFrame::Detail(Detail { mono_us: 9, ports: vec![port] }))),
+        ("vitals", server(ServerFrame::Vitals(vitals))),
+        ("pong", server(ServerFrame::Pong(Pong { echo_us: 5, mono_us: 300 }))),
+        ("places", server(ServerFrame::Places(Places { nodes: vec![place] }))),
+        ("denied_no_token", server(ServerFrame::Denied(Denied::NoToken))),
+        ("denied_wrong_token", server(ServerFrame::Denied(Denied::WrongToken))),
+        ("want", client(ClientFrame::Want(want))),
+        ("ping", client(ClientFrame::Ping(Ping { mono_us: 5 }))),
+        ("token", client(ClientFrame::Token(Token::of("0123456789abcdef").unwrap()))),
+        ("whole", client(ClientFrame::Whole)),
+    ]
+}
+
+/// Changes that are told in parts, and some that need everything anew.
+fn deltas() -> (Delta, Delta) {
+    let old = snapshot();
+    let mut new = old.clone();
+    new.mono_us += 100_000;
+    new.real_time = RealTime::Had;
+    new.tasks[0].view.ports[1].counters.sent += 300;
+    new.tasks[0].view.ports[1].counters.dropped = 0;
+    new.tasks[0].view.ports[2].queue.pop();
+    new.tasks[1].liveness = Liveness::Crashed;
+    new.tasks[3].view.state = TaskState::Running;
+    new.tasks[3].view.meetings[1].released = Round(12);
+    new.transit.forwarded += 1;
+    new.links[1].heard_us = Some(3);
+    new.discards[1].count += 2;
+    let changed = Delta::between(&old, &new);
+    new.tasks[2].view.ports = ports();
+    let other = Delta::between(&old, &Snapshot { links: Vec::new(), discards: Vec::new(), ..new });
+    (changed, other)
+}
+
 fn hex(bytes: &[u8]) -> String {
     let lines =
         bytes.chunks(32).map(|line| line.iter().map(|b| format!("{b:02x}")).collect::<String>() + "\n");
@@ -231,33 +308,53 @@ fn unhex(text: &str) -> Vec<u8> {
     digits.chunks(2).map(|d| u8::from_str_radix(std::str::from_utf8(d).unwrap(), 16).unwrap()).collect()
 }
 
-fn golden(name: &str) -> std::path::PathBuf {
-    std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/obs_golden/1.0").join(format!("{name}.hex"))
+fn golden(version: &str, name: &str) -> std::path::PathBuf {
+    let folder = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("tests/obs_golden").join(version);
+    folder.join(format!("{name}.hex"))
 }
 
-/// What version 1.0 says never changes. After a deliberate change of a version that was never released, run with
-/// `IMRS_WRITE_GOLDEN=1`, and set `SCHEMA` to what the test then asks for.
+/// Compares samples with what is kept of them, and gives all their bytes. `write`: they are kept from now on.
+fn kept(version: &str, samples: Vec<(&'static str, Vec<u8>)>, write: bool) -> Vec<u8> {
+    let mut all = Vec::new();
+    for (name, bytes) in samples {
+        let path = golden(version, name);
+        if write {
+            std::fs::create_dir_all(path.parent().unwrap()).unwrap();
+            std::fs::write(&path, hex(&bytes)).unwrap();
+        }
+        let kept = unhex(&std::fs::read_to_string(&path).unwrap());
+        assert_eq!(hex(&bytes), hex(&kept), "{name} of {version} changed");
+        all.extend(bytes);
+    }
+    all
+}
+
+/// What the released programs of version 1.0 were built from.
+const SCHEMA_1_0: u32 = 0x3723_afbb;
+
+/// What a version says never changes, and version 1.0 is out: it is never written anew.
 #[test]
 fn golden_bytes_of_version_1_0_are_kept() {
+    let crc = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC);
+    assert_eq!(crc.checksum(&kept("1.0", samples(), false)), SCHEMA_1_0);
+}
+
+/// After a deliberate change of version 1.1, while it was never released, run with `IMRS_WRITE_GOLDEN=1`, and set
+/// `SCHEMA` to what the test then asks for.
+#[test]
+fn golden_bytes_of_version_1_1_are_kept() {
     let write = std::env::var_os("IMRS_WRITE_GOLDEN").is_some();
     let crc = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC);
     let mut digest = crc.digest();
-    for (name, bytes) in samples() {
-        if write {
-            std::fs::create_dir_all(golden(name).parent().unwrap()).unwrap();
-            std::fs::write(golden(name), hex(&bytes)).unwrap();
-        }
-        let kept = unhex(&std::fs::read_to_string(golden(name)).unwrap());
-        assert_eq!(hex(&bytes), hex(&kept), "{name} changed");
-        digest.update(&bytes);
-    }
+    digest.update(&kept("1.0", samples(), false));
+    digest.update(&kept("1.1", samples_1_1(), write));
     let schema = digest.finalize();
     assert_eq!(SCHEMA, schema, "the schema is {schema:#010x}");
 }
 
 #[test]
 fn golden_bytes_decode_to_the_values_they_were_made_from() {
-    let bytes = |name: &str| unhex(&std::fs::read_to_string(golden(name)).unwrap());
+    let bytes = |name: &str| unhex(&std::fs::read_to_string(golden("1.0", name)).unwrap());
     assert_eq!(ServerFrame::decode(&bytes("table")), Ok(ServerFrame::Table(table())));
     assert_eq!(ServerFrame::decode(&bytes("snapshot")), Ok(ServerFrame::Snapshot(snapshot())));
     let Ok(ServerFrame::Events(events)) = ServerFrame::decode(&bytes("events")) else { panic!("no events") };
@@ -275,7 +372,7 @@ fn another_major_version_is_named_whatever_follows_it() {
     bytes.extend([0xff; 40]);
     let error = Handshake::decode(&bytes).unwrap_err();
     assert_eq!(error, DecodeError::OtherMajor { theirs: Version { major: 2, minor: 7 }, ours: VERSION });
-    assert_eq!(error.to_string(), "the other side speaks imrs-obs 2.7, this program 1.0");
+    assert_eq!(error.to_string(), "the other side speaks imrs-obs 2.7, this program 1.1");
     assert_eq!(Handshake::decode(b"GET / HTTP/1.1\r\n"), Err(DecodeError::NotObs));
     assert_eq!(Handshake::decode(b"IMOB\x01"), Err(DecodeError::NotObs));
 }
@@ -294,7 +391,7 @@ fn versions_agree_on_the_smaller_minor_or_say_why_not() {
 
 #[test]
 fn unknown_kinds_and_wrong_lengths_are_told_apart() {
-    assert_eq!(ServerFrame::decode(&[9, 1, 2, 3]), Err(DecodeError::UnknownKind(9)));
+    assert_eq!(ServerFrame::decode(&[99, 1, 2, 3]), Err(DecodeError::UnknownKind(99)));
     assert_eq!(ClientFrame::decode(&[1, 4, 0]), Err(DecodeError::TrailingBytes(1)));
     assert!(matches!(ClientFrame::decode(&[1]), Err(DecodeError::Malformed(_))));
     assert!(matches!(ServerFrame::decode(&[]), Err(DecodeError::Malformed(_))));
@@ -309,8 +406,8 @@ proptest! {
     }
 
     #[test]
-    fn decoding_survives_damage(which in 0..13_usize, at in any::<usize>(), value in any::<u8>(), cut in any::<usize>()) {
-        let (_, mut bytes) = samples().swap_remove(which);
+    fn decoding_survives_damage(which in 0..26_usize, at in any::<usize>(), value in any::<u8>(), cut in any::<usize>()) {
+        let (_, mut bytes) = samples().into_iter().chain(samples_1_1()).nth(which).unwrap();
         let (len, place) = (bytes.len(), at % bytes.len());
         bytes[place] = value;
         bytes.truncate(len - cut % 8 % len);
@@ -321,7 +418,7 @@ proptest! {
 
     #[test]
     fn frames_come_through_any_fragmentation(sizes in proptest::collection::vec(0..40_usize, 1..60)) {
-        let frames: Vec<_> = samples().into_iter().map(|(_, bytes)| bytes).collect();
+        let frames: Vec<_> = samples().into_iter().chain(samples_1_1()).map(|(_, bytes)| bytes).collect();
         let mut writer = FrameWriter::new(Dribble::new(&sizes));
         for frame in &frames {
             writer.push_bytes(frame).unwrap();

@@ -6,6 +6,7 @@ pub mod growth;
 pub mod handoff;
 pub mod meet;
 pub mod network;
+pub mod observe;
 pub mod queues;
 pub mod recording;
 pub mod urgent;
@@ -27,6 +28,7 @@ pub fn all() -> Vec<Suite> {
         meet::meetings(),
         network::network(),
         recording::recording(),
+        observe::observe(),
     ];
     crate::peers::join(&mut suites);
     suites

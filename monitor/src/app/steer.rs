@@ -3,6 +3,7 @@
 use super::{App, Effect, PortEnd, Screen, port_end};
 use crate::clock::{Moment, Span};
 use crate::keys::{self, Action};
+use crate::replay::{At, Player};
 use crate::rows::Row;
 use crate::store::health::Place;
 use crate::store::journal::{Level, What};
@@ -10,6 +11,7 @@ use crate::store::message::{MessageKey, key_of};
 use crate::store::trail::Seen;
 use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 use imrs_protocol::Usage;
+use std::sync::Arc;
 
 impl App {
     pub(super) fn typed(&mut self, event: &KeyEvent) -> Effect {
@@ -46,6 +48,16 @@ impl App {
             {
                 self.wind(action, now);
             }
+            Action::StepBack
+            | Action::StepOn
+            | Action::PreviousAnomaly
+            | Action::NextAnomaly
+            | Action::Oldest
+            | Action::Newest
+                if self.frozen.is_some() =>
+            {
+                self.go_back(action, now);
+            }
             Action::StepBack | Action::StepOn | Action::PreviousAnomaly | Action::NextAnomaly => {
                 return Effect::Nothing;
             }
@@ -65,6 +77,7 @@ impl App {
             Action::Oldest => self.step(isize::MIN, now),
             Action::Newest => self.step(isize::MAX, now),
             Action::Pause => {
+                self.back = None;
                 self.frozen = match self.frozen.take() {
                     Some(_) => None,
                     None => Some((Box::new(self.live.clone()), now)),
@@ -117,6 +130,32 @@ impl App {
             Action::Oldest => player.go(0),
             Action::Newest => player.go_to_end(),
             _ => player.toggle(now),
+        }
+    }
+
+    /// Moves in what came in until the user paused. At its end, or back at the moment of the pause, the screen shows that.
+    fn go_back(&mut self, action: Action, now: Moment) {
+        if self.back.is_none() {
+            let Some(film) = self.history.film() else { return };
+            let mut player = Player::new(Arc::new(film), 1.0);
+            let paused = self.frozen.as_ref().map_or(now, |(_, at)| *at);
+            player.seek(At::After(paused));
+            self.back = Some(Box::new(player));
+        }
+        self.held = None;
+        let paused = self.frozen.as_ref().map_or(now, |(_, at)| *at);
+        let Some(player) = &mut self.back else { return };
+        match action {
+            Action::StepBack => player.step_by(-1),
+            Action::StepOn => player.step_by(1),
+            Action::PreviousAnomaly => player.go_to_odd(false),
+            Action::NextAnomaly => player.go_to_odd(true),
+            Action::Oldest => player.go(0),
+            _ => player.go_to_end(),
+        }
+        let last = player.film().stop_at(paused);
+        if player.stop() >= last {
+            self.back = None;
         }
     }
 

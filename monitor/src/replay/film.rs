@@ -1,4 +1,5 @@
-//! A recording of observations, opened: its frames as they were recorded, and the stops at which it can be looked at.
+//! A recording of observations, opened: its frames as they were recorded, and the stops at which it can be looked at. The
+//! present run is looked at the same way ([`History`](crate::history::History)).
 
 use crate::clock::Moment;
 use crate::error::MonitorError;
@@ -10,15 +11,62 @@ use std::fs::File;
 use std::io::{BufReader, Read};
 use std::ops::Range;
 use std::path::Path;
+use std::sync::Arc;
 use std::time::Duration;
+
+/// About how much goes into one reel of a recording, in bytes.
+const REEL: usize = 4 << 20;
 
 /// A frame, encoded as it was recorded.
 #[derive(Clone, Debug)]
 struct Frame {
     at: Moment,
     source: u16,
-    /// Among the film's bytes.
-    bytes: Range<usize>,
+    /// Whether something went wrong.
+    odd: bool,
+    /// Among the reel's bytes.
+    bytes: Range<u32>,
+}
+
+/// Frames that came one after the other. Shared between a film and the history that goes on.
+#[derive(Clone, Debug, Default)]
+pub struct Reel {
+    bytes: Vec<u8>,
+    frames: Vec<Frame>,
+}
+
+impl Reel {
+    /// Adds a frame; `odd` says whether something went wrong. False: the reel is full.
+    pub fn put(&mut self, at: Moment, source: u16, odd: bool, bytes: &[u8]) -> bool {
+        let [start, end] = [self.bytes.len(), self.bytes.len() + bytes.len()].map(u32::try_from);
+        let (Ok(start), Ok(end)) = (start, end) else { return false };
+        self.bytes.extend_from_slice(bytes);
+        self.frames.push(Frame { at, source, odd, bytes: start..end });
+        true
+    }
+
+    /// How much memory it takes, in bytes.
+    #[must_use]
+    pub fn weight(&self) -> usize {
+        self.bytes.capacity() + self.frames.capacity() * size_of::<Frame>()
+    }
+
+    /// When its first frame came.
+    #[must_use]
+    pub fn began(&self) -> Option<Moment> {
+        self.frames.first().map(|frame| frame.at)
+    }
+
+    /// Gives back memory that no frame took.
+    pub fn close(&mut self) {
+        self.bytes.shrink_to_fit();
+        self.frames.shrink_to_fit();
+    }
+
+    fn shown(&self, frame: &Frame) -> Option<Shown> {
+        let bytes = self.bytes.get(frame.bytes.start as usize..frame.bytes.end as usize)?;
+        Shown::decode(bytes).ok()
+    }
 }
 
 /// A state of the recording that can be looked at: after all frames up to here.
@@ -35,8 +83,12 @@ pub struct Stop {
 /// A recording of observations. Frames are kept as they were recorded and decoded when they are shown.
 #[derive(Debug, Default)]
 pub struct Film {
-    bytes: Vec<u8>,
-    frames: Vec<Frame>,
+    /// The frames, and how many there are up to the end of each reel.
+    reels: Vec<(Arc<Reel>, usize)>,
+    /// While it is read: the reel that is not full.
+    open: Reel,
+    /// How many frames there are.
+    frames: usize,
     /// Never empty.
     stops: Vec<Stop>,
     /// What it tells, if it is a counterexample.
@@ -48,7 +100,7 @@ pub struct Film {
 }
 
 /// What a frame means to who shows it.
-pub(super) enum Scene {
+pub(crate) enum Scene {
     Arrival(Arrival),
     Step(Step),
     Nothing,
@@ -83,7 +135,7 @@ impl Film {
             match reader.next_record() {
                 Ok(Some(Record::Frame { source, at, bytes })) => match Shown::decode(&bytes) {
                     Ok(shown) => film.add(source, at, &bytes, shown, &mut story),
-                    Err(error) if film.frames.is_empty() => return Err(error.to_string()),
+                    Err(error) if film.stops.is_empty() => return Err(error.to_string()),
                     Err(error) => {
                         film.notice = Some(damaged(&format_args!("at byte {offset}: {error}")));
                         break;
@@ -110,6 +162,7 @@ impl Film {
                 }
             }
         }
+        film.close();
         if film.stops.is_empty() {
             return Err(film.notice.unwrap_or_else(|| "nothing was recorded in it".to_owned()));
         }
@@ -119,18 +172,28 @@ impl Film {
         Ok(film)
     }
 
-    /// Adds a frame. A step of a story, or a later time, is a stop of its own.
+    /// What a monitor saw so far: `opening` shows where everything stood, `reels` what came then.
+    #[must_use]
+    pub fn of(cell: String, opening: Arc<Reel>, reels: Vec<Arc<Reel>>) -> Self {
+        let mut film = Self { cell, ..Self::default() };
+        for reel in std::iter::once(opening).chain(reels) {
+            for frame in &reel.frames {
+                let opens = film.stops.last().is_none_or(|stop| stop.at < frame.at);
+                film.stop(frame.at, opens, frame.odd);
+                film.frames += 1;
+                film.end_stop();
+            }
+            film.reels.push((reel, film.frames));
+        }
+        film
+    }
+
+    /// Adds a frame.
     fn add(&mut self, source: u16, at: u64, bytes: &[u8], shown: Shown, in_story: &mut bool) {
         let at = Duration::from_micros(at);
         let odd = match &shown {
             Shown::Step(step) => step.odd,
-            Shown::Lost { .. } => !*in_story,
-            Shown::Said(ServerFrame::Events(Events { events, .. })) => {
-                !*in_story && events.iter().any(|event| level_of(event.what.event) == Level::Bad)
-            }
-            Shown::Said(ServerFrame::Table(_) | ServerFrame::Snapshot(_) | ServerFrame::Bye(_))
-            | Shown::Attached { .. }
-            | Shown::Story(_) => false,
+            shown => !*in_story && is_odd(shown),
         };
         let opens = match &shown {
             Shown::Story(_) => false,
@@ -144,15 +207,37 @@ impl Film {
             self.story = Some(story);
             return;
         }
-        let start = self.bytes.len();
-        self.bytes.extend_from_slice(bytes);
-        self.frames.push(Frame { at, source, bytes: start..self.bytes.len() });
+        self.stop(at, opens, odd);
+        if self.open.weight() + bytes.len() > REEL {
+            self.close();
+        }
+        if self.open.put(at, source, odd, bytes) {
+            self.frames += 1;
+        }
+        self.end_stop();
+    }
+
+    /// The reel in hand is full.
+    fn close(&mut self) {
+        let mut reel = std::mem::take(&mut self.open);
+        reel.close();
+        self.reels.push((Arc::new(reel), self.frames));
+    }
+
+    /// A step of a story, or a later time, is a stop of its own.
+    fn stop(&mut self, at: Moment, opens: bool, odd: bool) {
         if opens {
-            self.stops.push(Stop { at, frames: 0, odd: false });
+            self.stops.push(Stop { at, frames: self.frames, odd: false });
         }
         if let Some(stop) = self.stops.last_mut() {
-            stop.frames = self.frames.len();
             stop.odd |= odd;
+        }
+    }
+
+    /// The last stop is after all frames so far.
+    fn end_stop(&mut self) {
+        if let Some(stop) = self.stops.last_mut() {
+            stop.frames = self.frames;
         }
     }
 
@@ -174,11 +259,21 @@ impl Film {
         self.stops.partition_point(|stop| stop.at <= at).saturating_sub(1)
     }
 
+    /// How many frames it has.
+    pub(crate) const fn frames(&self) -> usize {
+        self.frames
+    }
+
     /// Frame number so.
-    pub(super) fn scene(&self, number: usize) -> Scene {
-        let Some(frame) = self.frames.get(number) else { return Scene::Nothing };
-        // It was decoded when the file was read.
-        let Ok(shown) = Shown::decode(&self.bytes[frame.bytes.clone()]) else { return Scene::Nothing };
+    pub(crate) fn scene(&self, number: usize) -> Scene {
+        let at = self.reels.partition_point(|(_, end)| *end <= number);
+        let Some((reel, end)) = self.reels.get(at) else { return Scene::Nothing };
+        let Some(frame) = (number + reel.frames.len()).checked_sub(*end).and_then(|n| reel.frames.get(n))
+        else {
+            return Scene::Nothing;
+        };
+        // It was decoded when the film was made.
+        let Some(shown) = reel.shown(frame) else { return Scene::Nothing };
         let feed = match shown {
             Shown::Attached { hello, .. } => match hello.role {
                 Role::Node(identity) => Feed::Attached { identity, pid: hello.pid, build: hello.build },
@@ -190,6 +285,30 @@ impl Film {
             Shown::Story(_) => return Scene::Nothing,
         };
         Scene::Arrival(Arrival { at: frame.at, source: SourceId(frame.source.into()), feed })
+    }
+}
+
+/// Whether something went wrong, of what is not a step of a story.
+pub(crate) fn is_odd(shown: &Shown) -> bool {
+    match shown {
+        Shown::Lost { .. } => true,
+        Shown::Said(ServerFrame::Events(Events { events, .. })) => {
+            events.iter().any(|event| level_of(event.what.event) == Level::Bad)
+        }
+        Shown::Said(
+            ServerFrame::Table(_)
+            | ServerFrame::Snapshot(_)
+            | ServerFrame::Bye(_)
+            | ServerFrame::Delta(_)
+            | ServerFrame::Detail(_)
+            | ServerFrame::Vitals(_)
+            | ServerFrame::Pong(_)
+            | ServerFrame::Places(_)
+            | ServerFrame::Denied(_),
+        )
+        | Shown::Attached { .. }
+        | Shown::Story(_)
+        | Shown::Step(_) => false,
     }
 }
 

@@ -6,19 +6,22 @@
 mod film;
 pub(crate) mod tell;
 
-pub use film::{Film, Stop};
+pub(crate) use film::is_odd;
+pub use film::{Film, Reel, Stop};
 
 use crate::clock::{Moment, Span};
 use crate::store::Store;
-use film::Scene;
+pub(crate) use film::Scene;
 use imrs_wire::recording::Step;
 use std::str::FromStr;
 use std::sync::Arc;
 use std::time::Duration;
 use thiserror::Error;
 
-/// How many states on the way are kept, to go back to.
+/// How many states on the way are kept at most, to go back to.
 const KEPT: usize = 32;
+/// How much memory they may take together, about, in bytes. Two are kept whatever they take.
+const KEPT_BYTES: usize = 12 << 20;
 /// How long a step of a counterexample is shown at speed one: its ticks are too short to follow.
 const STEP: Duration = Duration::from_secs(1);
 
@@ -244,7 +247,8 @@ impl Player {
     fn show(&mut self, from: Option<usize>, to: usize) {
         let film = Arc::clone(&self.film);
         let stops = film.stops();
-        let apart = stops.len().div_ceil(KEPT).max(16);
+        let kept = (KEPT_BYTES / self.store.weight().max(1)).clamp(2, KEPT);
+        let apart = stops.len().div_ceil(kept).max(16);
         let first = from.map_or(0, |from| from + 1);
         let mut next = from.and_then(|from| stops.get(from)).map_or(0, |stop| stop.frames);
         for (number, stop) in stops.iter().enumerate().take(to + 1).skip(first) {
@@ -256,7 +260,7 @@ impl Player {
                 }
             }
             next = stop.frames;
-            if number % apart == 0 && self.kept.last().is_none_or(|(at, ..)| *at < number) {
+            if self.kept.last().is_none_or(|(at, ..)| number >= at + apart) {
                 self.kept.push((number, self.store.clone(), self.step.clone()));
             }
         }

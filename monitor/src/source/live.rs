@@ -1,15 +1,16 @@
 //! Running nodes: sockets that were named, or all that the socket folder has, also those that appear later.
 
-use super::session::{self, End, Want};
-use super::{Feed, Sink, Source, SourceId};
+use super::session::{self, End, Pace, Talk};
+use super::{Feed, Sink, Source, SourceId, Wishes};
 use crate::error::MonitorError;
 use crate::options::Endpoint;
-use imrs_wire::obs::place;
-use std::collections::HashMap;
+use imrs_wire::obs::{NodeIdentity, Places, Token, place};
 use std::collections::hash_map::Entry;
+use std::collections::{HashMap, HashSet};
+use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU32, AtomicUsize, Ordering};
+use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
@@ -20,10 +21,13 @@ const PAUSE: (Duration, Duration) = (Duration::from_millis(250), Duration::from_
 /// How long a pause may go on without looking whether to stop.
 const LOOK: Duration = Duration::from_millis(50);
 
+/// The most addresses that are followed because nodes told of them.
+const MOST_FOLLOWED: usize = 64;
+
 /// Which nodes.
 #[derive(Clone, Debug)]
 pub enum Which {
-    /// These, and no others. They are tried again for ever.
+    /// These, and the other nodes of their cells that they know of. They are tried again for ever.
     Named(Vec<Endpoint>),
     /// All whose sockets lie under this folder, now or later. A node is given up when its socket is gone.
     Under(PathBuf),
@@ -33,23 +37,55 @@ pub enum Which {
 #[derive(Debug)]
 pub struct Live {
     which: Which,
-    want: Want,
+    pace: Pace,
+    wishes: Wishes,
+    token: Option<Arc<Token>>,
     stop: Arc<AtomicBool>,
-    started: usize,
+    started: Arc<AtomicUsize>,
+    /// The number of its first source.
+    first: u32,
 }
 
 impl Live {
     /// A source that will attach to `which`.
     #[must_use]
     pub fn new(which: Which) -> Self {
-        let want = Want { period: Duration::from_millis(100), queue_limit: 64, events: true };
-        Self { which, want, stop: Arc::new(AtomicBool::new(false)), started: 0 }
+        let pace = Pace { period: Duration::from_millis(100) };
+        let stop = Arc::new(AtomicBool::new(false));
+        Self { which, pace, wishes: Wishes::default(), token: None, stop, started: Arc::default(), first: 0 }
     }
 
-    /// How many endpoints were there at the start: so many sources will attach or fail.
+    /// With what it shows that it may look, where a node asks.
     #[must_use]
-    pub const fn started(&self) -> usize {
-        self.started
+    pub fn with_token(mut self, token: Option<Token>) -> Self {
+        self.token = token.map(Arc::new);
+        self
+    }
+
+    /// With the wishes of who looks.
+    #[must_use]
+    pub fn with_wishes(mut self, wishes: &Wishes) -> Self {
+        self.wishes = wishes.clone();
+        self
+    }
+
+    /// The wishes that it passes on.
+    #[must_use]
+    pub const fn wishes(&self) -> &Wishes {
+        &self.wishes
+    }
+
+    /// With numbers of its sources from here on, where others have those from 0.
+    #[must_use]
+    pub const fn numbered_from(mut self, first: u32) -> Self {
+        self.first = first;
+        self
+    }
+
+    /// How many endpoints were there at the start, or were told of since: so many sources will attach or fail.
+    #[must_use]
+    pub fn started(&self) -> usize {
+        self.started.load(Ordering::Relaxed)
     }
 }
 
@@ -61,17 +97,26 @@ impl Drop for Live {
 
 impl Source for Live {
     fn start(&mut self, sink: Sink) -> Result<(), MonitorError> {
-        let crew = Crew { sink, want: self.want, stop: self.stop.clone(), next: Arc::new(AtomicU32::new(0)) };
+        let crew = Crew {
+            sink,
+            pace: self.pace,
+            wishes: self.wishes.clone(),
+            token: self.token.clone(),
+            stop: self.stop.clone(),
+            next: Arc::new(AtomicU32::new(self.first)),
+            known: Arc::default(),
+            started: Arc::clone(&self.started),
+        };
         match self.which.clone() {
             Which::Named(endpoints) => {
-                self.started = endpoints.len();
+                self.started.store(endpoints.len(), Ordering::Relaxed);
                 for endpoint in endpoints {
                     let _ = crew.attend(endpoint, false);
                 }
             }
             Which::Under(base) => {
                 let first = place::sockets_in(&base)?;
-                self.started = first.len();
+                self.started.store(first.len(), Ordering::Relaxed);
                 let mut attended = HashMap::new();
                 crew.attend_all(first, &mut attended);
                 thread::Builder::new()
@@ -87,9 +132,22 @@ impl Source for Live {
 #[derive(Clone)]
 struct Crew {
     sink: Sink,
-    want: Want,
+    pace: Pace,
+    wishes: Wishes,
+    token: Option<Arc<Token>>,
     stop: Arc<AtomicBool>,
     next: Arc<AtomicU32>,
+    known: Arc<Mutex<Known>>,
+    started: Arc<AtomicUsize>,
+}
+
+/// Where nodes were found, so that none is attached to twice.
+#[derive(Default)]
+struct Known {
+    /// The nodes that somebody stays with, by cell and number.
+    nodes: HashSet<(String, u16)>,
+    /// The addresses that other nodes told of: each is followed once.
+    followed: HashSet<Endpoint>,
 }
 
 impl Crew {
@@ -126,7 +184,16 @@ impl Crew {
     fn stay_with(&self, endpoint: &Endpoint, id: SourceId, found: bool) {
         let mut pause = PAUSE.0;
         loop {
-            let wanted = match session::run(endpoint, id, self.want, &self.sink, &self.stop) {
+            let with = Talk {
+                id,
+                pace: self.pace,
+                wishes: &self.wishes,
+                token: self.token.as_deref(),
+                sink: &self.sink,
+                stop: &self.stop,
+                told: &|identity, places| self.follow(endpoint, identity, places, found),
+            };
+            let wanted = match session::run(endpoint, &with) {
                 End::Stopped => return,
                 End::Lost(why) => {
                     pause = PAUSE.0;
@@ -155,6 +222,34 @@ impl Crew {
         }
     }
 
+    /// Goes to where a node says that the others of its cell are: so one address finds the system. Where a whole folder
+    /// is looked through, they are found there.
+    fn follow(&self, from: &Endpoint, identity: &NodeIdentity, places: &Places, found: bool) {
+        let mut new = Vec::new();
+        {
+            let mut known = self.known.lock().unwrap_or_else(PoisonError::into_inner);
+            known.nodes.insert((identity.cell.clone(), identity.id));
+            for place in places.nodes.iter().take(MOST_FOLLOWED) {
+                let Some(endpoint) = seen_from(from, &place.address) else { continue };
+                let elsewhere = !found || matches!(endpoint, Endpoint::Tcp(_));
+                let full = known.followed.len() >= MOST_FOLLOWED;
+                if elsewhere
+                    && !full
+                    && endpoint != *from
+                    && known.nodes.insert((identity.cell.clone(), place.node.0))
+                    && known.followed.insert(endpoint.clone())
+                {
+                    new.push(endpoint);
+                }
+            }
+        }
+        for endpoint in new {
+            if self.attend(endpoint, false).is_some() {
+                self.started.fetch_add(1, Ordering::Relaxed);
+            }
+        }
+    }
+
     /// Waits. `true`: stop.
     fn pause(&self, length: Duration) -> bool {
         let until = Instant::now() + length;
@@ -169,9 +264,45 @@ impl Crew {
     }
 }
 
+/// The address that a node told, as it is reached from here: an address of any interface, or of its own machine only, is
+/// meant on the machine on which it was reached itself.
+fn seen_from(from: &Endpoint, told: &str) -> Option<Endpoint> {
+    let endpoint: Endpoint = told.parse().ok()?;
+    let Endpoint::Tcp(address) = &endpoint else {
+        // A socket is on the same machine, or nowhere.
+        return matches!(from, Endpoint::Unix(_)).then_some(endpoint);
+    };
+    let (Endpoint::Tcp(from), Ok(address)) = (from, address.parse::<SocketAddr>()) else {
+        return Some(endpoint);
+    };
+    if !address.ip().is_unspecified() && !address.ip().is_loopback() {
+        return Some(endpoint);
+    }
+    let (host, _) = from.rsplit_once(':')?;
+    Some(Endpoint::Tcp(format!("{host}:{}", address.port())))
+}
+
 /// Removes a socket that nothing is behind any more.
 fn clear_away(path: &Path) -> Option<Feed> {
     let cell = path.parent()?.file_name()?.to_str()?.to_owned();
     let node = place::node_of(path)?.to_owned();
     place::remove_if_stale(path).then_some(Feed::Stale { cell, node })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_address_is_meant_on_the_machine_that_told_it() {
+        let seen = |from: &str, told: &str| {
+            seen_from(&from.parse().unwrap(), told).map(|endpoint| endpoint.to_string())
+        };
+        assert_eq!(seen("tcp:robot:7100", "tcp:0.0.0.0:7101").unwrap(), "tcp:robot:7101");
+        assert_eq!(seen("tcp:robot:7100", "tcp:127.0.0.1:7101").unwrap(), "tcp:robot:7101");
+        assert_eq!(seen("tcp:robot:7100", "tcp:10.0.0.7:7101").unwrap(), "tcp:10.0.0.7:7101");
+        assert_eq!(seen("unix:/r/c/a-1.sock", "unix:/r/c/b-2.sock").unwrap(), "unix:/r/c/b-2.sock");
+        assert_eq!(seen("tcp:robot:7100", "unix:/r/c/b-2.sock"), None);
+        assert_eq!(seen("tcp:robot:7100", "nonsense"), None);
+    }
 }

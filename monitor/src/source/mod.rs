@@ -2,6 +2,9 @@
 
 pub mod live;
 mod session;
+mod wishes;
+
+pub use wishes::{Wanted, Wishes};
 
 use crate::clock::{Clock, Moment};
 use crate::error::MonitorError;
@@ -81,6 +84,12 @@ impl Sink {
     /// A sink that gives everything to `take`, which may wait, and which says whether it wants more.
     pub fn new(clock: Clock, take: impl Fn(Arrival) -> bool + Send + Sync + 'static) -> Self {
         Self { clock, take: Arc::new(take) }
+    }
+
+    /// The present moment.
+    #[must_use]
+    pub fn now(&self) -> Moment {
+        self.clock.now()
     }
 
     /// Gives `feed` on with the present moment. `false`: nobody wants more, the source may end.

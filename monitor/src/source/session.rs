@@ -1,10 +1,10 @@
 //! One connection to one node, from connecting to its end.
 
-use super::{Feed, Sink, SourceId};
+use super::{Feed, Sink, SourceId, Wishes};
 use crate::options::Endpoint;
 use imrs_wire::obs::{
-    ClientFrame, DecodeError, FrameError, FrameReader, FrameWriter, Handshake, Hello, MAX_FRAME, Role,
-    SCHEMA, ServerFrame, Subscribe, VERSION, agree,
+    ClientFrame, DecodeError, FrameError, FrameReader, FrameWriter, Handshake, Hello, MAX_FRAME, MAX_WATCHED,
+    NodeIdentity, Ping, Places, Role, SCHEMA, ServerFrame, Subscribe, Token, VERSION, Version, Want, agree,
 };
 use std::io::{self, Read, Write};
 use std::net::{TcpStream, ToSocketAddrs};
@@ -14,17 +14,31 @@ use std::time::{Duration, Instant};
 
 /// How long a node has to answer a hello.
 const PATIENCE: Duration = Duration::from_secs(1);
-/// How often a waiting session looks whether it should stop.
+/// How often a waiting session looks whether it should stop, and for new wishes.
 const LOOK: Duration = Duration::from_millis(100);
 /// How many frames a node may send ahead.
 const CREDIT: u16 = 8;
+/// How often the clocks are compared.
+const PING: Duration = Duration::from_secs(1);
+/// How often a node tells how its process does.
+const VITALS: Duration = Duration::from_secs(1);
 
-/// What a session asks of a node.
+/// What a session asks of a node, whatever is on the screen.
 #[derive(Clone, Copy, Debug)]
-pub(super) struct Want {
+pub(super) struct Pace {
     pub period: Duration,
-    pub queue_limit: u8,
-    pub events: bool,
+}
+
+/// What a session needs besides its connection.
+pub(super) struct Talk<'a> {
+    pub id: SourceId,
+    pub pace: Pace,
+    pub wishes: &'a Wishes,
+    pub token: Option<&'a Token>,
+    pub sink: &'a Sink,
+    pub stop: &'a AtomicBool,
+    /// Hears who the node is, and where it says that others are.
+    pub told: &'a dyn Fn(&NodeIdentity, &Places),
 }
 
 /// How a session ended.
@@ -41,18 +55,18 @@ pub(super) enum End {
 }
 
 /// Attaches to `endpoint` and delivers what it says until either side ends.
-pub(super) fn run(endpoint: &Endpoint, id: SourceId, want: Want, sink: &Sink, stop: &AtomicBool) -> End {
+pub(super) fn run(endpoint: &Endpoint, with: &Talk<'_>) -> End {
     match endpoint {
         Endpoint::Unix(path) => match UnixStream::connect(path).and_then(|s| {
             s.set_read_timeout(Some(LOOK))?;
             s.set_write_timeout(Some(PATIENCE))?;
             Ok((s.try_clone()?, s))
         }) {
-            Ok((reader, writer)) => talk(endpoint, id, want, sink, stop, reader, writer),
+            Ok((reader, writer)) => talk(endpoint, with, reader, writer),
             Err(e) => unreachable_end(endpoint, &e),
         },
         Endpoint::Tcp(address) => match connect_tcp(address) {
-            Ok((reader, writer)) => talk(endpoint, id, want, sink, stop, reader, writer),
+            Ok((reader, writer)) => talk(endpoint, with, reader, writer),
             Err(e) => unreachable_end(endpoint, &e),
         },
     }
@@ -82,54 +96,162 @@ fn connect_tcp(address: &str) -> io::Result<(TcpStream, TcpStream)> {
     Err(last)
 }
 
-fn talk(
-    endpoint: &Endpoint,
-    id: SourceId,
-    want: Want,
-    sink: &Sink,
-    stop: &AtomicBool,
-    reader: impl Read,
-    writer: impl Write,
-) -> End {
+fn talk(endpoint: &Endpoint, with: &Talk<'_>, reader: impl Read, writer: impl Write) -> End {
     let mut reader = FrameReader::new(reader, MAX_FRAME);
     let mut writer = FrameWriter::new(writer);
-    let attached = match greet(&mut reader, &mut writer, want, stop) {
+    let (version, attached) = match greet(&mut reader, &mut writer, with) {
         Ok(Some(attached)) => attached,
         Ok(None) => return End::Stopped,
         Err(why) => return End::Failed(format!("{endpoint}: {why}")),
     };
-    if !sink.deliver(id, attached) {
-        return End::Stopped;
+    let Feed::Attached { identity, .. } = &attached else { return End::Stopped };
+    let identity = identity.clone();
+    let mut session = Session::new(with, identity, writer, version.minor >= 1);
+    if let Err(error) = session.begin() {
+        return End::Failed(format!("{endpoint}: {error}"));
     }
-    let mut owed = 0;
+    // A node that asks for a token says nothing more until it has seen it.
+    let mut attached = Some(attached);
     loop {
-        if stop.load(Ordering::Relaxed) {
+        if with.stop.load(Ordering::Relaxed) {
             return End::Stopped;
+        }
+        if let Err(error) = session.keep_up() {
+            return End::Lost(error.to_string());
         }
         let frame = match reader.read_frame() {
             Ok(bytes) => ServerFrame::decode(bytes),
             Err(FrameError::NotReady) => continue,
-            Err(e) => return End::Lost(e.to_string()),
+            Err(error) if attached.is_some() => return End::Failed(format!("{endpoint}: {error}")),
+            Err(error) => return End::Lost(error.to_string()),
         };
-        match frame {
-            Ok(frame) => {
-                owed += u16::from(matches!(frame, ServerFrame::Snapshot(_) | ServerFrame::Events(_)));
-                if !sink.deliver(id, Feed::Frame(Box::new(frame))) {
-                    return End::Stopped;
-                }
-            }
+        let frame = match frame {
+            Ok(ServerFrame::Denied(denied)) => return End::Failed(format!("{endpoint}: {denied}")),
+            Ok(frame) => frame,
             // A kind of a later minor version that the node should not have sent: it can be passed over.
-            Err(DecodeError::UnknownKind(_)) => {}
-            Err(e) => return End::Lost(format!("it sent {e}")),
+            Err(DecodeError::UnknownKind(_)) => continue,
+            Err(error) => return End::Lost(format!("it sent {error}")),
+        };
+        if let Some(attached) = attached.take()
+            && !with.sink.deliver(with.id, attached)
+        {
+            return End::Stopped;
         }
-        // Credit is given back when a frame has been taken, so a busy monitor slows its own frames, never the node.
-        if owed >= CREDIT / 2 {
-            if let Err(e) = say(&mut writer, &ClientFrame::Credit(owed)) {
-                return End::Lost(e.to_string());
-            }
-            owed = 0;
+        match session.take(frame) {
+            Ok(true) => {}
+            Ok(false) => return End::Stopped,
+            Err(error) => return End::Lost(error.to_string()),
         }
     }
+}
+
+/// A connection that is attached.
+struct Session<'a, W> {
+    with: &'a Talk<'a>,
+    identity: NodeIdentity,
+    writer: FrameWriter<W>,
+    /// Whether the node speaks version 1.1.
+    new: bool,
+    /// Frames taken that no credit was given for yet.
+    owed: u16,
+    /// The versions of the wishes that the node knows.
+    known: (u64, u64),
+    /// The node's clock at the snapshot that the next change is of.
+    told: Option<u64>,
+    ping_at: Instant,
+}
+
+impl<'a, W: Write> Session<'a, W> {
+    fn new(with: &'a Talk<'a>, identity: NodeIdentity, writer: FrameWriter<W>, new: bool) -> Self {
+        Self { with, identity, writer, new, owed: 0, known: (0, 0), told: None, ping_at: Instant::now() }
+    }
+
+    fn begin(&mut self) -> Result<(), FrameError> {
+        if !self.new {
+            let wanted = self.with.wishes.present().0;
+            let subscribe = Subscribe {
+                period_us: micros(self.with.pace.period),
+                queue_limit: wanted.queue_limit.max(if wanted.watched.is_empty() { 0 } else { u8::MAX }),
+                events: wanted.events.is_some(),
+                credit: CREDIT,
+            };
+            return say(&mut self.writer, &ClientFrame::Subscribe(subscribe));
+        }
+        if let Some(token) = self.with.token {
+            self.writer.push(&ClientFrame::Token(token.clone()))?;
+        }
+        self.known.1 = self.with.wishes.whole();
+        self.want()
+    }
+
+    fn want(&mut self) -> Result<(), FrameError> {
+        let (wanted, version) = self.with.wishes.present();
+        self.known.0 = version;
+        self.owed = 0;
+        let here = wanted.cell.is_none_or(|cell| cell == self.identity.cell);
+        let own = |&(node, task, port): &(imrs_protocol::NodeId, _, _)| {
+            (here && node.0 == self.identity.id).then_some((task, port))
+        };
+        let want = Want {
+            period_us: micros(self.with.pace.period),
+            queue_limit: wanted.queue_limit,
+            watched: wanted.watched.iter().filter_map(own).take(MAX_WATCHED).collect(),
+            events: wanted.events,
+            vitals_us: micros(VITALS),
+            whole_us: 0,
+            credit: CREDIT,
+        };
+        say(&mut self.writer, &ClientFrame::Want(want))
+    }
+
+    /// Passes wishes on, and asks for the clock.
+    fn keep_up(&mut self) -> Result<(), FrameError> {
+        if !self.new {
+            return Ok(());
+        }
+        if self.known.0 != self.with.wishes.version() {
+            self.want()?;
+        }
+        let whole = self.with.wishes.whole();
+        if self.known.1 != whole {
+            self.known.1 = whole;
+            say(&mut self.writer, &ClientFrame::Whole)?;
+        }
+        if self.ping_at <= Instant::now() {
+            self.ping_at = Instant::now() + PING;
+            let mono_us = u64::try_from(self.with.sink.now().as_micros()).unwrap_or(u64::MAX);
+            say(&mut self.writer, &ClientFrame::Ping(Ping { mono_us }))?;
+        }
+        Ok(())
+    }
+
+    /// Passes a frame on. `false`: nobody wants more.
+    fn take(&mut self, frame: ServerFrame) -> Result<bool, FrameError> {
+        self.owed += u16::from(frame.costs());
+        let mut fits = true;
+        if let ServerFrame::Delta(delta) = &frame {
+            fits = delta.base_us.is_none() || delta.base_us == self.told;
+            self.told = Some(delta.base_us.unwrap_or(0).wrapping_add(delta.passed_us)).filter(|_| fits);
+        }
+        if let ServerFrame::Places(places) = &frame {
+            (self.with.told)(&self.identity, places);
+        }
+        if !fits {
+            say(&mut self.writer, &ClientFrame::Whole)?;
+        } else if !self.with.sink.deliver(self.with.id, Feed::Frame(Box::new(frame))) {
+            return Ok(false);
+        }
+        // Credit is given back when a frame has been taken, so a busy monitor slows its own frames, never the node.
+        if self.owed >= CREDIT / 2 {
+            say(&mut self.writer, &ClientFrame::Credit(self.owed))?;
+            self.owed = 0;
+        }
+        Ok(true)
+    }
+}
+
+fn micros(length: Duration) -> u32 {
+    u32::try_from(length.as_micros()).unwrap_or(u32::MAX)
 }
 
 fn say(writer: &mut FrameWriter<impl Write>, frame: &ClientFrame) -> Result<(), FrameError> {
@@ -137,13 +259,12 @@ fn say(writer: &mut FrameWriter<impl Write>, frame: &ClientFrame) -> Result<(), 
     writer.flush()
 }
 
-/// The handshake and the subscription. `None`: told to stop.
+/// The handshake. `None`: told to stop.
 fn greet(
     reader: &mut FrameReader<impl Read>,
     writer: &mut FrameWriter<impl Write>,
-    want: Want,
-    stop: &AtomicBool,
-) -> Result<Option<Feed>, String> {
+    with: &Talk<'_>,
+) -> Result<Option<(Version, Feed)>, String> {
     let hello = Hello {
         schema: SCHEMA,
         pid: std::process::id(),
@@ -158,7 +279,7 @@ fn greet(
     let (version, theirs) = loop {
         match reader.read_frame() {
             Ok(bytes) => break Handshake::decode(bytes).map_err(explained)?,
-            Err(FrameError::NotReady) if stop.load(Ordering::Relaxed) => return Ok(None),
+            Err(FrameError::NotReady) if with.stop.load(Ordering::Relaxed) => return Ok(None),
             Err(FrameError::NotReady) if Instant::now() < deadline => {}
             Err(FrameError::NotReady) => {
                 return Err(format!("no answer in {PATIENCE:?}; is the node stopped?"));
@@ -170,18 +291,11 @@ fn greet(
         Handshake::Hello(hello) => hello,
         Handshake::Refused(refusal) => return Err(refusal.to_string()),
     };
-    agree((version, hello.schema), (VERSION, SCHEMA)).map_err(|refusal| refusal.to_string())?;
+    let version = agree((version, hello.schema), (VERSION, SCHEMA)).map_err(|refusal| refusal.to_string())?;
     let Role::Node(identity) = hello.role else {
         return Err("a monitor answered, not a node".to_owned());
     };
-    let subscribe = Subscribe {
-        period_us: u32::try_from(want.period.as_micros()).unwrap_or(u32::MAX),
-        queue_limit: want.queue_limit,
-        events: want.events,
-        credit: CREDIT,
-    };
-    say(writer, &ClientFrame::Subscribe(subscribe)).map_err(text)?;
-    Ok(Some(Feed::Attached { identity, pid: hello.pid, build: hello.build }))
+    Ok(Some((version, Feed::Attached { identity, pid: hello.pid, build: hello.build })))
 }
 
 fn explained(error: DecodeError) -> String {

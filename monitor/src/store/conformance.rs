@@ -23,15 +23,6 @@ pub enum Verdict {
     },
 }
 
-/// How often a kind of transition was seen.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Kind {
-    /// Its name.
-    pub name: String,
-    /// How often.
-    pub fired: u64,
-}
-
 /// The conformance of one life of a node.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Conformance {
@@ -41,26 +32,13 @@ pub struct Conformance {
     pub steps: u64,
     /// Assumptions of the check that the run broke (loss, lateness, ...): no fault of the machine.
     pub breaches: Vec<String>,
-    /// Every kind of transition, those that never fired included.
-    pub kinds: Vec<Kind>,
 }
 
 impl Conformance {
     /// Nothing is known, because of `why`.
     #[must_use]
     pub fn unknown(why: &str) -> Self {
-        Self {
-            verdict: Verdict::Unknown { why: why.into() },
-            steps: 0,
-            breaches: Vec::new(),
-            kinds: Vec::new(),
-        }
-    }
-
-    /// How many of its kinds have fired, of how many.
-    #[must_use]
-    pub fn covered(&self) -> (usize, usize) {
-        (self.kinds.iter().filter(|kind| kind.fired > 0).count(), self.kinds.len())
+        Self { verdict: Verdict::Unknown { why: why.into() }, steps: 0, breaches: Vec::new() }
     }
 }
 

@@ -3,8 +3,8 @@
 use super::names::Names;
 use crate::clock::{Moment, Span};
 use crate::name::Name;
-use imrs_protocol::{NodeId, PortCounters, PortId, PortView, TaskId, Ticks, TimeId};
-use imrs_wire::obs::{Snapshot, TaskSnapshot};
+use imrs_protocol::{NodeId, PortCounters, PortId, PortView, QueueView, TaskId, Ticks, TimeId};
+use imrs_wire::obs::{Count, Delta, Detail, Liveness, Pong, Snapshot, TaskSnapshot, Vitals};
 use std::collections::BTreeMap;
 use std::fmt;
 use std::sync::Arc;
@@ -114,6 +114,45 @@ pub struct Sample {
     pub snapshot: Arc<Snapshot>,
 }
 
+/// Something that a node said, and when it came.
+#[derive(Clone, Debug)]
+pub struct Told<T> {
+    /// When it came.
+    pub at: Moment,
+    /// What.
+    pub what: T,
+}
+
+/// A queue that is watched.
+#[derive(Clone, Debug)]
+pub struct Watched {
+    /// The task that receives.
+    pub task: TaskId,
+    /// The port.
+    pub port: PortId,
+    /// How old the times in it were when it came, in microseconds.
+    pub age_us: u64,
+    /// What waits there, and what it has been through.
+    pub queue: QueueView,
+}
+
+/// How a node's clock goes beside the monitor's.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct ClockOffset {
+    /// The node's clock when the monitor's was zero, in microseconds.
+    pub us: i64,
+    /// How far off that can be: half the round trip.
+    pub error_us: u64,
+    /// When they were compared.
+    pub at: Moment,
+}
+
+/// What is compared with what comes next.
+pub(super) struct Notable {
+    pub tasks: Vec<(TaskId, Liveness)>,
+    pub link_discards: Vec<Count>,
+}
+
 /// One life of one node.
 #[derive(Clone, Debug)]
 pub struct Life {
@@ -151,6 +190,12 @@ pub struct Life {
     pub(super) lost_before: (u64, u64),
     /// The longest that each timer was ever seen to have left: nothing says how long it was armed for.
     pub(super) longest: BTreeMap<(TaskId, TimeId), Ticks>,
+    /// How its process does; `None` before it told, and of a node that does not tell.
+    pub vitals: Option<Told<Vitals>>,
+    /// The queues that are watched.
+    pub watched: Vec<Told<Watched>>,
+    /// How its clock goes, as compared last.
+    pub clock: Option<ClockOffset>,
 }
 
 impl Life {
@@ -245,23 +290,97 @@ impl Life {
         self.longest.get(&(task, id)).map(|ticks| ticks.0.saturating_mul(self.tick_us))
     }
 
+    /// A queue that is watched, with what each message has been through, if the node told.
+    #[must_use]
+    pub fn watched(&self, task: TaskId, port: PortId) -> Option<&Told<Watched>> {
+        self.watched.iter().find(|told| (told.what.task, told.what.port) == (task, port))
+    }
+
+    /// About how much memory its states take, in bytes.
+    pub(super) fn weight(&self) -> usize {
+        let samples = [&self.last, &self.base, &self.next_base];
+        let port = |port: &PortView| size_of::<PortView>() + size_of_val(port.queue.as_slice());
+        let tasks = |sample: &Sample| -> usize {
+            let ports = sample.snapshot.tasks.iter().flat_map(|task| &task.view.ports);
+            ports.map(port).sum::<usize>() + size_of_val(sample.snapshot.tasks.as_slice())
+        };
+        // Those that are one and the same are counted as often as they are kept.
+        samples.into_iter().flatten().map(tasks).sum()
+    }
+
+    /// What will be compared with the next state.
+    pub(super) fn notable(&self) -> Option<Notable> {
+        let snapshot = &self.last.as_ref()?.snapshot;
+        let tasks = snapshot.tasks.iter().map(|task| (task.view.task, task.liveness)).collect();
+        Some(Notable { tasks, link_discards: snapshot.link_discards.clone() })
+    }
+
+    /// Takes over what changed. False: not of what it said last.
+    pub(super) fn change(&mut self, at: Moment, delta: &Delta) -> bool {
+        if delta.is_whole() {
+            let mut snapshot = Snapshot::default();
+            let fits = snapshot.apply(delta).is_ok();
+            if fits {
+                self.take(at, snapshot);
+            }
+            return fits;
+        }
+        self.keep_base(at);
+        let Some(last) = &mut self.last else { return false };
+        // Looked at before it is copied, where it is shared with an earlier sample.
+        if delta.base_us != Some(last.snapshot.mono_us)
+            || Arc::make_mut(&mut last.snapshot).apply(delta).is_err()
+        {
+            return false;
+        }
+        last.at = at;
+        self.note_timers();
+        true
+    }
+
+    pub(super) fn look_at(&mut self, at: Moment, detail: Detail) {
+        let told = detail.ports.into_iter().map(|port| {
+            let what = Watched { task: port.task, port: port.port, age_us: port.age_us, queue: port.queue };
+            Told { at, what }
+        });
+        self.watched = told.collect();
+    }
+
+    pub(super) fn compare_clocks(&mut self, at: Moment, pong: Pong) {
+        let now = u64::try_from(at.as_micros()).unwrap_or(u64::MAX);
+        let Some(trip) = now.checked_sub(pong.echo_us) else { return };
+        let middle = i128::from(pong.echo_us) + i128::from(trip / 2);
+        let Ok(us) = i64::try_from(i128::from(pong.mono_us) - middle) else { return };
+        self.clock = Some(ClockOffset { us, error_us: trip.div_ceil(2), at });
+    }
+
     /// Takes a snapshot over; counters are compared with one that is [`RATE`] to twice that older.
     pub(super) fn take(&mut self, at: Moment, snapshot: Snapshot) {
-        for timer in &snapshot.timers {
+        self.last = Some(Sample { at, snapshot: Arc::new(snapshot) });
+        self.note_timers();
+        self.keep_base(at);
+    }
+
+    /// Remembers how long timers are, as far as it was seen.
+    fn note_timers(&mut self) {
+        let Some(last) = &self.last else { return };
+        for timer in &last.snapshot.timers {
             if self.longest.len() < TIMERS || self.longest.contains_key(&(timer.owner, timer.id)) {
                 let longest = self.longest.entry((timer.owner, timer.id)).or_default();
                 *longest = (*longest).max(timer.remaining);
             }
         }
-        let sample = Sample { at, snapshot: Arc::new(snapshot) };
+    }
+
+    /// Keeps what it said last for comparison, when it is time.
+    fn keep_base(&mut self, at: Moment) {
         let due = self.next_base.as_ref().is_none_or(|next| at.saturating_sub(next.at) >= RATE);
-        if due {
-            self.base = self.next_base.replace(sample.clone());
+        if due && self.last.is_some() {
+            self.base = std::mem::replace(&mut self.next_base, self.last.clone());
             self.lost_before = (self.lost_before.1, self.lost);
         }
         if self.base.is_none() {
             self.base = self.next_base.clone();
         }
-        self.last = Some(sample);
     }
 }

@@ -14,15 +14,16 @@ pub mod timeline;
 pub mod trail;
 pub mod waits;
 
-pub use life::{Condition, Left, Life, LifeId, Presence, SILENT, Sample};
+pub use life::{ClockOffset, Condition, Left, Life, LifeId, Presence, SILENT, Sample, Told, Watched};
 pub use names::{Names, PortInfo, TaskInfo};
 
 use crate::clock::Moment;
 use crate::name::Name;
 use crate::source::{Arrival, Feed, SourceId};
 use imrs_protocol::{NodeId, TaskId};
-use imrs_wire::obs::{Count, Events, Goodbye, Liveness, NodeIdentity, ServerFrame, Snapshot, Table, place};
+use imrs_wire::obs::{Count, Events, Goodbye, Liveness, NodeIdentity, ServerFrame, Table, place};
 use journal::{Entry, Journal, Level, What};
+use life::Notable;
 use std::collections::BTreeMap;
 use std::sync::Arc;
 use trail::Trail;
@@ -48,6 +49,8 @@ pub struct Store {
     troubles: BTreeMap<SourceId, String>,
     /// Cells and nodes, as file names, whose sockets were left behind.
     killed: Vec<(String, String)>,
+    /// How often something changed in a state that was not there.
+    gaps: u64,
 }
 
 impl Store {
@@ -127,6 +130,24 @@ impl Store {
         unseen.map(|(id, name)| (id, name.clone(), killed(name))).collect()
     }
 
+    /// How often something changed in a state that was not there: whole snapshots are needed then.
+    #[must_use]
+    pub const fn gaps(&self) -> u64 {
+        self.gaps
+    }
+
+    /// About how much memory the states take, in bytes.
+    #[must_use]
+    pub fn weight(&self) -> usize {
+        self.lives.iter().map(Life::weight).sum()
+    }
+
+    /// From which source something is known of a life, if any is attached to it.
+    #[must_use]
+    pub fn source_of(&self, life: LifeId) -> Option<SourceId> {
+        self.of_source.iter().find(|(_, id)| **id == life).map(|(source, _)| *source)
+    }
+
     /// What happened.
     #[must_use]
     pub const fn journal(&self) -> &Journal {
@@ -153,7 +174,10 @@ impl Store {
         if let Some(life) = self.lives.iter_mut().find(same) {
             life.condition = Condition::Attached;
             life.heard = at;
-            self.of_source.insert(source, life.id);
+            // Found in two ways, it is heard in one: changes are reckoned from what the same connection told before.
+            let id = life.id;
+            self.of_source.retain(|_, other| *other != id);
+            self.of_source.insert(source, id);
             return;
         }
         let id = LifeId(self.born);
@@ -178,6 +202,9 @@ impl Store {
             lost: 0,
             lost_before: (0, 0),
             longest: BTreeMap::new(),
+            vitals: None,
+            watched: Vec::new(),
+            clock: None,
         };
         let again = self.lives.iter().any(|l| l.names.cell == life.names.cell && l.node == life.node);
         // A node in a checker has no process.
@@ -218,7 +245,16 @@ impl Store {
         self.lives[index].heard = at;
         match frame {
             ServerFrame::Table(table) => self.table(index, table),
-            ServerFrame::Snapshot(snapshot) => self.snapshot(at, index, snapshot),
+            ServerFrame::Snapshot(snapshot) => self.state(at, index, |life| {
+                life.take(at, snapshot);
+                true
+            }),
+            ServerFrame::Delta(delta) => self.state(at, index, |life| life.change(at, &delta)),
+            ServerFrame::Detail(detail) => self.lives[index].look_at(at, detail),
+            ServerFrame::Vitals(vitals) => self.lives[index].vitals = Some(Told { at, what: vitals }),
+            ServerFrame::Pong(pong) => self.lives[index].compare_clocks(at, pong),
+            // Who attaches to nodes takes these to heart.
+            ServerFrame::Places(_) | ServerFrame::Denied(_) => {}
             ServerFrame::Events(events) => self.events(at, index, events),
             ServerFrame::Bye(bye) => match bye.reason {
                 Goodbye::Stopping => self.end(at, source, Condition::Stopped { since: at }),
@@ -226,6 +262,12 @@ impl Store {
                 Goodbye::Misunderstood => {}
             },
         }
+    }
+
+    /// The life that a source speaks for.
+    #[must_use]
+    pub fn life_of(&self, source: SourceId) -> Option<&Life> {
+        self.life(*self.of_source.get(&source)?)
     }
 
     fn index_of(&self, source: SourceId) -> Option<usize> {
@@ -242,21 +284,31 @@ impl Store {
         self.lives[index].names = known.unwrap_or_else(|| Arc::new(told));
     }
 
-    fn snapshot(&mut self, at: Moment, index: usize, snapshot: Snapshot) {
-        let before = self.lives[index].last.take();
-        if let Some(before) = before {
-            self.compare(at, index, &before.snapshot, &snapshot);
+    /// A state is there after `change`, if that says so; it was told whole, or as what changed.
+    fn state(&mut self, at: Moment, index: usize, change: impl FnOnce(&mut Life) -> bool) {
+        let before = self.lives[index].notable();
+        if change(&mut self.lives[index]) {
+            let life = &self.lives[index];
+            if let Some(last) = &life.last {
+                self.services.sampled(life.id, life.tick_us, &last.snapshot);
+            }
+            self.compare(at, index, before);
+        } else {
+            self.gaps += 1;
         }
-        let life = &mut self.lives[index];
-        self.services.sampled(life.id, life.tick_us, &snapshot);
-        life.take(at, snapshot);
     }
 
     /// Notices what no machine observes: tasks that end, and what links drop.
-    fn compare(&mut self, at: Moment, index: usize, before: &Snapshot, after: &Snapshot) {
+    fn compare(&mut self, at: Moment, index: usize, before: Option<Notable>) {
+        let (Some(before), Some(after)) = (before, self.lives[index].last.clone()) else { return };
+        let after = &after.snapshot;
         let mut found = Vec::new();
-        let was = |id: TaskId| before.tasks.iter().find(|t| t.view.task == id).map(|t| t.liveness);
+        let was = |id: TaskId| before.tasks.iter().find(|(task, _)| *task == id).map(|(_, was)| *was);
         for task in &after.tasks {
+            // Only who ends is looked up.
+            if task.liveness == Liveness::Alive {
+                continue;
+            }
             let name = self.lives[index].names.task(task.view.task).to_string();
             match (was(task.view.task), task.liveness) {
                 (Some(Liveness::Alive), Liveness::Crashed) => {
@@ -274,6 +326,9 @@ impl Store {
             if more > 0 {
                 found.push((Level::Warn, "discard", "on a link".to_owned(), crate::name::shown(name), more));
             }
+        }
+        if found.is_empty() {
+            return;
         }
         let life = self.lives[index].clone();
         for (level, kind, object, detail, times) in found {

@@ -97,13 +97,6 @@ fn node(app: &App, life: &Life, now: Moment, width: u16, lines: &mut Vec<Line>) 
             lines.push(vec![(text, super::words::ink(mark.seen.what.event))]);
         }
     }
-    if !told.kinds.is_empty() {
-        let (fired, all) = told.covered();
-        lines.push(vec![(format!("   validator: {fired}/{all} transition kinds"), Ink::Plain)]);
-        let never = told.kinds.iter().filter(|kind| kind.fired == 0);
-        let names = never.map(|kind| crate::name::shown(&kind.name));
-        wrapped("     never: ", names, ", ", Ink::Dim, width, lines);
-    }
     if life.lost > 0 {
         let text = format!("   {} observations lost: what they were is not counted", life.lost);
         lines.push(vec![(text, Ink::Warn)]);

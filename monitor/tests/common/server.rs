@@ -35,9 +35,14 @@ impl Peer {
         self.writer.flush()
     }
 
+    /// What the monitor says next, but for its pings: they are nobody's business here.
     pub fn hear(&mut self) -> Result<ClientFrame, FrameError> {
-        let frame = self.reader.read_frame()?;
-        Ok(ClientFrame::decode(frame).expect("a monitor's frame"))
+        loop {
+            match ClientFrame::decode(self.reader.read_frame()?).expect("a monitor's frame") {
+                ClientFrame::Ping(_) => {}
+                frame => return Ok(frame),
+            }
+        }
     }
 
     pub fn raw(&mut self, bytes: &[u8]) {
@@ -49,8 +54,10 @@ impl Peer {
     pub fn greet(&mut self, node: usize) -> Result<u16, FrameError> {
         self.hello(node, VERSION, SCHEMA)?;
         self.say(&ServerFrame::Table(table()))?;
-        let ClientFrame::Subscribe(subscribe) = self.hear()? else { panic!("no subscription") };
-        Ok(subscribe.credit)
+        match self.hear()? {
+            ClientFrame::Want(want) => Ok(want.credit),
+            other => panic!("{other:?}"),
+        }
     }
 
     /// Serves snapshots, one per credit, until the monitor leaves.
@@ -66,6 +73,8 @@ impl Peer {
             }
             match self.hear() {
                 Ok(ClientFrame::Credit(more)) => credit += more,
+                Ok(ClientFrame::Want(want)) => credit = want.credit,
+                Ok(ClientFrame::Whole) => {}
                 _ => return,
             }
         }

@@ -2,7 +2,7 @@
 
 use super::{CommTask, Pending, Role};
 use crate::ids::{PortId, Round, TaskId};
-use crate::observe::{PortView, QueueEntry, TaskState, TaskView};
+use crate::observe::{HeldView, PortView, QueueEntry, QueueView, TaskState, TaskView};
 use crate::table::NodeTable;
 use crate::ticks::Ticks;
 use alloc::vec::Vec;
@@ -11,6 +11,12 @@ impl CommTask {
     /// The task and its ports now, with at most `queue_limit` waiting messages of each port.
     #[must_use]
     pub fn view(&self, table: &NodeTable, queue_limit: usize) -> TaskView {
+        self.view_of(table, |_| queue_limit)
+    }
+
+    /// [`view`](Self::view), with a number of messages for each port of its own.
+    #[must_use]
+    pub fn view_of(&self, table: &NodeTable, queue_limit: impl Fn(PortId) -> usize) -> TaskView {
         let scene = self.scene(table);
         let meetings = self.meetings.iter();
         TaskView {
@@ -62,7 +68,7 @@ impl CommTask {
         }
     }
 
-    fn ports(&self, table: &NodeTable, queue_limit: usize) -> Vec<PortView> {
+    fn ports(&self, table: &NodeTable, queue_limit: impl Fn(PortId) -> usize) -> Vec<PortView> {
         let view = |local: &super::Local| {
             let port = table.port(local.port)?;
             let inbox = match local.role {
@@ -72,12 +78,6 @@ impl CommTask {
                 }
             };
             let waiting = inbox.map(|inbox| inbox.queue.sorted()).unwrap_or_default();
-            let entry = |held: &super::inbox::Held| QueueEntry {
-                source: held.source,
-                id: held.id,
-                class: held.class,
-                remaining: held.expires - self.now,
-            };
             Some(PortView {
                 port: local.port,
                 usage: port.party(self.task)?.usage,
@@ -85,11 +85,45 @@ impl CommTask {
                 len: super::index(waiting.len()),
                 capacity: if inbox.is_some() { port.decl.bounded_buffer } else { 0 },
                 min_slack: waiting.first().map(|(_, held)| held.expires - self.now),
-                queue: waiting.iter().take(queue_limit).map(|(_, held)| entry(held)).collect(),
+                queue: waiting
+                    .iter()
+                    .take(queue_limit(local.port))
+                    .map(|(_, held)| self.entry(held))
+                    .collect(),
                 counters: local.counters,
             })
         };
         self.locals.iter().filter_map(view).collect()
+    }
+
+    fn entry(&self, held: &super::inbox::Held) -> QueueEntry {
+        let remaining = held.expires - self.now;
+        QueueEntry { source: held.source, id: held.id, class: held.class, remaining }
+    }
+
+    /// What waits at a port where the task receives, with at most `limit` messages.
+    #[must_use]
+    pub fn queue_view(&self, port: PortId, limit: usize) -> Option<QueueView> {
+        let Role::Receives(inbox) = self.role(port)? else { return None };
+        let inbox = self.inboxes.get(usize::from(inbox))?;
+        let held = |(slot, held): &(crate::queue::Slot, &super::inbox::Held)| {
+            let (aged, base) = (inbox.queue.side(*slot), self.order.rank(port, held.source));
+            HeldView {
+                entry: self.entry(held),
+                arrival: held.arrival,
+                fragments: held.fragments,
+                rank: inbox.handled.then(|| base.saturating_sub(aged.rejections)),
+                rejections: aged.rejections,
+                capped: inbox.handled && aged.rejections >= Self::cap(base),
+                back_off: aged.not_before - self.now,
+            }
+        };
+        Some(QueueView {
+            handled: inbox.handled,
+            bypassed: inbox.bypassed(self.served),
+            bypass_limit: self.bypass_limit(),
+            queue: inbox.queue.sorted().iter().take(limit).map(held).collect(),
+        })
     }
 
     /// The sequence number that the task's next message will have.

@@ -142,6 +142,10 @@ impl<L: Link> Link for FaultyLink<L> {
         self.inner.failures()
     }
 
+    fn evidence(&self) -> Vec<(&'static str, u64)> {
+        self.inner.evidence()
+    }
+
     fn leading(&self) -> Option<&dyn Leading> {
         self.inner.leading()
     }

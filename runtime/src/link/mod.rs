@@ -65,6 +65,11 @@ pub trait Link: Send + Sync {
         Vec::new()
     }
 
+    /// What the link counts besides, by name: how much it does, and how sure it is of how long datagrams waited (D50).
+    fn evidence(&self) -> Vec<(&'static str, u64)> {
+        Vec::new()
+    }
+
     /// Where the thread of a task may wait in the link itself while another thread polls, if it may.
     fn leading(&self) -> Option<&dyn Leading> {
         None

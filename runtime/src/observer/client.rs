@@ -1,40 +1,31 @@
 //! One monitor of a node.
 
-use super::MAX_MONITORS;
+use super::due::{Subscription, mono_us};
 use super::stream::Stream;
-use crate::clock;
-use crate::node::Node;
-use crate::snapshot::Observations;
+use super::{MAX_MONITORS, Showing};
 use imrs_wire::obs::{
-    Bye, ClientFrame, DecodeError, Events, FrameError, FrameReader, FrameWriter, Goodbye, Handshake, Hello,
-    MAX_REQUEST, Refusal, Role, SCHEMA, ServerFrame, Subscribe, Table, VERSION, Version, agree,
+    Bye, ClientFrame, DecodeError, Denied, FrameError, FrameReader, FrameWriter, Goodbye, Handshake, Hello,
+    MAX_REQUEST, Pong, Refusal, Role, SCHEMA, ServerFrame, Table, VERSION, Version, agree,
 };
 use std::os::fd::{AsFd, BorrowedFd};
-use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 /// How long a new connection may say nothing.
 const GREETING: Duration = Duration::from_secs(5);
-/// The shortest time between snapshots.
-const LEAST_PERIOD: Duration = Duration::from_millis(10);
-/// The time between frames of events.
-const EVENT_PERIOD: Duration = Duration::from_millis(20);
-/// How many events of one machine go into one frame.
-const EVENT_ROOM: usize = 512;
-/// How many events go into one frame.
-const MAX_EVENTS: usize = 16_384;
-/// The most waiting messages of a port in a snapshot.
-const QUEUE_LIMIT: u8 = 64;
 /// How many requests are read before others get their turn.
 const REQUESTS: usize = 16;
+/// The first version that has tokens, and all that came with them.
+const NEW: Version = Version { major: 1, minor: 1 };
 
 pub(super) struct Client {
-    node: Arc<Node>,
+    showing: Showing,
     reader: FrameReader<Stream>,
     writer: FrameWriter<Stream>,
     state: State,
     /// Whether there is room for it. If not it hears so and goes.
     welcome: bool,
+    /// The answer to its last ping, until that is on its way.
+    pong: Option<Pong>,
 }
 
 enum State {
@@ -42,20 +33,15 @@ enum State {
     Greeting {
         until: Instant,
     },
+    /// It has not shown that it may look.
+    Unproven {
+        until: Instant,
+    },
     /// It may subscribe.
     Idle,
-    Subscribed(Subscription),
+    Subscribed(Box<Subscription>),
     /// What is pending is the last.
     Leaving,
-}
-
-struct Subscription {
-    period: Duration,
-    queue_limit: u8,
-    credit: u16,
-    next_snapshot: Instant,
-    next_events: Instant,
-    events: Option<Observations>,
 }
 
 /// The connection is over.
@@ -69,11 +55,12 @@ impl From<FrameError> for Gone {
 
 impl Client {
     /// A new connection, or `None` where the system has no resources for it.
-    pub fn new(stream: Stream, node: Arc<Node>, welcome: bool, now: Instant) -> Option<Self> {
+    pub fn new(stream: Stream, showing: Showing, welcome: bool, now: Instant) -> Option<Self> {
         stream.set_nonblocking().ok()?;
         let reader = FrameReader::new(stream.try_clone().ok()?, MAX_REQUEST);
         let writer = FrameWriter::new(stream);
-        Some(Self { node, reader, writer, state: State::Greeting { until: now + GREETING }, welcome })
+        let state = State::Greeting { until: now + GREETING };
+        Some(Self { showing, reader, writer, state, welcome, pong: None })
     }
 
     pub fn as_fd(&self) -> BorrowedFd<'_> {
@@ -87,11 +74,8 @@ impl Client {
     /// When something is to do for it though nothing comes from it.
     pub fn due(&self) -> Option<Instant> {
         match &self.state {
-            State::Greeting { until } => Some(*until),
-            State::Subscribed(s) if s.credit > 0 && self.writer.is_drained() => {
-                let events = s.events.as_ref().map(|_| s.next_events);
-                Some(events.map_or(s.next_snapshot, |at| at.min(s.next_snapshot)))
-            }
+            State::Greeting { until } | State::Unproven { until } => Some(*until),
+            State::Subscribed(subscription) if self.writer.is_drained() => subscription.due(),
             State::Subscribed(_) | State::Idle | State::Leaving => None,
         }
     }
@@ -110,7 +94,7 @@ impl Client {
     }
 
     fn try_serve(&mut self, ready: bool, now: Instant) -> Result<(), Gone> {
-        if let State::Greeting { until } = self.state
+        if let State::Greeting { until } | State::Unproven { until } = self.state
             && until <= now
         {
             return Err(Gone);
@@ -143,21 +127,17 @@ impl Client {
                 Err(FrameError::NotReady) => return Ok(()),
                 Err(error) => return Err(error.into()),
             };
-            match &mut self.state {
+            match &self.state {
                 State::Greeting { .. } => {
                     let hello = Handshake::decode(frame);
-                    self.greet(&hello)?;
+                    self.greet(&hello, now)?;
                 }
-                State::Idle => match ClientFrame::decode(frame) {
-                    Ok(ClientFrame::Subscribe(wanted)) => self.subscribe(&wanted, now),
-                    Ok(ClientFrame::Credit(_)) => {}
-                    Err(_) => self.misunderstood()?,
-                },
-                State::Subscribed(subscription) => match ClientFrame::decode(frame) {
-                    Ok(ClientFrame::Subscribe(wanted)) => self.subscribe(&wanted, now),
-                    Ok(ClientFrame::Credit(more)) => {
-                        subscription.credit = subscription.credit.saturating_add(more);
-                    }
+                State::Unproven { .. } => {
+                    let frame = ClientFrame::decode(frame);
+                    self.prove(frame)?;
+                }
+                State::Idle | State::Subscribed(_) => match ClientFrame::decode(frame) {
+                    Ok(frame) => self.take(frame, now),
                     Err(_) => self.misunderstood()?,
                 },
                 State::Leaving => return Ok(()),
@@ -166,14 +146,57 @@ impl Client {
         Ok(())
     }
 
-    fn greet(&mut self, hello: &Result<(Version, Handshake), DecodeError>) -> Result<(), Gone> {
+    fn take(&mut self, frame: ClientFrame, now: Instant) {
+        match frame {
+            ClientFrame::Subscribe(wanted) => {
+                let before = self.subscription();
+                self.subscribed(Subscription::old(&wanted, before, &self.showing, now));
+            }
+            ClientFrame::Want(wanted) => {
+                let before = self.subscription();
+                self.subscribed(Subscription::new(wanted, before, &self.showing, now));
+            }
+            ClientFrame::Credit(more) => {
+                if let State::Subscribed(subscription) = &mut self.state {
+                    subscription.credit = subscription.credit.saturating_add(more);
+                }
+            }
+            ClientFrame::Whole => {
+                if let State::Subscribed(subscription) = &mut self.state {
+                    subscription.whole(now);
+                }
+            }
+            ClientFrame::Ping(ping) => self.pong = Some(Pong { echo_us: ping.mono_us, mono_us: mono_us() }),
+            // It may look without.
+            ClientFrame::Token(_) => {}
+        }
+    }
+
+    fn subscription(&mut self) -> Option<Subscription> {
+        match std::mem::replace(&mut self.state, State::Idle) {
+            State::Subscribed(subscription) => Some(*subscription),
+            State::Greeting { .. } | State::Unproven { .. } | State::Idle | State::Leaving => None,
+        }
+    }
+
+    fn subscribed(&mut self, subscription: Subscription) {
+        self.state = State::Subscribed(Box::new(subscription));
+    }
+
+    fn greet(&mut self, hello: &Result<(Version, Handshake), DecodeError>, now: Instant) -> Result<(), Gone> {
         let refusal = match hello {
             Err(DecodeError::OtherMajor { theirs, .. }) => {
                 Some(Refusal::OtherMajor { node: VERSION, monitor: *theirs })
             }
             Err(_) => return Err(Gone),
             Ok((theirs, Handshake::Hello(Hello { role: Role::Monitor, schema, .. }))) => {
-                agree((VERSION, SCHEMA), (*theirs, *schema)).err()
+                match agree((VERSION, SCHEMA), (*theirs, *schema)) {
+                    // It has no way to show a token.
+                    Ok(version) if self.showing.token.is_some() && version.minor < NEW.minor => {
+                        Some(Refusal::OtherMajor { node: VERSION, monitor: *theirs })
+                    }
+                    agreed => agreed.err(),
+                }
             }
             Ok((_, Handshake::Hello(_) | Handshake::Refused(_))) => Some(Refusal::NotAMonitor),
         };
@@ -188,29 +211,34 @@ impl Client {
             schema: SCHEMA,
             pid: std::process::id(),
             build: concat!("imrs-runtime ", env!("CARGO_PKG_VERSION")).into(),
-            mono_us: clock::now(),
-            role: Role::Node(self.node.identity()),
+            mono_us: mono_us(),
+            role: Role::Node(self.showing.node.identity()),
         };
         self.writer.push_bytes(&Handshake::Hello(ours).encode(VERSION))?;
-        self.writer.push(&ServerFrame::Table(Table::of(self.node.table())))?;
+        if self.showing.token.is_some() {
+            self.state = State::Unproven { until: now + GREETING };
+            return Ok(());
+        }
+        self.admit()
+    }
+
+    /// It may look.
+    fn admit(&mut self) -> Result<(), Gone> {
+        self.writer.push(&ServerFrame::Table(Table::of(self.showing.node.table())))?;
         self.state = State::Idle;
         Ok(())
     }
 
-    fn subscribe(&mut self, wanted: &Subscribe, now: Instant) {
-        let events = match &mut self.state {
-            State::Subscribed(before) => before.events.take(),
-            State::Greeting { .. } | State::Idle | State::Leaving => None,
+    /// Its first word must be the token.
+    fn prove(&mut self, frame: Result<ClientFrame, DecodeError>) -> Result<(), Gone> {
+        let denied = match (&self.showing.token, frame) {
+            (Some(ours), Ok(ClientFrame::Token(theirs))) if !ours.is(&theirs) => Denied::WrongToken,
+            (None, _) | (Some(_), Ok(ClientFrame::Token(_))) => return self.admit(),
+            (Some(_), _) => Denied::NoToken,
         };
-        let events = wanted.events.then(|| events.unwrap_or_else(|| self.node.observe()));
-        self.state = State::Subscribed(Subscription {
-            period: Duration::from_micros(wanted.period_us.into()).max(LEAST_PERIOD),
-            queue_limit: wanted.queue_limit.min(QUEUE_LIMIT),
-            credit: wanted.credit,
-            next_snapshot: now,
-            next_events: now,
-            events,
-        });
+        self.writer.push(&ServerFrame::Denied(denied))?;
+        self.state = State::Leaving;
+        Ok(())
     }
 
     fn misunderstood(&mut self) -> Result<(), Gone> {
@@ -221,42 +249,10 @@ impl Client {
 
     /// At most one frame: while it is on its way, nothing else is made.
     fn push_what_is_due(&mut self, now: Instant) -> Result<(), Gone> {
+        if let Some(pong) = self.pong.take() {
+            return Ok(self.writer.push(&ServerFrame::Pong(pong))?);
+        }
         let State::Subscribed(subscription) = &mut self.state else { return Ok(()) };
-        if subscription.credit == 0 {
-            return Ok(());
-        }
-        if subscription.next_snapshot <= now {
-            subscription.next_snapshot = now + subscription.period;
-            push_snapshot(&self.node, subscription.queue_limit, &mut self.writer)?;
-            subscription.credit -= 1;
-        } else if let Some(observations) = &mut subscription.events
-            && subscription.next_events <= now
-        {
-            subscription.next_events = now + EVENT_PERIOD;
-            let mut frame = Events::default();
-            frame.lost = observations.drain(EVENT_ROOM, &mut frame.events);
-            if !frame.events.is_empty() || frame.lost > 0 {
-                frame.lost += frame.events.len().saturating_sub(MAX_EVENTS) as u64;
-                frame.events.truncate(MAX_EVENTS);
-                self.writer.push(&ServerFrame::Events(frame))?;
-                subscription.credit -= 1;
-            }
-        }
-        Ok(())
-    }
-}
-
-/// The snapshot, with fewer and fewer waiting messages until it fits a frame.
-fn push_snapshot(
-    node: &Node,
-    mut queue_limit: u8,
-    writer: &mut FrameWriter<Stream>,
-) -> Result<(), FrameError> {
-    loop {
-        let snapshot = ServerFrame::Snapshot(node.snapshot(queue_limit.into()));
-        match writer.push(&snapshot) {
-            Err(FrameError::TooLong { .. }) if queue_limit > 0 => queue_limit /= 2,
-            other => return other,
-        }
+        Ok(subscription.push(&self.showing, now, &mut self.writer)?)
     }
 }

@@ -1,6 +1,10 @@
 //! What is said after the handshake.
 
 use super::decode::{DecodeError, whole};
+use super::delta::Delta;
+use super::handshake::Version;
+use super::told::{Denied, Detail, Places, Pong, Vitals};
+use super::want::{Ping, Token, Want};
 use imrs_protocol::{
     CellTable, Class, NodeId, Observation, TaskId, TaskView, Ticks, TimeId, TransitView, Usage,
 };
@@ -251,15 +255,51 @@ pub enum ServerFrame {
     Events(Events),
     /// The end.
     Bye(Bye),
+    /// What changed since the last snapshot or change (1.1).
+    Delta(Delta),
+    /// What waits at the ports that are watched (1.1).
+    Detail(Detail),
+    /// How the process does (1.1).
+    Vitals(Vitals),
+    /// The answer to a ping (1.1).
+    Pong(Pong),
+    /// Where the other nodes are (1.1).
+    Places(Places),
+    /// The node does not show itself; the connection is closed after this (1.1).
+    Denied(Denied),
 }
 
 impl ServerFrame {
+    /// The first version that has this kind of frame.
+    #[must_use]
+    pub const fn since(&self) -> Version {
+        let minor = match self {
+            Self::Table(_) | Self::Snapshot(_) | Self::Events(_) | Self::Bye(_) => 0,
+            Self::Delta(_)
+            | Self::Detail(_)
+            | Self::Vitals(_)
+            | Self::Pong(_)
+            | Self::Places(_)
+            | Self::Denied(_) => 1,
+        };
+        Version { major: 1, minor }
+    }
+
+    /// Whether it costs a credit.
+    #[must_use]
+    pub const fn costs(&self) -> bool {
+        match self {
+            Self::Snapshot(_) | Self::Events(_) | Self::Delta(_) | Self::Detail(_) | Self::Vitals(_) => true,
+            Self::Table(_) | Self::Bye(_) | Self::Pong(_) | Self::Places(_) | Self::Denied(_) => false,
+        }
+    }
+
     /// The frame that `bytes` are.
     ///
     /// # Errors
     /// [`DecodeError`]; after [`DecodeError::UnknownKind`] the next frame can still be read.
     pub fn decode(bytes: &[u8]) -> Result<Self, DecodeError> {
-        whole(bytes, 4)
+        whole(bytes, 10)
     }
 }
 
@@ -277,12 +317,21 @@ pub struct Subscribe {
 }
 
 /// What a monitor says after the handshake. Nothing here can change a node.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub enum ClientFrame {
     /// Begins the snapshots, or changes what is wanted from now on. The credit replaces what was left.
     Subscribe(Subscribe),
     /// The node may send so many frames more. The sum saturates.
     Credit(u16),
+    /// Begins what is wanted, or changes it from now on (1.1). The credit replaces what was left. It does not begin
+    /// anew: what changed goes on from what was sent last, if that had as many messages per port.
+    Want(Want),
+    /// Asks for the node's clock (1.1).
+    Ping(Ping),
+    /// Shows that the monitor may look (1.1). Before anything else is said.
+    Token(Token),
+    /// Asks for a whole snapshot in place of the next change (1.1).
+    Whole,
 }
 
 impl ClientFrame {
@@ -291,6 +340,6 @@ impl ClientFrame {
     /// # Errors
     /// [`DecodeError`].
     pub fn decode(bytes: &[u8]) -> Result<Self, DecodeError> {
-        whole(bytes, 2)
+        whole(bytes, 6)
     }
 }

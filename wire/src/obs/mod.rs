@@ -13,6 +13,15 @@
 //!    keep in [`Events::lost`], so a slow monitor costs a node a bounded amount of memory and no time.
 //! 5. Either side closes. A node that stops in order says [`ServerFrame::Bye`] first.
 //!
+//! # What version 1.1 adds (D115)
+//!
+//! Instead of [`ClientFrame::Subscribe`] a monitor says [`ClientFrame::Want`]: then snapshots come as what changed
+//! ([`Delta`]), of which only the first is whole; of the ports that are watched it tells what each message has been through
+//! ([`Detail`]), and now and then how the process does ([`Vitals`]). [`ClientFrame::Ping`] compares the clocks.
+//! [`ServerFrame::Places`] says where the other nodes are. A node that asks for a [`Token`] says nothing but its hello
+//! until it has come, and [`Denied`] if it does not. Neither side says any of this to one that speaks 1.0, for whom all is
+//! as it was.
+//!
 //! No message can change a node: the only things a monitor can say are how much it wants to see, and how often.
 //!
 //! # Encoding
@@ -23,14 +32,20 @@
 //! as [`DecodeError::UnknownKind`] elsewhere. The golden bytes of each version are kept in `tests/obs_golden`.
 
 mod decode;
+mod delta;
 mod frames;
 mod framing;
 mod gathering;
 mod handshake;
 pub mod place;
+mod told;
+mod want;
 
 pub use decode::DecodeError;
 pub(crate) use decode::whole;
+pub use delta::{
+    At, Changed, Delta, DeltaError, NodeFacts, PortAnew, PortChange, TaskAnew, TaskChange, TaskParts, Waiting,
+};
 pub use frames::{
     Bye, ClientFrame, Count, Events, Goodbye, LinkName, LinkView, Liveness, NodeName, PartyName, PortName,
     RealTime, ServerFrame, Snapshot, Subscribe, Table, TaskName, TaskSnapshot, TimedEvent, TimerEntry,
@@ -38,3 +53,7 @@ pub use frames::{
 pub use framing::{FrameError, FrameReader, FrameWriter, MAX_FRAME, MAX_REQUEST};
 pub use gathering::Gathering;
 pub use handshake::{Handshake, Hello, NodeIdentity, Refusal, Role, SCHEMA, VERSION, Version, agree};
+pub use told::{
+    Denied, Detail, Lateness, MAX_WATCHED, NodePlace, Places, Pong, PortDetail, RecordingFacts, Vitals,
+};
+pub use want::{EventFilter, Kinds, MAX_TOKEN, Ping, Token, TokenError, Want};

@@ -418,6 +418,11 @@ impl Link for UdpLink {
         failures.map(|&count| (count.name(), self.statistics.get(count))).collect()
     }
 
+    fn evidence(&self) -> Vec<(&'static str, u64)> {
+        let evidence = UdpCount::ALL.iter().filter(|count| !UdpCount::FAILURES.contains(count));
+        evidence.map(|&count| (count.name(), self.statistics.get(count))).collect()
+    }
+
     fn leading(&self) -> Option<&dyn Leading> {
         Some(self)
     }

@@ -1,0 +1,300 @@
+//! What monitors cost a node (M3, M4, M6): real ones, over its socket, fast, slow, stopped and mad.
+
+use super::cells;
+use super::recording::{Onlooker, Watched};
+use crate::sample::Sample;
+use crate::suite::{Effort, Goal, Row, Stat, Suite};
+use imrs_protocol::{
+    Class, NodeId, PortCounters, PortId, PortView, TaskId, TaskState, TaskView, Ticks, Usage,
+};
+use imrs_runtime::observer::Observer;
+use imrs_runtime::{Node, Runtime};
+use imrs_wire::obs::{
+    ClientFrame, Delta, EventFilter, FrameReader, FrameWriter, Handshake, Hello, Liveness, MAX_FRAME, Role,
+    SCHEMA, ServerFrame, Snapshot, TaskSnapshot, VERSION, Want,
+};
+use std::io::{Read, Write};
+use std::os::unix::net::UnixStream;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::sync::mpsc::channel;
+use std::thread::{self, JoinHandle};
+use std::time::{Duration, Instant};
+
+/// How long a monitor waits before it looks whether it should end.
+const LOOK: Duration = Duration::from_millis(20);
+/// What the screen asks for: ten times a second.
+const PERIOD_US: u32 = 100_000;
+
+/// Who watches.
+#[derive(Clone, Copy)]
+enum Crowd {
+    /// Nobody; nobody could.
+    Nobody,
+    /// The node listens, and nobody comes.
+    Empty,
+    /// So many that read what comes.
+    Readers(usize),
+    /// One that never reads.
+    Stopped,
+    /// One that reads a byte a second.
+    Slow,
+    /// One after the other that says nonsense.
+    Mad,
+}
+
+/// What being watched costs, and what a change weighs.
+#[must_use]
+pub fn observe() -> Suite {
+    let mut suite = Suite::new("observe");
+    let crowds = [
+        ("nobody", Crowd::Nobody),
+        ("no monitor", Crowd::Empty),
+        ("one monitor", Crowd::Readers(1)),
+        ("five monitors", Crowd::Readers(5)),
+        ("a stopped monitor", Crowd::Stopped),
+        ("a slow monitor", Crowd::Slow),
+        ("a mad monitor", Crowd::Mad),
+    ];
+    for (name, crowd) in crowds {
+        suite.case(
+            format!("watched by {name}"),
+            "send, receive, reply between two Rust tasks of a node that sleep before every message; monitors of the same process read 10 times a second, events too",
+            move |effort| watched(effort, crowd),
+        );
+    }
+    for (name, bound) in [("no monitor", 1.01), ("one monitor", 1.02), ("five monitors", 1.03)] {
+        let row = Row::new(
+            "M3",
+            format!("watched by {name}"),
+            "watched by nobody",
+            Stat::Mean,
+            Goal::AtMost(bound),
+        );
+        suite.row(row);
+        let late =
+            Row::new("M3", format!("watched by {name}"), "watched by nobody", Stat::P999, Goal::AtMost(1.05));
+        suite.row(late);
+    }
+    for name in ["a stopped monitor", "a slow monitor", "a mad monitor"] {
+        let row =
+            Row::new("M4", format!("watched by {name}"), "watched by nobody", Stat::Mean, Goal::AtMost(1.02));
+        suite.row(row);
+    }
+    changes(&mut suite);
+    suite
+}
+
+fn changes(suite: &mut Suite) {
+    suite.case(
+        "ten thousand ports, a change",
+        "what changed of 10,000 ports of which a twentieth did, found and encoded; counts bytes a second at 10 Hz",
+        |effort| change(effort, 20),
+    );
+    suite.case(
+        "ten thousand ports, idle",
+        "the same where nothing changed; counts bytes a second at 10 Hz",
+        |effort| change(effort, usize::MAX),
+    );
+    suite.case("ten thousand ports, whole", "all of 10,000 ports, encoded; counts bytes", |effort| {
+        let state = large();
+        let (mut bytes, times) = (0, effort.of(20));
+        let begins = Instant::now();
+        for _ in 0..times {
+            bytes = size(&Delta::whole(&state));
+        }
+        Sample::of_all(begins.elapsed(), times.into()).with(bytes as f64)
+    });
+    for (case, what, bound) in [
+        ("ten thousand ports, a change", "bytes a second of 10,000 ports, 5 % of them dirty", 100_000.0),
+        ("ten thousand ports, idle", "bytes a second of 10,000 idle ports", 1_000.0),
+        ("ten thousand ports, whole", "bytes of a whole snapshot of 10,000 ports", 200_000.0),
+    ] {
+        suite.row(Row::bounded("M6", what, case, Stat::Count, Goal::AtMost(bound)));
+    }
+}
+
+fn watched(effort: Effort, crowd: Crowd) -> Sample {
+    let table = cells::asking(1, Usage::Send);
+    let (tell, told) = channel();
+    let times = effort.of(3_000);
+    let onlooker = Onlooker::of(Watched::Not, &table, NodeId(0));
+    let node = onlooker.told_by(Runtime::builder(table, NodeId(0)));
+    let (begin, begins) = channel::<()>();
+    let node = node
+        .task("t0", move |ctx| {
+            begins.recv().expect("the harness says when");
+            tell.send(cells::ask(ctx, &cells::FULL, times, 1)?).expect("the harness listens");
+            Ok(())
+        })
+        .task("t1", cells::answer)
+        .start()
+        .expect("a node that starts");
+    let crowd = Monitors::come(crowd, node.node());
+    begin.send(()).expect("the task waits");
+    let sample = cells::hear(node, &told);
+    crowd.leave();
+    sample
+}
+
+/// Monitors, while they watch.
+struct Monitors {
+    observer: Option<Observer>,
+    stop: Arc<AtomicBool>,
+    threads: Vec<JoinHandle<()>>,
+}
+
+impl Monitors {
+    fn come(crowd: Crowd, node: &Arc<Node>) -> Self {
+        let stop = Arc::new(AtomicBool::new(false));
+        let mut monitors = Self { observer: None, stop, threads: Vec::new() };
+        if matches!(crowd, Crowd::Nobody) {
+            return monitors;
+        }
+        let path = socket();
+        monitors.observer = Some(Observer::start_at(Arc::clone(node), &path).expect("a socket"));
+        match crowd {
+            Crowd::Nobody | Crowd::Empty => {}
+            Crowd::Readers(count) => (0..count).for_each(|_| monitors.join(&path, read_all)),
+            Crowd::Stopped => monitors.join(&path, |_, stop| wait(stop)),
+            Crowd::Slow => monitors.join(&path, |mut stream, stop| {
+                while !stop.load(Ordering::Relaxed) {
+                    let _ = stream.read(&mut [0]);
+                    (0..50).take_while(|_| !stop.load(Ordering::Relaxed)).for_each(|_| thread::sleep(LOOK));
+                }
+            }),
+            Crowd::Mad => {
+                let stop = Arc::clone(&monitors.stop);
+                monitors.threads.push(thread::spawn(move || {
+                    while !stop.load(Ordering::Relaxed) {
+                        if let Ok(mut stream) = UnixStream::connect(&path) {
+                            let _ = stream.write_all(&[0xa5; 512]);
+                        }
+                        thread::sleep(LOOK);
+                    }
+                }));
+            }
+        }
+        monitors
+    }
+
+    fn join(&mut self, path: &Path, watch: impl FnOnce(UnixStream, &AtomicBool) + Send + 'static) {
+        let stream = attach(path);
+        let stop = Arc::clone(&self.stop);
+        self.threads.push(thread::spawn(move || watch(stream, &stop)));
+    }
+
+    fn leave(self) {
+        self.stop.store(true, Ordering::Relaxed);
+        self.threads.into_iter().for_each(|thread| thread.join().expect("it only reads"));
+        drop(self.observer);
+    }
+}
+
+/// A connection on which everything is asked for.
+fn attach(path: &Path) -> UnixStream {
+    let stream = UnixStream::connect(path).expect("the node listens");
+    stream.set_read_timeout(Some(LOOK)).expect("a socket");
+    let mut writer = FrameWriter::new(stream.try_clone().expect("a socket"));
+    let hello = Hello { schema: SCHEMA, pid: 1, build: "bench".into(), mono_us: 0, role: Role::Monitor };
+    writer.push_bytes(&Handshake::Hello(hello).encode(VERSION)).expect("a short frame");
+    let want = Want {
+        period_us: PERIOD_US,
+        queue_limit: 64,
+        watched: Vec::new(),
+        events: Some(EventFilter::ALL),
+        vitals_us: 1_000_000,
+        whole_us: 0,
+        credit: u16::MAX,
+    };
+    writer.push(&ClientFrame::Want(want)).expect("a short frame");
+    writer.flush().expect("it is read");
+    stream
+}
+
+/// Reads as the monitor does, and shows nothing.
+fn read_all(stream: UnixStream, stop: &AtomicBool) {
+    let mut reader = FrameReader::new(stream, MAX_FRAME);
+    let mut frames = 0;
+    while !stop.load(Ordering::Relaxed) {
+        // Nothing now, or the node has gone.
+        frames += u64::from(reader.read_frame().is_ok());
+    }
+    std::hint::black_box(frames);
+}
+
+fn wait(stop: &AtomicBool) {
+    while !stop.load(Ordering::Relaxed) {
+        thread::sleep(LOOK);
+    }
+}
+
+fn socket() -> PathBuf {
+    static SOCKETS: AtomicU32 = AtomicU32::new(0);
+    let number = SOCKETS.fetch_add(1, Ordering::Relaxed);
+    std::env::temp_dir().join(format!("imrs-bench-{}-{number}.sock", std::process::id()))
+}
+
+/// A node of 100 tasks of 100 ports.
+fn large() -> Snapshot {
+    let port = |id: u16| PortView {
+        port: PortId(id),
+        usage: Usage::Receive,
+        class: Class::Status,
+        len: 1,
+        capacity: 8,
+        min_slack: Some(Ticks(100_000 + u64::from(id))),
+        queue: Vec::new(),
+        counters: PortCounters { enqueued: 9_120, delivered: 9_041, ..PortCounters::default() },
+    };
+    let task = |id: u16| TaskSnapshot {
+        liveness: Liveness::Alive,
+        age_us: 0,
+        view: TaskView {
+            task: TaskId(id),
+            state: TaskState::Running,
+            ports: (id * 100..(id + 1) * 100).map(port).collect(),
+            meetings: Vec::new(),
+        },
+    };
+    Snapshot { mono_us: 1 << 32, tasks: (0..100).map(task).collect(), ..Snapshot::default() }
+}
+
+/// Changes of which one port in `apart` is dirty; `usize::MAX`: nothing happens.
+fn change(effort: Effort, apart: usize) -> Sample {
+    let old = large();
+    let mut new = old.clone();
+    new.mono_us += u64::from(PERIOD_US);
+    new.uptime_us += u64::from(PERIOD_US);
+    new.transit_age_us += u64::from(PERIOD_US);
+    for task in &mut new.tasks {
+        if apart == usize::MAX {
+            task.age_us += u64::from(PERIOD_US);
+            continue;
+        }
+        for (at, port) in task.view.ports.iter_mut().enumerate() {
+            port.min_slack = port.min_slack.map(|left| left - Ticks(PERIOD_US.into()));
+            if at % apart == 0 {
+                port.counters.enqueued += 20;
+                port.counters.delivered += 20;
+                port.len = 3;
+                port.min_slack = Some(Ticks(171_000));
+            }
+        }
+    }
+    let (mut bytes, times) = (0, effort.of(100));
+    let begins = Instant::now();
+    for _ in 0..times {
+        bytes = size(&Delta::between(&old, &new));
+    }
+    Sample::of_all(begins.elapsed(), times.into()).with(bytes as f64 * 1e6 / f64::from(PERIOD_US))
+}
+
+/// What a change weighs on its way.
+fn size(delta: &Delta) -> usize {
+    let mut writer = FrameWriter::new(Vec::new());
+    writer.push(&ServerFrame::Delta(delta.clone())).expect("it fits a frame");
+    writer.flush().expect("memory takes everything");
+    writer.get_ref().len()
+}

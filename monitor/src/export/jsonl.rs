@@ -1,0 +1,84 @@
+//! Lines of JSON: one for each state of a node, and one for everything that happened.
+
+use super::{ExportError, Exported, each_frame, micros};
+use crate::replay::Film;
+use crate::report;
+use crate::source::{Arrival, Feed};
+use crate::store::journal::word;
+use crate::store::{Life, Store};
+use imrs_protocol::Event;
+use imrs_wire::obs::{ServerFrame, TimedEvent};
+use serde_json::{Value, json};
+use std::io::Write;
+
+pub(super) fn write(film: &Film, mut out: impl Write) -> Result<Exported, ExportError> {
+    let mut count = 0;
+    each_frame(film, |store, arrival| {
+        for line in lines(store, arrival) {
+            serde_json::to_writer(&mut out, &line).map_err(std::io::Error::from)?;
+            out.write_all(b"\n")?;
+            count += 1;
+        }
+        Ok::<(), ExportError>(())
+    })?;
+    out.flush()?;
+    Ok(Exported { count, what: "lines" })
+}
+
+fn lines(store: &Store, arrival: &Arrival) -> Vec<Value> {
+    let (at_us, source) = (micros(arrival.at), arrival.source);
+    let life = store.life_of(source);
+    let node = life.map(|life| life.node.raw().to_owned());
+    match &arrival.feed {
+        Feed::Attached { identity, pid, build } => vec![json!({
+            "at_us": at_us, "what": "attached", "cell": identity.cell, "node": identity.node,
+            "incarnation": identity.incarnation.0, "pid": pid, "build": build,
+        })],
+        Feed::Lost { why } => vec![json!({"at_us": at_us, "what": "lost", "node": node, "why": why})],
+        Feed::Frame(frame) => match &**frame {
+            ServerFrame::Events(events) => {
+                let Some(life) = life else { return Vec::new() };
+                let gap = (events.lost > 0).then(
+                    || json!({"at_us": at_us, "what": "gap", "node": node, "lost_events": events.lost}),
+                );
+                gap.into_iter()
+                    .chain(events.events.iter().map(|event| self::event(life, at_us, event)))
+                    .collect()
+            }
+            ServerFrame::Bye(_) => vec![json!({"at_us": at_us, "what": "stopped", "node": node})],
+            ServerFrame::Table(_) => Vec::new(),
+            _ => life.filter(|_| is_state(frame)).map_or_else(Vec::new, |life| {
+                vec![json!({"at_us": at_us, "what": "state", "state": report::node_value(life, arrival.at)})]
+            }),
+        },
+        Feed::Judged { .. } | Feed::Failed { .. } | Feed::Left | Feed::Stale { .. } => Vec::new(),
+    }
+}
+
+/// Whether a frame says how a node looks.
+pub(super) const fn is_state(frame: &ServerFrame) -> bool {
+    matches!(frame, ServerFrame::Snapshot(_) | ServerFrame::Delta(_))
+}
+
+/// Something that happened, with the names of the cell.
+pub(super) fn event(life: &Life, at_us: u64, event: &TimedEvent) -> Value {
+    let what = event.what;
+    let reason = match what.event {
+        Event::Discarded(reason) => Some(reason.name()),
+        _ => None,
+    };
+    json!({
+        "at_us": at_us,
+        "what": "event",
+        "node": life.node.raw(),
+        // Of the node's own clock: only differences within one node mean anything.
+        "mono_us": event.mono_us,
+        "task": event.task.map(|task| life.names.task(task).raw().to_owned()),
+        "event": word(what.event),
+        "reason": reason,
+        "port": life.names.port(what.port).map(|port| port.name.raw()),
+        "peer": life.names.task(what.peer).raw(),
+        "number": what.number,
+        "remaining_us": what.remaining.0.saturating_mul(life.tick_us),
+    })
+}

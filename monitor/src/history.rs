@@ -1,0 +1,200 @@
+//! The last minutes of what came in, kept in memory: while the screen stands still, one can go back in the present run as
+//! in a recording.
+//!
+//! It is kept in reels of half a minute. Each begins with where everything stood, so the oldest can be dropped at any
+//! time: the memory that this takes has a bound, whatever comes in.
+
+use crate::clock::Moment;
+use crate::replay::{Film, Reel, is_odd};
+use crate::source::{Arrival, Feed, SourceId};
+use crate::store::{Life, Store};
+use imrs_wire::obs::{Delta, Hello, NodeIdentity, Role, SCHEMA, ServerFrame, VERSION};
+use imrs_wire::recording::Shown;
+use std::collections::VecDeque;
+use std::sync::Arc;
+use std::time::Duration;
+
+/// How long anything is kept.
+pub const LENGTH: Duration = Duration::from_secs(600);
+/// How much memory it takes at most, in bytes; a busy system is kept for as long as that lasts.
+pub const BUDGET: usize = 46 << 20;
+/// How long a reel is.
+const REEL: Duration = Duration::from_secs(30);
+/// How many lives of nodes are remembered, the gone ones included.
+const LIVES: usize = 256;
+
+/// What came in lately.
+#[derive(Clone, Debug, Default)]
+pub struct History {
+    closed: VecDeque<Piece>,
+    open: Piece,
+    /// Who was ever attached, in the order of their births: so they are born again in this order.
+    known: Vec<Known>,
+    /// Memory of the closed pieces, in bytes.
+    weight: usize,
+}
+
+#[derive(Clone, Debug, Default)]
+struct Piece {
+    /// Where everything stood.
+    opening: Arc<Reel>,
+    /// What came then.
+    reel: Arc<Reel>,
+    last: Moment,
+}
+
+impl Piece {
+    fn weight(&self) -> usize {
+        self.opening.weight() + self.reel.weight()
+    }
+}
+
+/// A life of a node.
+#[derive(Clone, Debug)]
+struct Known {
+    source: SourceId,
+    identity: NodeIdentity,
+    pid: u32,
+    attached: Arc<[u8]>,
+    table: Option<Arc<[u8]>>,
+    lost: Option<Arc<[u8]>>,
+}
+
+impl History {
+    /// Takes note of what a source said. `before` is what was known until then.
+    pub fn take(&mut self, arrival: &Arrival, before: &Store) {
+        let Arrival { at, source, feed } = arrival;
+        let Ok(number) = u16::try_from(source.0) else { return };
+        if self.open.reel.began().is_none_or(|began| at.saturating_sub(began) >= REEL) {
+            self.turn(*at, before);
+        }
+        let (bytes, odd) = match feed {
+            Feed::Attached { identity, pid, build } => (self.attached(*source, identity, *pid, build), false),
+            Feed::Frame(frame) => {
+                let shown = Shown::Said((**frame).clone());
+                let (bytes, odd): (Arc<[u8]>, _) = (shown.encode().into(), is_odd(&shown));
+                if matches!(**frame, ServerFrame::Table(_))
+                    && let Some(known) = self.present(*source)
+                {
+                    known.table = Some(Arc::clone(&bytes));
+                }
+                (bytes, odd)
+            }
+            Feed::Lost { why } => {
+                let bytes: Arc<[u8]> = Shown::Lost { why: why.clone() }.encode().into();
+                if let Some(known) = self.present(*source) {
+                    known.lost = Some(Arc::clone(&bytes));
+                }
+                (bytes, true)
+            }
+            Feed::Judged { .. } | Feed::Failed { .. } | Feed::Left | Feed::Stale { .. } => return,
+        };
+        self.open.last = *at;
+        Arc::make_mut(&mut self.open.reel).put(*at, number, odd, &bytes);
+        // A reel of a very busy system ends early, so that what is dropped is a small part of all.
+        if self.open.reel.weight() >= BUDGET / 16 {
+            self.close();
+        }
+        self.forget(*at);
+    }
+
+    /// What is kept, to look at; `None` before anything came.
+    #[must_use]
+    pub fn film(&self) -> Option<Film> {
+        let open = Some(&self.open).filter(|open| open.reel.began().is_some());
+        let mut pieces = self.closed.iter().chain(open);
+        let first = pieces.next()?;
+        let reels = std::iter::once(first).chain(pieces).map(|piece| Arc::clone(&piece.reel)).collect();
+        let cell = self.known.last().map_or_else(String::new, |known| known.identity.cell.clone());
+        Some(Film::of(cell, Arc::clone(&first.opening), reels))
+    }
+
+    /// How much memory it takes, in bytes.
+    #[must_use]
+    pub fn weight(&self) -> usize {
+        self.weight + self.open.weight()
+    }
+
+    fn attached(&mut self, source: SourceId, identity: &NodeIdentity, pid: u32, build: &str) -> Arc<[u8]> {
+        let role = Role::Node(identity.clone());
+        let hello = Hello { schema: SCHEMA, pid, build: build.to_owned(), mono_us: 0, role };
+        let bytes: Arc<[u8]> = Shown::Attached { version: VERSION, hello }.encode().into();
+        let same = |known: &&mut Known| (&known.identity, known.pid) == (identity, pid);
+        match self.known.iter_mut().find(same) {
+            Some(known) => (known.source, known.lost) = (source, None),
+            None => self.known.push(Known {
+                source,
+                identity: identity.clone(),
+                pid,
+                attached: Arc::clone(&bytes),
+                table: None,
+                lost: None,
+            }),
+        }
+        if self.known.len() > LIVES
+            && let Some(gone) = self.known.iter().position(|known| known.lost.is_some())
+        {
+            self.known.remove(gone);
+        }
+        bytes
+    }
+
+    /// The life that a source is attached to.
+    fn present(&mut self, source: SourceId) -> Option<&mut Known> {
+        self.known.iter_mut().rfind(|known| known.source == source)
+    }
+
+    /// Begins a reel.
+    fn turn(&mut self, at: Moment, before: &Store) {
+        self.close();
+        let mut opening = Reel::default();
+        for known in &self.known {
+            let Ok(number) = u16::try_from(known.source.0) else { continue };
+            opening.put(at, number, false, &known.attached);
+            if let Some(table) = &known.table {
+                opening.put(at, number, false, table);
+            }
+            if let Some(state) = state_of(known, before) {
+                opening.put(at, number, false, &Shown::Said(ServerFrame::Delta(state)).encode());
+            }
+            if let Some(lost) = &known.lost {
+                opening.put(at, number, false, lost);
+            }
+        }
+        opening.close();
+        self.open = Piece { opening: Arc::new(opening), reel: Arc::default(), last: at };
+    }
+
+    fn close(&mut self) {
+        let mut piece = std::mem::take(&mut self.open);
+        if piece.reel.began().is_none() {
+            return;
+        }
+        Arc::make_mut(&mut piece.reel).close();
+        self.weight += piece.weight();
+        self.closed.push_back(piece);
+    }
+
+    fn forget(&mut self, now: Moment) {
+        let too_old = |piece: &Piece| now.saturating_sub(piece.last) > LENGTH;
+        while let Some(first) = self.closed.front() {
+            if !too_old(first) && self.weight() <= BUDGET {
+                return;
+            }
+            self.weight -= first.weight();
+            self.closed.pop_front();
+        }
+    }
+}
+
+/// Where a node stood.
+fn state_of(known: &Known, store: &Store) -> Option<Delta> {
+    let id = &known.identity;
+    let same = |life: &&Life| {
+        life.names.cell.raw() == id.cell
+            && life.node.raw() == id.node
+            && (life.incarnation, life.pid) == (id.incarnation.0, known.pid)
+    };
+    let life = store.lives().iter().find(same)?;
+    Some(Delta::whole(&life.last.as_ref()?.snapshot))
+}

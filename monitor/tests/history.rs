@@ -1,0 +1,191 @@
+//! What changed is shown as what is; recordings and the history of the present run begin anywhere and play the same.
+
+mod common;
+
+use common::{LIFT, Stage, identity, ms, snapshot, table};
+use imrs_monitor::record::Tape;
+use imrs_monitor::replay::{Film, Player};
+use imrs_monitor::source::{Arrival, Feed, SourceId};
+use imrs_monitor::store::Store;
+use imrs_monitor::theme::Theme;
+use imrs_monitor::{history, report};
+use imrs_protocol::{Event, Ticks};
+use imrs_wire::obs::{Delta, Detail, Pong, ServerFrame, Snapshot, Vitals};
+use std::sync::Arc;
+use std::time::Duration;
+
+/// The state of a node after so many periods of 100 ms.
+fn state(node: usize, periods: u64) -> Snapshot {
+    let mut state = snapshot(node);
+    state.mono_us += periods * 100_000;
+    state.uptime_us += periods * 100_000;
+    for task in &mut state.tasks {
+        // In every third period something happens.
+        task.age_us = periods % 3 * 100_000;
+        for port in &mut task.view.ports {
+            port.counters.sent = periods / 3;
+        }
+    }
+    state
+}
+
+fn change(node: usize, from: u64, to: u64) -> ServerFrame {
+    ServerFrame::Delta(Delta::between(&state(node, from), &state(node, to)))
+}
+
+fn whole(node: usize, at: u64) -> ServerFrame {
+    ServerFrame::Delta(Delta::whole(&state(node, at)))
+}
+
+fn period(n: u64) -> Duration {
+    ms(1_000 + 100 * n)
+}
+
+fn arrival(at: Duration, frame: ServerFrame) -> Arrival {
+    Arrival { at, source: SourceId(0), feed: Feed::Frame(Box::new(frame)) }
+}
+
+fn attached() -> [Arrival; 2] {
+    let feed = Feed::Attached { identity: identity(0, 1), pid: 800, build: "imrs 0.1.0".into() };
+    [Arrival { at: ms(900), source: SourceId(0), feed }, arrival(ms(900), ServerFrame::Table(table()))]
+}
+
+#[test]
+fn what_changed_is_shown_as_if_it_had_come_whole() {
+    let (mut old, mut new) = (Store::default(), Store::default());
+    attached().into_iter().for_each(|arrival| {
+        old.apply(arrival.clone());
+        new.apply(arrival);
+    });
+    new.apply(arrival(period(0), whole(0, 0)));
+    old.apply(arrival(period(0), ServerFrame::Snapshot(state(0, 0))));
+    for n in 1..60 {
+        old.apply(arrival(period(n), ServerFrame::Snapshot(state(0, n))));
+        new.apply(arrival(period(n), change(0, n - 1, n)));
+        assert_eq!(
+            new.lives()[0].last.as_ref().unwrap().snapshot,
+            old.lives()[0].last.as_ref().unwrap().snapshot
+        );
+    }
+    assert_eq!(new.gaps(), 0);
+    let rate = |store: &Store| store.lives()[0].rate(state(0, 0).tasks[0].view.task, LIFT);
+    assert!(rate(&new).is_some_and(|rate| (2.0..5.0).contains(&rate)), "{:?}", rate(&new));
+    // What changes elsewhere is not shown, and told.
+    new.apply(arrival(period(60), change(0, 70, 71)));
+    assert_eq!(new.gaps(), 1);
+    assert_eq!(new.lives()[0].last.as_ref().unwrap().at, period(59));
+    new.apply(arrival(period(61), whole(0, 61)));
+    assert_eq!(*new.lives()[0].last.as_ref().unwrap().snapshot, state(0, 61));
+}
+
+#[test]
+fn queues_the_process_and_the_clock_are_kept_by_node() {
+    let mut store = Store::default();
+    attached().into_iter().for_each(|arrival| store.apply(arrival));
+    let vitals = Vitals { cpu_us: 7, ..Vitals::default() };
+    store.apply(arrival(ms(2_000), ServerFrame::Vitals(vitals.clone())));
+    store.apply(arrival(ms(2_000), ServerFrame::Detail(Detail::default())));
+    store.apply(arrival(ms(2_010), ServerFrame::Pong(Pong { echo_us: 2_004_000, mono_us: 50_007_000 })));
+    let life = &store.lives()[0];
+    assert_eq!(life.vitals.as_ref().unwrap().what, vitals);
+    let clock = life.clock.unwrap();
+    assert_eq!((clock.us, clock.error_us), (48_000_000, 3_000));
+    // A pong of another clock says nothing.
+    store.apply(arrival(ms(2_020), ServerFrame::Pong(Pong { echo_us: u64::MAX, mono_us: 1 })));
+    assert_eq!(store.lives()[0].clock, Some(clock));
+}
+
+#[test]
+fn a_recording_that_begins_in_the_middle_begins_with_all_that_is() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("run.imrs");
+    let (tape, mut live) = (Tape::default(), Store::default());
+    let mut take = |arrival: Arrival| {
+        tape.take(&arrival);
+        live.apply(arrival);
+    };
+    attached().into_iter().for_each(&mut take);
+    take(arrival(period(0), whole(0, 0)));
+    (1..10).for_each(|n| take(arrival(period(n), change(0, n - 1, n))));
+    tape.start(&path, period(9)).unwrap();
+    // What changed of a state that the recording does not have is of no use; then the node says all.
+    (10..13).for_each(|n| take(arrival(period(n), change(0, n - 1, n))));
+    take(arrival(period(13), whole(0, 13)));
+    (14..40).for_each(|n| take(arrival(period(n), change(0, n - 1, n))));
+    let recorded = tape.stop().unwrap();
+    assert_eq!((recorded.status.lost, recorded.status.ended), (0, true));
+    let film = Film::open(&path).unwrap();
+    assert!(film.notice.is_none());
+    let mut player = Player::new(Arc::new(film), 1.0);
+    assert!(player.store().lives()[0].last.is_none());
+    player.go_to_end();
+    assert_eq!(player.store().gaps(), 0);
+    let [replayed, seen] =
+        [player.store(), &live].map(|store| store.lives()[0].last.clone().unwrap().snapshot);
+    assert_eq!(replayed, seen);
+}
+
+#[test]
+fn while_paused_one_goes_back_in_the_present_run() {
+    let mut stage = Stage::new(Theme::MONO);
+    attached().into_iter().for_each(|arrival| {
+        stage.feed(arrival.at, 0, arrival.feed);
+    });
+    stage.frame(period(0), 0, whole(0, 0));
+    (1..700).for_each(|n| {
+        stage.frame(period(n), 0, change(0, n - 1, n));
+        if n == 300 {
+            let gave_up = common::observed(Event::GaveUp, LIFT, 2, 1);
+            stage.frame(period(n), 0, ServerFrame::Events(common::events(0, &[gave_up])));
+        }
+    });
+    let shown = |stage: &Stage| {
+        let life = &stage.app.store().lives()[0];
+        (life.id, (life.last.as_ref().unwrap().snapshot.mono_us - snapshot(0).mono_us) / 100_000)
+    };
+    let (id, _) = shown(&stage);
+    let now = period(699);
+    stage.keys(now, " ");
+    assert_eq!(shown(&stage), (id, 699));
+    stage.keys(now, "[[");
+    assert_eq!(shown(&stage), (id, 697));
+    assert_eq!(stage.app.moment(now), period(697));
+    // The nodes go on meanwhile, and nothing of that is shown.
+    stage.frame(period(700), 0, change(0, 699, 700));
+    assert_eq!(shown(&stage), (id, 697));
+    stage.keys(now, "{");
+    assert_eq!(shown(&stage), (id, 300), "where something went wrong");
+    stage.keys(now, "]");
+    assert_eq!(shown(&stage), (id, 301));
+    stage.key(now, crossterm::event::KeyCode::Home);
+    assert_eq!(stage.app.moment(now), ms(900));
+    stage.key(now, crossterm::event::KeyCode::End);
+    assert_eq!(shown(&stage), (id, 699), "the moment of the pause");
+    assert!(stage.app.gone_back().is_none());
+    stage.keys(now, " ");
+    assert_eq!(shown(&stage), (id, 700), "and the present");
+}
+
+#[test]
+fn the_history_is_as_long_as_it_says() {
+    let (mut history, mut store) = (history::History::default(), Store::default());
+    let mut take = |history: &mut history::History, arrival: Arrival| {
+        history.take(&arrival, &store);
+        store.apply(arrival);
+    };
+    attached().into_iter().for_each(|arrival| take(&mut history, arrival));
+    take(&mut history, arrival(period(0), whole(0, 0)));
+    for n in 1..9_000 {
+        take(&mut history, arrival(period(n), change(0, n - 1, n)));
+    }
+    let film = history.film().unwrap();
+    let kept = period(8_999) - film.stops()[0].at;
+    assert!(kept >= history::LENGTH && kept < history::LENGTH + Duration::from_secs(60), "{kept:?}");
+    assert!(history.weight() < 2 << 20, "{} bytes", history.weight());
+    // It begins with where everything stood.
+    let player = Player::new(Arc::new(film), 1.0);
+    let first = player.store().lives()[0].last.clone().unwrap().snapshot;
+    assert_eq!(first.tasks[0].view.ports.len(), snapshot(0).tasks[0].view.ports.len());
+    assert!(report::json(player.store(), None, player.moment()).contains("beam-lift"));
+    assert_eq!(first.timers.first().map(|timer| timer.remaining), None::<Ticks>);
+}

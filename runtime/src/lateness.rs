@@ -1,0 +1,88 @@
+//! How late the Timer's thread was, counted where it wakes: one writer, relaxed stores, no clock read of its own.
+
+use crate::clock::Micros;
+use imrs_wire::obs::Lateness;
+use std::sync::atomic::{AtomicU64, Ordering};
+
+/// One for each number of binary digits that a lateness in microseconds may have.
+const SIZES: usize = 32;
+
+/// Counters of one writer.
+#[derive(Debug)]
+pub(crate) struct LatenessCounts {
+    /// By the number of binary digits: in place `n` those below `2^n` and not below half of that.
+    sizes: [AtomicU64; SIZES],
+    late: AtomicU64,
+    /// What is late: longer than the tick that the cell declares.
+    tick: Micros,
+}
+
+/// What the counters were when somebody last looked.
+#[derive(Clone, Copy, Debug, Default)]
+pub(crate) struct Seen([u64; SIZES]);
+
+impl LatenessCounts {
+    pub fn new(tick: Micros) -> Self {
+        Self { sizes: std::array::from_fn(|_| AtomicU64::new(0)), late: AtomicU64::new(0), tick }
+    }
+
+    /// An expiry was looked after so much later than its instant. For the Timer's thread alone.
+    pub fn note(&self, by: Micros) {
+        // With one writer nothing is lost between the two.
+        let add = |count: &AtomicU64| count.store(count.load(Ordering::Relaxed) + 1, Ordering::Relaxed);
+        add(&self.sizes[size(by)]);
+        if by > self.tick {
+            add(&self.late);
+        }
+    }
+
+    /// All since the start, and how those since `seen` lie.
+    pub fn since(&self, seen: &mut Seen) -> Lateness {
+        let now: [u64; SIZES] = std::array::from_fn(|n| self.sizes[n].load(Ordering::Relaxed));
+        let new: [u64; SIZES] = std::array::from_fn(|n| now[n] - seen.0[n]);
+        seen.0 = now;
+        let all: u64 = new.iter().sum();
+        // The end of the range in which the one lies that so many are no later than.
+        let within = |share: u64| {
+            let wanted = (all * share).div_ceil(100).max(1);
+            let mut sum = 0;
+            let place = new.iter().position(|count| {
+                sum += count;
+                sum >= wanted
+            });
+            place.map_or(0, |n| (1 << n) - 1)
+        };
+        Lateness {
+            count: now.iter().sum(),
+            late: self.late.load(Ordering::Relaxed),
+            p50_us: within(50),
+            p99_us: within(99),
+            max_us: within(100),
+        }
+    }
+}
+
+fn size(by: Micros) -> usize {
+    let digits = u64::BITS - by.leading_zeros();
+    (digits as usize).min(SIZES - 1)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn lateness_is_counted_and_its_ranges_end_no_earlier_than_the_truth() {
+        let (counts, mut seen) = (LatenessCounts::new(1_000), Seen::default());
+        assert_eq!(counts.since(&mut seen), Lateness::default());
+        (0..99).for_each(|_| counts.note(60));
+        counts.note(3_000);
+        let first = counts.since(&mut seen);
+        assert_eq!(first, Lateness { count: 100, late: 1, p50_us: 63, p99_us: 63, max_us: 4_095 });
+        counts.note(0);
+        let second = counts.since(&mut seen);
+        assert_eq!(second, Lateness { count: 101, late: 1, p50_us: 0, p99_us: 0, max_us: 0 });
+        counts.note(u64::MAX);
+        assert_eq!(counts.since(&mut seen).late, 2, "the last range has no end");
+    }
+}

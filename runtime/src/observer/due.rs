@@ -1,0 +1,262 @@
+//! What one monitor is told, and when.
+
+use super::Showing;
+use crate::clock;
+use crate::lateness::Seen;
+use crate::snapshot::{Observations, QUEUE_LIMIT, Watching};
+use imrs_wire::obs::{
+    Delta, EventFilter, Events, FrameError, FrameWriter, MAX_WATCHED, Places, ServerFrame, Snapshot,
+    Subscribe, Want,
+};
+use std::io::Write;
+use std::time::{Duration, Instant};
+
+/// The shortest time between snapshots.
+const LEAST_PERIOD: Duration = Duration::from_millis(10);
+/// The time between frames of events.
+const EVENT_PERIOD: Duration = Duration::from_millis(20);
+/// The shortest time between two frames of what is read from the system.
+const LEAST_VITALS: Duration = Duration::from_millis(100);
+/// How often is looked where the other nodes are.
+const PLACES_PERIOD: Duration = Duration::from_secs(1);
+/// How many events of one machine go into one frame.
+const EVENT_ROOM: usize = 512;
+/// How many events go into one frame.
+const MAX_EVENTS: usize = 16_384;
+
+/// What one monitor has asked for.
+pub(super) struct Subscription {
+    period: Duration,
+    watching: Watching,
+    pub credit: u16,
+    next_snapshot: Instant,
+    events: Option<Following>,
+    /// Only for those that speak version 1.1.
+    more: Option<More>,
+}
+
+/// Events on their way to one monitor.
+struct Following {
+    next: Instant,
+    observations: Observations,
+    filter: EventFilter,
+}
+
+/// What version 1.1 adds.
+struct More {
+    /// What it was told last: what changed is reckoned from this.
+    told: Option<Snapshot>,
+    /// Whether the watched queues are told next.
+    detail: bool,
+    vitals: Option<(Duration, Instant)>,
+    late: Seen,
+    whole: Option<(Duration, Instant)>,
+    places: (Places, Instant),
+}
+
+impl Subscription {
+    /// What a monitor of version 1.0 asks for, in place of what it asked for before.
+    pub fn old(wanted: &Subscribe, before: Option<Self>, showing: &Showing, now: Instant) -> Self {
+        let events = wanted.events.then_some(EventFilter::ALL);
+        Self {
+            period: period(wanted.period_us),
+            watching: Watching { queue_limit: wanted.queue_limit.min(QUEUE_LIMIT).into(), ports: Vec::new() },
+            credit: wanted.credit,
+            next_snapshot: now,
+            events: following(events, before.and_then(|before| before.events), showing, now),
+            more: None,
+        }
+    }
+
+    /// What a monitor of version 1.1 asks for.
+    pub fn new(wanted: Want, before: Option<Self>, showing: &Showing, now: Instant) -> Self {
+        let (events, more, next) = match before {
+            Some(before) => (before.events, before.more, before.next_snapshot),
+            None => (None, None, now),
+        };
+        let every = |us: u32, least: Duration| (us > 0).then(|| Duration::from_micros(us.into()).max(least));
+        let mut ports = wanted.watched;
+        ports.truncate(MAX_WATCHED);
+        let period = period(wanted.period_us);
+        let more = more.unwrap_or_else(|| More {
+            told: None,
+            detail: false,
+            vitals: None,
+            late: Seen::default(),
+            whole: None,
+            places: (Places::default(), now),
+        });
+        let vitals = every(wanted.vitals_us, LEAST_VITALS).map(|every| (every, now));
+        let whole = every(wanted.whole_us, period).map(|every| (every, now + every));
+        Self {
+            period,
+            watching: Watching { queue_limit: wanted.queue_limit.min(QUEUE_LIMIT).into(), ports },
+            credit: wanted.credit,
+            next_snapshot: next.min(now + period),
+            events: following(wanted.events, events, showing, now),
+            more: Some(More { vitals, whole, ..more }),
+        }
+    }
+
+    /// A whole snapshot is asked for.
+    pub fn whole(&mut self, now: Instant) {
+        if let Some(more) = &mut self.more {
+            more.told = None;
+            self.next_snapshot = now;
+        }
+    }
+
+    /// When something is to be told, where there is credit.
+    pub fn due(&self) -> Option<Instant> {
+        if self.credit == 0 {
+            return None;
+        }
+        let mut due = self.next_snapshot;
+        if let Some(events) = &self.events {
+            due = due.min(events.next);
+        }
+        if let Some(more) = &self.more {
+            due = due.min(more.places.1);
+            due = more.vitals.map_or(due, |(_, at)| due.min(at));
+        }
+        Some(due)
+    }
+
+    /// At most one frame: while it is on its way, nothing else is made.
+    pub fn push(
+        &mut self,
+        showing: &Showing,
+        now: Instant,
+        writer: &mut FrameWriter<impl Write>,
+    ) -> Result<(), FrameError> {
+        if self.credit == 0 {
+            return Ok(());
+        }
+        if let Some(frame) = self.places(showing, now) {
+            // Before the state, so that who waits for that knows of the others; and without a price.
+            return writer.push(&frame);
+        }
+        if let Some(frame) = self.detail(showing) {
+            writer.push(&frame)?;
+        } else if self.next_snapshot <= now {
+            self.next_snapshot = now + self.period;
+            self.push_snapshot(showing, now, writer)?;
+        } else if let Some(frame) = self.events(now).or_else(|| self.vitals(showing, now)) {
+            writer.push(&frame)?;
+        } else {
+            return Ok(());
+        }
+        self.credit -= 1;
+        Ok(())
+    }
+
+    /// The snapshot, or what changed since the last one, with fewer and fewer waiting messages until it fits a frame.
+    fn push_snapshot(
+        &mut self,
+        showing: &Showing,
+        now: Instant,
+        writer: &mut FrameWriter<impl Write>,
+    ) -> Result<(), FrameError> {
+        let mut watching = self.watching.clone();
+        loop {
+            let snapshot = showing.node.snapshot_of(&watching);
+            let pushed = match &mut self.more {
+                None => writer.push(&ServerFrame::Snapshot(snapshot)),
+                Some(more) => more.push_change(snapshot, now, writer),
+            };
+            match pushed {
+                Err(FrameError::TooLong { .. }) if watching != Watching::default() => {
+                    watching.queue_limit /= 2;
+                    watching.ports.clear();
+                }
+                Ok(()) => {
+                    if let Some(more) = &mut self.more {
+                        more.detail = !self.watching.ports.is_empty();
+                    }
+                    return Ok(());
+                }
+                other => return other,
+            }
+        }
+    }
+
+    fn detail(&mut self, showing: &Showing) -> Option<ServerFrame> {
+        let more = self.more.as_mut().filter(|more| more.detail)?;
+        more.detail = false;
+        Some(ServerFrame::Detail(showing.node.detail(&self.watching.ports)))
+    }
+
+    fn events(&mut self, now: Instant) -> Option<ServerFrame> {
+        let following = self.events.as_mut().filter(|following| following.next <= now)?;
+        following.next = now + EVENT_PERIOD;
+        let mut frame = Events::default();
+        let filter = &following.filter;
+        let drained = following.observations.drain_of(|task| filter.of(task), EVENT_ROOM, &mut frame.events);
+        frame.lost = drained;
+        frame.events.retain(|event| filter.wants(event.task, event.what.event));
+        frame.lost += frame.events.len().saturating_sub(MAX_EVENTS) as u64;
+        frame.events.truncate(MAX_EVENTS);
+        let any = !frame.events.is_empty() || frame.lost > 0;
+        any.then_some(ServerFrame::Events(frame))
+    }
+
+    fn vitals(&mut self, showing: &Showing, now: Instant) -> Option<ServerFrame> {
+        let more = self.more.as_mut()?;
+        let (every, at) = more.vitals.filter(|(_, at)| *at <= now)?;
+        more.vitals = Some((every, at.max(now) + every));
+        let recording = showing.recording.as_ref().and_then(|watch| watch());
+        Some(ServerFrame::Vitals(showing.node.vitals(&mut more.late, recording)))
+    }
+
+    fn places(&mut self, showing: &Showing, now: Instant) -> Option<ServerFrame> {
+        let more = self.more.as_mut().filter(|more| more.places.1 <= now)?;
+        more.places.1 = now + PLACES_PERIOD;
+        let places = showing.places();
+        if places == more.places.0 {
+            return None;
+        }
+        more.places.0 = places.clone();
+        Some(ServerFrame::Places(places))
+    }
+}
+
+impl More {
+    fn push_change(
+        &mut self,
+        snapshot: Snapshot,
+        now: Instant,
+        writer: &mut FrameWriter<impl Write>,
+    ) -> Result<(), FrameError> {
+        if let Some((every, at)) = self.whole.filter(|(_, at)| *at <= now) {
+            (self.told, self.whole) = (None, Some((every, at.max(now) + every)));
+        }
+        let delta = match &self.told {
+            Some(told) => Delta::between(told, &snapshot),
+            None => Delta::whole(&snapshot),
+        };
+        writer.push(&ServerFrame::Delta(delta))?;
+        self.told = Some(snapshot);
+        Ok(())
+    }
+}
+
+fn period(us: u32) -> Duration {
+    Duration::from_micros(us.into()).max(LEAST_PERIOD)
+}
+
+/// The events that are wanted, from now on or from where they were.
+fn following(
+    wanted: Option<EventFilter>,
+    before: Option<Following>,
+    showing: &Showing,
+    now: Instant,
+) -> Option<Following> {
+    let filter = wanted?;
+    let observations = before.map_or_else(|| showing.node.observe(), |before| before.observations);
+    Some(Following { next: now, observations, filter })
+}
+
+/// The node's clock, for who compares it with its own.
+pub(super) fn mono_us() -> u64 {
+    clock::now()
+}

@@ -1,0 +1,125 @@
+//! What a node shows besides itself, and to whom.
+
+use super::{Observer, ObserverError};
+use crate::node::Node;
+use imrs_protocol::NodeId;
+use imrs_wire::obs::{NodePlace, Places, RecordingFacts, Token, place};
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+use std::sync::{Arc, Mutex, PoisonError};
+
+/// How the recording of a node goes, where it has one.
+pub type RecordingWatch = Arc<dyn Fn() -> Option<RecordingFacts> + Send + Sync>;
+
+/// Where the other nodes of a cell serve monitors over TCP, as far as this node was told. Shared with who tells it.
+#[derive(Clone, Debug, Default)]
+pub struct AddressBook(Arc<Mutex<Vec<(NodeId, SocketAddr)>>>);
+
+impl AddressBook {
+    /// A node serves monitors there.
+    pub fn put(&self, node: NodeId, address: SocketAddr) {
+        let mut book = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        book.retain(|(other, _)| *other != node);
+        book.push((node, address));
+        book.sort();
+    }
+
+    fn places(&self) -> Vec<NodePlace> {
+        let book = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let place =
+            |&(node, address): &(NodeId, SocketAddr)| NodePlace { node, address: format!("tcp:{address}") };
+        book.iter().map(place).collect()
+    }
+}
+
+/// How a node is shown.
+#[derive(Clone)]
+pub struct Showing {
+    pub(super) node: Arc<Node>,
+    pub(super) token: Option<Token>,
+    pub(super) recording: Option<RecordingWatch>,
+    pub(super) book: AddressBook,
+    /// Where this node's own socket lies, if it is one: the others lie beside it.
+    pub(super) beside: Option<PathBuf>,
+}
+
+impl Showing {
+    /// Shows `node`, over TCP to everybody who reaches it.
+    #[must_use]
+    pub fn new(node: Arc<Node>) -> Self {
+        Self { node, token: None, recording: None, book: AddressBook::default(), beside: None }
+    }
+
+    /// Over TCP only who has this token may look. A socket has its file's mode instead.
+    #[must_use]
+    pub fn token(mut self, token: Option<Token>) -> Self {
+        self.token = token;
+        self
+    }
+
+    /// Who knows how the recording of the node goes.
+    #[must_use]
+    pub fn recording(mut self, watch: RecordingWatch) -> Self {
+        self.recording = Some(watch);
+        self
+    }
+
+    /// Where the other nodes are.
+    #[must_use]
+    pub fn book(mut self, book: AddressBook) -> Self {
+        self.book = book;
+        self
+    }
+
+    /// Serves monitors where they look, as [`Observer::start`].
+    ///
+    /// # Errors
+    /// [`ObserverError`].
+    pub fn start(self) -> Result<Observer, ObserverError> {
+        let cell = &self.node.table().cell().name;
+        let path = place::prepare_socket(cell, self.node.name(), std::process::id())?;
+        for socket in place::sockets_in(&place::base_dir())? {
+            if socket.parent() == path.parent() {
+                // Not there, not ours or alive after all: then it stays.
+                let _ = place::remove_if_stale(&socket);
+            }
+        }
+        self.start_at(&path)
+    }
+
+    /// Serves monitors at a socket of one's own choice.
+    ///
+    /// # Errors
+    /// [`ObserverError`].
+    pub fn start_at(mut self, path: &Path) -> Result<Observer, ObserverError> {
+        (self.token, self.beside) = (None, Some(path.to_owned()));
+        Observer::serve_at(self, path)
+    }
+
+    /// Serves monitors at a TCP address (port 0: any free one).
+    ///
+    /// # Errors
+    /// [`ObserverError::Tcp`].
+    pub fn start_tcp(self, address: SocketAddr) -> Result<Observer, ObserverError> {
+        Observer::serve_tcp(self, address)
+    }
+
+    /// Where the other nodes of the cell are found: beside this one's socket, or where it was told.
+    pub(super) fn places(&self) -> Places {
+        let Some(own) = &self.beside else { return Places { nodes: self.book.places() } };
+        let sockets = own.parent().and_then(Path::parent).map(place::sockets_in);
+        let nodes = &self.node.table().cell().nodes;
+        let place = |socket: PathBuf| {
+            let name = place::node_of(&socket)?;
+            let node = nodes.iter().position(|node| place::file_name(&node.name) == name)?;
+            let address = format!("unix:{}", socket.to_str()?);
+            Some(NodePlace { node: NodeId::from_index(node), address })
+        };
+        let beside = sockets
+            .into_iter()
+            .flatten()
+            .flatten()
+            .filter(|socket| socket.parent() == own.parent() && socket != own);
+        Places { nodes: beside.filter_map(place).collect() }
+    }
+}

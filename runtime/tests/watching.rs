@@ -1,0 +1,344 @@
+//! What version 1.1 of the observation protocol adds: what changed, watched queues, the process, the clock, tokens, and
+//! where the others are. Monitors of version 1.0 see none of it.
+
+mod common;
+
+use common::{A, B, LONG, LONG_TICKS, ask, cell, one_node, report, table};
+use imrs_protocol::{Event, PortDecl, PortId, Ticks, Usage};
+use imrs_runtime::observer::{AddressBook, Observer, Place, Showing};
+use imrs_runtime::{Runtime, Sent};
+use imrs_wire::obs::{
+    ClientFrame, Denied, EventFilter, FrameError, FrameReader, FrameWriter, Handshake, Hello, Kinds,
+    MAX_FRAME, NodePlace, Ping, RecordingFacts, Refusal, Role, SCHEMA, ServerFrame, Snapshot, Subscribe,
+    Token, VERSION, Version, Want,
+};
+use std::io::{Read, Write};
+use std::net::{SocketAddr, TcpStream};
+use std::os::unix::net::UnixStream;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::mpsc::Sender;
+use std::time::{Duration, Instant};
+
+/// What the programs of version 1.0 say of themselves.
+const OLD: (Version, u32) = (Version { major: 1, minor: 0 }, 0x3723_afbb);
+const NEW: (Version, u32) = (VERSION, SCHEMA);
+
+struct Folder(PathBuf);
+
+impl Folder {
+    fn new(name: &str) -> Self {
+        let path = std::env::temp_dir().join(format!("imrs-watching-{name}-{}", std::process::id()));
+        std::fs::create_dir_all(&path).expect("a folder");
+        Self(path)
+    }
+}
+
+impl Drop for Folder {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_dir_all(&self.0);
+    }
+}
+
+/// A node whose task `a` sends what it is told to, and whose task `b` takes nothing.
+fn node() -> (Runtime, Sender<u8>) {
+    let mut cell = cell(&[0, 0], Ticks(0));
+    cell.port(ask(LONG_TICKS));
+    cell.port(PortDecl::new("news", A, Usage::Send, &[B], LONG_TICKS).bounded_buffer(16));
+    let (tell, told) = report::<u8>();
+    let runtime = one_node(&table(cell))
+        .task("a", move |ctx| {
+            let news = ctx.port("news")?;
+            while let Ok(number) = told.recv() {
+                assert_eq!(ctx.send(news, &[number])?, Sent::Copies(1));
+            }
+            Ok(())
+        })
+        .task("b", |ctx| {
+            let ask = ctx.port("ask")?;
+            ctx.receive(Some(ask), None).map(|_| ())
+        })
+        .start()
+        .unwrap();
+    (runtime, tell)
+}
+
+struct Monitor {
+    reader: FrameReader<Box<dyn Read>>,
+    writer: FrameWriter<Box<dyn Write>>,
+}
+
+impl Monitor {
+    fn unix(path: &Path) -> Self {
+        let stream = UnixStream::connect(path).expect("a listening node");
+        stream.set_read_timeout(Some(LONG)).unwrap();
+        Self::over(stream.try_clone().unwrap(), stream)
+    }
+
+    fn tcp(address: SocketAddr) -> Self {
+        let stream = TcpStream::connect(address).expect("a listening node");
+        stream.set_read_timeout(Some(LONG)).unwrap();
+        Self::over(stream.try_clone().unwrap(), stream)
+    }
+
+    fn over(read: impl Read + 'static, write: impl Write + 'static) -> Self {
+        Self {
+            reader: FrameReader::new(Box::new(read), MAX_FRAME),
+            writer: FrameWriter::new(Box::new(write)),
+        }
+    }
+
+    fn hello(&mut self, (version, schema): (Version, u32)) -> Handshake {
+        let hello = Hello { schema, pid: 1, build: "test".into(), mono_us: 0, role: Role::Monitor };
+        self.writer.push_bytes(&Handshake::Hello(hello).encode(version)).unwrap();
+        self.writer.flush().unwrap();
+        Handshake::decode(self.reader.read_frame().expect("an answer")).expect("a hello").1
+    }
+
+    fn attach(mut self, version: (Version, u32)) -> Self {
+        let answer = self.hello(version);
+        assert!(matches!(answer, Handshake::Hello(Hello { role: Role::Node(_), .. })), "{answer:?}");
+        assert!(matches!(self.next(), ServerFrame::Table(_)));
+        self
+    }
+
+    fn say(&mut self, frame: &ClientFrame) {
+        self.writer.push(frame).unwrap();
+        self.writer.flush().unwrap();
+    }
+
+    fn next(&mut self) -> ServerFrame {
+        ServerFrame::decode(self.reader.read_frame().expect("a frame")).expect("a known frame")
+    }
+
+    /// Reads until `wanted` finds something, and keeps `state` up to date meanwhile.
+    fn until<T>(
+        &mut self,
+        state: &mut Snapshot,
+        mut wanted: impl FnMut(&ServerFrame, &Snapshot) -> Option<T>,
+    ) -> T {
+        let start = Instant::now();
+        loop {
+            assert!(start.elapsed() < LONG, "it never came");
+            let frame = self.next();
+            if let ServerFrame::Delta(delta) = &frame {
+                state.apply(delta).expect("a change of what was told last");
+            }
+            if let Some(found) = wanted(&frame, state) {
+                return found;
+            }
+        }
+    }
+}
+
+fn want() -> Want {
+    Want {
+        period_us: 10_000,
+        queue_limit: 0,
+        watched: Vec::new(),
+        events: None,
+        vitals_us: 0,
+        whole_us: 0,
+        credit: u16::MAX,
+    }
+}
+
+fn at(observer: &Observer) -> &Path {
+    match observer.place() {
+        Place::Unix(path) => path,
+        Place::Tcp(address) => panic!("at {address}"),
+    }
+}
+
+#[test]
+fn what_changed_adds_up_to_the_state_and_watched_queues_tell_more() {
+    let folder = Folder::new("changes");
+    let (runtime, tell) = node();
+    let observer = Observer::start_at(runtime.node().clone(), &folder.0.join("n.sock")).unwrap();
+    let news = PortId(1);
+    let mut monitor = Monitor::unix(at(&observer)).attach(NEW);
+    let kinds = Kinds::NONE.and(Event::Enqueued);
+    let events = Some(EventFilter { kinds, tasks: vec![B] });
+    monitor.say(&ClientFrame::Want(Want { watched: vec![(B, news)], events, ..want() }));
+    let mut state = Snapshot::default();
+    let ServerFrame::Delta(first) = monitor.next() else { panic!("a change comes at once") };
+    assert!(first.is_whole());
+    state.apply(&first).unwrap();
+    assert_eq!(state.tasks.len(), 2);
+    (0..3).for_each(|number| tell.send(number).unwrap());
+    let (mut enqueued, mut seen) = (0, 0);
+    monitor.until(&mut state, |frame, state| {
+        match frame {
+            ServerFrame::Delta(delta) => assert!(!delta.is_whole(), "only the first one is whole"),
+            ServerFrame::Events(events) => {
+                assert!(events.events.iter().all(|e| e.task == Some(B) && e.what.event == Event::Enqueued));
+                enqueued += events.events.len();
+            }
+            ServerFrame::Detail(detail) => {
+                let queue = &detail.ports[0].queue;
+                assert!(!queue.handled && queue.queue.iter().all(|held| held.rank.is_none()));
+                assert!(queue.queue.is_sorted_by_key(|held| held.entry.remaining));
+                seen = queue.queue.len();
+            }
+            other => panic!("{other:?}"),
+        }
+        let port = state.tasks[1].view.ports.iter().find(|port| port.port == news)?;
+        (port.queue.len() == 3 && enqueued == 3 && seen == 3).then_some(())
+    });
+    // What the changes add up to is what a look at the node says, but for the time.
+    let direct = runtime.node().snapshot(0);
+    assert_eq!(state.discards, direct.discards);
+    let counters = |state: &Snapshot| -> Vec<_> {
+        state.tasks.iter().flat_map(|task| &task.view.ports).map(|port| (port.len, port.counters)).collect()
+    };
+    assert_eq!(counters(&state), counters(&direct));
+    // Asked for, it comes whole again; no longer watched, queues are left out.
+    monitor.say(&ClientFrame::Want(want()));
+    monitor.say(&ClientFrame::Whole);
+    monitor
+        .until(&mut state, |frame, _| matches!(frame, ServerFrame::Delta(d) if d.is_whole()).then_some(()));
+    assert!(state.tasks.iter().flat_map(|task| &task.view.ports).all(|port| port.queue.is_empty()));
+    drop((tell, observer));
+    drop(runtime);
+}
+
+#[test]
+fn an_idle_node_says_next_to_nothing() {
+    let folder = Folder::new("idle");
+    let (runtime, _tell) = node();
+    let observer = Observer::start_at(runtime.node().clone(), &folder.0.join("n.sock")).unwrap();
+    let mut monitor = Monitor::unix(at(&observer)).attach(NEW);
+    monitor.say(&ClientFrame::Want(want()));
+    let mut state = Snapshot::default();
+    monitor.until(&mut state, |frame, _| matches!(frame, ServerFrame::Delta(_)).then_some(()));
+    let mut bytes = 0;
+    for _ in 0..10 {
+        bytes += monitor.reader.read_frame().expect("a frame").len() + 4;
+    }
+    println!("an idle node says {bytes} bytes in ten periods");
+    assert!(bytes <= 1_000, "{bytes} bytes");
+}
+
+#[test]
+fn monitors_of_version_1_0_see_what_they_always_saw() {
+    let folder = Folder::new("old");
+    let (runtime, _tell) = node();
+    let observer = Observer::start_at(runtime.node().clone(), &folder.0.join("n.sock")).unwrap();
+    let mut monitor = Monitor::unix(at(&observer)).attach(OLD);
+    let wanted = Subscribe { period_us: 10_000, queue_limit: 8, events: true, credit: u16::MAX };
+    monitor.say(&ClientFrame::Subscribe(wanted));
+    for _ in 0..20 {
+        let frame = monitor.next();
+        assert_eq!(frame.since(), OLD.0, "{frame:?}");
+    }
+}
+
+#[test]
+fn the_process_and_its_clock_are_told() {
+    let folder = Folder::new("vitals");
+    let (runtime, _tell) = node();
+    let facts = RecordingFacts { path: "run.imrs".into(), lost: 3, failure: None };
+    let told = facts.clone();
+    let showing = Showing::new(runtime.node().clone()).recording(Arc::new(move || Some(told.clone())));
+    let observer = showing.start_at(&folder.0.join("n.sock")).unwrap();
+    let mut monitor = Monitor::unix(at(&observer)).attach(NEW);
+    monitor.say(&ClientFrame::Want(Want { vitals_us: 100_000, ..want() }));
+    monitor.say(&ClientFrame::Ping(Ping { mono_us: 4242 }));
+    let mut state = Snapshot::default();
+    let pong = monitor.until(&mut state, |frame, _| match frame {
+        ServerFrame::Pong(pong) => Some(*pong),
+        _ => None,
+    });
+    assert!(pong.echo_us == 4242 && pong.mono_us > 0);
+    let vitals = monitor.until(&mut state, |frame, _| match frame {
+        ServerFrame::Vitals(vitals) => Some(vitals.clone()),
+        _ => None,
+    });
+    assert_eq!(vitals.recording, Some(facts));
+    assert!(vitals.memory > 100_000 && vitals.threads >= 4 && vitals.cpu_us > 0, "{vitals:?}");
+    let lateness = vitals.timer;
+    assert!(lateness.p50_us <= lateness.p99_us && lateness.p99_us <= lateness.max_us, "{lateness:?}");
+}
+
+#[test]
+fn over_tcp_a_token_keeps_others_out() {
+    let (runtime, _tell) = node();
+    let token = Token::of("a token of this test").unwrap();
+    let any = SocketAddr::from(([127, 0, 0, 1], 0));
+    let showing = Showing::new(runtime.node().clone()).token(Some(token.clone()));
+    let observer = showing.start_tcp(any).unwrap();
+    let Place::Tcp(address) = *observer.place() else { panic!("over TCP") };
+    let denied = |said: &ClientFrame| {
+        let mut monitor = Monitor::tcp(address);
+        assert!(matches!(monitor.hello(NEW), Handshake::Hello(_)));
+        monitor.say(said);
+        let answer = monitor.next();
+        assert!(matches!(monitor.reader.read_frame(), Err(FrameError::Closed)));
+        answer
+    };
+    let other = Token::of("a token of another test").unwrap();
+    assert_eq!(denied(&ClientFrame::Token(other)), ServerFrame::Denied(Denied::WrongToken));
+    assert_eq!(denied(&ClientFrame::Want(want())), ServerFrame::Denied(Denied::NoToken));
+    // A monitor of version 1.0 has no way to show one, and hears of the versions.
+    let refused = Handshake::Refused(Refusal::OtherMajor { node: VERSION, monitor: OLD.0 });
+    assert_eq!(Monitor::tcp(address).hello(OLD), refused);
+
+    let mut monitor = Monitor::tcp(address);
+    assert!(matches!(monitor.hello(NEW), Handshake::Hello(_)));
+    monitor.say(&ClientFrame::Token(token));
+    assert!(matches!(monitor.next(), ServerFrame::Table(_)));
+    monitor.say(&ClientFrame::Want(want()));
+    assert!(matches!(monitor.next(), ServerFrame::Delta(_)));
+}
+
+#[test]
+fn one_address_leads_to_the_others() {
+    let folder = Folder::new("places");
+    let cells = folder.0.join("test");
+    std::fs::create_dir_all(&cells).unwrap();
+    let (runtime, _tell) = node();
+    let observer = Observer::start_at(runtime.node().clone(), &cells.join("n0-1.sock")).unwrap();
+    let mut monitor = Monitor::unix(at(&observer)).attach(NEW);
+    monitor.say(&ClientFrame::Want(want()));
+    let mut state = Snapshot::default();
+    // Another process of the same node, as after a restart.
+    let beside = cells.join("n0-2.sock");
+    std::fs::write(&beside, "").unwrap();
+    let places = |frame: &ServerFrame, _: &Snapshot| match frame {
+        ServerFrame::Places(places) => Some(places.nodes.clone()),
+        _ => None,
+    };
+    let expected =
+        NodePlace { node: imrs_protocol::NodeId(0), address: format!("unix:{}", beside.display()) };
+    assert_eq!(monitor.until(&mut state, places), [expected]);
+
+    let book = AddressBook::default();
+    let elsewhere = SocketAddr::from(([10, 0, 0, 7], 7101));
+    book.put(imrs_protocol::NodeId(1), elsewhere);
+    let any = SocketAddr::from(([127, 0, 0, 1], 0));
+    let observer = Showing::new(runtime.node().clone()).book(book).start_tcp(any).unwrap();
+    let Place::Tcp(address) = *observer.place() else { panic!("over TCP") };
+    let mut monitor = Monitor::tcp(address).attach(NEW);
+    monitor.say(&ClientFrame::Want(want()));
+    let told = monitor.until(&mut state, places);
+    assert_eq!(told, [NodePlace { node: imrs_protocol::NodeId(1), address: "tcp:10.0.0.7:7101".into() }]);
+}
+
+#[test]
+fn pings_cost_no_credit_and_nothing_comes_without() {
+    let folder = Folder::new("credit");
+    let (runtime, _tell) = node();
+    let observer = Observer::start_at(runtime.node().clone(), &folder.0.join("n.sock")).unwrap();
+    let stream = UnixStream::connect(at(&observer)).unwrap();
+    stream.set_read_timeout(Some(LONG)).unwrap();
+    let mut monitor = Monitor::over(stream.try_clone().unwrap(), stream.try_clone().unwrap()).attach(NEW);
+    monitor.say(&ClientFrame::Want(Want { credit: 1, ..want() }));
+    assert!(matches!(monitor.next(), ServerFrame::Delta(_)));
+    monitor.say(&ClientFrame::Ping(Ping { mono_us: 1 }));
+    assert!(matches!(monitor.next(), ServerFrame::Pong(_)));
+    stream.set_read_timeout(Some(Duration::from_millis(100))).unwrap();
+    assert!(matches!(monitor.reader.read_frame(), Err(FrameError::NotReady)));
+    stream.set_read_timeout(Some(LONG)).unwrap();
+    monitor.say(&ClientFrame::Credit(1));
+    assert!(matches!(monitor.next(), ServerFrame::Delta(_)));
+}

@@ -1,0 +1,273 @@
+//! What monitors cost a node: a hostile one no memory to speak of (M4), a watched message nothing that is allocated (M5),
+//! and no event goes missing uncounted (M13).
+
+mod common;
+
+use common::{A, B, LONG, LONG_TICKS, cell, one_node, table};
+use imrs_protocol::{Event, PortDecl, PortId, Ticks, Usage};
+use imrs_runtime::Runtime;
+use imrs_runtime::observer::Observer;
+use imrs_wire::obs::{
+    ClientFrame, EventFilter, FrameError, FrameReader, FrameWriter, Handshake, Hello, Kinds, MAX_FRAME, Role,
+    SCHEMA, ServerFrame, VERSION, Want,
+};
+use std::alloc::{GlobalAlloc, Layout, System};
+use std::cell::Cell as Local;
+use std::io::{Read, Write};
+use std::os::unix::net::UnixStream;
+use std::path::PathBuf;
+use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU32, AtomicU64, Ordering};
+use std::sync::mpsc::channel;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::thread;
+use std::time::{Duration, Instant};
+
+struct Counting;
+
+/// Bytes that are allocated now.
+static LIVE: AtomicI64 = AtomicI64::new(0);
+/// How often the threads of tasks allocated, while it is counted.
+static BY_TASKS: AtomicU64 = AtomicU64::new(0);
+
+thread_local! {
+    static COUNTED: Local<bool> = const { Local::new(false) };
+}
+
+fn grown(by: i64) {
+    LIVE.fetch_add(by, Ordering::Relaxed);
+    if by > 0 && COUNTED.try_with(Local::get).unwrap_or(false) {
+        BY_TASKS.fetch_add(1, Ordering::Relaxed);
+    }
+}
+
+// SAFETY: every call goes to the system's allocator unchanged.
+unsafe impl GlobalAlloc for Counting {
+    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
+        grown(layout.size() as i64);
+        // SAFETY: the caller's promise is passed on.
+        unsafe { System.alloc(layout) }
+    }
+
+    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
+        grown(-(layout.size() as i64));
+        // SAFETY: the caller's promise is passed on.
+        unsafe { System.dealloc(pointer, layout) }
+    }
+
+    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
+        grown(size as i64 - layout.size() as i64);
+        // SAFETY: the caller's promise is passed on.
+        unsafe { System.realloc(pointer, layout, size) }
+    }
+}
+
+#[global_allocator]
+static ALLOCATOR: Counting = Counting;
+
+/// One test at a time: they count what the whole process does.
+fn alone() -> MutexGuard<'static, ()> {
+    static ALONE: Mutex<()> = Mutex::new(());
+    ALONE.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+/// A socket of this test alone, removed with it.
+struct Socket(PathBuf);
+
+impl Socket {
+    fn new() -> Self {
+        static SOCKETS: AtomicU32 = AtomicU32::new(0);
+        let number = SOCKETS.fetch_add(1, Ordering::Relaxed);
+        Self(std::env::temp_dir().join(format!("imrs-cost-{}-{number}.sock", std::process::id())))
+    }
+}
+
+impl Drop for Socket {
+    fn drop(&mut self) {
+        let _ = std::fs::remove_file(&self.0);
+    }
+}
+
+const NEWS: PortId = PortId(0);
+
+/// A node whose task `a` sends as many messages as it is told to, of which `b` takes what it can; `a` then says so.
+fn node() -> (Runtime, std::sync::mpsc::Sender<u32>, std::sync::mpsc::Receiver<()>) {
+    let mut cell = cell(&[0, 0], Ticks(0));
+    cell.port(PortDecl::new("news", A, Usage::Send, &[B], LONG_TICKS).bounded_buffer(16));
+    let (tell, told) = channel::<u32>();
+    let (done, finished) = channel();
+    let runtime = one_node(&table(cell))
+        .task("a", move |ctx| {
+            while let Ok(count) = told.recv() {
+                COUNTED.set(true);
+                for number in 0..count {
+                    let _copies = ctx.send(NEWS, &number.to_le_bytes())?;
+                }
+                COUNTED.set(false);
+                done.send(()).expect("the test waits");
+            }
+            Ok(())
+        })
+        .task("b", |ctx| {
+            COUNTED.set(true);
+            while ctx.receive(Some(NEWS), None)?.is_some() {}
+            Ok(())
+        })
+        .start()
+        .unwrap();
+    (runtime, tell, finished)
+}
+
+fn want() -> Want {
+    Want {
+        period_us: 10_000,
+        queue_limit: 64,
+        watched: Vec::new(),
+        events: Some(EventFilter::ALL),
+        vitals_us: 0,
+        whole_us: 0,
+        credit: u16::MAX,
+    }
+}
+
+/// A connection that has said hello and what it wants.
+fn attach(socket: &Socket, want: Want) -> UnixStream {
+    let stream = UnixStream::connect(&socket.0).expect("the node listens");
+    stream.set_read_timeout(Some(LONG)).unwrap();
+    let mut writer = FrameWriter::new(stream.try_clone().unwrap());
+    let hello = Hello { schema: SCHEMA, pid: 1, build: "test".into(), mono_us: 0, role: Role::Monitor };
+    writer.push_bytes(&Handshake::Hello(hello).encode(VERSION)).unwrap();
+    writer.push(&ClientFrame::Want(want)).unwrap();
+    writer.flush().unwrap();
+    stream
+}
+
+/// M4: one that stands still, one that reads a byte at a time, and many that say nonsense.
+#[test]
+fn hostile_monitors_cost_a_bounded_amount_of_memory() {
+    let _alone = alone();
+    let socket = Socket::new();
+    let (runtime, tell, finished) = node();
+    let observer = Observer::start_at(runtime.node().clone(), &socket.0).unwrap();
+    tell.send(1_000).unwrap();
+    finished.recv_timeout(LONG).unwrap();
+    let grows = |begin: i64| LIVE.load(Ordering::Relaxed) - begin;
+    let before = LIVE.load(Ordering::Relaxed);
+    let mut most = [0_i64; 3];
+    let mut traffic = |most: &mut i64| {
+        for _ in 0..30 {
+            tell.send(2_000).unwrap();
+            finished.recv_timeout(LONG).unwrap();
+            *most = (*most).max(grows(before));
+        }
+    };
+    let stopped = attach(&socket, want());
+    traffic(&mut most[0]);
+    drop(stopped);
+    let slow = attach(&socket, want());
+    slow.set_read_timeout(Some(Duration::from_millis(1))).unwrap();
+    let end = Arc::new(AtomicBool::new(false));
+    let ended = Arc::clone(&end);
+    let reading = thread::spawn(move || {
+        let mut slow = slow;
+        while !ended.load(Ordering::Relaxed) {
+            let _ = slow.read(&mut [0]);
+            thread::sleep(Duration::from_millis(1));
+        }
+    });
+    traffic(&mut most[1]);
+    end.store(true, Ordering::Relaxed);
+    reading.join().unwrap();
+    for round in 0..30_u8 {
+        let mut mad = UnixStream::connect(&socket.0).unwrap();
+        let _ = mad.write_all(&[round.wrapping_mul(37); 900]);
+        most[2] = most[2].max(grows(before));
+    }
+    traffic(&mut most[2]);
+    println!("memory of the process grew by at most {most:?} bytes (stopped, slow, mad)");
+    assert!(most.iter().all(|&most| most <= 256 << 10), "{most:?} bytes");
+    drop((observer, tell));
+    drop(runtime);
+}
+
+/// M5: what is told is written under the lock that the machine has anyway, into memory that is there.
+#[test]
+fn a_watched_message_allocates_nothing() {
+    let _alone = alone();
+    let socket = Socket::new();
+    let (runtime, tell, finished) = node();
+    let observer = Observer::start_at(runtime.node().clone(), &socket.0).unwrap();
+    let stream = attach(&socket, want());
+    let (seen, sees) = channel();
+    let reading = thread::spawn(move || {
+        let mut reader = FrameReader::new(stream, MAX_FRAME);
+        while reader.read_frame().is_ok() {
+            let _ = seen.send(());
+        }
+    });
+    sees.recv_timeout(LONG).expect("it is watched");
+    tell.send(2_000).unwrap();
+    finished.recv_timeout(LONG).unwrap();
+    BY_TASKS.store(0, Ordering::Relaxed);
+    tell.send(20_000).unwrap();
+    finished.recv_timeout(LONG).unwrap();
+    // What the channels of this test take is not the node's.
+    let allocated = BY_TASKS.load(Ordering::Relaxed);
+    println!("20,000 watched messages: {allocated} allocations on the tasks' threads");
+    assert!(allocated <= 2, "{allocated} allocations");
+    drop((observer, tell));
+    reading.join().unwrap();
+    drop(runtime);
+}
+
+/// M13: what was sent is what was shown and what was counted as lost, also where the reader is far too slow.
+#[test]
+fn no_event_goes_missing_uncounted() {
+    let _alone = alone();
+    let all: u32 = std::env::var("IMRS_EVENTS").map_or(1_000_000, |all| all.parse().expect("a number"));
+    let socket = Socket::new();
+    let (runtime, tell, finished) = node();
+    let observer = Observer::start_at(runtime.node().clone(), &socket.0).unwrap();
+    let filter = EventFilter { kinds: Kinds::NONE.and(Event::Sent), tasks: vec![A] };
+    let stream = attach(&socket, Want { events: Some(filter), ..want() });
+    let (told, hears) = channel();
+    let reading = thread::spawn(move || {
+        let mut reader = FrameReader::new(stream, MAX_FRAME);
+        loop {
+            match reader.read_frame().map(ServerFrame::decode) {
+                Ok(Ok(frame)) => {
+                    if told.send(frame).is_err() {
+                        return;
+                    }
+                    // Every so often it does something else.
+                    if fastrand::u8(..) < 8 {
+                        thread::sleep(Duration::from_millis(30));
+                    }
+                }
+                Ok(Err(error)) => panic!("{error}"),
+                Err(FrameError::Closed | FrameError::Truncated { .. }) => return,
+                Err(error) => panic!("{error}"),
+            }
+        }
+    });
+    // From the first change on the events are followed.
+    assert!(matches!(hears.recv_timeout(LONG), Ok(ServerFrame::Table(_))));
+    while !matches!(hears.recv_timeout(LONG), Ok(ServerFrame::Delta(_))) {}
+    tell.send(all).unwrap();
+    let (mut shown, mut lost) = (0_u64, 0);
+    let start = Instant::now();
+    while shown + lost < u64::from(all) {
+        assert!(start.elapsed() < 5 * LONG, "{shown} shown, {lost} lost of {all}");
+        if let ServerFrame::Events(events) = hears.recv_timeout(LONG).expect("it goes on") {
+            shown += events.events.len() as u64;
+            lost += events.lost;
+        }
+    }
+    finished.recv_timeout(LONG).unwrap();
+    println!("{all} events: {shown} shown, {lost} counted as lost");
+    assert_eq!(shown + lost, u64::from(all));
+    assert!(lost > 0 && shown > 0, "{shown} shown, {lost} lost");
+    drop((observer, tell));
+    drop(hears);
+    reading.join().unwrap();
+    drop(runtime);
+}

@@ -1,0 +1,55 @@
+//! `imrs export`: recordings for other tools.
+
+use crate::args::{ExportArgs, ExportForm};
+use crate::exit::{Exit, Failure};
+use crate::output::Output;
+use imrs_monitor::MonitorError;
+use imrs_monitor::export::{Form, Wanted, export};
+use imrs_monitor::record::free_name;
+use imrs_monitor::replay::Film;
+use std::fs::File;
+use std::io::{BufWriter, Cursor, Write};
+use std::path::Path;
+use std::sync::Arc;
+
+/// Exports a recording.
+///
+/// # Errors
+/// [`Failure`].
+pub fn run(args: &ExportArgs, out: &mut Output) -> Result<Exit, Failure> {
+    let film = Arc::new(Film::open(&args.file)?);
+    let wanted = Wanted {
+        size: args.size,
+        keys: args.keys.clone(),
+        frames: args.fps,
+        most: usize::try_from(args.last).unwrap_or(usize::MAX),
+        ..Wanted::new(match args.to {
+            ExportForm::Mcap => Form::Mcap,
+            ExportForm::Jsonl => Form::Jsonl,
+            ExportForm::Svg => Form::Svg,
+            ExportForm::Asciicast => Form::Asciicast,
+        })
+    };
+    let failed = |path: &Path, why: String| MonitorError::Recording { path: path.to_owned(), why };
+    if args.out.as_deref() == Some(Path::new("-")) {
+        let mut whole = Cursor::new(Vec::new());
+        export(&film, &wanted, &mut whole).map_err(|error| failed(&args.file, error.to_string()))?;
+        std::io::stdout().lock().write_all(whole.get_ref()).map_err(Failure::Output)?;
+        return Ok(Exit::Well);
+    }
+    let path = args.out.clone().unwrap_or_else(|| free_name(&args.file.with_extension(args.to.ending())));
+    let file = File::create(&path).map_err(|error| failed(&path, error.to_string()))?;
+    let done = match export(&film, &wanted, BufWriter::new(file)) {
+        Ok(done) => done,
+        Err(error) => {
+            // Half an export is of no use, and would look like a whole one.
+            let _ = std::fs::remove_file(&path);
+            return Err(failed(&path, error.to_string()).into());
+        }
+    };
+    if let Some(notice) = &film.notice {
+        crate::output::complain(format_args!("{}: {notice}", args.file.display()));
+    }
+    out.line(format!("{}: {} {}", path.display(), done.count, done.what))?;
+    Ok(Exit::Well)
+}
