@@ -17,6 +17,7 @@ use crate::rows::{Row, Shape, rows};
 use crate::source::{Arrival, Wanted};
 use crate::store::health::{self, Finding, Place};
 use crate::store::message::MessageKey;
+use crate::store::queue::{Waiting, queue};
 use crate::store::{Condition, Life, LifeId, Store};
 use crate::theme::Theme;
 use crossterm::event::{KeyEvent, KeyEventKind, MouseEvent};
@@ -246,7 +247,7 @@ impl App {
     /// What the screen needs of the nodes.
     #[must_use]
     pub fn want(&self) -> Wanted {
-        let end = self.port.filter(|_| self.screen == Screen::Port);
+        let end = if self.screen == Screen::Port { self.port(&self.queues()) } else { None };
         let watched = end.and_then(|end| Some((self.live.life(end.life)?, end)));
         let ports =
             |life: &crate::store::Life| life.tasks().iter().map(|task| task.view.ports.len()).sum::<usize>();
@@ -401,9 +402,17 @@ impl App {
 
     /// Which message of a queue is selected: the chosen one while it waits there, or what has taken its place.
     #[must_use]
-    pub fn entry(&self, view: &PortView) -> usize {
-        let chosen = |(source, id)| view.queue.iter().position(|e| (e.source, e.id) == (source, id));
-        self.entry.and_then(chosen).unwrap_or(self.scroll).min(view.queue.len().saturating_sub(1))
+    pub fn entry(&self, queue: &[Waiting]) -> usize {
+        let chosen = |(source, id)| queue.iter().position(|w| (w.entry.source, w.entry.id) == (source, id));
+        self.entry.and_then(chosen).unwrap_or(self.scroll).min(queue.len().saturating_sub(1))
+    }
+
+    /// What waits at the port shown.
+    #[must_use]
+    pub fn queue(&self, now: Moment) -> Vec<Waiting> {
+        let end = self.port(&self.queues());
+        let life = end.and_then(|end| self.store().life(end.life).zip(Some(end)));
+        life.map_or_else(Vec::new, |(life, end)| queue(life, end.task, end.port, self.moment(now)))
     }
 
     /// The screen that the help is about.

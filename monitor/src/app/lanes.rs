@@ -1,7 +1,6 @@
 //! The timeline as the user wants it: which lanes, how fine, and how far back.
 
 use super::App;
-use crate::clock::Moment;
 use crate::name::Name;
 use crate::store::timeline::{Gap, Mark, Timeline, timeline};
 use crate::store::{Life, LifeId};
@@ -222,15 +221,6 @@ const fn is_traffic(event: Event) -> bool {
         | Event::TookOver
         | Event::Fenced => false,
     }
-}
-
-/// What a node's own clock says at a moment of the monitor's: since the node started, in microseconds.
-#[must_use]
-pub fn own_clock(life: &Life, at: Moment) -> Option<u64> {
-    let last = life.last.as_ref()?;
-    let uptime = Duration::from_micros(last.snapshot.uptime_us);
-    let passed = (at + uptime).saturating_sub(last.at);
-    u64::try_from(passed.as_micros()).ok()
 }
 
 fn slices(timeline: &Timeline, wanted: impl Fn(&Mark) -> bool, zoom: Option<Duration>) -> Vec<Slice> {

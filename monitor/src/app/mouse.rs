@@ -31,7 +31,7 @@ impl App {
                     Some(Hit::Entry(at)) => {
                         self.scroll = at;
                         self.entry = None;
-                        self.step_queue(0);
+                        self.step_queue(0, now);
                         Effect::Draw
                     }
                     Some(Hit::Title(sort)) if self.shape.sort == sort => self.act(Action::Invert, now),

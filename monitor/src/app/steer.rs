@@ -214,7 +214,7 @@ impl App {
 
     fn enter(&mut self, now: Moment) {
         if self.screen != Screen::Overview {
-            match self.message_here() {
+            match self.message_here(now) {
                 Some(key) => {
                     (self.message, self.chosen_on) = (Some(key), self.screen);
                     self.show(Screen::Message);
@@ -234,12 +234,12 @@ impl App {
     }
 
     /// The message that the selected row is of.
-    fn message_here(&self) -> Option<MessageKey> {
+    fn message_here(&self, now: Moment) -> Option<MessageKey> {
         match self.screen {
             Screen::Port => {
                 let end = self.port(&self.queues())?;
-                let view = self.store().life(end.life)?.port(end.task, end.port)?;
-                let entry = view.queue.get(self.entry(view))?;
+                let queue = self.queue(now);
+                let entry = queue.get(self.entry(&queue))?.entry;
                 Some(MessageKey { source: entry.source, port: end.port, number: entry.id.sequence.get() })
             }
             Screen::Timeline => {
@@ -264,7 +264,7 @@ impl App {
     /// What the selected row is called, for the clipboard.
     fn copy(&mut self, now: Moment) -> Effect {
         let names = self.cell().and_then(|cell| self.store().names(&cell).cloned());
-        let text = match (self.screen, self.message_here(), names) {
+        let text = match (self.screen, self.message_here(now), names) {
             (_, Some(key), Some(names)) => {
                 format!("{}.{}#{}", names.task(key.source), names.port_name(key.port), key.number)
             }
@@ -355,7 +355,7 @@ impl App {
             }
             Screen::Events => self.step_events(by),
             Screen::Timeline => self.step_chart(by),
-            Screen::Port => self.step_queue(by),
+            Screen::Port => self.step_queue(by, now),
             Screen::Message | Screen::Rendezvous | Screen::Timers | Screen::Model | Screen::Help => {
                 let most = self.lines(now).saturating_sub(1);
                 self.scroll = self.scroll.saturating_add_signed(by).min(most);
@@ -368,12 +368,10 @@ impl App {
         crate::view::length(self, now, self.size.0)
     }
 
-    pub(super) fn step_queue(&mut self, by: isize) {
-        let end = self.port(&self.queues());
-        let view = end.and_then(|e| self.store().life(e.life).and_then(|l| l.port(e.task, e.port)));
-        let Some(view) = view else { return };
-        let to = self.entry(view).saturating_add_signed(by).min(view.queue.len().saturating_sub(1));
-        let entry = view.queue.get(to).map(|e| (e.source, e.id));
+    pub(super) fn step_queue(&mut self, by: isize, now: Moment) {
+        let queue = self.queue(now);
+        let to = self.entry(&queue).saturating_add_signed(by).min(queue.len().saturating_sub(1));
+        let entry = queue.get(to).map(|w| (w.entry.source, w.entry.id));
         (self.scroll, self.entry) = (to, entry);
     }
 

@@ -8,6 +8,7 @@ mod life;
 pub mod meeting;
 pub mod message;
 mod names;
+pub mod queue;
 pub mod rounds;
 pub mod service;
 pub mod timeline;

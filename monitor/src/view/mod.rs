@@ -59,7 +59,7 @@ pub fn view(app: &App, now: Moment, area: Rect, buffer: &mut Buffer) {
         Screen::Port => port::draw(app, now, &mut pen),
         Screen::Message => message::draw(app, now, &mut pen),
         Screen::Rendezvous => rendezvous::draw(app, now, &mut pen),
-        Screen::Timeline => timeline::draw(app, now, &mut pen),
+        Screen::Timeline => timeline::draw(app, &mut pen),
         Screen::Timers => timers::draw(app, now, &mut pen),
         Screen::Events => events::draw(app, now, &mut pen),
         Screen::Model => model::draw(app, now, &mut pen),
@@ -113,7 +113,7 @@ pub fn hit(app: &App, now: Moment, size: (u16, u16), at: (u16, u16)) -> Option<H
     }
     match app.screen {
         Screen::Overview => overview::hit(app, now, size, (x, y - 1)),
-        Screen::Port => port::hit(app, size, y - 1),
+        Screen::Port => port::hit(app, now, size, y - 1),
         Screen::Message
         | Screen::Rendezvous
         | Screen::Timeline
