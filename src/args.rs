@@ -144,6 +144,8 @@ While it runs, `imrs monitor` in another terminal shows the nodes.")]
     #[command(after_help = "\
 Examples:
   imrs monitor                          the nodes that run on this machine
+  imrs monitor --demo                   nodes to look at, where there are none
+  imrs monitor --assert 'up>=3 and expired==0' --for 60s    exit code 1 unless that holds
   imrs monitor --once --format json     one sample, for programs
   imrs monitor --connect unix:/run/user/1000/imrs/beam_lift/nl-812.sock
   imrs monitor --record run.imrs --for 60s     without a screen

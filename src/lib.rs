@@ -15,6 +15,7 @@ mod export;
 mod fmt;
 mod graph;
 mod launch;
+mod monitor;
 mod output;
 mod program;
 mod replay;
@@ -27,7 +28,7 @@ pub use imrs_runtime::{Context, Rendezvous, Sent, TaskEnd, TaskError};
 pub use launch::place::PlaceError;
 pub use program::{Program, ProgramError};
 
-use args::{Cli, Format, MonitorArgs, Verb, VerifyArgs, early_color};
+use args::{Cli, Verb, VerifyArgs, early_color};
 use clap::{CommandFactory, FromArgMatches};
 use exit::{Exit, Failure};
 use output::{Output, complain};
@@ -71,7 +72,7 @@ fn run(cli: Cli) -> Result<Exit, Failure> {
         Verb::Graph(args) => graph::run(&args, &mut out),
         Verb::Run(args) => run::run(&args, &mut out),
         Verb::Demo(args) => demo::run(&args, &mut out),
-        Verb::Monitor(args) => monitor(args, cli.color),
+        Verb::Monitor(args) => monitor::run(args, cli.color, &mut out),
         Verb::Replay(args) => replay::run(&args, &mut out),
         Verb::Export(args) => export::run(&args, &mut out),
         Verb::Bench(args) => bench::run(&args, &mut out),
@@ -105,38 +106,6 @@ fn manual(verb: Option<&str>, out: &mut Output) -> Result<Exit, Failure> {
     clap_mangen::Man::new(of).render(&mut page).map_err(Failure::Output)?;
     out.line(String::from_utf8_lossy(&page).trim_end())?;
     Ok(Exit::Well)
-}
-
-fn monitor(args: MonitorArgs, color: args::Color) -> Result<Exit, Failure> {
-    let options = imrs_monitor::Options {
-        connect: args.connect,
-        token: args.token.as_deref().map(token::read).transpose()?,
-        base: None,
-        cell: args.cell,
-        once: args.once,
-        watch: args.watch,
-        text: args.text,
-        format: match args.format {
-            Format::Text => imrs_monitor::Format::Text,
-            Format::Json => imrs_monitor::Format::Json,
-        },
-        color: match color {
-            args::Color::Auto => imrs_monitor::ColorChoice::Auto,
-            args::Color::Always => imrs_monitor::ColorChoice::Always,
-            args::Color::Never => imrs_monitor::ColorChoice::Never,
-        },
-        ascii: args.ascii,
-        replay: args.replay,
-        at: args.at,
-        speed: args.speed,
-        record: args.record,
-        length: args.length,
-        assertions: args.assertions.clone(),
-    };
-    match imrs_monitor::run(&options)? {
-        imrs_monitor::Verdict::Healthy => Ok(Exit::Well),
-        imrs_monitor::Verdict::Finding => Ok(Exit::Finding),
-    }
 }
 
 /// A panic is a fault of this program: it ends with exit code 70 and says what to report. A task of a cell that panics is

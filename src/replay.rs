@@ -1,6 +1,8 @@
 //! `imrs replay`: runs the state machine again on what a node recorded, and compares every output.
 
+mod assumptions;
 mod path;
+mod surroundings;
 mod told;
 
 use crate::args::{Format, ReplayArgs};

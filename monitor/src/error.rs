@@ -59,5 +59,5 @@ fn reasons(looked: &Option<PathBuf>, failed: &[String]) -> String {
         text.push_str("\n  ");
         text.push_str(one);
     }
-    text + "\nstart one with `imrs demo beam-lift`, or name one with `--connect unix:PATH`"
+    text + "\nstart one with `imrs demo beam-lift`, look at `imrs monitor --demo`, or name one with `--connect unix:PATH`"
 }

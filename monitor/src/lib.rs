@@ -11,6 +11,7 @@
 
 pub mod app;
 pub mod clock;
+pub mod config;
 mod error;
 pub mod export;
 pub mod history;
@@ -86,7 +87,7 @@ pub fn run(options: &Options) -> Result<Verdict, MonitorError> {
     }
     let theme = theme_for(options, |name| std::env::var(name).ok());
     let (clock, tape) = (Clock::start(), Arc::new(Tape::default()));
-    let mut app = app::App::new(theme, options.cell.clone());
+    let mut app = app(options, theme);
     if let Some(path) = &options.record {
         tape.start(path, clock.now())?;
         app.recording = Some(name::shown_line(&path.display().to_string()));
@@ -112,9 +113,18 @@ fn replay_on_screen(options: &Options, mut player: Player) -> Result<Verdict, Mo
         None => {}
     }
     let theme = theme_for(options, |name| std::env::var(name).ok());
-    let app = app::App::new(theme, options.cell.clone()).replaying(player);
+    let app = app(options, theme).replaying(player);
     ui::show(Memory::default(), clock, app, &Arc::default(), RECORDING.into())?;
     Ok(Verdict::Healthy)
+}
+
+/// The screen as the user wants it.
+fn app(options: &Options, theme: Theme) -> app::App {
+    let mut app = app::App::new(options.theme.unwrap_or(theme), options.cell.clone());
+    app.mouse = options.mouse;
+    app.reduced_motion = options.reduced_motion;
+    app.shape.filter = options.filter.clone().unwrap_or_default();
+    app
 }
 
 /// Prints what `options` ask for to `out`, without a screen.

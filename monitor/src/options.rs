@@ -2,6 +2,7 @@
 
 use crate::query::Assertion;
 use crate::replay::At;
+use crate::theme::Theme;
 use imrs_wire::obs::Token;
 use std::fmt;
 use std::path::PathBuf;
@@ -106,6 +107,14 @@ pub struct Options {
     pub color: ColorChoice,
     /// Draw with nothing but ASCII.
     pub ascii: bool,
+    /// How it looks, whatever the terminal can do.
+    pub theme: Option<Theme>,
+    /// Clicks and the wheel act.
+    pub mouse: bool,
+    /// Only countdowns move, once a second.
+    pub reduced_motion: bool,
+    /// The filter to begin with.
+    pub filter: Option<String>,
 }
 
 /// How the monitor ended.

@@ -1,5 +1,6 @@
 //! Starting a node: which task runs what, over which link.
 
+use crate::clock;
 use crate::context::{Context, TaskError};
 use crate::link::Link;
 use crate::node::{Node, Plan};
@@ -11,9 +12,14 @@ use imrs_protocol::{CellTable, Incarnation, NodeId, NodeTable};
 use imrs_wire::obs::RealTime;
 use std::io;
 use std::sync::Arc;
+use std::time::Duration;
 
 /// How many packets the transit buffer of a node holds unless told otherwise.
 pub const TRANSIT_CAPACITY: u16 = 1024;
+
+/// For how long a thread that waits looks before it sleeps, unless told otherwise: about what it takes to wake a thread
+/// on another core (D110).
+pub const SPIN: Duration = Duration::from_micros(50);
 
 /// Why a node was not started.
 #[derive(Debug, thiserror::Error)]
@@ -70,6 +76,8 @@ pub struct Builder {
     actions: Option<Arc<dyn Actions>>,
     watch: Option<Arc<dyn Watch>>,
     seed: u64,
+    spin: Duration,
+    spin_tail: Duration,
     holds: bool,
 }
 
@@ -89,6 +97,8 @@ impl Builder {
             actions: None,
             watch: None,
             seed: 0,
+            spin: SPIN,
+            spin_tail: Duration::ZERO,
             holds: false,
         }
     }
@@ -175,6 +185,22 @@ impl Builder {
         self
     }
 
+    /// For how long the thread of a task that waits looks for what it waits for before it sleeps [default: [`SPIN`]]; zero: not
+    /// at all. It looks only where a wait of that kind was as brief the last time, and while no other thread of a task needs
+    /// the core, so a wait that is long costs at most this once, and idle tasks cost nothing (D110).
+    pub fn spin(mut self, budget: Duration) -> Self {
+        self.spin = budget;
+        self
+    }
+
+    /// How long before the end of a delay or a time_out a task's thread wakes, to look at the clock until then [default: zero,
+    /// not at all]. What the kernel takes to wake it, tens of microseconds, then makes nothing late; each wait that ends by its time costs so
+    /// much of a core. A thread that waits in the socket for a message is woken by the kernel as ever (D110).
+    pub fn spin_tail(mut self, length: Duration) -> Self {
+        self.spin_tail = length;
+        self
+    }
+
     /// Keeps the scripts from beginning until [`Runtime::begin`].
     pub fn hold_scripts(mut self) -> Self {
         self.holds = true;
@@ -200,6 +226,8 @@ impl Builder {
             real_time: self.real_time,
             link: self.link,
             recorder: self.recorder,
+            spin: clock::micros(self.spin),
+            spin_tail: clock::micros(self.spin_tail),
         });
         let scripts =
             programs.iter().filter(|(_, program)| matches!(program, TaskProgram::Script(_))).count();

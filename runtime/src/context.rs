@@ -2,15 +2,17 @@
 
 mod caller;
 mod handlers;
+mod many;
 mod outcome;
 mod typed;
 
+pub use many::MANY;
 pub use outcome::{Asked, Received, Rendezvous, RequestFault, Sent, TaskError};
 
 pub(crate) use caller::Caller;
 
-use crate::clock;
-use crate::node::Node;
+use crate::clock::{self, Micros};
+use crate::node::{More, Node};
 use handlers::Handlers;
 use imrs_protocol::{
     CONTENTS_BYTES, Contents, Delivery, PUBLISHED_BYTES, PortId, Ranked, ReplyTo, Request, ServiceOrder,
@@ -31,11 +33,13 @@ pub struct Context<S = ()> {
     pub state: S,
     caller: Caller,
     handlers: Handlers<S>,
+    /// What was taken from the ports together and when, before it is the program's. Empty in between.
+    taken: Vec<(Micros, Delivery)>,
 }
 
 impl<S> Context<S> {
     pub(crate) fn new(node: Arc<Node>, place: usize, state: S) -> Self {
-        Self { state, caller: Caller::new(node, place), handlers: Handlers::default() }
+        Self { state, caller: Caller::new(node, place), handlers: Handlers::default(), taken: Vec::new() }
     }
 
     /// The task.
@@ -279,17 +283,21 @@ impl<S> Context<S> {
         self.call_and_age(request).map(|(signal, _)| signal)
     }
 
-    /// Asks and waits for the answer; handlers run meanwhile. Says too how old the answer is.
     fn call_and_age(&mut self, request: Request) -> Result<(Signal, Ticks), TaskError> {
+        self.call_with(request, &mut |_| None)
+    }
+
+    /// Asks and waits for the answer; handlers run meanwhile. Says too how old the answer is. `more` is asked of each answer.
+    fn call_with(&mut self, request: Request, more: More<'_>) -> Result<(Signal, Ticks), TaskError> {
         let asked = clock::next();
         let over = match request {
             Request::Delay { length, .. } => asked.saturating_add(length.0),
             _ => clock::FAR,
         };
-        let (mut signal, mut age) = self.caller.call(asked, request, over)?;
+        let (mut signal, mut age) = self.caller.call(asked, request, over, more)?;
         while let Signal::Interrupt(call) = signal {
             self.interrupted(call, age)?;
-            (signal, age) = self.caller.call(clock::next(), Request::Return, over)?;
+            (signal, age) = self.caller.call(clock::next(), Request::Return, over, more)?;
         }
         Ok((signal, age))
     }

@@ -5,7 +5,7 @@
 //! - [`Handoff::deliver`] is for everybody: whoever gets the lock works for all (flat combining); whoever does not,
 //!   leaves the input in the inbox and goes on. The holder of the lock looks into the inbox once more after it has let
 //!   go, so nothing stays behind.
-//! - [`Handoff::enter`] is for the task's own thread, which needs the answer.
+//! - [`Handoff::enter_and`] is for the task's own thread, which needs the answer.
 //!
 //! The answer is mail: written under the lock, together with the word that says so. The task's thread sleeps on the
 //! word, and is woken only if the word says that it sleeps. It may also wait elsewhere: then the word says so, and it is
@@ -14,6 +14,7 @@
 //! The shared part knows nothing of messages: it is generic over the [`Station`], so that the tests can explore every
 //! interleaving with a station of two states.
 
+use crate::awake::Presence;
 use crate::sync::{AtomicUsize, Mutex, MutexGuard, Ordering, Word, fence, lock, try_lock};
 use std::sync::Arc;
 
@@ -68,6 +69,7 @@ pub(crate) struct Handoff<S: Station> {
     /// How many inputs are in the inbox, to be read without its lock.
     queued: AtomicUsize,
     word: Word,
+    pub presence: Presence,
     /// Where the task's thread may wait elsewhere.
     bell: Option<Arc<dyn Bell>>,
     #[cfg(test)]
@@ -116,6 +118,8 @@ pub(crate) enum Plant {
     NoFence,
     /// Input that finds the lock held and the inbox full is gone.
     DropsWhenFull,
+    /// Who looked at the word sleeps without looking once more.
+    SleepsBlindly,
 }
 
 impl<S: Station> Handoff<S> {
@@ -132,6 +136,7 @@ impl<S: Station> Handoff<S> {
             inbox: Mutex::new(Vec::with_capacity(INBOX)),
             queued: AtomicUsize::new(0),
             word: Word::new(RUNNING),
+            presence: Presence::new(),
             bell,
             #[cfg(test)]
             plant: Plant::None,
@@ -161,14 +166,34 @@ impl<S: Station> Handoff<S> {
         self.second_look(effects);
     }
 
-    /// Brings input from the task's own thread and takes what there is for it.
+    /// As [`enter_and`](Self::enter_and), once.
+    #[cfg(test)]
     pub fn enter(&self, input: S::Input, effects: &mut S::Effects) -> Entry<S::Mail> {
+        self.enter_and(input, |_| None, effects)
+    }
+
+    /// Brings input from the task's own thread and takes what there is for it. Goes on under the same lock: as long as there
+    /// is an answer for which `more` has another input, that one is brought, too.
+    pub fn enter_and(
+        &self,
+        mut input: S::Input,
+        mut more: impl FnMut(&S::Mail) -> Option<S::Input>,
+        effects: &mut S::Effects,
+    ) -> Entry<S::Mail> {
         let mut core = lock(&self.core);
         self.word.store(RUNNING);
         core.resting = false;
         self.drain(&mut core, effects);
-        core.feed(input, effects);
-        let mail = core.mail.take();
+        let mail = loop {
+            core.feed(input, effects);
+            let mail = core.mail.take();
+            let Some(next) = mail.as_ref().and_then(&mut more) else { break mail };
+            input = next;
+            // Not for each: the inbox is on its way between two cores. Never full, so that nobody waits for the lock.
+            if self.queued.load(Ordering::Relaxed) >= INBOX / 2 {
+                self.drain(&mut core, effects);
+            }
+        };
         let stopped = core.stopped;
         core.resting = mail.is_none() && !stopped;
         let rest = if core.resting { Rest::Begins } else { Rest::No };
@@ -181,21 +206,50 @@ impl<S: Station> Handoff<S> {
     /// Sleeps until there is mail, the node stops, or `deadline` (nanoseconds of the monotonic clock) has passed. May
     /// return early for no reason: the caller enters again and looks. False where there was something already.
     pub fn sleep(&self, deadline: Option<u64>) -> bool {
-        let slept = self.word.replace(RUNNING, SLEEPING);
-        if slept {
-            self.word.wait(SLEEPING, deadline);
+        if !self.goes(SLEEPING) {
+            return false;
         }
-        slept
+        self.word.wait(SLEEPING, deadline);
+        self.comes(SLEEPING);
+        true
+    }
+
+    /// Whether there is something for the task's thread, or the node stops: what it may look at before it sleeps.
+    pub fn is_called(&self) -> bool {
+        self.word.load() != RUNNING
     }
 
     /// The task's thread goes to wait where the bell calls it. False where there is something for it already.
     pub fn go_away(&self) -> bool {
-        self.word.replace(RUNNING, AWAY)
+        self.goes(AWAY)
     }
 
     /// It is back from there, and runs. False where there is something for it.
     pub fn come_home(&self) -> bool {
-        self.word.replace(AWAY, RUNNING)
+        self.comes(AWAY)
+    }
+
+    fn goes(&self, to: u32) -> bool {
+        // Before the word says so: who calls the thread counts it back.
+        self.presence.goes();
+        #[cfg(test)]
+        if self.plant == Plant::SleepsBlindly {
+            self.word.store(to);
+            return true;
+        }
+        let gone = self.word.replace(RUNNING, to);
+        if !gone {
+            self.presence.returns();
+        }
+        gone
+    }
+
+    fn comes(&self, from: u32) -> bool {
+        let uncalled = self.word.replace(from, RUNNING);
+        if uncalled {
+            self.presence.returns();
+        }
+        uncalled
     }
 
     /// Ends all waits of the task, now and later.
@@ -219,8 +273,9 @@ impl<S: Station> Handoff<S> {
 
     /// Does something with the station that may lead to work, from anywhere.
     pub fn visit(&self, visit: impl FnOnce(&mut S, &mut S::Effects), effects: &mut S::Effects) {
+        // What was left may be an answer: only who works it off marks the word.
+        self.second_look(effects);
         let mut core = lock(&self.core);
-        self.drain(&mut core, effects);
         visit(&mut core.station, effects);
         let rest = if core.resting { Rest::GoesOn } else { Rest::No };
         core.station.settle(rest, effects);
@@ -265,10 +320,11 @@ impl<S: Station> Handoff<S> {
             core.feed(input, effects);
         }
         let new_mail = !had_mail && core.mail.is_some();
-        let was = if new_mail { self.mark() } else { RUNNING };
         core.resting &= !new_mail;
         let rest = if core.resting { Rest::GoesOn } else { Rest::No };
         core.station.settle(rest, effects);
+        // Last: the task's thread may be looking, and wants the lock.
+        let was = if new_mail { self.mark() } else { RUNNING };
         drop(core);
         self.call(was);
     }
@@ -287,6 +343,7 @@ impl<S: Station> Handoff<S> {
             | Plant::SilentStop
             | Plant::NoFence
             | Plant::DropsWhenFull
+            | Plant::SleepsBlindly
             | Plant::NoBell => {}
         }
         self.word.swap(READY)
@@ -294,6 +351,9 @@ impl<S: Station> Handoff<S> {
 
     /// Makes the task's thread look, that did this until its word was marked.
     fn call(&self, was: u32) {
+        if was == SLEEPING || was == AWAY {
+            self.presence.returns();
+        }
         if was == SLEEPING {
             self.word.wake();
         }

@@ -38,6 +38,7 @@
 #![deny(unsafe_code)]
 
 mod alarm;
+mod awake;
 mod builder;
 mod clock;
 mod comm;
@@ -71,8 +72,8 @@ mod transit;
 mod turn;
 mod vitals;
 
-pub use builder::{Builder, StartError, TRANSIT_CAPACITY};
-pub use context::{Asked, Context, Received, Rendezvous, RequestFault, Sent, TaskError};
+pub use builder::{Builder, SPIN, StartError, TRANSIT_CAPACITY};
+pub use context::{Asked, Context, MANY, Received, Rendezvous, RequestFault, Sent, TaskError};
 pub use imrs_protocol as protocol;
 pub use message::Message;
 pub use node::Node;

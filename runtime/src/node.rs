@@ -36,7 +36,12 @@ pub(crate) struct Plan {
     pub real_time: RealTime,
     pub link: Option<Arc<dyn Link>>,
     pub recorder: Option<Arc<dyn Recorder>>,
+    pub spin: Micros,
+    pub spin_tail: Micros,
 }
+
+/// What a task asks next without letting go of its communication task, after such an answer; nothing for most.
+pub(crate) type More<'a> = &'a mut dyn FnMut(&Mail) -> Option<Request>;
 
 /// A node that runs. Shared by its threads, and by whoever observes it.
 pub struct Node {
@@ -52,6 +57,10 @@ pub struct Node {
     pub(crate) lateness: LatenessCounts,
     pub(crate) link: Option<Arc<dyn Link>>,
     pub(crate) lead: Lead,
+    /// For how long a task's thread looks before it sleeps.
+    pub(crate) spin: Micros,
+    /// How long before the end of its time it wakes, to look until then.
+    pub(crate) spin_tail: Micros,
     pub(crate) peers: Box<[Peer]>,
     /// Where the scripts of the node act. Here from the start on, unless it has none.
     pub(crate) stage: OnceLock<Stage>,
@@ -111,6 +120,8 @@ impl Node {
             stage: OnceLock::new(),
             link: plan.link,
             lead: Lead::new(),
+            spin: plan.spin,
+            spin_tail: plan.spin_tail,
             peers: table.neighbours(table.node).map(peer).collect(),
             discards: std::array::from_fn(|_| AtomicU64::new(0)),
             link_discards: std::array::from_fn(|_| AtomicU64::new(0)),
@@ -146,15 +157,16 @@ impl Node {
         now
     }
 
-    /// A request of a task, from its own thread; then whatever that brings about.
+    /// A request of a task, from its own thread, and those that [`More`] says; then whatever that brings about.
     pub(crate) fn ask(
         &self,
         place: usize,
         at: Micros,
         request: Request,
+        more: More<'_>,
         effects: &mut Effects,
     ) -> Entry<Mail> {
-        self.enter(place, Stamped { at, input: Input::Request(request) }, effects)
+        self.enter(place, Stamped { at, input: Input::Request(request) }, more, effects)
     }
 
     /// A task's thread is back from its sleep. `due` says that it came because its time is over.
@@ -163,6 +175,7 @@ impl Node {
         place: usize,
         now: Micros,
         due: bool,
+        more: More<'_>,
         effects: &mut Effects,
     ) -> Entry<Mail> {
         if due {
@@ -171,11 +184,13 @@ impl Node {
             self.timers.advance(now, effects);
             self.carry_out(effects);
         }
-        self.enter(place, Stamped { at: now, input: Input::Advance(Ticks::ZERO) }, effects)
+        self.enter(place, Stamped { at: now, input: Input::Advance(Ticks::ZERO) }, more, effects)
     }
 
-    fn enter(&self, place: usize, stamped: Stamped, effects: &mut Effects) -> Entry<Mail> {
-        let entry = self.members.list[place].handoff.enter(stamped, effects);
+    fn enter(&self, place: usize, stamped: Stamped, more: More<'_>, effects: &mut Effects) -> Entry<Mail> {
+        let at = stamped.at;
+        let next = |mail: &Mail| more(mail).map(|next| Stamped { at, input: Input::Request(next) });
+        let entry = self.members.list[place].handoff.enter_and(stamped, next, effects);
         self.carry_out(effects);
         entry
     }

@@ -1,5 +1,6 @@
 //! The threads of a node: one per task, one that receives, and the Timer's.
 
+use crate::awake;
 use crate::builder::{Builder, StartError};
 use crate::clock;
 use crate::comm::Comm;
@@ -116,6 +117,7 @@ impl Runtime {
             ends: Mutex::new(programs.iter().map(|_| None).collect()),
             changed: Condvar::new(),
         });
+        awake::quota();
         // From here on an error drops the runtime, and with it whatever runs already.
         let mut runtime = Self { node, shared, tasks: Vec::new(), helpers: Vec::new() };
         let (weak, ends) = (Arc::downgrade(&runtime.node), Arc::clone(&runtime.shared));
@@ -242,6 +244,8 @@ fn spawn(name: &str, run: impl FnOnce() + Send + 'static) -> Result<JoinHandle<(
 
 fn run_task(node: &Arc<Node>, place: usize, program: TaskBody) -> TaskEnd {
     clock::sleep_exactly();
+    let presence = &node.members.list[place].handoff.presence;
+    presence.returns();
     let end = match catch_unwind(AssertUnwindSafe(|| program(Arc::clone(node), place))) {
         Ok(Ok(()) | Err(TaskError::Stopped)) => TaskEnd::Returned,
         Ok(Err(error)) => TaskEnd::Failed(error),
@@ -250,6 +254,7 @@ fn run_task(node: &Arc<Node>, place: usize, program: TaskBody) -> TaskEnd {
     let crashed = matches!(end, TaskEnd::Panicked(_));
     node.members.list[place].set_liveness(if crashed { Liveness::Crashed } else { Liveness::Ended });
     Caller::new(Arc::clone(node), place).end();
+    presence.goes();
     end
 }
 

@@ -3,10 +3,10 @@
 mod common;
 
 use common::{A, B, C, LONG, LONG_TICKS, ask, cell, finish, network, on, one_node, report, table};
-use imrs_protocol::{Cell, Fault, PortDecl, Ranked, Target, Ticks, TimeId, Usage};
+use imrs_protocol::{Cell, CoupleDecl, Fault, PortDecl, Ranked, Target, Ticks, TimeId, Usage};
 use imrs_runtime::link::in_process::Faults;
 use imrs_runtime::message::Bytes;
-use imrs_runtime::{Asked, Context, Rendezvous, RequestFault, TaskEnd, TaskError};
+use imrs_runtime::{Asked, Context, Rendezvous, RequestFault, Sent, TaskEnd, TaskError};
 use std::time::{Duration, Instant};
 
 /// Asks so often, each time expecting one more.
@@ -306,4 +306,49 @@ fn a_panic_in_a_handler_is_the_tasks_crash_and_the_partners_of_its_wait_are_told
     let ends: Vec<_> = node.stop(LONG).into_iter().map(|(_, end)| end).collect();
     let crash = TaskEnd::Panicked("the gripper is gone".into());
     assert_eq!(ends, [TaskEnd::Returned, crash, TaskEnd::Returned]);
+}
+
+/// Nobody answers the primary's partner any more: it loses its lease, though it is in an atomic section that only the loss
+/// can end. What it then orders is refused, in the handler and after it (D61, D87).
+#[test]
+fn the_loss_of_the_lease_interrupts_an_atomic_section_and_what_is_ordered_then_is_refused() {
+    let mut cell = cell(&[0, 1, 0], Ticks(2_000));
+    let via = cell.port(PortDecl::new("alive", A, Usage::Response, &[B], Ticks(40_000)));
+    cell.port(PortDecl::new("move", A, Usage::Send, &[C], Ticks(50_000)).guard(0));
+    let [lease, takeover, every] = [300_000, 2_000_000, 20_000].map(Ticks);
+    let (trusted, mutual) = (false, false);
+    cell.couples.push(CoupleDecl { primary: A, standby: B, lease, takeover, every, via, trusted, mutual });
+    let table = table(cell);
+    let network = network(&table, Faults::default());
+    let refused = Err(TaskError::Fault(RequestFault(Fault::Fenced)));
+    let (tell, told) = report();
+    let first = on(&network, &table, 0).task_with("a", 0, move |ctx: &mut Context<u32>| {
+        let port = ctx.port("move")?;
+        let fenced = refused.clone();
+        ctx.on_fence(move |ctx| {
+            ctx.state += 1;
+            assert_eq!(ctx.send(port, b"go"), fenced);
+            Ok(())
+        });
+        assert_eq!(ctx.send(port, b"go"), refused, "nobody has given it the lease");
+        let _epoch = ctx.lease()?;
+        let sent = ctx.send(port, b"go");
+        // A machine that stands still may take the lease before its partner's end does.
+        assert!(sent == Ok(Sent::Copies(1)) || sent == refused, "{sent:?}");
+        tell.send(()).expect("the test listens");
+        ctx.atomic(|ctx| {
+            while ctx.state == 0 {
+                ctx.delay(Duration::from_millis(10))?;
+            }
+            Ok(())
+        })?;
+        assert_eq!((ctx.state, ctx.send(port, b"go")), (1, refused));
+        Ok(())
+    });
+    let first = first.task("c", |_| Ok(()));
+    let second = on(&network, &table, 1).task("b", |ctx| ctx.receive(None, None).map(drop));
+    let (first, second) = (first.start().unwrap(), second.start().unwrap());
+    told.recv_timeout(LONG).expect("it is given the lease");
+    let _ends = second.stop(LONG);
+    finish(first);
 }

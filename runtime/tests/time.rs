@@ -24,10 +24,16 @@ fn in_time(took: Duration, least: Duration) {
 
 #[test]
 fn delays_and_empty_waits_never_end_early() {
+    wait_for_times(Duration::ZERO);
+    wait_for_times(Duration::from_micros(300));
+}
+
+fn wait_for_times(spin_tail: Duration) {
     let mut cell = cell(&[0, 0], Ticks(0));
     cell.port(ask(LONG_TICKS));
     let table = table(cell);
     let node = one_node(&table)
+        .spin_tail(spin_tail)
         .task("a", |ctx| {
             for micros in (0..2_000).step_by(37) {
                 let length = Duration::from_nanos(micros * 1_001);

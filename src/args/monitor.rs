@@ -18,6 +18,12 @@ pub struct MonitorArgs {
     /// Show only the cell of this name.
     #[arg(long, value_name = "NAME")]
     pub cell: Option<String>,
+    /// Begin with this filter: `slack<20ms and class=2`, or a part of a name.
+    #[arg(long, value_name = "CONDITION")]
+    pub filter: Option<String>,
+    /// Start nodes to look at: a beam lift whose hoist dies again and again.
+    #[arg(long, conflicts_with_all = ["connect", "replay"])]
+    pub demo: bool,
     /// Print one sample and end.
     #[arg(long)]
     pub once: bool,
@@ -49,6 +55,24 @@ pub struct MonitorArgs {
     /// `count(class=2 and fill>80%) == 0`, `up>=3`, `critical==0`.
     #[arg(long = "assert", value_name = "CONDITION", conflicts_with = "record")]
     pub assertions: Vec<imrs_monitor::query::Assertion>,
+    /// How it looks: colour, light, contrast, mono, ascii, colour-ascii [default: what the terminal can do].
+    #[arg(long, value_name = "NAME")]
+    pub theme: Option<String>,
+    /// Leave clicks and the wheel to the terminal.
+    #[arg(long)]
+    pub no_mouse: bool,
+    /// Move nothing but countdowns, once a second.
+    #[arg(long)]
+    pub reduced_motion: bool,
+    /// Read this file instead of $XDG_CONFIG_HOME/imrs/monitor.toml.
+    #[arg(long, value_name = "FILE")]
+    pub config: Option<PathBuf>,
+    /// Print a file for --config in which every key is explained, and end.
+    #[arg(long)]
+    pub config_example: bool,
+    /// Print the JSON Schema of that file, and end.
+    #[arg(long)]
+    pub config_schema: bool,
     /// The form of what is printed; JSON implies printing.
     #[arg(long, value_enum, value_name = "FORM", default_value_t = Format::Text)]
     pub format: Format,

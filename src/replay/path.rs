@@ -1,5 +1,7 @@
 //! `imrs replay FILE... --cell CELL --model`: is this run a path of the model that `imrs verify` explores?
 
+use super::assumptions::Assumed;
+use super::surroundings::{Surroundings, named};
 use super::told::Told;
 use super::{Opened, ReplayError, open};
 use crate::args::{Format, ReplayArgs};
@@ -13,7 +15,7 @@ use imrs_language::{Compiled, Unit, compile};
 use imrs_model::cell::{
     Budget, CellPlan, Conduct, Happened, Happening, Run, Steps, follow_run, steps_in_model,
 };
-use imrs_protocol::{CellTable, NodeId, Packet, TaskId, Ticks};
+use imrs_protocol::{CellTable, NodeId, TaskId};
 use imrs_runtime::record::{Verdict, replay_scripts};
 use imrs_runtime::script::Watch;
 use imrs_wire::recording::Ending;
@@ -46,10 +48,14 @@ pub fn run(args: &ReplayArgs, out: &mut Output) -> Result<Exit, Failure> {
     let (mut searched, plan) = plans(path, args)?;
     let mut recorded = match read(args, &loaded)? {
         Ok(recorded) => recorded,
-        Err(Differs { task, how }) => return tell(&Told::of_task(&loaded, task, how), path, args, out),
+        Err(Unfollowed::Differs { task, how }) => {
+            return tell(&Told::of_task(&loaded, task, how), path, args, out);
+        }
+        Err(Unfollowed::Gap(missing)) => return tell(&Told::of_gap(&loaded, missing), path, args, out),
     };
     let checks = judge(&loaded, &recorded);
-    let slow = slow_links(&recorded.tasks, &loaded.table);
+    let around = Surroundings::of(&recorded.tasks, &recorded.whole, &loaded.table);
+    let faults = searched.faults.clone();
     end_where_nodes_stop(&mut recorded.tasks);
     let tick = loaded.table.cell().tick.0;
     let run = Run { tick, tasks: recorded.tasks, whole: recorded.whole };
@@ -59,7 +65,9 @@ pub fn run(args: &ReplayArgs, out: &mut Output) -> Result<Exit, Failure> {
         Some(_) => Steps::default(),
         None => steps_in_model(&Arc::new(searched), &run),
     };
-    let told = Told::new(&loaded, &followed, &steps, (slow, recorded.start), checks);
+    let assumed = Assumed { loaded: &loaded, faults: &faults, tick, start: recorded.start };
+    let breaches = assumed.breaches(&around, &followed.late);
+    let told = Told::new(&loaded, &followed, &steps, recorded.start, breaches, checks);
     tell(&told, path, args, out)
 }
 
@@ -103,14 +111,16 @@ fn plan(compiled: &Compiled, args: &ReplayArgs) -> Result<CellPlan, Failure> {
     Ok(plan)
 }
 
-/// A task whose recording is not even what its own machine does.
-struct Differs {
-    task: TaskId,
-    how: String,
+/// Why a run is not followed.
+enum Unfollowed {
+    /// The recording of a task is not even what its own machine does.
+    Differs { task: TaskId, how: String },
+    /// Inputs are missing.
+    Gap(String),
 }
 
 /// Replays all recordings of a run.
-fn read(args: &ReplayArgs, loaded: &Loaded) -> Result<Result<Recorded, Differs>, Failure> {
+fn read(args: &ReplayArgs, loaded: &Loaded) -> Result<Result<Recorded, Unfollowed>, Failure> {
     let cell = loaded.table.cell();
     let mut tasks = vec![None; cell.tasks.len()];
     let mut whole = vec![true; cell.nodes.len()];
@@ -139,16 +149,15 @@ fn read(args: &ReplayArgs, loaded: &Loaded) -> Result<Result<Recorded, Differs>,
             match replay.verdict() {
                 Verdict::Same => {}
                 Verdict::Unknown => {
-                    let what =
-                        format!("{}: inputs of `{name}` are missing: it cannot be followed", path.display());
-                    return Err(Failure::Usage(what));
+                    let missing = format!("inputs of `{name}` are missing in {}", path.display());
+                    return Ok(Err(Unfollowed::Gap(missing)));
                 }
                 verdict @ (Verdict::Differs(_)
                 | Verdict::ScriptDiffers(_)
                 | Verdict::Breaks(_)
                 | Verdict::Miscounts(_)) => {
                     let how = super::divergence(verdict, name).unwrap_or_default();
-                    return Ok(Err(Differs { task, how }));
+                    return Ok(Err(Unfollowed::Differs { task, how }));
                 }
             }
             let of_task = seen.iter().filter(|change| change.task == task).cloned();
@@ -233,11 +242,6 @@ fn judge(loaded: &Loaded, recorded: &Recorded) -> Settlement {
     judge.settlement(recorded.start)
 }
 
-/// Without what relays and time change.
-fn named(packet: &Packet) -> Packet {
-    Packet { remaining: Ticks::ZERO, hops: 0, ..*packet }
-}
-
 /// A node that stops takes back what its tasks wait in, which no model does: the run ends before anybody hears of that.
 fn end_where_nodes_stop(tasks: &mut [Vec<Happening>]) {
     let mut taken_back = Vec::new();
@@ -254,50 +258,4 @@ fn end_where_nodes_stop(tasks: &mut [Vec<Happening>]) {
     if let Some(end) = end {
         tasks.iter_mut().for_each(|task| task.retain(|happening| happening.at < end));
     }
-}
-
-/// A link, or a way of several, that took longer than its bound.
-pub struct Slow {
-    /// From this node
-    pub from: NodeId,
-    /// to this one.
-    pub to: NodeId,
-    /// Microseconds that it took at most.
-    pub most: u64,
-    /// Microseconds that it should take at most.
-    pub bound: u64,
-    /// How often.
-    pub times: u64,
-    /// When first: microseconds of the run's clock.
-    pub first: u64,
-}
-
-fn slow_links(tasks: &[Vec<Happening>], table: &CellTable) -> Vec<Slow> {
-    let mut slow: Vec<Slow> = Vec::new();
-    for task in tasks {
-        for happening in task {
-            let Happened::Came(packet) = &happening.what else { continue };
-            let (Some(from), Some(to)) = (table.location(packet.source), table.location(packet.destination))
-            else {
-                continue;
-            };
-            let Some(bound) = table.path_bound(from, to).filter(|_| from != to) else { continue };
-            let all = tasks.get(packet.source.index()).into_iter().flatten();
-            let sent = all.take_while(|other| other.at <= happening.at).filter(
-                |other| matches!(&other.what, Happened::Sent(other) if named(other) == named(packet)),
-            );
-            let Some(took) = sent.last().map(|sent| happening.at - sent.at) else { continue };
-            if took <= bound.0 {
-                continue;
-            }
-            let (at, bound) = (happening.at, bound.0);
-            match slow.iter_mut().find(|one| (one.from, one.to) == (from, to)) {
-                Some(one) => {
-                    (one.most, one.times, one.first) = (one.most.max(took), one.times + 1, one.first.min(at));
-                }
-                None => slow.push(Slow { from, to, most: took, bound, times: 1, first: at }),
-            }
-        }
-    }
-    slow
 }

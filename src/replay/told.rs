@@ -1,56 +1,18 @@
 //! What following a run came to, for people and for programs.
 
-use super::path::{Slow, WALKS};
+use super::assumptions::Breach;
+use super::path::WALKS;
 use crate::cells::Loaded;
 use crate::checks::Settlement;
 use crate::exit::{Exit, Failure};
 use crate::output::{BAD, GOOD, NOTE, Output, Styled, count};
 use imrs_model::cell::{Followed, Steps, Unexplained};
-use imrs_protocol::{NodeId, TaskId};
+use imrs_protocol::TaskId;
 use serde::Serialize;
-use std::collections::BTreeMap;
-
-/// A promise of the cell about its surroundings that the run did not keep.
-#[derive(Debug, Serialize)]
-pub struct Breach {
-    what: String,
-    times: u64,
-    /// Seconds since the first task began.
-    first: f64,
-}
-
-/// Links that took too long, and tasks that acted late: by task and line.
-fn breaches(loaded: &Loaded, followed: &Followed, slow: &[Slow], start: u64) -> Vec<Breach> {
-    let cell = loaded.table.cell();
-    let node = |node: NodeId| cell.nodes[node.index()].name.as_str();
-    let link = |slow: &Slow| {
-        let (from, to, most, bound) = (node(slow.from), node(slow.to), msec(slow.most), msec(slow.bound));
-        let what = format!("link {from}--{to} took {most:.1} ms, bound {bound} ms");
-        Breach { what, times: slow.times, first: since(start, slow.first) }
-    };
-    // How late at most, how often, and when first.
-    let mut late: BTreeMap<(TaskId, Option<usize>), (u64, u64, u64)> = BTreeMap::new();
-    for one in &followed.late {
-        let line = loaded.line(one.task, one.address);
-        let all = late.entry((one.task, line)).or_insert((0, 0, one.at));
-        *all = (all.0.max(one.ticks), all.1 + 1, all.2);
-    }
-    let act = |((task, line), (most, times, first)): ((TaskId, Option<usize>), (u64, u64, u64))| {
-        let line = line.map(|line| format!(" line {line}")).unwrap_or_default();
-        let name = &cell.tasks[task.index()].name;
-        let what = format!("{name}{line} acted up to {} late", count(most, "tick"));
-        Breach { what, times, first: since(start, first) }
-    };
-    slow.iter().map(link).chain(late.into_iter().map(act)).collect()
-}
 
 /// Seconds.
 fn since(start: u64, at: u64) -> f64 {
     at.saturating_sub(start) as f64 / 1e6
-}
-
-fn msec(us: u64) -> f64 {
-    us as f64 / 1e3
 }
 
 /// The answer.
@@ -63,6 +25,8 @@ pub struct Told {
     /// Whether the links and nodes kept what the cell declares of them.
     within_assumptions: bool,
     complete: bool,
+    /// What is missing, where nothing can be said.
+    unknown: Option<String>,
     ended_by: Option<String>,
     seconds: f64,
     inputs: u64,
@@ -105,18 +69,18 @@ pub struct Where {
 }
 
 impl Told {
-    /// Of a run that was followed: with the links that took too long, and when the run started.
+    /// Of a run that was followed: with when it started, and the assumptions that it did not keep.
     pub fn new(
         loaded: &Loaded,
         followed: &Followed,
         steps: &Steps,
-        (slow, start): (Vec<Slow>, u64),
+        start: u64,
+        breaches: Vec<Breach>,
         checks: Settlement,
     ) -> Self {
         let cell = loaded.table.cell();
         let seconds = |at| since(start, at);
         let node = |node: usize| cell.nodes[node].name.clone();
-        let breaches = breaches(loaded, followed, &slow, start);
         let unexplained = followed.unexplained.as_ref().map(|Unexplained { at, task, address, why }| {
             let declared = &cell.tasks[task.index()];
             Where {
@@ -141,6 +105,7 @@ impl Told {
             path: unexplained.is_none() && followed.ended_by.is_none(),
             within_assumptions: breaches.is_empty(),
             complete: followed.ended_by.is_none(),
+            unknown: None,
             ended_by: followed.ended_by.clone(),
             seconds: seconds(followed.until),
             inputs: followed.inputs,
@@ -174,6 +139,11 @@ impl Told {
         Self { version: 1, cell: cell.name.clone(), complete: true, unexplained: Some(at), ..Self::default() }
     }
 
+    /// Of a run of which something is missing.
+    pub fn of_gap(loaded: &Loaded, missing: String) -> Self {
+        Self { version: 1, cell: loaded.table.cell().name.clone(), unknown: Some(missing), ..Self::default() }
+    }
+
     /// What the exit code depends on: whether a check did not hold, whether something is unexplained, and whether all was
     /// looked at.
     pub fn verdict(&self) -> Exit {
@@ -190,6 +160,10 @@ impl Told {
     /// # Errors
     /// The output cannot be written.
     pub fn show(&self, file: &str, out: &mut Output) -> Result<(), Failure> {
+        if let Some(missing) = &self.unknown {
+            let text = format!("{file}: UNKNOWN whether this run is a path of the model: {missing}");
+            return out.line(Styled(NOTE, text));
+        }
         let far = format!(
             "{:.3} s, {}, {}, {}",
             self.seconds,
@@ -206,12 +180,7 @@ impl Told {
             ))?;
         }
         for breach in &self.breaches {
-            let Breach { what, times, first } = breach;
-            let text = format!(
-                "  outside the assumptions: {what} ({}, first at {first:.3} s)",
-                count(*times, "time")
-            );
-            out.line(Styled(NOTE, text))?;
+            out.line(Styled(NOTE, format!("  outside the assumptions: {breach}")))?;
         }
         match (&self.unexplained, &self.ended_by) {
             (Some(at), _) => {

@@ -10,9 +10,9 @@ use imrs_protocol::{
     Contents, Incarnation, Node, NodeId, NodeInput, NodeOutbox, NodeTable, Packet, Request, Signal, Target,
     TaskId, Usage,
 };
-use imrs_runtime::Runtime;
+use imrs_runtime::{Runtime, SPIN};
 use std::sync::mpsc::channel;
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 const ONE: [Core; 2] = [Core::First; 2];
 const TWO: [Core; 2] = [Core::First, Core::Second];
@@ -81,17 +81,29 @@ pub fn threads() -> Suite {
         );
         suite.case(
             format!("runtime/threads {name}"),
-            "two Rust tasks of a node, each on a thread that sleeps before every message; counts sleeps per round trip",
-            move |effort| sleeping(effort, places),
+            "two Rust tasks of a node, each on a thread that sleeps before every message (spin budget 0); counts sleeps per round trip",
+            move |effort| asking(effort, 1_500, 1, places, Duration::ZERO),
+        );
+        suite.case(
+            format!("runtime/threads as they are {name}"),
+            "the same with the spin budget that a node has unless told otherwise; 32 round trips share a look at the clock",
+            move |effort| asking(effort, 100_000, GROUP, places, SPIN),
         );
     }
-    let hot = "runtime/threads two cores";
+    suite.case(
+        "runtime/threads as they are, each trip",
+        "the same on two cores, each round trip timed by itself: for the tail",
+        |effort| asking(effort, 20_000, 1, TWO, SPIN),
+    );
+    let hot = "runtime/threads as they are two cores";
     suite.row(Row::new("P2", hot, "floor/spinning line", Stat::P50, Goal::AtMost(2.2)));
-    suite.row(Row::within("P2", hot, Stat::P999, Stat::P50, Goal::AtMost(3.0)));
-    let one = "runtime/threads one core";
+    let each = "runtime/threads as they are, each trip";
+    suite.row(Row::within("P2", each, Stat::P999, Stat::P50, Goal::AtMost(3.0)));
+    let (one, two) = ("runtime/threads one core", "runtime/threads two cores");
     suite.row(Row::new("P3", one, "floor/park_timeout one core", Stat::P50, Goal::AtMost(1.15)));
-    suite.row(Row::new("P3", hot, "floor/park_timeout two cores", Stat::P50, Goal::AtMost(1.10)));
-    for (subject, floor) in [(one, "floor/relay of 4 one core"), (hot, "floor/relay of 4 two cores")] {
+    suite.row(Row::new("P3", "runtime/threads as they are one core", one, Stat::P50, Goal::AtMost(1.05)));
+    suite.row(Row::new("P3", two, "floor/park_timeout two cores", Stat::P50, Goal::AtMost(1.10)));
+    for (subject, floor) in [(one, "floor/relay of 4 one core"), (two, "floor/relay of 4 two cores")] {
         suite.row(Row::new("P3", subject, floor, Stat::P50, Goal::AtMost(0.4)));
         let what = format!("{subject}: sleeps per round trip, each ended by a futex wake");
         suite.row(Row::bounded("P3", &what, subject, Stat::Count, Goal::AtMost(2.02)));
@@ -99,15 +111,16 @@ pub fn threads() -> Suite {
     suite
 }
 
-/// Two Rust tasks on threads of their own.
-fn sleeping(effort: Effort, places: [Core; 2]) -> Sample {
+/// Two Rust tasks on threads of their own, that look so long before they sleep.
+fn asking(effort: Effort, full: u32, group: u32, places: [Core; 2], spin: Duration) -> Sample {
     let (tell, told) = channel();
-    let times = effort.of(1_500);
+    let times = effort.of(full);
     cores::pin(places[0]);
     let node = Runtime::builder(cells::asking(1, Usage::Send), NodeId(0))
+        .spin(spin)
         .task("t0", move |ctx| {
             cores::pin(places[0]);
-            tell.send(cells::ask(ctx, &cells::FULL, times, 1)?).expect("the harness listens");
+            tell.send(cells::ask(ctx, &cells::FULL, times, group)?).expect("the harness listens");
             Ok(())
         })
         .task("t1", move |ctx| {

@@ -9,7 +9,7 @@ use crate::sample::Sample;
 use crate::suite::{Effort, Goal, Row, Stat, Suite};
 use imrs_protocol::{CellTable, Incarnation, NodeId, NodeTable, PortDecl, PortId, Usage};
 use imrs_runtime::link::udp::{UdpLink, UdpOptions};
-use imrs_runtime::{Builder, Runtime};
+use imrs_runtime::{Builder, Runtime, SPIN};
 use std::net::{Ipv4Addr, UdpSocket};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
@@ -31,8 +31,13 @@ pub fn network() -> Suite {
         );
         suite.case(
             format!("runtime/UDP {name}"),
-            "send, receive, reply between Rust tasks of two nodes of one process, deadline in the packet, checksum mode",
-            move |effort| ask(effort, other, Watched::Not),
+            "send, receive, reply between Rust tasks of two nodes of one process, each asleep in its socket before every message (spin budget 0), deadline in the packet, checksum mode",
+            move |effort| ask(effort, other, Watched::Not, Duration::ZERO),
+        );
+        suite.case(
+            format!("runtime/UDP as they are {name}"),
+            "the same with the spin budget that a node has unless told otherwise",
+            move |effort| ask(effort, other, Watched::Not, SPIN),
         );
     }
     suite.case("floor/UDP spinning", "32 bytes there and back, two hot threads, two cores", |effort| {
@@ -56,7 +61,9 @@ pub fn network() -> Suite {
     let (one, two) = ("runtime/UDP one core", "runtime/UDP two cores");
     suite.row(Row::new("P11", one, "floor/UDP one core", Stat::P50, Goal::AtMost(1.2)));
     suite.row(Row::new("P11", two, "floor/UDP two cores", Stat::P50, Goal::AtMost(1.15)));
-    suite.row(Row::new("P11", two, "floor/UDP spinning", Stat::P50, Goal::AtMost(1.3)));
+    suite.row(Row::new("P11", "runtime/UDP as they are one core", one, Stat::P50, Goal::AtMost(1.05)));
+    let awake = "runtime/UDP as they are two cores";
+    suite.row(Row::new("P11", awake, "floor/UDP spinning", Stat::P50, Goal::AtMost(1.3)));
     let (stream, floor) = ("runtime/UDP one way", "floor/UDP one way, 43 a datagram");
     suite.row(Row::new("P12", stream, floor, Stat::Mean, Goal::AtLeast(0.8)));
     suite
@@ -82,10 +89,10 @@ fn two_nodes(table: &Arc<CellTable>) -> [Builder; 2] {
     })
 }
 
-/// Between two nodes over UDP; the tasks run on the first core and on this one.
-pub fn ask(effort: Effort, other: Core, how: Watched) -> Sample {
+/// Between two nodes over UDP; the tasks run on the first core and on this one, and look so long before they sleep.
+pub fn ask(effort: Effort, other: Core, how: Watched, spin: Duration) -> Sample {
     let table = cells::asking(2, Usage::Send);
-    let [a, b] = two_nodes(&table);
+    let [a, b] = two_nodes(&table).map(|node| node.spin(spin));
     let mut onlookers = [NodeId(0), NodeId(1)].map(|node| Onlooker::of(how, &table, node));
     let (a, b) = (onlookers[0].told_by(a), onlookers[1].told_by(b));
     let (tell, told) = channel();

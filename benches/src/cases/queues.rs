@@ -144,6 +144,16 @@ pub fn timers() -> Suite {
         "lateness of the time_out of a receive, from the call; counts those that ended early",
         lateness_of_a_receive,
     );
+    suite.case(
+        "runtime/delay, spin tail",
+        "the same on a node with a spin tail of 200 us",
+        lateness_with_a_tail,
+    );
+    let tail = "runtime/delay, spin tail";
+    let what = format!("{tail}: nanoseconds late");
+    suite.row(Row::bounded("P14", &what, tail, Stat::P50, Goal::AtMost(1_000.0)));
+    let what = format!("{tail}: how many ended early");
+    suite.row(Row::bounded("P14", &what, tail, Stat::Count, Goal::AtMost(0.0)));
     for own in ["runtime/delay", "runtime/time_out"] {
         suite.row(Row::new("P14", own, "floor/clock_nanosleep", Stat::P50, Goal::AtMost(1.1)));
         let what = format!("{own}: how many ended early");
@@ -243,21 +253,27 @@ fn lateness_of_the_kernel(effort: Effort) -> Sample {
     thread.join().expect("no panic")
 }
 
+fn lateness_with_a_tail(effort: Effort) -> Sample {
+    let tail = Duration::from_micros(200);
+    late_task(effort, tail, |ctx, length| ctx.delay(length).expect("the node runs"))
+}
+
 fn lateness_of_a_delay(effort: Effort) -> Sample {
-    late_task(effort, |ctx, length| ctx.delay(length).expect("the node runs"))
+    late_task(effort, Duration::ZERO, |ctx, length| ctx.delay(length).expect("the node runs"))
 }
 
 fn lateness_of_a_receive(effort: Effort) -> Sample {
-    late_task(effort, |ctx, length| {
+    late_task(effort, Duration::ZERO, |ctx, length| {
         let nothing = ctx.receive(None, Some(length)).expect("the node runs");
         assert_eq!(nothing, None);
     })
 }
 
-fn late_task(effort: Effort, sleep: fn(&mut imrs_runtime::Context, Duration)) -> Sample {
+fn late_task(effort: Effort, tail: Duration, sleep: fn(&mut imrs_runtime::Context, Duration)) -> Sample {
     let times = effort.of(150);
     let (tell, told) = channel();
     let node = Runtime::builder(cells::table(cells::cell(1, 1)), NodeId(0))
+        .spin_tail(tail)
         .task("t0", move |ctx| {
             tell.send(lateness(times, |length| sleep(ctx, length))).expect("the harness listens");
             Ok(())

@@ -5,7 +5,7 @@ use crate::cores::{self, Core};
 use crate::sample::{Sample, nanos_of};
 use crate::suite::{Effort, Goal, Row, Stat, Suite};
 use imrs_protocol::{NodeId, PortDecl, PortId, TaskId, Ticks, Usage};
-use imrs_runtime::Runtime;
+use imrs_runtime::{MANY, Runtime};
 use std::collections::BinaryHeap;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::sync::mpsc::{TryRecvError, channel, sync_channel};
@@ -217,8 +217,13 @@ pub fn streams() -> Suite {
         let name = |of: &str| format!("{of} {senders}->1");
         suite.case(
             name("runtime/stream"),
-            "class-1 messages from tasks on threads to one; at most 256 under way of each; nanoseconds per message",
-            move |effort| stream_of_ports(effort, senders),
+            "class-1 messages from tasks on threads to one that takes what is there (receive_many); at most 256 under way of each; nanoseconds per message",
+            move |effort| stream_of_ports(effort, senders, MANY),
+        );
+        suite.case(
+            name("runtime/stream one at a time"),
+            "the same, each message taken by a receive of its own",
+            move |effort| stream_of_ports(effort, senders, 1),
         );
         suite.case(
             name("floor/mutex heap"),
@@ -238,6 +243,8 @@ pub fn streams() -> Suite {
         let times = if senders == 1 { 6.0 } else { 15.0 };
         let (own, naive) = (name("runtime/stream"), name("floor/mutex heap"));
         suite.row(Row::new("P6", own, &naive, Stat::Mean, Goal::AtLeast(times)));
+        let one = name("runtime/stream one at a time");
+        suite.row(Row::new("P6", one, &naive, Stat::Mean, Goal::AtLeast(1.0)));
     }
     suite
 }
@@ -304,7 +311,8 @@ where
     Sample::of_all(elapsed, each * senders as u64)
 }
 
-fn stream_of_ports(effort: Effort, senders: usize) -> Sample {
+/// The receiver takes up to `most` at once.
+fn stream_of_ports(effort: Effort, senders: usize, most: usize) -> Sample {
     let mut cell = cells::cell(senders + 1, 1);
     let receiver = TaskId::from_index(senders);
     let window = u16::try_from(WINDOW).expect("few");
@@ -347,9 +355,18 @@ fn stream_of_ports(effort: Effort, senders: usize) -> Sample {
             cores::pin(Core::First);
             goes.store(true, Ordering::Release);
             let begins = Instant::now();
-            for _ in 0..each * senders as u64 {
-                let message = ctx.receive(None, None)?.expect("a message");
-                taken[message.from.port.index()].fetch_add(1, Ordering::Release);
+            let mut messages = Vec::with_capacity(most);
+            let mut left = each * senders as u64;
+            while left > 0 {
+                if most == 1 {
+                    messages.extend(ctx.receive(None, None)?);
+                } else {
+                    let _count = ctx.receive_many(None, &mut messages, most, None)?;
+                }
+                left -= messages.len() as u64;
+                for message in messages.drain(..) {
+                    taken[message.from.port.index()].fetch_add(1, Ordering::Release);
+                }
             }
             let sample = Sample::of_all(begins.elapsed(), each * senders as u64);
             tell.send(sample).expect("the harness listens");

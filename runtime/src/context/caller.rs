@@ -1,6 +1,7 @@
 //! The thread of a task before its communication task: asks, sleeps, and comes back with the answer.
 
 use super::outcome::TaskError;
+use crate::awake::{Kind, Patience};
 use crate::clock::{self, Micros};
 use crate::comm::{Comm, Mail};
 use crate::effects::Effects;
@@ -8,7 +9,7 @@ use crate::failstop::FailStop;
 use crate::handoff::Entry;
 use crate::lead::Led;
 use crate::message::Bytes;
-use crate::node::{Inlet, Node};
+use crate::node::{Inlet, More, Node};
 use imrs_protocol::{Contents, Delivery, PortId, ReplyTo, Request, Signal, TaskId, Ticks};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
@@ -20,6 +21,8 @@ pub(crate) struct Caller {
     effects: Effects,
     /// What it receives with where it leads. Made when it first does.
     inlet: Option<Inlet>,
+    /// How it waits.
+    patience: Patience,
     stopped: bool,
     /// What a handler failed with: whatever it interrupted cannot be gone on with.
     failed: Option<TaskError>,
@@ -35,6 +38,7 @@ impl Caller {
     pub fn new(node: Arc<Node>, place: usize) -> Self {
         let task = node.members.list[place].task;
         Self {
+            patience: Patience::new(node.spin),
             node,
             place,
             effects: Effects::new(Some(task)),
@@ -52,12 +56,13 @@ impl Caller {
     }
 
     /// Asks, and waits for the answer: first that of the machine, then asleep until it is brought, until the machine has
-    /// something to do by itself, or until `over`. Says too how old the answer is.
+    /// something to do by itself, or until `over`. Says too how old the answer is. `more` is asked of each answer.
     pub fn call(
         &mut self,
         asked: Micros,
         request: Request,
         over: Micros,
+        more: More<'_>,
     ) -> Result<(Signal, Ticks), TaskError> {
         if let Some(error) = &self.failed {
             return Err(error.clone());
@@ -65,11 +70,16 @@ impl Caller {
         if self.stopped {
             return Err(TaskError::Stopped);
         }
+        let kind = Kind::of(&request);
         let mut now = asked;
-        let mut entry = self.node.ask(self.place, asked, request, &mut self.effects);
+        let mut waited = false;
+        let mut entry = self.node.ask(self.place, asked, request, more, &mut self.effects);
         loop {
             let Entry { mail, stopped, until } = entry;
             self.stopped = stopped;
+            if let (true, Some(kind), Some(mail)) = (waited, kind, &mail) {
+                self.patience.learn(kind, mail.at.saturating_sub(asked));
+            }
             match mail {
                 Some(Mail { signal: Signal::Fault(fault), .. }) => {
                     return Err(super::RequestFault(fault).into());
@@ -82,9 +92,12 @@ impl Caller {
                 None => {}
             }
             let until = until.min(over);
-            self.wait(until);
+            self.wait(kind, until);
+            waited = true;
             now = clock::now();
-            entry = self.node.come_back(self.place, now, now >= until, &mut self.effects);
+            // A spin tail earlier, too: what the end of the time needs is then in the caches.
+            let due = now.saturating_add(self.node.spin_tail) >= until;
+            entry = self.node.come_back(self.place, now, due, more, &mut self.effects);
         }
     }
 
@@ -99,7 +112,7 @@ impl Caller {
 
     /// Waits until there is something for the task, or until then: in the link itself where that can be and its answer is
     /// likely to come from there, else asleep.
-    fn wait(&mut self, until: Micros) {
+    fn wait(&mut self, kind: Option<Kind>, until: Micros) {
         if self.effects.holds {
             // Nothing that was sent waits while the task does.
             self.hold(false);
@@ -107,24 +120,40 @@ impl Caller {
         }
         let node = &self.node;
         let member = &node.members.list[self.place];
-        let leading = node.link.as_ref().and_then(|link| link.leading());
-        if let Some(leading) = leading.filter(|_| member.by_link.load(Ordering::Relaxed)) {
-            let inlet = self.inlet.get_or_insert_with(|| Inlet::new(Arc::clone(node)));
+        // Whoever waits for a time alone waits for it more exactly on its word.
+        let tail = node.spin_tail;
+        let link = node.link.as_ref().filter(|_| tail == 0 || kind.is_some());
+        let leading = link.and_then(|link| link.leading());
+        // Set again by what the link brings, whoever takes it in.
+        let leading = leading.filter(|_| member.by_link.swap(false, Ordering::Relaxed));
+        let handoff = &member.handoff;
+        let inlet = leading.map(|_| &*self.inlet.get_or_insert_with(|| Inlet::new(Arc::clone(node))));
+        let leading = leading.zip(inlet);
+        let take_in = || {
+            let _guard = FailStop::of("a task's thread that receives");
+            leading.is_some_and(|(leading, inlet)| leading.take_in(inlet))
+        };
+        let there = || handoff.is_called() || (take_in() && handoff.is_called());
+        if kind.is_some_and(|kind| self.patience.look(kind, &handoff.presence, until, there)) {
+            return;
+        }
+        if let Some((leading, _)) = leading {
             let left =
                 || (until != clock::FAR).then(|| Duration::from_micros(until.saturating_sub(clock::now())));
-            let take_in = || {
-                let _guard = FailStop::of("a task's thread that receives");
-                leading.take_in(inlet)
-            };
-            // Set again by what the link brings, whoever takes it in.
-            member.by_link.store(false, Ordering::Relaxed);
-            match node.lead.wait(&member.handoff, || leading.wait(left()), take_in) {
+            match node.lead.wait(handoff, || leading.wait(left()), take_in) {
                 Led::ToTheEnd => return member.by_link.store(true, Ordering::Relaxed),
                 Led::Called => return,
                 Led::No => member.by_link.store(true, Ordering::Relaxed),
             }
         }
-        member.handoff.sleep(clock::nanos_of(until));
+        let early = if until == clock::FAR { until } else { until.saturating_sub(tail) };
+        if tail == 0 || clock::now() < early {
+            handoff.sleep(clock::nanos_of(early));
+            return;
+        }
+        while !handoff.is_called() && clock::now() < until {
+            std::hint::spin_loop();
+        }
     }
 
     /// A handler failed: so does everything from now on.
@@ -145,7 +174,7 @@ impl Caller {
     }
 
     fn tell(&mut self, request: Request) {
-        let _answered = self.node.ask(self.place, clock::next(), request, &mut self.effects);
+        let _answered = self.node.ask(self.place, clock::next(), request, &mut |_| None, &mut self.effects);
     }
 
     /// The message came too late into the hands of the task.

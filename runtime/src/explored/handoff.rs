@@ -18,6 +18,8 @@ pub(super) struct Toy {
 #[derive(Clone, Copy)]
 pub(super) enum Brought {
     Question,
+    /// Takes an answer that is there.
+    Poll,
     Answer,
     TimeIsUp,
     Nothing,
@@ -39,7 +41,7 @@ impl Station for Toy {
         self.fed += 1;
         *worked += 1;
         match input {
-            Brought::Question if self.kept > 0 => {
+            Brought::Question | Brought::Poll if self.kept > 0 => {
                 self.kept -= 1;
                 Some(Got::Answer)
             }
@@ -59,7 +61,7 @@ impl Station for Toy {
                 self.asked = false;
                 Some(Got::TimedOut)
             }
-            Brought::TimeIsUp | Brought::Nothing => None,
+            Brought::Poll | Brought::TimeIsUp | Brought::Nothing => None,
         }
     }
 
@@ -87,20 +89,29 @@ fn bring(handoff: &Arc<Handoff<Toy>>, input: Brought) -> thread::JoinHandle<u32>
 enum Waited {
     /// The answer was there.
     NotAtAll,
-    /// It came between the look and the sleep.
+    /// The thread was looking for it.
+    Looking,
+    /// It came between the last look and the sleep.
     Awake,
     Asleep,
 }
 
-/// The task asks and waits; another thread brings the answer. If it is not told of it, loom finds the deadlock.
-fn ask_and_wait(plant: Plant) -> Waited {
+/// The task asks and waits, after so many looks asleep; another thread brings the answer. If it is not told of it, loom finds
+/// the deadlock.
+fn ask_and_wait(plant: Plant, looks: u32) -> Waited {
     let handoff = toy(plant);
     let other = bring(&handoff, Brought::Answer);
     let mut waited = Waited::NotAtAll;
     let mut worked = 0;
     let mut entry = handoff.enter(Brought::Question, &mut worked);
     while entry.mail.is_none() {
-        waited = if handoff.sleep(None) { Waited::Asleep } else { Waited::Awake };
+        waited = if (0..looks).any(|_| handoff.is_called()) {
+            Waited::Looking
+        } else if handoff.sleep(None) {
+            Waited::Asleep
+        } else {
+            Waited::Awake
+        };
         entry = handoff.enter(Brought::Nothing, &mut worked);
     }
     other.join().unwrap();
@@ -109,19 +120,69 @@ fn ask_and_wait(plant: Plant) -> Waited {
 
 #[test]
 fn an_answer_always_ends_the_wait() {
-    let seen = explore(|| ask_and_wait(Plant::None));
+    let seen = explore(|| ask_and_wait(Plant::None, 0));
     let outcomes: Vec<_> = seen.keys().copied().collect();
     assert_eq!(outcomes, [Waited::NotAtAll, Waited::Awake, Waited::Asleep], "{seen:?}");
 }
 
 #[test]
 fn a_word_that_is_not_marked_loses_the_wake_up() {
-    must_fail(DEADLOCK, || ask_and_wait(Plant::NoMark));
+    must_fail(DEADLOCK, || ask_and_wait(Plant::NoMark, 0));
 }
 
 #[test]
 fn a_sleeper_that_is_not_woken_sleeps_for_ever() {
-    must_fail(DEADLOCK, || ask_and_wait(Plant::NoWake));
+    must_fail(DEADLOCK, || ask_and_wait(Plant::NoWake, 0));
+}
+
+#[test]
+fn who_looks_before_it_sleeps_misses_no_answer() {
+    let seen = explore(|| ask_and_wait(Plant::None, 2));
+    let outcomes: Vec<_> = seen.keys().copied().collect();
+    assert_eq!(outcomes, [Waited::NotAtAll, Waited::Looking, Waited::Awake, Waited::Asleep], "{seen:?}");
+}
+
+#[test]
+fn a_sleep_that_trusts_the_last_look_misses_the_answer() {
+    must_fail(DEADLOCK, || ask_and_wait(Plant::SleepsBlindly, 2));
+}
+
+/// A thread brings two answers; the task waits for one and takes what else is there, until it has both. How many it took at
+/// once, at the most.
+fn take_several(plant: Plant) -> u32 {
+    let handoff = toy(plant);
+    let bringing = Arc::clone(&handoff);
+    let other = thread::spawn(move || (0..2).for_each(|_| bringing.deliver(Brought::Answer, &mut 0)));
+    let (mut taken, mut most, mut worked) = (0, 0, 0);
+    while taken < 2 {
+        let (mut at_once, mut input) = (0, Brought::Question);
+        while at_once == 0 {
+            let more = |_: &Got| {
+                at_once += 1;
+                Some(Brought::Poll)
+            };
+            handoff.enter_and(input, more, &mut worked);
+            if at_once == 0 {
+                handoff.sleep(None);
+                input = Brought::Nothing;
+            }
+        }
+        (taken, most) = (taken + at_once, most.max(at_once));
+    }
+    other.join().unwrap();
+    assert_eq!((taken, handoff.with(|toy| toy.kept, &mut worked)), (2, 0), "an answer was taken twice");
+    most
+}
+
+#[test]
+fn several_are_taken_under_one_lock_and_none_is_lost() {
+    let seen = explore(|| take_several(Plant::None));
+    assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [1, 2], "{seen:?}");
+}
+
+#[test]
+fn taking_several_without_a_second_look_waits_for_what_was_left() {
+    must_fail(DEADLOCK, || take_several(Plant::NoSecondLook));
 }
 
 /// Two threads bring input at once. How much one of them worked off, at the most.

@@ -143,21 +143,25 @@ impl Scene {
         took
     }
 
-    /// The task asks and waits. How it went, and how many datagrams it took.
-    fn run_task(&self) -> (Led, u32) {
+    /// The task asks and waits, first awake: it looks into the socket so often. How it went, and how many datagrams it took.
+    fn run_task(&self, looks: u32) -> (Led, u32) {
         let (mut worked, mut took, mut led) = (0, 0, Led::ToTheEnd);
         let mut entry = self.handoff.enter(Brought::Question, &mut worked);
         while entry.mail.is_none() {
-            let take_in = || {
+            let mut take_in = || {
                 let Some(_turn) = try_lock(&self.receiving) else { return false };
                 let datagram = self.socket.take();
                 took += u32::from(datagram.is_some());
                 self.deliver(datagram);
                 true
             };
-            led = self.lead.wait(&self.handoff, || self.socket.wait(), take_in);
-            if led == Led::No {
-                self.handoff.sleep(None);
+            let there =
+                (0..looks).any(|_| self.handoff.is_called() || (take_in() && self.handoff.is_called()));
+            if !there {
+                led = self.lead.wait(&self.handoff, || self.socket.wait(), take_in);
+                if led == Led::No {
+                    self.handoff.sleep(None);
+                }
             }
             entry = self.handoff.enter(Brought::Nothing, &mut worked);
         }
@@ -166,12 +170,12 @@ impl Scene {
 }
 
 /// The answer comes as a datagram. How the task's wait went, and whether it took its answer itself.
-fn answer_by_datagram(planted: Planted) -> (Led, u32) {
+fn answer_by_datagram(planted: Planted, looks: u32) -> (Led, u32) {
     let scene = Scene::new(planted, 1);
     let (poller, network) = (Arc::clone(&scene), Arc::clone(&scene));
     let poller = thread::spawn(move || poller.run_poller());
     let network = thread::spawn(move || network.socket.arrive(true));
-    let went = scene.run_task();
+    let went = scene.run_task(looks);
     network.join().unwrap();
     assert_eq!(went.1 + poller.join().unwrap(), 1, "a datagram was taken twice or not at all");
     went
@@ -179,7 +183,7 @@ fn answer_by_datagram(planted: Planted) -> (Led, u32) {
 
 #[test]
 fn an_answer_by_datagram_ends_the_wait_whoever_takes_it() {
-    let seen = explore(|| answer_by_datagram(Planted::default()));
+    let seen = explore(|| answer_by_datagram(Planted::default(), 0));
     let outcomes: Vec<_> = seen.keys().copied().collect();
     let expected = [(Led::ToTheEnd, 0), (Led::ToTheEnd, 1), (Led::Called, 0), (Led::No, 0)];
     assert_eq!(outcomes, expected, "{seen:?}");
@@ -187,7 +191,20 @@ fn an_answer_by_datagram_ends_the_wait_whoever_takes_it() {
 
 #[test]
 fn who_leads_and_is_not_called_waits_for_ever() {
-    must_fail(DEADLOCK, || answer_by_datagram(Planted { no_bell: true, ..Planted::default() }));
+    must_fail(DEADLOCK, || answer_by_datagram(Planted { no_bell: true, ..Planted::default() }, 0));
+}
+
+#[test]
+fn who_looks_into_the_socket_before_it_leads_misses_no_answer() {
+    let seen = explore(|| answer_by_datagram(Planted::default(), 1));
+    let outcomes: Vec<_> = seen.keys().copied().collect();
+    let expected = [(Led::ToTheEnd, 0), (Led::ToTheEnd, 1), (Led::Called, 0), (Led::No, 0)];
+    assert_eq!(outcomes, expected, "{seen:?}");
+}
+
+#[test]
+fn a_look_into_the_socket_does_not_make_up_for_the_bell() {
+    must_fail(DEADLOCK, || answer_by_datagram(Planted { no_bell: true, ..Planted::default() }, 1));
 }
 
 /// The answer comes from another task of the node, a datagram for somebody else meanwhile. Whether the leader was called,
@@ -200,7 +217,7 @@ fn answer_by_another_task(planted: Planted) -> (Led, u32) {
         other.socket.arrive(false);
         other.handoff.deliver(Brought::Answer, &mut 0);
     });
-    let went = scene.run_task();
+    let went = scene.run_task(0);
     other.join().unwrap();
     assert_eq!(went.1 + poller.join().unwrap(), 1, "a datagram was taken twice or not at all");
     went
@@ -226,7 +243,7 @@ fn two_datagrams(planted: Planted) -> (Led, u32) {
     let (poller, network) = (Arc::clone(&scene), Arc::clone(&scene));
     let poller = thread::spawn(move || poller.run_poller());
     let network = thread::spawn(move || network.socket.arrive(true));
-    let went = scene.run_task();
+    let went = scene.run_task(0);
     network.join().unwrap();
     assert_eq!(went.1 + poller.join().unwrap(), 2, "a datagram was taken twice or not at all");
     went

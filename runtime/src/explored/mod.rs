@@ -9,6 +9,7 @@ mod handoff;
 mod lead;
 mod looks;
 mod time;
+mod visit;
 
 use crate::explorer::explore;
 use std::panic::{AssertUnwindSafe, catch_unwind};

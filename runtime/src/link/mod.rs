@@ -83,7 +83,8 @@ pub trait Leading: Send + Sync {
     /// early for no reason; that the time is over it says only where `left` is zero.
     fn wait(&self, left: Option<Duration>) -> Came;
 
-    /// Takes in what [`wait`](Self::wait) told of. False where the thread that polls is at it: it takes that in, too.
+    /// Takes in what [`wait`](Self::wait) told of, or without a wait one that is there, if any. False where the thread that
+    /// polls is at it: it takes that in, too.
     fn take_in(&self, sink: &dyn Sink) -> bool;
 
     /// Ends the present wait, or else the next one.

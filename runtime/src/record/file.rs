@@ -26,6 +26,8 @@ struct Track {
     inputs: u64,
     /// The digest of all outputs.
     outputs: OutputDigest,
+    /// Nothing comes after the last record of the task, though an action of it may still end.
+    closed: bool,
 }
 
 /// Whose recording it is.
@@ -68,7 +70,7 @@ impl FileRecorder {
         let tasks: Box<[TaskId]> = table.tasks_on(table.node).collect();
         let track = |&task: &TaskId| {
             let stream = recording.task(task);
-            Mutex::new(Track { stream, inputs: 0, outputs: OutputDigest::START })
+            Mutex::new(Track { stream, inputs: 0, outputs: OutputDigest::START, closed: false })
         };
         let tracks = tasks.iter().map(track).collect();
         Ok(Arc::new(Self { recording: Mutex::new(Some(recording)), tracks, tasks }))
@@ -87,6 +89,7 @@ impl FileRecorder {
         for track in &self.tracks {
             let mut track = track.lock().unwrap_or_else(PoisonError::into_inner);
             let (inputs, outputs) = (track.inputs, track.outputs.0);
+            track.closed = true;
             track.stream.close(inputs, outputs);
         }
         Some(recording.stop(patience))
@@ -94,7 +97,10 @@ impl FileRecorder {
 
     fn with(&self, task: TaskId, write: impl FnOnce(&mut Track)) {
         if let Ok(at) = self.tasks.binary_search(&task) {
-            write(&mut self.tracks[at].lock().unwrap_or_else(PoisonError::into_inner));
+            let mut track = self.tracks[at].lock().unwrap_or_else(PoisonError::into_inner);
+            if !track.closed {
+                write(&mut track);
+            }
         }
     }
 }

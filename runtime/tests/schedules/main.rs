@@ -4,6 +4,9 @@
 #[allow(dead_code, reason = "the pieces bring along what no scene needs")]
 #[path = "../../src/alarm.rs"]
 mod alarm;
+#[allow(dead_code, reason = "the scenes count nobody")]
+#[path = "../../src/awake.rs"]
+mod awake;
 #[allow(dead_code, reason = "the scenes have clocks of their own")]
 #[path = "../../src/clock.rs"]
 mod clock;

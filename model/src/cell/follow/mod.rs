@@ -8,7 +8,7 @@
 //! ```
 //!
 //! What is wider than in [`check_cell`](super::check_cell):
-//! - a packet may arrive at any time after it was sent, or never; the caller measures how long it took;
+//! - a packet may arrive at any time after it was sent, again, or never; the caller measures how long it took, and counts;
 //! - an action ends at any tick between its least and its most, with any result;
 //! - each node counts its own ticks from its own start, its tasks begin any time after it, and it notices a tick later than it comes: [`Followed::behind`].
 
@@ -29,7 +29,7 @@ use super::plan::{CellFaults, CellPlan, Conduct};
 use words::{alike, named, port_name, said};
 
 use crate::floor::script::Running;
-use crate::floor::{Effect, Floor};
+use crate::floor::{Crossing, Effect, Floor};
 use imrs_protocol::script::{Address, ScriptInput};
 use imrs_protocol::{Packet, TaskId};
 use std::collections::{BTreeMap, VecDeque};
@@ -99,6 +99,8 @@ pub(super) struct Follower {
     pub done: Vec<(usize, usize)>,
     /// For each task, what its script in the model did and the run has not shown yet.
     pending: Vec<VecDeque<Turn>>,
+    /// What arrived last, the last first.
+    arrived: VecDeque<Crossing>,
     /// For each task, what it sent in the model and the run has not shown yet, and in which tick of its node.
     sends: Vec<Vec<(u64, Packet)>>,
     pub out: Followed,
@@ -170,6 +172,7 @@ impl Follower {
             over: BTreeMap::new(),
             put_off: BTreeMap::new(),
             pending: vec![VecDeque::new(); tasks],
+            arrived: VecDeque::new(),
             sends: vec![Vec::new(); tasks],
             groups: Arc::new(groups),
             next: vec![0; tasks],

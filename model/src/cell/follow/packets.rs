@@ -7,6 +7,8 @@ use imrs_protocol::Packet;
 
 /// How many moves of a killed node are guessed for one packet.
 const GUESSES: usize = 8;
+/// How many packets are kept that arrived last: a copy comes soon after.
+const REPEATED: usize = 64;
 
 impl Follower {
     /// A packet comes to a task, as the run says.
@@ -21,7 +23,9 @@ impl Follower {
         if from == node {
             return Ok(());
         }
-        if self.under_way(&packet).is_none() && !self.guess(from, task, &packet) {
+        let known =
+            self.under_way(&packet).is_some() || self.guess(from, task, &packet) || self.copied(&packet);
+        if !known {
             let table = &self.course.plan.table;
             let (from, kind) = (name(table, packet.source.index()), packet.kind);
             let port = port_name(table, packet.port);
@@ -51,6 +55,10 @@ impl Follower {
                 Some(more) => left.saturating_sub(packet.remaining.0) / self.tick + more,
                 None => 0,
             };
+            if last {
+                self.arrived.truncate(REPEATED - 1);
+                self.arrived.push_front(crossing);
+            }
             let step = self.course.floor.deliver(crossing, u8::try_from(over).unwrap_or(u8::MAX));
             step.map_err(|violation| No::Never(violation.text().into()))?;
             self.made(to.index())?;
@@ -110,6 +118,17 @@ impl Follower {
             }
         }
         false
+    }
+
+    /// A packet that arrived before, and that its source does not send again, may come once more: a link made two of it.
+    fn copied(&mut self, packet: &Packet) -> bool {
+        let source = packet.source.index();
+        let mut to_come = self.groups[source][self.next[source]..].iter().flat_map(|group| &group.sent);
+        let again = to_come.any(|sent| *sent == named(packet));
+        let before = self.arrived.iter().find(|crossing| named(&crossing.packet) == named(packet)).copied();
+        let Some(crossing) = before.filter(|_| !again) else { return false };
+        self.course.floor.crossings.push(crossing);
+        true
     }
 
     /// The actions of a node's tasks that may end now.

@@ -1,0 +1,311 @@
+//! Waiting awake: a thread that expects to wait briefly looks at its word for a while before it sleeps (D110).
+//!
+//! Whether it does rests on three things: how long waits of that kind took lately, how often it looked in vain, and
+//! whether another thread needs its core. Nothing but speed rests on any of them.
+
+use crate::clock::{self, FAR, Micros};
+use imrs_protocol::Request;
+use rustix::thread::{CpuSet, sched_getaffinity};
+use std::sync::OnceLock;
+use std::sync::atomic::{AtomicI16, AtomicIsize, AtomicU16, Ordering};
+
+/// How many threads of tasks of this process run, or are about to because somebody woke them.
+static AWAKE: AtomicIsize = AtomicIsize::new(0);
+/// Of those, the ones that may use this core alone.
+static BOUND: [AtomicI16; CpuSet::MAX_CPU] = [const { AtomicI16::new(0) }; CpuSet::MAX_CPU];
+/// No single core.
+const ANY: u16 = u16::MAX;
+
+/// Whether a task's thread runs, told to all others. The thread itself says that it goes; that it is back says whoever wakes
+/// it, or itself where nobody did.
+#[derive(Debug)]
+pub(crate) struct Presence {
+    /// The only core that the thread may use. Changed by itself alone, while it runs.
+    core: AtomicU16,
+}
+
+impl Presence {
+    pub const fn new() -> Self {
+        Self { core: AtomicU16::new(ANY) }
+    }
+
+    pub fn goes(&self) {
+        self.count(-1);
+    }
+
+    pub fn returns(&self) {
+        self.count(1);
+    }
+
+    fn count(&self, by: i8) {
+        AWAKE.fetch_add(by.into(), Ordering::Relaxed);
+        if let Some(bound) = BOUND.get(usize::from(self.core.load(Ordering::Relaxed))) {
+            bound.fetch_add(by.into(), Ordering::Relaxed);
+        }
+    }
+
+    /// Says which core is the only one of the calling thread, whose presence this is, if there is one.
+    fn keeps_to(&self, core: Option<u16>) {
+        self.goes();
+        self.core.store(core.unwrap_or(ANY), Ordering::Relaxed);
+        self.returns();
+    }
+}
+
+/// How much of the processor's time the process may use, in cores; [`isize::MAX`] where nobody limits it. Asked once, before
+/// the first thread of a task waits.
+pub(crate) fn quota() -> isize {
+    static QUOTA: OnceLock<isize> = OnceLock::new();
+    *QUOTA.get_or_init(|| {
+        // The library takes the lesser of the cores that this thread may use and the limit.
+        let lesser = std::thread::available_parallelism().map_or(1, usize::from);
+        let cores = sched_getaffinity(None).map_or(1, |set| set.count() as usize);
+        if lesser < cores { isize::try_from(lesser).unwrap_or(isize::MAX) } else { isize::MAX }
+    })
+}
+
+/// The cores of a thread.
+#[derive(Clone, Copy, Debug)]
+struct Cores {
+    /// How many threads of tasks may run at once before one of them lacks a core.
+    most: isize,
+    /// The only one that the thread may use.
+    only: Option<u16>,
+}
+
+impl Cores {
+    /// Of the calling thread.
+    fn now() -> Self {
+        let set = sched_getaffinity(None).unwrap_or_else(|_| CpuSet::new());
+        let count = isize::try_from(set.count()).unwrap_or_default();
+        let first = (0..CpuSet::MAX_CPU).find(|&core| set.is_set(core));
+        let only = first.filter(|_| count == 1).and_then(|core| u16::try_from(core).ok());
+        Self { most: if only.is_some() { quota() } else { count.min(quota()) }, only }
+    }
+
+    /// Whether nobody else needs the core that the calling thread runs on.
+    fn free(self) -> bool {
+        let bound = self.only.and_then(|core| BOUND.get(usize::from(core)));
+        AWAKE.load(Ordering::Relaxed) <= self.most
+            && bound.is_none_or(|bound| bound.load(Ordering::Relaxed) <= 1)
+    }
+}
+
+/// What a task's thread waits for, of those waits that another thread can end soon.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Kind {
+    Answers,
+    Message,
+    Meeting,
+}
+
+impl Kind {
+    pub const fn of(request: &Request) -> Option<Self> {
+        match request {
+            Request::Send { .. } => Some(Self::Answers),
+            Request::Get { .. } => Some(Self::Message),
+            Request::Arrive { .. } => Some(Self::Meeting),
+            _ => None,
+        }
+    }
+}
+
+/// How waits of one kind went.
+#[derive(Clone, Copy, Debug)]
+struct Habit {
+    /// Whether the last one was brief: what ended it came within the budget, however late the thread noticed.
+    brief: bool,
+    /// How much more often it looked in vain than not, at most [`Self::MOST`].
+    vain: u32,
+    /// How many waits go by before it looks again.
+    pause: u32,
+}
+
+impl Habit {
+    const MOST: u32 = 10;
+    /// How many waits that are not brief go by before it looks all the same: two ends that both sleep wake each other so
+    /// late that no wait would ever be brief.
+    const UNLIKELY: u32 = 63;
+    const NEW: Self = Self { brief: false, vain: 0, pause: Self::UNLIKELY };
+
+    fn tries(&mut self) -> bool {
+        let due = self.pause == 0;
+        self.pause = match (due, self.brief) {
+            (false, _) => self.pause - 1,
+            (true, true) => 0,
+            (true, false) => Self::UNLIKELY,
+        };
+        due
+    }
+
+    fn looked(&mut self, found: bool) {
+        if found {
+            (self.vain, self.pause) = (self.vain.saturating_sub(1), 0);
+        } else {
+            self.vain = (self.vain + 1).min(Self::MOST);
+            self.pause = self.pause.max((1 << self.vain) - 1);
+        }
+    }
+
+    fn ended(&mut self, brief: bool) {
+        self.brief = brief;
+        if brief && self.vain == 0 {
+            self.pause = 0;
+        }
+    }
+}
+
+/// How a task's thread waits.
+#[derive(Debug)]
+pub(crate) struct Patience {
+    /// For how long it looks before it sleeps.
+    budget: Micros,
+    /// Those of the calling thread, once it has waited.
+    cores: Option<Cores>,
+    habits: [Habit; 3],
+}
+
+impl Patience {
+    /// How many looks share one look at the clock.
+    const LOOKS: u32 = 16;
+
+    pub fn new(budget: Micros) -> Self {
+        Self { budget, cores: None, habits: [Habit::NEW; 3] }
+    }
+
+    /// A wait of this kind was ended by what came after so long.
+    pub fn learn(&mut self, kind: Kind, after: Micros) {
+        self.habits[kind as usize].ended(after <= self.budget);
+    }
+
+    /// Looks, where that is worth it, for what ends the wait: at most for the budget, and not beyond `until`. Whether it is
+    /// there.
+    pub fn look(
+        &mut self,
+        kind: Kind,
+        presence: &Presence,
+        until: Micros,
+        mut there: impl FnMut() -> bool,
+    ) -> bool {
+        if self.budget == 0 {
+            return false;
+        }
+        let cores = *self.cores.get_or_insert_with(|| {
+            let cores = Cores::now();
+            presence.keeps_to(cores.only);
+            cores
+        });
+        let habit = &mut self.habits[kind as usize];
+        if !habit.tries() {
+            return false;
+        }
+        let mut ends = FAR;
+        let mut looks = false;
+        while cores.free() {
+            for _ in 0..Self::LOOKS {
+                if there() {
+                    habit.looked(true);
+                    return true;
+                }
+                std::hint::spin_loop();
+            }
+            let now = clock::now();
+            if ends == FAR {
+                ends = now.saturating_add(self.budget).min(until);
+            }
+            if now >= ends {
+                break;
+            }
+            looks = true;
+        }
+        if looks {
+            habit.looked(false);
+        }
+        false
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const FREE: Cores = Cores { most: isize::MAX, only: None };
+    const CROWDED: Cores = Cores { most: isize::MIN, only: None };
+
+    fn patience(cores: Cores) -> Patience {
+        Patience { cores: Some(cores), ..Patience::new(200) }
+    }
+
+    /// How often a wait that nothing ends is looked at, of so many.
+    fn tried(patience: &mut Patience, waits: u32) -> u32 {
+        let presence = Presence::new();
+        let mut tried = 0;
+        for _ in 0..waits {
+            let mut looks = 0;
+            let there = || {
+                looks += 1;
+                false
+            };
+            assert!(!patience.look(Kind::Message, &presence, FAR, there));
+            tried += u32::from(looks > 0);
+        }
+        tried
+    }
+
+    #[test]
+    fn it_looks_where_the_last_wait_was_brief_and_finds_what_comes() {
+        let (mut patience, presence) = (patience(FREE), Presence::new());
+        assert!(!patience.look(Kind::Message, &presence, FAR, || true), "nothing is known yet");
+        patience.learn(Kind::Message, 200);
+        assert!(!patience.look(Kind::Answers, &presence, FAR, || true), "of the other kind nothing is known");
+        for _ in 0..100 {
+            let mut looks = 0;
+            let third = || {
+                looks += 1;
+                looks == 3
+            };
+            assert!(patience.look(Kind::Message, &presence, FAR, third));
+        }
+    }
+
+    #[test]
+    fn waits_that_are_long_are_looked_at_once_in_64_and_less_each_time_in_vain() {
+        let mut patience = patience(FREE);
+        assert_eq!(tried(&mut patience, 64), 1);
+        // Another 63 go by six times, then 127, 255, 511, and 1,023 from there on.
+        assert_eq!(tried(&mut patience, 10_000), 17);
+    }
+
+    #[test]
+    fn waits_that_are_brief_only_where_it_sleeps_are_hardly_looked_at() {
+        let mut patience = patience(FREE);
+        let mut all = 0;
+        for _ in 0..5_000 {
+            patience.learn(Kind::Message, 5);
+            all += tried(&mut patience, 1);
+        }
+        assert!((10..=16).contains(&all), "{all} of 5,000");
+    }
+
+    #[test]
+    fn it_does_not_look_where_others_need_the_core_or_without_a_budget() {
+        let mut crowded = patience(CROWDED);
+        let mut none = Patience { budget: 0, ..patience(FREE) };
+        for patience in [&mut crowded, &mut none] {
+            patience.learn(Kind::Message, 0);
+            assert_eq!(tried(patience, 100), 0);
+        }
+    }
+
+    #[test]
+    fn it_looks_no_longer_than_the_budget_and_not_beyond_the_end() {
+        let (mut patience, presence) = (patience(FREE), Presence::new());
+        patience.learn(Kind::Message, 0);
+        let begins = clock::now();
+        assert!(!patience.look(Kind::Message, &presence, FAR, || false));
+        assert!(clock::now() - begins >= 200);
+        patience.budget = FAR;
+        (patience.habits[1].pause, patience.habits[1].brief) = (0, true);
+        assert!(!patience.look(Kind::Message, &presence, clock::now() + 50, || false), "it ends");
+    }
+}

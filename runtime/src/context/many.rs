@@ -1,0 +1,76 @@
+//! Taking several messages under one lock (D111).
+
+use super::{Context, TaskError, mismatch, ticks};
+use crate::clock::{self, Micros};
+use crate::comm::Mail;
+use imrs_protocol::{Delivery, PortId, Request, Signal, Ticks};
+use std::time::Duration;
+
+/// How many messages [`Context::receive_many`] takes at once, at most: the time for which others wait then is bounded.
+pub const MANY: usize = 64;
+
+impl<S> Context<S> {
+    /// Waits as [`receive`](Self::receive) does, then takes the next most urgent messages that are there, as so many
+    /// [`poll`](Self::poll)s would: at most `limit` in all and [`MANY`] at once. They are added to `messages`, the most
+    /// urgent first; returns how many. None say that the time_out ended first. One of several packets is the last of its
+    /// call, so that it can be [`read`](Self::read).
+    ///
+    /// For streams: nobody else gets at the task's ports between two of them, which is most of what taking a message
+    /// costs where others send. What comes meanwhile is taken in, too, but in the program's hands a more urgent one stands behind those
+    /// that it was given before.
+    ///
+    /// # Errors
+    /// [`TaskError`].
+    pub fn receive_many(
+        &mut self,
+        port: Option<PortId>,
+        messages: &mut Vec<Delivery>,
+        limit: usize,
+        time_out: Option<Duration>,
+    ) -> Result<usize, TaskError> {
+        let until = time_out.map(|time_out| clock::now().saturating_add(clock::micros(time_out)));
+        let limit = limit.clamp(1, MANY);
+        let mut left = time_out.map(ticks);
+        let mut taken = std::mem::take(&mut self.taken);
+        let before = messages.len();
+        loop {
+            taken.clear();
+            taken.reserve(limit);
+            let poll = Request::Get { port, source: None, time_out: Some(Ticks::ZERO) };
+            let mut more = |mail: &Mail| match mail.signal {
+                Signal::Message(message) => {
+                    taken.push((mail.at, message));
+                    (taken.len() < limit && message.fragments <= 1).then_some(poll)
+                }
+                _ => None,
+            };
+            let request = Request::Get { port, source: None, time_out: left };
+            let answered = self.call_with(request, &mut more);
+            self.hand_over(&taken, messages);
+            if messages.len() > before || taken.is_empty() || answered.is_err() {
+                self.taken = taken;
+                let (signal, _) = answered?;
+                return match signal {
+                    Signal::Message(_) | Signal::Nothing => Ok(messages.len() - before),
+                    other => mismatch(&request, &other),
+                };
+            }
+            left = until.map(|until| Ticks(until.saturating_sub(clock::now())));
+        }
+    }
+
+    /// Adds what was taken from the ports to what the program gets.
+    fn hand_over(&mut self, taken: &[(Micros, Delivery)], messages: &mut Vec<Delivery>) {
+        let now = if taken.is_empty() { 0 } else { clock::now() };
+        for (at, message) in taken {
+            self.caller.taken = Some(message.from);
+            let waited = Ticks(now.saturating_sub(*at));
+            if message.budget > waited {
+                messages.push(Delivery { budget: message.budget - waited, ..*message });
+            } else {
+                // As in `get`.
+                self.caller.expired_in_hand(message);
+            }
+        }
+    }
+}

@@ -1,0 +1,41 @@
+//! Somebody visits the station, as a script's action does when it ends, or a node that begins.
+
+use super::handoff::{Brought, Got, Toy};
+use super::{DEADLOCK, must_fail};
+use crate::explorer::{Arc, explore, thread};
+use crate::handoff::{Handoff, Plant};
+
+/// The task asks and waits; one thread brings the answer, or leaves it while another one visits. Whether the visitor had it
+/// to work off.
+fn ask_while_visited(plant: Plant) -> bool {
+    let mut handoff = Handoff::new(Toy::default(), None);
+    handoff.plant = plant;
+    let handoff = Arc::new(handoff);
+    let [theirs, visited] = [(); 2].map(|()| Arc::clone(&handoff));
+    let other = thread::spawn(move || theirs.deliver(Brought::Answer, &mut 0));
+    let visitor = thread::spawn(move || {
+        let mut worked = 0;
+        visited.visit(|_, _| (), &mut worked);
+        worked > 0
+    });
+    let mut worked = 0;
+    let mut entry = handoff.enter(Brought::Question, &mut worked);
+    while entry.mail.is_none() {
+        handoff.sleep(None);
+        entry = handoff.enter(Brought::Nothing, &mut worked);
+    }
+    assert_eq!(entry.mail, Some(Got::Answer));
+    other.join().unwrap();
+    visitor.join().unwrap()
+}
+
+#[test]
+fn an_answer_that_a_visitor_finds_ends_the_wait() {
+    let seen = explore(|| ask_while_visited(Plant::None));
+    assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [false, true], "{seen:?}");
+}
+
+#[test]
+fn a_visitor_that_does_not_mark_the_word_loses_the_wake_up() {
+    must_fail(DEADLOCK, || ask_while_visited(Plant::NoMark));
+}

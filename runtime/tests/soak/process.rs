@@ -1,0 +1,63 @@
+//! What this process holds, as the kernel counts it.
+
+use std::time::{Duration, Instant};
+
+/// What the process holds at an instant.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Held {
+    /// Seconds since the first look.
+    pub at: f64,
+    /// Anonymous memory in RAM, in KiB: of files nothing is counted, which come and go as the kernel likes.
+    pub memory: u64,
+    pub descriptors: usize,
+    pub threads: usize,
+}
+
+impl Held {
+    pub fn now(since: Instant) -> Self {
+        let status = std::fs::read_to_string("/proc/self/status").expect("this is Linux");
+        let field = |name: &str| {
+            let line = status.lines().find_map(|line| line.strip_prefix(name)).expect("a field");
+            line.trim_end_matches("kB").trim().parse().expect("a number")
+        };
+        let count = |folder: &str| std::fs::read_dir(folder).expect("this is Linux").count();
+        Self {
+            at: since.elapsed().as_secs_f64(),
+            memory: field("RssAnon:"),
+            descriptors: count("/proc/self/fd"),
+            threads: usize::try_from(field("Threads:")).expect("few"),
+        }
+    }
+}
+
+/// Processor time of all threads so far.
+pub fn worked() -> Duration {
+    let stat = std::fs::read_to_string("/proc/self/stat").expect("this is Linux");
+    let (_, after) = stat.rsplit_once(')').expect("a name in brackets");
+    let ticks = |at| after.split_whitespace().nth(at).and_then(|n| n.parse::<u64>().ok()).expect("a number");
+    // In hundredths of a second, whatever the kernel's own tick is.
+    Duration::from_millis(10 * (ticks(11) + ticks(12)))
+}
+
+/// Memory at the beginning and the end of a series, each a mean over a quarter of it, in KiB, and its slope by least
+/// squares in KiB per hour.
+pub fn trend(series: &[Held]) -> (f64, f64, f64) {
+    let mean =
+        |part: &[Held], of: &dyn Fn(&Held) -> f64| part.iter().map(of).sum::<f64>() / part.len() as f64;
+    let memory = |held: &Held| held.memory as f64;
+    let quarter = (series.len() / 4).max(1);
+    let (middle, level) = (mean(series, &|held| held.at), mean(series, &memory));
+    let along = mean(series, &|held| (held.at - middle) * (memory(held) - level));
+    let spread = mean(series, &|held| (held.at - middle).powi(2));
+    let last = &series[series.len() - quarter..];
+    (mean(&series[..quarter], &memory), mean(last, &memory), along / spread * 3_600.0)
+}
+
+#[test]
+fn a_trend_is_that_of_a_line_through_the_series() {
+    let held =
+        |at: u32| Held { at: f64::from(at), memory: u64::from(1_000 + 2 * at), descriptors: 3, threads: 1 };
+    let (begin, end, slope) = trend(&(0..100).map(held).collect::<Vec<_>>());
+    assert_eq!((begin, end), (1_024.0, 1_174.0));
+    assert!((slope - 7_200.0).abs() < 1e-6, "{slope}");
+}

@@ -1,0 +1,157 @@
+//! `imrs monitor`: what the command line and the user's file say, put together; and nodes to look at where there are none.
+
+use crate::args::{Color, Format, MonitorArgs};
+use crate::exit::{Exit, Failure};
+use crate::output::Output;
+use crate::token;
+use imrs_monitor::config::{Config, EXAMPLE};
+use imrs_monitor::theme::Theme;
+use imrs_monitor::{Options, Verdict};
+use imrs_wire::obs::place;
+use rustix::process::{Pid, Signal, kill_process};
+use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
+use std::thread;
+use std::time::{Duration, Instant};
+
+/// How long the nodes of the demonstration have to appear.
+const READY_WITHIN: Duration = Duration::from_secs(20);
+/// How long they have to stop.
+const STOP_WITHIN: Duration = Duration::from_secs(5);
+
+/// Watches nodes.
+///
+/// # Errors
+/// [`Failure`].
+pub fn run(args: MonitorArgs, color: Color, out: &mut Output) -> Result<Exit, Failure> {
+    if args.config_example {
+        out.text(EXAMPLE)?;
+        return Ok(Exit::Well);
+    }
+    if args.config_schema {
+        out.json(&Config::schema())?;
+        return Ok(Exit::Well);
+    }
+    let config = Config::load(args.config.as_deref(), |name| std::env::var(name).ok());
+    let config = config.map_err(|error| Failure::Usage(error.to_string()))?;
+    let stage = args.demo.then(Stage::start).transpose()?;
+    let base = stage.as_ref().map(Stage::base);
+    match imrs_monitor::run(&options(args, &config, color, base)?)? {
+        Verdict::Healthy => Ok(Exit::Well),
+        Verdict::Finding => Ok(Exit::Finding),
+    }
+}
+
+fn options(
+    args: MonitorArgs,
+    config: &Config,
+    color: Color,
+    base: Option<PathBuf>,
+) -> Result<Options, Failure> {
+    let theme = match args.theme.as_deref().or(config.theme.as_deref()) {
+        None => None,
+        Some(name) => Some(Theme::named(name).ok_or_else(|| {
+            Failure::Usage(format!("no theme `{name}`: there are {}", Theme::names().join(", ")))
+        })?),
+    };
+    let connect = if args.connect.is_empty() && base.is_none() { config.endpoints() } else { args.connect };
+    let token = args.token.as_deref().or(config.token.as_deref());
+    Ok(Options {
+        connect,
+        token: token.map(token::read).transpose()?,
+        base,
+        cell: args.cell.or_else(|| config.cell.clone()),
+        filter: args.filter.or_else(|| config.filter.clone()),
+        once: args.once,
+        watch: args.watch,
+        text: args.text,
+        format: match args.format {
+            Format::Text => imrs_monitor::Format::Text,
+            Format::Json => imrs_monitor::Format::Json,
+        },
+        color: match color {
+            Color::Auto => imrs_monitor::ColorChoice::Auto,
+            Color::Always => imrs_monitor::ColorChoice::Always,
+            Color::Never => imrs_monitor::ColorChoice::Never,
+        },
+        ascii: args.ascii,
+        theme,
+        mouse: !args.no_mouse && config.mouse.unwrap_or(true),
+        reduced_motion: args.reduced_motion || config.reduced_motion.unwrap_or(false),
+        replay: args.replay,
+        at: args.at,
+        speed: args.speed,
+        record: args.record,
+        length: args.length,
+        assertions: args.assertions,
+    })
+}
+
+/// Nodes to look at: the beam lift, in which the hoist dies again and again, so that both arms wait for it. They live in a
+/// folder of their own, and end with this.
+struct Stage {
+    nodes: Child,
+    folder: PathBuf,
+}
+
+/// The first death, and then so long between one and the next; the hoist comes back in between.
+const FAULTS: (Duration, Duration, Duration) =
+    (Duration::from_secs(6), Duration::from_secs(30), Duration::from_secs(14));
+/// How often it dies.
+const DEATHS: u32 = 60;
+
+impl Stage {
+    fn start() -> Result<Self, Failure> {
+        let failed =
+            |error: std::io::Error| Failure::Usage(format!("cannot start the demonstration: {error}"));
+        let folder = std::env::temp_dir().join(format!("imrs-demo-{}", std::process::id()));
+        std::fs::create_dir_all(&folder).map_err(failed)?;
+        let (first, apart, away) = FAULTS;
+        let mut command = Command::new(std::env::current_exe().map_err(failed)?);
+        command.args(["demo", "beam-lift", "--for", "30m", "--seed", "1", "--format", "json"]);
+        for death in 0..DEATHS {
+            let dies = (first + apart * death).as_secs();
+            command.args(["--kill", &format!("hoist@{dies}s")]);
+            command.args(["--restart", &format!("hoist@{}s", dies + away.as_secs())]);
+        }
+        command.env("XDG_RUNTIME_DIR", &folder).env("XDG_STATE_HOME", &folder);
+        command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
+        let nodes = command.spawn().map_err(failed)?;
+        let mut stage = Self { nodes, folder };
+        let end = Instant::now() + READY_WITHIN;
+        while place::sockets_in(&stage.base()).map_or(0, |found| found.len()) < 3 {
+            if stage.nodes.try_wait().is_ok_and(|ended| ended.is_some()) || Instant::now() > end {
+                return Err(Failure::Usage(
+                    "the nodes of the demonstration did not start: see what `imrs demo beam-lift` says"
+                        .into(),
+                ));
+            }
+            thread::sleep(Duration::from_millis(20));
+        }
+        Ok(stage)
+    }
+
+    /// Where its nodes serve monitors.
+    fn base(&self) -> PathBuf {
+        self.folder.join(Path::new("imrs"))
+    }
+}
+
+impl Drop for Stage {
+    fn drop(&mut self) {
+        if let Some(pid) = i32::try_from(self.nodes.id()).ok().and_then(Pid::from_raw) {
+            // It may have ended already.
+            let _ = kill_process(pid, Signal::TERM);
+        }
+        let end = Instant::now() + STOP_WITHIN;
+        while self.nodes.try_wait().is_ok_and(|ended| ended.is_none()) {
+            if Instant::now() > end {
+                let _ = self.nodes.kill();
+                let _ = self.nodes.wait();
+                break;
+            }
+            thread::sleep(Duration::from_millis(10));
+        }
+        let _ = std::fs::remove_dir_all(&self.folder);
+    }
+}

@@ -1,0 +1,238 @@
+//! `imrs replay --model` names what a run broke of the assumptions of its check: packets lost or doubled, actions that
+//! failed, nodes that were killed, clocks that ran apart, each against what the cell declares of it. Recordings are of real
+//! runs, with the launcher's faults, or changed in one thing. How late this machine is changes no verdict here.
+
+mod support;
+
+use imrs_protocol::{Input, Kind, Packet};
+use imrs_wire::recording::{Record, RecordingReader, RecordingWriter, Stream};
+use serde_json::Value;
+use std::fs::File;
+use std::io::BufReader;
+use support::{Said, run_in, runtime_dir};
+
+/// Two nodes that tell each other something all the time, and ask for nothing.
+const NEWS: &str = "\
+cell news;
+tick 10 msec;
+node n1; node n2;
+link n1 -- n2 delay 10 msec;
+type Count is record n: int16; end;
+task a on n1
+  port there(c: Count) usage = send message_format = Count user_list = {b_hears} time_out = 20 sec class = 1 bounded_buffer[4];
+  var c: Count;
+begin
+  loop run work takes 5..1000 msec on failed do c.n := 0; end; c.n := c.n mod 1000 + 1; send there(c); end;
+end a;
+task a_hears on n1
+  use_port back(c: Count) usage = receive;
+  var d: Count; var same: bool;
+begin
+  loop receive back(d); same := d.n = 0; end;
+end a_hears;
+task b on n2
+  port back(c: Count) usage = send message_format = Count user_list = {a_hears} time_out = 20 sec class = 1 bounded_buffer[4];
+  var c: Count;
+begin
+  loop run work takes 5..1000 msec on failed do c.n := 0; end; c.n := c.n mod 1000 + 1; send back(c); end;
+end b;
+task b_hears on n2
+  use_port there(c: Count) usage = receive;
+  var d: Count; var same: bool;
+begin
+  loop receive there(d); same := d.n = 0; end;
+end b_hears;
+";
+
+/// An action that takes its time, and one that fails after it.
+const WORKS: &str = "work=sleep 0.05";
+const FAILS: &str = "work=timeout 0.05 sleep 9";
+
+struct Run(tempfile::TempDir);
+
+impl Run {
+    /// Runs the cell with these `faults` declared.
+    fn of(faults: &str, args: &[&str]) -> Self {
+        let run = Self(runtime_dir());
+        std::fs::write(run.path("news.cell"), format!("{NEWS}{faults}\n")).expect("the cell is written");
+        let (cell, file) = (run.path("news.cell"), run.path("run.imrs"));
+        let all = [&["run", &cell, "--record", &file, "--for", "3s", "--seed", "3"], args];
+        let said = run_in(run.0.path(), &all.concat());
+        assert!(matches!(said.code, Some(0 | 1)), "{said:?}");
+        run
+    }
+
+    fn path(&self, name: &str) -> String {
+        self.0.path().join(name).to_str().expect("UTF-8").into()
+    }
+
+    fn follow(&self, format: &str) -> Said {
+        let (cell, files) =
+            (self.path("news.cell"), ["n1", "n2"].map(|node| self.path(&format!("run.{node}.imrs"))));
+        let how = ["replay", &files[0], &files[1], "--cell", &cell, "--model", "--format", format];
+        run_in(self.0.path(), &how)
+    }
+
+    /// What it broke, by kind.
+    fn breaches(&self) -> Vec<(String, String, u64)> {
+        let said = self.follow("json");
+        let told = said.last_json();
+        assert_eq!((said.code, &told["path"]), (Some(0), &Value::Bool(true)), "{said:?}");
+        let all = told["breaches"].as_array().expect("breaches").iter();
+        let text = |breach: &Value, key: &str| breach[key].as_str().expect("text").to_owned();
+        let all: Vec<_> =
+            all.map(|b| (text(b, "kind"), text(b, "what"), b["times"].as_u64().expect("a number"))).collect();
+        assert_eq!(told["within_assumptions"], all.is_empty(), "{told}");
+        all
+    }
+
+    /// The breach of a kind.
+    fn breach(&self, kind: &str) -> Option<(String, u64)> {
+        let all = self.breaches();
+        all.into_iter().find(|breach| breach.0 == kind).map(|(_, what, times)| (what, times))
+    }
+
+    /// Writes the recording of a node again, changed.
+    fn change(&self, node: &str, change: impl FnOnce(&mut Vec<Record>)) {
+        let path = self.path(&format!("run.{node}.imrs"));
+        let file = File::open(&path).expect("a recording");
+        let mut reader = RecordingReader::new(BufReader::new(file)).expect("a recording");
+        let header = reader.header().clone();
+        let mut records: Vec<Record> = reader.by_ref().map(|record| record.expect("a record")).collect();
+        change(&mut records);
+        let sink = File::create(&path).expect("a file");
+        let mut writer = RecordingWriter::new(sink, &header).expect("a recording");
+        records.iter().for_each(|record| writer.append(record).expect("written"));
+        writer.flush().expect("written");
+    }
+}
+
+#[test]
+fn a_run_without_faults_loses_doubles_and_fails_nothing() {
+    let kinds: Vec<String> = Run::of("", &["--action", WORKS, "--in-process"])
+        .breaches()
+        .into_iter()
+        .map(|(kind, ..)| kind)
+        .collect();
+    // How late links and nodes are is this machine's.
+    assert!(kinds.iter().all(|kind| ["delay", "late"].contains(&kind.as_str())), "{kinds:?}");
+}
+
+#[test]
+fn more_lost_packets_than_declared_are_named_and_as_many_are_not() {
+    let some = Run::of("faults loss 1;", &["--action", WORKS, "--loss", "40%"]);
+    let (what, lost) = some.breach("loss").expect("of some dozens a few are lost");
+    assert_eq!(what, format!("{lost} packets never arrived, the cell declares `loss 1`"));
+    let said = some.follow("text");
+    let line = format!("outside the assumptions: {what} (first at ");
+    assert!(said.out.contains(&line), "{said:?}");
+    let (what, lost) = Run::of("", &["--action", WORKS, "--loss", "40%"])
+        .breach("loss")
+        .expect("of some dozens a few are lost");
+    assert_eq!(what, format!("{lost} packets never arrived, the cell declares no `loss`"));
+    assert_eq!(Run::of("faults loss 250;", &["--action", WORKS, "--loss", "40%"]).breach("loss"), None);
+    let whole = Run::of("faults loss 250;", &["--action", WORKS, "--cut", "n1--n2@500ms+1s"]);
+    assert_eq!(whole.breach("loss"), None);
+    assert!(Run::of("", &["--action", WORKS, "--cut", "n1--n2@500ms+1s"]).breach("loss").is_some());
+}
+
+#[test]
+fn faults_that_are_declared_apart_do_not_come_together() {
+    let run = Run::of("faults loss 250;\nfaults fail 250;", &["--loss", "40%", "--action", FAILS]);
+    let (what, _) = run.breach("together").expect("packets were lost and actions failed");
+    assert!(what.ends_with("; no `faults` of the cell declares them together"), "{what}");
+    assert_eq!((run.breach("loss"), run.breach("fail")), (None, None));
+}
+
+#[test]
+fn a_killed_node_is_named_where_no_crash_of_it_is_declared() {
+    let (what, _) = Run::of("faults crash n1;", &["--action", WORKS, "--kill", "n2@1s"])
+        .breach("crash")
+        .expect("n2 was killed");
+    assert!(what.starts_with("node n2 was killed") && what.ends_with("no `crash` of it"), "{what}");
+    assert_eq!(
+        Run::of("faults crash n1;\nfaults crash n2;", &["--action", WORKS, "--kill", "n2@1s"])
+            .breach("crash"),
+        None
+    );
+}
+
+fn is_news(record: &Record) -> bool {
+    matches!(record, Record::Input { input: Input::Packet(Packet { kind: Kind::Send, .. }), .. })
+}
+
+#[test]
+fn a_packet_that_a_link_doubled_is_a_path_and_named() {
+    let double = |run: &Run| {
+        run.change("n2", |records| {
+            let news: Vec<usize> = (0..records.len()).filter(|&at| is_news(&records[at])).collect();
+            let [first, next, ..] = news[..] else { panic!("news") };
+            // When its task waits again. Its machine drops the copy: nothing that it puts out is another.
+            let mut copy = records[first].clone();
+            let Record::Input { task: doubled, elapsed, outputs, .. } = &mut copy else { panic!("an input") };
+            let doubled = *doubled;
+            elapsed.0 = 0;
+            let before = records[..next].iter().rev().find_map(|record| match record {
+                Record::Input { task, outputs, .. } if *task == doubled => Some(*outputs),
+                _ => None,
+            });
+            *outputs = before.expect("the news itself");
+            records.insert(next, copy);
+            for record in records {
+                if let Record::Close { task, inputs, .. } = record
+                    && *task == doubled
+                {
+                    *inputs += 1;
+                }
+            }
+        });
+    };
+    let run = Run::of("faults loss 3;", &["--action", WORKS, "--in-process"]);
+    double(&run);
+    let (what, _) = run.breach("dup").expect("a copy");
+    assert_eq!(what, "1 packet arrived twice, the cell declares no `dup`");
+    let run = Run::of("faults dup 1;", &["--action", WORKS, "--in-process"]);
+    double(&run);
+    assert_eq!(run.breach("dup"), None);
+}
+
+/// Nothing but its times tells the recording of a node whose clock is fast from another.
+#[test]
+fn clocks_that_run_apart_are_named() {
+    let slow_down = |run: &Run| {
+        run.change("n2", |records| {
+            // Its tasks wait for an action or for news then, and in their machines no time runs.
+            for record in records {
+                if let Record::Input { elapsed, .. } = record
+                    && elapsed.0 > 1_000
+                {
+                    elapsed.0 += elapsed.0 / 5;
+                }
+            }
+        });
+    };
+    let run = Run::of("", &["--action", WORKS, "--in-process"]);
+    assert_eq!(run.breach("drift"), None);
+    slow_down(&run);
+    let (what, _) = run.breach("drift").expect("a fifth of three seconds, less what packets take");
+    assert!(what.starts_with("the clocks of n1 and n2 ran apart by at least "), "{what}");
+    assert!(what.ends_with("the cell declares no `drift`"), "{what}");
+    let run = Run::of("faults drift 250;", &["--action", WORKS, "--in-process"]);
+    slow_down(&run);
+    assert_eq!(run.breach("drift"), None);
+}
+
+#[test]
+fn of_a_run_with_a_gap_nothing_is_said() {
+    let run = Run::of("", &["--action", WORKS, "--in-process"]);
+    run.change("n1", |records| {
+        let at = records.iter().position(is_news).expect("news");
+        let Record::Input { task, .. } = records[at] else { panic!("an input") };
+        records[at] = Record::Gap { stream: Stream::Task(task), lost: 1 };
+    });
+    let said = run.follow("text");
+    assert_eq!(said.code, Some(4), "{said:?}");
+    let words = "UNKNOWN whether this run is a path of the model: inputs of `a_hears` are missing in ";
+    assert!(said.out.contains(words), "{said:?}");
+    assert_eq!(run.follow("json").last_json()["path"], false);
+}
