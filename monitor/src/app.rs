@@ -17,10 +17,12 @@ use crate::rows::{Row, Shape, rows};
 use crate::source::{Arrival, Wanted};
 use crate::store::health::{self, Finding, Place};
 use crate::store::message::MessageKey;
-use crate::store::{Condition, LifeId, Store};
+use crate::store::queue::{Waiting, queue};
+use crate::store::{Condition, Life, LifeId, Store};
 use crate::theme::Theme;
 use crossterm::event::{KeyEvent, KeyEventKind, MouseEvent};
 use imrs_protocol::{MessageId, PortId, PortView, TaskId, Usage};
+use imrs_wire::obs::TaskSnapshot;
 use lanes::Lanes;
 use std::time::Duration;
 
@@ -245,7 +247,7 @@ impl App {
     /// What the screen needs of the nodes.
     #[must_use]
     pub fn want(&self) -> Wanted {
-        let end = self.port.filter(|_| self.screen == Screen::Port);
+        let end = if self.screen == Screen::Port { self.port(&self.queues()) } else { None };
         let watched = end.and_then(|end| Some((self.live.life(end.life)?, end)));
         let ports =
             |life: &crate::store::Life| life.tasks().iter().map(|task| task.view.ports.len()).sum::<usize>();
@@ -374,15 +376,20 @@ impl App {
 
     /// The ports that receive, in the order of the overview.
     #[must_use]
-    pub fn queues(&self, now: Moment) -> Vec<PortEnd> {
+    pub fn queues(&self) -> Vec<PortEnd> {
         let Some(cell) = self.cell() else { return Vec::new() };
-        let all = rows(self.store(), &cell, &Shape::default(), &[], self.moment(now));
-        let ends = all.into_iter().filter_map(|row| port_end(row.place));
-        let receives = |end: &PortEnd| {
-            let view = self.store().life(end.life).and_then(|l| l.port(end.task, end.port));
-            view.is_some_and(|v| v.capacity > 0 && v.usage != Usage::Waitfor)
+        let store = self.store();
+        let latest = |life: &&Life| store.latest(&cell, life.node_id).is_some_and(|l| l.id == life.id);
+        let ends = |life: &Life| {
+            let (life, tasks) = (life.id, life.tasks().iter());
+            let receives = |port: &&PortView| port.capacity > 0 && port.usage != Usage::Waitfor;
+            let of = move |task: &TaskSnapshot| {
+                let end = |port: &PortView| PortEnd { life, task: task.view.task, port: port.port };
+                task.view.ports.iter().filter(receives).map(end).collect::<Vec<_>>()
+            };
+            tasks.flat_map(of).collect::<Vec<_>>()
         };
-        ends.filter(receives).collect()
+        store.lives_of(&cell).filter(latest).flat_map(ends).collect()
     }
 
     /// The port shown: the chosen one, or the first of `queues`.
@@ -395,9 +402,17 @@ impl App {
 
     /// Which message of a queue is selected: the chosen one while it waits there, or what has taken its place.
     #[must_use]
-    pub fn entry(&self, view: &PortView) -> usize {
-        let chosen = |(source, id)| view.queue.iter().position(|e| (e.source, e.id) == (source, id));
-        self.entry.and_then(chosen).unwrap_or(self.scroll).min(view.queue.len().saturating_sub(1))
+    pub fn entry(&self, queue: &[Waiting]) -> usize {
+        let chosen = |(source, id)| queue.iter().position(|w| (w.entry.source, w.entry.id) == (source, id));
+        self.entry.and_then(chosen).unwrap_or(self.scroll).min(queue.len().saturating_sub(1))
+    }
+
+    /// What waits at the port shown.
+    #[must_use]
+    pub fn queue(&self, now: Moment) -> Vec<Waiting> {
+        let end = self.port(&self.queues());
+        let life = end.and_then(|end| self.store().life(end.life).zip(Some(end)));
+        life.map_or_else(Vec::new, |(life, end)| queue(life, end.task, end.port, self.moment(now)))
     }
 
     /// The screen that the help is about.

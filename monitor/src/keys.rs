@@ -157,6 +157,12 @@ pub const BINDINGS: &[Binding] = &[
     on(&[Screen::Timeline], &[key('l'), code(KeyCode::Right)], Action::Right, "the lane to the right"),
     on(&[Screen::Timeline], &[key('+'), key('=')], Action::Closer, "less time a row, down to an event a row"),
     on(&[Screen::Timeline], &[key('-')], Action::Wider, "more time a row"),
+    on(
+        &[Screen::Timeline],
+        &[key('a')],
+        Action::Everything,
+        "every event, or only meetings and what went wrong",
+    ),
     on(&[Screen::Rendezvous], &[key('c')], Action::Cycles, "only what waits in a cycle, or all"),
     on(
         &[Screen::Port, Screen::Events, Screen::Timeline],

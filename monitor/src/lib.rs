@@ -26,6 +26,7 @@ pub mod report;
 pub mod rows;
 mod signals;
 pub mod source;
+pub mod specimen;
 pub mod store;
 mod terminal;
 pub mod theme;

@@ -130,7 +130,9 @@ impl Maker<'_> {
     }
 
     fn flat(&self, mut groups: Vec<(Key, Vec<Row>)>) -> Vec<Row> {
-        groups.sort_by_key(|(key, _)| *key);
+        if self.shape.sort != Sort::Name {
+            groups.sort_by_key(|(key, _)| *key);
+        }
         if self.shape.inverted {
             groups.reverse();
         }
@@ -160,11 +162,12 @@ impl Maker<'_> {
         let wanted = all || self.mentions(&life.names.task(task.view.task));
         let port = |p: &PortView| {
             let place = Place { port: Some(p.port), ..place };
-            let slack = p.min_slack.map_or(u64::MAX, |s| life.left(s, task.age_us, self.now).us);
+            let by_slack = p.min_slack.filter(|_| self.shape.sort == Sort::Slack);
+            let slack = by_slack.map_or(u64::MAX, |s| life.left(s, task.age_us, self.now).us);
             let wanted = wanted || self.mentions(&life.names.port_name(p.port));
-            wanted.then(|| (self.key(&place, slack, p.len.into()), vec![self.row(place, 2, false, true)]))
+            wanted.then(|| (self.key(&place, slack, p.len.into()), self.row(place, 2, false, true)))
         };
-        let ports: Vec<_> = task.view.ports.iter().filter_map(port).collect();
+        let mut ports: Vec<(Key, Row)> = task.view.ports.iter().filter_map(port).collect();
         if !wanted && ports.is_empty() {
             return None;
         }
@@ -172,12 +175,22 @@ impl Maker<'_> {
         let row = self.row(place, 1, !ports.is_empty(), true);
         let mut rows = vec![row];
         if row.open {
-            rows.extend(self.flat(ports));
+            if self.shape.sort != Sort::Name {
+                ports.sort_by_key(|(key, _)| *key);
+            }
+            if self.shape.inverted {
+                ports.reverse();
+            }
+            rows.extend(ports.into_iter().map(|(_, row)| row));
         }
         Some((self.key(&place, self.slack(life, task), queued), rows))
     }
 
+    /// The least slack at a task, where rows are ordered by it.
     fn slack(&self, life: &Life, task: &TaskSnapshot) -> u64 {
+        if self.shape.sort != Sort::Slack {
+            return u64::MAX;
+        }
         let slacks = task.view.ports.iter().filter_map(|p| p.min_slack);
         slacks.min().map_or(u64::MAX, |s| life.left(s, task.age_us, self.now).us)
     }

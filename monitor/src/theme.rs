@@ -58,6 +58,8 @@ pub struct Glyphs {
     pub penalty: &'static str,
     /// In a bar: when the message will be done.
     pub done: &'static str,
+    /// In a bar: back-off that is not yet over.
+    pub wait: &'static str,
     /// Heights, from nothing to full.
     pub heights: [&'static str; 8],
 }
@@ -79,6 +81,7 @@ const ASCII: Glyphs = Glyphs {
     met: "*",
     penalty: "^",
     done: "|",
+    wait: ":",
     heights: [".", "1", "2", "3", "4", "5", "6", "7"],
 };
 
@@ -99,6 +102,7 @@ const UNICODE: Glyphs = Glyphs {
     met: "◆",
     penalty: "↑",
     done: "┃",
+    wait: "╌",
     heights: ["▁", "▂", "▃", "▄", "▅", "▆", "▇", "█"],
 };
 

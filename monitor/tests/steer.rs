@@ -167,11 +167,9 @@ fn the_selected_message_stays_selected_when_one_before_it_is_taken() {
     beat.queue.remove(0);
     beat.len -= 1;
     stage.frame(NOW, 1, ServerFrame::Snapshot(later));
-    let queues = stage.app.queues(NOW);
-    let end = stage.app.port(&queues).unwrap();
-    let view = stage.app.store().life(end.life).unwrap().port(end.task, end.port).unwrap();
-    assert_eq!(view.queue[stage.app.entry(view)].id.sequence.get(), 8_813);
-    assert_eq!(stage.app.entry(view), 0);
+    let queue = stage.app.queue(NOW);
+    assert_eq!(queue[stage.app.entry(&queue)].entry.id.sequence.get(), 8_813);
+    assert_eq!(stage.app.entry(&queue), 0);
 }
 
 fn command(stage: &mut Stage, text: &str) -> Effect {

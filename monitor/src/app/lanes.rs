@@ -1,11 +1,11 @@
 //! The timeline as the user wants it: which lanes, how fine, and how far back.
 
 use super::App;
-use crate::clock::Moment;
 use crate::name::Name;
 use crate::store::timeline::{Gap, Mark, Timeline, timeline};
 use crate::store::{Life, LifeId};
-use imrs_protocol::{NodeId, TaskId};
+use imrs_protocol::{Event, NodeId, PortId, TaskId};
+use std::collections::BTreeSet;
 use std::time::Duration;
 
 /// How many marks are put in order for a frame.
@@ -49,6 +49,8 @@ pub struct Lanes {
     zoom: usize,
     /// The mark in the last row; `None`: the latest.
     held: Option<Anchor>,
+    /// Whether messages that went as they should are left out.
+    sparse: bool,
 }
 
 /// A row of the timeline.
@@ -79,6 +81,8 @@ pub struct Chart {
     pub held: bool,
     /// How much time a row takes.
     pub zoom: Option<Duration>,
+    /// Whether messages that went as they should are left out.
+    pub sparse: bool,
 }
 
 impl Chart {
@@ -99,9 +103,16 @@ impl App {
         let Some(cell) = self.cell() else { return Chart::default() };
         let timeline = timeline(self.store(), &cell, MOST);
         let lanes = self.wanted_lanes(&cell);
+        let ports = self.wanted_ports(&cell);
+        let wanted = |mark: &Mark| {
+            let what = mark.seen.what;
+            lanes.contains(&mark.task)
+                && ports.as_ref().is_none_or(|ports| ports.contains(&what.port))
+                && !(self.lanes.sparse && is_traffic(what.event))
+        };
         let lane = self.lanes.lane.and_then(|wanted| lanes.iter().position(|t| *t == wanted)).unwrap_or(0);
         let zoom = ZOOMS.get(self.lanes.zoom).copied().flatten();
-        let rows = slices(&timeline, &lanes, zoom);
+        let rows = slices(&timeline, wanted, zoom);
         let last = rows.len().saturating_sub(1);
         let is_held = |row: &Slice| match row {
             Slice::Marks(marks) => {
@@ -111,7 +122,7 @@ impl App {
         };
         let held = self.lanes.held.map(|_| rows.iter().rposition(is_held).unwrap_or(0));
         let bottom = held.unwrap_or(last).min(last);
-        Chart { timeline, lanes, lane, rows, bottom, held: held.is_some(), zoom }
+        Chart { timeline, lanes, lane, rows, bottom, held: held.is_some(), zoom, sparse: self.lanes.sparse }
     }
 
     /// The tasks whose name or node has the filter's text; all, if none has.
@@ -124,6 +135,19 @@ impl App {
         };
         let found: Vec<_> = all().filter(wanted).collect();
         if found.is_empty() { all().collect() } else { found }
+    }
+
+    /// The ports whose name has the filter's text, where it names ports and no tasks.
+    fn wanted_ports(&self, cell: &Name) -> Option<BTreeSet<PortId>> {
+        let names = self.store().names(cell)?;
+        let filter = &self.shape.filter;
+        let has = |name: &Name| name.shown().to_lowercase().contains(filter);
+        if filter.is_empty() || names.tasks.iter().any(|t| has(&t.name)) || names.nodes.iter().any(has) {
+            return None;
+        }
+        let all = (0..names.ports.len()).map(PortId::from_index);
+        let found: BTreeSet<_> = all.filter(|port| has(&names.port_name(*port))).collect();
+        (!found.is_empty()).then_some(found)
     }
 
     /// The life that a task of the cell shown lives now.
@@ -157,25 +181,53 @@ impl App {
         self.lanes.held = chart.mark(to).map(Anchor::of).filter(|_| to < last);
     }
 
+    pub(super) fn thin_chart(&mut self) {
+        self.lanes.sparse = !self.lanes.sparse;
+        self.lanes.held = None;
+    }
+
     pub(super) fn follow_chart(&mut self) {
         self.lanes.held = None;
     }
 }
 
-/// What a node's own clock says at a moment of the monitor's: since the node started, in microseconds.
-#[must_use]
-pub fn own_clock(life: &Life, at: Moment) -> Option<u64> {
-    let last = life.last.as_ref()?;
-    let uptime = Duration::from_micros(last.snapshot.uptime_us);
-    let passed = (at + uptime).saturating_sub(last.at);
-    u64::try_from(passed.as_micros()).ok()
+/// Whether it belongs to the ordinary course of a message: where much is said, meetings and troubles stand out without.
+const fn is_traffic(event: Event) -> bool {
+    match event {
+        Event::Sent
+        | Event::Resent
+        | Event::Enqueued
+        | Event::Delivered
+        | Event::Replied
+        | Event::Answered
+        | Event::Interrupted
+        | Event::Resumed => true,
+        Event::RefusedByPeer
+        | Event::TimedOut
+        | Event::TimedOutUnsent
+        | Event::PeerRestarted
+        | Event::Discarded(_)
+        | Event::Reached
+        | Event::Rejoined
+        | Event::PartnerArrived
+        | Event::PartnerAborted
+        | Event::Confirmed
+        | Event::ReleasedComplete
+        | Event::ReleasedByConfirm
+        | Event::WithinMargin
+        | Event::GaveUp
+        | Event::Rejected
+        | Event::Granted
+        | Event::TookOver
+        | Event::Fenced => false,
+    }
 }
 
-fn slices(timeline: &Timeline, lanes: &[TaskId], zoom: Option<Duration>) -> Vec<Slice> {
+fn slices(timeline: &Timeline, wanted: impl Fn(&Mark) -> bool, zoom: Option<Duration>) -> Vec<Slice> {
     let mut rows = Vec::new();
     let mut gaps = timeline.gaps.iter().peekable();
     let mut before: Option<u128> = None;
-    let marks = timeline.marks.iter().enumerate().filter(|(_, mark)| lanes.contains(&mark.task));
+    let marks = timeline.marks.iter().enumerate().filter(|(_, mark)| wanted(mark));
     for (at, mark) in marks {
         while let Some(gap) = gaps.next_if(|gap| gap.order <= mark.order) {
             rows.push(Slice::Lost(*gap));

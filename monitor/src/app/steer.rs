@@ -88,6 +88,7 @@ impl App {
             Action::Filter => self.typing = true,
             Action::Sort => self.shape.sort = self.shape.sort.next(),
             Action::Invert => self.shape.inverted = !self.shape.inverted,
+            Action::Everything if self.screen == Screen::Timeline => self.thin_chart(),
             Action::Everything => {
                 self.everything = !self.everything;
                 self.held = None;
@@ -97,7 +98,7 @@ impl App {
             Action::Back => self.back(),
             Action::Enter => self.enter(now),
             Action::Left | Action::Right if self.screen == Screen::Port => {
-                self.turn(action == Action::Right, now);
+                self.turn(action == Action::Right);
             }
             Action::Left | Action::Right if self.screen == Screen::Timeline => {
                 self.next_lane(action == Action::Right);
@@ -236,9 +237,9 @@ impl App {
     fn message_here(&self, now: Moment) -> Option<MessageKey> {
         match self.screen {
             Screen::Port => {
-                let end = self.port(&self.queues(now))?;
-                let view = self.store().life(end.life)?.port(end.task, end.port)?;
-                let entry = view.queue.get(self.entry(view))?;
+                let end = self.port(&self.queues())?;
+                let queue = self.queue(now);
+                let entry = queue.get(self.entry(&queue))?.entry;
                 Some(MessageKey { source: entry.source, port: end.port, number: entry.id.sequence.get() })
             }
             Screen::Timeline => {
@@ -273,7 +274,7 @@ impl App {
                 row.map_or_else(String::new, |row| crate::view::label(self, row.place))
             }
             (Screen::Port, None, Some(names)) => {
-                let end = self.port(&self.queues(now));
+                let end = self.port(&self.queues());
                 end.map_or_else(String::new, |end| {
                     format!("{}.{}", names.task(end.task), names.port_name(end.port))
                 })
@@ -333,8 +334,8 @@ impl App {
         view.is_some_and(|v| v.usage == Usage::Waitfor)
     }
 
-    fn turn(&mut self, forward: bool, now: Moment) {
-        let queues = self.queues(now);
+    fn turn(&mut self, forward: bool) {
+        let queues = self.queues();
         if queues.is_empty() {
             return;
         }
@@ -368,11 +369,9 @@ impl App {
     }
 
     pub(super) fn step_queue(&mut self, by: isize, now: Moment) {
-        let end = self.port(&self.queues(now));
-        let view = end.and_then(|e| self.store().life(e.life).and_then(|l| l.port(e.task, e.port)));
-        let Some(view) = view else { return };
-        let to = self.entry(view).saturating_add_signed(by).min(view.queue.len().saturating_sub(1));
-        let entry = view.queue.get(to).map(|e| (e.source, e.id));
+        let queue = self.queue(now);
+        let to = self.entry(&queue).saturating_add_signed(by).min(queue.len().saturating_sub(1));
+        let entry = queue.get(to).map(|w| (w.entry.source, w.entry.id));
         (self.scroll, self.entry) = (to, entry);
     }
 

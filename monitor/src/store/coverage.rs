@@ -1,6 +1,6 @@
 //! Which transitions of the machine were seen at work, of all that there are (D63).
 
-use imrs_protocol::{Class, Event, Reason, TaskView};
+use imrs_protocol::{Class, Event, Reason, TaskView, Usage};
 
 /// All kinds of observations, in the order in which they are told.
 pub const KINDS: [Event; 40] = [
@@ -55,38 +55,61 @@ pub fn place(event: Event) -> usize {
     KINDS.iter().position(|kind| *kind == event).unwrap_or(0)
 }
 
-/// Whether a task with these ports can come to a transition of this kind at all. What belongs to couples and handlers
-/// is not seen in a task's ports: it is possible for every task.
-#[must_use]
-pub fn is_possible(event: Event, task: &TaskView) -> bool {
-    let messages = task.ports.iter().any(|p| p.usage != imrs_protocol::Usage::Waitfor);
-    let receives = task.ports.iter().any(|p| p.capacity > 0);
-    let sends = task.ports.iter().any(|p| p.capacity == 0 && p.usage != imrs_protocol::Usage::Waitfor);
-    let commands =
-        task.ports.iter().any(|p| p.class == Class::Command && p.usage != imrs_protocol::Usage::Waitfor);
-    let meets = !task.meetings.is_empty();
-    match event {
-        Event::Sent => sends,
-        Event::Resent
-        | Event::Answered
-        | Event::RefusedByPeer
-        | Event::TimedOut
-        | Event::TimedOutUnsent
-        | Event::PeerRestarted => sends && commands,
-        Event::Enqueued | Event::Delivered | Event::Rejected => receives,
-        Event::Replied => receives && commands,
-        Event::Reached
-        | Event::Rejoined
-        | Event::PartnerArrived
-        | Event::PartnerAborted
-        | Event::Confirmed
-        | Event::ReleasedComplete
-        | Event::ReleasedByConfirm
-        | Event::WithinMargin
-        | Event::GaveUp => meets,
-        Event::Discarded(Reason::OldRound) => meets,
-        Event::Discarded(_) => messages || meets,
-        Event::Interrupted | Event::Resumed | Event::Granted | Event::TookOver | Event::Fenced => true,
+/// What a task's ports make possible.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Abilities {
+    receives: bool,
+    answers: bool,
+    sends: bool,
+    asks: bool,
+    meets: bool,
+}
+
+impl Abilities {
+    /// Those of a task.
+    #[must_use]
+    pub fn of(task: &TaskView) -> Self {
+        let mut all = Self { meets: !task.meetings.is_empty(), ..Self::default() };
+        for port in task.ports.iter().filter(|port| port.usage != Usage::Waitfor) {
+            let command = port.class == Class::Command;
+            if port.capacity > 0 {
+                all.receives = true;
+                all.answers |= command;
+            } else {
+                all.sends = true;
+                all.asks |= command;
+            }
+        }
+        all
+    }
+
+    /// Whether a task with these can come to a transition of this kind at all. What belongs to couples and handlers is
+    /// not seen in a task's ports: it is possible for every task.
+    #[must_use]
+    pub const fn allow(self, event: Event) -> bool {
+        match event {
+            Event::Sent => self.sends,
+            Event::Resent
+            | Event::Answered
+            | Event::RefusedByPeer
+            | Event::TimedOut
+            | Event::TimedOutUnsent
+            | Event::PeerRestarted => self.asks,
+            Event::Enqueued | Event::Delivered | Event::Rejected => self.receives,
+            Event::Replied => self.answers,
+            Event::Reached
+            | Event::Rejoined
+            | Event::PartnerArrived
+            | Event::PartnerAborted
+            | Event::Confirmed
+            | Event::ReleasedComplete
+            | Event::ReleasedByConfirm
+            | Event::WithinMargin
+            | Event::GaveUp
+            | Event::Discarded(Reason::OldRound) => self.meets,
+            Event::Discarded(_) => self.receives || self.sends || self.meets,
+            Event::Interrupted | Event::Resumed | Event::Granted | Event::TookOver | Event::Fenced => true,
+        }
     }
 }
 

@@ -3,7 +3,7 @@
 use super::names::Names;
 use crate::clock::{Moment, Span};
 use crate::name::Name;
-use imrs_protocol::{NodeId, PortId, PortView, QueueView, TaskId, Ticks, TimeId};
+use imrs_protocol::{NodeId, PortCounters, PortId, PortView, QueueView, TaskId, Ticks, TimeId};
 use imrs_wire::obs::{Count, Delta, Detail, Liveness, Pong, Snapshot, TaskSnapshot, Vitals};
 use std::collections::BTreeMap;
 use std::fmt;
@@ -249,17 +249,31 @@ impl Life {
         remaining.0.saturating_mul(self.tick_us).saturating_sub(age_us)
     }
 
-    /// Messages per second that the port's task sent and took, lately.
+    /// Messages per second that a port's task sent and took, lately.
     #[must_use]
     pub fn rate(&self, task: TaskId, port: PortId) -> Option<f64> {
+        let task = self.task(task)?;
+        let port = task.view.ports.iter().find(|p| p.port == port)?;
+        self.rate_of(self.earlier(task), port)
+    }
+
+    /// A task as it was some seconds ago.
+    #[must_use]
+    pub fn earlier(&self, task: &TaskSnapshot) -> Option<&TaskSnapshot> {
+        self.base.as_ref()?.snapshot.tasks.iter().find(|t| t.view.task == task.view.task)
+    }
+
+    /// Messages per second at a port, against the task as it was.
+    #[must_use]
+    pub fn rate_of(&self, earlier: Option<&TaskSnapshot>, port: &PortView) -> Option<f64> {
         let (last, base) = (self.last.as_ref()?, self.base.as_ref()?);
         let seconds = last.at.checked_sub(base.at)?.as_secs_f64();
-        let count = |s: &Sample| {
-            let task = s.snapshot.tasks.iter().find(|t| t.view.task == task)?;
-            let counters = &task.view.ports.iter().find(|p| p.port == port)?.counters;
-            Some(counters.sent.saturating_add(counters.delivered))
-        };
-        let grown = count(last)?.checked_sub(count(base)?)?;
+        let ports = &earlier?.view.ports;
+        // The ports of a task are ascending, as its node sends them; what is not found so is searched for.
+        let found = ports.binary_search_by_key(&port.port, |p| p.port).ok().and_then(|at| ports.get(at));
+        let before = found.or_else(|| ports.iter().find(|p| p.port == port.port))?;
+        let count = |counters: &PortCounters| counters.sent.saturating_add(counters.delivered);
+        let grown = count(&port.counters).checked_sub(count(&before.counters))?;
         #[expect(clippy::cast_precision_loss, reason = "a rate for people")]
         (seconds > 0.0).then(|| grown as f64 / seconds)
     }

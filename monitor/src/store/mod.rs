@@ -8,6 +8,7 @@ mod life;
 pub mod meeting;
 pub mod message;
 mod names;
+pub mod queue;
 pub mod rounds;
 pub mod service;
 pub mod timeline;
@@ -85,8 +86,9 @@ impl Store {
 
     /// The lives of the nodes of one cell.
     pub fn lives_of<'a>(&'a self, cell: &Name) -> impl Iterator<Item = &'a Life> + use<'a> {
-        let cell = cell.clone();
-        self.lives.iter().filter(move |l| l.names.cell == cell)
+        let first = self.lives.partition_point(|l| l.names.cell < *cell);
+        let after = self.lives.partition_point(|l| l.names.cell <= *cell);
+        self.lives.get(first..after).unwrap_or_default().iter()
     }
 
     /// One life.
@@ -98,7 +100,9 @@ impl Store {
     /// The latest life of a node of a cell.
     #[must_use]
     pub fn latest(&self, cell: &Name, node: NodeId) -> Option<&Life> {
-        self.lives_of(cell).filter(|l| l.node_id == node).last()
+        let upto = self.lives.partition_point(|l| (&l.names.cell, l.node_id) <= (cell, node));
+        let last = self.lives.get(upto.checked_sub(1)?)?;
+        (last.node_id == node && last.names.cell == *cell).then_some(last)
     }
 
     /// The cells that are known, sorted.
@@ -275,7 +279,10 @@ impl Store {
     /// The names belong to the cell that the node said it is of, whatever the table says.
     fn table(&mut self, index: usize, table: Table) {
         let cell = self.lives[index].names.cell.raw().to_owned();
-        self.lives[index].names = Arc::new(Names::new(Table { cell, ..table }));
+        let told = Names::new(Table { cell, ..table });
+        // All nodes of a cell tell the same: it is kept once.
+        let known = self.lives.iter().find(|l| *l.names == told).map(|l| Arc::clone(&l.names));
+        self.lives[index].names = known.unwrap_or_else(|| Arc::new(told));
     }
 
     /// A state is there after `change`, if that says so; it was told whole, or as what changed.

@@ -5,7 +5,7 @@ use imrs_protocol::{Class, NodeId, PortId, TaskId, Ticks};
 use imrs_wire::obs::{LinkName, PartyName, Table};
 
 /// A task of the cell.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct TaskInfo {
     /// Its name.
     pub name: Name,
@@ -14,7 +14,7 @@ pub struct TaskInfo {
 }
 
 /// A port of the cell.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct PortInfo {
     /// Its name.
     pub name: Name,
@@ -37,7 +37,7 @@ impl PortInfo {
 }
 
 /// The names of a cell. Ids that it does not have get a name that says so: what a node sends is not trusted.
-#[derive(Clone, Debug)]
+#[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Names {
     /// The cell.
     pub cell: Name,

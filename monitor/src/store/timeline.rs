@@ -5,7 +5,7 @@
 //! the snapshot that took the shortest way, and what follows from that across nodes is an estimate.
 
 use super::trail::Seen;
-use super::{LifeId, Store};
+use super::{Life, LifeId, Store};
 use crate::clock::Moment;
 use crate::name::Name;
 use imrs_protocol::{Event, PortId, TaskId};
@@ -95,12 +95,27 @@ pub fn timeline_of(store: &Store, cell: &Name, most: usize, wanted: impl Fn(&See
 
 /// For each life, how far the monitor's clock is ahead of the node's, in microseconds.
 fn offsets(store: &Store, cell: &Name) -> BTreeMap<LifeId, i128> {
-    let offset = |life: &super::Life| {
-        let samples = [&life.last, &life.base].into_iter().flatten();
-        let ahead = samples.map(|s| micros(s.at) - i128::from(s.snapshot.mono_us));
-        Some((life.id, ahead.min()?))
-    };
-    store.lives_of(cell).filter_map(offset).collect()
+    store.lives_of(cell).filter_map(|life| Some((life.id, clock_ahead(life)?))).collect()
+}
+
+/// How far the monitor's clock is ahead of a node's, in microseconds: as it was compared, or else by the state that took
+/// the shortest way.
+#[must_use]
+pub fn clock_ahead(life: &Life) -> Option<i128> {
+    if let Some(clock) = life.clock {
+        return Some(-i128::from(clock.us));
+    }
+    let samples = [&life.last, &life.base].into_iter().flatten();
+    samples.map(|s| micros(s.at) - i128::from(s.snapshot.mono_us)).min()
+}
+
+/// What a node's own clock says at a moment of the monitor's: since the node started, in microseconds.
+#[must_use]
+pub fn own_clock(life: &Life, at: Moment) -> Option<u64> {
+    let snapshot = &life.last.as_ref()?.snapshot;
+    let mono = micros(at) - clock_ahead(life)?;
+    let started = i128::from(snapshot.mono_us) - i128::from(snapshot.uptime_us);
+    u64::try_from(mono - started).ok()
 }
 
 fn moment(mono_us: u64, offset: i128) -> Moment {

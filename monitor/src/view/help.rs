@@ -145,6 +145,7 @@ const fn columns(screen: Screen) -> &'static [(&'static str, &'static str)] {
             ("REMAIN", "what is left of its life"),
             ("AGE", "how much of its life is gone"),
             ("REJ", "how often it was rejected by rank"),
+            ("PEN", "how long it is not offered again, because of rejections"),
             ("VERDICT", "place x 99th percentile of the service time against its life"),
             ("service", "how long the task takes for one, once it is its turn"),
             ("Jain", "1: all sources fare alike; 1/n: one has everything"),
@@ -174,7 +175,7 @@ const fn columns(screen: Screen) -> &'static [(&'static str, &'static str)] {
             ("KIND", "timer, delay: of the Timer; receive, reply, waitfor: waits with an end"),
             ("LENGTH", "its time_out; of a timer the most that was ever seen left"),
             ("LEFT", "until it runs out"),
-            ("late", "how late the node's Timer was"),
+            ("late", "how late the node's Timer was, and how often later than the cell's tick"),
         ],
         Screen::Events => &[("AGO", "when it came"), ("x37", "so many times in a row")],
         Screen::Model => &[

@@ -2,10 +2,11 @@
 
 use super::pen::{Column, Pen, bar};
 use crate::app::App;
-use crate::app::lanes::own_clock;
 use crate::clock::{Moment, Span};
 use crate::store::Names;
 use crate::store::message::{MessageKey, Passed, Stage, life_of};
+use crate::store::queue::{Waiting, queue};
+use crate::store::timeline::own_clock;
 use crate::theme::Ink;
 use imrs_protocol::Event;
 use std::time::Duration;
@@ -178,15 +179,17 @@ fn sentence(stages: &[Stage], width: usize) -> Vec<(String, Ink)> {
 fn waiting(app: &App, names: &Names, key: MessageKey, now: Moment) -> Option<(String, Ink)> {
     let cell = app.cell()?;
     for life in app.store().lives_of(&cell) {
-        for task in life.tasks() {
-            let port = task.view.ports.iter().find(|p| p.port == key.port);
-            let queue = port.map_or(&[][..], |port| &port.queue);
-            let fits =
-                |e: &&imrs_protocol::QueueEntry| e.source == key.source && e.id.sequence.get() == key.number;
-            if let Some(entry) = queue.iter().find(fits) {
-                let left = life.left(entry.remaining, task.age_us, now);
+        for task in life.tasks().iter().map(|task| task.view.task) {
+            let waiting = queue(life, task, key.port, now);
+            let fits = |w: &&Waiting| w.entry.source == key.source && w.entry.id.sequence.get() == key.number;
+            if let Some(found) = waiting.iter().find(fits) {
+                let left = found.left;
+                let back_off = match found.back_off_us {
+                    0 => String::new(),
+                    us => format!(", not offered for {}", Span::micros(us)),
+                };
                 let text =
-                    format!(" now it waits at {}@{}: {left} left.", names.task(task.view.task), life.node);
+                    format!(" now it waits at {}@{}: {left} left{back_off}.", names.task(task), life.node);
                 return Some((text, if left.us == 0 { Ink::Bad } else { Ink::Good }));
             }
         }

@@ -17,7 +17,7 @@ use crate::app::{App, Screen};
 use crate::clock::{Moment, Span};
 use crate::name::Name;
 use crate::rows::Sort;
-use crate::store::health::Place;
+use crate::store::health::{Finding, Place};
 use crate::store::journal::Level;
 use crate::store::waits;
 use crate::store::{Condition, Presence};
@@ -37,10 +37,11 @@ pub fn view(app: &App, now: Moment, area: Rect, buffer: &mut Buffer) {
         return;
     }
     head(app, now, &mut pen);
+    let findings = app.findings(now);
     let foot = u16::from(area.height > 2);
     let middle = Rect { y: area.y + 1, height: area.height.saturating_sub(1 + foot), ..area };
     if foot == 1 {
-        self::foot(app, now, &mut pen);
+        self::foot(app, &findings, now, &mut pen);
     }
     let told = app.replay().map_or(0, |player| replay::rows(player, middle.height));
     let (middle, panel) = (
@@ -54,11 +55,11 @@ pub fn view(app: &App, now: Moment, area: Rect, buffer: &mut Buffer) {
     match app.screen {
         Screen::Help => help::draw(app, &mut pen),
         _ if app.cell().is_none() => nothing(app, &mut pen),
-        Screen::Overview => overview::draw(app, now, &mut pen),
+        Screen::Overview => overview::draw(app, &findings, now, &mut pen),
         Screen::Port => port::draw(app, now, &mut pen),
         Screen::Message => message::draw(app, now, &mut pen),
         Screen::Rendezvous => rendezvous::draw(app, now, &mut pen),
-        Screen::Timeline => timeline::draw(app, now, &mut pen),
+        Screen::Timeline => timeline::draw(app, &mut pen),
         Screen::Timers => timers::draw(app, now, &mut pen),
         Screen::Events => events::draw(app, now, &mut pen),
         Screen::Model => model::draw(app, now, &mut pen),
@@ -238,7 +239,7 @@ fn nodes(app: &App, now: Moment) -> (usize, usize) {
     (up, known.max(store.lives_of(&cell).filter(|l| l.condition == Condition::Attached).count()))
 }
 
-fn foot(app: &App, now: Moment, pen: &mut Pen<'_>) {
+fn foot(app: &App, findings: &[Finding], now: Moment, pen: &mut Pen<'_>) {
     let y = pen.height() - 1;
     if app.typing {
         pen.line(y, &[(" /", Ink::Head), (&app.shape.filter, Ink::Plain), ("_", Ink::Plain)]);
@@ -269,7 +270,7 @@ fn foot(app: &App, now: Moment, pen: &mut Pen<'_>) {
     }
     if let Some(trouble) = app.store().troubles().next() {
         pieces.push((format!(" ! {trouble}"), Ink::Warn));
-    } else if let Some(worst) = app.findings(now).first().filter(|f| f.level >= Level::Warn) {
+    } else if let Some(worst) = findings.first().filter(|f| f.level >= Level::Warn) {
         let place = overview::label(app, worst.place);
         let ink = if worst.level == Level::Bad { Ink::Bad } else { Ink::Warn };
         pieces.push((format!(" {} {place}: {}", mark(worst.level), worst.text), ink));
@@ -284,28 +285,34 @@ fn foot(app: &App, now: Moment, pen: &mut Pen<'_>) {
 fn awaited(app: &App, cell: &Name, now: Moment) -> Option<(String, Ink)> {
     let store = app.store();
     let names = store.names(cell)?;
-    let first = waits::awaited(store, cell, now).into_iter().next()?;
-    let tasks = (0..names.tasks.len()).filter(|at| TaskId::from_index(*at) != first.task).count();
-    let life = names.home(first.task).and_then(|node| store.latest(cell, node));
-    let node = names.home(first.task).map_or_else(String::new, |node| format!("@{}", names.node(node)));
-    let gone = life.map(|life| life.presence(now)).filter(|presence| presence.is_gone());
-    let crashed = life.and_then(|l| l.task(first.task)).is_some_and(|t| t.liveness != Liveness::Alive);
-    let state = match (gone, crashed) {
-        (Some(gone), _) => format!(", {gone}"),
-        (None, true) => ", no longer running".to_owned(),
-        (None, false) => String::new(),
+    let found = waits::awaited(store, cell, now);
+    let first = found.first()?;
+    let same: Vec<TaskId> = found.iter().filter(|a| a.by == first.by).map(|a| a.task).collect();
+    let life = |task| names.home(task).and_then(|node| store.latest(cell, node));
+    let told = |task: &TaskId| {
+        let node = names.home(*task).map_or_else(String::new, |node| format!("@{}", names.node(node)));
+        let gone = life(*task).map(|life| life.presence(now)).filter(|presence| presence.is_gone());
+        let runs = life(*task).and_then(|l| l.task(*task)).is_none_or(|t| t.liveness == Liveness::Alive);
+        let state = match (gone, runs) {
+            (Some(gone), _) => format!(", {gone}"),
+            (None, false) => ", no longer running".to_owned(),
+            (None, true) => String::new(),
+        };
+        (format!("{}{node}{state}", names.task(*task)), state.is_empty())
     };
-    let by: Vec<_> = first.by.iter().take(4).map(|task| names.task(*task).to_string()).collect();
-    let more = if first.by.len() > 4 { ", ..." } else { "" };
-    let all = if first.by.len() >= tasks { "everybody waits" } else { "waiting" };
-    let text = format!(
-        " {} {all} for {}{node}{state} ({}): {}{more}",
-        app.theme.glyphs.arrow,
-        names.task(first.task),
-        first.why,
-        by.join(", ")
-    );
-    Some((text, if state.is_empty() { Ink::Warn } else { Ink::Bad }))
+    let whom: Vec<_> = same.iter().take(3).map(told).collect();
+    let ink = if whom.iter().all(|(_, runs)| *runs) { Ink::Warn } else { Ink::Bad };
+    let whom: Vec<_> = whom.into_iter().map(|(text, _)| text).collect();
+    let few: Vec<_> = first.by.iter().take(4).map(|task| names.task(*task).to_string()).collect();
+    let few = few.join(", ") + if first.by.len() > 4 { ", ..." } else { "" };
+    let sign = app.theme.glyphs.arrow;
+    let everybody = first.by.len() > 1 && first.by.len() + same.len() >= names.tasks.len();
+    let text = match (everybody, first.by.len()) {
+        (true, _) => format!(" {sign} EVERYBODY waits for {} ({}): {few}", whom.join(", "), first.why),
+        (false, 1) => format!(" {sign} {few} waits for {} ({})", whom.join(", "), first.why),
+        (false, many) => format!(" {sign} {many} tasks wait for {} ({}): {few}", whom.join(", "), first.why),
+    };
+    Some((text, ink))
 }
 
 /// The sign for how much something matters.

@@ -6,7 +6,7 @@ use crate::app::App;
 use crate::clock::Moment;
 use crate::store::Life;
 use crate::store::conformance::{Verdict, conformance};
-use crate::store::coverage::{KINDS, is_possible};
+use crate::store::coverage::{Abilities, KINDS};
 use crate::store::timeline::timeline_of;
 use crate::store::trail::{KEPT, Trail};
 use crate::theme::Ink;
@@ -115,9 +115,10 @@ impl Sum {
         let counts = trail.fired(life.id, Some(task));
         let mut sum = Self::default();
         let Some(snapshot) = life.task(task) else { return sum };
+        let abilities = Abilities::of(&snapshot.view);
         for (at, kind) in KINDS.into_iter().enumerate() {
             match counts.and_then(|counts| counts.get(at)).copied().unwrap_or(0) {
-                0 if is_possible(kind, &snapshot.view) => sum.never.push(kind),
+                0 if abilities.allow(kind) => sum.never.push(kind),
                 0 => {}
                 count => sum.fired.push((kind, count)),
             }

@@ -77,9 +77,8 @@ fn columns(width: u16) -> (Vec<Column>, &'static [usize]) {
     }
 }
 
-pub(super) fn draw(app: &App, now: Moment, pen: &mut Pen<'_>) {
-    let findings = app.findings(now);
-    let rows = app.rows(&findings, now);
+pub(super) fn draw(app: &App, findings: &[Finding], now: Moment, pen: &mut Pen<'_>) {
+    let rows = app.rows(findings, now);
     let selected = app.selected(&rows);
     let (columns, shown) = columns(pen.area.width);
     let mut titles = pen.below(0);
@@ -104,7 +103,7 @@ pub(super) fn draw(app: &App, now: Moment, pen: &mut Pen<'_>) {
     self::foot(app, now, &mut pen.below(foot));
     // Only the rows in sight are made: a cell of ten thousand ports costs no more than what is seen of it.
     for (y, (i, row)) in (1..).zip(rows.iter().enumerate().skip(first).take(height)) {
-        let cells = cells(app, row, &findings, pen.area.width, now);
+        let cells = cells(app, row, findings, pen.area.width, now);
         let cells: Vec<_> = shown.iter().map(|&c| (cells[c].0.as_str(), cells[c].1)).collect();
         if i == selected {
             pen.at(0, y, 1, app.theme.glyphs.selected, Ink::Head);
@@ -316,8 +315,7 @@ fn node(app: &App, life: &Life, row: &Row, now: Moment, cells: &mut Cells) {
         Some(RealTime::Refused { .. }) => cells[1] = (format!("{}  NO RT", cells[1].0), Ink::Warn),
         Some(RealTime::NotAsked) | None => {}
     }
-    let ports = life.tasks().iter().flat_map(|t| t.view.ports.iter().map(move |p| (t, p)));
-    sum(app, life, ports, now, cells);
+    sum(app, life, life.tasks(), now, cells);
     if let Some(transit) =
         life.last.as_ref().map(|s| &s.snapshot.transit).filter(|t| t.len > 0 && !presence.is_gone())
     {
@@ -335,7 +333,7 @@ fn task(app: &App, life: &Life, task: &TaskSnapshot, row: &Row, now: Moment, cel
             (state(life, &task.view.state) + &left, Ink::Plain)
         }
     };
-    sum(app, life, task.view.ports.iter().map(|p| (task, p)), now, cells);
+    sum(app, life, std::slice::from_ref(task), now, cells);
 }
 
 /// What is left of the wait that the task is in.
@@ -349,31 +347,29 @@ fn remaining(life: &Life, task: &TaskSnapshot, now: Moment) -> Option<Left> {
     remaining.map(|r| life.left(r, task.age_us, now))
 }
 
-/// The sums over ports: queue, least slack, rate, counters.
-fn sum<'a>(
-    app: &App,
-    life: &Life,
-    ports: impl Iterator<Item = (&'a TaskSnapshot, &'a PortView)>,
-    now: Moment,
-    cells: &mut Cells,
-) {
+/// The sums over the ports of tasks: queue, least slack, rate, counters.
+fn sum(app: &App, life: &Life, tasks: &[TaskSnapshot], now: Moment, cells: &mut Cells) {
     let (mut len, mut capacity, mut rate) = (0_u64, 0_u64, None::<f64>);
     let mut least: Option<Left> = None;
     let mut total = PortCounters::default();
-    for (task, port) in ports {
-        if port.usage != Usage::Waitfor {
-            len += u64::from(port.len);
-            capacity += u64::from(port.capacity);
-        }
-        let left = port.min_slack.map(|s| life.left(s, task.age_us, now));
+    for task in tasks {
+        let earlier = life.earlier(task);
+        let slacks = task.view.ports.iter().filter_map(|port| port.min_slack);
+        let left = slacks.min().map(|slack| life.left(slack, task.age_us, now));
         least = [least, left].into_iter().flatten().min();
-        rate = [rate, life.rate(task.view.task, port.port)].into_iter().flatten().reduce(|a, b| a + b);
-        let c = counted(app, life, task.view.task, port);
-        total.expired = total.expired.saturating_add(c.expired);
-        total.refused = total.refused.saturating_add(c.refused).saturating_add(c.evicted);
-        total.rejected = total.rejected.saturating_add(c.rejected);
-        total.resent = total.resent.saturating_add(c.resent);
-        total.timed_out = total.timed_out.saturating_add(c.timed_out);
+        for port in &task.view.ports {
+            if port.usage != Usage::Waitfor {
+                len += u64::from(port.len);
+                capacity += u64::from(port.capacity);
+            }
+            rate = [rate, life.rate_of(earlier, port)].into_iter().flatten().reduce(|a, b| a + b);
+            let c = counted(app, life, task.view.task, port);
+            total.expired = total.expired.saturating_add(c.expired);
+            total.refused = total.refused.saturating_add(c.refused).saturating_add(c.evicted);
+            total.rejected = total.rejected.saturating_add(c.rejected);
+            total.resent = total.resent.saturating_add(c.resent);
+            total.timed_out = total.timed_out.saturating_add(c.timed_out);
+        }
     }
     if capacity > 0 {
         cells[2] = (format!("{len}/{capacity}"), Ink::Plain);

@@ -4,10 +4,11 @@ use super::Hit;
 use super::pen::{Column, Pen, bar, first_row};
 use crate::app::App;
 use crate::clock::{Moment, Span};
+use crate::store::queue::{Waiting, queue};
 use crate::store::service::{Service, Share, service};
 use crate::store::{Life, PortInfo};
 use crate::theme::Ink;
-use imrs_protocol::{Class, PortView, QueueEntry, TaskId};
+use imrs_protocol::{Class, PortView, TaskId};
 
 /// The rows above the table: with little room only what the port is and what it has counted.
 const fn above(height: u16) -> u16 {
@@ -15,13 +16,13 @@ const fn above(height: u16) -> u16 {
 }
 
 pub(super) fn draw(app: &App, now: Moment, pen: &mut Pen<'_>) {
-    let queues = app.queues(now);
+    let queues = app.queues();
     let Some(end) = app.port(&queues) else {
         pen.line(1, &[(" No port of this cell receives messages.", Ink::Plain)]);
         return;
     };
     let Some(life) = app.store().life(end.life) else { return };
-    let Some((task, view)) = life.task(end.task).zip(life.port(end.task, end.port)) else { return };
+    let Some(view) = life.port(end.task, end.port) else { return };
     let info = life.names.port(end.port);
     let at = queues
         .iter()
@@ -36,19 +37,20 @@ pub(super) fn draw(app: &App, now: Moment, pen: &mut Pen<'_>) {
         fill(app, view, served.as_ref(), pen);
     }
     let whole = info.and_then(|i| i.time_out(end.task)).map_or(0, |t| t.0.saturating_mul(life.tick_us));
-    let queue = Queue { app, life, view, served: served.as_ref(), whole_us: whole, age_us: task.age_us, now };
+    let waiting = queue(life, end.task, end.port, now);
+    bypassed(life, end.task, end.port, pen);
+    let queue = Queue { app, life, view, waiting, served: served.as_ref(), whole_us: whole };
     queue.draw(&mut pen.below(above));
 }
 
 /// The message at a row below the head.
 pub(super) fn hit(app: &App, now: Moment, size: (u16, u16), y: u16) -> Option<Hit> {
-    let end = app.port(&app.queues(now))?;
-    let view = app.store().life(end.life)?.port(end.task, end.port)?;
+    let queue = app.queue(now);
     let height = size.1.saturating_sub(2);
     let row = usize::from(y.checked_sub(above(height) + 1)?);
     let room = usize::from(height.saturating_sub(above(height) + 1));
-    let at = first_row(app.entry(view), view.queue.len(), room) + row;
-    (at < view.queue.len()).then_some(Hit::Entry(at))
+    let at = first_row(app.entry(&queue), queue.len(), room) + row;
+    (at < queue.len()).then_some(Hit::Entry(at))
 }
 
 /// How long the task takes for a message, and how its sources fare against each other.
@@ -75,6 +77,18 @@ fn shares(life: &Life, served: Option<&Service>, pen: &mut Pen<'_>) {
     pieces.push((each.join("  "), Ink::Plain));
     let pieces: Vec<_> = pieces.iter().map(|(text, ink)| (text.as_str(), *ink)).collect();
     pen.line(2, &pieces);
+}
+
+/// Of a watched port with rivals: how often others were served before it, of how often at most (D58).
+fn bypassed(life: &Life, task: TaskId, port: imrs_protocol::PortId, pen: &mut Pen<'_>) {
+    let Some(told) = life.watched(task, port).filter(|told| told.what.queue.bypass_limit > 0) else { return };
+    let queue = &told.what.queue;
+    let text = format!("passed over {} of at most {} ", queue.bypassed, queue.bypass_limit);
+    let x = pen.area.width.saturating_sub(u16::try_from(text.len()).unwrap_or(0));
+    if pen.area.width >= 100 {
+        let near = queue.bypassed.saturating_mul(2) > queue.bypass_limit;
+        pen.at(x, 1, u16::MAX, &text, if near { Ink::Warn } else { Ink::Dim });
+    }
 }
 
 /// How full the buffer has been, and how urgent what waited in it.
@@ -154,12 +168,10 @@ struct Queue<'a> {
     app: &'a App,
     life: &'a Life,
     view: &'a PortView,
+    waiting: Vec<Waiting>,
     served: Option<&'a Service>,
     /// The whole life of a message.
     whole_us: u64,
-    /// How long before the snapshot the remaining times were true.
-    age_us: u64,
-    now: Moment,
 }
 
 /// How many rejections by rank make a message a starving one.
@@ -171,7 +183,8 @@ impl Queue<'_> {
         let shown: &[usize] = match width {
             0..60 => &[0, 1, 4, 5],
             60..100 => &[0, 1, 2, 4, 5, 8],
-            _ => &[0, 1, 2, 3, 4, 5, 6, 7, 8],
+            100..130 => &[0, 1, 2, 3, 4, 5, 7, 9, 8],
+            _ => &[0, 1, 2, 3, 4, 5, 6, 7, 9, 8],
         };
         let columns: Vec<Column> = shown.iter().map(|&i| column(i, width)).collect();
         let mut inner = pen.below(0);
@@ -179,17 +192,17 @@ impl Queue<'_> {
         inner.area.width = inner.area.width.saturating_sub(1);
         let widths = inner.widths(&columns);
         inner.titles(0, &columns, &widths);
-        if self.view.queue.is_empty() {
+        if self.waiting.is_empty() {
             inner.line(1, &[("   - no message waits -", Ink::Dim)]);
             return;
         }
         let bar_at = shown.iter().position(|&i| i == 5).unwrap_or(0);
         let bar_width = widths.get(bar_at).map_or(0, |w| w.saturating_sub(2)).min(60);
         let room = usize::from(inner.height().saturating_sub(1));
-        let selected = self.app.entry(self.view);
-        let first = first_row(selected, self.view.queue.len(), room);
-        for (y, (i, entry)) in (1..).zip(self.view.queue.iter().enumerate().skip(first).take(room)) {
-            let cells = self.cells(i, entry, bar_width);
+        let selected = self.app.entry(&self.waiting);
+        let first = first_row(selected, self.waiting.len(), room);
+        for (y, (i, waiting)) in (1..).zip(self.waiting.iter().enumerate().skip(first).take(room)) {
+            let cells = self.cells(i, waiting, bar_width);
             let cells: Vec<_> = shown.iter().map(|&c| (cells[c].0.as_str(), cells[c].1)).collect();
             let mut inner = pen.below(0);
             inner.area.x += 1.min(inner.area.width);
@@ -205,7 +218,7 @@ impl Queue<'_> {
 
     /// At the right of the titles: how many rows are below.
     fn hidden(&self, shown: usize, pen: &mut Pen<'_>) {
-        let hidden = usize::from(self.view.len).max(self.view.queue.len()).saturating_sub(shown);
+        let hidden = usize::from(self.view.len).max(self.waiting.len()).saturating_sub(shown);
         if hidden > 0 && pen.height() > 0 {
             let text = format!(" {hidden} more ");
             let x = pen.area.width.saturating_sub(u16::try_from(text.len()).unwrap_or(0));
@@ -213,64 +226,74 @@ impl Queue<'_> {
         }
     }
 
-    /// Place, source, id, class, time left, bar, age, rejections, verdict.
-    fn cells(&self, at: usize, entry: &QueueEntry, bar_width: u16) -> [(String, Ink); 9] {
-        let left = self.life.left(entry.remaining, self.age_us, self.now);
-        let rejected = self.served.map_or(0, |s| s.rejections(entry.source, entry.id.sequence.get()));
+    /// Place, source, id, class, time left, bar, age, rejections, verdict, back-off.
+    fn cells(&self, at: usize, waiting: &Waiting, bar_width: u16) -> [(String, Ink); 10] {
+        let (entry, left) = (&waiting.entry, waiting.left);
+        let known = self.served.map_or(0, |s| s.rejections(entry.source, entry.id.sequence.get()));
+        let rejected = waiting.held.map_or(known, |held| u32::from(held.rejections));
         let done_us = self.served.and_then(|served| served.done_in(at));
-        let (verdict, ink) = self.verdict(at, entry, left.us, done_us, rejected);
+        let (verdict, ink) = self.verdict(at, waiting, done_us, rejected);
         let tight = if ink == Ink::Plain && left.us < self.whole_us / 10 { Ink::Warn } else { ink };
         let remain = if left.us == 0 { "expired".to_owned() } else { left.to_string() };
         let age = Span::micros(self.whole_us.saturating_sub(left.us)).to_string();
         let class = if entry.class == Class::Command { "2" } else { "1" };
-        let bar = self.bar(bar_width, left.us, done_us);
+        let penalty = match (waiting.held, waiting.back_off_us) {
+            (None, _) => "?".to_owned(),
+            (Some(_), 0) => "0".to_owned(),
+            (Some(_), us) => format!("+{}", Span::micros(us)),
+        };
         [
             ((at + 1).to_string(), Ink::Dim),
             (self.life.names.task(entry.source).to_string(), Ink::Plain),
             (format!("#{}", entry.id), Ink::Dim),
             (class.to_owned(), Ink::Plain),
             (remain, tight),
-            (bar, if tight == Ink::Plain { Ink::Bar } else { tight }),
+            (self.bar(bar_width, waiting, done_us), if tight == Ink::Plain { Ink::Bar } else { tight }),
             (age, Ink::Dim),
             (rejected.to_string(), if rejected > 0 { Ink::Warn } else { Ink::Dim }),
             (verdict, ink),
+            (penalty, if waiting.back_off_us > 0 { Ink::Warn } else { Ink::Dim }),
         ]
     }
 
-    /// What is left of a message's life, and in it the mark by which it is likely to be done.
-    fn bar(&self, width: u16, left_us: u64, done_us: Option<u64>) -> String {
-        let plain = bar(&self.app.theme, width, left_us, self.whole_us);
-        let Some(done_us) = done_us.filter(|_| self.whole_us > 0 && width > 0) else {
-            return format!("[{plain}]");
+    /// What is left of a message's life, the back-off that reaches beyond it, and the mark by which it is likely done.
+    fn bar(&self, width: u16, waiting: &Waiting, done_us: Option<u64>) -> String {
+        let signs = self.app.theme.glyphs;
+        let life = bar(&self.app.theme, width, waiting.left.us, self.whole_us);
+        let waits = bar(&self.app.theme, width, waiting.back_off_us, self.whole_us);
+        let place = |us: u64| {
+            let at = u128::from(us) * u128::from(width) / u128::from(self.whole_us.max(1));
+            usize::try_from(at).unwrap_or(usize::MAX).min(usize::from(width.saturating_sub(1)))
         };
-        let at = u128::from(done_us) * u128::from(width) / u128::from(self.whole_us);
-        let at = usize::try_from(at).unwrap_or(usize::MAX).min(usize::from(width) - 1);
-        let marked = |(i, sign): (usize, char)| {
-            if i == at { self.app.theme.glyphs.done.to_owned() } else { sign.to_string() }
+        let done = done_us.filter(|_| self.whole_us > 0).map(place);
+        let both = life.chars().zip(waits.chars()).enumerate();
+        let sign = |(at, (life, waits)): (usize, (char, char))| match (done, signs.empty.contains(life)) {
+            (Some(done), _) if done == at => signs.done.to_owned(),
+            (_, true) if signs.full.contains(waits) => signs.wait.to_owned(),
+            _ => life.to_string(),
         };
-        format!("[{}]", plain.chars().enumerate().map(marked).collect::<String>())
+        format!("[{}]", both.map(sign).collect::<String>())
     }
 
-    fn verdict(
-        &self,
-        at: usize,
-        entry: &QueueEntry,
-        left_us: u64,
-        done_us: Option<u64>,
-        rejected: u32,
-    ) -> (String, Ink) {
+    fn verdict(&self, at: usize, waiting: &Waiting, done_us: Option<u64>, rejected: u32) -> (String, Ink) {
+        let left_us = waiting.left.us;
+        let status = waiting.entry.class == Class::Status;
         let full = self.view.len >= self.view.capacity && self.view.capacity > 0;
         // Only class 1 makes room for others, the least urgent first.
-        let last = self.view.queue.iter().rposition(|e| e.class == Class::Status) == Some(at);
+        let last = self.waiting.iter().rposition(|w| w.entry.class == Class::Status) == Some(at);
+        let capped = waiting.held.is_some_and(|held| held.capped);
         match done_us {
             _ if left_us == 0 => ("expired".to_owned(), Ink::Bad),
+            _ if waiting.back_off_us > left_us && !capped => {
+                let text = format!("!! MISS: not offered for {}", Span::micros(waiting.back_off_us));
+                (text, Ink::Bad)
+            }
             Some(needs) if left_us < needs => {
                 (format!("!! MISS likely: needs {}", Span::micros(needs)), Ink::Bad)
             }
+            _ if capped => (format!("! {rejected} rejects: goes before all now"), Ink::Warn),
             _ if rejected >= STARVING => (format!("! starving: {rejected} rejects"), Ink::Warn),
-            _ if full && last && entry.class == Class::Status => {
-                ("! first to go: full".to_owned(), Ink::Warn)
-            }
+            _ if full && last && status => ("! first to go: full".to_owned(), Ink::Warn),
             Some(_) => ("ok".to_owned(), Ink::Plain),
             None => ("-".to_owned(), Ink::Plain),
         }
@@ -309,6 +332,7 @@ const fn column(which: usize, width: u16) -> Column {
         ),
         6 => Column::right("AGE", 7),
         7 => Column::right("REJ", 4),
+        9 => Column::right("PEN", 6),
         _ => Column::left("VERDICT", 0),
     }
 }

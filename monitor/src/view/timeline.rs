@@ -4,9 +4,9 @@
 use super::pen::Pen;
 use super::words::{ink, short};
 use crate::app::App;
-use crate::app::lanes::{Chart, Slice, own_clock};
-use crate::clock::{Moment, Span};
-use crate::store::timeline::Mark;
+use crate::app::lanes::{Chart, Slice};
+use crate::clock::Span;
+use crate::store::timeline::{Mark, own_clock};
 use crate::theme::Ink;
 use std::time::Duration;
 
@@ -15,7 +15,7 @@ const AXIS: u16 = 11;
 /// The least columns of a lane.
 const LANE: u16 = 24;
 
-pub(super) fn draw(app: &App, now: Moment, pen: &mut Pen<'_>) {
+pub(super) fn draw(app: &App, pen: &mut Pen<'_>) {
     let chart = app.chart();
     if chart.lanes.is_empty() {
         pen.line(1, &[(" This cell has no tasks yet.", Ink::Plain)]);
@@ -61,12 +61,17 @@ pub(super) fn draw(app: &App, now: Moment, pen: &mut Pen<'_>) {
     if chart.rows.is_empty() {
         pen.line(1, &[(" Nothing has happened since the monitor came.", Ink::Dim)]);
     }
-    corner(&chart, now, pen);
+    corner(app, &chart, pen);
 }
 
 /// At the right of the titles: how fine, and whether new rows are followed.
-fn corner(chart: &Chart, _now: Moment, pen: &mut Pen<'_>) {
+fn corner(app: &App, chart: &Chart, pen: &mut Pen<'_>) {
+    let lives = chart.lanes.iter().filter_map(|task| app.life_of_task(*task));
+    let error = lives.filter_map(|life| life.clock).map(|clock| clock.error_us).max();
     let zoom = chart.zoom.map_or_else(|| "each event".to_owned(), |zoom| format!("{} a row", Span(zoom)));
+    let zoom = if chart.sparse { format!("no ordinary messages, {zoom}") } else { zoom };
+    let clocks = error.filter(|_| pen.area.width >= 60).map(|us| format!("clocks +-{}, ", Span::micros(us)));
+    let zoom = clocks.unwrap_or_default() + &zoom;
     let newer = chart.rows.len().saturating_sub(chart.bottom + 1);
     let text = if chart.held { format!(" {zoom}, +{newer} new, G follows ") } else { format!(" {zoom} ") };
     let x = pen.area.width.saturating_sub(u16::try_from(text.len()).unwrap_or(0));

@@ -94,10 +94,13 @@ pub(super) fn lines(app: &App, now: Moment) -> Vec<Line> {
         let gone = life.presence(now).is_gone();
         let timers = life.last.as_ref().map_or(0, |s| s.snapshot.timers.len());
         let presence = if gone { format!("  {}", life.presence(now)) } else { String::new() };
-        lines.push(Line::Node(
-            format!("{}{presence}  Timer: {timers} running  {}", life.node, lateness(life)),
-            if gone { Ink::Dim } else { Ink::Head },
-        ));
+        let (late, is_late) = lateness(life);
+        let ink = match (gone, is_late) {
+            (true, _) => Ink::Dim,
+            (false, true) => Ink::Warn,
+            (false, false) => Ink::Head,
+        };
+        lines.push(Line::Node(format!("{}{presence}  Timer: {timers} running  {late}", life.node), ink));
         let mut entries = entries(life, store.trail(), now);
         entries.sort_by_key(|entry| (entry.left.us, entry.owner));
         if entries.is_empty() {
@@ -109,8 +112,19 @@ pub(super) fn lines(app: &App, now: Moment) -> Vec<Line> {
 }
 
 /// How late the Timer was, as far as the node says it.
-fn lateness(_life: &Life) -> String {
-    "late: -".to_owned()
+fn lateness(life: &Life) -> (String, bool) {
+    let Some(told) = &life.vitals else { return ("late: -".to_owned(), false) };
+    let timer = told.what.timer;
+    let us = Span::micros;
+    let text = format!(
+        "late: p50 {} p99 {} max {}; {} of {} past the tick",
+        us(timer.p50_us),
+        us(timer.p99_us),
+        us(timer.max_us),
+        timer.late,
+        timer.count
+    );
+    (text, timer.late > 0)
 }
 
 fn line(life: &Life, entry: Entry, gone: bool) -> Line {
