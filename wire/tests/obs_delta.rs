@@ -212,7 +212,7 @@ fn what_only_grew_older_costs_nothing() {
 
 #[test]
 fn a_change_of_another_snapshot_is_told_apart() {
-    let (old, new) = (snapshot(2, 2, 0), snapshot(2, 2, 4));
+    let (mut old, new) = (snapshot(2, 2, 0), snapshot(2, 2, 4));
     let mut third = snapshot(2, 2, 9);
     let before = third.clone();
     let error = third.apply(&Delta::between(&old, &new));
@@ -225,7 +225,7 @@ fn a_change_of_another_snapshot_is_told_apart() {
     let Changed::Parts(tasks) = &mut forged.tasks else { panic!("in parts") };
     let TaskChange::Parts(parts) = &mut tasks[0].what else { panic!("in parts") };
     parts.ports[0].what.by.clear();
-    assert_eq!(old.clone().apply(&forged), Err(DeltaError::OtherCounters));
+    assert_eq!(old.apply(&forged), Err(DeltaError::OtherCounters));
     assert_eq!(third, before);
 }
 
