@@ -12,6 +12,7 @@ import subprocess
 import sys
 import tempfile
 import time
+from contextlib import contextmanager
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
@@ -157,28 +158,64 @@ class Screen:
         sys.exit(f"never showed {showing}:\n{shown}")
 
 
-def main():
+def keys(screen, *names):
+    for name in names:
+        screen.tmux("send-keys", "--", name)
+        time.sleep(0.3)
+
+
+def lift():
+    """The overview and the rendezvous, of a beam lift whose hoist dies."""
+    with running(18, "beam-lift", "--for", "60s", "--loss", "5%", "--kill", "hoist@6s") as screen:
+        screen.wait_for("armL", "armR", "hoist")
+        time.sleep(2)
+        screen.save("monitor-overview.svg", "The overview: nodes, tasks and ports of the beam lift while it runs")
+        screen.wait_for("DEAD")
+        keys(screen, "3")
+        screen.wait_for("MISSING")
+        time.sleep(1)
+        screen.save("monitor-rendezvous.svg", "The rendezvous after the hoist's node was killed: both arms wait for it",
+                    r"1\d\dms left")
+
+
+def weld():
+    """The other screens, of two robots that weld until the first one's node is killed."""
+    with running(26, "failover-weld", "--for", "60s") as screen:
+        screen.wait_for("r1", "r2", "dresser")
+        screen.wait_for("DEAD")
+        time.sleep(4)
+        keys(screen, "2", "l")
+        screen.save("monitor-port.svg", "A port's queue: the order of service, what each message still has, and what comes of it")
+        keys(screen, "4")
+        screen.save("monitor-timeline.svg", "The timeline: who sent what to whom, in an order that respects causes")
+        keys(screen, "k", "Enter")
+        screen.save("monitor-message.svg", "The life of one message: what each stage took of it", "whole life")
+        keys(screen, "Escape", "5")
+        screen.save("monitor-timers.svg", "What runs out when, on every node")
+        keys(screen, "6")
+        screen.save("monitor-events.svg", "What happened: the first robot's node died, the second took over")
+        keys(screen, "7")
+        screen.save("monitor-model.svg", "Whether the nodes do what the model does, and which transitions were seen")
+        keys(screen, "?")
+        screen.save("monitor-help.svg", "The help of a screen: its keys, its signs, its columns")
+
+
+@contextmanager
+def running(rows, *demo):
+    """A screen of the monitor on a demo that runs."""
     with tempfile.TemporaryDirectory(prefix="imrs-picture") as folder:
         env = {**os.environ, "XDG_RUNTIME_DIR": folder}
-        demo = subprocess.Popen([IMRS, "demo", "beam-lift", "--for", "60s", "--loss", "5%", "--kill", "hoist@6s"],
-                                env=env, stdout=subprocess.DEVNULL)
-        screen = Screen(18)
+        demo = subprocess.Popen([IMRS, "demo", *demo], env=env, stdout=subprocess.DEVNULL)
+        screen = Screen(rows)
         try:
             time.sleep(1)
             screen.tmux("send-keys", f"clear; TERM=tmux-256color XDG_RUNTIME_DIR={folder} LC_ALL=C.UTF-8 exec {IMRS} monitor", "Enter")
-            screen.wait_for("armL", "armR", "hoist")
-            time.sleep(2)
-            screen.save("monitor-overview.svg", "The overview: nodes, tasks and ports of the beam lift while it runs")
-            screen.wait_for("DEAD")
-            screen.tmux("send-keys", "3")
-            screen.wait_for("MISSING")
-            time.sleep(1)
-            screen.save("monitor-rendezvous.svg", "The rendezvous after the hoist's node was killed: both arms wait for it",
-                        r"1\d\dms left")
+            yield screen
         finally:
             demo.send_signal(signal.SIGINT)
             demo.wait(timeout=20)
             screen.tmux("kill-server")
 
 
-main()
+lift()
+weld()

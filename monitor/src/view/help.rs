@@ -136,7 +136,7 @@ const fn columns(screen: Screen) -> &'static [(&'static str, &'static str)] {
             ("RES", "copies sent again"),
             ("T/O", "own requests that ended by time_out"),
             ("HEALTH", "the worst of what is within the row"),
-            ("links", "whether anything came over each link in the last second"),
+            ("links", "ok: something came in the last second; quiet: for so long nothing did"),
             ("model", "what the validator says of the recorded inputs"),
         ],
         Screen::Port => &[

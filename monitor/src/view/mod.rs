@@ -1,5 +1,6 @@
 //! From what is known to what is seen: pure functions of the app and the moment, one screen per file.
 
+mod below;
 mod events;
 mod help;
 mod message;

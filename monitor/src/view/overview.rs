@@ -1,19 +1,16 @@
 //! Screen 1: nodes, their tasks, their ports; the worst of what is within a row stands in the row.
 
-use super::Hit;
-use super::mark;
 use super::pen::{Column, Pen, bar, first_row, widths};
+use super::{Hit, below, mark};
 use crate::app::App;
 use crate::clock::{Moment, Span};
-use crate::name::Name;
 use crate::rows::{Row, Sort};
-use crate::store::conformance::{Verdict, conformance};
 use crate::store::health::{Finding, Place};
 use crate::store::journal::Level;
 use crate::store::meeting::state;
 use crate::store::{Left, Life, LifeId, Presence};
 use crate::theme::Ink;
-use imrs_protocol::{NodeId, PortCounters, PortView, TaskId, Usage};
+use imrs_protocol::{PortCounters, PortView, TaskId, Usage};
 use imrs_wire::obs::{Liveness, RealTime, TaskSnapshot};
 use std::time::Duration;
 
@@ -96,11 +93,11 @@ pub(super) fn draw(app: &App, findings: &[Finding], now: Moment, pen: &mut Pen<'
         let x = titles.area.width.saturating_sub(u16::try_from(text.len()).unwrap_or(0));
         titles.at(x, 0, u16::MAX, &text, Ink::Head);
     }
-    let below = below(pen.area.width, pen.height());
+    let below = below::rows(pen.height());
     let height = usize::from(pen.height().saturating_sub(1 + below));
     let first = first_row(selected, rows.len(), height);
     let foot = pen.height().saturating_sub(below);
-    self::foot(app, now, &mut pen.below(foot));
+    below::draw(app, now, &mut pen.below(foot));
     // Only the rows in sight are made: a cell of ten thousand ports costs no more than what is seen of it.
     for (y, (i, row)) in (1..).zip(rows.iter().enumerate().skip(first).take(height)) {
         let cells = cells(app, row, findings, pen.area.width, now);
@@ -115,88 +112,6 @@ pub(super) fn draw(app: &App, findings: &[Finding], now: Moment, pen: &mut Pen<'
             pen.select(y);
         }
     }
-}
-
-/// How many rows at the foot are for whom everybody waits for, the links and the model.
-const fn below(_width: u16, height: u16) -> u16 {
-    match height {
-        0..8 => 0,
-        8..16 => 1,
-        _ => 2,
-    }
-}
-
-/// Whom everybody waits for; the links, and what the model says.
-fn foot(app: &App, now: Moment, pen: &mut Pen<'_>) {
-    let Some(cell) = app.cell().filter(|_| pen.height() > 0) else { return };
-    match super::awaited(app, &cell, now) {
-        Some((text, ink)) => pen.line(0, &[(&text, ink)]),
-        None => pen.line(0, &[(" nobody waits for one who alone could end it", Ink::Dim)]),
-    }
-    let mut pieces = links(app, &cell, now);
-    pieces.extend(model(app, &cell));
-    let pieces: Vec<_> = pieces.iter().map(|(text, ink)| (text.as_str(), *ink)).collect();
-    pen.line(1, &pieces);
-}
-
-/// For each link what its two ends lately sent over it, or that nothing comes over it.
-fn links(app: &App, cell: &Name, now: Moment) -> Vec<(String, Ink)> {
-    let store = app.store();
-    let Some(names) = store.names(cell) else { return Vec::new() };
-    let mut pieces = vec![(" links".to_owned(), Ink::Dim)];
-    let mut quiet = 0;
-    for link in &names.links {
-        let ends = [(link.a, link.b), (link.b, link.a)];
-        let heard = ends.map(|(at, peer)| heard(app, cell, at, peer, now));
-        let name = format!(" {}-{} ", names.node(link.a), names.node(link.b));
-        let silent = |heard: &Option<u64>| heard.is_none_or(|us| us > DOWN_US);
-        match heard {
-            [None, None] => quiet += 1,
-            _ if heard.iter().all(silent) => {
-                let ago = heard.iter().flatten().min().copied().unwrap_or(0);
-                pieces.push((format!("{name}silent {}", Span::micros(ago)), Ink::Warn));
-            }
-            _ => pieces.push((format!("{name}ok"), Ink::Plain)),
-        }
-    }
-    if quiet > 0 {
-        pieces.push((format!("  {quiet} unknown"), Ink::Dim));
-    }
-    pieces
-}
-
-/// A link over which nothing has come for so long is told as silent.
-const DOWN_US: u64 = 1_000_000;
-
-/// How long ago anything came to `at` from `peer`; `None`: never, or nobody says.
-fn heard(app: &App, cell: &Name, at: NodeId, peer: NodeId, now: Moment) -> Option<u64> {
-    let life = app.store().latest(cell, at).filter(|life| !life.presence(now).is_gone())?;
-    let last = life.last.as_ref()?;
-    last.snapshot.links.iter().find(|link| link.peer == peer)?.heard_us
-}
-
-/// What the validator says of all nodes together.
-fn model(app: &App, cell: &Name) -> Vec<(String, Ink)> {
-    let store = app.store();
-    let (mut steps, mut unknown, mut violated) = (0_u64, 0, None);
-    let mut lives = 0;
-    for life in store.lives_of(cell) {
-        let told = conformance(store, life.id);
-        lives += 1;
-        steps = steps.saturating_add(told.steps);
-        match told.verdict {
-            Verdict::Unknown { .. } => unknown += 1,
-            Verdict::Conforms => {}
-            Verdict::Violates { .. } => violated = violated.or_else(|| Some(life.node.to_string())),
-        }
-    }
-    let (text, ink) = match violated {
-        Some(node) => (format!("{node} VIOLATES it (7)"), Ink::Bad),
-        None if unknown == lives => ("UNKNOWN, not recorded".to_owned(), Ink::Dim),
-        None if unknown > 0 => (format!("conforms in {steps} steps, {unknown} nodes UNKNOWN"), Ink::Warn),
-        None => (format!("conforms in {steps} steps"), Ink::Good),
-    };
-    vec![("  model: ".to_owned(), Ink::Dim), (text, ink)]
 }
 
 /// What is at a column and row below the head.
@@ -221,7 +136,7 @@ pub(super) fn hit(app: &App, now: Moment, size: (u16, u16), at: (u16, u16)) -> O
         return None;
     }
     let rows = app.rows(&app.findings(now), now);
-    let below = below(size.0, size.1.saturating_sub(2));
+    let below = below::rows(size.1.saturating_sub(2));
     let height = usize::from(size.1.saturating_sub(3 + below));
     if usize::from(y) > height {
         return None;

@@ -155,17 +155,15 @@ impl Sheet {
             let Some(mark) = here.first() else { continue };
             let Some(life) = app.store().life(mark.life) else { continue };
             let (x, _) = self.x(lane);
-            let more = if here.len() > 1 { format!(" +{}", here.len() - 1) } else { String::new() };
             let room = self.width.saturating_sub(3);
-            let text: String = short(mark, &life.names, &app.theme);
-            let text = cut(&text, usize::from(room).saturating_sub(more.len())) + &more;
+            let text = several(here.iter().map(|mark| short(mark, &life.names, &app.theme)), room.into());
             let worst = here.iter().map(|mark| ink(mark.seen.what.event)).max_by_key(|ink| match ink {
                 Ink::Bad => 2,
                 Ink::Warn => 1,
                 _ => 0,
             });
             let end = pen.at(x + 2, y, room, &text, worst.unwrap_or(Ink::Plain));
-            mark_taken(&mut taken, x, end);
+            mark_taken(&mut taken, x, end + 1);
         }
         for mark in marks {
             let cause = mark.cause.and_then(|cause| chart.timeline.marks.get(cause));
@@ -211,6 +209,28 @@ fn mark_taken(taken: &mut [bool], from: u16, to: u16) {
             *cell = true;
         }
     }
+}
+
+/// As many texts as fit, and how many are left out; at least a part of the first.
+fn several(texts: impl ExactSizeIterator<Item = String>, room: usize) -> String {
+    let all = texts.len();
+    let (mut out, mut shown) = (String::new(), 0);
+    for text in texts {
+        let width = out.chars().count() + text.chars().count() + 2;
+        if shown > 0 && width + 4 > room {
+            break;
+        }
+        if shown > 0 {
+            out += "; ";
+        }
+        out += &text;
+        shown += 1;
+    }
+    if shown == all {
+        return cut(&out, room);
+    }
+    let more = format!(" +{}", all - shown);
+    cut(&out, room.saturating_sub(more.len())) + &more
 }
 
 fn cut(text: &str, width: usize) -> String {

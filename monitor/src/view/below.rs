@@ -1,0 +1,94 @@
+//! Below the overview: whom everybody waits for, the links, and what the model says.
+
+use super::pen::Pen;
+use crate::app::App;
+use crate::clock::{Moment, Span};
+use crate::name::Name;
+use crate::store::conformance::{Verdict, conformance};
+use crate::theme::Ink;
+use imrs_protocol::NodeId;
+
+/// How many rows at the foot are for whom everybody waits for, the links and the model.
+pub(super) const fn rows(height: u16) -> u16 {
+    match height {
+        0..8 => 0,
+        8..16 => 1,
+        _ => 2,
+    }
+}
+
+/// Whom everybody waits for; the links, and what the model says.
+pub(super) fn draw(app: &App, now: Moment, pen: &mut Pen<'_>) {
+    let Some(cell) = app.cell().filter(|_| pen.height() > 0) else { return };
+    match super::awaited(app, &cell, now) {
+        Some((text, ink)) => pen.line(0, &[(&text, ink)]),
+        None => pen.line(0, &[(" nobody waits for one who alone could end it", Ink::Dim)]),
+    }
+    let mut pieces = links(app, &cell, now);
+    pieces.extend(model(app, &cell));
+    let pieces: Vec<_> = pieces.iter().map(|(text, ink)| (text.as_str(), *ink)).collect();
+    pen.line(1, &pieces);
+}
+
+/// For each link whether anything came over it lately, how long it has been quiet, or that an end of it is down.
+fn links(app: &App, cell: &Name, now: Moment) -> Vec<(String, Ink)> {
+    let store = app.store();
+    let Some(names) = store.names(cell) else { return Vec::new() };
+    let gone = |node| store.latest(cell, node).is_some_and(|life| life.presence(now).is_gone());
+    let mut pieces = vec![(" links".to_owned(), Ink::Dim)];
+    let mut unknown = 0;
+    for link in names.links.iter().take(SHOWN) {
+        let name = format!(" {}-{} ", names.node(link.a), names.node(link.b));
+        let heard = [(link.a, link.b), (link.b, link.a)].map(|(at, peer)| heard(app, cell, at, peer, now));
+        match heard.into_iter().flatten().min() {
+            _ if gone(link.a) || gone(link.b) => pieces.push((format!("{name}DOWN"), Ink::Warn)),
+            Some(us) if us <= LATELY_US => pieces.push((format!("{name}ok"), Ink::Plain)),
+            // A cell that has nothing to say leaves its links quiet: that is no fault.
+            Some(us) => pieces.push((format!("{name}quiet {}", Span::micros(us)), Ink::Dim)),
+            None => unknown += 1,
+        }
+    }
+    if unknown > 0 {
+        pieces.push((format!("  {unknown} unknown"), Ink::Dim));
+    }
+    if names.links.len() > SHOWN {
+        pieces.push((format!("  {} more", names.links.len() - SHOWN), Ink::Dim));
+    }
+    pieces
+}
+
+/// How many links are looked at: more would not fit.
+const SHOWN: usize = 12;
+/// Over a link that is not quiet, something came no longer ago than this.
+const LATELY_US: u64 = 1_000_000;
+
+/// How long ago anything came to `at` from `peer`; `None`: never, or nobody says.
+fn heard(app: &App, cell: &Name, at: NodeId, peer: NodeId, now: Moment) -> Option<u64> {
+    let life = app.store().latest(cell, at).filter(|life| !life.presence(now).is_gone())?;
+    let last = life.last.as_ref()?;
+    last.snapshot.links.iter().find(|link| link.peer == peer)?.heard_us
+}
+
+/// What the validator says of all nodes together.
+fn model(app: &App, cell: &Name) -> Vec<(String, Ink)> {
+    let store = app.store();
+    let (mut steps, mut unknown, mut violated) = (0_u64, 0, None);
+    let mut lives = 0;
+    for life in store.lives_of(cell) {
+        let told = conformance(store, life.id);
+        lives += 1;
+        steps = steps.saturating_add(told.steps);
+        match told.verdict {
+            Verdict::Unknown { .. } => unknown += 1,
+            Verdict::Conforms => {}
+            Verdict::Violates { .. } => violated = violated.or_else(|| Some(life.node.to_string())),
+        }
+    }
+    let (text, ink) = match violated {
+        Some(node) => (format!("{node} VIOLATES it (7)"), Ink::Bad),
+        None if unknown == lives => ("UNKNOWN, not recorded".to_owned(), Ink::Dim),
+        None if unknown > 0 => (format!("conforms in {steps} steps, {unknown} nodes UNKNOWN"), Ink::Warn),
+        None => (format!("conforms in {steps} steps"), Ink::Good),
+    };
+    vec![("  model: ".to_owned(), Ink::Dim), (text, ink)]
+}
