@@ -22,7 +22,7 @@ use crate::store::{Condition, Life, LifeId, Store};
 use crate::theme::Theme;
 use crossterm::event::{KeyEvent, KeyEventKind, MouseEvent};
 use imrs_protocol::{MessageId, PortId, PortView, TaskId, Usage};
-use imrs_wire::obs::TaskSnapshot;
+use imrs_wire::obs::{TaskSnapshot, Token};
 use lanes::Lanes;
 use std::time::Duration;
 
@@ -168,6 +168,8 @@ pub struct App {
     pub since_mark: bool,
     /// Whether only what is in a wait-for cycle is shown of who waits for whom.
     pub only_cycles: bool,
+    /// What nodes that ask for it are shown.
+    pub token: Option<Token>,
     /// Whether the mouse is used.
     pub mouse: bool,
     /// Whether countdowns are drawn once a second only.
@@ -207,6 +209,7 @@ impl App {
             mark: None,
             since_mark: false,
             only_cycles: false,
+            token: None,
             mouse: true,
             reduced_motion: false,
             size: (80, 24),

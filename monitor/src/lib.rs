@@ -121,6 +121,7 @@ fn replay_on_screen(options: &Options, mut player: Player) -> Result<Verdict, Mo
 /// The screen as the user wants it.
 fn app(options: &Options, theme: Theme) -> app::App {
     let mut app = app::App::new(options.theme.unwrap_or(theme), options.cell.clone());
+    app.token = options.token.clone();
     app.mouse = options.mouse;
     app.reduced_motion = options.reduced_motion;
     app.shape.filter = options.filter.clone().unwrap_or_default();

@@ -2,6 +2,7 @@
 
 use crate::clock::Moment;
 use crate::name::Name;
+use crate::query::{Field, Filter, NodeRow, PortRow, Row as Fields, Value};
 use crate::store::health::{Finding, Place};
 use crate::store::journal::Level;
 use crate::store::{Life, Store};
@@ -69,21 +70,22 @@ pub struct Shape {
     pub sort: Sort,
     /// The other way round.
     pub inverted: bool,
-    /// In lower case; rows without it are left out, unless one within them has it.
+    /// A condition ([`crate::query`]); rows that do not fulfil it are left out, unless one within them does.
     pub filter: String,
 }
 
 /// The rows of a cell.
 #[must_use]
 pub fn rows(store: &Store, cell: &Name, shape: &Shape, findings: &[Finding], now: Moment) -> Vec<Row> {
-    let maker = Maker { shape, findings, now };
+    let filter = Filter::lenient(&shape.filter);
+    let maker = Maker { store, shape, filter: filter.as_ref(), findings, now };
     let mut nodes: Vec<(Key, Vec<Row>)> = Vec::new();
     for life in store.lives_of(cell) {
         let latest = store.latest(cell, life.node_id).is_some_and(|latest| latest.id == life.id);
         nodes.extend(maker.node(life, latest));
     }
     for (id, name, _) in store.unseen(cell) {
-        if maker.mentions(&name) {
+        if maker.filter.is_none_or(|filter| filter.takes(&Unseen(&name))) {
             let place = Place { node: Err(id), task: None, port: None };
             nodes.push((maker.key(&place, u64::MAX, 0), vec![maker.row(place, 0, false, true)]));
         }
@@ -91,18 +93,40 @@ pub fn rows(store: &Store, cell: &Name, shape: &Shape, findings: &[Finding], now
     maker.flat(nodes)
 }
 
+/// A node of which nothing but its name is known.
+struct Unseen<'a>(&'a Name);
+
+impl Fields for Unseen<'_> {
+    fn field(&self, field: Field) -> Value<'_> {
+        if field == Field::Node { Value::Text(self.0.raw().into()) } else { Value::Missing }
+    }
+
+    fn mentions(&self, words: &str) -> bool {
+        self.0.shown().to_lowercase().contains(words)
+    }
+}
+
 /// Sorts ascending: the least first.
 type Key = u64;
 
 struct Maker<'a> {
+    store: &'a Store,
     shape: &'a Shape,
+    filter: Option<&'a Filter>,
     findings: &'a [Finding],
     now: Moment,
 }
 
 impl Maker<'_> {
-    fn mentions(&self, name: &Name) -> bool {
-        self.shape.filter.is_empty() || name.shown().to_lowercase().contains(&self.shape.filter)
+    /// Whether a node or task is wanted by itself.
+    fn wants(&self, life: &Life, task: Option<&TaskSnapshot>) -> bool {
+        let row = NodeRow { life, task, findings: self.findings };
+        self.filter.is_none_or(|filter| filter.takes(&row))
+    }
+
+    /// Whether all is wanted that lies within what is wanted.
+    fn wants_within(&self) -> bool {
+        self.filter.is_none_or(Filter::is_words)
     }
 
     /// `first`: whether its children are shown at first.
@@ -142,8 +166,9 @@ impl Maker<'_> {
     /// The last state of an earlier life is hidden at first: the node's present one is what one looks for.
     fn node(&self, life: &Life, latest: bool) -> Option<(Key, Vec<Row>)> {
         let place = Place { node: Ok(life.id), task: None, port: None };
-        let wanted = self.mentions(&life.node);
-        let tasks: Vec<_> = life.tasks().iter().filter_map(|t| self.task(life, t, place, wanted)).collect();
+        let wanted = self.wants(life, None);
+        let all = wanted && self.wants_within();
+        let tasks: Vec<_> = life.tasks().iter().filter_map(|t| self.task(life, t, place, all)).collect();
         if !wanted && tasks.is_empty() {
             return None;
         }
@@ -159,12 +184,17 @@ impl Maker<'_> {
 
     fn task(&self, life: &Life, task: &TaskSnapshot, node: Place, all: bool) -> Option<(Key, Vec<Row>)> {
         let place = Place { task: Some(task.view.task), ..node };
-        let wanted = all || self.mentions(&life.names.task(task.view.task));
+        let wanted = all || self.wants(life, Some(task));
+        let within = wanted && self.wants_within();
         let port = |p: &PortView| {
             let place = Place { port: Some(p.port), ..place };
             let by_slack = p.min_slack.filter(|_| self.shape.sort == Sort::Slack);
             let slack = by_slack.map_or(u64::MAX, |s| life.left(s, task.age_us, self.now).us);
-            let wanted = wanted || self.mentions(&life.names.port_name(p.port));
+            let takes = |filter: &Filter| {
+                let (store, findings, now) = (self.store, self.findings, self.now);
+                filter.takes(&PortRow { store, life, task, port: p, findings, now })
+            };
+            let wanted = within || self.filter.is_none_or(takes);
             wanted.then(|| (self.key(&place, slack, p.len.into()), self.row(place, 2, false, true)))
         };
         let mut ports: Vec<(Key, Row)> = task.view.ports.iter().filter_map(port).collect();

@@ -30,6 +30,8 @@ const LOOK: Duration = Duration::from_millis(200);
 
 /// The numbers of sources that the user adds begin here: those found by themselves stay below.
 const MORE: u32 = 60_000;
+/// How many numbers each of them has.
+const EACH: u32 = 256;
 /// What a written screen is called, before a number makes the name free.
 const FRAME_FILE: &str = "monitor-screen.txt";
 
@@ -237,12 +239,15 @@ impl Loop<'_> {
 
     /// Attaches to one more node, until the end.
     fn connect(&mut self, endpoint: Endpoint) -> Result<(), MonitorError> {
+        // Room for what is found from there, too.
         let number = u32::try_from(self.more.len()).unwrap_or(u32::MAX);
-        let id = SourceId(MORE.saturating_add(number));
+        let first = MORE.saturating_add(number.saturating_mul(EACH));
         let (taped, sender) = (Arc::clone(self.tape), self.sender.clone());
-        let mut source = Live::new(Which::Named(vec![endpoint]));
+        let mut source = Live::new(Which::Named(vec![endpoint]))
+            .numbered_from(first)
+            .with_token(self.app.token.clone())
+            .with_wishes(self.tape.wishes());
         source.start(Sink::new(self.clock, move |arrival| {
-            let arrival = Arrival { source: id, ..arrival };
             taped.take(&arrival);
             sender.send(Input::Msg(Msg::Feed(arrival))).is_ok()
         }))?;

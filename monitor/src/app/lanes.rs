@@ -129,7 +129,8 @@ impl App {
     fn wanted_lanes(&self, cell: &Name) -> Vec<TaskId> {
         let Some(names) = self.store().names(cell) else { return Vec::new() };
         let all = || (0..names.tasks.len()).map(TaskId::from_index);
-        let has = |name: &Name| name.shown().to_lowercase().contains(&self.shape.filter);
+        let text = self.shape.filter.to_lowercase();
+        let has = |name: &Name| name.shown().to_lowercase().contains(&text);
         let wanted = |task: &TaskId| {
             has(&names.task(*task)) || names.home(*task).is_some_and(|node| has(&names.node(node)))
         };
@@ -140,7 +141,7 @@ impl App {
     /// The ports whose name has the filter's text, where it names ports and no tasks.
     fn wanted_ports(&self, cell: &Name) -> Option<BTreeSet<PortId>> {
         let names = self.store().names(cell)?;
-        let filter = &self.shape.filter;
+        let filter = &self.shape.filter.to_lowercase();
         let has = |name: &Name| name.shown().to_lowercase().contains(filter);
         if filter.is_empty() || names.tasks.iter().any(|t| has(&t.name)) || names.nodes.iter().any(has) {
             return None;

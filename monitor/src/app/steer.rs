@@ -3,6 +3,7 @@
 use super::{App, Effect, PortEnd, Screen, port_end};
 use crate::clock::{Moment, Span};
 use crate::keys::{self, Action};
+use crate::query::Filter;
 use crate::replay::{At, Player};
 use crate::rows::Row;
 use crate::store::health::Place;
@@ -19,9 +20,14 @@ impl App {
         match event.code {
             KeyCode::Char('c') if ctrl => return Effect::Quit,
             KeyCode::Char('z') if ctrl => return Effect::Suspend,
-            KeyCode::Char(c) if !ctrl && !c.is_control() => self.shape.filter.extend(c.to_lowercase()),
+            KeyCode::Char(c) if !ctrl && !c.is_control() => self.shape.filter.push(c),
             KeyCode::Backspace => drop(self.shape.filter.pop()),
-            KeyCode::Enter => self.typing = false,
+            KeyCode::Enter => {
+                self.typing = false;
+                // Words are looked for in any case; of a condition one wants to know where it is wrong.
+                let slip = Filter::parse(&self.shape.filter).err();
+                self.told = slip.map(|error| format!("no condition, so looked for as it is: {error}"));
+            }
             KeyCode::Esc => {
                 self.typing = false;
                 self.shape.filter.clear();
@@ -308,7 +314,7 @@ impl App {
                     } else {
                         let label = crate::view::label(self, row.place).to_lowercase();
                         let own = label.rsplit('.').next().unwrap_or("");
-                        own.contains(&self.shape.filter)
+                        own.contains(&self.shape.filter.to_lowercase())
                     }
                 };
                 let found = if forward {

@@ -83,7 +83,7 @@ fields! {
     Kind "kind" Text "of an event: sent, delivered, discard, ...";
     Peer "peer" Text "of an event: the other task";
     Number "number" Number "of an event: the message or round";
-    Ago "ago" Time "of an event: how long ago";
+    Ago "ago" Time "of an event: how long before the newest";
 }
 
 /// The field of this name.
@@ -138,7 +138,7 @@ pub struct NodeRow<'a> {
 pub struct EventRow<'a> {
     /// The line of the journal.
     pub entry: &'a Entry,
-    /// The moment shown.
+    /// The moment that its age is counted from.
     pub now: Moment,
 }
 
@@ -220,8 +220,9 @@ impl Row for PortRow<'_> {
     }
 
     fn mentions(&self, words: &str) -> bool {
+        let node = NodeRow { life: self.life, task: Some(self.task), findings: self.findings };
         self.life.names.port_name(self.port.port).shown().to_lowercase().contains(words)
-            || NodeRow { life: self.life, task: Some(self.task), findings: self.findings }.mentions(words)
+            || node.mentions(words)
     }
 }
 

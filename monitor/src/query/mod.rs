@@ -97,6 +97,18 @@ impl Filter {
         parse::filter(text).map(|condition| Some(Self(condition)))
     }
 
+    /// As [`parse`](Self::parse), but a text that is no condition, or not yet, is looked for as it is.
+    #[must_use]
+    pub fn lenient(text: &str) -> Option<Self> {
+        Self::parse(text).unwrap_or_else(|_| Some(Self(Condition::Words(text.to_lowercase()))))
+    }
+
+    /// Whether it is only words to look for: then what lies within a row that has them is wanted, too.
+    #[must_use]
+    pub const fn is_words(&self) -> bool {
+        matches!(self.0, Condition::Words(_))
+    }
+
     /// Whether `row` is wanted.
     #[must_use]
     pub fn takes(&self, row: &impl Row) -> bool {

@@ -3,6 +3,7 @@
 use super::names::Names;
 use crate::clock::Moment;
 use crate::name::Name;
+use crate::query::{EventRow, Filter};
 use imrs_protocol::{Event, Observation, Reason, TaskId};
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -234,11 +235,14 @@ impl Journal {
         self.ever += 1;
     }
 
-    /// The lines in which `text` (in lower case) occurs, oldest first: those that matter, or `all`.
+    /// The lines that `text` asks for (a condition, or words that occur in them), oldest first: those that matter, or `all`.
     #[must_use]
     pub fn lines(&self, all: bool, text: &str) -> Vec<&Entry> {
         let trace = self.trace.iter().filter(|_| all);
-        let fits = |e: &&Entry| text.is_empty() || e.mentions(text);
+        let now = [&self.notable, &self.trace].into_iter().filter_map(|of| of.back()).map(|e| e.at).max();
+        let now = now.unwrap_or_default();
+        let filter = Filter::lenient(text);
+        let fits = |entry: &&Entry| filter.as_ref().is_none_or(|f| f.takes(&EventRow { entry, now }));
         let mut lines: Vec<&Entry> = self.notable.iter().chain(trace).filter(fits).collect();
         lines.sort_by_key(|e| e.number);
         lines

@@ -41,6 +41,8 @@ impl PortInfo {
 pub struct Names {
     /// The cell.
     pub cell: Name,
+    /// The declared lateness of timers, in ticks of the nodes.
+    pub tick: Ticks,
     /// The nodes.
     pub nodes: Vec<Name>,
     /// The links.
@@ -64,6 +66,7 @@ impl Names {
         };
         Self {
             cell: Name::new(&table.cell),
+            tick: table.tick,
             nodes: table.nodes.iter().map(|n| Name::new(&n.name)).collect(),
             links: table.links,
             tasks: table.tasks.iter().map(|t| TaskInfo { name: Name::new(&t.name), node: t.node }).collect(),

@@ -50,7 +50,7 @@ lints! {
     EXPIRED Warn "expired" "messages whose life ended here";
     TRANSIT_FULL Warn "transit-full" "packets wait for their way out";
     TIMER_LATE Warn "timer-late" "timers end later than the cell declares";
-    KERNEL_RESIDENCY Warn "kernel-residency" "datagrams wait in the kernel, or are dropped there";
+    KERNEL_RESIDENCY Warn "kernel-residency" "datagrams that the kernel dropped";
     INTEGRITY Warn "integrity" "datagrams that were damaged, forged or repeated";
     LINK_DISCARDS Warn "link-discards" "datagrams that cannot be used";
     NODE_SILENT Warn "node-silent" "a node says nothing, though attached";

@@ -7,6 +7,10 @@ use crate::store::conformance::{Verdict, conformance};
 use crate::store::{Condition, Life, Presence, Store};
 use imrs_wire::obs::{Liveness, RealTime};
 use std::collections::BTreeMap;
+use std::time::Duration;
+
+/// What a node said of its timers counts for so long.
+const VITALS: Duration = Duration::from_secs(3);
 
 pub(super) fn look(store: &Store, life: &Life, now: Moment, found: &mut Vec<Finding>) {
     let place = Place::node(life);
@@ -42,6 +46,7 @@ pub(super) fn look(store: &Store, life: &Life, now: Moment, found: &mut Vec<Find
         let text = format!("{lost} events were lost on the way to this monitor");
         found.push(Finding::new(&codes::EVENTS_LOST, place, text));
     }
+    timers(life, now, found);
     links::look(life, &lately, found);
     for task in &lately.after.tasks {
         let place = Place { task: Some(task.view.task), ..place };
@@ -49,6 +54,23 @@ pub(super) fn look(store: &Store, life: &Life, now: Moment, found: &mut Vec<Find
             found.push(Finding::new(&codes::TASK_CRASHED, place, "the task panicked".to_owned()));
         }
         port::look(store, life, &lately, task, found);
+    }
+}
+
+/// Timers that are late as a rule: one that was late once is told on the screen of the timers.
+fn timers(life: &Life, now: Moment, found: &mut Vec<Finding>) {
+    let Some(told) = life.vitals.as_ref().filter(|told| now.saturating_sub(told.at) <= VITALS) else {
+        return;
+    };
+    let tick_us = life.names.tick.0.saturating_mul(life.tick_us);
+    let late = told.what.timer;
+    if tick_us > 0 && late.p50_us > tick_us {
+        let text = format!(
+            "timers are late: half of the last by {} or more, the tick is {}",
+            Span::micros(late.p50_us),
+            Span::micros(tick_us)
+        );
+        found.push(Finding::new(&codes::TIMER_LATE, Place::node(life), text));
     }
 }
 
