@@ -1,0 +1,566 @@
+//! The fault matrix of the monitor (M15): each fault, made in nodes that run, raises its lint and nothing unrelated; nodes
+//! without a fault raise none. The cells are slow, so that a busy machine is no fault of theirs.
+
+mod support;
+
+use rustix::process::Signal;
+use serde_json::Value;
+use std::collections::BTreeSet;
+use std::io::{BufRead, BufReader, Read};
+use std::net::{SocketAddr, UdpSocket};
+use std::path::Path;
+use std::process::{Child, Command, Stdio};
+use std::sync::mpsc::{self, Receiver};
+use std::thread;
+use std::time::{Duration, Instant};
+use support::{imrs, runtime_dir, signal};
+use tempfile::TempDir;
+
+/// What is promised of a machine that is quiet; asserted where `IMRS_QUIET=1` says that this one is.
+const GOAL: Duration = Duration::from_secs(2);
+/// No fault takes longer to be seen, however busy the machine is.
+const LONG: Duration = Duration::from_secs(30);
+/// How often the monitor prints.
+const EVERY: &str = "100ms";
+/// How long after its lint nothing unrelated may follow.
+const AFTER: Duration = Duration::from_secs(1);
+/// What a busy machine does by itself.
+const AMBIENT: &[&str] = &["timer-late"];
+
+/// Three tasks that meet, ask and tell each other, with so much time for everything that none of it runs out.
+const WATCHED: &str = "\
+cell watched;
+tick 50 msec;
+node na;  node nb;  node nc;
+link na -- nb delay 50 msec;  link nb -- nc delay 50 msec;  link na -- nc delay 50 msec;
+task a on na
+  port ask(n: int16) -> int16  usage = query  user_list = {b}  time_out = 2 sec  class = 2;
+  port news(n: int16)  usage = send  user_list = {c}  time_out = 4 sec  class = 1  bounded_buffer[8];
+  port meet()  usage = waitfor  user_list = {b, c}  time_out = 20 sec  class = 2  retry = 4  resend = 100 msec;
+  var n: int16;
+begin
+  loop
+    query ask(n) -> n on time_out do n := 0; end on refused do n := 0; end;
+    send news(n);
+    waitfor meet() on time_out do skip; end;
+    delay 200 msec;
+  end;
+end a;
+task b on nb
+  use_port ask(n: int16) -> int16  usage = response;
+  use_port meet()  usage = waitfor  time_out = 20 sec;
+begin
+  order ask > self;
+  on query ask(n) do response(n); end;
+  loop
+    waitfor meet() on time_out do skip; end;
+    delay 200 msec;
+  end;
+end b;
+task c on nc
+  use_port news(n: int16)  usage = receive;
+  use_port meet()  usage = waitfor  time_out = 20 sec;
+begin
+  order news > self;
+  on receive news(n) do skip; end;
+  loop
+    waitfor meet() on time_out do skip; end;
+    delay 200 msec;
+  end;
+end c;
+";
+
+/// A cell of two nodes, with these tasks.
+macro_rules! two_nodes {
+    ($tasks:literal) => {
+        concat!("cell two;\ntick 50 msec;\nnode na;  node nb;\nlink na -- nb delay 50 msec;\n", $tasks)
+    };
+}
+
+/// One sample: when it came, and the codes of what was found.
+struct Sample {
+    at: Instant,
+    codes: BTreeSet<String>,
+    line: String,
+}
+
+/// A program whose lines are read as they come, ended with this.
+struct Program {
+    child: Child,
+    lines: Receiver<(Instant, String)>,
+    errors: thread::JoinHandle<String>,
+}
+
+impl Program {
+    fn start(mut command: Command) -> Self {
+        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("it starts");
+        let (out, mut err) = (child.stdout.take().expect("a pipe"), child.stderr.take().expect("a pipe"));
+        let (sender, lines) = mpsc::channel();
+        thread::spawn(move || {
+            for line in BufReader::new(out).lines().map_while(Result::ok) {
+                if sender.send((Instant::now(), line)).is_err() {
+                    return;
+                }
+            }
+        });
+        let errors = thread::spawn(move || {
+            let mut text = String::new();
+            let _ = err.read_to_string(&mut text);
+            text
+        });
+        Self { child, lines, errors }
+    }
+
+    fn line(&mut self) -> (Instant, String) {
+        match self.lines.recv_timeout(LONG) {
+            Ok(line) => line,
+            Err(_) => {
+                let _ = self.child.kill();
+                let errors = std::mem::replace(&mut self.errors, thread::spawn(String::new));
+                panic!("it said nothing more: {:?}", errors.join());
+            }
+        }
+    }
+}
+
+impl Drop for Program {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// A node, as the launcher tells of it.
+struct Node {
+    name: String,
+    pid: u32,
+    address: SocketAddr,
+}
+
+/// A cell that runs, and a monitor that watches it.
+struct Scene {
+    monitor: Program,
+    /// Ended after the monitor.
+    _cells: Vec<Program>,
+    nodes: Vec<Node>,
+    /// When the nodes of the last cell had started.
+    started: Instant,
+    _dir: TempDir,
+}
+
+impl Scene {
+    fn start(text: &str, args: &[&str]) -> Self {
+        Self::of(&[(text, args)])
+    }
+
+    /// Cells that run in one folder.
+    fn of(cells: &[(&str, &[&str])]) -> Self {
+        let dir = runtime_dir();
+        let (mut started, mut nodes, mut programs) = (Instant::now(), Vec::new(), Vec::new());
+        for (number, (text, args)) in cells.iter().enumerate() {
+            let file = dir.path().join(format!("{number}.cell"));
+            std::fs::write(&file, text).expect("the cell is written");
+            let mut program = Program::start(launch(dir.path(), &file, args));
+            let (at, line) = program.line();
+            started = at;
+            nodes.extend(told(&line));
+            programs.push(program);
+        }
+        let monitor = Program::start(imrs(dir.path(), &["monitor", "--watch", EVERY, "--format", "json"]));
+        let mut scene = Self { monitor, _cells: programs, nodes, started, _dir: dir };
+        let all = scene.nodes.len();
+        let end = Instant::now() + LONG;
+        while scene.report()["nodes"]
+            .as_array()
+            .map_or(0, |nodes| nodes.iter().filter(|n| n["up"] == true).count())
+            < all
+        {
+            assert!(Instant::now() < end, "the nodes never showed themselves");
+        }
+        scene
+    }
+
+    fn node(&self, name: &str) -> &Node {
+        self.nodes.iter().find(|node| node.name == name).expect("a node of the cell")
+    }
+
+    fn report(&mut self) -> Value {
+        let (_, line) = self.monitor.line();
+        serde_json::from_str(&line).unwrap_or_else(|error| panic!("{error}: {line}"))
+    }
+
+    fn sample(&mut self) -> Sample {
+        let (at, line) = self.monitor.line();
+        let report: Value = serde_json::from_str(&line).unwrap_or_else(|error| panic!("{error}: {line}"));
+        let found = report["findings"].as_array().expect("findings");
+        let codes = found.iter().map(|f| f["code"].as_str().expect("a code").to_owned()).collect();
+        Sample { at, codes, line: report["findings"].to_string() }
+    }
+
+    /// Nothing is found for so long.
+    fn is_calm_for(&mut self, length: Duration) {
+        let end = Instant::now() + length;
+        loop {
+            let sample = self.sample();
+            let unexpected = sample.codes.iter().find(|code| !AMBIENT.contains(&code.as_str()));
+            assert!(unexpected.is_none(), "found where all is well: {}", sample.line);
+            if sample.at >= end {
+                return;
+            }
+        }
+    }
+
+    /// What happened at `since` raises `lint`, and until then and a little longer nothing but that and its `consequences`.
+    fn raises(&mut self, since: Instant, lint: &str, consequences: &[&str]) {
+        let mut seen = None;
+        loop {
+            let sample = self.sample();
+            let related = |code: &&String| {
+                *code == lint || consequences.contains(&code.as_str()) || AMBIENT.contains(&code.as_str())
+            };
+            let unrelated = sample.codes.iter().find(|code| !related(code));
+            assert!(unrelated.is_none(), "{unrelated:?} has nothing to do with {lint}: {}", sample.line);
+            if seen.is_none() && sample.codes.contains(lint) {
+                seen = Some(sample.at);
+            }
+            let now = sample.at;
+            match seen {
+                Some(at) if now >= at + AFTER => break,
+                Some(_) => {}
+                None => assert!(now < since + LONG, "{lint} was never raised; last: {}", sample.line),
+            }
+        }
+        let took = seen.expect("seen").saturating_duration_since(since);
+        println!("{lint}: raised after {took:?}; goal {GOAL:?}");
+        let quiet = std::env::var_os("IMRS_QUIET").is_some_and(|value| value == "1");
+        assert!(!quiet || took <= GOAL, "{lint}: raised after {took:?}");
+    }
+}
+
+fn launch(dir: &Path, file: &Path, args: &[&str]) -> Command {
+    let file = file.to_str().expect("UTF-8");
+    imrs(dir, &[&["run", file, "--for", "10m", "--format", "json", "--seed", "1"], args].concat())
+}
+
+/// The nodes that the launcher says it has started.
+fn told(line: &str) -> Vec<Node> {
+    let started: Value = serde_json::from_str(line).unwrap_or_else(|error| panic!("{error}: {line}"));
+    let node = |node: &Value| Node {
+        name: node["name"].as_str().expect("a name").to_owned(),
+        pid: u32::try_from(node["pid"].as_u64().expect("a process")).expect("32 bits"),
+        address: node["address"].as_str().and_then(|a| a.parse().ok()).expect("an address"),
+    };
+    started["started"].as_array().expect("nodes").iter().map(node).collect()
+}
+
+#[test]
+fn a_healthy_run_raises_nothing() {
+    let seconds = std::env::var("IMRS_HEALTHY").map_or(20, |text| text.parse().expect("seconds"));
+    Scene::start(WATCHED, &[]).is_calm_for(Duration::from_secs(seconds));
+}
+
+#[test]
+fn a_killed_node_is_dead_and_those_who_wait_for_it_are_told() {
+    let related = ["node-dead", "rendezvous-lost-member", "time-outs", "link-discards"];
+    for lint in ["node-dead", "rendezvous-lost-member"] {
+        let mut scene = Scene::start(WATCHED, &[]);
+        scene.is_calm_for(Duration::from_secs(1));
+        let since = Instant::now();
+        signal(scene.node("nb").pid, Signal::KILL);
+        scene.raises(since, lint, &related);
+    }
+}
+
+#[test]
+fn a_node_that_comes_back_is_no_fault_any_more() {
+    let mut scene = Scene::start(WATCHED, &["--kill", "nb@1s", "--restart", "nb@4s"]);
+    let since = scene.started + Duration::from_secs(1);
+    let related = ["rendezvous-lost-member", "time-outs", "link-discards"];
+    scene.raises(since, "node-dead", &related);
+    let end = Instant::now() + LONG;
+    while !scene.sample().codes.iter().all(|code| AMBIENT.contains(&code.as_str())) {
+        assert!(Instant::now() < end, "it is a fault for ever");
+    }
+    scene.is_calm_for(Duration::from_secs(1));
+}
+
+#[test]
+fn a_stopped_node_is_silent_and_its_timers_are_late_when_it_goes_on() {
+    let mut scene = Scene::start(WATCHED, &[]);
+    scene.is_calm_for(Duration::from_secs(1));
+    let (since, pid) = (Instant::now(), scene.node("nb").pid);
+    signal(pid, Signal::STOP);
+    scene.raises(since, "node-silent", &["time-outs"]);
+    let since = Instant::now();
+    signal(pid, Signal::CONT);
+    scene.raises(since, "timer-late", &["node-silent", "time-outs", "kernel-residency"]);
+}
+
+#[test]
+fn more_news_than_are_taken_are_a_flood() {
+    let text = two_nodes!(
+        "task camera on na
+  port pose(n: int16)  usage = send  user_list = {picker}  time_out = 10 sec  class = 1  bounded_buffer[2];
+  var n: int16;
+begin
+  delay 2 sec;
+  loop send pose(n); delay 50 msec; end;
+end camera;
+task picker on nb
+  use_port pose(n: int16)  usage = receive;
+  var n: int16;
+begin
+  loop receive pose(n); run follow n takes 1 sec; end;
+end picker;
+"
+    );
+    let mut scene = Scene::start(text, &[]);
+    let since = scene.started + Duration::from_secs(2);
+    scene.raises(since, "status-flood", &["refused"]);
+}
+
+#[test]
+fn commands_without_space_are_refused() {
+    let text = two_nodes!(
+        "task press on nb
+  port put(n: int16)  usage = receive  user_list = {p, q}  time_out = 20 sec  class = 2  bounded_buffer[1];
+  var n: int16;
+begin
+  run work n takes 30 sec;
+  receive put(n); reply();
+end press;
+task p on na
+  use_port put(n: int16)  usage = send;
+begin
+  delay 1 sec;
+  use_send put(1) on time_out do skip; end on refused do skip; end;
+end p;
+task q on na
+  use_port put(n: int16)  usage = send;
+begin
+  delay 1 sec;
+  use_send put(2) on time_out do skip; end on refused do skip; end;
+end q;
+"
+    );
+    let mut scene = Scene::start(text, &[]);
+    let since = scene.started + Duration::from_secs(1);
+    scene.raises(since, "refused", &[]);
+}
+
+#[test]
+fn a_message_that_waits_too_long_is_at_risk_and_then_expired() {
+    let text = two_nodes!(
+        "task a on na
+  port news(n: int16)  usage = send  user_list = {b}  time_out = 8 sec  class = 1  bounded_buffer[4];
+begin
+  send news(1);
+  delay 100 sec;
+end a;
+task b on nb
+  use_port news(n: int16)  usage = receive;
+  var n: int16;
+begin
+  run dig n takes 60 sec;
+  receive news(n);
+end b;
+"
+    );
+    let mut scene = Scene::start(text, &[]);
+    // A tenth of its life is left.
+    let since = scene.started + Duration::from_millis(7200);
+    scene.raises(since, "deadline-risk", &["expired"]);
+    let since = scene.started + Duration::from_secs(8);
+    scene.raises(since, "expired", &[]);
+}
+
+#[test]
+fn a_rendezvous_whose_patience_ends_is_stuck() {
+    let text = two_nodes!(
+        "task a on na
+  port meet()  usage = waitfor  user_list = {b}  time_out = 12 sec  class = 2  retry = 4  resend = 200 msec;
+begin
+  waitfor meet() on time_out do skip; end;
+end a;
+task b on nb
+  use_port meet()  usage = waitfor  time_out = 12 sec;
+begin
+  run dig takes 60 sec;
+  waitfor meet() on time_out do skip; end;
+end b;
+"
+    );
+    let mut scene = Scene::start(text, &[]);
+    let since = scene.started + Duration::from_secs(9);
+    scene.raises(since, "rendezvous-stuck", &["time-outs"]);
+}
+
+#[test]
+fn tasks_that_ask_each_other_wait_in_a_circle() {
+    let text = two_nodes!(
+        "task left on na
+  port free() -> bool  usage = query  user_list = {right}  time_out = 30 sec;
+  use_port clear() -> bool  usage = response;
+  var ok: bool;
+begin
+  order clear > self;
+  on query clear() do response(not ok); end;
+  atomic run look takes 2 sec; query free() -> ok on time_out do ok := false; end; end;
+end left;
+task right on nb
+  port clear() -> bool  usage = query  user_list = {left}  time_out = 30 sec;
+  use_port free() -> bool  usage = response;
+  var ok: bool;
+begin
+  order free > self;
+  on query free() do response(not ok); end;
+  atomic run look takes 2 sec; query clear() -> ok on time_out do ok := false; end; end;
+end right;
+"
+    );
+    let mut scene = Scene::start(text, &[]);
+    let since = scene.started + Duration::from_secs(2);
+    scene.raises(since, "wait-cycle", &[]);
+}
+
+#[test]
+fn a_question_that_is_rejected_again_and_again_starves() {
+    let text = two_nodes!(
+        "task inspector on na
+  port weld()  usage = send  user_list = {arm}  time_out = 10 sec  class = 1;
+  port stop()  usage = send  user_list = {arm}  time_out = 10 sec  class = 1;
+  port halt()  usage = send  user_list = {arm}  time_out = 10 sec  class = 1;
+  port look() -> bool  usage = query  user_list = {arm}  time_out = 30 sec  penalty = 200 msec;
+  var ok: bool;
+begin
+  delay 1 sec;
+  send weld();
+  delay 1 sec;
+  query look() -> ok on time_out do ok := false; end on refused do ok := false; end;
+  if ok then send stop(); send halt(); end;
+end inspector;
+task arm on nb
+  use_port weld()  usage = receive;
+  use_port stop()  usage = receive;
+  use_port halt()  usage = receive;
+  use_port look() -> bool  usage = response;
+begin
+  order weld > stop > halt > self > look;
+  on receive weld() do run weld_it takes 20 sec; end;
+  on receive stop() do skip; end;
+  on receive halt() do skip; end;
+  on query look() do response(true); end;
+  loop delay 20 sec; end;
+end arm;
+"
+    );
+    let mut scene = Scene::start(text, &[]);
+    // Three rejections, and its penalty between them.
+    let since = scene.started + Duration::from_millis(2600);
+    scene.raises(since, "starving", &[]);
+}
+
+#[test]
+fn questions_over_a_cut_link_time_out() {
+    let mut scene = Scene::start(WATCHED, &["--cut", "na--nb@2s+60s"]);
+    let since = scene.started + Duration::from_secs(4);
+    scene.raises(since, "time-outs", &[]);
+}
+
+#[test]
+fn datagrams_of_strangers_break_the_integrity_or_are_of_another_version() {
+    for (bytes, lint) in [(&[0x9d, 0x4d, 1, 0][..], "integrity"), (&[0x9d, 0x4d, 99, 0], "version-mismatch")]
+    {
+        let mut scene = Scene::start(WATCHED, &[]);
+        scene.is_calm_for(Duration::from_secs(1));
+        let since = Instant::now();
+        let stranger = UdpSocket::bind("127.0.0.1:0").expect("a socket");
+        let datagram = [bytes, &[7; 96]].concat();
+        stranger.send_to(&datagram, scene.node("nb").address).expect("it is sent");
+        scene.raises(since, lint, &[]);
+    }
+}
+
+#[test]
+fn more_datagrams_than_the_kernel_keeps_are_told() {
+    let mut scene = Scene::start(WATCHED, &[]);
+    scene.is_calm_for(Duration::from_secs(1));
+    let (pid, address) = (scene.node("nb").pid, scene.node("nb").address);
+    signal(pid, Signal::STOP);
+    let stranger = UdpSocket::bind("127.0.0.1:0").expect("a socket");
+    for _ in 0..20_000 {
+        // The kernel has no more room: that is what it is about.
+        let _ = stranger.send_to(&[7; 1400], address);
+    }
+    signal(pid, Signal::CONT);
+    let since = Instant::now();
+    scene.raises(since, "kernel-residency", &["integrity", "time-outs", "node-silent"]);
+}
+
+#[test]
+fn nodes_of_two_texts_of_a_cell_are_told_apart() {
+    let ports = [(); 2].map(|()| UdpSocket::bind("127.0.0.1:0").expect("a socket"));
+    let ports = ports.map(|socket| socket.local_addr().expect("an address").port());
+    let text = |buffer: u8| {
+        format!(
+            "cell texts;\ntick 50 msec;\nnode na at \"127.0.0.1:{}\";  node nb at \"127.0.0.1:{}\";\nlink na -- nb delay 50 msec;
+task a on na
+  port news(n: int16)  usage = send  user_list = {{b}}  time_out = 2 sec  class = 1  bounded_buffer[{buffer}];
+  var n: int16;
+begin
+  loop send news(n); delay 500 msec; end;
+end a;
+task b on nb
+  use_port news(n: int16)  usage = receive;
+begin
+  order news > self;
+  on receive news(n) do skip; end;
+  loop delay 1 sec; end;
+end b;
+",
+            ports[0], ports[1]
+        )
+    };
+    let mut scene = Scene::of(&[(&text(4), &["--node", "na"]), (&text(5), &["--node", "nb"])]);
+    let since = scene.started;
+    scene.raises(since, "digest-mismatch", &[]);
+}
+
+#[test]
+fn real_time_that_is_refused_is_noted() {
+    let mut scene = Scene::start(WATCHED, &["--rt"]);
+    let report = scene.report();
+    let had = |node: &Value| node["real_time"] == "had";
+    if report["nodes"].as_array().expect("nodes").iter().all(had) {
+        scene.is_calm_for(Duration::from_secs(1));
+        return;
+    }
+    let since = scene.started;
+    scene.raises(since, "no-real-time", &[]);
+}
+
+#[test]
+fn a_monitor_that_does_not_read_is_told_what_it_missed() {
+    let text = two_nodes!(
+        "task a on na
+  port news(n: int16)  usage = send  user_list = {b}  time_out = 2 sec  class = 1  bounded_buffer[4];
+  var n: int16;
+begin
+  loop send news(n); end;
+end a;
+task b on na
+  use_port news(n: int16)  usage = receive;
+  var n: int16;
+begin
+  loop receive news(n); end;
+end b;
+"
+    );
+    let mut scene = Scene::start(text, &[]);
+    let monitor = scene.monitor.child.id();
+    signal(monitor, Signal::STOP);
+    thread::sleep(Duration::from_secs(4));
+    signal(monitor, Signal::CONT);
+    let since = Instant::now();
+    scene.raises(since, "events-lost", &["refused", "status-flood", "node-silent"]);
+}
