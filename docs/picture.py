@@ -7,6 +7,7 @@ Usage: docs/picture.py [path of the imrs command; default target/debug/imrs]
 import html
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
@@ -157,28 +158,75 @@ class Screen:
         sys.exit(f"never showed {showing}:\n{shown}")
 
 
-def main():
-    with tempfile.TemporaryDirectory(prefix="imrs-picture") as folder:
-        env = {**os.environ, "XDG_RUNTIME_DIR": folder}
-        demo = subprocess.Popen([IMRS, "demo", "beam-lift", "--for", "60s", "--loss", "5%", "--kill", "hoist@6s"],
-                                env=env, stdout=subprocess.DEVNULL)
-        screen = Screen(18)
-        try:
-            time.sleep(1)
-            screen.tmux("send-keys", f"clear; TERM=tmux-256color XDG_RUNTIME_DIR={folder} LC_ALL=C.UTF-8 exec {IMRS} monitor", "Enter")
-            screen.wait_for("armL", "armR", "hoist")
-            time.sleep(2)
-            screen.save("monitor-overview.svg", "The overview: nodes, tasks and ports of the beam lift while it runs")
-            screen.wait_for("DEAD")
-            screen.tmux("send-keys", "3")
-            screen.wait_for("MISSING")
-            time.sleep(1)
-            screen.save("monitor-rendezvous.svg", "The rendezvous after the hoist's node was killed: both arms wait for it",
-                        r"1\d\dms left")
-        finally:
-            demo.send_signal(signal.SIGINT)
-            demo.wait(timeout=20)
-            screen.tmux("kill-server")
+VIEWS = [
+    ("2", "port", "A port's queue in the order of service", r"fill:"),
+    ("4", "timeline", "What happened in each task, side by side", r"each event|a row"),
+    ("5", "timers", "What runs out when", r"OWNER"),
+    ("6", "events", "What happened", r"DETAIL"),
+    ("7", "model", "Whether the nodes do what the verified model does", r"transition kinds seen"),
+    ("?", "help", "The help, made from the table of keys", r"KEYS EVERYWHERE"),
+]
 
 
-main()
+def watch(name, *args):
+    """A monitor on a terminal of its own, while a demo runs."""
+    folder = tempfile.mkdtemp(prefix="imrs-picture")
+    env = {**os.environ, "XDG_RUNTIME_DIR": folder}
+    command = [IMRS, "demo", name, "--for", "60s", "--record", os.path.join(folder, "run.imrs"), *args]
+    demo = subprocess.Popen(command, env=env, stdout=subprocess.DEVNULL)
+    screen = Screen(30)
+    time.sleep(1)
+    screen.tmux("send-keys", f"clear; TERM=tmux-256color XDG_RUNTIME_DIR={folder} LC_ALL=C.UTF-8 exec {IMRS} monitor", "Enter")
+    screen.wait_for("NODE/TASK/PORT")
+    return folder, demo, screen
+
+
+def leave(folder, demo, screen):
+    demo.send_signal(signal.SIGINT)
+    demo.wait(timeout=20)
+    screen.tmux("kill-server")
+    shutil.rmtree(folder)
+
+
+def weld():
+    running = watch("failover-weld", "--kill", "n1@7s")
+    screen = running[2]
+    try:
+        screen.wait_for("dresser", "r1", "r2")
+        time.sleep(2)
+        screen.save("monitor-overview.svg", "The overview: nodes, tasks and ports of the weld cell while it runs")
+        screen.wait_for("DEAD")
+        time.sleep(1)
+        screen.save("monitor-dead.svg", "The overview after a robot's node was killed: its last state is kept, the standby welds on")
+        for key, name, title, showing in VIEWS:
+            screen.tmux("send-keys", key)
+            screen.save(f"monitor-{name}.svg", title, showing)
+        screen.tmux("send-keys", "Escape")
+        screen.tmux("send-keys", "4")
+        screen.wait_for("TIME")
+        for _ in range(60):
+            screen.tmux("send-keys", "k")
+            screen.tmux("send-keys", "Enter")
+            time.sleep(0.1)
+            if "CHARGED" in screen.tmux("capture-pane", "-p"):
+                break
+        screen.save("monitor-message.svg", "The life of one message, hop by hop", r"CHARGED")
+    finally:
+        leave(*running)
+
+
+def lift():
+    running = watch("beam-lift", "--loss", "5%", "--kill", "hoist@3s")
+    screen = running[2]
+    try:
+        screen.wait_for("DEAD")
+        screen.tmux("send-keys", "3")
+        screen.wait_for("DEAD", "lift")
+        screen.save("monitor-rendezvous.svg", "The rendezvous after the hoist's node was killed: both arms wait for it",
+                    r"1\.\d\ds left|\d\d\dms left")
+    finally:
+        leave(*running)
+
+
+weld()
+lift()
