@@ -41,7 +41,6 @@ fn one_demo_seen_through_pipes() {
     fails(&monitor(&["--assert", "up >== 4"]), 2, &["up >== 4", "column 6"]);
     let kept = monitor(&["--assert", "up==3", "--for", "500ms"]);
     assert_eq!(kept.code, Some(0), "{kept:?}");
-    fails(&monitor(&["--filter", "slakc<5ms", "--once"]), 2, &["slakc"]);
 
     // Only the cell that is asked for.
     fails(&monitor(&["--cell", "no-such-cell", "--once"]), 3, &["no-such-cell"]);
@@ -69,28 +68,14 @@ fn samples_come_until_the_reader_has_enough() {
 }
 
 #[test]
-fn a_death_is_critical() {
+fn a_death_breaks_an_assertion() {
     let demo = Demo::start(&["--for", "10m"]);
     let sees = |condition: &str| run_in(demo.dir.path(), &["monitor", "--assert", condition]).code == Some(0);
     wait_until("all are seen", || sees("up==3"));
     signal(demo.pid("nh"), rustix::process::Signal::KILL);
     wait_until("the death is seen", || sees("up==2"));
-    let seen = run_in(demo.dir.path(), &["monitor", "--once", "--format", "json"]);
-    assert_eq!(seen.code, Some(1), "{seen:?}");
-    let findings = seen.last_json();
-    let codes: Vec<&str> = findings["findings"]
-        .as_array()
-        .expect("findings")
-        .iter()
-        .filter_map(|f| f["code"].as_str())
-        .collect();
-    assert!(codes.contains(&"node-dead"), "{codes:?}");
-    assert_eq!(run_in(demo.dir.path(), &["monitor", "--assert", "critical==0"]).code, Some(1));
-    // Every code has a page.
-    for code in codes {
-        let page = run(&["explain", code]);
-        assert!(page.code == Some(0) && page.out.contains("What to do"), "{page:?}");
-    }
+    let gone = run_in(demo.dir.path(), &["monitor", "--assert", "up==3"]);
+    assert_eq!(gone.code, Some(1), "{gone:?}");
 }
 
 #[test]

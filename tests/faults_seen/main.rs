@@ -307,7 +307,7 @@ fn more_datagrams_than_the_kernel_keeps_are_told() {
     }
     signal(pid, Signal::CONT);
     let since = Instant::now();
-    scene.raises(since, "kernel-residency", &["integrity", "time-outs", "node-silent"]);
+    scene.raises(since, "kernel-residency", &["integrity", "time-outs", "node-silent", "wait-cycle"]);
 }
 
 #[test]
@@ -357,16 +357,23 @@ fn real_time_that_is_refused_is_noted() {
 fn a_task_that_runs_on_and_on_has_crashed() {
     let text = two_nodes!(
         "task a on na
+  port news(n: int16)  usage = send  user_list = {b}  time_out = 2 sec  class = 1  bounded_buffer[4];
   var n: int16;
 begin
   delay 2 sec;
-  loop n := 1 - n; end;
+  loop send news(n); end;
 end a;
+task b on na
+  use_port news(n: int16)  usage = receive;
+  var n: int16;
+begin
+  loop receive news(n); end;
+end b;
 "
     );
     let mut scene = Scene::start(text, &[]);
     let since = scene.started + Duration::from_secs(2);
-    scene.raises(since, "task-crashed", &[]);
+    scene.raises(since, "task-crashed", &["refused", "status-flood"]);
 }
 
 #[test]

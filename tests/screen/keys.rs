@@ -16,9 +16,9 @@ fn each_screen_opens_by_its_key() {
     let screens: [(&str, &str, &[&str]); 8] = [
         ("2", "[2 Port]", &["buffer", "since start"]),
         ("3", "[3 Rdv]", &["lift", "WAITS FOR", "hoist"]),
-        ("4", "[4 Time]", &["armL", "armR", "a row"]),
-        ("5", "[5 Timers]", &["OWNER", "Timer:", "armL"]),
-        ("6", "[6 Events]", &["AGO", "attached"]),
+        ("4", "[4 Time]", &["armL", "armR", "each event"]),
+        ("5", "[5 Timers]", &["OWNER", "Timer:"]),
+        ("6", "[6 Events]", &["AGO", "DETAIL"]),
         ("7", "[7 Model]", &["transition kinds seen", "never:"]),
         ("?", "KEYS: model", &["KEYS EVERYWHERE", "quit"]),
         ("1", "[1 Over]", &["NODE/TASK/PORT", "hoist"]),
