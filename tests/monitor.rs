@@ -43,7 +43,7 @@ fn one_demo_seen_through_pipes() {
     assert_eq!(kept.code, Some(0), "{kept:?}");
 
     // Only the cell that is asked for.
-    fails(&monitor(&["--cell", "no-such-cell", "--once"]), 3, &["no-such-cell"]);
+    fails(&monitor(&["--cell", "no-such-cell", "--once"]), 3, &["no running node found"]);
 }
 
 #[test]

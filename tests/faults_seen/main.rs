@@ -373,7 +373,7 @@ end b;
     );
     let mut scene = Scene::start(text, &[]);
     let since = scene.started + Duration::from_secs(2);
-    scene.raises(since, "task-crashed", &["refused", "status-flood"]);
+    scene.raises(since, "task-crashed", &["refused", "status-flood", "events-lost"]);
 }
 
 #[test]
