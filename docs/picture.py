@@ -7,12 +7,12 @@ Usage: docs/picture.py [path of the imrs command; default target/debug/imrs]
 import html
 import os
 import re
+import shutil
 import signal
 import subprocess
 import sys
 import tempfile
 import time
-from contextlib import contextmanager
 from pathlib import Path
 
 HERE = Path(__file__).resolve().parent
@@ -158,64 +158,75 @@ class Screen:
         sys.exit(f"never showed {showing}:\n{shown}")
 
 
-def keys(screen, *names):
-    for name in names:
-        screen.tmux("send-keys", "--", name)
-        time.sleep(0.3)
+VIEWS = [
+    ("2", "port", "A port's queue in the order of service", r"fill:"),
+    ("4", "timeline", "What happened in each task, side by side", r"each event|a row"),
+    ("5", "timers", "What runs out when", r"OWNER"),
+    ("6", "events", "What happened", r"DETAIL"),
+    ("7", "model", "Whether the nodes do what the verified model does", r"transition kinds seen"),
+    ("?", "help", "The help, made from the table of keys", r"KEYS EVERYWHERE"),
+]
 
 
-def lift():
-    """The overview and the rendezvous, of a beam lift whose hoist dies."""
-    with running(18, "beam-lift", "--for", "60s", "--loss", "5%", "--kill", "hoist@6s") as screen:
-        screen.wait_for("armL", "armR", "hoist")
-        time.sleep(2)
-        screen.save("monitor-overview.svg", "The overview: nodes, tasks and ports of the beam lift while it runs")
-        screen.wait_for("DEAD")
-        keys(screen, "3")
-        screen.wait_for("MISSING")
-        time.sleep(1)
-        screen.save("monitor-rendezvous.svg", "The rendezvous after the hoist's node was killed: both arms wait for it",
-                    r"1\d\dms left")
+def watch(name, *args):
+    """A monitor on a terminal of its own, while a demo runs."""
+    folder = tempfile.mkdtemp(prefix="imrs-picture")
+    env = {**os.environ, "XDG_RUNTIME_DIR": folder}
+    command = [IMRS, "demo", name, "--for", "60s", "--record", os.path.join(folder, "run.imrs"), *args]
+    demo = subprocess.Popen(command, env=env, stdout=subprocess.DEVNULL)
+    screen = Screen(30)
+    time.sleep(1)
+    screen.tmux("send-keys", f"clear; TERM=tmux-256color XDG_RUNTIME_DIR={folder} LC_ALL=C.UTF-8 exec {IMRS} monitor", "Enter")
+    screen.wait_for("NODE/TASK/PORT")
+    return folder, demo, screen
+
+
+def leave(folder, demo, screen):
+    demo.send_signal(signal.SIGINT)
+    demo.wait(timeout=20)
+    screen.tmux("kill-server")
+    shutil.rmtree(folder)
 
 
 def weld():
-    """The other screens, of two robots that weld until the first one's node is killed."""
-    with running(26, "failover-weld", "--for", "60s") as screen:
-        screen.wait_for("r1", "r2", "dresser")
+    running = watch("failover-weld", "--kill", "n1@7s")
+    screen = running[2]
+    try:
+        screen.wait_for("dresser", "r1", "r2")
+        time.sleep(2)
+        screen.save("monitor-overview.svg", "The overview: nodes, tasks and ports of the weld cell while it runs")
         screen.wait_for("DEAD")
-        time.sleep(4)
-        keys(screen, "2", "l")
-        screen.save("monitor-port.svg", "A port's queue: the order of service, what each message still has, and what comes of it")
-        keys(screen, "4")
-        screen.save("monitor-timeline.svg", "The timeline: who sent what to whom, in an order that respects causes")
-        keys(screen, "k", "Enter")
-        screen.save("monitor-message.svg", "The life of one message: what each stage took of it", "whole life")
-        keys(screen, "Escape", "5")
-        screen.save("monitor-timers.svg", "What runs out when, on every node")
-        keys(screen, "6")
-        screen.save("monitor-events.svg", "What happened: the first robot's node died, the second took over")
-        keys(screen, "7")
-        screen.save("monitor-model.svg", "Whether the nodes do what the model does, and which transitions were seen")
-        keys(screen, "?")
-        screen.save("monitor-help.svg", "The help of a screen: its keys, its signs, its columns")
+        time.sleep(1)
+        screen.save("monitor-dead.svg", "The overview after a robot's node was killed: its last state is kept, the standby welds on")
+        for key, name, title, showing in VIEWS:
+            screen.tmux("send-keys", key)
+            screen.save(f"monitor-{name}.svg", title, showing)
+        screen.tmux("send-keys", "Escape")
+        screen.tmux("send-keys", "4")
+        screen.wait_for("TIME")
+        for _ in range(60):
+            screen.tmux("send-keys", "k")
+            screen.tmux("send-keys", "Enter")
+            time.sleep(0.1)
+            if "CHARGED" in screen.tmux("capture-pane", "-p"):
+                break
+        screen.save("monitor-message.svg", "The life of one message, hop by hop", r"CHARGED")
+    finally:
+        leave(*running)
 
 
-@contextmanager
-def running(rows, *demo):
-    """A screen of the monitor on a demo that runs."""
-    with tempfile.TemporaryDirectory(prefix="imrs-picture") as folder:
-        env = {**os.environ, "XDG_RUNTIME_DIR": folder}
-        demo = subprocess.Popen([IMRS, "demo", *demo], env=env, stdout=subprocess.DEVNULL)
-        screen = Screen(rows)
-        try:
-            time.sleep(1)
-            screen.tmux("send-keys", f"clear; TERM=tmux-256color XDG_RUNTIME_DIR={folder} LC_ALL=C.UTF-8 exec {IMRS} monitor", "Enter")
-            yield screen
-        finally:
-            demo.send_signal(signal.SIGINT)
-            demo.wait(timeout=20)
-            screen.tmux("kill-server")
+def lift():
+    running = watch("beam-lift", "--loss", "5%", "--kill", "hoist@3s")
+    screen = running[2]
+    try:
+        screen.wait_for("DEAD")
+        screen.tmux("send-keys", "3")
+        screen.wait_for("DEAD", "lift")
+        screen.save("monitor-rendezvous.svg", "The rendezvous after the hoist's node was killed: both arms wait for it",
+                    r"1\.\d\ds left|\d\d\dms left")
+    finally:
+        leave(*running)
 
 
-lift()
 weld()
+lift()

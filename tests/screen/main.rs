@@ -1,125 +1,16 @@
 //! The monitor in a real terminal: tmux is the terminal, its screen is what a person sees.
 
+mod keys;
+mod servers;
+#[path = "../support/mod.rs"]
 mod support;
+mod terminal;
 
 use rustix::process::Signal;
-use std::path::{Path, PathBuf};
-use std::process::{Command, Output};
-use std::sync::atomic::{AtomicU32, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
-use support::{Demo, PATIENCE, signal};
-
-/// Whether there is a tmux. Without one these tests say so; where everything is required they fail.
-fn tmux_is_here() -> bool {
-    let here = Command::new("tmux").arg("-V").output().is_ok_and(|output| output.status.success());
-    if !here {
-        let required = std::env::var_os("IMRS_REQUIRE_ALL").is_some_and(|value| value == "1");
-        assert!(!required, "tmux is missing, and IMRS_REQUIRE_ALL=1 requires it");
-        eprintln!(
-            "\n*** SKIPPED: tmux is missing, so the monitor was NOT tested in a terminal. Install tmux. ***\n"
-        );
-    }
-    here
-}
-
-/// A terminal with a shell in it.
-struct Terminal {
-    server: String,
-    folder: PathBuf,
-}
-
-static TERMINALS: AtomicU32 = AtomicU32::new(0);
-
-impl Terminal {
-    fn open(folder: &Path) -> Self {
-        let number = TERMINALS.fetch_add(1, Ordering::Relaxed);
-        let server = format!("imrs-test-{}-{number}", std::process::id());
-        let terminal = Self { server, folder: folder.to_owned() };
-        terminal.tmux(&["new-session", "-d", "-x", "120", "-y", "40", "env", "PS1=ready> ", "sh"]);
-        terminal.wait_for("the shell", |screen| screen.contains("ready>"));
-        terminal
-    }
-
-    fn try_tmux(&self, args: &[&str]) -> Output {
-        let mut command = Command::new("tmux");
-        command.args(["-L", &self.server, "-f", "/dev/null"]).args(args);
-        command.env_remove("TMUX").env("LC_ALL", "C.UTF-8").output().expect("tmux")
-    }
-
-    fn tmux(&self, args: &[&str]) -> String {
-        let output = self.try_tmux(args);
-        assert!(output.status.success(), "tmux {args:?}: {}", String::from_utf8_lossy(&output.stderr));
-        String::from_utf8_lossy(&output.stdout).into_owned()
-    }
-
-    fn screen(&self) -> String {
-        self.tmux(&["capture-pane", "-p"])
-    }
-
-    fn keys(&self, keys: &[&str]) {
-        self.tmux(&[&["send-keys"], keys].concat());
-    }
-
-    /// Runs the monitor; when it has ended, the shell says with which code.
-    fn start_monitor(&self, environment: &str) {
-        self.type_monitor(environment, "");
-        self.wait_for("the overview", |screen| screen.contains("armL") && screen.contains("hoist"));
-        assert!(self.on_alternate_screen());
-    }
-
-    fn type_monitor(&self, environment: &str, flags: &str) {
-        let folder = self.folder.display();
-        let program = env!("CARGO_BIN_EXE_imrs");
-        let line =
-            format!("XDG_RUNTIME_DIR={folder} {environment} {program} monitor {flags}; echo \"ended: $?\"");
-        self.keys(&[&line, "Enter"]);
-    }
-
-    fn wait_for(&self, what: &str, is_there: impl Fn(&str) -> bool) -> String {
-        let end = Instant::now() + PATIENCE;
-        loop {
-            let screen = self.screen();
-            if is_there(&screen) {
-                return screen;
-            }
-            assert!(Instant::now() < end, "waited in vain for {what}:\n{screen}");
-            thread::sleep(Duration::from_millis(30));
-        }
-    }
-
-    fn on_alternate_screen(&self) -> bool {
-        self.tmux(&["display-message", "-p", "#{alternate_on}"]).trim() == "1"
-    }
-
-    /// The terminal is the shell's again, and what is typed is seen.
-    fn assert_restored(&self) {
-        self.wait_for("the shell after the monitor", |screen| screen.contains("ended: "));
-        assert!(!self.on_alternate_screen(), "the alternate screen was left on");
-        assert_eq!(
-            self.tmux(&["display-message", "-p", "#{cursor_flag}"]).trim(),
-            "1",
-            "the cursor was left hidden"
-        );
-        self.keys(&["echo all-well-$((40+2))", "Enter"]);
-        let screen = self.wait_for("an echo", |screen| screen.contains("all-well-42"));
-        assert!(screen.contains("echo all-well-$((40+2))"), "what is typed is not seen:\n{screen}");
-    }
-
-    /// The process of the monitor: the only child of the shell.
-    fn monitor_pid(&self) -> u32 {
-        let shell = self.tmux(&["display-message", "-p", "#{pane_pid}"]);
-        let children = std::fs::read_to_string(format!("/proc/{0}/task/{0}/children", shell.trim()));
-        let children = children.expect("the shell's children");
-        children.split_whitespace().next().and_then(|pid| pid.parse().ok()).expect("a monitor")
-    }
-}
-
-impl Drop for Terminal {
-    fn drop(&mut self) {
-        let _ = self.try_tmux(&["kill-server"]);
-    }
-}
+use support::{Demo, signal};
+use terminal::{Terminal, tmux_is_here};
 
 #[test]
 fn the_screen_shows_who_waits_for_whom_and_a_death_and_gives_the_terminal_back() {
@@ -167,15 +58,12 @@ fn signals_a_resize_to_nothing_and_a_stop_leave_the_terminal_as_it_was() {
     }
     let demo = Demo::start(&["--for", "10m"]);
     let terminal = Terminal::open(demo.dir.path());
-    for by in [Signal::TERM, Signal::INT] {
+    for by in [Signal::TERM, Signal::INT, Signal::HUP] {
         terminal.start_monitor("");
-        signal(terminal.monitor_pid(), by);
-        terminal.assert_restored();
-        terminal.keys(&["clear", "Enter"]);
-        terminal.wait_for("an empty screen", |screen| !screen.contains("ended: "));
+        terminal.end_by(by);
     }
     terminal.start_monitor("");
-    for (width, height) in [("1", "1"), ("40", "12"), ("120", "40")] {
+    for (width, height) in [("1", "1"), ("40", "12"), ("200", "60"), ("120", "40")] {
         terminal.tmux(&["resize-window", "-x", width, "-y", height]);
         thread::sleep(Duration::from_millis(200));
     }

@@ -1,0 +1,415 @@
+//! The fault matrix of the monitor (M15): each fault, made in nodes that run, raises its lint and nothing unrelated; nodes
+//! without a fault raise none. The cells are slow, so that a busy machine is no fault of theirs.
+
+mod scene;
+#[path = "../support/mod.rs"]
+mod support;
+
+use rustix::process::Signal;
+use scene::{AMBIENT, LONG, Scene};
+use serde_json::Value;
+use std::net::UdpSocket;
+use std::thread;
+use std::time::{Duration, Instant};
+use support::signal;
+
+/// Three tasks that meet, ask and tell each other, with so much time for everything that none of it runs out.
+const WATCHED: &str = "\
+cell watched;
+tick 50 msec;
+node na;  node nb;  node nc;
+link na -- nb delay 50 msec;  link nb -- nc delay 50 msec;  link na -- nc delay 50 msec;
+task a on na
+  port ask(n: int16) -> int16  usage = query  user_list = {b}  time_out = 2 sec  class = 2;
+  port news(n: int16)  usage = send  user_list = {c}  time_out = 4 sec  class = 1  bounded_buffer[8];
+  port meet()  usage = waitfor  user_list = {b, c}  time_out = 20 sec  class = 2  retry = 4  resend = 100 msec;
+  var n: int16;
+begin
+  loop
+    query ask(n) -> n on time_out do n := 0; end on refused do n := 0; end;
+    send news(n);
+    waitfor meet() on time_out do skip; end;
+    delay 200 msec;
+  end;
+end a;
+task b on nb
+  use_port ask(n: int16) -> int16  usage = response;
+  use_port meet()  usage = waitfor  time_out = 20 sec;
+begin
+  order ask > self;
+  on query ask(n) do response(n); end;
+  loop
+    waitfor meet() on time_out do skip; end;
+    delay 200 msec;
+  end;
+end b;
+task c on nc
+  use_port news(n: int16)  usage = receive;
+  use_port meet()  usage = waitfor  time_out = 20 sec;
+begin
+  order news > self;
+  on receive news(n) do skip; end;
+  loop
+    waitfor meet() on time_out do skip; end;
+    delay 200 msec;
+  end;
+end c;
+";
+
+/// A cell of two nodes, with these tasks.
+macro_rules! two_nodes {
+    ($tasks:literal) => {
+        concat!("cell two;\ntick 50 msec;\nnode na;  node nb;\nlink na -- nb delay 50 msec;\n", $tasks)
+    };
+}
+
+#[test]
+fn a_healthy_run_raises_nothing() {
+    let seconds = std::env::var("IMRS_HEALTHY").map_or(20, |text| text.parse().expect("seconds"));
+    Scene::start(WATCHED, &[]).is_calm_for(Duration::from_secs(seconds));
+}
+
+#[test]
+fn a_killed_node_is_dead_and_those_who_wait_for_it_are_told() {
+    let related = ["node-dead", "rendezvous-lost-member", "time-outs", "link-discards"];
+    for lint in ["node-dead", "rendezvous-lost-member"] {
+        let mut scene = Scene::start(WATCHED, &[]);
+        scene.is_calm_for(Duration::from_secs(1));
+        let since = Instant::now();
+        signal(scene.node("nb").pid, Signal::KILL);
+        scene.raises(since, lint, &related);
+    }
+}
+
+#[test]
+fn a_node_that_comes_back_is_no_fault_any_more() {
+    let mut scene = Scene::start(WATCHED, &["--kill", "nb@1s", "--restart", "nb@4s"]);
+    let since = scene.started + Duration::from_secs(1);
+    let related = ["rendezvous-lost-member", "time-outs", "link-discards"];
+    scene.raises(since, "node-dead", &related);
+    let end = Instant::now() + LONG;
+    while !scene.sample().codes.iter().all(|code| AMBIENT.contains(&code.as_str())) {
+        assert!(Instant::now() < end, "it is a fault for ever");
+    }
+    scene.is_calm_for(Duration::from_secs(1));
+}
+
+#[test]
+fn a_stopped_node_is_silent_until_it_goes_on() {
+    let mut scene = Scene::start(WATCHED, &[]);
+    scene.is_calm_for(Duration::from_secs(1));
+    let (since, pid) = (Instant::now(), scene.node("nb").pid);
+    signal(pid, Signal::STOP);
+    scene.raises(since, "node-silent", &["time-outs"]);
+    signal(pid, Signal::CONT);
+    let end = Instant::now() + LONG;
+    while scene.sample().codes.contains("node-silent") {
+        assert!(Instant::now() < end, "it is silent for ever");
+    }
+}
+
+#[test]
+fn more_news_than_are_taken_are_a_flood() {
+    let text = two_nodes!(
+        "task camera on na
+  port pose(n: int16)  usage = send  user_list = {picker}  time_out = 10 sec  class = 1  bounded_buffer[2];
+  var n: int16;
+begin
+  delay 2 sec;
+  loop send pose(n); delay 50 msec; end;
+end camera;
+task picker on nb
+  use_port pose(n: int16)  usage = receive;
+  var n: int16;
+begin
+  loop receive pose(n); run follow n takes 1 sec; end;
+end picker;
+"
+    );
+    let mut scene = Scene::start(text, &[]);
+    let since = scene.started + Duration::from_secs(2);
+    scene.raises(since, "status-flood", &["refused"]);
+}
+
+#[test]
+fn commands_without_space_are_refused() {
+    let text = two_nodes!(
+        "task press on nb
+  port put(n: int16)  usage = receive  user_list = {p, q}  time_out = 20 sec  class = 2  bounded_buffer[1];
+  var n: int16;
+begin
+  run work n takes 30 sec;
+  receive put(n); reply();
+end press;
+task p on na
+  use_port put(n: int16)  usage = send;
+begin
+  delay 1 sec;
+  use_send put(1) on time_out do skip; end on refused do skip; end;
+end p;
+task q on na
+  use_port put(n: int16)  usage = send;
+begin
+  delay 1 sec;
+  use_send put(2) on time_out do skip; end on refused do skip; end;
+end q;
+"
+    );
+    let mut scene = Scene::start(text, &[]);
+    let since = scene.started + Duration::from_secs(1);
+    scene.raises(since, "refused", &[]);
+}
+
+#[test]
+fn a_message_that_waits_too_long_is_at_risk_and_then_expired() {
+    let text = two_nodes!(
+        "task a on na
+  port news(n: int16)  usage = send  user_list = {b}  time_out = 8 sec  class = 1  bounded_buffer[4];
+begin
+  send news(1);
+  delay 100 sec;
+end a;
+task b on nb
+  use_port news(n: int16)  usage = receive;
+  var n: int16;
+begin
+  run dig n takes 60 sec;
+  receive news(n);
+end b;
+"
+    );
+    let mut scene = Scene::start(text, &[]);
+    // A tenth of its life is left.
+    let since = scene.started + Duration::from_millis(7200);
+    scene.raises(since, "deadline-risk", &["expired"]);
+    let since = scene.started + Duration::from_secs(8);
+    scene.raises(since, "expired", &[]);
+}
+
+#[test]
+fn a_rendezvous_whose_patience_ends_is_stuck() {
+    let text = two_nodes!(
+        "task a on na
+  port meet()  usage = waitfor  user_list = {b}  time_out = 12 sec  class = 2  retry = 4  resend = 200 msec;
+begin
+  waitfor meet() on time_out do skip; end;
+end a;
+task b on nb
+  use_port meet()  usage = waitfor  time_out = 12 sec;
+begin
+  run dig takes 60 sec;
+  waitfor meet() on time_out do skip; end;
+end b;
+"
+    );
+    let mut scene = Scene::start(text, &[]);
+    let since = scene.started + Duration::from_secs(9);
+    scene.raises(since, "rendezvous-stuck", &["time-outs"]);
+}
+
+#[test]
+fn tasks_that_ask_each_other_wait_in_a_circle() {
+    let text = two_nodes!(
+        "task left on na
+  port free() -> bool  usage = query  user_list = {right}  time_out = 30 sec;
+  use_port clear() -> bool  usage = response;
+  var ok: bool;
+begin
+  order clear > self;
+  on query clear() do response(not ok); end;
+  atomic run look takes 2 sec; query free() -> ok on time_out do ok := false; end; end;
+end left;
+task right on nb
+  port clear() -> bool  usage = query  user_list = {left}  time_out = 30 sec;
+  use_port free() -> bool  usage = response;
+  var ok: bool;
+begin
+  order free > self;
+  on query free() do response(not ok); end;
+  atomic run look takes 2 sec; query clear() -> ok on time_out do ok := false; end; end;
+end right;
+"
+    );
+    let mut scene = Scene::start(text, &[]);
+    let since = scene.started + Duration::from_secs(2);
+    scene.raises(since, "wait-cycle", &[]);
+}
+
+#[test]
+fn a_question_that_is_rejected_again_and_again_starves() {
+    let text = two_nodes!(
+        "task inspector on na
+  port weld()  usage = send  user_list = {arm}  time_out = 10 sec  class = 1;
+  port stop()  usage = send  user_list = {arm}  time_out = 10 sec  class = 1;
+  port halt()  usage = send  user_list = {arm}  time_out = 10 sec  class = 1;
+  port look() -> bool  usage = query  user_list = {arm}  time_out = 30 sec  penalty = 200 msec;
+  var ok: bool;
+begin
+  delay 1 sec;
+  send weld();
+  delay 1 sec;
+  query look() -> ok on time_out do ok := false; end on refused do ok := false; end;
+  if ok then send stop(); send halt(); end;
+end inspector;
+task arm on nb
+  use_port weld()  usage = receive;
+  use_port stop()  usage = receive;
+  use_port halt()  usage = receive;
+  use_port look() -> bool  usage = response;
+begin
+  order weld > stop > halt > self > look;
+  on receive weld() do run weld_it takes 20 sec; end;
+  on receive stop() do skip; end;
+  on receive halt() do skip; end;
+  on query look() do response(true); end;
+  loop delay 20 sec; end;
+end arm;
+"
+    );
+    let mut scene = Scene::start(text, &[]);
+    // Three rejections, and its penalty between them.
+    let since = scene.started + Duration::from_millis(2600);
+    scene.raises(since, "starving", &[]);
+}
+
+#[test]
+fn questions_over_a_cut_link_time_out() {
+    let mut scene = Scene::start(WATCHED, &["--cut", "na--nb@2s+60s"]);
+    let since = scene.started + Duration::from_secs(4);
+    // a waits for the answer, b for a at the meeting: a circle, as long as the link is cut.
+    scene.raises(since, "time-outs", &["wait-cycle"]);
+}
+
+#[test]
+fn datagrams_of_strangers_break_the_integrity_or_are_of_another_version() {
+    for (bytes, lint) in [(&[0x9d, 0x4d, 1, 0][..], "integrity"), (&[0x9d, 0x4d, 99, 0], "version-mismatch")]
+    {
+        let mut scene = Scene::start(WATCHED, &[]);
+        scene.is_calm_for(Duration::from_secs(1));
+        let since = Instant::now();
+        let stranger = UdpSocket::bind("127.0.0.1:0").expect("a socket");
+        let datagram = [bytes, &[7; 96]].concat();
+        stranger.send_to(&datagram, scene.node("nb").address).expect("it is sent");
+        scene.raises(since, lint, &[]);
+    }
+}
+
+#[test]
+fn more_datagrams_than_the_kernel_keeps_are_told() {
+    let mut scene = Scene::start(WATCHED, &[]);
+    scene.is_calm_for(Duration::from_secs(1));
+    let (pid, address) = (scene.node("nb").pid, scene.node("nb").address);
+    signal(pid, Signal::STOP);
+    let stranger = UdpSocket::bind("127.0.0.1:0").expect("a socket");
+    for _ in 0..20_000 {
+        // The kernel has no more room: that is what it is about.
+        let _ = stranger.send_to(&[7; 1400], address);
+    }
+    signal(pid, Signal::CONT);
+    let since = Instant::now();
+    scene.raises(since, "kernel-residency", &["integrity", "time-outs", "node-silent", "wait-cycle"]);
+}
+
+#[test]
+fn nodes_of_two_texts_of_a_cell_are_told_apart() {
+    let ports = [(); 2].map(|()| UdpSocket::bind("127.0.0.1:0").expect("a socket"));
+    let ports = ports.map(|socket| socket.local_addr().expect("an address").port());
+    let text = |buffer: u8| {
+        format!(
+            "cell texts;\ntick 50 msec;\nnode na at \"127.0.0.1\" port {};  node nb at \"127.0.0.1\" port {};\nlink na -- nb delay 50 msec;
+task a on na
+  port news(n: int16)  usage = send  user_list = {{b}}  time_out = 2 sec  class = 1  bounded_buffer[{buffer}];
+  var n: int16;
+begin
+  loop send news(n); delay 500 msec; end;
+end a;
+task b on nb
+  use_port news(n: int16)  usage = receive;
+begin
+  order news > self;
+  on receive news(n) do skip; end;
+  loop delay 1 sec; end;
+end b;
+",
+            ports[0], ports[1]
+        )
+    };
+    let mut scene = Scene::of(&[(&text(4), &["--node", "na"]), (&text(5), &["--node", "nb"])]);
+    let since = scene.started;
+    // The first sends before there is a second.
+    scene.raises(since, "digest-mismatch", &["link-discards"]);
+}
+
+#[test]
+fn real_time_that_is_refused_is_noted() {
+    let mut scene = Scene::start(WATCHED, &["--rt"]);
+    let report = scene.report();
+    let had = |node: &Value| node["real_time"] == "had";
+    if report["nodes"].as_array().expect("nodes").iter().all(had) {
+        scene.is_calm_for(Duration::from_secs(1));
+        return;
+    }
+    let since = scene.started;
+    scene.raises(since, "no-real-time", &[]);
+}
+
+#[test]
+fn a_task_that_runs_on_and_on_has_crashed() {
+    let text = two_nodes!(
+        "task a on na
+  port news(n: int16)  usage = send  user_list = {b}  time_out = 2 sec  class = 1  bounded_buffer[4];
+  var n: int16;
+begin
+  delay 2 sec;
+  loop send news(n); end;
+end a;
+task b on na
+  use_port news(n: int16)  usage = receive;
+  var n: int16;
+begin
+  loop receive news(n); end;
+end b;
+"
+    );
+    let mut scene = Scene::start(text, &[]);
+    let since = scene.started + Duration::from_secs(2);
+    scene.raises(since, "task-crashed", &["refused", "status-flood", "events-lost"]);
+}
+
+#[test]
+fn a_monitor_that_does_not_read_is_told_what_it_missed() {
+    let text = "\
+cell chat;
+tick 1 msec;
+node na;
+task a on na
+  port news(n: int16)  usage = send  user_list = {b}  time_out = 2 sec  class = 1  bounded_buffer[64];
+  var n: int16;
+begin
+  loop
+    n := 0;
+    while n < 50 do send news(n); n := n + 1; end;
+    delay 1 msec;
+  end;
+end a;
+task b on na
+  use_port news(n: int16)  usage = receive;
+begin
+  order news > self;
+  on receive news(n) do skip; end;
+  loop delay 1 sec; end;
+end b;
+";
+    let mut scene = Scene::start(text, &[]);
+    let monitor = scene.monitor.child.id();
+    signal(monitor, Signal::STOP);
+    thread::sleep(Duration::from_secs(4));
+    signal(monitor, Signal::CONT);
+    let since = Instant::now();
+    // It cannot say how old the last word of the node is before it has read on.
+    scene.raises(
+        since,
+        "events-lost",
+        &["node-silent", "refused", "status-flood", "evicted", "expired", "deadline-risk"],
+    );
+}

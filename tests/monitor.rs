@@ -1,0 +1,125 @@
+//! `imrs monitor` as scripts and pipes use it: what it prints, and the code it ends with.
+
+mod support;
+
+use serde_json::Value;
+use std::io::{BufRead, BufReader};
+use std::process::Stdio;
+use support::{Demo, Said, imrs, run, run_in, runtime_dir, signal, wait_until};
+
+const ESCAPE: char = '\u{1b}';
+
+/// Ends with `code`, and says this of what is wrong.
+fn fails(said: &Said, code: i32, words: &[&str]) {
+    assert_eq!(said.code, Some(code), "{said:?}");
+    for word in words {
+        assert!(said.err.contains(word), "`{word}` is missing: {said:?}");
+    }
+}
+
+#[test]
+fn one_demo_seen_through_pipes() {
+    let demo = Demo::start(&["--for", "10m"]);
+    let monitor = |args: &[&str]| run_in(demo.dir.path(), &[&["monitor"], args].concat());
+
+    // Into a pipe: a sample as text, without escapes, and it ends by itself.
+    let piped = monitor(&[]);
+    assert!(matches!(piped.code, Some(0 | 1)), "{piped:?}");
+    assert!(piped.out.contains("node nh: up") && !piped.out.contains(ESCAPE), "{piped:?}");
+
+    let once = monitor(&["--once", "--format", "json"]);
+    assert_eq!(once.out.lines().count(), 1, "{once:?}");
+    let report = once.last_json();
+    assert_eq!(report["version"], 1, "{report}");
+    assert_eq!(report["nodes"].as_array().map(Vec::len), Some(3), "{report}");
+
+    // What is true, what is false, what is no condition.
+    assert_eq!(monitor(&["--assert", "up==3 and nodes==3"]).code, Some(0));
+    let wrong = monitor(&["--assert", "up>=4"]);
+    assert_eq!(wrong.code, Some(1), "{wrong:?}");
+    assert!(format!("{}{}", wrong.out, wrong.err).contains("up = 3"), "{wrong:?}");
+    fails(&monitor(&["--assert", "up >== 4"]), 2, &["up >== 4", "column 6"]);
+    let kept = monitor(&["--assert", "up==3", "--for", "500ms"]);
+    assert_eq!(kept.code, Some(0), "{kept:?}");
+
+    // Only the cell that is asked for.
+    fails(&monitor(&["--cell", "no-such-cell", "--once"]), 3, &["no running node found"]);
+}
+
+#[test]
+fn samples_come_until_the_reader_has_enough() {
+    let demo = Demo::start(&["--for", "10m"]);
+    let args = ["monitor", "--watch", "100ms", "--format", "json"];
+    let mut child =
+        imrs(demo.dir.path(), &args).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().expect("it starts");
+    let mut lines = BufReader::new(child.stdout.take().expect("a pipe")).lines();
+    for _ in 0..5 {
+        let line = lines.next().expect("a sample").expect("text");
+        let report: Value = serde_json::from_str(&line).unwrap_or_else(|error| panic!("{error}: {line}"));
+        assert_eq!(report["nodes"].as_array().map(Vec::len), Some(3), "{line}");
+    }
+    drop(lines);
+    let mut ended = None;
+    wait_until("the monitor has noticed", || {
+        ended = child.try_wait().expect("its state");
+        ended.is_some()
+    });
+    assert!(matches!(ended.and_then(|status| status.code()), Some(0 | 1)), "{ended:?}");
+}
+
+#[test]
+fn a_death_breaks_an_assertion() {
+    let demo = Demo::start(&["--for", "10m"]);
+    let sees = |condition: &str| run_in(demo.dir.path(), &["monitor", "--assert", condition]).code == Some(0);
+    wait_until("all are seen", || sees("up==3"));
+    signal(demo.pid("nh"), rustix::process::Signal::KILL);
+    wait_until("the death is seen", || sees("up==2"));
+    let gone = run_in(demo.dir.path(), &["monitor", "--assert", "up==3"]);
+    assert_eq!(gone.code, Some(1), "{gone:?}");
+}
+
+#[test]
+fn the_file_of_settings_is_read_and_its_slips_are_told() {
+    let dir = runtime_dir();
+    let example = run(&["monitor", "--config-example"]);
+    assert_eq!(example.code, Some(0), "{example:?}");
+    let file = |name: &str, text: &str| {
+        let path = dir.path().join(name);
+        std::fs::write(&path, text).expect("a file");
+        path.to_str().expect("UTF-8").to_owned()
+    };
+    let monitor = |config: &str| run_in(dir.path(), &["monitor", "--config", config, "--once"]);
+    // Taken; there is nothing to show.
+    fails(&monitor(&file("example.toml", &example.out)), 3, &["no running node found"]);
+    // With every line in force it is taken, too: its token is not there.
+    let all: String = example.out.lines().map(|line| uncommented(line) + "\n").collect();
+    fails(&monitor(&file("all.toml", &all)), 2, &["/etc/imrs/observe.token"]);
+    fails(
+        &monitor(&file("slip.toml", "mouse = false\ncolour = true\n")),
+        2,
+        &["line 2", "colour", "slip.toml"],
+    );
+    fails(&monitor(&file("theme.toml", "theme = \"nonsense\"\n")), 2, &["nonsense", "contrast"]);
+    fails(&monitor(&file("filter.toml", "filter = \"slakc<5ms\"\n")), 2, &["slakc"]);
+    fails(&monitor("no-such-file.toml"), 2, &["no-such-file.toml"]);
+    fails(&run_in(dir.path(), &["monitor", "--theme", "nonsense", "--once"]), 2, &["nonsense", "contrast"]);
+    let schema = run(&["monitor", "--config-schema"]);
+    assert!(schema.code == Some(0) && schema.out.contains("reduced_motion"), "{schema:?}");
+}
+
+/// `#key = value` without its `#`.
+fn uncommented(line: &str) -> String {
+    let key = line.strip_prefix('#').filter(|rest| rest.starts_with(|c: char| c.is_ascii_lowercase()));
+    key.unwrap_or(line).to_owned()
+}
+
+#[test]
+fn recordings_that_are_none_are_told() {
+    let dir = runtime_dir();
+    let none = dir.path().join("none.imrs");
+    std::fs::write(&none, "this is no recording").expect("a file");
+    let none = none.to_str().expect("UTF-8");
+    fails(&run(&["monitor", "--replay", none, "--once"]), 2, &["none.imrs"]);
+    fails(&run(&["export", none, "--to", "jsonl"]), 2, &["none.imrs"]);
+    fails(&run(&["monitor", "--connect", "nowhere", "--once"]), 2, &["unix:PATH"]);
+}

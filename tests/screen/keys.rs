@@ -1,0 +1,136 @@
+//! What the keys do, in one run of the monitor each.
+
+use crate::support::{Demo, run, run_in};
+use crate::terminal::{Terminal, tmux_is_here};
+use std::thread;
+use std::time::Duration;
+
+#[test]
+fn each_screen_opens_by_its_key() {
+    if !tmux_is_here() {
+        return;
+    }
+    let demo = Demo::start(&["--for", "10m"]);
+    let terminal = Terminal::open(demo.dir.path());
+    terminal.start_monitor("");
+    let screens: [(&str, &str, &[&str]); 8] = [
+        ("2", "[2 Port]", &["buffer", "since start"]),
+        ("3", "[3 Rdv]", &["lift", "WAITS FOR", "hoist"]),
+        ("4", "[4 Time]", &["armL", "armR", "each event"]),
+        ("5", "[5 Timers]", &["OWNER", "Timer:"]),
+        ("6", "[6 Events]", &["AGO", "DETAIL"]),
+        ("7", "[7 Model]", &["transition kinds seen", "never:"]),
+        ("?", "KEYS: model", &["KEYS EVERYWHERE", "quit"]),
+        ("1", "[1 Over]", &["NODE/TASK/PORT", "hoist"]),
+    ];
+    for (key, title, words) in screens {
+        let is_there =
+            |screen: &str| screen.contains(title) && words.iter().all(|word| screen.contains(word));
+        terminal.keys(&[key]);
+        terminal.wait_for(title, is_there);
+    }
+    terminal.leave();
+}
+
+#[test]
+fn a_filter_a_mark_a_pause_and_a_theme_are_seen() {
+    if !tmux_is_here() {
+        return;
+    }
+    let demo = Demo::start(&["--for", "10m"]);
+    let terminal = Terminal::open(demo.dir.path());
+    terminal.start_monitor("");
+    let rows = |screen: &str, word: &str| screen.lines().any(|line| line.contains(word));
+
+    terminal.keys(&["/"]);
+    terminal.keys(&["-l", "halt"]);
+    terminal.keys(&["Enter"]);
+    terminal.wait_for("only ports of that name", |s| rows(s, "halt ") && !rows(s, "beat "));
+    terminal.keys(&["Escape"]);
+    terminal.wait_for("all ports again", |s| rows(s, "halt ") && rows(s, "beat "));
+
+    terminal.press(&["m"], "marked at");
+    terminal.press(&["d"], "counters since the mark");
+    terminal.keys(&["d"]);
+    terminal.wait_for("the counters since the start", |s| !s.contains("counters since the mark"));
+
+    terminal.press(&["Space"], "PAUSED");
+    let before = terminal.press(&["["], "PAUSED");
+    assert!(rows(&before, "hoist"), "a step back shows nothing:\n{before}");
+    terminal.press(&["End"], "hoist");
+    terminal.keys(&["Space"]);
+    terminal.wait_for("the present", |s| s.contains("LIVE") && !s.contains("PAUSED"));
+
+    let styled = || terminal.tmux(&["capture-pane", "-p", "-e"]);
+    let first = styled();
+    for _ in 0..3 {
+        terminal.keys(&["t"]);
+        thread::sleep(Duration::from_millis(150));
+    }
+    assert_ne!(first, styled(), "no theme looks different");
+    terminal.leave();
+}
+
+#[test]
+fn commands_are_typed_and_unknown_ones_told() {
+    if !tmux_is_here() {
+        return;
+    }
+    let demo = Demo::start(&["--for", "10m"]);
+    let terminal = Terminal::open(demo.dir.path());
+    terminal.start_monitor("");
+    let command = |text: &str, shows: &str| {
+        terminal.keys(&[":"]);
+        terminal.keys(&["-l", text]);
+        terminal.press(&["Enter"], shows)
+    };
+    command("fly", "no such command");
+    command("theme nonsense", "no such theme");
+    command("connect nowhere", "names no endpoint");
+    command("port nothing", "no port nothing");
+    command("port halt", "[2 Port]");
+    command("node nh", "[1 Over]");
+    command("quit", "ended: 0");
+    terminal.assert_restored();
+}
+
+#[test]
+fn a_screen_is_written_as_text_and_a_recording_exported() {
+    if !tmux_is_here() {
+        return;
+    }
+    let demo = Demo::start(&["--for", "10m"]);
+    let terminal = Terminal::open(demo.dir.path());
+    let folder = demo.dir.path().display().to_string();
+    terminal.keys(&[&format!("cd {folder}; clear"), "Enter"]);
+    terminal.start_monitor("");
+    let files = |ending: &str| -> Vec<String> {
+        let all = std::fs::read_dir(&folder).expect("the folder").map(|file| file.expect("a file").path());
+        let all = all.map(|path| path.to_str().expect("UTF-8").to_owned());
+        all.filter(|path| path.ends_with(ending)).collect()
+    };
+    terminal.press(&["w"], ".txt");
+    let [written] = &files(".txt")[..] else { panic!("{:?}", files(".txt")) };
+    let text = std::fs::read_to_string(written).expect("the screen");
+    assert!(text.contains("armL") && !text.contains('\u{1b}'), "{text}");
+
+    let before = files(".imrs");
+    terminal.press(&["r"], " REC ");
+    thread::sleep(Duration::from_secs(1));
+    terminal.keys(&["r"]);
+    terminal.wait_for("the end of the recording", |screen| !screen.contains(" REC "));
+    terminal.leave();
+    let recorded: Vec<String> = files(".imrs").into_iter().filter(|file| !before.contains(file)).collect();
+    let [recorded] = &recorded[..] else { panic!("{recorded:?}") };
+    let replayed = run(&["monitor", "--replay", recorded, "--once", "--format", "json"]);
+    assert_eq!(replayed.last_json()["nodes"].as_array().map(Vec::len), Some(3), "{replayed:?}");
+    for (form, begin) in
+        [("jsonl", &b"{"[..]), ("mcap", b"\x89MCAP0\r\n"), ("svg", b"<svg"), ("asciicast", b"{")]
+    {
+        let out = format!("{folder}/exported.{form}");
+        let said = run_in(demo.dir.path(), &["export", recorded, "--to", form, "--out", &out]);
+        assert_eq!(said.code, Some(0), "{said:?}");
+        let bytes = std::fs::read(&out).expect("the export");
+        assert!(bytes.starts_with(begin) && bytes.len() > 1000, "{form}: {} bytes", bytes.len());
+    }
+}

@@ -1,0 +1,162 @@
+//! Nodes that are slow, stopped, dead or none, and terminals that can do little.
+
+use crate::support::{Demo, run_in, runtime_dir, signal, wait_until};
+use crate::terminal::{Terminal, tmux_is_here};
+use rustix::process::Signal;
+use std::io::{Read, Write};
+use std::os::unix::net::{UnixListener, UnixStream};
+use std::path::Path;
+use std::thread;
+use std::time::Duration;
+
+/// A socket where a monitor looks for nodes, served by `each` in threads that end with the test's process.
+fn listen(dir: &Path, node: &str, each: fn(UnixStream)) -> String {
+    let folder = imrs_wire::obs::place::prepare_in(&dir.join("imrs"), "beam_lift", node, std::process::id());
+    let path = folder.expect("a place for the socket");
+    let listener = UnixListener::bind(&path).expect("a socket");
+    thread::spawn(move || {
+        listener.incoming().flatten().for_each(|stream| drop(thread::spawn(move || each(stream))))
+    });
+    path.display().to_string()
+}
+
+/// Something that speaks another protocol.
+fn garbage(mut stream: UnixStream) {
+    let _ = stream.write_all(&[0x5a; 4096]);
+    let _ = stream.read(&mut [0; 64]);
+}
+
+/// A frame that never ends, a byte at a time.
+fn drip(mut stream: UnixStream) {
+    let _ = stream.write_all(&[0xff, 0xff, 0, 0]);
+    while stream.write_all(&[0]).is_ok() {
+        thread::sleep(Duration::from_millis(200));
+    }
+}
+
+/// A frame longer than any.
+fn endless(mut stream: UnixStream) {
+    let _ = stream.write_all(&[0xff; 4]);
+    while stream.write_all(&[0xff; 65536]).is_ok() {}
+}
+
+/// Something that listens and says nothing.
+fn mute(mut stream: UnixStream) {
+    let _ = stream.read_to_end(&mut Vec::new());
+}
+
+const STRANGERS: [(&str, fn(UnixStream)); 4] =
+    [("garbage", garbage), ("drip", drip), ("endless", endless), ("mute", mute)];
+
+#[test]
+fn hostile_and_slow_servers_neither_hang_the_monitor_nor_hide_the_nodes() {
+    let dir = runtime_dir();
+    for (name, each) in STRANGERS {
+        let path = listen(dir.path(), name, each);
+        let said = run_in(dir.path(), &["monitor", "--connect", &format!("unix:{path}"), "--once"]);
+        assert_eq!(said.code, Some(3), "{name}: {said:?}");
+        assert!(said.err.contains("no running node found"), "{name}: {said:?}");
+    }
+    if !tmux_is_here() {
+        return;
+    }
+    let demo = Demo::start(&["--for", "10m"]);
+    for (name, each) in STRANGERS {
+        listen(demo.dir.path(), name, each);
+    }
+    let terminal = Terminal::open(demo.dir.path());
+    terminal.start_monitor("");
+    terminal.press(&["3"], "lift");
+    terminal.press(&["1"], "NODE/TASK/PORT");
+    terminal.leave();
+}
+
+#[test]
+fn a_stopped_node_is_silent_and_never_shown_as_up() {
+    if !tmux_is_here() {
+        return;
+    }
+    let demo = Demo::start(&["--for", "10m"]);
+    let terminal = Terminal::open(demo.dir.path());
+    terminal.start_monitor("");
+    let row = |screen: &str, state: &str| {
+        screen.lines().any(|line| line.contains("nh (pid") && line.to_lowercase().contains(state))
+    };
+    signal(demo.pid("nh"), Signal::STOP);
+    terminal.wait_for("its silence", |screen| row(screen, "silent") && !row(screen, " up "));
+    signal(demo.pid("nh"), Signal::CONT);
+    terminal.wait_for("its return", |screen| row(screen, " up ") && !row(screen, "silent"));
+    terminal.leave();
+}
+
+#[test]
+fn a_restarted_node_has_a_new_life() {
+    if !tmux_is_here() {
+        return;
+    }
+    let demo = Demo::start(&["--for", "10m", "--kill", "nh@3s", "--restart", "nh@5s"]);
+    let terminal = Terminal::open(demo.dir.path());
+    terminal.start_monitor("");
+    let before = format!("nh (pid {})", demo.pid("nh"));
+    terminal
+        .wait_for("its death", |screen| screen.lines().any(|l| l.contains(&before) && l.contains("DEAD")));
+    terminal.wait_for("its next life", |screen| {
+        screen.lines().any(|l| l.contains("nh (pid") && !l.contains(&before) && l.contains(" up "))
+    });
+    terminal.leave();
+}
+
+#[test]
+fn ascii_is_all_that_is_drawn_where_no_more_is_wanted() {
+    if !tmux_is_here() {
+        return;
+    }
+    let demo = Demo::start(&["--for", "10m"]);
+    let terminal = Terminal::open(demo.dir.path());
+    for flags in ["--ascii", "--theme ascii"] {
+        terminal.type_monitor("", flags);
+        let screen = terminal.wait_for("the overview", |s| s.contains("armL") && s.contains("hoist"));
+        assert!(screen.is_ascii(), "{flags}:\n{screen}");
+        terminal.leave();
+    }
+}
+
+#[test]
+fn nothing_there_gives_the_terminal_back_and_says_what_to_do() {
+    if !tmux_is_here() {
+        return;
+    }
+    let dir = runtime_dir();
+    let terminal = Terminal::open(dir.path());
+    terminal.type_monitor("", "");
+    let screen = terminal.wait_for("the end", |screen| screen.contains("ended: 3"));
+    assert!(screen.contains("imrs monitor --demo"), "{screen}");
+    terminal.assert_restored();
+}
+
+/// M17: who sees it for the first time can say whom everybody waits for; and nothing is left behind.
+#[test]
+fn the_demonstration_names_who_is_awaited_and_leaves_nothing_behind() {
+    if !tmux_is_here() {
+        return;
+    }
+    let dir = runtime_dir();
+    let terminal = Terminal::open(dir.path());
+    let start = std::time::Instant::now();
+    terminal.type_monitor("", "--demo");
+    terminal.wait_for("who is awaited", |screen| {
+        screen.lines().any(|line| line.contains("waits for hoist") || line.contains("wait for hoist"))
+    });
+    println!("the awaited robot named after {:?}; goal 10 s", start.elapsed());
+    let monitor = terminal.monitor_pid();
+    let folder = std::env::temp_dir().join(format!("imrs-demo-{monitor}"));
+    assert!(folder.is_dir(), "{}", folder.display());
+    terminal.leave();
+    wait_until("the demonstration's folder is gone", || !folder.exists());
+    let ours = format!("XDG_RUNTIME_DIR={}", folder.display());
+    let left = std::fs::read_dir("/proc").expect("processes").flatten().filter(|process| {
+        let environment = std::fs::read(process.path().join("environ")).unwrap_or_default();
+        environment.split(|byte| *byte == 0).any(|variable| variable == ours.as_bytes())
+    });
+    assert_eq!(left.count(), 0, "processes of the demonstration are left");
+}
