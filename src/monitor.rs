@@ -1,16 +1,22 @@
 //! `imrs monitor`: what the command line and the user's file say, put together; and nodes to look at where there are none.
 
 use crate::args::{Color, Format, MonitorArgs};
+use crate::cells::{self, Loaded};
 use crate::exit::{Exit, Failure};
 use crate::output::Output;
 use crate::token;
+use crate::{cell_file, demo, replay};
 use imrs_monitor::config::{Config, EXAMPLE};
+use imrs_monitor::judge::{Judge, Judgement};
+use imrs_monitor::query::Filter;
 use imrs_monitor::theme::Theme;
 use imrs_monitor::{Options, Verdict};
 use imrs_wire::obs::place;
 use rustix::process::{Pid, Signal, kill_process};
+use std::fmt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
+use std::sync::Arc;
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -54,6 +60,9 @@ fn options(
             Failure::Usage(format!("no theme `{name}`: there are {}", Theme::names().join(", ")))
         })?),
     };
+    if let Some(filter) = &args.filter {
+        Filter::parse(filter).map_err(|error| Failure::Usage(format!("--filter {filter}: {error}")))?;
+    }
     let connect = if args.connect.is_empty() && base.is_none() { config.endpoints() } else { args.connect };
     let token = args.token.as_deref().or(config.token.as_deref());
     Ok(Options {
@@ -61,6 +70,7 @@ fn options(
         token: token.map(token::read).transpose()?,
         base,
         cell: args.cell.or_else(|| config.cell.clone()),
+        judge: Some(validator(args.judge.as_deref())?),
         filter: args.filter.or_else(|| config.filter.clone()),
         once: args.once,
         watch: args.watch,
@@ -85,6 +95,32 @@ fn options(
         length: args.length,
         assertions: args.assertions,
     })
+}
+
+/// Runs the recordings of nodes again: of the cell in this file, or of the demos.
+fn validator(cell: Option<&Path>) -> Result<Arc<dyn Judge>, Failure> {
+    let known = match cell {
+        Some(path) => vec![cells::open(path, false)?.1],
+        None => demo::cells().collect(),
+    };
+    Ok(Arc::new(Validator { known, given: cell.map(cell_file::shown) }))
+}
+
+struct Validator {
+    known: Vec<Loaded>,
+    given: Option<String>,
+}
+
+impl fmt::Debug for Validator {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.debug_struct("Validator").field("given", &self.given).finish_non_exhaustive()
+    }
+}
+
+impl Judge for Validator {
+    fn judge(&self, recording: &Path) -> Option<Judgement> {
+        replay::judgement(recording, &self.known, self.given.as_deref())
+    }
 }
 
 /// Nodes to look at: the beam lift, in which the hoist dies again and again, so that both arms wait for it. They live in a

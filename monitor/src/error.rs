@@ -16,6 +16,14 @@ pub enum MonitorError {
         /// What went wrong where something was tried.
         failed: Vec<String>,
     },
+    /// Nodes run, but of other cells.
+    #[error("no node of cell `{}` runs; there are nodes of {}", crate::name::shown(.name), .cells.join(", "))]
+    NoSuchCell {
+        /// The wanted cell.
+        name: String,
+        /// The cells whose nodes run.
+        cells: Vec<String>,
+    },
     /// The folder of the sockets cannot be read.
     #[error(transparent)]
     Place(#[from] PlaceError),
@@ -43,7 +51,7 @@ impl MonitorError {
     #[must_use]
     pub const fn exit_code(&self) -> u8 {
         match self {
-            Self::NothingFound { .. } => 3,
+            Self::NothingFound { .. } | Self::NoSuchCell { .. } => 3,
             Self::Place(_) | Self::Recording { .. } => 2,
             Self::Terminal(_) | Self::Signals(_) | Self::Internal => 70,
         }

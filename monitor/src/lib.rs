@@ -15,6 +15,7 @@ pub mod config;
 mod error;
 pub mod export;
 pub mod history;
+pub mod judge;
 pub mod keys;
 pub mod name;
 mod options;
@@ -93,7 +94,7 @@ pub fn run(options: &Options) -> Result<Verdict, MonitorError> {
         app.recording = Some(name::shown_line(&path.display().to_string()));
     }
     let file = options.record.clone().unwrap_or_else(|| RECORDING.into());
-    let shown = ui::show(live(options, which, &tape), clock, app, &tape, file);
+    let shown = ui::show(live(options, which, &tape), clock, app, &tape, file, options.judge.clone());
     let recorded = tape.stop();
     shown?;
     match recorded {
@@ -114,7 +115,7 @@ fn replay_on_screen(options: &Options, mut player: Player) -> Result<Verdict, Mo
     }
     let theme = theme_for(options, |name| std::env::var(name).ok());
     let app = app(options, theme).replaying(player);
-    ui::show(Memory::default(), clock, app, &Arc::default(), RECORDING.into())?;
+    ui::show(Memory::default(), clock, app, &Arc::default(), RECORDING.into(), None)?;
     Ok(Verdict::Healthy)
 }
 

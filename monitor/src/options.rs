@@ -1,5 +1,6 @@
 //! What the user asked for.
 
+use crate::judge::Judge;
 use crate::query::Assertion;
 use crate::replay::At;
 use crate::theme::Theme;
@@ -7,6 +8,7 @@ use imrs_wire::obs::Token;
 use std::fmt;
 use std::path::PathBuf;
 use std::str::FromStr;
+use std::sync::Arc;
 use std::time::Duration;
 use thiserror::Error;
 
@@ -113,6 +115,8 @@ pub struct Options {
     pub mouse: bool,
     /// Only countdowns move, once a second.
     pub reduced_motion: bool,
+    /// Who judges the recordings that nodes write; nobody does without.
+    pub judge: Option<Arc<dyn Judge>>,
     /// The filter to begin with.
     pub filter: Option<String>,
 }

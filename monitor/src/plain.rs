@@ -2,6 +2,7 @@
 
 use crate::clock::Clock;
 use crate::error::MonitorError;
+use crate::judge::{Court, Judge};
 use crate::options::{Format, Options, Verdict};
 use crate::query::Assertion;
 use crate::record::{Recorded, Tape};
@@ -53,11 +54,26 @@ impl Watch {
     ///
     /// # Errors
     /// [`MonitorError`].
-    pub fn start_taped(mut source: Live, clock: Clock, tape: &Arc<Tape>) -> Result<Self, MonitorError> {
+    pub fn start_taped(source: Live, clock: Clock, tape: &Arc<Tape>) -> Result<Self, MonitorError> {
+        Self::start_judged(source, clock, tape, None)
+    }
+
+    /// As [`start_taped`](Self::start_taped), and what nodes record is judged.
+    ///
+    /// # Errors
+    /// [`MonitorError`].
+    pub fn start_judged(
+        mut source: Live,
+        clock: Clock,
+        tape: &Arc<Tape>,
+        judge: Option<Arc<dyn Judge>>,
+    ) -> Result<Self, MonitorError> {
         let (sender, arrivals) = sync_channel(64);
-        let taped = Arc::clone(tape);
+        let (taped, judged) = (Arc::clone(tape), sender.clone());
+        let court = Court::open(judge, Sink::new(clock, move |arrival| judged.send(arrival).is_ok()));
         source.start(Sink::new(clock, move |arrival| {
             taped.take(&arrival);
+            court.hear(&arrival.feed);
             sender.send(arrival).is_ok()
         }))?;
         Ok(Self { clock, store: Store::default(), arrivals, settled: BTreeSet::new(), source })
@@ -279,9 +295,15 @@ pub fn print(
 ) -> Result<Verdict, MonitorError> {
     let looked = looked(&which);
     let tape = Arc::default();
-    let mut watch = Watch::start_taped(crate::live(options, which, &tape), clock, &tape)?;
+    let live = crate::live(options, which, &tape);
+    let mut watch = Watch::start_judged(live, clock, &tape, options.judge.clone())?;
     let only = options.cell.as_deref();
-    if !watch.settle() || report::cells(watch.store(), only).is_empty() {
+    let found = watch.settle();
+    if let (true, Some(name), true) = (found, only, report::cells(watch.store(), only).is_empty()) {
+        let cells = watch.store().cells().iter().map(|cell| cell.shown().to_owned()).collect();
+        return Err(MonitorError::NoSuchCell { name: name.to_owned(), cells });
+    }
+    if !found || report::cells(watch.store(), only).is_empty() {
         let failed = watch.store().troubles().map(str::to_owned).collect();
         return Err(MonitorError::NothingFound { looked, failed });
     }

@@ -5,6 +5,7 @@ use crate::name::{Name, shown_json};
 use crate::query::{Assertion, Held};
 use crate::replay::tell::Position;
 use crate::replay::{Player, tell};
+use crate::store::conformance::{Verdict, conformance};
 use crate::store::health::{Finding, findings};
 use crate::store::journal::Level;
 use crate::store::meeting::{Meeting, Standing, meetings, state};
@@ -47,6 +48,10 @@ struct Node<'a> {
     discards: Vec<Reason<'a>>,
     link_discards: Vec<Reason<'a>>,
     lost_events: u64,
+    /// `conforms`, `violates` or `unknown`: what the validator says of the inputs that the node records.
+    conformance: &'static str,
+    /// How many steps it has judged.
+    conforming_steps: u64,
     tasks: Vec<Task<'a>>,
 }
 
@@ -168,14 +173,15 @@ fn whole(store: &Store, only: Option<&str>, now: Moment, replay: Option<Position
     let mut report = Report { version: VERSION, nodes: Vec::new(), findings: Vec::new(), troubles, replay };
     let unseen: Vec<_> = cells.iter().map(|cell| store.unseen(cell)).collect();
     for (cell, unseen) in cells.iter().zip(&unseen) {
-        report.nodes.extend(store.lives_of(cell).map(|life| node(life, now)));
+        report.nodes.extend(store.lives_of(cell).map(|life| node(store, life, now)));
         report.nodes.extend(unseen.iter().map(|(_, name, killed)| not_seen(cell, name, *killed)));
         report.findings.extend(findings(store, cell, now).iter().map(|f| found(store, cell, f)));
     }
     shown_json(&serde_json::to_string(&report).expect("a report is plain data"))
 }
 
-fn node(life: &Life, now: Moment) -> Node<'_> {
+fn node<'a>(store: &Store, life: &'a Life, now: Moment) -> Node<'a> {
+    let judged = conformance(store, life.id);
     use crate::store::Presence::{Dead, Silent, Stopped, Up};
     let presence = life.presence(now);
     let snapshot = life.last.as_ref().map(|s| &*s.snapshot);
@@ -205,6 +211,12 @@ fn node(life: &Life, now: Moment) -> Node<'_> {
         discards: snapshot.map_or(&[][..], |s| &s.discards).iter().map(reason).collect(),
         link_discards: snapshot.map_or(&[][..], |s| &s.link_discards).iter().map(reason).collect(),
         lost_events: life.lost,
+        conformance: match judged.verdict {
+            Verdict::Unknown { .. } => "unknown",
+            Verdict::Conforms => "conforms",
+            Verdict::Violates { .. } => "violates",
+        },
+        conforming_steps: judged.steps,
         tasks: life.tasks().iter().map(|t| task(life, t, now)).collect(),
     }
 }
@@ -238,6 +250,8 @@ fn not_seen<'a>(cell: &'a Name, name: &'a Name, killed: bool) -> Node<'a> {
         discards: Vec::new(),
         link_discards: Vec::new(),
         lost_events: 0,
+        conformance: "unknown",
+        conforming_steps: 0,
         tasks: Vec::new(),
     }
 }
@@ -345,8 +359,8 @@ struct One<'a> {
 }
 
 /// One node at a moment, as it stands in [`json`].
-pub(crate) fn node_value(life: &Life, now: Moment) -> serde_json::Value {
-    serde_json::to_value(node(life, now)).unwrap_or_default()
+pub(crate) fn node_value(store: &Store, life: &Life, now: Moment) -> serde_json::Value {
+    serde_json::to_value(node(store, life, now)).unwrap_or_default()
 }
 
 /// What came of assertions, as one line of JSON without the line's end.

@@ -3,6 +3,7 @@
 use crate::app::{App, Effect, Msg};
 use crate::clock::{Clock, Moment};
 use crate::error::MonitorError;
+use crate::judge::{Court, Judge};
 use crate::name::shown_line;
 use crate::options::Endpoint;
 use crate::record::{Tape, free_name};
@@ -53,14 +54,21 @@ pub fn show(
     mut app: App,
     tape: &Arc<Tape>,
     record: PathBuf,
+    judge: Option<Arc<dyn Judge>>,
 ) -> Result<(), MonitorError> {
     let (sender, inputs) = sync_channel(QUEUE);
     let mut terminal = Borrowed::take(app.mouse)?;
     let for_signals = sender.clone();
     let listener = Listener::start(move |call| for_signals.try_send(Input::Call(call)).is_ok())?;
     let (for_feeds, taped) = (sender.clone(), Arc::clone(tape));
+    let judged = sender.clone();
+    let court = Court::open(
+        judge,
+        Sink::new(clock, move |arrival| judged.send(Input::Msg(Msg::Feed(arrival))).is_ok()),
+    );
     source.start(Sink::new(clock, move |arrival| {
         taped.take(&arrival);
+        court.hear(&arrival.feed);
         for_feeds.send(Input::Msg(Msg::Feed(arrival))).is_ok()
     }))?;
     let keys = Keys::start(sender.clone())?;

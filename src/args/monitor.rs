@@ -21,6 +21,9 @@ pub struct MonitorArgs {
     /// Begin with this filter: `slack<20ms and class=2`, or a part of a name.
     #[arg(long, value_name = "CONDITION")]
     pub filter: Option<String>,
+    /// Judge what nodes record of their inputs by this cell's file [default: by the cells of the demos].
+    #[arg(long, value_name = "CELL")]
+    pub judge: Option<PathBuf>,
     /// Start nodes to look at: a beam lift whose hoist dies again and again.
     #[arg(long, conflicts_with_all = ["connect", "replay"])]
     pub demo: bool,

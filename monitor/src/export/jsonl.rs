@@ -48,7 +48,7 @@ fn lines(store: &Store, arrival: &Arrival) -> Vec<Value> {
             ServerFrame::Bye(_) => vec![json!({"at_us": at_us, "what": "stopped", "node": node})],
             ServerFrame::Table(_) => Vec::new(),
             _ => life.filter(|_| is_state(frame)).map_or_else(Vec::new, |life| {
-                vec![json!({"at_us": at_us, "what": "state", "state": report::node_value(life, arrival.at)})]
+                vec![json!({"at_us": at_us, "what": "state", "state": report::node_value(store, life, arrival.at)})]
             }),
         },
         Feed::Judged { .. } | Feed::Failed { .. } | Feed::Left | Feed::Stale { .. } => Vec::new(),

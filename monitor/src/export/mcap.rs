@@ -45,7 +45,7 @@ pub(super) fn write(film: &Film, out: impl Write + Seek) -> Result<Exported, Exp
                         tape.put("/events", &EVENT, at, &jsonl::event(life, micros(at), event))?;
                     }
                 }
-                frame if jsonl::is_state(frame) => state(&mut tape, life, at)?,
+                frame if jsonl::is_state(frame) => state(&mut tape, store, life, at)?,
                 _ => {}
             },
             (Feed::Lost { why }, Some(life)) => {
@@ -60,9 +60,14 @@ pub(super) fn write(film: &Film, out: impl Write + Seek) -> Result<Exported, Exp
     Ok(Exported { count, what: "messages" })
 }
 
-fn state<W: Write + Seek>(tape: &mut Tape<W>, life: &Life, at: Moment) -> Result<(), ExportError> {
+fn state<W: Write + Seek>(
+    tape: &mut Tape<W>,
+    store: &Store,
+    life: &Life,
+    at: Moment,
+) -> Result<(), ExportError> {
     let node = topic(life.node.raw());
-    tape.put(&format!("/nodes/{node}/state"), &STATE, at, &report::node_value(life, at))?;
+    tape.put(&format!("/nodes/{node}/state"), &STATE, at, &report::node_value(store, life, at))?;
     for task in life.tasks() {
         for port in &task.view.ports {
             let (of, name) = (life.names.task(task.view.task), life.names.port_name(port.port));
