@@ -15,7 +15,7 @@ fn listen(dir: &Path, node: &str, each: fn(UnixStream)) -> String {
     let path = folder.expect("a place for the socket");
     let listener = UnixListener::bind(&path).expect("a socket");
     thread::spawn(move || {
-        listener.incoming().flatten().for_each(|stream| drop(thread::spawn(move || each(stream))))
+        listener.incoming().flatten().for_each(|stream| drop(thread::spawn(move || each(stream))));
     });
     path.display().to_string()
 }
@@ -45,8 +45,10 @@ fn mute(mut stream: UnixStream) {
     let _ = stream.read_to_end(&mut Vec::new());
 }
 
-const STRANGERS: [(&str, fn(UnixStream)); 4] =
-    [("garbage", garbage), ("drip", drip), ("endless", endless), ("mute", mute)];
+/// What a strange server is called, and what it does with a monitor.
+type Stranger = (&'static str, fn(UnixStream));
+
+const STRANGERS: [Stranger; 4] = [("garbage", garbage), ("drip", drip), ("endless", endless), ("mute", mute)];
 
 #[test]
 fn hostile_and_slow_servers_neither_hang_the_monitor_nor_hide_the_nodes() {
