@@ -5,7 +5,8 @@ mod support;
 use serde_json::Value;
 use std::io::{BufRead, BufReader};
 use std::process::Stdio;
-use support::{Demo, Said, imrs, run, run_in, runtime_dir, signal, wait_until};
+use std::time::Instant;
+use support::{Demo, PATIENCE, Said, imrs, run, run_in, runtime_dir, signal, wait_until};
 
 const ESCAPE: char = '\u{1b}';
 
@@ -43,7 +44,12 @@ fn one_demo_seen_through_pipes() {
     assert_eq!(kept.code, Some(0), "{kept:?}");
 
     // Only the cell that is asked for.
-    fails(&monitor(&["--cell", "no-such-cell", "--once"]), 3, &["no running node found"]);
+    fails(
+        &monitor(&["--cell", "no-such-cell", "--once"]),
+        3,
+        &["no node of cell `no-such-cell`", "beam_lift"],
+    );
+    fails(&monitor(&["--filter", "slakc<5ms", "--once"]), 2, &["did you mean `slack`"]);
 }
 
 #[test]
@@ -57,6 +63,19 @@ fn samples_come_until_the_reader_has_enough() {
         let line = lines.next().expect("a sample").expect("text");
         let report: Value = serde_json::from_str(&line).unwrap_or_else(|error| panic!("{error}: {line}"));
         assert_eq!(report["nodes"].as_array().map(Vec::len), Some(3), "{line}");
+    }
+    // Each node records its inputs; these are run again while it goes on, and do what was verified.
+    let end = Instant::now() + PATIENCE;
+    loop {
+        let line = lines.next().expect("a sample").expect("text");
+        let report: Value = serde_json::from_str(&line).unwrap_or_else(|error| panic!("{error}: {line}"));
+        let nodes = report["nodes"].as_array().expect("nodes");
+        assert!(nodes.iter().all(|node| node["conformance"] != "violates"), "{line}");
+        let steps = |node: &Value| node["conforming_steps"].as_u64().unwrap_or(0);
+        if nodes.iter().all(|node| node["conformance"] == "conforms" && steps(node) > 0) {
+            break;
+        }
+        assert!(Instant::now() < end, "{line}");
     }
     drop(lines);
     let mut ended = None;
