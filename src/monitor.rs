@@ -123,18 +123,23 @@ impl Judge for Validator {
     }
 }
 
-/// Nodes to look at: the beam lift, in which the hoist dies again and again, so that both arms wait for it. They live in a
-/// folder of their own, and end with this.
+/// Nodes to look at: three arms and a belt that lift together, of which one after the other dies and comes back, so that all
+/// wait for it. They live in a folder of their own, and end with this.
 struct Stage {
     nodes: Child,
     folder: PathBuf,
 }
 
-/// The first death, and then so long between one and the next; the hoist comes back in between.
+/// What they run.
+const CELL: &str = include_str!("../examples/carry.cell");
+/// Who dies, by turns.
+const MORTALS: [&str; 3] = ["belt", "rear", "left"];
+/// When the first one dies, after how long the next one does, and how long one is away: long enough to give up and wait
+/// again.
 const FAULTS: (Duration, Duration, Duration) =
-    (Duration::from_secs(6), Duration::from_secs(30), Duration::from_secs(14));
-/// How often it dies.
-const DEATHS: u32 = 60;
+    (Duration::from_secs(4), Duration::from_secs(20), Duration::from_secs(12));
+/// How many deaths there are.
+const DEATHS: u32 = 90;
 
 impl Stage {
     fn start() -> Result<Self, Failure> {
@@ -142,23 +147,24 @@ impl Stage {
             |error: std::io::Error| Failure::Usage(format!("cannot start the demonstration: {error}"));
         let folder = std::env::temp_dir().join(format!("imrs-demo-{}", std::process::id()));
         std::fs::create_dir_all(&folder).map_err(failed)?;
-        let (first, apart, away) = FAULTS;
+        let (cell, (first, apart, away)) = (folder.join("carry.cell"), FAULTS);
+        std::fs::write(&cell, CELL).map_err(failed)?;
         let mut command = Command::new(std::env::current_exe().map_err(failed)?);
-        command.args(["demo", "beam-lift", "--for", "30m", "--seed", "1", "--format", "json"]);
-        for death in 0..DEATHS {
+        command.arg("run").arg(&cell).args(["--for", "30m", "--seed", "1", "--format", "json"]);
+        for (death, who) in (0..DEATHS).zip(MORTALS.iter().cycle()) {
             let dies = (first + apart * death).as_secs();
-            command.args(["--kill", &format!("hoist@{dies}s")]);
-            command.args(["--restart", &format!("hoist@{}s", dies + away.as_secs())]);
+            command.args(["--kill", &format!("{who}@{dies}s")]);
+            command.args(["--restart", &format!("{who}@{}s", dies + away.as_secs())]);
         }
         command.env("XDG_RUNTIME_DIR", &folder).env("XDG_STATE_HOME", &folder);
         command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
         let nodes = command.spawn().map_err(failed)?;
         let mut stage = Self { nodes, folder };
         let end = Instant::now() + READY_WITHIN;
-        while place::sockets_in(&stage.base()).map_or(0, |found| found.len()) < 3 {
+        while place::sockets_in(&stage.base()).map_or(0, |found| found.len()) < 4 {
             if stage.nodes.try_wait().is_ok_and(|ended| ended.is_some()) || Instant::now() > end {
                 return Err(Failure::Usage(
-                    "the nodes of the demonstration did not start: see what `imrs demo beam-lift` says"
+                    "the nodes of the demonstration did not start: see what `imrs run` says of examples/carry.cell"
                         .into(),
                 ));
             }

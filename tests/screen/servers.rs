@@ -147,18 +147,22 @@ fn the_demonstration_names_who_is_awaited_and_leaves_nothing_behind() {
     let start = std::time::Instant::now();
     terminal.type_monitor("", "--demo");
     terminal.wait_for("who is awaited", |screen| {
-        screen.lines().any(|line| line.contains("waits for hoist") || line.contains("wait for hoist"))
+        screen.lines().any(|line| line.contains("waits for belt") || line.contains("wait for belt"))
     });
     println!("the awaited robot named after {:?}; goal 10 s", start.elapsed());
     let monitor = terminal.monitor_pid();
     let folder = std::env::temp_dir().join(format!("imrs-demo-{monitor}"));
     assert!(folder.is_dir(), "{}", folder.display());
+    let launcher = std::fs::read_to_string(format!("/proc/{monitor}/task/{monitor}/children"));
+    let launcher = launcher.expect("the monitor's children");
+    let nodes: Vec<String> = (launcher.split_whitespace())
+        .flat_map(|pid| std::fs::read_to_string(format!("/proc/{pid}/task/{pid}/children")))
+        .flat_map(|children| children.split_whitespace().map(str::to_owned).collect::<Vec<_>>())
+        .collect();
+    assert!(!nodes.is_empty(), "{launcher}");
     terminal.leave();
     wait_until("the demonstration's folder is gone", || !folder.exists());
-    let ours = format!("XDG_RUNTIME_DIR={}", folder.display());
-    let left = std::fs::read_dir("/proc").expect("processes").flatten().filter(|process| {
-        let environment = std::fs::read(process.path().join("environ")).unwrap_or_default();
-        environment.split(|byte| *byte == 0).any(|variable| variable == ours.as_bytes())
-    });
-    assert_eq!(left.count(), 0, "processes of the demonstration are left");
+    for pid in launcher.split_whitespace().chain(nodes.iter().map(String::as_str)) {
+        wait_until("the demonstration's processes are gone", || !Path::new("/proc").join(pid).exists());
+    }
 }
