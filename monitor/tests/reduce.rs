@@ -274,7 +274,7 @@ fn rows_are_filtered_with_their_parents_and_sorted_within_them() {
     assert_eq!(count(&stage), 3 + 3 + 3 + 3 + 2);
     stage.keys(ms(1_000), "/BEA");
     assert_eq!(count(&stage), 2 * 3, "both ends of beat, with task and node");
-    assert!(stage.text(ms(1_000), 80, 24).contains("/bea_"));
+    assert!(stage.text(ms(1_000), 80, 24).contains("/BEA_"));
     stage.key(ms(1_000), KeyCode::Backspace);
     stage.key(ms(1_000), KeyCode::Enter);
     assert!(!stage.app.typing);
