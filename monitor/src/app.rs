@@ -382,7 +382,6 @@ impl App {
     pub fn queues(&self) -> Vec<PortEnd> {
         let Some(cell) = self.cell() else { return Vec::new() };
         let store = self.store();
-        let latest = |life: &&Life| store.latest(&cell, life.node_id).is_some_and(|l| l.id == life.id);
         let ends = |life: &Life| {
             let (life, tasks) = (life.id, life.tasks().iter());
             let receives = |port: &&PortView| port.capacity > 0 && port.usage != Usage::Waitfor;
@@ -392,7 +391,7 @@ impl App {
             };
             tasks.flat_map(of).collect::<Vec<_>>()
         };
-        store.lives_of(&cell).filter(latest).flat_map(ends).collect()
+        store.present(&cell).flat_map(ends).collect()
     }
 
     /// The port shown: the chosen one, or the first of `queues`.

@@ -26,6 +26,11 @@ impl Clock {
     }
 }
 
+/// A moment or length of time in whole microseconds.
+pub(crate) fn micros(length: Duration) -> u64 {
+    u64::try_from(length.as_micros()).unwrap_or(u64::MAX)
+}
+
 /// A length of time for people, in at most six columns: `850us`, `7ms`, `1.20s`, `4m12s`, `3h05m`, `12d`.
 #[derive(Clone, Copy, Debug)]
 pub struct Span(pub Duration);

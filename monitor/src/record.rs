@@ -1,6 +1,6 @@
 //! Recording what sources say, as it comes: the frames of every node, for `--replay`.
 
-use crate::clock::Moment;
+use crate::clock::{Moment, micros};
 use crate::error::MonitorError;
 use crate::source::{Arrival, Feed, SourceId, Wishes};
 use imrs_wire::obs::{Hello, NodeIdentity, Role, SCHEMA, ServerFrame, VERSION};
@@ -75,7 +75,7 @@ impl Running {
         let Ok(number) = u16::try_from(source.0) else { return true };
         let recording = &self.recording;
         let stream = self.streams.entry(source).or_insert_with(|| recording.frames(number));
-        let at = u64::try_from(at.saturating_sub(self.began).as_micros()).unwrap_or(u64::MAX);
+        let at = micros(at.saturating_sub(self.began));
         // Where there is no room the stream counts it, and the recording says so.
         let kept = stream.frame(at, bytes);
         if !kept {

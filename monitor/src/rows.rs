@@ -81,8 +81,7 @@ pub fn rows(store: &Store, cell: &Name, shape: &Shape, findings: &[Finding], now
     let maker = Maker { store, shape, filter: filter.as_ref(), findings, now };
     let mut nodes: Vec<(Key, Vec<Row>)> = Vec::new();
     for life in store.lives_of(cell) {
-        let latest = store.latest(cell, life.node_id).is_some_and(|latest| latest.id == life.id);
-        nodes.extend(maker.node(life, latest));
+        nodes.extend(maker.node(life, store.is_present(life)));
     }
     for (id, name, _) in store.unseen(cell) {
         if maker.filter.is_none_or(|filter| filter.takes(&Unseen(&name))) {

@@ -1,6 +1,7 @@
 //! Lines of JSON: one for each state of a node, and one for everything that happened.
 
-use super::{ExportError, Exported, each_frame, micros};
+use super::{ExportError, Exported, each_frame};
+use crate::clock::micros;
 use crate::replay::Film;
 use crate::report;
 use crate::source::{Arrival, Feed};

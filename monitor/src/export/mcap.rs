@@ -1,8 +1,8 @@
 //! MCAP with JSON messages. A channel for each port, flat and numeric, so that any field can be plotted; one for each
 //! node's state; one for what happened; and a log, in the schema that Foxglove shows as one.
 
-use super::{ExportError, Exported, each_frame, jsonl, micros};
-use crate::clock::Moment;
+use super::{ExportError, Exported, each_frame, jsonl};
+use crate::clock::{Moment, micros};
 use crate::replay::Film;
 use crate::report;
 use crate::source::Feed;

@@ -96,8 +96,3 @@ fn each_frame<E>(film: &Film, mut each: impl FnMut(&Store, &Arrival) -> Result<(
     }
     Ok(())
 }
-
-/// Microseconds of a moment.
-fn micros(at: crate::clock::Moment) -> u64 {
-    u64::try_from(at.as_micros()).unwrap_or(u64::MAX)
-}

@@ -202,13 +202,10 @@ fn over(
     if time { Value::Time(whole) } else { Value::Number(whole) }
 }
 
-/// The ports of the present lives: what an earlier life counted is history.
+/// The ports of the present lives.
 fn each_port(store: &Store, cells: &Cells<'_>, now: Moment, each: &mut impl FnMut(&PortRow<'_>)) {
     for (cell, findings) in cells {
-        let latest = |life: &&crate::store::Life| {
-            store.latest(cell, life.node_id).is_some_and(|latest| latest.id == life.id)
-        };
-        for life in store.lives_of(cell).filter(latest) {
+        for life in store.present(cell) {
             for task in life.tasks() {
                 for port in &task.view.ports {
                     each(&PortRow { store, life, task, port, findings, now });

@@ -1,7 +1,7 @@
 //! What rows have that can be asked for.
 
 use super::Value;
-use crate::clock::Moment;
+use crate::clock::{self, Moment};
 use crate::store::health::{Finding, Place};
 use crate::store::journal::{Entry, Level};
 use crate::store::meeting::state;
@@ -264,7 +264,7 @@ impl Row for EventRow<'_> {
             Field::Node => text(entry.node.raw()),
             Field::Kind => text(entry.kind()),
             Field::Health => text(level((entry.level() > Level::Trace).then(|| entry.level()))),
-            Field::Ago => micros(u64::try_from(now.saturating_sub(entry.at).as_micros()).unwrap_or(u64::MAX)),
+            Field::Ago => micros(clock::micros(now.saturating_sub(entry.at))),
             Field::Task => observed
                 .and_then(|(task, _)| task)
                 .map_or(Value::Missing, |task| text(entry.names.task(task).raw().to_owned())),

@@ -266,8 +266,11 @@ fn time(text: &str) -> Option<f64> {
 }
 
 fn unknown(word: &str, column: usize) -> QueryError {
-    let near =
-        FIELDS.iter().map(|info| info.name).filter(|name| is_near(word, name)).min_by_key(|name| name.len());
+    let near = FIELDS
+        .iter()
+        .map(|info| info.name)
+        .filter(|name| strsim::osa_distance(word, name) <= 1)
+        .min_by_key(|name| name.len());
     let what = match near {
         Some(near) => format!("no field `{word}`: did you mean `{near}`?"),
         None => {
@@ -276,21 +279,6 @@ fn unknown(word: &str, column: usize) -> QueryError {
         }
     };
     QueryError { column, what }
-}
-
-/// Whether one slip leads from one word to the other: a letter too many, too few, another one, or two exchanged.
-fn is_near(a: &str, b: &str) -> bool {
-    let (a, b): (Vec<char>, Vec<char>) = (a.chars().collect(), b.chars().collect());
-    let same = a.iter().zip(&b).take_while(|(x, y)| x == y).count();
-    let (rest_a, rest_b) = (&a[same..], &b[same..]);
-    let one = |x: &[char], skip: usize, y: &[char], skip_y: usize| x.get(skip..) == y.get(skip_y..);
-    one(rest_a, 1, rest_b, 1)
-        || one(rest_a, 1, rest_b, 0)
-        || one(rest_a, 0, rest_b, 1)
-        || (rest_a.len() > 1
-            && rest_b.len() > 1
-            && (rest_a[0], rest_a[1]) == (rest_b[1], rest_b[0])
-            && rest_a[2..] == rest_b[2..])
 }
 
 fn tokens(text: &str) -> Result<Vec<(usize, Token)>, QueryError> {

@@ -1,7 +1,7 @@
 //! A recording of observations, opened: its frames as they were recorded, and the stops at which it can be looked at. The
 //! present run is looked at the same way ([`History`](crate::history::History)).
 
-use crate::clock::Moment;
+use crate::clock::{Moment, micros};
 use crate::error::MonitorError;
 use crate::source::{Arrival, Feed, SourceId};
 use crate::store::journal::{Level, level_of};
@@ -310,8 +310,4 @@ pub(crate) fn is_odd(shown: &Shown) -> bool {
         | Shown::Story(_)
         | Shown::Step(_) => false,
     }
-}
-
-fn micros(at: Moment) -> u64 {
-    u64::try_from(at.as_micros()).unwrap_or(u64::MAX)
 }

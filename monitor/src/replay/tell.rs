@@ -63,7 +63,7 @@ pub(crate) fn position(player: &Player) -> Position<'_> {
     Position {
         stop: player.stop(),
         stops: film.stops().len(),
-        at_us: u64::try_from(player.moment().as_micros()).unwrap_or(u64::MAX),
+        at_us: crate::clock::micros(player.moment()),
         tick: step.map(|step| step.tick),
         odd: film.stops().get(player.stop()).is_some_and(|stop| stop.odd),
         happened: step.map_or(&[], |step| &step.happened),

@@ -219,7 +219,7 @@ impl<'a, W: Write> Session<'a, W> {
         }
         if self.ping_at <= Instant::now() {
             self.ping_at = Instant::now() + PING;
-            let mono_us = u64::try_from(self.with.sink.now().as_micros()).unwrap_or(u64::MAX);
+            let mono_us = crate::clock::micros(self.with.sink.now());
             say(&mut self.writer, &ClientFrame::Ping(Ping { mono_us }))?;
         }
         Ok(())

@@ -1,7 +1,7 @@
 //! One life of one node: from its start to its death, and what it last said.
 
 use super::names::Names;
-use crate::clock::{Moment, Span};
+use crate::clock::{Moment, Span, micros};
 use crate::name::Name;
 use imrs_protocol::{NodeId, PortCounters, PortId, PortView, QueueView, TaskId, Ticks, TimeId};
 use imrs_wire::obs::{Count, Delta, Detail, Liveness, Pong, Snapshot, TaskSnapshot, Vitals};
@@ -153,6 +153,13 @@ pub(super) struct Notable {
     pub link_discards: Vec<Count>,
 }
 
+/// A port of a task. They are ascending, as nodes send them; what is not found so is searched for.
+pub(super) fn port_of(task: &TaskSnapshot, id: PortId) -> Option<&PortView> {
+    let ports = &task.view.ports;
+    let found = ports.binary_search_by_key(&id, |port| port.port).ok().and_then(|at| ports.get(at));
+    found.or_else(|| ports.iter().find(|port| port.port == id))
+}
+
 /// One life of one node.
 #[derive(Clone, Debug)]
 pub struct Life {
@@ -226,7 +233,7 @@ impl Life {
     /// One port of one of its tasks.
     #[must_use]
     pub fn port(&self, task: TaskId, port: PortId) -> Option<&PortView> {
-        self.task(task)?.view.ports.iter().find(|p| p.port == port)
+        port_of(self.task(task)?, port)
     }
 
     /// What is left now of a time that was `remaining` when its task last advanced, `age_us` before the snapshot.
@@ -238,7 +245,7 @@ impl Life {
             Condition::Dead { since, .. } | Condition::Stopped { since } => now.min(*since),
         };
         let since = self.last.as_ref().map_or(Duration::ZERO, |s| now.saturating_sub(s.at));
-        let passed = u64::try_from(since.as_micros()).unwrap_or(u64::MAX).saturating_add(age_us);
+        let passed = micros(since).saturating_add(age_us);
         let us = remaining.0.saturating_mul(self.tick_us).saturating_sub(passed);
         Left { us, estimated: since > FRESH }
     }
@@ -268,10 +275,7 @@ impl Life {
     pub fn rate_of(&self, earlier: Option<&TaskSnapshot>, port: &PortView) -> Option<f64> {
         let (last, base) = (self.last.as_ref()?, self.base.as_ref()?);
         let seconds = last.at.checked_sub(base.at)?.as_secs_f64();
-        let ports = &earlier?.view.ports;
-        // The ports of a task are ascending, as its node sends them; what is not found so is searched for.
-        let found = ports.binary_search_by_key(&port.port, |p| p.port).ok().and_then(|at| ports.get(at));
-        let before = found.or_else(|| ports.iter().find(|p| p.port == port.port))?;
+        let before = port_of(earlier?, port.port)?;
         let count = |counters: &PortCounters| counters.sent.saturating_add(counters.delivered);
         let grown = count(&port.counters).checked_sub(count(&before.counters))?;
         #[expect(clippy::cast_precision_loss, reason = "a rate for people")]
@@ -346,7 +350,7 @@ impl Life {
     }
 
     pub(super) fn compare_clocks(&mut self, at: Moment, pong: Pong) {
-        let now = u64::try_from(at.as_micros()).unwrap_or(u64::MAX);
+        let now = micros(at);
         let Some(trip) = now.checked_sub(pong.echo_us) else { return };
         let middle = i128::from(pong.echo_us) + i128::from(trip / 2);
         let Ok(us) = i64::try_from(i128::from(pong.mono_us) - middle) else { return };

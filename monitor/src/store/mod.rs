@@ -105,6 +105,17 @@ impl Store {
         (last.node_id == node && last.names.cell == *cell).then_some(last)
     }
 
+    /// The present life of each node of a cell, or its last one: what an earlier life did is history.
+    pub fn present<'a>(&'a self, cell: &'a Name) -> impl Iterator<Item = &'a Life> {
+        self.lives_of(cell).filter(|life| self.is_present(life))
+    }
+
+    /// Whether a life is the latest of its node.
+    #[must_use]
+    pub fn is_present(&self, life: &Life) -> bool {
+        self.latest(&life.names.cell, life.node_id).is_some_and(|latest| latest.id == life.id)
+    }
+
     /// The cells that are known, sorted.
     #[must_use]
     pub fn cells(&self) -> Vec<Name> {

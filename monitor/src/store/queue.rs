@@ -28,7 +28,7 @@ pub fn queue(life: &Life, task: TaskId, port: PortId, now: Moment) -> Vec<Waitin
     let told = life.watched(task, port).filter(|told| now.saturating_sub(told.at) < STALE);
     if let Some(told) = told {
         let passed = now.saturating_sub(told.at).saturating_add(Duration::from_micros(told.what.age_us));
-        let passed_us = u64::try_from(passed.as_micros()).unwrap_or(u64::MAX);
+        let passed_us = crate::clock::micros(passed);
         let us = |ticks: imrs_protocol::Ticks| ticks.0.saturating_mul(life.tick_us).saturating_sub(passed_us);
         let waiting = |held: &HeldView| Waiting {
             entry: held.entry,

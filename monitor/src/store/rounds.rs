@@ -2,7 +2,7 @@
 
 use super::Store;
 use super::service::percentile;
-use crate::clock::Moment;
+use crate::clock::{Moment, micros};
 use crate::name::Name;
 use imrs_protocol::{Event, PortId, TaskId};
 use std::collections::{BTreeMap, VecDeque};
@@ -112,8 +112,7 @@ impl History {
         let count = |outcome| self.rounds.iter().filter(|r| r.outcome() == outcome).count();
         let full = self.rounds.iter().filter(|round| round.came.len() == members);
         let gathered: Vec<(TaskId, Moment)> = full.filter_map(Round::gathered).collect();
-        let mut times: Vec<u64> =
-            gathered.iter().map(|(_, time)| u64::try_from(time.as_micros()).unwrap_or(u64::MAX)).collect();
+        let mut times: Vec<u64> = gathered.iter().map(|(_, time)| micros(*time)).collect();
         let mut last: BTreeMap<TaskId, usize> = BTreeMap::new();
         for (task, _) in &gathered {
             *last.entry(*task).or_default() += 1;

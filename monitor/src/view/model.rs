@@ -33,10 +33,7 @@ pub(super) fn lines(app: &App, now: Moment, width: u16) -> Vec<Line> {
     let store = app.store();
     let mut lines: Vec<Line> = Vec::new();
     let mut whole = Sum::default();
-    for life in store.lives_of(&cell) {
-        if store.latest(&cell, life.node_id).is_none_or(|latest| latest.id != life.id) {
-            continue;
-        }
+    for life in store.present(&cell) {
         if !lines.is_empty() {
             lines.push(Vec::new());
         }

@@ -87,10 +87,7 @@ pub(super) fn lines(app: &App, now: Moment) -> Vec<Line> {
     let Some(cell) = app.cell() else { return Vec::new() };
     let store = app.store();
     let mut lines = Vec::new();
-    for life in store.lives_of(&cell) {
-        if store.latest(&cell, life.node_id).is_none_or(|latest| latest.id != life.id) {
-            continue;
-        }
+    for life in store.present(&cell) {
         let gone = life.presence(now).is_gone();
         let timers = life.last.as_ref().map_or(0, |s| s.snapshot.timers.len());
         let presence = if gone { format!("  {}", life.presence(now)) } else { String::new() };

@@ -63,11 +63,8 @@ impl Finding {
 #[must_use]
 pub fn findings(store: &Store, cell: &Name, now: Moment) -> Vec<Finding> {
     let mut found = Vec::new();
-    for life in store.lives_of(cell) {
-        // An earlier life is history; the present one is what counts.
-        if store.latest(cell, life.node_id).is_some_and(|latest| latest.id == life.id) {
-            node::look(store, life, now, &mut found);
-        }
+    for life in store.present(cell) {
+        node::look(store, life, now, &mut found);
     }
     node::never_seen(store, cell, &mut found);
     node::unlike(store, cell, now, &mut found);

@@ -86,9 +86,7 @@ pub(super) fn never_seen(store: &Store, cell: &Name, found: &mut Vec<Finding>) {
 
 /// Nodes that are not what most of their cell are: of another text, or another release.
 pub(super) fn unlike(store: &Store, cell: &Name, now: Moment, found: &mut Vec<Finding>) {
-    let latest = |life: &&Life| store.latest(cell, life.node_id).is_some_and(|latest| latest.id == life.id);
-    let up: Vec<&Life> =
-        store.lives_of(cell).filter(latest).filter(|life| !life.presence(now).is_gone()).collect();
+    let up: Vec<&Life> = store.present(cell).filter(|life| !life.presence(now).is_gone()).collect();
     if let Some(usual) = most_usual(up.iter().map(|life| life.digest)) {
         for life in up.iter().filter(|life| life.digest != usual) {
             let text = format!(

@@ -4,6 +4,7 @@
 use super::codes::{self, Lint};
 use super::{Finding, Lately, Place};
 use crate::clock::Span;
+use crate::store::life::port_of;
 use crate::store::service::service;
 use crate::store::{Life, Store};
 use imrs_protocol::{Class, PortCounters, PortView};
@@ -24,7 +25,7 @@ pub(super) fn look(
     let earlier = lately.before.and_then(|s| s.tasks.iter().find(|t| t.view.task == task.view.task));
     for port in &task.view.ports {
         let place = Place { task: Some(task.view.task), port: Some(port.port), ..Place::node(life) };
-        let earlier = earlier.and_then(|t| t.view.ports.iter().find(|p| p.port == port.port));
+        let earlier = earlier.and_then(|task| port_of(task, port.port));
         if let Some((lint, text)) = earlier.and_then(|e| grown(port.class, &e.counters, &port.counters)) {
             found.push(Finding::new(lint, place, text));
         }
