@@ -19,15 +19,15 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
-use std::thread;
+use std::thread::{self, JoinHandle};
 use std::time::Duration;
 
 /// The least time between two frames.
 const FRAME: Duration = Duration::from_millis(33);
 /// How many messages may wait; who feeds more waits, and then the nodes coalesce.
 const QUEUE: usize = 64;
-/// How often the thread that reads keys looks whether it should end.
-const LOOK: Duration = Duration::from_millis(200);
+/// How often the thread that reads keys looks whether it should end: as long may leaving take.
+const LOOK: Duration = Duration::from_millis(50);
 
 /// The numbers of sources that the user adds begin here: those found by themselves stay below.
 const MORE: u32 = 60_000;
@@ -85,6 +85,9 @@ pub fn show(
         gaps: 0,
     };
     let ended = screen.run(&mut terminal);
+    // Nobody listens any more, so the thread of the keys cannot wait for room; and it ends before the terminal is given
+    // back, or it would take what is typed for the shell from then on.
+    drop(screen);
     drop(keys);
     drop(terminal);
     if let Ok(Some(signal)) = ended {
@@ -270,9 +273,10 @@ enum Next {
     EndAs(i32),
 }
 
-/// The thread that reads the keyboard. Dropping it ends the thread.
+/// The thread that reads the keyboard. Dropping it ends the thread, and waits until it has.
 struct Keys {
     stop: Arc<AtomicBool>,
+    thread: Option<JoinHandle<()>>,
 }
 
 impl Keys {
@@ -294,13 +298,17 @@ impl Keys {
                 }
             }
         };
-        thread::Builder::new().name("imrs-keys".into()).spawn(read).map_err(MonitorError::Terminal)?;
-        Ok(Self { stop })
+        let thread = thread::Builder::new().name("imrs-keys".into()).spawn(read);
+        Ok(Self { stop, thread: Some(thread.map_err(MonitorError::Terminal)?) })
     }
 }
 
 impl Drop for Keys {
     fn drop(&mut self) {
         self.stop.store(true, Ordering::Relaxed);
+        if let Some(thread) = self.thread.take() {
+            // A panic of it has been told, and the terminal is given back all the same.
+            let _ = thread.join();
+        }
     }
 }
