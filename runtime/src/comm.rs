@@ -3,9 +3,9 @@
 use crate::alarm::{Alarm, Cover};
 use crate::clock::{FAR, Micros};
 use crate::effects::{Effect, Effects, Stamped};
-use crate::failstop::FailStop;
+use crate::failstop::guarded;
 use crate::handoff::{Rest, Station};
-use crate::record::{Digesting, OutputDigest, Recorder, Step, run};
+use crate::record::{Digesting, OutputDigest, Recorder, Step};
 use crate::ring::Ring;
 use crate::script::Seat;
 use imrs_protocol::script::Program;
@@ -25,6 +25,8 @@ pub(crate) struct Comm {
     cover: Cover,
     /// When the machine last advanced.
     last: Micros,
+    /// When it next does something by itself; unknown from its next input on.
+    due: Option<Micros>,
     rebased: Micros,
     recorder: Option<Arc<dyn Recorder>>,
     /// Whether the recorder wants the machine's state before the next step.
@@ -54,6 +56,7 @@ impl Comm {
             alarm,
             cover: Cover::new(slot),
             last: now,
+            due: None,
             rebased: now,
             recorder,
             digest: OutputDigest::START,
@@ -102,7 +105,7 @@ impl Comm {
     }
 
     /// The machine takes one step; what it answers goes to `answers`.
-    pub fn run(&mut self, step: Step, answers: &mut dyn FnMut(Signal), effects: &mut Effects) {
+    pub fn run(&mut self, step: &Step, answers: &mut dyn FnMut(Signal), effects: &mut Effects) {
         if self.wants_keyframe
             && let Some(recorder) = &self.recorder
         {
@@ -117,9 +120,26 @@ impl Comm {
             discards: &mut self.discards,
         };
         let digest = self.recorder.is_some().then_some(&mut self.digest);
-        run(&mut self.machine, &self.table, step, &mut Digesting { digest, out: &mut out });
+        let out = &mut Digesting { digest, out: &mut out };
+        if !step.elapsed.is_zero() {
+            match self.due.filter(|&due| self.last < due) {
+                // The same as the `Advance`, which would find nothing to do.
+                Some(due) => {
+                    self.machine.pass(&self.table, step.elapsed);
+                    self.due = self.table.rules().charge_residence.then_some(due);
+                }
+                None => {
+                    self.due = None;
+                    self.machine.handle_at(&self.table, &Input::Advance(step.elapsed), out);
+                }
+            }
+        }
+        if step.has_input() {
+            self.due = None;
+            self.machine.handle_at(&self.table, &step.input, out);
+        }
         if let Some(recorder) = &self.recorder {
-            self.wants_keyframe = recorder.step(self.machine.task(), step, self.digest);
+            self.wants_keyframe = recorder.step(self.machine.task(), *step, self.digest);
         }
         self.rebase_in_time();
     }
@@ -163,8 +183,26 @@ impl Comm {
     }
 
     /// When the machine next does something by itself.
-    fn due(&self) -> Micros {
-        self.machine.next_expiry().map_or(FAR, |left| self.last.saturating_add(left.0))
+    fn due(&mut self) -> Micros {
+        let (machine, last) = (&self.machine, self.last);
+        *self.due.get_or_insert_with(|| machine.next_expiry().map_or(FAR, |left| last.saturating_add(left.0)))
+    }
+
+    fn take(&mut self, stamped: Stamped, effects: &mut Effects) -> Option<Mail> {
+        if self.seat.is_some() {
+            self.with_seat(|seat, comm| seat.take(comm, stamped, effects));
+            return None;
+        }
+        let late = self.last.saturating_sub(stamped.at);
+        let elapsed = self.pass(stamped.at);
+        let mut input = stamped.input;
+        if let Input::Packet(packet) = &mut input {
+            // Another thread was faster: what the packet waited for this one is taken from its life, too.
+            packet.remaining = packet.remaining - Ticks(late);
+        }
+        let (mut mail, at) = (None, self.last);
+        self.run(&Step { elapsed, input }, &mut |signal| mail = Some(Mail { signal, at }), effects);
+        mail
     }
 
     fn rebase_in_time(&mut self) {
@@ -190,21 +228,7 @@ impl Station for Comm {
     type Effects = Effects;
 
     fn feed(&mut self, stamped: Stamped, effects: &mut Effects) -> Option<Mail> {
-        let _guard = FailStop::of("a communication task");
-        if self.seat.is_some() {
-            self.with_seat(|seat, comm| seat.take(comm, stamped, effects));
-            return None;
-        }
-        let late = self.last.saturating_sub(stamped.at);
-        let elapsed = self.pass(stamped.at);
-        let mut input = stamped.input;
-        if let Input::Packet(packet) = &mut input {
-            // Another thread was faster: what the packet waited for this one is taken from its life, too.
-            packet.remaining = packet.remaining - Ticks(late);
-        }
-        let (mut mail, at) = (None, self.last);
-        self.run(Step { elapsed, input }, &mut |signal| mail = Some(Mail { signal, at }), effects);
-        mail
+        guarded("a communication task", || self.take(stamped, effects))
     }
 
     fn settle(&mut self, rest: Rest, effects: &mut Effects) -> Micros {

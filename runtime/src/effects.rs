@@ -111,6 +111,11 @@ impl Effects {
         }
     }
 
+    /// Whether there is nothing to carry out.
+    pub fn is_done(&self) -> bool {
+        self.queue.is_empty() && self.deeds.is_empty() && self.bundles.is_empty()
+    }
+
     /// The time of this turn at a script: the next whole microsecond when it began.
     pub fn time_of_turn(&mut self) -> Micros {
         *self.turn.get_or_insert_with(clock::next)

@@ -3,28 +3,25 @@
 
 use std::io::Write;
 
-/// Ends the process if it is dropped by a panic.
-#[must_use = "guards for as long as it lives"]
-pub(crate) struct FailStop {
+/// Ends the process when it is dropped: only a panic drops it.
+struct FailStop {
     what: &'static str,
-    /// A thread that unwinds already, and on its way only drops something here, is no panic of the machinery.
-    unwinding: bool,
 }
 
-impl FailStop {
-    /// Guards `what` from here to the end of the scope.
-    pub fn of(what: &'static str) -> Self {
-        Self { what, unwinding: std::thread::panicking() }
-    }
+/// Does this work of the machinery; a panic in it ends the process. Costs nothing where there is none.
+#[inline]
+pub(crate) fn guarded<R>(what: &'static str, work: impl FnOnce() -> R) -> R {
+    let guard = FailStop { what };
+    let done = work();
+    std::mem::forget(guard);
+    done
 }
 
 impl Drop for FailStop {
     fn drop(&mut self) {
-        if std::thread::panicking() && !self.unwinding {
-            // In one piece: others may be writing their panics.
-            let line = format!("imrs: {} panicked; the node stops\n", self.what);
-            let _ = std::io::stderr().write_all(line.as_bytes());
-            std::process::abort();
-        }
+        // In one piece: others may be writing their panics.
+        let line = format!("imrs: {} panicked; the node stops\n", self.what);
+        let _ = std::io::stderr().write_all(line.as_bytes());
+        std::process::abort();
     }
 }

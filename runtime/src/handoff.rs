@@ -224,13 +224,17 @@ impl<S: Station> Handoff<S> {
     pub fn enter_awake(&self, input: S::Input, effects: &mut S::Effects) -> Entry<S::Mail> {
         let mut core = lock(&self.core);
         self.word.store(RUNNING);
-        self.drain(&mut core, effects);
-        if core.mail.is_none() {
-            core.feed(input, effects);
-        }
-        let mail = core.mail.take();
+        let (mail, until) = if core.mail.is_some() {
+            // Whoever brought it has settled what follows.
+            (core.mail.take(), u64::MAX)
+        } else {
+            self.drain(&mut core, effects);
+            if core.mail.is_none() {
+                core.feed(input, effects);
+            }
+            (core.mail.take(), core.station.settle(Rest::No, effects))
+        };
         let stopped = core.stopped;
-        let until = core.station.settle(Rest::No, effects);
         drop(core);
         self.second_look(effects);
         Entry { mail, stopped, until }

@@ -8,7 +8,7 @@ use crate::alarm::Alarm;
 use crate::clock::{self, Micros};
 use crate::comm::{Comm, Mail};
 use crate::effects::{Effect, Effects, Stamped};
-use crate::failstop::FailStop;
+use crate::failstop::guarded;
 use crate::handoff::{Bell, Entry};
 use crate::lateness::LatenessCounts;
 use crate::lead::Lead;
@@ -204,9 +204,9 @@ impl Node {
 
     /// Looks at a communication task. Nothing of it changes by that.
     pub(crate) fn look<R>(&self, member: &Member, look: impl FnOnce(&mut Comm) -> R) -> R {
-        let _guard = FailStop::of("a look at a communication task");
         let mut effects = Effects::of_an_onlooker();
-        let seen = member.handoff.with(look, &mut effects);
+        let seen =
+            guarded("a look at a communication task", || member.handoff.with(look, &mut effects));
         self.carry_out(&mut effects);
         seen
     }
@@ -232,7 +232,13 @@ impl Node {
 
     /// Carries out effects until none are left: those of one may bring about others.
     pub(crate) fn carry_out(&self, effects: &mut Effects) {
-        let _guard = FailStop::of("the route layer, the Timer or a link");
+        if !effects.is_done() || self.link.is_some() {
+            guarded("the route layer, the Timer or a link", || self.carry_out_all(effects));
+        }
+        effects.steps = 0;
+    }
+
+    fn carry_out_all(&self, effects: &mut Effects) {
         loop {
             let mut latest = 0;
             loop {
@@ -253,7 +259,6 @@ impl Node {
                 }
             }
             if effects.queue.is_empty() {
-                effects.steps = 0;
                 return;
             }
         }

@@ -21,7 +21,7 @@ pub use verdict::{Divergence, InvariantBroken, Miscount, ScriptDivergence, Verdi
 pub(crate) use script::Did;
 
 use imrs_protocol::script::Program;
-use imrs_protocol::{CommTask, Input, NodeTable, Observation, Outbox, Packet, Signal, TaskId, Ticks, TimeId};
+use imrs_protocol::{CommTask, Input, Observation, Outbox, Packet, Signal, TaskId, Ticks, TimeId};
 
 /// One input of a communication task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -114,12 +114,13 @@ impl Step {
     /// this.
     pub(crate) fn parts(self) -> impl Iterator<Item = Input> {
         let time = (!self.elapsed.is_zero()).then_some(Input::Advance(self.elapsed));
-        let input = Some(self.input).filter(|input| *input != Input::Advance(Ticks::ZERO));
+        let input = self.has_input().then_some(self.input);
         time.into_iter().chain(input)
+    }
+
+    /// Whether anything comes besides time.
+    pub(crate) const fn has_input(&self) -> bool {
+        !matches!(self.input, Input::Advance(Ticks::ZERO))
     }
 }
 
-/// Runs one step.
-pub(crate) fn run(machine: &mut CommTask, table: &NodeTable, step: Step, out: &mut impl Outbox) {
-    step.parts().for_each(|input| machine.handle(table, input, out));
-}

@@ -7,7 +7,7 @@ use crate::comm::Comm;
 use crate::context::{Caller, TaskError};
 use crate::effects::Effects;
 use crate::executor::{AsyncBody, Executor};
-use crate::failstop::FailStop;
+use crate::failstop::guarded;
 use crate::link::{Link, PollEnd};
 use crate::node::{Inlet, Node};
 use crate::script::{Actions, Stage};
@@ -281,25 +281,27 @@ fn run_task(node: &Arc<Node>, place: usize, program: TaskBody) -> TaskEnd {
 
 /// Sleeps exactly until the next expiry that nobody waits for. With none it sleeps until there is one.
 fn run_timer(node: &Node, closing: &AtomicBool) {
-    let _guard = FailStop::of("the Timer's thread");
     clock::sleep_exactly();
     let mut effects = Effects::new(None);
-    while let Some(now) = node.alarm.next(|| closing.load(Ordering::SeqCst), clock::now) {
-        node.lateness.note(now.saturating_sub(node.alarm.target()));
-        node.tend(now, &mut effects);
-    }
+    guarded("the Timer's thread", || {
+        while let Some(now) = node.alarm.next(|| closing.load(Ordering::SeqCst), clock::now) {
+            node.lateness.note(now.saturating_sub(node.alarm.target()));
+            node.tend(now, &mut effects);
+        }
+    });
 }
 
 fn run_receiver(node: Arc<Node>, link: &dyn Link, closing: &AtomicBool) {
-    let _guard = FailStop::of("the thread that receives");
     clock::sleep_exactly();
     let inlet = Inlet::new(node);
-    while !closing.load(Ordering::SeqCst) {
-        match link.poll(&inlet, None) {
-            PollEnd::Ready => inlet.ready(),
-            PollEnd::Received | PollEnd::TimedOut | PollEnd::Woken => {}
+    guarded("the thread that receives", || {
+        while !closing.load(Ordering::SeqCst) {
+            match link.poll(&inlet, None) {
+                PollEnd::Ready => inlet.ready(),
+                PollEnd::Received | PollEnd::TimedOut | PollEnd::Woken => {}
+            }
         }
-    }
+    });
 }
 
 /// A thread whose program has ended is about to return: the join is short. Another one is left alone.

@@ -315,9 +315,14 @@ impl CommTask {
 
     /// Takes one input and fills the outbox. Total: no input in any state panics. The task gets at most one signal of it.
     pub fn handle(&mut self, table: &NodeTable, input: Input, out: &mut impl Outbox) {
+        self.handle_at(table, &input, out);
+    }
+
+    /// The same with an input that stays where it is: inputs are long, and drivers keep them until they are taken.
+    pub fn handle_at(&mut self, table: &NodeTable, input: &Input, out: &mut impl Outbox) {
         let waited = !self.is_idle();
         let request = matches!(input, Input::Request(_));
-        match &input {
+        match input {
             Input::Advance(elapsed) => self.advance(table, *elapsed, out),
             Input::Request(request) => self.request(table, request, out),
             Input::Packet(packet) => self.packet(table, packet, out),
@@ -334,21 +339,35 @@ impl CommTask {
     /// How long from the last [`Input::Advance`] until time alone makes this task act; `None`: never.
     #[must_use]
     pub fn next_expiry(&self) -> Option<Ticks> {
-        let get = match self.top().pending {
+        let wait = match self.top().pending {
             Pending::Get { deadline, .. } => deadline,
+            Pending::Reply(desk) => self.desks[usize::from(desk)].due(),
             Pending::Nothing
-            | Pending::Reply(_)
             | Pending::Meeting(_)
             | Pending::Delay(..)
             | Pending::Work
             | Pending::Lease
             | Pending::Boundary => Ticks::FAR,
         };
-        let answers = self.open_desks().map(|desk| self.desks[desk].due());
         let lease = self.lease.as_ref().map_or(Ticks::FAR, Lease::due);
-        let waits = get.min(self.next_offer()).min(lease).min(self.next_end());
-        let due = answers.fold(waits, Ticks::min);
+        let waits = wait.min(self.next_offer()).min(lease).min(self.next_end());
+        // Of the threads below, only answers are awaited meanwhile.
+        let due = if self.depth == 0 {
+            waits
+        } else {
+            self.open_desks().map(|desk| self.desks[desk].due()).fold(waits, Ticks::min)
+        };
         (due != Ticks::FAR).then(|| due - self.now)
+    }
+
+    /// Lets time pass that ends before [`next_expiry`](Self::next_expiry): all that [`Input::Advance`] does then. For
+    /// drivers that know when that is.
+    pub fn pass(&mut self, table: &NodeTable, elapsed: Ticks) {
+        debug_assert!(self.next_expiry().is_none_or(|left| elapsed < left), "something is due by then");
+        self.now += elapsed;
+        if !table.rules().charge_residence {
+            self.give_back(elapsed);
+        }
     }
 
     /// Whether the thread that runs, the task's own or a handler, has no outstanding request.

@@ -5,7 +5,7 @@ use crate::awake::{Kind, Patience};
 use crate::clock::{self, Micros};
 use crate::comm::{Comm, Mail};
 use crate::effects::{Effects, Stamped};
-use crate::failstop::FailStop;
+use crate::failstop::guarded;
 use crate::handoff::Entry;
 use crate::lead::Led;
 use crate::message::Bytes;
@@ -183,8 +183,8 @@ impl Caller {
         let inlet = leading.map(|_| &*self.inlet.get_or_insert_with(|| Inlet::new(Arc::clone(node))));
         let leading = leading.zip(inlet);
         let take_in = || {
-            let _guard = FailStop::of("a task's thread that receives");
-            leading.is_some_and(|(leading, inlet)| leading.take_in(inlet))
+            let take_in = || leading.is_some_and(|(leading, inlet)| leading.take_in(inlet));
+            guarded("a task's thread that receives", take_in)
         };
         let there = || handoff.is_called() || (take_in() && handoff.is_called());
         if kind.is_some_and(|kind| self.patience.look(kind, &handoff.presence, until, there)) {

@@ -6,7 +6,7 @@ use super::{Knows, Note, Stands, Watch};
 use crate::clock;
 use crate::comm::Comm;
 use crate::effects::{Effects, Stamped};
-use crate::failstop::FailStop;
+use crate::failstop::guarded;
 use crate::record::{Did, OutputDigest, Recorder, ScriptStep, Step};
 use imrs_protocol::script::{
     Action, Address, End, HOST_LIMIT, MAX_THREADS, Program, Script, ScriptFault, ScriptInput,
@@ -148,7 +148,7 @@ impl Seat {
 
     fn step(&mut self, comm: &mut Comm, step: Step, effects: &mut Effects) {
         let signals = &mut self.signals;
-        comm.run(step, &mut |signal| signals.push_back(signal), effects);
+        comm.run(&step, &mut |signal| signals.push_back(signal), effects);
     }
 
     /// The script hears all that its communication task said.
@@ -166,7 +166,10 @@ impl Seat {
 
     /// Runs the script until it waits.
     fn go_on(&mut self, comm: &mut Comm, input: ScriptInput, effects: &mut Effects) {
-        let _guard = FailStop::of("a script");
+        guarded("a script", || self.run(comm, input, effects));
+    }
+
+    fn run(&mut self, comm: &mut Comm, input: ScriptInput, effects: &mut Effects) {
         let (mut next, mut steps) = (Some(input), 0);
         while let Some(input) = next {
             if self.stopped {

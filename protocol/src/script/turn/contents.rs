@@ -15,16 +15,16 @@ impl<'a, O: ScriptOutbox> Turn<'a, O> {
         let (Op::Send { format, .. }
         | Op::Reply { format }
         | Op::ReplyFor { format, .. }
-        | Op::ReplyOwed { format, .. }) = op
+        | Op::ReplyOwed { format, .. }) = *op
         else {
             return Err(ScriptFault::Malformed);
         };
-        let to = match op {
+        let to = match *op {
             Op::ReplyFor { port, format } => Some(self.named(port, format)?),
             Op::ReplyOwed { port, task, .. } => self.out.owed(port, task),
             _ => self.frame().message,
         };
-        let port = match (op, to) {
+        let port = match (*op, to) {
             (Op::Send { port, .. }, _) => port,
             (_, Some(to)) => to.port,
             (_, None) => {
@@ -40,7 +40,7 @@ impl<'a, O: ScriptOutbox> Turn<'a, O> {
         }
         let contents = self.part(format, 0)?;
         self.drop_fields(op)?;
-        match (op, to) {
+        match (*op, to) {
             (Op::Send { port, to, time_out, .. }, _) => {
                 self.out.request(Request::Send { port, to, contents, time_out });
             }
@@ -98,13 +98,13 @@ impl<'a, O: ScriptOutbox> Turn<'a, O> {
     }
 
     /// Takes the fields of an operation from the operands.
-    pub(super) fn drop_fields(&mut self, op: Op) -> Result<(), ScriptFault> {
+    pub(super) fn drop_fields(&mut self, op: &Op) -> Result<(), ScriptFault> {
         let (Op::Send { format, .. }
         | Op::Reply { format }
         | Op::ReplyFor { format, .. }
         | Op::ReplyOwed { format, .. }
         | Op::Arrive { format, .. }
-        | Op::Publish { format }) = op
+        | Op::Publish { format }) = *op
         else {
             return Err(ScriptFault::Malformed);
         };

@@ -277,7 +277,7 @@ impl<'a, O: ScriptOutbox> Turn<'a, O> {
         let blocked = !matches!(signal, Signal::Accepted(_) | Signal::Fault(_));
         self.fresh = blocked || matches!(op, Op::Order(_) | Op::Atomic(_) | Op::Start { .. });
         self.outcome = StatementOutcome::Done;
-        match (op, signal) {
+        match (*op, signal) {
             (Op::Send { .. }, Signal::Accepted(copies)) => self.value = i64::from(copies),
             (Op::Send { port, .. }, Signal::Outcome(outcome)) => {
                 self.outcome = match outcome {
@@ -366,9 +366,9 @@ impl<'a, O: ScriptOutbox> Turn<'a, O> {
         true
     }
 
-    fn op(&mut self) -> Result<Op, ScriptFault> {
+    fn op(&mut self) -> Result<&'a Op, ScriptFault> {
         let at = self.frame().at;
-        self.program.code.get(usize::from(at)).copied().ok_or(ScriptFault::Malformed)
+        self.program.code.get(usize::from(at)).ok_or(ScriptFault::Malformed)
     }
 
     /// The name of this thread's delay: a thread has one, and timers have the names before.

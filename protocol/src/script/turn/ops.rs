@@ -10,8 +10,8 @@ use crate::script::{Action, End, Frame, Inbound, Script, ScriptFault, ScriptOutb
 use crate::ticks::Ticks;
 
 impl<O: ScriptOutbox> Turn<'_, O> {
-    pub(super) fn execute(&mut self, op: Op) -> Step {
-        match op {
+    pub(super) fn execute(&mut self, op: &Op) -> Step {
+        match *op {
             Op::Statement => return Ok(self.statement()),
             Op::Term(term) => self.term(term)?,
             Op::Store(slot) => {
@@ -144,8 +144,8 @@ impl<O: ScriptOutbox> Turn<'_, O> {
     }
 
     /// The request of an operation that makes just one.
-    fn request(&mut self, op: Op) -> Result<Request, ScriptFault> {
-        Ok(match op {
+    fn request(&mut self, op: &Op) -> Result<Request, ScriptFault> {
+        Ok(match *op {
             Op::Get { port, source, time_out } => Request::Get { port, source, time_out },
             Op::Arrive { port, format, time_out } => {
                 let (bytes, _) = self.pack(format)?;
