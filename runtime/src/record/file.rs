@@ -9,7 +9,7 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 /// How many steps wait between a node and its disk. When there are more, a gap is recorded instead; once the disk keeps
 /// up again, the recording goes on with a keyframe.
-const CAPACITY: usize = 16_384;
+const CAPACITY: usize = 32_768;
 
 /// Records the inputs of a node's communication tasks as an [`imrs_wire::recording`].
 pub struct FileRecorder {

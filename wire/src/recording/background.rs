@@ -6,14 +6,16 @@ use std::io::{BufWriter, Write};
 use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
 use std::sync::mpsc::{self, Receiver, SyncSender};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
-use std::thread::{self, JoinHandle};
+use std::thread::{self, JoinHandle, Thread};
 use std::time::{Duration, Instant};
 
-/// How long the thread gathers after each batch. Meanwhile handing a record over wakes nobody; an idle recording
-/// sleeps without end.
+/// How long the thread gathers after each batch, unless a good part of the queue fills up before. Meanwhile handing a
+/// record over wakes nobody; an idle recording sleeps without end.
 const GATHER: Duration = Duration::from_millis(5);
 /// How many records are written before the thread looks whether it is to stop.
 const BATCH: usize = 4_096;
+/// What part of the queue must be full for the thread to be woken while it gathers: one in so many.
+const HURRIES_AT: usize = 4;
 const BUFFER_BYTES: usize = 64 * 1024;
 /// The longest state or frame; what else is in its record takes less than the rest.
 const LONGEST: usize = MAX_RECORD_BYTES - 64;
@@ -28,6 +30,8 @@ enum Message {
 struct Shared {
     /// Of the queue.
     capacity: usize,
+    /// The thread that writes.
+    writer: OnceLock<Thread>,
     /// How many messages are in the queue.
     queued: AtomicUsize,
     records: AtomicU64,
@@ -109,6 +113,7 @@ impl Recording {
             false
         };
         let thread = thread::Builder::new().name("recording".into()).spawn(run)?;
+        shared.writer.get_or_init(|| thread.thread().clone());
         Ok(Self { queue, shared, thread: Some(thread) })
     }
 
@@ -184,10 +189,13 @@ impl Shared {
     /// Puts a message into the queue, if there is room.
     fn hand_over(&self, queue: &SyncSender<Message>, message: Message) -> bool {
         // Counted before it can be taken out.
-        self.queued.fetch_add(1, Ordering::Relaxed);
+        let before = self.queued.fetch_add(1, Ordering::Relaxed);
         let taken = queue.try_send(message).is_ok();
         if !taken {
             self.queued.fetch_sub(1, Ordering::Relaxed);
+        } else if before == self.capacity / HURRIES_AT {
+            // Busy nodes fill the queue before the thread has gathered.
+            self.writer.get().into_iter().for_each(Thread::unpark);
         }
         taken
     }
@@ -225,7 +233,7 @@ fn write<W: Write>(
             break;
         }
         if taken < BATCH {
-            thread::sleep(GATHER);
+            thread::park_timeout(GATHER);
         }
     }
     // What was handed over before the stop, and no more: the streams may go on.
@@ -281,7 +289,7 @@ impl Outlet {
 }
 
 /// Where the inputs of one communication task go. Used under that task's lock: nothing here blocks, allocates or
-/// enters the kernel, but for waking the writing thread from its sleep, at most once in 5 ms.
+/// enters the kernel, but for waking the writing thread: once in 5 ms, or once for each quarter of the queue.
 pub struct TaskStream {
     task: TaskId,
     outlet: Outlet,
