@@ -1,5 +1,8 @@
-//! The Rust programs of the process classes (D24): each runs, and ends as it says.
+//! The Rust programs of the process classes (D24), and the one whose tasks are futures (D113): each runs, and ends as it
+//! says.
 
+#[path = "../examples/futures.rs"]
+mod futures;
 #[path = "../examples/independent.rs"]
 mod independent;
 #[path = "../examples/loose.rs"]
@@ -34,4 +37,9 @@ fn serialized_robots_hand_over_parts() {
 #[test]
 fn a_work_coupled_robot_goes_on_where_the_other_crashed() {
     work::main();
+}
+
+#[test]
+fn a_gripper_waits_for_its_sensor_or_a_message() {
+    futures::main();
 }

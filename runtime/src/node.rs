@@ -205,8 +205,7 @@ impl Node {
     /// Looks at a communication task. Nothing of it changes by that.
     pub(crate) fn look<R>(&self, member: &Member, look: impl FnOnce(&mut Comm) -> R) -> R {
         let mut effects = Effects::of_an_onlooker();
-        let seen =
-            guarded("a look at a communication task", || member.handoff.with(look, &mut effects));
+        let seen = guarded("a look at a communication task", || member.handoff.with(look, &mut effects));
         self.carry_out(&mut effects);
         seen
     }

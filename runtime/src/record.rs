@@ -123,4 +123,3 @@ impl Step {
         !matches!(self.input, Input::Advance(Ticks::ZERO))
     }
 }
-

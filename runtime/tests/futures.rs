@@ -7,7 +7,7 @@ use common::{
 };
 use futures_util::future::{Either, select};
 use imrs_protocol::{
-    Class, Fault, Incarnation, NodeId, NodeTable, Outcome, PortDecl, Ranked, Ticks, TimeId, Usage,
+    Class, Fault, Incarnation, NodeId, NodeTable, Outcome, PortDecl, Ranked, Target, Ticks, TimeId, Usage,
 };
 use imrs_runtime::link::in_process::Faults;
 use imrs_runtime::record::{Recorder, replay};
@@ -429,4 +429,115 @@ fn a_recorded_run_of_futures_replays_bit_equal() {
         assert!(log.len() > 100, "{task} took only {} inputs", log.len());
         assert_eq!(replay(&node, task, Incarnation(1), false, log.clone()), Ok(log.len()));
     }
+}
+
+#[test]
+fn several_are_asked_at_once() {
+    let mut cell = cell(&[0, 0, 0], Ticks(0));
+    cell.port(PortDecl::new("state", A, Usage::Query, &[B, C], Ticks(200_000)).command());
+    let node = one_node(&table(cell))
+        .async_task("a", |mut ctx: AsyncContext| async move {
+            let state = ctx.port("state")?;
+            let mut said = Vec::new();
+            ctx.query_all::<(), i16>(state, Target::All, &(), |task, asked| said.push((task, asked))).await?;
+            said.sort_by_key(|(task, _)| *task);
+            assert_eq!(said, [(B, Asked::Reply(7)), (C, Asked::TimedOutUnknown)]);
+            said.clear();
+            ctx.query_all::<(), i16>(state, Target::One(B), &(), |task, asked| said.push((task, asked)))
+                .await?;
+            assert_eq!(said, [(B, Asked::Reply(8))]);
+            Ok(())
+        })
+        .async_task("b", |mut ctx: AsyncContext| async move {
+            let state = ctx.port("state")?;
+            for answer in [7_i16, 8] {
+                let asked = ctx.take::<()>(state, None).await?.expect("a question");
+                ctx.answer(&asked.from, &answer)?;
+            }
+            Ok(())
+        })
+        // Never answers.
+        .task("c", |_| Ok(()));
+    finish(node.start().unwrap());
+}
+
+#[test]
+fn what_is_there_is_taken_without_a_wait_and_what_belongs_together_leaves_together() {
+    let mut cell = cell(&[0, 1], Ticks(100));
+    cell.port(PortDecl::new("news", A, Usage::Send, &[B], LONG_TICKS).bounded_buffer(8));
+    let table = table(cell);
+    let network = network(&table, Faults::default());
+    let first = on(&network, &table, 0).async_task("a", |mut ctx: AsyncContext| async move {
+        let news = ctx.port("news")?;
+        let told =
+            ctx.together(|ctx| (0..4_i32).map(|n| ctx.tell(news, &n)).collect::<Result<Vec<_>, _>>())?;
+        assert_eq!(told, [1; 4]);
+        Ok(())
+    });
+    let second = on(&network, &table, 1).async_task("b", |mut ctx: AsyncContext| async move {
+        let news = ctx.port("news")?;
+        let mut heard = Vec::new();
+        while heard.len() < 4 {
+            match ctx.poll(Some(news)).await? {
+                Some(message) => heard.push(ctx.read::<i32>(&message)?),
+                None => ctx.delay(Duration::from_millis(1)).await?,
+            }
+        }
+        assert_eq!(heard, [0, 1, 2, 3]);
+        assert_eq!(ctx.poll(Some(news)).await?, None);
+        Ok(())
+    });
+    let (first, second) = (first.start().unwrap(), second.start().unwrap());
+    finish(second);
+    finish(first);
+}
+
+#[test]
+fn nothing_interrupts_an_atomic_section_and_one_that_is_dropped_is_over() {
+    let mut cell = cell(&[0, 0], Ticks(0));
+    cell.port(PortDecl::new("halt", B, Usage::Send, &[A], LONG_TICKS).bounded_buffer(4));
+    cell.port(PortDecl::new("go", A, Usage::Send, &[B], LONG_TICKS));
+    let node = one_node(&table(cell))
+        .async_task_with("a", 0, |mut ctx: AsyncContext<i32>| async move {
+            let (halt, go) = (ctx.port("halt")?, ctx.port("go")?);
+            ctx.on_message(halt, |halts, (): ()| {
+                *halts += 1;
+                Ok(())
+            })?;
+            ctx.order(&[Ranked::Port(halt), Ranked::Own])?;
+            ctx.atomic(async |ctx| {
+                ctx.tell(go, &())?;
+                ctx.delay(5 * SOON).await?;
+                assert_eq!(ctx.state, 0, "interrupted");
+                // Sections nest.
+                ctx.atomic(async |ctx| ctx.boundary().await).await?;
+                assert_eq!(ctx.state, 0, "interrupted");
+                Ok(())
+            })
+            .await?;
+            while ctx.state == 0 {
+                ctx.boundary().await?;
+                ctx.delay(Duration::from_millis(1)).await?;
+            }
+            // A section that loses against something else.
+            {
+                let section = pin!(ctx.atomic(async |ctx| ctx.delay(LONG).await));
+                assert!(matches!(select(section, ready(())).await, Either::Right(_)));
+            }
+            ctx.tell(go, &())?;
+            while ctx.state == 1 {
+                ctx.delay(Duration::from_millis(1)).await?;
+            }
+            assert_eq!(ctx.state, 2);
+            Ok(())
+        })
+        .async_task("b", |mut ctx: AsyncContext| async move {
+            let (halt, go) = (ctx.port("halt")?, ctx.port("go")?);
+            for _ in 0..2 {
+                ctx.receive(Some(go), None).await?;
+                ctx.tell(halt, &())?;
+            }
+            Ok(())
+        });
+    finish(node.start().unwrap());
 }

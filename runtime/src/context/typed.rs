@@ -73,7 +73,7 @@ impl<S> Context<S> {
                 each(peer, self.caller.asked(port, peer, outcome)?);
                 Ok(())
             }
-            Sent::Several(answers) => self.each_answer(port, &answers, each),
+            Sent::Several(answers) => self.caller.each_answer(port, &answers, each),
         }
     }
 
@@ -121,37 +121,6 @@ impl<S> Context<S> {
         let bytes = encoded(message, &mut room)?;
         self.send_with(port, to, bytes, time_out)
     }
-
-    fn each_answer<R: Message>(
-        &mut self,
-        port: PortId,
-        answers: &Answers,
-        mut each: impl FnMut(TaskId, Asked<R>),
-    ) -> Result<(), TaskError> {
-        let cell = Arc::clone(&self.caller.node.table.cell);
-        let parties = cell.port(port).map(|port| &port.parties[..]).unwrap_or_default();
-        for (at, party) in parties.iter().enumerate().take(64) {
-            let bit = 1 << at;
-            if answers.asked & bit == 0 {
-                continue;
-            }
-            each(
-                party.task,
-                if answers.answered & bit != 0 {
-                    Asked::Reply(decoded(&self.caller.whole_answer(port, party.task, None))?)
-                } else if answers.refused & bit != 0 {
-                    Asked::Refused
-                } else if answers.restarted & bit != 0 {
-                    Asked::PeerRestarted
-                } else if answers.unsent & bit != 0 {
-                    Asked::TimedOutUnsent
-                } else {
-                    Asked::TimedOutUnknown
-                },
-            );
-        }
-        Ok(())
-    }
 }
 
 impl Caller {
@@ -175,6 +144,38 @@ impl Caller {
             (None, _) => Err(fault(Fault::NotAPeer)),
             (Some(_), Some(_)) => Err(wrong_usage()),
         }
+    }
+
+    /// Tells for each task that was asked how that ended.
+    pub(super) fn each_answer<R: Message>(
+        &mut self,
+        port: PortId,
+        answers: &Answers,
+        mut each: impl FnMut(TaskId, Asked<R>),
+    ) -> Result<(), TaskError> {
+        let cell = Arc::clone(&self.node.table.cell);
+        let parties = cell.port(port).map(|port| &port.parties[..]).unwrap_or_default();
+        for (at, party) in parties.iter().enumerate().take(64) {
+            let bit = 1 << at;
+            if answers.asked & bit == 0 {
+                continue;
+            }
+            each(
+                party.task,
+                if answers.answered & bit != 0 {
+                    Asked::Reply(decoded(&self.whole_answer(port, party.task, None))?)
+                } else if answers.refused & bit != 0 {
+                    Asked::Refused
+                } else if answers.restarted & bit != 0 {
+                    Asked::PeerRestarted
+                } else if answers.unsent & bit != 0 {
+                    Asked::TimedOutUnsent
+                } else {
+                    Asked::TimedOutUnknown
+                },
+            );
+        }
+        Ok(())
     }
 
     /// How it ended, with the whole answer.

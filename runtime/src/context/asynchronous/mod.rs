@@ -1,20 +1,21 @@
 //! What a task's program says to its communication task where it is a future (D113).
 
-use super::outcome::{Asked, Received, Rendezvous, RequestFault, Sent, TaskError};
-use super::typed::{decoded, encoded, wrong_usage};
+mod asking;
+mod handlers;
+mod typed;
+
+use super::outcome::{Rendezvous, Sent, TaskError};
+use super::typed::wrong_usage;
 use super::{Caller, PACKET, mismatch, ticks};
 use crate::clock::{self, Micros};
-use crate::message::{LONGEST, Message};
 use crate::node::Node;
+use asking::Asking;
 use imrs_protocol::{
-    Call, Class, Contents, Delivery, Fault, PUBLISHED_BYTES, PortId, Ranked, ReplyTo, Request, ServiceOrder,
-    Signal, Target, TaskId, Ticks, TimeId,
+    Contents, Delivery, PUBLISHED_BYTES, PortId, Ranked, ReplyTo, Request, ServiceOrder, Signal, Target,
+    TaskId, Ticks, TimeId,
 };
-use std::future::Future;
-use std::pin::Pin;
 use std::rc::Rc;
 use std::sync::Arc;
-use std::task::{Context as Poller, Poll};
 use std::time::Duration;
 
 type OnMessage<S> = Rc<dyn Fn(&mut AsyncContext<S>, &Delivery) -> Result<(), TaskError>>;
@@ -122,52 +123,6 @@ impl<S> AsyncContext<S> {
         }
     }
 
-    /// Tells all tasks at the other end of a class-1 port. Returns how many copies were accepted.
-    ///
-    /// # Errors
-    /// [`TaskError`].
-    pub fn tell<M: Message>(&mut self, port: PortId, message: &M) -> Result<u16, TaskError> {
-        self.caller.expect_class(port, Class::Status)?;
-        let mut room = [0; LONGEST];
-        let packets = self.caller.node.table.port(port).map_or(1, |port| port.decl.fragments);
-        let contents = self.staged(port, encoded(message, &mut room)?, packets)?;
-        self.at_once(Request::Send { port, to: Target::All, contents, time_out: None })
-    }
-
-    /// Asks the task at the other end of a port: a query, or a command where the port's usage is `send` and its class 2.
-    /// Waits for the answer, at most for the port's time_out.
-    ///
-    /// # Errors
-    /// [`TaskError`]; [`TaskError::NotThisType`] where the answer is none of `R`.
-    pub async fn query<M: Message, R: Message>(
-        &mut self,
-        port: PortId,
-        question: &M,
-    ) -> Result<Asked<R>, TaskError> {
-        self.query_with(port, Target::All, question, None).await
-    }
-
-    /// As [`query`](Self::query), of one of several tasks at the other end, or with a shorter life than the port's.
-    ///
-    /// # Errors
-    /// As [`query`](Self::query).
-    pub async fn query_with<M: Message, R: Message>(
-        &mut self,
-        port: PortId,
-        to: Target,
-        question: &M,
-        time_out: Option<Duration>,
-    ) -> Result<Asked<R>, TaskError> {
-        self.caller.expect_class(port, Class::Command)?;
-        let peer = self.caller.peer(port, to)?;
-        let mut room = [0; LONGEST];
-        let bytes = encoded(question, &mut room)?;
-        match self.send_with(port, Target::One(peer), bytes, time_out).await? {
-            Sent::Outcome(outcome) => self.caller.asked(port, peer, outcome),
-            Sent::Copies(_) | Sent::Several(_) => Err(wrong_usage()),
-        }
-    }
-
     /// Waits for the most urgent message of a port, or, without a port, of all the task's ports (R68). `None` says that
     /// the time_out ended first; without one it waits without end.
     ///
@@ -194,26 +149,21 @@ impl<S> AsyncContext<S> {
         self.get(port, Some(source), time_out).await
     }
 
-    /// Waits for the most urgent message of a port and reads it. `None` says that the time_out ended first.
+    /// Takes the most urgent message if there is one. Waits for nothing but the handlers whose turn it is.
     ///
     /// # Errors
-    /// [`TaskError`]; [`TaskError::NotThisType`]: the message is gone then.
-    pub async fn take<M: Message>(
-        &mut self,
-        port: PortId,
-        time_out: Option<Duration>,
-    ) -> Result<Option<Received<M>>, TaskError> {
-        let Some(delivery) = self.receive(Some(port), time_out).await? else { return Ok(None) };
-        let message = self.read(&delivery)?;
-        Ok(Some(Received { message, from: delivery.from, budget: delivery.budget }))
+    /// [`TaskError`].
+    pub async fn poll(&mut self, port: Option<PortId>) -> Result<Option<Delivery>, TaskError> {
+        self.get(port, None, Some(Duration::ZERO)).await
     }
 
-    /// Reads the message that was taken last, with all its fragments (D28).
-    ///
-    /// # Errors
-    /// [`TaskError::NotThisType`]; [`TaskError::Gone`] where a longer one is read after another was taken.
-    pub fn read<M: Message>(&mut self, delivery: &Delivery) -> Result<M, TaskError> {
-        decoded(&self.caller.whole(delivery)?)
+    /// What is sent by this work leaves together: see [`Context::together`](crate::Context::together). The work is no
+    /// future: what it asks is not waited for.
+    pub fn together<R>(&mut self, work: impl FnOnce(&mut Self) -> R) -> R {
+        let before = self.caller.hold(true);
+        let done = work(self);
+        self.caller.hold(before);
+        done
     }
 
     /// Answers a received class-2 message.
@@ -224,15 +174,6 @@ impl<S> AsyncContext<S> {
         let packets = self.caller.node.table.port(to.port).map_or(1, |port| port.decl.answer_fragments);
         let contents = self.staged(to.port, contents, packets)?;
         self.at_once(Request::Reply { to: *to, contents }).map(|_| ())
-    }
-
-    /// Answers a received query or command with a message.
-    ///
-    /// # Errors
-    /// As [`reply`](Self::reply).
-    pub fn answer<R: Message>(&mut self, to: &ReplyTo, answer: &R) -> Result<(), TaskError> {
-        let mut room = [0; LONGEST];
-        self.reply(to, encoded(answer, &mut room)?)
     }
 
     /// Waits until all tasks of the port have reached this point (§4.3), at most for the port's time_out.
@@ -309,86 +250,35 @@ impl<S> AsyncContext<S> {
         self.caller.look(|comm| comm.machine().partner_published().copied())
     }
 
-    /// From here on, messages of this port are handled: [`receive`](Self::receive) without a port skips it.
+    /// Lets the handlers have their turn whose messages wait, between two statements (D15).
     ///
     /// # Errors
-    /// [`Fault::WrongUsage`] where the task does not receive on this port; where the handler runs,
-    /// [`TaskError::NotThisType`].
-    pub fn on_message<M: Message>(
-        &mut self,
-        port: PortId,
-        handler: impl Fn(&mut S, M) -> Result<(), TaskError> + 'static,
-    ) -> Result<(), TaskError> {
-        self.handle(port, move |ctx, delivery| {
-            let message = ctx.read(delivery)?;
-            handler(&mut ctx.state, message)
-        })
-    }
-
-    /// Answers each query or command of this port with what the handler returns. An answer that is too late is none: its
-    /// sender has its outcome (D18).
-    ///
-    /// # Errors
-    /// As [`on_message`](Self::on_message).
-    pub fn on_query<M: Message, R: Message>(
-        &mut self,
-        port: PortId,
-        handler: impl Fn(&mut S, M) -> Result<R, TaskError> + 'static,
-    ) -> Result<(), TaskError> {
-        self.handle(port, move |ctx, delivery| {
-            let question = ctx.read(delivery)?;
-            let answer = handler(&mut ctx.state, question)?;
-            match ctx.answer(&delivery.from, &answer) {
-                Err(TaskError::Fault(RequestFault(Fault::Late))) => Ok(()),
-                other => other,
-            }
-        })
-    }
-
-    /// Messages of this port wait for [`receive`](Self::receive) again.
-    ///
-    /// # Errors
-    /// As [`on_message`](Self::on_message).
-    pub fn unhandle(&mut self, port: PortId) -> Result<(), TaskError> {
-        self.at_once(Request::Handle { port, handled: false })?;
-        self.messages.retain(|(of, _)| *of != port);
-        Ok(())
-    }
-
-    /// What is done when this timer of the task ends (Figure 3).
-    pub fn on_timer(&mut self, timer: TimeId, handler: impl Fn(&mut S) -> Result<(), TaskError> + 'static) {
-        self.timers.retain(|(of, _)| *of != timer);
-        self.timers.push((timer, Rc::new(handler)));
-    }
-
-    /// Starts a timer, anew where it runs.
-    ///
-    /// # Errors
-    /// [`TaskError::NoHandler`]; [`Fault::TooManyTimers`].
-    pub fn start_timer(&mut self, timer: TimeId, length: Duration) -> Result<(), TaskError> {
-        if !self.timers.iter().any(|(of, _)| *of == timer) {
-            return Err(TaskError::NoHandler(timer));
+    /// [`TaskError`], of the handlers too.
+    pub async fn boundary(&mut self) -> Result<(), TaskError> {
+        let request = Request::Boundary;
+        match self.ask(request).await?.0 {
+            Signal::Accepted(_) => Ok(()),
+            other => mismatch(&request, &other),
         }
-        self.at_once(Request::Start { id: timer, length: ticks(length) }).map(|_| ())
     }
 
-    /// Stops a timer; its handler does not run any more.
+    /// No handler interrupts what is done here, though it waits (D15). A section that is dropped is over.
     ///
     /// # Errors
-    /// [`TaskError`].
-    pub fn stop_timer(&mut self, timer: TimeId) -> Result<(), TaskError> {
-        self.at_once(Request::Stop { id: timer }).map(|_| ())
-    }
-
-    fn handle(
+    /// [`TaskError`], of the section too.
+    pub async fn atomic<R>(
         &mut self,
-        port: PortId,
-        handler: impl Fn(&mut Self, &Delivery) -> Result<(), TaskError> + 'static,
-    ) -> Result<(), TaskError> {
-        self.at_once(Request::Handle { port, handled: true })?;
-        self.messages.retain(|(of, _)| *of != port);
-        self.messages.push((port, Rc::new(handler)));
-        Ok(())
+        section: impl AsyncFnOnce(&mut Self) -> Result<R, TaskError>,
+    ) -> Result<R, TaskError> {
+        if self.caller.atomic {
+            return section(self).await;
+        }
+        self.at_once(Request::Atomic(true))?;
+        self.caller.atomic = true;
+        let open = Section(self);
+        let done = section(&mut *open.0).await;
+        drop(open);
+        done
     }
 
     async fn get(
@@ -445,7 +335,7 @@ impl<S> AsyncContext<S> {
     }
 
     fn ask(&mut self, request: Request) -> Asking<'_, S> {
-        Asking { context: self, next: Some(request), stage: Stage::New }
+        Asking::new(self, request)
     }
 
     /// What is answered without waiting. Returns how many copies were accepted, where copies are sent.
@@ -471,31 +361,6 @@ impl<S> AsyncContext<S> {
         Contents::new(first).ok_or_else(too_long)
     }
 
-    /// Runs the handler for `call`. The answer was given `age` ago.
-    fn interrupted(&mut self, call: Call, age: Ticks) -> Result<(), TaskError> {
-        let done = match call {
-            Call::Message(message) => {
-                let of_port = self.messages.iter().find(|(port, _)| *port == message.from.port);
-                let handler = of_port.map(|(_, handler)| Rc::clone(handler));
-                match (handler, self.in_hand(message, age)) {
-                    (Some(handler), Some(message)) => handler(self, &message),
-                    (None, _) | (_, None) => Ok(()),
-                }
-            }
-            Call::Timer(timer) => {
-                let of_timer = self.timers.iter().find(|(of, _)| *of == timer);
-                let handler = of_timer.map(|(_, handler)| Rc::clone(handler));
-                handler.map_or(Ok(()), |handler| handler(&mut self.state))
-            }
-            // Who must act on either is a task with a thread, or a script; what it sends under the lease is refused.
-            Call::Fenced | Call::TakeOver(_) => Ok(()),
-        };
-        if let Err(error) = &done {
-            self.caller.fail(error.clone());
-        }
-        done
-    }
-
     /// Cancels the wait. Handlers whose turn it was have had it; a message that was there is kept.
     fn withdraw(&mut self) {
         let mut next = Request::Cancel;
@@ -517,61 +382,13 @@ impl<S> AsyncContext<S> {
     }
 }
 
-/// One request and its answer: the one outstanding communication of the task (R93).
-struct Asking<'a, S> {
-    context: &'a mut AsyncContext<S>,
-    /// What is to be asked next.
-    next: Option<Request>,
-    stage: Stage,
-}
+/// An atomic section that is open. Dropping it closes it.
+struct Section<'a, S>(&'a mut AsyncContext<S>);
 
-#[derive(Clone, Copy, PartialEq, Eq)]
-enum Stage {
-    New,
-    Waits,
-    Over,
-}
-
-impl<S> Future for Asking<'_, S> {
-    type Output = Result<(Signal, Ticks), TaskError>;
-
-    fn poll(self: Pin<&mut Self>, poller: &mut Poller<'_>) -> Poll<Self::Output> {
-        let Self { context, next, stage } = self.get_mut();
-        *stage = Stage::Waits;
-        loop {
-            let answer = context.caller.call_now(next.take());
-            match answer {
-                Ok(Some((Signal::Interrupt(call), age))) => match context.interrupted(call, age) {
-                    Ok(()) => *next = Some(Request::Return),
-                    Err(error) => {
-                        *stage = Stage::Over;
-                        return Poll::Ready(Err(error));
-                    }
-                },
-                Ok(Some(answer)) => {
-                    *stage = Stage::Over;
-                    return Poll::Ready(Ok(answer));
-                }
-                Err(error) => {
-                    *stage = Stage::Over;
-                    return Poll::Ready(Err(error));
-                }
-                Ok(None) if context.caller.listen(poller.waker()) => return Poll::Pending,
-                Ok(None) => {}
-            }
-        }
-    }
-}
-
-impl<S> Drop for Asking<'_, S> {
+impl<S> Drop for Section<'_, S> {
     fn drop(&mut self) {
-        if self.stage != Stage::Waits {
-            return;
-        }
-        if std::thread::panicking() {
-            // No handler may run here: the task has crashed, and gives everything up.
-            return self.context.caller.give_up();
-        }
-        self.context.withdraw();
+        self.0.caller.atomic = false;
+        // Refused only where the task is at its end, and then nothing interrupts it any more.
+        let _ = self.0.at_once(Request::Atomic(false));
     }
 }

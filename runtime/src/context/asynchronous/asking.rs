@@ -1,0 +1,73 @@
+//! A wait of a future, and what happens when it is dropped.
+
+use super::AsyncContext;
+use crate::context::outcome::TaskError;
+use imrs_protocol::{Request, Signal, Ticks};
+use std::future::Future;
+use std::pin::Pin;
+use std::task::{Context as Poller, Poll};
+
+/// One request and its answer: the one outstanding communication of the task (R93).
+pub(super) struct Asking<'a, S> {
+    context: &'a mut AsyncContext<S>,
+    /// What is to be asked next.
+    next: Option<Request>,
+    stage: Stage,
+}
+
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Stage {
+    New,
+    Waits,
+    Over,
+}
+
+impl<'a, S> Asking<'a, S> {
+    pub const fn new(context: &'a mut AsyncContext<S>, request: Request) -> Self {
+        Self { context, next: Some(request), stage: Stage::New }
+    }
+}
+
+impl<S> Future for Asking<'_, S> {
+    type Output = Result<(Signal, Ticks), TaskError>;
+
+    fn poll(self: Pin<&mut Self>, poller: &mut Poller<'_>) -> Poll<Self::Output> {
+        let Self { context, next, stage } = self.get_mut();
+        *stage = Stage::Waits;
+        loop {
+            let answer = context.caller.call_now(next.take());
+            match answer {
+                Ok(Some((Signal::Interrupt(call), age))) => match context.interrupted(call, age) {
+                    Ok(()) => *next = Some(Request::Return),
+                    Err(error) => {
+                        *stage = Stage::Over;
+                        return Poll::Ready(Err(error));
+                    }
+                },
+                Ok(Some(answer)) => {
+                    *stage = Stage::Over;
+                    return Poll::Ready(Ok(answer));
+                }
+                Err(error) => {
+                    *stage = Stage::Over;
+                    return Poll::Ready(Err(error));
+                }
+                Ok(None) if context.caller.listen(poller.waker()) => return Poll::Pending,
+                Ok(None) => {}
+            }
+        }
+    }
+}
+
+impl<S> Drop for Asking<'_, S> {
+    fn drop(&mut self) {
+        if self.stage != Stage::Waits {
+            return;
+        }
+        if std::thread::panicking() {
+            // No handler may run here: the task has crashed, and gives everything up.
+            return self.context.caller.give_up();
+        }
+        self.context.withdraw();
+    }
+}

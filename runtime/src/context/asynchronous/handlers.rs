@@ -1,0 +1,118 @@
+//! What interrupts a future that waits: it is handled at once, and waits for nothing itself.
+
+use super::AsyncContext;
+use crate::context::outcome::{RequestFault, TaskError};
+use crate::context::ticks;
+use crate::message::Message;
+use imrs_protocol::{Call, Delivery, Fault, PortId, Request, Ticks, TimeId};
+use std::rc::Rc;
+use std::time::Duration;
+
+impl<S> AsyncContext<S> {
+    /// From here on, messages of this port are handled: [`receive`](Self::receive) without a port skips it.
+    ///
+    /// # Errors
+    /// [`Fault::WrongUsage`] where the task does not receive on this port; where the handler runs,
+    /// [`TaskError::NotThisType`].
+    pub fn on_message<M: Message>(
+        &mut self,
+        port: PortId,
+        handler: impl Fn(&mut S, M) -> Result<(), TaskError> + 'static,
+    ) -> Result<(), TaskError> {
+        self.handle(port, move |ctx, delivery| {
+            let message = ctx.read(delivery)?;
+            handler(&mut ctx.state, message)
+        })
+    }
+
+    /// Answers each query or command of this port with what the handler returns. An answer that is too late is none: its
+    /// sender has its outcome (D18).
+    ///
+    /// # Errors
+    /// As [`on_message`](Self::on_message).
+    pub fn on_query<M: Message, R: Message>(
+        &mut self,
+        port: PortId,
+        handler: impl Fn(&mut S, M) -> Result<R, TaskError> + 'static,
+    ) -> Result<(), TaskError> {
+        self.handle(port, move |ctx, delivery| {
+            let question = ctx.read(delivery)?;
+            let answer = handler(&mut ctx.state, question)?;
+            match ctx.answer(&delivery.from, &answer) {
+                Err(TaskError::Fault(RequestFault(Fault::Late))) => Ok(()),
+                other => other,
+            }
+        })
+    }
+
+    /// Messages of this port wait for [`receive`](Self::receive) again.
+    ///
+    /// # Errors
+    /// As [`on_message`](Self::on_message).
+    pub fn unhandle(&mut self, port: PortId) -> Result<(), TaskError> {
+        self.at_once(Request::Handle { port, handled: false })?;
+        self.messages.retain(|(of, _)| *of != port);
+        Ok(())
+    }
+
+    /// What is done when this timer of the task ends (Figure 3).
+    pub fn on_timer(&mut self, timer: TimeId, handler: impl Fn(&mut S) -> Result<(), TaskError> + 'static) {
+        self.timers.retain(|(of, _)| *of != timer);
+        self.timers.push((timer, Rc::new(handler)));
+    }
+
+    /// Starts a timer, anew where it runs.
+    ///
+    /// # Errors
+    /// [`TaskError::NoHandler`]; [`Fault::TooManyTimers`].
+    pub fn start_timer(&mut self, timer: TimeId, length: Duration) -> Result<(), TaskError> {
+        if !self.timers.iter().any(|(of, _)| *of == timer) {
+            return Err(TaskError::NoHandler(timer));
+        }
+        self.at_once(Request::Start { id: timer, length: ticks(length) }).map(|_| ())
+    }
+
+    /// Stops a timer; its handler does not run any more.
+    ///
+    /// # Errors
+    /// [`TaskError`].
+    pub fn stop_timer(&mut self, timer: TimeId) -> Result<(), TaskError> {
+        self.at_once(Request::Stop { id: timer }).map(|_| ())
+    }
+
+    fn handle(
+        &mut self,
+        port: PortId,
+        handler: impl Fn(&mut Self, &Delivery) -> Result<(), TaskError> + 'static,
+    ) -> Result<(), TaskError> {
+        self.at_once(Request::Handle { port, handled: true })?;
+        self.messages.retain(|(of, _)| *of != port);
+        self.messages.push((port, Rc::new(handler)));
+        Ok(())
+    }
+
+    /// Runs the handler for `call`. The answer was given `age` ago.
+    pub(super) fn interrupted(&mut self, call: Call, age: Ticks) -> Result<(), TaskError> {
+        let done = match call {
+            Call::Message(message) => {
+                let of_port = self.messages.iter().find(|(port, _)| *port == message.from.port);
+                let handler = of_port.map(|(_, handler)| Rc::clone(handler));
+                match (handler, self.in_hand(message, age)) {
+                    (Some(handler), Some(message)) => handler(self, &message),
+                    (None, _) | (_, None) => Ok(()),
+                }
+            }
+            Call::Timer(timer) => {
+                let of_timer = self.timers.iter().find(|(of, _)| *of == timer);
+                let handler = of_timer.map(|(_, handler)| Rc::clone(handler));
+                handler.map_or(Ok(()), |handler| handler(&mut self.state))
+            }
+            // Who must act on either is a task with a thread, or a script; what it sends under the lease is refused.
+            Call::Fenced | Call::TakeOver(_) => Ok(()),
+        };
+        if let Err(error) = &done {
+            self.caller.fail(error.clone());
+        }
+        done
+    }
+}
