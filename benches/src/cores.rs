@@ -1,5 +1,6 @@
 //! Where threads run.
 
+use rustix::process::Pid;
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
 use std::collections::BTreeMap;
 use std::ffi::OsString;
@@ -45,12 +46,37 @@ pub fn unpin() -> bool {
     set(allowed().iter().copied())
 }
 
+/// As [`pin`], every thread that the process has now: for libraries that keep threads of their own.
+pub fn pin_all(core: Core) {
+    let allowed = allowed();
+    let at = if core == Core::First { allowed.first() } else { allowed.last() };
+    set_all(at.copied().into_iter());
+}
+
+/// As [`unpin`], every thread that the process has now.
+pub fn unpin_all() {
+    set_all(allowed().iter().copied());
+}
+
+fn set_all(cores: impl Iterator<Item = usize> + Clone) {
+    let threads = std::fs::read_dir("/proc/self/task").into_iter().flatten().flatten();
+    for thread in threads {
+        let id = thread.file_name().to_str().and_then(|name| name.parse().ok()).and_then(Pid::from_raw);
+        // One that has ended meanwhile runs nowhere.
+        let _ = id.map(|id| sched_setaffinity(Some(id), &of(cores.clone())));
+    }
+}
+
 fn set(cores: impl IntoIterator<Item = usize>) -> bool {
+    sched_setaffinity(None, &of(cores)).is_ok()
+}
+
+fn of(cores: impl IntoIterator<Item = usize>) -> CpuSet {
     let mut set = CpuSet::new();
     for core in cores {
         set.set(core);
     }
-    sched_setaffinity(None, &set).is_ok()
+    set
 }
 
 /// Has the kernel end this thread's sleeps on time, as the runtime's threads do.

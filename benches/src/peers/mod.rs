@@ -4,6 +4,8 @@
 mod actors;
 #[cfg(feature = "peers")]
 mod channels;
+#[cfg(feature = "messaging-peers")]
+mod messaging;
 #[cfg(feature = "network-peers")]
 mod network;
 #[cfg(feature = "peers")]
@@ -21,7 +23,9 @@ pub fn join(suites: &mut [Suite]) {
         }
         #[cfg(feature = "network-peers")]
         network::join(suite);
-        #[cfg(not(any(feature = "peers", feature = "network-peers")))]
+        #[cfg(feature = "messaging-peers")]
+        messaging::join(suite);
+        #[cfg(not(any(feature = "peers", feature = "network-peers", feature = "messaging-peers")))]
         let _ = suite;
     }
 }
