@@ -337,7 +337,8 @@ impl<T: Entry> Queue<T> {
 
     /// Changes what decides no entry's place.
     pub fn adjust(&mut self, mut change: impl FnMut(&mut T, &mut T::Side)) {
-        let mut sides = self.order.as_mut().and_then(|order| order.watch.as_mut()).map(|watch| &mut watch.sides);
+        let mut sides =
+            self.order.as_mut().and_then(|order| order.watch.as_mut()).map(|watch| &mut watch.sides);
         for (at, entry) in self.entries.iter_mut().enumerate() {
             let Some(entry) = entry else { continue };
             match &mut sides {
