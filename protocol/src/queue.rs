@@ -105,6 +105,7 @@ impl<S: Copy + Default> Order<S> {
     }
 
     /// The entry of the first free slot has come.
+    #[inline]
     fn put<T: Entry<Side = S>>(&mut self, entries: &[Option<T>], slot: Slot, key: u128, side: S) {
         self.free = self.urgent.kept(slot);
         self.urgent.push(slot, instant(key), |slot| urgency(entries, slot));
@@ -118,6 +119,19 @@ impl<S: Copy + Default> Order<S> {
     /// An entry goes.
     fn take_out<T: Entry<Side = S>>(&mut self, entries: &[Option<T>], slot: Slot) {
         self.urgent.remove(slot, |slot| urgency(entries, slot));
+        self.forget(entries, slot);
+    }
+
+    /// The most urgent entry goes.
+    #[inline]
+    fn pop<T: Entry<Side = S>>(&mut self, entries: &[Option<T>], slot: Slot) {
+        self.urgent.pop(|slot| urgency(entries, slot));
+        self.forget(entries, slot);
+    }
+
+    /// An entry has gone from the order of urgency.
+    #[inline]
+    fn forget<T: Entry<Side = S>>(&mut self, entries: &[Option<T>], slot: Slot) {
         if let Some(Watch { sides, due: order }) = &mut self.watch {
             order.remove(slot, |slot| due(entries, sides, slot));
         }
@@ -210,6 +224,7 @@ impl<T: Entry> Queue<T> {
     }
 
     /// As [`push`](Self::push), with what is kept beside it where the queue is watched.
+    #[inline]
     pub fn push_with(&mut self, entry: T, side: T::Side) -> Result<Slot, T> {
         let slot = self.order.as_ref().map_or(0, |order| order.free);
         let Some(vacant) = self.entries.get_mut(usize::from(slot)) else { return Err(entry) };
@@ -275,9 +290,16 @@ impl<T: Entry> Queue<T> {
     }
 
     /// Takes out the most urgent entry, if `take` wants it.
+    #[inline]
     pub fn pop_if(&mut self, take: impl FnOnce(&T) -> bool) -> Option<T> {
         let (slot, entry) = self.first()?;
-        if take(entry) { self.remove(slot) } else { None }
+        if !take(entry) {
+            return None;
+        }
+        if let Some(order) = &mut self.order {
+            order.pop(&self.entries, slot);
+        }
+        self.entries[usize::from(slot)].take()
     }
 
     /// Takes out the entry that is due first, if it is by `now`.
