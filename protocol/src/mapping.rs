@@ -127,10 +127,12 @@ pub(crate) fn answer(to: ReplyTo, from: TaskId, kind: Kind, remaining: Ticks, co
 }
 
 /// The packets of a message: the first one and its further fragments (D28).
-pub(crate) fn in_fragments(first: Packet, parts: &Parts, mut transmit: impl FnMut(Packet)) {
-    if parts.have == 0 {
-        return transmit(first);
-    }
+pub(crate) fn in_fragments<'a>(
+    first: Packet,
+    parts: impl Into<Option<&'a Parts>>,
+    mut transmit: impl FnMut(Packet),
+) {
+    let Some(parts) = parts.into().filter(|parts| parts.have() != 0) else { return transmit(first) };
     let fragments = parts.fragments().unwrap_or(1);
     transmit(Packet { more: fragments > 1, ..first });
     for index in 1..fragments {

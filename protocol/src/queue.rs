@@ -40,13 +40,20 @@ pub trait Entry {
 ))]
 pub struct Queue<T: Entry> {
     entries: Box<[Option<T>]>,
+    /// What a queue of at most one entry does not need, unless it is watched.
+    order: Option<Box<Order<T::Side>>>,
+}
+
+/// The places of the entries.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+struct Order<S> {
     /// Beside the place of a slot that is taken, the next one of a slot that is free.
     urgent: Words,
     free: Slot,
-    watch: Option<Box<Watch<T::Side>>>,
     /// Who makes room first, while nothing has changed that since it was looked for.
     #[serde(skip)]
     last: Option<Slot>,
+    watch: Option<Watch<S>>,
 }
 
 /// What a queue that is watched keeps besides.
@@ -77,13 +84,93 @@ fn instant(key: u128) -> Ticks {
     Ticks((key >> 64) as u64)
 }
 
+impl<S: Copy + Default> Order<S> {
+    /// All slots are free, the lowest is taken first.
+    fn new(capacity: u16) -> Self {
+        let mut new = Self { urgent: Words::new(capacity), free: NONE, last: None, watch: None };
+        new.free_all();
+        new
+    }
+
+    fn free_all(&mut self) {
+        self.free = NONE;
+        for slot in (0..narrow(self.urgent.capacity())).rev() {
+            self.give_back(slot);
+        }
+    }
+
+    fn give_back(&mut self, slot: Slot) {
+        self.urgent.keep(slot, self.free);
+        self.free = slot;
+    }
+
+    /// The entry of the first free slot has come.
+    #[inline]
+    fn put<T: Entry<Side = S>>(&mut self, entries: &[Option<T>], slot: Slot, key: u128, side: S) {
+        self.free = self.urgent.kept(slot);
+        self.urgent.push(slot, instant(key), |slot| urgency(entries, slot));
+        if let Some(Watch { sides, due: order }) = &mut self.watch {
+            sides[usize::from(slot)] = side;
+            let key = |slot| due(entries, sides, slot);
+            order.push(slot, key(slot).0, key);
+        }
+    }
+
+    /// An entry goes.
+    fn take_out<T: Entry<Side = S>>(&mut self, entries: &[Option<T>], slot: Slot) {
+        self.urgent.remove(slot, |slot| urgency(entries, slot));
+        self.forget(entries, slot);
+    }
+
+    /// The most urgent entry goes.
+    #[inline]
+    fn pop<T: Entry<Side = S>>(&mut self, entries: &[Option<T>], slot: Slot) {
+        self.urgent.pop(|slot| urgency(entries, slot));
+        self.forget(entries, slot);
+    }
+
+    /// An entry has gone from the order of urgency.
+    #[inline]
+    fn forget<T: Entry<Side = S>>(&mut self, entries: &[Option<T>], slot: Slot) {
+        if let Some(Watch { sides, due: order }) = &mut self.watch {
+            order.remove(slot, |slot| due(entries, sides, slot));
+        }
+        self.give_back(slot);
+        if self.last == Some(slot) {
+            self.last = None;
+        }
+    }
+
+    /// What decides places has changed everywhere.
+    fn renew<T: Entry<Side = S>>(&mut self, entries: &[Option<T>]) {
+        let key = |slot| urgency(entries, slot);
+        self.urgent.order(|slot| instant(key(slot)), key);
+        if let Some(Watch { sides, due: order }) = &mut self.watch {
+            let key = |slot| due(entries, sides, slot);
+            order.order(|slot| key(slot).0, key);
+        }
+        self.last = None;
+    }
+
+    fn is_right<T: Entry<Side = S>>(&self, entries: &[Option<T>]) -> bool {
+        let key = |slot| urgency(entries, slot);
+        let urgent = self.urgent.is_in_order(|slot| instant(key(slot)), key);
+        let dues = self.watch.as_ref().is_none_or(|watch| {
+            let key = |slot| due(entries, &watch.sides, slot);
+            watch.due.len() == self.urgent.len() && watch.due.is_in_order(|slot| key(slot).0, key)
+        });
+        let last = (0..).zip(entries).filter_map(|(slot, entry)| Some((slot, entry.as_ref()?)));
+        let last = last.max_by_key(|(_, entry)| (entry.yields(), entry.key())).map(|(slot, _)| slot);
+        let held = entries.iter().flatten().count() == self.urgent.len();
+        urgent && dues && held && (self.last.is_none() || self.last == last)
+    }
+}
+
 impl<T: Entry> Queue<T> {
     /// A queue of at most `capacity` entries. It allocates now, and when it is watched first.
     pub fn new(capacity: u16) -> Self {
         let entries = (0..capacity).map(|_| None).collect();
-        let mut new = Self { entries, urgent: Words::new(capacity), free: NONE, watch: None, last: None };
-        new.free_all();
-        new
+        Self { entries, order: (capacity > 1).then(|| Box::new(Order::new(capacity))) }
     }
 
     /// As [`new`](Self::new), and watched.
@@ -95,30 +182,36 @@ impl<T: Entry> Queue<T> {
 
     /// From here on it is known what is due first.
     pub fn watch(&mut self) {
-        if self.watch.is_some() {
+        if self.watching().is_some() {
             return;
         }
-        let sides: Box<[T::Side]> = vec![T::Side::default(); self.entries.len()].into();
-        let mut due_first = Words::new(narrow(self.entries.len()));
-        for slot in self.urgent.iter() {
-            let key = |slot| due(&self.entries, &sides, slot);
+        let entries = &self.entries;
+        let order = self.order.get_or_insert_with(|| {
+            let mut order = Order::new(narrow(entries.len()));
+            if let Some(Some(one)) = entries.first() {
+                order.put(entries, 0, one.key(), T::Side::default());
+            }
+            Box::new(order)
+        });
+        let sides: Box<[T::Side]> = vec![T::Side::default(); entries.len()].into();
+        let mut due_first = Words::new(narrow(entries.len()));
+        for slot in order.urgent.iter() {
+            let key = |slot| due(entries, &sides, slot);
             due_first.push(slot, key(slot).0, key);
         }
-        self.watch = Some(Box::new(Watch { sides, due: due_first }));
+        order.watch = Some(Watch { sides, due: due_first });
     }
 
-    /// Links all slots, the lowest first.
-    fn free_all(&mut self) {
-        self.free = NONE;
-        for slot in (0..narrow(self.entries.len())).rev() {
-            self.urgent.keep(slot, self.free);
-            self.free = slot;
-        }
+    fn watching(&self) -> Option<&Watch<T::Side>> {
+        self.order.as_ref()?.watch.as_ref()
     }
 
     #[expect(clippy::len_without_is_empty, reason = "public for measurements alone")]
     pub fn len(&self) -> usize {
-        self.urgent.len()
+        match &self.order {
+            Some(order) => order.urgent.len(),
+            None => usize::from(self.entries.first().is_some_and(Option::is_some)),
+        }
     }
 
     pub fn capacity(&self) -> usize {
@@ -131,25 +224,20 @@ impl<T: Entry> Queue<T> {
     }
 
     /// As [`push`](Self::push), with what is kept beside it where the queue is watched.
+    #[inline]
     pub fn push_with(&mut self, entry: T, side: T::Side) -> Result<Slot, T> {
-        let slot = self.free;
+        let slot = self.order.as_ref().map_or(0, |order| order.free);
         let Some(vacant) = self.entries.get_mut(usize::from(slot)) else { return Err(entry) };
-        self.free = self.urgent.kept(slot);
-        let key = entry.key();
-        let yields = entry.yields();
+        let Some(order) = self.order.as_deref_mut() else {
+            return if vacant.is_some() { Err(entry) } else { Ok((*vacant = Some(entry), slot).1) };
+        };
+        let (key, yields) = (entry.key(), entry.yields());
         *vacant = Some(entry);
-        let entries = &self.entries;
-        self.urgent.push(slot, instant(key), |slot| urgency(entries, slot));
-        if let Some(watch) = &mut self.watch {
-            let Watch { sides, due: order } = &mut **watch;
-            sides[usize::from(slot)] = side;
-            let key = |slot| due(entries, sides, slot);
-            order.push(slot, key(slot).0, key);
-        }
-        if let Some(last) = self.last.and_then(|last| self.get(last))
+        order.put(&self.entries, slot, key, side);
+        if let Some(last) = order.last.and_then(|last| self.entries[usize::from(last)].as_ref())
             && (yields, key) > (last.yields(), last.key())
         {
-            self.last = Some(slot);
+            order.last = Some(slot);
         }
         Ok(slot)
     }
@@ -160,27 +248,31 @@ impl<T: Entry> Queue<T> {
 
     /// What is kept beside an entry; the default where the queue is not watched.
     pub fn side(&self, slot: Slot) -> T::Side {
-        self.watch.as_ref().and_then(|watch| watch.sides.get(usize::from(slot)).copied()).unwrap_or_default()
+        self.watching().and_then(|watch| watch.sides.get(usize::from(slot)).copied()).unwrap_or_default()
     }
 
     /// The most urgent entry.
     pub fn first(&self) -> Option<(Slot, &T)> {
-        self.named(self.urgent.first())
+        self.named(self.order.as_ref().map_or(Some(0), |order| order.urgent.first()))
     }
 
     /// The entry that makes room first: of those that yield, or of all if none does, the least urgent one. It is looked for
     /// among all, and remembered until it goes.
     pub fn last(&mut self) -> Option<(Slot, &T)> {
-        if self.last.is_none() {
-            let all = self.urgent.iter().filter_map(|slot| self.named(Some(slot)));
-            self.last = all.max_by_key(|(_, entry)| (entry.yields(), entry.key())).map(|(slot, _)| slot);
+        let Some(order) = &self.order else { return self.first() };
+        let last = order.last.or_else(|| {
+            let all = order.urgent.iter().filter_map(|slot| self.named(Some(slot)));
+            all.max_by_key(|(_, entry)| (entry.yields(), entry.key())).map(|(slot, _)| slot)
+        });
+        if let Some(order) = &mut self.order {
+            order.last = last;
         }
-        self.named(self.last)
+        self.named(last)
     }
 
     /// When the first of them is due: never, where there is none, or the queue is not watched.
     pub fn next_due(&self) -> Ticks {
-        let Some(watch) = &self.watch else { return Ticks::FAR };
+        let Some(watch) = self.watching() else { return Ticks::FAR };
         watch.due.first().map_or(Ticks::FAR, |slot| due(&self.entries, &watch.sides, slot).0)
     }
 
@@ -191,42 +283,42 @@ impl<T: Entry> Queue<T> {
     /// Takes an entry out.
     pub fn remove(&mut self, slot: Slot) -> Option<T> {
         self.get(slot)?;
-        let entries = &self.entries;
-        self.urgent.remove(slot, |slot| urgency(entries, slot));
-        if let Some(watch) = &mut self.watch {
-            let Watch { sides, due: order } = &mut **watch;
-            order.remove(slot, |slot| due(entries, sides, slot));
-        }
-        self.urgent.keep(slot, self.free);
-        self.free = slot;
-        if self.last == Some(slot) {
-            self.last = None;
+        if let Some(order) = &mut self.order {
+            order.take_out(&self.entries, slot);
         }
         self.entries[usize::from(slot)].take()
     }
 
     /// Takes out the most urgent entry, if `take` wants it.
+    #[inline]
     pub fn pop_if(&mut self, take: impl FnOnce(&T) -> bool) -> Option<T> {
         let (slot, entry) = self.first()?;
-        if take(entry) { self.remove(slot) } else { None }
+        if !take(entry) {
+            return None;
+        }
+        if let Some(order) = &mut self.order {
+            order.pop(&self.entries, slot);
+        }
+        self.entries[usize::from(slot)].take()
     }
 
     /// Takes out the entry that is due first, if it is by `now`.
     pub fn pop_due(&mut self, now: Ticks) -> Option<T> {
-        let slot = self.watch.as_ref()?.due.first()?;
+        let slot = self.watching()?.due.first()?;
         if self.next_due() <= now { self.remove(slot) } else { None }
     }
 
     /// All entries in no particular order.
     pub fn iter(&self) -> impl Iterator<Item = (Slot, &T)> {
-        self.urgent.iter().filter_map(|slot| self.named(Some(slot)))
+        let ordered = self.order.iter().flat_map(|order| order.urgent.iter());
+        let one = self.order.is_none().then_some(0);
+        ordered.chain(one).filter_map(|slot| self.named(Some(slot)))
     }
 
     /// The entries of a watched queue that are due by `now`, in no particular order. Costs as many steps as there are of them.
     pub fn all_due(&self, now: Ticks) -> impl Iterator<Item = (Slot, &T)> {
         let due_by = move |watch: &Watch<T::Side>, slot| due(&self.entries, &watch.sides, slot).0 <= now;
-        let watch = self.watch.as_deref();
-        let all = watch.map(|watch| watch.due.upper(move |slot| due_by(watch, slot)));
+        let all = self.watching().map(|watch| watch.due.upper(move |slot| due_by(watch, slot)));
         all.into_iter().flatten().filter_map(|slot| self.named(Some(slot)))
     }
 
@@ -239,19 +331,19 @@ impl<T: Entry> Queue<T> {
 
     /// Changes one entry, and what is kept beside it where the queue is watched, and finds its new places.
     pub fn change(&mut self, slot: Slot, change: impl FnOnce(&mut T, &mut T::Side)) {
+        let mut side = self.side(slot);
         let Some(entry) = self.entries.get_mut(usize::from(slot)).and_then(Option::as_mut) else { return };
-        let mut side = self.watch.as_ref().map(|watch| watch.sides[usize::from(slot)]).unwrap_or_default();
         change(entry, &mut side);
         let key = entry.key();
         let entries = &self.entries;
-        self.urgent.moved(slot, instant(key), |slot| urgency(entries, slot));
-        if let Some(watch) = &mut self.watch {
-            let Watch { sides, due: order } = &mut **watch;
+        let Some(order) = self.order.as_deref_mut() else { return };
+        order.urgent.moved(slot, instant(key), |slot| urgency(entries, slot));
+        if let Some(Watch { sides, due: order }) = &mut order.watch {
             sides[usize::from(slot)] = side;
             let key = |slot| due(entries, sides, slot);
             order.moved(slot, key(slot).0, key);
         }
-        self.last = None;
+        order.last = None;
     }
 
     /// Changes every entry; the queue is put in order again afterwards.
@@ -260,24 +352,19 @@ impl<T: Entry> Queue<T> {
             return;
         }
         self.adjust(&mut change);
-        let entries = &self.entries;
-        let key = |slot| urgency(entries, slot);
-        self.urgent.order(|slot| instant(key(slot)), key);
-        if let Some(watch) = &mut self.watch {
-            let Watch { sides, due: order } = &mut **watch;
-            let key = |slot| due(entries, sides, slot);
-            order.order(|slot| key(slot).0, key);
+        if let Some(order) = &mut self.order {
+            order.renew(&self.entries);
         }
-        self.last = None;
     }
 
     /// Changes what decides no entry's place.
     pub fn adjust(&mut self, mut change: impl FnMut(&mut T, &mut T::Side)) {
-        for slot in self.urgent.iter() {
-            let at = usize::from(slot);
-            let Some(entry) = &mut self.entries[at] else { continue };
-            match &mut self.watch {
-                Some(watch) => change(entry, &mut watch.sides[at]),
+        let mut sides =
+            self.order.as_mut().and_then(|order| order.watch.as_mut()).map(|watch| &mut watch.sides);
+        for (at, entry) in self.entries.iter_mut().enumerate() {
+            let Some(entry) = entry else { continue };
+            match &mut sides {
+                Some(sides) => change(entry, &mut sides[at]),
                 None => change(entry, &mut T::Side::default()),
             }
         }
@@ -286,26 +373,19 @@ impl<T: Entry> Queue<T> {
     /// Removes everything.
     pub fn clear(&mut self) {
         self.entries.fill_with(|| None);
-        self.urgent.clear();
-        if let Some(watch) = &mut self.watch {
+        let Some(order) = &mut self.order else { return };
+        order.urgent.clear();
+        if let Some(watch) = &mut order.watch {
             watch.due.clear();
         }
         // Slots are handed out from the same order whatever went before: two equal queues stay equal in the future.
-        self.free_all();
-        self.last = None;
+        order.free_all();
+        order.last = None;
     }
 
     /// Whether each order is what a look at all entries says.
     pub fn is_in_order(&self) -> bool {
-        let key = |slot| urgency(&self.entries, slot);
-        let urgent = self.urgent.is_in_order(|slot| instant(key(slot)), key);
-        let dues = self.watch.as_ref().is_none_or(|watch| {
-            let key = |slot| due(&self.entries, &watch.sides, slot);
-            watch.due.len() == self.len() && watch.due.is_in_order(|slot| key(slot).0, key)
-        });
-        let last = self.iter().max_by_key(|(_, entry)| (entry.yields(), entry.key())).map(|(slot, _)| slot);
-        let held = self.entries.iter().flatten().count() == self.len();
-        urgent && dues && held && (self.last.is_none() || self.last == last)
+        self.order.as_ref().is_none_or(|order| order.is_right(&self.entries))
     }
 }
 

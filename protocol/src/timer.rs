@@ -2,7 +2,7 @@
 //!
 //! Its JOB_REQUEST is a standing offer (D22): a task arms an entry when it wants one, and the Timer never waits for a
 //! busy task. The communication tasks' own time_outs need no entry here (D41). Arming and cancelling cost O(log n),
-//! k entries that end cost O(k log n), and waiting costs nothing.
+//! but O(1) where it is soon cancelled (D123), k entries that end cost O(k log n), and waiting costs nothing.
 
 use crate::comm_task::Overflow;
 use crate::ids::TaskId;
@@ -38,11 +38,59 @@ impl queue::Entry for Entry {
     }
 }
 
+/// How many entries have no place in the order yet.
+const FRESH: usize = 4;
+/// No entry's name.
+const NOBODY: u32 = u32::MAX;
+
+/// The entries armed last, in no order: most are taken back soon, and never need a place among all others (D123).
+#[derive(Clone, Debug)]
+struct Fresh {
+    names: [u32; FRESH],
+    /// Where nobody stands: one that never ends.
+    entries: [Entry; FRESH],
+    /// Whose turn it is to make room.
+    next: u8,
+}
+
+impl Fresh {
+    const HOLE: Entry =
+        Entry { owner: TaskId(0), id: TimeId(0), turn: 0, expires: Ticks::FAR, armed: u64::MAX };
+    const NONE: Self = Self { names: [NOBODY; FRESH], entries: [Self::HOLE; FRESH], next: 0 };
+
+    fn find(&self, name: u32) -> Option<usize> {
+        self.names.iter().position(|&known| known == name)
+    }
+
+    fn put(&mut self, at: usize, entry: Entry) {
+        (self.names[at], self.entries[at]) = (name(entry.owner, entry.id), entry);
+    }
+
+    fn remove(&mut self, at: usize) -> Entry {
+        self.names[at] = NOBODY;
+        core::mem::replace(&mut self.entries[at], Self::HOLE)
+    }
+
+    /// When the first of them is over.
+    fn end(&self) -> Ticks {
+        self.entries.iter().map(|entry| entry.expires).fold(Ticks::FAR, Ticks::min)
+    }
+
+    fn first(&self) -> Option<(usize, &Entry)> {
+        self.iter().min_by_key(|(_, entry)| queue::Entry::key(*entry))
+    }
+
+    fn iter(&self) -> impl Iterator<Item = (usize, &Entry)> {
+        self.entries.iter().enumerate().filter(|&(at, _)| self.names[at] != NOBODY)
+    }
+}
+
 /// The Timer: `{src_id, id, length}` entries, earliest first.
 #[derive(Clone, Debug)]
 pub struct Timer {
     now: Ticks,
     armed: u64,
+    fresh: Fresh,
     queue: Queue<Entry>,
     /// Where in the queue the entry of an owner and id is.
     index: Index,
@@ -52,7 +100,8 @@ impl Timer {
     /// A Timer with room for `capacity` entries.
     #[must_use]
     pub fn new(capacity: u16) -> Self {
-        Self { now: Ticks::ZERO, armed: 0, queue: Queue::new(capacity), index: Index::new(capacity) }
+        let (queue, index) = (Queue::new(capacity), Index::new(capacity));
+        Self { now: Ticks::ZERO, armed: 0, fresh: Fresh::NONE, queue, index }
     }
 
     /// Starts an entry; one of the same owner and id is replaced. False when the Timer is full. `turn` comes back with
@@ -60,20 +109,56 @@ impl Timer {
     pub fn arm(&mut self, owner: TaskId, id: TimeId, turn: u8, length: Ticks) -> bool {
         let (expires, armed) = (self.now + length, self.armed);
         self.armed += 1;
-        let entry = Entry { owner, id, turn, expires, armed };
-        let (place, known) = self.index.look(name(owner, id));
-        if let Some(slot) = known {
+        let (name, entry) = (name(owner, id), Entry { owner, id, turn, expires, armed });
+        if let Some(at) = self.fresh.find(name) {
+            self.fresh.put(at, entry);
+            return true;
+        }
+        if let (_, Some(slot)) = self.index.look(name) {
             self.queue.change(slot, |old, ()| *old = entry);
             return true;
         }
-        let Ok(slot) = self.queue.push(entry) else { return false };
-        self.index.note(place, name(owner, id), slot);
+        let at = match self.fresh.find(NOBODY) {
+            Some(_) if self.is_full() => return false,
+            Some(hole) => hole,
+            None => match self.settle_one() {
+                Some(hole) => hole,
+                None => return false,
+            },
+        };
+        self.fresh.put(at, entry);
         true
+    }
+
+    fn is_full(&self) -> bool {
+        self.queue.len() + self.fresh.iter().count() >= self.queue.capacity()
+    }
+
+    /// Finds one of the fresh entries its place among all. Where it stood, unless the Timer is full.
+    #[inline(never)]
+    fn settle_one(&mut self) -> Option<usize> {
+        if self.is_full() {
+            return None;
+        }
+        let at = usize::from(self.fresh.next) % FRESH;
+        self.fresh.next = self.fresh.next.wrapping_add(1);
+        let entry = self.fresh.remove(at);
+        let name = name(entry.owner, entry.id);
+        let (place, _) = self.index.look(name);
+        if let Ok(slot) = self.queue.push(entry) {
+            self.index.note(place, name, slot);
+        }
+        Some(at)
     }
 
     /// Takes an entry back. False when there is none.
     pub fn disarm(&mut self, owner: TaskId, id: TimeId) -> bool {
-        let slot = self.index.remove(name(owner, id));
+        let name = name(owner, id);
+        if let Some(at) = self.fresh.find(name) {
+            self.fresh.remove(at);
+            return true;
+        }
+        let slot = self.index.remove(name);
         slot.and_then(|slot| self.queue.remove(slot)).is_some()
     }
 
@@ -81,37 +166,69 @@ impl Timer {
     /// none, too. For a checker of what a node did: counted in ticks, what ends within one may end in another order than
     /// it was armed in, and a node may notice late. False when there is none.
     pub fn put(&mut self, owner: TaskId, id: TimeId, left: Ticks) -> bool {
-        let (_, known) = self.index.look(name(owner, id));
+        let (name, expires) = (name(owner, id), self.now + left);
+        if let Some(at) = self.fresh.find(name) {
+            self.fresh.entries[at].expires = expires;
+            return true;
+        }
+        let (_, known) = self.index.look(name);
         let Some(slot) = known else { return false };
-        self.queue.change(slot, |entry, ()| entry.expires = self.now + left);
+        self.queue.change(slot, |entry, ()| entry.expires = expires);
         true
     }
 
     /// Time passes: names every entry that is over, earliest first, and removes it.
     pub fn advance(&mut self, elapsed: Ticks, mut due: impl FnMut(TaskId, TimeId, u8)) {
         self.now += elapsed;
-        while let Some(entry) = self.queue.pop_if(|entry| entry.expires <= self.now) {
-            self.index.remove(name(entry.owner, entry.id));
+        while let Some(entry) = self.pop_over() {
             due(entry.owner, entry.id, entry.turn);
         }
+    }
+
+    /// Takes the first entry out, if it is over.
+    fn pop_over(&mut self) -> Option<Entry> {
+        let settled = self.queue.first().map(|(_, entry)| entry).filter(|entry| entry.expires <= self.now);
+        if self.fresh.end() <= self.now
+            && let Some((at, fresh)) = self.fresh.first()
+            && settled.is_none_or(|settled| queue::Entry::key(fresh) < queue::Entry::key(settled))
+        {
+            return Some(self.fresh.remove(at));
+        }
+        let entry = self.queue.pop_if(|entry| entry.expires <= self.now)?;
+        self.index.remove(name(entry.owner, entry.id));
+        Some(entry)
     }
 
     /// How long from the last `advance` until an entry is over.
     #[must_use]
     pub fn next_expiry(&self) -> Option<Ticks> {
-        self.queue.first().map(|(_, entry)| entry.expires - self.now)
+        let settled = self.queue.first().map(|(_, entry)| entry.expires);
+        let fresh = self.fresh.first().map(|(_, entry)| entry.expires);
+        settled.into_iter().chain(fresh).min().map(|end| end - self.now)
     }
 
     /// The internal clock goes back to zero; behaviour does not change.
     pub fn rebase(&mut self) {
         let now = core::mem::take(&mut self.now);
         self.queue.change_all(|entry, ()| entry.expires = entry.expires - now);
+        for (entry, &name) in self.fresh.entries.iter_mut().zip(&self.fresh.names) {
+            if name != NOBODY {
+                entry.expires = entry.expires - now;
+            }
+        }
+    }
+
+    fn sorted(&self) -> alloc::vec::Vec<&Entry> {
+        let all = self.queue.iter().map(|(_, entry)| entry);
+        let mut all: alloc::vec::Vec<_> = all.chain(self.fresh.iter().map(|(_, entry)| entry)).collect();
+        all.sort_unstable_by_key(|entry| queue::Entry::key(*entry));
+        all
     }
 
     /// The entries with what is left of each, earliest first.
     #[must_use]
     pub fn entries(&self) -> alloc::vec::Vec<(TaskId, TimeId, Ticks)> {
-        self.queue.sorted().into_iter().map(|(_, e)| (e.owner, e.id, e.expires - self.now)).collect()
+        self.sorted().into_iter().map(|e| (e.owner, e.id, e.expires - self.now)).collect()
     }
 
     /// Writes the canonical bytes of the entries (D51) and returns how many.
@@ -120,8 +237,9 @@ impl Timer {
     /// [`Overflow`] when a length outgrows its field or `out` is too short.
     pub fn store(&self, out: &mut [u8]) -> Result<usize, Overflow> {
         let mut pen = Pen::new(out);
-        pen.small(self.queue.len())?;
-        for (_, entry) in self.queue.sorted() {
+        let entries = self.sorted();
+        pen.small(entries.len())?;
+        for entry in entries {
             pen.small(entry.owner.0)?;
             pen.byte(entry.id.0)?;
             pen.ticks(entry.expires - self.now)?;
@@ -133,6 +251,7 @@ impl Timer {
     pub fn load(&mut self, bytes: &[u8]) -> usize {
         let mut eye = Eye::new(bytes);
         (self.now, self.armed) = (Ticks::ZERO, 0);
+        self.fresh = Fresh::NONE;
         self.queue.clear();
         self.index.clear();
         for _ in 0..eye.byte() {
@@ -153,6 +272,7 @@ fn name(owner: TaskId, id: TimeId) -> u32 {
 mod tests {
     use super::*;
     use alloc::vec::Vec;
+    use proptest::prelude::*;
 
     #[test]
     fn entries_end_in_order_and_once() {
@@ -208,6 +328,55 @@ mod tests {
         assert!(back.disarm(TaskId(3), TimeId(255)) && !back.disarm(TaskId(9), TimeId(9)));
         timer.arm(TaskId(1), TimeId(1), 0, Ticks(1 << 32));
         assert_eq!(timer.store(&mut bytes), Err(Overflow));
+    }
+
+    proptest! {
+        /// Against a plain list: arming, taking back, putting and waiting, with more entries than are fresh.
+        #[test]
+        fn behaves_like_a_list(steps in proptest::collection::vec((0..8_u8, 0..12_u16, 0..6_u64), 0..200)) {
+            let mut timer = Timer::new(9);
+            let mut model: Vec<(Ticks, usize, TaskId)> = Vec::new();
+            for (n, (what, owner, length)) in steps.into_iter().enumerate() {
+                let (owner, length) = (TaskId(owner), Ticks(length));
+                let known = model.iter().position(|&(_, _, other)| other == owner);
+                match (what, known) {
+                    (0..=3, _) => {
+                        let armed = timer.arm(owner, TimeId(1), 0, length);
+                        prop_assert_eq!(armed, known.is_some() || model.len() < 9);
+                        model.retain(|&(_, _, other)| other != owner);
+                        if armed {
+                            model.push((length, n, owner));
+                        }
+                    }
+                    (4, _) => {
+                        prop_assert_eq!(timer.disarm(owner, TimeId(1)), known.is_some());
+                        model.retain(|&(_, _, other)| other != owner);
+                    }
+                    (5, Some(at)) => {
+                        prop_assert!(timer.put(owner, TimeId(1), length));
+                        model[at].0 = length;
+                    }
+                    (6, _) => timer.rebase(),
+                    _ => {
+                        let (mut over, mut expected) = (Vec::new(), Vec::new());
+                        timer.advance(length, |owner, _, _| over.push(owner));
+                        model.sort_unstable();
+                        model.retain(|&(left, _, owner)| {
+                            if left <= length {
+                                expected.push(owner);
+                            }
+                            left > length
+                        });
+                        model.iter_mut().for_each(|(left, _, _)| *left = *left - length);
+                        prop_assert_eq!(over, expected);
+                    }
+                }
+                model.sort_unstable();
+                let left: Vec<_> = model.iter().map(|&(left, _, owner)| (owner, TimeId(1), left)).collect();
+                prop_assert_eq!(timer.next_expiry(), left.first().map(|&(_, _, left)| left));
+                prop_assert_eq!(timer.entries(), left);
+            }
+        }
     }
 
     #[test]

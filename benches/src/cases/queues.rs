@@ -128,6 +128,11 @@ pub fn timers() -> Suite {
         let floor = format!("floor/wheel {name}");
         suite.row(Row::new("P13", format!("machine/timer {name}"), &floor, Stat::P50, Goal::AtMost(4.0)));
     }
+    suite.case(
+        "machine/timer 1k, 64 under way",
+        "arm one among so many and disarm another, of 64 that are taken back in turn",
+        |effort| in_turn(effort, 1_000),
+    );
     suite.row(Row::new("growth", "machine/timer 65k", "machine/timer 1k", Stat::P50, Goal::AtMost(1.3)));
     suite.case(
         "floor/clock_nanosleep",
@@ -171,6 +176,21 @@ fn arm_and_disarm(effort: Effort, size: u16) -> Sample {
     each(effort.of(100_000), GROUP, || {
         assert!(timer.arm(TaskId(u16::MAX), TimeId(1), 0, Ticks(next(1))), "room");
         assert!(timer.disarm(TaskId(u16::MAX), TimeId(1)), "it is there");
+    })
+}
+
+fn in_turn(effort: Effort, size: u16) -> Sample {
+    const UNDER_WAY: u16 = 64;
+    let mut next = deadlines();
+    let mut timer = Timer::new(size + UNDER_WAY);
+    for owner in 0..size + UNDER_WAY {
+        assert!(timer.arm(TaskId(owner), TimeId(0), 0, Ticks(next(1))), "room");
+    }
+    let mut turn = 0;
+    each(effort.of(100_000), GROUP, || {
+        turn = (turn + 1) % UNDER_WAY;
+        assert!(timer.disarm(TaskId(size + turn), TimeId(0)), "it is there");
+        assert!(timer.arm(TaskId(size + turn), TimeId(0), 0, Ticks(next(1))), "room");
     })
 }
 

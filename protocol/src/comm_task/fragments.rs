@@ -13,59 +13,83 @@ use serde::{Deserialize, Serialize};
 
 /// The fragments of a message after its first one. It has no room where the format takes one packet.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
-pub(crate) struct Parts {
+pub(crate) struct Parts(Option<Box<Room>>);
+
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+struct Room {
     /// Bit `i`: fragment `i + 1` is here.
-    pub have: u16,
-    pub parts: Box<[Contents]>,
+    have: u16,
+    parts: Box<[Contents]>,
 }
 
 impl Parts {
     /// Room for a message of so many packets.
     pub fn new(fragments: u8) -> Self {
         let room = usize::from(fragments.saturating_sub(1));
-        Self { have: 0, parts: vec![Contents::EMPTY; room].into_boxed_slice() }
+        let parts = || vec![Contents::EMPTY; room].into_boxed_slice();
+        Self((room > 0).then(|| Box::new(Room { have: 0, parts: parts() })))
+    }
+
+    pub fn has_room(&self) -> bool {
+        self.0.is_some()
+    }
+
+    /// Which fragments are here. Bit `i`: fragment `i + 1`.
+    pub fn have(&self) -> u16 {
+        self.0.as_ref().map_or(0, |room| room.have)
+    }
+
+    /// The fragments that are here.
+    pub fn here(&self) -> impl Iterator<Item = &Contents> {
+        (1..=16).filter_map(|index| self.get(index))
     }
 
     /// Puts fragment `index`, counted from 1; false where there is no room for it.
     pub fn put(&mut self, index: u8, contents: Contents) -> bool {
+        let Some(room) = &mut self.0 else { return false };
         let at = usize::from(index).checked_sub(1);
-        let Some(slot) = at.and_then(|at| self.parts.get_mut(at)) else { return false };
+        let Some(slot) = at.and_then(|at| room.parts.get_mut(at)) else { return false };
         *slot = contents;
-        self.have |= 1 << (index - 1);
+        room.have |= 1 << (index - 1);
         true
     }
 
     /// How many packets the message takes, or `None` where a fragment before a later one is missing.
     pub fn fragments(&self) -> Option<u8> {
-        let whole = self.have & self.have.wrapping_add(1) == 0;
-        whole.then(|| 1 + u8::try_from(self.have.trailing_ones()).unwrap_or(0))
+        let have = self.have();
+        let whole = have & have.wrapping_add(1) == 0;
+        whole.then(|| 1 + u8::try_from(have.trailing_ones()).unwrap_or(0))
     }
 
     /// Fragment `index`, counted from 1.
     pub fn get(&self, index: u8) -> Option<&Contents> {
-        let at = index.checked_sub(1).filter(|&at| at < 16 && self.have & (1 << at) != 0)?;
-        self.parts.get(usize::from(at))
+        let room = self.0.as_ref()?;
+        let at = index.checked_sub(1).filter(|&at| at < 16 && room.have & (1 << at) != 0)?;
+        room.parts.get(usize::from(at))
     }
 
     /// Takes over what `from` has, as far as there is room.
     pub fn copy(&mut self, from: &Self) {
-        self.fill(from.have, from.parts.iter());
+        match &from.0 {
+            Some(room) => self.fill(room.have, room.parts.iter()),
+            None => self.clear(),
+        }
     }
 
     /// Takes over fragments from 1 on, of which `have` are there.
     pub fn fill<'a>(&mut self, have: u16, from: impl Iterator<Item = &'a Contents>) {
-        if self.parts.is_empty() {
-            return;
-        }
-        let room = 1_u32.checked_shl(u32::try_from(self.parts.len()).unwrap_or(16)).unwrap_or(0);
-        self.have = have & u16::try_from(room.wrapping_sub(1) & 0xffff).unwrap_or(u16::MAX);
-        for (slot, contents) in self.parts.iter_mut().zip(from) {
+        let Some(room) = &mut self.0 else { return };
+        let all = 1_u32.checked_shl(u32::try_from(room.parts.len()).unwrap_or(16)).unwrap_or(0);
+        room.have = have & u16::try_from(all.wrapping_sub(1) & 0xffff).unwrap_or(u16::MAX);
+        for (slot, contents) in room.parts.iter_mut().zip(from) {
             *slot = *contents;
         }
     }
 
     pub fn clear(&mut self) {
-        self.have = 0;
+        if let Some(room) = &mut self.0 {
+            room.have = 0;
+        }
     }
 }
 
@@ -205,7 +229,10 @@ impl CommTask {
         out: &mut impl super::Outbox,
     ) -> Option<(Packet, u8)> {
         let now = self.now;
-        let assembly = &mut self.inboxes[inbox].sources[source].assembly;
+        let Some(assembly) = self.inboxes[inbox].assembly_mut(source) else {
+            self.drop_packet(packet, Reason::NotAllowed, out);
+            return None;
+        };
         if !assembly.is_open() {
             assembly.begin(packet.id);
         } else if assembly.id != packet.id {
@@ -214,9 +241,9 @@ impl CommTask {
                 return None;
             }
             self.overtake((inbox, source), packet, out);
-            self.inboxes[inbox].sources[source].assembly.begin(packet.id);
+            self.inboxes[inbox].assembly_mut(source)?.begin(packet.id);
         }
-        let assembly = &mut self.inboxes[inbox].sources[source].assembly;
+        let assembly = self.inboxes[inbox].assembly_mut(source)?;
         match assembly.put(packet, now + packet.remaining - reserved) {
             Step::Waits => None,
             Step::Again => {
@@ -241,7 +268,7 @@ impl CommTask {
         packet: &Packet,
         out: &mut impl super::Outbox,
     ) {
-        let assembly = &mut self.inboxes[inbox].sources[source].assembly;
+        let Some(assembly) = self.inboxes[inbox].assembly_mut(source) else { return };
         if assembly.is_open() && packet.id.sequence.is_newer_than(assembly.id.sequence) {
             let old = assembly.id;
             assembly.have = 0;
@@ -253,10 +280,11 @@ impl CommTask {
     pub(super) fn discard_incomplete(&mut self, inbox: usize, out: &mut impl super::Outbox) {
         for at in 0..self.inboxes[inbox].sources.len() {
             let (now, port) = (self.now, self.inboxes[inbox].port);
-            let source = &mut self.inboxes[inbox].sources[at];
-            if source.assembly.is_open() && source.assembly.expires <= now {
-                let (task, id) = (source.task, source.assembly.id);
-                source.assembly.have = 0;
+            let task = self.inboxes[inbox].sources[at].task;
+            let Some(assembly) = self.inboxes[inbox].assembly_mut(at) else { continue };
+            if assembly.is_open() && assembly.expires <= now {
+                let id = assembly.id;
+                assembly.have = 0;
                 self.incomplete(port, task, id, out);
             }
         }
@@ -344,10 +372,12 @@ mod tests {
         assert_eq!(parts.fragments(), Some(3));
         let mut small = Parts::new(2);
         small.copy(&parts);
-        assert_eq!((small.fragments(), small.have), (Some(2), 1));
-        assert_eq!(Parts::new(16).parts.len(), 15);
+        assert_eq!((small.fragments(), small.have()), (Some(2), 1));
+        let mut long = Parts::new(16);
+        assert!(long.put(15, Contents::EMPTY) && !long.put(16, Contents::EMPTY));
+        assert_eq!((long.fragments(), long.here().count()), (None, 1));
         let mut none = Parts::new(1);
         none.copy(&parts);
-        assert_eq!(none.have, 0);
+        assert_eq!((none.have(), none.has_room()), (0, false));
     }
 }

@@ -60,7 +60,7 @@ fn next_act(meetings: &[Rendezvous], at: u16) -> (Ticks, u16) {
 
 impl Heads {
     pub fn new(inboxes: &[Inbox], meetings: usize) -> Self {
-        let long = inboxes.iter().any(|inbox| !inbox.bodies.is_empty());
+        let long = inboxes.iter().any(|inbox| inbox.is_long());
         let ports = index(inboxes.len());
         Self {
             urgent: Words::new(ports),
@@ -92,7 +92,7 @@ impl Heads {
             self.offers.set(at, offered, |at| next_due(inboxes, at));
         }
         if self.ends.capacity() > 0 {
-            let special = inbox.handled || !inbox.bodies.is_empty();
+            let special = inbox.handled || inbox.is_long();
             let ends = Some(inbox.due()).filter(|&due| special && due != Ticks::FAR);
             self.ends.set(at, ends, |at| end(inboxes, at));
         }
@@ -191,7 +191,7 @@ impl CommTask {
         let is = |at: u16, inbox: &Inbox| {
             let waits = inbox.queue.len() > 0;
             let open = waits && !inbox.handled;
-            let ends = (inbox.handled || !inbox.bodies.is_empty()) && inbox.due() != Ticks::FAR;
+            let ends = (inbox.handled || inbox.is_long()) && inbox.due() != Ticks::FAR;
             heads.urgent.has(at) == open
                 && heads.eldest.has(at) == open
                 && heads.offers.has(at) == (waits && inbox.handled)

@@ -1,8 +1,9 @@
 //! The receiving end of a port at its task: the bounded_buffer (§5.1.1) and the memory of what was taken.
 
-use super::fragments::Parts;
+use super::fragments::{Assembly, Parts};
 use super::memory::Source;
-use crate::ids::{MessageId, PortId, TaskId};
+use crate::cell::PortDecl;
+use crate::ids::{Incarnation, MessageId, PortId, Seq24, TaskId};
 use crate::packet::{Class, Contents};
 use crate::queue::{Entry, Queue, Slot};
 use crate::table::Port;
@@ -15,7 +16,8 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(crate) struct Held {
     pub source: TaskId,
-    pub id: MessageId,
+    pub incarnation: Incarnation,
+    pub sequence: Seq24,
     pub class: Class,
     /// When its life here ends, on this task's counter; of a command, with the way back taken off (D18).
     pub expires: Ticks,
@@ -24,6 +26,13 @@ pub(crate) struct Held {
     pub fragments: u8,
     /// Numbers the messages of the task as they were stored.
     pub arrival: u64,
+}
+
+impl Held {
+    /// Its id. The parts of it take the room that alignment leaves between others.
+    pub const fn id(&self) -> MessageId {
+        MessageId { incarnation: self.incarnation, sequence: self.sequence }
+    }
 }
 
 /// What a waiting message has been through on a port with a handler.
@@ -74,8 +83,41 @@ pub(crate) struct Inbox {
     pub since: u64,
     /// What is remembered of each task that may send here, ascending.
     pub sources: Box<[Source]>,
-    /// For each slot of the queue, what comes after the first packet.
-    pub bodies: Box<[Parts]>,
+    /// Room for several packets (D28), where the port's format needs it.
+    pub long: Option<Box<Long>>,
+}
+
+/// Messages and answers of several packets.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(crate) struct Long {
+    /// For each slot of the queue, what comes after the first packet; none where a message takes one.
+    bodies: Box<[Parts]>,
+    /// For each source, a message that is not whole yet. Likewise.
+    pub assemblies: Box<[Assembly]>,
+    /// For each source, what comes after the first packet of its answer.
+    answers: Box<[Parts]>,
+}
+
+impl Long {
+    /// Keeps what came after the first packet of a whole message beside the slot that has it.
+    pub fn keep(&mut self, (slot, source): (Slot, usize), have: u16) {
+        let from = self.assemblies.get(source);
+        if let (Some(body), Some(assembly)) = (self.bodies.get_mut(usize::from(slot)), from) {
+            body.fill(have, assembly.contents.iter().skip(1));
+        }
+    }
+
+    pub fn new(decl: &PortDecl, sources: usize) -> Option<Box<Self>> {
+        let long = decl.fragments > 1;
+        let (slots, open) = if long { (decl.bounded_buffer, sources) } else { (0, 0) };
+        (long || decl.answer_fragments > 1).then(|| {
+            Box::new(Self {
+                bodies: (0..slots).map(|_| Parts::new(decl.fragments)).collect(),
+                assemblies: (0..open).map(|_| Assembly::new(decl.fragments)).collect(),
+                answers: (0..sources).map(|_| Parts::new(decl.answer_fragments)).collect(),
+            })
+        })
+    }
 }
 
 /// What happened to a message offered to a full buffer.
@@ -94,7 +136,6 @@ impl Inbox {
         let decl = &port.decl;
         let mut sources: Vec<Source> = port.peers(own).map(|peer| Source::new(peer, decl)).collect();
         sources.sort_unstable_by_key(|source| source.task);
-        let bodies = if decl.fragments > 1 { decl.bounded_buffer } else { 0 };
         Self {
             port: port.id,
             local,
@@ -102,8 +143,56 @@ impl Inbox {
             handled: false,
             latest: decl.latest,
             since: 0,
+            long: Long::new(decl, sources.len()),
             sources: sources.into(),
-            bodies: (0..bodies).map(|_| Parts::new(decl.fragments)).collect(),
+        }
+    }
+
+    /// Whether messages of several packets can come.
+    pub fn is_long(&self) -> bool {
+        self.long.as_ref().is_some_and(|long| !long.assemblies.is_empty())
+    }
+
+    /// What comes after the first packet of the message in a slot, where there is room for it.
+    pub fn body(&self, slot: Slot) -> Option<&Parts> {
+        self.long.as_ref()?.bodies.get(usize::from(slot))
+    }
+
+    /// See [`body`](Self::body).
+    pub fn body_mut(&mut self, slot: Slot) -> Option<&mut Parts> {
+        self.long.as_mut()?.bodies.get_mut(usize::from(slot))
+    }
+
+    /// The message of several packets that comes from a source, where one can.
+    pub fn assembly(&self, source: usize) -> Option<&Assembly> {
+        self.long.as_ref()?.assemblies.get(source)
+    }
+
+    /// See [`assembly`](Self::assembly).
+    pub fn assembly_mut(&mut self, source: usize) -> Option<&mut Assembly> {
+        self.long.as_mut()?.assemblies.get_mut(source)
+    }
+
+    /// Forgets the fragments of a message. Whether there were some.
+    pub fn close(&mut self, source: usize, id: MessageId) -> bool {
+        self.assembly_mut(source).is_some_and(|assembly| assembly.close(id))
+    }
+
+    /// What comes after the first packet of the answer to a source, where something can.
+    pub fn answer(&self, source: usize) -> Option<&Parts> {
+        self.long.as_ref()?.answers.get(source)
+    }
+
+    /// See [`answer`](Self::answer).
+    pub fn answer_mut(&mut self, source: usize) -> Option<&mut Parts> {
+        self.long.as_mut()?.answers.get_mut(source)
+    }
+
+    /// A source's node has a new life: nothing that the earlier one sent matters any more.
+    pub fn forget(&mut self, source: usize) {
+        self.sources[source].forget();
+        if let Some(assembly) = self.assembly_mut(source) {
+            assembly.have = 0;
         }
     }
 
@@ -131,11 +220,8 @@ impl Inbox {
     /// When time alone makes something of this port expire.
     pub fn due(&self) -> Ticks {
         let first = self.queue.first().map_or(Ticks::FAR, |(_, held)| held.expires);
-        if self.bodies.is_empty() {
-            return first;
-        }
-        let assemblies = self.sources.iter().map(|source| &source.assembly);
-        assemblies.filter(|a| a.is_open()).map(|a| a.expires).fold(first, Ticks::min)
+        let Some(long) = &self.long else { return first };
+        long.assemblies.iter().filter(|a| a.is_open()).map(|a| a.expires).fold(first, Ticks::min)
     }
 
     /// Offers a message (D60): of status messages the one with most time left goes, the newcomer included; a command
@@ -181,12 +267,28 @@ impl Inbox {
 
     /// Where a command waits. It is looked for likewise: of each source at most one waits (D75).
     pub fn find(&self, source: TaskId, id: MessageId) -> Option<Slot> {
-        self.queue.iter().find(|(_, held)| held.source == source && held.id == id).map(|(slot, _)| slot)
+        self.queue.iter().find(|(_, held)| held.source == source && held.id() == id).map(|(slot, _)| slot)
     }
 
     /// Takes out a message by its source and id.
     pub fn withdraw(&mut self, source: TaskId, id: MessageId) -> Option<Held> {
         let slot = self.find(source, id)?;
         self.queue.remove(slot)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::comm_task::Local;
+
+    /// What a port of one source takes at its receiver, whatever its class, with room for one message; two words of eight
+    /// bytes and their places stand in the orders over the ports.
+    #[test]
+    fn an_idle_port_takes_at_most_256_bytes() {
+        let orders = 2 * (size_of::<u64>() + size_of::<u16>());
+        let parts =
+            [size_of::<Local>(), size_of::<Inbox>(), size_of::<Source>(), size_of::<Option<Held>>(), orders];
+        assert!(parts.iter().sum::<usize>() <= 256, "{parts:?}");
     }
 }

@@ -182,27 +182,27 @@ fn check_inbox(task: &CommTask, table: &NodeTable, inbox: &Inbox) -> Result<(), 
         let aged = inbox.queue.side(slot);
         let (id, source) = (inbox.port, held.source);
         if held.expires <= task.now {
-            return Err(Violation::HoldsExpired(id, source, held.id));
+            return Err(Violation::HoldsExpired(id, source, held.id()));
         }
         if held.class != port.decl.class || !port.admits(source, task.task) {
-            return Err(Violation::HoldsForeign(id, source, held.id));
+            return Err(Violation::HoldsForeign(id, source, held.id()));
         }
         let remembers = table.rules().memory == Memory::LifeAndLink && exact;
         if remembers && held.class == Class::Command && !is_remembered(task, inbox, held) {
-            return Err(Violation::NotRemembered(id, source, held.id));
+            return Err(Violation::NotRemembered(id, source, held.id()));
         }
         check_rejections(task, table, port, held, aged)?;
         if inbox.handled && task.interruptible(false) && aged.not_before <= task.now {
-            return Err(Violation::NotOffered(id, source, held.id));
+            return Err(Violation::NotOffered(id, source, held.id()));
         }
     }
-    for source in &inbox.sources {
-        let late = source.assembly.is_open() && source.assembly.expires <= task.now;
-        if late || (source.assembly.is_open() && port.decl.fragments < 2) {
+    for (at, source) in inbox.sources.iter().enumerate() {
+        let open = inbox.assembly(at).filter(|assembly| assembly.is_open());
+        if open.is_some_and(|assembly| assembly.expires <= task.now || port.decl.fragments < 2) {
             return Err(Violation::HoldsFragments(inbox.port, source.task));
         }
         if exact {
-            source.command.iter().try_for_each(|command| check_memory(source.task, command))?;
+            source.command().into_iter().try_for_each(|command| check_memory(source.task, command))?;
         }
     }
     Ok(())
@@ -221,11 +221,11 @@ fn check_rejections(
     let cap = if counts { CommTask::cap(task.order.rank(port.id, held.source)) } else { 0 };
     let (id, source) = (port.id, held.source);
     if aged.rejections > cap {
-        return Err(Violation::RejectedTooOften(id, source, held.id));
+        return Err(Violation::RejectedTooOften(id, source, held.id()));
     }
     let length = penalty.map_or(table.cell().tick, |penalty| penalty.length).max(Ticks(1));
     if aged.not_before > task.now + length {
-        return Err(Violation::RejectedTooLong(id, source, held.id));
+        return Err(Violation::RejectedTooLong(id, source, held.id()));
     }
     Ok(())
 }
@@ -253,8 +253,8 @@ fn check_timers(task: &CommTask, table: &NodeTable) -> Result<(), Violation> {
 }
 
 fn is_remembered(task: &CommTask, inbox: &Inbox, held: &Held) -> bool {
-    let command = inbox.source(held.source).and_then(|at| inbox.sources[at].command);
-    command.is_some_and(|c| c.id == held.id && c.fate == Fate::Held && c.until > task.now)
+    let command = inbox.source(held.source).and_then(|at| inbox.sources[at].command());
+    command.is_some_and(|c| c.id == held.id() && c.fate == Fate::Held && c.until > task.now)
 }
 
 fn check_memory(source: TaskId, command: &Remembered) -> Result<(), Violation> {

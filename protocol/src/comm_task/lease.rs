@@ -540,7 +540,7 @@ impl CommTask {
         let heeds = table.rules().heed_epochs;
         let contents = said.filter(|&(&epoch, _)| guard.admit(epoch, now, until) || !heeds);
         let Some((_, bytes)) = contents else {
-            self.inboxes[inbox].sources[source].assembly.close(packet.id);
+            self.inboxes[inbox].close(source, packet.id);
             let reason = if said.is_some() { Reason::StaleEpoch } else { Reason::NotAllowed };
             self.drop_packet(packet, reason, out);
             return None;

@@ -355,7 +355,7 @@ impl CommTask {
         let penalty = table.port(port).and_then(|port| port.decl.penalty);
         let length = penalty.map_or(table.cell().tick, |penalty| penalty.length);
         let left = held.expires - self.now;
-        note(out, Event::Rejected, port, held.source, held.id, left);
+        note(out, Event::Rejected, port, held.source, held.id(), left);
         if penalty.is_some_and(|penalty| penalty.literal) {
             // The Appendix's `save`: the penalty lengthens the life that it makes less urgent.
             held.expires += length;
@@ -389,7 +389,7 @@ impl CommTask {
         let port = self.inboxes[inbox].port;
         let rank = self.order.rank(port, held.source);
         self.begin_handler(rank);
-        note(out, Event::Interrupted, port, held.source, held.id, held.expires - self.now);
+        note(out, Event::Interrupted, port, held.source, held.id(), held.expires - self.now);
         let delivery = self.delivery(inbox, held, out);
         out.signal(Signal::Interrupt(Call::Message(delivery)));
     }

@@ -1,9 +1,8 @@
 //! What a communication task remembers of the messages it took, so that none is executed twice (D6, D52).
 
-use super::fragments::{Assembly, Parts};
 use crate::cell::PortDecl;
 use crate::ids::{MessageId, Seq24, TaskId};
-use crate::packet::Contents;
+use crate::packet::{Class, Contents};
 use crate::ticks::Ticks;
 use serde::{Deserialize, Serialize};
 
@@ -99,12 +98,14 @@ impl Window {
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub(crate) struct Source {
     pub task: TaskId,
-    pub command: Option<Remembered>,
-    pub status: Window,
-    /// A message of several packets that is not whole yet.
-    pub assembly: Assembly,
-    /// What comes after the first packet of the answer.
-    pub answer: Parts,
+    pub memory: Memory,
+}
+
+/// As the port's class has it.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) enum Memory {
+    Command(Option<Remembered>),
+    Status(Window),
 }
 
 /// How a class-2 message relates to what is remembered.
@@ -114,29 +115,69 @@ pub(crate) enum Seen {
     New,
     /// A copy of a remembered message.
     Again(Fate),
-    /// Older than the last one: its sender has gone on.
+    /// Seen, or older than the last one: its sender has gone on.
     Older,
 }
 
 impl Source {
     pub fn new(task: TaskId, port: &PortDecl) -> Self {
-        Self {
-            task,
-            command: None,
-            status: Window::default(),
-            assembly: Assembly::new(if port.fragments > 1 { port.fragments } else { 0 }),
-            answer: Parts::new(port.answer_fragments),
+        let memory = match port.class {
+            Class::Command => Memory::Command(None),
+            Class::Status => Memory::Status(Window::default()),
+        };
+        Self { task, memory }
+    }
+
+    /// What is remembered of its last class-2 message.
+    pub fn command(&self) -> Option<&Remembered> {
+        match &self.memory {
+            Memory::Command(command) => command.as_ref(),
+            Memory::Status(_) => None,
+        }
+    }
+
+    /// See [`command`](Self::command).
+    pub fn command_mut(&mut self) -> Option<&mut Remembered> {
+        match &mut self.memory {
+            Memory::Command(command) => command.as_mut(),
+            Memory::Status(_) => None,
+        }
+    }
+
+    /// Remembers a class-2 message, or forgets it.
+    pub fn remember(&mut self, new: Option<Remembered>) {
+        match &mut self.memory {
+            Memory::Command(command) => *command = new,
+            Memory::Status(_) => {}
+        }
+    }
+
+    /// Takes note of a class-1 message whose copies are gone by `until`.
+    pub fn admit(&mut self, sequence: Seq24, now: Ticks, until: Ticks) {
+        match &mut self.memory {
+            Memory::Status(window) => {
+                window.admit(sequence, now, until);
+            }
+            Memory::Command(_) => {}
         }
     }
 
     /// The source's node has a new life: nothing that the earlier one sent matters any more.
     pub fn forget(&mut self) {
-        (self.command, self.status, self.assembly.have) = (None, Window::default(), 0);
+        match &mut self.memory {
+            Memory::Command(command) => *command = None,
+            Memory::Status(window) => *window = Window::default(),
+        }
     }
 
-    /// Looks a class-2 message of the present life up.
+    /// Looks a message of the present life up.
     pub fn look_up(&self, id: MessageId, now: Ticks) -> Seen {
-        match self.command.as_ref().filter(|c| c.until > now) {
+        let command = match &self.memory {
+            Memory::Status(window) if window.has(id.sequence, now) => return Seen::Older,
+            Memory::Status(_) => return Seen::New,
+            Memory::Command(command) => command.as_ref(),
+        };
+        match command.filter(|c| c.until > now) {
             None => Seen::New,
             Some(c) if c.id == id && c.fate == Fate::Lapsed => Seen::New,
             Some(c) if c.id == id => Seen::Again(c.fate),

@@ -123,13 +123,7 @@ impl CommTask {
             self.drop_packet(packet, Reason::StaleIncarnation, out);
             return false;
         }
-        let entry = &self.inboxes[inbox].sources[source];
-        let seen = match packet.class {
-            Class::Command => entry.look_up(packet.id, self.now),
-            Class::Status if entry.status.has(packet.id.sequence, self.now) => Seen::Older,
-            Class::Status => Seen::New,
-        };
-        match seen {
+        match self.inboxes[inbox].sources[source].look_up(packet.id, self.now) {
             Seen::New => return true,
             Seen::Again(Fate::Held) => self.prolong((inbox, source), packet, reserved),
             Seen::Older | Seen::Again(Fate::Lapsed | Fate::Delivered(_)) => {}
@@ -140,7 +134,8 @@ impl CommTask {
                 let kind = mapping::answer_kind(port);
                 let to = ReplyTo { port: packet.port, source: packet.source, id: packet.id };
                 let answer = mapping::answer(to, self.task, kind, packet.remaining, contents);
-                mapping::in_fragments(answer, &entry.answer, |packet| out.transmit(packet));
+                let more = self.inboxes[inbox].answer(source);
+                mapping::in_fragments(answer, more, |packet| out.transmit(packet));
             }
         }
         self.duplicate(packet, out);
@@ -159,7 +154,7 @@ impl CommTask {
             return;
         }
         inbox.queue.change(slot, |held, _| held.expires = expires);
-        if let Some(remembered) = &mut inbox.sources[source].command {
+        if let Some(remembered) = inbox.sources[source].command_mut() {
             remembered.sender_until = remembered.sender_until.max(sender_until);
             remembered.until = remembered.until.max(sender_until);
         }
@@ -191,20 +186,21 @@ impl CommTask {
         let until = now + declared.max(packet.remaining) + way_back;
         match packet.class {
             Class::Status => {
-                self.inboxes[inbox].sources[source].status.admit(packet.id.sequence, now, until);
+                self.inboxes[inbox].sources[source].admit(packet.id.sequence, now, until);
             }
             Class::Command => {
                 self.withdraw_superseded((inbox, source), out);
                 if table.rules().memory != Memory::None {
                     let sender_until = now + packet.remaining;
-                    self.inboxes[inbox].sources[source].command =
-                        Some(Remembered { id: packet.id, fate: Fate::Held, sender_until, until });
+                    let new = Remembered { id: packet.id, fate: Fate::Held, sender_until, until };
+                    self.inboxes[inbox].sources[source].remember(Some(new));
                 }
             }
         }
         let mut held = Held {
             source: packet.source,
-            id: packet.id,
+            incarnation: packet.id.incarnation,
+            sequence: packet.id.sequence,
             class: packet.class,
             expires: now + packet.remaining - reserved,
             contents,
@@ -213,7 +209,7 @@ impl CommTask {
         };
         let mut aged = Aged::default();
         if self.inboxes[inbox].latest && !self.supersedes(inbox, &held, out) {
-            self.inboxes[inbox].sources[source].assembly.close(held.id);
+            self.inboxes[inbox].close(source, held.id());
             return self.discard(packet.port, &held, Reason::Superseded, out);
         }
         if self.wants(inbox, packet) {
@@ -232,7 +228,7 @@ impl CommTask {
             self.reject_arrived(table, packet.port, (&mut held, &mut aged), out);
         }
         self.store_message(port, (inbox, source), (held, aged), out);
-        self.inboxes[inbox].sources[source].assembly.close(held.id);
+        self.inboxes[inbox].close(source, held.id());
     }
 
     fn wants(&self, inbox: usize, packet: &Packet) -> bool {
@@ -244,11 +240,8 @@ impl CommTask {
     /// On a port where the latest message counts: whether this one is it. The one it takes the place of goes.
     fn supersedes(&mut self, inbox: usize, newcomer: &Held, out: &mut impl Outbox) -> bool {
         let Some((slot, held)) = self.inboxes[inbox].of_source(newcomer.source) else { return true };
-        let same_life = held.id.incarnation == newcomer.id.incarnation;
-        if newcomer.class == Class::Status
-            && same_life
-            && held.id.sequence.is_newer_than(newcomer.id.sequence)
-        {
+        let same_life = held.incarnation == newcomer.incarnation;
+        if newcomer.class == Class::Status && same_life && held.sequence.is_newer_than(newcomer.sequence) {
             return false;
         }
         if let Some(old) = self.inboxes[inbox].queue.remove(slot) {
@@ -260,7 +253,7 @@ impl CommTask {
 
     pub(super) fn discard(&mut self, port: PortId, held: &Held, reason: Reason, out: &mut impl Outbox) {
         self.count(port, |c| c.dropped += 1);
-        note(out, Event::Discarded(reason), port, held.source, held.id, held.expires - self.now);
+        note(out, Event::Discarded(reason), port, held.source, held.id(), held.expires - self.now);
     }
 
     fn store_message(
@@ -282,18 +275,17 @@ impl CommTask {
             Admission::Turned => (None, Some((message, Reason::Refused))),
         };
         if let Some(slot) = slot {
-            if let Some(body) = entry.bodies.get_mut(usize::from(slot)) {
-                let rest = entry.sources[source].assembly.contents.iter().skip(1);
-                body.fill(rest_of(message.fragments), rest);
+            if let Some(long) = &mut entry.long {
+                long.keep((slot, source), rest_of(message.fragments));
             }
             self.count_at(local, |c| c.enqueued += 1);
-            note(out, Event::Enqueued, id, message.source, message.id, left);
+            note(out, Event::Enqueued, id, message.source, message.id(), left);
         }
         let Some((lost, reason)) = lost else { return };
         self.count(id, |c| if slot.is_none() { c.refused += 1 } else { c.evicted += 1 });
-        note(out, Event::Discarded(reason), id, lost.source, lost.id, lost.expires - self.now);
+        note(out, Event::Discarded(reason), id, lost.source, lost.id(), lost.expires - self.now);
         if lost.class == Class::Command {
-            self.refuse(port, inbox, lost.source, lost.id, out);
+            self.refuse(port, inbox, lost.source, lost.id(), out);
         }
     }
 
@@ -307,7 +299,7 @@ impl CommTask {
         out: &mut impl Outbox,
     ) {
         if let Some(at) = self.inboxes[inbox].source(source)
-            && let Some(remembered) = &mut self.inboxes[inbox].sources[at].command
+            && let Some(remembered) = self.inboxes[inbox].sources[at].command_mut()
             && remembered.id == message
         {
             remembered.fate = Fate::Refused;
@@ -333,7 +325,7 @@ impl CommTask {
         let held = entry.queue.remove(slot)?;
         entry.begin(self.served);
         self.taken.0 = Some(held.contents);
-        match entry.bodies.get(usize::from(slot)) {
+        match entry.body(slot) {
             Some(body) => self.taken.1.copy(body),
             None => self.taken.1.clear(),
         }
@@ -347,8 +339,9 @@ impl CommTask {
         if held.fragments < 2 {
             return self.taken.1.clear();
         }
-        let assembly = &mut self.inboxes[inbox].sources[source].assembly;
-        self.taken.1.fill(rest_of(held.fragments), assembly.contents.iter().skip(1));
+        if let Some(assembly) = self.inboxes[inbox].assembly(source) {
+            self.taken.1.fill(rest_of(held.fragments), assembly.contents.iter().skip(1));
+        }
     }
 
     pub(super) fn hand_over(&mut self, inbox: usize, message: &Held, out: &mut impl Outbox) {
@@ -361,10 +354,9 @@ impl CommTask {
         let entry = &mut self.inboxes[inbox];
         let (port, local) = (entry.port, entry.local);
         if let Some(at) = entry.source(message.source) {
-            let source = &mut entry.sources[at];
-            let closed = source.assembly.close(message.id);
-            if let Some(remembered) = &mut source.command
-                && remembered.id == message.id
+            let closed = entry.close(at, message.id());
+            if let Some(remembered) = entry.sources[at].command_mut()
+                && remembered.id == message.id()
             {
                 remembered.fate = Fate::Delivered(message.expires);
             }
@@ -374,9 +366,9 @@ impl CommTask {
         }
         let budget = message.expires - self.now;
         self.count_at(local, |c| c.delivered += 1);
-        note(out, Event::Delivered, port, message.source, message.id, budget);
+        note(out, Event::Delivered, port, message.source, message.id(), budget);
         Delivery {
-            from: ReplyTo { port, source: message.source, id: message.id },
+            from: ReplyTo { port, source: message.source, id: message.id() },
             class: message.class,
             budget,
             contents: message.contents,
@@ -394,7 +386,7 @@ impl CommTask {
                 for inbox in 0..self.inboxes.len() {
                     if let Some(entry) = self.inboxes[inbox].source(source) {
                         self.withdraw_superseded((inbox, entry), out);
-                        self.inboxes[inbox].sources[entry].forget();
+                        self.inboxes[inbox].forget(entry);
                         self.touch(inbox);
                     }
                 }
@@ -410,7 +402,7 @@ impl CommTask {
         let now = self.now;
         let entry = &self.inboxes[inbox].sources[source];
         let task = entry.task;
-        let Some(old) = &entry.command else { return };
+        let Some(old) = entry.command() else { return };
         if !matches!(old.fate, Fate::Held) || old.until <= now {
             return;
         }

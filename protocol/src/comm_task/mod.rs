@@ -7,6 +7,7 @@
 //! Of the four layers of §5.2, `requests` and `messages` are the user layer: they talk with the task; [`mapping`](crate::mapping) turns names into packets,
 //! [`route`](crate::route) finds the succeeding node, and the primitive layer is the driver's link.
 
+mod counts;
 mod desk;
 mod fragments;
 mod heads;
@@ -30,7 +31,7 @@ pub use relative::{Visit, VisitMut};
 
 use crate::cell::Usage;
 use crate::ids::{Incarnation, MessageId, NodeId, PortId, Seq24, TaskId};
-use crate::observe::{Event, Observation, PortCounters, Reason};
+use crate::observe::{Event, Observation, Reason};
 use crate::packet::{Class, Contents, Packet};
 use crate::queue::Slot;
 use crate::request::{Request, ServiceOrder, Signal, TimeId};
@@ -38,6 +39,7 @@ use crate::table::{NodeTable, Port};
 use crate::ticks::Ticks;
 use alloc::boxed::Box;
 use alloc::vec::Vec;
+use counts::Counts;
 use desk::{Desk, Overdue};
 use heads::Heads;
 use inbox::Inbox;
@@ -143,7 +145,7 @@ enum Role {
 struct Local {
     port: PortId,
     role: Role,
-    counters: PortCounters,
+    counters: Counts,
     /// The fragments of the next message or answer (D28).
     staged: Parts,
 }
@@ -284,7 +286,7 @@ impl CommTask {
                 new.quarantine_until = new.quarantine_until.max(quarantine(table, port, role, task));
             }
             let staged = Parts::new(fragments);
-            locals.push(Local { port: id, role, counters: PortCounters::default(), staged });
+            locals.push(Local { port: id, role, counters: Counts::default(), staged });
         }
         sources.sort_unstable();
         sources.dedup();
@@ -405,13 +407,13 @@ impl CommTask {
         Some(self.locals[self.local_at(port)?].role)
     }
 
-    fn count(&mut self, port: PortId, count: impl FnOnce(&mut PortCounters)) {
+    fn count(&mut self, port: PortId, count: impl FnOnce(&mut Counts)) {
         if let Some(local) = self.local(port) {
             count(&mut local.counters);
         }
     }
 
-    fn count_at(&mut self, local: u16, count: impl FnOnce(&mut PortCounters)) {
+    fn count_at(&mut self, local: u16, count: impl FnOnce(&mut Counts)) {
         if let Some(local) = self.locals.get_mut(usize::from(local)) {
             count(&mut local.counters);
         }
@@ -452,7 +454,7 @@ impl CommTask {
         }
         while let Some(i) = self.expired() {
             self.discard_expired(i, out);
-            if !self.inboxes[i].bodies.is_empty() {
+            if self.inboxes[i].is_long() {
                 self.discard_incomplete(i, out);
             }
             self.touch(i);
@@ -508,13 +510,13 @@ impl CommTask {
             let entry = &mut self.inboxes[inbox];
             let port = entry.port;
             if let Some(at) = entry.source(held.source)
-                && let Some(remembered) = &mut entry.sources[at].command
-                && remembered.id == held.id
+                && let Some(remembered) = entry.sources[at].command_mut()
+                && remembered.id == held.id()
             {
                 remembered.fate = Fate::Lapsed;
             }
             self.count(port, |c| c.expired += 1);
-            note(out, Event::Discarded(Reason::Expired), port, held.source, held.id, Ticks::ZERO);
+            note(out, Event::Discarded(Reason::Expired), port, held.source, held.id(), Ticks::ZERO);
         }
     }
 

@@ -4,7 +4,7 @@
 use super::desk::Phase;
 use super::lease::{Guard, Post};
 use super::levels::Finished;
-use super::memory::{Fate, Window};
+use super::memory::{Fate, Memory, Window};
 use super::rendezvous::{Arrived, Rendezvous};
 use super::{CommTask, Pending};
 use crate::ids::{PortId, Round, Seq24, TaskId};
@@ -86,23 +86,33 @@ macro_rules! relatives {
             $v.instant(& $($m)? guard.until);
         }
         for inbox in & $($m)? $self.inboxes {
-            for source in & $($m)? inbox.sources {
-                let task = source.task;
-                if let Some(command) = & $($m)? source.command {
-                    $v.sequence(task, & $($m)? command.id.sequence);
-                    $v.instant(& $($m)? command.sender_until);
-                    $v.instant(& $($m)? command.until);
-                    if let Fate::Delivered(budget_ends) = & $($m)? command.fate {
-                        $v.instant(budget_ends);
+            let tasks = inbox.sources.iter().map(|source| source.task);
+            if let Some(long) = & $($m)? inbox.long {
+                for (assembly, task) in (& $($m)? long.assemblies).into_iter().zip(tasks) {
+                    if assembly.is_open() {
+                        $v.sequence(task, & $($m)? assembly.id.sequence);
+                        $v.instant(& $($m)? assembly.expires);
                     }
                 }
-                if let Some(newest) = & $($m)? source.status.newest {
-                    $v.sequence(task, newest);
-                    $v.instant(& $($m)? source.status.until);
-                }
-                if source.assembly.is_open() {
-                    $v.sequence(task, & $($m)? source.assembly.id.sequence);
-                    $v.instant(& $($m)? source.assembly.expires);
+            }
+            for source in & $($m)? inbox.sources {
+                let task = source.task;
+                match & $($m)? source.memory {
+                    Memory::Command(None) => {}
+                    Memory::Command(Some(command)) => {
+                        $v.sequence(task, & $($m)? command.id.sequence);
+                        $v.instant(& $($m)? command.sender_until);
+                        $v.instant(& $($m)? command.until);
+                        if let Fate::Delivered(budget_ends) = & $($m)? command.fate {
+                            $v.instant(budget_ends);
+                        }
+                    }
+                    Memory::Status(window) => {
+                        if let Some(newest) = & $($m)? window.newest {
+                            $v.sequence(task, newest);
+                            $v.instant(& $($m)? window.until);
+                        }
+                    }
                 }
             }
         }
@@ -153,7 +163,7 @@ impl CommTask {
         relatives!(self, v);
         for inbox in &self.inboxes {
             for (slot, held) in inbox.queue.iter() {
-                v.sequence(held.source, &held.id.sequence);
+                v.sequence(held.source, &held.sequence);
                 v.instant(&held.expires);
                 v.instant(&inbox.queue.side(slot).not_before);
             }
@@ -165,7 +175,7 @@ impl CommTask {
         relatives!(self, v, mut);
         for inbox in &mut self.inboxes {
             inbox.queue.change_all(|held, aged| {
-                v.sequence(held.source, &mut held.id.sequence);
+                v.sequence(held.source, &mut held.sequence);
                 v.instant(&mut held.expires);
                 v.instant(&mut aged.not_before);
             });
@@ -221,9 +231,10 @@ impl CommTask {
         }
         for inbox in &mut self.inboxes {
             for source in &mut inbox.sources {
-                source.command = source.command.filter(|c| c.until > now);
-                if source.status.until <= now {
-                    source.status = Window::default();
+                match &mut source.memory {
+                    Memory::Command(command) => *command = command.filter(|c| c.until > now),
+                    Memory::Status(window) if window.until <= now => *window = Window::default(),
+                    Memory::Status(_) => {}
                 }
             }
         }

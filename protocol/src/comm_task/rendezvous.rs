@@ -4,10 +4,11 @@
 //! arrivals of all others in one round, each with more than the safety margin left, or when it learns that another
 //! member was released from that round. Nothing but its own time_out ends its wait without a release.
 
+use super::counts::Counts;
 use super::{Outbox, Scene};
 use crate::cell::MAX_MEMBERS;
 use crate::ids::{Incarnation, MessageId, PortId, Round, Seq24, TaskId};
-use crate::observe::{Event, MeetingState, MeetingView, MemberView, Observation, PortCounters, Reason};
+use crate::observe::{Event, MeetingState, MeetingView, MemberView, Observation, Reason};
 use crate::packet::{Class, Contents, Kind, MAX_HOPS, Meeting, Packet};
 use crate::request::ReleasedBy;
 use crate::rules::Confirmation;
@@ -69,7 +70,7 @@ pub(crate) struct Rendezvous {
 pub(crate) struct At<'a> {
     pub scene: &'a Scene<'a>,
     pub port: &'a Port,
-    pub counters: &'a mut PortCounters,
+    pub counters: &'a mut Counts,
     /// The task is released from this round: to be told.
     pub released: Option<(Round, ReleasedBy)>,
 }

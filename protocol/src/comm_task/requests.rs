@@ -308,13 +308,15 @@ impl CommTask {
         let Some(at) = self.inboxes[inbox].source(to.source) else { return Err(Fault::NothingToAnswer) };
         let left = self.answerable(inbox, at, to)?;
         self.staged(local)?;
-        let source = &mut self.inboxes[inbox].sources[at];
-        if let Some(remembered) = &mut source.command {
+        let entry = &mut self.inboxes[inbox];
+        if let Some(remembered) = entry.sources[at].command_mut() {
             remembered.fate = Fate::Answered(contents);
         }
-        source.answer.copy(&self.locals[local].staged);
+        if let Some(answer) = entry.answer_mut(at) {
+            answer.copy(&self.locals[local].staged);
+        }
         if table.rules().memory == Memory::UntilAnswered {
-            source.command = None;
+            entry.sources[at].remember(None);
         }
         self.send_answer((port, local), to, left, contents, out);
         Ok(Signal::Accepted(1))
@@ -339,14 +341,14 @@ impl CommTask {
     pub fn owed(&self, port: PortId, task: TaskId) -> Option<ReplyTo> {
         let Some(Role::Receives(inbox)) = self.role(port) else { return None };
         let inbox = self.inboxes.get(usize::from(inbox))?;
-        let known = inbox.sources[inbox.source(task)?].command?;
+        let known = inbox.sources[inbox.source(task)?].command()?;
         matches!(known.fate, Fate::Delivered(_)).then_some(ReplyTo { port, source: task, id: known.id })
     }
 
     /// What is left of the wait of the sender of a message that can still be answered.
     fn answerable(&self, inbox: usize, source: usize, to: ReplyTo) -> Result<Ticks, Fault> {
         // What is not remembered any more is over, and so is its sender's wait.
-        let known = self.inboxes[inbox].sources[source].command.as_ref().filter(|c| c.until > self.now);
+        let known = self.inboxes[inbox].sources[source].command().filter(|c| c.until > self.now);
         let Some(remembered) = known else { return Err(Fault::Late) };
         if remembered.id != to.id {
             // A newer message took the slot: its sender has given this one up.
@@ -371,7 +373,7 @@ impl CommTask {
         note(out, Event::Replied, to.port, to.source, to.id, left);
         let packet = mapping::answer(to, self.task, mapping::answer_kind(port), left, contents);
         let staged = &mut self.locals[local].staged;
-        mapping::in_fragments(packet, staged, |packet| out.transmit(packet));
+        mapping::in_fragments(packet, &*staged, |packet| out.transmit(packet));
         staged.clear();
     }
 

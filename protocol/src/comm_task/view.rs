@@ -90,7 +90,7 @@ impl CommTask {
                     .take(queue_limit(local.port))
                     .map(|(_, held)| self.entry(held))
                     .collect(),
-                counters: local.counters,
+                counters: (&local.counters).into(),
             })
         };
         self.locals.iter().filter_map(view).collect()
@@ -98,7 +98,7 @@ impl CommTask {
 
     fn entry(&self, held: &super::inbox::Held) -> QueueEntry {
         let remaining = held.expires - self.now;
-        QueueEntry { source: held.source, id: held.id, class: held.class, remaining }
+        QueueEntry { source: held.source, id: held.id(), class: held.class, remaining }
     }
 
     /// What waits at a port where the task receives, with at most `limit` messages.

@@ -14,16 +14,23 @@ const NOTHING: [u64; 4] = {
     [u64::MAX - 3 * step, u64::MAX - 2 * step, u64::MAX - step, u64::MAX]
 };
 
+/// Where the first one stands: the last of the first group, so that the children of each are a group of their own.
+const ROOT: usize = 3;
+
+/// Four that stand side by side: half a line of the cache, and never a part of two.
+#[derive(Clone, Copy, Debug, Serialize, Deserialize)]
+#[repr(align(32))]
+struct Group([u64; 4]);
+
 /// Numbers in the order of an instant each and of what decides between equal ones, least first: a 4-ary heap, the children
-/// of `i` at `4 i + 1 ..= 4 i + 4`.
+/// of the word at `i` in group `i - 2`.
 ///
-/// An entry is one word: the instant above the number. Four of them are half a line of the cache, and comparing two looks at
-/// nothing else unless the instants are equal. Instants past 2^48 - 5 ticks (8.9 years of microseconds) count as equal here.
+/// An entry is one word: the instant above the number. Comparing two looks at nothing else unless the instants are equal.
+/// Instants past 2^48 - 5 ticks (8.9 years of microseconds) count as equal here.
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub struct Words {
-    /// One for the first entry, then groups of four children.
-    words: Box<[u64]>,
-    /// Where a number stands, if it does.
+    groups: Box<[Group]>,
+    /// How far behind the first place a number stands, if it does.
     places: Box<[u16]>,
     len: u16,
 }
@@ -44,9 +51,8 @@ const fn is_nothing(word: u64) -> bool {
     word >= NOTHING[0]
 }
 
-/// The word of nothing at a position: the first one stands alone, before groups of four.
-const fn nothing(at: usize) -> u64 {
-    NOTHING[(at + 3) % 4]
+const fn parent(at: usize) -> usize {
+    at / 4 + 2
 }
 
 const fn is_tie(a: u64, b: u64) -> bool {
@@ -58,7 +64,8 @@ fn is_less<K: Ord>(a: u64, b: u64, key: &impl Fn(Slot) -> K) -> bool {
 }
 
 /// Which of four words is the least.
-fn least<K: Ord>(group: &[u64; 4], key: &impl Fn(Slot) -> K) -> usize {
+#[inline]
+fn least<K: Ord>(Group(group): &Group, key: &impl Fn(Slot) -> K) -> usize {
     let [a, b, c, d] = *group;
     let (left, low) = if b < a { (1, b) } else { (0, a) };
     let (right, high) = if d < c { (3, d) } else { (2, c) };
@@ -77,9 +84,8 @@ impl Words {
     /// An order of numbers less than `capacity`. The only allocation it ever makes.
     pub fn new(capacity: u16) -> Self {
         let capacity = usize::from(capacity);
-        let words = if capacity == 0 { 0 } else { 1 + (capacity - 1).next_multiple_of(4) };
-        let words = (0..words).map(nothing).collect();
-        Self { words, places: vec![0; capacity].into(), len: 0 }
+        let groups = if capacity == 0 { 0 } else { (ROOT + capacity).div_ceil(4) };
+        Self { groups: vec![Group(NOTHING); groups].into(), places: vec![0; capacity].into(), len: 0 }
     }
 
     pub fn capacity(&self) -> usize {
@@ -91,28 +97,43 @@ impl Words {
         usize::from(self.len)
     }
 
+    fn word_at(&self, at: usize) -> Option<u64> {
+        Some(self.groups.get(at / 4)?.0[at % 4])
+    }
+
+    fn put(&mut self, at: usize, word: u64) {
+        if let Some(Group(group)) = self.groups.get_mut(at / 4) {
+            group[at % 4] = word;
+        }
+    }
+
     /// The number that stands first.
     pub fn first(&self) -> Option<Slot> {
-        self.words.first().filter(|&&word| !is_nothing(word)).map(|&word| slot(word))
+        self.word_at(ROOT).filter(|&word| !is_nothing(word)).map(slot)
     }
 
     /// All numbers in no particular order.
     pub fn iter(&self) -> impl Iterator<Item = Slot> {
-        self.words[..self.len()].iter().map(|&word| slot(word))
+        self.words().map(slot)
+    }
+
+    fn words(&self) -> impl Iterator<Item = u64> {
+        self.groups.iter().flat_map(|Group(group)| group).skip(ROOT).take(self.len()).copied()
     }
 
     /// The numbers of the greatest part around the first one of which `is_in` holds, parents before children: where that
     /// holds of all numbers before some instant, these.
     pub fn upper(&self, is_in: impl Fn(Slot) -> bool) -> impl Iterator<Item = Slot> {
-        let mut at = Some(0);
+        let mut at = Some(ROOT);
+        let taken = |at: usize| at < ROOT + self.len();
         core::iter::from_fn(move || {
             loop {
                 let place = at?;
-                let number = self.words[..self.len()].get(place).map(|&word| slot(word));
+                let number = self.word_at(place).filter(|_| taken(place)).map(slot);
                 let found = number.filter(|&number| is_in(number));
-                let child = 4 * place + 1;
+                let child = 4 * (place - 2);
                 at = match found {
-                    Some(_) if child < self.len() => Some(child),
+                    Some(_) if taken(child) => Some(child),
                     Some(_) | None => self.beside(place),
                 };
                 if found.is_some() {
@@ -124,18 +145,18 @@ impl Words {
 
     /// The next place to look at when those below one are done with.
     fn beside(&self, mut place: usize) -> Option<usize> {
-        while place > 0 {
-            if !place.is_multiple_of(4) && place + 1 < self.len() {
+        while place > ROOT {
+            if place % 4 < 3 && place + 1 < ROOT + self.len() {
                 return Some(place + 1);
             }
-            place = (place - 1) / 4;
+            place = parent(place);
         }
         None
     }
 
     fn place_of(&self, number: Slot) -> Option<usize> {
-        let place = usize::from(*self.places.get(usize::from(number))?);
-        let stands = self.words.get(place).is_some_and(|&word| !is_nothing(word) && slot(word) == number);
+        let place = ROOT + usize::from(*self.places.get(usize::from(number))?);
+        let stands = self.word_at(place).is_some_and(|word| !is_nothing(word) && slot(word) == number);
         stands.then_some(place)
     }
 
@@ -156,8 +177,9 @@ impl Words {
     }
 
     /// Puts a number that does not stand here.
+    #[inline]
     pub fn push<K: Ord>(&mut self, number: Slot, instant: Ticks, key: impl Fn(Slot) -> K) {
-        let at = self.len();
+        let at = ROOT + self.len();
         self.len += 1;
         self.sift_up(at, word(instant, number), &key);
     }
@@ -170,12 +192,30 @@ impl Words {
     }
 
     fn remove_at<K: Ord>(&mut self, place: usize, key: &impl Fn(Slot) -> K) {
-        self.len -= 1;
-        let end = usize::from(self.len);
-        let last = core::mem::replace(&mut self.words[end], nothing(end));
-        if place < self.len() {
+        let last = self.take_last();
+        if place < ROOT + self.len() {
             self.settle(place, last, key);
         }
+    }
+
+    /// Takes the number out that stands first.
+    #[inline]
+    pub fn pop<K: Ord>(&mut self, key: impl Fn(Slot) -> K) {
+        if self.len > 0 {
+            let last = self.take_last();
+            if self.len > 0 {
+                self.sift_down(ROOT, last, &key);
+            }
+        }
+    }
+
+    /// Empties the last place.
+    #[inline]
+    fn take_last(&mut self) -> u64 {
+        self.len -= 1;
+        let end = ROOT + self.len();
+        let group = self.groups.get_mut(end / 4);
+        group.map_or(u64::MAX, |Group(group)| core::mem::replace(&mut group[end % 4], NOTHING[end % 4]))
     }
 
     /// A number has another instant or another key now.
@@ -196,46 +236,50 @@ impl Words {
     }
 
     pub fn clear(&mut self) {
-        let len = self.len();
-        self.words[..len].iter_mut().enumerate().for_each(|(at, word)| *word = nothing(at));
+        let groups = (ROOT + self.len()).div_ceil(4).min(self.groups.len());
+        self.groups[..groups].fill(Group(NOTHING));
         self.len = 0;
     }
 
     /// All instants have changed.
     pub fn order<K: Ord>(&mut self, instant: impl Fn(Slot) -> Ticks, key: impl Fn(Slot) -> K) {
-        for at in (0..self.len()).rev() {
-            let number = slot(self.words[at]);
+        for at in (ROOT..ROOT + self.len()).rev() {
+            let number = self.word_at(at).map_or(0, slot);
             self.sift_down(at, word(instant(number), number), &key);
         }
     }
 
     /// Whether every number stands where its instant and its key say.
     pub fn is_in_order<K: Ord>(&self, instant: impl Fn(Slot) -> Ticks, key: impl Fn(Slot) -> K) -> bool {
-        let (taken, rest) = self.words.split_at(self.len());
-        let stands = |(at, &found): (usize, &u64)| {
+        let above = |at: usize| if at > ROOT { self.word_at(parent(at)) } else { None };
+        let stands = |(at, found): (usize, u64)| {
             found == word(instant(slot(found)), slot(found))
                 && self.place_of(slot(found)) == Some(at)
-                && (at == 0 || !is_less(found, taken[(at - 1) / 4], &key))
+                && above(at).is_none_or(|above| !is_less(found, above, &key))
         };
-        taken.iter().enumerate().all(stands) && rest.iter().all(|&word| is_nothing(word))
+        let all = || self.groups.iter().flat_map(|Group(group)| group).enumerate();
+        let free = |at: usize| at < ROOT || at >= ROOT + self.len();
+        (ROOT..).zip(self.words()).all(stands)
+            && all().filter(|&(at, _)| free(at)).all(|(at, &word)| word == NOTHING[at % 4])
     }
 
     /// Finds the place of a word from one where it may stand.
     fn settle<K: Ord>(&mut self, at: usize, moving: u64, key: &impl Fn(Slot) -> K) {
-        if at > 0 && is_less(moving, self.words[(at - 1) / 4], key) {
+        let above = if at > ROOT { self.word_at(parent(at)) } else { None };
+        if above.is_some_and(|above| is_less(moving, above, key)) {
             self.sift_up(at, moving, key);
         } else {
             self.sift_down(at, moving, key);
         }
     }
 
+    #[inline]
     fn sift_up<K: Ord>(&mut self, mut at: usize, moving: u64, key: &impl Fn(Slot) -> K) {
-        while at > 0 {
-            let parent = (at - 1) / 4;
-            let above = self.words[parent];
-            if !is_less(moving, above, key) {
+        while at > ROOT {
+            let parent = parent(at);
+            let Some(above) = self.word_at(parent).filter(|&above| is_less(moving, above, key)) else {
                 break;
-            }
+            };
             self.place(at, above);
             at = parent;
         }
@@ -243,22 +287,22 @@ impl Words {
     }
 
     fn sift_down<K: Ord>(&mut self, mut at: usize, moving: u64, key: &impl Fn(Slot) -> K) {
-        loop {
-            let first = 4 * at + 1;
-            let Some(group) = self.words.get(first..).and_then(|rest| rest.first_chunk()) else { break };
+        let mut children = at.wrapping_sub(2);
+        while let Some(group) = self.groups.get(children) {
             let child = least(group, key);
-            let below = group[child];
-            if is_nothing(below) || !is_less(below, moving, key) {
+            let below = group.0[child];
+            if !is_less(below, moving, key) {
                 break;
             }
             self.place(at, below);
-            at = first + child;
+            at = (children << 2) | child;
+            children = at.wrapping_sub(2);
         }
         self.place(at, moving);
     }
 
     fn place(&mut self, at: usize, word: u64) {
-        self.words[at] = word;
-        self.places[usize::from(slot(word))] = narrow(at);
+        self.put(at, word);
+        self.places[usize::from(slot(word))] = narrow(at.wrapping_sub(ROOT));
     }
 }

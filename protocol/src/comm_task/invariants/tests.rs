@@ -3,6 +3,7 @@
 use super::*;
 use crate::cell::{Cell, PortDecl, Usage};
 use crate::comm_task::heads::Heads;
+use crate::comm_task::inbox::Long;
 use crate::comm_task::timers::Started;
 use crate::comm_task::{Input, Outbox};
 use crate::ids::{Incarnation, NodeId, Seq24};
@@ -66,10 +67,10 @@ fn a_planted_fault_in_a_buffer_or_memory_is_found() {
     };
     assert_eq!(planted(|t| inbox(t, |h| h.expires = Ticks(10))), Violation::HoldsExpired(MOVE, A, id));
     assert_eq!(planted(|t| inbox(t, |h| h.class = Class::Status)), Violation::HoldsForeign(MOVE, A, id));
-    let forgotten = planted(|t| t.inboxes[0].sources[0].command = None);
+    let forgotten = planted(|t| t.inboxes[0].sources[0].remember(None));
     assert_eq!(forgotten, Violation::NotRemembered(MOVE, A, id));
     let memory = |task: &mut CommTask, change: fn(&mut Remembered)| {
-        change(task.inboxes[0].sources[0].command.as_mut().unwrap());
+        change(task.inboxes[0].sources[0].command_mut().unwrap());
     };
     let not_remembered = Violation::NotRemembered(MOVE, A, id);
     assert_eq!(planted(|t| memory(t, |c| c.fate = Fate::Refused)), not_remembered);
@@ -152,7 +153,12 @@ fn a_planted_fault_among_handlers_is_found() {
     let late =
         planted(|t| t.levels[0].pending = Pending::Get { port: None, source: None, deadline: Ticks(9) });
     assert_eq!(late, Violation::Overdue(Ticks(9)));
-    let parts = planted(|t| t.inboxes[0].sources[0].assembly.have = 1);
+    let parts = planted(|t| {
+        let mut long = PortDecl::new("move", A, Usage::Send, &[TaskId(1)], Ticks(20));
+        long.fragments = 2;
+        t.inboxes[0].long = Long::new(&long, 1);
+        t.inboxes[0].assembly_mut(0).unwrap().have = 1;
+    });
     assert_eq!(parts, Violation::HoldsFragments(MOVE, A));
     let get = Pending::Get { port: None, source: None, deadline: Ticks::FAR };
     let started = |ended| Some(Started { id: TimeId(7), turn: 0, ended });

@@ -48,10 +48,8 @@ impl Asked {
 
 impl Parts {
     pub(super) fn store(&self, w: &mut Writer<'_>) -> Result<(), Overflow> {
-        w.word(self.have)?;
-        (0..self.parts.len())
-            .filter(|i| self.have & (1 << i) != 0)
-            .try_for_each(|i| w.contents(&self.parts[i]))
+        w.word(self.have())?;
+        self.here().try_for_each(|contents| w.contents(contents))
     }
 
     pub(super) fn load(&mut self, r: &mut Reader<'_>) {

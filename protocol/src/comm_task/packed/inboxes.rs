@@ -1,9 +1,10 @@
 //! The packed form of a port's receiving end.
 
 use super::{CommTask, Frame, Overflow, Reader, Writer, load_id, store_id};
+use crate::comm_task::fragments::Parts;
 use crate::comm_task::inbox::{Aged, Held, Inbox};
-use crate::comm_task::memory::{Fate, Remembered, Source, Window};
-use crate::ids::TaskId;
+use crate::comm_task::memory::{Fate, Memory, Remembered, Window};
+use crate::ids::{MessageId, TaskId};
 use crate::packet::Class;
 use crate::table::NodeTable;
 use crate::ticks::Ticks;
@@ -59,12 +60,12 @@ impl CommTask {
             self.store_held(held, inbox.queue.side(slot), frame, w)?;
             if form.long {
                 w.byte(held.fragments)?;
-                if let Some(body) = inbox.bodies.get(usize::from(slot)).filter(|_| held.fragments > 1) {
+                if let Some(body) = inbox.body(slot).filter(|_| held.fragments > 1) {
                     body.store(w)?;
                 }
             }
         }
-        inbox.sources.iter().try_for_each(|source| self.store_source(source, form, frame, w))
+        (0..inbox.sources.len()).try_for_each(|at| self.store_source((inbox, at), form, frame, w))
     }
 
     fn store_held(
@@ -76,7 +77,7 @@ impl CommTask {
     ) -> Result<(), Overflow> {
         let flag = |set: bool, bit: u8| if set { bit } else { 0 };
         w.count(held.source.index())?;
-        store_id(held.source, held.id, frame, w)?;
+        store_id(held.source, held.id(), frame, w)?;
         let (rejected, later) = (aged.rejections > 0, aged.not_before > self.now);
         w.byte(flag(held.class == Class::Status, STATUS) | flag(rejected, REJECTED) | flag(later, LATER))?;
         w.left(held.expires, self.now)?;
@@ -97,42 +98,46 @@ impl CommTask {
 
     fn store_source(
         &self,
-        source: &Source,
+        (inbox, at): (&Inbox, usize),
         form: Form,
         frame: &Frame<'_>,
         w: &mut Writer<'_>,
     ) -> Result<(), Overflow> {
-        match form.class {
-            Class::Command => self.store_command(source, form, frame, w)?,
-            Class::Status => match source.status.newest {
+        let source = &inbox.sources[at];
+        match &source.memory {
+            Memory::Command(command) => {
+                self.store_command((source.task, command.as_ref()), inbox.answer(at), form, frame, w)?;
+            }
+            Memory::Status(window) => match window.newest {
                 None => w.byte(0)?,
                 Some(newest) => {
                     w.byte(1)?;
                     w.byte(frame.sequence(source.task, newest)?)?;
-                    w.left(source.status.until, self.now)?;
-                    source.status.seen.to_le_bytes().iter().try_for_each(|&byte| w.byte(byte))?;
+                    w.left(window.until, self.now)?;
+                    window.seen.to_le_bytes().iter().try_for_each(|&byte| w.byte(byte))?;
                 }
             },
         }
         if !form.long {
             return Ok(());
         }
-        if !source.assembly.is_open() {
+        let Some(assembly) = inbox.assembly(at).filter(|assembly| assembly.is_open()) else {
             return w.word(0);
-        }
-        source.assembly.store(w)?;
-        store_id(source.task, source.assembly.id, frame, w)?;
-        w.left(source.assembly.expires, self.now)
+        };
+        assembly.store(w)?;
+        store_id(source.task, assembly.id, frame, w)?;
+        w.left(assembly.expires, self.now)
     }
 
     fn store_command(
         &self,
-        source: &Source,
+        (task, command): (TaskId, Option<&Remembered>),
+        answer: Option<&Parts>,
         form: Form,
         frame: &Frame<'_>,
         w: &mut Writer<'_>,
     ) -> Result<(), Overflow> {
-        let Some(c) = &source.command else { return w.byte(0) };
+        let Some(c) = command else { return w.byte(0) };
         w.byte(match c.fate {
             Fate::Held => 1,
             Fate::Delivered(_) => 2,
@@ -140,14 +145,14 @@ impl CommTask {
             Fate::Answered(_) => 4,
             Fate::Lapsed => 5,
         })?;
-        store_id(source.task, c.id, frame, w)?;
+        store_id(task, c.id, frame, w)?;
         w.left(c.sender_until, self.now)?;
         w.left(c.until, self.now)?;
         match &c.fate {
             Fate::Delivered(budget_ends) => w.left(*budget_ends, self.now),
             Fate::Answered(contents) => {
                 w.contents(contents)?;
-                if form.long_answers { source.answer.store(w) } else { Ok(()) }
+                answer.filter(|_| form.long_answers).map_or(Ok(()), |answer| answer.store(w))
             }
             Fate::Held | Fate::Lapsed | Fate::Refused => Ok(()),
         }
@@ -177,7 +182,7 @@ impl CommTask {
             }
             let pushed = inbox.queue.push_with(Held { arrival: self.arrivals, ..held }, aged);
             if let Ok(slot) = pushed
-                && let Some(body) = inbox.bodies.get_mut(usize::from(slot))
+                && let Some(body) = inbox.body_mut(slot)
             {
                 body.clear();
                 if held.fragments > 1 {
@@ -186,15 +191,15 @@ impl CommTask {
             }
             self.arrivals += 1;
         }
-        for source in &mut inbox.sources {
-            load_source(source, form, lives, r);
+        for at in 0..inbox.sources.len() {
+            load_source((inbox, at), form, lives, r);
         }
     }
 }
 
 fn load_held(r: &mut Reader<'_>, lives: bool) -> (Held, Aged) {
     let source = TaskId(u16::from(r.byte()));
-    let id = load_id(r, lives);
+    let MessageId { incarnation, sequence } = load_id(r, lives);
     let flags = r.byte();
     let class = if flags & STATUS != 0 { Class::Status } else { Class::Command };
     let (expires, contents) = (r.left(), r.contents());
@@ -203,37 +208,47 @@ fn load_held(r: &mut Reader<'_>, lives: bool) -> (Held, Aged) {
         (rejections, rejected_first) = (r.byte(), 1 + u64::from(r.byte()));
     }
     let not_before = if flags & LATER != 0 { r.left() } else { Ticks::ZERO };
-    let held = Held { source, id, class, expires, contents, fragments: 1, arrival: 0 };
+    let held = Held { source, incarnation, sequence, class, expires, contents, fragments: 1, arrival: 0 };
     (held, Aged { rejections, rejected_first, not_before })
 }
 
-fn load_source(source: &mut Source, form: Form, lives: bool, r: &mut Reader<'_>) {
-    source.forget();
-    source.answer.clear();
+fn load_source((inbox, at): (&mut Inbox, usize), form: Form, lives: bool, r: &mut Reader<'_>) {
+    inbox.forget(at);
+    if let Some(answer) = inbox.answer_mut(at) {
+        answer.clear();
+    }
     match form.class {
-        Class::Command => load_command(source, form, lives, r),
+        Class::Command => {
+            let command = load_command(inbox.answer_mut(at), form, lives, r);
+            inbox.sources[at].remember(command);
+        }
         Class::Status => {
             if r.byte() != 0 {
                 let newest = Some(r.sequence());
                 let until = r.left();
                 let seen = u64::from_le_bytes(core::array::from_fn(|_| r.byte()));
-                source.status = Window { newest, seen, until };
+                inbox.sources[at].memory = Memory::Status(Window { newest, seen, until });
             }
         }
     }
     if form.long {
         let have = r.word();
-        if have != 0 {
-            source.assembly.load(have, r);
-            (source.assembly.id, source.assembly.expires) = (load_id(r, lives), r.left());
+        if let Some(assembly) = inbox.assembly_mut(at).filter(|_| have != 0) {
+            assembly.load(have, r);
+            (assembly.id, assembly.expires) = (load_id(r, lives), r.left());
         }
     }
 }
 
-fn load_command(source: &mut Source, form: Form, lives: bool, r: &mut Reader<'_>) {
+fn load_command(
+    answer: Option<&mut Parts>,
+    form: Form,
+    lives: bool,
+    r: &mut Reader<'_>,
+) -> Option<Remembered> {
     let fate = r.byte();
     if fate == 0 {
-        return;
+        return None;
     }
     let id = load_id(r, lives);
     let (sender_until, until) = (r.left(), r.left());
@@ -244,11 +259,11 @@ fn load_command(source: &mut Source, form: Form, lives: bool, r: &mut Reader<'_>
         5 => Fate::Lapsed,
         _ => {
             let contents = r.contents();
-            if form.long_answers {
-                source.answer.load(r);
+            if let Some(answer) = answer.filter(|_| form.long_answers) {
+                answer.load(r);
             }
             Fate::Answered(contents)
         }
     };
-    source.command = Some(Remembered { id, fate, sender_until, until });
+    Some(Remembered { id, fate, sender_until, until })
 }

@@ -175,7 +175,7 @@ impl CommTask {
                 w.byte(known.life.map_or(0, |life| life.0.wrapping_add(1)))?;
             }
         }
-        for local in self.locals.iter().filter(|local| !local.staged.parts.is_empty()) {
+        for local in self.locals.iter().filter(|local| local.staged.has_room()) {
             local.staged.store(&mut w)?;
         }
         for desk in &self.desks {
@@ -219,7 +219,7 @@ impl CommTask {
         for known in &mut self.lives {
             known.life = if lives { r.byte().checked_sub(1).map(Incarnation) } else { Some(Incarnation(0)) };
         }
-        for local in self.locals.iter_mut().filter(|local| !local.staged.parts.is_empty()) {
+        for local in self.locals.iter_mut().filter(|local| local.staged.has_room()) {
             local.staged.load(&mut r);
         }
         for i in 0..self.desks.len() {
