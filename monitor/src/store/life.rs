@@ -1,5 +1,6 @@
 //! One life of one node: from its start to its death, and what it last said.
 
+use super::health::Looked;
 use super::names::Names;
 use crate::clock::{Moment, Span, micros};
 use crate::name::Name;
@@ -203,6 +204,8 @@ pub struct Life {
     pub watched: Vec<Told<Watched>>,
     /// How its clock goes, as compared last.
     pub clock: Option<ClockOffset>,
+    /// What is wrong with its tasks, if that was looked for since it last said something.
+    pub(super) looked: Looked,
 }
 
 impl Life {

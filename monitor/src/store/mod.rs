@@ -119,10 +119,8 @@ impl Store {
     /// The cells that are known, sorted.
     #[must_use]
     pub fn cells(&self) -> Vec<Name> {
-        let mut cells: Vec<_> = self.lives.iter().map(|l| l.names.cell.clone()).collect();
-        cells.sort();
-        cells.dedup();
-        cells
+        // Lives stand in the order of their cells.
+        self.lives.chunk_by(|a, b| a.names.cell == b.names.cell).map(|of| of[0].names.cell.clone()).collect()
     }
 
     /// The names of a cell, as its nodes told.
@@ -217,6 +215,7 @@ impl Store {
             vitals: None,
             watched: Vec::new(),
             clock: None,
+            looked: health::Looked::default(),
         };
         let again = self.lives.iter().any(|l| l.names.cell == life.names.cell && l.node == life.node);
         // A node in a checker has no process.
@@ -255,6 +254,7 @@ impl Store {
     fn frame(&mut self, at: Moment, source: SourceId, frame: ServerFrame) {
         let Some(index) = self.index_of(source) else { return };
         self.lives[index].heard = at;
+        self.lives[index].looked.forget();
         match frame {
             ServerFrame::Table(table) => self.table(index, table),
             ServerFrame::Snapshot(snapshot) => self.state(at, index, |life| {

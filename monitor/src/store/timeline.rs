@@ -10,7 +10,7 @@ use crate::clock::Moment;
 use crate::name::Name;
 use imrs_protocol::{Event, PortId, TaskId};
 use std::cmp::Reverse;
-use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
+use std::collections::{BTreeMap, BTreeSet, BinaryHeap, HashMap, HashSet};
 use std::time::Duration;
 
 /// How far the clocks of two nodes may be apart in the monitor's estimate, where one looks for the cause of something.
@@ -64,7 +64,7 @@ pub fn timeline(store: &Store, cell: &Name, most: usize) -> Timeline {
 /// The last `most` marks of a cell that are wanted.
 #[must_use]
 pub fn timeline_of(store: &Store, cell: &Name, most: usize, wanted: impl Fn(&Seen) -> bool) -> Timeline {
-    let lives: Vec<LifeId> = store.lives_of(cell).map(|life| life.id).collect();
+    let lives: BTreeSet<LifeId> = store.lives_of(cell).map(|life| life.id).collect();
     let offsets = offsets(store, cell);
     let mut marks: Vec<Mark> = Vec::new();
     let mut gaps = Vec::new();
@@ -129,7 +129,7 @@ fn micros(at: Moment) -> i128 {
 /// What can be the cause of something elsewhere: by whom, on which port, of which kind, with which number.
 type Act = (TaskId, PortId, Kind, u32);
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 enum Kind {
     Message,
     Answer,
@@ -206,14 +206,14 @@ fn caused_by(mark: &Mark) -> Option<(Option<TaskId>, PortId, Kind, u32)> {
 
 /// Finds each mark's cause: the latest that fits and is not clearly later, since numbers begin anew with a new life.
 fn find_causes(marks: &mut [Mark]) {
-    let mut acts: BTreeMap<(PortId, Kind, u32), Vec<usize>> = BTreeMap::new();
+    let mut acts: HashMap<(PortId, Kind, u32), Vec<usize>> = HashMap::new();
     for (at, mark) in marks.iter().enumerate() {
         if let Some((_, port, kind, number)) = act(mark) {
             acts.entry((port, kind, number)).or_default().push(at);
         }
     }
     // What a task does with a message that it already has follows from what it did with it before.
-    let mut had = BTreeSet::new();
+    let mut had = HashSet::new();
     for at in 0..marks.len() {
         let mark = marks[at];
         let Some((from, port, kind, number)) = caused_by(&mark) else { continue };

@@ -48,13 +48,19 @@ pub(super) fn look(store: &Store, life: &Life, now: Moment, found: &mut Vec<Find
     }
     timers(life, now, found);
     links::look(life, &lately, found);
+    found.extend_from_slice(life.looked.or_look(|| tasks(store, life, &lately)));
+}
+
+fn tasks(store: &Store, life: &Life, lately: &Lately<'_>) -> Vec<Finding> {
+    let mut found = Vec::new();
     for task in &lately.after.tasks {
-        let place = Place { task: Some(task.view.task), ..place };
         if task.liveness == Liveness::Crashed {
+            let place = Place { task: Some(task.view.task), ..Place::node(life) };
             found.push(Finding::new(&codes::TASK_CRASHED, place, "the task panicked".to_owned()));
         }
-        port::look(store, life, &lately, task, found);
+        port::look(store, life, lately, task, &mut found);
     }
+    found
 }
 
 /// Timers that are late as a rule: one that was late once is told on the screen of the timers.
