@@ -134,7 +134,7 @@ fn the_matrix_says_who_waits_for_whom_and_names_a_dead_member() {
     let found = findings(stage.app.store(), &beam(), ms(1_150));
     let in_vain: Vec<_> = found.iter().filter(|f| f.code == "rendezvous-lost-member").collect();
     assert_eq!(in_vain.len(), 2, "both arms wait in vain");
-    assert_eq!(in_vain[0].text, "lost hoist@nh: waits in vain");
+    assert_eq!(&*in_vain[0].text, "lost hoist@nh: waits in vain");
     assert_eq!(in_vain[0].level, Level::Bad);
 }
 

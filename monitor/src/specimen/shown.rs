@@ -6,6 +6,7 @@ use crate::clock::Moment;
 use crate::theme::Theme;
 use crate::view::view;
 use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
+use imrs_protocol::Ticks;
 use imrs_wire::obs::{ServerFrame, Snapshot};
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
@@ -56,6 +57,7 @@ impl Shown {
             let node = u16::try_from(node).unwrap_or(0);
             let state = &mut self.states[usize::from(node)];
             Specimen::go_on(state, self.frames, APART);
+            drop_expired(state);
             for said in [ServerFrame::Snapshot(state.clone()), ServerFrame::Events(self.cell.events(node))] {
                 self.app.update(Msg::Feed(Specimen::said(node, self.now, said)), self.now);
             }
@@ -70,5 +72,15 @@ impl Shown {
         let changed = self.shown.diff(&self.drawn).len();
         std::mem::swap(&mut self.shown, &mut self.drawn);
         changed
+    }
+}
+
+/// What waited too long is gone.
+fn drop_expired(state: &mut Snapshot) {
+    for port in state.tasks.iter_mut().flat_map(|task| &mut task.view.ports) {
+        if port.len == 0 || port.min_slack == Some(Ticks::ZERO) {
+            (port.len, port.min_slack) = (0, None);
+            port.queue.clear();
+        }
     }
 }

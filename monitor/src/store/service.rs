@@ -118,7 +118,8 @@ struct Port {
     shares: BTreeMap<TaskId, Share>,
     rejected: BTreeMap<(TaskId, u32), u32>,
     fill: VecDeque<u16>,
-    slack: VecDeque<u64>,
+    /// Microseconds; an hour is as good as for ever.
+    slack: VecDeque<u32>,
 }
 
 impl Services {
@@ -162,7 +163,7 @@ impl Services {
                 keep(&mut port.fill, view.len, FILL);
                 if let Some(slack) = view.min_slack {
                     let left = slack.0.saturating_mul(tick_us).saturating_sub(task.age_us);
-                    keep(&mut port.slack, left, FILL);
+                    keep(&mut port.slack, u32::try_from(left).unwrap_or(u32::MAX), FILL);
                 }
             }
         }
@@ -248,7 +249,7 @@ impl Port {
 
     fn service(&self) -> Service {
         let mut times: Vec<u64> = self.times.iter().map(|us| u64::from(*us)).collect();
-        let mut slack: Vec<u64> = self.slack.iter().copied().collect();
+        let mut slack: Vec<u64> = self.slack.iter().map(|us| u64::from(*us)).collect();
         let known = times.len() >= LEAST;
         Service {
             p50_us: percentile(&mut times, 50).filter(|_| known),

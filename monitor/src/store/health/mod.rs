@@ -51,12 +51,12 @@ pub struct Finding {
     /// Where.
     pub place: Place,
     /// In words.
-    pub text: String,
+    pub text: Arc<str>,
 }
 
 impl Finding {
-    const fn new(lint: &Lint, place: Place, text: String) -> Self {
-        Self { level: lint.level, code: lint.code, place, text }
+    fn new(lint: &Lint, place: Place, text: String) -> Self {
+        Self { level: lint.level, code: lint.code, place, text: text.into() }
     }
 }
 
