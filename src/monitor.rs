@@ -1,13 +1,13 @@
 //! `imrs monitor`: what the command line and the user's file say, put together; and nodes to look at where there are none.
 
 use crate::args::{Color, Format, MonitorArgs};
-use crate::cells::{self, Loaded};
+use crate::cells;
 use crate::exit::{Exit, Failure};
 use crate::output::Output;
 use crate::token;
 use crate::{cell_file, demo, replay};
 use imrs_monitor::config::{Config, EXAMPLE};
-use imrs_monitor::judge::{Judge, Judgement};
+use imrs_monitor::judge::{Judge, Sitting};
 use imrs_monitor::query::Filter;
 use imrs_monitor::theme::Theme;
 use imrs_monitor::{Options, Verdict};
@@ -103,23 +103,20 @@ fn validator(cell: Option<&Path>) -> Result<Arc<dyn Judge>, Failure> {
         Some(path) => vec![cells::open(path, false)?.1],
         None => demo::cells().collect(),
     };
-    Ok(Arc::new(Validator { known, given: cell.map(cell_file::shown) }))
+    Ok(Arc::new(Validator(replay::Cells::new(known, cell.map(cell_file::shown)))))
 }
 
-struct Validator {
-    known: Vec<Loaded>,
-    given: Option<String>,
-}
+struct Validator(replay::Cells);
 
 impl fmt::Debug for Validator {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Validator").field("given", &self.given).finish_non_exhaustive()
+        f.debug_struct("Validator").field("given", &self.0.given()).finish_non_exhaustive()
     }
 }
 
 impl Judge for Validator {
-    fn judge(&self, recording: &Path) -> Option<Judgement> {
-        replay::judgement(recording, &self.known, self.given.as_deref())
+    fn sit(&self) -> Box<dyn Sitting + '_> {
+        Box::new(self.0.follow())
     }
 }
 
