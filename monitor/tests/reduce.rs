@@ -14,7 +14,9 @@ use imrs_monitor::store::meeting::{Standing, meeting};
 use imrs_monitor::store::{Presence, Store};
 use imrs_monitor::theme::Theme;
 use imrs_protocol::{Event, Incarnation, PortCounters, Reason, TaskId, Ticks};
-use imrs_wire::obs::{Bye, Count, Events, Goodbye, Liveness, NodeIdentity, ServerFrame, Table};
+use imrs_wire::obs::{
+    Bye, Count, Events, Goodbye, Lateness, Liveness, NodeIdentity, ServerFrame, Table, Vitals,
+};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, mpsc};
 use std::time::Duration;
@@ -204,6 +206,30 @@ fn a_quiet_cell_has_no_findings() {
     stage.attach(ms(1_000), 0, 1);
     stage.attach(ms(1_000), 2, 1);
     assert_eq!(codes(stage.app.store(), ms(1_010)), [""; 0]);
+}
+
+/// Half of few is no rule, and what was late long ago is over.
+#[test]
+fn timers_are_late_when_most_of_many_are() {
+    let mut stage = Stage::new(Theme::ASCII);
+    stage.attach(ms(1_000), 0, 1);
+    // In each second: how many ended, and how many of them late.
+    let seconds = [
+        ((2, 2), false),
+        ((5, 0), false),
+        ((20, 15), true),
+        ((0, 0), true),
+        ((40, 2), false),
+        ((40, 30), false),
+    ];
+    let (mut count, mut late, mut now) = (0, 0, 1_000);
+    for (second, (more, is_late)) in seconds.into_iter().enumerate() {
+        (count, late, now) = (count + more.0, late + more.1, now + 1_000);
+        let timer = Lateness { count, late, p50_us: 2_000, ..Lateness::default() };
+        stage.frame(ms(now), 0, ServerFrame::Vitals(Vitals { timer, ..Vitals::default() }));
+        stage.frame(ms(now), 0, ServerFrame::Snapshot(snapshot(0)));
+        assert_eq!(codes(stage.app.store(), ms(now)).contains(&"timer-late"), is_late, "second {second}");
+    }
 }
 
 #[test]

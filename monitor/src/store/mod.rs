@@ -25,7 +25,7 @@ use imrs_protocol::{NodeId, TaskId};
 use imrs_wire::obs::{Count, Events, Goodbye, Liveness, NodeIdentity, ServerFrame, Table, place};
 use journal::{Entry, Journal, Level, What};
 use life::Notable;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 use trail::Trail;
 
@@ -213,6 +213,7 @@ impl Store {
             lost_before: (0, 0),
             longest: BTreeMap::new(),
             vitals: None,
+            timers: VecDeque::new(),
             watched: Vec::new(),
             clock: None,
             looked: health::Looked::default(),
@@ -263,7 +264,7 @@ impl Store {
             }),
             ServerFrame::Delta(delta) => self.state(at, index, |life| life.change(at, &delta)),
             ServerFrame::Detail(detail) => self.lives[index].look_at(at, detail),
-            ServerFrame::Vitals(vitals) => self.lives[index].vitals = Some(Told { at, what: vitals }),
+            ServerFrame::Vitals(vitals) => self.lives[index].feel(at, vitals),
             ServerFrame::Pong(pong) => self.lives[index].compare_clocks(at, pong),
             // Who attaches to nodes takes these to heart.
             ServerFrame::Places(_) | ServerFrame::Denied(_) => {}
