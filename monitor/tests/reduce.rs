@@ -17,6 +17,7 @@ use imrs_protocol::{Event, Incarnation, PortCounters, Reason, TaskId, Ticks};
 use imrs_wire::obs::{
     Bye, Count, Events, Goodbye, Lateness, Liveness, NodeIdentity, ServerFrame, Table, Vitals,
 };
+use proptest::prelude::*;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, mpsc};
 use std::time::Duration;
@@ -206,6 +207,33 @@ fn a_quiet_cell_has_no_findings() {
     stage.attach(ms(1_000), 0, 1);
     stage.attach(ms(1_000), 2, 1);
     assert_eq!(codes(stage.app.store(), ms(1_010)), [""; 0]);
+}
+
+proptest! {
+    /// M9: whatever is left, however old the word of it and however late it came, what is shown differs from the truth of
+    /// the node by no more than a tick and the time that the word was on its way: at most a frame of the screen.
+    #[test]
+    fn a_countdown_is_true_but_for_a_tick_and_a_frame(
+        left_us in 0..5_000_000_u64,
+        age_us in 0..50_000_u64,
+        way_us in 0..33_000_u64,
+        passed_us in 0..10_000_000_u64,
+        tick_us in prop::sample::select(vec![1_u64, 100, 1_000, 50_000]),
+    ) {
+        let mut stage = Stage::new(Theme::ASCII);
+        let identity = NodeIdentity { tick_us, ..identity(1, 1) };
+        let at = |us| Duration::from_micros(1_000_000 + us);
+        stage.feed(at(0), 1, Feed::Attached { identity, pid: 1, build: "imrs".into() });
+        let mut told = snapshot(1);
+        told.tasks[0].age_us = age_us;
+        // Taken at that moment; so much is left to the node's machine, which has advanced `age_us` before.
+        let remaining = Ticks(left_us.saturating_add(age_us) / tick_us);
+        stage.frame(at(way_us), 1, ServerFrame::Snapshot(told));
+        let now = at(way_us + passed_us);
+        let shown = stage.app.store().lives()[0].left(remaining, age_us, now).us;
+        let truth = left_us.saturating_sub(way_us + passed_us);
+        prop_assert!(shown.abs_diff(truth) <= tick_us + way_us, "{} for {}", shown, truth);
+    }
 }
 
 /// Half of few is no rule, and what was late long ago is over.

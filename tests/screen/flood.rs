@@ -107,6 +107,35 @@ fn keys_are_seen_at_once_while_a_node_tells_fifty_thousand_events_a_second() {
     terminal.leave();
 }
 
+/// M7: a screen that nothing happens on takes next to nothing of the processor.
+#[test]
+fn an_idle_screen_costs_next_to_nothing() {
+    if !tmux_is_here() {
+        return;
+    }
+    let dir = runtime_dir();
+    let (identity, table, tells) = node();
+    let _stub = Stub::start(dir.path(), identity, table, tells);
+    let terminal = Terminal::open(dir.path());
+    terminal.type_monitor("", "");
+    terminal.wait_for("the overview", |screen| screen.contains("armL"));
+    let pid = terminal.monitor_pid();
+    let (before, begins) = (worked(pid), Instant::now());
+    thread::sleep(Duration::from_secs(5));
+    let part = (worked(pid) - before).as_secs_f64() / begins.elapsed().as_secs_f64() * 100.0;
+    println!("an idle screen takes {part:.1} % of a core; goal 3 %");
+    assert!(part <= 3.0, "{part} %");
+    terminal.leave();
+}
+
+/// The processor time that a process has had: a hundredth of a second is the least that the kernel tells.
+fn worked(pid: u32) -> Duration {
+    let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).expect("the process");
+    let (_, fields) = stat.rsplit_once(')').expect("its name");
+    let times = fields.split_whitespace().skip(11).take(2).map(|n| n.parse::<u64>().expect("a number"));
+    Duration::from_millis(10 * times.sum::<u64>())
+}
+
 /// How long it takes until a key is seen, sorted.
 fn pressed(terminal: &Terminal) -> Vec<Duration> {
     let mut times: Vec<Duration> = (0..PRESSED)
