@@ -399,7 +399,13 @@ fn real_time_is_had_or_refused_with_what_to_do() {
         let mut lines = BufReader::new(child.stdout.take().expect("a pipe")).lines();
         let line = lines.next().expect("a line").expect("text");
         let started: Value = serde_json::from_str(&line).expect("JSON");
-        let threads = threads(number(&started["started"][0]["pid"]));
+        // A thread has its own name when it has begun to run.
+        let mut all = Vec::new();
+        wait_until("somebody serves monitors", || {
+            all = threads(number(&started["started"][0]["pid"]));
+            all.iter().any(|thread| thread.looks)
+        });
+        let threads = all;
         let works = || threads.iter().filter(|thread| !thread.looks);
         let seen = run_in(bench.0.path(), &["monitor", "--once", "--format", "json"]);
         let seen = seen.last_json();
