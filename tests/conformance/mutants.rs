@@ -2,6 +2,7 @@
 //!
 //! Next to every input stands the digest of what the machine had put out after it. Where a runtime does something else than
 //! the machine that was verified, the two do not fit any more.
+#![allow(clippy::ptr_arg, reason = "all of them have one type, and some take records away")]
 
 use imrs_protocol::{Contents, Incarnation, Input, Kind, Packet, Ticks};
 use imrs_wire::recording::{Record, ScriptStep};
