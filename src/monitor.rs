@@ -1,18 +1,18 @@
 //! `imrs monitor`: what the command line and the user's file say, put together; and nodes to look at where there are none.
 
 use crate::args::{Color, Format, MonitorArgs};
-use crate::cells::{self, Loaded};
+use crate::cells;
 use crate::exit::{Exit, Failure};
 use crate::output::Output;
 use crate::token;
 use crate::{cell_file, demo, replay};
 use imrs_monitor::config::{Config, EXAMPLE};
-use imrs_monitor::judge::{Judge, Judgement};
+use imrs_monitor::judge::{Judge, Sitting};
 use imrs_monitor::query::Filter;
 use imrs_monitor::theme::Theme;
 use imrs_monitor::{Options, Verdict};
 use imrs_wire::obs::place;
-use rustix::process::{Pid, Signal, kill_process};
+use rustix::process::{Pid, Signal, kill_process, setpriority_process};
 use std::fmt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
@@ -22,6 +22,8 @@ use std::time::{Duration, Instant};
 
 /// How long the nodes of the demonstration have to appear.
 const READY_WITHIN: Duration = Duration::from_secs(20);
+/// Who judges comes after who works.
+const LEAST_PRIORITY: i32 = 19;
 /// How long they have to stop.
 const STOP_WITHIN: Duration = Duration::from_secs(5);
 
@@ -103,23 +105,22 @@ fn validator(cell: Option<&Path>) -> Result<Arc<dyn Judge>, Failure> {
         Some(path) => vec![cells::open(path, false)?.1],
         None => demo::cells().collect(),
     };
-    Ok(Arc::new(Validator { known, given: cell.map(cell_file::shown) }))
+    Ok(Arc::new(Validator(replay::Cells::new(known, cell.map(cell_file::shown)))))
 }
 
-struct Validator {
-    known: Vec<Loaded>,
-    given: Option<String>,
-}
+struct Validator(replay::Cells);
 
 impl fmt::Debug for Validator {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        f.debug_struct("Validator").field("given", &self.given).finish_non_exhaustive()
+        f.debug_struct("Validator").field("given", &self.0.given()).finish_non_exhaustive()
     }
 }
 
 impl Judge for Validator {
-    fn judge(&self, recording: &Path) -> Option<Judgement> {
-        replay::judgement(recording, &self.known, self.given.as_deref())
+    fn sit(&self) -> Box<dyn Sitting + '_> {
+        // Of this thread alone, which is the judge's: far behind, it would take a core from the nodes that it judges.
+        let _ = setpriority_process(None, LEAST_PRIORITY);
+        Box::new(self.0.follow())
     }
 }
 

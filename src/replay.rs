@@ -1,9 +1,12 @@
 //! `imrs replay`: runs the state machine again on what a node recorded, and compares every output.
 
 mod assumptions;
+mod follow;
 mod path;
 mod surroundings;
 mod told;
+
+pub use follow::Cells;
 
 use crate::args::{Format, ReplayArgs};
 use crate::cell_file;
@@ -11,8 +14,6 @@ use crate::cells::{self, Loaded};
 use crate::demo;
 use crate::exit::{Exit, Failure};
 use crate::output::{BAD, GOOD, NOTE, Output, Styled, count};
-use imrs_monitor::judge::Judgement;
-use imrs_monitor::store::conformance::{self, Conformance};
 use imrs_protocol::{NodeId, NodeTable};
 use imrs_runtime::record::{
     self, Divergence, InvariantBroken, Miscount, ScriptDivergence, Verdict, replay_scripts,
@@ -227,40 +228,6 @@ fn read(path: &Path, known: &[Loaded], given: Option<&str>) -> Result<Replayed, 
         tasks: tasks.collect(),
         whole: reader.ending() == Ending::Ended,
     })
-}
-
-/// What a recording that is still written says of its node, for the monitor: the steps so far. `None` where it is not of a
-/// known cell, or not to be read.
-pub fn judgement(path: &Path, known: &[Loaded], given: Option<&str>) -> Option<Judgement> {
-    let file = RecordingReader::new(File::open(path).ok()?).ok()?;
-    let header = file.header().clone();
-    let (node, names) = match read(path, known, given) {
-        Ok(replayed) => (replayed.node.clone(), Ok(replayed)),
-        Err(error) => {
-            let cell = known.iter().find(|cell| cell.table.digest() == header.digest)?;
-            let node = header.node.and_then(|node| cell.table.cell().nodes.get(node.index()))?.name.clone();
-            (node, Err(error.to_string()))
-        }
-    };
-    let said = match names {
-        Ok(replayed) => said_of(&replayed),
-        Err(why) => Conformance::unknown(&why),
-    };
-    Some(Judgement { cell: header.cell, node, incarnation: header.incarnation.0, said })
-}
-
-fn said_of(replayed: &Replayed) -> Conformance {
-    let steps = replayed.tasks.iter().map(|task| task.steps as u64).sum();
-    let missing: u64 = replayed.tasks.iter().map(|task| task.lost + task.unjudged as u64).sum();
-    let differs = replayed.tasks.iter().find_map(|task| Some((task.steps as u64, task.divergence.clone()?)));
-    let verdict = match differs {
-        Some((step, what)) => conformance::Verdict::Violates { step, what },
-        None if missing > 0 => {
-            conformance::Verdict::Unknown { why: format!("{missing} inputs are missing in its recording") }
-        }
-        None => conformance::Verdict::Conforms,
-    };
-    Conformance { verdict, steps, breaches: Vec::new() }
 }
 
 /// What a task of this name did that its recording does not say.

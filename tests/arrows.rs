@@ -40,7 +40,7 @@ fn the_rooms_import_each_other_only_along_the_arrows() {
         ("imrs-runtime", &["imrs-protocol", "imrs-wire"][..]),
         ("imrs-monitor", &["imrs-protocol", "imrs-wire"][..]),
         ("imrs-macros", &["imrs-protocol", "imrs-language"][..]),
-        ("imrs-bench", &["imrs-protocol", "imrs-wire", "imrs-runtime"][..]),
+        ("imrs-bench", &["imrs-protocol", "imrs-wire", "imrs-runtime", "imrs-monitor"][..]),
         (
             "imrs",
             &[

@@ -349,21 +349,26 @@ fn nodes_are_watched_over_tcp() {
     assert!(wrong.code == Some(3) && wrong.err.contains("another token"), "{wrong:?}");
 }
 
-/// The scheduling policies of a process's threads: 1 is SCHED_FIFO.
-fn policies(pid: u64) -> Vec<String> {
-    let threads = std::fs::read_dir(format!("/proc/{pid}/task")).into_iter().flatten().flatten();
-    let policy = |stat: String| Some(stat.rsplit_once(')')?.1.split_whitespace().nth(38)?.to_owned());
-    threads.filter_map(|t| policy(std::fs::read_to_string(t.path().join("stat")).ok()?)).collect()
+/// A thread of a process, as the kernel shows it.
+#[derive(Debug)]
+struct Thread {
+    /// Of who serves monitors: it runs behind those who work.
+    looks: bool,
+    /// 1 is SCHED_FIFO.
+    policy: String,
+    cores: String,
 }
 
-/// Which cores each thread of a process may use.
-fn cores(pid: u64) -> Vec<String> {
+fn threads(pid: u64) -> Vec<Thread> {
     let threads = std::fs::read_dir(format!("/proc/{pid}/task")).into_iter().flatten().flatten();
-    let status = threads.filter_map(|t| std::fs::read_to_string(t.path().join("status")).ok());
-    let of = |status: String| {
-        Some(status.lines().find_map(|line| line.strip_prefix("Cpus_allowed_list:"))?.trim().to_owned())
+    let of = |thread: std::fs::DirEntry| {
+        let text = |file: &str| std::fs::read_to_string(thread.path().join(file)).ok();
+        let status = text("status")?;
+        let cores = status.lines().find_map(|line| line.strip_prefix("Cpus_allowed_list:"))?.trim();
+        let policy = text("stat")?.rsplit_once(')')?.1.split_whitespace().nth(38)?.to_owned();
+        Some(Thread { looks: text("comm")?.trim() == "imrs observer", policy, cores: cores.to_owned() })
     };
-    status.filter_map(of).collect()
+    threads.filter_map(of).collect()
 }
 
 #[test]
@@ -394,8 +399,14 @@ fn real_time_is_had_or_refused_with_what_to_do() {
         let mut lines = BufReader::new(child.stdout.take().expect("a pipe")).lines();
         let line = lines.next().expect("a line").expect("text");
         let started: Value = serde_json::from_str(&line).expect("JSON");
-        let policies = policies(number(&started["started"][0]["pid"]));
-        let cores = cores(number(&started["started"][0]["pid"]));
+        // A thread has its own name when it has begun to run.
+        let mut all = Vec::new();
+        wait_until("somebody serves monitors", || {
+            all = threads(number(&started["started"][0]["pid"]));
+            all.iter().any(|thread| thread.looks)
+        });
+        let threads = all;
+        let works = || threads.iter().filter(|thread| !thread.looks);
         let seen = run_in(bench.0.path(), &["monitor", "--once", "--format", "json"]);
         let seen = seen.last_json();
         signal(child.id(), Signal::INT);
@@ -404,9 +415,11 @@ fn real_time_is_had_or_refused_with_what_to_do() {
         let said = child.wait_with_output().expect("it ends");
         let said = String::from_utf8_lossy(&said.stderr).into_owned();
         let shown = seen["nodes"][0]["real_time"].as_str().unwrap_or_default();
-        assert!(cores.iter().all(|cores| cores.parse::<u32>().is_ok()), "one core: {cores:?}");
+        assert!(works().all(|thread| thread.cores.parse::<u32>().is_ok()), "one core: {threads:?}");
+        let looks: Vec<_> = threads.iter().filter(|thread| thread.looks).collect();
+        assert!(looks.len() == 1 && looks[0].policy == "0", "{threads:?}");
         if summary["rt"] == true {
-            assert!(policies.len() > 3 && policies.iter().all(|policy| policy == "1"), "{policies:?}");
+            assert!(works().count() > 3 && works().all(|thread| thread.policy == "1"), "{threads:?}");
             assert_eq!((shown, said.contains("--rt")), ("had", false), "{seen} {said}");
             assert!(rights, "rights that were taken away");
         } else {
@@ -414,7 +427,7 @@ fn real_time_is_had_or_refused_with_what_to_do() {
             assert_eq!(said.matches("SCHED_FIFO").count(), 1, "{said}");
             assert!(said.contains("limits.conf") && said.contains("setcap"), "{said}");
             assert!(shown.starts_with("refused") && shown.contains("scheduler"), "{seen}");
-            assert!(policies.iter().all(|policy| policy == "0"), "{policies:?}");
+            assert!(threads.iter().all(|thread| thread.policy == "0"), "{threads:?}");
         }
     }
 }

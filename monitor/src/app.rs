@@ -3,6 +3,7 @@
 mod command;
 pub mod lanes;
 mod mouse;
+mod shown;
 mod steer;
 
 pub use command::COMMANDS;
@@ -13,16 +14,15 @@ use crate::keys;
 use crate::name::Name;
 use crate::options::Endpoint;
 use crate::replay::Player;
-use crate::rows::{Row, Shape, rows};
+use crate::rows::Shape;
 use crate::source::{Arrival, Wanted};
-use crate::store::health::{self, Finding, Place};
+use crate::store::health::Place;
 use crate::store::message::MessageKey;
-use crate::store::queue::{Waiting, queue};
-use crate::store::{Condition, Life, LifeId, Store};
+use crate::store::{Condition, LifeId, Store};
 use crate::theme::Theme;
 use crossterm::event::{KeyEvent, KeyEventKind, MouseEvent};
-use imrs_protocol::{MessageId, PortId, PortView, TaskId, Usage};
-use imrs_wire::obs::{TaskSnapshot, Token};
+use imrs_protocol::{MessageId, PortId, TaskId};
+use imrs_wire::obs::Token;
 use lanes::Lanes;
 use std::time::Duration;
 
@@ -353,92 +353,6 @@ impl App {
             }
             Msg::Mouse(event) => self.clicked(event, now),
         }
-    }
-
-    /// What is wrong in the cell shown.
-    #[must_use]
-    pub fn findings(&self, now: Moment) -> Vec<Finding> {
-        self.cell().map_or_else(Vec::new, |cell| health::findings(self.store(), &cell, self.moment(now)))
-    }
-
-    /// The rows of the overview.
-    #[must_use]
-    pub fn rows(&self, findings: &[Finding], now: Moment) -> Vec<Row> {
-        let Some(cell) = self.cell() else { return Vec::new() };
-        rows(self.store(), &cell, &self.shape, findings, self.moment(now))
-    }
-
-    /// Which of `rows` is selected: the chosen one, its nearest parent that is still there, or the first.
-    #[must_use]
-    pub fn selected(&self, rows: &[Row]) -> usize {
-        let Some(place) = self.selected else { return 0 };
-        let fits = |wanted: Place| rows.iter().position(|r| r.place == wanted);
-        let parents = [place, Place { port: None, ..place }, Place { task: None, port: None, ..place }];
-        parents.into_iter().find_map(fits).unwrap_or(0)
-    }
-
-    /// The ports that receive, in the order of the overview.
-    #[must_use]
-    pub fn queues(&self) -> Vec<PortEnd> {
-        let Some(cell) = self.cell() else { return Vec::new() };
-        let store = self.store();
-        let ends = |life: &Life| {
-            let (life, tasks) = (life.id, life.tasks().iter());
-            let receives = |port: &&PortView| port.capacity > 0 && port.usage != Usage::Waitfor;
-            let of = move |task: &TaskSnapshot| {
-                let end = |port: &PortView| PortEnd { life, task: task.view.task, port: port.port };
-                task.view.ports.iter().filter(receives).map(end).collect::<Vec<_>>()
-            };
-            tasks.flat_map(of).collect::<Vec<_>>()
-        };
-        store.present(&cell).flat_map(ends).collect()
-    }
-
-    /// The port shown: the chosen one, or the first of `queues`.
-    #[must_use]
-    pub fn port(&self, queues: &[PortEnd]) -> Option<PortEnd> {
-        let there =
-            |end: &PortEnd| self.store().life(end.life).is_some_and(|l| l.port(end.task, end.port).is_some());
-        self.port.filter(there).or_else(|| queues.first().copied())
-    }
-
-    /// Which message of a queue is selected: the chosen one while it waits there, or what has taken its place.
-    #[must_use]
-    pub fn entry(&self, queue: &[Waiting]) -> usize {
-        let chosen = |(source, id)| queue.iter().position(|w| (w.entry.source, w.entry.id) == (source, id));
-        self.entry.and_then(chosen).unwrap_or(self.scroll).min(queue.len().saturating_sub(1))
-    }
-
-    /// What waits at the port shown.
-    #[must_use]
-    pub fn queue(&self, now: Moment) -> Vec<Waiting> {
-        let end = self.port(&self.queues());
-        let life = end.and_then(|end| self.store().life(end.life).zip(Some(end)));
-        life.map_or_else(Vec::new, |(life, end)| queue(life, end.task, end.port, self.moment(now)))
-    }
-
-    /// The screen that the help is about.
-    #[must_use]
-    pub const fn helped(&self) -> Screen {
-        self.before
-    }
-
-    /// The message whose life is shown.
-    #[must_use]
-    pub const fn message(&self) -> Option<MessageKey> {
-        self.message
-    }
-
-    /// What the user marked, and when.
-    #[must_use]
-    pub fn mark(&self) -> Option<(Moment, &Store)> {
-        self.mark.as_deref().map(|(at, store)| (*at, store))
-    }
-
-    /// The event lines shown, oldest first.
-    #[must_use]
-    pub fn events(&self) -> Vec<&crate::store::journal::Entry> {
-        self.store().journal().lines(self.everything, &self.shape.filter)
     }
 }
 

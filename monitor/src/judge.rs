@@ -10,12 +10,10 @@ use std::path::{Path, PathBuf};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
-/// Recordings are judged no more often than this, and never for more than a tenth of the time: each time from the
-/// beginning.
-const PAUSE: Duration = Duration::from_secs(1);
-const SHARE: u32 = 10;
+/// Recordings are looked at no more often than this, unless there is more than one look takes in.
+const PAUSE: Duration = Duration::from_millis(500);
 /// More recordings than a cell has nodes are not judged.
 const RECORDINGS: usize = 64;
 
@@ -30,12 +28,21 @@ pub struct Judgement {
     pub incarnation: u8,
     /// What was found.
     pub said: Conformance,
+    /// Whether more has been written than was looked at.
+    pub behind: bool,
 }
 
 /// Runs recordings again.
 pub trait Judge: Send + Sync + fmt::Debug {
-    /// What is in a recording as far as it has been written; none where it says of no node what it is.
-    fn judge(&self, recording: &Path) -> Option<Judgement>;
+    /// Begins: what it remembers of recordings from one look to the next is the sitting's.
+    fn sit(&self) -> Box<dyn Sitting + '_>;
+}
+
+/// Recordings that are followed.
+pub trait Sitting {
+    /// What is in a recording, with what was written since the last look at it; none where it says of no node what it is.
+    /// A look takes less than a second; another one goes on.
+    fn look(&mut self, recording: &Path) -> Option<Judgement>;
 }
 
 /// Judges the recordings that nodes tell of, in a thread of its own.
@@ -74,18 +81,22 @@ impl Court {
 }
 
 fn sit(judge: &dyn Judge, told: &Mutex<BTreeSet<PathBuf>>, sink: &Sink, ended: &Receiver<()>) {
+    let mut sitting = judge.sit();
     let mut pause = PAUSE;
     while ended.recv_timeout(pause) == Err(RecvTimeoutError::Timeout) {
+        pause = PAUSE;
         let recordings = told.lock().unwrap_or_else(PoisonError::into_inner).clone();
-        let began = Instant::now();
         for recording in recordings {
-            let Some(Judgement { cell, node, incarnation, said }) = judge.judge(&recording) else { continue };
+            let Some(judgement) = sitting.look(&recording) else { continue };
+            let Judgement { cell, node, incarnation, said, behind } = judgement;
+            if behind {
+                pause = Duration::ZERO;
+            }
             let feed = Feed::Judged { cell, node, incarnation, said: Box::new(said) };
             // From nobody: it names the node that it is about.
             if !sink.deliver(SourceId(u32::MAX), feed) {
                 return;
             }
         }
-        pause = PAUSE.max(began.elapsed() * SHARE);
     }
 }

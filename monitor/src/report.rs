@@ -340,7 +340,7 @@ fn found(store: &Store, cell: &Name, finding: &Finding) -> Found {
         node: life.map(|l| l.node.raw().to_owned()).or(unseen),
         task: life.zip(finding.place.task).map(|(l, t)| raw_task(l, t).to_owned()),
         port: life.zip(finding.place.port).map(|(l, p)| raw_port(l, p).to_owned()),
-        text: finding.text.clone(),
+        text: finding.text.to_string(),
     }
 }
 

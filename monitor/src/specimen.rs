@@ -1,5 +1,9 @@
 //! A cell of any size, as its nodes would tell of it: what measurements of the screens look at.
 
+mod shown;
+
+pub use shown::Shown;
+
 use crate::clock::Moment;
 use crate::source::{Arrival, Feed, SourceId};
 use imrs_protocol::{
@@ -11,18 +15,31 @@ use imrs_wire::obs::{
     TaskName, TaskSnapshot, TimedEvent,
 };
 
-/// How large: so many nodes in a ring, each with one task, that with so many ports on which the next node's task sends.
+/// How large: so many nodes in a ring, each with so many tasks, each of which has so many ports on which the same task of
+/// the next node sends.
 #[derive(Clone, Copy, Debug)]
 pub struct Specimen {
     /// The nodes.
     pub nodes: u16,
-    /// The ports that each of them receives at.
+    /// The tasks of each of them.
+    pub tasks: u16,
+    /// The ports that each of these receives at.
     pub ports: u16,
+    /// How many of the messages that wait at a port are told one by one: a monitor of very many ports asks for none.
+    pub queue_limit: u16,
 }
 
+/// How many messages wait at every seventh port.
+const WAITING: u16 = 6;
+
 impl Specimen {
-    /// What the nodes say when a monitor attaches, and then once more at `at`: so many waiting messages at every
-    /// seventh port, and the events of a hundredth of a second.
+    /// 100 nodes with 100 ports each, and every message that waits there.
+    pub const CELL: Self = Self { nodes: 100, tasks: 1, ports: 100, queue_limit: WAITING };
+    /// One node with 100 tasks of 100 ports, told as it is to a monitor of so many.
+    pub const NODE: Self = Self { nodes: 1, tasks: 100, ports: 100, queue_limit: 0 };
+
+    /// What the nodes say when a monitor attaches, at `at`: so many waiting messages at every seventh port, and the events
+    /// of a hundredth of a second.
     #[must_use]
     pub fn arrivals(&self, at: Moment) -> Vec<Arrival> {
         (0..self.nodes).flat_map(|node| self.node(node, at)).collect()
@@ -38,19 +55,24 @@ impl Specimen {
             tick_us: 1,
         };
         let attached = Feed::Attached { identity, pid: 1_000 + u32::from(node), build: "imrs".into() };
-        let arrival = |feed| Arrival { at, source: SourceId(node.into()), feed };
-        let said = |frame| arrival(Feed::Frame(Box::new(frame)));
+        let said = |frame| Self::said(node, at, frame);
         vec![
-            arrival(attached),
+            Arrival { at, source: SourceId(node.into()), feed: attached },
             said(ServerFrame::Table(self.table())),
             said(ServerFrame::Snapshot(self.snapshot(node))),
             said(ServerFrame::Events(self.events(node))),
         ]
     }
 
-    /// The task that sends to those of `node`.
-    const fn sender(&self, node: u16) -> TaskId {
-        TaskId((node + 1) % self.nodes)
+    /// What a node says at a moment.
+    #[must_use]
+    pub fn said(node: u16, at: Moment, frame: ServerFrame) -> Arrival {
+        Arrival { at, source: SourceId(node.into()), feed: Feed::Frame(Box::new(frame)) }
+    }
+
+    /// The task that sends to `task`: the same one of the next node.
+    const fn sender(&self, task: u16) -> TaskId {
+        TaskId((task + self.tasks) % (self.nodes * self.tasks))
     }
 
     fn table(&self) -> Table {
@@ -66,66 +88,97 @@ impl Specimen {
             }
         };
         let link = |i: u16| LinkName { a: NodeId(i), b: NodeId((i + 1) % self.nodes), delay: Ticks(5_000) };
+        let tasks = self.nodes * self.tasks;
+        let task = |i: u16| TaskName { name: format!("task{i}"), node: NodeId(i / self.tasks) };
         Table {
             cell: "specimen".into(),
             tick: Ticks(1_000),
             nodes: (0..self.nodes).map(|i| NodeName { name: format!("node{i}") }).collect(),
             links: (0..self.nodes).map(link).collect(),
-            tasks: (0..self.nodes).map(|i| TaskName { name: format!("task{i}"), node: NodeId(i) }).collect(),
-            ports: (0..self.nodes.saturating_mul(self.ports)).map(port).collect(),
+            tasks: (0..tasks).map(task).collect(),
+            ports: (0..tasks * self.ports).map(port).collect(),
         }
     }
 
     /// The state of a node.
     #[must_use]
     pub fn snapshot(&self, node: u16) -> Snapshot {
-        let entry = |n: u32| QueueEntry {
-            source: self.sender(node),
-            id: MessageId { incarnation: Incarnation(1), sequence: Seq24::new(n) },
-            class: Class::Status,
-            remaining: Ticks(60_000 + 20_000 * u64::from(n)),
-        };
-        let port = |i: u16| {
-            let queue: Vec<_> = if i.is_multiple_of(7) { (0..6).map(entry).collect() } else { Vec::new() };
-            PortView {
-                port: PortId(i),
-                usage: Usage::Receive,
-                class: Class::Status,
-                len: u16::try_from(queue.len()).unwrap_or(0),
-                capacity: 8,
-                min_slack: queue.first().map(|e| e.remaining),
-                queue,
-                counters: PortCounters { enqueued: u64::from(i), ..PortCounters::default() },
-            }
-        };
-        let first = node * self.ports;
-        let view = TaskView {
-            task: TaskId(node),
-            state: TaskState::Running,
-            ports: (first..first + self.ports).map(port).collect(),
-            meetings: Vec::new(),
-        };
+        let first = node * self.tasks;
         Snapshot {
             mono_us: 9_000_000,
             uptime_us: 8_000_000,
-            tasks: vec![TaskSnapshot { liveness: Liveness::Alive, age_us: 0, view }],
+            tasks: (first..first + self.tasks).map(|task| self.task(task)).collect(),
             ..Snapshot::default()
         }
     }
 
-    /// Messages that were sent and taken.
+    fn task(&self, task: u16) -> TaskSnapshot {
+        let left = |n: u16| Ticks(60_000 + 20_000 * u64::from(n));
+        let entry = |n: u16| QueueEntry {
+            source: self.sender(task),
+            id: MessageId { incarnation: Incarnation(1), sequence: Seq24::new(n.into()) },
+            class: Class::Status,
+            remaining: left(n),
+        };
+        let port = |i: u16| {
+            let waiting = if i.is_multiple_of(7) { WAITING } else { 0 };
+            PortView {
+                port: PortId(i),
+                usage: Usage::Receive,
+                class: Class::Status,
+                len: waiting,
+                capacity: 8,
+                min_slack: (waiting > 0).then(|| left(0)),
+                queue: (0..waiting.min(self.queue_limit)).map(entry).collect(),
+                counters: PortCounters { enqueued: 9_120, delivered: 9_041, ..PortCounters::default() },
+            }
+        };
+        let first = task * self.ports;
+        let view = TaskView {
+            task: TaskId(task),
+            state: TaskState::Running,
+            ports: (first..first + self.ports).map(port).collect(),
+            meetings: Vec::new(),
+        };
+        TaskSnapshot { liveness: Liveness::Alive, age_us: 0, view }
+    }
+
+    /// A tenth of a second later: of each task every `apart`-th port did something, by turns.
+    pub fn go_on(state: &mut Snapshot, period: u64, apart: usize) {
+        const PERIOD_US: u64 = 100_000;
+        state.mono_us += PERIOD_US;
+        state.uptime_us += PERIOD_US;
+        let turn = usize::try_from(period).unwrap_or(0);
+        for (t, task) in state.tasks.iter_mut().enumerate() {
+            for (i, port) in task.view.ports.iter_mut().enumerate() {
+                port.min_slack = port.min_slack.map(|left| left - Ticks(PERIOD_US));
+                if (i + turn).is_multiple_of(apart) {
+                    let mixed = (period * 31 + i as u64 * 7 + t as u64).wrapping_mul(0x9e37_79b9_7f4a_7c15);
+                    let draw = mixed >> 33;
+                    port.counters.enqueued += 20;
+                    port.counters.delivered += 20;
+                    port.len = u16::try_from(draw % 8).unwrap_or(0);
+                    port.min_slack = Some(Ticks(draw % 200_000));
+                }
+            }
+        }
+    }
+
+    /// Messages that were sent and taken by the first task of a node.
     #[must_use]
     pub fn events(&self, node: u16) -> Events {
-        let to = (node + self.nodes - 1) % self.nodes;
+        let own = node * self.tasks;
+        let all = self.nodes * self.tasks;
+        let to = (own + all - self.tasks % all) % all;
         let event = |n: u16| {
             let (event, port, peer) = if n.is_multiple_of(2) {
                 (Event::Sent, to * self.ports, TaskId(to))
             } else {
-                (Event::Delivered, node * self.ports, self.sender(node))
+                (Event::Delivered, own * self.ports, self.sender(own))
             };
             let number = u32::from(n / 2);
             let what = Observation { event, port: PortId(port), peer, number, remaining: Ticks(150_000) };
-            TimedEvent { mono_us: 8_900_000 + 500 * u64::from(n), task: Some(TaskId(node)), what }
+            TimedEvent { mono_us: 8_900_000 + 500 * u64::from(n), task: Some(TaskId(own)), what }
         };
         Events { lost: 0, events: (0..20).map(event).collect() }
     }

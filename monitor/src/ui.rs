@@ -24,6 +24,8 @@ use std::time::Duration;
 
 /// The least time between two frames.
 const FRAME: Duration = Duration::from_millis(33);
+/// The same after the user did something, who waits to see it.
+const ANSWER: Duration = Duration::from_millis(8);
 /// How many messages may wait; who feeds more waits, and then the nodes coalesce.
 const QUEUE: usize = 64;
 /// How often the thread that reads keys looks whether it should end: as long may leaving take.
@@ -149,6 +151,10 @@ impl Loop<'_> {
     }
 
     fn take(&mut self, input: Input, terminal: &mut Borrowed) -> Result<Next, MonitorError> {
+        let apart = match &input {
+            Input::Msg(Msg::Key(_) | Msg::Mouse(_) | Msg::Resize(..)) => ANSWER,
+            _ => FRAME,
+        };
         let effect = match input {
             Input::Msg(msg) => self.app.update(msg, self.clock.now()),
             // An interrupt is what ^C says, and ^C quits; a shell that saw its child die of it would give up as well.
@@ -164,7 +170,7 @@ impl Loop<'_> {
         match effect {
             Effect::Nothing => {}
             Effect::Draw => {
-                let soonest = self.drawn.map_or(Duration::ZERO, |drawn| drawn + FRAME);
+                let soonest = self.drawn.map_or(Duration::ZERO, |drawn| drawn + apart);
                 self.due = Some(self.due.map_or(soonest, |due| due.min(soonest)));
             }
             Effect::Record => {

@@ -14,7 +14,10 @@ use imrs_monitor::store::meeting::{Standing, meeting};
 use imrs_monitor::store::{Presence, Store};
 use imrs_monitor::theme::Theme;
 use imrs_protocol::{Event, Incarnation, PortCounters, Reason, TaskId, Ticks};
-use imrs_wire::obs::{Bye, Count, Events, Goodbye, Liveness, NodeIdentity, ServerFrame, Table};
+use imrs_wire::obs::{
+    Bye, Count, Events, Goodbye, Lateness, Liveness, NodeIdentity, ServerFrame, Table, Vitals,
+};
+use proptest::prelude::*;
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::sync::{Arc, mpsc};
 use std::time::Duration;
@@ -134,7 +137,7 @@ fn the_matrix_says_who_waits_for_whom_and_names_a_dead_member() {
     let found = findings(stage.app.store(), &beam(), ms(1_150));
     let in_vain: Vec<_> = found.iter().filter(|f| f.code == "rendezvous-lost-member").collect();
     assert_eq!(in_vain.len(), 2, "both arms wait in vain");
-    assert_eq!(in_vain[0].text, "lost hoist@nh: waits in vain");
+    assert_eq!(&*in_vain[0].text, "lost hoist@nh: waits in vain");
     assert_eq!(in_vain[0].level, Level::Bad);
 }
 
@@ -204,6 +207,57 @@ fn a_quiet_cell_has_no_findings() {
     stage.attach(ms(1_000), 0, 1);
     stage.attach(ms(1_000), 2, 1);
     assert_eq!(codes(stage.app.store(), ms(1_010)), [""; 0]);
+}
+
+proptest! {
+    /// M9: whatever is left, however old the word of it and however late it came, what is shown differs from the truth of
+    /// the node by no more than a tick and the time that the word was on its way: at most a frame of the screen.
+    #[test]
+    fn a_countdown_is_true_but_for_a_tick_and_a_frame(
+        left_us in 0..5_000_000_u64,
+        age_us in 0..50_000_u64,
+        way_us in 0..33_000_u64,
+        passed_us in 0..10_000_000_u64,
+        tick_us in prop::sample::select(vec![1_u64, 100, 1_000, 50_000]),
+    ) {
+        let mut stage = Stage::new(Theme::ASCII);
+        let identity = NodeIdentity { tick_us, ..identity(1, 1) };
+        let at = |us| Duration::from_micros(1_000_000 + us);
+        stage.feed(at(0), 1, Feed::Attached { identity, pid: 1, build: "imrs".into() });
+        let mut told = snapshot(1);
+        told.tasks[0].age_us = age_us;
+        // Taken at that moment; so much is left to the node's machine, which has advanced `age_us` before.
+        let remaining = Ticks(left_us.saturating_add(age_us) / tick_us);
+        stage.frame(at(way_us), 1, ServerFrame::Snapshot(told));
+        let now = at(way_us + passed_us);
+        let shown = stage.app.store().lives()[0].left(remaining, age_us, now).us;
+        let truth = left_us.saturating_sub(way_us + passed_us);
+        prop_assert!(shown.abs_diff(truth) <= tick_us + way_us, "{} for {}", shown, truth);
+    }
+}
+
+/// Half of few is no rule, and what was late long ago is over.
+#[test]
+fn timers_are_late_when_most_of_many_are() {
+    let mut stage = Stage::new(Theme::ASCII);
+    stage.attach(ms(1_000), 0, 1);
+    // In each second: how many ended, and how many of them late.
+    let seconds = [
+        ((2, 2), false),
+        ((5, 0), false),
+        ((20, 15), true),
+        ((0, 0), true),
+        ((40, 2), false),
+        ((40, 30), false),
+    ];
+    let (mut count, mut late, mut now) = (0, 0, 1_000);
+    for (second, (more, is_late)) in seconds.into_iter().enumerate() {
+        (count, late, now) = (count + more.0, late + more.1, now + 1_000);
+        let timer = Lateness { count, late, p50_us: 2_000, ..Lateness::default() };
+        stage.frame(ms(now), 0, ServerFrame::Vitals(Vitals { timer, ..Vitals::default() }));
+        stage.frame(ms(now), 0, ServerFrame::Snapshot(snapshot(0)));
+        assert_eq!(codes(stage.app.store(), ms(now)).contains(&"timer-late"), is_late, "second {second}");
+    }
 }
 
 #[test]

@@ -13,6 +13,7 @@ use imrs_wire::obs::ServerFrame;
 use std::time::Duration;
 
 const SIZES: [(u16, u16); 4] = [(40, 12), (80, 24), (120, 40), (200, 60)];
+const STYLES: [Theme; 3] = [Theme::COLOUR, Theme::MONO, Theme::ASCII];
 const NOW: Duration = ms(1_150);
 
 /// The hoist dies with both arms waiting for it; some messages are dropped.
@@ -125,7 +126,7 @@ const SCENES: [Scene; 23] = [
 fn snap(name: &str, make: impl Fn(Theme) -> Stage, keys: &str, now: Duration) {
     for (width, height) in SIZES {
         let mut shown = String::new();
-        for theme in [Theme::COLOUR, Theme::MONO, Theme::ASCII] {
+        for theme in STYLES {
             let mut stage = make(theme);
             stage.app.update(Msg::Resize(width, height), now);
             stage.keys(now, keys);
@@ -156,6 +157,7 @@ fn screens_look_as_recorded() {
         stage
     };
     snap("paused", paused, "", ms(60_000));
+    println!("{} frames", (SCENES.len() + 2) * SIZES.len() * STYLES.len());
 }
 
 #[test]

@@ -13,7 +13,7 @@ use imrs_monitor::store::message::{MessageKey, Passed, life_of};
 use imrs_monitor::store::timeline::{Timeline, timeline};
 use imrs_monitor::theme::Theme;
 use imrs_protocol::{Event, TaskId};
-use imrs_wire::obs::{Events, ServerFrame};
+use imrs_wire::obs::{Events, Pong, ServerFrame, TimedEvent};
 use proptest::prelude::*;
 use std::time::Duration;
 
@@ -53,6 +53,39 @@ fn a_message_is_followed_from_its_birth_to_the_answer() {
             (Event::Answered, 158, Some(7), passed(7, true)),
         ]
     );
+}
+
+/// Each node's clock has its own zero, and none runs with the monitor's: what a message took between two nodes follows
+/// from the pings of both.
+#[test]
+fn what_passed_between_two_nodes_is_told_by_the_clocks_of_both() {
+    let mut stage = Stage::cell(Theme::ASCII);
+    // Half of a round trip of 200 us on the monitor's clock; the nodes' stand at an hour, and at three.
+    let hours = [3_600_000_000, 10_800_000_000];
+    for (node, hour) in hours.into_iter().enumerate() {
+        let echo_us = 1_049_800 + 50 * node as u64;
+        let mono_us = hour + echo_us + (1_050_000 - echo_us) / 2;
+        stage.frame(ms(1_050), node, ServerFrame::Pong(Pong { echo_us, mono_us }));
+    }
+    // At these moments of the monitor's clock, on the nodes' own.
+    let seen = |node: usize, us: u64, what| TimedEvent {
+        mono_us: hours[node] + us,
+        task: Some(TaskId(node as u16)),
+        what,
+    };
+    let there = [
+        (0, seen(0, 1_010_000, left(Event::Sent, BEAT, 1, 9_000, 200))),
+        (1, seen(1, 1_024_000, left(Event::Enqueued, BEAT, 0, 9_000, 186))),
+        (1, seen(1, 1_025_000, left(Event::Replied, BEAT, 0, 9_000, 185))),
+        (0, seen(0, 1_025_400, left(Event::Answered, BEAT, 1, 9_000, 185))),
+    ];
+    for (node, event) in there {
+        stage.frame(ms(1_060), node, ServerFrame::Events(Events { lost: 0, events: vec![event] }));
+    }
+    let key = MessageKey { source: TaskId(0), port: BEAT, number: 9_000 };
+    let passed: Vec<_> = life_of(stage.app.store(), &beam(), key).iter().map(|s| s.passed).collect();
+    let took = |us, estimated| Some(Passed { us, estimated });
+    assert_eq!(passed, [None, took(14_000, true), took(1_000, false), took(400, true)]);
 }
 
 #[test]

@@ -14,7 +14,7 @@ mod verdict;
 pub use digest::OutputDigest;
 pub use file::{About, FileRecorder};
 pub use imrs_wire::recording::{Happened, Happening, RecordingReader, ScriptStep, Turn};
-pub use recording::{ReplayError, replay_recording, replay_scripts};
+pub use recording::{ReplayError, Replays, replay_recording, replay_scripts};
 pub use replay::{KeyframeError, Recorded, Replay, replay};
 pub use verdict::{Divergence, InvariantBroken, Miscount, ScriptDivergence, Verdict};
 

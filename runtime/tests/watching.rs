@@ -3,160 +3,25 @@
 
 mod common;
 
-use common::{A, B, LONG, LONG_TICKS, ask, cell, one_node, report, table};
-use imrs_protocol::{Event, PortDecl, PortId, Ticks, Usage};
+use common::monitor::{Folder, Monitor, NEW, OLD, node, socket, want};
+use common::{B, LONG};
+use imrs_protocol::{Event, PortId};
 use imrs_runtime::observer::{AddressBook, Observer, Place, Showing};
-use imrs_runtime::{Runtime, Sent};
 use imrs_wire::obs::{
-    ClientFrame, Denied, EventFilter, FrameError, FrameReader, FrameWriter, Handshake, Hello, Kinds,
-    MAX_FRAME, NodePlace, Ping, RecordingFacts, Refusal, Role, SCHEMA, ServerFrame, Snapshot, Subscribe,
-    Token, VERSION, Version, Want,
+    ClientFrame, Denied, EventFilter, FrameError, Handshake, Kinds, NodePlace, Ping, RecordingFacts, Refusal,
+    ServerFrame, Snapshot, Token, VERSION, Want,
 };
-use std::io::{Read, Write};
-use std::net::{SocketAddr, TcpStream};
-use std::os::unix::net::UnixStream;
-use std::path::{Path, PathBuf};
+use std::net::SocketAddr;
 use std::sync::Arc;
-use std::sync::mpsc::Sender;
-use std::time::{Duration, Instant};
-
-/// What the programs of version 1.0 say of themselves.
-const OLD: (Version, u32) = (Version { major: 1, minor: 0 }, 0x3723_afbb);
-const NEW: (Version, u32) = (VERSION, SCHEMA);
-
-struct Folder(PathBuf);
-
-impl Folder {
-    fn new(name: &str) -> Self {
-        let path = std::env::temp_dir().join(format!("imrs-watching-{name}-{}", std::process::id()));
-        std::fs::create_dir_all(&path).expect("a folder");
-        Self(path)
-    }
-}
-
-impl Drop for Folder {
-    fn drop(&mut self) {
-        let _ = std::fs::remove_dir_all(&self.0);
-    }
-}
-
-/// A node whose task `a` sends what it is told to, and whose task `b` takes nothing.
-fn node() -> (Runtime, Sender<u8>) {
-    let mut cell = cell(&[0, 0], Ticks(0));
-    cell.port(ask(LONG_TICKS));
-    cell.port(PortDecl::new("news", A, Usage::Send, &[B], LONG_TICKS).bounded_buffer(16));
-    let (tell, told) = report::<u8>();
-    let runtime = one_node(&table(cell))
-        .task("a", move |ctx| {
-            let news = ctx.port("news")?;
-            while let Ok(number) = told.recv() {
-                assert_eq!(ctx.send(news, &[number])?, Sent::Copies(1));
-            }
-            Ok(())
-        })
-        .task("b", |ctx| {
-            let ask = ctx.port("ask")?;
-            ctx.receive(Some(ask), None).map(|_| ())
-        })
-        .start()
-        .unwrap();
-    (runtime, tell)
-}
-
-struct Monitor {
-    reader: FrameReader<Box<dyn Read>>,
-    writer: FrameWriter<Box<dyn Write>>,
-}
-
-impl Monitor {
-    fn unix(path: &Path) -> Self {
-        let stream = UnixStream::connect(path).expect("a listening node");
-        stream.set_read_timeout(Some(LONG)).unwrap();
-        Self::over(stream.try_clone().unwrap(), stream)
-    }
-
-    fn tcp(address: SocketAddr) -> Self {
-        let stream = TcpStream::connect(address).expect("a listening node");
-        stream.set_read_timeout(Some(LONG)).unwrap();
-        Self::over(stream.try_clone().unwrap(), stream)
-    }
-
-    fn over(read: impl Read + 'static, write: impl Write + 'static) -> Self {
-        Self {
-            reader: FrameReader::new(Box::new(read), MAX_FRAME),
-            writer: FrameWriter::new(Box::new(write)),
-        }
-    }
-
-    fn hello(&mut self, (version, schema): (Version, u32)) -> Handshake {
-        let hello = Hello { schema, pid: 1, build: "test".into(), mono_us: 0, role: Role::Monitor };
-        self.writer.push_bytes(&Handshake::Hello(hello).encode(version)).unwrap();
-        self.writer.flush().unwrap();
-        Handshake::decode(self.reader.read_frame().expect("an answer")).expect("a hello").1
-    }
-
-    fn attach(mut self, version: (Version, u32)) -> Self {
-        let answer = self.hello(version);
-        assert!(matches!(answer, Handshake::Hello(Hello { role: Role::Node(_), .. })), "{answer:?}");
-        assert!(matches!(self.next(), ServerFrame::Table(_)));
-        self
-    }
-
-    fn say(&mut self, frame: &ClientFrame) {
-        self.writer.push(frame).unwrap();
-        self.writer.flush().unwrap();
-    }
-
-    fn next(&mut self) -> ServerFrame {
-        ServerFrame::decode(self.reader.read_frame().expect("a frame")).expect("a known frame")
-    }
-
-    /// Reads until `wanted` finds something, and keeps `state` up to date meanwhile.
-    fn until<T>(
-        &mut self,
-        state: &mut Snapshot,
-        mut wanted: impl FnMut(&ServerFrame, &Snapshot) -> Option<T>,
-    ) -> T {
-        let start = Instant::now();
-        loop {
-            assert!(start.elapsed() < LONG, "it never came");
-            let frame = self.next();
-            if let ServerFrame::Delta(delta) = &frame {
-                state.apply(delta).expect("a change of what was told last");
-            }
-            if let Some(found) = wanted(&frame, state) {
-                return found;
-            }
-        }
-    }
-}
-
-fn want() -> Want {
-    Want {
-        period_us: 10_000,
-        queue_limit: 0,
-        watched: Vec::new(),
-        events: None,
-        vitals_us: 0,
-        whole_us: 0,
-        credit: u16::MAX,
-    }
-}
-
-fn at(observer: &Observer) -> &Path {
-    match observer.place() {
-        Place::Unix(path) => path,
-        Place::Tcp(address) => panic!("at {address}"),
-    }
-}
+use std::time::Duration;
 
 #[test]
 fn what_changed_adds_up_to_the_state_and_watched_queues_tell_more() {
     let folder = Folder::new("changes");
     let (runtime, tell) = node();
-    let observer = Observer::start_at(runtime.node().clone(), &folder.0.join("n.sock")).unwrap();
+    let observer = Observer::start_at(runtime.node().clone(), &folder.socket()).unwrap();
     let news = PortId(1);
-    let mut monitor = Monitor::unix(at(&observer)).attach(NEW);
+    let mut monitor = Monitor::unix(socket(&observer)).attach(NEW);
     let kinds = Kinds::NONE.and(Event::Enqueued);
     let events = Some(EventFilter { kinds, tasks: vec![B] });
     monitor.say(&ClientFrame::Want(Want { watched: vec![(B, news)], events, ..want() }));
@@ -206,8 +71,8 @@ fn what_changed_adds_up_to_the_state_and_watched_queues_tell_more() {
 fn an_idle_node_says_next_to_nothing() {
     let folder = Folder::new("idle");
     let (runtime, _tell) = node();
-    let observer = Observer::start_at(runtime.node().clone(), &folder.0.join("n.sock")).unwrap();
-    let mut monitor = Monitor::unix(at(&observer)).attach(NEW);
+    let observer = Observer::start_at(runtime.node().clone(), &folder.socket()).unwrap();
+    let mut monitor = Monitor::unix(socket(&observer)).attach(NEW);
     monitor.say(&ClientFrame::Want(want()));
     let mut state = Snapshot::default();
     monitor.until(&mut state, |frame, _| matches!(frame, ServerFrame::Delta(_)).then_some(()));
@@ -223,10 +88,9 @@ fn an_idle_node_says_next_to_nothing() {
 fn monitors_of_version_1_0_see_what_they_always_saw() {
     let folder = Folder::new("old");
     let (runtime, _tell) = node();
-    let observer = Observer::start_at(runtime.node().clone(), &folder.0.join("n.sock")).unwrap();
-    let mut monitor = Monitor::unix(at(&observer)).attach(OLD);
-    let wanted = Subscribe { period_us: 10_000, queue_limit: 8, events: true, credit: u16::MAX };
-    monitor.say(&ClientFrame::Subscribe(wanted));
+    let observer = Observer::start_at(runtime.node().clone(), &folder.socket()).unwrap();
+    let mut monitor = Monitor::unix(socket(&observer)).attach(OLD);
+    monitor.subscribe(true, u16::MAX);
     for _ in 0..20 {
         let frame = monitor.next();
         assert_eq!(frame.since(), OLD.0, "{frame:?}");
@@ -240,8 +104,8 @@ fn the_process_and_its_clock_are_told() {
     let facts = RecordingFacts { path: "run.imrs".into(), lost: 3, failure: None };
     let told = facts.clone();
     let showing = Showing::new(runtime.node().clone()).recording(Arc::new(move || Some(told.clone())));
-    let observer = showing.start_at(&folder.0.join("n.sock")).unwrap();
-    let mut monitor = Monitor::unix(at(&observer)).attach(NEW);
+    let observer = showing.start_at(&folder.socket()).unwrap();
+    let mut monitor = Monitor::unix(socket(&observer)).attach(NEW);
     monitor.say(&ClientFrame::Want(Want { vitals_us: 100_000, ..want() }));
     monitor.say(&ClientFrame::Ping(Ping { mono_us: 4242 }));
     let mut state = Snapshot::default();
@@ -298,7 +162,7 @@ fn one_address_leads_to_the_others() {
     std::fs::create_dir_all(&cells).unwrap();
     let (runtime, _tell) = node();
     let observer = Observer::start_at(runtime.node().clone(), &cells.join("n0-1.sock")).unwrap();
-    let mut monitor = Monitor::unix(at(&observer)).attach(NEW);
+    let mut monitor = Monitor::unix(socket(&observer)).attach(NEW);
     monitor.say(&ClientFrame::Want(want()));
     let mut state = Snapshot::default();
     // Another process of the same node, as after a restart.
@@ -328,17 +192,15 @@ fn one_address_leads_to_the_others() {
 fn pings_cost_no_credit_and_nothing_comes_without() {
     let folder = Folder::new("credit");
     let (runtime, _tell) = node();
-    let observer = Observer::start_at(runtime.node().clone(), &folder.0.join("n.sock")).unwrap();
-    let stream = UnixStream::connect(at(&observer)).unwrap();
-    stream.set_read_timeout(Some(LONG)).unwrap();
-    let mut monitor = Monitor::over(stream.try_clone().unwrap(), stream.try_clone().unwrap()).attach(NEW);
+    let observer = Observer::start_at(runtime.node().clone(), &folder.socket()).unwrap();
+    let mut monitor = Monitor::unix(socket(&observer)).attach(NEW);
     monitor.say(&ClientFrame::Want(Want { credit: 1, ..want() }));
     assert!(matches!(monitor.next(), ServerFrame::Delta(_)));
     monitor.say(&ClientFrame::Ping(Ping { mono_us: 1 }));
     assert!(matches!(monitor.next(), ServerFrame::Pong(_)));
-    stream.set_read_timeout(Some(Duration::from_millis(100))).unwrap();
+    monitor.wait_for(Duration::from_millis(100));
     assert!(matches!(monitor.reader.read_frame(), Err(FrameError::NotReady)));
-    stream.set_read_timeout(Some(LONG)).unwrap();
+    monitor.wait_for(LONG);
     monitor.say(&ClientFrame::Credit(1));
     assert!(matches!(monitor.next(), ServerFrame::Delta(_)));
 }

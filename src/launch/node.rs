@@ -213,11 +213,13 @@ impl Process {
         if let (Some(recording), Some(path)) = (&recording, &setup.record) {
             showing = showing.recording(recording.watch(path));
         }
-        let observer = showing.clone().start();
+        let (observer, over_tcp) = rt::ordinary(|| {
+            let over_tcp = setup.observe.map(|address| showing.clone().start_tcp(address));
+            (showing.start(), over_tcp)
+        });
         if let Err(error) = &observer {
             complain(format_args!("node {} runs, but no monitor can see it: {error}", setup.node));
         }
-        let over_tcp = setup.observe.map(|address| showing.start_tcp(address));
         let (runtime, _observer, over_tcp) = (Some(runtime), observer.ok(), over_tcp.transpose()?);
         Ok(Self {
             table,

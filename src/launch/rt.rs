@@ -5,11 +5,16 @@ use imrs_wire::obs::RealTime;
 use rustix::io::Errno;
 use rustix::mm::{MlockAllFlags, mlockall, munlockall};
 use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
+use std::sync::OnceLock;
 use std::thread;
 use thread_priority::unix::{set_thread_priority_and_policy, thread_native_id};
 use thread_priority::{
-    RealtimeThreadSchedulePolicy, ThreadPriority, ThreadPriorityValue, ThreadSchedulePolicy,
+    NormalThreadSchedulePolicy, RealtimeThreadSchedulePolicy, ThreadPriority, ThreadPriorityValue,
+    ThreadSchedulePolicy,
 };
+
+/// The cores that the process had before it took one.
+static CORES: OnceLock<CpuSet> = OnceLock::new();
 
 /// Of a hundred: above all ordinary threads, below what the kernel itself runs in real time.
 const PRIORITY: u8 = 20;
@@ -42,6 +47,23 @@ pub fn begin(place: usize) -> RealTime {
     }
 }
 
+/// Starts `what` in the likeness of an ordinary thread, on any core that the process may use: who looks must never come
+/// before who works, and with the priority of the tasks it would run beside them until it has done.
+pub fn ordinary<T: Send>(what: impl FnOnce() -> T + Send) -> T {
+    thread::scope(|scope| {
+        let likeness = scope.spawn(|| {
+            // Refused nowhere: these are fewer rights than the thread has.
+            let policy = ThreadSchedulePolicy::Normal(NormalThreadSchedulePolicy::Other);
+            let _ = set_thread_priority_and_policy(thread_native_id(), ThreadPriority::Min, policy);
+            if let Some(cores) = CORES.get() {
+                let _ = sched_setaffinity(None, cores);
+            }
+            what()
+        });
+        likeness.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
+    })
+}
+
 /// What [`begin`] would be refused, without doing it.
 pub fn refused() -> Vec<RtError> {
     let memory = lock();
@@ -59,6 +81,7 @@ fn lock() -> Result<(), RtError> {
 
 fn pin(place: usize) -> Result<(), RtError> {
     let allowed = sched_getaffinity(None).map_err(RtError::Core)?;
+    let allowed = CORES.get_or_init(|| allowed);
     let cores: Vec<usize> = (0..CpuSet::MAX_CPU).filter(|&core| allowed.is_set(core)).collect();
     let Some(&core) = cores.get(place % cores.len().max(1)) else { return Err(RtError::Core(Errno::INVAL)) };
     let mut one = CpuSet::new();

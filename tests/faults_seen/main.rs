@@ -2,8 +2,11 @@
 //! without a fault raise none. The cells are slow, so that a busy machine is no fault of theirs.
 
 mod scene;
+#[path = "../support/stub.rs"]
+mod stub;
 #[path = "../support/mod.rs"]
 mod support;
+mod told;
 
 use rustix::process::Signal;
 use scene::{AMBIENT, LONG, Scene};

@@ -21,7 +21,7 @@ const EVERY: &str = "100ms";
 /// How long after its lint nothing unrelated may follow.
 const AFTER: Duration = Duration::from_secs(1);
 /// What a busy machine does by itself.
-pub const AMBIENT: &[&str] = &["timer-late"];
+pub const AMBIENT: &[&str] = &[];
 
 /// One sample: when it came, and the codes of what was found.
 pub struct Sample {
@@ -112,15 +112,23 @@ impl Scene {
             nodes.extend(told(&line));
             programs.push(program);
         }
+        let all = nodes.len();
+        Self::seen(dir, programs, nodes, started, all)
+    }
+
+    /// Nodes that others have started in this folder: so many.
+    pub fn watching(dir: TempDir, nodes: usize) -> Self {
+        Self::seen(dir, Vec::new(), Vec::new(), Instant::now(), nodes)
+    }
+
+    fn seen(dir: TempDir, cells: Vec<Program>, nodes: Vec<Node>, started: Instant, all: usize) -> Self {
         let monitor = Program::start(imrs(dir.path(), &["monitor", "--watch", EVERY, "--format", "json"]));
-        let mut scene = Self { monitor, _cells: programs, nodes, started, _dir: dir };
-        let all = scene.nodes.len();
+        let mut scene = Self { monitor, _cells: cells, nodes, started, _dir: dir };
         let end = Instant::now() + LONG;
-        while scene.report()["nodes"]
-            .as_array()
-            .map_or(0, |nodes| nodes.iter().filter(|n| n["up"] == true).count())
-            < all
-        {
+        let up = |report: Value| {
+            report["nodes"].as_array().map_or(0, |nodes| nodes.iter().filter(|n| n["up"] == true).count())
+        };
+        while up(scene.report()) < all {
             assert!(Instant::now() < end, "the nodes never showed themselves");
         }
         scene

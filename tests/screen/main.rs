@@ -1,7 +1,10 @@
 //! The monitor in a real terminal: tmux is the terminal, its screen is what a person sees.
 
+mod flood;
 mod keys;
 mod servers;
+#[path = "../support/stub.rs"]
+mod stub;
 #[path = "../support/mod.rs"]
 mod support;
 mod terminal;

@@ -9,6 +9,7 @@ pub mod network;
 pub mod observe;
 pub mod queues;
 pub mod recording;
+pub mod screen;
 pub mod urgent;
 
 use crate::suite::Suite;
@@ -29,6 +30,7 @@ pub fn all() -> Vec<Suite> {
         network::network(),
         recording::recording(),
         observe::observe(),
+        screen::screen(),
     ];
     crate::peers::join(&mut suites);
     suites

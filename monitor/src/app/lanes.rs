@@ -104,9 +104,10 @@ impl App {
         let timeline = timeline(self.store(), &cell, MOST);
         let lanes = self.wanted_lanes(&cell);
         let ports = self.wanted_ports(&cell);
+        let shown: BTreeSet<TaskId> = lanes.iter().copied().collect();
         let wanted = |mark: &Mark| {
             let what = mark.seen.what;
-            lanes.contains(&mark.task)
+            shown.contains(&mark.task)
                 && ports.as_ref().is_none_or(|ports| ports.contains(&what.port))
                 && !(self.lanes.sparse && is_traffic(what.event))
         };
@@ -130,6 +131,9 @@ impl App {
         let Some(names) = self.store().names(cell) else { return Vec::new() };
         let all = || (0..names.tasks.len()).map(TaskId::from_index);
         let text = self.shape.filter.to_lowercase();
+        if text.is_empty() {
+            return all().collect();
+        }
         let has = |name: &Name| name.shown().to_lowercase().contains(&text);
         let wanted = |task: &TaskId| {
             has(&names.task(*task)) || names.home(*task).is_some_and(|node| has(&names.node(node)))

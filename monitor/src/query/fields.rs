@@ -5,7 +5,7 @@ use crate::clock::{self, Moment};
 use crate::store::health::{Finding, Place};
 use crate::store::journal::{Entry, Level};
 use crate::store::meeting::state;
-use crate::store::service::service;
+use crate::store::service::outlook;
 use crate::store::{Life, Store};
 use imrs_protocol::{Class, PortView};
 use imrs_wire::obs::{Liveness, TaskSnapshot};
@@ -209,8 +209,8 @@ impl Row for PortRow<'_> {
             Field::TimedOut => count(c.timed_out),
             Field::Dropped => count(c.dropped),
             Field::Service => {
-                let service = service(store, life.id, task.view.task, port.port);
-                service.and_then(|s| s.p99_us).map_or(Value::Missing, micros)
+                let outlook = outlook(store, life.id, task.view.task, port.port);
+                outlook.p99_us.map_or(Value::Missing, micros)
             }
             Field::Cell | Field::Node | Field::Task | Field::State => {
                 node_field(life, Some(task), findings, field)

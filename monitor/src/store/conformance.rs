@@ -30,15 +30,13 @@ pub struct Conformance {
     pub verdict: Verdict,
     /// How many steps it has judged.
     pub steps: u64,
-    /// Assumptions of the check that the run broke (loss, lateness, ...): no fault of the machine.
-    pub breaches: Vec<String>,
 }
 
 impl Conformance {
     /// Nothing is known, because of `why`.
     #[must_use]
     pub fn unknown(why: &str) -> Self {
-        Self { verdict: Verdict::Unknown { why: why.into() }, steps: 0, breaches: Vec::new() }
+        Self { verdict: Verdict::Unknown { why: why.into() }, steps: 0 }
     }
 }
 

@@ -1,11 +1,12 @@
 //! One life of one node: from its start to its death, and what it last said.
 
+use super::health::Looked;
 use super::names::Names;
 use crate::clock::{Moment, Span, micros};
 use crate::name::Name;
 use imrs_protocol::{NodeId, PortCounters, PortId, PortView, QueueView, TaskId, Ticks, TimeId};
-use imrs_wire::obs::{Count, Delta, Detail, Liveness, Pong, Snapshot, TaskSnapshot, Vitals};
-use std::collections::BTreeMap;
+use imrs_wire::obs::{Count, Delta, Detail, Lateness, Liveness, Pong, Snapshot, TaskSnapshot, Vitals};
+use std::collections::{BTreeMap, VecDeque};
 use std::fmt;
 use std::sync::Arc;
 use std::time::Duration;
@@ -16,6 +17,9 @@ pub const SILENT: Duration = Duration::from_secs(1);
 const FRESH: Duration = Duration::from_millis(200);
 /// Rates are taken over at least so long.
 pub(super) const RATE: Duration = Duration::from_secs(2);
+
+/// Over how long it is reckoned whether timers are late as a rule.
+const LATELY: Duration = Duration::from_secs(3);
 
 /// How many timers of one node are remembered.
 const TIMERS: usize = 1024;
@@ -147,6 +151,15 @@ pub struct ClockOffset {
     pub at: Moment,
 }
 
+/// Timers that have ended.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub(super) struct Ended {
+    /// How many.
+    pub count: u64,
+    /// How many of them later than the tick.
+    pub late: u64,
+}
+
 /// What is compared with what comes next.
 pub(super) struct Notable {
     pub tasks: Vec<(TaskId, Liveness)>,
@@ -199,10 +212,14 @@ pub struct Life {
     pub(super) longest: BTreeMap<(TaskId, TimeId), Ticks>,
     /// How its process does; `None` before it told, and of a node that does not tell.
     pub vitals: Option<Told<Vitals>>,
+    /// How many timers had ended, and how many of them late, as it told in the last seconds.
+    pub(super) timers: VecDeque<Told<Ended>>,
     /// The queues that are watched.
     pub watched: Vec<Told<Watched>>,
     /// How its clock goes, as compared last.
     pub clock: Option<ClockOffset>,
+    /// What is wrong with its tasks, if that was looked for since it last said something.
+    pub(super) looked: Looked,
 }
 
 impl Life {
@@ -339,6 +356,24 @@ impl Life {
         last.at = at;
         self.sampled(at);
         true
+    }
+
+    /// Takes over how its process does.
+    pub(super) fn feel(&mut self, at: Moment, vitals: Vitals) {
+        let Lateness { count, late, .. } = vitals.timer;
+        self.timers.push_back(Told { at, what: Ended { count, late } });
+        // One of them is as old as the time that is looked at, or all are younger.
+        while self.timers.get(1).is_some_and(|next| at.saturating_sub(next.at) >= LATELY) {
+            self.timers.pop_front();
+        }
+        self.vitals = Some(Told { at, what: vitals });
+    }
+
+    /// The timers that ended in the last seconds.
+    pub(super) fn timers_lately(&self) -> Option<Ended> {
+        let (first, last) = (self.timers.front()?.what, self.timers.back()?.what);
+        let since = |of: fn(&Ended) -> u64| of(&last).saturating_sub(of(&first));
+        Some(Ended { count: since(|ended| ended.count), late: since(|ended| ended.late) })
     }
 
     pub(super) fn look_at(&mut self, at: Moment, detail: Detail) {

@@ -4,7 +4,7 @@
 use super::{Left, Life, Presence, Store};
 use crate::clock::Moment;
 use crate::name::Name;
-use imrs_protocol::{MeetingState, MeetingView, PortId, Round, TaskId, TaskState, Usage};
+use imrs_protocol::{MeetingState, MeetingView, PortId, Round, TaskId, TaskState};
 use imrs_wire::obs::Liveness;
 
 /// Where a member stands.
@@ -109,9 +109,7 @@ struct Told<'a> {
 #[must_use]
 pub fn meetings(store: &Store, cell: &Name, now: Moment) -> Vec<Meeting> {
     let Some(names) = store.names(cell) else { return Vec::new() };
-    let ports = names.ports.iter().enumerate();
-    let waitfors = ports.filter(|(_, p)| p.parties.first().is_some_and(|p| p.usage == Usage::Waitfor));
-    waitfors.filter_map(|(i, _)| meeting(store, cell, PortId::from_index(i), now)).collect()
+    names.meetings.iter().filter_map(|port| meeting(store, cell, *port, now)).collect()
 }
 
 /// One meeting of a cell.

@@ -25,7 +25,7 @@ use imrs_protocol::{NodeId, TaskId};
 use imrs_wire::obs::{Count, Events, Goodbye, Liveness, NodeIdentity, ServerFrame, Table, place};
 use journal::{Entry, Journal, Level, What};
 use life::Notable;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, VecDeque};
 use std::sync::Arc;
 use trail::Trail;
 
@@ -119,10 +119,8 @@ impl Store {
     /// The cells that are known, sorted.
     #[must_use]
     pub fn cells(&self) -> Vec<Name> {
-        let mut cells: Vec<_> = self.lives.iter().map(|l| l.names.cell.clone()).collect();
-        cells.sort();
-        cells.dedup();
-        cells
+        // Lives stand in the order of their cells.
+        self.lives.chunk_by(|a, b| a.names.cell == b.names.cell).map(|of| of[0].names.cell.clone()).collect()
     }
 
     /// The names of a cell, as its nodes told.
@@ -215,8 +213,10 @@ impl Store {
             lost_before: (0, 0),
             longest: BTreeMap::new(),
             vitals: None,
+            timers: VecDeque::new(),
             watched: Vec::new(),
             clock: None,
+            looked: health::Looked::default(),
         };
         let again = self.lives.iter().any(|l| l.names.cell == life.names.cell && l.node == life.node);
         // A node in a checker has no process.
@@ -255,6 +255,7 @@ impl Store {
     fn frame(&mut self, at: Moment, source: SourceId, frame: ServerFrame) {
         let Some(index) = self.index_of(source) else { return };
         self.lives[index].heard = at;
+        self.lives[index].looked.forget();
         match frame {
             ServerFrame::Table(table) => self.table(index, table),
             ServerFrame::Snapshot(snapshot) => self.state(at, index, |life| {
@@ -263,7 +264,7 @@ impl Store {
             }),
             ServerFrame::Delta(delta) => self.state(at, index, |life| life.change(at, &delta)),
             ServerFrame::Detail(detail) => self.lives[index].look_at(at, detail),
-            ServerFrame::Vitals(vitals) => self.lives[index].vitals = Some(Told { at, what: vitals }),
+            ServerFrame::Vitals(vitals) => self.lives[index].feel(at, vitals),
             ServerFrame::Pong(pong) => self.lives[index].compare_clocks(at, pong),
             // Who attaches to nodes takes these to heart.
             ServerFrame::Places(_) | ServerFrame::Denied(_) => {}

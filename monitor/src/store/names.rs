@@ -1,7 +1,7 @@
 //! A cell's table with every name made fit to show.
 
 use crate::name::Name;
-use imrs_protocol::{Class, NodeId, PortId, TaskId, Ticks};
+use imrs_protocol::{Class, NodeId, PortId, TaskId, Ticks, Usage};
 use imrs_wire::obs::{LinkName, PartyName, Table};
 
 /// A task of the cell.
@@ -51,6 +51,8 @@ pub struct Names {
     pub tasks: Vec<TaskInfo>,
     /// The ports.
     pub ports: Vec<PortInfo>,
+    /// Those of them that are a rendezvous, ascending: few of many.
+    pub meetings: Vec<PortId>,
 }
 
 impl Names {
@@ -64,13 +66,16 @@ impl Names {
             margin: p.margin,
             parties: p.parties,
         };
+        let meets = |port: &PortInfo| port.parties.first().is_some_and(|p| p.usage == Usage::Waitfor);
+        let ports: Vec<PortInfo> = table.ports.into_iter().map(port).collect();
         Self {
             cell: Name::new(&table.cell),
             tick: table.tick,
             nodes: table.nodes.iter().map(|n| Name::new(&n.name)).collect(),
             links: table.links,
             tasks: table.tasks.iter().map(|t| TaskInfo { name: Name::new(&t.name), node: t.node }).collect(),
-            ports: table.ports.into_iter().map(port).collect(),
+            meetings: (0..ports.len()).filter(|&i| meets(&ports[i])).map(PortId::from_index).collect(),
+            ports,
         }
     }
 

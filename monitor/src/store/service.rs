@@ -33,8 +33,8 @@ pub struct Service {
     /// How long a message takes once it is its turn, in microseconds: until it is answered, or until the next one that
     /// waited is taken. The median; `None` where too little was seen.
     pub p50_us: Option<u64>,
-    /// The 99th percentile of the same: what a prediction goes by.
-    pub p99_us: Option<u64>,
+    /// What is foretold by the same.
+    pub outlook: Outlook,
     /// How many such times were seen, at most the last 256.
     pub samples: usize,
     /// Each source, ascending.
@@ -48,14 +48,26 @@ pub struct Service {
     rejected: BTreeMap<(TaskId, u32), u32>,
 }
 
-impl Service {
+/// What is foretold of a port: what is looked at of all ports, time and again, and so without what only a screen shows.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Outlook {
+    /// The 99th percentile of how long a message takes once it is its turn, in microseconds; `None` where too little was
+    /// seen.
+    pub p99_us: Option<u64>,
+    /// The message rejected most often among those that still wait: of whom, its number, how often.
+    pub most_rejected: Option<(TaskId, u32, u32)>,
+}
+
+impl Outlook {
     /// When a message is done that stands at `position` (from 0) in the buffer, in microseconds from now, as it went so far.
     #[must_use]
     pub fn done_in(&self, position: usize) -> Option<u64> {
         let turns = u64::try_from(position).unwrap_or(u64::MAX).saturating_add(1);
         self.p99_us.map(|each| each.saturating_mul(turns))
     }
+}
 
+impl Service {
     /// Jain's index over the part of its messages that each source had served: 1 where all fare alike, 1/n where one has
     /// everything. `None` with fewer than two sources.
     #[must_use]
@@ -75,19 +87,18 @@ impl Service {
     pub fn rejections(&self, source: TaskId, number: u32) -> u32 {
         self.rejected.get(&(source, number)).copied().unwrap_or(0)
     }
-
-    /// The message rejected most often among those that still wait.
-    #[must_use]
-    pub fn most_rejected(&self) -> Option<(TaskId, u32, u32)> {
-        let most = self.rejected.iter().max_by_key(|(_, times)| **times);
-        most.map(|(&(source, number), &times)| (source, number, times))
-    }
 }
 
 /// How a port of a task is served, if anything is known of it.
 #[must_use]
 pub fn service(store: &Store, life: LifeId, task: TaskId, port: PortId) -> Option<Service> {
     store.services.ports.get(&(life, task, port)).map(|port| port.service())
+}
+
+/// What is foretold of a port of a task.
+#[must_use]
+pub fn outlook(store: &Store, life: LifeId, task: TaskId, port: PortId) -> Outlook {
+    store.services.ports.get(&(life, task, port)).map_or_else(Outlook::default, |port| port.outlook())
 }
 
 /// What is learnt of all ports.
@@ -107,7 +118,8 @@ struct Port {
     shares: BTreeMap<TaskId, Share>,
     rejected: BTreeMap<(TaskId, u32), u32>,
     fill: VecDeque<u16>,
-    slack: VecDeque<u64>,
+    /// Microseconds; an hour is as good as for ever.
+    slack: VecDeque<u32>,
 }
 
 impl Services {
@@ -151,7 +163,7 @@ impl Services {
                 keep(&mut port.fill, view.len, FILL);
                 if let Some(slack) = view.min_slack {
                     let left = slack.0.saturating_mul(tick_us).saturating_sub(task.age_us);
-                    keep(&mut port.slack, left, FILL);
+                    keep(&mut port.slack, u32::try_from(left).unwrap_or(u32::MAX), FILL);
                 }
             }
         }
@@ -220,13 +232,28 @@ impl Port {
         self.shares.entry(source).or_default()
     }
 
+    fn outlook(&self) -> Outlook {
+        // Of at most 256 times the 99th percentile is one of the three greatest.
+        let mut greatest = [0; 3];
+        for &us in &self.times {
+            if let Some(place) = greatest.iter().position(|&other| us > other) {
+                greatest[place..].rotate_right(1);
+                greatest[place] = us;
+            }
+        }
+        let above = self.times.len() / 100;
+        let p99_us = greatest.get(above).filter(|_| self.times.len() >= LEAST).map(|us| u64::from(*us));
+        let most = self.rejected.iter().max_by_key(|(_, times)| **times);
+        Outlook { p99_us, most_rejected: most.map(|(&(source, number), &times)| (source, number, times)) }
+    }
+
     fn service(&self) -> Service {
         let mut times: Vec<u64> = self.times.iter().map(|us| u64::from(*us)).collect();
-        let mut slack: Vec<u64> = self.slack.iter().copied().collect();
+        let mut slack: Vec<u64> = self.slack.iter().map(|us| u64::from(*us)).collect();
         let known = times.len() >= LEAST;
         Service {
             p50_us: percentile(&mut times, 50).filter(|_| known),
-            p99_us: percentile(&mut times, 99).filter(|_| known),
+            outlook: self.outlook(),
             samples: times.len(),
             by_source: self.shares.iter().map(|(source, share)| (*source, *share)).collect(),
             fill: self.fill.iter().copied().collect(),
@@ -278,16 +305,16 @@ mod tests {
         // The last one waited for nobody: how long it took is only known because it is answered.
         all.push(event(5_300, Event::Replied, 1, 5));
         let service = learnt(all);
-        assert_eq!((service.samples, service.p50_us, service.p99_us), (6, Some(1_000), Some(1_000)));
-        assert_eq!(service.done_in(0), Some(1_000));
-        assert_eq!(service.done_in(2), Some(3_000));
+        assert_eq!((service.samples, service.p50_us, service.outlook.p99_us), (6, Some(1_000), Some(1_000)));
+        assert_eq!(service.outlook.done_in(0), Some(1_000));
+        assert_eq!(service.outlook.done_in(2), Some(3_000));
     }
 
     #[test]
     fn a_task_that_waits_for_work_is_not_slow() {
         let all = (0..9).map(|n| event(u64::from(n) * 1_000_000, Event::Delivered, 1, n)).collect();
         let service = learnt(all);
-        assert_eq!((service.samples, service.p99_us), (0, None));
+        assert_eq!((service.samples, service.outlook.p99_us), (0, None));
         assert_eq!(service.by_source, [(TaskId(1), Share { offered: 9, served: 9, rejected: 0 })]);
     }
 
@@ -301,7 +328,7 @@ mod tests {
         let service = learnt(unfair);
         assert_eq!(service.jain(), Some(0.5));
         assert_eq!(service.rejections(TaskId(2), 9), 3);
-        assert_eq!(service.most_rejected(), Some((TaskId(2), 9, 3)));
+        assert_eq!(service.outlook.most_rejected, Some((TaskId(2), 9, 3)));
     }
 
     #[test]
@@ -316,6 +343,17 @@ mod tests {
         let later = vec![event(9_000_000, Event::Delivered, 1, 1)];
         services.happened(LifeId(1), &Events { lost: 7, events: later });
         assert_eq!(services.ports[&(LifeId(1), TaskId(0), PORT)].service().samples, 0);
+    }
+
+    #[test]
+    fn what_is_foretold_goes_by_the_same_percentile() {
+        for samples in [1, LEAST, 99, 100, 101, 199, 200, TIMES] {
+            let mut port = Port::default();
+            (0..samples).for_each(|n| port.took((n as u64 * 7_919) % 1_009));
+            let mut times: Vec<u64> = port.times.iter().map(|us| u64::from(*us)).collect();
+            let p99 = percentile(&mut times, 99).filter(|_| samples >= LEAST);
+            assert_eq!(port.outlook().p99_us, p99, "of {samples}");
+        }
     }
 
     #[test]

@@ -10,7 +10,7 @@ use crate::clock::Moment;
 use crate::name::Name;
 use imrs_protocol::{Event, PortId, TaskId};
 use std::cmp::Reverse;
-use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
+use std::collections::{BTreeMap, BTreeSet, BinaryHeap, HashMap, HashSet};
 use std::time::Duration;
 
 /// How far the clocks of two nodes may be apart in the monitor's estimate, where one looks for the cause of something.
@@ -64,7 +64,7 @@ pub fn timeline(store: &Store, cell: &Name, most: usize) -> Timeline {
 /// The last `most` marks of a cell that are wanted.
 #[must_use]
 pub fn timeline_of(store: &Store, cell: &Name, most: usize, wanted: impl Fn(&Seen) -> bool) -> Timeline {
-    let lives: Vec<LifeId> = store.lives_of(cell).map(|life| life.id).collect();
+    let lives: BTreeSet<LifeId> = store.lives_of(cell).map(|life| life.id).collect();
     let offsets = offsets(store, cell);
     let mut marks: Vec<Mark> = Vec::new();
     let mut gaps = Vec::new();
@@ -129,7 +129,7 @@ fn micros(at: Moment) -> i128 {
 /// What can be the cause of something elsewhere: by whom, on which port, of which kind, with which number.
 type Act = (TaskId, PortId, Kind, u32);
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
 enum Kind {
     Message,
     Answer,
@@ -206,40 +206,48 @@ fn caused_by(mark: &Mark) -> Option<(Option<TaskId>, PortId, Kind, u32)> {
 
 /// Finds each mark's cause: the latest that fits and is not clearly later, since numbers begin anew with a new life.
 fn find_causes(marks: &mut [Mark]) {
-    let mut acts: BTreeMap<(PortId, Kind, u32), Vec<usize>> = BTreeMap::new();
+    // The last of those that are alike, and for each of them the one before.
+    let mut acts: HashMap<(PortId, Kind, u32), usize> = HashMap::new();
+    let mut alike = vec![None; marks.len()];
     for (at, mark) in marks.iter().enumerate() {
         if let Some((_, port, kind, number)) = act(mark) {
-            acts.entry((port, kind, number)).or_default().push(at);
+            alike[at] = acts.insert((port, kind, number), at);
         }
     }
     // What a task does with a message that it already has follows from what it did with it before.
-    let mut had = BTreeSet::new();
+    let mut had = HashSet::new();
     for at in 0..marks.len() {
         let mark = marks[at];
         let Some((from, port, kind, number)) = caused_by(&mark) else { continue };
         if !had.insert((mark.life, mark.task, from, port, kind, number)) {
             continue;
         }
-        let fits = |&&candidate: &&usize| {
+        let fits = |&candidate: &usize| {
             let cause: &Mark = &marks[candidate];
             let whose = from.is_none_or(|from| from == cause.task) && cause.task != mark.task;
             whose && cause.at <= mark.at.saturating_add(APART)
         };
-        let all = acts.get(&(port, kind, number)).map_or(&[][..], Vec::as_slice);
-        marks[at].cause = all.iter().rfind(fits).copied();
+        let latest = acts.get(&(port, kind, number)).copied();
+        marks[at].cause = std::iter::successors(latest, |&at| alike[at]).find(fits);
     }
 }
 
 /// The marks ordered so that none stands before its cause or before what its task did earlier, else by their moments.
 fn ordered(mut marks: Vec<Mark>) -> Vec<Mark> {
-    let mut after: Vec<Vec<usize>> = vec![Vec::new(); marks.len()];
+    // For each mark the next one of its task, its latest effect, and the effect of the same cause before itself.
+    let mut next_own = vec![None; marks.len()];
+    let mut effect = vec![None; marks.len()];
+    let mut other_effect = vec![None; marks.len()];
     let mut open: Vec<usize> = vec![0; marks.len()];
-    let mut last: BTreeMap<(LifeId, TaskId, bool), usize> = BTreeMap::new();
+    let mut last: HashMap<(LifeId, TaskId, bool), usize> = HashMap::new();
     for at in 0..marks.len() {
         let mark = marks[at];
-        let earlier = last.insert((mark.life, mark.task, mark.in_transit), at);
-        for before in earlier.into_iter().chain(mark.cause) {
-            after[before].push(at);
+        if let Some(before) = last.insert((mark.life, mark.task, mark.in_transit), at) {
+            next_own[before] = Some(at);
+            open[at] += 1;
+        }
+        if let Some(cause) = mark.cause {
+            other_effect[at] = effect[cause].replace(at);
             open[at] += 1;
         }
     }
@@ -264,7 +272,8 @@ fn ordered(mut marks: Vec<Mark>) -> Vec<Mark> {
         latest = moment;
         placed[at] = order.len();
         order.push(at);
-        for &next in after[at].iter().filter(|&&next| placed[next] == usize::MAX) {
+        let after = std::iter::successors(effect[at], |&effect| other_effect[effect]).chain(next_own[at]);
+        for next in after.filter(|&next| placed[next] == usize::MAX) {
             marks[next].order = marks[next].order.max(moment);
             open[next] = open[next].saturating_sub(1);
             if open[next] == 0 {

@@ -153,7 +153,7 @@ const fn columns(screen: Screen) -> &'static [(&'static str, &'static str)] {
             ("slack p5", "5 of 100 samples had less left for the most urgent message"),
         ],
         Screen::Message => &[
-            ("AT", "on the node's own clock, since it started"),
+            ("AT", "on the clock of the node that sent it, since that started"),
             ("LEFT", "what was left of its life then"),
             ("CHARGED", "what the protocol took off since the stage named in SINCE"),
             ("CLOCKS", "what clocks saw pass since then; ~ between two nodes"),

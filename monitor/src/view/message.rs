@@ -88,11 +88,13 @@ fn table(app: &App, names: &Names, stages: &[Stage], whole_us: u64, pen: &mut Pe
     pen.titles(0, &columns, &widths);
     let bar_width = widths.last().map_or(0, |w| w.saturating_sub(2).min(60));
     let room = usize::from(pen.height().saturating_sub(1));
+    // One clock for all rows: nodes start at different moments, so each its own would not be in order.
+    let first = stages.first().and_then(|stage| app.store().life(stage.mark.life));
     for (y, stage) in (1..).zip(stages.iter().skip(app.scroll).take(room)) {
         let event = stage.mark.seen.what.event;
         let ink = super::words::ink(event);
         let life = app.store().life(stage.mark.life);
-        let at = life.and_then(|life| own_clock(life, stage.mark.at)).map_or_else(String::new, clock);
+        let at = first.and_then(|first| own_clock(first, stage.mark.at)).map_or_else(String::new, clock);
         let node = life.map_or_else(String::new, |life| life.node.to_string());
         let place = if stage.mark.in_transit {
             "transit".to_owned()

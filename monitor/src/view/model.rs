@@ -80,10 +80,6 @@ fn node(app: &App, life: &Life, now: Moment, width: u16, lines: &mut Vec<Line>) 
         width,
         lines,
     );
-    for breach in &told.breaches {
-        let text = format!("   assumption broken: {}", crate::name::shown_line(breach));
-        lines.push(vec![(text, Ink::Warn)]);
-    }
     if matches!(told.verdict, Verdict::Violates { .. }) {
         lines.push(vec![(format!("   the last {BEFORE} that was observed:"), Ink::Dim)]);
         let timeline = timeline_of(app.store(), &life.names.cell, KEPT, |_| true);

@@ -60,7 +60,7 @@ fn shares(life: &Life, served: Option<&Service>, pen: &mut Pen<'_>) {
         return;
     };
     let time = |us: Option<u64>| us.map_or_else(|| "-".to_owned(), |us| Span::micros(us).to_string());
-    let svc = format!("p50 {} p99 {}", time(served.p50_us), time(served.p99_us));
+    let svc = format!("p50 {} p99 {}", time(served.p50_us), time(served.outlook.p99_us));
     let samples = format!(" of {}", served.samples);
     let mut pieces = vec![(" service: ".to_owned(), Ink::Dim), (svc, Ink::Plain), (samples, Ink::Dim)];
     pieces.push(("  by source: ".to_owned(), Ink::Dim));
@@ -231,7 +231,7 @@ impl Queue<'_> {
         let (entry, left) = (&waiting.entry, waiting.left);
         let known = self.served.map_or(0, |s| s.rejections(entry.source, entry.id.sequence.get()));
         let rejected = waiting.held.map_or(known, |held| u32::from(held.rejections));
-        let done_us = self.served.and_then(|served| served.done_in(at));
+        let done_us = self.served.and_then(|served| served.outlook.done_in(at));
         let (verdict, ink) = self.verdict(at, waiting, done_us, rejected);
         let tight = if ink == Ink::Plain && left.us < self.whole_us / 10 { Ink::Warn } else { ink };
         let remain = if left.us == 0 { "expired".to_owned() } else { left.to_string() };

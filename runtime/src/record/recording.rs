@@ -5,7 +5,7 @@ use super::{OutputDigest, Step, statements};
 use crate::script::Watch;
 use imrs_protocol::script::Program;
 use imrs_protocol::{NodeId, NodeTable, TaskId};
-use imrs_wire::recording::{ReadError, Record, RecordingReader, Stream};
+use imrs_wire::recording::{Header, ReadError, Record, RecordingReader, Stream};
 use std::io::Read;
 use std::sync::Arc;
 
@@ -65,52 +65,96 @@ pub fn replay_scripts<'t, 'p, R: Read>(
     script: impl Fn(TaskId) -> Option<&'p Arc<Program>>,
     watch: Option<&Arc<dyn Watch>>,
 ) -> Result<Vec<Replay<'t>>, ReplayError> {
-    let header = reader.header();
-    if header.digest != table.digest() {
-        return Err(ReplayError::OtherCell { recorded: header.digest, given: table.digest() });
-    }
-    if header.node != Some(table.node) {
-        return Err(ReplayError::OtherNode(table.node));
-    }
-    let programs = || table.tasks_on(table.node).filter_map(|task| Some((task, &**script(task)?)));
-    let (recorded, given) = (header.statements, statements(programs()));
-    if recorded != 0 && given != 0 && recorded != given {
-        return Err(ReplayError::OtherStatements { recorded, given });
-    }
-    let life = (header.incarnation, header.restarted);
-    let replay = |task| {
-        let replay = Replay::new(table, task, life.0, life.1);
-        let Some(program) = script(task) else { return replay };
-        let replay = replay.with_script(program);
-        match watch {
-            Some(watch) => replay.keeping().watched(watch),
-            None => replay,
+    let mut replays = Replays::begin(reader.header(), table, script, watch)?;
+    while replays.go_on(reader, usize::MAX)? > 0 {}
+    Ok(replays.0)
+}
+
+/// The tasks of a node that are run again, as far as their recording has been read: one that is still written is followed
+/// by going on with the same reader from time to time.
+#[derive(Debug)]
+pub struct Replays<'t>(Vec<Replay<'t>>);
+
+impl<'t> Replays<'t> {
+    /// At the beginning of the recording with this header. The rest is as for [`replay_scripts`].
+    ///
+    /// # Errors
+    /// [`ReplayError`], where the recording is not of this node with these scripts.
+    pub fn begin<'p>(
+        header: &Header,
+        table: &'t NodeTable,
+        script: impl Fn(TaskId) -> Option<&'p Arc<Program>>,
+        watch: Option<&Arc<dyn Watch>>,
+    ) -> Result<Self, ReplayError> {
+        if header.digest != table.digest() {
+            return Err(ReplayError::OtherCell { recorded: header.digest, given: table.digest() });
         }
-    };
-    let mut replays: Vec<Replay<'t>> = table.tasks_on(table.node).map(replay).collect();
-    while let Some(record) = reader.next_record()? {
+        if header.node != Some(table.node) {
+            return Err(ReplayError::OtherNode(table.node));
+        }
+        let programs = || table.tasks_on(table.node).filter_map(|task| Some((task, &**script(task)?)));
+        let (recorded, given) = (header.statements, statements(programs()));
+        if recorded != 0 && given != 0 && recorded != given {
+            return Err(ReplayError::OtherStatements { recorded, given });
+        }
+        let life = (header.incarnation, header.restarted);
+        let replay = |task| {
+            let replay = Replay::new(table, task, life.0, life.1);
+            let Some(program) = script(task) else { return replay };
+            let replay = replay.with_script(program);
+            match watch {
+                Some(watch) => replay.keeping().watched(watch),
+                None => replay,
+            }
+        };
+        Ok(Self(table.tasks_on(table.node).map(replay).collect()))
+    }
+
+    /// Runs the next records, at most so many; returns how many there were.
+    ///
+    /// # Errors
+    /// [`ReplayError`]. What comes after it cannot be judged.
+    pub fn go_on<R: Read>(
+        &mut self,
+        reader: &mut RecordingReader<R>,
+        most: usize,
+    ) -> Result<usize, ReplayError> {
+        for done in 0..most {
+            let Some(record) = reader.next_record()? else { return Ok(done) };
+            self.take(record)?;
+        }
+        Ok(most)
+    }
+
+    /// Each task, ascending.
+    pub fn iter(&self) -> impl Iterator<Item = &Replay<'t>> {
+        self.0.iter()
+    }
+
+    fn take(&mut self, record: Record) -> Result<(), ReplayError> {
+        let replays = &mut self.0;
         match record {
             Record::Input { task, elapsed, input, outputs } => {
                 let step = Step { elapsed, input };
-                of(&mut replays, task)?.step(Recorded { step, digest: OutputDigest(outputs) });
+                of(replays, task)?.step(Recorded { step, digest: OutputDigest(outputs) });
             }
             Record::Keyframe { task, state, outputs } => {
-                of(&mut replays, task)?.keyframe(&state, OutputDigest(outputs))?;
+                of(replays, task)?.keyframe(&state, OutputDigest(outputs))?;
             }
             Record::Script { task, step, done } => {
-                of(&mut replays, task)?.script(step, OutputDigest(done));
+                of(replays, task)?.script(step, OutputDigest(done));
             }
             Record::Close { task, inputs, outputs } => {
-                of(&mut replays, task)?.close(inputs, OutputDigest(outputs));
+                of(replays, task)?.close(inputs, OutputDigest(outputs));
             }
-            Record::Gap { stream: Stream::Task(task), lost } => of(&mut replays, task)?.gap(lost),
+            Record::Gap { stream: Stream::Task(task), lost } => of(replays, task)?.gap(lost),
             Record::Gap { stream: Stream::Frames(_), .. }
             | Record::Header(_)
             | Record::Frame { .. }
             | Record::End => {}
         }
+        Ok(())
     }
-    Ok(replays)
 }
 
 fn of<'a, 't>(replays: &'a mut [Replay<'t>], task: TaskId) -> Result<&'a mut Replay<'t>, ReplayError> {

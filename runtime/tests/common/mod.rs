@@ -1,6 +1,7 @@
 //! Cells and small helpers shared by the tests with real threads.
 #![allow(dead_code, reason = "every test program uses some of these")]
 
+pub mod monitor;
 pub mod udp;
 
 use imrs_protocol::{Cell, CellTable, Class, NodeId, PortDecl, TaskId, Ticks, Usage};

@@ -13,6 +13,7 @@ use crate::name::Name;
 use codes::Lint;
 use imrs_protocol::{NodeId, PortId, TaskId};
 use imrs_wire::obs::Snapshot;
+use std::sync::{Arc, OnceLock};
 
 /// Where something is wrong: the whole node, one task, or one port.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -50,12 +51,28 @@ pub struct Finding {
     /// Where.
     pub place: Place,
     /// In words.
-    pub text: String,
+    pub text: Arc<str>,
 }
 
 impl Finding {
-    const fn new(lint: &Lint, place: Place, text: String) -> Self {
-        Self { level: lint.level, code: lint.code, place, text }
+    fn new(lint: &Lint, place: Place, text: String) -> Self {
+        Self { level: lint.level, code: lint.code, place, text: text.into() }
+    }
+}
+
+/// What is wrong with the tasks and ports of a life. It depends on what the node has told and not on the moment, so it is
+/// looked for once after each time that the node says something: ten thousand ports in every frame would be most of it.
+#[derive(Clone, Debug, Default)]
+pub(super) struct Looked(OnceLock<Arc<[Finding]>>);
+
+impl Looked {
+    fn or_look(&self, look: impl FnOnce() -> Vec<Finding>) -> &[Finding] {
+        self.0.get_or_init(|| look().into())
+    }
+
+    /// The node has said something.
+    pub(super) fn forget(&mut self) {
+        self.0.take();
     }
 }
 

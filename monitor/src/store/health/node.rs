@@ -11,6 +11,8 @@ use std::time::Duration;
 
 /// What a node said of its timers counts for so long.
 const VITALS: Duration = Duration::from_secs(3);
+/// Of fewer timers nothing is said.
+const A_RULE: u64 = 8;
 
 pub(super) fn look(store: &Store, life: &Life, now: Moment, found: &mut Vec<Finding>) {
     let place = Place::node(life);
@@ -48,27 +50,36 @@ pub(super) fn look(store: &Store, life: &Life, now: Moment, found: &mut Vec<Find
     }
     timers(life, now, found);
     links::look(life, &lately, found);
-    for task in &lately.after.tasks {
-        let place = Place { task: Some(task.view.task), ..place };
-        if task.liveness == Liveness::Crashed {
-            found.push(Finding::new(&codes::TASK_CRASHED, place, "the task panicked".to_owned()));
-        }
-        port::look(store, life, &lately, task, found);
-    }
+    found.extend_from_slice(life.looked.or_look(|| tasks(store, life, &lately)));
 }
 
-/// Timers that are late as a rule: one that was late once is told on the screen of the timers.
+fn tasks(store: &Store, life: &Life, lately: &Lately<'_>) -> Vec<Finding> {
+    let mut found = Vec::new();
+    for task in &lately.after.tasks {
+        if task.liveness == Liveness::Crashed {
+            let place = Place { task: Some(task.view.task), ..Place::node(life) };
+            found.push(Finding::new(&codes::TASK_CRASHED, place, "the task panicked".to_owned()));
+        }
+        port::look(store, life, lately, task, &mut found);
+    }
+    found
+}
+
+/// Timers that are late as a rule: of those that ended in the last seconds, if they are enough to speak of a rule. Single
+/// ones are late on any shared machine; these are told on the screen of the timers.
 fn timers(life: &Life, now: Moment, found: &mut Vec<Finding>) {
     let Some(told) = life.vitals.as_ref().filter(|told| now.saturating_sub(told.at) <= VITALS) else {
         return;
     };
+    let Some(lately) = life.timers_lately() else { return };
     let tick_us = life.names.tick.0.saturating_mul(life.tick_us);
-    let late = told.what.timer;
-    if tick_us > 0 && late.p50_us > tick_us {
+    if lately.count >= A_RULE && lately.late.saturating_mul(2) > lately.count {
         let text = format!(
-            "timers are late: half of the last by {} or more, the tick is {}",
-            Span::micros(late.p50_us),
-            Span::micros(tick_us)
+            "timers are late: {} of the last {} by more than the tick of {}, half of the newest by {} or more",
+            lately.late,
+            lately.count,
+            Span::micros(tick_us),
+            Span::micros(told.what.timer.p50_us)
         );
         found.push(Finding::new(&codes::TIMER_LATE, Place::node(life), text));
     }

@@ -5,7 +5,7 @@ use super::codes::{self, Lint};
 use super::{Finding, Lately, Place};
 use crate::clock::Span;
 use crate::store::life::port_of;
-use crate::store::service::service;
+use crate::store::service::outlook;
 use crate::store::{Life, Store};
 use imrs_protocol::{Class, PortCounters, PortView};
 use imrs_wire::obs::TaskSnapshot;
@@ -23,9 +23,11 @@ pub(super) fn look(
     found: &mut Vec<Finding>,
 ) {
     let earlier = lately.before.and_then(|s| s.tasks.iter().find(|t| t.view.task == task.view.task));
-    for port in &task.view.ports {
+    for (at, port) in task.view.ports.iter().enumerate() {
         let place = Place { task: Some(task.view.task), port: Some(port.port), ..Place::node(life) };
-        let earlier = earlier.and_then(|task| port_of(task, port.port));
+        // A node tells its ports in the same order every time.
+        let there = earlier.and_then(|task| task.view.ports.get(at)).filter(|there| there.port == port.port);
+        let earlier = there.or_else(|| port_of(earlier?, port.port));
         if let Some((lint, text)) = earlier.and_then(|e| grown(port.class, &e.counters, &port.counters)) {
             found.push(Finding::new(lint, place, text));
         }
@@ -65,10 +67,10 @@ fn waiting(
     task: &TaskSnapshot,
     port: &PortView,
 ) -> Option<(&'static Lint, String)> {
-    let service = service(store, life.id, task.view.task, port.port);
+    let outlook = outlook(store, life.id, task.view.task, port.port);
     let waits =
         |source, number| port.queue.iter().any(|e| (e.source, e.id.sequence.get()) == (source, number));
-    let starved = service.as_ref().and_then(|s| s.most_rejected()).filter(|(.., times)| *times >= REJECTIONS);
+    let starved = outlook.most_rejected.filter(|(.., times)| *times >= REJECTIONS);
     if let Some((source, number, times)) = starved
         && waits(source, number)
     {
@@ -79,7 +81,7 @@ fn waiting(
     // would raise an alarm about one that was taken long ago.
     for (position, entry) in port.queue.iter().enumerate() {
         let left = life.left_when_seen(entry.remaining, task.age_us);
-        if let Some(needed) = service.as_ref().and_then(|s| s.done_in(position))
+        if let Some(needed) = outlook.done_in(position)
             && left < needed
         {
             let from = life.names.task(entry.source);

@@ -1,0 +1,86 @@
+//! A screen that shows a specimen, frame after frame.
+
+use super::Specimen;
+use crate::app::{App, Msg};
+use crate::clock::Moment;
+use crate::theme::Theme;
+use crate::view::view;
+use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
+use imrs_protocol::Ticks;
+use imrs_wire::obs::{ServerFrame, Snapshot};
+use ratatui::buffer::Buffer;
+use ratatui::layout::Rect;
+use std::time::Duration;
+
+/// Between two frames.
+const FRAME: Duration = Duration::from_millis(33);
+/// So many nodes say something between two frames.
+const TELL: u64 = 10;
+/// Of the ports of these one in so many did something: 5 %.
+const APART: usize = 20;
+
+/// The app, what its nodes told last, and the two buffers that a terminal compares.
+pub struct Shown {
+    app: App,
+    cell: Specimen,
+    states: Vec<Snapshot>,
+    now: Moment,
+    frames: u64,
+    shown: Buffer,
+    drawn: Buffer,
+}
+
+impl Shown {
+    /// A terminal of so many columns and rows, after these keys were pressed: `\n` is Enter.
+    #[must_use]
+    pub fn new(cell: Specimen, (width, height): (u16, u16), keys: &str) -> Self {
+        let now = Duration::from_secs(1);
+        let mut app = App::new(Theme::COLOUR, None);
+        app.update(Msg::Resize(width, height), now);
+        for arrival in cell.arrivals(now) {
+            app.update(Msg::Feed(arrival), now);
+        }
+        for key in keys.chars() {
+            let code = if key == '\n' { KeyCode::Enter } else { KeyCode::Char(key) };
+            app.update(Msg::Key(KeyEvent::new(code, KeyModifiers::NONE)), now);
+        }
+        let states = (0..cell.nodes).map(|node| cell.snapshot(node)).collect();
+        let blank = Buffer::empty(Rect::new(0, 0, width, height));
+        Self { app, cell, states, now, frames: 0, shown: blank.clone(), drawn: blank }
+    }
+
+    /// The time of a frame passes, and some nodes tell what changed and what happened, in turns.
+    pub fn go_on(&mut self) {
+        self.now += FRAME;
+        for turn in 0..TELL.min(self.cell.nodes.into()) {
+            let node = (self.frames * TELL + turn) % u64::from(self.cell.nodes);
+            let node = u16::try_from(node).unwrap_or(0);
+            let state = &mut self.states[usize::from(node)];
+            Specimen::go_on(state, self.frames, APART);
+            drop_expired(state);
+            for said in [ServerFrame::Snapshot(state.clone()), ServerFrame::Events(self.cell.events(node))] {
+                self.app.update(Msg::Feed(Specimen::said(node, self.now, said)), self.now);
+            }
+        }
+        self.frames += 1;
+    }
+
+    /// Builds a frame, and compares it with the one before: how many places of the screen it changes.
+    pub fn draw(&mut self) -> usize {
+        self.drawn.reset();
+        view(&self.app, self.now, self.drawn.area, &mut self.drawn);
+        let changed = self.shown.diff(&self.drawn).len();
+        std::mem::swap(&mut self.shown, &mut self.drawn);
+        changed
+    }
+}
+
+/// What waited too long is gone.
+fn drop_expired(state: &mut Snapshot) {
+    for port in state.tasks.iter_mut().flat_map(|task| &mut task.view.ports) {
+        if port.len == 0 || port.min_slack == Some(Ticks::ZERO) {
+            (port.len, port.min_slack) = (0, None);
+            port.queue.clear();
+        }
+    }
+}

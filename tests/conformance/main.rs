@@ -1,0 +1,337 @@
+//! Running nodes against the model (M16): what a node records of its inputs is run again while it goes on, and whatever a
+//! runtime could do wrong shows on the screen. Each fault is made in a true recording, as a runtime with that fault would
+//! have written it; a node that is none tells the command of it.
+
+mod mutants;
+#[path = "../support/stub.rs"]
+mod stub;
+#[path = "../support/mod.rs"]
+mod support;
+
+use imrs_protocol::Incarnation;
+use imrs_wire::obs::{NodeIdentity, RecordingFacts, Table};
+use imrs_wire::recording::{Header, Record, RecordingReader, RecordingWriter};
+use mutants::{MUTANTS, Mutant};
+use serde_json::Value;
+use std::fs::{self, File};
+use std::io::{BufRead, BufReader, Lines};
+use std::path::{Path, PathBuf};
+use std::process::{Child, ChildStdout, Stdio};
+use std::thread;
+use std::time::{Duration, Instant};
+use stub::{Stub, Tells};
+use support::{imrs, run_in, runtime_dir};
+use tempfile::TempDir;
+
+/// However busy the machine is.
+const LONG: Duration = Duration::from_secs(60);
+/// What is to be kept up with.
+const GOAL: f64 = 200_000.0;
+
+/// Requests and answers, delays, time_outs, a rendezvous, rejections with their back-off, and actions.
+const CELL: &str = "\
+cell judged;
+tick 1 msec;
+node na;  node nb;
+link na -- nb delay 20 msec;
+task inspector on na
+  port weld(n: int16)  usage = send  user_list = {arm}  time_out = 3 sec  class = 1;
+  port stop()  usage = send  user_list = {arm}  time_out = 3 sec  class = 1;
+  port look(n: int16) -> int16  usage = query  user_list = {arm}  time_out = 3 sec  penalty = 50 msec;
+  port meet()  usage = waitfor  user_list = {arm}  time_out = 3 sec  class = 2  retry = 3  resend = 100 msec;
+  var n: int16;
+begin
+  loop
+    send weld(n);
+    delay 20 msec;
+    query look(n) -> n on time_out do n := 0; end on refused do n := 0; end;
+    n := n + 1;
+    send stop();
+    waitfor meet() on time_out do skip; end;
+  end;
+end inspector;
+task arm on nb
+  use_port weld(n: int16)  usage = receive;
+  use_port stop()  usage = receive;
+  use_port look(n: int16) -> int16  usage = response;
+  use_port meet()  usage = waitfor  time_out = 3 sec;
+begin
+  order weld > stop > self > look;
+  on receive weld(n) do run weld_it n takes 150 msec; end;
+  on receive stop() do skip; end;
+  on query look(n) do response(n); end;
+  loop
+    waitfor meet() on time_out do skip; end;
+    delay 5 msec;
+  end;
+end arm;
+";
+
+/// As many asks as it can: what one task asks the other of its node answers.
+const CHAT: &str = "\
+cell judged;
+tick 1 msec;
+node na;
+task a on na
+  port ask(n: int16) -> int16  usage = query  user_list = {b}  time_out = 2 sec  class = 2;
+  var n: int16;
+  var i: int16;
+begin
+  loop
+    i := 0;
+    while i < 40 do
+      query ask(n) -> n on time_out do n := 0; end on refused do n := 0; end;
+      i := i + 1;
+    end;
+    delay 1 msec;
+  end;
+end a;
+task b on na
+  use_port ask(n: int16) -> int16  usage = response;
+begin
+  order ask > self;
+  on query ask(n) do response(n); end;
+  loop delay 1 sec; end;
+end b;
+";
+
+/// A recording in memory.
+#[derive(Clone)]
+struct Tape {
+    header: Header,
+    records: Vec<Record>,
+}
+
+impl Tape {
+    fn of(path: &Path) -> Self {
+        let file = File::open(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()));
+        let mut reader = RecordingReader::new(BufReader::new(file)).expect("a recording");
+        let header = reader.header().clone();
+        Self { header, records: reader.by_ref().map(|record| record.expect("a record")).collect() }
+    }
+
+    fn write(&self, path: &Path) {
+        let mut writer =
+            RecordingWriter::new(File::create(path).expect("a file"), &self.header).expect("begun");
+        self.records.iter().for_each(|record| writer.append(record).expect("written"));
+        writer.flush().expect("written");
+    }
+}
+
+/// A run of the cell, as its two nodes recorded it.
+struct Bench {
+    dir: TempDir,
+    cell: PathBuf,
+}
+
+impl Bench {
+    fn run(text: &str, length: &str) -> Self {
+        let dir = runtime_dir();
+        let (cell, record) = (dir.path().join("judged.cell"), dir.path().join("run.imrs"));
+        fs::write(&cell, text).expect("the cell is written");
+        let (cell_text, record) = (cell.to_str().expect("UTF-8"), record.to_str().expect("UTF-8"));
+        let args = ["run", cell_text, "--for", length, "--in-process", "--seed", "3", "--record", record];
+        let said = run_in(dir.path(), &args);
+        assert_eq!(said.code, Some(0), "{said:?}");
+        Self { dir, cell }
+    }
+
+    fn tape(&self, node: &str) -> Tape {
+        Tape::of(&self.dir.path().join(format!("run.{node}.imrs")))
+    }
+
+    /// A monitor that is told of a recording at `path`.
+    fn watch(&self, tape: &Tape, node: &str, path: &Path) -> Watched {
+        let dir = runtime_dir();
+        let id = tape.header.node.expect("a node");
+        let identity = NodeIdentity {
+            cell: tape.header.cell.clone(),
+            digest: tape.header.digest,
+            node: node.to_owned(),
+            id: id.0,
+            incarnation: Incarnation(tape.header.incarnation.0),
+            tick_us: 1,
+        };
+        let facts = RecordingFacts { path: path.display().to_string(), ..RecordingFacts::default() };
+        let mut tells = Tells::default();
+        tells.vitals.recording = Some(facts);
+        let table = Table { cell: tape.header.cell.clone(), ..Table::default() };
+        let stub = Stub::start(dir.path(), identity, table, tells);
+        let folder = dir.path().to_owned();
+        Watched::over(&folder, &self.cell, Some((stub, dir)))
+    }
+}
+
+/// A monitor, and what it watches.
+struct Watched {
+    child: Child,
+    lines: Lines<BufReader<ChildStdout>>,
+    /// Ended after the monitor.
+    _seen: Option<(Stub, TempDir)>,
+}
+
+impl Watched {
+    /// Of the nodes in this folder.
+    fn over(folder: &Path, cell: &Path, seen: Option<(Stub, TempDir)>) -> Self {
+        let judge = cell.to_str().expect("UTF-8");
+        let args = ["monitor", "--watch", "50ms", "--format", "json", "--judge", judge];
+        let mut monitor = imrs(folder, &args);
+        let mut child = monitor.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().expect("a monitor");
+        let lines = BufReader::new(child.stdout.take().expect("a pipe")).lines();
+        Self { child, lines, _seen: seen }
+    }
+
+    /// What is said next of the node: the verdict, how many steps, and the words of `model-violation`.
+    fn said(&mut self) -> (String, u64, Option<String>) {
+        let line = self.lines.next().expect("a sample").expect("text");
+        let report: Value = serde_json::from_str(&line).unwrap_or_else(|error| panic!("{error}: {line}"));
+        let node = &report["nodes"][0];
+        let verdict = node["conformance"].as_str().unwrap_or("unknown").to_owned();
+        let mut findings = report["findings"].as_array().expect("findings").iter();
+        let found = findings.rfind(|found| found["code"] == "model-violation");
+        let words = found.map(|found| found["text"].as_str().expect("words").to_owned());
+        (verdict, node["conforming_steps"].as_u64().unwrap_or(0), words)
+    }
+
+    /// Waits until the verdict is `verdict` after so many steps or more, and nothing else but unknown before.
+    fn until(&mut self, verdict: &str, steps: u64) -> (u64, Option<String>) {
+        let end = Instant::now() + LONG;
+        loop {
+            let (said, judged, words) = self.said();
+            if said == verdict && judged >= steps {
+                return (judged, words);
+            }
+            assert!(
+                Instant::now() < end,
+                "not {verdict} after {steps} steps, but {said} after {judged}: {words:?}"
+            );
+        }
+    }
+}
+
+impl Drop for Watched {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+fn inputs(records: &[Record]) -> u64 {
+    records.iter().filter(|record| matches!(record, Record::Input { .. })).count() as u64
+}
+
+#[test]
+fn every_fault_of_a_runtime_is_seen_and_a_true_recording_conforms() {
+    let bench = Bench::run(CELL, "6s");
+    let folder = bench.dir.path();
+    for node in ["na", "nb"] {
+        let tape = bench.tape(node);
+        let path = folder.join(format!("true.{node}.imrs"));
+        tape.write(&path);
+        let (steps, words) = bench.watch(&tape, node, &path).until("conforms", inputs(&tape.records));
+        println!("| as it was ({node}) | conforms, {steps} steps |");
+        assert_eq!(words, None);
+    }
+    for Mutant { name, node, make } in MUTANTS {
+        let mut tape = bench.tape(node);
+        let at =
+            make(&mut tape.records).unwrap_or_else(|| panic!("{name}: nothing in the recording of {node}"));
+        let path = folder.join("mutant.imrs");
+        tape.write(&path);
+        let (_, words) = bench.watch(&tape, node, &path).until("violates", 0);
+        let words = words.unwrap_or_else(|| panic!("{name}: no finding"));
+        println!("| {name} ({node}, record {at} of {}) | {words} |", tape.records.len());
+    }
+    println!("{} of {} mutants flagged", MUTANTS.len(), MUTANTS.len());
+}
+
+/// A recording is followed as it grows, a fault in what is new is seen, and a file that takes its place begins anew.
+#[test]
+fn a_recording_is_followed_as_it_grows_and_begins_anew_when_it_is_replaced() {
+    let bench = Bench::run(CELL, "3s");
+    let tape = bench.tape("na");
+    let half = tape.records.len() / 2;
+    let (first, whole) =
+        (Tape { records: tape.records[..half].to_vec(), ..tape.clone() }, inputs(&tape.records));
+    let path = bench.dir.path().join("grows.imrs");
+    first.write(&path);
+    let mut watched = bench.watch(&tape, "na", &path);
+    let (steps, _) = watched.until("conforms", 1);
+    assert_eq!(steps, inputs(&first.records));
+
+    // Byte for byte what the node would have appended.
+    let all = bench.dir.path().join("all.imrs");
+    tape.write(&all);
+    let (bytes, before) = (fs::read(&all).expect("a file"), fs::read(&path).expect("a file"));
+    assert!(bytes.starts_with(&before));
+    let mut file = File::options().append(true).open(&path).expect("the recording");
+    std::io::Write::write_all(&mut file, &bytes[before.len()..]).expect("appended");
+    let (steps, _) = watched.until("conforms", inputs(&first.records) + 1);
+    assert_eq!(steps, whole);
+
+    // Another one in its place, with a fault; and the true one again.
+    let mut wrong = tape;
+    (MUTANTS[0].make)(&mut wrong.records).expect("a fault");
+    let other = bench.dir.path().join("other.imrs");
+    wrong.write(&other);
+    fs::rename(&other, &path).expect("renamed");
+    watched.until("violates", 0);
+    fs::rename(&all, &path).expect("renamed");
+    let (steps, _) = watched.until("conforms", whole);
+    assert_eq!(steps, whole);
+}
+
+/// A node that works as fast as it can, and a monitor that follows it: how far behind it is when the node stops, and how many
+/// inputs a second are run again by one that comes later.
+#[test]
+fn it_keeps_up_with_a_busy_node() {
+    let dir = runtime_dir();
+    let (cell, record) = (dir.path().join("judged.cell"), dir.path().join("run.imrs"));
+    fs::write(&cell, CHAT).expect("the cell is written");
+    let (text, file) = (cell.to_str().expect("UTF-8"), record.to_str().expect("UTF-8"));
+    let args = ["run", text, "--for", "4s", "--in-process", "--format", "json", "--record", file];
+    let mut node =
+        imrs(dir.path(), &args).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().expect("a run");
+    let mut lines = BufReader::new(node.stdout.take().expect("a pipe")).lines();
+    lines.next().expect("the nodes have started").expect("text");
+    let mut live = Watched::over(dir.path(), &cell, None);
+    let ended = thread::spawn(move || {
+        let code = node.wait().expect("the run ends").code();
+        (code, Instant::now())
+    });
+    while !ended.is_finished() {
+        let (verdict, steps, words) = live.said();
+        assert_ne!(verdict, "violates", "after {steps} steps: {words:?}");
+    }
+    let (code, stopped) = ended.join().expect("it ends");
+    assert!(matches!(code, Some(0 | 1)), "{code:?}");
+    let bench = Bench { dir, cell };
+    let tape = bench.tape("na");
+    let all = inputs(&tape.records);
+    // Where its disk could not keep up the node says so; what is there is run again all the same, up to the gap.
+    let whole = !tape.records.iter().any(|record| matches!(record, Record::Gap { .. }));
+    if !whole {
+        println!("its disk could not keep up with the node: nothing is measured");
+        return;
+    }
+    live.until("conforms", all);
+    println!("{all} inputs in 4 s: all were run again {:?} after the node stopped", stopped.elapsed());
+    let mut later = bench.watch(&tape, "na", &bench.dir.path().join("run.na.imrs"));
+    let (mut first, end) = (None, Instant::now() + LONG);
+    loop {
+        let (verdict, steps, words) = later.said();
+        assert!(Instant::now() < end && verdict != "violates", "{verdict} after {steps} of {all}: {words:?}");
+        let now = Instant::now();
+        first = first.or((steps > 0).then_some((now, steps)));
+        if steps >= all {
+            let (since, before) = first.expect("some steps");
+            // Where one look took in all of it: it takes no longer than this.
+            let (seconds, more) = match steps - before {
+                0 => (0.25, all),
+                more => ((now - since).as_secs_f64().max(1e-3), more),
+            };
+            println!("{:.0} inputs a second run again; goal {GOAL:.0}", more as f64 / seconds);
+            break;
+        }
+    }
+}

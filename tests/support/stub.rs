@@ -1,0 +1,108 @@
+//! A node that is none: it tells monitors what a test wants them to hear.
+#![allow(dead_code, reason = "every test binary uses a part of it")]
+
+use imrs_wire::obs::{
+    Events, FrameReader, FrameWriter, Handshake, Hello, MAX_REQUEST, NodeIdentity, Role, SCHEMA, ServerFrame,
+    Snapshot, Table, TimedEvent, VERSION, Vitals, place,
+};
+use std::os::unix::net::{UnixListener, UnixStream};
+use std::path::Path;
+use std::sync::{Arc, Mutex};
+use std::thread;
+use std::time::{Duration, Instant};
+
+/// Between two states that it tells; every tenth time it tells how its process does.
+const PERIOD: Duration = Duration::from_millis(50);
+const VITALS: u32 = 10;
+
+/// What it tells.
+#[derive(Debug, Default)]
+pub struct Tells {
+    /// The state, but for the clock.
+    pub snapshot: Snapshot,
+    /// What has happened and was not told yet.
+    pub events: Vec<TimedEvent>,
+    /// How its process does, but for the clock.
+    pub vitals: Vitals,
+}
+
+/// Listens until the test's process ends.
+pub struct Stub {
+    tells: Arc<Mutex<Tells>>,
+    since: Instant,
+}
+
+impl Stub {
+    /// Where monitors look in this runtime folder.
+    pub fn start(dir: &Path, identity: NodeIdentity, table: Table, tells: Tells) -> Self {
+        let base = dir.join("imrs");
+        let path = place::prepare_in(&base, &identity.cell, &identity.node, std::process::id());
+        let listener = UnixListener::bind(path.expect("a place for the socket")).expect("a socket");
+        let stub = Self { tells: Arc::new(Mutex::new(tells)), since: Instant::now() };
+        let (tells, since) = (Arc::clone(&stub.tells), stub.since);
+        thread::spawn(move || {
+            for stream in listener.incoming().flatten() {
+                let (identity, table, tells) = (identity.clone(), table.clone(), Arc::clone(&tells));
+                // A monitor that leaves ends it.
+                thread::spawn(move || serve(stream, identity, table, &tells, since));
+            }
+        });
+        stub
+    }
+
+    /// From here on it tells something else.
+    pub fn change(&self, change: impl FnOnce(&mut Tells)) {
+        change(&mut self.tells.lock().expect("no panic before"));
+    }
+
+    /// Its clock.
+    pub fn mono_us(&self) -> u64 {
+        mono_us(self.since)
+    }
+}
+
+fn mono_us(since: Instant) -> u64 {
+    1_000_000_000 + u64::try_from(since.elapsed().as_micros()).expect("a short time")
+}
+
+fn serve(
+    stream: UnixStream,
+    identity: NodeIdentity,
+    table: Table,
+    tells: &Mutex<Tells>,
+    since: Instant,
+) -> Option<()> {
+    let mut reader = FrameReader::new(stream.try_clone().ok()?, MAX_REQUEST);
+    let mut writer = FrameWriter::new(stream);
+    let _hello = reader.read_frame().ok()?;
+    let (build, mono) = ("stub 1".to_owned(), mono_us(since));
+    let role = Role::Node(identity);
+    let hello = Hello { schema: SCHEMA, pid: std::process::id(), build, mono_us: mono, role };
+    writer.push_bytes(&Handshake::Hello(hello).encode(VERSION)).ok()?;
+    writer.push(&ServerFrame::Table(table)).ok()?;
+    writer.flush().ok()?;
+    // What the monitor asks for makes no difference.
+    thread::spawn(move || while reader.read_frame().is_ok() {});
+    for round in 0.. {
+        let mono_us = mono_us(since);
+        let mut frames = Vec::new();
+        {
+            let mut tells = tells.lock().expect("no panic before");
+            let snapshot = Snapshot { mono_us, uptime_us: mono_us - 900_000_000, ..tells.snapshot.clone() };
+            frames.push(ServerFrame::Snapshot(snapshot));
+            let events = std::mem::take(&mut tells.events);
+            if !events.is_empty() {
+                frames.push(ServerFrame::Events(Events { lost: 0, events }));
+            }
+            if round % VITALS == 0 {
+                frames.push(ServerFrame::Vitals(Vitals { mono_us, ..tells.vitals.clone() }));
+            }
+        }
+        for frame in &frames {
+            writer.push(frame).ok()?;
+        }
+        writer.flush().ok()?;
+        thread::sleep(PERIOD);
+    }
+    None
+}
