@@ -356,6 +356,8 @@ struct Thread {
     looks: bool,
     /// 1 is SCHED_FIFO.
     policy: String,
+    /// Of real time: the higher one comes first; 0 of ordinary threads.
+    priority: u32,
     cores: String,
 }
 
@@ -365,8 +367,15 @@ fn threads(pid: u64) -> Vec<Thread> {
         let text = |file: &str| std::fs::read_to_string(thread.path().join(file)).ok();
         let status = text("status")?;
         let cores = status.lines().find_map(|line| line.strip_prefix("Cpus_allowed_list:"))?.trim();
-        let policy = text("stat")?.rsplit_once(')')?.1.split_whitespace().nth(38)?.to_owned();
-        Some(Thread { looks: text("comm")?.trim() == "imrs observer", policy, cores: cores.to_owned() })
+        let stat = text("stat")?;
+        let mut fields = stat.rsplit_once(')')?.1.split_whitespace().skip(37);
+        let (priority, policy) = (fields.next()?.parse().ok()?, fields.next()?.to_owned());
+        Some(Thread {
+            looks: text("comm")?.trim() == "imrs observer",
+            policy,
+            priority,
+            cores: cores.to_owned(),
+        })
     };
     threads.filter_map(of).collect()
 }
@@ -417,8 +426,11 @@ fn real_time_is_had_or_refused_with_what_to_do() {
         let shown = seen["nodes"][0]["real_time"].as_str().unwrap_or_default();
         assert!(works().all(|thread| thread.cores.parse::<u32>().is_ok()), "one core: {threads:?}");
         let looks: Vec<_> = threads.iter().filter(|thread| thread.looks).collect();
-        assert!(looks.len() == 1 && looks[0].policy == "0", "{threads:?}");
+        assert_eq!(looks.len(), 1, "{threads:?}");
         if summary["rt"] == true {
+            // After all tasks, before all else: it holds locks that tasks wait for.
+            assert_eq!((&*looks[0].policy, looks[0].priority), ("1", 1), "{threads:?}");
+            assert!(works().all(|thread| thread.priority > 1), "{threads:?}");
             assert!(works().count() > 3 && works().all(|thread| thread.policy == "1"), "{threads:?}");
             assert_eq!((shown, said.contains("--rt")), ("had", false), "{seen} {said}");
             assert!(rights, "rights that were taken away");

@@ -50,20 +50,20 @@ pub fn unpin() -> bool {
 pub fn pin_all(core: Core) {
     let allowed = allowed();
     let at = if core == Core::First { allowed.first() } else { allowed.last() };
-    set_all(at.copied().into_iter());
+    set_all(at.map_or(&[], std::slice::from_ref));
 }
 
 /// As [`unpin`], every thread that the process has now.
 pub fn unpin_all() {
-    set_all(allowed().iter().copied());
+    set_all(allowed());
 }
 
-fn set_all(cores: impl Iterator<Item = usize> + Clone) {
+fn set_all(cores: &[usize]) {
     let threads = std::fs::read_dir("/proc/self/task").into_iter().flatten().flatten();
     for thread in threads {
         let id = thread.file_name().to_str().and_then(|name| name.parse().ok()).and_then(Pid::from_raw);
         // One that has ended meanwhile runs nowhere.
-        let _ = id.map(|id| sched_setaffinity(Some(id), &of(cores.clone())));
+        let _ = id.map(|id| sched_setaffinity(Some(id), &of(cores.iter().copied())));
     }
 }
 

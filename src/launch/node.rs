@@ -213,7 +213,7 @@ impl Process {
         if let (Some(recording), Some(path)) = (&recording, &setup.record) {
             showing = showing.recording(recording.watch(path));
         }
-        let (observer, over_tcp) = rt::ordinary(|| {
+        let (observer, over_tcp) = rt::behind(|| {
             let over_tcp = setup.observe.map(|address| showing.clone().start_tcp(address));
             (showing.start(), over_tcp)
         });

@@ -9,8 +9,7 @@ use std::sync::OnceLock;
 use std::thread;
 use thread_priority::unix::{set_thread_priority_and_policy, thread_native_id};
 use thread_priority::{
-    NormalThreadSchedulePolicy, RealtimeThreadSchedulePolicy, ThreadPriority, ThreadPriorityValue,
-    ThreadSchedulePolicy,
+    RealtimeThreadSchedulePolicy, ThreadPriority, ThreadPriorityValue, ThreadSchedulePolicy,
 };
 
 /// The cores that the process had before it took one.
@@ -18,6 +17,8 @@ static CORES: OnceLock<CpuSet> = OnceLock::new();
 
 /// Of a hundred: above all ordinary threads, below what the kernel itself runs in real time.
 const PRIORITY: u8 = 20;
+/// The least of a thread under SCHED_FIFO.
+const LAST: u8 = 1;
 
 /// Why there is no real time.
 #[derive(Debug, thiserror::Error)]
@@ -40,21 +41,21 @@ pub enum RtError {
 /// From here on this thread, and every thread that it starts, runs under SCHED_FIFO on one core; the memory of the process
 /// stays in its place. Nodes take the cores that the process may use in turns, by their `place` in the cell.
 pub fn begin(place: usize) -> RealTime {
-    let refused = [lock().is_err(), choose().is_err(), pin(place).is_err()];
+    let refused = [lock().is_err(), choose(PRIORITY).is_err(), pin(place).is_err()];
     match refused {
         [false, false, false] => RealTime::Had,
         [memory, scheduler, core] => RealTime::Refused { memory, scheduler, core },
     }
 }
 
-/// Starts `what` in the likeness of an ordinary thread, on any core that the process may use: who looks must never come
-/// before who works, and with the priority of the tasks it would run beside them until it has done.
-pub fn ordinary<T: Send>(what: impl FnOnce() -> T + Send) -> T {
+/// Starts `what` in the likeness of a thread that comes after all tasks and before ordinary programs, on any core that the
+/// process may use. Who looks must never come before who works; and no ordinary program may hold it up while it holds the
+/// lock of a communication task, which a task would wait for.
+pub fn behind<T: Send>(what: impl FnOnce() -> T + Send) -> T {
     thread::scope(|scope| {
         let likeness = scope.spawn(|| {
-            // Refused nowhere: these are fewer rights than the thread has.
-            let policy = ThreadSchedulePolicy::Normal(NormalThreadSchedulePolicy::Other);
-            let _ = set_thread_priority_and_policy(thread_native_id(), ThreadPriority::Min, policy);
+            // Without the right to it the tasks are ordinary threads, too, and this stays one.
+            let _ = choose(LAST);
             if let Some(cores) = CORES.get() {
                 let _ = sched_setaffinity(None, cores);
             }
@@ -68,7 +69,7 @@ pub fn ordinary<T: Send>(what: impl FnOnce() -> T + Send) -> T {
 pub fn refused() -> Vec<RtError> {
     let memory = lock();
     // On a thread that ends right away.
-    let tried = thread::spawn(|| [choose(), pin(0)]).join();
+    let tried = thread::spawn(|| [choose(PRIORITY), pin(0)]).join();
     let all = tried.unwrap_or_else(|_| [Err(RtError::Scheduler("no thread".into())), Ok(())]);
     // Nothing was locked where that was refused.
     let _ = munlockall();
@@ -89,9 +90,9 @@ fn pin(place: usize) -> Result<(), RtError> {
     sched_setaffinity(None, &one).map_err(RtError::Core)
 }
 
-fn choose() -> Result<(), RtError> {
+fn choose(priority: u8) -> Result<(), RtError> {
     let refused = |error: &dyn std::fmt::Debug| RtError::Scheduler(format!("{error:?}"));
-    let priority = ThreadPriorityValue::try_from(PRIORITY).map_err(|error| refused(&error))?;
+    let priority = ThreadPriorityValue::try_from(priority).map_err(|error| refused(&error))?;
     let policy = ThreadSchedulePolicy::Realtime(RealtimeThreadSchedulePolicy::Fifo);
     set_thread_priority_and_policy(thread_native_id(), ThreadPriority::Crossplatform(priority), policy)
         .map_err(|error| refused(&error))

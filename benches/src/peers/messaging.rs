@@ -131,7 +131,7 @@ fn libzmq_push(effort: Effort) -> Sample {
         let context = zmq::Context::new();
         let socket = context.socket(zmq::PULL).expect("a socket");
         socket.bind(&at).expect("an address");
-        let mut take = || assert_eq!(socket.recv_bytes(0).expect("a message").len(), BYTES.len());
+        let take = || assert_eq!(socket.recv_bytes(0).expect("a message").len(), BYTES.len());
         // From the first one on: before it, the two find each other.
         take();
         let begins = Instant::now();
