@@ -12,7 +12,7 @@ const LEFT_OUT: [&str; 11] = [
     "arrivals",
     "arrival",
     "places",
-    "words",
+    "groups",
     "free",
     "confirmed",
     "life",
