@@ -226,7 +226,7 @@ impl<S> AsyncContext<S> {
     /// Waits until the task holds the lease of its couple (D61). Returns the epoch that it acts under.
     ///
     /// # Errors
-    /// [`Fault::WrongUsage`] where the task is the primary of no couple.
+    /// [`WrongUsage`](imrs_protocol::Fault::WrongUsage) where the task is the primary of no couple.
     pub async fn lease(&mut self) -> Result<u8, TaskError> {
         match self.ask(Request::Lease).await?.0 {
             Signal::Granted(epoch) => Ok(epoch),
