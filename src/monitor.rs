@@ -31,7 +31,7 @@ const STOP_WITHIN: Duration = Duration::from_secs(5);
 ///
 /// # Errors
 /// [`Failure`].
-pub fn run(args: MonitorArgs, color: Color, out: &mut Output) -> Result<Exit, Failure> {
+pub fn run(mut args: MonitorArgs, color: Color, out: &mut Output) -> Result<Exit, Failure> {
     if args.config_example {
         out.text(EXAMPLE)?;
         return Ok(Exit::Well);
@@ -44,6 +44,9 @@ pub fn run(args: MonitorArgs, color: Color, out: &mut Output) -> Result<Exit, Fa
     let config = config.map_err(|error| Failure::Usage(error.to_string()))?;
     let stage = args.demo.then(Stage::start).transpose()?;
     let base = stage.as_ref().map(Stage::base);
+    if let Some(stage) = &stage {
+        args.judge.get_or_insert_with(|| stage.cell());
+    }
     match imrs_monitor::run(&options(args, &config, color, base)?)? {
         Verdict::Healthy => Ok(Exit::Well),
         Verdict::Finding => Ok(Exit::Finding),
@@ -133,6 +136,8 @@ struct Stage {
 
 /// What they run.
 const CELL: &str = include_str!("../examples/carry.cell");
+/// What that is called in their folder.
+const FILE: &str = "carry.cell";
 /// Who dies, by turns.
 const MORTALS: [&str; 3] = ["belt", "rear", "left"];
 /// When the first one dies, after how long the next one does, and how long one is away: long enough to give up and wait
@@ -148,7 +153,7 @@ impl Stage {
             |error: std::io::Error| Failure::Usage(format!("cannot start the demonstration: {error}"));
         let folder = std::env::temp_dir().join(format!("imrs-demo-{}", std::process::id()));
         std::fs::create_dir_all(&folder).map_err(failed)?;
-        let (cell, (first, apart, away)) = (folder.join("carry.cell"), FAULTS);
+        let (cell, (first, apart, away)) = (folder.join(FILE), FAULTS);
         std::fs::write(&cell, CELL).map_err(failed)?;
         let mut command = Command::new(std::env::current_exe().map_err(failed)?);
         command.arg("run").arg(&cell).args(["--for", "30m", "--seed", "1", "--format", "json"]);
@@ -157,6 +162,8 @@ impl Stage {
             command.args(["--kill", &format!("{who}@{dies}s")]);
             command.args(["--restart", &format!("{who}@{}s", dies + away.as_secs())]);
         }
+        // So that the monitor can say whether they do what was checked.
+        command.arg("--record").arg(folder.join("carry"));
         command.env("XDG_RUNTIME_DIR", &folder).env("XDG_STATE_HOME", &folder);
         command.stdin(Stdio::null()).stdout(Stdio::null()).stderr(Stdio::null());
         let nodes = command.spawn().map_err(failed)?;
@@ -172,6 +179,11 @@ impl Stage {
             thread::sleep(Duration::from_millis(20));
         }
         Ok(stage)
+    }
+
+    /// What its nodes run.
+    fn cell(&self) -> PathBuf {
+        self.folder.join(FILE)
     }
 
     /// Where its nodes serve monitors.

@@ -541,3 +541,47 @@ fn nothing_interrupts_an_atomic_section_and_one_that_is_dropped_is_over() {
         });
     finish(node.start().unwrap());
 }
+
+/// Twenty bytes: two packets.
+type Long = (u32, u32, u32, u32, u32);
+const ONES: Long = (1, 1, 1, 1, 1);
+const TWOS: Long = (2, 2, 2, 2, 2);
+
+#[test]
+fn a_long_message_that_was_kept_is_read_whole_until_another_is_taken() {
+    for another in [false, true] {
+        let mut cell = cell(&[0, 0], Ticks(0));
+        cell.port(PortDecl::new("long", A, Usage::Send, &[B], LONG_TICKS).bounded_buffer(4).fragments(2, 1));
+        cell.port(PortDecl::new("other", A, Usage::Send, &[B], LONG_TICKS).bounded_buffer(4).fragments(2, 1));
+        cell.port(ask(LONG_TICKS));
+        let node = one_node(&table(cell))
+            .async_task("a", |mut ctx: AsyncContext| async move {
+                let (long, other, ask) = (ctx.port("long")?, ctx.port("other")?, ctx.port("ask")?);
+                assert_eq!(ctx.query::<i32, i32>(ask, &1).await?, Asked::Reply(1));
+                give_way().await;
+                ctx.tell(long, &ONES)?;
+                ctx.tell(other, &TWOS)?;
+                Ok(())
+            })
+            .async_task("b", move |mut ctx: AsyncContext| async move {
+                let (long, other, ask) = (ctx.port("long")?, ctx.port("other")?, ctx.port("ask")?);
+                let question = ctx.take::<i32>(ask, None).await?.expect("a question");
+                ctx.answer(&question.from, &question.message)?;
+                {
+                    let mut wait = Box::pin(ctx.receive(Some(long), None));
+                    assert!(poll_fn(|poller| Poll::Ready(wait.as_mut().poll(poller))).await.is_pending());
+                    for _ in 0..10 {
+                        give_way().await;
+                    }
+                }
+                if another {
+                    assert_eq!(ctx.take::<Long>(other, None).await?.expect("the other").message, TWOS);
+                }
+                let kept = ctx.receive(Some(long), None).await?.expect("kept");
+                let read = ctx.read::<Long>(&kept);
+                assert_eq!(read, if another { Err(TaskError::Gone) } else { Ok(ONES) });
+                Ok(())
+            });
+        finish(node.start().unwrap());
+    }
+}

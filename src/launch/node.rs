@@ -198,7 +198,8 @@ impl Process {
             builder = builder.script(name, Arc::clone(&script.program));
         }
         let recording = match &setup.record {
-            Some(path) => Some(NodeRecording::start(path, setup, &loaded, &table)?),
+            // Who writes comes after who works, too.
+            Some(path) => Some(rt::behind(|| NodeRecording::start(path, setup, &loaded, &table))?),
             None => None,
         };
         if let Some(recording) = &recording {

@@ -11,7 +11,7 @@ type Line = (String, String, Ink);
 pub(super) fn draw(app: &App, pen: &mut Pen<'_>) {
     let lines = lines(app);
     let room = usize::from(pen.height());
-    let first = app.scroll.min(lines.len().saturating_sub(1));
+    let first = app.scroll.min(lines.len().saturating_sub(room.max(1)));
     let left_width = if pen.area.width < 60 { 11 } else { 15 };
     for (y, (left, right, ink)) in (0..).zip(lines.iter().skip(first).take(room)) {
         if right.is_empty() {

@@ -119,9 +119,15 @@ pub fn remove_if_stale(socket: &Path) -> bool {
     ours && gone() && refused() && fs::remove_file(socket).is_ok()
 }
 
-/// Whether no process has this id. Only certain where `/proc` is there to ask.
+/// Whether no process has this id, or one that has ended and that its parent has not asked after yet. Only certain where
+/// `/proc` is there to ask.
 fn is_gone(pid: u32) -> bool {
-    Path::new("/proc/self").exists() && !Path::new(&format!("/proc/{pid}")).exists()
+    let Ok(stat) = fs::read_to_string(format!("/proc/{pid}/stat")) else {
+        return Path::new("/proc/self").exists() && !Path::new(&format!("/proc/{pid}")).exists();
+    };
+    // The name before may have any signs in it.
+    let state = stat.rsplit_once(')').and_then(|(_, rest)| rest.trim_start().chars().next());
+    matches!(state, Some('Z' | 'X'))
 }
 
 fn base_from(runtime_dir: Option<&OsStr>, temp: &Path, uid: Option<u32>) -> PathBuf {

@@ -316,7 +316,7 @@ impl<S> AsyncContext<S> {
         };
         while let Some(at) = self.kept.iter().position(|(delivery, _)| suits(delivery)) {
             let (delivery, since) = self.kept.remove(at);
-            let message = self.in_hand(delivery, Ticks(clock::now().saturating_sub(since)));
+            let message = self.still_alive(delivery, Ticks(clock::now().saturating_sub(since)));
             if message.is_some() {
                 return message;
             }
@@ -327,6 +327,11 @@ impl<S> AsyncContext<S> {
     /// The message as it is so long after its communication task gave it: nothing old is handed over.
     fn in_hand(&mut self, message: Delivery, waited: Ticks) -> Option<Delivery> {
         self.caller.taken = Some(message.from);
+        self.still_alive(message, waited)
+    }
+
+    /// The same of one that was taken before: fragments of another one may stand in its place by now.
+    fn still_alive(&mut self, message: Delivery, waited: Ticks) -> Option<Delivery> {
         if message.budget > waited {
             return Some(Delivery { budget: message.budget - waited, ..message });
         }
@@ -373,6 +378,7 @@ impl<S> AsyncContext<S> {
                     next = Request::Return;
                 }
                 Ok(Some((Signal::Message(message), age))) => {
+                    self.caller.taken = Some(message.from);
                     return self.kept.push((message, clock::now().saturating_sub(age.0)));
                 }
                 Ok(None) => next = Request::Cancel,
