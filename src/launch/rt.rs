@@ -50,7 +50,7 @@ pub fn begin(place: usize) -> RealTime {
 
 /// Starts `what` in the likeness of a thread that comes after all tasks and before ordinary programs, on any core that the
 /// process may use. Who looks must never come before who works; and no ordinary program may hold it up while it holds the
-/// lock of a communication task, which a task would wait for.
+/// lock of a communication task, which a task would wait for. A task of another node on the same core still may.
 pub fn behind<T: Send>(what: impl FnOnce() -> T + Send) -> T {
     thread::scope(|scope| {
         let likeness = scope.spawn(|| {

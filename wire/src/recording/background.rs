@@ -289,7 +289,7 @@ impl Outlet {
 }
 
 /// Where the inputs of one communication task go. Used under that task's lock: nothing here blocks, allocates or
-/// enters the kernel, but for waking the writing thread: once in 5 ms, or once for each quarter of the queue.
+/// enters the kernel, but for waking the writing thread: once in 5 ms, or whenever a quarter of the queue has filled up.
 pub struct TaskStream {
     task: TaskId,
     outlet: Outlet,
