@@ -110,8 +110,8 @@ impl<O: Outbox> Outbox for Digesting<'_, O> {
 }
 
 impl Step {
-    /// What the machine takes: first the time passes, then the input comes. The runtime and the replay both do exactly
-    /// this.
+    /// What the machine takes: first the time passes, then the input comes. A running node does the same, but for time in
+    /// which nothing is due (D124).
     pub(crate) fn parts(self) -> impl Iterator<Item = Input> {
         let time = (!self.elapsed.is_zero()).then_some(Input::Advance(self.elapsed));
         let input = self.has_input().then_some(self.input);

@@ -52,13 +52,13 @@ pub fn begin(place: usize) -> RealTime {
 /// process may use. Who looks must never come before who works; and no ordinary program may hold it up while it holds the
 /// lock of a communication task, which a task would wait for. A task of another node on the same core still may.
 pub fn behind<T: Send>(what: impl FnOnce() -> T + Send) -> T {
+    // Nobody asked for `--rt`: all threads are ordinary ones.
+    let Some(cores) = CORES.get() else { return what() };
     thread::scope(|scope| {
         let likeness = scope.spawn(|| {
             // Without the right to it the tasks are ordinary threads, too, and this stays one.
             let _ = choose(LAST);
-            if let Some(cores) = CORES.get() {
-                let _ = sched_setaffinity(None, cores);
-            }
+            let _ = sched_setaffinity(None, cores);
             what()
         });
         likeness.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic))
