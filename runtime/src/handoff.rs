@@ -9,7 +9,8 @@
 //!
 //! The answer is mail: written under the lock, together with the word that says so. The task's thread sleeps on the
 //! word, and is woken only if the word says that it sleeps. It may also wait elsewhere: then the word says so, and it is
-//! called from there by a [`Bell`].
+//! called from there by a [`Bell`]. While the word says that it looks, what is brought is left to it: it is there at once,
+//! and its communication task stays where it is, in the near cache of one core (D130).
 //!
 //! The shared part knows nothing of messages: it is generic over the [`Station`], so that the tests can explore every
 //! interleaving with a station of two states.
@@ -62,16 +63,16 @@ const READY: u32 = 2;
 const AWAY: u32 = 3;
 /// The task's program is a future that waits, or is about to: the bell calls it.
 const LISTENING: u32 = 4;
+/// The task's thread looks at its word, and works off what it finds in the inbox.
+const LOOKING: u32 = 5;
 
 /// How many inputs wait in an inbox before who brings more waits for the lock.
 const INBOX: usize = 64;
 
 pub(crate) struct Handoff<S: Station> {
     core: Mutex<Core<S>>,
-    inbox: Mutex<Vec<S::Input>>,
-    /// How many inputs are in the inbox, to be read without its lock.
-    queued: AtomicUsize,
-    word: Word,
+    left: Line<Left<S::Input>>,
+    word: Line<Word>,
     pub presence: Presence,
     /// Where the task's thread may wait elsewhere.
     bell: Option<Arc<dyn Bell>>,
@@ -80,6 +81,17 @@ pub(crate) struct Handoff<S: Station> {
     /// Room in the inbox, and whether anybody found none.
     #[cfg(test)]
     pub room: (usize, std::sync::atomic::AtomicBool),
+}
+
+/// What two cores write in turn, in a line of the cache of its own.
+#[repr(align(64))]
+struct Line<T>(T);
+
+/// What was left for the holder of the lock.
+struct Left<I> {
+    inbox: Mutex<Vec<I>>,
+    /// How many inputs are in the inbox, to be read without its lock.
+    count: AtomicUsize,
 }
 
 struct Core<S: Station> {
@@ -123,6 +135,8 @@ pub(crate) enum Plant {
     DropsWhenFull,
     /// Who looked at the word sleeps without looking once more.
     SleepsBlindly,
+    /// Who left input to a thread that looked does not mind whether it still does.
+    TrustsTheLook,
 }
 
 impl<S: Station> Handoff<S> {
@@ -136,9 +150,8 @@ impl<S: Station> Handoff<S> {
                 resting: false,
                 stopped: false,
             }),
-            inbox: Mutex::new(Vec::with_capacity(INBOX)),
-            queued: AtomicUsize::new(0),
-            word: Word::new(RUNNING),
+            left: Line(Left { inbox: Mutex::new(Vec::with_capacity(INBOX)), count: AtomicUsize::new(0) }),
+            word: Line(Word::new(RUNNING)),
             presence: Presence::new(),
             bell,
             #[cfg(test)]
@@ -150,6 +163,14 @@ impl<S: Station> Handoff<S> {
 
     /// Brings input from anywhere. It has been taken, or will be by whoever holds the lock.
     pub fn deliver(&self, input: S::Input, effects: &mut S::Effects) {
+        let input = if self.is_looking() {
+            match self.leave(input) {
+                Ok(()) => return self.call_looker(effects),
+                Err(input) => input,
+            }
+        } else {
+            input
+        };
         if let Some(core) = try_lock(&self.core) {
             self.work(core, Some(input), effects);
         } else if let Err(input) = self.leave(input) {
@@ -165,6 +186,17 @@ impl<S: Station> Handoff<S> {
 
     /// As [`deliver`](Self::deliver), for several inputs under one lock: takes all of `inputs`, the first one first.
     pub fn deliver_all(&self, inputs: &mut VecDeque<S::Input>, effects: &mut S::Effects) {
+        if self.is_looking() {
+            while let Some(input) = inputs.pop_front() {
+                if let Err(input) = self.leave(input) {
+                    inputs.push_front(input);
+                    break;
+                }
+            }
+            if inputs.is_empty() {
+                return self.call_looker(effects);
+            }
+        }
         if let Some(core) = try_lock(&self.core) {
             self.work(core, inputs.drain(..), effects);
         }
@@ -192,23 +224,52 @@ impl<S: Station> Handoff<S> {
     /// is an answer for which `more` has another input, that one is brought, too.
     pub fn enter_and(
         &self,
-        mut input: S::Input,
+        input: S::Input,
+        more: impl FnMut(&S::Mail) -> Option<S::Input>,
+        effects: &mut S::Effects,
+    ) -> Entry<S::Mail> {
+        let mut core = self.come_in();
+        self.drain(&mut core, effects);
+        core.feed(input, effects);
+        self.go_on(core, more, effects)
+    }
+
+    /// As [`enter_and`](Self::enter_and), of a thread that has waited: where there is an answer, it brings nothing.
+    pub fn come_back_and(
+        &self,
+        input: S::Input,
+        more: impl FnMut(&S::Mail) -> Option<S::Input>,
+        effects: &mut S::Effects,
+    ) -> Entry<S::Mail> {
+        let mut core = self.come_in();
+        self.drain(&mut core, effects);
+        if core.mail.is_none() {
+            core.feed(input, effects);
+        }
+        self.go_on(core, more, effects)
+    }
+
+    fn come_in(&self) -> MutexGuard<'_, Core<S>> {
+        let mut core = lock(&self.core);
+        self.word.0.store(RUNNING);
+        core.resting = false;
+        core
+    }
+
+    fn go_on(
+        &self,
+        mut core: MutexGuard<'_, Core<S>>,
         mut more: impl FnMut(&S::Mail) -> Option<S::Input>,
         effects: &mut S::Effects,
     ) -> Entry<S::Mail> {
-        let mut core = lock(&self.core);
-        self.word.store(RUNNING);
-        core.resting = false;
-        self.drain(&mut core, effects);
         let mail = loop {
-            core.feed(input, effects);
             let mail = core.mail.take();
             let Some(next) = mail.as_ref().and_then(&mut more) else { break mail };
-            input = next;
             // Not for each: the inbox is on its way between two cores. Never full, so that nobody waits for the lock.
-            if self.queued.load(Ordering::Relaxed) >= INBOX / 2 {
+            if self.left.0.count.load(Ordering::Relaxed) >= INBOX / 2 {
                 self.drain(&mut core, effects);
             }
+            core.feed(next, effects);
         };
         let stopped = core.stopped;
         core.resting = mail.is_none() && !stopped;
@@ -223,7 +284,7 @@ impl<S: Station> Handoff<S> {
     /// is an answer already, it takes that and brings nothing.
     pub fn enter_awake(&self, input: S::Input, effects: &mut S::Effects) -> Entry<S::Mail> {
         let mut core = lock(&self.core);
-        self.word.store(RUNNING);
+        self.word.0.store(RUNNING);
         let (mail, until) = if core.mail.is_some() {
             // Whoever brought it has settled what follows.
             (core.mail.take(), u64::MAX)
@@ -242,7 +303,7 @@ impl<S: Station> Handoff<S> {
 
     /// The future waits from here on; the bell calls it. False where there is something for it already.
     pub fn listen(&self) -> bool {
-        self.word.replace(RUNNING, LISTENING)
+        self.word.0.replace(RUNNING, LISTENING)
     }
 
     /// Sleeps until there is mail, the node stops, or `deadline` (nanoseconds of the monotonic clock) has passed. May
@@ -251,14 +312,48 @@ impl<S: Station> Handoff<S> {
         if !self.goes(SLEEPING) {
             return false;
         }
-        self.word.wait(SLEEPING, deadline);
+        self.word.0.wait(SLEEPING, deadline);
         self.comes(SLEEPING);
         true
     }
 
     /// Whether there is something for the task's thread, or the node stops: what it may look at before it sleeps.
     pub fn is_called(&self) -> bool {
-        self.word.load() != RUNNING
+        self.word.0.load() == READY
+    }
+
+    /// The task's thread looks for what ends its wait: `look` tests for it as often as that is worth it. From the first test
+    /// on, what is brought is left to this thread. `take_in` is to bring what may have come elsewhere. Whether there is
+    /// something.
+    pub fn look(
+        &self,
+        mut take_in: impl FnMut() -> bool,
+        look: impl FnOnce(&mut dyn FnMut() -> bool) -> bool,
+    ) -> bool {
+        let mut looks = false;
+        let mut there = || {
+            let begins = !std::mem::replace(&mut looks, true);
+            (begins && !self.word.0.replace(RUNNING, LOOKING))
+                || self.is_called()
+                || (take_in() && self.is_called())
+        };
+        let found = look(&mut there);
+        found || (looks && !self.word.0.replace(LOOKING, RUNNING))
+    }
+
+    fn is_looking(&self) -> bool {
+        self.word.0.load() == LOOKING
+    }
+
+    /// Something was left to the thread that looks.
+    fn call_looker(&self, effects: &mut S::Effects) {
+        let called = self.word.0.replace(LOOKING, READY);
+        #[cfg(test)]
+        let called = called || self.plant == Plant::TrustsTheLook;
+        if !called {
+            // It is looking no longer, or was called before, and has looked into the inbox since.
+            self.second_look(effects);
+        }
     }
 
     /// The task's thread goes to wait where the bell calls it. False where there is something for it already.
@@ -276,10 +371,10 @@ impl<S: Station> Handoff<S> {
         self.presence.goes();
         #[cfg(test)]
         if self.plant == Plant::SleepsBlindly {
-            self.word.store(to);
+            self.word.0.store(to);
             return true;
         }
-        let gone = self.word.replace(RUNNING, to);
+        let gone = self.word.0.replace(RUNNING, to);
         if !gone {
             self.presence.returns();
         }
@@ -287,7 +382,7 @@ impl<S: Station> Handoff<S> {
     }
 
     fn comes(&self, from: u32) -> bool {
-        let uncalled = self.word.replace(from, RUNNING);
+        let uncalled = self.word.0.replace(from, RUNNING);
         if uncalled {
             self.presence.returns();
         }
@@ -298,7 +393,7 @@ impl<S: Station> Handoff<S> {
     pub fn stop(&self, effects: &mut S::Effects) {
         let mut core = lock(&self.core);
         core.stopped = true;
-        let was = self.word.swap(READY);
+        let was = self.word.0.swap(READY);
         drop(core);
         #[cfg(test)]
         if self.plant == Plant::SilentStop {
@@ -335,13 +430,13 @@ impl<S: Station> Handoff<S> {
 
     #[cfg(test)]
     pub fn time_out(&self) {
-        self.word.time_out();
+        self.word.0.time_out();
     }
 
     /// Puts input into the inbox without taking the lock, or hands it back where the inbox is full. Whoever enters next
     /// finds it; [`nudge`](Self::nudge) makes sure that somebody does.
     pub fn leave(&self, input: S::Input) -> Result<(), S::Input> {
-        let mut inbox = lock(&self.inbox);
+        let mut inbox = lock(&self.left.0.inbox);
         #[cfg(test)]
         if inbox.len() >= self.room.0 {
             self.room.1.store(true, Ordering::Relaxed);
@@ -351,7 +446,7 @@ impl<S: Station> Handoff<S> {
             return Err(input);
         }
         inbox.push(input);
-        self.queued.store(inbox.len(), Ordering::Relaxed);
+        self.left.0.count.store(inbox.len(), Ordering::Relaxed);
         Ok(())
     }
 
@@ -380,9 +475,9 @@ impl<S: Station> Handoff<S> {
     fn mark(&self) -> u32 {
         #[cfg(test)]
         match self.plant {
-            Plant::NoMark => return self.word.load(),
+            Plant::NoMark => return self.word.0.load(),
             Plant::NoWake => {
-                self.word.swap(READY);
+                self.word.0.swap(READY);
                 return RUNNING;
             }
             Plant::None
@@ -391,9 +486,10 @@ impl<S: Station> Handoff<S> {
             | Plant::NoFence
             | Plant::DropsWhenFull
             | Plant::SleepsBlindly
+            | Plant::TrustsTheLook
             | Plant::NoBell => {}
         }
-        self.word.swap(READY)
+        self.word.0.swap(READY)
     }
 
     /// Makes the task's thread look, that did this until its word was marked.
@@ -402,7 +498,7 @@ impl<S: Station> Handoff<S> {
             self.presence.returns();
         }
         if was == SLEEPING {
-            self.word.wake();
+            self.word.0.wake();
         }
         #[cfg(test)]
         if self.plant == Plant::NoBell {
@@ -414,12 +510,12 @@ impl<S: Station> Handoff<S> {
     }
 
     fn drain(&self, core: &mut Core<S>, effects: &mut S::Effects) {
-        if self.queued.load(Ordering::Relaxed) == 0 {
+        if self.left.0.count.load(Ordering::Relaxed) == 0 {
             return;
         }
-        let mut inbox = lock(&self.inbox);
+        let mut inbox = lock(&self.left.0.inbox);
         std::mem::swap(&mut *inbox, &mut core.batch);
-        self.queued.store(0, Ordering::Relaxed);
+        self.left.0.count.store(0, Ordering::Relaxed);
         drop(inbox);
         let mut batch = std::mem::take(&mut core.batch);
         for input in batch.drain(..) {
@@ -438,7 +534,7 @@ impl<S: Station> Handoff<S> {
         }
         loop {
             self.fence();
-            if self.queued.load(Ordering::Relaxed) == 0 {
+            if self.left.0.count.load(Ordering::Relaxed) == 0 {
                 return;
             }
             let Some(core) = try_lock(&self.core) else { return };

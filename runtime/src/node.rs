@@ -166,7 +166,11 @@ impl Node {
         more: More<'_>,
         effects: &mut Effects,
     ) -> Entry<Mail> {
-        self.enter(place, Stamped { at, input: Input::Request(request) }, more, effects)
+        let stamped = Stamped { at, input: Input::Request(request) };
+        let next = |mail: &Mail| more(mail).map(|next| Stamped { at, input: Input::Request(next) });
+        let entry = self.members.list[place].handoff.enter_and(stamped, next, effects);
+        self.carry_out(effects);
+        entry
     }
 
     /// A task's thread is back from its sleep. `due` says that it came because its time is over.
@@ -184,13 +188,9 @@ impl Node {
             self.timers.advance(now, effects);
             self.carry_out(effects);
         }
-        self.enter(place, Stamped { at: now, input: Input::Advance(Ticks::ZERO) }, more, effects)
-    }
-
-    fn enter(&self, place: usize, stamped: Stamped, more: More<'_>, effects: &mut Effects) -> Entry<Mail> {
-        let at = stamped.at;
-        let next = |mail: &Mail| more(mail).map(|next| Stamped { at, input: Input::Request(next) });
-        let entry = self.members.list[place].handoff.enter_and(stamped, next, effects);
+        let stamped = Stamped { at: now, input: Input::Advance(Ticks::ZERO) };
+        let next = |mail: &Mail| more(mail).map(|next| Stamped { at: now, input: Input::Request(next) });
+        let entry = self.members.list[place].handoff.come_back_and(stamped, next, effects);
         self.carry_out(effects);
         entry
     }

@@ -186,8 +186,9 @@ impl Caller {
             let take_in = || leading.is_some_and(|(leading, inlet)| leading.take_in(inlet));
             guarded("a task's thread that receives", take_in)
         };
-        let there = || handoff.is_called() || (take_in() && handoff.is_called());
-        if kind.is_some_and(|kind| self.patience.look(kind, &handoff.presence, until, there)) {
+        if let Some(kind) = kind
+            && handoff.look(take_in, |there| self.patience.look(kind, &handoff.presence, until, there))
+        {
             return;
         }
         if let Some((leading, _)) = leading {

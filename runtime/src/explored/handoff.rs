@@ -97,32 +97,39 @@ enum Waited {
 }
 
 /// The task asks and waits, after so many looks asleep; another thread brings the answer. If it is not told of it, loom finds
-/// the deadlock.
-fn ask_and_wait(plant: Plant, looks: u32) -> Waited {
+/// the deadlock. How it waited, and whether it worked off the answer itself.
+fn ask_and_wait(plant: Plant, looks: u32) -> (Waited, bool) {
     let handoff = toy(plant);
     let other = bring(&handoff, Brought::Answer);
     let mut waited = Waited::NotAtAll;
     let mut worked = 0;
     let mut entry = handoff.enter(Brought::Question, &mut worked);
     while entry.mail.is_none() {
-        waited = if (0..looks).any(|_| handoff.is_called()) {
+        let found = handoff.look(|| false, |there| (0..looks).any(|_| there()));
+        waited = if found {
             Waited::Looking
         } else if handoff.sleep(None) {
             Waited::Asleep
         } else {
             Waited::Awake
         };
-        entry = handoff.enter(Brought::Nothing, &mut worked);
+        entry = handoff.come_back_and(Brought::Nothing, |_| None, &mut worked);
     }
-    other.join().unwrap();
-    waited
+    (waited, other.join().unwrap() == 0)
 }
 
 #[test]
 fn an_answer_always_ends_the_wait() {
     let seen = explore(|| ask_and_wait(Plant::None, 0));
     let outcomes: Vec<_> = seen.keys().copied().collect();
-    assert_eq!(outcomes, [Waited::NotAtAll, Waited::Awake, Waited::Asleep], "{seen:?}");
+    let expected = [
+        (Waited::NotAtAll, false),
+        (Waited::NotAtAll, true),
+        (Waited::Awake, false),
+        (Waited::Awake, true),
+        (Waited::Asleep, false),
+    ];
+    assert_eq!(outcomes, expected, "{seen:?}");
 }
 
 #[test]
@@ -139,7 +146,20 @@ fn a_sleeper_that_is_not_woken_sleeps_for_ever() {
 fn who_looks_before_it_sleeps_misses_no_answer() {
     let seen = explore(|| ask_and_wait(Plant::None, 2));
     let outcomes: Vec<_> = seen.keys().copied().collect();
-    assert_eq!(outcomes, [Waited::NotAtAll, Waited::Looking, Waited::Awake, Waited::Asleep], "{seen:?}");
+    let expected = [
+        (Waited::NotAtAll, false),
+        (Waited::NotAtAll, true),
+        (Waited::Looking, false),
+        (Waited::Looking, true),
+        (Waited::Awake, false),
+        (Waited::Asleep, false),
+    ];
+    assert_eq!(outcomes, expected, "{seen:?}");
+}
+
+#[test]
+fn who_leaves_something_and_does_not_see_that_nobody_looks_any_more_leaves_it_for_ever() {
+    must_fail(DEADLOCK, || ask_and_wait(Plant::TrustsTheLook, 1));
 }
 
 #[test]

@@ -155,9 +155,7 @@ impl Scene {
                 self.deliver(datagram);
                 true
             };
-            let there =
-                (0..looks).any(|_| self.handoff.is_called() || (take_in() && self.handoff.is_called()));
-            if !there {
+            if !self.handoff.look(&mut take_in, |there| (0..looks).any(|_| there())) {
                 led = self.lead.wait(&self.handoff, || self.socket.wait(), take_in);
                 if led == Led::No {
                     self.handoff.sleep(None);
