@@ -314,8 +314,8 @@ fn a_keyframe_is_wanted_once_the_disk_keeps_up_again_and_nothing_is_recorded_bef
     assert_eq!(*told, lost);
     let state = postcard::to_allocvec(&machine).unwrap();
     let input = TICK.input;
-    // Of what was lost one was the script's.
-    let inputs = taken + lost - 1 + 1;
+    // Of what was lost one was the script's; one more came after the keyframe.
+    let inputs = taken + (lost - 1) + 1;
     let expected = [
         Record::Keyframe { task: A, state, outputs: 42 },
         Record::Input { task: A, elapsed: Ticks(1), input, outputs: 43 },
