@@ -445,6 +445,40 @@ fn real_time_is_had_or_refused_with_what_to_do() {
 }
 
 #[test]
+fn without_rt_all_threads_stay_ordinary_ones() {
+    for how in [&[][..], &["--in-process"]] {
+        let bench = Bench::new();
+        let (cell, file) = (bench.cell(), bench.0.path().join("run.imrs"));
+        let args = ["run", cell.to_str().expect("UTF-8"), "--for", "10m", "--format", "json", "--record"];
+        let args = [&args[..], &[file.to_str().expect("UTF-8")], how].concat();
+        let mut command = imrs(bench.0.path(), &args);
+        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().expect("it starts");
+        let mut lines = BufReader::new(child.stdout.take().expect("a pipe")).lines();
+        let line = lines.next().expect("a line").expect("text");
+        let started: Value = serde_json::from_str(&line).expect("JSON");
+        let nodes = started["started"].as_array().expect("nodes").iter();
+        let mut pids: Vec<u64> = nodes.map(|node| number(&node["pid"])).collect();
+        pids.push(child.id().into());
+        pids.sort_unstable();
+        pids.dedup();
+        // Where a node runs, somebody looks and somebody records.
+        for pid in pids {
+            let mut all = Vec::new();
+            let launches = pid == u64::from(child.id()) && how.is_empty();
+            wait_until("the threads of a node", || {
+                all = threads(pid);
+                launches || (all.iter().any(|thread| thread.looks) && all.len() > 3)
+            });
+            assert!(!all.is_empty(), "nobody is there");
+            let ordinary = |thread: &Thread| (&*thread.policy, thread.priority) == ("0", 0);
+            assert!(all.iter().all(ordinary), "{how:?} {all:?}");
+        }
+        signal(child.id(), Signal::INT);
+        assert!(child.wait().expect("it ends").code().is_some());
+    }
+}
+
+#[test]
 fn an_extern_task_is_a_rust_program() {
     let dir = runtime_dir();
     let cell = example("extern_task.cell");

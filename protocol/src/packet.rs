@@ -113,6 +113,12 @@ impl Contents {
     pub fn as_bytes(&self) -> &[u8] {
         &self.bytes[..usize::from(self.len)]
     }
+
+    /// The bytes with zeros behind them: always as many, for who lays them out in words.
+    #[must_use]
+    pub const fn padded(&self) -> &[u8; CONTENTS_BYTES] {
+        &self.bytes
+    }
 }
 
 /// The contents of ARRIVE, CONFIRM and ABORT (D47, D54).

@@ -5,9 +5,9 @@ use crate::clock::{FAR, Micros};
 use crate::effects::{Effect, Effects, Stamped};
 use crate::failstop::guarded;
 use crate::handoff::{Rest, Station};
-use crate::record::{Digesting, OutputDigest, Recorder, Step};
+use crate::record::{Digesting, Log, OutputDigest, Step};
 use crate::ring::Ring;
-use crate::script::Seat;
+use crate::script::{Knows, Seat};
 use imrs_protocol::script::Program;
 use imrs_protocol::{
     CommTask, Delivery, Event, Input, NodeTable, Observation, Outbox, Packet, PortId, QueueView, Reason,
@@ -28,8 +28,9 @@ pub(crate) struct Comm {
     /// When it next does something by itself; unknown from its next input on.
     due: Option<Micros>,
     rebased: Micros,
-    recorder: Option<Arc<dyn Recorder>>,
-    /// Whether the recorder wants the machine's state before the next step.
+    /// Where its steps go, if it is recorded.
+    log: Option<Box<dyn Log>>,
+    /// Whether the log wants the machine's state before the next step.
     wants_keyframe: bool,
     digest: OutputDigest,
     ring: Ring,
@@ -44,11 +45,10 @@ impl Comm {
         table: NodeTable,
         slot: usize,
         alarm: Arc<Alarm>,
-        recorder: Option<Arc<dyn Recorder>>,
+        log: Option<Box<dyn Log>>,
         now: Micros,
     ) -> Self {
-        let wants_keyframe =
-            recorder.as_ref().is_some_and(|recorder| recorder.wants_keyframe(machine.task()));
+        let wants_keyframe = log.as_ref().is_some_and(|log| log.wants_keyframe());
         Self {
             machine,
             table,
@@ -58,7 +58,7 @@ impl Comm {
             last: now,
             due: None,
             rebased: now,
-            recorder,
+            log,
             digest: OutputDigest::START,
             ring: Ring::new(),
             discards: [0; Reason::ALL.len()],
@@ -91,12 +91,13 @@ impl Comm {
         elapsed
     }
 
-    pub const fn machine(&self) -> &CommTask {
-        &self.machine
+    /// Whether nothing comes of the time until `now` but that it has passed.
+    pub fn is_idle_until(&self, now: Micros) -> bool {
+        self.due.is_some_and(|due| now < due)
     }
 
-    pub const fn table(&self) -> &NodeTable {
-        &self.table
+    pub const fn machine(&self) -> &CommTask {
+        &self.machine
     }
 
     /// The time of the machine.
@@ -107,9 +108,9 @@ impl Comm {
     /// The machine takes one step; what it answers goes to `answers`.
     pub fn run(&mut self, step: &Step, answers: &mut dyn FnMut(Signal), effects: &mut Effects) {
         if self.wants_keyframe
-            && let Some(recorder) = &self.recorder
+            && let Some(log) = &mut self.log
         {
-            recorder.keyframe(&self.machine, self.digest);
+            log.keyframe(&self.machine, self.digest);
         }
         let mut out = Out {
             at: self.last,
@@ -119,7 +120,7 @@ impl Comm {
             ring: &mut self.ring,
             discards: &mut self.discards,
         };
-        let digest = self.recorder.is_some().then_some(&mut self.digest);
+        let digest = self.log.is_some().then_some(&mut self.digest);
         let out = &mut Digesting { digest, out: &mut out };
         if !step.elapsed.is_zero() {
             match self.due.filter(|&due| self.last < due) {
@@ -138,15 +139,15 @@ impl Comm {
             self.due = None;
             self.machine.handle_at(&self.table, &step.input, out);
         }
-        if let Some(recorder) = &self.recorder {
-            self.wants_keyframe = recorder.step(self.machine.task(), *step, self.digest);
+        if let Some(log) = &mut self.log {
+            self.wants_keyframe = log.step(step, self.digest);
         }
         self.rebase_in_time();
     }
 
-    /// Who writes down what happens here.
-    pub fn recorder(&self) -> Option<&dyn Recorder> {
-        self.recorder.as_deref()
+    /// Where what happens here is written down, and what a script may look at meanwhile.
+    pub fn recorded(&mut self) -> (Knows<'_>, Option<&mut (dyn Log + 'static)>) {
+        (Knows { machine: &self.machine, table: &self.table }, self.log.as_deref_mut())
     }
 
     /// The machine's state with so many waiting messages of each port, and when it was so.

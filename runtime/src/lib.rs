@@ -53,6 +53,7 @@ mod explored;
 mod explorer;
 mod failstop;
 mod handoff;
+mod lane;
 mod lateness;
 mod lead;
 pub mod link;

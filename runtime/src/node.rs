@@ -87,9 +87,9 @@ impl Node {
         let alarm = Arc::new(Alarm::new(count + 2));
         let bell = plan.link.clone().map(|link| Arc::new(LinkBell(link)) as Arc<dyn Bell>);
         let member = |(slot, machine): (usize, CommTask)| {
-            let recorder = plan.recorder.clone();
             let task = machine.task();
-            let comm = Comm::new(machine, table.clone(), slot, Arc::clone(&alarm), recorder, now);
+            let log = plan.recorder.clone().and_then(|recorder| recorder.log(task));
+            let comm = Comm::new(machine, table.clone(), slot, Arc::clone(&alarm), log, now);
             Member::new(task, comm, bell.clone())
         };
         let list = tasks.into_vec().into_iter().enumerate().map(member).collect();

@@ -6,6 +6,7 @@
 
 mod digest;
 mod file;
+mod packed;
 mod recording;
 mod replay;
 mod script;
@@ -22,6 +23,7 @@ pub(crate) use script::Did;
 
 use imrs_protocol::script::Program;
 use imrs_protocol::{CommTask, Input, Observation, Outbox, Packet, Signal, TaskId, Ticks, TimeId};
+use std::sync::Arc;
 
 /// One input of a communication task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -32,28 +34,33 @@ pub struct Step {
     pub input: Input,
 }
 
-/// Takes the inputs of a node's communication tasks. It is called under a lock that the node's messages wait for: it
-/// must hand the step on and return, never write to a disk or wait.
+/// Takes the inputs of a node's communication tasks, each into a log of its own.
 pub trait Recorder: Send + Sync {
-    /// What `task` has taken, and the digest of everything that it has put out, this step included. Its life, for a log
-    /// that begins here, is that of the node. Returns whether its state is wanted before the next step, because steps
-    /// of it were lost.
-    fn step(&self, task: TaskId, step: Step, digest: OutputDigest) -> bool;
+    /// Where the steps of `task` go from the beginning of its life on, which is that of the node. `None` where they are not
+    /// recorded. Asked once for each task, before anything happens.
+    fn log(self: Arc<Self>, task: TaskId) -> Option<Box<dyn Log>>;
+}
 
-    /// What the script of `task` is about to take, besides the signals of its communication task, and the digest of
+/// Takes the inputs of one communication task. It is called under a lock that the node's messages wait for: it must put the
+/// step down and return, never write to a disk or wait.
+pub trait Log: Send {
+    /// What the task has taken, and the digest of everything that it has put out, this step included. Returns whether its
+    /// state is wanted before the next step, because steps of it were lost.
+    fn step(&mut self, step: &Step, digest: OutputDigest) -> bool;
+
+    /// What the script of the task is about to take, besides the signals of its communication task, and the digest of
     /// everything that it has done before.
-    fn script(&self, task: TaskId, step: ScriptStep, done: OutputDigest) {
-        let _ = (task, step, done);
+    fn script(&mut self, step: ScriptStep, done: OutputDigest) {
+        let _ = (step, done);
     }
 
-    /// Whether the state of `task` is wanted before its first step.
-    fn wants_keyframe(&self, task: TaskId) -> bool {
-        let _ = task;
+    /// Whether the state of the task is wanted before its first step.
+    fn wants_keyframe(&self) -> bool {
         false
     }
 
-    /// The state of a machine between two steps, and the digest of everything that it has put out, where it was wanted.
-    fn keyframe(&self, machine: &CommTask, digest: OutputDigest) {
+    /// The state of the machine between two steps, and the digest of everything that it has put out, where it was wanted.
+    fn keyframe(&mut self, machine: &CommTask, digest: OutputDigest) {
         let _ = (machine, digest);
     }
 }

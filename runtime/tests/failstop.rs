@@ -2,43 +2,100 @@
 
 mod common;
 
-use common::{LONG_TICKS, ask, cell, one_node, table};
-use imrs_protocol::{TaskId, Ticks};
-use imrs_runtime::record::{OutputDigest, Recorder, Step};
+use common::{B, LONG, LONG_TICKS, ask, cell, one_node, table};
+use imrs_protocol::script::{Program, ProgramBuilder, Type};
+use imrs_protocol::{NodeId, Packet, PortId, Target, TaskId, Ticks};
+use imrs_runtime::Runtime;
+use imrs_runtime::link::{Link, LinkBusy, PollEnd, Sink};
+use imrs_runtime::record::{Log, OutputDigest, Recorder, Step};
 use std::os::unix::process::ExitStatusExt;
 use std::process::Command;
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 const CHILD: &str = "IMRS_TEST_FAIL_STOP";
+
+/// What this test says while it runs `node` in a process of its own, which must end by its own fail-stop.
+fn said_at_its_end(test: &str, node: impl FnOnce() -> Runtime) -> String {
+    if std::env::var_os(CHILD).is_some() {
+        let survived = node().wait(LONG);
+        panic!("the process went on; all programs ended: {survived}");
+    }
+    let mut child = Command::new(std::env::current_exe().unwrap());
+    child.args(["--exact", test, "--nocapture"]).env(CHILD, "1");
+    let output = child.output().expect("this test's own program");
+    assert_eq!(output.status.signal(), Some(6), "{output:?}");
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
 
 /// Called under a communication task's lock, so its panic is one in the machinery.
 struct Broken;
 
 impl Recorder for Broken {
-    fn step(&self, _task: TaskId, _step: Step, _digest: OutputDigest) -> bool {
+    fn log(self: Arc<Self>, _task: TaskId) -> Option<Box<dyn Log>> {
+        Some(Box::new(Self))
+    }
+}
+
+impl Log for Broken {
+    fn step(&mut self, _step: &Step, _digest: OutputDigest) -> bool {
         panic!("this panic is part of the test");
     }
 }
 
 #[test]
 fn a_panic_in_the_machinery_aborts_the_process() {
-    if std::env::var_os(CHILD).is_some() {
+    let said = said_at_its_end("a_panic_in_the_machinery_aborts_the_process", || {
         let mut cell = cell(&[0, 0], Ticks(0));
         cell.port(ask(LONG_TICKS));
-        let node = one_node(&table(cell))
-            .recorder(Arc::new(Broken))
-            .task("a", |ctx| ctx.delay(Duration::ZERO))
-            .task("b", |_| Ok(()))
-            .start()
-            .unwrap();
-        let survived = node.wait(common::LONG);
-        panic!("the process went on; all programs ended: {survived}");
-    }
-    let mut child = Command::new(std::env::current_exe().unwrap());
-    child.args(["--exact", "a_panic_in_the_machinery_aborts_the_process", "--nocapture"]).env(CHILD, "1");
-    let output = child.output().expect("this test's own program");
-    assert_eq!(output.status.signal(), Some(6), "{output:?}");
-    let said = String::from_utf8_lossy(&output.stderr).into_owned();
+        let node = one_node(&table(cell)).recorder(Arc::new(Broken));
+        node.task("a", |ctx| ctx.delay(Duration::ZERO)).task("b", |_| Ok(())).start().unwrap()
+    });
     assert!(said.contains("a communication task panicked; the node stops"), "{said}");
+}
+
+/// Breaks when the Timer's thread sends, and no other.
+struct BreaksTheTimer;
+
+impl Link for BreaksTheTimer {
+    fn ready(&self, _next: NodeId) -> bool {
+        true
+    }
+
+    fn send_at(&self, _next: NodeId, packets: &[Packet], _at: Instant) -> Result<usize, LinkBusy> {
+        assert_ne!(std::thread::current().name(), Some("imrs timer"), "this panic is part of the test");
+        Ok(packets.len())
+    }
+
+    fn poll(&self, _sink: &dyn Sink, _until: Option<Instant>) -> PollEnd {
+        std::thread::sleep(Duration::from_millis(10));
+        PollEnd::TimedOut
+    }
+
+    fn wake(&self) {}
+}
+
+/// Asks a task of another node once a delay is over, which no thread of its own waits for.
+fn late_asker() -> Arc<Program> {
+    let mut b = ProgramBuilder::new("late asker");
+    let n = b.variable("n", Type::Int32);
+    b.delay(Ticks(20_000));
+    b.send(PortId(0), Target::One(B), &[(Type::Int32, n)]);
+    b.end();
+    Arc::new(b.finish().unwrap())
+}
+
+#[test]
+fn a_panic_of_the_timer_aborts_the_process() {
+    let said = said_at_its_end("a_panic_of_the_timer_aborts_the_process", || {
+        let mut cell = cell(&[0, 1], Ticks(2_000));
+        cell.port(ask(LONG_TICKS));
+        let node = Runtime::builder(table(cell), NodeId(0)).link(Arc::new(BreaksTheTimer));
+        node.script("a", late_asker()).start().unwrap()
+    });
+    assert!(
+        said.contains("thread 'imrs timer'") && said.contains("this panic is part of the test"),
+        "{said}"
+    );
+    assert!(said.contains("the route layer, the Timer or a link panicked; the node stops"), "{said}");
 }

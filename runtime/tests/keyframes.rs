@@ -10,8 +10,8 @@ use imrs_protocol::{
 };
 use imrs_runtime::link::in_process::Faults;
 use imrs_runtime::record::{
-    About, FileRecorder, InvariantBroken, KeyframeError, Miscount, OutputDigest, Recorded, Recorder, Replay,
-    ReplayError, Step, Verdict, replay_recording,
+    About, FileRecorder, InvariantBroken, KeyframeError, Log, Miscount, OutputDigest, Recorded, Recorder,
+    Replay, ReplayError, Step, Verdict, replay_recording,
 };
 use imrs_runtime::{Context, TaskError};
 use imrs_wire::recording::{Header, Record, RecordingReader, RecordingWriter, Stream, WriteError};
@@ -24,7 +24,6 @@ const LIFE: Incarnation = Incarnation(1);
 /// Keeps every step, with the machine's state before it.
 #[derive(Default)]
 struct Tape {
-    open: Mutex<BTreeMap<TaskId, Entry>>,
     closed: Mutex<BTreeMap<TaskId, Vec<Entry>>>,
 }
 
@@ -36,20 +35,32 @@ struct Entry {
 }
 
 impl Recorder for Tape {
-    fn wants_keyframe(&self, _task: TaskId) -> bool {
+    fn log(self: Arc<Self>, task: TaskId) -> Option<Box<dyn Log>> {
+        Some(Box::new(TapeOf { tape: self, task, open: None }))
+    }
+}
+
+struct TapeOf {
+    tape: Arc<Tape>,
+    task: TaskId,
+    open: Option<Entry>,
+}
+
+impl Log for TapeOf {
+    fn wants_keyframe(&self) -> bool {
         true
     }
 
-    fn keyframe(&self, machine: &CommTask, digest: OutputDigest) {
+    fn keyframe(&mut self, machine: &CommTask, digest: OutputDigest) {
         let state = postcard::to_allocvec(machine).expect("a machine can be written down");
         let entry = Entry { state, before: digest.0, recorded: None };
-        assert!(self.open.lock().unwrap().insert(machine.task(), entry).is_none(), "a step within a step");
+        assert!(self.open.replace(entry).is_none(), "a step within a step");
     }
 
-    fn step(&self, task: TaskId, step: Step, digest: OutputDigest) -> bool {
-        let mut entry = self.open.lock().unwrap().remove(&task).expect("a keyframe before it");
+    fn step(&mut self, &step: &Step, digest: OutputDigest) -> bool {
+        let mut entry = self.open.take().expect("a keyframe before it");
         entry.recorded = Some(Recorded { step, digest });
-        self.closed.lock().unwrap().entry(task).or_default().push(entry);
+        self.tape.closed.lock().unwrap().entry(self.task).or_default().push(entry);
         true
     }
 }

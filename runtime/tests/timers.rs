@@ -7,7 +7,7 @@ mod common;
 use common::{A, B, LONG, LONG_TICKS, ask, cell, report, table};
 use imrs_protocol::{NodeId, Outcome, Packet, PortDecl, TaskId, Ticks, Usage};
 use imrs_runtime::link::{Link, LinkBusy, PollEnd, Sink};
-use imrs_runtime::record::{OutputDigest, Recorder, Step};
+use imrs_runtime::record::{Log, OutputDigest, Recorder, Step};
 use imrs_runtime::{Context, Runtime, Sent, TaskEnd, TaskError};
 use std::process::Command;
 use std::sync::mpsc::Receiver;
@@ -42,8 +42,16 @@ impl Slacks {
 
 /// The machines' threads come by here.
 impl Recorder for Slacks {
-    fn step(&self, _task: TaskId, _step: Step, _digest: OutputDigest) -> bool {
-        self.note();
+    fn log(self: Arc<Self>, _task: TaskId) -> Option<Box<dyn Log>> {
+        Some(Box::new(NotesSlack(self)))
+    }
+}
+
+struct NotesSlack(Arc<Slacks>);
+
+impl Log for NotesSlack {
+    fn step(&mut self, _step: &Step, _digest: OutputDigest) -> bool {
+        self.0.note();
         false
     }
 }

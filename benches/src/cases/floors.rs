@@ -7,7 +7,8 @@ use rustix::thread::futex;
 use std::cell::Cell;
 use std::collections::VecDeque;
 use std::future::Future;
-use std::net::{Ipv4Addr, UdpSocket};
+use std::io::{Read, Write};
+use std::net::{Ipv4Addr, TcpListener, TcpStream, UdpSocket};
 use std::pin::Pin;
 use std::rc::Rc;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -255,6 +256,47 @@ pub fn udp(effort: Effort, full: u32, other: Core, spins: bool) -> Sample {
         laps(50, 1, &mut round_trip);
         let nanos = laps(effort.of(full), 1, &mut round_trip);
         a.send(&[0]).expect("sent");
+        Sample::of(nanos, 1)
+    });
+    cores::unpin();
+    sample
+}
+
+/// A connection over the loopback, both ends without delay for company.
+pub fn connected() -> [TcpStream; 2] {
+    let listener = TcpListener::bind((Ipv4Addr::LOCALHOST, 0)).expect("a socket");
+    let a = TcpStream::connect(listener.local_addr().expect("bound")).expect("it listens");
+    let (b, _) = listener.accept().expect("a connection");
+    [a, b].map(|stream| {
+        stream.set_nodelay(true).expect("an option");
+        stream
+    })
+}
+
+/// 32 bytes there and back over a connection on the loopback, both ends asleep in the socket with a time_out.
+pub fn tcp(effort: Effort, full: u32, other: Core) -> Sample {
+    let [mut a, mut b] = connected();
+    for stream in [&a, &b] {
+        stream.set_read_timeout(Some(FAR)).expect("an option");
+    }
+    cores::pin(Core::First);
+    let sample = thread::scope(|s| {
+        s.spawn(move || {
+            cores::pin(other);
+            let mut buffer = [0; 32];
+            // The other end closes the connection.
+            while b.read_exact(&mut buffer).is_ok() {
+                b.write_all(&buffer).expect("sent");
+            }
+        });
+        let mut buffer = [0; 32];
+        let mut round_trip = || {
+            a.write_all(&[7; 32]).expect("sent");
+            a.read_exact(&mut buffer).expect("an answer");
+        };
+        laps(50, 1, &mut round_trip);
+        let nanos = laps(effort.of(full), 1, &mut round_trip);
+        drop(a);
         Sample::of(nanos, 1)
     });
     cores::unpin();

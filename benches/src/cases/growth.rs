@@ -25,13 +25,28 @@ pub fn growth() -> Suite {
         suite.case(
             format!("machine/ask of {name}"),
             "send, receive, reply between two tasks of a node with so many tasks, a port each",
-            move |effort| ask_in_a_crowd(effort, table.get()),
+            move |effort| ask_on(effort, table.get(), ASK),
         );
     }
     suite.row(Row::new(
         "growth",
         "machine/ask of 10,000 tasks",
         "machine/ask of 2 tasks",
+        Stat::P50,
+        Goal::AtMost(1.1),
+    ));
+    for (ports, name) in [(2, "2 ports"), (10_000, "10,000 ports")] {
+        let table = Once::new(move || questions(ports));
+        suite.case(
+            format!("machine/ask of {name}"),
+            "send, receive, reply on the last of so many ports between the two tasks of a node",
+            move |effort| ask_on(effort, table.get(), PortId::from_index(ports - 1)),
+        );
+    }
+    suite.row(Row::new(
+        "growth",
+        "machine/ask of 10,000 ports",
+        "machine/ask of 2 ports",
         Stat::P50,
         Goal::AtMost(1.1),
     ));
@@ -117,11 +132,20 @@ fn crowd(tasks: usize) -> Arc<CellTable> {
     cells::table(cell)
 }
 
-fn ask_in_a_crowd(effort: Effort, table: &Arc<CellTable>) -> Sample {
+/// A asks B on so many ports.
+fn questions(ports: usize) -> Arc<CellTable> {
+    let mut cell = cells::cell(2, 1);
+    for port in 0..ports {
+        cell.port(PortDecl::new(&format!("p{port}"), A, Usage::Send, &[B], LONG_TICKS).command());
+    }
+    cells::table(cell)
+}
+
+fn ask_on(effort: Effort, table: &Arc<CellTable>, port: PortId) -> Sample {
     let table = NodeTable::new(Arc::clone(table), NodeId(0));
     let mut node = Node::new(table, Incarnation(0), false, 4);
     let contents = Contents::new(&cells::FULL).expect("12 bytes fit");
-    each(effort.of(50_000), GROUP, || machine_round_trip(&mut node, contents))
+    each(effort.of(50_000), GROUP, || machine_round_trip(&mut node, port, contents))
 }
 
 /// A sends to B on so many ports, each with room for so many messages.

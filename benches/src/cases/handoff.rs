@@ -7,8 +7,8 @@ use crate::cores::{self, Core};
 use crate::sample::{Sample, each, nanos_of};
 use crate::suite::{Effort, Goal, Row, Stat, Suite};
 use imrs_protocol::{
-    Contents, Incarnation, Node, NodeId, NodeInput, NodeOutbox, NodeTable, Packet, Request, Signal, Target,
-    TaskId, Usage,
+    Contents, Incarnation, Node, NodeId, NodeInput, NodeOutbox, NodeTable, Packet, PortId, Request, Signal,
+    Target, TaskId, Usage,
 };
 use imrs_runtime::{Runtime, SPIN};
 use std::sync::mpsc::channel;
@@ -208,12 +208,12 @@ impl NodeOutbox for Told {
     }
 }
 
-/// A round trip through the machine of a node whose first two tasks are A and B.
-pub fn machine_round_trip(node: &mut Node, contents: Contents) {
+/// A round trip on this port through the machine of a node whose first two tasks are A and B.
+pub fn machine_round_trip(node: &mut Node, port: PortId, contents: Contents) {
     let mut told = Told::default();
-    let get = Request::Get { port: Some(ASK), source: None, time_out: None };
+    let get = Request::Get { port: Some(port), source: None, time_out: None };
     node.step(NodeInput::Request(B, get), &mut told);
-    let send = Request::Send { port: ASK, to: Target::All, contents, time_out: None };
+    let send = Request::Send { port, to: Target::All, contents, time_out: None };
     node.step(NodeInput::Request(A, send), &mut told);
     let Some(Signal::Message(message)) = told.0[1] else { panic!("B was told {:?}", told.0[1]) };
     let reply = Request::Reply { to: message.from, contents: message.contents };
@@ -225,5 +225,5 @@ fn machine(effort: Effort, usage: Usage) -> Sample {
     let table = NodeTable::new(cells::asking(1, usage), NodeId(0));
     let mut node = Node::new(table, Incarnation(0), false, 4);
     let contents = Contents::new(&cells::FULL).expect("12 bytes fit");
-    each(effort.of(200_000), GROUP, || machine_round_trip(&mut node, contents))
+    each(effort.of(200_000), GROUP, || machine_round_trip(&mut node, ASK, contents))
 }

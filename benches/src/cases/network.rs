@@ -30,6 +30,11 @@ pub fn network() -> Suite {
             move |effort| floors::udp(effort, 1_500, other, false),
         );
         suite.case(
+            format!("floor/TCP {name}"),
+            "32 bytes there and back over one connection between two threads asleep in their sockets, with a time_out and TCP_NODELAY; plain",
+            move |effort| floors::tcp(effort, 1_500, other),
+        );
+        suite.case(
             format!("runtime/UDP {name}"),
             "send, receive, reply between Rust tasks of two nodes of one process, each asleep in its socket before every message (spin budget 0), deadline in the packet, checksum mode",
             move |effort| ask(effort, other, Watched::Not, Duration::ZERO),
@@ -61,6 +66,8 @@ pub fn network() -> Suite {
     let (one, two) = ("runtime/UDP one core", "runtime/UDP two cores");
     suite.row(Row::new("P11", one, "floor/UDP one core", Stat::P50, Goal::AtMost(1.2)));
     suite.row(Row::new("P11", two, "floor/UDP two cores", Stat::P50, Goal::AtMost(1.15)));
+    suite.row(Row::new("P11", one, "floor/TCP one core", Stat::P50, Goal::AtMost(1.2)));
+    suite.row(Row::new("P11", two, "floor/TCP two cores", Stat::P50, Goal::AtMost(1.15)));
     suite.row(Row::new("P11", "runtime/UDP as they are one core", one, Stat::P50, Goal::AtMost(1.05)));
     let awake = "runtime/UDP as they are two cores";
     suite.row(Row::new("P11", awake, "floor/UDP spinning", Stat::P50, Goal::AtMost(1.3)));

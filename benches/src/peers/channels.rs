@@ -150,6 +150,7 @@ fn streams(suite: &mut Suite) {
         suite.row(Row::new("P6", own, &peer, Stat::Mean, Goal::AtLeast(times)));
     }
     suite.case("rtrb/FIFO 1->1", "a ring of 1,024 for one sender and one receiver, both spinning", ring);
+    suite.row(Row::new("P6", "runtime/stream 1->1", "rtrb/FIFO 1->1", Stat::Mean, Goal::AtLeast(0.4)));
 }
 
 fn ring(effort: Effort) -> Sample {

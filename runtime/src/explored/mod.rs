@@ -7,6 +7,7 @@
 
 mod futures;
 mod handoff;
+mod lane;
 mod lead;
 mod looks;
 mod time;

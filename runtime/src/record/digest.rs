@@ -108,15 +108,11 @@ impl OutputDigest {
 
     /// The bytes, and how many they are on top of the last ones.
     fn contents(&mut self, contents: &Contents) {
-        const { assert!(CONTENTS_BYTES < 16) };
-        let bytes = contents.as_bytes();
-        let mut whole = [0; 16];
-        whole[..bytes.len()].copy_from_slice(bytes);
-        whole[15] = u8::try_from(bytes.len()).unwrap_or(u8::MAX);
-        let (first, last) = whole.split_at(8);
-        for half in [first, last] {
-            self.mix(half.iter().rev().fold(0, |lane, &byte| lane << 8 | u64::from(byte)));
-        }
+        const { assert!(CONTENTS_BYTES == 12) };
+        let [a, b, c, d, e, f, g, h, i, j, k, l] = *contents.padded();
+        self.mix(u64::from_le_bytes([a, b, c, d, e, f, g, h]));
+        let length = (contents.as_bytes().len() as u64) << 56;
+        self.mix(length | u64::from(u32::from_le_bytes([i, j, k, l])));
     }
 }
 

@@ -1,33 +1,42 @@
-//! Recording into a file, by a thread of its own: the node hands every step over and goes on.
+//! Recording into a file, by a thread of its own: each communication task puts its steps into a lane of its own and goes on.
 
-use super::{OutputDigest, Recorder, Step};
+use super::packed::{self, Drain, Entry, Fill};
+use super::{Log, OutputDigest, Recorder, Step};
+use crate::lane::lane;
 use imrs_protocol::{CommTask, Incarnation, NodeTable, TaskId};
-use imrs_wire::recording::{Header, Recording, ScriptStep, Status, TaskStream, WriteError};
+use imrs_wire::recording::{
+    Alert, Append, Header, LONGEST, Record, Recording, ScriptStep, Source, Status, Stream, WriteError,
+};
+use std::collections::{BTreeMap, VecDeque};
 use std::io::Write;
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
-/// How many steps wait between a node and its disk. When there are more, a gap is recorded instead; once the disk keeps
-/// up again, the recording goes on with a keyframe.
-const CAPACITY: usize = 32_768;
+/// How many slots all tasks of a node share between them and their disk: 16 MiB. A step takes one. When there are more,
+/// a gap is recorded instead; once the disk keeps up again, the recording goes on with a keyframe.
+const SLOTS: usize = 1 << 18;
+/// What a task has of them, however many there are: 32 KiB to 2 MiB.
+const OF_A_TASK: (usize, usize) = (1 << 9, 1 << 15);
 
 /// Records the inputs of a node's communication tasks as an [`imrs_wire::recording`].
 pub struct FileRecorder {
     recording: Mutex<Option<Recording>>,
-    /// One for each task of the node, ascending. Their locks are never waited for: each is used under the lock of its
-    /// communication task only.
-    tracks: Box<[Mutex<Track>]>,
-    tasks: Box<[TaskId]>,
+    aside: Box<[Arc<Aside>]>,
+    /// Those that nobody has taken yet.
+    logs: Mutex<BTreeMap<TaskId, TaskLog>>,
 }
 
-struct Track {
-    stream: TaskStream,
-    /// How many steps there were.
-    inputs: u64,
-    /// The digest of all outputs.
-    outputs: OutputDigest,
-    /// Nothing comes after the last record of the task, though an action of it may still end.
-    closed: bool,
+/// What passes beside the lane of a task.
+#[derive(Default)]
+struct Aside {
+    /// How many records were lost, and how many inputs among them: counted in this order.
+    lost: AtomicU64,
+    lost_inputs: AtomicU64,
+    /// Those whose mark is in the lane, and no others.
+    keyframes: Mutex<VecDeque<Vec<u8>>>,
+    /// The node has stopped.
+    closed: AtomicBool,
 }
 
 /// Whose recording it is.
@@ -66,67 +75,201 @@ impl FileRecorder {
             insecure: about.insecure,
             began: u64::try_from(began.as_micros()).unwrap_or(u64::MAX),
         };
-        let recording = Recording::start(sink, &header, CAPACITY, on_failure)?;
-        let tasks: Box<[TaskId]> = table.tasks_on(table.node).collect();
-        let track = |&task: &TaskId| {
-            let stream = recording.task(task);
-            Mutex::new(Track { stream, inputs: 0, outputs: OutputDigest::START, closed: false })
-        };
-        let tracks = tasks.iter().map(track).collect();
-        Ok(Arc::new(Self { recording: Mutex::new(Some(recording)), tracks, tasks }))
+        // No frames go into it.
+        let recording = Recording::start(sink, &header, 1, on_failure)?;
+        let tasks: Vec<TaskId> = table.tasks_on(table.node).collect();
+        let slots = (SLOTS / tasks.len().max(1)).clamp(OF_A_TASK.0, OF_A_TASK.1);
+        let (mut aside, mut logs) = (Vec::new(), BTreeMap::new());
+        for task in tasks {
+            let (log, source) = ends(task, slots, recording.alert());
+            aside.push(Arc::clone(&log.aside));
+            recording.attach(Box::new(source));
+            logs.insert(task, log);
+        }
+        let (recording, logs) = (Mutex::new(Some(recording)), Mutex::new(logs));
+        Ok(Arc::new(Self { recording, aside: aside.into(), logs }))
     }
 
     /// How the recording is doing; `None` once it was stopped.
     #[must_use]
     pub fn status(&self) -> Option<Status> {
-        self.recording.lock().unwrap_or_else(PoisonError::into_inner).as_ref().map(Recording::status)
+        let status = locked(&self.recording).as_ref().map(Recording::status)?;
+        Some(self.with_losses(status))
     }
 
     /// Ends the recording: to be called after the node has stopped. Waits for the disk as long as `patience`. `None`
     /// where it was stopped before.
     pub fn stop(&self, patience: Duration) -> Option<Status> {
-        let recording = self.recording.lock().unwrap_or_else(PoisonError::into_inner).take()?;
-        for track in &self.tracks {
-            let mut track = track.lock().unwrap_or_else(PoisonError::into_inner);
-            let (inputs, outputs) = (track.inputs, track.outputs.0);
-            track.closed = true;
-            track.stream.close(inputs, outputs);
-        }
-        Some(recording.stop(patience))
+        let recording = locked(&self.recording).take()?;
+        self.aside.iter().for_each(|task| task.closed.store(true, Ordering::Release));
+        let status = recording.stop(patience);
+        Some(self.with_losses(status))
     }
 
-    fn with(&self, task: TaskId, write: impl FnOnce(&mut Track)) {
-        if let Ok(at) = self.tasks.binary_search(&task) {
-            let mut track = self.tracks[at].lock().unwrap_or_else(PoisonError::into_inner);
-            if !track.closed {
-                write(&mut track);
-            }
-        }
+    fn with_losses(&self, mut status: Status) -> Status {
+        status.lost += self.aside.iter().map(|task| task.lost.load(Ordering::Relaxed)).sum::<u64>();
+        status
     }
 }
 
 impl Recorder for FileRecorder {
-    fn step(&self, task: TaskId, Step { elapsed, input }: Step, digest: OutputDigest) -> bool {
-        let mut wanted = false;
-        self.with(task, |track| {
-            (track.inputs, track.outputs) = (track.inputs + 1, digest);
-            wanted = !track.stream.input(elapsed, input, digest.0) && track.stream.wants_keyframe();
-        });
-        wanted
+    fn log(self: Arc<Self>, task: TaskId) -> Option<Box<dyn Log>> {
+        let log = locked(&self.logs).remove(&task)?;
+        Some(Box::new(log))
+    }
+}
+
+fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
+    mutex.lock().unwrap_or_else(PoisonError::into_inner)
+}
+
+fn ends(task: TaskId, slots: usize, alert: Alert) -> (TaskLog, TaskSource) {
+    let (fill, drain) = lane(
+        slots,
+        #[cfg(test)]
+        crate::lane::Plant::None,
+    );
+    let aside = Arc::<Aside>::default();
+    let source = TaskSource {
+        task,
+        drain,
+        aside: Arc::clone(&aside),
+        inputs: 0,
+        outputs: OutputDigest::START.0,
+        told: 0,
+    };
+    (TaskLog { fill, alert, aside, needs_keyframe: false, told: 0 }, source)
+}
+
+/// Where the steps of one communication task go. Used under that task's lock: nothing here blocks, allocates or enters the
+/// kernel, but for waking the writing thread: where it had found nothing to do, or whenever a quarter of the lane has filled
+/// up.
+struct TaskLog {
+    fill: Fill,
+    alert: Alert,
+    aside: Arc<Aside>,
+    /// Something was lost: until a keyframe is given nothing that is recorded of this task can be replayed.
+    needs_keyframe: bool,
+    /// Of the lost records, how many gaps tell of.
+    told: u64,
+}
+
+impl TaskLog {
+    /// The writer sleeps or is gone, or the record found no room.
+    #[cold]
+    fn attend(&mut self, taken: bool, inputs: u64) {
+        // What cannot be replayed would only take room from what can.
+        if !(taken && self.alert.call()) {
+            self.aside.lost.fetch_add(1, Ordering::Relaxed);
+            self.aside.lost_inputs.fetch_add(inputs, Ordering::Release);
+            self.needs_keyframe = true;
+        }
+    }
+}
+
+impl Log for TaskLog {
+    fn step(&mut self, step: &Step, digest: OutputDigest) -> bool {
+        let crowded = || self.alert.hurry();
+        let taken = !self.needs_keyframe && packed::step(&mut self.fill, step, digest.0, crowded);
+        if !taken || self.alert.is_due() {
+            self.attend(taken, 1);
+            return self.wants_keyframe();
+        }
+        false
     }
 
-    fn script(&self, task: TaskId, step: ScriptStep, done: OutputDigest) {
-        self.with(task, |track| {
-            track.stream.script(step, done.0);
-        });
+    fn script(&mut self, step: ScriptStep, done: OutputDigest) {
+        let crowded = || self.alert.hurry();
+        let taken = !self.needs_keyframe && packed::script(&mut self.fill, step, done.0, crowded);
+        if !taken || self.alert.is_due() {
+            self.attend(taken, 0);
+        }
+    }
+
+    /// One is needed, and the disk keeps up again. Making one takes time and memory; while the disk does not keep up it
+    /// would only be lost as well.
+    fn wants_keyframe(&self) -> bool {
+        self.needs_keyframe && self.fill.is_half_free() && !self.alert.is_over()
     }
 
     /// Allocates, unlike everything else on a message's way: once for each gap.
-    fn keyframe(&self, machine: &CommTask, digest: OutputDigest) {
+    fn keyframe(&mut self, machine: &CommTask, digest: OutputDigest) {
         // A state that cannot be written down is as good as none: the gap goes on.
         let Ok(state) = postcard::to_allocvec(machine) else { return };
-        self.with(machine.task(), |track| {
-            track.stream.keyframe(state, digest.0);
-        });
+        if state.len() > LONGEST {
+            return;
+        }
+        let lost = self.aside.lost.load(Ordering::Relaxed);
+        let mut keyframes = locked(&self.aside.keyframes);
+        if packed::keyframe(&mut self.fill, lost - self.told, digest.0) {
+            keyframes.push_back(state);
+            self.told = lost;
+            self.needs_keyframe = false;
+        }
+    }
+}
+
+/// Where the writing thread finds them.
+struct TaskSource {
+    task: TaskId,
+    drain: Drain,
+    aside: Arc<Aside>,
+    /// How many inputs there were, but for those that were lost; and the digest of the last one.
+    inputs: u64,
+    outputs: u64,
+    /// Of the lost records, how many gaps tell of.
+    told: u64,
+}
+
+impl TaskSource {
+    fn record(&mut self, entry: Entry) -> Option<Record> {
+        let task = self.task;
+        Some(match entry {
+            Entry::Input { step: Step { elapsed, input }, outputs } => {
+                (self.inputs, self.outputs) = (self.inputs + 1, outputs);
+                Record::Input { task, elapsed, input, outputs }
+            }
+            Entry::Script { step, done } => Record::Script { task, step, done },
+            Entry::Gap { lost } => {
+                self.told += lost;
+                Record::Gap { stream: Stream::Task(task), lost }
+            }
+            Entry::Keyframe { outputs } => {
+                let state = locked(&self.aside.keyframes).pop_front()?;
+                Record::Keyframe { task, state, outputs }
+            }
+            Entry::Unreadable => {
+                self.inputs += 1;
+                Record::Gap { stream: Stream::Task(task), lost: 1 }
+            }
+        })
+    }
+}
+
+impl Source for TaskSource {
+    fn fetch(&mut self, append: &mut Append<'_>) -> Result<bool, WriteError> {
+        let (until, mut found) = (self.drain.filled(), false);
+        while let Some(entry) = packed::take(&mut self.drain, until) {
+            found = true;
+            if let Some(record) = self.record(entry) {
+                append(&record)?;
+            }
+        }
+        Ok(found)
+    }
+
+    fn finish(&mut self, append: &mut Append<'_>) -> Result<(), WriteError> {
+        self.fetch(append)?;
+        // Of what is lost some is no input: counted the other way round than they are noted.
+        let lost_inputs = self.aside.lost_inputs.load(Ordering::Acquire);
+        let untold = self.aside.lost.load(Ordering::Relaxed) - self.told;
+        let task = self.task;
+        if untold > 0 {
+            append(&Record::Gap { stream: Stream::Task(task), lost: untold })?;
+        }
+        if self.aside.closed.load(Ordering::Acquire) {
+            append(&Record::Close { task, inputs: self.inputs + lost_inputs, outputs: self.outputs })?;
+        }
+        Ok(())
     }
 }

@@ -7,7 +7,7 @@ use crate::clock;
 use crate::comm::Comm;
 use crate::effects::{Effects, Stamped};
 use crate::failstop::guarded;
-use crate::record::{Did, OutputDigest, Recorder, ScriptStep, Step};
+use crate::record::{Did, Log, OutputDigest, ScriptStep, Step};
 use imrs_protocol::script::{
     Action, Address, End, HOST_LIMIT, MAX_THREADS, Program, Script, ScriptFault, ScriptInput,
 };
@@ -83,15 +83,24 @@ impl Seat {
 
     /// Input comes to the communication task.
     pub fn take(&mut self, comm: &mut Comm, stamped: Stamped, effects: &mut Effects) {
-        let now = self.let_time_pass(comm, effects);
         let mut input = stamped.input;
-        match &mut input {
-            Input::Advance(Ticks::ZERO) => return,
-            // What it waited for this step is taken from its life.
-            Input::Packet(packet) => packet.remaining = packet.remaining - Ticks(now - stamped.at.min(now)),
-            _ => {}
+        let only_time = input == Input::Advance(Ticks::ZERO);
+        let turn = effects.time_of_turn();
+        // One step for the time and the input, where nobody wants to see what is between.
+        let elapsed = if !only_time && self.side.watch.is_none() && comm.is_idle_until(turn) {
+            comm.pass(turn)
+        } else {
+            self.let_time_pass(comm, effects);
+            Ticks::ZERO
+        };
+        if only_time {
+            return;
         }
-        self.step(comm, Step { elapsed: Ticks::ZERO, input }, effects);
+        if let Input::Packet(packet) = &mut input {
+            // What it waited for this step is taken from its life.
+            packet.remaining = packet.remaining - Ticks(comm.now().saturating_sub(stamped.at));
+        }
+        self.step(comm, Step { elapsed, input }, effects);
         self.hear(comm, effects);
         self.show(comm);
     }
@@ -179,15 +188,9 @@ impl Seat {
             steps += 1;
             effects.steps = effects.steps.saturating_add(1);
             let runs_away = steps > HOST_LIMIT || effects.steps > self.together;
-            let knows = Knows { machine: comm.machine(), table: comm.table() };
-            let does = Out {
-                knows,
-                recorder: comm.recorder(),
-                now: comm.now(),
-                requests: &mut self.requests,
-                side: &mut self.side,
-                effects,
-            };
+            let now = comm.now();
+            let (knows, log) = comm.recorded();
+            let does = Out { knows, log, now, requests: &mut self.requests, side: &mut self.side, effects };
             let mut out = Outlet { knows, does };
             if runs_away {
                 self.script.stop(&self.program, ScriptFault::Runaway, &mut out);
@@ -205,9 +208,9 @@ impl Seat {
 }
 
 impl Side {
-    fn record(&self, comm: &Comm, step: ScriptStep) {
-        if let Some(recorder) = comm.recorder() {
-            recorder.script(comm.machine().task(), step, self.done);
+    fn record(&self, comm: &mut Comm, step: ScriptStep) {
+        if let (_, Some(log)) = comm.recorded() {
+            log.script(step, self.done);
         }
     }
 
@@ -232,7 +235,7 @@ impl Side {
 /// Where the effects of a script go.
 struct Out<'a> {
     knows: Knows<'a>,
-    recorder: Option<&'a dyn Recorder>,
+    log: Option<&'a mut (dyn Log + 'static)>,
     now: u64,
     requests: &'a mut VecDeque<Request>,
     side: &'a mut Side,
@@ -245,7 +248,7 @@ impl Out<'_> {
     }
 
     fn did(&mut self, did: &Did<'_>) {
-        if self.recorder.is_some() {
+        if self.log.is_some() {
             self.side.done.add(did);
         }
     }
@@ -287,8 +290,8 @@ impl Does for Out<'_> {
 
     fn choose(&mut self, alternatives: u16) -> Option<u16> {
         let choice = self.side.draws.u16(..alternatives.max(1));
-        if let Some(recorder) = self.recorder {
-            recorder.script(self.knows.machine.task(), ScriptStep::Chosen(choice), self.side.done);
+        if let Some(log) = &mut self.log {
+            log.script(ScriptStep::Chosen(choice), self.side.done);
         }
         Some(choice)
     }
@@ -306,7 +309,7 @@ impl Does for Out<'_> {
     }
 
     fn statement(&mut self, at: Address) {
-        if self.recorder.is_some() {
+        if self.log.is_some() {
             self.side.done.passed(at);
         }
         self.note(|| Note::Statement(at));

@@ -6,7 +6,7 @@ pub mod udp;
 
 use imrs_protocol::{Cell, CellTable, Class, NodeId, PortDecl, TaskId, Ticks, Usage};
 use imrs_runtime::link::in_process::{Faults, Network};
-use imrs_runtime::record::{OutputDigest, Recorded, Recorder, Step};
+use imrs_runtime::record::{Log, OutputDigest, Recorded, Recorder, Step};
 use imrs_runtime::{Builder, Context, Runtime, TaskEnd, TaskError};
 use std::collections::BTreeMap;
 use std::sync::mpsc::{Receiver, Sender, channel};
@@ -119,9 +119,17 @@ pub struct Tape {
     pub closed: Mutex<BTreeMap<TaskId, Vec<Recorded>>>,
 }
 
+struct TapeOf(Arc<Tape>, TaskId);
+
 impl Recorder for Tape {
-    fn step(&self, task: TaskId, step: Step, digest: OutputDigest) -> bool {
-        self.closed.lock().unwrap().entry(task).or_default().push(Recorded { step, digest });
+    fn log(self: Arc<Self>, task: TaskId) -> Option<Box<dyn Log>> {
+        Some(Box::new(TapeOf(self, task)))
+    }
+}
+
+impl Log for TapeOf {
+    fn step(&mut self, &step: &Step, digest: OutputDigest) -> bool {
+        self.0.closed.lock().unwrap().entry(self.1).or_default().push(Recorded { step, digest });
         false
     }
 }

@@ -16,6 +16,9 @@ mod explorer;
 #[allow(dead_code, reason = "the pieces bring along what no scene needs")]
 #[path = "../../src/handoff.rs"]
 mod handoff;
+#[allow(dead_code, reason = "the pieces bring along what no scene needs")]
+#[path = "../../src/lane.rs"]
+mod lane;
 #[allow(dead_code, reason = "no time passes in a scene")]
 #[path = "../../src/lead.rs"]
 mod lead;

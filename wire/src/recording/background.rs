@@ -1,30 +1,32 @@
 //! Writing from a thread of its own, so that no disk ever holds up a node.
+//!
+//! Two ways lead to that thread: a queue of records, for streams of few and long ones, and [`Source`]s, which it empties
+//! itself, for streams of many and short ones. Neither is ever waited for.
 
-use super::{Header, MAX_RECORD_BYTES, Record, RecordingWriter, ScriptStep, Stream, WriteError};
-use imrs_protocol::{Input, TaskId, Ticks};
+use super::{Header, MAX_RECORD_BYTES, Record, RecordingWriter, Stream, WriteError};
 use std::io::{BufWriter, Write};
-use std::sync::atomic::{AtomicBool, AtomicU64, AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering};
 use std::sync::mpsc::{self, Receiver, SyncSender};
 use std::sync::{Arc, Mutex, MutexGuard, OnceLock, PoisonError};
 use std::thread::{self, JoinHandle, Thread};
 use std::time::{Duration, Instant};
 
-/// How long the thread gathers after each batch, unless a good part of the queue fills up before. Meanwhile handing a
-/// record over wakes nobody; an idle recording sleeps without end.
+/// How long the thread gathers after each look that found something, unless somebody hurries it. Meanwhile handing
+/// something over wakes nobody.
 const GATHER: Duration = Duration::from_millis(5);
-/// How many records are written before the thread looks whether it is to stop.
-const BATCH: usize = 4_096;
-/// What part of the queue must be full for the thread to be woken while it gathers: one in so many.
-const HURRIES_AT: usize = 4;
+/// How long it sleeps after a look that found nothing, unless somebody wakes it. Who hands something over looks without
+/// a fence whether it sleeps, so one that is about to can be missed: then this is how late it comes.
+const SLEEP: Duration = Duration::from_millis(50);
 const BUFFER_BYTES: usize = 64 * 1024;
 /// The longest state or frame; what else is in its record takes less than the rest.
-const LONGEST: usize = MAX_RECORD_BYTES - 64;
+pub const LONGEST: usize = MAX_RECORD_BYTES - 64;
 
-enum Message {
-    Record(Record),
-    /// Look at [`Shared::stopping`].
-    Stop,
-}
+/// The thread looks again by itself, soon.
+const AWAKE: u8 = 0;
+/// The thread found nothing and sleeps, or is about to.
+const ASLEEP: u8 = 1;
+/// Nothing is written any more.
+const OVER: u8 = 2;
 
 #[derive(Default)]
 struct Shared {
@@ -32,13 +34,60 @@ struct Shared {
     capacity: usize,
     /// The thread that writes.
     writer: OnceLock<Thread>,
-    /// How many messages are in the queue.
-    queued: AtomicUsize,
+    /// [`AWAKE`], [`ASLEEP`] or [`OVER`].
+    state: AtomicU8,
     records: AtomicU64,
     bytes: AtomicU64,
     stopping: AtomicBool,
     failure: OnceLock<WriteError>,
     streams: Mutex<Vec<Arc<Losses>>>,
+    sources: Mutex<Vec<Box<dyn Source>>>,
+}
+
+/// Where records are written. Once it has failed nothing more can be.
+pub type Append<'a> = dyn FnMut(&Record) -> Result<(), WriteError> + 'a;
+
+/// Something that the writing thread empties by itself, again and again.
+pub trait Source: Send {
+    /// Writes down what is there, and no more than was there when it began. Returns whether anything was.
+    ///
+    /// # Errors
+    /// Those of `append`.
+    fn fetch(&mut self, append: &mut Append<'_>) -> Result<bool, WriteError>;
+
+    /// Writes down what is there for the last time, and what was lost that no gap tells of.
+    ///
+    /// # Errors
+    /// Those of `append`.
+    fn finish(&mut self, append: &mut Append<'_>) -> Result<(), WriteError>;
+}
+
+/// Who feeds a [`Source`] asks here how its writer is doing.
+#[derive(Clone)]
+pub struct Alert(Arc<Shared>);
+
+impl Alert {
+    /// To be asked whenever something was put into a source: whether [`call`](Self::call) has to be told of it.
+    #[must_use]
+    pub fn is_due(&self) -> bool {
+        self.0.state.load(Ordering::Relaxed) != AWAKE
+    }
+
+    /// Wakes the writer, where it sleeps. False where nothing is written any more.
+    pub fn call(&self) -> bool {
+        self.0.call()
+    }
+
+    /// Ends the writer's pause: a good part of a source is full.
+    pub fn hurry(&self) {
+        self.0.unpark();
+    }
+
+    /// Whether nothing is written any more.
+    #[must_use]
+    pub fn is_over(&self) -> bool {
+        self.0.state.load(Ordering::Relaxed) == OVER
+    }
 }
 
 /// What a stream has lost.
@@ -79,17 +128,18 @@ pub struct Status {
 
 /// A recording that is being written by its own thread.
 ///
-/// Each stream hands its records over through a handle of its own ([`task`](Self::task), [`frames`](Self::frames)).
+/// Frames are handed over through a handle for each of their sources ([`frames`](Self::frames)); the rest comes from
+/// [`Source`]s.
 /// [`stop`](Self::stop) ends it; one that is dropped is ended too, but nobody waits for that.
 pub struct Recording {
-    queue: SyncSender<Message>,
+    queue: SyncSender<Record>,
     shared: Arc<Shared>,
     /// Says whether everything was written.
     thread: Option<JoinHandle<bool>>,
 }
 
 impl Recording {
-    /// Begins a recording on `sink`, with room for `capacity` records between the streams and the disk. `on_failure` is
+    /// Begins a recording on `sink`, with room for `capacity` frames between their streams and the disk. `on_failure` is
     /// called at most once, by the writing thread, when the medium fails: from then on nothing is written.
     ///
     /// # Errors
@@ -108,7 +158,9 @@ impl Recording {
         shared.count(&writer);
         let for_thread = Arc::clone(&shared);
         let run = move || {
-            let Err(error) = write(writer, &records, &for_thread) else { return true };
+            let written = write(writer, &records, &for_thread);
+            for_thread.state.store(OVER, Ordering::Release);
+            let Err(error) = written else { return true };
             on_failure(for_thread.failure.get_or_init(|| error));
             false
         };
@@ -117,11 +169,15 @@ impl Recording {
         Ok(Self { queue, shared, thread: Some(thread) })
     }
 
-    /// The inputs of a communication task, from the beginning of its life on. One that has run before gives a keyframe
-    /// first.
+    /// How the writing thread is doing.
     #[must_use]
-    pub fn task(&self, task: TaskId) -> TaskStream {
-        TaskStream { task, outlet: self.outlet(Stream::Task(task)), needs_keyframe: false }
+    pub fn alert(&self) -> Alert {
+        Alert(Arc::clone(&self.shared))
+    }
+
+    /// From here on the writing thread empties this, too.
+    pub fn attach(&self, source: Box<dyn Source>) {
+        self.shared.sources().push(source);
     }
 
     /// The frames of one source.
@@ -140,7 +196,7 @@ impl Recording {
     /// disk that takes longer is left behind with the thread that waits for it.
     #[must_use]
     pub fn stop(mut self, patience: Duration) -> Status {
-        self.shared.stop(&self.queue);
+        self.shared.stop();
         let end = Instant::now() + patience;
         let finished = |thread: &JoinHandle<bool>| thread.is_finished();
         while !self.thread.as_ref().is_none_or(finished) && Instant::now() < end {
@@ -161,11 +217,15 @@ impl Recording {
 
 impl Drop for Recording {
     fn drop(&mut self) {
-        self.shared.stop(&self.queue);
+        self.shared.stop();
     }
 }
 
 impl Shared {
+    fn sources(&self) -> MutexGuard<'_, Vec<Box<dyn Source>>> {
+        self.sources.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     fn streams(&self) -> MutexGuard<'_, Vec<Arc<Losses>>> {
         self.streams.lock().unwrap_or_else(PoisonError::into_inner)
     }
@@ -180,65 +240,80 @@ impl Shared {
         }
     }
 
-    fn stop(&self, queue: &SyncSender<Message>) {
+    fn stop(&self) {
         self.stopping.store(true, Ordering::Release);
-        // Where the queue is full the thread is awake, and looks when it has emptied it.
-        let _taken = self.hand_over(queue, Message::Stop);
+        self.unpark();
     }
 
-    /// Puts a message into the queue, if there is room.
-    fn hand_over(&self, queue: &SyncSender<Message>, message: Message) -> bool {
-        // Counted before it can be taken out.
-        let before = self.queued.fetch_add(1, Ordering::Relaxed);
-        let taken = queue.try_send(message).is_ok();
-        if !taken {
-            self.queued.fetch_sub(1, Ordering::Relaxed);
-        } else if before == self.capacity / HURRIES_AT {
-            // Busy nodes fill the queue before the thread has gathered.
-            self.writer.get().into_iter().for_each(Thread::unpark);
+    fn unpark(&self) {
+        self.writer.get().into_iter().for_each(Thread::unpark);
+    }
+
+    fn call(&self) -> bool {
+        match self.state.compare_exchange(ASLEEP, AWAKE, Ordering::Relaxed, Ordering::Relaxed) {
+            Ok(_) => self.unpark(),
+            Err(state) => return state != OVER,
         }
-        taken
+        true
     }
 
     fn count<W: Write>(&self, writer: &RecordingWriter<W>) {
         self.records.store(writer.records(), Ordering::Relaxed);
         self.bytes.store(writer.written(), Ordering::Relaxed);
     }
-
-    /// Whether a good part of the queue is free, and what is put into it will be written.
-    fn has_room(&self) -> bool {
-        self.queued.load(Ordering::Relaxed) <= self.capacity / 2
-            && self.failure.get().is_none()
-            && !self.stopping.load(Ordering::Relaxed)
-    }
 }
 
 /// The writing thread: until it is told to stop, or the medium fails.
 fn write<W: Write>(
     mut writer: RecordingWriter<W>,
-    queue: &Receiver<Message>,
+    queue: &Receiver<Record>,
     shared: &Shared,
 ) -> Result<(), WriteError> {
-    while let Ok(first) = queue.recv() {
-        let mut taken = 0;
-        for message in std::iter::once(first).chain(queue.try_iter()).take(BATCH) {
-            taken += 1;
-            append(&mut writer, message)?;
+    loop {
+        // Before the last look, so that what was handed over before the stop is written.
+        let stopping = shared.stopping.load(Ordering::Acquire);
+        let mut found = false;
+        for record in queue.try_iter().take(shared.capacity) {
+            found = true;
+            writer.append(&record)?;
         }
-        writer.flush()?;
-        // Once for all of them: the streams count in the same memory.
-        shared.queued.fetch_sub(taken, Ordering::Relaxed);
-        shared.count(&writer);
-        if shared.stopping.load(Ordering::Acquire) {
+        for source in shared.sources().iter_mut() {
+            found |= source.fetch(&mut |record| writer.append(record))?;
+        }
+        if found {
+            writer.flush()?;
+            shared.count(&writer);
+        }
+        if stopping {
             break;
         }
-        if taken < BATCH {
-            thread::park_timeout(GATHER);
-        }
+        pause(shared, found);
     }
-    // What was handed over before the stop, and no more: the streams may go on.
-    for message in queue.try_iter().take(shared.capacity) {
-        append(&mut writer, message)?;
+    finish(writer, queue, shared)
+}
+
+/// Until there may be something again.
+fn pause(shared: &Shared, found: bool) {
+    if found {
+        thread::park_timeout(GATHER);
+        return;
+    }
+    shared.state.store(ASLEEP, Ordering::Relaxed);
+    thread::park_timeout(SLEEP);
+    shared.state.store(AWAKE, Ordering::Relaxed);
+}
+
+/// What is there now, and no more: the streams may go on.
+fn finish<W: Write>(
+    mut writer: RecordingWriter<W>,
+    queue: &Receiver<Record>,
+    shared: &Shared,
+) -> Result<(), WriteError> {
+    for record in queue.try_iter().take(shared.capacity) {
+        writer.append(&record)?;
+    }
+    for source in shared.sources().iter_mut() {
+        source.finish(&mut |record| writer.append(record))?;
     }
     let streams = shared.streams().clone();
     for losses in streams {
@@ -252,16 +327,9 @@ fn write<W: Write>(
     Ok(())
 }
 
-fn append<W: Write>(writer: &mut RecordingWriter<W>, message: Message) -> Result<(), WriteError> {
-    match message {
-        Message::Record(record) => writer.append(&record),
-        Message::Stop => Ok(()),
-    }
-}
-
 /// A stream's end of the queue.
 struct Outlet {
-    queue: SyncSender<Message>,
+    queue: SyncSender<Record>,
     shared: Arc<Shared>,
     losses: Arc<Losses>,
 }
@@ -269,7 +337,7 @@ struct Outlet {
 impl Outlet {
     /// Hands a record over that fits, after word of what was lost before it. False where it was lost as well.
     fn hand_over_if(&self, fits: bool, record: Record) -> bool {
-        let taken = fits && self.announce() && self.shared.hand_over(&self.queue, Message::Record(record));
+        let taken = fits && self.announce() && self.hand_over(record);
         if !taken {
             self.losses.add();
         }
@@ -279,77 +347,16 @@ impl Outlet {
     /// Says what was lost. False where there is no room even for that.
     fn announce(&self) -> bool {
         let Some(lost) = self.losses.take() else { return true };
-        let gap = Record::Gap { stream: self.losses.stream, lost };
-        let taken = self.shared.hand_over(&self.queue, Message::Record(gap));
+        let taken = self.hand_over(Record::Gap { stream: self.losses.stream, lost });
         if !taken {
             self.losses.unannounced.fetch_add(lost, Ordering::Relaxed);
         }
         taken
     }
-}
 
-/// Where the inputs of one communication task go. Used under that task's lock: nothing here blocks, allocates or
-/// enters the kernel, but for waking the writing thread: once in 5 ms, or whenever a quarter of the queue has filled up.
-pub struct TaskStream {
-    task: TaskId,
-    outlet: Outlet,
-    needs_keyframe: bool,
-}
-
-impl TaskStream {
-    /// The task.
-    #[must_use]
-    pub const fn task(&self) -> TaskId {
-        self.task
-    }
-
-    /// Whether inputs were lost: until a keyframe is given nothing that is recorded of this task can be replayed.
-    #[must_use]
-    pub const fn needs_keyframe(&self) -> bool {
-        self.needs_keyframe
-    }
-
-    /// Whether a keyframe should be given now: one is needed, and the disk keeps up again. Making one takes time and
-    /// memory; while the disk does not keep up it would only be lost as well.
-    #[must_use]
-    pub fn wants_keyframe(&self) -> bool {
-        self.needs_keyframe && self.outlet.shared.has_room()
-    }
-
-    /// Records an input that came `elapsed` after the one before; `outputs` is the digest of everything that the task
-    /// had put out after it. Returns whether it was taken: where there is no room, and from then on until a keyframe, it
-    /// is lost.
-    pub fn input(&mut self, elapsed: Ticks, input: Input, outputs: u64) -> bool {
-        // What cannot be replayed only takes room from what can.
-        let fits = !self.needs_keyframe;
-        let record = Record::Input { task: self.task, elapsed, input, outputs };
-        let taken = self.outlet.hand_over_if(fits, record);
-        self.needs_keyframe |= !taken;
-        taken
-    }
-
-    /// Records what the task's script took; `done` is the digest of everything that it had done before. Returns whether
-    /// it was taken, as for an input.
-    pub fn script(&mut self, step: ScriptStep, done: u64) -> bool {
-        let fits = !self.needs_keyframe;
-        let taken = self.outlet.hand_over_if(fits, Record::Script { task: self.task, step, done });
-        self.needs_keyframe |= !taken;
-        taken
-    }
-
-    /// Records the task's state between two inputs, and the digest of its outputs so far. Returns whether there was
-    /// room.
-    pub fn keyframe(&mut self, state: Vec<u8>, outputs: u64) -> bool {
-        let fits = state.len() <= LONGEST;
-        let taken = self.outlet.hand_over_if(fits, Record::Keyframe { task: self.task, state, outputs });
-        self.needs_keyframe = !taken;
-        taken
-    }
-
-    /// Records that the task took `inputs` inputs, and that no more will come; `outputs` is the digest of everything it
-    /// put out. Returns whether there was room.
-    pub fn close(&mut self, inputs: u64, outputs: u64) -> bool {
-        self.outlet.hand_over_if(true, Record::Close { task: self.task, inputs, outputs })
+    /// Puts a record into the queue, if there is room.
+    fn hand_over(&self, record: Record) -> bool {
+        self.queue.try_send(record).is_ok() && self.shared.call()
     }
 }
 

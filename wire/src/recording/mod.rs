@@ -15,8 +15,8 @@
 //! (D95). Each stream is complete in itself, or says by a [`Record::Gap`] that it is not, so no order between streams
 //! is needed.
 //!
-//! [`Recording`] writes from a thread of its own. Handing a record over never blocks and never fails for the node: what
-//! finds the queue full becomes a gap, and after a disk error everything does.
+//! [`Recording`] writes from a thread of its own. Handing something over never blocks and never fails for the node: what
+//! finds no room becomes a gap, and after a disk error everything does.
 
 mod background;
 mod happened;
@@ -24,7 +24,7 @@ mod reader;
 mod shown;
 mod writer;
 
-pub use background::{FrameStream, Recording, Status, TaskStream};
+pub use background::{Alert, Append, FrameStream, LONGEST, Recording, Source, Status};
 pub use happened::{Happened, Happening, Turn};
 pub use reader::{Cause, Ending, ReadError, RecordingReader};
 pub use shown::{Doing, Place, Shown, ShownError, Step, Story};

@@ -5,6 +5,9 @@ use crate::checksum::CRC;
 use std::io::{self, Write};
 use thiserror::Error;
 
+/// Longer than the inputs' records, with their heads.
+const SHORT: usize = 256;
+
 /// Why a record could not be written.
 #[derive(Debug, Error)]
 pub enum WriteError {
@@ -23,7 +26,7 @@ pub enum WriteError {
 #[derive(Debug)]
 pub struct RecordingWriter<W> {
     sink: W,
-    /// The record in the making; reused.
+    /// The record in the making, and what is left of longer ones.
     bytes: Vec<u8>,
     records: u64,
     written: u64,
@@ -35,7 +38,7 @@ impl<W: Write> RecordingWriter<W> {
     /// # Errors
     /// Where the header cannot be written.
     pub fn new(sink: W, header: &Header) -> Result<Self, WriteError> {
-        let mut writer = Self { sink, bytes: Vec::new(), records: 0, written: 0 };
+        let mut writer = Self { sink, bytes: vec![0; SHORT], records: 0, written: 0 };
         let mut prologue = [0; PROLOGUE_BYTES];
         prologue[..8].copy_from_slice(&MAGIC);
         prologue[8..10].copy_from_slice(&VERSION.to_le_bytes());
@@ -51,23 +54,34 @@ impl<W: Write> RecordingWriter<W> {
     /// After [`WriteError::Io`] part of the record may have been written: the recording can be read up to there, but
     /// nothing can be appended to it.
     pub fn append(&mut self, record: &Record) -> Result<(), WriteError> {
-        self.bytes.clear();
-        self.bytes.resize(RECORD_HEAD_BYTES, 0);
-        self.bytes =
-            postcard::to_extend(record, std::mem::take(&mut self.bytes)).map_err(WriteError::Encode)?;
-        let length = self.bytes.len() - RECORD_HEAD_BYTES;
+        let length = self.encode(record)?;
         if length > MAX_RECORD_BYTES {
             return Err(WriteError::TooLong(length));
         }
+        let (head, contents) = self.bytes[..RECORD_HEAD_BYTES + length].split_at_mut(RECORD_HEAD_BYTES);
         let length = u32::try_from(length).map_err(|_| WriteError::TooLong(length))?.to_le_bytes();
-        let contents = checksum(&self.bytes[RECORD_HEAD_BYTES..]);
-        self.bytes[..4].copy_from_slice(&length);
-        self.bytes[4..8].copy_from_slice(&checksum(&length).to_le_bytes());
-        self.bytes[8..12].copy_from_slice(&contents.to_le_bytes());
-        self.sink.write_all(&self.bytes)?;
-        self.written += self.bytes.len() as u64;
+        head[..4].copy_from_slice(&length);
+        head[4..8].copy_from_slice(&checksum(&length).to_le_bytes());
+        head[8..].copy_from_slice(&checksum(contents).to_le_bytes());
+        let whole = RECORD_HEAD_BYTES + contents.len();
+        self.sink.write_all(&self.bytes[..whole])?;
+        self.written += whole as u64;
         self.records += 1;
         Ok(())
+    }
+
+    /// Puts the contents behind the room for their head. How long they are.
+    fn encode(&mut self, record: &Record) -> Result<usize, WriteError> {
+        match postcard::to_slice(record, &mut self.bytes[RECORD_HEAD_BYTES..]) {
+            Ok(contents) => Ok(contents.len()),
+            // The longest one until now. From here on there is room for one like it.
+            Err(postcard::Error::SerializeBufferFull) => {
+                self.bytes =
+                    postcard::to_extend(record, vec![0; RECORD_HEAD_BYTES]).map_err(WriteError::Encode)?;
+                Ok(self.bytes.len() - RECORD_HEAD_BYTES)
+            }
+            Err(error) => Err(WriteError::Encode(error)),
+        }
     }
 
     /// How many records were written, the header included.

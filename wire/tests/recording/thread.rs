@@ -1,8 +1,8 @@
 //! Disks that are slow, stuck or full: the node never waits, and the recording says what it lost.
 
 use crate::rig::{header, read};
-use imrs_protocol::{Input, TaskId, Ticks};
-use imrs_wire::recording::{Ending, Record, Recording, Status, Stream, WriteError};
+use imrs_protocol::TaskId;
+use imrs_wire::recording::{Append, Ending, Record, Recording, Source, Status, Stream, WriteError};
 use std::io::{self, ErrorKind, Write};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, Sender, TryRecvError, channel};
@@ -60,8 +60,6 @@ impl Write for Disk {
     }
 }
 
-const ADVANCE: Input = Input::Advance(Ticks::ZERO);
-
 fn no_failure(error: &WriteError) {
     panic!("{error}");
 }
@@ -79,28 +77,26 @@ fn streams_of_several_threads_are_each_in_order() {
     let (disk, bytes) = Disk::new();
     let recording = Recording::start(disk, &header(), 1 << 14, no_failure).unwrap();
     std::thread::scope(|s| {
-        for task in 0..3 {
-            let mut stream = recording.task(TaskId(task));
+        for source in 0..3 {
+            let mut stream = recording.frames(source);
             s.spawn(move || {
                 for n in 0..1_000 {
-                    assert!(stream.input(Ticks(n), ADVANCE, n), "there is room for all");
+                    assert!(stream.frame(n, vec![7]), "there is room for all");
                 }
-                assert!(stream.keyframe(vec![0; 100], 0));
             });
         }
-        assert!(recording.frames(4).frame(1, b"seen".to_vec()));
     });
     let status = recording.stop(PATIENCE);
     let bytes = bytes.lock().unwrap();
-    let expected = Status { records: 3_006, bytes: bytes.len() as u64, lost: 0, failure: None, ended: true };
+    let expected = Status { records: 3_002, bytes: bytes.len() as u64, lost: 0, failure: None, ended: true };
     assert_eq!(status, expected);
     let (records, ending) = read(&bytes);
     assert_eq!(ending.unwrap(), Ending::Ended);
     let mut next = [0; 3];
     for record in records {
-        if let Record::Input { task, elapsed, outputs, .. } = record {
-            assert_eq!((elapsed.0, outputs), (next[task.index()], next[task.index()]));
-            next[task.index()] += 1;
+        if let Record::Frame { source, at, .. } = record {
+            assert_eq!(at, next[usize::from(source)]);
+            next[usize::from(source)] += 1;
         }
     }
     assert_eq!(next, [1_000; 3]);
@@ -110,11 +106,52 @@ fn streams_of_several_threads_are_each_in_order() {
 fn what_is_handed_over_is_on_disk_soon_without_a_stop() {
     let (disk, bytes) = Disk::new();
     let recording = Recording::start(disk, &header(), 16, no_failure).unwrap();
-    let mut stream = recording.task(TaskId(0));
+    let mut stream = recording.frames(0);
     for n in 0..3 {
-        assert!(stream.input(Ticks(n), ADVANCE, n));
+        assert!(stream.frame(n, Vec::new()));
         wait_for("a record on disk", || read(&bytes.lock().unwrap()).0.len() as u64 == n + 1);
     }
+}
+
+/// Numbers that a thread has put down for the one that writes.
+#[derive(Clone, Default)]
+struct Numbers(Arc<Mutex<Vec<u64>>>);
+
+impl Source for Numbers {
+    fn fetch(&mut self, append: &mut Append<'_>) -> Result<bool, WriteError> {
+        let numbers = std::mem::take(&mut *self.0.lock().unwrap());
+        for &lost in &numbers {
+            append(&Record::Gap { stream: Stream::Task(TaskId(0)), lost })?;
+        }
+        Ok(!numbers.is_empty())
+    }
+
+    fn finish(&mut self, append: &mut Append<'_>) -> Result<(), WriteError> {
+        self.fetch(append)?;
+        append(&Record::Close { task: TaskId(0), inputs: 9, outputs: 9 })
+    }
+}
+
+#[test]
+fn a_source_is_emptied_soon_and_once_more_at_the_end() {
+    let (disk, bytes) = Disk::new();
+    let recording = Recording::start(disk, &header(), 1, no_failure).unwrap();
+    let (numbers, alert) = (Numbers::default(), recording.alert());
+    recording.attach(Box::new(numbers.clone()));
+    // Nobody says that there is something: it is found all the same.
+    numbers.0.lock().unwrap().push(1);
+    wait_for("a record on disk", || read(&bytes.lock().unwrap()).0.len() == 1);
+    wait_for("the writer to sleep", || alert.is_due());
+    numbers.0.lock().unwrap().push(2);
+    assert!(alert.call());
+    wait_for("a record on disk", || read(&bytes.lock().unwrap()).0.len() == 2);
+    numbers.0.lock().unwrap().push(3);
+    alert.hurry();
+    assert!(!alert.is_over() && recording.stop(PATIENCE).ended);
+    assert!(alert.is_due() && alert.is_over() && !alert.call(), "nothing is written any more");
+    let gap = |lost| Record::Gap { stream: Stream::Task(TaskId(0)), lost };
+    let close = Record::Close { task: TaskId(0), inputs: 9, outputs: 9 };
+    assert_eq!(read(&bytes.lock().unwrap()).0, [gap(1), gap(2), gap(3), close, Record::End]);
 }
 
 #[test]
@@ -122,27 +159,20 @@ fn a_slow_disk_makes_a_gap_and_never_a_wait() {
     let (disk, bytes) = Disk::new();
     let (disk, give) = disk.held_back();
     let recording = Recording::start(disk, &header(), 8, no_failure).unwrap();
-    let mut stream = recording.task(TaskId(0));
-    let mut other = recording.task(TaskId(1));
+    let (mut stream, mut other) = (recording.frames(0), recording.frames(1));
     let mut number = 0;
-    let mut taken = Vec::new();
     let start = Instant::now();
-    while !stream.needs_keyframe() {
-        if stream.input(Ticks(number), ADVANCE, number) {
-            taken.push(number);
-        }
+    while stream.frame(number, Vec::new()) {
         number += 1;
     }
     for _ in 0..99 {
-        assert!(!stream.input(Ticks(0), ADVANCE, 0));
+        assert!(!stream.frame(0, Vec::new()));
     }
-    assert!(!other.input(Ticks(0), ADVANCE, 0) && other.needs_keyframe());
+    assert!(!other.frame(0, Vec::new()));
     assert!(start.elapsed() < PATIENCE && recording.status().lost == 101);
     // The disk takes bytes again.
     drop(give);
-    wait_for("room", || stream.keyframe(vec![7], 42));
-    assert!(!stream.needs_keyframe());
-    wait_for("room", || stream.input(Ticks(5), ADVANCE, 43));
+    wait_for("room", || stream.frame(number, Vec::new()));
     let status = recording.stop(PATIENCE);
     assert!(status.ended && status.failure.is_none());
     let (records, ending) = read(&bytes.lock().unwrap());
@@ -154,53 +184,10 @@ fn a_slow_disk_makes_a_gap_and_never_a_wait() {
         })
     };
     let before: Vec<_> = records.iter().take_while(|r| !matches!(r, Record::Gap { .. })).collect();
-    assert_eq!(before.len(), taken.len(), "all that was taken, then the gap");
-    let lost = of(Stream::Task(TaskId(0))).sum::<u64>() + of(Stream::Task(TaskId(1))).sum::<u64>();
+    assert_eq!(before.len() as u64, number, "all that was taken, then the gap");
+    let lost = of(Stream::Frames(0)).sum::<u64>() + of(Stream::Frames(1)).sum::<u64>();
     assert_eq!(lost, status.lost, "every loss is told, also that of a stream that went silent");
-    assert_eq!(of(Stream::Task(TaskId(1))).collect::<Vec<_>>(), [1]);
-    let keyframe = records.iter().position(|r| matches!(r, Record::Keyframe { .. })).unwrap();
-    assert!(matches!(records[keyframe - 1], Record::Gap { .. }));
-}
-
-#[test]
-fn a_keyframe_is_wanted_once_the_disk_keeps_up_again_and_nothing_is_recorded_before_it() {
-    let (disk, bytes) = Disk::new();
-    let (disk, give) = disk.held_back();
-    let stuck = Arc::clone(&disk.stuck);
-    let recording = Recording::start(disk, &header(), 64, no_failure).unwrap();
-    let mut stream = recording.task(TaskId(0));
-    assert!(stream.input(Ticks(0), ADVANCE, 0));
-    // From here on nothing leaves the queue.
-    wait_for("the disk to be stuck", || stuck.load(Ordering::Acquire));
-    let mut number = 1;
-    while stream.input(Ticks(number), ADVANCE, number) {
-        assert!(!stream.wants_keyframe(), "nothing is missing");
-        number += 1;
-    }
-    assert!(
-        stream.needs_keyframe() && !stream.wants_keyframe(),
-        "the queue is full: it would be lost as well"
-    );
-    drop(give);
-    wait_for("room for a keyframe", || stream.wants_keyframe());
-    for _ in 0..5 {
-        assert!(!stream.input(Ticks(0), ADVANCE, 0), "there is room, but it could not be replayed");
-    }
-    assert!(stream.wants_keyframe() && stream.keyframe(vec![7], 42) && !stream.wants_keyframe());
-    assert!(stream.input(Ticks(1), ADVANCE, 43));
-    assert!(recording.stop(PATIENCE).ended);
-    assert!(!stream.input(Ticks(1), ADVANCE, 44) && !stream.wants_keyframe(), "nothing is written any more");
-    let (records, _) = read(&bytes.lock().unwrap());
-    let after = records.iter().skip_while(|record| matches!(record, Record::Input { .. }));
-    let after: Vec<_> = after.cloned().collect();
-    let task = TaskId(0);
-    let expected = [
-        Record::Gap { stream: Stream::Task(task), lost: 6 },
-        Record::Keyframe { task, state: vec![7], outputs: 42 },
-        Record::Input { task, elapsed: Ticks(1), input: ADVANCE, outputs: 43 },
-        Record::End,
-    ];
-    assert_eq!(after, expected);
+    assert_eq!(of(Stream::Frames(1)).collect::<Vec<_>>(), [1]);
 }
 
 #[test]
@@ -210,16 +197,16 @@ fn a_full_disk_is_reported_once_and_leaves_a_readable_recording() {
     let (tell, told) = channel();
     let report = move |error: &WriteError| tell.send(error.to_string()).unwrap();
     let recording = Recording::start(disk, &header(), 1 << 10, report).unwrap();
-    let mut stream = recording.task(TaskId(0));
+    let mut stream = recording.frames(0);
     let end = Instant::now() + PATIENCE;
     let mut handed_over = 0;
     while recording.status().failure.is_none() {
         assert!(Instant::now() < end);
-        handed_over += u64::from(stream.input(Ticks(1), ADVANCE, 1));
+        handed_over += u64::from(stream.frame(1, Vec::new()));
         std::thread::yield_now();
     }
-    wait_for("the queue is given up", || !stream.input(Ticks(1), ADVANCE, 1));
-    assert!(stream.needs_keyframe() && !stream.wants_keyframe() && handed_over > 0);
+    wait_for("the queue is given up", || !stream.frame(1, Vec::new()));
+    assert!(handed_over > 0);
     let message = told.recv_timeout(PATIENCE).unwrap();
     assert!(message.starts_with("the recording cannot be written"), "{message}");
     let status = recording.stop(PATIENCE);
@@ -235,8 +222,8 @@ fn a_stuck_disk_does_not_hold_up_the_stop() {
     let (disk, _bytes) = Disk::new();
     let (disk, give) = disk.held_back();
     let recording = Recording::start(disk, &header(), 4, |_| ()).unwrap();
-    let mut stream = recording.task(TaskId(0));
-    while stream.input(Ticks(1), ADVANCE, 1) {}
+    let mut stream = recording.frames(0);
+    while stream.frame(1, Vec::new()) {}
     let status = recording.stop(Duration::from_millis(20));
     assert!(!status.ended && status.failure.is_none() && status.lost == 1);
     drop(give);

@@ -1,0 +1,76 @@
+//! The lane that a task's steps take to the thread that writes them down: what is shown is whole, and what was given back is
+//! not read any more.
+
+use super::must_fail;
+use crate::explorer::{SEES_OLD_VALUES, explore, thread};
+use crate::lane::{Drain, Plant, lane};
+
+/// Takes what is there: records of two slots, which say the same number.
+fn take(drain: &mut Drain<1>, taken: &mut Vec<u64>) {
+    let until = drain.filled();
+    while let Some([number]) = drain.next(until) {
+        assert_eq!(drain.next(until), Some([number]), "not what was put in");
+        taken.push(number);
+        drain.give_back();
+    }
+}
+
+/// Nobody waits here, so chosen schedules need a hint where to change threads. All schedules need none, and loom takes one
+/// for the promise that nothing is to be done before another thread has run.
+fn let_others_run() {
+    if !SEES_OLD_VALUES {
+        thread::yield_now();
+    }
+}
+
+/// One thread puts two records into a lane with room for one, another takes them. How many found room, and whether any
+/// was taken while they came.
+fn two_records(plant: Plant) -> (u64, bool) {
+    let (mut fill, mut drain) = lane::<1>(2, plant);
+    let other = thread::spawn(move || {
+        let mut found_room = 0;
+        for _ in 0..2 {
+            let_others_run();
+            if fill.has_room(2, || ()) {
+                found_room += 1;
+                (0..2).for_each(|_| fill.put([found_room]));
+                fill.publish();
+            }
+        }
+        found_room
+    });
+    let mut taken = Vec::new();
+    for _ in 0..2 {
+        take(&mut drain, &mut taken);
+        let_others_run();
+    }
+    let meanwhile = !taken.is_empty();
+    let found_room = other.join().unwrap();
+    take(&mut drain, &mut taken);
+    assert!(taken.iter().copied().eq(1..=found_room), "not what was put in: {taken:?} of {found_room}");
+    (found_room, meanwhile)
+}
+
+#[test]
+fn what_found_room_comes_out_whole_and_in_order() {
+    let seen = explore(|| two_records(Plant::None));
+    let outcomes: Vec<_> = seen.keys().copied().collect();
+    assert_eq!(outcomes, [(1, false), (1, true), (2, true)], "{seen:?}");
+}
+
+#[test]
+fn what_is_shown_before_it_is_there_is_torn() {
+    must_fail("not what was put in", || two_records(Plant::ShownFirst));
+}
+
+#[test]
+fn what_is_given_back_before_it_was_read_is_torn() {
+    must_fail("not what was put in", || two_records(Plant::GivenBackFirst));
+}
+
+#[test]
+fn what_is_shown_without_order_is_torn() {
+    if SEES_OLD_VALUES {
+        must_fail("not what was put in", || two_records(Plant::NoRelease));
+    }
+}
