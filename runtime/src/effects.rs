@@ -2,6 +2,7 @@
 
 use crate::clock::{self, Micros};
 use crate::script::Deed;
+use crate::transit::BATCH;
 use imrs_protocol::{Input, Packet, TaskId, Ticks, TimeId};
 use std::collections::VecDeque;
 
@@ -38,16 +39,16 @@ pub(crate) struct Effects {
     pub held: usize,
     /// The task whose thread this is, if it waits for what it asks.
     pub waiter: Option<TaskId>,
-    /// What goes to scripts of the node.
+    /// What goes to scripts of the node, and what came in over a link with others.
     pub bundles: Bundles,
     /// The time of the turn at a script that this thread has; none between two turns.
     pub turn: Option<Micros>,
 }
 
-/// The most packets that a script takes in one turn, with one look at the clock (D112).
-const BUNDLE: usize = 32;
+/// The most packets that a task takes in one turn, a script with one look at the clock (D112): what a datagram brings.
+const BUNDLE: usize = BATCH;
 
-/// Packets for scripts of the node, tied together by who gets them: so that each script takes its own under one lock.
+/// Packets for tasks of the node, tied together by who gets them: so that each task takes its own under one lock.
 #[derive(Debug, Default)]
 pub(crate) struct Bundles {
     /// By position among the node's tasks.
@@ -74,7 +75,7 @@ impl Bundles {
         self.full.is_empty()
     }
 
-    /// Takes out what one script gets next. To be [given back](Self::give_back) empty.
+    /// Takes out what one task gets next. To be [given back](Self::give_back) empty.
     pub fn pop(&mut self) -> Option<(usize, VecDeque<Stamped>)> {
         let place = self.full.pop_front()?;
         let bundle = self.of.get_mut(place)?;

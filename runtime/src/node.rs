@@ -309,23 +309,32 @@ impl Node {
         }
     }
 
-    fn receive(&self, from: NodeId, packet: Packet, charge: Ticks, at: Micros, effects: &mut Effects) {
-        let arrival = if can_come(&self.table, from, &packet) {
-            arrived(&self.table, packet, charge)
-        } else {
-            Arrival::Discard(Reason::NotAllowed, packet)
-        };
-        match arrival {
-            Arrival::Local(task, packet) => {
-                if let Some(member) = self.members.of(task) {
+    /// Takes in what came together: one instant and one charge for all, so that none is taken to be older than what was
+    /// sent before it, and for each task one visit.
+    fn receive(&self, from: NodeId, packets: &[Packet], charge: Ticks, at: Micros, effects: &mut Effects) {
+        for &packet in packets {
+            let arrival = if can_come(&self.table, from, &packet) {
+                arrived(&self.table, packet, charge)
+            } else {
+                Arrival::Discard(Reason::NotAllowed, packet)
+            };
+            match arrival {
+                Arrival::Local(task, packet) => {
+                    let Some(place) = self.members.place(task) else { continue };
+                    let member = &self.members.list[place];
                     member.by_link.store(true, Ordering::Relaxed);
+                    let stamped = Stamped { at, input: Input::Packet(packet) };
+                    if packets.len() > 1 {
+                        effects.bundles.push(place, stamped);
+                    } else {
+                        member.handoff.deliver(stamped, effects);
+                    }
                 }
-                self.feed(task, Stamped { at, input: Input::Packet(packet) }, effects);
-            }
-            Arrival::Relay(packet) => self.dispatch.offer(at, packet, effects),
-            Arrival::Discard(reason, packet) => {
-                self.discards[reason as usize].fetch_add(1, Ordering::Relaxed);
-                self.dispatch.note(at, discarded(reason, &packet));
+                Arrival::Relay(packet) => self.dispatch.offer(at, packet, effects),
+                Arrival::Discard(reason, packet) => {
+                    self.discards[reason as usize].fetch_add(1, Ordering::Relaxed);
+                    self.dispatch.note(at, discarded(reason, &packet));
+                }
             }
         }
         self.carry_out(effects);
@@ -375,15 +384,16 @@ impl Inlet {
 }
 
 impl Sink for Inlet {
-    fn packet(&self, from: NodeId, packet: Packet, charge: Ticks, at: Instant) {
-        // This order: a stop between the two makes the packet too old, never too young.
+    fn packets(&self, from: NodeId, packets: &[Packet], charge: Ticks, at: Instant) {
+        // This order: a stop between the two makes the packets too old, never too young. A later one does so, too: the
+        // machines are told when this was, not when they are told.
         let now = clock::now();
         let charge = charge + Ticks(clock::micros(at.elapsed()));
         if let Some(peer) = self.node.peer(from) {
-            peer.received.fetch_add(1, Ordering::Relaxed);
+            peer.received.fetch_add(packets.len() as u64, Ordering::Relaxed);
             peer.heard.store(now, Ordering::Relaxed);
         }
-        self.node.receive(from, packet, charge, now, &mut lock(&self.effects));
+        self.node.receive(from, packets, charge, now, &mut lock(&self.effects));
     }
 
     fn peer(&self, node: NodeId, incarnation: Incarnation, restarted: bool) {
