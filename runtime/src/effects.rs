@@ -34,9 +34,10 @@ pub(crate) struct Effects {
     pub deeds: VecDeque<Deed>,
     /// How many steps scripts took since something came from outside of the node.
     pub steps: u32,
-    /// Whether what is sent waits for more, and how many packets of this thread do.
+    /// Packets for links, and when their remaining times were true.
+    pub leaving: Vec<(Micros, Packet)>,
+    /// Whether they wait for more.
     pub holds: bool,
-    pub held: usize,
     /// The task whose thread this is, if it waits for what it asks.
     pub waiter: Option<TaskId>,
     /// What goes to scripts of the node, and what came in over a link with others.
@@ -95,7 +96,12 @@ impl Bundles {
 
 impl Effects {
     pub fn new(waiter: Option<TaskId>) -> Self {
-        Self { queue: VecDeque::with_capacity(256), waiter, ..Self::of_an_onlooker() }
+        Self {
+            queue: VecDeque::with_capacity(256),
+            leaving: Vec::with_capacity(BATCH),
+            waiter,
+            ..Self::of_an_onlooker()
+        }
     }
 
     /// For a thread that only looks, and rarely finds work that others left it.
@@ -104,8 +110,8 @@ impl Effects {
             queue: VecDeque::new(),
             deeds: VecDeque::new(),
             steps: 0,
+            leaving: Vec::new(),
             holds: false,
-            held: 0,
             waiter: None,
             bundles: Bundles::default(),
             turn: None,

@@ -248,8 +248,7 @@ impl Node {
                 self.members.list[place].handoff.deliver_all(&mut bundle, effects);
                 effects.bundles.give_back(bundle);
             }
-            if !effects.holds || effects.held >= BATCH {
-                effects.held = 0;
+            if !effects.holds || effects.leaving.len() >= BATCH {
                 self.dispatch.pump(latest, effects);
             }
             while let Some(deed) = effects.deeds.pop_front() {
@@ -297,8 +296,7 @@ impl Node {
                 }
             }
             Departure::Link(_) | Departure::Unroutable => {
-                effects.held += 1;
-                self.dispatch.offer(at, packet, effects);
+                effects.leaving.push((at, packet));
             }
         }
     }
@@ -330,7 +328,7 @@ impl Node {
                         member.handoff.deliver(stamped, effects);
                     }
                 }
-                Arrival::Relay(packet) => self.dispatch.offer(at, packet, effects),
+                Arrival::Relay(packet) => effects.leaving.push((at, packet)),
                 Arrival::Discard(reason, packet) => {
                     self.discards[reason as usize].fetch_add(1, Ordering::Relaxed);
                     self.dispatch.note(at, discarded(reason, &packet));
