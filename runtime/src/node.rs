@@ -25,6 +25,7 @@ use imrs_protocol::{
     CommTask, Incarnation, Input, NodeId, NodeTable, Packet, Reason, Request, TaskId, Ticks, discarded,
 };
 use imrs_wire::obs::RealTime;
+use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, OnceLock};
 use std::time::Instant;
 
@@ -57,6 +58,8 @@ pub struct Node {
     pub(crate) lateness: LatenessCounts,
     pub(crate) link: Option<Arc<dyn Link>>,
     pub(crate) lead: Lead,
+    /// Whether the link brought something for a future since their thread last asked.
+    pub(crate) futures_by_link: AtomicBool,
     /// For how long a task's thread looks before it sleeps.
     pub(crate) spin: Micros,
     /// How long before the end of its time it wakes, to look until then.
@@ -85,7 +88,7 @@ impl Node {
         let imrs_protocol::Parts { table, tasks, transit, timer } = plan.machine.into_parts();
         let count = tasks.len();
         let alarm = Arc::new(Alarm::new(count + 2));
-        let bell = plan.link.clone().map(|link| Arc::new(LinkBell(link)) as Arc<dyn Bell>);
+        let bell = bell_of(plan.link.as_ref());
         let member = |(slot, machine): (usize, CommTask)| {
             let recorder = plan.recorder.clone();
             let task = machine.task();
@@ -120,6 +123,7 @@ impl Node {
             stage: OnceLock::new(),
             link: plan.link,
             lead: Lead::new(),
+            futures_by_link: AtomicBool::new(true),
             spin: plan.spin,
             spin_tail: plan.spin_tail,
             peers: table.neighbours(table.node).map(peer).collect(),
@@ -145,6 +149,11 @@ impl Node {
     #[must_use]
     pub fn name(&self) -> &str {
         &self.table.cell().nodes[self.table.node.index()].name
+    }
+
+    /// What calls a thread of this node that waits in its link.
+    pub(crate) fn bell(&self) -> Option<Arc<dyn Bell>> {
+        bell_of(self.link.as_ref())
     }
 
     /// An instant, in microseconds of the monotonic clock, before which every step of a script of this node has been
@@ -320,7 +329,9 @@ impl Node {
                 Arrival::Local(task, packet) => {
                     let Some(place) = self.members.place(task) else { continue };
                     let member = &self.members.list[place];
-                    member.by_link.store(true, Ordering::Relaxed);
+                    let listens = member.listens.load(Ordering::Relaxed);
+                    let by_link = if listens { &self.futures_by_link } else { &member.by_link };
+                    by_link.store(true, Ordering::Relaxed);
                     let stamped = Stamped { at, input: Input::Packet(packet) };
                     if packets.len() > 1 {
                         effects.bundles.push(place, stamped);
@@ -352,7 +363,12 @@ impl Node {
     }
 }
 
-/// Calls a task's thread that waits in the link.
+/// What calls a thread of the node that waits in its link.
+fn bell_of(link: Option<&Arc<dyn Link>>) -> Option<Arc<dyn Bell>> {
+    link.map(|link| Arc::new(LinkBell(Arc::clone(link))) as Arc<dyn Bell>)
+}
+
+/// Calls a thread that waits in the link.
 struct LinkBell(Arc<dyn Link>);
 
 impl Bell for LinkBell {

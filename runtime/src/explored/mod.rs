@@ -9,6 +9,7 @@ mod futures;
 mod handoff;
 mod lead;
 mod looks;
+mod park;
 mod time;
 mod visit;
 
