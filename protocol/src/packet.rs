@@ -227,23 +227,22 @@ impl fmt::Display for PacketError {
 
 impl core::error::Error for PacketError {}
 
-const CRC: crc::Crc<u32, crc::Table<1>> = crc::Crc::<u32, crc::Table<1>>::new(&crc::CRC_32_AUTOSAR);
+/// Sixteen bytes at a time.
+static CRC: crc::Crc<u32, crc::Table<16>> = crc::Crc::<u32, crc::Table<16>>::new(&crc::CRC_32_AUTOSAR);
 
 /// The bits of byte 1 that relays change.
 const HOP_BITS: u8 = 0b0000_1110;
 
 fn checksum(bytes: &[u8; PACKET_BYTES], digest: u32, port_hash: u32) -> u32 {
-    let mut covered = *bytes;
-    covered[1] &= !HOP_BITS;
-    covered[12] = 0;
-    covered[13] = 0;
-    covered[14] = 0;
-    covered[15] &= 0xf0;
-    let mut crc = CRC.digest();
-    crc.update(&digest.to_le_bytes());
-    crc.update(&port_hash.to_le_bytes());
-    crc.update(&covered[..28]);
-    crc.finalize()
+    let mut covered = [0; 36];
+    covered[..4].copy_from_slice(&digest.to_le_bytes());
+    covered[4..8].copy_from_slice(&port_hash.to_le_bytes());
+    covered[8..].copy_from_slice(&bytes[..28]);
+    let packet = &mut covered[8..];
+    packet[1] &= !HOP_BITS;
+    packet[12..15].fill(0);
+    packet[15] &= 0xf0;
+    CRC.checksum(&covered)
 }
 
 /// Remaining time as the wire carries it: the largest `(mantissa, exponent)` that is not more than `remaining`

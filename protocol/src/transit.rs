@@ -136,6 +136,31 @@ impl Transit {
         let _ = self.queue.push(waiting);
     }
 
+    /// An [`offer`](Self::offer) and a [`next`](Self::next) in one, for a packet that finds nothing waiting and a ready link:
+    /// it enters no order. Any other one is offered.
+    pub fn pass(
+        &mut self,
+        table: &NodeTable,
+        packet: Packet,
+        ready: impl FnOnce(NodeId) -> bool,
+        out: &mut impl RouteOutbox,
+    ) -> Option<(NodeId, Packet)> {
+        let next = match route::departing(table, &packet) {
+            Departure::Link(next) if self.is_empty() && ready(next) => next,
+            Departure::Link(_) | Departure::Local(_) | Departure::Unroutable => {
+                self.offer(table, packet, out);
+                return None;
+            }
+        };
+        let waiting = self.waits(table, packet, next);
+        if waiting.leave_by <= self.now {
+            self.discard(table, &packet, Reason::ExpiredInTransit, out);
+            return None;
+        }
+        self.forwarded += 1;
+        Some((next, waiting.left(self.now)))
+    }
+
     /// Which held packet makes room for a newcomer; `None`: the newcomer itself goes.
     fn victim(&mut self, table: &NodeTable, newcomer: &Waiting) -> Option<Slot> {
         if table.rules().eviction == Eviction::ByTime {

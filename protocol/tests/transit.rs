@@ -376,3 +376,34 @@ fn what_waits_comes_back_from_its_packed_form() {
     assert_eq!(back.transit.store(&frame, &mut again), Ok(len));
     assert_eq!(again, bytes);
 }
+
+proptest! {
+    /// The short way through does what the long one does, whatever waits and whichever links are ready.
+    #[test]
+    fn to_pass_is_to_be_offered_and_to_leave(
+        before in prop_oneof![Just(Vec::new()), steps()], life in 0..20_u64, asks: bool, far: bool, mask in 0..4_u64,
+    ) {
+        let class = if asks { Class::Command } else { Class::Status };
+        let packet = packet(class, 99, if far { FAR } else { NEAR }, life);
+        let ready = |node: NodeId| mask >> (node.0 - 1) & 1 == 1;
+        let mut rig = Rig::new(4);
+        for (number, step) in (0..).zip(before) {
+            match step {
+                Step::Offer(true, life) => drop(rig.offer(command(number, life))),
+                Step::Offer(false, life) => drop(rig.offer(status(number, life))),
+                Step::Advance(ticks) => drop(rig.advance(ticks)),
+                Step::Next => drop(rig.transit.next(|_| true)),
+            }
+        }
+        let (mut short, mut long) = (rig.transit.clone(), rig.transit);
+        let (mut one, mut other) = (Out::default(), Out::default());
+        let alone = short.is_empty();
+        let passed = short.pass(&rig.table, packet, ready, &mut one);
+        long.offer(&rig.table, packet, &mut other);
+        let left = if alone { long.next(ready) } else { None };
+        prop_assert_eq!(passed, left);
+        prop_assert_eq!(one, other);
+        prop_assert_eq!(short.view(), long.view());
+        prop_assert_eq!(short.waiting(), long.waiting());
+    }
+}

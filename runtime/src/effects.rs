@@ -2,6 +2,7 @@
 
 use crate::clock::{self, Micros};
 use crate::script::Deed;
+use crate::transit::BATCH;
 use imrs_protocol::{Input, Packet, TaskId, Ticks, TimeId};
 use std::collections::VecDeque;
 
@@ -33,21 +34,22 @@ pub(crate) struct Effects {
     pub deeds: VecDeque<Deed>,
     /// How many steps scripts took since something came from outside of the node.
     pub steps: u32,
-    /// Whether what is sent waits for more, and how many packets of this thread do.
+    /// Packets for links, and when their remaining times were true.
+    pub leaving: Vec<(Micros, Packet)>,
+    /// Whether they wait for more.
     pub holds: bool,
-    pub held: usize,
     /// The task whose thread this is, if it waits for what it asks.
     pub waiter: Option<TaskId>,
-    /// What goes to scripts of the node.
+    /// What goes to scripts of the node, and what came in over a link with others.
     pub bundles: Bundles,
     /// The time of the turn at a script that this thread has; none between two turns.
     pub turn: Option<Micros>,
 }
 
-/// The most packets that a script takes in one turn, with one look at the clock (D112).
-const BUNDLE: usize = 32;
+/// The most packets that a task takes in one turn, a script with one look at the clock (D112): what a datagram brings.
+const BUNDLE: usize = BATCH;
 
-/// Packets for scripts of the node, tied together by who gets them: so that each script takes its own under one lock.
+/// Packets for tasks of the node, tied together by who gets them: so that each task takes its own under one lock.
 #[derive(Debug, Default)]
 pub(crate) struct Bundles {
     /// By position among the node's tasks.
@@ -74,7 +76,7 @@ impl Bundles {
         self.full.is_empty()
     }
 
-    /// Takes out what one script gets next. To be [given back](Self::give_back) empty.
+    /// Takes out what one task gets next. To be [given back](Self::give_back) empty.
     pub fn pop(&mut self) -> Option<(usize, VecDeque<Stamped>)> {
         let place = self.full.pop_front()?;
         let bundle = self.of.get_mut(place)?;
@@ -94,7 +96,12 @@ impl Bundles {
 
 impl Effects {
     pub fn new(waiter: Option<TaskId>) -> Self {
-        Self { queue: VecDeque::with_capacity(256), waiter, ..Self::of_an_onlooker() }
+        Self {
+            queue: VecDeque::with_capacity(256),
+            leaving: Vec::with_capacity(BATCH),
+            waiter,
+            ..Self::of_an_onlooker()
+        }
     }
 
     /// For a thread that only looks, and rarely finds work that others left it.
@@ -103,8 +110,8 @@ impl Effects {
             queue: VecDeque::new(),
             deeds: VecDeque::new(),
             steps: 0,
+            leaving: Vec::new(),
             holds: false,
-            held: 0,
             waiter: None,
             bundles: Bundles::default(),
             turn: None,

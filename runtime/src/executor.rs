@@ -3,55 +3,46 @@
 use crate::builder::StartError;
 use crate::clock;
 use crate::context::{Caller, TaskError};
-use crate::node::Node;
+use crate::failstop::guarded;
+use crate::lead::Led;
+use crate::node::{Inlet, Node};
+use crate::park::Park;
 use crate::threads::{TaskEnd, message, spawn};
-use futures_executor::LocalPool;
-use futures_util::FutureExt;
-use futures_util::task::LocalSpawnExt;
+use futures_util::stream::FuturesUnordered;
+use futures_util::{FutureExt, StreamExt};
 use imrs_wire::obs::Liveness;
-use std::future::{Future, poll_fn};
+use std::future::Future;
 use std::panic::AssertUnwindSafe;
 use std::pin::Pin;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-use std::task::{Poll, Waker};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
+use std::task::{Poll, Wake, Waker};
 use std::thread::JoinHandle;
+
+/// So many waits in a row that something else ends than the link, and the thread leads no more until the link brings something:
+/// who is called away from there costs two system calls more. Each delay of a future ends one, so one alone says little.
+const ELSEWHERE: u32 = 8;
 
 /// A task's program, for its thread alone.
 pub(crate) type Program = Pin<Box<dyn Future<Output = Result<(), TaskError>>>>;
 /// Makes the program of a task, with a context for this place of the node.
 pub(crate) type AsyncBody = Box<dyn FnOnce(Arc<Node>, usize) -> Program + Send>;
 
+/// Is told how the program of a place ended.
+type Ended = Arc<dyn Fn(usize, TaskEnd) + Send + Sync>;
+
 pub(crate) struct Executor {
     thread: JoinHandle<()>,
     shared: Arc<Shared>,
+    park: Arc<Park>,
 }
 
 /// When the thread ends.
 #[derive(Default)]
 struct Shared {
-    state: Mutex<State>,
-}
-
-#[derive(Default)]
-struct State {
     /// How many programs run.
-    left: usize,
-    closing: bool,
-    waker: Option<Waker>,
-}
-
-impl Shared {
-    fn state(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
-    }
-
-    fn change(&self, change: impl FnOnce(&mut State)) {
-        let mut state = self.state();
-        change(&mut state);
-        let waker = state.waker.take();
-        drop(state);
-        waker.into_iter().for_each(Waker::wake);
-    }
+    left: AtomicUsize,
+    closing: AtomicBool,
 }
 
 impl Executor {
@@ -61,22 +52,26 @@ impl Executor {
         bodies: Vec<(usize, AsyncBody)>,
         ended: impl Fn(usize, TaskEnd) + Send + Sync + 'static,
     ) -> Result<Self, StartError> {
-        let shared = Arc::new(Shared::default());
-        shared.state().left = bodies.len();
-        let (node, own) = (Arc::clone(node), Arc::clone(&shared));
-        let ended: Arc<dyn Fn(usize, TaskEnd) + Send + Sync> = Arc::new(ended);
-        let thread = spawn("imrs async", move || run(&node, bodies, &ended, &own))?;
-        Ok(Self { thread, shared })
+        let shared = Arc::new(Shared { left: AtomicUsize::new(bodies.len()), ..Shared::default() });
+        let park = Arc::new(Park::new(node.bell()));
+        for (place, _) in &bodies {
+            node.members.list[*place].listens.store(true, Ordering::Relaxed);
+        }
+        let (node, own, waits) = (Arc::clone(node), Arc::clone(&shared), Arc::clone(&park));
+        let ended: Ended = Arc::new(ended);
+        let thread = spawn("imrs async", move || run(&node, bodies, &ended, &own, &waits))?;
+        Ok(Self { thread, shared, park })
     }
 
     /// Programs that still run are dropped, unless they keep the thread: between two of their waits.
     pub fn close(&self) {
-        self.shared.change(|state| state.closing = true);
+        self.shared.closing.store(true, Ordering::Release);
+        self.park.call();
     }
 
     /// Waits for the thread, unless a program may keep it.
     pub fn join(self) {
-        if self.shared.state().left == 0 {
+        if self.shared.left.load(Ordering::Acquire) == 0 {
             // A panic of a program has ended that alone.
             let _ = self.thread.join();
         }
@@ -86,32 +81,76 @@ impl Executor {
 fn run(
     node: &Arc<Node>,
     bodies: Vec<(usize, AsyncBody)>,
-    ended: &Arc<dyn Fn(usize, TaskEnd) + Send + Sync>,
+    ended: &Ended,
     shared: &Arc<Shared>,
+    park: &Arc<Park>,
 ) {
     clock::sleep_exactly();
-    let mut pool = LocalPool::new();
-    for (place, body) in bodies {
+    let program = |(place, body)| {
         let (node, ended, shared) = (Arc::clone(node), Arc::clone(ended), Arc::clone(shared));
-        let program = async move {
+        async move {
             let end = to_its_end(&node, place, body).await;
             let crashed = matches!(end, TaskEnd::Panicked(_));
             node.members.list[place].set_liveness(if crashed { Liveness::Crashed } else { Liveness::Ended });
             Caller::of_a_future(node, place).end();
             ended(place, end);
-            shared.change(|state| state.left -= 1);
-        };
-        // Refused only where the pool is gone.
-        let _ = pool.spawner().spawn_local(program);
-    }
-    pool.run_until(poll_fn(|poller| {
-        let mut state = shared.state();
-        if state.closing || state.left == 0 {
-            return Poll::Ready(());
+            shared.left.fetch_sub(1, Ordering::Release);
         }
-        state.waker = Some(poller.waker().clone());
-        Poll::Pending
-    }));
+    };
+    let mut programs: FuturesUnordered<_> = bodies.into_iter().map(program).collect();
+    let waker = Waker::from(Arc::new(Calling(Arc::clone(park))));
+    let mut poller = std::task::Context::from_waker(&waker);
+    let mut waits = Waits { node, park, inlet: None, elsewhere: 0 };
+    loop {
+        park.begins();
+        while let Poll::Ready(Some(())) = programs.poll_next_unpin(&mut poller) {}
+        if programs.is_empty() || shared.closing.load(Ordering::Acquire) {
+            return;
+        }
+        waits.wait();
+    }
+}
+
+/// What wakes a future calls the thread.
+struct Calling(Arc<Park>);
+
+impl Wake for Calling {
+    fn wake(self: Arc<Self>) {
+        self.0.call();
+    }
+
+    fn wake_by_ref(self: &Arc<Self>) {
+        self.0.call();
+    }
+}
+
+/// How the thread waits while all its futures do.
+struct Waits<'a> {
+    node: &'a Arc<Node>,
+    park: &'a Park,
+    /// What it receives with. Made when it first leads.
+    inlet: Option<Inlet>,
+    /// How many waits in a row were ended by other things than what the link brought.
+    elsewhere: u32,
+}
+
+impl Waits<'_> {
+    /// In the link where a future's answer is likely to come from there, else asleep.
+    fn wait(&mut self) {
+        let node = self.node;
+        let by_link = node.futures_by_link.swap(false, Ordering::Relaxed);
+        self.elsewhere = if by_link { 0 } else { self.elsewhere.saturating_add(1) };
+        let leading =
+            node.link.as_ref().filter(|_| self.elsewhere < ELSEWHERE).and_then(|link| link.leading());
+        if let Some(leading) = leading {
+            let inlet = self.inlet.get_or_insert_with(|| Inlet::new(Arc::clone(node)));
+            let take_in = || guarded("the thread of the futures, which receives", || leading.take_in(inlet));
+            if node.lead.wait(self.park, || leading.wait(None), take_in) != Led::No {
+                return;
+            }
+        }
+        self.park.sleep();
+    }
 }
 
 /// Runs a program. What it panics with is its crash, and no other's (D43).

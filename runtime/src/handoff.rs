@@ -16,6 +16,7 @@
 //! interleaving with a station of two states.
 
 use crate::awake::Presence;
+use crate::lead::Away;
 use crate::sync::{AtomicUsize, Mutex, MutexGuard, Ordering, Word, fence, lock, try_lock};
 use std::collections::VecDeque;
 use std::sync::Arc;
@@ -356,16 +357,6 @@ impl<S: Station> Handoff<S> {
         }
     }
 
-    /// The task's thread goes to wait where the bell calls it. False where there is something for it already.
-    pub fn go_away(&self) -> bool {
-        self.goes(AWAY)
-    }
-
-    /// It is back from there, and runs. False where there is something for it.
-    pub fn come_home(&self) -> bool {
-        self.comes(AWAY)
-    }
-
     fn goes(&self, to: u32) -> bool {
         // Before the word says so: who calls the thread counts it back.
         self.presence.goes();
@@ -548,6 +539,16 @@ impl<S: Station> Handoff<S> {
             return;
         }
         fence(Ordering::SeqCst);
+    }
+}
+
+impl<S: Station> Away for Handoff<S> {
+    fn go_away(&self) -> bool {
+        self.goes(AWAY)
+    }
+
+    fn come_home(&self) -> bool {
+        self.comes(AWAY)
     }
 }
 

@@ -1,11 +1,19 @@
-//! Leader and followers (D40): one task's thread at a time waits in the link itself, takes in what comes, and so finds
+//! Leader and followers (D40): one thread at a time, of a task or of the futures, waits in the link itself, takes in what comes, and so finds
 //! its own answer with nobody to wake it; the others sleep on their words. Nothing has to be handed on when it leaves: the
 //! thread that receives for the node is told by the kernel of whatever comes while nobody leads.
 //!
 //! What the leader was told of, nobody else was. So it takes that in before it looks whether its own wait is over.
 
-use crate::handoff::{Handoff, Station};
 use crate::sync::{AtomicBool, Ordering};
+
+/// What a thread that leads is called back from the link by.
+pub(crate) trait Away {
+    /// It goes to wait where the bell calls it. False where it was called already.
+    fn go_away(&self) -> bool;
+
+    /// It is back from there. False where it was called.
+    fn come_home(&self) -> bool;
+}
 
 /// Why a wait in the link ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -46,11 +54,11 @@ impl Lead {
         }
     }
 
-    /// Waits in the link for the task of `handoff`, unless another one leads. `take_in` takes in what `wait` told of;
+    /// Waits in the link for what `away` is called for, unless another thread leads. `take_in` takes in what `wait` told of;
     /// false where another thread is at it and will.
-    pub fn wait<S: Station>(
+    pub fn wait(
         &self,
-        handoff: &Handoff<S>,
+        away: &impl Away,
         mut wait: impl FnMut() -> Came,
         mut take_in: impl FnMut() -> bool,
     ) -> Led {
@@ -58,10 +66,10 @@ impl Lead {
             return Led::No;
         }
         let mut led = Led::ToTheEnd;
-        while handoff.go_away() {
+        while away.go_away() {
             let came = wait();
             // From here on its own mail wakes nobody.
-            let called = !handoff.come_home();
+            let called = !away.come_home();
             #[cfg(test)]
             if self.leaves_blindly && called {
                 led = Led::Called;

@@ -61,6 +61,7 @@ mod member;
 pub mod message;
 mod node;
 pub mod observer;
+mod park;
 pub mod record;
 mod residency;
 mod reverse_path;

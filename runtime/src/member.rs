@@ -17,6 +17,8 @@ pub(crate) struct Member {
     life: AtomicU8,
     /// Whether it has a script: set before anything happens.
     pub scripted: AtomicBool,
+    /// Whether its program is a future: set before anything happens.
+    pub listens: AtomicBool,
     /// Whether its next wait is likely to be ended by what a link brings: what ended the last one.
     pub by_link: AtomicBool,
 }
@@ -32,6 +34,7 @@ impl Member {
             life: AtomicU8::new(Liveness::Alive as u8),
             by_link: AtomicBool::new(true),
             scripted: AtomicBool::new(false),
+            listens: AtomicBool::new(false),
         }
     }
 

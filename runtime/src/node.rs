@@ -25,6 +25,7 @@ use imrs_protocol::{
     CommTask, Incarnation, Input, NodeId, NodeTable, Packet, Reason, Request, TaskId, Ticks, discarded,
 };
 use imrs_wire::obs::RealTime;
+use std::sync::atomic::AtomicBool;
 use std::sync::{Arc, OnceLock};
 use std::time::Instant;
 
@@ -57,6 +58,8 @@ pub struct Node {
     pub(crate) lateness: LatenessCounts,
     pub(crate) link: Option<Arc<dyn Link>>,
     pub(crate) lead: Lead,
+    /// Whether the link brought something for a future since their thread last asked.
+    pub(crate) futures_by_link: AtomicBool,
     /// For how long a task's thread looks before it sleeps.
     pub(crate) spin: Micros,
     /// How long before the end of its time it wakes, to look until then.
@@ -85,7 +88,7 @@ impl Node {
         let imrs_protocol::Parts { table, tasks, transit, timer } = plan.machine.into_parts();
         let count = tasks.len();
         let alarm = Arc::new(Alarm::new(count + 2));
-        let bell = plan.link.clone().map(|link| Arc::new(LinkBell(link)) as Arc<dyn Bell>);
+        let bell = bell_of(plan.link.as_ref());
         let member = |(slot, machine): (usize, CommTask)| {
             let task = machine.task();
             let log = plan.recorder.clone().and_then(|recorder| recorder.log(task));
@@ -120,6 +123,7 @@ impl Node {
             stage: OnceLock::new(),
             link: plan.link,
             lead: Lead::new(),
+            futures_by_link: AtomicBool::new(true),
             spin: plan.spin,
             spin_tail: plan.spin_tail,
             peers: table.neighbours(table.node).map(peer).collect(),
@@ -145,6 +149,11 @@ impl Node {
     #[must_use]
     pub fn name(&self) -> &str {
         &self.table.cell().nodes[self.table.node.index()].name
+    }
+
+    /// What calls a thread of this node that waits in its link.
+    pub(crate) fn bell(&self) -> Option<Arc<dyn Bell>> {
+        bell_of(self.link.as_ref())
     }
 
     /// An instant, in microseconds of the monotonic clock, before which every step of a script of this node has been
@@ -248,8 +257,7 @@ impl Node {
                 self.members.list[place].handoff.deliver_all(&mut bundle, effects);
                 effects.bundles.give_back(bundle);
             }
-            if !effects.holds || effects.held >= BATCH {
-                effects.held = 0;
+            if !effects.holds || effects.leaving.len() >= BATCH {
                 self.dispatch.pump(latest, effects);
             }
             while let Some(deed) = effects.deeds.pop_front() {
@@ -297,8 +305,7 @@ impl Node {
                 }
             }
             Departure::Link(_) | Departure::Unroutable => {
-                effects.held += 1;
-                self.dispatch.offer(at, packet, effects);
+                effects.leaving.push((at, packet));
             }
         }
     }
@@ -309,23 +316,34 @@ impl Node {
         }
     }
 
-    fn receive(&self, from: NodeId, packet: Packet, charge: Ticks, at: Micros, effects: &mut Effects) {
-        let arrival = if can_come(&self.table, from, &packet) {
-            arrived(&self.table, packet, charge)
-        } else {
-            Arrival::Discard(Reason::NotAllowed, packet)
-        };
-        match arrival {
-            Arrival::Local(task, packet) => {
-                if let Some(member) = self.members.of(task) {
-                    member.by_link.store(true, Ordering::Relaxed);
+    /// Takes in what came together: one instant and one charge for all, so that none is taken to be older than what was
+    /// sent before it, and for each task one visit.
+    fn receive(&self, from: NodeId, packets: &[Packet], charge: Ticks, at: Micros, effects: &mut Effects) {
+        for &packet in packets {
+            let arrival = if can_come(&self.table, from, &packet) {
+                arrived(&self.table, packet, charge)
+            } else {
+                Arrival::Discard(Reason::NotAllowed, packet)
+            };
+            match arrival {
+                Arrival::Local(task, packet) => {
+                    let Some(place) = self.members.place(task) else { continue };
+                    let member = &self.members.list[place];
+                    let listens = member.listens.load(Ordering::Relaxed);
+                    let by_link = if listens { &self.futures_by_link } else { &member.by_link };
+                    by_link.store(true, Ordering::Relaxed);
+                    let stamped = Stamped { at, input: Input::Packet(packet) };
+                    if packets.len() > 1 {
+                        effects.bundles.push(place, stamped);
+                    } else {
+                        member.handoff.deliver(stamped, effects);
+                    }
                 }
-                self.feed(task, Stamped { at, input: Input::Packet(packet) }, effects);
-            }
-            Arrival::Relay(packet) => self.dispatch.offer(at, packet, effects),
-            Arrival::Discard(reason, packet) => {
-                self.discards[reason as usize].fetch_add(1, Ordering::Relaxed);
-                self.dispatch.note(at, discarded(reason, &packet));
+                Arrival::Relay(packet) => effects.leaving.push((at, packet)),
+                Arrival::Discard(reason, packet) => {
+                    self.discards[reason as usize].fetch_add(1, Ordering::Relaxed);
+                    self.dispatch.note(at, discarded(reason, &packet));
+                }
             }
         }
         self.carry_out(effects);
@@ -345,7 +363,12 @@ impl Node {
     }
 }
 
-/// Calls a task's thread that waits in the link.
+/// What calls a thread of the node that waits in its link.
+fn bell_of(link: Option<&Arc<dyn Link>>) -> Option<Arc<dyn Bell>> {
+    link.map(|link| Arc::new(LinkBell(Arc::clone(link))) as Arc<dyn Bell>)
+}
+
+/// Calls a thread that waits in the link.
 struct LinkBell(Arc<dyn Link>);
 
 impl Bell for LinkBell {
@@ -375,15 +398,16 @@ impl Inlet {
 }
 
 impl Sink for Inlet {
-    fn packet(&self, from: NodeId, packet: Packet, charge: Ticks, at: Instant) {
-        // This order: a stop between the two makes the packet too old, never too young.
+    fn packets(&self, from: NodeId, packets: &[Packet], charge: Ticks, at: Instant) {
+        // This order: a stop between the two makes the packets too old, never too young. A later one does so, too: the
+        // machines are told when this was, not when they are told.
         let now = clock::now();
         let charge = charge + Ticks(clock::micros(at.elapsed()));
         if let Some(peer) = self.node.peer(from) {
-            peer.received.fetch_add(1, Ordering::Relaxed);
+            peer.received.fetch_add(packets.len() as u64, Ordering::Relaxed);
             peer.heard.store(now, Ordering::Relaxed);
         }
-        self.node.receive(from, packet, charge, now, &mut lock(&self.effects));
+        self.node.receive(from, packets, charge, now, &mut lock(&self.effects));
     }
 
     fn peer(&self, node: NodeId, incarnation: Incarnation, restarted: bool) {

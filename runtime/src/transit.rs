@@ -69,17 +69,6 @@ impl Dispatch {
         }
     }
 
-    /// Puts a packet into the buffer; its remaining time was true at `at`. [`pump`](Self::pump) sends it.
-    pub fn offer(&self, at: Micros, mut packet: Packet, effects: &mut Effects) {
-        let mut buffer = lock(&self.buffer);
-        buffer.advance(&self.table, at, &self.members, effects);
-        packet.remaining = packet.remaining - Ticks(buffer.last.saturating_sub(at));
-        buffer.offer(&self.table, packet, &self.members, effects);
-        self.publish(&buffer);
-        drop(buffer);
-        self.sender.want();
-    }
-
     /// Lets time pass in the buffer: what expired is dropped, and its sources hear of it.
     pub fn advance(&self, now: Micros, effects: &mut Effects) {
         let mut buffer = lock(&self.buffer);
@@ -95,10 +84,33 @@ impl Dispatch {
         self.sender.want();
     }
 
-    /// Sends what can be sent, unless another thread is at it: that one looks again before it leaves.
+    /// Sends what the thread has gathered and whatever else can be sent. Where another thread is at it, what was gathered
+    /// goes into the buffer: that one looks again before it leaves.
     pub fn pump(&self, now: Micros, effects: &mut Effects) {
-        let Some(link) = &self.link else { return };
-        self.sender.take(|batches| self.send_once(link.as_ref(), batches, now, effects));
+        let link = self.link.as_deref();
+        if !effects.leaving.is_empty() {
+            let mut leaving = std::mem::take(&mut effects.leaving);
+            match link.and_then(|link| self.sender.enter().map(|turn| (link, turn))) {
+                Some((link, mut batches)) => self.send_once(link, &mut batches, &mut leaving, now, effects),
+                None => self.offer(&mut leaving, effects),
+            }
+            effects.leaving = leaving;
+        }
+        if let Some(link) = link {
+            self.sender.take(|batches| self.send_once(link, batches, &mut Vec::new(), now, effects));
+        }
+    }
+
+    /// Puts packets into the buffer, for whoever sends.
+    fn offer(&self, leaving: &mut Vec<(Micros, Packet)>, effects: &mut Effects) {
+        let mut buffer = lock(&self.buffer);
+        for (at, packet) in leaving.drain(..) {
+            let packet = buffer.charged(&self.table, at, packet, &self.members, effects);
+            buffer.offer(&self.table, packet, &self.members, effects);
+        }
+        self.publish(&buffer);
+        drop(buffer);
+        self.sender.want();
     }
 
     /// The buffer's state, and when it was so.
@@ -122,23 +134,16 @@ impl Dispatch {
         look(&mut lock(&self.buffer).ring)
     }
 
-    fn send_once(&self, link: &dyn Link, batches: &mut [Batch], now: Micros, effects: &mut Effects) {
-        batches.iter_mut().for_each(|batch| batch.busy = false);
-        let mut buffer = lock(&self.buffer);
-        buffer.advance(&self.table, now, &self.members, effects);
-        loop {
-            let takes = |next: NodeId| {
-                let batch = batches.iter().find(|batch| batch.next == next);
-                batch.is_some_and(|b| !b.busy && b.packets.len() < BATCH && link.ready(next))
-            };
-            let Some((next, packet)) = buffer.transit.next(takes) else { break };
-            if let Some(batch) = batches.iter_mut().find(|batch| batch.next == next) {
-                batch.packets.push(packet);
-            }
-        }
-        self.publish(&buffer);
-        let popped = buffer.last;
-        drop(buffer);
+    fn send_once(
+        &self,
+        link: &dyn Link,
+        batches: &mut [Batch],
+        leaving: &mut Vec<(Micros, Packet)>,
+        now: Micros,
+        effects: &mut Effects,
+    ) {
+        batches.iter_mut().for_each(|batch| batch.busy = !link.ready(batch.next));
+        let popped = self.fill(batches, leaving, now, effects);
         for (batch, (_, sent)) in batches.iter_mut().zip(&self.sent) {
             if batch.packets.is_empty() {
                 continue;
@@ -165,13 +170,86 @@ impl Dispatch {
         }
     }
 
+    /// Takes out what leaves now, for each neighbour the most urgent first. Returns when its remaining times hold.
+    fn fill(
+        &self,
+        batches: &mut [Batch],
+        leaving: &mut Vec<(Micros, Packet)>,
+        now: Micros,
+        effects: &mut Effects,
+    ) -> Micros {
+        let mut buffer = lock(&self.buffer);
+        buffer.advance(&self.table, now, &self.members, effects);
+        // More than a batch holds could leave in another order than that of urgency.
+        let few = leaving.len() <= BATCH;
+        for (at, packet) in leaving.drain(..) {
+            let packet = buffer.charged(&self.table, at, packet, &self.members, effects);
+            let passes =
+                |next: NodeId| few && batches.iter().any(|batch| batch.next == next && batch.takes());
+            let passed = buffer.pass(&self.table, packet, passes, &self.members, effects);
+            put(batches, passed);
+        }
+        loop {
+            let takes = |next: NodeId| batches.iter().any(|batch| batch.next == next && batch.takes());
+            let next = buffer.transit.next(takes);
+            if !put(batches, next) {
+                break;
+            }
+        }
+        // In the order in which the buffer would have given them out; those that are in order already cost one comparison each.
+        let urgency = |packet: &Packet| (packet.remaining, packet.class);
+        batches.iter_mut().for_each(|batch| batch.packets.sort_by_key(urgency));
+        self.publish(&buffer);
+        buffer.last
+    }
+
     fn publish(&self, buffer: &Buffer) {
         let due = buffer.transit.next_expiry().map_or(FAR, |left| buffer.last.saturating_add(left.0));
         self.alarm.publish(self.slot, due);
     }
 }
 
+/// Puts a packet into the batch of its neighbour. Whether there was one.
+fn put(batches: &mut [Batch], packet: Option<(NodeId, Packet)>) -> bool {
+    let Some((next, packet)) = packet else { return false };
+    batches.iter_mut().filter(|batch| batch.next == next).for_each(|batch| batch.packets.push(packet));
+    true
+}
+
+impl Batch {
+    fn takes(&self) -> bool {
+        !self.busy && self.packets.len() < BATCH
+    }
+}
+
 impl Buffer {
+    /// A packet whose remaining time was true at `at`, as it is now.
+    fn charged(
+        &mut self,
+        table: &NodeTable,
+        at: Micros,
+        packet: Packet,
+        members: &Members,
+        effects: &mut Effects,
+    ) -> Packet {
+        if at > self.last {
+            self.advance(table, at, members, effects);
+        }
+        Packet { remaining: packet.remaining - Ticks(self.last.saturating_sub(at)), ..packet }
+    }
+
+    fn pass(
+        &mut self,
+        table: &NodeTable,
+        packet: Packet,
+        ready: impl FnOnce(NodeId) -> bool,
+        members: &Members,
+        effects: &mut Effects,
+    ) -> Option<(NodeId, Packet)> {
+        let mut out = Out { at: self.last, ring: &mut self.ring, members, effects };
+        self.transit.pass(table, packet, ready, &mut out)
+    }
+
     fn advance(&mut self, table: &NodeTable, now: Micros, members: &Members, effects: &mut Effects) {
         let elapsed = now.saturating_sub(self.last);
         self.last += elapsed;

@@ -1,7 +1,7 @@
 //! One at a time, and nobody waits: who wants work done says so and takes its turn; who finds another one at it leaves
 //! the work to that one, who looks again before it leaves.
 
-use crate::sync::{AtomicBool, Mutex, Ordering, fence, try_lock};
+use crate::sync::{AtomicBool, Mutex, MutexGuard, Ordering, fence, try_lock};
 
 pub(crate) struct Turn<T> {
     wanted: AtomicBool,
@@ -35,6 +35,12 @@ impl<T> Turn<T> {
     pub fn want(&self) {
         // A swap, not a store: it comes after the last one of the other in the order of this flag.
         self.wanted.swap(true, Ordering::AcqRel);
+    }
+
+    /// The turn itself, unless another thread has it. Who lets go of it [takes](Self::take) one after that: what was wanted
+    /// meanwhile was left to it.
+    pub fn enter(&self) -> Option<MutexGuard<'_, T>> {
+        try_lock(&self.inside)
     }
 
     /// Works until no work is wanted, unless another thread is at it.

@@ -8,7 +8,7 @@ use common::{A, B, C, LONG, LONG_TICKS, ask, cell, finish, report, table};
 use imrs_protocol::script::ProgramBuilder;
 use imrs_protocol::{CellTable, PortDecl, PortId, Target, Ticks, Usage};
 use imrs_runtime::link::udp::UdpCount;
-use imrs_runtime::{Builder, Context, Sent, TaskEnd, TaskError};
+use imrs_runtime::{AsyncContext, Builder, Context, Sent, TaskEnd, TaskError};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
@@ -36,6 +36,7 @@ fn nodes<const N: usize>(table: &Arc<CellTable>) -> [Builder; N] {
 #[test]
 fn leaders() {
     a_reply_wakes_one_thread();
+    a_reply_to_a_future_wakes_one_thread();
     what_is_for_others_does_not_wait_for_a_task_that_computes();
     a_leader_is_called_by_tasks_of_its_own_node();
     time_outs_end_and_stopping_ends_a_wait();
@@ -71,6 +72,42 @@ fn a_reply_wakes_one_thread() {
         while let Some(question) = ctx.receive(None, None)? {
             // Until then `a` waits.
             ctx.delay(PAUSE)?;
+            ctx.reply(&question.from, b"!")?;
+        }
+        Ok(())
+    });
+    let second = second.start().unwrap();
+    finish(first.start().unwrap());
+    finish_stopped(second);
+}
+
+/// The thread of the futures leads while all of them wait, those of both nodes.
+fn a_reply_to_a_future_wakes_one_thread() {
+    const TRIPS: u64 = 20;
+    const PAUSE: Duration = Duration::from_millis(2);
+    let mut cell = cell(&[0, 1], Ticks(1_000));
+    cell.port(ask(LONG_TICKS));
+    let [first, second] = nodes(&table(cell));
+    let first = first.async_task("a", |mut ctx: AsyncContext| async move {
+        let ask = ctx.port("ask")?;
+        let mut fewest = u64::MAX;
+        // As above.
+        for _ in 0..50 {
+            let before = sleeps_of_receivers();
+            for _ in 0..TRIPS {
+                ctx.delay(PAUSE).await?;
+                ctx.send(ask, b"?").await?.reply().expect("nothing is lost");
+            }
+            fewest = fewest.min(sleeps_of_receivers() - before);
+            if fewest < TRIPS / 2 {
+                return Ok(());
+            }
+        }
+        panic!("the receiving threads slept {fewest} times in {TRIPS} round trips");
+    });
+    let second = second.async_task("b", |mut ctx: AsyncContext| async move {
+        while let Some(question) = ctx.receive(None, None).await? {
+            ctx.delay(PAUSE).await?;
             ctx.reply(&question.from, b"!")?;
         }
         Ok(())

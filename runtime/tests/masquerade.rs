@@ -34,7 +34,7 @@ impl Link for Forger {
         let (packets, woken) = std::mem::take(&mut *state);
         drop(state);
         for (from, packet) in packets {
-            sink.packet(from, packet, Ticks::ZERO, Instant::now());
+            sink.packets(from, &[packet], Ticks::ZERO, Instant::now());
         }
         if woken { PollEnd::Woken } else { PollEnd::Received }
     }

@@ -110,10 +110,10 @@ struct Watching<'a> {
 }
 
 impl Sink for Watching<'_> {
-    fn packet(&self, from: NodeId, packet: Packet, charge: Ticks, at: Instant) {
-        self.charges.lock().unwrap().push(charge);
+    fn packets(&self, from: NodeId, packets: &[Packet], charge: Ticks, at: Instant) {
+        self.charges.lock().unwrap().extend(packets.iter().map(|_| charge));
         thread::sleep(self.stop);
-        self.sink.packet(from, packet, charge, at);
+        self.sink.packets(from, packets, charge, at);
     }
 
     fn peer(&self, node: NodeId, incarnation: Incarnation, restarted: bool) {
@@ -283,7 +283,7 @@ fn charge_of_a_late_packet(links: [impl Link + 'static; 2]) -> Ticks {
 struct Nobody;
 
 impl Sink for Nobody {
-    fn packet(&self, _from: NodeId, _packet: Packet, _charge: Ticks, _at: Instant) {}
+    fn packets(&self, _from: NodeId, _packets: &[Packet], _charge: Ticks, _at: Instant) {}
     fn peer(&self, _node: NodeId, _incarnation: Incarnation, _restarted: bool) {}
     fn discarded(&self, reason: LinkDiscard) {
         panic!("{reason}");

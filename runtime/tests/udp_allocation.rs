@@ -41,8 +41,8 @@ static ALLOCATOR: Counting = Counting;
 struct Counter(AtomicU64);
 
 impl Sink for Counter {
-    fn packet(&self, _from: NodeId, _packet: Packet, _charge: Ticks, _at: Instant) {
-        self.0.fetch_add(1, Ordering::Relaxed);
+    fn packets(&self, _from: NodeId, packets: &[Packet], _charge: Ticks, _at: Instant) {
+        self.0.fetch_add(packets.len() as u64, Ordering::Relaxed);
     }
 
     fn peer(&self, _node: NodeId, _incarnation: Incarnation, _restarted: bool) {}

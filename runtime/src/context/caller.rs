@@ -54,7 +54,9 @@ impl Caller {
 
     /// For a task whose program is a future: no thread of it ever sleeps.
     pub fn of_a_future(node: Arc<Node>, place: usize) -> Self {
-        Self { effects: Effects::new(None), ..Self::new(node, place) }
+        let mut caller = Self::new(node, place);
+        caller.effects.waiter = None;
+        caller
     }
 
     /// As [`call`](Self::call), without waiting: what there is for the task now. Asks nothing where there is an answer to an
@@ -157,7 +159,7 @@ impl Caller {
     /// From here on what is sent waits for more, or no longer. Returns what it was before.
     pub fn hold(&mut self, holds: bool) -> bool {
         let before = std::mem::replace(&mut self.effects.holds, holds);
-        if !holds && self.effects.held > 0 {
+        if !holds && !self.effects.leaving.is_empty() {
             self.node.carry_out(&mut self.effects);
         }
         before
@@ -271,5 +273,12 @@ impl Caller {
         let seen = self.node.members.list[self.place].handoff.with(look, &mut self.effects);
         self.node.carry_out(&mut self.effects);
         seen
+    }
+}
+
+/// What a program has sent leaves, though the program ended in the middle of what it sends together.
+impl Drop for Caller {
+    fn drop(&mut self) {
+        self.hold(false);
     }
 }

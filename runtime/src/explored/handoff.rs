@@ -392,6 +392,43 @@ fn two_take_turns(plant: turn::Plant) -> u32 {
     own.max(others)
 }
 
+/// As before, but who can have the turn carries its own away without putting it down.
+fn two_enter(blindly: bool) -> u32 {
+    fn carry_or_put(turn: &Turn<()>, pile: &Mutex<u32>, blindly: bool) -> u32 {
+        let mut carried = 0;
+        if let Some(own) = turn.enter() {
+            carried += 1 + std::mem::take(&mut *lock(pile));
+            drop(own);
+            if blindly {
+                return carried;
+            }
+        } else {
+            *lock(pile) += 1;
+            turn.want();
+        }
+        turn.take(|()| carried += std::mem::take(&mut *lock(pile)));
+        carried
+    }
+    let shared = Arc::new((Turn::new(()), Mutex::new(0)));
+    let theirs = Arc::clone(&shared);
+    let other = thread::spawn(move || carry_or_put(&theirs.0, &theirs.1, blindly));
+    let own = carry_or_put(&shared.0, &shared.1, blindly);
+    let others = other.join().unwrap();
+    assert_eq!(own + others, 2, "something was left lying");
+    own.max(others)
+}
+
+#[test]
+fn what_was_not_put_down_is_carried_with_what_was() {
+    let seen = explore(|| two_enter(false));
+    assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [1, 2], "{seen:?}");
+}
+
+#[test]
+fn who_enters_and_does_not_look_again_leaves_something_lying() {
+    must_fail("something was left lying", || two_enter(true));
+}
+
 #[test]
 fn nothing_is_left_lying_by_those_who_found_another_at_work() {
     let seen = explore(|| two_take_turns(turn::Plant::None));

@@ -9,7 +9,7 @@ use crate::lead::{Came, Lead, Led};
 use crate::sync::{Mutex, lock, try_lock};
 
 /// A socket as the kernel tells of it: a datagram is told to the leader if one waits, else to the thread that polls.
-struct Socket {
+pub(super) struct Socket {
     state: PlainMutex<State>,
     leaders: Condvar,
     pollers: Condvar,
@@ -29,12 +29,12 @@ struct State {
 }
 
 impl Socket {
-    fn expecting(datagrams: u32) -> Self {
+    pub(super) fn expecting(datagrams: u32) -> Self {
         let state = State { open: datagrams, ..State::default() };
         Self { state: PlainMutex::new(state), leaders: Condvar::new(), pollers: Condvar::new() }
     }
 
-    fn arrive(&self, for_the_leader: bool) {
+    pub(super) fn arrive(&self, for_the_leader: bool) {
         let mut state = self.state.lock().unwrap();
         state.datagrams.push(for_the_leader);
         if state.leads {
@@ -47,7 +47,7 @@ impl Socket {
     }
 
     /// The leader's wait. What was told to it is there when it returns, unless the one that polls has taken it.
-    fn wait(&self) -> Came {
+    pub(super) fn wait(&self) -> Came {
         let mut state = self.state.lock().unwrap();
         loop {
             if !state.datagrams.is_empty() {
@@ -63,7 +63,7 @@ impl Socket {
     }
 
     /// The wait of the one that polls. False once nothing more is to come.
-    fn poll(&self) -> bool {
+    pub(super) fn poll(&self) -> bool {
         let mut state = self.state.lock().unwrap();
         while state.open > 0 && (!state.told || state.datagrams.is_empty()) {
             state = self.pollers.wait(state).unwrap();
@@ -72,7 +72,7 @@ impl Socket {
         state.open > 0
     }
 
-    fn take(&self) -> Option<bool> {
+    pub(super) fn take(&self) -> Option<bool> {
         let mut state = self.state.lock().unwrap();
         let datagram = state.datagrams.pop();
         if datagram.is_some() {

@@ -10,6 +10,7 @@ mod handoff;
 mod lane;
 mod lead;
 mod looks;
+mod park;
 mod time;
 mod visit;
 

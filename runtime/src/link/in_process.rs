@@ -52,6 +52,8 @@ struct State {
     life: Option<Life>,
     /// The life of each node that was last heard of here.
     heard: Vec<Option<Incarnation>>,
+    /// Room for what is taken out. Whoever does so has it meanwhile.
+    landed: Vec<Landed>,
     /// Whether a neighbour found this node busy.
     starved: bool,
     /// Whether a neighbour that was busy takes packets again.
@@ -74,6 +76,20 @@ struct Flight {
     from: NodeId,
     life: Life,
     packet: Packet,
+}
+
+/// A flight that is over, and whether the life it came from was known before.
+#[derive(Clone, Copy, Debug)]
+struct Landed {
+    flight: Flight,
+    known: bool,
+}
+
+impl Flight {
+    /// Whether both left one node at once.
+    fn left_with(&self, other: &Self) -> bool {
+        (self.from, self.life, self.left) == (other.from, other.life, other.left)
+    }
 }
 
 impl PartialEq for Flight {
@@ -107,6 +123,7 @@ impl Network {
                 departures: 0,
                 life: None,
                 heard: vec![None; nodes],
+                landed: Vec::with_capacity(AT_ONCE),
                 starved: false,
                 ready: false,
                 woken: false,
@@ -177,20 +194,26 @@ impl InProcess {
         self.network.ends.get(node.index())
     }
 
-    fn land(&self, flight: &Flight, known: bool, sink: &dyn Sink) {
+    /// Hands on what left one node together.
+    fn land(&self, together: &[Landed], sink: &dyn Sink) {
+        let Some(&Landed { flight: Flight { from, life, left, .. }, known }) = together.first() else {
+            return;
+        };
         // What a node sent before it ended is still good; what an earlier life of a running node sent is not.
-        let now_there = self.network.ends[flight.from.index()].lock().life;
-        if now_there.is_some_and(|life| life != flight.life) {
-            return sink.discarded(LinkDiscard::StaleIncarnation);
+        let now_there = self.network.ends[from.index()].lock().life;
+        if now_there.is_some_and(|now_there| now_there != life) {
+            return together.iter().for_each(|_| sink.discarded(LinkDiscard::StaleIncarnation));
         }
         if !known {
-            sink.peer(flight.from, flight.life.incarnation, flight.life.restarted);
+            sink.peer(from, life.incarnation, life.restarted);
         }
+        let mut packets = [together[0].flight.packet; AT_ONCE];
+        packets.iter_mut().zip(together).for_each(|(packet, landed)| *packet = landed.flight.packet);
         // D20: the larger of what the link is declared to take and what it took.
         let now = Instant::now();
-        let took = now.saturating_duration_since(flight.left);
-        let charge = clock::micros(took.max(self.network.bound(flight.from, self.node)));
-        sink.packet(flight.from, flight.packet, Ticks(charge), now);
+        let took = now.saturating_duration_since(left);
+        let charge = clock::micros(took.max(self.network.bound(from, self.node)));
+        sink.packets(from, &packets[..together.len()], Ticks(charge), now);
     }
 
     fn tell_neighbours(&self) {
@@ -235,7 +258,6 @@ impl Link for InProcess {
 
     fn poll(&self, sink: &dyn Sink, until: Option<Instant>) -> PollEnd {
         let own = self.own();
-        let mut landed = [None; AT_ONCE];
         let mut state = own.lock();
         loop {
             if std::mem::take(&mut state.woken) {
@@ -262,21 +284,22 @@ impl Link for InProcess {
             };
         }
         let now = Instant::now();
-        for slot in &mut landed {
-            let due = state.flights.peek().is_some_and(|first| first.0.due <= now);
-            let Some(Reverse(flight)) = due.then(|| state.flights.pop()).flatten() else { break };
+        let mut landed = std::mem::take(&mut state.landed);
+        while landed.len() < AT_ONCE && state.flights.peek().is_some_and(|first| first.0.due <= now) {
+            let Some(Reverse(flight)) = state.flights.pop() else { break };
             let incarnation = flight.life.incarnation;
             let known = state.heard[flight.from.index()].replace(incarnation) == Some(incarnation);
-            *slot = Some((flight, known));
+            landed.push(Landed { flight, known });
         }
         let starved = std::mem::take(&mut state.starved);
         drop(state);
         if starved {
             self.tell_neighbours();
         }
-        for (flight, known) in landed.into_iter().flatten() {
-            self.land(&flight, known, sink);
-        }
+        let with = |a: &Landed, b: &Landed| b.known && a.flight.left_with(&b.flight);
+        landed.chunk_by(with).for_each(|together| self.land(together, sink));
+        landed.clear();
+        own.lock().landed = landed;
         PollEnd::Received
     }
 

@@ -17,10 +17,10 @@ use std::time::{Duration, Instant};
 /// What is handed over is dealt with at once, by the same thread: it may call [`Link::send_at`] before the call returns.
 /// A link holds no lock while it calls its sink that a sender or a waiting task would wait for.
 pub trait Sink: Send + Sync {
-    /// A packet that was decoded and checked. `charge` is what the link and the kernel's queue had cost it at `at`, in
-    /// microseconds; the sink charges what has passed since, so that a node that was stopped between the two cannot make
-    /// an old packet young.
-    fn packet(&self, from: NodeId, packet: Packet, charge: Ticks, at: Instant);
+    /// Packets that came together, decoded and checked, in the order in which they were sent. `charge` is what the link and
+    /// the kernel's queue had cost each of them at `at`, in microseconds; the sink charges what has passed since, so that a
+    /// node that was stopped between the two cannot make an old packet young.
+    fn packets(&self, from: NodeId, packets: &[Packet], charge: Ticks, at: Instant);
 
     /// First contact with a neighbour, or a new life of it. `restarted` is what the neighbour says of itself: whether
     /// an earlier life of it can have taken requests.

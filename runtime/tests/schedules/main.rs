@@ -22,6 +22,8 @@ mod lane;
 #[allow(dead_code, reason = "no time passes in a scene")]
 #[path = "../../src/lead.rs"]
 mod lead;
+#[path = "../../src/park.rs"]
+mod park;
 #[path = "../../src/ring.rs"]
 mod ring;
 #[allow(dead_code, reason = "the pieces bring along what no scene needs")]

@@ -16,6 +16,8 @@ pub const B: NodeId = NodeId(1);
 pub const C: NodeId = NodeId(2);
 /// The declared bound of every link.
 pub const BOUND: Ticks = Ticks(2_000);
+/// How many messages wait at the port of a task: more than a datagram holds.
+pub const QUEUED: u16 = 64;
 /// Far more than anything here takes on a busy machine.
 pub const PATIENCE: Duration = Duration::from_secs(20);
 
@@ -27,7 +29,9 @@ pub fn cell(name: &str) -> Arc<CellTable> {
         cell.link(nodes[from], nodes[to], BOUND);
     }
     cell.node("stranger");
-    cell.port(PortDecl::new("status", tasks[0], Usage::Send, &tasks[1..], Ticks(5_000_000)));
+    cell.port(
+        PortDecl::new("status", tasks[0], Usage::Send, &tasks[1..], Ticks(5_000_000)).bounded_buffer(QUEUED),
+    );
     Arc::new(CellTable::new(cell).unwrap())
 }
 
@@ -55,7 +59,7 @@ pub fn pair() -> (UdpLink, UdpLink) {
     (a, b)
 }
 
-/// A status message of task x (node A) to task y (node B) with a second to live.
+/// A status message of task x (node A) to task y (node B) with a minute to live.
 pub fn packet(number: u32) -> Packet {
     Packet {
         kind: Kind::Send,
@@ -69,7 +73,7 @@ pub fn packet(number: u32) -> Packet {
         source: TaskId(0),
         port: PortId(0),
         id: MessageId { incarnation: Incarnation(1), sequence: Seq24::new(number) },
-        remaining: Ticks(1_000_000),
+        remaining: Ticks(60_000_000),
         contents: Contents::new(b"here").unwrap(),
     }
 }
@@ -112,8 +116,8 @@ pub struct Memory {
 }
 
 impl Sink for Memory {
-    fn packet(&self, from: NodeId, packet: Packet, charge: Ticks, _at: Instant) {
-        self.packets.lock().unwrap().push((from, packet, charge));
+    fn packets(&self, from: NodeId, packets: &[Packet], charge: Ticks, _at: Instant) {
+        self.packets.lock().unwrap().extend(packets.iter().map(|&packet| (from, packet, charge)));
     }
 
     fn peer(&self, node: NodeId, incarnation: Incarnation, restarted: bool) {

@@ -1,8 +1,14 @@
 //! Old packets come out old (D20, D50).
 
-use crate::rig::{A, B, BOUND, Memory, link, packet, pair};
+use crate::rig::{
+    A, B, BOUND, Memory, PATIENCE, QUEUED, cell, encoded, envelope, link, packet, pair, raw_socket, sealed,
+};
+use imrs_protocol::Incarnation;
 use imrs_runtime::link::Link;
 use imrs_runtime::link::udp::UdpCount;
+use imrs_runtime::{Runtime, TaskEnd};
+use imrs_wire::envelope::MAX_PACKETS;
+use std::sync::Arc;
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -86,4 +92,32 @@ fn a_quick_round_trip_costs_little_more_than_the_declared_bound() {
     assert!(charges[0] >= BOUND, "never less than declared");
     let median = charges[charges.len() / 2];
     assert!(median.0 <= BOUND.0 + 50_000, "median {median} us");
+}
+
+/// One instant and one charge for what came in one datagram: else a later message would be taken to be the older one, and go
+/// first, wherever the clock went on between the two.
+#[test]
+fn what_came_together_is_taken_in_the_order_in_which_it_was_sent() {
+    const DATAGRAMS: u32 = 50;
+    let b = Arc::new(link(B));
+    let (to, socket) = (b.local_address(), raw_socket());
+    let (together, most) = (MAX_PACKETS as u32, u32::from(QUEUED));
+    assert!(together <= most, "all of a datagram have room");
+    let node = Runtime::builder(cell("udp"), B).incarnation(Incarnation(1), false).link(b);
+    let node = node.task("y", move |ctx| {
+        for datagram in 0..DATAGRAMS {
+            let packets: Vec<_> = (0..together).map(|n| encoded(datagram * together + n)).collect();
+            socket.send_to(&sealed(&envelope(u64::from(datagram)), &packets), to).expect("sent");
+            // They wait for the task, not the task for them.
+            ctx.delay(Duration::from_millis(2))?;
+            for n in 0..together {
+                let message = ctx.receive(None, Some(PATIENCE))?.expect("nothing is lost");
+                assert_eq!(message.from.id.sequence.get(), datagram * together + n);
+            }
+        }
+        Ok(())
+    });
+    let node = node.start().expect("a node that starts");
+    assert!(node.wait(PATIENCE));
+    assert_eq!(node.stop(PATIENCE), [("y".to_owned(), TaskEnd::Returned)]);
 }

@@ -144,7 +144,13 @@ impl UdpLink {
         let (socket, stamped, empty) = socket::bind(address, options.queue_bytes)?;
         let local = socket.local_addr().map_err(|source| UdpError::Bind { address, source })?;
         let lives = peers.iter().map(|_| None).collect();
-        let receiving = Receiving { receiver: Receiver::new(stamped), empty, last: empty, lives };
+        let receiving = Receiving {
+            receiver: Receiver::new(stamped),
+            empty,
+            last: empty,
+            lives,
+            decoded: Vec::with_capacity(MAX_PACKETS),
+        };
         Ok(Self {
             table,
             options,

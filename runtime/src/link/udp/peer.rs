@@ -1,6 +1,7 @@
 //! What a node keeps of each neighbour it talks to over UDP.
 
 use super::delay::{DRIFT_PPM, LinkDelay};
+use super::socket::bound_sending;
 use crate::link::LinkDiscard;
 use imrs_protocol::{Incarnation, NodeId, Ticks};
 use imrs_wire::envelope::{Datagram, Echo, Envelope, ReplayWindow, supersedes};
@@ -43,6 +44,7 @@ impl Way {
             socket.connect(address)?;
             // Never read: so that it holds nothing.
             setsockopt(&socket, sockopt::RcvBuf, &0)?;
+            bound_sending(&socket)?;
             Ok(socket)
         };
         Self { address, connected: connect().ok() }
@@ -124,6 +126,17 @@ pub(super) fn judge(
 #[cfg(test)]
 mod tests {
     use super::*;
+    use nix::sys::socket::getsockopt;
+
+    #[test]
+    fn a_connected_socket_holds_no_more_than_the_links_own() {
+        let own = UdpSocket::bind("127.0.0.1:0").unwrap();
+        bound_sending(&own).unwrap();
+        let address = own.local_addr().unwrap();
+        let connected = Way::new(address, address).connected.expect("a socket");
+        let [own, connected] = [own, connected].map(|socket| getsockopt(&socket, sockopt::SndBuf).unwrap());
+        assert_eq!(connected, own);
+    }
 
     #[test]
     fn an_echo_never_says_more_than_the_neighbours_clock_shows() {

@@ -26,6 +26,8 @@ pub(super) struct Receiving {
     pub(super) last: Reading,
     /// By the position of the neighbour.
     pub(super) lives: Box<[Option<Life>]>,
+    /// What a datagram brought.
+    pub(super) decoded: Vec<Packet>,
 }
 
 impl UdpLink {
@@ -45,7 +47,7 @@ impl UdpLink {
     }
 
     fn receive(&self, receiving: &mut Receiving, most: usize, sink: &dyn Sink) -> bool {
-        let Receiving { receiver, empty, last, lives } = receiving;
+        let Receiving { receiver, empty, last, lives, decoded } = receiving;
         // Read before the socket is looked at: if it turns out to be empty, it was so after this.
         let mut before = if most > 1 { Reading::take() } else { *last };
         for taken in 0..most {
@@ -54,7 +56,9 @@ impl UdpLink {
                     let now = Reading::take();
                     self.statistics.add(UdpCount::DatagramsReceived, 1);
                     self.statistics.add(UdpCount::KernelDropped, u64::from(dropped));
-                    if let Err(reason) = self.deliver(&received, &now, empty, lives, sink) {
+                    if let Err(reason) =
+                        self.deliver(&received, &now, empty, (&mut *lives, &mut *decoded), sink)
+                    {
                         sink.discarded(reason);
                     }
                     (before, *last) = (now, now);
@@ -76,7 +80,7 @@ impl UdpLink {
         received: &Received<'_>,
         now: &Reading,
         empty: &Reading,
-        lives: &mut [Option<Life>],
+        (lives, decoded): (&mut [Option<Life>], &mut Vec<Packet>),
         sink: &dyn Sink,
     ) -> Result<(), LinkDiscard> {
         let digest = self.table.digest();
@@ -96,15 +100,17 @@ impl UdpLink {
         let life = lives[index].as_mut();
         let shown = life.map_or(Ticks::ZERO, |l| l.delay.arrived(envelope.tx_mono, echo.map(|e| e.mono), at));
         let charge = shown.max(peer.declared + waited);
+        let port_hash = |port| self.table.port(port).map(|port| port.hash);
+        decoded.clear();
         for packet in packets {
-            let port_hash = |port| self.table.port(port).map(|port| port.hash);
             match Packet::decode(packet, digest, port_hash) {
-                Ok(packet) => {
-                    self.statistics.add(UdpCount::PacketsReceived, 1);
-                    sink.packet(peer.node, packet, charge, now.after);
-                }
+                Ok(packet) => decoded.push(packet),
                 Err(error) => sink.discarded(LinkDiscard::Packet(error)),
             }
+        }
+        if !decoded.is_empty() {
+            self.statistics.add(UdpCount::PacketsReceived, decoded.len() as u64);
+            sink.packets(peer.node, decoded, charge, now.after);
         }
         Ok(())
     }

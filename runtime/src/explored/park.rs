@@ -1,0 +1,123 @@
+//! The thread of the futures: it polls them, leads at the socket or sleeps, and whoever wakes one calls it.
+
+use super::lead::Socket;
+use super::{DEADLOCK, must_fail};
+use crate::explorer::{Arc, explore, thread};
+use crate::handoff::Bell;
+use crate::lead::{Lead, Led};
+use crate::park::{Park, Plant};
+use crate::sync::{Mutex, lock, try_lock};
+
+struct Scene {
+    socket: std::sync::Arc<Socket>,
+    park: Park,
+    lead: Lead,
+    receiving: Mutex<()>,
+    /// Whether the future that all is about can go on.
+    woken: Mutex<bool>,
+}
+
+impl Scene {
+    fn new(plant: Plant, datagrams: u32) -> Arc<Self> {
+        let socket = std::sync::Arc::new(Socket::expecting(datagrams));
+        let mut park = Park::new(Some(socket.clone() as std::sync::Arc<dyn Bell>));
+        park.plant = plant;
+        let (lead, receiving, woken) = (Lead::new(), Mutex::new(()), Mutex::new(false));
+        Arc::new(Self { socket, park, lead, receiving, woken })
+    }
+
+    fn wake(&self) {
+        *lock(&self.woken) = true;
+        self.park.call();
+    }
+
+    /// Takes one datagram, which wakes the future if it is for it. How many there were.
+    fn take(&self) -> u32 {
+        let datagram = self.socket.take();
+        if datagram == Some(true) {
+            self.wake();
+        }
+        u32::from(datagram.is_some())
+    }
+
+    /// The thread that receives for the node. How many it took.
+    fn run_poller(&self) -> u32 {
+        let mut took = 0;
+        while self.socket.poll() {
+            let _turn = lock(&self.receiving);
+            took += self.take();
+        }
+        took
+    }
+
+    /// Polls until the future goes on. How the last wait went, if there was one, and how many datagrams the thread took.
+    fn run_futures(&self, leads: bool) -> (Option<Led>, u32) {
+        let (mut went, mut took) = (None, 0);
+        loop {
+            self.park.begins();
+            if *lock(&self.woken) {
+                return (went, took);
+            }
+            let take_in = || {
+                let turn = try_lock(&self.receiving);
+                turn.map(|_turn| took += self.take()).is_some()
+            };
+            let led =
+                if leads { self.lead.wait(&self.park, || self.socket.wait(), take_in) } else { Led::No };
+            if led == Led::No {
+                self.park.sleep();
+            }
+            went = Some(led);
+        }
+    }
+}
+
+/// A datagram wakes the future, whoever takes it in.
+fn woken_by_datagram(plant: Plant) -> (Option<Led>, u32) {
+    let scene = Scene::new(plant, 1);
+    let (poller, network) = (Arc::clone(&scene), Arc::clone(&scene));
+    let poller = thread::spawn(move || poller.run_poller());
+    let network = thread::spawn(move || network.socket.arrive(true));
+    let went = scene.run_futures(true);
+    network.join().unwrap();
+    assert_eq!(went.1 + poller.join().unwrap(), 1, "a datagram was taken twice or not at all");
+    went
+}
+
+#[test]
+fn a_datagram_wakes_a_future_whoever_takes_it() {
+    let seen = explore(|| woken_by_datagram(Plant::None));
+    let outcomes: Vec<_> = seen.keys().copied().collect();
+    let [end, called, no] = [Led::ToTheEnd, Led::Called, Led::No].map(Some);
+    assert_eq!(outcomes, [(None, 0), (end, 0), (end, 1), (called, 0), (no, 0)], "{seen:?}");
+}
+
+#[test]
+fn who_is_away_and_is_not_called_never_polls_again() {
+    must_fail(DEADLOCK, || woken_by_datagram(Plant::NoBell));
+}
+
+/// Another thread wakes the future: a task, the Timer, or whatever else a program waits for.
+fn woken_by_a_thread(plant: Plant, leads: bool) -> Option<Led> {
+    let scene = Scene::new(plant, 0);
+    let other = Arc::clone(&scene);
+    let other = thread::spawn(move || other.wake());
+    let went = scene.run_futures(leads);
+    other.join().unwrap();
+    went.0
+}
+
+#[test]
+fn a_thread_that_wakes_a_future_calls_back_who_leads_and_who_sleeps() {
+    let seen = explore(|| woken_by_a_thread(Plant::None, true));
+    let outcomes: Vec<_> = seen.keys().copied().collect();
+    assert_eq!(outcomes, [None, Some(Led::ToTheEnd), Some(Led::Called)], "{seen:?}");
+    let seen = explore(|| woken_by_a_thread(Plant::None, false));
+    assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [None, Some(Led::No)], "{seen:?}");
+}
+
+#[test]
+fn a_wake_between_the_last_poll_and_the_wait_must_be_seen() {
+    must_fail(DEADLOCK, || woken_by_a_thread(Plant::GoesBlindly, true));
+    must_fail(DEADLOCK, || woken_by_a_thread(Plant::GoesBlindly, false));
+}
