@@ -137,7 +137,8 @@ fn one_way(effort: Effort, together: u64) -> Sample {
         // A datagram that the kernel drops must not hold up the rest: the sender counts what came.
         while ctx.receive_many(None, &mut messages, MANY, None)? > 0 {
             let begins = *begins.get_or_insert_with(Instant::now);
-            let before = std::mem::replace(&mut count, count + messages.len() as u64);
+            let before = count;
+            count += messages.len() as u64;
             messages.clear();
             other.store(count, Ordering::Release);
             if before < times && count >= times {
