@@ -29,6 +29,8 @@ pub struct Party {
     pub retry: u8,
     /// How often it sends at most (D53).
     pub rate: Option<Rate>,
+    /// Where the port stands among those of the task: what its communication task has of it is found without a search.
+    pub place: u16,
 }
 
 /// A checked port.
@@ -114,7 +116,7 @@ impl CellTable {
         }
         let routes = shortest_routes(&cell);
         let declared = cell.ports.iter().enumerate();
-        let ports: Box<[Port]> =
+        let mut ports: Box<[Port]> =
             declared.map(|(i, decl)| compile_port(&cell, PortId::from_index(i), decl, &routes)).collect();
         for port in &ports {
             check::port(&cell, port, &routes, &mut errors);
@@ -134,9 +136,11 @@ impl CellTable {
             return Err(errors);
         }
         let mut ports_of = vec![Vec::new(); cell.tasks.len()];
-        for port in &ports {
-            for party in &port.parties {
-                ports_of[party.task.index()].push(port.id);
+        for port in &mut ports {
+            for party in &mut port.parties {
+                let own = &mut ports_of[party.task.index()];
+                party.place = u16::try_from(own.len()).unwrap_or(u16::MAX);
+                own.push(port.id);
             }
         }
         let ports_of = ports_of.into_iter().map(Vec::into_boxed_slice).collect();
@@ -325,13 +329,14 @@ fn shortest_routes(cell: &Cell) -> Box<[Option<Hop>]> {
 
 fn compile_port(cell: &Cell, id: PortId, decl: &PortDecl, routes: &[Option<Hop>]) -> Port {
     let (retry, rate) = (decl.retry, decl.rate);
-    let owner = Party { task: decl.owner, usage: decl.usage, time_out: decl.time_out, retry, rate };
+    let owner = Party { task: decl.owner, usage: decl.usage, time_out: decl.time_out, retry, rate, place: 0 };
     let user = |user: &UserDecl| Party {
         task: user.task,
         usage: decl.usage.counterpart(),
         time_out: user.time_out.unwrap_or(decl.time_out),
         retry: user.retry.unwrap_or(retry),
         rate: user.rate.or(rate),
+        place: 0,
     };
     let users = decl.users.iter().map(user);
     // D32: a module stands for all its tasks; the owner is no user of its own port, and a task that is named is named.

@@ -4,13 +4,14 @@
 mod common;
 
 use common::{LONG, cell, network, on, report, table};
-use imrs_protocol::{Incarnation, NodeId, PortDecl, Ticks, Usage};
+use imrs_protocol::{Incarnation, NodeId, NodeTable, PortDecl, Ticks, Usage};
 use imrs_runtime::TaskEnd;
 use imrs_runtime::link::in_process::Faults;
 use imrs_runtime::observer::Observer;
+use imrs_runtime::record::{About, FileRecorder};
 use std::time::Duration;
 
-const THREADS: [&str; 4] = ["idle-task", "imrs timer", "imrs receive", "imrs observer"];
+const THREADS: [&str; 5] = ["idle-task", "imrs timer", "imrs receive", "imrs observer", "recording"];
 
 /// How often each thread of the node went to sleep.
 fn sleeps() -> Vec<(String, u64)> {
@@ -37,7 +38,11 @@ fn a_node_with_nothing_pending_never_wakes() {
     let network = network(&table, Faults::default());
     let _neighbour = network.join(NodeId(1), Incarnation(1), false);
     let (begin, begun) = report::<()>();
+    let about = About { life: (Incarnation(0), false), insecure: false, build: "a test", statements: 0 };
+    let here = NodeTable::new(table.clone(), NodeId(0));
+    let recorder = FileRecorder::start(std::io::sink(), &here, &about, |error| panic!("{error}")).unwrap();
     let node = on(&network, &table, 0)
+        .recorder(recorder.clone())
         .task("idle-task", move |ctx| {
             // Something has been timed before: nothing of it is left.
             ctx.delay(Duration::from_millis(20))?;
@@ -58,4 +63,6 @@ fn a_node_with_nothing_pending_never_wakes() {
     drop(observer);
     let ends = node.stop(LONG);
     assert_eq!(ends[0].1, TaskEnd::Returned);
+    let recorded = recorder.stop(LONG).expect("it is stopped once");
+    assert!(recorded.records > 2 && recorded.lost == 0, "{recorded:?}");
 }

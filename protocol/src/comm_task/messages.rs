@@ -18,7 +18,7 @@ impl CommTask {
     /// A packet for the task.
     pub(super) fn packet(&mut self, table: &NodeTable, packet: &Packet, out: &mut impl Outbox) {
         let admitted = table.port(packet.port).filter(|port| port.admits(packet.source, self.task));
-        let (Some(port), Some(role)) = (admitted, self.role(packet.port)) else {
+        let Some((port, role)) = admitted.and_then(|port| Some((port, self.role_at(port)?))) else {
             return self.drop_packet(packet, Reason::NotAllowed, out);
         };
         match (packet.kind, role) {

@@ -407,6 +407,12 @@ impl CommTask {
         Some(self.locals[self.local_at(port)?].role)
     }
 
+    /// The same, where the table is at hand: it knows the place of each port.
+    fn role_at(&self, port: &Port) -> Option<Role> {
+        let place = port.party(self.task)?.place;
+        Some(self.locals.get(usize::from(place))?.role)
+    }
+
     fn count(&mut self, port: PortId, count: impl FnOnce(&mut Counts)) {
         if let Some(local) = self.local(port) {
             count(&mut local.counters);

@@ -90,7 +90,7 @@ impl CommTask {
         // The declared life is what receivers and a restarted node reckon with: a request may only shorten it.
         let life = time_out.map_or(party.time_out, |wanted| wanted.min(party.time_out));
         let contents = if port.decl.guard.is_some() { self.under_lease(port, contents)? } else { contents };
-        let local = self.local_at(id).ok_or(Fault::NotYourPort)?;
+        let local = usize::from(party.place);
         let message = (port, life, contents);
         match self.locals[local].role {
             Role::Sends => {
@@ -222,7 +222,7 @@ impl CommTask {
         out: &mut impl Outbox,
     ) -> Result<Option<Signal>, Fault> {
         if let Some(id) = port {
-            match self.role(id) {
+            match table.port(id).and_then(|port| self.role_at(port)) {
                 None => return Err(Fault::NotYourPort),
                 Some(Role::Receives(_)) => {}
                 Some(
@@ -251,7 +251,7 @@ impl CommTask {
         source: Option<TaskId>,
         out: &mut impl Outbox,
     ) -> bool {
-        let Some((inbox, slot)) = self.most_urgent(port, source) else { return false };
+        let Some((inbox, slot)) = self.most_urgent(table, port, source) else { return false };
         if port.is_none() && source.is_none() && table.rules().aging != Aging::Off {
             // All other ports without a handler were passed over.
             self.served += 1;
@@ -263,10 +263,15 @@ impl CommTask {
 
     /// D14: a GET chooses among port heads: first one that was passed over too often (D58); then by urgency, class,
     /// `order`, port, source and arrival. Ports with a handler are not looked at unless they are named.
-    fn most_urgent(&self, port: Option<PortId>, source: Option<TaskId>) -> Option<(usize, Slot)> {
+    fn most_urgent(
+        &self,
+        table: &NodeTable,
+        port: Option<PortId>,
+        source: Option<TaskId>,
+    ) -> Option<(usize, Slot)> {
         let head = |at: usize| self.inboxes.get(at)?.head(source).map(|(slot, _)| (at, slot));
         if let Some(port) = port {
-            let Some(Role::Receives(inbox)) = self.role(port) else { return None };
+            let Some(Role::Receives(inbox)) = self.role_at(table.port(port)?) else { return None };
             return head(usize::from(inbox));
         }
         if source.is_none() {
@@ -289,7 +294,7 @@ impl CommTask {
         out: &mut impl Outbox,
     ) -> Result<Signal, Fault> {
         let (port, party) = mapping::own_end(table, to.port, self.task)?;
-        let local = self.local_at(to.port).ok_or(Fault::NotYourPort)?;
+        let local = usize::from(party.place);
         let inbox = match self.locals[local].role {
             Role::Replies => {
                 if !port.peers(self.task).any(|peer| peer == to.source) {

@@ -15,7 +15,8 @@ use std::time::{Duration, Instant};
 /// something over wakes nobody.
 const GATHER: Duration = Duration::from_millis(5);
 /// How long it sleeps after a look that found nothing, unless somebody wakes it. Who hands something over looks without
-/// a fence whether it sleeps, so one that is about to can be missed: then this is how late it comes.
+/// a fence whether it sleeps, so one that is about to can be missed: then this is how late it comes. Everybody sees after so
+/// long that it sleeps, so from then on it sleeps until it is woken.
 const SLEEP: Duration = Duration::from_millis(50);
 const BUFFER_BYTES: usize = 64 * 1024;
 /// The longest state or frame; what else is in its record takes less than the rest.
@@ -269,6 +270,7 @@ fn write<W: Write>(
     queue: &Receiver<Record>,
     shared: &Shared,
 ) -> Result<(), WriteError> {
+    let mut sleeps_since = None;
     loop {
         // Before the last look, so that what was handed over before the stop is written.
         let stopping = shared.stopping.load(Ordering::Acquire);
@@ -287,20 +289,26 @@ fn write<W: Write>(
         if stopping {
             break;
         }
-        pause(shared, found);
+        pause(shared, found, &mut sleeps_since);
     }
     finish(writer, queue, shared)
 }
 
 /// Until there may be something again.
-fn pause(shared: &Shared, found: bool) {
+fn pause(shared: &Shared, found: bool, sleeps_since: &mut Option<Instant>) {
     if found {
+        shared.state.store(AWAKE, Ordering::Relaxed);
         thread::park_timeout(GATHER);
         return;
     }
-    shared.state.store(ASLEEP, Ordering::Relaxed);
-    thread::park_timeout(SLEEP);
-    shared.state.store(AWAKE, Ordering::Relaxed);
+    if shared.state.swap(ASLEEP, Ordering::Relaxed) != ASLEEP {
+        *sleeps_since = None;
+    }
+    let since = *sleeps_since.get_or_insert_with(Instant::now);
+    match SLEEP.checked_sub(since.elapsed()) {
+        Some(left) => thread::park_timeout(left),
+        None => thread::park(),
+    }
 }
 
 /// What is there now, and no more: the streams may go on.
