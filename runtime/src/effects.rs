@@ -120,7 +120,7 @@ impl Effects {
 
     /// Whether there is nothing to carry out.
     pub fn is_done(&self) -> bool {
-        self.queue.is_empty() && self.deeds.is_empty() && self.bundles.is_empty()
+        self.queue.is_empty() && self.deeds.is_empty() && self.bundles.is_empty() && self.leaving.is_empty()
     }
 
     /// The time of this turn at a script: the next whole microsecond when it began.

@@ -57,6 +57,8 @@ pub struct Node {
     pub(crate) alarm: Arc<Alarm>,
     pub(crate) lateness: LatenessCounts,
     pub(crate) link: Option<Arc<dyn Link>>,
+    /// Lives as long as the node: a recorder that nobody else has would end its recording.
+    _recorder: Option<Arc<dyn Recorder>>,
     pub(crate) lead: Lead,
     /// Whether the link brought something for a future since their thread last asked.
     pub(crate) futures_by_link: AtomicBool,
@@ -122,6 +124,7 @@ impl Node {
             lateness: LatenessCounts::new(table.cell().tick.0),
             stage: OnceLock::new(),
             link: plan.link,
+            _recorder: plan.recorder,
             lead: Lead::new(),
             futures_by_link: AtomicBool::new(true),
             spin: plan.spin,

@@ -3,7 +3,7 @@
 
 mod common;
 
-use common::{A, B, LONG, LONG_TICKS, ask, cell, table};
+use common::{A, B, LONG, LONG_TICKS, ask, cell, finish, one_node, table};
 use imrs_protocol::{
     Class, Contents, Incarnation, Input, Kind, MessageId, NodeId, NodeTable, Packet, PortId, Ranked, ReplyTo,
     Request, Seq24, ServiceOrder, Target, TaskId, Ticks, TimeId,
@@ -80,6 +80,40 @@ fn wait_for(what: &str, mut done: impl FnMut() -> bool) {
         assert!(start.elapsed() < LONG, "{what}");
         std::thread::sleep(std::time::Duration::from_millis(1));
     }
+}
+
+/// Nobody else has the recorder: it ends with the node, not before.
+#[test]
+fn a_recording_lasts_as_long_as_its_node() {
+    const TIMES: usize = 50;
+    let disk = Disk::of(usize::MAX);
+    let mut cell = cell(&[0, 0], Ticks(0));
+    cell.port(ask(LONG_TICKS));
+    let table = table(cell);
+    let here = NodeTable::new(Arc::clone(&table), NodeId(0));
+    let about = About { life: (Incarnation(0), false), insecure: true, build: "a test", statements: 0 };
+    let recorder = FileRecorder::start(disk.clone(), &here, &about, no_failure).expect("a recording");
+    let node = one_node(&table).recorder(recorder).task("a", |ctx| {
+        let port = ctx.port("ask")?;
+        for _ in 0..TIMES {
+            assert!(ctx.send(port, b"?")?.reply().is_some());
+        }
+        Ok(())
+    });
+    let node = node.task("b", |ctx| {
+        for _ in 0..TIMES {
+            let message = ctx.receive(None, None)?.expect("it waits without end");
+            ctx.reply(&message.from, b"!")?;
+        }
+        Ok(())
+    });
+    finish(node.start().expect("a node that starts"));
+    let is_ended = || matches!(disk.records().last(), Some(Record::End));
+    wait_for("the recording does not end with its node", is_ended);
+    let inputs =
+        |of| disk.records().iter().filter(|r| matches!(r, Record::Input { task, .. } if *task == of)).count();
+    // The request and its answer; the receive, the message and the reply.
+    assert!(inputs(A) >= 2 * TIMES && inputs(B) >= 3 * TIMES, "{} and {}", inputs(A), inputs(B));
 }
 
 fn contents() -> impl Strategy<Value = Contents> {

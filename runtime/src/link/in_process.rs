@@ -14,7 +14,7 @@ use std::time::{Duration, Instant};
 /// How many packets wait for one node before its neighbours find it busy.
 const CAPACITY: usize = 1024;
 /// How many packets are taken out under one lock.
-const AT_ONCE: usize = 16;
+const AT_ONCE: usize = crate::transit::BATCH;
 
 /// What the network does to packets on purpose.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -16,8 +16,8 @@ use std::time::{Duration, SystemTime, UNIX_EPOCH};
 /// How many slots all tasks of a node share between them and their disk: 16 MiB. A step takes one. When there are more,
 /// a gap is recorded instead; once the disk keeps up again, the recording goes on with a keyframe.
 const SLOTS: usize = 1 << 18;
-/// What a task has of them, however many there are: 32 KiB to 2 MiB.
-const OF_A_TASK: (usize, usize) = (1 << 9, 1 << 15);
+/// What a task has of them, however many there are: 4 KiB to 2 MiB.
+const OF_A_TASK: (usize, usize) = (1 << 6, 1 << 15);
 
 /// Records the inputs of a node's communication tasks as an [`imrs_wire::recording`].
 pub struct FileRecorder {
@@ -78,7 +78,8 @@ impl FileRecorder {
         // No frames go into it.
         let recording = Recording::start(sink, &header, 1, on_failure)?;
         let tasks: Vec<TaskId> = table.tasks_on(table.node).collect();
-        let slots = (SLOTS / tasks.len().max(1)).clamp(OF_A_TASK.0, OF_A_TASK.1);
+        // A power of two, and not more than its share.
+        let slots = 1 << (SLOTS / tasks.len().max(1)).clamp(OF_A_TASK.0, OF_A_TASK.1).ilog2();
         let (mut aside, mut logs) = (Vec::new(), BTreeMap::new());
         for task in tasks {
             let (log, source) = ends(task, slots, recording.alert());

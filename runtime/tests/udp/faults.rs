@@ -1,9 +1,13 @@
 //! Injected faults.
 
-use crate::rig::{A, B, C, Memory, link, packet, pair};
+use crate::rig::{A, B, C, Memory, PATIENCE, link, packet, pair, table};
+use imrs_protocol::Incarnation;
 use imrs_runtime::link::faulty::{FaultyLink, Injected};
-use imrs_runtime::link::udp::UdpCount;
-use imrs_runtime::link::{Link, LinkBusy};
+use imrs_runtime::link::udp::{UdpCount, UdpLink, UdpOptions};
+use imrs_runtime::link::{Link, LinkBusy, PollEnd};
+use nix::sched::{CloneFlags, unshare};
+use std::net::Ipv4Addr;
+use std::process::Command;
 use std::time::{Duration, Instant};
 
 #[test]
@@ -77,4 +81,61 @@ fn what_the_link_would_not_take_is_not_lost() {
     assert!(!a.ready(B));
     assert_eq!(a.send(B, &[packet(1)]), Err(LinkBusy));
     assert_eq!(a.injected(), Injected::default());
+}
+
+/// Runs `work` where nothing of the machine's network is, but `lo` and an Ethernet on which nobody answers. Without the right
+/// to make that it says so; where everything is required it fails.
+fn on_an_empty_ethernet(work: impl FnOnce() + Send) {
+    let commands = [
+        "link set lo up",
+        "link add here type veth peer name there",
+        "addr add 10.99.0.1/24 dev here",
+        "link set here up",
+        "link set there up",
+    ];
+    let ip = |command: &str| Command::new("ip").args(command.split(' ')).status().is_ok_and(|s| s.success());
+    let ran = std::thread::scope(|scope| {
+        let own = move || {
+            let made = unshare(CloneFlags::CLONE_NEWNET).is_ok() && commands.into_iter().all(ip);
+            if made {
+                work();
+            }
+            made
+        };
+        // The namespace is this thread's, and goes with it.
+        scope.spawn(own).join().expect("the test passes")
+    });
+    if !ran {
+        let required = std::env::var_os("IMRS_REQUIRE_ALL").is_some_and(|value| value == "1");
+        assert!(!required, "a network namespace cannot be made here, and IMRS_REQUIRE_ALL=1 requires it");
+        eprintln!(
+            "\n*** SKIPPED: no network namespace (root and `ip`), so a host that is gone was NOT tried. ***\n"
+        );
+    }
+}
+
+/// While the kernel looks for a host that does not answer, it keeps what is for it, and holds that against the socket.
+#[test]
+fn a_host_that_is_gone_holds_up_nobody_else() {
+    on_an_empty_ethernet(|| {
+        let options = UdpOptions::new(Incarnation(1), false);
+        let a = UdpLink::bind(table(A), (Ipv4Addr::UNSPECIFIED, 0).into(), options).unwrap();
+        let b = link(B);
+        a.set_address(B, Some(b.local_address())).unwrap();
+        a.set_address(C, Some((Ipv4Addr::new(10, 99, 0, 9), 4_000).into())).unwrap();
+        let full: Vec<_> = (0..40).map(packet).collect();
+        let held = (0..10_000).take_while(|_| a.send(C, &full).is_ok()).count();
+        assert!(held < 10_000, "the kernel takes everything");
+        assert!(!a.ready(C) && a.ready(B), "one neighbour is not all");
+        let memory = Memory::default();
+        for n in 0..100 {
+            assert_eq!(a.send(B, &[packet(n)]), Ok(1));
+            assert_eq!(memory.take_packets(&b, 1)[0].1, packet(n));
+        }
+        // In the end the kernel gives up on it.
+        let end = Instant::now() + PATIENCE;
+        while !a.ready(C) {
+            assert_eq!(a.poll(&memory, Some(end)), PollEnd::Ready, "it never does");
+        }
+    });
 }

@@ -274,6 +274,8 @@ fn write<W: Write>(
     loop {
         // Before the last look, so that what was handed over before the stop is written.
         let stopping = shared.stopping.load(Ordering::Acquire);
+        // Before the look, too: it is the last one before a sleep without end.
+        let seen = sleeps_since.is_some_and(|since: Instant| since.elapsed() >= SLEEP);
         let mut found = false;
         for record in queue.try_iter().take(shared.capacity) {
             found = true;
@@ -289,25 +291,24 @@ fn write<W: Write>(
         if stopping {
             break;
         }
-        pause(shared, found, &mut sleeps_since);
+        pause(shared, found, seen, &mut sleeps_since);
     }
     finish(writer, queue, shared)
 }
 
-/// Until there may be something again.
-fn pause(shared: &Shared, found: bool, sleeps_since: &mut Option<Instant>) {
+/// Until there may be something again. `seen`: when it looked, everybody saw for long that it sleeps.
+fn pause(shared: &Shared, found: bool, seen: bool, sleeps_since: &mut Option<Instant>) {
     if found {
         shared.state.store(AWAKE, Ordering::Relaxed);
-        thread::park_timeout(GATHER);
-        return;
-    }
-    if shared.state.swap(ASLEEP, Ordering::Relaxed) != ASLEEP {
         *sleeps_since = None;
-    }
-    let since = *sleeps_since.get_or_insert_with(Instant::now);
-    match SLEEP.checked_sub(since.elapsed()) {
-        Some(left) => thread::park_timeout(left),
-        None => thread::park(),
+        thread::park_timeout(GATHER);
+    } else if shared.state.swap(ASLEEP, Ordering::Relaxed) != ASLEEP {
+        *sleeps_since = Some(Instant::now());
+        thread::park_timeout(SLEEP);
+    } else if seen {
+        thread::park();
+    } else {
+        thread::park_timeout(SLEEP);
     }
 }
 

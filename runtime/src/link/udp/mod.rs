@@ -32,7 +32,7 @@ use statistics::Statistics;
 use std::io;
 use std::net::{SocketAddr, UdpSocket};
 use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Condvar, Mutex, PoisonError};
+use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use thiserror::Error;
 use watch::{Seen, Watch};
@@ -97,7 +97,7 @@ pub struct NotANeighbour(pub NodeId);
 pub struct UdpLink {
     table: NodeTable,
     options: UdpOptions,
-    socket: UdpSocket,
+    socket: Arc<UdpSocket>,
     local: SocketAddr,
     /// The leader waits here.
     leader: Watch,
@@ -110,7 +110,7 @@ pub struct UdpLink {
     peers: Box<[Peer]>,
     poll: Mutex<Poll>,
     poll_changed: Condvar,
-    /// The kernel's send queue was found full.
+    /// The kernel was found to take no more for some neighbour.
     blocked: AtomicBool,
     /// [`Link::wake`] was called, and no poll has ended for it yet.
     woken: AtomicBool,
@@ -159,7 +159,7 @@ impl UdpLink {
             leader: Watch::new(&socket, Seen::Readable)?,
             polling: Watch::new(&socket, Seen::Woken)?,
             receiving: sync::Mutex::new(receiving),
-            socket,
+            socket: Arc::new(socket),
             peers,
             poll: Mutex::new(Poll { taken: false, waiting: 0, wakes: 0 }),
             poll_changed: Condvar::new(),
@@ -213,8 +213,9 @@ impl UdpLink {
                 self.statistics.send_failed(error);
                 sent = retried(|| connected.send(bytes));
             }
-            if sent.is_ok() {
-                return Ok(());
+            let full = |error: &io::Error| error.kind() == io::ErrorKind::WouldBlock;
+            if sent.as_ref().err().is_none_or(full) {
+                return sent;
             }
         }
         retried(|| self.socket.send_to(bytes, way.address))
@@ -259,10 +260,33 @@ impl UdpLink {
         }
     }
 
-    /// Waits for a datagram, for a wake, or, where the kernel's send queue was full, until it is not.
+    /// The socket that sends to a neighbour.
+    fn sending(&self, way: &Way) -> Arc<UdpSocket> {
+        Arc::clone(way.connected.as_ref().unwrap_or(&self.socket))
+    }
+
+    /// Whether the kernel takes a datagram for a neighbour, as far as is known.
+    fn takes(&self, peer: &Peer, way: &Way) -> bool {
+        if peer.full.load(Ordering::Acquire) && socket::takes(&self.sending(way)) {
+            peer.full.store(false, Ordering::Release);
+        }
+        !peer.full.load(Ordering::Acquire)
+    }
+
+    /// The sockets that were found full.
+    fn full(&self) -> Vec<Arc<UdpSocket>> {
+        let full = self.peers.iter().filter(|peer| peer.full.load(Ordering::Acquire));
+        full.filter_map(|peer| lock(&peer.way).as_ref().map(|way| self.sending(way))).collect()
+    }
+
+    /// Waits for a datagram, for a wake, or, where the kernel took no more for a neighbour, until it does.
     fn wait(&self, until: Option<Instant>) -> io::Result<Waited> {
-        if self.blocked.load(Ordering::Acquire) {
-            return socket::wait(&self.socket, self.polling.wake(), true, until);
+        if self.blocked.swap(false, Ordering::AcqRel) {
+            let full = self.full();
+            if !full.is_empty() {
+                self.blocked.store(true, Ordering::Release);
+                return socket::wait(&self.socket, self.polling.wake(), &full, until);
+            }
         }
         self.polling.wait(&self.socket, until).map(|seen| match seen {
             Seen::Readable => Waited::Readable,
@@ -338,11 +362,8 @@ impl Leading for UdpLink {
 
 impl Link for UdpLink {
     fn ready(&self, next: NodeId) -> bool {
-        let known = self.peer(next).is_some_and(|(_, peer)| lock(&peer.way).is_some());
-        if known && self.blocked.load(Ordering::Acquire) && socket::takes(&self.socket) {
-            self.blocked.store(false, Ordering::Release);
-        }
-        known && !self.blocked.load(Ordering::Acquire)
+        let Some((_, peer)) = self.peer(next) else { return false };
+        lock(&peer.way).as_ref().is_some_and(|way| self.takes(peer, way))
     }
 
     fn send_at(&self, next: NodeId, packets: &[Packet], at: Instant) -> Result<usize, LinkBusy> {
@@ -373,6 +394,7 @@ impl Link for UdpLink {
             }
             Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
                 self.statistics.add(UdpCount::Busy, 1);
+                peer.full.store(true, Ordering::Release);
                 self.blocked.store(true, Ordering::Release);
                 // Whoever waits in the socket does not yet wait for this.
                 self.polling.wake().wake();
@@ -396,7 +418,11 @@ impl Link for UdpLink {
                     any.then_some(PollEnd::Received)
                 }
                 Ok(Waited::Writable) => {
-                    self.blocked.store(false, Ordering::Release);
+                    for peer in &self.peers {
+                        lock(&peer.way).iter().for_each(|way| {
+                            self.takes(peer, way);
+                        });
+                    }
                     Some(PollEnd::Ready)
                 }
                 Ok(Waited::Woken) => self.end_of_wake(),

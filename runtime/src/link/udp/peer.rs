@@ -8,7 +8,8 @@ use imrs_wire::envelope::{Datagram, Echo, Envelope, ReplayWindow, supersedes};
 use nix::sys::socket::{setsockopt, sockopt};
 use std::io;
 use std::net::{SocketAddr, UdpSocket};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::atomic::AtomicBool;
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Locks, whatever a panic elsewhere left: every value here is whole at any time.
 pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
@@ -21,6 +22,8 @@ pub(super) struct Peer {
     /// The declared bound of the link to it, in microseconds.
     pub(super) declared: Ticks,
     pub(super) way: Mutex<Option<Way>>,
+    /// The kernel was found to take no more for it. It may be unreachable: so this says nothing of the others.
+    pub(super) full: AtomicBool,
     pub(super) outgoing: Mutex<Outgoing>,
     /// Its clock, as its last datagram showed it.
     pub(super) heard: Mutex<Option<Heard>>,
@@ -29,10 +32,11 @@ pub(super) struct Peer {
 /// Where a neighbour receives, and a socket that is connected to it.
 ///
 /// The connected socket only sends. The kernel looks up the route once, and says there that nobody listens
-/// (ECONNREFUSED). Where it fails or takes nothing, the link's own socket sends.
+/// (ECONNREFUSED). Where it fails the link's own socket sends; where it is full nothing does, for what the kernel holds for a
+/// neighbour that it does not find would fill that one, too.
 pub(super) struct Way {
     pub(super) address: SocketAddr,
-    pub(super) connected: Option<UdpSocket>,
+    pub(super) connected: Option<Arc<UdpSocket>>,
 }
 
 impl Way {
@@ -47,7 +51,7 @@ impl Way {
             bound_sending(&socket)?;
             Ok(socket)
         };
-        Self { address, connected: connect().ok() }
+        Self { address, connected: connect().ok().map(Arc::new) }
     }
 }
 
@@ -60,7 +64,14 @@ pub(super) struct Outgoing {
 
 impl Peer {
     pub(super) fn new(node: NodeId, declared: Ticks) -> Self {
-        Self { node, declared, way: Mutex::default(), outgoing: Mutex::default(), heard: Mutex::default() }
+        Self {
+            node,
+            declared,
+            way: Mutex::default(),
+            full: AtomicBool::new(false),
+            outgoing: Mutex::default(),
+            heard: Mutex::default(),
+        }
     }
 }
 
@@ -134,8 +145,8 @@ mod tests {
         bound_sending(&own).unwrap();
         let address = own.local_addr().unwrap();
         let connected = Way::new(address, address).connected.expect("a socket");
-        let [own, connected] = [own, connected].map(|socket| getsockopt(&socket, sockopt::SndBuf).unwrap());
-        assert_eq!(connected, own);
+        let bounds = [&own, &*connected].map(|socket| getsockopt(socket, sockopt::SndBuf).unwrap());
+        assert_eq!(bounds[0], bounds[1]);
     }
 
     #[test]

@@ -9,6 +9,7 @@ use rustix::event::{EventfdFlags, PollFd, PollFlags, Timespec, eventfd, poll};
 use std::io::{self, IoSliceMut};
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
 use std::os::fd::{AsRawFd, OwnedFd};
+use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 /// One more than the longest datagram, so that a longer one is noticed.
@@ -150,16 +151,17 @@ pub(super) enum Waited {
     TimedOut,
 }
 
-/// Waits until the socket has something (or, with `writable`, takes something), a wake, or `until`.
+/// Waits until the socket has something, one of the `full` ones takes something, a wake, or `until`. Allocates: for times
+/// when the network does not keep up.
 pub(super) fn wait(
     socket: &UdpSocket,
     wake: &Wake,
-    writable: bool,
+    full: &[Arc<UdpSocket>],
     until: Option<Instant>,
 ) -> io::Result<Waited> {
-    let interest = if writable { PollFlags::IN | PollFlags::OUT } else { PollFlags::IN };
+    let mut fds = vec![PollFd::new(socket, PollFlags::IN), PollFd::new(&wake.0, PollFlags::IN)];
+    fds.extend(full.iter().map(|full| PollFd::new(full, PollFlags::OUT)));
     loop {
-        let mut fds = [PollFd::new(socket, interest), PollFd::new(&wake.0, PollFlags::IN)];
         let left = until.map(|until| until.saturating_duration_since(Instant::now()));
         // A wait too long for the kernel's type is as good as one without end.
         let timeout = left.and_then(|left| Timespec::try_from(left).ok());
@@ -179,13 +181,14 @@ pub(super) fn wait(
         if fds[0].revents().intersects(PollFlags::IN | PollFlags::ERR) {
             return Ok(Waited::Readable);
         }
-        if fds[0].revents().contains(PollFlags::OUT) {
+        // An error of one that sends is fetched by sending.
+        if fds[2..].iter().any(|fd| !fd.revents().is_empty()) {
             return Ok(Waited::Writable);
         }
     }
 }
 
-/// Whether the socket takes a datagram now.
+/// Whether the socket takes a datagram now, or has an error to tell.
 pub(super) fn takes(socket: &UdpSocket) -> bool {
     let mut fds = [PollFd::new(socket, PollFlags::OUT)];
     let now = Timespec { tv_sec: 0, tv_nsec: 0 };
