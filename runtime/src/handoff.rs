@@ -10,7 +10,7 @@
 //! The answer is mail: written under the lock, together with the word that says so. The task's thread sleeps on the
 //! word, and is woken only if the word says that it sleeps. It may also wait elsewhere: then the word says so, and it is
 //! called from there by a [`Bell`]. While the word says that it looks, what is brought is left to it: it is there at once,
-//! and its communication task stays where it is, in the near cache of one core (D130).
+//! and its communication task stays where it is, in the near cache of one core (D128).
 //!
 //! The shared part knows nothing of messages: it is generic over the [`Station`], so that the tests can explore every
 //! interleaving with a station of two states.

@@ -1,4 +1,4 @@
-//! What the thread of the node's futures waits on (D128): asleep, or away in the link. Whatever wakes a future calls it.
+//! What the thread of the node's futures waits on (D127): asleep, or away in the link. Whatever wakes a future calls it.
 
 use crate::handoff::Bell;
 use crate::lead::Away;
