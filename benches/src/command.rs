@@ -106,7 +106,7 @@ pub fn run<E: From<BenchError>>(
     if !facts.release {
         eprintln!("warning: built with debug assertions; the ratios are not those of a release build");
     }
-    let (rounds, effort) = if args.quick { (3, Effort(0.1)) } else { (args.rounds, Effort(1.0)) };
+    let (rounds, effort) = if args.quick { (3, Effort::Share(0.1)) } else { (args.rounds, Effort::FULL) };
     let text = args.format == Form::Text;
     if text {
         say(&format!("{}; {rounds} rounds\n", facts.line()))?;

@@ -153,7 +153,7 @@ mod tests {
     #[test]
     fn rounds_alternate_and_ratios_are_of_one_round() {
         let order = Rc::default();
-        let results = measure(suite(&order), 3, Effort(1.0), |_, _, _| {});
+        let results = measure(suite(&order), 3, Effort::FULL, |_, _, _| {});
         assert_eq!(order.borrow().iter().collect::<String>(), "ababab");
         let same = Some(Spread { median: 2.0, least: 2.0, most: 2.0 });
         assert_eq!((results.rows[0].ratio, results.rows[0].met(1.0)), (same, Some(true)));

@@ -5,15 +5,32 @@ use std::fmt;
 
 /// How much of everything a round does.
 #[derive(Clone, Copy, Debug)]
-pub struct Effort(pub f64);
+pub enum Effort {
+    /// Such a share of what each case does in a full round.
+    Share(f64),
+    /// Each case so many times, whatever it does in a full round.
+    Times(u32),
+}
 
 impl Effort {
+    /// All that a case does in a round.
+    pub const FULL: Self = Self::Share(1.0);
+
     /// So many at full effort; never none.
     #[must_use]
     pub fn of(self, full: u32) -> u32 {
-        #[expect(clippy::cast_possible_truncation, clippy::cast_sign_loss, reason = "a share of a u32")]
-        let share = (f64::from(full) * self.0.clamp(0.0, 1.0)) as u32;
-        share.max(1)
+        match self {
+            Self::Share(share) => {
+                #[expect(
+                    clippy::cast_possible_truncation,
+                    clippy::cast_sign_loss,
+                    reason = "a share of a u32"
+                )]
+                let share = (f64::from(full) * share.clamp(0.0, 1.0)) as u32;
+                share.max(1)
+            }
+            Self::Times(times) => times.max(1),
+        }
     }
 }
 

@@ -143,13 +143,15 @@ fn asking(effort: Effort, full: u32, group: u32, places: [Core; 2], spin: Durati
 /// Two scripts of one node. The thread that lets them begin runs both of them to their end.
 pub fn scripts(effort: Effort, usage: Usage, how: Watched) -> Sample {
     // One input may cause 10,000 steps of a script.
-    const TIMES: u32 = 1_000;
+    const MOST: u32 = 1_000;
+    let all = effort.of(24 * MOST);
+    let times = all.min(MOST);
     let table = cells::asking(1, usage);
     let mut nanos = Vec::new();
-    for _ in 0..effort.of(24) {
+    for _ in 0..all / times {
         let mut onlooker = Onlooker::of(how, &table, NodeId(0));
         let node = Runtime::builder(table.clone(), NodeId(0))
-            .script("t0", cells::asker(TIMES))
+            .script("t0", cells::asker(times))
             .script("t1", cells::answerer())
             .hold_scripts();
         let node = onlooker.told_by(node).start().expect("a node that starts");
@@ -160,7 +162,7 @@ pub fn scripts(effort: Effort, usage: Usage, how: Watched) -> Sample {
         cells::stop(node);
         onlooker.leave();
     }
-    Sample::of(nanos, TIMES)
+    Sample::of(nanos, times)
 }
 
 /// Two futures of one node.

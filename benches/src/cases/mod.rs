@@ -9,6 +9,7 @@ pub mod network;
 pub mod observe;
 pub mod queues;
 pub mod recording;
+#[cfg(feature = "screen")]
 pub mod screen;
 pub mod urgent;
 
@@ -30,8 +31,9 @@ pub fn all() -> Vec<Suite> {
         network::network(),
         recording::recording(),
         observe::observe(),
-        screen::screen(),
     ];
+    #[cfg(feature = "screen")]
+    suites.push(screen::screen());
     crate::peers::join(&mut suites);
     suites
 }
