@@ -6,7 +6,6 @@
 use crate::clock::{self, FAR, Micros};
 use imrs_protocol::Request;
 use rustix::thread::{CpuSet, sched_getaffinity};
-use std::sync::OnceLock;
 use std::sync::atomic::{AtomicI16, AtomicIsize, AtomicU16, Ordering};
 
 /// How many threads of tasks of this process run, or are about to because somebody woke them.
@@ -52,16 +51,21 @@ impl Presence {
     }
 }
 
-/// How much of the processor's time the process may use, in cores; [`isize::MAX`] where nobody limits it. Asked once, before
-/// the first thread of a task waits.
+/// How much of the processor's time the process may use, in cores; [`isize::MAX`] where nobody limits it. Asked before
+/// the first thread of a task waits, and then known. Threads that ask at the same time all find the same.
 pub(crate) fn quota() -> isize {
-    static QUOTA: OnceLock<isize> = OnceLock::new();
-    *QUOTA.get_or_init(|| {
-        // The library takes the lesser of the cores that this thread may use and the limit.
-        let lesser = std::thread::available_parallelism().map_or(1, usize::from);
-        let cores = sched_getaffinity(None).map_or(1, |set| set.count() as usize);
-        if lesser < cores { isize::try_from(lesser).unwrap_or(isize::MAX) } else { isize::MAX }
-    })
+    const UNKNOWN: isize = 0;
+    static QUOTA: AtomicIsize = AtomicIsize::new(UNKNOWN);
+    let known = QUOTA.load(Ordering::Relaxed);
+    if known != UNKNOWN {
+        return known;
+    }
+    // The library takes the lesser of the cores that this thread may use and the limit.
+    let lesser = std::thread::available_parallelism().map_or(1, usize::from);
+    let cores = sched_getaffinity(None).map_or(1, |set| set.count() as usize);
+    let quota = if lesser < cores { isize::try_from(lesser).unwrap_or(isize::MAX) } else { isize::MAX };
+    QUOTA.store(quota, Ordering::Relaxed);
+    quota
 }
 
 /// The cores of a thread.

@@ -56,15 +56,29 @@ pub(crate) fn lane<const WORDS: usize>(
     slots: usize,
     #[cfg(test)] plant: Plant,
 ) -> (Fill<WORDS>, Drain<WORDS>) {
+    used_lane(
+        slots,
+        0,
+        #[cfg(test)]
+        plant,
+    )
+}
+
+/// A lane through which so many slots have gone before. The counts go around the wrap.
+pub(crate) fn used_lane<const WORDS: usize>(
+    slots: usize,
+    at: usize,
+    #[cfg(test)] plant: Plant,
+) -> (Fill<WORDS>, Drain<WORDS>) {
     let slot = |_| Slot(std::array::from_fn(|_| AtomicU64::new(0)));
     let lane = Arc::new(Lane {
         slots: (0..slots.next_power_of_two()).map(slot).collect(),
-        filled: AtomicUsize::new(0),
-        emptied: AtomicUsize::new(0),
+        filled: AtomicUsize::new(at),
+        emptied: AtomicUsize::new(at),
         #[cfg(test)]
         plant,
     });
-    (Fill { lane: Arc::clone(&lane), at: 0, free: 0 }, Drain { lane, at: 0 })
+    (Fill { lane: Arc::clone(&lane), at, free: at }, Drain { lane, at })
 }
 
 impl<const WORDS: usize> Lane<WORDS> {

@@ -1,6 +1,6 @@
-//! Leader and followers (D40): one thread at a time, of a task or of the futures, waits in the link itself, takes in what comes, and so finds
-//! its own answer with nobody to wake it; the others sleep on their words. Nothing has to be handed on when it leaves: the
-//! thread that receives for the node is told by the kernel of whatever comes while nobody leads.
+//! Leader and followers (D40): one thread at a time, of a task or of the futures, waits in the link itself, takes in what
+//! comes, and so finds its own answer with nobody to wake it; the others sleep on their words. Nothing has to be handed on
+//! when it leaves: the thread that receives for the node is told by the kernel of whatever comes while nobody leads.
 //!
 //! What the leader was told of, nobody else was. So it takes that in before it looks whether its own wait is over.
 

@@ -3,7 +3,7 @@
 
 use super::must_fail;
 use crate::explorer::{SEES_OLD_VALUES, explore, thread};
-use crate::lane::{Drain, Plant, lane};
+use crate::lane::{Drain, Plant, used_lane};
 
 /// Takes what is there: records of two slots, which say the same number.
 fn take(drain: &mut Drain<1>, taken: &mut Vec<u64>) {
@@ -24,9 +24,9 @@ fn let_others_run() {
 }
 
 /// One thread puts two records into a lane with room for one, another takes them. How many found room, and whether any
-/// was taken while they came.
-fn two_records(plant: Plant) -> (u64, bool) {
-    let (mut fill, mut drain) = lane::<1>(2, plant);
+/// was taken while they came. So many slots went through the lane before.
+fn two_records(before: usize, plant: Plant) -> (u64, bool) {
+    let (mut fill, mut drain) = used_lane::<1>(2, before, plant);
     let other = thread::spawn(move || {
         let mut found_room = 0;
         for _ in 0..2 {
@@ -53,24 +53,27 @@ fn two_records(plant: Plant) -> (u64, bool) {
 
 #[test]
 fn what_found_room_comes_out_whole_and_in_order() {
-    let seen = explore(|| two_records(Plant::None));
-    let outcomes: Vec<_> = seen.keys().copied().collect();
-    assert_eq!(outcomes, [(1, false), (1, true), (2, true)], "{seen:?}");
+    // The counts go around the wrap between the two records, and within the second.
+    for before in [0, usize::MAX - 1, usize::MAX - 2] {
+        let seen = explore(move || two_records(before, Plant::None));
+        let outcomes: Vec<_> = seen.keys().copied().collect();
+        assert_eq!(outcomes, [(1, false), (1, true), (2, true)], "{before}: {seen:?}");
+    }
 }
 
 #[test]
 fn what_is_shown_before_it_is_there_is_torn() {
-    must_fail("not what was put in", || two_records(Plant::ShownFirst));
+    must_fail("not what was put in", || two_records(0, Plant::ShownFirst));
 }
 
 #[test]
 fn what_is_given_back_before_it_was_read_is_torn() {
-    must_fail("not what was put in", || two_records(Plant::GivenBackFirst));
+    must_fail("not what was put in", || two_records(0, Plant::GivenBackFirst));
 }
 
 #[test]
 fn what_is_shown_without_order_is_torn() {
     if SEES_OLD_VALUES {
-        must_fail("not what was put in", || two_records(Plant::NoRelease));
+        must_fail("not what was put in", || two_records(0, Plant::NoRelease));
     }
 }

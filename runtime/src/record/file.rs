@@ -139,7 +139,7 @@ fn ends(task: TaskId, slots: usize, alert: Alert) -> (TaskLog, TaskSource) {
         outputs: OutputDigest::START.0,
         told: 0,
     };
-    (TaskLog { fill, alert, aside, needs_keyframe: false, told: 0 }, source)
+    (TaskLog { fill, alert, aside, needs_keyframe: false, pause: 0, told: 0 }, source)
 }
 
 /// Where the steps of one communication task go. Used under that task's lock: nothing here blocks, allocates or enters the
@@ -151,6 +151,9 @@ struct TaskLog {
     aside: Arc<Aside>,
     /// Something was lost: until a keyframe is given nothing that is recorded of this task can be replayed.
     needs_keyframe: bool,
+    /// After how many more losses a state is worth making, where the last one was too long to be recorded: as many as it had
+    /// bytes, so that trying costs each step no more than one of them.
+    pause: usize,
     /// Of the lost records, how many gaps tell of.
     told: u64,
 }
@@ -164,6 +167,7 @@ impl TaskLog {
             self.aside.lost.fetch_add(1, Ordering::Relaxed);
             self.aside.lost_inputs.fetch_add(inputs, Ordering::Release);
             self.needs_keyframe = true;
+            self.pause = self.pause.saturating_sub(1);
         }
     }
 }
@@ -190,7 +194,7 @@ impl Log for TaskLog {
     /// One is needed, and the disk keeps up again. Making one takes time and memory; while the disk does not keep up it
     /// would only be lost as well.
     fn wants_keyframe(&self) -> bool {
-        self.needs_keyframe && self.fill.is_half_free() && !self.alert.is_over()
+        self.needs_keyframe && self.pause == 0 && self.fill.is_half_free() && !self.alert.is_over()
     }
 
     /// Allocates, unlike everything else on a message's way: once for each gap.
@@ -198,6 +202,7 @@ impl Log for TaskLog {
         // A state that cannot be written down is as good as none: the gap goes on.
         let Ok(state) = postcard::to_allocvec(machine) else { return };
         if state.len() > LONGEST {
+            self.pause = state.len();
             return;
         }
         let lost = self.aside.lost.load(Ordering::Relaxed);

@@ -40,7 +40,7 @@ struct Shared {
     records: AtomicU64,
     bytes: AtomicU64,
     stopping: AtomicBool,
-    failure: OnceLock<WriteError>,
+    failure: Mutex<Option<String>>,
     streams: Mutex<Vec<Arc<Losses>>>,
     sources: Mutex<Vec<Box<dyn Source>>>,
 }
@@ -162,7 +162,8 @@ impl Recording {
             let written = write(writer, &records, &for_thread);
             for_thread.state.store(OVER, Ordering::Release);
             let Err(error) = written else { return true };
-            on_failure(for_thread.failure.get_or_init(|| error));
+            *for_thread.failure() = Some(error.to_string());
+            on_failure(&error);
             false
         };
         let thread = thread::Builder::new().name("recording".into()).spawn(run)?;
@@ -231,12 +232,16 @@ impl Shared {
         self.streams.lock().unwrap_or_else(PoisonError::into_inner)
     }
 
+    fn failure(&self) -> MutexGuard<'_, Option<String>> {
+        self.failure.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
     fn status(&self, ended: bool) -> Status {
         Status {
             records: self.records.load(Ordering::Relaxed),
             bytes: self.bytes.load(Ordering::Relaxed),
             lost: self.streams().iter().map(|losses| losses.total.load(Ordering::Relaxed)).sum(),
-            failure: self.failure.get().map(ToString::to_string),
+            failure: self.failure().clone(),
             ended,
         }
     }
