@@ -2,8 +2,8 @@
 
 use crate::clock::{self, Micros};
 use crate::script::Deed;
-use crate::transit::BATCH;
 use imrs_protocol::{Input, Packet, TaskId, Ticks, TimeId};
+use imrs_wire::envelope::MAX_PACKETS;
 use std::collections::VecDeque;
 
 /// An input and when it happened.
@@ -47,7 +47,7 @@ pub(crate) struct Effects {
 }
 
 /// The most packets that a task takes in one turn, a script with one look at the clock (D112): what a datagram brings.
-const BUNDLE: usize = BATCH;
+const BUNDLE: usize = MAX_PACKETS;
 
 /// Packets for tasks of the node, tied together by who gets them: so that each task takes its own under one lock.
 #[derive(Debug, Default)]
@@ -98,7 +98,7 @@ impl Effects {
     pub fn new(waiter: Option<TaskId>) -> Self {
         Self {
             queue: VecDeque::with_capacity(256),
-            leaving: Vec::with_capacity(BATCH),
+            leaving: Vec::with_capacity(MAX_PACKETS),
             waiter,
             ..Self::of_an_onlooker()
         }

@@ -19,7 +19,7 @@ use crate::reverse_path::can_come;
 use crate::script::Stage;
 use crate::sync::{AtomicU64, Mutex, Ordering, lock};
 use crate::timers::Timers;
-use crate::transit::{BATCH, Dispatch};
+use crate::transit::Dispatch;
 use imrs_protocol::route::{Arrival, Departure, arrived, departing};
 use imrs_protocol::{
     CommTask, Incarnation, Input, NodeId, NodeTable, Packet, Reason, Request, TaskId, Ticks, discarded,
@@ -260,7 +260,7 @@ impl Node {
                 self.members.list[place].handoff.deliver_all(&mut bundle, effects);
                 effects.bundles.give_back(bundle);
             }
-            if !effects.holds || effects.leaving.len() >= BATCH {
+            if !effects.holds || effects.leaving.len() >= self.dispatch.at_once {
                 self.dispatch.pump(latest, effects);
             }
             while let Some(deed) = effects.deeds.pop_front() {

@@ -16,15 +16,15 @@ use imrs_protocol::{
     Input, MessageId, NodeId, NodeTable, Observation, Packet, RouteOutbox, TaskId, Ticks, Transit,
     TransitView,
 };
+use imrs_wire::envelope::MAX_PACKETS;
 use std::sync::Arc;
 use std::time::Instant;
-
-/// The most packets that are handed to a link at once: what an Ethernet frame holds.
-pub(crate) const BATCH: usize = 44;
 
 pub(crate) struct Dispatch {
     table: NodeTable,
     link: Option<Arc<dyn Link>>,
+    /// The most packets that are handed to the link in one call, and that a thread gathers for it.
+    pub at_once: usize,
     members: Arc<Members>,
     alarm: Arc<Alarm>,
     slot: usize,
@@ -43,7 +43,8 @@ struct Buffer {
 struct Batch {
     next: NodeId,
     packets: Vec<Packet>,
-    busy: bool,
+    /// How many it takes now: none while the link takes none.
+    most: usize,
 }
 
 impl Dispatch {
@@ -56,9 +57,13 @@ impl Dispatch {
         now: Micros,
     ) -> Self {
         let neighbours: Vec<NodeId> = table.neighbours(table.node).collect();
-        let batch = |&next: &NodeId| Batch { next, packets: Vec::with_capacity(BATCH), busy: false };
+        // What another thread's turn keeps from leaving must have room in the buffer, but for what always was handed over.
+        let room = usize::from(transit.view().capacity).max(MAX_PACKETS);
+        let at_once = link.as_ref().map_or(MAX_PACKETS, |link| link.at_once()).min(room);
+        let batch = |&next: &NodeId| Batch { next, packets: Vec::with_capacity(at_once), most: 0 };
         Self {
             link,
+            at_once,
             slot: members.list.len(),
             members,
             alarm,
@@ -142,19 +147,21 @@ impl Dispatch {
         now: Micros,
         effects: &mut Effects,
     ) {
-        batches.iter_mut().for_each(|batch| batch.busy = !link.ready(batch.next));
+        for batch in batches.iter_mut() {
+            batch.most = if link.ready(batch.next) { self.at_once } else { 0 };
+        }
         let popped = self.fill(batches, leaving, now, effects);
         for (batch, (_, sent)) in batches.iter_mut().zip(&self.sent) {
             if batch.packets.is_empty() {
                 continue;
             }
-            let full = batch.packets.len() == BATCH;
+            let full = batch.packets.len() == self.at_once;
             // This order: if the node is stopped between the two clocks, the packets come out too old, never too young.
             let at = Instant::now();
             let waited = Ticks(clock::now().saturating_sub(popped));
             batch.packets.iter_mut().for_each(|packet| packet.remaining = packet.remaining - waited);
             let taken = link.send_at(batch.next, &batch.packets, at).unwrap_or_else(|_busy| {
-                batch.busy = true;
+                batch.most = 0;
                 0
             });
             sent.fetch_add(taken as u64, Ordering::Relaxed);
@@ -181,7 +188,7 @@ impl Dispatch {
         let mut buffer = lock(&self.buffer);
         buffer.advance(&self.table, now, &self.members, effects);
         // More than a batch holds could leave in another order than that of urgency.
-        let few = leaving.len() <= BATCH;
+        let few = leaving.len() <= self.at_once;
         for (at, packet) in leaving.drain(..) {
             let packet = buffer.charged(&self.table, at, packet, &self.members, effects);
             let passes =
@@ -218,7 +225,7 @@ fn put(batches: &mut [Batch], packet: Option<(NodeId, Packet)>) -> bool {
 
 impl Batch {
     fn takes(&self) -> bool {
-        !self.busy && self.packets.len() < BATCH
+        self.packets.len() < self.most
     }
 }
 

@@ -36,6 +36,10 @@ impl Link for Way {
         self.link().ready(next)
     }
 
+    fn at_once(&self) -> usize {
+        self.link().at_once()
+    }
+
     fn send_at(&self, next: NodeId, packets: &[Packet], at: Instant) -> Result<usize, LinkBusy> {
         self.link().send_at(next, packets, at)
     }

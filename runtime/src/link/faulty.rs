@@ -89,6 +89,27 @@ impl<L> FaultyLink<L> {
     }
 }
 
+impl<L: Link> FaultyLink<L> {
+    fn send_or_lose(&self, next: NodeId, packets: &[Packet], at: Instant) -> Result<usize, LinkBusy> {
+        let (cut, lost) = {
+            let mut faults = self.faults();
+            let cut = faults.cuts(next);
+            (cut, !cut && faults.loses())
+        };
+        if !cut && !lost {
+            return self.inner.send_at(next, packets, at);
+        }
+        // What the link would not have taken is not lost.
+        if !self.inner.ready(next) {
+            return Err(LinkBusy);
+        }
+        let taken = packets.len().min(self.at_once());
+        let counter = if cut { &self.cut_packets } else { &self.lost_packets };
+        counter.fetch_add(taken as u64, Ordering::Relaxed);
+        Ok(taken)
+    }
+}
+
 impl Faults {
     fn cuts(&mut self, next: NodeId) -> bool {
         if !self.cuts_to_come.is_empty() {
@@ -111,22 +132,24 @@ impl<L: Link> Link for FaultyLink<L> {
         self.inner.ready(next)
     }
 
+    fn at_once(&self) -> usize {
+        self.inner.at_once()
+    }
+
     fn send_at(&self, next: NodeId, packets: &[Packet], at: Instant) -> Result<usize, LinkBusy> {
-        let (cut, lost) = {
-            let mut faults = self.faults();
-            let cut = faults.cuts(next);
-            (cut, !cut && faults.loses())
-        };
-        if !cut && !lost {
-            return self.inner.send_at(next, packets, at);
+        if self.faults().loss <= 0.0 {
+            return self.send_or_lose(next, packets, at);
         }
-        // What the link would not have taken is not lost.
-        if !self.inner.ready(next) {
-            return Err(LinkBusy);
+        // A draw for each datagram: what leaves in one call is not lost in one piece.
+        let mut taken = 0;
+        for datagram in packets[..packets.len().min(self.at_once())].chunks(MAX_PACKETS) {
+            match self.send_or_lose(next, datagram, at) {
+                Ok(all) if all == datagram.len() => taken += all,
+                Ok(some) => return Ok(taken + some),
+                Err(LinkBusy) if taken > 0 => break,
+                Err(LinkBusy) => return Err(LinkBusy),
+            }
         }
-        let taken = packets.len().min(MAX_PACKETS);
-        let counter = if cut { &self.cut_packets } else { &self.lost_packets };
-        counter.fetch_add(taken as u64, Ordering::Relaxed);
         Ok(taken)
     }
 

@@ -6,6 +6,7 @@
 use super::{Link, LinkBusy, LinkDiscard, PollEnd, Sink};
 use crate::clock;
 use imrs_protocol::{CellTable, Incarnation, NodeId, Packet, Ticks};
+use imrs_wire::envelope::MAX_PACKETS;
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
@@ -14,7 +15,7 @@ use std::time::{Duration, Instant};
 /// How many packets wait for one node before its neighbours find it busy.
 const CAPACITY: usize = 1024;
 /// How many packets are taken out under one lock.
-const AT_ONCE: usize = crate::transit::BATCH;
+const AT_ONCE: usize = MAX_PACKETS;
 
 /// What the network does to packets on purpose.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]

@@ -9,6 +9,7 @@ pub mod udp;
 
 pub use crate::lead::Came;
 use imrs_protocol::{Incarnation, NodeId, Packet, PacketError, Ticks};
+use imrs_wire::envelope::MAX_PACKETS;
 use std::fmt;
 use std::time::{Duration, Instant};
 
@@ -34,6 +35,12 @@ pub trait Sink: Send + Sync {
 pub trait Link: Send + Sync {
     /// Whether a send to this neighbour would be taken now.
     fn ready(&self, next: NodeId) -> bool;
+
+    /// How many packets it takes in one call, at most: by default what a datagram holds. A node gathers so many for a
+    /// neighbour, and none of them can be overtaken any more once they are handed over.
+    fn at_once(&self) -> usize {
+        MAX_PACKETS
+    }
 
     /// Sends packets to a neighbour, most urgent first. Their remaining times hold for the instant `at`: what passes
     /// between it and the departure is charged to them, so that a node that was stopped in between cannot make old

@@ -1,13 +1,13 @@
 //! Injected faults.
 
+use crate::network::in_a_network;
 use crate::rig::{A, B, C, Memory, PATIENCE, link, packet, pair, table};
 use imrs_protocol::Incarnation;
 use imrs_runtime::link::faulty::{FaultyLink, Injected};
 use imrs_runtime::link::udp::{UdpCount, UdpLink, UdpOptions};
 use imrs_runtime::link::{Link, LinkBusy, PollEnd};
-use nix::sched::{CloneFlags, unshare};
+use imrs_wire::envelope::MAX_PACKETS;
 use std::net::Ipv4Addr;
-use std::process::Command;
 use std::time::{Duration, Instant};
 
 #[test]
@@ -32,6 +32,30 @@ fn the_same_seed_loses_the_same_sends() {
     assert!((60..140).contains(&first.len()), "{} of 500", first.len());
     assert_eq!(lost(1), first);
     assert_ne!(lost(2), first);
+}
+
+/// What leaves in one call is no more one piece for the network than what leaves in several.
+#[test]
+fn each_datagram_of_a_call_is_lost_by_itself() {
+    const CALLS: u64 = 50;
+    let (a, _b) = pair();
+    let faulty = FaultyLink::new(a, 3);
+    faulty.set_loss(0.5);
+    let packets: Vec<_> = (0..4 * MAX_PACKETS as u32).map(packet).collect();
+    let (mut taken, mut in_part) = (0, 0);
+    for _ in 0..CALLS {
+        let before = faulty.injected().lost_packets;
+        let now = faulty.send(B, &packets).unwrap() as u64;
+        let lost = faulty.injected().lost_packets - before;
+        assert!(lost.is_multiple_of(MAX_PACKETS as u64), "{lost}: a datagram is lost whole");
+        taken += now;
+        in_part += u64::from(lost > 0 && lost < now);
+    }
+    assert_eq!(faulty.inner().count(UdpCount::PacketsSent) + faulty.injected().lost_packets, taken);
+    assert!(
+        faulty.at_once() == MAX_PACKETS || in_part > CALLS / 4,
+        "{in_part} of {CALLS} calls were lost in part"
+    );
 }
 
 #[test]
@@ -83,41 +107,19 @@ fn what_the_link_would_not_take_is_not_lost() {
     assert_eq!(a.injected(), Injected::default());
 }
 
-/// Runs `work` where nothing of the machine's network is, but `lo` and an Ethernet on which nobody answers. Without the right
-/// to make that it says so; where everything is required it fails.
-fn on_an_empty_ethernet(work: impl FnOnce() + Send) {
-    let commands = [
-        "link set lo up",
-        "link add here type veth peer name there",
-        "addr add 10.99.0.1/24 dev here",
-        "link set here up",
-        "link set there up",
-    ];
-    let ip = |command: &str| Command::new("ip").args(command.split(' ')).status().is_ok_and(|s| s.success());
-    let ran = std::thread::scope(|scope| {
-        let own = move || {
-            let made = unshare(CloneFlags::CLONE_NEWNET).is_ok() && commands.into_iter().all(ip);
-            if made {
-                work();
-            }
-            made
-        };
-        // The namespace is this thread's, and goes with it.
-        scope.spawn(own).join().expect("the test passes")
-    });
-    if !ran {
-        let required = std::env::var_os("IMRS_REQUIRE_ALL").is_some_and(|value| value == "1");
-        assert!(!required, "a network namespace cannot be made here, and IMRS_REQUIRE_ALL=1 requires it");
-        eprintln!(
-            "\n*** SKIPPED: no network namespace (root and `ip`), so a host that is gone was NOT tried. ***\n"
-        );
-    }
-}
+/// `lo`, and an Ethernet on which nobody answers.
+const EMPTY_ETHERNET: [&str; 5] = [
+    "link set lo up",
+    "link add here type veth peer name there",
+    "addr add 10.99.0.1/24 dev here",
+    "link set here up",
+    "link set there up",
+];
 
 /// While the kernel looks for a host that does not answer, it keeps what is for it, and holds that against the socket.
 #[test]
 fn a_host_that_is_gone_holds_up_nobody_else() {
-    on_an_empty_ethernet(|| {
+    in_a_network(&EMPTY_ETHERNET, || {
         let options = UdpOptions::new(Incarnation(1), false);
         let a = UdpLink::bind(table(A), (Ipv4Addr::UNSPECIFIED, 0).into(), options).unwrap();
         let b = link(B);

@@ -2,6 +2,8 @@
 
 mod faults;
 mod hostile;
+mod network;
 mod rig;
+mod segments;
 mod time;
 mod traffic;

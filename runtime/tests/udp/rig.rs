@@ -51,9 +51,18 @@ pub fn life(node: NodeId, incarnation: u8, restarted: bool) -> UdpLink {
     UdpLink::bind(table(node), any_port(), UdpOptions::new(Incarnation(incarnation), restarted)).unwrap()
 }
 
+/// A link for which the kernel cuts nothing and puts nothing together.
+pub fn plain(node: NodeId) -> UdpLink {
+    let options = UdpOptions { segments: false, ..UdpOptions::new(Incarnation(1), false) };
+    UdpLink::bind(table(node), any_port(), options).unwrap()
+}
+
 /// Links of A and B that know each other's addresses.
 pub fn pair() -> (UdpLink, UdpLink) {
-    let (a, b) = (link(A), link(B));
+    introduced(link(A), link(B))
+}
+
+pub fn introduced(a: UdpLink, b: UdpLink) -> (UdpLink, UdpLink) {
     a.set_address(B, Some(b.local_address())).unwrap();
     b.set_address(A, Some(a.local_address())).unwrap();
     (a, b)

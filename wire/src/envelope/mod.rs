@@ -246,13 +246,24 @@ impl Datagram {
 
     /// Closes the datagram, and returns what is to be sent. It can be sealed again with another envelope.
     pub fn seal(&mut self, envelope: &Envelope, digest: u32) -> &[u8] {
-        let end = HEADER_BYTES + self.len() * PACKET_BYTES;
+        let end = self.end();
         if let Some(header) = self.bytes.first_chunk_mut() {
             envelope.emit(digest, self.packets, header);
         }
         let checksum = CRC.checksum(&self.bytes[..end]).to_le_bytes();
         self.bytes[end..end + CHECKSUM_BYTES].copy_from_slice(&checksum);
-        &self.bytes[..end + CHECKSUM_BYTES]
+        self.sealed()
+    }
+
+    /// What [`seal`](Self::seal) returned, as long as nothing was added or taken out since.
+    #[must_use]
+    pub fn sealed(&self) -> &[u8] {
+        &self.bytes[..self.end() + CHECKSUM_BYTES]
+    }
+
+    /// Where the checksum begins.
+    const fn end(&self) -> usize {
+        HEADER_BYTES + self.len() * PACKET_BYTES
     }
 
     /// Takes all packets out.

@@ -1,7 +1,8 @@
 //! The link over UDP (D20, D48, D50).
 //!
 //! One socket serves all neighbours. What is queued for one neighbour leaves in one datagram; a lone packet leaves at
-//! once, nothing is held back for company. Whatever the socket reports is a count, never an end.
+//! once, nothing is held back for company. What fills several datagrams leaves in one call where the kernel cuts it into
+//! them, and what it has put together again comes in one call (D129). Whatever the socket reports is a count, never an end.
 //!
 //! A packet that comes in is charged the larger of the link's declared bound plus its wait in this node's kernel, and
 //! what the clocks in the envelopes show of its whole way (`delay`). So neither a stopped receiver nor a sender that was
@@ -15,6 +16,7 @@
 mod delay;
 mod peer;
 mod receive;
+mod send;
 mod socket;
 mod statistics;
 mod watch;
@@ -24,9 +26,10 @@ pub use statistics::UdpCount;
 use super::{Came, Leading, Link, LinkBusy, PollEnd, Sink};
 use crate::sync;
 use imrs_protocol::{Incarnation, NodeId, NodeTable, Packet, Ticks};
-use imrs_wire::envelope::{Envelope, MAX_PACKETS};
+use imrs_wire::envelope::MAX_PACKETS;
 use peer::{Peer, Way, lock};
 use receive::Receiving;
+use send::SEGMENTS;
 use socket::{Receiver, Waited};
 use statistics::Statistics;
 use std::io;
@@ -50,13 +53,16 @@ pub struct UdpOptions {
     /// How many bytes the kernel's receive queue holds (SO_RCVBUF; the kernel doubles it for its own needs). No more
     /// than comes in within the longest time_out is of any use.
     pub queue_bytes: usize,
+    /// Whether the kernel, where it can, cuts what leaves in one call into datagrams (UDP_SEGMENT, Linux 4.18), and puts
+    /// those together that come from one neighbour (UDP_GRO, Linux 5.0).
+    pub segments: bool,
 }
 
 impl UdpOptions {
     /// The options of a node's first life.
     #[must_use]
     pub const fn new(incarnation: Incarnation, restarted: bool) -> Self {
-        Self { incarnation, restarted, queue_bytes: DEFAULT_QUEUE_BYTES }
+        Self { incarnation, restarted, queue_bytes: DEFAULT_QUEUE_BYTES, segments: true }
     }
 }
 
@@ -99,6 +105,8 @@ pub struct UdpLink {
     options: UdpOptions,
     socket: Arc<UdpSocket>,
     local: SocketAddr,
+    /// Whether the kernel knows how to cut what is sent into datagrams.
+    segments: bool,
     /// The leader waits here.
     leader: Watch,
     /// Whoever polls waits here.
@@ -142,19 +150,22 @@ impl UdpLink {
         let declared = |node| table.link_bound(table.node, node).unwrap_or(Ticks::ZERO);
         let peers: Box<[Peer]> = neighbours.into_iter().map(|node| Peer::new(node, declared(node))).collect();
         let (socket, stamped, empty) = socket::bind(address, options.queue_bytes)?;
+        let merges = options.segments && socket::merge(&socket);
+        let segments = options.segments && socket::segments(&socket);
         let local = socket.local_addr().map_err(|source| UdpError::Bind { address, source })?;
         let lives = peers.iter().map(|_| None).collect();
         let receiving = Receiving {
-            receiver: Receiver::new(stamped),
+            receiver: Receiver::new(stamped, merges),
             empty,
             last: empty,
             lives,
-            decoded: Vec::with_capacity(MAX_PACKETS),
+            decoded: Vec::with_capacity(MAX_PACKETS * SEGMENTS),
         };
         Ok(Self {
             table,
             options,
             local,
+            segments,
             // In this order.
             leader: Watch::new(&socket, Seen::Readable)?,
             polling: Watch::new(&socket, Seen::Woken)?,
@@ -183,7 +194,7 @@ impl UdpLink {
     /// Where the node is no neighbour.
     pub fn set_address(&self, node: NodeId, address: Option<SocketAddr>) -> Result<(), NotANeighbour> {
         let (_, peer) = self.peer(node).ok_or(NotANeighbour(node))?;
-        *lock(&peer.way) = address.map(|address| Way::new(self.local, address));
+        *lock(&peer.way) = address.map(|address| Way::new(self.local, address, self.segments));
         if address.is_some() {
             self.address_known.store(true, Ordering::Release);
             self.polling.wake().wake();
@@ -200,25 +211,6 @@ impl UdpLink {
     /// All counters by name.
     pub fn counts(&self) -> impl Iterator<Item = (&'static str, u64)> + '_ {
         UdpCount::ALL.iter().map(|&count| (count.name(), self.statistics.get(count)))
-    }
-
-    /// Hands a datagram to the kernel.
-    fn transmit(&self, bytes: &[u8], way: &Way) -> io::Result<()> {
-        if let Some(connected) = &way.connected {
-            let mut sent = retried(|| connected.send(bytes));
-            if let Err(error) = sent.as_ref()
-                && error.kind() == io::ErrorKind::ConnectionRefused
-            {
-                // Said of an earlier datagram; this one has not been tried.
-                self.statistics.send_failed(error);
-                sent = retried(|| connected.send(bytes));
-            }
-            let full = |error: &io::Error| error.kind() == io::ErrorKind::WouldBlock;
-            if sent.as_ref().err().is_none_or(full) {
-                return sent;
-            }
-        }
-        retried(|| self.socket.send_to(bytes, way.address))
     }
 
     fn peer(&self, node: NodeId) -> Option<(usize, &Peer)> {
@@ -314,16 +306,6 @@ impl UdpLink {
     }
 }
 
-/// Does it again while a signal interrupts it.
-fn retried(mut send: impl FnMut() -> io::Result<usize>) -> io::Result<()> {
-    loop {
-        match send() {
-            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
-            sent => return sent.map(|_| ()),
-        }
-    }
-}
-
 /// A thread's poll. Ends when it goes, also where a sink panics.
 struct OwnPoll<'a> {
     link: &'a UdpLink,
@@ -366,44 +348,18 @@ impl Link for UdpLink {
         lock(&peer.way).as_ref().is_some_and(|way| self.takes(peer, way))
     }
 
+    fn at_once(&self) -> usize {
+        if self.segments { MAX_PACKETS * SEGMENTS } else { MAX_PACKETS }
+    }
+
     fn send_at(&self, next: NodeId, packets: &[Packet], at: Instant) -> Result<usize, LinkBusy> {
         let (_, peer) = self.peer(next).ok_or(LinkBusy)?;
-        let way = lock(&peer.way);
-        let way = way.as_ref().ok_or(LinkBusy)?;
-        let tx_mono = self.micros(at);
-        let echo = lock(&peer.heard).and_then(|heard| heard.echo(tx_mono));
-        let outgoing = &mut *lock(&peer.outgoing);
-        outgoing.datagram.clear();
-        let taken = packets.len().min(MAX_PACKETS);
-        for packet in &packets[..taken] {
-            // A port that the cell does not have: the neighbour will say so and count it.
-            let hash = self.table.port(packet.port).map_or(0, |port| port.hash);
-            outgoing.datagram.push(&packet.encode(self.table.digest(), hash));
+        let mut way = lock(&peer.way);
+        let way = way.as_mut().ok_or(LinkBusy)?;
+        match &packets[..packets.len().min(self.at_once())] {
+            [] => Ok(0),
+            packets => self.send_over(peer, way, packets, at),
         }
-        if outgoing.datagram.is_empty() {
-            return Ok(0);
-        }
-        let UdpOptions { incarnation, restarted, .. } = self.options;
-        let sender = self.table.node;
-        let envelope = Envelope { sender, incarnation, restarted, counter: outgoing.counter, tx_mono, echo };
-        let bytes = outgoing.datagram.seal(&envelope, self.table.digest());
-        match self.transmit(bytes, way) {
-            Ok(()) => {
-                self.statistics.add(UdpCount::DatagramsSent, 1);
-                self.statistics.add(UdpCount::PacketsSent, taken as u64);
-            }
-            Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
-                self.statistics.add(UdpCount::Busy, 1);
-                peer.full.store(true, Ordering::Release);
-                self.blocked.store(true, Ordering::Release);
-                // Whoever waits in the socket does not yet wait for this.
-                self.polling.wake().wake();
-                return Err(LinkBusy);
-            }
-            Err(error) => self.statistics.send_failed(&error),
-        }
-        outgoing.counter += 1;
-        Ok(taken)
     }
 
     fn poll(&self, sink: &dyn Sink, until: Option<Instant>) -> PollEnd {

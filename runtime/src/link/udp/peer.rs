@@ -1,10 +1,11 @@
 //! What a node keeps of each neighbour it talks to over UDP.
 
 use super::delay::{DRIFT_PPM, LinkDelay};
-use super::socket::bound_sending;
+use super::send::Outgoing;
+use super::socket::{bound_sending, set_segment};
 use crate::link::LinkDiscard;
 use imrs_protocol::{Incarnation, NodeId, Ticks};
-use imrs_wire::envelope::{Datagram, Echo, Envelope, ReplayWindow, supersedes};
+use imrs_wire::envelope::{Echo, Envelope, MAX_DATAGRAM_BYTES, ReplayWindow, supersedes};
 use nix::sys::socket::{setsockopt, sockopt};
 use std::io;
 use std::net::{SocketAddr, UdpSocket};
@@ -37,11 +38,21 @@ pub(super) struct Peer {
 pub(super) struct Way {
     pub(super) address: SocketAddr,
     pub(super) connected: Option<Arc<UdpSocket>>,
+    segments: Segments,
+}
+
+/// Whether the kernel cuts what is sent to a neighbour into full datagrams.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Segments {
+    /// It was not asked to: nothing yet filled more than one.
+    NotYet,
+    Cut,
+    Refused,
 }
 
 impl Way {
-    /// The way from `local` to `address`.
-    pub(super) fn new(local: SocketAddr, address: SocketAddr) -> Self {
+    /// The way from `local` to `address`. `segments`: the kernel may be asked to cut what is sent.
+    pub(super) fn new(local: SocketAddr, address: SocketAddr, segments: bool) -> Self {
         let connect = || -> io::Result<UdpSocket> {
             let socket = UdpSocket::bind((local.ip(), 0))?;
             socket.set_nonblocking(true)?;
@@ -51,15 +62,30 @@ impl Way {
             bound_sending(&socket)?;
             Ok(socket)
         };
-        Self { address, connected: connect().ok().map(Arc::new) }
+        let segments = if segments { Segments::NotYet } else { Segments::Refused };
+        Self { address, connected: connect().ok().map(Arc::new), segments }
     }
-}
 
-/// The datagram that is being made for a neighbour, and its number.
-#[derive(Default)]
-pub(super) struct Outgoing {
-    pub(super) counter: u64,
-    pub(super) datagram: Datagram,
+    /// The socket that cuts what it sends into full datagrams, if the kernel does that on this way. Said of the socket
+    /// and not with each call: what fits into one datagram is not touched by it.
+    pub(super) fn segmenting(&mut self) -> Option<&UdpSocket> {
+        let socket = self.connected.as_deref()?;
+        if self.segments == Segments::NotYet {
+            let asked = set_segment(socket, MAX_DATAGRAM_BYTES);
+            self.segments = asked.map_or(Segments::Refused, |()| Segments::Cut);
+        }
+        (self.segments == Segments::Cut).then_some(socket)
+    }
+
+    /// From now on each datagram leaves by itself. False where that was so already.
+    pub(super) fn segment_no_more(&mut self) -> bool {
+        let cut = std::mem::replace(&mut self.segments, Segments::Refused) == Segments::Cut;
+        if let Some(socket) = self.connected.as_deref().filter(|_| cut) {
+            // What cannot be unsaid makes this socket fail, and the link's own one sends.
+            let _ = set_segment(socket, 0);
+        }
+        cut
+    }
 }
 
 impl Peer {
@@ -144,7 +170,7 @@ mod tests {
         let own = UdpSocket::bind("127.0.0.1:0").unwrap();
         bound_sending(&own).unwrap();
         let address = own.local_addr().unwrap();
-        let connected = Way::new(address, address).connected.expect("a socket");
+        let connected = Way::new(address, address, true).connected.expect("a socket");
         let bounds = [&own, &*connected].map(|socket| getsockopt(socket, sockopt::SndBuf).unwrap());
         assert_eq!(bounds[0], bounds[1]);
     }

@@ -7,12 +7,12 @@ use super::statistics::UdpCount;
 use crate::clock;
 use crate::link::{LinkDiscard, Sink};
 use crate::residency::{Evidence, Reading, residency};
-use imrs_protocol::{Packet, Ticks};
+use imrs_protocol::{NodeId, Packet, Ticks};
 use imrs_wire::envelope::{self, EnvelopeError};
 use std::io;
 use std::time::Duration;
 
-/// How many datagrams one poll takes at most before it gives way to whatever else its thread has to do.
+/// After how many datagrams a poll gives way to whatever else its thread has to do.
 const BATCH: usize = 64;
 /// How long ago the socket may have been seen empty before whoever takes one datagram looks for more.
 const EMPTY_OFTEN: Duration = Duration::from_millis(10);
@@ -26,14 +26,14 @@ pub(super) struct Receiving {
     pub(super) last: Reading,
     /// By the position of the neighbour.
     pub(super) lives: Box<[Option<Life>]>,
-    /// What a datagram brought.
+    /// What came at once brought. Has room for what leaves in one call, and keeps it.
     pub(super) decoded: Vec<Packet>,
 }
 
 impl UdpLink {
-    /// Takes the datagram that the leader was told of: whatever came after it was told to whoever polls. To see the
-    /// socket empty costs a system call more, so that is done only now and then: nothing rests on it while the stamps can
-    /// be believed.
+    /// Takes the datagram that the leader was told of, with those that the kernel put together with it: whatever came after
+    /// was told to whoever polls. To see the socket empty costs a system call more, so that is done only now and then:
+    /// nothing rests on it while the stamps can be believed.
     pub(super) fn receive_one(&self, receiving: &mut Receiving, sink: &dyn Sink) {
         let Receiving { receiver, empty, last, .. } = &*receiving;
         let lately = last.after.saturating_duration_since(empty.after) < EMPTY_OFTEN;
@@ -41,7 +41,7 @@ impl UdpLink {
         self.receive(receiving, most, sink);
     }
 
-    /// Takes what waits, up to a [`BATCH`]. Returns whether any datagram came in.
+    /// Takes what waits, until it was a [`BATCH`]. Returns whether any datagram came in.
     pub(super) fn drain(&self, receiving: &mut Receiving, sink: &dyn Sink) -> bool {
         self.receive(receiving, BATCH, sink)
     }
@@ -50,17 +50,15 @@ impl UdpLink {
         let Receiving { receiver, empty, last, lives, decoded } = receiving;
         // Read before the socket is looked at: if it turns out to be empty, it was so after this.
         let mut before = if most > 1 { Reading::take() } else { *last };
-        for taken in 0..most {
+        let mut taken = 0;
+        while taken < most {
             match receiver.receive(&self.socket) {
                 Ok((received, dropped)) => {
                     let now = Reading::take();
-                    self.statistics.add(UdpCount::DatagramsReceived, 1);
                     self.statistics.add(UdpCount::KernelDropped, u64::from(dropped));
-                    if let Err(reason) =
-                        self.deliver(&received, &now, empty, (&mut *lives, &mut *decoded), sink)
-                    {
-                        sink.discarded(reason);
-                    }
+                    let waited = self.waited(&received, &now, empty);
+                    let together = Together { link: self, now, waited, lives, decoded, of: None, sink };
+                    taken += together.deliver(&received);
                     (before, *last) = (now, now);
                 }
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
@@ -68,51 +66,13 @@ impl UdpLink {
                     return taken > 0;
                 }
                 // What the network says of datagrams sent before, or an interruption: the queue is as it was.
-                Err(_) => self.statistics.add(UdpCount::ReceiveFailed, 1),
+                Err(_) => {
+                    self.statistics.add(UdpCount::ReceiveFailed, 1);
+                    taken += 1;
+                }
             }
         }
         true
-    }
-
-    /// Hands the packets of a datagram to the sink, that was received before `now`.
-    fn deliver(
-        &self,
-        received: &Received<'_>,
-        now: &Reading,
-        empty: &Reading,
-        (lives, decoded): (&mut [Option<Life>], &mut Vec<Packet>),
-        sink: &dyn Sink,
-    ) -> Result<(), LinkDiscard> {
-        let digest = self.table.digest();
-        let (envelope, packets) = envelope::open(received.bytes, digest, |node| self.peer(node).is_some())
-            .map_err(LinkDiscard::from)?;
-        let (index, peer) = self.peer(envelope.sender).ok_or(LinkDiscard::UnknownNode)?;
-        let contact = judge(&mut lives[index], &envelope, peer.declared)?;
-        if let Contact::New { restarted } = contact {
-            self.statistics.add(UdpCount::NewLives, 1);
-            sink.peer(peer.node, envelope.incarnation, restarted);
-        }
-        let at = self.micros(now.after) + 1;
-        let heard = Heard { incarnation: envelope.incarnation, tx_mono: envelope.tx_mono, at };
-        *lock(&peer.heard) = Some(heard);
-        let waited = self.waited(received, now, empty);
-        let echo = envelope.echo.filter(|echo| echo.incarnation == self.options.incarnation);
-        let life = lives[index].as_mut();
-        let shown = life.map_or(Ticks::ZERO, |l| l.delay.arrived(envelope.tx_mono, echo.map(|e| e.mono), at));
-        let charge = shown.max(peer.declared + waited);
-        let port_hash = |port| self.table.port(port).map(|port| port.hash);
-        decoded.clear();
-        for packet in packets {
-            match Packet::decode(packet, digest, port_hash) {
-                Ok(packet) => decoded.push(packet),
-                Err(error) => sink.discarded(LinkDiscard::Packet(error)),
-            }
-        }
-        if !decoded.is_empty() {
-            self.statistics.add(UdpCount::PacketsReceived, decoded.len() as u64);
-            sink.packets(peer.node, decoded, charge, now.after);
-        }
-        Ok(())
     }
 
     /// How long a datagram waited in the kernel.
@@ -124,6 +84,83 @@ impl UdpLink {
             Evidence::ClockSet => self.statistics.add(UdpCount::ClockSet, 1),
         }
         Ticks(clock::micros(residency.waited))
+    }
+}
+
+/// What came in at once, before `now`.
+struct Together<'a> {
+    link: &'a UdpLink,
+    now: Reading,
+    /// How long the first of it waited in the kernel; the others no longer.
+    waited: Ticks,
+    lives: &'a mut [Option<Life>],
+    /// What its datagrams brought and the sink was not yet given.
+    decoded: &'a mut Vec<Packet>,
+    /// Whose that is, and its charge.
+    of: Option<(NodeId, Ticks)>,
+    sink: &'a dyn Sink,
+}
+
+impl Together<'_> {
+    /// Judges each datagram by itself, and hands over what they bring. Returns how many there were.
+    ///
+    /// What one neighbour sent in one call has one charge, and is handed over as one: else a later packet would be taken to
+    /// be the older one wherever the clock went on between two datagrams (D126).
+    fn deliver(mut self, received: &Received<'_>) -> usize {
+        let mut count = 0;
+        for bytes in received.datagrams() {
+            count += 1;
+            if let Err(reason) = self.take(bytes) {
+                self.sink.discarded(reason);
+            }
+        }
+        self.hand_over();
+        self.link.statistics.add(UdpCount::DatagramsReceived, count);
+        if count > 1 {
+            self.link.statistics.add(UdpCount::ReceivesSaved, count - 1);
+        }
+        usize::try_from(count).unwrap_or(usize::MAX)
+    }
+
+    fn take(&mut self, bytes: &[u8]) -> Result<(), LinkDiscard> {
+        let link = self.link;
+        let digest = link.table.digest();
+        let (envelope, packets) =
+            envelope::open(bytes, digest, |node| link.peer(node).is_some()).map_err(LinkDiscard::from)?;
+        let (index, peer) = link.peer(envelope.sender).ok_or(LinkDiscard::UnknownNode)?;
+        if let Contact::New { restarted } = judge(&mut self.lives[index], &envelope, peer.declared)? {
+            // Of the life before.
+            self.hand_over();
+            link.statistics.add(UdpCount::NewLives, 1);
+            self.sink.peer(peer.node, envelope.incarnation, restarted);
+        }
+        let at = link.micros(self.now.after) + 1;
+        let heard = Heard { incarnation: envelope.incarnation, tx_mono: envelope.tx_mono, at };
+        *lock(&peer.heard) = Some(heard);
+        let echo = envelope.echo.filter(|echo| echo.incarnation == link.options.incarnation);
+        let life = self.lives[index].as_mut();
+        let shown = life.map_or(Ticks::ZERO, |l| l.delay.arrived(envelope.tx_mono, echo.map(|e| e.mono), at));
+        let of = Some((peer.node, shown.max(peer.declared + self.waited)));
+        if self.of != of || self.decoded.len() + packets.len() > self.decoded.capacity() {
+            self.hand_over();
+            self.of = of;
+        }
+        let port_hash = |port| link.table.port(port).map(|port| port.hash);
+        for packet in packets {
+            match Packet::decode(packet, digest, port_hash) {
+                Ok(packet) => self.decoded.push(packet),
+                Err(error) => self.sink.discarded(LinkDiscard::Packet(error)),
+            }
+        }
+        Ok(())
+    }
+
+    fn hand_over(&mut self) {
+        if let Some((node, charge)) = self.of.filter(|_| !self.decoded.is_empty()) {
+            self.link.statistics.add(UdpCount::PacketsReceived, self.decoded.len() as u64);
+            self.sink.packets(node, self.decoded, charge, self.now.after);
+        }
+        self.decoded.clear();
     }
 }
 

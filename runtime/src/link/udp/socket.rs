@@ -6,7 +6,7 @@ use imrs_wire::envelope::MAX_DATAGRAM_BYTES;
 use nix::sys::socket::{ControlMessageOwned, MsgFlags, recvmsg, setsockopt, sockopt};
 use nix::sys::time::TimeSpec;
 use rustix::event::{EventfdFlags, PollFd, PollFlags, Timespec, eventfd, poll};
-use std::io::{self, IoSliceMut};
+use std::io::{self, IoSlice, IoSliceMut};
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
 use std::os::fd::{AsRawFd, OwnedFd};
 use std::sync::Arc;
@@ -14,6 +14,8 @@ use std::time::{Duration, Instant};
 
 /// One more than the longest datagram, so that a longer one is noticed.
 const BUFFER_BYTES: usize = MAX_DATAGRAM_BYTES + 1;
+/// What the kernel puts together, at most, and any datagram however long.
+const MERGED_BYTES: usize = 64 * 1024;
 
 /// How many bytes the kernel holds for the network (SO_SNDBUF; it doubles that for its own needs): what is there can no longer be
 /// overtaken by what is more urgent, so it is as little as keeps the network busy. A full datagram takes 2,304 bytes of the
@@ -26,16 +28,47 @@ pub(super) fn bound_sending(socket: &UdpSocket) -> nix::Result<()> {
     setsockopt(socket, sockopt::SndBuf, &SEND_QUEUE_BYTES)
 }
 
-/// A datagram as the kernel gave it.
+/// Asks the kernel to cut what is sent into datagrams of so many bytes; zero: no longer.
+pub(super) fn set_segment(socket: &UdpSocket, bytes: usize) -> nix::Result<()> {
+    let bytes = i32::try_from(bytes).unwrap_or(i32::MAX);
+    setsockopt(socket, sockopt::UdpGsoSegment, &bytes)
+}
+
+/// Whether the kernel knows how to cut what is sent.
+pub(super) fn segments(socket: &UdpSocket) -> bool {
+    set_segment(socket, 0).is_ok()
+}
+
+/// Asks the kernel to put together what comes in from one sender at the same time. Whether it does.
+pub(super) fn merge(socket: &UdpSocket) -> bool {
+    setsockopt(socket, sockopt::UdpGroSegment, &true).is_ok()
+}
+
+/// Sends all slices in one call, to where the socket is connected.
+pub(super) fn send_all(socket: &UdpSocket, slices: &[IoSlice<'_>]) -> io::Result<usize> {
+    Ok(rustix::io::writev(socket, slices)?)
+}
+
+/// Datagrams as the kernel gave them: one, or several that it put together.
 pub(super) struct Received<'a> {
-    pub(super) bytes: &'a [u8],
-    /// When it came in, by the wall clock since 1970.
+    bytes: &'a [u8],
+    /// How long each of them is, but for the last, which may be shorter.
+    segment: usize,
+    /// When the first came in, by the wall clock since 1970.
     pub(super) stamp: Option<Duration>,
+}
+
+impl<'a> Received<'a> {
+    /// Each by itself, in their order. One without a byte is one, too.
+    pub(super) fn datagrams(&self) -> impl Iterator<Item = &'a [u8]> + use<'a> {
+        let (first, others) = self.bytes.split_at(self.segment.min(self.bytes.len()));
+        std::iter::once(first).chain(others.chunks(self.segment.max(1)))
+    }
 }
 
 /// Receives into one reused buffer.
 pub(super) struct Receiver {
-    bytes: Box<[u8; BUFFER_BYTES]>,
+    bytes: Box<[u8]>,
     control: Vec<u8>,
     /// The kernel's count of datagrams that found its queue full: since the socket was made, around the wrap.
     dropped: u32,
@@ -44,28 +77,34 @@ pub(super) struct Receiver {
 }
 
 impl Receiver {
-    pub(super) fn new(stamped: bool) -> Self {
-        let control = nix::cmsg_space!(TimeSpec, u32);
-        Self { bytes: Box::new([0; BUFFER_BYTES]), control, dropped: 0, stamped }
+    /// `merges`: the kernel may put datagrams together.
+    pub(super) fn new(stamped: bool, merges: bool) -> Self {
+        let control = nix::cmsg_space!(TimeSpec, u32, i32);
+        let room = if merges { MERGED_BYTES } else { BUFFER_BYTES };
+        Self { bytes: vec![0; room].into(), control, dropped: 0, stamped }
     }
 
-    /// The next datagram that waits, and how many more the kernel has dropped before it. Never blocks.
+    /// The next datagram that waits, or several that were put together, and how many more the kernel has dropped before.
+    /// Never blocks.
     pub(super) fn receive(&mut self, socket: &UdpSocket) -> io::Result<(Received<'_>, u32)> {
-        let mut slices = [IoSliceMut::new(&mut self.bytes[..])];
+        let mut slices = [IoSliceMut::new(&mut self.bytes)];
         let flags = MsgFlags::MSG_DONTWAIT;
         let message = recvmsg::<()>(socket.as_raw_fd(), &mut slices, Some(&mut self.control), flags)?;
-        let (mut stamp, mut dropped) = (None, self.dropped);
+        let (mut stamp, mut dropped, mut segment) = (None, self.dropped, None);
         for control in message.cmsgs().into_iter().flatten() {
             match control {
                 ControlMessageOwned::ScmTimestampns(at) => stamp = since_1970(at),
                 ControlMessageOwned::RxqOvfl(total) => dropped = total,
+                ControlMessageOwned::UdpGroSegments(bytes) => segment = usize::try_from(bytes).ok(),
                 _ => {}
             }
         }
         let length = message.bytes;
         let new = dropped.wrapping_sub(self.dropped);
         self.dropped = dropped;
-        Ok((Received { bytes: &self.bytes[..length], stamp: stamp.filter(|_| self.stamped) }, new))
+        let segment = segment.filter(|&bytes| bytes > 0).unwrap_or(length);
+        let stamp = stamp.filter(|_| self.stamped);
+        Ok((Received { bytes: &self.bytes[..length], segment, stamp }, new))
     }
 }
 
@@ -103,7 +142,7 @@ fn stamps_work() -> bool {
         let socket = UdpSocket::bind((Ipv4Addr::LOCALHOST, 0))?;
         socket.connect(socket.local_addr()?)?;
         setsockopt(&socket, sockopt::ReceiveTimestampns, &true)?;
-        let mut receiver = Receiver::new(true);
+        let mut receiver = Receiver::new(true, false);
         for _ in 0..ATTEMPTS {
             socket.send(&[0])?;
             std::thread::sleep(WAIT);

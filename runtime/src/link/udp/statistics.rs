@@ -27,11 +27,18 @@ counts! {
     DatagramsSent = "datagrams_sent",
     /// Packets in them.
     PacketsSent = "packets_sent",
+    /// Datagrams that left in one call with an earlier one (UDP_SEGMENT): how many calls were saved.
+    SendsSaved = "sends_saved",
+    /// Ways for which the kernel refused to cut a call into datagrams.
+    SegmentsRefused = "segments_refused",
     /// Datagrams that came in, good or not.
     DatagramsReceived = "datagrams_received",
+    /// Datagrams that the kernel had put together with an earlier one (UDP_GRO): how many calls were saved.
+    ReceivesSaved = "receives_saved",
     /// Packets handed to the sink.
     PacketsReceived = "packets_received",
-    /// Datagrams that the kernel dropped because its queue was full (SO_RXQ_OVFL).
+    /// What the kernel dropped because its queue was full (SO_RXQ_OVFL): datagrams, and those that it had put together as
+    /// one.
     KernelDropped = "kernel_dropped",
     /// Sends that found the kernel's send queue full; the packets were kept.
     Busy = "send_busy",

@@ -1,0 +1,167 @@
+//! Sending: from packets to the socket.
+
+use super::UdpLink;
+use super::peer::{Peer, Way, lock};
+use super::socket;
+use super::statistics::UdpCount;
+use crate::link::LinkBusy;
+use imrs_protocol::Packet;
+use imrs_wire::envelope::{Datagram, Envelope, MAX_PACKETS};
+use rustix::io::Errno;
+use std::io::{self, IoSlice};
+use std::sync::atomic::Ordering;
+use std::time::Instant;
+
+/// How many full datagrams leave in one call, at most, where the kernel cuts it into them. What left can be overtaken by
+/// nothing more urgent: the socket holds 20 then, and 15 of those that leave one by one. Twice as many would save a tenth of
+/// what single calls cost, after the seven tenths that this saves (D129).
+pub(super) const SEGMENTS: usize = 4;
+
+/// The datagrams that are being made for a neighbour, and the number of the first.
+#[derive(Default)]
+pub(super) struct Outgoing {
+    counter: u64,
+    /// As many as ever left in one call.
+    datagrams: Vec<Datagram>,
+}
+
+impl UdpLink {
+    /// Sends packets to a neighbour over a way to it: full datagrams, but for the last, each with a number of its own.
+    /// Returns how many the kernel took, or lost: at least one.
+    pub(super) fn send_over(
+        &self,
+        peer: &Peer,
+        way: &mut Way,
+        packets: &[Packet],
+        at: Instant,
+    ) -> Result<usize, LinkBusy> {
+        let tx_mono = self.micros(at);
+        let echo = lock(&peer.heard).and_then(|heard| heard.echo(tx_mono));
+        let Outgoing { counter, datagrams } = &mut *lock(&peer.outgoing);
+        let count = packets.len().div_ceil(MAX_PACKETS);
+        if datagrams.len() < count {
+            datagrams.resize_with(count, Datagram::default);
+        }
+        let (sender, incarnation) = (self.table.node, self.options.incarnation);
+        let restarted = self.options.restarted;
+        for (number, (datagram, packets)) in datagrams.iter_mut().zip(packets.chunks(MAX_PACKETS)).enumerate()
+        {
+            let counter = *counter + number as u64;
+            datagram.clear();
+            for packet in packets {
+                // A port that the cell does not have: the neighbour will say so and count it.
+                let hash = self.table.port(packet.port).map_or(0, |port| port.hash);
+                datagram.push(&packet.encode(self.table.digest(), hash));
+            }
+            let envelope = Envelope { sender, incarnation, restarted, counter, tx_mono, echo };
+            datagram.seal(&envelope, self.table.digest());
+        }
+        let left = self.leave(peer, way, &datagrams[..count]);
+        // Also the numbers of what was not taken: of a call that failed something may have left.
+        *counter += count as u64;
+        left.map(|left| packets.len().min(left * MAX_PACKETS))
+    }
+
+    /// Hands datagrams to the kernel in their order. Returns how many it took, or lost.
+    fn leave(&self, peer: &Peer, way: &mut Way, datagrams: &[Datagram]) -> Result<usize, LinkBusy> {
+        if datagrams.len() > 1 {
+            match self.transmit_segmented(datagrams, way) {
+                Ok(()) => {
+                    datagrams.iter().for_each(|datagram| self.has_left(datagram));
+                    self.statistics.add(UdpCount::SendsSaved, datagrams.len() as u64 - 1);
+                    return Ok(datagrams.len());
+                }
+                Err(error) if is_full(&error) => return Err(self.found_full(peer)),
+                // Then each by itself. One that left all the same is noticed by its number.
+                Err(_) => {}
+            }
+        }
+        for (left, datagram) in datagrams.iter().enumerate() {
+            match self.transmit(datagram.sealed(), way) {
+                Ok(()) => self.has_left(datagram),
+                Err(error) if is_full(&error) => {
+                    let busy = self.found_full(peer);
+                    return if left > 0 { Ok(left) } else { Err(busy) };
+                }
+                Err(error) => self.statistics.send_failed(&error),
+            }
+        }
+        Ok(datagrams.len())
+    }
+
+    fn has_left(&self, datagram: &Datagram) {
+        self.statistics.add(UdpCount::DatagramsSent, 1);
+        self.statistics.add(UdpCount::PacketsSent, datagram.len() as u64);
+    }
+
+    /// The kernel takes nothing more for a neighbour.
+    fn found_full(&self, peer: &Peer) -> LinkBusy {
+        self.statistics.add(UdpCount::Busy, 1);
+        peer.full.store(true, Ordering::Release);
+        self.blocked.store(true, Ordering::Release);
+        // Whoever waits in the socket does not yet wait for this.
+        self.polling.wake().wake();
+        LinkBusy
+    }
+
+    /// Hands a datagram to the kernel.
+    fn transmit(&self, bytes: &[u8], way: &mut Way) -> io::Result<()> {
+        if let Some(connected) = &way.connected {
+            match self.sent(|| connected.send(bytes)) {
+                Ok(()) => return Ok(()),
+                Err(error) if is_full(&error) => return Err(error),
+                Err(error) => self.doubt_segments(way, &error),
+            }
+        }
+        retried(|| self.socket.send_to(bytes, way.address))
+    }
+
+    /// Hands datagrams to the kernel in one call, all of one length but the last: all of them, or none.
+    fn transmit_segmented(&self, datagrams: &[Datagram], way: &mut Way) -> io::Result<()> {
+        let Some(socket) = way.segmenting() else { return Err(io::ErrorKind::Unsupported.into()) };
+        let slices: [IoSlice<'_>; SEGMENTS] = std::array::from_fn(|number| {
+            IoSlice::new(datagrams.get(number).map_or(&[], |datagram| datagram.sealed()))
+        });
+        let sent = self.sent(|| socket::send_all(socket, &slices[..datagrams.len()]));
+        if let Err(error) = &sent {
+            self.doubt_segments(way, error);
+        }
+        sent
+    }
+
+    /// Sends over a connected socket.
+    fn sent(&self, mut send: impl FnMut() -> io::Result<usize>) -> io::Result<()> {
+        let sent = retried(&mut send);
+        let Err(error) = &sent else { return sent };
+        if error.kind() != io::ErrorKind::ConnectionRefused {
+            return sent;
+        }
+        // Said of an earlier datagram; this one has not been tried.
+        self.statistics.send_failed(error);
+        retried(send)
+    }
+
+    /// The kernel refuses to segment for this way, if that is what it said: the network takes no full datagrams in one
+    /// piece, or cannot check what it is given to cut. From then on each datagram leaves by itself.
+    fn doubt_segments(&self, way: &mut Way, error: &io::Error) {
+        let refused = [Errno::INVAL, Errno::IO, Errno::MSGSIZE, Errno::OPNOTSUPP, Errno::NOPROTOOPT];
+        if Errno::from_io_error(error).is_some_and(|errno| refused.contains(&errno)) && way.segment_no_more()
+        {
+            self.statistics.add(UdpCount::SegmentsRefused, 1);
+        }
+    }
+}
+
+fn is_full(error: &io::Error) -> bool {
+    error.kind() == io::ErrorKind::WouldBlock
+}
+
+/// Does it again while a signal interrupts it.
+fn retried(mut send: impl FnMut() -> io::Result<usize>) -> io::Result<()> {
+    loop {
+        match send() {
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+            sent => return sent.map(|_| ()),
+        }
+    }
+}
