@@ -52,7 +52,7 @@ impl Presence {
 }
 
 /// How much of the processor's time the process may use, in cores; [`isize::MAX`] where nobody limits it. Asked before
-/// the first thread of a task waits, and then known. Threads that ask at the same time all find the same.
+/// the first thread of a task waits, and then known.
 pub(crate) fn quota() -> isize {
     const UNKNOWN: isize = 0;
     static QUOTA: AtomicIsize = AtomicIsize::new(UNKNOWN);

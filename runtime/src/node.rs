@@ -342,7 +342,13 @@ impl Node {
                         member.handoff.deliver(stamped, effects);
                     }
                 }
-                Arrival::Relay(packet) => effects.leaving.push((at, packet)),
+                Arrival::Relay(packet) => {
+                    effects.leaving.push((at, packet));
+                    // As many as pass without entering the buffer.
+                    if effects.leaving.len() >= self.dispatch.at_once {
+                        self.dispatch.pump(at, effects);
+                    }
+                }
                 Arrival::Discard(reason, packet) => {
                     self.discards[reason as usize].fetch_add(1, Ordering::Relaxed);
                     self.dispatch.note(at, discarded(reason, &packet));

@@ -45,6 +45,9 @@ struct Batch {
     packets: Vec<Packet>,
     /// How many it takes now: none while the link takes none.
     most: usize,
+    /// Room to sort in.
+    places: Vec<u16>,
+    sorted: Vec<Packet>,
 }
 
 impl Dispatch {
@@ -57,10 +60,10 @@ impl Dispatch {
         now: Micros,
     ) -> Self {
         let neighbours: Vec<NodeId> = table.neighbours(table.node).collect();
-        // What another thread's turn keeps from leaving must have room in the buffer, but for what always was handed over.
-        let room = usize::from(transit.view().capacity).max(MAX_PACKETS);
+        // What another thread's turn keeps from leaving goes into the buffer, and must not fill it by itself.
+        let room = (usize::from(transit.view().capacity) / 4).max(MAX_PACKETS);
         let at_once = link.as_ref().map_or(MAX_PACKETS, |link| link.at_once()).min(room);
-        let batch = |&next: &NodeId| Batch { next, packets: Vec::with_capacity(at_once), most: 0 };
+        let batch = |&next: &NodeId| Batch::new(next, at_once);
         Self {
             link,
             at_once,
@@ -158,7 +161,8 @@ impl Dispatch {
             let full = batch.packets.len() == self.at_once;
             // This order: if the node is stopped between the two clocks, the packets come out too old, never too young.
             let at = Instant::now();
-            let waited = Ticks(clock::now().saturating_sub(popped));
+            let then = clock::now().max(popped);
+            let waited = Ticks(then - popped);
             batch.packets.iter_mut().for_each(|packet| packet.remaining = packet.remaining - waited);
             let taken = link.send_at(batch.next, &batch.packets, at).unwrap_or_else(|_busy| {
                 batch.most = 0;
@@ -168,6 +172,8 @@ impl Dispatch {
             let more = full || (taken > 0 && taken < batch.packets.len());
             for packet in batch.packets.drain(..).skip(taken) {
                 let mut buffer = lock(&self.buffer);
+                // The link may have taken long to say so, and others may have gone on meanwhile.
+                let packet = buffer.charged(&self.table, then, packet, &self.members, effects);
                 buffer.offer(&self.table, packet, &self.members, effects);
                 self.publish(&buffer);
             }
@@ -203,9 +209,7 @@ impl Dispatch {
                 break;
             }
         }
-        // In the order in which the buffer would have given them out; those that are in order already cost one comparison each.
-        let urgency = |packet: &Packet| (packet.remaining, packet.class);
-        batches.iter_mut().for_each(|batch| batch.packets.sort_by_key(urgency));
+        batches.iter_mut().for_each(Batch::sort);
         self.publish(&buffer);
         buffer.last
     }
@@ -224,6 +228,32 @@ fn put(batches: &mut [Batch], packet: Option<(NodeId, Packet)>) -> bool {
 }
 
 impl Batch {
+    fn new(next: NodeId, at_once: usize) -> Self {
+        let room = Vec::with_capacity;
+        Self {
+            next,
+            packets: room(at_once),
+            most: 0,
+            places: Vec::with_capacity(at_once),
+            sorted: room(at_once),
+        }
+    }
+
+    /// Into the order in which the buffer would have given them out. The library's stable sort would allocate for so many;
+    /// those that are in order already cost one comparison each.
+    fn sort(&mut self) {
+        let urgency = |packet: &Packet| (packet.remaining, packet.class);
+        if self.packets.is_sorted_by_key(urgency) {
+            return;
+        }
+        self.places.clear();
+        self.places.extend((0..self.packets.len()).map(|place| u16::try_from(place).unwrap_or(u16::MAX)));
+        self.places.sort_unstable_by_key(|&place| (urgency(&self.packets[usize::from(place)]), place));
+        self.sorted.clear();
+        self.sorted.extend(self.places.iter().map(|&place| self.packets[usize::from(place)]));
+        std::mem::swap(&mut self.packets, &mut self.sorted);
+    }
+
     fn takes(&self) -> bool {
         self.packets.len() < self.most
     }

@@ -3,12 +3,16 @@
 mod common;
 
 use common::{A, B, C, LONG, LONG_TICKS, ask, cell, finish, network, on, one_node, table};
-use imrs_protocol::{CellTable, Delivery, PortDecl, Ticks, Usage};
+use imrs_protocol::{
+    CellTable, Delivery, Incarnation, NodeId, Packet, PortDecl, PortId, Target, Ticks, Usage,
+};
 use imrs_runtime::link::in_process::Faults;
+use imrs_runtime::link::{Link, LinkBusy, PollEnd, Sink};
 use imrs_runtime::{Context, MANY, Rendezvous, Runtime, TaskError};
 use std::alloc::{GlobalAlloc, Layout, System};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::time::{Duration, Instant};
 
 struct Counting;
 
@@ -87,6 +91,81 @@ fn program(ctx: &mut Context) -> Result<(), TaskError> {
     round(ctx, 0, &mut messages)
 }
 
+/// A link that takes several datagrams in one call.
+struct Wide<L>(L);
+
+impl<L: Link> Link for Wide<L> {
+    fn ready(&self, next: NodeId) -> bool {
+        self.0.ready(next)
+    }
+
+    fn at_once(&self) -> usize {
+        2 * usize::from(BURST)
+    }
+
+    fn send_at(&self, next: NodeId, packets: &[Packet], at: Instant) -> Result<usize, LinkBusy> {
+        let mut taken = 0;
+        while taken < packets.len() {
+            match self.0.send_at(next, &packets[taken..], at) {
+                Ok(some) => taken += some,
+                Err(LinkBusy) if taken > 0 => break,
+                Err(LinkBusy) => return Err(LinkBusy),
+            }
+        }
+        Ok(taken)
+    }
+
+    fn poll(&self, sink: &dyn Sink, until: Option<Instant>) -> PollEnd {
+        self.0.poll(sink, until)
+    }
+
+    fn wake(&self) {
+        self.0.wake();
+    }
+}
+
+/// How many messages are said together, in another order than that of urgency.
+const BURST: u16 = 120;
+
+/// `a` says much together and asks whether it came; then it looks at the count.
+fn bursts(ctx: &mut Context) -> Result<(), TaskError> {
+    let (ask, burst) = (PortId(0), PortId(1));
+    for round in 0..200 {
+        if round == 50 {
+            COUNTED.store(0, Ordering::SeqCst);
+            COUNTING.store(true, Ordering::SeqCst);
+        }
+        ctx.together(|ctx| {
+            (0..BURST).try_for_each(|number| {
+                let time_out = Some(LONG - Duration::from_millis(u64::from(number * 59 % BURST)));
+                ctx.send_with(burst, Target::All, b"more", time_out).map(|_copies| ())
+            })
+        })?;
+        assert!(ctx.send(ask, b"all?")?.reply().is_some());
+    }
+    COUNTING.store(false, Ordering::SeqCst);
+    assert!(ctx.send(ask, b"end")?.reply().is_some());
+    Ok(())
+}
+
+fn takes_bursts(ctx: &mut Context) -> Result<(), TaskError> {
+    let (ask, burst) = (PortId(0), PortId(1));
+    let mut messages = Vec::with_capacity(MANY);
+    loop {
+        let question = ctx.receive(Some(ask), None)?.expect("only a message ends it");
+        let end = question.contents.as_bytes() == b"end";
+        let mut left = if end { 0 } else { usize::from(BURST) };
+        while left > 0 {
+            left -= ctx.receive_many(Some(burst), &mut messages, MANY, None)?;
+            messages.clear();
+        }
+        ctx.reply(&question.from, b"yes")?;
+        if end {
+            return Ok(());
+        }
+    }
+}
+
 fn declare(nodes: &[usize], delay: Ticks) -> Arc<CellTable> {
     let mut cell = cell(nodes, delay);
     cell.port(ask(LONG_TICKS));
@@ -115,4 +194,19 @@ fn messages_allocate_nothing_in_steady_state() {
     let builders: Vec<_> = builders.map(|(n, task)| on(&network, &table, n).task(task, program)).collect();
     let nodes = builders.into_iter().map(|node| node.start().unwrap()).collect();
     assert_eq!(allocations(nodes), 0, "between nodes");
+
+    let mut cell = cell(&[0, 1], Ticks(1_000));
+    cell.port(ask(LONG_TICKS));
+    cell.port(PortDecl::new("burst", A, Usage::Send, &[B], LONG_TICKS).bounded_buffer(BURST));
+    let table = common::table(cell);
+    let network = common::network(&table, Faults::default());
+    let builders = [0, 1].map(|node| {
+        let link = network.join(NodeId(node), Incarnation(1), false);
+        let builder = Runtime::builder(Arc::clone(&table), NodeId(node)).incarnation(Incarnation(1), false);
+        builder.link(Arc::new(Wide(link)))
+    });
+    let [first, second] = builders;
+    let nodes =
+        vec![first.task("a", bursts).start().unwrap(), second.task("b", takes_bursts).start().unwrap()];
+    assert_eq!(allocations(nodes), 0, "several datagrams together");
 }

@@ -2,15 +2,16 @@
 
 mod common;
 
-use common::{A, B, LONG, LONG_TICKS, ask, cell, finish, network, report, table};
+use common::{A, B, C, LONG, LONG_TICKS, ask, cell, finish, network, report, table};
 use imrs_protocol::{
-    CellTable, Incarnation, NodeId, NodeTable, Outcome, Packet, PortDecl, Reason, Ticks, Usage,
+    CellTable, Incarnation, NodeId, NodeTable, Outcome, Packet, PortDecl, PortId, Reason, Ticks, Usage,
 };
 use imrs_runtime::link::faulty::FaultyLink;
 use imrs_runtime::link::in_process::Faults;
 use imrs_runtime::link::udp::{UdpLink, UdpOptions};
 use imrs_runtime::link::{Came, Leading, Link, LinkBusy, LinkDiscard, PollEnd, Sink};
 use imrs_runtime::{Context, Runtime, Sent, TaskError};
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -295,4 +296,85 @@ fn a_node_stopped_while_it_sends_through_layers_of_links() {
     let table = two_nodes();
     let charges = [charge_of_a_late_packet(in_process(&table)), charge_of_a_late_packet(udp(&table))];
     assert!(charges.iter().all(|charge| charge.0 >= STOP_US), "{charges:?}");
+}
+
+/// A link that takes long to say that it takes nothing: the first time so long that another packet of the node comes to
+/// the buffer meanwhile.
+struct Refusing<L> {
+    inner: L,
+    refused: AtomicBool,
+    asked: AtomicBool,
+    other_came: AtomicBool,
+}
+
+fn until(flag: &AtomicBool) {
+    while !flag.load(Ordering::Acquire) {
+        thread::sleep(Duration::from_millis(1));
+    }
+}
+
+impl<L: Link> Link for Refusing<L> {
+    fn ready(&self, next: NodeId) -> bool {
+        self.inner.ready(next)
+    }
+
+    fn send_at(&self, next: NodeId, packets: &[Packet], at: Instant) -> Result<usize, LinkBusy> {
+        if self.asked.swap(true, Ordering::AcqRel) {
+            return self.inner.send_at(next, packets, at);
+        }
+        until(&self.other_came);
+        self.refused.store(true, Ordering::Release);
+        self.inner.wake();
+        Err(LinkBusy)
+    }
+
+    fn poll(&self, sink: &dyn Sink, until: Option<Instant>) -> PollEnd {
+        match self.inner.poll(sink, until) {
+            PollEnd::Woken if self.refused.swap(false, Ordering::AcqRel) => PollEnd::Ready,
+            end => end,
+        }
+    }
+
+    fn wake(&self) {
+        self.inner.wake();
+    }
+}
+
+#[test]
+fn what_a_link_refused_late_is_as_old_as_that() {
+    let mut cell = cell(&[0, 1, 0], Ticks(1_000));
+    cell.port(PortDecl::new("long", A, Usage::Send, &[B], LONG_TICKS).bounded_buffer(1));
+    cell.port(PortDecl::new("other", C, Usage::Send, &[B], LONG_TICKS).bounded_buffer(1));
+    let table = table(cell);
+    let [first, second] = in_process(&table);
+    let [refused, asked, other_came] = [false; 3].map(AtomicBool::new);
+    let link = Arc::new(Refusing { inner: first, refused, asked, other_came });
+    let builder =
+        |node| Runtime::builder(Arc::clone(&table), NodeId(node)).incarnation(Incarnation(1), false);
+    let (tell, told) = report();
+    let receiver = builder(1).link(Arc::new(second)).task("b", move |ctx| {
+        for _ in 0..2 {
+            let news = ctx.receive(None, None)?.expect("only a message ends it");
+            tell.send((news.from.port, news.budget)).expect("the test listens");
+        }
+        Ok(())
+    });
+    let here = Arc::clone(&link);
+    let sender = builder(0).link(Arc::clone(&link) as Arc<dyn Link>);
+    let sender = sender.task("a", |ctx| ctx.send(ctx.port("long")?, b"old").map(|_copies| ()));
+    let sender = sender.task("c", move |ctx| {
+        until(&here.asked);
+        ctx.delay(STOP)?;
+        let _copies = ctx.send(ctx.port("other")?, b"new")?;
+        here.other_came.store(true, Ordering::Release);
+        Ok(())
+    });
+    let (receiver, sender) = (receiver.start().unwrap(), sender.start().unwrap());
+    assert!(receiver.wait(LONG));
+    let budgets: Vec<_> = told.iter().collect();
+    let long = PortId(0);
+    let (_, left) = budgets.iter().find(|(port, _)| *port == long).expect("it came");
+    assert!(left.0 <= LONG_TICKS.0 - STOP_US, "younger than the link's answer: {budgets:?}");
+    finish(receiver);
+    finish(sender);
 }

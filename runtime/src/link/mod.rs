@@ -37,7 +37,7 @@ pub trait Link: Send + Sync {
     fn ready(&self, next: NodeId) -> bool;
 
     /// How many packets it takes in one call, at most: by default what a datagram holds. A node gathers so many for a
-    /// neighbour, and none of them can be overtaken any more once they are handed over.
+    /// neighbour, and none of them can be overtaken any more once they are handed over. Who wraps a link passes this on.
     fn at_once(&self) -> usize {
         MAX_PACKETS
     }

@@ -91,7 +91,7 @@ impl UdpLink {
 struct Together<'a> {
     link: &'a UdpLink,
     now: Reading,
-    /// How long the first of it waited in the kernel; the others no longer.
+    /// How long it waited in the kernel, by the one stamp that it has.
     waited: Ticks,
     lives: &'a mut [Option<Life>],
     /// What its datagrams brought and the sink was not yet given.

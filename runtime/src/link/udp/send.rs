@@ -142,9 +142,10 @@ impl UdpLink {
     }
 
     /// The kernel refuses to segment for this way, if that is what it said: the network takes no full datagrams in one
-    /// piece, or cannot check what it is given to cut. From then on each datagram leaves by itself.
+    /// piece (EINVAL, EMSGSIZE), or cannot check what it is given to cut (EIO). From then on each datagram leaves by itself.
+    /// Other errors are of earlier datagrams, or pass.
     fn doubt_segments(&self, way: &mut Way, error: &io::Error) {
-        let refused = [Errno::INVAL, Errno::IO, Errno::MSGSIZE, Errno::OPNOTSUPP, Errno::NOPROTOOPT];
+        let refused = [Errno::INVAL, Errno::IO, Errno::MSGSIZE];
         if Errno::from_io_error(error).is_some_and(|errno| refused.contains(&errno)) && way.segment_no_more()
         {
             self.statistics.add(UdpCount::SegmentsRefused, 1);

@@ -19,8 +19,8 @@ const MERGED_BYTES: usize = 64 * 1024;
 
 /// How many bytes the kernel holds for the network (SO_SNDBUF; it doubles that for its own needs): what is there can no longer be
 /// overtaken by what is more urgent, so it is as little as keeps the network busy. A full datagram takes 2,304 bytes of the
-/// kernel's, so 14 have room, and the socket takes more when half of them are gone. The other seven take 85 us at a gigabit
-/// a second, longer than the thread takes to wake that sends the next (D110).
+/// kernel's by itself, so 15 are held, or 20 that leave in fours (D129), and the socket takes more when half of them are gone. The
+/// other seven take 85 us at a gigabit a second, longer than the thread takes to wake that sends the next (D110).
 const SEND_QUEUE_BYTES: usize = 16 * 1024;
 
 /// Bounds what a socket holds for the network.
@@ -54,7 +54,8 @@ pub(super) struct Received<'a> {
     bytes: &'a [u8],
     /// How long each of them is, but for the last, which may be shorter.
     segment: usize,
-    /// When the first came in, by the wall clock since 1970.
+    /// When they came in, by the wall clock since 1970: the first of them on the loopback; what a card put together, when it
+    /// let go of it. How long it may hold that is part of the link's declared bound (D129).
     pub(super) stamp: Option<Duration>,
 }
 
