@@ -111,8 +111,8 @@ impl<S> Context<S> {
         }
     }
 
-    /// What `work` sends leaves together: all packets for one neighbour in one datagram, or in one call that the kernel
-    /// cuts into datagrams, the most urgent first. They leave when it ends, before anything in it waits, and as soon as they
+    /// What `work` sends leaves together: all packets for one neighbour in one datagram, the most urgent first, or in
+    /// one call that the kernel cuts into datagrams. They leave when it ends, before anything in it waits, and as soon as they
     /// are as many as the link takes at once. Without this every message leaves at once. No time_out makes them leave
     /// earlier, so `work` should do nothing but send.
     ///

@@ -45,9 +45,6 @@ struct Batch {
     packets: Vec<Packet>,
     /// How many it takes now: none while the link takes none.
     most: usize,
-    /// Room to sort in.
-    places: Vec<u16>,
-    sorted: Vec<Packet>,
 }
 
 impl Dispatch {
@@ -63,7 +60,7 @@ impl Dispatch {
         // What another thread's turn keeps from leaving goes into the buffer, and must not fill it by itself.
         let room = (usize::from(transit.view().capacity) / 4).max(MAX_PACKETS);
         let at_once = link.as_ref().map_or(MAX_PACKETS, |link| link.at_once()).min(room);
-        let batch = |&next: &NodeId| Batch::new(next, at_once);
+        let batch = |&next: &NodeId| Batch { next, packets: Vec::with_capacity(at_once), most: 0 };
         Self {
             link,
             at_once,
@@ -228,30 +225,11 @@ fn put(batches: &mut [Batch], packet: Option<(NodeId, Packet)>) -> bool {
 }
 
 impl Batch {
-    fn new(next: NodeId, at_once: usize) -> Self {
-        let room = Vec::with_capacity;
-        Self {
-            next,
-            packets: room(at_once),
-            most: 0,
-            places: Vec::with_capacity(at_once),
-            sorted: room(at_once),
-        }
-    }
-
-    /// Into the order in which the buffer would have given them out. The library's stable sort would allocate for so many;
-    /// those that are in order already cost one comparison each.
+    /// Each datagram of it into the order in which the buffer would have given it out. Not all of it: a message that more than
+    /// 63 later ones of its source overtake is taken for one that was seen (D75, D129).
     fn sort(&mut self) {
         let urgency = |packet: &Packet| (packet.remaining, packet.class);
-        if self.packets.is_sorted_by_key(urgency) {
-            return;
-        }
-        self.places.clear();
-        self.places.extend((0..self.packets.len()).map(|place| u16::try_from(place).unwrap_or(u16::MAX)));
-        self.places.sort_unstable_by_key(|&place| (urgency(&self.packets[usize::from(place)]), place));
-        self.sorted.clear();
-        self.sorted.extend(self.places.iter().map(|&place| self.packets[usize::from(place)]));
-        std::mem::swap(&mut self.packets, &mut self.sorted);
+        self.packets.chunks_mut(MAX_PACKETS).for_each(|datagram| datagram.sort_by_key(urgency));
     }
 
     fn takes(&self) -> bool {

@@ -124,7 +124,7 @@ impl<L: Link> Link for Wide<L> {
     }
 }
 
-/// How many messages are said together, in another order than that of urgency.
+/// How many messages are said together, in nearly the order of urgency.
 const BURST: u16 = 120;
 
 /// `a` says much together and asks whether it came; then it looks at the count.
@@ -137,7 +137,8 @@ fn bursts(ctx: &mut Context) -> Result<(), TaskError> {
         }
         ctx.together(|ctx| {
             (0..BURST).try_for_each(|number| {
-                let time_out = Some(LONG - Duration::from_millis(u64::from(number * 59 % BURST)));
+                // Overtaken by a few.
+                let time_out = Some(LONG - Duration::from_millis(u64::from(BURST - (number ^ 7))));
                 ctx.send_with(burst, Target::All, b"more", time_out).map(|_copies| ())
             })
         })?;

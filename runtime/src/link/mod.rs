@@ -42,7 +42,7 @@ pub trait Link: Send + Sync {
         MAX_PACKETS
     }
 
-    /// Sends packets to a neighbour, most urgent first. Their remaining times hold for the instant `at`: what passes
+    /// Sends packets to a neighbour, the most urgent of each datagram first. Their remaining times hold for the instant `at`: what passes
     /// between it and the departure is charged to them, so that a node that was stopped in between cannot make old
     /// packets young. Returns how many were taken: at least one, and from the front. A packet that is taken may still be
     /// lost.
