@@ -97,7 +97,10 @@ impl Dispatch {
             let mut leaving = std::mem::take(&mut effects.leaving);
             match link.and_then(|link| self.sender.enter().map(|turn| (link, turn))) {
                 Some((link, mut batches)) => self.send_once(link, &mut batches, &mut leaving, now, effects),
-                None => self.offer(&mut leaving, effects),
+                None => {
+                    self.offer(leaving.drain(..), effects);
+                    self.sender.want();
+                }
             }
             effects.leaving = leaving;
         }
@@ -106,16 +109,14 @@ impl Dispatch {
         }
     }
 
-    /// Puts packets into the buffer, for whoever sends.
-    fn offer(&self, leaving: &mut Vec<(Micros, Packet)>, effects: &mut Effects) {
+    /// Puts packets into the buffer, for whoever sends, each with the time at which its remaining time held.
+    fn offer(&self, packets: impl Iterator<Item = (Micros, Packet)>, effects: &mut Effects) {
         let mut buffer = lock(&self.buffer);
-        for (at, packet) in leaving.drain(..) {
+        for (at, packet) in packets {
             let packet = buffer.charged(&self.table, at, packet, &self.members, effects);
             buffer.offer(&self.table, packet, &self.members, effects);
         }
         self.publish(&buffer);
-        drop(buffer);
-        self.sender.want();
     }
 
     /// The buffer's state, and when it was so.
@@ -161,19 +162,14 @@ impl Dispatch {
             let then = clock::now().max(popped);
             let waited = Ticks(then - popped);
             batch.packets.iter_mut().for_each(|packet| packet.remaining = packet.remaining - waited);
-            let taken = link.send_at(batch.next, &batch.packets, at).unwrap_or_else(|_busy| {
-                batch.most = 0;
-                0
-            });
+            let taken = link.send_at(batch.next, &batch.packets, at).unwrap_or(0);
             sent.fetch_add(taken as u64, Ordering::Relaxed);
             let more = full || (taken > 0 && taken < batch.packets.len());
-            for packet in batch.packets.drain(..).skip(taken) {
-                let mut buffer = lock(&self.buffer);
+            if taken < batch.packets.len() {
                 // The link may have taken long to say so, and others may have gone on meanwhile.
-                let packet = buffer.charged(&self.table, then, packet, &self.members, effects);
-                buffer.offer(&self.table, packet, &self.members, effects);
-                self.publish(&buffer);
+                self.offer(batch.packets.drain(taken..).map(|packet| (then, packet)), effects);
             }
+            batch.packets.clear();
             if more {
                 self.sender.want();
             }

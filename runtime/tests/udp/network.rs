@@ -19,10 +19,15 @@ pub fn in_a_network(commands: &[&str], work: impl FnOnce() + Send) {
         scope.spawn(own).join().expect("the test passes")
     });
     if !ran {
-        let required = std::env::var_os("IMRS_REQUIRE_ALL").is_some_and(|value| value == "1");
-        assert!(!required, "a network namespace cannot be made here, and IMRS_REQUIRE_ALL=1 requires it");
-        eprintln!("\n*** SKIPPED: no network namespace (root and `ip`): what it is for was NOT tried. ***\n");
+        skip("no network namespace (root and `ip`)");
     }
+}
+
+/// Says that a test was not tried, and why; where everything is required it fails.
+pub fn skip(missing: &str) {
+    let required = std::env::var_os("IMRS_REQUIRE_ALL").is_some_and(|value| value == "1");
+    assert!(!required, "{missing}, and IMRS_REQUIRE_ALL=1 requires it");
+    eprintln!("\n*** SKIPPED: {missing}: what it is for was NOT tried. ***\n");
 }
 
 /// Changes the network of the calling thread.
