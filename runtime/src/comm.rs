@@ -10,7 +10,7 @@ use crate::ring::Ring;
 use crate::script::{Knows, Seat};
 use imrs_protocol::script::Program;
 use imrs_protocol::{
-    CommTask, Delivery, Event, Input, NodeTable, Observation, Outbox, Packet, PortId, QueueView, Reason,
+    Class, CommTask, Delivery, Event, Input, Kind, NodeTable, Observation, Outbox, Packet, PortId, QueueView, Reason,
     Signal, TaskId, TaskView, Ticks, TimeId,
 };
 use std::sync::Arc;
@@ -227,6 +227,13 @@ impl Station for Comm {
     type Input = Stamped;
     type Mail = Mail;
     type Effects = Effects;
+
+    /// A message that nobody waits for the fate of: to whom it is sent takes it at its next call, and its life goes on ending
+    /// meanwhile.
+    fn may_wait(stamped: &Stamped) -> bool {
+        let Input::Packet(packet) = &stamped.input else { return false };
+        packet.kind == Kind::Send && packet.class == Class::Status
+    }
 
     fn feed(&mut self, stamped: Stamped, effects: &mut Effects) -> Option<Mail> {
         guarded("a communication task", || self.take(stamped, effects))

@@ -10,7 +10,8 @@
 //! The answer is mail: written under the lock, together with the word that says so. The task's thread sleeps on the
 //! word, and is woken only if the word says that it sleeps. It may also wait elsewhere: then the word says so, and it is
 //! called from there by a [`Bell`]. While the word says that it looks, what is brought is left to it: it is there at once,
-//! and its communication task stays where it is, in the near cache of one core (D128).
+//! and its communication task stays where it is, in the near cache of one core (D128). To a thread that runs and often comes
+//! in is left what may wait until then (D130).
 //!
 //! The shared part knows nothing of messages: it is generic over the [`Station`], so that the tests can explore every
 //! interleaving with a station of two states.
@@ -20,6 +21,8 @@ use crate::lead::Away;
 use crate::sync::{AtomicUsize, Mutex, MutexGuard, Ordering, Word, fence, lock, try_lock};
 use std::collections::VecDeque;
 use std::sync::Arc;
+/// The library's, of which no schedule is explored: hints.
+use std::sync::atomic::AtomicBool;
 
 /// What runs behind the lock.
 pub(crate) trait Station {
@@ -29,6 +32,9 @@ pub(crate) trait Station {
     type Mail;
     /// What it wants done once the lock is released. Owned by the caller.
     type Effects;
+
+    /// Whether nobody but the task's thread needs what comes of this input, so that it may wait until that comes in.
+    fn may_wait(input: &Self::Input) -> bool;
 
     /// Takes one input; an answer for the task is returned.
     fn feed(&mut self, input: Self::Input, effects: &mut Self::Effects) -> Option<Self::Mail>;
@@ -70,6 +76,9 @@ const LOOKING: u32 = 5;
 /// How many inputs wait in an inbox before who brings more waits for the lock.
 const INBOX: usize = 64;
 
+/// How many inputs at most wait for a thread that runs: what it works off, whatever it comes for.
+const FOR_A_RUNNER: usize = 8;
+
 pub(crate) struct Handoff<S: Station> {
     core: Mutex<Core<S>>,
     left: Line<Left<S::Input>>,
@@ -93,6 +102,8 @@ struct Left<I> {
     inbox: Mutex<Vec<I>>,
     /// How many inputs are in the inbox, to be read without its lock.
     count: AtomicUsize,
+    /// Whether the task's thread has come in since anybody found too much in the inbox. Nothing but speed rests on it.
+    visited: AtomicBool,
 }
 
 struct Core<S: Station> {
@@ -138,6 +149,10 @@ pub(crate) enum Plant {
     SleepsBlindly,
     /// Who left input to a thread that looked does not mind whether it still does.
     TrustsTheLook,
+    /// Who left input to a thread that ran does not mind whether it still does.
+    TrustsTheRun,
+    /// Who goes to sleep does not mind what was left while it ran.
+    SleepsOnIt,
 }
 
 impl<S: Station> Handoff<S> {
@@ -151,7 +166,11 @@ impl<S: Station> Handoff<S> {
                 resting: false,
                 stopped: false,
             }),
-            left: Line(Left { inbox: Mutex::new(Vec::with_capacity(INBOX)), count: AtomicUsize::new(0) }),
+            left: Line(Left {
+                inbox: Mutex::new(Vec::with_capacity(INBOX)),
+                count: AtomicUsize::new(0),
+                visited: AtomicBool::new(false),
+            }),
             word: Line(Word::new(RUNNING)),
             presence: Presence::new(),
             bell,
@@ -164,14 +183,14 @@ impl<S: Station> Handoff<S> {
 
     /// Brings input from anywhere. It has been taken, or will be by whoever holds the lock.
     pub fn deliver(&self, input: S::Input, effects: &mut S::Effects) {
-        let input = if self.is_looking() {
-            match self.leave(input) {
-                Ok(()) => return self.call_looker(effects),
-                Err(input) => input,
+        let left = match self.word.0.load() {
+            LOOKING => self.leave(input).map(|()| self.call_looker(effects)),
+            RUNNING if S::may_wait(&input) && self.left.0.visited.load(Ordering::Relaxed) => {
+                self.leave_to_runner(input).map(|()| self.look_after_runner(effects))
             }
-        } else {
-            input
+            _ => Err(input),
         };
+        let Err(input) = left else { return };
         if let Some(core) = try_lock(&self.core) {
             self.work(core, Some(input), effects);
         } else if let Err(input) = self.leave(input) {
@@ -252,9 +271,21 @@ impl<S: Station> Handoff<S> {
 
     fn come_in(&self) -> MutexGuard<'_, Core<S>> {
         let mut core = lock(&self.core);
-        self.word.0.store(RUNNING);
+        // Others read both lines.
+        if self.word.0.load() != RUNNING {
+            self.word.0.store(RUNNING);
+        }
+        if !self.left.0.visited.load(Ordering::Relaxed) {
+            self.left.0.visited.store(true, Ordering::Relaxed);
+        }
         core.resting = false;
         core
+    }
+
+    /// The task's thread does not come in any more: nothing is left to it.
+    pub fn end(&self, effects: &mut S::Effects) {
+        self.word.0.swap(READY);
+        self.second_look(effects);
     }
 
     fn go_on(
@@ -323,6 +354,11 @@ impl<S: Station> Handoff<S> {
         self.word.0.load() == READY
     }
 
+    /// Whether something was left.
+    pub fn has_left(&self) -> bool {
+        self.left.0.count.load(Ordering::Relaxed) > 0
+    }
+
     /// The task's thread looks for what ends its wait: `look` tests for it as often as that is worth it. From the first test
     /// on, what is brought is left to this thread. `take_in` is to bring what may have come elsewhere. Whether there is
     /// something.
@@ -334,7 +370,7 @@ impl<S: Station> Handoff<S> {
         let mut looks = false;
         let mut there = || {
             let begins = !std::mem::replace(&mut looks, true);
-            (begins && !self.word.0.replace(RUNNING, LOOKING))
+            (begins && (!self.word.0.replace(RUNNING, LOOKING) || self.was_left()))
                 || self.is_called()
                 || (take_in() && self.is_called())
         };
@@ -344,6 +380,38 @@ impl<S: Station> Handoff<S> {
 
     fn is_looking(&self) -> bool {
         self.word.0.load() == LOOKING
+    }
+
+    /// Whether something was left to the task's thread while it ran: asked once its word says that it runs no longer.
+    fn was_left(&self) -> bool {
+        #[cfg(test)]
+        if self.plant == Plant::SleepsOnIt {
+            return false;
+        }
+        // Pairs with the one in `look_after_runner`: either that sees the word, or this sees what was left.
+        self.fence();
+        self.has_left()
+    }
+
+    /// As [`leave`](Self::leave), where the task's thread runs; not more than it may have to work off.
+    fn leave_to_runner(&self, input: S::Input) -> Result<(), S::Input> {
+        let left = self.leave_up_to(FOR_A_RUNNER, input);
+        if left.is_err() {
+            self.left.0.visited.store(false, Ordering::Relaxed);
+        }
+        left
+    }
+
+    /// Something was left to the thread that ran.
+    fn look_after_runner(&self, effects: &mut S::Effects) {
+        #[cfg(test)]
+        if self.plant == Plant::TrustsTheRun {
+            return;
+        }
+        self.fence();
+        if self.word.0.load() != RUNNING {
+            self.second_look(effects);
+        }
     }
 
     /// Something was left to the thread that looks.
@@ -365,11 +433,15 @@ impl<S: Station> Handoff<S> {
             self.word.0.store(to);
             return true;
         }
-        let gone = self.word.0.replace(RUNNING, to);
-        if !gone {
+        if !self.word.0.replace(RUNNING, to) {
             self.presence.returns();
+            return false;
         }
-        gone
+        if self.was_left() {
+            self.comes(to);
+            return false;
+        }
+        true
     }
 
     fn comes(&self, from: u32) -> bool {
@@ -414,9 +486,17 @@ impl<S: Station> Handoff<S> {
     /// Looks at the station under its lock. Who holds the lock has its duties: what others left in the inbox
     /// meanwhile is worked off.
     pub fn with<R>(&self, look: impl FnOnce(&mut S) -> R, effects: &mut S::Effects) -> R {
+        // What was left has happened.
+        self.second_look(effects);
         let seen = look(&mut lock(&self.core).station);
         self.second_look(effects);
         seen
+    }
+
+    /// As [`with`](Self::with), without those duties.
+    #[cfg(test)]
+    pub fn look_at<R>(&self, look: impl FnOnce(&mut S) -> R) -> R {
+        look(&mut lock(&self.core).station)
     }
 
     #[cfg(test)]
@@ -427,13 +507,17 @@ impl<S: Station> Handoff<S> {
     /// Puts input into the inbox without taking the lock, or hands it back where the inbox is full. Whoever enters next
     /// finds it; [`nudge`](Self::nudge) makes sure that somebody does.
     pub fn leave(&self, input: S::Input) -> Result<(), S::Input> {
+        self.leave_up_to(INBOX, input)
+    }
+
+    fn leave_up_to(&self, most: usize, input: S::Input) -> Result<(), S::Input> {
         let mut inbox = lock(&self.left.0.inbox);
         #[cfg(test)]
         if inbox.len() >= self.room.0 {
             self.room.1.store(true, Ordering::Relaxed);
             return Err(input);
         }
-        if inbox.len() >= INBOX {
+        if inbox.len() >= most {
             return Err(input);
         }
         inbox.push(input);
@@ -478,6 +562,8 @@ impl<S: Station> Handoff<S> {
             | Plant::DropsWhenFull
             | Plant::SleepsBlindly
             | Plant::TrustsTheLook
+            | Plant::TrustsTheRun
+            | Plant::SleepsOnIt
             | Plant::NoBell => {}
         }
         self.word.0.swap(READY)

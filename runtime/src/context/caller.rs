@@ -207,7 +207,7 @@ impl Caller {
             handoff.sleep(clock::nanos_of(early));
             return;
         }
-        while !handoff.is_called() && clock::now() < until {
+        while !handoff.is_called() && !handoff.has_left() && clock::now() < until {
             std::hint::spin_loop();
         }
     }
@@ -227,6 +227,8 @@ impl Caller {
     pub fn end(&mut self) {
         self.give_up();
         self.tell(Request::End);
+        self.node.members.list[self.place].handoff.end(&mut self.effects);
+        self.node.carry_out(&mut self.effects);
     }
 
     fn tell(&mut self, request: Request) {

@@ -32,6 +32,10 @@ impl Station for Asked {
     type Mail = Got;
     type Effects = ();
 
+    fn may_wait(_input: &Brought) -> bool {
+        false
+    }
+
     fn feed(&mut self, input: Brought, (): &mut ()) -> Option<Got> {
         match input {
             Brought::Question => {

@@ -21,6 +21,8 @@ pub(super) enum Brought {
     /// Takes an answer that is there.
     Poll,
     Answer,
+    /// An answer that may wait for the task's thread.
+    News,
     TimeIsUp,
     Nothing,
 }
@@ -37,6 +39,10 @@ impl Station for Toy {
     /// How many inputs this thread has worked off.
     type Effects = u32;
 
+    fn may_wait(input: &Brought) -> bool {
+        matches!(input, Brought::News)
+    }
+
     fn feed(&mut self, input: Brought, worked: &mut u32) -> Option<Got> {
         self.fed += 1;
         *worked += 1;
@@ -49,11 +55,11 @@ impl Station for Toy {
                 self.asked = true;
                 None
             }
-            Brought::Answer if self.asked => {
+            Brought::Answer | Brought::News if self.asked => {
                 self.asked = false;
                 Some(Got::Answer)
             }
-            Brought::Answer => {
+            Brought::Answer | Brought::News => {
                 self.kept += 1;
                 None
             }
@@ -152,6 +158,7 @@ fn who_looks_before_it_sleeps_misses_no_answer() {
         (Waited::Looking, false),
         (Waited::Looking, true),
         (Waited::Awake, false),
+        (Waited::Awake, true),
         (Waited::Asleep, false),
     ];
     assert_eq!(outcomes, expected, "{seen:?}");
@@ -165,6 +172,104 @@ fn who_leaves_something_and_does_not_see_that_nobody_looks_any_more_leaves_it_fo
 #[test]
 fn a_sleep_that_trusts_the_last_look_misses_the_answer() {
     must_fail(DEADLOCK, || ask_and_wait(Plant::SleepsBlindly, 2));
+}
+
+/// The task has come in before, asks and waits, after so many looks asleep; another thread brings news, which may wait. How the
+/// task waited, and whether its own thread worked the news off.
+fn ask_for_news(plant: Plant, looks: u32) -> (Waited, bool) {
+    let handoff = toy(plant);
+    let mut worked = 0;
+    handoff.enter(Brought::Nothing, &mut worked);
+    // What the rest began.
+    handoff.enter(Brought::Nothing, &mut worked);
+    let other = bring(&handoff, Brought::News);
+    let mut waited = Waited::NotAtAll;
+    let mut entry = handoff.enter(Brought::Question, &mut worked);
+    while entry.mail.is_none() {
+        let found = looks > 0 && handoff.look(|| false, |there| (0..looks).any(|_| there()));
+        waited = if found {
+            Waited::Looking
+        } else if handoff.sleep(None) {
+            Waited::Asleep
+        } else {
+            Waited::Awake
+        };
+        entry = handoff.come_back_and(Brought::Nothing, |_| None, &mut worked);
+    }
+    (waited, other.join().unwrap() == 0)
+}
+
+#[test]
+fn news_that_waited_for_a_thread_that_ran_end_its_wait() {
+    let seen = explore(|| ask_for_news(Plant::None, 0));
+    let outcomes: Vec<_> = seen.keys().copied().collect();
+    let expected = [
+        (Waited::NotAtAll, true),
+        (Waited::Awake, false),
+        (Waited::Awake, true),
+        (Waited::Asleep, false),
+    ];
+    assert_eq!(outcomes, expected, "{seen:?}");
+}
+
+#[test]
+fn news_that_waited_are_found_by_who_looks() {
+    let seen = explore(|| ask_for_news(Plant::None, 2));
+    let outcomes: Vec<_> = seen.keys().copied().collect();
+    let expected = [
+        (Waited::NotAtAll, true),
+        (Waited::Looking, false),
+        (Waited::Looking, true),
+        (Waited::Awake, false),
+        (Waited::Awake, true),
+        (Waited::Asleep, false),
+    ];
+    assert_eq!(outcomes, expected, "{seen:?}");
+}
+
+#[test]
+fn who_sleeps_on_what_was_left_to_it_sleeps_for_ever() {
+    must_fail(DEADLOCK, || ask_for_news(Plant::SleepsOnIt, 0));
+}
+
+#[test]
+fn who_leaves_news_and_does_not_see_that_the_thread_sleeps_by_now_leaves_them_for_ever() {
+    must_fail(DEADLOCK, || ask_for_news(Plant::TrustsTheRun, 0));
+}
+
+#[test]
+fn without_its_fence_what_was_left_to_a_thread_that_ran_is_not_seen() {
+    if SEES_OLD_VALUES {
+        must_fail(DEADLOCK, || ask_for_news(Plant::NoFence, 0));
+    }
+}
+
+/// News come while the task's program ends: whether it was left to work off to the end of the program.
+fn end_with_news(ends: bool) -> bool {
+    let handoff = toy(Plant::None);
+    let mut worked = 0;
+    handoff.enter(Brought::Poll, &mut worked);
+    let other = bring(&handoff, Brought::News);
+    let before = worked;
+    if ends {
+        handoff.end(&mut worked);
+    }
+    let own = worked > before;
+    other.join().unwrap();
+    let fed = handoff.look_at(|toy| toy.fed);
+    assert_eq!(fed, 2, "news stayed behind");
+    own
+}
+
+#[test]
+fn nothing_is_left_to_a_program_that_has_ended() {
+    let seen = explore(|| end_with_news(true));
+    assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [false, true], "{seen:?}");
+}
+
+#[test]
+fn what_is_left_to_a_program_that_does_not_say_that_it_ended_stays_behind() {
+    must_fail("news stayed behind", || end_with_news(false));
 }
 
 /// A thread brings two answers; the task waits for one and takes what else is there, until it has both. How many it took at
@@ -190,7 +295,7 @@ fn take_several(plant: Plant) -> u32 {
         (taken, most) = (taken + at_once, most.max(at_once));
     }
     other.join().unwrap();
-    assert_eq!((taken, handoff.with(|toy| toy.kept, &mut worked)), (2, 0), "an answer was taken twice");
+    assert_eq!((taken, handoff.look_at(|toy| toy.kept)), (2, 0), "an answer was taken twice");
     most
 }
 
@@ -212,9 +317,8 @@ fn two_bring(plant: Plant) -> u32 {
     let mut own = 0;
     handoff.deliver(Brought::Answer, &mut own);
     let others = other.join().unwrap();
-    let (worked, mut own) = (own, own);
-    assert_eq!(handoff.with(|toy| toy.fed, &mut own), 2, "input stayed behind");
-    worked.max(others)
+    assert_eq!(handoff.look_at(|toy| toy.fed), 2, "input stayed behind");
+    own.max(others)
 }
 
 #[test]
@@ -246,7 +350,7 @@ fn three_bring(plant: Plant) -> bool {
     for other in others {
         other.join().unwrap();
     }
-    assert_eq!(handoff.with(|toy| toy.fed, &mut own), 3, "input stayed behind");
+    assert_eq!(handoff.look_at(|toy| toy.fed), 3, "input stayed behind");
     handoff.room.1.load(std::sync::atomic::Ordering::Relaxed)
 }
 

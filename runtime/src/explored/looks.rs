@@ -19,6 +19,10 @@ impl Station for Observed {
     type Mail = ();
     type Effects = ();
 
+    fn may_wait(_input: &()) -> bool {
+        false
+    }
+
     fn feed(&mut self, (): (), (): &mut ()) -> Option<()> {
         let what = Observation {
             event: Event::Sent,
@@ -101,6 +105,10 @@ impl Station for Teller {
     type Mail = ();
     type Effects = ();
 
+    fn may_wait(_input: &Stamps) -> bool {
+        false
+    }
+
     fn feed(&mut self, stamps: Stamps, (): &mut ()) -> Option<()> {
         let at = stamps.brought.unwrap_or_else(|| Stamps::now(&stamps.clock));
         self.told[self.count] = Some(at);
@@ -161,6 +169,10 @@ impl Station for Sender {
     type Input = Fate;
     type Mail = Fate;
     type Effects = ();
+
+    fn may_wait(_input: &Fate) -> bool {
+        false
+    }
 
     fn feed(&mut self, fate: Fate, (): &mut ()) -> Option<Fate> {
         self.fate.is_none().then(|| *self.fate.insert(fate))

@@ -117,6 +117,10 @@ impl Station for Timed {
     /// Whether this thread has served the expiry.
     type Effects = bool;
 
+    fn may_wait(_input: &Moment) -> bool {
+        false
+    }
+
     fn feed(&mut self, moment: Moment, served: &mut bool) -> Option<()> {
         match moment {
             Moment::Asked => self.due = self.due.min(2 * NOW),
