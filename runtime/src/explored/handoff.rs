@@ -199,32 +199,32 @@ fn ask_for_news(plant: Plant, looks: u32) -> (Waited, bool) {
     (waited, other.join().unwrap() == 0)
 }
 
-#[test]
-fn news_that_waited_for_a_thread_that_ran_end_its_wait() {
-    let seen = explore(|| ask_for_news(Plant::None, 0));
-    let outcomes: Vec<_> = seen.keys().copied().collect();
-    let expected = [
-        (Waited::NotAtAll, true),
-        (Waited::Awake, false),
-        (Waited::Awake, true),
-        (Waited::Asleep, false),
-    ];
+/// All of these are seen, and one more where every schedule is explored: who left the news sees that the thread is about to
+/// sleep and is faster than its second thought. Few drawn schedules are that one.
+fn news_end_every_wait(looks: u32, expected: &[(Waited, bool)]) {
+    let seen = explore(move || ask_for_news(Plant::None, looks));
+    let rare = (Waited::Awake, false);
+    assert!(!SEES_OLD_VALUES || seen.contains_key(&rare), "{seen:?}");
+    let outcomes: Vec<_> = seen.keys().copied().filter(|&outcome| outcome != rare).collect();
     assert_eq!(outcomes, expected, "{seen:?}");
 }
 
 #[test]
+fn news_that_waited_for_a_thread_that_ran_end_its_wait() {
+    let expected = [(Waited::NotAtAll, true), (Waited::Awake, true), (Waited::Asleep, false)];
+    news_end_every_wait(0, &expected);
+}
+
+#[test]
 fn news_that_waited_are_found_by_who_looks() {
-    let seen = explore(|| ask_for_news(Plant::None, 2));
-    let outcomes: Vec<_> = seen.keys().copied().collect();
     let expected = [
         (Waited::NotAtAll, true),
         (Waited::Looking, false),
         (Waited::Looking, true),
-        (Waited::Awake, false),
         (Waited::Awake, true),
         (Waited::Asleep, false),
     ];
-    assert_eq!(outcomes, expected, "{seen:?}");
+    news_end_every_wait(2, &expected);
 }
 
 #[test]

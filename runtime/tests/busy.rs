@@ -1,0 +1,136 @@
+//! What comes to a task whose thread runs is left to it until it next comes in (D130): it is served in the same order, its life
+//! goes on ending, and who looks from outside sees it.
+
+mod common;
+
+use common::{A, B, LONG, LONG_TICKS, cell, finish, one_node, table};
+use imrs_protocol::{PortDecl, PortId, Reason, Target, Ticks, Usage};
+use imrs_runtime::{Context, TaskError};
+use std::sync::{Arc, Barrier};
+use std::thread;
+use std::time::{Duration, Instant};
+
+const NEWS: PortId = PortId(0);
+const URGENT: PortId = PortId(1);
+/// More than anybody leaves to a thread that runs.
+const MANY: u8 = 50;
+
+fn two_ports() -> Arc<imrs_protocol::CellTable> {
+    let mut cell = cell(&[0, 0], Ticks(0));
+    let port = |name, life| PortDecl::new(name, A, Usage::Send, &[B], life).bounded_buffer(64);
+    cell.port(port("news", LONG_TICKS));
+    cell.port(port("urgent", Ticks(30_000_000)));
+    table(cell)
+}
+
+/// Has come in and found nothing: from here on its thread runs, and is known to come in.
+fn runs(ctx: &mut Context) -> Result<(), TaskError> {
+    assert_eq!(ctx.poll(None)?, None);
+    Ok(())
+}
+
+/// Sends so many while the other task runs. In what order that one takes them.
+fn send_to_a_task_that_runs(count: u8) {
+    let (begins, sent) = (Arc::new(Barrier::new(2)), Arc::new(Barrier::new(2)));
+    let (it_runs, all_sent) = (Arc::clone(&begins), Arc::clone(&sent));
+    let node = one_node(&two_ports())
+        .task("a", move |ctx| {
+            it_runs.wait();
+            for number in 1..=count {
+                let _copies = ctx.send(NEWS, &[number])?;
+            }
+            let brief = Some(Duration::from_millis(20));
+            let _copies = ctx.send_with(NEWS, Target::All, &[u8::MAX], brief)?;
+            let _copies = ctx.send(URGENT, &[0])?;
+            all_sent.wait();
+            Ok(())
+        })
+        .task("b", move |ctx| {
+            runs(ctx)?;
+            begins.wait();
+            sent.wait();
+            thread::sleep(Duration::from_millis(40));
+            for number in 0..=count {
+                let message = ctx.receive(None, Some(LONG))?.expect("all were sent before");
+                assert_eq!(message.contents.as_bytes(), [number]);
+                let life = if number == 0 { Ticks(30_000_000) } else { LONG_TICKS };
+                assert!(message.budget <= life - Ticks(40_000), "what it waited is taken off: {message:?}");
+            }
+            assert_eq!(ctx.poll(None)?, None, "what expired meanwhile is not served");
+            Ok(())
+        })
+        .start()
+        .unwrap();
+    let view = Arc::clone(node.node());
+    finish(node);
+    let counts = view.snapshot(0).discards;
+    let expired = counts.iter().find(|count| count.name == Reason::Expired.name());
+    assert_eq!(expired.map_or(0, |count| count.count), 1);
+}
+
+#[test]
+fn what_was_left_to_it_is_served_by_urgency_or_expires() {
+    send_to_a_task_that_runs(8);
+}
+
+#[test]
+fn so_is_more_than_is_left_to_it() {
+    send_to_a_task_that_runs(MANY);
+}
+
+#[test]
+fn whoever_looks_sees_what_was_left() {
+    let (begins, sent, seen) = (Arc::new(Barrier::new(2)), Arc::new(Barrier::new(2)), Arc::new(Barrier::new(2)));
+    let (it_runs, all_sent, was_seen) = (Arc::clone(&begins), Arc::clone(&sent), Arc::clone(&seen));
+    let node = one_node(&two_ports())
+        .task("a", move |ctx| {
+            it_runs.wait();
+            for number in 0..5 {
+                let _copies = ctx.send(NEWS, &[number])?;
+            }
+            all_sent.wait();
+            Ok(())
+        })
+        .task("b", move |ctx| {
+            runs(ctx)?;
+            begins.wait();
+            was_seen.wait();
+            Ok(())
+        })
+        .start()
+        .unwrap();
+    sent.wait();
+    let waiting = node.node().snapshot(2).tasks[1].view.ports[0].clone();
+    seen.wait();
+    assert_eq!((waiting.len, waiting.queue.len(), waiting.counters.enqueued), (5, 2, 5));
+    finish(node);
+}
+
+#[test]
+fn a_handler_interrupts_a_delay_that_is_spun_for() {
+    let (begins, delay) = (Arc::new(Barrier::new(2)), Duration::from_secs(20));
+    let it_runs = Arc::clone(&begins);
+    let node = one_node(&two_ports())
+        .spin_tail(delay)
+        .task("a", move |ctx| {
+            it_runs.wait();
+            thread::sleep(Duration::from_millis(20));
+            let _copies = ctx.send(NEWS, &[1])?;
+            Ok(())
+        })
+        .task_with("b", None, move |ctx: &mut Context<Option<Instant>>| {
+            ctx.on_message(NEWS, |ctx, _| {
+                ctx.state = Some(Instant::now());
+                Ok(())
+            })?;
+            begins.wait();
+            let from = Instant::now();
+            ctx.delay(Duration::from_millis(500))?;
+            let handled = ctx.state.expect("it came in the middle");
+            assert!(handled - from < Duration::from_millis(450), "not before the delay was over");
+            Ok(())
+        })
+        .start()
+        .unwrap();
+    finish(node);
+}
