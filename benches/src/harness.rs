@@ -19,8 +19,14 @@ impl Measured {
     /// The median over the rounds of one number.
     #[must_use]
     pub fn median(&self, stat: Stat) -> Option<f64> {
+        self.spread(stat).map(|spread| spread.median)
+    }
+
+    /// The same, and how far the rounds lie apart.
+    #[must_use]
+    pub fn spread(&self, stat: Stat) -> Option<Spread> {
         let values: Option<Vec<f64>> = self.rounds.iter().map(|sample| stat.of(sample)).collect();
-        Spread::of(values?).map(|spread| spread.median)
+        Spread::of(values?)
     }
 }
 

@@ -10,8 +10,8 @@ use crate::ring::Ring;
 use crate::script::{Knows, Seat};
 use imrs_protocol::script::Program;
 use imrs_protocol::{
-    Class, CommTask, Delivery, Event, Input, Kind, NodeTable, Observation, Outbox, Packet, PortId, QueueView, Reason,
-    Signal, TaskId, TaskView, Ticks, TimeId,
+    Class, CommTask, Delivery, Event, Input, Kind, NodeTable, Observation, Outbox, Packet, PortId, QueueView,
+    Reason, Signal, TaskId, TaskView, Ticks, TimeId,
 };
 use std::sync::Arc;
 

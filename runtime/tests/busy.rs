@@ -80,7 +80,8 @@ fn so_is_more_than_is_left_to_it() {
 
 #[test]
 fn whoever_looks_sees_what_was_left() {
-    let (begins, sent, seen) = (Arc::new(Barrier::new(2)), Arc::new(Barrier::new(2)), Arc::new(Barrier::new(2)));
+    let (begins, sent, seen) =
+        (Arc::new(Barrier::new(2)), Arc::new(Barrier::new(2)), Arc::new(Barrier::new(2)));
     let (it_runs, all_sent, was_seen) = (Arc::clone(&begins), Arc::clone(&sent), Arc::clone(&seen));
     let node = one_node(&two_ports())
         .task("a", move |ctx| {

@@ -2,7 +2,7 @@
 
 use crate::cores::{self, Core};
 use crate::sample::{Sample, each, laps};
-use crate::suite::Effort;
+use crate::suite::{Effort, Suite};
 use rustix::thread::futex;
 use std::cell::Cell;
 use std::collections::VecDeque;
@@ -58,8 +58,16 @@ pub fn coroutines(effort: Effort) -> Sample {
     sample
 }
 
+/// What tells how far apart the two cores are.
+pub const LINE: &str = "floor/spinning line";
+
+/// Adds [`LINE`]: a suite that stands and falls with it measures it in the same rounds.
+pub fn line(suite: &mut Suite) {
+    suite.case(LINE, "two hot threads on two cores, one cache line", spinning_line);
+}
+
 /// Two threads that hand over a number in one cache line and never sleep.
-pub fn spinning_line(effort: Effort) -> Sample {
+fn spinning_line(effort: Effort) -> Sample {
     let line = AtomicU32::new(0);
     ping_pong(
         effort.of(100_000),

@@ -63,7 +63,7 @@ pub fn awake() -> Suite {
 #[must_use]
 pub fn threads() -> Suite {
     let mut suite = Suite::new("threads");
-    suite.case("floor/spinning line", "two hot threads on two cores, one cache line", floors::spinning_line);
+    floors::line(&mut suite);
     suite.case(
         "floor/spin then futex",
         "the same; who waits too long sleeps, and is woken only if it does",
@@ -102,7 +102,7 @@ pub fn threads() -> Suite {
         |effort| asking(effort, 20_000, 1, TWO, SPIN),
     );
     let hot = "runtime/threads as they are two cores";
-    suite.row(Row::new("P2", hot, "floor/spinning line", Stat::P50, Goal::AtMost(2.2)));
+    suite.row(Row::new("P2", hot, floors::LINE, Stat::P50, Goal::AtMost(2.2)));
     let each = "runtime/threads as they are, each trip";
     suite.row(Row::within("P2", each, Stat::P999, Stat::P50, Goal::AtMost(3.0)));
     let (one, two) = ("runtime/threads one core", "runtime/threads two cores");

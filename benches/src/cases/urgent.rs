@@ -1,6 +1,7 @@
 //! An urgent message behind a full port, and how fast many messages go (P6, P7).
 
 use super::cells::{self, LONG_TICKS};
+use super::floors;
 use crate::cores::{self, Core};
 use crate::sample::{Sample, nanos_of};
 use crate::suite::{Effort, Goal, Row, Stat, Suite};
@@ -23,6 +24,7 @@ pub const WINDOW: u64 = 256;
 #[must_use]
 pub fn urgent() -> Suite {
     let mut suite = Suite::new("urgent");
+    floors::line(&mut suite);
     suite.case(
         "runtime/urgent behind 1024",
         "from the call that sends it until its receiver has it; 1,024 others of 2 us each wait in another port of the task",

@@ -1,8 +1,10 @@
 //! The table in `specs/performance.md`: written by the harness, between two marks, and by nobody else.
 
 use super::{ratio, unit, verdict};
+use crate::cases::floors::LINE;
 use crate::harness::Results;
 use crate::machine::Facts;
+use crate::suite::Stat;
 use std::fmt::Write;
 use std::io;
 use std::path::{Path, PathBuf};
@@ -45,7 +47,7 @@ fn between(page: &str, table: &str) -> Option<String> {
 }
 
 fn table(facts: &Facts, rounds: u32, slack: f64, all: &[Results]) -> String {
-    let mut text = format!("Measured {}; {rounds} rounds.\n\n", facts.line());
+    let mut text = format!("Measured {}; {rounds} rounds.{}\n\n", facts.line(), lines(all));
     text += "| goal | what | of | bound | measured: median (range) | | |\n|---|---|---|---|---|---|---|\n";
     for outcome in all.iter().flat_map(|results| &results.rows) {
         let row = &outcome.row;
@@ -62,6 +64,21 @@ fn table(facts: &Facts, rounds: u32, slack: f64, all: &[Results]) -> String {
         );
     }
     text
+}
+
+/// How far the two cores were apart: what most rows of two cores stand and fall with.
+fn lines(all: &[Results]) -> String {
+    let line = |results: &Results| {
+        let case = results.cases.iter().find(|case| case.name == LINE)?;
+        let spread = case.spread(Stat::P50)?;
+        let [median, least, most] = [spread.median, spread.least, spread.most].map(super::time);
+        Some(format!("{}: {median} ({least} to {most})", results.suite))
+    };
+    let told: Vec<_> = all.iter().filter_map(line).collect();
+    if told.is_empty() {
+        return String::new();
+    }
+    format!("\nA line of the cache from one core to the other and back, by suite: {}.", told.join(", "))
 }
 
 #[cfg(test)]
