@@ -77,7 +77,7 @@ const LOOKING: u32 = 5;
 const INBOX: usize = 64;
 
 /// How many inputs at most wait for a thread that runs: what it works off, whatever it comes for.
-const FOR_A_RUNNER: usize = 16;
+const FOR_A_RUNNER: usize = 32;
 
 pub(crate) struct Handoff<S: Station> {
     core: Mutex<Core<S>>,
