@@ -228,7 +228,7 @@ impl Station for Comm {
     type Mail = Mail;
     type Effects = Effects;
 
-    /// A message that nobody waits for the fate of: to whom it is sent takes it at its next call, and its life goes on ending
+    /// Nobody hears what becomes of a message of class 1: its receiver takes it at its next call, and its life goes on ending
     /// meanwhile.
     fn may_wait(stamped: &Stamped) -> bool {
         let Input::Packet(packet) = &stamped.input else { return false };

@@ -104,7 +104,7 @@ impl Effects {
         }
     }
 
-    /// For a thread that only looks, and rarely finds work that others left it.
+    /// For a thread that only looks, and sometimes finds work that others left it.
     pub fn of_an_onlooker() -> Self {
         Self {
             queue: VecDeque::new(),

@@ -3,68 +3,32 @@
 //! The communication task is a data structure run by whoever brings it input. Two doors lead to it:
 //!
 //! - [`Handoff::deliver`] is for everybody: whoever gets the lock works for all (flat combining); whoever does not,
-//!   leaves the input in the inbox and goes on. The holder of the lock looks into the inbox once more after it has let
+//!   leaves the input in the [`Inbox`] and goes on. The holder of the lock looks into it once more after it has let
 //!   go, so nothing stays behind.
 //! - [`Handoff::enter_and`] is for the task's own thread, which needs the answer.
 //!
 //! The answer is mail: written under the lock, together with the word that says so. The task's thread sleeps on the
 //! word, and is woken only if the word says that it sleeps. It may also wait elsewhere: then the word says so, and it is
 //! called from there by a [`Bell`]. While the word says that it looks, what is brought is left to it: it is there at once,
-//! and its communication task stays where it is, in the near cache of one core (D128). To a thread that runs and often comes
-//! in is left what may wait until then (D130).
+//! and its communication task stays where it is, in the near cache of one core (D128). To a thread that runs is left what may wait
+//! until it comes in (D130).
 //!
 //! The shared part knows nothing of messages: it is generic over the [`Station`], so that the tests can explore every
 //! interleaving with a station of two states.
 
 use crate::awake::Presence;
+use crate::inbox::Inbox;
 use crate::lead::Away;
-use crate::sync::{AtomicUsize, Mutex, MutexGuard, Ordering, Word, fence, lock, try_lock};
+pub(crate) use crate::station::{Bell, Entry, Rest, Station};
+use crate::sync::{Mutex, MutexGuard, Ordering, Word, fence, lock, try_lock};
 use std::collections::VecDeque;
 use std::sync::Arc;
-/// The library's, of which no schedule is explored: hints.
-use std::sync::atomic::AtomicBool;
-
-/// What runs behind the lock.
-pub(crate) trait Station {
-    /// What is brought to it.
-    type Input;
-    /// What its task waits for.
-    type Mail;
-    /// What it wants done once the lock is released. Owned by the caller.
-    type Effects;
-
-    /// Whether nobody but the task's thread needs what comes of this input, so that it may wait until that comes in.
-    fn may_wait(input: &Self::Input) -> bool;
-
-    /// Takes one input; an answer for the task is returned.
-    fn feed(&mut self, input: Self::Input, effects: &mut Self::Effects) -> Option<Self::Mail>;
-
-    /// Called last before the lock is released. Returns when the station next has something to do by itself.
-    fn settle(&mut self, rest: Rest, effects: &mut Self::Effects) -> u64;
-}
-
-/// Calls back a task's thread that waits elsewhere than on its word.
-pub(crate) trait Bell: Send + Sync {
-    /// Ends its present wait there, or else the next one.
-    fn ring(&self);
-}
-
-/// What the task's thread does once the lock is released.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Rest {
-    /// It runs, or will: it does not come back by itself.
-    No,
-    /// It goes to sleep now, and comes back when the station next has something to do.
-    Begins,
-    /// It sleeps, and comes back when it was told to by the `settle` that its rest began with.
-    GoesOn,
-}
 
 /// The task's thread runs.
 const RUNNING: u32 = 0;
 /// The task's thread sleeps, or is about to.
 const SLEEPING: u32 = 1;
-/// There is something for the task's thread; sleeping is over.
+/// There is something for the task's thread, or its program has ended: sleeping is over.
 const READY: u32 = 2;
 /// The task's thread waits elsewhere, or is about to: the bell calls it.
 const AWAY: u32 = 3;
@@ -73,38 +37,20 @@ const LISTENING: u32 = 4;
 /// The task's thread looks at its word, and works off what it finds in the inbox.
 const LOOKING: u32 = 5;
 
-/// How many inputs wait in an inbox before who brings more waits for the lock.
-const INBOX: usize = 64;
-
-/// How many inputs at most wait for a thread that runs: what it works off, whatever it comes for.
-const FOR_A_RUNNER: usize = 32;
-
 pub(crate) struct Handoff<S: Station> {
     core: Mutex<Core<S>>,
-    left: Line<Left<S::Input>>,
+    pub inbox: Inbox<S::Input>,
     word: Line<Word>,
     pub presence: Presence,
     /// Where the task's thread may wait elsewhere.
     bell: Option<Arc<dyn Bell>>,
     #[cfg(test)]
     pub plant: Plant,
-    /// Room in the inbox, and whether anybody found none.
-    #[cfg(test)]
-    pub room: (usize, std::sync::atomic::AtomicBool),
 }
 
 /// What two cores write in turn, in a line of the cache of its own.
 #[repr(align(64))]
 struct Line<T>(T);
-
-/// What was left for the holder of the lock.
-struct Left<I> {
-    inbox: Mutex<Vec<I>>,
-    /// How many inputs are in the inbox, to be read without its lock.
-    count: AtomicUsize,
-    /// Whether the task's thread has come in since anybody found too much in the inbox. Nothing but speed rests on it.
-    visited: AtomicBool,
-}
 
 struct Core<S: Station> {
     station: S,
@@ -113,17 +59,6 @@ struct Core<S: Station> {
     batch: Vec<S::Input>,
     resting: bool,
     stopped: bool,
-}
-
-/// What the task's own thread finds.
-#[derive(Debug)]
-pub(crate) struct Entry<M> {
-    /// The answer, if it is there.
-    pub mail: Option<M>,
-    /// Whether the node stops.
-    pub stopped: bool,
-    /// When to come back at the latest, if there is no answer yet.
-    pub until: u64,
 }
 
 /// The bugs that the explorers must find.
@@ -153,6 +88,10 @@ pub(crate) enum Plant {
     TrustsTheRun,
     /// Who goes to sleep does not mind what was left while it ran.
     SleepsOnIt,
+    /// Who begins to look does not either.
+    LooksPastIt,
+    /// Neither who left something to a thread that ran, nor that thread, has a fence between what it writes and what it reads.
+    NoFenceForARunner,
 }
 
 impl<S: Station> Handoff<S> {
@@ -162,31 +101,25 @@ impl<S: Station> Handoff<S> {
             core: Mutex::new(Core {
                 station,
                 mail: None,
-                batch: Vec::with_capacity(INBOX),
+                batch: Inbox::<S::Input>::spare(),
                 resting: false,
                 stopped: false,
             }),
-            left: Line(Left {
-                inbox: Mutex::new(Vec::with_capacity(INBOX)),
-                count: AtomicUsize::new(0),
-                visited: AtomicBool::new(false),
-            }),
+            inbox: Inbox::new(),
             word: Line(Word::new(RUNNING)),
             presence: Presence::new(),
             bell,
             #[cfg(test)]
             plant: Plant::None,
-            #[cfg(test)]
-            room: (INBOX, std::sync::atomic::AtomicBool::new(false)),
         }
     }
 
-    /// Brings input from anywhere. It has been taken, or will be by whoever holds the lock.
+    /// Brings input from anywhere. It has been taken, or will be by whoever holds the lock or has it next.
     pub fn deliver(&self, input: S::Input, effects: &mut S::Effects) {
         let left = match self.word.0.load() {
             LOOKING => self.leave(input).map(|()| self.call_looker(effects)),
-            RUNNING if S::may_wait(&input) && self.left.0.visited.load(Ordering::Relaxed) => {
-                self.leave_to_runner(input).map(|()| self.look_after_runner(effects))
+            RUNNING if S::may_wait(&input) => {
+                self.inbox.leave_to_runner(input).map(|()| self.look_after_runner(effects))
             }
             _ => Err(input),
         };
@@ -271,21 +204,13 @@ impl<S: Station> Handoff<S> {
 
     fn come_in(&self) -> MutexGuard<'_, Core<S>> {
         let mut core = lock(&self.core);
-        // Others read both lines.
+        // Others read the line. Who looked may be called just now: what was left to it before is seen after this.
         if self.word.0.load() != RUNNING {
-            self.word.0.store(RUNNING);
+            self.word.0.swap(RUNNING);
         }
-        if !self.left.0.visited.load(Ordering::Relaxed) {
-            self.left.0.visited.store(true, Ordering::Relaxed);
-        }
+        self.inbox.come_in();
         core.resting = false;
         core
-    }
-
-    /// The task's thread does not come in any more: nothing is left to it.
-    pub fn end(&self, effects: &mut S::Effects) {
-        self.word.0.swap(READY);
-        self.second_look(effects);
     }
 
     fn go_on(
@@ -298,7 +223,8 @@ impl<S: Station> Handoff<S> {
             let mail = core.mail.take();
             let Some(next) = mail.as_ref().and_then(&mut more) else { break mail };
             // Not for each: the inbox is on its way between two cores. Never full, so that nobody waits for the lock.
-            if self.left.0.count.load(Ordering::Relaxed) >= INBOX / 2 {
+            if self.inbox.is_half_full() {
+                self.inbox.come_in();
                 self.drain(&mut core, effects);
             }
             core.feed(next, effects);
@@ -335,7 +261,14 @@ impl<S: Station> Handoff<S> {
 
     /// The future waits from here on; the bell calls it. False where there is something for it already.
     pub fn listen(&self) -> bool {
-        self.word.0.replace(RUNNING, LISTENING)
+        if !self.word.0.replace(RUNNING, LISTENING) {
+            return false;
+        }
+        let left = self.was_left();
+        if left {
+            self.word.0.replace(LISTENING, RUNNING);
+        }
+        !left
     }
 
     /// Sleeps until there is mail, the node stops, or `deadline` (nanoseconds of the monotonic clock) has passed. May
@@ -356,7 +289,7 @@ impl<S: Station> Handoff<S> {
 
     /// Whether something was left.
     pub fn has_left(&self) -> bool {
-        self.left.0.count.load(Ordering::Relaxed) > 0
+        !self.inbox.is_empty()
     }
 
     /// The task's thread looks for what ends its wait: `look` tests for it as often as that is worth it. From the first test
@@ -370,7 +303,7 @@ impl<S: Station> Handoff<S> {
         let mut looks = false;
         let mut there = || {
             let begins = !std::mem::replace(&mut looks, true);
-            (begins && (!self.word.0.replace(RUNNING, LOOKING) || self.was_left()))
+            (begins && (!self.word.0.replace(RUNNING, LOOKING) || self.looks_back()))
                 || self.is_called()
                 || (take_in() && self.is_called())
         };
@@ -389,17 +322,16 @@ impl<S: Station> Handoff<S> {
             return false;
         }
         // Pairs with the one in `look_after_runner`: either that sees the word, or this sees what was left.
-        self.fence();
+        self.fence_for_a_runner();
         self.has_left()
     }
 
-    /// As [`leave`](Self::leave), where the task's thread runs; not more than it may have to work off.
-    fn leave_to_runner(&self, input: S::Input) -> Result<(), S::Input> {
-        let left = self.leave_up_to(FOR_A_RUNNER, input);
-        if left.is_err() {
-            self.left.0.visited.store(false, Ordering::Relaxed);
+    fn looks_back(&self) -> bool {
+        #[cfg(test)]
+        if self.plant == Plant::LooksPastIt {
+            return false;
         }
-        left
+        self.was_left()
     }
 
     /// Something was left to the thread that ran.
@@ -408,10 +340,18 @@ impl<S: Station> Handoff<S> {
         if self.plant == Plant::TrustsTheRun {
             return;
         }
-        self.fence();
+        self.fence_for_a_runner();
         if self.word.0.load() != RUNNING {
             self.second_look(effects);
         }
+    }
+
+    fn fence_for_a_runner(&self) {
+        #[cfg(test)]
+        if self.plant == Plant::NoFenceForARunner {
+            return;
+        }
+        fence(Ordering::SeqCst);
     }
 
     /// Something was left to the thread that looks.
@@ -466,6 +406,12 @@ impl<S: Station> Handoff<S> {
         self.second_look(effects);
     }
 
+    /// The task's thread does not come in any more: nothing is left to it.
+    pub fn end(&self, effects: &mut S::Effects) {
+        self.word.0.swap(READY);
+        self.second_look(effects);
+    }
+
     /// Works off what is in the inbox, unless somebody is at it.
     pub fn nudge(&self, effects: &mut S::Effects) {
         self.second_look(effects);
@@ -483,12 +429,17 @@ impl<S: Station> Handoff<S> {
         self.second_look(effects);
     }
 
-    /// Looks at the station under its lock. Who holds the lock has its duties: what others left in the inbox
-    /// meanwhile is worked off.
+    /// Looks at the station under its lock, once what was left is worked off. Who holds the lock has its duties: so is what
+    /// others leave meanwhile.
     pub fn with<R>(&self, look: impl FnOnce(&mut S) -> R, effects: &mut S::Effects) -> R {
-        // What was left has happened.
-        self.second_look(effects);
-        let seen = look(&mut lock(&self.core).station);
+        let mut core = lock(&self.core);
+        let seen = if self.inbox.is_empty() {
+            let seen = look(&mut core.station);
+            drop(core);
+            seen
+        } else {
+            self.work_and(core, None, look, effects)
+        };
         self.second_look(effects);
         seen
     }
@@ -507,30 +458,26 @@ impl<S: Station> Handoff<S> {
     /// Puts input into the inbox without taking the lock, or hands it back where the inbox is full. Whoever enters next
     /// finds it; [`nudge`](Self::nudge) makes sure that somebody does.
     pub fn leave(&self, input: S::Input) -> Result<(), S::Input> {
-        self.leave_up_to(INBOX, input)
-    }
-
-    fn leave_up_to(&self, most: usize, input: S::Input) -> Result<(), S::Input> {
-        let mut inbox = lock(&self.left.0.inbox);
-        #[cfg(test)]
-        if inbox.len() >= self.room.0 {
-            self.room.1.store(true, Ordering::Relaxed);
-            return Err(input);
-        }
-        if inbox.len() >= most {
-            return Err(input);
-        }
-        inbox.push(input);
-        self.left.0.count.store(inbox.len(), Ordering::Relaxed);
-        Ok(())
+        self.inbox.leave(input)
     }
 
     fn work(
         &self,
-        mut core: MutexGuard<'_, Core<S>>,
+        core: MutexGuard<'_, Core<S>>,
         inputs: impl IntoIterator<Item = S::Input>,
         effects: &mut S::Effects,
     ) {
+        self.work_and(core, inputs, |_| (), effects);
+    }
+
+    /// Works off what there is, and then does something with the station.
+    fn work_and<R>(
+        &self,
+        mut core: MutexGuard<'_, Core<S>>,
+        inputs: impl IntoIterator<Item = S::Input>,
+        then: impl FnOnce(&mut S) -> R,
+        effects: &mut S::Effects,
+    ) -> R {
         let had_mail = core.mail.is_some();
         self.drain(&mut core, effects);
         for input in inputs {
@@ -538,12 +485,14 @@ impl<S: Station> Handoff<S> {
         }
         let new_mail = !had_mail && core.mail.is_some();
         core.resting &= !new_mail;
+        let done = then(&mut core.station);
         let rest = if core.resting { Rest::GoesOn } else { Rest::No };
         core.station.settle(rest, effects);
         // Last: the task's thread may be looking, and wants the lock.
         let was = if new_mail { self.mark() } else { RUNNING };
         drop(core);
         self.call(was);
+        done
     }
 
     /// Says that there is mail. Returns what the task's thread did until then.
@@ -564,6 +513,8 @@ impl<S: Station> Handoff<S> {
             | Plant::TrustsTheLook
             | Plant::TrustsTheRun
             | Plant::SleepsOnIt
+            | Plant::LooksPastIt
+            | Plant::NoFenceForARunner
             | Plant::NoBell => {}
         }
         self.word.0.swap(READY)
@@ -587,13 +538,10 @@ impl<S: Station> Handoff<S> {
     }
 
     fn drain(&self, core: &mut Core<S>, effects: &mut S::Effects) {
-        if self.left.0.count.load(Ordering::Relaxed) == 0 {
+        if self.inbox.is_empty() {
             return;
         }
-        let mut inbox = lock(&self.left.0.inbox);
-        std::mem::swap(&mut *inbox, &mut core.batch);
-        self.left.0.count.store(0, Ordering::Relaxed);
-        drop(inbox);
+        self.inbox.take(&mut core.batch);
         let mut batch = std::mem::take(&mut core.batch);
         for input in batch.drain(..) {
             core.feed(input, effects);
@@ -611,7 +559,7 @@ impl<S: Station> Handoff<S> {
         }
         loop {
             self.fence();
-            if self.left.0.count.load(Ordering::Relaxed) == 0 {
+            if self.inbox.is_empty() {
                 return;
             }
             let Some(core) = try_lock(&self.core) else { return };

@@ -214,7 +214,7 @@ impl Node {
         entry
     }
 
-    /// Looks at a communication task. Nothing of it changes by that.
+    /// Looks at a communication task, once what was left to it is taken in. Nothing else of it changes by that.
     pub(crate) fn look<R>(&self, member: &Member, look: impl FnOnce(&mut Comm) -> R) -> R {
         let mut effects = Effects::of_an_onlooker();
         let seen = guarded("a look at a communication task", || member.handoff.with(look, &mut effects));

@@ -1,4 +1,5 @@
-//! How a running node looks from outside. Looking changes nothing: no clock is advanced, nothing is taken out.
+//! How a running node looks from outside. Looking takes nothing out and advances no clock: what was left to a task is taken in first
+//! (D130), with the time when it came.
 
 use crate::clock;
 use crate::link::LinkDiscard;

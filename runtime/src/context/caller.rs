@@ -270,7 +270,7 @@ impl Caller {
         whole
     }
 
-    /// Looks at the communication task. Nothing of it changes by that.
+    /// Looks at the communication task, once what was left to it is taken in. Nothing else of it changes by that.
     pub fn look<R>(&mut self, look: impl FnOnce(&mut Comm) -> R) -> R {
         let seen = self.node.members.list[self.place].handoff.with(look, &mut self.effects);
         self.node.carry_out(&mut self.effects);

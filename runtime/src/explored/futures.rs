@@ -32,8 +32,8 @@ impl Station for Asked {
     type Mail = Got;
     type Effects = ();
 
-    fn may_wait(_input: &Brought) -> bool {
-        false
+    fn may_wait(input: &Brought) -> bool {
+        matches!(input, Brought::Message)
     }
 
     fn feed(&mut self, input: Brought, (): &mut ()) -> Option<Got> {
@@ -83,10 +83,14 @@ fn bring_a_message(handoff: &Arc<Handoff<Asked>>) -> thread::JoinHandle<()> {
     thread::spawn(move || handoff.deliver(Brought::Message, &mut ()))
 }
 
-/// The future asks and listens; another thread brings the message. How often it was polled again.
-fn ask_and_listen(plant: Plant) -> u32 {
+/// The future asks and listens; another thread brings the message. How often it was polled again. It may have come in as a
+/// thread does, as one does whose wait was dropped.
+fn ask_and_listen(plant: Plant, came_in: bool) -> u32 {
     let (handoff, waker) = of_a_future(plant);
     let mut polls = 0;
+    if came_in {
+        handoff.enter(Brought::Nothing, &mut ());
+    }
     let mut entry = handoff.enter_awake(Brought::Question, &mut ());
     let other = bring_a_message(&handoff);
     while entry.mail.is_none() {
@@ -105,15 +109,22 @@ fn ask_and_listen(plant: Plant) -> u32 {
 
 #[test]
 fn a_future_that_listens_is_woken() {
-    let seen = explore(|| ask_and_listen(Plant::None));
+    let seen = explore(|| ask_and_listen(Plant::None, false));
     // Whoever asks finds nothing yet, and is called once: no call is lost, and none is made twice.
     assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [1], "{seen:?}");
 }
 
 #[test]
 fn a_future_that_is_not_called_waits_for_ever() {
-    must_fail(DEADLOCK, || ask_and_listen(Plant::NoBell));
-    must_fail(DEADLOCK, || ask_and_listen(Plant::NoMark));
+    must_fail(DEADLOCK, || ask_and_listen(Plant::NoBell, false));
+    must_fail(DEADLOCK, || ask_and_listen(Plant::NoMark, false));
+}
+
+#[test]
+fn a_future_sees_what_was_left_to_it_before_it_listens() {
+    let seen = explore(|| ask_and_listen(Plant::None, true));
+    assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [1], "{seen:?}");
+    must_fail(DEADLOCK, || ask_and_listen(Plant::SleepsOnIt, true));
 }
 
 /// The future gives its wait up while another thread brings the message. What it found.
@@ -128,7 +139,7 @@ fn give_up(blindly: bool) -> Got {
     };
     other.join().unwrap();
     let got = entry.mail.expect("one or the other");
-    let kept = handoff.with(|asked| asked.kept, &mut ());
+    let kept = handoff.look_at(|asked| asked.kept);
     assert_eq!(kept + u32::from(got == Got::Message), 1, "a message is gone");
     got
 }

@@ -180,8 +180,6 @@ fn ask_for_news(plant: Plant, looks: u32) -> (Waited, bool) {
     let handoff = toy(plant);
     let mut worked = 0;
     handoff.enter(Brought::Nothing, &mut worked);
-    // What the rest began.
-    handoff.enter(Brought::Nothing, &mut worked);
     let other = bring(&handoff, Brought::News);
     let mut waited = Waited::NotAtAll;
     let mut entry = handoff.enter(Brought::Question, &mut worked);
@@ -227,6 +225,28 @@ fn news_that_waited_are_found_by_who_looks() {
     news_end_every_wait(2, &expected);
 }
 
+/// News come before the task begins to look, or are worked off by then. Whether it finds them at its first look, without
+/// anybody who calls it.
+fn look_after_news(plant: Plant) -> bool {
+    let handoff = toy(plant);
+    let mut worked = 0;
+    handoff.enter(Brought::Nothing, &mut worked);
+    let other = bring(&handoff, Brought::News);
+    handoff.enter(Brought::Nothing, &mut worked);
+    other.join().unwrap();
+    let there = handoff.has_left();
+    let found = handoff.look(|| false, |there| there());
+    assert_eq!(found, there, "it looked past what was left");
+    found
+}
+
+#[test]
+fn who_begins_to_look_sees_what_was_left_before() {
+    let seen = explore(|| look_after_news(Plant::None));
+    assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [false, true], "{seen:?}");
+    must_fail("looked past", || look_after_news(Plant::LooksPastIt));
+}
+
 #[test]
 fn who_sleeps_on_what_was_left_to_it_sleeps_for_ever() {
     must_fail(DEADLOCK, || ask_for_news(Plant::SleepsOnIt, 0));
@@ -240,7 +260,7 @@ fn who_leaves_news_and_does_not_see_that_the_thread_sleeps_by_now_leaves_them_fo
 #[test]
 fn without_its_fence_what_was_left_to_a_thread_that_ran_is_not_seen() {
     if SEES_OLD_VALUES {
-        must_fail(DEADLOCK, || ask_for_news(Plant::NoFence, 0));
+        must_fail(DEADLOCK, || ask_for_news(Plant::NoFenceForARunner, 0));
     }
 }
 
@@ -342,7 +362,7 @@ fn without_its_fence_the_second_look_is_in_vain() {
 /// Three threads bring input at once where the inbox has room for one. Whether one of them found it full.
 fn three_bring(plant: Plant) -> bool {
     let mut handoff = Handoff::new(Toy::default(), None);
-    (handoff.plant, handoff.room.0) = (plant, 1);
+    (handoff.plant, handoff.inbox.room.0) = (plant, 1);
     let handoff = Arc::new(handoff);
     let others = [bring(&handoff, Brought::Answer), bring(&handoff, Brought::Answer)];
     let mut own = 0;
@@ -351,7 +371,7 @@ fn three_bring(plant: Plant) -> bool {
         other.join().unwrap();
     }
     assert_eq!(handoff.look_at(|toy| toy.fed), 3, "input stayed behind");
-    handoff.room.1.load(std::sync::atomic::Ordering::Relaxed)
+    handoff.inbox.room.1.load(std::sync::atomic::Ordering::Relaxed)
 }
 
 #[test]
@@ -429,7 +449,7 @@ fn race_with_time(under_lock: bool) -> Got {
     };
     answer.join().unwrap();
     time.join().unwrap();
-    let (asked, kept) = handoff.with(|toy| (toy.asked, toy.kept), &mut worked);
+    let (asked, kept) = handoff.look_at(|toy| (toy.asked, toy.kept));
     assert!(!asked, "the question is still open");
     assert_eq!(kept, u32::from(got == Got::TimedOut), "the answer was lost or taken twice");
     got

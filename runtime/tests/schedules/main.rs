@@ -16,6 +16,8 @@ mod explorer;
 #[allow(dead_code, reason = "the pieces bring along what no scene needs")]
 #[path = "../../src/handoff.rs"]
 mod handoff;
+#[path = "../../src/inbox.rs"]
+mod inbox;
 #[allow(dead_code, reason = "the pieces bring along what no scene needs")]
 #[path = "../../src/lane.rs"]
 mod lane;
@@ -26,6 +28,8 @@ mod lead;
 mod park;
 #[path = "../../src/ring.rs"]
 mod ring;
+#[path = "../../src/station.rs"]
+mod station;
 #[allow(dead_code, reason = "the pieces bring along what no scene needs")]
 #[path = "../../src/sync.rs"]
 mod sync;
