@@ -98,9 +98,14 @@ impl Alarm {
         Earliest { at, rung }
     }
 
-    /// Sleeps until something expires that nobody waits for, and returns the time then; for the Timer thread alone.
-    /// `None` as soon as `closing` says so: whoever makes it say so rings afterwards.
-    pub fn next(&self, closing: impl Fn() -> bool, clock: impl Fn() -> Micros) -> Option<Micros> {
+    /// Sleeps until something expires that nobody waits for, and returns the time then; for the Timer thread alone. It wakes
+    /// `tail` before, and looks from there on. `None` as soon as `closing` says so: whoever makes it say so rings afterwards.
+    pub fn next(
+        &self,
+        tail: Micros,
+        closing: impl Fn() -> bool,
+        clock: impl Fn() -> Micros,
+    ) -> Option<Micros> {
         loop {
             #[cfg(test)]
             if self.plant == Plant::EndBeforeRung {
@@ -118,7 +123,11 @@ impl Alarm {
             if earliest.at <= now {
                 return Some(now);
             }
-            self.sleep(earliest);
+            if now.saturating_add(tail) < earliest.at {
+                self.sleep(Earliest { at: earliest.at - tail, ..earliest });
+            } else {
+                std::hint::spin_loop();
+            }
         }
     }
 

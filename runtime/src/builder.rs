@@ -24,6 +24,10 @@ pub const TRANSIT_CAPACITY: u16 = 1024;
 /// on another core (D110).
 pub const SPIN: Duration = Duration::from_micros(50);
 
+/// How long before the end of its time a thread that waits wakes, unless told otherwise: about what it takes from there to
+/// its program (D131).
+pub const SPIN_TAIL: Duration = Duration::from_micros(8);
+
 /// Why a node was not started.
 #[derive(Debug, thiserror::Error)]
 pub enum StartError {
@@ -101,7 +105,7 @@ impl Builder {
             watch: None,
             seed: 0,
             spin: SPIN,
-            spin_tail: Duration::ZERO,
+            spin_tail: SPIN_TAIL,
             holds: false,
         }
     }
@@ -260,9 +264,11 @@ impl Builder {
         self
     }
 
-    /// How long before the end of a delay or a time_out a task's thread wakes, to look at the clock until then [default: zero,
-    /// not at all]. What the kernel takes to wake it, tens of microseconds, then makes nothing late; each wait that ends by its time costs so
-    /// much of a core. A thread that waits in the socket for a message is woken by the kernel as ever (D110).
+    /// How long before the end of a delay or a time_out a task's thread wakes, to look at the clock until then [default:
+    /// [`SPIN_TAIL`], so that its own way from there makes nothing late]; zero: it does not. With a longer one what the kernel
+    /// takes to wake it, tens of microseconds, makes nothing late either. Each wait that ends by its time costs at most so much
+    /// of a core. The Timer's thread, which looks after scripts and futures, does so for at most the default; a thread that
+    /// waits in the socket for a message is woken by the kernel as ever (D110, D131).
     pub fn spin_tail(mut self, length: Duration) -> Self {
         self.spin_tail = length;
         self

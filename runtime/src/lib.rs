@@ -77,7 +77,7 @@ mod transit;
 mod turn;
 mod vitals;
 
-pub use builder::{Builder, SPIN, StartError, TRANSIT_CAPACITY};
+pub use builder::{Builder, SPIN, SPIN_TAIL, StartError, TRANSIT_CAPACITY};
 pub use context::{Asked, AsyncContext, Context, MANY, Received, Rendezvous, RequestFault, Sent, TaskError};
 pub use imrs_protocol as protocol;
 pub use message::Message;

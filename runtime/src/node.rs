@@ -5,6 +5,7 @@
 //! locked together.
 
 use crate::alarm::Alarm;
+use crate::builder::SPIN_TAIL;
 use crate::clock::{self, Micros};
 use crate::comm::{Comm, Mail};
 use crate::effects::{Effect, Effects, Stamped};
@@ -66,6 +67,8 @@ pub struct Node {
     pub(crate) spin: Micros,
     /// How long before the end of its time it wakes, to look until then.
     pub(crate) spin_tail: Micros,
+    /// Whether somebody asked for a longer one than [`SPIN_TAIL`].
+    pub(crate) is_exact: bool,
     pub(crate) peers: Box<[Peer]>,
     /// Where the scripts of the node act. Here from the start on, unless it has none.
     pub(crate) stage: OnceLock<Stage>,
@@ -129,6 +132,7 @@ impl Node {
             futures_by_link: AtomicBool::new(true),
             spin: plan.spin,
             spin_tail: plan.spin_tail,
+            is_exact: plan.spin_tail > clock::micros(SPIN_TAIL),
             peers: table.neighbours(table.node).map(peer).collect(),
             discards: std::array::from_fn(|_| AtomicU64::new(0)),
             link_discards: std::array::from_fn(|_| AtomicU64::new(0)),

@@ -1,7 +1,7 @@
 //! The threads of a node: one per task, one for those that are futures, one that receives, and the Timer's.
 
 use crate::awake;
-use crate::builder::{Builder, StartError};
+use crate::builder::{Builder, SPIN_TAIL, StartError};
 use crate::clock;
 use crate::comm::Comm;
 use crate::context::{Caller, TaskError};
@@ -284,7 +284,8 @@ fn run_timer(node: &Node, closing: &AtomicBool) {
     clock::sleep_exactly();
     let mut effects = Effects::new(None);
     guarded("the Timer's thread", || {
-        while let Some(now) = node.alarm.next(|| closing.load(Ordering::SeqCst), clock::now) {
+        let tail = node.spin_tail.min(clock::micros(SPIN_TAIL));
+        while let Some(now) = node.alarm.next(tail, || closing.load(Ordering::SeqCst), clock::now) {
             node.lateness.note(now.saturating_sub(node.alarm.target()));
             node.tend(now, &mut effects);
         }

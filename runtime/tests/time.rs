@@ -5,7 +5,7 @@ mod common;
 use common::{A, B, C, LONG_TICKS, ask, cell, finish, one_node, table};
 use imrs_protocol::{NodeId, Outcome, Packet, PortDecl, Ticks, Usage};
 use imrs_runtime::link::{Link, LinkBusy, PollEnd, Sink};
-use imrs_runtime::{Context, Rendezvous, Runtime, Sent};
+use imrs_runtime::{Context, Rendezvous, Runtime, SPIN_TAIL, Sent};
 use std::sync::{Arc, Condvar, Mutex};
 use std::time::{Duration, Instant};
 
@@ -25,6 +25,7 @@ fn in_time(took: Duration, least: Duration) {
 #[test]
 fn delays_and_empty_waits_never_end_early() {
     wait_for_times(Duration::ZERO);
+    wait_for_times(SPIN_TAIL);
     wait_for_times(Duration::from_micros(300));
 }
 

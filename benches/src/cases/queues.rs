@@ -7,7 +7,7 @@ use crate::sample::{Sample, each, nanos_of};
 use crate::suite::{Effort, Goal, Row, Stat, Suite};
 use imrs_protocol::queue::{Entry, Queue};
 use imrs_protocol::{NodeId, TaskId, Ticks, TimeId, Timer};
-use imrs_runtime::Runtime;
+use imrs_runtime::{Runtime, SPIN_TAIL};
 use rustix::time::{ClockId, Timespec, clock_gettime};
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -151,7 +151,7 @@ pub fn timers() -> Suite {
     );
     suite.case(
         "runtime/delay, spin tail",
-        "the same on a node with a spin tail of 200 us",
+        "the same on a node with a spin tail of 200 us in place of the default 8",
         lateness_with_a_tail,
     );
     let tail = "runtime/delay, spin tail";
@@ -279,11 +279,11 @@ fn lateness_with_a_tail(effort: Effort) -> Sample {
 }
 
 fn lateness_of_a_delay(effort: Effort) -> Sample {
-    late_task(effort, Duration::ZERO, |ctx, length| ctx.delay(length).expect("the node runs"))
+    late_task(effort, SPIN_TAIL, |ctx, length| ctx.delay(length).expect("the node runs"))
 }
 
 fn lateness_of_a_receive(effort: Effort) -> Sample {
-    late_task(effort, Duration::ZERO, |ctx, length| {
+    late_task(effort, SPIN_TAIL, |ctx, length| {
         let nothing = ctx.receive(None, Some(length)).expect("the node runs");
         assert_eq!(nothing, None);
     })

@@ -147,7 +147,7 @@ impl Caller {
                 None => {}
             }
             let until = until.min(over);
-            self.wait(kind, until);
+            self.wait(kind, now, until);
             waited = true;
             now = clock::now();
             // A spin tail earlier, too: what the end of the time needs is then in the caches.
@@ -166,8 +166,8 @@ impl Caller {
     }
 
     /// Waits until there is something for the task, or until then: in the link itself where that can be and its answer is
-    /// likely to come from there, else asleep.
-    fn wait(&mut self, kind: Option<Kind>, until: Micros) {
+    /// likely to come from there, else asleep. `now` may be some time ago.
+    fn wait(&mut self, kind: Option<Kind>, now: Micros, until: Micros) {
         if self.effects.holds {
             // Nothing that was sent waits while the task does.
             self.hold(false);
@@ -176,8 +176,7 @@ impl Caller {
         let node = &self.node;
         let member = &node.members.list[self.place];
         // Whoever waits for a time alone waits for it more exactly on its word.
-        let tail = node.spin_tail;
-        let link = node.link.as_ref().filter(|_| tail == 0 || kind.is_some());
+        let link = node.link.as_ref().filter(|_| !node.is_exact || kind.is_some());
         let leading = link.and_then(|link| link.leading());
         // Set again by what the link brings, whoever takes it in.
         let leading = leading.filter(|_| member.by_link.swap(false, Ordering::Relaxed));
@@ -202,8 +201,9 @@ impl Caller {
                 Led::No => member.by_link.store(true, Ordering::Relaxed),
             }
         }
-        let early = if until == clock::FAR { until } else { until.saturating_sub(tail) };
-        if tail == 0 || clock::now() < early {
+        let early = if until == clock::FAR { until } else { until.saturating_sub(node.spin_tail) };
+        // Where it was so long ago that the time has come since, the kernel says so at once.
+        if now < early || node.spin_tail == 0 {
             handoff.sleep(clock::nanos_of(early));
             return;
         }

@@ -64,7 +64,7 @@ const NOW: Micros = 3;
 /// The Timer's thread, until it is told to end. How often it was needed.
 fn serve(alarm: &Alarm, closing: &AtomicBool, mut tend: impl FnMut()) -> u32 {
     let mut served = 0;
-    while alarm.next(|| closing.load(Ordering::SeqCst), || NOW).is_some() {
+    while alarm.next(0, || closing.load(Ordering::SeqCst), || NOW).is_some() {
         served += 1;
         tend();
     }
