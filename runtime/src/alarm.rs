@@ -99,13 +99,15 @@ impl Alarm {
     }
 
     /// Sleeps until something expires that nobody waits for, and returns the time then; for the Timer thread alone. It wakes
-    /// `tail` before, and looks from there on. `None` as soon as `closing` says so: whoever makes it say so rings afterwards.
+    /// `tail` before, and looks from there on; what is so near at first is slept for, so that it gives up its core between
+    /// any two. `None` as soon as `closing` says so: whoever makes it say so rings afterwards.
     pub fn next(
         &self,
         tail: Micros,
         closing: impl Fn() -> bool,
         clock: impl Fn() -> Micros,
     ) -> Option<Micros> {
+        let mut slept = false;
         loop {
             #[cfg(test)]
             if self.plant == Plant::EndBeforeRung {
@@ -125,9 +127,19 @@ impl Alarm {
             }
             if now.saturating_add(tail) < earliest.at {
                 self.sleep(Earliest { at: earliest.at - tail, ..earliest });
+                slept = true;
+            } else if slept {
+                self.look(earliest, &clock);
             } else {
-                std::hint::spin_loop();
+                self.sleep(earliest);
             }
+        }
+    }
+
+    /// Looks for a ring until then. It lets the slots be: whoever publishes something earlier rings.
+    fn look(&self, until: Earliest, clock: impl Fn() -> Micros) {
+        while self.rung.load() == until.rung && clock() < until.at {
+            std::hint::spin_loop();
         }
     }
 

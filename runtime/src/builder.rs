@@ -84,7 +84,7 @@ pub struct Builder {
     watch: Option<Arc<dyn Watch>>,
     seed: u64,
     spin: Duration,
-    spin_tail: Duration,
+    spin_tail: Option<Duration>,
     holds: bool,
 }
 
@@ -105,7 +105,7 @@ impl Builder {
             watch: None,
             seed: 0,
             spin: SPIN,
-            spin_tail: SPIN_TAIL,
+            spin_tail: None,
             holds: false,
         }
     }
@@ -267,10 +267,11 @@ impl Builder {
     /// How long before the end of a delay or a time_out a task's thread wakes, to look at the clock until then [default:
     /// [`SPIN_TAIL`], so that its own way from there makes nothing late]; zero: it does not. With a longer one what the kernel
     /// takes to wake it, tens of microseconds, makes nothing late either. Each wait that ends by its time costs at most so much
-    /// of a core. The Timer's thread, which looks after scripts and futures, does so for at most the default; a thread that
-    /// waits in the socket for a message is woken by the kernel as ever (D110, D131).
+    /// of a core; one that is shorter is looked for from its beginning, unless this is the default. The Timer's thread, which
+    /// looks after scripts and futures, does so for at most the default. A thread that waits in the socket is woken by the kernel as
+    /// ever: for a message always, for a time alone unless this is set (D110, D131).
     pub fn spin_tail(mut self, length: Duration) -> Self {
-        self.spin_tail = length;
+        self.spin_tail = Some(length);
         self
     }
 
@@ -300,7 +301,8 @@ impl Builder {
             link: self.link,
             recorder: self.recorder,
             spin: clock::micros(self.spin),
-            spin_tail: clock::micros(self.spin_tail),
+            spin_tail: clock::micros(self.spin_tail.unwrap_or(SPIN_TAIL)),
+            is_exact: self.spin_tail.is_some_and(|tail| !tail.is_zero()),
         });
         let scripts =
             programs.iter().filter(|(_, program)| matches!(program, TaskProgram::Script(_))).count();

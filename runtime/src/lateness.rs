@@ -1,4 +1,4 @@
-//! How late the Timer's thread was, counted where it wakes: one writer, relaxed stores, no clock read of its own.
+//! How late the Timer's thread was, counted where it begins to serve: one writer, relaxed stores, no clock read of its own.
 
 use crate::clock::Micros;
 use imrs_wire::obs::Lateness;

@@ -5,7 +5,6 @@
 //! locked together.
 
 use crate::alarm::Alarm;
-use crate::builder::SPIN_TAIL;
 use crate::clock::{self, Micros};
 use crate::comm::{Comm, Mail};
 use crate::effects::{Effect, Effects, Stamped};
@@ -40,6 +39,7 @@ pub(crate) struct Plan {
     pub recorder: Option<Arc<dyn Recorder>>,
     pub spin: Micros,
     pub spin_tail: Micros,
+    pub is_exact: bool,
 }
 
 /// What a task asks next without letting go of its communication task, after such an answer; nothing for most.
@@ -67,7 +67,7 @@ pub struct Node {
     pub(crate) spin: Micros,
     /// How long before the end of its time it wakes, to look until then.
     pub(crate) spin_tail: Micros,
-    /// Whether somebody asked for a longer one than [`SPIN_TAIL`].
+    /// Whether somebody asked for that.
     pub(crate) is_exact: bool,
     pub(crate) peers: Box<[Peer]>,
     /// Where the scripts of the node act. Here from the start on, unless it has none.
@@ -132,7 +132,7 @@ impl Node {
             futures_by_link: AtomicBool::new(true),
             spin: plan.spin,
             spin_tail: plan.spin_tail,
-            is_exact: plan.spin_tail > clock::micros(SPIN_TAIL),
+            is_exact: plan.is_exact,
             peers: table.neighbours(table.node).map(peer).collect(),
             discards: std::array::from_fn(|_| AtomicU64::new(0)),
             link_discards: std::array::from_fn(|_| AtomicU64::new(0)),

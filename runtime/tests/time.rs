@@ -5,7 +5,7 @@ mod common;
 use common::{A, B, C, LONG_TICKS, ask, cell, finish, one_node, table};
 use imrs_protocol::{NodeId, Outcome, Packet, PortDecl, Ticks, Usage};
 use imrs_runtime::link::{Link, LinkBusy, PollEnd, Sink};
-use imrs_runtime::{Context, Rendezvous, Runtime, SPIN_TAIL, Sent};
+use imrs_runtime::{AsyncContext, Context, Rendezvous, Runtime, SPIN_TAIL, Sent};
 use std::sync::{Arc, Condvar, Mutex};
 use std::time::{Duration, Instant};
 
@@ -24,20 +24,25 @@ fn in_time(took: Duration, least: Duration) {
 
 #[test]
 fn delays_and_empty_waits_never_end_early() {
-    wait_for_times(Duration::ZERO);
-    wait_for_times(SPIN_TAIL);
-    wait_for_times(Duration::from_micros(300));
+    for spin_tail in [None, Some(Duration::ZERO), Some(SPIN_TAIL), Some(Duration::from_micros(300))] {
+        wait_for_times(spin_tail);
+    }
 }
 
-fn wait_for_times(spin_tail: Duration) {
-    let mut cell = cell(&[0, 0], Ticks(0));
+/// Around the tail, and longer.
+fn lengths(step: usize) -> impl Iterator<Item = Duration> {
+    (0..16).chain((16..2_000).step_by(step)).map(|micros| Duration::from_nanos(micros * 1_001))
+}
+
+fn wait_for_times(spin_tail: Option<Duration>) {
+    let mut cell = cell(&[0, 0, 0], Ticks(0));
     cell.port(ask(LONG_TICKS));
     let table = table(cell);
-    let node = one_node(&table)
-        .spin_tail(spin_tail)
+    let node = one_node(&table);
+    let node = if let Some(tail) = spin_tail { node.spin_tail(tail) } else { node };
+    let node = node
         .task("a", |ctx| {
-            for micros in (0..2_000).step_by(37) {
-                let length = Duration::from_nanos(micros * 1_001);
+            for length in lengths(37) {
                 let (done, took) = timed(|| ctx.delay(length));
                 done?;
                 in_time(took, length);
@@ -45,11 +50,19 @@ fn wait_for_times(spin_tail: Duration) {
             Ok(())
         })
         .task("b", |ctx| {
-            for micros in (0..2_000).step_by(41) {
-                let length = Duration::from_nanos(micros * 1_001);
+            for length in lengths(41) {
                 let (message, took) = timed(|| ctx.receive(None, Some(length)));
                 assert_eq!(message?, None);
                 in_time(took, length);
+            }
+            Ok(())
+        })
+        // The Timer's thread looks after this one.
+        .async_task("c", |mut ctx: AsyncContext| async move {
+            for length in lengths(43) {
+                let begins = Instant::now();
+                ctx.delay(length).await?;
+                in_time(begins.elapsed(), length);
             }
             Ok(())
         })

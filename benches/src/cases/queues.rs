@@ -7,7 +7,7 @@ use crate::sample::{Sample, each, nanos_of};
 use crate::suite::{Effort, Goal, Row, Stat, Suite};
 use imrs_protocol::queue::{Entry, Queue};
 use imrs_protocol::{NodeId, TaskId, Ticks, TimeId, Timer};
-use imrs_runtime::{Runtime, SPIN_TAIL};
+use imrs_runtime::Runtime;
 use rustix::time::{ClockId, Timespec, clock_gettime};
 use std::cmp::Reverse;
 use std::collections::BinaryHeap;
@@ -275,25 +275,30 @@ fn lateness_of_the_kernel(effort: Effort) -> Sample {
 
 fn lateness_with_a_tail(effort: Effort) -> Sample {
     let tail = Duration::from_micros(200);
-    late_task(effort, tail, |ctx, length| ctx.delay(length).expect("the node runs"))
+    late_task(effort, Some(tail), |ctx, length| ctx.delay(length).expect("the node runs"))
 }
 
 fn lateness_of_a_delay(effort: Effort) -> Sample {
-    late_task(effort, SPIN_TAIL, |ctx, length| ctx.delay(length).expect("the node runs"))
+    late_task(effort, None, |ctx, length| ctx.delay(length).expect("the node runs"))
 }
 
 fn lateness_of_a_receive(effort: Effort) -> Sample {
-    late_task(effort, SPIN_TAIL, |ctx, length| {
+    late_task(effort, None, |ctx, length| {
         let nothing = ctx.receive(None, Some(length)).expect("the node runs");
         assert_eq!(nothing, None);
     })
 }
 
-fn late_task(effort: Effort, tail: Duration, sleep: fn(&mut imrs_runtime::Context, Duration)) -> Sample {
+fn late_task(
+    effort: Effort,
+    tail: Option<Duration>,
+    sleep: fn(&mut imrs_runtime::Context, Duration),
+) -> Sample {
     let times = effort.of(150);
     let (tell, told) = channel();
-    let node = Runtime::builder(cells::table(cells::cell(1, 1)), NodeId(0))
-        .spin_tail(tail)
+    let node = Runtime::builder(cells::table(cells::cell(1, 1)), NodeId(0));
+    let node = if let Some(tail) = tail { node.spin_tail(tail) } else { node };
+    let node = node
         .task("t0", move |ctx| {
             tell.send(lateness(times, |length| sleep(ctx, length))).expect("the harness listens");
             Ok(())

@@ -147,7 +147,7 @@ impl Caller {
                 None => {}
             }
             let until = until.min(over);
-            self.wait(kind, now, until);
+            self.wait(kind, now, until, waited);
             waited = true;
             now = clock::now();
             // A spin tail earlier, too: what the end of the time needs is then in the caches.
@@ -166,8 +166,8 @@ impl Caller {
     }
 
     /// Waits until there is something for the task, or until then: in the link itself where that can be and its answer is
-    /// likely to come from there, else asleep. `now` may be some time ago.
-    fn wait(&mut self, kind: Option<Kind>, now: Micros, until: Micros) {
+    /// likely to come from there, else asleep. `now` may be some time ago; `waited` says that it has waited for this before.
+    fn wait(&mut self, kind: Option<Kind>, now: Micros, until: Micros, waited: bool) {
         if self.effects.holds {
             // Nothing that was sent waits while the task does.
             self.hold(false);
@@ -175,7 +175,7 @@ impl Caller {
         }
         let node = &self.node;
         let member = &node.members.list[self.place];
-        // Whoever waits for a time alone waits for it more exactly on its word.
+        // Whoever waits for a time alone, and is to do so exactly, waits for it on its word.
         let link = node.link.as_ref().filter(|_| !node.is_exact || kind.is_some());
         let leading = link.and_then(|link| link.leading());
         // Set again by what the link brings, whoever takes it in.
@@ -202,9 +202,11 @@ impl Caller {
             }
         }
         let early = if until == clock::FAR { until } else { until.saturating_sub(node.spin_tail) };
-        // Where it was so long ago that the time has come since, the kernel says so at once.
-        if now < early || node.spin_tail == 0 {
-            handoff.sleep(clock::nanos_of(early));
+        // Unless that was asked for, only who has slept before looks: a task whose waits are all brief gives up its core, too.
+        let looks = node.spin_tail > 0 && (waited || node.is_exact);
+        // Where `now` was so long ago that the time has come since, the kernel says so at once.
+        if now < early || !looks {
+            handoff.sleep(clock::nanos_of(if now < early { early } else { until }));
             return;
         }
         while !handoff.is_called() && !handoff.has_left() && clock::now() < until {
