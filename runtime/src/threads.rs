@@ -279,7 +279,8 @@ fn run_task(node: &Arc<Node>, place: usize, program: TaskBody) -> TaskEnd {
     end
 }
 
-/// Sleeps until just before the next expiry that nobody waits for, and looks at the clock until then (D131). With none it sleeps until there is one.
+/// Sleeps until just before the next expiry that nobody waits for, and looks at the clock until then (D131). With none it
+/// sleeps until there is one.
 fn run_timer(node: &Node, closing: &AtomicBool) {
     clock::sleep_exactly();
     let mut effects = Effects::new(None);

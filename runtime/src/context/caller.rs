@@ -202,11 +202,14 @@ impl Caller {
             }
         }
         let early = if until == clock::FAR { until } else { until.saturating_sub(node.spin_tail) };
-        // Unless that was asked for, only who has slept before looks: a task whose waits are all brief gives up its core, too.
-        let looks = node.spin_tail > 0 && (waited || node.is_exact);
         // Where `now` was so long ago that the time has come since, the kernel says so at once.
-        if now < early || !looks {
-            handoff.sleep(clock::nanos_of(if now < early { early } else { until }));
+        if now < early {
+            handoff.sleep(clock::nanos_of(early));
+            return;
+        }
+        // Unless that was asked for, only who has slept before looks: a task whose waits are all brief gives up its core, too.
+        if !waited && !node.is_exact {
+            handoff.sleep(clock::nanos_of(until));
             return;
         }
         while !handoff.is_called() && !handoff.has_left() && clock::now() < until {
