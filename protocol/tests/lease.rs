@@ -373,6 +373,37 @@ fn a_lease_survives_packing_at_any_moment() {
 }
 
 #[test]
+fn an_answer_that_is_of_no_use_any_more_counts_as_none_even_before_the_next_beat_drops_it() {
+    let mut standby = Solo::new(&table(true), S);
+    standby.pass(1);
+    let nothing = Solo::new(&table(true), ARM).nothing();
+    let contents = Contents::new(&[0, 1, 0, 0]).expect("short");
+    let answer = Packet {
+        kind: Kind::Response,
+        class: Class::Command,
+        destination: S,
+        port: ALIVE,
+        contents,
+        ..nothing
+    };
+    standby.hear(answer);
+    // A beat while it is of use, and none from then on.
+    standby.pass(TAKEOVER - 1);
+    standby.pass(1);
+    let mut other = standby.clone();
+    other.task.rebase();
+    for standby in [&mut standby, &mut other] {
+        standby.hear(answer);
+        standby.task.rebase();
+    }
+    assert_eq!(
+        format!("{:?}", standby.task),
+        format!("{:?}", other.task),
+        "a clock set back changes nothing"
+    );
+}
+
+#[test]
 fn a_couple_that_cannot_keep_its_promise_is_no_couple() {
     let errors = |change: fn(&mut Cell)| {
         let mut cell = cell(false);

@@ -62,6 +62,30 @@ fn time_spent_in_a_buffer_is_taken_from_the_life_but_where_the_variant_forgets_i
 }
 
 #[test]
+fn of_two_commands_that_live_alike_the_earlier_goes_first_whenever_the_state_is_packed() {
+    let served = |packed: bool| {
+        let table = table(|rules| rules.charge_residence = false);
+        let (mut x, mut z) = (Solo::new(&table, X), Solo::new(&table, Z));
+        z.hear(x.ask(send(MOVE, Z, 1)).packets[0]);
+        // The first one is given up and forgotten, and still waits: that costs it nothing.
+        x.pass(40);
+        z.pass(40);
+        let second = x.ask(send(MOVE, Z, 2)).packets[0];
+        z.hear(Packet { remaining: Ticks(20), ..second });
+        assert_eq!(z.queue(MOVE), [(X, 18), (X, 28)]);
+        if packed {
+            z.repack();
+        }
+        // A copy of the second one was on its way for less time.
+        z.hear(second);
+        assert_eq!(z.queue(MOVE), [(X, 28), (X, 28)]);
+        [(), ()].map(|()| z.ask(get(0)).words().remove(0))
+    };
+    assert_eq!(served(false), ["message [1] from T0 for 28", "message [2] from T0 for 28"]);
+    assert_eq!(served(true), served(false));
+}
+
+#[test]
 fn an_instant_on_the_senders_clock_is_wrong_on_any_other() {
     let heard = |stamp, ahead| {
         let table = table(|rules| rules.time_stamp = stamp);

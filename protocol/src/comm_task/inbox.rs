@@ -265,9 +265,11 @@ impl Inbox {
         self.queue.iter().find(|(_, held)| held.source == source)
     }
 
-    /// Where a command waits. It is looked for likewise: of each source at most one waits (D75).
+    /// Where a command waits. It is looked for likewise: of each source at most one waits (D75). Only where waiting costs no
+    /// life may one be forgotten that still waits, and come again: then the later one is meant.
     pub fn find(&self, source: TaskId, id: MessageId) -> Option<Slot> {
-        self.queue.iter().find(|(_, held)| held.source == source && held.id() == id).map(|(slot, _)| slot)
+        let alike = self.queue.iter().filter(|(_, held)| held.source == source && held.id() == id);
+        alike.max_by_key(|(_, held)| held.arrival).map(|(slot, _)| slot)
     }
 
     /// Takes out a message by its source and id.

@@ -331,6 +331,8 @@ impl Lease {
             (self.answered, self.newest, self.echo) = ([None; ANSWERS], None, None);
         }
         self.hear_of(epoch);
+        // One that is of no use any more counts as none, whether a beat has dropped it since or not.
+        self.echo = self.echo.filter(|echo| echo.until > at.now);
         let newest = self.echo.is_none_or(|echo| packet.id.sequence.is_newer_than(echo.beat));
         if newest {
             // The lease counts from when the answer was sent, so whatever the clocks do an echo is of no use after that.

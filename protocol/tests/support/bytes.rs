@@ -44,10 +44,7 @@ pub fn inputs(data: &[u8]) {
     );
     let mut world = World::new(&plan.build(), flags & 2 != 0);
     let mut other = world.clone();
-    // A packed state keeps the order of service, not that of arrival: the literal penalty (D4) can make two messages equal
-    // whose arrivals then decide.
-    let literal = world.tables.iter().flat_map(|table| table.ports()).filter_map(|port| port.decl.penalty);
-    let packs = flags & 4 != 0 && !literal.into_iter().any(|penalty| penalty.literal);
+    let packs = flags & 4 != 0;
     for i in 0..OPERATIONS {
         if bytes.0.is_empty() {
             break;

@@ -10,6 +10,7 @@ pub mod world;
 
 use imrs_protocol::*;
 use std::sync::Arc;
+use world::Shift;
 
 /// Everything that one input caused, in order.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -115,6 +116,11 @@ impl Solo {
         self.input(Input::Advance(Ticks(ticks)))
     }
 
+    /// Packs the state, reads it back and goes on from there.
+    pub fn repack(&mut self) {
+        self.task = packs_and_unpacks(&self.task, &self.table).expect("a state that fits its packed form");
+    }
+
     /// The counters of a port.
     pub fn counters(&self, port: PortId) -> PortCounters {
         let view = self.task.view(&self.table, 0);
@@ -129,8 +135,9 @@ impl Solo {
     }
 }
 
-/// The state has the same canonical bytes after it was read back from them, where it fits them at all.
-fn packs_and_unpacks(task: &CommTask, table: &NodeTable) {
+/// The state has the same canonical bytes after it was read back from them, where it fits them at all; and the state that was
+/// read, with the ids that it had.
+fn packs_and_unpacks(task: &CommTask, table: &NodeTable) -> Option<CommTask> {
     struct Ids(Vec<Option<Round>>, Vec<Option<Seq24>>);
     impl Visit for Ids {
         fn instant(&mut self, _: Ticks) {}
@@ -151,7 +158,7 @@ fn packs_and_unpacks(task: &CommTask, table: &NodeTable) {
     let sequences: Vec<Seq24> = ids.1.iter().map(|next| next.unwrap_or_default()).collect();
     let mut bytes = [0; 2048];
     let frame = Frame { rounds: &rounds, sequences: &sequences, lives: true };
-    let Ok(len) = buried.store(table, &frame, &mut bytes) else { return };
+    let Ok(len) = buried.store(table, &frame, &mut bytes) else { return None };
     let mut loaded = task.clone();
     assert_eq!(loaded.load(table, true, &bytes), len, "not all bytes were read");
     invariants::check(&loaded, table).expect("a state read back is sound");
@@ -171,6 +178,11 @@ fn packs_and_unpacks(task: &CommTask, table: &NodeTable) {
             Err(Overflow)
         );
     }
+    loaded.visit_mut(&mut &Shift {
+        rounds: rounds.iter().map(|r| r.steps_from(Frame::ROUND)).collect(),
+        sequences: sequences.iter().map(|s| s.steps_from(Frame::SEQUENCE)).collect(),
+    });
+    Some(loaded)
 }
 
 /// A message to one task.

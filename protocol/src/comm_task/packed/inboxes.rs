@@ -6,7 +6,7 @@ use crate::comm_task::inbox::{Aged, Held, Inbox};
 use crate::comm_task::memory::{Fate, Memory, Remembered, Window};
 use crate::ids::{MessageId, TaskId};
 use crate::packet::Class;
-use crate::table::NodeTable;
+use crate::table::{NodeTable, Port};
 use crate::ticks::Ticks;
 
 /// The first byte of an inbox: how many messages wait, and what else there is.
@@ -25,19 +25,29 @@ struct Form {
     class: Class,
     long: bool,
     long_answers: bool,
+    arrivals: bool,
 }
 
 impl Form {
     fn of(table: &NodeTable, inbox: &Inbox) -> Self {
         table.port(inbox.port).map_or(
-            Self { class: Class::Status, long: false, long_answers: false },
+            Self { class: Class::Status, long: false, long_answers: false, arrivals: false },
             |port| Self {
                 class: port.decl.class,
                 long: port.decl.fragments > 1,
                 long_answers: port.decl.answer_fragments > 1,
+                arrivals: arrivals_count(table, port),
             },
         )
     }
+}
+
+/// Whether the order in which messages of one source arrived can matter once they wait: where the life of one that waits
+/// may become longer, it may become that of another, and then the earlier arrival goes first. The literal penalty (D4)
+/// lengthens lives, and so do copies of commands; but of those two of one source wait only where waiting costs no life.
+fn arrivals_count(table: &NodeTable, port: &Port) -> bool {
+    let literal = port.decl.penalty.is_some_and(|penalty| penalty.literal);
+    literal || (port.decl.class == Class::Command && !table.rules().charge_residence)
 }
 
 impl CommTask {
@@ -58,6 +68,10 @@ impl CommTask {
         }
         for (slot, held) in inbox.queue.sorted() {
             self.store_held(held, inbox.queue.side(slot), frame, w)?;
+            if form.arrivals {
+                let before = |other: &Held| other.source == held.source && other.arrival < held.arrival;
+                w.count(inbox.queue.iter().filter(|(_, other)| before(other)).count())?;
+            }
             if form.long {
                 w.byte(held.fragments)?;
                 if let Some(body) = inbox.body(slot).filter(|_| held.fragments > 1) {
@@ -177,10 +191,11 @@ impl CommTask {
             if aged != Aged::default() {
                 inbox.queue.watch();
             }
+            held.arrival = if form.arrivals { u64::from(r.byte()) } else { self.arrivals };
             if form.long {
                 held.fragments = r.byte();
             }
-            let pushed = inbox.queue.push_with(Held { arrival: self.arrivals, ..held }, aged);
+            let pushed = inbox.queue.push_with(held, aged);
             if let Ok(slot) = pushed
                 && let Some(body) = inbox.body_mut(slot)
             {
