@@ -4,7 +4,7 @@
 use clap::Parser;
 use imrs_bench::{BenchArgs, BenchError, Verdict, memory, run};
 use std::alloc::{GlobalAlloc, Layout, System};
-use std::io::Write;
+use std::io::{ErrorKind, Write};
 use std::process::ExitCode;
 
 /// Measure the runtime against floors and peers, in rounds.
@@ -48,6 +48,8 @@ fn main() -> ExitCode {
     match run(&Cli::parse().bench, &mut say) {
         Ok(Verdict::Well) => ExitCode::SUCCESS,
         Ok(Verdict::Missed) => ExitCode::from(1),
+        // Whoever read has seen enough.
+        Err(BenchError::Output(error)) if error.kind() == ErrorKind::BrokenPipe => ExitCode::SUCCESS,
         Err(error) => {
             eprintln!("error: {error}");
             ExitCode::from(2)

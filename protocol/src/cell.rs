@@ -226,6 +226,11 @@ impl PortDecl {
         }
     }
 
+    /// Whether its penalty lengthens the life of what it makes less urgent: the literal rule (Appendix, `save`; D4).
+    pub(crate) fn lengthens_lives(&self) -> bool {
+        self.penalty.is_some_and(|penalty| penalty.literal)
+    }
+
     /// Makes this a class-2 port: its sender waits for the answer.
     #[must_use]
     pub fn command(mut self) -> Self {

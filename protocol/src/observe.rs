@@ -260,7 +260,8 @@ pub struct PortView {
 pub struct HeldView {
     /// The message.
     pub entry: QueueEntry,
-    /// Where it stands among the messages that the task ever stored: a lower one came earlier.
+    /// Where it stands among the messages that the task ever stored: a lower one came earlier. In a task that was read back
+    /// from packed bytes only among those of its source and port.
     pub arrival: u64,
     /// How many packets it takes (D28).
     pub fragments: u8,

@@ -171,6 +171,34 @@ fn the_literal_penalty_lengthens_the_life() {
     assert_eq!(room.y.ask(get(5)).words(), ["interrupt [1] from T0 for 14"]);
 }
 
+#[test]
+fn of_two_messages_whose_literal_penalty_makes_them_live_alike_the_earlier_goes_first_whenever_the_state_is_packed()
+ {
+    let served = |packed: bool| {
+        let literal = Some(Penalty { length: Ticks(4), literal: true });
+        let mut room = Room::new(|cell| cell.ports[0].penalty = literal);
+        for request in [handle(LOW), order(&[Ranked::Own, Ranked::Port(LOW)]), Request::Work] {
+            room.y.ask(request);
+        }
+        room.hear_urgent(LOW, 1, 20);
+        room.y.pass(2);
+        room.hear_urgent(LOW, 2, 18);
+        let left = |y: &Solo| y.queue(LOW).into_iter().map(|(_, left)| left).collect::<Vec<_>>();
+        assert_eq!(left(&room.y), [22, 22]);
+        room.y.pass(3);
+        assert_eq!(left(&room.y), [19, 23], "the first one was rejected again");
+        if packed {
+            room.y.repack();
+        }
+        room.y.pass(1);
+        assert_eq!(left(&room.y), [22, 22], "and the second one");
+        room.y.ask(Request::Done);
+        room.y.ask(get(5)).words()
+    };
+    assert_eq!(served(false), ["interrupt [1] from T0 for 22"]);
+    assert_eq!(served(true), served(false));
+}
+
 /// How often the head of the first port is passed over while the others always have something more urgent.
 fn passed_over(aging: Aging, gets: u32) -> u32 {
     let mut room = Room::new(|cell| cell.rules.aging = aging);

@@ -24,7 +24,8 @@ pub(crate) struct Held {
     pub contents: Contents,
     /// How many packets it takes; those after the first one lie in the inbox (D28).
     pub fragments: u8,
-    /// Numbers the messages of the task as they were stored.
+    /// Numbers the messages of the task as they were stored. In a state that was read back only the order among those of one
+    /// source on one port holds.
     pub arrival: u64,
 }
 
@@ -265,8 +266,8 @@ impl Inbox {
         self.queue.iter().find(|(_, held)| held.source == source)
     }
 
-    /// Where a command waits. It is looked for likewise: of each source at most one waits (D75). Only where waiting costs no
-    /// life may one be forgotten that still waits, and come again: then the later one is meant.
+    /// Where a command waits. It is looked for likewise: of each source at most one waits (D75). Only a variant lets one wait
+    /// that was forgotten, so that it can come again (no residence, the literal penalty, no memory): then the later one is meant.
     pub fn find(&self, source: TaskId, id: MessageId) -> Option<Slot> {
         let alike = self.queue.iter().filter(|(_, held)| held.source == source && held.id() == id);
         alike.max_by_key(|(_, held)| held.arrival).map(|(slot, _)| slot)

@@ -176,8 +176,7 @@ fn check_inbox(task: &CommTask, table: &NodeTable, inbox: &Inbox) -> Result<(), 
         return Err(Violation::Overfull(inbox.port));
     }
     // The variants lengthen lives where a message waits: it outlives what its sender, and the memory, think of it.
-    let literal = port.decl.penalty.is_some_and(|penalty| penalty.literal);
-    let exact = table.rules().charge_residence && !literal;
+    let exact = table.rules().charge_residence && !port.decl.lengthens_lives();
     for (slot, held) in inbox.queue.iter() {
         let aged = inbox.queue.side(slot);
         let (id, source) = (inbox.port, held.source);
@@ -217,7 +216,7 @@ fn check_rejections(
     aged: Aged,
 ) -> Result<(), Violation> {
     let penalty = port.decl.penalty;
-    let counts = table.rules().aging == Aging::Bounded && !penalty.is_some_and(|penalty| penalty.literal);
+    let counts = table.rules().aging == Aging::Bounded && !port.decl.lengthens_lives();
     let cap = if counts { CommTask::cap(task.order.rank(port.id, held.source)) } else { 0 };
     let (id, source) = (port.id, held.source);
     if aged.rejections > cap {

@@ -25,18 +25,18 @@ struct Form {
     class: Class,
     long: bool,
     long_answers: bool,
-    arrivals: bool,
+    ranks_arrivals: bool,
 }
 
 impl Form {
     fn of(table: &NodeTable, inbox: &Inbox) -> Self {
         table.port(inbox.port).map_or(
-            Self { class: Class::Status, long: false, long_answers: false, arrivals: false },
+            Self { class: Class::Status, long: false, long_answers: false, ranks_arrivals: false },
             |port| Self {
                 class: port.decl.class,
                 long: port.decl.fragments > 1,
                 long_answers: port.decl.answer_fragments > 1,
-                arrivals: arrivals_count(table, port),
+                ranks_arrivals: arrival_matters(table, port),
             },
         )
     }
@@ -44,10 +44,10 @@ impl Form {
 
 /// Whether the order in which messages of one source arrived can matter once they wait: where the life of one that waits
 /// may become longer, it may become that of another, and then the earlier arrival goes first. The literal penalty (D4)
-/// lengthens lives, and so do copies of commands; but of those two of one source wait only where waiting costs no life.
-fn arrivals_count(table: &NodeTable, port: &Port) -> bool {
-    let literal = port.decl.penalty.is_some_and(|penalty| penalty.literal);
-    literal || (port.decl.class == Class::Command && !table.rules().charge_residence)
+/// lengthens lives, and so do copies of commands. But a copy does so only while the command is remembered, and where waiting
+/// costs life a remembered one waits alone: the next command of its source takes its place (D12).
+fn arrival_matters(table: &NodeTable, port: &Port) -> bool {
+    port.decl.lengthens_lives() || (port.decl.class == Class::Command && !table.rules().charge_residence)
 }
 
 impl CommTask {
@@ -68,7 +68,7 @@ impl CommTask {
         }
         for (slot, held) in inbox.queue.sorted() {
             self.store_held(held, inbox.queue.side(slot), frame, w)?;
-            if form.arrivals {
+            if form.ranks_arrivals {
                 let before = |other: &Held| other.source == held.source && other.arrival < held.arrival;
                 w.count(inbox.queue.iter().filter(|(_, other)| before(other)).count())?;
             }
@@ -191,7 +191,7 @@ impl CommTask {
             if aged != Aged::default() {
                 inbox.queue.watch();
             }
-            held.arrival = if form.arrivals { u64::from(r.byte()) } else { self.arrivals };
+            held.arrival = if form.ranks_arrivals { u64::from(r.byte()) } else { self.arrivals };
             if form.long {
                 held.fragments = r.byte();
             }
