@@ -172,8 +172,7 @@ fn the_literal_penalty_lengthens_the_life() {
 }
 
 #[test]
-fn of_two_messages_whose_literal_penalty_makes_them_live_alike_the_earlier_goes_first_whenever_the_state_is_packed()
- {
+fn of_two_that_the_literal_penalty_makes_live_alike_the_earlier_goes_first_packed_or_not() {
     let served = |packed: bool| {
         let literal = Some(Penalty { length: Ticks(4), literal: true });
         let mut room = Room::new(|cell| cell.ports[0].penalty = literal);
