@@ -4,6 +4,7 @@
 //! falls on both.
 
 #[path = "../tests/support/mod.rs"]
+#[allow(dead_code, reason = "the benchmark uses a part of what the tests share")]
 mod support;
 
 use imrs_model::worlds::Meeting;

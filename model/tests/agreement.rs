@@ -1,14 +1,12 @@
 //! The packed form against the reference form: with reductions off, the same states and the same transitions.
 
-mod support;
-
+use crate::support::reference::ReferenceModel;
+use crate::support::worlds::{commands, endless, timed, with};
 use imrs_model::worlds::Meeting;
 use imrs_model::{Budget, Exploration, Limits, Reductions, Scenario, Watch, explore};
 use imrs_protocol::rules::Rules;
 use stateright::{Checker, Model};
 use std::sync::Arc;
-use support::reference::ReferenceModel;
-use support::worlds::{commands, endless, timed, with};
 
 /// Explores both forms and compares the counts of unique and generated states, the depth and the verdict.
 fn agree(scenario: &Arc<Scenario>) -> Exploration {

@@ -1,9 +1,7 @@
 //! The examples of the language under the checker of cells, and a cell of four tasks and six ports.
 
-mod cells;
-
-use cells::Text;
-use imrs_model::cell::{Budget, Kind, Verdicts};
+use crate::cells::{Text, within};
+use imrs_model::cell::{Kind, Verdicts};
 
 const WELD: &str = include_str!("../../examples/weld_cell.cell");
 const PRESS: &str = include_str!("../../examples/press_line.cell");
@@ -11,7 +9,7 @@ const PRESS: &str = include_str!("../../examples/press_line.cell");
 /// Checks a cell within so many states for each phase.
 fn checked(text: &str, states: u64) -> (Text, Verdicts) {
     let mut cell = Text::new(text);
-    cell.plan.budget = Budget { states, seconds: 600.0, bytes: 3 << 30 };
+    cell.plan.budget = within(states);
     let verdicts = cell.check();
     (cell, verdicts)
 }
@@ -25,7 +23,7 @@ fn four_tasks_and_six_ports_are_looked_at_whole() {
     let helpless = PRESS
         .replace("class = 2 retry = 2 resend = 40 msec", "class = 2 retry = 0")
         .replace(" on time_out do abort \"left is gone\"; end on refused do abort \"left is full\"; end", "");
-    let (cell, verdicts) = checked(&helpless, 500_000);
+    let (cell, verdicts) = checked(&helpless, 20_000);
     assert!(cell.found(&verdicts).iter().any(|(kind, _)| *kind == Kind::Ends), "{:?}", cell.found(&verdicts));
 }
 
@@ -33,7 +31,7 @@ fn four_tasks_and_six_ports_are_looked_at_whole() {
 fn any_number_of_threads_finds_the_same() {
     let text = WELD.replace("within 200 msec", "within 100 msec").replace("retry = 3 resend = 40 msec", "");
     let mut cell = Text::new(&text);
-    cell.plan.budget = Budget { states: 3_000, seconds: 600.0, bytes: 3 << 30 };
+    cell.plan.budget = within(3_000);
     let mut told = [1, 2, 3].map(|jobs| {
         cell.plan.jobs = jobs;
         let verdicts = cell.check();

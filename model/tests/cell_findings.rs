@@ -1,9 +1,7 @@
 //! Each kind of finding of a cell: the statement that it points at, and cells that have none.
 
-mod cells;
-
-use cells::Text;
-use imrs_model::cell::{Budget, CellFaults, Finding, Kind, Phase, Shows, Times, Verdicts, scenes, svg};
+use crate::cells::{Text, within};
+use imrs_model::cell::{CellFaults, Finding, Kind, Phase, Shows, Times, Verdicts, scenes, svg};
 use imrs_wire::obs::Liveness;
 use std::sync::Arc;
 
@@ -177,7 +175,7 @@ fn a_node_that_crashes_and_a_link_that_is_cut_are_the_named_ones() {
 fn a_budget_that_ends_the_search_gives_a_part() {
     let act = "loop run work takes 5..20 msec; waitfor meet() on time_out do skip; end; end;";
     let mut cell = two(MEET, USE_MEET, act, act, "faults loss 2;");
-    cell.plan.budget = Budget { states: 20, ..Budget::default() };
+    cell.plan.budget = within(20);
     let verdicts = cell.check();
     assert!(!verdicts.is_complete());
     let faults = &verdicts.phases[1];
@@ -293,7 +291,7 @@ fn faults_that_nobody_notices_change_no_finding() {
     let (mut with, mut without) = (0, 0);
     for faults in ["loss 2", "crash nb", "cut na--nb", "loss 1 crash nb", "loss 1 cut na--nb"] {
         for mut cell in cells(faults) {
-            cell.plan.budget = Budget { states: 60_000, seconds: 600.0, bytes: 3 << 30 };
+            cell.plan.budget = within(60_000);
             cell.plan.times = Times::Ends;
             let reduced = cell.check();
             cell.plan.everything = true;

@@ -30,6 +30,7 @@ fn explored(plan: &Arc<FloorPlan>) -> Exploration<Move> {
 /// shorter one exists.
 fn fails(plan: &Arc<FloorPlan>) -> Violation {
     let found = explored(plan);
+    let drawn = draw_floor(plan, &found).expect("a chart");
     let (path, states) = (found.path.expect("fails"), found.states_on_path.expect("fails"));
     let model = FloorModel::new(plan, Limits::default());
     assert_eq!(states[..1], model.init_states());
@@ -54,7 +55,6 @@ fn fails(plan: &Arc<FloorPlan>) -> Violation {
         assert!(!level.is_empty(), "no violation");
     }
     assert_eq!(path.len(), depth);
-    let drawn = draw_floor(plan, &explore_floor(plan, Limits::default())).expect("a chart");
     assert_eq!(drawn.length as usize, depth);
     assert!(drawn.chart.lines().all(|line| line.chars().count() <= 78), "{}", drawn.chart);
     found.violation.expect("fails")

@@ -7,7 +7,7 @@ use imrs_model::{Limits, Packed};
 use imrs_protocol::rules::Rules;
 use imrs_protocol::{Cell, CellTable, PortDecl, Target, Ticks, Usage};
 use stateright::Model;
-use std::collections::{HashMap, HashSet, VecDeque};
+use std::collections::{HashSet, VecDeque};
 use std::sync::Arc;
 
 fn successors(model: &FloorModel, state: &Packed) -> HashSet<Packed> {
@@ -21,25 +21,20 @@ fn live_and_packed_agree(plan: &Arc<FloorPlan>) -> usize {
     let model = FloorModel::new(plan, Limits::default());
     let start = LiveFloor::new(plan);
     assert_eq!(model.init_states(), [start.packed()]);
-    let mut seen: HashMap<Packed, ()> = HashMap::from([(start.packed(), ())]);
-    let mut queue = VecDeque::from([start]);
-    while let Some(live) = queue.pop_front() {
-        let packed = live.packed();
+    let mut seen = HashSet::from([start.packed()]);
+    let mut queue = VecDeque::from([(start.packed(), start)]);
+    while let Some((packed, live)) = queue.pop_front() {
         if packed.is_final() {
             continue;
         }
         assert_eq!(model.rewritten(&packed), packed, "written again it is the same");
         assert!(packed.len() <= 256);
-        let next = live.next();
-        let after: HashSet<Packed> = next.iter().map(LiveFloor::packed).collect();
+        let next: Vec<_> = live.next().into_iter().map(|live| (live.packed(), live)).collect();
+        let after: HashSet<Packed> = next.iter().map(|(packed, _)| packed.clone()).collect();
         assert_eq!(after, successors(&model, &packed));
-        for live in next {
-            if seen.insert(live.packed(), ()).is_none() {
-                queue.push_back(live);
-            }
-        }
+        queue.extend(next.into_iter().filter(|(packed, _)| seen.insert(packed.clone())));
     }
-    let violations: Vec<_> = seen.keys().filter_map(Packed::violation).collect();
+    let violations: Vec<_> = seen.iter().filter_map(Packed::violation).collect();
     assert_eq!(violations, []);
     let found = explore_floor(plan, Limits::default());
     assert_eq!((found.states as usize, found.complete), (seen.len(), true));

@@ -1,14 +1,12 @@
 //! What stateright 0.31 leaves to its user, one regression test for each.
 
-mod support;
-
+use crate::support::walk::{Dice, Walk, successors, walk};
+use crate::support::worlds::{commands, endless, literal, scenario, timed, with};
 use imrs_model::worlds::{Exchange, Meeting};
-use imrs_model::{Budget, Limits, Reductions, Scenario, Violation, Watch, WorldModel, explore};
+use imrs_model::{Budget, Exploration, Limits, Reductions, Scenario, Violation, Watch, WorldModel, explore};
 use imrs_protocol::rules::{Confirmation, Memory, Rules};
 use stateright::{Checker, Model};
-use std::sync::Arc;
-use support::walk::{Dice, successors, walk};
-use support::worlds::{commands, endless, literal, scenario, timed, with};
+use std::sync::{Arc, LazyLock};
 
 /// Worlds with a violation, of every kind of watch.
 fn failing() -> Vec<Arc<Scenario>> {
@@ -48,6 +46,27 @@ fn holding() -> Vec<Arc<Scenario>> {
     meetings.iter().map(scenario).chain(exchanges).collect()
 }
 
+/// A world without a violation: what the checker finds in it, and every state of it.
+struct Held {
+    scenario: Arc<Scenario>,
+    found: Exploration,
+    walk: Walk,
+}
+
+/// Searched once for all tests.
+static HELD: LazyLock<Vec<Held>> = LazyLock::new(|| {
+    let held = |scenario| {
+        // Two tests wait for this: together they have two cores.
+        let (walk, found) = std::thread::scope(|scope| {
+            let found = scope.spawn(|| explore(&scenario, Limits::default(), None));
+            // `successors` asserts on the way that every listed action leads somewhere.
+            (walk(&scenario), found.join().expect("an exploration"))
+        });
+        Held { scenario, found, walk }
+    };
+    holding().into_iter().map(held).collect()
+});
+
 #[test]
 fn a_counterexample_is_a_shortest_one() {
     for scenario in failing() {
@@ -80,10 +99,7 @@ fn a_path_is_a_run_of_the_model() {
 
 #[test]
 fn fingerprints_count_the_states_that_whole_states_count() {
-    for scenario in holding() {
-        let found = explore(&scenario, Limits::default(), None);
-        // `successors` asserts on the way that every listed action leads somewhere.
-        let walk = walk(&scenario);
+    for Held { found, walk, .. } in HELD.iter() {
         assert_eq!(walk.violated_at, None);
         assert_eq!((found.states, found.transitions), (walk.states.len() as u64, walk.generated));
         assert!(found.complete);
@@ -92,9 +108,9 @@ fn fingerprints_count_the_states_that_whole_states_count() {
 
 #[test]
 fn a_canonical_state_stands_for_itself() {
-    for scenario in holding() {
-        let model = WorldModel::new(&scenario, Limits::default());
-        for state in walk(&scenario).states.iter().filter(|state| !state.is_final()) {
+    for Held { scenario, walk, .. } in HELD.iter() {
+        let model = WorldModel::new(scenario, Limits::default());
+        for state in walk.states.iter().filter(|state| !state.is_final()) {
             assert_eq!(model.canonical(state), *state, "{:?}", scenario.watch);
         }
     }
@@ -102,11 +118,11 @@ fn a_canonical_state_stands_for_itself() {
 
 #[test]
 fn a_step_depends_on_its_state_and_on_nothing_looked_at_before() {
-    for scenario in holding() {
-        let worn = WorldModel::new(&scenario, Limits::default());
+    for Held { scenario, walk, .. } in HELD.iter() {
+        let worn = WorldModel::new(scenario, Limits::default());
         // Backwards, so that the scratch world holds other leftovers than the search leaves.
-        for state in walk(&scenario).states.iter().rev().step_by(7).take(4_000) {
-            let fresh = WorldModel::new(&scenario, Limits::default());
+        for state in walk.states.iter().rev().step_by(7).take(4_000) {
+            let fresh = WorldModel::new(scenario, Limits::default());
             assert_eq!(successors(&worn, state), successors(&fresh, state), "after {state:?}");
         }
     }
@@ -114,9 +130,8 @@ fn a_step_depends_on_its_state_and_on_nothing_looked_at_before() {
 
 #[test]
 fn depth_first_search_reaches_the_same_states() {
-    for scenario in holding() {
-        let found = explore(&scenario, Limits::default(), None);
-        let model = WorldModel::new(&scenario, Limits::default());
+    for Held { scenario, found, .. } in HELD.iter() {
+        let model = WorldModel::new(scenario, Limits::default());
         let depth_first = model.checker().threads(1).spawn_dfs().join();
         assert_eq!(depth_first.unique_state_count() as u64, found.states, "{:?}", scenario.watch);
     }

@@ -1,8 +1,6 @@
 //! Exports: that other tools find in them what the recording has.
 
-mod common;
-
-use common::{BEAT, LIFT, events, identity, observed, snapshot, table, text};
+use crate::common::{BEAT, LIFT, events, identity, observed, snapshot, table, text};
 use imrs_monitor::app::{App, Msg};
 use imrs_monitor::export::{ExportError, Form, Wanted, export};
 use imrs_monitor::replay::{Film, Player};

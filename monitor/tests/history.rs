@@ -1,8 +1,6 @@
 //! What changed is shown as what is; recordings and the history of the present run begin anywhere and play the same.
 
-mod common;
-
-use common::{LIFT, Stage, identity, ms, snapshot, table};
+use crate::common::{LIFT, Stage, events, identity, ms, observed, snapshot, table};
 use imrs_monitor::record::Tape;
 use imrs_monitor::replay::{Film, Player};
 use imrs_monitor::source::{Arrival, Feed, SourceId};
@@ -135,8 +133,8 @@ fn while_paused_one_goes_back_in_the_present_run() {
     (1..700).for_each(|n| {
         stage.frame(period(n), 0, change(0, n - 1, n));
         if n == 300 {
-            let gave_up = common::observed(Event::GaveUp, LIFT, 2, 1);
-            stage.frame(period(n), 0, ServerFrame::Events(common::events(0, &[gave_up])));
+            let gave_up = observed(Event::GaveUp, LIFT, 2, 1);
+            stage.frame(period(n), 0, ServerFrame::Events(events(0, &[gave_up])));
         }
     });
     let shown = |stage: &Stage| {

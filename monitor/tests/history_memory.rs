@@ -1,50 +1,75 @@
 //! M7: ten minutes of ten thousand ports in the memory of one process of its own.
 
-mod common;
-
-use common::{Stage, identity, ms};
+use imrs_monitor::app::{App, Msg};
+use imrs_monitor::clock::Moment;
 use imrs_monitor::history::BUDGET;
-use imrs_monitor::source::Feed;
+use imrs_monitor::source::{Arrival, Feed, SourceId};
 use imrs_monitor::specimen::Specimen;
 use imrs_monitor::theme::Theme;
-use imrs_wire::obs::{Delta, ServerFrame};
+use imrs_protocol::Incarnation;
+use imrs_wire::obs::{Delta, NodeIdentity, ServerFrame};
+use std::time::Duration;
 
-/// Ten minutes of ten periods a second.
-const PERIODS: u64 = 6_000;
+/// A run: its seconds, and what the history and the process may take, in bytes.
+struct Run {
+    seconds: u64,
+    history: usize,
+    process: usize,
+}
+
+/// The goal is 64 MiB, of which 4 are left to the pages of the program itself: the kernel may drop these at any time, and how
+/// many there are depends on the build.
+const TEN_MINUTES: Run = Run { seconds: 600, history: BUDGET, process: 60 << 20 };
+/// What is run by itself: a tenth of the history in a tenth of its budget, beside what the process takes without one.
+const ONE_MINUTE: Run = Run { seconds: 60, history: BUDGET / 10, process: 20 << 20 };
+
 /// One port in so many did something in each of them: 5 %.
 const APART: usize = 20;
 
-/// The resident memory of this process, in bytes.
+/// The resident memory of this process that is no page of a file, in bytes.
 fn resident() -> usize {
     let text = std::fs::read_to_string("/proc/self/status").unwrap();
-    let line = text.lines().find_map(|line| line.strip_prefix("VmRSS:")).unwrap();
+    let line = text.lines().find_map(|line| line.strip_prefix("RssAnon:")).unwrap();
     line.split_whitespace().next().unwrap().parse::<usize>().unwrap() * 1024
 }
 
+/// One minute by itself; the ten of the goal where `IMRS_HISTORY` is set.
 #[test]
 fn ten_minutes_of_ten_thousand_ports_fit_the_budget() {
-    let mut stage = Stage::new(Theme::MONO);
-    let build = "imrs".to_owned();
-    stage.feed(ms(0), 0, Feed::Attached { identity: identity(0, 1), pid: 1, build });
+    let run = if std::env::var_os("IMRS_HISTORY").is_some() { TEN_MINUTES } else { ONE_MINUTE };
+    let mut app = App::new(Theme::MONO, None);
+    let identity = NodeIdentity {
+        cell: "specimen".into(),
+        digest: 1,
+        node: "node0".into(),
+        id: 0,
+        incarnation: Incarnation(1),
+        tick_us: 1,
+    };
+    let feed = Feed::Attached { identity, pid: 1, build: "imrs".into() };
+    app.update(Msg::Feed(Arrival { at: Moment::ZERO, source: SourceId(0), feed }), Moment::ZERO);
+    let mut say = |at: Moment, delta: Delta| {
+        app.update(Msg::Feed(Specimen::said(0, at, ServerFrame::Delta(delta))), at);
+    };
     let mut state = Specimen::NODE.snapshot(0);
     // Something waits at every port: the most that there is to tell.
     for port in state.tasks.iter_mut().flat_map(|task| &mut task.view.ports) {
         (port.len, port.min_slack) = (1, Some(imrs_protocol::Ticks(100_000 + u64::from(port.port.0))));
     }
-    stage.frame(ms(1), 0, ServerFrame::Delta(Delta::whole(&state)));
-    for period in 1..=PERIODS {
+    say(Duration::from_millis(1), Delta::whole(&state));
+    let periods = 10 * run.seconds;
+    for period in 1..=periods {
         let before = state.clone();
         Specimen::go_on(&mut state, period, APART);
-        let frame = ServerFrame::Delta(Delta::between(&before, &state));
-        stage.frame(ms(100 * period), 0, frame);
+        say(Duration::from_millis(100 * period), Delta::between(&before, &state));
     }
     let memory = resident();
-    let film = stage.app.history().film().unwrap();
-    let kept = ms(100 * PERIODS) - film.stops()[0].at;
-    let weight = stage.app.history().weight();
+    let film = app.history().film().unwrap();
+    let kept = Duration::from_millis(100 * periods) - film.stops()[0].at;
+    let weight = app.history().weight();
     println!(
         "10,000 ports, 5 % dirty at 10 Hz: {kept:?} kept in {weight} bytes; the process has {memory} bytes"
     );
-    assert!(weight <= BUDGET, "{weight} bytes");
-    assert!(memory <= 64 << 20, "{memory} bytes");
+    assert!(weight <= run.history, "{weight} of {} bytes", run.history);
+    assert!(memory <= run.process, "{memory} of {} bytes", run.process);
 }

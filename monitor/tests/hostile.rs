@@ -1,8 +1,6 @@
 //! Whatever a node sends, the monitor neither panics nor lets it act on the terminal.
 
-mod common;
-
-use common::{Stage, events, identity, ms, observed, snapshot, table};
+use crate::common::{Stage, events, identity, ms, observed, snapshot, table};
 use imrs_monitor::report;
 use imrs_monitor::source::Feed;
 use imrs_monitor::theme::Theme;

@@ -1,8 +1,6 @@
 //! A cell of ten thousand ports costs what is seen of it.
 
-mod common;
-
-use common::{Stage, ms};
+use crate::common::{Stage, ms};
 use imrs_monitor::app::Msg;
 use imrs_monitor::specimen::Specimen;
 use imrs_monitor::theme::Theme;
@@ -25,29 +23,33 @@ fn a_keyframe_of_ten_thousand_ports_fits_a_frame() {
     assert!(bytes.len() < imrs_wire::obs::MAX_FRAME / 2);
 }
 
-/// The bound is some fifty times what a frame takes; a table that builds every row would take seconds for these.
+/// The bound is some fifty times what a frame takes; a table that builds every row would take longer for each. On a busy
+/// machine one of them is not interrupted.
 #[test]
 fn only_rows_in_sight_are_made() {
     let mut stage = stage(Specimen::NODE);
     stage.keys(ms(1_000), "G");
     let text = stage.text(ms(1_050), 200, 60);
     assert!(text.contains("port9999") && !text.contains("port9900 "), "the end is in sight");
-    let frames = 20;
-    let start = Instant::now();
-    for i in 0..frames {
-        let _ = stage.buffer(ms(1_050 + i), 200, 60);
-    }
-    let each = start.elapsed() / u32::try_from(frames).unwrap();
-    println!("a frame of 10,000 ports at 200x60 takes {each:?}");
-    assert!(each < ms(200), "{each:?}");
+    let fastest = (0..20)
+        .map(|i| {
+            let start = Instant::now();
+            let _ = stage.buffer(ms(1_050 + i), 200, 60);
+            start.elapsed()
+        })
+        .min()
+        .unwrap();
+    println!("a frame of 10,000 ports at 200x60 takes {fastest:?}");
+    assert!(fastest < ms(50), "{fastest:?}");
 }
 
 /// Goal M1: 100 nodes with 100 ports each, at 200x60. `imrs bench screen` measures it; here it is bounded only so far
 /// that a screen that builds every row would be noticed on a busy machine too.
 #[test]
 fn every_screen_of_a_hundred_nodes_is_built_from_what_is_in_sight() {
+    let attached = stage(Specimen::CELL);
     for keys in ["1", "1G", "2", "3", "4", "5", "6", "7"] {
-        let mut stage = stage(Specimen::CELL);
+        let mut stage = Stage { app: attached.app.clone() };
         stage.keys(ms(1_000), keys);
         let mut before = stage.buffer(ms(1_050), 200, 60);
         let mut taken: Vec<Duration> = (0..30)

@@ -1,8 +1,6 @@
 //! Conditions: what they say of rows and of cells, and what is said of texts that are none.
 
-mod common;
-
-use common::{Stage, ms};
+use crate::common::{Stage, ms};
 use imrs_monitor::name::Name;
 use imrs_monitor::query::{Assertion, FIELDS, Filter, PortRow};
 use imrs_monitor::store::Store;

@@ -1,8 +1,6 @@
 //! What the store and the app make of what they are told, without a terminal.
 
-mod common;
-
-use common::{BEAT, HALT, LIFT, NODES, Stage, events, identity, ms, observed, snapshot, table};
+use crate::common::{BEAT, HALT, LIFT, NODES, Stage, events, identity, ms, observed, snapshot, table};
 use crossterm::event::KeyCode;
 use imrs_monitor::app::{Effect, Screen};
 use imrs_monitor::clock::Clock;

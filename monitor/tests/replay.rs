@@ -1,8 +1,6 @@
 //! Recordings: written from what comes in, opened, wound back and forth, drawn.
 
-mod common;
-
-use common::{BEAT, LIFT, Stage, events, identity, ms, observed, snapshot, styles, table, text};
+use crate::common::{BEAT, LIFT, Stage, events, identity, ms, observed, snapshot, styles, table, text};
 use crossterm::event::KeyCode;
 use imrs_monitor::app::{App, Effect, Msg};
 use imrs_monitor::record::{Tape, free_name};
@@ -15,7 +13,7 @@ use imrs_protocol::{Event, TaskId};
 use imrs_wire::obs::{Events, Hello, Role, SCHEMA, ServerFrame, VERSION, Version};
 use imrs_wire::recording::{Doing, Header, Place, Record, RecordingWriter, Shown, Step, Story};
 use proptest::prelude::*;
-use std::sync::Arc;
+use std::sync::{Arc, LazyLock};
 use std::time::Duration;
 
 fn attached(node: usize, version: Version) -> Shown {
@@ -86,7 +84,9 @@ fn film() -> Vec<(u16, u64, Shown)> {
 }
 
 fn player() -> Player {
-    Player::new(Arc::new(Film::read(written(&film()).as_slice()).unwrap()), 1.0)
+    static FILM: LazyLock<Arc<Film>> =
+        LazyLock::new(|| Arc::new(Film::read(written(&film()).as_slice()).unwrap()));
+    Player::new(Arc::clone(&FILM), 1.0)
 }
 
 fn stage(theme: Theme) -> Stage {
@@ -179,6 +179,9 @@ const KEYS: [KeyCode; 7] = [
 ];
 
 proptest! {
+    // Each case draws and winds dozens of screens: a quarter of the cases is some seconds in a plain build.
+    #![proptest_config(ProptestConfig { cases: ProptestConfig::default().cases / 4, ..ProptestConfig::default() })]
+
     /// Whatever way led to a stop, what is shown there is what the recording says, and the same keys give the same.
     #[test]
     fn the_way_to_a_stop_does_not_matter(keys in prop::collection::vec((0..KEYS.len(), 0_u64..3_000), 0..40)) {

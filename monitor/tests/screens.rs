@@ -1,8 +1,6 @@
 //! Every screen at every size in every style, to the cell: text and styles.
 
-mod common;
-
-use common::{BEAT, HALT, LIFT, Stage, at, events, left, ms, observed, snapshot, styles, text};
+use crate::common::{BEAT, HALT, LIFT, Stage, at, events, left, ms, observed, snapshot, styles, text};
 use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 use imrs_monitor::app::{Effect, Msg, Screen};
 use imrs_monitor::keys::{self, Action, BINDINGS};

@@ -1,8 +1,6 @@
 //! What the user does with the screens that follow messages, and with commands, marks and the mouse.
 
-mod common;
-
-use common::{BEAT, HALT, LIFT, Stage, at, left, ms, snapshot, traffic};
+use crate::common::{BEAT, HALT, LIFT, Stage, at, left, ms, snapshot, traffic};
 use crossterm::event::{KeyCode, KeyModifiers, MouseButton, MouseEvent, MouseEventKind};
 use imrs_monitor::Endpoint;
 use imrs_monitor::app::lanes::Slice;

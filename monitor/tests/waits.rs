@@ -1,8 +1,6 @@
 //! Who waits for whom, over all ways of waiting.
 
-mod common;
-
-use common::{BEAT, HALT, LIFT, Stage, events, ms, observed, snapshot};
+use crate::common::{BEAT, HALT, LIFT, Stage, events, ms, observed, snapshot};
 use imrs_monitor::name::Name;
 use imrs_monitor::store::waits::{awaited, cycles, waits};
 use imrs_monitor::theme::Theme;

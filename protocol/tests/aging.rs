@@ -1,13 +1,11 @@
 //! Rejection by rank and its end (R61 to R63, D4, D58, D59): a message is turned away a bounded number of times, and no
 //! port is passed over for ever.
 
-mod support;
-
+use crate::support::{Solo, get, handle, order, send, send_for};
 use imrs_protocol::aging::Service;
 use imrs_protocol::rules::Aging;
 use imrs_protocol::*;
 use std::sync::Arc;
-use support::{Solo, get, handle, order, send, send_for};
 
 const X: TaskId = TaskId(0);
 const Y: TaskId = TaskId(1);

@@ -1,40 +1,8 @@
 //! Nothing on the message path allocates after `new` (§5.2.3: no run-time allocation; D15).
 
+use crate::allocations;
 use imrs_protocol::*;
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell as Counter;
 use std::sync::Arc;
-
-thread_local! {
-    static ALLOCATIONS: Counter<u64> = const { Counter::new(0) };
-}
-
-/// The system's allocator, counting the calls of each thread.
-struct Counting;
-
-// SAFETY: every call goes to the system's allocator unchanged; counting touches only a thread-local number that needs
-// no allocation and no destructor.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        ALLOCATIONS.set(ALLOCATIONS.get() + 1);
-        // SAFETY: the caller's promise is passed on.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, at: *mut u8, layout: Layout) {
-        // SAFETY: the caller's promise is passed on; `alloc` took the memory from the same allocator.
-        unsafe { System.dealloc(at, layout) }
-    }
-
-    unsafe fn realloc(&self, at: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        ALLOCATIONS.set(ALLOCATIONS.get() + 1);
-        // SAFETY: the caller's promise is passed on; `alloc` took the memory from the same allocator.
-        unsafe { System.realloc(at, layout, size) }
-    }
-}
-
-#[global_allocator]
-static GLOBAL: Counting = Counting;
 
 const ARM: TaskId = TaskId(0);
 const HOIST: TaskId = TaskId(1);
@@ -216,11 +184,11 @@ fn the_message_path_allocates_nothing() {
     let contents = Contents::new(b"abc").expect("short");
     // A port is given its order of offers with its first handler (D108).
     exercise(&mut pair, contents);
-    let before = ALLOCATIONS.get();
+    let before = allocations();
     for _ in 0..50 {
         exercise(&mut pair, contents);
     }
-    assert_eq!(ALLOCATIONS.get() - before, 0, "allocations after `new`");
+    assert_eq!(allocations() - before, 0, "allocations after `new`");
     let seen = pair.nodes[0].parts().transit.view();
     assert!(seen.forwarded > 500 && seen.discarded.iter().sum::<u64>() > 100, "{seen:?}");
 }
@@ -236,8 +204,8 @@ fn loading_a_state_in_place_allocates_nothing() {
     let frame = Frame { rounds: &home.0, sequences: &home.1, lives: false };
     // Relative to ids out of reach nothing fits: the state is refused, not saturated.
     assert_eq!(task.store(&table, &frame, &mut bytes), Err(Overflow));
-    let before = ALLOCATIONS.get();
+    let before = allocations();
     task.load(&table, false, &[0; 64]);
     invariants::check(task, &table).expect("an empty state");
-    assert_eq!(ALLOCATIONS.get() - before, 0);
+    assert_eq!(allocations() - before, 0);
 }

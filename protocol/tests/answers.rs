@@ -1,10 +1,8 @@
 //! Answers of several packets (D28), and who they are told to: the thread that asked, whole, and of one who answered.
 
-mod support;
-
+use crate::support::{Effects, Solo, contents, get_on, handle, order, reply, send};
 use imrs_protocol::*;
 use std::sync::Arc;
-use support::{Effects, Solo, contents, get_on, handle, order, reply, send};
 
 const X: TaskId = TaskId(0);
 const Y: TaskId = TaskId(1);

@@ -1,11 +1,9 @@
 //! The bounded_buffer of a port (§5.1.1) and the service order (R68, D14), expiry (D23) and eviction (D60).
 
-mod support;
-
+use crate::support::{Solo, get, get_on, send, send_for};
 use imrs_protocol::*;
 use proptest::prelude::*;
 use std::sync::Arc;
-use support::{Solo, get, get_on, send, send_for};
 
 /// The receiver, and three senders on its node.
 const R: TaskId = TaskId(0);

@@ -1,11 +1,9 @@
 //! No clock shows (D37): messages carry what is left, so how long a node has been running changes nothing.
 
-mod support;
-
+use crate::support::plan::plans;
+use crate::support::world::{World, ops};
 use imrs_protocol::*;
 use proptest::prelude::*;
-use support::plan::plans;
-use support::world::{World, ops};
 
 proptest! {
     #![proptest_config(ProptestConfig { cases: 100, failure_persistence: None, ..ProptestConfig::default() })]

@@ -1,11 +1,9 @@
 //! Copies of one command that were charged differently on their way (D5, D20, D52): nothing runs twice, and nothing is lost
 //! while a copy of it has time left.
 
-mod support;
-
+use crate::support::{Solo, contents, get, reply, send};
 use imrs_protocol::*;
 use std::sync::Arc;
-use support::{Solo, contents, get, reply, send};
 
 const X: TaskId = TaskId(0);
 const Y: TaskId = TaskId(1);

@@ -1,11 +1,9 @@
 //! Messages and answers of several packets (D28): whole before their one deadline, or not at all.
 
-mod support;
-
+use crate::support::net::Net;
+use crate::support::{Effects, Solo, contents, get, reply, send, send_for};
 use imrs_protocol::*;
 use std::sync::Arc;
-use support::net::Net;
-use support::{Effects, Solo, contents, get, reply, send, send_for};
 
 const X: TaskId = TaskId(0);
 const Y: TaskId = TaskId(1);

@@ -1,11 +1,10 @@
 //! What the fuzz targets of `fuzz/` run, on random bytes and on the inputs that they found worth keeping.
 
-mod support;
+#[path = "../../fuzz/seeds.rs"]
+mod seeds;
 
+use crate::support::bytes::{inputs, packets};
 use proptest::prelude::*;
-use std::fs;
-use std::path::Path;
-use support::bytes::{inputs, packets};
 
 proptest! {
     #![proptest_config(ProptestConfig { cases: 400, failure_persistence: None, ..ProptestConfig::default() })]
@@ -21,17 +20,14 @@ proptest! {
     }
 }
 
-/// Runs every kept input of a target; says which one it was that failed.
-fn replay(target: &str, run: fn(&[u8])) {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fuzz/seeds").join(target);
-    let mut count = 0;
-    for entry in fs::read_dir(&folder).expect("kept inputs").flatten() {
-        let data = fs::read(entry.path()).expect("an input");
+/// Runs every kept input of a target; names the one that failed.
+pub fn replay(target: &str, run: fn(&[u8])) {
+    let seeds = seeds::seeds(target);
+    assert!(seeds.len() > 20, "{target} has {} kept inputs only", seeds.len());
+    for (name, data) in seeds {
         let outcome = std::panic::catch_unwind(|| run(&data));
-        assert!(outcome.is_ok(), "{} {}", target, entry.path().display());
-        count += 1;
+        assert!(outcome.is_ok(), "{target} {name}");
     }
-    assert!(count > 20, "{target} has {count} kept inputs only");
 }
 
 #[test]

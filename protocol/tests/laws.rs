@@ -1,18 +1,16 @@
 //! The laws of the machine (D51), on random cells under random inputs: what may be done to a state without changing
 //! what it does from then on.
 
-mod support;
-
+use crate::support::Effects;
+use crate::support::bytes::checksum;
+use crate::support::packing::{repack, without_arguments};
+use crate::support::plan::plans;
+use crate::support::world::{Op, Shift, World, ops};
 use imrs_protocol::*;
 use proptest::prelude::*;
 use proptest::strategy::ValueTree;
 use proptest::test_runner::TestRunner;
 use std::collections::BTreeSet;
-use support::Effects;
-use support::bytes::checksum;
-use support::packing::{repack, without_arguments};
-use support::plan::plans;
-use support::world::{Op, Shift, World, ops};
 
 /// Runs the operations in two worlds. Before each one, `change` may do something to the second world that must not
 /// matter; `same` makes the second world's effects comparable.

@@ -1,12 +1,10 @@
 //! Work-coupled tasks (R8; D30, D61): the echoed lease, the fence, the take-over, epochs.
 
-mod support;
-
+use crate::support::net::Net;
+use crate::support::{self, Solo, get_on, send};
 use imrs_protocol::rules::{LeaseRule, Rules};
 use imrs_protocol::*;
 use std::sync::Arc;
-use support::net::Net;
-use support::{Solo, get_on, send};
 
 const P: TaskId = TaskId(0);
 const S: TaskId = TaskId(1);

@@ -1,11 +1,9 @@
 //! Work-coupled tasks whose partners restart, and tasks that wait for the lease (R8; D30, D49, D61).
 
-mod support;
-
+use crate::support::net::Net;
+use crate::support::{self, Solo, order};
 use imrs_protocol::*;
 use std::sync::Arc;
-use support::net::Net;
-use support::{Solo, order};
 
 const P: TaskId = TaskId(0);
 const S: TaskId = TaskId(1);

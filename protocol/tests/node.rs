@@ -1,11 +1,9 @@
 //! The node (§5.1, D38): routing through relays, the insertion rule, charges, and the parts' common time.
 
-mod support;
-
+use crate::support::net::Net;
+use crate::support::{get, reply, send, send_for};
 use imrs_protocol::*;
 use std::sync::Arc;
-use support::net::Net;
-use support::{get, reply, send, send_for};
 
 const X: TaskId = TaskId(0);
 const Y: TaskId = TaskId(1);

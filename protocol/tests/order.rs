@@ -1,10 +1,8 @@
 //! Interruption and `order` (R15 to R17, D15, D16): which handler runs, when, and what the interrupted thread is told.
 
-mod support;
-
+use crate::support::{Solo, arrive, contents, get, get_on, handle, order, reply, send, send_for};
 use imrs_protocol::*;
 use std::sync::Arc;
-use support::{Solo, arrive, contents, get, get_on, handle, order, reply, send, send_for};
 
 const X: TaskId = TaskId(0);
 const Y: TaskId = TaskId(1);

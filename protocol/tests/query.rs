@@ -1,11 +1,9 @@
 //! Query and response (§4.2), replies of third parties (D11), and the memory of a source on each port (D75).
 
-mod support;
-
+use crate::support::net::Net;
+use crate::support::{Solo, contents, get, get_on, handle, reply, send, send_for};
 use imrs_protocol::*;
 use std::sync::Arc;
-use support::net::Net;
-use support::{Solo, contents, get, get_on, handle, reply, send, send_for};
 
 const X: TaskId = TaskId(0);
 const Y: TaskId = TaskId(1);

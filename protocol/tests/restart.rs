@@ -1,11 +1,9 @@
 //! A node that restarts (D6, D49): what it cannot know, it does not pretend to.
 
-mod support;
-
+use crate::support::net::Net;
+use crate::support::{Solo, arrive, get, reply, send};
 use imrs_protocol::*;
 use std::sync::Arc;
-use support::net::Net;
-use support::{Solo, arrive, get, reply, send};
 
 const X: TaskId = TaskId(0);
 const Y: TaskId = TaskId(1);

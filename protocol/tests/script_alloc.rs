@@ -1,41 +1,9 @@
 //! A node with scripts allocates nothing after `new` (§5.2.3: no run-time allocation; D15).
 
+use crate::allocations;
 use imrs_protocol::script::*;
 use imrs_protocol::*;
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell as Counter;
 use std::sync::Arc;
-
-thread_local! {
-    static ALLOCATIONS: Counter<u64> = const { Counter::new(0) };
-}
-
-/// The system's allocator, counting the calls of each thread.
-struct Counting;
-
-// SAFETY: every call goes to the system's allocator unchanged; counting touches only a thread-local number that needs
-// no allocation and no destructor.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        ALLOCATIONS.set(ALLOCATIONS.get() + 1);
-        // SAFETY: the caller's promise is passed on.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, at: *mut u8, layout: Layout) {
-        // SAFETY: the caller's promise is passed on; `alloc` took the memory from the same allocator.
-        unsafe { System.dealloc(at, layout) }
-    }
-
-    unsafe fn realloc(&self, at: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        ALLOCATIONS.set(ALLOCATIONS.get() + 1);
-        // SAFETY: the caller's promise is passed on; `alloc` took the memory from the same allocator.
-        unsafe { System.realloc(at, layout, size) }
-    }
-}
-
-#[global_allocator]
-static GLOBAL: Counting = Counting;
 
 const ROBOT: TaskId = TaskId(0);
 const ARM: TaskId = TaskId(1);
@@ -105,13 +73,13 @@ fn scripts_allocate_nothing() {
     let mut node = ScriptedNode::new(node, programs).expect("checked programs");
     let mut room = Room::default();
     node.step(HostInput::Begin, &mut room);
-    let before = ALLOCATIONS.get();
+    let before = allocations();
     for tick in 0..500 {
         node.step(HostInput::Node(NodeInput::Advance(Ticks(1))), &mut room);
         for (task, level) in std::mem::take(&mut room.actions).into_iter().flatten() {
             node.step(HostInput::Acted { task, level, ok: true, value: tick }, &mut room);
         }
     }
-    assert_eq!(ALLOCATIONS.get() - before, 0, "allocations after `new`");
+    assert_eq!(allocations() - before, 0, "allocations after `new`");
     assert!(room.begun > 400, "{} actions", room.begun);
 }

@@ -1,11 +1,9 @@
 //! SEND, GET and REPLY between tasks (§4.1, §4.2, §5.2.1): class 1, and class 2 with each of its outcomes.
 
-mod support;
-
+use crate::support::net::Net;
+use crate::support::{self, Solo, arrive, contents, get, reply, send, send_all, send_for};
 use imrs_protocol::*;
 use std::sync::Arc;
-use support::net::Net;
-use support::{Solo, arrive, contents, get, reply, send, send_all, send_for};
 
 const X: TaskId = TaskId(0);
 const Y: TaskId = TaskId(1);

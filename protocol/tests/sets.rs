@@ -1,11 +1,9 @@
 //! Class-2 messages to several tasks at once (R26, R40, D12): one set of answers, with a mark for each.
 
-mod support;
-
+use crate::support::net::Net;
+use crate::support::{Solo, contents, get, handle, reply, send, send_all};
 use imrs_protocol::*;
 use std::sync::Arc;
-use support::net::Net;
-use support::{Solo, contents, get, handle, reply, send, send_all};
 
 const P: TaskId = TaskId(0);
 const A: TaskId = TaskId(1);

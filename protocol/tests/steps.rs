@@ -1,13 +1,11 @@
 //! A node looked at between its steps (D39): what it has yet to carry out within itself is part of its state, and packs
 //! as the rest does (D51).
 
-mod support;
-
-use imrs_protocol::*;
-use std::sync::Arc;
-use support::{
+use crate::support::{
     arrive, get, get_on, packet as packet_in_words, reply, send, send_for, signal as signal_in_words,
 };
+use imrs_protocol::*;
+use std::sync::Arc;
 
 const X: TaskId = TaskId(0);
 const Y: TaskId = TaskId(1);

@@ -1,11 +1,9 @@
 //! The Timer of a node (Figure 3, §5.1.2) and the delays of its tasks.
 
-mod support;
-
+use crate::support::net::Net;
+use crate::support::{self, Solo, get};
 use imrs_protocol::*;
 use proptest::prelude::*;
-use support::net::Net;
-use support::{Solo, get};
 
 const X: TaskId = TaskId(0);
 const Y: TaskId = TaskId(1);

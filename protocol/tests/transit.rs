@@ -1,7 +1,6 @@
 //! The transit buffer of a node (§5.1.1, §5.2.3; D19, D60).
 
-mod support;
-
+use crate::support;
 use imrs_protocol::rules::Eviction;
 use imrs_protocol::*;
 use proptest::prelude::*;

@@ -1,12 +1,10 @@
 //! The literal and naive readings of the paper's rules: each still does what it is there to show the fault of.
 
-mod support;
-
+use crate::support::net::Net;
+use crate::support::{Solo, arrive, get, reply, send};
 use imrs_protocol::rules::{JobRequest, Memory, TimeStamp};
 use imrs_protocol::*;
 use std::sync::Arc;
-use support::net::Net;
-use support::{Solo, arrive, get, reply, send};
 
 const X: TaskId = TaskId(0);
 const Y: TaskId = TaskId(1);

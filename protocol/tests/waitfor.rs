@@ -1,12 +1,10 @@
 //! `waitfor`: the n-way rendezvous with confirmation (§4.3; D1 to D3, D54, D55).
 
-mod support;
-
+use crate::support::net::Net;
+use crate::support::{Effects, Solo, arrive};
 use imrs_protocol::rules::Confirmation;
 use imrs_protocol::*;
 use std::sync::Arc;
-use support::net::Net;
-use support::{Effects, Solo, arrive};
 
 const X: TaskId = TaskId(0);
 const Y: TaskId = TaskId(1);

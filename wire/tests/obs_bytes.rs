@@ -1,15 +1,15 @@
 //! Any bytes, and the inputs that are kept, through what the fuzz target `obs` runs.
 
-#[path = "support/bytes.rs"]
-mod support;
+#[path = "../../fuzz/seeds.rs"]
+mod kept;
 
+use crate::support::bytes::check;
 use proptest::prelude::*;
-use std::path::Path;
 
 proptest! {
     #[test]
     fn any_bytes_are_borne(bytes in proptest::collection::vec(any::<u8>(), 0..400)) {
-        support::check(&bytes);
+        check(&bytes);
     }
 
     /// Streams of frames that once meant something, with some bytes changed.
@@ -21,19 +21,17 @@ proptest! {
             let at = at % bytes.len();
             bytes[at] = value;
         }
-        support::check(&bytes);
+        check(&bytes);
     }
 }
 
 #[test]
 fn kept_inputs_are_borne() {
-    seeds().iter().for_each(|bytes| support::check(bytes));
+    seeds().iter().for_each(|bytes| check(bytes));
 }
 
 fn seeds() -> Vec<Vec<u8>> {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../fuzz/seeds/obs");
-    let files = std::fs::read_dir(folder).expect("seeds");
-    let seeds: Vec<_> = files.map(|file| std::fs::read(file.unwrap().path()).unwrap()).collect();
+    let seeds: Vec<_> = kept::seeds("obs").into_iter().map(|(_, bytes)| bytes).collect();
     assert!(!seeds.is_empty());
     seeds
 }

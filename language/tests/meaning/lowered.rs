@@ -38,6 +38,13 @@ fn listing(text: &str, unit: Unit, task: &str) -> String {
     lines.join("\n")
 }
 
+/// Compares a listing with `snapshots/meaning__lowered__NAME.snap`.
+fn same_as_recorded(name: &str, listing: &str) {
+    insta::with_settings!({ prepend_module_to_snapshot => false, omit_expression => true }, {
+        insta::assert_snapshot!(format!("meaning__lowered__{name}"), listing);
+    });
+}
+
 fn small(a: &str) -> String {
     format!(
         "cell c; tick 1 msec; node na; node nb; link na -- nb delay 1 msec;
@@ -65,7 +72,7 @@ fn loops_conditions_and_branches() {
     send p(b, v) on refused do abort \"no\"; end;
   end;",
     );
-    insta::assert_snapshot!(listing(&text, Unit::Ticks, "a"));
+    same_as_recorded("loops_conditions_and_branches", &listing(&text, Unit::Ticks, "a"));
 }
 
 #[test]
@@ -77,7 +84,7 @@ fn handlers_words_and_silences() {
   on silence q 10 msec when v.ok do v.ok := false; end;
   send p(v) on time_out do if p.answered(d) and outcome = incomplete then lost := true; end; end;",
     );
-    insta::assert_snapshot!(listing(&text, Unit::Microseconds, "a"));
+    same_as_recorded("handlers_words_and_silences", &listing(&text, Unit::Microseconds, "a"));
 }
 
 #[test]

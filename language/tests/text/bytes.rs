@@ -1,9 +1,9 @@
 //! Any bytes: no panic, bounded findings inside the text, a formatter that settles and changes nothing.
 
-use crate::{BEAM_LIFT, PAPER, WELD};
+use super::{BEAM_LIFT, PAPER, WELD};
 use proptest::prelude::*;
 
-use crate::support::check;
+use crate::support::bytes::check;
 
 /// Words and signs, in any order.
 fn soup() -> impl Strategy<Value = String> {

@@ -1,6 +1,6 @@
 //! Texts without faults, and what they mean.
 
-use crate::{BEAM_LIFT, PAPER, WELD, diagnostics, rendered, source, tree};
+use super::{BEAM_LIFT, PAPER, WELD, diagnostics, rendered, source, tree};
 use imrs_language::ast::{ExprKind, Item, StatementKind, TaskDecl};
 use imrs_language::{Word, parse};
 
@@ -59,7 +59,7 @@ fn everything_of_the_grammar_can_be_written() {
           send p({}) ;
         end t;";
     // Sets of receivers are written as plain arguments.
-    assert_eq!(crate::codes(text), ["E005"]);
+    assert_eq!(super::codes(text), ["E005"]);
     let text = text.replace(
         "send p({}) ;",
         "
@@ -145,6 +145,6 @@ fn words_that_may_be_names_are_words_only_in_their_places() {
         assert_eq!(diagnostics(&text), [], "{}", rendered(&text));
     }
     for word in Word::RESERVED {
-        assert_eq!(crate::codes(&format!("cell c; node {};", word.text())), ["E009"], "{}", word.text());
+        assert_eq!(super::codes(&format!("cell c; node {};", word.text())), ["E009"], "{}", word.text());
     }
 }

@@ -1,6 +1,6 @@
 //! What is said about faulty texts. Each file of `tests/faulty` is one; its findings are recorded beside it.
 
-use crate::{codes, rendered, source};
+use super::{codes, rendered, source};
 use imrs_language::{parse, render};
 use std::path::Path;
 

@@ -1,13 +1,13 @@
 //! The formatter.
 
-use crate::{BEAM_LIFT, PAPER, WELD, source};
+use super::{BEAM_LIFT, PAPER, WELD, source};
 use imrs_language::format;
 use proptest::prelude::*;
 
-use crate::support::formats;
+use crate::support::bytes::formats;
 
 fn formatted(text: &str) -> String {
-    format(&source(text)).unwrap_or_else(|_| panic!("{}", crate::rendered(text)))
+    format(&source(text)).unwrap_or_else(|_| panic!("{}", super::rendered(text)))
 }
 
 #[test]

@@ -1,7 +1,7 @@
 //! Texts made from the grammar: they are read without complaint, and formatting changes nothing in them.
 
-use crate::support::formats;
-use crate::{diagnostics, rendered, source};
+use super::{diagnostics, rendered, source};
+use crate::support::bytes::formats;
 use proptest::prelude::*;
 
 /// Names, words that may be names among them, in either case.

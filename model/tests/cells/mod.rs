@@ -1,15 +1,19 @@
 //! Cells from text, checked.
-#![allow(dead_code, reason = "every test binary uses a part of it")]
 
 use imrs_language::hir::CoupleKind;
 use imrs_language::lower::{Behaviour, CheckKind, Lowered, Script};
 use imrs_language::{Source, Unit, compile};
 use imrs_model::cell::{
-    CellCheck, CellFaults, CellPlan, Conduct, Finding, Holds, Kind, Verdicts, check_cell,
+    Budget, CellCheck, CellFaults, CellPlan, Conduct, Finding, Holds, Kind, Verdicts, check_cell,
 };
 use imrs_protocol::script::Address;
 use imrs_protocol::{CellTable, TaskId};
 use std::sync::Arc;
+
+/// Bounds a search by states. Seconds would let a busy machine end it early, or take coarser times.
+pub const fn within(states: u64) -> Budget {
+    Budget { states, seconds: f64::INFINITY, bytes: 4 << 30 }
+}
 
 /// A cell and the text it came from.
 pub struct Text {
@@ -36,6 +40,7 @@ impl Text {
         };
         let tasks = lowered.tasks.iter().map(conduct).collect();
         let mut plan = CellPlan::new(table, tasks);
+        plan.budget = within(1_000_000);
         let hypothesis = |faults: &imrs_language::hir::Faults| CellFaults {
             loss: faults.loss,
             dup: faults.dup,

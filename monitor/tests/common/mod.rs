@@ -1,5 +1,4 @@
 //! A cell to look at: three nodes, two arms and a hoist that meet, with everything at a known place.
-#![allow(dead_code, reason = "each test file uses a part")]
 
 use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 pub mod server;

@@ -62,7 +62,13 @@ impl Peer {
 
     /// Serves snapshots, one per credit, until the monitor leaves.
     pub fn serve(&mut self, node: usize) {
-        let Ok(mut credit) = self.greet(node) else { return };
+        if let Ok(credit) = self.greet(node) {
+            self.serve_on(node, credit);
+        }
+    }
+
+    /// As [`serve`](Self::serve), after the greeting.
+    pub fn serve_on(&mut self, node: usize, mut credit: u16) {
         loop {
             while credit > 0 {
                 if self.say(&ServerFrame::Snapshot(snapshot(node))).is_err() {

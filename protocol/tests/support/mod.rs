@@ -1,6 +1,5 @@
 //! What the tests of the protocol share: one communication task alone ([`Solo`]), a cell of nodes in virtual time
 //! ([`net::Net`]) and a cell driven at random ([`world::World`]). Every step checks the invariants.
-#![allow(dead_code, reason = "every test binary uses its own part")]
 
 pub mod bytes;
 pub mod net;

@@ -1,6 +1,6 @@
 //! The golden form, files that stop anywhere, and damage.
 
-use crate::rig::{header, read};
+use super::rig::{header, read};
 use imrs_protocol::{
     Contents, Incarnation, Input, MessageId, NodeId, PortId, Request, Seq24, Target, TaskId, Ticks, TimeId,
 };

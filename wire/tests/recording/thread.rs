@@ -1,6 +1,6 @@
 //! Disks that are slow, stuck or full: the node never waits, and the recording says what it lost.
 
-use crate::rig::{header, read};
+use super::rig::{header, read};
 use imrs_protocol::TaskId;
 use imrs_wire::recording::{Append, Ending, Record, Recording, Source, Status, Stream, WriteError};
 use std::io::{self, ErrorKind, Write};
@@ -114,14 +114,21 @@ fn what_is_handed_over_is_on_disk_soon_without_a_stop() {
 }
 
 /// Numbers that a thread has put down for the one that writes.
-#[derive(Clone, Default)]
-struct Numbers(Arc<Mutex<Vec<u64>>>);
+struct Numbers {
+    waiting: Arc<Mutex<Vec<u64>>>,
+    /// Put down while the first look that finds nothing ends: the writer goes to sleep on it.
+    missed: Option<u64>,
+}
 
 impl Source for Numbers {
     fn fetch(&mut self, append: &mut Append<'_>) -> Result<bool, WriteError> {
-        let numbers = std::mem::take(&mut *self.0.lock().unwrap());
+        let mut waiting = self.waiting.lock().unwrap();
+        let numbers = std::mem::take(&mut *waiting);
         for &lost in &numbers {
             append(&Record::Gap { stream: Stream::Task(TaskId(0)), lost })?;
+        }
+        if numbers.is_empty() {
+            waiting.extend(self.missed.take());
         }
         Ok(!numbers.is_empty())
     }
@@ -136,31 +143,38 @@ impl Source for Numbers {
 fn a_source_is_emptied_soon_and_once_more_at_the_end() {
     let (disk, bytes) = Disk::new();
     let recording = Recording::start(disk, &header(), 1, no_failure).unwrap();
-    let (numbers, alert) = (Numbers::default(), recording.alert());
-    recording.attach(Box::new(numbers.clone()));
-    // Nobody says that there is something: it is found all the same.
-    numbers.0.lock().unwrap().push(1);
-    wait_for("a record on disk", || read(&bytes.lock().unwrap()).0.len() == 1);
-    wait_for("the writer to sleep", || alert.is_due());
-    numbers.0.lock().unwrap().push(2);
+    let numbers = Numbers { waiting: Arc::new(Mutex::new(vec![0])), missed: Some(1) };
+    let (waiting, alert) = (Arc::clone(&numbers.waiting), recording.alert());
+    let on_disk = || read(&bytes.lock().unwrap()).0.len();
+    recording.attach(Box::new(numbers));
+    // The writer may have slept before it had a source. With this call it finds 0, and with its next look nothing.
     assert!(alert.call());
-    wait_for("a record on disk", || read(&bytes.lock().unwrap()).0.len() == 2);
-    numbers.0.lock().unwrap().push(3);
+    // Nobody says that there is 1: it is found all the same.
+    wait_for("a record on disk", || on_disk() == 2);
+    wait_for("the writer to sleep", || alert.is_due());
+    waiting.lock().unwrap().push(2);
+    assert!(alert.call());
+    wait_for("a record on disk", || on_disk() == 3);
+    waiting.lock().unwrap().push(3);
     alert.hurry();
     assert!(!alert.is_over() && recording.stop(PATIENCE).ended);
     assert!(alert.is_due() && alert.is_over() && !alert.call(), "nothing is written any more");
     let gap = |lost| Record::Gap { stream: Stream::Task(TaskId(0)), lost };
     let close = Record::Close { task: TaskId(0), inputs: 9, outputs: 9 };
-    assert_eq!(read(&bytes.lock().unwrap()).0, [gap(1), gap(2), gap(3), close, Record::End]);
+    assert_eq!(read(&bytes.lock().unwrap()).0, [gap(0), gap(1), gap(2), gap(3), close, Record::End]);
 }
 
 #[test]
 fn a_slow_disk_makes_a_gap_and_never_a_wait() {
     let (disk, bytes) = Disk::new();
     let (disk, give) = disk.held_back();
+    let stuck = Arc::clone(&disk.stuck);
     let recording = Recording::start(disk, &header(), 8, no_failure).unwrap();
     let (mut stream, mut other) = (recording.frames(0), recording.frames(1));
-    let mut number = 0;
+    assert!(stream.frame(0, Vec::new()));
+    // A writer that is not stuck yet would make room in the full queue once more.
+    wait_for("the writer to be stuck", || stuck.load(Ordering::Acquire));
+    let mut number = 1;
     let start = Instant::now();
     while stream.frame(number, Vec::new()) {
         number += 1;

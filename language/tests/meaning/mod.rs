@@ -10,14 +10,11 @@ mod lowered;
 mod random;
 mod runs;
 
-use imrs_language::{Compiled, Diagnostic, Source, compile, render};
+use crate::support::source;
+use imrs_language::{Compiled, Diagnostic, compile, render};
 
 const BEAM_LIFT: &str = include_str!("cells/beam_lift.cell");
 const WELD: &str = include_str!("cells/weld_cell.cell");
-
-fn source(text: &str) -> Source {
-    Source::new(text.as_bytes()).expect("a text")
-}
 
 /// The cell of a text that must have no fault.
 fn whole(text: &str) -> Compiled {

@@ -8,18 +8,13 @@ mod faulty;
 mod format;
 mod generated;
 mod limits;
-#[path = "../support/bytes.rs"]
-mod support;
 
-use imrs_language::{Diagnostic, Source, parse, render};
+use crate::support::{bytes::plain, source};
+use imrs_language::{Diagnostic, parse, render};
 
 const BEAM_LIFT: &str = include_str!("../cells/beam_lift.cell");
 const WELD: &str = include_str!("../cells/weld.cell");
 const PAPER: &str = include_str!("../cells/paper.cell");
-
-fn source(text: &str) -> Source {
-    Source::new(text.as_bytes()).expect("a text")
-}
 
 fn diagnostics(text: &str) -> Vec<Diagnostic> {
     parse(&source(text)).diagnostics
@@ -36,5 +31,5 @@ fn rendered(text: &str) -> String {
 
 /// The tree of a text without what says where things stand.
 fn tree(text: &str) -> String {
-    support::plain(&parse(&source(text)).file)
+    plain(&parse(&source(text)).file)
 }

@@ -1,0 +1,15 @@
+//! Every test of this room in one program: it is linked once.
+
+mod agreement;
+mod cell_examples;
+mod cell_findings;
+mod cells;
+mod checks;
+mod claims;
+mod couples;
+mod faulty_cells;
+mod floor;
+mod floor_packed;
+mod reductions;
+mod support;
+mod traps;

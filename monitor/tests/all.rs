@@ -1,0 +1,14 @@
+//! The tests of the monitor, one program: each file beside this one is a module of it, but for `history_memory.rs`.
+
+mod common;
+mod export;
+mod history;
+mod hostile;
+mod large;
+mod live;
+mod query;
+mod reduce;
+mod replay;
+mod screens;
+mod steer;
+mod waits;

@@ -1,0 +1,92 @@
+//! Every test file is compiled: where cargo does not find test programs by itself, a file that no `mod` names would be passed
+//! over without a word.
+
+use serde_json::Value;
+use std::collections::BTreeSet;
+use std::fs;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+
+const ROOT: &str = env!("CARGO_MANIFEST_DIR");
+
+/// The root files of all test programs, and the `tests/` folder of each room that has one, as cargo knows them.
+fn programs_and_folders() -> (Vec<PathBuf>, Vec<PathBuf>) {
+    let output = Command::new(env!("CARGO"))
+        .args(["metadata", "--format-version", "1", "--no-deps", "--offline"])
+        .current_dir(ROOT)
+        .output()
+        .expect("cargo metadata");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    let metadata: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    let path = |value: &Value| PathBuf::from(value.as_str().expect("a path"));
+    let (mut programs, mut folders) = (Vec::new(), Vec::new());
+    for package in metadata["packages"].as_array().expect("packages") {
+        let targets = package["targets"].as_array().expect("targets").iter();
+        programs.extend(targets.filter(|t| t["kind"][0] == "test").map(|t| path(&t["src_path"])));
+        folders.push(path(&package["manifest_path"]).with_file_name("tests"));
+    }
+    folders.retain(|folder| folder.is_dir());
+    (programs, folders)
+}
+
+/// Every Rust file in a folder and below it.
+fn rust_files(folder: &Path) -> Vec<PathBuf> {
+    let entries = fs::read_dir(folder).expect("a folder").map(|entry| entry.expect("an entry").path());
+    let (folders, files): (Vec<_>, Vec<_>) = entries.partition(|path| path.is_dir());
+    let below = folders.iter().flat_map(|folder| rust_files(folder));
+    files.into_iter().filter(|path| path.extension().is_some_and(|e| e == "rs")).chain(below).collect()
+}
+
+/// The file that `path` names, without `..` and links.
+fn whole(path: &Path) -> PathBuf {
+    fs::canonicalize(path).unwrap_or_else(|error| panic!("{}: {error}", path.display()))
+}
+
+/// What a line `mod name;` names, also with `pub` before it.
+fn module(line: &str) -> Option<&str> {
+    let (before, rest) = line.split_once("mod ")?;
+    let visible = before.is_empty() || (before.starts_with("pub") && before.ends_with([' ', ')']));
+    rest.strip_suffix(';').filter(|_| visible)
+}
+
+/// The files that the modules of a file stand in. A file that is the root of a program, or named by `#[path]`, or called
+/// `mod.rs`, has its modules beside it; every other one has them in a folder of its own name.
+fn modules(file: &Path, beside: bool) -> Vec<(PathBuf, bool)> {
+    let text = fs::read_to_string(file).expect("a source file");
+    let here = file.parent().expect("a folder");
+    let folder = if beside { here.to_owned() } else { file.with_extension("") };
+    let (mut found, mut named) = (Vec::new(), None);
+    for line in text.lines() {
+        let line = line.trim();
+        if let Some(path) = line.strip_prefix("#[path = \"").and_then(|rest| rest.strip_suffix("\"]")) {
+            named = Some(here.join(path));
+        } else if let Some(name) = module(line) {
+            let flat = folder.join(format!("{name}.rs"));
+            found.push(match named.take() {
+                Some(path) => (whole(&path), true),
+                None if flat.is_file() => (whole(&flat), false),
+                None => (whole(&folder.join(name).join("mod.rs")), true),
+            });
+        } else if !line.starts_with("#[") && !line.starts_with("//") {
+            named = None;
+        }
+    }
+    found
+}
+
+#[test]
+fn every_test_file_belongs_to_a_test_program() {
+    let (programs, folders) = programs_and_folders();
+    assert!(programs.len() >= 7 && folders.len() >= 7, "not found: {programs:?} {folders:?}");
+    let mut waiting: Vec<_> = programs.iter().map(|program| (whole(program), true)).collect();
+    let mut compiled = BTreeSet::new();
+    while let Some((file, beside)) = waiting.pop() {
+        if compiled.insert(file.clone()) {
+            waiting.extend(modules(&file, beside));
+        }
+    }
+    let files: BTreeSet<_> =
+        folders.iter().flat_map(|folder| rust_files(folder)).map(|f| whole(&f)).collect();
+    let forgotten: Vec<_> = files.difference(&compiled).collect();
+    assert!(forgotten.is_empty(), "no `mod` names these, so they are not compiled: {forgotten:#?}");
+}
