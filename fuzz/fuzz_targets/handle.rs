@@ -1,6 +1,7 @@
 //! A communication task takes every input in every state: any operations on any small cell, with the laws of the machine.
 #![no_main]
 
+#[allow(dead_code, reason = "a fuzz target uses a part of it")]
 #[path = "../../protocol/tests/support/mod.rs"]
 mod support;
 

@@ -1,6 +1,7 @@
 //! The decoder of packets is total, and undoes encoding.
 #![no_main]
 
+#[allow(dead_code, reason = "a fuzz target uses a part of it")]
 #[path = "../../protocol/tests/support/mod.rs"]
 mod support;
 

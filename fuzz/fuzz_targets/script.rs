@@ -2,7 +2,7 @@
 #![no_main]
 #![allow(dead_code, unused_imports, unused_macros, reason = "the tests that stand in the same files")]
 
-#[path = "../../protocol/tests/script/main.rs"]
+#[path = "../../protocol/tests/script/mod.rs"]
 mod script;
 
 libfuzzer_sys::fuzz_target!(|data: &[u8]| script::bytes::script(data));

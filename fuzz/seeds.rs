@@ -1,0 +1,18 @@
+//! Reads the kept inputs of the fuzz targets, for the tests of the rooms.
+
+use std::path::Path;
+
+/// The kept inputs of a target, each with its name. `fuzz/seeds.py` writes these texts.
+pub fn seeds(target: &str) -> Vec<(String, Vec<u8>)> {
+    let file = Path::new(env!("CARGO_MANIFEST_DIR")).join(format!("../fuzz/seeds/{target}.txt"));
+    let text = std::fs::read_to_string(&file).unwrap_or_else(|e| panic!("{}: {e}", file.display()));
+    text.lines().map(|line| seed(line).unwrap_or_else(|| panic!("{}: {line}", file.display()))).collect()
+}
+
+/// One line: a name, a tab and the bytes in hex.
+fn seed(line: &str) -> Option<(String, Vec<u8>)> {
+    let (name, digits) = line.split_once('\t')?;
+    let pairs = digits.len().is_multiple_of(2).then(|| (0..digits.len()).step_by(2))?;
+    let byte = |at| u8::from_str_radix(digits.get(at..at + 2)?, 16).ok();
+    Some((name.to_owned(), pairs.map(byte).collect::<Option<_>>()?))
+}
