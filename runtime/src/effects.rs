@@ -1,6 +1,7 @@
 //! What a machine wants done, and by whom. Filled under a lock, carried out after it, by the thread that held it (D39).
 
 use crate::clock::{self, Micros};
+use crate::link::udp::SEGMENTS;
 use crate::script::Deed;
 use imrs_protocol::{Input, Packet, TaskId, Ticks, TimeId};
 use imrs_wire::envelope::MAX_PACKETS;
@@ -49,27 +50,71 @@ pub(crate) struct Effects {
 /// The most packets that a task takes in one turn, a script with one look at the clock (D112): what a datagram brings.
 const BUNDLE: usize = MAX_PACKETS;
 
-/// Packets for tasks of the node, tied together by who gets them: so that each task takes its own under one lock.
-#[derive(Debug, Default)]
+/// The most packets that a link of this crate hands over in one call: those of the datagrams that left in one (D129).
+const RECEIVED: usize = MAX_PACKETS * SEGMENTS;
+
+/// Packets for tasks of the node, tied together by who gets them: so that each task takes its own under one lock. A thread that
+/// receives has room for what comes together from its start on: that may come for the first time after hours.
+#[derive(Debug)]
 pub(crate) struct Bundles {
+    /// What is held, each with the position of the next one for the same task; of a free place, that of the next free one.
+    held: Vec<(Stamped, usize)>,
+    /// The first free place, if it is one.
+    free: usize,
     /// By position among the node's tasks.
-    of: Vec<VecDeque<Stamped>>,
+    of: Vec<Bundle>,
     /// Those that hold something, in the order in which they began to. Once for every [`BUNDLE`] of packets.
     full: VecDeque<usize>,
-    /// An empty one.
+    /// An empty one, to hand out.
     spare: VecDeque<Stamped>,
 }
 
+/// What is held for one task.
+#[derive(Clone, Copy, Debug, Default)]
+struct Bundle {
+    first: usize,
+    last: usize,
+    count: usize,
+}
+
 impl Bundles {
+    /// With room for so many packets for so many tasks; it grows.
+    fn with_room(packets: usize, tasks: usize) -> Self {
+        Self {
+            held: Vec::with_capacity(packets),
+            free: usize::MAX,
+            of: vec![Bundle::default(); tasks],
+            full: VecDeque::with_capacity(tasks + packets / BUNDLE),
+            spare: VecDeque::with_capacity(packets.min(BUNDLE)),
+        }
+    }
+
     pub fn push(&mut self, place: usize, stamped: Stamped) {
         if self.of.len() <= place {
-            self.of.resize_with(place + 1, VecDeque::new);
+            self.of.resize(place + 1, Bundle::default());
         }
+        let at = self.put(stamped);
         let bundle = &mut self.of[place];
-        if bundle.len().is_multiple_of(BUNDLE) {
+        if bundle.count.is_multiple_of(BUNDLE) {
             self.full.push_back(place);
         }
-        bundle.push_back(stamped);
+        if bundle.count == 0 {
+            bundle.first = at;
+        } else {
+            self.held[bundle.last].1 = at;
+        }
+        (bundle.last, bundle.count) = (at, bundle.count + 1);
+    }
+
+    fn put(&mut self, stamped: Stamped) -> usize {
+        let at = self.free;
+        if let Some(place) = self.held.get_mut(at) {
+            self.free = place.1;
+            place.0 = stamped;
+            return at;
+        }
+        self.held.push((stamped, usize::MAX));
+        self.held.len() - 1
     }
 
     pub fn is_empty(&self) -> bool {
@@ -79,13 +124,15 @@ impl Bundles {
     /// Takes out what one task gets next. To be [given back](Self::give_back) empty.
     pub fn pop(&mut self) -> Option<(usize, VecDeque<Stamped>)> {
         let place = self.full.pop_front()?;
-        let bundle = self.of.get_mut(place)?;
+        let bundle = &mut self.of[place];
         let mut next = std::mem::take(&mut self.spare);
-        if bundle.len() > BUNDLE {
-            next.extend(bundle.drain(..BUNDLE));
-        } else {
-            std::mem::swap(bundle, &mut next);
+        for _ in 0..bundle.count.min(BUNDLE) {
+            let (stamped, after) = self.held[bundle.first];
+            next.push_back(stamped);
+            self.held[bundle.first].1 = self.free;
+            (self.free, bundle.first) = (bundle.first, after);
         }
+        bundle.count -= next.len();
         Some((place, next))
     }
 
@@ -104,6 +151,11 @@ impl Effects {
         }
     }
 
+    /// For a thread that receives for so many tasks.
+    pub fn of_a_receiver(tasks: usize) -> Self {
+        Self { bundles: Bundles::with_room(RECEIVED, tasks), ..Self::new(None) }
+    }
+
     /// For a thread that only looks, and sometimes finds work that others left it.
     pub fn of_an_onlooker() -> Self {
         Self {
@@ -113,7 +165,7 @@ impl Effects {
             leaving: Vec::new(),
             holds: false,
             waiter: None,
-            bundles: Bundles::default(),
+            bundles: Bundles::with_room(0, 0),
             turn: None,
         }
     }
@@ -126,5 +178,62 @@ impl Effects {
     /// The time of this turn at a script: the next whole microsecond when it began.
     pub fn time_of_turn(&mut self) -> Micros {
         *self.turn.get_or_insert_with(clock::next)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn numbered(at: Micros) -> Stamped {
+        Stamped { at, input: Input::Advance(Ticks::ZERO) }
+    }
+
+    /// Puts as many in for each place as it says, and takes all out.
+    fn through(bundles: &mut Bundles, counts: &[usize]) -> Vec<(usize, Vec<Micros>)> {
+        // In turns, as packets for several tasks come.
+        let most = counts.iter().copied().max().unwrap_or(0);
+        for number in 0..most {
+            let places = (0..counts.len()).filter(|&place| number < counts[place]);
+            places.for_each(|place| bundles.push(place, numbered(number as Micros)));
+        }
+        let mut out = Vec::new();
+        while let Some((place, mut bundle)) = bundles.pop() {
+            out.push((place, bundle.drain(..).map(|stamped| stamped.at).collect()));
+            bundles.give_back(bundle);
+        }
+        assert!(bundles.is_empty());
+        out
+    }
+
+    #[test]
+    fn each_task_gets_its_own_in_order_and_no_more_than_a_bundle_at_once() {
+        let mut bundles = Bundles::with_room(RECEIVED, 2);
+        let many = BUNDLE as Micros;
+        for _ in 0..3 {
+            let out = through(&mut bundles, &[2 * BUNDLE + 1, 3]);
+            let expected = [
+                (0, (0..many).collect::<Vec<_>>()),
+                (1, vec![0, 1, 2]),
+                (0, (many..2 * many).collect()),
+                (0, vec![2 * many]),
+            ];
+            assert_eq!(out, expected);
+        }
+        // One more task than it has room for.
+        assert_eq!(through(&mut bundles, &[0, 0, 1]), [(2, vec![0])]);
+    }
+
+    #[test]
+    fn what_comes_and_goes_takes_no_more_room() {
+        let mut bundles = Bundles::with_room(2, 1);
+        for number in 0..1_000 {
+            bundles.push(0, numbered(number));
+            bundles.push(0, numbered(number + 1));
+            let (_, mut bundle) = bundles.pop().expect("two");
+            assert!(bundle.drain(..).map(|stamped| stamped.at).eq([number, number + 1]));
+            bundles.give_back(bundle);
+        }
+        assert_eq!(bundles.held.len(), 2);
     }
 }

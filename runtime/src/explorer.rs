@@ -14,18 +14,35 @@ pub(crate) const SEES_OLD_VALUES: bool = true;
 
 /// The most preemptions of one execution.
 const PREEMPTIONS: usize = 3;
+/// The same in a large scene: with one more it has 15,000 to 225,000 executions instead of a tenth or less.
+const PREEMPTIONS_IF_LARGE: usize = 2;
 /// An exploration that takes longer shows nothing and fails. None needs more than seconds; the machine may be busy.
-const CAP: Duration = Duration::from_secs(120);
+const CAP: Duration = Duration::from_secs(600);
 
 /// How often each outcome was seen.
 pub(crate) type Histogram<O> = BTreeMap<O, u64>;
 
 /// Runs `body` in every interleaving with at most [`PREEMPTIONS`].
 pub(crate) fn explore<O: Ord + Send + 'static>(body: impl Fn() -> O + Send + Sync + 'static) -> Histogram<O> {
+    explore_within(PREEMPTIONS, body)
+}
+
+/// The same with at most [`PREEMPTIONS_IF_LARGE`]; with `IMRS_FULL_SCENES=1`, as `.ci/long` has it, with all.
+pub(crate) fn explore_large<O: Ord + Send + 'static>(
+    body: impl Fn() -> O + Send + Sync + 'static,
+) -> Histogram<O> {
+    let is_full = std::env::var_os("IMRS_FULL_SCENES").is_some_and(|value| value == "1");
+    explore_within(if is_full { PREEMPTIONS } else { PREEMPTIONS_IF_LARGE }, body)
+}
+
+fn explore_within<O: Ord + Send + 'static>(
+    preemptions: usize,
+    body: impl Fn() -> O + Send + Sync + 'static,
+) -> Histogram<O> {
     let seen = std::sync::Arc::new(std::sync::Mutex::new(Histogram::new()));
     let shared = std::sync::Arc::clone(&seen);
     let mut builder = loom::model::Builder::new();
-    builder.preemption_bound = Some(PREEMPTIONS);
+    builder.preemption_bound = Some(preemptions);
     builder.max_duration = Some(CAP);
     let start = Instant::now();
     builder.check(move || {

@@ -398,7 +398,8 @@ pub(crate) struct Inlet {
 
 impl Inlet {
     pub fn new(node: Arc<Node>) -> Self {
-        Self { node, effects: Mutex::new(Effects::new(None)) }
+        let effects = Effects::of_a_receiver(node.members.list.len());
+        Self { node, effects: Mutex::new(effects) }
     }
 
     /// A neighbour takes packets again: sends what waited for it.

@@ -1,59 +1,75 @@
 //! Once a node runs, its messages allocate nothing.
 
-mod common;
-
-use common::{A, B, C, LONG, LONG_TICKS, ask, cell, finish, network, on, one_node, table};
+use crate::allocator::ByThread;
+use crate::alone;
+use crate::common::{A, B, C, LONG, LONG_TICKS, ask, cell, finish, network, on, one_node, report, table};
 use imrs_protocol::{
     CellTable, Delivery, Incarnation, NodeId, Packet, PortDecl, PortId, Target, Ticks, Usage,
 };
-use imrs_runtime::link::in_process::Faults;
+use imrs_runtime::link::in_process::{Faults, InProcess};
 use imrs_runtime::link::{Link, LinkBusy, PollEnd, Sink};
-use imrs_runtime::{Context, MANY, Rendezvous, Runtime, TaskError};
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use imrs_runtime::{AsyncContext, Builder, Context, MANY, Rendezvous, Runtime, TaskError};
+use std::sync::mpsc::{Receiver, Sender};
+use std::sync::{Arc, Condvar, Mutex};
 use std::time::{Duration, Instant};
 
-struct Counting;
-
-static COUNTED: AtomicU64 = AtomicU64::new(0);
-static COUNTING: AtomicBool = AtomicBool::new(false);
-
-fn count() {
-    if COUNTING.load(Ordering::Relaxed) {
-        COUNTED.fetch_add(1, Ordering::Relaxed);
-    }
-}
-
-// SAFETY: every call goes to the system's allocator unchanged.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        count();
-        // SAFETY: the caller's promise is passed on.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: the caller's promise is passed on.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-
-    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        count();
-        // SAFETY: the caller's promise is passed on.
-        unsafe { System.realloc(pointer, layout, size) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
+/// The threads that messages pass.
+const THREADS: [&str; 5] = ["a", "b", "c", "imrs receive", "imrs timer"];
 
 const WARM_UP: u32 = 200;
 const COUNTED_ROUNDS: u32 = 2_000;
 
-/// `a` asks `b`, all three meet, `a` tells the others; then `a` looks at the count.
+/// Which threads allocated, and how often.
+type Allocated = Vec<(String, u64)>;
+
+/// What the task `a` tells and is told besides messages.
+struct Counter {
+    timers: Receiver<()>,
+    nodes: usize,
+    allocated: Sender<Allocated>,
+}
+
+impl Counter {
+    /// Waits for the first turn of every Timer's thread: what a thread allocates to begin is none of a message. Nobody else
+    /// ends the delays meanwhile: the other tasks wait, and for no time.
+    fn wait_for_timers(&self) {
+        (0..self.nodes).for_each(|_| self.timers.recv_timeout(LONG).expect("a delay ends"));
+    }
+
+    fn count(&self, work: impl FnOnce() -> Result<(), TaskError>) -> Result<(), TaskError> {
+        let counted = ByThread::begin();
+        work()?;
+        self.allocated.send(counted.end(&THREADS)).expect("the test listens");
+        Ok(())
+    }
+}
+
+/// A task of each node. The Timer's thread ends its delay.
+fn needs_the_timer(node: Builder, name: &str, tell: &Sender<()>) -> Builder {
+    let tell = tell.clone();
+    node.async_task(name, |mut ctx: AsyncContext| async move {
+        ctx.delay(Duration::from_millis(1)).await?;
+        tell.send(()).expect("`a` waits for it");
+        Ok(())
+    })
+}
+
+/// What `a` of so many nodes counts with, whom the Timers tell, and what comes of it.
+fn counter(nodes: usize) -> (Counter, Sender<()>, Receiver<Allocated>) {
+    let ((tell, timers), (allocated, counted)) = (report(), report());
+    (Counter { timers, nodes, allocated }, tell, counted)
+}
+
+/// Waits for the programs, and returns what was allocated.
+fn allocations(nodes: Vec<Runtime>, counted: &Receiver<Allocated>) -> Allocated {
+    assert!(nodes.iter().all(|node| node.wait(LONG)));
+    nodes.into_iter().for_each(finish);
+    counted.try_recv().expect("it was counted")
+}
+
+/// `a` asks `b`, all three meet, `a` tells the others.
 fn round(ctx: &mut Context, number: u32, messages: &mut Vec<Delivery>) -> Result<(), TaskError> {
-    let (ask, lift, news) = (imrs_protocol::PortId(0), imrs_protocol::PortId(1), imrs_protocol::PortId(2));
+    let (ask, lift, news) = (PortId(0), PortId(1), PortId(2));
     if ctx.id() == A {
         assert!(ctx.send(ask, &number.to_le_bytes())?.reply().is_some());
         let _copies = ctx.send(news, b"done")?;
@@ -71,21 +87,17 @@ fn round(ctx: &mut Context, number: u32, messages: &mut Vec<Delivery>) -> Result
     }
 }
 
-fn program(ctx: &mut Context) -> Result<(), TaskError> {
+/// `a` counts, once all have met: none is warming up any more.
+fn program(ctx: &mut Context, counter: Option<&Counter>) -> Result<(), TaskError> {
     let mut messages = Vec::with_capacity(MANY);
+    counter.into_iter().for_each(Counter::wait_for_timers);
     for number in 0..WARM_UP {
         round(ctx, number, &mut messages)?;
     }
-    // All have met: none is warming up any more.
-    if ctx.id() == A {
-        COUNTED.store(0, Ordering::SeqCst);
-        COUNTING.store(true, Ordering::SeqCst);
-    }
-    for number in 0..COUNTED_ROUNDS {
-        round(ctx, number, &mut messages)?;
-    }
-    if ctx.id() == A {
-        COUNTING.store(false, Ordering::SeqCst);
+    let mut counted = || (0..COUNTED_ROUNDS).try_for_each(|number| round(ctx, number, &mut messages));
+    match counter {
+        Some(counter) => counter.count(counted)?,
+        None => counted()?,
     }
     // Nobody leaves while it is counted.
     round(ctx, 0, &mut messages)
@@ -126,42 +138,41 @@ impl<L: Link> Link for Wide<L> {
 
 /// How many messages are said together, in nearly the order of urgency.
 const BURST: u16 = 120;
+/// As many as one datagram holds, and the link hands over together.
+const TOGETHER: u16 = 40;
+/// What ends the answers.
+const END: u16 = u16::MAX;
 
-/// `a` says much together and asks whether it came; then it looks at the count.
-fn bursts(ctx: &mut Context) -> Result<(), TaskError> {
-    let (ask, burst) = (PortId(0), PortId(1));
-    for round in 0..200 {
-        if round == 50 {
-            COUNTED.store(0, Ordering::SeqCst);
-            COUNTING.store(true, Ordering::SeqCst);
-        }
-        ctx.together(|ctx| {
-            (0..BURST).try_for_each(|number| {
-                // Overtaken by a few.
-                let time_out = Some(LONG - Duration::from_millis(u64::from(BURST - (number ^ 7))));
-                ctx.send_with(burst, Target::All, b"more", time_out).map(|_copies| ())
-            })
-        })?;
-        assert!(ctx.send(ask, b"all?")?.reply().is_some());
-    }
-    COUNTING.store(false, Ordering::SeqCst);
-    assert!(ctx.send(ask, b"end")?.reply().is_some());
+fn tell_together(ctx: &mut Context, count: u16) -> Result<(), TaskError> {
+    ctx.together(|ctx| {
+        (0..count).try_for_each(|number| {
+            // Overtaken by a few.
+            let time_out = Some(LONG - Duration::from_millis(u64::from(BURST - (number ^ 7))));
+            ctx.send_with(PortId(1), Target::All, b"more", time_out).map(|_copies| ())
+        })
+    })
+}
+
+/// Asks whether so many came.
+fn ask_for(ctx: &mut Context, count: u16) -> Result<(), TaskError> {
+    assert!(ctx.send(PortId(0), &count.to_le_bytes())?.reply().is_some());
     Ok(())
 }
 
+/// Takes as many messages as each question is for, and answers then.
 fn takes_bursts(ctx: &mut Context) -> Result<(), TaskError> {
     let (ask, burst) = (PortId(0), PortId(1));
     let mut messages = Vec::with_capacity(MANY);
     loop {
         let question = ctx.receive(Some(ask), None)?.expect("only a message ends it");
-        let end = question.contents.as_bytes() == b"end";
-        let mut left = if end { 0 } else { usize::from(BURST) };
+        let count = u16::from_le_bytes(question.contents.as_bytes().try_into().expect("a count"));
+        let mut left = if count == END { 0 } else { usize::from(count) };
         while left > 0 {
             left -= ctx.receive_many(Some(burst), &mut messages, MANY, None)?;
             messages.clear();
         }
         ctx.reply(&question.from, b"yes")?;
-        if end {
+        if count == END {
             return Ok(());
         }
     }
@@ -175,39 +186,151 @@ fn declare(nodes: &[usize], delay: Ticks) -> Arc<CellTable> {
     table(cell)
 }
 
-fn allocations(nodes: Vec<Runtime>) -> u64 {
-    assert!(nodes.iter().all(|node| node.wait(LONG)));
-    let counted = COUNTED.load(Ordering::SeqCst);
-    nodes.into_iter().for_each(finish);
-    counted
-}
-
-/// One test: the count is the process's.
-#[test]
-fn messages_allocate_nothing_in_steady_state() {
-    let table = declare(&[0, 0, 0], Ticks(0));
-    let node = one_node(&table).task("a", program).task("b", program).task("c", program).start().unwrap();
-    assert_eq!(allocations(vec![node]), 0, "on one node");
-
-    let table = declare(&[0, 1, 2], Ticks(1_000));
-    let network = network(&table, Faults::default());
-    let builders = (0..3).zip(["a", "b", "c"]);
-    let builders: Vec<_> = builders.map(|(n, task)| on(&network, &table, n).task(task, program)).collect();
-    let nodes = builders.into_iter().map(|node| node.start().unwrap()).collect();
-    assert_eq!(allocations(nodes), 0, "between nodes");
-
-    let mut cell = cell(&[0, 1], Ticks(1_000));
+/// Two nodes of one task each, and one that needs the Timer.
+fn two_nodes() -> (Arc<CellTable>, [InProcess; 2]) {
+    let mut cell = cell(&[0, 1, 0, 1], Ticks(1_000));
     cell.port(ask(LONG_TICKS));
     cell.port(PortDecl::new("burst", A, Usage::Send, &[B], LONG_TICKS).bounded_buffer(BURST));
-    let table = common::table(cell);
-    let network = common::network(&table, Faults::default());
-    let builders = [0, 1].map(|node| {
-        let link = network.join(NodeId(node), Incarnation(1), false);
-        let builder = Runtime::builder(Arc::clone(&table), NodeId(node)).incarnation(Incarnation(1), false);
-        builder.link(Arc::new(Wide(link)))
+    let table = table(cell);
+    let network = network(&table, Faults::default());
+    let links = [0, 1].map(|node| network.join(NodeId(node), Incarnation(1), false));
+    (table, links)
+}
+
+/// What is allocated where `a` tells `b` something. The links are those of their nodes.
+fn told(
+    table: &Arc<CellTable>,
+    links: [Arc<dyn Link>; 2],
+    program: impl FnOnce(&mut Context, &Counter) -> Result<(), TaskError> + Send + 'static,
+) -> Allocated {
+    let (counter, tell, counted) = counter(2);
+    let [first, second] = links;
+    let node = |number, link| {
+        Runtime::builder(Arc::clone(table), NodeId(number)).incarnation(Incarnation(1), false).link(link)
+    };
+    let first = needs_the_timer(node(0, first).task("a", move |ctx| program(ctx, &counter)), "c", &tell);
+    let second = needs_the_timer(node(1, second).task("b", takes_bursts), "d", &tell);
+    let nodes = [first, second].map(|node| node.start().expect("a node that starts"));
+    allocations(nodes.into(), &counted)
+}
+
+#[test]
+fn messages_allocate_nothing_in_steady_state() {
+    let _alone = alone();
+    let table = declare(&[0, 0, 0, 0], Ticks(0));
+    let (counter, tell, counted) = self::counter(1);
+    let node = one_node(&table).task("a", move |ctx| program(ctx, Some(&counter)));
+    let node = node.task("b", |ctx| program(ctx, None)).task("c", |ctx| program(ctx, None));
+    let node = needs_the_timer(node, "d", &tell).start().unwrap();
+    assert_eq!(allocations(vec![node], &counted), [], "on one node");
+
+    let table = declare(&[0, 1, 2, 0, 1, 2], Ticks(1_000));
+    let network = network(&table, Faults::default());
+    let (counter, tell, counted) = self::counter(3);
+    let first = on(&network, &table, 0).task("a", move |ctx| program(ctx, Some(&counter)));
+    let others =
+        [(1, "b"), (2, "c")].map(|(n, task)| on(&network, &table, n).task(task, |ctx| program(ctx, None)));
+    let nodes = std::iter::once(first).chain(others).zip(["d", "e", "f"]);
+    let nodes: Vec<_> = nodes.map(|(node, task)| needs_the_timer(node, task, &tell)).collect();
+    let nodes = nodes.into_iter().map(|node| node.start().unwrap()).collect();
+    assert_eq!(allocations(nodes, &counted), [], "between nodes");
+
+    let (table, links) = two_nodes();
+    let links = links.map(|link| Arc::new(Wide(link)) as Arc<dyn Link>);
+    let allocated = told(&table, links, |ctx, counter| {
+        counter.wait_for_timers();
+        let mut rounds = |count: u32| {
+            (0..count).try_for_each(|_| {
+                tell_together(ctx, BURST)?;
+                ask_for(ctx, BURST)
+            })
+        };
+        rounds(50)?;
+        counter.count(|| rounds(150))?;
+        ask_for(ctx, END)
     });
-    let [first, second] = builders;
-    let nodes =
-        vec![first.task("a", bursts).start().unwrap(), second.task("b", takes_bursts).start().unwrap()];
-    assert_eq!(allocations(nodes), 0, "several datagrams together");
+    assert_eq!(allocated, [], "several datagrams together");
+}
+
+/// A link whose node receives nothing while it is closed.
+struct Gate<L> {
+    link: L,
+    state: Mutex<Door>,
+    changed: Condvar,
+}
+
+#[derive(Default)]
+struct Door {
+    closed: bool,
+    /// Whether the node stands before it.
+    waits: bool,
+}
+
+impl<L: Link> Gate<L> {
+    fn new(link: L) -> Self {
+        Self { link, state: Mutex::default(), changed: Condvar::new() }
+    }
+
+    /// From now on the node receives nothing.
+    fn close(&self) {
+        self.state.lock().unwrap().closed = true;
+        self.link.wake();
+        drop(self.changed.wait_while(self.state.lock().unwrap(), |door| !door.waits).unwrap());
+    }
+
+    fn open(&self) {
+        self.state.lock().unwrap().closed = false;
+        self.changed.notify_all();
+    }
+}
+
+impl<L: Link> Link for Gate<L> {
+    fn ready(&self, next: NodeId) -> bool {
+        self.link.ready(next)
+    }
+
+    fn send_at(&self, next: NodeId, packets: &[Packet], at: Instant) -> Result<usize, LinkBusy> {
+        self.link.send_at(next, packets, at)
+    }
+
+    fn poll(&self, sink: &dyn Sink, until: Option<Instant>) -> PollEnd {
+        let mut door = self.state.lock().unwrap();
+        while door.closed {
+            door.waits = true;
+            self.changed.notify_all();
+            door = self.changed.wait(door).unwrap();
+        }
+        door.waits = false;
+        drop(door);
+        self.link.poll(sink, until)
+    }
+
+    fn wake(&self) {
+        self.link.wake();
+    }
+}
+
+/// A node that stood still, or whose neighbour sent more at once than ever before: a thread that was never given two packets
+/// of one datagram for a task gets forty.
+#[test]
+fn packets_that_come_together_for_the_first_time_allocate_nothing() {
+    let _alone = alone();
+    let (table, [first, second]) = two_nodes();
+    let gate = Arc::new(Gate::new(second));
+    let here = Arc::clone(&gate);
+    let allocated = told(&table, [Arc::new(first), gate], move |ctx, counter| {
+        counter.wait_for_timers();
+        (0..WARM_UP).try_for_each(|_| {
+            tell_together(ctx, 1)?;
+            ask_for(ctx, 1)
+        })?;
+        here.close();
+        counter.count(|| {
+            tell_together(ctx, TOGETHER)?;
+            here.open();
+            ask_for(ctx, TOGETHER)
+        })?;
+        ask_for(ctx, END)
+    });
+    assert_eq!(allocated, []);
 }

@@ -1,8 +1,7 @@
 //! A panic in the machinery ends the node at once, not only the thread it happened in (D43).
 
-mod common;
-
-use common::{B, LONG, LONG_TICKS, ask, cell, one_node, table};
+use crate::alone;
+use crate::common::{B, LONG, LONG_TICKS, ask, cell, one_node, table};
 use imrs_protocol::script::{Program, ProgramBuilder, Type};
 use imrs_protocol::{NodeId, Packet, PortId, Target, TaskId, Ticks};
 use imrs_runtime::Runtime;
@@ -17,12 +16,14 @@ const CHILD: &str = "IMRS_TEST_FAIL_STOP";
 
 /// What this test says while it runs `node` in a process of its own, which must end by its own fail-stop.
 fn said_at_its_end(test: &str, node: impl FnOnce() -> Runtime) -> String {
+    let _alone = alone();
     if std::env::var_os(CHILD).is_some() {
         let survived = node().wait(LONG);
         panic!("the process went on; all programs ended: {survived}");
     }
+    let (_program, module) = module_path!().split_once("::").expect("a module of the test program");
     let mut child = Command::new(std::env::current_exe().unwrap());
-    child.args(["--exact", test, "--nocapture"]).env(CHILD, "1");
+    child.args(["--exact", &format!("{module}::{test}"), "--nocapture"]).env(CHILD, "1");
     let output = child.output().expect("this test's own program");
     assert_eq!(output.status.signal(), Some(6), "{output:?}");
     String::from_utf8_lossy(&output.stderr).into_owned()

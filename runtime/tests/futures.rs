@@ -1,9 +1,8 @@
 //! Tasks whose programs are futures (D113): every primitive, what is dropped, crashes, and the end of a node.
 
-mod common;
-
-use common::{
-    A, B, C, LONG, LONG_TICKS, Tape, ask, busy, cell, finish, network, on, one_node, report, table,
+use crate::common::{
+    A, AMPLE, AMPLE_TICKS, B, C, LONG, LONG_TICKS, Tape, ask, busy, cell, finish, network, on, one_node,
+    report, table,
 };
 use futures_util::future::{Either, select};
 use imrs_protocol::{
@@ -220,13 +219,13 @@ fn handlers_get_the_state_while_the_program_waits() {
 fn a_future_hears_another_thread_while_it_waits_for_a_message() {
     let mut cell = cell(&[0, 0], Ticks(0));
     cell.port(PortDecl::new("news", A, Usage::Send, &[B], LONG_TICKS).bounded_buffer(4));
-    let told = Arc::new(Told::default());
-    let hears = Arc::clone(&told);
+    let (told, free) = (Arc::new(Told::default()), Arc::new(Told::default()));
+    let (hears, is_free) = (Arc::clone(&told), Arc::clone(&free));
     let (tell, begun) = report();
     let node = one_node(&table(cell))
-        .async_task("a", |mut ctx: AsyncContext| async move {
+        .async_task("a", move |mut ctx: AsyncContext| async move {
             let news = ctx.port("news")?;
-            ctx.delay(Duration::from_millis(50)).await?;
+            is_free.hear().await;
             ctx.tell(news, &1_i32)?;
             Ok(())
         })
@@ -237,6 +236,7 @@ fn a_future_hears_another_thread_while_it_waits_for_a_message() {
                 tell.send(()).unwrap();
                 assert!(matches!(select(message, other).await, Either::Right(_)));
             }
+            free.tell();
             // The dropped wait left nothing behind: the task may ask again.
             assert_eq!(ctx.take::<i32>(news, None).await?.expect("the news").message, 1);
             Ok(())
@@ -297,16 +297,18 @@ fn a_message_that_comes_for_a_dropped_wait_is_kept_for_the_next_that_it_suits() 
 fn who_drops_a_waitfor_has_left_it_and_a_dropped_delay_is_over() {
     let mut cell = cell(&[0, 0], Ticks(0));
     cell.port(PortDecl::new("lift", A, Usage::Waitfor, &[B], Ticks(50_000)));
+    let (tell, left) = report();
     let node = one_node(&table(cell))
         .async_task("a", |mut ctx: AsyncContext| async move {
             let lift = ctx.port("lift")?;
             assert!(matches!(select(pin!(ctx.waitfor(lift)), ready(())).await, Either::Right(_)));
             assert!(matches!(select(pin!(ctx.delay(LONG)), ready(())).await, Either::Right(_)));
+            tell.send(()).expect("b listens");
             ctx.delay(Duration::from_millis(1)).await
         })
-        .task("b", |ctx| {
+        .task("b", move |ctx| {
             let lift = ctx.port("lift")?;
-            ctx.delay(SOON)?;
+            left.recv().expect("a has left");
             assert!(matches!(ctx.waitfor(lift)?, Rendezvous::GaveUp { missing: 0b01, .. }));
             Ok(())
         });
@@ -316,7 +318,7 @@ fn who_drops_a_waitfor_has_left_it_and_a_dropped_delay_is_over() {
 #[test]
 fn a_panic_is_the_crash_of_one_future() {
     let mut cell = cell(&[0, 0, 0], Ticks(0));
-    cell.port(ask(Ticks(30_000)));
+    cell.port(ask(AMPLE_TICKS));
     cell.port(PortDecl::new("more", A, Usage::Send, &[C], LONG_TICKS).command());
     let node = one_node(&table(cell))
         .async_task("a", |mut ctx: AsyncContext| async move {
@@ -382,7 +384,7 @@ fn stopping_ends_every_wait_and_drops_who_waits_for_something_else() {
         .start()
         .unwrap();
     (0..3).for_each(|_| begun.recv_timeout(LONG).unwrap());
-    let ends: Vec<_> = node.stop(Duration::from_millis(100)).into_iter().map(|(_, end)| end).collect();
+    let ends: Vec<_> = node.stop(AMPLE).into_iter().map(|(_, end)| end).collect();
     assert_eq!(ends, [TaskEnd::Returned, TaskEnd::Returned, TaskEnd::Unfinished]);
     told.recv_timeout(LONG).expect("what never ends is dropped");
 }
@@ -434,7 +436,7 @@ fn a_recorded_run_of_futures_replays_bit_equal() {
 #[test]
 fn several_are_asked_at_once() {
     let mut cell = cell(&[0, 0, 0], Ticks(0));
-    cell.port(PortDecl::new("state", A, Usage::Query, &[B, C], Ticks(200_000)).command());
+    cell.port(PortDecl::new("state", A, Usage::Query, &[B, C], AMPLE_TICKS).command());
     let node = one_node(&table(cell))
         .async_task("a", |mut ctx: AsyncContext| async move {
             let state = ctx.port("state")?;

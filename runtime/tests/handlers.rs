@@ -1,8 +1,8 @@
 //! Handlers of Rust tasks, their timers, typed and long messages, and what a panic leaves behind.
 
-mod common;
-
-use common::{A, B, C, LONG, LONG_TICKS, ask, cell, finish, network, on, one_node, report, table};
+use crate::common::{
+    A, AMPLE, AMPLE_TICKS, B, C, LONG, LONG_TICKS, ask, cell, finish, network, on, one_node, report, table,
+};
 use imrs_protocol::{Cell, CoupleDecl, Fault, PortDecl, Ranked, Target, Ticks, TimeId, Usage};
 use imrs_runtime::link::in_process::Faults;
 use imrs_runtime::message::Bytes;
@@ -180,7 +180,7 @@ fn nothing_of_an_answer_that_was_too_late_is_part_of_the_next_one() {
     let node = one_node(&table(cell))
         .task("a", |ctx| {
             let ask = ctx.port("ask")?;
-            let short = Some(Duration::from_millis(5));
+            let short = Some(AMPLE);
             assert_eq!(ctx.query_with::<(), Bytes>(ask, Target::All, &(), short)?, Asked::TimedOutUnknown);
             let answer = ctx.query::<(), Bytes>(ask, &())?.reply().expect("an answer");
             assert_eq!(&*answer, b"short");
@@ -189,7 +189,7 @@ fn nothing_of_an_answer_that_was_too_late_is_part_of_the_next_one() {
         .task("b", |ctx| {
             let ask = ctx.port("ask")?;
             let first = ctx.receive(Some(ask), None)?.expect("a question");
-            ctx.delay(Duration::from_millis(10))?;
+            ctx.delay(AMPLE)?;
             let late = ctx.reply(&first.from, &[7; 36]);
             assert_eq!(late, Err(TaskError::Fault(RequestFault(Fault::Late))));
             let second = ctx.receive(Some(ask), None)?.expect("a question");
@@ -201,7 +201,7 @@ fn nothing_of_an_answer_that_was_too_late_is_part_of_the_next_one() {
 #[test]
 fn several_are_asked_at_once_and_each_answer_is_told_apart() {
     let mut cell = cell(&[0, 0, 0], Ticks(0));
-    cell.port(PortDecl::new("state", A, Usage::Query, &[B, C], Ticks(300_000)).command());
+    cell.port(PortDecl::new("state", A, Usage::Query, &[B, C], AMPLE_TICKS).command());
     let answers = |value: i16| {
         move |ctx: &mut Context| {
             let state = ctx.port("state")?;
@@ -253,7 +253,7 @@ fn what_a_handler_fails_with_ends_the_task() {
     let node = one_node(&table(ask_and_news()))
         .task("a", |ctx| {
             let ask = ctx.port("ask")?;
-            let asked = ctx.query_with::<i32, i32>(ask, Target::All, &1, Some(Duration::from_millis(50)))?;
+            let asked = ctx.query_with::<i32, i32>(ask, Target::All, &1, Some(AMPLE))?;
             assert_eq!(asked, Asked::TimedOutUnknown);
             Ok(())
         })
@@ -281,7 +281,7 @@ fn a_panic_in_a_handler_is_the_tasks_crash_and_the_partners_of_its_wait_are_told
     let node = one_node(&table(cell))
         .task("a", |ctx| {
             let ask = ctx.port("ask")?;
-            let asked = ctx.query_with::<i32, i32>(ask, Target::All, &1, Some(Duration::from_millis(200)))?;
+            let asked = ctx.query_with::<i32, i32>(ask, Target::All, &1, Some(AMPLE))?;
             assert!(asked.may_have_run());
             let meet = ctx.port("meet")?;
             // Until b's crash is over, which says what is lost first: its arrival is one, then it is taken back.

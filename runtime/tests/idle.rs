@@ -1,27 +1,30 @@
-//! A node with nothing to wait for sleeps: no thread of it wakes. A program of its own, for the kernel counts by thread and
-//! other tests have threads of the same names.
+//! A node with nothing to wait for sleeps: no thread of it wakes.
 
-mod common;
-
-use common::{LONG, cell, network, on, report, table};
+use crate::alone;
+use crate::common::{A, B, LONG, cell, network, on, report, table};
 use imrs_protocol::{Incarnation, NodeId, NodeTable, PortDecl, Ticks, Usage};
 use imrs_runtime::TaskEnd;
 use imrs_runtime::link::in_process::Faults;
 use imrs_runtime::observer::Observer;
 use imrs_runtime::record::{About, FileRecorder};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 const THREADS: [&str; 5] = ["idle-task", "imrs timer", "imrs receive", "imrs observer", "recording"];
 
-/// How often each thread of the node went to sleep.
-fn sleeps() -> Vec<(String, u64)> {
+/// Longer than a thread waits that still has something to do.
+const SETTLED: Duration = Duration::from_millis(300);
+
+/// A thread of the node: its name, whether it sleeps, and how often it went to sleep.
+type Sleeps = (String, bool, u64);
+
+fn sleeps() -> Vec<Sleeps> {
     let of = |path: std::path::PathBuf| {
         let status = std::fs::read_to_string(path.join("status")).ok()?;
-        let field =
-            |name: &str| status.lines().find_map(|l| l.strip_prefix(name).map(|rest| rest.trim().to_owned()));
-        let name = field("Name:")?;
+        let field = |name: &str| status.lines().find_map(|line| line.strip_prefix(name).map(str::trim));
+        let name = field("Name:")?.to_owned();
         let count = field("voluntary_ctxt_switches:")?.parse().ok()?;
-        THREADS.contains(&name.as_str()).then_some((name, count))
+        let is_asleep = field("State:")?.starts_with('S');
+        THREADS.contains(&name.as_str()).then_some((name, is_asleep, count))
     };
     let tasks = std::fs::read_dir("/proc/self/task").expect("the threads of this process");
     let mut counts: Vec<_> = tasks.flatten().filter_map(|task| of(task.path())).collect();
@@ -29,11 +32,28 @@ fn sleeps() -> Vec<(String, u64)> {
     counts
 }
 
+/// Waits until all threads sleep, and none of them was woken by what it waited for last: one that was woken and does not run
+/// yet, because the machine has others to run, does not sleep.
+fn settled() -> Vec<Sleeps> {
+    let start = Instant::now();
+    let mut before = sleeps();
+    loop {
+        std::thread::sleep(SETTLED);
+        let now = sleeps();
+        if now == before && now.len() == THREADS.len() && now.iter().all(|(_, is_asleep, _)| *is_asleep) {
+            return now;
+        }
+        assert!(start.elapsed() < LONG, "the node does not come to rest: {now:?}");
+        before = now;
+    }
+}
+
 #[test]
 fn a_node_with_nothing_pending_never_wakes() {
+    let _alone = alone();
     let mut cell = cell(&[0, 1], Ticks(100));
     cell.tasks[0].name = "idle-task".into();
-    cell.port(PortDecl::new("news", common::B, Usage::Send, &[common::A], Ticks(100_000)));
+    cell.port(PortDecl::new("news", B, Usage::Send, &[A], Ticks(100_000)));
     let table = table(cell);
     let network = network(&table, Faults::default());
     let _neighbour = network.join(NodeId(1), Incarnation(1), false);
@@ -55,9 +75,7 @@ fn a_node_with_nothing_pending_never_wakes() {
     let socket = std::env::temp_dir().join(format!("imrs-runtime-idle-{}.sock", std::process::id()));
     let observer = Observer::start_at(node.node().clone(), &socket).unwrap();
     begun.recv_timeout(LONG).expect("the task gets that far");
-    std::thread::sleep(Duration::from_millis(300));
-    let before = sleeps();
-    assert_eq!(before.len(), THREADS.len(), "{before:?}");
+    let before = settled();
     std::thread::sleep(Duration::from_millis(1_000));
     assert_eq!(sleeps(), before, "a thread woke");
     drop(observer);

@@ -1,9 +1,7 @@
 //! A recording that lost something goes on from a keyframe (D62): what comes after it is judged again, what was lost
 //! is never called good.
 
-mod common;
-
-use common::{A, B, LONG, LONG_TICKS, ask, cell, finish, network, on, one_node, report, table};
+use crate::common::{A, B, LONG, LONG_TICKS, ask, cell, finish, network, on, one_node, report, table};
 use imrs_protocol::{
     CellTable, CommTask, Incarnation, Input, NodeId, NodeTable, Outbox, Packet, PortDecl, Signal, TaskId,
     Ticks, TimeId, Usage,

@@ -1,11 +1,10 @@
-//! A task that waits in the socket (D40): who is woken, who is not, and what becomes of what is for others. A program of
-//! its own, for the kernel counts sleeps by thread.
+//! A task that waits in the socket (D40): who is woken, who is not, and what becomes of what is for others. Alone, for the
+//! threads of another test would be counted, too.
 
-mod common;
-
-use common::udp::{builders, links};
-use common::{A, B, C, LONG, LONG_TICKS, ask, cell, finish, report, table};
-use imrs_protocol::script::ProgramBuilder;
+use crate::alone;
+use crate::common::udp::{builders, links};
+use crate::common::{A, B, C, LONG, LONG_TICKS, ask, cell, finish, report, table};
+use imrs_protocol::script::{End, ProgramBuilder};
 use imrs_protocol::{CellTable, PortDecl, PortId, Target, Ticks, Usage};
 use imrs_runtime::link::udp::UdpCount;
 use imrs_runtime::{AsyncContext, Builder, Context, Sent, TaskEnd, TaskError};
@@ -32,9 +31,9 @@ fn nodes<const N: usize>(table: &Arc<CellTable>) -> [Builder; N] {
     nodes.try_into().unwrap_or_else(|_| panic!("{N} nodes"))
 }
 
-/// One test, for the threads of another one would be counted, too.
 #[test]
 fn leaders() {
+    let _alone = alone();
     a_reply_wakes_one_thread();
     a_reply_to_a_future_wakes_one_thread();
     what_is_for_others_does_not_wait_for_a_task_that_computes();
@@ -233,8 +232,6 @@ fn what_is_sent_together_leaves_in_full_datagrams() {
     let first = first.task("a", move |ctx| {
         let (news, ask) = (ctx.port("news")?, ctx.port("ask")?);
         let datagrams = || count.inner().count(UdpCount::DatagramsSent);
-        // The receiving thread has just learnt the addresses: it sends what it finds waiting for one.
-        ctx.delay(Duration::from_millis(50))?;
         ctx.send(ask, b"?")?.reply().expect("nothing is lost");
         let before = datagrams();
         let since = || datagrams() - before;
@@ -296,8 +293,6 @@ fn what_a_script_sends_before_it_waits_leaves_together() {
     let second = second.start().unwrap();
     let first = first.script("a", script).start().unwrap();
     finish(second);
-    // One more where the receiving thread, which has just learnt the address, looks in the middle.
-    let sent = links[0].inner().count(UdpCount::DatagramsSent);
-    assert!((1..=2).contains(&sent), "{sent}");
-    drop(first);
+    assert_eq!(links[0].inner().count(UdpCount::DatagramsSent), 1);
+    assert_eq!(first.stop(LONG), [("a".to_owned(), TaskEnd::Script(End::Finished))]);
 }

@@ -1,22 +1,14 @@
 //! Lives end: nodes stop and restart, tasks crash.
 
-mod common;
-
-use common::{A, B, C, LONG, LONG_TICKS, ask, cell, finish, network, on, one_node, report, table};
+use crate::common::{
+    A, AMPLE_TICKS, B, C, LONG, LONG_TICKS, ask, cell, finish, network, on, one_node, report, table, until,
+};
 use imrs_protocol::{Incarnation, NodeId, Outcome, PortDecl, TaskState, Ticks, Usage};
 use imrs_runtime::link::in_process::Faults;
 use imrs_runtime::{Context, Rendezvous, Runtime, Sent, TaskEnd, TaskError};
 use imrs_wire::obs::Liveness;
 use std::sync::Arc;
 use std::time::{Duration, Instant};
-
-fn until(mut done: impl FnMut() -> bool) {
-    let start = Instant::now();
-    while !done() {
-        assert!(start.elapsed() < LONG, "it never came");
-        std::thread::sleep(Duration::from_millis(1));
-    }
-}
 
 fn state(node: &Runtime, place: usize) -> TaskState {
     node.node().snapshot(0).tasks[place].view.state
@@ -102,7 +94,7 @@ fn a_member_that_stops_tells_the_others() {
 #[test]
 fn a_crash_is_the_tasks_own_and_shown() {
     let mut cell = cell(&[0, 0, 0], Ticks(0));
-    cell.port(ask(Ticks(50_000)));
+    cell.port(ask(AMPLE_TICKS));
     cell.port(PortDecl::new("lift", A, Usage::Waitfor, &[B, C], Ticks(50_000)));
     let table = table(cell);
     let go_on = |ctx: &mut Context| {

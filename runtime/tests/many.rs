@@ -1,8 +1,6 @@
 //! Several messages taken under one lock (D111).
 
-mod common;
-
-use common::{A, B, C, LONG, LONG_TICKS, Tape, cell, finish, one_node, report, table};
+use crate::common::{A, B, C, LONG, LONG_TICKS, Tape, cell, finish, one_node, report, table};
 use imrs_protocol::{
     Delivery, Incarnation, Input, NodeId, NodeTable, PortDecl, PortId, Request, Ticks, Usage,
 };

@@ -1,8 +1,6 @@
 //! A neighbour is believed only for tasks that lie behind it.
 
-mod common;
-
-use common::{A, B, C, LONG, LONG_TICKS, cell, finish, report};
+use crate::common::{A, B, C, LONG, LONG_TICKS, cell, finish, report, table};
 use imrs_protocol::{
     Cell, CellTable, Class, Contents, Incarnation, Kind, MAX_HOPS, MessageId, NodeId, Packet, PortDecl,
     PortId, Reason, Seq24, TaskId, Ticks, Usage,
@@ -70,7 +68,7 @@ fn star() -> Arc<CellTable> {
     for (name, owner) in [("of a", A), ("of b", B)] {
         cell.port(PortDecl::new(name, owner, Usage::Send, &[C], LONG_TICKS).bounded_buffer(8));
     }
-    common::table(cell)
+    table(cell)
 }
 
 #[test]

@@ -1,9 +1,7 @@
 //! Whole nodes over loopback UDP.
 
-mod common;
-
-use common::udp::{builders, links};
-use common::{A, B, C, LONG, LONG_TICKS, ask, cell, finish, report, table};
+use crate::common::udp::{builders, links};
+use crate::common::{A, B, C, LONG, LONG_TICKS, ask, cell, finish, report, table};
 use imrs_protocol::{Incarnation, NodeId, NodeTable, Outcome, PortDecl, Round, Ticks, Usage};
 use imrs_runtime::link::udp::{UdpLink, UdpOptions};
 use imrs_runtime::{Context, Rendezvous, Runtime, Sent, TaskError};

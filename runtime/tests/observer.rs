@@ -1,9 +1,7 @@
 //! A node shows itself, whatever its monitors do.
 
-mod common;
-
-use common::monitor::{Folder, Monitor, NEW, node, socket};
-use common::{A, B, LONG, LONG_TICKS, ask, cell, finish, one_node, table};
+use crate::common::monitor::{Folder, Monitor, NEW, node, socket};
+use crate::common::{A, B, LONG, LONG_TICKS, ask, cell, finish, one_node, table};
 use imrs_protocol::{Event, TaskState, Ticks};
 use imrs_runtime::observer::{MAX_MONITORS, Observer, ObserverError, Place};
 use imrs_wire::obs::{

@@ -1,8 +1,6 @@
 //! What a stop of the node makes old is old: commands and news whose life ended meanwhile reach no task (D20, D50).
 
-mod common;
-
-use common::{A, B, C, LONG, LONG_TICKS, ask, cell, finish, network, report, table};
+use crate::common::{A, B, C, LONG, LONG_TICKS, ask, cell, finish, network, report, table};
 use imrs_protocol::{
     CellTable, Incarnation, NodeId, NodeTable, Outcome, Packet, PortDecl, PortId, Reason, Ticks, Usage,
 };
@@ -199,6 +197,15 @@ fn in_process(table: &Arc<CellTable>) -> [imrs_runtime::link::in_process::InProc
     [0, 1].map(|node| network.join(NodeId(node), Incarnation(1), false))
 }
 
+/// Side by side: most of it is waiting.
+fn over_both_links(stop: Where) {
+    let table = two_nodes();
+    thread::scope(|s| {
+        s.spawn(|| only_what_lives_arrives(&table, in_process(&table), stop));
+        only_what_lives_arrives(&table, udp(&table), stop);
+    });
+}
+
 fn udp(table: &Arc<CellTable>) -> [UdpLink; 2] {
     let links = [0, 1].map(|node| {
         let here = NodeTable::new(Arc::clone(table), NodeId(node));
@@ -212,16 +219,12 @@ fn udp(table: &Arc<CellTable>) -> [UdpLink; 2] {
 
 #[test]
 fn a_node_stopped_before_it_polls() {
-    let table = two_nodes();
-    only_what_lives_arrives(&table, in_process(&table), Where::BeforeThePoll);
-    only_what_lives_arrives(&table, udp(&table), Where::BeforeThePoll);
+    over_both_links(Where::BeforeThePoll);
 }
 
 #[test]
 fn a_node_stopped_between_the_link_and_its_tasks() {
-    let table = two_nodes();
-    only_what_lives_arrives(&table, in_process(&table), Where::BeforeTheSink);
-    only_what_lives_arrives(&table, udp(&table), Where::BeforeTheSink);
+    over_both_links(Where::BeforeTheSink);
 }
 
 /// A node that is stopped while its packets leave: the link's clock is read later than the node's.

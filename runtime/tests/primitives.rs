@@ -1,8 +1,9 @@
 //! Every primitive between real threads, on one node and between nodes.
 
-mod common;
-
-use common::{A, B, C, LONG, LONG_TICKS, ask, cell, finish, network, on, one_node, report, table};
+use crate::common::{
+    A, AMPLE, AMPLE_TICKS, B, C, LONG, LONG_TICKS, ask, cell, finish, network, on, one_node, report, table,
+    until,
+};
 use imrs_protocol::{Fault, NodeId, Outcome, PortDecl, Ranked, ReleasedBy, Ticks, Usage};
 use imrs_runtime::link::in_process::Faults;
 use imrs_runtime::{Context, Rendezvous, RequestFault, Sent, StartError, TaskEnd, TaskError};
@@ -151,14 +152,12 @@ fn a_full_buffer_refuses_at_once() {
     let node = one_node(&table)
         .task("a", move |ctx| {
             let ask = ctx.port("ask")?;
-            first.0.send(()).expect("c listens");
             assert_eq!(ctx.send(ask, b"a")?.reply().expect("b answers one").as_bytes(), b"yes");
             Ok(())
         })
         .task("c", move |ctx| {
-            first.1.recv().expect("a is about to ask");
-            // The buffer holds one: whoever comes second, with no more time left, finds it full.
-            ctx.delay(Duration::from_millis(200))?;
+            first.1.recv().expect("a has asked");
+            // The buffer holds one: whoever comes second finds it full.
             let ask = ctx.port("ask")?;
             assert_eq!(ctx.send(ask, b"c")?, Sent::Outcome(Outcome::Refused));
             second.0.send(()).expect("b listens");
@@ -172,13 +171,15 @@ fn a_full_buffer_refuses_at_once() {
         })
         .start()
         .unwrap();
+    until(|| node.node().snapshot(0).tasks[1].view.ports[0].len == 1);
+    first.0.send(()).expect("c listens");
     finish(node);
 }
 
 #[test]
 fn a_reply_after_the_budget_is_late_and_a_second_one_answers_nothing() {
     let mut cell = cell(&[0, 0], Ticks(0));
-    cell.port(ask(Ticks(20_000)));
+    cell.port(ask(AMPLE_TICKS));
     let table = table(cell);
     let node = one_node(&table)
         .task("a", |ctx| {
@@ -188,8 +189,8 @@ fn a_reply_after_the_budget_is_late_and_a_second_one_answers_nothing() {
         })
         .task("b", |ctx| {
             let question = ctx.receive(None, None)?.expect("a asks");
-            assert!(question.budget <= Ticks(20_000));
-            ctx.delay(Duration::from_millis(25))?;
+            assert!(question.budget <= AMPLE_TICKS);
+            ctx.delay(AMPLE)?;
             let late = ctx.reply(&question.from, b"too late");
             assert_eq!(late, Err(TaskError::Fault(RequestFault(Fault::Late))));
             Ok(())

@@ -1,9 +1,7 @@
 //! What a task's log takes comes out of the recording as it was put in; where there is no room or no disk, it says what it
 //! lost (D62).
 
-mod common;
-
-use common::{A, B, LONG, LONG_TICKS, ask, cell, finish, one_node, table};
+use crate::common::{A, B, LONG, LONG_TICKS, ask, cell, finish, one_node, table};
 use imrs_protocol::{
     Class, Contents, Incarnation, Input, Kind, MessageId, NodeId, NodeTable, Packet, PortId, Ranked, ReplyTo,
     Request, Seq24, ServiceOrder, Target, TaskId, Ticks, TimeId,

@@ -1,8 +1,6 @@
 //! What a node did can be done again, bit-equal, from what it was given (D62).
 
-mod common;
-
-use common::{LONG, LONG_TICKS, Tape, busy, cell, finish, meets_and_asks, on, table};
+use crate::common::{LONG, LONG_TICKS, Tape, ask, busy, cell, finish, meets_and_asks, on, one_node, table};
 use imrs_protocol::{CellTable, Incarnation, Input, NodeId, NodeTable, Request, TaskId, Ticks};
 use imrs_runtime::record::{About, FileRecorder, OutputDigest, Recorded, Recorder, Step, replay};
 use imrs_wire::recording::{Record, RecordingReader};
@@ -80,7 +78,7 @@ impl std::io::Write for Kept {
 #[test]
 fn a_recording_in_a_file_replays_bit_equal() {
     let mut cell = cell(&[0, 0], Ticks(0));
-    cell.port(common::ask(LONG_TICKS));
+    cell.port(ask(LONG_TICKS));
     let table = table(cell);
     let here = NodeTable::new(Arc::clone(&table), NodeId(0));
     let kept = Kept::default();
@@ -93,7 +91,7 @@ fn a_recording_in_a_file_replays_bit_equal() {
         failed,
     )
     .unwrap();
-    let node = common::one_node(&table)
+    let node = one_node(&table)
         .incarnation(life.0, life.1)
         .recorder(Arc::clone(&recorder) as _)
         .task("a", |ctx| {

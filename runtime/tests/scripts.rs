@@ -1,8 +1,6 @@
 //! Tasks that are scripts, on real nodes: with each other, with Rust tasks, and with actions outside.
 
-mod common;
-
-use common::{A, B, LONG, LONG_TICKS, Tape, ask, cell, network, on, one_node, report, table};
+use crate::common::{A, B, LONG, LONG_TICKS, Tape, ask, cell, network, on, one_node, report, table};
 use imrs_protocol::script::{
     Binary, End, Outcomes, Program, ProgramBuilder, ScriptFault, StatementOutcome, Type,
 };

@@ -1,8 +1,6 @@
 //! Time: nothing ends early; what ends, ends.
 
-mod common;
-
-use common::{A, B, C, LONG_TICKS, ask, cell, finish, one_node, table};
+use crate::common::{A, B, C, LONG_TICKS, ask, cell, finish, one_node, report, table};
 use imrs_protocol::{NodeId, Outcome, Packet, PortDecl, Ticks, Usage};
 use imrs_runtime::link::{Link, LinkBusy, PollEnd, Sink};
 use imrs_runtime::{AsyncContext, Context, Rendezvous, Runtime, SPIN_TAIL, Sent};
@@ -162,6 +160,7 @@ fn a_waiting_message_expires_though_nobody_looks() {
     let mut cell = cell(&[0, 0], Ticks(0));
     cell.port(PortDecl::new("tell", A, Usage::Send, &[B], Ticks(20_000)).bounded_buffer(8));
     let table = table(cell);
+    let (tell, expire) = report();
     let node = one_node(&table)
         .task("a", |ctx| {
             let tell = ctx.port("tell")?;
@@ -171,8 +170,8 @@ fn a_waiting_message_expires_though_nobody_looks() {
             Ok(())
         })
         // Its thread is busy with something else: the Timer thread must see to the expiry.
-        .task("b", |ctx| {
-            std::thread::sleep(Duration::from_millis(200));
+        .task("b", move |ctx| {
+            expire.recv().expect("the test waits for that");
             assert_eq!(ctx.poll(None)?, None);
             Ok(())
         })
@@ -185,5 +184,6 @@ fn a_waiting_message_expires_though_nobody_looks() {
         std::thread::sleep(Duration::from_millis(1));
     }
     assert!(start.elapsed() < LATE);
+    tell.send(()).expect("b waits");
     finish(node);
 }

@@ -1,10 +1,8 @@
 //! How the node's time is kept: every thread that sleeps asks for exact sleeps, a time_out that is answered wakes nobody, and
-//! a node that stood still discards what is over. A program of its own with one test: the threads are found by name, and
-//! the whole process is stopped.
+//! a node that stood still discards what is over. Alone: the threads are found by name, and the whole process is stopped.
 
-mod common;
-
-use common::{A, B, LONG, LONG_TICKS, ask, cell, report, table};
+use crate::alone;
+use crate::common::{A, B, LONG, LONG_TICKS, ask, cell, report, table};
 use imrs_protocol::{NodeId, Outcome, Packet, PortDecl, TaskId, Ticks, Usage};
 use imrs_runtime::link::{Link, LinkBusy, PollEnd, Sink};
 use imrs_runtime::record::{Log, OutputDigest, Recorder, Step};
@@ -86,7 +84,7 @@ fn sleeps_of_the_timer() -> u64 {
         let field = |name: &str| status.lines().find_map(|l| l.strip_prefix(name).map(str::trim));
         (field("Name:")? == "imrs timer").then(|| field("voluntary_ctxt_switches:")?.parse().ok()).flatten()
     };
-    let end = Instant::now() + common::LONG;
+    let end = Instant::now() + LONG;
     loop {
         let threads = std::fs::read_dir("/proc/self/task").expect("the threads of this process");
         if let Some(slept) = threads.flatten().find_map(|thread| of(thread.path())) {
@@ -144,6 +142,7 @@ fn c(ctx: &mut Context) -> Result<(), TaskError> {
 
 #[test]
 fn time_is_kept_by_threads_that_sleep_exactly_and_seldom() {
+    let _alone = alone();
     let mut cell = cell(&[0, 0, 0, 1], Ticks(100));
     cell.port(ask(LONG_TICKS));
     cell.port(PortDecl::new("news", A, Usage::Send, &[B], SHORT).bounded_buffer(NEWS));
@@ -181,7 +180,8 @@ fn time_is_kept_by_threads_that_sleep_exactly_and_seldom() {
     assert!(ends.iter().all(|(_, end)| *end == TaskEnd::Returned), "{ends:?}");
 
     let mut seen = std::mem::take(&mut *slacks.of.lock().unwrap());
-    seen.retain(|(name, _)| name != "main" && !name.starts_with("time_is_kept"));
+    let own = std::thread::current();
+    seen.retain(|(name, _)| own.name() != Some(name));
     seen.sort();
     let exact = ["a", "b", "c", "imrs receive", "imrs timer"].map(|name| (name.to_owned(), 1));
     assert_eq!(seen, exact);

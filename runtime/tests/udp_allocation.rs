@@ -1,41 +1,17 @@
 //! Once two links know each other, their datagrams allocate nothing.
 
+use crate::allocator::of_this_thread;
+use crate::alone;
 use imrs_protocol::{
     Cell, CellTable, Class, Contents, Incarnation, Kind, MAX_HOPS, MessageId, NodeId, NodeTable, Packet,
     PortDecl, PortId, Seq24, TaskId, Ticks, Usage,
 };
 use imrs_runtime::link::udp::{UdpLink, UdpOptions};
 use imrs_runtime::link::{Link, LinkDiscard, PollEnd, Sink};
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell as Count;
 use std::net::Ipv4Addr;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
 use std::time::{Duration, Instant};
-
-struct Counting;
-
-thread_local! {
-    // Of the own thread only: the test's harness has others.
-    static ALLOCATIONS: Count<u64> = const { Count::new(0) };
-}
-
-// SAFETY: every call goes to the system's allocator unchanged.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        ALLOCATIONS.set(ALLOCATIONS.get() + 1);
-        // SAFETY: the caller's promise is passed on.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        // SAFETY: the caller's promise is passed on.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
 
 #[derive(Default)]
 struct Counter(AtomicU64);
@@ -72,6 +48,7 @@ fn links() -> [UdpLink; 2] {
 
 #[test]
 fn sending_and_receiving_allocate_nothing() {
+    let _alone = alone();
     let [a, b] = links();
     let packet = Packet {
         kind: Kind::Send,
@@ -104,9 +81,9 @@ fn sending_and_receiving_allocate_nothing() {
         }
     };
     rounds();
-    let before = ALLOCATIONS.get();
+    let before = of_this_thread();
     for _ in 0..500 {
         rounds();
     }
-    assert_eq!(ALLOCATIONS.get() - before, 0, "in 3,000 datagrams");
+    assert_eq!(of_this_thread() - before, 0, "in 3,000 datagrams");
 }

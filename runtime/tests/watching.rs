@@ -1,10 +1,8 @@
 //! What version 1.1 of the observation protocol adds: what changed, watched queues, the process, the clock, tokens, and
 //! where the others are. Monitors of version 1.0 see none of it.
 
-mod common;
-
-use common::monitor::{Folder, Monitor, NEW, OLD, node, socket, want};
-use common::{B, LONG};
+use crate::common::monitor::{Folder, Monitor, NEW, OLD, node, socket, want};
+use crate::common::{B, LONG};
 use imrs_protocol::{Event, PortId};
 use imrs_runtime::observer::{AddressBook, Observer, Place, Showing};
 use imrs_wire::obs::{

@@ -1,74 +1,24 @@
 //! What monitors cost a node: a hostile one no memory to speak of (M4), a watched message nothing that is allocated (M5),
 //! and no event goes missing uncounted (M13).
 
-mod common;
-
-use common::{A, B, LONG, LONG_TICKS, cell, one_node, table};
+use crate::allocator::{ByThread, live};
+use crate::alone;
+use crate::common::{A, B, LONG, LONG_TICKS, cell, one_node, table};
 use imrs_protocol::{Event, PortDecl, PortId, Ticks, Usage};
-use imrs_runtime::Runtime;
 use imrs_runtime::observer::Observer;
+use imrs_runtime::{Runtime, TaskEnd};
 use imrs_wire::obs::{
     ClientFrame, EventFilter, FrameError, FrameReader, FrameWriter, Handshake, Hello, Kinds, MAX_FRAME, Role,
     SCHEMA, ServerFrame, VERSION, Want,
 };
-use std::alloc::{GlobalAlloc, Layout, System};
-use std::cell::Cell as Local;
 use std::io::{Read, Write};
 use std::os::unix::net::UnixStream;
 use std::path::PathBuf;
-use std::sync::atomic::{AtomicBool, AtomicI64, AtomicU32, AtomicU64, Ordering};
-use std::sync::mpsc::channel;
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, AtomicU32, Ordering};
+use std::sync::mpsc::{Receiver, Sender, channel};
 use std::thread;
 use std::time::{Duration, Instant};
-
-struct Counting;
-
-/// Bytes that are allocated now.
-static LIVE: AtomicI64 = AtomicI64::new(0);
-/// How often the threads of tasks allocated, while it is counted.
-static BY_TASKS: AtomicU64 = AtomicU64::new(0);
-
-thread_local! {
-    static COUNTED: Local<bool> = const { Local::new(false) };
-}
-
-fn grown(by: i64) {
-    LIVE.fetch_add(by, Ordering::Relaxed);
-    if by > 0 && COUNTED.try_with(Local::get).unwrap_or(false) {
-        BY_TASKS.fetch_add(1, Ordering::Relaxed);
-    }
-}
-
-// SAFETY: every call goes to the system's allocator unchanged.
-unsafe impl GlobalAlloc for Counting {
-    unsafe fn alloc(&self, layout: Layout) -> *mut u8 {
-        grown(layout.size() as i64);
-        // SAFETY: the caller's promise is passed on.
-        unsafe { System.alloc(layout) }
-    }
-
-    unsafe fn dealloc(&self, pointer: *mut u8, layout: Layout) {
-        grown(-(layout.size() as i64));
-        // SAFETY: the caller's promise is passed on.
-        unsafe { System.dealloc(pointer, layout) }
-    }
-
-    unsafe fn realloc(&self, pointer: *mut u8, layout: Layout, size: usize) -> *mut u8 {
-        grown(size as i64 - layout.size() as i64);
-        // SAFETY: the caller's promise is passed on.
-        unsafe { System.realloc(pointer, layout, size) }
-    }
-}
-
-#[global_allocator]
-static ALLOCATOR: Counting = Counting;
-
-/// One test at a time: they count what the whole process does.
-fn alone() -> MutexGuard<'static, ()> {
-    static ALONE: Mutex<()> = Mutex::new(());
-    ALONE.lock().unwrap_or_else(PoisonError::into_inner)
-}
 
 /// A socket of this test alone, removed with it.
 struct Socket(PathBuf);
@@ -89,32 +39,42 @@ impl Drop for Socket {
 
 const NEWS: PortId = PortId(0);
 
-/// A node whose task `a` sends as many messages as it is told to, of which `b` takes what it can; `a` then says so.
-fn node() -> (Runtime, std::sync::mpsc::Sender<u32>, std::sync::mpsc::Receiver<()>) {
+/// A node whose task `a` sends as many messages as it is told to, of which `b` takes what it can; `a` then says how often the
+/// two threads allocated meanwhile.
+fn node() -> (Runtime, Sender<u32>, Receiver<u64>) {
     let mut cell = cell(&[0, 0], Ticks(0));
     cell.port(PortDecl::new("news", A, Usage::Send, &[B], LONG_TICKS).bounded_buffer(16));
     let (tell, told) = channel::<u32>();
     let (done, finished) = channel();
+    let (begins, began) = channel();
     let runtime = one_node(&table(cell))
         .task("a", move |ctx| {
             while let Ok(count) = told.recv() {
-                COUNTED.set(true);
+                let counted = ByThread::begin();
                 for number in 0..count {
                     let _copies = ctx.send(NEWS, &number.to_le_bytes())?;
                 }
-                COUNTED.set(false);
-                done.send(()).expect("the test waits");
+                let allocated = counted.end(&["a", "b"]);
+                done.send(allocated.iter().map(|(_, times)| times).sum()).expect("the test waits");
             }
             Ok(())
         })
-        .task("b", |ctx| {
-            COUNTED.set(true);
+        .task("b", move |ctx| {
+            begins.send(()).expect("the test waits");
             while ctx.receive(Some(NEWS), None)?.is_some() {}
             Ok(())
         })
         .start()
         .unwrap();
+    // What a thread allocates to begin is none of a message.
+    began.recv_timeout(LONG).expect("b begins");
     (runtime, tell, finished)
+}
+
+/// Ends the node with all its threads: none of them is counted by another test.
+fn stop(runtime: Runtime) {
+    let ends = runtime.stop(LONG);
+    assert!(ends.iter().all(|(_, end)| *end == TaskEnd::Returned), "{ends:?}");
 }
 
 fn want() -> Want {
@@ -150,14 +110,14 @@ fn hostile_monitors_cost_a_bounded_amount_of_memory() {
     let observer = Observer::start_at(runtime.node().clone(), &socket.0).unwrap();
     tell.send(1_000).unwrap();
     finished.recv_timeout(LONG).unwrap();
-    let grows = |begin: i64| LIVE.load(Ordering::Relaxed) - begin;
-    let before = LIVE.load(Ordering::Relaxed);
+    let before = live();
+    let grows = || live() - before;
     let mut most = [0_i64; 3];
     let traffic = |most: &mut i64| {
         for _ in 0..30 {
             tell.send(2_000).unwrap();
             finished.recv_timeout(LONG).unwrap();
-            *most = (*most).max(grows(before));
+            *most = (*most).max(grows());
         }
     };
     let stopped = attach(&socket, want());
@@ -180,13 +140,13 @@ fn hostile_monitors_cost_a_bounded_amount_of_memory() {
     for round in 0..30_u8 {
         let mut mad = UnixStream::connect(&socket.0).unwrap();
         let _ = mad.write_all(&[round.wrapping_mul(37); 900]);
-        most[2] = most[2].max(grows(before));
+        most[2] = most[2].max(grows());
     }
     traffic(&mut most[2]);
     println!("memory of the process grew by at most {most:?} bytes (stopped, slow, mad)");
     assert!(most.iter().all(|&most| most <= 256 << 10), "{most:?} bytes");
     drop((observer, tell));
-    drop(runtime);
+    stop(runtime);
 }
 
 /// M5: what is told is written under the lock that the machine has anyway, into memory that is there.
@@ -204,32 +164,30 @@ fn a_watched_message_allocates_nothing() {
             let _ = seen.send(());
         }
     });
-    sees.recv_timeout(LONG).expect("it is watched");
+    // A hello, the table, the first change: it is watched.
+    (0..3).for_each(|_| sees.recv_timeout(LONG).expect("a frame"));
     tell.send(2_000).unwrap();
     finished.recv_timeout(LONG).unwrap();
-    BY_TASKS.store(0, Ordering::Relaxed);
     tell.send(20_000).unwrap();
-    finished.recv_timeout(LONG).unwrap();
-    // What the channels of this test take is not the node's.
-    let allocated = BY_TASKS.load(Ordering::Relaxed);
+    let allocated = finished.recv_timeout(LONG).unwrap();
     println!("20,000 watched messages: {allocated} allocations on the tasks' threads");
     assert!(allocated <= 2, "{allocated} allocations");
     drop((observer, tell));
     reading.join().unwrap();
-    drop(runtime);
+    stop(runtime);
 }
 
 /// M13: what was sent is what was shown and what was counted as lost, also where the reader is far too slow.
 #[test]
 fn no_event_goes_missing_uncounted() {
     let _alone = alone();
-    let all: u32 = std::env::var("IMRS_EVENTS").map_or(1_000_000, |all| all.parse().expect("a number"));
+    let all: u32 = std::env::var("IMRS_EVENTS").map_or(300_000, |all| all.parse().expect("a number"));
     let socket = Socket::new();
     let (runtime, tell, finished) = node();
     let observer = Observer::start_at(runtime.node().clone(), &socket.0).unwrap();
     let filter = EventFilter { kinds: Kinds::NONE.and(Event::Sent), tasks: vec![A] };
     let stream = attach(&socket, Want { events: Some(filter), ..want() });
-    let (told, hears) = channel();
+    let ((told, hears), (goes_on, stands_still)) = (channel(), channel::<()>());
     let reading = thread::spawn(move || {
         let mut reader = FrameReader::new(stream, MAX_FRAME);
         let hello = reader.read_frame().map(|hello| Handshake::decode(hello).is_ok());
@@ -237,8 +195,13 @@ fn no_event_goes_missing_uncounted() {
         loop {
             match reader.read_frame().map(ServerFrame::decode) {
                 Ok(Ok(frame)) => {
+                    let is_change = matches!(frame, ServerFrame::Delta(_));
                     if told.send(frame).is_err() {
                         return;
+                    }
+                    // From the first change on the events are followed, and it reads none of them for a while.
+                    if is_change {
+                        let _ = stands_still.recv();
                     }
                     // Every so often it does something else.
                     if fastrand::u8(..) < 8 {
@@ -251,10 +214,12 @@ fn no_event_goes_missing_uncounted() {
             }
         }
     });
-    // From the first change on the events are followed.
     assert!(matches!(hears.recv_timeout(LONG), Ok(ServerFrame::Table(_))));
     while !matches!(hears.recv_timeout(LONG), Ok(ServerFrame::Delta(_))) {}
-    tell.send(all).unwrap();
+    tell.send(all / 2).unwrap();
+    finished.recv_timeout(5 * LONG).unwrap();
+    drop(goes_on);
+    tell.send(all - all / 2).unwrap();
     let (mut shown, mut lost) = (0_u64, 0);
     let start = Instant::now();
     while shown + lost < u64::from(all) {
@@ -264,12 +229,12 @@ fn no_event_goes_missing_uncounted() {
             lost += events.lost;
         }
     }
-    finished.recv_timeout(LONG).unwrap();
+    finished.recv_timeout(5 * LONG).unwrap();
     println!("{all} events: {shown} shown, {lost} counted as lost");
     assert_eq!(shown + lost, u64::from(all));
     assert!(lost > 0 && shown > 0, "{shown} shown, {lost} lost");
     drop((observer, tell));
     drop(hears);
     reading.join().unwrap();
-    drop(runtime);
+    stop(runtime);
 }

@@ -1,8 +1,8 @@
 //! The hand-off: answers, wake-ups, what is left for the holder of the lock, time_outs, stopping. And the turn.
 
-use super::{DEADLOCK, must_fail};
+use super::{DEADLOCK, must_fail, must_fail_large};
 use crate::clock::FAR;
-use crate::explorer::{Arc, SEES_OLD_VALUES, explore, thread};
+use crate::explorer::{Arc, SEES_OLD_VALUES, explore, explore_large, thread};
 use crate::handoff::{Handoff, Plant, Rest, Station};
 use crate::sync::{Mutex, lock};
 use crate::turn::{self, Turn};
@@ -321,13 +321,13 @@ fn take_several(plant: Plant) -> u32 {
 
 #[test]
 fn several_are_taken_under_one_lock_and_none_is_lost() {
-    let seen = explore(|| take_several(Plant::None));
+    let seen = explore_large(|| take_several(Plant::None));
     assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [1, 2], "{seen:?}");
 }
 
 #[test]
 fn taking_several_without_a_second_look_waits_for_what_was_left() {
-    must_fail(DEADLOCK, || take_several(Plant::NoSecondLook));
+    must_fail_large(DEADLOCK, || take_several(Plant::NoSecondLook));
 }
 
 /// Two threads bring input at once. How much one of them worked off, at the most.
@@ -376,13 +376,13 @@ fn three_bring(plant: Plant) -> bool {
 
 #[test]
 fn whoever_finds_the_inbox_full_waits_for_the_lock() {
-    let seen = explore(|| three_bring(Plant::None));
+    let seen = explore_large(|| three_bring(Plant::None));
     assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [false, true], "{seen:?}");
 }
 
 #[test]
 fn input_that_a_full_inbox_drops_is_missed() {
-    must_fail("input stayed behind", || three_bring(Plant::DropsWhenFull));
+    must_fail_large("input stayed behind", || three_bring(Plant::DropsWhenFull));
 }
 
 /// One thread looks while another brings input. Whether the one who looks had to work.
@@ -457,13 +457,13 @@ fn race_with_time(under_lock: bool) -> Got {
 
 #[test]
 fn a_reply_and_a_time_out_are_decided_once() {
-    let seen = explore(|| race_with_time(true));
+    let seen = explore_large(|| race_with_time(true));
     assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [Got::Answer, Got::TimedOut], "{seen:?}");
 }
 
 #[test]
 fn a_time_out_decided_outside_the_lock_loses_an_answer() {
-    must_fail("lost or taken twice", || race_with_time(false));
+    must_fail_large("lost or taken twice", || race_with_time(false));
 }
 
 /// The node stops while a task waits and its answer comes.
@@ -487,13 +487,13 @@ fn stop_while_waiting(plant: Plant, with_answer: bool) -> Option<Got> {
 
 #[test]
 fn stopping_ends_every_wait() {
-    let seen = explore(|| stop_while_waiting(Plant::None, true));
+    let seen = explore_large(|| stop_while_waiting(Plant::None, true));
     assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [None, Some(Got::Answer)], "{seen:?}");
 }
 
 #[test]
 fn stopping_silently_leaves_a_sleeper_behind() {
-    must_fail(DEADLOCK, || stop_while_waiting(Plant::SilentStop, false));
+    must_fail_large(DEADLOCK, || stop_while_waiting(Plant::SilentStop, false));
 }
 
 /// Two threads put something down and take a turn to carry it away. How much one of them carried, at the most.

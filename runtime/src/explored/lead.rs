@@ -2,8 +2,8 @@
 //! others, and the thread that polls.
 
 use super::handoff::{Brought, Toy};
-use super::{DEADLOCK, must_fail};
-use crate::explorer::{Arc, Condvar, PlainMutex, explore, thread};
+use super::{DEADLOCK, must_fail_large};
+use crate::explorer::{Arc, Condvar, PlainMutex, explore_large, thread};
 use crate::handoff::{self, Bell, Handoff};
 use crate::lead::{Came, Lead, Led};
 use crate::sync::{Mutex, lock, try_lock};
@@ -181,7 +181,7 @@ fn answer_by_datagram(planted: Planted, looks: u32) -> (Led, u32) {
 
 #[test]
 fn an_answer_by_datagram_ends_the_wait_whoever_takes_it() {
-    let seen = explore(|| answer_by_datagram(Planted::default(), 0));
+    let seen = explore_large(|| answer_by_datagram(Planted::default(), 0));
     let outcomes: Vec<_> = seen.keys().copied().collect();
     let expected = [(Led::ToTheEnd, 0), (Led::ToTheEnd, 1), (Led::Called, 0), (Led::No, 0)];
     assert_eq!(outcomes, expected, "{seen:?}");
@@ -189,12 +189,12 @@ fn an_answer_by_datagram_ends_the_wait_whoever_takes_it() {
 
 #[test]
 fn who_leads_and_is_not_called_waits_for_ever() {
-    must_fail(DEADLOCK, || answer_by_datagram(Planted { no_bell: true, ..Planted::default() }, 0));
+    must_fail_large(DEADLOCK, || answer_by_datagram(Planted { no_bell: true, ..Planted::default() }, 0));
 }
 
 #[test]
 fn who_looks_into_the_socket_before_it_leads_misses_no_answer() {
-    let seen = explore(|| answer_by_datagram(Planted::default(), 1));
+    let seen = explore_large(|| answer_by_datagram(Planted::default(), 1));
     let outcomes: Vec<_> = seen.keys().copied().collect();
     let expected = [(Led::ToTheEnd, 0), (Led::ToTheEnd, 1), (Led::Called, 0), (Led::No, 0)];
     assert_eq!(outcomes, expected, "{seen:?}");
@@ -202,7 +202,7 @@ fn who_looks_into_the_socket_before_it_leads_misses_no_answer() {
 
 #[test]
 fn a_look_into_the_socket_does_not_make_up_for_the_bell() {
-    must_fail(DEADLOCK, || answer_by_datagram(Planted { no_bell: true, ..Planted::default() }, 1));
+    must_fail_large(DEADLOCK, || answer_by_datagram(Planted { no_bell: true, ..Planted::default() }, 1));
 }
 
 /// The answer comes from another task of the node, a datagram for somebody else meanwhile. Whether the leader was called,
@@ -223,7 +223,7 @@ fn answer_by_another_task(planted: Planted) -> (Led, u32) {
 
 #[test]
 fn a_datagram_for_others_is_taken_though_the_leader_leaves() {
-    let seen = explore(|| answer_by_another_task(Planted::default()));
+    let seen = explore_large(|| answer_by_another_task(Planted::default()));
     let outcomes: Vec<_> = seen.keys().copied().collect();
     let (end, called, no) = (Led::ToTheEnd, Led::Called, Led::No);
     assert_eq!(outcomes, [(end, 0), (end, 1), (called, 0), (called, 1), (no, 0)], "{seen:?}");
@@ -231,7 +231,7 @@ fn a_datagram_for_others_is_taken_though_the_leader_leaves() {
 
 #[test]
 fn a_leader_that_leaves_what_it_was_told_of_hands_it_to_nobody() {
-    must_fail(DEADLOCK, || answer_by_another_task(Planted { leaves_told: true, ..Planted::default() }));
+    must_fail_large(DEADLOCK, || answer_by_another_task(Planted { leaves_told: true, ..Planted::default() }));
 }
 
 /// The one that polls finds the socket empty, and the next datagram is told to the leader before the turn is free.
@@ -249,7 +249,7 @@ fn two_datagrams(planted: Planted) -> (Led, u32) {
 
 #[test]
 fn what_the_leader_leaves_to_the_one_at_work_is_taken() {
-    let seen = explore(|| two_datagrams(Planted::default()));
+    let seen = explore_large(|| two_datagrams(Planted::default()));
     let outcomes: Vec<_> = seen.keys().copied().collect();
     let (end, called, no) = (Led::ToTheEnd, Led::Called, Led::No);
     let expected = [(end, 0), (end, 1), (end, 2), (called, 0), (called, 1), (no, 0), (no, 1)];
@@ -258,5 +258,5 @@ fn what_the_leader_leaves_to_the_one_at_work_is_taken() {
 
 #[test]
 fn one_at_work_who_is_told_of_edges_leaves_a_datagram() {
-    must_fail(DEADLOCK, || two_datagrams(Planted { edges: true, ..Planted::default() }));
+    must_fail_large(DEADLOCK, || two_datagrams(Planted { edges: true, ..Planted::default() }));
 }

@@ -1,6 +1,7 @@
 //! The concurrent pieces of the runtime, each in small scenes of two or three threads. An explorer runs a scene under many
 //! schedules: loom under all with so many preemptions, old values of atomics included, in the unit tests; shuttle under
 //! chosen ones, many more, in `tests/schedules`. Both take these very files (`crate::explorer` is either).
+//! A large scene has a smaller bound by default, which shows the same outcomes and finds the same bugs (`explore_large`).
 //!
 //! A scene returns what came out. Each test asserts the whole set of outcomes, and has twins with a planted bug that must
 //! be found: an exploration that sees one outcome or misses the bug shows nothing.
@@ -14,7 +15,7 @@ mod park;
 mod time;
 mod visit;
 
-use crate::explorer::explore;
+use crate::explorer::{explore, explore_large};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 /// What an explorer says when every thread sleeps.
@@ -22,7 +23,16 @@ const DEADLOCK: &str = "deadlock";
 
 /// Expects that the exploration finds a planted bug, by its symptom.
 fn must_fail<O: Ord + Send + 'static>(symptom: &str, body: impl Fn() -> O + Send + Sync + 'static) {
-    let Err(panic) = catch_unwind(AssertUnwindSafe(|| explore(body))) else {
+    must_be_found(symptom, || explore(body));
+}
+
+/// The same of a large scene: within the bound that its exploration has.
+fn must_fail_large<O: Ord + Send + 'static>(symptom: &str, body: impl Fn() -> O + Send + Sync + 'static) {
+    must_be_found(symptom, || explore_large(body));
+}
+
+fn must_be_found<T>(symptom: &str, exploration: impl FnOnce() -> T) {
+    let Err(panic) = catch_unwind(AssertUnwindSafe(exploration)) else {
         panic!("the planted bug was not found");
     };
     let text = panic.downcast_ref::<String>().cloned();

@@ -1,9 +1,9 @@
 //! Time: who looks after an expiry, and how the Timer's thread ends.
 
-use super::{DEADLOCK, must_fail};
+use super::{DEADLOCK, must_fail, must_fail_large};
 use crate::alarm::{Alarm, Cover, Plant};
 use crate::clock::{FAR, Micros};
-use crate::explorer::{Arc, SEES_OLD_VALUES, explore, thread};
+use crate::explorer::{Arc, SEES_OLD_VALUES, explore, explore_large, thread};
 use crate::handoff::{Handoff, Rest, Station};
 use crate::sync::{AtomicBool, Ordering};
 
@@ -184,11 +184,11 @@ fn an_expiry_changes_hands(covers_all: bool) -> ServedBy {
 
 #[test]
 fn an_expiry_always_has_somebody_to_look_after_it() {
-    let seen = explore(|| an_expiry_changes_hands(false));
+    let seen = explore_large(|| an_expiry_changes_hands(false));
     assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [ServedBy::TheTask, ServedBy::TheTimer], "{seen:?}");
 }
 
 #[test]
 fn an_expiry_before_the_end_of_the_sleep_needs_the_timer() {
-    must_fail(DEADLOCK, || an_expiry_changes_hands(true));
+    must_fail_large(DEADLOCK, || an_expiry_changes_hands(true));
 }

@@ -1,8 +1,8 @@
 //! Somebody visits the station, as a script's action does when it ends, or a node that begins.
 
 use super::handoff::{Brought, Got, Toy};
-use super::{DEADLOCK, must_fail};
-use crate::explorer::{Arc, explore, thread};
+use super::{DEADLOCK, must_fail_large};
+use crate::explorer::{Arc, explore_large, thread};
 use crate::handoff::{Handoff, Plant};
 
 /// The task asks and waits; one thread brings the answer, or leaves it while another one visits. Whether the visitor had it
@@ -31,11 +31,11 @@ fn ask_while_visited(plant: Plant) -> bool {
 
 #[test]
 fn an_answer_that_a_visitor_finds_ends_the_wait() {
-    let seen = explore(|| ask_while_visited(Plant::None));
+    let seen = explore_large(|| ask_while_visited(Plant::None));
     assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [false, true], "{seen:?}");
 }
 
 #[test]
 fn a_visitor_that_does_not_mark_the_word_loses_the_wake_up() {
-    must_fail(DEADLOCK, || ask_while_visited(Plant::NoMark));
+    must_fail_large(DEADLOCK, || ask_while_visited(Plant::NoMark));
 }

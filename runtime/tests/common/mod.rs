@@ -1,5 +1,4 @@
 //! Cells and small helpers shared by the tests with real threads.
-#![allow(dead_code, reason = "every test program uses some of these")]
 
 pub mod monitor;
 pub mod udp;
@@ -11,13 +10,19 @@ use imrs_runtime::{Builder, Context, Runtime, TaskEnd, TaskError};
 use std::collections::BTreeMap;
 use std::sync::mpsc::{Receiver, Sender, channel};
 use std::sync::{Arc, Mutex};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// Long enough for anything that is not lost, on a machine that is not quiet.
 pub const LONG: Duration = Duration::from_secs(60);
 
 /// The same in ticks.
 pub const LONG_TICKS: Ticks = Ticks(60_000_000);
+
+/// A time_out that a test lets pass. A busy machine keeps no thread from running for nearly so long.
+pub const AMPLE: Duration = Duration::from_secs(1);
+
+/// The same in ticks.
+pub const AMPLE_TICKS: Ticks = Ticks(1_000_000);
 
 pub const A: TaskId = TaskId(0);
 pub const B: TaskId = TaskId(1);
@@ -106,6 +111,15 @@ pub fn finish(runtime: Runtime) {
     assert!(runtime.wait(LONG), "a program did not end");
     let ends = runtime.stop(LONG);
     assert!(ends.iter().all(|(_, end)| *end == TaskEnd::Returned), "{ends:?}");
+}
+
+/// Looks again and again, until it is so.
+pub fn until(mut done: impl FnMut() -> bool) {
+    let start = Instant::now();
+    while !done() {
+        assert!(start.elapsed() < LONG, "it never came");
+        std::thread::sleep(Duration::from_millis(1));
+    }
 }
 
 /// A channel for what the programs have to say.

@@ -1,10 +1,21 @@
 //! Whole nodes over loopback UDP.
 
-use imrs_protocol::{CellTable, Incarnation, NodeId, NodeTable};
+use imrs_protocol::{CellTable, Incarnation, NodeId, NodeTable, Packet, Ticks};
 use imrs_runtime::link::faulty::FaultyLink;
 use imrs_runtime::link::udp::{UdpLink, UdpOptions};
+use imrs_runtime::link::{Link, LinkDiscard, PollEnd, Sink};
 use imrs_runtime::{Builder, Runtime};
 use std::sync::Arc;
+use std::time::Instant;
+
+/// For a link whose neighbours have said nothing yet.
+struct Nobody;
+
+impl Sink for Nobody {
+    fn packets(&self, _from: NodeId, _packets: &[Packet], _charge: Ticks, _at: Instant) {}
+    fn peer(&self, _node: NodeId, _incarnation: Incarnation, _restarted: bool) {}
+    fn discarded(&self, _reason: LinkDiscard) {}
+}
 
 /// Links of all nodes of a cell that know each other's addresses.
 pub fn links(table: &Arc<CellTable>, loss: f64) -> Vec<Arc<FaultyLink<UdpLink>>> {
@@ -19,6 +30,8 @@ pub fn links(table: &Arc<CellTable>, loss: f64) -> Vec<Arc<FaultyLink<UdpLink>>>
         for (b, to) in links.iter().enumerate().filter(|&(b, _)| a != b) {
             from.set_address(NodeId::from_index(b), Some(to.local_address())).expect("a neighbour");
         }
+        // Taken here. Else the thread that receives hears of the addresses at any time later, and sends what waits just then.
+        while from.poll(&Nobody, None) != PollEnd::Ready {}
     }
     let faulty = |(seed, link)| {
         let link = FaultyLink::new(link, seed);

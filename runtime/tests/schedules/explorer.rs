@@ -43,6 +43,9 @@ pub(crate) fn explore<O: Ord + Send + 'static>(body: impl Fn() -> O + Send + Syn
     seen
 }
 
+/// A schedule that is drawn costs the same in a large scene.
+pub(crate) use explore as explore_large;
+
 pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
     mutex.lock().unwrap()
 }

@@ -1,5 +1,6 @@
 //! What this process holds, as the kernel counts it.
 
+use std::fs::DirEntry;
 use std::time::{Duration, Instant};
 
 /// What the process holds at an instant.
@@ -10,6 +11,7 @@ pub struct Held {
     /// Anonymous memory in RAM, in KiB: of files nothing is counted, which come and go as the kernel likes.
     pub memory: u64,
     pub descriptors: usize,
+    /// Those of the nodes: what runs the tests begins and ends threads of its own.
     pub threads: usize,
 }
 
@@ -20,12 +22,17 @@ impl Held {
             let line = status.lines().find_map(|line| line.strip_prefix(name)).expect("a field");
             line.trim_end_matches("kB").trim().parse().expect("a number")
         };
-        let count = |folder: &str| std::fs::read_dir(folder).expect("this is Linux").count();
+        let listed = |folder: &str| std::fs::read_dir(folder).expect("this is Linux").flatten();
+        let is_of_a_node = |thread: &DirEntry| {
+            let name = std::fs::read_to_string(thread.path().join("comm")).unwrap_or_default();
+            // That of the tasks, and what runs for all of them. The one for actions ends some time after its node.
+            ["imrs receive", "imrs timer"].contains(&name.trim_end()) || name.trim_end().len() == 1
+        };
         Self {
             at: since.elapsed().as_secs_f64(),
             memory: field("RssAnon:"),
-            descriptors: count("/proc/self/fd"),
-            threads: usize::try_from(field("Threads:")).expect("few"),
+            descriptors: listed("/proc/self/fd").count(),
+            threads: listed("/proc/self/task").filter(is_of_a_node).count(),
         }
     }
 }

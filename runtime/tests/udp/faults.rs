@@ -1,7 +1,7 @@
 //! Injected faults.
 
-use crate::network::in_a_network;
-use crate::rig::{A, B, C, Memory, PATIENCE, link, packet, pair, table};
+use super::network::in_a_network;
+use super::rig::{A, B, C, Memory, PATIENCE, link, packet, pair, table};
 use imrs_protocol::Incarnation;
 use imrs_runtime::link::faulty::{FaultyLink, Injected};
 use imrs_runtime::link::udp::{UdpCount, UdpLink, UdpOptions};

@@ -1,6 +1,6 @@
 //! What is not for this node: each datagram is counted under its reason, nothing is delivered, nothing panics.
 
-use crate::rig::{A, B, C, Memory, cell, encoded, envelope, link, packet, raw_socket, sealed, sealed_for};
+use super::rig::{A, B, C, Memory, cell, encoded, envelope, link, packet, raw_socket, sealed, sealed_for};
 use imrs_protocol::{Incarnation, NodeId, PacketError, PortId};
 use imrs_runtime::link::LinkDiscard;
 use imrs_runtime::link::udp::UdpLink;

@@ -1,13 +1,13 @@
 //! What leaves in one call, and comes in one (D129).
 
-use crate::network::{in_a_network, ip, skip};
-use crate::rig::{
+use super::network::{in_a_network, ip, skip};
+use super::rig::{
     A, B, BOUND, C, Memory, PATIENCE, QUEUED, cell, encoded, envelope, introduced, link, packet, pair, plain,
     raw_socket, sealed, table,
 };
 use imrs_protocol::{Incarnation, NodeId, Packet, PortId, TaskId, Ticks};
 use imrs_runtime::link::udp::{UdpCount, UdpLink};
-use imrs_runtime::link::{Came, Link, LinkDiscard};
+use imrs_runtime::link::{Came, Link, LinkDiscard, PollEnd};
 use imrs_runtime::protocol::Target;
 use imrs_runtime::{Runtime, TaskEnd};
 use imrs_wire::envelope::{self, Envelope, MAX_DATAGRAM_BYTES, MAX_PACKETS};
@@ -119,6 +119,8 @@ fn what_is_said_together_leaves_in_one_call_the_most_urgent_of_each_datagram_fir
         return;
     }
     a.set_address(B, Some(b.local_address())).unwrap();
+    // Taken here. Else the thread that receives hears of the address at any time later, and sends what waits just then.
+    assert_eq!(a.poll(&Memory::default(), None), PollEnd::Ready);
     let node = Runtime::builder(cell("udp"), A).incarnation(Incarnation(1), false).link(a.clone());
     let node = node.task("x", |ctx| {
         ctx.together(|ctx| {

@@ -1,6 +1,6 @@
 //! Old packets come out old (D20, D50).
 
-use crate::rig::{
+use super::rig::{
     A, B, BOUND, Memory, PATIENCE, QUEUED, cell, encoded, envelope, link, packet, pair, raw_socket, sealed,
 };
 use imrs_protocol::Incarnation;

@@ -1,9 +1,10 @@
 //! Sending, coalescing, waiting, restarts and errors of the network.
 
-use crate::rig::{A, B, C, Memory, PATIENCE, any_port, life, link, packet, pair, raw_socket, table};
+use super::rig::{A, B, C, Memory, PATIENCE, any_port, life, link, packet, pair, raw_socket, table};
 use imrs_protocol::{Incarnation, NodeId};
 use imrs_runtime::link::udp::{NotANeighbour, UdpCount, UdpError, UdpLink, UdpOptions};
 use imrs_runtime::link::{Link, LinkBusy, PollEnd};
+use std::net::{Ipv4Addr, UdpSocket};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -172,7 +173,11 @@ fn a_node_says_itself_that_it_restarted() {
 fn errors_of_the_network_are_counted_and_survived() {
     let (a, b) = pair();
     let memory = Memory::default();
-    let gone = raw_socket().local_addr().unwrap();
+    // A port of an address that is this test's: nobody else takes it meanwhile.
+    let [.., high, low] = std::process::id().to_be_bytes();
+    let own = UdpSocket::bind((Ipv4Addr::new(127, 77, high, low), 0)).unwrap();
+    let gone = own.local_addr().unwrap();
+    drop(own);
     a.set_address(C, Some(gone)).unwrap();
     for n in 0..20 {
         assert_eq!(a.send(C, &[packet(n)]), Ok(1), "nobody is there, which only the counters need to know");

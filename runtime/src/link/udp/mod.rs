@@ -29,7 +29,7 @@ use imrs_protocol::{Incarnation, NodeId, NodeTable, Packet, Ticks};
 use imrs_wire::envelope::MAX_PACKETS;
 use peer::{Peer, Way, lock};
 use receive::Receiving;
-use send::SEGMENTS;
+pub(crate) use send::SEGMENTS;
 use socket::{Receiver, Waited};
 use statistics::Statistics;
 use std::io;

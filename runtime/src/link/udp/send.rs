@@ -15,7 +15,7 @@ use std::time::Instant;
 /// How many full datagrams leave in one call, at most, where the kernel cuts it into them. What left can be overtaken by
 /// nothing more urgent: the socket holds 20 then, and 15 of those that leave one by one. Twice as many would save a tenth of
 /// what single calls cost, after the seven tenths that this saves (D129).
-pub(super) const SEGMENTS: usize = 4;
+pub(crate) const SEGMENTS: usize = 4;
 
 /// The datagrams that are being made for a neighbour, and the number of the first.
 #[derive(Default)]

@@ -2,8 +2,6 @@
 //! and of those changed in the file, too (D109). `IMRS_CORRUPTIONS` says how many of each kind.
 
 mod change;
-#[path = "../common/mod.rs"]
-mod common;
 mod runs;
 
 use change::{Change, change_bytes, change_records};

@@ -2,11 +2,10 @@
 //! request is without its outcome, and memory, descriptors and threads stay as they are. `IMRS_SOAK` says for how many
 //! seconds.
 
-#[path = "../common/mod.rs"]
-mod common;
 mod process;
 mod rig;
 
+use crate::alone;
 use imrs_protocol::Reason;
 use imrs_runtime::link::udp::UdpCount;
 use imrs_runtime::record::{RecordingReader, Verdict, replay_recording};
@@ -20,12 +19,13 @@ const FLAT: f64 = 512.0;
 const LATE: Duration = Duration::from_secs(5);
 
 fn wanted() -> Duration {
-    let seconds = std::env::var("IMRS_SOAK").ok().map_or(20, |number| number.parse().expect("seconds"));
+    let seconds = std::env::var("IMRS_SOAK").ok().map_or(5, |number| number.parse().expect("seconds"));
     Duration::from_secs(seconds)
 }
 
 #[test]
 fn at_half_load_every_request_has_its_outcome_and_nothing_grows() {
+    let _alone = alone();
     let pause = || std::thread::sleep(Duration::from_millis(20));
     let (flat_out, flat_busy) =
         busy(|| run(Plan { length: Duration::from_secs(2), ..Plan::default() }, pause));
