@@ -172,6 +172,8 @@ Examples:
     Export(ExportArgs),
     /// Measure the runtime on this machine, side by side with hand-written floors.
     ///
+    /// The default build leaves this out: `cargo run --release --features bench -- bench` builds it and measures.
+    ///
     /// Cases are measured in turns, round by round, and only ratios of one round are judged: times of a shared machine move
     /// by a factor of two. The package `imrs-bench` adds the channels, actors and links that people would pick instead.
     #[command(after_help = "\
@@ -179,7 +181,7 @@ Examples:
   imrs bench --quick                         that it runs: half a minute
   imrs bench threads network --rounds 15     hand-overs between threads and nodes
   imrs bench --format json > ratios.json; imrs bench --list")]
-    Bench(imrs_bench::BenchArgs),
+    Bench(crate::bench::BenchArgs),
     /// Print a shell's completion script.
     #[command(
         after_help = "Example:\n  imrs completions bash > ~/.local/share/bash-completion/completions/imrs"

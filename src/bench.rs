@@ -1,13 +1,35 @@
-//! `imrs bench`: the measurements that need no peer.
+//! `imrs bench`: the measurements that need no peer. The default build leaves them out.
 
 use crate::exit::{Exit, Failure};
 use crate::output::Output;
-use imrs_bench::{BenchArgs, Verdict};
 
-/// Measures, and says what came of it.
+#[cfg(feature = "bench")]
+pub use imrs_bench::BenchArgs;
+
+/// Whatever follows the verb: this build measures nothing.
+#[cfg(not(feature = "bench"))]
+#[derive(Debug, clap::Args)]
+pub struct BenchArgs {
+    /// Suites and flags of the measurements.
+    #[arg(value_name = "ARGS", trailing_var_arg = true, allow_hyphen_values = true)]
+    args: Vec<String>,
+}
+
+/// Measures, and prints the results.
+#[cfg(feature = "bench")]
 pub fn run(args: &BenchArgs, out: &mut Output) -> Result<Exit, Failure> {
     Ok(match imrs_bench::run(args, &mut |text: &str| out.text(text))? {
-        Verdict::Well => Exit::Well,
-        Verdict::Missed => Exit::Finding,
+        imrs_bench::Verdict::Well => Exit::Well,
+        imrs_bench::Verdict::Missed => Exit::Finding,
     })
+}
+
+/// Says how to get a build that measures.
+#[cfg(not(feature = "bench"))]
+pub fn run(args: &BenchArgs, _out: &mut Output) -> Result<Exit, Failure> {
+    let command = [&["bench".to_owned()][..], &args.args].concat().join(" ");
+    Err(Failure::Usage(format!(
+        "this build leaves out the measurements. From the source folder, run:\n  \
+         cargo run --release --features bench -- {command}"
+    )))
 }

@@ -53,6 +53,7 @@ pub enum Failure {
     #[error(transparent)]
     Replay(#[from] crate::replay::ReplayError),
     /// Nothing could be measured, or the answer not be kept.
+    #[cfg(feature = "bench")]
     #[error(transparent)]
     Bench(#[from] imrs_bench::BenchError),
     /// The monitor could not do its work.
@@ -68,8 +69,9 @@ impl Failure {
             | Self::CellFile(_)
             | Self::Cell(_)
             | Self::Output(_)
-            | Self::Replay(_)
-            | Self::Bench(_) => Exit::Usage,
+            | Self::Replay(_) => Exit::Usage,
+            #[cfg(feature = "bench")]
+            Self::Bench(_) => Exit::Usage,
             Self::Launch(error) => error.exit(),
             Self::Node(error) => error.exit(),
             Self::Monitor(error) => match error.exit_code() {
