@@ -73,7 +73,7 @@ impl Launcher<'_> {
         self.diary.close(&self.run.loaded.table, out)
     }
 
-    /// Whether nothing can happen any more: all nodes are gone for good, or every task here is a script and has ended.
+    /// Whether nothing can happen any more: every task here is a script that has ended, or its node is gone for good.
     fn is_over(&self) -> bool {
         if self.faults.iter().any(|(_, fault)| matches!(fault, Fault::Restart(_))) {
             return false;
@@ -81,7 +81,10 @@ impl Launcher<'_> {
         let tasks = self.children.nodes().flat_map(|node| self.table().tasks_on(node));
         let mut tasks = tasks.peekable();
         let runs = tasks.peek().is_some();
-        self.gone.len() == self.children.len() || runs && tasks.all(|task| self.ended.contains(&task))
+        let is_gone =
+            |task: TaskId| self.table().location(task).is_some_and(|node| self.gone.contains(&node));
+        self.gone.len() == self.children.len()
+            || runs && tasks.all(|task| self.ended.contains(&task) || is_gone(task))
     }
 
     fn carry_out(&mut self, fault: Fault) -> Result<(), LaunchError> {
