@@ -1,5 +1,6 @@
 #!/usr/bin/env python3
-"""Makes the pictures of the monitor from a real run: a demo, a tmux as the terminal, its screen as SVG.
+"""Makes the pictures of the monitor from a real run of docs/pictures.cell: a cell under load that loses packets and a node.
+The terminal is a tmux, and each screen becomes an SVG. The run takes half a minute.
 
 Usage: docs/picture.py [path of the imrs command; default target/debug/imrs]
 """
@@ -139,7 +140,7 @@ class Screen:
         return subprocess.run(command, env=env, check=True, capture_output=True, text=True, timeout=10).stdout
 
     def wait_for(self, *texts):
-        end = time.monotonic() + 20
+        end = time.monotonic() + 40
         while time.monotonic() < end:
             shown = self.tmux("capture-pane", "-p")
             if all(t in shown for t in texts):
@@ -148,85 +149,116 @@ class Screen:
         sys.exit(f"waited in vain for {texts}:\n{shown}")
 
     def save(self, name, title, showing=""):
-        """Saves the first screen that shows this pattern."""
-        for _ in range(200):
+        """Saves the first screen that shows this pattern, or of which this function says that it does."""
+        does = showing if callable(showing) else lambda shown: re.search(showing, shown)
+        for _ in range(600):
             shown = self.tmux("capture-pane", "-p", "-e")
-            if re.search(showing, shown):
+            if does(shown):
                 (HERE / name).write_text(svg(shown, title))
                 return print("made", HERE / name)
             time.sleep(0.05)
         sys.exit(f"never showed {showing}:\n{shown}")
 
 
-VIEWS = [
-    ("2", "port", "A port's queue in the order of service", r"fill:"),
-    ("4", "timeline", "What happened in each task, side by side", r"each event|a row"),
-    ("5", "timers", "What runs out when", r"OWNER"),
-    ("6", "events", "What happened", r"DETAIL"),
-    ("7", "model", "Whether the nodes do what the verified model does", r"transition kinds seen"),
-    ("?", "help", "The help, made from the table of keys", r"KEYS EVERYWHERE"),
-]
+CELL = str(HERE / "pictures.cell")
+# Before that the pictures of the living cell are made, with time to spare.
+KILLED_AT = 30
 
 
-def watch(name, *args):
-    """A monitor on a terminal of its own, while a demo runs."""
-    folder = tempfile.mkdtemp(prefix="imrs-picture")
-    env = {**os.environ, "XDG_RUNTIME_DIR": folder}
-    command = [IMRS, "demo", name, "--for", "60s", "--record", os.path.join(folder, "run.imrs"), *args]
-    demo = subprocess.Popen(command, env=env, stdout=subprocess.DEVNULL)
-    screen = Screen(30)
-    time.sleep(1)
-    screen.tmux("send-keys", f"clear; TERM=tmux-256color XDG_RUNTIME_DIR={folder} LC_ALL=C.UTF-8 exec {IMRS} monitor", "Enter")
-    screen.wait_for("NODE/TASK/PORT")
-    return folder, demo, screen
+class Watched:
+    """The cell, and a monitor that watches it in a terminal."""
 
-
-def leave(folder, demo, screen):
-    demo.send_signal(signal.SIGINT)
-    demo.wait(timeout=20)
-    screen.tmux("kill-server")
-    shutil.rmtree(folder)
-
-
-def weld():
-    running = watch("failover-weld", "--kill", "n1@7s")
-    screen = running[2]
-    try:
-        screen.wait_for("dresser", "r1", "r2")
-        time.sleep(2)
-        screen.save("monitor-overview.svg", "The overview: nodes, tasks and ports of the weld cell while it runs")
-        screen.wait_for("DEAD")
+    def __init__(self):
+        self.folder = tempfile.mkdtemp(prefix="imrs-picture")
+        env = {**os.environ, "XDG_RUNTIME_DIR": self.folder}
+        faults = ["--loss", "8%", "--kill", f"nh@{KILLED_AT}s", "--seed", "3"]
+        record = ["--record", os.path.join(self.folder, "run.imrs")]
+        command = [IMRS, "run", CELL, "--for", "90s", *faults, *record]
+        self.nodes = subprocess.Popen(command, env=env, stdout=subprocess.DEVNULL)
+        self.screen = Screen(30)
         time.sleep(1)
-        screen.save("monitor-dead.svg", "The overview after a robot's node was killed: its last state is kept, the standby welds on")
-        for key, name, title, showing in VIEWS:
-            screen.tmux("send-keys", key)
-            screen.save(f"monitor-{name}.svg", title, showing)
-        screen.tmux("send-keys", "Escape")
-        screen.tmux("send-keys", "4")
-        screen.wait_for("TIME")
-        for _ in range(60):
-            screen.tmux("send-keys", "k")
-            screen.tmux("send-keys", "Enter")
-            time.sleep(0.1)
-            if "CHARGED" in screen.tmux("capture-pane", "-p"):
-                break
-        screen.save("monitor-message.svg", "The life of one message, hop by hop", r"CHARGED")
-    finally:
-        leave(*running)
+        monitor = f"TERM=tmux-256color XDG_RUNTIME_DIR={self.folder} LC_ALL=C.UTF-8 exec {IMRS} monitor --judge {CELL}"
+        self.type(f"clear; {monitor}", "Enter")
+        self.screen.wait_for("NODE/TASK/PORT", "vision")
+
+    def type(self, *keys):
+        self.screen.tmux("send-keys", *keys)
+
+    def leave(self):
+        self.nodes.send_signal(signal.SIGINT)
+        self.nodes.wait(timeout=20)
+        self.screen.tmux("kill-server")
+        shutil.rmtree(self.folder)
 
 
-def lift():
-    running = watch("beam-lift", "--loss", "5%", "--kill", "hoist@3s")
-    screen = running[2]
+def alive(cell):
+    """While all nodes are alive. The pattern of each picture says what it must show."""
+    screen = cell.screen
+    # Rejected questions, parts that expired, a queue that is neither empty nor full, and a meeting.
+    screen.save("monitor-overview.svg", "The overview: ports with messages, what expired and what was rejected",
+                r"(?s)waitfor lift r\d.*part +\x1b.*[3-7]/8 .*grab .*[12]/2 ")
+    cell.type(":")
+    cell.type("port press.part", "Enter")
+    screen.save("monitor-port.svg", "A port's queue in the order of service: which messages will be served in time, and which will not",
+                r"(?s)(?=.*m ok(\x1b|\n))(?=(.*MISS likely){2})")
+    cell.type("5")
+    screen.save("monitor-timers.svg", "What runs out when: a wait for an answer, a meeting, a timer of a task",
+                r"(?s)the answer to .*its handler begins")
+    one_life(cell)
+    cell.type("4")
+    screen.save("monitor-timeline.svg", "What happened in each task, side by side: a request times out, another is rejected and asked again",
+                is_in_step)
+
+
+def dead(cell):
+    """After the hoist's node was killed."""
+    screen = cell.screen
+    cell.type("6")
+    screen.save("monitor-events.svg", "What happened: messages that expired, requests that timed out, a node that died",
+                r"(?s)(?=.*timed out)(?=.*expired)(?=.*mdead\x1b.*send_refused)")
+    cell.type("3")
+    screen.wait_for("can never arrive", "GATHERING 2/3")
+    screen.save("monitor-rendezvous.svg", "The rendezvous after the hoist's node was killed: both arms wait for it")
+    cell.type("1")
+    screen.save("monitor-dead.svg", "The overview after a node was killed: its last state is kept, and who waits for it is named",
+                r"(?s)waitfor lift.*waitfor lift.*tasks wait for hoist@nh, DEAD")
+    cell.type("7")
+    screen.save("monitor-model.svg", "Whether the nodes do what the verified model does", r"transition kinds seen")
+    cell.type("?")
+    screen.save("monitor-help.svg", "The help, made from the table of keys", r"KEYS EVERYWHERE")
+
+
+def one_life(cell):
+    """The life of a question that the press rejected more than once."""
+    cell.type(":")
+    cell.type("port press.grab", "Enter")
+    cell.screen.wait_for("grab at press", "arm")
+    for _ in range(100):
+        # Its row says how often it was rejected, behind the bar of its remaining time.
+        if re.search(r"arm[LR] .*\] +[1-9] ", cell.screen.tmux("capture-pane", "-p")):
+            cell.type("Enter")
+            break
+        time.sleep(0.05)
+    cell.screen.save("monitor-message.svg", "The life of one message: where it was, how often it was rejected, what each step cost",
+                     r"(?s)CHARGED.*rejected.*rejected.*sent again.*answered(?!.*now it waits)")
+
+
+def is_in_step(shown):
+    """Whether the lanes are at the same time, and show what the title says."""
+    times = re.findall(r"\d:\d\d\.\d{3}", shown)
+    return len(set(times)) > 9 and all(re.search(what, shown) for what in (r"#\d+ timed out", "rejected", "again"))
+
+
+def main():
+    cell = Watched()
     try:
-        screen.wait_for("DEAD")
-        screen.tmux("send-keys", "3")
-        screen.wait_for("DEAD", "lift")
-        screen.save("monitor-rendezvous.svg", "The rendezvous after the hoist's node was killed: both arms wait for it",
-                    r"1\.\d\ds left|\d\d\dms left")
+        time.sleep(3)
+        alive(cell)
+        cell.type("1")
+        cell.screen.wait_for("DEAD ")
+        dead(cell)
     finally:
-        leave(*running)
+        cell.leave()
 
 
-weld()
-lift()
+main()
