@@ -98,10 +98,11 @@ fn heavy_libraries_stay_in_their_rooms() {
     }
 }
 
-/// All packages that one is built from; `known` must be among them.
-fn tree_of(package: &str, known: &str) -> Vec<String> {
+/// All packages that one is built from with these features; `known` must be among them.
+fn tree_of(package: &str, features: &str, known: &str) -> Vec<String> {
     let output = Command::new(env!("CARGO"))
         .args(["tree", "-p", package, "-e", "normal,build", "--prefix", "none", "--offline"])
+        .args(["--features", features])
         .current_dir(ROOT)
         .output()
         .expect("cargo tree");
@@ -112,7 +113,7 @@ fn tree_of(package: &str, known: &str) -> Vec<String> {
 
 #[test]
 fn robots_carry_no_model_checker_and_no_screen() {
-    let tree = tree_of("imrs-runtime", "imrs-protocol");
+    let tree = tree_of("imrs-runtime", "", "imrs-protocol");
     for name in &tree {
         for absent in ["stateright", "ratatui", "crossterm", "clap", "loom", "imrs-model", "imrs-monitor"] {
             assert_ne!(name, absent, "imrs-runtime brings {absent} along");
@@ -122,10 +123,11 @@ fn robots_carry_no_model_checker_and_no_screen() {
 
 #[test]
 fn the_command_is_built_without_what_it_is_measured_against() {
-    let tree = tree_of("imrs", "imrs-bench");
     let peers =
         ["tokio", "kameo", "ractor", "actix", "crossbeam-channel", "flume", "kanal", "rtrb", "zeromq"];
-    for name in &tree {
+    let default = tree_of("imrs", "", "imrs-model");
+    assert!(!default.contains(&"imrs-bench".to_owned()), "the default build contains the measurements");
+    for name in default.iter().chain(&tree_of("imrs", "bench", "imrs-bench")) {
         assert!(!peers.contains(&name.as_str()), "the command brings {name} along");
     }
 }

@@ -2,14 +2,12 @@
 //! failed, nodes that were killed, clocks that ran apart, each against what the cell declares of it. Recordings are of real
 //! runs, with the launcher's faults, or changed in one thing. How late this machine is changes no verdict here.
 
-mod support;
-
+use crate::support::program::{one_after_the_other, times};
+use crate::support::{Said, run_in, run_until, runtime_dir, tape};
 use imrs_protocol::{Input, Kind, Packet};
-use imrs_wire::recording::{Record, RecordingReader, RecordingWriter, Stream};
+use imrs_wire::recording::{Record, Stream};
 use serde_json::Value;
-use std::fs::File;
-use std::io::BufReader;
-use support::{Said, run_in, runtime_dir};
+use std::sync::LazyLock;
 
 /// Two nodes that tell each other something all the time, and ask for nothing.
 const NEWS: &str = "\
@@ -47,18 +45,33 @@ end b_hears;
 /// An action that takes its time, and one that fails after it.
 const WORKS: &str = "work=sleep 0.05";
 const FAILS: &str = "work=timeout 0.05 sleep 9";
+const NODES: [&str; 2] = ["n1", "n2"];
 
+/// A recorded run of the cell. The recording is judged as that of the cell with other `faults`, too: they are no part of what
+/// runs.
 struct Run(tempfile::TempDir);
 
 impl Run {
-    /// Runs the cell with these `faults` declared.
-    fn of(faults: &str, args: &[&str]) -> Self {
+    /// Runs the cell until its lines are enough.
+    fn of(args: &[&str], is_enough: impl FnMut(&str) -> bool) -> Self {
         let run = Self(runtime_dir());
-        std::fs::write(run.path("news.cell"), format!("{NEWS}{faults}\n")).expect("the cell is written");
-        let (cell, file) = (run.path("news.cell"), run.path("run.imrs"));
-        let all = [&["run", &cell, "--record", &file, "--for", "3s", "--seed", "3"], args];
-        let said = run_in(run.0.path(), &all.concat());
+        let (cell, file) = (run.cell(""), run.path("run.imrs"));
+        let all = [&["run", &cell, "--record", &file, "--seed", "3"], args].concat();
+        let said = run_until(run.0.path(), &all, is_enough);
         assert!(matches!(said.code, Some(0 | 1)), "{said:?}");
+        run
+    }
+
+    /// A run without faults: the same one each time, in a folder of its own.
+    fn well() -> Self {
+        static FILES: LazyLock<[Vec<u8>; 2]> = LazyLock::new(|| {
+            let run = Run::of(&["--action", WORKS, "--in-process"], dozens());
+            NODES.map(|node| std::fs::read(run.file(node)).expect("a recording"))
+        });
+        let run = Self(runtime_dir());
+        for (node, bytes) in NODES.into_iter().zip(&*FILES) {
+            std::fs::write(run.file(node), bytes).expect("written");
+        }
         run
     }
 
@@ -66,16 +79,27 @@ impl Run {
         self.0.path().join(name).to_str().expect("UTF-8").into()
     }
 
-    fn follow(&self, format: &str) -> Said {
-        let (cell, files) =
-            (self.path("news.cell"), ["n1", "n2"].map(|node| self.path(&format!("run.{node}.imrs"))));
+    /// The recording of a node.
+    fn file(&self, node: &str) -> String {
+        self.path(&format!("run.{node}.imrs"))
+    }
+
+    /// The cell with these `faults` declared.
+    fn cell(&self, faults: &str) -> String {
+        let cell = self.path("news.cell");
+        std::fs::write(&cell, format!("{NEWS}{faults}\n")).expect("the cell is written");
+        cell
+    }
+
+    fn follow(&self, faults: &str, format: &str) -> Said {
+        let (cell, files) = (self.cell(faults), NODES.map(|node| self.file(node)));
         let how = ["replay", &files[0], &files[1], "--cell", &cell, "--model", "--format", format];
         run_in(self.0.path(), &how)
     }
 
-    /// What it broke, by kind.
-    fn breaches(&self) -> Vec<(String, String, u64)> {
-        let said = self.follow("json");
+    /// What it broke of these `faults`, by kind.
+    fn breaches(&self, faults: &str) -> Vec<(String, String, u64)> {
+        let said = self.follow(faults, "json");
         let told = said.last_json();
         assert_eq!((said.code, &told["path"]), (Some(0), &Value::Bool(true)), "{said:?}");
         let all = told["breaches"].as_array().expect("breaches").iter();
@@ -87,74 +111,64 @@ impl Run {
     }
 
     /// The breach of a kind.
-    fn breach(&self, kind: &str) -> Option<(String, u64)> {
-        let all = self.breaches();
+    fn breach(&self, faults: &str, kind: &str) -> Option<(String, u64)> {
+        let all = self.breaches(faults);
         all.into_iter().find(|breach| breach.0 == kind).map(|(_, what, times)| (what, times))
     }
 
     /// Writes the recording of a node again, changed.
     fn change(&self, node: &str, change: impl FnOnce(&mut Vec<Record>)) {
-        let path = self.path(&format!("run.{node}.imrs"));
-        let file = File::open(&path).expect("a recording");
-        let mut reader = RecordingReader::new(BufReader::new(file)).expect("a recording");
-        let header = reader.header().clone();
-        let mut records: Vec<Record> = reader.by_ref().map(|record| record.expect("a record")).collect();
-        change(&mut records);
-        let sink = File::create(&path).expect("a file");
-        let mut writer = RecordingWriter::new(sink, &header).expect("a recording");
-        records.iter().for_each(|record| writer.append(record).expect("written"));
-        writer.flush().expect("written");
+        let file = self.file(node);
+        tape::change(file.as_ref(), file.as_ref(), change);
     }
+}
+
+/// Some dozens of news.
+fn dozens() -> impl FnMut(&str) -> bool {
+    times(60, " begins work")
 }
 
 #[test]
 fn a_run_without_faults_loses_doubles_and_fails_nothing() {
-    let kinds: Vec<String> = Run::of("", &["--action", WORKS, "--in-process"])
-        .breaches()
-        .into_iter()
-        .map(|(kind, ..)| kind)
-        .collect();
+    let kinds: Vec<String> = Run::well().breaches("").into_iter().map(|(kind, ..)| kind).collect();
     // How late links and nodes are is this machine's.
     assert!(kinds.iter().all(|kind| ["delay", "late"].contains(&kind.as_str())), "{kinds:?}");
 }
 
 #[test]
 fn more_lost_packets_than_declared_are_named_and_as_many_are_not() {
-    let some = Run::of("faults loss 1;", &["--action", WORKS, "--loss", "40%"]);
-    let (what, lost) = some.breach("loss").expect("of some dozens a few are lost");
+    let some = Run::of(&["--action", WORKS, "--loss", "40%"], dozens());
+    let (what, lost) = some.breach("faults loss 1;", "loss").expect("of some dozens a few are lost");
     assert_eq!(what, format!("{lost} packets never arrived, the cell declares `loss 1`"));
-    let said = some.follow("text");
+    let said = some.follow("faults loss 1;", "text");
     let line = format!("outside the assumptions: {what} (first at ");
     assert!(said.out.contains(&line), "{said:?}");
-    let (what, lost) = Run::of("", &["--action", WORKS, "--loss", "40%"])
-        .breach("loss")
-        .expect("of some dozens a few are lost");
+    let (what, lost) = some.breach("", "loss").expect("of some dozens a few are lost");
     assert_eq!(what, format!("{lost} packets never arrived, the cell declares no `loss`"));
-    assert_eq!(Run::of("faults loss 250;", &["--action", WORKS, "--loss", "40%"]).breach("loss"), None);
-    let whole = Run::of("faults loss 250;", &["--action", WORKS, "--cut", "n1--n2@500ms+1s"]);
-    assert_eq!(whole.breach("loss"), None);
-    assert!(Run::of("", &["--action", WORKS, "--cut", "n1--n2@500ms+1s"]).breach("loss").is_some());
+    assert_eq!(some.breach("faults loss 250;", "loss"), None);
+    let told_meanwhile =
+        &[" s fault: nothing passes", "sends `", "sends `", "reach each other again", "sends `"];
+    let cut = ["--action", WORKS, "--cut", "n1--n2@500ms+1s"];
+    let cut = Run::of(&cut, one_after_the_other(told_meanwhile));
+    assert_eq!(cut.breach("faults loss 250;", "loss"), None);
+    assert!(cut.breach("", "loss").is_some());
 }
 
 #[test]
 fn faults_that_are_declared_apart_do_not_come_together() {
-    let run = Run::of("faults loss 250;\nfaults fail 250;", &["--loss", "40%", "--action", FAILS]);
-    let (what, _) = run.breach("together").expect("packets were lost and actions failed");
+    let run = Run::of(&["--loss", "40%", "--action", FAILS], dozens());
+    let faults = "faults loss 250;\nfaults fail 250;";
+    let (what, _) = run.breach(faults, "together").expect("packets were lost and actions failed");
     assert!(what.ends_with("; no `faults` of the cell declares them together"), "{what}");
-    assert_eq!((run.breach("loss"), run.breach("fail")), (None, None));
+    assert_eq!((run.breach(faults, "loss"), run.breach(faults, "fail")), (None, None));
 }
 
 #[test]
 fn a_killed_node_is_named_where_no_crash_of_it_is_declared() {
-    let (what, _) = Run::of("faults crash n1;", &["--action", WORKS, "--kill", "n2@1s"])
-        .breach("crash")
-        .expect("n2 was killed");
+    let run = Run::of(&["--action", WORKS, "--kill", "n2@1s"], dozens());
+    let (what, _) = run.breach("faults crash n1;", "crash").expect("n2 was killed");
     assert!(what.starts_with("node n2 was killed") && what.ends_with("no `crash` of it"), "{what}");
-    assert_eq!(
-        Run::of("faults crash n1;\nfaults crash n2;", &["--action", WORKS, "--kill", "n2@1s"])
-            .breach("crash"),
-        None
-    );
+    assert_eq!(run.breach("faults crash n1;\nfaults crash n2;", "crash"), None);
 }
 
 fn is_news(record: &Record) -> bool {
@@ -187,13 +201,11 @@ fn a_packet_that_a_link_doubled_is_a_path_and_named() {
             }
         });
     };
-    let run = Run::of("faults loss 3;", &["--action", WORKS, "--in-process"]);
+    let run = Run::well();
     double(&run);
-    let (what, _) = run.breach("dup").expect("a copy");
+    let (what, _) = run.breach("faults loss 3;", "dup").expect("a copy");
     assert_eq!(what, "1 packet arrived twice, the cell declares no `dup`");
-    let run = Run::of("faults dup 1;", &["--action", WORKS, "--in-process"]);
-    double(&run);
-    assert_eq!(run.breach("dup"), None);
+    assert_eq!(run.breach("faults dup 1;", "dup"), None);
 }
 
 /// Nothing but its times tells the recording of a node whose clock is fast from another.
@@ -211,28 +223,26 @@ fn clocks_that_run_apart_are_named() {
             }
         });
     };
-    let run = Run::of("", &["--action", WORKS, "--in-process"]);
-    assert_eq!(run.breach("drift"), None);
+    let run = Run::well();
+    assert_eq!(run.breach("", "drift"), None);
     slow_down(&run);
-    let (what, _) = run.breach("drift").expect("a fifth of three seconds, less what packets take");
+    let (what, _) = run.breach("", "drift").expect("a fifth of a second and a half, less what packets take");
     assert!(what.starts_with("the clocks of n1 and n2 ran apart by at least "), "{what}");
     assert!(what.ends_with("the cell declares no `drift`"), "{what}");
-    let run = Run::of("faults drift 250;", &["--action", WORKS, "--in-process"]);
-    slow_down(&run);
-    assert_eq!(run.breach("drift"), None);
+    assert_eq!(run.breach("faults drift 250;", "drift"), None);
 }
 
 #[test]
 fn of_a_run_with_a_gap_nothing_is_said() {
-    let run = Run::of("", &["--action", WORKS, "--in-process"]);
+    let run = Run::well();
     run.change("n1", |records| {
         let at = records.iter().position(is_news).expect("news");
         let Record::Input { task, .. } = records[at] else { panic!("an input") };
         records[at] = Record::Gap { stream: Stream::Task(task), lost: 1 };
     });
-    let said = run.follow("text");
+    let said = run.follow("", "text");
     assert_eq!(said.code, Some(4), "{said:?}");
     let words = "UNKNOWN whether this run is a path of the model: inputs of `a_hears` are missing in ";
     assert!(said.out.contains(words), "{said:?}");
-    assert_eq!(run.follow("json").last_json()["path"], false);
+    assert_eq!(run.follow("", "json").last_json()["path"], false);
 }

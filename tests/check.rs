@@ -1,18 +1,13 @@
 //! `imrs check`, `fmt`, `explain` and `graph` as programs and people meet them.
 
-mod support;
-
+use crate::support::live::{Live, figure};
+use crate::support::{Said, example, finish, imrs, run, runtime_dir};
 use std::fs;
 use std::path::Path;
 use std::process::Stdio;
-use support::{Said, finish, imrs, run, runtime_dir};
 use tempfile::TempDir;
 
 const ESCAPE: char = '\u{1b}';
-
-fn example(name: &str) -> String {
-    format!("{}/examples/{name}", env!("CARGO_MANIFEST_DIR"))
-}
 
 /// A file with these bytes in a folder of its own.
 fn file(bytes: &[u8]) -> (TempDir, String) {
@@ -285,8 +280,8 @@ tick 1 msec;
 node na; node nb; node nd;
 link na -- nb delay 1 msec; link na -- nd delay 1 msec;
 task tool on na
-  port grab(n: int8) -> bool  usage = response  user_list = {b, d}  time_out = 300 msec  bounded_buffer[2];
-  port free()  usage = receive  user_list = {b, d}  time_out = 100 msec  class = 2  bounded_buffer[2];
+  port grab(n: int8) -> bool  usage = response  user_list = {b, d}  time_out = 3 sec  bounded_buffer[2];
+  port free()  usage = receive  user_list = {b, d}  time_out = 1 sec  class = 2  bounded_buffer[2];
   var busy: bool; var b_waits, d_waits: bool;
 begin
   order grab > free > self;
@@ -332,11 +327,15 @@ fn an_answer_that_comes_later_is_checked_and_runs() {
     assert_eq!(verified.code, Some(0), "{verified:?}");
     assert!(verified.out.contains("the check holds"), "{}", verified.out);
     // Both give the tool back, whoever had to wait for it.
-    let ran = run(&["run", &path, "--in-process", "--for", "5s", "--format", "json"]);
-    assert_eq!(ran.code, Some(0), "{ran:?}");
-    let ports = ran.last_json()["ports"].as_array().expect("ports").clone();
+    let dir = runtime_dir();
+    let ran = Live::start(dir.path(), &["run", &path, "--in-process"]);
+    ran.until("the tool is back", |seen| figure(seen, "tool", "free", "delivered") >= 2);
+    ran.interrupt();
+    let (summary, code, errors) = ran.finish();
+    assert_eq!(code, Some(0), "{summary} {errors}");
+    let ports = summary["ports"].as_array().expect("ports");
     let delivered: Vec<_> = ports.iter().map(|port| port["delivered"].as_u64()).collect();
-    assert_eq!(delivered, [Some(2), Some(2)], "{ran:?}");
+    assert_eq!(delivered, [Some(2), Some(2)], "{summary}");
 }
 
 #[test]

@@ -1,10 +1,8 @@
 //! The command as programs and people meet it: help, exit codes, JSON, pipes.
 
-mod support;
-
+use crate::support::{finish, imrs, run, runtime_dir};
 use serde_json::Value;
 use std::process::Stdio;
-use support::{finish, imrs, run, runtime_dir};
 
 const ESCAPE: char = '\u{1b}';
 
@@ -50,7 +48,7 @@ fn what_makes_no_sense_is_a_usage_error_that_names_it() {
         (&["demo", "beam-lift", "--kill", "hoist@20s"], "after the end"),
         (&["demo", "beam-lift", "--cut", "nl-nr@1s+1s"], "nl--nr@1s+40ms"),
         (&["replay", "/no/such/file"], "/no/such/file"),
-        (&["bench", "quees"], "there is no suite `quees`"),
+        (&["bench", "queues", "--quick"], "cargo run --release --features bench -- bench queues --quick"),
     ] {
         let said = run(args);
         assert_eq!(said.code, Some(2), "{args:?}: {said:?}");
@@ -103,11 +101,11 @@ fn a_claim_is_checked_and_its_json_keeps_the_contract() {
 
 #[test]
 fn a_report_in_a_pipe_has_no_escapes_and_a_verdict_at_its_end() {
-    let said = run(&["verify", "--claim", "rendezvous-under-loss"]);
+    let said = run(&["verify", "--claim", "pairing"]);
     assert_eq!(said.code, Some(0), "{said:?}");
     assert!(!said.out.contains(ESCAPE) && !said.err.contains(ESCAPE), "{said:?}");
     assert!(said.out.lines().last().is_some_and(|line| line.contains("as expected")), "{}", said.out);
-    let forced = run(&["verify", "--claim", "rendezvous-under-loss", "--color", "always"]);
+    let forced = run(&["verify", "--claim", "pairing", "--color", "always"]);
     assert!(forced.out.contains(ESCAPE), "--color always has no colour");
 }
 

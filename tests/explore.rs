@@ -1,12 +1,10 @@
 //! `imrs verify --explore`: a claim's world served to a browser on this machine.
 
-mod support;
-
+use crate::support::{PATIENCE, imrs, run, runtime_dir, wait_until};
 use serde_json::Value;
 use std::io::{BufRead, BufReader, Read, Write};
 use std::net::TcpStream;
 use std::process::{Child, Stdio};
-use support::{PATIENCE, imrs, run, runtime_dir, wait_until};
 
 /// The server, ended when the test is.
 struct Server(Child);

@@ -1,12 +1,11 @@
 //! `imrs monitor` as scripts and pipes use it: what it prints, and the code it ends with.
 
-mod support;
-
+use crate::support::live::Live;
+use crate::support::{PATIENCE, Said, imrs, run, run_in, runtime_dir, signal, wait_until};
 use serde_json::Value;
 use std::io::{BufRead, BufReader};
 use std::process::Stdio;
 use std::time::Instant;
-use support::{Demo, PATIENCE, Said, imrs, run, run_in, runtime_dir, signal, wait_until};
 
 const ESCAPE: char = '\u{1b}';
 
@@ -20,8 +19,8 @@ fn fails(said: &Said, code: i32, words: &[&str]) {
 
 #[test]
 fn one_demo_seen_through_pipes() {
-    let demo = Demo::start(&["--for", "10m"]);
-    let monitor = |args: &[&str]| run_in(demo.dir.path(), &[&["monitor"], args].concat());
+    let demo = Live::demo(&["--for", "10m"]);
+    let monitor = |args: &[&str]| run_in(demo.dir(), &[&["monitor"], args].concat());
 
     // Into a pipe: a sample as text, without escapes, and it ends by itself.
     let piped = monitor(&[]);
@@ -54,10 +53,10 @@ fn one_demo_seen_through_pipes() {
 
 #[test]
 fn samples_come_until_the_reader_has_enough() {
-    let demo = Demo::start(&["--for", "10m"]);
+    let demo = Live::demo(&["--for", "10m"]);
     let args = ["monitor", "--watch", "100ms", "--format", "json"];
     let mut child =
-        imrs(demo.dir.path(), &args).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().expect("it starts");
+        imrs(demo.dir(), &args).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().expect("it starts");
     let mut lines = BufReader::new(child.stdout.take().expect("a pipe")).lines();
     for _ in 0..5 {
         let line = lines.next().expect("a sample").expect("text");
@@ -88,12 +87,12 @@ fn samples_come_until_the_reader_has_enough() {
 
 #[test]
 fn a_death_breaks_an_assertion() {
-    let demo = Demo::start(&["--for", "10m"]);
-    let sees = |condition: &str| run_in(demo.dir.path(), &["monitor", "--assert", condition]).code == Some(0);
+    let demo = Live::demo(&["--for", "10m"]);
+    let sees = |condition: &str| run_in(demo.dir(), &["monitor", "--assert", condition]).code == Some(0);
     wait_until("all are seen", || sees("up==3"));
     signal(demo.pid("nh"), rustix::process::Signal::KILL);
     wait_until("the death is seen", || sees("up==2"));
-    let gone = run_in(demo.dir.path(), &["monitor", "--assert", "up==3"]);
+    let gone = run_in(demo.dir(), &["monitor", "--assert", "up==3"]);
     assert_eq!(gone.code, Some(1), "{gone:?}");
 }
 

@@ -1,14 +1,15 @@
-//! `imrs run` as it is shipped: cells of the language on real processes and sockets, with real faults. Bounds of time are
-//! wide: the machine may be busy. What must hold on any machine is exact.
+//! `imrs run` as it is shipped: cells of the language on real processes and sockets, with real faults. Runs end by
+//! themselves or when what is looked for has come: the machine may be busy. What must hold on any machine is exact.
 
-mod support;
-
-use rustix::process::Signal;
+use crate::support::live::{Live, named, released};
+use crate::support::program::{Program, one_after_the_other, times};
+use crate::support::{
+    Said, example, finish, imrs, is_alive, is_here, number, own_address, run_in, run_until, runtime_dir,
+    side_by_side, wait_until,
+};
 use serde_json::Value;
-use std::io::{BufRead, BufReader};
-use std::path::{Path, PathBuf};
-use std::process::Stdio;
-use support::{Said, imrs, is_alive, is_well, run_in, runtime_dir, signal, wait_until};
+use std::path::PathBuf;
+use std::process::{Command, Stdio};
 
 /// Two tasks that meet and ask each other through a third node, which only relays.
 const RELAYED: &str = "\
@@ -54,29 +55,24 @@ impl Bench {
         self.0.path().join("relayed.cell")
     }
 
+    /// A run that ends by itself: `b` aborts when it waits in vain for `a`.
     fn run(&self, args: &[&str]) -> Said {
+        self.run_until(args, |_| false)
+    }
+
+    fn run_until(&self, args: &[&str], is_enough: impl FnMut(&str) -> bool) -> Said {
         let cell = self.cell();
         let cell = cell.to_str().expect("UTF-8");
-        run_in(self.0.path(), &[&["run", cell, "--seed", "3"], args].concat())
+        run_until(self.0.path(), &[&["run", cell, "--seed", "3"], args].concat(), is_enough)
     }
 }
 
-fn example(name: &str) -> String {
-    Path::new(env!("CARGO_MANIFEST_DIR")).join("examples").join(name).to_str().expect("UTF-8").into()
-}
-
-fn number(value: &Value) -> u64 {
-    value.as_u64().unwrap_or_else(|| panic!("no number: {value}"))
-}
-
 fn port<'a>(summary: &'a Value, name: &str) -> &'a Value {
-    let ports = summary["ports"].as_array().expect("ports");
-    ports.iter().find(|port| port["name"] == name).expect("a port of the cell")
+    named(&summary["ports"], name)
 }
 
 fn node<'a>(summary: &'a Value, name: &str) -> &'a Value {
-    let nodes = summary["nodes"].as_array().expect("nodes");
-    nodes.iter().find(|one| one["name"] == name).expect("a node of the cell")
+    named(&summary["nodes"], name)
 }
 
 fn exit<'a>(summary: &'a Value, name: &str) -> &'a Value {
@@ -85,11 +81,8 @@ fn exit<'a>(summary: &'a Value, name: &str) -> &'a Value {
 
 #[test]
 fn scripts_meet_and_ask_through_a_node_that_only_relays() {
-    let bench = Bench::new();
-    for how in
-        [&["--for", "4s", "--format", "json"][..], &["--for", "4s", "--format", "json", "--in-process"]]
-    {
-        let said = bench.run(how);
+    side_by_side([&["--format", "json"][..], &["--format", "json", "--in-process"]], |how: &[&str]| {
+        let said = Bench::new().run(how);
         let summary = said.last_json();
         // When a has ended, b waits for it in vain: that abort is the finding.
         assert_eq!(said.code, Some(1), "{said:?}");
@@ -104,7 +97,7 @@ fn scripts_meet_and_ask_through_a_node_that_only_relays() {
             assert_eq!(exit(&summary, node), "clean", "{summary}");
         }
         assert!(number(&node(&summary, "nm")["forwarded"]) >= 20, "{summary}");
-    }
+    });
 }
 
 #[test]
@@ -112,7 +105,7 @@ fn what_every_node_recorded_under_loss_replays_bit_equal() {
     let bench = Bench::new();
     let file = bench.0.path().join("run.imrs");
     let file = file.to_str().expect("UTF-8");
-    let said = bench.run(&["--for", "3s", "--loss", "20%", "--record", file, "--format", "json"]);
+    let said = bench.run(&["--loss", "20%", "--record", file, "--format", "json"]);
     assert_eq!(number(&said.last_json()["rendezvous"][0]["false_releases"]), 0, "{said:?}");
     let cell = bench.cell();
     for (node, tasks) in [("na", 1), ("nb", 1), ("nm", 0)] {
@@ -129,22 +122,22 @@ fn what_every_node_recorded_under_loss_replays_bit_equal() {
 
 #[test]
 fn a_killed_node_and_a_cut_link_are_found_by_their_time_outs() {
-    let bench = Bench::new();
-    for fault in
-        // A node that is killed before it told anything leaves nothing that counts as false.
-        [&["--kill", "a@1ms"][..], &["--cut", "na--nm@0s+10s"], &["--kill", "nm@1ms", "--in-process"]]
-    {
-        let said = bench.run(&[&["--for", "4s"], fault].concat());
+    // A node that is killed before it told anything leaves nothing that counts as false.
+    let faults =
+        [&["--kill", "a@1ms"][..], &["--cut", "na--nm@0s+10m"], &["--kill", "nm@1ms", "--in-process"]];
+    side_by_side(faults, |fault: &[&str]| {
+        // It is over when those who are left have given up.
+        let said = Bench::new().run(fault);
         assert_eq!(said.code, Some(1), "{said:?}");
         assert!(said.err.contains(" aborted: no"), "{said:?}");
         assert!(said.out.contains("false releases: 0"), "{said:?}");
-    }
+    });
 }
 
 #[test]
 fn an_action_is_a_command_where_one_is_bound() {
     let bench = Bench::new();
-    let said = bench.run(&["--for", "2s", "--action", "grip=false"]);
+    let said = bench.run_until(&["--action", "grip=false"], times(1, " aborted: "));
     assert_eq!(said.code, Some(1), "{said:?}");
     assert!(said.err.contains("task `a` aborted: failure of `grip`"), "{said:?}");
     assert!(said.out.contains("FAILED: grip"), "{said:?}");
@@ -164,7 +157,7 @@ fn an_action_is_a_command_where_one_is_bound() {
 #[test]
 fn what_the_tasks_do_is_told_line_by_line() {
     let bench = Bench::new();
-    let said = bench.run(&["--for", "2s", "--in-process"]);
+    let said = bench.run_until(&["--in-process"], times(1, " finished"));
     for words in [
         "begins grip",
         "ends grip",
@@ -181,18 +174,15 @@ fn what_the_tasks_do_is_told_line_by_line() {
 #[test]
 fn the_examples_run() {
     let dir = runtime_dir();
-    let said = run_in(
-        dir.path(),
-        &["run", &example("beam_lift.cell"), "--for", "2500ms", "--seed", "3", "--format", "json"],
-    );
-    let summary = said.last_json();
-    assert!(number(&summary["rendezvous"][0]["released"]) >= 1, "{said:?}");
-    assert_eq!(number(&summary["rendezvous"][0]["false_releases"]), 0, "{said:?}");
-    let said = run_in(
-        dir.path(),
-        &["run", &example("weld_cell.cell"), "--for", "4s", "--kill", "n1@1s", "--seed", "3"],
-    );
-    assert!(is_well(said.code, &said.err), "{said:?}");
+    let lift = Live::start(dir.path(), &["run", &example("beam_lift.cell"), "--seed", "3"]);
+    lift.until("a lift", |seen| released(seen, "armL") >= 1);
+    lift.interrupt();
+    let (summary, _, errors) = lift.finish();
+    assert!(number(&summary["rendezvous"][0]["released"]) >= 1, "{summary} {errors}");
+    assert_eq!(number(&summary["rendezvous"][0]["false_releases"]), 0, "{summary} {errors}");
+    let weld = ["run", &example("weld_cell.cell"), "--kill", "n1@1s", "--seed", "3"];
+    let said = run_until(dir.path(), &weld, one_after_the_other(&["TAKES OVER", "begins weld"]));
+    assert!(said.is_well(), "{said:?}");
     let welds = said.out.lines().filter(|line| line.contains("r2") && line.contains("begins weld"));
     assert!(welds.count() >= 1, "the standby takes over\n{}", said.out);
 }
@@ -213,49 +203,45 @@ fn what_is_no_cell_is_said_so() {
 fn an_interrupt_ends_all_nodes_and_gives_the_summary() {
     let dir = runtime_dir();
     let cell = example("beam_lift.cell");
-    let mut command = imrs(dir.path(), &["run", &cell, "--format", "json"]);
-    let mut child = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().expect("it starts");
-    let mut lines = BufReader::new(child.stdout.take().expect("a pipe")).lines();
-    let mut line =
-        || -> Value { serde_json::from_str(&lines.next().expect("a line").expect("text")).expect("JSON") };
-    let started = line();
-    let nodes = started["started"].as_array().expect("nodes").iter();
-    let pids: Vec<u32> = nodes.map(|node| u32::try_from(number(&node["pid"])).expect("32 bits")).collect();
-    signal(child.id(), Signal::INT);
-    assert_eq!(line()["nodes"].as_array().expect("nodes").len(), 3);
-    assert_eq!(child.wait().expect("it ends").code(), Some(0));
+    let live = Live::start(dir.path(), &["run", &cell]);
+    let pids: Vec<u32> = live.nodes.iter().map(|node| node.pid).collect();
+    live.interrupt();
+    let (summary, code, errors) = live.finish();
+    assert_eq!(summary["nodes"].as_array().expect("nodes").len(), 3);
+    assert_eq!(code, Some(0), "{errors}");
     wait_until("all nodes are gone", || pids.iter().all(|&pid| !is_alive(pid)));
 }
 
 #[test]
 fn robots_that_reach_each_other_through_a_third_node_are_relayed() {
-    let dir = runtime_dir();
     let weld = example("weld_cell.cell");
-    for how in [&[][..], &["--in-process"]] {
-        let args = ["run", &weld, "--for", "2s", "--seed", "3", "--format", "json"];
-        let summary = run_in(dir.path(), &[&args[..], how].concat()).last_json();
+    side_by_side([&[][..], &["--in-process"]], |how: &[&str]| {
+        let dir = runtime_dir();
+        let live = Live::start(dir.path(), &[&["run", &weld, "--seed", "3"], how].concat());
         // r1 and r2 are asked and answer every few milliseconds, and only nt lies between them.
-        let passed = number(&node(&summary, "nt")["forwarded"]);
-        assert!(passed >= 20, "{summary}");
+        let is_passed = |seen: &Value, node: &str, least: u64| {
+            named(&seen["nodes"], node)["transit"]["forwarded"].as_u64() >= Some(least)
+        };
+        live.until("packets are passed on", |seen| {
+            is_passed(seen, "nt", 20) && is_passed(seen, "n1", 1) && is_passed(seen, "n2", 1)
+        });
+        live.interrupt();
+        let (summary, ..) = live.finish();
+        assert!(number(&node(&summary, "nt")["forwarded"]) >= 20, "{summary}");
         for robot in ["n1", "n2"] {
             assert!(number(&node(&summary, robot)["forwarded"]) > 0, "{summary}");
         }
-    }
-}
-
-/// Two free UDP ports; somebody else may take one before it is used, which is unlikely.
-fn free_ports() -> [u16; 2] {
-    let sockets = [0, 1].map(|_| std::net::UdpSocket::bind("127.0.0.1:0").expect("a socket"));
-    sockets.map(|socket| socket.local_addr().expect("an address").port())
+    });
 }
 
 /// The cell of the two that meet, but each node has an address, and they are neighbours.
-fn placed(bench: &Bench, host: &str) -> String {
-    let [a, b] = free_ports();
+fn placed(bench: &Bench, host: Option<&str>) -> String {
+    let (own, [a, b]) = own_address();
+    let host = host.map_or_else(|| own.to_string(), str::to_owned);
     let text = RELAYED
         .replace(
             "node na;  node nb;  node nm;",
-            &format!("node na at \"{host}\" port {a}; node nb at \"127.0.0.1\" port {b};"),
+            &format!("node na at \"{host}\" port {a}; node nb at \"{own}\" port {b};"),
         )
         .replace("link na -- nm delay 1 msec;  link nb -- nm delay 1 msec;", "link na -- nb delay 1 msec;");
     let file = bench.0.path().join("placed.cell");
@@ -266,16 +252,19 @@ fn placed(bench: &Bench, host: &str) -> String {
 #[test]
 fn nodes_started_one_by_one_meet_at_their_declared_addresses_and_again_in_their_next_lives() {
     let bench = Bench::new();
-    let cell = placed(&bench, "127.0.0.1");
-    let start = |node: &'static str, length: &'static str| {
-        let args = ["run", &cell, "--node", node, "--for", length, "--format", "json"];
+    let cell = placed(&bench, None);
+    let start = |node: &str| {
+        let args = ["run", &cell, "--node", node, "--for", "10m", "--format", "json"];
         let mut command = imrs(bench.0.path(), &args);
         command.env("XDG_STATE_HOME", bench.0.path().join("state"));
-        std::thread::spawn(move || support::finish(command))
+        Program::start(command)
     };
     for life in 0..2 {
-        let (b, a) = (start("nb", "30s"), start("na", "20s"));
-        let (a, b) = (a.join().expect("it ends"), b.join().expect("it ends"));
+        let (b, a) = (start("nb"), start("na"));
+        let a = a.finish();
+        // It has nobody to meet any more.
+        b.interrupt();
+        let b = b.finish();
         let summary = a.last_json();
         assert_eq!(a.code, Some(0), "life {life}: {a:?} {b:?}");
         assert_eq!(summary["tasks"][0]["end"], "finished", "{summary}");
@@ -293,7 +282,7 @@ fn nodes_started_one_by_one_meet_at_their_declared_addresses_and_again_in_their_
 #[test]
 fn a_node_without_a_place_to_run_is_told_what_is_missing() {
     let bench = Bench::new();
-    let (bare, far) = (bench.cell(), placed(&bench, "192.0.2.7"));
+    let (bare, far) = (bench.cell(), placed(&bench, Some("192.0.2.7")));
     let bare = bare.to_str().expect("UTF-8");
     for (cell, args, words) in [
         (
@@ -312,7 +301,7 @@ fn a_node_without_a_place_to_run_is_told_what_is_missing() {
     ] {
         let mut command = imrs(bench.0.path(), &[&["run", cell, "--for", "2s"], args].concat());
         command.env("XDG_STATE_HOME", bench.0.path().join("state"));
-        let said = support::finish(command);
+        let said = finish(command);
         assert_eq!(said.code, Some(2), "{args:?}: {said:?}");
         assert!(said.err.contains(words), "{args:?} does not say `{words}`: {}", said.err);
     }
@@ -327,18 +316,15 @@ fn nodes_are_watched_over_tcp() {
     std::fs::write(token, "the token of this run\n").expect("a file");
     std::fs::write(&other, "the token of another run\n").expect("a file");
     let args = ["run", &cell, "--observe", "127.0.0.1:0", "--observe-token", token, "--format", "json"];
-    let mut child =
-        imrs(dir.path(), &args).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().expect("it starts");
-    let mut line = String::new();
-    BufReader::new(child.stdout.take().expect("a pipe")).read_line(&mut line).expect("a line");
-    let started: Value = serde_json::from_str(&line).expect("JSON");
+    let mut nodes = Program::start(imrs(dir.path(), &args));
+    let started = nodes.json();
     let endpoint = format!("tcp:{}", started["started"][1]["observe"].as_str().expect("an address"));
     let once = ["monitor", "--connect", &endpoint, "--once", "--format", "json"];
     let seen = run_in(dir.path(), &[&once[..], &["--token", token]].concat());
     let denied = run_in(dir.path(), &once);
     let wrong = run_in(dir.path(), &[&once[..], &["--token", other.to_str().expect("UTF-8")]].concat());
-    signal(child.id(), Signal::INT);
-    child.wait().expect("it ends");
+    nodes.interrupt();
+    nodes.finish();
     let seen_json = seen.last_json();
     let nodes = seen_json["nodes"].as_array().expect("nodes");
     let names: Vec<_> = nodes.iter().map(|node| node["name"].as_str().expect("a name")).collect();
@@ -392,22 +378,18 @@ fn real_time_is_had_or_refused_with_what_to_do() {
             if !rustix::process::geteuid().is_root() {
                 return;
             }
-            if std::process::Command::new("setpriv").arg("--version").output().is_err() {
-                let required = std::env::var_os("IMRS_REQUIRE_ALL").is_some_and(|value| value == "1");
-                assert!(!required, "setpriv is missing, and IMRS_REQUIRE_ALL=1 requires it");
-                eprintln!("not refused: setpriv is missing");
+            let is_missing = Command::new("setpriv").arg("--version").output().is_err();
+            if !is_here(is_missing.then_some("setpriv"), "real time was NOT refused") {
                 return;
             }
             let without = "-sys_nice,-ipc_lock";
             let program = command.get_program().to_owned();
-            command = std::process::Command::new("setpriv");
+            command = Command::new("setpriv");
             command.args(["--bounding-set", without, "--inh-caps", without, "--"]).arg(program).args(args);
             command.env("XDG_RUNTIME_DIR", bench.0.path()).stdin(Stdio::null());
         }
-        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("it starts");
-        let mut lines = BufReader::new(child.stdout.take().expect("a pipe")).lines();
-        let line = lines.next().expect("a line").expect("text");
-        let started: Value = serde_json::from_str(&line).expect("JSON");
+        let mut nodes = Program::start(command);
+        let started = nodes.json();
         // A thread has its own name when it has begun to run.
         let mut all = Vec::new();
         wait_until("somebody serves monitors", || {
@@ -418,11 +400,9 @@ fn real_time_is_had_or_refused_with_what_to_do() {
         let works = || threads.iter().filter(|thread| !thread.looks);
         let seen = run_in(bench.0.path(), &["monitor", "--once", "--format", "json"]);
         let seen = seen.last_json();
-        signal(child.id(), Signal::INT);
-        let summary: Value =
-            serde_json::from_str(&lines.next().expect("a line").expect("text")).expect("JSON");
-        let said = child.wait_with_output().expect("it ends");
-        let said = String::from_utf8_lossy(&said.stderr).into_owned();
+        nodes.interrupt();
+        let said = nodes.finish();
+        let (summary, said) = (said.last_json(), said.err);
         let shown = seen["nodes"][0]["real_time"].as_str().unwrap_or_default();
         assert!(works().all(|thread| thread.cores.parse::<u32>().is_ok()), "one core: {threads:?}");
         let looks: Vec<_> = threads.iter().filter(|thread| thread.looks).collect();
@@ -451,20 +431,17 @@ fn without_rt_all_threads_stay_ordinary_ones() {
         let (cell, file) = (bench.cell(), bench.0.path().join("run.imrs"));
         let args = ["run", cell.to_str().expect("UTF-8"), "--for", "10m", "--format", "json", "--record"];
         let args = [&args[..], &[file.to_str().expect("UTF-8")], how].concat();
-        let mut command = imrs(bench.0.path(), &args);
-        let mut child = command.stdout(Stdio::piped()).stderr(Stdio::null()).spawn().expect("it starts");
-        let mut lines = BufReader::new(child.stdout.take().expect("a pipe")).lines();
-        let line = lines.next().expect("a line").expect("text");
-        let started: Value = serde_json::from_str(&line).expect("JSON");
+        let mut launcher = Program::start(imrs(bench.0.path(), &args));
+        let started = launcher.json();
         let nodes = started["started"].as_array().expect("nodes").iter();
         let mut pids: Vec<u64> = nodes.map(|node| number(&node["pid"])).collect();
-        pids.push(child.id().into());
+        pids.push(launcher.pid().into());
         pids.sort_unstable();
         pids.dedup();
         // Where a node runs, somebody looks and somebody records.
         for pid in pids {
             let mut all = Vec::new();
-            let launches = pid == u64::from(child.id()) && how.is_empty();
+            let launches = pid == u64::from(launcher.pid()) && how.is_empty();
             wait_until("the threads of a node", || {
                 all = threads(pid);
                 launches || (all.iter().any(|thread| thread.looks) && all.len() > 3)
@@ -473,8 +450,24 @@ fn without_rt_all_threads_stay_ordinary_ones() {
             let ordinary = |thread: &Thread| (&*thread.policy, thread.priority) == ("0", 0);
             assert!(all.iter().all(ordinary), "{how:?} {all:?}");
         }
-        signal(child.id(), Signal::INT);
-        assert!(child.wait().expect("it ends").code().is_some());
+        launcher.interrupt();
+        assert!(launcher.finish().code.is_some());
+    }
+}
+
+#[path = "../examples/extern_task.rs"]
+mod extern_task;
+
+/// Tells the program that it is the other process.
+const OTHER: &str = "IMRS_TEST_EXTERN_TASK";
+
+/// Not a test of its own: what the next one starts as a process.
+#[test]
+fn the_program_of_the_other_process() {
+    if std::env::var_os(OTHER).is_some() {
+        // The name of this test stands on the line.
+        println!();
+        extern_task::main().expect("it runs");
     }
 }
 
@@ -485,13 +478,13 @@ fn an_extern_task_is_a_rust_program() {
     let said = run_in(dir.path(), &["run", &cell]);
     assert_eq!(said.code, Some(2), "{said:?}");
     assert!(said.err.contains("task `camera` is extern") && said.err.contains("--node"), "{said:?}");
-    // All nodes in a process of its own.
-    let mut cargo = std::process::Command::new(env!("CARGO"));
-    cargo.args(["run", "--quiet", "--offline", "--example", "extern_task"]);
-    cargo.current_dir(env!("CARGO_MANIFEST_DIR")).env("XDG_RUNTIME_DIR", dir.path());
-    let output = cargo.output().expect("it runs");
-    let text = String::from_utf8_lossy(&output.stdout);
-    assert!(output.status.success(), "{output:?}");
+    // All nodes in a process of its own, which is this program once more.
+    let mut program = Command::new(std::env::current_exe().expect("this program"));
+    program.args(["--exact", "run::the_program_of_the_other_process", "--nocapture", "--test-threads", "1"]);
+    program.env(OTHER, "1").env("XDG_RUNTIME_DIR", dir.path());
+    let said = finish(program);
+    let text = &said.out;
+    assert_eq!(said.code, Some(0), "{said:?}");
     assert_eq!(text.lines().filter(|line| line.starts_with("pick picks the part at (")).count(), 3, "{text}");
     assert!(text.contains("camera: stopped") && text.contains("pick: done"), "{text}");
 }

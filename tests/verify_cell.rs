@@ -1,9 +1,7 @@
 //! `imrs verify CELL`: a cell's own scripts under the checker, from the file to the answer.
 
-mod support;
-
+use crate::support::run;
 use std::path::PathBuf;
-use support::run;
 
 /// Two robots, one of which asks the other.
 const PAIR: &str = r#"cell pair;

@@ -1,8 +1,8 @@
 //! Faults that no run of this command can be made to have: a node that is none tells of them.
 
-use crate::scene::Scene;
-use crate::stub::{Stub, Tells};
+use super::scene::Scene;
 use crate::support::runtime_dir;
+use crate::support::stub::{Stub, Tells};
 use imrs_protocol::{
     Cell, CellTable, Class, Event, Incarnation, MeetingState, MeetingView, MemberView, Observation,
     PortCounters, PortDecl, PortId, PortView, Round, TaskId, TaskState, TaskView, Ticks, TransitView, Usage,

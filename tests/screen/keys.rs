@@ -1,7 +1,8 @@
 //! What the keys do, in one run of the monitor each.
 
-use crate::support::{Demo, run, run_in};
-use crate::terminal::{Terminal, tmux_is_here};
+use super::terminal::{Terminal, tmux_is_here};
+use crate::support::live::Live;
+use crate::support::{run, run_in};
 use std::thread;
 use std::time::Duration;
 
@@ -10,8 +11,8 @@ fn each_screen_opens_by_its_key() {
     if !tmux_is_here() {
         return;
     }
-    let demo = Demo::start(&["--for", "10m"]);
-    let terminal = Terminal::open(demo.dir.path());
+    let demo = Live::demo(&["--for", "10m"]);
+    let terminal = Terminal::open(demo.dir());
     terminal.start_monitor("");
     let screens: [(&str, &str, &[&str]); 8] = [
         ("2", "[2 Port]", &["buffer", "since start"]),
@@ -37,8 +38,8 @@ fn a_filter_a_mark_a_pause_and_a_theme_are_seen() {
     if !tmux_is_here() {
         return;
     }
-    let demo = Demo::start(&["--for", "10m"]);
-    let terminal = Terminal::open(demo.dir.path());
+    let demo = Live::demo(&["--for", "10m"]);
+    let terminal = Terminal::open(demo.dir());
     terminal.start_monitor("");
     let rows = |screen: &str, word: &str| screen.lines().any(|line| line.contains(word));
 
@@ -76,8 +77,8 @@ fn commands_are_typed_and_unknown_ones_told() {
     if !tmux_is_here() {
         return;
     }
-    let demo = Demo::start(&["--for", "10m"]);
-    let terminal = Terminal::open(demo.dir.path());
+    let demo = Live::demo(&["--for", "10m"]);
+    let terminal = Terminal::open(demo.dir());
     terminal.start_monitor("");
     let command = |text: &str, shows: &str| {
         terminal.keys(&[":"]);
@@ -99,9 +100,9 @@ fn a_screen_is_written_as_text_and_a_recording_exported() {
     if !tmux_is_here() {
         return;
     }
-    let demo = Demo::start(&["--for", "10m"]);
-    let terminal = Terminal::open(demo.dir.path());
-    let folder = demo.dir.path().display().to_string();
+    let demo = Live::demo(&["--for", "10m"]);
+    let terminal = Terminal::open(demo.dir());
+    let folder = demo.dir().display().to_string();
     terminal.keys(&[&format!("cd {folder}; clear"), "Enter"]);
     terminal.start_monitor("");
     let files = |ending: &str| -> Vec<String> {
@@ -128,7 +129,7 @@ fn a_screen_is_written_as_text_and_a_recording_exported() {
         [("jsonl", &b"{"[..]), ("mcap", b"\x89MCAP0\r\n"), ("svg", b"<svg"), ("asciicast", b"{")]
     {
         let out = format!("{folder}/exported.{form}");
-        let said = run_in(demo.dir.path(), &["export", recorded, "--to", form, "--out", &out]);
+        let said = run_in(demo.dir(), &["export", recorded, "--to", form, "--out", &out]);
         assert_eq!(said.code, Some(0), "{said:?}");
         let bytes = std::fs::read(&out).expect("the export");
         assert!(bytes.starts_with(begin) && bytes.len() > 1000, "{form}: {} bytes", bytes.len());

@@ -1,7 +1,8 @@
 //! Nodes that are slow, stopped, dead or none, and terminals that can do little.
 
-use crate::support::{Demo, run_in, runtime_dir, signal, wait_until};
-use crate::terminal::{Terminal, tmux_is_here};
+use super::terminal::{Terminal, tmux_is_here};
+use crate::support::live::Live;
+use crate::support::{run_in, runtime_dir, signal, wait_until};
 use rustix::process::Signal;
 use std::io::{Read, Write};
 use std::os::unix::net::{UnixListener, UnixStream};
@@ -62,11 +63,11 @@ fn hostile_and_slow_servers_neither_hang_the_monitor_nor_hide_the_nodes() {
     if !tmux_is_here() {
         return;
     }
-    let demo = Demo::start(&["--for", "10m"]);
+    let demo = Live::demo(&["--for", "10m"]);
     for (name, each) in STRANGERS {
-        listen(demo.dir.path(), name, each);
+        listen(demo.dir(), name, each);
     }
-    let terminal = Terminal::open(demo.dir.path());
+    let terminal = Terminal::open(demo.dir());
     terminal.start_monitor("");
     terminal.press(&["3"], "lift");
     terminal.press(&["1"], "NODE/TASK/PORT");
@@ -78,8 +79,8 @@ fn a_stopped_node_is_silent_and_never_shown_as_up() {
     if !tmux_is_here() {
         return;
     }
-    let demo = Demo::start(&["--for", "10m"]);
-    let terminal = Terminal::open(demo.dir.path());
+    let demo = Live::demo(&["--for", "10m"]);
+    let terminal = Terminal::open(demo.dir());
     terminal.start_monitor("");
     let row = |screen: &str, state: &str| {
         screen.lines().any(|line| line.contains("nh (pid") && line.to_lowercase().contains(state))
@@ -96,8 +97,8 @@ fn a_restarted_node_has_a_new_life() {
     if !tmux_is_here() {
         return;
     }
-    let demo = Demo::start(&["--for", "10m", "--kill", "nh@3s", "--restart", "nh@5s"]);
-    let terminal = Terminal::open(demo.dir.path());
+    let demo = Live::demo(&["--for", "10m", "--kill", "nh@3s", "--restart", "nh@5s"]);
+    let terminal = Terminal::open(demo.dir());
     terminal.start_monitor("");
     let before = format!("nh (pid {})", demo.pid("nh"));
     terminal
@@ -113,8 +114,8 @@ fn ascii_is_all_that_is_drawn_where_no_more_is_wanted() {
     if !tmux_is_here() {
         return;
     }
-    let demo = Demo::start(&["--for", "10m"]);
-    let terminal = Terminal::open(demo.dir.path());
+    let demo = Live::demo(&["--for", "10m"]);
+    let terminal = Terminal::open(demo.dir());
     for flags in ["--ascii", "--theme ascii"] {
         terminal.type_monitor("", flags);
         let screen = terminal.wait_for("the overview", |s| s.contains("armL") && s.contains("hoist"));

@@ -1,6 +1,6 @@
 //! A terminal that a test can type into and look at.
 
-use crate::support::{PATIENCE, signal};
+use crate::support::{PATIENCE, is_here, signal};
 use rustix::process::Signal;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
@@ -11,14 +11,7 @@ use std::time::{Duration, Instant};
 /// Whether there is a tmux. Without one these tests say so; where everything is required they fail.
 pub fn tmux_is_here() -> bool {
     let here = Command::new("tmux").arg("-V").output().is_ok_and(|output| output.status.success());
-    if !here {
-        let required = std::env::var_os("IMRS_REQUIRE_ALL").is_some_and(|value| value == "1");
-        assert!(!required, "tmux is missing, and IMRS_REQUIRE_ALL=1 requires it");
-        eprintln!(
-            "\n*** SKIPPED: tmux is missing, so the monitor was NOT tested in a terminal. Install tmux. ***\n"
-        );
-    }
-    here
+    is_here((!here).then_some("tmux"), "the monitor was NOT tested in a terminal")
 }
 
 /// A terminal with a shell in it.

@@ -1,19 +1,73 @@
 //! What the end-to-end tests share: the command, bounded, in a runtime folder of its own.
-#![allow(dead_code, reason = "every test binary uses a part of it")]
 
+pub mod live;
+pub mod program;
+pub mod stub;
+pub mod tape;
+
+use program::Program;
 use rustix::process::{Pid, Signal, kill_process};
 use serde_json::Value;
-use std::io::{BufRead, BufReader, Read};
-use std::net::SocketAddr;
+use std::net::Ipv4Addr;
 use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Output, Stdio};
-use std::sync::mpsc::{self, Receiver};
+use std::process::{Command, Stdio};
+use std::sync::atomic::{AtomicU16, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
 /// No command takes this long, however busy the machine is.
-pub const PATIENCE: Duration = Duration::from_secs(120);
+pub const PATIENCE: Duration = Duration::from_secs(600);
+
+/// Whether nothing is missing that a test needs. Otherwise it says what was not done, or fails where everything is required.
+pub fn is_here(missing: Option<&str>, not_done: &str) -> bool {
+    let Some(missing) = missing else { return true };
+    let required = std::env::var_os("IMRS_REQUIRE_ALL").is_some_and(|value| value == "1");
+    assert!(!required, "{missing} is missing, and IMRS_REQUIRE_ALL=1 requires it");
+    eprintln!("\n*** SKIPPED: {missing} is missing, so {not_done}. Install it. ***\n");
+    false
+}
+
+/// Whether the machine is said to be quiet: then times are asserted, too.
+pub fn is_quiet() -> bool {
+    std::env::var_os("IMRS_QUIET").is_some_and(|value| value == "1")
+}
+
+/// Whether bounds are asked for that take minutes and not seconds.
+pub fn is_whole() -> bool {
+    std::env::var_os("IMRS_WHOLE").is_some_and(|value| value == "1")
+}
+
+/// A number that an environment variable may change, for long runs.
+pub fn bound(variable: &str, usual: u64) -> u64 {
+    std::env::var(variable).map_or(usual, |text| text.parse().unwrap_or_else(|e| panic!("{variable}: {e}")))
+}
+
+/// The file of an example.
+pub fn example(name: &str) -> String {
+    format!("{}/examples/{name}", env!("CARGO_MANIFEST_DIR"))
+}
+
+/// UDP ports of an address on the loopback that nobody else uses: the address is this process's, the ports are this call's,
+/// and lie below those that the kernel hands out.
+pub fn own_address<const N: usize>() -> (Ipv4Addr, [u16; N]) {
+    static USED: AtomicU16 = AtomicU16::new(0);
+    let [_, a, b, c] = std::process::id().to_be_bytes();
+    let first = 20_000 + USED.fetch_add(u16::try_from(N).expect("a few"), Ordering::Relaxed);
+    // 127.0.x.y is where everybody else is.
+    let ports = std::array::from_fn(|i| first + u16::try_from(i).expect("a few"));
+    (Ipv4Addr::new(127, 64 | a, b, c), ports)
+}
+
+/// Tries all cases at once, each in a thread: they wait more than they work.
+pub fn side_by_side<T: Send>(cases: impl IntoIterator<Item = T>, test: impl Fn(T) + Sync) {
+    let test = &test;
+    thread::scope(|scope| {
+        for case in cases {
+            scope.spawn(move || test(case));
+        }
+    });
+}
 
 /// A folder that only this test's nodes and monitors use.
 pub fn runtime_dir() -> TempDir {
@@ -49,12 +103,9 @@ pub fn is_well(code: Option<i32>, errors: &str) -> bool {
 }
 
 impl Said {
-    fn of(output: Output) -> Self {
-        Self {
-            out: String::from_utf8(output.stdout).expect("UTF-8"),
-            err: String::from_utf8(output.stderr).expect("UTF-8"),
-            code: output.status.code(),
-        }
+    /// Whether it ended well, but for checks ([`is_well`]).
+    pub fn is_well(&self) -> bool {
+        is_well(self.code, &self.err)
     }
 
     /// The last line of standard output, as JSON.
@@ -72,7 +123,18 @@ pub fn run(args: &[&str]) -> Said {
 
 /// Runs a command to its end, in this runtime folder. What it recorded of nodes replays.
 pub fn run_in(dir: &Path, args: &[&str]) -> Said {
-    let said = finish(imrs(dir, args));
+    recorded(dir, args, finish(imrs(dir, args)))
+}
+
+/// Runs a cell until its lines are enough, or until it ends by itself. What it recorded of nodes replays.
+pub fn run_until(dir: &Path, args: &[&str], is_enough: impl FnMut(&str) -> bool) -> Said {
+    let mut program = Program::start(imrs(dir, args));
+    program.read_until(is_enough);
+    program.interrupt();
+    recorded(dir, args, program.finish())
+}
+
+fn recorded(dir: &Path, args: &[&str], said: Said) -> Said {
     if let ["run", cell, ..] = args
         && let Some(at) = args.iter().position(|arg| *arg == "--record")
         && matches!(said.code, Some(0 | 1))
@@ -108,25 +170,13 @@ pub fn replays(dir: &Path, file: &Path, cell: Option<&str>) {
     assert!(!tasks.is_empty() && tasks.iter().filter(judged).count() == tasks.len(), "{tasks:?}");
 }
 
-fn number(value: &Value) -> u64 {
+pub fn number(value: &Value) -> u64 {
     value.as_u64().unwrap_or_else(|| panic!("{value} is no number"))
 }
 
 /// Runs a command to its end.
-pub fn finish(mut command: Command) -> Said {
-    let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("the command starts");
-    let pid = child.id();
-    let (done, ended) = mpsc::channel::<()>();
-    let watchdog = thread::spawn(move || {
-        if ended.recv_timeout(PATIENCE).is_err() {
-            signal(pid, Signal::KILL);
-        }
-    });
-    let output = child.wait_with_output().expect("the command's output");
-    // The watchdog may have given up already: then the command was killed, and the test fails by what it said.
-    let _ = done.send(());
-    watchdog.join().expect("the watchdog");
-    Said::of(output)
+pub fn finish(command: Command) -> Said {
+    Program::start(command).finish()
 }
 
 /// Sends a signal to a process that this test started.
@@ -149,105 +199,5 @@ pub fn wait_until(what: &str, mut is_so: impl FnMut() -> bool) {
     while !is_so() {
         assert!(Instant::now() < end, "waited in vain until {what}");
         thread::sleep(Duration::from_millis(20));
-    }
-}
-
-/// A running demo.
-pub struct Demo {
-    pub dir: TempDir,
-    /// Where it records: every demo of a test is replayed when it is over.
-    record: PathBuf,
-    child: Child,
-    lines: Receiver<String>,
-    errors: Option<thread::JoinHandle<String>>,
-    /// By node: name, process, address.
-    pub nodes: Vec<(String, u32, SocketAddr)>,
-}
-
-impl Demo {
-    /// Starts `imrs demo beam-lift --format json` with these arguments, and waits until its nodes run.
-    pub fn start(args: &[&str]) -> Self {
-        let dir = runtime_dir();
-        let record = match args.iter().position(|arg| *arg == "--record") {
-            Some(at) => PathBuf::from(args[at + 1]),
-            None => dir.path().join("own.imrs"),
-        };
-        let own = ["--record", record.to_str().expect("UTF-8")];
-        let own = if args.contains(&"--record") { &[][..] } else { &own };
-        let all = [&["demo", "beam-lift", "--format", "json"], own, args].concat();
-        let mut command = imrs(dir.path(), &all);
-        let mut child =
-            command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("the demo starts");
-        let (out, mut err) = (child.stdout.take().expect("a pipe"), child.stderr.take().expect("a pipe"));
-        let (sender, lines) = mpsc::channel();
-        thread::spawn(move || {
-            for line in BufReader::new(out).lines().map_while(Result::ok) {
-                if sender.send(line).is_err() {
-                    return;
-                }
-            }
-        });
-        let errors = Some(thread::spawn(move || {
-            let mut text = String::new();
-            let _ = err.read_to_string(&mut text);
-            text
-        }));
-        let mut demo = Self { dir, record, child, lines, errors, nodes: Vec::new() };
-        let started: Value = serde_json::from_str(&demo.line()).expect("JSON");
-        let node = |node: &Value| {
-            let name = node["name"].as_str().expect("a name").to_owned();
-            let pid = u32::try_from(node["pid"].as_u64().expect("a process")).expect("32 bits");
-            (name, pid, node["address"].as_str().and_then(|a| a.parse().ok()).expect("an address"))
-        };
-        demo.nodes = started["started"].as_array().expect("nodes").iter().map(node).collect();
-        assert_eq!(demo.nodes.len(), 3, "{started}");
-        demo
-    }
-
-    fn line(&mut self) -> String {
-        match self.lines.recv_timeout(PATIENCE) {
-            Ok(line) => line,
-            Err(_) => {
-                // What it complained of can be read to its end only when it has ended.
-                let _ = self.child.kill();
-                let errors = self.errors.take().map(|thread| thread.join().unwrap_or_default());
-                panic!("the demo said nothing more: {errors:?}");
-            }
-        }
-    }
-
-    /// The launcher's process.
-    pub fn launcher(&self) -> u32 {
-        self.child.id()
-    }
-
-    /// The process of a node.
-    pub fn pid(&self, node: &str) -> u32 {
-        self.nodes.iter().find(|(name, _, _)| name == node).expect("a node of the cell").1
-    }
-
-    /// The address of a node.
-    pub fn address(&self, node: &str) -> SocketAddr {
-        self.nodes.iter().find(|(name, _, _)| name == node).expect("a node of the cell").2
-    }
-
-    /// Waits for the end. Returns the summary, the exit code, and what it complained of.
-    pub fn finish(mut self) -> (Value, Option<i32>, String) {
-        let summary = self.line();
-        let code = self.child.wait().expect("the demo ends").code();
-        let errors = self.errors.take().map(|thread| thread.join().expect("its errors")).unwrap_or_default();
-        if matches!(code, Some(0 | 1)) {
-            replays(self.dir.path(), &self.record, None);
-        }
-        (serde_json::from_str(&summary).expect("JSON"), code, errors)
-    }
-}
-
-impl Drop for Demo {
-    fn drop(&mut self) {
-        if let Ok(None) = self.child.try_wait() {
-            let _ = self.child.kill();
-            let _ = self.child.wait();
-        }
     }
 }

@@ -1,5 +1,4 @@
 //! A node that is none: it tells monitors what a test wants them to hear.
-#![allow(dead_code, reason = "every test binary uses a part of it")]
 
 use imrs_wire::obs::{
     Events, FrameReader, FrameWriter, Handshake, Hello, MAX_REQUEST, NodeIdentity, Role, SCHEMA, ServerFrame,

@@ -7,7 +7,7 @@
 //! port move: A sends to B, class 2, time_out 20, bounded_buffer 2, retry 1 every 5
 //! ```
 
-use crate::tokens::Tokens;
+use super::tokens::Tokens;
 use imrs_protocol::rules::{Aging, Confirmation, Eviction, LeaseRule, Memory};
 use imrs_protocol::*;
 

@@ -2,10 +2,10 @@
 //! otherwise, and is charged what it took, but no less than the bound (D20). In each tick time passes first, then
 //! packets arrive.
 
-use crate::cells::Declared;
-use crate::look::{answer, look, whole};
-use crate::steps::{Ask, Fault, Step, What};
-use crate::words::Names;
+use super::cells::Declared;
+use super::look::{answer, look, whole};
+use super::steps::{Ask, Fault, Step, What};
+use super::words::Names;
 use imrs_protocol::*;
 use std::sync::Arc;
 

@@ -1,7 +1,7 @@
 //! What can be looked at while a transcript is carried out.
 
-use crate::steps::Look;
-use crate::words::{Names, text};
+use super::steps::Look;
+use super::words::{Names, text};
 use imrs_protocol::*;
 
 /// What a look shows, in words.

@@ -2,9 +2,9 @@
 //! faults of the cell they declare, and `transcript` blocks, each of which begins with all nodes fresh. Below each line
 //! of a transcript stands what was seen.
 
-use crate::cells::Declared;
-use crate::drive::{Drive, Seen};
-use crate::steps;
+use super::cells::Declared;
+use super::drive::{Drive, Seen};
+use super::steps;
 use std::fmt::Write;
 
 /// What one page came to.

@@ -1,8 +1,8 @@
 //! Reads the lines of a `transcript` block that make something happen. What is then seen stands below each of them and
 //! is compared as text.
 
-use crate::cells::{node, port, task};
-use crate::tokens::Tokens;
+use super::cells::{node, port, task};
+use super::tokens::Tokens;
 use imrs_protocol::*;
 
 /// One line.

@@ -1,0 +1,29 @@
+//! The end-to-end tests of the command and the checks of the repository, one module each. One binary is linked once, and
+//! its tests, most of which wait for processes, run beside each other.
+
+mod support;
+
+mod arrows;
+mod assumptions;
+mod check;
+mod checks;
+mod classes;
+mod command;
+mod conformance;
+mod demo;
+mod examples;
+mod explore;
+mod faults_seen;
+mod front_door;
+mod monitor;
+mod observe;
+mod path_of_the_model;
+mod planted;
+mod run;
+mod screen;
+mod specs;
+mod test_files;
+mod tidy;
+mod transcripts;
+mod twins;
+mod verify_cell;

@@ -1,0 +1,78 @@
+//! Whether this machine keeps a node from telling monitors anything: the thread that serves them comes after all others
+//! (nice 19), and on a machine that is busy enough it gets no processor for a second and more.
+
+use serde_json::Value;
+use std::collections::{BTreeMap, VecDeque};
+use std::path::{Path, PathBuf};
+use std::time::{Duration, Instant};
+
+/// What the kernel calls that thread.
+const NAME: &str = "imrs observer";
+/// How far back is looked.
+const LATELY: Duration = Duration::from_secs(3);
+/// Who has waited so long of that for a processor was kept from speaking.
+const LONG: Duration = Duration::from_millis(250);
+
+/// By node: its thread, and how long that had waited for a processor, at several instants.
+#[derive(Default)]
+pub struct Starved(BTreeMap<String, Thread>);
+
+#[derive(Default)]
+struct Thread {
+    folder: PathBuf,
+    waited: VecDeque<(Instant, Duration)>,
+}
+
+impl Starved {
+    /// Takes down how long the nodes of a sample have waited.
+    pub fn look(&mut self, sample: &Value) {
+        for node in sample["nodes"].as_array().into_iter().flatten() {
+            let (Some(name), Some(pid)) = (node["name"].as_str(), node["pid"].as_u64()) else { continue };
+            let process = PathBuf::from(format!("/proc/{pid}/task"));
+            let thread = self.0.entry(name.to_owned()).or_default();
+            if !thread.folder.starts_with(&process) {
+                *thread = Thread { folder: named(&process).unwrap_or_default(), ..Thread::default() };
+            }
+            let now = Instant::now();
+            thread.waited.extend(waited(&thread.folder).map(|waited| (now, waited)));
+            while thread.waited.front().is_some_and(|(at, _)| *at + LATELY < now) {
+                thread.waited.pop_front();
+            }
+        }
+    }
+
+    /// Whether this node waits for a processor, or has waited long of late.
+    pub fn now(&self, node: &Value) -> bool {
+        node.as_str().is_some_and(|name| self.lately(name) || self.0.get(name).is_some_and(Thread::waits))
+    }
+
+    /// Whether it has waited long of late.
+    pub fn lately(&self, node: &str) -> bool {
+        let waited =
+            self.0.get(node).and_then(|thread| Some((thread.waited.front()?, thread.waited.back()?)));
+        waited.is_some_and(|((_, before), (_, after))| *after - *before >= LONG)
+    }
+}
+
+impl Thread {
+    /// Ready to run, and perhaps running.
+    fn waits(&self) -> bool {
+        let stat = std::fs::read_to_string(self.folder.join("stat")).unwrap_or_default();
+        stat.rsplit_once(") ").is_some_and(|(_, rest)| rest.starts_with('R'))
+    }
+}
+
+/// The folder of the thread of that name.
+fn named(process: &Path) -> Option<PathBuf> {
+    let threads = std::fs::read_dir(process).ok()?.flatten().map(|entry| entry.path());
+    let mut threads = threads.filter(|thread| {
+        std::fs::read_to_string(thread.join("comm")).is_ok_and(|name| name.trim_end() == NAME)
+    });
+    threads.next()
+}
+
+/// How long a thread has been ready to run without running: the second number, in nanoseconds.
+fn waited(thread: &Path) -> Option<Duration> {
+    let text = std::fs::read_to_string(thread.join("schedstat")).ok()?;
+    text.split_whitespace().nth(1)?.parse().ok().map(Duration::from_nanos)
+}

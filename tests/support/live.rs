@@ -1,0 +1,154 @@
+//! Nodes that run, and what a monitor sees of them.
+
+use super::program::Program;
+use super::{PATIENCE, imrs, is_alive, replays, runtime_dir};
+use serde_json::Value;
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+use std::time::Instant;
+use tempfile::TempDir;
+
+/// A node, as the launcher tells of it.
+#[derive(Clone, Debug)]
+pub struct Node {
+    pub name: String,
+    pub pid: u32,
+    pub address: Option<SocketAddr>,
+}
+
+/// Nodes that run.
+pub struct Live {
+    dir: PathBuf,
+    /// Ended before its folder is removed.
+    program: Program,
+    /// Where it records, and of which cell file that is: what was recorded is run again when the nodes have ended.
+    record: Option<(PathBuf, Option<String>)>,
+    pub nodes: Vec<Node>,
+    _own: Option<TempDir>,
+}
+
+impl Live {
+    /// Starts `imrs run` or `imrs demo` with these arguments and `--format json` in this runtime folder, and waits until
+    /// its nodes run.
+    pub fn start(dir: &Path, args: &[&str]) -> Self {
+        let record = args.iter().position(|arg| *arg == "--record").map(|at| {
+            let cell = (args[0] == "run").then(|| args[1].to_owned());
+            (PathBuf::from(args[at + 1]), cell)
+        });
+        let mut program = Program::start(imrs(dir, &[args, &["--format", "json"]].concat()));
+        let started = program.json();
+        let node = |node: &Value| Node {
+            name: node["name"].as_str().expect("a name").to_owned(),
+            pid: u32::try_from(node["pid"].as_u64().expect("a process")).expect("32 bits"),
+            address: node["address"].as_str().map(|address| address.parse().expect("an address")),
+        };
+        let nodes = started["started"].as_array().expect("nodes").iter().map(node).collect();
+        Self { dir: dir.to_owned(), program, record, nodes, _own: None }
+    }
+
+    /// Starts `imrs demo beam-lift` with these arguments in a folder of its own. It records, if only to be run again.
+    pub fn demo(args: &[&str]) -> Self {
+        let dir = runtime_dir();
+        let record = dir.path().join("own.imrs");
+        let own = ["--record", record.to_str().expect("UTF-8")];
+        let own = if args.contains(&"--record") { &[][..] } else { &own };
+        let live = Self::start(dir.path(), &[&["demo", "beam-lift"], own, args].concat());
+        assert_eq!(live.nodes.len(), 3, "{:?}", live.nodes);
+        Self { _own: Some(dir), ..live }
+    }
+
+    /// The runtime folder.
+    pub fn dir(&self) -> &Path {
+        &self.dir
+    }
+
+    /// The launcher's process.
+    pub fn launcher(&self) -> u32 {
+        self.program.pid()
+    }
+
+    pub fn node(&self, name: &str) -> &Node {
+        self.nodes.iter().find(|node| node.name == name).expect("a node of the cell")
+    }
+
+    /// The process of a node.
+    pub fn pid(&self, node: &str) -> u32 {
+        self.node(node).pid
+    }
+
+    /// The address of a node.
+    pub fn address(&self, node: &str) -> SocketAddr {
+        self.node(node).address.expect("a node with a socket")
+    }
+
+    /// Waits until a monitor sees this, or the run has ended by itself.
+    pub fn until(&self, what: &str, mut is_so: impl FnMut(&Value) -> bool) -> Value {
+        let is_over = || !is_alive(self.launcher());
+        Seen::by_monitor(&self.dir).until(what, |sample| is_so(sample) || is_over())
+    }
+
+    /// As Ctrl-C does: the run ends in order.
+    pub fn interrupt(&self) {
+        self.program.interrupt();
+    }
+
+    /// Waits for the end. Returns the summary, the exit code, and what it complained of.
+    pub fn finish(self) -> (Value, Option<i32>, String) {
+        let said = self.program.finish();
+        if let Some((file, cell)) = &self.record
+            && matches!(said.code, Some(0 | 1))
+        {
+            replays(&self.dir, file, cell.as_deref());
+        }
+        (said.last_json(), said.code, said.err)
+    }
+}
+
+/// What a monitor sees, sample by sample.
+pub struct Seen(Program);
+
+impl Seen {
+    /// Of the nodes in this folder.
+    pub fn by_monitor(dir: &Path) -> Self {
+        Self(Program::start(imrs(dir, &["monitor", "--watch", "50ms", "--format", "json"])))
+    }
+
+    /// The next sample.
+    pub fn sample(&mut self) -> Value {
+        self.0.json()
+    }
+
+    /// The first sample that is so.
+    pub fn until(&mut self, what: &str, mut is_so: impl FnMut(&Value) -> bool) -> Value {
+        let end = Instant::now() + PATIENCE;
+        loop {
+            let sample = self.sample();
+            if is_so(&sample) {
+                return sample;
+            }
+            assert!(Instant::now() < end, "waited in vain until {what}: {sample}");
+        }
+    }
+}
+
+/// The first of these that has this name; null where there is none.
+pub fn named<'a>(all: &'a Value, name: &str) -> &'a Value {
+    let mut all = all.as_array().into_iter().flatten();
+    all.find(|one| one["name"] == name).unwrap_or(&Value::Null)
+}
+
+/// A task in a sample; null where it is not seen.
+pub fn task<'a>(sample: &'a Value, name: &str) -> &'a Value {
+    let nodes = sample["nodes"].as_array().into_iter().flatten();
+    nodes.map(|node| named(&node["tasks"], name)).find(|task| !task.is_null()).unwrap_or(&Value::Null)
+}
+
+/// A figure of a port of a task in a sample; 0 where it is not seen.
+pub fn figure(sample: &Value, at: &str, port: &str, name: &str) -> u64 {
+    named(&task(sample, at)["ports"], port)[name].as_u64().unwrap_or(0)
+}
+
+/// The last round of its waitfor that released this task in a sample; 0 where none did.
+pub fn released(sample: &Value, at: &str) -> u64 {
+    task(sample, at)["waitfor"][0]["released"].as_u64().unwrap_or(0)
+}
