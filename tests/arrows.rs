@@ -1,6 +1,6 @@
 //! Who may import whom: the picture of ARCHITECTURE.md, checked against what cargo knows.
 
-use serde_json::Value;
+use crate::support::metadata;
 use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::Path;
@@ -10,13 +10,7 @@ const ROOT: &str = env!("CARGO_MANIFEST_DIR");
 
 /// By package of this workspace: the names of what it imports, and of what its tests import besides.
 fn imports() -> BTreeMap<String, (BTreeSet<String>, BTreeSet<String>)> {
-    let output = Command::new(env!("CARGO"))
-        .args(["metadata", "--format-version", "1", "--no-deps", "--offline"])
-        .current_dir(ROOT)
-        .output()
-        .expect("cargo metadata");
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let metadata: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    let metadata = metadata();
     let mut packages = BTreeMap::new();
     for package in metadata["packages"].as_array().expect("packages") {
         let of_kind = |dev: bool| {

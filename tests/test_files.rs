@@ -1,23 +1,15 @@
 //! Every test file is compiled: where cargo does not find test programs by itself, a file that no `mod` names would be passed
 //! over without a word.
 
+use crate::support::metadata;
 use serde_json::Value;
 use std::collections::BTreeSet;
 use std::fs;
 use std::path::{Path, PathBuf};
-use std::process::Command;
-
-const ROOT: &str = env!("CARGO_MANIFEST_DIR");
 
 /// The root files of all test programs, and the `tests/` folder of each room that has one, as cargo knows them.
 fn programs_and_folders() -> (Vec<PathBuf>, Vec<PathBuf>) {
-    let output = Command::new(env!("CARGO"))
-        .args(["metadata", "--format-version", "1", "--no-deps", "--offline"])
-        .current_dir(ROOT)
-        .output()
-        .expect("cargo metadata");
-    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
-    let metadata: Value = serde_json::from_slice(&output.stdout).expect("JSON");
+    let metadata = metadata();
     let path = |value: &Value| PathBuf::from(value.as_str().expect("a path"));
     let (mut programs, mut folders) = (Vec::new(), Vec::new());
     for package in metadata["packages"].as_array().expect("packages") {

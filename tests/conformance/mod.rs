@@ -253,7 +253,7 @@ fn a_recording_is_followed_as_it_grows_and_begins_anew_when_it_is_replaced() {
 fn it_keeps_up_with_a_busy_node() {
     let dir = runtime_dir();
     let (cell, record) = (dir.path().join("judged.cell"), dir.path().join("run.imrs"));
-    let rounds = bound("IMRS_ROUNDS", 1_000);
+    let rounds = bound("IMRS_ROUNDS", 250);
     fs::write(&cell, CHAT.replace("ROUNDS", &rounds.to_string())).expect("the cell is written");
     let (text, file) = (cell.to_str().expect("UTF-8"), record.to_str().expect("UTF-8"));
     let args = ["run", text, "--in-process", "--format", "json", "--record", file];

@@ -1,6 +1,6 @@
 //! What the keys do, in one run of the monitor each.
 
-use super::terminal::{Terminal, tmux_is_here};
+use super::terminal::{Terminal, tmux_is_here, watched};
 use crate::support::live::Live;
 use crate::support::{run, run_in};
 use std::thread;
@@ -8,12 +8,7 @@ use std::time::Duration;
 
 #[test]
 fn each_screen_opens_by_its_key() {
-    if !tmux_is_here() {
-        return;
-    }
-    let demo = Live::demo(&["--for", "10m"]);
-    let terminal = Terminal::open(demo.dir());
-    terminal.start_monitor("");
+    let Some((_demo, terminal)) = watched("") else { return };
     let screens: [(&str, &str, &[&str]); 8] = [
         ("2", "[2 Port]", &["buffer", "since start"]),
         ("3", "[3 Rdv]", &["lift", "WAITS FOR", "hoist"]),
@@ -35,12 +30,7 @@ fn each_screen_opens_by_its_key() {
 
 #[test]
 fn a_filter_a_mark_a_pause_and_a_theme_are_seen() {
-    if !tmux_is_here() {
-        return;
-    }
-    let demo = Live::demo(&["--for", "10m"]);
-    let terminal = Terminal::open(demo.dir());
-    terminal.start_monitor("");
+    let Some((_demo, terminal)) = watched("") else { return };
     let rows = |screen: &str, word: &str| screen.lines().any(|line| line.contains(word));
 
     terminal.keys(&["/"]);
@@ -74,12 +64,7 @@ fn a_filter_a_mark_a_pause_and_a_theme_are_seen() {
 
 #[test]
 fn commands_are_typed_and_unknown_ones_told() {
-    if !tmux_is_here() {
-        return;
-    }
-    let demo = Live::demo(&["--for", "10m"]);
-    let terminal = Terminal::open(demo.dir());
-    terminal.start_monitor("");
+    let Some((_demo, terminal)) = watched("") else { return };
     let command = |text: &str, shows: &str| {
         terminal.keys(&[":"]);
         terminal.keys(&["-l", text]);

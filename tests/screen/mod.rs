@@ -10,16 +10,11 @@ use crate::support::{finish, imrs, run, run_in, signal};
 use rustix::process::Signal;
 use std::thread;
 use std::time::{Duration, Instant};
-use terminal::{Terminal, tmux_is_here};
+use terminal::{Terminal, tmux_is_here, watched};
 
 #[test]
 fn the_screen_shows_who_waits_for_whom_and_a_death_and_gives_the_terminal_back() {
-    if !tmux_is_here() {
-        return;
-    }
-    let demo = Live::demo(&["--for", "10m"]);
-    let terminal = Terminal::open(demo.dir());
-    terminal.start_monitor("");
+    let Some((demo, terminal)) = watched("") else { return };
     let overview = terminal.screen();
     for name in ["nl", "nr", "nh", "armR", "beat", "halt", "lift"] {
         assert!(overview.contains(name), "`{name}` is missing:\n{overview}");
@@ -80,12 +75,7 @@ fn signals_a_resize_to_nothing_and_a_stop_leave_the_terminal_as_it_was() {
 
 #[test]
 fn without_colour_the_selection_is_still_seen() {
-    if !tmux_is_here() {
-        return;
-    }
-    let demo = Live::demo(&["--for", "10m"]);
-    let terminal = Terminal::open(demo.dir());
-    terminal.start_monitor("NO_COLOR=1");
+    let Some((_demo, terminal)) = watched("NO_COLOR=1") else { return };
     let plain = terminal.screen();
     assert!(plain.lines().any(|line| line.trim_start().starts_with('>')), "no selection:\n{plain}");
     let styled = terminal.tmux(&["capture-pane", "-p", "-e"]);
@@ -98,12 +88,7 @@ fn without_colour_the_selection_is_still_seen() {
 
 #[test]
 fn a_node_that_appears_later_is_found() {
-    if !tmux_is_here() {
-        return;
-    }
-    let demo = Live::demo(&["--for", "10m"]);
-    let terminal = Terminal::open(demo.dir());
-    terminal.start_monitor("");
+    let Some((demo, terminal)) = watched("") else { return };
     // A second run of the same cell in the same folder: nodes of its own, with other processes.
     let again = finish(imrs(demo.dir(), &["demo", "beam-lift", "--no-fault", "--for", "2s"]));
     assert!(again.is_well(), "{again:?}");

@@ -1,6 +1,6 @@
 //! Nodes that are slow, stopped, dead or none, and terminals that can do little.
 
-use super::terminal::{Terminal, tmux_is_here};
+use super::terminal::{Terminal, tmux_is_here, watched};
 use crate::support::live::Live;
 use crate::support::{run_in, runtime_dir, signal, wait_until};
 use rustix::process::Signal;
@@ -76,12 +76,7 @@ fn hostile_and_slow_servers_neither_hang_the_monitor_nor_hide_the_nodes() {
 
 #[test]
 fn a_stopped_node_is_silent_and_never_shown_as_up() {
-    if !tmux_is_here() {
-        return;
-    }
-    let demo = Live::demo(&["--for", "10m"]);
-    let terminal = Terminal::open(demo.dir());
-    terminal.start_monitor("");
+    let Some((demo, terminal)) = watched("") else { return };
     let row = |screen: &str, state: &str| {
         screen.lines().any(|line| line.contains("nh (pid") && line.to_lowercase().contains(state))
     };

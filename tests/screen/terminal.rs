@@ -1,5 +1,6 @@
 //! A terminal that a test can type into and look at.
 
+use crate::support::live::Live;
 use crate::support::{PATIENCE, is_here, signal};
 use rustix::process::Signal;
 use std::path::{Path, PathBuf};
@@ -12,6 +13,16 @@ use std::time::{Duration, Instant};
 pub fn tmux_is_here() -> bool {
     let here = Command::new("tmux").arg("-V").output().is_ok_and(|output| output.status.success());
     is_here((!here).then_some("tmux"), "the monitor was NOT tested in a terminal")
+}
+
+/// A demo, and a monitor of it in a terminal; none without tmux.
+pub fn watched(environment: &str) -> Option<(Live, Terminal)> {
+    tmux_is_here().then(|| {
+        let demo = Live::demo(&["--for", "10m"]);
+        let terminal = Terminal::open(demo.dir());
+        terminal.start_monitor(environment);
+        (demo, terminal)
+    })
 }
 
 /// A terminal with a shell in it.

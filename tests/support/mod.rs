@@ -48,6 +48,17 @@ pub fn example(name: &str) -> String {
     format!("{}/examples/{name}", env!("CARGO_MANIFEST_DIR"))
 }
 
+/// What cargo knows of this workspace.
+pub fn metadata() -> Value {
+    let output = Command::new(env!("CARGO"))
+        .args(["metadata", "--format-version", "1", "--no-deps", "--offline"])
+        .current_dir(env!("CARGO_MANIFEST_DIR"))
+        .output()
+        .expect("cargo metadata");
+    assert!(output.status.success(), "{}", String::from_utf8_lossy(&output.stderr));
+    serde_json::from_slice(&output.stdout).expect("JSON")
+}
+
 /// UDP ports of an address on the loopback that nobody else uses: the address is this process's, the ports are this call's,
 /// and lie below those that the kernel hands out.
 pub fn own_address<const N: usize>() -> (Ipv4Addr, [u16; N]) {

@@ -4,11 +4,11 @@ use imrs_protocol::{
     Cell, CellTable, Class, Contents, Incarnation, Kind, MAX_HOPS, MessageId, NodeId, NodeTable, Packet,
     PortDecl, PortId, Seq24, TaskId, Ticks, Usage,
 };
-use imrs_runtime::link::udp::{UdpLink, UdpOptions};
+use imrs_runtime::link::udp::{UdpCount, UdpLink, UdpOptions};
 use imrs_runtime::link::{Link, LinkDiscard, PollEnd, Sink};
 use imrs_wire::envelope::{Datagram, Envelope};
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
-use std::sync::{Arc, Mutex};
+use std::sync::{Arc, LazyLock, Mutex};
 use std::time::{Duration, Instant};
 
 pub const A: NodeId = NodeId(0);
@@ -48,13 +48,36 @@ pub fn link(node: NodeId) -> UdpLink {
 }
 
 pub fn life(node: NodeId, incarnation: u8, restarted: bool) -> UdpLink {
-    UdpLink::bind(table(node), any_port(), UdpOptions::new(Incarnation(incarnation), restarted)).unwrap()
+    LazyLock::force(&STAMPED);
+    bound(node, UdpOptions::new(Incarnation(incarnation), restarted))
+}
+
+fn bound(node: NodeId, options: UdpOptions) -> UdpLink {
+    UdpLink::bind(table(node), any_port(), options).unwrap()
+}
+
+/// A link that gets the kernel's stamps, until the end of the process. The kernel begins to stamp some time after a first socket
+/// asks for it, on a busy machine long after, and ends it with the last one that asked.
+static STAMPED: LazyLock<UdpLink> = LazyLock::new(|| {
+    let end = Instant::now() + PATIENCE;
+    loop {
+        let (a, b) = introduced(bound(A, first_life()), bound(B, first_life()));
+        a.send(B, &[packet(1)]).unwrap();
+        Memory::default().take_packets(&b, 1);
+        if b.count(UdpCount::NoStamp) == 0 {
+            return b;
+        }
+        assert!(Instant::now() < end, "the kernel gives no stamps");
+    }
+});
+
+fn first_life() -> UdpOptions {
+    UdpOptions::new(Incarnation(1), false)
 }
 
 /// A link for which the kernel cuts nothing and puts nothing together.
 pub fn plain(node: NodeId) -> UdpLink {
-    let options = UdpOptions { segments: false, ..UdpOptions::new(Incarnation(1), false) };
-    UdpLink::bind(table(node), any_port(), options).unwrap()
+    bound(node, UdpOptions { segments: false, ..first_life() })
 }
 
 /// Links of A and B that know each other's addresses.

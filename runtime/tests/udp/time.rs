@@ -67,13 +67,16 @@ fn a_stopped_sender_is_charged_without_a_round_trip_too() {
     let (a, b) = (link(A), link(B));
     a.set_address(B, Some(b.local_address())).unwrap();
     let memory = Memory::default();
+    let begin = Instant::now();
     a.send(B, &[packet(1)]).unwrap();
     memory.take_packets(&b, 1);
+    // The fastest datagram is taken to have kept the declared bound. This one is the only one, and took up to so long.
+    let first = begin.elapsed();
     let read = Instant::now();
     thread::sleep(LONG);
     a.send_at(B, &[packet(2)], read).unwrap();
     let (_, _, charge) = memory.take_packets(&b, 1)[0];
-    assert!(charge.0 >= micros(LONG), "{charge} us");
+    assert!(charge.0 + micros(first) >= micros(LONG), "{charge} us, where the first took {first:?}");
 }
 
 /// What a packet costs when nothing is wrong: the declared bound, and what a busy machine adds to a loopback round trip.
