@@ -65,11 +65,9 @@ impl Failure {
     /// The exit code it leads to.
     pub fn exit(&self) -> Exit {
         match self {
-            Self::Usage(_)
-            | Self::CellFile(_)
-            | Self::Cell(_)
-            | Self::Output(_)
-            | Self::Replay(_) => Exit::Usage,
+            Self::Usage(_) | Self::CellFile(_) | Self::Cell(_) | Self::Output(_) | Self::Replay(_) => {
+                Exit::Usage
+            }
             #[cfg(feature = "bench")]
             Self::Bench(_) => Exit::Usage,
             Self::Launch(error) => error.exit(),
