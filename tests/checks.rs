@@ -1,6 +1,6 @@
 //! The checks of a cell are judged by what a run does. How late this machine is changes no verdict here.
 
-use crate::support::{Said, example, own_address, run_in, runtime_dir, side_by_side};
+use crate::support::{Said, example, own_address, run_in, runtime_dir, side_by_side, was_late};
 use serde_json::Value;
 
 /// `apart` and `soon` cannot hold; what `quiet` is about never comes. Both tasks end after some rounds, and with them the run.
@@ -190,14 +190,7 @@ fn the_runs_of_the_examples_break_no_check_in_time() {
         }
         assert_eq!(said.code, Some(1), "{said:?}");
         let nodes = summary["nodes"].as_array().expect("nodes").iter();
-        let files: Vec<String> = nodes
-            .map(|node| {
-                file.replace("run.imrs", &format!("run.{}.imrs", node["name"].as_str().expect("a name")))
-            })
-            .collect();
-        let files: Vec<&str> = files.iter().map(String::as_str).collect();
-        let how = ["--cell", &cell, "--model", "--format", "json"];
-        let replayed = run_in(dir.path(), &[&["replay"], &files[..], &how[..]].concat());
-        assert_eq!(replayed.last_json()["within_assumptions"], false, "{said:?} {replayed:?}");
+        let nodes: Vec<&str> = nodes.map(|node| node["name"].as_str().expect("a name")).collect();
+        assert!(was_late(dir.path(), &cell, file.as_ref(), &nodes), "{said:?}");
     });
 }

@@ -22,10 +22,23 @@ fn one_demo_seen_through_pipes() {
     let demo = Live::demo(&["--for", "10m"]);
     let monitor = |args: &[&str]| run_in(demo.dir(), &[&["monitor"], args].concat());
 
+    // On a machine that is busy a node may be silent for a second, and is not up then.
+    let once_up = |args: &[&str], is_so: &dyn Fn(&Said) -> bool| {
+        let mut said = monitor(args);
+        wait_until("all nodes are up", || {
+            let is_there = is_so(&said);
+            if !is_there {
+                said = monitor(args);
+            }
+            is_there
+        });
+        said
+    };
+
     // Into a pipe: a sample as text, without escapes, and it ends by itself.
-    let piped = monitor(&[]);
+    let piped = once_up(&[], &|said| said.out.contains("node nh: up"));
     assert!(matches!(piped.code, Some(0 | 1)), "{piped:?}");
-    assert!(piped.out.contains("node nh: up") && !piped.out.contains(ESCAPE), "{piped:?}");
+    assert!(!piped.out.contains(ESCAPE), "{piped:?}");
 
     let once = monitor(&["--once", "--format", "json"]);
     assert_eq!(once.out.lines().count(), 1, "{once:?}");
@@ -34,13 +47,12 @@ fn one_demo_seen_through_pipes() {
     assert_eq!(report["nodes"].as_array().map(Vec::len), Some(3), "{report}");
 
     // What is true, what is false, what is no condition.
-    assert_eq!(monitor(&["--assert", "up==3 and nodes==3"]).code, Some(0));
-    let wrong = monitor(&["--assert", "up>=4"]);
+    once_up(&["--assert", "up==3 and nodes==3"], &|said| said.code == Some(0));
+    let all = |said: &Said| format!("{}{}", said.out, said.err).contains("up = 3");
+    let wrong = once_up(&["--assert", "up>=4"], &all);
     assert_eq!(wrong.code, Some(1), "{wrong:?}");
-    assert!(format!("{}{}", wrong.out, wrong.err).contains("up = 3"), "{wrong:?}");
     fails(&monitor(&["--assert", "up >== 4"]), 2, &["up >== 4", "column 6"]);
-    let kept = monitor(&["--assert", "up==3", "--for", "500ms"]);
-    assert_eq!(kept.code, Some(0), "{kept:?}");
+    once_up(&["--assert", "up==3", "--for", "500ms"], &|said| said.code == Some(0));
 
     // Only the cell that is asked for.
     fails(

@@ -255,9 +255,7 @@ fn nodes_started_one_by_one_meet_at_their_declared_addresses_and_again_in_their_
     let cell = placed(&bench, None);
     let start = |node: &str| {
         let args = ["run", &cell, "--node", node, "--for", "10m", "--format", "json"];
-        let mut command = imrs(bench.0.path(), &args);
-        command.env("XDG_STATE_HOME", bench.0.path().join("state"));
-        Program::start(command)
+        Program::start(imrs(bench.0.path(), &args))
     };
     for life in 0..2 {
         let (b, a) = (start("nb"), start("na"));
@@ -299,9 +297,7 @@ fn a_node_without_a_place_to_run_is_told_what_is_missing() {
         (bare, &["--observe", "0.0.0.0:0", "--observe-token", "/no/token"], "the token /no/token: "),
         (bare, &["--restart", "na@1s"], "`na@1s` is not killed before it is started again"),
     ] {
-        let mut command = imrs(bench.0.path(), &[&["run", cell, "--for", "2s"], args].concat());
-        command.env("XDG_STATE_HOME", bench.0.path().join("state"));
-        let said = finish(command);
+        let said = run_in(bench.0.path(), &[&["run", cell, "--for", "2s"], args].concat());
         assert_eq!(said.code, Some(2), "{args:?}: {said:?}");
         assert!(said.err.contains(words), "{args:?} does not say `{words}`: {}", said.err);
     }

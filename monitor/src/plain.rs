@@ -22,8 +22,8 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::mpsc::{Receiver, sync_channel};
 use std::time::{Duration, Instant};
 
-/// How long the nodes that are there have to show themselves.
-const PATIENCE: Duration = Duration::from_millis(1500);
+/// How long the nodes that are there have to show themselves: on a machine that is busy they do so after all else.
+const PATIENCE: Duration = Duration::from_secs(4);
 /// How often lines are written where no period was asked for.
 const PERIOD: Duration = Duration::from_secs(1);
 /// How often assertions are held against what has come.

@@ -3,6 +3,7 @@
 use super::starved::Starved;
 use crate::support::live::{Live, Node};
 use crate::support::program::Program;
+use crate::support::stub::Stub;
 use crate::support::{imrs, is_quiet, runtime_dir};
 use serde_json::Value;
 use std::collections::BTreeSet;
@@ -41,7 +42,7 @@ pub struct Scene {
     starved: Starved,
     /// When the nodes of the last cell had started.
     pub started: Instant,
-    _dir: TempDir,
+    dir: TempDir,
 }
 
 impl Scene {
@@ -49,9 +50,28 @@ impl Scene {
         Self::of(&[(text, args)])
     }
 
+    /// A cell whose action `go` ends when [`go`](Self::go) says so: then the monitor sees what comes after it.
+    pub fn waiting(text: &str) -> Self {
+        let dir = runtime_dir();
+        let wait = dir.path().join("wait");
+        let script = format!("until [ -e {} ]; do sleep 0.05; done\n", dir.path().join("gone").display());
+        std::fs::write(&wait, script).expect("the action is written");
+        let action = format!("go=sh {}", wait.display());
+        Self::within(dir, &[(text, &["--action", &action])])
+    }
+
+    /// Lets the action `go` end. Returns when.
+    pub fn go(&self) -> Instant {
+        std::fs::write(self.dir.path().join("gone"), "").expect("a file");
+        Instant::now()
+    }
+
     /// Cells that run in one folder.
     pub fn of(cells: &[(&str, &[&str])]) -> Self {
-        let dir = runtime_dir();
+        Self::within(runtime_dir(), cells)
+    }
+
+    fn within(dir: TempDir, cells: &[(&str, &[&str])]) -> Self {
         let start = |(number, (text, args)): (usize, &(&str, &[&str]))| {
             let file = dir.path().join(format!("{number}.cell"));
             std::fs::write(&file, text).expect("the cell is written");
@@ -63,14 +83,16 @@ impl Scene {
         Self::seen(dir, cells, started, all)
     }
 
-    /// Nodes that others have started in this folder: so many.
-    pub fn watching(dir: TempDir, nodes: usize) -> Self {
-        Self::seen(dir, Vec::new(), Instant::now(), nodes)
+    /// A node in this folder that is none.
+    pub fn watching(dir: TempDir, stub: &Stub) -> Self {
+        let mut scene = Self::seen(dir, Vec::new(), Instant::now(), 1);
+        scene.starved.stub = Some(stub.beat.clone());
+        scene
     }
 
     fn seen(dir: TempDir, cells: Vec<Live>, started: Instant, all: usize) -> Self {
         let monitor = Program::start(imrs(dir.path(), &["monitor", "--watch", EVERY, "--format", "json"]));
-        let mut scene = Self { monitor, cells, starved: Starved::default(), started, _dir: dir };
+        let mut scene = Self { monitor, cells, starved: Starved::default(), started, dir };
         let end = Instant::now() + LONG;
         let up = |report: Value| {
             report["nodes"].as_array().map_or(0, |nodes| nodes.iter().filter(|n| n["up"] == true).count())
@@ -92,12 +114,12 @@ impl Scene {
 
     /// What is found, but for the silence of nodes that this machine keeps from speaking.
     pub fn sample(&mut self) -> Sample {
-        let report = self.report();
-        self.starved.look(&report);
+        let (at, report) = self.monitor.json_at();
+        self.starved.look(at, &report);
         let found = report["findings"].as_array().expect("findings").iter();
         let found = found.filter(|f| f["code"] != "node-silent" || !self.starved.now(&f["node"]));
         let codes = found.map(|f| f["code"].as_str().expect("a code").to_owned()).collect();
-        Sample { at: Instant::now(), codes, line: report["findings"].to_string() }
+        Sample { at, codes, line: report["findings"].to_string() }
     }
 
     /// Nothing is found for so long.

@@ -74,7 +74,7 @@ fn raises(lint: &str, fault: impl FnOnce(&mut Tells, u64)) {
     };
     let tells = Tells { snapshot: healthy(), ..Tells::default() };
     let stub = Stub::start(dir.path(), identity, cell(), tells);
-    let mut scene = Scene::watching(dir, 1);
+    let mut scene = Scene::watching(dir, &stub);
     scene.is_calm_for(Duration::from_secs(1));
     let (since, now) = (Instant::now(), stub.mono_us());
     stub.change(|tells| fault(tells, now));

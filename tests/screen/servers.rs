@@ -2,7 +2,7 @@
 
 use super::terminal::{Terminal, tmux_is_here, watched};
 use crate::support::live::Live;
-use crate::support::{run_in, runtime_dir, signal, wait_until};
+use crate::support::{run_in, runtime_dir, side_by_side, signal, wait_until};
 use rustix::process::Signal;
 use std::io::{Read, Write};
 use std::os::unix::net::{UnixListener, UnixStream};
@@ -54,12 +54,12 @@ const STRANGERS: [Stranger; 4] = [("garbage", garbage), ("drip", drip), ("endles
 #[test]
 fn hostile_and_slow_servers_neither_hang_the_monitor_nor_hide_the_nodes() {
     let dir = runtime_dir();
-    for (name, each) in STRANGERS {
+    side_by_side(STRANGERS, |(name, each)| {
         let path = listen(dir.path(), name, each);
         let said = run_in(dir.path(), &["monitor", "--connect", &format!("unix:{path}"), "--once"]);
         assert_eq!(said.code, Some(3), "{name}: {said:?}");
         assert!(said.err.contains("no running node found"), "{name}: {said:?}");
-    }
+    });
     if !tmux_is_here() {
         return;
     }

@@ -66,7 +66,8 @@ impl Terminal {
     /// Runs the monitor; when it has ended, the shell says with which code.
     pub fn start_monitor(&self, environment: &str) {
         self.type_monitor(environment, "");
-        self.wait_for("the overview", |screen| screen.contains("armL") && screen.contains("hoist"));
+        let tasks = ["armL", "armR", "hoist"];
+        self.wait_for("the overview", |screen| tasks.iter().all(|task| screen.contains(task)));
         assert!(self.on_alternate_screen());
     }
 

@@ -89,7 +89,8 @@ pub fn runtime_dir() -> TempDir {
 /// The command under test.
 pub fn imrs(dir: &Path, args: &[&str]) -> Command {
     let mut command = Command::new(env!("CARGO_BIN_EXE_imrs"));
-    command.args(args).env("XDG_RUNTIME_DIR", dir).env_remove("NO_COLOR").env_remove("CLICOLOR_FORCE");
+    command.args(args).env("XDG_RUNTIME_DIR", dir).env("XDG_STATE_HOME", dir.join("state"));
+    command.env_remove("NO_COLOR").env_remove("CLICOLOR_FORCE");
     command.stdin(Stdio::null());
     command
 }
@@ -143,6 +144,16 @@ pub fn run_until(dir: &Path, args: &[&str], is_enough: impl FnMut(&str) -> bool)
     program.read_until(is_enough);
     program.interrupt();
     recorded(dir, args, program.finish())
+}
+
+/// Whether the recordings of a run say that this machine was later than the cell declares: then it may end otherwise than
+/// it should.
+pub fn was_late(dir: &Path, cell: &str, file: &Path, nodes: &[&str]) -> bool {
+    let files: Vec<_> = nodes.iter().map(|node| file.with_extension(format!("{node}.imrs"))).collect();
+    let files: Vec<&str> = files.iter().map(|file| file.to_str().expect("UTF-8")).collect();
+    let how = ["--cell", cell, "--model", "--format", "json"];
+    let told = run_in(dir, &[&["replay"], &files[..], &how[..]].concat()).last_json();
+    told["within_assumptions"] == false
 }
 
 fn recorded(dir: &Path, args: &[&str], said: Said) -> Said {

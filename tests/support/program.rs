@@ -71,8 +71,13 @@ impl Program {
 
     /// The next line, as JSON.
     pub fn json(&mut self) -> Value {
-        let (_, line) = self.line();
-        serde_json::from_str(&line).unwrap_or_else(|error| panic!("{error}: {line}"))
+        self.json_at().1
+    }
+
+    /// The next line, as JSON, and when it came.
+    pub fn json_at(&mut self) -> (Instant, Value) {
+        let (at, line) = self.line();
+        (at, serde_json::from_str(&line).unwrap_or_else(|error| panic!("{error}: {line}")))
     }
 
     /// Reads lines until there are enough of them, or the command ends.

@@ -25,10 +25,39 @@ pub struct Tells {
     pub vitals: Vitals,
 }
 
+/// When something was done last, and when it was last done late.
+#[derive(Clone, Debug)]
+pub struct Beat(Arc<Mutex<(Instant, Option<Instant>)>>);
+
+impl Beat {
+    /// Late is what comes so long after the last time.
+    const LATE: Duration = Duration::from_millis(500);
+
+    fn start() -> Self {
+        Self(Arc::new(Mutex::new((Instant::now(), None))))
+    }
+
+    fn beat(&self) {
+        let (mut beat, now) = (self.0.lock().expect("no panic before"), Instant::now());
+        if now > beat.0 + Self::LATE {
+            beat.1 = Some(now);
+        }
+        beat.0 = now;
+    }
+
+    /// Whether it is late, or was within this time.
+    pub fn was_late(&self, within: Duration) -> bool {
+        let (last, late) = *self.0.lock().expect("no panic before");
+        last.elapsed() > Self::LATE || late.is_some_and(|late| late.elapsed() < within)
+    }
+}
+
 /// Listens until the test's process ends.
 pub struct Stub {
     tells: Arc<Mutex<Tells>>,
     since: Instant,
+    /// Whether it tells in time, which a busy machine may keep it from.
+    pub beat: Beat,
 }
 
 impl Stub {
@@ -37,13 +66,14 @@ impl Stub {
         let base = dir.join("imrs");
         let path = place::prepare_in(&base, &identity.cell, &identity.node, std::process::id());
         let listener = UnixListener::bind(path.expect("a place for the socket")).expect("a socket");
-        let stub = Self { tells: Arc::new(Mutex::new(tells)), since: Instant::now() };
-        let (tells, since) = (Arc::clone(&stub.tells), stub.since);
+        let stub = Self { tells: Arc::new(Mutex::new(tells)), since: Instant::now(), beat: Beat::start() };
+        let (tells, since, beat) = (Arc::clone(&stub.tells), stub.since, stub.beat.clone());
         thread::spawn(move || {
             for stream in listener.incoming().flatten() {
                 let (identity, table, tells) = (identity.clone(), table.clone(), Arc::clone(&tells));
+                let beat = beat.clone();
                 // A monitor that leaves ends it.
-                thread::spawn(move || serve(stream, identity, table, &tells, since));
+                thread::spawn(move || serve(stream, identity, table, &tells, (since, &beat)));
             }
         });
         stub
@@ -69,7 +99,7 @@ fn serve(
     identity: NodeIdentity,
     table: Table,
     tells: &Mutex<Tells>,
-    since: Instant,
+    (since, beat): (Instant, &Beat),
 ) -> Option<()> {
     let mut reader = FrameReader::new(stream.try_clone().ok()?, MAX_REQUEST);
     let mut writer = FrameWriter::new(stream);
@@ -101,6 +131,7 @@ fn serve(
             writer.push(frame).ok()?;
         }
         writer.flush().ok()?;
+        beat.beat();
         thread::sleep(PERIOD);
     }
     None

@@ -12,8 +12,8 @@ use std::os::unix::net::UnixStream;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
-/// How long a node has to answer a hello.
-const PATIENCE: Duration = Duration::from_secs(1);
+/// How long a node has to answer a hello: on a machine that is busy it does so after all else.
+const PATIENCE: Duration = Duration::from_secs(3);
 /// How often a waiting session looks whether it should stop, and for new wishes.
 const LOOK: Duration = Duration::from_millis(100);
 /// How many frames a node may send ahead.

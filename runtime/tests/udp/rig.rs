@@ -56,8 +56,8 @@ fn bound(node: NodeId, options: UdpOptions) -> UdpLink {
     UdpLink::bind(table(node), any_port(), options).unwrap()
 }
 
-/// A link that gets the kernel's stamps, until the end of the process. The kernel begins to stamp some time after a first socket
-/// asks for it, on a busy machine long after, and ends it with the last one that asked.
+/// A link that gets the kernel's stamps, until the end of the process. The kernel begins to stamp some time after a first
+/// socket asks for it, on a busy machine long after, and ends it with the last one that asked.
 static STAMPED: LazyLock<UdpLink> = LazyLock::new(|| {
     let end = Instant::now() + PATIENCE;
     loop {
