@@ -58,7 +58,7 @@ fn settled(watch: &mut Watch) {
 }
 
 /// What is said of a server that does not say hello within a second.
-const SILENCE: &str = "no answer in 1s; is the node stopped?";
+const SILENCE: &str = "no answer in 3s; is the node stopped?";
 
 fn first_trouble(watch: &Watch) -> Option<&str> {
     watch.store().troubles().next()
