@@ -125,7 +125,7 @@ impl Run {
 
 /// Some dozens of news.
 fn dozens() -> impl FnMut(&str) -> bool {
-    times(60, " begins work")
+    times(40, " begins work")
 }
 
 #[test]

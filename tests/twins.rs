@@ -85,6 +85,10 @@ fn as_many_lost_packets_strand_one_of_four() {
         return;
     }
     for ((name, confirmation, rule), least) in RULES.into_iter().zip([1, 2, 4, 4]) {
+        // The rule that was decided on is the last one; the one before it takes as long.
+        if confirmation == Confirmation::EveryComplete && !is_whole() {
+            continue;
+        }
         let rules = Rules { confirmation, answer_late_arrivals: false, ..Rules::DEFAULT };
         let strands = |loss| {
             let budget = Budget { loss, dup: 0, crash: 0 };
@@ -138,9 +142,9 @@ fn the_same_margin_keeps_all_or_none() {
     if !spin_is_here() {
         return;
     }
-    let all = [(2, 2, false, 4), (3, 1, true, 2), (2, 1, false, 3), (3, 0, true, 1)];
+    let all = [(3, 1, true, 2), (2, 2, false, 4), (2, 1, false, 3), (3, 0, true, 1)];
     // A verifier takes much longer to compile than to run.
-    let some = if is_whole() { &all[..] } else { &all[..2] };
+    let some = if is_whole() { &all[..] } else { &all[..1] };
     for &(members, losses, hurry, least) in some {
         for margin in least - 1..=least {
             let time_out = margin + 2;

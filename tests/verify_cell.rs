@@ -190,7 +190,7 @@ fn a_cell_that_the_checker_cannot_look_at_is_not_checked_and_not_found_wrong() {
 
 #[test]
 fn a_search_that_is_cut_short_says_how_far_it_came() {
-    let answer = run(&["verify", "examples/weld_cell.cell", "--within", "1s"]);
+    let answer = run(&["verify", "examples/shared_tool.cell", "--within", "1s"]);
     assert_eq!(answer.code, Some(4), "{answer:?}");
     let told = "cut short, out of time (1 s): every order of events was looked at up to its choice ";
     assert!(answer.out.contains(told), "{answer:?}");

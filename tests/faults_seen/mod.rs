@@ -67,7 +67,7 @@ macro_rules! two_nodes {
 #[test]
 fn a_healthy_run_raises_nothing() {
     // Half an hour in `.ci/long`.
-    Scene::start(WATCHED, &[]).is_calm_for(Duration::from_secs(bound("IMRS_HEALTHY", 15)));
+    Scene::start(WATCHED, &[]).is_calm_for(Duration::from_secs(bound("IMRS_HEALTHY", 10)));
 }
 
 #[test]
@@ -84,7 +84,7 @@ fn a_killed_node_is_dead_and_those_who_wait_for_it_are_told() {
 
 #[test]
 fn a_node_that_comes_back_is_no_fault_any_more() {
-    let mut scene = Scene::start(WATCHED, &["--kill", "nb@2s", "--restart", "nb@5s"]);
+    let mut scene = Scene::start(WATCHED, &["--kill", "nb@2s", "--restart", "nb@4s"]);
     let since = scene.started + Duration::from_secs(2);
     // A monitor that comes later sees nobody die.
     if Instant::now() < since {
@@ -161,7 +161,7 @@ end q;
 fn a_message_that_waits_too_long_is_at_risk_and_then_expired() {
     let text = two_nodes!(
         "task a on na
-  port news(n: int16)  usage = send  user_list = {b}  time_out = 8 sec  class = 1  bounded_buffer[4];
+  port news(n: int16)  usage = send  user_list = {b}  time_out = 6 sec  class = 1  bounded_buffer[4];
 begin
   run go takes 0..60 sec;
   send news(1);
@@ -179,10 +179,10 @@ end b;
     let mut scene = Scene::waiting(text);
     let sent = scene.go();
     // A tenth of its life is left.
-    let since = sent + Duration::from_millis(7200);
+    let since = sent + Duration::from_millis(5400);
     scene.raises_before(since, "deadline-risk", "expired", "nb");
     scene.is_over("it is at risk", |codes| !codes.contains("deadline-risk"));
-    let since = sent + Duration::from_secs(8);
+    let since = sent + Duration::from_secs(6);
     scene.raises(since, "expired", &[]);
 }
 
@@ -190,12 +190,12 @@ end b;
 fn a_rendezvous_whose_patience_ends_is_stuck() {
     let text = two_nodes!(
         "task a on na
-  port meet()  usage = waitfor  user_list = {b}  time_out = 12 sec  class = 2  retry = 4  resend = 200 msec;
+  port meet()  usage = waitfor  user_list = {b}  time_out = 8 sec  class = 2  retry = 4  resend = 200 msec;
 begin
   waitfor meet() on time_out do skip; end;
 end a;
 task b on nb
-  use_port meet()  usage = waitfor  time_out = 12 sec;
+  use_port meet()  usage = waitfor  time_out = 8 sec;
 begin
   run dig takes 60 sec;
   waitfor meet() on time_out do skip; end;
@@ -203,7 +203,7 @@ end b;
 "
     );
     let mut scene = Scene::start(text, &[]);
-    let since = scene.started + Duration::from_secs(9);
+    let since = scene.started + Duration::from_secs(6);
     scene.raises(since, "rendezvous-stuck", &["time-outs"]);
 }
 
