@@ -15,6 +15,10 @@ fn since(start: u64, at: u64) -> f64 {
     at.saturating_sub(start) as f64 / 1e6
 }
 
+/// Why nobody knows whether a run of late nodes is a path.
+const UNSURE: &str =
+    "nodes acted late, and with their times rounded otherwise the model may do what was not found";
+
 /// The answer.
 #[derive(Debug, Default, Serialize)]
 pub struct Told {
@@ -81,16 +85,17 @@ impl Told {
         let cell = loaded.table.cell();
         let seconds = |at| since(start, at);
         let node = |node: usize| cell.nodes[node].name.clone();
-        let unexplained = followed.unexplained.as_ref().map(|Unexplained { at, task, address, why }| {
-            let declared = &cell.tasks[task.index()];
-            Where {
-                node: node(declared.node.index()),
-                task: declared.name.clone(),
-                line: loaded.line(*task, *address),
-                seconds: seconds(*at),
-                why: why.clone(),
-            }
-        });
+        let unexplained =
+            followed.unexplained.as_ref().map(|Unexplained { at, task, address, why, .. }| {
+                let declared = &cell.tasks[task.index()];
+                Where {
+                    node: node(declared.node.index()),
+                    task: declared.name.clone(),
+                    line: loaded.line(*task, *address),
+                    seconds: seconds(*at),
+                    why: why.clone(),
+                }
+            });
         let line = |task: TaskId, at| match loaded.line(task, at) {
             Some(line) => format!("{} line {line}", cell.tasks[task.index()].name),
             None => cell.tasks[task.index()].name.clone(),
@@ -104,8 +109,8 @@ impl Told {
             cell: cell.name.clone(),
             path: unexplained.is_none() && followed.ended_by.is_none(),
             within_assumptions: breaches.is_empty(),
-            complete: followed.ended_by.is_none(),
-            unknown: None,
+            complete: followed.ended_by.is_none() && !followed.unsure,
+            unknown: followed.unsure.then(|| UNSURE.into()),
             ended_by: followed.ended_by.clone(),
             seconds: seconds(followed.until),
             inputs: followed.inputs,
@@ -149,8 +154,8 @@ impl Told {
     pub fn verdict(&self) -> Exit {
         match (&self.unexplained, self.complete) {
             _ if self.checks.is_broken() => Exit::Finding,
-            (Some(_), _) => Exit::Finding,
-            (None, false) => Exit::Budget,
+            (_, false) => Exit::Budget,
+            (Some(_), true) => Exit::Finding,
             (None, true) => Exit::Well,
         }
     }
@@ -160,9 +165,11 @@ impl Told {
     /// # Errors
     /// The output cannot be written.
     pub fn show(&self, file: &str, out: &mut Output) -> Result<(), Failure> {
-        if let Some(missing) = &self.unknown {
-            let text = format!("{file}: UNKNOWN whether this run is a path of the model: {missing}");
-            return out.line(Styled(NOTE, text));
+        let unknown = self.unknown.as_ref().map(|why| {
+            Styled(NOTE, format!("{file}: UNKNOWN whether this run is a path of the model: {why}"))
+        });
+        if let (Some(unknown), None) = (&unknown, &self.unexplained) {
+            return out.line(unknown);
         }
         let far = format!(
             "{:.3} s, {}, {}, {}",
@@ -186,7 +193,8 @@ impl Told {
             (Some(at), _) => {
                 let Where { node, task, line, seconds, why } = at;
                 let line = line.map(|line| format!(" line {line}")).unwrap_or_default();
-                out.line(Styled(BAD, format!("{file}: this run is no path of the model")))?;
+                let no = Styled(BAD, format!("{file}: this run is no path of the model"));
+                out.line(unknown.unwrap_or(no))?;
                 out.line(format!("  after {far}"))?;
                 out.line(format!("  at {seconds:.6} s on {node}, {task}{line}: {why}"))
             }

@@ -15,10 +15,8 @@ use terminal::{Terminal, tmux_is_here, watched};
 #[test]
 fn the_screen_shows_who_waits_for_whom_and_a_death_and_gives_the_terminal_back() {
     let Some((demo, terminal)) = watched("") else { return };
-    let overview = terminal.screen();
-    for name in ["nl", "nr", "nh", "armR", "beat", "halt", "lift"] {
-        assert!(overview.contains(name), "`{name}` is missing:\n{overview}");
-    }
+    let names = ["nl", "nr", "nh", "armR", "beat", "halt", "lift"];
+    terminal.wait_for("all names", |screen| names.iter().all(|name| screen.contains(name)));
     terminal.keys(&["3"]);
     terminal.wait_for("the rendezvous", |s| s.contains("lift") && s.contains("armL") && s.contains("hoist"));
     terminal.keys(&["2"]);

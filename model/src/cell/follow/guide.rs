@@ -50,12 +50,16 @@ pub fn follow_run(plan: &Arc<CellPlan>, run: &Run) -> Followed {
     let stuck = guide.follow();
     let mut follower = guide.at;
     follower.count_lost();
+    let is_late = follower.was_late(BACK);
     let mut out = follower.out;
     out.inputs = follower.done.len() as u64;
     out.guessed = follower.guessed;
     out.rounded = follower.roundings.len() as u64;
     match stuck {
-        Ok(unexplained) => out.unexplained = unexplained,
+        Ok(unexplained) => {
+            out.unsure = unexplained.as_ref().is_some_and(|stuck| !stuck.however && is_late);
+            out.unexplained = unexplained;
+        }
         Err(by) => out.ended_by = Some(by),
     }
     out
@@ -69,7 +73,7 @@ impl Guide {
                 Stop::Over => return Ok(None),
                 Stop::Far => self.keep(),
                 Stop::Stuck(stuck) => {
-                    if !self.round_otherwise(&stuck, DEEP)? {
+                    if stuck.however || !self.round_otherwise(&stuck, DEEP)? {
                         return Ok(Some(stuck));
                     }
                 }

@@ -39,6 +39,8 @@ use std::sync::Arc;
 const AHEAD: u64 = 2;
 /// How many ticks late a node may notice that time has passed: one that is declared (D42).
 const LATE: u64 = 1;
+/// By how many ticks no rounding of two times changes what lies between them.
+const ROUNDED: u64 = 4;
 
 /// Something that a task took, and what came of it.
 #[derive(Clone, Debug)]
@@ -111,6 +113,8 @@ enum No {
     /// Its packet is not under way: somebody else may have to go on first.
     NotYet(String),
     Never(String),
+    /// Nor would it with any other rounding of times.
+    However(String),
 }
 
 /// Where following a run stops.
@@ -211,14 +215,15 @@ impl Follower {
             let went = order.iter().find_map(|&(at, task)| match self.follow(task) {
                 Ok(()) => Some(Ok((at, task))),
                 Err(No::NotYet(why)) => {
-                    first.get_or_insert((at, task, why));
+                    first.get_or_insert((at, task, why, false));
                     None
                 }
-                Err(No::Never(why)) => Some(Err((at, task, why))),
+                Err(No::Never(why)) => Some(Err((at, task, why, false))),
+                Err(No::However(why)) => Some(Err((at, task, why, true))),
             });
-            let stuck = |(at, task, why): (u64, usize, String)| {
+            let stuck = |(at, task, why, however): (u64, usize, String, bool)| {
                 let address = self.address(task);
-                Stop::Stuck(Unexplained { at, task: TaskId::from_index(task), address, why })
+                Stop::Stuck(Unexplained { at, task: TaskId::from_index(task), address, why, however })
             };
             match (went, first) {
                 (Some(Ok((at, task))), _) => {
@@ -364,7 +369,8 @@ impl Follower {
             return Err(No::Never("an action ends that the model has not begun".into()));
         };
         if least > 0 {
-            return Err(No::Never(format!("an action ends {least} ticks before its least time is over")));
+            let why = format!("an action ends {least} ticks before its least time is over");
+            return Err(if u64::from(least) > ROUNDED { No::However(why) } else { No::Never(why) });
         }
         if let Conduct::Program { values, .. } = &self.course.plan.tasks[task] {
             let tried = values.get(usize::from(action)).map_or(&[][..], Vec::as_slice);

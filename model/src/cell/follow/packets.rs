@@ -30,7 +30,7 @@ impl Follower {
             let (from, kind) = (name(table, packet.source.index()), packet.kind);
             let port = port_name(table, packet.port);
             let why = format!("{kind:?} of {from} on {port} arrives that the model has not sent");
-            return Err(No::NotYet(why));
+            return Err(if self.was_sent(&packet) { No::NotYet(why) } else { No::However(why) });
         }
         self.quiet(task, "a packet comes")?;
         self.let_actions_go_on(node, now);
@@ -40,6 +40,14 @@ impl Follower {
             true => Ok(()),
             false => Err(No::Never("a packet arrives that a node on the way drops in the model".into())),
         }
+    }
+
+    /// Whether the recording of its source has this packet, or may lack it.
+    fn was_sent(&self, packet: &Packet) -> bool {
+        let source = packet.source.index();
+        let mut sent = self.groups[source].iter().flat_map(|group| &group.sent);
+        let is_whole = self.whole.get(self.course.floor.station_of(source)).copied().unwrap_or(true);
+        !is_whole || sent.any(|sent| *sent == named(packet))
     }
 
     /// Carries a packet from link to link to a node; false where it is dropped on the way. `more` says how many ticks it

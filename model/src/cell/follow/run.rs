@@ -41,6 +41,8 @@ pub struct Followed {
     pub other_values: u64,
     /// The first thing that the model cannot do.
     pub unexplained: Option<Unexplained>,
+    /// Whether it might, with times rounded otherwise: shortly before, a node acted so late that not all ways were tried.
+    pub unsure: bool,
     /// Which budget ended it.
     pub ended_by: Option<String>,
     /// The microsecond up to which the run was followed.
@@ -71,4 +73,6 @@ pub struct Unexplained {
     pub address: Address,
     /// What is wrong, in the cell's words.
     pub why: String,
+    /// Whether no rounding of times would change that.
+    pub however: bool,
 }

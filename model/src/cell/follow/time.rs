@@ -75,6 +75,19 @@ impl Follower {
         }
     }
 
+    /// Whether a node acted late among the last so many inputs, or is about to.
+    pub(super) fn was_late(&self, inputs: usize) -> bool {
+        let since = self.done.iter().rev().take(inputs).last();
+        let since = since.map_or(0, |&(task, group)| self.groups[task][group].at);
+        let coming = self.next.iter().enumerate().filter_map(|(task, &next)| {
+            let node = self.course.floor.station_of(task);
+            let now = self.groups[task].get(next)?.at.saturating_sub(self.starts[node]) / self.tick;
+            let due = self.clocks[node] + self.expiry(node)?;
+            Some(now.saturating_sub(due))
+        });
+        self.out.late.iter().any(|late| late.at >= since) || coming.max() > Some(LATE)
+    }
+
     /// Time makes a task act, as the run says.
     pub(super) fn let_time_show(
         &mut self,
