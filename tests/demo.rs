@@ -4,7 +4,8 @@
 use crate::support::live::{Live, Seen, figure, named, released, task};
 use crate::support::program::{all_of, one_after_the_other, times};
 use crate::support::{
-    Said, is_alive, is_well, number, run, run_in, run_until, runtime_dir, side_by_side, signal, wait_until,
+    Said, excused, is_alive, is_well, number, run, run_in, run_until, runtime_dir, side_by_side, signal,
+    wait_until,
 };
 use imrs_protocol::{Incarnation, NodeId, PACKET_BYTES};
 use imrs_wire::envelope::{Datagram, Envelope};
@@ -106,7 +107,7 @@ fn a_link_that_fails_in_mid_lift_stops_both_arms() {
             return says(&said, &["armL asked `beat` and got TIME_OUT", "armR"]);
         }
     }
-    println!("this machine was too late for the fault each time");
+    excused("the fault came too late each time");
 }
 
 #[test]
@@ -114,7 +115,9 @@ fn when_the_robots_node_dies_the_other_takes_over_and_looks_at_the_spot() {
     let said = told(&["failover-weld", "--seed", "3"], one_after_the_other(&["TAKES OVER", "begins"]));
     says(&said, &["TAKES OVER", "At no instant were both robots active", "As promised"]);
     // On a machine that is late r1 may be without its lease before its node is killed.
-    if !said.out.lines().any(|line| line.contains(" r1 ") && line.contains("has lost the lease")) {
+    if said.out.lines().any(|line| line.contains(" r1 ") && line.contains("has lost the lease")) {
+        excused("r1 lost its lease before its node was killed");
+    } else {
         says(&said, &["the node of r1 was killed, in the middle of `weld 0`", "r2 began with `recheck 0`"]);
     }
     // They reach each other through nt, which passes their packets on.

@@ -2,7 +2,7 @@
 //! makes them: that is told, and no true run is called one that the model cannot do.
 
 use crate::support::program::{all_of, one_after_the_other, times};
-use crate::support::{Said, example, run_in, run_until, runtime_dir, side_by_side, tape};
+use crate::support::{Said, example, excused, run_in, run_until, runtime_dir, side_by_side, tape};
 use imrs_protocol::{Input, Kind, Packet, Seq24, Ticks};
 use imrs_wire::recording::{Record, ScriptStep};
 use serde_json::Value;
@@ -90,7 +90,7 @@ fn path_of(run: &Recorded) -> Option<Value> {
     let told = said.last_json();
     if said.code == Some(4) && told["unexplained"] != Value::Null {
         assert!(told["unknown"].as_str().is_some_and(|why| why.starts_with("nodes acted late")), "{told}");
-        println!("this machine was late, and no path was found: {told}");
+        excused(&format!("no path was found: {told}"));
         return None;
     }
     Some(is_path(&said))

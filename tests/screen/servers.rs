@@ -2,7 +2,7 @@
 
 use super::terminal::{Terminal, tmux_is_here, watched};
 use crate::support::live::Live;
-use crate::support::{run_in, runtime_dir, side_by_side, signal, wait_until};
+use crate::support::{excused, run_in, runtime_dir, side_by_side, signal, wait_until};
 use rustix::process::Signal;
 use std::io::{Read, Write};
 use std::os::unix::net::{UnixListener, UnixStream};
@@ -102,6 +102,9 @@ fn a_restarted_node_has_a_new_life() {
     };
     // A monitor that comes later sees nobody die.
     let in_time = terminal.screen().contains(&before);
+    if !in_time {
+        excused("the monitor came after the death");
+    }
     terminal.wait_for("its death", |screen| is_dead(screen) || !in_time && lives_again(screen));
     terminal.wait_for("its next life", lives_again);
     terminal.leave();
