@@ -279,6 +279,28 @@ fn a_query_may_not_last_longer_than_its_answer_takes() {
     );
 }
 
+/// What members bring to a meeting is there when the others read it: at once, and after a handler that interrupted the wait.
+#[test]
+fn what_members_bring_to_a_meeting_is_what_the_others_read() {
+    let meet = MEET.replace("meet()", "meet(h: int8)");
+    let uses = USE_MEET.replace("meet()", "meet(h: int8)");
+    let tells = "run work takes 1..20 msec; waitfor meet(5) on time_out do skip; end;";
+    let reads = "waitfor meet(7) on time_out do skip; end; if meet.told(b) and meet.h(b) = 5 then abort \"it knows\"; end; abort \"it does not\";";
+    let verdicts = two(&meet, &uses, reads, tells, "").check();
+    let [knows] = &verdicts.findings[..] else { panic!("{:?}", verdicts.findings) };
+    assert_eq!(knows.kind, Kind::Aborts);
+    assert!(knows.cause.contains("it knows"), "{}", knows.cause);
+
+    let reads = format!(
+        "var held: timer;\nbegin\non expiry held do run look takes 10 msec; end;\nstart held 15 msec; {reads}"
+    );
+    let text = two_text(&meet, &uses, "skip;", tells, "").replace("begin\nskip;", &reads);
+    let verdicts = Text::new(&text).check();
+    let told: Vec<&str> = verdicts.findings.iter().map(|finding| finding.cause.as_str()).collect();
+    assert!(told.iter().any(|cause| cause.contains("it knows")), "{told:?}");
+    assert!(!told.iter().any(|cause| cause.contains("it does not")), "{told:?}");
+}
+
 #[test]
 fn faults_that_nobody_notices_change_no_finding() {
     let send = "loop send put(m) on time_out do x := 1; delay 1 msec; x := 0; end; delay 10 msec; end;";

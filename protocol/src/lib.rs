@@ -43,7 +43,7 @@ mod timer;
 mod transit;
 
 pub use cell::{Cell, CellError, CoupleDecl, MAX_FRAGMENTS, Penalty, PortDecl, Rate, Usage};
-pub use comm_task::{CommTask, Frame, Input, Outbox, Overflow, Visit, VisitMut, invariants};
+pub use comm_task::{Coming, CommTask, Frame, Input, Outbox, Overflow, Visit, VisitMut, invariants};
 pub use ids::{Incarnation, MessageId, NodeId, PortId, Round, Seq24, TaskId};
 pub use node::{Node, NodeInput, NodeOutbox, Parts, discarded};
 pub use observe::{

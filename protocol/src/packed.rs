@@ -1,7 +1,7 @@
 //! Packets in canonical states (D51): what of a packet a future depends on, everything relative.
 //!
-//! Left out are the marks that only observers read (re-sent, urgent), the relays still allowed (routes are shortest
-//! ways: where a packet is says how many it has passed) and the arguments of waitfors.
+//! Left out are the marks that only observers read (re-sent, urgent) and the relays still allowed (routes are shortest
+//! ways: where a packet is says how many it has passed).
 
 use crate::comm_task::{Frame, Overflow};
 use crate::ids::{Incarnation, MessageId, PortId, Round, Seq24, TaskId};
@@ -11,6 +11,8 @@ use crate::ticks::Ticks;
 const STATUS: u8 = 0x08;
 const MORE: u8 = 0x10;
 const FRAGMENT: u8 = 0x20;
+/// An arrival brings something.
+const BRINGS: u8 = 0x40;
 /// A length of time of four bytes follows.
 pub(crate) const LONG: u8 = 254;
 
@@ -33,6 +35,13 @@ impl<'a> Pen<'a> {
 
     pub fn small(&mut self, number: impl TryInto<u8>) -> Result<(), Overflow> {
         self.byte(number.try_into().map_err(|_| Overflow)?)
+    }
+
+    /// What a member brings to a meeting, without the zeros at its end.
+    pub fn arguments(&mut self, arguments: &[u8; 8]) -> Result<(), Overflow> {
+        let len = arguments.iter().rposition(|&byte| byte != 0).map_or(0, |last| last + 1);
+        self.small(len)?;
+        arguments[..len].iter().try_for_each(|&byte| self.byte(byte))
     }
 
     /// A length of time: 255 for never, and what no single byte holds behind a 254.
@@ -66,6 +75,13 @@ impl<'a> Eye<'a> {
         byte
     }
 
+    pub fn arguments(&mut self) -> [u8; 8] {
+        let len = usize::from(self.byte()).min(8);
+        let mut arguments = [0; 8];
+        arguments.iter_mut().take(len).for_each(|byte| *byte = self.byte());
+        arguments
+    }
+
     pub fn ticks(&mut self) -> Ticks {
         match self.byte() {
             u8::MAX => Ticks::FAR,
@@ -97,6 +113,12 @@ impl Packet {
         }
     }
 
+    /// What an arrival brings to its meeting, where that is something.
+    fn brings(&self) -> Option<[u8; 8]> {
+        let arguments = (self.kind == Kind::Arrive).then(|| self.meeting().arguments);
+        arguments.filter(|arguments| *arguments != [0; 8])
+    }
+
     /// Writes the canonical bytes of this packet and returns how many.
     ///
     /// # Errors
@@ -106,7 +128,8 @@ impl Packet {
         let flag = |set: bool, bit: u8| if set { bit } else { 0 };
         let flags = flag(self.class == Class::Status, STATUS)
             | flag(self.more, MORE)
-            | flag(self.fragment != 0, FRAGMENT);
+            | flag(self.fragment != 0, FRAGMENT)
+            | flag(self.brings().is_some(), BRINGS);
         pen.byte(self.kind as u8 | flags)?;
         if self.fragment != 0 {
             pen.byte(self.fragment)?;
@@ -129,6 +152,7 @@ impl Packet {
             if self.kind == Kind::Abort {
                 pen.small(meeting.next_round().steps_from(base))?;
             }
+            self.brings().iter().try_for_each(|brought| pen.arguments(brought))?;
             return Ok(pen.at);
         }
         let next = frame.sequences.get(self.id_source().index()).copied().unwrap_or_default();
@@ -168,8 +192,11 @@ impl Packet {
         let round = |back: u8| Frame::ROUND.plus(u16::from(back));
         if packet.is_of_meeting() {
             let (at, released): (Round, Round) = (round(eye.byte()), round(eye.byte()));
-            let arguments =
-                if kind == Kind::Abort { Meeting::abort_arguments(round(eye.byte())) } else { [0; 8] };
+            let arguments = match kind {
+                Kind::Abort => Meeting::abort_arguments(round(eye.byte())),
+                _ if head & BRINGS != 0 => eye.arguments(),
+                _ => [0; 8],
+            };
             packet.contents = Meeting { round: at, released, arguments }.to_contents();
             return (packet, eye.at);
         }
@@ -215,8 +242,11 @@ mod tests {
                 if packet.is_of_meeting() {
                     let round = |r: u16| Frame::ROUND.plus(r);
                     packet.id.sequence = Seq24::default();
-                    let abort = packet.kind == Kind::Abort;
-                    let arguments = if abort { Meeting::abort_arguments(round(rounds.2)) } else { [0; 8] };
+                    let arguments = match packet.kind {
+                        Kind::Abort => Meeting::abort_arguments(round(rounds.2)),
+                        Kind::Arrive => core::array::from_fn(|i| bytes.get(i).copied().unwrap_or(0)),
+                        _ => [0; 8],
+                    };
                     let meeting = Meeting { round: round(rounds.0), released: round(rounds.1), arguments };
                     packet.contents = meeting.to_contents();
                 }
@@ -243,7 +273,8 @@ mod tests {
             if p.is_of_meeting() {
                 let m = p.meeting();
                 let next = m.next_round().plus(by);
-                let arguments = if p.kind == Kind::Abort { Meeting::abort_arguments(next) } else { [0; 8] };
+                let arguments =
+                    if p.kind == Kind::Abort { Meeting::abort_arguments(next) } else { m.arguments };
                 moved.contents =
                     Meeting { round: m.round.plus(by), released: m.released.plus(by), arguments }.to_contents();
             } else {

@@ -102,6 +102,7 @@ impl Course {
         });
         let mut floor = FloorPlan::new(Arc::clone(&plan.table), tasks.collect());
         floor.way = Way::Exact;
+        floor.keeps_seen = plan.everything;
         floor.transit = plan.transit;
         floor.faults = Faults { crash: u8::from(!faults.crash.is_empty()), ..Faults::default() };
         floor.checks = plan

@@ -5,7 +5,7 @@ use super::body::Does;
 use super::judge::Name;
 use super::plan::FloorWatch;
 use crate::state::{Packed, Violation};
-use imrs_protocol::{Frame, Overflow, Packet, PortId, Round, Seq24, TaskId, Ticks, Visit};
+use imrs_protocol::{Coming, Frame, Kind, Overflow, Packet, PortId, Round, Seq24, TaskId, Ticks, Visit};
 
 /// Room for one part of a state while it is written.
 const PART: usize = 512;
@@ -64,6 +64,12 @@ impl Floor {
         }
         for station in self.stations.iter_mut().filter(|s| s.up) {
             station.node.parts_mut().tasks.iter_mut().for_each(imrs_protocol::CommTask::bury);
+        }
+        if !self.plan.keeps_seen {
+            let coming = self.coming();
+            for station in self.stations.iter_mut().filter(|s| s.up) {
+                station.node.parts_mut().tasks.iter_mut().for_each(|task| task.bury_seen(&coming));
+            }
         }
         let bases = self.bases();
         let mut out = Vec::with_capacity(128);
@@ -243,6 +249,27 @@ impl Floor {
         }
         packed.iter().for_each(|(_, bytes)| out.extend(bytes));
         Ok(())
+    }
+
+    /// All messages that may still come to a task.
+    fn coming(&self) -> Vec<Coming> {
+        let up = || self.stations.iter().filter(|s| s.up).map(|station| &station.node);
+        let waiting = up().flat_map(|node| node.parts().transit.waiting());
+        let packets = self.crossings.iter().map(|crossing| crossing.packet).chain(waiting);
+        let packets = packets.chain(up().flat_map(imrs_protocol::Node::work_packets).copied());
+        let messages = packets.filter(|packet| matches!(packet.kind, Kind::Send | Kind::Query));
+        let of_packet = |packet: Packet| Coming {
+            port: packet.port,
+            source: packet.source,
+            to: packet.destination,
+            sequence: packet.id.sequence,
+        };
+        let again = up().flat_map(|node| &node.parts().tasks).flat_map(|task| {
+            let source = task.task();
+            let asked = task.outstanding();
+            asked.map(move |(port, to, id)| Coming { port, source, to, sequence: id.sequence })
+        });
+        messages.map(of_packet).chain(again).collect()
     }
 
     /// The least round in use of each port, and the next sequence of each task.

@@ -255,6 +255,8 @@ pub struct FloorPlan {
     pub checks: Vec<Vec<Term>>,
     /// Whether what follows from a step within its node, and what a task in a hurry does next, belong to the step.
     pub fused: bool,
+    /// Whether states keep which messages were taken although no copy of them can come any more.
+    pub keeps_seen: bool,
     /// Whether ticks in which nothing happens and nothing else can are passed over at once.
     pub jumps: bool,
     /// For each node, how far its clock is ahead.
@@ -277,6 +279,7 @@ impl FloorPlan {
             watches: Vec::new(),
             checks: Vec::new(),
             fused: true,
+            keeps_seen: true,
             jumps: true,
             clocks,
         }

@@ -6,8 +6,9 @@ use std::fmt;
 use std::hash::Hasher;
 
 /// Counters, numbers of arrival, the bookkeeping of a queue, and what is shown and not acted on. `life` is constant
-/// where no node restarts; no task here has two ports of which a GET could pass one over (`served`, `since`).
-const LEFT_OUT: [&str; 11] = [
+/// where no node restarts; no task here has two ports of which a GET could pass one over (`served`, `since`), and none
+/// reads what others brought to a meeting (`told`).
+const LEFT_OUT: [&str; 12] = [
     "counters",
     "arrivals",
     "arrival",
@@ -19,6 +20,7 @@ const LEFT_OUT: [&str; 11] = [
     "taken",
     "served",
     "since",
+    "told",
 ];
 
 /// Feeds the fields of `value` to the hasher.

@@ -27,7 +27,7 @@ mod view;
 
 pub(crate) use fragments::Parts;
 pub use packed::{Frame, Overflow};
-pub use relative::{Visit, VisitMut};
+pub use relative::{Coming, Visit, VisitMut};
 
 use crate::cell::Usage;
 use crate::ids::{Incarnation, MessageId, NodeId, PortId, Seq24, TaskId};

@@ -4,7 +4,7 @@
 use super::desk::Phase;
 use super::lease::{Guard, Post};
 use super::levels::Finished;
-use super::memory::{Fate, Memory, Window};
+use super::memory::{Fate, Memory, Remembered, Window};
 use super::rendezvous::{Arrived, Rendezvous};
 use super::{CommTask, Pending};
 use crate::ids::{PortId, Round, Seq24, TaskId};
@@ -28,6 +28,20 @@ pub trait VisitMut {
     fn round(&mut self, port: PortId, round: &mut Round);
     /// A sequence number of a source.
     fn sequence(&mut self, source: TaskId, sequence: &mut Seq24);
+}
+
+/// A message that may still come to a task: it is on a link or in a buffer, or its sender waits for the answer and may send
+/// it again.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Coming {
+    /// On which port.
+    pub port: PortId,
+    /// From whom.
+    pub source: TaskId,
+    /// To whom.
+    pub to: TaskId,
+    /// Its number.
+    pub sequence: Seq24,
 }
 
 /// Walks everything relative, once for looking and once for changing: `relatives!(self, v)` or `relatives!(self, v, mut)`.
@@ -240,6 +254,41 @@ impl CommTask {
         }
         for meeting in &mut self.meetings {
             meeting.bury(now);
+        }
+    }
+}
+
+impl CommTask {
+    /// Forgets which messages it has taken where no copy of them can come any more: for a checker, which knows all that
+    /// may still come. Behaviour does not change.
+    pub fn bury_seen(&mut self, coming: &[Coming]) {
+        let own = self.task;
+        for inbox in &mut self.inboxes {
+            let port = inbox.port;
+            for source in &mut inbox.sources {
+                let task = source.task;
+                let of_source = |c: &&Coming| (c.port, c.source, c.to) == (port, task, own);
+                let copies = || coming.iter().filter(of_source).map(|c| c.sequence);
+                // One that is newer than all that was seen is taken, remembered or not.
+                let may_come = |newest: Seq24| copies().any(|copy| !copy.is_newer_than(newest));
+                match &mut source.memory {
+                    Memory::Command(command) => {
+                        let is_settled = |c: &Remembered| {
+                            matches!(c.fate, Fate::Refused | Fate::Answered(_) | Fate::Lapsed)
+                        };
+                        *command = command.filter(|c| !is_settled(c) || may_come(c.id.sequence));
+                    }
+                    Memory::Status(window) => {
+                        let Some(newest) = window.newest.filter(|&newest| may_come(newest)) else {
+                            *window = Window::default();
+                            continue;
+                        };
+                        let backs = copies().map(|copy| newest.steps_from(copy));
+                        let bits = backs.filter(|back| (1..=64).contains(back));
+                        window.seen &= bits.fold(0, |bits, back| bits | 1 << (back - 1));
+                    }
+                }
+            }
         }
     }
 }

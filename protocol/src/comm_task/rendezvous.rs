@@ -37,6 +37,8 @@ pub(crate) struct Member {
     pub reborn: bool,
     /// Known to have released the round that this task is in; shown, not acted on.
     pub confirmed: bool,
+    /// What it brought to the round that this task left last: what comes after that changes nothing of it.
+    pub told: Option<[u8; 8]>,
 }
 
 /// One task's side of a rendezvous.
@@ -107,6 +109,7 @@ impl Rendezvous {
             self.fresh = self.announced;
         }
         self.arguments = arguments;
+        self.members.iter_mut().for_each(|member| member.told = None);
         self.owes_confirm = false;
         self.deadline = Some(at.scene.now + patience);
         for member in &mut self.members {
@@ -130,6 +133,7 @@ impl Rendezvous {
             });
             missing |= u64::from(!came && at.port.parties[i].task != at.scene.task) << i;
         }
+        self.keep_told();
         self.deadline = None;
         self.resend_at = Ticks::FAR;
         self.note(Event::GaveUp, at.scene.task, Ticks::ZERO, out);
@@ -404,6 +408,7 @@ impl Rendezvous {
     fn release(&mut self, at: &mut At<'_>, by: ReleasedBy, out: &mut impl Outbox) {
         let round = self.announced;
         let left = self.left(at.scene.now);
+        self.keep_told();
         self.released = Some(round);
         self.deadline = None;
         self.resend_at = Ticks::FAR;
@@ -435,6 +440,15 @@ impl Rendezvous {
             for member in &mut self.members {
                 member.arrived = None;
             }
+        }
+    }
+
+    /// What the members brought to the round that this task leaves now.
+    fn keep_told(&mut self) {
+        let round = self.announced;
+        for member in &mut self.members {
+            member.told =
+                member.arrived.filter(|arrived| arrived.round == round).map(|arrived| arrived.arguments);
         }
     }
 

@@ -27,14 +27,13 @@ impl CommTask {
         }
     }
 
-    /// What the other members told in the round that this task released last or waits in.
+    /// What another member brought to the round that this task left last; none where it was not heard there.
     #[must_use]
     pub fn meeting_arguments(&self, table: &NodeTable, port: PortId, of: TaskId) -> Option<[u8; 8]> {
         let Role::Meets(meeting) = self.role(port)? else { return None };
         let rendezvous = self.meetings.get(usize::from(meeting))?;
         let member = table.port(port)?.party_index(of)?;
-        let arrived = rendezvous.members.get(member)?.arrived?;
-        (arrived.round == rendezvous.announced).then_some(arrived.arguments)
+        rendezvous.members.get(member)?.told
     }
 
     /// The round that the task announced last at this waitfor, in its present life: while it waits there, the one that it

@@ -94,6 +94,14 @@ impl<'a> Writer<'a> {
         word.to_le_bytes().iter().try_for_each(|&byte| self.byte(byte))
     }
 
+    /// What a member brings to a meeting, without the zeros at its end.
+    fn arguments(&mut self, arguments: &[u8; 8]) -> Result<(), Overflow> {
+        let mut pen = Pen::new(self.bytes.get_mut(self.at..).ok_or(Overflow)?);
+        pen.arguments(arguments)?;
+        self.at += pen.at;
+        Ok(())
+    }
+
     fn contents(&mut self, contents: &Contents) -> Result<(), Overflow> {
         self.count(contents.as_bytes().len())?;
         contents.as_bytes().iter().try_for_each(|&byte| self.byte(byte))
@@ -138,6 +146,13 @@ impl<'a> Reader<'a> {
         u16::from_le_bytes([self.byte(), self.byte()])
     }
 
+    fn arguments(&mut self) -> [u8; 8] {
+        let mut eye = Eye::new(self.bytes.get(self.at..).unwrap_or(&[]));
+        let arguments = eye.arguments();
+        self.at += eye.at;
+        arguments
+    }
+
     fn contents(&mut self) -> Contents {
         let len = usize::from(self.byte()).min(12);
         let mut bytes = [0; 12];
@@ -151,8 +166,8 @@ impl<'a> Reader<'a> {
 impl CommTask {
     /// Writes the canonical bytes of this state and returns how many. Call [`bury`](Self::bury) first.
     ///
-    /// Left out are the counters, the arguments of waitfors, what the last message and ended requests said, and which
-    /// start of a timer runs: nothing that happens depends on them.
+    /// Left out are the counters, what the last message, ended requests and meetings said to a thread that has read it, and
+    /// which start of a timer runs: nothing that happens depends on them.
     ///
     /// # Errors
     /// [`Overflow`] when a distance outgrows its field or `out` is too short.
