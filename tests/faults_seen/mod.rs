@@ -410,6 +410,6 @@ end b;
     scene.raises(
         since,
         "events-lost",
-        &["node-silent", "refused", "status-flood", "evicted", "expired", "deadline-risk"],
+        &["node-silent", "refused", "status-flood", "evicted", "expired", "deadline-risk", "timer-late"],
     );
 }

@@ -254,6 +254,8 @@ impl Follower {
         match group.cause {
             Happened::Started => {}
             Happened::Begun => {
+                // A node may begin long after its first record: that is no time of its first action.
+                self.let_actions_go_on(node, now);
                 self.catch_up(node, counted)?;
                 self.course.floor.leave(task, ScriptInput::Begin);
                 self.made(node)?;
@@ -270,6 +272,7 @@ impl Follower {
             }
             Happened::Chosen(choice) => {
                 self.quiet(task, "it chooses")?;
+                self.let_actions_go_on(node, now);
                 self.course.floor.leave(task, ScriptInput::Chosen(choice));
                 self.made(node)?;
             }
