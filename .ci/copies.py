@@ -48,4 +48,4 @@ class Copy:
 
     def cargo(self, *what):
         env = dict(os.environ, CARGO_TARGET_DIR=str(TARGET), CARGO_TERM_COLOR="never")
-        return subprocess.run(["cargo", *what, "--locked", "-q"], cwd=self.folder, env=env, capture_output=True, text=True)
+        return subprocess.run(["cargo", what[0], "--locked", "-q", *what[1:]], cwd=self.folder, env=env, capture_output=True, text=True)

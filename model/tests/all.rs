@@ -10,6 +10,7 @@ mod couples;
 mod faulty_cells;
 mod floor;
 mod floor_packed;
+mod guard;
 mod reductions;
 mod support;
 mod traps;

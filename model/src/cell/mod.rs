@@ -32,6 +32,7 @@ mod context;
 mod course;
 mod follow;
 mod frames;
+mod guard;
 mod judge;
 mod liveness;
 mod moves;
@@ -51,6 +52,7 @@ pub use follow::{
     Followed, Happened, Happening, Late, Run, Steps, Turn, Unexplained, follow_run, steps_in_model,
 };
 pub use frames::{NodeFrame, Scene, Shows, scenes};
+pub use guard::{Agreement, Disagreement, Effort, compare_with_walks};
 pub use plan::{Budget, CellCheck, CellFaults, CellPlan, Conduct, Holds, Times};
 pub use search::check_cell;
 pub use story::{Note, Step, TaskView, lanes};

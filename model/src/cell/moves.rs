@@ -74,7 +74,11 @@ impl Course {
                     comes = true;
                 }
                 None if up && self.may_come_early(crossing) => {
-                    moves.extend([CellMove::Deliver(small(i)), CellMove::Stay(crossing.link)]);
+                    // An open cut may end with a packet that comes early as with any other: so it allows all that one
+                    // that is over does.
+                    let open = self.cut_of(crossing.link, OPEN);
+                    let comes = open.map_or(CellMove::Deliver(small(i)), |cut| CellMove::Mend(small(i), cut));
+                    moves.extend([comes, CellMove::Stay(crossing.link)]);
                 }
                 // As late as it can: right before the one that it overtakes, but never in the tick that it left in.
                 Some(ahead) if ahead.age >= bound && crossing.age > 0 && self.may_overtake(crossing.link) => {
@@ -103,7 +107,6 @@ impl Course {
         self.times != Times::Ends
             && crossing.age > 0
             && self.beside.slow & bit(usize::from(crossing.link)) == 0
-            && self.cut_of(crossing.link, OPEN).is_none()
     }
 
     fn ends(&self, task: usize, action: &Running, moves: &mut Vec<CellMove>) {

@@ -25,20 +25,38 @@ const BATCH: usize = 1024;
 /// How many of them a thread takes at a time.
 const PART: usize = 32;
 
-/// A kept state and its number.
-type Kept = (u32, Box<[u8]>);
+/// A state to walk on from, and its number.
+type Queued = (u32, Box<[u8]>);
 
 #[derive(Default)]
 struct Search {
     seen: Seen,
     origins: Vec<Origin>,
-    queue: VecDeque<Kept>,
+    queue: VecDeque<Queued>,
     hits: Vec<Hit>,
     moves: u64,
     longest: usize,
     outgrown: bool,
     /// The least depth of a batch that was not taken in to its end.
     batch: Option<u16>,
+}
+
+/// What a search came to, and the states that it kept.
+pub(super) struct Kept {
+    pub seen: Seen,
+    pub states: u64,
+    pub complete: bool,
+    pub hits: Vec<Shown>,
+    pub findings: Vec<Finding>,
+    pub reached: Reached,
+}
+
+/// Searches, and keeps the states.
+pub(super) fn explore_and_keep(plan: &Arc<CellPlan>, phase: Phase, faults: &CellFaults) -> Kept {
+    let (search, done) = search(plan, (phase, 0), faults);
+    let hits = search.hits.into_iter().map(|hit| hit.shown).collect();
+    let Done { coverage, findings, reached, .. } = done;
+    Kept { seen: search.seen, states: coverage.states, complete: coverage.complete, hits, findings, reached }
 }
 
 /// What a phase comes to.
@@ -136,7 +154,11 @@ fn refused(plan: &CellPlan) -> Option<Refused> {
     Some(Refused { task: TaskId::from_index(task), at: Address::try_from(at).unwrap_or(Address::MAX), why })
 }
 
-fn explore(plan: &Arc<CellPlan>, (phase, hypothesis): (Phase, usize), faults: &CellFaults) -> Done {
+fn explore(plan: &Arc<CellPlan>, phase: (Phase, usize), faults: &CellFaults) -> Done {
+    search(plan, phase, faults).1
+}
+
+fn search(plan: &Arc<CellPlan>, (phase, hypothesis): (Phase, usize), faults: &CellFaults) -> (Search, Done) {
     let start = Instant::now();
     let mut search = Search::default();
     let walker = || Walker::new(phase, Course::new(plan, faults));
@@ -147,7 +169,7 @@ fn explore(plan: &Arc<CellPlan>, (phase, hypothesis): (Phase, usize), faults: &C
     let tell = |hit: &Hit| search.tell(plan, (phase, hypothesis), faults, hit);
     let findings: Vec<Finding> = search.hits.iter().map(tell).collect();
     let depth = search.origins.iter().map(|origin| u64::from(origin.depth)).max().unwrap_or(0);
-    let depth_of = |&(at, _): &Kept| search.origins.get(at as usize).map(|origin| origin.depth);
+    let depth_of = |&(at, _): &Queued| search.origins.get(at as usize).map(|origin| origin.depth);
     let left = search.queue.iter().filter_map(depth_of).chain(search.batch).min();
     let coverage = Coverage {
         phase,
@@ -169,7 +191,7 @@ fn explore(plan: &Arc<CellPlan>, (phase, hypothesis): (Phase, usize), faults: &C
         mattered.iter_mut().zip(walker.mattered()).for_each(|(all, one)| *all |= one);
     }
     let reached = walkers.into_iter().map(|walker| walker.reached).reduce(Reached::join).unwrap_or_default();
-    Done { coverage, findings, reached, mattered }
+    (search, Done { coverage, findings, reached, mattered })
 }
 
 impl Search {
@@ -201,8 +223,8 @@ impl Search {
     }
 
     /// Walks on from each state of a batch, and gives what that came to in the batch's order.
-    fn walk_on(&self, batch: &[Kept], walkers: &mut [Walker]) -> Vec<Walks> {
-        let parts: Vec<&[Kept]> = batch.chunks(PART).collect();
+    fn walk_on(&self, batch: &[Queued], walkers: &mut [Walker]) -> Vec<Walks> {
+        let parts: Vec<&[Queued]> = batch.chunks(PART).collect();
         let done: Vec<OnceLock<Walks>> = parts.iter().map(|_| OnceLock::new()).collect();
         let next = AtomicUsize::new(0);
         let work = |walker: &mut Walker| {

@@ -28,6 +28,8 @@ pub(crate) fn number(length: u32, out: &mut Vec<u8>) {
 /// The numbers that a state is written relative to.
 struct Bases {
     rounds: Vec<Round>,
+    /// For each port, whether anybody has a round there.
+    used: Vec<bool>,
     sequences: Vec<Seq24>,
     lives: bool,
 }
@@ -91,8 +93,11 @@ impl Floor {
             out.extend(&self.used);
         }
         if self.counts_behind() {
-            for ((&behind, old), new) in self.behind.iter().zip(&self.rounds).zip(&bases.rounds) {
-                let from_first = i32::from(behind) + i32::from(new.steps_from(*old).cast_signed());
+            for (port, &behind) in self.behind.iter().enumerate() {
+                let moved = bases.rounds[port].steps_from(self.rounds[port]).cast_signed();
+                let from_first = i32::from(behind) + i32::from(moved);
+                // Behind nobody is nothing.
+                let from_first = if bases.used[port] { from_first } else { 0 };
                 out.push(byte(from_first.clamp(0, i32::from(super::FAR_BEHIND)))?);
             }
         }
@@ -279,7 +284,8 @@ impl Floor {
         // A cell's checker says itself how far behind a new life is.
         if lives && self.turns.is_none() {
             // A restarted node counts from its own beginning: only absolute rounds say how it relates to the others.
-            return Bases { rounds: self.rounds.clone(), sequences, lives };
+            let used = vec![true; self.rounds.len()];
+            return Bases { rounds: self.rounds.clone(), used, sequences, lives };
         }
         let mut least = Least(vec![None; self.rounds.len()]);
         for station in self.stations.iter().filter(|s| s.up) {
@@ -289,8 +295,9 @@ impl Floor {
             station.node.work_packets().for_each(|packet| least.packet(packet));
         }
         self.crossings.iter().for_each(|crossing| least.packet(&crossing.packet));
+        let used = least.0.iter().map(Option::is_some).collect();
         let rounds = least.0.iter().zip(&self.rounds).map(|(least, old)| least.unwrap_or(*old)).collect();
-        Bases { rounds, sequences, lives }
+        Bases { rounds, used, sequences, lives }
     }
 }
 

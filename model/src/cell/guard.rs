@@ -1,0 +1,270 @@
+//! The checker against the cell as it runs: walks at random through a cell that is never packed.
+//!
+//! ```text
+//!   never packed   s0 --move--> s1 --move--> s2 ...      each move drawn among those that may happen
+//!                   |            |            |
+//!   as searched   load(store) --move--> the same turns, the same next moves, the same bytes, and kept by the search
+//! ```
+//!
+//! What the search says of a cell is only as good as its packed states: what they leave out must be of no account to any
+//! program, and what a reduction leaves out must show nothing new. Here both are asked for at every step.
+
+use super::course::{CellMove, Course};
+use super::judge::{Reached, judge, nothing_reached};
+use super::outside::with_programs;
+use super::plan::{CellFaults, CellPlan, Times};
+use super::search::{Kept, explore_and_keep, timed};
+use super::seen::Mark;
+use super::verdict::{Finding, Kind, Phase};
+use crate::floor::script::ScriptTurn;
+use crate::state::Violation;
+use imrs_protocol::script::ScriptInput;
+use imrs_protocol::{Call, MessageId, ReplyTo, Round, Seq24, Signal, Ticks};
+use std::fmt;
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+
+/// What the walks came to where nothing differed.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Agreement {
+    /// Searches: one without faults, one for each hypothesis.
+    pub searches: u32,
+    /// Those that looked at everything.
+    pub complete: u32,
+    /// States that they kept.
+    pub states: u64,
+    /// Moves that were walked.
+    pub steps: u64,
+    /// States of walks that were looked for among those kept.
+    pub looked_up: u64,
+    /// Findings whose way was walked again.
+    pub findings: u64,
+}
+
+/// Where the checker and the cell differ.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub struct Disagreement {
+    /// What differs.
+    pub what: String,
+    /// The moves to there.
+    pub moves: Vec<CellMove>,
+}
+
+impl fmt::Display for Disagreement {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "{}, after {:?}", self.what, self.moves)
+    }
+}
+
+/// How far it goes.
+#[derive(Clone, Copy, Debug)]
+pub struct Effort {
+    /// Walks for each search.
+    pub walks: u32,
+    /// Moves of one walk.
+    pub length: u32,
+    /// When actions end and packets arrive.
+    pub times: Times,
+}
+
+/// Searches a cell, and compares what the search says with walks through the cell that are never packed. `draw` gives a
+/// number below its argument.
+///
+/// # Errors
+/// [`Disagreement`]: the first thing that differs.
+pub fn compare_with_walks(
+    plan: &Arc<CellPlan>,
+    effort: Effort,
+    draw: &mut dyn FnMut(usize) -> usize,
+) -> Result<Agreement, Disagreement> {
+    let plan = timed(&with_programs(plan), effort.times);
+    let mut agreement = Agreement::default();
+    let hypotheses = plan.faults.iter().filter(|faults| !faults.are_none());
+    let phases = std::iter::once((Phase::FaultFree, CellFaults::default()));
+    for (phase, faults) in phases.chain(hypotheses.map(|faults| (Phase::Faults, faults.clone()))) {
+        let kept = explore_and_keep(&plan, phase, &faults);
+        agreement.searches += 1;
+        agreement.complete += u32::from(kept.complete);
+        agreement.states += kept.states;
+        for finding in kept.findings.iter().filter(|finding| !finding.moves.is_empty()) {
+            agreement.findings += 1;
+            shows(&plan, phase, &faults, finding)?;
+        }
+        for _ in 0..effort.walks {
+            let walk = Walk::new(&plan, phase, &faults, &kept);
+            walk.go(effort.length, draw, &mut agreement)?;
+        }
+    }
+    Ok(agreement)
+}
+
+/// A finding's way, walked without packing, ends in what the finding says.
+fn shows(
+    plan: &Arc<CellPlan>,
+    phase: Phase,
+    faults: &CellFaults,
+    finding: &Finding,
+) -> Result<(), Disagreement> {
+    let mut course = Course::new(plan, faults);
+    let mut reached = nothing_reached(&course);
+    let mut last = judge(&mut course, phase, &mut reached);
+    for &step in &finding.moves {
+        apply(&mut course, step);
+        last = judge(&mut course, phase, &mut reached);
+    }
+    last.extend(super::judge::deadlock(&course));
+    let kind = |kind| if kind == Kind::Starves { Kind::TimeOut } else { kind };
+    let is = |shown: &super::judge::Shown| {
+        (kind(shown.kind), shown.task, shown.address, shown.check)
+            == (kind(finding.kind), finding.task.map(|task| task.index()), finding.address, finding.check)
+    };
+    if last.iter().any(is) {
+        return Ok(());
+    }
+    let what = format!("the way to {:?} ({}) shows {last:?}", finding.kind, finding.cause);
+    Err(Disagreement { what, moves: finding.moves.clone() })
+}
+
+fn apply(course: &mut Course, step: CellMove) {
+    if catch_unwind(AssertUnwindSafe(|| course.apply(step))).is_err() {
+        course.floor.violation = Some(Violation::Panic);
+    }
+}
+
+/// A walk, and its twin that is packed and loaded before each move.
+struct Walk<'a> {
+    phase: Phase,
+    course: Course,
+    twin: Course,
+    kept: &'a Kept,
+    /// What the walk has reached.
+    reached: Reached,
+    /// What the twin has: of no account.
+    others: Reached,
+    moves: Vec<CellMove>,
+    /// A new life began farther behind the others' rounds than packed states tell apart: they do the same, with other rounds.
+    far: bool,
+    /// Its states are covered by some that the search has kept, in a way that cannot be looked up.
+    unlisted: bool,
+}
+
+impl<'a> Walk<'a> {
+    fn new(plan: &Arc<CellPlan>, phase: Phase, faults: &CellFaults, kept: &'a Kept) -> Self {
+        let course = Course::new(plan, faults);
+        let reached = nothing_reached(&course);
+        // What a cut may still do is no part of a state's budget there: one that is unused allows all that an open one does,
+        // and no state says so.
+        let unlisted = !faults.cut.is_empty() && (faults.dup > 0 || faults.reorder > 0);
+        let (twin, others) = (course.clone(), reached.clone());
+        Self { phase, course, twin, kept, reached, others, moves: Vec::new(), far: false, unlisted }
+    }
+
+    fn go(
+        mut self,
+        length: u32,
+        draw: &mut dyn FnMut(usize) -> usize,
+        agreement: &mut Agreement,
+    ) -> Result<(), Disagreement> {
+        if !self.looked_at()? {
+            return self.end();
+        }
+        for _ in 0..length {
+            let Ok(bytes) = self.course.clone().store() else { return self.end() };
+            self.twin.load(&bytes);
+            let (mut moves, mut others) = (Vec::new(), Vec::new());
+            self.course.moves(&mut moves);
+            self.twin.moves(&mut others);
+            if moves != others {
+                return self.differs(format!("next may happen {moves:?}, in the packed state {others:?}"));
+            }
+            if moves.len() > 1 && self.kept.complete && !self.far && !self.unlisted {
+                agreement.looked_up += 1;
+                if !self.kept.seen.covers(Mark::of(self.course.split(&bytes))) {
+                    return self.differs("the search has not been in this state".into());
+                }
+            }
+            let Some(&step) = moves.get(draw(moves.len().max(1))) else { return self.end() };
+            agreement.steps += 1;
+            self.moves.push(step);
+            apply(&mut self.course, step);
+            apply(&mut self.twin, step);
+            let [turns, twins] = [&self.course, &self.twin].map(turns);
+            if turns != twins {
+                return self.differs(format!("the scripts do {turns:?}; from the packed state {twins:?}"));
+            }
+            if !self.looked_at()? {
+                return self.end();
+            }
+            let [state, packed] = [&self.course, &self.twin].map(|course| course.clone().store());
+            let restarted = || self.moves.iter().any(|step| matches!(step, CellMove::Restart(_)));
+            self.far |= state != packed && restarted();
+            if state != packed && !self.far {
+                return self.differs(format!(
+                    "another state follows from the packed one:\n  {state:?}\n  {packed:?}"
+                ));
+            }
+        }
+        self.end()
+    }
+
+    /// Judges the last move of both; whether anything that follows is looked at.
+    fn looked_at(&mut self) -> Result<bool, Disagreement> {
+        let shown = judge(&mut self.course, self.phase, &mut self.reached);
+        let others = judge(&mut self.twin, self.phase, &mut self.others);
+        if shown.len() != others.len() || shown.iter().zip(&others).any(|(a, b)| !a.is_same(b)) {
+            let what = format!("shows {shown:?}, from the packed state {others:?}");
+            return Err(Disagreement { what, moves: self.moves.clone() });
+        }
+        let is_found = |shown: &super::judge::Shown| self.kept.hits.iter().any(|hit| hit.is_same(shown));
+        match shown.iter().find(|shown| self.kept.complete && !is_found(shown)) {
+            Some(shown) => {
+                let what = format!("the search has not found {:?}: {}", shown.kind, shown.cause);
+                Err(Disagreement { what, moves: self.moves.clone() })
+            }
+            None => Ok(!shown.iter().any(|shown| shown.last)),
+        }
+    }
+
+    /// Whatever was reached the search has reached, too.
+    fn end(self) -> Result<(), Disagreement> {
+        if !self.kept.complete {
+            return Ok(());
+        }
+        let all = self.reached.statements.iter().zip(&self.kept.reached.statements).enumerate();
+        for (task, (own, searched)) in all {
+            if let Some(at) = own.iter().zip(searched).position(|(own, searched)| *own && !searched) {
+                return self.differs(format!("the search has not reached operation {at} of task {task}"));
+            }
+        }
+        Ok(())
+    }
+
+    fn differs<T>(self, what: String) -> Result<T, Disagreement> {
+        Err(Disagreement { what, moves: self.moves })
+    }
+}
+
+/// What the scripts did, but for numbers of messages and rounds: in a packed state they are others.
+fn turns(course: &Course) -> Vec<String> {
+    let all = course.floor.turns.iter().flatten();
+    let plain = |turn: &ScriptTurn| {
+        let ScriptTurn { task, at, input, passed, end } = turn;
+        format!("{task} at {at}: {:?} -> {passed:?} {end:?}", nameless(*input))
+    };
+    all.map(plain).collect()
+}
+
+fn nameless(mut input: ScriptInput) -> ScriptInput {
+    let no_one = MessageId { sequence: Seq24::default(), ..MessageId::default() };
+    match &mut input {
+        ScriptInput::Signal(Signal::Message(delivery) | Signal::Interrupt(Call::Message(delivery))) => {
+            delivery.from = ReplyTo { id: no_one, ..delivery.from };
+            delivery.budget = Ticks::ZERO;
+        }
+        ScriptInput::Signal(Signal::Released { round, .. } | Signal::GaveUp { round, .. }) => {
+            *round = Round::default();
+        }
+        _ => {}
+    }
+    input
+}

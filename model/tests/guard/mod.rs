@@ -1,0 +1,190 @@
+//! The checker against the cell as it runs, at random: see [`compare_with_walks`].
+
+mod cells;
+
+use crate::cells::{Text, within};
+use imrs_language::{Source, Unit, compile};
+use imrs_model::cell::{Agreement, Disagreement, Effort, Times, compare_with_walks};
+use std::collections::BTreeSet;
+use std::path::Path;
+use std::sync::Arc;
+
+/// Numbers that look random, from a seed.
+struct Draw(u64);
+
+impl Draw {
+    /// A seed is spread over all bits first; no seed gives the zero that a shift register never leaves.
+    const fn new(seed: u64) -> Self {
+        Self(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1)
+    }
+
+    fn below(&mut self, limit: usize) -> usize {
+        self.0 ^= self.0 << 13;
+        self.0 ^= self.0 >> 7;
+        self.0 ^= self.0 << 17;
+        usize::try_from((self.0 >> 16) % limit.max(1) as u64).expect("small")
+    }
+}
+
+/// Compares a cell as it is searched, at most so many states of each hypothesis, with walks through it.
+fn compare(text: &str, seed: u64, states: u64, effort: Effort) -> Result<Agreement, Disagreement> {
+    let mut cell = Text::new(text);
+    cell.plan.budget = within(states);
+    let mut draw = Draw::new(seed);
+    compare_with_walks(&Arc::new(cell.plan), effort, &mut |limit| draw.below(limit))
+}
+
+#[test]
+fn the_examples_run_as_they_are_searched() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples");
+    let mut all = Agreement::default();
+    for entry in std::fs::read_dir(folder).expect("the examples") {
+        let path = entry.expect("an entry").path();
+        if path.extension().is_none_or(|extension| extension != "cell") {
+            continue;
+        }
+        let text = std::fs::read_to_string(&path).expect("a cell");
+        let effort = Effort { walks: 4, length: 1_000, times: Times::Ends };
+        let one = compare(&text, 1, 20_000, effort).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
+        println!("{}: {one:?}", path.display());
+        all.steps += one.steps;
+        all.looked_up += one.looked_up;
+    }
+    assert!(all.steps > 10_000 && all.looked_up > 1_000, "{all:?}");
+}
+
+/// So many numbers for a cell.
+const TAPE: usize = 300;
+/// A search of a random cell keeps at most so many states.
+const STATES: u64 = 20_000;
+
+fn number(variable: &str, usual: u64) -> u64 {
+    std::env::var(variable).map_or(usual, |text| text.parse().unwrap_or_else(|e| panic!("{variable}: {e}")))
+}
+
+fn tape(seed: u64) -> Vec<u8> {
+    let mut draw = Draw::new(seed);
+    (0..TAPE).map(|_| u8::try_from(draw.below(256)).expect("a byte")).collect()
+}
+
+/// Whether the compiler takes a cell.
+fn is_sound(text: &str) -> bool {
+    let source = Source::new(text.as_bytes()).expect("text");
+    compile(&source).lower(Unit::Ticks).is_some()
+}
+
+/// Every other random cell is searched at all times, the others, and those where that is too much, at the ends of them.
+fn random(tape: &[u8], seed: u64) -> Result<Agreement, Disagreement> {
+    let text = cells::cell(tape);
+    let effort = |times| Effort { walks: 6, length: 150, times };
+    if !seed.is_multiple_of(2) {
+        let every = compare(&text, seed, STATES / 4, effort(Times::Every))?;
+        if every.complete == every.searches {
+            return Ok(every);
+        }
+    }
+    compare(&text, seed, STATES, effort(Times::Ends))
+}
+
+/// A cell that differs, too, and is smaller: as long as there is one, with less of the tape, or smaller numbers on it.
+fn shrink(mut tape: Vec<u8>, seed: u64) -> Vec<u8> {
+    let differs = |tape: &[u8]| is_sound(&cells::cell(tape)) && random(tape, seed).is_err();
+    let mut part = tape.len() / 2;
+    while part > 0 {
+        let mut at = 0;
+        while at < tape.len() {
+            let end = (at + part).min(tape.len());
+            let shorter = [&tape[..at], &tape[end..]].concat();
+            let mut smaller = tape.clone();
+            smaller[at..end].fill(0);
+            if differs(&shorter) {
+                tape = shorter;
+            } else {
+                if smaller != tape && differs(&smaller) {
+                    tape = smaller;
+                }
+                at = end;
+            }
+        }
+        part /= 2;
+    }
+    tape
+}
+
+/// 20,000 in `.ci/long`; `IMRS_SEED` begins elsewhere.
+#[test]
+fn random_cells_run_as_they_are_searched() {
+    let (cells, first) = (number("IMRS_CELLS", 300), number("IMRS_SEED", 1));
+    let (mut all, mut meets, mut sound) = (Agreement::default(), 0, 0);
+    for seed in first..first + cells {
+        let text = cells::cell(&tape(seed));
+        if !is_sound(&text) {
+            continue;
+        }
+        sound += 1;
+        meets += u64::from(text.contains("    waitfor ") && text.contains("\nfaults "));
+        match random(&tape(seed), seed) {
+            Ok(one) => {
+                all.searches += one.searches;
+                all.complete += one.complete;
+                all.states += one.states;
+                all.steps += one.steps;
+                all.looked_up += one.looked_up;
+                all.findings += one.findings;
+            }
+            Err(_) => {
+                let small = shrink(tape(seed), seed);
+                let text = cells::cell(&small);
+                let how = random(&small, seed).expect_err("it differs");
+                panic!("IMRS_SEED={seed} IMRS_CELLS=1 differs; the smallest such cell:\n{text}\n{how}");
+            }
+        }
+    }
+    println!(
+        "Done {cells} runs in all: cells from seed {first}, {sound} of them sound, {meets} with a waitfor and a fault; {all:?}"
+    );
+    assert!(sound * 10 >= cells * 9, "{sound} of {cells} are cells");
+    assert!(all.complete * 10 >= all.searches * 8, "{all:?}");
+    assert!(meets * 10 >= sound * 3, "{meets} of {sound}");
+}
+
+/// The words of the language, as its grammar lists them: a test keeps that list.
+fn language() -> impl Iterator<Item = &'static str> {
+    let grammar = include_str!("../../../specs/language/grammar.md");
+    grammar.lines().filter_map(|line| line.strip_prefix("> ")).flat_map(str::split_whitespace)
+}
+
+/// Words that no random cell has: the checker refuses an answer by the number of a message (D93).
+const ELSEWHERE: [&str; 1] = ["ticket"];
+
+/// In `.ci/long` every two words stand in one cell.
+#[test]
+fn random_cells_use_the_whole_language() {
+    let whole = number("IMRS_CELLS", 0) > 0;
+    let mut words = BTreeSet::new();
+    let mut pairs = BTreeSet::new();
+    for seed in 0..if whole { 60_000 } else { 3_000 } {
+        let text = cells::cell(&tape(seed));
+        if !is_sound(&text) {
+            continue;
+        }
+        let split = |c: char| !(c.is_ascii_alphanumeric() || c == '_');
+        let used: BTreeSet<&str> = text.split(split).collect();
+        let used: BTreeSet<&str> = language().filter(|word| used.contains(word)).collect();
+        if whole {
+            for a in &used {
+                pairs.extend(used.iter().map(|b| (*a, *b)));
+            }
+        }
+        words.extend(used);
+    }
+    let missing: Vec<&str> =
+        language().filter(|word| !words.contains(word) && !ELSEWHERE.contains(word)).collect();
+    assert!(missing.is_empty(), "{missing:?}");
+    if whole {
+        let alone = words.iter().flat_map(|a| words.iter().map(move |b| (*a, *b)));
+        let alone: Vec<_> = alone.filter(|pair| !pairs.contains(pair)).collect();
+        println!("{} of {} pairs", pairs.len(), words.len() * words.len());
+        assert!(alone.is_empty(), "{alone:?}");
+    }
+}
