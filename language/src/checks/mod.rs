@@ -11,6 +11,7 @@ mod paper;
 mod ranks;
 mod ring;
 mod times;
+mod unanswered;
 mod unused;
 mod work;
 
