@@ -26,6 +26,7 @@
 //! A request that ends by its time_out without a fault is starvation where it was put off more often than aging allows.
 //! Not looked at: a task that goes on for ever without coming further.
 
+mod alike;
 mod between;
 mod canon;
 mod context;
@@ -33,6 +34,7 @@ mod course;
 mod follow;
 mod frames;
 mod judge;
+mod legend;
 mod liveness;
 mod moves;
 mod outside;
@@ -51,6 +53,7 @@ pub use follow::{
     Followed, Happened, Happening, Late, Run, Steps, Turn, Unexplained, follow_run, steps_in_model,
 };
 pub use frames::{NodeFrame, Scene, Shows, scenes};
+pub use legend::Legend;
 pub use plan::{Budget, CellCheck, CellFaults, CellPlan, Conduct, Holds, Times};
 pub use search::check_cell;
 pub use story::{Note, Step, TaskView, lanes};
