@@ -210,7 +210,11 @@ impl Reader {
                 let is_drawn = |packet: Packet| {
                     (packet.source.index(), packet.port, packet.id.sequence.get()) == message
                 };
-                let values = self.step.taken.get(&message).filter(|_| !self.step.drawn.is_some_and(is_drawn));
+                let values = self
+                    .step
+                    .taken
+                    .get(&message)
+                    .filter(|_| self.step.drawn.is_none_or(|packet| !is_drawn(packet)));
                 let values = values.and_then(|contents| legend.values(seen.port, false, contents.as_bytes()));
                 let handler = program(course, task)
                     .and_then(|program| legend.handler(program, task, Trigger::Message(seen.port)));
@@ -240,7 +244,7 @@ impl Reader {
                 let at = asked.or_else(|| self.step.before.get(task).copied());
                 let values = match (outcome, at.and_then(|at| self.asks(course, task, at))) {
                     (Outcome::Reply(contents), Some(port))
-                        if !self.step.drawn.is_some_and(|packet| packet.port == port) =>
+                        if self.step.drawn.is_none_or(|packet| packet.port != port) =>
                     {
                         legend.values(port, true, contents.as_bytes())
                     }

@@ -302,6 +302,24 @@ mod tests {
     }
 
     #[test]
+    fn lines_of_the_cell_stand_in_a_column_of_their_own() {
+        let event = |tick, line| Note::Event { tick, lane: 1, text: "goes on".into(), line };
+        let drawn = chart(
+            &names(),
+            &[event(3, Some(7)), event(4, None), event(5, Some(12_345))],
+            "so",
+            Folding::Repeats,
+        );
+        assert_eq!(
+            drawn,
+            "tick  armL    armR     line\n   3  |       *           7  armR: goes on\n   4  |       *              armR: goes on\n   5  |       *       12345  armR: goes on\n      => so"
+        );
+        // The same words at another line are another step.
+        let notes: Vec<Note> = (0..9).map(|i| event(i, Some(i))).collect();
+        assert!(!chart(&names(), &notes, "so", Folding::Repeats).contains("..."));
+    }
+
+    #[test]
     fn what_differs_in_more_than_a_number_of_a_message_is_no_repetition() {
         let event =
             |tick, value| Note::Event { tick, lane: 0, text: format!("weigh ends: {value}"), line: None };
