@@ -201,6 +201,65 @@ fn nodes_of_two_runs_are_no_run() {
     assert!(twice.err.contains("node nl is given twice: "), "{twice:?}");
 }
 
+/// The recordings of a node that was restarted are several files of one run: the model does not follow them, and nobody says more.
+#[test]
+fn of_a_run_with_a_restart_nothing_is_known() {
+    let restart = ["--kill", "nt@500ms", "--restart", "nt@1s", "--for", "2s"];
+    for how in [IN_PROCESSES, IN_ONE] {
+        let run = Recorded::of(WELD, &[how, &restart[..]].concat(), |_| false);
+        let (first, second) = (run.file("nt"), run.file("nt-2"));
+        let others = [run.file("n1"), run.file("n2")];
+        let with = |files: &[&PathBuf]| -> Vec<PathBuf> {
+            others.iter().chain(files.iter().copied()).cloned().collect()
+        };
+        let mut given = vec![with(&[&first, &second]), with(&[&second, &first])];
+        // An answer of the first start shows that it is missing.
+        let before = run.said.split(" is killed").next().unwrap_or_default();
+        if before.contains("begins dress") {
+            given.push(with(&[&second]));
+        } else {
+            excused("the tool had not answered before its node was killed");
+        }
+        for files in given {
+            let said = run.follow(&files);
+            assert_eq!(said.code, Some(4), "{files:?}: {said:?}");
+            let told = said.last_json();
+            assert_eq!(
+                (&told["path"], &told["complete"]),
+                (&Value::from(false), &Value::from(false)),
+                "{told}"
+            );
+            let why = told["unknown"].as_str().expect("a reason");
+            assert!(why.starts_with("node nt was restarted in it, and the model follows"), "{why}");
+        }
+        let twice = run.follow(&with(&[&second, &second]));
+        assert_eq!(twice.code, Some(2), "{twice:?}");
+        assert!(twice.err.contains("node nt is given twice: "), "{twice:?}");
+
+        // A second recording of another run is refused, before or after this one.
+        std::thread::sleep(std::time::Duration::from_millis(300));
+        let other = Recorded::of(WELD, &[how, &restart[..]].concat(), |_| false);
+        let mixed = run.follow(&with(&[&first, &other.file("nt-2")]));
+        assert_eq!(mixed.code, Some(2), "{mixed:?}");
+        assert!(mixed.err.contains("these are of two runs: "), "{mixed:?}");
+        let mixed = other.follow(&[other.file("n1"), other.file("n2"), other.file("nt"), second]);
+        assert_eq!(mixed.code, Some(2), "{mixed:?}");
+        assert!(mixed.err.contains("these are of two runs: "), "{mixed:?}");
+    }
+}
+
+#[test]
+fn of_a_cell_of_one_node_a_restart_leaves_a_gap() {
+    let restart = ["--kill", "n@500ms", "--restart", "n@1s", "--for", "2s"];
+    let folder = runtime_dir();
+    let cell = folder.path().join("own.cell");
+    std::fs::write(&cell, GRIPS).expect("the cell is written");
+    let cell = cell.to_str().expect("UTF-8").into();
+    let run = Recorded::with(folder, cell, &["n"], &restart, |_| false);
+    let said = run.follow(&[run.file("n"), run.file("n-2")]);
+    assert_eq!(said.code, Some(4), "{said:?}");
+}
+
 #[test]
 fn what_nobody_sent_is_no_path() {
     let run = Recorded::of(BEAM, IN_ONE, lifts(3));

@@ -106,7 +106,7 @@ fn a_saved_finding_is_shown_step_by_step_by_the_monitor_alone() {
     assert_eq!((&said["replay"]["tick"], &said["replay"]["story"]["line"]), (&1.into(), &10.into()));
     assert_eq!(said["nodes"][0]["tasks"][0]["state"], "await_reply", "{said}");
     let happened = said["replay"]["happened"].to_string();
-    assert!(happened.contains("QUERY where #0 from asker to teller arrives"), "{happened}");
+    assert!(happened.contains("QUERY where #0 (1) from asker to teller arrives"), "{happened}");
 
     let refused = run(&["replay", saved]);
     assert_eq!(refused.code, Some(2), "{refused:?}");
@@ -141,15 +141,52 @@ fn a_finding_says_the_values_the_ports_and_what_the_others_do() {
         "assertion: asker: an assertion does not hold: at = 9\n",
         "check: `small` does not hold: asker.at = 9; so since a step of asker\n",
         "  meanwhile asker has ended: its assertion did not hold (last at line 10: assert at < 9)\n",
-        "asker -> teller: QUERY where #0",
-        "teller: takes where #0 of asker",
+        "   9  asker -> teller: QUERY where #0 (1)\n",
+        "  16  teller: takes where #0 of asker\n",
+        "  16  teller -> asker: RESPONSE where #0 (9)\n",
+        "  10  asker: ASSERTION FAILS\n",
     ] {
         assert!(answer.out.contains(part), "{part}: {}", answer.out);
     }
     let drawn = chart_of(&answer.out);
     assert!(drawn.len() > 3 && drawn.iter().all(|line| line.chars().count() <= 80), "{drawn:?}");
     let whole = std::fs::read_to_string(file).expect("drawn");
-    assert!(whole.contains("asker -> teller: QUERY where #0"), "{whole}");
+    assert!(whole.contains("   9  asker -> teller: QUERY where #0 (1)\n"), "{whole}");
+}
+
+#[test]
+fn a_finding_of_tasks_with_the_same_statements_is_told_once() {
+    let (_folder, path) = cell("9", "");
+    let asker = |name: &str| {
+        PAIR.split("task ")
+            .nth(1)
+            .expect("the asker")
+            .replace("asker", name)
+            .replace("begin\n", "begin\n  run think takes 1..9 msec;\n")
+    };
+    let port =
+        "port where(x: int8) -> int8  usage = query  user_list = {teller}  time_out = 40 msec  class = 2;";
+    let uses = "use_port where(x: int8) -> int8  usage = query;";
+    let teller = "task teller on n2
+  port where(x: int8) -> int8  usage = response  user_list = {one, two}  time_out = 40 msec  bounded_buffer[2];
+  var x: int8;
+begin
+  loop receive where(x); response(9); end;
+end teller;
+";
+    let head = PAIR.split("task ").next().expect("the nodes");
+    let text = format!("{head}task {}task {}{teller}", asker("one"), asker("two")).replace(port, uses);
+    std::fs::write(&path, text).expect("written");
+    let name = path.to_str().expect("text");
+    let answer = run(&["verify", name]);
+    assert_eq!(answer.code, Some(1), "{answer:?}");
+    let told = "assertion: one: an assertion does not hold: at = 9\n";
+    let also = "  also two (line 19), which has the same statements\n";
+    assert!(answer.out.contains(told) && answer.out.contains(also), "{}", answer.out);
+    assert!(answer.out.contains(": 1 finding\n"), "{}", answer.out);
+    let said: serde_json::Value =
+        serde_json::from_str(&run(&["verify", name, "--format", "json"]).out).expect("one line of JSON");
+    assert_eq!(said["findings"][0]["also"], serde_json::json!(["two"]), "{said}");
 }
 
 #[test]

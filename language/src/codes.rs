@@ -100,6 +100,7 @@ codes! {
     DOES_NOTHING "W316" "a task that does nothing yet";
     TELLS_NOBODY "W317" "a beat that tells nobody";
     TIGHT_DEADLINE "W318" "a deadline that late ticks and slow actions can miss";
+    HIDES "W319" "a handler's variable hides the task's";
 }
 
 /// The page about a code, in capitals or not.

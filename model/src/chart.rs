@@ -35,6 +35,9 @@ pub enum Note {
         lane: usize,
         /// What.
         text: String,
+        /// The line of the cell's text that it belongs to, from 1.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        line: Option<u32>,
     },
     /// A packet between two lanes.
     Packet {
@@ -48,6 +51,9 @@ pub enum Note {
         label: String,
         /// What became of it, where it did not simply arrive.
         fate: String,
+        /// The line of the cell's text that sent it, from 1.
+        #[serde(default, skip_serializing_if = "Option::is_none")]
+        line: Option<u32>,
     },
     /// Something that happens at no lane.
     Remark {
@@ -63,6 +69,24 @@ impl Note {
     pub(crate) const fn tick(&self) -> u32 {
         let (Self::Event { tick, .. } | Self::Packet { tick, .. } | Self::Remark { tick, .. }) = self;
         *tick
+    }
+
+    /// The line of the cell's text that it belongs to.
+    pub(crate) const fn line(&self) -> Option<u32> {
+        match self {
+            Self::Event { line, .. } | Self::Packet { line, .. } => *line,
+            Self::Remark { .. } => None,
+        }
+    }
+
+    /// Adds what the cell's text says of it: its line, and values behind its words.
+    pub(crate) fn explain(&mut self, of: Option<u32>, values: Option<&str>) {
+        let (Self::Event { text, line, .. } | Self::Packet { label: text, line, .. }) = self else { return };
+        *line = of;
+        if let Some(values) = values {
+            text.push(' ');
+            text.push_str(values);
+        }
     }
 
     /// The line in words, where the lanes have these names.
@@ -193,16 +217,16 @@ impl Pen {
 
     /// Something happens at a lane. What is said twice in a row is said once.
     pub fn event(&mut self, tick: u32, lane: usize, text: &str) {
-        let note = Note::Event { tick, lane, text: text.into() };
-        if self.notes.last() != Some(&note) {
-            self.notes.push(note);
+        let same = |note: &Note| matches!(note, Note::Event { tick: t, lane: l, text: x, .. } if (*t, *l, &x[..]) == (tick, lane, text));
+        if !self.notes.last().is_some_and(same) {
+            self.notes.push(Note::Event { tick, lane, text: text.into(), line: None });
         }
     }
 
     /// A packet between two lanes.
     pub fn arrow(&mut self, tick: u32, (from, to): (usize, usize), packet: &Packet, fate: &str) {
         let label = label(packet, &self.ports);
-        self.notes.push(Note::Packet { tick, from, to, label, fate: fate.into() });
+        self.notes.push(Note::Packet { tick, from, to, label, fate: fate.into(), line: None });
     }
 
     fn step(&mut self, tick: u32, action: Action, flight: Option<&Flight>, world: &World) {

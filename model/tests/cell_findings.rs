@@ -2,6 +2,7 @@
 
 use crate::cells::{Text, within};
 use imrs_model::cell::{CellFaults, Finding, Kind, Phase, Shows, Times, Verdicts, scenes, svg};
+use imrs_protocol::TaskId;
 use imrs_wire::obs::Liveness;
 use std::sync::Arc;
 
@@ -384,4 +385,109 @@ fn what_monitors_see_of_a_finding_is_what_the_checker_saw() {
             }
         }
     }
+}
+
+/// Tasks that ask one answerer, which tells them what it was told and one more.
+const ASKERS: &str = "cell askers;
+tick 1 msec;
+node na; node nb; node nt;
+link na -- nt delay 1 msec; link nb -- nt delay 1 msec;
+type Part is record x: int16; ok: bool; speed: real; end;
+task tool on nt
+  port grab(p: Part) -> int16 usage = response user_list = {a, b} time_out = 40 msec bounded_buffer[2];
+  port near(n: int16) -> int16 usage = query user_list = {mate} time_out = 40 msec;
+  var p: Part; var k: int16;
+begin
+  loop
+    receive grab(p);
+    query near(p.x) -> k on time_out do skip; end;
+    response(k);
+  end;
+end tool;
+task mate on nt
+  use_port near(n: int16) usage = response;
+begin on query near(n) do response(n + 1); end; end mate;
+task a on na
+  use_port grab(p: Part) usage = query;
+  var p: Part; var got: int16;
+begin
+  p.x := 300; p.ok := true; p.speed := 0.5;
+  query grab(p) -> got on time_out do skip; end;
+  assert got < 301;
+end a;
+";
+
+fn asker(name: &str, x: i32) -> String {
+    format!(
+        "task {name} on nb
+  use_port grab(p: Part) usage = query;
+  var p: Part; var got: int16;
+begin
+  p.x := {x}; p.ok := true; p.speed := 0.5;
+  query grab(p) -> got on time_out do skip; end;
+  assert got < 301;
+end {name};
+"
+    )
+}
+
+#[test]
+fn a_chart_says_the_line_and_the_values_of_each_step() {
+    let verdicts = Text::new(&format!("{ASKERS}{}", asker("b", -1))).check();
+    let finding = verdicts.of(Kind::Assertion).next().expect("the assertion of a");
+    let chart = &finding.chart;
+    let row = |what: &str| {
+        let row = chart.lines().position(|line| line.contains(what));
+        row.unwrap_or_else(|| panic!("{what}: {chart}"))
+    };
+    let lines: Vec<&str> = chart.lines().collect();
+    let column = lines[0].find("line").expect("a column for lines") + "line".len();
+    for (line, what) in [
+        (25, "a -> tool: QUERY grab #0 (300,"),
+        (12, "tool: takes grab #0 of a"),
+        (13, "tool: sends near #0"),
+        (19, "mate: takes near #0 of tool (300)"),
+        (19, "mate: answers near #0"),
+        (13, "tool: gets the answer (301)"),
+        (14, "tool -> a: RESPONSE grab #0 (301)"),
+        (25, "a: gets the answer"),
+        (26, "a: ASSERTION FAILS"),
+    ] {
+        let shown = lines[row(what)][..column].trim_end().rsplit([' ', '|', '*', '-', '>', '<']).next();
+        assert_eq!(shown, Some(&line.to_string()[..]), "{what}: {chart}");
+    }
+    assert!(lines[row("QUERY grab") + 1].trim_end().ends_with("true, 0.5)"), "{chart}");
+    assert!(lines.iter().all(|line| line.chars().count() <= 78), "{chart}");
+
+    let names = ["tool", "mate", "a", "b"].map(str::to_owned);
+    let drawn = svg(&names, &finding.steps, &finding.cause);
+    for part in [">line</text>", "text-anchor=\"end\">25</text>", "QUERY grab #0 (300, true, 0.5)"] {
+        assert!(drawn.contains(part), "{part}: {drawn}");
+    }
+}
+
+/// A couple's beats have a layout of the machine's own: no values of the cell are read from them.
+#[test]
+fn what_beats_carry_is_not_taken_for_values() {
+    let text = std::fs::read_to_string("../examples/weld_cell.cell").expect("the example");
+    let plan = Text::new(&text).plan;
+    let beats = plan.table.cell().ports.iter().position(|port| port.name == "alive").expect("its beats");
+    let fields = |at: usize| plan.legend.formats[at].0.fields.len() + plan.legend.formats[at].1.fields.len();
+    assert_eq!(fields(beats), 0);
+    assert!((0..plan.legend.formats.len()).any(|port| fields(port) > 0));
+}
+
+#[test]
+fn tasks_with_the_same_statements_have_their_finding_told_once() {
+    let assertions = |b: String| -> Vec<(TaskId, Vec<TaskId>)> {
+        // Either may come first: the search does not go on behind what ends a task.
+        let text = format!("{ASKERS}{b}").replace("  query grab", "  run think takes 1..9 msec; query grab");
+        let verdicts = Text::new(&text).check();
+        let of = |finding: &Finding| (finding.task.expect("a task"), finding.also.clone());
+        verdicts.of(Kind::Assertion).map(of).collect()
+    };
+    let (a, b) = (TaskId(2), TaskId(3));
+    assert_eq!(assertions(asker("b", 300)), [(a, vec![b])]);
+    // Another value is another text, and another cause.
+    assert_eq!(assertions(asker("b", 301)), [(a, vec![]), (b, vec![])]);
 }

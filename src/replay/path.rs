@@ -15,10 +15,10 @@ use imrs_language::{Compiled, Unit, compile};
 use imrs_model::cell::{
     Budget, CellPlan, Conduct, Happened, Happening, Run, Steps, follow_run, steps_in_model,
 };
-use imrs_protocol::{CellTable, NodeId, TaskId};
+use imrs_protocol::{CellTable, Incarnation, NodeId, TaskId};
 use imrs_runtime::record::{Verdict, replay_scripts};
 use imrs_runtime::script::Watch;
-use imrs_wire::recording::Ending;
+use imrs_wire::recording::{Ending, Header};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -51,7 +51,9 @@ pub fn run(args: &ReplayArgs, out: &mut Output) -> Result<Exit, Failure> {
         Err(Unfollowed::Differs { task, how }) => {
             return tell(&Told::of_task(&loaded, task, how), path, args, out);
         }
-        Err(Unfollowed::Gap(missing)) => return tell(&Told::of_gap(&loaded, missing), path, args, out),
+        Err(Unfollowed::Gap(missing) | Unfollowed::Restarted(missing)) => {
+            return tell(&Told::of_gap(&loaded, missing), path, args, out);
+        }
     };
     let checks = judge(&loaded, &recorded);
     let around = Surroundings::of(&recorded.tasks, &recorded.whole, &loaded.table);
@@ -117,6 +119,8 @@ enum Unfollowed {
     Differs { task: TaskId, how: String },
     /// Inputs are missing.
     Gap(String),
+    /// A node began anew, which no model of a run does.
+    Restarted(String),
 }
 
 /// Replays all recordings of a run.
@@ -128,13 +132,15 @@ fn read(args: &ReplayArgs, loaded: &Loaded) -> Result<Result<Recorded, Unfollowe
     let looker = Arc::new(Looker::new(loaded));
     let watch: Arc<dyn Watch> = Arc::clone(&looker) as Arc<dyn Watch>;
     let mut changes = Vec::new();
-    let mut of_node: Vec<Option<&Path>> = vec![None; cell.nodes.len()];
-    let mut spans = Vec::new();
+    let mut lives: Vec<Vec<Life<'_>>> = vec![Vec::new(); cell.nodes.len()];
+    let mut restarted: Vec<NodeId> = Vec::new();
     for path in &args.files {
-        let Opened { mut reader, table, .. } = open(path, std::slice::from_ref(loaded), given.as_deref())?;
-        if let Some(before) = of_node[table.node.index()].replace(path) {
+        let Opened { mut reader, table, header, .. } =
+            open(path, std::slice::from_ref(loaded), given.as_deref())?;
+        let of_node = &mut lives[table.node.index()];
+        if let Some(before) = of_node.iter().find(|life| life.incarnation == header.incarnation) {
             let node = &cell.nodes[table.node.index()].name;
-            let (before, path) = (before.display(), path.display());
+            let (before, path) = (before.path.display(), path.display());
             return Err(Failure::Usage(format!("node {node} is given twice: {before} and {path}")));
         }
         let damaged = |source| ReplayError::Read { path: path.clone(), source };
@@ -168,11 +174,16 @@ fn read(args: &ReplayArgs, loaded: &Loaded) -> Result<Result<Recorded, Unfollowe
                 let span = span.get_or_insert(Span { path, first: at, last: at });
                 (span.first, span.last) = (span.first.min(at), span.last.max(at));
             }
+            restarted.extend(happened.iter().filter_map(|happening| match happening.what {
+                Happened::PeerRestarted(node) => Some(node),
+                _ => None,
+            }));
             tasks[task.index()] = Some(happened);
         }
-        spans.extend(span);
+        let Header { incarnation, restarted, .. } = header;
+        of_node.push(Life { path, incarnation, restarted, span });
     }
-    of_one_run(spans)?;
+    restarted.extend(lives_of_one_run(&mut lives)?);
     if let Some(missing) = tasks.iter().position(Option::is_none) {
         let node = &cell.nodes[cell.tasks[missing].node.index()].name;
         return Err(Failure::Usage(format!(
@@ -180,11 +191,78 @@ fn read(args: &ReplayArgs, loaded: &Loaded) -> Result<Result<Recorded, Unfollowe
         )));
     }
     let tasks: Vec<Vec<Happening>> = tasks.into_iter().flatten().collect();
+    restarted.extend(spoke_before(&lives, &tasks, &loaded.table));
+    if let Some(node) = restarted.iter().min().and_then(|node| cell.nodes.get(node.index())) {
+        let why = format!(
+            "node {} was restarted in it, and the model follows a node only up to its end; `imrs replay` without --model judges \
+             each recording by itself",
+            node.name
+        );
+        return Ok(Err(Unfollowed::Restarted(why)));
+    }
     let start = tasks.iter().flatten().map(|happening| happening.at).min().unwrap_or(0);
     Ok(Ok(Recorded { tasks, whole, start, changes }))
 }
 
+/// The recording of a node from one of its starts to its end.
+#[derive(Clone)]
+struct Life<'a> {
+    path: &'a Path,
+    incarnation: Incarnation,
+    /// Whether there was one before.
+    restarted: bool,
+    /// None where nothing was recorded.
+    span: Option<Span<'a>>,
+}
+
+/// The nodes with several recordings, if all recordings can be of one run.
+fn lives_of_one_run(lives: &mut [Vec<Life<'_>>]) -> Result<Vec<NodeId>, Failure> {
+    let mut restarted = Vec::new();
+    for (node, lives) in lives.iter_mut().enumerate() {
+        lives.sort_by_key(|life| life.span.as_ref().map(|span| span.first));
+        for pair in lives.windows(2) {
+            let [before, after] = pair else { continue };
+            let overlap = before.span.as_ref().zip(after.span.as_ref());
+            let overlap = overlap.is_some_and(|(before, after)| after.first <= before.last);
+            if overlap || !after.restarted {
+                return Err(of_two_runs(
+                    before.span.as_ref(),
+                    after.span.as_ref(),
+                    (before.path, after.path),
+                ));
+            }
+        }
+        if lives.len() > 1 {
+            restarted.push(NodeId::from_index(node));
+        }
+    }
+    // While the only node of a cell is down, nothing is recorded.
+    if lives.len() > 1 {
+        of_one_run(lives.iter().flatten().filter_map(|life| life.span.clone()).collect())?;
+    }
+    Ok(restarted)
+}
+
+/// The nodes of which the first recording is not given: others took packets of theirs before it begins.
+fn spoke_before(lives: &[Vec<Life<'_>>], tasks: &[Vec<Happening>], table: &CellTable) -> Vec<NodeId> {
+    let mut nodes = Vec::new();
+    for (node, lives) in lives.iter().enumerate() {
+        let node = NodeId::from_index(node);
+        let first = lives.first().filter(|life| life.restarted).and_then(|life| life.span.as_ref());
+        let Some(first) = first.map(|span| span.first) else { continue };
+        let early = |happening: &Happening| match &happening.what {
+            Happened::Came(packet) => happening.at < first && table.location(packet.source) == Some(node),
+            _ => false,
+        };
+        if tasks.iter().flatten().any(early) {
+            nodes.push(node);
+        }
+    }
+    nodes
+}
+
 /// When a recording was made, in microseconds of the monotonic clock.
+#[derive(Clone)]
 struct Span<'a> {
     path: &'a Path,
     first: u64,
@@ -202,21 +280,25 @@ fn of_one_run(mut spans: Vec<Span<'_>>) -> Result<(), Failure> {
     let mut before = first;
     for span in others {
         if span.first > before.last.saturating_add(APART) {
-            let shown = |span: &Span<'_>| {
-                let (first, last) = (span.first as f64 / 1e6, span.last as f64 / 1e6);
-                format!("{} from {first:.3} s to {last:.3} s", span.path.display())
-            };
-            return Err(Failure::Usage(format!(
-                "these are of two runs: {}, {} of the machine's clock",
-                shown(before),
-                shown(span)
-            )));
+            return Err(of_two_runs(Some(before), Some(span), (before.path, span.path)));
         }
         if span.last > before.last {
             before = span;
         }
     }
     Ok(())
+}
+
+fn of_two_runs(one: Option<&Span<'_>>, two: Option<&Span<'_>>, paths: (&Path, &Path)) -> Failure {
+    let shown = |span: Option<&Span<'_>>, path: &Path| match span {
+        Some(Span { first, last, .. }) => {
+            let (first, last) = (*first as f64 / 1e6, *last as f64 / 1e6);
+            format!("{} from {first:.3} s to {last:.3} s", path.display())
+        }
+        None => format!("{}, with nothing in it", path.display()),
+    };
+    let (one, two) = (shown(one, paths.0), shown(two, paths.1));
+    Failure::Usage(format!("these are of two runs: {one}, {two} of the machine's clock"))
 }
 
 /// What came of the checks, as the run itself judged them: up to where its nodes stopped.

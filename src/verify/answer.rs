@@ -53,6 +53,8 @@ struct Told<'a> {
     kind: &'static str,
     with_faults: bool,
     task: Option<&'a str>,
+    /// Tasks with the same statements that have the same finding.
+    also: Vec<&'a str>,
     line: usize,
     column: usize,
     cause: &'a str,
@@ -163,6 +165,7 @@ impl Subject {
             kind: finding.kind.name(),
             with_faults: finding.phase == Phase::Faults,
             task: finding.task.map(|task| self.task(task)),
+            also: finding.also.iter().map(|&task| self.task(task)).collect(),
             line,
             column,
             cause: &finding.cause,

@@ -10,8 +10,8 @@ use imrs_language::hir::{CoupleKind, Faults};
 use imrs_language::lower::{Behaviour, Check, CheckKind, Lowered};
 use imrs_language::{Options, Source, Span, Unit, compile_with, render};
 use imrs_model::cell::{
-    Budget, CellCheck, CellFaults, CellPlan, Conduct, Coverage, Finding, Folding, Holds, Times, Verdicts,
-    chart, check_cell, lanes, svg,
+    Budget, CellCheck, CellFaults, CellPlan, Conduct, Coverage, Finding, Folding, Holds, Legend, Times,
+    Verdicts, chart, check_cell, lanes, svg,
 };
 use imrs_protocol::script::Address;
 use imrs_protocol::{CellTable, NodeId, TaskId};
@@ -86,7 +86,23 @@ impl Subject {
         let step = self.model_tick_us.unwrap_or(self.tick_us) / self.tick_us.max(1);
         plan.step = u32::try_from(step).unwrap_or(u32::MAX).max(1);
         plan.jobs = args.verify.jobs.map_or(2, usize::from);
+        plan.legend = self.legend();
         Ok(plan)
+    }
+
+    /// The lines and the formats that charts show.
+    fn legend(&self) -> Legend {
+        let line = |span: &Span| u32::try_from(self.source.position(span.start).0).unwrap_or(u32::MAX);
+        let of_task = |behaviour: &Behaviour| match behaviour {
+            Behaviour::Script(script) => {
+                (script.spans.iter().map(line).collect(), script.handlers.iter().map(line).collect())
+            }
+            Behaviour::Extern(_) => (Vec::new(), Vec::new()),
+        };
+        let (lines, handlers) = self.lowered.tasks.iter().map(of_task).unzip();
+        let formats = self.lowered.formats.iter();
+        let formats = formats.map(|port| (port.message.clone(), port.answer.clone())).collect();
+        Legend { lines, handlers, formats }
     }
 
     /// The declared hypotheses, each with the faults asked for.

@@ -46,6 +46,9 @@ impl Telling<'_> {
             out.line(Styled(if finding.kind == Kind::Vacuous { NOTE } else { BAD }, head))?;
             let (line, column, text) = subject.place_of(finding);
             out.line(format!("  --> {}:{line}:{column}  {text}", subject.file))?;
+            if !finding.also.is_empty() {
+                out.line(format!("  also {}", self.also(finding)))?;
+            }
             for other in &finding.others {
                 out.line(format!("  meanwhile {}", self.meanwhile(other)))?;
             }
@@ -80,6 +83,18 @@ impl Telling<'_> {
             out.line(Styled(NOTE, format!("  check `{name}`: {what} in every state that was looked at")))?;
         }
         self.last_line(out)
+    }
+
+    /// The other tasks of a finding: `b (line 39), c (line 50), which have the same statements`.
+    fn also(&self, finding: &Finding) -> String {
+        let place = |&task: &TaskId| {
+            let line = finding.address.and_then(|at| self.subject.place(task, at)).map(|place| place.0);
+            let line = line.map_or_else(String::new, |line| format!(" (line {line})"));
+            format!("{}{line}", self.subject.task(task))
+        };
+        let tasks: Vec<String> = finding.also.iter().map(place).collect();
+        let have = if tasks.len() == 1 { "has" } else { "have" };
+        format!("{}, which {have} the same statements", tasks.join(", "))
     }
 
     /// What a task does when a finding is found: `camera, line 22: run look`.

@@ -1,6 +1,6 @@
-//! Every message that waits for an answer gets one, whichever way a handler goes.
+//! Every message that waits for an answer gets one, on every path of the handler or body that took it.
 
-use super::flow;
+use super::unanswered::{self, Question};
 use crate::codes::{NEVER_ANSWERED, NOT_ALWAYS_ANSWERED, STATEMENT};
 use crate::diagnostic::Diagnostic;
 use crate::hir::{Answered, Capture, Captured, Hir, Port, Statement, StatementKind, Task, Trigger, Variable};
@@ -20,8 +20,7 @@ pub(super) fn check(hir: &Hir, found: &mut Vec<Diagnostic>) {
             {
                 continue;
             }
-            let ever = replies(&handler.body);
-            let ends = Ways::of(&handler.body, Ways::OPEN);
+            let ever = unanswered::replies(&handler.body);
             let query = port.usage_of(TaskId::from_index(at)) == Some(Usage::Response);
             let word = if query { "response" } else { "reply" };
             let name = &port.name;
@@ -33,7 +32,7 @@ pub(super) fn check(hir: &Hir, found: &mut Vec<Diagnostic>) {
                         .also(port.span, "class 2: its sender waits for the answer")
                         .help(format!("add `{word}(..)`")),
                 );
-            } else if ends.next.open {
+            } else if unanswered::forgets(&handler.body, &handler.captures, Question::OfHandler) {
                 let message =
                     format!("a message of `{name}` is not answered on every way through its handler");
                 found.push(
@@ -43,7 +42,7 @@ pub(super) fn check(hir: &Hir, found: &mut Vec<Diagnostic>) {
                 );
             }
         }
-        received_in_body(hir, TaskId::from_index(at), found);
+        received(hir, TaskId::from_index(at), found);
         for handler in &task.handlers {
             unasked(hir, &handler.captures, &[&handler.body], |slot| variable(&handler.locals, slot), found);
         }
@@ -92,28 +91,43 @@ fn unasked(
     }
 }
 
-/// What a body receives of class 2 must be answered somewhere in it.
-fn received_in_body(hir: &Hir, id: TaskId, found: &mut Vec<Diagnostic>) {
+/// What a thread receives of class 2 must be answered in it: somewhere, and on every path from its `receive`.
+fn received(hir: &Hir, id: TaskId, found: &mut Vec<Diagnostic>) {
     let task = &hir.tasks[id.index()];
-    for body in [Some(&task.body), task.takeover.as_ref()].into_iter().flatten() {
-        let answered = replies(body);
+    let bodies = [Some(&task.body), task.takeover.as_ref()].into_iter().flatten();
+    let bodies = bodies.map(|body| (body, &task.captures));
+    let handlers = task.handlers.iter().map(|handler| (&handler.body, &handler.captures));
+    for (body, captures) in bodies.chain(handlers) {
+        let answered = unanswered::replies(body);
         walk::each(body, &mut |statement| {
             let StatementKind::Receive { port: Some(taken), .. } = statement.kind else { return };
             let port = &hir.ports[taken.index()];
-            if answered
-                || answers_later(task, taken)
-                || port.class == Class::Status
-                || answered_by_others(hir, id, port)
+            if answers_later(task, taken) || port.class == Class::Status || answered_by_others(hir, id, port)
             {
                 return;
             }
-            let message = format!("a message of `{}` is never answered", port.name);
-            found.push(
-                Diagnostic::error(NEVER_ANSWERED, statement.span, message)
-                    .label("no `reply(..)` follows")
-                    .also(port.span, "class 2: its sender waits for the answer")
-                    .help("add `reply(..)` behind it"),
-            );
+            let word = if port.usage_of(id) == Some(Usage::Response) { "response" } else { "reply" };
+            let name = &port.name;
+            if !answered {
+                let message = format!("a message of `{name}` is never answered");
+                found.push(
+                    Diagnostic::error(NEVER_ANSWERED, statement.span, message)
+                        .label(format!("no `{word}(..)` follows"))
+                        .also(port.span, "class 2: its sender waits for the answer")
+                        .help(format!("add `{word}(..)` behind it")),
+                );
+            } else if unanswered::forgets(body, captures, Question::Of(statement, taken)) {
+                let message = format!("a message of `{name}` is not answered on every path");
+                let help = format!(
+                    "write `{word}(..)` on every path, before the next `receive`, or the sender waits until its time_out"
+                );
+                found.push(
+                    Diagnostic::warning(NOT_ALWAYS_ANSWERED, statement.span, message)
+                        .label(format!("a path from here reaches no `{word}(..)`"))
+                        .also(port.span, "class 2: its sender waits for the answer")
+                        .help(help),
+                );
+            }
         });
     }
 }
@@ -135,82 +149,4 @@ pub(super) fn answered_by_others(hir: &Hir, at: TaskId, port: &Port) -> bool {
     hir.ports
         .iter()
         .any(|other| other.usage == Usage::Reply && other.users.iter().any(|user| asks(user.task)))
-}
-
-fn replies(body: &[Statement]) -> bool {
-    let mut has = false;
-    walk::each(body, &mut |statement| {
-        has |= matches!(statement.kind, StatementKind::Reply { to: Answered::Last, .. });
-    });
-    has
-}
-
-/// In which state a point may be reached: with the message still open, or answered.
-#[derive(Clone, Copy, Default, PartialEq, Eq)]
-struct Reached {
-    open: bool,
-    answered: bool,
-}
-
-impl Reached {
-    fn or(self, other: Self) -> Self {
-        Self { open: self.open || other.open, answered: self.answered || other.answered }
-    }
-}
-
-/// How statements are left: at their end, or by `exit`.
-#[derive(Clone, Copy, Default)]
-struct Ways {
-    next: Reached,
-    exit: Reached,
-}
-
-impl Ways {
-    const OPEN: Reached = Reached { open: true, answered: false };
-
-    fn of(statements: &[Statement], from: Reached) -> Self {
-        let mut ways = Self { next: from, exit: Reached::default() };
-        for statement in statements {
-            let step = Self::through(statement, ways.next);
-            ways = Self { next: step.next, exit: ways.exit.or(step.exit) };
-        }
-        ways
-    }
-
-    fn through(statement: &Statement, from: Reached) -> Self {
-        let plain = |next| Self { next, exit: Reached::default() };
-        let mut ways = match &statement.kind {
-            StatementKind::Reply { to: Answered::Last, .. } => {
-                plain(Reached { open: false, answered: from.open || from.answered })
-            }
-            StatementKind::Abort(_) => plain(Reached::default()),
-            StatementKind::Exit => Self { next: Reached::default(), exit: from },
-            StatementKind::Atomic(body) => Self::of(body, from),
-            StatementKind::Loop(body) => {
-                let once = Self::of(body, from);
-                let head = from.or(once.next);
-                // Loops in loops would be gone through too often.
-                let again = if head == from { once } else { Self::of(body, head) };
-                plain(once.exit.or(again.exit))
-            }
-            StatementKind::While(condition, body) => {
-                let once = Self::of(body, from);
-                let left = if flow::is_true(condition) { Reached::default() } else { from.or(once.next) };
-                plain(left.or(once.exit))
-            }
-            StatementKind::If { arms, otherwise } => {
-                let arms = arms.iter().map(|(_, body)| Self::of(body, from));
-                arms.fold(Self::of(otherwise, from), |a, b| Self {
-                    next: a.next.or(b.next),
-                    exit: a.exit.or(b.exit),
-                })
-            }
-            _ => plain(from),
-        };
-        for branch in &statement.branches {
-            let other = Self::of(&branch.body, from);
-            ways = Self { next: ways.next.or(other.next), exit: ways.exit.or(other.exit) };
-        }
-        ways
-    }
 }

@@ -28,7 +28,7 @@ pub(super) fn check(hir: &Hir, paper: bool, found: &mut Vec<Diagnostic>) {
 }
 
 /// Whether the communication tasks use the port themselves (D61).
-pub(super) fn carries_beats(hir: &Hir, id: PortId) -> bool {
+pub(crate) fn carries_beats(hir: &Hir, id: PortId) -> bool {
     hir.couples.iter().any(|couple| matches!(couple.kind, CoupleKind::Work { via, .. } if via == id))
 }
 

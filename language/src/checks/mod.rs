@@ -11,11 +11,12 @@ mod paper;
 mod ranks;
 mod ring;
 mod times;
+mod unanswered;
 mod unused;
 mod work;
 
 pub(crate) use deadlines::least as least_time_out;
-use messages::carries_beats;
+pub(crate) use messages::carries_beats;
 pub(crate) use paper::paper;
 
 use crate::diagnostic::Diagnostic;

@@ -14,11 +14,12 @@ mod units;
 pub use errors::table_errors;
 pub use units::Unit;
 
+use crate::checks::carries_beats;
 use crate::diagnostic::Diagnostic;
 use crate::hir::{self, Hir};
 use crate::span::Span;
-use imrs_protocol::script::{Op, Program, Term, Type};
-use imrs_protocol::{Cell, Rate, Ticks};
+use imrs_protocol::script::{Format, Op, Program, Term, Type};
+use imrs_protocol::{Cell, PortId, Rate, Ticks};
 use std::sync::Arc;
 use units::Clock;
 
@@ -31,6 +32,8 @@ pub struct Lowered {
     pub unit: Unit,
     /// What each task does, by `TaskId`.
     pub tasks: Vec<Behaviour>,
+    /// What the messages of each port hold, by `PortId`.
+    pub formats: Vec<Formats>,
     /// Where each node is, by `NodeId`.
     pub addresses: Vec<Address>,
     /// What may go wrong.
@@ -39,6 +42,15 @@ pub struct Lowered {
     pub checks: Vec<Check>,
     /// What was rounded.
     pub notes: Vec<Diagnostic>,
+}
+
+/// What the messages of a port hold.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Formats {
+    /// Its messages, or what is told at a `waitfor`; empty for the beats of a couple, whose layout is the machine's own.
+    pub message: Format,
+    /// Its answers.
+    pub answer: Format,
 }
 
 /// What a task does.
@@ -145,7 +157,17 @@ pub fn lower(hir: &Hir, unit: Unit) -> Result<Lowered, Vec<Diagnostic>> {
     let addresses = hir.nodes.iter().map(|node| Address { host: node.host.clone(), port: node.port });
     let checks = hir.checks.iter().map(|check| self::check(check, &mut clock)).collect();
     let (addresses, faults) = (addresses.collect(), hir.faults.clone());
-    Ok(Lowered { cell, unit, tasks, addresses, faults, checks, notes: clock.notes })
+    let formats = (0..hir.ports.len()).map(|at| formats(hir, PortId::from_index(at))).collect();
+    Ok(Lowered { cell, unit, tasks, formats, addresses, faults, checks, notes: clock.notes })
+}
+
+fn formats(hir: &Hir, id: PortId) -> Formats {
+    if carries_beats(hir, id) {
+        return Formats::default();
+    }
+    let port = &hir.ports[id.index()];
+    let format = |fields: &[hir::Field]| Format { fields: fields.iter().map(|field| field.of).collect() };
+    Formats { message: format(&port.message), answer: format(&port.answer) }
 }
 
 fn check(check: &hir::Check, clock: &mut Clock) -> Check {

@@ -3,7 +3,7 @@
 use super::names::duplicate;
 use super::scope::{Entity, Scope};
 use super::statements::Thread;
-use super::{HANDLERS, Resolver, STATEMENT, TOO_MANY, TYPES};
+use super::{HANDLERS, HIDES, Resolver, STATEMENT, TOO_MANY, TYPES};
 use crate::ast::{self, Name};
 use crate::diagnostic::Diagnostic;
 use crate::hir::{Duration, Handler, Timer, Trigger, Variable};
@@ -99,6 +99,9 @@ impl<'a> Resolver<'a> {
                 self.report(duplicate("variables of a handler", name, first.span));
             }
             known.push(name);
+            if let Some(first) = scope.declared(&name.text) {
+                self.report(hides(name, first));
+            }
         }
         match (names, declared.record) {
             ([], _) => {}
@@ -202,4 +205,13 @@ impl<'a> Resolver<'a> {
         let handlers = &self.hir.tasks[task.index()].handlers;
         handlers.iter().find(|handler| same(&handler.trigger)).map(|handler| handler.span)
     }
+}
+
+/// A handler's variable is a new one, although `receive p(x)` assigns to the task's.
+fn hides(name: &Name, first: crate::Span) -> Diagnostic {
+    let message = format!("`{}` hides the task's variable `{}` in this handler", name.text, name.text);
+    Diagnostic::warning(HIDES, name.span, message)
+        .label("a new variable, which ends with the handler")
+        .also(first, "the task's variable, which keeps its value")
+        .help("choose another name; what the task shall keep is assigned in the handler: `kept := came;`")
 }

@@ -51,6 +51,11 @@ impl<'a> Scope<'a> {
         self.names.get(name).map(|&(entity, _)| entity)
     }
 
+    /// Where a name is declared.
+    pub fn declared(&self, name: &str) -> Option<Span> {
+        self.names.get(name).map(|&(_, span)| span)
+    }
+
     pub fn has(&self, name: &str) -> bool {
         self.names.contains_key(name)
     }

@@ -125,6 +125,8 @@ fn answers_on_every_way() {
     assert_eq!(answer("run work on failed do exit; end; response();"), "E113");
     assert_eq!(answer("run work on failed do abort \"\"; end; response();"), "");
     assert_eq!(answer("loop run work on failed do exit; end; response(); exit; end;"), "W308");
+    let asks = "run work on failed do skip; end; if outcome = done then response(); end;";
+    assert_eq!(answer(asks), "W308", "a handler has its message, whatever an action came to");
 }
 
 #[test]
@@ -151,6 +153,131 @@ fn long_work_keeps_messages_waiting() {
     // What does not outrank `self` is offered until it comes in between (D58), but not into an `atomic`.
     check(&b(&format!("{handler} loop delay 1 sec; end;")), &[]);
     check(&b(&format!("{handler} loop atomic delay 1 sec; end; end;")), &["W303 `delay 1 sec`"]);
+}
+
+/// What is said of the `receive`s of a task that takes messages of `q`, a query, and of `go`, a message of class 2.
+fn received(variables: &str, body: &str) -> Vec<String> {
+    let asks = "port q(n: int8) usage = query user_list = {b} time_out = 500 msec;
+  port go() usage = send user_list = {b} time_out = 500 msec class = 2;
+begin loop query q(1) on time_out do skip; end; send go() on time_out do skip; end; end;";
+    let takes = format!(
+        "use_port q(n: int8) usage = response; use_port go() usage = receive; var n: int8; {variables} begin {body}"
+    );
+    let text = pair(asks, &takes.replace("response()", "response(n)"));
+    let serious = serious(&text);
+    // Not each body takes messages of both ports.
+    let wrong = |found: &&Diagnostic| found.severity == Severity::Error && found.code != "E204";
+    let errors: Vec<_> = serious.iter().filter(wrong).collect();
+    assert!(errors.is_empty(), "{errors:?}");
+    all_found(&text).into_iter().filter(|found| found.starts_with("W308")).collect()
+}
+
+#[test]
+fn what_a_body_receives_is_answered_on_every_path() {
+    let forgets = |body: &str| received("", body);
+    let (q, go) = ("W308 `receive q(n)`", "W308 `receive go()`");
+    // Until the next turn, the end of the task, another message, and a loop that never answers.
+    assert_eq!(forgets("loop receive q(n); if n > 0 then response(); end; end;"), [q]);
+    assert_eq!(forgets("receive q(n); if n > 0 then response(); end;"), [q]);
+    assert_eq!(forgets("loop receive q(n); receive go(); reply(); end;"), [q]);
+    assert_eq!(forgets("receive q(n); if n > 0 then response(); end; loop delay 1 sec; end;"), [q]);
+    assert_eq!(forgets("while n < 9 do receive go(); if n > 0 then reply(); end; n := n + 1; end;"), [go]);
+    assert_eq!(
+        forgets("loop receive q(n); if n > 0 then exit; end; response(); end; receive q(n); response();"),
+        [q]
+    );
+    assert_eq!(forgets("loop receive q(n); run work on failed do exit; end; response(); end;"), [q]);
+    assert_eq!(
+        forgets("loop receive q(n); while n > 0 do response(); n := 0; end; receive go(); reply(); end;"),
+        [q]
+    );
+    let asks =
+        "loop receive q(n); run work on failed do skip; end; if outcome = done then response(); end; end;";
+    assert_eq!(forgets(asks), [q], "this `receive` cannot end without a message");
+    // The first is answered, the second is not.
+    assert_eq!(forgets("receive q(n); response(); loop receive go(); end;"), [go]);
+    for whole in [
+        "loop receive q(n); if n > 0 then response(); else response(); end; end;",
+        "loop receive q(n); response(); receive go(); reply(); end;",
+        "loop receive q(n); loop delay 5 msec; if n > 0 then exit; end; n := n + 1; end; response(); end;",
+        "loop receive q(n) within 20 msec on time_out do skip; end; response() on failed do skip; end; end;",
+        "receive q(n); if n > 3 then abort \"too many\"; end; response();",
+        "loop receive q(n); exit; end; response(); receive go(); reply();",
+        // What was received last in a turn is answered in the next one.
+        "receive q(n); loop response(); receive q(n); end;",
+    ] {
+        assert_eq!(forgets(whole), [""; 0], "{whole}");
+    }
+}
+
+/// Whoever asks how the `receive` ended knows whether there is something to answer.
+#[test]
+fn a_receive_that_brought_nothing_needs_no_answer() {
+    let forgets = |body: &str| received("var got: bool;", body);
+    for whole in [
+        "loop receive q(n) within 20 msec on time_out do skip; end; if outcome = message then response(); end; end;",
+        "loop got := true; receive q(n) within 20 msec on time_out do got := false; end; if got then response(); end; end;",
+        "while not got do got := true; receive q(n) within 20 msec on time_out do got := false; end; end; response();",
+    ] {
+        assert_eq!(forgets(whole), [""; 0], "{whole}");
+    }
+    let neither = "loop got := true; receive q(n) within 20 msec on time_out do got := false; end;
+if got then if n > 0 then response(); end; end; end;";
+    assert_eq!(forgets(neither), ["W308 `receive q(n) within 20 msec`"]);
+}
+
+#[test]
+fn what_a_handler_receives_is_answered_on_every_path() {
+    let handler = |body: &str| {
+        received(
+            "var t: timer; var m: int8;",
+            &format!("on expiry t do {body} end; start t 1 sec; receive go(); reply();"),
+        )
+    };
+    assert_eq!(handler("receive q(m); if m > 0 then response(); end;"), ["W308 `receive q(m)`"]);
+    assert_eq!(handler("receive q(m); response();"), [""; 0]);
+}
+
+/// A failing `reply` had nothing to answer.
+#[test]
+fn a_handler_that_looks_whether_its_answer_left_has_answered() {
+    let b = "use_port q() usage = response; var late: bool; begin order q > self;
+on query q() do response() on failed do late := true; end; end; delay 1 sec; assert not late;";
+    let text = pair(
+        "port q() usage = query user_list = {b} time_out = 50 msec; begin query q() on time_out do skip; end;",
+        b,
+    );
+    assert_eq!(serious(&text), []);
+}
+
+#[test]
+fn a_handlers_variable_hides_the_tasks() {
+    let text = |variables: &str, head: &str| {
+        let b = format!(
+            "use_port q(x: int8; up: bool) usage = receive; {variables} begin order q > self; on receive q({head}) do skip; end; loop delay 1 sec; end;"
+        );
+        pair("port q(x: int8; up: bool) usage = send user_list = {b} time_out = 50 msec; begin send q(1, true);", &b)
+            .replace("x: int8; up", "x: int8, up")
+    };
+    let hidden = |variables: &str, head: &str| -> Vec<String> {
+        all_found(&text(variables, head)).into_iter().filter(|found| found.starts_with("W319")).collect()
+    };
+    assert_eq!(hidden("var x, y: int8;", "x, y"), ["W319 `x`", "W319 `y`"]);
+    assert_eq!(hidden("var x: timer;", "x, y"), ["W319 `x`"]);
+    assert_eq!(hidden("var z: int8;", "x, y"), [""; 0]);
+    assert_eq!(hidden("var x: int8;", ""), [""; 0], "nothing is bound");
+    let record = text("var p: Pose;", "p")
+        .replace("task a on", "type Pose is record x: int8; up: bool; end;\ntask a on");
+    let record = record
+        .replace("q(x: int8, up: bool)", "q(p: Pose)")
+        .replace("q(1, true)", "q(mine)")
+        .replace("begin send", "var mine: Pose; begin send");
+    let found = serious(&record);
+    let hides = found.iter().find(|found| found.code == "W319").expect("the record is hidden");
+    assert_eq!(hides.message, "`p` hides the task's variable `p` in this handler");
+    let source = source(&record);
+    assert_eq!(source.slice(hides.secondary[0].span), "p");
+    assert!(hides.secondary[0].span.start < hides.primary.span.start);
 }
 
 #[test]

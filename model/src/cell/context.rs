@@ -87,12 +87,16 @@ fn of_statement(course: &Course, shown: &Shown) -> Vec<String> {
 }
 
 fn equals(name: &str, declared: &Variable, value: i64) -> String {
-    let value = match declared.of {
+    format!("{name} = {}", shown(declared.of, value))
+}
+
+/// A value as the cell's text writes it.
+pub(super) fn shown(of: Type, value: i64) -> String {
+    match of {
         Type::Bool => (value != 0).to_string(),
         Type::Real => u32::try_from(value).map(f32::from_bits).unwrap_or_default().to_string(),
         Type::Int8 | Type::Int16 | Type::Int32 | Type::Word => value.to_string(),
-    };
-    format!("{name} = {value}")
+    }
 }
 
 /// What a broken check goes back to.

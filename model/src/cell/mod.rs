@@ -26,6 +26,7 @@
 //! A request that ends by its time_out without a fault is starvation where it was put off more often than aging allows.
 //! Not looked at: a task that goes on for ever without coming further.
 
+mod alike;
 mod between;
 mod canon;
 mod context;
@@ -34,6 +35,7 @@ mod follow;
 mod frames;
 mod guard;
 mod judge;
+mod legend;
 mod liveness;
 mod moves;
 mod outside;
@@ -53,6 +55,7 @@ pub use follow::{
 };
 pub use frames::{NodeFrame, Scene, Shows, scenes};
 pub use guard::{Agreement, Disagreement, Effort, compare_with_walks};
+pub use legend::Legend;
 pub use plan::{Budget, CellCheck, CellFaults, CellPlan, Conduct, Holds, Times};
 pub use search::check_cell;
 pub use story::{Note, Step, TaskView, lanes};

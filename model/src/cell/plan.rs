@@ -1,5 +1,6 @@
 //! What of a cell is checked, and within which bounds.
 
+use super::legend::Legend;
 use imrs_protocol::script::{Op, Program, Term};
 use imrs_protocol::{CellTable, NodeId, Rate, Ticks};
 use serde::{Deserialize, Serialize};
@@ -135,6 +136,8 @@ pub struct CellPlan {
     pub transit: u16,
     /// How many threads search.
     pub jobs: usize,
+    /// What charts say besides: it changes no verdict.
+    pub legend: Legend,
 }
 
 impl CellPlan {
@@ -152,6 +155,7 @@ impl CellPlan {
             everything: false,
             transit: 16,
             jobs: 1,
+            legend: Legend::default(),
         }
     }
 

@@ -317,6 +317,7 @@ impl Search {
             hypothesis,
             times: plan.times,
             task: task.map(TaskId::from_index),
+            also: Vec::new(),
             address,
             check,
             couple,
@@ -381,6 +382,7 @@ fn conclude(plan: &Arc<CellPlan>, done: Vec<Done>) -> Verdicts {
         }
     }
     verdicts.findings.sort_by_key(|finding| (finding.kind, finding.phase, finding.task, finding.address));
+    verdicts.findings = super::alike::told_once(plan, std::mem::take(&mut verdicts.findings));
     verdicts
 }
 
@@ -403,6 +405,7 @@ fn bare(kind: Kind, place: Option<(TaskId, Address)>, check: Option<usize>, caus
         hypothesis: 0,
         times: Times::Ends,
         task: place.map(|(task, _)| task),
+        also: Vec::new(),
         address: place.map(|(_, at)| at),
         check,
         couple: None,

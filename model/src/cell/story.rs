@@ -3,6 +3,7 @@
 use super::context::{Origin, context};
 use super::course::{CellMove, Course};
 use super::judge::{Shown, name, position, statement};
+use super::legend::Reader;
 use super::plan::{CellFaults, CellPlan, Conduct};
 use super::verdict::Concerned;
 pub use crate::chart::Note;
@@ -129,30 +130,41 @@ pub(super) fn walk(
     // What scripts do before anything happens is drawn with the first step.
     let turns = course.floor.turns.replace(Vec::new()).unwrap_or_default();
     let mut begun = vec![None; plan.tasks.len()];
+    let mut reader = Reader::default();
     note_begun(&turns, &mut begun);
-    ends(&turns, &mut pen, 0);
+    ends(&course, &turns, &mut pen, 0, &reader);
     let mut from = 0;
     for &step in moves {
         course.floor.log.clear();
         let arrow = packet(&course, step, &lanes);
         let before = describe(&course, step);
+        let acted = match step {
+            CellMove::Acted(task, level, ..) => reader.of_action(&course, usize::from(task), level),
+            _ => None,
+        };
+        reader.before(&course, &begun, arrow.map(|(_, packet, _)| packet));
         course.apply(step);
         let shown = u32::try_from(course.passed).unwrap_or(u32::MAX);
         if let Some((ends, packet, fate)) = arrow {
-            pen.arrow(shown, ends, &packet, fate);
+            let (line, values) = (reader.of_packet(&course, &packet), plan.legend.of_packet(&packet));
+            explained(&mut pen, line, values.as_deref(), |pen| pen.arrow(shown, ends, &packet, fate));
         }
         if let Some((lane, text)) = before {
             let lane = match lane {
                 Lane::Task(task) => task,
                 Lane::Node(node) => lanes.on_node(node),
             };
-            pen.event(shown, lane, &text);
+            explained(&mut pen, acted, None, |pen| pen.event(shown, lane, &text));
         }
-        lanes.effects(&mut pen, shown, &course.floor.log);
         let turns = course.floor.turns.as_mut().map(std::mem::take).unwrap_or_default();
+        reader.after(&turns, &course.floor.log);
+        for effect in &course.floor.log {
+            let (line, values) = reader.of_effect(&course, effect);
+            explained(&mut pen, line, values.as_deref(), |pen| lanes.effect(pen, shown, effect));
+        }
         let others = pen.notes.len();
         note_begun(&turns, &mut begun);
-        ends(&turns, &mut pen, shown);
+        ends(&course, &turns, &mut pen, shown, &reader);
         let (notes, ended) = (&pen.notes[from..], pen.notes.len() - others);
         let ports = pen.ports();
         each(&Walked { course: &course, lanes: &lanes, ports, step, notes, ended, turns: &turns });
@@ -162,6 +174,13 @@ pub(super) fn walk(
         }
     }
     Way { pen, course, begun }
+}
+
+/// Draws something, with its line and its values.
+fn explained(pen: &mut Pen, line: Option<u32>, values: Option<&str>, draw: impl FnOnce(&mut Pen)) {
+    let before = pen.notes.len();
+    draw(pen);
+    pen.notes[before..].iter_mut().for_each(|note| note.explain(line, values));
 }
 
 fn note_begun(turns: &[ScriptTurn], begun: &mut [Option<Address>]) {
@@ -237,7 +256,7 @@ fn describe(course: &Course, step: CellMove) -> Option<(Lane, String)> {
 }
 
 /// Scripts that ended with the last move.
-fn ends(turns: &[ScriptTurn], pen: &mut Pen, tick: u32) {
+fn ends(course: &Course, turns: &[ScriptTurn], pen: &mut Pen, tick: u32, reader: &Reader) {
     for turn in turns {
         let text = match &turn.end {
             None => continue,
@@ -247,7 +266,7 @@ fn ends(turns: &[ScriptTurn], pen: &mut Pen, tick: u32) {
             Some(End::Assertion(_)) => "ASSERTION FAILS".into(),
             Some(End::Fault { fault, .. }) => format!("FAULT: {fault}"),
         };
-        pen.event(tick, turn.task, &text);
+        explained(pen, reader.of_end(course, turn), None, |pen| pen.event(tick, turn.task, &text));
     }
 }
 

@@ -8,7 +8,9 @@ const LANE: (usize, usize) = (120, 360);
 /// Columns that a character takes, in tenths.
 const CHARACTER: usize = 73;
 const LINE: usize = 18;
-const LEFT: usize = 70;
+/// Where the ticks end, and behind them the lines of the cell's text, where there are any.
+const TICKS: usize = 60;
+const LINES: usize = 50;
 
 /// Draws the steps of a finding: one lane for each name. Colours are those of the page around it.
 #[must_use]
@@ -24,15 +26,24 @@ pub(crate) fn draw_notes<'a>(
 ) -> String {
     let notes: Vec<&Note> = notes.into_iter().collect();
     let lane = lane_width(&notes);
-    let lines = LEFT + lane * names.len().max(1);
-    let (width, height) = (lines.max(wide(cause) + 20), LINE * (notes.len() + 4));
+    let has_lines = notes.iter().any(|note| note.line().is_some());
+    let left = TICKS + 10 + if has_lines { LINES } else { 0 };
+    let lanes = left + lane * names.len().max(1);
+    let (width, height) = (lanes.max(wide(cause) + 20), LINE * (notes.len() + 4));
     let mut out = String::new();
     let _ = writeln!(
         out,
         "<svg xmlns=\"http://www.w3.org/2000/svg\" viewBox=\"0 0 {width} {height}\" width=\"{width}\" \
          height=\"{height}\" font-family=\"monospace\" font-size=\"12\" fill=\"#777\" stroke=\"none\">"
     );
-    let x = |at: usize| LEFT + lane * at + 10;
+    let x = |at: usize| left + lane * at + 10;
+    let mut beside = |x: usize, y: usize, text: &str| {
+        let _ = writeln!(out, "<text x=\"{x}\" y=\"{y}\" text-anchor=\"end\">{text}</text>");
+    };
+    if has_lines {
+        beside(TICKS, LINE, "tick");
+        beside(TICKS + LINES, LINE, "line");
+    }
     for (lane, name) in names.iter().enumerate() {
         let (x, end) = (x(lane), height - 2 * LINE);
         let _ = writeln!(out, "<text x=\"{x}\" y=\"{LINE}\" font-weight=\"bold\">{}</text>", escaped(name));
@@ -44,8 +55,12 @@ pub(crate) fn draw_notes<'a>(
         let y = LINE * (row + 2);
         let tick = note.tick();
         if last != Some(tick) {
-            let _ = writeln!(out, "<text x=\"{}\" y=\"{y}\" text-anchor=\"end\">{tick}</text>", LEFT - 10);
+            let _ = writeln!(out, "<text x=\"{TICKS}\" y=\"{y}\" text-anchor=\"end\">{tick}</text>");
             last = Some(tick);
+        }
+        if let Some(line) = note.line() {
+            let x = TICKS + LINES;
+            let _ = writeln!(out, "<text x=\"{x}\" y=\"{y}\" text-anchor=\"end\">{line}</text>");
         }
         draw(&mut out, note, y, x);
     }

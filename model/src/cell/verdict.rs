@@ -96,6 +96,9 @@ pub struct Finding {
     pub times: Times,
     /// Whose it is.
     pub task: Option<TaskId>,
+    /// The tasks with the same statements that have the same finding at theirs.
+    #[serde(default)]
+    pub also: Vec<TaskId>,
     /// The operation of its program.
     pub address: Option<Address>,
     /// The check, by its position.

@@ -28,7 +28,8 @@ pub enum Folding {
 #[must_use]
 pub fn chart(names: &[String], notes: &[Note], cause: &str, folding: Folding) -> String {
     let last = notes.last().map_or(0, Note::tick);
-    let sheet = Sheet::new(names, last);
+    let lines = notes.iter().filter_map(Note::line).max();
+    let sheet = Sheet::new(names, last, lines);
     let mut lines = sheet.head();
     let mut from = 0;
     let mut tick = None;
@@ -73,16 +74,19 @@ struct Sheet<'a> {
     margin: usize,
     /// Columns for each lane; none where there are too many.
     lane: usize,
+    /// Columns for the line of the cell's text; none where no note has one.
+    line: usize,
 }
 
 impl<'a> Sheet<'a> {
-    fn new(names: &'a [String], last: u32) -> Self {
+    fn new(names: &'a [String], last: u32, lines: Option<u32>) -> Self {
+        let line = lines.map_or(0, |line| line.to_string().len().max("line".len()) + 2);
         let margin = last.to_string().len().max("tick".len()) + 2;
         let longest = names.iter().map(|name| name.chars().count()).max().unwrap_or(0);
         let most = (LANES / names.len().max(1)).max(3);
         let lane = (longest + 2).max(NARROW).min(most);
-        let fits = margin + lane * names.len() + WORDS <= COLUMNS;
-        Self { names, margin, lane: if fits { lane } else { 0 } }
+        let fits = margin + lane * names.len() + line + WORDS <= COLUMNS;
+        Self { names, margin, lane: if fits { lane } else { 0 }, line }
     }
 
     fn head(&self) -> Vec<String> {
@@ -93,7 +97,15 @@ impl<'a> Sheet<'a> {
                 head.push_str(&format!("{name:<width$}", width = self.lane));
             }
         }
+        if self.line > 0 {
+            head.push_str(&self.beside("line"));
+        }
         vec![head.trim_end().to_owned()]
+    }
+
+    /// The column for lines, with this in it.
+    fn beside(&self, line: &str) -> String {
+        if self.line == 0 { String::new() } else { format!("{line:>width$}  ", width = self.line - 2) }
     }
 
     /// The lanes, with nothing in them.
@@ -107,11 +119,13 @@ impl<'a> Sheet<'a> {
         let mut drawn = self.empty();
         self.draw(note, &mut drawn);
         let tick = if first { note.tick().to_string() } else { String::new() };
-        let room = COLUMNS - self.margin - drawn.len();
+        let of_text = note.line().map(|line| line.to_string()).unwrap_or_default();
+        let room = COLUMNS - self.margin - drawn.len() - self.line;
         for (i, words) in wrapped(&self.words(note), room).into_iter().enumerate() {
-            let (tick, drawn) = if i == 0 { (tick.as_str(), &drawn) } else { ("", &self.empty()) };
-            let drawn: String = drawn.iter().collect();
-            let line = format!("{tick:>width$}  {drawn}{words}", width = self.margin - 2);
+            let (tick, of_text, drawn) =
+                if i == 0 { (tick.as_str(), of_text.as_str(), &drawn) } else { ("", "", &self.empty()) };
+            let (drawn, beside): (String, String) = (drawn.iter().collect(), self.beside(of_text));
+            let line = format!("{tick:>width$}  {drawn}{beside}{words}", width = self.margin - 2);
             lines.push(line.trim_end().to_owned());
         }
     }
@@ -216,6 +230,7 @@ fn cycle(notes: &[Note]) -> Option<Cycle> {
 fn is_same(one: &Note, other: &Note, later: u32) -> bool {
     let text = |one: &str, other: &str| unnumbered(one).eq(unnumbered(other));
     one.tick().checked_add(later) == Some(other.tick())
+        && one.line() == other.line()
         && match (one, other) {
             (Note::Event { lane: a, text: x, .. }, Note::Event { lane: b, text: y, .. }) => {
                 a == b && text(x, y)
@@ -252,15 +267,21 @@ mod tests {
         let label = format!("QUERY beat #{number}");
         let text = format!("takes beat #{number} of armL");
         [
-            Note::Packet { tick, from: 0, to: 1, label, fate: String::new() },
-            Note::Event { tick, lane: 1, text },
+            Note::Packet { tick, from: 0, to: 1, label, fate: String::new(), line: None },
+            Note::Event { tick, lane: 1, text, line: None },
         ]
     }
 
     #[test]
     fn a_packet_is_an_arrow_and_says_who_sends_what_on_which_port() {
-        let lost =
-            Note::Packet { tick: 4, from: 1, to: 0, label: "SEND halt #1".into(), fate: "LOST".into() };
+        let lost = Note::Packet {
+            tick: 4,
+            from: 1,
+            to: 0,
+            label: "SEND halt #1".into(),
+            fate: "LOST".into(),
+            line: None,
+        };
         let notes = [&beat(0, 3)[..], &[lost]].concat();
         let drawn = chart(&names(), &notes, "`small` does not hold: armL.at = 9", Folding::Repeats);
         assert_eq!(
@@ -272,7 +293,7 @@ mod tests {
     #[test]
     fn what_happens_again_and_again_is_drawn_once_and_counted() {
         let mut notes: Vec<Note> = (0..9).flat_map(|i| beat(i, 10 + 5 * i)).collect();
-        notes.push(Note::Event { tick: 60, lane: 0, text: "ends".into() });
+        notes.push(Note::Event { tick: 60, lane: 0, text: "ends".into(), line: None });
         let folded = chart(&names(), &notes, "so", Folding::Repeats);
         assert!(folded.contains("... the same 8 more times, every 5 ticks, until tick 50"), "{folded}");
         assert_eq!((folded.lines().count(), folded.matches("QUERY").count()), (6, 1), "{folded}");
@@ -281,8 +302,27 @@ mod tests {
     }
 
     #[test]
+    fn lines_of_the_cell_stand_in_a_column_of_their_own() {
+        let event = |tick, line| Note::Event { tick, lane: 1, text: "goes on".into(), line };
+        let drawn = chart(
+            &names(),
+            &[event(3, Some(7)), event(4, None), event(5, Some(12_345))],
+            "so",
+            Folding::Repeats,
+        );
+        assert_eq!(
+            drawn,
+            "tick  armL    armR     line\n   3  |       *           7  armR: goes on\n   4  |       *              armR: goes on\n   5  |       *       12345  armR: goes on\n      => so"
+        );
+        // The same words at another line are another step.
+        let notes: Vec<Note> = (0..9).map(|i| event(i, Some(i))).collect();
+        assert!(!chart(&names(), &notes, "so", Folding::Repeats).contains("..."));
+    }
+
+    #[test]
     fn what_differs_in_more_than_a_number_of_a_message_is_no_repetition() {
-        let event = |tick, value| Note::Event { tick, lane: 0, text: format!("weigh ends: {value}") };
+        let event =
+            |tick, value| Note::Event { tick, lane: 0, text: format!("weigh ends: {value}"), line: None };
         let notes: Vec<Note> = (0..8).map(|i| event(i, i)).collect();
         assert!(!chart(&names(), &notes, "so", Folding::Repeats).contains("..."));
         let early: Vec<Note> = (0..8).map(|i| event(i * i, 1)).collect();
@@ -296,13 +336,19 @@ mod tests {
         for tasks in [1, 2, 5, 9, 30] {
             let names: Vec<String> = (0..tasks).map(|i| format!("inspector_of_station_{i}")).collect();
             let notes = [
-                Note::Event { tick: 123_456, lane: tasks - 1, text: format!("drops {long} #12: refused") },
+                Note::Event {
+                    tick: 123_456,
+                    lane: tasks - 1,
+                    text: format!("drops {long} #12: refused"),
+                    line: None,
+                },
                 Note::Packet {
                     tick: 123_457,
                     from: tasks - 1,
                     to: 0,
                     label: long.into(),
                     fate: "CUT OFF".into(),
+                    line: None,
                 },
             ];
             let drawn = chart(&names, &notes, &format!("{long} {long}"), Folding::Repeats);

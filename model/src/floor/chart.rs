@@ -147,15 +147,16 @@ impl Lanes {
 
     /// What a step showed.
     pub fn effects(&self, pen: &mut Pen, tick: u32, log: &[Effect]) {
-        for effect in log {
-            match effect {
-                Effect::Seen(_, Some(task), seen) => pen.shown(tick, task.index(), &Shown::Seen(*seen)),
-                Effect::Told(task, signal) => pen.shown(tick, task.index(), &Shown::Told(*signal)),
-                Effect::Seen(node, None, seen) => {
-                    pen.shown(tick, self.on_node(*node), &Shown::Seen(*seen));
-                }
-                Effect::Sent(..) => {}
-            }
+        log.iter().for_each(|effect| self.effect(pen, tick, effect));
+    }
+
+    /// One thing that a step showed.
+    pub fn effect(&self, pen: &mut Pen, tick: u32, effect: &Effect) {
+        match effect {
+            Effect::Seen(_, Some(task), seen) => pen.shown(tick, task.index(), &Shown::Seen(*seen)),
+            Effect::Told(task, signal) => pen.shown(tick, task.index(), &Shown::Told(*signal)),
+            Effect::Seen(node, None, seen) => pen.shown(tick, self.on_node(*node), &Shown::Seen(*seen)),
+            Effect::Sent(..) => {}
         }
     }
 }

@@ -61,6 +61,19 @@ impl Text {
             },
         };
         plan.checks = lowered.checks.iter().map(check).collect();
+        let line = |span: &imrs_language::Span| u32::try_from(source.position(span.start).0).expect("a line");
+        for task in &lowered.tasks {
+            let (lines, handlers) = match task {
+                Behaviour::Script(script) => {
+                    (script.spans.iter().map(line).collect(), script.handlers.iter().map(line).collect())
+                }
+                Behaviour::Extern(_) => (Vec::new(), Vec::new()),
+            };
+            plan.legend.lines.push(lines);
+            plan.legend.handlers.push(handlers);
+        }
+        let formats = lowered.formats.iter();
+        plan.legend.formats = formats.map(|port| (port.message.clone(), port.answer.clone())).collect();
         let couples = compiled.hir.iter().flat_map(|hir| &hir.couples);
         let couples = couples.filter(|couple| matches!(couple.kind, CoupleKind::Work { .. }));
         let couples = couples.map(|couple| couple.span.start).collect();

@@ -50,6 +50,16 @@ impl Format {
         self.fields.iter().map(|field| field.bytes()).sum()
     }
 
+    /// The fields that stand whole in the first `bytes` of such a message, up to one that is no value of its type.
+    pub fn values<'a>(&'a self, bytes: &'a [u8]) -> impl Iterator<Item = (Type, i64)> + 'a {
+        let mut rest = bytes;
+        self.fields.iter().map_while(move |&of| {
+            let value = of.read(rest)?;
+            rest = &rest[of.bytes()..];
+            Some((of, value))
+        })
+    }
+
     /// How many packets it takes: one even where it is empty.
     #[must_use]
     pub fn fragments(&self) -> usize {

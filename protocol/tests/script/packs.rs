@@ -239,3 +239,19 @@ fn reals_are_reckoned_as_reals() {
     }
     assert_eq!(reals(Binary::Divide, f32::MAX, 0.5), Err(ScriptFault::NotFinite));
 }
+
+/// Of a message of several packets the first one holds some fields whole.
+#[test]
+fn values_are_read_as_far_as_they_stand_whole() {
+    let format = Format { fields: vec![Type::Int16, Type::Bool, Type::Real, Type::Word, Type::Int32] };
+    let mut bytes =
+        [&(-300_i16).to_le_bytes()[..], &[1], &0.5_f32.to_le_bytes(), &7_u32.to_le_bytes()].concat();
+    let read = |bytes: &[u8]| format.values(bytes).map(|(_, value)| value).collect::<Vec<_>>();
+    assert_eq!(read(&bytes), [-300, 1, i64::from(0.5_f32.to_bits()), 7]);
+    bytes.extend([0xff; 3]);
+    assert_eq!(read(&bytes).len(), 4, "a byte of the last one is missing");
+    bytes.push(0xff);
+    assert_eq!(read(&bytes)[4..], [-1]);
+    bytes[2] = 2;
+    assert_eq!(read(&bytes), [-300], "two is no truth value");
+}

@@ -77,7 +77,7 @@ impl Follower {
 
     /// Whether a node acted late among the last so many inputs, or is about to.
     pub(super) fn was_late(&self, inputs: usize) -> bool {
-        let since = self.done.iter().rev().take(inputs).last();
+        let since = self.done.iter().rev().take(inputs).next_back();
         let since = since.map_or(0, |&(task, group)| self.groups[task][group].at);
         let coming = self.next.iter().enumerate().filter_map(|(task, &next)| {
             let node = self.course.floor.station_of(task);

@@ -1,0 +1,84 @@
+//! Findings that tasks with the same statements have alike: told once.
+
+use super::plan::{CellPlan, Conduct};
+use super::verdict::Finding;
+use imrs_protocol::TaskId;
+use imrs_protocol::script::Program;
+
+/// Puts the tasks of findings that repeat an earlier one into that one's [`Finding::also`].
+pub(super) fn told_once(plan: &CellPlan, findings: Vec<Finding>) -> Vec<Finding> {
+    let mut kept: Vec<Finding> = Vec::new();
+    for finding in findings {
+        let first = kept.iter_mut().find(|first| repeats(plan, first, &finding));
+        match (first, finding.task) {
+            (Some(first), Some(task)) => first.also.push(task),
+            _ => kept.push(finding),
+        }
+    }
+    kept
+}
+
+/// Whether it is the same finding at the same statement of another task that does the same.
+fn repeats(plan: &CellPlan, first: &Finding, other: &Finding) -> bool {
+    let key = |finding: &Finding| (finding.kind, finding.phase, finding.hypothesis, finding.address);
+    let (Some(one), Some(two)) = (first.task, other.task) else { return false };
+    let name = |task: TaskId| plan.table.cell().tasks.get(task.index()).map_or("?", |task| &task.name);
+    key(first) == key(other)
+        && first.address.is_some()
+        && does_the_same(plan, one, two)
+        && reads_alike(&first.cause, &other.cause, (name(one), name(two)))
+}
+
+fn does_the_same(plan: &CellPlan, one: TaskId, two: TaskId) -> bool {
+    let of = |task: TaskId| match plan.tasks.get(task.index()) {
+        Some(Conduct::Program { program, values }) => {
+            let mut program = Program::clone(program);
+            program.name.clear();
+            // Of what the compiler gives as a reason only the line is the task's own.
+            program.reasons.iter_mut().for_each(|reason| *reason = without_line(reason).into());
+            Some((program, values))
+        }
+        Some(Conduct::Extern(_)) | None => None,
+    };
+    of(one).is_some_and(|program| Some(program) == of(two))
+}
+
+/// A reason without the line that the compiler puts at its end.
+fn without_line(reason: &str) -> &str {
+    match reason.rsplit_once(", line ") {
+        Some((what, line)) if line.bytes().all(|byte| byte.is_ascii_digit()) => what,
+        _ => reason,
+    }
+}
+
+/// Whether two sentences say the same, each of its own task.
+fn reads_alike(one: &str, two: &str, (a, b): (&str, &str)) -> bool {
+    let (one, two) = (words(without_line(one)), words(without_line(two)));
+    one.len() == two.len()
+        && one.iter().zip(&two).all(|(x, y)| x == y || (*x, *y) == (a, b) || (*x, *y) == (b, a))
+}
+
+/// The names and numbers of a text, and what lies between them.
+fn words(text: &str) -> Vec<&str> {
+    let part = |c: char| c.is_alphanumeric() || c == '_';
+    let chars: Vec<(usize, char)> = text.char_indices().collect();
+    let between = chars.windows(2).filter(|pair| part(pair[0].1) != part(pair[1].1)).map(|pair| pair[1].0);
+    let ends: Vec<usize> = between.chain([text.len()]).collect();
+    let begins = std::iter::once(0).chain(ends.iter().copied());
+    begins.zip(&ends).map(|(begin, &end)| &text[begin..end]).collect()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn sentences_are_alike_up_to_the_names_of_their_tasks() {
+        let alike = |one, two| reads_alike(one, two, ("a", "b_2"));
+        assert!(alike("a: a value is 7, `grab`", "b_2: a value is 7, `grab`"), "the article is no name");
+        assert!(alike("a waits for b_2", "b_2 waits for a"));
+        assert!(!alike("a: got = 7", "b_2: got = 8"));
+        assert!(!alike("a: got = 7", "c: got = 7"));
+        assert!(!alike("a: got", "b_2: got = 7"));
+    }
+}
