@@ -275,3 +275,32 @@ fn a_finding_that_no_steps_lead_to_is_not_saved_and_that_is_said() {
     assert!(answer.out.contains("nothing was saved to "), "{answer:?}");
     assert!(!answer.out.contains("step by step") && !saved.exists(), "{answer:?}");
 }
+
+/// A model tick that is longer than an action is no reason to say that the action may take so long; and times that are no
+/// multiples of the tick are said, with what is found.
+#[test]
+fn the_model_tick_rounds_nothing() {
+    let text = |tick: &str| {
+        let pair = PAIR
+            .replace("tick 1 msec;", tick)
+            .replace("receive where(x); ", "receive where(x); run halt takes 1..20 msec; ");
+        pair.replace("{answer}", "x")
+    };
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join("pair.cell");
+    let verify = |text: String| {
+        std::fs::write(&path, text).expect("written");
+        run(&["verify", path.to_str().expect("UTF-8")])
+    };
+    let whole = verify(text("tick 1 msec;"));
+    assert_eq!(whole.code, Some(0), "{whole:?}");
+    let coarse = verify(text("tick 1 msec; model tick 100 msec;"));
+    assert_eq!(coarse.code, Some(0), "{coarse:?}");
+    assert!(coarse.out.contains("of the times between the ends every 100 msec is looked at"), "{coarse:?}");
+
+    let odd = text("tick 1 msec;").replace("time_out = 40 msec", "time_out = 22500 usec");
+    let found = verify(odd);
+    assert_eq!(found.code, Some(1), "{found:?}");
+    assert!(found.out.contains("the model counts 22500 usec as 22000 usec"), "{found:?}");
+    assert!(found.out.contains("not confirmed: these findings may come of the rounding"), "{found:?}");
+}

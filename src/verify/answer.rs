@@ -19,6 +19,8 @@ pub(super) struct Answer<'a> {
     /// The checks of the file.
     claims: Vec<Settled<'a>>,
     findings: Vec<Told<'a>>,
+    /// Times of the cell that are no multiples of its tick, and were rounded: what is found may come of that.
+    rounded: Vec<Rounded<'a>>,
     phases: Vec<Searched<'a>>,
 }
 
@@ -34,7 +36,7 @@ struct NotChecked<'a> {
 #[derive(Serialize)]
 struct LookedAt {
     tick_us: u64,
-    /// Times of actions, delays and timers are rounded outward to its multiples.
+    /// Of the times between the ends of an action's, every so many are looked at.
     model_tick_us: Option<u64>,
 }
 
@@ -66,6 +68,13 @@ struct Told<'a> {
     chart: &'a str,
     /// Whether `--save` kept it.
     saved: bool,
+}
+
+#[derive(Serialize)]
+struct Rounded<'a> {
+    line: usize,
+    column: usize,
+    what: &'a str,
 }
 
 #[derive(Serialize)]
@@ -150,6 +159,7 @@ impl Subject {
                 .zip(&verdicts.findings)
                 .map(|(number, finding)| self.told(finding, saved == Some(number)))
                 .collect(),
+            rounded: self.rounded().map(|(line, column, what)| Rounded { line, column, what }).collect(),
             phases: verdicts.phases.iter().map(|phase| searched(plan, phase)).collect(),
         }
     }

@@ -28,7 +28,7 @@ pub(super) struct Subject {
     pub table: Arc<CellTable>,
     /// Microseconds in a tick of the model.
     pub tick_us: u64,
-    /// Microseconds to whose multiples times of actions, delays and timers are rounded outward, where the cell says so.
+    /// Every how many microseconds between the ends of an action's times are looked at, where the cell says so.
     pub model_tick_us: Option<u64>,
 }
 
@@ -120,6 +120,14 @@ impl Subject {
             faults.crash.extend(&crash);
         }
         Ok(all)
+    }
+
+    /// The times that were rounded to the tick: line, column, and what was made of them.
+    pub fn rounded(&self) -> impl Iterator<Item = (usize, usize, &str)> {
+        self.lowered.notes.iter().map(|note| {
+            let (line, column) = self.source.position(note.primary.span.start);
+            (line, column, note.message.as_str())
+        })
     }
 
     /// The node of this name, or that of the task of this name.

@@ -82,7 +82,25 @@ impl Telling<'_> {
             let name = self.plan.checks.get(*check).map_or("?", |check| check.name.as_str());
             out.line(Styled(NOTE, format!("  check `{name}`: {what} in every state that was looked at")))?;
         }
+        self.rounded(out)?;
         self.last_line(out)
+    }
+
+    /// Times that are no multiples of the tick.
+    fn rounded(&self, out: &mut Output) -> Result<(), Failure> {
+        let all: Vec<_> = self.subject.rounded().collect();
+        for &(line, column, what) in all.iter().take(FEW) {
+            let file = &self.subject.file;
+            out.line(Styled(NOTE, format!("  note[N101]: {file}:{line}:{column}: {what}")))?;
+        }
+        if let Some(more) = all.len().checked_sub(FEW).filter(|&more| more > 0) {
+            out.line(format!("  and {} more", count(more as u64, "rounded time")))?;
+        }
+        if !all.is_empty() && !self.verdicts.findings.is_empty() {
+            let text = "  not confirmed: these findings may come of the rounding; write whole ticks, or a finer `tick`";
+            out.line(Styled(NOTE, text.to_owned()))?;
+        }
+        Ok(())
     }
 
     /// The other tasks of a finding: `b (line 39), c (line 50), which have the same statements`.
@@ -118,9 +136,10 @@ impl Telling<'_> {
             _ => format!("{usec} usec"),
         };
         let tick = msec(self.subject.tick_us);
-        let model = self.subject.model_tick_us.map(|usec| {
-            format!("; times of actions, delays and timers rounded outward to a model tick of {}", msec(usec))
-        });
+        let model = self
+            .subject
+            .model_tick_us
+            .map(|usec| format!("; of the times between the ends every {} is looked at", msec(usec)));
         let model = model.unwrap_or_default();
         let mut used: Vec<Times> = self.verdicts.phases.iter().map(|phase| phase.times).collect();
         used.sort_unstable_by(|a, b| b.cmp(a));

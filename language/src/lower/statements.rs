@@ -56,11 +56,11 @@ impl<'h> Writer<'h, '_> {
                 self.order(ranked);
             }
             StatementKind::Delay(length) => {
-                let length = self.clock.delay(*length);
+                let length = self.clock.bound(*length);
                 self.emit.op(Op::Delay(length));
             }
             StatementKind::Start { timer, length } => {
-                let (timer, length) = (*timer, self.clock.delay(*length));
+                let (timer, length) = (*timer, self.clock.bound(*length));
                 self.emit.op(Op::Start { timer, length });
             }
             StatementKind::Stop(timer) => self.emit.op(Op::Stop(*timer)),

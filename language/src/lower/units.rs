@@ -10,8 +10,8 @@ use imrs_protocol::Ticks;
 pub enum Unit {
     /// Of the runtime.
     Microseconds,
-    /// Of the model: the cell's `tick`. `takes`, `delay`s and the cell's own timers are multiples of its `model tick`,
-    /// rounded outward; what must come in time is rounded down, what may take time is rounded up (D42).
+    /// Of the model: the cell's `tick`. What must come in time is rounded down to it, what may take time is rounded up
+    /// (D42). The `model tick` rounds nothing: it says which times between the ends of an interval are looked at.
     Ticks,
 }
 
@@ -28,21 +28,14 @@ impl Unit {
 
 /// Turns durations into ticks, and notes what it rounded.
 pub(super) struct Clock {
-    /// Microseconds per tick of the machine.
+    /// Microseconds per tick.
     tick: u64,
-    /// Ticks per granule of `takes`, delays and timers.
-    granule: u64,
     pub notes: Vec<Diagnostic>,
 }
 
 impl Clock {
     pub fn new(hir: &Hir, unit: Unit) -> Self {
-        let tick = unit.usec(hir);
-        let granule = match (unit, hir.model_tick) {
-            (Unit::Ticks, Some(model)) => (model.usec / tick).max(1),
-            _ => 1,
-        };
-        Self { tick, granule, notes: Vec::new() }
+        Self { tick: unit.usec(hir), notes: Vec::new() }
     }
 
     fn note(&mut self, length: Duration, rounded: u64) {
@@ -75,15 +68,10 @@ impl Clock {
         self.time_out(length)
     }
 
-    /// A delay or a timer of the cell: rounded up to the model's granularity.
-    pub fn delay(&self, length: Duration) -> Ticks {
-        let granule = self.tick.saturating_mul(self.granule);
-        Ticks(length.usec.div_ceil(granule).saturating_mul(self.granule))
-    }
-
-    /// How long an action takes: outward to the model's granularity.
-    pub fn takes(&self, (least, most): (Duration, Duration)) -> (Ticks, Ticks) {
-        let granule = self.tick.saturating_mul(self.granule);
-        (Ticks((least.usec / granule).saturating_mul(self.granule)), self.delay(most))
+    /// How long an action takes: outward.
+    pub fn takes(&mut self, (least, most): (Duration, Duration)) -> (Ticks, Ticks) {
+        let ticks = least.usec / self.tick;
+        self.note(least, ticks);
+        (Ticks(ticks), self.bound(most))
     }
 }

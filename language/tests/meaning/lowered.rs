@@ -102,21 +102,22 @@ fn a_primary_waits_for_its_lease_and_a_standby_takes_over() {
 }
 
 #[test]
-fn durations_are_rounded_outward() {
-    let text = small("  var t: timer; begin on expiry t do skip; end; run go takes 12..18 msec; delay 12 msec; start t 1 msec;")
+fn durations_are_rounded_to_the_tick_and_said() {
+    let text = small("  var t: timer; begin on expiry t do skip; end; run go takes 12500..18500 usec; delay 12500 usec; start t 1 msec;")
         .replace("tick 1 msec;", "tick 1 msec; model tick 5 msec;")
         .replace("time_out = 90 msec", "time_out = 90500 usec");
     let compiled = whole(&text);
     let lowered = compiled.lower(Unit::Ticks).expect("a whole cell");
     let code = &script(&lowered, "a").program.code;
     assert!(
-        code.iter().any(|op| matches!(op, Op::Run { least: Ticks(10), most: Ticks(20), .. })),
+        code.iter().any(|op| matches!(op, Op::Run { least: Ticks(12), most: Ticks(19), .. })),
         "{code:?}"
     );
-    assert!(code.contains(&Op::Delay(Ticks(15))));
-    assert!(code.iter().any(|op| matches!(op, Op::Start { length: Ticks(5), .. })));
+    assert!(code.contains(&Op::Delay(Ticks(13))));
+    assert!(code.iter().any(|op| matches!(op, Op::Start { length: Ticks(1), .. })));
     assert_eq!(lowered.cell.ports[2].time_out, Ticks(90));
-    assert_eq!(lowered.notes.len(), 1, "{:?}", lowered.notes);
+    // The least and the most time, the delay and the time_out; the `model tick` rounds nothing.
+    assert_eq!(lowered.notes.len(), 4, "{:?}", lowered.notes);
     let usec = compiled.lower(Unit::Microseconds).expect("a whole cell");
     assert!(usec.notes.is_empty());
     assert_eq!(usec.cell.ports[2].time_out, Ticks(90_500));

@@ -358,6 +358,10 @@ impl Cell<'_> {
                 self.use_port(at, &own);
             }
         }
+        if self.tape.chance(60) {
+            // What was assigned shows.
+            self.put("    if i > 0 and m.n > 0 or m.b or f then run turn i, f takes 1 msec; end;\n");
+        }
         if looped {
             // What goes on for ever takes time, and numbers come back to what they were.
             let pause = self.tape.one(&["10 msec", "7 msec", "20 msec"]);
@@ -408,6 +412,9 @@ impl Cell<'_> {
             }
             if self.tape.chance(30) {
                 self.takes_time();
+                if self.ports[at].carries == ["int8"] {
+                    self.put("    i := hu mod 3;\n");
+                }
             }
             if self.ports[at].is_command() {
                 let answer = self.answer(at);
