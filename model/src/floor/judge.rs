@@ -56,6 +56,8 @@ impl Ghosts {
             bypassed: vec![0; ports],
             signals: vec![0; tasks],
             told: Told::new(plan),
+            begun: plan.epoch,
+            ordered: plan.epoch,
             ..Self::default()
         }
     }
@@ -67,6 +69,12 @@ impl Ghosts {
         });
         self.signals.fill(0);
     }
+}
+
+/// Whether an epoch comes after another one, across the wrap. Written apart from the machine's own comparison, which the
+/// watches judge.
+const fn is_later(epoch: u8, than: u8) -> bool {
+    epoch.wrapping_sub(than).cast_signed() > 0
 }
 
 impl Floor {
@@ -248,7 +256,7 @@ impl Floor {
         let name = Name::of(delivery);
         if self.plan.watches(FloorWatch::FencedOrders) {
             let said = delivery.contents.as_bytes().first().copied().unwrap_or(0);
-            if said < self.ghosts.ordered {
+            if is_later(self.ghosts.ordered, said) {
                 return Err(Violation::OldOrder);
             }
             self.ghosts.ordered = said;
@@ -307,7 +315,9 @@ impl Floor {
             Event::Rejected => self.refused(task, seen.port, name),
             Event::Fenced => self.reach(Goal::Fenced, true),
             Event::Enqueued if self.plan.watches(FloorWatch::FencedOrders) => {
-                self.ghosts.ordered = self.ghosts.ordered.max(self.arriving);
+                if is_later(self.arriving, self.ghosts.ordered) {
+                    self.ghosts.ordered = self.arriving;
+                }
                 Ok(())
             }
             Event::Granted | Event::TookOver if self.plan.watches(FloorWatch::OneActive) => {
@@ -322,8 +332,11 @@ impl Floor {
     fn judge_epoch(&mut self, task: TaskId, epoch: u32) -> Result<(), Violation> {
         let place = self.station_of(task.index());
         let knows = self.stations[place].life.0 == 0 || self.ghosts.heard >> place & 1 == 1;
-        let fresh = u32::from(self.ghosts.begun) < epoch;
-        self.ghosts.begun = self.ghosts.begun.max(u8::try_from(epoch).unwrap_or(u8::MAX));
+        let Ok(epoch) = u8::try_from(epoch) else { return Err(Violation::OldEpoch) };
+        let fresh = is_later(epoch, self.ghosts.begun);
+        if fresh {
+            self.ghosts.begun = epoch;
+        }
         if fresh || !knows { Ok(()) } else { Err(Violation::OldEpoch) }
     }
 

@@ -259,6 +259,9 @@ pub struct FloorPlan {
     pub jumps: bool,
     /// For each node, how far its clock is ahead.
     pub clocks: Vec<u64>,
+    /// The epoch that couples and their actuators begin at: even. A node that starts again begins where the machine lets
+    /// it.
+    pub epoch: u8,
 }
 
 impl FloorPlan {
@@ -279,6 +282,7 @@ impl FloorPlan {
             fused: true,
             jumps: true,
             clocks,
+            epoch: 0,
         }
     }
 
