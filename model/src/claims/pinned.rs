@@ -35,7 +35,7 @@ const ACTIVE: &str = "one-active";
 const ANY: u32 = u8::MAX as u32;
 const OFF: &str = "default, late timer and charge";
 
-const PINNED: [(Row, Found); 44] = [
+const PINNED: [(Row, Found); 45] = [
     ((UNDER_LOSS, "no-confirmation", 2, 1), losses(1, Some(1))),
     ((UNDER_LOSS, "first-complete", 2, 2), losses(2, Some(4))),
     ((UNDER_LOSS, "every-complete", 2, 2), losses(2, Some(4))),
@@ -52,6 +52,7 @@ const PINNED: [(Row, Found); 44] = [
     ((ALL_OR_NONE, "default", 2, 0), margin(1, 2)),
     ((ALL_OR_NONE, "default", 2, 1), margin(3, 5)),
     ((ALL_OR_NONE, "default", 2, 2), margin(4, 8)),
+    ((ALL_OR_NONE, "default, sent once", 2, 0), margin(1, 2)),
     ((ALL_OR_NONE, "default", 3, 0), margin(1, 2)),
     ((ALL_OR_NONE, "default", 3, 1), margin(3, 5)),
     ((ALL_OR_NONE, OFF, 2, 0), margin(1, 2)),
