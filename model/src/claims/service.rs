@@ -4,7 +4,7 @@
 use super::floors::{Part, claim, holds, reaches, settle};
 use super::{Claim, Settled, Variant, Work};
 use crate::floor::plan::{Faults, FloorWatch, Goal};
-use crate::floor::worlds::{Flood, Interrupted, Workshop, penalised, query_all};
+use crate::floor::worlds::{Flood, Interrupted, Workshop, penalised, query_all, refused};
 use crate::report::{Found, Outcome};
 use imrs_protocol::rules::{Aging, Rules};
 
@@ -254,5 +254,55 @@ fn literal_penalty() -> Vec<Claim> {
             true,
             vec![holds(|| penalised(true))],
         ),
+        claim(
+            (
+                name,
+                "default, refused",
+                "a refused message has no more time than its sender waits, and leaves its buffer by then",
+            ),
+            Outcome::Holds,
+            true,
+            vec![
+                reaches(|| refused(PENALTY, Aging::Off, FloorWatch::Reach(Goal::Left))),
+                holds(|| refused(PENALTY, Aging::Off, FloorWatch::TimeToLive)),
+                holds(|| refused(PENALTY, Aging::Off, FloorWatch::Expires)),
+                holds(|| refused(PENALTY, Aging::Bounded, FloorWatch::TimeToLive)),
+                holds(|| refused(PENALTY, Aging::Bounded, FloorWatch::Expires)),
+            ],
+        ),
+        claim(
+            (
+                name,
+                "literal time_penalty, time to live",
+                "each refusal adds the penalty to the time that is left of a message: soon it is more than its sender waits (D4)",
+            ),
+            Outcome::Fails,
+            true,
+            vec![holds(|| refused(LITERAL, Aging::Bounded, FloorWatch::TimeToLive))],
+        ),
+        never_expires(),
     ]
+}
+
+/// A penalty as long as the wait for the next offer, and the same added to the time that is left.
+const PENALTY: (u64, bool) = (2, false);
+const LITERAL: (u64, bool) = (PENALTY.0, true);
+
+/// The penalty is added for each wait of its length, so nothing is lost by waiting: the message neither expires nor is it
+/// taken, and all that can come of that is explored. A penalty of nothing adds nothing.
+fn never_expires() -> Claim {
+    let about = "what a refusal adds is as long as the wait for the next offer: refused again and again, a message never expires (D4)";
+    let row = ("no-stale-delivery", "literal time_penalty, for ever", about);
+    let explored = || holds(|| refused(LITERAL, Aging::Bounded, FloorWatch::Expires));
+    let never = || holds(|| refused(LITERAL, Aging::Bounded, FloorWatch::Reach(Goal::Left)));
+    let without = || holds(|| refused((0, true), Aging::Bounded, FloorWatch::Expires));
+    Claim {
+        settle: Box::new(move |work| {
+            let settled = settle(work, &[explored()]);
+            let stays = settle(work, &[never()]).outcome == Outcome::Holds;
+            let expires = settle(work, &[without()]).outcome == Outcome::Holds;
+            Settled { sound: settled.sound && stays && expires, ..settled }
+        }),
+        ..claim(row, Outcome::Fails, true, vec![explored()])
+    }
 }

@@ -185,7 +185,7 @@ impl Floor {
     fn store_ghosts(&mut self, bases: &Bases, out: &mut Vec<u8>) -> Result<(), Overflow> {
         let plan = &self.plan;
         let ghosts = &mut self.ghosts;
-        if plan.stale().is_some() {
+        if plan.times_messages().is_some() {
             ghosts.lives.sort_unstable_by_key(|(name, left)| (name.source, *left, name.number.get()));
             out.push(byte(ghosts.lives.len())?);
             for (name, left) in &ghosts.lives {

@@ -253,6 +253,7 @@ impl Floor {
 
     /// A message is handed to its task: still alive, and for the first time?
     fn handed_over(&mut self, delivery: &Delivery) -> Result<(), Violation> {
+        self.reach(Goal::Left, true)?;
         let name = Name::of(delivery);
         if self.plan.watches(FloorWatch::FencedOrders) {
             let said = delivery.contents.as_bytes().first().copied().unwrap_or(0);
@@ -283,7 +284,7 @@ impl Floor {
         else {
             return;
         };
-        if let Some(slack) = self.plan.stale() {
+        if let Some(slack) = self.plan.times_messages() {
             let left = u8::try_from(remaining.0).unwrap_or(u8::MAX).saturating_add(slack);
             self.ghosts.lives.push((Name { source, number: Seq24::new(number) }, left));
         }
@@ -308,6 +309,7 @@ impl Floor {
         match event {
             Event::Discarded(Reason::Duplicate | Reason::Unexpected) => Ok(()),
             Event::Discarded(_) => {
+                self.reach(Goal::Left, true)?;
                 self.ghosts.refused.retain(|entry| !this(entry));
                 let served = FloorWatch::Served { port: seen.port };
                 if self.plan.watches(served) { Err(Violation::NotServed) } else { Ok(()) }
@@ -416,6 +418,7 @@ impl Floor {
         }
         self.reach(Goal::TookOver, acting.any(|task| task.task() == TaskId(1)))?;
         self.judge_checks()?;
+        self.judge_held()?;
         if !self.plan.watches(FloorWatch::Reach(Goal::BuffersFull)) {
             return Ok(());
         }
@@ -425,6 +428,32 @@ impl Floor {
         };
         let stuck = self.links.iter().any(|&(a, b, _)| full(a, b) && full(b, a));
         self.reach(Goal::BuffersFull, stuck && self.crossings.is_empty())
+    }
+
+    /// Does a message wait that has more time left than its sender waits, or that nobody waits for any more?
+    fn judge_held(&self) -> Result<(), Violation> {
+        let watch = |watch| self.plan.watches(watch);
+        let (longer, at_all) = (watch(FloorWatch::TimeToLive), watch(FloorWatch::Expires));
+        if !longer && !at_all {
+            return Ok(());
+        }
+        let tasks = self.stations.iter().filter(|s| s.up).flat_map(|s| &s.node.parts().tasks);
+        for task in tasks {
+            let ports = self.plan.cell.ports_of(task.task()).iter();
+            let held =
+                ports.filter_map(|&port| task.queue_view(port, usize::MAX)).flat_map(|view| view.queue);
+            for entry in held.map(|held| held.entry) {
+                let name = Name { source: entry.source, number: entry.id.sequence };
+                let left = self.ghosts.lives.iter().find(|(n, _)| *n == name).map_or(0, |&(_, left)| left);
+                if longer && entry.remaining > Ticks(left.into()) {
+                    return Err(Violation::LivesLonger);
+                }
+                if at_all && left == 0 {
+                    return Err(Violation::NotExpired);
+                }
+            }
+        }
+        Ok(())
     }
 
     pub(super) fn next_sequence(&self, task: usize) -> Seq24 {

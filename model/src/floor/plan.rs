@@ -175,6 +175,10 @@ pub enum FloorWatch {
         /// What drifting clocks may add.
         slack: u8,
     },
+    /// No message that waits has more time left than its sender waits for it.
+    TimeToLive,
+    /// No message waits any longer once its sender's time_out is over.
+    Expires,
     /// Every wait ends within its time_out, one tick and this slack; every request gets one answer, and the right one.
     Waits {
         /// What late and drifting clocks may add.
@@ -230,6 +234,8 @@ pub enum Goal {
     TookOver,
     /// A lease ends.
     Fenced,
+    /// A message that waited leaves its buffer, whether it is handed over or dropped.
+    Left,
 }
 
 /// A whole floor to explore.
@@ -331,6 +337,12 @@ impl FloorPlan {
         self.watches
             .iter()
             .find_map(|w| if let FloorWatch::Stale { slack } = w { Some(*slack) } else { None })
+    }
+
+    /// Whether the true times to live of messages are kept, and how much longer than declared.
+    pub(crate) fn times_messages(&self) -> Option<u8> {
+        let held = [FloorWatch::TimeToLive, FloorWatch::Expires];
+        self.stale().or_else(|| held.into_iter().any(|watch| self.watches(watch)).then_some(0))
     }
 
     pub(crate) fn waits(&self) -> Option<u8> {

@@ -122,7 +122,7 @@ impl Floor {
         let plan = &self.plan;
         let ghosts = &mut self.ghosts;
         ghosts.lives.clear();
-        if plan.stale().is_some() {
+        if plan.times_messages().is_some() {
             for _ in 0..eye.byte() {
                 ghosts.lives.push((eye.name(), eye.byte()));
             }

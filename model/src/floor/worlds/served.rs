@@ -2,7 +2,7 @@
 
 use crate::floor::plan::{Errand, Faults, FloorPlan, FloorWatch, TaskPlan, Times};
 use imrs_protocol::aging::Service;
-use imrs_protocol::rules::Rules;
+use imrs_protocol::rules::{Aging, Rules};
 use imrs_protocol::script::{Op, ProgramBuilder};
 use imrs_protocol::{
     Cell, CellError, CellTable, PortDecl, Ranked, ServiceOrder, Target, TaskId, Ticks, Usage,
@@ -252,6 +252,34 @@ pub fn query_all(faults: Faults, watches: Vec<FloorWatch>) -> Result<Arc<FloorPl
     plan.faults = faults;
     plan.watches = watches;
     Ok(Arc::new(plan))
+}
+
+/// A task that acts for ever and never receives: of one message from another node, which does not outrank the action, every
+/// offer is refused unless aging raises it.
+///
+/// # Errors
+/// What is wrong with the declaration.
+pub fn refused(
+    penalty: (u64, bool),
+    aging: Aging,
+    watch: FloorWatch,
+) -> Result<Arc<FloorPlan>, Vec<CellError>> {
+    let mut cell = Cell::new("refused", Ticks(1));
+    cell.rules.aging = aging;
+    let (here, there) = (cell.node("here"), cell.node("there"));
+    cell.link(here, there, Ticks(1));
+    let (worker, sender) = (cell.task("worker", here), cell.task("sender", there));
+    let mut port = PortDecl::new("move", sender, Usage::Send, &[worker], Ticks(4)).penalty(Ticks(penalty.0));
+    if let Some(declared) = &mut port.penalty {
+        declared.literal = penalty.1;
+    }
+    let port = cell.port(port);
+    let order = ServiceOrder::new(&[Ranked::Own, Ranked::Port(port)]).unwrap_or_default();
+    let work = Errand::Work { least: 1, most: u8::MAX, times: Times::Endless };
+    let send = Errand::Send { port, to: Target::All, times: Times::Most(1), every: 0 };
+    let worker = TaskPlan::new(work).hurried().handling(&[port]).ordered(order);
+    let plan = FloorPlan::new(Arc::new(CellTable::new(cell)?), vec![worker, TaskPlan::new(send)]);
+    Ok(Arc::new(plan.watching(watch)))
 }
 
 /// A task that acts and then receives, for ever; messages do not outrank its action. Under the literal time penalty a
