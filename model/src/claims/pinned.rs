@@ -35,7 +35,7 @@ const ACTIVE: &str = "one-active";
 const ANY: u32 = u8::MAX as u32;
 const OFF: &str = "default, late timer and charge";
 
-const PINNED: [(Row, Found); 45] = [
+const PINNED: [(Row, Found); 49] = [
     ((UNDER_LOSS, "no-confirmation", 2, 1), losses(1, Some(1))),
     ((UNDER_LOSS, "first-complete", 2, 2), losses(2, Some(4))),
     ((UNDER_LOSS, "every-complete", 2, 2), losses(2, Some(4))),
@@ -62,8 +62,12 @@ const PINNED: [(Row, Found); 45] = [
     ((ALL_OR_NONE, "default, two time_outs", 3, 0), margin(1, 2)),
     ((ALL_OR_NONE, "default, two time_outs", 3, 1), margin(3, 5)),
     ((FAIR, "default, served by GETs", 3, 0), life(6, 7)),
-    ((FAIR, "default, served by GETs, two floods", 3, 0), life(6, 8)),
+    ((FAIR, "default, served by GETs, two floods", 4, 0), life(6, 8)),
     ((FAIR, "default, served by a handler", 3, 0), life(4, 9)),
+    ((FAIR, "default, served by GETs, one ahead", 4, 0), life(11, 13)),
+    ((FAIR, "default, served by GETs, two ahead", 5, 0), life(0, 19)),
+    ((FAIR, "default, served by a handler, one ahead", 4, 0), life(8, 11)),
+    ((FAIR, "default, served by a handler, a rival", 3, 0), life(3, 11)),
     ((AGAIN, "default", 2, 1), attempts(2)),
     ((AGAIN, "default", 3, 0), attempts(1)),
     ((ACTIVE, "default", 2, ANY), margin(0, 1)),
