@@ -93,6 +93,7 @@ violations! {
     OldOrder 44 "an order was executed though one of a newer epoch had come",
     LivesLonger 45 "a message that waits has more time left than its sender waits for it",
     NotExpired 46 "a message still waits though its sender's time_out is over",
+    RanAnyway 47 "a command ran though its sender was told that it did not",
     Script 39 "a script ended in a fault or an assertion that does not hold",
     Check 40 "a check of the cell does not hold",
     Reached 38 "what must be possible is possible",

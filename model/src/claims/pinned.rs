@@ -65,7 +65,7 @@ const PINNED: [(Row, Found); 49] = [
     ((FAIR, "default, served by GETs, two floods", 4, 0), life(6, 8)),
     ((FAIR, "default, served by a handler", 3, 0), life(4, 9)),
     ((FAIR, "default, served by GETs, one ahead", 4, 0), life(11, 13)),
-    ((FAIR, "default, served by GETs, two ahead", 5, 0), life(0, 19)),
+    ((FAIR, "default, served by GETs, two ahead", 5, 0), life(16, 19)),
     ((FAIR, "default, served by a handler, one ahead", 4, 0), life(8, 11)),
     ((FAIR, "default, served by a handler, a rival", 3, 0), life(3, 11)),
     ((AGAIN, "default", 2, 1), attempts(2)),

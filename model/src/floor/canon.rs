@@ -196,6 +196,10 @@ impl Floor {
         if plan.watches(FloorWatch::AtMostOnce) {
             ghosts.handed.iter().for_each(|mask| out.extend(mask.to_le_bytes()));
         }
+        if plan.watches(FloorWatch::DidNotRun) {
+            let masks = ghosts.handed.iter().chain(&ghosts.denied);
+            masks.for_each(|mask| out.extend(mask.to_le_bytes()));
+        }
         if plan.fair().is_some() {
             out.extend(&ghosts.bypassed);
         }

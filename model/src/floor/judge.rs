@@ -31,6 +31,8 @@ pub(crate) struct Ghosts {
     pub lives: Vec<(Name, u8)>,
     /// For each source, bit `i`: its message `next - 1 - i` was handed over.
     pub handed: Vec<u16>,
+    /// Likewise: its sender was told that it did not run.
+    pub denied: Vec<u16>,
     /// For each port of the task watched for fairness, how often its head was bypassed.
     pub bypassed: Vec<u8>,
     /// How often a waiting message was refused by rank, by receiver.
@@ -53,6 +55,7 @@ impl Ghosts {
         let tasks = plan.tasks.len();
         Self {
             handed: vec![0; tasks],
+            denied: vec![0; tasks],
             bypassed: vec![0; ports],
             signals: vec![0; tasks],
             told: Told::new(plan),
@@ -189,6 +192,11 @@ impl Floor {
                     return Err(Violation::NotServed);
                 }
                 self.reach(Goal::Answered, answered)?;
+                self.reach(Goal::Refused, *outcome == Outcome::Refused)?;
+                self.reach(Goal::Unsent, *outcome == Outcome::TimedOutUnsent)?;
+                if matches!(outcome, Outcome::Refused | Outcome::TimedOutUnsent) {
+                    self.deny(task)?;
+                }
             }
             Signal::Answers { port, answers } => {
                 self.judge_answers(task, *port, answers.answered)?;
@@ -265,16 +273,29 @@ impl Floor {
         if self.plan.stale().is_some() && !self.ghosts.lives.iter().any(|(n, _)| *n == name) {
             return Err(Violation::Stale);
         }
-        if self.plan.watches(FloorWatch::AtMostOnce) {
+        let once = self.plan.watches(FloorWatch::AtMostOnce);
+        if once || self.plan.watches(FloorWatch::DidNotRun) {
             let back = self.next_sequence(name.source.index()).steps_from(name.number);
             let bit = 1_u16.checked_shl(back.saturating_sub(1)).ok_or(Violation::Overflow)?;
             let handed = &mut self.ghosts.handed[name.source.index()];
-            if *handed & bit != 0 {
+            if once && *handed & bit != 0 {
                 return Err(Violation::ExecutedTwice);
+            }
+            if self.ghosts.denied[name.source.index()] & bit != 0 {
+                return Err(Violation::RanAnyway);
             }
             *handed |= bit;
         }
         Ok(())
+    }
+
+    /// A task is told that its last command did not run.
+    fn deny(&mut self, task: usize) -> Result<(), Violation> {
+        if !self.plan.watches(FloorWatch::DidNotRun) {
+            return Ok(());
+        }
+        self.ghosts.denied[task] |= 1;
+        if self.ghosts.handed[task] & 1 != 0 { Err(Violation::RanAnyway) } else { Ok(()) }
     }
 
     /// Notes a message that was sent.
@@ -289,6 +310,7 @@ impl Floor {
             self.ghosts.lives.push((Name { source, number: Seq24::new(number) }, left));
         }
         self.ghosts.handed[source.index()] <<= 1;
+        self.ghosts.denied[source.index()] <<= 1;
     }
 
     /// Notes what a communication task or a transit buffer says it did.

@@ -186,6 +186,8 @@ pub enum FloorWatch {
     },
     /// No message is handed over twice.
     AtMostOnce,
+    /// A command whose sender is told that it was refused, or never sent, has not run and does not run later.
+    DidNotRun,
     /// A handler runs only when it outranks what it interrupts.
     Order,
     /// A head is bypassed, and a message refused, at most so often at this task.
@@ -224,6 +226,10 @@ pub enum Goal {
     Nested,
     /// A source hears that a relay refused its command.
     RefusedOnTheWay,
+    /// A task is told that its command was refused.
+    Refused,
+    /// A task is told that its command was never sent.
+    Unsent,
     /// A command is answered.
     Answered,
     /// A query to several comes back with every answer.

@@ -128,6 +128,11 @@ impl Floor {
             }
         }
         ghosts.handed.fill(0);
+        ghosts.denied.fill(0);
+        if plan.watches(FloorWatch::DidNotRun) {
+            let masks = ghosts.handed.iter_mut().chain(&mut ghosts.denied);
+            masks.for_each(|mask| *mask = u16::from_le_bytes([eye.byte(), eye.byte()]));
+        }
         if plan.watches(FloorWatch::AtMostOnce) {
             ghosts.handed.iter_mut().for_each(|mask| *mask = u16::from_le_bytes([eye.byte(), eye.byte()]));
         }
