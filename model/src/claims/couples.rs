@@ -63,6 +63,7 @@ pub(super) fn claims() -> Vec<Claim> {
             }),
         },
         least("default, crash, epochs that wrap", true, Couple { epoch: WRAPS, ..seldom(crash(drift(0))) }),
+        half_way(Couple { epoch: HALF_WAY, ..seldom(crash(drift(0))) }),
     ];
     claims.extend(orders());
     claims
@@ -70,6 +71,23 @@ pub(super) fn claims() -> Vec<Claim> {
 
 /// An epoch with which that of the primary is the last before the wrap, and that of the standby the first after it.
 const WRAPS: u8 = 252;
+
+/// An epoch that lies half the circle away from where a node begins that starts again.
+const HALF_WAY: u8 = 128;
+
+/// Not yet mended: a node that starts again begins at epoch 2, whatever its partner has reached. Half-way round 2 is no older
+/// than that, so the partner takes it for news.
+fn half_way(couple: Couple) -> Claim {
+    Claim {
+        name: NAME,
+        rule: "restart half-way round the epochs",
+        parties: 2,
+        about: "a node that starts again begins at epoch 2, which counts as newer than what lies half the circle behind it",
+        expect: Outcome::Fails,
+        smoke: true,
+        settle: Box::new(move |work| settle_plan(work, couple.plan())),
+    }
+}
 
 /// The same world from several epochs: from zero, before the half and before the wrap. All must hold, and have the same
 /// states.
