@@ -93,7 +93,7 @@ fn every_verdict_is_as_expected_and_every_failure_is_drawn() {
         let cause = drawn.chart.rsplit("=> ").next().unwrap_or_default();
         let cause = cause.split_whitespace().collect::<Vec<_>>().join(" ");
         assert!(cause.len() > 10, "{what}: ends in {cause:?}");
-        assert!(drawn.length >= 3 && drawn.steps.last() == Some(&format!("so {cause}")), "{what}");
+        assert!(drawn.length >= 2 && drawn.steps.last() == Some(&format!("so {cause}")), "{what}");
     }
 }
 

@@ -12,7 +12,17 @@ fn couple(delay: u64, every: u64, drift: u8) -> Couple {
     let lease = least_lease(Ticks(delay), Ticks(every), Ticks(1)).0;
     let faults = Faults { drift, ..Faults::default() };
     let watch = FloorWatch::Reach(Goal::Fenced);
-    Couple { delay, lease, takeover: 3 * lease, every, mutual: false, rule: LeaseRule::Echoed, faults, watch }
+    Couple {
+        delay,
+        lease,
+        takeover: 3 * lease,
+        every,
+        mutual: false,
+        rule: LeaseRule::Echoed,
+        epoch: 0,
+        faults,
+        watch,
+    }
 }
 
 fn is_ever_fenced(couple: &Couple) -> bool {

@@ -166,6 +166,7 @@ fn a_query_to_all_ends_once_with_a_mark_for_each() {
 
 const FLOOD: Flood = Flood {
     flooded: 1,
+    room: 1,
     urgent: 2,
     life: 9,
     buffer: 1,
@@ -192,6 +193,8 @@ fn a_message_is_refused_only_so_often() {
     let workshop = Workshop {
         life: 9,
         every: 9,
+        buffer: 1,
+        rivals: 0,
         rank: 2,
         penalty: (2, false),
         service: 1,

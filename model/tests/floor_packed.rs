@@ -90,6 +90,8 @@ fn handlers_sets_floods_and_scripts() {
     let workshop = Workshop {
         life: 9,
         every: 9,
+        buffer: 1,
+        rivals: 0,
         rank: 2,
         penalty: (2, false),
         service: 1,
@@ -99,6 +101,7 @@ fn handlers_sets_floods_and_scripts() {
     };
     let flood = Flood {
         flooded: 1,
+        room: 1,
         urgent: 2,
         life: 9,
         buffer: 2,

@@ -262,6 +262,21 @@ fn an_actuator_drops_what_an_older_epoch_ordered_and_what_still_waits_of_it() {
     assert_eq!(arm.hear(bare).discards(), [Reason::NotAllowed]);
 }
 
+/// The primary's last epoch before the wrap, and the standby's first after it.
+#[test]
+fn an_actuator_compares_epochs_across_their_wrap() {
+    let mut arm = Solo::new(&table(false), ARM);
+    arm.hear(order(P, 0, 255, 10));
+    assert_eq!(
+        arm.hear(order(S, 0, 0, 20)).discards(),
+        [Reason::StaleEpoch],
+        "what waited of the older epoch"
+    );
+    assert_eq!(arm.hear(order(P, 1, 255, 11)).discards(), [Reason::StaleEpoch]);
+    assert_eq!(arm.ask(get_on(MOVE, 0)).words(), ["message [20] from T1 for 8"]);
+    assert_eq!(arm.ask(get_on(MOVE, 0)).words(), ["nothing"]);
+}
+
 /// An older epoch is refused on every port of the couple, and with a newer one goes what waits on any of them.
 #[test]
 fn a_guard_is_of_the_couple_whichever_port_an_order_comes_through() {

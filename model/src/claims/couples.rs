@@ -1,6 +1,6 @@
 //! Claims about work-coupled tasks (R8; D30, D61, D78, D80): never two that act, and no order of an older epoch.
 
-use super::floors::{bounds, settle_plan};
+use super::floors::{Plan, bounds, settle_plan};
 use super::{Claim, Settled, Variant, Work};
 use crate::floor::plan::{Faults, FloorWatch, Goal};
 use crate::floor::worlds::{Couple, Orders};
@@ -19,6 +19,7 @@ const COUPLE: Couple = Couple {
     every: 2,
     mutual: false,
     rule: LeaseRule::Echoed,
+    epoch: 0,
     faults: Faults { loss: u8::MAX, dup: 0, crash: 0, drift: 0, late: 0, over: 0 },
     watch: FloorWatch::OneActive,
 };
@@ -39,6 +40,7 @@ pub(super) fn claims() -> Vec<Claim> {
         least("default, drift", true, drift(1)),
         least("default, crash", true, seldom(crash(drift(0)))),
         least("default, crash and a copy", true, seldom(copy(crash(drift(0))))),
+        least("default, slow link and a copy", true, slow(copy(drift(0)))),
         least("default, exchanged roles", true, mutual(4, drift(0))),
         least("default, drift and a late tick", false, seldom(late(drift(1)))),
         least("default, more drift", false, drift(2)),
@@ -49,9 +51,57 @@ pub(super) fn claims() -> Vec<Claim> {
         least("default, exchanged roles, crash", false, seldom(mutual(3, crash(drift(0))))),
         least("default, exchanged roles, a copy", false, seldom(mutual(3, copy(drift(0))))),
         heartbeat(),
+        Claim {
+            name: NAME,
+            rule: "default, epochs that wrap",
+            parties: 2,
+            about: "the same states wherever epochs begin: they are only compared, across their wrap (D80)",
+            expect: Outcome::Holds,
+            smoke: true,
+            settle: Box::new(move |work| {
+                equal_states(work, |epoch| Couple { epoch, ..mutual(3, drift(0)) }.plan())
+            }),
+        },
+        least("default, crash, epochs that wrap", true, Couple { epoch: WRAPS, ..seldom(crash(drift(0))) }),
+        half_way(Couple { epoch: HALF_WAY, ..seldom(crash(drift(0))) }),
     ];
     claims.extend(orders());
     claims
+}
+
+/// An epoch with which that of the primary is the last before the wrap, and that of the standby the first after it.
+const WRAPS: u8 = 252;
+
+/// An epoch that lies half the circle away from where a node begins that starts again.
+const HALF_WAY: u8 = 128;
+
+/// Not yet mended: a node that starts again begins at epoch 2, whatever its partner has reached. Half-way round 2 is no older
+/// than that, so the partner takes it for news.
+fn half_way(couple: Couple) -> Claim {
+    Claim {
+        name: NAME,
+        rule: "restart half-way round the epochs",
+        parties: 2,
+        about: "a node that starts again begins at epoch 2, which counts as newer than what lies half the circle behind it",
+        expect: Outcome::Fails,
+        smoke: true,
+        settle: Box::new(move |work| settle_plan(work, couple.plan())),
+    }
+}
+
+/// The same world from several epochs: from zero, before the half and before the wrap. All must hold, and have the same
+/// states.
+fn equal_states(work: &mut Work<'_>, from: impl Fn(u8) -> Plan) -> Settled {
+    let (mut last, first) = work.part(|work| settle_plan(work, from(0)));
+    for epoch in [WRAPS / 2 - 2, WRAPS] {
+        if last.outcome != Outcome::Holds {
+            break;
+        }
+        let (settled, counts) = work.part(|work| settle_plan(work, from(epoch)));
+        let same = (counts.states, counts.transitions) == (first.states, first.transitions);
+        last = Settled { sound: last.sound && settled.sound && same, ..settled };
+    }
+    last
 }
 
 fn least(rule: &'static str, smoke: bool, couple: Couple) -> Claim {
@@ -168,9 +218,24 @@ fn orders() -> Vec<Claim> {
         }),
     };
     let whole = takeover_margin(Ticks(0), Ticks(0), 0, Ticks(ORDER.0), Ticks(1)).0;
+    let wraps = Claim {
+        name: "fenced-orders",
+        rule: "default, epochs that wrap",
+        parties: 3,
+        about: "the same states wherever epochs begin: an actuator compares them across their wrap",
+        expect: Outcome::Holds,
+        smoke: true,
+        settle: Box::new(|work| {
+            equal_states(work, |epoch| {
+                let orders = ordered(1, true, FloorWatch::FencedOrders);
+                Orders { couple: Couple { epoch, ..orders.couple }, ..orders }.plan()
+            })
+        }),
+    };
     vec![
         // Whoever declares a couple trusted may leave out what was ordered last: then only the guard is left.
         claim("default", Outcome::Holds, 1, true),
+        wraps,
         claim("no-guard", Outcome::Fails, 1, false),
         claim("no-guard, whole margin", Outcome::Holds, whole, false),
     ]

@@ -173,6 +173,23 @@ fn relays() -> Vec<Claim> {
         vec![reaches(move || reached.plan()), relay(resolved)],
     ));
     claims.extend(copies());
+    claims.push(did_not_run());
+    let doubled = Relay {
+        sends: (0, 3),
+        faults: Faults { dup: 2, ..Faults::default() },
+        watches: vec![FloorWatch::AtMostOnce],
+        ..Relay::default()
+    };
+    claims.push(claim(
+        (
+            "at-most-once",
+            "default, relay, class 1",
+            "a status is delivered at most once, though links double it",
+        ),
+        Outcome::Holds,
+        true,
+        vec![relay(doubled)],
+    ));
     let forgetful = Relay {
         rules: Rules { memory: Memory::None, ..Rules::DEFAULT },
         faults: Faults { dup: 1, ..Faults::default() },
@@ -186,6 +203,27 @@ fn relays() -> Vec<Claim> {
         vec![relay(forgetful)],
     ));
     claims
+}
+
+/// What senders are told of commands that did not run: where full buffers refuse and hold, and where a copy is refused while
+/// another one runs.
+fn did_not_run() -> Claim {
+    let about = "a command whose sender is told that it was refused, or never sent, has not run and does not run later";
+    let copies = Relay {
+        room: Some(1),
+        transit: 1,
+        commands: true,
+        retry: (1, 2),
+        watches: vec![FloorWatch::DidNotRun],
+        ..Relay::default()
+    };
+    let parts = vec![
+        reaches(|| full_buffers(1, FloorWatch::Reach(Goal::Refused))),
+        reaches(|| full_buffers(1, FloorWatch::Reach(Goal::Unsent))),
+        holds(|| full_buffers(1, FloorWatch::DidNotRun)),
+        relay(copies),
+    ];
+    claim(("at-most-once", "default, told that it did not run", about), Outcome::Holds, true, parts)
 }
 
 /// What the exchange of two tasks cannot show: there a packet that its task would ignore is left out, and only

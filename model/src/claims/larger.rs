@@ -6,7 +6,7 @@ use super::Claim;
 use super::margins::{Search, TimeOuts};
 use super::meetings::{simple, strand_claim, timed};
 use crate::report::Outcome;
-use crate::scenario::{Budget, Timing, Watch};
+use crate::scenario::{Budget, Watch};
 use crate::worlds::Meeting;
 use imrs_protocol::rules::{Confirmation, Rules};
 
@@ -93,13 +93,7 @@ fn pairing() -> Vec<Claim> {
 }
 
 fn all_or_none() -> Vec<Claim> {
-    let search = |members, losses, dup, time_outs| Search {
-        members,
-        losses,
-        dup,
-        timing: Timing::default(),
-        time_outs,
-    };
+    let search = |members, losses, dup, time_outs| Search { dup, time_outs, ..Search::of(members, losses) };
     let apart = "four members that come when they like: without a margin one runs while another has given up";
     let less = Meeting { resend: None, ..timed(4, Watch::AllOrNone, 0, 0, 2) };
     let about =

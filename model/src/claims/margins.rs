@@ -7,6 +7,7 @@ use crate::scenario::{Budget, Timing, Watch};
 use crate::worlds::Meeting;
 use imrs_protocol::Ticks;
 use imrs_protocol::margin::least_margin;
+use imrs_protocol::rules::Rules;
 
 /// A search for the least margin with which nobody is released while another gives up.
 #[derive(Clone, Copy)]
@@ -16,6 +17,9 @@ pub(super) struct Search {
     pub dup: u8,
     pub timing: Timing,
     pub time_outs: TimeOuts,
+    pub rules: Rules,
+    /// The period of re-sending; `None`: every packet is sent once.
+    pub resend: Option<u64>,
 }
 
 /// The time_outs a margin is tried with.
@@ -29,6 +33,20 @@ pub(super) enum TimeOuts {
 }
 
 impl Search {
+    /// Under the default rules, without copies, with time as it should be.
+    pub fn of(members: usize, losses: u8) -> Self {
+        let more = if members == 2 { RESEND + 1 } else { 0 };
+        Self {
+            members,
+            losses,
+            dup: 0,
+            timing: Timing::default(),
+            time_outs: TimeOuts::Least { more },
+            rules: Rules::DEFAULT,
+            resend: Some(RESEND),
+        }
+    }
+
     pub fn claim(self, rule: &'static str, smoke: bool) -> Claim {
         Claim {
             name: "all-or-none",
@@ -39,6 +57,38 @@ impl Search {
             smoke,
             settle: Box::new(move |work| self.margin(work)),
         }
+    }
+
+    /// The claim that no margin is enough. Tried are all up to thrice the closed form of the default rules.
+    pub fn claim_none(self, rule: &'static str, about: &'static str) -> Claim {
+        Claim {
+            about,
+            expect: Outcome::Fails,
+            settle: Box::new(move |work| self.none(work)),
+            ..self.claim(rule, true)
+        }
+    }
+
+    /// Every margin must fail. Shown is the counterexample of the closed form.
+    fn none(&self, work: &mut Work<'_>) -> Settled {
+        let closed_form = self.closed_form();
+        let mut shown = None;
+        for margin in 0..=3 * closed_form {
+            let settled = self.fails_at(work, margin);
+            let settled =
+                settled.unwrap_or_else(|| once(work, &self.meeting(margin, *self.time_outs(margin).start())));
+            if settled.outcome != Outcome::Fails {
+                return settled;
+            }
+            if margin == closed_form {
+                shown = Some(settled);
+            }
+        }
+        shown.unwrap_or_else(|| once(work, &self.meeting(0, *self.time_outs(0).start())))
+    }
+
+    fn closed_form(&self) -> u64 {
+        least_margin(Ticks(u64::from(DELAY)), self.losses, Ticks(RESEND), Ticks(1)).0
     }
 
     fn time_outs(&self, margin: u64) -> std::ops::RangeInclusive<u64> {
@@ -52,11 +102,13 @@ impl Search {
     }
 
     fn meeting(&self, margin: u64, time_out: u64) -> Meeting {
-        let Self { members, losses, dup, timing, .. } = *self;
+        let Self { members, losses, dup, timing, rules, resend, .. } = *self;
         let attempts = if members == 2 { 2 } else { 1 };
         Meeting {
             attempts: Some(attempts),
             timing,
+            rules,
+            resend,
             budget: Budget { loss: losses, dup, crash: 0 },
             ..timed(members, Watch::AllOrNone, losses, margin, time_out)
         }
@@ -71,8 +123,7 @@ impl Search {
     /// Searches the least margin that holds; the one below it is the variant that must fail. Shows too that a member
     /// can be released with it at all, without which the claim would hold of nothing.
     fn margin(&self, work: &mut Work<'_>) -> Settled {
-        let tick = Ticks(1);
-        let closed_form = least_margin(Ticks(u64::from(DELAY)), self.losses, Ticks(RESEND), tick).0;
+        let closed_form = self.closed_form();
         let mut one_less = None;
         let mut least = None;
         for candidate in 0..=closed_form {

@@ -1,7 +1,7 @@
 //! Claims about `waitfor` (§4.3; D1 to D3, D54 to D56).
 
 use super::larger::larger;
-use super::margins::{Search, TimeOuts};
+use super::margins::Search;
 use super::timing::off;
 use super::{Claim, Settled, Work, outcome};
 use crate::chart::draw;
@@ -259,13 +259,26 @@ fn pairing() -> Vec<Claim> {
 fn all_or_none() -> Vec<Claim> {
     let worlds = [(2, 0, true), (2, 1, true), (2, 2, true), (3, 0, true), (3, 1, true)];
     let claim = |(members, losses, smoke)| margins("default", members, losses, Timing::default(), smoke);
-    worlds.map(claim).into()
+    let mut claims: Vec<Claim> = worlds.map(claim).into();
+    let two = Search::of(2, 0);
+    let unconfirmed = Rules { confirmation: Confirmation::None, ..Rules::DEFAULT };
+    claims.extend([
+        Search { rules: unconfirmed, ..two }.claim_none(
+            "no-confirmation",
+            "without a CONFIRM no margin is enough, even where nothing is lost: who hears of the others later may have no time left",
+        ),
+        Search { resend: None, ..two }.claim("default, sent once", true),
+        Search { resend: None, losses: 1, ..two }.claim_none(
+            "sent-once",
+            "where every packet is sent once, one loss is more than any margin covers",
+        ),
+    ]);
+    claims
 }
 
 /// The search for the least margin, while time may be off.
 pub(super) fn margins(rule: &'static str, members: usize, losses: u8, timing: Timing, smoke: bool) -> Claim {
-    let more = if members == 2 { RESEND + 1 } else { 0 };
-    Search { members, losses, dup: 0, timing, time_outs: TimeOuts::Least { more } }.claim(rule, smoke)
+    Search { timing, ..Search::of(members, losses) }.claim(rule, smoke)
 }
 
 fn meet_again() -> Vec<Claim> {

@@ -4,7 +4,7 @@
 use super::floors::{Part, claim, holds, reaches, settle};
 use super::{Claim, Settled, Variant, Work};
 use crate::floor::plan::{Faults, FloorWatch, Goal};
-use crate::floor::worlds::{Flood, Interrupted, Workshop, penalised, query_all};
+use crate::floor::worlds::{Flood, Interrupted, Workshop, penalised, query_all, refused};
 use crate::report::{Found, Outcome};
 use imrs_protocol::rules::{Aging, Rules};
 
@@ -84,6 +84,7 @@ fn query_sets() -> Vec<Claim> {
 
 const FLOOD: Flood = Flood {
     flooded: 1,
+    room: 1,
     urgent: 2,
     life: 20,
     buffer: 1,
@@ -96,6 +97,8 @@ const FLOOD: Flood = Flood {
 const WORKSHOP: Workshop = Workshop {
     life: 20,
     every: 20,
+    buffer: 1,
+    rivals: 0,
     rank: 2,
     penalty: (2, false),
     service: 1,
@@ -123,7 +126,23 @@ fn penalty_is_fair() -> Vec<Claim> {
             (name, "default, two floods", passed),
             Outcome::Holds,
             false,
-            vec![flood(Flood { flooded: 2, ..FLOOD })],
+            vec![flood(Flood { flooded: 2, ..FLOOD }), flood(Flood { flooded: 2, room: 2, ..FLOOD })],
+        ),
+        claim(
+            (name, "default, buffers of two", passed),
+            Outcome::Holds,
+            true,
+            vec![
+                flood(Flood { room: 2, ..FLOOD }),
+                flood(Flood { room: 2, buffer: 2, ..FLOOD }),
+                workshop(Workshop { rivals: 1, urgent: false, ..WORKSHOP }),
+            ],
+        ),
+        claim(
+            (name, "default, buffers of three", passed),
+            Outcome::Holds,
+            false,
+            vec![flood(Flood { room: 3, buffer: 3, ..FLOOD }), workshop(Workshop { buffer: 2, ..WORKSHOP })],
         ),
         claim(
             (name, "no-penalty", "without aging a patient message starves behind urgent ones (R61)"),
@@ -162,6 +181,37 @@ fn penalty_is_fair() -> Vec<Claim> {
             served: true,
             ..WORKSHOP
         }),
+        served_claim("default, served by GETs, one ahead", true, |life| Flood {
+            room: 2,
+            buffer: 2,
+            life: life.into(),
+            every: life,
+            served: true,
+            ..FLOOD
+        }),
+        served_claim("default, served by GETs, two ahead", false, |life| Flood {
+            room: 3,
+            buffer: 3,
+            life: life.into(),
+            every: life,
+            served: true,
+            ..FLOOD
+        }),
+        served_claim("default, served by a handler, one ahead", true, |life| Workshop {
+            buffer: 2,
+            life: life.into(),
+            every: life,
+            served: true,
+            ..WORKSHOP
+        }),
+        served_claim("default, served by a handler, a rival", false, |life| Workshop {
+            rivals: 1,
+            urgent: false,
+            life: life.into(),
+            every: life,
+            served: true,
+            ..WORKSHOP
+        }),
     ]
 }
 
@@ -169,6 +219,7 @@ fn penalty_is_fair() -> Vec<Claim> {
 trait Lives: Clone + Send + Sync + 'static {
     fn part(&self) -> Part;
     fn closed_form(&self) -> u64;
+    fn tasks(&self) -> usize;
 }
 
 impl Lives for Flood {
@@ -178,6 +229,9 @@ impl Lives for Flood {
     fn closed_form(&self) -> u64 {
         self.service().bound_by_gets().0
     }
+    fn tasks(&self) -> usize {
+        self.plan().map_or(0, |plan| plan.tasks.len())
+    }
 }
 
 impl Lives for Workshop {
@@ -186,6 +240,9 @@ impl Lives for Workshop {
     }
     fn closed_form(&self) -> u64 {
         self.service().bound().0
+    }
+    fn tasks(&self) -> usize {
+        self.plan().map_or(0, |plan| plan.tasks.len())
     }
 }
 
@@ -199,7 +256,7 @@ fn served_claim<L: Lives>(
     Claim {
         name: "penalty-is-fair",
         rule,
-        parties: 3,
+        parties: u32::try_from(with(u8::MAX).tasks()).unwrap_or(0),
         about: "a message that lives K ticks is served: K from the declaration, the least life found beside it (D59)",
         expect: Outcome::Holds,
         smoke,
@@ -254,5 +311,55 @@ fn literal_penalty() -> Vec<Claim> {
             true,
             vec![holds(|| penalised(true))],
         ),
+        claim(
+            (
+                name,
+                "default, refused",
+                "a refused message has no more time than its sender waits, and leaves its buffer by then",
+            ),
+            Outcome::Holds,
+            true,
+            vec![
+                reaches(|| refused(PENALTY, Aging::Off, FloorWatch::Reach(Goal::Left))),
+                holds(|| refused(PENALTY, Aging::Off, FloorWatch::TimeToLive)),
+                holds(|| refused(PENALTY, Aging::Off, FloorWatch::Expires)),
+                holds(|| refused(PENALTY, Aging::Bounded, FloorWatch::TimeToLive)),
+                holds(|| refused(PENALTY, Aging::Bounded, FloorWatch::Expires)),
+            ],
+        ),
+        claim(
+            (
+                name,
+                "literal time_penalty, time to live",
+                "each refusal adds the penalty to the time that is left of a message: soon it is more than its sender waits (D4)",
+            ),
+            Outcome::Fails,
+            true,
+            vec![holds(|| refused(LITERAL, Aging::Bounded, FloorWatch::TimeToLive))],
+        ),
+        never_expires(),
     ]
+}
+
+/// A penalty as long as the wait for the next offer, and the same added to the time that is left.
+const PENALTY: (u64, bool) = (2, false);
+const LITERAL: (u64, bool) = (PENALTY.0, true);
+
+/// The penalty is added for each wait of its length, so nothing is lost by waiting: the message neither expires nor is it
+/// taken, and all that can come of that is explored. A penalty of nothing adds nothing.
+fn never_expires() -> Claim {
+    let about = "what a refusal adds is as long as the wait for the next offer: refused again and again, a message never expires (D4)";
+    let row = ("no-stale-delivery", "literal time_penalty, for ever", about);
+    let explored = || holds(|| refused(LITERAL, Aging::Bounded, FloorWatch::Expires));
+    let never = || holds(|| refused(LITERAL, Aging::Bounded, FloorWatch::Reach(Goal::Left)));
+    let without = || holds(|| refused((0, true), Aging::Bounded, FloorWatch::Expires));
+    Claim {
+        settle: Box::new(move |work| {
+            let settled = settle(work, &[explored()]);
+            let stays = settle(work, &[never()]).outcome == Outcome::Holds;
+            let expires = settle(work, &[without()]).outcome == Outcome::Holds;
+            Settled { sound: settled.sound && stays && expires, ..settled }
+        }),
+        ..claim(row, Outcome::Fails, true, vec![explored()])
+    }
 }

@@ -196,7 +196,7 @@ impl Floor {
     fn store_ghosts(&mut self, bases: &Bases, out: &mut Vec<u8>) -> Result<(), Overflow> {
         let plan = &self.plan;
         let ghosts = &mut self.ghosts;
-        if plan.stale().is_some() {
+        if plan.times_messages().is_some() {
             ghosts.lives.sort_unstable_by_key(|(name, left)| (name.source, *left, name.number.get()));
             out.push(byte(ghosts.lives.len())?);
             for (name, left) in &ghosts.lives {
@@ -206,6 +206,10 @@ impl Floor {
         }
         if plan.watches(FloorWatch::AtMostOnce) {
             ghosts.handed.iter().for_each(|mask| out.extend(mask.to_le_bytes()));
+        }
+        if plan.watches(FloorWatch::DidNotRun) {
+            let masks = ghosts.handed.iter().chain(&ghosts.denied);
+            masks.for_each(|mask| out.extend(mask.to_le_bytes()));
         }
         if plan.fair().is_some() {
             out.extend(&ghosts.bypassed);

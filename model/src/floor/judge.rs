@@ -31,6 +31,8 @@ pub(crate) struct Ghosts {
     pub lives: Vec<(Name, u8)>,
     /// For each source, bit `i`: its message `next - 1 - i` was handed over.
     pub handed: Vec<u16>,
+    /// Likewise: its sender was told that it did not run.
+    pub denied: Vec<u16>,
     /// For each port of the task watched for fairness, how often its head was bypassed.
     pub bypassed: Vec<u8>,
     /// How often a waiting message was refused by rank, by receiver.
@@ -53,9 +55,12 @@ impl Ghosts {
         let tasks = plan.tasks.len();
         Self {
             handed: vec![0; tasks],
+            denied: vec![0; tasks],
             bypassed: vec![0; ports],
             signals: vec![0; tasks],
             told: Told::new(plan),
+            begun: plan.epoch,
+            ordered: plan.epoch,
             ..Self::default()
         }
     }
@@ -67,6 +72,12 @@ impl Ghosts {
         });
         self.signals.fill(0);
     }
+}
+
+/// Whether an epoch comes after another one, across the wrap. Written apart from the machine's own comparison, which the
+/// watches judge.
+const fn is_later(epoch: u8, than: u8) -> bool {
+    epoch.wrapping_sub(than).cast_signed() > 0
 }
 
 impl Floor {
@@ -181,6 +192,11 @@ impl Floor {
                     return Err(Violation::NotServed);
                 }
                 self.reach(Goal::Answered, answered)?;
+                self.reach(Goal::Refused, *outcome == Outcome::Refused)?;
+                self.reach(Goal::Unsent, *outcome == Outcome::TimedOutUnsent)?;
+                if matches!(outcome, Outcome::Refused | Outcome::TimedOutUnsent) {
+                    self.deny(task)?;
+                }
             }
             Signal::Answers { port, answers } => {
                 self.judge_answers(task, *port, answers.answered)?;
@@ -245,10 +261,11 @@ impl Floor {
 
     /// A message is handed to its task: still alive, and for the first time?
     fn handed_over(&mut self, delivery: &Delivery) -> Result<(), Violation> {
+        self.reach(Goal::Left, true)?;
         let name = Name::of(delivery);
         if self.plan.watches(FloorWatch::FencedOrders) {
             let said = delivery.contents.as_bytes().first().copied().unwrap_or(0);
-            if said < self.ghosts.ordered {
+            if is_later(self.ghosts.ordered, said) {
                 return Err(Violation::OldOrder);
             }
             self.ghosts.ordered = said;
@@ -256,16 +273,29 @@ impl Floor {
         if self.plan.stale().is_some() && !self.ghosts.lives.iter().any(|(n, _)| *n == name) {
             return Err(Violation::Stale);
         }
-        if self.plan.watches(FloorWatch::AtMostOnce) {
+        let once = self.plan.watches(FloorWatch::AtMostOnce);
+        if once || self.plan.watches(FloorWatch::DidNotRun) {
             let back = self.next_sequence(name.source.index()).steps_from(name.number);
             let bit = 1_u16.checked_shl(back.saturating_sub(1)).ok_or(Violation::Overflow)?;
             let handed = &mut self.ghosts.handed[name.source.index()];
-            if *handed & bit != 0 {
+            if once && *handed & bit != 0 {
                 return Err(Violation::ExecutedTwice);
+            }
+            if self.ghosts.denied[name.source.index()] & bit != 0 {
+                return Err(Violation::RanAnyway);
             }
             *handed |= bit;
         }
         Ok(())
+    }
+
+    /// A task is told that its last command did not run.
+    fn deny(&mut self, task: usize) -> Result<(), Violation> {
+        if !self.plan.watches(FloorWatch::DidNotRun) {
+            return Ok(());
+        }
+        self.ghosts.denied[task] |= 1;
+        if self.ghosts.handed[task] & 1 != 0 { Err(Violation::RanAnyway) } else { Ok(()) }
     }
 
     /// Notes a message that was sent.
@@ -275,11 +305,12 @@ impl Floor {
         else {
             return;
         };
-        if let Some(slack) = self.plan.stale() {
+        if let Some(slack) = self.plan.times_messages() {
             let left = u8::try_from(remaining.0).unwrap_or(u8::MAX).saturating_add(slack);
             self.ghosts.lives.push((Name { source, number: Seq24::new(number) }, left));
         }
         self.ghosts.handed[source.index()] <<= 1;
+        self.ghosts.denied[source.index()] <<= 1;
     }
 
     /// Notes what a communication task or a transit buffer says it did.
@@ -300,6 +331,7 @@ impl Floor {
         match event {
             Event::Discarded(Reason::Duplicate | Reason::Unexpected) => Ok(()),
             Event::Discarded(_) => {
+                self.reach(Goal::Left, true)?;
                 self.ghosts.refused.retain(|entry| !this(entry));
                 let served = FloorWatch::Served { port: seen.port };
                 if self.plan.watches(served) { Err(Violation::NotServed) } else { Ok(()) }
@@ -307,7 +339,9 @@ impl Floor {
             Event::Rejected => self.refused(task, seen.port, name),
             Event::Fenced => self.reach(Goal::Fenced, true),
             Event::Enqueued if self.plan.watches(FloorWatch::FencedOrders) => {
-                self.ghosts.ordered = self.ghosts.ordered.max(self.arriving);
+                if is_later(self.arriving, self.ghosts.ordered) {
+                    self.ghosts.ordered = self.arriving;
+                }
                 Ok(())
             }
             Event::Granted | Event::TookOver if self.plan.watches(FloorWatch::OneActive) => {
@@ -322,8 +356,11 @@ impl Floor {
     fn judge_epoch(&mut self, task: TaskId, epoch: u32) -> Result<(), Violation> {
         let place = self.station_of(task.index());
         let knows = self.stations[place].life.0 == 0 || self.ghosts.heard >> place & 1 == 1;
-        let fresh = u32::from(self.ghosts.begun) < epoch;
-        self.ghosts.begun = self.ghosts.begun.max(u8::try_from(epoch).unwrap_or(u8::MAX));
+        let Ok(epoch) = u8::try_from(epoch) else { return Err(Violation::OldEpoch) };
+        let fresh = is_later(epoch, self.ghosts.begun);
+        if fresh {
+            self.ghosts.begun = epoch;
+        }
         if fresh || !knows { Ok(()) } else { Err(Violation::OldEpoch) }
     }
 
@@ -403,6 +440,7 @@ impl Floor {
         }
         self.reach(Goal::TookOver, acting.any(|task| task.task() == TaskId(1)))?;
         self.judge_checks()?;
+        self.judge_held()?;
         if !self.plan.watches(FloorWatch::Reach(Goal::BuffersFull)) {
             return Ok(());
         }
@@ -412,6 +450,32 @@ impl Floor {
         };
         let stuck = self.links.iter().any(|&(a, b, _)| full(a, b) && full(b, a));
         self.reach(Goal::BuffersFull, stuck && self.crossings.is_empty())
+    }
+
+    /// Does a message wait that has more time left than its sender waits, or that nobody waits for any more?
+    fn judge_held(&self) -> Result<(), Violation> {
+        let watch = |watch| self.plan.watches(watch);
+        let (longer, at_all) = (watch(FloorWatch::TimeToLive), watch(FloorWatch::Expires));
+        if !longer && !at_all {
+            return Ok(());
+        }
+        let tasks = self.stations.iter().filter(|s| s.up).flat_map(|s| &s.node.parts().tasks);
+        for task in tasks {
+            let ports = self.plan.cell.ports_of(task.task()).iter();
+            let held =
+                ports.filter_map(|&port| task.queue_view(port, usize::MAX)).flat_map(|view| view.queue);
+            for entry in held.map(|held| held.entry) {
+                let name = Name { source: entry.source, number: entry.id.sequence };
+                let left = self.ghosts.lives.iter().find(|(n, _)| *n == name).map_or(0, |&(_, left)| left);
+                if longer && entry.remaining > Ticks(left.into()) {
+                    return Err(Violation::LivesLonger);
+                }
+                if at_all && left == 0 {
+                    return Err(Violation::NotExpired);
+                }
+            }
+        }
+        Ok(())
     }
 
     pub(super) fn next_sequence(&self, task: usize) -> Seq24 {

@@ -233,6 +233,9 @@ impl Floor {
         };
         for i in 0..n {
             floor.set_clock(i);
+            for task in &mut floor.stations[i].node.parts_mut().tasks {
+                task.visit_mut(&mut time::Epochs(plan.epoch));
+            }
         }
         floor
     }

@@ -175,6 +175,10 @@ pub enum FloorWatch {
         /// What drifting clocks may add.
         slack: u8,
     },
+    /// No message that waits has more time left than its sender waits for it.
+    TimeToLive,
+    /// No message waits any longer once its sender's time_out is over.
+    Expires,
     /// Every wait ends within its time_out, one tick and this slack; every request gets one answer, and the right one.
     Waits {
         /// What late and drifting clocks may add.
@@ -182,6 +186,8 @@ pub enum FloorWatch {
     },
     /// No message is handed over twice.
     AtMostOnce,
+    /// A command whose sender is told that it was refused, or never sent, has not run and does not run later.
+    DidNotRun,
     /// A handler runs only when it outranks what it interrupts.
     Order,
     /// A head is bypassed, and a message refused, at most so often at this task.
@@ -220,6 +226,10 @@ pub enum Goal {
     Nested,
     /// A source hears that a relay refused its command.
     RefusedOnTheWay,
+    /// A task is told that its command was refused.
+    Refused,
+    /// A task is told that its command was never sent.
+    Unsent,
     /// A command is answered.
     Answered,
     /// A query to several comes back with every answer.
@@ -230,6 +240,8 @@ pub enum Goal {
     TookOver,
     /// A lease ends.
     Fenced,
+    /// A message that waited leaves its buffer, whether it is handed over or dropped.
+    Left,
 }
 
 /// A whole floor to explore.
@@ -261,6 +273,9 @@ pub struct FloorPlan {
     pub jumps: bool,
     /// For each node, how far its clock is ahead.
     pub clocks: Vec<u64>,
+    /// The epoch that couples and their actuators begin at: even. A node that starts again begins where the machine lets
+    /// it.
+    pub epoch: u8,
 }
 
 impl FloorPlan {
@@ -282,6 +297,7 @@ impl FloorPlan {
             keeps_seen: true,
             jumps: true,
             clocks,
+            epoch: 0,
         }
     }
 
@@ -330,6 +346,12 @@ impl FloorPlan {
         self.watches
             .iter()
             .find_map(|w| if let FloorWatch::Stale { slack } = w { Some(*slack) } else { None })
+    }
+
+    /// Whether the true times to live of messages are kept, and how much longer than declared.
+    pub(crate) fn times_messages(&self) -> Option<u8> {
+        let held = [FloorWatch::TimeToLive, FloorWatch::Expires];
+        self.stale().or_else(|| held.into_iter().any(|watch| self.watches(watch)).then_some(0))
     }
 
     pub(crate) fn waits(&self) -> Option<u8> {

@@ -149,6 +149,18 @@ impl Floor {
     }
 }
 
+/// Moves the epochs of a node that starts for the first time.
+pub(super) struct Epochs(pub u8);
+
+impl VisitMut for Epochs {
+    fn instant(&mut self, _: &mut Ticks) {}
+    fn round(&mut self, _: PortId, _: &mut Round) {}
+    fn sequence(&mut self, _: TaskId, _: &mut Seq24) {}
+    fn epoch(&mut self, _: u8, epoch: &mut u8) {
+        *epoch = epoch.wrapping_add(self.0);
+    }
+}
+
 /// Moves the ids of a new node to where this floor's numbers are.
 struct From<'a> {
     rounds: &'a [Round],

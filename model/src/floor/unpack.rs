@@ -122,12 +122,17 @@ impl Floor {
         let plan = &self.plan;
         let ghosts = &mut self.ghosts;
         ghosts.lives.clear();
-        if plan.stale().is_some() {
+        if plan.times_messages().is_some() {
             for _ in 0..eye.byte() {
                 ghosts.lives.push((eye.name(), eye.byte()));
             }
         }
         ghosts.handed.fill(0);
+        ghosts.denied.fill(0);
+        if plan.watches(FloorWatch::DidNotRun) {
+            let masks = ghosts.handed.iter_mut().chain(&mut ghosts.denied);
+            masks.for_each(|mask| *mask = u16::from_le_bytes([eye.byte(), eye.byte()]));
+        }
         if plan.watches(FloorWatch::AtMostOnce) {
             ghosts.handed.iter_mut().for_each(|mask| *mask = u16::from_le_bytes([eye.byte(), eye.byte()]));
         }

@@ -4,7 +4,7 @@ mod couple;
 mod served;
 
 pub use couple::{Couple, Orders};
-pub use served::{Flood, Interrupted, Workshop, penalised, query_all};
+pub use served::{Flood, Interrupted, Workshop, penalised, query_all, refused};
 
 use super::plan::{Errand, Faults, FloorPlan, FloorWatch, TaskPlan, Times};
 use imrs_protocol::rules::Rules;

@@ -1,5 +1,5 @@
-//! Everything relative in a state (D51): instants, rounds, sequences. One list of them serves looking, moving the clock
-//! and shifting ids; and here is what of a state is dead.
+//! Everything relative in a state (D51): instants, rounds, sequences, epochs. One list of them serves looking, moving the
+//! clock and shifting ids; and here is what of a state is dead.
 
 use super::desk::Phase;
 use super::lease::{Guard, Post};
@@ -8,6 +8,7 @@ use super::memory::{Fate, Memory, Remembered, Window};
 use super::rendezvous::{Arrived, Rendezvous};
 use super::{CommTask, Pending};
 use crate::ids::{PortId, Round, Seq24, TaskId};
+use crate::request::Call;
 use crate::ticks::Ticks;
 
 /// Looks at everything relative in a state.
@@ -18,6 +19,10 @@ pub trait Visit {
     fn round(&mut self, port: PortId, round: Round);
     /// A sequence number of a source.
     fn sequence(&mut self, source: TaskId, sequence: Seq24);
+    /// An epoch of the couple at this position in the cell.
+    fn epoch(&mut self, couple: u8, epoch: u8) {
+        let _ = (couple, epoch);
+    }
 }
 
 /// Changes everything relative in a state.
@@ -28,6 +33,11 @@ pub trait VisitMut {
     fn round(&mut self, port: PortId, round: &mut Round);
     /// A sequence number of a source.
     fn sequence(&mut self, source: TaskId, sequence: &mut Seq24);
+    /// An epoch of the couple at this position in the cell. Those of the primary are odd, so only an even shift
+    /// changes nothing.
+    fn epoch(&mut self, couple: u8, epoch: &mut u8) {
+        let _ = (couple, epoch);
+    }
 }
 
 /// A message that may still come to a task: it is on a link or in a buffer, or its sender waits for the answer and may send
@@ -62,7 +72,12 @@ macro_rules! relatives {
                 Some(Finished::Released { port, round, .. } | Finished::GaveUp { port, round, .. }) => {
                     $v.round(*port, round);
                 }
-                Some(Finished::Outcome(_) | Finished::Answers(_) | Finished::Long(_) | Finished::TimeOut(_) | Finished::Granted(_)) | None => {}
+                Some(Finished::Granted(epoch)) => {
+                    if let Some(lease) = &$self.lease {
+                        $v.epoch(lease.couple, epoch);
+                    }
+                }
+                Some(Finished::Outcome(_) | Finished::Answers(_) | Finished::Long(_) | Finished::TimeOut(_)) | None => {}
             }
         }
         for desk in & $($m)? $self.desks {
@@ -76,7 +91,11 @@ macro_rules! relatives {
             }
         }
         if let Some(lease) = & $($m)? $self.lease {
-            let partner = lease.partner;
+            let (couple, partner) = (lease.couple, lease.partner);
+            $v.epoch(couple, & $($m)? lease.epoch);
+            if let Some(Call::TakeOver(epoch)) = & $($m)? lease.call {
+                $v.epoch(couple, epoch);
+            }
             for answered in & $($m)? lease.answered {
                 if let Some(answered) = answered {
                     $v.sequence(partner, & $($m)? answered.beat);
@@ -97,6 +116,7 @@ macro_rules! relatives {
             }
         }
         for guard in & $($m)? $self.guards {
+            $v.epoch(guard.couple, & $($m)? guard.epoch);
             $v.instant(& $($m)? guard.until);
         }
         for inbox in & $($m)? $self.inboxes {
@@ -167,6 +187,9 @@ impl<V: Visit> ByRef<'_, V> {
     }
     fn sequence(&mut self, source: TaskId, sequence: &Seq24) {
         self.0.sequence(source, *sequence);
+    }
+    fn epoch(&mut self, couple: u8, epoch: &u8) {
+        self.0.epoch(couple, *epoch);
     }
 }
 

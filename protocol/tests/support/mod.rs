@@ -180,6 +180,7 @@ fn packs_and_unpacks(task: &CommTask, table: &NodeTable) -> Option<CommTask> {
     loaded.visit_mut(&mut &Shift {
         rounds: rounds.iter().map(|r| r.steps_from(Frame::ROUND)).collect(),
         sequences: sequences.iter().map(|s| s.steps_from(Frame::SEQUENCE)).collect(),
+        ..Shift::default()
     });
     Some(loaded)
 }

@@ -20,6 +20,8 @@ pub fn repack(world: &mut World, task: usize) {
     let shift = Shift {
         rounds: rounds.iter().map(|r| r.steps_from(Frame::ROUND)).collect(),
         sequences: sequences.iter().map(|s| s.steps_from(Frame::SEQUENCE)).collect(),
+        epochs: world.shift.epochs,
+        ..Shift::default()
     };
     loaded.visit_mut(&mut &shift);
     // Packed states forget which start of a timer runs.

@@ -40,6 +40,11 @@ impl Plan {
         Self { tasks, nodes, delay: u64::from(within(delay, 3)), ports, rules, couple }
     }
 
+    /// The same cell with at least two tasks, of which the first two are work-coupled.
+    pub fn coupled(self) -> Self {
+        Self { tasks: self.tasks.max(2), couple: self.couple | 3, ..self }
+    }
+
     pub fn build(&self) -> Arc<CellTable> {
         let mut cell = Cell::new("random", Ticks(1));
         for i in 0..self.nodes {

@@ -13,11 +13,54 @@ pub fn ops() -> impl Strategy<Value = Vec<Op>> {
     proptest::collection::vec(any::<Op>(), 1..120)
 }
 
-/// How far the ids of each source and the rounds of each port are moved.
-#[derive(Clone, Debug)]
+/// Mostly time that passes and packets that arrive, so that leases are given, end and are taken over.
+pub fn lively() -> impl Strategy<Value = Vec<Op>> {
+    let what = prop_oneof![3 => 0..2_u8, 6 => 2..8_u8, 2 => any::<u8>()];
+    proptest::collection::vec((what, any::<u8>(), any::<u16>(), any::<u16>()), 20..240)
+}
+
+/// How far the ids of each source, the rounds of each port and the epochs of all couples are moved.
+#[derive(Clone, Debug, Default)]
 pub struct Shift {
     pub sequences: Vec<u32>,
     pub rounds: Vec<u16>,
+    /// Even.
+    pub epochs: u8,
+    /// For each port, what of its packets is an epoch.
+    pub places: Vec<EpochAt>,
+}
+
+/// Where packets of a port say an epoch.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum EpochAt {
+    Nowhere,
+    /// In the beats of a couple and in their answers.
+    Beats,
+    /// Behind what an order says.
+    Orders,
+}
+
+impl EpochAt {
+    fn of(table: &CellTable, port: &Port) -> Self {
+        if table.cell().couples.iter().any(|couple| couple.via == port.id) {
+            Self::Beats
+        } else if port.decl.guard.is_some() {
+            Self::Orders
+        } else {
+            Self::Nowhere
+        }
+    }
+
+    fn within(self, packet: &Packet) -> Option<usize> {
+        let len = packet.contents.as_bytes().len();
+        let at = match (self, packet.kind) {
+            (Self::Beats, Kind::Query) => Some(2),
+            (Self::Beats, Kind::Response) => Some(1),
+            (Self::Orders, Kind::Send) => len.checked_sub(1),
+            _ => None,
+        };
+        at.filter(|&at| at < len)
+    }
 }
 
 impl VisitMut for &Shift {
@@ -28,16 +71,31 @@ impl VisitMut for &Shift {
     fn sequence(&mut self, source: TaskId, sequence: &mut Seq24) {
         *sequence = sequence.plus(self.sequences[source.index()]);
     }
+    fn epoch(&mut self, _: u8, epoch: &mut u8) {
+        *epoch = epoch.wrapping_add(self.epochs);
+    }
 }
 
 impl Shift {
     pub fn none(table: &CellTable) -> Self {
-        Self { sequences: vec![0; table.cell().tasks.len()], rounds: vec![0; table.ports().len()] }
+        Self {
+            sequences: vec![0; table.cell().tasks.len()],
+            rounds: vec![0; table.ports().len()],
+            epochs: 0,
+            places: table.ports().iter().map(|port| EpochAt::of(table, port)).collect(),
+        }
     }
 
     pub fn back(&self) -> Self {
         let sequences = self.sequences.iter().map(|s| Seq24::MODULUS - s % Seq24::MODULUS).collect();
-        Self { sequences, rounds: self.rounds.iter().map(|r| r.wrapping_neg()).collect() }
+        let rounds = self.rounds.iter().map(|r| r.wrapping_neg()).collect();
+        Self { sequences, rounds, epochs: self.epochs.wrapping_neg(), places: self.places.clone() }
+    }
+
+    /// Moves the epochs back and nothing else: packed states say epochs as they are.
+    fn epochs_back(&self) -> Self {
+        let (sequences, rounds) = (vec![0; self.sequences.len()], vec![0; self.rounds.len()]);
+        Self { sequences, rounds, ..self.back() }
     }
 
     pub fn id(&self, source: TaskId, id: MessageId) -> MessageId {
@@ -62,6 +120,11 @@ impl Shift {
             // An answer carries its request's id.
             Kind::Reply | Kind::Response | Kind::Control => moved.id = self.id(p.destination, p.id),
         }
+        if let Some(at) = self.places.get(p.port.index()).and_then(|place| place.within(p)) {
+            let mut bytes = p.contents.as_bytes().to_vec();
+            bytes[at] = bytes[at].wrapping_add(self.epochs);
+            moved.contents = Contents::new(&bytes).expect("as long as before");
+        }
         moved
     }
 
@@ -82,6 +145,10 @@ impl Shift {
             }
             Signal::GaveUp { port, round, missing } => {
                 Signal::GaveUp { port, round: round.plus(self.rounds[port.index()]), missing }
+            }
+            Signal::Granted(epoch) => Signal::Granted(epoch.wrapping_add(self.epochs)),
+            Signal::Interrupt(Call::TakeOver(epoch)) => {
+                Signal::Interrupt(Call::TakeOver(epoch.wrapping_add(self.epochs)))
             }
             other => other,
         });
@@ -367,6 +434,7 @@ impl World {
         let (rounds, sequences) = self.frame();
         let frame = Frame { rounds: &rounds, sequences: &sequences, lives: self.restarts };
         let mut task_now = self.tasks[task].clone();
+        task_now.visit_mut(&mut &self.shift.epochs_back());
         task_now.bury();
         let mut bytes = vec![0; 4096];
         let len = task_now.store(&self.tables[task], &frame, &mut bytes)?;

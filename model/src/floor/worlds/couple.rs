@@ -20,6 +20,8 @@ pub struct Couple {
     pub mutual: bool,
     /// How the lease is kept.
     pub rule: LeaseRule,
+    /// The epoch that both begin at: even.
+    pub epoch: u8,
     /// Faults.
     pub faults: Faults,
     /// What is watched.
@@ -59,7 +61,7 @@ impl Couple {
         let task = || TaskPlan::new(wait).hurried().serving(0, 0);
         let tasks = vec![task(), task()];
         let mut plan = FloorPlan::new(Arc::new(CellTable::new(self.cell())?), tasks).watching(self.watch);
-        plan.faults = self.faults;
+        (plan.faults, plan.epoch) = (self.faults, self.epoch);
         Ok(Arc::new(plan))
     }
 }
@@ -103,7 +105,7 @@ impl Orders {
         let executes = TaskPlan::new(Errand::Receive { port: None, time_out: None }).serving(0, 0);
         let tasks = vec![orders(ports[0]), orders(ports[1]), executes];
         let mut plan = FloorPlan::new(Arc::new(CellTable::new(cell)?), tasks).watching(self.couple.watch);
-        plan.faults = self.couple.faults;
+        (plan.faults, plan.epoch) = (self.couple.faults, self.couple.epoch);
         Ok(Arc::new(plan))
     }
 }

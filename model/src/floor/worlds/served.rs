@@ -2,26 +2,28 @@
 
 use crate::floor::plan::{Errand, Faults, FloorPlan, FloorWatch, TaskPlan, Times};
 use imrs_protocol::aging::Service;
-use imrs_protocol::rules::Rules;
+use imrs_protocol::rules::{Aging, Rules};
 use imrs_protocol::script::{Op, ProgramBuilder};
 use imrs_protocol::{
     Cell, CellError, CellTable, PortDecl, Ranked, ServiceOrder, Target, TaskId, Ticks, Usage,
 };
 use std::sync::Arc;
 
-/// One node: a task that receives over all its ports, tasks that flood ports of urgent statuses, and one whose statuses
-/// live longer and so are bypassed.
+/// One node: a task that receives over all its ports, tasks that flood ports of urgent statuses, and others, on one port,
+/// whose statuses live longer and so are bypassed.
 #[derive(Clone, Copy, Debug)]
 pub struct Flood {
     /// How many ports are flooded.
     pub flooded: u16,
+    /// `bounded_buffer[n]` of each flooded port.
+    pub room: u16,
     /// The life of a flooding status.
     pub urgent: u64,
     /// The life of the bypassed status.
     pub life: u64,
-    /// `bounded_buffer[n]` of the bypassed port.
+    /// `bounded_buffer[n]` of the bypassed port, and how many tasks send on it.
     pub buffer: u16,
-    /// How many ticks lie between two bypassed statuses at least.
+    /// How many ticks lie between two bypassed statuses of a task at least.
     pub every: u8,
     /// How many ticks each message is served.
     pub service: u8,
@@ -60,23 +62,25 @@ impl Flood {
                 .hurried()
                 .serving(self.service, self.service),
         ];
-        let mut sender = |name: &str, life: u64, buffer: u16, every: u8| {
-            let task = cell.task(name, node);
-            let port = PortDecl::new(&format!("{name} says"), task, Usage::Send, &[receiver], Ticks(life));
-            let port = cell.port(port.bounded_buffer(buffer));
-            tasks.push(TaskPlan::new(Errand::Send { port, to: Target::All, times: Times::Endless, every }));
-            port
-        };
+        let sends =
+            |port, every| TaskPlan::new(Errand::Send { port, to: Target::All, times: Times::Endless, every });
         for name in ["urgent", "hasty", "rash"].iter().take(usize::from(self.flooded)) {
-            sender(name, self.urgent, 1, 1);
+            let task = cell.task(name, node);
+            let life = Ticks(self.urgent);
+            let port = PortDecl::new(&format!("{name} says"), task, Usage::Send, &[receiver], life);
+            tasks.push(sends(cell.port(port.bounded_buffer(self.room)), 1));
         }
+        let names = ["patient", "steady", "calm"].into_iter().take(usize::from(self.buffer));
+        let patient: Vec<TaskId> = names.map(|name| cell.task(name, node)).collect();
         // Declared last, so that it also loses every tie.
-        let patient = sender("patient", self.life, self.buffer, self.every);
+        let port = PortDecl::new("patient says", receiver, Usage::Receive, &patient, Ticks(self.life));
+        let asks = cell.port(port.bounded_buffer(self.buffer));
+        tasks.extend(patient.iter().map(|_| sends(asks, self.every)));
         let small = |n: u16| u8::try_from(n).unwrap_or(u8::MAX);
         let service = self.service();
         let bypasses = small(service.most_bypasses());
         let watch = if self.served {
-            FloorWatch::Served { port: patient }
+            FloorWatch::Served { port: asks }
         } else {
             FloorWatch::Fair { task: receiver, bypasses, refusals: service.most_refusals() }
         };
@@ -85,14 +89,18 @@ impl Flood {
     }
 }
 
-/// One node: a task that acts without end and has handlers, one for messages that outrank the action and one for
-/// messages that do not.
+/// One node: a task that acts without end and has handlers, one for messages that outrank the action, one for messages that
+/// do not, and one for their rivals, which do not either.
 #[derive(Clone, Copy, Debug)]
 pub struct Workshop {
     /// The life of the messages that do not outrank.
     pub life: u64,
     /// How many ticks lie between two of them at least.
     pub every: u8,
+    /// `bounded_buffer[n]` of their port, and how many tasks send on it.
+    pub buffer: u16,
+    /// How many messages may stand in the port of their rivals, and how many tasks send there; 0: there is none.
+    pub rivals: u16,
     /// How many things stand above them in the `order`: 1 to 3.
     pub rank: u8,
     /// The time penalty of their port, and whether it is the literal one.
@@ -112,11 +120,11 @@ impl Workshop {
     #[must_use]
     pub fn service(&self) -> Service {
         Service {
-            ports: 1 + u16::from(self.urgent),
-            levels: self.rank + 1,
+            ports: 1 + u16::from(self.urgent) + u16::from(self.rivals > 0),
+            levels: self.rank + 1 + u8::from(self.rivals > 0),
             rank: self.rank,
-            ahead: 0,
-            rivals: 0,
+            ahead: self.buffer - 1,
+            rivals: self.rivals,
             longest: Ticks(u64::from(self.service)),
             penalty: Ticks(self.penalty.0),
         }
@@ -131,17 +139,26 @@ impl Workshop {
         cell.rules = self.rules;
         let node = cell.node("node");
         let worker = cell.task("worker", node);
-        let modest = cell.task("modest", node);
-        let port = PortDecl::new("asks", modest, Usage::Send, &[worker], Ticks(self.life));
-        let mut port = port.penalty(Ticks(self.penalty.0));
-        if let Some(penalty) = &mut port.penalty {
-            penalty.literal = self.penalty.1;
-        }
-        let asks = cell.port(port);
+        let mut refused = |name: &str, sources: &[&str], buffer: u16| {
+            let sources: Vec<TaskId> =
+                sources.iter().take(usize::from(buffer)).map(|name| cell.task(name, node)).collect();
+            let port = PortDecl::new(name, worker, Usage::Receive, &sources, Ticks(self.life));
+            let mut port = port.bounded_buffer(buffer).penalty(Ticks(self.penalty.0));
+            if let Some(penalty) = &mut port.penalty {
+                penalty.literal = self.penalty.1;
+            }
+            cell.port(port)
+        };
         let endless =
             |port, every| TaskPlan::new(Errand::Send { port, to: Target::All, times: Times::Endless, every });
-        let mut senders = vec![endless(asks, self.every)];
+        let asks = refused("asks", &["modest", "humble", "meek"], self.buffer);
+        let mut senders = vec![endless(asks, self.every); usize::from(self.buffer)];
         let mut handles = vec![asks];
+        if self.rivals > 0 {
+            let wants = refused("wants", &["rival", "other", "third"], self.rivals);
+            senders.extend(vec![endless(wants, 2); usize::from(self.rivals)]);
+            handles.push(wants);
+        }
         // What is named above `self` keeps the rank of the port two, three and so on.
         let mut named = vec![Ranked::Own, Ranked::Timers, Ranked::Source(worker)];
         named.truncate(usize::from(self.rank));
@@ -153,7 +170,7 @@ impl Workshop {
             named.insert(0, Ranked::Port(stops));
             named.truncate(usize::from(self.rank));
         }
-        named.push(Ranked::Port(asks));
+        named.extend(handles.iter().take(1 + usize::from(self.rivals > 0)).map(|&port| Ranked::Port(port)));
         let order = ServiceOrder::new(&named).unwrap_or_default();
         let work = Errand::Work { least: 1, most: 2, times: Times::Endless };
         let mut tasks = vec![
@@ -168,7 +185,9 @@ impl Workshop {
         let watch = if self.served {
             FloorWatch::Served { port: asks }
         } else {
-            let refusals = service.most_refusals();
+            // One more thing stands above the rivals.
+            let rank = self.rank + u8::from(self.rivals > 0);
+            let refusals = Service { rank, ..service }.most_refusals();
             FloorWatch::Fair { task: worker, bypasses: u8::MAX, refusals }
         };
         let plan = FloorPlan::new(Arc::new(CellTable::new(cell)?), tasks);
@@ -252,6 +271,34 @@ pub fn query_all(faults: Faults, watches: Vec<FloorWatch>) -> Result<Arc<FloorPl
     plan.faults = faults;
     plan.watches = watches;
     Ok(Arc::new(plan))
+}
+
+/// A task that acts for ever and never receives: of one message from another node, which does not outrank the action, every
+/// offer is refused unless aging raises it.
+///
+/// # Errors
+/// What is wrong with the declaration.
+pub fn refused(
+    penalty: (u64, bool),
+    aging: Aging,
+    watch: FloorWatch,
+) -> Result<Arc<FloorPlan>, Vec<CellError>> {
+    let mut cell = Cell::new("refused", Ticks(1));
+    cell.rules.aging = aging;
+    let (here, there) = (cell.node("here"), cell.node("there"));
+    cell.link(here, there, Ticks(1));
+    let (worker, sender) = (cell.task("worker", here), cell.task("sender", there));
+    let mut port = PortDecl::new("move", sender, Usage::Send, &[worker], Ticks(4)).penalty(Ticks(penalty.0));
+    if let Some(declared) = &mut port.penalty {
+        declared.literal = penalty.1;
+    }
+    let port = cell.port(port);
+    let order = ServiceOrder::new(&[Ranked::Own, Ranked::Port(port)]).unwrap_or_default();
+    let work = Errand::Work { least: 1, most: u8::MAX, times: Times::Endless };
+    let send = Errand::Send { port, to: Target::All, times: Times::Most(1), every: 0 };
+    let worker = TaskPlan::new(work).hurried().handling(&[port]).ordered(order);
+    let plan = FloorPlan::new(Arc::new(CellTable::new(cell)?), vec![worker, TaskPlan::new(send)]);
+    Ok(Arc::new(plan.watching(watch)))
 }
 
 /// A task that acts and then receives, for ever; messages do not outrank its action. Under the literal time penalty a
