@@ -212,7 +212,7 @@ impl Cell<'_> {
     }
 
     fn port(&mut self) {
-        let of = match self.tape.below(9) {
+        let of = match self.tape.below(10) {
             0 => Use::Status,
             1 => Use::Order,
             2 => Use::Told(1),
