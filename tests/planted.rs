@@ -47,7 +47,9 @@ fn every_planted_fault_fits_its_file_exactly_once() {
         let text = fs::read_to_string(Path::new(ROOT).join(&file)).unwrap_or_else(|e| panic!("{file}: {e}"));
         assert!(!old.is_empty() && old != new, "{title}: changes nothing");
         assert_eq!(text.matches(&old).count(), 1, "{title}: its lines in {file}");
-        assert!(imrs_model::claim_names().contains(&claim.as_str()), "{title}: no claim is named {claim}");
+        // Random cells (model/tests/guard) are no claim.
+        let is_known = claim == "guard" || imrs_model::claim_names().contains(&claim.as_str());
+        assert!(is_known, "{title}: no claim is named {claim}");
         assert!(titles.insert(title.clone()), "{title}: twice");
         assert!(changes.insert((file, old, new)), "{title}: the same change as another");
     }

@@ -1,6 +1,7 @@
 //! The checker against the cell as it runs, at random: see [`compare_with_walks`].
 
 mod cells;
+mod statements;
 
 use crate::cells::{Text, within};
 use imrs_language::{Source, Unit, compile};
