@@ -261,10 +261,38 @@ fn a_task_outside_makes_any_use_of_its_ports() {
         task b on nb\nuse_port put(m: Num) usage = receive;\nvar y: bool; var m: Num;\nbegin\n\
         loop receive put(m); y := true; reply(); y := false; run work takes 1..5 msec; end;\nend b;\n\
         check c: never b.y;\n";
+    // It may say anything that its format holds.
     let cell = Text::new(&text.replace("never b.y", "never b.m.n > 0"));
+    assert_eq!(cell.found(&cell.check()), [found(Kind::Check, "")]);
+    let cell = Text::new(&text.replace("never b.y", "never b.m.n > 7"));
     assert_eq!(all(&cell), []);
     let verdicts = cell.check();
     assert!(verdicts.statements[1].0 == verdicts.statements[1].1, "what a sends arrives");
+}
+
+/// What a task outside says is no zero: a branch on it is reached with the constant that it asks for, and one that none of
+/// the values that are tried leads to is not said to be superfluous.
+#[test]
+fn a_task_outside_says_what_others_ask_for() {
+    let text = |condition: &str| {
+        format!(
+            "cell out;\ntick 1 msec;\nnode na;  node nb;\nlink na -- nb delay 1 msec;\n\
+             type Num is record n: int8; k: int16; end;\n\
+             task a on na\nport ask() -> Num usage = query user_list = {{b}} time_out = 20 msec class = 2;\n\
+             var m: Num; var x: bool;\nbegin\n\
+             loop query ask() -> m on time_out do m.n := 0; end; if {condition} then x := true; end; delay 30 msec; end;\n\
+             end a;\n\
+             task b on nb extern rate = 1/10 msec\nuse_port ask() -> Num usage = response;\nend b;\ncheck c: never a.x;\n"
+        )
+    };
+    let checked = |condition: &str| Text::new(&text(condition)).check();
+    let reached = checked("m.n = 7");
+    assert!(reached.findings.iter().any(|finding| finding.kind == Kind::Check), "{:?}", reached.findings);
+    assert_eq!(reached.outside[..3], [0, 1, 7]);
+    let beyond = checked("m.n > 9 and m.n < 12 and m.k < 5");
+    assert!(beyond.findings.iter().all(|finding| finding.kind == Kind::TimeOut), "{:?}", beyond.findings);
+    let [(task, _)] = beyond.not_tried[..] else { panic!("{:?}", beyond.not_tried) };
+    assert_eq!(task.index(), 0);
 }
 
 #[test]

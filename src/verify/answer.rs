@@ -1,7 +1,7 @@
 //! What the check of a cell found, as programs read it.
 
 use super::cell::Subject;
-use super::tell::help;
+use super::tell::{NOT_LOOKED_FOR, help};
 use imrs_model::cell::{CellFaults, CellPlan, Concerned, Coverage, Finding, Kind, Phase, Times, Verdicts};
 use imrs_protocol::CellTable;
 use serde::Serialize;
@@ -16,6 +16,8 @@ pub(super) struct Answer<'a> {
     /// Why nothing was looked at; null where something was.
     not_checked: Option<NotChecked<'a>>,
     looked_at: LookedAt,
+    /// What the verdict says nothing about.
+    not_looked_for: [&'static str; 1],
     /// The checks of the file.
     claims: Vec<Settled<'a>>,
     findings: Vec<Told<'a>>,
@@ -154,6 +156,7 @@ impl Subject {
             complete: verdicts.is_complete(),
             not_checked,
             looked_at: LookedAt { tick_us: self.tick_us, model_tick_us: self.model_tick_us },
+            not_looked_for: [NOT_LOOKED_FOR],
             claims: (0..self.lowered.checks.len()).map(settled).collect(),
             findings: (1..)
                 .zip(&verdicts.findings)

@@ -17,6 +17,10 @@ const FEW: usize = 6;
 /// The most columns of a statement's text.
 const EXCERPT: usize = 48;
 
+/// What no verdict on a cell says anything about.
+pub(super) const NOT_LOOKED_FOR: &str =
+    "tasks that go on for ever without coming further (two that poll for what the other has)";
+
 /// What there is to tell.
 pub(super) struct Telling<'a> {
     pub subject: &'a Subject,
@@ -70,8 +74,18 @@ impl Telling<'_> {
             out.line(format!("  {}", looked_at(phase)))?;
         }
         out.line(Styled(FAINT, format!("  looked at: {}", self.times())))?;
+        out.line(Styled(FAINT, format!("  not looked for: {NOT_LOOKED_FOR}")))?;
         let untried = "never reached at these bounds, which lack the faults that lead there (more faults: --loss, --dup, --reorder, --crash, --drift)";
         self.statements(untried, &verdicts.not_exercised, out)?;
+        let values: Vec<String> = verdicts.outside.iter().map(i64::to_string).collect();
+        let values = values.join(", ");
+        if !values.is_empty() {
+            let tried =
+                format!("  messages of extern tasks were tried with these values in each field: {values}");
+            out.line(Styled(FAINT, tried))?;
+        }
+        let untold = "not reached with the values that were tried of messages from extern tasks, which may send others";
+        self.statements(untold, &verdicts.not_tried, out)?;
         let unseen = if verdicts.is_complete() {
             "not reached on the ways up to the findings, which says nothing about them"
         } else {

@@ -21,7 +21,8 @@
 //! - A named link is cut from any packet on, in both directions, until any later one.
 //! - A time_out and a packet of the same tick: the time_out comes first.
 //! - Scripts of a node that came back begin when its quarantine is over, as on real nodes.
-//! - A task outside the cell chooses among all uses of its ports, or none, once in its period; its messages say zero.
+//! - A task outside the cell chooses among all uses of its ports, or none, once in its period; what it says is one of a few
+//!   values: zero, one and constants of the other tasks ([`Verdicts::outside`]).
 //!
 //! A request that ends by its time_out without a fault is starvation where it was put off more often than aging allows.
 //! Not looked at: a task that goes on for ever without coming further.

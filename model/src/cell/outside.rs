@@ -28,12 +28,19 @@ fn any_use(plan: &CellPlan, task: TaskId, rate: Option<Rate>) -> Program {
     let pause = Ticks(rate.map_or(1, |rate| rate.per.0.div_ceil(u64::from(rate.count).max(1))).max(1));
     let mut program = Program {
         name: table.cell().tasks[task.index()].name.clone(),
-        variables: vec![Variable { name: "does".into(), of: Type::Int8, initial: 0 }],
+        variables: vec![Variable { name: "does".into(), of: Type::Int16, initial: 0 }],
         ..Program::default()
     };
     let ports = table.ports_of(task).to_vec();
-    let uses: Vec<Vec<Op>> =
-        ports.iter().filter_map(|&port| once(plan, task, port, pause, &mut program)).collect();
+    let mut uses: Vec<Vec<Op>> = Vec::new();
+    for &port in &ports {
+        for value in tried(plan) {
+            let Some(once) = once(plan, task, (port, value), pause, &mut program) else { break };
+            // Where nothing is said there is one way to say it.
+            let is_new = uses.last() != Some(&once);
+            uses.extend(is_new.then_some(once));
+        }
+    }
     let count = u16::try_from(uses.len() + 1).unwrap_or(u16::MAX);
     program.code = vec![Op::Statement, Op::Choose(count), Op::Store(Slot::Task(0))];
     for (number, body) in (0_i64..).zip(uses) {
@@ -69,8 +76,54 @@ fn forget(code: &mut Vec<Op>) {
     code.extend([Op::Term(Term::Push(0)), Op::Store(Slot::Task(0))]);
 }
 
-/// One use of a port.
-fn once(plan: &CellPlan, task: TaskId, port: PortId, pause: Ticks, program: &mut Program) -> Option<Vec<Op>> {
+/// The most values that a message from outside is tried with.
+const MOST: usize = 6;
+
+/// What messages from outside the cell are tried with, the same in all of their fields: zero and one, and what the tasks of
+/// the cell have as constants, for they may compare with those.
+pub(super) fn tried(plan: &CellPlan) -> Vec<i64> {
+    let constants = programs(plan).flat_map(|program| &program.code).filter_map(|op| match op {
+        Op::Term(Term::Push(value)) => Some(*value),
+        _ => None,
+    });
+    let mut all: Vec<i64> = constants.chain([0, 1]).collect();
+    all.sort_unstable_by_key(|value| (value.unsigned_abs(), *value));
+    all.dedup();
+    all.truncate(MOST);
+    all
+}
+
+/// This value as one of a type: the nearest that it has.
+fn within(of: Type, value: i64) -> i64 {
+    match of {
+        Type::Bool => value.clamp(0, 1),
+        Type::Int8 => value.clamp(i8::MIN.into(), i8::MAX.into()),
+        Type::Int16 => value.clamp(i16::MIN.into(), i16::MAX.into()),
+        Type::Int32 => value.clamp(i32::MIN.into(), i32::MAX.into()),
+        Type::Word => value.clamp(0, u32::MAX.into()),
+        // Its bits are no number: only zero is.
+        Type::Real => 0,
+    }
+}
+
+/// Whether a task outside the cell says anything that a branch may depend on.
+pub(super) fn says_something(plan: &CellPlan) -> bool {
+    let outside = |task: &Conduct| matches!(task, Conduct::Extern(_));
+    let mut tasks = (0..plan.tasks.len()).filter(|&task| outside(&plan.tasks[task]));
+    tasks.any(|task| {
+        let mut ports = plan.table.ports_of(TaskId::from_index(task)).iter();
+        ports.any(|&port| !message(plan, port).fields.is_empty() || !answer(plan, port).fields.is_empty())
+    })
+}
+
+/// One use of a port, with this value in each field of what is said.
+fn once(
+    plan: &CellPlan,
+    task: TaskId,
+    (port, value): (PortId, i64),
+    pause: Ticks,
+    program: &mut Program,
+) -> Option<Vec<Op>> {
     let declared = plan.table.port(port)?;
     let party = declared.party(task)?;
     let is_command = declared.decl.class == Class::Command;
@@ -78,11 +131,13 @@ fn once(plan: &CellPlan, task: TaskId, port: PortId, pause: Ticks, program: &mut
         program.formats.push(of);
         u16::try_from(program.formats.len() - 1).unwrap_or(u16::MAX)
     };
-    let zeros = |of: &Format| vec![Op::Term(Term::Push(0)); of.fields.len()];
+    let values = |of: &Format| -> Vec<Op> {
+        of.fields.iter().map(|&of| Op::Term(Term::Push(within(of, value)))).collect()
+    };
     Some(match party.usage {
         Usage::Send | Usage::Query => {
             let message = message(plan, port);
-            let mut body = zeros(&message);
+            let mut body = values(&message);
             let format = format(message);
             body.extend([Op::Send { port, to: Target::All, format, time_out: None }, Op::Delay(pause)]);
             body
@@ -96,14 +151,14 @@ fn once(plan: &CellPlan, task: TaskId, port: PortId, pause: Ticks, program: &mut
                     to: address(body.len() + answer.fields.len() + 2),
                 };
                 body.push(skip);
-                body.extend(zeros(&answer));
+                body.extend(values(&answer));
                 body.push(Op::Reply { format: format(answer) });
             }
             body
         }
         Usage::Waitfor => {
             let message = message(plan, port);
-            let mut body = zeros(&message);
+            let mut body = values(&message);
             body.extend([Op::Arrive { port, format: format(message), time_out: None }, Op::Delay(pause)]);
             body
         }

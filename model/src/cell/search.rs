@@ -6,6 +6,7 @@
 use super::context;
 use super::course::{CellMove, Course};
 use super::judge::{self, Reached, Shown};
+use super::outside::{says_something, tried, with_programs};
 use super::plan::{CellFaults, CellPlan, Conduct, Holds, Times};
 use super::seen::Seen;
 use super::verdict::{Coverage, Finding, Kind, Phase, Refused, Verdicts};
@@ -70,7 +71,8 @@ struct Done {
 /// Checks a cell: first without faults, which says what takes no fault to go wrong, then with those declared.
 #[must_use]
 pub fn check_cell(plan: &Arc<CellPlan>) -> Verdicts {
-    let plan = &super::outside::with_programs(plan);
+    let outside = if says_something(plan) { tried(plan) } else { Vec::new() };
+    let plan = &with_programs(plan);
     if let Some(refused) = refused(plan) {
         return Verdicts { refused: Some(refused), ..Verdicts::default() };
     }
@@ -78,7 +80,7 @@ pub fn check_cell(plan: &Arc<CellPlan>) -> Verdicts {
     for (hypothesis, faults) in plan.faults.iter().enumerate().filter(|(_, faults)| !faults.are_none()) {
         done.push(look(plan, (Phase::Faults, hypothesis), faults));
     }
-    conclude(plan, done)
+    conclude(plan, done, outside)
 }
 
 /// The same cell with other times.
@@ -331,10 +333,10 @@ impl Search {
     }
 }
 
-fn conclude(plan: &Arc<CellPlan>, done: Vec<Done>) -> Verdicts {
+fn conclude(plan: &Arc<CellPlan>, done: Vec<Done>, outside: Vec<i64>) -> Verdicts {
     // What nobody reached before a finding that ends its way may lie behind it.
     let complete = done.iter().all(|done| done.coverage.complete && !done.coverage.pruned);
-    let mut verdicts = Verdicts::default();
+    let mut verdicts = Verdicts { outside, ..Verdicts::default() };
     let gives = |conduct: &Conduct| matches!(conduct, Conduct::Program { values, .. } if values.iter().any(|v| !v.is_empty()));
     let tried =
         if plan.tasks.iter().any(gives) { " with the results of actions that were tried" } else { "" };
@@ -356,6 +358,8 @@ fn conclude(plan: &Arc<CellPlan>, done: Vec<Done>) -> Verdicts {
             let at = Address::try_from(at).unwrap_or(Address::MAX);
             if needs_fault && complete {
                 verdicts.not_exercised.push((task, at));
+            } else if complete && !verdicts.outside.is_empty() {
+                verdicts.not_tried.push((task, at));
             } else if complete {
                 let cause = format!("{}: never reached{tried}", judge::name(&plan.table, number));
                 verdicts.findings.push(bare(Kind::Unreached, Some((task, at)), None, cause));

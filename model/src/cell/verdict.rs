@@ -176,6 +176,10 @@ pub struct Verdicts {
     pub statements: Vec<(u32, u32)>,
     /// Statements of branches, timers and take-overs that these faults never called for: task and operation.
     pub not_exercised: Vec<(TaskId, Address)>,
+    /// The values with which messages from tasks outside the cell were tried; empty where no such task says anything.
+    pub outside: Vec<i64>,
+    /// Statements never reached with these values: other ones may lead there. Task and operation.
+    pub not_tried: Vec<(TaskId, Address)>,
     /// Statements not reached where a budget ended a search, or a finding the way to them, which proves nothing: task and
     /// operation.
     pub not_seen: Vec<(TaskId, Address)>,

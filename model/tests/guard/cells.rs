@@ -113,8 +113,17 @@ impl Port {
 }
 
 pub(super) const TASKS: [&str; 3] = ["ta", "tb", "tc"];
-const CARRIES: [&[&str]; 7] =
-    [&["int8"], &[], &["Note"], &["bool", "int8"], &["int16"], &["real"], &["word", "int32"]];
+const CARRIES: [&[&str]; 9] = [
+    &["int8"],
+    &["int8"],
+    &["int8"],
+    &[],
+    &["Note"],
+    &["bool", "int8"],
+    &["int16"],
+    &["real"],
+    &["word", "int32"],
+];
 
 /// A random cell.
 pub struct Cell<'a> {
@@ -410,7 +419,7 @@ impl Cell<'_> {
             if self.tape.chance(50) {
                 self.simple();
             }
-            if self.tape.chance(30) {
+            if self.tape.chance(50) {
                 self.takes_time();
                 if self.ports[at].carries == ["int8"] {
                     self.put("    i := hu mod 3;\n");
