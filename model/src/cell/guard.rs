@@ -152,9 +152,11 @@ impl<'a> Walk<'a> {
     fn new(plan: &Arc<CellPlan>, phase: Phase, faults: &CellFaults, kept: &'a Kept) -> Self {
         let course = Course::new(plan, faults);
         let reached = nothing_reached(&course);
-        // What a cut may still do is no part of a state's budget there: one that is unused allows all that an open one does,
-        // and no state says so.
-        let unlisted = !faults.cut.is_empty() && (faults.dup > 0 || faults.reorder > 0);
+        // A lost packet that nobody would have noticed is left out of the search. What is kept for it may do more: where a cut
+        // is unused all that an open one allows, and where a packet came to a node that is down, start that node.
+        let doubles = faults.dup > 0 || faults.reorder > 0;
+        let takes = faults.loss > 0 || !faults.cut.is_empty();
+        let unlisted = !faults.cut.is_empty() && doubles || takes && !faults.crash.is_empty();
         let (twin, others) = (course.clone(), reached.clone());
         Self { phase, course, twin, kept, reached, others, moves: Vec::new(), far: false, unlisted }
     }
