@@ -127,13 +127,10 @@ impl Rendezvous {
         at.counters.timed_out += u64::from(in_vain);
         let mut missing = 0;
         for (i, member) in self.members.iter().enumerate().take(MAX_MEMBERS) {
-            // A partner whose patience ended just before was here all the same: it is not the one that was missing.
-            let came = member.arrived.is_some_and(|arrived| {
-                arrived.round == self.announced && (self.numbered || arrived.expires > at.scene.now)
-            });
+            let came = self.came(member, at.scene.now).is_some();
             missing |= u64::from(!came && at.port.parties[i].task != at.scene.task) << i;
         }
-        self.keep_told();
+        self.keep_told(at.scene.now);
         self.deadline = None;
         self.resend_at = Ticks::FAR;
         self.note(Event::GaveUp, at.scene.task, Ticks::ZERO, out);
@@ -408,7 +405,7 @@ impl Rendezvous {
     fn release(&mut self, at: &mut At<'_>, by: ReleasedBy, out: &mut impl Outbox) {
         let round = self.announced;
         let left = self.left(at.scene.now);
-        self.keep_told();
+        self.keep_told(at.scene.now);
         self.released = Some(round);
         self.deadline = None;
         self.resend_at = Ticks::FAR;
@@ -443,12 +440,19 @@ impl Rendezvous {
         }
     }
 
+    /// The arrival of a member in the round that this task is in. A partner whose patience ended just before was here all
+    /// the same: it is not the one that was missing.
+    fn came(&self, member: &Member, now: Ticks) -> Option<Arrived> {
+        let here =
+            |arrived: &Arrived| arrived.round == self.announced && (self.numbered || arrived.expires > now);
+        member.arrived.filter(here)
+    }
+
     /// What the members brought to the round that this task leaves now.
-    fn keep_told(&mut self) {
-        let round = self.announced;
-        for member in &mut self.members {
-            member.told =
-                member.arrived.filter(|arrived| arrived.round == round).map(|arrived| arrived.arguments);
+    fn keep_told(&mut self, now: Ticks) {
+        for i in 0..self.members.len() {
+            let came = self.came(&self.members[i], now);
+            self.members[i].told = came.map(|arrived| arrived.arguments);
         }
     }
 
