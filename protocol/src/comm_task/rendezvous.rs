@@ -126,11 +126,10 @@ impl Rendezvous {
         let in_vain = self.deadline.is_some_and(|deadline| deadline <= at.scene.now);
         at.counters.timed_out += u64::from(in_vain);
         let mut missing = 0;
-        for (i, member) in self.members.iter().enumerate().take(MAX_MEMBERS) {
-            let came = self.came(member, at.scene.now).is_some();
-            missing |= u64::from(!came && at.port.parties[i].task != at.scene.task) << i;
-        }
         self.keep_told(at.scene.now);
+        for (i, member) in self.members.iter().enumerate().take(MAX_MEMBERS) {
+            missing |= u64::from(member.told.is_none() && at.port.parties[i].task != at.scene.task) << i;
+        }
         self.deadline = None;
         self.resend_at = Ticks::FAR;
         self.note(Event::GaveUp, at.scene.task, Ticks::ZERO, out);
@@ -440,19 +439,16 @@ impl Rendezvous {
         }
     }
 
-    /// The arrival of a member in the round that this task is in. A partner whose patience ended just before was here all
-    /// the same: it is not the one that was missing.
+    /// A member's arrival in this task's round; one whose patience ended just before was here all the same.
     fn came(&self, member: &Member, now: Ticks) -> Option<Arrived> {
-        let here =
-            |arrived: &Arrived| arrived.round == self.announced && (self.numbered || arrived.expires > now);
-        member.arrived.filter(here)
+        let is_over = |arrived: &Arrived| !self.numbered && arrived.expires <= now;
+        member.arrived.filter(|arrived| arrived.round == self.announced && !is_over(arrived))
     }
 
     /// What the members brought to the round that this task leaves now.
     fn keep_told(&mut self, now: Ticks) {
         for i in 0..self.members.len() {
-            let came = self.came(&self.members[i], now);
-            self.members[i].told = came.map(|arrived| arrived.arguments);
+            self.members[i].told = self.came(&self.members[i], now).map(|arrived| arrived.arguments);
         }
     }
 
