@@ -204,7 +204,8 @@ fn nodes_of_two_runs_are_no_run() {
 /// The recordings of a node that was restarted are several files of one run: the model does not follow them, and nobody says more.
 #[test]
 fn of_a_run_with_a_restart_nothing_is_known() {
-    let restart = ["--kill", "nt@500ms", "--restart", "nt@1s", "--for", "2s"];
+    // Long enough for a second start on a machine that is late, too.
+    let restart = ["--kill", "nt@500ms", "--restart", "nt@1s", "--for", "8s"];
     for how in [IN_PROCESSES, IN_ONE] {
         let run = Recorded::of(WELD, &[how, &restart[..]].concat(), |_| false);
         let (first, second) = (run.file("nt"), run.file("nt-2"));
