@@ -11,7 +11,7 @@ use crate::checks::{Change, Judge, Looker, Settlement};
 use crate::exit::{Exit, Failure};
 use crate::output::Output;
 use crate::verify::{conduct, faults};
-use imrs_language::{Compiled, Unit, compile};
+use imrs_language::{Unit, compile};
 use imrs_model::cell::{
     Budget, CellPlan, Conduct, Happened, Happening, Run, Steps, follow_run, steps_in_model,
 };
@@ -45,7 +45,7 @@ pub fn run(args: &ReplayArgs, out: &mut Output) -> Result<Exit, Failure> {
         return Err(Failure::Usage("say with --cell which cell was run".into()));
     };
     let (_, loaded) = cells::open(path, args.paper)?;
-    let (mut searched, plan) = plans(path, args)?;
+    let plan = plan(path, args)?;
     let mut recorded = match read(args, &loaded)? {
         Ok(recorded) => recorded,
         Err(Unfollowed::Differs { task, how }) => {
@@ -57,17 +57,17 @@ pub fn run(args: &ReplayArgs, out: &mut Output) -> Result<Exit, Failure> {
     };
     let checks = judge(&loaded, &recorded);
     let around = Surroundings::of(&recorded.tasks, &recorded.whole, &loaded.table);
-    let faults = searched.faults.clone();
     end_where_nodes_stop(&mut recorded.tasks);
     let tick = loaded.table.cell().tick.0;
     let run = Run { tick, tasks: recorded.tasks, whole: recorded.whole };
-    let followed = follow_run(&Arc::new(plan), &run);
-    searched.budget.seconds = WALKS.min(searched.budget.seconds);
+    let mut plan = Arc::new(plan);
+    let followed = follow_run(&plan, &run);
+    Arc::make_mut(&mut plan).budget.seconds = WALKS.min(plan.budget.seconds);
     let steps = match followed.unexplained {
         Some(_) => Steps::default(),
-        None => steps_in_model(&Arc::new(searched), &run),
+        None => steps_in_model(&plan, &run),
     };
-    let assumed = Assumed { loaded: &loaded, faults: &faults, tick, start: recorded.start };
+    let assumed = Assumed { loaded: &loaded, faults: &plan.faults, tick, start: recorded.start };
     let breaches = assumed.breaches(&around, &followed.late);
     let told = Told::new(&loaded, &followed, &steps, recorded.start, breaches, checks);
     tell(&told, path, args, out)
@@ -85,18 +85,9 @@ fn tell(told: &Told, path: &Path, args: &ReplayArgs, out: &mut Output) -> Result
     Ok(told.verdict())
 }
 
-/// The cell as `imrs verify` explores it, and the same without its `model tick`, which is for searches only.
-fn plans(path: &Path, args: &ReplayArgs) -> Result<(CellPlan, CellPlan), Failure> {
-    let mut compiled = compile(&cell_file::read(path)?);
-    let searched = plan(&compiled, args)?;
-    if let Some(hir) = &mut compiled.hir {
-        hir.model_tick = None;
-    }
-    Ok((searched, plan(&compiled, args)?))
-}
-
-fn plan(compiled: &Compiled, args: &ReplayArgs) -> Result<CellPlan, Failure> {
-    let lowered = compiled.lower(Unit::Ticks);
+/// The cell as `imrs verify` explores it.
+fn plan(path: &Path, args: &ReplayArgs) -> Result<CellPlan, Failure> {
+    let lowered = compile(&cell_file::read(path)?).lower(Unit::Ticks);
     let lowered = lowered.ok_or_else(|| Failure::Usage("the cell has errors: see `imrs check`".into()))?;
     let table = CellTable::new(lowered.cell).map(Arc::new).map_err(|errors| {
         let all: Vec<String> = errors.iter().map(ToString::to_string).collect();
@@ -215,11 +206,18 @@ struct Life<'a> {
     span: Option<Span<'a>>,
 }
 
+impl Life<'_> {
+    /// When it begins: after all others where nothing of it was recorded.
+    fn begins(&self) -> u64 {
+        self.span.as_ref().map_or(u64::MAX, |span| span.first)
+    }
+}
+
 /// The nodes with several recordings, if all recordings can be of one run.
 fn lives_of_one_run(lives: &mut [Vec<Life<'_>>]) -> Result<Vec<NodeId>, Failure> {
     let mut restarted = Vec::new();
     for (node, lives) in lives.iter_mut().enumerate() {
-        lives.sort_by_key(|life| life.span.as_ref().map(|span| span.first));
+        lives.sort_by_key(|life| (life.restarted, life.begins()));
         for pair in lives.windows(2) {
             let [before, after] = pair else { continue };
             let overlap = before.span.as_ref().zip(after.span.as_ref());
@@ -248,8 +246,7 @@ fn spoke_before(lives: &[Vec<Life<'_>>], tasks: &[Vec<Happening>], table: &CellT
     let mut nodes = Vec::new();
     for (node, lives) in lives.iter().enumerate() {
         let node = NodeId::from_index(node);
-        let first = lives.first().filter(|life| life.restarted).and_then(|life| life.span.as_ref());
-        let Some(first) = first.map(|span| span.first) else { continue };
+        let Some(first) = lives.first().filter(|life| life.restarted).map(Life::begins) else { continue };
         let early = |happening: &Happening| match &happening.what {
             Happened::Came(packet) => happening.at < first && table.location(packet.source) == Some(node),
             _ => false,
