@@ -77,9 +77,9 @@ impl Telling<'_> {
         out.line(Styled(FAINT, format!("  not looked for: {NOT_LOOKED_FOR}")))?;
         let untried = "never reached at these bounds, which lack the faults that lead there (more faults: --loss, --dup, --reorder, --crash, --drift)";
         self.statements(untried, &verdicts.not_exercised, out)?;
-        let values: Vec<String> = verdicts.outside.iter().map(i64::to_string).collect();
-        let values = values.join(", ");
-        if !values.is_empty() {
+        if !verdicts.outside.is_empty() {
+            let values: Vec<String> = verdicts.outside.iter().map(i64::to_string).collect();
+            let values = values.join(", ");
             let tried =
                 format!("  messages of extern tasks were tried with these values in each field: {values}");
             out.line(Styled(FAINT, tried))?;

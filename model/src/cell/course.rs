@@ -8,6 +8,7 @@ use crate::state::{Packed, Violation};
 use imrs_protocol::script::{Activity, ScriptInput, eval};
 use imrs_protocol::{NodeId, NodeInput, TaskId, Ticks};
 use serde::{Deserialize, Serialize};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
 /// One thing that can happen next in a cell. Packets and links are positions in the state.
@@ -188,6 +189,11 @@ impl Course {
         self.floor.crossings.sort_by_key(|crossing| crossing.link);
         self.settle();
         self.look();
+    }
+
+    /// Carries a move out; false where that panics.
+    pub fn survives(&mut self, step: CellMove) -> bool {
+        catch_unwind(AssertUnwindSafe(|| self.apply(step))).is_ok()
     }
 
     /// The node at which a move happens.

@@ -10,7 +10,8 @@
 //! program, and what a reduction leaves out must show nothing new. Here both are asked for at every step.
 
 use super::course::{CellMove, Course};
-use super::judge::{Reached, judge, nothing_reached};
+use super::follow::plain;
+use super::judge::{Reached, Shown, deadlock, judge, nothing_reached};
 use super::outside::with_programs;
 use super::plan::{CellFaults, CellPlan, Times};
 use super::search::{Kept, explore_and_keep, timed};
@@ -19,9 +20,8 @@ use super::verdict::{Finding, Kind, Phase};
 use crate::floor::script::ScriptTurn;
 use crate::state::Violation;
 use imrs_protocol::script::ScriptInput;
-use imrs_protocol::{Call, MessageId, ReplyTo, Round, Seq24, Signal, Ticks};
+use imrs_protocol::{Call, MessageId, ReplyTo, Round, Seq24, Signal};
 use std::fmt;
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
 /// What the walks came to where nothing differed.
@@ -112,9 +112,9 @@ fn shows(
         apply(&mut course, step);
         last = judge(&mut course, phase, &mut reached);
     }
-    last.extend(super::judge::deadlock(&course));
+    last.extend(deadlock(&course));
     let kind = |kind| if kind == Kind::Starves { Kind::TimeOut } else { kind };
-    let is = |shown: &super::judge::Shown| {
+    let is = |shown: &Shown| {
         (kind(shown.kind), shown.task, shown.address, shown.check)
             == (kind(finding.kind), finding.task.map(|task| task.index()), finding.address, finding.check)
     };
@@ -126,7 +126,7 @@ fn shows(
 }
 
 fn apply(course: &mut Course, step: CellMove) {
-    if catch_unwind(AssertUnwindSafe(|| course.apply(step))).is_err() {
+    if !course.survives(step) {
         course.floor.violation = Some(Violation::Panic);
     }
 }
@@ -217,7 +217,7 @@ impl<'a> Walk<'a> {
             let what = format!("shows {shown:?}, from the packed state {others:?}");
             return Err(Disagreement { what, moves: self.moves.clone() });
         }
-        let is_found = |shown: &super::judge::Shown| self.kept.hits.iter().any(|hit| hit.is_same(shown));
+        let is_found = |shown: &Shown| self.kept.hits.iter().any(|hit| hit.is_same(shown));
         match shown.iter().find(|shown| self.kept.complete && !is_found(shown)) {
             Some(shown) => {
                 let what = format!("the search has not found {:?}: {}", shown.kind, shown.cause);
@@ -249,19 +249,19 @@ impl<'a> Walk<'a> {
 /// What the scripts did, but for numbers of messages and rounds: in a packed state they are others.
 fn turns(course: &Course) -> Vec<String> {
     let all = course.floor.turns.iter().flatten();
-    let plain = |turn: &ScriptTurn| {
+    let told = |turn: &ScriptTurn| {
         let ScriptTurn { task, at, input, passed, end } = turn;
         format!("{task} at {at}: {:?} -> {passed:?} {end:?}", nameless(*input))
     };
-    all.map(plain).collect()
+    all.map(told).collect()
 }
 
-fn nameless(mut input: ScriptInput) -> ScriptInput {
+fn nameless(input: ScriptInput) -> ScriptInput {
+    let mut input = plain(input);
     let no_one = MessageId { sequence: Seq24::default(), ..MessageId::default() };
     match &mut input {
         ScriptInput::Signal(Signal::Message(delivery) | Signal::Interrupt(Call::Message(delivery))) => {
             delivery.from = ReplyTo { id: no_one, ..delivery.from };
-            delivery.budget = Ticks::ZERO;
         }
         ScriptInput::Signal(Signal::Released { round, .. } | Signal::GaveUp { round, .. }) => {
             *round = Round::default();

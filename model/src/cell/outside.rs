@@ -31,14 +31,15 @@ fn any_use(plan: &CellPlan, task: TaskId, rate: Option<Rate>) -> Program {
         variables: vec![Variable { name: "does".into(), of: Type::Int16, initial: 0 }],
         ..Program::default()
     };
-    let ports = table.ports_of(task).to_vec();
     let mut uses: Vec<Vec<Op>> = Vec::new();
-    for &port in &ports {
-        for value in tried(plan) {
+    let values = tried(plan);
+    for &port in table.ports_of(task) {
+        for &value in &values {
             let Some(once) = once(plan, task, (port, value), pause, &mut program) else { break };
             // Where nothing is said there is one way to say it.
-            let is_new = uses.last() != Some(&once);
-            uses.extend(is_new.then_some(once));
+            if !uses.contains(&once) {
+                uses.push(once);
+            }
         }
     }
     let count = u16::try_from(uses.len() + 1).unwrap_or(u16::MAX);
@@ -128,8 +129,12 @@ fn once(
     let party = declared.party(task)?;
     let is_command = declared.decl.class == Class::Command;
     let mut format = |of: Format| {
-        program.formats.push(of);
-        u16::try_from(program.formats.len() - 1).unwrap_or(u16::MAX)
+        let known = program.formats.iter().position(|format| *format == of);
+        let at = known.unwrap_or_else(|| {
+            program.formats.push(of);
+            program.formats.len() - 1
+        });
+        u16::try_from(at).unwrap_or(u16::MAX)
     };
     let values = |of: &Format| -> Vec<Op> {
         of.fields.iter().map(|&of| Op::Term(Term::Push(within(of, value)))).collect()

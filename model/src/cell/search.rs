@@ -16,7 +16,6 @@ use crate::explore::resident_bytes;
 use imrs_protocol::TaskId;
 use imrs_protocol::script::{Address, Op, Term};
 use std::collections::VecDeque;
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::time::Instant;
@@ -289,7 +288,7 @@ impl Search {
                     return path;
                 };
                 path.push(step);
-                if catch_unwind(AssertUnwindSafe(|| course.apply(step))).is_err() {
+                if !course.survives(step) {
                     return path;
                 }
             }

@@ -182,8 +182,7 @@ impl Walker {
 
     fn apply(&mut self, step: CellMove) {
         self.walks.moves += 1;
-        let course = &mut self.course;
-        if catch_unwind(AssertUnwindSafe(|| course.apply(step))).is_err() {
+        if !self.course.survives(step) {
             let mattered = std::mem::take(&mut self.course.mattered);
             self.course = Course::new(&Arc::clone(&self.course.plan), &self.course.faults.clone());
             self.course.mattered = mattered;

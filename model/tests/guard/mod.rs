@@ -4,35 +4,24 @@ mod cells;
 mod statements;
 
 use crate::cells::{Text, within};
+use crate::support::walk::Dice;
 use imrs_language::{Source, Unit, compile};
 use imrs_model::cell::{Agreement, Disagreement, Effort, Times, compare_with_walks};
 use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::Arc;
 
-/// Numbers that look random, from a seed.
-struct Draw(u64);
-
-impl Draw {
-    /// A seed is spread over all bits first; no seed gives the zero that a shift register never leaves.
-    const fn new(seed: u64) -> Self {
-        Self(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1)
-    }
-
-    fn below(&mut self, limit: usize) -> usize {
-        self.0 ^= self.0 << 13;
-        self.0 ^= self.0 >> 7;
-        self.0 ^= self.0 << 17;
-        usize::try_from((self.0 >> 16) % limit.max(1) as u64).expect("small")
-    }
+/// A seed is spread over all bits first; none gives the zero that the dice never leave.
+const fn dice(seed: u64) -> Dice {
+    Dice(seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1)
 }
 
 /// Compares a cell as it is searched, at most so many states of each hypothesis, with walks through it.
 fn compare(text: &str, seed: u64, states: u64, effort: Effort) -> Result<Agreement, Disagreement> {
     let mut cell = Text::new(text);
     cell.plan.budget = within(states);
-    let mut draw = Draw::new(seed);
-    compare_with_walks(&Arc::new(cell.plan), effort, &mut |limit| draw.below(limit))
+    let mut dice = dice(seed);
+    compare_with_walks(&Arc::new(cell.plan), effort, &mut |limit| dice.below(limit))
 }
 
 #[test]
@@ -64,8 +53,8 @@ fn number(variable: &str, usual: u64) -> u64 {
 }
 
 fn tape(seed: u64) -> Vec<u8> {
-    let mut draw = Draw::new(seed);
-    (0..TAPE).map(|_| u8::try_from(draw.below(256)).expect("a byte")).collect()
+    let mut dice = dice(seed);
+    (0..TAPE).map(|_| u8::try_from(dice.below(256)).expect("a byte")).collect()
 }
 
 /// Whether the compiler takes a cell.

@@ -26,6 +26,7 @@ pub use steps::{Steps, steps_in_model};
 use super::course::Course;
 use super::judge::{name, statement};
 use super::plan::{CellFaults, CellPlan, Conduct};
+pub(super) use words::plain;
 use words::{alike, named, port_name, said};
 
 use crate::floor::script::Running;

@@ -9,7 +9,6 @@ use crate::cell::search::timed;
 use imrs_protocol::script::{Address, End, ScriptInput};
 use imrs_protocol::{Call, Outcome, PortId, Signal, TaskId};
 use std::collections::BTreeSet;
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 use std::time::Instant;
 
@@ -99,8 +98,7 @@ fn walk(plan: &Arc<CellPlan>, faults: &CellFaults, draw: &mut Draw, missing: &mu
             moves.retain(|step| !is_fault(step));
         }
         let Some(&step) = moves.get(draw.below(moves.len())) else { return };
-        let made = catch_unwind(AssertUnwindSafe(|| course.apply(step)));
-        if made.is_err() || course.floor.violation.is_some() || missing.is_empty() {
+        if !course.survives(step) || course.floor.violation.is_some() || missing.is_empty() {
             return;
         }
     }

@@ -34,7 +34,7 @@ pub(super) fn alike(a: &Turn, b: &Turn) -> bool {
 }
 
 /// Without what is left of lives.
-pub(super) fn plain(mut input: ScriptInput) -> ScriptInput {
+pub(in crate::cell) fn plain(mut input: ScriptInput) -> ScriptInput {
     if let ScriptInput::Signal(Signal::Message(delivery) | Signal::Interrupt(Call::Message(delivery))) =
         &mut input
     {
