@@ -339,6 +339,40 @@ fn the_epoch_is_said_before_anybody_acts_in_it_and_a_proposal_is_kept_until_a_ne
     assert!(primary.task.is_active());
 }
 
+/// The same beat of a standby that has started again and heard of no epoch: it says where it would begin.
+fn guess(sequence: u32, epoch: u8) -> Packet {
+    let contents = Contents::new(&[0, 0, epoch, 0, 1]).expect("short");
+    let id = MessageId { incarnation: Incarnation(1), sequence: Seq24::new(sequence) };
+    Packet { id, contents, ..beat(sequence, 0, epoch, 0) }
+}
+
+#[test]
+fn nobody_takes_the_guess_of_a_node_that_started_again_for_news() {
+    // From 130 on, 2 counts as newer.
+    for reached in [100, 130, 132, 200] {
+        let mut primary = Solo::new(&table(true), P);
+        primary.hear(beat(1, 0, reached / 2, 0));
+        assert_eq!(said(&primary.hear(beat(2, 0, reached, 0))), [[0, reached + 1]]);
+        assert_eq!(
+            said(&primary.hear(guess(3, 2))),
+            [[0, reached + 7]],
+            "counted up, and not from the guess"
+        );
+    }
+}
+
+#[test]
+fn a_node_that_started_again_takes_the_epoch_of_one_that_knows_it() {
+    for reached in [0, 100, 130, 132, 200] {
+        let mut primary = Solo::life(&table(true), P, 1, true);
+        assert_eq!(said(&primary.hear(guess(1, 2))), [[0, 7]], "two that guess: the newer, and counted up");
+        assert_eq!(said(&primary.hear(beat(2, 0, reached, 0))), [[0; 2]; 0], "of an earlier life");
+        let mut knows = guess(3, reached);
+        knows.contents = Contents::new(&[0, 0, reached, 0, 0]).expect("short");
+        assert_eq!(said(&primary.hear(knows)), [[0, reached + 1]]);
+    }
+}
+
 #[test]
 fn an_order_carries_its_epoch_to_the_arm_and_room_for_it_is_kept() {
     let mut net = leased(false);

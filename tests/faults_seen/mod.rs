@@ -156,7 +156,8 @@ end q;
     );
     let mut scene = Scene::waiting(text);
     let since = scene.go();
-    scene.raises(since, "refused", &[]);
+    // Whose command was sent first is more urgent: where it comes second it takes the other's place.
+    scene.raises(since, "refused", &["command-evicted"]);
 }
 
 #[test]

@@ -27,7 +27,8 @@ const COUPLE: Couple = Couple {
 pub(super) fn claims() -> Vec<Claim> {
     let drift = |drift: u8| Couple { faults: Faults { drift, ..COUPLE.faults }, ..COUPLE };
     let late = |base: Couple| Couple { faults: Faults { late: 1, ..base.faults }, ..base };
-    let crash = |base: Couple| Couple { faults: Faults { crash: 1, ..base.faults }, ..base };
+    let crash =
+        |base: Couple| Couple { faults: Faults { crash: base.faults.crash + 1, ..base.faults }, ..base };
     let copy = |base: Couple| Couple { faults: Faults { dup: 1, ..base.faults }, ..base };
     // A lease that one lost beat does not end: fewer beats are on the way.
     let seldom = |base: Couple| Couple { every: 3, ..base };
@@ -39,6 +40,7 @@ pub(super) fn claims() -> Vec<Claim> {
         least("default", true, drift(0)),
         least("default, drift", true, drift(1)),
         least("default, crash", true, seldom(crash(drift(0)))),
+        least("default, two crashes", true, seldom(crash(crash(drift(0))))),
         least("default, crash and a copy", true, seldom(copy(crash(drift(0))))),
         least("default, slow link and a copy", true, slow(copy(drift(0)))),
         least("default, exchanged roles", true, mutual(4, drift(0))),
@@ -63,7 +65,13 @@ pub(super) fn claims() -> Vec<Claim> {
             }),
         },
         least("default, crash, epochs that wrap", true, Couple { epoch: WRAPS, ..seldom(crash(drift(0))) }),
-        half_way(Couple { epoch: HALF_WAY, ..seldom(crash(drift(0))) }),
+        half_way("default, crash, half-way round", true, seldom(crash(drift(0)))),
+        half_way("default, two crashes, half-way round", false, seldom(crash(crash(drift(0))))),
+        half_way(
+            "default, exchanged roles, crash, half-way round",
+            false,
+            seldom(mutual(2, crash(drift(0)))),
+        ),
     ];
     claims.extend(orders());
     claims
@@ -72,20 +80,30 @@ pub(super) fn claims() -> Vec<Claim> {
 /// An epoch with which that of the primary is the last before the wrap, and that of the standby the first after it.
 const WRAPS: u8 = 252;
 
-/// An epoch that lies half the circle away from where a node begins that starts again.
-const HALF_WAY: u8 = 128;
+/// First epochs that lie about half the circle from where a node begins that starts again: there it is unclear which of the
+/// two is newer.
+const HALF_WAY: std::ops::RangeInclusive<u8> = 120..=136;
 
-/// Not yet mended: a node that starts again begins at epoch 2, whatever its partner has reached. Half-way round 2 is no older
-/// than that, so the partner takes it for news.
-fn half_way(couple: Couple) -> Claim {
+/// A node that starts again has forgotten the epochs: it goes by its partner's, never its partner by its own (D135).
+fn half_way(rule: &'static str, smoke: bool, couple: Couple) -> Claim {
     Claim {
         name: NAME,
-        rule: "restart half-way round the epochs",
+        rule,
         parties: 2,
-        about: "a node that starts again begins at epoch 2, which counts as newer than what lies half the circle behind it",
-        expect: Outcome::Fails,
-        smoke: true,
-        settle: Box::new(move |work| settle_plan(work, couple.plan())),
+        about: "a node that starts again takes its partner's epoch, though its own guess may count as newer",
+        expect: Outcome::Holds,
+        smoke,
+        settle: Box::new(move |work| {
+            let mut last = settle_plan(work, couple.plan());
+            for epoch in HALF_WAY.step_by(2) {
+                if last.outcome != Outcome::Holds {
+                    break;
+                }
+                let settled = settle_plan(work, Couple { epoch, ..couple.clone() }.plan());
+                last = Settled { sound: last.sound && settled.sound, ..settled };
+            }
+            last
+        }),
     }
 }
 

@@ -35,7 +35,7 @@ const ACTIVE: &str = "one-active";
 const ANY: u32 = u8::MAX as u32;
 const OFF: &str = "default, late timer and charge";
 
-const PINNED: [(Row, Found); 49] = [
+const PINNED: [(Row, Found); 50] = [
     ((UNDER_LOSS, "no-confirmation", 2, 1), losses(1, Some(1))),
     ((UNDER_LOSS, "first-complete", 2, 2), losses(2, Some(4))),
     ((UNDER_LOSS, "every-complete", 2, 2), losses(2, Some(4))),
@@ -73,6 +73,7 @@ const PINNED: [(Row, Found); 49] = [
     ((ACTIVE, "default", 2, ANY), margin(0, 1)),
     ((ACTIVE, "default, drift", 2, ANY), margin(1, 2)),
     ((ACTIVE, "default, crash", 2, ANY), margin(0, 1)),
+    ((ACTIVE, "default, two crashes", 2, ANY), margin(0, 1)),
     ((ACTIVE, "default, crash and a copy", 2, ANY), margin(0, 1)),
     ((ACTIVE, "default, slow link and a copy", 2, ANY), margin(0, 1)),
     ((ACTIVE, "default, exchanged roles", 2, 4), margin(0, 1)),

@@ -354,14 +354,23 @@ impl Floor {
     /// A task begins to act: in an epoch newer than all that anybody acted in. A new life that has heard nothing cannot
     /// know them; what it waited for before it took over has ended all that was ordered in them (D80).
     fn judge_epoch(&mut self, task: TaskId, epoch: u32) -> Result<(), Violation> {
-        let place = self.station_of(task.index());
-        let knows = self.stations[place].life.0 == 0 || self.ghosts.heard >> place & 1 == 1;
+        let knows = self.knows_epochs(self.station_of(task.index()));
         let Ok(epoch) = u8::try_from(epoch) else { return Err(Violation::OldEpoch) };
         let fresh = is_later(epoch, self.ghosts.begun);
-        if fresh {
+        if fresh && (knows || self.guesses_above()) {
             self.ghosts.begun = epoch;
         }
         if fresh || !knows { Ok(()) } else { Err(Violation::OldEpoch) }
+    }
+
+    /// Whether a node knows the epochs: it never started again, or somebody told it since.
+    fn knows_epochs(&self, place: usize) -> bool {
+        self.stations[place].life.0 == 0 || self.ghosts.heard >> place & 1 == 1
+    }
+
+    /// Whether the epoch at which a node begins that starts again is none of the past: it is, where epochs began elsewhere.
+    fn guesses_above(&self) -> bool {
+        self.plan.epoch == 0
     }
 
     /// A packet comes out of a link.
@@ -370,6 +379,8 @@ impl Floor {
             // An answer to an earlier life tells the present one nothing.
             let told =
                 packet.kind != Kind::Response || packet.id.incarnation == self.stations[to.index()].life;
+            let speaker = self.station_of(packet.source.index());
+            let told = told && (self.guesses_above() || self.knows_epochs(speaker));
             self.ghosts.heard |= u8::from(told) << to.index();
         }
         let home = self.plan.cell.location(packet.destination) == Some(to);

@@ -10,7 +10,8 @@
 //! Each time in office has an *epoch* of its own, and actuators drop commands of an older one. The primary's epochs are
 //! odd and the standby's even, so both can count up without hearing of each other. The primary says the epoch that it
 //! would act in before it does, with an answer, and begins by an echo of that: so whenever the standby takes over it
-//! has heard of every epoch that the primary began (D80).
+//! has heard of every epoch that the primary began (D80). A node that starts again has forgotten the epochs, and where it
+//! begins may seem newer than any: it says so until it has heard of one, and nobody takes its own for news (D135).
 //!
 //! With `<->` the roles are exchanged at a take-over. The one that took over acts alone until its partner is back, so
 //! a partner that was away must not take over before it knows that the other one depends on its beats: an answer says so.
@@ -66,6 +67,8 @@ pub(crate) struct Lease {
     pub epoch: u8,
     /// Whether `epoch` is one that the task would act under: its answers say so, and nobody has acted in it.
     pub proposed: bool,
+    /// Whether it has started again and since then neither heard of an epoch nor acted: then `epoch` is a guess.
+    pub guessed: bool,
     /// The partner's life: the answers below went to it, and the echo is of one of its answers.
     pub life: Option<Incarnation>,
     /// The last beats that were answered, newest first.
@@ -105,7 +108,7 @@ impl Beating<'_> {
 const WAITS: u8 = 0;
 const LEASED: u8 = 1;
 const ALONE: u8 = 2;
-/// The bytes of a beat, and those of an answer before what was published.
+/// The bytes of a beat before whether it guesses, and those of an answer before what was published.
 const ECHO_BYTES: usize = 4;
 
 impl Lease {
@@ -122,6 +125,7 @@ impl Lease {
             // An earlier life may have taken over without having heard of anybody.
             epoch: if restarted { 2 } else { 0 },
             proposed: false,
+            guessed: restarted,
             life: None,
             answered: [None; ANSWERS],
             newest: None,
@@ -166,6 +170,7 @@ impl Lease {
             Post::Waits if self.takeover_at <= at.now => {
                 self.propose();
                 self.stop(Post::Alone);
+                self.guessed = false;
                 self.call = Some(Call::TakeOver(self.epoch));
             }
             Post::Waits | Post::Leased(_) | Post::Alone | Post::Passive => {}
@@ -227,7 +232,8 @@ impl Lease {
         let back = self.echo.map_or(0, |echo| id.sequence.steps_from(echo.beat));
         let back = u16::try_from(back).unwrap_or(0).to_le_bytes();
         let whose = self.life.map_or(0, |life| life.0);
-        let contents = Contents::new(&[back[0], back[1], self.epoch, whose]).unwrap_or_default();
+        let guessed = u8::from(self.guessed);
+        let contents = Contents::new(&[back[0], back[1], self.epoch, whose, guessed]).unwrap_or_default();
         let packet = mapping::message(port, at.task, self.partner, id, life, contents);
         out.transmit(Packet { kind: Kind::Query, ..packet });
         // Counted from when it was due, so that lateness does not add up; after a pause one beat, not all that were due.
@@ -248,14 +254,12 @@ impl Lease {
             return;
         }
         let bytes = packet.contents.as_bytes();
-        let (Some(back), Some(&epoch), Some(&whose)) = (bytes.first_chunk(), bytes.get(2), bytes.get(3))
-        else {
-            return;
-        };
-        if !self.enter_life(packet.id.incarnation, epoch) {
+        let Some(&[low, high, epoch, whose]) = bytes.first_chunk() else { return };
+        let guessed = bytes.get(ECHO_BYTES).is_some_and(|&guessed| guessed != 0);
+        if !self.enter_life(packet.id.incarnation, epoch, guessed) {
             return;
         }
-        let back = u32::from(u16::from_le_bytes(*back));
+        let back = u32::from(u16::from_le_bytes([low, high]));
         let echoed = packet.id.sequence.plus(Seq24::MODULUS - back);
         let renewed = match at.table.rules().lease {
             LeaseRule::Echoed => {
@@ -276,7 +280,7 @@ impl Lease {
                     self.stand(Post::Leased(until));
                     // A plain heartbeat is no echo.
                     self.propose();
-                    self.proposed = false;
+                    (self.proposed, self.guessed) = (false, false);
                 }
                 Post::Alone => self.post = Post::Leased(until),
                 Post::Passive => {}
@@ -302,7 +306,7 @@ impl Lease {
             Post::Leased(_) => LEASED,
             Post::Alone => ALONE,
         };
-        (bytes[1], bytes[2]) = (self.epoch, at.incarnation.0);
+        (bytes[1], bytes[2], bytes[3]) = (self.epoch, at.incarnation.0, u8::from(self.guessed));
         let published = self.published.as_bytes();
         let len = published.len().min(PUBLISHED_BYTES);
         bytes[ECHO_BYTES..ECHO_BYTES + len].copy_from_slice(&published[..len]);
@@ -322,7 +326,7 @@ impl Lease {
             return;
         }
         let bytes = packet.contents.as_bytes();
-        let Some(&[mode, epoch, life]) = bytes.first_chunk() else { return };
+        let Some(&[mode, epoch, life, guessed]) = bytes.first_chunk() else { return };
         let life = Incarnation(life);
         if self.life.is_some_and(|known| is_older(life, known)) {
             return;
@@ -330,7 +334,7 @@ impl Lease {
         if self.life.replace(life) != Some(life) {
             (self.answered, self.newest, self.echo) = ([None; ANSWERS], None, None);
         }
-        self.hear_of(epoch);
+        self.hear_of(epoch, guessed != 0);
         // One that is of no use any more counts as none, whether a beat has dropped it since or not.
         self.echo = self.echo.filter(|echo| echo.until > at.now);
         let newest = self.echo.is_none_or(|echo| packet.id.sequence.is_newer_than(echo.beat));
@@ -351,27 +355,38 @@ impl Lease {
     }
 
     /// Whether a beat comes from the partner's present life. A new life has got none of the answers, and an earlier one, of
-    /// either side, may have acted in an epoch that nobody knows of any more: of each side one is left out.
-    fn enter_life(&mut self, life: Incarnation, epoch: u8) -> bool {
+    /// either side, may have acted in an epoch that nobody knows of any more: of each side one is left out. One that guesses may
+    /// have had an earlier life that guessed, too, and acted: that was one above its guess.
+    fn enter_life(&mut self, life: Incarnation, epoch: u8, guessed: bool) -> bool {
         if self.life.is_some_and(|known| is_older(life, known)) {
             return false;
         }
-        self.hear_of(epoch);
+        self.hear_of(epoch, guessed);
         if self.life != Some(life) {
             (self.life, self.answered, self.newest) = (Some(life), [None; ANSWERS], None);
             if !self.acts() {
-                self.epoch = self.epoch.wrapping_add(2);
+                self.epoch = self.epoch.wrapping_add(if guessed { 4 } else { 2 });
                 self.disown();
             }
         }
         true
     }
 
-    fn hear_of(&mut self, epoch: u8) {
-        if !self.acts() && is_newer_epoch(epoch, self.epoch) {
+    /// The partner says an epoch. Of two, of which one guesses, both take the other's.
+    fn hear_of(&mut self, epoch: u8, guessed: bool) {
+        if self.acts() {
+            return;
+        }
+        let taken = match (self.guessed, guessed) {
+            (true, false) => epoch != self.epoch,
+            (false, true) => false,
+            (true, true) | (false, false) => is_newer_epoch(epoch, self.epoch),
+        };
+        if taken {
             self.epoch = epoch;
             self.disown();
         }
+        self.guessed &= guessed;
     }
 
     /// Drops what can never matter again.

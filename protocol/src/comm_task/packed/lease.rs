@@ -57,7 +57,10 @@ impl CommTask {
         w.byte(lease.epoch)?;
         let life = lease.life.map_or(0, |life| life.0);
         match frame.lives {
-            true => w.byte(life)?,
+            true => {
+                w.byte(life)?;
+                w.byte(u8::from(lease.guessed))?;
+            }
             // A forged answer may speak of a life where there are none.
             false if life != 0 => return Err(Overflow),
             false => {}
@@ -92,6 +95,7 @@ impl CommTask {
         lease.proposed = first & PROPOSED != 0;
         lease.epoch = r.byte();
         let life = Incarnation(if lives { r.byte() } else { 0 });
+        lease.guessed = lives && r.byte() != 0;
         lease.life = (first & MET != 0).then_some(life);
         (lease.beat_at, lease.takeover_at) = (Ticks::FAR, Ticks::FAR);
         lease.post = match first & POST {
