@@ -12,5 +12,6 @@ mod floor;
 mod floor_packed;
 mod guard;
 mod reductions;
+mod standstill;
 mod support;
 mod traps;

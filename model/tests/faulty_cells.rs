@@ -19,7 +19,7 @@ use std::sync::{Arc, LazyLock};
 const FEWEST: usize = 25;
 
 /// Every kind of finding of a cell. No cell makes the machine itself go wrong, as far as is known.
-const KINDS: [Kind; 13] = [
+const KINDS: [Kind; 14] = [
     Kind::Deadlock,
     Kind::TimeOut,
     Kind::Starves,
@@ -33,6 +33,7 @@ const KINDS: [Kind; 13] = [
     Kind::TwoOwners,
     Kind::Unreached,
     Kind::Vacuous,
+    Kind::Standstill,
 ];
 
 /// What is said of a cell that the checker cannot look at.
@@ -98,6 +99,11 @@ fn right(text: &str) -> Option<String> {
     (!said.is_empty()).then(|| lines.join("\n"))
 }
 
+/// Findings and warnings.
+fn all(verdicts: &Verdicts) -> impl Iterator<Item = &Finding> {
+    verdicts.findings.iter().chain(&verdicts.warnings)
+}
+
 fn is_packet(note: &Note) -> bool {
     matches!(note, Note::Packet { .. })
 }
@@ -136,12 +142,12 @@ fn each_fault_is_found_where_its_cell_says_and_nothing_else() {
             let place = cell.place_of(refused.task, refused.at).expect("it has a place");
             format!("{NOT_CHECKED} {}:{}", place.0, place.1)
         });
-        let findings = verdicts.findings.iter().map(|found| told(cell, found, finds));
+        let findings = all(verdicts).map(|found| told(cell, found, finds));
         let found: Vec<String> = refused.into_iter().chain(findings).collect();
         if found.join(", ") != *finds {
             surprising.push(format!("{name}: {}, not {finds}", found.join(", ")));
         }
-        kinds.extend(verdicts.findings.iter().map(|found| found.kind));
+        kinds.extend(all(verdicts).map(|found| found.kind));
     }
     assert!(surprising.is_empty(), "{}", surprising.join("\n"));
     assert_eq!(kinds, BTreeSet::from(KINDS), "each kind has its cell");
@@ -151,13 +157,13 @@ fn each_fault_is_found_where_its_cell_says_and_nothing_else() {
 #[test]
 fn every_finding_has_a_place_and_those_whom_it_concerns_have_theirs() {
     for Checked { name, cell, verdicts, .. } in CHECKED.iter() {
-        for finding in &verdicts.findings {
+        for finding in all(verdicts) {
             let what = || format!("{name}: {}: {}", finding.kind.name(), finding.cause);
             assert!(cell.place(finding).is_some(), "{}", what());
             assert!(!finding.cause.is_empty() && !finding.cause.contains("  "), "{}", what());
             let concerns = match finding.kind {
                 Kind::Deadlock | Kind::TwoOwners => 2,
-                Kind::Stranded | Kind::TimeOut | Kind::Starves | Kind::Check => 1,
+                Kind::Stranded | Kind::TimeOut | Kind::Starves | Kind::Check | Kind::Standstill => 1,
                 Kind::Refused
                 | Kind::Ends
                 | Kind::Aborts
@@ -190,7 +196,7 @@ fn where_the_wrong_lines_are_right_nothing_is_found() {
         };
         let cell = cell(&right);
         let verdicts = check(&cell);
-        assert!(verdicts.findings.is_empty(), "{name}: {:?}", cell.found(&verdicts));
+        assert!(all(&verdicts).next().is_none(), "{name}: {:?}", cell.found(&verdicts));
     }
 }
 
@@ -203,8 +209,8 @@ fn the_way_to_each_fault_is_told_and_the_same_twice() {
         (plan.jobs, plan.budget) = (1, within(states));
         let plan = Arc::new(plan);
         let again = check_cell(&plan);
-        assert_eq!(once.findings.len(), again.findings.len(), "{name}");
-        for (finding, other) in once.findings.iter().zip(&again.findings) {
+        assert_eq!(all(once).count(), all(&again).count(), "{name}");
+        for (finding, other) in all(once).zip(all(&again)) {
             let way = |finding: &Finding| (finding.moves.clone(), finding.at_ticks, finding.chart.clone());
             assert_eq!(way(finding), way(other), "{name}");
             if matches!(finding.kind, Kind::Unreached | Kind::Vacuous | Kind::Machine) {

@@ -5,7 +5,13 @@ use imrs_monitor::app::Msg;
 use imrs_monitor::specimen::Specimen;
 use imrs_monitor::theme::Theme;
 use imrs_wire::obs::ServerFrame;
-use std::time::{Duration, Instant};
+use rustix::time::{ClockId, clock_gettime};
+use std::time::Duration;
+
+/// Processor time of this thread: what others do meanwhile takes none of it.
+fn own_time() -> Duration {
+    Duration::try_from(clock_gettime(ClockId::ThreadCPUTime)).expect("it counts from the thread's begin")
+}
 
 fn stage(cell: Specimen) -> Stage {
     let mut stage = Stage::new(Theme::COLOUR);
@@ -31,14 +37,12 @@ fn only_rows_in_sight_are_made() {
     stage.keys(ms(1_000), "G");
     let text = stage.text(ms(1_050), 200, 60);
     assert!(text.contains("port9999") && !text.contains("port9900 "), "the end is in sight");
-    let fastest = (0..20)
-        .map(|i| {
-            let start = Instant::now();
-            let _ = stage.buffer(ms(1_050 + i), 200, 60);
-            start.elapsed()
-        })
-        .min()
-        .unwrap();
+    let took = |i: u64| {
+        let start = own_time();
+        let _ = stage.buffer(ms(1_050 + i), 200, 60);
+        own_time() - start
+    };
+    let fastest = (0..20).map(took).min().unwrap();
     println!("a frame of 10,000 ports at 200x60 takes {fastest:?}");
     assert!(fastest < ms(50), "{fastest:?}");
 }
@@ -54,12 +58,12 @@ fn every_screen_of_a_hundred_nodes_is_built_from_what_is_in_sight() {
         let mut before = stage.buffer(ms(1_050), 200, 60);
         let mut taken: Vec<Duration> = (0..30)
             .map(|i| {
-                let start = Instant::now();
+                let start = own_time();
                 let after = stage.buffer(ms(1_051 + i), 200, 60);
                 let changed = before.diff(&after).len();
                 before = after;
                 assert!(changed < 200 * 60);
-                start.elapsed()
+                own_time() - start
             })
             .collect();
         taken.sort();

@@ -21,6 +21,8 @@ pub(super) struct Answer<'a> {
     /// The checks of the file.
     claims: Vec<Settled<'a>>,
     findings: Vec<Told<'a>>,
+    /// What may well be meant: tasks that go on for ever without coming further.
+    warnings: Vec<Told<'a>>,
     /// Times of the cell that are no multiples of its tick, and were rounded: what is found may come of that.
     rounded: Vec<Rounded<'a>>,
     phases: Vec<Searched<'a>>,
@@ -162,6 +164,7 @@ impl Subject {
                 .zip(&verdicts.findings)
                 .map(|(number, finding)| self.told(finding, saved == Some(number)))
                 .collect(),
+            warnings: verdicts.warnings.iter().map(|warning| self.told(warning, false)).collect(),
             rounded: self.rounded().map(|(line, column, what)| Rounded { line, column, what }).collect(),
             phases: verdicts.phases.iter().map(|phase| searched(plan, phase)).collect(),
         }

@@ -19,7 +19,7 @@ const EXCERPT: usize = 48;
 
 /// What no verdict on a cell says anything about.
 pub(super) const NOT_LOOKED_FOR: &str =
-    "tasks that go on for ever without coming further (two that poll for what the other has)";
+    "tasks that go on for ever without coming further while others do come further";
 
 /// What there is to tell.
 pub(super) struct Telling<'a> {
@@ -45,24 +45,11 @@ impl Telling<'_> {
             }
             return out.line(Styled(NOTE, format!("{}: not checked: it proves nothing", subject.file)));
         }
-        for (i, finding) in verdicts.findings.iter().enumerate() {
-            let head = format!("{}: {}", finding.kind.name(), finding.cause);
-            out.line(Styled(if finding.kind == Kind::Vacuous { NOTE } else { BAD }, head))?;
-            let (line, column, text) = subject.place_of(finding);
-            out.line(format!("  --> {}:{line}:{column}  {text}", subject.file))?;
-            if !finding.also.is_empty() {
-                out.line(format!("  also {}", self.also(finding)))?;
-            }
-            for other in &finding.others {
-                out.line(format!("  meanwhile {}", self.meanwhile(other)))?;
-            }
-            let whole = i + 1 == self.args.faults.finding.map_or(1, usize::from);
-            chart(finding, (i + 1, whole), out)?;
-            out.line(format!("  help: {}", help(finding.kind)))?;
-            if let Some(how) = self.step_by_step(i + 1, finding) {
-                out.line(format!("  step by step: {how}"))?;
-            }
-            out.line("")?;
+        for (number, finding) in (1..).zip(&verdicts.findings) {
+            self.finding(finding, Some(number), out)?;
+        }
+        for warning in &verdicts.warnings {
+            self.finding(warning, None, out)?;
         }
         if let (Some(path), None, false) = (&self.args.faults.save, self.saved, verdicts.findings.is_empty())
         {
@@ -98,6 +85,30 @@ impl Telling<'_> {
         }
         self.rounded(out)?;
         self.last_line(out)
+    }
+
+    /// A finding, by its number, or a warning.
+    fn finding(&self, finding: &Finding, number: Option<usize>, out: &mut Output) -> Result<(), Failure> {
+        let subject = self.subject;
+        let (kind, cause) = (finding.kind.name(), &finding.cause);
+        let head =
+            if number.is_some() { format!("{kind}: {cause}") } else { format!("warning: {kind}: {cause}") };
+        let style = if number.is_none() || finding.kind == Kind::Vacuous { NOTE } else { BAD };
+        out.line(Styled(style, head))?;
+        let (line, column, text) = subject.place_of(finding);
+        out.line(format!("  --> {}:{line}:{column}  {text}", subject.file))?;
+        if !finding.also.is_empty() {
+            out.line(format!("  also {}", self.also(finding)))?;
+        }
+        for other in &finding.others {
+            out.line(format!("  meanwhile {}", self.meanwhile(other)))?;
+        }
+        chart(finding, number.map(|number| (number, self.args.faults.finding.map_or(1, usize::from))), out)?;
+        out.line(format!("  help: {}", help(finding.kind)))?;
+        if let Some(how) = number.and_then(|number| self.step_by_step(number, finding)) {
+            out.line(format!("  step by step: {how}"))?;
+        }
+        out.line("")
     }
 
     /// Times that are no multiples of the tick.
@@ -244,12 +255,13 @@ impl Telling<'_> {
         match (self.verdicts.findings.len(), self.verdicts.is_complete()) {
             (0, true) => {
                 let whole = self.verdicts.phases.iter().all(|phase| phase.times == Times::Every);
+                let (found, style) = match self.verdicts.warnings.len() {
+                    0 => ("nothing found".to_owned(), GOOD),
+                    n => (format!("no finding, {}", count(n as u64, "warning")), NOTE),
+                };
                 let what =
                     if whole { "within these bounds" } else { "within these bounds and at these times" };
-                out.line(Styled(
-                    GOOD,
-                    format!("{file}: nothing found, everything {what} was looked at{checks}"),
-                ))
+                out.line(Styled(style, format!("{file}: {found}, everything {what} was looked at{checks}")))
             }
             (0, false) => {
                 let text = format!(
@@ -291,6 +303,9 @@ pub(super) const fn help(kind: Kind) -> &'static str {
         Kind::TwoOwners => "give the couple a longer takeover or a shorter lease",
         Kind::Unreached => "remove it, or correct the condition that keeps it from being reached",
         Kind::Vacuous => "correct the left side of the check, or what should make it true",
+        Kind::Standstill => {
+            "let one of them give up what it has, or give up for good; where others may well wait for ever, nothing is to be done"
+        }
         Kind::Machine => "this is a fault of imrs, not of the cell: please report it with the file",
     }
 }
@@ -304,9 +319,12 @@ fn short(text: &str) -> String {
     format!("{}...", kept.trim_end())
 }
 
-fn chart(finding: &Finding, (number, whole): (usize, bool), out: &mut Output) -> Result<(), Failure> {
+/// The chart of a finding: all of it if its number is the one asked for, or if it has none.
+fn chart(finding: &Finding, number: Option<(usize, usize)>, out: &mut Output) -> Result<(), Failure> {
     let lines: Vec<&str> = finding.chart.lines().collect();
-    let skipped = if whole { 0 } else { lines.len().saturating_sub(CHART_TAIL + 1) };
+    let cut = number.filter(|(number, whole)| number != whole);
+    let skipped = cut.map_or(0, |_| lines.len().saturating_sub(CHART_TAIL + 1));
+    let number = cut.map_or(0, |(number, _)| number);
     for (i, line) in lines.iter().enumerate() {
         if i == 0 || i > skipped {
             out.line(format!("  {line}"))?;

@@ -26,6 +26,7 @@ pub(super) fn context(course: &Course, shown: &Shown, begun: &[Option<Address>])
         | Kind::TwoOwners
         | Kind::Unreached
         | Kind::Vacuous
+        | Kind::Standstill
         | Kind::Machine => Vec::new(),
     };
     let mut cause = shown.cause.clone();

@@ -146,11 +146,17 @@ impl Course {
         course
     }
 
+    /// The variables of a task, bit by bit, that nobody reads any more.
+    pub fn dead_variables(&self, task: usize) -> u64 {
+        let actor = self.floor.bodies[task].actor.as_ref();
+        self.dead.get(task).zip(actor).map_or(0, |(dead, actor)| dead.at(actor.script.own_position()))
+    }
+
     /// Forgets the variables that nobody reads any more.
     pub fn bury(&mut self) {
-        for (body, dead) in self.floor.bodies.iter_mut().zip(&self.dead) {
-            let Some(actor) = &mut body.actor else { continue };
-            let mut left = dead.at(actor.script.own_position());
+        for task in 0..self.floor.bodies.len() {
+            let mut left = self.dead_variables(task);
+            let Some(actor) = &mut self.floor.bodies[task].actor else { continue };
             while left != 0 {
                 actor.script.bury_variable(u16::try_from(left.trailing_zeros()).unwrap_or(0));
                 left &= left - 1;

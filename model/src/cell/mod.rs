@@ -25,7 +25,8 @@
 //!   values: zero, one and constants of the other tasks ([`Verdicts::outside`]).
 //!
 //! A request that ends by its time_out without a fault is starvation where it was put off more often than aging allows.
-//! Not looked at: a task that goes on for ever without coming further.
+//! Where all tasks go on for ever and nothing comes further any more, that is a warning (`standstill`). Not looked at: a task that
+//! goes on for ever without coming further while another one does come further.
 
 mod alike;
 mod between;
@@ -43,6 +44,7 @@ mod outside;
 mod plan;
 mod search;
 mod seen;
+mod standstill;
 mod starve;
 mod story;
 mod svg;

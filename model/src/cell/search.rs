@@ -9,6 +9,7 @@ use super::judge::{self, Reached, Shown};
 use super::outside::{says_something, tried, with_programs};
 use super::plan::{CellFaults, CellPlan, Conduct, Holds, Times};
 use super::seen::Seen;
+use super::standstill::{self, Ways};
 use super::verdict::{Coverage, Finding, Kind, Phase, Refused, Verdicts};
 use super::walker::{Hit, Origin, Walker, Walks};
 use super::{starve, story};
@@ -37,6 +38,9 @@ struct Search {
     moves: u64,
     longest: usize,
     outgrown: bool,
+    ways: Ways,
+    /// The fingerprint of each kept state.
+    cores: Vec<u64>,
     /// The least depth of a batch that was not taken in to its end.
     batch: Option<u16>,
 }
@@ -63,6 +67,7 @@ pub(super) fn explore_and_keep(plan: &Arc<CellPlan>, phase: Phase, faults: &Cell
 struct Done {
     coverage: Coverage,
     findings: Vec<Finding>,
+    standstill: Option<Finding>,
     reached: Reached,
     mattered: Vec<bool>,
 }
@@ -169,6 +174,11 @@ fn search(plan: &Arc<CellPlan>, (phase, hypothesis): (Phase, usize), faults: &Ce
     let ended_by = ended_by.or_else(outgrown);
     let tell = |hit: &Hit| search.tell(plan, (phase, hypothesis), faults, hit);
     let findings: Vec<Finding> = search.hits.iter().map(tell).collect();
+    let still = if ended_by.is_none() { search.ways.first_still(&search.cores) } else { None };
+    let standstill = still.and_then(|at| {
+        let moves = search.path(plan, faults, search.origins[at]);
+        standstill::tell(plan, (phase, hypothesis), faults, moves)
+    });
     let depth = search.origins.iter().map(|origin| u64::from(origin.depth)).max().unwrap_or(0);
     let depth_of = |&(at, _): &Queued| search.origins.get(at as usize).map(|origin| origin.depth);
     let left = search.queue.iter().filter_map(depth_of).chain(search.batch).min();
@@ -192,7 +202,7 @@ fn search(plan: &Arc<CellPlan>, (phase, hypothesis): (Phase, usize), faults: &Ce
         mattered.iter_mut().zip(walker.mattered()).for_each(|(all, one)| *all |= one);
     }
     let reached = walkers.into_iter().map(|walker| walker.reached).reduce(Reached::join).unwrap_or_default();
-    (search, Done { coverage, findings, reached, mattered })
+    (search, Done { coverage, findings, standstill, reached, mattered })
 }
 
 impl Search {
@@ -252,6 +262,7 @@ impl Search {
     fn take_in(&mut self, walks: Walks) {
         self.moves += walks.moves;
         self.outgrown |= walks.outgrown;
+        self.ways.take_in(walks.ways);
         for hit in walks.hits {
             if !self.hits.iter().any(|known| known.shown.is_same(&hit.shown)) {
                 self.hits.push(hit);
@@ -262,15 +273,15 @@ impl Search {
             if self.seen.insert(stop.mark) {
                 self.longest = self.longest.max(stop.state.len());
                 self.origins.push(stop.origin);
+                self.cores.push(stop.mark.core());
                 self.queue.push_back((at, stop.state));
             }
         }
     }
 
-    /// The moves to a hit, walked through ones included.
-    fn path(&self, plan: &Arc<CellPlan>, faults: &CellFaults, hit: &Hit) -> Vec<CellMove> {
+    /// The moves to where this leads, walked through ones included.
+    fn path(&self, plan: &Arc<CellPlan>, faults: &CellFaults, mut origin: Origin) -> Vec<CellMove> {
         let mut walks = Vec::new();
-        let mut origin = hit.origin;
         while origin.parent != u32::MAX {
             walks.push((Some(usize::from(origin.choice)), origin.steps));
             origin = self.origins[origin.parent as usize];
@@ -303,32 +314,43 @@ impl Search {
         faults: &CellFaults,
         hit: &Hit,
     ) -> Finding {
-        let moves = self.path(plan, faults, hit);
+        let moves = self.path(plan, faults, hit.origin);
         let mut shown = hit.shown.clone();
         if let (Kind::TimeOut, Some(place)) = (shown.kind, shown.task.zip(shown.address))
             && let Some(how) = starve::starved(plan, &moves, place)
         {
             (shown.kind, shown.cause) = (Kind::Starves, how);
         }
-        let told = story::tell(plan, faults, &moves, &shown);
-        let Shown { kind, task, address, check, couple, .. } = shown;
-        Finding {
-            kind,
-            phase,
-            hypothesis,
-            times: plan.times,
-            task: task.map(TaskId::from_index),
-            also: Vec::new(),
-            address,
-            check,
-            couple,
-            others: told.others,
-            cause: told.cause,
-            at_ticks: told.ticks,
-            moves,
-            steps: told.steps,
-            chart: told.chart,
-        }
+        finding(plan, (phase, hypothesis), faults, moves, &shown)
+    }
+}
+
+/// What was shown at the end of these moves, told.
+pub(super) fn finding(
+    plan: &Arc<CellPlan>,
+    (phase, hypothesis): (Phase, usize),
+    faults: &CellFaults,
+    moves: Vec<CellMove>,
+    shown: &Shown,
+) -> Finding {
+    let told = story::tell(plan, faults, &moves, shown);
+    let &Shown { kind, task, address, check, couple, .. } = shown;
+    Finding {
+        kind,
+        phase,
+        hypothesis,
+        times: plan.times,
+        task: task.map(TaskId::from_index),
+        also: Vec::new(),
+        address,
+        check,
+        couple,
+        others: told.others,
+        cause: told.cause,
+        at_ticks: told.ticks,
+        moves,
+        steps: told.steps,
+        chart: told.chart,
     }
 }
 
@@ -377,6 +399,12 @@ fn conclude(plan: &Arc<CellPlan>, done: Vec<Done>, outside: Vec<i64>) -> Verdict
     verdicts.still = still(plan, &done);
     for done in done {
         verdicts.phases.push(done.coverage);
+        // The same tasks at the same statement: with faults it is no news.
+        let is_known = |new: &Finding| {
+            let mut known = verdicts.warnings.iter();
+            known.any(|known| (known.task, known.address) == (new.task, new.address))
+        };
+        verdicts.warnings.extend(done.standstill.filter(|new| !is_known(new)));
         for finding in done.findings {
             let key = |f: &Finding| (f.kind, f.task, f.address, f.check);
             if !verdicts.findings.iter().any(|other| key(other) == key(&finding)) {

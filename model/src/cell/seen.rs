@@ -41,6 +41,11 @@ impl Mark {
         Self { core: hasher.finish(), left }
     }
 
+    /// The fingerprint of what it is.
+    pub const fn core(self) -> u64 {
+        self.core
+    }
+
     /// Whether it is kept although only one thing can happen next.
     pub fn is_post(self) -> bool {
         self.core.is_multiple_of(POSTS)

@@ -36,6 +36,8 @@ pub enum Kind {
     Unreached,
     /// A check says nothing: what makes it matter never happens.
     Vacuous,
+    /// Tasks go on for ever without coming further: a warning.
+    Standstill,
     /// The machine itself is at fault, or the state outgrew its packed form.
     Machine,
 }
@@ -58,6 +60,7 @@ impl Kind {
             Self::TwoOwners => "two owners",
             Self::Unreached => "never reached",
             Self::Vacuous => "check says nothing",
+            Self::Standstill => "standstill",
             Self::Machine => "fault of the machine",
         }
     }
@@ -168,6 +171,9 @@ pub struct Verdicts {
     pub refused: Option<Refused>,
     /// What is wrong, in the order of [`Kind`].
     pub findings: Vec<Finding>,
+    /// What may well be meant: tasks that go on for ever without coming further, one for each phase that was searched to its end.
+    #[serde(default)]
+    pub warnings: Vec<Finding>,
     /// What was looked at.
     pub phases: Vec<Coverage>,
     /// What checks read that never changed in any state: the check's position, and what it was, as `r2.active = false`.

@@ -3,6 +3,7 @@
 use super::course::{CellMove, Course};
 use super::judge::{Reached, Shown, deadlock, judge, nothing_reached};
 use super::seen::{Mark, Seen};
+use super::standstill::{Ways, is_fault};
 use super::verdict::{Kind, Phase};
 use crate::state::Violation;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -34,12 +35,21 @@ pub(super) struct Stop {
     pub state: Box<[u8]>,
 }
 
+/// A way from a kept state, so far.
+#[derive(Clone, Copy)]
+struct Way {
+    from: u32,
+    takes_fault: bool,
+    /// Whether a step of it was progress.
+    further: bool,
+}
+
 /// What the states that were kept say about one without an alternative.
 enum Known {
     /// Walk on.
     No,
     /// One that may do all that this one may was kept.
-    Covered,
+    Covered(Mark),
     /// It is one of those to keep: its packed form.
     Post(Mark, Box<[u8]>),
 }
@@ -50,6 +60,7 @@ pub(super) struct Walks {
     pub stops: Vec<Stop>,
     pub hits: Vec<Hit>,
     pub moves: u64,
+    pub ways: Ways,
     /// Whether some state had no packed form: what follows it was not looked at.
     pub outgrown: bool,
 }
@@ -134,12 +145,15 @@ impl Walker {
     fn walk(&mut self, mut origin: Origin, first: Option<CellMove>, seen: &Seen) {
         let mut step = first;
         let mut moves = Vec::new();
+        let mut way = Way { from: origin.parent, takes_fault: origin.parent == u32::MAX, further: false };
         loop {
             origin.steps += u16::from(step.is_some());
             if let Some(step) = step {
-                self.apply(step);
+                way.takes_fault |= is_fault(step);
+                way.further |= self.apply(step);
             }
             if self.look(origin) {
+                self.lead(way, None);
                 return;
             }
             moves.clear();
@@ -148,6 +162,7 @@ impl Walker {
                 if let Some(shown) = deadlock(&self.course) {
                     self.note(shown, origin);
                 }
+                self.lead(way, None);
                 if moves.is_empty() {
                     return;
                 }
@@ -157,8 +172,12 @@ impl Walker {
                 _ => break,
             }
             match self.is_known(&moves, seen) {
-                Known::Covered => return,
+                Known::Covered(mark) => {
+                    self.lead(way, Some(mark));
+                    return;
+                }
                 Known::Post(mark, state) => {
+                    self.lead(way, Some(mark));
                     self.walks.stops.push(Stop { origin, mark, state });
                     return;
                 }
@@ -168,6 +187,7 @@ impl Walker {
         match self.course.store() {
             Ok(state) => {
                 let mark = Mark::of(self.course.split(&state));
+                self.lead(way, Some(mark));
                 if !seen.covers(mark) {
                     self.walks.stops.push(Stop { origin, mark, state });
                 }
@@ -180,14 +200,24 @@ impl Walker {
         }
     }
 
-    fn apply(&mut self, step: CellMove) {
+    /// Notes where a way leads, unless it takes a fault.
+    fn lead(&mut self, way: Way, to: Option<Mark>) {
+        if !way.takes_fault {
+            self.walks.ways.note(way.from, to.filter(|_| !way.further).map(Mark::core));
+        }
+    }
+
+    /// Makes a move. Says whether it was progress.
+    fn apply(&mut self, step: CellMove) -> bool {
         self.walks.moves += 1;
-        if !self.course.survives(step) {
+        let course = &mut self.course;
+        catch_unwind(AssertUnwindSafe(|| course.progresses(step))).unwrap_or_else(|_| {
             let mattered = std::mem::take(&mut self.course.mattered);
             self.course = Course::new(&Arc::clone(&self.course.plan), &self.course.faults.clone());
             self.course.mattered = mattered;
             self.course.floor.violation = Some(Violation::Panic);
-        }
+            true
+        })
     }
 
     /// Asks what was kept where a packet is about to arrive: with more left to go wrong there was a choice there, and ways
@@ -199,7 +229,7 @@ impl Walker {
         let Ok(state) = self.course.store() else { return Known::No };
         let mark = Mark::of(self.course.split(&state));
         if seen.covers(mark) {
-            Known::Covered
+            Known::Covered(mark)
         } else if mark.is_post() {
             Known::Post(mark, state)
         } else {

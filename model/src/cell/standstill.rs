@@ -1,0 +1,258 @@
+//! Standstill: tasks that go on for ever without coming further. Two robots, each of which holds a zone and polls for the
+//! other's; one that polls for a zone whose holder is dead.
+//!
+//! A step is *progress* when an action ends well, a meeting completes, or a variable that somebody may still read takes another
+//! value. From a state at a standstill no way leads to progress, nor to an end, unless a fault or a restart comes. What
+//! repeats there is told where a task waits for others in it: a camera that goes on by itself is at no standstill.
+
+use super::course::{CellMove, Course};
+use super::judge::{Shown, name, position};
+use super::plan::{CellFaults, CellPlan};
+use super::seen::Mark;
+use super::verdict::{Finding, Kind, Phase};
+use crate::floor::script::ScriptTurn;
+use imrs_protocol::Signal;
+use imrs_protocol::script::ScriptInput;
+use std::collections::{BTreeSet, HashMap, HashSet};
+use std::panic::{AssertUnwindSafe, catch_unwind};
+use std::sync::Arc;
+
+/// So many states of a standstill are walked through to tell what repeats in it.
+const MOST_STATES: usize = 4096;
+
+/// What the walks between kept states are: where each leads, as far as that matters.
+#[derive(Default)]
+pub(super) struct Ways {
+    /// From which state to which, by its core's fingerprint.
+    steps: Vec<(u32, u64)>,
+    /// States from which a way makes progress, or ends.
+    free: Vec<u32>,
+}
+
+impl Ways {
+    /// A walk from a kept state leads to this one; `None`: to progress or to an end.
+    pub fn note(&mut self, from: u32, to: Option<u64>) {
+        match to {
+            Some(to) => self.steps.push((from, to)),
+            None if self.free.last() != Some(&from) => self.free.push(from),
+            None => {}
+        }
+    }
+
+    /// Takes in what other walks noted.
+    pub fn take_in(&mut self, other: Self) {
+        self.steps.extend(other.steps);
+        self.free.extend(other.free);
+    }
+
+    /// The first state from which no way leads to progress or to an end. `cores` are the kept states' fingerprints.
+    pub fn first_still(&self, cores: &[u64]) -> Option<usize> {
+        let mut free = vec![false; cores.len()];
+        let mut open: Vec<u32> = Vec::new();
+        let mut leads = vec![false; cores.len()];
+        for &(from, _) in &self.steps {
+            leads[from as usize] = true;
+        }
+        // A state without any way that needs no fault is an end, too.
+        let ends = (0_u32..).zip(&leads).filter(|(_, leads)| !**leads).map(|(at, _)| at);
+        for at in self.free.iter().copied().chain(ends) {
+            if !std::mem::replace(&mut free[at as usize], true) {
+                open.push(at);
+            }
+        }
+        if free.iter().all(|free| *free) {
+            return None;
+        }
+        let mut places: HashMap<u64, u32> = HashMap::with_capacity(cores.len());
+        for (at, &core) in (0_u32..).zip(cores) {
+            places.entry(core).or_insert(at);
+        }
+        let mut back: Vec<(u32, u32)> =
+            self.steps.iter().filter_map(|&(from, to)| Some((*places.get(&to)?, from))).collect();
+        back.sort_unstable();
+        while let Some(at) = open.pop() {
+            // States that differ only in what may still go wrong have the same ways without faults.
+            let first = places.get(&cores[at as usize]).copied().unwrap_or(at);
+            let begin = back.partition_point(|&(to, _)| to < first);
+            for &(_, from) in back[begin..].iter().take_while(|&&(to, _)| to == first) {
+                if !std::mem::replace(&mut free[from as usize], true) {
+                    open.push(from);
+                }
+            }
+        }
+        free.iter().position(|free| !free)
+    }
+}
+
+/// What goes wrong, or makes good what went wrong.
+pub(super) const fn is_fault(step: CellMove) -> bool {
+    match step {
+        CellMove::Drift(..)
+        | CellMove::Lose(_)
+        | CellMove::Duplicate(_)
+        | CellMove::Cut(..)
+        | CellMove::Vanish(_)
+        | CellMove::Acted(_, _, false, _)
+        | CellMove::Crash(_)
+        | CellMove::Restart(_) => true,
+        CellMove::Pass
+        | CellMove::Deliver(_)
+        | CellMove::Mend(..)
+        | CellMove::Acted(_, _, true, _)
+        | CellMove::GoOn(..)
+        | CellMove::Stay(_)
+        | CellMove::Choose(..) => false,
+    }
+}
+
+/// Walks through a standstill and says what repeats in it. None where nobody waits for others, where something does come
+/// further after all, or where there is too much of it.
+pub(super) fn tell(
+    plan: &Arc<CellPlan>,
+    (phase, hypothesis): (Phase, usize),
+    faults: &CellFaults,
+    mut moves: Vec<CellMove>,
+) -> Option<Finding> {
+    let mut course = Course::new(plan, faults);
+    moves.iter().for_each(|&step| course.apply(step));
+    let mut known = HashSet::new();
+    let mut asks = BTreeSet::new();
+    let mut open = vec![(course.store().ok()?, true)];
+    let mut all = Vec::new();
+    while let Some((state, first)) = open.pop() {
+        if known.len() > MOST_STATES || !known.insert(Mark::of(course.split(&state)).core()) {
+            continue;
+        }
+        course.load(&state);
+        all.clear();
+        course.moves(&mut all);
+        all.retain(|&step| !is_fault(step));
+        // The chart shows one round: the first move of each state.
+        for (at, &step) in all.iter().enumerate().rev() {
+            course.load(&state);
+            if !matches!(catch_unwind(AssertUnwindSafe(|| course.progresses(step))), Ok(false)) {
+                return None;
+            }
+            for turn in course.floor.turns.as_mut().map(std::mem::take).unwrap_or_default() {
+                if let ScriptInput::Signal(signal) = turn.input
+                    && is_an_answer(&signal)
+                {
+                    asks.insert(turn.task);
+                }
+            }
+            let shown = first && at == 0;
+            if shown {
+                moves.push(step);
+            }
+            open.push((course.store().ok()?, shown));
+        }
+    }
+    let tasks: Vec<usize> = asks.into_iter().collect();
+    let names: Vec<&str> = tasks.iter().map(|&task| name(&plan.table, task)).collect();
+    let cause = match &names[..] {
+        [] => return None,
+        [one] => format!("{one} goes on for ever, and nothing comes further any more"),
+        [all @ .., last] => {
+            format!("{} and {last} go on for ever, and nothing comes further any more", all.join(", "))
+        }
+    };
+    let mut course = Course::new(plan, faults);
+    moves.iter().for_each(|&step| course.apply(step));
+    let (task, address) = (tasks.first().copied(), tasks.first().map(|&task| position(&course, task)));
+    let shown =
+        Shown { task, address, others: tasks[1..].to_vec(), ..Shown::whole(Kind::Standstill, &cause) };
+    Some(super::search::finding(plan, (phase, hypothesis), faults, moves, &shown))
+}
+
+/// Whether a task is told what became of something that it asked of others.
+const fn is_an_answer(signal: &Signal) -> bool {
+    match signal {
+        Signal::Outcome(_) | Signal::Answers { .. } | Signal::Nothing | Signal::GaveUp { .. } => true,
+        Signal::Accepted(_)
+        | Signal::Fault(_)
+        | Signal::Interrupt(_)
+        | Signal::Granted(_)
+        | Signal::Message(_)
+        | Signal::Released { .. }
+        | Signal::TimeOut(_)
+        | Signal::Cancelled => false,
+    }
+}
+
+impl Course {
+    /// Makes a move and says whether it was progress.
+    pub fn progresses(&mut self, step: CellMove) -> bool {
+        let before: Vec<Vec<i64>> = self.variables().collect();
+        self.apply(step);
+        let is_met = |turn: &ScriptTurn| matches!(turn.input, ScriptInput::Signal(Signal::Released { .. }));
+        let acted = matches!(step, CellMove::Acted(_, _, true, _));
+        acted || self.floor.turns.iter().flatten().any(is_met) || self.differs(&before)
+    }
+
+    fn variables(&self) -> impl Iterator<Item = Vec<i64>> + '_ {
+        self.floor.bodies.iter().map(|body| {
+            let actor = body.actor.iter();
+            actor.flat_map(|actor| (0..).map_while(|at| actor.script.var(at))).collect()
+        })
+    }
+
+    /// Whether a variable that may still be read has another value than before.
+    fn differs(&self, before: &[Vec<i64>]) -> bool {
+        let mut tasks = self.variables().zip(before).enumerate();
+        tasks.any(|(task, (now, before))| {
+            let dead = self.dead_variables(task);
+            let is_live = |at: usize| at >= 64 || dead >> at & 1 == 0;
+            now.len() != before.len() || (0..now.len()).any(|at| is_live(at) && now[at] != before[at])
+        })
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Whether progress or an end can be reached, asked state by state.
+    fn is_still(ways: &Ways, cores: &[u64], from: usize) -> bool {
+        let (mut seen, mut open) = (vec![from], vec![from]);
+        while let Some(at) = open.pop() {
+            let number = u32::try_from(at).expect("few");
+            let mut on = ways.steps.iter().filter(|(of, _)| *of == number).peekable();
+            if ways.free.contains(&number) || on.peek().is_none() {
+                return false;
+            }
+            for (_, to) in on {
+                let to = cores.iter().position(|core| core == to).expect("it was kept");
+                if !seen.contains(&to) {
+                    seen.push(to);
+                    open.push(to);
+                }
+            }
+        }
+        true
+    }
+
+    #[test]
+    fn the_first_state_without_a_way_out_is_the_one_that_asking_each_state_gives() {
+        let mut random = 1987_u64;
+        let mut draw = |below: u64| {
+            random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
+            (random >> 33) % below
+        };
+        let (mut still, mut none) = (0, 0);
+        for _ in 0..2000 {
+            let n = 2 + draw(9);
+            let cores: Vec<u64> = (0..n).map(|at| at * 7 + 3).collect();
+            let mut ways = Ways::default();
+            for from in 0..n {
+                for _ in 0..1 + draw(2) {
+                    let to = (draw(8) > 0).then(|| cores[usize::try_from(draw(n)).expect("few")]);
+                    ways.note(u32::try_from(from).expect("few"), to);
+                }
+            }
+            let asked = (0..cores.len()).find(|&at| is_still(&ways, &cores, at));
+            assert_eq!(ways.first_still(&cores), asked, "{:?} {:?}", ways.steps, ways.free);
+            if asked.is_some() { still += 1 } else { none += 1 }
+        }
+        assert!(still > 300 && none > 300, "{still} {none}");
+    }
+}

@@ -1,0 +1,131 @@
+//! Tasks that go on for ever without coming further: told where nothing can come of it, and nowhere else.
+
+use crate::cells::{Text, within};
+use imrs_model::cell::{CellFaults, CellMove, Kind, Times, Verdicts};
+use imrs_protocol::NodeId;
+
+const ZONES: &str = include_str!("../../examples/faulty/robots_poll_for_each_others_zone.cell");
+
+/// Both take the left zone first: what the file says is right.
+fn in_order() -> String {
+    let mut lines: Vec<&str> = ZONES.lines().collect();
+    for said in ZONES.lines().filter_map(|line| line.strip_prefix("(* right: ")?.strip_suffix(" *)")) {
+        let (number, line) = said.split_once(": ").expect("a line and what it should be");
+        lines[number.parse::<usize>().expect("a number") - 1] = line;
+    }
+    lines.join("\n")
+}
+
+fn checked(text: &str, change: impl FnOnce(&mut Text)) -> (Text, Verdicts) {
+    let mut cell = Text::new(text);
+    cell.plan.budget = within(100_000);
+    change(&mut cell);
+    let verdicts = cell.check();
+    assert!(verdicts.is_complete(), "{:?}", verdicts.phases);
+    (cell, verdicts)
+}
+
+/// The node of `a` stops, and may stay down.
+fn dead() -> CellFaults {
+    CellFaults { crash: vec![NodeId(0)], ..CellFaults::default() }
+}
+
+fn causes(verdicts: &Verdicts) -> Vec<&str> {
+    verdicts.warnings.iter().map(|warning| warning.cause.as_str()).collect()
+}
+
+#[test]
+fn two_that_poll_for_what_the_other_has_are_told_at_any_times() {
+    for times in [Times::Ends, Times::Between, Times::Every] {
+        let (_, verdicts) = checked(ZONES, |cell| cell.plan.times = times);
+        assert_eq!(
+            causes(&verdicts),
+            ["a and b go on for ever, and nothing comes further any more"],
+            "{times:?}"
+        );
+        let warning = &verdicts.warnings[0];
+        assert!(warning.kind == Kind::Standstill && warning.chart.contains("RESPONSE take"));
+        // The way ends with one round in which nobody's action ends.
+        let last = warning.moves.iter().rposition(|step| matches!(step, CellMove::Acted(..)));
+        assert!(last.is_some_and(|last| last + 8 < warning.moves.len()), "{:?}", warning.moves);
+    }
+    let (_, verdicts) = checked(ZONES, |cell| cell.plan.everything = true);
+    assert_eq!(causes(&verdicts).len(), 1, "without reductions, too");
+}
+
+#[test]
+fn one_that_polls_for_what_a_dead_one_has_is_told_and_no_fault_free_run() {
+    let (_, verdicts) = checked(&in_order(), |_| ());
+    assert_eq!(causes(&verdicts), [""; 0], "each has its turn");
+    let (cell, verdicts) = checked(&in_order(), |cell| cell.plan.faults.push(dead()));
+    assert_eq!(causes(&verdicts), ["b goes on for ever, and nothing comes further any more"]);
+    let warning = &verdicts.warnings[0];
+    assert!(warning.moves.iter().any(|step| matches!(step, CellMove::Crash(0))));
+    assert!(!warning.moves.iter().any(|step| matches!(step, CellMove::Restart(_))), "it stays down");
+    assert_eq!(cell.place(warning).map(|(line, _)| line), Some(53), "where it polls");
+}
+
+/// A cell of two tasks: `a` has a message for `b`.
+fn two(a: &str, b: &str) -> String {
+    format!(
+        "cell two; tick 1 msec; node na; node nb; link na -- nb delay 1 msec;
+task a on na
+  port news(n: int8) usage = send user_list = {{b}} time_out = 20 msec class = 1;
+  port ask(n: int8) -> bool usage = response user_list = {{b}} time_out = 20 msec;
+  var k: int8; var yes: bool;
+begin
+{a}
+end a;
+task b on nb
+  use_port news(n: int8) usage = receive;
+  use_port ask(n: int8) usage = query;
+  var n: int8; var ok: bool;
+begin
+{b}
+end b;
+"
+    )
+}
+
+#[test]
+fn what_nobody_waits_for_and_what_still_changes_is_no_standstill() {
+    // One that reports for ever, and one that hears it: nobody asks for anything.
+    let reports = "loop send news(1); delay 10 msec; end;";
+    let (_, verdicts) = checked(&two(reports, "loop receive news(n); end;"), |_| ());
+    assert_eq!(causes(&verdicts), [""; 0]);
+    // One that asks until it is told yes, which a variable says that changes.
+    let counts = "order ask > self;
+  on query ask(k) do yes := not yes; response(yes); end;";
+    let asks = "loop query ask(1) -> ok on time_out do ok := false; end on refused do ok := false; end; delay 10 msec; end;";
+    let (_, verdicts) = checked(&two(counts, asks), |_| ());
+    assert_eq!(causes(&verdicts), [""; 0]);
+    // The same, and the answer never changes.
+    let never = "order ask > self;
+  on query ask(k) do response(false); end;";
+    let (_, verdicts) = checked(&two(never, asks), |_| ());
+    assert_eq!(causes(&verdicts), ["b goes on for ever, and nothing comes further any more"]);
+}
+
+/// (Members that give up alone for ever outgrow their packed form: a search that is not whole says nothing.)
+#[test]
+fn meetings_that_complete_are_progress() {
+    let text = |b: &str| {
+        format!(
+            "cell meet; tick 1 msec; node na; node nb; link na -- nb delay 1 msec;
+task a on na
+  port ready() usage = waitfor user_list = {{b}} time_out = 40 msec;
+begin
+  loop waitfor ready() on time_out do skip; end; delay 10 msec; end;
+end a;
+task b on nb
+  use_port ready() usage = waitfor;
+begin
+{b}
+end b;
+"
+        )
+    };
+    let comes = text("loop waitfor ready() on time_out do skip; end; delay 10 msec; end;");
+    let (_, verdicts) = checked(&comes, |_| ());
+    assert_eq!(causes(&verdicts), [""; 0]);
+}
