@@ -12,5 +12,6 @@ mod floor;
 mod floor_packed;
 mod guard;
 mod reductions;
+mod simulate;
 mod support;
 mod traps;
