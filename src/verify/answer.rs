@@ -52,8 +52,9 @@ struct Settled<'a> {
     never_changed: Vec<&'a str>,
 }
 
+/// A finding.
 #[derive(Serialize)]
-struct Told<'a> {
+pub struct Told<'a> {
     kind: &'static str,
     with_faults: bool,
     task: Option<&'a str>,
@@ -167,7 +168,8 @@ impl Subject {
         }
     }
 
-    fn told<'a>(&'a self, finding: &'a Finding, saved: bool) -> Told<'a> {
+    /// A finding for programs.
+    pub fn told<'a>(&'a self, finding: &'a Finding, saved: bool) -> Told<'a> {
         let (line, column, _) = self.place_of(finding);
         let meanwhile = |other: &'a Concerned| {
             let place = other.at.and_then(|at| self.place(other.task, at));
