@@ -4,8 +4,6 @@ use super::tell::PROVES_NOTHING;
 use super::{Told, What};
 use crate::verify;
 use imrs_model::cell::{Ended, Found};
-use imrs_protocol::TaskId;
-use imrs_protocol::script::Address;
 use serde::Serialize;
 
 /// The answer for programs. It has no times of this machine: the same seeds give the same bytes.
@@ -27,8 +25,8 @@ pub(super) struct Answer<'a> {
     complete: bool,
     findings: Vec<One<'a>>,
     /// Statements that no run reached.
-    not_reached: Vec<Place<'a>>,
-    /// Faults of the file that nothing was there for.
+    not_reached: Vec<verify::Place<'a>>,
+    /// Faults of the file that did not happen.
     idle: Vec<String>,
     /// What the answer says nothing about.
     not_looked_for: [&'static str; 1],
@@ -70,22 +68,11 @@ struct Before {
     whole: bool,
 }
 
-#[derive(Serialize)]
-struct Place<'a> {
-    task: &'a str,
-    line: usize,
-    column: usize,
-}
-
 impl Told<'_> {
     /// The answer for programs.
     pub fn answer(&self) -> Answer<'_> {
         let (all, subject) = (self.all, self.subject);
         let by = |ended: Ended| all.ended[ended as usize];
-        let place = |&(task, at): &(TaskId, Address)| {
-            let (line, column, _) = subject.place(task, at)?;
-            Some(Place { task: subject.task(task), line, column })
-        };
         Answer {
             version: 1,
             cell: &subject.lowered.cell.name,
@@ -107,7 +94,7 @@ impl Told<'_> {
             },
             complete: !all.interrupted,
             findings: all.found.iter().enumerate().map(|(number, found)| self.one(number, found)).collect(),
-            not_reached: all.not_reached.iter().filter_map(place).collect(),
+            not_reached: subject.places(&all.not_reached),
             idle: all.idle.iter().map(|fault| self.words(fault)).collect(),
             not_looked_for: [PROVES_NOTHING],
             chart: self.chart.as_deref(),
