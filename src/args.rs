@@ -4,12 +4,14 @@ mod cell;
 mod export;
 mod monitor;
 mod run;
+mod simulate;
 mod verify;
 
 pub use cell::{CheckArgs, ExplainArgs, FmtArgs, GraphArgs, Picture};
 pub use export::{ExportArgs, ExportForm};
 pub use monitor::MonitorArgs;
 pub use run::{DemoArgs, LaunchArgs, ReplayArgs, RunArgs};
+pub use simulate::{STEPS, SimulateArgs};
 pub use verify::{CellFaultArgs, Times, VerifyArgs, VerifyVerb};
 
 use clap::{ColorChoice, Parser, Subcommand, ValueEnum};
@@ -66,6 +68,38 @@ Examples:
   imrs verify --full --memory 8G     the large bounds
   imrs verify --format json | jq '.claims[] | select(.as_expected | not)'")]
     Verify(VerifyVerb),
+    /// Run a cell at random, on the state machine itself, with faults drawn among those that it declares.
+    ///
+    /// For cells that are too large for `imrs verify`, and for longer runs than its search reaches. Each seed is one run: which
+    /// packets are lost, when nodes stop, how long actions take. What is found is shrunk to the fewest faults and choices that
+    /// show it. Nothing found proves nothing.
+    ///
+    /// --plan takes the faults from a file instead, with choices of each seed, or with those that --save kept in it. Times
+    /// are from the start, and packets and actions are counted from 1:
+    ///
+    ///     version = 1
+    ///     [[fault]]
+    ///     lose = 3                   # also: copy, overtake
+    ///     link = "nl -> nr"
+    ///     [[fault]]
+    ///     stop = "nh"                # also: cut = "nl -- nr" with at and lasts
+    ///     at = "120ms"
+    ///     restart_after = "300ms"    # without it the node stays down
+    ///     [[fault]]
+    ///     fail = 2                   # also: drift = "nh" with at and tick = "twice" or "missed"
+    ///     task = "hoist"
+    #[command(
+        verbatim_doc_comment,
+        after_help = "\
+Examples:
+  imrs simulate examples/weld_cell.cell              1000 runs
+  imrs simulate cell.cell --seeds 100000 --seed 1    many, the same each time
+  imrs simulate cell.cell --seed 42                  one run, drawn
+  imrs simulate cell.cell --save found.toml; imrs simulate cell.cell --plan found.toml
+  imrs simulate cell.cell --plan faults.toml --seeds 100
+  imrs simulate cell.cell --format json | jq '.findings[].again'"
+    )]
+    Simulate(SimulateArgs),
     /// Compile a cell file and say everything that can be known without running it.
     #[command(after_help = "\
 Examples:

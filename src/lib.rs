@@ -20,6 +20,7 @@ mod output;
 mod program;
 mod replay;
 mod run;
+mod simulate;
 mod token;
 mod verify;
 
@@ -66,6 +67,7 @@ fn run(cli: Cli) -> Result<Exit, Failure> {
     let Some(verb) = cli.verb else { return verify::run(&cli.verify, &mut out) };
     match verb {
         Verb::Verify(args) => verify::run_verb(&args, &mut out),
+        Verb::Simulate(args) => simulate::run(&args, &mut out),
         Verb::Check(args) => check::run(&args, &mut out),
         Verb::Fmt(args) => fmt::run(&args, &mut out),
         Verb::Explain(args) => explain::run(&args, &mut out),

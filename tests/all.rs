@@ -21,6 +21,7 @@ mod path_of_the_model;
 mod planted;
 mod run;
 mod screen;
+mod simulate;
 mod specs;
 mod test_files;
 mod tidy;

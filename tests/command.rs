@@ -12,6 +12,7 @@ fn every_verb_explains_itself_with_an_example() {
     assert_eq!(help.code, Some(0), "{help:?}");
     let verbs = [
         "verify",
+        "simulate",
         "check",
         "fmt",
         "explain",

@@ -304,3 +304,41 @@ fn the_model_tick_rounds_nothing() {
     assert!(found.out.contains("the model counts 22500 usec as 22000 usec"), "{found:?}");
     assert!(found.out.contains("not confirmed: these findings may come of the rounding"), "{found:?}");
 }
+
+/// What the text leaves open, programs read, too.
+#[test]
+fn statements_that_were_not_reached_are_told_to_programs() {
+    let json = |text: &str, more: &[&str]| -> serde_json::Value {
+        let folder = tempfile::tempdir().expect("a folder");
+        let path = folder.path().join("open.cell");
+        std::fs::write(&path, text).expect("written");
+        let args = [&["verify", path.to_str().expect("UTF-8"), "--format", "json"], more].concat();
+        serde_json::from_str(&run(&args).out).expect("one line of JSON")
+    };
+    let lines = |list: &serde_json::Value| -> Vec<(String, u64)> {
+        let places = list.as_array().expect("a list").iter();
+        places
+            .map(|of| (of["task"].as_str().expect("a name").to_owned(), of["line"].as_u64().expect("a line")))
+            .collect()
+    };
+    let none: Vec<(String, u64)> = Vec::new();
+    let sound = PAIR.replace("{answer}", "7");
+    let said = json(&sound, &[]);
+    assert_eq!(lines(&said["not_exercised"]), [("asker".to_owned(), 9)], "{said}");
+    assert_eq!((lines(&said["not_tried"]), lines(&said["not_seen"])), (none.clone(), none.clone()), "{said}");
+    assert_eq!(said["outside"], serde_json::json!([]), "{said}");
+    // Of a task outside the cell only some answers are tried.
+    let (head, _) = sound.split_once("  var x: int8;").expect("the variable of the teller");
+    let outside = format!(
+        "{}end teller;\n",
+        head.replace("task teller on n2", "task teller on n2 extern rate = 1/10 msec")
+    );
+    let outside = outside.replace("  assert at < 9;", "  if at > 50 and at < 60 then skip; end;");
+    let said = json(&outside, &[]);
+    assert_eq!(lines(&said["not_tried"]), [("asker".to_owned(), 10)], "{said}");
+    assert!(said["outside"].as_array().is_some_and(|values| values.contains(&0.into())), "{said}");
+    // Behind a finding that ends its way.
+    let said = json(&sound.replace("assert at < 9;", "assert at < 7; skip;"), &[]);
+    assert!(lines(&said["not_seen"]).contains(&("asker".to_owned(), 10)), "{said}");
+    assert_eq!(lines(&said["not_exercised"]), none, "{said}");
+}

@@ -9,8 +9,10 @@
 //! (* right: 29: loop receive next(); reply(); end; *)    what line 29 should be; as many as it takes
 //! ```
 
-use crate::cells::{Text, within};
-use imrs_model::cell::{CellFaults, Finding, Kind, Note, Phase, Verdicts, check_cell, lanes, scenes, svg};
+use crate::cells::{Text, is_alike, within};
+use imrs_model::cell::{
+    CellFaults, Finding, Kind, Note, Phase, Simulator, Verdicts, check_cell, lanes, scenes, svg,
+};
 use std::collections::BTreeSet;
 use std::path::Path;
 use std::sync::{Arc, LazyLock};
@@ -236,4 +238,37 @@ fn the_way_to_each_fault_is_told_and_the_same_twice() {
             assert_eq!(finding.phase, phase, "{name}");
         }
     }
+}
+
+/// What only a whole search can know, and one overlap that takes a cut and four ticks of one clock, each at its instant.
+const NOT_AT_RANDOM: [(&str, Kind); 3] = [
+    ("check_of_a_door_that_never_opens.cell", Kind::Vacuous),
+    ("standby_of_a_slow_clock.cell", Kind::TwoOwners),
+    ("statement_after_the_last_recipe.cell", Kind::Unreached),
+];
+
+/// A cell that the search refuses is run all the same.
+#[test]
+fn random_runs_show_what_the_search_finds_and_nothing_else() {
+    let mut missed = Vec::new();
+    for Checked { name, cell, verdicts, .. } in CHECKED.iter() {
+        let simulator = Simulator::new(&Arc::new(cell.plan.clone()), 2_000).expect("small enough");
+        let all = simulator.seeds((1, 300), None, &mut |_, _| true);
+        for found in &all.found {
+            let what = || format!("{name}: {}: {:?}", found.finding.cause, found.schedule);
+            assert!(verdicts.findings.iter().any(|other| is_alike(other, &found.finding)), "{}", what());
+            assert!(found.shrunk.is_some_and(|shrunk| shrunk.whole), "{}", what());
+            for at in 0..found.schedule.faults.len() {
+                let mut less = found.schedule.clone();
+                less.faults.remove(at);
+                let less = simulator.schedule(&less, false);
+                let shows = less.found.iter().any(|other| is_alike(&other.finding, &found.finding));
+                assert!(!shows, "fault {at} is not needed: {}", what());
+            }
+        }
+        let known = |finding: &&Finding| all.found.iter().any(|found| is_alike(&found.finding, finding));
+        let here = verdicts.findings.iter().filter(|finding| !known(finding));
+        missed.extend(here.map(|finding| (name.as_str(), finding.kind)));
+    }
+    assert_eq!(missed, NOT_AT_RANDOM);
 }

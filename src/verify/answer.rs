@@ -3,7 +3,8 @@
 use super::cell::Subject;
 use super::tell::{NOT_LOOKED_FOR, help};
 use imrs_model::cell::{CellFaults, CellPlan, Concerned, Coverage, Finding, Kind, Phase, Times, Verdicts};
-use imrs_protocol::CellTable;
+use imrs_protocol::script::Address;
+use imrs_protocol::{CellTable, TaskId};
 use serde::Serialize;
 
 /// The answer for programs.
@@ -23,9 +24,25 @@ pub(super) struct Answer<'a> {
     findings: Vec<Told<'a>>,
     /// What may well be meant: tasks that go on for ever without coming further.
     warnings: Vec<Told<'a>>,
+    /// Statements that these faults never called for.
+    not_exercised: Vec<Place<'a>>,
+    /// The values with which messages from tasks outside the cell were tried.
+    outside: &'a [i64],
+    /// Statements never reached with these values: other ones may lead there.
+    not_tried: Vec<Place<'a>>,
+    /// Statements not reached before a search ended or a finding: it says nothing about them.
+    not_seen: Vec<Place<'a>>,
     /// Times of the cell that are no multiples of its tick, and were rounded: what is found may come of that.
     rounded: Vec<Rounded<'a>>,
     phases: Vec<Searched<'a>>,
+}
+
+/// Where a statement begins.
+#[derive(Serialize)]
+pub struct Place<'a> {
+    task: &'a str,
+    line: usize,
+    column: usize,
 }
 
 #[derive(Serialize)]
@@ -54,8 +71,9 @@ struct Settled<'a> {
     never_changed: Vec<&'a str>,
 }
 
+/// A finding.
 #[derive(Serialize)]
-struct Told<'a> {
+pub struct Told<'a> {
     kind: &'static str,
     with_faults: bool,
     task: Option<&'a str>,
@@ -165,12 +183,26 @@ impl Subject {
                 .map(|(number, finding)| self.told(finding, saved == Some(number)))
                 .collect(),
             warnings: verdicts.warnings.iter().map(|warning| self.told(warning, false)).collect(),
+            not_exercised: self.places(&verdicts.not_exercised),
+            outside: &verdicts.outside,
+            not_tried: self.places(&verdicts.not_tried),
+            not_seen: self.places(&verdicts.not_seen),
             rounded: self.rounded().map(|(line, column, what)| Rounded { line, column, what }).collect(),
             phases: verdicts.phases.iter().map(|phase| searched(plan, phase)).collect(),
         }
     }
 
-    fn told<'a>(&'a self, finding: &'a Finding, saved: bool) -> Told<'a> {
+    /// Where these statements begin.
+    pub fn places(&self, which: &[(TaskId, Address)]) -> Vec<Place<'_>> {
+        let place = |&(task, at): &(TaskId, Address)| {
+            let (line, column, _) = self.place(task, at)?;
+            Some(Place { task: self.task(task), line, column })
+        };
+        which.iter().filter_map(place).collect()
+    }
+
+    /// A finding for programs.
+    pub fn told<'a>(&'a self, finding: &'a Finding, saved: bool) -> Told<'a> {
         let (line, column, _) = self.place_of(finding);
         let meanwhile = |other: &'a Concerned| {
             let place = other.at.and_then(|at| self.place(other.task, at));

@@ -19,7 +19,7 @@ use std::path::Path;
 use std::sync::Arc;
 
 /// A cell, what it was compiled from and to.
-pub(super) struct Subject {
+pub struct Subject {
     pub file: String,
     pub source: Source,
     pub lowered: Lowered,
@@ -37,22 +37,10 @@ pub(super) struct Subject {
 /// # Errors
 /// [`Failure`].
 pub fn run(path: &Path, args: &VerifyVerb, out: &mut Output) -> Result<Exit, Failure> {
-    let (file, source) = (cell_file::shown(path), cell_file::read(path)?);
-    let compiled = compile_with(&source, Options { paper: args.faults.paper });
-    let Some(lowered) = compiled.lower(Unit::Ticks) else {
-        out.text(&render::text(&compiled.diagnostics, &file, Some(&source), render::Style::Coloured))?;
-        return Ok(turned_down(&compiled.diagnostics));
+    let subject = match Subject::open(path, args.faults.paper, out)? {
+        Ok(subject) => subject,
+        Err(exit) => return Ok(exit),
     };
-    let table = CellTable::new(lowered.cell.clone()).map(Arc::new).map_err(|errors| {
-        let all: Vec<String> = errors.iter().map(ToString::to_string).collect();
-        Failure::Usage(format!("{file}: in whole ticks the cell does not fit: {}", all.join("; ")))
-    })?;
-    let tick_us = compiled.hir.as_ref().map_or(1, |hir| Unit::Ticks.usec(hir));
-    let model_tick_us = compiled.hir.as_ref().and_then(|hir| hir.model_tick).map(|tick| tick.usec);
-    let couples = compiled.hir.iter().flat_map(|hir| &hir.couples);
-    let couples = couples.filter(|couple| matches!(couple.kind, CoupleKind::Work { .. }));
-    let couples = couples.map(|couple| couple.span).collect();
-    let subject = Subject { file, source, lowered, couples, table, tick_us, model_tick_us };
     let plan = Arc::new(subject.plan(args)?);
     let verdicts = check_cell(&plan);
     let saved = subject.keep(&plan, &verdicts, &args.faults)?;
@@ -70,11 +58,45 @@ pub fn run(path: &Path, args: &VerifyVerb, out: &mut Output) -> Result<Exit, Fai
 }
 
 impl Subject {
-    fn plan(&self, args: &VerifyVerb) -> Result<CellPlan, Failure> {
+    /// Compiles a cell file. The inner error: it was turned down, and the reasons are told.
+    ///
+    /// # Errors
+    /// [`Failure`].
+    pub fn open(path: &Path, paper: bool, out: &mut Output) -> Result<Result<Self, Exit>, Failure> {
+        let (file, source) = (cell_file::shown(path), cell_file::read(path)?);
+        let compiled = compile_with(&source, Options { paper });
+        let Some(lowered) = compiled.lower(Unit::Ticks) else {
+            out.text(&render::text(&compiled.diagnostics, &file, Some(&source), render::Style::Coloured))?;
+            return Ok(Err(turned_down(&compiled.diagnostics)));
+        };
+        let table = CellTable::new(lowered.cell.clone()).map(Arc::new).map_err(|errors| {
+            let all: Vec<String> = errors.iter().map(ToString::to_string).collect();
+            Failure::Usage(format!("{file}: in whole ticks the cell does not fit: {}", all.join("; ")))
+        })?;
+        let tick_us = compiled.hir.as_ref().map_or(1, |hir| Unit::Ticks.usec(hir));
+        let model_tick_us = compiled.hir.as_ref().and_then(|hir| hir.model_tick).map(|tick| tick.usec);
+        let couples = compiled.hir.iter().flat_map(|hir| &hir.couples);
+        let couples = couples.filter(|couple| matches!(couple.kind, CoupleKind::Work { .. }));
+        let couples = couples.map(|couple| couple.span).collect();
+        Ok(Ok(Self { file, source, lowered, couples, table, tick_us, model_tick_us }))
+    }
+
+    /// The cell with the faults that it declares.
+    pub fn declared(&self, jobs: Option<u16>) -> CellPlan {
         let tasks = self.lowered.tasks.iter().map(conduct).collect();
         let mut plan = CellPlan::new(Arc::clone(&self.table), tasks);
-        plan.faults = self.hypotheses(&args.faults)?;
+        plan.faults = self.lowered.faults.iter().map(faults).collect();
         plan.checks = self.lowered.checks.iter().map(check).collect();
+        let step = self.model_tick_us.unwrap_or(self.tick_us) / self.tick_us.max(1);
+        plan.step = u32::try_from(step).unwrap_or(u32::MAX).max(1);
+        plan.jobs = jobs.map_or(2, usize::from);
+        plan.legend = self.legend();
+        plan
+    }
+
+    fn plan(&self, args: &VerifyVerb) -> Result<CellPlan, Failure> {
+        let mut plan = self.declared(args.verify.jobs);
+        self.add(&args.faults, &mut plan.faults)?;
         let seconds = args.faults.within.as_secs_f64();
         plan.budget = Budget { seconds, bytes: args.verify.memory.unwrap_or(DEFAULT_MEMORY), ..plan.budget };
         plan.times = match args.faults.times {
@@ -83,10 +105,6 @@ impl Subject {
             args::Times::Between => Times::Between,
             args::Times::Every => Times::Every,
         };
-        let step = self.model_tick_us.unwrap_or(self.tick_us) / self.tick_us.max(1);
-        plan.step = u32::try_from(step).unwrap_or(u32::MAX).max(1);
-        plan.jobs = args.verify.jobs.map_or(2, usize::from);
-        plan.legend = self.legend();
         Ok(plan)
     }
 
@@ -105,21 +123,20 @@ impl Subject {
         Legend { lines, handlers, formats }
     }
 
-    /// The declared hypotheses, each with the faults asked for.
-    fn hypotheses(&self, more: &CellFaultArgs) -> Result<Vec<CellFaults>, Failure> {
+    /// Adds the faults asked for to each declared hypothesis.
+    fn add(&self, more: &CellFaultArgs, all: &mut Vec<CellFaults>) -> Result<(), Failure> {
         let crash = more.crash.iter().map(|name| self.node(name)).collect::<Result<Vec<_>, _>>()?;
-        let mut all: Vec<CellFaults> = self.lowered.faults.iter().map(faults).collect();
         if all.is_empty() {
             all.push(CellFaults::default());
         }
-        for faults in &mut all {
+        for faults in all {
             faults.loss = faults.loss.saturating_add(more.loss);
             faults.dup = faults.dup.saturating_add(more.dup);
             faults.drift = faults.drift.saturating_add(more.drift);
             faults.reorder = more.reorder;
             faults.crash.extend(&crash);
         }
-        Ok(all)
+        Ok(())
     }
 
     /// The times that were rounded to the tick: line, column, and what was made of them.

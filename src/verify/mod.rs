@@ -7,7 +7,9 @@ mod report;
 mod save;
 mod tell;
 
-pub use cell::{conduct, faults};
+pub use answer::{Place, Told};
+pub use cell::{Subject, conduct, faults};
+pub use tell::{chart, quoted};
 
 use crate::args::{Format, VerifyArgs, VerifyVerb};
 use crate::exit::{Exit, Failure, did_you_mean};

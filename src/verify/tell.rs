@@ -46,10 +46,17 @@ impl Telling<'_> {
             return out.line(Styled(NOTE, format!("{}: not checked: it proves nothing", subject.file)));
         }
         for (number, finding) in (1..).zip(&verdicts.findings) {
-            self.finding(finding, Some(number), out)?;
+            let whole = number == self.args.faults.finding.map_or(1, usize::from);
+            let all = format!("--finding {number}");
+            subject.tell(finding, (!whole).then_some(&all), out)?;
+            if let Some(how) = self.step_by_step(number, finding) {
+                out.line(format!("  step by step: {how}"))?;
+            }
+            out.line("")?;
         }
         for warning in &verdicts.warnings {
-            self.finding(warning, None, out)?;
+            subject.tell(warning, None, out)?;
+            out.line("")?;
         }
         if let (Some(path), None, false) = (&self.args.faults.save, self.saved, verdicts.findings.is_empty())
         {
@@ -63,7 +70,7 @@ impl Telling<'_> {
         out.line(Styled(FAINT, format!("  looked at: {}", self.times())))?;
         out.line(Styled(FAINT, format!("  not looked for: {NOT_LOOKED_FOR}")))?;
         let untried = "never reached at these bounds, which lack the faults that lead there (more faults: --loss, --dup, --reorder, --crash, --drift)";
-        self.statements(untried, &verdicts.not_exercised, out)?;
+        subject.statements(untried, &verdicts.not_exercised, out)?;
         if !verdicts.outside.is_empty() {
             let values: Vec<String> = verdicts.outside.iter().map(i64::to_string).collect();
             let values = values.join(", ");
@@ -72,43 +79,19 @@ impl Telling<'_> {
             out.line(Styled(FAINT, tried))?;
         }
         let untold = "not reached with the values that were tried of messages from extern tasks, which may send others";
-        self.statements(untold, &verdicts.not_tried, out)?;
+        subject.statements(untold, &verdicts.not_tried, out)?;
         let unseen = if verdicts.is_complete() {
             "not reached on the ways up to the findings, which says nothing about them"
         } else {
             "not reached before the search ended, which says nothing about them"
         };
-        self.statements(unseen, &verdicts.not_seen, out)?;
+        subject.statements(unseen, &verdicts.not_seen, out)?;
         for (check, what) in &verdicts.still {
             let name = self.plan.checks.get(*check).map_or("?", |check| check.name.as_str());
             out.line(Styled(NOTE, format!("  check `{name}`: {what} in every state that was looked at")))?;
         }
         self.rounded(out)?;
         self.last_line(out)
-    }
-
-    /// A finding, by its number, or a warning.
-    fn finding(&self, finding: &Finding, number: Option<usize>, out: &mut Output) -> Result<(), Failure> {
-        let subject = self.subject;
-        let (kind, cause) = (finding.kind.name(), &finding.cause);
-        let head =
-            if number.is_some() { format!("{kind}: {cause}") } else { format!("warning: {kind}: {cause}") };
-        let style = if number.is_none() || finding.kind == Kind::Vacuous { NOTE } else { BAD };
-        out.line(Styled(style, head))?;
-        let (line, column, text) = subject.place_of(finding);
-        out.line(format!("  --> {}:{line}:{column}  {text}", subject.file))?;
-        if !finding.also.is_empty() {
-            out.line(format!("  also {}", self.also(finding)))?;
-        }
-        for other in &finding.others {
-            out.line(format!("  meanwhile {}", self.meanwhile(other)))?;
-        }
-        chart(finding, number.map(|number| (number, self.args.faults.finding.map_or(1, usize::from))), out)?;
-        out.line(format!("  help: {}", help(finding.kind)))?;
-        if let Some(how) = number.and_then(|number| self.step_by_step(number, finding)) {
-            out.line(format!("  step by step: {how}"))?;
-        }
-        out.line("")
     }
 
     /// Times that are no multiples of the tick.
@@ -126,32 +109,6 @@ impl Telling<'_> {
             out.line(Styled(NOTE, text.to_owned()))?;
         }
         Ok(())
-    }
-
-    /// The other tasks of a finding: `b (line 39), c (line 50), which have the same statements`.
-    fn also(&self, finding: &Finding) -> String {
-        let place = |&task: &TaskId| {
-            let line = finding.address.and_then(|at| self.subject.place(task, at)).map(|place| place.0);
-            let line = line.map_or_else(String::new, |line| format!(" (line {line})"));
-            format!("{}{line}", self.subject.task(task))
-        };
-        let tasks: Vec<String> = finding.also.iter().map(place).collect();
-        let have = if tasks.len() == 1 { "has" } else { "have" };
-        format!("{}, which {have} the same statements", tasks.join(", "))
-    }
-
-    /// What a task does when a finding is found: `camera, line 22: run look`.
-    fn meanwhile(&self, other: &Concerned) -> String {
-        let name = self.subject.task(other.task);
-        let place = other.at.and_then(|at| self.subject.place(other.task, at));
-        let Some((line, _, text)) = place else { return format!("{name} {}", other.does) };
-        if text == name {
-            return format!("{name} only answers what comes (line {line})");
-        }
-        if other.does.starts_with("has ") || other.does.starts_with("is ") {
-            return format!("{name} {} (last at line {line}: {})", other.does, short(text));
-        }
-        format!("{name} is at line {line}: {}", short(text))
     }
 
     /// Which times are looked at: what a verdict is about.
@@ -218,33 +175,6 @@ impl Telling<'_> {
         }
     }
 
-    /// Statements and their lines, by task: `armL line 12, 14; hoist line 31`, with their text where they are few.
-    fn statements(&self, what: &str, which: &[(TaskId, Address)], out: &mut Output) -> Result<(), Failure> {
-        let subject = self.subject;
-        let places: Vec<_> =
-            which.iter().filter_map(|&(task, at)| Some((task, subject.place(task, at)?))).collect();
-        let mut lines: Vec<(TaskId, usize)> = places.iter().map(|&(task, (line, ..))| (task, line)).collect();
-        lines.dedup();
-        if lines.is_empty() {
-            return Ok(());
-        }
-        if places.len() <= FEW {
-            out.line(Styled(FAINT, format!("  statements {what}:")))?;
-            for (task, (line, column, text)) in places {
-                let text = format!("    {} {line}:{column}  {}", subject.task(task), short(text));
-                out.line(Styled(FAINT, text))?;
-            }
-            return Ok(());
-        }
-        let of_task = |same: &[(TaskId, usize)]| {
-            let numbers: Vec<String> = same.iter().map(|(_, line)| line.to_string()).collect();
-            let task = same.first().map_or("?", |&(task, _)| subject.task(task));
-            format!("{task} line {}", numbers.join(", "))
-        };
-        let tasks: Vec<String> = lines.chunk_by(|a, b| a.0 == b.0).map(of_task).collect();
-        out.line(Styled(FAINT, format!("  statements {what}: {}", tasks.join("; "))))
-    }
-
     fn last_line(&self, out: &mut Output) -> Result<(), Failure> {
         let file = &self.subject.file;
         let checks = match self.plan.checks.len() {
@@ -274,8 +204,92 @@ impl Telling<'_> {
     }
 }
 
+impl Subject {
+    /// Tells a finding: what, where, what the others do, how it comes about, what is usually to be done. Of its chart only
+    /// the end is shown where something else shows all of it.
+    ///
+    /// # Errors
+    /// [`Failure::Output`].
+    pub fn tell(&self, finding: &Finding, all: Option<&String>, out: &mut Output) -> Result<(), Failure> {
+        let (style, warning) = match finding.kind {
+            Kind::Standstill => (NOTE, "warning: "),
+            Kind::Vacuous => (NOTE, ""),
+            _ => (BAD, ""),
+        };
+        out.line(Styled(style, format!("{warning}{}: {}", finding.kind.name(), finding.cause)))?;
+        let (line, column, text) = self.place_of(finding);
+        out.line(format!("  --> {}:{line}:{column}  {text}", self.file))?;
+        if !finding.also.is_empty() {
+            out.line(format!("  also {}", self.also(finding)))?;
+        }
+        for other in &finding.others {
+            out.line(format!("  meanwhile {}", self.meanwhile(other)))?;
+        }
+        chart(&finding.chart, all, out)?;
+        out.line(format!("  help: {}", help(finding.kind)))
+    }
+
+    /// The other tasks of a finding: `b (line 39), c (line 50), which have the same statements`.
+    fn also(&self, finding: &Finding) -> String {
+        let place = |&task: &TaskId| {
+            let line = finding.address.and_then(|at| self.place(task, at)).map(|place| place.0);
+            let line = line.map_or_else(String::new, |line| format!(" (line {line})"));
+            format!("{}{line}", self.task(task))
+        };
+        let tasks: Vec<String> = finding.also.iter().map(place).collect();
+        let have = if tasks.len() == 1 { "has" } else { "have" };
+        format!("{}, which {have} the same statements", tasks.join(", "))
+    }
+
+    /// What a task does when a finding is found: `camera, line 22: run look`.
+    fn meanwhile(&self, other: &Concerned) -> String {
+        let name = self.task(other.task);
+        let place = other.at.and_then(|at| self.place(other.task, at));
+        let Some((line, _, text)) = place else { return format!("{name} {}", other.does) };
+        if text == name {
+            return format!("{name} only answers what comes (line {line})");
+        }
+        if other.does.starts_with("has ") || other.does.starts_with("is ") {
+            return format!("{name} {} (last at line {line}: {})", other.does, short(text));
+        }
+        format!("{name} is at line {line}: {}", short(text))
+    }
+
+    /// Statements and their lines, by task: `armL line 12, 14; hoist line 31`, with their text where they are few.
+    pub fn statements(
+        &self,
+        what: &str,
+        which: &[(TaskId, Address)],
+        out: &mut Output,
+    ) -> Result<(), Failure> {
+        let subject = self;
+        let places: Vec<_> =
+            which.iter().filter_map(|&(task, at)| Some((task, subject.place(task, at)?))).collect();
+        let mut lines: Vec<(TaskId, usize)> = places.iter().map(|&(task, (line, ..))| (task, line)).collect();
+        lines.dedup();
+        if lines.is_empty() {
+            return Ok(());
+        }
+        if places.len() <= FEW {
+            out.line(Styled(FAINT, format!("  statements {what}:")))?;
+            for (task, (line, column, text)) in places {
+                let text = format!("    {} {line}:{column}  {}", subject.task(task), short(text));
+                out.line(Styled(FAINT, text))?;
+            }
+            return Ok(());
+        }
+        let of_task = |same: &[(TaskId, usize)]| {
+            let numbers: Vec<String> = same.iter().map(|(_, line)| line.to_string()).collect();
+            let task = same.first().map_or("?", |&(task, _)| subject.task(task));
+            format!("{task} line {}", numbers.join(", "))
+        };
+        let tasks: Vec<String> = lines.chunk_by(|a, b| a.0 == b.0).map(of_task).collect();
+        out.line(Styled(FAINT, format!("  statements {what}: {}", tasks.join("; "))))
+    }
+}
+
 /// A word of a command, as a shell takes it.
-fn quoted(word: &str) -> String {
+pub fn quoted(word: &str) -> String {
     let plain = |c: char| c.is_ascii_alphanumeric() || "/._-+=:,@%".contains(c);
     if !word.is_empty() && word.chars().all(plain) {
         return word.to_owned();
@@ -319,18 +333,20 @@ fn short(text: &str) -> String {
     format!("{}...", kept.trim_end())
 }
 
-/// The chart of a finding: all of it if its number is the one asked for, or if it has none.
-fn chart(finding: &Finding, number: Option<(usize, usize)>, out: &mut Output) -> Result<(), Failure> {
-    let lines: Vec<&str> = finding.chart.lines().collect();
-    let cut = number.filter(|(number, whole)| number != whole);
-    let skipped = cut.map_or(0, |_| lines.len().saturating_sub(CHART_TAIL + 1));
-    let number = cut.map_or(0, |(number, _)| number);
+/// Draws a chart, only its end where something else shows all of it.
+///
+/// # Errors
+/// [`Failure::Output`].
+pub fn chart(chart: &str, all: Option<&String>, out: &mut Output) -> Result<(), Failure> {
+    let lines: Vec<&str> = chart.lines().collect();
+    let skipped = all.map_or(0, |_| lines.len().saturating_sub(CHART_TAIL + 1));
     for (i, line) in lines.iter().enumerate() {
         if i == 0 || i > skipped {
             out.line(format!("  {line}"))?;
         } else if i == skipped {
             let more = count(skipped as u64, "line");
-            out.line(Styled(FAINT, format!("     ... {more} before: --finding {number} shows all")))?;
+            let all = all.map_or("", String::as_str);
+            out.line(Styled(FAINT, format!("     ... {more} before: {all} shows all")))?;
         }
     }
     Ok(())

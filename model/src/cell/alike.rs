@@ -19,7 +19,7 @@ pub(super) fn told_once(plan: &CellPlan, findings: Vec<Finding>) -> Vec<Finding>
 }
 
 /// Whether it is the same finding at the same statement of another task that does the same.
-fn repeats(plan: &CellPlan, first: &Finding, other: &Finding) -> bool {
+pub(super) fn repeats(plan: &CellPlan, first: &Finding, other: &Finding) -> bool {
     let key = |finding: &Finding| (finding.kind, finding.phase, finding.hypothesis, finding.address);
     let (Some(one), Some(two)) = (first.task, other.task) else { return false };
     let name = |task: TaskId| plan.table.cell().tasks.get(task.index()).map_or("?", |task| &task.name);

@@ -34,6 +34,8 @@ pub enum CellMove {
     Acted(u8, u8, bool, u8),
     /// An action does not end yet.
     GoOn(u8, u8),
+    /// It takes so many ticks more: what as many [`GoOn`](Self::GoOn) come to where every tick counts.
+    Takes(u8, u8, u32),
     /// What comes next on this link is still on its way.
     Stay(u8),
     /// A script gets its choice.
@@ -219,6 +221,7 @@ impl Course {
             | CellMove::Cut(..)
             | CellMove::Vanish(_)
             | CellMove::GoOn(..)
+            | CellMove::Takes(..)
             | CellMove::Stay(_)
             | CellMove::Crash(_) => None,
         }
@@ -272,6 +275,14 @@ impl Course {
             }
             CellMove::GoOn(task, level) => {
                 self.go_on(usize::from(task), level);
+                Ok(())
+            }
+            CellMove::Takes(task, level, ticks) => {
+                let actor = self.floor.bodies[usize::from(task)].actor.as_mut();
+                let running = actor.and_then(|actor| actor.running.iter_mut().find(|one| one.level == level));
+                if let Some(action) = running {
+                    action.least = ticks.min(action.most);
+                }
                 Ok(())
             }
             CellMove::Stay(link) => {

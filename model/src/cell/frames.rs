@@ -183,6 +183,7 @@ const fn is_fault(walked: &Walked<'_>) -> bool {
         | CellMove::Mend(..)
         | CellMove::Acted(_, _, true, _)
         | CellMove::GoOn(..)
+        | CellMove::Takes(..)
         | CellMove::Stay(_)
         | CellMove::Choose(..)
         | CellMove::Restart(_) => false,

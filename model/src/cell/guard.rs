@@ -11,14 +11,14 @@
 
 use super::course::{CellMove, Course};
 use super::follow::plain;
-use super::judge::{Reached, Shown, deadlock, judge, nothing_reached};
+use super::judge::{Shown, deadlock};
 use super::outside::with_programs;
 use super::plan::{CellFaults, CellPlan, Times};
 use super::search::{Kept, explore_and_keep, timed};
 use super::seen::Mark;
+use super::unpacked::Unpacked;
 use super::verdict::{Finding, Kind, Phase};
 use crate::floor::script::ScriptTurn;
-use crate::state::Violation;
 use imrs_protocol::script::ScriptInput;
 use imrs_protocol::{Call, MessageId, ReplyTo, Round, Seq24, Signal};
 use std::fmt;
@@ -105,14 +105,13 @@ fn shows(
     faults: &CellFaults,
     finding: &Finding,
 ) -> Result<(), Disagreement> {
-    let mut course = Course::new(plan, faults);
-    let mut reached = nothing_reached(&course);
-    let mut last = judge(&mut course, phase, &mut reached);
+    let mut cell = Unpacked::new(plan, phase, faults);
+    let mut last = cell.shown();
     for &step in &finding.moves {
-        apply(&mut course, step);
-        last = judge(&mut course, phase, &mut reached);
+        cell.take(step);
+        last = cell.shown();
     }
-    last.extend(deadlock(&course));
+    last.extend(deadlock(&cell.course));
     let kind = |kind| if kind == Kind::Starves { Kind::TimeOut } else { kind };
     let is = |shown: &Shown| {
         (kind(shown.kind), shown.task, shown.address, shown.check)
@@ -125,22 +124,11 @@ fn shows(
     Err(Disagreement { what, moves: finding.moves.clone() })
 }
 
-fn apply(course: &mut Course, step: CellMove) {
-    if !course.survives(step) {
-        course.floor.violation = Some(Violation::Panic);
-    }
-}
-
 /// A walk, and its twin that is packed and loaded before each move.
 struct Walk<'a> {
-    phase: Phase,
-    course: Course,
-    twin: Course,
+    own: Unpacked,
+    twin: Unpacked,
     kept: &'a Kept,
-    /// What the walk has reached.
-    reached: Reached,
-    /// What the twin has: of no account.
-    others: Reached,
     moves: Vec<CellMove>,
     /// A new life began farther behind the others' rounds than packed states tell apart: they do the same, with other rounds.
     far: bool,
@@ -150,15 +138,13 @@ struct Walk<'a> {
 
 impl<'a> Walk<'a> {
     fn new(plan: &Arc<CellPlan>, phase: Phase, faults: &CellFaults, kept: &'a Kept) -> Self {
-        let course = Course::new(plan, faults);
-        let reached = nothing_reached(&course);
         // A lost packet that nobody would have noticed is left out of the search. What is kept for it may do more: where a cut
         // is unused all that an open one allows, and where a packet came to a node that is down, start that node.
         let doubles = faults.dup > 0 || faults.reorder > 0;
         let takes = faults.loss > 0 || !faults.cut.is_empty();
         let unlisted = !faults.cut.is_empty() && doubles || takes && !faults.crash.is_empty();
-        let (twin, others) = (course.clone(), reached.clone());
-        Self { phase, course, twin, kept, reached, others, moves: Vec::new(), far: false, unlisted }
+        let own = Unpacked::new(plan, phase, faults);
+        Self { twin: own.clone(), own, kept, moves: Vec::new(), far: false, unlisted }
     }
 
     fn go(
@@ -171,33 +157,33 @@ impl<'a> Walk<'a> {
             return self.end();
         }
         for _ in 0..length {
-            let Ok(bytes) = self.course.clone().store() else { return self.end() };
-            self.twin.load(&bytes);
+            let Ok(bytes) = self.own.course.clone().store() else { return self.end() };
+            self.twin.course.load(&bytes);
             let (mut moves, mut others) = (Vec::new(), Vec::new());
-            self.course.moves(&mut moves);
-            self.twin.moves(&mut others);
+            self.own.course.moves(&mut moves);
+            self.twin.course.moves(&mut others);
             if moves != others {
                 return self.differs(format!("next may happen {moves:?}, in the packed state {others:?}"));
             }
             if moves.len() > 1 && self.kept.complete && !self.far && !self.unlisted {
                 agreement.looked_up += 1;
-                if !self.kept.seen.covers(Mark::of(self.course.split(&bytes))) {
+                if !self.kept.seen.covers(Mark::of(self.own.course.split(&bytes))) {
                     return self.differs("the search has not been in this state".into());
                 }
             }
             let Some(&step) = moves.get(draw(moves.len().max(1))) else { return self.end() };
             agreement.steps += 1;
             self.moves.push(step);
-            apply(&mut self.course, step);
-            apply(&mut self.twin, step);
-            let [turns, twins] = [&self.course, &self.twin].map(turns);
+            self.own.take(step);
+            self.twin.take(step);
+            let [turns, twins] = [&self.own, &self.twin].map(|cell| turns(&cell.course));
             if turns != twins {
                 return self.differs(format!("the scripts do {turns:?}; from the packed state {twins:?}"));
             }
             if !self.looked_at()? {
                 return self.end();
             }
-            let [state, packed] = [&self.course, &self.twin].map(|course| course.clone().store());
+            let [state, packed] = [&self.own, &self.twin].map(|cell| cell.course.clone().store());
             let restarted = || self.moves.iter().any(|step| matches!(step, CellMove::Restart(_)));
             self.far |= state != packed && restarted();
             if state != packed && !self.far {
@@ -211,8 +197,7 @@ impl<'a> Walk<'a> {
 
     /// Judges the last move of both; whether anything that follows is looked at.
     fn looked_at(&mut self) -> Result<bool, Disagreement> {
-        let shown = judge(&mut self.course, self.phase, &mut self.reached);
-        let others = judge(&mut self.twin, self.phase, &mut self.others);
+        let (shown, others) = (self.own.shown(), self.twin.shown());
         if shown.len() != others.len() || shown.iter().zip(&others).any(|(a, b)| !a.is_same(b)) {
             let what = format!("shows {shown:?}, from the packed state {others:?}");
             return Err(Disagreement { what, moves: self.moves.clone() });
@@ -232,7 +217,7 @@ impl<'a> Walk<'a> {
         if !self.kept.complete {
             return Ok(());
         }
-        let all = self.reached.statements.iter().zip(&self.kept.reached.statements).enumerate();
+        let all = self.own.reached.statements.iter().zip(&self.kept.reached.statements).enumerate();
         for (task, (own, searched)) in all {
             if let Some(at) = own.iter().zip(searched).position(|(own, searched)| *own && !searched) {
                 return self.differs(format!("the search has not reached operation {at} of task {task}"));

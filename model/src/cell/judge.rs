@@ -80,6 +80,15 @@ pub(super) fn nothing_reached(course: &Course) -> Reached {
     }
 }
 
+/// How many statements of a program were reached, of how many, and those that were not.
+pub(super) fn missed(program: &Program, reached: impl Fn(usize) -> bool) -> ((u32, u32), Vec<usize>) {
+    let is = |at: &usize| program.code[*at] == Op::Statement;
+    let all: Vec<usize> = (0..program.code.len()).filter(is).collect();
+    let missed: Vec<usize> = all.iter().copied().filter(|&at| !reached(at)).collect();
+    let count = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
+    ((count(all.len() - missed.len()), count(all.len())), missed)
+}
+
 pub(super) fn program(course: &Course, task: usize) -> Option<&Program> {
     match course.plan.tasks.get(task)? {
         Conduct::Program { program, .. } => Some(program),

@@ -139,25 +139,34 @@ const MOST: (usize, usize, usize) = (64, 255, 32);
 
 /// A cell that is too large, or a program that keeps numbers of messages: no canonical state could hold them (D51).
 fn refused(plan: &CellPlan) -> Option<Refused> {
-    let cell = plan.table.cell();
-    let (nodes, tasks, links) = MOST;
-    if cell.nodes.len() > nodes || cell.tasks.len() > tasks || cell.links.len() > links {
-        let why = format!(
-            "{} nodes, {} tasks and {} links are more than the checker takes: at most {nodes}, {tasks} and {links}",
-            cell.nodes.len(),
-            cell.tasks.len(),
-            cell.links.len()
-        );
-        return Some(Refused { task: TaskId::from_index(0), at: 0, why });
-    }
     let names = |task: &Conduct| match task {
         Conduct::Program { program, .. } => program.code.iter().position(|op| *op == Op::ReceivedId),
         Conduct::Extern(_) => None,
     };
-    let (task, at) = plan.tasks.iter().enumerate().find_map(|(i, task)| Some((i, names(task)?)))?;
-    let name = judge::name(&plan.table, task);
-    let why = format!("{name} keeps the number of a message, which the checker cannot follow (D51)");
-    Some(Refused { task: TaskId::from_index(task), at: Address::try_from(at).unwrap_or(Address::MAX), why })
+    let keeps = || {
+        let (task, at) = plan.tasks.iter().enumerate().find_map(|(i, task)| Some((i, names(task)?)))?;
+        let name = judge::name(&plan.table, task);
+        let why = format!("{name} keeps the number of a message, which the checker cannot follow (D51)");
+        let at = Address::try_from(at).unwrap_or(Address::MAX);
+        Some(Refused { task: TaskId::from_index(task), at, why })
+    };
+    too_large(plan).or_else(keeps)
+}
+
+/// A cell with more than moves have numbers for.
+pub(super) fn too_large(plan: &CellPlan) -> Option<Refused> {
+    let cell = plan.table.cell();
+    let (nodes, tasks, links) = MOST;
+    if cell.nodes.len() <= nodes && cell.tasks.len() <= tasks && cell.links.len() <= links {
+        return None;
+    }
+    let why = format!(
+        "{} nodes, {} tasks and {} links are more than the checker takes: at most {nodes}, {tasks} and {links}",
+        cell.nodes.len(),
+        cell.tasks.len(),
+        cell.links.len()
+    );
+    Some(Refused { task: TaskId::from_index(0), at: 0, why })
 }
 
 fn explore(plan: &Arc<CellPlan>, phase: (Phase, usize), faults: &CellFaults) -> Done {
@@ -315,26 +324,25 @@ impl Search {
         hit: &Hit,
     ) -> Finding {
         let moves = self.path(plan, faults, hit.origin);
-        let mut shown = hit.shown.clone();
-        if let (Kind::TimeOut, Some(place)) = (shown.kind, shown.task.zip(shown.address))
-            && let Some(how) = starve::starved(plan, &moves, place)
-        {
-            (shown.kind, shown.cause) = (Kind::Starves, how);
-        }
-        finding(plan, (phase, hypothesis), faults, moves, &shown)
+        finding(plan, (phase, hypothesis), faults, moves, hit.shown.clone())
     }
 }
 
-/// What was shown at the end of these moves, told.
+/// Something that the last of these moves shows, told.
 pub(super) fn finding(
     plan: &Arc<CellPlan>,
     (phase, hypothesis): (Phase, usize),
     faults: &CellFaults,
     moves: Vec<CellMove>,
-    shown: &Shown,
+    mut shown: Shown,
 ) -> Finding {
-    let told = story::tell(plan, faults, &moves, shown);
-    let &Shown { kind, task, address, check, couple, .. } = shown;
+    if let (Kind::TimeOut, Some(place)) = (shown.kind, shown.task.zip(shown.address))
+        && let Some(how) = starve::starved(plan, &moves, place)
+    {
+        (shown.kind, shown.cause) = (Kind::Starves, how);
+    }
+    let told = story::tell(plan, faults, &moves, &shown);
+    let Shown { kind, task, address, check, couple, .. } = shown;
     Finding {
         kind,
         phase,
@@ -366,12 +374,9 @@ fn conclude(plan: &Arc<CellPlan>, done: Vec<Done>, outside: Vec<i64>) -> Verdict
             verdicts.statements.push((0, 0));
             continue;
         };
-        let is = |at: &usize| program.code[*at] == Op::Statement;
-        let all: Vec<usize> = (0..program.code.len()).filter(is).collect();
-        let missed = |at: &&usize| !done.iter().any(|done| done.reached.statements[number][**at]);
-        let missed: Vec<usize> = all.iter().filter(missed).copied().collect();
-        let count = |n: usize| u32::try_from(n).unwrap_or(u32::MAX);
-        verdicts.statements.push((count(all.len() - missed.len()), count(all.len())));
+        let reached = |at: usize| done.iter().any(|done| done.reached.statements[number][at]);
+        let (counts, missed) = judge::missed(program, reached);
+        verdicts.statements.push(counts);
         let task = TaskId::from_index(number);
         let plain = judge::needs_no_fault(program);
         for at in missed {

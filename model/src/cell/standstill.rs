@@ -100,6 +100,7 @@ pub(super) const fn is_fault(step: CellMove) -> bool {
         | CellMove::Mend(..)
         | CellMove::Acted(_, _, true, _)
         | CellMove::GoOn(..)
+        | CellMove::Takes(..)
         | CellMove::Stay(_)
         | CellMove::Choose(..) => false,
     }
@@ -161,7 +162,7 @@ pub(super) fn tell(
     let (task, address) = (tasks.first().copied(), tasks.first().map(|&task| position(&course, task)));
     let shown =
         Shown { task, address, others: tasks[1..].to_vec(), ..Shown::whole(Kind::Standstill, &cause) };
-    Some(super::search::finding(plan, (phase, hypothesis), faults, moves, &shown))
+    Some(super::search::finding(plan, (phase, hypothesis), faults, moves, shown))
 }
 
 /// Whether a task is told what became of something that it asked of others.

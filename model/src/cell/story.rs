@@ -209,6 +209,7 @@ fn packet(course: &Course, step: CellMove, lanes: &Lanes) -> Option<Arrow> {
         | CellMove::Drift(..)
         | CellMove::Acted(..)
         | CellMove::GoOn(..)
+        | CellMove::Takes(..)
         | CellMove::Stay(_)
         | CellMove::Choose(..)
         | CellMove::Crash(_)
@@ -251,6 +252,7 @@ fn describe(course: &Course, step: CellMove) -> Option<(Lane, String)> {
         | CellMove::Vanish(_)
         | CellMove::Mend(..)
         | CellMove::GoOn(..)
+        | CellMove::Takes(..)
         | CellMove::Stay(_) => return None,
     })
 }
@@ -304,7 +306,7 @@ pub(super) fn view(course: &Course, task: usize) -> TaskView {
 }
 
 /// The head and the end of a long chart.
-fn shorten(chart: &str) -> String {
+pub(super) fn shorten(chart: &str) -> String {
     let lines: Vec<&str> = chart.lines().collect();
     if lines.len() <= LINES {
         return chart.to_owned();

@@ -263,6 +263,7 @@ const fn takes_away(step: CellMove) -> Option<u8> {
         | CellMove::Mend(..)
         | CellMove::Acted(..)
         | CellMove::GoOn(..)
+        | CellMove::Takes(..)
         | CellMove::Stay(_)
         | CellMove::Choose(..)
         | CellMove::Crash(_)

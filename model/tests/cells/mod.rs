@@ -15,6 +15,18 @@ pub const fn within(states: u64) -> Budget {
     Budget { states, seconds: f64::INFINITY, bytes: 4 << 30 }
 }
 
+/// Whether two findings are of the same statement or check, whichever of the tasks that have it alike is named. How a wait
+/// starved shows only on a way, so that a time_out is the same.
+pub fn is_alike(one: &Finding, other: &Finding) -> bool {
+    let about = |finding: &Finding| {
+        let kind = if finding.kind == Kind::Starves { Kind::TimeOut } else { finding.kind };
+        (kind, finding.address, finding.check, finding.couple)
+    };
+    let tasks = |finding: &Finding| [finding.task.as_slice(), &finding.also].concat();
+    let (some, others) = (tasks(one), tasks(other));
+    about(one) == about(other) && (some == others || some.iter().any(|task| others.contains(task)))
+}
+
 /// A cell and the text it came from.
 pub struct Text {
     text: String,

@@ -48,7 +48,8 @@ const TAPE: usize = 300;
 /// A search of a random cell keeps at most so many states.
 const STATES: u64 = 20_000;
 
-fn number(variable: &str, usual: u64) -> u64 {
+/// What a variable of the environment says, or what is usual.
+pub fn number(variable: &str, usual: u64) -> u64 {
     std::env::var(variable).map_or(usual, |text| text.parse().unwrap_or_else(|e| panic!("{variable}: {e}")))
 }
 
@@ -61,6 +62,12 @@ fn tape(seed: u64) -> Vec<u8> {
 fn is_sound(text: &str) -> bool {
     let source = Source::new(text.as_bytes()).expect("text");
     compile(&source).lower(Unit::Ticks).is_some()
+}
+
+/// The random cell of this seed; none where the compiler turns it down.
+pub fn random_cell(seed: u64) -> Option<Text> {
+    let text = cells::cell(&tape(seed));
+    is_sound(&text).then(|| Text::new(&text))
 }
 
 /// Every other random cell is searched at all times, the others, and those where that is too much, at the ends of them.

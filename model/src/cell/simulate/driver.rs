@@ -1,0 +1,471 @@
+//! Which move comes next in a run: what the faults name, and otherwise what is chosen.
+
+use super::schedule::{Chooser, Fault, Tape, in_order};
+use crate::cell::course::{CellMove, Course, OPEN, UNUSED};
+use crate::floor::script::Running;
+use imrs_protocol::{NodeId, TaskId};
+
+/// Where choices come from.
+#[derive(Clone, Copy, Debug)]
+pub(super) enum Source<'a> {
+    /// Numbers at random, the same for the same seed.
+    Seed(u64),
+    /// A tape.
+    Tape(&'a Tape),
+}
+
+/// How a number is drawn below a limit.
+#[derive(Clone, Copy)]
+enum Spread {
+    /// Each with the same chance.
+    Even,
+    /// Half of the times one of the two ends.
+    Ends,
+}
+
+/// The choices of one chooser.
+struct Choices {
+    who: Chooser,
+    random: fastrand::Rng,
+    made: Vec<u32>,
+}
+
+/// Which instant of an action was chosen.
+struct Chosen {
+    task: u8,
+    level: u8,
+    action: u16,
+    /// When it ends at the latest: another action of the same thread has another.
+    latest: u64,
+    /// How often an action that need not end goes on yet.
+    left: u32,
+}
+
+/// A directed link.
+#[derive(Clone, Copy, Default)]
+struct Line {
+    /// How many packets have left it at its end.
+    arrived: u32,
+    /// The packet whose time was chosen, and its age then.
+    chosen: Option<(u32, u8)>,
+}
+
+/// Decides the moves of one run.
+pub(super) struct Driver<'a> {
+    source: Source<'a>,
+    /// Sorted as the budgets number them.
+    faults: Vec<Fault>,
+    happened: Vec<bool>,
+    /// Those of tasks, of links, of nodes, in this order.
+    choices: Vec<Choices>,
+    tasks: usize,
+    lines: Vec<Line>,
+    /// For each task how many actions have ended.
+    ended: Vec<u32>,
+    actions: Vec<Chosen>,
+    /// For each node that is down, when it starts again.
+    restarts: Vec<Option<u64>>,
+    /// For each cut that has begun, when it is over.
+    cuts: Vec<Option<u64>>,
+}
+
+impl<'a> Driver<'a> {
+    pub fn new(faults: &[Fault], source: Source<'a>, start: &Course) -> Self {
+        let cell = start.plan.table.cell();
+        let links = &start.floor.links;
+        let tasks = (0..cell.tasks.len()).map(|task| Chooser::Task(TaskId::from_index(task)));
+        let ends = links.iter().map(|&(from, to, _)| Chooser::Link(from, to));
+        let nodes = (0..cell.nodes.len()).map(|node| Chooser::Node(NodeId::from_index(node)));
+        let seed = match source {
+            Source::Seed(seed) => seed,
+            Source::Tape(_) => 0,
+        };
+        let own = |(number, who)| Choices { who, random: random(seed, number), made: Vec::new() };
+        let faults = in_order(faults);
+        Self {
+            source,
+            happened: vec![false; faults.len()],
+            choices: (FIRST_OF_CHOOSERS..).zip(tasks.chain(ends).chain(nodes)).map(own).collect(),
+            tasks: cell.tasks.len(),
+            lines: vec![Line::default(); links.len()],
+            ended: vec![0; cell.tasks.len()],
+            actions: Vec::new(),
+            restarts: vec![None; cell.nodes.len()],
+            cuts: vec![None; faults.len()],
+            faults,
+        }
+    }
+
+    /// What was chosen.
+    pub fn tape(&self) -> Tape {
+        let made = self.choices.iter().filter(|choices| !choices.made.is_empty());
+        made.map(|choices| (choices.who, choices.made.clone())).collect()
+    }
+
+    /// The faults that did not happen.
+    pub fn idle(&self) -> Vec<Fault> {
+        let idle = self.faults.iter().zip(&self.happened).filter(|(_, happened)| !**happened);
+        idle.map(|(fault, _)| fault.clone()).collect()
+    }
+
+    /// For each directed link how many packets came, for each task how many actions ended.
+    pub fn counts(&self) -> (Vec<u32>, Vec<u32>) {
+        (self.lines.iter().map(|line| line.arrived).collect(), self.ended.clone())
+    }
+
+    /// The next of these moves; none where the run is over.
+    pub fn next(&mut self, course: &Course, moves: &[CellMove]) -> Option<CellMove> {
+        let step = if moves.iter().any(|step| is_of_a_turn(*step)) {
+            self.in_turn(course, moves)
+        } else {
+            self.between(course, moves)
+        }?;
+        self.note(course, step);
+        Some(step)
+    }
+
+    /// Where no node has anything to do in this tick.
+    fn between(&mut self, course: &Course, moves: &[CellMove]) -> Option<CellMove> {
+        let now = course.passed;
+        let waits = course.next_event().is_some();
+        moves
+            .iter()
+            .copied()
+            .find(|step| match *step {
+                CellMove::Crash(number) => self.stop(number).is_some_and(|(_, at, _)| at <= now),
+                CellMove::Restart(node) => self.is_back(node, if waits { now } else { u64::MAX }),
+                CellMove::Drift(node, more) => self.drift(node, more, now).is_some(),
+                _ => false,
+            })
+            .or_else(|| moves.iter().copied().find(|step| *step == CellMove::Pass))
+    }
+
+    /// Where a node has something to do in this tick.
+    fn in_turn(&mut self, course: &Course, moves: &[CellMove]) -> Option<CellMove> {
+        if let Some(CellMove::Choose(task, _)) = moves.first() {
+            let choice = self.draw(usize::from(*task), moves.len(), Spread::Even);
+            return moves.get(choice as usize).copied();
+        }
+        let back = moves
+            .iter()
+            .copied()
+            .find(|step| matches!(step, CellMove::Restart(node) if self.is_back(*node, course.passed)));
+        if back.is_some() {
+            return back;
+        }
+        let mut ready: Vec<Who> = Vec::new();
+        let mut seen: Vec<Who> = Vec::new();
+        for &step in moves {
+            let Some(who) = who(course, step).filter(|who| !seen.contains(who)) else { continue };
+            seen.push(who);
+            let waits = match who {
+                Who::Action(task, level) => self.goes_on(course, moves, (task, level)),
+                Who::Line(link) => self.stays(course, moves, link),
+            };
+            if waits.is_some() {
+                return waits;
+            }
+            ready.push(who);
+        }
+        let node = match *ready.first()? {
+            Who::Action(task, _) => course.floor.station_of(usize::from(task)),
+            Who::Line(link) => course.floor.links[link].1.index(),
+        };
+        let first = self.draw(self.tasks + self.lines.len() + node, ready.len(), Spread::Even);
+        match *ready.get(first as usize)? {
+            Who::Action(task, level) => self.ends(moves, (task, level)),
+            Who::Line(link) => self.comes(course, moves, link),
+        }
+    }
+
+    /// How an action ends.
+    fn ends(&mut self, moves: &[CellMove], (task, level): (u8, u8)) -> Option<CellMove> {
+        let at = usize::from(task);
+        let next = self.ended[at] + 1;
+        let fails = CellMove::Acted(task, level, false, 0);
+        let is =
+            |fault: &Fault| matches!(*fault, Fault::Fail { task, nth } if task.index() == at && nth == next);
+        if let Some(fault) = self.named(is).filter(|_| moves.contains(&fails)) {
+            self.happened[fault] = true;
+            return Some(fails);
+        }
+        let ends =
+            |step: &&CellMove| matches!(**step, CellMove::Acted(t, l, true, _) if (t, l) == (task, level));
+        let value = self.draw(at, moves.iter().filter(ends).count(), Spread::Even);
+        moves.iter().filter(ends).nth(value as usize).copied()
+    }
+
+    /// What lets an action that may end now take longer, where it does.
+    fn goes_on(&mut self, course: &Course, moves: &[CellMove], (task, level): (u8, u8)) -> Option<CellMove> {
+        let running = *course.floor.bodies[usize::from(task)].actor.as_ref()?.runs(level)?;
+        if !moves.contains(&CellMove::GoOn(task, level)) {
+            return None;
+        }
+        let endless = running.most == Running::FOREVER;
+        let latest = if endless { u64::MAX } else { course.passed + u64::from(running.most) };
+        let known =
+            |of: &Chosen| (of.task, of.level, of.action, of.latest) == (task, level, running.action, latest);
+        if let Some(chosen) = self.actions.iter_mut().find(|chosen| known(chosen)) {
+            chosen.left = chosen.left.checked_sub(1)?;
+            return Some(CellMove::GoOn(task, level));
+        }
+        self.actions.retain(|chosen| (chosen.task, chosen.level) != (task, level));
+        // The instants at which it may end: now, and those that are left when steps are counted back from its most time.
+        let step = course.plan.step.max(1);
+        let first = running.most - (running.most.saturating_sub(1) / step) * step;
+        let instants = if endless { ENDLESS } else { 2 + (running.most - first) / step };
+        let number = self.draw(usize::from(task), instants as usize, Spread::Ends);
+        let left = if endless { number } else { 0 };
+        self.actions.push(Chosen {
+            task,
+            level,
+            action: running.action,
+            latest,
+            left: left.saturating_sub(1),
+        });
+        match number {
+            0 => None,
+            _ if endless => Some(CellMove::GoOn(task, level)),
+            _ => Some(CellMove::Takes(task, level, first + (number - 1) * step)),
+        }
+    }
+
+    /// What lets a packet that may come early stay on its link, where it does.
+    fn stays(&mut self, course: &Course, moves: &[CellMove], link: usize) -> Option<CellMove> {
+        let stays = CellMove::Stay(u8::try_from(link).ok()?);
+        let first = course.floor.crossings.iter().find(|crossing| usize::from(crossing.link) == link)?;
+        if !moves.contains(&stays) {
+            return None;
+        }
+        let (from, to, bound) = course.floor.links[link];
+        let next = self.lines[link].arrived + 1;
+        let is = |fault: &Fault| match *fault {
+            Fault::Lose { link, nth } | Fault::Copy { link, nth } => link == (from, to) && nth == next,
+            _ => false,
+        };
+        // What is lost, doubled or cut off is so at the link's bound.
+        let at_bound = self.named(is).is_some() || self.cut(course, link).is_some();
+        (at_bound || first.age < self.arrives(link, next, (first.age, bound))).then_some(stays)
+    }
+
+    /// What becomes of the first packet of a link.
+    fn comes(&mut self, course: &Course, moves: &[CellMove], link: usize) -> Option<CellMove> {
+        let floor = &course.floor;
+        let first = floor.crossings.iter().position(|crossing| usize::from(crossing.link) == link)?;
+        let (first, (from, to, _)) = (u8::try_from(first).ok()?, floor.links[link]);
+        let next = self.lines[link].arrived + 1;
+        let here = |of: (NodeId, NodeId), is: bool| of == (from, to) && is;
+        let overtaken =
+            self.named(|fault| matches!(*fault, Fault::Overtake { link, nth } if here(link, nth <= next)));
+        let lost = self.named(|fault| matches!(*fault, Fault::Lose { link, nth } if here(link, nth == next)));
+        let twice =
+            self.named(|fault| matches!(*fault, Fault::Copy { link, nth } if here(link, nth == next)));
+        let behind = moves.iter().copied().find(|step| {
+            matches!(*step, CellMove::Deliver(i) if i != first && who(course, *step) == Some(Who::Line(link)))
+        });
+        let (step, fault) = match self.cut(course, link) {
+            Some(Cut::Lasts) => (Some(CellMove::Vanish(first)), None),
+            Some(Cut::Begins(number, fault)) => (Some(CellMove::Cut(first, number)), Some(fault)),
+            None if overtaken.is_some() && behind.is_some() => (behind, overtaken),
+            None if lost.is_some() => (Some(CellMove::Lose(first)), lost),
+            None if twice.is_some() => (Some(CellMove::Duplicate(first)), twice),
+            None => (None, None),
+        };
+        let allowed = step.filter(|step| moves.contains(step));
+        if let (Some(step), fault) = (allowed, fault) {
+            fault.into_iter().for_each(|fault| self.happened[fault] = true);
+            return Some(step);
+        }
+        let arrives =
+            |step: &CellMove| matches!(*step, CellMove::Deliver(i) | CellMove::Mend(i, _) if i == first);
+        moves.iter().copied().find(arrives)
+    }
+
+    /// At which age a packet arrives that may come early.
+    fn arrives(&mut self, link: usize, nth: u32, (age, bound): (u8, u8)) -> u8 {
+        match self.lines[link].chosen {
+            Some((of, age)) if of == nth => age,
+            _ => {
+                let early = usize::from(bound.saturating_sub(age)) + 1;
+                let early = self.draw(self.tasks + link, early, Spread::Ends);
+                let age = bound.saturating_sub(u8::try_from(early).unwrap_or(u8::MAX));
+                self.lines[link].chosen = Some((nth, age));
+                age
+            }
+        }
+    }
+
+    /// What the cuts do to a packet at the end of a link.
+    fn cut(&self, course: &Course, link: usize) -> Option<Cut> {
+        let cuts = (0_u8..).zip(self.faults.iter().enumerate().filter_map(|(fault, of)| match *of {
+            Fault::Cut { link, at, .. } => Some((fault, link, at)),
+            _ => None,
+        }));
+        let here = || cuts.clone().filter(|(_, (_, of, _))| *of == link / 2);
+        let state = |number: u8| course.beside.cuts.get(usize::from(number)).copied();
+        // While one is open no other begins.
+        if let Some((_, (fault, ..))) = here().find(|(number, _)| state(*number) == Some(OPEN)) {
+            let over = self.cuts[fault].is_some_and(|over| over <= course.passed);
+            return (!over).then_some(Cut::Lasts);
+        }
+        let (number, (fault, _, at)) = here().find(|(number, _)| state(*number) == Some(UNUSED))?;
+        (at <= course.passed).then_some(Cut::Begins(number, fault))
+    }
+
+    /// The first fault that has not happened and is such a one.
+    fn named(&self, is: impl Fn(&Fault) -> bool) -> Option<usize> {
+        let mut all = self.faults.iter().zip(&self.happened);
+        all.position(|(fault, happened)| !happened && is(fault))
+    }
+
+    /// The fault that is crash number so, when it is due, and how long the node stays down.
+    fn stop(&self, number: u8) -> Option<(usize, u64, Option<u64>)> {
+        let stops = self.faults.iter().enumerate().filter_map(|(fault, of)| match *of {
+            Fault::Stop { at, restart, .. } => Some((fault, at, restart)),
+            _ => None,
+        });
+        stops.into_iter().nth(usize::from(number))
+    }
+
+    fn drift(&self, node: u8, more: bool, now: u64) -> Option<usize> {
+        let is = |fault: &Fault| {
+            matches!(*fault, Fault::Drift { node: of, at, more: how }
+                if of.index() == usize::from(node) && how == more && at <= now)
+        };
+        self.named(is)
+    }
+
+    fn is_back(&self, node: u8, now: u64) -> bool {
+        self.restarts[usize::from(node)].is_some_and(|due| due <= now)
+    }
+
+    /// Keeps count of what a move does.
+    fn note(&mut self, course: &Course, step: CellMove) {
+        let line =
+            |i: u8| course.floor.crossings.get(usize::from(i)).map(|crossing| usize::from(crossing.link));
+        match step {
+            CellMove::Deliver(i)
+            | CellMove::Lose(i)
+            | CellMove::Duplicate(i)
+            | CellMove::Vanish(i)
+            | CellMove::Mend(i, _) => self.arrived(line(i)),
+            CellMove::Cut(i, number) => {
+                self.arrived(line(i));
+                let mut cuts = self.faults.iter().enumerate().filter_map(|(fault, of)| match *of {
+                    Fault::Cut { lasts, .. } => Some((fault, lasts)),
+                    _ => None,
+                });
+                if let Some((fault, lasts)) = cuts.nth(usize::from(number)) {
+                    self.cuts[fault] = lasts.map(|lasts| course.passed.saturating_add(lasts));
+                }
+            }
+            CellMove::Acted(task, level, ..) => {
+                self.ended[usize::from(task)] += 1;
+                self.actions.retain(|chosen| (chosen.task, chosen.level) != (task, level));
+            }
+            CellMove::Crash(number) => {
+                if let Some((fault, _, restart)) = self.stop(number) {
+                    self.happened[fault] = true;
+                    let due = restart.map(|after| course.passed.saturating_add(after));
+                    self.restarts[course.crash_node(number)] = due;
+                }
+            }
+            CellMove::Restart(node) => self.restarts[usize::from(node)] = None,
+            CellMove::Drift(node, more) => {
+                if let Some(fault) = self.drift(node, more, course.passed) {
+                    self.happened[fault] = true;
+                }
+            }
+            CellMove::Pass
+            | CellMove::GoOn(..)
+            | CellMove::Takes(..)
+            | CellMove::Stay(_)
+            | CellMove::Choose(..) => {}
+        }
+    }
+
+    fn arrived(&mut self, link: Option<usize>) {
+        if let Some(line) = link.and_then(|link| self.lines.get_mut(link)) {
+            line.arrived += 1;
+        }
+    }
+
+    /// A choice below `limit`. Where there is one alternative nothing is chosen.
+    fn draw(&mut self, chooser: usize, limit: usize, spread: Spread) -> u32 {
+        let most = u32::try_from(limit.saturating_sub(1)).unwrap_or(u32::MAX - 1);
+        if most == 0 {
+            return 0;
+        }
+        let choices = &mut self.choices[chooser];
+        let choice = match (self.source, spread) {
+            (Source::Tape(tape), _) => {
+                let told = tape.get(&choices.who).and_then(|told| told.get(choices.made.len()));
+                told.copied().unwrap_or(0).min(most)
+            }
+            (Source::Seed(_), Spread::Even) => choices.random.u32(..=most),
+            (Source::Seed(_), Spread::Ends) => match choices.random.u8(..4) {
+                0 => 0,
+                1 => most,
+                _ => choices.random.u32(..=most),
+            },
+        };
+        choices.made.push(choice);
+        choice
+    }
+}
+
+/// How often an action that need not end may go on.
+const ENDLESS: u32 = 4;
+/// The streams below this are those that the faults are drawn from.
+pub(super) const FIRST_OF_CHOOSERS: u64 = 64;
+
+/// The stream of a seed with this number. Each is independent of how much is drawn from the others.
+pub(super) fn random(seed: u64, stream: u64) -> fastrand::Rng {
+    // The first number of each generator is a seed that neither a near seed nor a near stream shares bits with.
+    let mut of_seed = fastrand::Rng::with_seed(seed);
+    let mut of_stream = fastrand::Rng::with_seed(of_seed.u64(..) ^ stream);
+    fastrand::Rng::with_seed(of_stream.u64(..))
+}
+
+/// What a cut does to the packet that is about to arrive.
+enum Cut {
+    /// The cut of this number, and this fault, begins with it.
+    Begins(u8, usize),
+    /// It takes the packet, too.
+    Lasts,
+}
+
+/// Who may act in a tick.
+#[derive(Clone, Copy, PartialEq, Eq)]
+enum Who {
+    /// An action: task and thread.
+    Action(u8, u8),
+    /// The packets at the end of a directed link.
+    Line(usize),
+}
+
+fn who(course: &Course, step: CellMove) -> Option<Who> {
+    match step {
+        CellMove::Acted(task, level, ..) | CellMove::GoOn(task, level) => Some(Who::Action(task, level)),
+        CellMove::Stay(link) => Some(Who::Line(usize::from(link))),
+        CellMove::Deliver(i)
+        | CellMove::Lose(i)
+        | CellMove::Duplicate(i)
+        | CellMove::Cut(i, _)
+        | CellMove::Vanish(i)
+        | CellMove::Mend(i, _) => {
+            course.floor.crossings.get(usize::from(i)).map(|crossing| Who::Line(usize::from(crossing.link)))
+        }
+        CellMove::Pass
+        | CellMove::Drift(..)
+        | CellMove::Takes(..)
+        | CellMove::Choose(..)
+        | CellMove::Crash(_)
+        | CellMove::Restart(_) => None,
+    }
+}
+
+/// Whether a move is one of a node with something to do in this tick.
+const fn is_of_a_turn(step: CellMove) -> bool {
+    !matches!(step, CellMove::Pass | CellMove::Drift(..) | CellMove::Crash(_) | CellMove::Restart(_))
+}

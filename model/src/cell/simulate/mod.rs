@@ -1,0 +1,339 @@
+//! Random runs of a cell on the machine itself, in one process, never packed: for cells that are too large to be searched,
+//! and for longer runs than a search reaches.
+//!
+//! ```text
+//!   seed ---> faults, and a stream of numbers for each chooser ---.
+//!                                                                 v
+//!   schedule (faults + tape) ----------------------------------> run ---> what it shows, judged as a search judges it
+//!      ^                                                          |
+//!      '--- shrinking: fewer faults, smaller numbers, zeros <-----'
+//! ```
+//!
+//! A run makes only moves that the search makes, too, at every tick: what it finds, a search that ends finds as well. What
+//! only a whole search can know is not judged: that a statement is never reached, or that a check says nothing.
+
+mod draw;
+mod driver;
+mod run;
+mod schedule;
+mod shrink;
+
+pub use run::Ended;
+pub use schedule::{Chooser, Fault, MOST_FAULTS, Schedule, Tape};
+
+use super::alike::repeats;
+use super::course::Course;
+use super::judge::{self, Reached, Shown};
+use super::outside::with_programs;
+use super::plan::{CellFaults, CellPlan, Conduct, Times};
+use super::search::{finding, timed, too_large};
+use super::story;
+use super::verdict::{Finding, Phase, Refused};
+use crate::chart::{Folding, chart};
+use draw::Census;
+use driver::Source;
+use imrs_protocol::TaskId;
+use imrs_protocol::script::Address;
+use run::{Run, run};
+use shrink::{Shrinker, moves_to};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Arc, OnceLock};
+
+/// How many runs a thread makes between two looks at who waits.
+const BATCH: u64 = 64;
+
+/// What some runs came to.
+#[derive(Debug, Default)]
+pub struct Simulated {
+    /// Runs made.
+    pub runs: u64,
+    /// Those of them with faults.
+    pub with_faults: u64,
+    /// Their moves.
+    pub steps: u64,
+    /// Ticks that passed in them.
+    pub ticks: u64,
+    /// How many ended how, in the order of [`Ended`].
+    pub ended: [u64; 4],
+    /// What was found: each once, in the order of the seeds.
+    pub found: Vec<Found>,
+    /// For each task the statements reached, and how many it has.
+    pub statements: Vec<(u32, u32)>,
+    /// Statements that no run reached: task and operation.
+    pub not_reached: Vec<(TaskId, Address)>,
+    /// Faults of a given schedule that did not happen.
+    pub idle: Vec<Fault>,
+    /// Whether it was ended before all runs were made.
+    pub interrupted: bool,
+}
+
+/// Something that was found.
+#[derive(Debug)]
+pub struct Found {
+    /// The first seed that showed it; none where a schedule was given.
+    pub seed: Option<u64>,
+    /// How many runs showed it.
+    pub runs: u64,
+    /// A schedule that shows it.
+    pub schedule: Schedule,
+    /// What it shows. Its way belongs to a plan whose only hypothesis is `faults`.
+    pub finding: Finding,
+    /// The budgets of the schedule's faults.
+    pub faults: CellFaults,
+    /// What the schedule had before it was shrunk; none where it was not.
+    pub shrunk: Option<Shrunk>,
+}
+
+/// What shrinking a schedule came to.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Shrunk {
+    /// Faults before it.
+    pub faults: usize,
+    /// Choices other than 0 before it.
+    pub choices: usize,
+    /// Moves before it.
+    pub moves: usize,
+    /// Whether nothing more could be left out, or only no more was tried.
+    pub whole: bool,
+}
+
+/// What a seed came to.
+struct Ran {
+    seed: u64,
+    steps: u64,
+    ticks: u64,
+    ended: Ended,
+    with_faults: bool,
+    reached: Reached,
+    shown: Vec<Shown>,
+    /// Where something was shown, how.
+    schedule: Schedule,
+    moves: Vec<usize>,
+}
+
+/// A cell to run at random.
+#[derive(Debug)]
+pub struct Simulator {
+    plan: Arc<CellPlan>,
+    /// The most steps of a run.
+    steps: u32,
+    census: Census,
+    jobs: usize,
+}
+
+impl Simulator {
+    /// A cell, and the most steps of a run.
+    ///
+    /// # Errors
+    /// [`Refused`] for a cell that is too large.
+    pub fn new(plan: &Arc<CellPlan>, steps: u32) -> Result<Self, Refused> {
+        if let Some(refused) = too_large(plan) {
+            return Err(refused);
+        }
+        let plan = timed(&with_programs(plan), Times::Every);
+        let plain = run(&plan, &[], Source::Tape(&Tape::new()), steps);
+        let links = Course::new(&plan, &CellFaults::default()).floor.links;
+        let census = Census::of(&plan, &links, &plain);
+        Ok(Self { census, steps, jobs: plan.jobs.max(1), plan })
+    }
+
+    /// Runs so many seeds from the first one on: with these faults, or with those that each seed draws. After each batch
+    /// `goes_on` is told how many runs were made and how many findings there are, and says whether to make more. What was
+    /// found is shrunk. The answer is the same for any number of threads.
+    pub fn seeds(
+        &self,
+        (first, count): (u64, u64),
+        faults: Option<&[Fault]>,
+        goes_on: &mut dyn FnMut(u64, usize) -> bool,
+    ) -> Simulated {
+        let mut all = Simulated::default();
+        let mut reached: Option<Reached> = None;
+        let mut found: Vec<(Shown, u64, Ran)> = Vec::new();
+        while all.runs < count {
+            if !goes_on(all.runs, found.len()) {
+                all.interrupted = true;
+                break;
+            }
+            let batch = (count - all.runs).min(BATCH * self.jobs as u64);
+            for mut ran in self.batch(first.wrapping_add(all.runs), batch, faults) {
+                all.count(ran.steps, ran.ticks, ran.ended, ran.with_faults);
+                let own = std::mem::take(&mut ran.reached);
+                reached = Some(match reached {
+                    Some(reached) => reached.join(own),
+                    None => own,
+                });
+                for (at, shown) in ran.shown.iter().enumerate() {
+                    match found.iter_mut().find(|(known, ..)| known.is_same(shown)) {
+                        Some((_, runs, _)) => *runs += 1,
+                        None => found.push((shown.clone(), 1, ran.only(at))),
+                    }
+                }
+            }
+        }
+        for (shown, runs, ran) in found {
+            let shorter = self.shrink(&ran.schedule, &shown, ran.moves[0]);
+            let new = Found { runs, seed: Some(ran.seed), ..shorter };
+            let first = all.found.iter_mut().find(|first| repeats(&self.plan, &first.finding, &new.finding));
+            match (first, new.finding.task) {
+                (Some(first), Some(task)) => first.finding.also.push(task),
+                _ => all.found.push(new),
+            }
+        }
+        self.coverage(&mut all, reached.as_ref());
+        all
+    }
+
+    fn batch(&self, first: u64, count: u64, faults: Option<&[Fault]>) -> Vec<Ran> {
+        let done: Vec<OnceLock<Ran>> = (0..count).map(|_| OnceLock::new()).collect();
+        let next = AtomicUsize::new(0);
+        let work = || {
+            while let at = next.fetch_add(1, Ordering::Relaxed)
+                && let Some(place) = done.get(at)
+            {
+                // Each is taken by one thread.
+                let _ = place.set(self.seed(first.wrapping_add(at as u64), faults));
+            }
+        };
+        if self.jobs == 1 || count == 1 {
+            work();
+        } else {
+            std::thread::scope(|scope| (0..self.jobs).for_each(|_| drop(scope.spawn(work))));
+        }
+        done.into_iter().filter_map(OnceLock::into_inner).collect()
+    }
+
+    /// The faults of a run with this seed.
+    fn faults(&self, seed: u64, faults: Option<&[Fault]>) -> Vec<Fault> {
+        faults.map_or_else(|| self.census.draw(&self.plan, seed), <[Fault]>::to_vec)
+    }
+
+    fn seed(&self, seed: u64, faults: Option<&[Fault]>) -> Ran {
+        let faults = self.faults(seed, faults);
+        let run = run(&self.plan, &faults, Source::Seed(seed), self.steps);
+        let tape = if run.shown.is_empty() { Tape::new() } else { run.tape };
+        let (moves, shown) = run.shown.into_iter().unzip();
+        Ran {
+            seed,
+            steps: run.moves.len() as u64,
+            ticks: run.ticks,
+            ended: run.ended,
+            with_faults: !faults.is_empty(),
+            reached: run.reached,
+            shown,
+            schedule: Schedule { faults, tape },
+            moves,
+        }
+    }
+
+    /// Runs a schedule as it is, or shrinks what it shows.
+    #[must_use]
+    pub fn schedule(&self, schedule: &Schedule, shrink: bool) -> Simulated {
+        let mut all = Simulated::default();
+        let run = run(&self.plan, &schedule.faults, Source::Tape(&schedule.tape), self.steps);
+        all.count(run.moves.len() as u64, run.ticks, run.ended, !schedule.faults.is_empty());
+        for (moves, shown) in &run.shown {
+            all.found.push(if shrink {
+                self.shrink(schedule, shown, *moves)
+            } else {
+                self.found(&run, shown, schedule.clone(), None)
+            });
+        }
+        self.coverage(&mut all, Some(&run.reached));
+        all.idle = run.idle;
+        all
+    }
+
+    /// The way of a run as a sequence chart, and how it ended.
+    #[must_use]
+    pub fn chart_of_seed(&self, seed: u64, faults: Option<&[Fault]>) -> String {
+        self.chart(&run(&self.plan, &self.faults(seed, faults), Source::Seed(seed), self.steps))
+    }
+
+    /// The way of a schedule as a sequence chart, and how it ended.
+    #[must_use]
+    pub fn chart_of(&self, schedule: &Schedule) -> String {
+        self.chart(&run(&self.plan, &schedule.faults, Source::Tape(&schedule.tape), self.steps))
+    }
+
+    fn chart(&self, run: &Run) -> String {
+        let way = story::walk(&self.plan, &run.faults, &run.moves, |_| {});
+        let end = match run.ended {
+            Ended::Over => "nothing happens any more",
+            Ended::Found => "a finding ends the run",
+            Ended::Steps => "the run has made as many steps as it may",
+            Ended::Crowded => "more packets are on their way than can be numbered",
+        };
+        story::shorten(&chart(way.pen.names(), &way.pen.notes, end, Folding::Repeats))
+    }
+
+    fn shrink(&self, schedule: &Schedule, shown: &Shown, moves: usize) -> Found {
+        // What was chosen after it is of no account.
+        let steps = u32::try_from(moves).unwrap_or(u32::MAX);
+        let tape = run(&self.plan, &schedule.faults, Source::Tape(&schedule.tape), steps).tape;
+        let schedule = &Schedule { faults: schedule.faults.clone(), tape };
+        let mut shrinker = Shrinker {
+            plan: &self.plan,
+            shown,
+            // A shorter schedule may take a longer way, but not one that is much longer.
+            steps: self.steps.min(steps.saturating_mul(2).saturating_add(64)),
+            best: schedule.clone(),
+            spent: 0,
+        };
+        let whole = shrinker.shrink();
+        let best = shrinker.best;
+        let shrunk = Shrunk { faults: schedule.faults.len(), choices: schedule.choices(), moves, whole };
+        let run = run(&self.plan, &best.faults, Source::Tape(&best.tape), self.steps);
+        self.found(&run, shown, best, Some(shrunk))
+    }
+
+    fn found(&self, run: &Run, shown: &Shown, schedule: Schedule, shrunk: Option<Shrunk>) -> Found {
+        let end = moves_to(run, shown).unwrap_or(run.moves.len());
+        // The cause as this way has it.
+        let shown = run.shown.iter().find(|(_, known)| known.is_same(shown)).map_or(shown, |(_, own)| own);
+        let moves = run.moves[..end].to_vec();
+        let finding = finding(&self.plan, (run.phase, 0), &run.faults, moves, shown.clone());
+        Found { seed: None, runs: 1, schedule, finding, faults: run.faults.clone(), shrunk }
+    }
+
+    fn coverage(&self, all: &mut Simulated, reached: Option<&Reached>) {
+        for (number, conduct) in self.plan.tasks.iter().enumerate() {
+            let (Conduct::Program { program, .. }, Some(reached)) = (conduct, reached) else { continue };
+            let (counts, missed) = judge::missed(program, |at| reached.statements[number][at]);
+            all.statements.push(counts);
+            let address = |at: usize| Address::try_from(at).unwrap_or(Address::MAX);
+            let task = TaskId::from_index(number);
+            all.not_reached.extend(missed.into_iter().map(|at| (task, address(at))));
+        }
+    }
+}
+
+impl Ran {
+    /// What remains of it for one of the things that it showed.
+    fn only(&self, at: usize) -> Self {
+        Self {
+            shown: Vec::new(),
+            reached: Reached::default(),
+            schedule: self.schedule.clone(),
+            moves: vec![self.moves[at]],
+            ..*self
+        }
+    }
+}
+
+impl Simulated {
+    fn count(&mut self, steps: u64, ticks: u64, ended: Ended, with_faults: bool) {
+        self.runs += 1;
+        self.steps += steps;
+        self.ticks += ticks;
+        self.with_faults += u64::from(with_faults);
+        self.ended[ended as usize] += 1;
+    }
+}
+
+impl Found {
+    /// Whether it takes a fault.
+    #[must_use]
+    pub fn with_faults(&self) -> bool {
+        self.finding.phase == Phase::Faults
+    }
+}

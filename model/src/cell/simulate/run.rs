@@ -1,0 +1,95 @@
+//! One run of a cell, from its start to its end, a finding, or a bound.
+
+use super::driver::{Driver, Source};
+use super::schedule::{Fault, Tape};
+use crate::cell::course::CellMove;
+use crate::cell::judge::{Reached, Shown, deadlock};
+use crate::cell::plan::{CellFaults, CellPlan};
+use crate::cell::unpacked::Unpacked;
+use crate::cell::verdict::Phase;
+use std::sync::Arc;
+
+/// How a run ended.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Ended {
+    /// Nothing can happen any more.
+    Over,
+    /// Something was found that nothing that follows is looked at behind.
+    Found,
+    /// It had made as many steps as it may.
+    Steps,
+    /// More packets were on their way than moves have numbers for.
+    Crowded,
+}
+
+/// The most packets on their way: moves name them in a byte.
+const MOST_PACKETS: usize = 255;
+
+/// What a run came to.
+pub(super) struct Run {
+    pub phase: Phase,
+    /// The budgets of its faults.
+    pub faults: CellFaults,
+    pub moves: Vec<CellMove>,
+    pub ended: Ended,
+    /// What was found, each once, and after how many moves.
+    pub shown: Vec<(usize, Shown)>,
+    pub ticks: u64,
+    pub reached: Reached,
+    pub tape: Tape,
+    /// The faults that did not happen.
+    pub idle: Vec<Fault>,
+    /// For each directed link how many packets came, for each task how many actions ended.
+    pub counts: (Vec<u32>, Vec<u32>),
+}
+
+/// Runs a cell. Without faults it is judged as one where nothing went wrong.
+pub(super) fn run(plan: &Arc<CellPlan>, faults: &[Fault], source: Source<'_>, steps: u32) -> Run {
+    let phase = if faults.is_empty() { Phase::FaultFree } else { Phase::Faults };
+    let budgets = super::schedule::budgets(&super::schedule::in_order(faults));
+    let mut cell = Unpacked::new(plan, phase, &budgets);
+    let mut driver = Driver::new(faults, source, &cell.course);
+    let (mut taken, mut next) = (Vec::new(), Vec::new());
+    let mut shown: Vec<(usize, Shown)> = Vec::new();
+    let ended = loop {
+        let mut found = cell.shown();
+        next.clear();
+        if !found.iter().any(|one| one.last) {
+            cell.course.moves(&mut next);
+            if next.iter().all(|step| matches!(step, CellMove::Crash(_) | CellMove::Restart(_))) {
+                found.extend(deadlock(&cell.course));
+            }
+        }
+        let mut last = false;
+        for one in found {
+            last |= one.last;
+            if !shown.iter().any(|(_, known)| known.is_same(&one)) {
+                shown.push((taken.len(), one));
+            }
+        }
+        if last {
+            break Ended::Found;
+        }
+        if taken.len() >= steps as usize {
+            break Ended::Steps;
+        }
+        if cell.course.floor.crossings.len() > MOST_PACKETS {
+            break Ended::Crowded;
+        }
+        let Some(step) = driver.next(&cell.course, &next) else { break Ended::Over };
+        cell.take(step);
+        taken.push(step);
+    };
+    Run {
+        phase,
+        faults: budgets,
+        moves: taken,
+        ended,
+        shown,
+        ticks: cell.course.passed,
+        reached: cell.reached,
+        tape: driver.tape(),
+        idle: driver.idle(),
+        counts: driver.counts(),
+    }
+}

@@ -1,0 +1,170 @@
+//! A schedule as data: the faults one by one, and the choices that were made.
+
+use crate::cell::CellFaults;
+use imrs_protocol::{CellTable, NodeId, TaskId};
+use std::collections::BTreeMap;
+
+/// A fault of a schedule. Packets and actions are counted from 1, in the order in which they arrive or end; instants are in
+/// ticks from the start. A fault waits for the first moment at which the checker allows it.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum Fault {
+    /// This packet of a link, in this direction, is lost.
+    Lose {
+        /// From this node to that one.
+        link: (NodeId, NodeId),
+        /// Which packet.
+        nth: u32,
+    },
+    /// This packet arrives twice; its copy counts as the next packet.
+    Copy {
+        /// From this node to that one.
+        link: (NodeId, NodeId),
+        /// Which packet.
+        nth: u32,
+    },
+    /// The first packet from this one on that has another behind it is overtaken by that one.
+    Overtake {
+        /// From this node to that one.
+        link: (NodeId, NodeId),
+        /// Which packet.
+        nth: u32,
+    },
+    /// This action of a task fails.
+    Fail {
+        /// Whose.
+        task: TaskId,
+        /// Which of its actions, all of them counted.
+        nth: u32,
+    },
+    /// A node stops right after something that it does.
+    Stop {
+        /// Which.
+        node: NodeId,
+        /// Not before this instant.
+        at: u64,
+        /// It starts again so many ticks later: then, when the next packet comes for it, or when nothing else happens.
+        /// None: it stays down.
+        restart: Option<u64>,
+    },
+    /// A link loses all packets, in both directions.
+    Cut {
+        /// Position in [`Cell::links`](imrs_protocol::Cell).
+        link: usize,
+        /// From the first packet at or after this instant on.
+        at: u64,
+        /// For so many ticks. None: for ever.
+        lasts: Option<u64>,
+    },
+    /// A node's clock counts a tick twice, or leaves one out.
+    Drift {
+        /// Which.
+        node: NodeId,
+        /// Not before this instant.
+        at: u64,
+        /// Whether it counts one twice.
+        more: bool,
+    },
+}
+
+/// Who makes a choice. Each has choices of its own, so that a fault that is left out does not change those of the others.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Chooser {
+    /// How long its actions take, what they give, what it does where a script chooses.
+    Task(TaskId),
+    /// How early packets arrive: from this node, at that one.
+    Link(NodeId, NodeId),
+    /// Which of several things that happen at it in one tick comes first.
+    Node(NodeId),
+}
+
+/// The choices that were made, each below the number of alternatives that there were. Those past the end are 0: an action
+/// takes its least time and gives its first value, a packet takes its link's bound.
+pub type Tape = BTreeMap<Chooser, Vec<u32>>;
+
+/// One run of a cell: with the same cell it is the same run.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Schedule {
+    /// What goes wrong.
+    pub faults: Vec<Fault>,
+    /// What is chosen.
+    pub tape: Tape,
+}
+
+impl Schedule {
+    /// How many choices are not 0.
+    #[must_use]
+    pub fn choices(&self) -> usize {
+        self.tape.values().flatten().filter(|&&choice| choice != 0).count()
+    }
+}
+
+/// The instant of a fault that has one.
+const fn instant(fault: &Fault) -> u64 {
+    match *fault {
+        Fault::Stop { at, .. } | Fault::Cut { at, .. } | Fault::Drift { at, .. } => at,
+        Fault::Lose { .. } | Fault::Copy { .. } | Fault::Overtake { .. } | Fault::Fail { .. } => 0,
+    }
+}
+
+/// Faults in the order in which the budgets of a cell number them.
+pub(super) fn in_order(faults: &[Fault]) -> Vec<Fault> {
+    let mut faults = faults.to_vec();
+    faults.sort_by_key(instant);
+    faults
+}
+
+/// The budgets that allow these faults and no others. Those that have instants are sorted by them.
+pub(super) fn budgets(faults: &[Fault]) -> CellFaults {
+    let mut all = CellFaults::default();
+    for fault in faults {
+        match *fault {
+            Fault::Lose { .. } => all.loss = all.loss.saturating_add(1),
+            Fault::Copy { .. } => all.dup = all.dup.saturating_add(1),
+            Fault::Overtake { .. } => all.reorder = all.reorder.saturating_add(1),
+            Fault::Fail { .. } => all.fail = all.fail.saturating_add(1),
+            Fault::Drift { .. } => all.drift = all.drift.saturating_add(1),
+            Fault::Stop { node, .. } => all.crash.push(node),
+            Fault::Cut { link, .. } => all.cut.push(link),
+        }
+    }
+    all
+}
+
+/// The most faults of a schedule: budgets are counted in a byte.
+pub const MOST_FAULTS: usize = 255;
+
+impl Fault {
+    /// Says it in the cell's words. `time` writes a number of ticks.
+    #[must_use]
+    pub fn words(&self, table: &CellTable, time: &dyn Fn(u64) -> String) -> String {
+        let cell = table.cell();
+        let name = |node: NodeId| cell.nodes.get(node.index()).map_or("?", |node| node.name.as_str());
+        let on = |(from, to): (NodeId, NodeId)| format!("{} -> {}", name(from), name(to));
+        match *self {
+            Self::Lose { link, nth } => format!("packet {nth} of {} is lost", on(link)),
+            Self::Copy { link, nth } => format!("packet {nth} of {} arrives twice", on(link)),
+            Self::Overtake { link, nth } => format!("packet {nth} of {} is overtaken", on(link)),
+            Self::Fail { task, nth } => {
+                let task = cell.tasks.get(task.index()).map_or("?", |task| task.name.as_str());
+                format!("action {nth} of {task} fails")
+            }
+            Self::Stop { node, at, restart } => {
+                let then = match restart {
+                    None => "stays down".into(),
+                    Some(0) => "starts again at once".into(),
+                    Some(after) => format!("starts again {} later", time(after)),
+                };
+                format!("{} stops at {} and {then}", name(node), time(at))
+            }
+            Self::Cut { link, at, lasts } => {
+                let ends = cell.links.get(link).map_or(("?", "?"), |link| (name(link.a), name(link.b)));
+                let lasts = lasts.map_or_else(|| "to the end".into(), |lasts| format!("for {}", time(lasts)));
+                format!("the link {} -- {} is cut at {} {lasts}", ends.0, ends.1, time(at))
+            }
+            Self::Drift { node, at, more } => {
+                let what = if more { "counts a tick twice" } else { "misses a tick" };
+                format!("{} {what} at {}", name(node), time(at))
+            }
+        }
+    }
+}

@@ -1,0 +1,240 @@
+//! Makes the schedule of a finding smaller as long as it shows the same.
+//!
+//! First the faults: they are few, each deletion may save many choices, and a person reads them first. Then their numbers.
+//! Then the choices, all of which may be 0.
+
+use super::driver::Source;
+use super::run::{Run, run};
+use super::schedule::{Chooser, Fault, Schedule, Tape};
+use crate::cell::judge::Shown;
+use crate::cell::plan::CellPlan;
+use std::sync::Arc;
+
+/// The most steps that shrinking one finding may take.
+const MOST_STEPS: u64 = 4_000_000;
+
+/// A schedule in the making.
+pub(super) struct Shrinker<'a> {
+    pub plan: &'a Arc<CellPlan>,
+    /// What it has to show.
+    pub shown: &'a Shown,
+    /// The most steps of a run.
+    pub steps: u32,
+    /// The smallest schedule so far.
+    pub best: Schedule,
+    pub spent: u64,
+}
+
+/// How many moves of a run lead to this.
+pub(super) fn moves_to(run: &Run, shown: &Shown) -> Option<usize> {
+    run.shown.iter().find(|(_, known)| known.is_same(shown)).map(|&(at, _)| at)
+}
+
+impl Shrinker<'_> {
+    /// Shrinks it; false where the steps did not suffice.
+    pub fn shrink(&mut self) -> bool {
+        loop {
+            let before = self.best.clone();
+            let tape = self.best.tape.clone();
+            let faults = self.best.faults.clone();
+            reduce(faults, &mut |faults| {
+                self.shows(Schedule { faults: faults.to_vec(), tape: tape.clone() })
+            });
+            self.simplify();
+            self.choices();
+            if self.is_spent() {
+                return false;
+            }
+            if self.best == before {
+                return true;
+            }
+        }
+    }
+
+    fn is_spent(&self) -> bool {
+        self.spent >= MOST_STEPS
+    }
+
+    /// Tries a schedule, and keeps it where it shows the same.
+    fn shows(&mut self, schedule: Schedule) -> bool {
+        if self.is_spent() {
+            return false;
+        }
+        let run = run(self.plan, &schedule.faults, Source::Tape(&schedule.tape), self.steps);
+        self.spent += run.moves.len() as u64 + 1;
+        let shows = moves_to(&run, self.shown).is_some();
+        if shows {
+            self.best = schedule;
+        }
+        shows
+    }
+
+    /// Smaller numbers in the faults.
+    fn simplify(&mut self) {
+        for at in 0..self.best.faults.len() {
+            if let Fault::Stop { node, at: instant, restart: Some(_) } = self.best.faults[at] {
+                let mut schedule = self.best.clone();
+                schedule.faults[at] = Fault::Stop { node, at: instant, restart: None };
+                self.shows(schedule);
+            }
+            for (number, from) in numbers(&self.best.faults[at]).into_iter().enumerate() {
+                lower(from, &mut |value| {
+                    let mut schedule = self.best.clone();
+                    schedule.faults[at] = with_number(&schedule.faults[at], number, value);
+                    self.shows(schedule)
+                });
+            }
+        }
+    }
+
+    /// Choices that are 0, or at least smaller.
+    fn choices(&mut self) {
+        let chosen = flat(&self.best.tape);
+        let faults = self.best.faults.clone();
+        let with = |chosen: &[Choice]| Schedule { faults: faults.clone(), tape: tape(chosen) };
+        let mut chosen = reduce(chosen, &mut |chosen| self.shows(with(chosen)));
+        for at in 0..chosen.len() {
+            let now = u64::from(chosen[at].2);
+            let least = lower((1, now), &mut |value| {
+                chosen[at].2 = u32::try_from(value).unwrap_or(u32::MAX);
+                self.shows(with(&chosen))
+            });
+            chosen[at].2 = u32::try_from(least).unwrap_or(u32::MAX);
+        }
+        // Zeros at the end of the tape are no choices.
+        self.best.tape = tape(&flat(&self.best.tape));
+    }
+}
+
+/// The least number, not below the first of two, with which something holds that holds with the second: by halves, as if it
+/// held with all larger ones.
+fn lower((least, now): (u64, u64), holds: &mut dyn FnMut(u64) -> bool) -> u64 {
+    if now <= least || holds(least) {
+        return least.min(now);
+    }
+    let (mut fails, mut held) = (least, now);
+    while held - fails > 1 {
+        let middle = fails + (held - fails) / 2;
+        if holds(middle) {
+            held = middle;
+        } else {
+            fails = middle;
+        }
+    }
+    held
+}
+
+/// A choice that is not 0: whose, which of its own, and what.
+type Choice = (Chooser, usize, u32);
+
+fn flat(tape: &Tape) -> Vec<Choice> {
+    let all = tape
+        .iter()
+        .flat_map(|(&who, made)| made.iter().enumerate().map(move |(at, &choice)| (who, at, choice)));
+    all.filter(|&(.., choice)| choice != 0).collect()
+}
+
+fn tape(choices: &[Choice]) -> Tape {
+    let mut tape = Tape::new();
+    for &(who, at, choice) in choices {
+        let made = tape.entry(who).or_default();
+        made.resize(made.len().max(at + 1), 0);
+        made[at] = choice;
+    }
+    tape
+}
+
+/// Delta debugging: leaves out ever smaller parts of a list as long as `holds` says that what is left does. In the end no
+/// single one can be left out.
+fn reduce<T: Clone>(mut all: Vec<T>, holds: &mut dyn FnMut(&[T]) -> bool) -> Vec<T> {
+    if all.is_empty() || holds(&[]) {
+        return Vec::new();
+    }
+    let mut part = all.len().div_ceil(2);
+    loop {
+        let mut at = 0;
+        let mut left_out = false;
+        while at < all.len() {
+            let rest = [&all[..at], &all[(at + part).min(all.len())..]].concat();
+            if rest.len() < all.len() && !rest.is_empty() && holds(&rest) {
+                all = rest;
+                left_out = true;
+            } else {
+                at += part;
+            }
+        }
+        match part {
+            1 if !left_out => return all,
+            1 => {}
+            _ => part = part.div_ceil(2),
+        }
+    }
+}
+
+/// The numbers of a fault and the least that each may be.
+fn numbers(fault: &Fault) -> Vec<(u64, u64)> {
+    match *fault {
+        Fault::Lose { nth, .. }
+        | Fault::Copy { nth, .. }
+        | Fault::Overtake { nth, .. }
+        | Fault::Fail { nth, .. } => {
+            vec![(1, nth.into())]
+        }
+        Fault::Stop { at, restart, .. } => vec![(0, at), (0, restart.unwrap_or(0))],
+        Fault::Cut { at, lasts, .. } => vec![(0, at), (0, lasts.unwrap_or(0))],
+        Fault::Drift { at, .. } => vec![(0, at)],
+    }
+}
+
+/// The same fault with another number.
+fn with_number(fault: &Fault, number: usize, value: u64) -> Fault {
+    let mut fault = fault.clone();
+    match (&mut fault, number) {
+        (
+            Fault::Lose { nth, .. }
+            | Fault::Copy { nth, .. }
+            | Fault::Overtake { nth, .. }
+            | Fault::Fail { nth, .. },
+            _,
+        ) => *nth = u32::try_from(value).unwrap_or(u32::MAX),
+        (Fault::Stop { at, .. } | Fault::Cut { at, .. } | Fault::Drift { at, .. }, 0) => *at = value,
+        (Fault::Stop { restart: span, .. } | Fault::Cut { lasts: span, .. }, _) => {
+            span.iter_mut().for_each(|span| *span = value);
+        }
+        (Fault::Drift { .. }, _) => {}
+    }
+    fault
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_left_is_needed() {
+        for needed in [vec![], vec![3], vec![0, 17], vec![5, 6, 19], (0..20).collect()] {
+            let mut asked = 0;
+            let holds = &mut |left: &[u32]| {
+                asked += 1;
+                needed.iter().all(|one| left.contains(one))
+            };
+            assert_eq!(reduce((0..20).collect(), holds), needed);
+            assert!(asked < 400, "{asked}");
+        }
+    }
+
+    #[test]
+    fn the_least_number_is_found_in_few_tries() {
+        for (least, now, needed) in
+            [(0, 0, 0), (1, 1, 1), (0, 1_000_000, 0), (1, 1_000_000, 123_457), (0, 9, 9)]
+        {
+            let mut asked = 0;
+            let holds = &mut |value| {
+                asked += 1;
+                value >= needed
+            };
+            assert_eq!(lower((least, now), holds), needed);
+            assert!(asked <= 21, "{asked}");
+        }
+    }
+}

@@ -1,0 +1,122 @@
+//! What random runs found, as programs read it.
+
+use super::tell::PROVES_NOTHING;
+use super::{Told, What};
+use crate::verify;
+use imrs_model::cell::{Ended, Found};
+use serde::Serialize;
+
+/// The answer for programs. It has no times of this machine: the same seeds give the same bytes.
+#[derive(Serialize)]
+pub(super) struct Answer<'a> {
+    version: u32,
+    cell: &'a str,
+    file: &'a str,
+    /// The first seed; null for the run of a file.
+    seed: Option<u64>,
+    runs: u64,
+    with_faults: u64,
+    steps: u64,
+    /// The most steps of a run.
+    most_steps: u32,
+    simulated_us: u64,
+    ended: Ends,
+    /// Whether all runs were made that were asked for.
+    complete: bool,
+    findings: Vec<One<'a>>,
+    /// Statements that no run reached.
+    not_reached: Vec<verify::Place<'a>>,
+    /// Faults of the file that did not happen.
+    idle: Vec<String>,
+    /// What the answer says nothing about.
+    not_looked_for: [&'static str; 1],
+    /// The run, where it is one and shows nothing.
+    chart: Option<&'a str>,
+}
+
+/// How many runs ended how.
+#[derive(Serialize)]
+struct Ends {
+    over: u64,
+    finding: u64,
+    steps: u64,
+    crowded: u64,
+}
+
+#[derive(Serialize)]
+struct One<'a> {
+    #[serde(flatten)]
+    told: verify::Told<'a>,
+    /// The first seed that shows it; null for the run of a file.
+    seed: Option<u64>,
+    /// How many runs show it.
+    runs: u64,
+    faults: Vec<String>,
+    choices: usize,
+    steps: usize,
+    /// What the schedule had before it was shrunk; null where it was not.
+    shrunk_from: Option<Before>,
+    again: String,
+}
+
+#[derive(Serialize)]
+struct Before {
+    faults: usize,
+    choices: usize,
+    steps: usize,
+    /// Whether nothing more can be left out, or only no more was tried.
+    whole: bool,
+}
+
+impl Told<'_> {
+    /// The answer for programs.
+    pub fn answer(&self) -> Answer<'_> {
+        let (all, subject) = (self.all, self.subject);
+        let by = |ended: Ended| all.ended[ended as usize];
+        Answer {
+            version: 1,
+            cell: &subject.lowered.cell.name,
+            file: &subject.file,
+            seed: match self.what {
+                What::Seeds { first, .. } => Some(*first),
+                What::Schedule(_) => None,
+            },
+            runs: all.runs,
+            with_faults: all.with_faults,
+            steps: all.steps,
+            most_steps: self.args.steps,
+            simulated_us: all.ticks.saturating_mul(subject.tick_us),
+            ended: Ends {
+                over: by(Ended::Over),
+                finding: by(Ended::Found),
+                steps: by(Ended::Steps),
+                crowded: by(Ended::Crowded),
+            },
+            complete: !all.interrupted,
+            findings: all.found.iter().enumerate().map(|(number, found)| self.one(number, found)).collect(),
+            not_reached: subject.places(&all.not_reached),
+            idle: all.idle.iter().map(|fault| self.words(fault)).collect(),
+            not_looked_for: [PROVES_NOTHING],
+            chart: self.chart.as_deref(),
+        }
+    }
+
+    fn one<'a>(&'a self, number: usize, found: &'a Found) -> One<'a> {
+        let saved = self.args.save.is_some() && usize::from(self.args.finding) == number + 1;
+        One {
+            told: self.subject.told(&found.finding, saved),
+            seed: found.seed,
+            runs: found.runs,
+            faults: found.schedule.faults.iter().map(|fault| self.words(fault)).collect(),
+            choices: found.schedule.choices(),
+            steps: found.finding.moves.len(),
+            shrunk_from: found.shrunk.map(|shrunk| Before {
+                faults: shrunk.faults,
+                choices: shrunk.choices,
+                steps: shrunk.moves,
+                whole: shrunk.whole,
+            }),
+            again: self.again(number, found),
+        }
+    }
+}

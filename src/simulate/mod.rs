@@ -1,0 +1,184 @@
+//! `imrs simulate CELL`: random runs of a cell on the machine itself, with the faults that it declares.
+
+mod answer;
+mod file;
+mod tell;
+
+use crate::args::{Format, STEPS, SimulateArgs};
+use crate::cell_file::{self, CellFileError};
+use crate::exit::{Exit, Failure};
+use crate::output::{NOTE, Output, Styled, count, grouped};
+use crate::verify::{Subject, quoted};
+use file::Names;
+use imrs_model::cell::{Fault, Found, Schedule, Simulated, Simulator};
+use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use signal_hook::consts::SIGINT;
+use std::fmt::Write as _;
+use std::io::{self, Write as _};
+use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::time::{Instant, SystemTime, UNIX_EPOCH};
+
+/// How many seeds are run unless told otherwise.
+const SEEDS: u64 = 1000;
+/// Seeds that the clock gives have at most nine digits: they are to be typed again.
+const SEEDS_OF_THE_CLOCK: u128 = 1_000_000_000;
+
+/// What is run.
+enum What {
+    /// So many seeds from the first, with these faults or with those that they draw.
+    Seeds { first: u64, count: u64, faults: Option<Vec<Fault>> },
+    /// One schedule.
+    Schedule(Schedule),
+}
+
+/// What was asked for, and what it came to.
+struct Told<'a> {
+    subject: &'a Subject,
+    args: &'a SimulateArgs,
+    what: &'a What,
+    all: &'a Simulated,
+    /// The run as a chart, where it is one and nothing else draws it.
+    chart: Option<String>,
+}
+
+/// Runs a cell at random, or as a file says.
+///
+/// # Errors
+/// [`Failure`].
+pub fn run(args: &SimulateArgs, out: &mut Output) -> Result<Exit, Failure> {
+    let subject = match Subject::open(&args.cell, args.paper, out)? {
+        Ok(subject) => subject,
+        Err(exit) => return Ok(exit),
+    };
+    let names = Names { table: &subject.table, tick_us: subject.tick_us };
+    let what = what(args, &names)?;
+    let simulator = match Simulator::new(&Arc::new(subject.declared(args.jobs)), args.steps) {
+        Ok(simulator) => simulator,
+        Err(refused) => {
+            out.line(Styled(NOTE, format!("{}: not simulated: {}", subject.file, refused.why)))?;
+            return Ok(Exit::Budget);
+        }
+    };
+    let text = args.format.unwrap_or_default() == Format::Text;
+    let started = Instant::now();
+    let all = match &what {
+        What::Seeds { first, count, faults } => {
+            let interrupted = Arc::new(AtomicBool::new(false));
+            let registered = signal_hook::flag::register(SIGINT, Arc::clone(&interrupted));
+            let line = progress(*count, text);
+            let all = simulator.seeds((*first, *count), faults.as_deref(), &mut |runs, found| {
+                line.set_position(runs);
+                line.set_message(self::count(found as u64, "finding"));
+                !interrupted.load(Ordering::Relaxed)
+            });
+            line.finish_and_clear();
+            if let Ok(id) = registered {
+                signal_hook::low_level::unregister(id);
+            }
+            all
+        }
+        What::Schedule(schedule) => simulator.schedule(schedule, args.shrink),
+    };
+    let seconds = started.elapsed().as_secs_f64();
+    let chart = match &what {
+        _ if !all.found.is_empty() => None,
+        What::Seeds { first, count: 1, faults } => Some(simulator.chart_of_seed(*first, faults.as_deref())),
+        What::Schedule(schedule) => Some(simulator.chart_of(schedule)),
+        What::Seeds { .. } => None,
+    };
+    if let Some(path) = &args.save {
+        save(path, args, &subject, &all)?;
+    }
+    let told = Told { subject: &subject, args, what: &what, all: &all, chart };
+    if text {
+        told.show(out)?;
+        // Beside the answer, which is the same each time.
+        let speed = grouped((all.steps as f64 / seconds.max(1e-9)) as u64);
+        let line = format!("{} in {seconds:.2} s, {speed} steps a second", count(all.runs, "run"));
+        let _ = writeln!(io::stderr(), "{line}");
+    } else {
+        out.json(&told.answer())?;
+    }
+    Ok(match (all.found.is_empty(), all.interrupted) {
+        (false, _) => Exit::Finding,
+        (true, true) => Exit::Budget,
+        (true, false) => Exit::Well,
+    })
+}
+
+fn what(args: &SimulateArgs, names: &Names<'_>) -> Result<What, Failure> {
+    let faults = match &args.plan {
+        None => None,
+        Some(path) => match file::read(path, names)? {
+            (faults, Some(tape)) => {
+                if args.seed.is_some() || args.seeds.is_some() {
+                    let text = format!(
+                        "{}: it has choices of its own: leave out --seed and --seeds",
+                        path.display()
+                    );
+                    return Err(Failure::Usage(text));
+                }
+                return Ok(What::Schedule(Schedule { faults, tape }));
+            }
+            (faults, None) => Some(faults),
+        },
+    };
+    let count = args.seeds.unwrap_or(if args.seed.is_some() { 1 } else { SEEDS });
+    let clock = || {
+        let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
+        u64::try_from(since.as_micros() % SEEDS_OF_THE_CLOCK).unwrap_or(0)
+    };
+    Ok(What::Seeds { first: args.seed.unwrap_or_else(clock), count, faults })
+}
+
+/// A line on standard error where it is a terminal.
+fn progress(seeds: u64, text: bool) -> ProgressBar {
+    let target = if text { ProgressDrawTarget::stderr_with_hz(5) } else { ProgressDrawTarget::hidden() };
+    let line = ProgressBar::with_draw_target(Some(seeds), target);
+    match ProgressStyle::with_template("{wide_bar} {pos} of {len} runs, {msg}") {
+        Ok(style) => line.with_style(style),
+        // Its own style says less.
+        Err(_) => line,
+    }
+}
+
+fn save(path: &Path, args: &SimulateArgs, subject: &Subject, all: &Simulated) -> Result<(), Failure> {
+    let Some(found) = all.found.get(usize::from(args.finding) - 1) else {
+        let missed = format!("--finding {}: there are {}", args.finding, all.found.len());
+        // Without findings there is nothing to keep, and that is well.
+        return if all.found.is_empty() { Ok(()) } else { Err(Failure::Usage(missed)) };
+    };
+    let names = Names { table: &subject.table, tick_us: subject.tick_us };
+    let text = file::text(&found.schedule, &format!("{} --plan FILE", command(subject, args)), &names);
+    std::fs::write(path, text)
+        .map_err(|source| Failure::from(CellFileError::Unwritable { path: path.to_owned(), source }))
+}
+
+/// The command without what it runs.
+fn command(subject: &Subject, args: &SimulateArgs) -> String {
+    let mut command = format!("imrs simulate {}", quoted(&subject.file));
+    if args.paper {
+        command.push_str(" --paper");
+    }
+    if args.steps != STEPS {
+        let _ = write!(command, " --steps {}", args.steps);
+    }
+    command
+}
+
+impl Told<'_> {
+    /// The command that shows a finding again.
+    fn again(&self, number: usize, found: &Found) -> String {
+        let command = command(self.subject, self.args);
+        let saved = self.args.save.as_ref().filter(|_| usize::from(self.args.finding) == number + 1);
+        let file = |path: &Path| quoted(&cell_file::shown(path));
+        match (saved, found.seed, &self.args.plan) {
+            (Some(path), ..) | (None, None, Some(path)) => format!("{command} --plan {}", file(path)),
+            (None, Some(seed), Some(path)) => format!("{command} --plan {} --seed {seed}", file(path)),
+            (None, Some(seed), None) => format!("{command} --seed {seed}"),
+            (None, None, None) => command,
+        }
+    }
+}

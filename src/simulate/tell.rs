@@ -1,0 +1,119 @@
+//! What random runs found, as a person reads it.
+
+use super::file::Names;
+use super::{Told, What};
+use crate::exit::Failure;
+use crate::output::{BAD, FAINT, HEAD, NOTE, Output, Styled, count, grouped};
+use crate::verify::chart;
+use imrs_model::cell::{Ended, Fault, Found};
+
+/// What follows from runs that found nothing.
+pub(super) const PROVES_NOTHING: &str = "random runs prove nothing about others";
+
+impl Told<'_> {
+    /// Shows the findings, the runs and what they did not reach.
+    ///
+    /// # Errors
+    /// [`Failure::Output`].
+    pub fn show(&self, out: &mut Output) -> Result<(), Failure> {
+        for (number, found) in self.all.found.iter().enumerate() {
+            let again = self.again(number, found);
+            self.subject.tell(&found.finding, (number > 0).then_some(&again), out)?;
+            self.found(found, out)?;
+            out.line(format!("  again: {again}"))?;
+            out.line("")?;
+        }
+        if let Some(drawn) = &self.chart {
+            chart(drawn, None, out)?;
+            out.line("")?;
+        }
+        self.runs(out)?;
+        let unseen = "not reached in these runs, which says nothing about others";
+        self.subject.statements(unseen, &self.all.not_reached, out)?;
+        for fault in &self.all.idle {
+            out.line(Styled(NOTE, format!("  this fault did not happen: {}", self.words(fault))))?;
+        }
+        let file = &self.subject.file;
+        let all = match (self.all.found.len(), self.all.interrupted) {
+            (0, false) => {
+                Styled(NOTE, format!("{file}: nothing found; {PROVES_NOTHING}: `imrs verify` does"))
+            }
+            (0, true) => Styled(NOTE, format!("{file}: nothing found so far; {PROVES_NOTHING}")),
+            (found, _) => Styled(BAD, format!("{file}: {}", count(found as u64, "finding"))),
+        };
+        out.line(all)
+    }
+
+    /// How a finding was found, and what its schedule has.
+    fn found(&self, found: &Found, out: &mut Output) -> Result<(), Failure> {
+        if let Some(seed) = found.seed {
+            let runs = match found.runs {
+                1 => "this run alone shows it".into(),
+                runs => format!("{} show it", count(runs, "run")),
+            };
+            out.line(format!("  found with seed {seed}; {runs}"))?;
+        }
+        if let Some(shrunk) = found.shrunk {
+            let size = |faults: usize, choices: usize, moves: usize| {
+                let [faults, choices, moves] = [(faults, "fault"), (choices, "choice"), (moves, "step")]
+                    .map(|(n, one)| count(n as u64, one));
+                format!("{faults}, {choices} and {moves}")
+            };
+            let before = size(shrunk.faults, shrunk.choices, shrunk.moves);
+            let now = size(found.schedule.faults.len(), found.schedule.choices(), found.finding.moves.len());
+            let part = if shrunk.whole { "" } else { "; less may do, but no more was tried" };
+            out.line(format!("  shrunk from {before} to {now}{part}"))?;
+        }
+        match &found.schedule.faults[..] {
+            [] => out.line("  without a fault"),
+            faults => {
+                let faults: Vec<String> = faults.iter().map(|fault| self.words(fault)).collect();
+                out.line(format!("  with: {}", faults.join("; ")))
+            }
+        }
+    }
+
+    /// A fault in the cell's words.
+    pub(super) fn words(&self, fault: &Fault) -> String {
+        let names = Names { table: &self.subject.table, tick_us: self.subject.tick_us };
+        fault.words(&self.subject.table, &|ticks| names.time(ticks))
+    }
+
+    fn runs(&self, out: &mut Output) -> Result<(), Failure> {
+        let (all, file) = (self.all, &self.subject.file);
+        let bound = grouped(self.args.steps.into());
+        let head = match self.what {
+            What::Seeds { first, count: 1, .. } => format!("{file}: the run of seed {first}"),
+            What::Seeds { first, .. } => {
+                let last = first.wrapping_add(all.runs.saturating_sub(1));
+                format!("{file}: the runs of seeds {first} to {last}")
+            }
+            What::Schedule(_) => format!("{file}: the run of the file"),
+        };
+        let ended = if all.interrupted { ", ended early" } else { "" };
+        out.line(Styled(HEAD, format!("{head}{ended}")))?;
+        let names = Names { table: &self.subject.table, tick_us: self.subject.tick_us };
+        out.line(format!(
+            "  {}, {} with faults; {}; {} of the cell's time",
+            count(all.runs, "run"),
+            grouped(all.with_faults),
+            count(all.steps, "step"),
+            names.time(all.ticks)
+        ))?;
+        let by = |ended: Ended| grouped(all.ended[ended as usize]);
+        let mut ends = vec![
+            format!("{} where nothing happens any more", by(Ended::Over)),
+            format!("{} at a finding", by(Ended::Found)),
+            format!("{} after {bound} steps (--steps)", by(Ended::Steps)),
+        ];
+        if all.ended[Ended::Crowded as usize] > 0 {
+            ends.push(format!("{} with more packets on their way than are numbered", by(Ended::Crowded)));
+        }
+        out.line(format!("  ended: {}", ends.join(", ")))?;
+        out.line(Styled(
+            FAINT,
+            "  judged: checks, invariants of the machine, deadlocks, and how scripts and requests end"
+                .to_owned(),
+        ))
+    }
+}

@@ -1,0 +1,186 @@
+//! `imrs simulate CELL`: random runs of a cell, from the file to the answer, and back from a saved one.
+
+use crate::support::{imrs, run};
+use rustix::process::{Pid, Signal, kill_process};
+use serde_json::Value;
+use std::fs;
+use std::process::Stdio;
+use std::time::Duration;
+
+const TWICE: &str = "examples/faulty/part_placed_twice.cell";
+
+/// A file in a folder of its own.
+fn file(name: &str, text: &str) -> (tempfile::TempDir, String) {
+    let folder = tempfile::tempdir().expect("a folder");
+    let path = folder.path().join(name);
+    fs::write(&path, text).expect("written");
+    let path = path.to_str().expect("text").to_owned();
+    (folder, path)
+}
+
+fn json(args: &[&str]) -> Value {
+    let said = run(&[args, &["--format", "json"]].concat());
+    serde_json::from_str(&said.out).unwrap_or_else(|error| panic!("{error}: {said:?}"))
+}
+
+#[test]
+fn a_faulty_cell_is_found_and_shrunk_to_what_it_takes() {
+    let said = run(&["simulate", TWICE, "--seed", "1", "--seeds", "50"]);
+    assert_eq!(said.code, Some(1), "{said:?}");
+    for part in [
+        "check: `one_each` does not hold: robot.placed = 2, feeder.parts = 1",
+        &format!("--> {TWICE}:25:7"),
+        "is LOST",
+        "found with seed 1;",
+        "  with: packet 1 of n2 -> n1 is lost\n",
+        &format!("again: imrs simulate {TWICE} --seed 1\n"),
+        "the runs of seeds 1 to 50",
+        "1 finding",
+    ] {
+        assert!(said.out.contains(part), "no `{part}`: {said:?}");
+    }
+    let answer = json(&["simulate", TWICE, "--seed", "1", "--seeds", "50"]);
+    let (found, ended) = (&answer["findings"][0], &answer["ended"]);
+    assert_eq!((&found["kind"], &found["line"], &found["choices"]), (&"check".into(), &25.into(), &0.into()));
+    assert_eq!(found["faults"], serde_json::json!(["packet 1 of n2 -> n1 is lost"]));
+    assert_eq!(found["shrunk_from"]["whole"], true);
+    assert_eq!((&answer["version"], &answer["seed"], &answer["runs"]), (&1.into(), &1.into(), &50.into()));
+    let all: u64 = ["over", "finding", "steps", "crowded"].iter().filter_map(|end| ended[end].as_u64()).sum();
+    assert!(all == 50 && ended["finding"] == found["runs"], "{answer}");
+}
+
+#[test]
+fn the_same_seed_gives_the_same_bytes() {
+    for form in ["text", "json"] {
+        let with = |jobs: &str| {
+            run(&[
+                "simulate",
+                "examples/weld_cell.cell",
+                "--seed",
+                "9",
+                "--seeds",
+                "60",
+                "--jobs",
+                jobs,
+                "--format",
+                form,
+            ])
+        };
+        let (one, other) = (with("1"), with("3"));
+        assert_eq!((one.code, other.code), (Some(0), Some(0)), "{one:?}");
+        assert!(one.out == other.out && !one.out.is_empty(), "{one:?}\n{other:?}");
+    }
+    let clock = json(&["simulate", TWICE, "--seeds", "5"]);
+    let seed = clock["seed"].as_u64().expect("the seed is said").to_string();
+    assert_eq!(json(&["simulate", TWICE, "--seeds", "5", "--seed", &seed]), clock);
+}
+
+#[test]
+fn one_seed_is_drawn_though_it_shows_nothing() {
+    let said = run(&["simulate", "examples/weld_cell.cell", "--seed", "3"]);
+    assert_eq!(said.code, Some(0), "{said:?}");
+    assert!(said.out.contains("tick  dresser") && said.out.contains("the run of seed 3\n"), "{said:?}");
+    assert!(said.out.contains("random runs prove nothing about others"), "{said:?}");
+}
+
+#[test]
+fn a_saved_finding_is_shown_again_of_its_own_cell_alone() {
+    let (_folder, saved) = file("found.toml", "");
+    let cell = "examples/faulty/token_lost_on_the_way.cell";
+    let first = run(&["simulate", cell, "--seed", "1", "--seeds", "100", "--save", &saved]);
+    assert_eq!(first.code, Some(1), "{first:?}");
+    assert!(first.out.contains(&format!("again: imrs simulate {cell} --plan {saved}\n")), "{first:?}");
+    let again = run(&["simulate", cell, "--plan", &saved]);
+    let story = |text: &str| text.split("  help:").next().map(str::to_owned);
+    assert_eq!((again.code, story(&again.out)), (Some(1), story(&first.out)), "{again:?}");
+    let shrunk = run(&["simulate", cell, "--plan", &saved, "--shrink"]);
+    assert!(shrunk.out.contains("shrunk from 1 fault, 0 choices"), "{shrunk:?}");
+    let other = run(&["simulate", TWICE, "--plan", &saved]);
+    assert_eq!(other.code, Some(2), "{other:?}");
+    assert!(other.err.contains("it was saved from the cell `token`, this is `twice`"), "{other:?}");
+    // The cell with another declaration.
+    let text = fs::read_to_string(cell).expect("a cell");
+    let (_folder, changed) = file("changed.cell", &text.replacen("node n1;", "node n1; node spare;", 1));
+    let other = run(&["simulate", &changed, "--plan", &saved]);
+    assert!(other.code == Some(2) && other.err.contains("have changed since it was saved"), "{other:?}");
+    let twice = run(&["simulate", cell, "--plan", &saved, "--seed", "1"]);
+    assert!(twice.code == Some(2) && twice.err.contains("leave out --seed"), "{twice:?}");
+}
+
+#[test]
+fn faults_of_a_file_happen_in_every_run() {
+    let plan = "version = 1\n[[fault]]\nlose = 1\nlink = \"n2 -> n1\"\n";
+    let (_folder, plan) = file("one.toml", plan);
+    let answer = json(&["simulate", TWICE, "--plan", &plan, "--seeds", "20", "--seed", "1"]);
+    assert_eq!(
+        (&answer["with_faults"], &answer["findings"][0]["runs"]),
+        (&20.into(), &20.into()),
+        "{answer}"
+    );
+    let again = answer["findings"][0]["again"].as_str().expect("a command");
+    assert_eq!(again, format!("imrs simulate {TWICE} --plan {plan} --seed 1"));
+}
+
+#[test]
+fn a_broken_plan_says_what_is_wrong_with_it() {
+    let cases = [
+        ("version = 2\n", "version 2: this imrs reads version 1"),
+        ("[[fault]]\n", "missing field `version`"),
+        ("version = 1\n[[fault]]\nloose = 1\n", "unknown field `loose`"),
+        ("version = 1\n[[fault]]\nlink = \"n1 -> n2\"\n", "fault 1: it says 0 of lose, copy,"),
+        ("version = 1\n[[fault]]\nlose = 1\ncopy = 1\nlink = \"n1 -> n2\"\n", "fault 1: it says 2 of lose,"),
+        ("version = 1\n[[fault]]\nlose = 1\n", "fault 1: `lose` needs `link`"),
+        ("version = 1\n[[fault]]\nlose = 0\nlink = \"n1 -> n2\"\n", "fault 1: `lose` counts from 1"),
+        ("version = 1\n[[fault]]\nlose = 1\nlink = \"n1 -> n9\"\n", "no node `n9`"),
+        ("version = 1\n[[fault]]\nlose = 1\nlink = \"n1 -> n1\"\n", "no link joins n1 and n1"),
+        ("version = 1\n[[fault]]\nlose = 1\nlink = \"n1 -> n2\"\nat = \"1s\"\n", "`lose` has no `at`"),
+        ("version = 1\n[[fault]]\nstop = \"n1\"\nat = \"soon\"\n", "write \"120ms\" or \"2s\""),
+        ("version = 1\n[[fault]]\nstop = \"n1\"\nat = \"1500us\"\n", "the tick of the cell is 1ms"),
+        (
+            "version = 1\n[[fault]]\ndrift = \"n1\"\nat = \"1s\"\ntick = \"slow\"\n",
+            "write \"twice\" or \"missed\"",
+        ),
+        ("version = 1\n[[fault]]\nfail = 1\ntask = \"robo\"\n", "no task `robo`: did you mean `robot`?"),
+        ("version = 1\n[choices.task]\nrobo = [1]\n", "no task `robo`"),
+        ("version = 1\n[choices.node]\nn1 = [-1]\n", "invalid value"),
+        ("not a plan", "TOML parse error"),
+    ];
+    for (text, wrong) in cases {
+        let (_folder, plan) = file("plan.toml", text);
+        let said = run(&["simulate", TWICE, "--plan", &plan]);
+        assert_eq!(said.code, Some(2), "{text}: {said:?}");
+        assert!(said.err.contains(wrong) && said.err.contains("plan.toml"), "{text}: {said:?}");
+    }
+    for plan in ["no_such.toml", "examples"] {
+        let said = run(&["simulate", TWICE, "--plan", plan]);
+        assert!(said.code == Some(2) && said.err.contains(plan), "{said:?}");
+    }
+    for flags in [&["--shrink"][..], &["--seeds", "0"], &["--steps", "0"], &["--finding", "2"]] {
+        let said = run(&[&["simulate", TWICE], flags].concat());
+        assert_eq!(said.code, Some(2), "{said:?}");
+    }
+}
+
+/// Ctrl-C once the command waits for it: before, it ends the process as any.
+#[test]
+fn ctrl_c_ends_it_with_what_it_has() {
+    let folder = tempfile::tempdir().expect("a folder");
+    let mut command =
+        imrs(folder.path(), &["simulate", "examples/conveyor.cell", "--seeds", "100000000", "--seed", "1"]);
+    let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("started");
+    let status = format!("/proc/{}/status", child.id());
+    let waits = || {
+        let text = fs::read_to_string(&status).unwrap_or_default();
+        let caught = text.lines().find_map(|line| line.strip_prefix("SigCgt:")).unwrap_or("0").trim();
+        u64::from_str_radix(caught, 16).expect("a mask") >> 1 & 1 == 1
+    };
+    while !waits() {
+        std::thread::sleep(Duration::from_millis(10));
+    }
+    let pid = Pid::from_raw(i32::try_from(child.id()).expect("a number")).expect("a process");
+    kill_process(pid, Signal::INT).expect("told");
+    let said = child.wait_with_output().expect("ended");
+    let out = String::from_utf8_lossy(&said.stdout);
+    assert_eq!(said.status.code(), Some(4), "{out}");
+    assert!(out.contains(", ended early") && out.contains("nothing found so far"), "{out}");
+}
