@@ -19,6 +19,7 @@ mod monitor;
 mod observe;
 mod path_of_the_model;
 mod planted;
+mod random_runs;
 mod run;
 mod screen;
 mod simulate;

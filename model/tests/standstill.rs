@@ -65,6 +65,9 @@ fn one_that_polls_for_what_a_dead_one_has_is_told_and_no_fault_free_run() {
     assert_eq!(cell.place(warning).map(|(line, _)| line), Some(53), "where it polls");
 }
 
+/// Asks for ever.
+const ASKS: &str = "loop query ask(1) -> ok on time_out do ok := false; end on refused do ok := false; end; delay 10 msec; end;";
+
 /// A cell of two tasks: `a` has a message for `b`.
 fn two(a: &str, b: &str) -> String {
     format!(
@@ -96,13 +99,12 @@ fn what_nobody_waits_for_and_what_still_changes_is_no_standstill() {
     // One that asks until it is told yes, which a variable says that changes.
     let counts = "order ask > self;
   on query ask(k) do yes := not yes; response(yes); end;";
-    let asks = "loop query ask(1) -> ok on time_out do ok := false; end on refused do ok := false; end; delay 10 msec; end;";
-    let (_, verdicts) = checked(&two(counts, asks), |_| ());
+    let (_, verdicts) = checked(&two(counts, ASKS), |_| ());
     assert_eq!(causes(&verdicts), [""; 0]);
     // The same, and the answer never changes.
     let never = "order ask > self;
   on query ask(k) do response(false); end;";
-    let (_, verdicts) = checked(&two(never, asks), |_| ());
+    let (_, verdicts) = checked(&two(never, ASKS), |_| ());
     assert_eq!(causes(&verdicts), ["b goes on for ever, and nothing comes further any more"]);
 }
 
@@ -128,4 +130,32 @@ end b;
     let comes = text("loop waitfor ready() on time_out do skip; end; delay 10 msec; end;");
     let (_, verdicts) = checked(&comes, |_| ());
     assert_eq!(causes(&verdicts), [""; 0]);
+}
+
+/// What happened on the way to a standstill is no part of it: neither an answer nor a meeting.
+#[test]
+fn a_task_is_named_for_what_it_does_there_and_not_for_what_it_did_before() {
+    let answers = "order ask > self;
+  on query ask(k) do response(false); end;
+  loop send news(1); delay 10 msec; end;";
+    let once = "query ask(1) -> ok on time_out do ok := false; end on refused do ok := false; end;
+  loop receive news(n); end;";
+    let (_, verdicts) = checked(&two(answers, once), |_| ());
+    assert_eq!(causes(&verdicts), [""; 0], "it asked once, before");
+    let waits = "loop receive news(n) within 20 msec on time_out do skip; end; end;";
+    let (_, verdicts) = checked(&two("send news(1);", waits), |_| ());
+    assert_eq!(causes(&verdicts), [""; 0], "it asks for nothing");
+    let meet = |then: &str| {
+        let ports = "port ready() usage = waitfor user_list = {b} time_out = 40 msec;\n  port news";
+        let text = two(
+            &format!("waitfor ready() on time_out do skip; end;\n{then}"),
+            &format!("waitfor ready() on time_out do skip; end;\n{ASKS}"),
+        );
+        text.replacen("port news", ports, 1)
+            .replace("use_port news", "use_port ready() usage = waitfor; use_port news")
+    };
+    let never = "order ask > self;
+  on query ask(k) do response(false); end;";
+    let (_, verdicts) = checked(&meet(never), |_| ());
+    assert_eq!(causes(&verdicts), ["b goes on for ever, and nothing comes further any more"]);
 }

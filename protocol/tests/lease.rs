@@ -373,6 +373,17 @@ fn a_node_that_started_again_takes_the_epoch_of_one_that_knows_it() {
     }
 }
 
+/// The number is the same by chance: an earlier life of the primary may have acted in it.
+#[test]
+fn what_was_proposed_from_a_guess_is_over_when_the_partner_knows_an_epoch() {
+    let mut primary = Solo::life(&table(true), P, 1, true);
+    assert_eq!(said(&primary.hear(guess(1, 2))), [[0, 7]]);
+    let mut knows = guess(2, 7);
+    knows.contents = Contents::new(&[1, 0, 7, 1, 0]).expect("short");
+    assert_eq!(said(&primary.hear(knows)), [[0, 9]]);
+    assert!(!primary.task.is_active(), "the echo is of an answer that counts for nothing now");
+}
+
 #[test]
 fn an_order_carries_its_epoch_to_the_arm_and_room_for_it_is_kept() {
     let mut net = leased(false);

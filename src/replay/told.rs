@@ -15,9 +15,8 @@ fn since(start: u64, at: u64) -> f64 {
     at.saturating_sub(start) as f64 / 1e6
 }
 
-/// Why nobody knows whether a run of late nodes is a path.
-const UNSURE: &str =
-    "nodes acted late, and with their times rounded otherwise the model may do what was not found";
+/// Why nobody knows whether a run is a path.
+const UNSURE: &str = "nodes acted late, or two things happened within one tick, and with times rounded otherwise the model may do what was not found";
 
 /// The answer.
 #[derive(Debug, Default, Serialize)]

@@ -95,6 +95,8 @@ pub(super) struct Course {
     pub both_active: bool,
     /// The variables of each task that are dead, by operation.
     dead: Vec<Dead>,
+    /// Room for the variables before a move.
+    pub before: Vec<Option<i64>>,
 }
 
 impl Course {
@@ -142,6 +144,7 @@ impl Course {
             mattered: vec![false; plan.checks.len()],
             both_active: false,
             dead: if plan.everything { Vec::new() } else { liveness::dead(plan) },
+            before: Vec::new(),
         };
         course.floor.crossings.sort_by_key(|crossing| crossing.link);
         course.look();

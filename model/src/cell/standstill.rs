@@ -116,13 +116,18 @@ pub(super) fn tell(
 ) -> Option<Finding> {
     let mut course = Course::new(plan, faults);
     moves.iter().for_each(|&step| course.apply(step));
+    // What scripts did on the way there is no part of it.
+    course.floor.turns.iter_mut().for_each(Vec::clear);
     let mut known = HashSet::new();
     let mut asks = BTreeSet::new();
     let mut open = vec![(course.store().ok()?, true)];
     let mut all = Vec::new();
     while let Some((state, first)) = open.pop() {
-        if known.len() > MOST_STATES || !known.insert(Mark::of(course.split(&state)).core()) {
+        if !known.insert(Mark::of(course.split(&state)).core()) {
             continue;
+        }
+        if known.len() > MOST_STATES {
+            return None;
         }
         course.load(&state);
         all.clear();
@@ -168,8 +173,9 @@ pub(super) fn tell(
 /// Whether a task is told what became of something that it asked of others.
 const fn is_an_answer(signal: &Signal) -> bool {
     match signal {
-        Signal::Outcome(_) | Signal::Answers { .. } | Signal::Nothing | Signal::GaveUp { .. } => true,
+        Signal::Outcome(_) | Signal::Answers { .. } | Signal::GaveUp { .. } => true,
         Signal::Accepted(_)
+        | Signal::Nothing
         | Signal::Fault(_)
         | Signal::Interrupt(_)
         | Signal::Granted(_)
@@ -183,28 +189,32 @@ const fn is_an_answer(signal: &Signal) -> bool {
 impl Course {
     /// Makes a move and says whether it was progress.
     pub fn progresses(&mut self, step: CellMove) -> bool {
-        let before: Vec<Vec<i64>> = self.variables().collect();
+        let mut before = std::mem::take(&mut self.before);
+        before.clear();
+        self.live_variables(&mut |value| before.push(value));
         self.apply(step);
         let is_met = |turn: &ScriptTurn| matches!(turn.input, ScriptInput::Signal(Signal::Released { .. }));
-        let acted = matches!(step, CellMove::Acted(_, _, true, _));
-        acted || self.floor.turns.iter().flatten().any(is_met) || self.differs(&before)
+        let mut further = matches!(step, CellMove::Acted(_, _, true, _));
+        further |= self.floor.turns.iter().flatten().any(is_met);
+        let mut at = 0;
+        self.live_variables(&mut |value| {
+            further |= matches!((before.get(at), value), (Some(&Some(before)), Some(now)) if before != now);
+            at += 1;
+        });
+        self.before = before;
+        further
     }
 
-    fn variables(&self) -> impl Iterator<Item = Vec<i64>> + '_ {
-        self.floor.bodies.iter().map(|body| {
-            let actor = body.actor.iter();
-            actor.flat_map(|actor| (0..).map_while(|at| actor.script.var(at))).collect()
-        })
-    }
-
-    /// Whether a variable that may still be read has another value than before.
-    fn differs(&self, before: &[Vec<i64>]) -> bool {
-        let mut tasks = self.variables().zip(before).enumerate();
-        tasks.any(|(task, (now, before))| {
+    /// The variables of all tasks, one after the other; none for one that nobody reads any more: packing forgets those, so what they
+    /// were says nothing.
+    fn live_variables(&self, each: &mut impl FnMut(Option<i64>)) {
+        for (task, body) in self.floor.bodies.iter().enumerate() {
+            let Some(actor) = &body.actor else { continue };
             let dead = self.dead_variables(task);
-            let is_live = |at: usize| at >= 64 || dead >> at & 1 == 0;
-            now.len() != before.len() || (0..now.len()).any(|at| is_live(at) && now[at] != before[at])
-        })
+            for (at, value) in (0..).map_while(|at| actor.script.var(at)).enumerate() {
+                each((at >= 64 || dead >> at & 1 == 0).then_some(value));
+            }
+        }
     }
 }
 

@@ -368,7 +368,7 @@ impl Floor {
         self.stations[place].life.0 == 0 || self.ghosts.heard >> place & 1 == 1
     }
 
-    /// Whether the epoch at which a node begins that starts again is none of the past: it is, where epochs began elsewhere.
+    /// True if the first epoch of a restarted node was never used before. False where the plan begins at another epoch.
     fn guesses_above(&self) -> bool {
         self.plan.epoch == 0
     }

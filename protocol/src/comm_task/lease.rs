@@ -356,7 +356,7 @@ impl Lease {
 
     /// Whether a beat comes from the partner's present life. A new life has got none of the answers, and an earlier one, of
     /// either side, may have acted in an epoch that nobody knows of any more: of each side one is left out. One that guesses may
-    /// have had an earlier life that guessed, too, and acted: that was one above its guess.
+    /// have had an earlier life that guessed, too, and acted: that was two above its guess.
     fn enter_life(&mut self, life: Incarnation, epoch: u8, guessed: bool) -> bool {
         if self.life.is_some_and(|known| is_older(life, known)) {
             return false;
@@ -372,13 +372,14 @@ impl Lease {
         true
     }
 
-    /// The partner says an epoch. Of two, of which one guesses, both take the other's.
+    /// The partner says an epoch. If exactly one side guesses, both use the epoch of the side that knows. What this side proposed from a
+    /// guess is over then, though it may be the same number.
     fn hear_of(&mut self, epoch: u8, guessed: bool) {
         if self.acts() {
             return;
         }
         let taken = match (self.guessed, guessed) {
-            (true, false) => epoch != self.epoch,
+            (true, false) => true,
             (false, true) => false,
             (true, true) | (false, false) => is_newer_epoch(epoch, self.epoch),
         };

@@ -41,7 +41,8 @@ pub struct Followed {
     pub other_values: u64,
     /// The first thing that the model cannot do.
     pub unexplained: Option<Unexplained>,
-    /// Whether it might, with times rounded otherwise: shortly before, a node acted so late that not all ways were tried.
+    /// Whether it might, with times rounded otherwise: shortly before, a node acted so late, or two things came so close to each other,
+    /// that not all ways were tried.
     pub unsure: bool,
     /// Which budget ended it.
     pub ended_by: Option<String>,

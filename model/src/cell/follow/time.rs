@@ -1,6 +1,7 @@
 //! Time of a node that is followed: it counts as the run says, neither past what the run has not shown yet nor less than
 //! what it has.
 
+use super::run::Happened;
 use super::run::{Late, Turn};
 use super::{AHEAD, Follower, Group, LATE, No, Rounding};
 use imrs_protocol::script::ScriptInput;
@@ -8,6 +9,9 @@ use imrs_protocol::{Call, NodeInput, NodeOutbox, Packet, Signal, TaskId, Ticks, 
 
 /// A timer or delay: whose, and which.
 pub(super) type Timer = (TaskId, TimeId);
+
+/// How many inputs of a task before the one that the model cannot do are looked at for two in one tick.
+const TIED: usize = 8;
 
 impl Follower {
     /// The ticks until time alone makes a node act.
@@ -86,6 +90,18 @@ impl Follower {
             Some(now.saturating_sub(due))
         });
         self.out.late.iter().any(|late| late.at >= since) || coming.max() > Some(LATE)
+    }
+
+    /// Whether a time_out, a timer or a delay of a task ended within a tick of something else that it took, shortly before or right
+    /// after: in the model time_outs come first in their tick.
+    pub(super) fn is_tied(&self, task: usize) -> bool {
+        let next = self.next[task];
+        let near = &self.groups[task];
+        let near = &near[next.saturating_sub(TIED)..near.len().min(next + 2)];
+        near.windows(2).any(|pair| {
+            let is_time = |group: &Group| matches!(group.cause, Happened::Time);
+            pair[1].at.saturating_sub(pair[0].at) < self.tick && (is_time(&pair[0]) || is_time(&pair[1]))
+        })
     }
 
     /// Time makes a task act, as the run says.

@@ -1,0 +1,82 @@
+//! Random cells on the real runtime: what threads and clocks make of a cell is a path of the model, too. The cells are those
+//! with which the search is compared (`model/tests/guard`).
+
+#[path = "../model/tests/guard/cells.rs"]
+mod cells;
+#[path = "../model/tests/guard/statements.rs"]
+mod statements;
+
+use crate::support::{bound, excused, run_in, runtime_dir};
+use imrs_language::{Source, Unit, compile};
+use std::path::Path;
+
+/// So many numbers for a cell.
+const TAPE: usize = 300;
+
+fn tape(seed: u64) -> Vec<u8> {
+    let mut state = seed.wrapping_mul(0x9e37_79b9_7f4a_7c15) | 1;
+    let mut byte = || {
+        state ^= state << 13;
+        state ^= state >> 7;
+        state ^= state << 17;
+        state.to_le_bytes()[4]
+    };
+    (0..TAPE).map(|_| byte()).collect()
+}
+
+/// The random cell of a seed; none where the compiler turns it down, or a Rust program would have to say what a task does.
+fn random_cell(seed: u64) -> Option<String> {
+    let text = cells::cell(&tape(seed));
+    if text.contains(" extern") {
+        return None;
+    }
+    let source = Source::new(text.as_bytes()).ok()?;
+    compile(&source).lower(Unit::Ticks).map(|_| text)
+}
+
+/// The recordings of a run, one for each node.
+fn recordings(folder: &Path) -> Vec<String> {
+    let files = std::fs::read_dir(folder).expect("the folder").flatten().map(|entry| entry.path());
+    let mut files: Vec<String> = files
+        .filter(|path| path.extension().is_some_and(|extension| extension == "imrs"))
+        .map(|path| path.to_str().expect("UTF-8").to_owned())
+        .collect();
+    files.sort();
+    files
+}
+
+/// `IMRS_RANDOM_RUNS` of them, from `IMRS_SEED` on.
+#[test]
+fn runs_of_random_cells_are_paths_of_the_model() {
+    let (first, number) = (bound("IMRS_SEED", 1), bound("IMRS_RANDOM_RUNS", 4));
+    let (mut paths, mut late, mut inputs) = (0, 0, 0);
+    let cells = (first..).filter_map(|seed| Some((seed, random_cell(seed)?)));
+    for (seed, text) in cells.take(usize::try_from(number).expect("a few")) {
+        let folder = runtime_dir();
+        let at = |name: &str| folder.path().join(name).to_str().expect("UTF-8").to_owned();
+        let cell = at("random.cell");
+        std::fs::write(&cell, &text).expect("the cell is written");
+        let how =
+            ["run", &cell, "--in-process", "--for", "500ms", "--seed", "1", "--record", &at("run.imrs")];
+        let said = run_in(folder.path(), &how);
+        // A task of a random cell may abort, and a check may not hold.
+        assert!(matches!(said.code, Some(0 | 1)), "seed {seed}: {said:?}\n{text}");
+        let files = recordings(folder.path());
+        let files: Vec<&str> = files.iter().map(String::as_str).collect();
+        let how = ["--cell", &cell, "--model", "--within", "60s", "--format", "json"];
+        let said = run_in(folder.path(), &[&["replay"], &files[..], &how[..]].concat());
+        let told = said.last_json();
+        match said.code {
+            Some(4) => late += 1,
+            // A link took longer than its bound: the model promises nothing then.
+            _ if told["within_assumptions"] == false => late += 1,
+            Some(0 | 1) if told["path"] == true => paths += 1,
+            _ => panic!("seed {seed}: {said:?}\n{text}"),
+        }
+        inputs += told["inputs"].as_u64().unwrap_or(0);
+    }
+    println!("{paths} runs are paths of the model, of {late} nobody knows; {inputs} inputs");
+    if late > 0 {
+        excused(&format!("of {late} of {number} random runs nobody knows whether they are paths"));
+    }
+}
