@@ -1,14 +1,11 @@
-"""All faults that are written down, in one program (.ci/schemata.py): what .ci/detection and .ci/planted run."""
+"""Faults in one program (.ci/schemata.py), as a copy of the tree: what .ci/detection and .ci/planted run."""
 import fcntl, hashlib, json, os, re
 from typing import NamedTuple
 
-from copies import QUICK, RESULTS, ROOT, TARGET, Copy, limited, tracked
-from faults import Edit, edit_of_fault, edit_of_mutant, key, proposed, written
+from copies import QUICK, ROOT, TARGET, Copy, limited, tracked
+from faults import Edit, edit_of_fault, written
 from schemata import Program
 
-LIST = RESULTS / "detection-mutants.tsv"
-HAND = RESULTS / "detection-faults.txt"
-PLANTED = ROOT / "model/planted.txt"
 # Of a random cell that differs, a smaller one that differs, too, is of no use here, and takes long to find.
 SHRINKS = "model/tests/guard/mod.rs", "let small = shrink(tape(seed), seed);", "let small = tape(seed);"
 # How each program is built.
@@ -26,42 +23,32 @@ class Entry(NamedTuple):
     kind: str
     name: str
     edit: Edit
-    claim: str
 
 
-def rows(path):
-    if not path.exists():
-        return []
-    return [line.split("\t") for line in path.read_text().splitlines() if line and not line.startswith("#")]
+def by_hand(path, kind):
+    """The faults of a file, but for their numbers."""
+    found = []
+    for fault in written(path):
+        edit = edit_of_fault(fault)
+        if edit is None:
+            raise SystemExit(f"{path}: the lines of a fault do not stand in {fault.path} exactly once: {fault.title}")
+        name = hashlib.sha256((fault.path + fault.old + fault.new).encode()).hexdigest()[:16]
+        found.append((name, kind, fault.title, edit))
+    return found
 
 
-def entries():
-    """Every fault that is written down."""
-    by_key, found = {key(mutant): mutant for mutant in proposed()}, []
-    for name, file, line, what in rows(LIST):
-        mutant = by_key.get(name)
-        if mutant is None:
-            raise SystemExit(f"{LIST.name}: cargo-mutants does not propose {name} any more: {file}:{line}: {what}")
-        found.append((name, "mutant", f"{file}:{line}: {what}", edit_of_mutant(mutant), ""))
-    for kind, path in ("by hand", HAND), ("planted", PLANTED):
-        for fault in written(path):
-            edit = edit_of_fault(fault)
-            if edit is None:
-                raise SystemExit(f"{path}: the lines of a fault do not stand in {fault.path} exactly once: {fault.title}")
-            name = hashlib.sha256((fault.path + fault.old + fault.new).encode()).hexdigest()[:16]
-            found.append((name, kind, fault.title, edit, fault.claim))
+def numbered(found):
     return [Entry(number, *entry) for number, entry in enumerate(found, 1)]
 
 
 class Built:
-    """The program with all faults, as a copy of the tree: its checker, its command and its tests, each built when it is run."""
+    """A program with these faults: its checker, its command and its tests, each built when it is run."""
 
-    def __init__(self):
-        self.entries = entries()
-        self.copy = Copy("schemata")
-        self.bin = TARGET / "detection"
+    def __init__(self, name, chosen):
+        self.copy = Copy(name)
+        self.bin = TARGET / "faults" / name
         self.manifest = self.bin / "manifest.json"
-        edits = {entry.number: entry.edit for entry in self.entries}
+        edits = {entry.number: entry.edit for entry in chosen}
         digest = hashlib.sha256(repr(edits).encode())
         for name in tracked("protocol", "model", "language", "runtime", "src", "tests", "examples", ".ci/schemata.py"):
             digest.update((ROOT / name).read_bytes())
