@@ -113,7 +113,7 @@ class Built:
                     (self.bin / name).write_bytes(open(message["executable"], "rb").read())
                     (self.bin / name).chmod(0o755)
             elif name and message["profile"]["test"]:
-                folder = os.path.relpath(os.path.dirname(message["manifest_path"]), self.copy.folder)
+                folder = os.path.relpath(os.path.dirname(message["manifest_path"]), self.copy.folder.resolve())
                 found[f"{folder} {what}"] = message["executable"]
         return found
 
