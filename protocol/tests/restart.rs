@@ -74,6 +74,21 @@ fn a_new_incarnation_numbers_its_messages_from_the_beginning() {
 }
 
 #[test]
+fn an_answered_command_is_remembered_until_no_copy_can_come() {
+    let table = table();
+    let command = Solo::new(&table, X).ask(send(MOVE, Y, 1)).packets[0];
+    let mut y = Solo::new(&table, Y);
+    y.hear(command);
+    let message = y.ask(get(0)).delivery().expect("the message");
+    y.ask(reply(&message, 9));
+    // Its time_out and the way.
+    y.pass(20 + 2 - 1);
+    assert_eq!(y.ask(reply(&message, 9)).words(), ["fault NothingToAnswer"]);
+    y.pass(1);
+    assert_eq!(y.ask(reply(&message, 9)).words(), ["fault Late"]);
+}
+
+#[test]
 fn what_a_restart_left_behind_is_stale() {
     let table = table();
     let old = Solo::new(&table, X).ask(send(MOVE, Y, 1)).packets[0];
