@@ -1,4 +1,4 @@
-"""Copies of the tree into which faults are put: what .ci/planted and .ci/mutants share."""
+"""Copies of the tree into which faults are put: what .ci/planted, .ci/mutants and .ci/detection share."""
 import os, re, subprocess
 from pathlib import Path
 
@@ -49,3 +49,19 @@ class Copy:
     def cargo(self, *what):
         env = dict(os.environ, CARGO_TARGET_DIR=str(TARGET), CARGO_TERM_COLOR="never")
         return subprocess.run(["cargo", what[0], "--locked", "-q", *what[1:]], cwd=self.folder, env=env, capture_output=True, text=True)
+
+
+def limited(command, cwd, cpu, seconds, memory=6 * 10**9, **env):
+    """The exit code and the output of a command; the code is None where the time ended first. A process of it may use
+    `cpu` seconds and so much memory."""
+    env = dict(os.environ, CARGO_TARGET_DIR=str(TARGET), CARGO_TERM_COLOR="never", RUST_BACKTRACE="0",
+               PROPTEST_MAX_SHRINK_ITERS="0", **env)
+    child = subprocess.Popen(["prlimit", f"--cpu={cpu}", f"--as={memory}", *command], cwd=cwd, env=env,
+                             stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, start_new_session=True)
+    try:
+        output, _ = child.communicate(timeout=seconds)
+        return child.returncode, output
+    except subprocess.TimeoutExpired:
+        os.killpg(child.pid, 9)
+        output, _ = child.communicate()
+        return None, output

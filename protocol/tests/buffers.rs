@@ -107,6 +107,15 @@ fn ties_go_by_class_then_order_then_port_then_source_then_arrival() {
 }
 
 #[test]
+fn a_new_order_counts_for_what_waits_already() {
+    let mut room = Room::new();
+    room.put(BEAT, A, 2, 20);
+    room.put(HALT, A, 1, 20);
+    room.r.ask(Request::Order(ServiceOrder::new(&[Ranked::Port(HALT)]).expect("one level")));
+    assert_eq!(room.served(), [1, 2]);
+}
+
+#[test]
 fn order_never_overrules_a_deadline() {
     let mut room = Room::new();
     room.r.ask(Request::Order(ServiceOrder::new(&[Ranked::Port(HALT)]).expect("one level")));

@@ -482,6 +482,8 @@ fn a_couple_that_cannot_keep_its_promise_is_no_couple() {
     assert_eq!(errors(|c| c.couples[0].via = MOVE), [CellError::NotForBeats("move".into())]);
     assert_eq!(errors(|c| c.couples[0].via = PortId(9)), [CellError::Dangling("couple 0".into())]);
     assert_eq!(errors(|c| c.couples[0].standby = P)[0], CellError::Dangling("couple 0".into()));
+    let nobody = errors(|c| c.couples[0].standby = TaskId::from_index(c.tasks.len()));
+    assert_eq!(nobody[0], CellError::Dangling("couple 0".into()), "the first number that no task has");
     assert_eq!(errors(|c| c.couples.push(c.couples[0].clone())), [CellError::CoupledTwice(couple())]);
     assert_eq!(
         errors(|c| c.ports[1].guard = Some(1)),

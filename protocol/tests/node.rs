@@ -160,6 +160,10 @@ fn a_dropped_packet_is_seen_with_its_reason() {
     let seen: Vec<_> = net.observations.iter().map(|(at, o)| (*at, o.event)).collect();
     let dropped = |at, reason| (at, Event::Discarded(reason));
     assert_eq!(seen, [dropped(None, Reason::NotAllowed), dropped(Some(Z), Reason::ExpiredOnTheWay)]);
+    net.observations.clear();
+    net.step(N1, NodeInput::Packet { packet: packet(), charge: Ticks(30) });
+    let seen: Vec<_> = net.observations.iter().map(|(at, o)| (*at, o.event)).collect();
+    assert_eq!(seen, [dropped(None, Reason::ExpiredOnTheWay)], "no task of a relay counts it");
     assert!(net.log.is_empty());
     let z = net.nodes[2].task(Z).expect("it runs there");
     let ports = z.view(&net.nodes[2].parts().table, 0).ports;

@@ -58,6 +58,37 @@ fn a_restarted_node_runs_no_command_while_copies_of_an_earlier_one_may_live() {
 }
 
 #[test]
+fn a_new_incarnation_numbers_its_messages_from_the_beginning() {
+    let table = table();
+    let mut x = Solo::new(&table, X);
+    x.ask(send(MOVE, Y, 1));
+    x.pass(20);
+    let second = x.ask(send(MOVE, Y, 2)).packets[0];
+    let first_of_next = Solo::life(&table, X, 1, true).ask(send(MOVE, Y, 3)).packets[0];
+    assert!(second.id.sequence.is_newer_than(first_of_next.id.sequence));
+    let mut y = Solo::new(&table, Y);
+    y.hear(second);
+    assert_eq!(y.ask(get(0)).words(), ["message [2] from T0 for 18"]);
+    y.hear(first_of_next);
+    assert_eq!(y.ask(get(0)).words(), ["message [3] from T0 for 18"]);
+}
+
+#[test]
+fn an_answered_command_is_remembered_until_no_copy_can_come() {
+    let table = table();
+    let command = Solo::new(&table, X).ask(send(MOVE, Y, 1)).packets[0];
+    let mut y = Solo::new(&table, Y);
+    y.hear(command);
+    let message = y.ask(get(0)).delivery().expect("the message");
+    y.ask(reply(&message, 9));
+    // Its time_out and the way.
+    y.pass(20 + 2 - 1);
+    assert_eq!(y.ask(reply(&message, 9)).words(), ["fault NothingToAnswer"]);
+    y.pass(1);
+    assert_eq!(y.ask(reply(&message, 9)).words(), ["fault Late"]);
+}
+
+#[test]
 fn what_a_restart_left_behind_is_stale() {
     let table = table();
     let old = Solo::new(&table, X).ask(send(MOVE, Y, 1)).packets[0];

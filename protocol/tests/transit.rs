@@ -376,6 +376,31 @@ fn what_waits_comes_back_from_its_packed_form() {
     assert_eq!(again, bytes);
 }
 
+#[test]
+fn of_equal_urgency_the_word_of_a_refusal_leaves_before_a_message() {
+    let mut rig = Rig::new(8);
+    rig.offer(command(1, 20));
+    let said = Control::RefusedOnTheWay.to_contents();
+    let (source, destination) = (TaskId(2), TaskId(3));
+    rig.offer(Packet { kind: Kind::Control, source, destination, contents: said, ..command(2, 20) });
+    assert_eq!(rig.drain(), [(2, 20), (1, 20)]);
+}
+
+#[test]
+fn more_packets_than_the_packed_count_holds_are_an_overflow() {
+    let mut rig = Rig::new(128);
+    (0..127).for_each(|number| _ = rig.offer(command(number, 20)));
+    let next = [Seq24::new(200); 5];
+    let frame = Frame { rounds: &[], sequences: &next, lives: false };
+    let mut bytes = [0; 4096];
+    assert!(rig.transit.store(&frame, &mut bytes).is_ok());
+    rig.offer(command(127, 20));
+    assert!(
+        rig.transit.is_full() && rig.transit.store(&frame, &mut bytes).is_err(),
+        "bit 7 says that words follow"
+    );
+}
+
 proptest! {
     /// The short way through does what the long one does, whatever waits and whichever links are ready.
     #[test]

@@ -306,3 +306,21 @@ impl Words {
         self.places[usize::from(slot(word))] = narrow(at.wrapping_sub(ROOT));
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_word_where_nothing_should_stand_is_no_order() {
+        let (instant, key) = (|_: Slot| Ticks(7), |slot: Slot| slot);
+        let mut words = Words::new(4);
+        words.push(0, Ticks(7), key);
+        assert!(words.is_in_order(instant, key));
+        words.put(ROOT + 1, word(Ticks(7), 1));
+        assert!(!words.is_in_order(instant, key), "behind the last one");
+        let mut words = Words::new(4);
+        words.put(0, word(Ticks(7), 1));
+        assert!(!words.is_in_order(instant, key), "before the first place");
+    }
+}

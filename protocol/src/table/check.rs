@@ -343,6 +343,13 @@ mod tests {
         let fault = CellError::CannotBeServed { port: name("p"), per: Ticks(11), least: Ticks(12) };
         assert_eq!(of(3, 11, None), Err([fault].into()));
         assert_eq!(of(3, 11, Some(Rate { count: 2, per: Ticks(11) })), Ok(()), "the user's own rate counts");
+        let mut cell = three(1);
+        cell.port(PortDecl::new("r", X, Usage::Reply, &[Z], Ticks(90)).rate(9, Ticks(1)));
+        assert_eq!(
+            CellTable::new(cell).map(|_| ()),
+            Ok(()),
+            "who answers does not wait before it answers again"
+        );
     }
 
     #[test]

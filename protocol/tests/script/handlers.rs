@@ -57,6 +57,27 @@ fn a_handler_runs_while_the_thread_waits_and_the_wait_goes_on() {
 }
 
 #[test]
+fn a_variable_of_a_handler_begins_at_its_first_value_each_time() {
+    let mut b = ProgramBuilder::new("test");
+    let seen = b.variable("seen", Type::Int8);
+    b.timer("held");
+    b.delay(Ticks(50)).end();
+    b.handler(Trigger::Timer(HELD), |b| {
+        let own = b.local("own", Type::Int8);
+        b.load(own).store(seen).set(own, 1);
+    });
+    let mut program = b.finish().expect("a checked program");
+    program.handlers[0].locals[0].initial = 7;
+    let mut rig = Rig::of(program);
+    rig.begin();
+    rig.accept();
+    for _ in 0..2 {
+        assert_eq!(rig.tell(Signal::Interrupt(Call::Timer(HELD))), ["return"]);
+        assert_eq!(rig.script.var(0), Some(7));
+    }
+}
+
+#[test]
 fn handlers_nest_with_variables_of_their_own() {
     let mut rig = fused(|b| {
         b.delay(Ticks(50));
