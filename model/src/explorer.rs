@@ -1,6 +1,6 @@
 //! A claim's world to walk through by hand: stateright's Explorer, with each path as a sequence chart.
 
-use crate::cell::draw_notes;
+use crate::cell::svg;
 use crate::chart::{self, Pen};
 use crate::claims::Explored;
 use crate::explore::{Ground, Grounded, Limits};
@@ -143,6 +143,6 @@ impl<G: Ground + 'static> Model for Drawn<G> {
         let states = path.into_states();
         // The way to a panic of the machine panics again.
         let pen = catch_unwind(AssertUnwindSafe(|| (self.way)(&states))).ok()??;
-        Some(draw_notes(pen.names(), &pen.notes, cause))
+        Some(svg(pen.names(), &pen.notes, cause))
     }
 }

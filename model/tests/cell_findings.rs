@@ -81,7 +81,7 @@ fn what_no_branch_takes_ends_the_task_under_faults_only() {
     assert_eq!((ends.kind, ends.phase), (Kind::Ends, Phase::Faults));
     assert!(cell.source(ends).starts_with("send put(m)") && ends.chart.contains("LOST"), "{}", ends.chart);
     let names = ["a".to_string(), "b<".to_string()];
-    let drawn = svg(&names, &ends.steps, &ends.cause);
+    let drawn = svg(&names, ends.steps.iter().flat_map(|step| &step.notes), &ends.cause);
     assert!(drawn.starts_with("<svg") && drawn.contains("b&lt;") && drawn.contains("LOST"));
     let saved = serde_json::to_string(ends).expect("plain data");
     let back: Finding = serde_json::from_str(&saved).expect("what was saved");
@@ -488,7 +488,7 @@ fn a_chart_says_the_line_and_the_values_of_each_step() {
     assert!(lines.iter().all(|line| line.chars().count() <= 78), "{chart}");
 
     let names = ["tool", "mate", "a", "b"].map(str::to_owned);
-    let drawn = svg(&names, &finding.steps, &finding.cause);
+    let drawn = svg(&names, finding.steps.iter().flat_map(|step| &step.notes), &finding.cause);
     for part in [">line</text>", "text-anchor=\"end\">25</text>", "QUERY grab #0 (300, true, 0.5)"] {
         assert!(drawn.contains(part), "{part}: {drawn}");
     }

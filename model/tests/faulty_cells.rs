@@ -11,7 +11,7 @@
 
 use crate::cells::{Text, is_alike, within};
 use imrs_model::cell::{
-    CellFaults, Finding, Kind, Note, Phase, Simulator, Verdicts, check_cell, lanes, scenes, svg,
+    CellFaults, Finding, Kind, Note, Phase, Simulator, Verdicts, check_cell, drawn, scenes, svg,
 };
 use std::collections::BTreeSet;
 use std::path::Path;
@@ -223,11 +223,12 @@ fn the_way_to_each_fault_is_told_and_the_same_twice() {
             assert!(!steps.is_empty() && steps.len() == finding.moves.len(), "{name}");
             assert_eq!(steps.last().map(|step| step.tick), Some(finding.at_ticks), "{name}");
             assert_eq!(scenes(&plan, finding).len(), steps.len() + 1, "{name}: it replays");
-            let (names, notes) = (lanes(&plan), steps.iter().flat_map(|step| &step.notes));
-            let drawn = svg(&names, steps, &finding.cause);
+            let notes = steps.iter().flat_map(|step| step.notes.clone()).collect();
+            let (names, notes) = drawn(&plan, finding.part, notes);
+            let drawn = svg(&names, &notes, &finding.cause);
             assert_eq!(
                 drawn.matches("<polygon").count(),
-                notes.clone().filter(|note| is_packet(note)).count()
+                notes.iter().filter(|note| is_packet(note)).count()
             );
             assert!(names.iter().all(|name| drawn.contains(&format!(">{name}</text>"))), "{name}: {names:?}");
             assert!(chart.lines().all(|line| line.chars().count() <= 78), "{name}:\n{chart}");

@@ -115,6 +115,8 @@ struct Searched<'a> {
     /// `ends`: packets take their link's bound, actions their least or most time; `between`: they also arrive and end right
     /// after anything that happens meanwhile; `every`: at every tick, or model tick.
     times: &'static str,
+    /// Independent parts of the cell, each searched by itself.
+    parts: u32,
     states: u64,
     transitions: u64,
     /// Choices: the most on a shortest way to a state, and up to how many everything was looked at.
@@ -237,6 +239,7 @@ fn searched<'a>(plan: &'a CellPlan, phase: &'a Coverage) -> Searched<'a> {
             Times::Between => "between",
             Times::Every => "every",
         },
+        parts: phase.parts,
         states: phase.states,
         transitions: phase.moves,
         depth: phase.depth,

@@ -11,7 +11,7 @@ use imrs_language::lower::{Behaviour, Check, CheckKind, Lowered};
 use imrs_language::{Options, Source, Span, Unit, compile_with, render};
 use imrs_model::cell::{
     Budget, CellCheck, CellFaults, CellPlan, Conduct, Coverage, Finding, Folding, Holds, Legend, Times,
-    Verdicts, chart, check_cell, lanes, svg,
+    Verdicts, chart, check_cell, drawn, svg,
 };
 use imrs_protocol::script::Address;
 use imrs_protocol::{CellTable, NodeId, TaskId};
@@ -213,12 +213,12 @@ impl Subject {
             return missed.map_or(Ok(None), |missed| Err(Failure::Usage(missed)));
         };
         if let Some(path) = &args.trace {
-            let names = lanes(plan);
+            let notes = finding.steps.iter().flat_map(|step| step.notes.clone()).collect();
+            let (names, notes) = drawn(plan, finding.part, notes);
             let drawn = if path.extension().is_some_and(|of| of == "txt") {
-                let notes: Vec<_> = finding.steps.iter().flat_map(|step| step.notes.clone()).collect();
                 chart(&names, &notes, &finding.cause, Folding::Nothing) + "\n"
             } else {
-                svg(&names, &finding.steps, &finding.cause)
+                svg(&names, &notes, &finding.cause)
             };
             std::fs::write(path, drawn)
                 .map_err(|source| CellFileError::Unwritable { path: path.clone(), source })?;

@@ -397,8 +397,12 @@ fn looked_at(phase: &Coverage) -> String {
         (None, true) => "everything up to the findings".into(),
         (None, false) => "everything within the bounds".into(),
     };
+    let parts = match phase.parts {
+        0 | 1 => String::new(),
+        parts => format!("{parts} independent parts, each by itself: "),
+    };
     format!(
-        "{}, {}, {:.1} s; {whole}",
+        "{parts}{}, {}, {:.1} s; {whole}",
         count(phase.states, "state"),
         count(phase.moves, "step"),
         phase.seconds

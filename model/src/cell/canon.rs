@@ -56,7 +56,7 @@ impl Course {
         // Where it may not crash any more, nobody asks.
         let may = f.crash.iter().zip(&b.crashed).filter(|(_, crashed)| **crashed == 0);
         let may = may.fold(0_u64, |mask, (node, _)| mask | bit(node.index()));
-        let down = (0..self.floor.stations.len()).filter(|&node| !self.floor.stations[node].up);
+        let down = (0..self.floor.stations.len()).filter(|&node| self.is_down(node));
         let may = down.fold(may, |mask, node| mask | bit(node));
         if !f.crash.is_empty() {
             out.extend((b.acted & may).to_le_bytes());

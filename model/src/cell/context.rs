@@ -177,7 +177,8 @@ pub(super) fn terms(course: &Course, check: usize) -> Vec<Term> {
     all
 }
 
-fn about(term: &Term) -> Option<usize> {
+/// The task that a term of a check reads.
+pub(super) fn about(term: &Term) -> Option<usize> {
     match *term {
         Term::Of { task, .. }
         | Term::Is(

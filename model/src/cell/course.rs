@@ -109,6 +109,7 @@ impl Course {
         floor.way = Way::Exact;
         floor.keeps_seen = plan.everything;
         floor.transit = plan.transit;
+        floor.left_out = plan.part.as_ref().map_or(0, |part| part.left_out());
         floor.faults = Faults { crash: u8::from(!faults.crash.is_empty()), ..Faults::default() };
         floor.checks = plan
             .checks
@@ -378,6 +379,9 @@ impl Course {
             eval(terms, |term| floor.look_up(term)).is_ok_and(|value| value != 0)
         };
         for (at, check) in self.plan.checks.iter().enumerate() {
+            if !self.plan.has_check(at) {
+                continue;
+            }
             match &check.holds {
                 Holds::Always(terms) => {
                     if !is(&self.floor, terms) {
@@ -414,6 +418,11 @@ impl Course {
 
     pub fn is_up(&self, task: usize) -> bool {
         self.floor.stations[self.floor.station_of(task)].up
+    }
+
+    /// Whether a node may start again. One outside the part that is searched never does.
+    pub fn is_down(&self, node: usize) -> bool {
+        !self.floor.stations[node].up && self.plan.has_node(node)
     }
 
     pub fn crash_node(&self, number: u8) -> usize {

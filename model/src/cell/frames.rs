@@ -1,6 +1,7 @@
 //! The way to a finding as monitors see nodes: after each step the state of every node, and what was observed at it.
 
 use super::course::{CellMove, Course};
+use super::parts;
 use super::plan::{CellFaults, CellPlan};
 use super::story::{self, Note, Step, Walked};
 use super::verdict::{Finding, Phase};
@@ -55,6 +56,8 @@ pub struct Scene {
 pub fn scenes(plan: &Arc<CellPlan>, finding: &Finding) -> Vec<Scene> {
     let plan = &super::outside::with_programs(plan);
     let plan = &super::search::timed(plan, finding.times);
+    let part = finding.part.and_then(|number| parts::parts(plan).into_iter().nth(number));
+    let plan = &parts::only(plan, part.as_ref());
     let faults = match finding.phase {
         Phase::FaultFree => CellFaults::default(),
         Phase::Faults => plan.faults.get(finding.hypothesis).cloned().unwrap_or_default(),
@@ -113,7 +116,7 @@ fn nodes(course: &Course, log: &[Effect], dropped: &[[u64; Reason::ALL.len()]]) 
         };
         NodeFrame {
             life: station.life,
-            snapshot: station.up.then(|| snapshot(course, i, dropped[i])),
+            snapshot: (station.up || !course.plan.has_node(i)).then(|| snapshot(course, i, dropped[i])),
             observed: log.iter().filter_map(here).collect(),
         }
     };

@@ -6,13 +6,16 @@
 //!   as searched   load(store) --move--> the same turns, the same next moves, the same bytes, and kept by the search
 //! ```
 //!
+//! Where a cell has independent parts, the searches of the parts, too, must have found and reached what a walk does.
+//!
 //! What the search says of a cell is only as good as its packed states: what they leave out must be of no account to any
 //! program, and what a reduction leaves out must show nothing new. Here both are asked for at every step.
 
 use super::course::{CellMove, Course};
 use super::follow::plain;
-use super::judge::{Shown, deadlock};
+use super::judge::{Reached, Shown, deadlock};
 use super::outside::with_programs;
+use super::parts::{only, parts};
 use super::plan::{CellFaults, CellPlan, Times};
 use super::search::{Kept, explore_and_keep, timed};
 use super::seen::Mark;
@@ -90,12 +93,50 @@ pub fn compare_with_walks(
             agreement.findings += 1;
             shows(&plan, phase, &faults, finding)?;
         }
+        let apart = search_apart(&plan, phase, &faults)?;
         for _ in 0..effort.walks {
-            let walk = Walk::new(&plan, phase, &faults, &kept);
+            let walk = Walk::new(&plan, phase, &faults, (&kept, apart.as_ref()));
             walk.go(effort.length, draw, &mut agreement)?;
         }
     }
     Ok(agreement)
+}
+
+/// What the searches of all parts found and reached.
+struct Apart {
+    hits: Vec<Shown>,
+    reached: Reached,
+}
+
+/// Searches the parts of a cell. None where it has one only, where they do not stand for all of it, and where one of them
+/// is too large.
+fn search_apart(
+    plan: &Arc<CellPlan>,
+    phase: Phase,
+    faults: &CellFaults,
+) -> Result<Option<Apart>, Disagreement> {
+    let mut apart: Option<Apart> = None;
+    if plan.times == Times::Between || faults.drift > 0 {
+        return Ok(None);
+    }
+    for part in parts(plan) {
+        let plan = only(plan, Some(&part));
+        let kept = explore_and_keep(&plan, phase, faults);
+        if !kept.complete {
+            return Ok(None);
+        }
+        for finding in kept.findings.iter().filter(|finding| !finding.moves.is_empty()) {
+            shows(&plan, phase, faults, finding)?;
+        }
+        apart = Some(match apart {
+            None => Apart { hits: kept.hits, reached: kept.reached },
+            Some(Apart { mut hits, reached }) => {
+                hits.extend(kept.hits);
+                Apart { hits, reached: reached.join(kept.reached) }
+            }
+        });
+    }
+    Ok(apart)
 }
 
 /// A finding's way, walked without packing, ends in what the finding says.
@@ -129,6 +170,7 @@ struct Walk<'a> {
     own: Unpacked,
     twin: Unpacked,
     kept: &'a Kept,
+    apart: Option<&'a Apart>,
     moves: Vec<CellMove>,
     /// A new life began farther behind the others' rounds than packed states tell apart: they do the same, with other rounds.
     far: bool,
@@ -137,14 +179,19 @@ struct Walk<'a> {
 }
 
 impl<'a> Walk<'a> {
-    fn new(plan: &Arc<CellPlan>, phase: Phase, faults: &CellFaults, kept: &'a Kept) -> Self {
+    fn new(
+        plan: &Arc<CellPlan>,
+        phase: Phase,
+        faults: &CellFaults,
+        (kept, apart): (&'a Kept, Option<&'a Apart>),
+    ) -> Self {
         // A lost packet that nobody would have noticed is left out of the search. What is kept for it may do more: where a cut
         // is unused all that an open one allows, and where a packet came to a node that is down, start that node.
         let doubles = faults.dup > 0 || faults.reorder > 0;
         let takes = faults.loss > 0 || !faults.cut.is_empty();
         let unlisted = !faults.cut.is_empty() && doubles || takes && !faults.crash.is_empty();
         let own = Unpacked::new(plan, phase, faults);
-        Self { twin: own.clone(), own, kept, moves: Vec::new(), far: false, unlisted }
+        Self { twin: own.clone(), own, kept, apart, moves: Vec::new(), far: false, unlisted }
     }
 
     fn go(
@@ -202,8 +249,10 @@ impl<'a> Walk<'a> {
             let what = format!("shows {shown:?}, from the packed state {others:?}");
             return Err(Disagreement { what, moves: self.moves.clone() });
         }
-        let is_found = |shown: &Shown| self.kept.hits.iter().any(|hit| hit.is_same(shown));
-        match shown.iter().find(|shown| self.kept.complete && !is_found(shown)) {
+        let is_in = |hits: &[Shown], shown: &Shown| hits.iter().any(|hit| hit.is_same(shown));
+        let is_found = |shown: &Shown| !self.kept.complete || is_in(&self.kept.hits, shown);
+        let is_found_apart = |shown: &Shown| self.apart.is_none_or(|apart| is_in(&apart.hits, shown));
+        match shown.iter().find(|shown| !is_found(shown) || !is_found_apart(shown)) {
             Some(shown) => {
                 let what = format!("the search has not found {:?}: {}", shown.kind, shown.cause);
                 Err(Disagreement { what, moves: self.moves.clone() })
@@ -214,13 +263,13 @@ impl<'a> Walk<'a> {
 
     /// Whatever was reached the search has reached, too.
     fn end(self) -> Result<(), Disagreement> {
-        if !self.kept.complete {
-            return Ok(());
-        }
-        let all = self.own.reached.statements.iter().zip(&self.kept.reached.statements).enumerate();
-        for (task, (own, searched)) in all {
-            if let Some(at) = own.iter().zip(searched).position(|(own, searched)| *own && !searched) {
-                return self.differs(format!("the search has not reached operation {at} of task {task}"));
+        let whole = self.kept.complete.then_some(&self.kept.reached);
+        for searched in whole.into_iter().chain(self.apart.map(|apart| &apart.reached)) {
+            let all = self.own.reached.statements.iter().zip(&searched.statements).enumerate();
+            for (task, (own, searched)) in all {
+                if let Some(at) = own.iter().zip(searched).position(|(own, searched)| *own && !searched) {
+                    return self.differs(format!("the search has not reached operation {at} of task {task}"));
+                }
             }
         }
         Ok(())

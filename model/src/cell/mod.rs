@@ -24,6 +24,9 @@
 //! - A task outside the cell chooses among all uses of its ports, or none, once in its period; what it says is one of a few
 //!   values: zero, one and constants of the other tasks ([`Verdicts::outside`]).
 //!
+//! Tasks that share no port, node, link, couple or check are in independent parts (`parts`), each searched by itself. With
+//! [`Times::Between`], and when a node that is down starts again, what happens "in the cell" is what happens in the part.
+//!
 //! A request that ends by its time_out without a fault is starvation where it was put off more often than aging allows.
 //! Where all tasks go on for ever and nothing comes further any more, that is a warning (`standstill`). Not looked at: a task that
 //! goes on for ever without coming further while another one does come further.
@@ -41,6 +44,7 @@ mod legend;
 mod liveness;
 mod moves;
 mod outside;
+mod parts;
 mod plan;
 mod search;
 mod seen;
@@ -61,10 +65,10 @@ pub use follow::{
 pub use frames::{NodeFrame, Scene, Shows, scenes};
 pub use guard::{Agreement, Disagreement, Effort, compare_with_walks};
 pub use legend::Legend;
+pub use parts::drawn;
 pub use plan::{Budget, CellCheck, CellFaults, CellPlan, Conduct, Holds, Times};
 pub use search::check_cell;
 pub use simulate::{Chooser, Ended, Fault, Found, MOST_FAULTS, Schedule, Shrunk, Simulated, Simulator, Tape};
-pub use story::{Note, Step, TaskView, lanes};
-pub(crate) use svg::draw_notes;
+pub use story::{Note, Step, TaskView};
 pub use svg::svg;
 pub use verdict::{Concerned, Coverage, Finding, Kind, Phase, Refused, Verdicts};

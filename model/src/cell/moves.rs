@@ -32,7 +32,7 @@ impl Course {
         }
         let next = self.next_event();
         let now = |i: usize| self.plan.everything || next.is_none() || self.beside.acted & bit(i) != 0;
-        let down = (0..self.floor.stations.len()).filter(|&i| !self.floor.stations[i].up && now(i));
+        let down = (0..self.floor.stations.len()).filter(|&i| self.is_down(i) && now(i));
         moves.extend(down.map(|i| CellMove::Restart(small(i))));
         if next.is_none() {
             return;

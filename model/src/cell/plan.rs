@@ -1,6 +1,7 @@
 //! What of a cell is checked, and within which bounds.
 
 use super::legend::Legend;
+use super::parts::Part;
 use imrs_protocol::script::{Op, Program, Term};
 use imrs_protocol::{CellTable, NodeId, Rate, Ticks};
 use serde::{Deserialize, Serialize};
@@ -72,12 +73,12 @@ pub struct CellCheck {
     pub holds: Holds,
 }
 
-/// How much the search may use; what ends it first is told.
+/// How much the search may use, in each phase for each independent part of the cell; what ends it first is told.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct Budget {
-    /// States kept, in each phase.
+    /// States kept.
     pub states: u64,
-    /// Seconds, in each phase.
+    /// Seconds.
     pub seconds: f64,
     /// Resident memory of the whole process, in bytes.
     pub bytes: u64,
@@ -99,7 +100,7 @@ pub enum Times {
     Auto,
     /// Actions at their least or most time, packets at their bound.
     Ends,
-    /// At both ends, or right after anything that happens between them.
+    /// At both ends, or right after anything that happens between them in the same independent part of the cell.
     Between,
     /// At every tick from the one to the other, or every [`CellPlan::step`] of them.
     Every,
@@ -130,7 +131,7 @@ pub struct CellPlan {
     /// Of how many ticks [`Times::Every`] takes one: counted back from the most time.
     pub step: u32,
     /// Whether to do without reductions, to check that they change no finding: also faults that nobody can notice, states
-    /// that others cover, variables that nobody reads any more, and restarts at every event.
+    /// that others cover, variables that nobody reads any more, restarts at every event, and independent parts together.
     pub everything: bool,
     /// How many packets a node's transit buffer holds.
     pub transit: u16,
@@ -138,6 +139,8 @@ pub struct CellPlan {
     pub jobs: usize,
     /// What charts say besides: it changes no verdict.
     pub legend: Legend,
+    /// What of the cell is searched; none: all of it.
+    pub(super) part: Option<Part>,
 }
 
 impl CellPlan {
@@ -156,6 +159,7 @@ impl CellPlan {
             transit: 16,
             jobs: 1,
             legend: Legend::default(),
+            part: None,
         }
     }
 
@@ -167,6 +171,7 @@ impl CellPlan {
             }
             Conduct::Extern(_) => true,
         };
-        self.tasks.iter().all(exact) && self.table.cell().links.iter().all(|link| link.delay.0 <= 1)
+        self.tasks.iter().enumerate().all(|(task, conduct)| !self.has_task(task) || exact(conduct))
+            && self.table.cell().links.iter().all(|link| !self.has_node(link.a.index()) || link.delay.0 <= 1)
     }
 }

@@ -7,6 +7,7 @@ use super::context;
 use super::course::{CellMove, Course};
 use super::judge::{self, Reached, Shown};
 use super::outside::{says_something, tried, with_programs};
+use super::parts::{look_at_each, parts};
 use super::plan::{CellFaults, CellPlan, Conduct, Holds, Times};
 use super::seen::Seen;
 use super::standstill::{self, Ways};
@@ -64,12 +65,13 @@ pub(super) fn explore_and_keep(plan: &Arc<CellPlan>, phase: Phase, faults: &Cell
 }
 
 /// What a phase comes to.
-struct Done {
-    coverage: Coverage,
-    findings: Vec<Finding>,
-    standstill: Option<Finding>,
-    reached: Reached,
-    mattered: Vec<bool>,
+pub(super) struct Done {
+    pub coverage: Coverage,
+    pub findings: Vec<Finding>,
+    pub standstills: Vec<Finding>,
+    pub reached: Reached,
+    /// For each check, whether what makes it matter was ever seen.
+    pub mattered: Vec<bool>,
 }
 
 /// Checks a cell: first without faults, which says what takes no fault to go wrong, then with those declared.
@@ -80,9 +82,12 @@ pub fn check_cell(plan: &Arc<CellPlan>) -> Verdicts {
     if let Some(refused) = refused(plan) {
         return Verdicts { refused: Some(refused), ..Verdicts::default() };
     }
-    let mut done = vec![look(plan, (Phase::FaultFree, 0), &CellFaults::default())];
+    let (parts, none) = (parts(plan), CellFaults::default());
+    let plain = look_at_each(plan, &parts, &none, None, |plan| look(plan, (Phase::FaultFree, 0), &none));
+    let mut done = vec![plain];
     for (hypothesis, faults) in plan.faults.iter().enumerate().filter(|(_, faults)| !faults.are_none()) {
-        done.push(look(plan, (Phase::Faults, hypothesis), faults));
+        let search = |plan: &Arc<CellPlan>| look(plan, (Phase::Faults, hypothesis), faults);
+        done.push(look_at_each(plan, &parts, faults, Some(&done[0]), search));
     }
     conclude(plan, done, outside)
 }
@@ -184,10 +189,11 @@ fn search(plan: &Arc<CellPlan>, (phase, hypothesis): (Phase, usize), faults: &Ce
     let tell = |hit: &Hit| search.tell(plan, (phase, hypothesis), faults, hit);
     let findings: Vec<Finding> = search.hits.iter().map(tell).collect();
     let still = if ended_by.is_none() { search.ways.first_still(&search.cores) } else { None };
-    let standstill = still.and_then(|at| {
+    let told = still.and_then(|at| {
         let moves = search.path(plan, faults, search.origins[at]);
         standstill::tell(plan, (phase, hypothesis), faults, moves)
     });
+    let standstills = Vec::from_iter(told);
     let depth = search.origins.iter().map(|origin| u64::from(origin.depth)).max().unwrap_or(0);
     let depth_of = |&(at, _): &Queued| search.origins.get(at as usize).map(|origin| origin.depth);
     let left = search.queue.iter().filter_map(depth_of).chain(search.batch).min();
@@ -195,6 +201,7 @@ fn search(plan: &Arc<CellPlan>, (phase, hypothesis): (Phase, usize), faults: &Ce
         phase,
         hypothesis,
         times: plan.times,
+        parts: 1,
         states: search.origins.len() as u64,
         moves: search.moves,
         depth,
@@ -211,7 +218,7 @@ fn search(plan: &Arc<CellPlan>, (phase, hypothesis): (Phase, usize), faults: &Ce
         mattered.iter_mut().zip(walker.mattered()).for_each(|(all, one)| *all |= one);
     }
     let reached = walkers.into_iter().map(|walker| walker.reached).reduce(Reached::join).unwrap_or_default();
-    (search, Done { coverage, findings, standstill, reached, mattered })
+    (search, Done { coverage, findings, standstills, reached, mattered })
 }
 
 impl Search {
@@ -348,6 +355,7 @@ pub(super) fn finding(
         phase,
         hypothesis,
         times: plan.times,
+        part: plan.part.as_ref().map(|part| part.number),
         task: task.map(TaskId::from_index),
         also: Vec::new(),
         address,
@@ -409,9 +417,10 @@ fn conclude(plan: &Arc<CellPlan>, done: Vec<Done>, outside: Vec<i64>) -> Verdict
             let mut known = verdicts.warnings.iter();
             known.any(|known| (known.task, known.address) == (new.task, new.address))
         };
-        verdicts.warnings.extend(done.standstill.filter(|new| !is_known(new)));
+        let new: Vec<Finding> = done.standstills.into_iter().filter(|new| !is_known(new)).collect();
+        verdicts.warnings.extend(new);
         for finding in done.findings {
-            let key = |f: &Finding| (f.kind, f.task, f.address, f.check);
+            let key = |f: &Finding| (f.kind, f.task, f.address, f.check, f.couple);
             if !verdicts.findings.iter().any(|other| key(other) == key(&finding)) {
                 verdicts.findings.push(finding);
             }
@@ -440,6 +449,7 @@ fn bare(kind: Kind, place: Option<(TaskId, Address)>, check: Option<usize>, caus
         phase: Phase::FaultFree,
         hypothesis: 0,
         times: Times::Ends,
+        part: None,
         task: place.map(|(task, _)| task),
         also: Vec::new(),
         address: place.map(|(_, at)| at),

@@ -4,6 +4,7 @@ use super::context::{Origin, context};
 use super::course::{CellMove, Course};
 use super::judge::{Shown, name, position, statement};
 use super::legend::Reader;
+use super::parts;
 use super::plan::{CellFaults, CellPlan, Conduct};
 use super::verdict::Concerned;
 pub use crate::chart::Note;
@@ -58,12 +59,6 @@ pub(super) struct Told {
     pub others: Vec<Concerned>,
 }
 
-/// The names of the lanes of a chart: the tasks, and the nodes that only relay.
-#[must_use]
-pub fn lanes(plan: &CellPlan) -> Vec<String> {
-    Lanes::of(&plan.table).names
-}
-
 /// Walks a way again with everything kept.
 pub(super) fn tell(plan: &Arc<CellPlan>, faults: &CellFaults, moves: &[CellMove], shown: &Shown) -> Told {
     let mut steps = Vec::new();
@@ -74,7 +69,8 @@ pub(super) fn tell(plan: &Arc<CellPlan>, faults: &CellFaults, moves: &[CellMove]
     });
     let (mut cause, others) = context(&course, shown, &begun);
     cause.push_str(&origin.words(&course));
-    let drawn = chart(pen.names(), &pen.notes, &cause, Folding::Repeats);
+    let (names, notes) = parts::within(plan, plan.part.as_ref(), pen.notes);
+    let drawn = chart(&names, &notes, &cause, Folding::Repeats);
     Told { steps, chart: shorten(&drawn), ticks: course.passed, cause, others }
 }
 
@@ -274,7 +270,8 @@ fn ends(course: &Course, turns: &[ScriptTurn], pen: &mut Pen, tick: u32, reader:
 
 pub(super) fn view(course: &Course, task: usize) -> TaskView {
     let plan = &course.plan;
-    let up = course.is_up(task);
+    let outside = !plan.has_task(task);
+    let up = course.is_up(task) || outside;
     let at = position(course, task);
     let station = &course.floor.stations[course.floor.station_of(task)];
     let machine = station.node.task(TaskId::from_index(task)).filter(|_| up);
@@ -288,6 +285,7 @@ pub(super) fn view(course: &Course, task: usize) -> TaskView {
         Conduct::Extern(_) => name(&plan.table, task).into(),
     };
     let does = match course.activity(task) {
+        _ if outside => "is not looked at: it is in another part of the cell".into(),
         _ if !up => "is down".into(),
         None | Some(Activity::NotBegun) => "has not begun".into(),
         Some(Activity::Waits) => format!("waits: {}", what(at)),

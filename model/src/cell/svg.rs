@@ -1,6 +1,6 @@
 //! The way to a finding as a drawing.
 
-use super::story::{Note, Step};
+use super::story::Note;
 use std::fmt::Write;
 
 /// Columns of the drawing for a lane, at least and at most.
@@ -12,18 +12,9 @@ const LINE: usize = 18;
 const TICKS: usize = 60;
 const LINES: usize = 50;
 
-/// Draws the steps of a finding: one lane for each name. Colours are those of the page around it.
+/// Draws lines of a chart: one lane for each name. Colours are those of the page around it.
 #[must_use]
-pub fn svg(names: &[String], steps: &[Step], cause: &str) -> String {
-    draw_notes(names, steps.iter().flat_map(|step| &step.notes), cause)
-}
-
-/// Draws lines of a chart.
-pub(crate) fn draw_notes<'a>(
-    names: &[String],
-    notes: impl IntoIterator<Item = &'a Note>,
-    cause: &str,
-) -> String {
+pub fn svg<'a>(names: &[String], notes: impl IntoIterator<Item = &'a Note>, cause: &str) -> String {
     let notes: Vec<&Note> = notes.into_iter().collect();
     let lane = lane_width(&notes);
     let has_lines = notes.iter().any(|note| note.line().is_some());

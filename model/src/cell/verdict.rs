@@ -97,6 +97,9 @@ pub struct Finding {
     pub hypothesis: usize,
     /// At which times it was found.
     pub times: Times,
+    /// In which independent part of the cell it was found; none: the cell was searched as a whole.
+    #[serde(default)]
+    pub part: Option<usize>,
     /// Whose it is.
     pub task: Option<TaskId>,
     /// The tasks with the same statements that have the same finding at theirs.
@@ -129,8 +132,11 @@ pub struct Coverage {
     pub phase: Phase,
     /// With faults, which of the plan's hypotheses.
     pub hypothesis: usize,
-    /// At which times: never [`Times::Auto`].
+    /// At which times: never [`Times::Auto`]. Where parts were searched at different ones, the coarsest.
     pub times: Times,
+    /// How many independent parts were searched, each by itself. What follows counts all of them.
+    #[serde(default = "one")]
+    pub parts: u32,
     /// Different states kept; between two of them only one thing can happen.
     pub states: u64,
     /// Moves made.
@@ -153,6 +159,10 @@ pub struct Coverage {
     pub seconds: f64,
 }
 
+const fn one() -> u32 {
+    1
+}
+
 /// Why a cell is not checked.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Refused {
@@ -171,7 +181,8 @@ pub struct Verdicts {
     pub refused: Option<Refused>,
     /// What is wrong, in the order of [`Kind`].
     pub findings: Vec<Finding>,
-    /// What may well be meant: tasks that go on for ever without coming further, one for each phase that was searched to its end.
+    /// What may well be meant: tasks that go on for ever without coming further, one for each phase, and in
+    /// it for each independent part, that was searched to its end.
     #[serde(default)]
     pub warnings: Vec<Finding>,
     /// What was looked at.

@@ -101,10 +101,10 @@ impl Floor {
                 out.push(byte(from_first.clamp(0, i32::from(super::FAR_BEHIND)))?);
             }
         }
-        for i in 0..self.stations.len() {
+        for i in (0..self.stations.len()).filter(|&i| !self.plan.leaves_out(i)) {
             self.store_station(i, &bases, &mut out)?;
         }
-        for i in 0..self.bodies.len() {
+        for i in (0..self.bodies.len()).filter(|&i| !self.leaves_out(i)) {
             self.store_body(i, &bases, &mut out)?;
         }
         self.store_ghosts(&bases, &mut out)?;

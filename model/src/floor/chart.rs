@@ -109,6 +109,15 @@ impl Lanes {
         own.or(self.relays[node.index()]).or(here.first().copied()).unwrap_or(0)
     }
 
+    /// The lanes of some nodes: those of their tasks, and those of relays.
+    pub fn on_nodes(&self, is: impl Fn(usize) -> bool) -> Vec<usize> {
+        let nodes = (0..self.tasks_on.len()).filter(|&node| is(node));
+        let mut all: Vec<usize> =
+            nodes.flat_map(|node| self.tasks_on[node].iter().copied().chain(self.relays[node])).collect();
+        all.sort_unstable();
+        all
+    }
+
     pub fn on_node(&self, node: u8) -> usize {
         self.lane(NodeId(u16::from(node)), TaskId(u16::MAX))
     }

@@ -174,7 +174,8 @@ impl Floor {
     /// A floor whose scripts are judged by somebody else, and go on after an end.
     pub(crate) fn of_cell(plan: &Arc<FloorPlan>) -> Self {
         let mut floor = Self::waiting(plan);
-        let begun = (0..floor.bodies.len()).try_for_each(|task| floor.begin(task));
+        let tasks = (0..floor.bodies.len()).filter(|&task| !floor.leaves_out(task)).collect::<Vec<_>>();
+        let begun = tasks.into_iter().try_for_each(|task| floor.begin(task));
         floor.violation = begun.err();
         floor
     }
@@ -208,7 +209,7 @@ impl Floor {
         let station = |i: usize| {
             let table = plan.table(NodeId::from_index(i));
             let node = Node::new(table.clone(), first, false, plan.transit);
-            Station { node, table, up: true, life: first, known: vec![first; n], owed: 0 }
+            Station { node, table, up: !plan.leaves_out(i), life: first, known: vec![first; n], owed: 0 }
         };
         let mut floor = Self {
             stations: (0..n).map(station).collect(),
@@ -257,6 +258,11 @@ impl Floor {
 
     pub fn station_of(&self, task: usize) -> usize {
         self.plan.cell.location(TaskId::from_index(task)).map_or(0, NodeId::index)
+    }
+
+    /// Whether a task is on a node that is left out.
+    fn leaves_out(&self, task: usize) -> bool {
+        self.plan.left_out != 0 && self.plan.leaves_out(self.station_of(task))
     }
 
     /// Carries a move out. What a watch finds wrong becomes the state's violation.

@@ -276,6 +276,8 @@ pub struct FloorPlan {
     /// The epoch that couples and their actuators begin at: even. A node that starts again begins where the machine lets
     /// it.
     pub epoch: u8,
+    /// Nodes, bit by bit, that are left out: they are down for ever, and nothing of them or of their tasks is packed.
+    pub(crate) left_out: u64,
 }
 
 impl FloorPlan {
@@ -298,6 +300,7 @@ impl FloorPlan {
             jumps: true,
             clocks,
             epoch: 0,
+            left_out: 0,
         }
     }
 
@@ -318,6 +321,11 @@ impl FloorPlan {
     #[must_use]
     pub fn nodes(&self) -> usize {
         self.cell.cell().nodes.len()
+    }
+
+    /// Whether a node is left out.
+    pub(crate) const fn leaves_out(&self, node: usize) -> bool {
+        self.left_out != 0 && node < 64 && self.left_out >> node & 1 == 1
     }
 
     /// The name of a task.

@@ -73,9 +73,14 @@ impl Floor {
             self.behind.iter_mut().for_each(|behind| *behind = eye.byte());
         }
         for i in 0..self.stations.len() {
-            self.load_station(i, &mut eye);
+            if !self.plan.leaves_out(i) {
+                self.load_station(i, &mut eye);
+            }
         }
         for i in 0..self.bodies.len() {
+            if self.leaves_out(i) {
+                continue;
+            }
             let body = &mut self.bodies[i];
             let named = self.turns.is_some();
             load_body(body, (self.plan.waits().is_some(), self.plan.lives(), named), &mut eye);

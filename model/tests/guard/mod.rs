@@ -59,14 +59,19 @@ fn tape(seed: u64) -> Vec<u8> {
 }
 
 /// Whether the compiler takes a cell.
-fn is_sound(text: &str) -> bool {
+pub fn is_sound(text: &str) -> bool {
     let source = Source::new(text.as_bytes()).expect("text");
     compile(&source).lower(Unit::Ticks).is_some()
 }
 
+/// What the random cell of this seed says, whether the compiler takes it or not.
+pub fn random_text(seed: u64) -> String {
+    cells::cell(&tape(seed))
+}
+
 /// The random cell of this seed; none where the compiler turns it down.
 pub fn random_cell(seed: u64) -> Option<Text> {
-    let text = cells::cell(&tape(seed));
+    let text = random_text(seed);
     is_sound(&text).then(|| Text::new(&text))
 }
 

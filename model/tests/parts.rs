@@ -1,0 +1,285 @@
+//! Independent parts of a cell, each searched by itself, against the same cells searched as a whole.
+
+use crate::cells::{Text, within};
+use crate::guard::{is_sound, number, random_text};
+use imrs_model::cell::{Finding, Kind, Phase, Times, Verdicts, drawn, scenes};
+use imrs_protocol::TaskId;
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
+/// A line: a feeder puts parts on a belt, through a relay. All names end with its letter. The feeder does not
+/// think of a lost answer.
+fn line(of: char) -> String {
+    format!(
+        "node f{of}; node r{of}; node b{of};\nlink f{of} -- r{of} delay 1 msec;\nlink r{of} -- b{of} delay 1 msec;\n\
+         task feeder_{of} on f{of}\n\
+         port put_{of}() usage = send user_list = {{belt_{of}}} time_out = 20 msec class = 2;\n\
+         var n: int8;\nbegin\n\
+         loop run pick takes 5..9 msec; send put_{of}(); n := n + 1; if n = 3 then exit; end; end;\n\
+         run rest takes 5 msec;\nend feeder_{of};\n\
+         task belt_{of} on b{of}\nuse_port put_{of}() usage = receive;\nvar n: int8;\nbegin\n\
+         loop receive put_{of}(); n := n + 1; reply(); end;\nend belt_{of};\n\
+         check few_{of}: never belt_{of}.n > 3;\n"
+    )
+}
+
+/// Another one: two arms that meet once, or give up.
+const MEETING: &str = "node l; node r;\nlink l -- r delay 1 msec;\n\
+    task left on l\nport lift() usage = waitfor user_list = {right} time_out = 30 msec class = 2;\n\
+    var up: bool;\nbegin\nrun grip takes 1..8 msec; waitfor lift() on time_out do abort \"alone\"; end; up := true;\n\
+    end left;\n\
+    task right on r\nuse_port lift() usage = waitfor;\nvar up: bool;\nbegin\n\
+    waitfor lift() on time_out do abort \"alone\"; end; up := true;\nend right;\n\
+    check together: never left.up and not lift.arrived(right);\n";
+
+const HEAD: &str = "cell lines;\ntick 1 msec;\n";
+
+/// A check that is true in every state, and reads tasks of two parts: so they are one.
+fn joined(text: &str, tasks: &[&str]) -> String {
+    let pairs = tasks.windows(2).enumerate();
+    let checks: Vec<String> = pairs
+        .map(|(at, pair)| {
+            let [one, other] = pair else { return String::new() };
+            format!("check join{at}: always {one}.active or not {one}.active or {other}.active;\n")
+        })
+        .collect();
+    format!("{text}{}", checks.concat())
+}
+
+fn cell(text: &str, times: Times) -> Text {
+    let mut cell = Text::new(text);
+    cell.plan.times = times;
+    cell.plan.budget = within(3_000_000);
+    cell
+}
+
+type Key = (Kind, Phase, Vec<TaskId>, Option<u16>, Option<usize>, Option<usize>);
+
+/// What is found, but for how a task starves: that is told of one way only.
+fn keys(verdicts: &Verdicts) -> BTreeSet<String> {
+    let key = |finding: &Finding| -> Key {
+        let kind = if finding.kind == Kind::Starves { Kind::TimeOut } else { finding.kind };
+        let mut tasks = [finding.task.as_slice(), &finding.also].concat();
+        tasks.sort_unstable();
+        (kind, finding.phase, tasks, finding.address, finding.check, finding.couple)
+    };
+    verdicts.findings.iter().map(|finding| format!("{:?}", key(finding))).collect()
+}
+
+fn states(verdicts: &Verdicts) -> u64 {
+    verdicts.phases.iter().map(|phase| phase.states).sum()
+}
+
+fn parts(verdicts: &Verdicts) -> Vec<u32> {
+    verdicts.phases.iter().map(|phase| phase.parts).collect()
+}
+
+/// Loss, a crash and a cut in turn, in two copies of a line, and beside a third part that is different.
+#[test]
+fn parts_by_themselves_show_what_the_whole_shows() {
+    let lines = format!("{HEAD}{}{}", line('x'), line('y'));
+    let mixed = format!("{HEAD}{}{MEETING}", line('x'));
+    let cases = [
+        (&lines, ["belt_x", "feeder_y"], "faults loss 1;\nfaults crash belt_y;\n"),
+        (&lines, ["belt_x", "feeder_y"], "faults cut fx -- rx;\nfaults fail 1;\n"),
+        (&mixed, ["belt_x", "left"], "faults loss 1;\nfaults crash right;\n"),
+        (&mixed, ["belt_x", "left"], "faults loss 1 crash bx;\nfaults cut l -- r dup 1;\n"),
+    ];
+    let (mut by_parts, mut at_once) = (0, 0);
+    for (text, tasks, faults) in cases {
+        let text = format!("{text}{faults}");
+        for times in [Times::Ends, Times::Every] {
+            let apart = cell(&text, times).check();
+            let whole = cell(&joined(&text, &tasks), times).check();
+            assert!(apart.is_complete() && whole.is_complete(), "{times:?} {text}");
+            assert_eq!((parts(&apart), parts(&whole)), (vec![2; 3], vec![1; 3]));
+            assert_eq!(keys(&apart), keys(&whole), "{text}");
+            assert_eq!(apart.statements, whole.statements, "{text}");
+            assert_eq!(apart.not_exercised, whole.not_exercised, "{text}");
+            assert!(!apart.findings.is_empty(), "each case shows something");
+            println!("{times:?}: {} states, as a whole {}", states(&apart), states(&whole));
+            assert!(states(&apart) < states(&whole));
+            (by_parts, at_once) = (by_parts + states(&apart), at_once + states(&whole));
+        }
+    }
+    assert!(by_parts * 10 < at_once, "{by_parts} states, as a whole {at_once}");
+}
+
+/// Without any reduction the whole is searched at once.
+#[test]
+fn the_plain_form_finds_the_same() {
+    let short = |of: char| line(of).replace("if n = 3", "if n = 2");
+    let text = format!("{HEAD}{}{}faults loss 1;\nfaults crash belt_y;\n", short('x'), short('y'));
+    let mut cell = cell(&text, Times::Ends);
+    let apart = cell.check();
+    cell.plan.everything = true;
+    let whole = cell.check();
+    assert!(apart.is_complete() && whole.is_complete());
+    assert_eq!((parts(&apart), parts(&whole)), (vec![2; 3], vec![1; 3]));
+    assert_eq!(keys(&apart), keys(&whole));
+    assert_eq!(apart.statements, whole.statements);
+    println!("{} states, without reductions {}", states(&apart), states(&whole));
+    assert!(states(&apart) * 5 < states(&whole));
+}
+
+/// What two tasks share makes them one part: a node, a relay, a couple, a check. Without it they are two.
+#[test]
+fn what_is_shared_joins() {
+    let two = format!("{HEAD}{}{}", line('x'), line('y')).replace("n > 3", "n > 1");
+    let relay = two.replace(" node ry;", "").replace("-- ry ", "-- rx ").replace("link ry", "link rx");
+    let node =
+        two.replace("task feeder_y on fy", "task feeder_y on fx").replace("link fy -- ry", "link fx -- ry");
+    let check = joined(&two, &["belt_x", "belt_y"]);
+    let cases = [(&two, 2), (&relay, 1), (&node, 1), (&check, 1)];
+    for (text, expected) in cases {
+        let verdicts = cell(text, Times::Ends).check();
+        assert!(verdicts.is_complete());
+        assert_eq!(parts(&verdicts), [expected], "{text}");
+        let kinds: Vec<(Kind, Vec<TaskId>)> = verdicts
+            .findings
+            .iter()
+            .map(|finding| (finding.kind, [finding.task.as_slice(), &finding.also].concat()))
+            .collect();
+        // Both checks are broken, and nothing ends by its time_out: every packet finds its way.
+        assert_eq!(kinds, [(Kind::Check, Vec::new()), (Kind::Check, Vec::new())], "{text}");
+    }
+}
+
+/// A clock that drifts between two events is at the mercy of all events of the cell.
+#[test]
+fn with_drift_a_cell_is_searched_as_a_whole() {
+    let short = |of: char| line(of).replace("if n = 3", "if n = 1").replace("5..9 msec", "5 msec");
+    let text = format!("{HEAD}{}{}faults drift 1;\n", short('x'), short('y'));
+    let verdicts = cell(&text, Times::Ends).check();
+    assert!(verdicts.is_complete());
+    assert_eq!(parts(&verdicts), [2, 1]);
+}
+
+/// Tasks of one part that wait for each other are found while another part goes on for ever: as a whole it never stops.
+#[test]
+fn a_part_at_its_end_is_seen_beside_one_that_goes_on() {
+    let ring = "node a; node b;\nlink a -- b delay 1 msec;\n\
+        task one on a\nport go() usage = send user_list = {two} time_out = 9 msec class = 1;\n\
+        use_port come() usage = receive;\nbegin\nreceive come(); send go();\nend one;\n\
+        task two on b\nport come() usage = send user_list = {one} time_out = 9 msec class = 1;\n\
+        use_port go() usage = receive;\nbegin\nreceive go(); send come();\nend two;\n\
+        node c;\ntask clock on c\nbegin\nloop delay 10 msec; end;\nend clock;\n";
+    let text = format!("{HEAD}{ring}");
+    let [apart, whole] =
+        [text.clone(), joined(&text, &["one", "clock"])].map(|text| cell(&text, Times::Ends).check());
+    assert_eq!(apart.of(Kind::Deadlock).count(), 1);
+    assert_eq!(whole.of(Kind::Deadlock).count(), 0);
+}
+
+/// Charts have the lanes of the part, and the way replays in it.
+#[test]
+fn a_finding_is_drawn_and_replayed_within_its_part() {
+    let text = format!("{HEAD}{}{}faults loss 1;\n", line('x'), line('y').replace("n > 3", "n > 1"));
+    let cell = cell(&text, Times::Ends);
+    let verdicts = cell.check();
+    let broken = verdicts.of(Kind::Check).next().expect("the belt of the second line holds two");
+    let saved = serde_json::to_string(broken).expect("plain data");
+    let broken: Finding = serde_json::from_str(&saved).expect("what was saved");
+    assert_eq!(broken.part, Some(1));
+    let head = broken.chart.lines().next().expect("a head");
+    let names: Vec<&str> =
+        head.split_whitespace().filter(|word| word.ends_with("_x") || word.ends_with("_y")).collect();
+    assert_eq!(names, ["feeder_y", "belt_y"], "{}", broken.chart);
+    assert!(!broken.chart.contains("_x"), "{}", broken.chart);
+    let plan = Arc::new(cell.plan.clone());
+    let notes = broken.steps.iter().flat_map(|step| step.notes.clone()).collect();
+    let (names, notes) = drawn(&plan, broken.part, notes);
+    assert_eq!(names, ["feeder_y", "belt_y", "ry"]);
+    assert!(!notes.is_empty());
+    let scenes = scenes(&plan, &broken);
+    assert_eq!(scenes.len(), broken.moves.len() + 1);
+    let last = scenes.last().expect("a scene");
+    assert_eq!(last.tick, broken.at_ticks);
+    // The task of the other part stays as it is, and its node is shown as it began.
+    assert!(scenes.iter().all(|scene| scene.nodes.iter().all(|node| node.snapshot.is_some())));
+    assert!(scenes.iter().all(|scene| scene.tasks[0] == scenes[0].tasks[0]));
+    let counts = |scene: &imrs_model::cell::Scene| scene.tasks[3].variables.clone();
+    assert_ne!(counts(last), counts(&scenes[0]), "the belt has counted");
+}
+
+/// A random cell with other names, without its head.
+fn renamed(text: &str) -> String {
+    let mut out = String::new();
+    let mut word = String::new();
+    for c in text.chars().chain([' ']) {
+        if c.is_alphanumeric() || c == '_' {
+            word.push(c);
+            continue;
+        }
+        let (first, rest) = word.split_at(word.len().min(1));
+        let counted = !rest.is_empty() && rest.bytes().all(|byte| byte.is_ascii_digit());
+        let other = match first {
+            "n" if counted => "k",
+            "p" if counted => "q",
+            "c" if counted => "d",
+            _ => "",
+        };
+        match word.as_str() {
+            "ta" | "tb" | "tc" => out.push_str(&word.replace('t', "u")),
+            "alive" | "crew" => out.push_str(&format!("{word}2")),
+            _ if !other.is_empty() => out.push_str(&format!("{other}{rest}")),
+            _ => out.push_str(&word),
+        }
+        out.push(c);
+        word.clear();
+    }
+    let is_head = |line: &&str| ["cell ", "tick ", "type "].iter().any(|word| line.starts_with(word));
+    out.lines().filter(|line| !is_head(line)).map(|line| format!("{line}\n")).collect()
+}
+
+/// Two random cells beside each other, by parts and joined by a check. `PAIRS` says how many seeds.
+#[test]
+fn random_cells_beside_each_other() {
+    let (mut compared, mut shown, mut whole_seen, mut apart_states, mut whole_states) = (0, 0, 0, 0, 0);
+    for seed in 0..number("PAIRS", 60) {
+        let [one, other] = [random_text(2 * seed + 1), random_text(2 * seed + 2)];
+        let unlike =
+            |text: &str| text.contains("model tick") || text.contains(" at \"") || text.contains("drift");
+        let text = format!("{one}{}", renamed(&other));
+        let whole = joined(&text, &["ta", "ua"]);
+        if unlike(&one) || unlike(&other) || !is_sound(&whole) {
+            continue;
+        }
+        let [apart, whole] = [text, whole].map(|text| {
+            let mut cell = Text::new(&text);
+            cell.plan.times = Times::Ends;
+            cell.plan.budget = within(20_000);
+            (cell.check(), text)
+        });
+        let ((apart, text), (whole, _)) = (apart, whole);
+        if !whole.is_complete() {
+            continue;
+        }
+        // What the whole can look at, its parts can: together they have no more states.
+        assert!(apart.is_complete(), "{text}");
+        compared += 1;
+        shown += usize::from(!apart.findings.is_empty());
+        (apart_states, whole_states) = (apart_states + states(&apart), whole_states + states(&whole));
+        let judged = |verdicts: &Verdicts| {
+            let mut verdicts = verdicts.clone();
+            verdicts.findings.retain(|finding| finding.kind != Kind::Deadlock);
+            keys(&verdicts)
+        };
+        // What ends the ways of one part hides in the whole what comes later in the other.
+        let hidden = whole.phases.iter().any(|phase| phase.pruned);
+        whole_seen += usize::from(!hidden);
+        let [mine, others] = [&apart, &whole].map(judged);
+        assert!(
+            if hidden { mine.is_superset(&others) } else { mine == others },
+            "{mine:?}\n{others:?}\n{text}"
+        );
+        assert!(apart.of(Kind::Deadlock).count() >= whole.of(Kind::Deadlock).count(), "seed {seed}:\n{text}");
+        let mut statements = apart.statements.iter().zip(&whole.statements);
+        assert!(statements.all(|(mine, other)| if hidden { mine >= other } else { mine == other }), "{text}");
+    }
+    println!(
+        "{compared} pairs, {whole_seen} seen whole, {shown} with findings: {apart_states} states, as a whole {whole_states}"
+    );
+    assert!(whole_seen >= 5 && shown >= 2, "{compared} {whole_seen} {shown}");
+    assert!(apart_states * 2 < whole_states, "{apart_states} {whole_states}");
+}
