@@ -19,7 +19,7 @@ const EXCERPT: usize = 48;
 
 /// What no verdict on a cell says anything about.
 pub(super) const NOT_LOOKED_FOR: &str =
-    "tasks that go on for ever without coming further while others do come further";
+    "tasks that go on for ever without coming further while others of their part do come further";
 
 /// What there is to tell.
 pub(super) struct Telling<'a> {

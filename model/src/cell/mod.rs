@@ -1,7 +1,9 @@
 //! Checks a whole cell: the scripts of its tasks over the machine, every interleaving within declared faults.
 //!
 //! ```text
-//!   CellPlan --> Course (a Floor whose time jumps from event to event) --> search, without faults and with them
+//!   CellPlan --> independent parts, each a Course (a Floor whose time jumps from event to event)
+//!                                                                           |
+//!                                                                         search, without faults and with them
 //!                                                                           |
 //!   Verdicts: findings, each with the shortest way to it; bounds, sizes, coverage  <--+
 //! ```
@@ -29,7 +31,7 @@
 //!
 //! A request that ends by its time_out without a fault is starvation where it was put off more often than aging allows.
 //! Where all tasks go on for ever and nothing comes further any more, that is a warning (`standstill`). Not looked at: a task that
-//! goes on for ever without coming further while another one does come further.
+//! goes on for ever without coming further while another one of its part does come further.
 
 mod alike;
 mod between;
