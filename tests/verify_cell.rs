@@ -358,7 +358,7 @@ fn independent_parts_are_told_and_replayed_one_by_one() {
     let drawn = std::fs::read_to_string(&picture).expect("a picture");
     assert!(drawn.contains(">loner</text>") && !drawn.contains(">asker</text>"), "{drawn}");
     let shown = run(&["monitor", "--replay", film_name, "--text"]);
-    assert_eq!(shown.code, Some(0), "{shown:?}");
+    assert_eq!(shown.code, Some(1), "{shown:?}");
     assert!(shown.out.contains("loner ASSERTION FAILS"), "{shown:?}");
     assert!(shown.out.contains("is not looked at: it is in another part of the cell"), "{shown:?}");
     let json = run(&["verify", name, "--format", "json"]);
