@@ -342,3 +342,25 @@ fn statements_that_were_not_reached_are_told_to_programs() {
     assert!(lines(&said["not_seen"]).contains(&("asker".to_owned(), 10)), "{said}");
     assert_eq!(lines(&said["not_exercised"]), none, "{said}");
 }
+
+/// A third robot has nothing to do with the pair: it is searched, drawn and saved by itself.
+#[test]
+fn independent_parts_are_told_and_replayed_one_by_one() {
+    let alone = "node n3 at \"10.0.0.3\";\ntask loner on n3\n  var n: int8;\nbegin\n\
+                 run turn takes 3 msec; n := n + 1; assert n < 1;\nend loner;\n";
+    let (folder, path) = cell("7", alone);
+    let name = path.to_str().expect("text");
+    let [picture, film] = ["found.svg", "found.rec"].map(|name| folder.path().join(name));
+    let [picture_name, film_name] = [&picture, &film].map(|path| path.to_str().expect("text"));
+    let answer = run(&["verify", name, "--trace", picture_name, "--save", film_name]);
+    assert_eq!(answer.code, Some(1), "{answer:?}");
+    assert!(answer.out.contains("2 independent parts, each by itself: "), "{answer:?}");
+    let drawn = std::fs::read_to_string(&picture).expect("a picture");
+    assert!(drawn.contains(">loner</text>") && !drawn.contains(">asker</text>"), "{drawn}");
+    let shown = run(&["monitor", "--replay", film_name, "--text"]);
+    assert_eq!(shown.code, Some(1), "{shown:?}");
+    assert!(shown.out.contains("loner ASSERTION FAILS"), "{shown:?}");
+    assert!(shown.out.contains("is not looked at: it is in another part of the cell"), "{shown:?}");
+    let json = run(&["verify", name, "--format", "json"]);
+    assert!(json.out.contains("\"parts\":2"), "{json:?}");
+}

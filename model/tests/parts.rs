@@ -186,7 +186,7 @@ fn a_finding_is_drawn_and_replayed_within_its_part() {
         head.split_whitespace().filter(|word| word.ends_with("_x") || word.ends_with("_y")).collect();
     assert_eq!(names, ["feeder_y", "belt_y"], "{}", broken.chart);
     assert!(!broken.chart.contains("_x"), "{}", broken.chart);
-    let plan = Arc::new(cell.plan.clone());
+    let plan = Arc::new(cell.plan);
     let notes = broken.steps.iter().flat_map(|step| step.notes.clone()).collect();
     let (names, notes) = drawn(&plan, broken.part, notes);
     assert_eq!(names, ["feeder_y", "belt_y", "ry"]);

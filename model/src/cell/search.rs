@@ -420,8 +420,7 @@ fn conclude(plan: &Arc<CellPlan>, done: Vec<Done>, outside: Vec<i64>) -> Verdict
         let new: Vec<Finding> = done.standstills.into_iter().filter(|new| !is_known(new)).collect();
         verdicts.warnings.extend(new);
         for finding in done.findings {
-            let key = |f: &Finding| (f.kind, f.task, f.address, f.check, f.couple);
-            if !verdicts.findings.iter().any(|other| key(other) == key(&finding)) {
+            if !verdicts.findings.iter().any(|other| is_the_same(other, &finding)) {
                 verdicts.findings.push(finding);
             }
         }
@@ -429,6 +428,13 @@ fn conclude(plan: &Arc<CellPlan>, done: Vec<Done>, outside: Vec<i64>) -> Verdict
     verdicts.findings.sort_by_key(|finding| (finding.kind, finding.phase, finding.task, finding.address));
     verdicts.findings = super::alike::told_once(plan, std::mem::take(&mut verdicts.findings));
     verdicts
+}
+
+/// Whether two findings are of the same place, on whatever way.
+fn is_the_same(one: &Finding, other: &Finding) -> bool {
+    let key =
+        |finding: &Finding| (finding.kind, finding.task, finding.address, finding.check, finding.couple);
+    key(one) == key(other)
 }
 
 /// What checks read and what never changed in any state of any phase: `r2.active = false`.
@@ -461,5 +467,18 @@ fn bare(kind: Kind, place: Option<(TaskId, Address)>, check: Option<usize>, caus
         moves: Vec::new(),
         steps: Vec::new(),
         chart: String::new(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn two_couples_with_two_owners_are_two_findings() {
+        let of =
+            |couple| Finding { couple: Some(couple), ..bare(Kind::TwoOwners, None, None, "both act".into()) };
+        assert!(is_the_same(&of(1), &of(1)));
+        assert!(!is_the_same(&of(0), &of(1)));
     }
 }
