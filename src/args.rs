@@ -75,22 +75,23 @@ Examples:
     /// show it. Nothing found proves nothing.
     ///
     /// --plan takes the faults from a file instead, with choices of each seed, or with those that --save kept in it. Times
-    /// are from the start, and packets and actions are counted from 1:
-    ///
-    ///     version = 1
-    ///     [[fault]]
-    ///     lose = 3                   # also: copy, overtake
-    ///     link = "nl -> nr"
-    ///     [[fault]]
-    ///     stop = "nh"                # also: cut = "nl -- nr" with at and lasts
-    ///     at = "120ms"
-    ///     restart_after = "300ms"    # without it the node stays down
-    ///     [[fault]]
-    ///     fail = 2                   # also: drift = "nh" with at and tick = "twice" or "missed"
-    ///     task = "hoist"
+    /// are from the start, and packets and actions are counted from 1.
     #[command(
         verbatim_doc_comment,
         after_help = "\
+A plan:
+  version = 1
+  [[fault]]
+  lose = 3                   # also: copy, overtake
+  link = \"nl -> nr\"
+  [[fault]]
+  stop = \"nh\"                # also: cut = \"nl -- nr\" with at and lasts
+  at = \"120ms\"
+  restart_after = \"300ms\"    # without it the node stays down
+  [[fault]]
+  fail = 2                   # also: drift = \"nh\" with at and tick = \"twice\" or \"missed\"
+  task = \"hoist\"
+
 Examples:
   imrs simulate examples/weld_cell.cell              1000 runs
   imrs simulate cell.cell --seeds 100000 --seed 1    many, the same each time
