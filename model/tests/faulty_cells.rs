@@ -89,7 +89,7 @@ fn comment<'a>(line: &'a str, name: &str) -> Option<&'a str> {
 }
 
 /// The text with its wrong lines put right; `None` where it says nothing about them.
-fn right(text: &str) -> Option<String> {
+pub fn right(text: &str) -> Option<String> {
     let mut lines: Vec<&str> = text.lines().collect();
     let said: Vec<&str> = text.lines().filter_map(|line| comment(line, "right")).collect();
     for said in &said {

@@ -1,6 +1,7 @@
 //! Tasks that go on for ever without coming further: told where nothing can come of it, and nowhere else.
 
 use crate::cells::{Text, within};
+use crate::faulty_cells::right;
 use imrs_model::cell::{CellFaults, CellMove, Kind, Times, Verdicts};
 use imrs_protocol::NodeId;
 
@@ -8,12 +9,7 @@ const ZONES: &str = include_str!("../../examples/faulty/robots_poll_for_each_oth
 
 /// Both take the left zone first: what the file says is right.
 fn in_order() -> String {
-    let mut lines: Vec<&str> = ZONES.lines().collect();
-    for said in ZONES.lines().filter_map(|line| line.strip_prefix("(* right: ")?.strip_suffix(" *)")) {
-        let (number, line) = said.split_once(": ").expect("a line and what it should be");
-        lines[number.parse::<usize>().expect("a number") - 1] = line;
-    }
-    lines.join("\n")
+    right(ZONES).expect("it says what is right")
 }
 
 fn checked(text: &str, change: impl FnOnce(&mut Text)) -> (Text, Verdicts) {

@@ -46,6 +46,31 @@ pub enum CellMove {
     Restart(u8),
 }
 
+impl CellMove {
+    /// Whether something goes wrong.
+    #[must_use]
+    pub const fn is_fault(self) -> bool {
+        match self {
+            Self::Drift(..)
+            | Self::Lose(_)
+            | Self::Duplicate(_)
+            | Self::Cut(..)
+            | Self::Vanish(_)
+            | Self::Acted(_, _, false, _)
+            | Self::Crash(_) => true,
+            Self::Pass
+            | Self::Deliver(_)
+            | Self::Mend(..)
+            | Self::Acted(_, _, true, _)
+            | Self::GoOn(..)
+            | Self::Takes(..)
+            | Self::Stay(_)
+            | Self::Choose(..)
+            | Self::Restart(_) => false,
+        }
+    }
+}
+
 /// What a declared cut of a link is at. An earlier one allows all that a later one does: what is over allows nothing, an
 /// open cut may end before the next packet, and one that is unused may begin with it.
 pub(super) const UNUSED: u8 = 2;

@@ -1,6 +1,6 @@
 //! The way to a finding as monitors see nodes: after each step the state of every node, and what was observed at it.
 
-use super::course::{CellMove, Course};
+use super::course::Course;
 use super::parts;
 use super::plan::{CellFaults, CellPlan};
 use super::story::{self, Note, Step, Walked};
@@ -89,7 +89,9 @@ pub fn scenes(plan: &Arc<CellPlan>, finding: &Finding) -> Vec<Scene> {
         last = tick;
         scenes.push(Scene {
             tick,
-            odd: is_fault(walked) || notes.iter().any(went_wrong) || walked.turns.iter().any(ended_badly),
+            odd: walked.step.is_fault()
+                || notes.iter().any(went_wrong)
+                || walked.turns.iter().any(ended_badly),
             happened,
             tasks,
             nodes: nodes(walked.course, log, &dropped),
@@ -169,28 +171,6 @@ fn happenings(walked: &Walked<'_>, passed: u64) -> Vec<Shows> {
     let ended = ended.iter().map(words);
     let said = Shows::Said;
     came.map(said).chain(began(walked.turns)).chain(ended.chain(left).map(said)).collect()
-}
-
-/// Whether a step is a fault that was declared.
-const fn is_fault(walked: &Walked<'_>) -> bool {
-    match walked.step {
-        CellMove::Drift(..)
-        | CellMove::Lose(_)
-        | CellMove::Duplicate(_)
-        | CellMove::Cut(..)
-        | CellMove::Vanish(_)
-        | CellMove::Acted(_, _, false, _)
-        | CellMove::Crash(_) => true,
-        CellMove::Pass
-        | CellMove::Deliver(_)
-        | CellMove::Mend(..)
-        | CellMove::Acted(_, _, true, _)
-        | CellMove::GoOn(..)
-        | CellMove::Takes(..)
-        | CellMove::Stay(_)
-        | CellMove::Choose(..)
-        | CellMove::Restart(_) => false,
-    }
 }
 
 /// Whether what a chart shows went wrong. A packet's fate that is not to arrive does.

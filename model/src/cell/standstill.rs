@@ -14,7 +14,6 @@ use crate::floor::script::ScriptTurn;
 use imrs_protocol::Signal;
 use imrs_protocol::script::ScriptInput;
 use std::collections::{BTreeSet, HashMap, HashSet};
-use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
 
 /// So many states of a standstill are walked through to tell what repeats in it.
@@ -84,26 +83,9 @@ impl Ways {
     }
 }
 
-/// What goes wrong, or makes good what went wrong.
-pub(super) const fn is_fault(step: CellMove) -> bool {
-    match step {
-        CellMove::Drift(..)
-        | CellMove::Lose(_)
-        | CellMove::Duplicate(_)
-        | CellMove::Cut(..)
-        | CellMove::Vanish(_)
-        | CellMove::Acted(_, _, false, _)
-        | CellMove::Crash(_)
-        | CellMove::Restart(_) => true,
-        CellMove::Pass
-        | CellMove::Deliver(_)
-        | CellMove::Mend(..)
-        | CellMove::Acted(_, _, true, _)
-        | CellMove::GoOn(..)
-        | CellMove::Takes(..)
-        | CellMove::Stay(_)
-        | CellMove::Choose(..) => false,
-    }
+/// Whether a move is a fault, or a restart: a node that stopped may stay down.
+pub(super) const fn is_outside(step: CellMove) -> bool {
+    step.is_fault() || matches!(step, CellMove::Restart(_))
 }
 
 /// Walks through a standstill and says what repeats in it. None where nobody waits for others, where something does come
@@ -132,11 +114,11 @@ pub(super) fn tell(
         course.load(&state);
         all.clear();
         course.moves(&mut all);
-        all.retain(|&step| !is_fault(step));
+        all.retain(|&step| !is_outside(step));
         // The chart shows one round: the first move of each state.
         for (at, &step) in all.iter().enumerate().rev() {
             course.load(&state);
-            if !matches!(catch_unwind(AssertUnwindSafe(|| course.progresses(step))), Ok(false)) {
+            if course.progresses(step) != Some(false) {
                 return None;
             }
             for turn in course.floor.turns.as_mut().map(std::mem::take).unwrap_or_default() {
@@ -187,12 +169,12 @@ const fn is_an_answer(signal: &Signal) -> bool {
 }
 
 impl Course {
-    /// Makes a move and says whether it was progress.
-    pub fn progresses(&mut self, step: CellMove) -> bool {
+    /// Makes a move and says whether it was progress; none where it panics.
+    pub fn progresses(&mut self, step: CellMove) -> Option<bool> {
         let mut before = std::mem::take(&mut self.before);
         before.clear();
         self.live_variables(&mut |value| before.push(value));
-        self.apply(step);
+        let survived = self.survives(step);
         let is_met = |turn: &ScriptTurn| matches!(turn.input, ScriptInput::Signal(Signal::Released { .. }));
         let mut further = matches!(step, CellMove::Acted(_, _, true, _));
         further |= self.floor.turns.iter().flatten().any(is_met);
@@ -202,7 +184,7 @@ impl Course {
             at += 1;
         });
         self.before = before;
-        further
+        survived.then_some(further)
     }
 
     /// The variables of all tasks, one after the other; none for one that nobody reads any more: packing forgets those, so what they

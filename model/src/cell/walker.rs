@@ -3,7 +3,7 @@
 use super::course::{CellMove, Course};
 use super::judge::{Reached, Shown, deadlock, judge, nothing_reached};
 use super::seen::{Mark, Seen};
-use super::standstill::{Ways, is_fault};
+use super::standstill::{Ways, is_outside};
 use super::verdict::{Kind, Phase};
 use crate::state::Violation;
 use std::panic::{AssertUnwindSafe, catch_unwind};
@@ -149,7 +149,7 @@ impl Walker {
         loop {
             origin.steps += u16::from(step.is_some());
             if let Some(step) = step {
-                way.takes_fault |= is_fault(step);
+                way.takes_fault |= is_outside(step);
                 way.further |= self.apply(step);
             }
             if self.look(origin) {
@@ -210,8 +210,7 @@ impl Walker {
     /// Makes a move. Says whether it was progress.
     fn apply(&mut self, step: CellMove) -> bool {
         self.walks.moves += 1;
-        let course = &mut self.course;
-        catch_unwind(AssertUnwindSafe(|| course.progresses(step))).unwrap_or_else(|_| {
+        self.course.progresses(step).unwrap_or_else(|| {
             let mattered = std::mem::take(&mut self.course.mattered);
             self.course = Course::new(&Arc::clone(&self.course.plan), &self.course.faults.clone());
             self.course.mattered = mattered;

@@ -50,18 +50,15 @@ pub fn follow_run(plan: &Arc<CellPlan>, run: &Run) -> Followed {
     let stuck = guide.follow();
     let mut follower = guide.at;
     follower.count_lost();
-    let is_late = follower.was_late(BACK);
-    let tied = stuck
-        .as_ref()
-        .is_ok_and(|stuck| stuck.as_ref().is_some_and(|stuck| follower.is_tied(stuck.task.index())));
+    let unsure = matches!(&stuck, Ok(Some(stuck)) if !stuck.however
+        && (follower.was_late(BACK) || follower.is_tied(stuck.task.index())));
     let mut out = follower.out;
     out.inputs = follower.done.len() as u64;
     out.guessed = follower.guessed;
     out.rounded = follower.roundings.len() as u64;
     match stuck {
         Ok(unexplained) => {
-            let may = |stuck: &Unexplained| !stuck.however && (is_late || tied);
-            out.unsure = unexplained.as_ref().is_some_and(may);
+            out.unsure = unsure;
             out.unexplained = unexplained;
         }
         Err(by) => out.ended_by = Some(by),
