@@ -126,6 +126,15 @@ pub(super) struct Course {
 
 impl Course {
     pub fn new(plan: &Arc<CellPlan>, faults: &CellFaults) -> Self {
+        Self::begun(plan, faults, false)
+    }
+
+    /// For a run that is followed from here on: it is judged by what came before, too.
+    pub fn with_history(plan: &Arc<CellPlan>, faults: &CellFaults) -> Self {
+        Self::begun(plan, faults, true)
+    }
+
+    fn begun(plan: &Arc<CellPlan>, faults: &CellFaults, history: bool) -> Self {
         let tasks = plan.tasks.iter().map(|task| match task {
             Conduct::Program { program, .. } => TaskPlan::scripted(Arc::clone(program)),
             Conduct::Extern(_) => TaskPlan::new(Errand::Rest),
@@ -133,6 +142,7 @@ impl Course {
         let mut floor = FloorPlan::new(Arc::clone(&plan.table), tasks.collect());
         floor.way = Way::Exact;
         floor.keeps_seen = plan.everything;
+        floor.history = history;
         floor.transit = plan.transit;
         floor.left_out = plan.part.as_ref().map_or(0, |part| part.left_out());
         floor.faults = Faults { crash: u8::from(!faults.crash.is_empty()), ..Faults::default() };

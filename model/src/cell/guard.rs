@@ -191,7 +191,8 @@ impl<'a> Walk<'a> {
         let takes = faults.loss > 0 || !faults.cut.is_empty();
         let unlisted = !faults.cut.is_empty() && doubles || takes && !faults.crash.is_empty();
         let own = Unpacked::new(plan, phase, faults);
-        Self { twin: own.clone(), own, kept, apart, moves: Vec::new(), far: false, unlisted }
+        let twin = own.clone().without_history();
+        Self { twin, own, kept, apart, moves: Vec::new(), far: false, unlisted }
     }
 
     fn go(

@@ -18,9 +18,15 @@ pub(super) struct Unpacked {
 impl Unpacked {
     /// The start of a cell.
     pub fn new(plan: &Arc<CellPlan>, phase: Phase, faults: &CellFaults) -> Self {
-        let course = Course::new(plan, faults);
+        let course = Course::with_history(plan, faults);
         let reached = nothing_reached(&course);
         Self { course, reached, phase }
+    }
+
+    /// The same without what came before: to be loaded from packed states.
+    pub fn without_history(mut self) -> Self {
+        self.course.floor.forget_history();
+        self
     }
 
     /// Carries a move out. A panic is a violation of the machine.

@@ -6,6 +6,7 @@
 pub(crate) mod body;
 pub(crate) mod canon;
 pub(crate) mod chart;
+mod history;
 mod judge;
 mod moves;
 mod order;
@@ -22,10 +23,11 @@ pub use search::{FloorModel, LiveFloor, explore_floor};
 
 use crate::state::Violation;
 use body::{Body, Does};
+use history::History;
 use imrs_protocol::script::ScriptInput;
 use imrs_protocol::{
     CommTask, Contents, Incarnation, Node, NodeId, NodeInput, NodeOutbox, NodeTable, Observation, Packet,
-    Request, Round, Seq24, Signal, TaskId, Ticks, invariants,
+    Request, Round, Rules, Seq24, Signal, TaskId, Ticks, invariants,
 };
 use plan::{Errand, FloorPlan};
 use std::collections::VecDeque;
@@ -114,6 +116,8 @@ pub(crate) struct Floor {
     pub behind: Vec<u8>,
     /// What scripts did, where somebody judges it who goes on after a script's end.
     pub turns: Option<Vec<script::ScriptTurn>>,
+    /// What came before, where the run is followed from its start.
+    history: Option<Box<History>>,
 }
 
 /// What a node did in one step, in order.
@@ -174,6 +178,10 @@ impl Floor {
     /// A floor whose scripts are judged by somebody else, and go on after an end.
     pub(crate) fn of_cell(plan: &Arc<FloorPlan>) -> Self {
         let mut floor = Self::waiting(plan);
+        let decided = plan.cell.cell().rules == Rules::default();
+        if plan.history && decided {
+            floor.history = Some(Box::new(History::new(plan, &floor.stations)));
+        }
         let tasks = (0..floor.bodies.len()).filter(|&task| !floor.leaves_out(task)).collect::<Vec<_>>();
         let begun = tasks.into_iter().try_for_each(|task| floor.begin(task));
         floor.violation = begun.err();
@@ -183,6 +191,11 @@ impl Floor {
     /// The same, before any script has begun.
     pub(crate) fn waiting(plan: &Arc<FloorPlan>) -> Self {
         Self { turns: Some(Vec::new()), ..Self::unbegun(plan) }
+    }
+
+    /// To be loaded from packed states, which do not say what came before.
+    pub(crate) fn forget_history(&mut self) {
+        self.history = None;
     }
 
     /// The node of a cell starts again, in its next life, which counts from the beginning.
@@ -229,6 +242,7 @@ impl Floor {
             inputs: VecDeque::new(),
             behind: vec![0; plan.cell.ports().len()],
             turns: None,
+            history: None,
             links,
             plan: Arc::clone(plan),
         };
@@ -406,6 +420,9 @@ impl Floor {
     /// Steps one node, puts what it sent on its links and lets the watches look at what came of it.
     pub(crate) fn step(&mut self, i: usize, input: NodeInput) -> Result<(), Violation> {
         let owed = std::mem::take(&mut self.stations[i].owed);
+        if let Some(history) = &mut self.history {
+            history.begin(i, &input);
+        }
         if owed > 0 {
             self.drive(i, |node, out| node.step(NodeInput::Advance(Ticks(u64::from(owed))), out))?;
         }
@@ -442,6 +459,10 @@ impl Floor {
         effects.iter().for_each(|effect| self.sent(effect));
         let result = effects.iter().try_for_each(|effect| self.follow(i, effect));
         let result = result.and_then(|()| self.judge_step(i, &effects));
+        let result = match &mut self.history {
+            Some(history) => result.and(history.judge(i, &self.stations[i], &effects)),
+            None => result,
+        };
         if self.keep_log {
             self.log.extend(&effects);
         }

@@ -269,6 +269,8 @@ pub struct FloorPlan {
     pub fused: bool,
     /// Whether states keep which messages were taken although no copy of them can come any more.
     pub keeps_seen: bool,
+    /// Whether the floor is followed from its start and never loaded: what came before is judged, too.
+    pub(crate) history: bool,
     /// Whether ticks in which nothing happens and nothing else can are passed over at once.
     pub jumps: bool,
     /// For each node, how far its clock is ahead.
@@ -297,6 +299,7 @@ impl FloorPlan {
             checks: Vec::new(),
             fused: true,
             keeps_seen: true,
+            history: false,
             jumps: true,
             clocks,
             epoch: 0,

@@ -137,6 +137,9 @@ impl Floor {
             task.visit_mut(&mut from);
         }
         self.set_clock(i);
+        if let Some(history) = &mut self.history {
+            history.forget(&self.stations[i]);
+        }
         // A cell's checker holds scripts back, as nodes do (D94).
         if self.turns.is_some() { Ok(()) } else { self.begin_all(i) }
     }

@@ -1,0 +1,398 @@
+//! What one run must obey: each buffer of a task beside a plain list that is written from what the node says of itself.
+//!
+//! A single state does not show these rules, for it does not say what came before: the search cannot judge them. Whoever follows
+//! a run from its start can, as random walks (`cell::guard`) and `imrs simulate` do.
+//!
+//! - A message is handed over at most once, and dropped as a copy only after its first one was taken.
+//! - A GET takes the most urgent message; a full buffer loses the least urgent one.
+//! - Rejections are counted one by one, and of messages at their cap the one that was rejected first goes first.
+//! - Only what is over expires, and the buffer holds what the list holds, in its order.
+
+use super::plan::FloorPlan;
+use super::{Effect, Station};
+use crate::state::Violation;
+use imrs_protocol::{
+    CellTable, Class, CommTask, Event, HeldView, Incarnation, MessageId, NodeInput, Observation, PortId,
+    Reason, Request, ServiceOrder, TaskId, Ticks,
+};
+use std::collections::BTreeSet;
+use std::sync::Arc;
+
+/// How far back a class-1 message may be and still be told from one that was seen.
+const WINDOW: u32 = 64;
+
+/// The plain lists of a floor.
+#[derive(Clone, Debug)]
+pub(crate) struct History {
+    plan: Arc<FloorPlan>,
+    /// What each node's clock has counted since the run began.
+    clocks: Vec<u64>,
+    tasks: Vec<Listed>,
+    /// The packet that is arriving: who sent it, and its id.
+    arriving: Option<(TaskId, MessageId)>,
+    /// Numbers what happens in the order in which it does.
+    events: u64,
+}
+
+/// A task: its order of service, its last GET and its buffers.
+#[derive(Clone, Debug, Default)]
+struct Listed {
+    order: ServiceOrder,
+    /// The order changed in this step: rejections may change with it.
+    reordered: bool,
+    /// The GET of this step: on which port, of which source.
+    get: Option<(Option<PortId>, Option<TaskId>)>,
+    /// Came in and was rejected before it was put into a buffer, and when.
+    rejected: Option<(TaskId, u32, u64)>,
+    buffers: Vec<Buffer>,
+    /// The last handler for a message that began had one at its cap.
+    capped_last: bool,
+}
+
+#[derive(Clone, Debug)]
+struct Buffer {
+    port: PortId,
+    handled: bool,
+    /// How often it was passed over, and how often it may be.
+    bypassed: (u16, u16),
+    waiting: Vec<Waiting>,
+    /// The messages that were taken in, and those that were handed over, of the present incarnation of each source.
+    taken: BTreeSet<(TaskId, u32)>,
+    heard: BTreeSet<(TaskId, u32)>,
+    incarnations: Vec<(TaskId, Incarnation)>,
+}
+
+#[derive(Clone, Copy, Debug)]
+struct Waiting {
+    source: TaskId,
+    number: u32,
+    class: Class,
+    /// On its node's clock, as `not_before`.
+    expires: u64,
+    not_before: u64,
+    arrival: u64,
+    rejections: u8,
+    first_rejected: u64,
+    /// A copy came in this step, or a penalty: both may lengthen its life.
+    prolonged: bool,
+}
+
+impl Waiting {
+    /// The order of service within a port (D14): plainly, as the machine's key says it.
+    const fn urgency(&self) -> (u64, Class, TaskId, u64) {
+        (self.expires, self.class, self.source, self.arrival)
+    }
+
+    fn reject(&mut self, order: &ServiceOrder, port: PortId, event: u64) {
+        if self.rejections == 0 {
+            self.first_rejected = event;
+        }
+        self.rejections = (self.rejections + 1).min(cap(order, port, self.source));
+    }
+}
+
+impl Buffer {
+    fn position(&self, source: TaskId, number: u32) -> Option<usize> {
+        self.waiting.iter().position(|one| (one.source, one.number) == (source, number))
+    }
+
+    /// A message of this incarnation of its source comes: what was known of an earlier one no longer counts.
+    fn enter(&mut self, source: TaskId, incarnation: Incarnation) {
+        match self.incarnations.iter_mut().find(|(task, _)| *task == source) {
+            None => self.incarnations.push((source, incarnation)),
+            Some((_, known)) if *known == incarnation => {}
+            Some((_, known)) => {
+                *known = incarnation;
+                self.taken.retain(|(task, _)| *task != source);
+                self.heard.retain(|(task, _)| *task != source);
+            }
+        }
+    }
+
+    /// Whether the machine may call this message one that it has seen.
+    fn knows(&self, source: TaskId, number: u32, class: Class) -> bool {
+        self.taken.contains(&(source, number))
+            || self.taken.iter().filter(|(task, _)| *task == source).any(|&(_, newer)| match class {
+                Class::Command => newer > number,
+                Class::Status => newer > number + WINDOW,
+            })
+    }
+}
+
+/// How many rejections make a message outrank the task's own thread (D58).
+fn cap(order: &ServiceOrder, port: PortId, source: TaskId) -> u8 {
+    order.rank(port, source).max(1)
+}
+
+fn buffers(table: &CellTable, task: &CommTask) -> Vec<Buffer> {
+    let of_port = |&port: &PortId| {
+        task.queue_view(port, 0).map(|view| Buffer {
+            port,
+            handled: view.handled,
+            bypassed: (0, view.bypass_limit),
+            waiting: Vec::new(),
+            taken: BTreeSet::new(),
+            heard: BTreeSet::new(),
+            incarnations: Vec::new(),
+        })
+    };
+    table.ports_of(task.task()).iter().filter_map(of_port).collect()
+}
+
+impl Listed {
+    /// A GET of this step takes a message that waited: nothing that it asks for is more urgent.
+    fn taken_by_get(&self, at: usize, waits: usize) -> Result<(), Violation> {
+        let Some((port, source)) = self.get else { return Ok(()) };
+        let (buffer, taken) = (&self.buffers[at], &self.buffers[at].waiting[waits]);
+        let of_source = |one: &&Waiting| source.is_none_or(|source| one.source == source);
+        if buffer.waiting.iter().filter(of_source).any(|one| one.urgency() < taken.urgency()) {
+            return Err(Violation::NotMostUrgent);
+        }
+        if port.is_some() || source.is_some() {
+            return Ok(());
+        }
+        // Over all ports: one that was passed over too often, or the one with the most urgent message.
+        let open = || self.buffers.iter().filter(|buffer| !buffer.handled && !buffer.waiting.is_empty());
+        let most = open().map(|buffer| buffer.bypassed.0).max().unwrap_or(0);
+        let wrong = if most >= buffer.bypassed.1 {
+            buffer.bypassed.0 < most
+        } else {
+            let key = |buffer: &Buffer| {
+                let head = buffer.waiting.iter().min_by_key(|one| one.urgency())?;
+                Some((head.expires, head.class, self.order.rank(buffer.port, head.source), buffer.port))
+            };
+            open().any(|other| key(other) < key(buffer))
+        };
+        if wrong { Err(Violation::NotMostUrgent) } else { Ok(()) }
+    }
+
+    /// A message that waited begins its handler: none goes first that was rejected up to its cap earlier, and none of the
+    /// same port that is due and more urgent.
+    fn handler_begins(&mut self, at: usize, waits: usize, now: u64) -> Result<(), Violation> {
+        let is_capped =
+            |buffer: &Buffer, one: &Waiting| one.rejections >= cap(&self.order, buffer.port, one.source);
+        let rank =
+            |port: PortId, one: &Waiting| self.order.rank(port, one.source).saturating_sub(one.rejections);
+        let (buffer, first) = (&self.buffers[at], &self.buffers[at].waiting[waits]);
+        let capped = is_capped(buffer, first);
+        let handled = self.buffers.iter().filter(|other| other.handled);
+        let due = |other: &Buffer| {
+            other.waiting.iter().filter(|one| one.not_before <= now).copied().collect::<Vec<_>>()
+        };
+        let before = handled.flat_map(|other| due(other).into_iter().map(move |one| (other, one))).any(
+            |(other, one)| match (capped, is_capped(other, &one)) {
+                (true, true) => one.first_rejected < first.first_rejected,
+                (false, true) => !self.capped_last && rank(other.port, &one) <= rank(buffer.port, first),
+                (true, false) => false,
+                (false, false) => {
+                    let key = |one: &Waiting| (rank(buffer.port, one), one.urgency());
+                    other.port == buffer.port && key(&one) < key(first)
+                }
+            },
+        );
+        self.capped_last = capped;
+        if before { Err(Violation::NotMostUrgent) } else { Ok(()) }
+    }
+}
+
+impl History {
+    pub fn new(plan: &Arc<FloorPlan>, stations: &[Station]) -> Self {
+        let mut tasks = vec![Listed::default(); plan.tasks.len()];
+        for task in stations.iter().flat_map(|station| &station.node.parts().tasks) {
+            tasks[task.task().index()].buffers = buffers(&plan.cell, task);
+        }
+        let clocks = vec![0; stations.len()];
+        Self { plan: Arc::clone(plan), clocks, tasks, arriving: None, events: 0 }
+    }
+
+    /// A node starts anew: what its tasks knew is gone.
+    pub fn forget(&mut self, station: &Station) {
+        for task in &station.node.parts().tasks {
+            let buffers = buffers(&self.plan.cell, task);
+            self.tasks[task.task().index()] = Listed { buffers, ..Listed::default() };
+        }
+    }
+
+    /// Before a node does this.
+    pub fn begin(&mut self, node: usize, input: &NodeInput) {
+        self.arriving = None;
+        for task in &mut self.tasks {
+            (task.get, task.rejected) = (None, None);
+        }
+        match *input {
+            NodeInput::Advance(ticks) => self.clocks[node] += ticks.0,
+            NodeInput::Packet { packet, .. } => self.arriving = Some((packet.source, packet.id)),
+            NodeInput::Request(task, ref request) => {
+                let listed = &mut self.tasks[task.index()];
+                match *request {
+                    Request::Order(order) => (listed.order, listed.reordered) = (order, true),
+                    Request::Get { port, source, .. } => listed.get = Some((port, source)),
+                    _ => {}
+                }
+            }
+            NodeInput::PeerRestarted(_) => {}
+        }
+    }
+
+    /// After a node did something with these effects.
+    ///
+    /// # Errors
+    /// The rule that it broke.
+    pub fn judge(&mut self, node: usize, station: &Station, effects: &[Effect]) -> Result<(), Violation> {
+        for effect in effects {
+            if let Effect::Seen(_, Some(task), observation) = effect {
+                self.events += 1;
+                self.seen(node, station, *task, observation)?;
+            }
+        }
+        station.node.parts().tasks.iter().try_for_each(|task| self.compare(node, task))
+    }
+
+    fn seen(
+        &mut self,
+        node: usize,
+        station: &Station,
+        task: TaskId,
+        observation: &Observation,
+    ) -> Result<(), Violation> {
+        let &Observation { event, port, peer, number, remaining } = observation;
+        let (now, events) = (self.clocks[node], self.events);
+        let plan = Arc::clone(&self.plan);
+        let arriving = self.arriving.filter(|(source, id)| (*source, id.sequence.get()) == (peer, number));
+        let incarnation = arriving.map_or(station.life, |(_, id)| id.incarnation);
+        let listed = &mut self.tasks[task.index()];
+        let Some(at) = listed.buffers.iter().position(|buffer| buffer.port == port) else { return Ok(()) };
+        let Some(declared) = plan.cell.port(port) else { return Ok(()) };
+        let (class, long) = (declared.decl.class, declared.decl.fragments > 1);
+        let buffer = &mut listed.buffers[at];
+        let waits = buffer.position(peer, number);
+        match event {
+            Event::Enqueued => {
+                buffer.enter(peer, incarnation);
+                if waits.is_some() || buffer.heard.contains(&(peer, number)) {
+                    return Err(Violation::HandedOverTwice);
+                }
+                buffer.taken.insert((peer, number));
+                let mut one = Waiting {
+                    source: peer,
+                    number,
+                    class,
+                    expires: now + remaining.0,
+                    not_before: 0,
+                    arrival: events,
+                    rejections: 0,
+                    first_rejected: 0,
+                    prolonged: true,
+                };
+                if let Some((.., event)) =
+                    listed.rejected.take_if(|(source, of, _)| (*source, *of) == (peer, number))
+                {
+                    one.reject(&listed.order, port, event);
+                }
+                buffer.waiting.push(one);
+            }
+            Event::Rejected => match waits {
+                Some(waits) => buffer.waiting[waits].reject(&listed.order, port, events),
+                None => listed.rejected = Some((peer, number, events)),
+            },
+            Event::Interrupted => {
+                if let Some(waits) = waits {
+                    return listed.handler_begins(at, waits, now);
+                }
+                listed.capped_last = false;
+            }
+            Event::Delivered => {
+                match waits {
+                    Some(waits) if !buffer.handled => listed.taken_by_get(at, waits)?,
+                    Some(_) => {}
+                    None => buffer.enter(peer, incarnation),
+                }
+                let buffer = &mut listed.buffers[at];
+                buffer.waiting.retain(|one| (one.source, one.number) != (peer, number));
+                buffer.taken.insert((peer, number));
+                if remaining == Ticks::ZERO {
+                    return Err(Violation::Stale);
+                }
+                if !buffer.heard.insert((peer, number)) {
+                    return Err(Violation::HandedOverTwice);
+                }
+            }
+            Event::Discarded(Reason::Duplicate) => {
+                let known = buffer.knows(peer, number, class);
+                match waits {
+                    Some(waits) => buffer.waiting[waits].prolonged = true,
+                    None if !known && !long => return Err(Violation::FalseCopy),
+                    None => {}
+                }
+            }
+            Event::Discarded(reason) => {
+                let lost = waits.map(|waits| buffer.waiting.remove(waits));
+                let in_time = lost.is_some_and(|lost| lost.expires > now);
+                match reason {
+                    Reason::Expired if in_time => return Err(Violation::ExpiredEarly),
+                    // A later copy may have more time left: it counts as the first one.
+                    Reason::Expired if class == Class::Command => {
+                        buffer.taken.remove(&(peer, number));
+                    }
+                    Reason::Evicted | Reason::Refused => {
+                        let expires = lost.map_or(now + remaining.0, |lost| lost.expires);
+                        let key = (expires, class, peer, lost.map_or(events, |lost| lost.arrival));
+                        if buffer.waiting.iter().any(|one| one.urgency() > key) {
+                            return Err(Violation::LostMoreUrgent);
+                        }
+                        buffer.enter(peer, incarnation);
+                        buffer.taken.insert((peer, number));
+                    }
+                    Reason::Superseded if lost.is_none() => {
+                        buffer.taken.insert((peer, number));
+                    }
+                    _ => {}
+                }
+            }
+            _ => {}
+        }
+        Ok(())
+    }
+
+    /// The buffers of a task are what its list says, and are taken over as they are.
+    fn compare(&mut self, node: usize, task: &CommTask) -> Result<(), Violation> {
+        let (now, table) = (self.clocks[node], &self.plan.cell);
+        let listed = &mut self.tasks[task.task().index()];
+        let reordered = std::mem::take(&mut listed.reordered);
+        for buffer in &mut listed.buffers {
+            let Some(view) = task.queue_view(buffer.port, usize::MAX) else { continue };
+            let literal = table.port(buffer.port).and_then(|port| port.decl.penalty);
+            let literal = literal.is_some_and(|penalty| penalty.literal);
+            if view.queue.len() != buffer.waiting.len() {
+                return Err(Violation::BufferDiffers);
+            }
+            (buffer.handled, buffer.bypassed.0) = (view.handled, view.bypassed);
+            buffer.bypassed.1 = view.bypass_limit;
+            for held in &view.queue {
+                let (source, number) = (held.entry.source, held.entry.id.sequence.get());
+                let waits = buffer.position(source, number).ok_or(Violation::BufferDiffers)?;
+                let one = &mut buffer.waiting[waits];
+                let expires = now + held.entry.remaining.0;
+                let may_grow = (one.prolonged || literal) && expires >= one.expires;
+                if expires != one.expires && !may_grow {
+                    return Err(Violation::BufferDiffers);
+                }
+                one.expires = expires;
+                one.prolonged = false;
+                one.not_before = now + held.back_off.0;
+                if reordered || literal {
+                    one.rejections = held.rejections;
+                } else if one.rejections != held.rejections {
+                    return Err(Violation::Miscounted);
+                }
+            }
+            if !view
+                .queue
+                .is_sorted_by_key(|held: &HeldView| (now + held.entry.remaining.0, held.entry.class))
+            {
+                return Err(Violation::BufferDiffers);
+            }
+        }
+        Ok(())
+    }
+}
