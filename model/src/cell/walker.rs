@@ -114,12 +114,14 @@ impl Walker {
     }
 
     /// Leaves out what takes a packet away that changes nothing where it arrives: the same happens when it arrives, with
-    /// more of the budget left, and a cut may as well begin with the next packet, or end before it. Says whether the
-    /// course was used.
+    /// more of the budget left, and a cut may as well begin with the next packet, or end before it. An arrival lets what
+    /// waits for an event go on, as no packet that is lost does: where something waits so, a cut may end with it, too. Says
+    /// whether the course was used.
     fn leave_out(&mut self, state: &[u8], moves: &mut Vec<(u16, CellMove)>) -> bool {
         if self.course.plan.everything {
             return false;
         }
+        let waits = !self.course.beside.stays.is_empty() || self.course.beside.slow != 0;
         let mut taken: Vec<u8> = moves.iter().filter_map(|&(_, step)| takes_away(step)).collect();
         taken.dedup();
         for &i in &taken {
@@ -134,7 +136,7 @@ impl Walker {
             let cut = moves.iter().any(|&(_, step)| step == CellMove::Vanish(i));
             moves.retain(|&(_, step)| match step {
                 CellMove::Lose(at) | CellMove::Cut(at, _) => at != i,
-                CellMove::Mend(at, _) => at != i || !cut,
+                CellMove::Mend(at, _) => at != i || !cut || waits,
                 _ => true,
             });
         }

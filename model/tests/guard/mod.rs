@@ -190,3 +190,25 @@ fn random_cells_use_the_whole_language() {
         assert!(alone.is_empty(), "{alone:?}");
     }
 }
+
+/// An action that goes on when a packet arrives may end right after it, even where a cut could have taken the packet unnoticed.
+#[test]
+fn a_packet_that_nobody_misses_is_still_an_event() {
+    let text = "cell late; tick 1 msec; node n0; node n1; link n0 -- n1 delay 1 msec;
+        task ta on n0
+          use_port meet() usage = waitfor;
+        begin
+          waitfor meet() on time_out do skip; end;
+          run turn takes 1..4 msec;
+        end ta;
+        task tb on n1
+          port meet() usage = waitfor user_list = {ta} time_out = 30 msec class = 2;
+        begin
+          waitfor meet() on time_out do skip; end;
+          delay 10 msec;
+        end tb;
+        faults cut n0 -- n1;";
+    let effort = Effort { walks: 200, length: 150, times: Times::Every };
+    let one = compare(text, 1, STATES, effort).unwrap_or_else(|e| panic!("{e}"));
+    assert_eq!(one.complete, one.searches, "{one:?}");
+}
