@@ -326,7 +326,14 @@ impl History {
                     None => {}
                 }
             }
-            Event::Discarded(reason) => {
+            // A late copy of a message that waits may expire on its way.
+            Event::Discarded(
+                reason @ (Reason::Expired
+                | Reason::Evicted
+                | Reason::Refused
+                | Reason::Superseded
+                | Reason::StaleEpoch),
+            ) => {
                 let lost = waits.map(|waits| buffer.waiting.remove(waits));
                 let in_time = lost.is_some_and(|lost| lost.expires > now);
                 match reason {
@@ -566,6 +573,15 @@ mod tests {
         let refused = Event::Discarded(Reason::Refused);
         assert_eq!(bench.see(refused, 1, OTHER, 4, 5), Ok(()));
         assert_eq!(bench.see(refused, 1, OTHER, 5, 2), Err(Violation::LostMoreUrgent));
+    }
+
+    #[test]
+    fn a_late_copy_takes_nothing_out_of_a_buffer() {
+        let mut bench = Bench::new();
+        bench.hold(1, WRITER, &[(1, 5)]);
+        assert_eq!(bench.see(Event::Discarded(Reason::ExpiredOnTheWay), 1, WRITER, 1, 0), Ok(()));
+        assert_eq!(bench.see(Event::Discarded(Reason::Duplicate), 1, WRITER, 1, 4), Ok(()));
+        assert_eq!(bench.see(Event::Delivered, 1, WRITER, 1, 5), Ok(()));
     }
 
     #[test]
