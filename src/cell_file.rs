@@ -2,7 +2,8 @@
 
 use imrs_language::{LONGEST_FILE, Source};
 use std::fs::{self, File};
-use std::io::{self, Read};
+use std::io::{self, Read, Write};
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
 /// Why a cell file cannot be used.
@@ -75,6 +76,32 @@ pub fn read(path: &Path) -> Result<Source, CellFileError> {
         return Err(CellFileError::TooLarge(own()));
     }
     Source::new(&bytes).map_err(|found| CellFileError::NotText { path: own(), message: found.message })
+}
+
+/// Gives a file another text: written beside it, on the disk, and then put in its place. Where that fails the file stays as
+/// it was.
+///
+/// # Errors
+/// [`CellFileError::Unwritable`].
+pub fn replace(path: &Path, text: &str) -> Result<(), CellFileError> {
+    replaced(path, text).map_err(|source| CellFileError::Unwritable { path: path.to_owned(), source })
+}
+
+fn replaced(path: &Path, text: &str) -> io::Result<()> {
+    // A link goes on leading to the file.
+    let path = fs::canonicalize(path)?;
+    let old = fs::metadata(&path)?;
+    let folder = path.parent().unwrap_or(Path::new("/"));
+    let mut new = tempfile::NamedTempFile::new_in(folder)?;
+    new.write_all(text.as_bytes())?;
+    let own = new.as_file().metadata()?;
+    if (own.uid(), own.gid()) != (old.uid(), old.gid()) {
+        std::os::unix::fs::fchown(new.as_file(), Some(old.uid()), Some(old.gid()))?;
+    }
+    new.as_file().set_permissions(old.permissions())?;
+    new.as_file().sync_all()?;
+    new.persist(&path)?;
+    File::open(folder)?.sync_all()
 }
 
 fn bytes(path: &Path) -> io::Result<Vec<u8>> {

@@ -1,7 +1,7 @@
 //! `imrs fmt`: writes cell files the one way.
 
 use crate::args::FmtArgs;
-use crate::cell_file::{CellFileError, is_stdin, read, shown};
+use crate::cell_file::{is_stdin, read, replace, shown};
 use crate::exit::{Exit, Failure, turned_down};
 use crate::output::{Output, complain, complain_in_full};
 use imrs_language::{format, render};
@@ -54,8 +54,7 @@ fn one(path: &Path, only_check: bool, out: &mut Output) -> Result<Exit, Failure>
     if is_stdin(path) {
         out.text(&text)?;
     } else if text != source.text() {
-        std::fs::write(path, text)
-            .map_err(|source| CellFileError::Unwritable { path: path.to_owned(), source })?;
+        replace(path, &text)?;
     }
     Ok(Exit::Well)
 }

@@ -21,6 +21,7 @@ mod program;
 mod replay;
 mod run;
 mod simulate;
+mod time;
 mod token;
 mod verify;
 

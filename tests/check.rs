@@ -192,6 +192,58 @@ fn fmt_rewrites_checks_and_pipes() {
     assert_eq!(fs::read_to_string(&other).unwrap(), "cell c;\n");
 }
 
+/// The limit on the size of a file stands for a full disk.
+#[test]
+fn fmt_keeps_the_file_where_it_cannot_write_all_of_the_new_one() {
+    let text = format!("cell  c;\nnode n;\n{}", "// a comment that takes room\n".repeat(500));
+    let (dir, path) = file(text.as_bytes());
+    let link = dir.path().join("link.cell");
+    std::os::unix::fs::symlink(&path, &link).expect("a link");
+    let limited = "trap '' XFSZ; ulimit -f 4; exec \"$0\" fmt \"$1\"";
+    let own = runtime_dir();
+    let mut command = std::process::Command::new("bash");
+    command.args(["-c", limited, env!("CARGO_BIN_EXE_imrs"), &path]);
+    command.env("XDG_RUNTIME_DIR", own.path()).stdin(Stdio::null());
+    let said = finish(command);
+    assert_eq!(said.code, Some(2), "{said:?}");
+    assert!(said.err.contains("cannot be written"), "{said:?}");
+    assert_eq!(fs::read_to_string(&path).unwrap(), text, "it is as it was");
+    assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 2, "and nothing is left beside it");
+    // A link goes on leading to the file, and who may read it stays.
+    fs::set_permissions(&path, std::os::unix::fs::PermissionsExt::from_mode(0o640)).unwrap();
+    assert_eq!(run(&["fmt", link.to_str().unwrap()]).code, Some(0));
+    assert!(fs::symlink_metadata(&link).unwrap().is_symlink());
+    assert!(fs::read_to_string(&path).unwrap().starts_with("cell c;\n"));
+    assert_eq!(
+        std::os::unix::fs::PermissionsExt::mode(&fs::metadata(&path).unwrap().permissions()) & 0o777,
+        0o640
+    );
+}
+
+#[test]
+fn times_are_written_as_in_cells_and_never_longer_than_a_century() {
+    let cell = example("extern_task.cell");
+    for time in ["1ms", "1 msec", "1 s", "1sec"] {
+        let said = run(&["verify", &cell, "--within", time]);
+        assert_ne!(said.code, Some(70), "{said:?}");
+        assert!(!said.err.contains("invalid value"), "{said:?}");
+    }
+    for time in ["101years", "584942417355years", "18446744073709551615s", "soon"] {
+        for flags in [
+            &["verify", &cell, "--within", time][..],
+            &["run", &cell, "--for", time],
+            &["run", &cell, "--kill", &format!("a@{time}")],
+        ] {
+            let said = run(flags);
+            assert_eq!(said.code, Some(2), "{flags:?} {said:?}");
+            assert!(
+                said.err.contains("century") || said.err.contains("write a number and a unit"),
+                "{said:?}"
+            );
+        }
+    }
+}
+
 #[test]
 fn explain_lists_shows_and_guesses() {
     let list = run(&["explain"]);

@@ -73,6 +73,9 @@ pub enum BenchError {
         /// What there is.
         known: String,
     },
+    /// No case has such a name.
+    #[error("no measurement has `{0}` in its name: `--list` names them all")]
+    NoCase(String),
     /// The page was not renewed.
     #[error(transparent)]
     Page(#[from] PageError),
@@ -161,6 +164,12 @@ fn chosen(args: &BenchArgs) -> Result<Vec<Suite>, BenchError> {
             .cases
             .retain(|case| args.only.is_empty() || args.only.iter().any(|text| case.name.contains(text)));
     }
+    let measures = |text: &&String| {
+        wanted.iter().flat_map(|suite| &suite.cases).any(|case| case.name.contains(text.as_str()))
+    };
+    if let Some(text) = args.only.iter().find(|text| !measures(text)) {
+        return Err(BenchError::NoCase(text.clone()));
+    }
     wanted.retain(|suite| !suite.cases.is_empty());
     Ok(wanted)
 }
@@ -212,6 +221,8 @@ mod tests {
     fn a_suite_that_is_not_there_is_named_with_those_that_are() {
         let error = said(&["quees"]).expect_err("no such suite").to_string();
         assert!(error.contains("`quees`") && error.contains("queues"), "{error}");
+        let error = said(&["--only", "nosuch"]).expect_err("no such case").to_string();
+        assert!(error.contains("`nosuch`") && error.contains("--list"), "{error}");
         let (_, listed) = said(&["--list", "queues"]).expect("a list");
         assert!(listed.starts_with("queues\n  machine/queue 16: "), "{listed}");
     }

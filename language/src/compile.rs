@@ -65,13 +65,13 @@ pub fn compile_with(source: &Source, options: Options) -> Compiled {
     let types = has_error(&resolved.diagnostics);
     if !(syntax || types) {
         diagnostics.extend(resolved.diagnostics);
-        diagnostics.extend(behaviour(&parsed.file, &resolved.hir, options));
+        diagnostics.extend(behaviour((&parsed.file, source), &resolved.hir, options));
         let whole = !has_error(&diagnostics);
         return Compiled { hir: whole.then_some(resolved.hir), diagnostics, unchecked: None };
     }
     doubts.add(&resolved.diagnostics);
     diagnostics.extend(resolved.diagnostics);
-    let found = behaviour(&parsed.file, &resolved.hir, options).into_iter();
+    let found = behaviour((&parsed.file, source), &resolved.hir, options).into_iter();
     diagnostics.extend(found.filter(|found| doubts.keeps_behaviour(found)));
     diagnostics.sort_by_key(|found| found.primary.span.start);
     Compiled { hir: None, diagnostics, unchecked: Some(if syntax { NAMES_AND_TIMES } else { TIMES }) }
@@ -88,7 +88,7 @@ fn has_error(diagnostics: &[Diagnostic]) -> bool {
 }
 
 /// What can be known of what the cell does, and what its tables say, in the order of the text.
-fn behaviour(file: &File, hir: &Hir, options: Options) -> Vec<Diagnostic> {
+fn behaviour((file, source): (&File, &Source), hir: &Hir, options: Options) -> Vec<Diagnostic> {
     let mut found = machine(hir);
     if found.iter().any(|found| found.code == TOO_MANY) {
         return found;
@@ -112,7 +112,7 @@ fn behaviour(file: &File, hir: &Hir, options: Options) -> Vec<Diagnostic> {
     };
     found.extend(checked.into_iter().filter(|found| !again(found)));
     if options.paper {
-        found.extend(checks::paper(file));
+        found.extend(checks::paper(file, source));
     }
     found.sort_by_key(|found| found.primary.span.start);
     found

@@ -195,6 +195,14 @@ pub(crate) fn lex(text: &str, report: &mut Report) -> Lexed {
                     report.push(|| open_comment(span));
                 }
             }
+            Kind::BadNumber if let Some(digits) = before_unit(lexer.slice()) => {
+                let (number, unit) = lexer.slice().split_at(digits);
+                let kind = if number.contains('.') { Kind::Real } else { Kind::Int };
+                let [start, middle, end] =
+                    [span.start as usize, span.start as usize + digits, span.end as usize];
+                lexed.tokens.push((kind, Span::new(start, middle)));
+                lexed.tokens.push((Word::find(unit).map_or(Kind::Name, Kind::Word), Span::new(middle, end)));
+            }
             kind => lexed.tokens.push((token(kind, lexer.slice(), span, report), span)),
         }
     }
@@ -302,14 +310,16 @@ fn long_name(text: &str, span: Span) -> Diagnostic {
     Diagnostic::error(crate::codes::LIMIT, span, message).help("choose a shorter name")
 }
 
+/// The length of a number that a unit of time follows without a space, as in `500ms`.
+fn before_unit(text: &str) -> Option<usize> {
+    let end = text.find(|c: char| c.is_ascii_alphabetic())?;
+    let (number, unit) = text.split_at(end);
+    let known = |(word, _): &(Word, u64)| word.text().eq_ignore_ascii_case(unit);
+    let is_unit = Word::UNITS.iter().any(known) || Word::short_unit(unit).is_some();
+    (is_unit && !number.ends_with('_')).then_some(end)
+}
+
 fn bad_number(text: &str, span: Span) -> Diagnostic {
-    let end = text.find(|c: char| c.is_ascii_alphabetic()).unwrap_or(text.len());
-    let (digits, rest) = text.split_at(end);
-    let unit = Word::UNITS.iter().any(|(word, _)| word.text().eq_ignore_ascii_case(rest));
-    if unit && !digits.ends_with('_') {
-        let found = Diagnostic::error(NUMBER, span, "a space belongs between a number and its unit");
-        return found.help(format!("write `{digits} {}`", rest.to_ascii_lowercase()));
-    }
     let shown: String = text.chars().take(24).collect();
     Diagnostic::error(NUMBER, span, format!("`{shown}` is neither a number nor a name"))
         .help("a number is written `12`, `1_000`, `0.5` or `1.5e3`; a name begins with a letter")

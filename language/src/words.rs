@@ -149,4 +149,14 @@ impl Word {
 
     /// A unit of time, and its microseconds.
     pub(crate) const UNITS: &[(Self, u64)] = &[(Self::Usec, 1), (Self::Msec, 1_000), (Self::Sec, 1_000_000)];
+
+    /// The unit that these letters are short for right after a number, as command lines write it.
+    pub(crate) fn short_unit(text: &str) -> Option<Self> {
+        match text {
+            "us" => Some(Self::Usec),
+            "ms" => Some(Self::Msec),
+            "s" => Some(Self::Sec),
+            _ => None,
+        }
+    }
 }

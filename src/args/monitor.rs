@@ -31,7 +31,7 @@ pub struct MonitorArgs {
     #[arg(long)]
     pub once: bool,
     /// Print a sample every so often.
-    #[arg(long, value_name = "TIME", value_parser = humantime::parse_duration)]
+    #[arg(long, value_name = "TIME", value_parser = crate::time::parse)]
     pub watch: Option<Duration>,
     /// Print lines instead of drawing a screen: for pipes and screen readers. Of a finding that is replayed, every step.
     #[arg(long)]
@@ -52,7 +52,7 @@ pub struct MonitorArgs {
     #[arg(long, value_name = "FILE", conflicts_with_all = ["once", "watch", "text"])]
     pub record: Option<PathBuf>,
     /// Record or assert for so long, without a screen, and end.
-    #[arg(long = "for", value_name = "TIME", requires = "lasting", value_parser = humantime::parse_duration)]
+    #[arg(long = "for", value_name = "TIME", requires = "lasting", value_parser = crate::time::parse)]
     pub length: Option<Duration>,
     /// End with exit code 1 unless this holds, now or (with --for) all the time: `expired==0 and min_slack>5ms`,
     /// `count(class=2 and fill>80%) == 0`, `up>=3`, `critical==0`.

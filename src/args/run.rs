@@ -64,7 +64,7 @@ pub struct LaunchArgs {
     #[arg(long)]
     pub rt: bool,
     /// How long to run [default: a demo about 10s, a cell until its tasks end or Ctrl-C].
-    #[arg(long = "for", value_name = "TIME", value_parser = humantime::parse_duration)]
+    #[arg(long = "for", value_name = "TIME", value_parser = crate::time::parse)]
     pub length: Option<Duration>,
     /// Lose this share of all datagrams.
     #[arg(long, value_name = "RATE", default_value = "0%")]
@@ -105,7 +105,7 @@ pub struct ReplayArgs {
     #[arg(long, requires = "cell")]
     pub model: bool,
     /// Give up following the model after so long.
-    #[arg(long, value_name = "TIME", requires = "model", default_value = "30s", value_parser = humantime::parse_duration)]
+    #[arg(long, value_name = "TIME", requires = "model", default_value = "30s", value_parser = crate::time::parse)]
     pub within: Duration,
     /// The form of the answer.
     #[arg(long, value_enum, value_name = "FORM", default_value_t = Format::Text)]

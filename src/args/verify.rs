@@ -45,7 +45,7 @@ pub struct CellFaultArgs {
     #[arg(long, value_name = "WHEN", requires = "cell", value_enum, default_value_t)]
     pub times: Times,
     /// Give up after so long without faults, and after so long with them, in each independent part of the cell.
-    #[arg(long, value_name = "TIME", requires = "cell", default_value = "30s", value_parser = humantime::parse_duration)]
+    #[arg(long, value_name = "TIME", requires = "cell", default_value = "30s", value_parser = crate::time::parse)]
     pub within: Duration,
     /// Draw a finding as a sequence chart, with all that repeats, into this file: SVG, or text where its name ends in .txt.
     #[arg(long, value_name = "FILE.svg", requires = "cell")]

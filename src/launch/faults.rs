@@ -1,6 +1,7 @@
 //! Faults asked for on the command line: `--loss 10%`, `--kill hoist@2s`, `--cut nl--nr@1s+40ms`.
 
 use crate::exit::did_you_mean;
+use crate::time::TimeError;
 use imrs_protocol::{Cell, NodeId};
 use std::fmt;
 use std::str::FromStr;
@@ -85,7 +86,7 @@ pub enum FaultError {
         /// What was written.
         text: String,
         /// What is wrong with it.
-        error: humantime::DurationError,
+        error: TimeError,
     },
     /// The cell has neither a node nor a task of this name.
     #[error("the cell has no node or task `{name}`{hint}")]
@@ -164,7 +165,7 @@ impl fmt::Display for Cut {
 }
 
 fn time(text: &str) -> Result<Duration, FaultError> {
-    humantime::parse_duration(text).map_err(|error| FaultError::Time { text: text.into(), error })
+    crate::time::parse(text).map_err(|error| FaultError::Time { text: text.into(), error })
 }
 
 /// A fault of the schedule, at its time.

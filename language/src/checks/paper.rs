@@ -6,14 +6,19 @@ use crate::ast::{
 };
 use crate::codes::NOT_IN_THE_PAPER;
 use crate::diagnostic::Diagnostic;
+use crate::lexer::{Kind, lex};
+use crate::report::Report;
+use crate::source::Source;
 use crate::span::Span;
+use crate::words::Word;
 
 /// Everything in a file that the paper has no word for.
-pub(crate) fn paper(file: &File) -> Vec<Diagnostic> {
+pub(crate) fn paper(file: &File, source: &Source) -> Vec<Diagnostic> {
     let mut found = Vec::new();
     let mut see = |word: &str, span: Span| {
         let help = match word {
             "penalty" => "write `penalty = paper ..`: the Appendix's TIME_PENALTY",
+            "us" | "ms" | "s" => "write `usec`, `msec` or `sec`, or leave `--paper` out",
             _ => "remove it, or leave `--paper` out",
         };
         found.push(
@@ -22,6 +27,15 @@ pub(crate) fn paper(file: &File) -> Vec<Diagnostic> {
                 .help(help),
         );
     };
+    // Nothing is reported: the text was read before.
+    let tokens = lex(source.text(), &mut Report::default()).tokens;
+    for pair in tokens.windows(2) {
+        if let [(Kind::Int | Kind::Real, _), (Kind::Name, span)] = *pair
+            && Word::short_unit(source.slice(span)).is_some()
+        {
+            see(source.slice(span), span);
+        }
+    }
     for item in &file.items {
         match item {
             Item::Couple(couple) => see("couple", couple.span),

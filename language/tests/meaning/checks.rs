@@ -350,6 +350,8 @@ fn the_paper_alone() {
         "use_port m() usage = waitfor; begin waitfor m(); run go;",
     );
     assert_eq!(found(&meet), ["E117 `retry = 1`", "E117 `run go`"]);
+    let short = pair("begin delay 500ms; delay 2 s; delay 3msec;", "begin skip;");
+    assert_eq!(found(&short), ["E117 `ms`", "E117 `s`"]);
     let words = found(WELD);
     for word in
         ["penalty = 20 msec", "couple loose {r1, r2} over dresser", "check one_active", "start held 4 sec"]

@@ -48,6 +48,23 @@ end t;
 }
 
 #[test]
+fn units_of_command_lines_are_written_as_those_of_cells() {
+    let text = "cell c; tick 1ms; node a; node b; link a -- b delay 0.5ms; task t on a var s: int8; begin\nloop\ns := 2;\ndelay 500 ms;\ndelay 2s;\ndelay 30MSEC;\nend;\nend t;\n";
+    let expected =
+        "cell c; tick 1 msec; node a; node b; link a -- b delay 0.5 msec; task t on a var s: int8; begin
+  loop
+    s := 2;
+    delay 500 msec;
+    delay 2 sec;
+    delay 30 msec;
+  end;
+end t;
+";
+    assert_eq!(formatted(text), expected);
+    assert!(format(&source("cell c; tick 1milli;")).is_err());
+}
+
+#[test]
 fn texts_with_errors_are_left_alone() {
     let found = format(&source("cell c; node;")).expect_err("an error");
     assert_eq!(found[0].code, "E005");
