@@ -52,7 +52,7 @@ fn one(path: &Path, only_check: bool, out: &mut Output) -> Result<Exit, Failure>
         return Ok(Exit::Finding);
     }
     if is_stdin(path) {
-        out.text(&text)?;
+        out.file(&text)?;
     } else if text != source.text() {
         replace(path, &text)?;
     }

@@ -4,6 +4,7 @@ use crate::args::Color;
 use crate::exit::Failure;
 use anstream::AutoStream;
 use anstyle::{AnsiColor, Style};
+use std::borrow::Cow;
 use std::fmt::{self, Display};
 use std::io::{self, Stdout, Write};
 
@@ -38,6 +39,19 @@ impl Output {
     /// # Errors
     /// [`Failure::Output`].
     pub fn line(&mut self, line: impl Display) -> Result<(), Failure> {
+        let line = line.to_string();
+        self.write(&harmless(&line))
+    }
+
+    /// Writes a text as it is, to its last byte: the answer is a file.
+    ///
+    /// # Errors
+    /// [`Failure::Output`].
+    pub fn file(&mut self, text: &str) -> Result<(), Failure> {
+        self.write(text.strip_suffix('\n').unwrap_or(text))
+    }
+
+    fn write(&mut self, line: &str) -> Result<(), Failure> {
         if self.closed {
             return Ok(());
         }
@@ -69,19 +83,83 @@ impl Output {
     /// [`Failure::Output`].
     pub fn json(&mut self, value: &impl serde::Serialize) -> Result<(), Failure> {
         let text = serde_json::to_string(value).map_err(|e| Failure::Output(e.into()))?;
-        self.line(text)
+        self.write(&escaped(&text, |c| format!("\\u{:04x}", u32::from(c))))
     }
+}
+
+/// Whether a character may change what a terminal shows of the text around it: a control character, or one that turns the
+/// direction of writing.
+const fn is_hidden(c: char) -> bool {
+    matches!(c, '\0'..='\x1f' | '\x7f'..='\u{9f}' | '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
+}
+
+fn escaped(text: &str, escape: impl Fn(char) -> String) -> Cow<'_, str> {
+    if !text.contains(is_hidden) {
+        return Cow::Borrowed(text);
+    }
+    let mut out = String::with_capacity(text.len() + 16);
+    let mut rest = text;
+    while let Some(c) = rest.chars().next() {
+        let length = match c {
+            '\n' | '\t' => 1,
+            '\x1b' => style_at(rest).unwrap_or(0),
+            c if is_hidden(c) => 0,
+            c => c.len_utf8(),
+        };
+        match length {
+            0 => out.push_str(&escape(c)),
+            length => out.push_str(&rest[..length]),
+        }
+        rest = &rest[length.max(c.len_utf8())..];
+    }
+    Cow::Owned(out)
+}
+
+/// A text from a cell, a recording or a peer as a terminal may have it: what is hidden is written out, but for line breaks and
+/// the styles of this program.
+fn harmless(text: &str) -> Cow<'_, str> {
+    escaped(text, |c| c.escape_default().to_string())
+}
+
+/// The length of a style at the beginning of a text: colours of letters, bold, faint, underlined, and their end. None hides
+/// anything.
+fn style_at(text: &str) -> Option<usize> {
+    let parameters = text.strip_prefix("\x1b[")?;
+    let (parameters, _) = parameters.split_once('m')?;
+    let known = |one: &str| {
+        matches!(
+            one,
+            "" | "0"
+                | "1"
+                | "2"
+                | "4"
+                | "31"
+                | "32"
+                | "33"
+                | "34"
+                | "35"
+                | "36"
+                | "91"
+                | "92"
+                | "93"
+                | "94"
+                | "95"
+                | "96"
+        )
+    };
+    parameters.split(';').all(known).then_some(parameters.len() + 3)
 }
 
 /// Says what is wrong on standard error. Where that has gone too, there is nobody to tell.
 pub fn complain(what: impl Display) {
-    let _ = writeln!(io::stderr(), "imrs: {what}");
+    let what = what.to_string();
+    let _ = writeln!(io::stderr(), "imrs: {}", harmless(&what));
 }
 
 /// Diagnostics on standard error, where standard output has another answer.
 pub fn complain_in_full(color: Color, text: &str) {
     let mut stream = AutoStream::new(io::stderr(), color.into());
-    let _ = stream.write_all(text.as_bytes());
+    let _ = stream.write_all(harmless(text).as_bytes());
 }
 
 /// Text in a style. Padding and alignment count the text alone.
@@ -135,6 +213,21 @@ mod tests {
         let shown: Vec<_> = [7, 4_270, 200_300, 1_509_000].into_iter().map(span).collect();
         assert_eq!(shown, ["7 us", "4.2 ms", "200 ms", "1.50 s"]);
         assert_eq!((count(1, "round"), count(2_000, "round")), ("1 round".into(), "2,000 rounds".into()));
+    }
+
+    #[test]
+    fn what_a_text_hides_is_written_out() {
+        let shown = |text| harmless(text).into_owned();
+        assert_eq!(shown("two\tlines\nand \u{e9}"), "two\tlines\nand \u{e9}");
+        assert_eq!(
+            shown("\x1b]0;title\x07 \u{9b}2J \u{202e}txt\r"),
+            "\\u{1b}]0;title\\u{7} \\u{9b}2J \\u{202e}txt\\r"
+        );
+        // Styles of this program stay, concealed letters and what is no style do not.
+        let styled = Styled(GOOD, "well").to_string();
+        assert_eq!(shown(&styled), styled);
+        assert_eq!(shown("\x1b[8mhidden\x1b[2J"), "\\u{1b}[8mhidden\\u{1b}[2J");
+        assert_eq!(escaped("\u{9b}", |c| format!("\\u{:04x}", u32::from(c))), "\\u009b");
     }
 
     #[test]

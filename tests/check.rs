@@ -192,6 +192,45 @@ fn fmt_rewrites_checks_and_pipes() {
     assert_eq!(fs::read_to_string(&other).unwrap(), "cell c;\n");
 }
 
+/// A title, a screen that is cleared by one byte, and text that runs from right to left.
+#[test]
+fn what_a_cell_file_hides_reaches_no_terminal() {
+    let hidden = "\u{1b}]0;owned\u{7} \u{9b}2J \u{202e}evil";
+    let text = format!(
+        "cell c; // {hidden}\ntick 1 msec;\nnode n at \"{hidden}\";\ntask t on n\n  var i: int8;\nbegin\n  \
+         if i = 0 then abort \"{hidden}\"; end;\n  i := nosuch; // {hidden}\nend t;\n"
+    );
+    let (_dir, path) = file(text.as_bytes());
+    let (_good, good) = file(text.replace("nosuch", "1").as_bytes());
+    let raw = |said: &Said| {
+        let shown = format!("{}{}", said.out, said.err);
+        let styles_aside = shown.replace("\u{1b}[", "");
+        styles_aside.chars().any(|c| matches!(c, '\u{1b}' | '\u{7}' | '\u{80}'..='\u{9f}' | '\u{202e}'))
+    };
+    for flags in [
+        &["check", &path][..],
+        &["check", &path, "--color", "always"],
+        &["check", &path, "--format", "json"],
+        &["verify", &good],
+        &["verify", &good, "--color", "always"],
+        &["verify", &good, "--format", "json"],
+        &["run", &good, "--for", "1s"],
+        &["run", &good, "--for", "1s", "--format", "json"],
+        &["simulate", &good, "--seeds", "1"],
+    ] {
+        let said = run(flags);
+        assert!(!raw(&said), "{flags:?} {said:?}");
+        assert!(!said.out.contains("\\u{1b}["), "a style of its own: {flags:?} {said:?}");
+        if flags.contains(&"json") {
+            for line in said.out.lines() {
+                serde_json::from_str::<serde_json::Value>(line).expect("JSON");
+            }
+        }
+    }
+    let piped = run_with(&["fmt", "-"], &text.replace("nosuch", "1"));
+    assert!(piped.out.contains(hidden), "a file stays what it is: {piped:?}");
+}
+
 /// The limit on the size of a file stands for a full disk.
 #[test]
 fn fmt_keeps_the_file_where_it_cannot_write_all_of_the_new_one() {
