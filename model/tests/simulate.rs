@@ -3,7 +3,8 @@
 use crate::cells::{Text, is_alike, within};
 use crate::guard::{number, random_cell};
 use imrs_model::cell::{
-    CellPlan, Chooser, Ended, Fault, Found, Kind, Schedule, Simulated, Simulator, Tape, Times, check_cell,
+    CellMove, CellPlan, Chooser, Ended, Fault, Found, Kind, Phase, Schedule, Simulated, Simulator, Tape,
+    Times, check_cell, scenes,
 };
 use imrs_protocol::{NodeId, TaskId};
 use std::path::Path;
@@ -85,6 +86,20 @@ fn a_seed_and_a_schedule_show_again_what_was_found() {
         );
         assert!(found.schedule.choices() <= shrunk.choices, "{name}: {shrunk:?}");
     }
+}
+
+/// Charts, recordings and causes make the moves of a finding again. A move that panics there is the last one shown.
+#[test]
+fn a_finding_whose_last_move_panics_is_shown() {
+    let cell = example("faulty/part_placed_twice.cell");
+    let mut found = seeds(&cell.plan, 1_000, (1, 50)).found.remove(0);
+    let steps = found.finding.moves.len();
+    // No cell has 200 packets in flight here, so the machine has none of that number.
+    found.finding.moves.insert(steps / 2, CellMove::Duplicate(200));
+    found.finding.phase = Phase::Faults;
+    let plan = CellPlan { faults: vec![found.faults], ..cell.plan };
+    let shown = scenes(&Arc::new(plan), &found.finding);
+    assert_eq!(shown.len(), 1 + steps / 2 + 1, "the start, the moves before the panic, and the panic");
 }
 
 #[test]

@@ -97,7 +97,9 @@ pub(super) fn tell(
     mut moves: Vec<CellMove>,
 ) -> Option<Finding> {
     let mut course = Course::new(plan, faults);
-    moves.iter().for_each(|&step| course.apply(step));
+    if !moves.iter().all(|&step| course.survives(step)) {
+        return None;
+    }
     // What scripts did on the way there is no part of it.
     course.floor.turns.iter_mut().for_each(Vec::clear);
     let mut known = HashSet::new();
@@ -145,7 +147,9 @@ pub(super) fn tell(
         }
     };
     let mut course = Course::new(plan, faults);
-    moves.iter().for_each(|&step| course.apply(step));
+    if !moves.iter().all(|&step| course.survives(step)) {
+        return None;
+    }
     let (task, address) = (tasks.first().copied(), tasks.first().map(|&task| position(&course, task)));
     let shown =
         Shown { task, address, others: tasks[1..].to_vec(), ..Shown::whole(Kind::Standstill, &cause) };
