@@ -108,6 +108,32 @@ fn a_saved_finding_is_shown_again_of_its_own_cell_alone() {
 }
 
 #[test]
+fn what_cannot_be_saved_is_shown_and_a_file_that_cannot_be_written_is_refused_before_the_runs() {
+    let lost = "--> examples/faulty/part_placed_twice.cell:25:7";
+    for verb in [&["simulate", TWICE, "--seed", "1", "--seeds", "50"][..], &["verify", TWICE]] {
+        // A disk without room.
+        let full = run(&[verb, &["--save", "/dev/full"]].concat());
+        assert!(full.code == Some(2) && full.out.contains(lost), "{full:?}");
+        assert!(full.err.contains("/dev/full: cannot be written: No space left"), "{full:?}");
+        assert!(
+            !full.out.contains("nothing was saved") && !full.out.contains("--plan /dev/full"),
+            "{full:?}"
+        );
+        let beyond = run(&[verb, &["--save", "/dev/null", "--finding", "9"]].concat());
+        assert!(beyond.code == Some(2) && beyond.out.contains(lost), "{beyond:?}");
+        for file in ["no_such_folder/found", "examples"] {
+            let refused = run(&[verb, &["--save", file]].concat());
+            assert!(refused.code == Some(2) && refused.out.is_empty(), "{refused:?}");
+            let said = format!("{file}: cannot be written: ");
+            assert!(refused.err.contains(&said) && refused.err.contains("name another file"), "{refused:?}");
+        }
+    }
+    let shown = run(&["simulate", TWICE, "--seed", "1", "--save", "/dev/full", "--format", "json"]);
+    let answer: Value = serde_json::from_str(&shown.out).expect("JSON");
+    assert!(shown.code == Some(2) && answer["findings"][0]["saved"] == false, "{shown:?}");
+}
+
+#[test]
 fn faults_of_a_file_happen_in_every_run() {
     let plan = "version = 1\n[[fault]]\nlose = 1\nlink = \"n2 -> n1\"\n";
     let (_folder, plan) = file("one.toml", plan);

@@ -102,9 +102,8 @@ impl Told<'_> {
     }
 
     fn one<'a>(&'a self, number: usize, found: &'a Found) -> One<'a> {
-        let saved = self.args.save.is_some() && usize::from(self.args.finding) == number + 1;
         One {
-            told: self.subject.told(&found.finding, saved),
+            told: self.subject.told(&found.finding, self.is_saved(number)),
             seed: found.seed,
             runs: found.runs,
             faults: found.schedule.faults.iter().map(|fault| self.words(fault)).collect(),

@@ -39,6 +39,8 @@ struct Told<'a> {
     args: &'a SimulateArgs,
     what: &'a What,
     all: &'a Simulated,
+    /// Whether the finding that was asked for was saved.
+    saved: bool,
     /// The run as a chart, where it is one and nothing else draws it.
     chart: Option<String>,
 }
@@ -54,6 +56,7 @@ pub fn run(args: &SimulateArgs, out: &mut Output) -> Result<Exit, Failure> {
     };
     let names = Names { table: &subject.table, tick_us: subject.tick_us };
     let what = what(args, &names)?;
+    args.save.as_deref().map_or(Ok(()), cell_file::writable)?;
     let simulator = match Simulator::new(&Arc::new(subject.declared(args.jobs)), args.steps) {
         Ok(simulator) => simulator,
         Err(refused) => {
@@ -88,10 +91,10 @@ pub fn run(args: &SimulateArgs, out: &mut Output) -> Result<Exit, Failure> {
         What::Schedule(schedule) => Some(simulator.chart_of(schedule)),
         What::Seeds { .. } => None,
     };
-    if let Some(path) = &args.save {
-        save(path, args, &subject, &all)?;
-    }
-    let told = Told { subject: &subject, args, what: &what, all: &all, chart };
+    // What was found is shown even if it cannot be saved.
+    let kept = args.save.as_deref().map_or(Ok(false), |path| save(path, args, &subject, &all));
+    let saved = matches!(kept, Ok(true));
+    let told = Told { subject: &subject, args, what: &what, all: &all, saved, chart };
     if text {
         told.show(out)?;
         // Beside the answer, which is the same each time.
@@ -101,6 +104,7 @@ pub fn run(args: &SimulateArgs, out: &mut Output) -> Result<Exit, Failure> {
     } else {
         out.json(&told.answer())?;
     }
+    kept?;
     Ok(match (all.found.is_empty(), all.interrupted) {
         (false, _) => Exit::Finding,
         (true, true) => Exit::Budget,
@@ -144,16 +148,16 @@ fn progress(seeds: u64, text: bool) -> ProgressBar {
     }
 }
 
-fn save(path: &Path, args: &SimulateArgs, subject: &Subject, all: &Simulated) -> Result<(), Failure> {
+/// Saves the finding that was asked for. False: there are no findings.
+fn save(path: &Path, args: &SimulateArgs, subject: &Subject, all: &Simulated) -> Result<bool, Failure> {
     let Some(found) = all.found.get(usize::from(args.finding) - 1) else {
         let missed = format!("--finding {}: there are {}", args.finding, all.found.len());
-        // Without findings there is nothing to keep, and that is well.
-        return if all.found.is_empty() { Ok(()) } else { Err(Failure::Usage(missed)) };
+        return if all.found.is_empty() { Ok(false) } else { Err(Failure::Usage(missed)) };
     };
     let names = Names { table: &subject.table, tick_us: subject.tick_us };
     let text = file::text(&found.schedule, &format!("{} --plan FILE", command(subject, args)), &names);
-    std::fs::write(path, text)
-        .map_err(|source| Failure::from(CellFileError::Unwritable { path: path.to_owned(), source }))
+    std::fs::write(path, text).map_err(|source| CellFileError::NotSaved { path: path.to_owned(), source })?;
+    Ok(true)
 }
 
 /// The command without what it runs.
@@ -169,10 +173,14 @@ fn command(subject: &Subject, args: &SimulateArgs) -> String {
 }
 
 impl Told<'_> {
+    fn is_saved(&self, number: usize) -> bool {
+        self.saved && usize::from(self.args.finding) == number + 1
+    }
+
     /// The command that shows a finding again.
     fn again(&self, number: usize, found: &Found) -> String {
         let command = command(self.subject, self.args);
-        let saved = self.args.save.as_ref().filter(|_| usize::from(self.args.finding) == number + 1);
+        let saved = self.args.save.as_ref().filter(|_| self.is_saved(number));
         let file = |path: &Path| quoted(&cell_file::shown(path));
         match (saved, found.seed, &self.args.plan) {
             (Some(path), ..) | (None, None, Some(path)) => format!("{command} --plan {}", file(path)),

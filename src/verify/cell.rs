@@ -42,14 +42,21 @@ pub fn run(path: &Path, args: &VerifyVerb, out: &mut Output) -> Result<Exit, Fai
         Err(exit) => return Ok(exit),
     };
     let plan = Arc::new(subject.plan(args)?);
+    for file in [&args.faults.trace, &args.faults.save].into_iter().flatten() {
+        cell_file::writable(file)?;
+    }
     let verdicts = check_cell(&plan);
-    let saved = subject.keep(&plan, &verdicts, &args.faults)?;
+    // What was found is shown even if it cannot be saved.
+    let kept = subject.keep(&plan, &verdicts, &args.faults);
+    let saved = kept.as_ref().map_or(None, |saved| *saved);
     match args.verify.format.unwrap_or_default() {
         Format::Json => out.json(&subject.answer(&plan, &verdicts, saved))?,
         Format::Text => {
-            Telling { subject: &subject, plan: &plan, verdicts: &verdicts, args, saved }.show(out)?;
+            let (subject, failed) = (&subject, kept.is_err());
+            Telling { subject, plan: &plan, verdicts: &verdicts, args, saved, failed }.show(out)?;
         }
     }
+    kept?;
     Ok(match (verdicts.findings.is_empty(), verdicts.is_complete()) {
         (false, _) => Exit::Finding,
         (true, true) => Exit::Well,
@@ -221,7 +228,7 @@ impl Subject {
                 svg(&names, &notes, &finding.cause)
             };
             std::fs::write(path, drawn)
-                .map_err(|source| CellFileError::Unwritable { path: path.clone(), source })?;
+                .map_err(|source| CellFileError::NotSaved { path: path.clone(), source })?;
         }
         let Some(path) = &args.save else { return Ok(None) };
         let searched =

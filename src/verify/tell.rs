@@ -29,6 +29,8 @@ pub(super) struct Telling<'a> {
     pub args: &'a VerifyVerb,
     /// The number of the finding that was saved.
     pub saved: Option<usize>,
+    /// Whether a finding could not be drawn or saved.
+    pub failed: bool,
 }
 
 impl Telling<'_> {
@@ -58,8 +60,8 @@ impl Telling<'_> {
             subject.tell(warning, None, out)?;
             out.line("")?;
         }
-        if let (Some(path), None, false) = (&self.args.faults.save, self.saved, verdicts.findings.is_empty())
-        {
+        let not_saved = self.saved.is_none() && !self.failed && !verdicts.findings.is_empty();
+        if let Some(path) = self.args.faults.save.as_ref().filter(|_| not_saved) {
             let file = cell_file::shown(path);
             out.line(Styled(NOTE, format!("nothing was saved to {file}: no steps lead to this finding")))?;
         }
