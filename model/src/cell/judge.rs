@@ -34,10 +34,10 @@ impl Shown {
         Self { kind, task: None, address: None, check: None, cause, last: true, couple: None, others }
     }
 
-    /// Whether it is the same finding, on whatever way.
+    /// Whether it is the same finding, whatever moves lead to it.
     pub fn is_same(&self, other: &Self) -> bool {
         let key = |shown: &Self| (shown.kind, shown.task, shown.address, shown.check, shown.couple);
-        key(self) == key(other)
+        key(self) == key(other) && (self.kind != Kind::Machine || self.cause == other.cause)
     }
 }
 

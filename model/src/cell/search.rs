@@ -331,7 +331,8 @@ impl Search {
         hit: &Hit,
     ) -> Finding {
         let moves = self.path(plan, faults, hit.origin);
-        finding(plan, (phase, hypothesis), faults, moves, hit.shown.clone())
+        let shown = starve::decided(plan, &moves, hit.shown.clone());
+        finding(plan, (phase, hypothesis), faults, moves, shown)
     }
 }
 
@@ -341,13 +342,8 @@ pub(super) fn finding(
     (phase, hypothesis): (Phase, usize),
     faults: &CellFaults,
     moves: Vec<CellMove>,
-    mut shown: Shown,
+    shown: Shown,
 ) -> Finding {
-    if let (Kind::TimeOut, Some(place)) = (shown.kind, shown.task.zip(shown.address))
-        && let Some(how) = starve::starved(plan, &moves, place)
-    {
-        (shown.kind, shown.cause) = (Kind::Starves, how);
-    }
     let told = story::tell(plan, faults, &moves, &shown);
     let Shown { kind, task, address, check, couple, .. } = shown;
     Finding {
@@ -430,11 +426,11 @@ fn conclude(plan: &Arc<CellPlan>, done: Vec<Done>, outside: Vec<i64>) -> Verdict
     verdicts
 }
 
-/// Whether two findings are of the same place, on whatever way.
+/// Whether two findings are of the same place, whatever moves lead to them.
 fn is_the_same(one: &Finding, other: &Finding) -> bool {
     let key =
         |finding: &Finding| (finding.kind, finding.task, finding.address, finding.check, finding.couple);
-    key(one) == key(other)
+    key(one) == key(other) && (one.kind != Kind::Machine || one.cause == other.cause)
 }
 
 /// What checks read and what never changed in any state of any phase: `r2.active = false`.
@@ -473,6 +469,7 @@ fn bare(kind: Kind, place: Option<(TaskId, Address)>, check: Option<usize>, caus
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::state::Violation;
 
     #[test]
     fn two_couples_with_two_owners_are_two_findings() {
@@ -480,5 +477,14 @@ mod tests {
             |couple| Finding { couple: Some(couple), ..bare(Kind::TwoOwners, None, None, "both act".into()) };
         assert!(is_the_same(&of(1), &of(1)));
         assert!(!is_the_same(&of(0), &of(1)));
+    }
+
+    #[test]
+    fn two_violations_of_the_machine_are_two_findings() {
+        let [stale, panic] = [Violation::Stale, Violation::Panic].map(Violation::text);
+        let shown = |cause| Shown::whole(Kind::Machine, cause);
+        assert!(shown(stale).is_same(&shown(stale)) && !shown(stale).is_same(&shown(panic)));
+        let found = |cause: &str| bare(Kind::Machine, None, None, cause.into());
+        assert!(is_the_same(&found(stale), &found(stale)) && !is_the_same(&found(stale), &found(panic)));
     }
 }

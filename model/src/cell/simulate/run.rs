@@ -5,6 +5,7 @@ use super::schedule::{Fault, Tape};
 use crate::cell::course::CellMove;
 use crate::cell::judge::{Reached, Shown, deadlock};
 use crate::cell::plan::{CellFaults, CellPlan};
+use crate::cell::starve::decided;
 use crate::cell::unpacked::Unpacked;
 use crate::cell::verdict::Phase;
 use std::sync::Arc;
@@ -50,6 +51,7 @@ pub(super) fn run(plan: &Arc<CellPlan>, faults: &[Fault], source: Source<'_>, st
     let mut cell = Unpacked::new(plan, phase, &budgets);
     let mut driver = Driver::new(faults, source, &cell.course);
     let (mut taken, mut next) = (Vec::new(), Vec::new());
+    let mut judged: Vec<Shown> = Vec::new();
     let mut shown: Vec<(usize, Shown)> = Vec::new();
     let ended = loop {
         let mut found = cell.shown();
@@ -63,8 +65,10 @@ pub(super) fn run(plan: &Arc<CellPlan>, faults: &[Fault], source: Source<'_>, st
         let mut last = false;
         for one in found {
             last |= one.last;
-            if !shown.iter().any(|(_, known)| known.is_same(&one)) {
-                shown.push((taken.len(), one));
+            if !judged.iter().any(|known| known.is_same(&one)) {
+                judged.push(one.clone());
+                // Decided here and not after shrinking: a shorter run may show the other of the two kinds.
+                shown.push((taken.len(), decided(plan, &taken, one)));
             }
         }
         if last {
