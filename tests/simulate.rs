@@ -134,6 +134,27 @@ fn what_cannot_be_saved_is_shown_and_a_file_that_cannot_be_written_is_refused_be
 }
 
 #[test]
+fn a_cell_that_is_refused_is_answered_in_json() {
+    let nodes: String = (0..70).map(|n| format!("node n{n};\n")).collect();
+    let large = format!("cell large;\ntick 1 msec;\n{nodes}task t on n0\nbegin\nend t;\n");
+    let (_folder, large) = file("large.cell", &large);
+    let (_folder, broken) = file("broken.cell", "cell broken;\ntick 1 msec;\nnode n1\n");
+    for (verb, why) in [("simulate", "not_simulated"), ("verify", "not_checked")] {
+        let said = run(&[verb, &large, "--format", "json"]);
+        let answer: Value = serde_json::from_str(&said.out).unwrap_or_else(|e| panic!("{e}: {said:?}"));
+        let reason = answer[why]["why"].as_str().expect("a reason");
+        assert!(
+            said.code == Some(4) && reason.starts_with("70 nodes") && answer["complete"] == false,
+            "{said:?}"
+        );
+        let said = run(&[verb, &broken, "--format", "json"]);
+        let answer: Value = serde_json::from_str(&said.out).unwrap_or_else(|e| panic!("{e}: {said:?}"));
+        let checked = run(&["check", &broken, "--format", "json"]);
+        assert!(said.code == Some(1) && answer["errors"] != 0 && said.out == checked.out, "{said:?}");
+    }
+}
+
+#[test]
 fn faults_of_a_file_happen_in_every_run() {
     let plan = "version = 1\n[[fault]]\nlose = 1\nlink = \"n2 -> n1\"\n";
     let (_folder, plan) = file("one.toml", plan);

@@ -12,6 +12,8 @@ pub(super) struct Answer<'a> {
     version: u32,
     cell: &'a str,
     file: &'a str,
+    /// Why nothing was run; null where something was.
+    not_simulated: Option<verify::NotChecked<'a>>,
     /// The first seed; null for the run of a file.
     seed: Option<u64>,
     runs: u64,
@@ -77,6 +79,7 @@ impl Told<'_> {
             version: 1,
             cell: &subject.lowered.cell.name,
             file: &subject.file,
+            not_simulated: self.refused.map(|refused| subject.not_checked(refused)),
             seed: match self.what {
                 What::Seeds { first, .. } => Some(*first),
                 What::Schedule(_) => None,
@@ -92,7 +95,7 @@ impl Told<'_> {
                 steps: by(Ended::Steps),
                 crowded: by(Ended::Crowded),
             },
-            complete: !all.interrupted,
+            complete: self.refused.is_none() && !all.interrupted,
             findings: all.found.iter().enumerate().map(|(number, found)| self.one(number, found)).collect(),
             not_reached: subject.places(&all.not_reached),
             idle: all.idle.iter().map(|fault| self.words(fault)).collect(),

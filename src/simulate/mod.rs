@@ -7,10 +7,10 @@ mod tell;
 use crate::args::{Format, STEPS, SimulateArgs};
 use crate::cell_file::{self, CellFileError};
 use crate::exit::{Exit, Failure};
-use crate::output::{NOTE, Output, Styled, count, grouped};
+use crate::output::{Output, count, grouped};
 use crate::verify::{Subject, quoted};
 use file::Names;
-use imrs_model::cell::{Fault, Found, Schedule, Simulated, Simulator};
+use imrs_model::cell::{Fault, Found, Refused, Schedule, Simulated, Simulator};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use signal_hook::consts::SIGINT;
 use std::fmt::Write as _;
@@ -38,6 +38,8 @@ struct Told<'a> {
     subject: &'a Subject,
     args: &'a SimulateArgs,
     what: &'a What,
+    /// Why nothing was run.
+    refused: Option<&'a Refused>,
     all: &'a Simulated,
     /// Whether the finding that was asked for was saved.
     saved: bool,
@@ -50,7 +52,8 @@ struct Told<'a> {
 /// # Errors
 /// [`Failure`].
 pub fn run(args: &SimulateArgs, out: &mut Output) -> Result<Exit, Failure> {
-    let subject = match Subject::open(&args.cell, args.paper, out)? {
+    let format = args.format.unwrap_or_default();
+    let subject = match Subject::open(&args.cell, args.paper, format, out)? {
         Ok(subject) => subject,
         Err(exit) => return Ok(exit),
     };
@@ -60,11 +63,13 @@ pub fn run(args: &SimulateArgs, out: &mut Output) -> Result<Exit, Failure> {
     let simulator = match Simulator::new(&Arc::new(subject.declared(args.jobs)), args.steps) {
         Ok(simulator) => simulator,
         Err(refused) => {
-            out.line(Styled(NOTE, format!("{}: not simulated: {}", subject.file, refused.why)))?;
+            let (all, refused) = (&Simulated::default(), Some(&refused));
+            let told = Told { subject: &subject, args, what: &what, refused, all, saved: false, chart: None };
+            told.show(format, out)?;
             return Ok(Exit::Budget);
         }
     };
-    let text = args.format.unwrap_or_default() == Format::Text;
+    let text = format == Format::Text;
     let started = Instant::now();
     let all = match &what {
         What::Seeds { first, count, faults } => {
@@ -94,15 +99,13 @@ pub fn run(args: &SimulateArgs, out: &mut Output) -> Result<Exit, Failure> {
     // What was found is shown even if it cannot be saved.
     let kept = args.save.as_deref().map_or(Ok(false), |path| save(path, args, &subject, &all));
     let saved = matches!(kept, Ok(true));
-    let told = Told { subject: &subject, args, what: &what, all: &all, saved, chart };
+    let told = Told { subject: &subject, args, what: &what, refused: None, all: &all, saved, chart };
+    told.show(format, out)?;
     if text {
-        told.show(out)?;
         // Beside the answer, which is the same each time.
         let speed = grouped((all.steps as f64 / seconds.max(1e-9)) as u64);
         let line = format!("{} in {seconds:.2} s, {speed} steps a second", count(all.runs, "run"));
         let _ = writeln!(io::stderr(), "{line}");
-    } else {
-        out.json(&told.answer())?;
     }
     kept?;
     Ok(match (all.found.is_empty(), all.interrupted) {

@@ -2,6 +2,7 @@
 
 use super::file::Names;
 use super::{Told, What};
+use crate::args::Format;
 use crate::exit::Failure;
 use crate::output::{BAD, FAINT, HEAD, NOTE, Output, Styled, count, grouped};
 use crate::verify::chart;
@@ -15,7 +16,18 @@ impl Told<'_> {
     ///
     /// # Errors
     /// [`Failure::Output`].
-    pub fn show(&self, out: &mut Output) -> Result<(), Failure> {
+    pub fn show(&self, format: Format, out: &mut Output) -> Result<(), Failure> {
+        match (format, self.refused) {
+            (Format::Json, _) => out.json(&self.answer()),
+            (Format::Text, Some(refused)) => {
+                let text = format!("{}: not simulated: {}", self.subject.file, refused.why);
+                out.line(Styled(NOTE, text))
+            }
+            (Format::Text, None) => self.text(out),
+        }
+    }
+
+    fn text(&self, out: &mut Output) -> Result<(), Failure> {
         for (number, found) in self.all.found.iter().enumerate() {
             let again = self.again(number, found);
             self.subject.tell(&found.finding, (number > 0).then_some(&again), out)?;
