@@ -208,12 +208,10 @@ fn a_broken_plan_says_what_is_wrong_with_it() {
     }
 }
 
-/// Ctrl-C once the command waits for it: before, it ends the process as any.
-#[test]
-fn ctrl_c_ends_it_with_what_it_has() {
+/// Sends Ctrl-C once the command waits for it: before, it ends the process as any. Gives the exit code and the answer.
+fn stopped(args: &[&str]) -> (Option<i32>, Value) {
     let folder = tempfile::tempdir().expect("a folder");
-    let mut command =
-        imrs(folder.path(), &["simulate", "examples/conveyor.cell", "--seeds", "100000000", "--seed", "1"]);
+    let mut command = imrs(folder.path(), &[args, &["--format", "json"]].concat());
     let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("started");
     let status = format!("/proc/{}/status", child.id());
     let waits = || {
@@ -227,7 +225,17 @@ fn ctrl_c_ends_it_with_what_it_has() {
     let pid = Pid::from_raw(i32::try_from(child.id()).expect("a number")).expect("a process");
     kill_process(pid, Signal::INT).expect("told");
     let said = child.wait_with_output().expect("ended");
-    let out = String::from_utf8_lossy(&said.stdout);
-    assert_eq!(said.status.code(), Some(4), "{out}");
-    assert!(out.contains(", ended early") && out.contains("nothing found so far"), "{out}");
+    (said.status.code(), serde_json::from_slice(&said.stdout).expect("JSON"))
+}
+
+#[test]
+fn ctrl_c_ends_it_with_what_it_has() {
+    let conveyor = "examples/conveyor.cell";
+    let (code, answer) = stopped(&["simulate", conveyor, "--seeds", "100000000", "--seed", "1"]);
+    assert_eq!((code, &answer["complete"]), (Some(4), &false.into()), "{answer}");
+    // One batch of these runs takes minutes: it is not waited for.
+    let long = ["simulate", LONG, "--seeds", "1000", "--seed", "1", "--steps", "1000000", "--jobs", "2"];
+    let (code, answer) = stopped(&long);
+    assert_eq!((code, &answer["complete"]), (Some(4), &false.into()), "{answer}");
+    assert!(answer["runs"].as_u64().is_some_and(|runs| runs < 64), "{answer}");
 }

@@ -9,6 +9,7 @@ use imrs_model::cell::{
 use imrs_protocol::{NodeId, TaskId};
 use std::path::Path;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 fn example(name: &str) -> Text {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples").join(name);
@@ -20,7 +21,7 @@ fn simulator(plan: &CellPlan, steps: u32) -> Simulator {
 }
 
 fn seeds(plan: &CellPlan, steps: u32, (first, count): (u64, u64)) -> Simulated {
-    simulator(plan, steps).seeds((first, count), None, &mut |_, _| true)
+    simulator(plan, steps).seeds((first, count), None, &mut |_, _| ())
 }
 
 fn node(number: usize) -> NodeId {
@@ -91,15 +92,43 @@ fn a_seed_and_a_schedule_show_again_what_was_found() {
 /// Charts, recordings and causes make the moves of a finding again. A move that panics there is the last one shown.
 #[test]
 fn a_finding_whose_last_move_panics_is_shown() {
-    let cell = example("faulty/part_placed_twice.cell");
-    let mut found = seeds(&cell.plan, 1_000, (1, 50)).found.remove(0);
+    let mut plan = example("faulty/part_placed_twice.cell").plan;
+    let mut found = seeds(&plan, 1_000, (1, 50)).found.remove(0);
     let steps = found.finding.moves.len();
     // No cell has 200 packets in flight here, so the machine has none of that number.
     found.finding.moves.insert(steps / 2, CellMove::Duplicate(200));
     found.finding.phase = Phase::Faults;
-    let plan = CellPlan { faults: vec![found.faults], ..cell.plan };
+    plan.faults = vec![found.faults];
     let shown = scenes(&Arc::new(plan), &found.finding);
     assert_eq!(shown.len(), 1 + steps / 2 + 1, "the start, the moves before the panic, and the panic");
+}
+
+/// A flag that is set ends batches and shrinking, and what was found until then is the answer, each finding whole.
+#[test]
+fn a_stop_ends_batches_and_shrinking() {
+    let mut plan = example("faulty/part_placed_twice.cell").plan;
+    for jobs in [1, 3] {
+        plan.jobs = jobs;
+        let stopped_at = |least: usize| {
+            let stop = Arc::new(AtomicBool::new(false));
+            let simulator = simulator(&plan, 1_000).stopped_by(&stop);
+            simulator.seeds((1, 100_000_000), None, &mut |_, found| {
+                stop.store(found >= least, Ordering::Relaxed);
+            })
+        };
+        let none = stopped_at(0);
+        assert!(none.interrupted && none.runs == 0 && none.found.is_empty(), "{none:?}");
+        let one = stopped_at(1);
+        let found = &one.found[0];
+        assert!(one.interrupted && one.runs > 0, "{one:?}");
+        assert!(
+            found.shrunk.is_some_and(|shrunk| !shrunk.whole && shrunk.moves == found.finding.moves.len())
+        );
+        assert!(found.finding.kind == Kind::Check && !found.finding.chart.is_empty(), "{found:?}");
+        let stop = Arc::new(AtomicBool::new(true));
+        let replayed = simulator(&plan, 1_000).stopped_by(&stop).schedule(&found.schedule, true);
+        assert!(replayed.interrupted && replayed.runs == 0, "{replayed:?}");
+    }
 }
 
 #[test]
@@ -187,7 +216,7 @@ fn one_fault_happens_where_the_plan_says() {
         assert_eq!((checks, &all.idle[..]), (vec![Some(0)], &[][..]), "{fault:?}");
         assert!(all.found[0].with_faults(), "{fault:?}");
         // The same plan for whatever is chosen.
-        let any = simulator.seeds((1, 20), Some(std::slice::from_ref(&fault)), &mut |_, _| true);
+        let any = simulator.seeds((1, 20), Some(std::slice::from_ref(&fault)), &mut |_, _| ());
         assert!(any.found[0].runs == 20 && any.with_faults == 20, "{fault:?}: {any:?}");
     }
     // These harm nobody: a copy is answered as before, and a cut of a link that carries nothing shows to nobody.

@@ -17,7 +17,7 @@ use std::fmt::Write as _;
 use std::io::{self, Write as _};
 use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::AtomicBool;
 use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
 /// How many seeds are run unless told otherwise.
@@ -61,7 +61,7 @@ pub fn run(args: &SimulateArgs, out: &mut Output) -> Result<Exit, Failure> {
     let what = what(args, &names)?;
     args.save.as_deref().map_or(Ok(()), cell_file::writable)?;
     let simulator = match Simulator::new(&Arc::new(subject.declared(args.jobs)), args.steps) {
-        Ok(simulator) => simulator,
+        Ok(simulator) => simulator.stopped_by(&stop_at_ctrl_c()),
         Err(refused) => {
             let (all, refused) = (&Simulated::default(), Some(&refused));
             let told = Told { subject: &subject, args, what: &what, refused, all, saved: false, chart: None };
@@ -73,25 +73,19 @@ pub fn run(args: &SimulateArgs, out: &mut Output) -> Result<Exit, Failure> {
     let started = Instant::now();
     let all = match &what {
         What::Seeds { first, count, faults } => {
-            let interrupted = Arc::new(AtomicBool::new(false));
-            let registered = signal_hook::flag::register(SIGINT, Arc::clone(&interrupted));
             let line = progress(*count, text);
             let all = simulator.seeds((*first, *count), faults.as_deref(), &mut |runs, found| {
                 line.set_position(runs);
                 line.set_message(self::count(found as u64, "finding"));
-                !interrupted.load(Ordering::Relaxed)
             });
             line.finish_and_clear();
-            if let Ok(id) = registered {
-                signal_hook::low_level::unregister(id);
-            }
             all
         }
         What::Schedule(schedule) => simulator.schedule(schedule, args.shrink),
     };
     let seconds = started.elapsed().as_secs_f64();
     let chart = match &what {
-        _ if !all.found.is_empty() => None,
+        _ if !all.found.is_empty() || all.interrupted => None,
         What::Seeds { first, count: 1, faults } => Some(simulator.chart_of_seed(*first, faults.as_deref())),
         What::Schedule(schedule) => Some(simulator.chart_of(schedule)),
         What::Seeds { .. } => None,
@@ -138,6 +132,15 @@ fn what(args: &SimulateArgs, names: &Names<'_>) -> Result<What, Failure> {
         u64::try_from(since.as_micros() % SEEDS_OF_THE_CLOCK).unwrap_or(0)
     };
     Ok(What::Seeds { first: args.seed.unwrap_or_else(clock), count, faults })
+}
+
+/// A flag that Ctrl-C sets. A second Ctrl-C ends the process.
+fn stop_at_ctrl_c() -> Arc<AtomicBool> {
+    let stop = Arc::default();
+    // Where nothing can be registered, Ctrl-C ends the process at once.
+    let _ = signal_hook::flag::register_conditional_default(SIGINT, Arc::clone(&stop));
+    let _ = signal_hook::flag::register(SIGINT, Arc::clone(&stop));
+    stop
 }
 
 /// A line on standard error where it is a terminal.

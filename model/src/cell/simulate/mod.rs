@@ -34,9 +34,9 @@ use draw::Census;
 use driver::Source;
 use imrs_protocol::TaskId;
 use imrs_protocol::script::Address;
-use run::{Run, run};
+use run::{Limit, Run, run};
 use shrink::{Shrinker, moves_to};
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock};
 
 /// How many runs a thread makes between two looks at who waits.
@@ -119,6 +119,7 @@ pub struct Simulator {
     steps: u32,
     census: Census,
     jobs: usize,
+    stop: Arc<AtomicBool>,
 }
 
 impl Simulator {
@@ -131,27 +132,34 @@ impl Simulator {
             return Err(refused);
         }
         let plan = timed(&with_programs(plan), Times::Every);
-        let plain = run(&plan, &[], Source::Tape(&Tape::new()), steps);
+        let plain = run(&plan, &[], Source::Tape(&Tape::new()), Limit { steps, stop: None });
         let links = Course::new(&plan, &CellFaults::default()).floor.links;
         let census = Census::of(&plan, &links, &plain);
-        Ok(Self { census, steps, jobs: plan.jobs.max(1), plan })
+        Ok(Self { census, steps, jobs: plan.jobs.max(1), plan, stop: Arc::default() })
     }
 
-    /// Runs so many seeds from the first one on: with these faults, or with those that each seed draws. After each batch
-    /// `goes_on` is told how many runs were made and how many findings there are, and says whether to make more. What was
-    /// found is shrunk. The answer is the same for any number of threads.
+    /// Stops when this is set: runs and shrinking end at their next step, and what was found until then is the answer.
+    #[must_use]
+    pub fn stopped_by(self, stop: &Arc<AtomicBool>) -> Self {
+        Self { stop: Arc::clone(stop), ..self }
+    }
+
+    /// Runs so many seeds from the first one on: with these faults, or with those that each seed draws. Before each batch
+    /// `progress` gets the number of runs and of findings. What was found is shrunk. The answer is the same for any number
+    /// of threads.
     pub fn seeds(
         &self,
         (first, count): (u64, u64),
         faults: Option<&[Fault]>,
-        goes_on: &mut dyn FnMut(u64, usize) -> bool,
+        progress: &mut dyn FnMut(u64, usize),
     ) -> Simulated {
         let mut all = Simulated::default();
         let mut reached: Option<Reached> = None;
         let mut found: Vec<(Shown, u64, Ran)> = Vec::new();
         while all.runs < count {
-            if !goes_on(all.runs, found.len()) {
-                all.interrupted = true;
+            progress(all.runs, found.len());
+            all.interrupted = self.stop.load(Ordering::Relaxed);
+            if all.interrupted {
                 break;
             }
             let batch = (count - all.runs).min(BATCH * self.jobs as u64);
@@ -190,8 +198,9 @@ impl Simulator {
             while let at = next.fetch_add(1, Ordering::Relaxed)
                 && let Some(place) = done.get(at)
             {
+                let Some(ran) = self.seed(first.wrapping_add(at as u64), faults) else { break };
                 // Each is taken by one thread.
-                let _ = place.set(self.seed(first.wrapping_add(at as u64), faults));
+                let _ = place.set(ran);
             }
         };
         if self.jobs == 1 || count == 1 {
@@ -199,7 +208,8 @@ impl Simulator {
         } else {
             std::thread::scope(|scope| (0..self.jobs).for_each(|_| drop(scope.spawn(work))));
         }
-        done.into_iter().filter_map(OnceLock::into_inner).collect()
+        // After a run that was stopped there may be whole ones: the seeds of an answer have no gaps.
+        done.into_iter().map_while(OnceLock::into_inner).collect()
     }
 
     /// The faults of a run with this seed.
@@ -207,12 +217,16 @@ impl Simulator {
         faults.map_or_else(|| self.census.draw(&self.plan, seed), <[Fault]>::to_vec)
     }
 
-    fn seed(&self, seed: u64, faults: Option<&[Fault]>) -> Ran {
+    /// The run of a seed; none if it was stopped.
+    fn seed(&self, seed: u64, faults: Option<&[Fault]>) -> Option<Ran> {
         let faults = self.faults(seed, faults);
-        let run = run(&self.plan, &faults, Source::Seed(seed), self.steps);
+        let run = run(&self.plan, &faults, Source::Seed(seed), self.until_stopped());
+        if run.stopped {
+            return None;
+        }
         let tape = if run.shown.is_empty() { Tape::new() } else { run.tape };
         let (moves, shown) = run.shown.into_iter().unzip();
-        Ran {
+        Some(Ran {
             seed,
             steps: run.moves.len() as u64,
             ticks: run.ticks,
@@ -222,15 +236,27 @@ impl Simulator {
             shown,
             schedule: Schedule { faults, tape },
             moves,
-        }
+        })
+    }
+
+    fn until_stopped(&self) -> Limit<'_> {
+        Limit { stop: Some(&self.stop), ..self.whole() }
+    }
+
+    /// For runs of which an answer needs all steps.
+    const fn whole(&self) -> Limit<'_> {
+        Limit { steps: self.steps, stop: None }
     }
 
     /// Runs a schedule as it is, or shrinks what it shows.
     #[must_use]
     pub fn schedule(&self, schedule: &Schedule, shrink: bool) -> Simulated {
         let mut all = Simulated::default();
-        let run = run(&self.plan, &schedule.faults, Source::Tape(&schedule.tape), self.steps);
-        all.count(run.moves.len() as u64, run.ticks, run.ended, !schedule.faults.is_empty());
+        let run = run(&self.plan, &schedule.faults, Source::Tape(&schedule.tape), self.until_stopped());
+        all.interrupted = run.stopped;
+        if !run.stopped {
+            all.count(run.moves.len() as u64, run.ticks, run.ended, !schedule.faults.is_empty());
+        }
         for (moves, shown) in &run.shown {
             all.found.push(if shrink {
                 self.shrink(schedule, shown, *moves)
@@ -246,13 +272,13 @@ impl Simulator {
     /// The way of a run as a sequence chart, and how it ended.
     #[must_use]
     pub fn chart_of_seed(&self, seed: u64, faults: Option<&[Fault]>) -> String {
-        self.chart(&run(&self.plan, &self.faults(seed, faults), Source::Seed(seed), self.steps))
+        self.chart(&run(&self.plan, &self.faults(seed, faults), Source::Seed(seed), self.whole()))
     }
 
     /// The way of a schedule as a sequence chart, and how it ended.
     #[must_use]
     pub fn chart_of(&self, schedule: &Schedule) -> String {
-        self.chart(&run(&self.plan, &schedule.faults, Source::Tape(&schedule.tape), self.steps))
+        self.chart(&run(&self.plan, &schedule.faults, Source::Tape(&schedule.tape), self.whole()))
     }
 
     fn chart(&self, run: &Run) -> String {
@@ -269,20 +295,24 @@ impl Simulator {
     fn shrink(&self, schedule: &Schedule, shown: &Shown, moves: usize) -> Found {
         // What was chosen after it is of no account.
         let steps = u32::try_from(moves).unwrap_or(u32::MAX);
-        let tape = run(&self.plan, &schedule.faults, Source::Tape(&schedule.tape), steps).tape;
+        let limit = Limit { steps, stop: None };
+        let tape = run(&self.plan, &schedule.faults, Source::Tape(&schedule.tape), limit).tape;
         let schedule = &Schedule { faults: schedule.faults.clone(), tape };
         let mut shrinker = Shrinker {
             plan: &self.plan,
             shown,
             // A shorter schedule may take a longer way, but not one that is much longer.
-            steps: self.steps.min(steps.saturating_mul(2).saturating_add(64)),
+            limit: Limit {
+                steps: self.steps.min(steps.saturating_mul(2).saturating_add(64)),
+                ..self.until_stopped()
+            },
             best: schedule.clone(),
             spent: 0,
         };
         let whole = shrinker.shrink();
         let best = shrinker.best;
         let shrunk = Shrunk { faults: schedule.faults.len(), choices: schedule.choices(), moves, whole };
-        let run = run(&self.plan, &best.faults, Source::Tape(&best.tape), self.steps);
+        let run = run(&self.plan, &best.faults, Source::Tape(&best.tape), self.whole());
         self.found(&run, shown, best, Some(shrunk))
     }
 

@@ -9,6 +9,7 @@ use crate::cell::starve::decided;
 use crate::cell::unpacked::Unpacked;
 use crate::cell::verdict::Phase;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// How a run ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
@@ -33,6 +34,8 @@ pub(super) struct Run {
     pub faults: CellFaults,
     pub moves: Vec<CellMove>,
     pub ended: Ended,
+    /// Whether it was stopped before its end.
+    pub stopped: bool,
     /// What was found, each once, and after how many moves.
     pub shown: Vec<(usize, Shown)>,
     pub ticks: u64,
@@ -44,8 +47,23 @@ pub(super) struct Run {
     pub counts: (Vec<u32>, Vec<u32>),
 }
 
+/// When a run ends at the latest.
+#[derive(Clone, Copy)]
+pub(super) struct Limit<'a> {
+    /// After so many steps.
+    pub steps: u32,
+    /// When this is set.
+    pub stop: Option<&'a AtomicBool>,
+}
+
+impl Limit<'_> {
+    pub fn is_stopped(self) -> bool {
+        self.stop.is_some_and(|stop| stop.load(Ordering::Relaxed))
+    }
+}
+
 /// Runs a cell. Without faults it is judged as one where nothing went wrong.
-pub(super) fn run(plan: &Arc<CellPlan>, faults: &[Fault], source: Source<'_>, steps: u32) -> Run {
+pub(super) fn run(plan: &Arc<CellPlan>, faults: &[Fault], source: Source<'_>, limit: Limit<'_>) -> Run {
     let phase = if faults.is_empty() { Phase::FaultFree } else { Phase::Faults };
     let budgets = super::schedule::budgets(&super::schedule::in_order(faults));
     let mut cell = Unpacked::new(plan, phase, &budgets);
@@ -53,6 +71,7 @@ pub(super) fn run(plan: &Arc<CellPlan>, faults: &[Fault], source: Source<'_>, st
     let (mut taken, mut next) = (Vec::new(), Vec::new());
     let mut judged: Vec<Shown> = Vec::new();
     let mut shown: Vec<(usize, Shown)> = Vec::new();
+    let mut stopped = false;
     let ended = loop {
         let mut found = cell.shown();
         next.clear();
@@ -74,7 +93,8 @@ pub(super) fn run(plan: &Arc<CellPlan>, faults: &[Fault], source: Source<'_>, st
         if last {
             break Ended::Found;
         }
-        if taken.len() >= steps as usize {
+        stopped = limit.is_stopped();
+        if stopped || taken.len() >= limit.steps as usize {
             break Ended::Steps;
         }
         if cell.course.floor.crossings.len() > MOST_PACKETS {
@@ -89,6 +109,7 @@ pub(super) fn run(plan: &Arc<CellPlan>, faults: &[Fault], source: Source<'_>, st
         faults: budgets,
         moves: taken,
         ended,
+        stopped,
         shown,
         ticks: cell.course.passed,
         reached: cell.reached,
