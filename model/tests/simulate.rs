@@ -131,6 +131,33 @@ fn a_stop_ends_batches_and_shrinking() {
     }
 }
 
+/// With quick packets the question is rejected until it ends: it starves. With slow ones, which shrinking prefers, it ends
+/// by its time_out.
+const NOT_SERVED: &str = "cell served;
+tick 1 msec;
+node n1; node n2;
+link n1 -- n2 delay 35 msec;
+task inspector on n1
+  port look() -> bool usage = query user_list = {arm} time_out = 75 msec penalty = paper 45 msec;
+  var ok: bool;
+begin query look() -> ok on time_out do skip; end; end inspector;
+task arm on n2
+  use_port look() -> bool usage = response;
+begin
+  order self > look;
+  on query look() do response(true); end;
+  run weld takes 200 msec;
+end arm;
+";
+
+#[test]
+fn shrinking_keeps_the_kind_of_a_finding() {
+    let all = seeds(&Text::new(NOT_SERVED).plan, 1_000, (1, 200));
+    let mut kinds: Vec<Kind> = all.found.iter().map(|found| found.finding.kind).collect();
+    kinds.sort_unstable();
+    assert_eq!(kinds, [Kind::TimeOut, Kind::Starves], "{:?}", all.found);
+}
+
 #[test]
 fn what_is_sound_shows_nothing() {
     for name in ["beam_lift", "weld_cell", "press_line", "shared_tool", "conveyor", "carry", "belt"] {
