@@ -169,6 +169,18 @@ fn faults_of_a_file_happen_in_every_run() {
 }
 
 #[test]
+fn a_fault_of_a_file_that_happens_in_no_run_is_named() {
+    let plan =
+        "version = 1\n[[fault]]\nlose = 9\nlink = \"n2 -> n1\"\n[[fault]]\ncopy = 1\nlink = \"n1 -> n2\"\n";
+    let (_folder, plan) = file("never.toml", plan);
+    let args = ["simulate", TWICE, "--plan", &plan, "--seeds", "5", "--seed", "1"];
+    let said = run(&args);
+    let note = "  this fault happened in none of these runs: packet 9 of n2 -> n1 is lost\n";
+    assert!(said.out.contains(note) && said.out.matches("this fault").count() == 1, "{said:?}");
+    assert_eq!(json(&args)["idle"], serde_json::json!(["packet 9 of n2 -> n1 is lost"]));
+}
+
+#[test]
 fn a_broken_plan_says_what_is_wrong_with_it() {
     let cases = [
         ("version = 2\n", "version 2: this imrs reads version 1"),
@@ -234,7 +246,7 @@ fn ctrl_c_ends_it_with_what_it_has() {
     let (code, answer) = stopped(&["simulate", conveyor, "--seeds", "100000000", "--seed", "1"]);
     assert_eq!((code, &answer["complete"]), (Some(4), &false.into()), "{answer}");
     // One batch of these runs takes minutes: it is not waited for.
-    let long = ["simulate", LONG, "--seeds", "1000", "--seed", "1", "--steps", "1000000", "--jobs", "2"];
+    let long = ["simulate", conveyor, "--seeds", "1000", "--seed", "1", "--steps", "1000000", "--jobs", "2"];
     let (code, answer) = stopped(&long);
     assert_eq!((code, &answer["complete"]), (Some(4), &false.into()), "{answer}");
     assert!(answer["runs"].as_u64().is_some_and(|runs| runs < 64), "{answer}");

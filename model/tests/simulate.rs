@@ -245,6 +245,7 @@ fn one_fault_happens_where_the_plan_says() {
         // The same plan for whatever is chosen.
         let any = simulator.seeds((1, 20), Some(std::slice::from_ref(&fault)), &mut |_, _| ());
         assert!(any.found[0].runs == 20 && any.with_faults == 20, "{fault:?}: {any:?}");
+        assert!(any.idle.is_empty(), "{fault:?}: {any:?}");
     }
     // These harm nobody: a copy is answered as before, and a cut of a link that carries nothing shows to nobody.
     let copied = Fault::Copy { link: to, nth: 2 };
@@ -256,9 +257,12 @@ fn one_fault_happens_where_the_plan_says() {
         Fault::Overtake { link: back, nth: 1 },
         Fault::Cut { link: 0, at: 5_000, lasts: None },
     ];
+    let drift = Fault::Drift { node: node(0), at: 0, more: true };
     for fault in idle {
         let all = simulator.schedule(&with(&fault), false);
-        assert!(all.found.is_empty() && all.idle == [fault], "{all:?}");
+        assert!(all.found.is_empty() && all.idle == [fault.clone()], "{all:?}");
+        let any = simulator.seeds((1, 20), Some(&[fault.clone(), drift.clone()]), &mut |_, _| ());
+        assert_eq!(any.idle, [fault], "the clock was wrong in each run");
     }
     // A packet lost takes one request, whichever: the other check holds.
     assert_eq!(simulator.schedule(&Schedule::default(), false).ended[Ended::Over as usize], 1);

@@ -28,7 +28,7 @@ pub(super) struct Answer<'a> {
     findings: Vec<One<'a>>,
     /// Statements that no run reached.
     not_reached: Vec<verify::Place<'a>>,
-    /// Faults of the file that did not happen.
+    /// Faults of the file that happened in no run.
     idle: Vec<String>,
     /// What the answer says nothing about.
     not_looked_for: [&'static str; 1],

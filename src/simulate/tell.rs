@@ -42,8 +42,12 @@ impl Told<'_> {
         self.runs(out)?;
         let unseen = "not reached in these runs, which says nothing about others";
         self.subject.statements(unseen, &self.all.not_reached, out)?;
+        let never = match self.what {
+            What::Seeds { count: 2.., .. } => "this fault happened in none of these runs",
+            What::Seeds { .. } | What::Schedule(_) => "this fault did not happen",
+        };
         for fault in &self.all.idle {
-            out.line(Styled(NOTE, format!("  this fault did not happen: {}", self.words(fault))))?;
+            out.line(Styled(NOTE, format!("  {never}: {}", self.words(fault))))?;
         }
         let file = &self.subject.file;
         let all = match (self.all.found.len(), self.all.interrupted) {

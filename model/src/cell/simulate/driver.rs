@@ -102,15 +102,14 @@ impl<'a> Driver<'a> {
         made.map(|choices| (choices.who, choices.made.clone())).collect()
     }
 
-    /// The faults that did not happen.
-    pub fn idle(&self) -> Vec<Fault> {
-        let idle = self.faults.iter().zip(&self.happened).filter(|(_, happened)| !**happened);
-        idle.map(|(fault, _)| fault.clone()).collect()
-    }
-
     /// For each directed link how many packets came, for each task how many actions ended.
     pub fn counts(&self) -> (Vec<u32>, Vec<u32>) {
         (self.lines.iter().map(|line| line.arrived).collect(), self.ended.clone())
+    }
+
+    /// For each fault, in the order of [`in_order`], whether it happened.
+    pub fn happened(self) -> Vec<bool> {
+        self.happened
     }
 
     /// The next of these moves; none where the run is over.

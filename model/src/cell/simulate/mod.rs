@@ -35,6 +35,7 @@ use driver::Source;
 use imrs_protocol::TaskId;
 use imrs_protocol::script::Address;
 use run::{Limit, Run, run};
+use schedule::idle;
 use shrink::{Shrinker, moves_to};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock};
@@ -61,7 +62,7 @@ pub struct Simulated {
     pub statements: Vec<(u32, u32)>,
     /// Statements that no run reached: task and operation.
     pub not_reached: Vec<(TaskId, Address)>,
-    /// Faults of a given schedule that did not happen.
+    /// Faults that were given and happened in no run.
     pub idle: Vec<Fault>,
     /// Whether it was ended before all runs were made.
     pub interrupted: bool,
@@ -109,6 +110,7 @@ struct Ran {
     /// Where something was shown, how.
     schedule: Schedule,
     moves: Vec<usize>,
+    happened: Vec<bool>,
 }
 
 /// A cell to run at random.
@@ -156,6 +158,7 @@ impl Simulator {
         let mut all = Simulated::default();
         let mut reached: Option<Reached> = None;
         let mut found: Vec<(Shown, u64, Ran)> = Vec::new();
+        let mut happened = vec![false; faults.map_or(0, <[Fault]>::len)];
         while all.runs < count {
             progress(all.runs, found.len());
             all.interrupted = self.stop.load(Ordering::Relaxed);
@@ -165,6 +168,7 @@ impl Simulator {
             let batch = (count - all.runs).min(BATCH * self.jobs as u64);
             for mut ran in self.batch(first.wrapping_add(all.runs), batch, faults) {
                 all.count(ran.steps, ran.ticks, ran.ended, ran.with_faults);
+                happened.iter_mut().zip(&ran.happened).for_each(|(all, one)| *all |= one);
                 let own = std::mem::take(&mut ran.reached);
                 reached = Some(match reached {
                     Some(reached) => reached.join(own),
@@ -188,6 +192,7 @@ impl Simulator {
             }
         }
         self.coverage(&mut all, reached.as_ref());
+        all.idle = faults.map_or_else(Vec::new, |faults| idle(faults, &happened));
         all
     }
 
@@ -236,6 +241,7 @@ impl Simulator {
             shown,
             schedule: Schedule { faults, tape },
             moves,
+            happened: run.happened,
         })
     }
 
@@ -265,7 +271,7 @@ impl Simulator {
             });
         }
         self.coverage(&mut all, Some(&run.reached));
-        all.idle = run.idle;
+        all.idle = idle(&schedule.faults, &run.happened);
         all
     }
 
@@ -345,6 +351,7 @@ impl Ran {
             reached: Reached::default(),
             schedule: self.schedule.clone(),
             moves: vec![self.moves[at]],
+            happened: Vec::new(),
             ..*self
         }
     }

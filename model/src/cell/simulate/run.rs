@@ -41,8 +41,8 @@ pub(super) struct Run {
     pub ticks: u64,
     pub reached: Reached,
     pub tape: Tape,
-    /// The faults that did not happen.
-    pub idle: Vec<Fault>,
+    /// For each fault, in the order of [`in_order`](super::schedule::in_order), whether it happened.
+    pub happened: Vec<bool>,
     /// For each directed link how many packets came, for each task how many actions ended.
     pub counts: (Vec<u32>, Vec<u32>),
 }
@@ -114,7 +114,7 @@ pub(super) fn run(plan: &Arc<CellPlan>, faults: &[Fault], source: Source<'_>, li
         ticks: cell.course.passed,
         reached: cell.reached,
         tape: driver.tape(),
-        idle: driver.idle(),
         counts: driver.counts(),
+        happened: driver.happened(),
     }
 }

@@ -113,6 +113,12 @@ pub(super) fn in_order(faults: &[Fault]) -> Vec<Fault> {
     faults
 }
 
+/// Those of the faults that did not happen.
+pub(super) fn idle(faults: &[Fault], happened: &[bool]) -> Vec<Fault> {
+    let all = in_order(faults).into_iter().zip(happened);
+    all.filter(|(_, happened)| !**happened).map(|(fault, _)| fault).collect()
+}
+
 /// The budgets that allow these faults and no others. Those that have instants are sorted by them.
 pub(super) fn budgets(faults: &[Fault]) -> CellFaults {
     let mut all = CellFaults::default();
