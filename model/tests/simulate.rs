@@ -158,6 +158,29 @@ fn shrinking_keeps_the_kind_of_a_finding() {
     assert_eq!(kinds, [Kind::TimeOut, Kind::Starves], "{:?}", all.found);
 }
 
+/// Two tasks that do the same, each with a wrong assertion.
+const TWINS: &str = "cell twins;
+tick 1 msec;
+node n1; node n2;
+link n1 -- n2 delay 1 msec;
+task left on n1
+  var parts: int8;
+begin run grip takes 1..9 msec; assert parts > 0; end left;
+task right on n2
+  var parts: int8;
+begin run grip takes 1..9 msec; assert parts > 0; end right;
+";
+
+#[test]
+fn a_finding_of_tasks_with_the_same_statements_is_told_once() {
+    let plan = Text::new(TWINS).plan;
+    let all = seeds(&plan, 1_000, (1, 100));
+    let told: Vec<_> =
+        all.found.iter().map(|found| (found.finding.task, &found.finding.also[..], found.runs)).collect();
+    let [one, other] = [0, 1].map(TaskId::from_index);
+    assert!(told == [(Some(one), &[other][..], 100)] || told == [(Some(other), &[one][..], 100)], "{told:?}");
+}
+
 #[test]
 fn what_is_sound_shows_nothing() {
     for name in ["beam_lift", "weld_cell", "press_line", "shared_tool", "conveyor", "carry", "belt"] {

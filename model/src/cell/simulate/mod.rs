@@ -21,7 +21,7 @@ mod shrink;
 pub use run::Ended;
 pub use schedule::{Chooser, Fault, MOST_FAULTS, Schedule, Tape};
 
-use super::alike::repeats;
+use super::alike::shows_alike;
 use super::course::Course;
 use super::judge::{self, Reached, Shown};
 use super::outside::with_programs;
@@ -106,11 +106,24 @@ struct Ran {
     ended: Ended,
     with_faults: bool,
     reached: Reached,
-    shown: Vec<Shown>,
+    /// What was found, and after how many moves.
+    shown: Vec<(usize, Shown)>,
     /// Where something was shown, how.
     schedule: Schedule,
-    moves: Vec<usize>,
     happened: Vec<bool>,
+}
+
+/// Something that runs show: at one task, or at several with the same statements.
+struct Group {
+    /// As the first of these runs shows it, after so many moves.
+    shown: Shown,
+    moves: usize,
+    /// The other tasks.
+    also: Vec<TaskId>,
+    runs: u64,
+    /// The first of these runs.
+    seed: Option<u64>,
+    schedule: Schedule,
 }
 
 /// A cell to run at random.
@@ -157,10 +170,10 @@ impl Simulator {
     ) -> Simulated {
         let mut all = Simulated::default();
         let mut reached: Option<Reached> = None;
-        let mut found: Vec<(Shown, u64, Ran)> = Vec::new();
+        let mut groups: Vec<Group> = Vec::new();
         let mut happened = vec![false; faults.map_or(0, <[Fault]>::len)];
         while all.runs < count {
-            progress(all.runs, found.len());
+            progress(all.runs, groups.len());
             all.interrupted = self.stop.load(Ordering::Relaxed);
             if all.interrupted {
                 break;
@@ -174,26 +187,39 @@ impl Simulator {
                     Some(reached) => reached.join(own),
                     None => own,
                 });
-                for (at, shown) in ran.shown.iter().enumerate() {
-                    match found.iter_mut().find(|(known, ..)| known.is_same(shown)) {
-                        Some((_, runs, _)) => *runs += 1,
-                        None => found.push((shown.clone(), 1, ran.only(at))),
-                    }
-                }
+                self.gather(&mut groups, &ran.shown, Some(ran.seed), &ran.schedule);
             }
         }
-        for (shown, runs, ran) in found {
-            let shorter = self.shrink(&ran.schedule, &shown, ran.moves[0]);
-            let new = Found { runs, seed: Some(ran.seed), ..shorter };
-            let first = all.found.iter_mut().find(|first| repeats(&self.plan, &first.finding, &new.finding));
-            match (first, new.finding.task) {
-                (Some(first), Some(task)) => first.finding.also.push(task),
-                _ => all.found.push(new),
-            }
-        }
+        all.found = groups.iter().map(|group| group.told(self.shrink(group))).collect();
         self.coverage(&mut all, reached.as_ref());
         all.idle = faults.map_or_else(Vec::new, |faults| idle(faults, &happened));
         all
+    }
+
+    /// Adds what a run shows to what others showed. A run that shows it at several tasks counts once.
+    fn gather(
+        &self,
+        groups: &mut Vec<Group>,
+        all: &[(usize, Shown)],
+        seed: Option<u64>,
+        schedule: &Schedule,
+    ) {
+        let mut counted = vec![false; groups.len()];
+        for (moves, shown) in all {
+            let known = groups
+                .iter()
+                .position(|group| group.shown.is_same(shown) || shows_alike(&self.plan, &group.shown, shown));
+            let at = known.unwrap_or_else(|| {
+                let (shown, schedule, also) = (shown.clone(), schedule.clone(), Vec::new());
+                groups.push(Group { shown, moves: *moves, also, runs: 0, seed, schedule });
+                counted.push(false);
+                groups.len() - 1
+            });
+            let group = &mut groups[at];
+            group.runs += u64::from(!std::mem::replace(&mut counted[at], true));
+            let task = shown.task.filter(|_| shown.task != group.shown.task).map(TaskId::from_index);
+            group.also.extend(task.filter(|task| !group.also.contains(task)));
+        }
     }
 
     fn batch(&self, first: u64, count: u64, faults: Option<&[Fault]>) -> Vec<Ran> {
@@ -230,7 +256,6 @@ impl Simulator {
             return None;
         }
         let tape = if run.shown.is_empty() { Tape::new() } else { run.tape };
-        let (moves, shown) = run.shown.into_iter().unzip();
         Some(Ran {
             seed,
             steps: run.moves.len() as u64,
@@ -238,9 +263,8 @@ impl Simulator {
             ended: run.ended,
             with_faults: !faults.is_empty(),
             reached: run.reached,
-            shown,
+            shown: run.shown,
             schedule: Schedule { faults, tape },
-            moves,
             happened: run.happened,
         })
     }
@@ -263,12 +287,15 @@ impl Simulator {
         if !run.stopped {
             all.count(run.moves.len() as u64, run.ticks, run.ended, !schedule.faults.is_empty());
         }
-        for (moves, shown) in &run.shown {
-            all.found.push(if shrink {
-                self.shrink(schedule, shown, *moves)
+        let mut groups = Vec::new();
+        self.gather(&mut groups, &run.shown, None, schedule);
+        for group in &groups {
+            let found = if shrink {
+                self.shrink(group)
             } else {
-                self.found(&run, shown, schedule.clone(), None)
-            });
+                self.found(&run, &group.shown, schedule.clone(), None)
+            };
+            all.found.push(group.told(found));
         }
         self.coverage(&mut all, Some(&run.reached));
         all.idle = idle(&schedule.faults, &run.happened);
@@ -298,9 +325,9 @@ impl Simulator {
         story::shorten(&chart(way.pen.names(), &way.pen.notes, end, Folding::Repeats))
     }
 
-    fn shrink(&self, schedule: &Schedule, shown: &Shown, moves: usize) -> Found {
+    fn shrink(&self, Group { shown, moves, schedule, .. }: &Group) -> Found {
         // What was chosen after it is of no account.
-        let steps = u32::try_from(moves).unwrap_or(u32::MAX);
+        let (moves, steps) = (*moves, u32::try_from(*moves).unwrap_or(u32::MAX));
         let limit = Limit { steps, stop: None };
         let tape = run(&self.plan, &schedule.faults, Source::Tape(&schedule.tape), limit).tape;
         let schedule = &Schedule { faults: schedule.faults.clone(), tape };
@@ -343,17 +370,11 @@ impl Simulator {
     }
 }
 
-impl Ran {
-    /// What remains of it for one of the things that it showed.
-    fn only(&self, at: usize) -> Self {
-        Self {
-            shown: Vec::new(),
-            reached: Reached::default(),
-            schedule: self.schedule.clone(),
-            moves: vec![self.moves[at]],
-            happened: Vec::new(),
-            ..*self
-        }
+impl Group {
+    /// What one of its runs shows, told for all of them.
+    fn told(&self, mut found: Found) -> Found {
+        found.finding.also.clone_from(&self.also);
+        Found { runs: self.runs, seed: self.seed, ..found }
     }
 }
 
