@@ -168,6 +168,33 @@ fn faults_of_a_file_happen_in_every_run() {
     assert_eq!(again, format!("imrs simulate {TWICE} --plan {plan} --seed 1"));
 }
 
+/// The command of each finding, run, shows that finding with its whole chart.
+#[test]
+fn the_command_of_a_finding_shows_it_again() {
+    const CELL: &str = "examples/faulty/two_feeders_in_a_hurry.cell";
+    let (_folder, saved) = file("saved.toml", "");
+    let found = |args: &[&str]| json(args)["findings"].as_array().expect("findings").clone();
+    let shows_again = |one: &Value| {
+        let again = one["again"].as_str().expect("a command");
+        let words: Vec<&str> = again.split(' ').skip(1).collect();
+        let number = words.iter().position(|word| *word == "--finding").map_or("1", |at| words[at + 1]);
+        let other = &found(&words)[number.parse::<usize>().expect("a number") - 1];
+        for part in ["kind", "line", "cause", "chart", "faults", "choices", "steps"] {
+            assert_eq!(one[part], other[part], "{again}: {part}");
+        }
+        let (whole, chart) = (run(&words).out, one["chart"].as_str().expect("a chart"));
+        assert!(chart.lines().all(|line| whole.contains(line)), "{again}: {whole}");
+    };
+    let seeds = ["simulate", CELL, "--seed", "1", "--seeds", "60"];
+    let all = found(&[&seeds[..], &["--save", &saved, "--finding", "2"]].concat());
+    assert!(all.len() == 2 && all[1]["again"] == format!("imrs simulate {CELL} --plan {saved}"), "{all:?}");
+    all.iter().chain(&found(&seeds)).for_each(shows_again);
+    for one in found(&["simulate", CELL, "--plan", &saved, "--shrink"]) {
+        assert!(one["again"].as_str().is_some_and(|again| again.ends_with(" --shrink")), "{one}");
+        shows_again(&one);
+    }
+}
+
 #[test]
 fn a_fault_of_a_file_that_happens_in_no_run_is_named() {
     let plan =
@@ -214,7 +241,7 @@ fn a_broken_plan_says_what_is_wrong_with_it() {
         let said = run(&["simulate", TWICE, "--plan", plan]);
         assert!(said.code == Some(2) && said.err.contains(plan), "{said:?}");
     }
-    for flags in [&["--shrink"][..], &["--seeds", "0"], &["--steps", "0"], &["--finding", "2"]] {
+    for flags in [&["--shrink"][..], &["--seeds", "0"], &["--steps", "0"], &["--finding", "0"]] {
         let said = run(&[&["simulate", TWICE], flags].concat());
         assert_eq!(said.code, Some(2), "{said:?}");
     }

@@ -28,8 +28,8 @@ pub struct SimulateArgs {
     /// Save the shrunk faults and choices of a finding for --plan.
     #[arg(long, value_name = "FILE")]
     pub save: Option<PathBuf>,
-    /// Which finding is saved, counted from 1.
-    #[arg(long, value_name = "N", requires = "save", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..))]
+    /// Which finding is shown with its whole chart, and saved: counted from 1.
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..))]
     pub finding: u16,
     /// Allow only the words of the paper, and take its own rules.
     #[arg(long)]

@@ -15,7 +15,6 @@ use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use signal_hook::consts::SIGINT;
 use std::fmt::Write as _;
 use std::io::{self, Write as _};
-use std::path::Path;
 use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::{Instant, SystemTime, UNIX_EPOCH};
@@ -91,7 +90,7 @@ pub fn run(args: &SimulateArgs, out: &mut Output) -> Result<Exit, Failure> {
         What::Seeds { .. } => None,
     };
     // What was found is shown even if it cannot be saved.
-    let kept = args.save.as_deref().map_or(Ok(false), |path| save(path, args, &subject, &all));
+    let kept = keep(args, &subject, &all);
     let saved = matches!(kept, Ok(true));
     let told = Told { subject: &subject, args, what: &what, refused: None, all: &all, saved, chart };
     told.show(format, out)?;
@@ -154,21 +153,25 @@ fn progress(seeds: u64, text: bool) -> ProgressBar {
     }
 }
 
-/// Saves the finding that was asked for. False: there are no findings.
-fn save(path: &Path, args: &SimulateArgs, subject: &Subject, all: &Simulated) -> Result<bool, Failure> {
-    let Some(found) = all.found.get(usize::from(args.finding) - 1) else {
-        let missed = format!("--finding {}: there are {}", args.finding, all.found.len());
-        return if all.found.is_empty() { Ok(false) } else { Err(Failure::Usage(missed)) };
+/// Saves the finding that was asked for. False: there is none to save, or no file.
+fn keep(args: &SimulateArgs, subject: &Subject, all: &Simulated) -> Result<bool, Failure> {
+    let found = all.found.get(usize::from(args.finding) - 1);
+    let missed = || format!("--finding {}: there are {}", args.finding, all.found.len());
+    let (path, found) = match (&args.save, found) {
+        (Some(path), Some(found)) => (path, found),
+        (_, None) if !all.found.is_empty() => return Err(Failure::Usage(missed())),
+        _ => return Ok(false),
     };
     let names = Names { table: &subject.table, tick_us: subject.tick_us };
     let text = file::text(&found.schedule, &format!("{} --plan FILE", command(subject, args)), &names);
-    std::fs::write(path, text).map_err(|source| CellFileError::NotSaved { path: path.to_owned(), source })?;
+    std::fs::write(path, text).map_err(|source| CellFileError::NotSaved { path: path.clone(), source })?;
     Ok(true)
 }
 
 /// The command without what it runs.
 fn command(subject: &Subject, args: &SimulateArgs) -> String {
-    let mut command = format!("imrs simulate {}", quoted(&subject.file));
+    let file = if cell_file::is_stdin(&args.cell) { "-" } else { &subject.file };
+    let mut command = format!("imrs simulate {}", quoted(file));
     if args.paper {
         command.push_str(" --paper");
     }
@@ -183,16 +186,23 @@ impl Told<'_> {
         self.saved && usize::from(self.args.finding) == number + 1
     }
 
-    /// The command that shows a finding again.
+    /// The command that shows a finding again, and its chart whole.
     fn again(&self, number: usize, found: &Found) -> String {
-        let command = command(self.subject, self.args);
+        let mut command = command(self.subject, self.args);
         let saved = self.args.save.as_ref().filter(|_| self.is_saved(number));
-        let file = |path: &Path| quoted(&cell_file::shown(path));
-        match (saved, found.seed, &self.args.plan) {
-            (Some(path), ..) | (None, None, Some(path)) => format!("{command} --plan {}", file(path)),
-            (None, Some(seed), Some(path)) => format!("{command} --plan {} --seed {seed}", file(path)),
-            (None, Some(seed), None) => format!("{command} --seed {seed}"),
-            (None, None, None) => command,
+        if let Some(path) = saved.or(self.args.plan.as_ref()) {
+            let _ = write!(command, " --plan {}", quoted(&cell_file::shown(path)));
         }
+        if let Some(seed) = found.seed.filter(|_| saved.is_none()) {
+            let _ = write!(command, " --seed {seed}");
+        }
+        if self.args.shrink && saved.is_none() {
+            command.push_str(" --shrink");
+        }
+        match saved.map_or(found.number, |_| found.number_of_schedule) {
+            1 => {}
+            number => _ = write!(command, " --finding {number}"),
+        }
+        command
     }
 }

@@ -30,7 +30,8 @@ impl Told<'_> {
     fn text(&self, out: &mut Output) -> Result<(), Failure> {
         for (number, found) in self.all.found.iter().enumerate() {
             let again = self.again(number, found);
-            self.subject.tell(&found.finding, (number > 0).then_some(&again), out)?;
+            let whole = usize::from(self.args.finding) == number + 1;
+            self.subject.tell(&found.finding, (!whole).then_some(&again), out)?;
             self.found(found, out)?;
             out.line(format!("  again: {again}"))?;
             out.line("")?;

@@ -73,6 +73,10 @@ pub struct Simulated {
 pub struct Found {
     /// The first seed that showed it; none where a schedule was given.
     pub seed: Option<u64>,
+    /// Its number, from 1, among the findings of the run of that seed alone, or of the schedule that was given.
+    pub number: usize,
+    /// Its number among the findings of the run of `schedule`.
+    pub number_of_schedule: usize,
     /// How many runs showed it.
     pub runs: u64,
     /// A schedule that shows it.
@@ -123,6 +127,8 @@ struct Group {
     runs: u64,
     /// The first of these runs.
     seed: Option<u64>,
+    /// Its number, from 1, in that run.
+    number: usize,
     schedule: Schedule,
 }
 
@@ -204,22 +210,28 @@ impl Simulator {
         seed: Option<u64>,
         schedule: &Schedule,
     ) {
-        let mut counted = vec![false; groups.len()];
+        let mut counted = Vec::new();
         for (moves, shown) in all {
-            let known = groups
-                .iter()
-                .position(|group| group.shown.is_same(shown) || shows_alike(&self.plan, &group.shown, shown));
+            let known = groups.iter().position(|group| self.is_one(&group.shown, shown));
             let at = known.unwrap_or_else(|| {
                 let (shown, schedule, also) = (shown.clone(), schedule.clone(), Vec::new());
-                groups.push(Group { shown, moves: *moves, also, runs: 0, seed, schedule });
-                counted.push(false);
+                let number = counted.len() + 1;
+                groups.push(Group { shown, moves: *moves, also, runs: 0, seed, number, schedule });
                 groups.len() - 1
             });
             let group = &mut groups[at];
-            group.runs += u64::from(!std::mem::replace(&mut counted[at], true));
+            if !counted.contains(&at) {
+                counted.push(at);
+                group.runs += 1;
+            }
             let task = shown.task.filter(|_| shown.task != group.shown.task).map(TaskId::from_index);
             group.also.extend(task.filter(|task| !group.also.contains(task)));
         }
+    }
+
+    /// Whether two things that runs show are one finding.
+    fn is_one(&self, one: &Shown, other: &Shown) -> bool {
+        one.is_same(other) || shows_alike(&self.plan, one, other)
     }
 
     fn batch(&self, first: u64, count: u64, faults: Option<&[Fault]>) -> Vec<Ran> {
@@ -355,7 +367,11 @@ impl Simulator {
         let shown = run.shown.iter().find(|(_, known)| known.is_same(shown)).map_or(shown, |(_, own)| own);
         let moves = run.moves[..end].to_vec();
         let finding = finding(&self.plan, (run.phase, 0), &run.faults, moves, shown.clone());
-        Found { seed: None, runs: 1, schedule, finding, faults: run.faults.clone(), shrunk }
+        let mut groups = Vec::new();
+        self.gather(&mut groups, &run.shown, None, &schedule);
+        let number = 1 + groups.iter().take_while(|group| !self.is_one(&group.shown, shown)).count();
+        let faults = run.faults.clone();
+        Found { seed: None, number, number_of_schedule: number, runs: 1, schedule, finding, faults, shrunk }
     }
 
     fn coverage(&self, all: &mut Simulated, reached: Option<&Reached>) {
@@ -374,7 +390,7 @@ impl Group {
     /// What one of its runs shows, told for all of them.
     fn told(&self, mut found: Found) -> Found {
         found.finding.also.clone_from(&self.also);
-        Found { runs: self.runs, seed: self.seed, ..found }
+        Found { runs: self.runs, seed: self.seed, number: self.number, ..found }
     }
 }
 
