@@ -229,6 +229,11 @@ fn a_broken_plan_says_what_is_wrong_with_it() {
         ("version = 1\n[[fault]]\nfail = 1\ntask = \"robo\"\n", "no task `robo`: did you mean `robot`?"),
         ("version = 1\n[choices.task]\nrobo = [1]\n", "no task `robo`"),
         ("version = 1\n[choices.node]\nn1 = [-1]\n", "invalid value"),
+        ("version = 1\n[choices.node]\nn1 = [1]\nn1 = [2]\n", "duplicate key"),
+        (
+            "version = 1\n[choices.link]\n\"n1 -> n2\" = [1]\n\"n1->n2\" = [2]\n",
+            "choices.link has `n1 -> n2` twice: write it once",
+        ),
         ("not a plan", "TOML parse error"),
     ];
     for (text, wrong) in cases {

@@ -154,7 +154,10 @@ impl Names<'_> {
         }
         for (name, made) in choices.link {
             let (from, to) = self.link(&name)?;
-            tape.insert(Chooser::Link(from, to), made);
+            // TOML refuses the same text twice, but not two spellings: `a -> b` and `a->b`.
+            if tape.insert(Chooser::Link(from, to), made).is_some() {
+                return Err(format!("choices.link has `{}` twice: write it once", self.way(from, to)));
+            }
         }
         for (name, made) in choices.node {
             tape.insert(Chooser::Node(self.node(&name)?), made);
