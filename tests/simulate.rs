@@ -168,6 +168,16 @@ fn faults_of_a_file_happen_in_every_run() {
     assert_eq!(again, format!("imrs simulate {TWICE} --plan {plan} --seed 1"));
 }
 
+#[test]
+fn there_are_at_most_256_threads() {
+    for verb in ["simulate", "verify"] {
+        for jobs in ["0", "257", "65535"] {
+            let said = run(&[verb, TWICE, "--jobs", jobs]);
+            assert!(said.code == Some(2) && said.err.contains("1..=256"), "{said:?}");
+        }
+    }
+}
+
 /// The command of each finding, run, shows that finding with its whole chart.
 #[test]
 fn the_command_of_a_finding_shows_it_again() {

@@ -1,6 +1,6 @@
 //! What `imrs simulate` can be asked.
 
-use super::Format;
+use super::{Format, MOST_JOBS};
 use clap::Args;
 use std::path::PathBuf;
 
@@ -35,7 +35,7 @@ pub struct SimulateArgs {
     #[arg(long)]
     pub paper: bool,
     /// Use so many threads: the answer is the same [default: 2].
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=MOST_JOBS))]
     pub jobs: Option<u16>,
     /// The form of the answer [default: text].
     #[arg(long, value_enum, value_name = "FORM")]
