@@ -178,6 +178,20 @@ fn there_are_at_most_256_threads() {
     }
 }
 
+#[test]
+fn times_that_were_rounded_are_named() {
+    let (_folder, cell) = file("busy.cell", &BUSY.replace("time_out = 30 msec", "time_out = 30500 usec"));
+    let args = ["simulate", &cell, "--seed", "1", "--seeds", "5"];
+    let said = run(&args);
+    let note = format!("  note[N101]: {cell}:10:");
+    for part in
+        [note.as_str(), "counts 30500 usec as 30000 usec", "not confirmed: these findings may come of"]
+    {
+        assert!(said.out.contains(part), "no `{part}`: {said:?}");
+    }
+    assert_eq!(json(&args)["rounded"][0]["line"], 10);
+}
+
 /// Each run shows two findings: nobody answers in time.
 const BUSY: &str = "cell busy;
 tick 1 msec;

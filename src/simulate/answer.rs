@@ -30,6 +30,8 @@ pub(super) struct Answer<'a> {
     not_reached: Vec<verify::Place<'a>>,
     /// Faults of the file that happened in no run.
     idle: Vec<String>,
+    /// Times of the cell that are no multiples of its tick, and were rounded: what is found may come of that.
+    rounded: Vec<verify::Rounded<'a>>,
     /// What the answer says nothing about.
     not_looked_for: [&'static str; 1],
     /// The run, where it is one and shows nothing.
@@ -99,6 +101,7 @@ impl Told<'_> {
             findings: all.found.iter().enumerate().map(|(number, found)| self.one(number, found)).collect(),
             not_reached: subject.places(&all.not_reached),
             idle: all.idle.iter().map(|fault| self.words(fault)).collect(),
+            rounded: subject.rounded_times(),
             not_looked_for: [PROVES_NOTHING],
             chart: self.chart.as_deref(),
         }

@@ -50,6 +50,7 @@ impl Told<'_> {
         for fault in &self.all.idle {
             out.line(Styled(NOTE, format!("  {never}: {}", self.words(fault))))?;
         }
+        self.subject.tell_rounded(!self.all.found.is_empty(), out)?;
         let file = &self.subject.file;
         let all = match (self.all.found.len(), self.all.interrupted) {
             (0, false) => {

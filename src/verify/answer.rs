@@ -95,8 +95,9 @@ pub struct Told<'a> {
     saved: bool,
 }
 
+/// A time that was rounded to the tick.
 #[derive(Serialize)]
-struct Rounded<'a> {
+pub struct Rounded<'a> {
     line: usize,
     column: usize,
     what: &'a str,
@@ -187,9 +188,14 @@ impl Subject {
             outside: &verdicts.outside,
             not_tried: self.places(&verdicts.not_tried),
             not_seen: self.places(&verdicts.not_seen),
-            rounded: self.rounded().map(|(line, column, what)| Rounded { line, column, what }).collect(),
+            rounded: self.rounded_times(),
             phases: verdicts.phases.iter().map(|phase| searched(plan, phase)).collect(),
         }
+    }
+
+    /// The times that were rounded to the tick.
+    pub fn rounded_times(&self) -> Vec<Rounded<'_>> {
+        self.rounded().map(|(line, column, what)| Rounded { line, column, what }).collect()
     }
 
     /// Why nothing was looked at.

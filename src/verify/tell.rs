@@ -92,25 +92,8 @@ impl Telling<'_> {
             let name = self.plan.checks.get(*check).map_or("?", |check| check.name.as_str());
             out.line(Styled(NOTE, format!("  check `{name}`: {what} in every state that was looked at")))?;
         }
-        self.rounded(out)?;
+        subject.tell_rounded(!verdicts.findings.is_empty(), out)?;
         self.last_line(out)
-    }
-
-    /// Times that are no multiples of the tick.
-    fn rounded(&self, out: &mut Output) -> Result<(), Failure> {
-        let all: Vec<_> = self.subject.rounded().collect();
-        for &(line, column, what) in all.iter().take(FEW) {
-            let file = &self.subject.file;
-            out.line(Styled(NOTE, format!("  note[N101]: {file}:{line}:{column}: {what}")))?;
-        }
-        if let Some(more) = all.len().checked_sub(FEW).filter(|&more| more > 0) {
-            out.line(format!("  and {} more", count(more as u64, "rounded time")))?;
-        }
-        if !all.is_empty() && !self.verdicts.findings.is_empty() {
-            let text = "  not confirmed: these findings may come of the rounding; write whole ticks, or a finer `tick`";
-            out.line(Styled(NOTE, text.to_owned()))?;
-        }
-        Ok(())
     }
 
     /// Which times are looked at: what a verdict is about.
@@ -229,6 +212,26 @@ impl Subject {
         }
         chart(&finding.chart, all, out)?;
         out.line(format!("  help: {}", help(finding.kind)))
+    }
+
+    /// Shows the times that are no multiples of the tick. `found`: whether there are findings, which may come of the rounding.
+    ///
+    /// # Errors
+    /// [`Failure::Output`].
+    pub fn tell_rounded(&self, found: bool, out: &mut Output) -> Result<(), Failure> {
+        let all: Vec<_> = self.rounded().collect();
+        for &(line, column, what) in all.iter().take(FEW) {
+            let file = &self.file;
+            out.line(Styled(NOTE, format!("  note[N101]: {file}:{line}:{column}: {what}")))?;
+        }
+        if let Some(more) = all.len().checked_sub(FEW).filter(|&more| more > 0) {
+            out.line(format!("  and {} more", count(more as u64, "rounded time")))?;
+        }
+        if !all.is_empty() && found {
+            let text = "  not confirmed: these findings may come of the rounding; write whole ticks, or a finer `tick`";
+            out.line(Styled(NOTE, text.to_owned()))?;
+        }
+        Ok(())
     }
 
     /// The other tasks of a finding: `b (line 39), c (line 50), which have the same statements`.
