@@ -84,7 +84,7 @@ pub struct VerifyArgs {
     /// Serve the claim's first world to a browser, to walk through by hand: on this machine only.
     #[arg(long, value_name = "HOST:PORT", requires = "claim", value_parser = loopback)]
     pub explore: Option<SocketAddr>,
-    /// Use so many threads [default: as many as there are cores].
+    /// Number of threads [default: the number of cores].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=MOST_JOBS))]
     pub jobs: Option<u16>,
     /// Give up a claim that needs more memory than this [default: 4G].

@@ -19,34 +19,34 @@ use std::sync::Arc;
 use std::sync::atomic::AtomicBool;
 use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
-/// How many seeds are run unless told otherwise.
+/// Number of seeds without `--seeds`.
 const SEEDS: u64 = 1000;
-/// Seeds that the clock gives have at most nine digits: they are to be typed again.
+/// Seeds from the clock have at most nine digits, because a person types them again.
 const SEEDS_OF_THE_CLOCK: u128 = 1_000_000_000;
 
 /// What is run.
 enum What {
-    /// So many seeds from the first, with these faults or with those that they draw.
+    /// `count` seeds from the first one, with these faults or with those that each seed draws.
     Seeds { first: u64, count: u64, faults: Option<Vec<Fault>> },
     /// One schedule.
     Schedule(Schedule),
 }
 
-/// What was asked for, and what it came to.
-struct Told<'a> {
+/// The question and its result, to be shown.
+struct Report<'a> {
     subject: &'a Subject,
     args: &'a SimulateArgs,
     what: &'a What,
-    /// Why nothing was run.
+    /// Why the cell was not run.
     refused: Option<&'a Refused>,
     all: &'a Simulated,
     /// Whether the finding that was asked for was saved.
     saved: bool,
-    /// The run as a chart, where it is one and nothing else draws it.
+    /// The chart of a single run without findings.
     chart: Option<String>,
 }
 
-/// Runs a cell at random, or as a file says.
+/// Runs a cell at random, or one schedule of a file.
 ///
 /// # Errors
 /// [`Failure`].
@@ -63,8 +63,9 @@ pub fn run(args: &SimulateArgs, out: &mut Output) -> Result<Exit, Failure> {
         Ok(simulator) => simulator.stopped_by(&stop_at_ctrl_c()),
         Err(refused) => {
             let (all, refused) = (&Simulated::default(), Some(&refused));
-            let told = Told { subject: &subject, args, what: &what, refused, all, saved: false, chart: None };
-            told.show(format, out)?;
+            let report =
+                Report { subject: &subject, args, what: &what, refused, all, saved: false, chart: None };
+            report.show(format, out)?;
             return Ok(Exit::Budget);
         }
     };
@@ -92,10 +93,10 @@ pub fn run(args: &SimulateArgs, out: &mut Output) -> Result<Exit, Failure> {
     // What was found is shown even if it cannot be saved.
     let kept = keep(args, &subject, &all);
     let saved = matches!(kept, Ok(true));
-    let told = Told { subject: &subject, args, what: &what, refused: None, all: &all, saved, chart };
-    told.show(format, out)?;
+    let report = Report { subject: &subject, args, what: &what, refused: None, all: &all, saved, chart };
+    report.show(format, out)?;
     if text {
-        // Beside the answer, which is the same each time.
+        // On standard error, because the answer has no times of this machine.
         let speed = grouped((all.steps as f64 / seconds.max(1e-9)) as u64);
         let line = format!("{} in {seconds:.2} s, {speed} steps a second", count(all.runs, "run"));
         let _ = writeln!(io::stderr(), "{line}");
@@ -142,13 +143,13 @@ fn stop_at_ctrl_c() -> Arc<AtomicBool> {
     stop
 }
 
-/// A line on standard error where it is a terminal.
+/// A progress bar, if standard error is a terminal.
 fn progress(seeds: u64, text: bool) -> ProgressBar {
     let target = if text { ProgressDrawTarget::stderr_with_hz(5) } else { ProgressDrawTarget::hidden() };
     let line = ProgressBar::with_draw_target(Some(seeds), target);
     match ProgressStyle::with_template("{wide_bar} {pos} of {len} runs, {msg}") {
         Ok(style) => line.with_style(style),
-        // Its own style says less.
+        // The default style of the bar shows less.
         Err(_) => line,
     }
 }
@@ -168,7 +169,7 @@ fn keep(args: &SimulateArgs, subject: &Subject, all: &Simulated) -> Result<bool,
     Ok(true)
 }
 
-/// The command without what it runs.
+/// The command without seeds and plan.
 fn command(subject: &Subject, args: &SimulateArgs) -> String {
     let file = if cell_file::is_stdin(&args.cell) { "-" } else { &subject.file };
     let mut command = format!("imrs simulate {}", quoted(file));
@@ -181,12 +182,12 @@ fn command(subject: &Subject, args: &SimulateArgs) -> String {
     command
 }
 
-impl Told<'_> {
+impl Report<'_> {
     fn is_saved(&self, number: usize) -> bool {
         self.saved && usize::from(self.args.finding) == number + 1
     }
 
-    /// The command that shows a finding again, and its chart whole.
+    /// The command that shows this finding again, with its whole chart.
     fn again(&self, number: usize, found: &Found) -> String {
         let mut command = command(self.subject, self.args);
         let saved = self.args.save.as_ref().filter(|_| self.is_saved(number));

@@ -1,18 +1,18 @@
 //! What random runs found, as a person reads it.
 
 use super::file::Names;
-use super::{Told, What};
+use super::{Report, What};
 use crate::args::Format;
 use crate::exit::Failure;
 use crate::output::{BAD, FAINT, HEAD, NOTE, Output, Styled, count, grouped};
 use crate::verify::chart;
 use imrs_model::cell::{Ended, Fault, Found};
 
-/// What follows from runs that found nothing.
+/// What runs without findings do not prove.
 pub(super) const PROVES_NOTHING: &str = "random runs prove nothing about others";
 
-impl Told<'_> {
-    /// Shows the findings, the runs and what they did not reach.
+impl Report<'_> {
+    /// Shows the findings, the runs and the statements that no run reached.
     ///
     /// # Errors
     /// [`Failure::Output`].
@@ -62,7 +62,7 @@ impl Told<'_> {
         out.line(all)
     }
 
-    /// How a finding was found, and what its schedule has.
+    /// Shows which runs show a finding, and its schedule.
     fn found(&self, found: &Found, out: &mut Output) -> Result<(), Failure> {
         if let Some(seed) = found.seed {
             let runs = match found.runs {
@@ -79,7 +79,7 @@ impl Told<'_> {
             };
             let before = size(shrunk.faults, shrunk.choices, shrunk.moves);
             let now = size(found.schedule.faults.len(), found.schedule.choices(), found.finding.moves.len());
-            let part = if shrunk.whole { "" } else { "; less may do, but no more was tried" };
+            let part = if shrunk.whole { "" } else { "; shrinking was cut short" };
             out.line(format!("  shrunk from {before} to {now}{part}"))?;
         }
         match &found.schedule.faults[..] {
@@ -125,7 +125,7 @@ impl Told<'_> {
             format!("{} after {bound} steps (--steps)", by(Ended::Steps)),
         ];
         if all.ended[Ended::Crowded as usize] > 0 {
-            ends.push(format!("{} with more packets on their way than are numbered", by(Ended::Crowded)));
+            ends.push(format!("{} with more packets in flight than can be numbered", by(Ended::Crowded)));
         }
         out.line(format!("  ended: {}", ends.join(", ")))?;
         out.line(Styled(

@@ -9,8 +9,8 @@
 //!      '--- shrinking: fewer faults, smaller numbers, zeros <-----'
 //! ```
 //!
-//! A run makes only moves that the search makes, too, at every tick: what it finds, a search that ends finds as well. What
-//! only a whole search can know is not judged: that a statement is never reached, or that a check says nothing.
+//! A run makes only moves of the search at every tick. So a complete search with the same faults finds what a run finds. Some
+//! verdicts need a complete search, and no run is judged by them: a statement is never reached, a check says nothing.
 
 mod draw;
 mod driver;
@@ -40,69 +40,69 @@ use shrink::{Shrinker, moves_to};
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock};
 
-/// How many runs a thread makes between two looks at who waits.
+/// Runs of one thread between two reports of the progress.
 const BATCH: u64 = 64;
 
-/// What some runs came to.
+/// The result of some runs.
 #[derive(Debug, Default)]
 pub struct Simulated {
-    /// Runs made.
+    /// Complete runs.
     pub runs: u64,
-    /// Those of them with faults.
+    /// Runs with faults.
     pub with_faults: u64,
-    /// Their moves.
+    /// Moves of all runs.
     pub steps: u64,
-    /// Ticks that passed in them.
+    /// Ticks of all runs.
     pub ticks: u64,
-    /// How many ended how, in the order of [`Ended`].
+    /// Number of runs for each end, in the order of [`Ended`].
     pub ended: [u64; 4],
-    /// What was found: each once, in the order of the seeds.
+    /// Each finding once, in the order of the seeds.
     pub found: Vec<Found>,
-    /// For each task the statements reached, and how many it has.
+    /// For each task the number of statements reached, and of all its statements.
     pub statements: Vec<(u32, u32)>,
     /// Statements that no run reached: task and operation.
     pub not_reached: Vec<(TaskId, Address)>,
     /// Faults that were given and happened in no run.
     pub idle: Vec<Fault>,
-    /// Whether it was ended before all runs were made.
+    /// Whether the runs were stopped before their end.
     pub interrupted: bool,
 }
 
-/// Something that was found.
+/// A finding, and the schedule that shows it.
 #[derive(Debug)]
 pub struct Found {
-    /// The first seed that showed it; none where a schedule was given.
+    /// The first seed whose run shows it; none for a given schedule.
     pub seed: Option<u64>,
-    /// Its number, from 1, among the findings of the run of that seed alone, or of the schedule that was given.
+    /// Its number, from 1, among the findings of the run of that seed, or of the given schedule.
     pub number: usize,
     /// Its number among the findings of the run of `schedule`.
     pub number_of_schedule: usize,
-    /// How many runs showed it.
+    /// Number of runs that show it.
     pub runs: u64,
     /// A schedule that shows it.
     pub schedule: Schedule,
-    /// What it shows. Its way belongs to a plan whose only hypothesis is `faults`.
+    /// What the schedule shows. Its moves belong to a plan whose only hypothesis is `faults`.
     pub finding: Finding,
     /// The budgets of the schedule's faults.
     pub faults: CellFaults,
-    /// What the schedule had before it was shrunk; none where it was not.
+    /// The size of the schedule before shrinking; none if it was not shrunk.
     pub shrunk: Option<Shrunk>,
 }
 
-/// What shrinking a schedule came to.
+/// The size of a schedule before shrinking.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Shrunk {
-    /// Faults before it.
+    /// Its faults.
     pub faults: usize,
-    /// Choices other than 0 before it.
+    /// Its choices other than 0.
     pub choices: usize,
-    /// Moves before it.
+    /// The moves to the finding.
     pub moves: usize,
-    /// Whether nothing more could be left out, or only no more was tried.
+    /// Whether shrinking came to its end. False: it was stopped, or took too many steps.
     pub whole: bool,
 }
 
-/// What a seed came to.
+/// The run of one seed.
 struct Ran {
     seed: u64,
     steps: u64,
@@ -110,16 +110,16 @@ struct Ran {
     ended: Ended,
     with_faults: bool,
     reached: Reached,
-    /// What was found, and after how many moves.
+    /// What the run shows, and after how many moves.
     shown: Vec<(usize, Shown)>,
-    /// Where something was shown, how.
+    /// Its faults, and its choices if it shows something.
     schedule: Schedule,
     happened: Vec<bool>,
 }
 
 /// Something that runs show: at one task, or at several with the same statements.
 struct Group {
-    /// As the first of these runs shows it, after so many moves.
+    /// As the first of these runs shows it, and the number of moves to it.
     shown: Shown,
     moves: usize,
     /// The other tasks.
@@ -159,15 +159,15 @@ impl Simulator {
         Ok(Self { census, steps, jobs: plan.jobs.max(1), plan, stop: Arc::default() })
     }
 
-    /// Stops when this is set: runs and shrinking end at their next step, and what was found until then is the answer.
+    /// Sets the flag that stops runs and shrinking at their next step. The answer has what was found until then.
     #[must_use]
     pub fn stopped_by(self, stop: &Arc<AtomicBool>) -> Self {
         Self { stop: Arc::clone(stop), ..self }
     }
 
-    /// Runs so many seeds from the first one on: with these faults, or with those that each seed draws. Before each batch
-    /// `progress` gets the number of runs and of findings. What was found is shrunk. The answer is the same for any number
-    /// of threads.
+    /// Runs `count` seeds from the first one on, with these faults or with those that each seed draws, and shrinks what they
+    /// show. Before each batch `progress` gets the number of runs and of findings. The answer is the same for any number of
+    /// threads.
     pub fn seeds(
         &self,
         (first, count): (u64, u64),
@@ -196,13 +196,13 @@ impl Simulator {
                 self.gather(&mut groups, &ran.shown, Some(ran.seed), &ran.schedule);
             }
         }
-        all.found = groups.iter().map(|group| group.told(self.shrink(group))).collect();
+        all.found = groups.iter().map(|group| group.of_all(self.shrink(group))).collect();
         self.coverage(&mut all, reached.as_ref());
         all.idle = faults.map_or_else(Vec::new, |faults| idle(faults, &happened));
         all
     }
 
-    /// Adds what a run shows to what others showed. A run that shows it at several tasks counts once.
+    /// Adds what a run shows to the groups. A run that shows the same at several tasks counts once.
     fn gather(
         &self,
         groups: &mut Vec<Group>,
@@ -242,7 +242,7 @@ impl Simulator {
                 && let Some(place) = done.get(at)
             {
                 let Some(ran) = self.seed(first.wrapping_add(at as u64), faults) else { break };
-                // Each is taken by one thread.
+                // Only one thread takes this place.
                 let _ = place.set(ran);
             }
         };
@@ -251,7 +251,7 @@ impl Simulator {
         } else {
             std::thread::scope(|scope| (0..self.jobs).for_each(|_| drop(scope.spawn(work))));
         }
-        // After a run that was stopped there may be whole ones: the seeds of an answer have no gaps.
+        // Runs behind a stopped one are left out, because the seeds of an answer have no gaps.
         done.into_iter().map_while(OnceLock::into_inner).collect()
     }
 
@@ -285,7 +285,7 @@ impl Simulator {
         Limit { stop: Some(&self.stop), ..self.whole() }
     }
 
-    /// For runs of which an answer needs all steps.
+    /// The limit of a run whose answer needs all steps.
     const fn whole(&self) -> Limit<'_> {
         Limit { steps: self.steps, stop: None }
     }
@@ -307,20 +307,20 @@ impl Simulator {
             } else {
                 self.found(&run, &group.shown, schedule.clone(), None)
             };
-            all.found.push(group.told(found));
+            all.found.push(group.of_all(found));
         }
         self.coverage(&mut all, Some(&run.reached));
         all.idle = idle(&schedule.faults, &run.happened);
         all
     }
 
-    /// The way of a run as a sequence chart, and how it ended.
+    /// The run of a seed as a sequence chart, and how it ended.
     #[must_use]
     pub fn chart_of_seed(&self, seed: u64, faults: Option<&[Fault]>) -> String {
         self.chart(&run(&self.plan, &self.faults(seed, faults), Source::Seed(seed), self.whole()))
     }
 
-    /// The way of a schedule as a sequence chart, and how it ended.
+    /// The run of a schedule as a sequence chart, and how it ended.
     #[must_use]
     pub fn chart_of(&self, schedule: &Schedule) -> String {
         self.chart(&run(&self.plan, &schedule.faults, Source::Tape(&schedule.tape), self.whole()))
@@ -332,13 +332,13 @@ impl Simulator {
             Ended::Over => "nothing happens any more",
             Ended::Found => "a finding ends the run",
             Ended::Steps => "the run has made as many steps as it may",
-            Ended::Crowded => "more packets are on their way than can be numbered",
+            Ended::Crowded => "more packets are in flight than can be numbered",
         };
         story::shorten(&chart(way.pen.names(), &way.pen.notes, end, Folding::Repeats))
     }
 
     fn shrink(&self, Group { shown, moves, schedule, .. }: &Group) -> Found {
-        // What was chosen after it is of no account.
+        // Choices after the finding do not matter.
         let (moves, steps) = (*moves, u32::try_from(*moves).unwrap_or(u32::MAX));
         let limit = Limit { steps, stop: None };
         let tape = run(&self.plan, &schedule.faults, Source::Tape(&schedule.tape), limit).tape;
@@ -346,7 +346,7 @@ impl Simulator {
         let mut shrinker = Shrinker {
             plan: &self.plan,
             shown,
-            // A shorter schedule may take a longer way, but not one that is much longer.
+            // A smaller schedule may need more moves, but not many more.
             limit: Limit {
                 steps: self.steps.min(steps.saturating_mul(2).saturating_add(64)),
                 ..self.until_stopped()
@@ -363,7 +363,7 @@ impl Simulator {
 
     fn found(&self, run: &Run, shown: &Shown, schedule: Schedule, shrunk: Option<Shrunk>) -> Found {
         let end = moves_to(run, shown).unwrap_or(run.moves.len());
-        // The cause as this way has it.
+        // The cause with the values of this run.
         let shown = run.shown.iter().find(|(_, known)| known.is_same(shown)).map_or(shown, |(_, own)| own);
         let moves = run.moves[..end].to_vec();
         let finding = finding(&self.plan, (run.phase, 0), &run.faults, moves, shown.clone());
@@ -387,8 +387,8 @@ impl Simulator {
 }
 
 impl Group {
-    /// What one of its runs shows, told for all of them.
-    fn told(&self, mut found: Found) -> Found {
+    /// The finding of one of its runs, with the tasks and the number of all its runs.
+    fn of_all(&self, mut found: Found) -> Found {
         found.finding.also.clone_from(&self.also);
         Found { runs: self.runs, seed: self.seed, number: self.number, ..found }
     }

@@ -16,18 +16,18 @@ use std::sync::atomic::{AtomicBool, Ordering};
 pub enum Ended {
     /// Nothing can happen any more.
     Over,
-    /// Something was found that nothing that follows is looked at behind.
+    /// At a finding that ends a run.
     Found,
-    /// It had made as many steps as it may.
+    /// At the limit of its steps.
     Steps,
-    /// More packets were on their way than moves have numbers for.
+    /// More packets were in flight than moves have numbers for.
     Crowded,
 }
 
-/// The most packets on their way: moves name them in a byte.
+/// The most packets in flight: moves number them in a byte.
 const MOST_PACKETS: usize = 255;
 
-/// What a run came to.
+/// The result of a run.
 pub(super) struct Run {
     pub phase: Phase,
     /// The budgets of its faults.
@@ -36,23 +36,23 @@ pub(super) struct Run {
     pub ended: Ended,
     /// Whether it was stopped before its end.
     pub stopped: bool,
-    /// What was found, each once, and after how many moves.
+    /// Each finding once, and after how many moves.
     pub shown: Vec<(usize, Shown)>,
     pub ticks: u64,
     pub reached: Reached,
     pub tape: Tape,
     /// For each fault, in the order of [`in_order`](super::schedule::in_order), whether it happened.
     pub happened: Vec<bool>,
-    /// For each directed link how many packets came, for each task how many actions ended.
+    /// For each directed link the number of packets that arrived, for each task the number of actions that ended.
     pub counts: (Vec<u32>, Vec<u32>),
 }
 
-/// When a run ends at the latest.
+/// What ends a run if nothing else does.
 #[derive(Clone, Copy)]
 pub(super) struct Limit<'a> {
-    /// After so many steps.
+    /// The most steps.
     pub steps: u32,
-    /// When this is set.
+    /// The flag that stops it.
     pub stop: Option<&'a AtomicBool>,
 }
 
@@ -62,7 +62,7 @@ impl Limit<'_> {
     }
 }
 
-/// Runs a cell. Without faults it is judged as one where nothing went wrong.
+/// Runs a cell. A run without faults is also judged by what only a fault may cause: requests that end badly.
 pub(super) fn run(plan: &Arc<CellPlan>, faults: &[Fault], source: Source<'_>, limit: Limit<'_>) -> Run {
     let phase = if faults.is_empty() { Phase::FaultFree } else { Phase::Faults };
     let budgets = super::schedule::budgets(&super::schedule::in_order(faults));

@@ -13,10 +13,10 @@ use std::sync::Arc;
 /// The most steps that shrinking one finding may take.
 const MOST_STEPS: u64 = 4_000_000;
 
-/// A schedule in the making.
+/// Shrinks one schedule.
 pub(super) struct Shrinker<'a> {
     pub plan: &'a Arc<CellPlan>,
-    /// What it has to show.
+    /// What the schedule must show.
     pub shown: &'a Shown,
     /// The limit of a run. When it is stopped, shrinking stops.
     pub limit: Limit<'a>,
@@ -25,13 +25,13 @@ pub(super) struct Shrinker<'a> {
     pub spent: u64,
 }
 
-/// How many moves of a run lead to this.
+/// The number of moves of a run to this finding.
 pub(super) fn moves_to(run: &Run, shown: &Shown) -> Option<usize> {
     run.shown.iter().find(|(_, known)| known.is_same(shown)).map(|&(at, _)| at)
 }
 
 impl Shrinker<'_> {
-    /// Shrinks it; false if it was stopped, or the steps did not suffice.
+    /// Shrinks the schedule; false if that was stopped, or took too many steps.
     pub fn shrink(&mut self) -> bool {
         loop {
             let before = self.best.clone();
@@ -55,7 +55,7 @@ impl Shrinker<'_> {
         self.spent >= MOST_STEPS || self.limit.is_stopped()
     }
 
-    /// Tries a schedule, and keeps it if it shows the same. None: no more is tried.
+    /// Tries a schedule, and keeps it if it shows the same. None: shrinking was stopped.
     fn shows(&mut self, schedule: impl FnOnce() -> Schedule) -> Option<bool> {
         if self.is_spent() {
             return None;
@@ -70,7 +70,7 @@ impl Shrinker<'_> {
         Some(shows)
     }
 
-    /// Smaller numbers in the faults.
+    /// Makes the numbers of the faults smaller.
     fn simplify(&mut self) {
         for at in 0..self.best.faults.len() {
             if let Fault::Stop { node, at: instant, restart: Some(_) } = self.best.faults[at] {
@@ -88,7 +88,7 @@ impl Shrinker<'_> {
         }
     }
 
-    /// Choices that are 0, or at least smaller.
+    /// Sets choices to 0, or makes them smaller.
     fn choices(&mut self) {
         let chosen = flat(&self.best.tape);
         let faults = self.best.faults.clone();
@@ -102,13 +102,13 @@ impl Shrinker<'_> {
             });
             chosen[at].2 = u32::try_from(least).unwrap_or(u32::MAX);
         }
-        // Zeros at the end of the tape are no choices.
+        // A choice past the end of the tape is 0, so zeros at its end are left out.
         self.best.tape = tape(&flat(&self.best.tape));
     }
 }
 
-/// The least number, not below the first of two, with which something holds that holds with the second: by halves, as if it
-/// held with all larger ones. Ends where `holds` gives none.
+/// Binary search for the least number from `least` to `now` for which `holds`, as if it held for all larger ones. It holds
+/// for `now`. None of `holds` ends the search.
 fn lower((least, now): (u64, u64), holds: &mut dyn FnMut(u64) -> Option<bool>) -> u64 {
     if now <= least {
         return now;
@@ -129,7 +129,7 @@ fn lower((least, now): (u64, u64), holds: &mut dyn FnMut(u64) -> Option<bool>) -
     held
 }
 
-/// A choice that is not 0: whose, which of its own, and what.
+/// A choice that is not 0: its chooser, its position on that chooser's tape, its value.
 type Choice = (Chooser, usize, u32);
 
 fn flat(tape: &Tape) -> Vec<Choice> {
@@ -149,8 +149,8 @@ fn tape(choices: &[Choice]) -> Tape {
     tape
 }
 
-/// Delta debugging: leaves out ever smaller parts of a list as long as `holds` says that what is left does. In the end no
-/// single one can be left out. Ends before that where `holds` gives none.
+/// Delta debugging: leaves out smaller and smaller parts of a list for as long as the rest `holds`. In the end no single item
+/// can be left out. None of `holds` ends it before that.
 fn reduce<T: Clone>(mut all: Vec<T>, holds: &mut dyn FnMut(&[T]) -> Option<bool>) -> Vec<T> {
     if all.is_empty() || holds(&[]) == Some(true) {
         return Vec::new();
@@ -176,7 +176,7 @@ fn reduce<T: Clone>(mut all: Vec<T>, holds: &mut dyn FnMut(&[T]) -> Option<bool>
     }
 }
 
-/// The numbers of a fault and the least that each may be.
+/// For each number of a fault its least value and its value.
 fn numbers(fault: &Fault) -> Vec<(u64, u64)> {
     match *fault {
         Fault::Lose { nth, .. }
