@@ -35,6 +35,7 @@ enum What {
 /// The question and its result, to be shown.
 struct Report<'a> {
     subject: &'a Subject,
+    names: &'a Names<'a>,
     args: &'a SimulateArgs,
     what: &'a What,
     /// Why the cell was not run.
@@ -63,8 +64,16 @@ pub fn run(args: &SimulateArgs, out: &mut Output) -> Result<Exit, Failure> {
         Ok(simulator) => simulator.stopped_by(&stop_at_ctrl_c()),
         Err(refused) => {
             let (all, refused) = (&Simulated::default(), Some(&refused));
-            let report =
-                Report { subject: &subject, args, what: &what, refused, all, saved: false, chart: None };
+            let report = Report {
+                subject: &subject,
+                names: &names,
+                args,
+                what: &what,
+                refused,
+                all,
+                saved: false,
+                chart: None,
+            };
             report.show(format, out)?;
             return Ok(Exit::Budget);
         }
@@ -91,9 +100,18 @@ pub fn run(args: &SimulateArgs, out: &mut Output) -> Result<Exit, Failure> {
         What::Seeds { .. } => None,
     };
     // What was found is shown even if it cannot be saved.
-    let kept = keep(args, &subject, &all);
+    let kept = keep(args, &subject, &names, &all);
     let saved = matches!(kept, Ok(true));
-    let report = Report { subject: &subject, args, what: &what, refused: None, all: &all, saved, chart };
+    let report = Report {
+        subject: &subject,
+        names: &names,
+        args,
+        what: &what,
+        refused: None,
+        all: &all,
+        saved,
+        chart,
+    };
     report.show(format, out)?;
     if text {
         // On standard error, because the answer has no times of this machine.
@@ -155,7 +173,7 @@ fn progress(seeds: u64, text: bool) -> ProgressBar {
 }
 
 /// Saves the finding that was asked for. False: there is none to save, or no file.
-fn keep(args: &SimulateArgs, subject: &Subject, all: &Simulated) -> Result<bool, Failure> {
+fn keep(args: &SimulateArgs, subject: &Subject, names: &Names<'_>, all: &Simulated) -> Result<bool, Failure> {
     let found = all.found.get(usize::from(args.finding) - 1);
     let missed = || format!("--finding {}: there are {}", args.finding, all.found.len());
     let (path, found) = match (&args.save, found) {
@@ -163,8 +181,7 @@ fn keep(args: &SimulateArgs, subject: &Subject, all: &Simulated) -> Result<bool,
         (_, None) if !all.found.is_empty() => return Err(Failure::Usage(missed())),
         _ => return Ok(false),
     };
-    let names = Names { table: &subject.table, tick_us: subject.tick_us };
-    let text = file::text(&found.schedule, &format!("{} --plan FILE", command(subject, args)), &names);
+    let text = file::text(&found.schedule, &format!("{} --plan FILE", command(subject, args)), names);
     std::fs::write(path, text).map_err(|source| CellFileError::NotSaved { path: path.clone(), source })?;
     Ok(true)
 }

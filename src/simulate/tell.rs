@@ -1,6 +1,5 @@
 //! What random runs found, as a person reads it.
 
-use super::file::Names;
 use super::{Report, What};
 use crate::args::Format;
 use crate::exit::Failure;
@@ -93,8 +92,7 @@ impl Report<'_> {
 
     /// A fault in the cell's words.
     pub(super) fn words(&self, fault: &Fault) -> String {
-        let names = Names { table: &self.subject.table, tick_us: self.subject.tick_us };
-        fault.words(&self.subject.table, &|ticks| names.time(ticks))
+        fault.words(&self.subject.table, &|ticks| self.names.time(ticks))
     }
 
     fn runs(&self, out: &mut Output) -> Result<(), Failure> {
@@ -110,13 +108,12 @@ impl Report<'_> {
         };
         let ended = if all.interrupted { ", ended early" } else { "" };
         out.line(Styled(HEAD, format!("{head}{ended}")))?;
-        let names = Names { table: &self.subject.table, tick_us: self.subject.tick_us };
         out.line(format!(
             "  {}, {} with faults; {}; {} of the cell's time",
             count(all.runs, "run"),
             grouped(all.with_faults),
             count(all.steps, "step"),
-            names.time(all.ticks)
+            self.names.time(all.ticks)
         ))?;
         let by = |ended: Ended| grouped(all.ended[ended as usize]);
         let mut ends = vec![
