@@ -10,7 +10,7 @@ use super::outside::{says_something, tried, with_programs};
 use super::parts::{look_at_each, parts};
 use super::plan::{CellFaults, CellPlan, Conduct, Holds, Times};
 use super::seen::Seen;
-use super::standstill::{self, Ways};
+use super::standstill::{self, OutOfMemory, Ways};
 use super::verdict::{Coverage, Finding, Kind, Phase, Refused, Verdicts};
 use super::walker::{Hit, Origin, Walker, Walks};
 use super::{starve, story};
@@ -185,10 +185,17 @@ fn search(plan: &Arc<CellPlan>, (phase, hypothesis): (Phase, usize), faults: &Ce
     let mut walkers: Vec<Walker> = (0..plan.jobs.max(1)).map(|_| walker()).collect();
     let ended_by = search.run(plan, &mut walkers, start);
     let outgrown = || search.outgrown.then(|| "some states outgrow their packed form".to_string());
-    let ended_by = ended_by.or_else(outgrown);
+    let mut ended_by = ended_by.or_else(outgrown);
     let tell = |hit: &Hit| search.tell(plan, (phase, hypothesis), faults, hit);
     let findings: Vec<Finding> = search.hits.iter().map(tell).collect();
-    let still = if ended_by.is_none() { search.ways.first_still(&search.cores) } else { None };
+    let mut still = None;
+    if ended_by.is_none() {
+        let room = plan.budget.bytes.saturating_sub(resident_bytes().unwrap_or(0));
+        match search.ways.first_still(&search.cores, room) {
+            Ok(first) => still = first,
+            Err(OutOfMemory) => ended_by = Some(out_of_memory(plan)),
+        }
+    }
     let told = still.and_then(|at| {
         let moves = search.path(plan, faults, search.origins[at]);
         standstill::tell(plan, (phase, hypothesis), faults, moves)
@@ -221,6 +228,10 @@ fn search(plan: &Arc<CellPlan>, (phase, hypothesis): (Phase, usize), faults: &Ce
     (search, Done { coverage, findings, standstills, reached, mattered })
 }
 
+fn out_of_memory(plan: &CellPlan) -> String {
+    format!("out of memory ({} MiB)", plan.budget.bytes >> 20)
+}
+
 impl Search {
     /// Says which budget ended it.
     fn run(&mut self, plan: &CellPlan, walkers: &mut [Walker], start: Instant) -> Option<String> {
@@ -234,7 +245,7 @@ impl Search {
                 return Some(format!("out of time ({} s)", budget.seconds));
             }
             if resident_bytes().is_some_and(|bytes| bytes > budget.bytes) {
-                return Some(format!("out of memory ({} MiB)", budget.bytes >> 20));
+                return Some(out_of_memory(plan));
             }
             let batch: Vec<_> = self.queue.drain(..self.queue.len().min(BATCH)).collect();
             for walks in self.walk_on(&batch, walkers) {
