@@ -343,7 +343,7 @@ impl Search {
     ) -> Finding {
         let moves = self.path(plan, faults, hit.origin);
         let shown = starve::decided(plan, &moves, hit.shown.clone());
-        finding(plan, (phase, hypothesis), faults, moves, shown)
+        finding(plan, (phase, hypothesis), faults, moves, &shown)
     }
 }
 
@@ -353,10 +353,10 @@ pub(super) fn finding(
     (phase, hypothesis): (Phase, usize),
     faults: &CellFaults,
     moves: Vec<CellMove>,
-    shown: Shown,
+    shown: &Shown,
 ) -> Finding {
-    let told = story::tell(plan, faults, &moves, &shown);
-    let Shown { kind, task, address, check, couple, .. } = shown;
+    let told = story::tell(plan, faults, &moves, shown);
+    let Shown { kind, task, address, check, couple, .. } = *shown;
     Finding {
         kind,
         phase,

@@ -168,7 +168,7 @@ pub(super) fn tell(
     let (task, address) = (tasks.first().copied(), tasks.first().map(|&task| position(&course, task)));
     let shown =
         Shown { task, address, others: tasks[1..].to_vec(), ..Shown::whole(Kind::Standstill, &cause) };
-    Some(super::search::finding(plan, (phase, hypothesis), faults, moves, shown))
+    Some(super::search::finding(plan, (phase, hypothesis), faults, moves, &shown))
 }
 
 /// Whether a task is told what became of something that it asked of others.

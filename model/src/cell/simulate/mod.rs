@@ -366,7 +366,7 @@ impl Simulator {
         // The cause with the values of this run.
         let shown = run.shown.iter().find(|(_, known)| known.is_same(shown)).map_or(shown, |(_, own)| own);
         let moves = run.moves[..end].to_vec();
-        let finding = finding(&self.plan, (run.phase, 0), &run.faults, moves, shown.clone());
+        let finding = finding(&self.plan, (run.phase, 0), &run.faults, moves, shown);
         let mut groups = Vec::new();
         self.gather(&mut groups, &run.shown, None, &schedule);
         let number = 1 + groups.iter().take_while(|group| !self.is_one(&group.shown, shown)).count();
