@@ -341,23 +341,27 @@ impl Simulator {
         // Choices after the finding do not matter.
         let (moves, steps) = (*moves, u32::try_from(*moves).unwrap_or(u32::MAX));
         let limit = Limit { steps, stop: None };
-        let tape = run(&self.plan, &schedule.faults, Source::Tape(&schedule.tape), limit).tape;
+        let mut first = run(&self.plan, &schedule.faults, Source::Tape(&schedule.tape), limit);
+        let tape = std::mem::take(&mut first.tape);
         let schedule = &Schedule { faults: schedule.faults.clone(), tape };
+        // A smaller schedule may need more moves, but not many more.
+        let steps = self.steps.min(steps.saturating_mul(2).saturating_add(64));
         let mut shrinker = Shrinker {
             plan: &self.plan,
             shown,
-            // A smaller schedule may need more moves, but not many more.
-            limit: Limit {
-                steps: self.steps.min(steps.saturating_mul(2).saturating_add(64)),
-                ..self.until_stopped()
-            },
+            limit: Limit { steps, ..self.until_stopped() },
             best: schedule.clone(),
             spent: 0,
         };
         let whole = shrinker.shrink();
         let best = shrinker.best;
         let shrunk = Shrunk { faults: schedule.faults.len(), choices: schedule.choices(), moves, whole };
-        let run = run(&self.plan, &best.faults, Source::Tape(&best.tape), self.whole());
+        let limit = Limit { steps, stop: None };
+        let run = if best == *schedule {
+            first
+        } else {
+            run(&self.plan, &best.faults, Source::Tape(&best.tape), limit)
+        };
         self.found(&run, shown, best, Some(shrunk))
     }
 
