@@ -28,7 +28,7 @@ fn node(number: usize) -> NodeId {
     NodeId::from_index(number)
 }
 
-/// All but what belongs to the schedule, its way with it.
+/// The parts of a finding that its schedule determines.
 fn told(found: &Found) -> impl PartialEq + std::fmt::Debug {
     let finding = &found.finding;
     (
