@@ -237,6 +237,9 @@ Examples:
     Node,
 }
 
+/// The most threads of `--jobs`: with more than a machine has, nothing is faster, and each takes memory.
+const MOST_JOBS: i64 = 256;
+
 /// The form of an answer.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
 pub enum Format {

@@ -5,7 +5,7 @@ use crate::cell_file::{read, shown};
 use crate::exit::{Exit, Failure, turned_down};
 use crate::output::{BAD, GOOD, NOTE, Output, Styled, count};
 use imrs_language::render::{self, Located};
-use imrs_language::{Compiled, Diagnostic, Options, Severity, compile_with};
+use imrs_language::{Compiled, Diagnostic, Options, Severity, Source, compile_with};
 use serde::Serialize;
 
 /// What a check found, for programs.
@@ -31,18 +31,8 @@ pub fn run(args: &CheckArgs, out: &mut Output) -> Result<Exit, Failure> {
     let source = read(&args.cell)?;
     let compiled = compile_with(&source, Options { paper: args.paper });
     let (file, found) = (shown(&args.cell), &compiled.diagnostics);
-    let errors = of(found, Severity::Error);
     match args.format {
-        Format::Json => out.json(&Checked {
-            version: 1,
-            cell: compiled.hir.as_ref().map(|hir| hir.name.as_str()),
-            file: &file,
-            errors,
-            warnings: of(found, Severity::Warning),
-            notes: of(found, Severity::Note),
-            diagnostics: render::located(found, &file, Some(&source)),
-            unchecked: compiled.unchecked,
-        })?,
+        Format::Json => json(&file, &source, &compiled, out)?,
         Format::Text => {
             out.text(&render::text(found, &file, Some(&source), render::Style::Coloured))?;
             if let Some(unchecked) = compiled.unchecked {
@@ -51,7 +41,25 @@ pub fn run(args: &CheckArgs, out: &mut Output) -> Result<Exit, Failure> {
             verdict(&file, &compiled, out)?;
         }
     }
-    Ok(if errors == 0 { Exit::Well } else { turned_down(found) })
+    Ok(if of(found, Severity::Error) == 0 { Exit::Well } else { turned_down(found) })
+}
+
+/// The answer for programs: also that of other verbs where a cell does not compile.
+///
+/// # Errors
+/// [`Failure::Output`].
+pub fn json(file: &str, source: &Source, compiled: &Compiled, out: &mut Output) -> Result<(), Failure> {
+    let found = &compiled.diagnostics;
+    out.json(&Checked {
+        version: 1,
+        cell: compiled.hir.as_ref().map(|hir| hir.name.as_str()),
+        file,
+        errors: of(found, Severity::Error),
+        warnings: of(found, Severity::Warning),
+        notes: of(found, Severity::Note),
+        diagnostics: render::located(found, file, Some(source)),
+        unchecked: compiled.unchecked,
+    })
 }
 
 fn of(found: &[Diagnostic], severity: Severity) -> usize {

@@ -34,13 +34,27 @@ use args::{Cli, Verb, VerifyArgs, early_color};
 use clap::{CommandFactory, FromArgMatches};
 use exit::{Exit, Failure};
 use output::{Output, complain};
+use std::collections::BTreeSet;
+use std::panic::catch_unwind;
 use std::process::ExitCode;
+use std::sync::Mutex;
 
 /// The `imrs` command: does what the command line says. Returns its exit code.
 #[doc(hidden)]
 #[must_use]
 pub fn command() -> ExitCode {
-    report_panics();
+    report_each_panic_once();
+    catch_unwind(answer).unwrap_or_else(|_| {
+        complain(format_args!(
+            "this is a fault of imrs {}. Please report the lines above and the command:\n  {}",
+            env!("CARGO_PKG_VERSION"),
+            std::env::args().collect::<Vec<_>>().join(" ")
+        ));
+        Exit::Internal.into()
+    })
+}
+
+fn answer() -> ExitCode {
     let command = Cli::command().color(early_color(std::env::args()));
     let parsed = command.try_get_matches().and_then(|matches| Cli::from_arg_matches(&matches));
     let cli = match parsed {
@@ -111,19 +125,31 @@ fn manual(verb: Option<&str>, out: &mut Output) -> Result<Exit, Failure> {
     Ok(Exit::Well)
 }
 
-/// A panic is a fault of this program: it ends with exit code 70 and says what to report. A task of a cell that panics is
-/// that task's crash; the runtime reports it and the process goes on.
-fn report_panics() {
-    let default = std::panic::take_hook();
+/// Prints a panic and where it happened. The hook must not end the process: the checker catches panics of the machine and
+/// reports them as findings, and the runtime reports a task that panics as crashed. While a finding is shrunk, the same
+/// line may panic in thousands of runs, so each line is printed once for each name of a thread.
+fn report_each_panic_once() {
+    let (default, printed) = (std::panic::take_hook(), Mutex::new(BTreeSet::new()));
     std::panic::set_hook(Box::new(move |panic| {
-        default(panic);
-        if std::thread::current().name() == Some("main") {
-            complain(format_args!(
-                "this is a fault of imrs {}. Please report the lines above and the command:\n  {}",
-                env!("CARGO_PKG_VERSION"),
-                std::env::args().collect::<Vec<_>>().join(" ")
-            ));
-            std::process::exit(Exit::Internal as i32);
+        let thread = std::thread::current().name().map(str::to_owned);
+        let place = (thread, panic.location().map(ToString::to_string));
+        if printed.lock().is_ok_and(|mut printed| printed.insert(place)) {
+            default(panic);
         }
     }));
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_caught_panic_of_the_main_thread_does_not_end_the_process() {
+        let panics = || {
+            report_each_panic_once();
+            catch_unwind(|| panic!("caught")).is_err()
+        };
+        let main = std::thread::Builder::new().name("main".into()).spawn(panics).expect("a thread");
+        assert!(main.join().expect("the panic was caught"));
+    }
 }

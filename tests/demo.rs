@@ -5,7 +5,7 @@ use crate::support::live::{Live, Seen, figure, named, released, task};
 use crate::support::program::{all_of, one_after_the_other, times};
 use crate::support::{
     Said, excused, is_alive, is_well, number, run, run_in, run_until, runtime_dir, side_by_side, signal,
-    wait_until,
+    tried, wait_until,
 };
 use imrs_protocol::{Incarnation, NodeId, PACKET_BYTES};
 use imrs_wire::envelope::{Datagram, Envelope};
@@ -99,15 +99,16 @@ fn the_text_is_for_people_and_has_no_escapes_in_a_pipe() {
 #[test]
 fn a_link_that_fails_in_mid_lift_stops_both_arms() {
     let gone_on = &[" s fault: nothing passes", "reach each other again", "ends stop_now", "ends stop_now"];
-    for _ in 0..5 {
+    tried("the fault came too late each time", || {
         let said = told(&["beam-lift", "--seed", "3"], one_after_the_other(gone_on));
         says(&said, &["went dead", "Neither arm ever went on alone", "As promised"]);
         let too_late = ["Nothing moved just then", "armL was told to stop"];
-        if !too_late.iter().any(|words| said.out.contains(words)) {
-            return says(&said, &["armL asked `beat` and got TIME_OUT", "armR"]);
+        let in_time = !too_late.iter().any(|words| said.out.contains(words));
+        if in_time {
+            says(&said, &["armL asked `beat` and got TIME_OUT", "armR"]);
         }
-    }
-    excused("the fault came too late each time");
+        in_time
+    });
 }
 
 #[test]
@@ -130,18 +131,19 @@ fn when_the_robots_node_dies_the_other_takes_over_and_looks_at_the_spot() {
 
 #[test]
 fn the_tool_of_a_dead_robot_goes_to_another() {
-    for _ in 0..5 {
+    tried("weldA, which asks for 20 msec at a time, never got the tool", || {
         let mut died = false;
         let said = told(&["shared-tool", "--seed", "3"], |line| {
             died |= line.contains(" s fault: node");
             died && ["begins dress", "begins clean"].iter().any(|begins| line.contains(begins))
         });
         says(&said, &["At no instant had two of them the tool"]);
-        if said.out.contains("the node of weldA was killed, and weldA had the tool") {
-            return says(&said, &["Nobody brought it back", "As promised"]);
+        let had_it = said.out.contains("the node of weldA was killed, and weldA had the tool");
+        if had_it {
+            says(&said, &["Nobody brought it back", "As promised"]);
         }
-    }
-    excused("weldA, which asks for 20 msec at a time, never got the tool");
+        had_it
+    });
 }
 
 #[test]

@@ -17,6 +17,7 @@ use crate::floor::plan::FloorPlan;
 use crate::floor::{draw_floor, explore_floor};
 use crate::report::{Bounds, Found, Outcome, Report, Verdict, collision_probability};
 use crate::scenario::Scenario;
+use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
 
@@ -167,7 +168,7 @@ impl Work<'_> {
         self.first.get_or_insert_with(|| Explored::Floor(Arc::clone(plan)));
         let found = explore_floor(plan, self.limits);
         self.count(&found);
-        (outcome(&found), draw_floor(plan, &found))
+        (outcome(&found), unless_it_panics(|| draw_floor(plan, &found)))
     }
 
     /// Different states looked at so far.
@@ -188,8 +189,13 @@ impl Work<'_> {
     /// Explores and judges: holds, fails (with its chart) or unknown.
     pub fn judge(&mut self, scenario: &Arc<Scenario>) -> (Outcome, Option<Counterexample>) {
         let found = self.explore(scenario);
-        (outcome(&found), draw(scenario, &found))
+        (outcome(&found), unless_it_panics(|| draw(scenario, &found)))
     }
+}
+
+/// A chart makes the moves of a counterexample again. Where the last of them panics there is no chart.
+pub(crate) fn unless_it_panics<T>(draw: impl FnOnce() -> Option<T>) -> Option<T> {
+    catch_unwind(AssertUnwindSafe(draw)).unwrap_or(None)
 }
 
 /// The verdict of one exploration.

@@ -3,11 +3,13 @@
 use crate::cells::{Text, is_alike, within};
 use crate::guard::{number, random_cell};
 use imrs_model::cell::{
-    CellPlan, Chooser, Ended, Fault, Found, Kind, Schedule, Simulated, Simulator, Tape, Times, check_cell,
+    CellMove, CellPlan, Chooser, Ended, Fault, Found, Kind, Phase, Schedule, Simulated, Simulator, Tape,
+    Times, check_cell, scenes,
 };
 use imrs_protocol::{NodeId, TaskId};
 use std::path::Path;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 fn example(name: &str) -> Text {
     let path = Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples").join(name);
@@ -19,14 +21,14 @@ fn simulator(plan: &CellPlan, steps: u32) -> Simulator {
 }
 
 fn seeds(plan: &CellPlan, steps: u32, (first, count): (u64, u64)) -> Simulated {
-    simulator(plan, steps).seeds((first, count), None, &mut |_, _| true)
+    simulator(plan, steps).seeds((first, count), None, &mut |_, _| ())
 }
 
 fn node(number: usize) -> NodeId {
     NodeId::from_index(number)
 }
 
-/// All but what belongs to the schedule, its way with it.
+/// The parts of a finding that its schedule determines.
 fn told(found: &Found) -> impl PartialEq + std::fmt::Debug {
     let finding = &found.finding;
     (
@@ -85,6 +87,98 @@ fn a_seed_and_a_schedule_show_again_what_was_found() {
         );
         assert!(found.schedule.choices() <= shrunk.choices, "{name}: {shrunk:?}");
     }
+}
+
+/// Charts, recordings and causes make the moves of a finding again. A move that panics there is the last one shown.
+#[test]
+fn a_finding_whose_last_move_panics_is_shown() {
+    let mut plan = example("faulty/part_placed_twice.cell").plan;
+    let mut found = seeds(&plan, 1_000, (1, 50)).found.remove(0);
+    let steps = found.finding.moves.len();
+    // No cell has 200 packets in flight here, so the machine has none of that number.
+    found.finding.moves.insert(steps / 2, CellMove::Duplicate(200));
+    found.finding.phase = Phase::Faults;
+    plan.faults = vec![found.faults];
+    let shown = scenes(&Arc::new(plan), &found.finding);
+    assert_eq!(shown.len(), 1 + steps / 2 + 1, "the start, the moves before the panic, and the panic");
+}
+
+/// A flag that is set ends batches and shrinking, and what was found until then is the answer, each finding whole.
+#[test]
+fn a_stop_ends_batches_and_shrinking() {
+    let mut plan = example("faulty/part_placed_twice.cell").plan;
+    for jobs in [1, 3] {
+        plan.jobs = jobs;
+        let stopped_at = |least: usize| {
+            let stop = Arc::new(AtomicBool::new(false));
+            let simulator = simulator(&plan, 1_000).stopped_by(&stop);
+            simulator.seeds((1, 100_000_000), None, &mut |_, found| {
+                stop.store(found >= least, Ordering::Relaxed);
+            })
+        };
+        let none = stopped_at(0);
+        assert!(none.interrupted && none.runs == 0 && none.found.is_empty(), "{none:?}");
+        let one = stopped_at(1);
+        let found = &one.found[0];
+        assert!(one.interrupted && one.runs > 0, "{one:?}");
+        assert!(
+            found.shrunk.is_some_and(|shrunk| !shrunk.whole && shrunk.moves == found.finding.moves.len())
+        );
+        assert!(found.finding.kind == Kind::Check && !found.finding.chart.is_empty(), "{found:?}");
+        let stop = Arc::new(AtomicBool::new(true));
+        let replayed = simulator(&plan, 1_000).stopped_by(&stop).schedule(&found.schedule, true);
+        assert!(replayed.interrupted && replayed.runs == 0, "{replayed:?}");
+    }
+}
+
+/// With quick packets the question is rejected until it ends: it starves. With slow ones, which shrinking prefers, it ends
+/// by its time_out.
+const NOT_SERVED: &str = "cell served;
+tick 1 msec;
+node n1; node n2;
+link n1 -- n2 delay 35 msec;
+task inspector on n1
+  port look() -> bool usage = query user_list = {arm} time_out = 75 msec penalty = paper 45 msec;
+  var ok: bool;
+begin query look() -> ok on time_out do skip; end; end inspector;
+task arm on n2
+  use_port look() -> bool usage = response;
+begin
+  order self > look;
+  on query look() do response(true); end;
+  run weld takes 200 msec;
+end arm;
+";
+
+#[test]
+fn shrinking_keeps_the_kind_of_a_finding() {
+    let all = seeds(&Text::new(NOT_SERVED).plan, 1_000, (1, 200));
+    let mut kinds: Vec<Kind> = all.found.iter().map(|found| found.finding.kind).collect();
+    kinds.sort_unstable();
+    assert_eq!(kinds, [Kind::TimeOut, Kind::Starves], "{:?}", all.found);
+}
+
+/// Two tasks that do the same, each with a wrong assertion.
+const TWINS: &str = "cell twins;
+tick 1 msec;
+node n1; node n2;
+link n1 -- n2 delay 1 msec;
+task left on n1
+  var parts: int8;
+begin run grip takes 1..9 msec; assert parts > 0; end left;
+task right on n2
+  var parts: int8;
+begin run grip takes 1..9 msec; assert parts > 0; end right;
+";
+
+#[test]
+fn a_finding_of_tasks_with_the_same_statements_is_told_once() {
+    let plan = Text::new(TWINS).plan;
+    let all = seeds(&plan, 1_000, (1, 100));
+    let told: Vec<_> =
+        all.found.iter().map(|found| (found.finding.task, &found.finding.also[..], found.runs)).collect();
+    let [one, other] = [0, 1].map(TaskId::from_index);
+    assert!(told == [(Some(one), &[other][..], 100)] || told == [(Some(other), &[one][..], 100)], "{told:?}");
 }
 
 #[test]
@@ -172,8 +266,9 @@ fn one_fault_happens_where_the_plan_says() {
         assert_eq!((checks, &all.idle[..]), (vec![Some(0)], &[][..]), "{fault:?}");
         assert!(all.found[0].with_faults(), "{fault:?}");
         // The same plan for whatever is chosen.
-        let any = simulator.seeds((1, 20), Some(std::slice::from_ref(&fault)), &mut |_, _| true);
+        let any = simulator.seeds((1, 20), Some(std::slice::from_ref(&fault)), &mut |_, _| ());
         assert!(any.found[0].runs == 20 && any.with_faults == 20, "{fault:?}: {any:?}");
+        assert!(any.idle.is_empty(), "{fault:?}: {any:?}");
     }
     // These harm nobody: a copy is answered as before, and a cut of a link that carries nothing shows to nobody.
     let copied = Fault::Copy { link: to, nth: 2 };
@@ -185,9 +280,12 @@ fn one_fault_happens_where_the_plan_says() {
         Fault::Overtake { link: back, nth: 1 },
         Fault::Cut { link: 0, at: 5_000, lasts: None },
     ];
+    let drift = Fault::Drift { node: node(0), at: 0, more: true };
     for fault in idle {
         let all = simulator.schedule(&with(&fault), false);
-        assert!(all.found.is_empty() && all.idle == [fault], "{all:?}");
+        assert!(all.found.is_empty() && all.idle == [fault.clone()], "{all:?}");
+        let any = simulator.seeds((1, 20), Some(&[fault.clone(), drift.clone()]), &mut |_, _| ());
+        assert_eq!(any.idle, [fault], "the clock was wrong in each run");
     }
     // A packet lost takes one request, whichever: the other check holds.
     assert_eq!(simulator.schedule(&Schedule::default(), false).ended[Ended::Over as usize], 1);

@@ -1,6 +1,6 @@
 //! What `imrs simulate` can be asked.
 
-use super::Format;
+use super::{Format, MOST_JOBS};
 use clap::Args;
 use std::path::PathBuf;
 
@@ -10,37 +10,37 @@ pub struct SimulateArgs {
     /// The cell file; `-` is standard input.
     #[arg(value_name = "CELL")]
     pub cell: PathBuf,
-    /// Run so many seeds, one after another [default: 1000; with --seed alone: 1].
+    /// Number of seeds to run [default: 1000; with --seed alone: 1].
     #[arg(long, value_name = "N", value_parser = clap::value_parser!(u64).range(1..))]
     pub seeds: Option<u64>,
-    /// Begin with this seed [default: from the clock, and said in the answer]. Without --seeds its run is drawn, too.
+    /// First seed [default: taken from the clock, and named in the answer]. Without --seeds only this seed runs, and a run without findings is drawn as a chart.
     #[arg(long, value_name = "S")]
     pub seed: Option<u64>,
-    /// Take the faults from this file, and its choices where it has any: then it is one run.
+    /// Use the faults of this file in every run. A file with choices, as --save writes it, is a single run.
     #[arg(long, value_name = "FILE")]
     pub plan: Option<PathBuf>,
-    /// Shrink what the choices of that file show, too.
+    /// Shrink also the findings of a file with choices.
     #[arg(long, requires = "plan")]
     pub shrink: bool,
-    /// End a run after so many steps.
+    /// The most steps of a run.
     #[arg(long, value_name = "N", default_value_t = STEPS, value_parser = clap::value_parser!(u32).range(1..=1_000_000))]
     pub steps: u32,
-    /// Save the shrunk faults and choices of a finding for --plan.
+    /// Save the shrunk faults and choices of a finding: --plan runs them again.
     #[arg(long, value_name = "FILE")]
     pub save: Option<PathBuf>,
-    /// Which finding is saved, counted from 1.
-    #[arg(long, value_name = "N", requires = "save", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..))]
+    /// Show the whole chart of this finding, counted from 1, and save this one.
+    #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..))]
     pub finding: u16,
     /// Allow only the words of the paper, and take its own rules.
     #[arg(long)]
     pub paper: bool,
-    /// Use so many threads: the answer is the same [default: 2].
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    /// Number of threads: it does not change the answer [default: 2].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=MOST_JOBS))]
     pub jobs: Option<u16>,
     /// The form of the answer [default: text].
     #[arg(long, value_enum, value_name = "FORM")]
     pub format: Option<Format>,
 }
 
-/// The most steps of a run unless told otherwise: with fewer the longest course of examples/weld_cell.cell is cut off (D137).
+/// The most steps of a run without `--steps`: with fewer, the longest run of examples/weld_cell.cell does not come to its end (D137).
 pub const STEPS: u32 = 10_000;

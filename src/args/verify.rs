@@ -1,6 +1,6 @@
 //! What `imrs verify` can be asked.
 
-use super::Format;
+use super::{Format, MOST_JOBS};
 use clap::Args;
 use std::net::{SocketAddr, ToSocketAddrs};
 use std::path::PathBuf;
@@ -84,8 +84,8 @@ pub struct VerifyArgs {
     /// Serve the claim's first world to a browser, to walk through by hand: on this machine only.
     #[arg(long, value_name = "HOST:PORT", requires = "claim", value_parser = loopback)]
     pub explore: Option<SocketAddr>,
-    /// Use so many threads [default: as many as there are cores].
-    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..))]
+    /// Number of threads [default: the number of cores].
+    #[arg(long, value_name = "N", value_parser = clap::value_parser!(u16).range(1..=MOST_JOBS))]
     pub jobs: Option<u16>,
     /// Give up a claim that needs more memory than this [default: 4G].
     #[arg(long, value_name = "SIZE", value_parser = memory)]

@@ -1,7 +1,7 @@
 //! What random runs found, as programs read it.
 
 use super::tell::PROVES_NOTHING;
-use super::{Told, What};
+use super::{Report, What};
 use crate::verify;
 use imrs_model::cell::{Ended, Found};
 use serde::Serialize;
@@ -12,6 +12,8 @@ pub(super) struct Answer<'a> {
     version: u32,
     cell: &'a str,
     file: &'a str,
+    /// Why the cell was not run; null if it was.
+    not_simulated: Option<verify::NotChecked<'a>>,
     /// The first seed; null for the run of a file.
     seed: Option<u64>,
     runs: u64,
@@ -21,20 +23,22 @@ pub(super) struct Answer<'a> {
     most_steps: u32,
     simulated_us: u64,
     ended: Ends,
-    /// Whether all runs were made that were asked for.
+    /// Whether all runs are complete that the command asked for.
     complete: bool,
     findings: Vec<One<'a>>,
     /// Statements that no run reached.
     not_reached: Vec<verify::Place<'a>>,
-    /// Faults of the file that did not happen.
+    /// Faults of the file that happened in no run.
     idle: Vec<String>,
+    /// Times of the cell that are no multiples of its tick: a finding may come of the rounding.
+    rounded: Vec<verify::Rounded<'a>>,
     /// What the answer says nothing about.
     not_looked_for: [&'static str; 1],
-    /// The run, where it is one and shows nothing.
+    /// The chart of a single run without findings.
     chart: Option<&'a str>,
 }
 
-/// How many runs ended how.
+/// Number of runs for each end.
 #[derive(Serialize)]
 struct Ends {
     over: u64,
@@ -49,12 +53,12 @@ struct One<'a> {
     told: verify::Told<'a>,
     /// The first seed that shows it; null for the run of a file.
     seed: Option<u64>,
-    /// How many runs show it.
+    /// Number of runs that show it.
     runs: u64,
     faults: Vec<String>,
     choices: usize,
     steps: usize,
-    /// What the schedule had before it was shrunk; null where it was not.
+    /// The size of the schedule before shrinking; null if it was not shrunk.
     shrunk_from: Option<Before>,
     again: String,
 }
@@ -64,11 +68,11 @@ struct Before {
     faults: usize,
     choices: usize,
     steps: usize,
-    /// Whether nothing more can be left out, or only no more was tried.
+    /// Whether shrinking came to its end.
     whole: bool,
 }
 
-impl Told<'_> {
+impl Report<'_> {
     /// The answer for programs.
     pub fn answer(&self) -> Answer<'_> {
         let (all, subject) = (self.all, self.subject);
@@ -77,6 +81,7 @@ impl Told<'_> {
             version: 1,
             cell: &subject.lowered.cell.name,
             file: &subject.file,
+            not_simulated: self.refused.map(|refused| subject.not_checked(refused)),
             seed: match self.what {
                 What::Seeds { first, .. } => Some(*first),
                 What::Schedule(_) => None,
@@ -92,19 +97,19 @@ impl Told<'_> {
                 steps: by(Ended::Steps),
                 crowded: by(Ended::Crowded),
             },
-            complete: !all.interrupted,
+            complete: self.refused.is_none() && !all.interrupted,
             findings: all.found.iter().enumerate().map(|(number, found)| self.one(number, found)).collect(),
             not_reached: subject.places(&all.not_reached),
             idle: all.idle.iter().map(|fault| self.words(fault)).collect(),
+            rounded: subject.rounded_times(),
             not_looked_for: [PROVES_NOTHING],
             chart: self.chart.as_deref(),
         }
     }
 
     fn one<'a>(&'a self, number: usize, found: &'a Found) -> One<'a> {
-        let saved = self.args.save.is_some() && usize::from(self.args.finding) == number + 1;
         One {
-            told: self.subject.told(&found.finding, saved),
+            told: self.subject.told(&found.finding, self.is_saved(number)),
             seed: found.seed,
             runs: found.runs,
             faults: found.schedule.faults.iter().map(|fault| self.words(fault)).collect(),

@@ -1,4 +1,4 @@
-//! A schedule as a text file: faults one by one, and the choices where it was saved.
+//! A schedule as a text file: its faults, and its choices if `--save` wrote it.
 
 use crate::exit::{Failure, did_you_mean};
 use imrs_model::cell::{Chooser, Fault, MOST_FAULTS, Schedule, Tape};
@@ -8,9 +8,9 @@ use std::collections::BTreeMap;
 use std::path::Path;
 use std::time::Duration;
 
-/// The form of such files.
+/// The version of the file format.
 const VERSION: u32 = 1;
-/// Longer files are none of ours.
+/// A longer file is no plan.
 const LONGEST: u64 = 16 << 20;
 
 /// A file.
@@ -31,7 +31,7 @@ struct File {
     choices: Option<Choices>,
 }
 
-/// A fault as it is written: exactly one of the first seven says what.
+/// A fault in the file. Exactly one of the first seven fields is set: the kind of fault.
 #[derive(Default, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
 struct Line {
@@ -76,7 +76,7 @@ struct Choices {
     node: BTreeMap<String, Vec<u32>>,
 }
 
-/// What a file says: its faults, and its choices where it has them.
+/// The faults of a file, and its choices if it has any.
 pub(super) type Plan = (Vec<Fault>, Option<Tape>);
 
 /// The names of a cell, and how long its tick is.
@@ -90,24 +90,24 @@ pub(super) struct Names<'a> {
 /// # Errors
 /// [`Failure::Usage`], with the file and the fault that is wrong.
 pub(super) fn read(path: &Path, names: &Names<'_>) -> Result<Plan, Failure> {
-    let told = |what: String| Failure::Usage(format!("{}: {what}", path.display()));
-    let of = std::fs::metadata(path).map_err(|error| told(format!("cannot be read: {error}")))?;
+    let refused = |what: String| Failure::Usage(format!("{}: {what}", path.display()));
+    let of = std::fs::metadata(path).map_err(|error| refused(format!("cannot be read: {error}")))?;
     if !of.is_file() || of.len() > LONGEST {
-        return Err(told("no plan: name a file that --save wrote, or one like it".into()));
+        return Err(refused("no plan: name a file that --save wrote, or one like it".into()));
     }
-    let text = std::fs::read_to_string(path).map_err(|error| told(format!("cannot be read: {error}")))?;
-    let file: File = toml::from_str(&text).map_err(|error| told(error.to_string().trim_end().into()))?;
-    names.plan(file).map_err(told)
+    let text = std::fs::read_to_string(path).map_err(|error| refused(format!("cannot be read: {error}")))?;
+    let file: File = toml::from_str(&text).map_err(|error| refused(error.to_string().trim_end().into()))?;
+    names.plan(file).map_err(refused)
 }
 
-/// The text of a file that keeps a schedule.
+/// The text of a file that saves a schedule.
 pub(super) fn text(schedule: &Schedule, command: &str, names: &Names<'_>) -> String {
     let cell = names.table.cell();
     let mut choices = Choices::default();
     for (&who, made) in &schedule.tape {
         let (of, name) = match who {
             Chooser::Task(task) => (&mut choices.task, names.task_name(task)),
-            Chooser::Link(from, to) => (&mut choices.link, names.way(from, to)),
+            Chooser::Link(from, to) => (&mut choices.link, names.link_name(from, to)),
             Chooser::Node(node) => (&mut choices.node, names.node_name(node)),
         };
         of.insert(name, made.clone());
@@ -119,7 +119,7 @@ pub(super) fn text(schedule: &Schedule, command: &str, names: &Names<'_>) -> Str
         fault: schedule.faults.iter().map(|fault| names.line(fault)).collect(),
         choices: Some(choices),
     };
-    // Strings, numbers and lists of them: TOML has a form for each.
+    // TOML can write strings, numbers and lists of them, so this does not fail.
     let body = toml::to_string(&file).unwrap_or_default();
     format!("# {command}\n{body}")
 }
@@ -154,7 +154,10 @@ impl Names<'_> {
         }
         for (name, made) in choices.link {
             let (from, to) = self.link(&name)?;
-            tape.insert(Chooser::Link(from, to), made);
+            // TOML refuses the same text twice, but not two spellings: `a -> b` and `a->b`.
+            if tape.insert(Chooser::Link(from, to), made).is_some() {
+                return Err(format!("choices.link has `{}` twice: write it once", self.link_name(from, to)));
+            }
         }
         for (name, made) in choices.node {
             tape.insert(Chooser::Node(self.node(&name)?), made);
@@ -229,10 +232,14 @@ impl Names<'_> {
         let mut line = Line::default();
         let time = |ticks: u64| Some(self.time(ticks));
         match *fault {
-            Fault::Lose { link, nth } => (line.lose, line.link) = (Some(nth), Some(self.way(link.0, link.1))),
-            Fault::Copy { link, nth } => (line.copy, line.link) = (Some(nth), Some(self.way(link.0, link.1))),
+            Fault::Lose { link, nth } => {
+                (line.lose, line.link) = (Some(nth), Some(self.link_name(link.0, link.1)));
+            }
+            Fault::Copy { link, nth } => {
+                (line.copy, line.link) = (Some(nth), Some(self.link_name(link.0, link.1)));
+            }
             Fault::Overtake { link, nth } => {
-                (line.overtake, line.link) = (Some(nth), Some(self.way(link.0, link.1)));
+                (line.overtake, line.link) = (Some(nth), Some(self.link_name(link.0, link.1)));
             }
             Fault::Fail { task, nth } => (line.fail, line.task) = (Some(nth), Some(self.task_name(task))),
             Fault::Stop { node, at, restart } => {
@@ -276,7 +283,7 @@ impl Names<'_> {
         self.table.cell().tasks.get(task.index()).map_or("?", |task| &task.name).to_owned()
     }
 
-    fn way(&self, from: NodeId, to: NodeId) -> String {
+    fn link_name(&self, from: NodeId, to: NodeId) -> String {
         format!("{} -> {}", self.node_name(from), self.node_name(to))
     }
 

@@ -7,100 +7,119 @@ mod tell;
 use crate::args::{Format, STEPS, SimulateArgs};
 use crate::cell_file::{self, CellFileError};
 use crate::exit::{Exit, Failure};
-use crate::output::{NOTE, Output, Styled, count, grouped};
+use crate::output::{Output, count, grouped};
 use crate::verify::{Subject, quoted};
 use file::Names;
-use imrs_model::cell::{Fault, Found, Schedule, Simulated, Simulator};
+use imrs_model::cell::{Fault, Found, Refused, Schedule, Simulated, Simulator};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use signal_hook::consts::SIGINT;
 use std::fmt::Write as _;
 use std::io::{self, Write as _};
-use std::path::Path;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::AtomicBool;
 use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
-/// How many seeds are run unless told otherwise.
+/// Number of seeds without `--seeds`.
 const SEEDS: u64 = 1000;
-/// Seeds that the clock gives have at most nine digits: they are to be typed again.
+/// Seeds from the clock have at most nine digits, because a person types them again.
 const SEEDS_OF_THE_CLOCK: u128 = 1_000_000_000;
 
 /// What is run.
 enum What {
-    /// So many seeds from the first, with these faults or with those that they draw.
+    /// `count` seeds from the first one, with these faults or with those that each seed draws.
     Seeds { first: u64, count: u64, faults: Option<Vec<Fault>> },
     /// One schedule.
     Schedule(Schedule),
 }
 
-/// What was asked for, and what it came to.
-struct Told<'a> {
+/// The question and its result, to be shown.
+struct Report<'a> {
     subject: &'a Subject,
+    names: &'a Names<'a>,
     args: &'a SimulateArgs,
     what: &'a What,
+    /// Why the cell was not run.
+    refused: Option<&'a Refused>,
     all: &'a Simulated,
-    /// The run as a chart, where it is one and nothing else draws it.
+    /// Whether the finding that was asked for was saved.
+    saved: bool,
+    /// The chart of a single run without findings.
     chart: Option<String>,
 }
 
-/// Runs a cell at random, or as a file says.
+/// Runs a cell at random, or one schedule of a file.
 ///
 /// # Errors
 /// [`Failure`].
 pub fn run(args: &SimulateArgs, out: &mut Output) -> Result<Exit, Failure> {
-    let subject = match Subject::open(&args.cell, args.paper, out)? {
+    let format = args.format.unwrap_or_default();
+    let subject = match Subject::open(&args.cell, args.paper, format, out)? {
         Ok(subject) => subject,
         Err(exit) => return Ok(exit),
     };
     let names = Names { table: &subject.table, tick_us: subject.tick_us };
     let what = what(args, &names)?;
+    args.save.as_deref().map_or(Ok(()), cell_file::writable)?;
     let simulator = match Simulator::new(&Arc::new(subject.declared(args.jobs)), args.steps) {
-        Ok(simulator) => simulator,
+        Ok(simulator) => simulator.stopped_by(&stop_at_ctrl_c()),
         Err(refused) => {
-            out.line(Styled(NOTE, format!("{}: not simulated: {}", subject.file, refused.why)))?;
+            let (all, refused) = (&Simulated::default(), Some(&refused));
+            let report = Report {
+                subject: &subject,
+                names: &names,
+                args,
+                what: &what,
+                refused,
+                all,
+                saved: false,
+                chart: None,
+            };
+            report.show(format, out)?;
             return Ok(Exit::Budget);
         }
     };
-    let text = args.format.unwrap_or_default() == Format::Text;
+    let text = format == Format::Text;
     let started = Instant::now();
     let all = match &what {
         What::Seeds { first, count, faults } => {
-            let interrupted = Arc::new(AtomicBool::new(false));
-            let registered = signal_hook::flag::register(SIGINT, Arc::clone(&interrupted));
             let line = progress(*count, text);
             let all = simulator.seeds((*first, *count), faults.as_deref(), &mut |runs, found| {
                 line.set_position(runs);
                 line.set_message(self::count(found as u64, "finding"));
-                !interrupted.load(Ordering::Relaxed)
             });
             line.finish_and_clear();
-            if let Ok(id) = registered {
-                signal_hook::low_level::unregister(id);
-            }
             all
         }
         What::Schedule(schedule) => simulator.schedule(schedule, args.shrink),
     };
     let seconds = started.elapsed().as_secs_f64();
     let chart = match &what {
-        _ if !all.found.is_empty() => None,
+        _ if !all.found.is_empty() || all.interrupted => None,
         What::Seeds { first, count: 1, faults } => Some(simulator.chart_of_seed(*first, faults.as_deref())),
         What::Schedule(schedule) => Some(simulator.chart_of(schedule)),
         What::Seeds { .. } => None,
     };
-    if let Some(path) = &args.save {
-        save(path, args, &subject, &all)?;
-    }
-    let told = Told { subject: &subject, args, what: &what, all: &all, chart };
+    // What was found is shown even if it cannot be saved.
+    let kept = keep(args, &subject, &names, &all);
+    let saved = matches!(kept, Ok(true));
+    let report = Report {
+        subject: &subject,
+        names: &names,
+        args,
+        what: &what,
+        refused: None,
+        all: &all,
+        saved,
+        chart,
+    };
+    report.show(format, out)?;
     if text {
-        told.show(out)?;
-        // Beside the answer, which is the same each time.
+        // On standard error, because the answer has no times of this machine.
         let speed = grouped((all.steps as f64 / seconds.max(1e-9)) as u64);
         let line = format!("{} in {seconds:.2} s, {speed} steps a second", count(all.runs, "run"));
         let _ = writeln!(io::stderr(), "{line}");
-    } else {
-        out.json(&told.answer())?;
     }
+    kept?;
     Ok(match (all.found.is_empty(), all.interrupted) {
         (false, _) => Exit::Finding,
         (true, true) => Exit::Budget,
@@ -133,32 +152,44 @@ fn what(args: &SimulateArgs, names: &Names<'_>) -> Result<What, Failure> {
     Ok(What::Seeds { first: args.seed.unwrap_or_else(clock), count, faults })
 }
 
-/// A line on standard error where it is a terminal.
+/// A flag that Ctrl-C sets. A second Ctrl-C ends the process.
+fn stop_at_ctrl_c() -> Arc<AtomicBool> {
+    let stop = Arc::default();
+    // Where nothing can be registered, Ctrl-C ends the process at once.
+    let _ = signal_hook::flag::register_conditional_default(SIGINT, Arc::clone(&stop));
+    let _ = signal_hook::flag::register(SIGINT, Arc::clone(&stop));
+    stop
+}
+
+/// A progress bar, if standard error is a terminal.
 fn progress(seeds: u64, text: bool) -> ProgressBar {
     let target = if text { ProgressDrawTarget::stderr_with_hz(5) } else { ProgressDrawTarget::hidden() };
     let line = ProgressBar::with_draw_target(Some(seeds), target);
     match ProgressStyle::with_template("{wide_bar} {pos} of {len} runs, {msg}") {
         Ok(style) => line.with_style(style),
-        // Its own style says less.
+        // The default style of the bar shows less.
         Err(_) => line,
     }
 }
 
-fn save(path: &Path, args: &SimulateArgs, subject: &Subject, all: &Simulated) -> Result<(), Failure> {
-    let Some(found) = all.found.get(usize::from(args.finding) - 1) else {
-        let missed = format!("--finding {}: there are {}", args.finding, all.found.len());
-        // Without findings there is nothing to keep, and that is well.
-        return if all.found.is_empty() { Ok(()) } else { Err(Failure::Usage(missed)) };
+/// Saves the finding that was asked for. False: there is none to save, or no file.
+fn keep(args: &SimulateArgs, subject: &Subject, names: &Names<'_>, all: &Simulated) -> Result<bool, Failure> {
+    let found = all.found.get(usize::from(args.finding) - 1);
+    let missed = || format!("--finding {}: there are {}", args.finding, all.found.len());
+    let (path, found) = match (&args.save, found) {
+        (Some(path), Some(found)) => (path, found),
+        (_, None) if !all.found.is_empty() => return Err(Failure::Usage(missed())),
+        _ => return Ok(false),
     };
-    let names = Names { table: &subject.table, tick_us: subject.tick_us };
-    let text = file::text(&found.schedule, &format!("{} --plan FILE", command(subject, args)), &names);
-    std::fs::write(path, text)
-        .map_err(|source| Failure::from(CellFileError::Unwritable { path: path.to_owned(), source }))
+    let text = file::text(&found.schedule, &format!("{} --plan FILE", command(subject, args)), names);
+    std::fs::write(path, text).map_err(|source| CellFileError::NotSaved { path: path.clone(), source })?;
+    Ok(true)
 }
 
-/// The command without what it runs.
+/// The command without seeds and plan.
 fn command(subject: &Subject, args: &SimulateArgs) -> String {
-    let mut command = format!("imrs simulate {}", quoted(&subject.file));
+    let file = if cell_file::is_stdin(&args.cell) { "-" } else { &subject.file };
+    let mut command = format!("imrs simulate {}", quoted(file));
     if args.paper {
         command.push_str(" --paper");
     }
@@ -168,17 +199,28 @@ fn command(subject: &Subject, args: &SimulateArgs) -> String {
     command
 }
 
-impl Told<'_> {
-    /// The command that shows a finding again.
+impl Report<'_> {
+    fn is_saved(&self, number: usize) -> bool {
+        self.saved && usize::from(self.args.finding) == number + 1
+    }
+
+    /// The command that shows this finding again, with its whole chart.
     fn again(&self, number: usize, found: &Found) -> String {
-        let command = command(self.subject, self.args);
-        let saved = self.args.save.as_ref().filter(|_| usize::from(self.args.finding) == number + 1);
-        let file = |path: &Path| quoted(&cell_file::shown(path));
-        match (saved, found.seed, &self.args.plan) {
-            (Some(path), ..) | (None, None, Some(path)) => format!("{command} --plan {}", file(path)),
-            (None, Some(seed), Some(path)) => format!("{command} --plan {} --seed {seed}", file(path)),
-            (None, Some(seed), None) => format!("{command} --seed {seed}"),
-            (None, None, None) => command,
+        let mut command = command(self.subject, self.args);
+        let saved = self.args.save.as_ref().filter(|_| self.is_saved(number));
+        if let Some(path) = saved.or(self.args.plan.as_ref()) {
+            let _ = write!(command, " --plan {}", quoted(&cell_file::shown(path)));
         }
+        if let Some(seed) = found.seed.filter(|_| saved.is_none()) {
+            let _ = write!(command, " --seed {seed}");
+        }
+        if self.args.shrink && saved.is_none() {
+            command.push_str(" --shrink");
+        }
+        match saved.map_or(found.number, |_| found.number_of_schedule) {
+            1 => {}
+            number => _ = write!(command, " --finding {number}"),
+        }
+        command
     }
 }

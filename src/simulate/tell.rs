@@ -1,24 +1,36 @@
 //! What random runs found, as a person reads it.
 
-use super::file::Names;
-use super::{Told, What};
+use super::{Report, What};
+use crate::args::Format;
 use crate::exit::Failure;
 use crate::output::{BAD, FAINT, HEAD, NOTE, Output, Styled, count, grouped};
 use crate::verify::chart;
 use imrs_model::cell::{Ended, Fault, Found};
 
-/// What follows from runs that found nothing.
+/// What runs without findings do not prove.
 pub(super) const PROVES_NOTHING: &str = "random runs prove nothing about others";
 
-impl Told<'_> {
-    /// Shows the findings, the runs and what they did not reach.
+impl Report<'_> {
+    /// Shows the findings, the runs and the statements that no run reached.
     ///
     /// # Errors
     /// [`Failure::Output`].
-    pub fn show(&self, out: &mut Output) -> Result<(), Failure> {
+    pub fn show(&self, format: Format, out: &mut Output) -> Result<(), Failure> {
+        match (format, self.refused) {
+            (Format::Json, _) => out.json(&self.answer()),
+            (Format::Text, Some(refused)) => {
+                let text = format!("{}: not simulated: {}", self.subject.file, refused.why);
+                out.line(Styled(NOTE, text))
+            }
+            (Format::Text, None) => self.text(out),
+        }
+    }
+
+    fn text(&self, out: &mut Output) -> Result<(), Failure> {
         for (number, found) in self.all.found.iter().enumerate() {
             let again = self.again(number, found);
-            self.subject.tell(&found.finding, (number > 0).then_some(&again), out)?;
+            let whole = usize::from(self.args.finding) == number + 1;
+            self.subject.tell(&found.finding, (!whole).then_some(&again), out)?;
             self.found(found, out)?;
             out.line(format!("  again: {again}"))?;
             out.line("")?;
@@ -30,9 +42,14 @@ impl Told<'_> {
         self.runs(out)?;
         let unseen = "not reached in these runs, which says nothing about others";
         self.subject.statements(unseen, &self.all.not_reached, out)?;
+        let never = match self.what {
+            What::Seeds { count: 2.., .. } => "this fault happened in none of these runs",
+            What::Seeds { .. } | What::Schedule(_) => "this fault did not happen",
+        };
         for fault in &self.all.idle {
-            out.line(Styled(NOTE, format!("  this fault did not happen: {}", self.words(fault))))?;
+            out.line(Styled(NOTE, format!("  {never}: {}", self.words(fault))))?;
         }
+        self.subject.tell_rounded(!self.all.found.is_empty(), out)?;
         let file = &self.subject.file;
         let all = match (self.all.found.len(), self.all.interrupted) {
             (0, false) => {
@@ -44,7 +61,7 @@ impl Told<'_> {
         out.line(all)
     }
 
-    /// How a finding was found, and what its schedule has.
+    /// Shows which runs show a finding, and its schedule.
     fn found(&self, found: &Found, out: &mut Output) -> Result<(), Failure> {
         if let Some(seed) = found.seed {
             let runs = match found.runs {
@@ -61,7 +78,7 @@ impl Told<'_> {
             };
             let before = size(shrunk.faults, shrunk.choices, shrunk.moves);
             let now = size(found.schedule.faults.len(), found.schedule.choices(), found.finding.moves.len());
-            let part = if shrunk.whole { "" } else { "; less may do, but no more was tried" };
+            let part = if shrunk.whole { "" } else { "; shrinking was cut short" };
             out.line(format!("  shrunk from {before} to {now}{part}"))?;
         }
         match &found.schedule.faults[..] {
@@ -75,8 +92,7 @@ impl Told<'_> {
 
     /// A fault in the cell's words.
     pub(super) fn words(&self, fault: &Fault) -> String {
-        let names = Names { table: &self.subject.table, tick_us: self.subject.tick_us };
-        fault.words(&self.subject.table, &|ticks| names.time(ticks))
+        fault.words(&self.subject.table, &|ticks| self.names.time(ticks))
     }
 
     fn runs(&self, out: &mut Output) -> Result<(), Failure> {
@@ -92,13 +108,12 @@ impl Told<'_> {
         };
         let ended = if all.interrupted { ", ended early" } else { "" };
         out.line(Styled(HEAD, format!("{head}{ended}")))?;
-        let names = Names { table: &self.subject.table, tick_us: self.subject.tick_us };
         out.line(format!(
             "  {}, {} with faults; {}; {} of the cell's time",
             count(all.runs, "run"),
             grouped(all.with_faults),
             count(all.steps, "step"),
-            names.time(all.ticks)
+            self.names.time(all.ticks)
         ))?;
         let by = |ended: Ended| grouped(all.ended[ended as usize]);
         let mut ends = vec![
@@ -107,7 +122,7 @@ impl Told<'_> {
             format!("{} after {bound} steps (--steps)", by(Ended::Steps)),
         ];
         if all.ended[Ended::Crowded as usize] > 0 {
-            ends.push(format!("{} with more packets on their way than are numbered", by(Ended::Crowded)));
+            ends.push(format!("{} with more packets in flight than can be numbered", by(Ended::Crowded)));
         }
         out.line(format!("  ended: {}", ends.join(", ")))?;
         out.line(Styled(

@@ -2,7 +2,9 @@
 
 use super::cell::Subject;
 use super::tell::{NOT_LOOKED_FOR, help};
-use imrs_model::cell::{CellFaults, CellPlan, Concerned, Coverage, Finding, Kind, Phase, Times, Verdicts};
+use imrs_model::cell::{
+    CellFaults, CellPlan, Concerned, Coverage, Finding, Kind, Phase, Refused, Times, Verdicts,
+};
 use imrs_protocol::script::Address;
 use imrs_protocol::{CellTable, TaskId};
 use serde::Serialize;
@@ -45,8 +47,9 @@ pub struct Place<'a> {
     column: usize,
 }
 
+/// Why nothing was looked at.
 #[derive(Serialize)]
-struct NotChecked<'a> {
+pub struct NotChecked<'a> {
     why: &'a str,
     task: &'a str,
     line: Option<usize>,
@@ -92,8 +95,9 @@ pub struct Told<'a> {
     saved: bool,
 }
 
+/// A time that was rounded to the tick.
 #[derive(Serialize)]
-struct Rounded<'a> {
+pub struct Rounded<'a> {
     line: usize,
     column: usize,
     what: &'a str,
@@ -166,17 +170,12 @@ impl Subject {
                 never_changed: still.map(|(_, what)| what.as_str()).collect(),
             }
         };
-        let not_checked = verdicts.refused.as_ref().map(|refused| {
-            let place = self.place(refused.task, refused.at);
-            let (line, column) = (place.map(|place| place.0), place.map(|place| place.1));
-            NotChecked { why: &refused.why, task: self.task(refused.task), line, column }
-        });
         Answer {
             version: 1,
             cell: &self.lowered.cell.name,
             file: &self.file,
             complete: verdicts.is_complete(),
-            not_checked,
+            not_checked: verdicts.refused.as_ref().map(|refused| self.not_checked(refused)),
             looked_at: LookedAt { tick_us: self.tick_us, model_tick_us: self.model_tick_us },
             not_looked_for: [NOT_LOOKED_FOR],
             claims: (0..self.lowered.checks.len()).map(settled).collect(),
@@ -189,9 +188,21 @@ impl Subject {
             outside: &verdicts.outside,
             not_tried: self.places(&verdicts.not_tried),
             not_seen: self.places(&verdicts.not_seen),
-            rounded: self.rounded().map(|(line, column, what)| Rounded { line, column, what }).collect(),
+            rounded: self.rounded_times(),
             phases: verdicts.phases.iter().map(|phase| searched(plan, phase)).collect(),
         }
+    }
+
+    /// The times that were rounded to the tick.
+    pub fn rounded_times(&self) -> Vec<Rounded<'_>> {
+        self.rounded().map(|(line, column, what)| Rounded { line, column, what }).collect()
+    }
+
+    /// Why nothing was looked at.
+    pub fn not_checked<'a>(&'a self, refused: &'a Refused) -> NotChecked<'a> {
+        let place = self.place(refused.task, refused.at);
+        let (line, column) = (place.map(|place| place.0), place.map(|place| place.1));
+        NotChecked { why: &refused.why, task: self.task(refused.task), line, column }
     }
 
     /// Where these statements begin.

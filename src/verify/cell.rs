@@ -4,6 +4,7 @@ use super::DEFAULT_MEMORY;
 use super::tell::{self, Telling};
 use crate::args::{self, CellFaultArgs, Format, VerifyVerb};
 use crate::cell_file::{self, CellFileError};
+use crate::check;
 use crate::exit::{Exit, Failure, did_you_mean, turned_down};
 use crate::output::Output;
 use imrs_language::hir::{CoupleKind, Faults};
@@ -37,19 +38,27 @@ pub struct Subject {
 /// # Errors
 /// [`Failure`].
 pub fn run(path: &Path, args: &VerifyVerb, out: &mut Output) -> Result<Exit, Failure> {
-    let subject = match Subject::open(path, args.faults.paper, out)? {
+    let format = args.verify.format.unwrap_or_default();
+    let subject = match Subject::open(path, args.faults.paper, format, out)? {
         Ok(subject) => subject,
         Err(exit) => return Ok(exit),
     };
     let plan = Arc::new(subject.plan(args)?);
+    for file in [&args.faults.trace, &args.faults.save].into_iter().flatten() {
+        cell_file::writable(file)?;
+    }
     let verdicts = check_cell(&plan);
-    let saved = subject.keep(&plan, &verdicts, &args.faults)?;
-    match args.verify.format.unwrap_or_default() {
+    // What was found is shown even if it cannot be saved.
+    let kept = subject.keep(&plan, &verdicts, &args.faults);
+    let saved = kept.as_ref().map_or(None, |saved| *saved);
+    match format {
         Format::Json => out.json(&subject.answer(&plan, &verdicts, saved))?,
         Format::Text => {
-            Telling { subject: &subject, plan: &plan, verdicts: &verdicts, args, saved }.show(out)?;
+            let (subject, failed) = (&subject, kept.is_err());
+            Telling { subject, plan: &plan, verdicts: &verdicts, args, saved, failed }.show(out)?;
         }
     }
+    kept?;
     Ok(match (verdicts.findings.is_empty(), verdicts.is_complete()) {
         (false, _) => Exit::Finding,
         (true, true) => Exit::Well,
@@ -62,12 +71,23 @@ impl Subject {
     ///
     /// # Errors
     /// [`Failure`].
-    pub fn open(path: &Path, paper: bool, out: &mut Output) -> Result<Result<Self, Exit>, Failure> {
+    pub fn open(
+        path: &Path,
+        paper: bool,
+        format: Format,
+        out: &mut Output,
+    ) -> Result<Result<Self, Exit>, Failure> {
         let (file, source) = (cell_file::shown(path), cell_file::read(path)?);
         let compiled = compile_with(&source, Options { paper });
         let Some(lowered) = compiled.lower(Unit::Ticks) else {
-            out.text(&render::text(&compiled.diagnostics, &file, Some(&source), render::Style::Coloured))?;
-            return Ok(Err(turned_down(&compiled.diagnostics)));
+            let found = &compiled.diagnostics;
+            match format {
+                Format::Json => check::json(&file, &source, &compiled, out)?,
+                Format::Text => {
+                    out.text(&render::text(found, &file, Some(&source), render::Style::Coloured))?;
+                }
+            }
+            return Ok(Err(turned_down(found)));
         };
         let table = CellTable::new(lowered.cell.clone()).map(Arc::new).map_err(|errors| {
             let all: Vec<String> = errors.iter().map(ToString::to_string).collect();
@@ -221,7 +241,7 @@ impl Subject {
                 svg(&names, &notes, &finding.cause)
             };
             std::fs::write(path, drawn)
-                .map_err(|source| CellFileError::Unwritable { path: path.clone(), source })?;
+                .map_err(|source| CellFileError::NotSaved { path: path.clone(), source })?;
         }
         let Some(path) = &args.save else { return Ok(None) };
         let searched =

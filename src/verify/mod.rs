@@ -7,7 +7,7 @@ mod report;
 mod save;
 mod tell;
 
-pub use answer::{Place, Told};
+pub use answer::{NotChecked, Place, Rounded, Told};
 pub use cell::{Subject, conduct, faults};
 pub use tell::{chart, quoted};
 

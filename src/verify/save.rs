@@ -32,7 +32,7 @@ pub(super) fn save(
     if scenes.is_empty() {
         return Ok(false);
     }
-    let unwritable = |source| CellFileError::Unwritable { path: path.to_owned(), source };
+    let unwritable = |source| CellFileError::NotSaved { path: path.to_owned(), source };
     let file = File::create(path).map_err(unwritable)?;
     let written = Film::begin(BufWriter::new(file), subject)
         .and_then(|film| film.write(&scenes, subject.story(finding, bounds, scenes.len())));

@@ -29,6 +29,8 @@ pub(super) struct Telling<'a> {
     pub args: &'a VerifyVerb,
     /// The number of the finding that was saved.
     pub saved: Option<usize>,
+    /// Whether a finding could not be drawn or saved.
+    pub failed: bool,
 }
 
 impl Telling<'_> {
@@ -58,8 +60,8 @@ impl Telling<'_> {
             subject.tell(warning, None, out)?;
             out.line("")?;
         }
-        if let (Some(path), None, false) = (&self.args.faults.save, self.saved, verdicts.findings.is_empty())
-        {
+        let not_saved = self.saved.is_none() && !self.failed && !verdicts.findings.is_empty();
+        if let Some(path) = self.args.faults.save.as_ref().filter(|_| not_saved) {
             let file = cell_file::shown(path);
             out.line(Styled(NOTE, format!("nothing was saved to {file}: no steps lead to this finding")))?;
         }
@@ -90,25 +92,8 @@ impl Telling<'_> {
             let name = self.plan.checks.get(*check).map_or("?", |check| check.name.as_str());
             out.line(Styled(NOTE, format!("  check `{name}`: {what} in every state that was looked at")))?;
         }
-        self.rounded(out)?;
+        subject.tell_rounded(!verdicts.findings.is_empty(), out)?;
         self.last_line(out)
-    }
-
-    /// Times that are no multiples of the tick.
-    fn rounded(&self, out: &mut Output) -> Result<(), Failure> {
-        let all: Vec<_> = self.subject.rounded().collect();
-        for &(line, column, what) in all.iter().take(FEW) {
-            let file = &self.subject.file;
-            out.line(Styled(NOTE, format!("  note[N101]: {file}:{line}:{column}: {what}")))?;
-        }
-        if let Some(more) = all.len().checked_sub(FEW).filter(|&more| more > 0) {
-            out.line(format!("  and {} more", count(more as u64, "rounded time")))?;
-        }
-        if !all.is_empty() && !self.verdicts.findings.is_empty() {
-            let text = "  not confirmed: these findings may come of the rounding; write whole ticks, or a finer `tick`";
-            out.line(Styled(NOTE, text.to_owned()))?;
-        }
-        Ok(())
     }
 
     /// Which times are looked at: what a verdict is about.
@@ -227,6 +212,26 @@ impl Subject {
         }
         chart(&finding.chart, all, out)?;
         out.line(format!("  help: {}", help(finding.kind)))
+    }
+
+    /// Shows the times that are no multiples of the tick. `found`: whether there are findings, which may come of the rounding.
+    ///
+    /// # Errors
+    /// [`Failure::Output`].
+    pub fn tell_rounded(&self, found: bool, out: &mut Output) -> Result<(), Failure> {
+        let all: Vec<_> = self.rounded().collect();
+        for &(line, column, what) in all.iter().take(FEW) {
+            let file = &self.file;
+            out.line(Styled(NOTE, format!("  note[N101]: {file}:{line}:{column}: {what}")))?;
+        }
+        if let Some(more) = all.len().checked_sub(FEW).filter(|&more| more > 0) {
+            out.line(format!("  and {} more", count(more as u64, "rounded time")))?;
+        }
+        if !all.is_empty() && found {
+            let text = "  not confirmed: these findings may come of the rounding; write whole ticks, or a finer `tick`";
+            out.line(Styled(NOTE, text.to_owned()))?;
+        }
+        Ok(())
     }
 
     /// The other tasks of a finding: `b (line 39), c (line 50), which have the same statements`.

@@ -40,6 +40,13 @@ pub fn excused(why: &str) {
     println!("this machine was late: {why}");
 }
 
+/// Tries something that a late machine may spoil, a few times. If it is spoilt each time, the test is excused for this reason.
+pub fn tried(why: &str, is_done: impl FnMut() -> bool) {
+    if !std::iter::repeat_with(is_done).take(5).any(|done| done) {
+        excused(why);
+    }
+}
+
 /// Whether bounds are asked for that take minutes and not seconds.
 pub fn is_whole() -> bool {
     std::env::var_os("IMRS_WHOLE").is_some_and(|value| value == "1")

@@ -1,5 +1,6 @@
 //! Findings that tasks with the same statements have alike: told once.
 
+use super::judge::Shown;
 use super::plan::{CellPlan, Conduct};
 use super::verdict::Finding;
 use imrs_protocol::TaskId;
@@ -19,14 +20,26 @@ pub(super) fn told_once(plan: &CellPlan, findings: Vec<Finding>) -> Vec<Finding>
 }
 
 /// Whether it is the same finding at the same statement of another task that does the same.
-pub(super) fn repeats(plan: &CellPlan, first: &Finding, other: &Finding) -> bool {
+fn repeats(plan: &CellPlan, first: &Finding, other: &Finding) -> bool {
     let key = |finding: &Finding| (finding.kind, finding.phase, finding.hypothesis, finding.address);
     let (Some(one), Some(two)) = (first.task, other.task) else { return false };
-    let name = |task: TaskId| plan.table.cell().tasks.get(task.index()).map_or("?", |task| &task.name);
     key(first) == key(other)
         && first.address.is_some()
-        && does_the_same(plan, one, two)
-        && reads_alike(&first.cause, &other.cause, (name(one), name(two)))
+        && is_alike(plan, (one, &first.cause), (two, &other.cause))
+}
+
+/// The same of something that runs show, with whatever faults.
+pub(super) fn shows_alike(plan: &CellPlan, first: &Shown, other: &Shown) -> bool {
+    let (Some(one), Some(two)) = (first.task, other.task) else { return false };
+    let [one, two] = [one, two].map(TaskId::from_index);
+    (first.kind, first.address) == (other.kind, other.address)
+        && first.address.is_some()
+        && is_alike(plan, (one, &first.cause), (two, &other.cause))
+}
+
+fn is_alike(plan: &CellPlan, (one, cause): (TaskId, &str), (two, other): (TaskId, &str)) -> bool {
+    let name = |task: TaskId| plan.table.cell().tasks.get(task.index()).map_or("?", |task| &task.name);
+    does_the_same(plan, one, two) && reads_alike(cause, other, (name(one), name(two)))
 }
 
 fn does_the_same(plan: &CellPlan, one: TaskId, two: TaskId) -> bool {

@@ -5,8 +5,11 @@ use super::course::Course;
 use super::plan::Conduct;
 use super::verdict::{Kind, Phase};
 use crate::floor::script::ScriptTurn;
+use crate::state::Violation;
 use imrs_protocol::script::{Activity, Address, End, Op, Outcomes, Program, ScriptInput, Term, Trigger};
+
 use imrs_protocol::{CellTable, Outcome, PortId, Signal, Target, TaskId};
+use std::panic::{AssertUnwindSafe, catch_unwind};
 
 /// Something that a move showed to be wrong.
 #[derive(Clone, Debug, PartialEq, Eq)]
@@ -31,10 +34,10 @@ impl Shown {
         Self { kind, task: None, address: None, check: None, cause, last: true, couple: None, others }
     }
 
-    /// Whether it is the same finding, on whatever way.
+    /// Whether it is the same finding, whatever moves lead to it.
     pub fn is_same(&self, other: &Self) -> bool {
         let key = |shown: &Self| (shown.kind, shown.task, shown.address, shown.check, shown.couple);
-        key(self) == key(other)
+        key(self) == key(other) && (self.kind != Kind::Machine || self.cause == other.cause)
     }
 }
 
@@ -96,8 +99,13 @@ pub(super) fn program(course: &Course, task: usize) -> Option<&Program> {
     }
 }
 
-/// Takes what the scripts did since the last call, and judges the state.
+/// Takes what the scripts did since the last call, and judges the state. A panic is a violation of the machine.
 pub(super) fn judge(course: &mut Course, phase: Phase, reached: &mut Reached) -> Vec<Shown> {
+    let judged = catch_unwind(AssertUnwindSafe(|| judge_turns(course, phase, reached)));
+    judged.unwrap_or_else(|_| vec![Shown::whole(Kind::Machine, Violation::Panic.text())])
+}
+
+fn judge_turns(course: &mut Course, phase: Phase, reached: &mut Reached) -> Vec<Shown> {
     let turns = course.floor.turns.as_mut().map(std::mem::take).unwrap_or_default();
     reached.note(course);
     let mut shown = Vec::new();

@@ -10,7 +10,7 @@ use super::outside::{says_something, tried, with_programs};
 use super::parts::{look_at_each, parts};
 use super::plan::{CellFaults, CellPlan, Conduct, Holds, Times};
 use super::seen::Seen;
-use super::standstill::{self, Ways};
+use super::standstill::{self, OutOfMemory, Ways};
 use super::verdict::{Coverage, Finding, Kind, Phase, Refused, Verdicts};
 use super::walker::{Hit, Origin, Walker, Walks};
 use super::{starve, story};
@@ -185,10 +185,17 @@ fn search(plan: &Arc<CellPlan>, (phase, hypothesis): (Phase, usize), faults: &Ce
     let mut walkers: Vec<Walker> = (0..plan.jobs.max(1)).map(|_| walker()).collect();
     let ended_by = search.run(plan, &mut walkers, start);
     let outgrown = || search.outgrown.then(|| "some states outgrow their packed form".to_string());
-    let ended_by = ended_by.or_else(outgrown);
+    let mut ended_by = ended_by.or_else(outgrown);
     let tell = |hit: &Hit| search.tell(plan, (phase, hypothesis), faults, hit);
     let findings: Vec<Finding> = search.hits.iter().map(tell).collect();
-    let still = if ended_by.is_none() { search.ways.first_still(&search.cores) } else { None };
+    let mut still = None;
+    if ended_by.is_none() {
+        let room = plan.budget.bytes.saturating_sub(resident_bytes().unwrap_or(0));
+        match search.ways.first_still(&search.cores, room) {
+            Ok(first) => still = first,
+            Err(OutOfMemory) => ended_by = Some(out_of_memory(plan)),
+        }
+    }
     let told = still.and_then(|at| {
         let moves = search.path(plan, faults, search.origins[at]);
         standstill::tell(plan, (phase, hypothesis), faults, moves)
@@ -221,6 +228,10 @@ fn search(plan: &Arc<CellPlan>, (phase, hypothesis): (Phase, usize), faults: &Ce
     (search, Done { coverage, findings, standstills, reached, mattered })
 }
 
+fn out_of_memory(plan: &CellPlan) -> String {
+    format!("out of memory ({} MiB)", plan.budget.bytes >> 20)
+}
+
 impl Search {
     /// Says which budget ended it.
     fn run(&mut self, plan: &CellPlan, walkers: &mut [Walker], start: Instant) -> Option<String> {
@@ -234,7 +245,7 @@ impl Search {
                 return Some(format!("out of time ({} s)", budget.seconds));
             }
             if resident_bytes().is_some_and(|bytes| bytes > budget.bytes) {
-                return Some(format!("out of memory ({} MiB)", budget.bytes >> 20));
+                return Some(out_of_memory(plan));
             }
             let batch: Vec<_> = self.queue.drain(..self.queue.len().min(BATCH)).collect();
             for walks in self.walk_on(&batch, walkers) {
@@ -331,7 +342,8 @@ impl Search {
         hit: &Hit,
     ) -> Finding {
         let moves = self.path(plan, faults, hit.origin);
-        finding(plan, (phase, hypothesis), faults, moves, hit.shown.clone())
+        let shown = starve::decided(plan, &moves, hit.shown.clone());
+        finding(plan, (phase, hypothesis), faults, moves, &shown)
     }
 }
 
@@ -341,15 +353,10 @@ pub(super) fn finding(
     (phase, hypothesis): (Phase, usize),
     faults: &CellFaults,
     moves: Vec<CellMove>,
-    mut shown: Shown,
+    shown: &Shown,
 ) -> Finding {
-    if let (Kind::TimeOut, Some(place)) = (shown.kind, shown.task.zip(shown.address))
-        && let Some(how) = starve::starved(plan, &moves, place)
-    {
-        (shown.kind, shown.cause) = (Kind::Starves, how);
-    }
-    let told = story::tell(plan, faults, &moves, &shown);
-    let Shown { kind, task, address, check, couple, .. } = shown;
+    let told = story::tell(plan, faults, &moves, shown);
+    let Shown { kind, task, address, check, couple, .. } = *shown;
     Finding {
         kind,
         phase,
@@ -430,11 +437,11 @@ fn conclude(plan: &Arc<CellPlan>, done: Vec<Done>, outside: Vec<i64>) -> Verdict
     verdicts
 }
 
-/// Whether two findings are of the same place, on whatever way.
+/// Whether two findings are of the same place, whatever moves lead to them.
 fn is_the_same(one: &Finding, other: &Finding) -> bool {
     let key =
         |finding: &Finding| (finding.kind, finding.task, finding.address, finding.check, finding.couple);
-    key(one) == key(other)
+    key(one) == key(other) && (one.kind != Kind::Machine || one.cause == other.cause)
 }
 
 /// What checks read and what never changed in any state of any phase: `r2.active = false`.
@@ -473,6 +480,7 @@ fn bare(kind: Kind, place: Option<(TaskId, Address)>, check: Option<usize>, caus
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::state::Violation;
 
     #[test]
     fn two_couples_with_two_owners_are_two_findings() {
@@ -480,5 +488,14 @@ mod tests {
             |couple| Finding { couple: Some(couple), ..bare(Kind::TwoOwners, None, None, "both act".into()) };
         assert!(is_the_same(&of(1), &of(1)));
         assert!(!is_the_same(&of(0), &of(1)));
+    }
+
+    #[test]
+    fn two_violations_of_the_machine_are_two_findings() {
+        let [stale, panic] = [Violation::Stale, Violation::Panic].map(Violation::text);
+        let shown = |cause| Shown::whole(Kind::Machine, cause);
+        assert!(shown(stale).is_same(&shown(stale)) && !shown(stale).is_same(&shown(panic)));
+        let found = |cause: &str| bare(Kind::Machine, None, None, cause.into());
+        assert!(is_the_same(&found(stale), &found(stale)) && !is_the_same(&found(stale), &found(panic)));
     }
 }

@@ -19,6 +19,13 @@ use std::sync::Arc;
 /// So many states of a standstill are walked through to tell what repeats in it.
 const MOST_STATES: usize = 4096;
 
+/// What [`Ways::first_still`] takes for a state at most: its entry in a map and on a stack, and two flags.
+const BYTES_OF_A_STATE: usize = 64;
+
+/// The pass does not fit into the memory of a search.
+#[derive(Debug, PartialEq, Eq)]
+pub(super) struct OutOfMemory;
+
 /// What the walks between kept states are: where each leads, as far as that matters.
 #[derive(Default)]
 pub(super) struct Ways {
@@ -44,8 +51,16 @@ impl Ways {
         self.free.extend(other.free);
     }
 
-    /// The first state from which no way leads to progress or to an end. `cores` are the kept states' fingerprints.
-    pub fn first_still(&self, cores: &[u64]) -> Option<usize> {
+    /// The first state from which no way leads to progress or to an end. `cores` are the kept states' fingerprints, `room`
+    /// the bytes that this may take.
+    ///
+    /// # Errors
+    /// [`OutOfMemory`].
+    pub fn first_still(&self, cores: &[u64], room: u64) -> Result<Option<usize>, OutOfMemory> {
+        let bytes = cores.len() * BYTES_OF_A_STATE + self.steps.len() * size_of::<(u32, u32)>();
+        if bytes as u64 > room {
+            return Err(OutOfMemory);
+        }
         let mut free = vec![false; cores.len()];
         let mut open: Vec<u32> = Vec::new();
         let mut leads = vec![false; cores.len()];
@@ -60,14 +75,14 @@ impl Ways {
             }
         }
         if free.iter().all(|free| *free) {
-            return None;
+            return Ok(None);
         }
         let mut places: HashMap<u64, u32> = HashMap::with_capacity(cores.len());
         for (at, &core) in (0_u32..).zip(cores) {
             places.entry(core).or_insert(at);
         }
-        let mut back: Vec<(u32, u32)> =
-            self.steps.iter().filter_map(|&(from, to)| Some((*places.get(&to)?, from))).collect();
+        let mut back: Vec<(u32, u32)> = Vec::with_capacity(self.steps.len());
+        back.extend(self.steps.iter().filter_map(|&(from, to)| Some((*places.get(&to)?, from))));
         back.sort_unstable();
         while let Some(at) = open.pop() {
             // States that differ only in what may still go wrong have the same ways without faults.
@@ -79,7 +94,7 @@ impl Ways {
                 }
             }
         }
-        free.iter().position(|free| !free)
+        Ok(free.iter().position(|free| !free))
     }
 }
 
@@ -97,7 +112,9 @@ pub(super) fn tell(
     mut moves: Vec<CellMove>,
 ) -> Option<Finding> {
     let mut course = Course::new(plan, faults);
-    moves.iter().for_each(|&step| course.apply(step));
+    if !moves.iter().all(|&step| course.survives(step)) {
+        return None;
+    }
     // What scripts did on the way there is no part of it.
     course.floor.turns.iter_mut().for_each(Vec::clear);
     let mut known = HashSet::new();
@@ -145,11 +162,13 @@ pub(super) fn tell(
         }
     };
     let mut course = Course::new(plan, faults);
-    moves.iter().for_each(|&step| course.apply(step));
+    if !moves.iter().all(|&step| course.survives(step)) {
+        return None;
+    }
     let (task, address) = (tasks.first().copied(), tasks.first().map(|&task| position(&course, task)));
     let shown =
         Shown { task, address, others: tasks[1..].to_vec(), ..Shown::whole(Kind::Standstill, &cause) };
-    Some(super::search::finding(plan, (phase, hypothesis), faults, moves, shown))
+    Some(super::search::finding(plan, (phase, hypothesis), faults, moves, &shown))
 }
 
 /// Whether a task is told what became of something that it asked of others.
@@ -243,7 +262,9 @@ mod tests {
                 }
             }
             let asked = (0..cores.len()).find(|&at| is_still(&ways, &cores, at));
-            assert_eq!(ways.first_still(&cores), asked, "{:?} {:?}", ways.steps, ways.free);
+            assert_eq!(ways.first_still(&cores, 4096), Ok(asked), "{:?} {:?}", ways.steps, ways.free);
+            let less = cores.len() * BYTES_OF_A_STATE + ways.steps.len() * 8 - 1;
+            assert_eq!(ways.first_still(&cores, less as u64), Err(OutOfMemory));
             if asked.is_some() { still += 1 } else { none += 1 }
         }
         assert!(still > 300 && none > 300, "{still} {none}");

@@ -4,9 +4,10 @@
 //! such an end each request is watched where it waits: how often it was rejected by rank, and how many other messages were
 //! taken before it. Aging bounds both. What goes beyond a bound `K` never was to be served, however long it lived.
 
-use super::judge::{name, statement};
+use super::judge::{Shown, name, statement};
 use super::plan::{CellFaults, CellPlan, Conduct};
 use super::story;
+use super::verdict::Kind;
 use imrs_protocol::aging::bypass_limit;
 use imrs_protocol::script::{Address, Op, ScriptInput};
 use imrs_protocol::{PortId, Signal, TaskId};
@@ -25,8 +26,19 @@ struct Wait {
     capacity: u64,
 }
 
+/// The last of these moves shows this. If it is a request that ended by its time_out because it starved, says so.
+pub(super) fn decided(plan: &Arc<CellPlan>, moves: &[super::CellMove], shown: Shown) -> Shown {
+    match (shown.kind, shown.task.zip(shown.address)) {
+        (Kind::TimeOut, Some(place)) => match starved(plan, moves, place) {
+            Some(cause) => Shown { kind: Kind::Starves, cause, ..shown },
+            None => shown,
+        },
+        _ => shown,
+    }
+}
+
 /// Says how a request that ended by its time_out starved, if it did.
-pub(super) fn starved(
+fn starved(
     plan: &Arc<CellPlan>,
     moves: &[super::CellMove],
     (task, address): (usize, Address),

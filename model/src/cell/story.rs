@@ -11,6 +11,7 @@ pub use crate::chart::Note;
 use crate::chart::{Folding, Pen, chart};
 use crate::floor::chart::Lanes;
 use crate::floor::script::ScriptTurn;
+use crate::state::Violation;
 use imrs_protocol::script::{Activity, Address, End};
 use imrs_protocol::{PortId, TaskId};
 use serde::{Deserialize, Serialize};
@@ -130,7 +131,7 @@ pub(super) fn walk(
     note_begun(&turns, &mut begun);
     ends(&course, &turns, &mut pen, 0, &reader);
     let mut from = 0;
-    for &step in moves {
+    for (at, &step) in moves.iter().enumerate() {
         course.floor.log.clear();
         let arrow = packet(&course, step, &lanes);
         let before = describe(&course, step);
@@ -139,7 +140,9 @@ pub(super) fn walk(
             _ => None,
         };
         reader.before(&course, &begun, arrow.map(|(_, packet, _)| packet));
-        course.apply(step);
+        if !course.survives(step) {
+            course = before_panic(plan, faults, &moves[..at]);
+        }
         let shown = u32::try_from(course.passed).unwrap_or(u32::MAX);
         if let Some((ends, packet, fate)) = arrow {
             let (line, values) = (reader.of_packet(&course, &packet), plan.legend.of_packet(&packet));
@@ -170,6 +173,15 @@ pub(super) fn walk(
         }
     }
     Way { pen, course, begun }
+}
+
+/// A panic leaves the cell half changed, so the moves before it are made again on a new one.
+fn before_panic(plan: &Arc<CellPlan>, faults: &CellFaults, moves: &[CellMove]) -> Course {
+    let mut course = Course::new(plan, faults);
+    moves.iter().for_each(|&step| course.apply(step));
+    course.floor.turns.iter_mut().for_each(Vec::clear);
+    course.floor.violation = Some(Violation::Panic);
+    course
 }
 
 /// Draws something, with its line and its values.

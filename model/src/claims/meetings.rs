@@ -3,7 +3,7 @@
 use super::larger::larger;
 use super::margins::Search;
 use super::timing::off;
-use super::{Claim, Settled, Work, outcome};
+use super::{Claim, Settled, Work, outcome, unless_it_panics};
 use crate::chart::draw;
 use crate::report::{Bounds, Found, Outcome};
 use crate::scenario::{Budget, Timing, Watch};
@@ -345,7 +345,7 @@ fn attempts(work: &mut Work<'_>, members: usize, loss: u8) -> Settled {
                     attempts: (outcome == Outcome::Holds).then_some(u32::from(attempts)),
                     ..Found::default()
                 },
-                counterexample: draw(&scenario, &found),
+                counterexample: unless_it_panics(|| draw(&scenario, &found)),
                 sound: true,
                 variant: None,
             };

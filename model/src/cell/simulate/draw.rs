@@ -6,17 +6,17 @@ use super::schedule::{Fault, MOST_FAULTS};
 use crate::cell::plan::{CellFaults, CellPlan};
 use imrs_protocol::{NodeId, TaskId};
 
-/// Of so many runs of a cell with faults, one has none.
+/// One run in this number of a cell with faults has none.
 const PLAIN: u8 = 8;
 /// Powers of two up to which counts and times are drawn where the plain run does not bound them.
 const MAGNITUDES: u32 = 16;
 
-/// What a run without faults in which all choices are 0 has of each thing.
+/// Counts of the plain run: without faults, all choices 0.
 #[derive(Debug)]
 pub(super) struct Census {
-    /// Directed links that packets arrive on, and how many.
+    /// Directed links on which packets arrive, and their number.
     lines: Vec<((NodeId, NodeId), u32)>,
-    /// Tasks whose actions end, and how many.
+    /// Tasks whose actions end, and the number of these.
     tasks: Vec<(TaskId, u32)>,
     ticks: u64,
 }
@@ -37,7 +37,7 @@ impl Census {
         Self { lines, tasks, ticks: run.ticks }
     }
 
-    /// The faults of a seed. Each kind is drawn from numbers of its own.
+    /// The faults of a seed. Each kind of fault has its own random stream.
     pub fn draw(&self, plan: &CellPlan, seed: u64) -> Vec<Fault> {
         let mut swarm = random(seed, 0);
         let hypotheses: Vec<&CellFaults> = plan.faults.iter().filter(|faults| !faults.are_none()).collect();
@@ -64,7 +64,7 @@ impl Census {
         let line = |rng: &mut fastrand::Rng| self.lines.get(rng.usize(..self.lines.len().max(1))).copied();
         let mut lost: Option<((NodeId, NodeId), u32)> = None;
         kind(1, within.loss.into(), &mut |rng, _| {
-            // What is sent again is often lost again.
+            // Retransmissions are often lost, too.
             let again = lost.filter(|_| rng.bool());
             let (link, nth) = match again {
                 Some((link, nth)) => (link, nth.saturating_add(1)),
@@ -98,7 +98,7 @@ impl Census {
         });
         let mut slow: Option<(NodeId, u64, bool)> = None;
         kind(7, within.drift.into(), &mut |rng, _| {
-            // A clock that is wrong often stays so, and matters most around another fault.
+            // A wrong clock often stays wrong, and matters most around another fault.
             let (node, at, more) = slow.filter(|_| rng.u8(..4) > 0).unwrap_or_else(|| {
                 let at = instants.first().copied().filter(|_| rng.bool());
                 let at = at.unwrap_or_else(|| instant(rng, self.ticks));
@@ -107,14 +107,14 @@ impl Census {
             slow = Some((node, at, more));
             Some(Fault::Drift { node, at, more })
         });
-        // Half of the times all that may go wrong of a kind does, half of the times some of it; where nothing would, all does.
+        // Half of the runs have all faults of a kind, the others some of them. If no fault is drawn at all, every one happens.
         let mut drawn = if faults.is_empty() { all } else { faults };
         drawn.truncate(MOST_FAULTS);
         drawn
     }
 }
 
-/// From 1: half of the times any of so many, half of the times rather one of the first.
+/// A number from 1 to `most`: half of them uniform, half of them rather small.
 fn count(rng: &mut fastrand::Rng, most: u32) -> u32 {
     let any = rng.u32(1..=most.max(1));
     let power = rng.u32(..=most.max(1).ilog2());
@@ -122,7 +122,7 @@ fn count(rng: &mut fastrand::Rng, most: u32) -> u32 {
     if rng.bool() { any } else { early }
 }
 
-/// Half of the times any instant of so many, half of the times rather an early one.
+/// An instant up to `most`: half of them uniform, half of them rather early.
 fn instant(rng: &mut fastrand::Rng, most: u64) -> u64 {
     let any = rng.u64(..=most);
     let power = rng.u32(..=most.max(1).ilog2());

@@ -37,14 +37,14 @@ struct Chosen {
     action: u16,
     /// When it ends at the latest: another action of the same thread has another.
     latest: u64,
-    /// How often an action that need not end goes on yet.
+    /// How often an action without an upper bound still goes on.
     left: u32,
 }
 
 /// A directed link.
 #[derive(Clone, Copy, Default)]
 struct Line {
-    /// How many packets have left it at its end.
+    /// Number of packets that have arrived at its end.
     arrived: u32,
     /// The packet whose time was chosen, and its age then.
     chosen: Option<(u32, u8)>,
@@ -60,7 +60,7 @@ pub(super) struct Driver<'a> {
     choices: Vec<Choices>,
     tasks: usize,
     lines: Vec<Line>,
-    /// For each task how many actions have ended.
+    /// For each task the number of actions that have ended.
     ended: Vec<u32>,
     actions: Vec<Chosen>,
     /// For each node that is down, when it starts again.
@@ -96,24 +96,23 @@ impl<'a> Driver<'a> {
         }
     }
 
-    /// What was chosen.
+    /// The choices of the run.
     pub fn tape(&self) -> Tape {
         let made = self.choices.iter().filter(|choices| !choices.made.is_empty());
         made.map(|choices| (choices.who, choices.made.clone())).collect()
     }
 
-    /// The faults that did not happen.
-    pub fn idle(&self) -> Vec<Fault> {
-        let idle = self.faults.iter().zip(&self.happened).filter(|(_, happened)| !**happened);
-        idle.map(|(fault, _)| fault.clone()).collect()
-    }
-
-    /// For each directed link how many packets came, for each task how many actions ended.
+    /// For each directed link the number of packets that arrived, for each task the number of actions that ended.
     pub fn counts(&self) -> (Vec<u32>, Vec<u32>) {
         (self.lines.iter().map(|line| line.arrived).collect(), self.ended.clone())
     }
 
-    /// The next of these moves; none where the run is over.
+    /// For each fault, in the order of [`in_order`], whether it happened.
+    pub fn happened(self) -> Vec<bool> {
+        self.happened
+    }
+
+    /// The next of these moves; none if the run is over.
     pub fn next(&mut self, course: &Course, moves: &[CellMove]) -> Option<CellMove> {
         let step = if moves.iter().any(|step| is_of_a_turn(*step)) {
             self.in_turn(course, moves)
@@ -124,7 +123,7 @@ impl<'a> Driver<'a> {
         Some(step)
     }
 
-    /// Where no node has anything to do in this tick.
+    /// The next move if no node has anything to do in this tick.
     fn between(&mut self, course: &Course, moves: &[CellMove]) -> Option<CellMove> {
         let now = course.passed;
         let waits = course.next_event().is_some();
@@ -140,7 +139,7 @@ impl<'a> Driver<'a> {
             .or_else(|| moves.iter().copied().find(|step| *step == CellMove::Pass))
     }
 
-    /// Where a node has something to do in this tick.
+    /// The next move if a node has something to do in this tick.
     fn in_turn(&mut self, course: &Course, moves: &[CellMove]) -> Option<CellMove> {
         if let Some(CellMove::Choose(task, _)) = moves.first() {
             let choice = self.draw(usize::from(*task), moves.len(), Spread::Even);
@@ -195,7 +194,7 @@ impl<'a> Driver<'a> {
         moves.iter().filter(ends).nth(value as usize).copied()
     }
 
-    /// What lets an action that may end now take longer, where it does.
+    /// The move by which an action that may end now goes on; none if it ends.
     fn goes_on(&mut self, course: &Course, moves: &[CellMove], (task, level): (u8, u8)) -> Option<CellMove> {
         let running = *course.floor.bodies[usize::from(task)].actor.as_ref()?.runs(level)?;
         if !moves.contains(&CellMove::GoOn(task, level)) {
@@ -210,7 +209,7 @@ impl<'a> Driver<'a> {
             return Some(CellMove::GoOn(task, level));
         }
         self.actions.retain(|chosen| (chosen.task, chosen.level) != (task, level));
-        // The instants at which it may end: now, and those that are left when steps are counted back from its most time.
+        // It may end now, and at the instants that steps counted back from its most time leave.
         let step = course.plan.step.max(1);
         let first = running.most - (running.most.saturating_sub(1) / step) * step;
         let instants = if endless { ENDLESS } else { 2 + (running.most - first) / step };
@@ -230,7 +229,7 @@ impl<'a> Driver<'a> {
         }
     }
 
-    /// What lets a packet that may come early stay on its link, where it does.
+    /// The move by which a packet that may arrive now stays on its link; none if it arrives.
     fn stays(&mut self, course: &Course, moves: &[CellMove], link: usize) -> Option<CellMove> {
         let stays = CellMove::Stay(u8::try_from(link).ok()?);
         let first = course.floor.crossings.iter().find(|crossing| usize::from(crossing.link) == link)?;
@@ -243,12 +242,12 @@ impl<'a> Driver<'a> {
             Fault::Lose { link, nth } | Fault::Copy { link, nth } => link == (from, to) && nth == next,
             _ => false,
         };
-        // What is lost, doubled or cut off is so at the link's bound.
+        // A packet is lost, doubled or cut off at the link's bound.
         let at_bound = self.named(is).is_some() || self.cut(course, link).is_some();
         (at_bound || first.age < self.arrives(link, next, (first.age, bound))).then_some(stays)
     }
 
-    /// What becomes of the first packet of a link.
+    /// The move of the first packet of a link: it arrives, or a fault happens to it.
     fn comes(&mut self, course: &Course, moves: &[CellMove], link: usize) -> Option<CellMove> {
         let floor = &course.floor;
         let first = floor.crossings.iter().position(|crossing| usize::from(crossing.link) == link)?;
@@ -281,7 +280,7 @@ impl<'a> Driver<'a> {
         moves.iter().copied().find(arrives)
     }
 
-    /// At which age a packet arrives that may come early.
+    /// The age at which a packet that may arrive before the link's bound arrives.
     fn arrives(&mut self, link: usize, nth: u32, (age, bound): (u8, u8)) -> u8 {
         match self.lines[link].chosen {
             Some((of, age)) if of == nth => age,
@@ -312,13 +311,13 @@ impl<'a> Driver<'a> {
         (at <= course.passed).then_some(Cut::Begins(number, fault))
     }
 
-    /// The first fault that has not happened and is such a one.
+    /// The first fault that has not happened and for which `is` holds.
     fn named(&self, is: impl Fn(&Fault) -> bool) -> Option<usize> {
         let mut all = self.faults.iter().zip(&self.happened);
         all.position(|(fault, happened)| !happened && is(fault))
     }
 
-    /// The fault that is crash number so, when it is due, and how long the node stays down.
+    /// The fault that is this crash, its instant, and how long the node stays down.
     fn stop(&self, number: u8) -> Option<(usize, u64, Option<u64>)> {
         let stops = self.faults.iter().enumerate().filter_map(|(fault, of)| match *of {
             Fault::Stop { at, restart, .. } => Some((fault, at, restart)),
@@ -390,7 +389,7 @@ impl<'a> Driver<'a> {
         }
     }
 
-    /// A choice below `limit`. Where there is one alternative nothing is chosen.
+    /// A choice below `limit`. With one alternative there is no choice to make.
     fn draw(&mut self, chooser: usize, limit: usize, spread: Spread) -> u32 {
         let most = u32::try_from(limit.saturating_sub(1)).unwrap_or(u32::MAX - 1);
         if most == 0 {
@@ -399,8 +398,8 @@ impl<'a> Driver<'a> {
         let choices = &mut self.choices[chooser];
         let choice = match (self.source, spread) {
             (Source::Tape(tape), _) => {
-                let told = tape.get(&choices.who).and_then(|told| told.get(choices.made.len()));
-                told.copied().unwrap_or(0).min(most)
+                let choice = tape.get(&choices.who).and_then(|tape| tape.get(choices.made.len()));
+                choice.copied().unwrap_or(0).min(most)
             }
             (Source::Seed(_), Spread::Even) => choices.random.u32(..=most),
             (Source::Seed(_), Spread::Ends) => match choices.random.u8(..4) {
@@ -414,7 +413,7 @@ impl<'a> Driver<'a> {
     }
 }
 
-/// How often an action that need not end may go on.
+/// How often an action without an upper bound may go on.
 const ENDLESS: u32 = 4;
 /// The streams below this are those that the faults are drawn from.
 pub(super) const FIRST_OF_CHOOSERS: u64 = 64;

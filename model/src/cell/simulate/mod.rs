@@ -9,8 +9,8 @@
 //!      '--- shrinking: fewer faults, smaller numbers, zeros <-----'
 //! ```
 //!
-//! A run makes only moves that the search makes, too, at every tick: what it finds, a search that ends finds as well. What
-//! only a whole search can know is not judged: that a statement is never reached, or that a check says nothing.
+//! A run makes only moves of the search at every tick. So a complete search with the same faults finds what a run finds. Some
+//! verdicts need a complete search, and no run is judged by them: a statement is never reached, a check says nothing.
 
 mod draw;
 mod driver;
@@ -21,7 +21,7 @@ mod shrink;
 pub use run::Ended;
 pub use schedule::{Chooser, Fault, MOST_FAULTS, Schedule, Tape};
 
-use super::alike::repeats;
+use super::alike::shows_alike;
 use super::course::Course;
 use super::judge::{self, Reached, Shown};
 use super::outside::with_programs;
@@ -34,70 +34,75 @@ use draw::Census;
 use driver::Source;
 use imrs_protocol::TaskId;
 use imrs_protocol::script::Address;
-use run::{Run, run};
+use run::{Limit, Run, run};
+use schedule::idle;
 use shrink::{Shrinker, moves_to};
-use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock};
 
-/// How many runs a thread makes between two looks at who waits.
+/// Runs of one thread between two reports of the progress.
 const BATCH: u64 = 64;
 
-/// What some runs came to.
+/// The result of some runs.
 #[derive(Debug, Default)]
 pub struct Simulated {
-    /// Runs made.
+    /// Complete runs.
     pub runs: u64,
-    /// Those of them with faults.
+    /// Runs with faults.
     pub with_faults: u64,
-    /// Their moves.
+    /// Moves of all runs.
     pub steps: u64,
-    /// Ticks that passed in them.
+    /// Ticks of all runs.
     pub ticks: u64,
-    /// How many ended how, in the order of [`Ended`].
+    /// Number of runs for each end, in the order of [`Ended`].
     pub ended: [u64; 4],
-    /// What was found: each once, in the order of the seeds.
+    /// Each finding once, in the order of the seeds.
     pub found: Vec<Found>,
-    /// For each task the statements reached, and how many it has.
+    /// For each task the number of statements reached, and of all its statements.
     pub statements: Vec<(u32, u32)>,
     /// Statements that no run reached: task and operation.
     pub not_reached: Vec<(TaskId, Address)>,
-    /// Faults of a given schedule that did not happen.
+    /// Faults that were given and happened in no run.
     pub idle: Vec<Fault>,
-    /// Whether it was ended before all runs were made.
+    /// Whether the runs were stopped before their end.
     pub interrupted: bool,
 }
 
-/// Something that was found.
+/// A finding, and the schedule that shows it.
 #[derive(Debug)]
 pub struct Found {
-    /// The first seed that showed it; none where a schedule was given.
+    /// The first seed whose run shows it; none for a given schedule.
     pub seed: Option<u64>,
-    /// How many runs showed it.
+    /// Its number, from 1, among the findings of the run of that seed, or of the given schedule.
+    pub number: usize,
+    /// Its number among the findings of the run of `schedule`.
+    pub number_of_schedule: usize,
+    /// Number of runs that show it.
     pub runs: u64,
     /// A schedule that shows it.
     pub schedule: Schedule,
-    /// What it shows. Its way belongs to a plan whose only hypothesis is `faults`.
+    /// What the schedule shows. Its moves belong to a plan whose only hypothesis is `faults`.
     pub finding: Finding,
     /// The budgets of the schedule's faults.
     pub faults: CellFaults,
-    /// What the schedule had before it was shrunk; none where it was not.
+    /// The size of the schedule before shrinking; none if it was not shrunk.
     pub shrunk: Option<Shrunk>,
 }
 
-/// What shrinking a schedule came to.
+/// The size of a schedule before shrinking.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Shrunk {
-    /// Faults before it.
+    /// Its faults.
     pub faults: usize,
-    /// Choices other than 0 before it.
+    /// Its choices other than 0.
     pub choices: usize,
-    /// Moves before it.
+    /// The moves to the finding.
     pub moves: usize,
-    /// Whether nothing more could be left out, or only no more was tried.
+    /// Whether shrinking came to its end. False: it was stopped, or took too many steps.
     pub whole: bool,
 }
 
-/// What a seed came to.
+/// The run of one seed.
 struct Ran {
     seed: u64,
     steps: u64,
@@ -105,10 +110,26 @@ struct Ran {
     ended: Ended,
     with_faults: bool,
     reached: Reached,
-    shown: Vec<Shown>,
-    /// Where something was shown, how.
+    /// What the run shows, and after how many moves.
+    shown: Vec<(usize, Shown)>,
+    /// Its faults, and its choices if it shows something.
     schedule: Schedule,
-    moves: Vec<usize>,
+    happened: Vec<bool>,
+}
+
+/// Something that runs show: at one task, or at several with the same statements.
+struct Group {
+    /// As the first of these runs shows it, and the number of moves to it.
+    shown: Shown,
+    moves: usize,
+    /// The other tasks.
+    also: Vec<TaskId>,
+    runs: u64,
+    /// The first of these runs.
+    seed: Option<u64>,
+    /// Its number, from 1, in that run.
+    number: usize,
+    schedule: Schedule,
 }
 
 /// A cell to run at random.
@@ -119,6 +140,7 @@ pub struct Simulator {
     steps: u32,
     census: Census,
     jobs: usize,
+    stop: Arc<AtomicBool>,
 }
 
 impl Simulator {
@@ -131,56 +153,85 @@ impl Simulator {
             return Err(refused);
         }
         let plan = timed(&with_programs(plan), Times::Every);
-        let plain = run(&plan, &[], Source::Tape(&Tape::new()), steps);
+        let plain = run(&plan, &[], Source::Tape(&Tape::new()), Limit { steps, stop: None });
         let links = Course::new(&plan, &CellFaults::default()).floor.links;
         let census = Census::of(&plan, &links, &plain);
-        Ok(Self { census, steps, jobs: plan.jobs.max(1), plan })
+        Ok(Self { census, steps, jobs: plan.jobs.max(1), plan, stop: Arc::default() })
     }
 
-    /// Runs so many seeds from the first one on: with these faults, or with those that each seed draws. After each batch
-    /// `goes_on` is told how many runs were made and how many findings there are, and says whether to make more. What was
-    /// found is shrunk. The answer is the same for any number of threads.
+    /// Sets the flag that stops runs and shrinking at their next step. The answer has what was found until then.
+    #[must_use]
+    pub fn stopped_by(self, stop: &Arc<AtomicBool>) -> Self {
+        Self { stop: Arc::clone(stop), ..self }
+    }
+
+    /// Runs `count` seeds from the first one on, with these faults or with those that each seed draws, and shrinks what they
+    /// show. Before each batch `progress` gets the number of runs and of findings. The answer is the same for any number of
+    /// threads.
     pub fn seeds(
         &self,
         (first, count): (u64, u64),
         faults: Option<&[Fault]>,
-        goes_on: &mut dyn FnMut(u64, usize) -> bool,
+        progress: &mut dyn FnMut(u64, usize),
     ) -> Simulated {
         let mut all = Simulated::default();
         let mut reached: Option<Reached> = None;
-        let mut found: Vec<(Shown, u64, Ran)> = Vec::new();
+        let mut groups: Vec<Group> = Vec::new();
+        let mut happened = vec![false; faults.map_or(0, <[Fault]>::len)];
         while all.runs < count {
-            if !goes_on(all.runs, found.len()) {
-                all.interrupted = true;
+            progress(all.runs, groups.len());
+            all.interrupted = self.stop.load(Ordering::Relaxed);
+            if all.interrupted {
                 break;
             }
             let batch = (count - all.runs).min(BATCH * self.jobs as u64);
             for mut ran in self.batch(first.wrapping_add(all.runs), batch, faults) {
                 all.count(ran.steps, ran.ticks, ran.ended, ran.with_faults);
+                happened.iter_mut().zip(&ran.happened).for_each(|(all, one)| *all |= one);
                 let own = std::mem::take(&mut ran.reached);
                 reached = Some(match reached {
                     Some(reached) => reached.join(own),
                     None => own,
                 });
-                for (at, shown) in ran.shown.iter().enumerate() {
-                    match found.iter_mut().find(|(known, ..)| known.is_same(shown)) {
-                        Some((_, runs, _)) => *runs += 1,
-                        None => found.push((shown.clone(), 1, ran.only(at))),
-                    }
-                }
+                self.gather(&mut groups, &ran.shown, Some(ran.seed), &ran.schedule);
             }
         }
-        for (shown, runs, ran) in found {
-            let shorter = self.shrink(&ran.schedule, &shown, ran.moves[0]);
-            let new = Found { runs, seed: Some(ran.seed), ..shorter };
-            let first = all.found.iter_mut().find(|first| repeats(&self.plan, &first.finding, &new.finding));
-            match (first, new.finding.task) {
-                (Some(first), Some(task)) => first.finding.also.push(task),
-                _ => all.found.push(new),
-            }
-        }
+        all.found = groups.iter().map(|group| group.of_all(self.shrink(group))).collect();
         self.coverage(&mut all, reached.as_ref());
+        all.idle = faults.map_or_else(Vec::new, |faults| idle(faults, &happened));
         all
+    }
+
+    /// Adds what a run shows to the groups. A run that shows the same at several tasks counts once.
+    fn gather(
+        &self,
+        groups: &mut Vec<Group>,
+        all: &[(usize, Shown)],
+        seed: Option<u64>,
+        schedule: &Schedule,
+    ) {
+        let mut counted = Vec::new();
+        for (moves, shown) in all {
+            let known = groups.iter().position(|group| self.is_one(&group.shown, shown));
+            let at = known.unwrap_or_else(|| {
+                let (shown, schedule, also) = (shown.clone(), schedule.clone(), Vec::new());
+                let number = counted.len() + 1;
+                groups.push(Group { shown, moves: *moves, also, runs: 0, seed, number, schedule });
+                groups.len() - 1
+            });
+            let group = &mut groups[at];
+            if !counted.contains(&at) {
+                counted.push(at);
+                group.runs += 1;
+            }
+            let task = shown.task.filter(|_| shown.task != group.shown.task).map(TaskId::from_index);
+            group.also.extend(task.filter(|task| !group.also.contains(task)));
+        }
+    }
+
+    /// Whether two things that runs show are one finding.
+    fn is_one(&self, one: &Shown, other: &Shown) -> bool {
+        one.is_same(other) || shows_alike(&self.plan, one, other)
     }
 
     fn batch(&self, first: u64, count: u64, faults: Option<&[Fault]>) -> Vec<Ran> {
@@ -190,8 +241,9 @@ impl Simulator {
             while let at = next.fetch_add(1, Ordering::Relaxed)
                 && let Some(place) = done.get(at)
             {
-                // Each is taken by one thread.
-                let _ = place.set(self.seed(first.wrapping_add(at as u64), faults));
+                let Some(ran) = self.seed(first.wrapping_add(at as u64), faults) else { break };
+                // Only one thread takes this place.
+                let _ = place.set(ran);
             }
         };
         if self.jobs == 1 || count == 1 {
@@ -199,7 +251,8 @@ impl Simulator {
         } else {
             std::thread::scope(|scope| (0..self.jobs).for_each(|_| drop(scope.spawn(work))));
         }
-        done.into_iter().filter_map(OnceLock::into_inner).collect()
+        // Runs behind a stopped one are left out, because the seeds of an answer have no gaps.
+        done.into_iter().map_while(OnceLock::into_inner).collect()
     }
 
     /// The faults of a run with this seed.
@@ -207,52 +260,70 @@ impl Simulator {
         faults.map_or_else(|| self.census.draw(&self.plan, seed), <[Fault]>::to_vec)
     }
 
-    fn seed(&self, seed: u64, faults: Option<&[Fault]>) -> Ran {
+    /// The run of a seed; none if it was stopped.
+    fn seed(&self, seed: u64, faults: Option<&[Fault]>) -> Option<Ran> {
         let faults = self.faults(seed, faults);
-        let run = run(&self.plan, &faults, Source::Seed(seed), self.steps);
+        let run = run(&self.plan, &faults, Source::Seed(seed), self.until_stopped());
+        if run.stopped {
+            return None;
+        }
         let tape = if run.shown.is_empty() { Tape::new() } else { run.tape };
-        let (moves, shown) = run.shown.into_iter().unzip();
-        Ran {
+        Some(Ran {
             seed,
             steps: run.moves.len() as u64,
             ticks: run.ticks,
             ended: run.ended,
             with_faults: !faults.is_empty(),
             reached: run.reached,
-            shown,
+            shown: run.shown,
             schedule: Schedule { faults, tape },
-            moves,
-        }
+            happened: run.happened,
+        })
+    }
+
+    fn until_stopped(&self) -> Limit<'_> {
+        Limit { stop: Some(&self.stop), ..self.whole() }
+    }
+
+    /// The limit of a run whose answer needs all steps.
+    const fn whole(&self) -> Limit<'_> {
+        Limit { steps: self.steps, stop: None }
     }
 
     /// Runs a schedule as it is, or shrinks what it shows.
     #[must_use]
     pub fn schedule(&self, schedule: &Schedule, shrink: bool) -> Simulated {
         let mut all = Simulated::default();
-        let run = run(&self.plan, &schedule.faults, Source::Tape(&schedule.tape), self.steps);
-        all.count(run.moves.len() as u64, run.ticks, run.ended, !schedule.faults.is_empty());
-        for (moves, shown) in &run.shown {
-            all.found.push(if shrink {
-                self.shrink(schedule, shown, *moves)
+        let run = run(&self.plan, &schedule.faults, Source::Tape(&schedule.tape), self.until_stopped());
+        all.interrupted = run.stopped;
+        if !run.stopped {
+            all.count(run.moves.len() as u64, run.ticks, run.ended, !schedule.faults.is_empty());
+        }
+        let mut groups = Vec::new();
+        self.gather(&mut groups, &run.shown, None, schedule);
+        for group in &groups {
+            let found = if shrink {
+                self.shrink(group)
             } else {
-                self.found(&run, shown, schedule.clone(), None)
-            });
+                self.found(&run, &group.shown, schedule.clone(), None)
+            };
+            all.found.push(group.of_all(found));
         }
         self.coverage(&mut all, Some(&run.reached));
-        all.idle = run.idle;
+        all.idle = idle(&schedule.faults, &run.happened);
         all
     }
 
-    /// The way of a run as a sequence chart, and how it ended.
+    /// The run of a seed as a sequence chart, and how it ended.
     #[must_use]
     pub fn chart_of_seed(&self, seed: u64, faults: Option<&[Fault]>) -> String {
-        self.chart(&run(&self.plan, &self.faults(seed, faults), Source::Seed(seed), self.steps))
+        self.chart(&run(&self.plan, &self.faults(seed, faults), Source::Seed(seed), self.whole()))
     }
 
-    /// The way of a schedule as a sequence chart, and how it ended.
+    /// The run of a schedule as a sequence chart, and how it ended.
     #[must_use]
     pub fn chart_of(&self, schedule: &Schedule) -> String {
-        self.chart(&run(&self.plan, &schedule.faults, Source::Tape(&schedule.tape), self.steps))
+        self.chart(&run(&self.plan, &schedule.faults, Source::Tape(&schedule.tape), self.whole()))
     }
 
     fn chart(&self, run: &Run) -> String {
@@ -261,38 +332,50 @@ impl Simulator {
             Ended::Over => "nothing happens any more",
             Ended::Found => "a finding ends the run",
             Ended::Steps => "the run has made as many steps as it may",
-            Ended::Crowded => "more packets are on their way than can be numbered",
+            Ended::Crowded => "more packets are in flight than can be numbered",
         };
         story::shorten(&chart(way.pen.names(), &way.pen.notes, end, Folding::Repeats))
     }
 
-    fn shrink(&self, schedule: &Schedule, shown: &Shown, moves: usize) -> Found {
-        // What was chosen after it is of no account.
-        let steps = u32::try_from(moves).unwrap_or(u32::MAX);
-        let tape = run(&self.plan, &schedule.faults, Source::Tape(&schedule.tape), steps).tape;
+    fn shrink(&self, Group { shown, moves, schedule, .. }: &Group) -> Found {
+        // Choices after the finding do not matter.
+        let (moves, steps) = (*moves, u32::try_from(*moves).unwrap_or(u32::MAX));
+        let limit = Limit { steps, stop: None };
+        let mut first = run(&self.plan, &schedule.faults, Source::Tape(&schedule.tape), limit);
+        let tape = std::mem::take(&mut first.tape);
         let schedule = &Schedule { faults: schedule.faults.clone(), tape };
+        // A smaller schedule may need more moves, but not many more.
+        let steps = self.steps.min(steps.saturating_mul(2).saturating_add(64));
         let mut shrinker = Shrinker {
             plan: &self.plan,
             shown,
-            // A shorter schedule may take a longer way, but not one that is much longer.
-            steps: self.steps.min(steps.saturating_mul(2).saturating_add(64)),
+            limit: Limit { steps, ..self.until_stopped() },
             best: schedule.clone(),
             spent: 0,
         };
         let whole = shrinker.shrink();
         let best = shrinker.best;
         let shrunk = Shrunk { faults: schedule.faults.len(), choices: schedule.choices(), moves, whole };
-        let run = run(&self.plan, &best.faults, Source::Tape(&best.tape), self.steps);
+        let limit = Limit { steps, stop: None };
+        let run = if best == *schedule {
+            first
+        } else {
+            run(&self.plan, &best.faults, Source::Tape(&best.tape), limit)
+        };
         self.found(&run, shown, best, Some(shrunk))
     }
 
     fn found(&self, run: &Run, shown: &Shown, schedule: Schedule, shrunk: Option<Shrunk>) -> Found {
         let end = moves_to(run, shown).unwrap_or(run.moves.len());
-        // The cause as this way has it.
+        // The cause with the values of this run.
         let shown = run.shown.iter().find(|(_, known)| known.is_same(shown)).map_or(shown, |(_, own)| own);
         let moves = run.moves[..end].to_vec();
-        let finding = finding(&self.plan, (run.phase, 0), &run.faults, moves, shown.clone());
-        Found { seed: None, runs: 1, schedule, finding, faults: run.faults.clone(), shrunk }
+        let finding = finding(&self.plan, (run.phase, 0), &run.faults, moves, shown);
+        let mut groups = Vec::new();
+        self.gather(&mut groups, &run.shown, None, &schedule);
+        let number = 1 + groups.iter().take_while(|group| !self.is_one(&group.shown, shown)).count();
+        let faults = run.faults.clone();
+        Found { seed: None, number, number_of_schedule: number, runs: 1, schedule, finding, faults, shrunk }
     }
 
     fn coverage(&self, all: &mut Simulated, reached: Option<&Reached>) {
@@ -307,16 +390,11 @@ impl Simulator {
     }
 }
 
-impl Ran {
-    /// What remains of it for one of the things that it showed.
-    fn only(&self, at: usize) -> Self {
-        Self {
-            shown: Vec::new(),
-            reached: Reached::default(),
-            schedule: self.schedule.clone(),
-            moves: vec![self.moves[at]],
-            ..*self
-        }
+impl Group {
+    /// The finding of one of its runs, with the tasks and the number of all its runs.
+    fn of_all(&self, mut found: Found) -> Found {
+        found.finding.also.clone_from(&self.also);
+        Found { runs: self.runs, seed: self.seed, number: self.number, ..found }
     }
 }
 

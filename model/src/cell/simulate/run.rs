@@ -5,52 +5,73 @@ use super::schedule::{Fault, Tape};
 use crate::cell::course::CellMove;
 use crate::cell::judge::{Reached, Shown, deadlock};
 use crate::cell::plan::{CellFaults, CellPlan};
+use crate::cell::starve::decided;
 use crate::cell::unpacked::Unpacked;
 use crate::cell::verdict::Phase;
 use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 
 /// How a run ended.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Ended {
     /// Nothing can happen any more.
     Over,
-    /// Something was found that nothing that follows is looked at behind.
+    /// At a finding that ends a run.
     Found,
-    /// It had made as many steps as it may.
+    /// At the limit of its steps.
     Steps,
-    /// More packets were on their way than moves have numbers for.
+    /// More packets were in flight than moves have numbers for.
     Crowded,
 }
 
-/// The most packets on their way: moves name them in a byte.
+/// The most packets in flight: moves number them in a byte.
 const MOST_PACKETS: usize = 255;
 
-/// What a run came to.
+/// The result of a run.
 pub(super) struct Run {
     pub phase: Phase,
     /// The budgets of its faults.
     pub faults: CellFaults,
     pub moves: Vec<CellMove>,
     pub ended: Ended,
-    /// What was found, each once, and after how many moves.
+    /// Whether it was stopped before its end.
+    pub stopped: bool,
+    /// Each finding once, and after how many moves.
     pub shown: Vec<(usize, Shown)>,
     pub ticks: u64,
     pub reached: Reached,
     pub tape: Tape,
-    /// The faults that did not happen.
-    pub idle: Vec<Fault>,
-    /// For each directed link how many packets came, for each task how many actions ended.
+    /// For each fault, in the order of [`in_order`](super::schedule::in_order), whether it happened.
+    pub happened: Vec<bool>,
+    /// For each directed link the number of packets that arrived, for each task the number of actions that ended.
     pub counts: (Vec<u32>, Vec<u32>),
 }
 
-/// Runs a cell. Without faults it is judged as one where nothing went wrong.
-pub(super) fn run(plan: &Arc<CellPlan>, faults: &[Fault], source: Source<'_>, steps: u32) -> Run {
+/// What ends a run if nothing else does.
+#[derive(Clone, Copy)]
+pub(super) struct Limit<'a> {
+    /// The most steps.
+    pub steps: u32,
+    /// The flag that stops it.
+    pub stop: Option<&'a AtomicBool>,
+}
+
+impl Limit<'_> {
+    pub fn is_stopped(self) -> bool {
+        self.stop.is_some_and(|stop| stop.load(Ordering::Relaxed))
+    }
+}
+
+/// Runs a cell. A run without faults is also judged by what only a fault may cause: requests that end badly.
+pub(super) fn run(plan: &Arc<CellPlan>, faults: &[Fault], source: Source<'_>, limit: Limit<'_>) -> Run {
     let phase = if faults.is_empty() { Phase::FaultFree } else { Phase::Faults };
     let budgets = super::schedule::budgets(&super::schedule::in_order(faults));
     let mut cell = Unpacked::new(plan, phase, &budgets);
     let mut driver = Driver::new(faults, source, &cell.course);
     let (mut taken, mut next) = (Vec::new(), Vec::new());
+    let mut judged: Vec<Shown> = Vec::new();
     let mut shown: Vec<(usize, Shown)> = Vec::new();
+    let mut stopped = false;
     let ended = loop {
         let mut found = cell.shown();
         next.clear();
@@ -63,14 +84,17 @@ pub(super) fn run(plan: &Arc<CellPlan>, faults: &[Fault], source: Source<'_>, st
         let mut last = false;
         for one in found {
             last |= one.last;
-            if !shown.iter().any(|(_, known)| known.is_same(&one)) {
-                shown.push((taken.len(), one));
+            if !judged.iter().any(|known| known.is_same(&one)) {
+                judged.push(one.clone());
+                // Decided here and not after shrinking: a shorter run may show the other of the two kinds.
+                shown.push((taken.len(), decided(plan, &taken, one)));
             }
         }
         if last {
             break Ended::Found;
         }
-        if taken.len() >= steps as usize {
+        stopped = limit.is_stopped();
+        if stopped || taken.len() >= limit.steps as usize {
             break Ended::Steps;
         }
         if cell.course.floor.crossings.len() > MOST_PACKETS {
@@ -85,11 +109,12 @@ pub(super) fn run(plan: &Arc<CellPlan>, faults: &[Fault], source: Source<'_>, st
         faults: budgets,
         moves: taken,
         ended,
+        stopped,
         shown,
         ticks: cell.course.passed,
         reached: cell.reached,
         tape: driver.tape(),
-        idle: driver.idle(),
         counts: driver.counts(),
+        happened: driver.happened(),
     }
 }

@@ -31,9 +31,9 @@ pub enum Fault {
     },
     /// This action of a task fails.
     Fail {
-        /// Whose.
+        /// The task.
         task: TaskId,
-        /// Which of its actions, all of them counted.
+        /// Which of all its actions.
         nth: u32,
     },
     /// A node stops right after something that it does.
@@ -42,7 +42,7 @@ pub enum Fault {
         node: NodeId,
         /// Not before this instant.
         at: u64,
-        /// It starts again so many ticks later: then, when the next packet comes for it, or when nothing else happens.
+        /// The ticks until it may start again: it does when the next packet arrives for it, or when nothing else happens.
         /// None: it stays down.
         restart: Option<u64>,
     },
@@ -52,7 +52,7 @@ pub enum Fault {
         link: usize,
         /// From the first packet at or after this instant on.
         at: u64,
-        /// For so many ticks. None: for ever.
+        /// Ticks until it ends. None: it never ends.
         lasts: Option<u64>,
     },
     /// A node's clock counts a tick twice, or leaves one out.
@@ -84,9 +84,9 @@ pub type Tape = BTreeMap<Chooser, Vec<u32>>;
 /// One run of a cell: with the same cell it is the same run.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Schedule {
-    /// What goes wrong.
+    /// The faults.
     pub faults: Vec<Fault>,
-    /// What is chosen.
+    /// The choices.
     pub tape: Tape,
 }
 
@@ -111,6 +111,12 @@ pub(super) fn in_order(faults: &[Fault]) -> Vec<Fault> {
     let mut faults = faults.to_vec();
     faults.sort_by_key(instant);
     faults
+}
+
+/// The faults that did not happen.
+pub(super) fn idle(faults: &[Fault], happened: &[bool]) -> Vec<Fault> {
+    let all = in_order(faults).into_iter().zip(happened);
+    all.filter(|(_, happened)| !**happened).map(|(fault, _)| fault).collect()
 }
 
 /// The budgets that allow these faults and no others. Those that have instants are sorted by them.

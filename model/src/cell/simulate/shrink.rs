@@ -4,7 +4,7 @@
 //! Then the choices, all of which may be 0.
 
 use super::driver::Source;
-use super::run::{Run, run};
+use super::run::{Limit, Run, run};
 use super::schedule::{Chooser, Fault, Schedule, Tape};
 use crate::cell::judge::Shown;
 use crate::cell::plan::CellPlan;
@@ -13,32 +13,32 @@ use std::sync::Arc;
 /// The most steps that shrinking one finding may take.
 const MOST_STEPS: u64 = 4_000_000;
 
-/// A schedule in the making.
+/// Shrinks one schedule.
 pub(super) struct Shrinker<'a> {
     pub plan: &'a Arc<CellPlan>,
-    /// What it has to show.
+    /// What the schedule must show.
     pub shown: &'a Shown,
-    /// The most steps of a run.
-    pub steps: u32,
+    /// The limit of a run. When it is stopped, shrinking stops.
+    pub limit: Limit<'a>,
     /// The smallest schedule so far.
     pub best: Schedule,
     pub spent: u64,
 }
 
-/// How many moves of a run lead to this.
+/// The number of moves of a run to this finding.
 pub(super) fn moves_to(run: &Run, shown: &Shown) -> Option<usize> {
     run.shown.iter().find(|(_, known)| known.is_same(shown)).map(|&(at, _)| at)
 }
 
 impl Shrinker<'_> {
-    /// Shrinks it; false where the steps did not suffice.
+    /// Shrinks the schedule; false if that was stopped, or took too many steps.
     pub fn shrink(&mut self) -> bool {
         loop {
             let before = self.best.clone();
             let tape = self.best.tape.clone();
             let faults = self.best.faults.clone();
             reduce(faults, &mut |faults| {
-                self.shows(Schedule { faults: faults.to_vec(), tape: tape.clone() })
+                self.shows(|| Schedule { faults: faults.to_vec(), tape: tape.clone() })
             });
             self.simplify();
             self.choices();
@@ -52,79 +52,84 @@ impl Shrinker<'_> {
     }
 
     fn is_spent(&self) -> bool {
-        self.spent >= MOST_STEPS
+        self.spent >= MOST_STEPS || self.limit.is_stopped()
     }
 
-    /// Tries a schedule, and keeps it where it shows the same.
-    fn shows(&mut self, schedule: Schedule) -> bool {
+    /// Tries a schedule, and keeps it if it shows the same. None: shrinking was stopped.
+    fn shows(&mut self, schedule: impl FnOnce() -> Schedule) -> Option<bool> {
         if self.is_spent() {
-            return false;
+            return None;
         }
-        let run = run(self.plan, &schedule.faults, Source::Tape(&schedule.tape), self.steps);
+        let schedule = schedule();
+        let run = run(self.plan, &schedule.faults, Source::Tape(&schedule.tape), self.limit);
         self.spent += run.moves.len() as u64 + 1;
         let shows = moves_to(&run, self.shown).is_some();
         if shows {
             self.best = schedule;
         }
-        shows
+        Some(shows)
     }
 
-    /// Smaller numbers in the faults.
+    /// Makes the numbers of the faults smaller.
     fn simplify(&mut self) {
         for at in 0..self.best.faults.len() {
             if let Fault::Stop { node, at: instant, restart: Some(_) } = self.best.faults[at] {
                 let mut schedule = self.best.clone();
                 schedule.faults[at] = Fault::Stop { node, at: instant, restart: None };
-                self.shows(schedule);
+                self.shows(|| schedule);
             }
             for (number, from) in numbers(&self.best.faults[at]).into_iter().enumerate() {
                 lower(from, &mut |value| {
                     let mut schedule = self.best.clone();
                     schedule.faults[at] = with_number(&schedule.faults[at], number, value);
-                    self.shows(schedule)
+                    self.shows(|| schedule)
                 });
             }
         }
     }
 
-    /// Choices that are 0, or at least smaller.
+    /// Sets choices to 0, or makes them smaller.
     fn choices(&mut self) {
         let chosen = flat(&self.best.tape);
         let faults = self.best.faults.clone();
         let with = |chosen: &[Choice]| Schedule { faults: faults.clone(), tape: tape(chosen) };
-        let mut chosen = reduce(chosen, &mut |chosen| self.shows(with(chosen)));
+        let mut chosen = reduce(chosen, &mut |chosen| self.shows(|| with(chosen)));
         for at in 0..chosen.len() {
             let now = u64::from(chosen[at].2);
             let least = lower((1, now), &mut |value| {
                 chosen[at].2 = u32::try_from(value).unwrap_or(u32::MAX);
-                self.shows(with(&chosen))
+                self.shows(|| with(&chosen))
             });
             chosen[at].2 = u32::try_from(least).unwrap_or(u32::MAX);
         }
-        // Zeros at the end of the tape are no choices.
+        // A choice past the end of the tape is 0, so zeros at its end are left out.
         self.best.tape = tape(&flat(&self.best.tape));
     }
 }
 
-/// The least number, not below the first of two, with which something holds that holds with the second: by halves, as if it
-/// held with all larger ones.
-fn lower((least, now): (u64, u64), holds: &mut dyn FnMut(u64) -> bool) -> u64 {
-    if now <= least || holds(least) {
-        return least.min(now);
+/// Binary search for the least number from `least` to `now` for which `holds`, as if it held for all larger ones. It holds
+/// for `now`. None of `holds` ends the search.
+fn lower((least, now): (u64, u64), holds: &mut dyn FnMut(u64) -> Option<bool>) -> u64 {
+    if now <= least {
+        return now;
     }
-    let (mut fails, mut held) = (least, now);
+    let (mut fails, mut held) = match holds(least) {
+        Some(true) => return least,
+        Some(false) => (least, now),
+        None => return now,
+    };
     while held - fails > 1 {
         let middle = fails + (held - fails) / 2;
-        if holds(middle) {
-            held = middle;
-        } else {
-            fails = middle;
+        match holds(middle) {
+            Some(true) => held = middle,
+            Some(false) => fails = middle,
+            None => break,
         }
     }
     held
 }
 
-/// A choice that is not 0: whose, which of its own, and what.
+/// A choice that is not 0: its chooser, its position on that chooser's tape, its value.
 type Choice = (Chooser, usize, u32);
 
 fn flat(tape: &Tape) -> Vec<Choice> {
@@ -144,10 +149,10 @@ fn tape(choices: &[Choice]) -> Tape {
     tape
 }
 
-/// Delta debugging: leaves out ever smaller parts of a list as long as `holds` says that what is left does. In the end no
-/// single one can be left out.
-fn reduce<T: Clone>(mut all: Vec<T>, holds: &mut dyn FnMut(&[T]) -> bool) -> Vec<T> {
-    if all.is_empty() || holds(&[]) {
+/// Delta debugging: leaves out smaller and smaller parts of a list for as long as the rest `holds`. In the end no single item
+/// can be left out. None of `holds` ends it before that.
+fn reduce<T: Clone>(mut all: Vec<T>, holds: &mut dyn FnMut(&[T]) -> Option<bool>) -> Vec<T> {
+    if all.is_empty() || holds(&[]) == Some(true) {
         return Vec::new();
     }
     let mut part = all.len().div_ceil(2);
@@ -156,11 +161,11 @@ fn reduce<T: Clone>(mut all: Vec<T>, holds: &mut dyn FnMut(&[T]) -> bool) -> Vec
         let mut left_out = false;
         while at < all.len() {
             let rest = [&all[..at], &all[(at + part).min(all.len())..]].concat();
-            if rest.len() < all.len() && !rest.is_empty() && holds(&rest) {
-                all = rest;
-                left_out = true;
-            } else {
-                at += part;
+            let holds = if rest.is_empty() { Some(false) } else { holds(&rest) };
+            match holds {
+                Some(true) => (all, left_out) = (rest, true),
+                Some(false) => at += part,
+                None => return all,
             }
         }
         match part {
@@ -171,7 +176,7 @@ fn reduce<T: Clone>(mut all: Vec<T>, holds: &mut dyn FnMut(&[T]) -> bool) -> Vec
     }
 }
 
-/// The numbers of a fault and the least that each may be.
+/// For each number of a fault its least value and its value.
 fn numbers(fault: &Fault) -> Vec<(u64, u64)> {
     match *fault {
         Fault::Lose { nth, .. }
@@ -216,7 +221,7 @@ mod tests {
             let mut asked = 0;
             let holds = &mut |left: &[u32]| {
                 asked += 1;
-                needed.iter().all(|one| left.contains(one))
+                Some(needed.iter().all(|one| left.contains(one)))
             };
             assert_eq!(reduce((0..20).collect(), holds), needed);
             assert!(asked < 400, "{asked}");
@@ -231,7 +236,7 @@ mod tests {
             let mut asked = 0;
             let holds = &mut |value| {
                 asked += 1;
-                value >= needed
+                Some(value >= needed)
             };
             assert_eq!(lower((least, now), holds), needed);
             assert!(asked <= 21, "{asked}");
