@@ -266,8 +266,7 @@ impl Names<'_> {
     }
 
     fn ticks(&self, word: &str, time: &str) -> Result<u64, String> {
-        let span = humantime::parse_duration(time)
-            .map_err(|error| format!("{word} = \"{time}\": {error}: write \"120ms\" or \"2s\""))?;
+        let span = crate::time::parse(time).map_err(|error| format!("{word} = \"{time}\": {error}"))?;
         let (us, tick) = (span.as_nanos(), u128::from(self.tick_us) * 1000);
         if us % tick != 0 {
             return Err(format!("{word} = \"{time}\": the tick of the cell is {}", self.time(1)));
