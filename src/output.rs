@@ -48,14 +48,22 @@ impl Output {
     /// # Errors
     /// [`Failure::Output`].
     pub fn file(&mut self, text: &str) -> Result<(), Failure> {
-        self.write(text.strip_suffix('\n').unwrap_or(text))
+        // The stream would take escapes out where it shows no colours.
+        let mut stream = io::stdout().lock();
+        let written = stream.write_all(text.as_bytes()).and_then(|()| stream.flush());
+        self.note(written)
     }
 
     fn write(&mut self, line: &str) -> Result<(), Failure> {
         if self.closed {
             return Ok(());
         }
-        match writeln!(self.stream, "{line}").and_then(|()| self.stream.flush()) {
+        let written = writeln!(self.stream, "{line}").and_then(|()| self.stream.flush());
+        self.note(written)
+    }
+
+    fn note(&mut self, written: io::Result<()>) -> Result<(), Failure> {
+        match written {
             Ok(()) => Ok(()),
             Err(error) if error.kind() == io::ErrorKind::BrokenPipe => {
                 self.closed = true;

@@ -265,7 +265,7 @@ fn a_broken_plan_says_what_is_wrong_with_it() {
         ("version = 1\n[[fault]]\nlose = 1\nlink = \"n1 -> n9\"\n", "no node `n9`"),
         ("version = 1\n[[fault]]\nlose = 1\nlink = \"n1 -> n1\"\n", "no link joins n1 and n1"),
         ("version = 1\n[[fault]]\nlose = 1\nlink = \"n1 -> n2\"\nat = \"1s\"\n", "`lose` has no `at`"),
-        ("version = 1\n[[fault]]\nstop = \"n1\"\nat = \"soon\"\n", "write \"120ms\" or \"2s\""),
+        ("version = 1\n[[fault]]\nstop = \"n1\"\nat = \"soon\"\n", "write a number and a unit"),
         ("version = 1\n[[fault]]\nstop = \"n1\"\nat = \"1500us\"\n", "the tick of the cell is 1ms"),
         (
             "version = 1\n[[fault]]\ndrift = \"n1\"\nat = \"1s\"\ntick = \"slow\"\n",
