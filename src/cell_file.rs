@@ -118,13 +118,20 @@ pub fn replace(path: &Path, text: &str) -> Result<(), CellFileError> {
 fn replaced(path: &Path, text: &str) -> io::Result<()> {
     // A link goes on leading to the file.
     let path = fs::canonicalize(path)?;
+    access(&path, Access::WRITE_OK)?;
     let old = fs::metadata(&path)?;
     let folder = path.parent().unwrap_or(Path::new("/"));
-    let mut new = tempfile::NamedTempFile::new_in(folder)?;
+    let beside = |error: io::Error| {
+        io::Error::new(
+            error.kind(),
+            format!("no new file can be put in its place in {}: {error}", folder.display()),
+        )
+    };
+    let mut new = tempfile::NamedTempFile::new_in(folder).map_err(beside)?;
     new.write_all(text.as_bytes())?;
     let own = new.as_file().metadata()?;
     if (own.uid(), own.gid()) != (old.uid(), old.gid()) {
-        std::os::unix::fs::fchown(new.as_file(), Some(old.uid()), Some(old.gid()))?;
+        std::os::unix::fs::fchown(new.as_file(), Some(old.uid()), Some(old.gid())).map_err(beside)?;
     }
     new.as_file().set_permissions(old.permissions())?;
     new.as_file().sync_all()?;

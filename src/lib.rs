@@ -48,14 +48,19 @@ pub fn command() -> ExitCode {
         complain(format_args!(
             "this is a fault of imrs {}. Please report the lines above and the command:\n  {}",
             env!("CARGO_PKG_VERSION"),
-            std::env::args().collect::<Vec<_>>().join(" ")
+            arguments().collect::<Vec<_>>().join(" ")
         ));
         Exit::Internal.into()
     })
 }
 
+/// The command line as it can be shown.
+fn arguments() -> impl Iterator<Item = String> {
+    std::env::args_os().map(|argument| argument.to_string_lossy().into_owned())
+}
+
 fn answer() -> ExitCode {
-    let command = Cli::command().color(early_color(std::env::args()));
+    let command = Cli::command().color(early_color(arguments()));
     let parsed = command.try_get_matches().and_then(|matches| Cli::from_arg_matches(&matches));
     let cli = match parsed {
         Ok(cli) => cli,

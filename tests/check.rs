@@ -248,6 +248,12 @@ fn fmt_keeps_the_file_where_it_cannot_write_all_of_the_new_one() {
     assert!(said.err.contains("cannot be written"), "{said:?}");
     assert_eq!(fs::read_to_string(&path).unwrap(), text, "it is as it was");
     assert_eq!(fs::read_dir(dir.path()).unwrap().count(), 2, "and nothing is left beside it");
+    // Root may write what is protected.
+    fs::set_permissions(&path, std::os::unix::fs::PermissionsExt::from_mode(0o444)).unwrap();
+    if fs::OpenOptions::new().write(true).open(&path).is_err() {
+        assert_eq!(run(&["fmt", &path]).code, Some(2));
+        assert_eq!(fs::read_to_string(&path).unwrap(), text, "it is as it was");
+    }
     // A link goes on leading to the file, and who may read it stays.
     fs::set_permissions(&path, std::os::unix::fs::PermissionsExt::from_mode(0o640)).unwrap();
     assert_eq!(run(&["fmt", link.to_str().unwrap()]).code, Some(0));

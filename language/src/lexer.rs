@@ -316,7 +316,8 @@ fn before_unit(text: &str) -> Option<usize> {
     let (number, unit) = text.split_at(end);
     let known = |(word, _): &(Word, u64)| word.text().eq_ignore_ascii_case(unit);
     let is_unit = Word::UNITS.iter().any(known) || Word::short_unit(unit).is_some();
-    (is_unit && !number.ends_with('_')).then_some(end)
+    let split = number.ends_with('_') || number.contains("__") || number.contains("_.");
+    (is_unit && !split).then_some(end)
 }
 
 fn bad_number(text: &str, span: Span) -> Diagnostic {

@@ -7,7 +7,7 @@ mod tell;
 use crate::args::{Format, STEPS, SimulateArgs};
 use crate::cell_file::{self, CellFileError};
 use crate::exit::{Exit, Failure};
-use crate::output::{Output, count, grouped};
+use crate::output::{Output, complain, count, grouped};
 use crate::verify::{Subject, quoted};
 use file::Names;
 use imrs_model::cell::{Fault, Found, Refused, Schedule, Simulated, Simulator};
@@ -178,7 +178,11 @@ fn keep(args: &SimulateArgs, subject: &Subject, names: &Names<'_>, all: &Simulat
     let missed = || format!("--finding {}: there are {}", args.finding, all.found.len());
     let (path, found) = match (&args.save, found) {
         (Some(path), Some(found)) => (path, found),
-        (_, None) if !all.found.is_empty() => return Err(Failure::Usage(missed())),
+        (Some(_), None) if !all.found.is_empty() => return Err(Failure::Usage(missed())),
+        (None, None) if !all.found.is_empty() => {
+            complain(missed());
+            return Ok(false);
+        }
         _ => return Ok(false),
     };
     let text = file::text(&found.schedule, &format!("{} --plan FILE", command(subject, args)), names);

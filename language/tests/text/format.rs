@@ -61,7 +61,9 @@ fn units_of_command_lines_are_written_as_those_of_cells() {
 end t;
 ";
     assert_eq!(formatted(text), expected);
-    assert!(format(&source("cell c; tick 1milli;")).is_err());
+    for glued in ["1milli", "1__0ms", "1_.5ms", "1_ms"] {
+        assert!(format(&source(&std::format!("cell c; tick {glued};"))).is_err(), "{glued}");
+    }
 }
 
 #[test]

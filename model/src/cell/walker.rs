@@ -113,15 +113,16 @@ impl Walker {
         }
     }
 
-    /// Leaves out what takes a packet away that changes nothing where it arrives: the same happens when it arrives, with
-    /// more of the budget left, and a cut may as well begin with the next packet, or end before it. An arrival lets what
-    /// waits for an event go on, as no packet that is lost does: where something waits so, a cut may end with it, too. Says
-    /// whether the course was used.
+    /// Drops the moves that lose a packet whose arrival changes nothing: its arrival leads to the same, with more of the budget
+    /// left. A cut may as well begin with the next packet, or end before it. But an arrival wakes actions and packets that wait
+    /// for an event, and its node may crash right after it; a loss does neither. There the move that ends a cut stays.
+    /// Returns whether the course was used.
     fn leave_out(&mut self, state: &[u8], moves: &mut Vec<(u16, CellMove)>) -> bool {
         if self.course.plan.everything {
             return false;
         }
-        let waits = !self.course.beside.stays.is_empty() || self.course.beside.slow != 0;
+        let beside = &self.course.beside;
+        let waits = !beside.stays.is_empty() || beside.slow != 0 || !beside.crashed.is_empty();
         let mut taken: Vec<u8> = moves.iter().filter_map(|&(_, step)| takes_away(step)).collect();
         taken.dedup();
         for &i in &taken {

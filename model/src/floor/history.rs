@@ -1,7 +1,7 @@
 //! What one run must obey: each buffer of a task beside a plain list that is written from what the node says of itself.
 //!
-//! A single state does not show these rules, for it does not say what came before: the search cannot judge them. Whoever follows
-//! a run from its start can, as random walks (`cell::guard`) and `imrs simulate` do.
+//! A single state does not show these rules, because it does not say what came before: the search cannot judge them. Random
+//! walks (`cell::guard`) and `imrs simulate` follow a run from its start, and judge them.
 //!
 //! - A message is handed over at most once, and dropped as a copy only after its first one was taken.
 //! - A GET takes the most urgent message; a full buffer loses the least urgent one.
@@ -30,8 +30,9 @@ pub(crate) struct History {
     tasks: Vec<Listed>,
     /// The packet that is arriving: who sent it, and its id.
     arriving: Option<(TaskId, MessageId)>,
-    /// Numbers what happens in the order in which it does.
+    /// Numbers what happens in the order in which it does, and the steps in which it does.
     events: u64,
+    steps: u64,
 }
 
 /// A task: its order of service, its last GET and its buffers.
@@ -59,6 +60,8 @@ struct Buffer {
     /// The messages that were taken in, and those that were handed over, of the present incarnation of each source.
     taken: BTreeSet<(TaskId, u32)>,
     heard: BTreeSet<(TaskId, u32)>,
+    /// Commands that expired here: a copy of one counts as the first, one of an earlier command does not.
+    lapsed: BTreeSet<(TaskId, u32)>,
     incarnations: Vec<(TaskId, Incarnation)>,
 }
 
@@ -83,9 +86,10 @@ impl Waiting {
         (self.expires, self.class, self.source, self.arrival)
     }
 
-    fn reject(&mut self, order: &ServiceOrder, port: PortId, event: u64) {
+    /// All that one step rejects is rejected first alike.
+    fn reject(&mut self, order: &ServiceOrder, port: PortId, step: u64) {
         if self.rejections == 0 {
-            self.first_rejected = event;
+            self.first_rejected = step;
         }
         self.rejections = (self.rejections + 1).min(cap(order, port, self.source));
     }
@@ -105,6 +109,7 @@ impl Buffer {
                 *known = incarnation;
                 self.taken.retain(|(task, _)| *task != source);
                 self.heard.retain(|(task, _)| *task != source);
+                self.lapsed.retain(|(task, _)| *task != source);
             }
         }
     }
@@ -112,9 +117,11 @@ impl Buffer {
     /// Whether the machine may call this message one that it has seen.
     fn knows(&self, source: TaskId, number: u32, class: Class) -> bool {
         self.taken.contains(&(source, number))
-            || self.taken.iter().filter(|(task, _)| *task == source).any(|&(_, newer)| match class {
-                Class::Command => newer > number,
-                Class::Status => newer > number + WINDOW,
+            || self.taken.union(&self.lapsed).filter(|(task, _)| *task == source).any(|&(_, newer)| {
+                match class {
+                    Class::Command => newer > number,
+                    Class::Status => newer > number + WINDOW,
+                }
             })
     }
 }
@@ -133,6 +140,7 @@ fn buffers(table: &CellTable, task: &CommTask) -> Vec<Buffer> {
             waiting: Vec::new(),
             taken: BTreeSet::new(),
             heard: BTreeSet::new(),
+            lapsed: BTreeSet::new(),
             incarnations: Vec::new(),
         })
     };
@@ -202,7 +210,7 @@ impl History {
             tasks[task.task().index()].buffers = buffers(&plan.cell, task);
         }
         let clocks = vec![0; stations.len()];
-        Self { plan: Arc::clone(plan), clocks, tasks, arriving: None, events: 0 }
+        Self { plan: Arc::clone(plan), clocks, tasks, arriving: None, events: 0, steps: 0 }
     }
 
     /// A node starts anew: what its tasks knew is gone.
@@ -239,6 +247,7 @@ impl History {
     /// # Errors
     /// The rule that it broke.
     pub fn judge(&mut self, node: usize, station: &Station, effects: &[Effect]) -> Result<(), Violation> {
+        self.steps += 1;
         for effect in effects {
             if let Effect::Seen(_, Some(task), observation) = effect {
                 self.events += 1;
@@ -256,7 +265,7 @@ impl History {
         observation: &Observation,
     ) -> Result<(), Violation> {
         let &Observation { event, port, peer, number, remaining } = observation;
-        let (now, events) = (self.clocks[node], self.events);
+        let (now, events, steps) = (self.clocks[node], self.events, self.steps);
         let plan = Arc::clone(&self.plan);
         let arriving = self.arriving.filter(|(source, id)| (*source, id.sequence.get()) == (peer, number));
         let incarnation = arriving.map_or(station.life, |(_, id)| id.incarnation);
@@ -292,14 +301,19 @@ impl History {
                 buffer.waiting.push(one);
             }
             Event::Rejected => match waits {
-                Some(waits) => buffer.waiting[waits].reject(&listed.order, port, events),
-                None => listed.rejected = Some((peer, number, events)),
+                Some(waits) => {
+                    let one = &mut buffer.waiting[waits];
+                    one.reject(&listed.order, port, steps);
+                    // For how long is seen after the step; in this one it goes before nothing any more.
+                    one.not_before = now + 1;
+                }
+                None => listed.rejected = Some((peer, number, steps)),
             },
+            // One that is handed to its handler as it arrives changes nothing for those that wait.
             Event::Interrupted => {
                 if let Some(waits) = waits {
                     return listed.handler_begins(at, waits, now);
                 }
-                listed.capped_last = false;
             }
             Event::Delivered => {
                 match waits {
@@ -341,6 +355,7 @@ impl History {
                     // A later copy may have more time left: it counts as the first one.
                     Reason::Expired if class == Class::Command => {
                         buffer.taken.remove(&(peer, number));
+                        buffer.lapsed.insert((peer, number));
                     }
                     Reason::Evicted | Reason::Refused => {
                         let expires = lost.map_or(now + remaining.0, |lost| lost.expires);
@@ -348,7 +363,10 @@ impl History {
                         if buffer.waiting.iter().any(|one| one.urgency() > key) {
                             return Err(Violation::LostMoreUrgent);
                         }
-                        buffer.enter(peer, incarnation);
+                        // Another message than the one that arrives is of an incarnation that came before.
+                        if lost.is_none() {
+                            buffer.enter(peer, incarnation);
+                        }
                         buffer.taken.insert((peer, number));
                     }
                     Reason::Superseded if lost.is_none() => {

@@ -179,8 +179,54 @@ fn of_messages_at_their_cap_the_one_that_was_rejected_first_begins_its_handler()
     bench.hold(0, WRITER, &[(1, 9)]).hold(0, OTHER, &[(1, 8)]);
     bench.history.tasks[READER.index()].buffers[0].handled = true;
     for source in [WRITER, OTHER] {
+        bench.history.steps += 1;
         assert_eq!(bench.see(Event::Rejected, 0, source, 1, 8), Ok(()));
     }
-    assert_eq!(bench.see(Event::Interrupted, 0, OTHER, 1, 8), Err(Violation::NotMostUrgent));
-    assert_eq!(bench.see(Event::Interrupted, 0, WRITER, 1, 9), Ok(()));
+    bench.wait(2);
+    assert_eq!(bench.see(Event::Interrupted, 0, OTHER, 1, 6), Err(Violation::NotMostUrgent));
+    assert_eq!(bench.see(Event::Interrupted, 0, WRITER, 1, 7), Ok(()));
+}
+
+#[test]
+fn messages_that_one_step_rejects_are_rejected_first_alike() {
+    let mut bench = Bench::new();
+    bench.history.tasks[READER.index()].buffers.iter_mut().for_each(|buffer| buffer.handled = true);
+    bench.hold(0, WRITER, &[(1, 9)]).hold(1, OTHER, &[(1, 8)]);
+    bench.history.steps += 1;
+    for (port, source) in [(0, WRITER), (1, OTHER)] {
+        assert_eq!(bench.see(Event::Rejected, port, source, 1, 8), Ok(()));
+    }
+    bench.wait(2);
+    assert_eq!(bench.see(Event::Interrupted, 1, OTHER, 1, 6), Ok(()), "the more urgent one of the two");
+}
+
+#[test]
+fn a_message_that_this_step_rejects_goes_before_nothing_in_it() {
+    let mut bench = Bench::new();
+    let [a, b] = bench.ports;
+    let order = ServiceOrder::new(&[Ranked::Port(a), Ranked::Own, Ranked::Port(b)]).expect("an order");
+    bench.ask(Request::Order(order));
+    bench.history.tasks[READER.index()].buffers.iter_mut().for_each(|buffer| buffer.handled = true);
+    bench.hold(1, WRITER, &[(1, 9)]).hold(0, OTHER, &[(1, 8)]);
+    for (port, source) in [(1, WRITER), (0, OTHER)] {
+        bench.history.steps += 1;
+        assert_eq!(bench.see(Event::Rejected, port, source, 1, 8), Ok(()));
+    }
+    bench.wait(2);
+    bench.history.steps += 1;
+    // The second rejection brings it to its cap of two, in the step that takes the other one.
+    assert_eq!(bench.see(Event::Rejected, 1, WRITER, 1, 7), Ok(()));
+    assert_eq!(bench.see(Event::Interrupted, 0, OTHER, 1, 6), Ok(()));
+}
+
+#[test]
+fn an_evicted_message_says_nothing_of_the_incarnation_of_its_source() {
+    let mut bench = Bench::new();
+    let earlier = MessageId { incarnation: Incarnation(3), ..MessageId::default() };
+    bench.history.arriving = Some((OTHER, earlier));
+    bench.hold(1, OTHER, &[(0, 5)]);
+    bench.history.arriving = None;
+    assert_eq!(bench.see(Event::Discarded(Reason::Evicted), 1, OTHER, 0, 5), Ok(()));
+    bench.history.arriving = Some((OTHER, earlier));
+    assert_eq!(bench.see(Event::Discarded(Reason::Duplicate), 1, OTHER, 0, 4), Ok(()));
 }
