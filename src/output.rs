@@ -129,33 +129,15 @@ fn harmless(text: &str) -> Cow<'_, str> {
     escaped(text, |c| c.escape_default().to_string())
 }
 
-/// The length of a style at the beginning of a text: colours of letters, bold, faint, underlined, and their end. None hides
-/// anything.
+/// Parameters of styles that hide nothing: their end, bold, faint, underlined, and colours of letters.
+const HARMLESS: [&str; 17] =
+    ["", "0", "1", "2", "4", "31", "32", "33", "34", "35", "36", "91", "92", "93", "94", "95", "96"];
+
+/// The length of a style at the beginning of a text, unless it could hide something.
 fn style_at(text: &str) -> Option<usize> {
     let parameters = text.strip_prefix("\x1b[")?;
     let (parameters, _) = parameters.split_once('m')?;
-    let known = |one: &str| {
-        matches!(
-            one,
-            "" | "0"
-                | "1"
-                | "2"
-                | "4"
-                | "31"
-                | "32"
-                | "33"
-                | "34"
-                | "35"
-                | "36"
-                | "91"
-                | "92"
-                | "93"
-                | "94"
-                | "95"
-                | "96"
-        )
-    };
-    parameters.split(';').all(known).then_some(parameters.len() + 3)
+    parameters.split(';').all(|one| HARMLESS.contains(&one)).then_some(parameters.len() + 3)
 }
 
 /// Says what is wrong on standard error. Where that has gone too, there is nobody to tell.

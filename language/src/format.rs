@@ -75,13 +75,6 @@ impl<'t> Writer<'t> {
                 self.comment(comment, &mut last);
             }
             let mut what = self.what(*kind, span.start);
-            let number =
-                index.checked_sub(1).is_some_and(|before| matches!(tokens[before].0, Kind::Int | Kind::Real));
-            if let (true, Some(unit)) =
-                (number && *kind == Kind::Name, Word::short_unit(self.source.slice(*span)))
-            {
-                what = What::Word(unit);
-            }
             let follows = tokens.get(index + 1);
             let follows = follows.map(|(kind, span)| self.what(*kind, span.start));
             users = users.next(what);

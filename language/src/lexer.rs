@@ -201,7 +201,15 @@ pub(crate) fn lex(text: &str, report: &mut Report) -> Lexed {
                 let [start, middle, end] =
                     [span.start as usize, span.start as usize + digits, span.end as usize];
                 lexed.tokens.push((kind, Span::new(start, middle)));
-                lexed.tokens.push((Word::find(unit).map_or(Kind::Name, Kind::Word), Span::new(middle, end)));
+                let unit = Word::find(unit).or_else(|| Word::short_unit(unit));
+                lexed.tokens.push((unit.map_or(Kind::Name, Kind::Word), Span::new(middle, end)));
+            }
+            // The letters of a command line after a number stand for the unit of a cell.
+            Kind::Name
+                if let (Some((Kind::Int | Kind::Real, _)), Some(unit)) =
+                    (lexed.tokens.last(), Word::short_unit(lexer.slice())) =>
+            {
+                lexed.tokens.push((Kind::Word(unit), span));
             }
             kind => lexed.tokens.push((token(kind, lexer.slice(), span, report), span)),
         }

@@ -28,12 +28,10 @@ pub(crate) fn paper(file: &File, source: &Source) -> Vec<Diagnostic> {
         );
     };
     // Nothing is reported: the text was read before.
-    let tokens = lex(source.text(), &mut Report::default()).tokens;
-    for pair in tokens.windows(2) {
-        if let [(Kind::Int | Kind::Real, _), (Kind::Name, span)] = *pair
-            && Word::short_unit(source.slice(span)).is_some()
-        {
-            see(source.slice(span), span);
+    for (kind, span) in lex(source.text(), &mut Report::default()).tokens {
+        let text = source.slice(span);
+        if matches!(kind, Kind::Word(_)) && Word::short_unit(text).is_some() {
+            see(text, span);
         }
     }
     for item in &file.items {

@@ -80,17 +80,12 @@ fn amount<'t>() -> impl Part<'t, Span> {
 /// A unit of time, in microseconds.
 fn unit<'t>(text: &'t str) -> impl Part<'t, u64> {
     let known = choice(Word::UNITS.iter().map(|(unit, usec)| word(*unit).to(*usec)).collect::<Vec<_>>());
-    let written =
-        move |unit: Word| Word::UNITS.iter().find(|(known, _)| *known == unit).map(|(_, usec)| *usec);
-    let other = just(Kind::Name).validate(move |_, extra, emitter| {
+    let unknown = just(Kind::Name).validate(move |_, extra, emitter| {
         let span: Span = extra.span();
-        if let Some(usec) = Word::short_unit(&text[span.range()]).and_then(written) {
-            return usec;
-        }
         emitter.emit(Failure::Said(Box::new(unknown_unit(&text[span.range()], span))));
         1
     });
-    known.or(other).labelled("a unit (`usec`, `msec`, `sec`)")
+    known.or(unknown).labelled("a unit (`usec`, `msec`, `sec`)")
 }
 
 fn unknown_unit(text: &str, span: Span) -> Diagnostic {
