@@ -101,6 +101,7 @@ violations! {
     ExpiredEarly 52 "a message expired before its time was over",
     BufferDiffers 53 "a buffer holds other messages than came in and did not go out, or in another order",
     Miscounted 54 "a message was not rejected as often as its node counts",
+    Garbled 55 "a packet is another one after its bytes",
     Script 39 "a script ended in a fault or an assertion that does not hold",
     Check 40 "a check of the cell does not hold",
     Reached 38 "what must be possible is possible",

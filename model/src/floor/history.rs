@@ -7,13 +7,14 @@
 //! - A GET takes the most urgent message; a full buffer loses the least urgent one.
 //! - Rejections are counted one by one, and of messages at their cap the one that was rejected first goes first.
 //! - Only what is over expires, and the buffer holds what the list holds, in its order.
+//! - A packet that leaves a node is the same after its 32 bytes, but for what their clock rounds down.
 
 use super::plan::FloorPlan;
 use super::{Effect, Station};
 use crate::state::Violation;
 use imrs_protocol::{
-    CellTable, Class, CommTask, Event, HeldView, Incarnation, MessageId, NodeInput, Observation, PortId,
-    Reason, Request, ServiceOrder, TaskId, Ticks,
+    CellTable, Class, CommTask, Event, HeldView, Incarnation, MessageId, NodeInput, Observation, Packet,
+    PortId, Reason, Request, ServiceOrder, TaskId, Ticks,
 };
 use std::collections::BTreeSet;
 use std::sync::Arc;
@@ -129,6 +130,20 @@ impl Buffer {
 /// How many rejections make a message outrank the task's own thread (D58).
 fn cap(order: &ServiceOrder, port: PortId, source: TaskId) -> u8 {
     order.rank(port, source).max(1)
+}
+
+/// Whether a packet comes out of its bytes as it went in. The search hands packets over as they are: only here are they
+/// encoded, as on a real link.
+fn survives(packet: &Packet, table: &CellTable) -> bool {
+    let hash = |port| table.port(port).map(|port| port.hash);
+    let Some(of_port) = hash(packet.port) else { return false };
+    let bytes = packet.encode(table.digest(), of_port);
+    let Ok(back) = Packet::decode(&bytes, table.digest(), hash) else { return false };
+    // 24 bits of a number of steps are left; a time past the end of the scale is cut (D47).
+    let lost = packet.remaining.0.saturating_sub(back.remaining.0);
+    let cut = packet.remaining.0 >> 42 > 0;
+    let exact = back.remaining <= packet.remaining && (cut || lost <= packet.remaining.0 >> 23 | 9);
+    exact && Packet { remaining: packet.remaining, ..back } == *packet
 }
 
 fn buffers(table: &CellTable, task: &CommTask) -> Vec<Buffer> {
@@ -247,9 +262,15 @@ impl History {
     pub fn judge(&mut self, node: usize, station: &Station, effects: &[Effect]) -> Result<(), Violation> {
         self.steps += 1;
         for effect in effects {
-            if let Effect::Seen(_, Some(task), observation) = effect {
-                self.events += 1;
-                self.seen(node, station, *task, observation)?;
+            match effect {
+                Effect::Seen(_, Some(task), observation) => {
+                    self.events += 1;
+                    self.seen(node, station, *task, observation)?;
+                }
+                Effect::Sent(_, packet) if !survives(packet, &self.plan.cell) => {
+                    return Err(Violation::Garbled);
+                }
+                Effect::Seen(_, None, _) | Effect::Sent(..) | Effect::Told(..) => {}
             }
         }
         station.node.parts().tasks.iter().try_for_each(|task| self.compare(node, task))

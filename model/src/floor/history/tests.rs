@@ -3,7 +3,7 @@
 use super::*;
 use crate::floor::Floor;
 use crate::floor::plan::{Errand, TaskPlan};
-use imrs_protocol::{Cell, PortDecl, Ranked, Usage};
+use imrs_protocol::{Cell, Contents, Kind, NodeId, PortDecl, Ranked, Seq24, Usage};
 
 const WRITER: TaskId = TaskId(0);
 const OTHER: TaskId = TaskId(1);
@@ -229,4 +229,39 @@ fn an_evicted_message_says_nothing_of_the_incarnation_of_its_source() {
     assert_eq!(bench.see(Event::Discarded(Reason::Evicted), 1, OTHER, 0, 5), Ok(()));
     bench.history.arriving = Some((OTHER, earlier));
     assert_eq!(bench.see(Event::Discarded(Reason::Duplicate), 1, OTHER, 0, 4), Ok(()));
+}
+
+#[test]
+fn a_packet_that_leaves_is_the_same_after_its_bytes() {
+    let mut bench = Bench::new();
+    let packet = Packet {
+        kind: Kind::Send,
+        class: Class::Command,
+        more: false,
+        resent: true,
+        urgent: false,
+        hops: 7,
+        fragment: 0,
+        destination: READER,
+        source: WRITER,
+        port: bench.ports[1],
+        id: MessageId { incarnation: Incarnation(3), sequence: Seq24::new(70_000) },
+        remaining: Ticks(0),
+        contents: Contents::new(b"twelve bytes").expect("twelve bytes fit"),
+    };
+    let mut sends = |packet| {
+        let Bench { history, station, .. } = &mut bench;
+        history.judge(0, station, &[Effect::Sent(NodeId(0), packet)])
+    };
+    for remaining in [0, 7, 10, 12_345, 400_000_000, 1 << 37, (1 << 42) - 1, 1 << 60, u64::MAX] {
+        assert_eq!(sends(Packet { remaining: Ticks(remaining), ..packet }), Ok(()), "{remaining}");
+    }
+    // What does not fit into the bits that a packet has for it.
+    for garbled in [
+        Packet { hops: 8, ..packet },
+        Packet { fragment: 16, ..packet },
+        Packet { port: PortId(99), ..packet },
+    ] {
+        assert_eq!(sends(garbled), Err(Violation::Garbled), "{garbled:?}");
+    }
 }
