@@ -148,7 +148,8 @@ fn more_lost_packets_than_declared_are_named_and_as_many_are_not() {
     assert_eq!(some.breach("faults loss 250;", "loss"), None);
     let told_meanwhile =
         &[" s fault: nothing passes", "sends `", "sends `", "reach each other again", "sends `"];
-    let cut = ["--action", WORKS, "--cut", "n1--n2@500ms+1s"];
+    // So long that two of the actions, each of them a process, begin and end meanwhile.
+    let cut = ["--action", WORKS, "--cut", "n1--n2@500ms+6s"];
     let cut = Run::of(&cut, one_after_the_other(told_meanwhile));
     assert_eq!(cut.breach("faults loss 250;", "loss"), None);
     assert!(cut.breach("", "loss").is_some());
@@ -165,7 +166,8 @@ fn faults_that_are_declared_apart_do_not_come_together() {
 
 #[test]
 fn a_killed_node_is_named_where_no_crash_of_it_is_declared() {
-    let run = Run::of(&["--action", WORKS, "--kill", "n2@1s"], dozens());
+    let after_it = &[" s fault: node n2", " begins work", " begins work"];
+    let run = Run::of(&["--action", WORKS, "--kill", "n2@1s"], one_after_the_other(after_it));
     let (what, _) = run.breach("faults crash n1;", "crash").expect("n2 was killed");
     assert!(what.starts_with("node n2 was killed") && what.ends_with("no `crash` of it"), "{what}");
     assert_eq!(run.breach("faults crash n1;\nfaults crash n2;", "crash"), None);

@@ -12,12 +12,12 @@ link na -- nb delay 1 msec;
 task a on na
   var busy: bool; var n: int16;
 begin
-  while n < 12 do busy := true; run work takes 60 msec; busy := false; delay 20 msec; n := n + 1; end;
+  while n < 40 do busy := true; run work takes 60 msec; busy := false; delay 20 msec; n := n + 1; end;
 end a;
 task b on nb
   var busy, never_so: bool; var n: int16;
 begin
-  while n < 12 do
+  while n < 40 do
     delay 20 msec; busy := true; run work takes 60 msec; busy := false;
     n := n + 1; never_so := n < 0;
   end;

@@ -2,7 +2,9 @@
 //! makes them: that is told, and no true run is called one that the model cannot do.
 
 use crate::support::program::{all_of, one_after_the_other, times};
-use crate::support::{Said, example, excused, run_in, run_until, runtime_dir, side_by_side, tape};
+use crate::support::{
+    Said, example, excused, run_in, run_until, runtime_dir, side_by_side, tape, wait_until,
+};
 use imrs_protocol::{Input, Kind, Packet, Seq24, Ticks};
 use imrs_wire::recording::{Record, ScriptStep};
 use serde_json::Value;
@@ -50,6 +52,32 @@ impl Recorded {
         Self { folder, cell, nodes, said: said.out }
     }
 
+    /// A run in which this node is killed and started again. It is over when the second start has recorded something.
+    fn restarted(
+        folder: tempfile::TempDir,
+        cell: String,
+        nodes: &'static [&'static str],
+        node: &str,
+        how: &[&str],
+    ) -> Self {
+        let [kill, restart] = ["500ms", "1s"].map(|at| format!("{node}@{at}"));
+        let again = format!(" node {node} is started again");
+        let second = folder.path().join(format!("run.{node}-2.imrs"));
+        let args = [how, &["--kill", &kill, "--restart", &restart]].concat();
+        Self::with(folder, cell, nodes, &args, |line| {
+            let is_again = line.contains(&again);
+            if is_again {
+                wait_until("the second start records", || tape::has_begun(&second));
+            }
+            is_again
+        })
+    }
+
+    /// The same of the weld cell and its relay.
+    fn restarted_weld(how: &[&str]) -> Self {
+        Self::restarted(runtime_dir(), example(WELD), &["n1", "n2", "nt"], "nt", how)
+    }
+
     fn file(&self, node: &str) -> PathBuf {
         self.folder.path().join(format!("run.{node}.imrs"))
     }
@@ -60,7 +88,7 @@ impl Recorded {
 
     fn follow(&self, files: &[PathBuf]) -> Said {
         let files: Vec<&str> = files.iter().map(|file| file.to_str().expect("UTF-8")).collect();
-        let how = ["--cell", &self.cell, "--model", "--within", "60s", "--format", "json"];
+        let how = ["--cell", &self.cell, "--model", "--within", "600s", "--format", "json"];
         run_in(self.folder.path(), &[&["replay"], &files[..], &how[..]].concat())
     }
 
@@ -204,9 +232,8 @@ fn nodes_of_two_runs_are_no_run() {
 /// The recordings of a node that was restarted are several files of one run: the model does not follow them, and nobody says more.
 #[test]
 fn of_a_run_with_a_restart_nothing_is_known() {
-    let restart = ["--kill", "nt@500ms", "--restart", "nt@1s", "--for", "2s"];
     for how in [IN_PROCESSES, IN_ONE] {
-        let run = Recorded::of(WELD, &[how, &restart[..]].concat(), |_| false);
+        let run = Recorded::restarted_weld(how);
         let (first, second) = (run.file("nt"), run.file("nt-2"));
         let others = [run.file("n1"), run.file("n2")];
         let with = |files: &[&PathBuf]| -> Vec<PathBuf> {
@@ -243,7 +270,7 @@ fn of_a_run_with_a_restart_nothing_is_known() {
 
         // A second recording of another run is refused, before or after this one.
         std::thread::sleep(std::time::Duration::from_millis(300));
-        let other = Recorded::of(WELD, &[how, &restart[..]].concat(), |_| false);
+        let other = Recorded::restarted_weld(how);
         let mixed = run.follow(&with(&[&first, &other.file("nt-2")]));
         assert_eq!(mixed.code, Some(2), "{mixed:?}");
         assert!(mixed.err.contains("these are of two runs: "), "{mixed:?}");
@@ -255,12 +282,11 @@ fn of_a_run_with_a_restart_nothing_is_known() {
 
 #[test]
 fn of_a_cell_of_one_node_a_restart_leaves_a_gap() {
-    let restart = ["--kill", "n@500ms", "--restart", "n@1s", "--for", "2s"];
     let folder = runtime_dir();
     let cell = folder.path().join("own.cell");
     std::fs::write(&cell, GRIPS).expect("the cell is written");
     let cell = cell.to_str().expect("UTF-8").into();
-    let run = Recorded::with(folder, cell, &["n"], &restart, |_| false);
+    let run = Recorded::restarted(folder, cell, &["n"], "n", &[]);
     let said = run.follow(&[run.file("n"), run.file("n-2")]);
     assert_eq!(said.code, Some(4), "{said:?}");
 }

@@ -63,7 +63,7 @@ fn runs_of_random_cells_are_paths_of_the_model() {
         assert!(matches!(said.code, Some(0 | 1)), "seed {seed}: {said:?}\n{text}");
         let files = recordings(folder.path());
         let files: Vec<&str> = files.iter().map(String::as_str).collect();
-        let how = ["--cell", &cell, "--model", "--within", "60s", "--format", "json"];
+        let how = ["--cell", &cell, "--model", "--within", "600s", "--format", "json"];
         let said = run_in(folder.path(), &[&["replay"], &files[..], &how[..]].concat());
         let told = said.last_json();
         match said.code {

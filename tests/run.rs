@@ -4,14 +4,15 @@
 use crate::support::live::{Live, named, released};
 use crate::support::program::{Program, one_after_the_other, times};
 use crate::support::{
-    Said, example, finish, imrs, is_alive, is_here, number, own_address, run_in, run_until, runtime_dir,
-    side_by_side, wait_until,
+    Said, example, finish, imrs, is_alive, is_here, look_until, number, own_address, run_in, run_until,
+    runtime_dir, side_by_side, wait_until,
 };
 use serde_json::Value;
 use std::path::PathBuf;
 use std::process::{Command, Stdio};
 
-/// Two tasks that meet and ask each other through a third node, which only relays.
+/// Two tasks that meet and ask each other through a third node, which only relays. They wait longer for each other than any
+/// machine keeps a process from running or from starting.
 const RELAYED: &str = "\
 cell relayed;
 tick 1 msec;
@@ -19,8 +20,8 @@ node na;  node nb;  node nm;
 link na -- nm delay 1 msec;  link nb -- nm delay 1 msec;
 type N is record n: int16; end;
 task a on na
-  port meet()     usage = waitfor  user_list = {b}  time_out = 2 sec  class = 2  retry = 8  resend = 20 msec;
-  port ask(q: N) -> N  usage = query  message_format = N  user_list = {b}  time_out = 1 sec  class = 2  retry = 20  resend = 30 msec;
+  port meet()     usage = waitfor  user_list = {b}  time_out = 600 sec  class = 2  retry = 8  resend = 20 msec;
+  port ask(q: N) -> N  usage = query  message_format = N  user_list = {b}  time_out = 600 sec  class = 2  retry = 20  resend = 30 msec;
   var q: N;  var r: N;
 begin
   while q.n < 5 do
@@ -32,8 +33,8 @@ begin
   end;
 end a;
 task b on nb
-  use_port meet()    usage = waitfor   time_out = 2 sec;
-  use_port ask(q: N) usage = response  time_out = 1 sec;
+  use_port meet()    usage = waitfor   time_out = 600 sec;
+  use_port ask(q: N) usage = response  time_out = 600 sec;
 begin
   on query ask(q) do response(q.n + 1); end;
   loop
@@ -46,8 +47,17 @@ struct Bench(tempfile::TempDir);
 
 impl Bench {
     fn new() -> Self {
+        Self::of(RELAYED)
+    }
+
+    /// The same cell, whose tasks wait for each other for so many seconds.
+    fn that_waits(seconds: u32) -> Self {
+        Self::of(&RELAYED.replace("time_out = 600 sec", &format!("time_out = {seconds} sec")))
+    }
+
+    fn of(text: &str) -> Self {
         let bench = Self(runtime_dir());
-        std::fs::write(bench.cell(), RELAYED).expect("the cell is written");
+        std::fs::write(bench.cell(), text).expect("the cell is written");
         bench
     }
 
@@ -82,7 +92,8 @@ fn exit<'a>(summary: &'a Value, name: &str) -> &'a Value {
 #[test]
 fn scripts_meet_and_ask_through_a_node_that_only_relays() {
     side_by_side([&["--format", "json"][..], &["--format", "json", "--in-process"]], |how: &[&str]| {
-        let said = Bench::new().run(how);
+        // So long no machine keeps one of them from running, and so long it takes until `b` gives up at the end.
+        let said = Bench::that_waits(10).run(how);
         let summary = said.last_json();
         // When a has ended, b waits for it in vain: that abort is the finding.
         assert_eq!(said.code, Some(1), "{said:?}");
@@ -102,7 +113,7 @@ fn scripts_meet_and_ask_through_a_node_that_only_relays() {
 
 #[test]
 fn what_every_node_recorded_under_loss_replays_bit_equal() {
-    let bench = Bench::new();
+    let bench = Bench::that_waits(2);
     let file = bench.0.path().join("run.imrs");
     let file = file.to_str().expect("UTF-8");
     let said = bench.run(&["--loss", "20%", "--record", file, "--format", "json"]);
@@ -127,7 +138,7 @@ fn a_killed_node_and_a_cut_link_are_found_by_their_time_outs() {
         [&["--kill", "a@1ms"][..], &["--cut", "na--nm@0s+10m"], &["--kill", "nm@1ms", "--in-process"]];
     side_by_side(faults, |fault: &[&str]| {
         // It is over when those who are left have given up.
-        let said = Bench::new().run(fault);
+        let said = Bench::that_waits(2).run(fault);
         assert_eq!(said.code, Some(1), "{said:?}");
         assert!(said.err.contains(" aborted: no"), "{said:?}");
         assert!(said.out.contains("false releases: 0"), "{said:?}");
@@ -238,7 +249,8 @@ fn robots_that_reach_each_other_through_a_third_node_are_relayed() {
 fn placed(bench: &Bench, host: Option<&str>) -> String {
     let (own, [a, b]) = own_address();
     let host = host.map_or_else(|| own.to_string(), str::to_owned);
-    let text = RELAYED
+    let text = std::fs::read_to_string(bench.cell()).expect("the cell");
+    let text = text
         .replace(
             "node na;  node nb;  node nm;",
             &format!("node na at \"{host}\" port {a}; node nb at \"{own}\" port {b};"),
@@ -251,7 +263,8 @@ fn placed(bench: &Bench, host: Option<&str>) -> String {
 
 #[test]
 fn nodes_started_one_by_one_meet_at_their_declared_addresses_and_again_in_their_next_lives() {
-    let bench = Bench::new();
+    // In its next life a node waits as long as something said in the one before may be under way.
+    let bench = Bench::that_waits(8);
     let cell = placed(&bench, None);
     let start = |node: &str| {
         let args = ["run", &cell, "--node", node, "--for", "10m", "--format", "json"];
@@ -316,19 +329,31 @@ fn nodes_are_watched_over_tcp() {
     let started = nodes.json();
     let endpoint = format!("tcp:{}", started["started"][1]["observe"].as_str().expect("an address"));
     let once = ["monitor", "--connect", &endpoint, "--once", "--format", "json"];
-    let seen = run_in(dir.path(), &[&once[..], &["--token", token]].concat());
-    let denied = run_in(dir.path(), &once);
-    let wrong = run_in(dir.path(), &[&once[..], &["--token", other.to_str().expect("UTF-8")]].concat());
+    let all = started["started"].as_array().expect("nodes").len();
+    let with_token = [&once[..], &["--token", token]].concat();
+    look_until(dir.path(), &with_token, "the whole cell is seen", |seen| {
+        assert!(matches!(seen.code, Some(0 | 1 | 3)), "{seen:?}");
+        let names = seen.out.lines().last().map_or(Vec::new(), names_of_nodes);
+        names.len() == all && ["nl", "nr"].iter().all(|name| names.iter().any(|seen| seen == name))
+    });
+    let is_denied = |why: &'static str| {
+        move |said: &Said| {
+            assert_eq!(said.code, Some(3), "{said:?}");
+            said.err.contains(why)
+        }
+    };
+    look_until(dir.path(), &once, "a token is asked for", is_denied("asks for a token"));
+    let with_other = [&once[..], &["--token", other.to_str().expect("UTF-8")]].concat();
+    look_until(dir.path(), &with_other, "the token is wrong", is_denied("another token"));
     nodes.interrupt();
     nodes.finish();
-    let seen_json = seen.last_json();
-    let nodes = seen_json["nodes"].as_array().expect("nodes");
-    let names: Vec<_> = nodes.iter().map(|node| node["name"].as_str().expect("a name")).collect();
-    let all = started["started"].as_array().expect("nodes");
-    assert_eq!(names.len(), all.len(), "{seen:?}");
-    assert!(names.contains(&"nl") && names.contains(&"nr"), "{names:?}");
-    assert!(denied.code == Some(3) && denied.err.contains("asks for a token"), "{denied:?}");
-    assert!(wrong.code == Some(3) && wrong.err.contains("another token"), "{wrong:?}");
+}
+
+/// The nodes of a sample.
+fn names_of_nodes(sample: &str) -> Vec<String> {
+    let sample: Value = serde_json::from_str(sample).expect("JSON");
+    let nodes = sample["nodes"].as_array().expect("nodes").iter();
+    nodes.map(|node| node["name"].as_str().expect("a name").to_owned()).collect()
 }
 
 /// A thread of a process, as the kernel shows it.
@@ -394,8 +419,9 @@ fn real_time_is_had_or_refused_with_what_to_do() {
         });
         let threads = all;
         let works = || threads.iter().filter(|thread| !thread.looks);
-        let seen = run_in(bench.0.path(), &["monitor", "--once", "--format", "json"]);
-        let seen = seen.last_json();
+        let once = ["monitor", "--once", "--format", "json"];
+        let seen =
+            look_until(bench.0.path(), &once, "a node is seen", |seen| seen.code != Some(3)).last_json();
         nodes.interrupt();
         let said = nodes.finish();
         let (summary, said) = (said.last_json(), said.err);

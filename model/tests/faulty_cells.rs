@@ -10,6 +10,7 @@
 //! ```
 
 use crate::cells::{Text, is_alike, within};
+use crate::guard::number;
 use imrs_model::cell::{
     CellFaults, Finding, Kind, Note, Phase, Simulator, Verdicts, check_cell, drawn, scenes, svg,
 };
@@ -248,13 +249,13 @@ const NOT_AT_RANDOM: [(&str, Kind); 3] = [
     ("statement_after_the_last_recipe.cell", Kind::Unreached),
 ];
 
-/// A cell that the search refuses is run all the same.
+/// A cell that the search refuses is run all the same. `IMRS_SEEDS` says how many runs of each: 300 in `.ci/long`.
 #[test]
 fn random_runs_show_what_the_search_finds_and_nothing_else() {
     let mut missed = Vec::new();
     for Checked { name, cell, verdicts, .. } in CHECKED.iter() {
         let simulator = Simulator::new(&Arc::new(cell.plan.clone()), 2_000).expect("small enough");
-        let all = simulator.seeds((1, 300), None, &mut |_, _| ());
+        let all = simulator.seeds((1, number("IMRS_SEEDS", 150)), None, &mut |_, _| ());
         for found in &all.found {
             let what = || format!("{name}: {}: {:?}", found.finding.cause, found.schedule);
             assert!(verdicts.findings.iter().any(|other| is_alike(other, &found.finding)), "{}", what());

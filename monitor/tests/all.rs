@@ -1,6 +1,8 @@
 //! The tests of the monitor, one program: each file beside this one is a module of it, but for `history_memory.rs`.
 
 mod common;
+#[path = "../../protocol/tests/allocations.rs"]
+mod counting;
 mod export;
 mod history;
 mod hostile;
@@ -12,3 +14,5 @@ mod replay;
 mod screens;
 mod steer;
 mod waits;
+
+use counting::allocations;

@@ -20,7 +20,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 /// Far longer than anything here takes, however busy the machine is.
-const LIMIT: Duration = Duration::from_secs(20);
+const LIMIT: Duration = Duration::from_secs(120);
 
 fn base() -> (tempfile::TempDir, PathBuf) {
     let temp = tempfile::tempdir().unwrap();
@@ -148,9 +148,8 @@ fn a_dead_node_is_shown_dead_and_comes_back_after_a_restart() {
         }
     });
     let (mut watch, clock) = watch(&base);
-    until(&mut watch, "death", |w| {
-        w.store().lives().first().is_some_and(|l| l.presence(clock.now()).is_gone())
-    });
+    // It may be back before it is looked at; that it was dead is written down.
+    until(&mut watch, "death", |w| !w.store().journal().lines(false, "dead").is_empty());
     until(&mut watch, "return", |w| w.store().lives()[0].presence(clock.now()) == Presence::Up);
     // It is shown from its first frame on; it counts its life when the greeting is over.
     until(&mut watch, "its second life", |_| lives.load(Ordering::Relaxed) == 2);
@@ -242,6 +241,18 @@ fn a_socket_that_a_killed_node_left_is_removed_and_remembered() {
     assert!(text.contains("node nh: DEAD") && text.contains("node nr: not seen here"), "{text}");
 }
 
+/// Looks again and again until what is printed is so: on a busy machine a node may not show itself as long as one look waits.
+fn printed(options: &Options, is_so: impl Fn(&str) -> bool) -> (Verdict, String) {
+    let end = Instant::now() + LIMIT;
+    loop {
+        let (verdict, out) = print(options);
+        match verdict {
+            Ok(verdict) if is_so(&out) => return (verdict, out),
+            other => assert!(Instant::now() < end, "{other:?}: {out}"),
+        }
+    }
+}
+
 fn print(options: &Options) -> (Result<Verdict, imrs_monitor::MonitorError>, String) {
     let mut out = Vec::new();
     let verdict = imrs_monitor::print(options, &mut out);
@@ -253,8 +264,8 @@ fn one_sample_as_json_keeps_its_contract() {
     let (_temp, base) = base();
     serve(&base, 0..3);
     let options = Options { base: Some(base), once: true, format: Format::Json, ..Options::default() };
-    let (verdict, out) = print(&options);
-    assert_eq!(verdict.unwrap(), Verdict::Healthy);
+    let (verdict, out) = printed(&options, |out| out.matches("\"up\":true").count() == 3);
+    assert_eq!(verdict, Verdict::Healthy);
     assert_eq!(out.matches('\n').count(), 1);
     let json: serde_json::Value = serde_json::from_str(&out).unwrap();
     assert_eq!(json["version"], 1);
@@ -304,8 +315,8 @@ fn one_sample_as_text_has_no_escapes_and_names_who_is_missing() {
     let (_temp, base) = base();
     serve(&base, 0..2);
     let options = Options { base: Some(base), once: true, ..Options::default() };
-    let (verdict, out) = print(&options);
-    assert_eq!(verdict.unwrap(), Verdict::Healthy);
+    let (verdict, out) = printed(&options, |out| out.matches(": up").count() == 2);
+    assert_eq!(verdict, Verdict::Healthy);
     assert!(!out.contains('\u{1b}'));
     assert!(out.contains("waitfor lift r12: 2 of 3 arrived"), "{out}");
     assert!(out.contains("missing hoist@nh (never seen)"), "{out}");
@@ -334,11 +345,11 @@ fn a_stopped_node_does_not_hold_up_a_sample_of_the_others() {
     let (send, done) = mpsc::channel();
     thread::spawn(move || {
         let options = Options { base: Some(base), once: true, ..Options::default() };
-        send.send(print(&options)).unwrap();
+        let is_so = |out: &str| out.contains("node nl: up") && out.contains("cannot attach: unix:");
+        send.send(printed(&options, is_so)).unwrap();
     });
     let (verdict, out) = done.recv_timeout(LIMIT).expect("it hangs");
-    assert_eq!(verdict.unwrap(), Verdict::Healthy);
-    assert!(out.contains("node nl: up") && out.contains("cannot attach: unix:"), "{out}");
+    assert_eq!(verdict, Verdict::Healthy, "{out}");
 }
 
 #[test]
@@ -354,9 +365,9 @@ fn names_of_the_wire_are_printed_escaped_and_kept_in_json() {
         thread::sleep(LIMIT);
     });
     let options = |format| Options { base: Some(base.clone()), once: true, format, ..Options::default() };
-    let (_, text) = print(&options(Format::Text));
+    let (_, text) = printed(&options(Format::Text), |out| out.contains("arm"));
     assert!(text.contains("arm\\x1b]0;x\\x07\\u202e") && !text.contains('\u{1b}'), "{text}");
-    let (_, json) = print(&options(Format::Json));
+    let (_, json) = printed(&options(Format::Json), |out| out.contains("arm"));
     assert!(json.trim_end().chars().all(|c| !c.is_control() && c != '\u{202e}'), "{json}");
     let json: serde_json::Value = serde_json::from_str(&json).unwrap();
     assert_eq!(json["nodes"][0]["tasks"][0]["name"], "arm\u{1b}]0;x\u{7}\u{202e}");

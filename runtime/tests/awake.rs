@@ -1,16 +1,22 @@
 //! Threads that wait briefly do not sleep where they have cores to themselves, and do where they have not (D110). Alone,
 //! because the runtime counts by process which tasks run.
+//!
+//! Nothing here is measured: who may look does so for longer than any test takes, and who may not is answered only when it sleeps.
 
 use crate::alone;
 use crate::common::{LONG, LONG_TICKS, ask, cell, finish, one_node, report, table};
 use imrs_protocol::Ticks;
-use rustix::thread::{CpuSet, sched_getaffinity, sched_setaffinity};
-use std::time::Duration;
+use rustix::thread::{CpuSet, Pid, gettid, sched_getaffinity, sched_setaffinity};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicI32, Ordering};
+use std::thread;
+use std::time::{Duration, Instant};
 
-const TRIPS: u32 = 400;
-/// How many series may go by that the machine spoils: the kernel lets the answering thread run before the asking one has to
-/// wait, or keeps it from running for longer than anybody looks.
-const SERIES: usize = 20;
+/// After so many round trips it is known that waits are brief.
+const WARM_UP: u32 = 80;
+const TRIPS: u32 = 120;
+/// A budget that nothing exhausts.
+const ENDLESS: Duration = Duration::from_secs(3_600);
 
 /// How often the calling thread went to sleep so far.
 fn sleeps() -> u64 {
@@ -23,16 +29,44 @@ fn bind(cores: &CpuSet) {
     sched_setaffinity(None, cores).expect("cores that the process may use");
 }
 
-/// How often the asking task slept for so many round trips with an answering one. The threads may use these cores.
-fn sleeps_of_asking(cores: [CpuSet; 2], spin: Duration) -> u64 {
+/// Waits until a thread of this process sleeps.
+fn sleeps_at_last(thread: i32) {
+    let begin = Instant::now();
+    let is_asleep = || {
+        let stat = std::fs::read_to_string(format!("/proc/self/task/{thread}/stat")).expect("a thread");
+        stat.rsplit_once(") ").is_some_and(|(_, state)| state.starts_with('S'))
+    };
+    while !is_asleep() {
+        assert!(begin.elapsed() < LONG, "it looks though it must not");
+        thread::sleep(Duration::from_micros(100));
+    }
+}
+
+/// How a round trip is answered.
+#[derive(Clone, Copy, PartialEq)]
+enum Answer {
+    AtOnce,
+    /// When the one who asks sleeps.
+    Asleep,
+}
+
+/// How often the asking task slept in the last round trips with an answering one. The threads may use these cores.
+fn sleeps_of_asking(cores: [CpuSet; 2], spin: Duration, answer: Answer) -> u64 {
     let mut cell = cell(&[0, 0], Ticks(0));
-    cell.port(ask(LONG_TICKS));
-    let (tell, told) = report();
+    cell.port(ask(Ticks(10 * LONG_TICKS.0)));
+    let ((tell, told), (begin, begins)) = (report(), report());
+    let asking = Arc::new(AtomicI32::new(0));
+    let asks = Arc::clone(&asking);
     let node = one_node(&table(cell))
         .spin(spin)
         .task("a", move |ctx| {
             bind(&cores[0]);
+            asks.store(Pid::as_raw(Some(gettid())), Ordering::Release);
             let ask = ctx.port("ask")?;
+            begins.recv_timeout(LONG).expect("b begins");
+            for _ in 0..WARM_UP {
+                assert!(ctx.send(ask, b"?")?.reply().is_some());
+            }
             let before = sleeps();
             for _ in 0..TRIPS {
                 assert!(ctx.send(ask, b"?")?.reply().is_some());
@@ -42,16 +76,23 @@ fn sleeps_of_asking(cores: [CpuSet; 2], spin: Duration) -> u64 {
         })
         .task("b", move |ctx| {
             bind(&cores[1]);
-            for _ in 0..TRIPS {
+            // With its first wait the runtime learns which cores it may use.
+            assert_eq!(ctx.receive(None, Some(Duration::from_millis(1)))?, None);
+            begin.send(()).expect("a waits");
+            for _ in 0..WARM_UP + TRIPS {
                 let question = ctx.receive(None, None)?.expect("only a message ends it");
+                if answer == Answer::Asleep {
+                    sleeps_at_last(asking.load(Ordering::Acquire));
+                }
                 ctx.reply(&question.from, b"!")?;
             }
             Ok(())
         })
         .start()
         .unwrap();
-    let slept = told.recv_timeout(LONG).expect("all are answered");
+    let slept = told.recv_timeout(10 * LONG).expect("all are answered");
     finish(node);
+    println!("{slept} sleeps for {TRIPS} round trips, with a budget of {spin:?}");
     slept
 }
 
@@ -65,28 +106,19 @@ fn who_has_a_core_to_itself_looks_and_who_has_not_sleeps() {
         set
     });
     let first = own.next().expect("it runs somewhere");
-    // Longer than a thread has to wait for its turn on a busy machine.
-    let patient = Duration::from_millis(200);
-    // How often it slept in the first series that is as wanted.
-    let series = |cores, spin, is_wanted: &dyn Fn(u64) -> bool| {
-        let mut series = (0..SERIES).map(|_| sleeps_of_asking(cores, spin));
-        let sleeps = series.find(|&sleeps| is_wanted(sleeps));
-        println!("{sleeps:?} sleeps for {TRIPS} round trips, with a budget of {spin:?}");
-        sleeps.is_some()
-    };
     let trips = u64::from(TRIPS);
-    // Where both are on one core, whoever waits lets the other one run: a wait is no shorter by looking. One that looked would
-    // hardly ever sleep.
-    let often = |sleeps| sleeps > trips / 4;
-    assert!(series([first, first], Duration::ZERO, &often), "it looks though it must not");
-    assert!(series([first, first], patient, &often), "it looks though both are on one core");
+    // Where both are on one core, whoever waits lets the other one run: a wait is no shorter by looking.
+    for spin in [Duration::ZERO, ENDLESS] {
+        let slept = sleeps_of_asking([first, first], spin, Answer::Asleep);
+        assert!(slept >= trips / 2, "{slept} sleeps");
+    }
     if let Some(second) = own.next() {
         let both = [first, second];
-        assert!(series(both, patient, &|sleeps| sleeps < trips / 10), "it sleeps on a core of its own");
-        assert!(series(both, Duration::ZERO, &often), "it looks though it must not");
-        assert!(
-            series([all, all], patient, &|sleeps| sleeps < trips / 2),
-            "it sleeps with two cores for two"
-        );
+        let slept = sleeps_of_asking(both, Duration::ZERO, Answer::Asleep);
+        assert!(slept >= trips / 2, "{slept} sleeps");
+        for cores in [both, [all, all]] {
+            let slept = sleeps_of_asking(cores, ENDLESS, Answer::AtOnce);
+            assert!(slept < trips / 10, "it sleeps on a core of its own: {slept} times");
+        }
     }
 }

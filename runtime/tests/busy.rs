@@ -1,13 +1,12 @@
 //! What comes to a task whose thread runs is left to it until it next comes in (D130): it is served in the same order, its life
 //! goes on ending, and who looks from outside sees it.
 
-use crate::common::{A, B, LONG, LONG_TICKS, cell, finish, one_node, table};
+use crate::common::{A, B, LONG, LONG_TICKS, cell, finish, one_node, report, table};
 use imrs_protocol::{PortDecl, PortId, Reason, Target, Ticks, Usage};
-use imrs_runtime::{Context, TaskError};
-use std::sync::atomic::{AtomicBool, Ordering};
+use imrs_runtime::{Context, TaskEnd, TaskError};
 use std::sync::{Arc, Barrier};
 use std::thread;
-use std::time::{Duration, Instant};
+use std::time::Duration;
 
 const NEWS: PortId = PortId(0);
 const URGENT: PortId = PortId(1);
@@ -106,51 +105,32 @@ fn whoever_looks_sees_what_was_left() {
     finish(node);
 }
 
-/// How often the task is told something while it spins. A machine with others to run may keep it from running just then; not
-/// each time.
-const ATTEMPTS: u8 = 20;
-
+/// The delay is far longer than any machine takes; the end of the node ends it.
 #[test]
 fn a_handler_interrupts_a_delay_that_is_spun_for() {
-    const LENGTH: Duration = Duration::from_millis(300);
-    let begins = Arc::new(Barrier::new(2));
-    let it_runs = Arc::clone(&begins);
-    let interrupted = Arc::new(AtomicBool::new(false));
-    let is_over = Arc::clone(&interrupted);
+    let length = 10 * LONG;
+    let (begins, it_begins) = report();
+    let (handles, handled) = report();
     let node = one_node(&two_ports())
-        .spin_tail(LONG)
+        .spin_tail(2 * length)
         .task("a", move |ctx| {
-            for attempt in 0..=ATTEMPTS {
-                it_runs.wait();
-                if is_over.load(Ordering::Relaxed) {
-                    return Ok(());
-                }
-                // Then it spins.
-                thread::sleep(LENGTH / 6);
-                let _copies = ctx.send(NEWS, &[attempt])?;
-            }
-            Ok(())
+            it_begins.recv_timeout(LONG).expect("b begins");
+            // Then it spins, as likely as not.
+            thread::sleep(Duration::from_millis(50));
+            ctx.send(NEWS, b"!").map(|_copies| ())
         })
-        .task_with("b", None, move |ctx: &mut Context<Option<(u8, Instant)>>| {
-            ctx.on_message(NEWS, |ctx, message| {
-                ctx.state = Some((message.contents.as_bytes()[0], Instant::now()));
+        .task_with("b", (), move |ctx: &mut Context<()>| {
+            ctx.on_message(NEWS, move |_, _| {
+                handles.send(()).expect("the test listens");
                 Ok(())
             })?;
-            for attempt in 0..ATTEMPTS {
-                begins.wait();
-                let from = Instant::now();
-                ctx.delay(LENGTH)?;
-                // Not one that came too late for the delay before.
-                let is_early = |(of, handled): (u8, Instant)| of == attempt && handled - from < LENGTH;
-                if ctx.state.take().is_some_and(is_early) {
-                    interrupted.store(true, Ordering::Relaxed);
-                    begins.wait();
-                    return Ok(());
-                }
-            }
-            panic!("no handler ran before its delay was over");
+            begins.send(()).expect("a waits");
+            assert_eq!(ctx.delay(length), Err(TaskError::Stopped), "the delay goes on");
+            Ok(())
         })
         .start()
         .unwrap();
-    finish(node);
+    handled.recv_timeout(LONG).expect("a handler runs before the delay is over");
+    let ends = node.stop(LONG);
+    assert!(ends.iter().all(|(_, end)| *end == TaskEnd::Returned), "{ends:?}");
 }

@@ -2,14 +2,16 @@
 //! threads of another test would be counted, too.
 
 use crate::alone;
-use crate::common::udp::{builders, links};
+use crate::common::udp::{builders, links, udp_links};
 use crate::common::{A, B, C, LONG, LONG_TICKS, ask, cell, finish, report, table};
 use imrs_protocol::script::{End, ProgramBuilder};
-use imrs_protocol::{CellTable, PortDecl, PortId, Target, Ticks, Usage};
-use imrs_runtime::link::udp::UdpCount;
-use imrs_runtime::{AsyncContext, Builder, Context, Sent, TaskEnd, TaskError};
+use imrs_protocol::{CellTable, Incarnation, NodeId, Packet, PortDecl, PortId, Target, Ticks, Usage};
+use imrs_runtime::link::udp::{UdpCount, UdpLink};
+use imrs_runtime::link::{Came, Leading, Link, LinkBusy, PollEnd, Sink};
+use imrs_runtime::{AsyncContext, Builder, Context, Runtime, Sent, TaskEnd, TaskError};
+use rustix::thread::{Pid, gettid};
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicI32, AtomicU64, Ordering};
 use std::time::{Duration, Instant};
 
 fn sleeps_of(thread: &std::path::Path) -> u64 {
@@ -24,6 +26,94 @@ fn sleeps_of_receivers() -> u64 {
     let named = |path: &std::path::Path| std::fs::read_to_string(path.join("comm")).unwrap_or_default();
     let receivers = threads.map(|t| t.path()).filter(|path| named(path).trim() == "imrs receive");
     receivers.map(|path| sleeps_of(&path)).sum()
+}
+
+/// A link that tells whether a thread waits in it.
+struct Watched {
+    link: UdpLink,
+    /// The thread that does; zero: none.
+    waits: AtomicI32,
+}
+
+impl Watched {
+    /// Waits until a thread that leads sleeps in the link: what comes from then on, it takes in.
+    fn is_led(&self) {
+        let begin = Instant::now();
+        let is_asleep = |thread: i32| {
+            let stat = std::fs::read_to_string(format!("/proc/self/task/{thread}/stat")).expect("a thread");
+            stat.rsplit_once(") ").is_some_and(|(_, state)| state.starts_with('S'))
+        };
+        loop {
+            let thread = self.waits.load(Ordering::Acquire);
+            if thread != 0 && is_asleep(thread) {
+                return;
+            }
+            assert!(begin.elapsed() < LONG, "nobody waits in the link");
+            std::thread::sleep(Duration::from_micros(100));
+        }
+    }
+}
+
+impl Link for Watched {
+    fn ready(&self, next: NodeId) -> bool {
+        self.link.ready(next)
+    }
+
+    fn send_at(&self, next: NodeId, packets: &[Packet], at: Instant) -> Result<usize, LinkBusy> {
+        self.link.send_at(next, packets, at)
+    }
+
+    fn poll(&self, sink: &dyn Sink, until: Option<Instant>) -> PollEnd {
+        self.link.poll(sink, until)
+    }
+
+    fn wake(&self) {
+        self.link.wake();
+    }
+
+    fn leading(&self) -> Option<&dyn Leading> {
+        Some(self)
+    }
+}
+
+impl Leading for Watched {
+    fn wait(&self, left: Option<Duration>) -> Came {
+        self.waits.store(Pid::as_raw(Some(gettid())), Ordering::Release);
+        let came = self.link.leading().expect("it leads").wait(left);
+        self.waits.store(0, Ordering::Release);
+        came
+    }
+
+    fn take_in(&self, sink: &dyn Sink) -> bool {
+        self.link.leading().expect("it leads").take_in(sink)
+    }
+
+    fn call(&self) {
+        self.link.leading().expect("it leads").call();
+    }
+}
+
+/// Two nodes of a task each, `a` that asks and `b` that answers, and their links.
+fn asking() -> ([Builder; 2], [Arc<Watched>; 2]) {
+    let mut cell = cell(&[0, 1], Ticks(1_000));
+    cell.port(ask(Ticks(10 * LONG_TICKS.0)));
+    let table = table(cell);
+    let links = udp_links(&table).map(|link| Arc::new(Watched { link, waits: AtomicI32::new(0) }));
+    let node = |(node, link): (u16, &Arc<Watched>)| {
+        let builder = Runtime::builder(Arc::clone(&table), NodeId(node)).incarnation(Incarnation(1), false);
+        builder.insecure(true).link(Arc::clone(link) as Arc<dyn Link>)
+    };
+    ([(0, &links[0]), (1, &links[1])].map(node), links)
+}
+
+/// Round trips in which each side speaks when the other one waits in its link. The first ones bring both there.
+const WARM_UP: u64 = 5;
+const TRIPS: u64 = 20;
+
+/// What woke the threads that receive for a node without waiting for anything themselves.
+fn nobody_else_was_woken(before: u64) {
+    let slept = sleeps_of_receivers() - before;
+    assert!(slept < TRIPS / 4, "the receiving threads slept {slept} times in {TRIPS} round trips");
 }
 
 fn nodes<const N: usize>(table: &Arc<CellTable>) -> [Builder; N] {
@@ -44,33 +134,29 @@ fn leaders() {
 }
 
 fn a_reply_wakes_one_thread() {
-    const TRIPS: u64 = 20;
-    const PAUSE: Duration = Duration::from_millis(2);
-    let mut cell = cell(&[0, 1], Ticks(1_000));
-    cell.port(ask(LONG_TICKS));
-    let [first, second] = nodes(&table(cell));
-    let first = first.task("a", |ctx| {
+    let ([first, second], [of_a, of_b]) = asking();
+    let first = first.task("a", move |ctx| {
         let ask = ctx.port("ask")?;
-        let mut fewest = u64::MAX;
-        // Where a task is stopped by others just before it waits, the receiving thread takes the datagram: not every
-        // time in each of so many series.
-        for _ in 0..50 {
-            let before = sleeps_of_receivers();
-            for _ in 0..TRIPS {
-                ctx.delay(PAUSE)?;
-                ctx.send(ask, b"?")?.reply().expect("nothing is lost");
+        let mut before = 0;
+        for trip in 0..WARM_UP + TRIPS {
+            if trip == WARM_UP {
+                before = sleeps_of_receivers();
             }
-            fewest = fewest.min(sleeps_of_receivers() - before);
-            if fewest < TRIPS / 2 {
-                return Ok(());
+            if trip >= WARM_UP {
+                of_b.is_led();
             }
+            ctx.send(ask, b"?")?.reply().expect("nothing is lost");
         }
-        panic!("the receiving threads slept {fewest} times in {TRIPS} round trips");
+        nobody_else_was_woken(before);
+        Ok(())
     });
-    let second = second.task("b", |ctx| {
+    let second = second.task("b", move |ctx| {
+        let mut trip = 0;
         while let Some(question) = ctx.receive(None, None)? {
-            // Until then `a` waits.
-            ctx.delay(PAUSE)?;
+            if trip >= WARM_UP {
+                of_a.is_led();
+            }
+            trip += 1;
             ctx.reply(&question.from, b"!")?;
         }
         Ok(())
@@ -82,31 +168,29 @@ fn a_reply_wakes_one_thread() {
 
 /// The thread of the futures leads while all of them wait, those of both nodes.
 fn a_reply_to_a_future_wakes_one_thread() {
-    const TRIPS: u64 = 20;
-    const PAUSE: Duration = Duration::from_millis(2);
-    let mut cell = cell(&[0, 1], Ticks(1_000));
-    cell.port(ask(LONG_TICKS));
-    let [first, second] = nodes(&table(cell));
+    let ([first, second], [of_a, of_b]) = asking();
     let first = first.async_task("a", |mut ctx: AsyncContext| async move {
         let ask = ctx.port("ask")?;
-        let mut fewest = u64::MAX;
-        // As above.
-        for _ in 0..50 {
-            let before = sleeps_of_receivers();
-            for _ in 0..TRIPS {
-                ctx.delay(PAUSE).await?;
-                ctx.send(ask, b"?").await?.reply().expect("nothing is lost");
+        let mut before = 0;
+        for trip in 0..WARM_UP + TRIPS {
+            if trip == WARM_UP {
+                before = sleeps_of_receivers();
             }
-            fewest = fewest.min(sleeps_of_receivers() - before);
-            if fewest < TRIPS / 2 {
-                return Ok(());
+            if trip >= WARM_UP {
+                of_b.is_led();
             }
+            ctx.send(ask, b"?").await?.reply().expect("nothing is lost");
         }
-        panic!("the receiving threads slept {fewest} times in {TRIPS} round trips");
+        nobody_else_was_woken(before);
+        Ok(())
     });
     let second = second.async_task("b", |mut ctx: AsyncContext| async move {
+        let mut trip = 0;
         while let Some(question) = ctx.receive(None, None).await? {
-            ctx.delay(PAUSE).await?;
+            if trip >= WARM_UP {
+                of_a.is_led();
+            }
+            trip += 1;
             ctx.reply(&question.from, b"!")?;
         }
         Ok(())

@@ -134,7 +134,7 @@ fn a_crash_is_the_tasks_own_and_shown() {
 fn a_restart_while_a_command_waits_is_told_to_its_sender() {
     let mut cell = cell(&[0, 1], Ticks(1_000));
     cell.port(ask(LONG_TICKS));
-    cell.port(PortDecl::new("alive", B, Usage::Send, &[A], Ticks(1_000_000)));
+    cell.port(PortDecl::new("alive", B, Usage::Send, &[A], LONG_TICKS));
     let table = table(cell);
     let network = network(&table, Faults::default());
     let asker = on(&network, &table, 0).task("a", |ctx| {
@@ -175,7 +175,7 @@ fn a_restart_while_a_command_waits_is_told_to_its_sender() {
 fn first_contact(restarted: bool, time_out: Ticks) -> Outcome {
     let mut cell = cell(&[0, 1], Ticks(1_000));
     cell.port(ask(time_out));
-    cell.port(PortDecl::new("alive", B, Usage::Send, &[A], Ticks(1_000_000)));
+    cell.port(PortDecl::new("alive", B, Usage::Send, &[A], LONG_TICKS));
     let table = table(cell);
     let network = network(&table, Faults::default());
     let (tell, told) = report();

@@ -19,18 +19,25 @@ struct Disk(Arc<(Mutex<Platter>, Condvar)>);
 
 struct Platter {
     held: bool,
+    /// Whether a write waits, or has waited.
+    stuck: bool,
     size: usize,
     bytes: Vec<u8>,
 }
 
 impl Disk {
     fn of(size: usize) -> Self {
-        Self(Arc::new((Mutex::new(Platter { held: false, size, bytes: Vec::new() }), Condvar::new())))
+        let platter = Platter { held: false, stuck: false, size, bytes: Vec::new() };
+        Self(Arc::new((Mutex::new(platter), Condvar::new())))
     }
 
     fn hold(&self, held: bool) {
         self.0.0.lock().unwrap().held = held;
         self.0.1.notify_all();
+    }
+
+    fn is_stuck(&self) -> bool {
+        self.0.0.lock().unwrap().stuck
     }
 
     fn records(&self) -> Vec<Record> {
@@ -41,7 +48,11 @@ impl Disk {
 
 impl Write for Disk {
     fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
-        let mut platter = self.0.1.wait_while(self.0.0.lock().unwrap(), |platter| platter.held).unwrap();
+        let waits = |platter: &mut Platter| {
+            platter.stuck |= platter.held;
+            platter.held
+        };
+        let mut platter = self.0.1.wait_while(self.0.0.lock().unwrap(), waits).unwrap();
         let taken = bytes.len().min(platter.size - platter.bytes.len());
         platter.bytes.extend_from_slice(&bytes[..taken]);
         if taken == 0 { Err(ErrorKind::StorageFull.into()) } else { Ok(taken) }
@@ -300,14 +311,14 @@ fn a_keyframe_is_wanted_once_the_disk_keeps_up_again_and_nothing_is_recorded_bef
     let (recorder, here) = recorder(&disk, no_failure);
     let (mut stream, mut other) = (log(&recorder, A), log(&recorder, B));
     disk.hold(true);
-    // The writer takes some more with it into its wait.
+    // The writer takes some with it into its wait. From then on it makes no room.
     let mut taken = 0;
     wait_for("the disk to be stuck", || {
-        let more = if stream.wants_keyframe() { 0 } else { fill(&recorder, stream.as_mut()) };
-        taken += more;
-        std::thread::sleep(std::time::Duration::from_millis(20));
-        !stream.wants_keyframe()
+        assert!(!stream.step(&TICK, OutputDigest(0)), "there is room for all of these");
+        taken += 1;
+        disk.is_stuck()
     });
+    taken += fill(&recorder, stream.as_mut());
     assert!(!stream.step(&TICK, OutputDigest(0)), "there is no room: it would be lost as well");
     // Another task has room of its own.
     let lost = recorder.status().expect("it runs").lost;

@@ -5,13 +5,13 @@ mod scene;
 mod starved;
 mod told;
 
-use crate::support::{bound, excused, own_address, side_by_side, signal};
+use crate::support::live::{Seen, figure};
+use crate::support::{bound, own_address, side_by_side, signal};
 use rustix::process::Signal;
 use scene::Scene;
 use serde_json::Value;
 use std::collections::BTreeSet;
 use std::net::UdpSocket;
-use std::thread;
 use std::time::{Duration, Instant};
 
 /// Three tasks that meet, ask and tell each other, with so much time for everything that none of it runs out.
@@ -84,14 +84,18 @@ fn a_killed_node_is_dead_and_those_who_wait_for_it_are_told() {
 
 #[test]
 fn a_node_that_comes_back_is_no_fault_any_more() {
-    let mut scene = Scene::start(WATCHED, &["--kill", "nb@2s", "--restart", "nb@4s"]);
-    let since = scene.started + Duration::from_secs(2);
-    // A monitor that comes later sees nobody die.
-    if Instant::now() < since {
-        scene.raises(since, "node-dead", &["rendezvous-lost-member", "time-outs", "link-discards"]);
-    } else {
-        excused("the monitor came after the death");
-    }
+    let (host, ports) = own_address::<3>();
+    let text = ["na", "nb", "nc"].iter().zip(ports).fold(WATCHED.to_owned(), |text, (node, port)| {
+        text.replacen(&format!("node {node};"), &format!("node {node} at \"{host}\" port {port};"), 1)
+    });
+    let mut scene =
+        Scene::of(&[(&text, &["--node", "nb"]), (&text, &["--node", "nc"]), (&text, &["--node", "na"])]);
+    // The first ones may speak before the last one is there.
+    scene.is_over("it is a fault that others come later", BTreeSet::is_empty);
+    let since = scene.kill("nb");
+    // It stays dead until it was seen.
+    scene.raises(since, "node-dead", &["rendezvous-lost-member", "time-outs", "link-discards"]);
+    scene.start_node(&text, "nb");
     scene.is_over("it is a fault", BTreeSet::is_empty);
     scene.is_calm_for(Duration::from_secs(1));
 }
@@ -193,12 +197,12 @@ end b;
 fn a_rendezvous_whose_patience_ends_is_stuck() {
     let text = two_nodes!(
         "task a on na
-  port meet()  usage = waitfor  user_list = {b}  time_out = 8 sec  class = 2  retry = 4  resend = 200 msec;
+  port meet()  usage = waitfor  user_list = {b}  time_out = 12 sec  class = 2  retry = 4  resend = 200 msec;
 begin
   waitfor meet() on time_out do skip; end;
 end a;
 task b on nb
-  use_port meet()  usage = waitfor  time_out = 8 sec;
+  use_port meet()  usage = waitfor  time_out = 12 sec;
 begin
   run dig takes 60 sec;
   waitfor meet() on time_out do skip; end;
@@ -206,8 +210,9 @@ end b;
 "
     );
     let mut scene = Scene::start(text, &[]);
-    let since = scene.started + Duration::from_secs(6);
-    scene.raises(since, "rendezvous-stuck", &["time-outs"]);
+    // A quarter of its patience is left.
+    let since = scene.started + Duration::from_secs(9);
+    scene.raises_before(since, "rendezvous-stuck", "time-outs", "na");
 }
 
 #[test]
@@ -404,7 +409,12 @@ end b;
     let mut scene = Scene::start(text, &[]);
     let monitor = scene.monitor.pid();
     signal(monitor, Signal::STOP);
-    thread::sleep(Duration::from_secs(4));
+    // More than fits anywhere between the two.
+    let mut other = Seen::by_monitor(scene.dir());
+    let sent = |seen: &Value| figure(seen, "a", "news", "sent");
+    let before = sent(&other.until("it is seen", |seen| sent(seen) > 0));
+    other.until("many more are sent", |seen| sent(seen) > before + 150_000);
+    drop(other);
     signal(monitor, Signal::CONT);
     let since = Instant::now();
     // It cannot say how old the last word of the node is before it has read on.

@@ -4,16 +4,18 @@ use super::starved::Starved;
 use crate::support::live::{Live, Node};
 use crate::support::program::Program;
 use crate::support::stub::Stub;
-use crate::support::{excused, imrs, is_quiet, runtime_dir};
+use crate::support::{PATIENCE, excused, imrs, is_quiet, runtime_dir, signal};
+use rustix::process::Signal;
 use serde_json::Value;
 use std::collections::BTreeSet;
+use std::path::Path;
 use std::time::{Duration, Instant};
 use tempfile::TempDir;
 
 /// What is promised of a machine that is quiet; asserted where `IMRS_QUIET=1` says that this one is.
 const GOAL: Duration = Duration::from_secs(2);
 /// No fault takes longer to be seen, however busy the machine is.
-pub const LONG: Duration = Duration::from_secs(60);
+pub const LONG: Duration = PATIENCE;
 /// How often the monitor prints.
 const EVERY: &str = "100ms";
 /// How long after its lint nothing unrelated may follow.
@@ -83,6 +85,29 @@ impl Scene {
         Self::seen(dir, cells, started, all)
     }
 
+    /// The node of that name, which runs by itself, is killed. Returns when.
+    pub fn kill(&mut self, name: &str) -> Instant {
+        let at = self.place(name);
+        signal(self.node(name).pid, Signal::KILL);
+        let killed = Instant::now();
+        let (_, code, errors) = self.cells.remove(at).finish();
+        assert_eq!(code, Some(1), "{errors}");
+        killed
+    }
+
+    /// A node runs by itself from now on, in its next life if it did before.
+    pub fn start_node(&mut self, text: &str, name: &str) {
+        let file = self.dir.path().join("again.cell");
+        std::fs::write(&file, text).expect("the cell is written");
+        let args = ["run", file.to_str().expect("UTF-8"), "--for", "10m", "--node", name];
+        self.cells.push(Live::start(self.dir.path(), &args));
+    }
+
+    fn place(&self, name: &str) -> usize {
+        let has = |cell: &Live| cell.nodes.iter().any(|node| node.name == name);
+        self.cells.iter().position(has).expect("a node of the cell")
+    }
+
     /// A node in this folder that is none.
     pub fn watching(dir: TempDir, stub: &Stub) -> Self {
         let mut scene = Self::seen(dir, Vec::new(), Instant::now(), 1);
@@ -101,6 +126,11 @@ impl Scene {
             assert!(Instant::now() < end, "the nodes never showed themselves");
         }
         scene
+    }
+
+    /// The folder of the nodes and the monitor.
+    pub fn dir(&self) -> &Path {
+        self.dir.path()
     }
 
     pub fn node(&self, name: &str) -> &Node {

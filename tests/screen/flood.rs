@@ -2,7 +2,7 @@
 
 use super::terminal::{Terminal, tmux_is_here};
 use crate::support::stub::{Stub, Tells};
-use crate::support::{is_quiet, runtime_dir};
+use crate::support::{PATIENCE, is_quiet, runtime_dir, wait_until};
 use imrs_protocol::{
     Cell, CellTable, Event, Incarnation, Observation, PortDecl, PortId, TaskId, TaskState, TaskView, Ticks,
     Usage,
@@ -18,8 +18,8 @@ const EACH: u32 = 500;
 const EVERY: Duration = Duration::from_millis(10);
 /// What is promised of a machine that is quiet; asserted where `IMRS_QUIET=1` says that this one is.
 const GOAL: Duration = Duration::from_millis(50);
-/// However busy the machine is.
-const LONG: Duration = Duration::from_secs(5);
+/// How many events are told before the first key and after the last.
+const FLOOD: u32 = 10_000;
 
 fn node() -> (NodeIdentity, Table, Tells) {
     let mut cell = Cell::new("flood", Ticks(1_000));
@@ -79,8 +79,15 @@ fn keys_are_seen_at_once_while_a_node_tells_fifty_thousand_events_a_second() {
             Duration::ZERO
         })
     };
+    let more = |events: u32| {
+        let least = number.load(Ordering::Relaxed) + events;
+        wait_until("more events are told", || number.load(Ordering::Relaxed) >= least);
+    };
+    // Each key is seen while more and more is told: nothing ends the flood before.
+    more(FLOOD);
     let flooded = pressed(&terminal);
     terminal.press(&["4"], "[4 Time]");
+    more(FLOOD);
     ends.store(true, Ordering::Relaxed);
     let lasted = flood.join().expect("the flood");
     // The last one of them is on the screen that follows.
@@ -101,11 +108,18 @@ fn keys_are_seen_at_once_while_a_node_tells_fifty_thousand_events_a_second() {
         "the last event was on the screen {behind:?} after it, of which up to 50 ms are the node's period"
     );
     assert!(!is_quiet() || flooded[flooded.len() * 99 / 100] <= GOAL, "{flooded:?}");
-    assert!(flooded[flooded.len() / 2] < LONG && behind < LONG, "{flooded:?}, {behind:?}");
     terminal.leave();
 }
 
-/// M7: a screen that nothing happens on takes next to nothing of the processor.
+/// What is promised of a machine that is quiet, in percent of a core; asserted where `IMRS_QUIET=1` says that this one is.
+const IDLE_GOAL: f64 = 3.0;
+/// The same on any machine: what a frame costs depends on it. A loop that never sleeps takes several times as much.
+const IDLE_MOST: f64 = 25.0;
+/// No two frames come sooner after each other.
+const FRAME: Duration = Duration::from_millis(33);
+
+/// M7: a screen that nothing happens on takes next to nothing of the processor. On any machine it draws no more than thirty frames a
+/// second: a node that tells its state draws one.
 #[test]
 fn an_idle_screen_costs_next_to_nothing() {
     if !tmux_is_here() {
@@ -118,12 +132,27 @@ fn an_idle_screen_costs_next_to_nothing() {
     terminal.type_monitor("", "");
     terminal.wait_for("the overview", |screen| screen.contains("armL"));
     let pid = terminal.monitor_pid();
-    let (before, begins) = (worked(pid), Instant::now());
+    let (before, drawn, begins) = (worked(pid), writes(pid), Instant::now());
     thread::sleep(Duration::from_secs(3));
-    let part = (worked(pid) - before).as_secs_f64() / begins.elapsed().as_secs_f64() * 100.0;
-    println!("an idle screen takes {part:.1} % of a core; goal 3 %");
-    assert!(part <= 3.0, "{part} %");
+    let (worked, drawn) = (worked(pid) - before, writes(pid) - drawn);
+    let took = begins.elapsed();
+    let part = worked.as_secs_f64() / took.as_secs_f64() * 100.0;
+    println!(
+        "an idle screen takes {part:.1} % of a core and writes {drawn} times in {took:?}; goal {IDLE_GOAL} %"
+    );
+    let goal = if is_quiet() { IDLE_GOAL } else { IDLE_MOST };
+    assert!(part <= goal, "{part} % of a core");
+    // Each frame is one write. As many again, at most, give the node credit, ask for its clock and wake a thread.
+    let most = 2 * (1 + took.as_millis() / FRAME.as_millis());
+    assert!(u128::from(drawn) <= most, "{drawn} writes in {took:?}");
     terminal.leave();
+}
+
+/// How often a process has written something so far.
+fn writes(pid: u32) -> u64 {
+    let counts = std::fs::read_to_string(format!("/proc/{pid}/io")).expect("the process");
+    let count = counts.lines().find_map(|line| line.strip_prefix("syscw: ")).expect("counted");
+    count.parse().expect("a number")
 }
 
 /// The processor time that a process has had: a hundredth of a second is the least that the kernel tells.
@@ -143,7 +172,7 @@ fn pressed(terminal: &Terminal) -> Vec<Duration> {
             let begins = Instant::now();
             terminal.keys(&[key]);
             while !terminal.screen().contains(title) {
-                assert!(begins.elapsed() < LONG, "{title} never came");
+                assert!(begins.elapsed() < PATIENCE, "{title} never came");
             }
             begins.elapsed()
         })

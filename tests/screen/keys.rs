@@ -2,9 +2,9 @@
 
 use super::terminal::{Terminal, tmux_is_here, watched};
 use crate::support::live::Live;
-use crate::support::{run, run_in};
-use std::thread;
-use std::time::Duration;
+use crate::support::tape::frames;
+use crate::support::{run, run_in, wait_until};
+use imrs_wire::obs::ServerFrame;
 
 #[test]
 fn each_screen_opens_by_its_key() {
@@ -52,13 +52,12 @@ fn a_filter_a_mark_a_pause_and_a_theme_are_seen() {
     terminal.keys(&["Space"]);
     terminal.wait_for("the present", |s| s.contains("LIVE") && !s.contains("PAUSED"));
 
-    let styled = || terminal.tmux(&["capture-pane", "-p", "-e"]);
-    let first = styled();
-    for _ in 0..3 {
-        terminal.keys(&["t"]);
-        thread::sleep(Duration::from_millis(150));
-    }
-    assert_ne!(first, styled(), "no theme looks different");
+    // The fourth theme is the one without colours, and after the last comes the first.
+    assert!(terminal.has_colour());
+    terminal.keys(&["t", "t", "t"]);
+    terminal.wait_for("no colours", |_| !terminal.has_colour());
+    terminal.keys(&["t", "t", "t"]);
+    terminal.wait_for("the first theme again", |_| terminal.has_colour());
     terminal.leave();
 }
 
@@ -102,12 +101,20 @@ fn a_screen_is_written_as_text_and_a_recording_exported() {
 
     let before = files(".imrs");
     terminal.press(&["r"], " REC ");
-    thread::sleep(Duration::from_secs(1));
+    let recorded: Vec<String> = files(".imrs").into_iter().filter(|file| !before.contains(file)).collect();
+    let [recorded] = &recorded[..] else { panic!("{recorded:?}") };
+    wait_until("states of all nodes and events are recorded", || {
+        let has = |source, is_so: fn(&ServerFrame) -> bool| {
+            frames(recorded.as_ref()).iter().any(|(of, _, frame)| *of == source && is_so(frame))
+        };
+        let is_state =
+            |frame: &ServerFrame| matches!(frame, ServerFrame::Snapshot(_) | ServerFrame::Delta(_));
+        let is_event = |frame: &ServerFrame| matches!(frame, ServerFrame::Events(_));
+        (0..3).all(|source| has(source, is_state)) && (0..3).any(|source| has(source, is_event))
+    });
     terminal.keys(&["r"]);
     terminal.wait_for("the end of the recording", |screen| !screen.contains(" REC "));
     terminal.leave();
-    let recorded: Vec<String> = files(".imrs").into_iter().filter(|file| !before.contains(file)).collect();
-    let [recorded] = &recorded[..] else { panic!("{recorded:?}") };
     let replayed = run(&["monitor", "--replay", recorded, "--once", "--format", "json"]);
     assert_eq!(replayed.last_json()["nodes"].as_array().map(Vec::len), Some(3), "{replayed:?}");
     for (form, begin) in

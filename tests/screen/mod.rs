@@ -6,8 +6,11 @@ mod servers;
 mod terminal;
 
 use crate::support::live::Live;
-use crate::support::{finish, imrs, run, run_in, signal};
+use crate::support::program::Program;
+use crate::support::tape::frames;
+use crate::support::{imrs, is_well, look_until, run, signal, wait_until};
 use rustix::process::Signal;
+use std::path::Path;
 use std::thread;
 use std::time::{Duration, Instant};
 use terminal::{Terminal, tmux_is_here, watched};
@@ -76,10 +79,7 @@ fn without_colour_the_selection_is_still_seen() {
     let Some((_demo, terminal)) = watched("NO_COLOR=1") else { return };
     let plain = terminal.screen();
     assert!(plain.lines().any(|line| line.trim_start().starts_with('>')), "no selection:\n{plain}");
-    let styled = terminal.tmux(&["capture-pane", "-p", "-e"]);
-    for colour in ["\u{1b}[31m", "\u{1b}[32m", "\u{1b}[33m", "[38;"] {
-        assert!(!styled.contains(colour), "a colour in spite of NO_COLOR:\n{styled}");
-    }
+    assert!(!terminal.has_colour(), "a colour in spite of NO_COLOR:\n{plain}");
     terminal.keys(&["q"]);
     terminal.assert_restored();
 }
@@ -88,12 +88,15 @@ fn without_colour_the_selection_is_still_seen() {
 fn a_node_that_appears_later_is_found() {
     let Some((demo, terminal)) = watched("") else { return };
     // A second run of the same cell in the same folder: nodes of its own, with other processes.
-    let again = finish(imrs(demo.dir(), &["demo", "beam-lift", "--no-fault", "--for", "2s"]));
-    assert!(again.is_well(), "{again:?}");
+    let again = Live::start(demo.dir(), &["demo", "beam-lift", "--no-fault", "--for", "10m"]);
     let of_hoist = |screen: &str, states: &[&str]| {
         let rows = screen.lines().filter(|line| line.contains("nh (pid"));
         rows.filter(|row| states.iter().any(|state| row.contains(state))).count()
     };
+    terminal.wait_for("nodes that came", |screen| of_hoist(screen, &[" up "]) == 2);
+    again.interrupt();
+    let (_, code, errors) = again.finish();
+    assert!(is_well(code, &errors), "{code:?} {errors}");
     terminal.wait_for("nodes that came and went", |screen| {
         of_hoist(screen, &[" stopped ", " DEAD "]) == 1 && of_hoist(screen, &[" up "]) == 1
     });
@@ -119,7 +122,7 @@ fn what_the_screen_records_is_replayed_in_the_terminal() {
         screen.contains(" REC ") && screen.contains("3/3 nodes") && screen.contains("hoist")
     });
     // Long enough to have an end that is not its beginning.
-    thread::sleep(Duration::from_secs(1));
+    wait_until("a second is recorded", || recorded_length(&file) >= Duration::from_secs(1));
     terminal.keys(&["r"]);
     terminal.wait_for("the end of the recording", |screen| !screen.contains(" REC "));
     terminal.keys(&["q"]);
@@ -142,8 +145,24 @@ fn what_the_screen_records_is_replayed_in_the_terminal() {
 
     let headless = demo.dir().join("headless.imrs");
     let name = headless.to_str().expect("text");
-    let recorded = run_in(demo.dir(), &["monitor", "--record", name, "--for", "1s"]);
+    let recording = ["monitor", "--record", name];
+    look_until(demo.dir(), &[&recording[..], &["--for", "1s"]].concat(), "a node is seen", |said| {
+        said.code == Some(0) && said.out.contains("monitor --replay")
+    });
+    // Without an end of its own it lasts until it is told to end: here, until the hoist has said how it is.
+    std::fs::remove_file(&headless).expect("a recording");
+    let recorder = Program::start(imrs(demo.dir(), &recording));
+    wait_until("the hoist is up in it", || run(&["monitor", "--replay", name]).out.contains("node nh: up"));
+    recorder.interrupt();
+    let recorded = recorder.finish();
     assert!(recorded.code == Some(0) && recorded.out.contains("monitor --replay"), "{recorded:?}");
     let replayed = run(&["monitor", "--replay", name]);
-    assert!(replayed.code == Some(0) && replayed.out.contains("node nh: up"), "{replayed:?}");
+    assert!(replayed.out.contains("node nh: "), "{replayed:?}");
+}
+
+/// The time between the first and the last frame that stand in a recording which may still grow.
+fn recorded_length(file: &Path) -> Duration {
+    let all = frames(file);
+    let at = |frame: Option<&(u16, u64, _)>| frame.map_or(0, |(_, at, _)| *at);
+    Duration::from_micros(at(all.last()) - at(all.first()))
 }

@@ -59,6 +59,12 @@ impl Terminal {
         self.tmux(&["capture-pane", "-p"])
     }
 
+    /// Whether anything on the screen has a colour.
+    pub fn has_colour(&self) -> bool {
+        let styled = self.tmux(&["capture-pane", "-p", "-e"]);
+        ["\u{1b}[31m", "\u{1b}[32m", "\u{1b}[33m", "[38;"].iter().any(|colour| styled.contains(colour))
+    }
+
     pub fn keys(&self, keys: &[&str]) {
         self.tmux(&[&["send-keys"], keys].concat());
     }

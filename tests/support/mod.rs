@@ -152,6 +152,20 @@ pub fn run_in(dir: &Path, args: &[&str]) -> Said {
     recorded(dir, args, finish(imrs(dir, args)))
 }
 
+/// Runs a command that looks once, again and again, until what it says is so. On a busy machine a node may be silent for longer than
+/// one look waits.
+pub fn look_until(dir: &Path, args: &[&str], what: &str, is_so: impl Fn(&Said) -> bool) -> Said {
+    let mut said = run_in(dir, args);
+    wait_until(what, || {
+        let is_there = is_so(&said);
+        if !is_there {
+            said = run_in(dir, args);
+        }
+        is_there
+    });
+    said
+}
+
 /// Runs a cell until its lines are enough, or until it ends by itself. What it recorded of nodes replays.
 pub fn run_until(dir: &Path, args: &[&str], is_enough: impl FnMut(&str) -> bool) -> Said {
     let mut program = Program::start(imrs(dir, args));

@@ -1,6 +1,7 @@
-//! The recording of a node, in memory.
+//! The recording of a node, in memory; and what a monitor recorded.
 
-use imrs_wire::recording::{Header, Record, RecordingReader, RecordingWriter};
+use imrs_wire::obs::ServerFrame;
+use imrs_wire::recording::{Header, Record, RecordingReader, RecordingWriter, Shown};
 use std::fs::File;
 use std::io::BufReader;
 use std::path::Path;
@@ -26,6 +27,27 @@ impl Tape {
         self.records.iter().for_each(|record| writer.append(record).expect("written"));
         writer.flush().expect("written");
     }
+}
+
+/// Whether a recording, which may still grow, has when a script did something.
+pub fn has_begun(path: &Path) -> bool {
+    let reader = File::open(path).ok().and_then(|file| RecordingReader::new(BufReader::new(file)).ok());
+    let mut records = reader.into_iter().flatten().map_while(Result::ok);
+    records.any(|record| matches!(record, Record::Script { .. }))
+}
+
+/// What nodes said in the recording of a monitor, which may still grow: the source, the time in microseconds, and the frame.
+pub fn frames(path: &Path) -> Vec<(u16, u64, ServerFrame)> {
+    let reader = File::open(path).ok().and_then(|file| RecordingReader::new(BufReader::new(file)).ok());
+    let records = reader.into_iter().flatten().map_while(Result::ok);
+    let said = |record| match record {
+        Record::Frame { source, at, bytes } => match Shown::decode(&bytes) {
+            Ok(Shown::Said(frame)) => Some((source, at, frame)),
+            _ => None,
+        },
+        _ => None,
+    };
+    records.filter_map(said).collect()
 }
 
 /// Writes the recording `from` as `to`, changed.

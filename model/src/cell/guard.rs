@@ -204,8 +204,9 @@ impl<'a> Walk<'a> {
         if !self.looked_at()? {
             return self.end();
         }
+        let mut here = self.own.course.clone().store();
         for _ in 0..length {
-            let Ok(bytes) = self.own.course.clone().store() else { return self.end() };
+            let Ok(bytes) = here else { return self.end() };
             self.twin.course.load(&bytes);
             let (mut moves, mut others) = (Vec::new(), Vec::new());
             self.own.course.moves(&mut moves);
@@ -239,6 +240,7 @@ impl<'a> Walk<'a> {
                     "another state follows from the packed one:\n  {state:?}\n  {packed:?}"
                 ));
             }
+            here = state;
         }
         self.end()
     }

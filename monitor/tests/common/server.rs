@@ -12,7 +12,7 @@ use std::thread;
 use std::time::Duration;
 
 /// The longest any of these servers lives.
-const LONG: Duration = Duration::from_secs(30);
+const LONG: Duration = Duration::from_secs(150);
 
 pub struct Peer {
     pub reader: FrameReader<UnixStream>,

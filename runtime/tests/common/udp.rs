@@ -17,8 +17,23 @@ impl Sink for Nobody {
     fn discarded(&self, _reason: LinkDiscard) {}
 }
 
+/// Links of both nodes of a cell that know each other's addresses, without faults.
+#[allow(dead_code, reason = "`process.rs` uses it")]
+pub fn udp_links(table: &Arc<CellTable>) -> [UdpLink; 2] {
+    bound(table).try_into().unwrap_or_else(|_| panic!("two nodes"))
+}
+
 /// Links of all nodes of a cell that know each other's addresses.
 pub fn links(table: &Arc<CellTable>, loss: f64) -> Vec<Arc<FaultyLink<UdpLink>>> {
+    let faulty = |(seed, link)| {
+        let link = FaultyLink::new(link, seed);
+        link.set_loss(loss);
+        Arc::new(link)
+    };
+    (0..).zip(bound(table)).map(faulty).collect()
+}
+
+fn bound(table: &Arc<CellTable>) -> Vec<UdpLink> {
     let count = table.cell().nodes.len();
     let bind = |node| {
         let here = NodeTable::new(Arc::clone(table), NodeId::from_index(node));
@@ -33,12 +48,7 @@ pub fn links(table: &Arc<CellTable>, loss: f64) -> Vec<Arc<FaultyLink<UdpLink>>>
         // Taken here. Else the thread that receives hears of the addresses at any time later, and sends what waits just then.
         while from.poll(&Nobody, None) != PollEnd::Ready {}
     }
-    let faulty = |(seed, link)| {
-        let link = FaultyLink::new(link, seed);
-        link.set_loss(loss);
-        Arc::new(link)
-    };
-    (0..).zip(links).map(faulty).collect()
+    links
 }
 
 pub fn builders(table: &Arc<CellTable>, links: &[Arc<FaultyLink<UdpLink>>]) -> Vec<Builder> {

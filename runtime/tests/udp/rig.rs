@@ -19,7 +19,7 @@ pub const BOUND: Ticks = Ticks(2_000);
 /// How many messages wait at the port of a task: more than a datagram holds.
 pub const QUEUED: u16 = 64;
 /// Far more than anything here takes on a busy machine.
-pub const PATIENCE: Duration = Duration::from_secs(20);
+pub const PATIENCE: Duration = Duration::from_secs(120);
 
 pub fn cell(name: &str) -> Arc<CellTable> {
     let mut cell = Cell::new(name, Ticks(100));
@@ -30,7 +30,8 @@ pub fn cell(name: &str) -> Arc<CellTable> {
     }
     cell.node("stranger");
     cell.port(
-        PortDecl::new("status", tasks[0], Usage::Send, &tasks[1..], Ticks(5_000_000)).bounded_buffer(QUEUED),
+        PortDecl::new("status", tasks[0], Usage::Send, &tasks[1..], Ticks(120_000_000))
+            .bounded_buffer(QUEUED),
     );
     Arc::new(CellTable::new(cell).unwrap())
 }

@@ -126,7 +126,7 @@ fn what_is_said_together_leaves_in_one_call_the_most_urgent_of_each_datagram_fir
         ctx.together(|ctx| {
             (0..SEVERAL).try_for_each(|number| {
                 // No longer than the port's.
-                let time_out = Some(Duration::from_millis(u64::from(2_000 + number * 59 % SEVERAL * 16)));
+                let time_out = Some(Duration::from_millis(u64::from(60_000 + number * 59 % SEVERAL * 16)));
                 ctx.send_with(PortId(0), Target::One(TaskId(1)), b"here", time_out).map(|_copies| ())
             })
         })

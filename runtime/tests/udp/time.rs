@@ -22,12 +22,13 @@ fn micros(duration: Duration) -> u64 {
 fn a_datagram_left_in_the_socket_is_charged_its_wait() {
     let (a, b) = pair();
     let memory = Memory::default();
+    let begin = Instant::now();
     a.send(B, &[packet(1)]).unwrap();
-    let sent = Instant::now();
     thread::sleep(LONG);
     let (_, _, charge) = memory.take_packets(&b, 1)[0];
-    let most = sent.elapsed();
+    let most = begin.elapsed();
     assert!(charge.0 >= micros(LONG) + BOUND.0, "{charge} us for a wait of {LONG:?}");
+    // The kernel's stamp lies in between, however long the machine took for the rest.
     assert!(charge.0 <= micros(most) + BOUND.0 + 100_000, "{charge} us for a wait of at most {most:?}");
     assert_eq!(b.count(UdpCount::NoStamp), 0, "the kernel gives stamps");
 }
@@ -79,22 +80,25 @@ fn a_stopped_sender_is_charged_without_a_round_trip_too() {
     assert!(charge.0 + micros(first) >= micros(LONG), "{charge} us, where the first took {first:?}");
 }
 
-/// What a packet costs when nothing is wrong: the declared bound, and what a busy machine adds to a loopback round trip.
+/// What a packet costs when nothing is wrong: the declared bound, and what this machine adds to a loopback round trip.
 #[test]
 fn a_quick_round_trip_costs_little_more_than_the_declared_bound() {
     let (a, b) = pair();
     let (at_a, at_b) = (Memory::default(), Memory::default());
-    let mut charges = Vec::new();
+    let (mut charges, mut trips) = (Vec::new(), Vec::new());
     for n in 0..200 {
+        let begin = Instant::now();
         a.send(B, &[packet(n)]).unwrap();
         charges.push(at_b.take_packets(&b, 1)[0].2);
         b.send(A, &[packet(n)]).unwrap();
         charges.push(at_a.take_packets(&a, 1)[0].2);
+        trips.push(begin.elapsed());
     }
     charges.sort_unstable();
+    trips.sort_unstable();
     assert!(charges[0] >= BOUND, "never less than declared");
-    let median = charges[charges.len() / 2];
-    assert!(median.0 <= BOUND.0 + 50_000, "median {median} us");
+    let (median, trip) = (charges[charges.len() / 2], trips[trips.len() / 2]);
+    assert!(median.0 <= BOUND.0 + micros(trip) + 50_000, "median {median} us, of a round trip {trip:?}");
 }
 
 /// One instant and one charge for what came in one datagram: else a later message would be taken to be the older one, and go
