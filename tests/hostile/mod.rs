@@ -1,6 +1,7 @@
 //! Files and command lines that somebody made to do harm: nothing panics, hangs or reads without end, and what is wrong is
 //! said.
 
+mod commands;
 mod escapes;
 mod files;
 mod recordings;
