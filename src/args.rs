@@ -32,7 +32,8 @@ Examples:
   imrs monitor                       watch the nodes that run on this machine
 
 Exit codes: 0 all well, 1 a finding, 2 bad input or usage, 3 nothing to attach to,
-4 out of the given budget with a partial answer, 70 an internal fault."
+4 out of the given budget with a partial answer, 70 an internal fault,
+71 the system has no memory, file descriptor or thread left."
 )]
 pub struct Cli {
     /// When to use colour; NO_COLOR is honoured.

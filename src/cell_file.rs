@@ -1,10 +1,11 @@
 //! Cell files as they come from a disk or a pipe.
 
 use imrs_language::{LONGEST_FILE, Source};
+use imrs_wire::files::{self, FileError};
 use rustix::fs::{Access, access};
 use std::fs::{self, File};
 use std::io::{self, Read, Write};
-use std::os::unix::fs::MetadataExt;
+use std::os::unix::fs::{FileTypeExt, MetadataExt};
 use std::path::{Path, PathBuf};
 
 /// Why a cell file cannot be used.
@@ -67,6 +68,8 @@ pub fn writable(path: &Path) -> Result<(), CellFileError> {
     let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
     let target = match fs::metadata(path) {
         Ok(of) if of.is_dir() => Err(io::ErrorKind::IsADirectory.into()),
+        // Opening a pipe waits until somebody reads it.
+        Ok(of) if of.file_type().is_fifo() || of.file_type().is_socket() => Err(FileError::NotAFile.into()),
         Ok(_) => Ok(path),
         Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(folder.unwrap_or(Path::new("."))),
         Err(error) => Err(error),
@@ -91,14 +94,13 @@ pub fn shown(path: &Path) -> String {
 /// [`CellFileError`], all but `Unwritable` and `NotSaved`.
 pub fn read(path: &Path) -> Result<Source, CellFileError> {
     let own = || PathBuf::from(shown(path));
-    // What cannot be looked at fails below, with its reason.
-    if !is_stdin(path) && fs::metadata(path).is_ok_and(|of| !of.is_file() && !of.is_dir()) {
-        return Err(CellFileError::NotAFile(own()));
-    }
-    let bytes = bytes(path).map_err(|source| match source.kind() {
-        io::ErrorKind::NotFound => CellFileError::Missing(own()),
-        io::ErrorKind::IsADirectory => CellFileError::Folder(own()),
-        _ => CellFileError::Unreadable { path: own(), source },
+    let bytes = bytes(path).map_err(|error| match error {
+        FileError::Folder => CellFileError::Folder(own()),
+        FileError::NotAFile => CellFileError::NotAFile(own()),
+        FileError::Io(source) if source.kind() == io::ErrorKind::NotFound => CellFileError::Missing(own()),
+        // Standard input may be a folder.
+        FileError::Io(source) if source.kind() == io::ErrorKind::IsADirectory => CellFileError::Folder(own()),
+        other => CellFileError::Unreadable { path: own(), source: other.into() },
     })?;
     if bytes.len() > LONGEST_FILE {
         return Err(CellFileError::TooLarge(own()));
@@ -139,13 +141,13 @@ fn replaced(path: &Path, text: &str) -> io::Result<()> {
     File::open(folder)?.sync_all()
 }
 
-fn bytes(path: &Path) -> io::Result<Vec<u8>> {
+fn bytes(path: &Path) -> Result<Vec<u8>, FileError> {
     let mut bytes = Vec::new();
     let most = LONGEST_FILE as u64 + 1;
     if is_stdin(path) {
         io::stdin().lock().take(most).read_to_end(&mut bytes)?;
     } else {
-        File::open(path)?.take(most).read_to_end(&mut bytes)?;
+        files::open(path)?.take(most).read_to_end(&mut bytes)?;
     }
     Ok(bytes)
 }

@@ -1,7 +1,9 @@
 //! How the command ends: its exit codes, and the errors that lead to them.
 
 use imrs_language::Diagnostic;
+use rustix::io::Errno;
 use std::collections::BTreeSet;
+use std::error::Error;
 use std::io;
 use std::process::ExitCode;
 
@@ -20,6 +22,8 @@ pub enum Exit {
     Budget = 4,
     /// A fault of this program.
     Internal = 70,
+    /// The operating system has no memory, file descriptor or thread left for this program.
+    System = 71,
 }
 
 impl From<Exit> for ExitCode {
@@ -42,7 +46,7 @@ pub enum Failure {
     Cell(String),
     /// Standard output cannot be written to.
     #[error("cannot write the answer: {0}")]
-    Output(io::Error),
+    Output(#[source] io::Error),
     /// The cell could not be run.
     #[error(transparent)]
     Launch(#[from] crate::launch::LaunchError),
@@ -64,6 +68,13 @@ pub enum Failure {
 impl Failure {
     /// The exit code it leads to.
     pub fn exit(&self) -> Exit {
+        let mut cause: Option<&(dyn Error + 'static)> = Some(self);
+        while let Some(error) = cause {
+            if error.downcast_ref().is_some_and(is_exhausted) {
+                return Exit::System;
+            }
+            cause = error.source();
+        }
         match self {
             Self::Usage(_) | Self::CellFile(_) | Self::Cell(_) | Self::Output(_) | Self::Replay(_) => {
                 Exit::Usage
@@ -79,6 +90,24 @@ impl Failure {
             },
         }
     }
+}
+
+/// Whether the operating system has run out of something.
+fn is_exhausted(error: &io::Error) -> bool {
+    error.raw_os_error().is_some_and(|code| EXHAUSTED.contains(&code))
+}
+
+/// What the operating system says then: no memory, no descriptors (of this process, of the system), no thread or process.
+const EXHAUSTED: [i32; 4] = [
+    Errno::NOMEM.raw_os_error(),
+    Errno::MFILE.raw_os_error(),
+    Errno::NFILE.raw_os_error(),
+    Errno::AGAIN.raw_os_error(),
+];
+
+/// Whether a panic says so: libraries may not hand such an error on.
+pub fn says_exhausted(panic: &str) -> bool {
+    EXHAUSTED.iter().any(|code| panic.contains(&format!("Os {{ code: {code},")))
 }
 
 /// What a verb ends with where the compiler turned a cell down: what is larger or deeper than is looked at is bad input, like a
@@ -103,6 +132,16 @@ pub fn did_you_mean<'a>(wanted: &str, names: impl IntoIterator<Item = &'a str>) 
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_system_that_has_run_out_of_something_is_no_fault_of_the_program() {
+        let refused = |code: i32| Failure::Output(io::Error::from_raw_os_error(code)).exit();
+        assert_eq!(EXHAUSTED.map(refused), [Exit::System; 4]);
+        assert_eq!(refused(Errno::NOSPC.raw_os_error()), Exit::Usage);
+        let panic = format!("{:?}", io::Error::from_raw_os_error(Errno::AGAIN.raw_os_error()));
+        assert!(says_exhausted(&panic), "{panic}");
+        assert!(!says_exhausted("index out of bounds"));
+    }
 
     #[test]
     fn a_slip_is_recognised_and_anything_else_gets_the_list() {

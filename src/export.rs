@@ -1,6 +1,7 @@
 //! `imrs export`: recordings for other tools.
 
 use crate::args::{ExportArgs, ExportForm};
+use crate::cell_file;
 use crate::exit::{Exit, Failure};
 use crate::output::Output;
 use imrs_monitor::MonitorError;
@@ -38,6 +39,7 @@ pub fn run(args: &ExportArgs, out: &mut Output) -> Result<Exit, Failure> {
         return Ok(Exit::Well);
     }
     let path = args.out.clone().unwrap_or_else(|| free_name(&args.file.with_extension(args.to.ending())));
+    cell_file::writable(&path)?;
     let file = File::create(&path).map_err(|error| failed(&path, error.to_string()))?;
     let done = match export(&film, &wanted, BufWriter::new(file)) {
         Ok(done) => done,

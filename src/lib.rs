@@ -30,21 +30,30 @@ pub use imrs_runtime::{Context, Rendezvous, Sent, TaskEnd, TaskError};
 pub use launch::place::PlaceError;
 pub use program::{Program, ProgramError};
 
-use args::{Cli, Verb, VerifyArgs, early_color};
-use clap::{CommandFactory, FromArgMatches};
+use args::{Cli, Color, Verb, VerifyArgs, early_color};
+use clap::{ColorChoice, CommandFactory, FromArgMatches};
 use exit::{Exit, Failure};
-use output::{Output, complain};
+use output::{Output, complain, complain_in_full};
+use signal_hook::consts::SIGABRT;
+use std::any::Any;
 use std::collections::BTreeSet;
 use std::panic::catch_unwind;
 use std::process::ExitCode;
-use std::sync::Mutex;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex};
 
 /// The `imrs` command: does what the command line says. Returns its exit code.
 #[doc(hidden)]
 #[must_use]
 pub fn command() -> ExitCode {
-    report_each_panic_once();
-    catch_unwind(answer).unwrap_or_else(|_| {
+    let sound = Arc::new(AtomicBool::new(true));
+    report_each_panic_once(&sound);
+    end_without_memory(&sound);
+    catch_unwind(answer).unwrap_or_else(|panic| {
+        if panic_text(&*panic).is_some_and(exit::says_exhausted) {
+            complain("the system has no memory, file descriptor or thread left for this: see `ulimit -a`");
+            return Exit::System.into();
+        }
         complain(format_args!(
             "this is a fault of imrs {}. Please report the lines above and the command:\n  {}",
             env!("CARGO_PKG_VERSION"),
@@ -52,6 +61,18 @@ pub fn command() -> ExitCode {
         ));
         Exit::Internal.into()
     })
+}
+
+/// What a panic says.
+fn panic_text(panic: &(dyn Any + Send)) -> Option<&str> {
+    panic.downcast_ref::<String>().map(String::as_str).or_else(|| panic.downcast_ref::<&str>().copied())
+}
+
+/// Where memory runs out the standard library says so and aborts; this ends the process with an exit code that says so, too.
+/// An abort after a panic is a fault of this program, and stays one.
+fn end_without_memory(sound: &Arc<AtomicBool>) {
+    // Without it the process ends by a signal, as others do.
+    let _ = signal_hook::flag::register_conditional_shutdown(SIGABRT, Exit::System as i32, Arc::clone(sound));
 }
 
 /// The command line as it can be shown.
@@ -66,8 +87,18 @@ fn answer() -> ExitCode {
         Ok(cli) => cli,
         Err(error) => {
             // Nobody is left to tell where even this cannot be printed.
+            if error.use_stderr() {
+                // It repeats what it was given.
+                let color = match early_color(arguments()) {
+                    ColorChoice::Always => Color::Always,
+                    ColorChoice::Never => Color::Never,
+                    ColorChoice::Auto => Color::Auto,
+                };
+                complain_in_full(color, &error.render().ansi().to_string());
+                return Exit::Usage.into();
+            }
             let _ = error.print();
-            return if error.use_stderr() { Exit::Usage } else { Exit::Well }.into();
+            return Exit::Well.into();
         }
     };
     match run(cli) {
@@ -133,9 +164,11 @@ fn manual(verb: Option<&str>, out: &mut Output) -> Result<Exit, Failure> {
 /// Prints a panic and where it happened. The hook must not end the process: the checker catches panics of the machine and
 /// reports them as findings, and the runtime reports a task that panics as crashed. While a finding is shrunk, the same
 /// line may panic in thousands of runs, so each line is printed once for each name of a thread.
-fn report_each_panic_once() {
+fn report_each_panic_once(sound: &Arc<AtomicBool>) {
     let (default, printed) = (std::panic::take_hook(), Mutex::new(BTreeSet::new()));
+    let sound = Arc::clone(sound);
     std::panic::set_hook(Box::new(move |panic| {
+        sound.store(false, Ordering::SeqCst);
         let thread = std::thread::current().name().map(str::to_owned);
         let place = (thread, panic.location().map(ToString::to_string));
         if printed.lock().is_ok_and(|mut printed| printed.insert(place)) {
@@ -151,7 +184,7 @@ mod tests {
     #[test]
     fn a_caught_panic_of_the_main_thread_does_not_end_the_process() {
         let panics = || {
-            report_each_panic_once();
+            report_each_panic_once(&Arc::default());
             catch_unwind(|| panic!("caught")).is_err()
         };
         let main = std::thread::Builder::new().name("main".into()).spawn(panics).expect("a thread");

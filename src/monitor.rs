@@ -97,6 +97,7 @@ fn options(
         at: args.at,
         speed: args.speed,
         record: args.record,
+        force: args.force,
         length: args.length,
         assertions: args.assertions,
     })

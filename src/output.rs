@@ -4,9 +4,10 @@ use crate::args::Color;
 use crate::exit::Failure;
 use anstream::AutoStream;
 use anstyle::{AnsiColor, Style};
+use imrs_wire::text::{self, acts};
 use std::borrow::Cow;
 use std::fmt::{self, Display};
-use std::io::{self, Stdout, Write};
+use std::io::{self, IsTerminal, Stdout, Write};
 
 /// Good, with a word that says so.
 pub const GOOD: Style = AnsiColor::Green.on_default().bold();
@@ -43,11 +44,12 @@ impl Output {
         self.write(&harmless(&line))
     }
 
-    /// Writes a text as it is, to its last byte: the answer is a file.
+    /// Writes a text as it is, to its last byte: the answer is a file. On a terminal it is shown, as any other text.
     ///
     /// # Errors
     /// [`Failure::Output`].
     pub fn file(&mut self, text: &str) -> Result<(), Failure> {
+        let text = if io::stdout().is_terminal() { harmless(text) } else { Cow::Borrowed(text) };
         // The stream would take escapes out where it shows no colours.
         let mut stream = io::stdout().lock();
         let written = stream.write_all(text.as_bytes()).and_then(|()| stream.flush());
@@ -91,18 +93,15 @@ impl Output {
     /// [`Failure::Output`].
     pub fn json(&mut self, value: &impl serde::Serialize) -> Result<(), Failure> {
         let text = serde_json::to_string(value).map_err(|e| Failure::Output(e.into()))?;
-        self.write(&escaped(&text, |c| format!("\\u{:04x}", u32::from(c))))
+        self.write(&text::json(&text))
     }
 }
 
-/// Whether a character may change what a terminal shows of the text around it: a control character, or one that turns the
-/// direction of writing.
-const fn is_hidden(c: char) -> bool {
-    matches!(c, '\0'..='\x1f' | '\x7f'..='\u{9f}' | '\u{61c}' | '\u{200e}' | '\u{200f}' | '\u{2028}'..='\u{202e}' | '\u{2066}'..='\u{2069}')
-}
-
-fn escaped(text: &str, escape: impl Fn(char) -> String) -> Cow<'_, str> {
-    if !text.contains(is_hidden) {
+/// A text from a cell, a recording or a peer as a terminal may have it: what it could act on is written out, but for line
+/// breaks and the styles of this program. Texts that are to stay one line are made so where they come in
+/// ([`text::one_line`]).
+pub fn harmless(text: &str) -> Cow<'_, str> {
+    if !text.contains(acts) {
         return Cow::Borrowed(text);
     }
     let mut out = String::with_capacity(text.len() + 16);
@@ -111,22 +110,16 @@ fn escaped(text: &str, escape: impl Fn(char) -> String) -> Cow<'_, str> {
         let length = match c {
             '\n' | '\t' => 1,
             '\x1b' => style_at(rest).unwrap_or(0),
-            c if is_hidden(c) => 0,
+            c if acts(c) => 0,
             c => c.len_utf8(),
         };
         match length {
-            0 => out.push_str(&escape(c)),
+            0 => out.extend(c.escape_default()),
             length => out.push_str(&rest[..length]),
         }
         rest = &rest[length.max(c.len_utf8())..];
     }
     Cow::Owned(out)
-}
-
-/// A text from a cell, a recording or a peer as a terminal may have it: what is hidden is written out, but for line breaks and
-/// the styles of this program.
-fn harmless(text: &str) -> Cow<'_, str> {
-    escaped(text, |c| c.escape_default().to_string())
 }
 
 /// Parameters of styles that hide nothing: their end, bold, faint, underlined, and colours of letters.
@@ -217,7 +210,6 @@ mod tests {
         let styled = Styled(GOOD, "well").to_string();
         assert_eq!(shown(&styled), styled);
         assert_eq!(shown("\x1b[8mhidden\x1b[2J"), "\\u{1b}[8mhidden\\u{1b}[2J");
-        assert_eq!(escaped("\u{9b}", |c| format!("\\u{:04x}", u32::from(c))), "\\u009b");
     }
 
     #[test]

@@ -18,10 +18,11 @@ use imrs_protocol::{NodeId, NodeTable};
 use imrs_runtime::record::{
     self, Divergence, InvariantBroken, Miscount, ScriptDivergence, Verdict, replay_scripts,
 };
+use imrs_wire::files::{self, FileError};
 use imrs_wire::recording::{Ending, Header, RecordingReader};
+use imrs_wire::text::one_line;
 use serde::Serialize;
 use std::fs::File;
-use std::io;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
@@ -34,7 +35,7 @@ pub enum ReplayError {
         /// The file.
         path: PathBuf,
         /// Why.
-        source: io::Error,
+        source: FileError,
     },
     /// The file is not a recording, or is damaged.
     #[error("{path}: {source}")]
@@ -169,10 +170,13 @@ struct Opened<'a> {
 /// Opens a recording of one of these cells; `given` is the file of the only one, where one was named.
 fn open<'a>(path: &Path, known: &'a [Loaded], given: Option<&str>) -> Result<Opened<'a>, ReplayError> {
     let own = || path.to_owned();
-    let file = File::open(path).map_err(|source| ReplayError::Open { path: own(), source })?;
+    let file = files::open(path).map_err(|source| ReplayError::Open { path: own(), source })?;
     let reader = RecordingReader::new(file)
         .map_err(|error| ReplayError::Read { path: own(), source: error.into() })?;
-    let header = reader.header().clone();
+    let mut header = reader.header().clone();
+    for text in [&mut header.cell, &mut header.build] {
+        *text = one_line(text).into_owned();
+    }
     let node = header.node.ok_or_else(|| ReplayError::Observations(own()))?;
     let cell = known.iter().find(|cell| cell.table.digest() == header.digest);
     let cell = cell.ok_or_else(|| other_cell(own(), &header, known, given))?;

@@ -3,9 +3,10 @@
 use crate::args::{LaunchArgs, RunArgs};
 use crate::cells::{self, Loaded};
 use crate::exit::{Exit, Failure, did_you_mean};
-use crate::launch::{self, LaunchError, Run, place};
+use crate::launch::{self, LaunchError, Run, place, record_file};
 use crate::output::Output;
 use imrs_protocol::NodeId;
+use imrs_wire::files;
 use std::collections::BTreeMap;
 use std::env;
 use std::net::SocketAddr;
@@ -86,5 +87,22 @@ pub fn chosen(loaded: &Loaded, args: &LaunchArgs) -> Result<Option<NodeId>, Fail
             )));
         }
     }
+    recordings_are_free(loaded, only, args)?;
     Ok(only)
+}
+
+/// No recording of an earlier run is lost unasked: nodes write into new files.
+fn recordings_are_free(loaded: &Loaded, only: Option<NodeId>, args: &LaunchArgs) -> Result<(), Failure> {
+    let Some(file) = &args.record else { return Ok(()) };
+    let nodes = loaded.table.cell().nodes.iter().enumerate();
+    for (_, node) in nodes.filter(|(at, _)| only.is_none_or(|only| only.index() == *at)) {
+        // A node that is started again writes the recording of its next life beside the others.
+        let lives = (2..=args.restart.len() + 1).map(|life| format!("{}-{life}", node.name));
+        for name in std::iter::once(node.name.clone()).chain(lives) {
+            let path = record_file(file, &name);
+            let refused = |error| Failure::Usage(format!("--record {}: {error}", path.display()));
+            files::free(&path, args.force).map_err(refused)?;
+        }
+    }
+    Ok(())
 }

@@ -15,6 +15,7 @@ mod examples;
 mod explore;
 mod faults_seen;
 mod front_door;
+mod hostile;
 mod monitor;
 mod observe;
 mod path_of_the_model;

@@ -8,7 +8,9 @@ use crate::support::{
     runtime_dir, side_by_side, wait_until,
 };
 use serde_json::Value;
-use std::path::PathBuf;
+use std::fs::Permissions;
+use std::os::unix::fs::PermissionsExt;
+use std::path::{Path, PathBuf};
 use std::process::{Command, Stdio};
 
 /// Two tasks that meet and ask each other through a third node, which only relays. They wait longer for each other than any
@@ -324,6 +326,9 @@ fn nodes_are_watched_over_tcp() {
     let (token, other) = (token.to_str().expect("UTF-8"), dir.path().join("other"));
     std::fs::write(token, "the token of this run\n").expect("a file");
     std::fs::write(&other, "the token of another run\n").expect("a file");
+    for secret in [Path::new(token), &other] {
+        std::fs::set_permissions(secret, Permissions::from_mode(0o600)).expect("it is this test's");
+    }
     let args = ["run", &cell, "--observe", "127.0.0.1:0", "--observe-token", token, "--format", "json"];
     let mut nodes = Program::start(imrs(dir.path(), &args));
     let started = nodes.json();

@@ -113,7 +113,7 @@ fn a_saved_finding_is_shown_step_by_step_by_the_monitor_alone() {
     assert!(refused.err.contains(&format!("imrs monitor --replay {saved}")), "{refused:?}");
     let other = run(&["monitor", "--replay", name]);
     assert!(other.code == Some(2) && other.err.contains("not a recording"), "{other:?}");
-    let none = run(&["verify", name, "--finding", "3", "--save", saved]);
+    let none = run(&["verify", name, "--finding", "3", "--save", saved, "--force"]);
     assert!(none.code == Some(2) && none.err.contains("there are 2"), "{none:?}");
 }
 

@@ -3,14 +3,18 @@
 use crate::options::Endpoint;
 use crate::query::Filter;
 use crate::theme::Theme;
+use imrs_wire::files::{self, FileError};
 use schemars::JsonSchema;
 use serde::Deserialize;
+use std::io;
 use std::path::{Path, PathBuf};
-use std::{fs, io};
 use thiserror::Error;
 
 /// The file as it is where there is none: every key with what it means, none of them set.
 pub const EXAMPLE: &str = include_str!("config.toml");
+
+/// A longer file is none of this kind.
+const LONGEST: u64 = 1 << 20;
 
 /// The file, read. Keys that it does not know are errors: a slip should not be silent.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Deserialize, JsonSchema)]
@@ -41,7 +45,7 @@ pub enum ConfigError {
         /// The file.
         path: PathBuf,
         /// Why.
-        source: io::Error,
+        source: FileError,
     },
     /// It is not what it should be.
     #[error("{path}: {what}")]
@@ -60,9 +64,11 @@ impl Config {
     /// [`ConfigError`]; that there is no file is one only where it was named.
     pub fn load(named: Option<&Path>, var: impl Fn(&str) -> Option<String>) -> Result<Self, ConfigError> {
         let Some(path) = named.map(Path::to_owned).or_else(|| place(var)) else { return Ok(Self::default()) };
-        match fs::read_to_string(&path) {
+        match files::text(&path, LONGEST) {
             Ok(text) => Self::parse(&text).map_err(|what| ConfigError::Wrong { path, what }),
-            Err(error) if error.kind() == io::ErrorKind::NotFound && named.is_none() => Ok(Self::default()),
+            Err(FileError::Io(error)) if error.kind() == io::ErrorKind::NotFound && named.is_none() => {
+                Ok(Self::default())
+            }
             Err(source) => Err(ConfigError::Io { path, source }),
         }
     }

@@ -90,6 +90,7 @@ pub fn run(options: &Options) -> Result<Verdict, MonitorError> {
     let (clock, tape) = (Clock::start(), Arc::new(Tape::default()));
     let mut app = app(options, theme);
     if let Some(path) = &options.record {
+        record::free(path, options.force)?;
         tape.start(path, clock.now())?;
         app.recording = Some(name::shown_line(&path.display().to_string()));
     }

@@ -1,6 +1,7 @@
 //! Names that came over the wire: whoever wrote them, showing them must not move a cursor, change a colour or reverse
 //! a line.
 
+use imrs_wire::text::acts;
 use std::fmt::{self, Write as _};
 use std::sync::Arc;
 
@@ -72,29 +73,6 @@ fn cut(text: &str, longest: usize) -> String {
     out
 }
 
-/// JSON text with every character in it escaped that a terminal could act on; the values stay the same. JSON has such
-/// characters only in strings, where `\uXXXX` means the same.
-#[must_use]
-pub fn shown_json(json: &str) -> String {
-    let mut out = String::with_capacity(json.len());
-    for c in json.chars() {
-        if acts(c) && c != '\n' {
-            let _ = write!(out, "\\u{:04x}", u32::from(c));
-        } else {
-            out.push(c);
-        }
-    }
-    out
-}
-
-/// Control characters (C0, DEL, C1), and what changes direction, breaks lines or has no width. All lie in the basic
-/// plane.
-fn acts(c: char) -> bool {
-    c.is_control()
-        || matches!(c, '\u{ad}' | '\u{61c}' | '\u{180e}' | '\u{200b}'..='\u{200f}' | '\u{2028}'..='\u{202e}'
-            | '\u{2060}'..='\u{206f}' | '\u{feff}' | '\u{fff9}'..='\u{fffb}')
-}
-
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -110,7 +88,7 @@ mod tests {
     #[test]
     fn json_keeps_its_values() {
         let text = serde_json::to_string("\u{1b}\u{9b}\u{202e}\"\n").unwrap();
-        let escaped = shown_json(&text);
+        let escaped = imrs_wire::text::json(&text);
         assert!(escaped.is_ascii(), "{escaped}");
         assert_eq!(serde_json::from_str::<String>(&escaped).unwrap(), "\u{1b}\u{9b}\u{202e}\"\n");
     }

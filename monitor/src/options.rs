@@ -99,6 +99,8 @@ pub struct Options {
     pub speed: Option<f64>,
     /// Record what comes in to this file.
     pub record: Option<PathBuf>,
+    /// Replace a file of the recording's name.
+    pub force: bool,
     /// Record, or hold `assertions` against what comes in, for so long without a screen.
     pub length: Option<Duration>,
     /// What must hold of the cells: without `length` once, else at every sample. Implies printing.

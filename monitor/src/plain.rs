@@ -3,6 +3,7 @@
 use crate::clock::Clock;
 use crate::error::MonitorError;
 use crate::judge::{Court, Judge};
+use crate::name::shown_line;
 use crate::options::{Format, Options, Verdict};
 use crate::query::Assertion;
 use crate::record::{Recorded, Tape};
@@ -136,6 +137,7 @@ pub fn record(
     out: &mut impl Write,
 ) -> Result<Verdict, MonitorError> {
     let (clock, tape, looked) = (Clock::start(), Arc::new(Tape::default()), looked(&which));
+    crate::record::free(path, options.force)?;
     tape.start(path, clock.now())?;
     let ended = Arc::new(AtomicBool::new(false));
     let called = Arc::clone(&ended);
@@ -175,7 +177,7 @@ pub fn record(
         }
         Format::Text => {
             let lost = if lost > 0 { format!(", {lost} lost") } else { String::new() };
-            let file = crate::name::shown_line(&path.display().to_string());
+            let file = shown_line(&path.display().to_string());
             writeln!(out, "{records} records, {bytes} bytes{lost}: imrs monitor --replay {file}")
         }
     };
@@ -378,5 +380,5 @@ fn line(entry: &Entry) -> String {
     let at = entry.at.as_secs_f64();
     let text =
         format!("{at:.3} {} {} {} {}{times}", entry.node, entry.kind(), entry.object(), entry.detail());
-    text.split_whitespace().collect::<Vec<_>>().join(" ")
+    shown_line(&text.split_whitespace().collect::<Vec<_>>().join(" "))
 }

@@ -3,10 +3,10 @@
 use crate::clock::{Moment, micros};
 use crate::error::MonitorError;
 use crate::source::{Arrival, Feed, SourceId, Wishes};
+use imrs_wire::files;
 use imrs_wire::obs::{Hello, NodeIdentity, Role, SCHEMA, ServerFrame, VERSION};
 use imrs_wire::recording::{FrameStream, Header, Recording, Shown, Status};
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, MutexGuard, PoisonError};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
@@ -139,14 +139,14 @@ impl Tape {
         }
     }
 
-    /// Begins a recording, in place of a file of this name.
+    /// Begins a recording in a new file, which only its owner can read.
     ///
     /// # Errors
-    /// [`MonitorError::Recording`].
+    /// [`MonitorError::Recording`]: also where there is a file of this name.
     pub fn start(&self, path: &Path, now: Moment) -> Result<(), MonitorError> {
         let failed = |why: String| MonitorError::Recording { path: path.to_owned(), why };
         let mut inner = self.inner();
-        let file = File::create(path).map_err(|error| failed(error.to_string()))?;
+        let file = files::create(path).map_err(|error| failed(error.to_string()))?;
         let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
         let first = inner.known.values().next().map(|known| &known.identity);
         let header = Header {
@@ -185,6 +185,15 @@ impl Tape {
     fn inner(&self) -> MutexGuard<'_, Inner> {
         self.inner.lock().unwrap_or_else(PoisonError::into_inner)
     }
+}
+
+/// Refuses to record over a file, or with `force` removes it.
+///
+/// # Errors
+/// [`MonitorError::Recording`].
+pub fn free(path: &Path, force: bool) -> Result<(), MonitorError> {
+    let failed = |why: String| MonitorError::Recording { path: path.to_owned(), why };
+    files::free(path, force).map_err(|error| failed(error.to_string()))
 }
 
 /// `path`, or if there is a file of that name the next that is free: `run.imrs`, `run-2.imrs`.

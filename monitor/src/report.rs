@@ -1,7 +1,7 @@
 //! The state of a cell as JSON or text: for pipes, tests and screen readers.
 
 use crate::clock::{Moment, Span};
-use crate::name::{Name, shown_json};
+use crate::name::{Name, shown_line};
 use crate::query::{Assertion, Held};
 use crate::replay::tell::Position;
 use crate::replay::{Player, tell};
@@ -12,6 +12,7 @@ use crate::store::meeting::{Meeting, Standing, meetings, state};
 use crate::store::{Life, Store};
 use imrs_protocol::{Class, MeetingState, MeetingView, PortView, TaskState, Usage};
 use imrs_wire::obs::{Count, Liveness, RealTime, TaskSnapshot};
+use imrs_wire::text;
 use serde::Serialize;
 use std::fmt::Write as _;
 
@@ -177,7 +178,7 @@ fn whole(store: &Store, only: Option<&str>, now: Moment, replay: Option<Position
         report.nodes.extend(unseen.iter().map(|(_, name, killed)| not_seen(cell, name, *killed)));
         report.findings.extend(findings(store, cell, now).iter().map(|f| found(store, cell, f)));
     }
-    shown_json(&serde_json::to_string(&report).expect("a report is plain data"))
+    text::json(&serde_json::to_string(&report).expect("a report is plain data")).into_owned()
 }
 
 fn node<'a>(store: &Store, life: &'a Life, now: Moment) -> Node<'a> {
@@ -381,7 +382,7 @@ pub fn json_of_assertions(assertions: &[Assertion], held: &[Held]) -> String {
             })
             .collect(),
     };
-    serde_json::to_string(&report).expect("strings and numbers")
+    text::json(&serde_json::to_string(&report).expect("strings and numbers")).into_owned()
 }
 
 /// What came of assertions, a line each.
@@ -391,12 +392,7 @@ pub fn text_of_assertions(assertions: &[Assertion], held: &[Held]) -> String {
     for (assertion, held) in assertions.iter().zip(held) {
         let word = if held.holds { "holds" } else { "FALSE" };
         let values = held.values.join(", ");
-        let _ = writeln!(
-            out,
-            "{word}: {}  ({})",
-            crate::name::shown_line(assertion.text()),
-            crate::name::shown_line(&values)
-        );
+        let _ = writeln!(out, "{word}: {}  ({})", shown_line(assertion.text()), shown_line(&values));
     }
     out
 }
@@ -421,11 +417,12 @@ pub fn text(store: &Store, only: Option<&str>, now: Moment) -> String {
             let place: Vec<_> = [place.node, place.task, place.port].into_iter().flatten().collect();
             let place = crate::name::shown(&place.join("."));
             let level = if finding.level == Level::Bad { "CRITICAL" } else { "warning" };
-            let _ = writeln!(out, "  {level} {place}: {} [{}]", finding.text, finding.code);
+            let text = shown_line(&finding.text.to_string());
+            let _ = writeln!(out, "  {level} {place}: {text} [{}]", finding.code);
         }
     }
     for trouble in store.troubles() {
-        let _ = writeln!(out, "cannot attach: {trouble}");
+        let _ = writeln!(out, "cannot attach: {}", shown_line(trouble));
     }
     out
 }

@@ -371,7 +371,7 @@ pub enum CellError {
     /// A declaration points at a node, task or link end that is not in the cell.
     Dangling(String),
     /// More than 65,535 of something.
-    TooMany(&'static str),
+    TooMany(&'static str, usize),
     /// A link joins a node with itself.
     LinkToItself(String),
     /// A port without users.
@@ -457,6 +457,9 @@ pub enum CellError {
     },
 }
 
+/// The most nodes of a cell. Every node knows the way to every other one, so the table grows with the square of their number,
+/// and the time that compiling it takes with the cube (D151).
+pub const MAX_NODES: usize = 512;
 /// The most tasks that one `waitfor` joins.
 pub const MAX_MEMBERS: usize = 64;
 /// The most packets that one message or answer takes (D28).
@@ -467,7 +470,7 @@ impl fmt::Display for CellError {
         match self {
             Self::DuplicateName(what, name) => write!(f, "two {what} are called `{name}`: rename one"),
             Self::Dangling(what) => write!(f, "{what} names something that is not in the cell"),
-            Self::TooMany(what) => write!(f, "more than 65,535 {what}: split the cell"),
+            Self::TooMany(what, most) => write!(f, "more than {most} {what}: split the cell"),
             Self::LinkToItself(node) => write!(f, "a link joins `{node}` with itself: remove it"),
             Self::NoUsers(port) => write!(f, "port `{port}` has no users: name them in its user_list"),
             Self::ListedTwice(port, task) => write!(f, "port `{port}` lists `{task}` twice"),

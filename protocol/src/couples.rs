@@ -16,7 +16,7 @@ pub(crate) fn check(
     errors: &mut Vec<CellError>,
 ) {
     if cell.couples.len() > usize::from(u8::MAX) {
-        errors.push(CellError::TooMany("couples"));
+        errors.push(CellError::TooMany("couples", usize::from(u8::MAX)));
     }
     for (i, couple) in cell.couples.iter().enumerate() {
         let known = |task: crate::ids::TaskId| task.index() < cell.tasks.len();

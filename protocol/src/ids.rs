@@ -54,7 +54,23 @@ pub struct Incarnation(pub u8);
 /// A 24-bit sequence number that wraps. Ordered by distance: `a` is newer than `b` when it is less than half the
 /// circle ahead of it. The compiler rejects declarations whose rate x life could reach that half (D53).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(try_from = "u32", into = "u32")]
 pub struct Seq24(u32);
+
+impl From<Seq24> for u32 {
+    fn from(Seq24(number): Seq24) -> Self {
+        number
+    }
+}
+
+/// Of a number that was read from a file: arithmetic relies on its being in the circle.
+impl TryFrom<u32> for Seq24 {
+    type Error = &'static str;
+
+    fn try_from(number: u32) -> Result<Self, Self::Error> {
+        if number < Self::MODULUS { Ok(Self(number)) } else { Err("a sequence number of more than 24 bits") }
+    }
+}
 
 impl Seq24 {
     /// The number of different sequence numbers.

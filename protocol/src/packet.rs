@@ -17,7 +17,8 @@
 use crate::ids::{Incarnation, MessageId, PortId, Round, Seq24, TaskId};
 use crate::ticks::Ticks;
 use core::fmt;
-use serde::{Deserialize, Serialize};
+use serde::de::Error as _;
+use serde::{Deserialize, Deserializer, Serialize};
 
 /// The size of every packet, in bytes.
 pub const PACKET_BYTES: usize = 32;
@@ -90,9 +91,30 @@ pub enum Control {
 
 /// Up to [`CONTENTS_BYTES`] bytes of message contents; the bytes past the length are zero.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(try_from = "WrittenContents")]
 pub struct Contents {
     len: u8,
     bytes: [u8; CONTENTS_BYTES],
+}
+
+/// Contents as a file has them, before they are known to be some.
+#[derive(Deserialize)]
+#[serde(rename = "Contents")]
+struct WrittenContents {
+    len: u8,
+    bytes: [u8; CONTENTS_BYTES],
+}
+
+impl TryFrom<WrittenContents> for Contents {
+    type Error = PacketError;
+
+    fn try_from(WrittenContents { len, bytes }: WrittenContents) -> Result<Self, Self::Error> {
+        let padding = bytes.get(usize::from(len)..).ok_or(PacketError::Malformed)?;
+        if padding.iter().any(|&byte| byte != 0) {
+            return Err(PacketError::Malformed);
+        }
+        Ok(Self { len, bytes })
+    }
 }
 
 impl Contents {
@@ -184,8 +206,10 @@ pub struct Packet {
     /// Asks links not to hold the packet back for company.
     pub urgent: bool,
     /// How many more relays the packet may pass.
+    #[serde(deserialize_with = "at_most::<_, MAX_HOPS>")]
     pub hops: u8,
     /// The position among the fragments of one message.
+    #[serde(deserialize_with = "at_most::<_, LAST_FRAGMENT>")]
     pub fragment: u8,
     /// The task the packet is for.
     pub destination: TaskId,
@@ -199,6 +223,15 @@ pub struct Packet {
     pub remaining: Ticks,
     /// What the message says.
     pub contents: Contents,
+}
+
+/// The highest position of a fragment: it has four bits.
+const LAST_FRAGMENT: u8 = 15;
+
+/// A number that the bytes of a packet have room for. A packet that is read from a file may say more.
+fn at_most<'de, D: Deserializer<'de>, const MOST: u8>(from: D) -> Result<u8, D::Error> {
+    let number = u8::deserialize(from)?;
+    if number <= MOST { Ok(number) } else { Err(D::Error::custom(PacketError::Malformed)) }
 }
 
 /// Why 32 bytes are not a packet for this node.

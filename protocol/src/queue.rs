@@ -383,6 +383,34 @@ impl<T: Entry> Queue<T> {
         order.last = None;
     }
 
+    /// Whether a queue that was read from a file has room for `capacity` entries, and its orders name each of them once: then
+    /// no operation on it goes out of bounds. Asked before anything else of it.
+    pub fn is_whole(&self, capacity: usize) -> bool {
+        if self.entries.len() != capacity {
+            return false;
+        }
+        let Some(order) = &self.order else { return capacity <= 1 };
+        let (urgent, free) = (&order.urgent, capacity.saturating_sub(order.urgent.len()));
+        if !urgent.is_whole(capacity) || self.entries.iter().flatten().count() != urgent.len() {
+            return false;
+        }
+        let held = urgent.iter().all(|slot| self.get(slot).is_some());
+        // The free slots are a list: all of them, each once, and an end.
+        let mut next = order.free;
+        let mut ends = true;
+        let mut seen = vec![false; capacity];
+        for _ in 0..free {
+            let new = seen.get_mut(usize::from(next)).is_some_and(|seen| !core::mem::replace(seen, true));
+            ends &= new && self.get(next).is_none();
+            next = urgent.kept(next);
+        }
+        let watched = order.watch.as_ref().is_none_or(|Watch { sides, due }| {
+            let same = due.len() == urgent.len() && urgent.iter().all(|slot| due.has(slot));
+            sides.len() == capacity && due.is_whole(capacity) && same
+        });
+        held && ends && next == NONE && watched
+    }
+
     /// Whether each order is what a look at all entries says.
     pub fn is_in_order(&self) -> bool {
         self.order.as_ref().is_none_or(|order| order.is_right(&self.entries))

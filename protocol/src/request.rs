@@ -157,9 +157,27 @@ pub enum Ranked {
 /// The ranks that `order a > b > c` gives: what is named first, in this order, then all the rest alike. A smaller rank
 /// goes first, and the rank is the number of levels above it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[serde(try_from = "WrittenOrder")]
 pub struct ServiceOrder {
     ranked: [Ranked; Self::LEVELS],
     len: u8,
+}
+
+/// An order as a file has it, before it is known to be one.
+#[derive(Deserialize)]
+#[serde(rename = "ServiceOrder")]
+struct WrittenOrder {
+    ranked: [Ranked; ServiceOrder::LEVELS],
+    len: u8,
+}
+
+impl TryFrom<WrittenOrder> for ServiceOrder {
+    type Error = &'static str;
+
+    fn try_from(WrittenOrder { ranked, len }: WrittenOrder) -> Result<Self, Self::Error> {
+        let order = Self { ranked, len };
+        if usize::from(len) <= Self::LEVELS { Ok(order) } else { Err("an order of too many levels") }
+    }
 }
 
 impl Default for ServiceOrder {

@@ -367,6 +367,8 @@ fn farthest(cell: &Cell, parties: &[Party], routes: &[Option<Hop>]) -> Ticks {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::cell::MAX_NODES;
+    use alloc::string::ToString;
 
     fn three(delay: u64) -> Cell {
         let mut cell = Cell::new("three", Ticks(1));
@@ -392,6 +394,23 @@ mod tests {
         assert_eq!(table.bound_between(X, Z), Ticks(8));
         assert_eq!(table.neighbours(NodeId(1)).collect::<Vec<_>>(), [NodeId(0), NodeId(2)]);
         assert_eq!(table.next_hop(NodeId(0), NodeId(9)), None);
+    }
+
+    /// Every node knows the way to every other one: that is what bounds their number.
+    #[test]
+    fn the_routes_of_the_largest_cell_fit_into_a_few_megabytes() {
+        let line = |nodes: usize| {
+            let mut cell = Cell::new("line", Ticks(1));
+            let nodes: Vec<_> = (0..nodes).map(|i| cell.node(&alloc::format!("n{i}"))).collect();
+            nodes.windows(2).for_each(|pair| cell.link(pair[0], pair[1], Ticks(1)));
+            cell
+        };
+        let table = CellTable::new(line(MAX_NODES)).unwrap();
+        assert!(size_of_val(&*table.routes) <= 8 << 20, "{}", size_of_val(&*table.routes));
+        assert_eq!(table.path_bound(NodeId(0), NodeId(511)), Some(Ticks(511)));
+        let refused = CellTable::new(line(6_000)).unwrap_err();
+        assert_eq!(refused, [CellError::TooMany("nodes", MAX_NODES)]);
+        assert!(refused[0].to_string().contains("more than 512 nodes"));
     }
 
     #[test]

@@ -31,6 +31,8 @@ use stream::Listener;
 
 /// How many monitors a node serves at once.
 pub const MAX_MONITORS: usize = 8;
+/// How many connections it keeps beside them that have not shown yet that they may look.
+const MAX_STRANGERS: usize = 16;
 /// Who looks comes after who works.
 const LEAST_PRIORITY: i32 = 19;
 /// How long the listener rests when the process has no file descriptor left for a new monitor.
@@ -185,14 +187,36 @@ impl Server {
             let now = Instant::now();
             self.rest_until = self.rest_until.filter(|&until| until > now);
             let mut at = 0;
+            let mut room = self.room(now);
             self.clients.retain_mut(|client| {
-                let stays = client.serve(ready.clients.get(at).copied().unwrap_or_default(), now);
+                let served = client.is_served();
+                let ready = ready.clients.get(at).copied().unwrap_or_default();
+                let stays = client.serve(ready, room > 0, now);
+                room = room.saturating_sub(usize::from(stays && !served && client.is_served()));
                 at += 1;
                 stays
             });
+            self.make_room(now);
             if ready.listener {
                 self.accept(now);
             }
+        }
+    }
+
+    /// How many newcomers can be served: the places that are free, and those of monitors that make room.
+    fn room(&self, now: Instant) -> usize {
+        let served = self.clients.iter().filter(|client| client.is_served()).count();
+        let idle = self.clients.iter().filter(|client| client.idle_since(now).is_some()).count();
+        (MAX_MONITORS + idle).saturating_sub(served)
+    }
+
+    /// More monitors are served than there are places for: whoever has been idle longest goes.
+    fn make_room(&mut self, now: Instant) {
+        while self.clients.iter().filter(|client| client.is_served()).count() > MAX_MONITORS {
+            let idle =
+                self.clients.iter().enumerate().filter_map(|(at, one)| Some((one.idle_since(now)?, at)));
+            let Some((_, longest)) = idle.min() else { return };
+            self.clients.remove(longest);
         }
     }
 
@@ -227,12 +251,17 @@ impl Server {
 
     fn accept(&mut self, now: Instant) {
         match self.listener.accept() {
-            // Some more than are served are heard, to be told so; a crowd is turned away unheard.
-            Ok(Some(stream)) if self.clients.len() < 2 * MAX_MONITORS => {
-                let welcome = self.clients.len() < MAX_MONITORS;
-                self.clients.extend(Client::new(stream, self.showing.clone(), welcome, now));
+            // Of a crowd of strangers those that came last are heard: whoever may look says so at once.
+            Ok(Some(stream)) => {
+                let strangers = || self.clients.iter().enumerate().filter(|(_, client)| !client.is_served());
+                if strangers().count() >= MAX_STRANGERS
+                    && let Some((oldest, _)) = strangers().next()
+                {
+                    self.clients.remove(oldest);
+                }
+                self.clients.extend(Client::new(stream, self.showing.clone(), now));
             }
-            Ok(_) => {}
+            Ok(None) => {}
             Err(error) if matches!(error.kind(), ErrorKind::WouldBlock | ErrorKind::Interrupted) => {}
             Err(_) => self.rest_until = Some(now + REST),
         }

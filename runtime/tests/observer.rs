@@ -3,12 +3,13 @@
 use crate::common::monitor::{Folder, Monitor, NEW, node, socket};
 use crate::common::{A, B, LONG, LONG_TICKS, ask, cell, finish, one_node, table};
 use imrs_protocol::{Event, TaskState, Ticks};
-use imrs_runtime::observer::{MAX_MONITORS, Observer, ObserverError, Place};
+use imrs_runtime::observer::{MAX_MONITORS, Observer, ObserverError, Place, Showing};
 use imrs_wire::obs::{
-    ClientFrame, FrameError, Goodbye, Handshake, Liveness, Refusal, SCHEMA, ServerFrame, TimedEvent, VERSION,
-    Version,
+    ClientFrame, FrameError, Goodbye, Handshake, Liveness, Refusal, SCHEMA, ServerFrame, TimedEvent, Token,
+    VERSION, Version,
 };
 use std::io::Write;
+use std::net::{SocketAddr, TcpStream};
 use std::os::unix::fs::PermissionsExt;
 use std::os::unix::net::{UnixListener, UnixStream};
 use std::time::{Duration, Instant};
@@ -74,6 +75,59 @@ fn other_versions_and_too_many_are_refused_by_name() {
     while !matches!(Monitor::unix(socket(&observer)).hello(NEW), Handshake::Hello(_)) {
         assert!(start.elapsed() < LONG, "the places of those who left stay taken");
     }
+}
+
+/// Eight monitors that want nothing do not keep others out for ever: the one that is idle longest goes.
+#[test]
+fn idle_monitors_make_room() {
+    let folder = Folder::new("idle");
+    let (runtime, tell) = node();
+    let observer = Observer::start_at(runtime.node().clone(), &folder.socket()).unwrap();
+    let mut idle: Vec<_> = (0..MAX_MONITORS).map(|_| Monitor::unix(socket(&observer)).attach(NEW)).collect();
+    // One that goes on wanting stays.
+    idle[0].subscribe(false, u16::MAX);
+    let start = Instant::now();
+    let mut new = loop {
+        let mut new = Monitor::unix(socket(&observer));
+        if matches!(new.hello(NEW), Handshake::Hello(_)) {
+            break new;
+        }
+        assert!(start.elapsed() < LONG, "the places of those who want nothing stay taken");
+        let _ = idle[0].next();
+    };
+    assert!(matches!(new.next(), ServerFrame::Table(_)));
+    assert!(matches!(idle[0].next(), ServerFrame::Snapshot(_)));
+    assert!(matches!(idle[1].reader.read_frame(), Err(FrameError::Closed)), "the longest idle one goes");
+    drop((tell, observer));
+    drop(runtime);
+}
+
+/// Whoever has shown nothing takes no place from those who may look, however many there are.
+#[test]
+fn strangers_lock_nobody_out() {
+    let (runtime, tell) = node();
+    let token = Token::of("0123456789abcdef").unwrap();
+    let showing = Showing::new(runtime.node().clone()).token(Some(token.clone()));
+    let observer = showing.start_tcp(SocketAddr::from(([127, 0, 0, 1], 0))).unwrap();
+    let Place::Tcp(address) = *observer.place() else { panic!("over TCP") };
+    // As many as fit into the queue of the listener with the monitor behind them.
+    let silent: Vec<_> = (0..60).map(|_| TcpStream::connect(address).unwrap()).collect();
+    let mut greeted = Vec::new();
+    for _ in 0..MAX_MONITORS {
+        let mut stranger = Monitor::tcp(address);
+        assert!(matches!(stranger.hello(NEW), Handshake::Hello(_)), "it takes no place yet");
+        greeted.push(stranger);
+    }
+    let mut monitor = Monitor::tcp(address);
+    assert!(matches!(monitor.hello(NEW), Handshake::Hello(_)));
+    monitor.say(&ClientFrame::Token(token));
+    assert!(matches!(monitor.next(), ServerFrame::Table(_)));
+    // They go by themselves.
+    for mut stranger in greeted {
+        assert!(matches!(stranger.reader.read_frame(), Err(FrameError::Closed)));
+    }
+    drop((silent, tell, observer));
+    drop(runtime);
 }
 
 #[test]

@@ -144,10 +144,10 @@ fn reply_to() -> impl Strategy<Value = ReplyTo> {
 }
 
 fn packet() -> impl Strategy<Value = Packet> {
-    let how = (0..8_usize, any::<[bool; 4]>(), any::<[u8; 2]>(), any::<[u16; 3]>());
+    let how = (0..8_usize, any::<[bool; 4]>(), (0..8_u8, 0..16_u8), any::<[u16; 3]>());
     (how, id(), ticks(), contents()).prop_map(
         |(
-            (kind, [status, more, resent, urgent], [hops, fragment], [to, from, port]),
+            (kind, [status, more, resent, urgent], (hops, fragment), [to, from, port]),
             id,
             remaining,
             contents,

@@ -51,6 +51,9 @@ pub struct MonitorArgs {
     /// Record what the nodes show; without a terminal, without a screen.
     #[arg(long, value_name = "FILE", conflicts_with_all = ["once", "watch", "text"])]
     pub record: Option<PathBuf>,
+    /// Replace what a file of the recording's name holds.
+    #[arg(long, requires = "record")]
+    pub force: bool,
     /// Record or assert for so long, without a screen, and end.
     #[arg(long = "for", value_name = "TIME", requires = "lasting", value_parser = crate::time::parse)]
     pub length: Option<Duration>,

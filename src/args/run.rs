@@ -81,6 +81,9 @@ pub struct LaunchArgs {
     /// Record what goes into every communication task; each node writes a file of its own beside this name.
     #[arg(long, value_name = "FILE")]
     pub record: Option<PathBuf>,
+    /// Replace what files of the recordings' names hold.
+    #[arg(long, requires = "record")]
+    pub force: bool,
     /// Seeds the lost packets and the lengths of the tasks' work [default: from the clock].
     #[arg(long, value_name = "N")]
     pub seed: Option<u64>,

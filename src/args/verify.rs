@@ -53,6 +53,9 @@ pub struct CellFaultArgs {
     /// Save a finding as a recording that `imrs monitor --replay FILE` shows step by step.
     #[arg(long, value_name = "FILE", requires = "cell")]
     pub save: Option<PathBuf>,
+    /// Replace what the file of --save holds.
+    #[arg(long, requires = "save")]
+    pub force: bool,
     /// Which finding is drawn and saved, counted from 1 [default: the first that steps lead to].
     #[arg(long, value_name = "N", requires = "cell", value_parser = clap::value_parser!(u16).range(1..))]
     pub finding: Option<u16>,

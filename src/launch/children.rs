@@ -3,7 +3,7 @@
 use super::launcher::LaunchError;
 use super::lines::{Order, Setup, Word, hear, say};
 use super::node::{self, NodeError};
-use crate::exit::Exit;
+use crate::exit::{Exit, Failure};
 use crate::output::complain;
 use imrs_protocol::NodeId;
 use imrs_runtime::link::in_process::Network;
@@ -213,7 +213,7 @@ impl Process {
                 match thread.take().map(JoinHandle::join) {
                     Some(Ok(Ok(()))) if killed => End::Killed,
                     Some(Ok(Ok(()))) => End::Clean,
-                    Some(Ok(Err(error))) => End::Code(error.exit() as i32),
+                    Some(Ok(Err(error))) => End::Code(Failure::from(error).exit() as i32),
                     Some(Err(_)) | None => End::Code(Exit::Internal as i32),
                 }
             }

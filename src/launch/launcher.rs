@@ -47,7 +47,7 @@ pub enum LaunchError {
     Fault(#[from] FaultError),
     /// A process or thread cannot be started.
     #[error("cannot start the nodes: {0}")]
-    Start(io::Error),
+    Start(#[source] io::Error),
     /// A node did not get ready.
     #[error("node `{name}` did not get ready")]
     NotReady {
@@ -374,7 +374,8 @@ impl Launcher<'_> {
                 }
                 Ok(Message::Gone(node, _)) => {
                     let ends = self.children.wait(EXIT_WITHIN);
-                    let refused = ends.contains(&(node, super::children::End::Code(Exit::Usage as i32)));
+                    let ended = |exit: Exit| ends.contains(&(node, super::children::End::Code(exit as i32)));
+                    let refused = ended(Exit::Usage) || ended(Exit::System);
                     return Err(LaunchError::NotReady { name: self.name(node), refused });
                 }
                 Ok(Message::Interrupted) => self.interrupted = true,

@@ -24,5 +24,5 @@ mod tally;
 mod way;
 
 pub use faults::{ActionCommand, Cut, Fault, Kill, Rate, Restart};
-pub use launcher::{LaunchError, Run, observed_at, run};
+pub use launcher::{LaunchError, Run, observed_at, record_file, run};
 pub use node::{NodeError, run_process as run_node};

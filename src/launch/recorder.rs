@@ -6,9 +6,10 @@ use crate::output::complain;
 use imrs_protocol::{Incarnation, NodeTable};
 use imrs_runtime::observer::RecordingWatch;
 use imrs_runtime::record::{About, FileRecorder, Recorder};
+use imrs_wire::files;
 use imrs_wire::obs::RecordingFacts;
 use imrs_wire::recording::{Status, WriteError};
-use std::fs::OpenOptions;
+use std::io;
 use std::path::Path;
 use std::sync::Arc;
 use std::time::Duration;
@@ -17,12 +18,12 @@ use std::time::Duration;
 pub struct NodeRecording(Arc<FileRecorder>);
 
 impl NodeRecording {
-    /// Begins a recording in a new file, or over an old one.
+    /// Begins a recording in a new file, which only its owner can read.
     ///
     /// # Errors
     /// The file cannot be made or written.
     pub fn start(path: &Path, setup: &Setup, loaded: &Loaded, table: &NodeTable) -> Result<Self, WriteError> {
-        let file = OpenOptions::new().write(true).create(true).truncate(true).open(path)?;
+        let file = files::create(path).map_err(io::Error::from)?;
         let name = path.display().to_string();
         let failed = move |error: &WriteError| complain(format_args!("{name} is no longer written: {error}"));
         let about = About {

@@ -8,6 +8,7 @@ use imrs_monitor::judge::{Judgement, Sitting};
 use imrs_monitor::store::conformance::{self, Conformance};
 use imrs_protocol::{Cell, NodeId, NodeTable};
 use imrs_runtime::record::Replays;
+use imrs_wire::files;
 use imrs_wire::recording::{Header, RecordingReader};
 use std::collections::BTreeMap;
 use std::fs::{File, Metadata};
@@ -96,7 +97,7 @@ fn identity(file: &Metadata) -> (u64, u64) {
 impl<'a> Followed<'a> {
     /// `None` where it is of no known cell, or not to be read.
     fn open(path: &Path, present: &Metadata, cells: &'a Cells) -> Option<Self> {
-        let header = RecordingReader::new(File::open(path).ok()?).ok()?.header().clone();
+        let header = RecordingReader::new(files::open(path).ok()?).ok()?.header().clone();
         let cell = cells.known.iter().find(|cell| cell.table.digest() == header.digest)?.table.cell();
         let node = cell.nodes.get(header.node?.index())?.name.clone();
         let runs = cells.open(path, &header);

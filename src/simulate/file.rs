@@ -3,6 +3,7 @@
 use crate::exit::{Failure, did_you_mean};
 use imrs_model::cell::{Chooser, Fault, MOST_FAULTS, Schedule, Tape};
 use imrs_protocol::{CellTable, NodeId, TaskId};
+use imrs_wire::files::{self, FileError};
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::path::Path;
@@ -91,11 +92,10 @@ pub(super) struct Names<'a> {
 /// [`Failure::Usage`], with the file and the fault that is wrong.
 pub(super) fn read(path: &Path, names: &Names<'_>) -> Result<Plan, Failure> {
     let refused = |what: String| Failure::Usage(format!("{}: {what}", path.display()));
-    let of = std::fs::metadata(path).map_err(|error| refused(format!("cannot be read: {error}")))?;
-    if !of.is_file() || of.len() > LONGEST {
-        return Err(refused("no plan: name a file that --save wrote, or one like it".into()));
-    }
-    let text = std::fs::read_to_string(path).map_err(|error| refused(format!("cannot be read: {error}")))?;
+    let text = files::text(path, LONGEST).map_err(|error| match error {
+        FileError::Io(error) => refused(format!("cannot be read: {error}")),
+        other => refused(format!("no plan, {other}: name a file that --save wrote, or one like it")),
+    })?;
     let file: File = toml::from_str(&text).map_err(|error| refused(error.to_string().trim_end().into()))?;
     names.plan(file).map_err(refused)
 }

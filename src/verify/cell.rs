@@ -6,7 +6,7 @@ use crate::args::{self, CellFaultArgs, Format, VerifyVerb};
 use crate::cell_file::{self, CellFileError};
 use crate::check;
 use crate::exit::{Exit, Failure, did_you_mean, turned_down};
-use crate::output::Output;
+use crate::output::{Output, harmless};
 use imrs_language::hir::{CoupleKind, Faults};
 use imrs_language::lower::{Behaviour, Check, CheckKind, Lowered};
 use imrs_language::{Options, Source, Span, Unit, compile_with, render};
@@ -16,6 +16,7 @@ use imrs_model::cell::{
 };
 use imrs_protocol::script::Address;
 use imrs_protocol::{CellTable, NodeId, TaskId};
+use imrs_wire::files::{self, FileError};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -46,6 +47,10 @@ pub fn run(path: &Path, args: &VerifyVerb, out: &mut Output) -> Result<Exit, Fai
     let plan = Arc::new(subject.plan(args)?);
     for file in [&args.faults.trace, &args.faults.save].into_iter().flatten() {
         cell_file::writable(file)?;
+    }
+    if let Some(path) = args.faults.save.as_ref().filter(|_| !args.faults.force) {
+        let taken = |error: FileError| CellFileError::NotSaved { path: path.clone(), source: error.into() };
+        files::free(path, false).map_err(taken)?;
     }
     let verdicts = check_cell(&plan);
     // What was found is shown even if it cannot be saved.
@@ -240,7 +245,7 @@ impl Subject {
             } else {
                 svg(&names, &notes, &finding.cause)
             };
-            std::fs::write(path, drawn)
+            std::fs::write(path, &*harmless(&drawn))
                 .map_err(|source| CellFileError::NotSaved { path: path.clone(), source })?;
         }
         let Some(path) = &args.save else { return Ok(None) };
@@ -248,7 +253,7 @@ impl Subject {
             |phase: &&Coverage| (phase.phase, phase.hypothesis) == (finding.phase, finding.hypothesis);
         let bounds = verdicts.phases.iter().find(searched);
         let bounds = bounds.map(|phase| tell::bounds(plan, phase)).unwrap_or_default();
-        let saved = super::save::save(path, self, plan, finding, bounds)?;
+        let saved = super::save::save(path, self, plan, finding, bounds, args.force)?;
         Ok(saved.then_some(at + 1))
     }
 }

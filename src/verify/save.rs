@@ -5,11 +5,11 @@ use crate::cell_file::CellFileError;
 use crate::exit::Failure;
 use imrs_model::cell::{CellPlan, Finding, Scene, Shows, scenes};
 use imrs_protocol::NodeId;
+use imrs_wire::files;
 use imrs_wire::obs::{
     Events, Hello, NodeIdentity, Role, SCHEMA, ServerFrame, Snapshot, Table, TimedEvent, VERSION,
 };
 use imrs_wire::recording::{Doing, Header, Place, Record, RecordingWriter, Shown, Step, Story, WriteError};
-use std::fs::File;
 use std::io::{self, BufWriter, Write};
 use std::path::Path;
 use std::sync::Arc;
@@ -27,13 +27,15 @@ pub(super) fn save(
     plan: &Arc<CellPlan>,
     finding: &Finding,
     bounds: String,
+    force: bool,
 ) -> Result<bool, Failure> {
     let scenes = scenes(plan, finding);
     if scenes.is_empty() {
         return Ok(false);
     }
     let unwritable = |source| CellFileError::NotSaved { path: path.to_owned(), source };
-    let file = File::create(path).map_err(unwritable)?;
+    let made = files::free(path, force).and_then(|()| files::create(path));
+    let file = made.map_err(|error| unwritable(error.into()))?;
     let written = Film::begin(BufWriter::new(file), subject)
         .and_then(|film| film.write(&scenes, subject.story(finding, bounds, scenes.len())));
     written.map_err(|error| {

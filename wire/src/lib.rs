@@ -3,5 +3,7 @@
 
 mod checksum;
 pub mod envelope;
+pub mod files;
 pub mod obs;
 pub mod recording;
+pub mod text;

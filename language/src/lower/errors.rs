@@ -77,7 +77,7 @@ impl Mapping<'_> {
             CellError::LinkToItself(_)
             | CellError::DuplicateName(..)
             | CellError::Dangling(_)
-            | CellError::TooMany(_) => {
+            | CellError::TooMany(..) => {
                 Diagnostic::error(code(error), self.whole(), error.to_string()).label("in this cell")
             }
         }
@@ -247,7 +247,7 @@ const fn code(error: &CellError) -> &'static str {
         CellError::NoUsers(_) | CellError::NoTimeOut(_) => MISSING,
         CellError::NoBuffer(_) | CellError::NeedsClass2(_) => OPTION,
         CellError::Fragments(..) | CellError::NoRoomForEpoch(_) => TOO_LONG,
-        CellError::TooManyMembers(_) | CellError::TooManyAsked(_) | CellError::TooMany(_) => TOO_MANY,
+        CellError::TooManyMembers(_) | CellError::TooManyAsked(_) | CellError::TooMany(..) => TOO_MANY,
         CellError::ListedTwice(..) | CellError::LinkToItself(_) => TWICE,
         CellError::OtherClass(..) | CellError::OtherFormat(..) => DISAGREE,
         CellError::UnknownModule(..) | CellError::Dangling(_) => UNKNOWN_NAME,

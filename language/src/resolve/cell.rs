@@ -7,6 +7,7 @@ use crate::diagnostic::Diagnostic;
 use crate::hir::{Faults, Field, Link, Node, Record};
 use crate::span::Span;
 use imrs_protocol::NodeId;
+use imrs_protocol::cell::MAX_NODES;
 
 /// The most of anything that has a number of 16 bits.
 pub(super) const MOST: usize = u16::MAX as usize;
@@ -72,12 +73,26 @@ impl<'a> Resolver<'a> {
         }
     }
 
+    /// Of such a cell nothing else is said: every way between two nodes would have to be found for it.
+    pub(super) fn has_too_many_nodes(&mut self, file: &'a ast::File) -> bool {
+        let nodes = file.items.iter().filter_map(|item| match item {
+            Item::Node(node) => Some(node),
+            _ => None,
+        });
+        let first = nodes.skip(MAX_NODES).next();
+        if let Some(node) = first {
+            self.report(
+                Diagnostic::error(TOO_MANY, node.name.span, format!("more than {MAX_NODES} nodes"))
+                    .label("one too many")
+                    .help("split the cell: parts that do not talk to each other are cells of their own"),
+            );
+        }
+        first.is_some()
+    }
+
     fn declare_node(&mut self, node: &'a ast::NodeDecl) {
         if let Err(first) = self.nodes.add(&node.name, self.hir.nodes.len()) {
             return self.report(duplicate("nodes", &node.name, first));
-        }
-        if self.hir.nodes.len() >= MOST {
-            return self.too_many("nodes", node.name.span);
         }
         let port = node.port.and_then(|port| {
             let fits = u16::try_from(port.value).ok().filter(|&port| port > 0);
@@ -117,11 +132,12 @@ impl<'a> Resolver<'a> {
                 .help("keep the one with the delay that holds"),
             );
         }
+        self.links.insert((a.min(b), a.max(b)), self.hir.links.len());
         self.hir.links.push(Link { a, b, delay: link.delay, span: link.span });
     }
 
     pub(super) fn link_between(&self, a: NodeId, b: NodeId) -> Option<usize> {
-        self.hir.links.iter().position(|link| (link.a, link.b) == (a, b) || (link.a, link.b) == (b, a))
+        self.links.get(&(a.min(b), a.max(b))).copied()
     }
 
     fn declare_record(&mut self, record: &'a ast::TypeDecl) {

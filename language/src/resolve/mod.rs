@@ -32,7 +32,7 @@ use crate::codes::{
 use crate::diagnostic::{Diagnostic, Severity};
 use crate::hir::Hir;
 use crate::lost::Lost;
-use imrs_protocol::{PortId, TaskId};
+use imrs_protocol::{NodeId, PortId, TaskId};
 use names::{Names, Poison};
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -87,6 +87,8 @@ struct Resolver<'a> {
     hir: Hir,
     found: Vec<Diagnostic>,
     nodes: Names,
+    /// The links by their ends, the lower one first: positions in [`Hir::links`].
+    links: BTreeMap<(NodeId, NodeId), usize>,
     records: Names,
     tasks: Names,
     ports: Names,
@@ -120,6 +122,9 @@ struct Resolver<'a> {
 
 impl<'a> Resolver<'a> {
     fn file(&mut self, file: &'a ast::File) {
+        if self.has_too_many_nodes(file) {
+            return;
+        }
         self.cell(file);
         self.declare_tasks(file);
         self.declare_ports();

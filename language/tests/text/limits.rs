@@ -8,6 +8,26 @@ fn in_task(body: &str) -> String {
     format!("cell c; task t on n begin {body} end t;")
 }
 
+/// Of too many nodes one thing is said, and no way between them is looked for.
+#[test]
+fn nodes_have_a_bound() {
+    let cell = |nodes: usize, links: &dyn Fn(usize) -> String| {
+        let nodes = (0..nodes).map(|i| format!("node n{i}; {}", links(i)));
+        format!("cell c; tick 1 msec; {}task t on n0 begin skip; end t;", nodes.collect::<String>())
+    };
+    let line =
+        |i: usize| if i > 0 { format!("link n{} -- n{i} delay 1 msec; ", i - 1) } else { String::new() };
+    let star = |i: usize| if i > 0 { format!("link n0 -- n{i} delay 1 msec; ") } else { String::new() };
+    let kinds: [&dyn Fn(usize) -> String; 3] = [&line, &star, &|_| String::new()];
+    for links in kinds {
+        let found = imrs_language::compile(&source(&cell(6_000, links))).diagnostics;
+        assert_eq!(found.iter().map(|found| found.code).collect::<Vec<_>>(), ["E123"]);
+        assert!(found[0].is_limit() && found[0].message == "more than 512 nodes", "{found:?}");
+        let found = imrs_language::compile(&source(&cell(512, links))).diagnostics;
+        assert!(found.iter().all(|found| found.code != "E123"), "{found:?}");
+    }
+}
+
 #[test]
 fn nesting_has_a_bound() {
     let blocks = |n: usize| in_task(&format!("{}{}", "loop ".repeat(n), "end; ".repeat(n)));

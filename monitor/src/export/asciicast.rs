@@ -2,10 +2,12 @@
 
 use super::{ExportError, Exported, Wanted};
 use crate::app::{App, Msg};
+use crate::name::shown;
 use crate::replay::Player;
 use crate::theme::Theme;
 use crate::view;
 use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
+use imrs_wire::text;
 use ratatui::backend::CrosstermBackend;
 use ratatui::buffer::Buffer;
 use ratatui::layout::Rect;
@@ -23,7 +25,7 @@ pub(super) fn write(player: Player, wanted: &Wanted, mut out: impl Write) -> Res
     // The file is for a terminal, whatever the environment of this program says of its own.
     crossterm::style::force_color_output(true);
     let (width, height) = wanted.size;
-    let title = format!("imrs monitor: {}", player.film().cell);
+    let title = format!("imrs monitor: {}", shown(&player.film().cell));
     let header = json!({"version": 2, "width": width, "height": height, "title": title});
     writeln!(out, "{header}")?;
     let steps = player.film().story.is_some();
@@ -52,8 +54,8 @@ pub(super) fn write(player: Player, wanted: &Wanted, mut out: impl Write) -> Res
         next = at + apart;
         app.show_stop(stop);
         if let Some(bytes) = screen.draw(&app)? {
-            let text = String::from_utf8_lossy(&bytes);
-            writeln!(out, "{}", json!([at.as_secs_f64(), "o", text]))?;
+            let drawn = String::from_utf8_lossy(&bytes);
+            writeln!(out, "{}", text::json(&json!([at.as_secs_f64(), "o", drawn]).to_string()))?;
             count += 1;
         }
     }

@@ -7,6 +7,7 @@ use crate::store::Store;
 use crate::store::journal::{Level, level_of, word};
 use crate::store::timeline::{Mark, Timeline, timeline};
 use imrs_protocol::{Event, TaskId};
+use imrs_wire::text::one_line;
 use std::fmt::Write as _;
 use std::io::Write;
 
@@ -136,5 +137,5 @@ fn words(mark: &Mark, names: &crate::store::Names) -> String {
 }
 
 fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
+    one_line(text).replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;").replace('"', "&quot;")
 }

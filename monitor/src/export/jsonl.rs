@@ -9,6 +9,7 @@ use crate::store::journal::word;
 use crate::store::{Life, Store};
 use imrs_protocol::Event;
 use imrs_wire::obs::{ServerFrame, TimedEvent};
+use imrs_wire::text;
 use serde_json::{Value, json};
 use std::io::Write;
 
@@ -16,8 +17,7 @@ pub(super) fn write(film: &Film, mut out: impl Write) -> Result<Exported, Export
     let mut count = 0;
     each_frame(film, |store, arrival| {
         for line in lines(store, arrival) {
-            serde_json::to_writer(&mut out, &line).map_err(std::io::Error::from)?;
-            out.write_all(b"\n")?;
+            writeln!(out, "{}", text::json(&line.to_string()))?;
             count += 1;
         }
         Ok::<(), ExportError>(())

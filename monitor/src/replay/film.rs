@@ -5,9 +5,9 @@ use crate::clock::{Moment, micros};
 use crate::error::MonitorError;
 use crate::source::{Arrival, Feed, SourceId};
 use crate::store::journal::{Level, level_of};
+use imrs_wire::files;
 use imrs_wire::obs::{Events, Role, ServerFrame};
 use imrs_wire::recording::{Ending, Record, RecordingReader, Shown, Step, Story, Stream};
-use std::fs::File;
 use std::io::{BufReader, Read};
 use std::ops::Range;
 use std::path::Path;
@@ -114,7 +114,7 @@ impl Film {
     /// or shows no nodes.
     pub fn open(path: &Path) -> Result<Self, MonitorError> {
         let failed = |why: String| MonitorError::Recording { path: path.to_owned(), why };
-        let file = File::open(path).map_err(|error| failed(error.to_string()))?;
+        let file = files::open(path).map_err(|error| failed(error.to_string()))?;
         Self::read(BufReader::new(file)).map_err(failed)
     }
 

@@ -30,6 +30,11 @@ impl Parts {
         Self((room > 0).then(|| Box::new(Room { have: 0, parts: parts() })))
     }
 
+    /// For how many fragments there is room.
+    pub fn room(&self) -> usize {
+        self.0.as_ref().map_or(0, |room| room.parts.len())
+    }
+
     pub fn has_room(&self) -> bool {
         self.0.is_some()
     }

@@ -17,17 +17,17 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, Default, Serialize, Deserialize)]
 pub(crate) struct Heads {
     /// Of the ports without a handler where something waits: the most urgent head.
-    urgent: Words,
+    pub urgent: Words,
     /// Of the same: the one that has been passed over longest (D58).
-    eldest: Words,
+    pub eldest: Words,
     /// Of the ports with a handler where something waits: where something is to be offered next. There is room for it from
     /// the task's first handler on.
-    offers: Words,
+    pub offers: Words,
     /// Of the ports with a handler, or with messages of several packets: where something expires next. Likewise, or from the
     /// beginning where a message of several packets can come.
-    ends: Words,
+    pub ends: Words,
     /// Of the waitfors: where something is to be done next.
-    meetings: Words,
+    pub meetings: Words,
 }
 
 /// D14: what decides between the heads of two ports.

@@ -2,6 +2,7 @@
 
 use super::fragments::{Assembly, Parts};
 use super::memory::Source;
+use super::whole::{is_assembly, is_room};
 use crate::cell::PortDecl;
 use crate::ids::{Incarnation, MessageId, PortId, Seq24, TaskId};
 use crate::packet::{Class, Contents};
@@ -106,6 +107,18 @@ impl Long {
         if let (Some(body), Some(assembly)) = (self.bodies.get_mut(usize::from(slot)), from) {
             body.fill(have, assembly.contents.iter().skip(1));
         }
+    }
+
+    /// Whether it has the room that another has.
+    pub fn is_like(&self, other: &Self) -> bool {
+        let room = |ours: &[Parts], theirs: &[Parts]| {
+            ours.len() == theirs.len() && ours.iter().zip(theirs).all(|(ours, theirs)| is_room(ours, theirs))
+        };
+        let open = self.assemblies.iter().zip(&other.assemblies);
+        room(&self.bodies, &other.bodies)
+            && room(&self.answers, &other.answers)
+            && self.assemblies.len() == other.assemblies.len()
+            && open.into_iter().all(|(ours, theirs)| is_assembly(ours, theirs))
     }
 
     pub fn new(decl: &PortDecl, sources: usize) -> Option<Box<Self>> {

@@ -24,6 +24,7 @@ mod rendezvous;
 mod requests;
 mod timers;
 mod view;
+mod whole;
 
 pub(crate) use fragments::Parts;
 pub use packed::{Frame, Overflow};

@@ -263,6 +263,18 @@ impl Words {
             && all().filter(|&(at, _)| free(at)).all(|(at, &word)| word == NOTHING[at % 4])
     }
 
+    /// Whether every word names one of `capacity` numbers and every number that stands here knows its place: of an order
+    /// that was read from a file nothing else can be asked before.
+    pub fn is_whole(&self, capacity: usize) -> bool {
+        let groups = if capacity == 0 { 0 } else { (ROOT + capacity).div_ceil(4) };
+        let whole = self.places.len() == capacity && self.groups.len() == groups && self.len() <= capacity;
+        let placed = |(at, word): (usize, u64)| {
+            let number = slot(word);
+            !is_nothing(word) && usize::from(number) < capacity && self.place_of(number) == Some(at)
+        };
+        whole && (ROOT..).zip(self.words()).all(placed)
+    }
+
     /// Finds the place of a word from one where it may stand.
     fn settle<K: Ord>(&mut self, at: usize, moving: u64, key: &impl Fn(Slot) -> K) {
         let above = if at > ROOT { self.word_at(parent(at)) } else { None };

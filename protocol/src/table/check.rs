@@ -1,7 +1,7 @@
 //! What may be wrong with a declared cell.
 
 use super::{Hop, Port, farthest};
-use crate::cell::{Cell, CellError, MAX_FRAGMENTS, MAX_MEMBERS, Usage};
+use crate::cell::{Cell, CellError, MAX_FRAGMENTS, MAX_MEMBERS, MAX_NODES, Usage};
 use crate::ids::{NodeId, Seq24, TaskId};
 use crate::packet::{Class, MAX_HOPS};
 use crate::ticks::Ticks;
@@ -11,7 +11,11 @@ use alloc::string::String;
 use alloc::vec::Vec;
 
 pub(super) fn names(cell: &Cell, errors: &mut Vec<CellError>) {
-    fn unique<'a>(what: &'static str, names: impl Iterator<Item = &'a String>, errors: &mut Vec<CellError>) {
+    fn unique<'a>(
+        (what, most): (&'static str, usize),
+        names: impl Iterator<Item = &'a String>,
+        errors: &mut Vec<CellError>,
+    ) {
         let mut seen = BTreeSet::new();
         let mut count = 0_usize;
         for name in names {
@@ -20,13 +24,14 @@ pub(super) fn names(cell: &Cell, errors: &mut Vec<CellError>) {
                 errors.push(CellError::DuplicateName(what, name.clone()));
             }
         }
-        if count > usize::from(u16::MAX) {
-            errors.push(CellError::TooMany(what));
+        if count > most {
+            errors.push(CellError::TooMany(what, most));
         }
     }
-    unique("nodes", cell.nodes.iter().map(|n| &n.name), errors);
-    unique("tasks", cell.tasks.iter().map(|t| &t.name), errors);
-    unique("ports", cell.ports.iter().map(|p| &p.name), errors);
+    unique(("nodes", MAX_NODES), cell.nodes.iter().map(|n| &n.name), errors);
+    let most = usize::from(u16::MAX);
+    unique(("tasks", most), cell.tasks.iter().map(|t| &t.name), errors);
+    unique(("ports", most), cell.ports.iter().map(|p| &p.name), errors);
 }
 
 pub(super) fn references(cell: &Cell, errors: &mut Vec<CellError>) {

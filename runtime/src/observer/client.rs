@@ -10,8 +10,10 @@ use imrs_wire::obs::{
 use std::os::fd::{AsFd, BorrowedFd};
 use std::time::{Duration, Instant};
 
-/// How long a new connection may say nothing.
+/// How long a new connection has to say hello and to show its token.
 const GREETING: Duration = Duration::from_secs(5);
+/// A monitor that takes or wants nothing for so long makes room for another.
+const IDLE: Duration = Duration::from_secs(5);
 /// How many requests are read before others get their turn.
 const REQUESTS: usize = 16;
 /// The first version that has tokens, and all that came with them.
@@ -22,8 +24,8 @@ pub(super) struct Client {
     reader: FrameReader<Stream>,
     writer: FrameWriter<Stream>,
     state: State,
-    /// Whether there is room for it. If not it hears so and goes.
-    welcome: bool,
+    /// Since when it has taken what there is for it and wants more, or has asked for something.
+    active: Instant,
     /// The answer to its last ping, until that is on its way.
     pong: Option<Pong>,
 }
@@ -55,12 +57,12 @@ impl From<FrameError> for Gone {
 
 impl Client {
     /// A new connection, or `None` where the system has no resources for it.
-    pub fn new(stream: Stream, showing: Showing, welcome: bool, now: Instant) -> Option<Self> {
+    pub fn new(stream: Stream, showing: Showing, now: Instant) -> Option<Self> {
         stream.set_nonblocking().ok()?;
         let reader = FrameReader::new(stream.try_clone().ok()?, MAX_REQUEST);
         let writer = FrameWriter::new(stream);
         let state = State::Greeting { until: now + GREETING };
-        Some(Self { showing, reader, writer, state, welcome, pong: None })
+        Some(Self { showing, reader, writer, state, active: now, pong: None })
     }
 
     pub fn as_fd(&self) -> BorrowedFd<'_> {
@@ -80,9 +82,25 @@ impl Client {
         }
     }
 
-    /// Reads and writes what can be. False: the connection is over.
-    pub fn serve(&mut self, ready: bool, now: Instant) -> bool {
-        self.try_serve(ready, now).is_ok()
+    /// Reads and writes what can be; `room` says whether one more monitor can be served. False: the connection is over.
+    pub fn serve(&mut self, ready: bool, room: bool, now: Instant) -> bool {
+        self.try_serve(ready, room, now).is_ok()
+    }
+
+    /// Whether it has shown that it may look, and takes the place of a monitor.
+    pub const fn is_served(&self) -> bool {
+        matches!(self.state, State::Idle | State::Subscribed(_))
+    }
+
+    /// Since when it has taken or wanted nothing, if that is so long that it makes room for others.
+    pub fn idle_since(&self, now: Instant) -> Option<Instant> {
+        let is_idle = self.is_served() && !self.is_active();
+        (is_idle && now.saturating_duration_since(self.active) >= IDLE).then_some(self.active)
+    }
+
+    /// Whether it takes what is made for it, and wants more.
+    fn is_active(&self) -> bool {
+        matches!(&self.state, State::Subscribed(wanted) if wanted.credit > 0) && self.writer.is_drained()
     }
 
     pub fn say_goodbye(&mut self) {
@@ -93,7 +111,7 @@ impl Client {
         }
     }
 
-    fn try_serve(&mut self, ready: bool, now: Instant) -> Result<(), Gone> {
+    fn try_serve(&mut self, ready: bool, room: bool, now: Instant) -> Result<(), Gone> {
         if let State::Greeting { until } | State::Unproven { until } = self.state
             && until <= now
         {
@@ -101,7 +119,10 @@ impl Client {
         }
         if ready {
             self.flush()?;
-            self.read(now)?;
+            self.read(room, now)?;
+        }
+        if self.is_active() {
+            self.active = now;
         }
         if self.writer.is_drained() {
             if matches!(self.state, State::Leaving) {
@@ -120,21 +141,22 @@ impl Client {
         }
     }
 
-    fn read(&mut self, now: Instant) -> Result<(), Gone> {
+    fn read(&mut self, room: bool, now: Instant) -> Result<(), Gone> {
         for _ in 0..REQUESTS {
             let frame = match self.reader.read_frame() {
                 Ok(frame) => frame,
                 Err(FrameError::NotReady) => return Ok(()),
                 Err(error) => return Err(error.into()),
             };
-            match &self.state {
-                State::Greeting { .. } => {
+            self.active = now;
+            match self.state {
+                State::Greeting { until } => {
                     let hello = Handshake::decode(frame);
-                    self.greet(&hello, now)?;
+                    self.greet(&hello, room, until)?;
                 }
                 State::Unproven { .. } => {
                     let frame = ClientFrame::decode(frame);
-                    self.prove(frame)?;
+                    self.prove(frame, room)?;
                 }
                 State::Idle | State::Subscribed(_) => match ClientFrame::decode(frame) {
                     Ok(frame) => self.take(frame, now),
@@ -183,7 +205,12 @@ impl Client {
         self.state = State::Subscribed(Box::new(subscription));
     }
 
-    fn greet(&mut self, hello: &Result<(Version, Handshake), DecodeError>, now: Instant) -> Result<(), Gone> {
+    fn greet(
+        &mut self,
+        hello: &Result<(Version, Handshake), DecodeError>,
+        room: bool,
+        until: Instant,
+    ) -> Result<(), Gone> {
         let refusal = match hello {
             Err(DecodeError::OtherMajor { theirs, .. }) => {
                 Some(Refusal::OtherMajor { node: VERSION, monitor: *theirs })
@@ -201,7 +228,7 @@ impl Client {
             Ok((_, Handshake::Hello(_) | Handshake::Refused(_))) => Some(Refusal::NotAMonitor),
         };
         let limit = u16::try_from(MAX_MONITORS).unwrap_or(u16::MAX);
-        let refusal = refusal.or((!self.welcome).then_some(Refusal::TooMany { limit }));
+        let refusal = refusal.or((!room).then_some(Refusal::TooMany { limit }));
         if let Some(refusal) = refusal {
             self.writer.push_bytes(&Handshake::Refused(refusal).encode(VERSION))?;
             self.state = State::Leaving;
@@ -216,7 +243,7 @@ impl Client {
         };
         self.writer.push_bytes(&Handshake::Hello(ours).encode(VERSION))?;
         if self.showing.token.is_some() {
-            self.state = State::Unproven { until: now + GREETING };
+            self.state = State::Unproven { until };
             return Ok(());
         }
         self.admit()
@@ -230,10 +257,12 @@ impl Client {
     }
 
     /// Its first word must be the token.
-    fn prove(&mut self, frame: Result<ClientFrame, DecodeError>) -> Result<(), Gone> {
+    fn prove(&mut self, frame: Result<ClientFrame, DecodeError>, room: bool) -> Result<(), Gone> {
         let denied = match (&self.showing.token, frame) {
             (Some(ours), Ok(ClientFrame::Token(theirs))) if !ours.is(&theirs) => Denied::WrongToken,
-            (None, _) | (Some(_), Ok(ClientFrame::Token(_))) => return self.admit(),
+            (None, _) | (Some(_), Ok(ClientFrame::Token(_))) if room => return self.admit(),
+            // The last place went to another meanwhile: asked again, it hears so.
+            (None, _) | (Some(_), Ok(ClientFrame::Token(_))) => return Err(Gone),
             (Some(_), _) => Denied::NoToken,
         };
         self.writer.push(&ServerFrame::Denied(denied))?;

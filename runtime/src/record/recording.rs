@@ -5,7 +5,7 @@ use super::{OutputDigest, Step, statements};
 use crate::script::Watch;
 use imrs_protocol::script::Program;
 use imrs_protocol::{NodeId, NodeTable, TaskId};
-use imrs_wire::recording::{Header, ReadError, Record, RecordingReader, Stream};
+use imrs_wire::recording::{Header, ReadError, Record, RecordingReader, ScriptStep, Stream};
 use std::io::Read;
 use std::sync::Arc;
 
@@ -37,10 +37,16 @@ pub enum ReplayError {
     /// It holds records of a task of another node.
     #[error("the recording holds records of {0}, which runs on another node")]
     ForeignTask(TaskId),
+    /// It lasts longer, or begins later after the start of its machine, than a century.
+    #[error("the recording says of {0} that more than a century passed: its times are damaged")]
+    NoTime(TaskId),
     /// A keyframe is not what it should be.
     #[error(transparent)]
     Keyframe(#[from] KeyframeError),
 }
+
+/// A century, in microseconds: no node runs longer, and times of that length still add up.
+const LONGEST: u64 = 100 * 366 * 24 * 3_600 * 1_000_000;
 
 /// Replays what a node recorded, as far as the reader has whole records: one [`Replay`] for each task of the node,
 /// ascending. [`RecordingReader::ending`] says then whether the recording was ended; a verdict holds for what was read.
@@ -135,11 +141,17 @@ impl<'t> Replays<'t> {
         let replays = &mut self.0;
         match record {
             Record::Input { task, elapsed, input, outputs } => {
-                let step = Step { elapsed, input };
-                of(replays, task)?.step(Recorded { step, digest: OutputDigest(outputs) });
+                let (step, replay) = (Step { elapsed, input }, of(replays, task)?);
+                if replay.passed().saturating_add(elapsed.0) > LONGEST {
+                    return Err(ReplayError::NoTime(task));
+                }
+                replay.step(Recorded { step, digest: OutputDigest(outputs) });
             }
             Record::Keyframe { task, state, outputs } => {
                 of(replays, task)?.keyframe(&state, OutputDigest(outputs))?;
+            }
+            Record::Script { task, step: ScriptStep::Begin { at }, .. } if at > LONGEST => {
+                return Err(ReplayError::NoTime(task));
             }
             Record::Script { task, step, done } => {
                 of(replays, task)?.script(step, OutputDigest(done));

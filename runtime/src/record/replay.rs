@@ -37,6 +37,12 @@ pub enum KeyframeError {
     /// The state is that of another task, or of another life of the node.
     #[error("the state given for {0} is that of {1} in life {life}", life = .2.0)]
     Foreign(TaskId, TaskId, Incarnation),
+    /// The state is none of a machine with the ports of this task: parts are missing, too many or out of bounds.
+    #[error("the state of {0} is not one of its machine")]
+    OutOfBounds(TaskId),
+    /// The machine never comes to this state.
+    #[error("the state of {0} breaks an invariant of its machine: {1}")]
+    Unsound(TaskId, invariants::Violation),
     /// Nothing is missing before the keyframe, and yet it names other outputs.
     #[error("the keyframe of {0} contradicts the steps before it")]
     Contradicts(TaskId),
@@ -50,8 +56,6 @@ pub struct Replay<'t> {
     incarnation: Incarnation,
     /// `None` while its state is not known.
     machine: Option<CommTask>,
-    /// Whether it goes on from a keyframe.
-    resumed: bool,
     digest: OutputDigest,
     judged: usize,
     unjudged: usize,
@@ -80,7 +84,6 @@ impl<'t> Replay<'t> {
             task,
             incarnation,
             machine: Some(CommTask::new(table, task, incarnation, restarted)),
-            resumed: false,
             digest: OutputDigest::START,
             judged: 0,
             unjudged: 0,
@@ -161,9 +164,9 @@ impl<'t> Replay<'t> {
             Input::Request(_) => {}
         }
         let mut out = Digesting { digest: Some(&mut self.digest), out: &mut heard };
-        let mut run = || Some(run_checked(machine, self.table, entry.step, &mut out));
-        // A recorded state may be none that a machine can be in: that is the recording's fault, and this program's to say.
-        let ran = if self.resumed { catch_unwind(AssertUnwindSafe(run)).unwrap_or(None) } else { run() };
+        let run = || run_checked(machine, self.table, entry.step, &mut out);
+        // A recording may say anything. What a machine cannot take is the recording's fault, and this program's to say.
+        let ran = catch_unwind(AssertUnwindSafe(run)).ok();
         let (sound, went_wrong) = (ran.unwrap_or(Ok(())), ran.is_none());
         if let Err(violation) = sound {
             let index = self.judged + self.unjudged;
@@ -264,14 +267,23 @@ impl<'t> Replay<'t> {
         if (task, life) != (self.task, self.incarnation) {
             return Err(KeyframeError::Foreign(self.task, task, life));
         }
+        if !machine.is_whole(self.table) {
+            return Err(KeyframeError::OutOfBounds(task));
+        }
+        invariants::check(&machine, self.table).map_err(|found| KeyframeError::Unsound(task, found))?;
         if let Some(known) = &self.machine {
             let same = postcard::to_allocvec(known).is_ok_and(|known| known == state);
             if digest != self.digest || !same {
                 return Err(KeyframeError::Contradicts(self.task));
             }
         }
-        (self.machine, self.resumed, self.digest) = (Some(machine), true, digest);
+        (self.machine, self.digest) = (Some(machine), digest);
         Ok(())
+    }
+
+    /// How long after its first step the last one came, in microseconds.
+    pub(super) const fn passed(&self) -> u64 {
+        self.passed
     }
 
     /// The task.
