@@ -17,6 +17,7 @@
 use crate::ids::{Incarnation, MessageId, PortId, Round, Seq24, TaskId};
 use crate::ticks::Ticks;
 use core::fmt;
+use core::num::NonZeroU32;
 use serde::{Deserialize, Serialize};
 
 /// The size of every packet, in bytes.
@@ -199,6 +200,39 @@ pub struct Packet {
     pub remaining: Ticks,
     /// What the message says.
     pub contents: Contents,
+    /// The checksum that it came with over a link.
+    #[serde(skip)]
+    pub seal: Seal,
+}
+
+/// The end-to-end checksum of a packet that came over a link; none of a packet that this node made.
+///
+/// A relay sends it on as it came. A checksum made anew would cover whatever then stands in the relay's memory, so that a bit
+/// that fell over there would travel as if it had been sent (D154).
+///
+/// It is no part of what a packet says: two packets that differ in it alone are equal, hash alike and are packed into the
+/// same bytes, so that the states of the checker, which makes all packets itself, do not know of it.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Seal(
+    /// A checksum of zero counts as none: it is computed again, once in four thousand million packets.
+    Option<NonZeroU32>,
+);
+
+impl Seal {
+    /// That of a packet made by this node: its checksum is computed when it leaves.
+    pub const NONE: Self = Self(None);
+}
+
+impl PartialEq for Seal {
+    fn eq(&self, _: &Self) -> bool {
+        true
+    }
+}
+
+impl Eq for Seal {}
+
+impl core::hash::Hash for Seal {
+    fn hash<H: core::hash::Hasher>(&self, _: &mut H) {}
 }
 
 /// Why 32 bytes are not a packet for this node.
@@ -261,7 +295,8 @@ fn from_wire(mantissa: u32, exponent: u8) -> Ticks {
 }
 
 impl Packet {
-    /// The bytes of this packet. `digest` is the cell's, `port_hash` that of the packet's port.
+    /// The bytes of this packet. `digest` is the cell's, `port_hash` that of the packet's port. A packet that came over a link
+    /// keeps the checksum that it came with.
     #[must_use]
     pub fn encode(&self, digest: u32, port_hash: u32) -> [u8; PACKET_BYTES] {
         let mut b = [0; PACKET_BYTES];
@@ -280,7 +315,7 @@ impl Packet {
         b[12..15].copy_from_slice(&mantissa.to_le_bytes()[..3]);
         b[15] = (self.fragment << 4) | exponent;
         b[16..28].copy_from_slice(&self.contents.bytes);
-        let crc = checksum(&b, digest, port_hash);
+        let crc = self.seal.0.map_or_else(|| checksum(&b, digest, port_hash), NonZeroU32::get);
         b[28..].copy_from_slice(&crc.to_le_bytes());
         b
     }
@@ -300,7 +335,8 @@ impl Packet {
         }
         let port = PortId(u16::from_le_bytes([b[6], b[7]]));
         let hash = port_hash(port).ok_or(PacketError::UnknownPort(port))?;
-        if checksum(b, digest, hash) != u32::from_le_bytes([b[28], b[29], b[30], b[31]]) {
+        let crc = u32::from_le_bytes([b[28], b[29], b[30], b[31]]);
+        if checksum(b, digest, hash) != crc {
             return Err(PacketError::Checksum);
         }
         let len = b[1] >> 4;
@@ -327,6 +363,7 @@ impl Packet {
             },
             remaining: from_wire(u32::from_le_bytes([b[12], b[13], b[14], 0]), b[15] & 0x0f),
             contents: Contents { len, bytes },
+            seal: Seal(NonZeroU32::new(crc)),
         })
     }
 
@@ -389,6 +426,7 @@ mod tests {
                     id: MessageId { incarnation: Incarnation(i), sequence: Seq24::new(q) },
                     remaining: Ticks(remaining),
                     contents: Contents::new(&bytes).unwrap(),
+                    seal: Seal::NONE,
                 }
             },
         )
@@ -407,7 +445,10 @@ mod tests {
         #[test]
         fn relaying_keeps_the_checksum(p in packet(), hops in 0..8_u8, less: u64) {
             let mut bytes = p.encode(1, 2);
-            let relayed = Packet { hops, remaining: Ticks(p.remaining.0.min(less)), ..p }.encode(1, 2);
+            let came = Packet::decode(&bytes, 1, |_| Some(2)).unwrap();
+            let relayed = Packet { hops, remaining: Ticks(came.remaining.0.min(less)), ..came }.encode(1, 2);
+            let made = Packet { seal: Seal::NONE, hops, remaining: Ticks(came.remaining.0.min(less)), ..came };
+            prop_assert_eq!(made.encode(1, 2), relayed, "what it came with is what would be computed");
             bytes[1] = relayed[1];
             bytes[12..15].copy_from_slice(&relayed[12..15]);
             bytes[15] = relayed[15];
@@ -443,6 +484,7 @@ mod tests {
             id: MessageId { incarnation: Incarnation(9), sequence: Seq24::new(0x0a_0b0c) },
             remaining: Ticks(2_000_000),
             contents: Meeting { round: Round(7), released: Round(6), arguments: *b"abcdefgh" }.to_contents(),
+            seal: Seal::NONE,
         }
     }
 
@@ -511,6 +553,56 @@ mod tests {
         assert!(forge(|_| ()).is_ok());
         assert_eq!(forge(|b| b[1] = (b[1] & 0x0f) | 0xd0), Err(PacketError::Malformed));
         assert_eq!(forge(|b| b[20] = 1), Err(PacketError::Malformed));
+    }
+
+    /// Every bit of what a relay holds of a packet, but for hops and remaining time, which it changes itself: flipped in its
+    /// memory, it is found where the packet ends.
+    #[test]
+    fn a_bit_that_falls_over_in_a_relay_is_found_at_the_destination() {
+        let (mut flipped, mut found) = (0, 0);
+        for kind in Kind::ALL {
+            let sent = Packet { kind, ..sample() }.encode(1, 2);
+            let came = Packet::decode(&sent, 1, |_| Some(2)).unwrap();
+            let mut damaged = alloc::vec::Vec::new();
+            let mut flip = |bits: u32, flip: &dyn Fn(&mut Packet, u32)| {
+                for bit in 0..bits {
+                    let mut packet = came;
+                    flip(&mut packet, bit);
+                    damaged.push(packet);
+                }
+            };
+            flip(3, &|p, bit| p.kind = Kind::ALL[(p.kind as usize) ^ (1 << bit)]);
+            flip(1, &|p, _| p.class = Class::Status);
+            flip(1, &|p, _| p.more = !p.more);
+            flip(1, &|p, _| p.resent = !p.resent);
+            flip(1, &|p, _| p.urgent = !p.urgent);
+            flip(4, &|p, bit| p.fragment ^= 1 << bit);
+            flip(16, &|p, bit| p.destination.0 ^= 1 << bit);
+            flip(16, &|p, bit| p.source.0 ^= 1 << bit);
+            flip(16, &|p, bit| p.port.0 ^= 1 << bit);
+            flip(8, &|p, bit| p.id.incarnation.0 ^= 1 << bit);
+            flip(24, &|p, bit| p.id.sequence = Seq24::new(p.id.sequence.get() ^ 1 << bit));
+            flip(4, &|p, bit| p.contents.len ^= 1 << bit);
+            flip(96, &|p, bit| p.contents.bytes[bit as usize / 8] ^= 1 << (bit % 8));
+            flip(32, &|p, bit| p.seal.0 = NonZeroU32::new(p.seal.0.map_or(0, NonZeroU32::get) ^ 1 << bit));
+            for packet in damaged {
+                let bytes = packet.encode(1, 2);
+                flipped += 1;
+                found += u32::from(Packet::decode(&bytes, 1, |_| Some(2)) == Err(PacketError::Checksum));
+                // A checksum made anew would hide it.
+                let anew = Packet { seal: Seal::NONE, ..packet }.encode(1, 2);
+                assert_ne!(Packet::decode(&anew, 1, |_| Some(2)), Err(PacketError::Checksum));
+            }
+        }
+        assert_eq!((flipped, found), (8 * 223, 8 * 223));
+    }
+
+    #[test]
+    fn a_seal_is_no_part_of_what_a_packet_says() {
+        let came = Packet::decode(&sample().encode(1, 2), 1, |_| Some(2)).unwrap();
+        assert_eq!(came, sample());
+        assert!(came.seal.0.is_some() && sample().seal.0.is_none());
+        assert!(size_of::<Packet>() <= 48, "packets are copied often");
     }
 
     #[test]

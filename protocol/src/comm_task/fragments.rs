@@ -299,6 +299,7 @@ impl CommTask {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::packet::Seal;
     use proptest::prelude::*;
 
     proptest! {
@@ -336,6 +337,7 @@ mod tests {
             id: MessageId::default(),
             remaining: Ticks(9),
             contents: Contents::new(&[index]).unwrap(),
+            seal: Seal::NONE,
         }
     }
 

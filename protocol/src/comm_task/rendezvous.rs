@@ -9,7 +9,7 @@ use super::{Outbox, Scene};
 use crate::cell::MAX_MEMBERS;
 use crate::ids::{Incarnation, MessageId, PortId, Round, Seq24, TaskId};
 use crate::observe::{Event, MeetingState, MeetingView, MemberView, Observation, Reason};
-use crate::packet::{Class, Contents, Kind, MAX_HOPS, Meeting, Packet};
+use crate::packet::{Class, Contents, Kind, MAX_HOPS, Meeting, Packet, Seal};
 use crate::request::ReleasedBy;
 use crate::rules::Confirmation;
 use crate::table::Port;
@@ -541,6 +541,7 @@ impl Rendezvous {
             id: MessageId { incarnation: life, sequence: Seq24::default() },
             remaining,
             contents,
+            seal: Seal::NONE,
         }
     }
 
