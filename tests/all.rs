@@ -28,4 +28,5 @@ mod test_files;
 mod tidy;
 mod transcripts;
 mod twins;
+mod two_owners;
 mod verify_cell;
