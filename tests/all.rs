@@ -29,4 +29,5 @@ mod test_files;
 mod tidy;
 mod transcripts;
 mod twins;
+mod two_owners;
 mod verify_cell;

@@ -2,8 +2,8 @@
 
 use crate::scenario::Scenario;
 use imrs_protocol::{
-    Contents, Frame, Incarnation, Kind, Meeting, MessageId, Overflow, Packet, PortId, Round, Seq24, TaskId,
-    Ticks,
+    Contents, Frame, Incarnation, Kind, Meeting, MessageId, Overflow, Packet, PortId, Round, Seal, Seq24,
+    TaskId, Ticks,
 };
 
 /// A packet on the way.
@@ -163,6 +163,7 @@ impl Codec {
             id: MessageId { incarnation: id_life, sequence: Seq24::default() },
             remaining: self.patience,
             contents: Contents::EMPTY,
+            seal: Seal::NONE,
         };
         if matches!(kind, Kind::Arrive | Kind::Confirm | Kind::Abort) {
             let rounds = byte();

@@ -52,7 +52,7 @@ pub use observe::{
 };
 pub use packet::{
     CONTENTS_BYTES, Class, Contents, Control, Kind, MAX_HOPS, Meeting, PACKET_BYTES, PACKET_VERSION, Packet,
-    PacketError, WIRE_STEP_US,
+    PacketError, Seal, WIRE_STEP_US,
 };
 pub use request::{
     Answers, Call, Delivery, Fault, Outcome, PUBLISHED_BYTES, Ranked, ReleasedBy, ReplyTo, Request,

@@ -3,7 +3,7 @@
 use crate::cell::Usage;
 use crate::comm_task::Parts;
 use crate::ids::{MessageId, PortId, TaskId};
-use crate::packet::{Class, Contents, Kind, MAX_HOPS, Packet};
+use crate::packet::{Class, Contents, Kind, MAX_HOPS, Packet, Seal};
 use crate::request::{Fault, ReplyTo, Target};
 use crate::table::{NodeTable, Party, Port};
 use crate::ticks::Ticks;
@@ -104,6 +104,7 @@ pub(crate) fn message(
         id,
         remaining,
         contents,
+        seal: Seal::NONE,
     }
 }
 
@@ -123,6 +124,7 @@ pub(crate) fn answer(to: ReplyTo, from: TaskId, kind: Kind, remaining: Ticks, co
         id: to.id,
         remaining,
         contents,
+        seal: Seal::NONE,
     }
 }
 

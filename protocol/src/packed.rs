@@ -5,7 +5,7 @@
 
 use crate::comm_task::{Frame, Overflow};
 use crate::ids::{Incarnation, MessageId, PortId, Round, Seq24, TaskId};
-use crate::packet::{CONTENTS_BYTES, Class, Contents, Kind, MAX_HOPS, Meeting, Packet};
+use crate::packet::{CONTENTS_BYTES, Class, Contents, Kind, MAX_HOPS, Meeting, Packet, Seal};
 use crate::ticks::Ticks;
 
 const STATUS: u8 = 0x08;
@@ -188,6 +188,7 @@ impl Packet {
             id: MessageId { incarnation, sequence: Seq24::default() },
             remaining,
             contents: Contents::EMPTY,
+            seal: Seal::NONE,
         };
         let round = |back: u8| Frame::ROUND.plus(u16::from(back));
         if packet.is_of_meeting() {
@@ -238,6 +239,7 @@ mod tests {
                     },
                     remaining,
                     contents: Contents::new(&bytes).unwrap(),
+                    seal: Seal::NONE,
                 };
                 if packet.is_of_meeting() {
                     let round = |r: u16| Frame::ROUND.plus(r);

@@ -17,6 +17,7 @@
 use crate::ids::{Incarnation, MessageId, PortId, Round, Seq24, TaskId};
 use crate::ticks::Ticks;
 use core::fmt;
+use core::num::NonZeroU32;
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
 
@@ -223,6 +224,39 @@ pub struct Packet {
     pub remaining: Ticks,
     /// What the message says.
     pub contents: Contents,
+    /// The checksum that it came with over a link.
+    #[serde(skip)]
+    pub seal: Seal,
+}
+
+/// The end-to-end checksum of a packet that came over a link; none of a packet that this node made.
+///
+/// A relay sends it on as it came. A checksum made anew would cover whatever then stands in the relay's memory, so that a bit
+/// that fell over there would travel as if it had been sent (D154).
+///
+/// It is no part of what a packet says: two packets that differ in it alone are equal, hash alike and are packed into the
+/// same bytes, so that the states of the checker, which makes all packets itself, do not know of it.
+#[derive(Clone, Copy, Debug, Default)]
+pub struct Seal(
+    /// A checksum of zero counts as none: it is computed again, once in four thousand million packets.
+    Option<NonZeroU32>,
+);
+
+impl Seal {
+    /// That of a packet made by this node: its checksum is computed when it leaves.
+    pub const NONE: Self = Self(None);
+}
+
+impl PartialEq for Seal {
+    fn eq(&self, _: &Self) -> bool {
+        true
+    }
+}
+
+impl Eq for Seal {}
+
+impl core::hash::Hash for Seal {
+    fn hash<H: core::hash::Hasher>(&self, _: &mut H) {}
 }
 
 /// The highest position of a fragment: it has four bits.
@@ -294,7 +328,8 @@ fn from_wire(mantissa: u32, exponent: u8) -> Ticks {
 }
 
 impl Packet {
-    /// The bytes of this packet. `digest` is the cell's, `port_hash` that of the packet's port.
+    /// The bytes of this packet. `digest` is the cell's, `port_hash` that of the packet's port. A packet that came over a link
+    /// keeps the checksum that it came with.
     #[must_use]
     pub fn encode(&self, digest: u32, port_hash: u32) -> [u8; PACKET_BYTES] {
         let mut b = [0; PACKET_BYTES];
@@ -313,7 +348,7 @@ impl Packet {
         b[12..15].copy_from_slice(&mantissa.to_le_bytes()[..3]);
         b[15] = (self.fragment << 4) | exponent;
         b[16..28].copy_from_slice(&self.contents.bytes);
-        let crc = checksum(&b, digest, port_hash);
+        let crc = self.seal.0.map_or_else(|| checksum(&b, digest, port_hash), NonZeroU32::get);
         b[28..].copy_from_slice(&crc.to_le_bytes());
         b
     }
@@ -333,7 +368,8 @@ impl Packet {
         }
         let port = PortId(u16::from_le_bytes([b[6], b[7]]));
         let hash = port_hash(port).ok_or(PacketError::UnknownPort(port))?;
-        if checksum(b, digest, hash) != u32::from_le_bytes([b[28], b[29], b[30], b[31]]) {
+        let crc = u32::from_le_bytes([b[28], b[29], b[30], b[31]]);
+        if checksum(b, digest, hash) != crc {
             return Err(PacketError::Checksum);
         }
         let len = b[1] >> 4;
@@ -360,6 +396,7 @@ impl Packet {
             },
             remaining: from_wire(u32::from_le_bytes([b[12], b[13], b[14], 0]), b[15] & 0x0f),
             contents: Contents { len, bytes },
+            seal: Seal(NonZeroU32::new(crc)),
         })
     }
 
@@ -398,188 +435,4 @@ impl Control {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use proptest::prelude::*;
-
-    fn packet() -> impl Strategy<Value = Packet> {
-        let flags =
-            (0..8_usize, any::<bool>(), any::<bool>(), any::<bool>(), any::<bool>(), 0..8_u8, 0..16_u8);
-        let ids = (any::<u16>(), any::<u16>(), any::<u16>(), any::<u8>(), 0..Seq24::MODULUS);
-        (flags, ids, 0..10_000_000_000_000_u64, proptest::collection::vec(any::<u8>(), 0..=12)).prop_map(
-            |((kind, command, more, resent, urgent, hops, fragment), (d, s, p, i, q), remaining, bytes)| {
-                Packet {
-                    kind: Kind::ALL[kind],
-                    class: if command { Class::Command } else { Class::Status },
-                    more,
-                    resent,
-                    urgent,
-                    hops,
-                    fragment,
-                    destination: TaskId(d),
-                    source: TaskId(s),
-                    port: PortId(p),
-                    id: MessageId { incarnation: Incarnation(i), sequence: Seq24::new(q) },
-                    remaining: Ticks(remaining),
-                    contents: Contents::new(&bytes).unwrap(),
-                }
-            },
-        )
-    }
-
-    proptest! {
-        #[test]
-        fn decoding_undoes_encoding_and_never_adds_life(p in packet(), digest: u32, hash: u32) {
-            let back = Packet::decode(&p.encode(digest, hash), digest, |_| Some(hash)).unwrap();
-            prop_assert!(back.remaining <= p.remaining);
-            let lost = p.remaining - back.remaining;
-            prop_assert!(p.remaining.0 > 5_000_000_000_000 || lost.0 <= WIRE_STEP_US.max(p.remaining.0 >> 23));
-            prop_assert_eq!(Packet { remaining: p.remaining, ..back }, p);
-        }
-
-        #[test]
-        fn relaying_keeps_the_checksum(p in packet(), hops in 0..8_u8, less: u64) {
-            let mut bytes = p.encode(1, 2);
-            let relayed = Packet { hops, remaining: Ticks(p.remaining.0.min(less)), ..p }.encode(1, 2);
-            bytes[1] = relayed[1];
-            bytes[12..15].copy_from_slice(&relayed[12..15]);
-            bytes[15] = relayed[15];
-            prop_assert_eq!(bytes, relayed);
-        }
-
-        #[test]
-        fn any_bytes_behind_a_right_checksum_are_a_packet_or_an_error(mut bytes: [u8; 32], digest: u32, hash: u32) {
-            // Of random bytes most have another version, or filled padding.
-            bytes[0] = (bytes[0] & 0x3f) | (PACKET_VERSION << 6);
-            bytes[1] |= 0xc0;
-            let crc = checksum(&bytes, digest, hash);
-            bytes[28..].copy_from_slice(&crc.to_le_bytes());
-            if let Ok(p) = Packet::decode(&bytes, digest, |_| Some(hash)) {
-                let again = p.encode(digest, hash);
-                prop_assert_eq!(Packet::decode(&again, digest, |_| Some(hash)), Ok(p));
-            }
-        }
-    }
-
-    fn sample() -> Packet {
-        Packet {
-            kind: Kind::Arrive,
-            class: Class::Command,
-            more: false,
-            resent: true,
-            urgent: false,
-            hops: 7,
-            fragment: 0,
-            destination: TaskId(0x0102),
-            source: TaskId(0x0304),
-            port: PortId(5),
-            id: MessageId { incarnation: Incarnation(9), sequence: Seq24::new(0x0a_0b0c) },
-            remaining: Ticks(2_000_000),
-            contents: Meeting { round: Round(7), released: Round(6), arguments: *b"abcdefgh" }.to_contents(),
-        }
-    }
-
-    #[test]
-    #[expect(clippy::unusual_byte_groupings, reason = "a group of digits for each field")]
-    fn the_layout_is_the_documented_one() {
-        let bytes = sample().encode(0xdead_beef, 0x1234_5678);
-        let mut expected = [
-            0b01_100_1_0_1,
-            0b1100_111_0,
-            2,
-            1,
-            4,
-            3,
-            5,
-            0,
-            9,
-            0x0c,
-            0x0b,
-            0x0a,
-            0x40,
-            0x0d,
-            0x03,
-            0,
-            7,
-            0,
-            6,
-            0,
-            b'a',
-            b'b',
-            b'c',
-            b'd',
-            b'e',
-            b'f',
-            b'g',
-            b'h',
-            0,
-            0,
-            0,
-            0,
-        ];
-        expected[28..].copy_from_slice(&bytes[28..]);
-        assert_eq!(bytes, expected);
-    }
-
-    #[test]
-    fn a_packet_of_another_cell_version_or_port_is_told_apart() {
-        let bytes = sample().encode(1, 2);
-        assert_eq!(Packet::decode(&bytes, 3, |_| Some(2)), Err(PacketError::Checksum));
-        assert_eq!(Packet::decode(&bytes, 1, |_| Some(4)), Err(PacketError::Checksum));
-        assert_eq!(Packet::decode(&bytes, 1, |_| None), Err(PacketError::UnknownPort(PortId(5))));
-        let mut other = bytes;
-        other[0] = (other[0] & 0x3f) | 0x80;
-        assert_eq!(Packet::decode(&other, 1, |_| Some(2)), Err(PacketError::Version(2)));
-    }
-
-    #[test]
-    fn lengths_and_padding_are_checked_behind_a_right_checksum() {
-        let forge = |change: fn(&mut [u8; 32])| {
-            let mut b = Packet { contents: Contents::new(b"abc").unwrap(), ..sample() }.encode(1, 2);
-            change(&mut b);
-            let crc = checksum(&b, 1, 2);
-            b[28..].copy_from_slice(&crc.to_le_bytes());
-            Packet::decode(&b, 1, |_| Some(2))
-        };
-        assert!(forge(|_| ()).is_ok());
-        assert_eq!(forge(|b| b[1] = (b[1] & 0x0f) | 0xd0), Err(PacketError::Malformed));
-        assert_eq!(forge(|b| b[20] = 1), Err(PacketError::Malformed));
-    }
-
-    #[test]
-    fn control_contents_are_total() {
-        for control in [Control::Refused, Control::Restarted, Control::Probe, Control::RefusedOnTheWay] {
-            let p = Packet { contents: control.to_contents(), ..sample() };
-            assert_eq!(p.control(), Some(control));
-        }
-        assert_eq!(sample().control(), None);
-    }
-
-    /// The choice of polynomial (0xF4ACFB13) rests on this: no two to six flipped bits of the 256 that travel (224
-    /// covered, 32 of the checksum) go unnoticed. A pattern of up to six bits is two disjoint patterns of up to three,
-    /// so it is enough that no two of those have the same syndrome.
-    #[test]
-    fn up_to_six_flipped_bits_are_always_noticed() {
-        const PREFIX: usize = 8;
-        let zero = CRC.checksum(&[0; PREFIX + 28]);
-        let mut single = alloc::vec::Vec::new();
-        for bit in 0..28 * 8 {
-            let mut bytes = [0_u8; PREFIX + 28];
-            bytes[PREFIX + bit / 8] = 1 << (bit % 8);
-            single.push(CRC.checksum(&bytes) ^ zero);
-        }
-        single.extend((0..32).map(|bit| 1_u32 << bit));
-        let mut seen = alloc::vec![0];
-        for (i, &a) in single.iter().enumerate() {
-            seen.push(a);
-            for (j, &b) in single.iter().enumerate().skip(i + 1) {
-                seen.push(a ^ b);
-                seen.extend(single.iter().skip(j + 1).map(|&c| a ^ b ^ c));
-            }
-        }
-        seen.sort_unstable();
-        let patterns = seen.len();
-        seen.dedup();
-        assert_eq!(seen.len(), patterns, "two patterns of up to three bits share a syndrome");
-    }
-}
+mod tests;

@@ -240,6 +240,7 @@ impl Template for Solo {
             id: MessageId::default(),
             remaining: Ticks(8),
             contents: Contents::EMPTY,
+            seal: Seal::NONE,
         }
     }
 }

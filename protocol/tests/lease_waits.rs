@@ -244,6 +244,7 @@ fn an_actuator_that_is_packed_knows_the_newest_epoch_still() {
         id: MessageId { incarnation: Incarnation(0), sequence: Frame::SEQUENCE },
         remaining: Ticks(8),
         contents: Contents::new(&[7, epoch]).expect("short"),
+        seal: Seal::NONE,
     };
     for (packed, wait) in [(false, 0), (true, 0), (false, 30), (true, 30)] {
         let mut task = Solo::new(&table, arm);

@@ -47,6 +47,7 @@ fn packet() -> Packet {
         id: MessageId::default(),
         remaining: Ticks(30),
         contents: Contents::EMPTY,
+        seal: Seal::NONE,
     }
 }
 

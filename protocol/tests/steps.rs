@@ -206,6 +206,7 @@ fn from_z(kind: Kind, to: TaskId, port: PortId, contents: Contents) -> NodeInput
         id: MessageId { incarnation: Incarnation(0), sequence: Seq24::new(8) },
         remaining: Ticks(20),
         contents,
+        seal: Seal::NONE,
     };
     NodeInput::Packet { packet, charge: Ticks(2) }
 }

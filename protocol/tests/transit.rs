@@ -62,6 +62,7 @@ fn packet(class: Class, number: u32, to: NodeId, life: u64) -> Packet {
         id: MessageId { incarnation: Incarnation(0), sequence: Seq24::new(number) },
         remaining: Ticks(life),
         contents: Contents::EMPTY,
+        seal: Seal::NONE,
     }
 }
 

@@ -1,9 +1,14 @@
-//! The node's one clock: `CLOCK_MONOTONIC`. Wall-clock time is never asked for here (D37).
+//! The node's one clock: `CLOCK_BOOTTIME`. Wall-clock time is never asked for here (D37).
+//!
+//! It goes on while the machine is suspended, and so do leases, time_outs and timers: a suspend is a pause of the node like
+//! any other (D155). The kernel sleeps by `CLOCK_MONOTONIC`, which stands still meanwhile. So an instant is put onto that
+//! clock only where a thread goes to sleep, and whoever wakes looks at this one.
 
 use rustix::time::{ClockId, Timespec};
+use std::sync::atomic::{AtomicI64, Ordering};
 use std::time::Duration;
 
-/// An instant on the monotonic clock, in whole microseconds: the runtime's [`Ticks`](imrs_protocol::Ticks) (D42).
+/// An instant on the node's clock, in whole microseconds: the runtime's [`Ticks`](imrs_protocol::Ticks) (D42).
 pub(crate) type Micros = u64;
 
 /// Later than every instant.
@@ -12,10 +17,55 @@ pub(crate) const FAR: Micros = u64::MAX;
 const NANOS_PER_SECOND: u64 = 1_000_000_000;
 const NANOS_PER_MICRO: u64 = 1_000;
 
-fn nanos() -> u64 {
-    let now = rustix::time::clock_gettime(ClockId::Monotonic);
+/// How far the two clocks may be read apart without a closer look, in nanoseconds.
+const READ_APART: u64 = 10 * NANOS_PER_MICRO;
+
+/// How far `CLOCK_BOOTTIME` is ahead of `CLOCK_MONOTONIC`, as it was last seen, in nanoseconds. Changed by a suspend alone, and
+/// less than nothing only in a time namespace.
+static AHEAD: AtomicI64 = AtomicI64::new(0);
+
+fn read(clock: ClockId) -> u64 {
+    let now = rustix::time::clock_gettime(clock);
     let seconds = u64::try_from(now.tv_sec).unwrap_or_default();
     seconds * NANOS_PER_SECOND + u64::try_from(now.tv_nsec).unwrap_or_default()
+}
+
+fn nanos() -> u64 {
+    read(ClockId::Boottime)
+}
+
+/// Looks how far the clocks are apart now.
+fn ahead() -> i64 {
+    let known = AHEAD.load(Ordering::Relaxed);
+    let (before, boot) = (read(ClockId::Monotonic), nanos());
+    if apart(boot, before).abs_diff(known) <= READ_APART {
+        return known;
+    }
+    // The machine was suspended, or this thread stopped between the two readings.
+    let ahead = between(known, before, boot, read(ClockId::Monotonic));
+    AHEAD.store(ahead, Ordering::Relaxed);
+    ahead
+}
+
+const fn apart(boot: u64, monotonic: u64) -> i64 {
+    boot.wrapping_sub(monotonic).cast_signed()
+}
+
+/// What is `known`, if it can be so where `boot` was read between the two others; else what is nearest to it. A thread that was
+/// stopped between two readings knows less, and changes nothing.
+fn between(known: i64, before: u64, boot: u64, after: u64) -> i64 {
+    known.clamp(apart(boot, after), apart(boot, before))
+}
+
+/// For how long the machine has been suspended since it started, as far as this process has seen.
+pub(crate) fn suspended() -> Micros {
+    u64::try_from(AHEAD.load(Ordering::Relaxed)).unwrap_or_default() / NANOS_PER_MICRO
+}
+
+/// The same, looked at anew.
+pub(crate) fn look_for_suspend() -> Micros {
+    ahead();
+    suspended()
 }
 
 /// The last whole microsecond: for everything that happens to a task.
@@ -28,9 +78,11 @@ pub(crate) fn next() -> Micros {
     nanos().div_ceil(NANOS_PER_MICRO)
 }
 
-/// An instant as the kernel wants it, or `None` where it never comes.
+/// An instant as the kernel wants it to end a sleep that begins now, in nanoseconds of `CLOCK_MONOTONIC`; `None` where it never
+/// comes.
 pub(crate) fn nanos_of(at: Micros) -> Option<u64> {
-    at.checked_mul(NANOS_PER_MICRO)
+    let at = at.checked_mul(NANOS_PER_MICRO)?;
+    Some(at.saturating_sub_signed(ahead()))
 }
 
 /// Nanoseconds of the monotonic clock as the kernel wants them.
@@ -63,7 +115,28 @@ mod tests {
         assert_eq!(micros(Duration::from_micros(7)), 7);
         assert_eq!(micros(Duration::MAX), FAR);
         assert_eq!(nanos_of(FAR), None);
-        assert_eq!(nanos_of(3), Some(3_000));
+    }
+
+    #[test]
+    fn a_sleep_ends_when_the_nodes_clock_is_there() {
+        let at = now() + 1_000_000;
+        let monotonic = read(ClockId::Monotonic);
+        let left = nanos_of(at).expect("an instant") - monotonic;
+        // In between this thread may have been stopped, but no machine is suspended in a test.
+        assert!(left <= 1_000_000_000 + READ_APART, "{left} ns");
+        assert_eq!(nanos_of(at), nanos_of(at));
+    }
+
+    #[test]
+    fn a_suspend_is_seen_once_and_a_stop_between_two_readings_is_none() {
+        const HOUR: u64 = 3_600 * NANOS_PER_SECOND;
+        let hour = HOUR.cast_signed();
+        assert_eq!(between(0, 1_000, 1_030, 1_060), 0, "nothing has happened");
+        assert_eq!(between(0, 1_000, 900_001_030, 900_001_060), 0, "this thread was stopped");
+        assert_eq!(between(0, 1_000, 1_030 + HOUR, 1_060), hour - 30, "the machine was suspended");
+        assert_eq!(between(hour - 30, 2_000, 2_010 + HOUR, 2_500), hour - 30, "that is known");
+        assert_eq!(between(hour - 30, 3_000, 3_000 + HOUR, 3_010), hour - 10, "known better");
+        assert_eq!(between(0, 5_000 + HOUR, 5_020, 5_060 + HOUR), 20 - hour, "in a time namespace");
     }
 
     #[test]

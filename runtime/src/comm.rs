@@ -1,7 +1,7 @@
 //! A communication task behind its lock, with its clock, its recorder and its observations.
 
 use crate::alarm::{Alarm, Cover};
-use crate::clock::{FAR, Micros};
+use crate::clock::{self, FAR, Micros};
 use crate::effects::{Effect, Effects, Stamped};
 use crate::failstop::guarded;
 use crate::handoff::{Rest, Station};
@@ -23,6 +23,8 @@ pub(crate) struct Comm {
     table: NodeTable,
     alarm: Arc<Alarm>,
     cover: Cover,
+    /// Whether the task is one of a couple: then no input is taken at an earlier time than that at which it is taken in.
+    coupled: bool,
     /// When the machine last advanced.
     last: Micros,
     /// When it next does something by itself; unknown from its next input on.
@@ -50,6 +52,7 @@ impl Comm {
     ) -> Self {
         let wants_keyframe = log.as_ref().is_some_and(|log| log.wants_keyframe());
         Self {
+            coupled: machine.epoch().is_some(),
             machine,
             table,
             wants_keyframe,
@@ -94,6 +97,16 @@ impl Comm {
     /// Whether nothing comes of the time until `now` but that it has passed.
     pub fn is_idle_until(&self, now: Micros) -> bool {
         self.due.is_some_and(|due| now < due)
+    }
+
+    /// Whether the task is one of a couple.
+    pub const fn is_coupled(&self) -> bool {
+        self.coupled
+    }
+
+    /// Whether the task holds a lease that is over by `now`, and nobody has told the machine so.
+    pub fn is_overdue(&self, now: Micros) -> bool {
+        self.machine.leased_for().is_some_and(|left| self.last.saturating_add(left.0) <= now)
     }
 
     pub const fn machine(&self) -> &CommTask {
@@ -194,8 +207,11 @@ impl Comm {
             self.with_seat(|seat, comm| seat.take(comm, stamped, effects));
             return None;
         }
+        // The thread that brings it may have been stopped since it looked at the clock, and with it its node: a lease that has
+        // ended meanwhile ends before anything else comes of the input (D155).
+        let at = if self.coupled { stamped.at.max(clock::now()) } else { stamped.at };
+        let elapsed = self.pass(at);
         let late = self.last.saturating_sub(stamped.at);
-        let elapsed = self.pass(stamped.at);
         let mut input = stamped.input;
         if let Input::Packet(packet) = &mut input {
             // Another thread was faster: what the packet waited for this one is taken from its life, too.

@@ -37,6 +37,7 @@
 
 #![deny(unsafe_code)]
 
+pub mod actuator;
 mod alarm;
 mod awake;
 mod builder;

@@ -163,13 +163,23 @@ impl Node {
         bell_of(self.link.as_ref())
     }
 
-    /// An instant, in microseconds of the monotonic clock, before which every step of a script of this node has been
-    /// told to its [`Watch`](crate::script::Watch): none is told later with an earlier time.
+    /// An instant, in microseconds of the node's clock, before which every step of a script of this node has been told to
+    /// its [`Watch`](crate::script::Watch), and no lease ended that its task does not know of: none is told later with an
+    /// earlier time.
     #[must_use]
     pub fn told_until(&self) -> u64 {
         let now = clock::now();
         // A step is stamped and told under the lock of its task: one that was stamped before is over after this.
-        self.members.list.iter().for_each(|member| self.look(member, |_| ()));
+        for member in &self.members.list {
+            if self.look(member, |comm| comm.is_overdue(now)) {
+                let mut effects = Effects::of_an_onlooker();
+                let end = |comm: &mut Comm, effects: &mut Effects| {
+                    comm.with_seat(|seat, comm| seat.catch_up(comm, effects));
+                };
+                member.handoff.visit(end, &mut effects);
+                self.carry_out(&mut effects);
+            }
+        }
         now
     }
 

@@ -5,6 +5,7 @@
 //! come at any moment since the socket was last seen empty, and the whole time since then is charged. That time is also
 //! the most that any datagram can have waited.
 
+use crate::clock;
 use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
 
 /// How much the distance between the clocks may seem to change by rounding alone, in nanoseconds.
@@ -22,6 +23,8 @@ pub struct Reading {
     pub realtime: Duration,
     /// The monotonic clock, just after.
     pub after: Instant,
+    /// For how long the machine had been suspended since it started, as far as was known, in microseconds.
+    pub suspended: u64,
 }
 
 impl Reading {
@@ -41,7 +44,7 @@ impl Reading {
     fn once() -> Self {
         let before = Instant::now();
         let realtime = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-        Self { before, realtime, after: Instant::now() }
+        Self { before, realtime, after: Instant::now(), suspended: clock::suspended() }
     }
 
     /// How far apart the monotonic instants are: how uncertain it is when the wall clock was read.
@@ -107,7 +110,8 @@ mod tests {
     /// A reading `mono` microseconds after `origin`, with the wall clock at `wall` microseconds past [`EPOCH`].
     fn reading(origin: Instant, mono: u64, wall: u64, width: u64) -> Reading {
         let at = |us| origin + Duration::from_micros(us);
-        Reading { before: at(mono), realtime: Duration::from_micros(EPOCH + wall), after: at(mono + width) }
+        let realtime = Duration::from_micros(EPOCH + wall);
+        Reading { before: at(mono), realtime, after: at(mono + width), suspended: 0 }
     }
 
     fn stamp(wall: u64) -> Option<Duration> {

@@ -47,7 +47,7 @@ fn way(table: &CellTable, source: NodeId, destination: NodeId) -> impl Iterator<
 mod tests {
     use super::*;
     use imrs_protocol::{
-        Cell, Class, Contents, Incarnation, MessageId, PortDecl, PortId, Seq24, TaskId, Ticks, Usage,
+        Cell, Class, Contents, Incarnation, MessageId, PortDecl, PortId, Seal, Seq24, TaskId, Ticks, Usage,
     };
     use proptest::prelude::*;
     use std::sync::Arc;
@@ -67,6 +67,7 @@ mod tests {
             id: MessageId { incarnation: Incarnation(1), sequence: Seq24::new(1) },
             remaining: Ticks(1_000_000),
             contents: Contents::EMPTY,
+            seal: Seal::NONE,
         }
     }
 

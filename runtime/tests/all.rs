@@ -1,6 +1,7 @@
 //! The tests of the runtime with real threads, one program: each file beside this one is a module of it. `process.rs` has
 //! those that count or stop the whole process, `schedules` those of shuttle.
 
+mod actuator;
 mod busy;
 mod common;
 mod corruption;

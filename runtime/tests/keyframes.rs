@@ -3,8 +3,8 @@
 
 use crate::common::{A, B, LONG, LONG_TICKS, ask, cell, finish, network, on, one_node, report, table};
 use imrs_protocol::{
-    CellTable, CommTask, Incarnation, Input, NodeId, NodeTable, Outbox, Packet, PortDecl, Signal, TaskId,
-    Ticks, TimeId, Usage,
+    CellTable, CommTask, Incarnation, Input, NodeId, NodeTable, Outbox, Packet, PortDecl, Seal, Signal,
+    TaskId, Ticks, TimeId, Usage,
 };
 use imrs_runtime::link::in_process::Faults;
 use imrs_runtime::record::{
@@ -371,6 +371,7 @@ fn a_state_of_a_machine_with_other_buffers_is_refused() {
             id: imrs_protocol::MessageId { incarnation: LIFE, sequence: imrs_protocol::Seq24::new(sequence) },
             remaining: Ticks(1_000_000),
             contents: imrs_protocol::Contents::EMPTY,
+            seal: Seal::NONE,
         };
         machine.handle(&wide, Input::Packet(packet), &mut All::default());
     }

@@ -3,7 +3,7 @@
 use crate::common::{A, B, C, LONG, LONG_TICKS, cell, finish, report, table};
 use imrs_protocol::{
     Cell, CellTable, Class, Contents, Incarnation, Kind, MAX_HOPS, MessageId, NodeId, Packet, PortDecl,
-    PortId, Reason, Seq24, TaskId, Ticks, Usage,
+    PortId, Reason, Seal, Seq24, TaskId, Ticks, Usage,
 };
 use imrs_runtime::Runtime;
 use imrs_runtime::link::{Link, LinkBusy, PollEnd, Sink};
@@ -58,6 +58,7 @@ fn news(source: TaskId, number: u8) -> Packet {
         id: MessageId { incarnation: Incarnation(1), sequence: Seq24::new(u32::from(number)) },
         remaining: LONG_TICKS,
         contents: Contents::new(&[number]).expect("one byte"),
+        seal: Seal::NONE,
     }
 }
 

@@ -2,7 +2,7 @@
 
 use crate::common::{A, B, C, LONG, LONG_TICKS, ask, cell, finish, network, report, table};
 use imrs_protocol::{
-    CellTable, Incarnation, NodeId, NodeTable, Outcome, Packet, PortDecl, PortId, Reason, Ticks, Usage,
+    CellTable, Incarnation, NodeId, NodeTable, Outcome, Packet, PortDecl, PortId, Reason, Seal, Ticks, Usage,
 };
 use imrs_runtime::link::faulty::FaultyLink;
 use imrs_runtime::link::in_process::Faults;
@@ -269,6 +269,7 @@ fn charge_of_a_late_packet(links: [impl Link + 'static; 2]) -> Ticks {
         id: imrs_protocol::MessageId { incarnation: Incarnation(1), sequence: imrs_protocol::Seq24::new(1) },
         remaining: SHORT,
         contents: imrs_protocol::Contents::EMPTY,
+        seal: Seal::NONE,
     };
     // Each way once, so that the second knows the clock of the first.
     assert_eq!(second.send(NodeId(0), &[packet]), Ok(1));

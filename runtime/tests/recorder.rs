@@ -4,7 +4,7 @@
 use crate::common::{A, B, LONG, LONG_TICKS, ask, cell, finish, one_node, table};
 use imrs_protocol::{
     Class, Contents, Incarnation, Input, Kind, MessageId, NodeId, NodeTable, Packet, PortId, Ranked, ReplyTo,
-    Request, Seq24, ServiceOrder, Target, TaskId, Ticks, TimeId,
+    Request, Seal, Seq24, ServiceOrder, Target, TaskId, Ticks, TimeId,
 };
 use imrs_runtime::record::{About, FileRecorder, Log, OutputDigest, Recorder, Step};
 use imrs_wire::recording::{Record, RecordingReader, ScriptStep, Stream, WriteError};
@@ -165,6 +165,7 @@ fn packet() -> impl Strategy<Value = Packet> {
             id,
             remaining,
             contents,
+            seal: Seal::NONE,
         },
     )
 }

@@ -2,9 +2,11 @@
 
 use crate::common::{A, B, LONG, LONG_TICKS, Tape, ask, cell, network, on, one_node, report, table};
 use imrs_protocol::script::{
-    Binary, End, Outcomes, Program, ProgramBuilder, ScriptFault, StatementOutcome, Type,
+    Binary, End, Op, Outcomes, Program, ProgramBuilder, ScriptFault, StatementOutcome, Type,
 };
-use imrs_protocol::{CellTable, Incarnation, NodeId, NodeTable, PortId, Target, TaskId, Ticks};
+use imrs_protocol::{
+    CellTable, CoupleDecl, Incarnation, NodeId, NodeTable, PortDecl, PortId, Target, TaskId, Ticks, Usage,
+};
 use imrs_runtime::link::in_process::Faults;
 use imrs_runtime::record::{Recorder, replay};
 use imrs_runtime::script::{Act, Actions, Commands, Ending, Functions, Note, Simulated, Stop, Watch};
@@ -278,4 +280,69 @@ fn a_command_that_is_cut_short_is_killed() {
     assert!(std::path::Path::new(&format!("/proc/{pid}")).exists());
     assert_eq!(end_of(node, "a"), TaskEnd::Returned);
     assert!(!std::path::Path::new(&format!("/proc/{pid}")).exists(), "the command runs on");
+}
+
+/// Stands still for longer than a lease lasts when its script is about to act, as a node that was stopped does.
+struct StandsStill(Mutex<Vec<Note>>);
+
+const LEASE_US: u64 = 300_000;
+
+impl Watch for StandsStill {
+    fn note(&self, _task: TaskId, _at: u64, note: &Note) {
+        let mut notes = self.0.lock().unwrap();
+        if matches!(note, Note::Acts { .. }) {
+            std::thread::sleep(Duration::from_micros(2 * LEASE_US));
+        }
+        notes.push(note.clone());
+    }
+}
+
+/// Remembers what began.
+struct Began(Mutex<Vec<String>>);
+
+impl Actions for Began {
+    fn begin(&self, act: &Act<'_>, ending: Ending) -> Option<Stop> {
+        self.0.lock().unwrap().push(act.name.into());
+        ending.done(0);
+        None
+    }
+}
+
+/// Acts once it has the lease.
+fn welder() -> Arc<Program> {
+    let mut b = ProgramBuilder::new("a");
+    b.statement().op(Op::Lease).run("weld", Ticks(1_000), LONG_TICKS).end();
+    Arc::new(b.finish().expect("a sound program"))
+}
+
+/// Answers the beats of its partner and does nothing.
+fn standby() -> Arc<Program> {
+    let mut b = ProgramBuilder::new("b");
+    b.statement().op(Op::Lease).end();
+    b.takeover(|b| {
+        b.run("go_on", Ticks(1), Ticks(1));
+    });
+    Arc::new(b.finish().expect("a sound program"))
+}
+
+#[test]
+fn who_stood_still_for_longer_than_its_lease_begins_nothing() {
+    let mut cell = cell(&[0, 1], Ticks(2_000));
+    let time_out = Ticks(40_000);
+    let via = cell.port(PortDecl::new("alive", A, Usage::Response, &[B], time_out));
+    let [lease, takeover, every] = [LEASE_US, 20_000_000, LEASE_US / 15].map(Ticks);
+    let (trusted, mutual) = (false, false);
+    cell.couples.push(CoupleDecl { primary: A, standby: B, lease, takeover, every, via, trusted, mutual });
+    let table = table(cell);
+    let network = network(&table, Faults::default());
+    let (still, began) = (Arc::new(StandsStill(Mutex::default())), Arc::new(Began(Mutex::default())));
+    let b = on(&network, &table, 1).script("b", standby()).start().unwrap();
+    let a = on(&network, &table, 0).script("a", welder()).actions(Arc::clone(&began) as Arc<dyn Actions>);
+    let a = a.watch(Arc::clone(&still) as Arc<dyn Watch>).start().unwrap();
+    assert!(a.wait(LONG), "its lease ends while it stands still");
+    let notes = std::mem::take(&mut *still.0.lock().unwrap());
+    assert!(notes.iter().any(|note| matches!(note, Note::Acts { .. })), "{notes:?}");
+    assert_eq!(*began.0.lock().unwrap(), Vec::<String>::new(), "the lease was over by then: {notes:?}");
+    assert_eq!(end_of(a, "a"), TaskEnd::Script(End::Fenced), "{notes:?}");
+    drop(b.stop(LONG));
 }

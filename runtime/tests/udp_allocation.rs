@@ -4,7 +4,7 @@ use crate::allocator::of_this_thread;
 use crate::alone;
 use imrs_protocol::{
     Cell, CellTable, Class, Contents, Incarnation, Kind, MAX_HOPS, MessageId, NodeId, NodeTable, Packet,
-    PortDecl, PortId, Seq24, TaskId, Ticks, Usage,
+    PortDecl, PortId, Seal, Seq24, TaskId, Ticks, Usage,
 };
 use imrs_runtime::link::udp::{UdpLink, UdpOptions};
 use imrs_runtime::link::{Link, LinkDiscard, PollEnd, Sink};
@@ -64,6 +64,7 @@ fn sending_and_receiving_allocate_nothing() {
         id: MessageId { incarnation: Incarnation(1), sequence: Seq24::new(1) },
         remaining: Ticks(1_000_000),
         contents: Contents::EMPTY,
+        seal: Seal::NONE,
     };
     let (packets, got) = ([packet; 50], Counter::default());
     let round = |sender: &UdpLink, receiver: &UdpLink, to: NodeId, count: usize| {

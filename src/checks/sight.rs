@@ -21,6 +21,8 @@ pub struct Sight {
 struct Known {
     /// As they were last seen.
     values: Vec<i64>,
+    /// When its lease ends, in microseconds of the node's clock, unless it is renewed.
+    leased_until: Option<u64>,
     /// The ports of its requests whose ends are still to come, the last one last: a handler asks while its task waits.
     open: Vec<PortId>,
     /// It has just asked to send: what is accepted at once has no other end.
@@ -58,17 +60,35 @@ impl Sight {
         }
     }
 
-    /// How a task stands: its values, in the order of what is asked, where one has changed.
-    pub fn look(&mut self, task: TaskId, stands: &Stands<'_>) -> Option<Vec<i64>> {
-        let (asks, known) = (self.asks.get(task.index())?, self.known.get_mut(task.index())?);
-        let values: Vec<i64> = asks.iter().map(|&ask| known.value(ask, stands)).collect();
-        let changed = values != known.values;
-        known.values.clone_from(&values);
-        changed.then_some(values)
+    /// How a task stands at `at`: its values, in the order of what is asked, where one has changed.
+    ///
+    /// A task is active no longer than its lease lasts, though a node that stood still notices the end late: that comes as a
+    /// change of its own, from when the lease ended (D155).
+    pub fn look(&mut self, task: TaskId, at: u64, stands: &Stands<'_>) -> impl Iterator<Item = Change> {
+        let seen = self.asks.get(task.index()).zip(self.known.get_mut(task.index()));
+        let changes = seen.map(|(asks, known)| {
+            let ended = known.lease_ends(asks, at, stands);
+            let values: Vec<i64> = asks.iter().map(|&ask| known.value(ask, stands)).collect();
+            let changed = values != known.values;
+            known.values.clone_from(&values);
+            [ended, changed.then_some((at, values))]
+        });
+        changes.into_iter().flatten().flatten().map(move |(at, values)| Change { at, task, values })
     }
 }
 
 impl Known {
+    /// The lease of a task that was active ended before `at`, when that was noticed: since when, and what it stands at since.
+    fn lease_ends(&mut self, asks: &[Ask], at: u64, stands: &Stands<'_>) -> Option<(u64, Vec<i64>)> {
+        let now = stands.machine.leased_for().map(|left| at.saturating_add(left.0));
+        let before = std::mem::replace(&mut self.leased_until, now).filter(|&until| until < at);
+        let since = before.filter(|_| !stands.machine.is_active())?;
+        let was_active =
+            |(ask, value): (&Ask, &mut i64)| *ask == Ask::Active && std::mem::replace(value, 0) != 0;
+        let ended = asks.iter().zip(&mut self.values).map(was_active).fold(false, |any, one| any | one);
+        ended.then(|| (since, self.values.clone()))
+    }
+
     fn asked(&mut self, request: &Request) {
         self.sends = false;
         match *request {
@@ -156,6 +176,6 @@ impl Watch for Looker {
 
     fn stands(&self, task: TaskId, at: u64, stands: &Stands<'_>) {
         let (sight, changes) = &mut *self.0.lock().unwrap_or_else(PoisonError::into_inner);
-        changes.extend(sight.look(task, stands).map(|values| Change { at, task, values }));
+        changes.extend(sight.look(task, at, stands));
     }
 }

@@ -2,10 +2,10 @@
 
 use rustix::time::{ClockId, clock_gettime};
 
-/// `CLOCK_MONOTONIC` in microseconds. Only a demo compares it between nodes: they run on one machine, and it wants to know
+/// `CLOCK_BOOTTIME` in microseconds, as the nodes read it (D155). Only a demo compares it between nodes: they run on one machine, and it wants to know
 /// what no node can know, how far apart the others start. The protocol never does.
 pub fn now_us() -> u64 {
-    let now = clock_gettime(ClockId::Monotonic);
+    let now = clock_gettime(ClockId::Boottime);
     let whole = u64::try_from(now.tv_sec).unwrap_or_default() * 1_000_000;
     whole + u64::try_from(now.tv_nsec).unwrap_or_default() / 1_000
 }

@@ -3,7 +3,7 @@
 use super::deed::{Deed, Did, Unanswered};
 use super::lines::{EndSort, Event, Outcomes, What, Word};
 use crate::cells::Loaded;
-use crate::checks::{Change, Sight};
+use crate::checks::Sight;
 use imrs_protocol::script::{Address, End};
 use imrs_protocol::{Outcome, PortId, Request, Signal, TaskId, Usage};
 use imrs_runtime::script::{Note, Stands, Watch};
@@ -195,9 +195,7 @@ impl Watch for Narrator {
 
     fn stands(&self, task: TaskId, at: u64, stands: &Stands<'_>) {
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
-        if let Some(values) = state.sight.look(task, stands) {
-            self.tell(Word::Stands(Change { at, task, values }));
-        }
+        state.sight.look(task, at, stands).for_each(|change| self.tell(Word::Stands(change)));
     }
 }
 

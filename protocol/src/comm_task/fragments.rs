@@ -304,6 +304,7 @@ impl CommTask {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::packet::Seal;
     use proptest::prelude::*;
 
     proptest! {
@@ -341,6 +342,7 @@ mod tests {
             id: MessageId::default(),
             remaining: Ticks(9),
             contents: Contents::new(&[index]).unwrap(),
+            seal: Seal::NONE,
         }
     }
 

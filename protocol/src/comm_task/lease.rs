@@ -449,6 +449,16 @@ impl CommTask {
         self.lease.as_ref().is_none_or(Lease::acts)
     }
 
+    /// How long from the last [`Input::Advance`](super::Input::Advance) this task holds the lease of its couple, unless it is
+    /// renewed; `None` where it holds none, or acts alone after a take-over.
+    #[must_use]
+    pub fn leased_for(&self) -> Option<Ticks> {
+        match self.lease.as_ref()?.post {
+            Post::Leased(until) => Some(until - self.now),
+            Post::Waits | Post::Alone | Post::Passive => None,
+        }
+    }
+
     /// The epoch that this task acts under, or the newest it heard of; `None` where it is in no couple.
     #[must_use]
     pub fn epoch(&self) -> Option<u8> {

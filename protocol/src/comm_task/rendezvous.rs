@@ -9,7 +9,7 @@ use super::{Outbox, Scene};
 use crate::cell::MAX_MEMBERS;
 use crate::ids::{Incarnation, MessageId, PortId, Round, Seq24, TaskId};
 use crate::observe::{Event, MeetingState, MeetingView, MemberView, Observation, Reason};
-use crate::packet::{Class, Contents, Kind, MAX_HOPS, Meeting, Packet};
+use crate::packet::{Class, Kind, MAX_HOPS, Meeting, Packet, Seal};
 use crate::request::ReleasedBy;
 use crate::rules::Confirmation;
 use crate::table::Port;
@@ -526,7 +526,6 @@ impl Rendezvous {
         life: Incarnation,
         resent: bool,
     ) -> Packet {
-        let contents: Contents = meeting.to_contents();
         Packet {
             kind,
             class: Class::Command,
@@ -540,7 +539,8 @@ impl Rendezvous {
             port: self.port,
             id: MessageId { incarnation: life, sequence: Seq24::default() },
             remaining,
-            contents,
+            contents: meeting.to_contents(),
+            seal: Seal::NONE,
         }
     }
 

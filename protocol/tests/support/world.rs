@@ -371,6 +371,7 @@ impl World {
             },
             remaining: Ticks(u64::from(bytes[12] % 90)),
             contents: Contents::new(&bytes[16..16 + usize::from(bytes[13] % 13)]).expect("short"),
+            seal: Seal::NONE,
         };
         self.hear(self.shift.packet(&packet), 0)
     }

@@ -151,7 +151,7 @@ impl Flavor for Lanes {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use imrs_protocol::{Class, Control, Incarnation, Kind, PortId, ReplyTo, Seq24, TaskId};
+    use imrs_protocol::{Class, Control, Incarnation, Kind, PortId, ReplyTo, Seal, Seq24, TaskId};
 
     fn by_hand(lanes: &[u64]) -> OutputDigest {
         let step = |hash: u64, lane: &u64| {
@@ -176,6 +176,7 @@ mod tests {
             id: MessageId { incarnation: Incarnation(7), sequence: Seq24::new(0x08_090a) },
             remaining: Ticks(1 << 40),
             contents: Control::Refused.to_contents(),
+            seal: Seal::NONE,
         }
     }
 

@@ -10,7 +10,7 @@ use super::Step;
 use crate::lane;
 use imrs_protocol::{
     CONTENTS_BYTES, Class, Contents, Incarnation, Input, Kind, MessageId, Packet, PortId, ReplyTo, Request,
-    Seq24, Target, TaskId, Ticks,
+    Seal, Seq24, Target, TaskId, Ticks,
 };
 use imrs_wire::recording::ScriptStep;
 
@@ -226,6 +226,7 @@ fn packet(how: u64, ends: u64, number: u64, remaining: u64, contents: Contents) 
         id: id(number),
         remaining: Ticks(remaining),
         contents,
+        seal: Seal::NONE,
     }
 }
 

@@ -5,10 +5,10 @@ use crate::effects::Effects;
 use crate::node::Node;
 use crate::sync::{Mutex, lock};
 use imrs_protocol::Ticks;
-use imrs_protocol::script::End;
+use imrs_protocol::script::{End, Program};
 use imrs_wire::obs::Liveness;
 use std::collections::BTreeMap;
-use std::sync::Weak;
+use std::sync::{Arc, Weak};
 use std::time::Duration;
 
 /// Carries out the actions of scripts: by a simulation, by commands, by functions of a program.
@@ -111,7 +111,7 @@ type OnEnd = Box<dyn Fn(usize, End) + Send + Sync>;
 /// Where the scripts of a node act.
 pub(crate) struct Stage {
     node: Weak<Node>,
-    actions: std::sync::Arc<dyn Actions>,
+    actions: Arc<dyn Actions>,
     /// By task and thread: what was last begun or cut short there. Two threads may carry out the begin of an action
     /// and its cut in either order.
     running: Mutex<BTreeMap<(usize, u8), Running>>,
@@ -127,7 +127,7 @@ struct Running {
 }
 
 impl Stage {
-    pub fn new(node: Weak<Node>, actions: std::sync::Arc<dyn Actions>, ended: OnEnd) -> Self {
+    pub fn new(node: Weak<Node>, actions: Arc<dyn Actions>, ended: OnEnd) -> Self {
         Self { node, actions, running: Mutex::new(BTreeMap::new()), ended }
     }
 
@@ -151,9 +151,7 @@ impl Stage {
         if lock(&self.running).entry((place, level)).or_default().over > number {
             return;
         }
-        let member = &node.members.list[place];
-        let program = node.look(member, |comm| comm.program());
-        let Some(program) = program else { return };
+        let Some(program) = self.check(node, begun) else { return };
         let act = Act {
             task: &program.name,
             name: program.actions.get(usize::from(begun.action)).map_or("", String::as_str),
@@ -173,6 +171,26 @@ impl Stage {
         } else if running.runs.as_ref().is_none_or(|(last, _)| *last < number) {
             running.runs = stop.map(|stop| (number, stop));
         }
+    }
+
+    /// The program of a script whose action is about to begin; `None` where it is cut short. The node may have been stopped since
+    /// the script began it: of a couple's task the end of its lease comes first (D155).
+    fn check(&self, node: &Node, begun: &Begun) -> Option<Arc<Program>> {
+        let Begun { place, level, number, .. } = *begun;
+        let member = &node.members.list[place];
+        let (program, coupled) = node.look(member, |comm| (comm.program(), comm.is_coupled()));
+        if coupled {
+            let mut effects = Effects::of_an_onlooker();
+            let catch_up = |comm: &mut Comm, effects: &mut Effects| {
+                comm.with_seat(|seat, comm| seat.catch_up(comm, effects));
+            };
+            member.handoff.visit(catch_up, &mut effects);
+            node.carry_out(&mut effects);
+            if lock(&self.running).entry((place, level)).or_default().over > number {
+                return None;
+            }
+        }
+        program
     }
 
     fn cut_short(&self, at: (usize, u8), number: u64) {

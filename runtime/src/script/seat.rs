@@ -3,7 +3,7 @@
 use super::actions::{Begun, Deed};
 use super::knows::{Does, Outlet};
 use super::{Knows, Note, Stands, Watch};
-use crate::clock;
+use crate::clock::{self, Micros};
 use crate::comm::Comm;
 use crate::effects::{Effects, Stamped};
 use crate::failstop::guarded;
@@ -85,7 +85,7 @@ impl Seat {
     pub fn take(&mut self, comm: &mut Comm, stamped: Stamped, effects: &mut Effects) {
         let mut input = stamped.input;
         let only_time = input == Input::Advance(Ticks::ZERO);
-        let turn = effects.time_of_turn();
+        let turn = time(comm, effects);
         // One step for the time and the input, where nobody wants to see what is between.
         let elapsed = if !only_time && self.side.watch.is_none() && comm.is_idle_until(turn) {
             comm.pass(turn)
@@ -121,6 +121,13 @@ impl Seat {
         self.show(comm);
     }
 
+    /// Nothing comes but time: what is due by now happens before anything else does, such as the end of a lease.
+    pub fn catch_up(&mut self, comm: &mut Comm, effects: &mut Effects) {
+        if !self.stopped {
+            self.let_time_pass(comm, effects);
+        }
+    }
+
     /// The node stops: the script acts no more, and takes back what it asked.
     pub fn stop(&mut self, comm: &mut Comm, effects: &mut Effects) {
         if std::mem::replace(&mut self.stopped, true) {
@@ -138,7 +145,7 @@ impl Seat {
     /// The time comes first, as a step of its own. To the next whole microsecond: what is asked in this step is never
     /// stamped before its turn began.
     fn let_time_pass(&mut self, comm: &mut Comm, effects: &mut Effects) -> u64 {
-        let elapsed = comm.pass(effects.time_of_turn());
+        let elapsed = comm.pass(time(comm, effects));
         if !elapsed.is_zero() {
             self.step(comm, Step { elapsed, input: Input::Advance(Ticks::ZERO) }, effects);
             self.hear(comm, effects);
@@ -230,6 +237,12 @@ impl Side {
         effects.deeds.extend(number.map(|number| Deed::CutShort { place, level, number }));
         number.is_some()
     }
+}
+
+/// The time of a step: that of the thread's turn at the script. A task of a couple looks at the clock each time, because the
+/// thread may have been stopped since its turn began (D155).
+fn time(comm: &Comm, effects: &mut Effects) -> Micros {
+    if comm.is_coupled() { clock::next() } else { effects.time_of_turn() }
 }
 
 /// Where the effects of a script go.

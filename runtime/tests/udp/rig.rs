@@ -2,7 +2,7 @@
 
 use imrs_protocol::{
     Cell, CellTable, Class, Contents, Incarnation, Kind, MAX_HOPS, MessageId, NodeId, NodeTable, Packet,
-    PortDecl, PortId, Seq24, TaskId, Ticks, Usage,
+    PortDecl, PortId, Seal, Seq24, TaskId, Ticks, Usage,
 };
 use imrs_runtime::link::udp::{UdpCount, UdpLink, UdpOptions};
 use imrs_runtime::link::{Link, LinkDiscard, PollEnd, Sink};
@@ -108,6 +108,7 @@ pub fn packet(number: u32) -> Packet {
         id: MessageId { incarnation: Incarnation(1), sequence: Seq24::new(number) },
         remaining: Ticks(60_000_000),
         contents: Contents::new(b"here").unwrap(),
+        seal: Seal::NONE,
     }
 }
 

@@ -1,9 +1,9 @@
 //! Sending, coalescing, waiting, restarts and errors of the network.
 
 use super::rig::{A, B, C, Memory, PATIENCE, any_port, life, link, packet, pair, raw_socket, table};
-use imrs_protocol::{Incarnation, NodeId};
+use imrs_protocol::{Contents, Incarnation, NodeId, Packet, PacketError, Ticks};
 use imrs_runtime::link::udp::{NotANeighbour, UdpCount, UdpError, UdpLink, UdpOptions};
-use imrs_runtime::link::{Link, LinkBusy, PollEnd};
+use imrs_runtime::link::{Link, LinkBusy, LinkDiscard, PollEnd};
 use std::net::{Ipv4Addr, UdpSocket};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -17,6 +17,22 @@ fn packets_arrive_as_they_were_sent() {
     assert_eq!((got[0].0, got[0].1), (A, packet(1)));
     assert_eq!(*memory.peers.lock().unwrap(), [(A, Incarnation(1), false)]);
     assert!(memory.discards.lock().unwrap().is_empty());
+}
+
+/// Node A sends to B, which sends on to C what it holds by then.
+#[test]
+fn what_falls_over_in_a_relay_is_turned_away_where_the_packet_ends() {
+    let ((a, b), c) = (pair(), link(C));
+    b.set_address(C, Some(c.local_address())).unwrap();
+    let (relay, memory) = (Memory::default(), Memory::default());
+    assert_eq!(a.send(B, &[packet(1)]), Ok(1));
+    let came = relay.take_packets(&b, 1)[0].1;
+    let relayed = Packet { hops: came.hops - 1, remaining: came.remaining - Ticks(100), ..came };
+    assert_eq!(b.send(C, &[relayed]), Ok(1));
+    assert_eq!(memory.take_packets(&c, 1)[0].1.contents, packet(1).contents);
+    let damaged = Packet { contents: Contents::new(b"hare").unwrap(), ..relayed };
+    assert_eq!(b.send(C, &[damaged]), Ok(1));
+    assert_eq!(memory.take_discards(&c, 1), [LinkDiscard::Packet(PacketError::Checksum)]);
 }
 
 #[test]

@@ -3,7 +3,7 @@
 use super::*;
 use crate::floor::Floor;
 use crate::floor::plan::{Errand, TaskPlan};
-use imrs_protocol::{Cell, Contents, Kind, NodeId, PortDecl, Ranked, Seq24, Usage};
+use imrs_protocol::{Cell, Contents, Kind, NodeId, PortDecl, Ranked, Seal, Seq24, Usage};
 
 const WRITER: TaskId = TaskId(0);
 const OTHER: TaskId = TaskId(1);
@@ -248,6 +248,7 @@ fn a_packet_that_leaves_is_the_same_after_its_bytes() {
         id: MessageId { incarnation: Incarnation(3), sequence: Seq24::new(70_000) },
         remaining: Ticks(0),
         contents: Contents::new(b"twelve bytes").expect("twelve bytes fit"),
+        seal: Seal::NONE,
     };
     let mut sends = |packet| {
         let Bench { history, station, .. } = &mut bench;

@@ -24,6 +24,7 @@ mod watch;
 pub use statistics::UdpCount;
 
 use super::{Came, Leading, Link, LinkBusy, PollEnd, Sink};
+use crate::clock;
 use crate::sync;
 use imrs_protocol::{Incarnation, NodeId, NodeTable, Packet, Ticks};
 use imrs_wire::envelope::MAX_PACKETS;
@@ -126,6 +127,8 @@ pub struct UdpLink {
     address_known: AtomicBool,
     /// Where this node's clock starts that its envelopes show.
     origin: Instant,
+    /// For how long the machine had been suspended then.
+    suspended: u64,
     statistics: Statistics,
 }
 
@@ -144,7 +147,7 @@ impl UdpLink {
     /// # Errors
     /// Says which step the system refused.
     pub fn bind(table: NodeTable, address: SocketAddr, options: UdpOptions) -> Result<Self, UdpError> {
-        let origin = Instant::now();
+        let (origin, suspended) = (Instant::now(), clock::look_for_suspend());
         let mut neighbours: Vec<NodeId> = table.neighbours(table.node).collect();
         neighbours.sort_unstable();
         let declared = |node| table.link_bound(table.node, node).unwrap_or(Ticks::ZERO);
@@ -178,6 +181,7 @@ impl UdpLink {
             woken: AtomicBool::new(false),
             address_known: AtomicBool::new(false),
             origin,
+            suspended,
             statistics: Statistics::default(),
         })
     }
@@ -218,9 +222,10 @@ impl UdpLink {
         Some((index, &self.peers[index]))
     }
 
-    /// This node's clock at an instant, rounded down.
+    /// This node's clock at an instant, rounded down. It goes on while the machine is suspended (D155).
     fn micros(&self, at: Instant) -> u64 {
-        u64::try_from(at.saturating_duration_since(self.origin).as_micros()).unwrap_or(u64::MAX)
+        let since = u64::try_from(at.saturating_duration_since(self.origin).as_micros()).unwrap_or(u64::MAX);
+        since.saturating_add(clock::suspended().saturating_sub(self.suspended))
     }
 
     /// Waits until no other thread polls.

@@ -81,7 +81,12 @@ impl UdpLink {
         match residency.by {
             Evidence::Stamp => {}
             Evidence::NoStamp => self.statistics.add(UdpCount::NoStamp, 1),
-            Evidence::ClockSet => self.statistics.add(UdpCount::ClockSet, 1),
+            Evidence::ClockSet => {
+                self.statistics.add(UdpCount::ClockSet, 1);
+                // The wall clock goes on while the machine is suspended, and the monotonic one does not.
+                let slept = clock::look_for_suspend().saturating_sub(empty.suspended);
+                return Ticks(clock::micros(residency.waited).saturating_add(slept));
+            }
         }
         Ticks(clock::micros(residency.waited))
     }

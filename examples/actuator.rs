@@ -1,0 +1,77 @@
+//! The program at a tool that two work-coupled tasks share: it acts for one of them at a time, whatever becomes of the nodes
+//! that started it (`imrs_runtime::actuator`).
+//!
+//! `imrs run CELL --action 'weld=target/debug/examples/actuator FOLDER MILLISECONDS'`: it acts once a millisecond, and writes
+//! down when. `FOLDER` holds the gate of the tool and the log. An epoch behind that stands for one that the runtime does not
+//! give: 1 for the primary, 2 for the standby.
+
+use imrs_runtime::actuator::{Deadline, Gate, Orders, Refused, now};
+use std::error::Error;
+use std::fs::{File, OpenOptions};
+use std::io::{self, Write};
+use std::path::Path;
+use std::time::Duration;
+use std::{env, thread};
+
+/// Between two steps.
+const STEP: Duration = Duration::from_millis(1);
+
+/// What the log says, a line each: when, under which epoch, and what. One write each, so that lines of several processes stay
+/// whole.
+struct Log(File);
+
+impl Log {
+    fn open(path: &Path) -> io::Result<Self> {
+        OpenOptions::new().create(true).append(true).open(path).map(Self)
+    }
+
+    fn line(&mut self, epoch: u8, what: &str) -> io::Result<()> {
+        self.0.write_all(format!("{} {epoch} {what}\n", now()).as_bytes())
+    }
+}
+
+/// Moves the tool in this folder for so long, under this epoch, while it may.
+///
+/// # Errors
+/// The gate refuses it, or a file cannot be used.
+pub fn weld(folder: &Path, epoch: u8, deadline: Deadline, length: Duration) -> Result<(), Box<dyn Error>> {
+    let gate = Gate::open(folder.join("tool.gate"))?;
+    let mut log = Log::open(&folder.join("tool.log"))?;
+    let mut permit = gate.admit(epoch, deadline)?;
+    permit.act(|| log.line(epoch, "begin"))??;
+    let end = now() + u64::try_from(length.as_micros())?;
+    let stopped = loop {
+        if now() >= end {
+            break Ok(());
+        }
+        // Here the motor would be told to go on for one more step.
+        match permit.act(|| log.line(epoch, "act")) {
+            Ok(written) => written?,
+            Err(refused) => break Err(refused),
+        }
+        thread::sleep(STEP);
+    };
+    // It acts no more: this is no act.
+    log.line(epoch, "end")?;
+    stopped.map_err(Refused::into)
+}
+
+/// Acts as the runtime says.
+pub fn main() -> Result<(), Box<dyn Error>> {
+    let arguments: Vec<String> = env::args().skip(1).collect();
+    let [folder, millis, rest @ ..] = arguments.as_slice() else {
+        return Err("name a folder and a number of milliseconds".into());
+    };
+    let Orders { epoch, deadline } = Orders::from_env()?;
+    let epoch = match (epoch, rest.first()) {
+        (Some(epoch), _) => epoch,
+        (None, Some(epoch)) => epoch.parse()?,
+        (None, None) => return Err("the task is in no couple: name an epoch behind the milliseconds".into()),
+    };
+    let said = deadline.clone();
+    // A runtime that gives no deadline gives no input, either.
+    if env::var_os(imrs_runtime::actuator::DEADLINE).is_some() {
+        thread::spawn(move || said.follow(io::stdin().lock()));
+    }
+    weld(Path::new(folder), epoch, deadline, Duration::from_millis(millis.parse()?))
+}

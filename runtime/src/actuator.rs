@@ -1,0 +1,370 @@
+//! For the program at the tool: it acts for one task of a couple at a time (D156).
+//!
+//! Two work-coupled tasks never act at the same time, but the processes that act for them are stopped, suspended and left
+//! behind by nodes that die. So the program at the tool checks for itself. A *gate* is a file that knows the newest epoch;
+//! all processes that move the tool share it. Whoever wants to act shows its epoch there, and older ones are refused from
+//! then on, in the middle of what they do, too.
+//!
+//! What a command learns from the runtime that started it:
+//!
+//! | what | where |
+//! |---|---|
+//! | the epoch of its task's lease, a whole number from 0 to 255 | `IMRS_EPOCH`; absent where the task is in no couple |
+//! | until when it may act, in microseconds of `CLOCK_BOOTTIME` | `IMRS_DEADLINE_US`; absent where nothing ends it |
+//! | a later deadline | a line `deadline N` on standard input |
+//! | that it must stop | standard input ends |
+//!
+//! ```
+//! use imrs_runtime::actuator::{Deadline, Gate, Refused};
+//! # let folder = tempfile::tempdir()?;
+//! # let path = folder.path().join("welder.gate");
+//! // Once, when the program starts. All programs that move this tool name the same file.
+//! let gate = Gate::open(&path)?;
+//!
+//! // The primary acts under epoch 1, step by step, each of them well within the time by which it may be late.
+//! let mut primary = gate.admit(1, Deadline::none())?;
+//! let mut steps = 0;
+//! primary.act(|| steps += 1)?;
+//!
+//! // The standby has taken over, in a process of its own as a rule: from here on the primary is refused.
+//! let standby = gate.admit(2, Deadline::none())?;
+//! assert!(standby.may_act() && !primary.may_act());
+//! assert!(matches!(primary.act(|| steps += 1), Err(Refused::Epoch { shown: 1, newest: 2 })));
+//! assert_eq!(steps, 1);
+//! # Ok::<(), Box<dyn std::error::Error>>(())
+//! ```
+//!
+//! It is no safety function: it keeps programs that obey it from acting for two tasks, and stops no motor.
+
+use crate::clock;
+use rustix::fs::{FlockOperation, flock};
+use std::fs::{File, OpenOptions};
+use std::io::{self, BufRead};
+use std::os::unix::fs::FileExt;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
+use thiserror::Error;
+
+/// The environment variable with the epoch.
+pub const EPOCH: &str = "IMRS_EPOCH";
+/// The environment variable with the deadline.
+pub const DEADLINE: &str = "IMRS_DEADLINE_US";
+
+/// How a gate's file begins. The newest epoch follows, in three digits.
+const HEAD: &str = "imrs gate 1 epoch ";
+const BYTES: usize = HEAD.len() + 4;
+
+/// Why a gate cannot be used.
+#[derive(Debug, Error)]
+pub enum GateError {
+    /// The file cannot be opened, locked, read or written.
+    #[error("cannot use the gate {path}: {source}")]
+    File {
+        /// The file.
+        path: PathBuf,
+        /// What the system said.
+        source: io::Error,
+    },
+    /// The file is none of a gate.
+    #[error("{0} is no file of a gate: name another file, or remove this one")]
+    Foreign(PathBuf),
+}
+
+/// Why a program may not act.
+#[derive(Debug, Error)]
+pub enum Refused {
+    /// Another program has acted under a newer epoch.
+    #[error("epoch {shown} is over: epoch {newest} acts")]
+    Epoch {
+        /// That of this program.
+        shown: u8,
+        /// The newest.
+        newest: u8,
+    },
+    /// The deadline has passed, or the runtime said that the program must stop.
+    #[error("the deadline has passed")]
+    Deadline,
+    /// The gate cannot be asked, so it is taken to be closed.
+    #[error(transparent)]
+    Gate(#[from] GateError),
+}
+
+/// Now, on the clock of deadlines: microseconds of `CLOCK_BOOTTIME`.
+#[must_use]
+pub fn now() -> u64 {
+    clock::now()
+}
+
+/// The file that knows the newest epoch of a tool, and whoever may act under it.
+///
+/// It stays when the machine starts again. Where the whole cell does, its epochs begin anew: [`reset`](Self::reset) the gate
+/// before, or keep the file where a start of the machine removes it (`/run`).
+#[derive(Clone, Debug)]
+pub struct Gate {
+    path: PathBuf,
+}
+
+impl Gate {
+    /// The gate of this file, which is made if it is not there.
+    ///
+    /// # Errors
+    /// The file cannot be used, or belongs to something else.
+    pub fn open(path: impl AsRef<Path>) -> Result<Self, GateError> {
+        let gate = Self { path: path.as_ref().to_owned() };
+        // A foreign file is noticed now, and not when the tool should move.
+        gate.locked(FlockOperation::LockShared)?.newest()?;
+        Ok(gate)
+    }
+
+    /// Admits a program that acts under this epoch until `deadline`; from then on no older epoch acts. Waits until a step
+    /// ends that another program is [in the middle of](Permit::act).
+    ///
+    /// Epochs go round: of two, the one less than half of 256 ahead is the newer. Returns once that is on the disk.
+    ///
+    /// # Errors
+    /// [`Refused`].
+    pub fn admit(&self, epoch: u8, deadline: Deadline) -> Result<Permit, Refused> {
+        let held = self.locked(FlockOperation::LockExclusive)?;
+        if !deadline.is_ahead() {
+            return Err(Refused::Deadline);
+        }
+        match held.newest()? {
+            Some(newest) if newest == epoch => {}
+            Some(newest) if is_newer(newest, epoch) => return Err(Refused::Epoch { shown: epoch, newest }),
+            Some(_) | None => held.write(Some(epoch))?,
+        }
+        // A lock belongs to what was opened. Closing it lets go of the lock, and the permit opens the file for itself.
+        drop(held);
+        Ok(Permit { file: self.file()?, path: self.path.clone(), epoch, deadline })
+    }
+
+    /// Forgets all epochs: nobody may act who was admitted before. For the start of a whole cell.
+    ///
+    /// # Errors
+    /// The file cannot be used.
+    pub fn reset(&self) -> Result<(), GateError> {
+        self.locked(FlockOperation::LockExclusive)?.write(None)
+    }
+
+    fn file(&self) -> Result<File, GateError> {
+        let mut options = OpenOptions::new();
+        let file = options.read(true).write(true).create(true).truncate(false).open(&self.path);
+        file.map_err(|source| self.failed(source))
+    }
+
+    fn locked(&self, how: FlockOperation) -> Result<Held<'_>, GateError> {
+        Held::new(self.file()?, &self.path, how)
+    }
+
+    fn failed(&self, source: io::Error) -> GateError {
+        GateError::File { path: self.path.clone(), source }
+    }
+}
+
+/// Whether epoch `one` is newer than `other`, around the wrap.
+const fn is_newer(one: u8, other: u8) -> bool {
+    let steps = one.wrapping_sub(other);
+    steps != 0 && steps < 128
+}
+
+/// A gate's file under its lock, until it is dropped.
+struct Held<'a> {
+    file: File,
+    path: &'a Path,
+}
+
+impl<'a> Held<'a> {
+    fn new(file: File, path: &'a Path, how: FlockOperation) -> Result<Self, GateError> {
+        loop {
+            match flock(&file, how) {
+                Ok(()) => return Ok(Self { file, path }),
+                Err(rustix::io::Errno::INTR) => {}
+                Err(errno) => return Err(GateError::File { path: path.to_owned(), source: errno.into() }),
+            }
+        }
+    }
+
+    fn newest(&self) -> Result<Option<u8>, GateError> {
+        newest(&self.file, self.path)
+    }
+
+    /// In one write, which is on the disk on return: after a power cut there is the one or the other.
+    fn write(&self, epoch: Option<u8>) -> Result<(), GateError> {
+        let write = || match epoch {
+            Some(epoch) => self.file.write_all_at(format!("{HEAD}{epoch:03}\n").as_bytes(), 0),
+            None => self.file.set_len(0),
+        };
+        let written = write().and_then(|()| self.file.sync_data());
+        written.map_err(|source| GateError::File { path: self.path.to_owned(), source })
+    }
+}
+
+/// The newest epoch of a file; `None` where nobody was admitted yet.
+fn newest(file: &File, path: &Path) -> Result<Option<u8>, GateError> {
+    // One byte more than there may be.
+    let mut bytes = [0; BYTES + 1];
+    let mut length = 0;
+    loop {
+        match file.read_at(&mut bytes[length..], length as u64) {
+            Ok(0) => break,
+            Ok(more) => length += more,
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+            Err(source) => return Err(GateError::File { path: path.to_owned(), source }),
+        }
+    }
+    if length == 0 {
+        return Ok(None);
+    }
+    let text = std::str::from_utf8(&bytes[..length]).ok();
+    let epoch = text.and_then(|text| text.strip_prefix(HEAD)?.strip_suffix('\n')?.parse().ok());
+    epoch.map(Some).filter(|_| length == BYTES).ok_or_else(|| GateError::Foreign(path.to_owned()))
+}
+
+/// What an admitted program acts by. Each thread that acts has one of its own.
+#[derive(Debug)]
+pub struct Permit {
+    file: File,
+    path: PathBuf,
+    epoch: u8,
+    deadline: Deadline,
+}
+
+impl Permit {
+    /// Whether the program may act now: its deadline is ahead, and nobody was admitted under a newer epoch. Both are looked at
+    /// anew: about a microsecond. False where the gate cannot be read, too.
+    ///
+    /// What is done after this may come late: a program that is stopped in between does not notice. [`act`](Self::act) keeps
+    /// newer epochs waiting meanwhile.
+    #[must_use]
+    pub fn may_act(&self) -> bool {
+        self.check().is_ok()
+    }
+
+    /// Does one step, if the program may act. Nobody is admitted under a newer epoch before the step has ended, so steps of
+    /// two epochs never overlap, wherever a program is stopped. It should be short: the next one to act waits for it, and
+    /// forever if this program is stopped in it and not killed.
+    ///
+    /// # Errors
+    /// [`Refused`]: nothing was done.
+    pub fn act<R>(&mut self, step: impl FnOnce() -> R) -> Result<R, Refused> {
+        let lock = |how| loop {
+            match flock(&self.file, how) {
+                Err(rustix::io::Errno::INTR) => {}
+                done => break done,
+            }
+        };
+        let failed =
+            |errno: rustix::io::Errno| GateError::File { path: self.path.clone(), source: errno.into() };
+        lock(FlockOperation::LockShared).map_err(failed)?;
+        let done = self.check().map(|()| step());
+        lock(FlockOperation::Unlock).map_err(failed)?;
+        done
+    }
+
+    fn check(&self) -> Result<(), Refused> {
+        if !self.deadline.is_ahead() {
+            return Err(Refused::Deadline);
+        }
+        match newest(&self.file, &self.path)? {
+            Some(newest) if newest == self.epoch => Ok(()),
+            Some(newest) => Err(Refused::Epoch { shown: self.epoch, newest }),
+            // The cell starts anew.
+            None => Err(Refused::Deadline),
+        }
+    }
+
+    /// The epoch that it was given for.
+    #[must_use]
+    pub const fn epoch(&self) -> u8 {
+        self.epoch
+    }
+}
+
+/// Until when a program may act. Its copies are one deadline: what renews or ends one does so to all.
+#[derive(Clone, Debug)]
+pub struct Deadline(Arc<AtomicU64>);
+
+/// The program must stop.
+const STOPPED: u64 = 0;
+
+impl Deadline {
+    /// At this instant, in microseconds of `CLOCK_BOOTTIME`.
+    #[must_use]
+    pub fn at(micros: u64) -> Self {
+        Self(Arc::new(AtomicU64::new(micros)))
+    }
+
+    /// Nothing but [`stop`](Self::stop) ends it.
+    #[must_use]
+    pub fn none() -> Self {
+        Self::at(u64::MAX)
+    }
+
+    /// Moves it to a later instant. An earlier one changes nothing, and so does any after a [`stop`](Self::stop).
+    pub fn renew(&self, micros: u64) {
+        let later = |now: u64| (now != STOPPED && micros > now).then_some(micros);
+        // Refused where there is nothing to change.
+        let _ = self.0.fetch_update(Ordering::AcqRel, Ordering::Acquire, later);
+    }
+
+    /// Ends it, for good.
+    pub fn stop(&self) {
+        self.0.store(STOPPED, Ordering::Release);
+    }
+
+    /// Whether it is still to come. Looks at the clock.
+    #[must_use]
+    pub fn is_ahead(&self) -> bool {
+        now() < self.0.load(Ordering::Acquire)
+    }
+
+    /// Does what the runtime says, until it says no more, and then [stops](Self::stop): to be called in a thread of its own, with
+    /// the standard input. Lines that it does not know are passed over.
+    pub fn follow(&self, input: impl BufRead) {
+        // A failed read is the end, too.
+        for line in input.lines().map_while(Result::ok) {
+            let micros = line.strip_prefix("deadline ").and_then(|micros| micros.trim().parse().ok());
+            micros.into_iter().for_each(|micros| self.renew(micros));
+        }
+        self.stop();
+    }
+}
+
+/// What the runtime told a command in its environment.
+#[derive(Clone, Debug)]
+pub struct Orders {
+    /// The epoch of its task's lease; `None` where the task is in no couple.
+    pub epoch: Option<u8>,
+    /// Until when it may act.
+    pub deadline: Deadline,
+}
+
+/// A variable of the environment says nothing that can be read.
+#[derive(Clone, Debug, PartialEq, Eq, Error)]
+#[error("{name} is `{value}`, not a whole number: is this command started by the runtime?")]
+pub struct OrdersError {
+    /// The variable.
+    pub name: &'static str,
+    /// What it is set to.
+    pub value: String,
+}
+
+impl Orders {
+    /// Reads the environment.
+    ///
+    /// # Errors
+    /// A variable is set to something else than a number.
+    pub fn from_env() -> Result<Self, OrdersError> {
+        Ok(Self {
+            epoch: number(EPOCH)?,
+            deadline: number(DEADLINE)?.map_or_else(Deadline::none, Deadline::at),
+        })
+    }
+}
+
+fn number<N: std::str::FromStr>(name: &'static str) -> Result<Option<N>, OrdersError> {
+    let Some(value) = std::env::var_os(name) else { return Ok(None) };
+    let value = value.to_string_lossy().into_owned();
+    value.parse().map(Some).map_err(|_| OrdersError { name, value })
+}
