@@ -37,6 +37,9 @@ pub enum ReplayError {
     /// It holds records of a task of another node.
     #[error("the recording holds records of {0}, which runs on another node")]
     ForeignTask(TaskId),
+    /// It names a node, task or port that the cell does not have.
+    #[error("the recording of {0} names something that is not in its cell")]
+    Unknown(TaskId),
     /// It lasts longer, or begins later after the start of its machine, than a century.
     #[error("the recording says of {0} that more than a century passed: its times are damaged")]
     NoTime(TaskId),
@@ -144,6 +147,9 @@ impl<'t> Replays<'t> {
                 let (step, replay) = (Step { elapsed, input }, of(replays, task)?);
                 if replay.passed().saturating_add(elapsed.0) > LONGEST {
                     return Err(ReplayError::NoTime(task));
+                }
+                if !replay.knows(&step.input) {
+                    return Err(ReplayError::Unknown(task));
                 }
                 replay.step(Recorded { step, digest: OutputDigest(outputs) });
             }

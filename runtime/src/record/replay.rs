@@ -281,6 +281,19 @@ impl<'t> Replay<'t> {
         Ok(())
     }
 
+    /// Whether the cell has what an input names. A node turns packets away before its tasks take them where it has not.
+    pub(super) fn knows(&self, input: &Input) -> bool {
+        match input {
+            Input::Packet(packet) => {
+                let ends = [packet.source, packet.destination];
+                self.table.port(packet.port).is_some()
+                    && ends.into_iter().all(|task| self.table.location(task).is_some())
+            }
+            Input::PeerRestarted(node) => node.index() < self.table.cell.cell().nodes.len(),
+            Input::Advance(_) | Input::Request(_) | Input::TimeOut { .. } | Input::Unsent(_) => true,
+        }
+    }
+
     /// How long after its first step the last one came, in microseconds.
     pub(super) const fn passed(&self) -> u64 {
         self.passed
