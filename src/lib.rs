@@ -43,6 +43,10 @@ use std::sync::Mutex;
 #[doc(hidden)]
 #[must_use]
 pub fn command() -> ExitCode {
+    // A node starts this program again for each command of an action.
+    if let Some(code) = imrs_runtime::guard::entry() {
+        return code;
+    }
     report_each_panic_once();
     catch_unwind(answer).unwrap_or_else(|_| {
         complain(format_args!(

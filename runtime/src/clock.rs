@@ -13,7 +13,11 @@ const NANOS_PER_SECOND: u64 = 1_000_000_000;
 const NANOS_PER_MICRO: u64 = 1_000;
 
 fn nanos() -> u64 {
-    let now = rustix::time::clock_gettime(ClockId::Monotonic);
+    nanos_on(ClockId::Monotonic)
+}
+
+fn nanos_on(clock: ClockId) -> u64 {
+    let now = rustix::time::clock_gettime(clock);
     let seconds = u64::try_from(now.tv_sec).unwrap_or_default();
     seconds * NANOS_PER_SECOND + u64::try_from(now.tv_nsec).unwrap_or_default()
 }
@@ -28,13 +32,24 @@ pub(crate) fn next() -> Micros {
     nanos().div_ceil(NANOS_PER_MICRO)
 }
 
+/// The last whole microsecond of `CLOCK_BOOTTIME`, which goes on while the machine is suspended: for processes beside the node.
+pub(crate) fn boottime() -> Micros {
+    nanos_on(ClockId::Boottime) / NANOS_PER_MICRO
+}
+
+/// An instant of the monotonic clock on `CLOCK_BOOTTIME`. It is never later than the true one: that clock is read first and rounded down, and a
+/// suspension that is still to come only brings it nearer.
+pub(crate) fn on_boottime(at: Micros) -> Micros {
+    let now = boottime();
+    now.saturating_add(at).saturating_sub(next())
+}
+
 /// An instant as the kernel wants it, or `None` where it never comes.
 pub(crate) fn nanos_of(at: Micros) -> Option<u64> {
     at.checked_mul(NANOS_PER_MICRO)
 }
 
 /// Nanoseconds of the monotonic clock as the kernel wants them.
-#[cfg_attr(test, expect(dead_code, reason = "loom sleeps without a kernel"))]
 pub(crate) fn timespec(nanos: u64) -> Timespec {
     Timespec {
         tv_sec: i64::try_from(nanos / NANOS_PER_SECOND).unwrap_or(i64::MAX),
@@ -64,6 +79,20 @@ mod tests {
         assert_eq!(micros(Duration::MAX), FAR);
         assert_eq!(nanos_of(FAR), None);
         assert_eq!(nanos_of(3), Some(3_000));
+    }
+
+    #[test]
+    fn an_instant_on_the_clock_of_other_processes_is_never_later_than_it_is() {
+        for ahead in [0, 1, 1_000_000] {
+            let at = next() + ahead;
+            let there = on_boottime(at);
+            // Both clocks are read again, in the other order: the difference is at most what passed meanwhile.
+            let (mono, boot) = (nanos(), nanos_on(ClockId::Boottime));
+            assert!(
+                i128::from(there) * 1_000 - i128::from(boot) <= i128::from(at) * 1_000 - i128::from(mono)
+            );
+        }
+        assert!(boottime() > on_boottime(now() - 1_000_000));
     }
 
     #[test]

@@ -11,12 +11,12 @@ mod knows;
 mod seat;
 mod simulated;
 
-pub use actions::{Act, Actions, Ending, Stop};
-pub use command::Commands;
+pub use actions::{Act, Actions, Ending, HeldLease, Stop};
+pub use command::{CommandError, Commands};
 pub use functions::{Call, Functions};
 pub use simulated::{Course, Give, Results, Simulated};
 
-pub(crate) use actions::{Deed, Stage};
+pub(crate) use actions::{Deed, LeaseHeld, Stage};
 pub(crate) use knows::{Does, Knows, Outlet};
 pub(crate) use seat::Seat;
 
