@@ -2,8 +2,9 @@
 //! action is a shell script that starts a child and a process that leaves its process group, and writes down who they are.
 
 use crate::support::program::Program;
-use crate::support::{Said, imrs, is_alive, number, runtime_dir, signal, wait_until};
+use crate::support::{Said, example, imrs, is_alive, is_here, number, runtime_dir, signal, wait_until};
 use rustix::process::Signal;
+use rustix::thread::sched_getaffinity;
 use rustix::time::{ClockId, clock_gettime};
 use serde_json::Value;
 use std::path::{Path, PathBuf};
@@ -39,6 +40,7 @@ echo \"$IMRS_DEADLINE_US\" > $DIR/deadline
 sleep 600 & note child $!
 setsid sh -c 'echo $$ > $DIR/left.new; mv $DIR/left.new $DIR/left; exec sleep 600' &
 note command $$
+[ -z \"$IMRS_EPOCH\" ] || note by$((IMRS_EPOCH % 2)) $$
 exec cat > $DIR/orders
 ";
 
@@ -209,7 +211,7 @@ fn ended(script: &str) -> (Scene, Said) {
 
 #[test]
 fn a_command_may_say_any_amount_and_leave_a_child_that_holds_its_output() {
-    let (_, said) = ended("echo 7; head -c 1048576 /dev/zero");
+    let (_, said) = ended("echo 7; seq 200000");
     assert_eq!(
         (said.code, said.last_json()["tasks"][0]["end"].as_str()),
         (Some(0), Some("finished")),
@@ -233,4 +235,107 @@ fn a_command_that_takes_too_long_is_killed_and_its_action_fails_by_name() {
     assert!(said.err.contains("action `grip`: took longer than the declared 1ms"), "{said:?}");
     assert!(said.err.contains("task `t` aborted: failure of `grip`"), "{said:?}");
     assert!(!ALL.iter().any(|name| is_alive(scene.process(name))), "{said:?}");
+}
+
+/// The welding cell whose owner welds by [`FAMILY`]. Everything else takes no time. The owner's node is the first one.
+fn weld(lease: &str, args: &[&str]) -> Scene {
+    let cell = std::fs::read_to_string(example("weld_cell.cell")).expect("the example");
+    let usual = "lease 100 msec takeover 400 msec every 20 msec";
+    assert!(cell.contains(usual));
+    let others = ["--action", "dress=true", "--action", "inspect=true", "--action", "recheck=true"];
+    let cell = cell.replace(usual, lease).replace("takes 2500 msec", "takes 0..600 sec");
+    // A busy machine answers late.
+    let cell = cell.replace("time_out = 15 msec", "time_out = 1 sec");
+    Scene::start(&cell, "weld", FAMILY, &[&others, args].concat())
+}
+
+/// Long enough that a busy machine does not lose it.
+const LEASE: &str = "lease 4000 msec takeover 9000 msec every 100 msec";
+
+#[test]
+fn a_stopped_node_keeps_its_command_no_longer_than_its_lease() {
+    let mut scene = weld(LEASE, &[]);
+    let family = ALL.map(|name| scene.process(name));
+    let first: u64 = scene.text("deadline").trim().parse().expect("microseconds");
+    let epoch: u8 = scene.text("epoch").trim().parse().expect("an epoch");
+    assert_eq!(epoch % 2, 1, "one of the primary's");
+    let last =
+        || scene.text("orders").lines().last().and_then(|line| line.strip_prefix("deadline ")?.parse().ok());
+    wait_until("the lease is renewed", || last().is_some_and(|last: u64| last > first));
+    signal(scene.nodes[0], Signal::STOP);
+    all_end(family);
+    assert!(is_alive(scene.nodes[0]));
+    // Not before the end of the lease, as it was told last.
+    let last = last().expect("a deadline");
+    assert!(boottime() >= last, "{last}");
+    assert!(last < first + 600_000_000, "the end of a lease, not that of the action");
+    signal(scene.nodes[0], Signal::CONT);
+    scene.summary();
+}
+
+/// The check that only one of both welds.
+fn one_active(summary: &Value) -> &Value {
+    let checks = summary["checks"].as_array().expect("checks");
+    checks.iter().find(|check| check["name"] == "one_active").expect("the check")
+}
+
+#[test]
+fn a_check_is_unknown_while_the_command_of_a_killed_node_may_go_on() {
+    // The guard dies with its node: nobody confirms anything, and what the command started goes on.
+    let mut scene = weld(LEASE, &[]);
+    let family = ALL.map(|name| scene.process(name));
+    let guard = parent(family[0]);
+    signal(scene.nodes[0], Signal::STOP);
+    signal(guard, Signal::KILL);
+    signal(scene.nodes[0], Signal::KILL);
+    // The standby has taken over and welds, too.
+    let second = scene.process("by0");
+    assert!(is_alive(second) && is_alive(family[1]));
+    scene.program().interrupt();
+    let launcher = scene.program().pid();
+    wait_until("the run has ended", || !is_alive(launcher));
+    // Until then they hold the standard error of the run.
+    family[1..].iter().for_each(|&pid| signal(pid, Signal::KILL));
+    let summary = scene.finish().last_json();
+    let check = one_active(&summary);
+    assert_eq!(check["outcome"], "unknown", "{summary}");
+    assert!(check["unvouched"]["seconds"].as_f64().expect("seconds") > 0.0, "{summary}");
+    assert_eq!(check["unvouched"]["why"], "the command of `r1` was not confirmed to have ended", "{summary}");
+    all_end(family);
+}
+
+#[test]
+fn a_check_holds_when_the_guard_has_confirmed_the_end_before_the_standby_acts() {
+    let mut scene = weld(LEASE, &[]);
+    let family = ALL.map(|name| scene.process(name));
+    signal(scene.nodes[0], Signal::KILL);
+    let second = scene.process("by0");
+    assert!(is_alive(second) && !family.iter().any(|&pid| is_alive(pid)));
+    assert_eq!(one_active(&scene.summary())["outcome"], "held");
+}
+
+/// A number of `/proc/PID/stat`, counted as `man proc_pid_stat` does.
+fn stat(pid: u32, field: usize) -> String {
+    let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).expect("a process");
+    let (_, rest) = stat.rsplit_once(')').expect("a name");
+    rest.split_whitespace().nth(field - 3).expect("the field").to_owned()
+}
+
+#[test]
+fn a_command_of_a_node_in_real_time_is_an_ordinary_process() {
+    let (mut scene, family) = Scene::with_family(&["--rt"]);
+    let process = |pid: u32| rustix::process::Pid::from_raw(i32::try_from(pid).expect("31 bits"));
+    let cores = |pid: u32| sched_getaffinity(process(pid)).expect("the cores").count();
+    let (policy, guard) = (stat(family[0], 41), parent(family[0]));
+    let (own, of_command, of_guard) =
+        (sched_getaffinity(None).expect("the cores").count(), cores(family[0]), cores(guard));
+    let guarded = stat(guard, 41);
+    let summary = scene.summary();
+    all_end(family);
+    let missing = (summary["rt"] != true).then_some("the right to real time");
+    if !is_here(missing, "a command in real time was NOT looked at") {
+        return;
+    }
+    assert_eq!((of_command, policy.as_str()), (own, "0"), "SCHED_OTHER on all cores");
+    assert_eq!((of_guard, guarded.as_str()), (1, "1"), "the guard must be in time, too");
 }
