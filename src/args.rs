@@ -135,7 +135,11 @@ Examples:
     ///
     /// What the cell calls actions is simulated: each takes a time of its interval, the same under the same --seed. An
     /// action bound by --action is a command to execute: the action's arguments follow the command's own, without a
-    /// shell; exit code 0 is success, the first line of standard output the result.
+    /// shell; exit code 0 is success, the first line of standard output the result. A command is killed, with everything
+    /// that it started, when it ends, when its action is cut short or takes 2 s longer than declared, when the lease of its
+    /// task ends, and when its node ends, however that comes. Its environment has IMRS_DEADLINE_US (by when it must be over,
+    /// in microseconds of CLOCK_BOOTTIME) and, under a lease, IMRS_EPOCH; its standard input has a line `deadline N` at once
+    /// and for each renewal, and its end means: stop now.
     ///
     /// The cell's checks (`never`, `always`, `leads`) are judged by what the run does; one that does not hold is told with
     /// its line and values, and ends with exit code 1. With --node those about tasks of that node are.

@@ -46,6 +46,10 @@ use std::sync::{Arc, Mutex};
 #[doc(hidden)]
 #[must_use]
 pub fn command() -> ExitCode {
+    // A node starts this program again for each command of an action.
+    if let Some(code) = imrs_runtime::guard::entry() {
+        return code;
+    }
     let sound = Arc::new(AtomicBool::new(true));
     report_each_panic_once(&sound);
     end_without_memory(&sound);

@@ -9,6 +9,7 @@ mod check;
 mod checks;
 mod classes;
 mod command;
+mod commands;
 mod conformance;
 mod demo;
 mod examples;

@@ -86,7 +86,6 @@ pub(crate) fn nanos_of(at: Micros) -> Option<u64> {
 }
 
 /// Nanoseconds of the monotonic clock as the kernel wants them.
-#[cfg_attr(test, expect(dead_code, reason = "loom sleeps without a kernel"))]
 pub(crate) fn timespec(nanos: u64) -> Timespec {
     Timespec {
         tv_sec: i64::try_from(nanos / NANOS_PER_SECOND).unwrap_or(i64::MAX),

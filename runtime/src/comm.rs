@@ -7,7 +7,7 @@ use crate::failstop::guarded;
 use crate::handoff::{Rest, Station};
 use crate::record::{Digesting, Log, OutputDigest, Step};
 use crate::ring::Ring;
-use crate::script::{Knows, Seat};
+use crate::script::{Knows, HeldLease, Seat};
 use imrs_protocol::script::Program;
 use imrs_protocol::{
     Class, CommTask, Delivery, Event, Input, Kind, NodeTable, Observation, Outbox, Packet, PortId, QueueView,
@@ -85,6 +85,15 @@ impl Comm {
     /// The program of the task's script.
     pub fn program(&self) -> Option<Arc<Program>> {
         self.seat.as_ref().map(|seat| Arc::clone(seat.program()))
+    }
+
+    /// The lease that the task acts under, if it does.
+    pub fn lease(&self) -> Option<HeldLease> {
+        let epoch = self.machine.epoch().filter(|_| self.machine.is_active())?;
+        Some(HeldLease {
+            epoch,
+            until: self.machine.lease_left().map(|left| self.last.saturating_add(left.0)),
+        })
     }
 
     /// Lets time pass until `now`; an earlier one is no time.

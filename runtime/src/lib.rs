@@ -53,6 +53,7 @@ mod explored;
 #[cfg(test)]
 mod explorer;
 mod failstop;
+pub mod guard;
 mod handoff;
 mod inbox;
 mod lane;

@@ -11,8 +11,8 @@ mod knows;
 mod seat;
 mod simulated;
 
-pub use actions::{Act, Actions, Ending, Stop};
-pub use command::Commands;
+pub use actions::{Act, Actions, Ending, HeldLease, Stop};
+pub use command::{CommandError, Commands};
 pub use functions::{Call, Functions};
 pub use simulated::{Course, Give, Results, Simulated};
 

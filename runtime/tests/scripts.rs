@@ -7,9 +7,12 @@ use imrs_protocol::script::{
 use imrs_protocol::{
     CellTable, CoupleDecl, Incarnation, NodeId, NodeTable, PortDecl, PortId, Target, TaskId, Ticks, Usage,
 };
+use imrs_runtime::guard::GuardProgram;
 use imrs_runtime::link::in_process::Faults;
 use imrs_runtime::record::{Recorder, replay};
-use imrs_runtime::script::{Act, Actions, Commands, Ending, Functions, Note, Simulated, Stop, Watch};
+use imrs_runtime::script::{
+    Act, Actions, CommandError, Commands, Ending, Functions, Note, Simulated, Stop, Watch,
+};
 use imrs_runtime::{Runtime, TaskEnd};
 use std::collections::BTreeMap;
 use std::sync::{Arc, Mutex};
@@ -167,9 +170,14 @@ fn simulated() -> Arc<dyn Actions> {
     Simulated::start(1, Vec::new(), Vec::new()).expect("a thread")
 }
 
+fn guard() -> GuardProgram {
+    GuardProgram::At(env!("CARGO_BIN_EXE_imrs-guard").into())
+}
+
 fn command(words: &[&str]) -> Arc<dyn Actions> {
     let words = words.iter().map(ToString::to_string).collect();
-    Arc::new(Commands::new(BTreeMap::from([("grip".to_owned(), words)]), simulated()))
+    let commands = Commands::new(BTreeMap::from([("grip".to_owned(), words)]), simulated());
+    Arc::new(commands.guard(guard()))
 }
 
 #[test]
@@ -179,12 +187,25 @@ fn an_action_is_simulated_a_command_or_a_function() {
     assert_eq!(act_with(command(&["false"])), TaskEnd::Script(End::Aborted(0)));
     let (tell, told) = std::sync::mpsc::channel();
     let words = BTreeMap::from([("grip".to_owned(), vec!["/no/such/program".to_owned()])]);
-    let commands = Commands::new(words, simulated()).tell(move |action, program, why| {
-        tell.send((action.to_owned(), program.to_owned(), why.kind())).unwrap();
-    });
-    assert_eq!(act_with(Arc::new(commands)), TaskEnd::Script(End::Aborted(0)));
-    let missing = ("grip".to_owned(), "/no/such/program".to_owned(), std::io::ErrorKind::NotFound);
-    assert_eq!(told.try_recv(), Ok(missing));
+    let commands = || {
+        let tell = tell.clone();
+        Commands::new(words.clone(), simulated()).tell(move |action, error| {
+            let (program, why) = match error {
+                CommandError::Program { program, why } | CommandError::Guard { program, why } => {
+                    (program, why)
+                }
+                other => panic!("{other}"),
+            };
+            tell.send((action.to_owned(), program.to_owned(), why.kind())).unwrap();
+        })
+    };
+    for (guard, program) in
+        [(guard(), "/no/such/program"), (GuardProgram::At("/no/such/guard".into()), "/no/such/guard")]
+    {
+        assert_eq!(act_with(Arc::new(commands().guard(guard))), TaskEnd::Script(End::Aborted(0)));
+        let missing = ("grip".to_owned(), program.to_owned(), std::io::ErrorKind::NotFound);
+        assert_eq!(told.try_recv(), Ok(missing));
+    }
     let functions = || Functions::new(simulated());
     assert_eq!(act_with(Arc::new(functions().action("grip", |_| Ok(1)))), TaskEnd::Script(End::Finished));
     let failing = functions().action("grip", |_| Err("no part there".into()));

@@ -1,11 +1,13 @@
 //! Judges the checks by what the tasks of a run told of themselves, in the order of its times.
 
-use super::told::{Outcome, Settled, Settlement};
+use super::told::{Outcome, Settled, Settlement, Unvouched};
+use super::vouch::{Doubt, Fate, Vouched};
 use super::{Ask, Change, asks, of, terms};
 use crate::cells::Loaded;
 use imrs_language::lower::CheckKind;
-use imrs_protocol::script::{Predicate, Term, eval};
+use imrs_protocol::script::{Predicate, Term, Type, eval};
 use imrs_protocol::{NodeId, PortId, Round, TaskId};
+use imrs_runtime::guard::Notice;
 use std::collections::BTreeMap;
 
 /// How exactly the order of two steps on different nodes is known, in microseconds: each is stamped with the next whole
@@ -13,6 +15,10 @@ use std::collections::BTreeMap;
 const READING: u64 = 1;
 /// How many changes may wait for a node that tells nothing: beyond, nothing is known from before.
 const WAITING: usize = 1 << 20;
+/// How long a node that is killed may have told nothing before: it tells every 20 ms, and a busy machine is late. In microseconds.
+const LAST_WORDS: u64 = 1_000_000;
+/// Of so many values nobody may vouch for a check is still looked at, with each of them true and false.
+const MOST_OPEN: usize = 6;
 /// How many times of a check that did not hold are told.
 const TOLD: usize = 3;
 
@@ -25,6 +31,7 @@ pub struct Judge<'a> {
     stand: Vec<Option<Vec<i64>>>,
     /// By check.
     courses: Vec<Course>,
+    vouched: Vouched,
     /// By time, and then by when they came.
     changes: BTreeMap<(u64, u64), Event>,
     came: u64,
@@ -43,6 +50,10 @@ enum Event {
     Unknown(NodeId),
     /// The node is dead.
     Dead(NodeId),
+    /// The node was started again.
+    Back(NodeId),
+    /// Something happened to the command of this key.
+    Command(String, Fate),
 }
 
 /// One check so far.
@@ -57,12 +68,29 @@ struct Course {
     matters: bool,
     /// Since when it does not hold, and the values then.
     since: Option<(u64, Vec<String>)>,
+    /// Why nobody can say whether it holds now.
+    doubt: Option<Doubt>,
+    /// For how long that was so, by why.
+    doubted: BTreeMap<Doubt, u64>,
     /// This time is told already.
     is_told: bool,
     /// Of `leads`, since when it matters, and when it is too late.
     due: Option<(u64, u64)>,
     times: u64,
     broken: Vec<Broken>,
+}
+
+impl Course {
+    /// For how long nobody can say whether it held, and why for the most of it. The last words of a killed node are always missing: that
+    /// alone is no reason.
+    fn unvouched(&self) -> Option<(Doubt, u64)> {
+        let counts = |(doubt, length): &(&Doubt, &u64)| match doubt {
+            Doubt::Command(_) => **length > 0,
+            Doubt::Silent(_) => **length > LAST_WORDS,
+        };
+        let (doubt, _) = self.doubted.iter().filter(counts).max_by_key(|(_, length)| **length)?;
+        Some((*doubt, self.doubted.values().sum()))
+    }
 }
 
 /// A check did not hold.
@@ -95,6 +123,7 @@ impl<'a> Judge<'a> {
         Self {
             stand: vec![None; asks.len()],
             courses: loaded.checks.iter().map(course).collect(),
+            vouched: Vouched::new(cell.nodes.len()),
             changes: BTreeMap::new(),
             came: 0,
             told: told.collect(),
@@ -148,6 +177,20 @@ impl<'a> Judge<'a> {
         }
     }
 
+    /// A node or a guard told of a command.
+    pub fn notice(&mut self, notice: Notice) {
+        let (key, at, fate) = match notice {
+            Notice::Began { key, task, at } => {
+                let tasks = &self.loaded.table.cell().tasks;
+                let Some(task) = tasks.iter().position(|of| of.name == task) else { return };
+                (key, at, Fate::Began(TaskId::from_index(task)))
+            }
+            Notice::Ended { key, at } => (key, at, Fate::Ended),
+            Notice::Lost { key, at } => (key, at, Fate::Lost),
+        };
+        self.push(at, Event::Command(key, fate));
+    }
+
     /// All nodes have told everything.
     pub fn all_told(&mut self) {
         self.told.iter_mut().flatten().for_each(|told| *told = u64::MAX);
@@ -156,6 +199,7 @@ impl<'a> Judge<'a> {
     /// A killed node was started again.
     pub fn revived(&mut self, node: NodeId, at: u64) {
         self.gone(node);
+        self.push(at, Event::Back(node));
         self.killed[node.index()] = None;
         self.told[node.index()] = Some(at);
     }
@@ -189,9 +233,12 @@ impl<'a> Judge<'a> {
                 _ if course.times > 0 => Outcome::Broken,
                 (Some(_), _) => Outcome::Elsewhere,
                 (None, false) => Outcome::Unknown,
+                (None, true) if course.unvouched().is_some() => Outcome::Unknown,
                 (None, true) if self.leads(at) && course.mattered == 0 => Outcome::Untested,
                 (None, true) => Outcome::Held,
             };
+            let unvouched = course.unvouched().filter(|_| outcome == Outcome::Unknown);
+            let unvouched = unvouched.map(|(doubt, length)| Unvouched::new(self.loaded, doubt, length));
             let name = |task: TaskId| self.loaded.table.cell().tasks[task.index()].name.clone();
             let (mattered, elsewhere) =
                 (self.leads(at).then_some(course.mattered), course.elsewhere.map(name));
@@ -201,7 +248,7 @@ impl<'a> Judge<'a> {
                 outcome,
                 (mattered, course.times),
                 course.broken.first(),
-                elsewhere,
+                (elsewhere, unvouched),
                 began,
             )
         };
@@ -214,8 +261,12 @@ impl<'a> Judge<'a> {
 
     /// Time passes with everything as it is.
     fn pass(&mut self, until: u64, broken: &mut Vec<Broken>) {
-        self.settled = until;
+        let length = until.saturating_sub(std::mem::replace(&mut self.settled, until));
         for check in 0..self.courses.len() {
+            let course = &mut self.courses[check];
+            if let Some(doubt) = course.doubt {
+                *course.doubted.entry(doubt).or_default() += length;
+            }
             let course = &self.courses[check];
             let late = course.due.filter(|&(_, late)| late < until);
             let found = match (&course.since, late) {
@@ -245,8 +296,18 @@ impl<'a> Judge<'a> {
                     *stand = Some(values);
                 }
             }
-            Event::Unknown(node) => self.set_all(node, |_, _| None),
-            Event::Dead(node) => self.set_all(node, dead),
+            Event::Unknown(node) => {
+                self.set_all(node, |_, _| None);
+                self.vouched.silent(node, self.loaded.table.tasks_on(node));
+            }
+            Event::Dead(node) => {
+                self.set_all(node, dead);
+                self.vouched.dead(node, self.loaded.table.tasks_on(node));
+            }
+            Event::Back(node) => self.vouched.back(node),
+            Event::Command(key, fate) => {
+                self.vouched.command(key, fate, |task| self.loaded.table.location(task));
+            }
         }
     }
 
@@ -266,10 +327,12 @@ impl<'a> Judge<'a> {
             match &check.kind {
                 CheckKind::Always(terms) => {
                     let holds = self.is(terms);
+                    let doubt = if holds.is_none() { self.doubt(terms) } else { None };
                     let starts = holds == Some(false) && self.courses[at].since.is_none();
                     let values = starts.then(|| self.values(at));
                     let course = &mut self.courses[at];
                     course.judged |= holds.is_some();
+                    course.doubt = doubt.filter(|_| course.judged);
                     if let Some(values) = values {
                         course.since = Some((now, values));
                     } else if holds != Some(false) {
@@ -300,14 +363,58 @@ impl<'a> Judge<'a> {
 
     /// Whether an expression is true; `None` where it is not known.
     fn is(&self, terms: &[Term]) -> Option<bool> {
-        let mut known = true;
-        let value = eval(terms, |term| {
-            let value = self.value(term);
-            known &= value.is_some();
-            value
-        });
-        // As the checker has it: what cannot be computed is not true.
-        known.then_some(value.is_ok_and(|value| value != 0))
+        // The terms for which nobody vouches; bit `i` of `case` is what the `i`-th of them is taken for.
+        let (mut open, mut case, mut found) = (Vec::new(), 0_u64, None);
+        loop {
+            let mut known = true;
+            let value = eval(terms, |term| {
+                let value = self.value(term);
+                if value.is_none() && !open.contains(&term) && self.is_in_doubt(term) {
+                    open.push(term);
+                }
+                let bit = open.iter().position(|of| *of == term);
+                known &= value.is_some() || bit.is_some_and(|bit| bit < MOST_OPEN);
+                value.or_else(|| bit.map(|bit| i64::from(case >> bit.min(MOST_OPEN) & 1 == 1)))
+            });
+            // As the checker has it: what cannot be computed is not true.
+            let value = value.is_ok_and(|value| value != 0);
+            if !known || found.replace(value).is_some_and(|before| before != value) {
+                return None;
+            }
+            case += 1;
+            if case >> open.len() != 0 {
+                return found;
+            }
+        }
+    }
+
+    /// Whether nobody vouches for a value that is true or false: then the check may come to the same with both.
+    fn is_in_doubt(&self, term: Term) -> bool {
+        let task = match term {
+            Term::Of { task, variable } => {
+                let program = self.loaded.program(task);
+                let of = program.and_then(|program| Some(program.variables.get(usize::from(variable))?.of));
+                if of != Some(Type::Bool) {
+                    return false;
+                }
+                task
+            }
+            Term::Is(
+                Predicate::Active(task) | Predicate::Asked { task, .. } | Predicate::Answered { task, .. },
+            ) => task,
+            _ => return false,
+        };
+        self.doubt_of(task).is_some()
+    }
+
+    /// Why nobody can say whether an expression is true.
+    fn doubt(&self, terms: &[Term]) -> Option<Doubt> {
+        let tasks = terms.iter().flat_map(|term| of(&self.loaded.table, *term)).map(|(task, _)| task);
+        tasks.filter_map(|task| self.doubt_of(task)).min()
+    }
+
+    fn doubt_of(&self, task: TaskId) -> Option<Doubt> {
+        self.vouched.doubt(task, self.loaded.table.location(task)?)
     }
 
     fn value(&self, term: Term) -> Option<i64> {
@@ -319,6 +426,10 @@ impl<'a> Judge<'a> {
     }
 
     fn seen(&self, task: TaskId, ask: Ask) -> Option<i64> {
+        // Whatever the node told last, and even if it is dead: the robot may still act.
+        if matches!(self.doubt_of(task), Some(Doubt::Command(_))) {
+            return None;
+        }
         let at = self.asks[task.index()].iter().position(|one| *one == ask)?;
         self.stand[task.index()].as_ref()?.get(at).copied()
     }
@@ -367,83 +478,4 @@ fn dead(loaded: &Loaded, (task, asks): (TaskId, &[Ask])) -> Option<Vec<i64>> {
 }
 
 #[cfg(test)]
-mod tests {
-    use super::*;
-    use crate::cells::{Source, load};
-
-    const CELL: &str = "cell c; tick 1 msec; node n; node m; link n -- m delay 1 msec;
-task a on n var x: bool; begin loop run w takes 5 msec; x := true; end; end a;
-task b on m var y: bool; begin loop run w takes 5 msec; y := true; end; end b;
-check apart: never a.x and b.y;
-check soon: a.x leads b.y within 5 msec;";
-
-    fn loaded() -> Loaded {
-        load(&Source { name: "c.cell".into(), text: CELL.into(), paper: false }).expect("a sound cell")
-    }
-
-    /// Judges changes of `a.x` and `b.y` by their times; both are false at first.
-    fn judge<'a>(loaded: &'a Loaded, changes: &[(u64, u16, i64)]) -> Judge<'a> {
-        let mut judge = Judge::new(loaded, &[NodeId(0), NodeId(1)]);
-        for &(at, task, value) in [(1, 0, 0), (1, 1, 0)].iter().chain(changes) {
-            judge.change(Change { at, task: TaskId(task), values: vec![value] });
-        }
-        judge
-    }
-
-    fn broken(judge: &mut Judge<'_>) -> Vec<(usize, u64)> {
-        judge.settle().iter().map(|broken| (broken.check, broken.at)).collect()
-    }
-
-    #[test]
-    fn changes_are_judged_in_the_order_of_their_times_once_all_have_told_them() {
-        let loaded = loaded();
-        let mut judge = judge(&loaded, &[(900, 1, 0), (500, 0, 1), (300, 1, 1), (1_000, 0, 0)]);
-        judge.told(NodeId(0), 2_000);
-        assert_eq!(broken(&mut judge), []);
-        judge.told(NodeId(1), 400);
-        assert_eq!(broken(&mut judge), []);
-        judge.told(NodeId(1), 2_000);
-        assert_eq!(broken(&mut judge), [(0, 500)]);
-        assert!(judge.settlement(0).is_broken());
-    }
-
-    #[test]
-    fn what_lasts_no_longer_than_clocks_are_read_exactly_is_no_finding() {
-        let loaded = loaded();
-        for (until, found) in [(501, &[][..]), (502, &[(0, 500)])] {
-            let mut judge = judge(&loaded, &[(400, 1, 1), (500, 0, 1), (until, 1, 0)]);
-            judge.told(NodeId(0), 5_000);
-            judge.told(NodeId(1), 5_000);
-            assert_eq!(broken(&mut judge), found, "{until}");
-        }
-    }
-
-    #[test]
-    fn what_should_come_may_be_a_tick_late_and_the_end_of_the_run_is_no_end_of_waiting() {
-        let loaded = loaded();
-        let late = 100 + 5_000 + 1_000 + READING;
-        for (came, found) in [(late, &[][..]), (late + 1, &[(1, late)])] {
-            let mut judge = judge(&loaded, &[(100, 0, 1), (200, 0, 0), (came, 1, 1)]);
-            judge.all_told();
-            judge.over(10_000);
-            assert_eq!(broken(&mut judge), found, "{came}");
-        }
-        let mut judge = judge(&loaded, &[(100, 0, 1)]);
-        judge.all_told();
-        judge.over(late);
-        assert_eq!(broken(&mut judge), []);
-    }
-
-    #[test]
-    fn after_its_last_words_nothing_is_known_of_a_killed_node_until_it_is_dead() {
-        let loaded = loaded();
-        // b stops being there at 300 at the latest; that it was so at 350 came too late to be all.
-        let mut judge = judge(&loaded, &[(100, 1, 1), (350, 1, 1), (310, 0, 1)]);
-        judge.told(NodeId(0), 10_000);
-        judge.told(NodeId(1), 300);
-        judge.killed(NodeId(1), 400);
-        judge.gone(NodeId(1));
-        // Dead it has the variables of a new life: from then on b.y does not come any more.
-        assert_eq!(broken(&mut judge), [(1, 400 + 5_000 + 1_000 + READING)]);
-    }
-}
+mod tests;

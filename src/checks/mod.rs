@@ -10,6 +10,7 @@
 mod judge;
 mod sight;
 mod told;
+mod vouch;
 
 pub use judge::{Broken, Judge};
 pub use sight::{Change, Looker, Sight};

@@ -1,6 +1,7 @@
 //! What came of the checks, for people and for programs.
 
 use super::Broken;
+use super::vouch::Doubt;
 use crate::cells::Loaded;
 use crate::exit::Failure;
 use crate::output::{BAD, GOOD, NOTE, Output, Styled, count, span};
@@ -18,7 +19,7 @@ pub enum Outcome {
     Untested,
     /// One of its tasks runs elsewhere.
     Elsewhere,
-    /// Of one of its tasks nothing was heard.
+    /// Of one of its tasks nothing was heard; or for some time nobody could vouch for one of them.
     Unknown,
 }
 
@@ -41,9 +42,34 @@ pub struct Settled {
     first: Option<First>,
     /// The first of its tasks that runs elsewhere.
     elsewhere: Option<String>,
+    /// The time for which nobody can say whether it held.
+    unvouched: Option<Unvouched>,
     /// The text of its line.
     #[serde(skip)]
     text: String,
+}
+
+/// The time for which nobody can say whether a check held.
+#[derive(Clone, Debug, Serialize)]
+pub struct Unvouched {
+    /// How long, in all.
+    seconds: f64,
+    /// Why, for the most of it.
+    why: String,
+}
+
+impl Unvouched {
+    /// So many microseconds, for this reason.
+    pub(super) fn new(loaded: &Loaded, doubt: Doubt, length: u64) -> Self {
+        let cell = loaded.table.cell();
+        let why = match doubt {
+            Doubt::Command(task) => {
+                format!("the command of `{}` was not confirmed to have ended", cell.tasks[task.index()].name)
+            }
+            Doubt::Silent(node) => format!("node `{}` told nothing", cell.nodes[node.index()].name),
+        };
+        Self { seconds: length as f64 / 1e6, why }
+    }
 }
 
 /// The first time that a check did not hold.
@@ -72,14 +98,15 @@ impl Broken {
 }
 
 impl Settled {
-    /// Of the check at this position; `counts`: how often it mattered and how often it did not hold.
+    /// Of the check at this position; `counts`: how often it mattered and how often it did not hold; `why`: the reasons for which it was not
+    /// judged at all, and not all the time.
     pub(super) fn new(
         loaded: &Loaded,
         at: usize,
         outcome: Outcome,
         counts: (Option<u64>, u64),
         first: Option<&Broken>,
-        elsewhere: Option<String>,
+        why: (Option<String>, Option<Unvouched>),
         began: u64,
     ) -> Self {
         let check = &loaded.checks[at];
@@ -89,9 +116,9 @@ impl Settled {
             values: first.values.clone(),
             words: first.words(loaded),
         });
-        let (mattered, times) = counts;
+        let ((mattered, times), (elsewhere, unvouched)) = (counts, why);
         let (name, text) = (check.name.clone(), loaded.text_of(line).to_owned());
-        Self { name, line, outcome, mattered, times, first, elsewhere, text }
+        Self { name, line, outcome, mattered, times, first, elsewhere, unvouched, text }
     }
 
     /// What is wrong, in a line; `None` where nothing is.
@@ -118,7 +145,7 @@ impl Settlement {
     /// [`Failure::Output`].
     pub fn show(&self, out: &mut Output) -> Result<(), Failure> {
         for settled in &self.0 {
-            let Settled { name, line, mattered, times, first, elsewhere, .. } = settled;
+            let Settled { name, line, mattered, times, first, elsewhere, unvouched, .. } = settled;
             let came = mattered.map(|came| format!(" (its condition came {})", count(came, "time")));
             let what = match settled.outcome {
                 Outcome::Held => Styled(GOOD, format!("held{}", came.unwrap_or_default())),
@@ -128,7 +155,15 @@ impl Settlement {
                     let task = elsewhere.as_deref().unwrap_or("?");
                     Styled(NOTE, format!("not evaluated here: `{task}` runs elsewhere"))
                 }
-                Outcome::Unknown => Styled(NOTE, "not evaluated: one of its tasks told nothing".into()),
+                Outcome::Unknown => {
+                    let unvouched = unvouched.as_ref();
+                    let unknown =
+                        unvouched.map(|of| format!("unknown ({:.3} s in which {})", of.seconds, of.why));
+                    Styled(
+                        NOTE,
+                        unknown.unwrap_or_else(|| "not evaluated: one of its tasks told nothing".into()),
+                    )
+                }
             };
             out.line(format!("  check {name} (line {line}): {what}"))?;
             if let Some(First { seconds, values, .. }) = first {

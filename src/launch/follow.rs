@@ -6,6 +6,7 @@ use super::deed::{Deed, Did};
 use super::faults::{Fault, node};
 use super::launcher::{LaunchError, Launcher, Trouble, record_file};
 use super::lines::{EndSort, Order, Word};
+use super::noticed::Noticed;
 use super::story::{Moment, Planned};
 use crate::args::Format;
 use crate::exit::Failure;
@@ -40,6 +41,7 @@ impl Launcher<'_> {
                 let (_, fault) = self.faults.remove(0);
                 self.carry_out(fault)?;
             }
+            self.hear_of_commands();
             for broken in self.judge.settle() {
                 if self.run.args.format == Format::Text {
                     self.diary.broken(broken.at, broken.words(self.run.loaded));
@@ -194,12 +196,20 @@ impl Launcher<'_> {
                 }
                 if self.children.life(node) == life {
                     self.gone.push(node);
+                    // First: what the node told of its commands before it was killed.
+                    self.hear_of_commands();
                     self.judge.gone(node);
                 }
             }
             Message::Interrupted => self.interrupted = true,
         }
         Ok(())
+    }
+
+    /// Passes on to the judge what nodes and guards told of commands.
+    pub(super) fn hear_of_commands(&mut self) {
+        let notices = self.noticed.as_mut().map(Noticed::drain).unwrap_or_default();
+        notices.into_iter().for_each(|notice| self.judge.notice(notice));
     }
 
     fn did(&mut self, did: Did) -> Result<(), LaunchError> {

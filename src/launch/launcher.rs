@@ -6,6 +6,7 @@ use super::deed::Did;
 use super::diary::Diary;
 use super::faults::{Fault, FaultError, Wanted, schedule};
 use super::lines::{Order, Setup, Word};
+use super::noticed::Noticed;
 use super::place::{self, PlaceError};
 use super::report;
 use super::rt;
@@ -26,7 +27,7 @@ use signal_hook::iterator::Signals;
 use std::collections::BTreeMap;
 use std::io;
 use std::net::SocketAddr;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
 use std::thread;
@@ -126,6 +127,8 @@ pub(super) struct Launcher<'a> {
     pub(super) messages: Receiver<Message>,
     pub(super) gatherer: Gatherer,
     pub(super) judge: Judge<'a>,
+    /// What is heard of commands, where there are any.
+    pub(super) noticed: Option<Noticed>,
     /// What nodes said before all had started.
     pub(super) early: Vec<Message>,
     /// Nodes whose pipe has ended.
@@ -174,7 +177,8 @@ pub fn run(run: &Run<'_>, out: &mut Output) -> Result<Exit, Failure> {
     watch_signals(sender.clone())?;
     let network = args.in_process.then(|| Network::new(Arc::clone(table), in_process::Faults::default()));
     let token = args.observe_token.as_deref().map(crate::token::read).transpose()?;
-    let setups = setups(run, seed, token.as_ref())?;
+    let noticed = (!run.actions.is_empty()).then(Noticed::new).transpose().map_err(LaunchError::Start)?;
+    let setups = setups(run, seed, token.as_ref(), noticed.as_ref().map(Noticed::path))?;
     let children = Children::start(&setups, network, sender)?;
     let here: Vec<NodeId> = children.nodes().collect();
     let judge = Judge::new(run.loaded, &here);
@@ -191,6 +195,7 @@ pub fn run(run: &Run<'_>, out: &mut Output) -> Result<Exit, Failure> {
         messages,
         gatherer,
         judge,
+        noticed,
         early: Vec::new(),
         gone: Vec::new(),
         book: book.map_err(LaunchError::Place)?.unwrap_or_default(),
@@ -286,7 +291,12 @@ fn verdict(summary: &Summary, trouble: &[Trouble]) -> Exit {
     }
 }
 
-fn setups(run: &Run<'_>, seed: u64, token: Option<&Token>) -> Result<Vec<(NodeId, Setup)>, LaunchError> {
+fn setups(
+    run: &Run<'_>,
+    seed: u64,
+    token: Option<&Token>,
+    notices: Option<&Path>,
+) -> Result<Vec<(NodeId, Setup)>, LaunchError> {
     let cell = run.loaded.table.cell();
     let mut all = Vec::new();
     for (i, node) in cell.nodes.iter().enumerate() {
@@ -308,6 +318,7 @@ fn setups(run: &Run<'_>, seed: u64, token: Option<&Token>) -> Result<Vec<(NodeId
             loss: run.args.loss.0,
             record: run.args.record.as_ref().map(|file| record_file(file, &node.name)),
             actions: run.actions.clone(),
+            notices: notices.map(Path::to_owned),
             courses: run.courses.clone(),
         };
         if run.only.is_some() {
@@ -461,6 +472,7 @@ impl Launcher<'_> {
         let exits: Vec<(NodeId, String)> = ends.iter().map(|(node, end)| (*node, end.to_string())).collect();
         let mut summary = self.gatherer.summary(seconds, seed, self.run.args.loss.0, &exits);
         summary.rt = self.real_time;
+        self.hear_of_commands();
         for node in self.run.only.map_or_else(|| self.all_nodes(), |only| vec![only]) {
             self.judge.gone(node);
         }
@@ -487,7 +499,6 @@ impl Launcher<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use std::path::Path;
 
     #[test]
     fn every_node_records_into_a_file_of_its_own() {

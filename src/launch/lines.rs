@@ -39,6 +39,8 @@ pub struct Setup {
     pub record: Option<PathBuf>,
     /// By action, the command to execute for it.
     pub actions: BTreeMap<String, Vec<String>>,
+    /// The pipe in which the launcher is told of commands; where there are any.
+    pub notices: Option<PathBuf>,
     /// What simulated actions give as time goes on.
     pub courses: Vec<Course>,
 }

@@ -13,6 +13,7 @@ mod follow;
 mod launcher;
 mod lines;
 mod node;
+mod noticed;
 pub mod place;
 mod recorder;
 mod report;

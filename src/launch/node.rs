@@ -11,6 +11,7 @@ use crate::cells::{self, Loaded};
 use crate::exit::Exit;
 use crate::output::complain;
 use imrs_protocol::{Event as Observed, Incarnation, NodeId, NodeTable};
+use imrs_runtime::guard::{GuardProgram, Notices};
 use imrs_runtime::link::faulty::FaultyLink;
 use imrs_runtime::link::in_process::Network;
 use imrs_runtime::link::udp::{UdpError, UdpLink, UdpOptions};
@@ -374,10 +375,13 @@ impl Process {
 /// Who carries out the actions of the scripts.
 fn actions(setup: &Setup, loaded: &Loaded) -> Result<Arc<dyn Actions>, NodeError> {
     let simulated = Simulated::start(setup.seed, loaded.results(), setup.courses.clone())?;
-    let commands = Commands::new(setup.actions.clone(), simulated);
-    Ok(Arc::new(commands.tell(|action, program, why| {
-        complain(format_args!("action `{action}`: cannot execute `{program}`: {why}"));
-    })))
+    let mut commands =
+        Commands::new(setup.actions.clone(), simulated).guard(GuardProgram::This).cores(rt::cores());
+    if let Some(path) = &setup.notices {
+        let of = format!("{}-{}", setup.node, setup.incarnation);
+        commands = commands.notices(Notices::open(path)?, &of);
+    }
+    Ok(Arc::new(commands.tell(|action, error| complain(format_args!("action `{action}`: {error}")))))
 }
 
 /// The counters that counted anything.

@@ -65,6 +65,12 @@ pub fn behind<T: Send>(what: impl FnOnce() -> T + Send) -> T {
     })
 }
 
+/// The cores that the process had before it took one; none where it never took one.
+pub fn cores() -> Vec<usize> {
+    let cores = CORES.get().into_iter();
+    cores.flat_map(|cores| (0..CpuSet::MAX_CPU).filter(|&core| cores.is_set(core))).collect()
+}
+
 /// What [`begin`] would be refused, without doing it.
 pub fn refused() -> Vec<RtError> {
     let memory = lock();

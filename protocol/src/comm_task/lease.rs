@@ -465,6 +465,16 @@ impl CommTask {
         self.lease.as_ref().map(|lease| lease.epoch)
     }
 
+    /// How much longer this task may act without hearing from its partner: what is left of its lease. `None` where no lease ends by
+    /// itself: the task is in no couple, acts alone after a take-over, or does not act.
+    #[must_use]
+    pub fn lease_left(&self) -> Option<Ticks> {
+        match self.lease.as_ref()?.post {
+            Post::Leased(until) => Some(until - self.now),
+            Post::Waits | Post::Alone | Post::Passive => None,
+        }
+    }
+
     /// What the partner published last (D61).
     #[must_use]
     pub fn partner_published(&self) -> Option<&Contents> {

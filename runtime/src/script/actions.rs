@@ -1,5 +1,6 @@
 //! The actions of scripts: begun, ended, cut short.
 
+use crate::clock::{self, Micros};
 use crate::comm::Comm;
 use crate::effects::Effects;
 use crate::node::Node;
@@ -36,6 +37,18 @@ pub struct Act<'a> {
     pub least: Duration,
     /// and no more than this.
     pub most: Duration,
+    /// The lease that the task acted under when it began the action; `None` where it is in no couple, or does not hold the lease.
+    pub lease: Option<HeldLease>,
+}
+
+/// The lease of a task that acts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct HeldLease {
+    /// Its epoch (D61).
+    pub epoch: u8,
+    /// When it ends unless it is renewed, in microseconds of `CLOCK_BOOTTIME`, never later than it truly does. `None`: the task took over
+    /// and acts alone, so nothing ends by itself.
+    pub until: Option<u64>,
 }
 
 /// Says how an action ended. Dropped without a word, it says that the action failed.
@@ -57,6 +70,13 @@ impl Ending {
     /// It failed.
     pub fn failed(mut self) {
         self.say(false, 0);
+    }
+
+    /// The lease of the action's task as it is now.
+    pub(crate) fn lease(&self) -> Option<HeldLease> {
+        let node = self.node.upgrade()?;
+        let member = node.members.list.get(self.place)?;
+        node.look(member, |comm| comm.lease())
     }
 
     fn say(&mut self, ok: bool, value: i32) {
@@ -104,6 +124,7 @@ pub(crate) struct Begun {
     pub arguments: Vec<i64>,
     pub least: Ticks,
     pub most: Ticks,
+    pub lease: Option<HeldLease>,
 }
 
 type OnEnd = Box<dyn Fn(usize, End) + Send + Sync>;
@@ -159,6 +180,7 @@ impl Stage {
             number,
             least: Duration::from_micros(begun.least.0),
             most: Duration::from_micros(begun.most.0),
+            lease: begun.lease,
         };
         let ending = Ending { node: Weak::clone(&self.node), place, of: (level, number), said: false };
         // Without the lock: an action that ends at once may lead to the next one right here.

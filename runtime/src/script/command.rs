@@ -1,99 +1,300 @@
-//! Actions that are commands to execute.
+//! Actions that are commands to execute, each under a guard ([`crate::guard`], D141).
 
-use super::actions::{Act, Actions, Ending, Stop};
+use super::actions::{Act, Actions, Ending, HeldLease, Stop};
+use crate::clock;
+use crate::guard::{Errand, GuardProgram, Notice, Notices, Outcome, Running};
 use std::collections::BTreeMap;
-use std::io::{self, Read};
-use std::process::{Child, Command, Stdio};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::ffi::OsString;
+use std::io;
+use std::os::unix::process::CommandExt;
+use std::process::Stdio;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicU64, Ordering};
 use std::thread;
 use std::time::Duration;
 
-/// How often a command is asked whether it has ended.
-const LOOK_EVERY: Duration = Duration::from_millis(1);
-/// How much of a command's answer is read.
-const LONGEST_ANSWER: u64 = 64;
+/// How much longer than declared a command may take before it is killed, unless somebody says otherwise: programs start slowly on a busy
+/// machine.
+const MARGIN: Duration = Duration::from_secs(2);
+/// How long a stop waits for the guard to confirm the end of the command.
+const STOP_WITHIN: Duration = Duration::from_millis(250);
+/// After how many microseconds a lease is looked at again, at least and at most; in between after a quarter of what is left of it.
+const RENEW_EVERY: [u64; 2] = [2_000, 100_000];
+/// The same for a task that acts alone: its partner may come back, and then a lease begins.
+const ALONE_EVERY: u64 = 10_000;
 
 /// Executes a command for each action that has one, and leaves the others to someone else.
 ///
 /// The program is started with its own arguments, then those of the action, without a shell. Exit code 0 is success,
-/// and the first line of its standard output the result, where that is a whole number. It is killed where the action
-/// is cut short.
+/// and the first line of its standard output the result, where that is a whole number (of at most 64 bytes; the rest of the output is
+/// dropped). It runs in a process group of its own under a guard ([`crate::guard`]), which kills it with all that it started when
+///
+/// - the action is cut short, or the node ends, however it ends;
+/// - the lease of the task's couple ends without a renewal;
+/// - the action takes longer than declared, by more than the [`margin`](Self::margin) of 2 s: then it has failed, and that is told;
+/// - the command itself ends: what it left behind ends with it.
+///
+/// The command learns in its environment:
+///
+/// - `IMRS_DEADLINE_US`: by when it must be over, in microseconds of `CLOCK_BOOTTIME`, in decimal;
+/// - `IMRS_EPOCH`: the epoch of the lease that it acts under, in decimal; absent where the task is in no couple.
+///
+/// Its standard input has a line `deadline N` at once, and one more whenever a renewal of the lease moves the deadline. The end of standard
+/// input means: stop now.
+///
+/// ```
+/// use imrs_runtime::guard::GuardProgram;
+/// use imrs_runtime::script::{Commands, Simulated};
+/// use std::collections::BTreeMap;
+///
+/// let simulated = Simulated::start(1, Vec::new(), Vec::new()).expect("a thread");
+/// let grip = BTreeMap::from([("grip".to_owned(), vec!["./grip".to_owned(), "--hard".to_owned()])]);
+/// let actions = Commands::new(grip, simulated)
+///     .guard(GuardProgram::At("/usr/local/bin/imrs-guard".into()))
+///     .tell(|action, error| eprintln!("action {action}: {error}"));
+/// # drop(actions);
+/// ```
 pub struct Commands {
     commands: BTreeMap<String, Vec<String>>,
     others: Arc<dyn Actions>,
     tell: Tell,
+    guard: GuardProgram,
+    margin: Duration,
+    cores: Option<String>,
+    notices: Option<(Arc<Notices>, String)>,
+    begun: AtomicU64,
 }
 
-/// What hears of a command that could not be executed: the action, its program, and why.
-type Tell = Box<dyn Fn(&str, &str, &io::Error) + Send + Sync>;
+/// What hears of a command that went wrong: the action, and how.
+type Tell = Arc<dyn Fn(&str, &CommandError) + Send + Sync>;
+
+/// How a command went wrong, besides an exit code that says that the action failed.
+#[derive(Debug, thiserror::Error)]
+pub enum CommandError {
+    /// The program cannot be executed.
+    #[error("cannot execute `{program}`: {why}")]
+    Program {
+        /// The program.
+        program: String,
+        /// Why.
+        why: io::Error,
+    },
+    /// The guard cannot be started, so the program was not.
+    #[error(
+        "cannot start the guard `{program}` of commands: {why}; install `imrs-guard` beside this program"
+    )]
+    Guard {
+        /// The guard's program.
+        program: String,
+        /// Why.
+        why: io::Error,
+    },
+    /// The launcher cannot be told, so the program was not started.
+    #[error("cannot tell the launcher of the command: {0}")]
+    Notices(io::Error),
+    /// It took too long and was killed.
+    #[error("took longer than the declared {most:?} and the margin of {margin:?}: killed")]
+    Late {
+        /// How long the cell lets the action take.
+        most: Duration,
+        /// How much longer it might.
+        margin: Duration,
+    },
+    /// The lease of its task ended, and it was killed.
+    #[error("killed at the end of its lease")]
+    LeaseEnded,
+    /// Its guard was killed.
+    #[error("its guard was killed: nobody can say whether all that the command started has ended")]
+    Unguarded,
+}
 
 impl Commands {
     /// By the name of the action, its program and that one's first arguments.
     #[must_use]
     pub fn new(commands: BTreeMap<String, Vec<String>>, others: Arc<dyn Actions>) -> Self {
-        Self { commands, others, tell: Box::new(|_, _, _| {}) }
+        Self {
+            commands,
+            others,
+            tell: Arc::new(|_, _| {}),
+            guard: GuardProgram::default(),
+            margin: MARGIN,
+            cores: None,
+            notices: None,
+            begun: AtomicU64::new(0),
+        }
     }
 
-    /// Who is told of a command that could not be executed: the name of the action, its program, and why. To the script
-    /// it is an action that failed.
+    /// Who is told of a command that went wrong: the name of the action, and how. To the script it is an action that failed.
     #[must_use]
-    pub fn tell(self, tell: impl Fn(&str, &str, &io::Error) + Send + Sync + 'static) -> Self {
-        Self { tell: Box::new(tell), ..self }
+    pub fn tell(self, tell: impl Fn(&str, &CommandError) + Send + Sync + 'static) -> Self {
+        Self { tell: Arc::new(tell), ..self }
+    }
+
+    /// Which program guards the commands.
+    #[must_use]
+    pub fn guard(self, guard: GuardProgram) -> Self {
+        Self { guard, ..self }
+    }
+
+    /// How much longer than declared a command may take before it is killed and the action has failed. 2 s unless this is called.
+    #[must_use]
+    pub const fn margin(mut self, margin: Duration) -> Self {
+        self.margin = margin;
+        self
+    }
+
+    /// The cores that commands may use, where those of the node are fewer: a node in real time has one.
+    #[must_use]
+    pub fn cores(self, cores: impl IntoIterator<Item = usize>) -> Self {
+        let cores: Vec<String> = cores.into_iter().map(|core| core.to_string()).collect();
+        Self { cores: (!cores.is_empty()).then(|| cores.join(",")), ..self }
+    }
+
+    /// Tells in this pipe which commands run. Their keys there begin with `of`, which no other node may use.
+    #[must_use]
+    pub fn notices(self, pipe: Notices, of: &str) -> Self {
+        Self { notices: Some((Arc::new(pipe), of.to_owned())), ..self }
+    }
+
+    /// Tells the launcher that a command begins, before anything runs. Returns what names it.
+    fn announce(&self, task: &str) -> io::Result<Option<Told>> {
+        let Some((pipe, of)) = &self.notices else { return Ok(None) };
+        let key = format!("{of}-{}", self.begun.fetch_add(1, Ordering::Relaxed));
+        pipe.tell(&Notice::Began { key: key.clone(), task: task.to_owned(), at: clock::now() })?;
+        Ok(Some(Told { pipe: Arc::clone(pipe), key }))
+    }
+
+    fn errand(&self, act: &Act<'_>, words: &[String], told: Option<&Told>) -> Errand {
+        let first = words.iter().map(OsString::from);
+        let arguments = act.arguments.iter().map(|argument| argument.to_string().into());
+        let length = clock::micros(act.most.saturating_add(self.margin));
+        Errand {
+            limit: clock::now().saturating_add(length),
+            lease: act.lease.and_then(|lease| lease.until),
+            epoch: act.lease.map(|lease| lease.epoch),
+            cores: self.cores.clone(),
+            notices: told.map(|told| (told.pipe.path().to_owned(), told.key.clone())),
+            parent: None,
+            command: first.chain(arguments).collect(),
+        }
+    }
+
+    /// Starts the guard of a command.
+    fn start(&self, act: &Act<'_>, words: &[String]) -> Result<(Running, Option<Told>), CommandError> {
+        let told = self.announce(act.task).map_err(CommandError::Notices)?;
+        let errand = self.errand(act, words, told.as_ref());
+        let mut guard = self.guard.command(&errand);
+        // A signal to the group of the node must not end the guard with it.
+        guard.process_group(0).stdin(Stdio::piped()).stdout(Stdio::piped());
+        match guard.spawn().and_then(Running::new) {
+            Ok(running) => Ok((running, told)),
+            Err(why) => {
+                told.iter().for_each(Told::ended);
+                Err(CommandError::Guard { program: self.guard.path().display().to_string(), why })
+            }
+        }
+    }
+}
+
+/// A command that the launcher was told of.
+struct Told {
+    pipe: Arc<Notices>,
+    key: String,
+}
+
+impl Told {
+    fn ended(&self) {
+        self.pipe.tell_at_last(&Notice::Ended { key: self.key.clone(), at: clock::next() });
+    }
+
+    fn lost(&self) {
+        self.pipe.tell_at_last(&Notice::Lost { key: self.key.clone(), at: clock::now() });
     }
 }
 
 impl Actions for Commands {
     fn begin(&self, act: &Act<'_>, ending: Ending) -> Option<Stop> {
-        let Some((program, first)) = self.commands.get(act.name).and_then(|words| words.split_first()) else {
-            return self.others.begin(act, ending);
-        };
-        let mut command = Command::new(program);
-        command.args(first).args(act.arguments.iter().map(i64::to_string));
-        let started = command.stdin(Stdio::null()).stdout(Stdio::piped()).spawn();
-        let child = match started {
-            Ok(child) => Arc::new(Mutex::new(child)),
-            Err(why) => {
-                (self.tell)(act.name, program, &why);
+        let words = self.commands.get(act.name).filter(|words| !words.is_empty());
+        let Some(words) = words else { return self.others.begin(act, ending) };
+        let (running, told) = match self.start(act, words) {
+            Ok((running, told)) => (Arc::new(running), told),
+            Err(error) => {
+                (self.tell)(act.name, &error);
                 ending.failed();
                 return None;
             }
         };
-        let watched = Arc::clone(&child);
-        let name = format!("action {}", act.name);
-        // Without a thread the ending is dropped, and says that the action failed.
-        let watching = thread::Builder::new().name(name).spawn(move || watch(&watched, ending));
+        let watcher = Watcher {
+            running: Arc::clone(&running),
+            lease: act.lease,
+            told,
+            tell: Arc::clone(&self.tell),
+            action: act.name.to_owned(),
+            program: words[0].clone(),
+            times: (act.most, self.margin),
+        };
+        let watching = thread::Builder::new()
+            .name(format!("action {}", act.name))
+            // Without a thread the ending is dropped, and says that the action failed.
+            .spawn(move || watcher.watch(ending));
         if watching.is_err() {
-            kill(&child);
+            running.let_go();
         }
-        Some(Box::new(move || kill(&child)))
+        Some(Box::new(move || running.stop(STOP_WITHIN)))
     }
 }
 
-fn kill(child: &Mutex<Child>) {
-    let mut child = child.lock().unwrap_or_else(PoisonError::into_inner);
-    // It has ended already.
-    let _ = child.kill();
-    let _ = child.wait();
+/// Follows one command to its end.
+struct Watcher {
+    running: Arc<Running>,
+    lease: Option<HeldLease>,
+    told: Option<Told>,
+    tell: Tell,
+    action: String,
+    program: String,
+    times: (Duration, Duration),
 }
 
-fn watch(child: &Mutex<Child>, ending: Ending) {
-    let output = child.lock().unwrap_or_else(PoisonError::into_inner).stdout.take();
-    let status = loop {
-        let ended = child.lock().unwrap_or_else(PoisonError::into_inner).try_wait();
-        match ended {
-            Ok(None) => thread::sleep(LOOK_EVERY),
-            Ok(Some(status)) => break status,
-            Err(_) => return ending.failed(),
+impl Watcher {
+    fn watch(self, ending: Ending) {
+        let outcome = self.running.follow(|| self.renew(&ending));
+        if outcome.is_none() {
+            self.told.iter().for_each(Told::lost);
         }
-    };
-    if !status.success() {
-        return ending.failed();
+        self.running.is_over();
+        if let Some(error) = self.error(outcome) {
+            (self.tell)(&self.action, &error);
+        }
+        match outcome {
+            Some(Outcome::Done(value)) => ending.done(value),
+            _ => ending.failed(),
+        }
     }
-    let mut text = String::new();
-    if let Some(output) = output {
-        // What cannot be read is no number.
-        let _ = output.take(LONGEST_ANSWER).read_to_string(&mut text);
+
+    /// Hands the guard the end of the lease as it is now. Returns after how many microseconds to look again; `None`: never.
+    fn renew(&self, ending: &Ending) -> Option<u64> {
+        let begun = self.lease?;
+        // Another epoch is another time in office: the action that this command was begun for is over.
+        let held = ending.lease().filter(|lease| lease.epoch == begun.epoch)?;
+        let Some(until) = held.until else { return Some(ALONE_EVERY) };
+        self.running.renew(until);
+        let [least, most] = RENEW_EVERY;
+        Some((until.saturating_sub(clock::now()) / 4).clamp(least, most))
     }
-    let answer = text.lines().next().and_then(|line| line.trim().parse().ok());
-    ending.done(answer.unwrap_or(0));
+
+    fn error(&self, outcome: Option<Outcome>) -> Option<CommandError> {
+        match outcome {
+            Some(Outcome::Done(_) | Outcome::Failed | Outcome::Stopped) => None,
+            Some(Outcome::Late) => {
+                let (most, margin) = self.times;
+                Some(CommandError::Late { most, margin })
+            }
+            Some(Outcome::LeaseEnded) => Some(CommandError::LeaseEnded),
+            Some(Outcome::Unstarted(errno)) => {
+                let why = io::Error::from_raw_os_error(errno);
+                Some(CommandError::Program { program: self.program.clone(), why })
+            }
+            None => Some(CommandError::Unguarded),
+        }
+    }
 }

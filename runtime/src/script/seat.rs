@@ -1,6 +1,6 @@
 //! A script behind the lock of its communication task.
 
-use super::actions::{Begun, Deed};
+use super::actions::{Begun, Deed, HeldLease};
 use super::knows::{Does, Outlet};
 use super::{Knows, Note, Stands, Watch};
 use crate::clock::{self, Micros};
@@ -195,9 +195,10 @@ impl Seat {
             steps += 1;
             effects.steps = effects.steps.saturating_add(1);
             let runs_away = steps > HOST_LIMIT || effects.steps > self.together;
-            let now = comm.now();
+            let (now, lease) = (comm.now(), comm.lease());
             let (knows, log) = comm.recorded();
-            let does = Out { knows, log, now, requests: &mut self.requests, side: &mut self.side, effects };
+            let does =
+                Out { knows, log, now, lease, requests: &mut self.requests, side: &mut self.side, effects };
             let mut out = Outlet { knows, does };
             if runs_away {
                 self.script.stop(&self.program, ScriptFault::Runaway, &mut out);
@@ -250,6 +251,7 @@ struct Out<'a> {
     knows: Knows<'a>,
     log: Option<&'a mut (dyn Log + 'static)>,
     now: u64,
+    lease: Option<HeldLease>,
     requests: &'a mut VecDeque<Request>,
     side: &'a mut Side,
     effects: &'a mut Effects,
@@ -291,6 +293,7 @@ impl Does for Out<'_> {
             arguments,
             least,
             most,
+            lease: self.lease,
         }));
     }
 

@@ -1,0 +1,85 @@
+//! What becomes the command: it ties its life to the guard's, gives back what a node in real time has, and executes the program.
+
+use super::words::Errand;
+use rustix::process::{
+    Pid, Signal, getppid, getpriority_process, set_parent_process_death_signal, setpriority_process,
+};
+use rustix::thread::{CpuSet, sched_setaffinity};
+use std::io::{self, Write};
+use std::os::unix::process::CommandExt;
+use std::process::{Command, ExitCode};
+use thread_priority::unix::{set_thread_priority_and_policy, thread_native_id, thread_schedule_policy};
+use thread_priority::{
+    NormalThreadSchedulePolicy, ThreadPriority, ThreadPriorityValue, ThreadSchedulePolicy,
+};
+
+/// What starts the line that says why the program cannot be executed: no program writes it by accident.
+pub const UNSTARTED: &[u8] = b"\0imrs-guard: ";
+/// As a shell has it: there is no such program.
+const NOT_FOUND: u8 = 127;
+/// A priority that `thread-priority` maps to niceness 0.
+const ORDINARY: u8 = 47;
+
+/// Becomes the command, or says on standard output why it cannot.
+pub fn exec(errand: &Errand) -> ExitCode {
+    let error = match tie(errand) {
+        Ok(()) => become_it(errand),
+        Err(error) => error,
+    };
+    let mut line = UNSTARTED.to_vec();
+    line.extend(error.raw_os_error().unwrap_or_default().to_string().bytes());
+    line.push(b'\n');
+    // A guard that is gone does not want to know.
+    let _ = io::stdout().write_all(&line);
+    ExitCode::from(NOT_FOUND)
+}
+
+/// Whatever ends the guard ends this process, and the program that it becomes.
+fn tie(errand: &Errand) -> io::Result<()> {
+    set_parent_process_death_signal(Some(Signal::KILL))?;
+    // A guard that died before the call is no parent any more, and nobody would send the signal.
+    let guard = errand.parent.and_then(Pid::from_raw);
+    if guard.is_none() || getppid() != guard {
+        return Err(io::Error::from_raw_os_error(rustix::io::Errno::SRCH.raw_os_error()));
+    }
+    Ok(())
+}
+
+fn become_it(errand: &Errand) -> io::Error {
+    be_ordinary(errand.cores.as_deref());
+    match errand.command.split_first() {
+        Some((program, arguments)) => Command::new(program).args(arguments).exec(),
+        None => io::ErrorKind::InvalidInput.into(),
+    }
+}
+
+/// A node under `--rt` runs under SCHED_FIFO on one core, and so does its guard; the command is an ordinary process on the cores that the
+/// launcher had. The memory of the node is locked, that of the command never was: locks do not pass to other programs.
+fn be_ordinary(cores: Option<&str>) {
+    if let Some(cores) = cores {
+        let mut set = CpuSet::new();
+        cores.split(',').filter_map(|core| core.parse().ok()).for_each(|core| {
+            if core < CpuSet::MAX_CPU {
+                set.set(core);
+            }
+        });
+        // A core that is gone since leaves the process where it is.
+        let _ = sched_setaffinity(None, &set);
+    }
+    let is_ordinary = matches!(thread_schedule_policy(), Ok(ThreadSchedulePolicy::Normal(_)));
+    if is_ordinary {
+        return;
+    }
+    // The call sets the niceness, too: that stays as it was.
+    let niceness = getpriority_process(None);
+    if let Ok(ordinary) = ThreadPriorityValue::try_from(ORDINARY) {
+        let policy = ThreadSchedulePolicy::Normal(NormalThreadSchedulePolicy::Other);
+        // Giving up a right is never refused.
+        let _ = set_thread_priority_and_policy(
+            thread_native_id(),
+            ThreadPriority::Crossplatform(ordinary),
+            policy,
+        );
+    }
+    let _ = niceness.and_then(|niceness| setpriority_process(None, niceness));
+}

@@ -1,0 +1,78 @@
+//! Ending a command with all that it started.
+
+use rustix::io::Errno;
+use rustix::process::{
+    Pid, PidfdFlags, Signal, WaitOptions, WaitStatus, getpid, kill_process_group, pidfd_open,
+    pidfd_send_signal, wait,
+};
+use std::collections::BTreeMap;
+use std::fs;
+
+/// Kills the process group of the command and every other descendant of this process, and waits until none is left. Returns how the
+/// command itself ended. This process must be a child subreaper, so that no descendant can leave it.
+pub fn end_all(command: Pid) -> Option<WaitStatus> {
+    // The command is not reaped yet, so no other group can have its number.
+    let _ = kill_process_group(command, Signal::KILL);
+    let mut status = None;
+    let mut options = WaitOptions::NOHANG;
+    loop {
+        match wait(options) {
+            Ok(Some((pid, how))) => {
+                if pid == command {
+                    status = Some(how);
+                }
+                options = WaitOptions::NOHANG;
+            }
+            // Somebody is left. What a killed process leaves becomes a child of this one, whose end ends the wait.
+            Ok(None) => {
+                kill_descendants();
+                options = WaitOptions::empty();
+            }
+            Err(Errno::INTR) => {}
+            // No child, so no descendant.
+            Err(_) => return status,
+        }
+    }
+}
+
+/// Kills every descendant that there is now.
+fn kill_descendants() {
+    let own = getpid().as_raw_nonzero().get();
+    let parents = parents();
+    for (&pid, &parent) in parents.iter().filter(|&(&pid, _)| descends(&parents, pid, own)) {
+        let Some(process) = Pid::from_raw(pid) else { continue };
+        let Ok(handle) = pidfd_open(process, PidfdFlags::empty()) else { continue };
+        // The number may belong to another process by now: then the parent is another one, too.
+        if parent_of(pid).is_some_and(|now| now == parent || now == own) {
+            // It has ended already, or has become another user's.
+            let _ = pidfd_send_signal(&handle, Signal::KILL);
+        }
+    }
+}
+
+fn descends(parents: &BTreeMap<i32, i32>, mut pid: i32, from: i32) -> bool {
+    // A table that changes while it is read may have a circle.
+    for _ in 0..parents.len() {
+        match parents.get(&pid) {
+            Some(&parent) if parent == from => return true,
+            Some(&parent) => pid = parent,
+            None => return false,
+        }
+    }
+    false
+}
+
+/// All processes, each with its parent.
+fn parents() -> BTreeMap<i32, i32> {
+    let entries = fs::read_dir("/proc").into_iter().flatten().flatten();
+    let pids = entries.filter_map(|entry| entry.file_name().to_str()?.parse().ok());
+    pids.filter_map(|pid| Some((pid, parent_of(pid)?))).collect()
+}
+
+fn parent_of(pid: i32) -> Option<i32> {
+    let stat = fs::read(format!("/proc/{pid}/stat")).ok()?;
+    // The name may have any characters, parentheses too; then come the state and the parent.
+    let stat = String::from_utf8_lossy(&stat);
+    let (_, rest) = stat.rsplit_once(')')?;
+    rest.split_whitespace().nth(1)?.parse().ok()
+}

@@ -1,0 +1,316 @@
+//! The guard itself: one thread that waits for the end of its node, of the lease, of the time, or of the command.
+
+use super::exec::UNSTARTED;
+use super::notices::{self, Notices};
+use super::running::never_wait;
+use super::words::{self, Errand, Lines, Outcome, read_lease};
+use super::{EXEC, OWN_FILE, kin, stage};
+use crate::clock;
+use rustix::event::{PollFd, PollFlags, poll};
+use rustix::io::Errno;
+use rustix::process::{Pid, PidfdFlags, WaitStatus, getpid, pidfd_open, set_child_subreaper};
+use rustix::time::{
+    Itimerspec, TimerfdClockId, TimerfdFlags, TimerfdTimerFlags, Timespec, timerfd_create, timerfd_settime,
+};
+use std::io::{self, Read, Write};
+use std::os::fd::OwnedFd;
+use std::os::unix::process::CommandExt;
+use std::path::Path;
+use std::process::{Child, ChildStdin, ChildStdout, ExitCode, Stdio};
+
+/// How much of the first line of a command's output is read as its answer.
+const LONGEST_ANSWER: usize = 64;
+/// No pipe holds more than this, so a command that has ended left no more.
+const LONGEST_REST: usize = 1 << 20;
+const PIECE: usize = 1 << 14;
+
+/// Guards a command until all of it has ended, and says how it ended.
+pub fn watch(errand: &Errand) -> ExitCode {
+    // A launcher that is gone needs no notice.
+    let notices = errand.notices.as_ref().and_then(|(path, key)| Some((Notices::open(path).ok()?, key)));
+    let outcome = match over_before(errand) {
+        Some(outcome) => outcome,
+        None => Watch::start(errand).map_or_else(
+            |error| Outcome::Unstarted(error.raw_os_error().unwrap_or_default()),
+            |mut watch| {
+                let why = watch.wait();
+                watch.end(why)
+            },
+        ),
+    };
+    if let Some((notices, key)) = &notices {
+        notices.tell_at_last(&notices::ended(key));
+    }
+    say(&outcome.line());
+    ExitCode::SUCCESS
+}
+
+/// A guard may start late. What is over by then is not begun.
+fn over_before(errand: &Errand) -> Option<Outcome> {
+    let stdin = io::stdin();
+    let mut orders = [PollFd::new(&stdin, PollFlags::IN)];
+    let at_once = Timespec { tv_sec: 0, tv_nsec: 0 };
+    let _ = poll(&mut orders, Some(&at_once));
+    // No node writes and then ends its pipe but one that has gone.
+    if orders[0].revents().contains(PollFlags::HUP) {
+        return Some(Outcome::Stopped);
+    }
+    why_over(errand.limit, errand.lease).map(Why::outcome)
+}
+
+/// Which time is over, if one is.
+fn why_over(limit: u64, lease: Option<u64>) -> Option<Why> {
+    let now = clock::now();
+    if limit <= now { Some(Why::Late) } else { lease.filter(|lease| *lease <= now).map(|_| Why::LeaseEnded) }
+}
+
+/// A node that is gone does not want to know.
+fn say(line: &str) {
+    let mut out = io::stdout().lock();
+    let _ = out.write_all(line.as_bytes()).and_then(|()| out.flush());
+}
+
+/// Why a command is over.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Why {
+    Ended,
+    Stopped,
+    Late,
+    LeaseEnded,
+}
+
+impl Why {
+    const fn outcome(self) -> Outcome {
+        match self {
+            Self::Late => Outcome::Late,
+            Self::LeaseEnded => Outcome::LeaseEnded,
+            // What a command that ended says is looked at elsewhere.
+            Self::Stopped | Self::Ended => Outcome::Stopped,
+        }
+    }
+}
+
+struct Watch {
+    limit: u64,
+    lease: Option<u64>,
+    orders: Lines,
+    pid: Pid,
+    /// Readable once the command has ended.
+    ended: OwnedFd,
+    /// Readable once the deadline is over, however long the machine was suspended.
+    timer: OwnedFd,
+    /// Which deadline the timer has, and which the command was told.
+    armed: Option<u64>,
+    told: Option<u64>,
+    input: Option<ChildStdin>,
+    output: Answer,
+}
+
+/// What a command says: its first line is kept, the rest is dropped.
+struct Answer {
+    pipe: ChildStdout,
+    is_open: bool,
+    kept: Vec<u8>,
+    is_whole: bool,
+}
+
+impl Watch {
+    fn start(errand: &Errand) -> io::Result<Self> {
+        let own = getpid();
+        set_child_subreaper(Some(own))?;
+        let timer = timerfd_create(TimerfdClockId::Boottime, TimerfdFlags::CLOEXEC | TimerfdFlags::NONBLOCK)?;
+        let second = Errand { parent: Some(own.as_raw_nonzero().get()), ..errand.clone() };
+        let mut command = stage(Path::new(OWN_FILE), EXEC, &second);
+        command.env("IMRS_DEADLINE_US", errand.deadline().to_string());
+        match errand.epoch {
+            Some(epoch) => command.env("IMRS_EPOCH", epoch.to_string()),
+            None => command.env_remove("IMRS_EPOCH"),
+        };
+        let mut child = command.process_group(0).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn()?;
+        let pid = Pid::from_child(&child);
+        match Self::of(errand, &mut child, timer) {
+            Ok(watch) => {
+                say(&words::began(pid.as_raw_nonzero().get()));
+                Ok(watch)
+            }
+            Err(error) => {
+                kin::end_all(pid);
+                Err(error)
+            }
+        }
+    }
+
+    fn of(errand: &Errand, child: &mut Child, timer: OwnedFd) -> io::Result<Self> {
+        let pid = Pid::from_child(child);
+        let (input, pipe) = (child.stdin.take(), child.stdout.take());
+        let pipe = pipe.ok_or(io::ErrorKind::BrokenPipe)?;
+        if let Some(input) = &input {
+            // A command that reads nothing must not hold up its guard.
+            never_wait(input)?;
+        }
+        let mut watch = Self {
+            limit: errand.limit,
+            lease: errand.lease,
+            orders: Lines::default(),
+            pid,
+            ended: pidfd_open(pid, PidfdFlags::empty())?,
+            timer,
+            armed: None,
+            told: None,
+            input,
+            output: Answer { pipe, is_open: true, kept: Vec::new(), is_whole: false },
+        };
+        watch.note_deadline()?;
+        Ok(watch)
+    }
+
+    fn deadline(&self) -> u64 {
+        self.lease.map_or(self.limit, |lease| lease.min(self.limit))
+    }
+
+    /// Waits until the command is over, for whatever reason.
+    fn wait(&mut self) -> Why {
+        loop {
+            let [orders, ended, output] = match self.poll() {
+                Ok(ready) => ready,
+                // Nothing can be watched any more.
+                Err(_) => return Why::Stopped,
+            };
+            // First: a renewal that is there counts.
+            if orders && !self.hear() {
+                return Why::Stopped;
+            }
+            if output {
+                self.output.read();
+            }
+            if ended {
+                return Why::Ended;
+            }
+            if let Some(why) = why_over(self.limit, self.lease) {
+                return why;
+            }
+            if self.note_deadline().is_err() {
+                return Why::Stopped;
+            }
+        }
+    }
+
+    /// Sleeps until something happens. Returns whether there are orders, whether the command has ended, and whether it says something.
+    fn poll(&self) -> io::Result<[bool; 3]> {
+        let stdin = io::stdin();
+        let mut fds = vec![
+            PollFd::new(&stdin, PollFlags::IN),
+            PollFd::new(&self.ended, PollFlags::IN),
+            PollFd::new(&self.timer, PollFlags::IN),
+        ];
+        if self.output.is_open {
+            fds.push(PollFd::new(&self.output.pipe, PollFlags::IN));
+        }
+        match poll(&mut fds, None) {
+            Ok(_) => {}
+            Err(Errno::INTR) => return Ok([false; 3]),
+            Err(error) => return Err(error.into()),
+        }
+        let is_ready = |at: usize| fds.get(at).is_some_and(|fd| !fd.revents().is_empty());
+        Ok([is_ready(0), is_ready(1), is_ready(3)])
+    }
+
+    /// Takes in what the node says; `false` where it says nothing more.
+    fn hear(&mut self) -> bool {
+        let mut bytes = [0; 1024];
+        match rustix::io::read(io::stdin(), &mut bytes) {
+            Ok(0) => return false,
+            Ok(read) => self.orders.add(&bytes[..read]),
+            Err(Errno::INTR | Errno::AGAIN) => {}
+            Err(_) => return false,
+        }
+        while let Some(line) = self.orders.next() {
+            // A task that acted alone had no lease until its partner came back.
+            self.lease = read_lease(&line).max(self.lease);
+        }
+        true
+    }
+
+    /// Sets the timer to the deadline, and tells it to the command.
+    fn note_deadline(&mut self) -> io::Result<()> {
+        let deadline = self.deadline();
+        if self.armed != Some(deadline) {
+            let zero = Timespec { tv_sec: 0, tv_nsec: 0 };
+            let it_value = clock::nanos_of(deadline).map_or(zero, clock::timespec);
+            let spec = Itimerspec { it_interval: zero, it_value };
+            timerfd_settime(&self.timer, TimerfdTimerFlags::ABSTIME, &spec)?;
+            self.armed = Some(deadline);
+        }
+        if self.told != Some(deadline)
+            && let Some(input) = &mut self.input
+        {
+            match input.write_all(format!("deadline {deadline}\n").as_bytes()) {
+                Ok(()) => self.told = Some(deadline),
+                // It does not read: it is told with the next renewal.
+                Err(error) if error.kind() == io::ErrorKind::WouldBlock => {}
+                Err(_) => self.input = None,
+            }
+        }
+        Ok(())
+    }
+
+    /// Ends all that is left of the command.
+    fn end(mut self, why: Why) -> Outcome {
+        let status = kin::end_all(self.pid);
+        // Whoever wrote is gone, so this ends.
+        self.output.read_rest();
+        if why == Why::Ended { self.output.outcome(status) } else { why.outcome() }
+    }
+}
+
+impl Answer {
+    /// Reads once. Returns how much there was.
+    fn read(&mut self) -> usize {
+        let mut bytes = [0; PIECE];
+        match self.pipe.read(&mut bytes) {
+            Ok(0) => self.is_open = false,
+            Ok(read) => {
+                self.keep(&bytes[..read]);
+                return read;
+            }
+            Err(error) if error.kind() == io::ErrorKind::Interrupted => {}
+            Err(_) => self.is_open = false,
+        }
+        0
+    }
+
+    fn keep(&mut self, bytes: &[u8]) {
+        if self.is_whole {
+            return;
+        }
+        let end = bytes.iter().position(|&byte| byte == b'\n');
+        let line = &bytes[..end.unwrap_or(bytes.len())];
+        let room = LONGEST_ANSWER - self.kept.len();
+        self.kept.extend_from_slice(&line[..line.len().min(room)]);
+        self.is_whole = end.is_some() || self.kept.len() == LONGEST_ANSWER;
+    }
+
+    fn read_rest(&mut self) {
+        // Another process may have been given the pipe: what is not there now is not waited for.
+        if never_wait(&self.pipe).is_err() {
+            return;
+        }
+        let mut rest = 0;
+        while self.is_open && rest < LONGEST_REST {
+            rest += self.read();
+        }
+    }
+
+    fn outcome(&self, status: Option<WaitStatus>) -> Outcome {
+        if let Some(errno) = self.kept.strip_prefix(UNSTARTED) {
+            let errno = String::from_utf8_lossy(errno);
+            return Outcome::Unstarted(errno.trim().parse().unwrap_or_default());
+        }
+        if status.and_then(WaitStatus::exit_status) != Some(0) {
+            return Outcome::Failed;
+        }
+        let line = String::from_utf8_lossy(&self.kept);
+        // What is no number is no answer.
+        Outcome::Done(line.trim().parse().unwrap_or(0))
+    }
+}
