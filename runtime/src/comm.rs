@@ -115,7 +115,7 @@ impl Comm {
 
     /// Whether the task holds a lease that is over by `now`, and nobody has told the machine so.
     pub fn is_overdue(&self, now: Micros) -> bool {
-        self.machine.leased_for().is_some_and(|left| self.last.saturating_add(left.0) <= now)
+        self.machine.lease_left().is_some_and(|left| self.last.saturating_add(left.0) <= now)
     }
 
     pub const fn machine(&self) -> &CommTask {

@@ -80,7 +80,7 @@ impl Sight {
 impl Known {
     /// The lease of a task that was active ended before `at`, when that was noticed: since when, and what it stands at since.
     fn lease_ends(&mut self, asks: &[Ask], at: u64, stands: &Stands<'_>) -> Option<(u64, Vec<i64>)> {
-        let now = stands.machine.leased_for().map(|left| at.saturating_add(left.0));
+        let now = stands.machine.lease_left().map(|left| at.saturating_add(left.0));
         let before = std::mem::replace(&mut self.leased_until, now).filter(|&until| until < at);
         let since = before.filter(|_| !stands.machine.is_active())?;
         let was_active =

@@ -449,24 +449,16 @@ impl CommTask {
         self.lease.as_ref().is_none_or(Lease::acts)
     }
 
-    /// How long from the last [`Input::Advance`](super::Input::Advance) this task holds the lease of its couple, unless it is
-    /// renewed; `None` where it holds none, or acts alone after a take-over.
-    #[must_use]
-    pub fn leased_for(&self) -> Option<Ticks> {
-        match self.lease.as_ref()?.post {
-            Post::Leased(until) => Some(until - self.now),
-            Post::Waits | Post::Alone | Post::Passive => None,
-        }
-    }
-
     /// The epoch that this task acts under, or the newest it heard of; `None` where it is in no couple.
     #[must_use]
     pub fn epoch(&self) -> Option<u8> {
         self.lease.as_ref().map(|lease| lease.epoch)
     }
 
-    /// How much longer this task may act without hearing from its partner: what is left of its lease. `None` where no lease ends by
-    /// itself: the task is in no couple, acts alone after a take-over, or does not act.
+    /// How long from the last [`Input::Advance`](super::Input::Advance) this task may act without hearing from its partner: what is left
+    /// of its lease. `None` where no lease ends by itself: the task is in no couple, acts alone after a take-over, or does not act.
+    ///
+    /// A driver that was stopped asks whether the lease is over that it has not looked at since.
     #[must_use]
     pub fn lease_left(&self) -> Option<Ticks> {
         match self.lease.as_ref()?.post {

@@ -1,6 +1,5 @@
 //! The actions of scripts: begun, ended, cut short.
 
-use crate::clock::{self, Micros};
 use crate::comm::Comm;
 use crate::effects::Effects;
 use crate::node::Node;
