@@ -449,6 +449,18 @@ impl CommTask {
         self.lease.as_ref().is_none_or(Lease::acts)
     }
 
+    /// For how long the task acts yet, from the last time that it was told, unless its lease is renewed. `None`: it does
+    /// not act, or acts without a lease.
+    ///
+    /// A driver that was stopped asks whether the lease is over that it has not looked at since.
+    #[must_use]
+    pub fn lease_left(&self) -> Option<Ticks> {
+        match self.lease.as_ref()?.post {
+            Post::Leased(until) => Some(until - self.now),
+            Post::Waits | Post::Alone | Post::Passive => None,
+        }
+    }
+
     /// The epoch that this task acts under, or the newest it heard of; `None` where it is in no couple.
     #[must_use]
     pub fn epoch(&self) -> Option<u8> {
