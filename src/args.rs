@@ -65,6 +65,7 @@ Examples:
   imrs verify --claim pairing --explore localhost:3000
   imrs verify examples/weld_cell.cell  a cell, with the faults that it declares
   imrs verify cell.cell --loss 1 --crash hoist --trace found.svg
+  imrs verify cell.cell --pause 1                    any node may stand still for a while
   imrs verify cell.cell --save found.imrs    then `imrs monitor --replay found.imrs`
   imrs verify --full --memory 8G     the large bounds
   imrs verify --format json | jq '.claims[] | select(.as_expected | not)'")]
@@ -92,6 +93,10 @@ A plan:
   [[fault]]
   fail = 2                   # also: drift = \"nh\" with at and tick = \"twice\" or \"missed\"
   task = \"hoist\"
+  [[fault]]
+  pause = \"nh\"               # with action = \"waits\": an action that it has just begun begins after the pause
+  at = \"120ms\"
+  lasts = \"300ms\"
 
 Examples:
   imrs simulate examples/weld_cell.cell              1000 runs

@@ -540,6 +540,8 @@ pub enum Fault {
     Drift(Number),
     /// `crash t`: the node of the task stops, and starts again or not.
     Crash(Name),
+    /// `pause t up to 300 msec`: the node of the task takes no step for a while, at most so long.
+    Pause(Name, Option<Duration>),
     /// `cut a--b`: the link passes nothing for a while.
     Cut(Name, Name),
 }

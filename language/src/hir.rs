@@ -3,7 +3,7 @@
 
 mod whole;
 
-pub use whole::{Check, CheckKind, Couple, CoupleKind, Faults};
+pub use whole::{Check, CheckKind, Couple, CoupleKind, Faults, Pause};
 
 use crate::ast::BranchKind;
 use crate::span::Span;

@@ -22,7 +22,7 @@ pub(crate) fn each<'f>(file: &'f File, see: &mut dyn FnMut(&'f Name)) {
             Item::Faults(faults) => {
                 for fault in &faults.faults {
                     match fault {
-                        Fault::Crash(name) => see(name),
+                        Fault::Crash(name) | Fault::Pause(name, _) => see(name),
                         Fault::Cut(a, b) => [a, b].into_iter().for_each(&mut *see),
                         Fault::Loss(_) | Fault::Dup(_) | Fault::Fail(_) | Fault::Drift(_) => {}
                     }

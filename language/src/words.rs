@@ -55,7 +55,7 @@ words! {
         Silence "silence", When "when", Expiry "expiry", Fence "fence", Refused "refused", Failed "failed",
         Within "within", From "from", For "for", Ticket "ticket", Trunc "trunc", Loose "loose", Over "over", Tight "tight", Serial "serial", Work "work",
         Lease "lease", Every "every", Via "via", Loss "loss", Dup "dup", Fail "fail", Drift "drift",
-        Crash "crash", Cut "cut", Never "never", Always "always", Leads "leads",
+        Crash "crash", Cut "cut", Pause "pause", Up "up", To "to", Never "never", Always "always", Leads "leads",
         Usec "usec", Msec "msec", Sec "sec",
     }
 }

@@ -12,6 +12,7 @@ mod floor;
 mod floor_packed;
 mod guard;
 mod parts;
+mod pauses;
 mod reductions;
 mod simulate;
 mod standstill;

@@ -240,7 +240,7 @@ fn random_cells_beside_each_other() {
     for seed in 0..number("PAIRS", 60) {
         let [one, other] = [random_text(2 * seed + 1), random_text(2 * seed + 2)];
         let unlike =
-            |text: &str| text.contains("model tick") || text.contains(" at \"") || text.contains("drift");
+            |text: &str| ["model tick", " at \"", "drift", "pause"].iter().any(|word| text.contains(word));
         let text = format!("{one}{}", renamed(&other));
         let whole = joined(&text, &["ta", "ua"]);
         if unlike(&one) || unlike(&other) || !is_sound(&whole) {

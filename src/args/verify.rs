@@ -35,6 +35,9 @@ pub struct CellFaultArgs {
     /// Let this node, or the node of this task, crash once.
     #[arg(long, value_name = "NAME", requires = "cell")]
     pub crash: Vec<String>,
+    /// Let any nodes pause so many more times, each until one tick after the longest time_out or take-over of the cell.
+    #[arg(long, value_name = "N", requires = "cell", default_value_t = 0, value_parser = clap::value_parser!(u8).range(..=8))]
+    pub pause: u8,
     /// Allow only the words of the paper, and check its own rules.
     #[arg(long, requires = "cell")]
     pub paper: bool,

@@ -87,7 +87,9 @@ fn tell(told: &Told, path: &Path, args: &ReplayArgs, out: &mut Output) -> Result
 
 /// The cell as `imrs verify` explores it.
 fn plan(path: &Path, args: &ReplayArgs) -> Result<CellPlan, Failure> {
-    let lowered = compile(&cell_file::read(path)?).lower(Unit::Ticks);
+    let compiled = compile(&cell_file::read(path)?);
+    let tick_us = compiled.hir.as_ref().map_or(1, |hir| Unit::Ticks.usec(hir));
+    let lowered = compiled.lower(Unit::Ticks);
     let lowered = lowered.ok_or_else(|| Failure::Usage("the cell has errors: see `imrs check`".into()))?;
     let table = CellTable::new(lowered.cell).map(Arc::new).map_err(|errors| {
         let all: Vec<String> = errors.iter().map(ToString::to_string).collect();
@@ -100,7 +102,7 @@ fn plan(path: &Path, args: &ReplayArgs) -> Result<CellPlan, Failure> {
     }
     let mut plan = CellPlan::new(table, tasks);
     plan.budget = Budget { seconds: args.within.as_secs_f64(), ..plan.budget };
-    plan.faults = lowered.faults.iter().map(faults).collect();
+    plan.faults = lowered.faults.iter().map(|declared| faults(declared, &plan.table, tick_us)).collect();
     Ok(plan)
 }
 

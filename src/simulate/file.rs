@@ -32,7 +32,7 @@ struct File {
     choices: Option<Choices>,
 }
 
-/// A fault in the file. Exactly one of the first seven fields is set: the kind of fault.
+/// A fault in the file. Exactly one of the first eight fields is set: the kind of fault.
 #[derive(Default, Deserialize, Serialize)]
 #[serde(deny_unknown_fields, default)]
 struct Line {
@@ -49,6 +49,8 @@ struct Line {
     #[serde(skip_serializing_if = "Option::is_none")]
     cut: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
+    pause: Option<String>,
+    #[serde(skip_serializing_if = "Option::is_none")]
     drift: Option<String>,
     /// The link of a packet: `a -> b`.
     #[serde(skip_serializing_if = "Option::is_none")]
@@ -61,6 +63,9 @@ struct Line {
     restart_after: Option<String>,
     #[serde(skip_serializing_if = "Option::is_none")]
     lasts: Option<String>,
+    /// Of a pause: `waits`, where an action that the node has just begun begins only after it.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    action: Option<String>,
     /// Of a clock: `twice` or `missed`.
     #[serde(skip_serializing_if = "Option::is_none")]
     tick: Option<String>,
@@ -173,6 +178,7 @@ impl Names<'_> {
             ("fail", line.fail.is_some(), &["task"], &[]),
             ("stop", line.stop.is_some(), &["at"], &["restart_after"]),
             ("cut", line.cut.is_some(), &["at"], &["lasts"]),
+            ("pause", line.pause.is_some(), &["at", "lasts"], &["action"]),
             ("drift", line.drift.is_some(), &["at", "tick"], &[]),
         ];
         let words = [
@@ -181,6 +187,7 @@ impl Names<'_> {
             ("at", line.at.is_some()),
             ("restart_after", line.restart_after.is_some()),
             ("lasts", line.lasts.is_some()),
+            ("action", line.action.is_some()),
             ("tick", line.tick.is_some()),
         ];
         let said: Vec<_> = kinds.iter().filter(|(_, said, ..)| *said).collect();
@@ -217,6 +224,19 @@ impl Names<'_> {
                 let lasts = time("lasts", &line.lasts)?;
                 Fault::Cut { link: self.cut(&text(&line.cut))?, at: at()?, lasts }
             }
+            "pause" => {
+                let before_action = match line.action.as_deref() {
+                    None => false,
+                    Some("waits") => true,
+                    Some(other) => {
+                        return Err(format!("action = \"{other}\": write \"waits\", or leave it out"));
+                    }
+                };
+                let lasts = time("lasts", &line.lasts)?.unwrap_or(0);
+                let lasts = u32::try_from(lasts).ok().filter(|ticks| *ticks > 0 && *ticks < u32::MAX);
+                let lasts = lasts.ok_or("`pause` lasts at least a tick, and not for years")?;
+                Fault::Pause { node: self.node(&text(&line.pause))?, at: at()?, lasts, before_action }
+            }
             _ => {
                 let more = match text(&line.tick).as_str() {
                     "twice" => true,
@@ -251,6 +271,10 @@ impl Names<'_> {
                 let ends =
                     ends.map(|link| format!("{} -- {}", self.node_name(link.a), self.node_name(link.b)));
                 (line.cut, line.at, line.lasts) = (ends, time(at), lasts.and_then(time));
+            }
+            Fault::Pause { node, at, lasts, before_action } => {
+                (line.pause, line.at) = (Some(self.node_name(node)), time(at));
+                (line.lasts, line.action) = (time(lasts.into()), before_action.then(|| "waits".into()));
             }
             Fault::Drift { node, at, more } => {
                 (line.drift, line.at) = (Some(self.node_name(node)), time(at));

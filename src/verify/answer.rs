@@ -3,7 +3,7 @@
 use super::cell::Subject;
 use super::tell::{NOT_LOOKED_FOR, help};
 use imrs_model::cell::{
-    CellFaults, CellPlan, Concerned, Coverage, Finding, Kind, Phase, Refused, Times, Verdicts,
+    CellFaults, CellPlan, Concerned, Coverage, Finding, Kind, Pause, Phase, Refused, Times, Verdicts,
 };
 use imrs_protocol::script::Address;
 use imrs_protocol::{CellTable, TaskId};
@@ -144,6 +144,14 @@ struct Bounds<'a> {
     drift: u8,
     crash: Vec<&'a str>,
     cut: Vec<[&'a str; 2]>,
+    pause: Vec<Pausing<'a>>,
+}
+
+/// A pause: the node, or null for any one, and how long it may last.
+#[derive(Serialize)]
+struct Pausing<'a> {
+    node: Option<&'a str>,
+    ticks: u32,
 }
 
 impl Subject {
@@ -267,6 +275,8 @@ fn bounds<'a>(table: &'a CellTable, faults: Option<&CellFaults>) -> Bounds<'a> {
     let node = |at: usize| cell.nodes.get(at).map_or("?", |node| node.name.as_str());
     let count = |of: fn(&CellFaults) -> u8| faults.map_or(0, of);
     let crash = faults.map_or(&[][..], |faults| &faults.crash);
+    let pauses = faults.map_or(&[][..], |faults| &faults.pause);
+    let pausing = |pause: &Pause| Pausing { node: pause.node.map(|at| node(at.index())), ticks: pause.most };
     let links = faults.map_or(&[][..], |faults| &faults.cut).iter().filter_map(|&at| cell.links.get(at));
     Bounds {
         loss: count(|faults| faults.loss),
@@ -276,5 +286,6 @@ fn bounds<'a>(table: &'a CellTable, faults: Option<&CellFaults>) -> Bounds<'a> {
         drift: count(|faults| faults.drift),
         crash: crash.iter().map(|at| node(at.index())).collect(),
         cut: links.map(|link| [node(link.a.index()), node(link.b.index())]).collect(),
+        pause: pauses.iter().map(pausing).collect(),
     }
 }

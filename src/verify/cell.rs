@@ -7,15 +7,15 @@ use crate::cell_file::{self, CellFileError};
 use crate::check;
 use crate::exit::{Exit, Failure, did_you_mean, turned_down};
 use crate::output::{Output, harmless};
-use imrs_language::hir::{CoupleKind, Faults};
+use imrs_language::hir::{self, CoupleKind, Faults};
 use imrs_language::lower::{Behaviour, Check, CheckKind, Lowered};
 use imrs_language::{Options, Source, Span, Unit, compile_with, render};
 use imrs_model::cell::{
-    Budget, CellCheck, CellFaults, CellPlan, Conduct, Coverage, Finding, Folding, Holds, Legend, Times,
-    Verdicts, chart, check_cell, drawn, svg,
+    Budget, CellCheck, CellFaults, CellPlan, Conduct, Coverage, Finding, Folding, Holds, Legend, Pause,
+    Times, Verdicts, chart, check_cell, drawn, svg,
 };
 use imrs_protocol::script::Address;
-use imrs_protocol::{CellTable, NodeId, TaskId};
+use imrs_protocol::{CellTable, NodeId, TaskId, Ticks};
 use imrs_wire::files::{self, FileError};
 use std::path::Path;
 use std::sync::Arc;
@@ -110,7 +110,8 @@ impl Subject {
     pub fn declared(&self, jobs: Option<u16>) -> CellPlan {
         let tasks = self.lowered.tasks.iter().map(conduct).collect();
         let mut plan = CellPlan::new(Arc::clone(&self.table), tasks);
-        plan.faults = self.lowered.faults.iter().map(faults).collect();
+        plan.faults =
+            self.lowered.faults.iter().map(|declared| faults(declared, &self.table, self.tick_us)).collect();
         plan.checks = self.lowered.checks.iter().map(check).collect();
         let step = self.model_tick_us.unwrap_or(self.tick_us) / self.tick_us.max(1);
         plan.step = u32::try_from(step).unwrap_or(u32::MAX).max(1);
@@ -160,6 +161,8 @@ impl Subject {
             faults.drift = faults.drift.saturating_add(more.drift);
             faults.reorder = more.reorder;
             faults.crash.extend(&crash);
+            let pause = Pause::new(&self.table, None, None);
+            faults.pause.extend(std::iter::repeat_n(pause, more.pause.into()));
         }
         Ok(())
     }
@@ -283,8 +286,13 @@ fn check(check: &Check) -> CellCheck {
     CellCheck { name: check.name.clone(), holds }
 }
 
-/// A declared hypothesis, for the checker.
-pub fn faults(declared: &Faults) -> CellFaults {
+/// A declared hypothesis, for the checker, in ticks of so many microseconds.
+pub fn faults(declared: &Faults, table: &CellTable, tick_us: u64) -> CellFaults {
+    let pause = |pause: &hir::Pause| {
+        // A pause that ends between two ticks ends at the later one.
+        let most = pause.most.map(|most| Ticks(most.usec.div_ceil(tick_us.max(1))));
+        Pause::new(table, Some(pause.node), most)
+    };
     CellFaults {
         loss: declared.loss,
         dup: declared.dup,
@@ -293,5 +301,6 @@ pub fn faults(declared: &Faults) -> CellFaults {
         drift: declared.drift,
         crash: declared.crash.clone(),
         cut: declared.cut.clone(),
+        pause: declared.pause.iter().map(pause).collect(),
     }
 }

@@ -71,7 +71,7 @@ impl Telling<'_> {
         }
         out.line(Styled(FAINT, format!("  looked at: {}", self.times())))?;
         out.line(Styled(FAINT, format!("  not looked for: {NOT_LOOKED_FOR}")))?;
-        let untried = "never reached at these bounds, which lack the faults that lead there (more faults: --loss, --dup, --reorder, --crash, --drift)";
+        let untried = "never reached at these bounds, which lack the faults that lead there (more faults: --loss, --dup, --reorder, --crash, --pause, --drift)";
         subject.statements(untried, &verdicts.not_exercised, out)?;
         if !verdicts.outside.is_empty() {
             let values: Vec<String> = verdicts.outside.iter().map(i64::to_string).collect();
@@ -140,6 +140,7 @@ impl Telling<'_> {
                     ("dup", faults.dup),
                     ("reorder", faults.reorder),
                     ("drift", faults.drift),
+                    ("pause", faults.pause),
                 ];
                 for (flag, count) in counts.into_iter().filter(|(_, count)| *count > 0) {
                     let _ = write!(command, " --{flag} {count}");
@@ -387,6 +388,16 @@ fn faults(plan: &CellPlan, hypothesis: usize) -> String {
         parts.push(format!("{count} {}", if count == 1 { one } else { more }));
     }
     parts.extend(faults.crash.iter().map(|at| format!("a crash of {}", node(at.index()))));
+    let mut pauses = faults.pause.iter().peekable();
+    while let Some(pause) = pauses.next() {
+        let mut times = 1;
+        while pauses.next_if_eq(&pause).is_some() {
+            times += 1;
+        }
+        let of = pause.node.map_or("any node", |at| node(at.index()));
+        let times = if times == 1 { "a pause".to_owned() } else { format!("{times} pauses") };
+        parts.push(format!("{times} of {of} of up to {}", count(pause.most.into(), "tick")));
+    }
     for link in faults.cut.iter().filter_map(|&at| cell.links.get(at)) {
         parts.push(format!("the link {} -- {} cut once", node(link.a.index()), node(link.b.index())));
     }

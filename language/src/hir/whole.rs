@@ -59,10 +59,21 @@ pub struct Faults {
     pub drift: u8,
     /// Nodes that crash, one entry for each crash.
     pub crash: Vec<NodeId>,
+    /// Nodes that pause, one entry for each pause, and for how long at most; none: see [`Pause::most`].
+    pub pause: Vec<Pause>,
     /// Links that are cut for a while, one entry for each cut: positions in [`Hir::links`](super::Hir).
     pub cut: Vec<usize>,
     /// Where the declaration stands.
     pub span: Span,
+}
+
+/// A pause of a node: for a while it takes no step, as when its process is stopped (SIGSTOP) or gets no processor.
+#[derive(Clone, Copy, Debug)]
+pub struct Pause {
+    /// Which node.
+    pub node: NodeId,
+    /// How long it lasts at most. None: until every time_out and take-over of the cell that began before it is over.
+    pub most: Option<Duration>,
 }
 
 /// What must hold.

@@ -40,7 +40,7 @@ pub(super) const OPTION: &str = "an option";
 /// Likewise.
 pub(super) const USAGE: &str = "a usage (`send`, `receive`, `reply`, `query`, `response`, `waitfor`)";
 /// Likewise.
-pub(super) const FAULT: &str = "a fault (`loss`, `dup`, `fail`, `drift`, `crash`, `cut`)";
+pub(super) const FAULT: &str = "a fault (`loss`, `dup`, `fail`, `drift`, `crash`, `pause`, `cut`)";
 
 impl<'t> Error<'t, Tokens<'t>> for Failure {
     fn merge(self, other: Self) -> Self {
@@ -207,7 +207,8 @@ fn near_option(expected: &[Expected], found: &Found<'_>) -> Option<Word> {
                 Word::Waitfor,
             ]),
             Expected::Label(FAULT) => {
-                words.extend([Word::Loss, Word::Dup, Word::Fail, Word::Drift, Word::Crash, Word::Cut]);
+                words.extend([Word::Loss, Word::Dup, Word::Fail, Word::Drift]);
+                words.extend([Word::Crash, Word::Pause, Word::Cut]);
             }
             Expected::Token(_) | Expected::Label(_) | Expected::End => {}
         }

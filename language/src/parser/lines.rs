@@ -121,6 +121,9 @@ fn couple<'t>(source: &'t str) -> impl Part<'t, Item> {
 fn faults<'t>(source: &'t str) -> impl Part<'t, Item> {
     let count = |of, fault: fn(_) -> Fault| word(of).ignore_then(number(source)).map(fault);
     let crash = word(Word::Crash).ignore_then(name(source)).map(Fault::Crash);
+    let most = word(Word::Up).ignore_then(word(Word::To)).ignore_then(duration(source));
+    let pause = word(Word::Pause).ignore_then(name(source)).then(most.or_not());
+    let pause = pause.map(|(of, most)| Fault::Pause(of, most));
     let ends = name(source).then_ignore(just(Kind::Link)).then(name(source));
     let cut = word(Word::Cut).ignore_then(ends).map(|(a, b)| Fault::Cut(a, b));
     let fault = choice((
@@ -129,6 +132,7 @@ fn faults<'t>(source: &'t str) -> impl Part<'t, Item> {
         count(Word::Fail, Fault::Fail),
         count(Word::Drift, Fault::Drift),
         crash,
+        pause,
         cut,
     ))
     .labelled(FAULT);

@@ -4,7 +4,7 @@ use super::names::duplicate;
 use super::{DUPLICATE, MISSING, OPTION, Resolver, TOO_MANY, TWICE, TYPES, UNKNOWN_NAME};
 use crate::ast::{self, Item, TypeName};
 use crate::diagnostic::Diagnostic;
-use crate::hir::{Faults, Field, Link, Node, Record};
+use crate::hir::{Faults, Field, Link, Node, Pause, Record};
 use crate::span::Span;
 use imrs_protocol::NodeId;
 use imrs_protocol::cell::MAX_NODES;
@@ -220,14 +220,17 @@ impl<'a> Resolver<'a> {
             ast::Fault::Dup(n) => faults.dup = self.times(*n),
             ast::Fault::Fail(n) => faults.fail = self.times(*n),
             ast::Fault::Drift(n) => faults.drift = self.times(*n),
-            ast::Fault::Crash(name) => {
-                // A task stands for its node; a node may be named itself.
-                let task = self.tasks.get(&name.text).map(|at| self.hir.tasks[at].node);
-                let node = task.or_else(|| self.nodes.get(&name.text).map(NodeId::from_index));
-                match node {
-                    Some(node) => faults.crash.push(node),
-                    None => drop(self.task(name)),
+            ast::Fault::Crash(name) => faults.crash.extend(self.node_or_task(name)),
+            ast::Fault::Pause(name, most) => {
+                let node = self.node_or_task(name);
+                if let Some(most) = most.filter(|most| most.usec == 0) {
+                    self.report(
+                        Diagnostic::error(OPTION, most.span, "a pause that takes no time")
+                            .label("it would change nothing")
+                            .help("write how long it may last, `up to 300 msec`, or leave `up to` out"),
+                    );
                 }
+                faults.pause.extend(node.map(|node| Pause { node, most: *most }));
             }
             ast::Fault::Cut(a, b) => {
                 let (Some(from), Some(to)) = (self.node(a), self.node(b)) else { return };
@@ -248,6 +251,17 @@ impl<'a> Resolver<'a> {
                 }
             }
         }
+    }
+
+    /// The node of this name, or that of the task of this name: a task stands for its node.
+    fn node_or_task(&mut self, name: &'a ast::Name) -> Option<NodeId> {
+        let task = self.tasks.get(&name.text).map(|at| self.hir.tasks[at].node);
+        let node = task.or_else(|| self.nodes.get(&name.text).map(NodeId::from_index));
+        if node.is_none() {
+            // Says so.
+            let _ = self.task(name);
+        }
+        node
     }
 
     fn times(&mut self, n: ast::Number) -> u8 {

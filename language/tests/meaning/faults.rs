@@ -84,6 +84,7 @@ fn e102_names_of_nothing() {
     check(&format!("{HEAD}task a on na begin end a; check c: never a.x;"), &["E102 `x`"]);
     check(&format!("{HEAD}faults cut na--na;"), &["E102 `na--na`"]);
     check(&format!("{HEAD}faults crash zz;"), &["E102 `zz`"]);
+    check(&format!("{HEAD}faults pause zz up to 5 msec;"), &["E102 `zz`"]);
     let help = &compile(&source(&format!("{HEAD}task a on ma begin end a;"))).diagnostics[0].help;
     assert_eq!(help[..], ["did you mean `na`?"]);
 }

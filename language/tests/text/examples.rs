@@ -73,7 +73,7 @@ fn everything_of_the_grammar_can_be_written() {
     );
     let parsed = parse(&source(&text));
     assert_eq!(parsed.diagnostics, [], "{}", rendered(&text));
-    let faults = "cell f; faults loss 1 dup 2 fail 3 drift 4 crash t cut a -- b;
+    let faults = "cell f; faults loss 1 dup 2 fail 3 drift 4 crash t pause t pause t up to 3 msec cut a -- b;
         couple serial a -> b; couple work a <-> b lease 1 sec takeover 2 sec every 3 msec via p;
         check c: always x; check d: x; check never: never never.x;";
     assert_eq!(diagnostics(faults), [], "{}", rendered(faults));

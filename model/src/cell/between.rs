@@ -28,8 +28,8 @@ impl Course {
             running.is_some_and(|action| action.most % step != 0 || action.most == Running::FOREVER)
         });
         for crossing in &floor.crossings {
-            let bound = floor.links[usize::from(crossing.link)].2;
-            if u32::from(bound.saturating_sub(crossing.age)) % step == 0 {
+            let bound = u32::from(floor.links[usize::from(crossing.link)].2);
+            if bound.saturating_sub(crossing.age) % step == 0 {
                 beside.slow &= !bit(usize::from(crossing.link));
             }
         }

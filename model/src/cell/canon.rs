@@ -1,6 +1,7 @@
 //! Cells as packed bytes and back: what is named in the cell, then the floor.
 
 use super::course::{Course, bit};
+use super::pause::Asleep;
 use super::plan::{CellFaults, Holds, Times};
 use crate::floor::canon::number;
 use crate::state::Violation;
@@ -19,10 +20,10 @@ impl Left {
 /// How many bytes at the beginning of a state are [`Left`].
 fn left_len(faults: &CellFaults) -> usize {
     let counted = [faults.loss, faults.dup, faults.reorder, faults.fail, faults.drift];
-    let counted = counted.iter().filter(|had| **had > 0).count();
+    let counted = counted.iter().filter(|had| **had > 0).count() + faults.pause.len();
     let len = counted + faults.cut.len();
     // A packet may be doubled or overtaken where a cut is over, and not where one is open. And there is no more room.
-    if faults.dup > 0 || faults.reorder > 0 || len > 8 { counted } else { len }
+    if faults.dup > 0 || faults.reorder > 0 || len > 8 { counted.min(8) } else { len }
 }
 
 impl Course {
@@ -51,6 +52,7 @@ impl Course {
                 out.push(left);
             }
         }
+        out.extend(&b.paused);
         out.extend(&b.cuts);
         out.extend(&b.crashed);
         // Where it may not crash any more, nobody asks.
@@ -63,6 +65,9 @@ impl Course {
         }
         for node in &f.crash {
             number(b.held_back[node.index()].unwrap_or(0), &mut out);
+        }
+        for node in (0..b.asleep.len()).filter(|&node| self.may_pause(node)) {
+            self.store_pause(node, &mut out)?;
         }
         for (check, due) in self.plan.checks.iter().zip(&b.due) {
             if matches!(check.holds, Holds::Leads { .. }) {
@@ -95,6 +100,7 @@ impl Course {
         for (had, left) in budgets {
             *left = if had > 0 { byte() } else { 0 };
         }
+        b.paused.iter_mut().for_each(|left| *left = byte());
         b.cuts.iter_mut().for_each(|cut| *cut = byte());
         b.crashed.iter_mut().for_each(|crashed| *crashed = byte());
         if !f.crash.is_empty() {
@@ -106,6 +112,17 @@ impl Course {
         };
         for node in &f.crash {
             b.held_back[node.index()] = Some(number(&mut byte)).filter(|left| *left > 0);
+        }
+        for (node, station) in self.floor.stations.iter_mut().enumerate() {
+            (station.asleep, b.asleep[node]) = (None, None);
+            if !f.pause.iter().any(|pause| pause.is_of(node)) {
+                continue;
+            }
+            if let Some(left) = number(&mut byte).checked_sub(1) {
+                station.asleep = Some(number(&mut byte));
+                let held = (0..byte()).map(|_| (byte(), byte())).collect();
+                b.asleep[node] = Some(Asleep { left, held });
+            }
         }
         for (check, due) in self.plan.checks.iter().zip(&mut b.due) {
             if matches!(check.holds, Holds::Leads { .. }) {
@@ -121,5 +138,19 @@ impl Course {
         }
         self.floor.violation = None;
         self.floor.load_bytes(state.get(at..).unwrap_or(&[]));
+    }
+
+    /// How long a node may stay paused, how long it has been, and which of its actions have not begun.
+    fn store_pause(&self, node: usize, out: &mut Vec<u8>) -> Result<(), Violation> {
+        match &self.beside.asleep[node] {
+            None => out.push(0),
+            Some(asleep) => {
+                number(asleep.left + 1, out);
+                number(self.floor.slept(node).unwrap_or(0), out);
+                out.push(u8::try_from(asleep.held.len()).map_err(|_| Violation::Overflow)?);
+                asleep.held.iter().for_each(|&(task, level)| out.extend([task, level]));
+            }
+        }
+        Ok(())
     }
 }

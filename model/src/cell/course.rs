@@ -1,12 +1,13 @@
 //! The running cell: a floor whose scripts are judged and not stopped, and the faults that are named in the cell.
 
 use super::liveness::{self, Dead};
+use super::pause::Asleep;
 use super::plan::{CellFaults, CellPlan, Conduct, Holds, Times};
 use crate::floor::Floor;
 use crate::floor::plan::{Errand, Faults, FloorPlan, TaskPlan, Way};
 use crate::state::{Packed, Violation};
 use imrs_protocol::script::{Activity, ScriptInput, eval};
-use imrs_protocol::{NodeId, NodeInput, TaskId, Ticks};
+use imrs_protocol::{NodeId, TaskId};
 use serde::{Deserialize, Serialize};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
@@ -44,6 +45,14 @@ pub enum CellMove {
     Crash(u8),
     /// A node starts again.
     Restart(u8),
+    /// Declared pause number so begins at this node, before what it would do next.
+    Pause(u8, u8),
+    /// The same; actions that it began in this tick begin when it goes on.
+    PauseBefore(u8, u8),
+    /// Time passes as with [`Pass`](Self::Pass); declared pause number so begins before this node notices.
+    PauseNext(u8, u8),
+    /// The node goes on after its pause.
+    Wake(u8),
 }
 
 impl CellMove {
@@ -57,7 +66,10 @@ impl CellMove {
             | Self::Cut(..)
             | Self::Vanish(_)
             | Self::Acted(_, _, false, _)
-            | Self::Crash(_) => true,
+            | Self::Crash(_)
+            | Self::Pause(..)
+            | Self::PauseBefore(..)
+            | Self::PauseNext(..) => true,
             Self::Pass
             | Self::Deliver(_)
             | Self::Mend(..)
@@ -66,7 +78,8 @@ impl CellMove {
             | Self::Takes(..)
             | Self::Stay(_)
             | Self::Choose(..)
-            | Self::Restart(_) => false,
+            | Self::Restart(_)
+            | Self::Wake(_) => false,
         }
     }
 }
@@ -88,6 +101,10 @@ pub(super) struct Beside {
     /// For each declared crash, whether it happened.
     pub crashed: Vec<u8>,
     pub cuts: Vec<u8>,
+    /// For each declared pause, 1 as long as it has not begun.
+    pub paused: Vec<u8>,
+    /// The nodes that are paused.
+    pub asleep: Vec<Option<Asleep>>,
     /// For each check that has to lead somewhere, the ticks left, once it must.
     pub due: Vec<Option<u32>>,
     /// Actions that do not end before something else happens, or their most time is over: task and thread.
@@ -163,6 +180,8 @@ impl Course {
             drift: faults.drift,
             crashed: vec![0; faults.crash.len()],
             cuts: vec![UNUSED; faults.cut.len()],
+            paused: vec![1; faults.pause.len()],
+            asleep: vec![None; plan.table.cell().nodes.len()],
             due: vec![None; plan.checks.len()],
             stays: Vec::new(),
             slow: 0,
@@ -253,7 +272,7 @@ impl Course {
             CellMove::Acted(task, ..) | CellMove::Choose(task, _) => {
                 Some(self.floor.station_of(usize::from(task)))
             }
-            CellMove::Restart(node) => Some(usize::from(node)),
+            CellMove::Restart(node) | CellMove::Wake(node) => Some(usize::from(node)),
             CellMove::Pass
             | CellMove::Drift(..)
             | CellMove::Lose(_)
@@ -262,18 +281,39 @@ impl Course {
             | CellMove::GoOn(..)
             | CellMove::Takes(..)
             | CellMove::Stay(_)
-            | CellMove::Crash(_) => None,
+            | CellMove::Crash(_)
+            | CellMove::Pause(..)
+            | CellMove::PauseBefore(..)
+            | CellMove::PauseNext(..) => None,
         }
     }
 
     fn carry_out(&mut self, step: CellMove) -> Result<(), Violation> {
         let floor = &mut self.floor;
         match step {
-            CellMove::Pass => self.pass(None),
+            CellMove::Pass => self.pass(self.next_event(), None),
             CellMove::Drift(node, more) => {
                 self.beside.drift -= 1;
-                self.pass(Some((usize::from(node), more)))
+                self.pass(self.next_event(), Some((usize::from(node), more)))
             }
+            CellMove::Pause(number, node) => {
+                self.fall_asleep(number, usize::from(node), Vec::new());
+                Ok(())
+            }
+            CellMove::PauseBefore(number, node) => {
+                self.fall_asleep_before(number, usize::from(node));
+                Ok(())
+            }
+            CellMove::PauseNext(number, node) => {
+                let next = self.next_event();
+                self.fall_asleep(number, usize::from(node), Vec::new());
+                let result = self.pass(next, None);
+                // Its first moment is the one in which the node would have noticed something.
+                let most = self.faults.pause[usize::from(number)].most;
+                self.beside.asleep[usize::from(node)].iter_mut().for_each(|asleep| asleep.left = most);
+                result
+            }
+            CellMove::Wake(node) => self.wake(usize::from(node)),
             CellMove::Deliver(i) => {
                 self.beside.reorder -= u8::from(floor.is_behind(usize::from(i)));
                 let crossing = floor.crossings.remove(usize::from(i));
@@ -337,6 +377,7 @@ impl Course {
                 let node = self.faults.crash[usize::from(number)].index();
                 floor.note_crash(node);
                 floor.crash(node);
+                self.forget_pause(node);
                 self.beside.held_back[node] = None;
                 // It may come back at once.
                 self.beside.acted |= bit(node);
@@ -353,8 +394,8 @@ impl Course {
         }
     }
 
-    fn pass(&mut self, drift: Option<(usize, bool)>) -> Result<(), Violation> {
-        let Some(ticks) = self.next_event() else { return Ok(()) };
+    fn pass(&mut self, next: Option<u32>, drift: Option<(usize, bool)>) -> Result<(), Violation> {
+        let Some(ticks) = next else { return Ok(()) };
         self.passed += u64::from(ticks);
         self.beside.acted = 0;
         for (check, due) in self.beside.due.iter_mut().enumerate() {
@@ -367,37 +408,20 @@ impl Course {
                 None => {}
             }
         }
-        let floor = &mut self.floor;
-        let age = u8::try_from(ticks).unwrap_or(u8::MAX);
-        floor.crossings.iter_mut().for_each(|crossing| crossing.age = crossing.age.saturating_add(age));
-        let stations = 0..floor.stations.len();
-        for task in 0..floor.bodies.len() {
-            let up = floor.stations[floor.station_of(task)].up;
-            if let (true, Some(actor)) = (up, &mut floor.bodies[task].actor) {
-                actor.pass(ticks);
-            }
-        }
-        for node in stations.filter(|&i| self.floor.stations[i].up).collect::<Vec<_>>() {
-            let ticks = match drift {
+        let crossings = &mut self.floor.crossings;
+        crossings.iter_mut().for_each(|crossing| crossing.age = crossing.age.saturating_add(ticks));
+        self.act_on(ticks);
+        for node in (0..self.floor.stations.len()).filter(|&i| self.floor.stations[i].up).collect::<Vec<_>>()
+        {
+            let counted = match drift {
                 Some((at, true)) if at == node => ticks + 1,
                 Some((at, false)) if at == node => ticks - 1,
                 Some(_) | None => ticks,
             };
-            let due = self.floor.stations[node].node.next_expiry();
-            if due.is_some_and(|due| due.0 <= u64::from(ticks)) {
-                self.beside.acted |= bit(node);
-            }
-            if ticks > 0 {
-                self.floor.step(node, NodeInput::Advance(Ticks(u64::from(ticks))))?;
-            }
-            self.floor.run_scripts()?;
-            if let Some(left) = &mut self.beside.held_back[node] {
-                *left = left.saturating_sub(ticks);
-                if *left == 0 {
-                    self.beside.held_back[node] = None;
-                    self.beside.acted |= bit(node);
-                    self.floor.begin_all(node)?;
-                }
+            if self.is_asleep(node) {
+                self.sleep_on(node, (ticks, counted));
+            } else {
+                self.notice(node, counted, counted)?;
             }
         }
         if self.beside.acted != 0 {
@@ -442,8 +466,7 @@ impl Course {
 
     /// Whether a task of a couple acts (D61).
     pub fn acts(&self, task: TaskId) -> bool {
-        let station = &self.floor.stations[self.floor.station_of(task.index())];
-        station.up && station.node.task(task).is_some_and(imrs_protocol::CommTask::is_active)
+        self.floor.is_active(task)
     }
 
     /// What a task does.

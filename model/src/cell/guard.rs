@@ -116,7 +116,7 @@ fn search_apart(
     faults: &CellFaults,
 ) -> Result<Option<Apart>, Disagreement> {
     let mut apart: Option<Apart> = None;
-    if plan.times == Times::Between || faults.drift > 0 {
+    if plan.times == Times::Between || !faults.may_be_apart() {
         return Ok(None);
     }
     for part in parts(plan) {

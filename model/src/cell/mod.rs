@@ -21,6 +21,8 @@
 //! - A named node crashes after any of its steps, and comes back in its next life at once, when a packet comes for it, or
 //!   when nothing else happens any more; or it stays down. With [`CellPlan::everything`] also at every other event.
 //! - A named link is cut from any packet on, in both directions, until any later one.
+//! - A named node pauses before anything that it would do, and goes on after any later event, when its own next deadline
+//!   or lease is over, or when the pause has lasted as long as it may (`pause`).
 //! - A time_out and a packet of the same tick: the time_out comes first.
 //! - Scripts of a node that came back begin when its quarantine is over, as on real nodes.
 //! - A task outside the cell chooses among all uses of its ports, or none, once in its period; what it says is one of a few
@@ -47,6 +49,7 @@ mod liveness;
 mod moves;
 mod outside;
 mod parts;
+mod pause;
 mod plan;
 mod search;
 mod seen;
@@ -68,7 +71,7 @@ pub use frames::{NodeFrame, Scene, Shows, scenes};
 pub use guard::{Agreement, Disagreement, Effort, compare_with_walks};
 pub use legend::Legend;
 pub use parts::drawn;
-pub use plan::{Budget, CellCheck, CellFaults, CellPlan, Conduct, Holds, Times};
+pub use plan::{Budget, CellCheck, CellFaults, CellPlan, Conduct, Holds, Pause, Times};
 pub use search::check_cell;
 pub use simulate::{Chooser, Ended, Fault, Found, MOST_FAULTS, Schedule, Shrunk, Simulated, Simulator, Tape};
 pub use story::{Note, Step, TaskView};

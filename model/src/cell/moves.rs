@@ -32,6 +32,7 @@ impl Course {
         }
         let next = self.next_event();
         let now = |i: usize| self.plan.everything || next.is_none() || self.beside.acted & bit(i) != 0;
+        self.pauses_between(next, moves);
         let down = (0..self.floor.stations.len()).filter(|&i| self.is_down(i) && now(i));
         moves.extend(down.map(|i| CellMove::Restart(small(i))));
         if next.is_none() {
@@ -46,6 +47,12 @@ impl Course {
 
     /// What may happen at a node in this tick.
     fn turn(&self, node: usize, moves: &mut Vec<CellMove>) {
+        if self.is_asleep(node) {
+            if self.must_wake(node) {
+                moves.push(CellMove::Wake(small(node)));
+            }
+            return;
+        }
         let floor = &self.floor;
         let here = |&task: &usize| floor.station_of(task) == node;
         let up = floor.stations[node].up;
@@ -64,11 +71,14 @@ impl Course {
             }
         }
         let mut comes = false;
+        let waited = self.longest_wait(node);
         for (i, crossing) in floor.crossings.iter().enumerate() {
             let (_, to, bound) = floor.links[usize::from(crossing.link)];
+            let bound = u32::from(bound);
             let ahead = floor.crossings[..i].iter().find(|other| other.link == crossing.link);
             match ahead {
                 _ if to.index() != node => {}
+                None if crossing.age.saturating_sub(bound) < waited => {}
                 None if crossing.age >= bound => {
                     self.arrivals(small(i), crossing.link, moves);
                     comes = true;
@@ -89,6 +99,9 @@ impl Course {
         }
         if comes && !up && !self.plan.everything {
             moves.push(CellMove::Restart(small(node)));
+        }
+        if !moves.is_empty() {
+            self.pauses(node, moves);
         }
     }
 
@@ -159,24 +172,43 @@ impl Course {
     /// In how many ticks the next thing happens.
     pub fn next_event(&self) -> Option<u32> {
         let floor = &self.floor;
-        let packets = floor.crossings.iter().map(|crossing| {
-            let bound = floor.links[usize::from(crossing.link)].2;
+        let waits = |crossing: &&Crossing| {
+            let (_, to, bound) = floor.links[usize::from(crossing.link)];
+            crossing.age >= u32::from(bound) && self.is_asleep(to.index())
+        };
+        let packets = floor.crossings.iter().filter(|crossing| !waits(crossing)).map(|crossing| {
+            let bound = u32::from(floor.links[usize::from(crossing.link)].2);
             let left = bound.saturating_sub(crossing.age);
             match (self.times, crossing.age) {
                 (Times::Between | Times::Every, 0) => u64::from(left.min(1)),
-                _ => u64::from(self.to_next_step(u32::from(left))),
+                _ => u64::from(self.to_next_step(left)),
             }
         });
-        let nodes = floor.stations.iter().filter(|s| s.up).filter_map(|s| s.node.next_expiry()).map(|t| t.0);
-        let actions = floor.bodies.iter().filter_map(|body| body.actor.as_ref()).flat_map(|a| &a.running);
-        let ends = actions.filter(|action| action.most != Running::FOREVER || action.least > 0);
-        let ends = ends.map(|action| {
-            u64::from(if action.least > 0 { action.least } else { self.to_next_step(action.most) })
-        });
+        let up = || (0..floor.stations.len()).filter(|&i| floor.stations[i].up);
+        let awake = || up().filter(|&i| !self.is_asleep(i));
+        let nodes = awake().filter_map(|i| floor.stations[i].node.next_expiry()).map(|t| t.0);
+        let paused = up().filter(|&i| self.is_asleep(i)).flat_map(|i| self.events_asleep(i));
+        let ends = (0..floor.bodies.len()).filter_map(|task| self.next_end(task));
         // What is due is looked at when its last tick is over.
         let due = self.beside.due.iter().flatten().map(|&left| u64::from(left) + 1);
-        let held_back = self.beside.held_back.iter().flatten().map(|&left| u64::from(left));
-        let next = packets.chain(nodes).chain(ends).chain(due).chain(held_back).min()?;
+        let held_back = awake().filter_map(|i| self.beside.held_back[i]).map(u64::from);
+        let next = packets.chain(nodes).chain(paused).chain(ends).chain(due).chain(held_back).min()?;
         u32::try_from(next.max(1)).ok()
+    }
+
+    /// In how many ticks an action of this task may end, or must. One of a paused node whose end is not noticed yet is none.
+    fn next_end(&self, task: usize) -> Option<u64> {
+        let asleep = self.is_asleep(self.floor.station_of(task));
+        let running = self.floor.bodies[task].actor.iter().flat_map(|actor| &actor.running);
+        let going = running.filter(|action| {
+            let endless = action.most == Running::FOREVER && action.least == 0;
+            let over = asleep && action.most == 0;
+            !endless && !over && self.has_begun(task, action.level)
+        });
+        let left = |action: &Running| match action.least {
+            0 => self.to_next_step(action.most),
+            least => least,
+        };
+        going.map(|action| u64::from(left(action))).min()
     }
 }

@@ -47,6 +47,7 @@ impl Part {
         let links = faults.cut.iter().filter_map(|&link| cell.links.get(link));
         [faults.loss, faults.dup, faults.reorder, faults.fail, faults.drift].iter().any(|&budget| budget > 0)
             || faults.crash.iter().any(|node| self.has_node(node.index()))
+            || faults.pause.iter().any(|pause| pause.node.is_none_or(|node| self.has_node(node.index())))
             || links.into_iter().any(|link| self.has_node(link.a.index()) && self.has_node(link.b.index()))
     }
 }
@@ -158,8 +159,8 @@ impl Sets {
 /// Searches each part by itself and joins what was found. A part that a hypothesis cannot touch was searched without
 /// faults: `plain` is what that came to.
 ///
-/// A clock that drifts does so between two events, and events of other parts lie between those of this one. So with
-/// drift the cell is searched as a whole.
+/// A clock that drifts does so between two events, a pause ends after one, and events of other parts lie between those of
+/// this one. So with drift and with pauses the cell is searched as a whole.
 pub(super) fn look_at_each(
     plan: &Arc<CellPlan>,
     parts: &[Part],
@@ -167,7 +168,7 @@ pub(super) fn look_at_each(
     plain: Option<&Done>,
     look: impl Fn(&Arc<CellPlan>) -> Done,
 ) -> Done {
-    if parts.is_empty() || faults.drift > 0 {
+    if parts.is_empty() || !faults.may_be_apart() {
         return look(plan);
     }
     let touched = |part: &&Part| plain.is_none() || part.is_touched_by(plan, faults);

@@ -38,9 +38,44 @@ pub struct CellFaults {
     pub crash: Vec<NodeId>,
     /// Links that are cut for a while, one entry for each cut: positions in [`Cell::links`](imrs_protocol::Cell).
     pub cut: Vec<usize>,
+    /// Nodes that pause, one entry for each pause.
+    pub pause: Vec<Pause>,
+}
+
+/// A pause of a node: for a while it takes no step, as when its process is stopped (SIGSTOP) or gets no processor.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Pause {
+    /// Which node; none: any one.
+    pub node: Option<NodeId>,
+    /// The ticks that it lasts at most, counted from the first thing that the node would have done.
+    pub most: u32,
+}
+
+impl Pause {
+    /// A pause of this node, or of any one, of so many ticks at most. Without a number: one tick longer than the longest
+    /// time_out or take-over of the cell, so that whatever waits for the node when it begins is over before it ends.
+    #[must_use]
+    pub fn new(table: &CellTable, node: Option<NodeId>, most: Option<Ticks>) -> Self {
+        let parties = table.ports().iter().flat_map(|port| &port.parties);
+        let waits = parties.map(|party| party.time_out).filter(|length| *length < Ticks::FAR);
+        let takeovers = table.cell().couples.iter().map(|couple| couple.takeover);
+        let longest = || Ticks(waits.chain(takeovers).max().map_or(1, |longest| longest.0 + 1));
+        let most = most.unwrap_or_else(longest).0.max(1);
+        Self { node, most: u32::try_from(most).unwrap_or(u32::MAX - 1) }
+    }
+
+    /// Whether this node may pause so.
+    pub(super) fn is_of(&self, node: usize) -> bool {
+        self.node.is_none_or(|of| of.index() == node)
+    }
 }
 
 impl CellFaults {
+    /// Whether independent parts of a cell stand for all of it: not where something happens between two events.
+    pub(super) const fn may_be_apart(&self) -> bool {
+        self.drift == 0 && self.pause.is_empty()
+    }
+
     /// Whether nothing may go wrong.
     #[must_use]
     pub fn are_none(&self) -> bool {

@@ -102,7 +102,8 @@ fn look(plan: &Arc<CellPlan>, phase: (Phase, usize), faults: &CellFaults) -> Don
     if plan.times != Times::Auto {
         return explore(plan, phase, faults);
     }
-    if plan.is_exact() {
+    // What is exact without pauses is not with them: when one ends is a time, too.
+    if plan.is_exact() && faults.pause.is_empty() {
         let mut done = explore(&timed(plan, Times::Ends), phase, faults);
         done.coverage.times = Times::Every;
         return done;

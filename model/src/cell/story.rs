@@ -221,7 +221,11 @@ fn packet(course: &Course, step: CellMove, lanes: &Lanes) -> Option<Arrow> {
         | CellMove::Stay(_)
         | CellMove::Choose(..)
         | CellMove::Crash(_)
-        | CellMove::Restart(_) => return None,
+        | CellMove::Restart(_)
+        | CellMove::Pause(..)
+        | CellMove::PauseBefore(..)
+        | CellMove::PauseNext(..)
+        | CellMove::Wake(_) => return None,
     };
     let crossing = course.floor.crossings.get(usize::from(i))?;
     let (from, to, _) = course.floor.links[usize::from(crossing.link)];
@@ -249,6 +253,13 @@ fn describe(course: &Course, step: CellMove) -> Option<(Lane, String)> {
             (Lane::Node(super::course::small(course.crash_node(number))), "CRASHES".into())
         }
         CellMove::Restart(node) => (Lane::Node(node), "restarts".into()),
+        CellMove::Pause(_, node) | CellMove::PauseNext(_, node) => (Lane::Node(node), "PAUSES".into()),
+        CellMove::PauseBefore(_, node) => (Lane::Node(node), "PAUSES, before its action".into()),
+        CellMove::Wake(node) => {
+            let slept = course.floor.slept(usize::from(node)).unwrap_or(0);
+            let ticks = if slept == 1 { "tick" } else { "ticks" };
+            (Lane::Node(node), format!("goes on after {slept} {ticks}"))
+        }
         CellMove::Drift(node, more) => {
             (Lane::Node(node), if more { "counts a tick twice" } else { "misses a tick" }.into())
         }
@@ -299,6 +310,7 @@ pub(super) fn view(course: &Course, task: usize) -> TaskView {
     let does = match course.activity(task) {
         _ if outside => "is not looked at: it is in another part of the cell".into(),
         _ if !up => "is down".into(),
+        _ if course.is_asleep(course.floor.station_of(task)) => format!("is paused: {}", what(at)),
         None | Some(Activity::NotBegun) => "has not begun".into(),
         Some(Activity::Waits) => format!("waits: {}", what(at)),
         Some(Activity::Acts) => what(at),

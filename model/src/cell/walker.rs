@@ -269,6 +269,10 @@ const fn takes_away(step: CellMove) -> Option<u8> {
         | CellMove::Stay(_)
         | CellMove::Choose(..)
         | CellMove::Crash(_)
-        | CellMove::Restart(_) => None,
+        | CellMove::Restart(_)
+        | CellMove::Pause(..)
+        | CellMove::PauseBefore(..)
+        | CellMove::PauseNext(..)
+        | CellMove::Wake(_) => None,
     }
 }

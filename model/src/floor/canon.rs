@@ -244,7 +244,8 @@ impl Floor {
         let mut packed: Vec<(u8, Vec<u8>)> = Vec::with_capacity(self.crossings.len());
         for crossing in &self.crossings {
             let mut bytes = Vec::with_capacity(12);
-            bytes.extend([crossing.link, crossing.age]);
+            bytes.push(crossing.link);
+            number(crossing.age, &mut bytes);
             if bases.lives {
                 bytes.push(crossing.life.0);
             }

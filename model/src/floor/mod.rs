@@ -66,8 +66,8 @@ pub(crate) struct Crossing {
     pub packet: Packet,
     /// Position among the plan's directed links.
     pub link: u8,
-    /// How many ticks it has been on it.
-    pub age: u8,
+    /// How many ticks it has been on it, or waits behind it for a node that is paused.
+    pub age: u32,
     /// The life of the node that put it there, as its envelope says.
     pub life: Incarnation,
 }
@@ -83,6 +83,8 @@ pub(crate) struct Station {
     pub known: Vec<Incarnation>,
     /// Ticks that have passed and that it has not noticed.
     pub owed: u8,
+    /// The same of a node that is paused; none where it is not. In a cell: see `cell::pause`.
+    pub asleep: Option<u32>,
 }
 
 /// The unpacked state.
@@ -222,7 +224,15 @@ impl Floor {
         let station = |i: usize| {
             let table = plan.table(NodeId::from_index(i));
             let node = Node::new(table.clone(), first, false, plan.transit);
-            Station { node, table, up: !plan.leaves_out(i), life: first, known: vec![first; n], owed: 0 }
+            Station {
+                node,
+                table,
+                up: !plan.leaves_out(i),
+                life: first,
+                known: vec![first; n],
+                owed: 0,
+                asleep: None,
+            }
         };
         let mut floor = Self {
             stations: (0..n).map(station).collect(),
@@ -411,7 +421,8 @@ impl Floor {
             station.known[from.index()] = crossing.life;
             self.step(to.index(), NodeInput::PeerRestarted(from))?;
         }
-        let charge = Ticks(u64::from(bound) + u64::from(over));
+        // What it waited for a paused node is charged, too: kernels stamp when a packet comes (D50).
+        let charge = Ticks(u64::from(crossing.age.max(u32::from(bound))) + u64::from(over));
         self.judge_arrival(to, &crossing.packet)?;
         self.arriving = crossing.packet.contents.as_bytes().last().copied().unwrap_or(0);
         self.step(to.index(), NodeInput::Packet { packet: crossing.packet, charge })

@@ -25,7 +25,7 @@ impl Floor {
         }
         self.packet_moves(moves);
         self.node_moves(moves);
-        let arrived = self.crossings.iter().all(|c| c.age < self.links[usize::from(c.link)].2);
+        let arrived = self.crossings.iter().all(|c| c.age < u32::from(self.links[usize::from(c.link)].2));
         if arrived && !(0..self.stations.len()).any(busy) {
             self.ticks(moves);
         }
@@ -60,7 +60,7 @@ impl Floor {
     fn packet_moves(&self, moves: &mut Vec<Move>) {
         for (i, crossing) in self.crossings.iter().enumerate() {
             let same = |other: &Crossing| other.link == crossing.link;
-            let bound = self.links[usize::from(crossing.link)].2;
+            let bound = u32::from(self.links[usize::from(crossing.link)].2);
             let at_its_end = crossing.age >= bound;
             match self.plan.way {
                 // Equal packets are one choice.

@@ -132,7 +132,7 @@ impl Floor {
                     let activity = actor.script.activity();
                     !matches!(activity, Activity::NotBegun | Activity::Passive | Activity::Ended(_))
                 });
-                lives && self.machine(task).is_some_and(CommTask::is_active)
+                lives && self.is_active(task)
             }
             Predicate::Asked { task, port } => {
                 self.bodies.get(task.index())?;
@@ -158,6 +158,16 @@ impl Floor {
         let newest = rounds.iter().filter_map(|&(_, round)| round).reduce(Round::fresher);
         // Of a task whose node is down the flag says it all.
         rounds.iter().any(|&(member, round)| member == task && (round.is_none() || round == newest))
+    }
+
+    /// Whether a task acts: its node is up, and it has its lease where it needs one. The lease of a task whose node is
+    /// paused ends on time, although the task does not know it yet: what drives its robot stops it then (D149).
+    pub(crate) fn is_active(&self, task: TaskId) -> bool {
+        let slept = self.stations.get(self.station_of(task.index())).and_then(|station| station.asleep);
+        self.machine(task).is_some_and(|machine| {
+            let over = |slept: u32| machine.lease_left().is_some_and(|left| left.0 <= u64::from(slept));
+            machine.is_active() && !slept.is_some_and(over)
+        })
     }
 
     /// The communication task of a task whose node is up.

@@ -61,7 +61,12 @@ impl Actor {
     }
 
     pub fn pass(&mut self, ticks: u32) {
-        for action in &mut self.running {
+        self.pass_for(ticks, |_| true);
+    }
+
+    /// The same for the actions of those threads that `begun` names.
+    pub fn pass_for(&mut self, ticks: u32, begun: impl Fn(u8) -> bool) {
+        for action in self.running.iter_mut().filter(|action| begun(action.level)) {
             action.least = action.least.saturating_sub(ticks);
             action.most = action.most.saturating_sub(if action.most == Running::FOREVER { 0 } else { ticks });
         }

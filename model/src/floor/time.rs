@@ -113,7 +113,7 @@ impl Floor {
         self.ghosts.heard &= !(1 << i);
         let station = &mut self.stations[i];
         station.up = false;
-        station.owed = 0;
+        (station.owed, station.asleep) = (0, None);
         let next = |task: &CommTask| (task.task(), task.next_sequence());
         let sequences: Vec<_> = station.node.parts().tasks.iter().map(next).collect();
         for (task, next) in sequences {

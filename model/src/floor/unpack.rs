@@ -88,7 +88,7 @@ impl Floor {
         self.load_ghosts(&mut eye);
         self.crossings.clear();
         while eye.at < eye.bytes.len() {
-            let (link, age) = (eye.byte(), eye.byte());
+            let (link, age) = (eye.byte(), eye.number());
             let life = Incarnation(if self.plan.lives() { eye.byte() } else { 0 });
             let (packet, len) = Packet::load(eye.rest(), self.plan.lives());
             eye.at += len;

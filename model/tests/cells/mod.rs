@@ -4,10 +4,10 @@ use imrs_language::hir::CoupleKind;
 use imrs_language::lower::{Behaviour, CheckKind, Lowered, Script};
 use imrs_language::{Source, Unit, compile};
 use imrs_model::cell::{
-    Budget, CellCheck, CellFaults, CellPlan, Conduct, Finding, Holds, Kind, Verdicts, check_cell,
+    Budget, CellCheck, CellFaults, CellPlan, Conduct, Finding, Holds, Kind, Pause, Verdicts, check_cell,
 };
 use imrs_protocol::script::Address;
-use imrs_protocol::{CellTable, TaskId};
+use imrs_protocol::{CellTable, TaskId, Ticks};
 use std::sync::Arc;
 
 /// Bounds a search by states. Seconds would let a busy machine end it early, or take coarser times.
@@ -51,8 +51,13 @@ impl Text {
             Behaviour::Extern(rate) => Conduct::Extern(*rate),
         };
         let tasks = lowered.tasks.iter().map(conduct).collect();
-        let mut plan = CellPlan::new(table, tasks);
+        let mut plan = CellPlan::new(Arc::clone(&table), tasks);
         plan.budget = within(1_000_000);
+        let tick = compiled.hir.as_ref().map_or(1, |hir| Unit::Ticks.usec(hir));
+        let pause = |pause: &imrs_language::hir::Pause| {
+            let most = pause.most.map(|most| Ticks(most.usec.div_ceil(tick)));
+            Pause::new(&table, Some(pause.node), most)
+        };
         let hypothesis = |faults: &imrs_language::hir::Faults| CellFaults {
             loss: faults.loss,
             dup: faults.dup,
@@ -60,6 +65,7 @@ impl Text {
             drift: faults.drift,
             crash: faults.crash.clone(),
             cut: faults.cut.clone(),
+            pause: faults.pause.iter().map(pause).collect(),
             ..CellFaults::default()
         };
         plan.faults = lowered.faults.iter().map(hypothesis).collect();

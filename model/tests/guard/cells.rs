@@ -112,6 +112,8 @@ impl Port {
     }
 }
 
+/// Pauses: as long as anything in the cell waits, and a short one.
+const PAUSES: [&str; 2] = ["pause ta", "pause tb up to 9 msec"];
 pub(super) const TASKS: [&str; 3] = ["ta", "tb", "tc"];
 const CARRIES: [&[&str]; 9] = [
     &["int8"],
@@ -486,6 +488,12 @@ impl Cell<'_> {
                 2 => self.check("ta.r >= 0.0"),
                 _ => self.check("ta.f leads ta.i >= 0 within 40 msec"),
             }
+        }
+        // Drawn last: the cells of seeds that are named elsewhere stay what they are.
+        if self.tape.chance(25) {
+            let pause = self.tape.one(&PAUSES);
+            let other = if self.tape.chance(15) { self.tape.one(&all) } else { "" };
+            let _ = writeln!(self.text, "faults {pause} {other};");
         }
     }
 

@@ -91,6 +91,9 @@ fn walk(plan: &Arc<CellPlan>, faults: &CellFaults, draw: &mut Draw, missing: &mu
                     | CellMove::Cut(..)
                     | CellMove::Duplicate(_)
                     | CellMove::Drift(..)
+                    | CellMove::Pause(..)
+                    | CellMove::PauseBefore(..)
+                    | CellMove::PauseNext(..)
             )
         };
         // Faults are rare, or they would all happen at the beginning.

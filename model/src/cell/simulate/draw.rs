@@ -107,6 +107,13 @@ impl Census {
             slow = Some((node, at, more));
             Some(Fault::Drift { node, at, more })
         });
+        kind(8, within.pause.len(), &mut |rng, number| {
+            let pause = within.pause[number];
+            let at = instant(rng, self.ticks);
+            let lasts = if rng.bool() { pause.most } else { rng.u32(1..=pause.most.max(1)) };
+            let node = pause.node.unwrap_or_else(|| NodeId::from_index(rng.usize(..nodes)));
+            Some(Fault::Pause { node, at, lasts, before_action: rng.u8(..4) == 0 })
+        });
         // Half of the runs have all faults of a kind, the others some of them. If no fault is drawn at all, every one happens.
         let mut drawn = if faults.is_empty() { all } else { faults };
         drawn.truncate(MOST_FAULTS);

@@ -47,7 +47,7 @@ struct Line {
     /// Number of packets that have arrived at its end.
     arrived: u32,
     /// The packet whose time was chosen, and its age then.
-    chosen: Option<(u32, u8)>,
+    chosen: Option<(u32, u32)>,
 }
 
 /// Decides the moves of one run.
@@ -134,7 +134,8 @@ impl<'a> Driver<'a> {
                 CellMove::Crash(number) => self.stop(number).is_some_and(|(_, at, _)| at <= now),
                 CellMove::Restart(node) => self.is_back(node, if waits { now } else { u64::MAX }),
                 CellMove::Drift(node, more) => self.drift(node, more, now).is_some(),
-                _ => false,
+                CellMove::Wake(node) => course.must_wake(usize::from(node)),
+                _ => self.pause(*step, now).is_some(),
             })
             .or_else(|| moves.iter().copied().find(|step| *step == CellMove::Pass))
     }
@@ -151,6 +152,10 @@ impl<'a> Driver<'a> {
             .find(|step| matches!(step, CellMove::Restart(node) if self.is_back(*node, course.passed)));
         if back.is_some() {
             return back;
+        }
+        let pauses = moves.iter().copied().find(|step| self.pause(*step, course.passed).is_some());
+        if pauses.is_some() {
+            return pauses;
         }
         let mut ready: Vec<Who> = Vec::new();
         let mut seen: Vec<Who> = Vec::new();
@@ -237,6 +242,7 @@ impl<'a> Driver<'a> {
             return None;
         }
         let (from, to, bound) = course.floor.links[link];
+        let bound = u32::from(bound);
         let next = self.lines[link].arrived + 1;
         let is = |fault: &Fault| match *fault {
             Fault::Lose { link, nth } | Fault::Copy { link, nth } => link == (from, to) && nth == next,
@@ -281,13 +287,13 @@ impl<'a> Driver<'a> {
     }
 
     /// The age at which a packet that may arrive before the link's bound arrives.
-    fn arrives(&mut self, link: usize, nth: u32, (age, bound): (u8, u8)) -> u8 {
+    fn arrives(&mut self, link: usize, nth: u32, (age, bound): (u32, u32)) -> u32 {
         match self.lines[link].chosen {
             Some((of, age)) if of == nth => age,
             _ => {
-                let early = usize::from(bound.saturating_sub(age)) + 1;
+                let early = bound.saturating_sub(age) as usize + 1;
                 let early = self.draw(self.tasks + link, early, Spread::Ends);
-                let age = bound.saturating_sub(u8::try_from(early).unwrap_or(u8::MAX));
+                let age = bound.saturating_sub(early);
                 self.lines[link].chosen = Some((nth, age));
                 age
             }
@@ -334,6 +340,21 @@ impl<'a> Driver<'a> {
         self.named(is)
     }
 
+    /// The fault that is this pause, if it is due.
+    fn pause(&self, step: CellMove, now: u64) -> Option<usize> {
+        let (number, before) = match step {
+            CellMove::Pause(number, _) | CellMove::PauseNext(number, _) => (number, false),
+            CellMove::PauseBefore(number, _) => (number, true),
+            _ => return None,
+        };
+        let pauses = self.faults.iter().enumerate().filter_map(|(fault, of)| match *of {
+            Fault::Pause { at, before_action, .. } => Some((fault, at, before_action)),
+            _ => None,
+        });
+        let (fault, at, how) = pauses.into_iter().nth(usize::from(number))?;
+        (at <= now && how == before).then_some(fault)
+    }
+
     fn is_back(&self, node: u8, now: u64) -> bool {
         self.restarts[usize::from(node)].is_some_and(|due| due <= now)
     }
@@ -375,11 +396,17 @@ impl<'a> Driver<'a> {
                     self.happened[fault] = true;
                 }
             }
+            CellMove::Pause(..) | CellMove::PauseBefore(..) | CellMove::PauseNext(..) => {
+                if let Some(fault) = self.pause(step, u64::MAX) {
+                    self.happened[fault] = true;
+                }
+            }
             CellMove::Pass
             | CellMove::GoOn(..)
             | CellMove::Takes(..)
             | CellMove::Stay(_)
-            | CellMove::Choose(..) => {}
+            | CellMove::Choose(..)
+            | CellMove::Wake(_) => {}
         }
     }
 
@@ -460,11 +487,25 @@ fn who(course: &Course, step: CellMove) -> Option<Who> {
         | CellMove::Takes(..)
         | CellMove::Choose(..)
         | CellMove::Crash(_)
-        | CellMove::Restart(_) => None,
+        | CellMove::Restart(_)
+        | CellMove::Pause(..)
+        | CellMove::PauseBefore(..)
+        | CellMove::PauseNext(..)
+        | CellMove::Wake(_) => None,
     }
 }
 
 /// Whether a move is one of a node with something to do in this tick.
 const fn is_of_a_turn(step: CellMove) -> bool {
-    !matches!(step, CellMove::Pass | CellMove::Drift(..) | CellMove::Crash(_) | CellMove::Restart(_))
+    !matches!(
+        step,
+        CellMove::Pass
+            | CellMove::Drift(..)
+            | CellMove::Crash(_)
+            | CellMove::Restart(_)
+            | CellMove::Pause(..)
+            | CellMove::PauseBefore(..)
+            | CellMove::PauseNext(..)
+            | CellMove::Wake(_)
+    )
 }

@@ -1,6 +1,6 @@
 //! A schedule as data: the faults one by one, and the choices that were made.
 
-use crate::cell::CellFaults;
+use crate::cell::{CellFaults, Pause};
 use imrs_protocol::{CellTable, NodeId, TaskId};
 use std::collections::BTreeMap;
 
@@ -55,6 +55,17 @@ pub enum Fault {
         /// Ticks until it ends. None: it never ends.
         lasts: Option<u64>,
     },
+    /// A node pauses before the first thing that it would do.
+    Pause {
+        /// Which.
+        node: NodeId,
+        /// Not before this instant.
+        at: u64,
+        /// For how many ticks.
+        lasts: u32,
+        /// Whether it pauses right after it began an action, which begins only when it goes on.
+        before_action: bool,
+    },
     /// A node's clock counts a tick twice, or leaves one out.
     Drift {
         /// Which.
@@ -101,7 +112,10 @@ impl Schedule {
 /// The instant of a fault that has one.
 const fn instant(fault: &Fault) -> u64 {
     match *fault {
-        Fault::Stop { at, .. } | Fault::Cut { at, .. } | Fault::Drift { at, .. } => at,
+        Fault::Stop { at, .. }
+        | Fault::Cut { at, .. }
+        | Fault::Pause { at, .. }
+        | Fault::Drift { at, .. } => at,
         Fault::Lose { .. } | Fault::Copy { .. } | Fault::Overtake { .. } | Fault::Fail { .. } => 0,
     }
 }
@@ -131,6 +145,7 @@ pub(super) fn budgets(faults: &[Fault]) -> CellFaults {
             Fault::Drift { .. } => all.drift = all.drift.saturating_add(1),
             Fault::Stop { node, .. } => all.crash.push(node),
             Fault::Cut { link, .. } => all.cut.push(link),
+            Fault::Pause { node, lasts, .. } => all.pause.push(Pause { node: Some(node), most: lasts }),
         }
     }
     all
@@ -166,6 +181,10 @@ impl Fault {
                 let ends = cell.links.get(link).map_or(("?", "?"), |link| (name(link.a), name(link.b)));
                 let lasts = lasts.map_or_else(|| "to the end".into(), |lasts| format!("for {}", time(lasts)));
                 format!("the link {} -- {} is cut at {} {lasts}", ends.0, ends.1, time(at))
+            }
+            Self::Pause { node, at, lasts, before_action } => {
+                let action = if before_action { ", before an action that it begins" } else { "" };
+                format!("{} pauses at {} for {}{action}", name(node), time(at), time(lasts.into()))
             }
             Self::Drift { node, at, more } => {
                 let what = if more { "counts a tick twice" } else { "misses a tick" };

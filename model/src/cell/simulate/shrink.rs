@@ -187,6 +187,7 @@ fn numbers(fault: &Fault) -> Vec<(u64, u64)> {
         }
         Fault::Stop { at, restart, .. } => vec![(0, at), (0, restart.unwrap_or(0))],
         Fault::Cut { at, lasts, .. } => vec![(0, at), (0, lasts.unwrap_or(0))],
+        Fault::Pause { at, lasts, .. } => vec![(0, at), (1, lasts.into())],
         Fault::Drift { at, .. } => vec![(0, at)],
     }
 }
@@ -202,7 +203,14 @@ fn with_number(fault: &Fault, number: usize, value: u64) -> Fault {
             | Fault::Fail { nth, .. },
             _,
         ) => *nth = u32::try_from(value).unwrap_or(u32::MAX),
-        (Fault::Stop { at, .. } | Fault::Cut { at, .. } | Fault::Drift { at, .. }, 0) => *at = value,
+        (
+            Fault::Stop { at, .. }
+            | Fault::Cut { at, .. }
+            | Fault::Pause { at, .. }
+            | Fault::Drift { at, .. },
+            0,
+        ) => *at = value,
+        (Fault::Pause { lasts, .. }, _) => *lasts = u32::try_from(value).unwrap_or(u32::MAX),
         (Fault::Stop { restart: span, .. } | Fault::Cut { lasts: span, .. }, _) => {
             span.iter_mut().for_each(|span| *span = value);
         }
