@@ -88,6 +88,12 @@ impl UdpLink {
         said.collect()
     }
 
+    /// Whether there is a neighbour to which something can be sent.
+    #[must_use]
+    pub fn has_addresses(&self) -> bool {
+        self.peers.iter().any(|peer| lock(&peer.way).is_some())
+    }
+
     /// The neighbours with which nothing can be exchanged at present, and why.
     #[must_use]
     pub fn refusals(&self) -> Vec<Refusal> {
