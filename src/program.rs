@@ -1,6 +1,7 @@
 //! Running nodes of a cell file from a Rust program.
 
 use crate::cells::{self, Loaded, Source};
+use crate::launch::incarnation::{self, Counted, State};
 use crate::launch::place::{self, PlaceError};
 use imrs_protocol::{Incarnation, NodeId, NodeTable};
 use imrs_runtime::link::Link;
@@ -109,14 +110,13 @@ pub struct Program {
 
 type Function = Box<dyn Fn(&Call) -> Result<i32, String> + Send + Sync>;
 
-/// Which life of its node a program runs, and whether there was one before.
-type Life = (Incarnation, bool);
-
 /// A node that runs.
 struct Running {
     runtime: Runtime,
     /// How long its scripts are kept from beginning.
     held_back: Duration,
+    /// Locked while the node runs, where it runs by itself.
+    _state: Option<State>,
     /// Served while they are here.
     _observers: Vec<Observer>,
 }
@@ -288,14 +288,16 @@ impl Program {
             .actions(actions)
             .seed(self.seed)
             .hold_scripts();
-        let mut held_back = Duration::ZERO;
+        let (mut held_back, mut state) = (Duration::ZERO, None);
         builder = match &self.node {
             Some(_) => {
-                let (link, life) = self.link(node)?;
-                if life.1 {
+                let (link, counted) = self.link(node)?;
+                if counted.restarted {
                     held_back = place::quarantine(&table, node);
                 }
-                builder.incarnation(life.0, life.1).link(link)
+                builder = builder.incarnation(counted.incarnation, counted.restarted).link(link);
+                state = Some(counted.state);
+                builder
             }
             None => builder.link(Arc::new(network.join(node, Incarnation(0), false))),
         };
@@ -320,22 +322,31 @@ impl Program {
             }
             observers.push(Showing::new(Arc::clone(runtime.node())).token(token).start_tcp(address)?);
         }
-        Ok(Running { runtime, held_back, _observers: observers })
+        Ok(Running { runtime, held_back, _state: state, _observers: observers })
     }
 
-    fn link(&self, node: NodeId) -> Result<(Arc<dyn Link>, Life), ProgramError> {
+    fn link(&self, node: NodeId) -> Result<(Arc<dyn Link>, Counted), ProgramError> {
         let cell = self.loaded.table.cell();
         let address = place::address(&self.loaded, node)?;
         let neighbours = place::neighbours(&self.loaded, node)?;
-        let life = place::next_life(&cell.name, &cell.nodes[node.index()].name)?;
         let table = NodeTable::new(Arc::clone(&self.loaded.table), node);
-        let link = UdpLink::bind(table, address, UdpOptions::new(life.0, life.1))?;
+        let statements = self.loaded.all_statements();
+        let options = UdpOptions { statements, ..UdpOptions::new(Incarnation(0), false) };
+        let (cell_name, name) = (&cell.name, &cell.nodes[node.index()].name);
+        let link = UdpLink::bind(table, address, options);
+        if let Err(UdpError::Bind { .. }) = link {
+            // Whoever has the address may be this very node.
+            State::lock(cell_name, name)?;
+        }
+        let link = link?;
         for (i, peer) in cell.nodes.iter().enumerate() {
             if let Some(&address) = neighbours.get(&peer.name) {
                 // All of these are neighbours.
                 let _ = link.set_address(NodeId::from_index(i), Some(address));
             }
         }
-        Ok((Arc::new(link), life))
+        let counted = incarnation::count(&link, cell_name, name)?;
+        link.greet();
+        Ok((Arc::new(link), counted))
     }
 }

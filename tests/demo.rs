@@ -8,7 +8,7 @@ use crate::support::{
     side_by_side, signal, tried, wait_until,
 };
 use imrs_protocol::{Incarnation, NodeId, PACKET_BYTES};
-use imrs_wire::envelope::{Datagram, Envelope};
+use imrs_wire::envelope::{Datagram, Digests, Envelope, Purpose, Session};
 use imrs_wire::recording::RecordingReader;
 use rustix::process::Signal;
 use serde_json::Value;
@@ -385,17 +385,22 @@ fn garbage_is_counted_by_reason_and_does_no_harm() {
     }
     let envelope = Envelope {
         sender: NodeId(1),
+        receiver: NodeId(0),
         incarnation: Incarnation(0),
         restarted: false,
+        session: Session(1),
         counter: 1,
         tx_mono: 0,
         echo: None,
+        purpose: Purpose::Packets,
     };
+    let digests = |cell| Digests { cell, statements: 0 };
     let mut datagram = Datagram::default();
     datagram.push(&[0; PACKET_BYTES]);
-    stranger.send(datagram.seal(&envelope, digest ^ 1));
-    stranger.send(datagram.seal(&Envelope { sender: NodeId(9), ..envelope }, digest));
-    let whole = datagram.seal(&envelope, digest).to_vec();
+    stranger.send(datagram.seal(&envelope, digests(digest ^ 1)));
+    // Nobody has these statements.
+    stranger.send(datagram.seal(&envelope, digests(digest)));
+    let whole = datagram.seal(&envelope, digests(digest)).to_vec();
     (0..whole.len()).for_each(|length| stranger.send(&whole[..length]));
     for bit in 0..whole.len() * 8 {
         let mut flipped = whole.clone();
@@ -416,7 +421,7 @@ fn garbage_is_counted_by_reason_and_does_no_harm() {
         ("version", 4),
         ("mode", 4),
         ("other_cell", 1),
-        ("unknown_node", 1),
+        ("other_statements", 1),
         ("too_short", 30),
         ("checksum", 400),
     ] {

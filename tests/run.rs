@@ -531,3 +531,96 @@ fn the_library_says_what_does_not_fit() {
     let faulty = Program::of_text("x.cell", "cell x;\nnode a\n");
     assert!(matches!(faulty, Err(ProgramError::Cell(words)) if words.contains("x.cell:2:")));
 }
+
+/// 130 of them made the real start pass for an earlier one: the others did not hear it, and nobody said so.
+#[test]
+fn failed_starts_count_nothing_and_the_real_one_is_heard() {
+    let bench = Bench::new();
+    let cell = placed(&bench, None);
+    let life = bench.0.path().join("state/imrs/relayed/na.life");
+    let args = |node: &'static str| {
+        [
+            "run".to_owned(),
+            cell.clone(),
+            "--node".into(),
+            node.into(),
+            "--for".into(),
+            "10m".into(),
+            "--format".into(),
+            "json".into(),
+        ]
+    };
+    let start = |node| Program::start(imrs(bench.0.path(), &args(node).each_ref().map(String::as_str)));
+    let meet = || {
+        let (b, a) = (start("nb"), start("na"));
+        let a = a.finish();
+        b.interrupt();
+        (a, b.finish())
+    };
+    let (a, b) = meet();
+    assert_eq!(a.code, Some(0), "{a:?} {b:?}");
+    let (own, port) = {
+        let text = std::fs::read_to_string(&cell).expect("the cell");
+        let rest = text.split("node na at \"").nth(1).expect("its address").to_owned();
+        let (host, rest) = rest.split_once("\" port ").expect("its port");
+        (host.to_owned(), rest.split(';').next().expect("a number").parse::<u16>().expect("a number"))
+    };
+    let taken = std::net::UdpSocket::bind((own.as_str(), port)).expect("the address of na");
+    for _ in 0..130 {
+        let said = run_in(bench.0.path(), &args("na").each_ref().map(String::as_str));
+        assert_eq!(said.code, Some(2), "{said:?}");
+        assert!(said.err.contains("cannot bind UDP address"), "{said:?}");
+    }
+    drop(taken);
+    assert_eq!(std::fs::read_to_string(&life).expect("its life").trim(), "0");
+    // Its state is lost, too: its neighbour remembers it.
+    let (a, b) = meet();
+    assert_eq!(a.code, Some(0), "{a:?} {b:?}");
+    assert_eq!(std::fs::read_to_string(&life).expect("its life").trim(), "1");
+}
+
+#[test]
+fn a_node_that_runs_already_is_not_started_again() {
+    let bench = Bench::new();
+    let cell = placed(&bench, None);
+    let args = ["run", &cell, "--node", "nb", "--for", "10m", "--format", "json"];
+    let mut first = Program::start(imrs(bench.0.path(), &args));
+    let _started = first.json();
+    let pid = std::fs::read_to_string(bench.0.path().join("state/imrs/relayed/nb.lock")).expect("a lock");
+    let said = run_in(bench.0.path(), &args);
+    assert_eq!(said.code, Some(2), "{said:?}");
+    assert!(
+        said.err.contains(&format!("runs already on this machine, as process {}", pid.trim())),
+        "{said:?}"
+    );
+    first.interrupt();
+    first.finish();
+}
+
+#[test]
+fn nodes_of_two_cell_files_say_so_on_both_sides() {
+    let bench = Bench::new();
+    let cell = placed(&bench, None);
+    let text = std::fs::read_to_string(&cell).expect("the cell");
+    for (from, to, what) in [
+        ("q.n + 1);", "q.n + 2);", "their statements differ"),
+        ("delay 1 msec", "delay 2 msec", "their declarations differ"),
+    ] {
+        assert!(text.contains(from));
+        let other = bench.0.path().join("other.cell");
+        std::fs::write(&other, text.replace(from, to)).expect("a file");
+        let args = |cell: &str, node: &str| {
+            ["run", cell, "--node", node, "--for", "4s", "--format", "json"].map(str::to_owned)
+        };
+        let start = |cell: &str, node: &str| {
+            Program::start(imrs(bench.0.path(), &args(cell, node).each_ref().map(String::as_str)))
+        };
+        let (b, a) = (start(other.to_str().expect("UTF-8"), "nb"), start(&cell, "na"));
+        for said in [a.finish(), b.finish()] {
+            assert_eq!(said.code, Some(1), "{said:?}");
+            assert!(said.err.contains(what), "{said:?}");
+            let summary = said.last_json();
+            assert_eq!(summary["nodes"][0]["refusals"].as_array().map(Vec::len), Some(1), "{summary}");
+        }
+    }
+}

@@ -437,9 +437,9 @@ impl Sink for Inlet {
     fn peer(&self, node: NodeId, incarnation: Incarnation, restarted: bool) {
         let Some(peer) = self.node.peer(node) else { return };
         let before = lock(&peer.incarnation).replace(incarnation);
-        // What was asked of an earlier life may have run or not; nobody will say. An earlier life may also have been
-        // asked without ever being heard of.
-        if before.map_or(restarted, |before| before != incarnation) {
+        // What was asked of an earlier incarnation may have run or not; nobody will say. It may also have been asked without
+        // ever being heard of. A node that lost its state may start again with the number of an earlier incarnation.
+        if before.is_some() || restarted {
             self.node.restarted(node, clock::now(), &mut lock(&self.effects));
         }
     }

@@ -100,6 +100,13 @@ impl Loaded {
         statements(tasks.filter_map(|task| Some((task, &**self.program(task)?))))
     }
 
+    /// The digest of what the scripts of all nodes do; zero where there are none. Nodes that differ in it do not talk: a task
+    /// without a script counts for nothing, so both must declare it `extern`.
+    pub fn all_statements(&self) -> u32 {
+        let tasks = (0..self.scripts.len()).map(TaskId::from_index);
+        statements(tasks.filter_map(|task| Some((task, &**self.program(task)?))))
+    }
+
     /// The name of an action of a task.
     pub fn action(&self, task: TaskId, action: u16) -> &str {
         self.one_action(task, action).map_or("?", |action| action.name.as_str())

@@ -10,7 +10,7 @@ use super::noticed::Noticed;
 use super::story::{Moment, Planned};
 use crate::args::Format;
 use crate::exit::Failure;
-use crate::output::Output;
+use crate::output::{Output, span};
 use imrs_protocol::{NodeId, TaskId};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
 use std::sync::Arc;
@@ -173,7 +173,24 @@ impl Launcher<'_> {
     pub(super) fn take(&mut self, message: Message) -> Result<(), LaunchError> {
         match message {
             Message::Said(_, Word::Event(event)) => self.gatherer.event(&event),
-            Message::Said(node, Word::Figures(figures)) => self.gatherer.figures(node, *figures),
+            Message::Said(node, Word::Figures(figures)) => {
+                let name = self.name(node);
+                for words in figures.refusals.iter().map(|refusal| refusal.words(&name)) {
+                    if self.refused.insert(words.clone()) && self.run.args.format == Format::Text {
+                        self.diary.broken(now_us(), words);
+                    }
+                }
+                self.gatherer.figures(node, *figures);
+            }
+            Message::Said(node, Word::HeldBack(time)) => {
+                if self.run.args.format == Format::Text {
+                    let (name, time) = (self.name(node), span(time));
+                    let words = format!(
+                        "node {name}: held back {time} more: commands of its earlier incarnation may still arrive"
+                    );
+                    self.diary.fault(now_us(), words);
+                }
+            }
             Message::Said(_, Word::Did(did)) => self.did(did)?,
             Message::Said(_, Word::Stands(change)) => self.judge.change(change),
             Message::Said(node, Word::Told(until)) => self.judge.told(node, until),

@@ -24,7 +24,7 @@ use imrs_wire::obs::Token;
 use serde::Serialize;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::io;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -147,6 +147,8 @@ pub(super) struct Launcher<'a> {
     pub(super) deeds: Vec<Did>,
     pub(super) started: Instant,
     pub(super) trouble: Vec<Trouble>,
+    /// What was said of neighbours that do not talk.
+    pub(super) refused: BTreeSet<String>,
     pub(super) stopping: bool,
     pub(super) interrupted: bool,
 }
@@ -206,6 +208,7 @@ pub fn run(run: &Run<'_>, out: &mut Output) -> Result<Exit, Failure> {
         deeds: Vec::new(),
         started: Instant::now(),
         trouble: Vec::new(),
+        refused: BTreeSet::new(),
         stopping: false,
         interrupted: false,
     };
@@ -309,6 +312,8 @@ fn setups(
             node: node.name.clone(),
             incarnation: 0,
             restarted: false,
+            // Its neighbours may have heard of an earlier incarnation of it (D49).
+            counts: run.only.is_some(),
             bind: None,
             // One after the other, where there are several.
             observe: run.args.observe.map(|first| observed_at(first, all.len())),
@@ -323,9 +328,6 @@ fn setups(
         };
         if run.only.is_some() {
             setup.bind = Some(place::address(run.loaded, id)?);
-            // Its neighbours may have heard of an earlier life of it (D49).
-            let (life, restarted) = place::next_life(&cell.name, &node.name)?;
-            (setup.incarnation, setup.restarted) = (life.0, restarted);
         }
         all.push((id, setup));
     }
@@ -376,6 +378,7 @@ impl Launcher<'_> {
                     | Word::Did(_)
                     | Word::TaskEnded { .. }
                     | Word::Stands(_)
+                    | Word::HeldBack(_)
                     | Word::Told(_)),
                 )) => self.early.push(Message::Said(node, word)),
                 Ok(Message::Said(node, word)) => {
@@ -472,6 +475,10 @@ impl Launcher<'_> {
         let exits: Vec<(NodeId, String)> = ends.iter().map(|(node, end)| (*node, end.to_string())).collect();
         let mut summary = self.gatherer.summary(seconds, seed, self.run.args.loss.0, &exits);
         summary.rt = self.real_time;
+        for node in &summary.nodes {
+            let refusals = node.refusals.iter().map(|refusal| refusal.words(&node.name));
+            self.trouble.extend(refusals.map(|what| Trouble { at_fault: false, what }));
+        }
         self.hear_of_commands();
         for node in self.run.only.map_or_else(|| self.all_nodes(), |only| vec![only]) {
             self.judge.gone(node);

@@ -23,6 +23,8 @@ pub struct Setup {
     pub incarnation: u8,
     /// Whether an earlier one may have taken requests (D49).
     pub restarted: bool,
+    /// Whether the node counts its incarnations itself: it is the only one that this launcher runs.
+    pub counts: bool,
     /// Where its socket is; any free port of the loopback where nothing is said.
     pub bind: Option<SocketAddr>,
     /// Where it serves monitors over TCP.
@@ -74,6 +76,8 @@ pub enum Word {
         /// Where it serves monitors over TCP.
         observe: Option<SocketAddr>,
     },
+    /// The node's scripts begin only after so many microseconds: it was restarted.
+    HeldBack(u64),
     /// The node's tasks run.
     Started,
     /// Something happened at a waitfor.
@@ -162,8 +166,34 @@ pub struct Figures {
     pub lost_on_purpose: u64,
     /// Packets that its link held back because of a cut.
     pub cut_off: u64,
+    /// The neighbours that it cannot talk to at the end.
+    pub refusals: Vec<RefusalFigures>,
     /// Announcements that could not be told, because they came too fast.
     pub untold: u64,
+}
+
+/// A neighbour that a node cannot talk to, because their cells differ. Digests in hexadecimal digits.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct RefusalFigures {
+    /// The neighbour.
+    pub neighbour: String,
+    /// `other_cell` or `other_statements`.
+    pub reason: String,
+    /// The digest that differs, of this node.
+    pub ours: String,
+    /// The same of the neighbour.
+    pub theirs: String,
+}
+
+impl RefusalFigures {
+    /// What a person should know.
+    pub fn words(&self, node: &str) -> String {
+        let Self { neighbour, reason, ours, theirs } = self;
+        let what = if reason == "other_cell" { "declarations" } else { "statements" };
+        format!(
+            "node {node} and node {neighbour} do not talk: their {what} differ (digest {ours} here, {theirs} there); run the same cell file on both"
+        )
+    }
 }
 
 /// How class-2 messages ended.
@@ -210,6 +240,7 @@ impl Figures {
         self.lost_on_purpose += other.lost_on_purpose;
         self.cut_off += other.cut_off;
         self.untold += other.untold;
+        self.refusals.clone_from(&other.refusals);
     }
 }
 

@@ -10,6 +10,7 @@ pub mod deed;
 mod diary;
 mod faults;
 mod follow;
+pub mod incarnation;
 mod launcher;
 mod lines;
 mod node;

@@ -1,8 +1,9 @@
 //! One node of a run: does what its launcher says, in a process or a thread of its own.
 
 use super::deed::{Deed, Did, Lease};
-use super::lines::{Event, Figures, Order, Setup, What, Word, hear, say};
-use super::place::quarantine;
+use super::incarnation::{self, State};
+use super::lines::{Event, Figures, Order, RefusalFigures, Setup, What, Word, hear, say};
+use super::place::{self, PlaceError, quarantine};
 use super::recorder::NodeRecording;
 use super::rt;
 use super::scripted::Narrator;
@@ -14,10 +15,11 @@ use imrs_protocol::{Event as Observed, Incarnation, NodeId, NodeTable};
 use imrs_runtime::guard::{GuardProgram, Notices};
 use imrs_runtime::link::faulty::FaultyLink;
 use imrs_runtime::link::in_process::Network;
-use imrs_runtime::link::udp::{UdpError, UdpLink, UdpOptions};
+use imrs_runtime::link::udp::{Refusal, UdpError, UdpLink, UdpOptions};
 use imrs_runtime::observer::{AddressBook, Observer, ObserverError, Place, Showing};
 use imrs_runtime::script::{Actions, Commands, Simulated};
 use imrs_runtime::{Observations, Runtime, StartError};
+use imrs_wire::envelope::Refused;
 use imrs_wire::obs::{Count, RealTime, TimedEvent};
 use imrs_wire::recording::WriteError;
 use rustix::process::{Signal, set_parent_process_death_signal};
@@ -35,6 +37,8 @@ const TELL_EVERY: Duration = Duration::from_millis(20);
 const COUNT_EVERY: Duration = Duration::from_millis(200);
 /// How many observations of each machine are read at once: all that are kept.
 const ROOM: usize = usize::MAX;
+/// How often a neighbour that does not answer is greeted again: with each telling of the figures, for two seconds.
+const GREETINGS: u32 = 10;
 /// How long the tasks have to end.
 const PATIENCE: Duration = Duration::from_secs(2);
 
@@ -50,6 +54,9 @@ pub enum NodeError {
     /// The node has no socket.
     #[error("node: {0}")]
     Link(#[from] UdpError),
+    /// The node cannot run by itself.
+    #[error("node: {0}")]
+    Place(#[from] PlaceError),
     /// The node did not start.
     #[error("node: {0}")]
     Start(#[from] StartError),
@@ -66,7 +73,7 @@ impl NodeError {
     pub const fn exit(&self) -> Exit {
         match self {
             // What was asked for cannot be had on this machine.
-            Self::Link(_) | Self::Record(_) | Self::Observe(_) => Exit::Usage,
+            Self::Link(_) | Self::Place(_) | Self::Record(_) | Self::Observe(_) => Exit::Usage,
             Self::Pipe(_) | Self::Setup(_) | Self::Start(_) => Exit::Internal,
         }
     }
@@ -79,6 +86,10 @@ type Words = Box<dyn Write + Send>;
 struct Process {
     table: NodeTable,
     link: Arc<FaultyWay>,
+    /// Locked while the node runs, where it runs by itself.
+    _state: Option<State>,
+    /// How often neighbours that were not heard are greeted again.
+    greetings: u32,
     /// Here until it is stopped.
     runtime: Option<Runtime>,
     node: Arc<imrs_runtime::Node>,
@@ -166,16 +177,17 @@ impl Process {
         // Before any other thread of the node: they are started in its likeness.
         let real_time = if setup.rt { rt::begin(id.index()) } else { RealTime::NotAsked };
 
-        let life = Incarnation(setup.incarnation);
-        let way = match network {
-            Some(network) => Way::InProcess(network.join(id, life, setup.restarted)),
+        let setup = &mut setup.clone();
+        let (way, state) = match network {
+            Some(network) => {
+                (Way::InProcess(network.join(id, Incarnation(setup.incarnation), setup.restarted)), None)
+            }
             None => {
-                let any_port = SocketAddr::from((Ipv4Addr::LOCALHOST, 0));
-                let (address, options) =
-                    (setup.bind.unwrap_or(any_port), UdpOptions::new(life, setup.restarted));
-                Way::Udp(Box::new(UdpLink::bind(table.clone(), address, options)?))
+                let (link, state) = socket(setup, &loaded, &table)?;
+                (Way::Udp(Box::new(link)), state)
             }
         };
+        let life = Incarnation(setup.incarnation);
         // Of all links of the cell, no two lose the same datagrams.
         let link = Arc::new(FaultyLink::new(way, setup.seed.wrapping_add(u64::from(id.0))));
         link.set_loss(setup.loss);
@@ -226,6 +238,8 @@ impl Process {
         Ok(Self {
             table,
             link,
+            _state: state,
+            greetings: 0,
             runtime,
             node,
             _observer,
@@ -268,6 +282,7 @@ impl Process {
                     if counted.elapsed() >= COUNT_EVERY {
                         counted = Instant::now();
                         self.count()?;
+                        self.greet();
                     }
                 }
             }
@@ -281,11 +296,27 @@ impl Process {
                 let _ = self.link.inner().udp().map(|udp| udp.set_address(node, Some(address)));
             }
         }
+        self.greetings = GREETINGS;
+        self.greet();
         match self.held_back {
             Duration::ZERO => self.runtime.iter().for_each(Runtime::begin),
-            held_back => self.begins = Some(self.since + held_back),
+            held_back if self.begins.is_none() => {
+                let begins = self.since + held_back;
+                let left = begins.saturating_duration_since(Instant::now());
+                say(&mut self.out, &Word::HeldBack(u64::try_from(left.as_micros()).unwrap_or(u64::MAX)))?;
+                self.begins = Some(begins);
+            }
+            _ => {}
         }
         Ok(say(&mut self.out, &Word::Started)?)
+    }
+
+    /// Greets the neighbours that were not heard yet: so both sides learn early whether they can talk.
+    fn greet(&mut self) {
+        if self.greetings > 0 {
+            self.greetings -= 1;
+            self.link.inner().udp().map(UdpLink::greet);
+        }
     }
 
     /// Passes on to monitors where the other nodes are.
@@ -347,6 +378,26 @@ impl Process {
         until.map_or(Ok(()), |until| Ok(say(&mut self.out, &Word::Told(until))?))
     }
 
+    /// The neighbours that it cannot talk to.
+    fn refusals(&self) -> Vec<RefusalFigures> {
+        let Some(link) = self.link.inner().udp() else { return Vec::new() };
+        let one = |refusal: Refusal| {
+            let (ours, theirs) = match refusal.why {
+                Refused::OtherCell => (link.digests().cell, refusal.theirs.cell),
+                Refused::OtherStatements | Refused::Misdelivered => {
+                    (link.digests().statements, refusal.theirs.statements)
+                }
+            };
+            RefusalFigures {
+                neighbour: self.table.cell().nodes[refusal.node.index()].name.clone(),
+                reason: refusal.why.name().to_owned(),
+                ours: format!("{ours:08x}"),
+                theirs: format!("{theirs:08x}"),
+            }
+        };
+        link.refusals().into_iter().map(one).collect()
+    }
+
     fn count(&mut self) -> Result<(), NodeError> {
         let snapshot = self.node.snapshot(0);
         let injected = self.link.injected();
@@ -366,10 +417,44 @@ impl Process {
             forwarded: snapshot.transit.forwarded,
             lost_on_purpose: injected.lost_packets,
             cut_off: injected.cut_packets,
+            refusals: self.refusals(),
             untold: self.untold,
         };
         Ok(say(&mut self.out, &Word::Figures(Box::new(figures)))?)
     }
+}
+
+/// The socket of a node. One that runs by itself counts its incarnation once it has the socket, and not before (D145).
+fn socket(
+    setup: &mut Setup,
+    loaded: &Loaded,
+    table: &NodeTable,
+) -> Result<(UdpLink, Option<State>), NodeError> {
+    let address = setup.bind.unwrap_or_else(|| SocketAddr::from((Ipv4Addr::LOCALHOST, 0)));
+    let statements = loaded.all_statements();
+    let options =
+        UdpOptions { statements, ..UdpOptions::new(Incarnation(setup.incarnation), setup.restarted) };
+    let link = UdpLink::bind(table.clone(), address, options);
+    if !setup.counts {
+        return Ok((link?, None));
+    }
+    let cell = &table.cell.cell().name;
+    if let Err(UdpError::Bind { .. }) = link {
+        // Whoever has the address may be this very node.
+        State::lock(cell, &setup.node)?;
+    }
+    let link = link?;
+    for (name, address) in place::neighbours(loaded, table.node)? {
+        let node = table.cell().nodes.iter().position(|node| node.name == name).map(NodeId::from_index);
+        // All of these are neighbours.
+        let _ = node.map(|node| link.set_address(node, Some(address)));
+    }
+    let counted = incarnation::count(&link, cell, &setup.node)?;
+    if let Some(note) = counted.note {
+        complain(note);
+    }
+    (setup.incarnation, setup.restarted) = (counted.incarnation.0, counted.restarted);
+    Ok((link, Some(counted.state)))
 }
 
 /// Who carries out the actions of the scripts.

@@ -1,13 +1,11 @@
-//! Where a node is when it runs by itself: its address, those of its neighbours, and which of its lives this is.
+//! Where a node is when it runs by itself: its address, and those of its neighbours.
 
 use crate::cells::Loaded;
-use imrs_protocol::{CellTable, Incarnation, NodeId};
-use imrs_wire::obs::place::file_name;
+use imrs_protocol::{CellTable, NodeId};
 use std::collections::BTreeMap;
-use std::fs::{self, File};
-use std::io::{self, Write};
+use std::io;
 use std::net::{SocketAddr, ToSocketAddrs};
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 use std::time::Duration;
 
 /// Why a node cannot run by itself.
@@ -36,6 +34,16 @@ pub enum PlaceError {
         path: PathBuf,
         /// Why.
         source: io::Error,
+    },
+    /// It runs already.
+    #[error(
+        "node `{node}` of this cell runs already on this machine, as process {process}: stop that first, or give this one a state of its own with XDG_STATE_HOME"
+    )]
+    Runs {
+        /// The node.
+        node: String,
+        /// The number of the process that runs it.
+        process: String,
     },
     /// There is no folder for what must be remembered.
     #[error("no folder to remember in that the node ran: set XDG_STATE_HOME or HOME")]
@@ -69,57 +77,4 @@ pub fn neighbours(loaded: &Loaded, node: NodeId) -> Result<BTreeMap<String, Sock
 /// How long the scripts of a restarted node are held back.
 pub fn quarantine(table: &CellTable, node: NodeId) -> Duration {
     Duration::from_micros(table.quarantine(node).0)
-}
-
-/// Begins the next life of a node (D49): which one it is, and whether there was one before. What it is counted by lies in
-/// `$XDG_STATE_HOME/imrs/<cell>/<node>.life`.
-///
-/// # Errors
-/// [`PlaceError`]: a node that cannot remember its lives could pass for an earlier one of its own.
-pub fn next_life(cell: &str, node: &str) -> Result<(Incarnation, bool), PlaceError> {
-    let named = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
-    let base = named("XDG_STATE_HOME").or_else(|| Some(named("HOME")?.join(".local/state")));
-    let folder = base.ok_or(PlaceError::NoFolder)?.join("imrs").join(file_name(cell));
-    next_life_in(&folder, node)
-}
-
-fn next_life_in(folder: &Path, node: &str) -> Result<(Incarnation, bool), PlaceError> {
-    let path = folder.join(format!("{}.life", file_name(node)));
-    let failed = |source| PlaceError::Life { path: path.clone(), source };
-    let before = match fs::read_to_string(&path) {
-        Ok(text) => Some(text.trim().parse::<u8>().map_err(|error| failed(io::Error::other(error)))?),
-        Err(error) if error.kind() == io::ErrorKind::NotFound => None,
-        Err(error) => return Err(failed(error)),
-    };
-    let life = before.map_or(0, |before| before.wrapping_add(1));
-    // Whole or not at all, and before anything is sent in this life.
-    let new = folder.join(format!("{}.life.new", file_name(node)));
-    let written = fs::create_dir_all(folder).and_then(|()| {
-        let mut file = File::create(&new)?;
-        writeln!(file, "{life}")?;
-        file.sync_all()?;
-        fs::rename(&new, &path)
-    });
-    written.map_err(failed)?;
-    Ok((Incarnation(life), before.is_some()))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn no_two_lives_of_a_node_are_the_same_until_they_come_round() {
-        let folder = tempfile::tempdir().unwrap();
-        let mut last = None;
-        for life in 0..300_u32 {
-            let (next, restarted) = next_life_in(folder.path(), "n/1").unwrap();
-            assert_eq!((u32::from(next.0), restarted), (life % 256, life > 0));
-            assert_ne!(last, Some(next));
-            last = Some(next);
-        }
-        fs::write(folder.path().join(format!("{}.life", file_name("n/1"))), "x").unwrap();
-        assert!(next_life_in(folder.path(), "n/1").unwrap_err().to_string().contains("remember"));
-        assert_eq!(next_life_in(folder.path(), "other").unwrap(), (Incarnation(0), false));
-    }
 }

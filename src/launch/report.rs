@@ -101,6 +101,9 @@ pub fn summary(summary: &Summary, table: &CellTable, run: &Run<'_>, out: &mut Ou
     }
     for node in &summary.nodes {
         out.line(node_line(node, relays(table, &node.name)))?;
+        for refusal in &node.refusals {
+            out.line(format!("    {}", Styled(BAD, refusal.words(&node.name))))?;
+        }
     }
     summary.checks.show(out)?;
     let words = in_words(summary, table, run);

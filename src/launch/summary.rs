@@ -1,6 +1,6 @@
 //! What a run comes to: gathered from the nodes while it lasts, summed up at its end.
 
-use super::lines::{Event, Figures, Outcomes, What};
+use super::lines::{Event, Figures, Outcomes, RefusalFigures, What};
 use super::story::Outcome;
 use super::tally::{Rounds, Tally};
 use crate::checks::Settlement;
@@ -118,6 +118,8 @@ pub struct NodeSummary {
     pub link_discards: BTreeMap<String, u64>,
     /// What its link counted besides.
     pub link: BTreeMap<String, u64>,
+    /// The neighbours that it could not talk to at the end, because their cells differ.
+    pub refusals: Vec<RefusalFigures>,
     /// Packets that its link lost on purpose.
     pub lost_on_purpose: u64,
     /// Packets that a cut held back.
@@ -232,6 +234,7 @@ impl Gatherer {
                 discards: figures.discards.clone(),
                 link_discards: figures.link_discards.clone(),
                 link: figures.link.clone(),
+                refusals: figures.refusals.clone(),
                 lost_on_purpose: figures.lost_on_purpose,
                 cut_off: figures.cut_off,
             }

@@ -7,7 +7,7 @@ use imrs_protocol::{
     Cell, CellTable, Contents, Incarnation, Node, NodeId, NodeInput, NodeOutbox, NodeTable, Outcome,
     PACKET_BYTES, Packet, PortDecl, Request, Signal, Target, TaskId, Ticks, Usage,
 };
-use imrs_wire::envelope::{Datagram, Envelope, EnvelopeError, open};
+use imrs_wire::envelope::{Datagram, Digests, Envelope, EnvelopeError, Purpose, Session, open};
 use std::error::Error;
 use std::path::Path;
 use std::sync::Arc;
@@ -67,16 +67,19 @@ fn the_example_of_the_protocol_runs() -> Result<(), Box<dyn Error>> {
 
 #[test]
 fn the_example_of_the_wire_runs() -> Result<(), Box<dyn Error>> {
-    let digest = 0xdead_beef;
-    let (sender, incarnation) = (NodeId(1), Incarnation(0));
-    let envelope = Envelope { sender, incarnation, restarted: false, counter: 0, tx_mono: 0, echo: None };
+    let digests = Digests { cell: 0xdead_beef, statements: 0 };
+    let (sender, receiver, incarnation) = (NodeId(1), NodeId(2), Incarnation(0));
+    let (session, purpose) = (Session(77), Purpose::Packets);
+    let (restarted, counter, tx_mono, echo) = (false, 0, 0, None);
+    let envelope =
+        Envelope { sender, receiver, incarnation, restarted, session, counter, tx_mono, echo, purpose };
     let mut datagram = Datagram::default();
     assert!(datagram.push(&[7; PACKET_BYTES]));
-    let mut bytes = datagram.seal(&envelope, digest).to_vec();
-    assert_eq!(open(&bytes, digest, |_| true)?.1, [[7; PACKET_BYTES]]);
+    let mut bytes = datagram.seal(&envelope, digests).to_vec();
+    assert_eq!(open(&bytes, receiver, digests, |_| true)?.1, [[7; PACKET_BYTES]]);
 
     bytes[50] ^= 1;
-    assert_eq!(open(&bytes, digest, |_| true), Err(EnvelopeError::Checksum));
+    assert_eq!(open(&bytes, receiver, digests, |_| true), Err(EnvelopeError::Checksum));
     Ok(())
 }
 

@@ -23,8 +23,8 @@ pub trait Sink: Send + Sync {
     /// node that was stopped between the two cannot make an old packet young.
     fn packets(&self, from: NodeId, packets: &[Packet], charge: Ticks, at: Instant);
 
-    /// First contact with a neighbour, or a new life of it. `restarted` is what the neighbour says of itself: whether
-    /// an earlier life of it can have taken requests.
+    /// First contact with a neighbour, or a new session of it. `restarted`: whether an earlier incarnation of it can have
+    /// taken requests, as the neighbour says itself or as this node knows.
     fn peer(&self, node: NodeId, incarnation: Incarnation, restarted: bool);
 
     /// Something came in that is not for this node. Counted by reason.
@@ -127,7 +127,7 @@ pub enum LinkDiscard {
     Version,
     /// An envelope of another mode than this node's.
     Mode,
-    /// Of a cell with another table.
+    /// Of a cell with other declarations.
     OtherCell,
     /// From a node that is not a neighbour.
     UnknownNode,
@@ -137,15 +137,25 @@ pub enum LinkDiscard {
     Length,
     /// Seen before, or too old to tell.
     Replayed,
-    /// From an earlier life of its sender.
+    /// From an earlier incarnation of its sender.
     StaleIncarnation,
+    /// For a purpose that this version does not know.
+    Purpose,
+    /// Of a cell with the same declarations and other statements.
+    OtherStatements,
+    /// For another node.
+    Misdelivered,
+    /// From a session of its sender that is not known, and not proven to be later than the known one. The sender is asked.
+    UnprovenSession,
+    /// The sender says that it refuses what this node sends.
+    RefusedByPeer,
     /// A packet inside a good envelope is not one of this cell.
     Packet(PacketError),
 }
 
 impl LinkDiscard {
     /// The names of all reasons, by [`index`](Self::index).
-    pub const NAMES: [&'static str; 14] = [
+    pub const NAMES: [&'static str; 19] = [
         "too_short",
         "not_imrs",
         "version",
@@ -160,6 +170,11 @@ impl LinkDiscard {
         "packet_port",
         "packet_checksum",
         "packet_malformed",
+        "purpose",
+        "other_statements",
+        "misdelivered",
+        "unproven_session",
+        "refused_by_peer",
     ];
 
     /// The position of this reason in [`NAMES`](Self::NAMES): what counters are kept by.
@@ -180,6 +195,11 @@ impl LinkDiscard {
             Self::Packet(PacketError::UnknownPort(_)) => 11,
             Self::Packet(PacketError::Checksum) => 12,
             Self::Packet(PacketError::Malformed) => 13,
+            Self::Purpose => 14,
+            Self::OtherStatements => 15,
+            Self::Misdelivered => 16,
+            Self::UnprovenSession => 17,
+            Self::RefusedByPeer => 18,
         }
     }
 

@@ -1,10 +1,13 @@
 //! What is not for this node: each datagram is counted under its reason, nothing is delivered, nothing panics.
 
-use super::rig::{A, B, C, Memory, cell, encoded, envelope, link, packet, raw_socket, sealed, sealed_for};
+use super::rig::{
+    A, B, C, Memory, cell, digests, encoded, envelope, envelope_of, link, packet, raw_socket, sealed,
+    sealed_for,
+};
 use imrs_protocol::{Incarnation, NodeId, PacketError, PortId};
 use imrs_runtime::link::LinkDiscard;
 use imrs_runtime::link::udp::UdpLink;
-use imrs_wire::envelope::{Envelope, MAGIC, VERSION};
+use imrs_wire::envelope::{Digests, Envelope, MAGIC, VERSION};
 use std::net::UdpSocket;
 
 struct Victim {
@@ -71,8 +74,8 @@ fn garbage_behind_a_right_beginning() {
         let mut bytes: Vec<u8> = (0..random.usize(4..1_600)).map(|_| random.u8(..)).collect();
         bytes[..4].copy_from_slice(&[MAGIC[0], MAGIC[1], VERSION, 0]);
         let expected = match bytes.len() {
-            0..72 => LinkDiscard::TooShort,
-            n if n <= 1448 && (n - 40).is_multiple_of(32) => LinkDiscard::Checksum,
+            0..64 => LinkDiscard::TooShort,
+            n if n <= 1472 && (n - 64).is_multiple_of(32) => LinkDiscard::Checksum,
             _ => LinkDiscard::Length,
         };
         assert_eq!(victim.reason(&bytes), expected);
@@ -104,8 +107,8 @@ fn cut_off_and_trailing() {
     let good = sealed(&envelope(0), &[encoded(1), encoded(2)]);
     for length in 0..good.len() {
         let expected = match length {
-            0..72 => LinkDiscard::TooShort,
-            72 => LinkDiscard::Checksum,
+            0..64 => LinkDiscard::TooShort,
+            64 | 96 => LinkDiscard::Checksum,
             _ => LinkDiscard::Length,
         };
         assert_eq!(victim.reason(&good[..length]), expected, "cut off at {length}");
@@ -120,8 +123,10 @@ fn cut_off_and_trailing() {
 #[test]
 fn strangers() {
     let victim = Victim::new();
-    let other = cell("another cell").digest();
+    let other = Digests { cell: cell("another cell").digest(), ..digests() };
     assert_eq!(victim.reason(&sealed_for(other, &envelope(0), &[encoded(1)])), LinkDiscard::OtherCell);
+    let other = Digests { statements: 1, ..digests() };
+    assert_eq!(victim.reason(&sealed_for(other, &envelope(0), &[encoded(1)])), LinkDiscard::OtherStatements);
     for sender in [B, NodeId(3), NodeId(9), NodeId(u16::MAX)] {
         let strange = sealed(&Envelope { sender, ..envelope(0) }, &[encoded(1)]);
         assert_eq!(victim.reason(&strange), LinkDiscard::UnknownNode, "{sender}");
@@ -152,9 +157,7 @@ fn bad_packets_in_a_good_envelope_leave_the_others_alone() {
 #[test]
 fn repetitions_and_earlier_lives() {
     let victim = Victim::new();
-    let from = |life: u8, counter: u64| {
-        sealed(&Envelope { incarnation: Incarnation(life), ..envelope(counter) }, &[encoded(1)])
-    };
+    let from = |life: u8, counter: u64| sealed(&envelope_of(life, counter), &[encoded(1)]);
     for counter in [0, 1, 1_500, 1_499, 477] {
         victim.throw(&from(1, counter));
         assert_eq!(victim.memory.take_packets(&victim.link, 1).len(), 1, "{counter}");

@@ -2,8 +2,10 @@
 
 mod faults;
 mod hostile;
+mod mutated;
 mod network;
 mod rig;
 mod segments;
+mod sessions;
 mod time;
 mod traffic;

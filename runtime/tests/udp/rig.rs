@@ -6,7 +6,7 @@ use imrs_protocol::{
 };
 use imrs_runtime::link::udp::{UdpCount, UdpLink, UdpOptions};
 use imrs_runtime::link::{Link, LinkDiscard, PollEnd, Sink};
-use imrs_wire::envelope::{Datagram, Envelope};
+use imrs_wire::envelope::{Datagram, Digests, Envelope, Purpose, Session};
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
 use std::sync::{Arc, LazyLock, Mutex};
 use std::time::{Duration, Instant};
@@ -118,22 +118,41 @@ pub fn encoded(number: u32) -> [u8; 32] {
     packet(number).encode(table.digest(), table.port(PortId(0)).unwrap().hash)
 }
 
-/// An envelope as the first life of A would write it.
+/// An envelope as the first incarnation of A would write it to B.
 pub fn envelope(counter: u64) -> Envelope {
-    let (sender, incarnation) = (A, Incarnation(1));
-    Envelope { sender, incarnation, restarted: false, counter, tx_mono: 1_000_000 + counter, echo: None }
+    envelope_of(1, counter)
+}
+
+/// An envelope as A would write it to B in this incarnation, which has the session of the same number.
+pub fn envelope_of(incarnation: u8, counter: u64) -> Envelope {
+    Envelope {
+        sender: A,
+        receiver: B,
+        incarnation: Incarnation(incarnation),
+        restarted: false,
+        session: Session(incarnation.into()),
+        counter,
+        tx_mono: 1_000_000 + counter,
+        echo: None,
+        purpose: Purpose::Packets,
+    }
+}
+
+/// What all nodes here have in common.
+pub fn digests() -> Digests {
+    Digests { cell: table(A).digest(), statements: 0 }
 }
 
 pub fn sealed(envelope: &Envelope, packets: &[[u8; 32]]) -> Vec<u8> {
-    sealed_for(table(A).digest(), envelope, packets)
+    sealed_for(digests(), envelope, packets)
 }
 
-pub fn sealed_for(digest: u32, envelope: &Envelope, packets: &[[u8; 32]]) -> Vec<u8> {
+pub fn sealed_for(digests: Digests, envelope: &Envelope, packets: &[[u8; 32]]) -> Vec<u8> {
     let mut datagram = Datagram::default();
     for packet in packets {
         assert!(datagram.push(packet));
     }
-    datagram.seal(envelope, digest).to_vec()
+    datagram.seal(envelope, digests).to_vec()
 }
 
 /// A socket that is no link: sends what it likes.

@@ -159,14 +159,17 @@ fn a_restart_is_announced_and_what_is_left_of_the_old_life_dropped() {
     memory.take_packets(&b, 1);
     let again = life(A, 2, true);
     again.set_address(B, Some(b.local_address())).unwrap();
+    // The new incarnation is somewhere else: the address book says so.
+    b.set_address(A, Some(again.local_address())).unwrap();
+    again.greet();
+    memory.poll_until(&b, |_| b.count(UdpCount::GreetingsReceived) == 1);
+    Memory::default().poll_until(&again, |_| again.count(UdpCount::GreetingsReceived) == 1);
     again.send(B, &[packet(2)]).unwrap();
     assert_eq!(memory.take_packets(&b, 1)[0].1, packet(2));
     a.send(B, &[packet(3)]).unwrap();
     assert_eq!(memory.take_discards(&b, 1)[0].name(), "stale_incarnation");
     assert_eq!(*memory.peers.lock().unwrap(), [(A, Incarnation(1), false), (A, Incarnation(2), true)]);
     assert_eq!(b.count(UdpCount::NewLives), 2);
-    // The new life is somewhere else: the address book says so.
-    b.set_address(A, Some(again.local_address())).unwrap();
     b.send(A, &[packet(4)]).unwrap();
     assert_eq!(Memory::default().take_packets(&again, 1)[0].1, packet(4));
 }

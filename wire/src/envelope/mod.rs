@@ -1,81 +1,123 @@
-//! The envelope (D48): what every datagram between two nodes looks like.
+//! The envelope (D48, D144): what every datagram between two nodes looks like.
 //!
 //! ```text
 //!  0..2   magic 9d 4d
-//!  2      version of the envelope
-//!  3      mode: how it is closed; the layout from here on is the mode's
+//!  2      version of the envelope: 2
+//!  3      mode: how it is closed (0 checksum, 1 reserved for keys); the layout from here on is the mode's
 //!
 //!         mode 0, checksum (the `--insecure` mode), little endian:
-//!  4..8   digest of the cell's table
-//!  8..10  sender node
-//! 10      incarnation of the sender
-//! 11      incarnation of the receiver that the echo belongs to
-//! 12      packets, 6 bits | an earlier life of the sender may have taken requests | an echo is given
-//! 13..20  counter of the sender's datagrams to this receiver
-//! 20..28  tx_mono: the sender's monotonic clock, in microseconds from an origin of its own
-//! 28..36  echo: the receiver's monotonic clock, as the sender knows it (see [`Echo`])
-//! 36..    1 to 44 packets of 32 bytes
+//!  4..8   digest of the cell's declarations
+//!  8..12  digest of its statements
+//! 12..14  sender node
+//! 14..16  receiver node
+//! 16      incarnation of the sender
+//! 17      bits 0-1 purpose: 0 packets, 1 greeting, 2 refusal
+//!         bit 2 an echo is given
+//!         bit 3 an earlier incarnation of the sender may have taken requests
+//!         of a greeting: bit 4 it wants an answer, bit 5 the sender has no incarnation yet, bit 6 byte 19 is given
+//! 18      packets, 0 to 44
+//! 19      of a greeting: the incarnation of the receiver that the sender remembers; of a refusal: its reason
+//! 20..28  session of the sender
+//! 28..36  session of the receiver that the echo belongs to
+//! 36..43  counter of the sender's datagrams to this receiver
+//! 43      zero
+//! 44..52  tx_mono: the sender's monotonic clock, in microseconds from an origin of its own
+//! 52..60  echo: the receiver's monotonic clock, as the sender knows it (see [`Echo`])
+//! 60..    0 to 44 packets of 32 bytes
 //! last 4  CRC-32/MEF over everything before it
 //! ```
 //!
-//! One packet makes 72 bytes, the most (44) make 1448 and fit an Ethernet frame. Every mode keeps to the same
-//! [`OVERHEAD_BYTES`]: one with keys has 24 bytes of header and a tag of 16.
+//! A greeting or a refusal takes 64 bytes, one packet makes 96. The most (44) make 1472, which fit an Ethernet frame under
+//! IPv4; 36 fit 1232 bytes, which every IPv6 network carries. Every mode keeps to the same [`OVERHEAD_BYTES`]: one with
+//! keys has 48 bytes of header and a tag of 16.
 //!
 //! The checksum uses another polynomial than the packets' own, because a checksum that is itself covered by one of the
 //! same polynomial adds nothing: what passes the inner one would pass the outer one as well. It notices up to five
 //! flipped bits in the longest datagram (a test computes this), the fields that relays change included. A checksum says
 //! nothing about zeros behind the end, so the number of packets is written down and covered.
 //!
-//! A datagram that is not taken says why ([`EnvelopeError`]). Version and mode are judged before the checksum, since
-//! another version may close its datagrams differently; digest and sender after it, so that damage is never mistaken
-//! for another cell.
+//! A datagram that is not taken says why ([`EnvelopeError`]). [`read`] judges version and mode before the checksum, since
+//! another version may close its datagrams differently. [`Opened::check`] judges digests, receiver and sender after it, so
+//! that damage is never mistaken for another cell. The digests come before the node ids: ids of another cell mean nothing.
 
+mod datagram;
+mod error;
+mod header;
 mod window;
 
+pub use datagram::Datagram;
+pub use error::EnvelopeError;
 pub use window::{ReplayWindow, WINDOW};
 
 use crate::checksum::CRC;
 use imrs_protocol::{Incarnation, NodeId, PACKET_BYTES};
-use thiserror::Error;
+use std::fmt;
 
 /// The first two bytes of every datagram.
 pub const MAGIC: [u8; 2] = [0x9d, 0x4d];
 /// The envelope format of this library.
-pub const VERSION: u8 = 1;
+pub const VERSION: u8 = 2;
 /// The most packets in one datagram.
 pub const MAX_PACKETS: usize = 44;
 /// What an envelope adds to its packets, in every mode.
 pub const OVERHEAD_BYTES: usize = HEADER_BYTES + CHECKSUM_BYTES;
-/// The shortest datagram: one packet.
-pub const MIN_DATAGRAM_BYTES: usize = OVERHEAD_BYTES + PACKET_BYTES;
+/// The shortest datagram: no packet.
+pub const MIN_DATAGRAM_BYTES: usize = OVERHEAD_BYTES;
 /// The longest datagram.
 pub const MAX_DATAGRAM_BYTES: usize = OVERHEAD_BYTES + MAX_PACKETS * PACKET_BYTES;
 /// Counters are below this: 56 bits, which no node ever uses up.
 pub const COUNTER_END: u64 = 1 << 56;
 
-const HEADER_BYTES: usize = 36;
+const HEADER_BYTES: usize = 60;
 const CHECKSUM_BYTES: usize = 4;
 const MODE_CHECKSUM: u8 = 0;
-const FLAG_ECHO: u8 = 1;
-const FLAG_RESTARTED: u8 = 2;
-const COUNT_SHIFT: u32 = 2;
+/// The mode with keys. Reserved: no node speaks it yet.
+pub const MODE_KEYS: u8 = 1;
+
+/// What two nodes must have in common to talk.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Digests {
+    /// Of the cell's declarations: its canonical table.
+    pub cell: u32,
+    /// Of the cell's statements: the compiled scripts of all its tasks. Zero where no task has a script: of a task in
+    /// another language nothing is known but that the cell declares it so.
+    pub statements: u32,
+}
+
+impl fmt::Display for Digests {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        write!(f, "declarations {:08x}, statements {:08x}", self.cell, self.statements)
+    }
+}
+
+/// Names one start of one node: 64 random bits, drawn anew whenever a node gets a socket. Sessions are compared for
+/// equality only.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub struct Session(pub u64);
 
 /// What a datagram says about itself.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Envelope {
     /// The node that sent it: the last hop, not the packets' source.
     pub sender: NodeId,
-    /// The life of the sender (D49).
+    /// The node that it is for: the next hop, not the packets' destination.
+    pub receiver: NodeId,
+    /// The incarnation of the sender (D49).
     pub incarnation: Incarnation,
-    /// Whether the sender says that an earlier life of it may have taken requests.
+    /// Whether the sender says that an earlier incarnation of it may have taken requests.
     pub restarted: bool,
-    /// The position among the datagrams that this life of the sender sent to this receiver; below [`COUNTER_END`].
+    /// The session of the sender.
+    pub session: Session,
+    /// The position among the datagrams with packets that this session of the sender sent to this receiver; below
+    /// [`COUNTER_END`].
     pub counter: u64,
     /// The sender's monotonic clock, in microseconds: not later than the instant for which the remaining times of the
     /// packets hold.
     pub tx_mono: u64,
     /// What the sender last heard of the receiver's clock.
     pub echo: Option<Echo>,
+    /// What it is for.
+    pub purpose: Purpose,
 }
 
 /// The receiver's own `tx_mono`, come back: the one of its last datagram that reached the sender, plus the time that
@@ -83,51 +125,75 @@ pub struct Envelope {
 /// trip took the receiver's clock on arrival minus `mono`.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Echo {
-    /// The life of the receiver whose clock it is: a later life may have a clock of another origin.
-    pub incarnation: Incarnation,
+    /// The session of the receiver whose clock it is: another session has a clock of another origin.
+    pub session: Session,
     /// That clock, in microseconds.
     pub mono: u64,
 }
 
-/// Why a datagram is not one for this node.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Error)]
-pub enum EnvelopeError {
-    /// Shorter than an envelope with one packet.
-    #[error("{0} bytes are too short for an envelope")]
-    TooShort(usize),
-    /// The first bytes are not [`MAGIC`].
-    #[error("not an envelope: the first bytes are others")]
-    NotImrs,
-    /// Made by another version of the format.
-    #[error("envelope version {0}, this node speaks {VERSION}")]
-    Version(u8),
-    /// Closed in another way than this node is told to accept.
-    #[error("envelope mode {0}, this node speaks mode {MODE_CHECKSUM}")]
-    Mode(u8),
-    /// Cut off, or with trailing bytes: not a whole number of packets, or more than [`MAX_PACKETS`].
-    #[error("{0} bytes are not an envelope of 1 to {MAX_PACKETS} whole packets")]
-    Length(usize),
-    /// Damaged.
-    #[error("the envelope's checksum is wrong")]
-    Checksum,
-    /// Of a cell with another table.
-    #[error("from a cell with digest {0:08x}")]
-    OtherCell(u32),
-    /// From a node that the receiver does not know.
-    #[error("from node {0}, which is not a neighbour")]
-    UnknownNode(NodeId),
+/// What a datagram is for.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Purpose {
+    /// It carries packets, at least one.
+    Packets,
+    /// It tells the receiver about the sender, and carries no packet.
+    Greeting(Greeting),
+    /// It tells the receiver that the sender takes none of its datagrams, and carries no packet.
+    Refusal(Refused),
 }
 
-/// Takes a datagram of the cell `digest` apart: what it says about itself, and its packets, still encoded. `known`
-/// tells whether a sender is acceptable.
+/// What a node says of itself and of the receiver.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Greeting {
+    /// Whether the receiver is asked for a greeting of its own. An answer wants none.
+    pub wants_answer: bool,
+    /// Whether the sender has no incarnation yet: it asks which ones are remembered, and its own field means nothing.
+    pub uncounted: bool,
+    /// The newest incarnation of the receiver that the sender remembers.
+    pub remembers: Option<Incarnation>,
+}
+
+/// Why a node takes no datagram of another.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Refused {
+    /// The cell's declarations differ.
+    OtherCell,
+    /// The declarations are the same, and the statements differ.
+    OtherStatements,
+    /// The datagram names another receiver.
+    Misdelivered,
+}
+
+impl Refused {
+    const ALL: [Self; 3] = [Self::OtherCell, Self::OtherStatements, Self::Misdelivered];
+
+    /// A short name for tables and counters.
+    #[must_use]
+    pub const fn name(self) -> &'static str {
+        match self {
+            Self::OtherCell => "other_cell",
+            Self::OtherStatements => "other_statements",
+            Self::Misdelivered => "misdelivered",
+        }
+    }
+}
+
+/// A datagram that is whole. Whether it is for this node, [`check`](Self::check) says.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Opened<'a> {
+    /// The sender's digests.
+    pub digests: Digests,
+    /// What it says about itself.
+    pub envelope: Envelope,
+    /// Its packets, still encoded.
+    pub packets: &'a [[u8; PACKET_BYTES]],
+}
+
+/// Takes a datagram of any cell apart.
 ///
 /// # Errors
-/// Says why the bytes are not a datagram for this node. Total: never panics, whatever the bytes are.
-pub fn open(
-    bytes: &[u8],
-    digest: u32,
-    known: impl FnOnce(NodeId) -> bool,
-) -> Result<(Envelope, &[[u8; PACKET_BYTES]]), EnvelopeError> {
+/// Says why the bytes are no whole datagram. Total: never panics, whatever the bytes are.
+pub fn read(bytes: &[u8]) -> Result<Opened<'_>, EnvelopeError> {
     let too_short = EnvelopeError::TooShort(bytes.len());
     let (prologue, _) = bytes.split_first_chunk::<4>().ok_or(too_short)?;
     if prologue[..2] != MAGIC {
@@ -151,18 +217,58 @@ pub fn open(
     if CRC.checksum(covered) != u32::from_le_bytes(*checksum) {
         return Err(EnvelopeError::Checksum);
     }
-    let cell = u32::from_le_bytes([header[4], header[5], header[6], header[7]]);
-    if cell != digest {
-        return Err(EnvelopeError::OtherCell(cell));
-    }
-    if usize::from(header[12] >> COUNT_SHIFT) != packets.len() {
+    if usize::from(header[header::COUNT_AT]) != packets.len() {
         return Err(EnvelopeError::Length(bytes.len()));
     }
-    let envelope = Envelope::parse(header);
-    if !known(envelope.sender) {
-        return Err(EnvelopeError::UnknownNode(envelope.sender));
+    let envelope = Envelope::parse(header)?;
+    if packets.is_empty() == matches!(envelope.purpose, Purpose::Packets) {
+        return Err(EnvelopeError::Length(bytes.len()));
     }
-    Ok((envelope, packets))
+    let digests = Digests { cell: header::four(header, 4), statements: header::four(header, 8) };
+    Ok(Opened { digests, envelope, packets })
+}
+
+/// Takes a datagram for `node` of a cell with these digests apart: what it says about itself, and its packets, still
+/// encoded. `known` tells whether a sender is acceptable.
+///
+/// # Errors
+/// Says why the bytes are not a datagram for this node. Total: never panics, whatever the bytes are.
+pub fn open(
+    bytes: &[u8],
+    node: NodeId,
+    digests: Digests,
+    known: impl FnOnce(NodeId) -> bool,
+) -> Result<(Envelope, &[[u8; PACKET_BYTES]]), EnvelopeError> {
+    let opened = read(bytes)?;
+    opened.check(node, digests, known)?;
+    Ok((opened.envelope, opened.packets))
+}
+
+impl Opened<'_> {
+    /// Whether the datagram is for `node` of a cell with these digests. `known` tells whether a sender is acceptable.
+    ///
+    /// # Errors
+    /// Says why not.
+    pub fn check(
+        &self,
+        node: NodeId,
+        digests: Digests,
+        known: impl FnOnce(NodeId) -> bool,
+    ) -> Result<(), EnvelopeError> {
+        if self.digests.cell != digests.cell {
+            return Err(EnvelopeError::OtherCell(self.digests.cell));
+        }
+        if self.digests.statements != digests.statements {
+            return Err(EnvelopeError::OtherStatements(self.digests.statements));
+        }
+        if self.envelope.receiver != node {
+            return Err(EnvelopeError::Misdelivered(self.envelope.receiver));
+        }
+        if !known(self.envelope.sender) {
+            return Err(EnvelopeError::UnknownNode(self.envelope.sender));
+        }
+        Ok(())
+    }
 }
 
 /// Whether incarnation `new` comes after `old`, around the wrap. A launcher counts a node's lives up by one (D49), so
@@ -173,103 +279,10 @@ pub const fn supersedes(new: Incarnation, old: Incarnation) -> bool {
     steps != 0 && steps < 0x80
 }
 
-impl Envelope {
-    fn parse(h: &[u8; HEADER_BYTES]) -> Self {
-        let echo = Echo {
-            incarnation: Incarnation(h[11]),
-            mono: u64::from_le_bytes([h[28], h[29], h[30], h[31], h[32], h[33], h[34], h[35]]),
-        };
-        Self {
-            sender: NodeId(u16::from_le_bytes([h[8], h[9]])),
-            incarnation: Incarnation(h[10]),
-            restarted: h[12] & FLAG_RESTARTED != 0,
-            counter: u64::from_le_bytes([h[13], h[14], h[15], h[16], h[17], h[18], h[19], 0]),
-            tx_mono: u64::from_le_bytes([h[20], h[21], h[22], h[23], h[24], h[25], h[26], h[27]]),
-            echo: (h[12] & FLAG_ECHO != 0).then_some(echo),
-        }
-    }
-
-    fn emit(&self, digest: u32, count: u8, h: &mut [u8; HEADER_BYTES]) {
-        h[..2].copy_from_slice(&MAGIC);
-        h[2] = VERSION;
-        h[3] = MODE_CHECKSUM;
-        h[4..8].copy_from_slice(&digest.to_le_bytes());
-        h[8..10].copy_from_slice(&self.sender.0.to_le_bytes());
-        h[10] = self.incarnation.0;
-        h[11] = self.echo.map_or(0, |e| e.incarnation.0);
-        h[12] = (count << COUNT_SHIFT)
-            | if self.restarted { FLAG_RESTARTED } else { 0 }
-            | if self.echo.is_some() { FLAG_ECHO } else { 0 };
-        h[13..20].copy_from_slice(&self.counter.to_le_bytes()[..7]);
-        h[20..28].copy_from_slice(&self.tx_mono.to_le_bytes());
-        h[28..36].copy_from_slice(&self.echo.map_or(0, |e| e.mono).to_le_bytes());
-    }
-}
-
-/// A datagram in the making: collects packets, then is sealed. Reused from one to the next without allocating.
-#[derive(Clone, Debug)]
-pub struct Datagram {
-    bytes: [u8; MAX_DATAGRAM_BYTES],
-    /// At most [`MAX_PACKETS`].
-    packets: u8,
-}
-
-impl Default for Datagram {
-    fn default() -> Self {
-        Self { bytes: [0; MAX_DATAGRAM_BYTES], packets: 0 }
-    }
-}
-
-impl Datagram {
-    /// Whether no packet is in it.
-    #[must_use]
-    pub const fn is_empty(&self) -> bool {
-        self.packets == 0
-    }
-
-    /// How many packets are in it.
-    #[must_use]
-    pub const fn len(&self) -> usize {
-        self.packets as usize
-    }
-
-    /// Adds an encoded packet, or returns false where [`MAX_PACKETS`] are in it.
-    pub fn push(&mut self, packet: &[u8; PACKET_BYTES]) -> bool {
-        let room = self.len() < MAX_PACKETS;
-        if room {
-            let start = HEADER_BYTES + self.len() * PACKET_BYTES;
-            self.bytes[start..start + PACKET_BYTES].copy_from_slice(packet);
-            self.packets += 1;
-        }
-        room
-    }
-
-    /// Closes the datagram, and returns what is to be sent. It can be sealed again with another envelope.
-    pub fn seal(&mut self, envelope: &Envelope, digest: u32) -> &[u8] {
-        let end = self.end();
-        if let Some(header) = self.bytes.first_chunk_mut() {
-            envelope.emit(digest, self.packets, header);
-        }
-        let checksum = CRC.checksum(&self.bytes[..end]).to_le_bytes();
-        self.bytes[end..end + CHECKSUM_BYTES].copy_from_slice(&checksum);
-        self.sealed()
-    }
-
-    /// What [`seal`](Self::seal) returned, as long as nothing was added or taken out since.
-    #[must_use]
-    pub fn sealed(&self) -> &[u8] {
-        &self.bytes[..self.end() + CHECKSUM_BYTES]
-    }
-
-    /// Where the checksum begins.
-    const fn end(&self) -> usize {
-        HEADER_BYTES + self.len() * PACKET_BYTES
-    }
-
-    /// Takes all packets out.
-    pub fn clear(&mut self) {
-        self.packets = 0;
-    }
+/// The bytes of a datagram without packets: a greeting, or a refusal.
+#[must_use]
+pub fn without_packets(envelope: &Envelope, digests: Digests) -> [u8; OVERHEAD_BYTES] {
+    datagram::bare(envelope, digests)
 }
 
 #[cfg(test)]

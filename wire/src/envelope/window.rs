@@ -25,13 +25,39 @@ impl ReplayWindow {
 
     /// Whether `counter` is new; from now on it is not.
     pub fn accept(&mut self, counter: u64) -> bool {
+        if !self.is_new(counter) {
+            return false;
+        }
         if counter >= self.next {
             self.advance(counter);
-        } else if self.next - counter > WINDOW || self.bit(counter) {
-            return false;
         }
         self.set(counter, true);
         true
+    }
+
+    /// Whether [`accept`](Self::accept) would take `counter`.
+    #[must_use]
+    pub const fn is_new(&self, counter: u64) -> bool {
+        counter >= self.next || !self.is_behind(counter) && !self.bit(counter)
+    }
+
+    /// Whether `counter` is so far behind the newest one that nothing is known of it any more.
+    #[must_use]
+    pub const fn is_behind(&self, counter: u64) -> bool {
+        counter < self.next && self.next - counter > WINDOW
+    }
+
+    /// Whether `counter` is newer than all that were taken.
+    #[must_use]
+    pub const fn is_newest(&self, counter: u64) -> bool {
+        counter >= self.next
+    }
+
+    /// Goes on from `counter`, though newer ones were taken: they were mistakes. Takes `counter`; every earlier one counts
+    /// as seen.
+    pub const fn resume(&mut self, counter: u64) {
+        self.next = counter.saturating_add(1);
+        self.seen = [u64::MAX; WORDS];
     }
 
     /// Makes `counter` the newest: forgets the counters that fall out of the window.
@@ -46,7 +72,7 @@ impl ReplayWindow {
         self.next = counter.saturating_add(1);
     }
 
-    fn bit(&self, counter: u64) -> bool {
+    const fn bit(&self, counter: u64) -> bool {
         let (word, mask) = Self::place(counter);
         self.seen[word] & mask != 0
     }
@@ -60,7 +86,7 @@ impl ReplayWindow {
         }
     }
 
-    fn place(counter: u64) -> (usize, u64) {
+    const fn place(counter: u64) -> (usize, u64) {
         let bit = counter % WINDOW;
         // Below WORDS, so it fits any usize.
         ((bit / WORD) as usize, 1 << (bit % WORD))
@@ -92,6 +118,18 @@ mod tests {
         assert!(w.accept(10_001));
         assert!(w.accept(10_000 + WINDOW));
         assert!(!w.accept(10_000), "out of the window");
+    }
+
+    #[test]
+    fn going_on_from_an_earlier_counter_takes_no_counter_twice() {
+        let mut w = ReplayWindow::new();
+        assert!(w.accept(7) && w.accept(1_000_000));
+        assert!(w.is_behind(8) && !w.is_new(8) && !w.is_behind(1_000_000));
+        w.resume(8);
+        assert!((0..=8).all(|counter| !w.is_new(counter)), "all before count as seen");
+        assert!(w.accept(9) && !w.accept(9) && w.accept(1_500));
+        w.resume(0);
+        assert!(!w.accept(0) && w.accept(1));
     }
 
     #[test]

@@ -19,11 +19,15 @@ const SIGNS: &[(&str, &Lint)] = &[
     ("mode", &codes::VERSION_MISMATCH),
     ("packet_version", &codes::VERSION_MISMATCH),
     ("other_cell", &codes::DIGEST_MISMATCH),
+    ("other_statements", &codes::DIGEST_MISMATCH),
+    ("refused_by_peer", &codes::DIGEST_MISMATCH),
+    ("misdelivered", &codes::INTEGRITY),
+    ("purpose", &codes::INTEGRITY),
     ("kernel_dropped", &codes::KERNEL_RESIDENCY),
 ];
 
 /// Packets of an earlier life of a neighbour still arrive after it came back: the ordinary course of a restart.
-const ORDINARY: &[&str] = &["stale_incarnation"];
+const ORDINARY: &[&str] = &["stale_incarnation", "unproven_session"];
 
 pub(super) fn look(life: &Life, lately: &Lately<'_>, found: &mut Vec<Finding>) {
     let place = Place::node(life);

@@ -53,6 +53,11 @@ impl LinkDelay {
     /// anything into its clocks.
     pub(super) fn arrived(&mut self, tx: u64, echo: Option<u64>, recv: u64) -> Ticks {
         let apart = recv.wrapping_sub(tx).cast_signed();
+        // A datagram cannot arrive before it was sent: a bound that says so came from a clock that was mistaken.
+        if self.proven.is_some_and(|p| p.value.saturating_sub(p.drift(recv)) > apart.saturating_add(ROUNDING))
+        {
+            self.proven = None;
+        }
         // An echo from this node's future is none.
         if let Some(echo) = echo.filter(|&echo| echo <= recv) {
             let value = echo.wrapping_sub(tx).cast_signed();
@@ -101,6 +106,16 @@ mod tests {
     fn an_echo_from_the_future_is_none() {
         let mut d = LinkDelay::new(DECLARED);
         assert_eq!(d.arrived(0, Some(51), 50), Ticks(2_004));
+    }
+
+    #[test]
+    fn a_bound_that_a_later_datagram_contradicts_is_forgotten() {
+        let mut d = LinkDelay::new(DECLARED);
+        assert_eq!(d.arrived(1_000, Some(1_000_940), 1_001_060), Ticks(120 + 4));
+        // A datagram whose clock is mistaken claims an offset that is a second too large.
+        d.arrived(0, Some(2_000_000), 2_000_060);
+        // The next one shows that it is, and how long it took itself.
+        assert_eq!(d.arrived(2_000_000, Some(2_999_940), 3_000_060), Ticks(120 + 4));
     }
 
     proptest! {

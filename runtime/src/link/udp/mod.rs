@@ -8,34 +8,38 @@
 //! what the clocks in the envelopes show of its whole way (`delay`). So neither a stopped receiver nor a sender that was
 //! stopped between its clock and `sendto` can make an old packet young.
 //!
-//! Addresses come from the address book only, and never from traffic: a datagram is judged by what it says (digest,
-//! sender, life, number), not by where it comes from, so that a neighbour behind another port is heard, but nobody can
-//! draw traffic to himself. In the checksum mode of the envelope that keeps out accidents, not attackers: whoever can
+//! Addresses come from the address book only, and never from traffic: a datagram is judged by what it says (digests,
+//! sender, receiver, session, counter), not by where it comes from, so that a neighbour behind another port is heard, but
+//! nobody can draw traffic to himself. In the checksum mode of the envelope that keeps out accidents, not attackers: whoever can
 //! reach the socket can forge datagrams.
 
 mod delay;
+mod greet;
 mod peer;
 mod receive;
 mod send;
+mod session;
 mod socket;
 mod statistics;
 mod watch;
 
+pub use greet::Refusal;
 pub use statistics::UdpCount;
 
 use super::{Came, Leading, Link, LinkBusy, PollEnd, Sink};
 use crate::clock;
 use crate::sync;
 use imrs_protocol::{Incarnation, NodeId, NodeTable, Packet, Ticks};
-use imrs_wire::envelope::MAX_PACKETS;
+use imrs_wire::envelope::{MAX_PACKETS, Session};
 use peer::{Peer, Way, lock};
 use receive::Receiving;
 pub(crate) use send::SEGMENTS;
 use socket::{Receiver, Waited};
 use statistics::Statistics;
+use std::hash::{BuildHasher, RandomState};
 use std::io;
 use std::net::{SocketAddr, UdpSocket};
-use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU16, Ordering};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use thiserror::Error;
@@ -47,10 +51,14 @@ const DEFAULT_QUEUE_BYTES: usize = 256 * 1024;
 /// How a node takes part in UDP traffic.
 #[derive(Clone, Copy, Debug)]
 pub struct UdpOptions {
-    /// Which life of the node this is (D49).
+    /// Which incarnation of the node this is (D49).
     pub incarnation: Incarnation,
-    /// Whether an earlier life of it may have taken requests. Neighbours are told.
+    /// Whether an earlier incarnation of it may have taken requests. Neighbours are told.
     pub restarted: bool,
+    /// The digest of the statements of all tasks of the cell
+    /// ([`record::statements`](crate::record::statements)), zero where no task has a script. Nodes that differ in it do not
+    /// talk.
+    pub statements: u32,
     /// How many bytes the kernel's receive queue holds (SO_RCVBUF; the kernel doubles it for its own needs). No more
     /// than comes in within the longest time_out is of any use.
     pub queue_bytes: usize,
@@ -63,7 +71,7 @@ impl UdpOptions {
     /// The options of a node's first life.
     #[must_use]
     pub const fn new(incarnation: Incarnation, restarted: bool) -> Self {
-        Self { incarnation, restarted, queue_bytes: DEFAULT_QUEUE_BYTES, segments: true }
+        Self { incarnation, restarted, statements: 0, queue_bytes: DEFAULT_QUEUE_BYTES, segments: true }
     }
 }
 
@@ -104,6 +112,11 @@ pub struct NotANeighbour(pub NodeId);
 pub struct UdpLink {
     table: NodeTable,
     options: UdpOptions,
+    /// The incarnation, and whether an earlier one may have taken requests.
+    identity: AtomicU16,
+    /// Whether the incarnation is not known yet: the node asks its neighbours.
+    uncounted: AtomicBool,
+    session: Session,
     socket: Arc<UdpSocket>,
     local: SocketAddr,
     /// Whether the kernel knows how to cut what is sent into datagrams.
@@ -132,6 +145,15 @@ pub struct UdpLink {
     statistics: Statistics,
 }
 
+const fn identity(incarnation: Incarnation, restarted: bool) -> u16 {
+    u16::from_be_bytes([restarted as u8, incarnation.0])
+}
+
+/// 64 bits that no other start of any node has. The keys of a new hash state come from the system's source of random numbers.
+fn new_session() -> Session {
+    Session(RandomState::new().hash_one(Instant::now()))
+}
+
 /// One thread at a time polls; the others wait until it goes.
 struct Poll {
     taken: bool,
@@ -156,17 +178,20 @@ impl UdpLink {
         let merges = options.segments && socket::merge(&socket);
         let segments = options.segments && socket::segments(&socket);
         let local = socket.local_addr().map_err(|source| UdpError::Bind { address, source })?;
-        let lives = peers.iter().map(|_| None).collect();
+        let known = peers.iter().map(|_| None).collect();
         let receiving = Receiving {
             receiver: Receiver::new(stamped, merges),
             empty,
             last: empty,
-            lives,
+            known,
             decoded: Vec::with_capacity(MAX_PACKETS * SEGMENTS),
         };
         Ok(Self {
             table,
             options,
+            identity: AtomicU16::new(identity(options.incarnation, options.restarted)),
+            uncounted: AtomicBool::new(false),
+            session: new_session(),
             local,
             segments,
             // In this order.
@@ -199,11 +224,25 @@ impl UdpLink {
     pub fn set_address(&self, node: NodeId, address: Option<SocketAddr>) -> Result<(), NotANeighbour> {
         let (_, peer) = self.peer(node).ok_or(NotANeighbour(node))?;
         *lock(&peer.way) = address.map(|address| Way::new(self.local, address, self.segments));
+        peer.met.store(false, Ordering::Relaxed);
         if address.is_some() {
             self.address_known.store(true, Ordering::Release);
             self.polling.wake().wake();
         }
         Ok(())
+    }
+
+    /// Says which incarnation of the node this is, where that was not known when the socket was bound: before the first
+    /// packet is sent.
+    pub fn set_incarnation(&self, incarnation: Incarnation, restarted: bool) {
+        self.identity.store(identity(incarnation, restarted), Ordering::Release);
+        self.uncounted.store(false, Ordering::Release);
+    }
+
+    /// The incarnation of this node, and whether an earlier one may have taken requests.
+    fn identity(&self) -> (Incarnation, bool) {
+        let [restarted, incarnation] = self.identity.load(Ordering::Acquire).to_be_bytes();
+        (Incarnation(incarnation), restarted != 0)
     }
 
     /// How often something happened.

@@ -1,15 +1,15 @@
 //! What a node keeps of each neighbour it talks to over UDP.
 
-use super::delay::{DRIFT_PPM, LinkDelay};
+use super::delay::DRIFT_PPM;
+use super::greet::Refusal;
 use super::send::Outgoing;
 use super::socket::{bound_sending, set_segment};
-use crate::link::LinkDiscard;
 use imrs_protocol::{Incarnation, NodeId, Ticks};
-use imrs_wire::envelope::{Echo, Envelope, MAX_DATAGRAM_BYTES, ReplayWindow, supersedes};
+use imrs_wire::envelope::{Echo, MAX_DATAGRAM_BYTES, Session, supersedes};
 use nix::sys::socket::{setsockopt, sockopt};
 use std::io;
 use std::net::{SocketAddr, UdpSocket};
-use std::sync::atomic::AtomicBool;
+use std::sync::atomic::{AtomicBool, AtomicU16, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 
 /// Locks, whatever a panic elsewhere left: every value here is whole at any time.
@@ -28,7 +28,22 @@ pub(super) struct Peer {
     pub(super) outgoing: Mutex<Outgoing>,
     /// Its clock, as its last datagram showed it.
     pub(super) heard: Mutex<Option<Heard>>,
+    /// Whether anything of it was admitted since its address was entered.
+    pub(super) met: AtomicBool,
+    /// The newest incarnation of it that was seen: in its envelopes, and in packets that others relayed. [`NOTHING`]
+    /// before the first one.
+    remembered: AtomicU16,
+    /// What it remembers of this node, where it was asked and has answered.
+    pub(super) remembers: Mutex<Option<Option<Incarnation>>>,
+    /// Whose datagrams are refused, if any are since the last one that was admitted.
+    pub(super) refusal: Mutex<Option<Refusal>>,
+    /// Whether there is one.
+    pub(super) is_refused: AtomicBool,
+    pub(super) pace: Mutex<Pace>,
 }
+
+/// No incarnation.
+const NOTHING: u16 = u16::MAX;
 
 /// Where a neighbour receives, and a socket that is connected to it.
 ///
@@ -97,6 +112,24 @@ impl Peer {
             full: AtomicBool::new(false),
             outgoing: Mutex::default(),
             heard: Mutex::default(),
+            met: AtomicBool::new(false),
+            remembered: AtomicU16::new(NOTHING),
+            remembers: Mutex::default(),
+            refusal: Mutex::default(),
+            is_refused: AtomicBool::new(false),
+            pace: Mutex::default(),
+        }
+    }
+
+    /// The newest incarnation of it that was seen.
+    pub(super) fn remembered(&self) -> Option<Incarnation> {
+        u8::try_from(self.remembered.load(Ordering::Relaxed)).ok().map(Incarnation)
+    }
+
+    /// Remembers an incarnation, unless a later one was seen. Only the thread that receives calls this.
+    pub(super) fn remember(&self, incarnation: Incarnation) {
+        if self.remembered().is_none_or(|before| supersedes(incarnation, before)) {
+            self.remembered.store(incarnation.0.into(), Ordering::Relaxed);
         }
     }
 }
@@ -104,7 +137,7 @@ impl Peer {
 /// A neighbour's clock as a datagram showed it, and this node's clock then.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(super) struct Heard {
-    pub(super) incarnation: Incarnation,
+    pub(super) session: Session,
     pub(super) tx_mono: u64,
     pub(super) at: u64,
 }
@@ -119,45 +152,44 @@ impl Heard {
             // The packets were made ready before the neighbour was heard.
             None => self.tx_mono.checked_sub((self.at - tx) + drift(self.at - tx))?,
         };
-        Some(Echo { incarnation: self.incarnation, mono })
+        Some(Echo { session: self.session, mono })
     }
 }
 
-/// The life of a neighbour that is being listened to: what the receiving thread keeps of it.
-pub(super) struct Life {
-    incarnation: Incarnation,
-    window: ReplayWindow,
-    pub(super) delay: LinkDelay,
+/// Bounds how many greetings and refusals leave for a neighbour.
+#[derive(Default)]
+pub(super) struct Pace {
+    /// When the present span began, and how many left in it.
+    greetings: (u64, u32),
+    /// When the last refusal left.
+    refused: Option<u64>,
 }
 
-/// How a good datagram stands to what came before.
-pub(super) enum Contact {
-    /// From the life that is known.
-    Known,
-    /// From a life that was not known before. `restarted`: an earlier one may have taken requests.
-    New { restarted: bool },
-}
+/// How many greetings leave in one
+const GREETINGS: u32 = 8;
+/// span of so many microseconds.
+const SPAN: u64 = 50_000;
+/// At most one refusal leaves in so many microseconds.
+const REFUSE_EVERY: u64 = 200_000;
 
-/// Judges a datagram by its sender's life and its number (D49), and remembers both.
-pub(super) fn judge(
-    life: &mut Option<Life>,
-    envelope: &Envelope,
-    declared: Ticks,
-) -> Result<Contact, LinkDiscard> {
-    if let Some(known) = life {
-        if known.incarnation == envelope.incarnation {
-            let fresh = known.window.accept(envelope.counter);
-            return if fresh { Ok(Contact::Known) } else { Err(LinkDiscard::Replayed) };
+impl Pace {
+    /// Whether one more greeting may leave now.
+    pub(super) fn greets(&mut self, now: u64) -> bool {
+        if now.saturating_sub(self.greetings.0) >= SPAN {
+            self.greetings = (now, 0);
         }
-        if !supersedes(envelope.incarnation, known.incarnation) {
-            return Err(LinkDiscard::StaleIncarnation);
-        }
+        self.greetings.1 += 1;
+        self.greetings.1 <= GREETINGS
     }
-    let restarted = life.is_some() || envelope.restarted;
-    let mut window = ReplayWindow::new();
-    window.accept(envelope.counter);
-    *life = Some(Life { incarnation: envelope.incarnation, window, delay: LinkDelay::new(declared) });
-    Ok(Contact::New { restarted })
+
+    /// Whether a refusal may leave now.
+    pub(super) fn refuses(&mut self, now: u64) -> bool {
+        let may = self.refused.is_none_or(|last| now.saturating_sub(last) >= REFUSE_EVERY);
+        if may {
+            self.refused = Some(now);
+        }
+        may
+    }
 }
 
 #[cfg(test)]
@@ -177,12 +209,31 @@ mod tests {
 
     #[test]
     fn an_echo_never_says_more_than_the_neighbours_clock_shows() {
-        let heard = Heard { incarnation: Incarnation(3), tx_mono: 5_000, at: 100_000 };
+        let heard = Heard { session: Session(3), tx_mono: 5_000, at: 100_000 };
         let mono = |tx| heard.echo(tx).map(|e| e.mono);
         assert_eq!(mono(100_000), Some(5_000));
         assert_eq!(mono(100_100), Some(5_099));
         assert_eq!(mono(100_000 + 25_000_000), Some(5_000 + 25_000_000 - 10_001));
         assert_eq!(mono(99_000), Some(3_999), "made ready before");
         assert_eq!(mono(90_000), None, "before its clock began");
+    }
+
+    #[test]
+    fn greetings_and_refusals_are_few() {
+        let mut pace = Pace::default();
+        assert_eq!((0..100).filter(|_| pace.greets(7_000_000)).count(), 8);
+        assert!(pace.greets(7_000_000 + SPAN));
+        let refusals = (0..1_000).filter(|ms| pace.refuses(ms * 1_000)).count();
+        assert_eq!(refusals, 5, "in a second");
+    }
+
+    #[test]
+    fn the_newest_incarnation_is_remembered() {
+        let peer = Peer::new(NodeId(1), Ticks(0));
+        assert_eq!(peer.remembered(), None);
+        for (seen, newest) in [(200, 200), (199, 200), (255, 255), (3, 3), (250, 3)] {
+            peer.remember(Incarnation(seen));
+            assert_eq!(peer.remembered(), Some(Incarnation(newest)));
+        }
     }
 }

@@ -1,14 +1,15 @@
 //! Receiving: from the socket to the sink.
 
 use super::UdpLink;
-use super::peer::{Contact, Heard, Life, judge, lock};
+use super::peer::{Heard, Peer, lock};
+use super::session::{Contact, Known, admit, judge};
 use super::socket::{Received, Receiver};
 use super::statistics::UdpCount;
 use crate::clock;
 use crate::link::{LinkDiscard, Sink};
 use crate::residency::{Evidence, Reading, residency};
-use imrs_protocol::{NodeId, Packet, Ticks};
-use imrs_wire::envelope::{self, EnvelopeError};
+use imrs_protocol::{Kind, NodeId, Packet, Ticks};
+use imrs_wire::envelope::{self, Envelope, EnvelopeError, Greeting, Purpose};
 use std::io;
 use std::time::Duration;
 
@@ -25,7 +26,7 @@ pub(super) struct Receiving {
     /// The clocks when a datagram was last taken.
     pub(super) last: Reading,
     /// By the position of the neighbour.
-    pub(super) lives: Box<[Option<Life>]>,
+    pub(super) known: Box<[Option<Known>]>,
     /// What came at once brought. Has room for what leaves in one call, and keeps it.
     pub(super) decoded: Vec<Packet>,
 }
@@ -47,7 +48,7 @@ impl UdpLink {
     }
 
     fn receive(&self, receiving: &mut Receiving, most: usize, sink: &dyn Sink) -> bool {
-        let Receiving { receiver, empty, last, lives, decoded } = receiving;
+        let Receiving { receiver, empty, last, known, decoded } = receiving;
         // Read before the socket is looked at: if it turns out to be empty, it was so after this.
         let mut before = if most > 1 { Reading::take() } else { *last };
         let mut taken = 0;
@@ -57,7 +58,8 @@ impl UdpLink {
                     let now = Reading::take();
                     self.statistics.add(UdpCount::KernelDropped, u64::from(dropped));
                     let waited = self.waited(&received, &now, empty);
-                    let together = Together { link: self, now, waited, lives, decoded, of: None, sink };
+                    let together =
+                        Together { link: self, now, waited, known, decoded, of: None, greetings: 0, sink };
                     taken += together.deliver(&received);
                     (before, *last) = (now, now);
                 }
@@ -98,11 +100,13 @@ struct Together<'a> {
     now: Reading,
     /// How long it waited in the kernel, by the one stamp that it has.
     waited: Ticks,
-    lives: &'a mut [Option<Life>],
+    known: &'a mut [Option<Known>],
     /// What its datagrams brought and the sink was not yet given.
     decoded: &'a mut Vec<Packet>,
     /// Whose that is, and its charge.
     of: Option<(NodeId, Ticks)>,
+    /// How many of its datagrams were greetings.
+    greetings: u64,
     sink: &'a dyn Sink,
 }
 
@@ -120,7 +124,7 @@ impl Together<'_> {
             }
         }
         self.hand_over();
-        self.link.statistics.add(UdpCount::DatagramsReceived, count);
+        self.link.statistics.add(UdpCount::DatagramsReceived, count - self.greetings);
         if count > 1 {
             self.link.statistics.add(UdpCount::ReceivesSaved, count - 1);
         }
@@ -129,43 +133,160 @@ impl Together<'_> {
 
     fn take(&mut self, bytes: &[u8]) -> Result<(), LinkDiscard> {
         let link = self.link;
-        let digest = link.table.digest();
-        let (envelope, packets) =
-            envelope::open(bytes, digest, |node| link.peer(node).is_some()).map_err(LinkDiscard::from)?;
-        let (index, peer) = link.peer(envelope.sender).ok_or(LinkDiscard::UnknownNode)?;
-        if let Contact::New { restarted } = judge(&mut self.lives[index], &envelope, peer.declared)? {
-            // Of the life before.
-            self.hand_over();
-            link.statistics.add(UdpCount::NewLives, 1);
-            self.sink.peer(peer.node, envelope.incarnation, restarted);
+        let opened = envelope::read(bytes)?;
+        let (index, peer) = link.sender_of(&opened)?;
+        let (envelope, at) = (&opened.envelope, link.micros(self.now.after) + 1);
+        if let Purpose::Greeting(greeting) = envelope.purpose {
+            self.greetings += 1;
+            self.greeted(index, peer, (envelope, greeting), at);
+            return Ok(());
         }
-        let at = link.micros(self.now.after) + 1;
-        let heard = Heard { incarnation: envelope.incarnation, tx_mono: envelope.tx_mono, at };
-        *lock(&peer.heard) = Some(heard);
-        let echo = envelope.echo.filter(|echo| echo.incarnation == link.options.incarnation);
-        let life = self.lives[index].as_mut();
-        let shown = life.map_or(Ticks::ZERO, |l| l.delay.arrived(envelope.tx_mono, echo.map(|e| e.mono), at));
-        let of = Some((peer.node, shown.max(peer.declared + self.waited)));
-        if self.of != of || self.decoded.len() + packets.len() > self.decoded.capacity() {
-            self.hand_over();
-            self.of = of;
-        }
-        let port_hash = |port| link.table.port(port).map(|port| port.hash);
-        for packet in packets {
-            match Packet::decode(packet, digest, port_hash) {
-                Ok(packet) => self.decoded.push(packet),
-                Err(error) => self.sink.discarded(LinkDiscard::Packet(error)),
+        let one_way = || lock(&peer.way).is_none();
+        let judged = judge(self.known[index].as_ref(), envelope, link.sent_after(envelope, at), one_way);
+        let contact = judged.map_err(|unheard| {
+            if unheard.asks {
+                link.statistics.add(UdpCount::EchoesAsked, 1);
+                link.say(
+                    peer,
+                    Greeting { wants_answer: true, ..Greeting::default() },
+                    Some(heard(envelope, at)),
+                );
             }
+            unheard.reason
+        })?;
+        // Only a datagram that brings at least one packet of this cell changes what is known of its sender.
+        let before = self.decode(opened.packets, envelope.sender);
+        if self.decoded.len() == before {
+            return Ok(());
         }
+        self.admitted(index, peer, (envelope, contact), (at, before));
         Ok(())
     }
 
-    fn hand_over(&mut self) {
-        if let Some((node, charge)) = self.of.filter(|_| !self.decoded.is_empty()) {
-            self.link.statistics.add(UdpCount::PacketsReceived, self.decoded.len() as u64);
-            self.sink.packets(node, self.decoded, charge, self.now.after);
+    /// Decodes packets behind those that wait for the sink. Returns how many of those there were.
+    fn decode(&mut self, packets: &[[u8; 32]], sender: NodeId) -> usize {
+        if self.decoded.len() + packets.len() > self.decoded.capacity() {
+            self.hand_over();
         }
-        self.decoded.clear();
+        let (link, before) = (self.link, self.decoded.len());
+        let port_hash = |port| link.table.port(port).map(|port| port.hash);
+        for packet in packets {
+            match Packet::decode(packet, link.table.digest(), port_hash) {
+                Ok(packet) => {
+                    link.remember_source(sender, &packet);
+                    self.decoded.push(packet);
+                }
+                Err(error) => self.sink.discarded(LinkDiscard::Packet(error)),
+            }
+        }
+        before
+    }
+
+    /// A datagram was admitted. The packets behind the first `before` are its own.
+    fn admitted(
+        &mut self,
+        index: usize,
+        peer: &Peer,
+        (envelope, contact): (&Envelope, Contact),
+        (at, before): (u64, usize),
+    ) {
+        let mut before = before;
+        if let Contact::New { .. } = contact {
+            // What came before it is of an earlier session.
+            self.hand_over_first(std::mem::take(&mut before));
+        }
+        let shown = self.enter(index, peer, (envelope, contact), at);
+        let of = Some((peer.node, shown.max(peer.declared + self.waited)));
+        if self.of != of {
+            self.hand_over_first(before);
+            self.of = of;
+        }
+    }
+
+    /// Remembers what an admitted datagram says of its sender. Returns how long its way took at most.
+    fn enter(
+        &mut self,
+        index: usize,
+        peer: &Peer,
+        (envelope, contact): (&Envelope, Contact),
+        at: u64,
+    ) -> Ticks {
+        let link = self.link;
+        if let Contact::New { restarted } = contact {
+            link.statistics.add(UdpCount::NewLives, 1);
+            peer.remember(envelope.incarnation);
+            self.sink.peer(peer.node, envelope.incarnation, restarted);
+        }
+        if contact == Contact::Resumed {
+            link.statistics.add(UdpCount::CountersMended, 1);
+        }
+        link.met(peer);
+        *lock(&peer.heard) = Some(heard(envelope, at));
+        let echo = link.own_echo(envelope);
+        let known = admit(&mut self.known[index], contact, envelope, (at, peer.declared));
+        known.delay.arrived(envelope.tx_mono, echo, at)
+    }
+
+    /// A greeting came. It changes what is known of its sender only if its echo proves when it was sent.
+    fn greeted(&mut self, index: usize, peer: &Peer, (envelope, greeting): (&Envelope, Greeting), at: u64) {
+        let link = self.link;
+        link.statistics.add(UdpCount::GreetingsReceived, 1);
+        let sent_after = link.sent_after(envelope, at);
+        if sent_after.is_some() && !greeting.wants_answer {
+            *lock(&peer.remembers) = Some(greeting.remembers);
+        }
+        let judged = judge(self.known[index].as_ref(), envelope, sent_after, || false);
+        let contact = judged.ok().filter(|_| sent_after.is_some() && !greeting.uncounted);
+        let is_new = matches!(contact, Some(Contact::New { .. }));
+        if let Some(contact) = contact {
+            self.hand_over();
+            self.enter(index, peer, (envelope, contact), at);
+        }
+        // Whoever is new here hears at once that this node listens, and proves with that that it hears.
+        if greeting.wants_answer || is_new {
+            link.say(peer, Greeting::default(), Some(heard(envelope, at)));
+        }
+    }
+
+    fn hand_over(&mut self) {
+        self.hand_over_first(self.decoded.len());
+    }
+
+    /// Hands over the first packets that wait for it.
+    fn hand_over_first(&mut self, count: usize) {
+        if let Some((node, charge)) = self.of.filter(|_| count > 0) {
+            self.link.statistics.add(UdpCount::PacketsReceived, count as u64);
+            self.sink.packets(node, &self.decoded[..count], charge, self.now.after);
+        }
+        self.decoded.drain(..count);
+    }
+}
+
+/// The sender's clock as a datagram shows it.
+const fn heard(envelope: &Envelope, at: u64) -> Heard {
+    Heard { session: envelope.session, tx_mono: envelope.tx_mono, at }
+}
+
+impl UdpLink {
+    /// This node's clock as the sender knew it, where it is of this session.
+    fn own_echo(&self, envelope: &Envelope) -> Option<u64> {
+        envelope.echo.filter(|echo| echo.session == self.session).map(|echo| echo.mono)
+    }
+
+    /// An instant that was over when the datagram was sent, if it proves one. An echo from the future proves none.
+    fn sent_after(&self, envelope: &Envelope, at: u64) -> Option<u64> {
+        self.own_echo(envelope).filter(|&echo| echo <= at)
+    }
+
+    /// A neighbour may also be known by what others pass on for it.
+    fn remember_source(&self, sender: NodeId, packet: &Packet) {
+        if !matches!(packet.kind, Kind::Send | Kind::Query | Kind::Arrive) {
+            return;
+        }
+        let source = self.table.location(packet.source).filter(|&source| source != sender);
+        if let Some((_, peer)) = source.and_then(|source| self.peer(source)) {
+            peer.remember(packet.id.incarnation);
+        }
     }
 }
 
@@ -178,7 +299,10 @@ impl From<EnvelopeError> for LinkDiscard {
             EnvelopeError::Mode(_) => Self::Mode,
             EnvelopeError::Length(_) => Self::Length,
             EnvelopeError::Checksum => Self::Checksum,
+            EnvelopeError::Purpose(_) => Self::Purpose,
             EnvelopeError::OtherCell(_) => Self::OtherCell,
+            EnvelopeError::OtherStatements(_) => Self::OtherStatements,
+            EnvelopeError::Misdelivered(_) => Self::Misdelivered,
             EnvelopeError::UnknownNode(_) => Self::UnknownNode,
         }
     }

@@ -6,7 +6,7 @@ use super::socket;
 use super::statistics::UdpCount;
 use crate::link::LinkBusy;
 use imrs_protocol::Packet;
-use imrs_wire::envelope::{Datagram, Envelope, MAX_PACKETS};
+use imrs_wire::envelope::{Datagram, Envelope, MAX_PACKETS, Purpose};
 use rustix::io::Errno;
 use std::io::{self, IoSlice};
 use std::sync::atomic::Ordering;
@@ -42,8 +42,8 @@ impl UdpLink {
         if datagrams.len() < count {
             datagrams.resize_with(count, Datagram::default);
         }
-        let (sender, incarnation) = (self.table.node, self.options.incarnation);
-        let restarted = self.options.restarted;
+        let (incarnation, restarted) = self.identity();
+        let digests = self.digests();
         for (number, (datagram, packets)) in datagrams.iter_mut().zip(packets.chunks(MAX_PACKETS)).enumerate()
         {
             let counter = *counter + number as u64;
@@ -53,8 +53,18 @@ impl UdpLink {
                 let hash = self.table.port(packet.port).map_or(0, |port| port.hash);
                 datagram.push(&packet.encode(self.table.digest(), hash));
             }
-            let envelope = Envelope { sender, incarnation, restarted, counter, tx_mono, echo };
-            datagram.seal(&envelope, self.table.digest());
+            let envelope = Envelope {
+                sender: self.table.node,
+                receiver: peer.node,
+                incarnation,
+                restarted,
+                session: self.session,
+                counter,
+                tx_mono,
+                echo,
+                purpose: Purpose::Packets,
+            };
+            datagram.seal(&envelope, digests);
         }
         let left = self.leave(peer, way, &datagrams[..count]);
         // Also the numbers of what was not taken: of a call that failed something may have left.
@@ -105,7 +115,7 @@ impl UdpLink {
     }
 
     /// Hands a datagram to the kernel.
-    fn transmit(&self, bytes: &[u8], way: &mut Way) -> io::Result<()> {
+    pub(super) fn transmit(&self, bytes: &[u8], way: &mut Way) -> io::Result<()> {
         if let Some(connected) = &way.connected {
             match self.sent(|| connected.send(bytes)) {
                 Ok(()) => return Ok(()),

@@ -60,8 +60,20 @@ counts! {
     ClockSet = "clock_set",
     /// The same, because the kernel gave no stamp.
     NoStamp = "no_stamp",
-    /// New lives of neighbours.
+    /// New sessions of neighbours: the first one of each, and one for each restart.
     NewLives = "new_lives",
+    /// Greetings sent: they carry no packets, and are not among the datagrams.
+    GreetingsSent = "greetings_sent",
+    /// Greetings that came in.
+    GreetingsReceived = "greetings_received",
+    /// How often a neighbour was asked for an echo, because its session or its counter could not be told from an old one's.
+    EchoesAsked = "echoes_asked",
+    /// Counters that a datagram had set too far ahead, and that a later one put right.
+    CountersMended = "counters_mended",
+    /// Refusals sent: what came in says why.
+    RefusalsSent = "refusals_sent",
+    /// Packets that came before the node began, and were dropped.
+    BeforeStart = "before_start",
 }
 
 impl UdpCount {

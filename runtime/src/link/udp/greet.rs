@@ -1,0 +1,198 @@
+//! Greetings and refusals: what nodes say of themselves, without packets (D144, D145).
+
+use super::peer::{Heard, Peer, lock};
+use super::statistics::UdpCount;
+use super::{NotANeighbour, UdpLink};
+use crate::link::{Link, LinkDiscard, Sink};
+use crate::sync;
+use imrs_protocol::{Incarnation, NodeId, Packet, Ticks};
+use imrs_wire::envelope::{
+    Digests, Envelope, EnvelopeError, Greeting, Opened, Purpose, Refused, without_packets,
+};
+use std::sync::atomic::Ordering;
+use std::time::{Duration, Instant};
+
+/// How often a neighbour that has not answered is asked again.
+const ASK_EVERY: Duration = Duration::from_millis(100);
+
+/// A neighbour with which nothing can be exchanged.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Refusal {
+    /// The neighbour.
+    pub node: NodeId,
+    /// Why.
+    pub why: Refused,
+    /// The neighbour's digests.
+    pub theirs: Digests,
+    /// Whether this node refused a datagram of the neighbour.
+    pub here: bool,
+    /// Whether the neighbour says that it refuses this node's datagrams.
+    pub there: bool,
+}
+
+/// Who hears nothing yet: packets for a node that has not begun are lost.
+struct Deaf<'a>(&'a UdpLink);
+
+impl Sink for Deaf<'_> {
+    fn packets(&self, _from: NodeId, packets: &[Packet], _charge: Ticks, _at: Instant) {
+        self.0.statistics.add(UdpCount::BeforeStart, packets.len() as u64);
+    }
+
+    fn peer(&self, _node: NodeId, _incarnation: Incarnation, _restarted: bool) {}
+
+    fn discarded(&self, _reason: LinkDiscard) {}
+}
+
+impl UdpLink {
+    /// What this node and its neighbours must have in common.
+    #[must_use]
+    pub fn digests(&self) -> Digests {
+        Digests { cell: self.table.digest(), statements: self.options.statements }
+    }
+
+    /// Greets every neighbour that has an address and was not heard since that was entered. Its answer shows whether the
+    /// two can talk, and lets a new session of this node be heard with its first packet. Returns whether any was greeted.
+    pub fn greet(&self) -> bool {
+        let mut any = false;
+        for peer in self.peers.iter().filter(|peer| !peer.met.load(Ordering::Relaxed)) {
+            any |= lock(&peer.way).is_some();
+            let heard = *lock(&peer.heard);
+            self.say(peer, Greeting { wants_answer: true, ..Greeting::default() }, heard);
+        }
+        any
+    }
+
+    /// Asks the neighbours which incarnations of this node they remember, for at most so long or until all that have an
+    /// address have answered. For a node that cannot trust what it remembers itself: call it before
+    /// [`set_incarnation`](Self::set_incarnation), and before a node runs on the link.
+    ///
+    /// Returns what each neighbour said that answered.
+    pub fn ask_incarnations(&self, within: Duration) -> Vec<(NodeId, Option<Incarnation>)> {
+        self.uncounted.store(true, Ordering::Release);
+        let end = Instant::now() + within;
+        let is_silent = |peer: &&Peer| {
+            lock(&peer.way).is_some() && lock(&peer.remembers).is_none() && lock(&peer.refusal).is_none()
+        };
+        let mut ask_at = Instant::now();
+        while Instant::now() < end && self.peers.iter().any(|peer| is_silent(&peer)) {
+            if ask_at <= Instant::now() {
+                let greeting = Greeting { wants_answer: true, ..Greeting::default() };
+                self.peers.iter().filter(is_silent).for_each(|peer| self.say(peer, greeting, None));
+                ask_at = Instant::now() + ASK_EVERY;
+            }
+            self.poll(&Deaf(self), Some(ask_at.min(end)));
+        }
+        // The node hears of its neighbours anew, once it runs.
+        sync::lock(&self.receiving).known.fill_with(|| None);
+        let said = self.peers.iter().filter_map(|peer| Some((peer.node, (*lock(&peer.remembers))?)));
+        said.collect()
+    }
+
+    /// Whether there is a neighbour to which something can be sent.
+    #[must_use]
+    pub fn has_addresses(&self) -> bool {
+        self.peers.iter().any(|peer| lock(&peer.way).is_some())
+    }
+
+    /// The neighbours with which nothing can be exchanged at present, and why.
+    #[must_use]
+    pub fn refusals(&self) -> Vec<Refusal> {
+        self.peers.iter().filter_map(|peer| *lock(&peer.refusal)).collect()
+    }
+
+    /// Whether anything of a neighbour was admitted since its address was entered.
+    ///
+    /// # Errors
+    /// Where the node is no neighbour.
+    pub fn has_met(&self, node: NodeId) -> Result<bool, NotANeighbour> {
+        let (_, peer) = self.peer(node).ok_or(NotANeighbour(node))?;
+        Ok(peer.met.load(Ordering::Relaxed))
+    }
+
+    /// Sends a greeting, unless there were many of late or the neighbour has no address.
+    pub(super) fn say(&self, peer: &Peer, greeting: Greeting, heard: Option<Heard>) {
+        let now = self.micros(Instant::now());
+        if lock(&peer.pace).greets(now) {
+            let uncounted = self.uncounted.load(Ordering::Acquire);
+            let greeting = Greeting { remembers: peer.remembered(), uncounted, ..greeting };
+            self.send_bare(peer, Purpose::Greeting(greeting), heard);
+        }
+    }
+
+    fn send_bare(&self, peer: &Peer, purpose: Purpose, heard: Option<Heard>) {
+        let mut way = lock(&peer.way);
+        let Some(way) = way.as_mut() else { return };
+        let tx_mono = self.micros(Instant::now());
+        let (incarnation, restarted) = self.identity();
+        let envelope = Envelope {
+            sender: self.table.node,
+            receiver: peer.node,
+            incarnation,
+            restarted,
+            session: self.session,
+            counter: 0,
+            tx_mono,
+            echo: heard.and_then(|heard| heard.echo(tx_mono)),
+            purpose,
+        };
+        let count =
+            if let Purpose::Refusal(_) = purpose { UdpCount::RefusalsSent } else { UdpCount::GreetingsSent };
+        if self.transmit(&without_packets(&envelope, self.digests()), way).is_ok() {
+            self.statistics.add(count, 1);
+        }
+    }
+
+    /// The neighbour that sent a datagram, and its position, if the two can talk. Otherwise both sides learn why not.
+    pub(super) fn sender_of(&self, opened: &Opened<'_>) -> Result<(usize, &Peer), LinkDiscard> {
+        let sender = self.peer(opened.envelope.sender);
+        if let (Purpose::Refusal(why), Some((_, peer)), true) =
+            (opened.envelope.purpose, sender, opened.envelope.receiver == self.table.node)
+        {
+            self.note_refusal(peer, why, opened.digests, false);
+            return Err(LinkDiscard::RefusedByPeer);
+        }
+        let checked = opened.check(self.table.node, self.digests(), |_| sender.is_some());
+        if let (Err(error), Some((_, peer))) = (checked, sender) {
+            let why = match error {
+                EnvelopeError::OtherCell(_) => Some(Refused::OtherCell),
+                EnvelopeError::OtherStatements(_) => Some(Refused::OtherStatements),
+                EnvelopeError::Misdelivered(_) => Some(Refused::Misdelivered),
+                _ => None,
+            };
+            let is_refusal = matches!(opened.envelope.purpose, Purpose::Refusal(_));
+            if let Some(why) = why.filter(|_| !is_refusal) {
+                self.note_refusal(peer, why, opened.digests, true);
+                let now = self.micros(Instant::now());
+                if lock(&peer.pace).refuses(now) {
+                    self.send_bare(peer, Purpose::Refusal(why), None);
+                }
+            }
+        }
+        checked?;
+        sender.ok_or(LinkDiscard::UnknownNode)
+    }
+
+    fn note_refusal(&self, peer: &Peer, why: Refused, theirs: Digests, here: bool) {
+        // One datagram that went astray says nothing of the two.
+        if why == Refused::Misdelivered {
+            return;
+        }
+        let mut refusal = lock(&peer.refusal);
+        let before = refusal.filter(|before| (before.why, before.theirs) == (why, theirs));
+        let (was_here, was_there) = before.map_or((false, false), |before| (before.here, before.there));
+        let (here, there) = (here || was_here, !here || was_there);
+        *refusal = Some(Refusal { node: peer.node, why, theirs, here, there });
+        peer.is_refused.store(true, Ordering::Release);
+    }
+
+    /// The two can talk.
+    pub(super) fn met(&self, peer: &Peer) {
+        if !peer.met.load(Ordering::Relaxed) {
+            peer.met.store(true, Ordering::Relaxed);
+        }
+        if peer.is_refused.load(Ordering::Acquire) {
+            peer.is_refused.store(false, Ordering::Release);
+            *lock(&peer.refusal) = None;
+        }
+    }
+}

@@ -1,0 +1,200 @@
+//! Which session of a neighbour is listened to (D144).
+//!
+//! A node draws a session anew with every start. Sessions have no order, so a datagram of another session than the known
+//! one must prove that it was sent later. Its echo is the proof: an echo is an instant of *this* node's clock that was
+//! over when the neighbour sent the datagram. A datagram whose echo is not before the last one that came from the known
+//! session was sent after that. A node runs once at a time, so the known session is over.
+//!
+//! A datagram of a dead session was sent before the present one began, so its echo can never be late enough: it cannot take
+//! over, however often and whenever it is repeated. A neighbour whose new session has no such echo is asked for it, which
+//! takes one exchange.
+//!
+//! The same proof mends a counter that was mistaken: a datagram that was sent after the newest one came has the greater
+//! counter, whatever the newest one said.
+
+use super::delay::LinkDelay;
+use crate::link::LinkDiscard;
+use imrs_protocol::{Incarnation, Ticks};
+use imrs_wire::envelope::{Envelope, Purpose, ReplayWindow, Session, supersedes};
+
+/// The session of a neighbour that is listened to: what the receiving thread keeps of it. Times are of this node's clock.
+pub(super) struct Known {
+    session: Session,
+    incarnation: Incarnation,
+    window: ReplayWindow,
+    /// When the datagram with the newest counter came.
+    newest_at: u64,
+    /// When a datagram of it was last admitted.
+    last: u64,
+    pub(super) delay: LinkDelay,
+}
+
+/// How a good datagram stands to what came before.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Contact {
+    /// From the session that is known.
+    Known,
+    /// From it, and the counter that was the newest was a mistake.
+    Resumed,
+    /// From a session that was not known before. `restarted`: an earlier one may have taken requests.
+    New { restarted: bool },
+}
+
+/// Why a datagram is dropped.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) struct Unheard {
+    pub(super) reason: LinkDiscard,
+    /// Whether an echo can clear it up: the neighbour is asked for one.
+    pub(super) asks: bool,
+}
+
+/// Judges a datagram by its sender's session and its counter. Changes nothing.
+///
+/// `sent_after`: an instant that was over when it was sent, if it proves one. `one_way`: no exchange is possible, because
+/// nothing can be sent to the neighbour. Then the order of incarnations decides (D49).
+pub(super) fn judge(
+    known: Option<&Known>,
+    envelope: &Envelope,
+    sent_after: Option<u64>,
+    one_way: impl FnOnce() -> bool,
+) -> Result<Contact, Unheard> {
+    let Some(known) = known else { return Ok(Contact::New { restarted: envelope.restarted }) };
+    let is_later_than = |at: u64| sent_after.is_some_and(|sent| sent >= at);
+    if known.session == envelope.session {
+        let (window, counter) = (&known.window, envelope.counter);
+        return if envelope.purpose != Purpose::Packets || window.is_new(counter) {
+            Ok(Contact::Known)
+        } else if window.is_behind(counter) && is_later_than(known.newest_at) {
+            Ok(Contact::Resumed)
+        } else {
+            Err(Unheard { reason: LinkDiscard::Replayed, asks: window.is_behind(counter) })
+        };
+    }
+    let is_newer = || supersedes(envelope.incarnation, known.incarnation);
+    if is_later_than(known.last) || is_newer() && one_way() {
+        return Ok(Contact::New { restarted: true });
+    }
+    let stale = supersedes(known.incarnation, envelope.incarnation);
+    let reason = if stale { LinkDiscard::StaleIncarnation } else { LinkDiscard::UnprovenSession };
+    Err(Unheard { reason, asks: true })
+}
+
+/// Remembers a datagram that was admitted at `at`. `declared`: the bound of the link.
+pub(super) fn admit<'a>(
+    known: &'a mut Option<Known>,
+    contact: Contact,
+    envelope: &Envelope,
+    (at, declared): (u64, Ticks),
+) -> &'a mut Known {
+    if let Contact::New { .. } = contact {
+        *known = None;
+    }
+    let known = known.get_or_insert_with(|| Known {
+        session: envelope.session,
+        incarnation: envelope.incarnation,
+        window: ReplayWindow::new(),
+        newest_at: at,
+        last: at,
+        delay: LinkDelay::new(declared),
+    });
+    known.last = at;
+    if envelope.purpose == Purpose::Packets {
+        if contact == Contact::Resumed {
+            known.window.resume(envelope.counter);
+            known.newest_at = at;
+        } else {
+            if known.window.is_newest(envelope.counter) {
+                known.newest_at = at;
+            }
+            known.window.accept(envelope.counter);
+        }
+    }
+    known
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use imrs_protocol::NodeId;
+
+    fn envelope(session: u64, incarnation: u8, counter: u64) -> Envelope {
+        Envelope {
+            sender: NodeId(0),
+            receiver: NodeId(1),
+            incarnation: Incarnation(incarnation),
+            restarted: false,
+            session: Session(session),
+            counter,
+            tx_mono: 0,
+            echo: None,
+            purpose: Purpose::Packets,
+        }
+    }
+
+    /// A neighbour of which the datagrams `(session, incarnation, counter)` were admitted, each at its time.
+    fn heard(datagrams: &[(u64, u8, u64, u64)]) -> Option<Known> {
+        let mut known = None;
+        for &(session, incarnation, counter, at) in datagrams {
+            let envelope = envelope(session, incarnation, counter);
+            let new = known.as_ref().is_none_or(|k: &Known| k.session.0 != session);
+            let contact = if new { Contact::New { restarted: false } } else { Contact::Known };
+            admit(&mut known, contact, &envelope, (at, Ticks(0)));
+        }
+        known
+    }
+
+    fn judged(
+        known: &Option<Known>,
+        envelope: &Envelope,
+        sent_after: Option<u64>,
+    ) -> Result<Contact, Unheard> {
+        judge(known.as_ref(), envelope, sent_after, || false)
+    }
+
+    #[test]
+    fn a_new_session_takes_over_when_it_was_sent_after_all_that_came() {
+        let known = heard(&[(1, 200, 0, 100), (1, 200, 1, 500)]);
+        // Lost state: its incarnation begins again.
+        let again = envelope(2, 0, 0);
+        let unproven = |sent_after| judged(&known, &again, sent_after).unwrap_err();
+        assert_eq!(unproven(None), Unheard { reason: LinkDiscard::UnprovenSession, asks: true });
+        assert_eq!(unproven(Some(499)).reason, LinkDiscard::UnprovenSession);
+        assert_eq!(judged(&known, &again, Some(500)), Ok(Contact::New { restarted: true }));
+    }
+
+    #[test]
+    fn a_dead_session_takes_nothing_over() {
+        // It heard this node until 400, and ended. The next one is heard from 600 on.
+        let known = heard(&[(1, 3, 9, 410), (2, 4, 0, 600)]);
+        for sent_after in [None, Some(0), Some(400), Some(599)] {
+            let reason = judged(&known, &envelope(1, 3, 10), sent_after).unwrap_err().reason;
+            assert_eq!(reason, LinkDiscard::StaleIncarnation);
+        }
+    }
+
+    #[test]
+    fn without_a_way_back_the_later_incarnation_is_taken() {
+        let known = heard(&[(1, 3, 9, 410)]);
+        let one_way = |incarnation| judge(known.as_ref(), &envelope(2, incarnation, 0), None, || true);
+        assert_eq!(one_way(4), Ok(Contact::New { restarted: true }));
+        assert_eq!(one_way(2).unwrap_err().reason, LinkDiscard::StaleIncarnation);
+        assert_eq!(one_way(3).unwrap_err().reason, LinkDiscard::UnprovenSession);
+    }
+
+    #[test]
+    fn a_mistaken_counter_is_mended_by_what_was_sent_after_it() {
+        let mut known = heard(&[(1, 0, 7, 100), (1, 0, 1 << 50, 200)]);
+        let next = envelope(1, 0, 8);
+        assert_eq!(
+            judged(&known, &next, Some(199)),
+            Err(Unheard { reason: LinkDiscard::Replayed, asks: true })
+        );
+        assert_eq!(judged(&known, &next, Some(200)), Ok(Contact::Resumed));
+        admit(&mut known, Contact::Resumed, &next, (300, Ticks(0)));
+        assert_eq!(judged(&known, &envelope(1, 0, 9), None), Ok(Contact::Known));
+        for seen in [7, 8] {
+            let again = judged(&known, &envelope(1, 0, seen), Some(300));
+            assert_eq!(again, Err(Unheard { reason: LinkDiscard::Replayed, asks: false }));
+        }
+    }
+}
