@@ -18,6 +18,8 @@ pub enum Exit {
     Nothing = 3,
     /// Out of the given budget, with a partial answer.
     Budget = 4,
+    /// Evidence is missing: nothing was found, and not everything could be judged.
+    Incomplete = 5,
     /// A fault of this program.
     Internal = 70,
 }

@@ -44,14 +44,16 @@ use std::sync::Mutex;
 #[must_use]
 pub fn command() -> ExitCode {
     report_each_panic_once();
-    catch_unwind(answer).unwrap_or_else(|_| {
+    let exit = catch_unwind(answer).unwrap_or_else(|_| {
         complain(format_args!(
             "this is a fault of imrs {}. Please report the lines above and the command:\n  {}",
             env!("CARGO_PKG_VERSION"),
             arguments().collect::<Vec<_>>().join(" ")
         ));
         Exit::Internal.into()
-    })
+    });
+    output::settle_complaints();
+    exit
 }
 
 /// The command line as it can be shown.
