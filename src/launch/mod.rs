@@ -20,6 +20,7 @@ mod rt;
 mod scripted;
 mod setups;
 mod signals;
+mod spread;
 pub mod story;
 mod summary;
 mod tally;
