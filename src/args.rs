@@ -32,8 +32,9 @@ Examples:
   imrs monitor                       watch the nodes that run on this machine
 
 Exit codes: 0 all well, 1 a finding, 2 bad input or usage, 3 nothing to attach to,
-4 out of the given budget with a partial answer, 70 an internal fault,
-71 the system has no memory, file descriptor or thread left."
+4 out of the given budget with a partial answer, 5 evidence is missing: nothing found, not
+everything judged, 70 an internal fault, 71 the system has no memory, file descriptor or
+thread left."
 )]
 pub struct Cli {
     /// When to use colour; NO_COLOR is honoured.
@@ -147,7 +148,14 @@ Examples:
     /// and for each renewal, and its end means: stop now.
     ///
     /// The cell's checks (`never`, `always`, `leads`) are judged by what the run does; one that does not hold is told with
-    /// its line and values, and ends with exit code 1. With --node those about tasks of that node are.
+    /// its line and values, and ends with exit code 1. With --node those about tasks of that node are. Where evidence is
+    /// missing (a check whose tasks told nothing, a node that could not tell all), the answer is `incomplete`, exit code 5.
+    ///
+    /// A run ends when all of its tasks have. A task that serves for ever (`loop` without `exit`) keeps it going: it is said when
+    /// only such tasks are left, and --until-idle ends the run then.
+    ///
+    /// Nobody waits for a reader: of lines that come faster than they are read some are left out, and counted. The summary
+    /// waits for its reader, for 5 s at most; a second Ctrl-C ends that wait.
     ///
     /// With --node one node of the cell runs here, at the address that the cell declares for it (`node n at "10.0.0.11"
     /// port 7000;`), and sends to the others at theirs. Which of its lives this is it remembers in
@@ -159,6 +167,7 @@ Examples:
 Examples:
   imrs run examples/beam_lift.cell                    until Ctrl-C
   imrs run cell.cell --for 10s --in-process           in one process
+  imrs run cell.cell --until-idle                     until only servers are left
   imrs run cell.cell --loss 10% --kill hoist@2s       with faults
   imrs run cell.cell --kill hoist@2s --restart hoist@3s  and started again
   imrs run cell.cell --node nl --insecure --rt        one node, on its robot
@@ -200,6 +209,10 @@ Examples:
   imrs verify cell.cell --save found.imrs; imrs monitor --replay found.imrs")]
     Monitor(MonitorArgs),
     /// Run the state machine again on what a node recorded, and compare every output.
+    ///
+    /// A recording that was cut off or misses inputs is judged as far as it goes. Where nothing differs there, the answer is
+    /// `incomplete`, with exit code 5. So is that of --model where inputs are missing, where a node was restarted (the model
+    /// follows a node only up to its end), or where late nodes leave more ways to round times than are tried.
     #[command(after_help = "\
 Examples:
   imrs demo beam-lift --record run.imrs

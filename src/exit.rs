@@ -20,6 +20,8 @@ pub enum Exit {
     Nothing = 3,
     /// Out of the given budget, with a partial answer.
     Budget = 4,
+    /// Evidence is missing: nothing was found, and not everything could be judged.
+    Incomplete = 5,
     /// A fault of this program.
     Internal = 70,
     /// The operating system has no memory, file descriptor or thread left for this program.

@@ -53,7 +53,7 @@ pub fn command() -> ExitCode {
     let sound = Arc::new(AtomicBool::new(true));
     report_each_panic_once(&sound);
     end_without_memory(&sound);
-    catch_unwind(answer).unwrap_or_else(|panic| {
+    let exit = catch_unwind(answer).unwrap_or_else(|panic| {
         if panic_text(&*panic).is_some_and(exit::says_exhausted) {
             complain("the system has no memory, file descriptor or thread left for this: see `ulimit -a`");
             return Exit::System.into();
@@ -64,7 +64,9 @@ pub fn command() -> ExitCode {
             arguments().collect::<Vec<_>>().join(" ")
         ));
         Exit::Internal.into()
-    })
+    });
+    output::settle_complaints();
+    exit
 }
 
 /// What a panic says.

@@ -114,6 +114,8 @@ struct Replayed {
     insecure: bool,
     /// Whether the file has its end.
     whole: bool,
+    /// Whether it has its end, and every step could be judged.
+    complete: bool,
     tasks: Vec<Task>,
 }
 
@@ -133,6 +135,13 @@ struct Task {
     divergence: Option<String>,
 }
 
+impl Task {
+    /// Whether all of its steps could be judged.
+    const fn is_judged(&self) -> bool {
+        self.lost == 0 && self.unjudged == 0
+    }
+}
+
 /// Replays recordings.
 ///
 /// # Errors
@@ -150,6 +159,8 @@ pub fn run(args: &ReplayArgs, out: &mut Output) -> Result<Exit, Failure> {
         let replayed = read(file, &known, given.as_deref())?;
         if replayed.tasks.iter().any(|task| task.divergence.is_some()) {
             exit = Exit::Finding;
+        } else if !replayed.complete && exit == Exit::Well {
+            exit = Exit::Incomplete;
         }
         match args.format {
             Format::Json => out.json(&replayed)?,
@@ -223,14 +234,16 @@ fn read(path: &Path, known: &[Loaded], given: Option<&str>) -> Result<Replayed, 
         },
         divergence: divergence(replay.verdict(), &names.tasks[replay.task().index()].name),
     });
+    let (tasks, whole): (Vec<Task>, _) = (tasks.collect(), reader.ending() == Ending::Ended);
     Ok(Replayed {
         version: 1,
         cell: header.cell,
         node: names.nodes[table.node.index()].name.clone(),
         build: header.build,
         insecure: header.insecure,
-        tasks: tasks.collect(),
-        whole: reader.ending() == Ending::Ended,
+        complete: whole && tasks.iter().all(Task::is_judged),
+        tasks,
+        whole,
     })
 }
 
@@ -277,6 +290,9 @@ fn show(replayed: &Replayed, out: &mut Output) -> Result<(), Failure> {
     }
     if !replayed.whole {
         out.line(Styled(NOTE, "  The recording was cut off: it has no end."))?;
+    }
+    if !replayed.complete {
+        out.line(Styled(NOTE, "  Incomplete: what is missing was not judged."))?;
     }
     Ok(())
 }

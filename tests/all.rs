@@ -25,6 +25,7 @@ mod random_runs;
 mod run;
 mod screen;
 mod simulate;
+mod slow_reader;
 mod specs;
 mod test_files;
 mod tidy;

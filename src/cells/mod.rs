@@ -4,7 +4,7 @@ use crate::cell_file;
 use crate::exit::Failure;
 use imrs_language::lower::{Action, Address, Behaviour, Check, CheckKind, Script};
 use imrs_language::{Options, Span, Unit, compile_with, render};
-use imrs_protocol::script::{Predicate, Program, Term, Type, Variable};
+use imrs_protocol::script::{Op, Predicate, Program, Term, Type, Variable};
 use imrs_protocol::{Cell, CellTable, NodeId, PortId, TaskId};
 use imrs_runtime::record::statements;
 use imrs_runtime::script::{Give, Results};
@@ -77,6 +77,25 @@ fn table(cell: Cell) -> Result<Arc<CellTable>, Failure> {
     })
 }
 
+/// Whether a way through the operations leads to the end of the task.
+fn reaches_end(program: &Program) -> bool {
+    let handlers = program.handlers.iter().map(|handler| handler.entry);
+    let mut next: Vec<u16> = handlers.chain(program.takeover).chain([0]).collect();
+    let mut seen = vec![false; program.code.len()];
+    while let Some(at) = next.pop() {
+        let Some(seen) = seen.get_mut(usize::from(at)).filter(|seen| !**seen) else { continue };
+        *seen = true;
+        match program.code[usize::from(at)] {
+            Op::End => return true,
+            Op::Jump(to) => next.push(to),
+            Op::Unless(to) | Op::On { to, .. } => next.extend([to, at + 1]),
+            Op::Abort(_) | Op::HandlerEnd => {}
+            _ => next.push(at + 1),
+        }
+    }
+    false
+}
+
 fn said(found: &[imrs_language::Diagnostic], name: &str, source: Option<&imrs_language::Source>) -> Failure {
     Failure::Cell(render::text(found, name, source, render::Style::Plain).trim_end().to_owned())
 }
@@ -92,6 +111,12 @@ impl Loaded {
     /// The program of a task's script.
     pub fn program(&self, task: TaskId) -> Option<&Arc<Program>> {
         Some(&self.scripts.get(task.index())?.as_ref()?.program)
+    }
+
+    /// Whether a task can come to the end of its text: not one that serves for ever, in a `loop` without `exit`. Such a task may
+    /// still abort, or lose its lease.
+    pub fn can_finish(&self, task: TaskId) -> bool {
+        self.program(task).is_none_or(|program| reaches_end(program))
     }
 
     /// The digest of what the scripts of a node do; zero where it has none.

@@ -42,6 +42,8 @@ pub struct Judge<'a> {
     /// The first instant that is no part of the run.
     over: u64,
     settled: u64,
+    /// Changes that should have been told are missing.
+    missing: bool,
 }
 
 enum Event {
@@ -130,6 +132,7 @@ impl<'a> Judge<'a> {
             killed: vec![None; cell.nodes.len()],
             over: u64::MAX,
             settled: 0,
+            missing: false,
             loaded,
             asks,
         }
@@ -142,6 +145,7 @@ impl<'a> Judge<'a> {
 
     fn push(&mut self, at: u64, event: Event) {
         if self.changes.len() >= WAITING {
+            self.missing = true;
             self.changes.clear();
             self.stand.fill(None);
         }
@@ -154,6 +158,12 @@ impl<'a> Judge<'a> {
         if let Some(Some(told)) = self.told.get_mut(node.index()) {
             *told = until.max(*told);
         }
+    }
+
+    /// Of what a node did from this instant on something is missing: what its tasks do is known again when they change.
+    pub fn untold(&mut self, node: NodeId, since: u64) {
+        self.missing = true;
+        self.push(since, Event::Unknown(node));
     }
 
     /// A node was killed. Its last words may still come.
@@ -224,6 +234,11 @@ impl<'a> Judge<'a> {
             self.pass(until.max(self.settled), &mut broken);
         }
         broken
+    }
+
+    /// Whether changes that should have been judged are missing.
+    pub const fn is_missing(&self) -> bool {
+        self.missing
     }
 
     /// What came of the checks.

@@ -134,6 +134,14 @@ impl Settlement {
         self.0.iter().filter_map(Settled::complaint)
     }
 
+    /// Checks that nobody could judge, because one of their tasks told nothing, a line each.
+    pub fn unjudged(&self) -> impl Iterator<Item = String> {
+        let unknown = self.0.iter().filter(|settled| settled.outcome == Outcome::Unknown);
+        unknown.map(|Settled { name, line, .. }| {
+            format!("check {name} (line {line}) was not judged: one of its tasks told nothing")
+        })
+    }
+
     /// Whether a check did not hold.
     pub fn is_broken(&self) -> bool {
         self.0.iter().any(|settled| settled.outcome == Outcome::Broken)

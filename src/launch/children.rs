@@ -14,7 +14,7 @@ use std::io::{self, BufReader, PipeReader, Read, Write};
 use std::os::unix::process::{CommandExt, ExitStatusExt};
 use std::process::{Child, Command, ExitStatus, Stdio};
 use std::sync::Arc;
-use std::sync::mpsc::Sender;
+use std::sync::mpsc::SyncSender;
 use std::thread::{self, JoinHandle};
 use std::time::{Duration, Instant};
 
@@ -33,7 +33,7 @@ pub enum Message {
 pub struct Children {
     processes: Vec<Process>,
     network: Option<Arc<Network>>,
-    messages: Sender<Message>,
+    messages: SyncSender<Message>,
 }
 
 struct Process {
@@ -66,7 +66,7 @@ impl Children {
     pub fn start(
         setups: &[(NodeId, Setup)],
         network: Option<Arc<Network>>,
-        messages: Sender<Message>,
+        messages: SyncSender<Message>,
     ) -> Result<Self, LaunchError> {
         let mut children = Self { processes: Vec::new(), network, messages };
         for (node, setup) in setups {
@@ -324,7 +324,7 @@ impl fmt::Display for End {
     }
 }
 
-fn listen((node, life): (NodeId, usize), words: Words, messages: &Sender<Message>) {
+fn listen((node, life): (NodeId, usize), words: Words, messages: &SyncSender<Message>) {
     let mut words = BufReader::new(words);
     loop {
         let message = match hear(&mut words) {

@@ -81,17 +81,17 @@ impl Diary {
             let did = match entry {
                 Entry::Did(did) => did,
                 Entry::Fault(words) => {
-                    out.line(format!("{} {}", Styled(FAINT, self.clock(*at)), Styled(NOTE, words)))?;
+                    out.passing(format!("{} {}", Styled(FAINT, self.clock(*at)), Styled(NOTE, words)))?;
                     continue;
                 }
                 Entry::Broken(words) => {
-                    out.line(format!("{} {}", Styled(FAINT, self.clock(*at)), Styled(BAD, words)))?;
+                    out.passing(format!("{} {}", Styled(FAINT, self.clock(*at)), Styled(BAD, words)))?;
                     continue;
                 }
             };
             let left_out = self.pace(did);
             if left_out.is_some() || did.what.is_rare() {
-                out.line(self.line(table, did, left_out.unwrap_or_default()))?;
+                out.passing(self.line(table, did, left_out.unwrap_or_default()))?;
             }
         }
         Ok(())

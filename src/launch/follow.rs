@@ -4,9 +4,10 @@ use super::children::Message;
 use super::clock::now_us;
 use super::deed::{Deed, Did};
 use super::faults::{Fault, node};
-use super::launcher::{LaunchError, Launcher, Trouble, record_file};
+use super::launcher::{LaunchError, Launcher, Trouble};
 use super::lines::{EndSort, Order, Word};
 use super::noticed::Noticed;
+use super::setups::record_file;
 use super::story::{Moment, Planned};
 use crate::args::Format;
 use crate::exit::Failure;
@@ -22,7 +23,7 @@ const SHOW_EVERY: Duration = Duration::from_millis(50);
 /// How often the progress line changes.
 const PROGRESS_EVERY: Duration = Duration::from_millis(250);
 /// Of a longer story the rest is left out.
-const LONGEST_STORY: usize = 1_000_000;
+const LONGEST_STORY: usize = 100_000;
 
 impl Launcher<'_> {
     /// Follows the run until its end, carrying out the faults on time.
@@ -30,9 +31,8 @@ impl Launcher<'_> {
         for message in std::mem::take(&mut self.early) {
             self.take(message)?;
         }
-        let progress = progress_line(self.run.args.format);
         let mut progress_at = self.started;
-        while !self.interrupted && !self.is_over() {
+        while self.interrupts.count() == 0 && !self.is_over() {
             let now = self.started.elapsed();
             if now >= length {
                 break;
@@ -49,15 +49,14 @@ impl Launcher<'_> {
             }
             let shows = !self.diary.is_empty();
             if shows {
-                progress.suspend(|| self.diary.show(&self.run.loaded.table, now_us(), out))?;
+                self.diary.show(&self.run.loaded.table, now_us(), out)?;
             }
             if progress_at <= Instant::now() {
                 let of = self.run.length.map(|all| format!(" of {}", humantime::format_duration(all)));
                 let (so_far, of) = (now.as_secs(), of.unwrap_or_default());
                 let met = self.gatherer.released();
                 let met = met.map(|met| format!(": {met} rounds")).unwrap_or_default();
-                progress.set_message(format!("{so_far} s{of}{met}"));
-                progress.tick();
+                out.progress(Some(format!("{so_far} s{of}{met}")));
                 progress_at = Instant::now() + PROGRESS_EVERY;
             }
             let next_fault = self.faults.first().map_or(length, |(at, _)| *at);
@@ -71,22 +70,54 @@ impl Launcher<'_> {
                 Err(RecvTimeoutError::Disconnected) => break,
             }
         }
-        progress.finish_and_clear();
+        out.progress(None);
         self.diary.close(&self.run.loaded.table, out)
     }
 
-    /// Whether nothing can happen any more: every task here is a script that has ended, or its node is gone for good.
+    /// Whether nothing can happen any more: every task here is a script that has ended, or its node is gone for good; or only
+    /// servers are left, where that is to be the end.
     fn is_over(&self) -> bool {
-        if self.faults.iter().any(|(_, fault)| matches!(fault, Fault::Restart(_))) {
+        if self.restarts() {
             return false;
         }
-        let tasks = self.children.nodes().flat_map(|node| self.table().tasks_on(node));
-        let mut tasks = tasks.peekable();
-        let runs = tasks.peek().is_some();
+        let runs = self.tasks().next().is_some();
+        self.gone.len() == self.children.len()
+            || runs && self.left().next().is_none()
+            || self.run.args.until_idle && self.servers_left().is_some()
+    }
+
+    /// Whether a killed node is still to be started again.
+    fn restarts(&self) -> bool {
+        self.faults.iter().any(|(_, fault)| matches!(fault, Fault::Restart(_)))
+    }
+
+    fn tasks(&self) -> impl Iterator<Item = TaskId> {
+        self.children.nodes().flat_map(|node| self.table().tasks_on(node))
+    }
+
+    /// The tasks that go on: neither has their script ended nor is their node gone.
+    fn left(&self) -> impl Iterator<Item = TaskId> {
         let is_gone =
             |task: TaskId| self.table().location(task).is_some_and(|node| self.gone.contains(&node));
-        self.gone.len() == self.children.len()
-            || runs && tasks.all(|task| self.ended.contains(&task) || is_gone(task))
+        self.tasks().filter(move |task| !self.ended.contains(task) && !is_gone(*task))
+    }
+
+    /// The tasks that go on, if others came to their end and these serve for ever.
+    fn servers_left(&self) -> Option<Vec<TaskId>> {
+        let finishes = |task: TaskId| self.run.loaded.can_finish(task);
+        let is_idle = !self.restarts() && self.tasks().any(finishes) && !self.left().any(finishes);
+        Some(self.left().collect()).filter(|left: &Vec<TaskId>| is_idle && !left.is_empty())
+    }
+
+    /// Says once that the run has no end of its own.
+    fn tell_idle(&mut self) {
+        let told = self.idle_told || self.run.length.is_some() || self.run.args.format == Format::Json;
+        let Some(left) = (!told).then(|| self.servers_left()).flatten() else { return };
+        self.idle_told = true;
+        let names: Vec<&str> = left.iter().map(|task| &*self.cell.tasks[task.index()].name).collect();
+        let names = names.join(", ");
+        let end = if self.run.args.until_idle { "" } else { "; Ctrl-C ends the run, or use --until-idle" };
+        self.diary.fault(now_us(), format!("only servers are left: {names}{end}"));
     }
 
     fn carry_out(&mut self, fault: Fault) -> Result<(), LaunchError> {
@@ -194,7 +225,11 @@ impl Launcher<'_> {
             Message::Said(_, Word::Did(did)) => self.did(did)?,
             Message::Said(_, Word::Stands(change)) => self.judge.change(change),
             Message::Said(node, Word::Told(until)) => self.judge.told(node, until),
-            Message::Said(_, Word::TaskEnded { task, how, sort }) => self.task_ended(task, how, sort),
+            Message::Said(node, Word::Untold { since }) => self.judge.untold(node, since),
+            Message::Said(_, Word::TaskEnded { task, how, sort }) => {
+                self.task_ended(task, how, sort);
+                self.tell_idle();
+            }
             // It was started again: all hear where it is, and it hears where all are.
             Message::Said(node, Word::Bound { address: Some(address), observe }) => {
                 self.book.insert(self.name(node), address);
@@ -216,9 +251,13 @@ impl Launcher<'_> {
                     // First: what the node told of its commands before it was killed.
                     self.hear_of_commands();
                     self.judge.gone(node);
+                    if !self.stopping {
+                        self.tell_idle();
+                    }
                 }
             }
-            Message::Interrupted => self.interrupted = true,
+            // It is counted: this is to wake up.
+            Message::Interrupted => {}
         }
         Ok(())
     }
@@ -291,7 +330,7 @@ impl Launcher<'_> {
 }
 
 /// A line on standard error while the run lasts, if a person may be looking.
-fn progress_line(format: Format) -> ProgressBar {
+pub(super) fn progress_line(format: Format) -> ProgressBar {
     let target = match format {
         Format::Text => ProgressDrawTarget::stderr(),
         Format::Json => ProgressDrawTarget::hidden(),

@@ -5,40 +5,42 @@ use super::clock::now_us;
 use super::deed::Did;
 use super::diary::Diary;
 use super::faults::{Fault, FaultError, Wanted, schedule};
+use super::follow::progress_line;
 use super::lines::{Order, Setup, Word};
 use super::noticed::Noticed;
 use super::place::{self, PlaceError};
 use super::report;
 use super::rt;
+use super::setups::setups;
+use super::signals::Interrupts;
 use super::story::{Moment, Story, Tale};
 use super::summary::{Gatherer, Summary};
 use crate::args::{Format, LaunchArgs};
 use crate::cells::{Loaded, Source};
 use crate::checks::Judge;
 use crate::exit::{Exit, Failure};
-use crate::output::{Output, complain};
+use crate::output::{Output, Untaken, complain, count, notice};
 use imrs_protocol::{Cell, CellTable, NodeId, TaskId};
 use imrs_runtime::link::in_process::{self, Network};
 use imrs_runtime::script::Course;
-use imrs_wire::obs::Token;
 use serde::Serialize;
-use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
-use signal_hook::iterator::Signals;
 use std::collections::{BTreeMap, BTreeSet};
 use std::io;
 use std::net::SocketAddr;
-use std::path::{Path, PathBuf};
 use std::sync::Arc;
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
-use std::thread;
 use std::time::{Duration, Instant};
 
 /// How long the nodes have to get ready.
 const READY_WITHIN: Duration = Duration::from_secs(20);
 /// How long they have to stop.
 const STOP_WITHIN: Duration = Duration::from_secs(5);
-/// How long after its last word a process has to end.
+/// How long after its last word a process has to end; and how long nodes have after a second Ctrl-C.
 const EXIT_WITHIN: Duration = Duration::from_secs(1);
+/// How long the summary waits for a reader that does not read.
+const READ_WITHIN: Duration = Duration::from_secs(5);
+/// So many words of the nodes wait for the launcher. Nodes whose words do not fit keep theirs, and count what they drop.
+const WORDS: usize = 8_192;
 
 /// Why a cell could not be run.
 #[derive(Debug, thiserror::Error)]
@@ -57,6 +59,9 @@ pub enum LaunchError {
         /// Whether it said that it was asked for what cannot be had.
         refused: bool,
     },
+    /// Ctrl-C came before all nodes were ready.
+    #[error("interrupted before node `{0}` was ready: nothing has run")]
+    Interrupted(String),
     /// The node cannot run by itself.
     #[error(transparent)]
     Place(#[from] PlaceError),
@@ -67,6 +72,7 @@ impl LaunchError {
     pub fn exit(&self) -> Exit {
         match self {
             Self::Fault(_) | Self::Place(_) | Self::NotReady { refused: true, .. } => Exit::Usage,
+            Self::Interrupted(_) => Exit::Incomplete,
             Self::Start(_) | Self::NotReady { refused: false, .. } => Exit::Internal,
         }
     }
@@ -149,8 +155,10 @@ pub(super) struct Launcher<'a> {
     pub(super) trouble: Vec<Trouble>,
     /// What was said of neighbours that do not talk.
     pub(super) refused: BTreeSet<String>,
+    /// It was said that only servers are left.
+    pub(super) idle_told: bool,
     pub(super) stopping: bool,
-    pub(super) interrupted: bool,
+    pub(super) interrupts: Interrupts,
 }
 
 /// A length that no run reaches.
@@ -169,14 +177,22 @@ pub fn run(run: &Run<'_>, out: &mut Output) -> Result<Exit, Failure> {
     if let Some(only) = run.only {
         here(cell, only, &faults).map_err(LaunchError::Fault)?;
     }
+    if args.until_idle && !finishes(run) {
+        return Err(Failure::Usage(
+            "--until-idle: every task here serves for ever (`loop` without `exit`): end the run with --for or Ctrl-C".into(),
+        ));
+    }
+    let progress = progress_line(args.format);
+    let notice = if args.format == Format::Json { json_notice } else { notice };
+    out.step_aside(notice, progress)?;
     let refused = if args.rt { rt::refused() } else { Vec::new() };
     for refused in &refused {
         complain(format_args!("{refused}; the nodes run without it"));
     }
     let seed = args.seed.unwrap_or_else(|| fastrand::u64(..1_000_000));
 
-    let (sender, messages) = mpsc::channel();
-    watch_signals(sender.clone())?;
+    let (sender, messages) = mpsc::sync_channel(WORDS);
+    let interrupts = Interrupts::watch(sender.clone())?;
     let network = args.in_process.then(|| Network::new(Arc::clone(table), in_process::Faults::default()));
     let token = args.observe_token.as_deref().map(crate::token::read).transpose()?;
     let noticed = (!run.actions.is_empty()).then(Noticed::new).transpose().map_err(LaunchError::Start)?;
@@ -209,8 +225,9 @@ pub fn run(run: &Run<'_>, out: &mut Output) -> Result<Exit, Failure> {
         started: Instant::now(),
         trouble: Vec::new(),
         refused: BTreeSet::new(),
+        idle_told: false,
         stopping: false,
-        interrupted: false,
+        interrupts: interrupts.clone(),
     };
     let bound = launcher.wait_for_all(|word| match word {
         Word::Bound { address, observe } => Some((address, observe)),
@@ -237,10 +254,46 @@ pub fn run(run: &Run<'_>, out: &mut Output) -> Result<Exit, Failure> {
         Format::Json => out.json(&summary)?,
         Format::Text => report::summary(&summary, table, run, out)?,
     }
+    let interrupted = interrupts.count();
+    let untaken = out.settle(READ_WITHIN, || interrupts.count() > interrupted);
     for trouble in &trouble {
         complain(&trouble.what);
     }
-    Ok(verdict(&summary, &trouble))
+    for missing in &summary.incomplete {
+        complain(format_args!("incomplete: {missing}"));
+    }
+    let verdict = verdict(&summary, &trouble);
+    let is_written = told(&untaken);
+    Ok(if verdict == Exit::Well && !is_written { Exit::Usage } else { verdict })
+}
+
+/// Says what of the answer was not taken. Whether it could be written: a reader that does not read, or has gone, is no error.
+fn told(untaken: &Untaken) -> bool {
+    let lines = count(untaken.lines, "line");
+    match untaken {
+        Untaken { lines: 0, .. } => return true,
+        Untaken { failed: None, .. } => {
+            let within = READ_WITHIN.as_secs();
+            complain(format_args!("{lines} of the answer were not read within {within} s, and are left out"));
+            return true;
+        }
+        Untaken { failed: Some(why), .. } => {
+            complain(format_args!("cannot write the answer: {why}: {lines} of it are missing"));
+        }
+    }
+    false
+}
+
+/// The notice for programs.
+fn json_notice(lines: u64, why: &str) -> String {
+    serde_json::json!({ "version": 1, "not_shown": lines, "why": why }).to_string()
+}
+
+/// Whether a task that runs here can come to its end.
+fn finishes(run: &Run<'_>) -> bool {
+    let tasks = run.loaded.table.cell().tasks.iter().enumerate();
+    let here = tasks.filter(|(_, task)| run.only.is_none_or(|only| task.node == only));
+    here.map(|(at, _)| TaskId::from_index(at)).any(|task| run.loaded.can_finish(task))
 }
 
 /// Whether the faults are of this node.
@@ -280,7 +333,8 @@ pub(super) struct Trouble {
     pub(super) what: String,
 }
 
-/// Broken promises are a finding, and so is a node that somebody else ended. What faults do to a run is not.
+/// Broken promises are a finding, and so is a node that somebody else ended. What faults do to a run is not. Without a
+/// finding, evidence that is missing is told: a run that ends with 0 was judged as a whole.
 fn verdict(summary: &Summary, trouble: &[Trouble]) -> Exit {
     let false_release = summary.rendezvous.iter().any(|r| r.false_releases.is_some_and(|n| n > 0));
     let broken = summary.outcome.as_ref().is_some_and(|outcome| outcome.held == Some(false))
@@ -289,76 +343,11 @@ fn verdict(summary: &Summary, trouble: &[Trouble]) -> Exit {
         Exit::Internal
     } else if false_release || broken || !trouble.is_empty() {
         Exit::Finding
-    } else {
+    } else if summary.incomplete.is_empty() {
         Exit::Well
+    } else {
+        Exit::Incomplete
     }
-}
-
-fn setups(
-    run: &Run<'_>,
-    seed: u64,
-    token: Option<&Token>,
-    notices: Option<&Path>,
-) -> Result<Vec<(NodeId, Setup)>, LaunchError> {
-    let cell = run.loaded.table.cell();
-    let mut all = Vec::new();
-    for (i, node) in cell.nodes.iter().enumerate() {
-        let id = NodeId::from_index(i);
-        if run.only.is_some_and(|only| only != id) {
-            continue;
-        }
-        let mut setup = Setup {
-            cell: run.source.clone(),
-            node: node.name.clone(),
-            incarnation: 0,
-            restarted: false,
-            // Its neighbours may have heard of an earlier incarnation of it (D49).
-            counts: run.only.is_some(),
-            bind: None,
-            // One after the other, where there are several.
-            observe: run.args.observe.map(|first| observed_at(first, all.len())),
-            observe_token: token.cloned(),
-            rt: run.args.rt,
-            seed,
-            loss: run.args.loss.0,
-            record: run.args.record.as_ref().map(|file| record_file(file, &node.name)),
-            actions: run.actions.clone(),
-            notices: notices.map(Path::to_owned),
-            courses: run.courses.clone(),
-        };
-        if run.only.is_some() {
-            setup.bind = Some(place::address(run.loaded, id)?);
-        }
-        all.push((id, setup));
-    }
-    Ok(all)
-}
-
-/// The address of the node that comes after so many others; port 0 is any free one for each.
-pub fn observed_at(first: SocketAddr, after: usize) -> SocketAddr {
-    let port = first.port();
-    let after = u16::try_from(after).unwrap_or(u16::MAX);
-    SocketAddr::new(first.ip(), if port == 0 { 0 } else { port.saturating_add(after) })
-}
-
-/// Each node writes a file of its own: `run.imrs` becomes `run.nl.imrs`.
-pub fn record_file(file: &std::path::Path, node: &str) -> PathBuf {
-    let extension = file.extension().map_or_else(|| "imrs".into(), |e| e.to_string_lossy());
-    file.with_extension(format!("{node}.{extension}"))
-}
-
-/// Ctrl-C and the like end the run in order, with its summary.
-fn watch_signals(messages: mpsc::Sender<Message>) -> Result<(), LaunchError> {
-    let mut signals = Signals::new([SIGINT, SIGTERM, SIGHUP]).map_err(LaunchError::Start)?;
-    let watch = move || {
-        for _ in signals.forever() {
-            if messages.send(Message::Interrupted).is_err() {
-                return;
-            }
-        }
-    };
-    thread::Builder::new().name("imrs signals".into()).spawn(watch).map_err(LaunchError::Start)?;
-    Ok(())
 }
 
 impl Launcher<'_> {
@@ -367,7 +356,7 @@ impl Launcher<'_> {
         &mut self,
         wanted: impl Fn(Word) -> Option<T>,
     ) -> Result<BTreeMap<NodeId, T>, LaunchError> {
-        let deadline = Instant::now() + READY_WITHIN;
+        let mut deadline = Instant::now() + READY_WITHIN;
         let mut heard: BTreeMap<NodeId, T> = BTreeMap::new();
         while heard.len() < self.children.len() {
             let left = deadline.saturating_duration_since(Instant::now());
@@ -379,7 +368,8 @@ impl Launcher<'_> {
                     | Word::TaskEnded { .. }
                     | Word::Stands(_)
                     | Word::HeldBack(_)
-                    | Word::Told(_)),
+                    | Word::Told(_)
+                    | Word::Untold { .. }),
                 )) => self.early.push(Message::Said(node, word)),
                 Ok(Message::Said(node, word)) => {
                     if let Some(value) = wanted(word) {
@@ -392,11 +382,15 @@ impl Launcher<'_> {
                     let refused = ended(Exit::Usage) || ended(Exit::System);
                     return Err(LaunchError::NotReady { name: self.name(node), refused });
                 }
-                Ok(Message::Interrupted) => self.interrupted = true,
+                // Nodes that are nearly ready end in order.
+                Ok(Message::Interrupted) => deadline = deadline.min(Instant::now() + EXIT_WITHIN),
                 Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => {
                     let late = self.children.nodes().find(|node| !heard.contains_key(node));
                     let name = late.map(|node| self.name(node)).unwrap_or_default();
-                    return Err(LaunchError::NotReady { name, refused: false });
+                    return Err(match self.interrupts.count() {
+                        0 => LaunchError::NotReady { name, refused: false },
+                        _ => LaunchError::Interrupted(name),
+                    });
                 }
             }
         }
@@ -456,9 +450,13 @@ impl Launcher<'_> {
             self.children.stand_still(node, false);
         }
         self.children.order_all(&Order::Stop);
-        self.interrupted = false;
-        let deadline = Instant::now() + STOP_WITHIN;
-        while self.gone.len() < self.children.len() && !self.interrupted {
+        let interrupts = self.interrupts.count();
+        let mut deadline = Instant::now() + STOP_WITHIN;
+        while self.gone.len() < self.children.len() {
+            if self.interrupts.count() > interrupts {
+                deadline = Instant::now();
+                break;
+            }
             match self.messages.recv_timeout(deadline.saturating_duration_since(Instant::now())) {
                 // Nothing that is heard now starts anything.
                 Ok(message) => drop(self.take(message)),
@@ -485,6 +483,12 @@ impl Launcher<'_> {
         }
         self.judge.settle();
         summary.checks = self.judge.settlement(self.diary.began());
+        summary.incomplete.extend(summary.checks.unjudged());
+        if self.judge.is_missing() && summary.incomplete.is_empty() {
+            summary
+                .incomplete
+                .push("changes that checks look at came faster than they could be judged".into());
+        }
         let complaints = summary.checks.complaints();
         self.trouble.extend(complaints.map(|what| Trouble { at_fault: false, what }));
         if let Some(tale) = self.run.tale {
@@ -506,10 +510,21 @@ impl Launcher<'_> {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::demo::beam_lift;
+    use crate::launch::lines::Figures;
 
     #[test]
-    fn every_node_records_into_a_file_of_its_own() {
-        assert_eq!(record_file(Path::new("/r/run.imrs"), "nl"), Path::new("/r/run.nl.imrs"));
-        assert_eq!(record_file(Path::new("run"), "nr"), Path::new("run.nr.imrs"));
+    fn a_node_that_could_not_tell_everything_leaves_the_verdict_open() {
+        let nodes = [0, 1, 2].map(NodeId);
+        let mut gatherer = Gatherer::new(beam_lift(), nodes.to_vec());
+        let summary = |gatherer: &Gatherer| gatherer.summary(1.0, 7, 0.0, &[]);
+        assert_eq!(verdict(&summary(&gatherer), &[]), Exit::Well);
+        gatherer.figures(NodeId(0), Figures { untold: 3, ..Figures::default() });
+        let summary = summary(&gatherer);
+        assert_eq!(summary.incomplete, ["node nl could not tell 3 happenings: it came too fast"]);
+        assert_eq!(verdict(&summary, &[]), Exit::Incomplete);
+        // A finding comes first.
+        let trouble = Trouble { at_fault: false, what: "a task failed".into() };
+        assert_eq!(verdict(&summary, &[trouble]), Exit::Finding);
     }
 }

@@ -99,6 +99,11 @@ pub enum Word {
     Stands(Change),
     /// Everything that was before this instant has been told, in microseconds of the clock that all processes share.
     Told(u64),
+    /// The node could not keep everything that its scripts did from this instant on, because the launcher did not read.
+    Untold {
+        /// In microseconds of the clock that all processes share.
+        since: u64,
+    },
     /// Everything has been said.
     Done,
 }
@@ -168,7 +173,7 @@ pub struct Figures {
     pub cut_off: u64,
     /// The neighbours that it cannot talk to at the end.
     pub refusals: Vec<RefusalFigures>,
-    /// Announcements that could not be told, because they came too fast.
+    /// What happened and could not be told: it came too fast, or the launcher did not read.
     pub untold: u64,
 }
 

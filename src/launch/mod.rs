@@ -20,11 +20,16 @@ mod recorder;
 mod report;
 mod rt;
 mod scripted;
+mod setups;
+mod signals;
+mod spread;
 pub mod story;
 mod summary;
 mod tally;
+mod teller;
 mod way;
 
 pub use faults::{ActionCommand, Cut, Fault, Kill, Rate, Restart};
-pub use launcher::{LaunchError, Run, observed_at, record_file, run};
+pub use launcher::{LaunchError, Run, run};
 pub use node::{NodeError, run_process as run_node};
+pub use setups::observed_at;

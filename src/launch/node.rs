@@ -2,15 +2,16 @@
 
 use super::deed::{Deed, Did, Lease};
 use super::incarnation::{self, State};
-use super::lines::{Event, Figures, Order, RefusalFigures, Setup, What, Word, hear, say};
+use super::lines::{Event, Figures, Order, RefusalFigures, Setup, What, Word, hear};
 use super::place::{self, PlaceError, quarantine};
 use super::recorder::NodeRecording;
 use super::rt;
 use super::scripted::Narrator;
+use super::teller::Teller;
 use super::way::Way;
 use crate::cells::{self, Loaded};
 use crate::exit::Exit;
-use crate::output::complain;
+use crate::output::{complain, complain_aside};
 use imrs_protocol::{Event as Observed, Incarnation, NodeId, NodeTable};
 use imrs_runtime::guard::{GuardProgram, Notices};
 use imrs_runtime::link::faulty::FaultyLink;
@@ -22,6 +23,7 @@ use imrs_runtime::{Observations, Runtime, StartError};
 use imrs_wire::envelope::Refused;
 use imrs_wire::obs::{Count, RealTime, TimedEvent};
 use imrs_wire::recording::WriteError;
+use indicatif::ProgressBar;
 use rustix::process::{Signal, set_parent_process_death_signal};
 use std::collections::BTreeMap;
 use std::io::{self, BufRead, BufReader, Write};
@@ -102,7 +104,6 @@ struct Process {
     recording: Option<NodeRecording>,
     /// What the scripts do.
     narrator: Arc<Narrator>,
-    narrated: Receiver<Word>,
     untold: u64,
     /// When its machines began.
     since: Instant,
@@ -110,7 +111,7 @@ struct Process {
     held_back: Duration,
     /// When they begin, once that is known and until they do.
     begins: Option<Instant>,
-    out: Words,
+    out: Teller,
 }
 
 /// Runs the node that standard input describes until it is told to stop, or until the launcher has gone.
@@ -141,7 +142,7 @@ pub fn run(
         Place::Tcp(address) => Some(*address),
         Place::Unix(_) => None,
     });
-    say(&mut node.out, &Word::Bound { address, observe })?;
+    node.out.say(Word::Bound { address, observe })?;
     thread::Builder::new().name("imrs orders".into()).spawn(move || listen(input, &orders))?;
     match node.serve(&ordered)? {
         Leave::InOrder => node.end(),
@@ -176,6 +177,10 @@ impl Process {
         let table = NodeTable::new(Arc::clone(&cell), id);
         // Before any other thread of the node: they are started in its likeness.
         let real_time = if setup.rt { rt::begin(id.index()) } else { RealTime::NotAsked };
+        if network.is_none() {
+            // The reader of standard error may stand still. Where nodes share a process the launcher saw to it.
+            complain_aside(ProgressBar::hidden())?;
+        }
 
         let setup = &mut setup.clone();
         let (way, state) = match network {
@@ -193,8 +198,7 @@ impl Process {
         link.set_loss(setup.loss);
 
         let since = Instant::now();
-        let (narrate, narrated) = mpsc::channel();
-        let narrator = Arc::new(Narrator::new(Arc::clone(&loaded), narrate));
+        let narrator = Arc::new(Narrator::new(Arc::clone(&loaded)));
         let mut builder = Runtime::builder(Arc::clone(&cell), id)
             .incarnation(life, setup.restarted)
             .insecure(true)
@@ -248,12 +252,11 @@ impl Process {
             observations,
             recording,
             narrator,
-            narrated,
             untold: 0,
             since,
             held_back: if setup.restarted { quarantine(&cell, id) } else { Duration::ZERO },
             begins: None,
-            out,
+            out: Teller::start(out)?,
         })
     }
 
@@ -278,6 +281,11 @@ impl Process {
                 Err(RecvTimeoutError::Timeout) if tell_at > Instant::now() => {}
                 Err(RecvTimeoutError::Timeout) => {
                     tell_at = Instant::now() + TELL_EVERY;
+                    // A launcher that stands still keeps the node from nothing: what is not told yet is kept, and counted
+                    // where it does not fit.
+                    if !self.out.has_room() {
+                        continue;
+                    }
                     self.tell()?;
                     if counted.elapsed() >= COUNT_EVERY {
                         counted = Instant::now();
@@ -303,12 +311,12 @@ impl Process {
             held_back if self.begins.is_none() => {
                 let begins = self.since + held_back;
                 let left = begins.saturating_duration_since(Instant::now());
-                say(&mut self.out, &Word::HeldBack(u64::try_from(left.as_micros()).unwrap_or(u64::MAX)))?;
+                self.out.say(Word::HeldBack(u64::try_from(left.as_micros()).unwrap_or(u64::MAX)))?;
                 self.begins = Some(begins);
             }
             _ => {}
         }
-        Ok(say(&mut self.out, &Word::Started)?)
+        Ok(self.out.say(Word::Started)?)
     }
 
     /// Greets the neighbours that were not heard yet: so both sides learn early whether they can talk.
@@ -357,25 +365,29 @@ impl Process {
             let (name, lost) = (self.node.name(), status.lost);
             complain(format_args!("the recording of node {name} misses {lost} inputs"));
         }
-        Ok(say(&mut self.out, &Word::Done)?)
+        self.out.say(Word::Done)?;
+        Ok(self.out.end()?)
     }
 
     fn tell(&mut self) -> Result<(), NodeError> {
         let until = self.narrator.is_asked().then(|| self.node.told_until());
         // Taken before the observations, and told after them: no release is told whose announcement is not.
-        let narrated: Vec<Word> = self.narrated.try_iter().collect();
+        let (narrated, lost) = self.narrator.take();
         let mut observed = Vec::new();
         self.untold += self.observations.drain(ROOM, &mut observed);
         for event in observed.iter().filter_map(announcement) {
-            say(&mut self.out, &Word::Event(event))?;
+            self.out.say(Word::Event(event))?;
         }
         for did in observed.iter().filter_map(lease) {
-            say(&mut self.out, &Word::Did(did))?;
+            self.out.say(Word::Did(did))?;
         }
         for word in narrated {
-            say(&mut self.out, &word)?;
+            self.out.say(word)?;
         }
-        until.map_or(Ok(()), |until| Ok(say(&mut self.out, &Word::Told(until))?))
+        if let Some(since) = lost {
+            self.out.say(Word::Untold { since })?;
+        }
+        until.map_or(Ok(()), |until| Ok(self.out.say(Word::Told(until))?))
     }
 
     /// The neighbours that it cannot talk to.
@@ -418,9 +430,9 @@ impl Process {
             lost_on_purpose: injected.lost_packets,
             cut_off: injected.cut_packets,
             refusals: self.refusals(),
-            untold: self.untold,
+            untold: self.untold + self.narrator.lost(),
         };
-        Ok(say(&mut self.out, &Word::Figures(Box::new(figures)))?)
+        Ok(self.out.say(Word::Figures(Box::new(figures)))?)
     }
 }
 

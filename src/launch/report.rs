@@ -106,6 +106,9 @@ pub fn summary(summary: &Summary, table: &CellTable, run: &Run<'_>, out: &mut Ou
         }
     }
     summary.checks.show(out)?;
+    for missing in &summary.incomplete {
+        out.line(Styled(NOTE, format!("  incomplete: {missing}")))?;
+    }
     let words = in_words(summary, table, run);
     if !words.is_empty() {
         out.line("")?;

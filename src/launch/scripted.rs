@@ -8,13 +8,25 @@ use imrs_protocol::script::{Address, End};
 use imrs_protocol::{Outcome, PortId, Request, Signal, TaskId, Usage};
 use imrs_runtime::script::{Note, Stands, Watch};
 use std::collections::BTreeMap;
-use std::sync::mpsc::Sender;
+use std::sync::atomic::{AtomicU64, AtomicUsize, Ordering};
+use std::sync::mpsc::{self, Receiver};
 use std::sync::{Arc, Mutex, PoisonError};
+
+/// So many words are kept until they can be told.
+const KEPT: usize = 65_536;
 
 /// Hears what the scripts do, and tells what a person wants to know.
 pub struct Narrator {
     loaded: Arc<Loaded>,
-    told: Sender<Word>,
+    told: mpsc::Sender<Word>,
+    /// Taken out by the node's own thread alone.
+    kept: Mutex<Receiver<Word>>,
+    /// How many are kept.
+    waiting: AtomicUsize,
+    /// How many words were lost.
+    lost: AtomicU64,
+    /// When the first word after the last [`Self::take`] was lost; `u64::MAX` where none was.
+    lost_since: AtomicU64,
     state: Mutex<State>,
 }
 
@@ -48,11 +60,33 @@ struct Acts {
 
 impl Narrator {
     /// Tells about the scripts of this cell.
-    pub fn new(loaded: Arc<Loaded>, told: Sender<Word>) -> Self {
+    pub fn new(loaded: Arc<Loaded>) -> Self {
+        let (told, kept) = mpsc::channel();
         let tasks = vec![Progress::default(); loaded.scripts.len()];
         let sight = Sight::new(&loaded);
         let state = Mutex::new(State { outcomes: Outcomes::default(), tasks, sight });
-        Self { loaded, told, state }
+        Self {
+            loaded,
+            told,
+            kept: Mutex::new(kept),
+            waiting: AtomicUsize::new(0),
+            lost: AtomicU64::new(0),
+            lost_since: AtomicU64::new(u64::MAX),
+            state,
+        }
+    }
+
+    /// Takes out what happened since the last time, and since when some of it was lost.
+    pub fn take(&self) -> (Vec<Word>, Option<u64>) {
+        let lost = self.lost_since.swap(u64::MAX, Ordering::AcqRel);
+        let words: Vec<Word> = self.kept.lock().unwrap_or_else(PoisonError::into_inner).try_iter().collect();
+        self.waiting.fetch_sub(words.len(), Ordering::AcqRel);
+        (words, Some(lost).filter(|&lost| lost < u64::MAX))
+    }
+
+    /// How many words were lost so far, because the launcher did not read.
+    pub fn lost(&self) -> u64 {
+        self.lost.load(Ordering::Relaxed)
     }
 
     /// How the class-2 messages of the scripts ended so far.
@@ -65,14 +99,22 @@ impl Narrator {
         !self.state.lock().unwrap_or_else(PoisonError::into_inner).sight.is_blind()
     }
 
-    fn tell(&self, word: Word) {
-        // Nobody listens any more when the node ends.
+    /// Tells what happened at an instant. Only the ends of tasks are kept in any case: there is one of each.
+    fn tell(&self, at: u64, word: Word) {
+        let is_end = matches!(&word, Word::TaskEnded { .. } | Word::Did(Did { what: Deed::Ended(_), .. }));
+        if self.waiting.load(Ordering::Acquire) >= KEPT && !is_end {
+            self.lost.fetch_add(1, Ordering::Relaxed);
+            self.lost_since.fetch_min(at, Ordering::AcqRel);
+            return;
+        }
+        self.waiting.fetch_add(1, Ordering::AcqRel);
+        // Its other end is here, too.
         let _ = self.told.send(word);
     }
 
     fn did(&self, task: TaskId, at: u64, statement: Option<Address>, what: Deed) {
         let line = statement.and_then(|statement| self.loaded.line(task, statement));
-        self.tell(Word::Did(Did { at, task, line, what }));
+        self.tell(at, Word::Did(Did { at, task, line, what }));
     }
 
     fn missing(&self, port: PortId, missing: u64) -> Vec<TaskId> {
@@ -85,14 +127,14 @@ impl Narrator {
         let asked = |port| progress.asked.get(&port).copied().unwrap_or((at, progress.statement));
         match *signal {
             Signal::Released { port, round, .. } => {
-                self.tell(Word::Event(Event { at, task, port, round, what: What::Released }));
+                self.tell(at, Word::Event(Event { at, task, port, round, what: What::Released }));
                 self.did(task, at, asked(port).1, Deed::Met(port));
             }
             Signal::GaveUp { port, round, missing } => {
                 let (since, statement) = asked(port);
                 let waited = at.saturating_sub(since);
                 let what = What::GaveUp { waited, missing };
-                self.tell(Word::Event(Event { at, task, port, round, what }));
+                self.tell(at, Word::Event(Event { at, task, port, round, what }));
                 let missing = self.missing(port, missing);
                 self.did(task, at, statement, Deed::GaveUp { port, missing });
             }
@@ -138,8 +180,8 @@ impl Narrator {
             None => words.clone(),
         };
         let line = place.and_then(|place| self.loaded.line(task, place));
-        self.tell(Word::Did(Did { at, task, line, what: Deed::Ended(words) }));
-        self.tell(Word::TaskEnded { task, how, sort });
+        self.tell(at, Word::Did(Did { at, task, line, what: Deed::Ended(words) }));
+        self.tell(at, Word::TaskEnded { task, how, sort });
     }
 }
 
@@ -195,7 +237,9 @@ impl Watch for Narrator {
 
     fn stands(&self, task: TaskId, at: u64, stands: &Stands<'_>) {
         let mut state = self.state.lock().unwrap_or_else(PoisonError::into_inner);
-        state.sight.look(task, at, stands).for_each(|change| self.tell(Word::Stands(change)));
+        for change in state.sight.look(task, at, stands) {
+            self.tell(change.at, Word::Stands(change));
+        }
     }
 }
 
@@ -203,5 +247,32 @@ impl Progress {
     fn take(&mut self, level: u8) -> Option<Acts> {
         let at = self.acts.iter().position(|acts| acts.level == level)?;
         Some(self.acts.remove(at))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::cells::{Source, load};
+
+    const CELL: &str = "cell c; tick 1 msec; node n; task a on n begin loop run w takes 5 msec; end; end a;";
+
+    #[test]
+    fn what_nobody_takes_is_kept_up_to_a_bound_and_the_rest_is_counted() {
+        let source = Source { name: "c.cell".into(), text: CELL.into(), paper: false };
+        let narrator = Narrator::new(Arc::new(load(&source).expect("a sound cell")));
+        let acts =
+            Note::Acts { level: 0, action: 0, arguments: Vec::new(), most: imrs_protocol::Ticks(5_000) };
+        let kept = KEPT as u64;
+        for at in 0..kept + 10 {
+            narrator.note(TaskId(0), at, &acts);
+        }
+        narrator.note(TaskId(0), kept + 10, &Note::Ended(End::Finished));
+        let (words, lost) = narrator.take();
+        assert_eq!((words.len(), lost, narrator.lost()), (KEPT + 2, Some(kept), 10));
+        assert!(matches!(words.last(), Some(Word::TaskEnded { .. })));
+        narrator.note(TaskId(0), kept + 11, &acts);
+        let (words, lost) = narrator.take();
+        assert_eq!((words.len(), lost, narrator.lost()), (1, None, 10));
     }
 }

@@ -4,6 +4,7 @@ use super::lines::{Event, Figures, Outcomes, RefusalFigures, What};
 use super::story::Outcome;
 use super::tally::{Rounds, Tally};
 use crate::checks::Settlement;
+use crate::output::count;
 use imrs_protocol::{CellTable, NodeId, PortCounters, PortId, TaskId, Usage};
 use serde::Serialize;
 use std::collections::BTreeMap;
@@ -36,6 +37,8 @@ pub struct Summary {
     pub nodes: Vec<NodeSummary>,
     /// What came of the checks of the cell.
     pub checks: Settlement,
+    /// Which evidence is missing, a line each: without findings such a run is no proof that all was well.
+    pub incomplete: Vec<String>,
     /// Whether the nodes ran in real time: asked for with `--rt`, and not refused.
     pub rt: bool,
     /// What came of a demo.
@@ -254,9 +257,19 @@ impl Gatherer {
             tasks: self.ended.clone(),
             nodes: exits.iter().map(node).collect(),
             checks: Settlement::default(),
+            incomplete: self.untold().collect(),
             rt: false,
             outcome: None,
         }
+    }
+
+    /// The nodes that could not tell everything, a line each.
+    fn untold(&self) -> impl Iterator<Item = String> {
+        self.figures.iter().zip(&self.table.cell().nodes).filter_map(|(lives, node)| {
+            let untold: u64 = lives.iter().map(|figures| figures.untold).sum();
+            let times = count(untold, "happening");
+            (untold > 0).then(|| format!("node {} could not tell {times}: it came too fast", node.name))
+        })
     }
 
     fn for_tasks_on(&mut self, node: NodeId, mut change: impl FnMut(&mut Tally, TaskId)) {

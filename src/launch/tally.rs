@@ -1,15 +1,39 @@
 //! The arithmetic of a run: what came of every round of a waitfor, from what its members said of it.
 
 use super::lines::{Event, What};
+use super::spread::{Spread, Spreading};
 use imrs_protocol::{Round, TaskId};
 use serde::Serialize;
 use std::collections::BTreeMap;
 
-/// The rounds of one waitfor.
+/// So many rounds are kept as they are: what a member may still say of an older one is not waited for.
+const OPEN: usize = 4_096;
+/// So many gaps between settled rounds are remembered.
+const GAPS: usize = 1_024;
+
+/// The rounds of one waitfor. The newest are kept, older ones are settled: counted, and forgotten.
 #[derive(Clone, Debug)]
 pub struct Tally {
     members: Vec<Member>,
+    /// Not settled yet.
     rounds: BTreeMap<i64, Meeting>,
+    /// How many of these there are at most.
+    open: usize,
+    /// The first round of all that was spoken of.
+    first: Option<i64>,
+    settled: Settled,
+}
+
+/// What came of older rounds.
+#[derive(Clone, Debug, Default)]
+struct Settled {
+    /// Without the spread.
+    sum: Rounds,
+    skews: Spreading,
+    /// Which: by the first of several without a gap, the last.
+    spans: BTreeMap<i64, i64>,
+    /// The last one that released somebody.
+    released: Option<i64>,
 }
 
 #[derive(Clone, Debug)]
@@ -30,6 +54,8 @@ struct Death {
     at: u64,
     /// The last round announced before.
     announced: i64,
+    /// Of the settled rounds that began before, the last one that released somebody.
+    released: Option<i64>,
     /// When its node was started again.
     revived: Option<u64>,
 }
@@ -69,33 +95,12 @@ pub struct Rounds {
     pub start_skew_us: Option<Spread>,
 }
 
-/// How values are spread.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct Spread {
-    /// Half are no larger.
-    pub p50: u64,
-    /// 99 of 100 are no larger.
-    pub p99: u64,
-    /// None is larger.
-    pub max: u64,
-}
-
-impl Spread {
-    /// The spread of some values; `None` of no values.
-    pub fn of(mut values: Vec<u64>) -> Option<Self> {
-        values.sort_unstable();
-        let max = *values.last()?;
-        // The nearest rank: the least value that so many per cent of all are not above.
-        let rank = |percent: usize| values[(values.len() * percent).div_ceil(100).max(1) - 1];
-        Some(Self { p50: rank(50), p99: rank(99), max })
-    }
-}
-
 impl Tally {
     /// Nothing yet, of a waitfor of these tasks (at most 64).
     pub fn new(members: impl IntoIterator<Item = TaskId>) -> Self {
         let member = |task| Member { task, last: 0, announced: i64::MIN, died: None, untold: false };
-        Self { members: members.into_iter().map(member).collect(), rounds: BTreeMap::new() }
+        let members = members.into_iter().map(member).collect();
+        Self { members, rounds: BTreeMap::new(), open: OPEN, first: None, settled: Settled::default() }
     }
 
     /// Takes in what a member said. Each member's own words come in their order.
@@ -106,6 +111,10 @@ impl Tally {
         if event.what == What::Announced {
             member.announced = member.announced.max(round);
         }
+        if self.settled.has(round) {
+            return;
+        }
+        self.first = Some(self.first.map_or(round, |first| first.min(round)));
         let meeting = self.rounds.entry(round).or_insert(Meeting {
             announced: 0,
             released: 0,
@@ -125,6 +134,38 @@ impl Tally {
                 meeting.last_start = meeting.last_start.max(event.at);
             }
         }
+        if self.rounds.len() > self.open {
+            self.settle();
+        }
+    }
+
+    /// Settles the oldest round that nobody waits in.
+    fn settle(&mut self) {
+        let oldest = self.rounds.iter().find(|(round, meeting)| !self.is_awaited(**round, meeting));
+        let Some((&round, &meeting)) = oldest else { return };
+        let mut settled = std::mem::take(&mut self.settled);
+        self.count(round, &meeting, &mut settled.sum, &mut settled.skews);
+        settled.add(round);
+        self.rounds.remove(&round);
+        if meeting.released != 0 {
+            settled.released = settled.released.max(Some(round));
+            for death in self.members.iter_mut().filter_map(|member| member.died.as_mut()) {
+                if meeting.begun <= death.at {
+                    death.released = death.released.max(Some(round));
+                }
+            }
+        }
+        self.settled = settled;
+    }
+
+    /// Whether a member that lives still waits in this round: each does in one at most.
+    fn is_awaited(&self, round: i64, meeting: &Meeting) -> bool {
+        let ended = meeting.released | meeting.gave_up;
+        self.members.iter().enumerate().any(|(place, member)| {
+            let lives = member.died.is_none_or(|death| death.revived.is_some());
+            let waits = meeting.announced & !ended & 1 << place != 0;
+            waits && lives && member.announced <= round
+        })
     }
 
     /// The member's node was killed.
@@ -133,7 +174,8 @@ impl Tally {
             let member = &mut self.members[place];
             let alive = member.died.is_none_or(|death| death.revived.is_some());
             if alive {
-                member.died = Some(Death { at, announced: member.announced, revived: None });
+                let released = self.settled.released;
+                member.died = Some(Death { at, announced: member.announced, released, revived: None });
             }
         }
     }
@@ -157,30 +199,34 @@ impl Tally {
     /// How many rounds have released everybody so far.
     pub fn released(&self) -> u64 {
         let all = self.all();
-        self.rounds.values().filter(|m| m.released == all).count() as u64
+        self.settled.sum.released + self.rounds.values().filter(|m| m.released == all).count() as u64
     }
 
     /// What came of all rounds.
     pub fn rounds(&self) -> Rounds {
-        let mut sum = Rounds::default();
-        let mut skews = Vec::new();
+        let (mut sum, mut skews) = (self.settled.sum, self.settled.skews.clone());
         for (&round, meeting) in &self.rounds {
-            sum.false_releases += self.false_releases(round, meeting);
-            match self.end(round, meeting) {
-                Some(End::Released) => {
-                    sum.released += 1;
-                    skews.push(meeting.last_start - meeting.first_start);
-                }
-                Some(End::TimedOut) => sum.timed_out += 1,
-                Some(End::Divergent) => sum.divergent += 1,
-                Some(End::Unknown) => sum.unknown += 1,
-                Some(End::Unfinished) => sum.unfinished += 1,
-                None => {}
-            }
+            self.count(round, meeting, &mut sum, &mut skews);
         }
         sum.rounds = sum.released + sum.timed_out + sum.divergent + sum.unknown;
-        sum.start_skew_us = Spread::of(skews);
+        sum.start_skew_us = skews.spread();
         sum
+    }
+
+    /// Counts what came of a round.
+    fn count(&self, round: i64, meeting: &Meeting, sum: &mut Rounds, skews: &mut Spreading) {
+        sum.false_releases += self.false_releases(round, meeting);
+        match self.end(round, meeting) {
+            Some(End::Released) => {
+                sum.released += 1;
+                skews.add(meeting.last_start - meeting.first_start);
+            }
+            Some(End::TimedOut) => sum.timed_out += 1,
+            Some(End::Divergent) => sum.divergent += 1,
+            Some(End::Unknown) => sum.unknown += 1,
+            Some(End::Unfinished) => sum.unfinished += 1,
+            None => {}
+        }
     }
 
     fn place(&self, task: TaskId) -> Option<usize> {
@@ -212,16 +258,18 @@ impl Tally {
         let spoken = |(round, meeting): (&i64, &Meeting)| {
             (meeting.begun <= death.at && meeting.released != 0).then_some(*round)
         };
-        let heard = self.rounds.iter().filter_map(spoken).max();
+        let heard = self.rounds.iter().filter_map(spoken).max().max(death.released);
         let said = Some(death.announced).filter(|&round| round != i64::MIN);
         // Killed before anything was told: the first round of all.
-        let before = self.rounds.keys().next().map_or(0, |first| first - 1);
+        let before = self.first.map_or(0, |first| first - 1);
         heard.max(said).unwrap_or(before) + 1
     }
 
-    /// The members of whom it is not known how the round ended for them: they were killed before they could say.
+    /// The members of whom it is not known how the round ended for them: they were killed before they could say, or some of
+    /// their words are missing.
     fn silenced(&self, round: i64, meeting: &Meeting) -> u64 {
-        self.killed(round, meeting) & !(meeting.released | meeting.gave_up)
+        let missing = self.members(|member| member.untold);
+        (missing | self.killed(round, meeting)) & !(meeting.released | meeting.gave_up)
     }
 
     fn false_releases(&self, round: i64, meeting: &Meeting) -> u64 {
@@ -279,6 +327,34 @@ enum End {
     Divergent,
     Unknown,
     Unfinished,
+}
+
+impl Settled {
+    /// Whether this round is one of them.
+    fn has(&self, round: i64) -> bool {
+        self.spans.range(..=round).next_back().is_some_and(|(_, &last)| round <= last)
+    }
+
+    /// This round is one, too.
+    fn add(&mut self, round: i64) {
+        let (mut first, mut last) = (round, round);
+        if let Some((&before, &end)) = self.spans.range(..round).next_back()
+            && end + 1 == round
+        {
+            first = before;
+        }
+        if let Some(end) = self.spans.remove(&(round + 1)) {
+            last = end;
+        }
+        self.spans.insert(first, last);
+        // Nobody speaks of rounds that are so old.
+        if self.spans.len() > GAPS
+            && let Some((first, _)) = self.spans.pop_first()
+            && let Some((_, last)) = self.spans.pop_first()
+        {
+            self.spans.insert(first, last);
+        }
+    }
 }
 
 impl Member {
@@ -442,6 +518,60 @@ mod tests {
         assert_eq!(tally(&events).rounds(), Rounds { unfinished: 1, ..Rounds::default() });
     }
 
+    /// Feeds rounds of three: most release all, some time out, in some one member is missed or its node dead.
+    fn feed(tally: &mut Tally, from: u64, to: u64) {
+        for step in from..to {
+            let at = step * 1_000;
+            let round = Round((step % (1 << 16)) as u16);
+            let mut say = |task, after, what| {
+                tally.take(&Event { at: at + after, task: TaskId(task), port: PortId(0), round, what });
+            };
+            let there = if step % 7 == 3 { 2 } else { 3 };
+            (0..there).for_each(|task| say(task, u64::from(task), What::Announced));
+            for task in 0..there {
+                let misses = there == 2 || step % 11 == 5 && task == 1;
+                say(task, 200 + step % 100 * u64::from(task), if misses { GAVE_UP } else { What::Released });
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_settled_counts_as_it_did_before() {
+        let [mut plain, mut folded] = [usize::MAX, 16].map(|open| Tally { open, ..tally(&[]) });
+        for tally in [&mut plain, &mut folded] {
+            feed(tally, 1, 500);
+        }
+        assert_eq!(folded.rounds(), plain.rounds());
+        assert_eq!((folded.released(), folded.rounds.len()), (plain.released(), 16));
+        let rounds = plain.rounds();
+        assert!(rounds.released > 300 && rounds.timed_out > 50 && rounds.divergent > 30, "{rounds:?}");
+        // A death is judged by what its node last said, settled or not.
+        for tally in [&mut plain, &mut folded] {
+            tally.died(TaskId(2), 500_500);
+        }
+        assert_eq!(
+            folded.last_words(&folded.members[2].died.unwrap()),
+            plain.last_words(&plain.members[2].died.unwrap())
+        );
+        // Late words of a settled round change nothing.
+        let late = Event { at: 900_000, task: TaskId(0), port: PortId(0), round: Round(7), what: GAVE_UP };
+        let before = folded.rounds();
+        folded.take(&late);
+        assert_eq!(folded.rounds(), before);
+    }
+
+    #[test]
+    fn a_million_rounds_take_no_more_room_than_some_thousand() {
+        let mut tally = tally(&[]);
+        feed(&mut tally, 1, 1_000_001);
+        let rounds = tally.rounds();
+        assert_eq!(rounds.rounds + rounds.unfinished, 1_000_000);
+        assert_eq!(rounds.timed_out, (1..=1_000_000).filter(|step| step % 7 == 3).count() as u64);
+        assert_eq!((tally.rounds.len(), tally.settled.spans.len()), (OPEN, 1));
+        assert!(tally.settled.skews.size() < 8_000);
+        assert_eq!(rounds.start_skew_us.map(|skew| skew.max), Some(198));
+    }
+
     #[test]
     fn rounds_are_counted_on_across_the_wrap() {
         let mut tally = Tally::new([TaskId(0), TaskId(1)]);
@@ -454,13 +584,5 @@ mod tests {
             }
         }
         assert_eq!((tally.rounds().released, tally.rounds().rounds), (70_000, 70_000));
-    }
-
-    #[test]
-    fn percentiles_are_values_that_occurred() {
-        assert_eq!(Spread::of(Vec::new()), None);
-        assert_eq!(Spread::of(vec![3]), Some(Spread { p50: 3, p99: 3, max: 3 }));
-        let hundred = Spread::of((1..=100).rev().collect());
-        assert_eq!(hundred, Some(Spread { p50: 50, p99: 99, max: 100 }));
     }
 }

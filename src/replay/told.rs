@@ -149,12 +149,14 @@ impl Told {
     }
 
     /// What the exit code depends on: whether a check did not hold, whether something is unexplained, and whether all was
-    /// looked at.
+    /// looked at: there was time for it, and no evidence is missing.
     pub fn verdict(&self) -> Exit {
         match (&self.unexplained, self.complete) {
             _ if self.checks.is_broken() => Exit::Finding,
-            (_, false) => Exit::Budget,
+            (_, false) if self.ended_by.is_some() => Exit::Budget,
+            (_, false) => Exit::Incomplete,
             (Some(_), true) => Exit::Finding,
+            (None, true) if self.checks.unjudged().next().is_some() => Exit::Incomplete,
             (None, true) => Exit::Well,
         }
     }
@@ -165,7 +167,10 @@ impl Told {
     /// The output cannot be written.
     pub fn show(&self, file: &str, out: &mut Output) -> Result<(), Failure> {
         let unknown = self.unknown.as_ref().map(|why| {
-            Styled(NOTE, format!("{file}: UNKNOWN whether this run is a path of the model: {why}"))
+            Styled(
+                NOTE,
+                format!("{file}: INCOMPLETE: it is unknown whether this run is a path of the model: {why}"),
+            )
         });
         if let (Some(unknown), None) = (&unknown, &self.unexplained) {
             return out.line(unknown);

@@ -96,7 +96,7 @@ impl Live {
     pub fn finish(self) -> (Value, Option<i32>, String) {
         let said = self.program.finish();
         if let Some((file, cell)) = &self.record
-            && matches!(said.code, Some(0 | 1))
+            && matches!(said.code, Some(0 | 1 | 5))
         {
             replays(&self.dir, file, cell.as_deref());
         }

@@ -117,13 +117,16 @@ pub struct Said {
     pub code: Option<i32>,
 }
 
-/// Whether a run ended well, or all that was wrong are checks that did not hold: this machine may have been later than the
-/// cell declares, or the fault more than it does.
+/// Whether a run ended well, or all that was wrong are checks that did not hold, or evidence that is missing: this machine may
+/// have been later than the cell declares, or the fault more than it does.
 pub fn is_well(code: Option<i32>, errors: &str) -> bool {
-    let mut lines = errors.lines().peekable();
+    let starts = |words: &str| errors.lines().any(|line| line.starts_with(words));
+    let (checks, incomplete) = ("imrs: check ", "imrs: incomplete: ");
+    let all = errors.lines().all(|line| line.starts_with(checks) || line.starts_with(incomplete));
     match code {
         Some(0) => true,
-        Some(1) => lines.peek().is_some() && lines.all(|line| line.starts_with("imrs: check ")),
+        Some(1) => all && starts(checks),
+        Some(5) => all && starts(incomplete),
         Some(_) | None => false,
     }
 }
@@ -192,7 +195,7 @@ pub fn was_late(dir: &Path, cell: &str, file: &Path, nodes: &[&str]) -> bool {
 fn recorded(dir: &Path, args: &[&str], said: Said) -> Said {
     if let ["run", cell, ..] = args
         && let Some(at) = args.iter().position(|arg| *arg == "--record")
-        && matches!(said.code, Some(0 | 1))
+        && matches!(said.code, Some(0 | 1 | 5))
     {
         replays(dir, Path::new(args[at + 1]), Some(cell));
     }
@@ -216,10 +219,13 @@ pub fn replays(dir: &Path, file: &Path, cell: Option<&str>) {
     let files: Vec<&str> = files.iter().map(|file| file.to_str().expect("UTF-8")).collect();
     let cell = cell.map_or(Vec::new(), |cell| vec!["--cell", cell]);
     let said = finish(imrs(dir, &[&["replay"], &files[..], &cell[..], &["--format", "json"]].concat()));
-    assert_eq!(said.code, Some(0), "{said:?}");
     let answers = said.out.lines().map(|line| serde_json::from_str::<Value>(line).expect("JSON"));
+    let answers: Vec<Value> = answers.collect();
+    // Of a killed node the recording has no end.
+    let incomplete = answers.iter().any(|answer| answer["complete"] == false);
+    assert_eq!(said.code, Some(if incomplete { 5 } else { 0 }), "{said:?}");
     let tasks: Vec<Value> =
-        answers.flat_map(|answer| answer["tasks"].as_array().expect("tasks").clone()).collect();
+        answers.iter().flat_map(|answer| answer["tasks"].as_array().expect("tasks").clone()).collect();
     // A disk that could not keep up is no fault of the machine: what is missing was told.
     let judged = |task: &&Value| task["verdict"] == "same" || number(&task["lost"]) > 0;
     assert!(!tasks.is_empty() && tasks.iter().filter(judged).count() == tasks.len(), "{tasks:?}");

@@ -1,13 +1,22 @@
 //! What goes to standard output: plain where nobody looks, coloured for a person, quiet once the reader has gone.
 
+mod printer;
+
+pub use printer::{Notice, Untaken, notice};
+
 use crate::args::Color;
 use crate::exit::Failure;
 use anstream::AutoStream;
+use anstream::adapter::strip_str;
 use anstyle::{AnsiColor, Style};
 use imrs_wire::text::{self, acts};
+use indicatif::ProgressBar;
+use printer::Printer;
 use std::borrow::Cow;
 use std::fmt::{self, Display};
 use std::io::{self, IsTerminal, Stdout, Write};
+use std::sync::OnceLock;
+use std::time::Duration;
 
 /// Good, with a word that says so.
 pub const GOOD: Style = AnsiColor::Green.on_default().bold();
@@ -22,17 +31,45 @@ pub const FAINT: Style = Style::new().dimmed();
 
 /// Standard output.
 pub struct Output {
-    stream: AutoStream<Stdout>,
-    /// The reader has gone: there is nobody to tell.
-    closed: bool,
+    way: Way,
     /// What was asked for.
     pub color: Color,
+}
+
+/// How lines get to their reader.
+enum Way {
+    /// The caller writes, and waits for the reader.
+    Direct {
+        stream: Box<AutoStream<Stdout>>,
+        /// The reader has gone: there is nobody to tell.
+        closed: bool,
+    },
+    /// A thread writes. Escapes are left out of what is `plain`.
+    Aside { printer: Printer, plain: bool },
 }
 
 impl Output {
     /// Standard output with colour as asked for.
     pub fn new(color: Color) -> Self {
-        Self { stream: AutoStream::new(io::stdout(), color.into()), closed: false, color }
+        let stream = Box::new(AutoStream::new(io::stdout(), color.into()));
+        Self { way: Way::Direct { stream, closed: false }, color }
+    }
+
+    /// From now on nobody waits for whoever reads standard output or standard error: threads of their own write there. Lines
+    /// that are told in [passing](Self::passing) are dropped where the reader is too slow, and counted by `notice`.
+    ///
+    /// # Errors
+    /// [`Failure::Output`]: the operating system refuses a thread.
+    pub fn step_aside(&mut self, notice: Notice, progress: ProgressBar) -> Result<(), Failure> {
+        let hidden = ProgressBar::hidden();
+        // Where lines and progress may meet on one terminal, one thread draws both.
+        let shown = io::stdout().is_terminal();
+        let (with_lines, with_errors) = if shown { (progress, hidden) } else { (hidden, progress) };
+        complain_aside(with_errors).map_err(Failure::Output)?;
+        let plain = matches!(&self.way, Way::Direct { stream, .. } if stream.current_choice() == anstream::ColorChoice::Never);
+        let printer = Printer::start(io::stdout(), notice, with_lines).map_err(Failure::Output)?;
+        self.way = Way::Aside { printer, plain };
+        Ok(())
     }
 
     /// Writes a line. A reader that has gone (`imrs verify | head`) is no error.
@@ -41,7 +78,16 @@ impl Output {
     /// [`Failure::Output`].
     pub fn line(&mut self, line: impl Display) -> Result<(), Failure> {
         let line = line.to_string();
-        self.write(&harmless(&line))
+        self.write(&harmless(&line), true)
+    }
+
+    /// Writes a line that may be left out where the reader is too slow.
+    ///
+    /// # Errors
+    /// [`Failure::Output`].
+    pub fn passing(&mut self, line: impl Display) -> Result<(), Failure> {
+        let line = line.to_string();
+        self.write(&harmless(&line), false)
     }
 
     /// Writes a text as it is, to its last byte: the answer is a file. On a terminal it is shown, as any other text.
@@ -56,11 +102,16 @@ impl Output {
         self.note(written)
     }
 
-    fn write(&mut self, line: &str) -> Result<(), Failure> {
-        if self.closed {
-            return Ok(());
-        }
-        let written = writeln!(self.stream, "{line}").and_then(|()| self.stream.flush());
+    fn write(&mut self, line: &str, kept: bool) -> Result<(), Failure> {
+        let written = match &mut self.way {
+            Way::Direct { closed: true, .. } => return Ok(()),
+            Way::Direct { stream, .. } => writeln!(stream, "{line}").and_then(|()| stream.flush()),
+            Way::Aside { printer, plain } => {
+                let text = if *plain { strip_str(line).to_string() } else { line.to_owned() };
+                printer.push(text + "\n", kept);
+                Ok(())
+            }
+        };
         self.note(written)
     }
 
@@ -68,10 +119,35 @@ impl Output {
         match written {
             Ok(()) => Ok(()),
             Err(error) if error.kind() == io::ErrorKind::BrokenPipe => {
-                self.closed = true;
+                if let Way::Direct { closed, .. } = &mut self.way {
+                    *closed = true;
+                }
                 Ok(())
             }
             Err(error) => Err(Failure::Output(error)),
+        }
+    }
+
+    /// Changes the progress line, or takes it away.
+    pub fn progress(&self, text: Option<String>) {
+        for printer in self.printer().into_iter().chain(ERRORS.get()) {
+            match &text {
+                Some(text) => printer.progress(text.clone()),
+                None => printer.clear(),
+            }
+        }
+    }
+
+    /// Waits until the reader has taken everything, at most so long, and no longer than until `interrupted`. Returns what is
+    /// left.
+    pub fn settle(&self, within: Duration, interrupted: impl Fn() -> bool) -> Untaken {
+        self.printer().map(|printer| printer.settle(within, interrupted)).unwrap_or_default()
+    }
+
+    const fn printer(&self) -> Option<&Printer> {
+        match &self.way {
+            Way::Aside { printer, .. } => Some(printer),
+            Way::Direct { .. } => None,
         }
     }
 
@@ -93,7 +169,7 @@ impl Output {
     /// [`Failure::Output`].
     pub fn json(&mut self, value: &impl serde::Serialize) -> Result<(), Failure> {
         let text = serde_json::to_string(value).map_err(|e| Failure::Output(e.into()))?;
-        self.write(&text::json(&text))
+        self.write(&text::json(&text), true)
     }
 }
 
@@ -133,10 +209,36 @@ fn style_at(text: &str) -> Option<usize> {
     parameters.split(';').all(|one| HARMLESS.contains(&one)).then_some(parameters.len() + 3)
 }
 
+/// Writes to standard error, where nobody may wait for its reader.
+static ERRORS: OnceLock<Printer> = OnceLock::new();
+
+/// How long complaints wait for the reader of standard error when the process ends.
+const COMPLAINED_WITHIN: Duration = Duration::from_secs(1);
+
+/// From now on no [complaint](complain) waits for whoever reads standard error.
+///
+/// # Errors
+/// The operating system refuses a thread.
+pub fn complain_aside(progress: ProgressBar) -> io::Result<()> {
+    let printer = Printer::start(io::stderr(), notice, progress)?;
+    // The first one stays: a process says so once.
+    let _ = ERRORS.set(printer);
+    Ok(())
+}
+
 /// Says what is wrong on standard error. Where that has gone too, there is nobody to tell.
 pub fn complain(what: impl Display) {
     let what = what.to_string();
-    let _ = writeln!(io::stderr(), "imrs: {}", harmless(&what));
+    let line = format!("imrs: {}\n", harmless(&what));
+    match ERRORS.get() {
+        Some(printer) => printer.push(line, false),
+        None => drop(io::stderr().write_all(line.as_bytes())),
+    }
+}
+
+/// Waits, for a second at most, until complaints are read: the process ends.
+pub fn settle_complaints() {
+    ERRORS.get().map(|printer| printer.settle(COMPLAINED_WITHIN, || false));
 }
 
 /// Diagnostics on standard error, where standard output has another answer.

@@ -1,0 +1,77 @@
+//! What each node of a run is told at its start.
+
+use super::launcher::{LaunchError, Run};
+use super::lines::Setup;
+use super::place;
+use imrs_protocol::NodeId;
+use imrs_wire::obs::Token;
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+
+/// The setups of all nodes that run here.
+///
+/// # Errors
+/// The only node that runs here has no address.
+pub fn setups(
+    run: &Run<'_>,
+    seed: u64,
+    token: Option<&Token>,
+    notices: Option<&Path>,
+) -> Result<Vec<(NodeId, Setup)>, LaunchError> {
+    let cell = run.loaded.table.cell();
+    let mut all = Vec::new();
+    for (i, node) in cell.nodes.iter().enumerate() {
+        let id = NodeId::from_index(i);
+        if run.only.is_some_and(|only| only != id) {
+            continue;
+        }
+        let mut setup = Setup {
+            cell: run.source.clone(),
+            node: node.name.clone(),
+            incarnation: 0,
+            restarted: false,
+            // Its neighbours may have heard of an earlier incarnation of it (D49).
+            counts: run.only.is_some(),
+            bind: None,
+            // One after the other, where there are several.
+            observe: run.args.observe.map(|first| observed_at(first, all.len())),
+            observe_token: token.cloned(),
+            rt: run.args.rt,
+            seed,
+            loss: run.args.loss.0,
+            record: run.args.record.as_ref().map(|file| record_file(file, &node.name)),
+            actions: run.actions.clone(),
+            notices: notices.map(Path::to_owned),
+            courses: run.courses.clone(),
+        };
+        if run.only.is_some() {
+            setup.bind = Some(place::address(run.loaded, id)?);
+        }
+        all.push((id, setup));
+    }
+    Ok(all)
+}
+
+/// The address of the node that comes after so many others; port 0 is any free one for each.
+pub fn observed_at(first: SocketAddr, after: usize) -> SocketAddr {
+    let port = first.port();
+    let after = u16::try_from(after).unwrap_or(u16::MAX);
+    SocketAddr::new(first.ip(), if port == 0 { 0 } else { port.saturating_add(after) })
+}
+
+/// Each node writes a file of its own: `run.imrs` becomes `run.nl.imrs`.
+pub fn record_file(file: &Path, node: &str) -> PathBuf {
+    let extension = file.extension().map_or_else(|| "imrs".into(), |e| e.to_string_lossy());
+    file.with_extension(format!("{node}.{extension}"))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn every_node_records_into_a_file_of_its_own() {
+        assert_eq!(record_file(Path::new("/r/run.imrs"), "nl"), Path::new("/r/run.nl.imrs"));
+        assert_eq!(record_file(Path::new("run"), "nr"), Path::new("run.nr.imrs"));
+    }
+}

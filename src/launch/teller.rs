@@ -1,0 +1,150 @@
+//! Tells the launcher what a node has to say, in a thread of its own: a launcher that stands still keeps the node from nothing.
+
+use super::lines::{Word, say};
+use std::collections::VecDeque;
+use std::io::{self, Write};
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::thread::{self, JoinHandle};
+
+/// With so many words that wait for the launcher, a node stops telling what it can also tell later.
+const WAITING: usize = 16_384;
+
+/// Words on their way to the launcher, in order.
+pub struct Teller {
+    shared: Arc<Shared>,
+    thread: Option<JoinHandle<()>>,
+}
+
+#[derive(Default)]
+struct Shared {
+    words: Mutex<Words>,
+    changed: Condvar,
+}
+
+#[derive(Default)]
+struct Words {
+    waiting: VecDeque<Word>,
+    /// How many of them the thread has taken out.
+    in_hand: usize,
+    ended: bool,
+    /// Why the pipe failed: most likely the launcher has gone.
+    failed: Option<io::Error>,
+}
+
+impl Teller {
+    /// Begins to tell.
+    ///
+    /// # Errors
+    /// The operating system refuses a thread.
+    pub fn start(pipe: Box<dyn Write + Send>) -> io::Result<Self> {
+        let shared = Arc::<Shared>::default();
+        let own = Arc::clone(&shared);
+        let thread = thread::Builder::new().name("imrs teller".into()).spawn(move || own.write(pipe))?;
+        Ok(Self { shared, thread: Some(thread) })
+    }
+
+    /// Adds a word, without waiting.
+    ///
+    /// # Errors
+    /// The pipe failed.
+    pub fn say(&self, word: Word) -> io::Result<()> {
+        let mut words = self.shared.lock();
+        if let Some(error) = &words.failed {
+            return Err(error.kind().into());
+        }
+        words.waiting.push_back(word);
+        self.shared.changed.notify_all();
+        Ok(())
+    }
+
+    /// Whether the launcher hears what is said: otherwise only what cannot wait should be added.
+    pub fn has_room(&self) -> bool {
+        let words = self.shared.lock();
+        words.waiting.len() + words.in_hand < WAITING
+    }
+
+    /// Waits until the launcher has heard everything.
+    ///
+    /// # Errors
+    /// The pipe failed.
+    pub fn end(mut self) -> io::Result<()> {
+        self.close();
+        if let Some(thread) = self.thread.take() {
+            thread.join().unwrap_or_else(|panic| std::panic::resume_unwind(panic));
+        }
+        self.shared.lock().failed.take().map_or(Ok(()), Err)
+    }
+
+    fn close(&self) {
+        self.shared.lock().ended = true;
+        self.shared.changed.notify_all();
+    }
+}
+
+impl Drop for Teller {
+    fn drop(&mut self) {
+        self.close();
+    }
+}
+
+impl Shared {
+    fn lock(&self) -> MutexGuard<'_, Words> {
+        self.words.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn write(&self, mut pipe: Box<dyn Write + Send>) {
+        loop {
+            let mut words = self.lock();
+            words.in_hand = 0;
+            while words.waiting.is_empty() {
+                if words.ended {
+                    return;
+                }
+                words = self.changed.wait(words).unwrap_or_else(PoisonError::into_inner);
+            }
+            let some = std::mem::take(&mut words.waiting);
+            words.in_hand = some.len();
+            drop(words);
+            if let Err(error) = some.iter().try_for_each(|word| say(&mut pipe, word)) {
+                self.lock().failed = Some(error);
+                return;
+            }
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::launch::lines::hear;
+    use std::io::BufReader;
+
+    #[test]
+    fn a_launcher_that_stands_still_keeps_nobody_waiting_and_hears_everything_later() {
+        let (words, pipe) = io::pipe().expect("a pipe");
+        let teller = Teller::start(Box::new(pipe)).expect("a thread");
+        // More than the pipe holds: whoever wrote them itself would wait here for ever.
+        let mut told = 0;
+        while teller.has_room() {
+            teller.say(Word::Told(told)).expect("nobody has gone");
+            told += 1;
+        }
+        teller.say(Word::Done).expect("what cannot wait is told, too");
+        let mut words = BufReader::new(words);
+        for until in 0..told {
+            assert_eq!(hear(&mut words).expect("a word"), Some(Word::Told(until)));
+        }
+        assert_eq!(hear(&mut words).expect("a word"), Some(Word::Done));
+        teller.end().expect("everything was heard");
+        assert_eq!(hear::<Word>(&mut words).expect("the end"), None);
+    }
+
+    #[test]
+    fn a_launcher_that_has_gone_is_an_error() {
+        let (words, pipe) = io::pipe().expect("a pipe");
+        drop(words);
+        let teller = Teller::start(Box::new(pipe)).expect("a thread");
+        teller.say(Word::Started).expect("nobody has tried yet");
+        assert_eq!(teller.end().expect_err("nobody reads").kind(), io::ErrorKind::BrokenPipe);
+    }
+}

@@ -1,0 +1,337 @@
+//! Lines for a reader that may be slow, or that does not read at all: a thread of its own writes them, so that nobody else
+//! waits for it.
+
+use super::count;
+use indicatif::ProgressBar;
+use rustix::event::{PollFd, PollFlags, poll};
+use rustix::io::Errno;
+use std::collections::VecDeque;
+use std::io;
+use std::os::fd::AsFd;
+use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
+use std::thread;
+use std::time::{Duration, Instant};
+
+/// So many lines wait for the reader at most,
+const LINES: usize = 4_096;
+/// of so many bytes together. Later ones are counted, and dropped.
+const BYTES: usize = 1 << 20;
+/// How often a waiting caller looks whether it was interrupted.
+const LOOK_EVERY: Duration = Duration::from_millis(50);
+
+/// Says how many lines are missing, and why.
+pub type Notice = fn(u64, &str) -> String;
+
+/// The notice for people.
+pub fn notice(lines: u64, why: &str) -> String {
+    format!("... {} not shown: {why}", count(lines, "line"))
+}
+
+/// A bounded queue of lines, and the thread that writes them.
+///
+/// [`push`](Self::push) never waits. Where the queue is full the line is dropped, and a notice takes its place as soon as the
+/// reader reads again. A failed write loses its line alone: the next one is tried again. Once the reader has gone (EPIPE),
+/// nothing is kept.
+pub struct Printer(Arc<Shared>);
+
+struct Shared {
+    queue: Mutex<Queue>,
+    /// Something was added, or written.
+    changed: Condvar,
+    notice: Notice,
+}
+
+#[derive(Default)]
+struct Queue {
+    items: VecDeque<Item>,
+    bytes: usize,
+    /// The lines that the thread is writing.
+    in_hand: u64,
+    /// Lines that were not shown, and no notice said so yet.
+    missing: u64,
+    /// Why the last write failed.
+    failed: Option<String>,
+    /// The reader has gone.
+    gone: bool,
+    /// The newest text of the progress line, until it is drawn.
+    progress: Option<String>,
+    closed: bool,
+}
+
+enum Item {
+    Line(String),
+    Dropped(u64),
+    /// The progress line goes away.
+    Clear,
+}
+
+/// What the thread does next.
+enum Work {
+    Write { text: String, lines: u64 },
+    Progress(String),
+    Clear,
+}
+
+/// What the reader did not take.
+#[derive(Debug, Default, PartialEq, Eq)]
+pub struct Untaken {
+    /// How many lines.
+    pub lines: u64,
+    /// Why they could not be written; `None`: the reader did not read.
+    pub failed: Option<String>,
+}
+
+impl Printer {
+    /// Begins to write to a stream. The progress line is drawn by the same thread, so that it does not run into the lines.
+    ///
+    /// # Errors
+    /// The operating system refuses a thread.
+    pub fn start(
+        stream: impl AsFd + Send + 'static,
+        notice: Notice,
+        progress: ProgressBar,
+    ) -> io::Result<Self> {
+        let shared = Arc::new(Shared { queue: Mutex::default(), changed: Condvar::new(), notice });
+        let own = Arc::clone(&shared);
+        let work = move || {
+            while let Some(work) = own.next() {
+                own.carry_out(work, &stream, &progress);
+            }
+        };
+        thread::Builder::new().name("imrs printer".into()).spawn(work)?;
+        Ok(Self(shared))
+    }
+
+    /// Adds a text that ends its lines itself. One that must be `kept` is never dropped: there are few of these.
+    pub fn push(&self, text: String, kept: bool) {
+        let mut queue = self.0.lock();
+        if queue.gone {
+            return;
+        }
+        let is_full = queue.items.len() >= LINES || queue.bytes + text.len() > BYTES;
+        if kept || !is_full {
+            queue.bytes += text.len();
+            queue.items.push_back(Item::Line(text));
+        } else if let Some(Item::Dropped(lines)) = queue.items.back_mut() {
+            *lines += 1;
+        } else {
+            queue.items.push_back(Item::Dropped(1));
+        }
+        self.0.changed.notify_all();
+    }
+
+    /// Changes the progress line.
+    pub fn progress(&self, text: String) {
+        self.0.lock().progress = Some(text);
+        self.0.changed.notify_all();
+    }
+
+    /// Takes the progress line away.
+    pub fn clear(&self) {
+        let mut queue = self.0.lock();
+        queue.progress = None;
+        queue.items.push_back(Item::Clear);
+        self.0.changed.notify_all();
+    }
+
+    /// Waits until everything is written, at most so long, and no longer than until `interrupted`. Returns what is not.
+    pub fn settle(&self, within: Duration, interrupted: impl Fn() -> bool) -> Untaken {
+        let end = Instant::now() + within;
+        let mut queue = self.0.lock();
+        while !queue.is_idle() && Instant::now() < end && !interrupted() {
+            let waited = self.0.changed.wait_timeout(queue, LOOK_EVERY);
+            queue = waited.unwrap_or_else(PoisonError::into_inner).0;
+        }
+        let lines = |item: &Item| match item {
+            Item::Line(_) => 1,
+            Item::Dropped(lines) => *lines,
+            Item::Clear => 0,
+        };
+        let waiting: u64 = queue.items.iter().map(lines).sum();
+        let lines = if queue.gone { 0 } else { waiting + queue.in_hand + queue.missing };
+        Untaken { lines, failed: queue.failed.clone() }
+    }
+}
+
+impl Drop for Printer {
+    fn drop(&mut self) {
+        self.0.lock().closed = true;
+        self.0.changed.notify_all();
+    }
+}
+
+impl Shared {
+    fn lock(&self) -> MutexGuard<'_, Queue> {
+        self.queue.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+
+    fn next(&self) -> Option<Work> {
+        let mut queue = self.lock();
+        loop {
+            if let Some(work) = queue.take(self.notice) {
+                return Some(work);
+            }
+            if queue.closed {
+                return None;
+            }
+            queue = self.changed.wait(queue).unwrap_or_else(PoisonError::into_inner);
+        }
+    }
+
+    fn carry_out(&self, work: Work, stream: &impl AsFd, progress: &ProgressBar) {
+        let written = match work {
+            Work::Write { text, .. } => progress.suspend(|| write(stream, text.as_bytes())),
+            Work::Progress(text) => {
+                progress.set_message(text);
+                progress.tick();
+                Ok(())
+            }
+            Work::Clear => {
+                progress.finish_and_clear();
+                Ok(())
+            }
+        };
+        let mut queue = self.lock();
+        let lines = std::mem::take(&mut queue.in_hand);
+        match written {
+            Ok(()) if lines > 0 => queue.failed = None,
+            Ok(()) => {}
+            Err(Errno::PIPE) => {
+                queue.gone = true;
+                queue.items.clear();
+            }
+            Err(error) => {
+                queue.missing += lines;
+                queue.failed = Some(io::Error::from(error).to_string());
+            }
+        }
+        drop(queue);
+        self.changed.notify_all();
+    }
+}
+
+impl Queue {
+    /// Whether there is nothing to write.
+    fn is_idle(&self) -> bool {
+        self.items.is_empty() && self.in_hand == 0
+    }
+
+    fn take(&mut self, notice: Notice) -> Option<Work> {
+        let work = match self.items.pop_front() {
+            None => Work::Progress(self.progress.take()?),
+            Some(Item::Clear) => Work::Clear,
+            Some(Item::Dropped(lines)) => {
+                self.missing += lines;
+                Work::Write { text: self.told(notice), lines: std::mem::take(&mut self.missing) }
+            }
+            Some(Item::Line(line)) => {
+                self.bytes -= line.len();
+                let text = if self.missing > 0 { self.told(notice) + &line } else { line };
+                Work::Write { text, lines: std::mem::take(&mut self.missing) + 1 }
+            }
+        };
+        if let Work::Write { lines, .. } = &work {
+            self.in_hand = *lines;
+        }
+        Some(work)
+    }
+
+    /// The notice of what is missing. After a failed write a part of a line may stand there.
+    fn told(&self, notice: Notice) -> String {
+        match &self.failed {
+            Some(why) => format!("\n{}\n", notice(self.missing, why)),
+            None => format!("{}\n", notice(self.missing, "the reader was too slow")),
+        }
+    }
+}
+
+/// Writes everything, however long the reader takes.
+fn write(stream: &impl AsFd, mut bytes: &[u8]) -> Result<(), Errno> {
+    while !bytes.is_empty() {
+        match rustix::io::write(stream, bytes) {
+            Ok(0) => return Err(Errno::IO),
+            Ok(written) => bytes = &bytes[written..],
+            Err(Errno::INTR) => {}
+            // Somebody else who has the same terminal or pipe open made it non-blocking.
+            Err(Errno::AGAIN) => {
+                let wait = poll(&mut [PollFd::new(stream, PollFlags::OUT)], None);
+                wait.map(drop).or_else(|error| if error == Errno::INTR { Ok(()) } else { Err(error) })?;
+            }
+            Err(error) => return Err(error),
+        }
+    }
+    Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::fs::File;
+    use std::io::{BufRead, BufReader, Read};
+
+    const LONG: Duration = Duration::from_secs(600);
+
+    fn printer(stream: impl AsFd + Send + 'static) -> Printer {
+        Printer::start(stream, notice, ProgressBar::hidden()).expect("a thread")
+    }
+
+    #[test]
+    fn a_reader_that_does_not_read_keeps_nobody_waiting_and_is_told_what_it_missed() {
+        let (reader, writer) = io::pipe().expect("a pipe");
+        let printer = printer(writer);
+        for line in 0..100_000 {
+            printer.push(format!("line {line} {}\n", "x".repeat(100)), false);
+        }
+        printer.push("kept\n".into(), true);
+        let untaken = printer.settle(Duration::ZERO, || false);
+        assert!(untaken.lines > 90_000 && untaken.failed.is_none(), "{untaken:?}");
+        let mut reader = BufReader::new(reader);
+        let mut lines = Vec::new();
+        while lines.last().is_none_or(|line| line != "kept") {
+            let mut line = String::new();
+            reader.read_line(&mut line).expect("a line");
+            lines.push(line.trim_end().to_owned());
+        }
+        // Every line is either there, in order, or in the notice that takes its place.
+        let mut number = 0;
+        for line in &lines[..lines.len() - 1] {
+            let second = line.split(' ').nth(1).expect("a number").replace(',', "");
+            let second = second.parse::<usize>().expect("a number");
+            if line.ends_with("not shown: the reader was too slow") {
+                number += second;
+            } else {
+                assert_eq!(second, number, "{line}");
+                number += 1;
+            }
+        }
+        assert_eq!(number, 100_000);
+        assert_eq!(printer.settle(LONG, || false), Untaken::default());
+    }
+
+    #[test]
+    fn lines_for_a_full_disk_are_counted_and_those_for_a_reader_that_has_gone_are_not() {
+        let full = printer(File::options().write(true).open("/dev/full").expect("a device"));
+        full.push("one\n".into(), false);
+        full.push("two\n".into(), true);
+        let untaken = full.settle(LONG, || false);
+        assert_eq!(untaken.lines, 2);
+        assert!(untaken.failed.is_some_and(|why| why.contains("No space left")));
+        let (reader, writer) = io::pipe().expect("a pipe");
+        drop(reader);
+        let gone = printer(writer);
+        gone.push("one\n".into(), true);
+        assert_eq!(gone.settle(LONG, || false), Untaken::default());
+    }
+
+    #[test]
+    fn who_waits_for_the_reader_can_be_interrupted() {
+        let (mut reader, writer) = io::pipe().expect("a pipe");
+        let printer = printer(writer);
+        printer.push("x".repeat(1 << 20) + "\n", true);
+        assert_eq!(printer.settle(LONG, || true).lines, 1);
+        drop(printer);
+        let mut text = String::new();
+        reader.read_to_string(&mut text).expect("the thread ends after the last line, and with it the pipe");
+        assert_eq!(text.len(), (1 << 20) + 1);
+    }
+}

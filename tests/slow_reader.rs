@@ -1,0 +1,197 @@
+//! Whoever reads what a run says may read late, or never, and the disk of its log may be full: the run goes on as it would,
+//! carries out its faults, obeys signals, stops its nodes in order, and says how many lines are missing.
+
+use crate::support::live::released;
+use crate::support::{PATIENCE, Said, imrs, is_alive, run_in, runtime_dir, side_by_side, signal, wait_until};
+use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
+use rustix::process::Signal;
+use std::fs::File;
+use std::io::{self, Read, Write};
+use std::os::fd::AsFd;
+use std::path::PathBuf;
+use std::process::{Child, Stdio};
+use std::time::{Duration, Instant};
+
+/// Two that meet for ever. Their lines are more than a full pipe takes: none.
+const MEETS: &str = "\
+cell meets;
+tick 1 msec;
+node na;  node nb;
+link na -- nb delay 1 msec;
+task a on na
+  port meet()  usage = waitfor  user_list = {b}  time_out = 2 sec  class = 2  retry = 8  resend = 20 msec;
+  var missed: int16;
+begin
+  loop
+    run grip takes 10..20 msec;
+    waitfor meet() on time_out do missed := missed + 1; end;
+  end;
+end a;
+task b on nb
+  use_port meet()  usage = waitfor  time_out = 2 sec;
+  var missed: int16;
+begin
+  loop
+    waitfor meet() on time_out do missed := missed + 1; end;
+  end;
+end b;
+";
+
+struct Bench(tempfile::TempDir);
+
+/// A run whose output goes where the test says.
+struct Running {
+    child: Child,
+    started: Instant,
+}
+
+impl Bench {
+    fn new() -> Self {
+        let bench = Self(runtime_dir());
+        std::fs::write(bench.cell(), MEETS).expect("the cell is written");
+        bench
+    }
+
+    fn cell(&self) -> PathBuf {
+        self.0.path().join("meets.cell")
+    }
+
+    fn start(&self, args: &[&str], out: impl Into<Stdio>, err: impl Into<Stdio>) -> Running {
+        let cell = self.cell();
+        let mut command = imrs(self.0.path(), &[&["run", cell.to_str().expect("UTF-8")], args].concat());
+        let child = command.stdout(out).stderr(err).spawn().expect("it starts");
+        Running { child, started: Instant::now() }
+    }
+
+    /// Waits until the two have met.
+    fn until_they_met(&self) {
+        wait_until("they meet", || {
+            let said = run_in(self.0.path(), &["monitor", "--once", "--format", "json"]);
+            said.code != Some(3) && released(&said.last_json(), "a") >= 1
+        });
+    }
+}
+
+impl Running {
+    /// The processes of the nodes that are alive.
+    fn nodes(&self) -> Vec<u32> {
+        let threads = std::fs::read_dir(format!("/proc/{}/task", self.child.id())).into_iter().flatten();
+        let of = |thread: std::fs::DirEntry| std::fs::read_to_string(thread.path().join("children")).ok();
+        let all: String = threads.flatten().filter_map(of).collect();
+        all.split_whitespace().filter_map(|pid| pid.parse().ok()).filter(|&pid| is_alive(pid)).collect()
+    }
+
+    /// Waits for the end. Returns how long the run took, too.
+    fn finish(mut self) -> (Said, Duration) {
+        let mut err = String::new();
+        if let Some(mut pipe) = self.child.stderr.take() {
+            pipe.read_to_string(&mut err).expect("text");
+        }
+        let end = Instant::now() + PATIENCE;
+        let code = loop {
+            if let Some(status) = self.child.try_wait().expect("a process") {
+                break status.code();
+            }
+            assert!(Instant::now() < end, "it does not end");
+            std::thread::sleep(Duration::from_millis(10));
+        };
+        (Said { out: String::new(), err, code }, self.started.elapsed())
+    }
+}
+
+impl Drop for Running {
+    fn drop(&mut self) {
+        let _ = self.child.kill();
+        let _ = self.child.wait();
+    }
+}
+
+/// A pipe that is full, and whose reader does not read.
+fn full_pipe() -> (io::PipeReader, io::PipeWriter) {
+    let (reader, mut writer) = io::pipe().expect("a pipe");
+    let flags = fcntl_getfl(writer.as_fd()).expect("flags");
+    fcntl_setfl(writer.as_fd(), flags | OFlags::NONBLOCK).expect("flags");
+    while writer.write(b"filled by the test\n").is_ok() {}
+    while writer.write(b"\n").is_ok() {}
+    fcntl_setfl(writer.as_fd(), flags).expect("flags");
+    (reader, writer)
+}
+
+#[test]
+fn a_run_ends_in_time_though_nobody_reads_what_it_says() {
+    side_by_side([&[][..], &["--in-process"], &["--format", "json"]], |how: &[&str]| {
+        let bench = Bench::new();
+        let (_reader, writer) = full_pipe();
+        let run = bench.start(&[&["--for", "2s"], how].concat(), writer, Stdio::piped());
+        let (said, took) = run.finish();
+        assert_eq!(said.code, Some(0), "{said:?}");
+        assert!(said.err.contains("of the answer were not read within 5 s, and are left out"), "{said:?}");
+        // Two seconds of work and five for the reader.
+        assert!(took >= Duration::from_secs(7), "{took:?}");
+    });
+}
+
+#[test]
+fn faults_come_and_ctrl_c_is_obeyed_though_nobody_reads() {
+    let bench = Bench::new();
+    let (mut reader, writer) = full_pipe();
+    let run = bench.start(&["--kill", "nb@1s"], writer, Stdio::piped());
+    wait_until("both nodes are there", || run.nodes().len() == 2);
+    wait_until("one is killed", || run.nodes().len() == 1);
+    let left = run.nodes();
+    signal(run.child.id(), Signal::INT);
+    wait_until("the other is stopped", || run.nodes().is_empty() && !left.iter().any(|&pid| is_alive(pid)));
+    // Now somebody reads: the summary has waited.
+    let mut out = String::new();
+    reader.read_to_string(&mut out).expect("text");
+    let (said, _) = run.finish();
+    assert_eq!(said.code, Some(0), "{said:?}");
+    assert!(out.contains("fault: node nb is killed") && out.contains("node nb   killed"), "{out}");
+    assert!(!said.err.contains("not read"), "{said:?}");
+}
+
+#[test]
+fn a_second_ctrl_c_ends_the_wait_for_the_reader() {
+    let bench = Bench::new();
+    let (_reader, writer) = full_pipe();
+    let run = bench.start(&[], writer, Stdio::piped());
+    bench.until_they_met();
+    let nodes = run.nodes();
+    signal(run.child.id(), Signal::INT);
+    wait_until("the nodes are stopped", || !nodes.iter().any(|&pid| is_alive(pid)));
+    signal(run.child.id(), Signal::INT);
+    let (said, _) = run.finish();
+    assert_eq!(said.code, Some(0), "{said:?}");
+}
+
+#[test]
+fn a_full_disk_ends_no_run_and_is_told() {
+    let full = || File::options().write(true).open("/dev/full").expect("a device");
+    side_by_side([&[][..], &["--format", "json"]], |how: &[&str]| {
+        let bench = Bench::new();
+        let run = bench.start(&[&["--for", "2s"], how].concat(), full(), Stdio::piped());
+        let (said, took) = run.finish();
+        assert!(took >= Duration::from_secs(2), "{took:?}: {said:?}");
+        assert_eq!(said.code, Some(2), "{said:?}");
+        let line = said.err.lines().last().expect("a complaint");
+        assert!(line.starts_with("imrs: cannot write the answer: No space left"), "{said:?}");
+        assert!(!said.err.contains("node `"), "the nodes were stopped in order: {said:?}");
+    });
+}
+
+#[test]
+fn nobody_waits_for_who_reads_the_complaints() {
+    side_by_side([&[][..], &["--in-process"]], |how: &[&str]| {
+        let bench = Bench::new();
+        // A file that cannot be executed: the node complains when it tries.
+        let gripper = bench.0.path().join("gripper");
+        std::fs::write(&gripper, "no program").expect("a file");
+        let action = format!("grip={}", gripper.display());
+        let ((_out, to_out), (_err, to_err)) = (full_pipe(), full_pipe());
+        let run = bench.start(&[&["--action", &action, "--for", "4s"], how].concat(), to_out, to_err);
+        let (said, took) = run.finish();
+        // The failed action is the finding, and the run went on to its end.
+        assert_eq!(said.code, Some(1), "{said:?}");
+        assert!(took >= Duration::from_secs(4), "{took:?}");
+    });
+}
