@@ -4,8 +4,8 @@
 use crate::support::live::{Live, named, released};
 use crate::support::program::{Program, one_after_the_other, times};
 use crate::support::{
-    Said, example, finish, imrs, is_alive, is_here, is_well, look_until, number, own_address, run_in, run_until,
-    runtime_dir, side_by_side, wait_until,
+    Said, example, finish, imrs, is_alive, is_here, is_well, look_until, number, own_address, run_in,
+    run_until, runtime_dir, side_by_side, wait_until,
 };
 use serde_json::Value;
 use std::fs::Permissions;

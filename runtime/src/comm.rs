@@ -7,7 +7,7 @@ use crate::failstop::guarded;
 use crate::handoff::{Rest, Station};
 use crate::record::{Digesting, Log, OutputDigest, Step};
 use crate::ring::Ring;
-use crate::script::{Knows, HeldLease, Seat};
+use crate::script::{HeldLease, Knows, Seat};
 use imrs_protocol::script::Program;
 use imrs_protocol::{
     Class, CommTask, Delivery, Event, Input, Kind, NodeTable, Observation, Outbox, Packet, PortId, QueueView,

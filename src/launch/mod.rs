@@ -32,4 +32,4 @@ mod way;
 pub use faults::{ActionCommand, Cut, Fault, Kill, Rate, Restart};
 pub use launcher::{LaunchError, Run, run};
 pub use node::{NodeError, run_process as run_node};
-pub use setups::observed_at;
+pub use setups::{observed_at, record_file};
