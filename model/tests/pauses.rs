@@ -90,8 +90,10 @@ check soon: a.goes leads a.done within 25 msec;";
 
 #[test]
 fn a_pause_may_come_between_a_decision_and_its_deed() {
-    for times in [Times::Ends, Times::Between, Times::Every] {
-        let verdicts = checked(DECIDED, times, |_| ());
+    // Another statement may give the same action other times.
+    let twice = DECIDED.replace("done := true;", "done := true; run go takes 7 msec;");
+    for (text, times) in [Times::Ends, Times::Between, Times::Every].map(|times| (DECIDED, times)).into_iter().chain([(&twice[..], Times::Ends)]) {
+        let verdicts = checked(text, times, |_| ());
         let found = verdicts.of(Kind::Check).next().expect("20 and 10 are more than 25");
         assert!(
             found.moves.iter().any(|step| matches!(step, CellMove::PauseBefore(..))),
@@ -100,7 +102,7 @@ fn a_pause_may_come_between_a_decision_and_its_deed() {
         );
         assert!(found.chart.contains("PAUSES, before its action"), "{}", found.chart);
         // An action that goes on in the pause is over with it.
-        let verdicts = checked(&DECIDED.replace("within 25", "within 30"), times, |_| ());
+        let verdicts = checked(&text.replace("within 25", "within 30"), times, |_| ());
         assert!(verdicts.of(Kind::Check).next().is_none(), "{:?}", verdicts.findings);
     }
 }

@@ -268,7 +268,7 @@ fn it_keeps_up_with_a_busy_node() {
     }
     let (stopped, ran) = (Instant::now(), begins.elapsed());
     let said = node.finish();
-    assert!(matches!(said.code, Some(0 | 1)), "{said:?}");
+    assert!(matches!(said.code, Some(0 | 1 | 5)), "{said:?}");
     let bench = Bench { dir, cell };
     let tape = bench.tape("na");
     let all = inputs(&tape.records);

@@ -7,6 +7,7 @@ mod told;
 
 use crate::support::live::{Seen, figure};
 use crate::support::{bound, own_address, side_by_side, signal};
+use imrs_wire::envelope::VERSION;
 use rustix::process::Signal;
 use scene::Scene;
 use serde_json::Value;
@@ -290,7 +291,7 @@ fn questions_over_a_cut_link_time_out() {
 
 #[test]
 fn datagrams_of_strangers_break_the_integrity_or_are_of_another_version() {
-    let cases = [([0x9d, 0x4d, 1, 0], "integrity"), ([0x9d, 0x4d, 99, 0], "version-mismatch")];
+    let cases = [([0x9d, 0x4d, VERSION, 0], "integrity"), ([0x9d, 0x4d, 99, 0], "version-mismatch")];
     side_by_side(cases, |(bytes, lint)| {
         let mut scene = Scene::start(WATCHED, &[]);
         scene.is_calm_for(Duration::from_secs(1));

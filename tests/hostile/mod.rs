@@ -13,7 +13,7 @@ use std::thread;
 use std::time::{Duration, Instant};
 
 /// The exit codes that `imrs --help` names, but for those of a fault of the program and of a system that has run out of something.
-const DOCUMENTED: [i32; 5] = [0, 1, 2, 3, 4];
+const DOCUMENTED: [i32; 6] = [0, 1, 2, 3, 4, 5];
 
 /// Runs a command to its end, which comes: one that hangs is killed, and that is a failure. What it says may be no text.
 fn ended(mut command: Command) -> Said {

@@ -16,9 +16,9 @@
 //! stops it then (D149), so from then on the task does not act, although it does not know it yet.
 
 use super::course::{CellMove, Course, bit, small};
-use super::plan::{Conduct, Pause};
+use super::plan::Pause;
 use crate::floor::Floor;
-use crate::floor::script::Running;
+use crate::floor::script::{Actor, Running};
 use crate::state::Violation;
 use imrs_protocol::script::Op;
 use imrs_protocol::{NodeInput, Ticks};
@@ -115,25 +115,26 @@ impl Course {
         let here = (0..floor.bodies.len()).filter(|&task| floor.station_of(task) == node);
         let actions = here.flat_map(|task| {
             let actor = floor.bodies[task].actor.as_ref();
-            let running = actor.into_iter().flat_map(|actor| &actor.running);
+            let running = actor.into_iter().flat_map(|actor| actor.running.iter().map(move |one| (actor, one)));
             running
-                .filter(move |action| self.has_just_begun(task, action))
-                .map(move |action| (small(task), action.level))
+                .filter(|(actor, action)| self.has_just_begun(actor, action))
+                .map(move |(_, action)| (small(task), action.level))
         });
         actions.collect()
     }
 
-    fn has_just_begun(&self, task: usize, running: &Running) -> bool {
-        let Conduct::Program { program, .. } = &self.plan.tasks[task] else { return false };
+    /// Whether an action has the times that its statement gives it: no tick has passed since it began.
+    fn has_just_begun(&self, actor: &Actor, running: &Running) -> bool {
         let length = |ticks: Ticks| u32::try_from(ticks.0).unwrap_or(Running::FOREVER);
-        let mut declared = program.code.iter().filter_map(|op| match *op {
-            Op::Run { action, least, most, .. } if action == running.action => {
-                Some((length(least), length(most)))
+        let at = actor.script.position_at(running.level);
+        match at.and_then(|at| actor.program.code.get(usize::from(at))) {
+            Some(&Op::Run { action, least, most, .. }) => {
+                action == running.action
+                    && running.most > 0
+                    && (length(least), length(most)) == (running.least, running.most)
             }
-            _ => None,
-        });
-        // Where statements give the same action other times, an old one may look like a new one: it is taken for old.
-        running.most > 0 && declared.all(|times| times == (running.least, running.most))
+            _ => false,
+        }
     }
 
     /// A pause begins.

@@ -385,10 +385,17 @@ impl Script {
     /// The operation that the task's own thread waits in, below the handlers that run; `None` when it has ended.
     #[must_use]
     pub fn own_position(&self) -> Option<Address> {
+        self.position_at(0)
+    }
+
+    /// The operation that a thread waits in: the task's own at level 0, above it the handlers that run. `None` where there is none.
+    #[must_use]
+    pub fn position_at(&self, level: u8) -> Option<Address> {
         match self.standing {
             Standing::Ended(_) => None,
-            Standing::NotBegun => Some(0),
-            Standing::Lives => self.frames.first().map(|thread| thread.at),
+            Standing::NotBegun => (level == 0).then_some(0),
+            Standing::Lives if level > self.level => None,
+            Standing::Lives => self.frames.get(usize::from(level)).map(|thread| thread.at),
         }
     }
 
