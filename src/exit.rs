@@ -70,6 +70,10 @@ pub enum Failure {
 impl Failure {
     /// The exit code it leads to.
     pub fn exit(&self) -> Exit {
+        // The stream is non-blocking and its reader slow: nothing has run out.
+        if matches!(self, Self::Output(error) if error.kind() == io::ErrorKind::WouldBlock) {
+            return Exit::Usage;
+        }
         let mut cause: Option<&(dyn Error + 'static)> = Some(self);
         while let Some(error) = cause {
             if error.downcast_ref().is_some_and(is_exhausted) {
@@ -134,12 +138,15 @@ pub fn did_you_mean<'a>(wanted: &str, names: impl IntoIterator<Item = &'a str>) 
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::launch::LaunchError;
 
     #[test]
     fn a_system_that_has_run_out_of_something_is_no_fault_of_the_program() {
-        let refused = |code: i32| Failure::Output(io::Error::from_raw_os_error(code)).exit();
-        assert_eq!(EXHAUSTED.map(refused), [Exit::System; 4]);
-        assert_eq!(refused(Errno::NOSPC.raw_os_error()), Exit::Usage);
+        let refused = |code: i32| LaunchError::Start(io::Error::from_raw_os_error(code));
+        assert_eq!(EXHAUSTED.map(|code| Failure::from(refused(code)).exit()), [Exit::System; 4]);
+        let unwritten = |errno: Errno| Failure::Output(errno.into()).exit();
+        assert_eq!(unwritten(Errno::NOMEM), Exit::System);
+        assert_eq!([Errno::NOSPC, Errno::AGAIN].map(unwritten), [Exit::Usage; 2]);
         let panic = format!("{:?}", io::Error::from_raw_os_error(Errno::AGAIN.raw_os_error()));
         assert!(says_exhausted(&panic), "{panic}");
         assert!(!says_exhausted("index out of bounds"));

@@ -8,6 +8,7 @@ use imrs_monitor::MonitorError;
 use imrs_monitor::export::{Form, Wanted, export};
 use imrs_monitor::record::free_name;
 use imrs_monitor::replay::Film;
+use imrs_wire::files;
 use std::fs::File;
 use std::io::{BufWriter, Cursor, Write};
 use std::path::Path;
@@ -45,7 +46,7 @@ pub fn run(args: &ExportArgs, out: &mut Output) -> Result<Exit, Failure> {
         Ok(done) => done,
         Err(error) => {
             // Half an export is of no use, and would look like a whole one.
-            let _ = std::fs::remove_file(&path);
+            files::discard(&path);
             return Err(failed(&path, error.to_string()).into());
         }
     };

@@ -3,10 +3,10 @@
 use crate::cells::{self, Loaded, Source};
 use crate::launch::incarnation::{self, Counted, State};
 use crate::launch::place::{self, PlaceError};
-use imrs_protocol::{Incarnation, NodeId, NodeTable};
+use imrs_protocol::{Incarnation, NodeId};
 use imrs_runtime::link::Link;
 use imrs_runtime::link::in_process::{Faults, Network};
-use imrs_runtime::link::udp::{UdpError, UdpLink, UdpOptions};
+use imrs_runtime::link::udp::UdpError;
 use imrs_runtime::observer::{Observer, ObserverError, Showing};
 use imrs_runtime::script::{Actions, Call, Functions, Simulated};
 use imrs_runtime::{Context, Runtime, StartError, TaskEnd, TaskError};
@@ -326,26 +326,8 @@ impl Program {
     }
 
     fn link(&self, node: NodeId) -> Result<(Arc<dyn Link>, Counted), ProgramError> {
-        let cell = self.loaded.table.cell();
         let address = place::address(&self.loaded, node)?;
-        let neighbours = place::neighbours(&self.loaded, node)?;
-        let table = NodeTable::new(Arc::clone(&self.loaded.table), node);
-        let statements = self.loaded.all_statements();
-        let options = UdpOptions { statements, ..UdpOptions::new(Incarnation(0), false) };
-        let (cell_name, name) = (&cell.name, &cell.nodes[node.index()].name);
-        let link = UdpLink::bind(table, address, options);
-        if let Err(UdpError::Bind { .. }) = link {
-            // Whoever has the address may be this very node.
-            State::lock(cell_name, name)?;
-        }
-        let link = link?;
-        for (i, peer) in cell.nodes.iter().enumerate() {
-            if let Some(&address) = neighbours.get(&peer.name) {
-                // All of these are neighbours.
-                let _ = link.set_address(NodeId::from_index(i), Some(address));
-            }
-        }
-        let counted = incarnation::count(&link, cell_name, name)?;
+        let (link, counted) = incarnation::bind::<ProgramError>(&self.loaded, node, address)?;
         link.greet();
         Ok((Arc::new(link), counted))
     }

@@ -91,17 +91,18 @@ pub fn chosen(loaded: &Loaded, args: &LaunchArgs) -> Result<Option<NodeId>, Fail
     Ok(only)
 }
 
-/// No recording of an earlier run is lost unasked: nodes write into new files.
+/// No recording of an earlier run is lost unasked. This only looks: a node replaces a file once it is bound and locked, so
+/// that a run which does not begin loses nothing.
 fn recordings_are_free(loaded: &Loaded, only: Option<NodeId>, args: &LaunchArgs) -> Result<(), Failure> {
     let Some(file) = &args.record else { return Ok(()) };
     let nodes = loaded.table.cell().nodes.iter().enumerate();
     for (_, node) in nodes.filter(|(at, _)| only.is_none_or(|only| only.index() == *at)) {
-        // A node that is started again writes the recording of its next life beside the others.
-        let lives = (2..=args.restart.len() + 1).map(|life| format!("{}-{life}", node.name));
-        for name in std::iter::once(node.name.clone()).chain(lives) {
+        // A node that is started again writes the recording of its next incarnation beside the others.
+        let later = (2..=args.restart.len() + 1).map(|number| format!("{}-{number}", node.name));
+        for name in std::iter::once(node.name.clone()).chain(later) {
             let path = record_file(file, &name);
             let refused = |error| Failure::Usage(format!("--record {}: {error}", path.display()));
-            files::free(&path, args.force).map_err(refused)?;
+            files::check(&path, args.force).map_err(refused)?;
         }
     }
     Ok(())

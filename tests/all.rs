@@ -23,6 +23,7 @@ mod path_of_the_model;
 mod planted;
 mod random_runs;
 mod run;
+mod run_node;
 mod screen;
 mod simulate;
 mod slow_reader;

@@ -296,9 +296,15 @@ fn a_check_is_unknown_while_the_command_of_a_killed_node_may_go_on() {
     wait_until("the run has ended", || !is_alive(launcher));
     // Until then they hold the standard error of the run.
     family[1..].iter().for_each(|&pid| signal(pid, Signal::KILL));
-    let summary = scene.finish().last_json();
+    let said = scene.finish();
+    // That somebody killed the node is a finding, which comes before what is unknown (D148).
+    assert_eq!(said.code, Some(1), "{said:?}");
+    let summary = said.last_json();
     let check = one_active(&summary);
     assert_eq!(check["outcome"], "unknown", "{summary}");
+    let mut incomplete = summary["incomplete"].as_array().expect("lines").iter().filter_map(Value::as_str);
+    let why = ": the command of `r1` was not confirmed to have ended";
+    assert!(incomplete.any(|line| line.starts_with("check one_active ") && line.ends_with(why)), "{summary}");
     assert!(check["unvouched"]["seconds"].as_f64().expect("seconds") > 0.0, "{summary}");
     assert_eq!(check["unvouched"]["why"], "the command of `r1` was not confirmed to have ended", "{summary}");
     all_end(family);

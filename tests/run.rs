@@ -4,8 +4,8 @@
 use crate::support::live::{Live, named, released};
 use crate::support::program::{Program, one_after_the_other, times};
 use crate::support::{
-    Said, example, finish, imrs, is_alive, is_here, is_well, look_until, number, own_address, run_in,
-    run_until, runtime_dir, side_by_side, wait_until,
+    Said, example, finish, imrs, is_alive, is_here, is_well, look_until, number, run_in, run_until,
+    runtime_dir, side_by_side, wait_until,
 };
 use serde_json::Value;
 use std::fs::Permissions;
@@ -69,15 +69,15 @@ begin
 end b;
 ";
 
-struct Bench(tempfile::TempDir);
+pub struct Bench(pub tempfile::TempDir);
 
 impl Bench {
-    fn new() -> Self {
+    pub fn new() -> Self {
         Self::of(RELAYED)
     }
 
     /// The same cell, whose tasks wait for each other for so many seconds.
-    fn that_waits(seconds: u32) -> Self {
+    pub fn that_waits(seconds: u32) -> Self {
         Self::of(&RELAYED.replace("time_out = 600 sec", &format!("time_out = {seconds} sec")))
     }
 
@@ -87,7 +87,7 @@ impl Bench {
         bench
     }
 
-    fn cell(&self) -> PathBuf {
+    pub fn cell(&self) -> PathBuf {
         self.0.path().join("relayed.cell")
     }
 
@@ -103,7 +103,7 @@ impl Bench {
     }
 }
 
-fn port<'a>(summary: &'a Value, name: &str) -> &'a Value {
+pub fn port<'a>(summary: &'a Value, name: &str) -> &'a Value {
     named(&summary["ports"], name)
 }
 
@@ -301,77 +301,6 @@ fn robots_that_reach_each_other_through_a_third_node_are_relayed() {
             assert!(number(&node(&summary, robot)["forwarded"]) > 0, "{summary}");
         }
     });
-}
-
-/// The cell of the two that meet, but each node has an address, and they are neighbours.
-fn placed(bench: &Bench, host: Option<&str>) -> String {
-    let (own, [a, b]) = own_address();
-    let host = host.map_or_else(|| own.to_string(), str::to_owned);
-    let text = std::fs::read_to_string(bench.cell()).expect("the cell");
-    let text = text
-        .replace(
-            "node na;  node nb;  node nm;",
-            &format!("node na at \"{host}\" port {a}; node nb at \"{own}\" port {b};"),
-        )
-        .replace("link na -- nm delay 1 msec;  link nb -- nm delay 1 msec;", "link na -- nb delay 1 msec;");
-    let file = bench.0.path().join("placed.cell");
-    std::fs::write(&file, text).expect("the cell is written");
-    file.to_str().expect("UTF-8").into()
-}
-
-#[test]
-fn nodes_started_one_by_one_meet_at_their_declared_addresses_and_again_in_their_next_lives() {
-    // In its next life a node waits as long as something said in the one before may be under way.
-    let bench = Bench::that_waits(8);
-    let cell = placed(&bench, None);
-    let start = |node: &str| {
-        let args = ["run", &cell, "--node", node, "--for", "10m", "--format", "json"];
-        Program::start(imrs(bench.0.path(), &args))
-    };
-    for life in 0..2 {
-        let (b, a) = (start("nb"), start("na"));
-        let a = a.finish();
-        // It has nobody to meet any more.
-        b.interrupt();
-        let b = b.finish();
-        let summary = a.last_json();
-        assert_eq!(a.code, Some(0), "life {life}: {a:?} {b:?}");
-        assert_eq!(summary["tasks"][0]["end"], "finished", "{summary}");
-        assert_eq!(number(&port(&summary, "ask")["sent"]), 5, "{summary}");
-        // One node cannot know who had arrived at the other.
-        let meet = &summary["rendezvous"][0];
-        assert_eq!((&meet["false_releases"], &meet["start_skew_us"]), (&Value::Null, &Value::Null), "{meet}");
-        assert_eq!(summary["nodes"].as_array().map(Vec::len), Some(1), "{summary}");
-        let remembered =
-            std::fs::read_to_string(bench.0.path().join("state/imrs/relayed/na.life")).expect("its life");
-        assert_eq!(remembered.trim(), life.to_string());
-    }
-}
-
-#[test]
-fn a_node_without_a_place_to_run_is_told_what_is_missing() {
-    let bench = Bench::new();
-    let (bare, far) = (bench.cell(), placed(&bench, Some("192.0.2.7")));
-    let bare = bare.to_str().expect("UTF-8");
-    for (cell, args, words) in [
-        (
-            bare,
-            &["--node", "na"][..],
-            "node `na` has no address: write `node na at \"10.0.0.11\" port 7000;`",
-        ),
-        (bare, &["--node", "nx"], "the cell has no node `nx`"),
-        (&far, &["--node", "na"], "add --insecure"),
-        (&far, &["--node", "na", "--insecure"], "cannot bind UDP address 192.0.2.7"),
-        (&far, &["--node", "nb", "--kill", "na@1s"], "`na` is not run here"),
-        (bare, &["--observe", "0.0.0.0:0"], "--observe 0.0.0.0:0: whoever reaches this address"),
-        (bare, &["--observe", "0.0.0.0:0"], "--observe-token FILE"),
-        (bare, &["--observe", "0.0.0.0:0", "--observe-token", "/no/token"], "the token /no/token: "),
-        (bare, &["--restart", "na@1s"], "`na@1s` is not killed before it is started again"),
-    ] {
-        let said = run_in(bench.0.path(), &[&["run", cell, "--for", "2s"], args].concat());
-        assert_eq!(said.code, Some(2), "{args:?}: {said:?}");
-        assert!(said.err.contains(words), "{args:?} does not say `{words}`: {}", said.err);
-    }
 }
 
 /// One address and the token of the run show the whole cell; without the token it shows nothing but why.
@@ -586,97 +515,4 @@ fn the_library_says_what_does_not_fit() {
     assert!(matches!(body("camera").node("nx").run(soon), Err(ProgramError::NoNode(name)) if name == "nx"));
     let faulty = Program::of_text("x.cell", "cell x;\nnode a\n");
     assert!(matches!(faulty, Err(ProgramError::Cell(words)) if words.contains("x.cell:2:")));
-}
-
-/// 130 of them made the real start pass for an earlier one: the others did not hear it, and nobody said so.
-#[test]
-fn failed_starts_count_nothing_and_the_real_one_is_heard() {
-    let bench = Bench::new();
-    let cell = placed(&bench, None);
-    let life = bench.0.path().join("state/imrs/relayed/na.life");
-    let args = |node: &'static str| {
-        [
-            "run".to_owned(),
-            cell.clone(),
-            "--node".into(),
-            node.into(),
-            "--for".into(),
-            "10m".into(),
-            "--format".into(),
-            "json".into(),
-        ]
-    };
-    let start = |node| Program::start(imrs(bench.0.path(), &args(node).each_ref().map(String::as_str)));
-    let meet = || {
-        let (b, a) = (start("nb"), start("na"));
-        let a = a.finish();
-        b.interrupt();
-        (a, b.finish())
-    };
-    let (a, b) = meet();
-    assert_eq!(a.code, Some(0), "{a:?} {b:?}");
-    let (own, port) = {
-        let text = std::fs::read_to_string(&cell).expect("the cell");
-        let rest = text.split("node na at \"").nth(1).expect("its address").to_owned();
-        let (host, rest) = rest.split_once("\" port ").expect("its port");
-        (host.to_owned(), rest.split(';').next().expect("a number").parse::<u16>().expect("a number"))
-    };
-    let taken = std::net::UdpSocket::bind((own.as_str(), port)).expect("the address of na");
-    for _ in 0..130 {
-        let said = run_in(bench.0.path(), &args("na").each_ref().map(String::as_str));
-        assert_eq!(said.code, Some(2), "{said:?}");
-        assert!(said.err.contains("cannot bind UDP address"), "{said:?}");
-    }
-    drop(taken);
-    assert_eq!(std::fs::read_to_string(&life).expect("its life").trim(), "0");
-    // Its state is lost, too: its neighbour remembers it.
-    let (a, b) = meet();
-    assert_eq!(a.code, Some(0), "{a:?} {b:?}");
-    assert_eq!(std::fs::read_to_string(&life).expect("its life").trim(), "1");
-}
-
-#[test]
-fn a_node_that_runs_already_is_not_started_again() {
-    let bench = Bench::new();
-    let cell = placed(&bench, None);
-    let args = ["run", &cell, "--node", "nb", "--for", "10m", "--format", "json"];
-    let mut first = Program::start(imrs(bench.0.path(), &args));
-    let _started = first.json();
-    let pid = std::fs::read_to_string(bench.0.path().join("state/imrs/relayed/nb.lock")).expect("a lock");
-    let said = run_in(bench.0.path(), &args);
-    assert_eq!(said.code, Some(2), "{said:?}");
-    assert!(
-        said.err.contains(&format!("runs already on this machine, as process {}", pid.trim())),
-        "{said:?}"
-    );
-    first.interrupt();
-    first.finish();
-}
-
-#[test]
-fn nodes_of_two_cell_files_say_so_on_both_sides() {
-    let bench = Bench::new();
-    let cell = placed(&bench, None);
-    let text = std::fs::read_to_string(&cell).expect("the cell");
-    for (from, to, what) in [
-        ("q.n + 1);", "q.n + 2);", "their statements differ"),
-        ("delay 1 msec", "delay 2 msec", "their declarations differ"),
-    ] {
-        assert!(text.contains(from));
-        let other = bench.0.path().join("other.cell");
-        std::fs::write(&other, text.replace(from, to)).expect("a file");
-        let args = |cell: &str, node: &str| {
-            ["run", cell, "--node", node, "--for", "4s", "--format", "json"].map(str::to_owned)
-        };
-        let start = |cell: &str, node: &str| {
-            Program::start(imrs(bench.0.path(), &args(cell, node).each_ref().map(String::as_str)))
-        };
-        let (b, a) = (start(other.to_str().expect("UTF-8"), "nb"), start(&cell, "na"));
-        for said in [a.finish(), b.finish()] {
-            assert_eq!(said.code, Some(1), "{said:?}");
-            assert!(said.err.contains(what), "{said:?}");
-            let summary = said.last_json();
-            assert_eq!(summary["nodes"][0]["refusals"].as_array().map(Vec::len), Some(1), "{summary}");
-        }
-    }
 }

@@ -125,7 +125,7 @@ fn a_run_ends_in_time_though_nobody_reads_what_it_says() {
         let run = bench.start(&[&["--for", "2s"], how].concat(), writer, Stdio::piped());
         let (said, took) = run.finish();
         assert_eq!(said.code, Some(0), "{said:?}");
-        assert!(said.err.contains("of the answer were not read within 5 s, and are left out"), "{said:?}");
+        assert!(said.err.contains("of the answer were not read, and are left out"), "{said:?}");
         // Two seconds of work and five for the reader.
         assert!(took >= Duration::from_secs(7), "{took:?}");
     });

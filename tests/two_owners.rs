@@ -7,7 +7,7 @@ mod actuator;
 mod freezer;
 
 use crate::support::live::Live;
-use crate::support::{bound, finish, is_here, own_address, runtime_dir, signal, wait_until};
+use crate::support::{Said, bound, finish, is_here, own_address, runtime_dir, signal, wait_until};
 use freezer::Freezer;
 use imrs_runtime::actuator::{Orders, now};
 use rustix::process::Signal;
@@ -303,27 +303,55 @@ fn a_stopped_owner_is_active_no_longer_than_its_lease() {
     assert!(done.contains(&true), "no standby took over");
 }
 
-/// The clock of the nodes is far ahead of the one that the kernel sleeps by, as after a suspend of a day.
-#[test]
-fn a_machine_that_was_suspended_keeps_its_times() {
-    let cell =
-        "cell waits;\ntick 1 msec;\nnode n;\ntask t on n\nbegin\n  delay 300 msec; delay 300 msec;\nend t;\n";
-    let dir = runtime_dir();
-    let file = dir.path().join("waits.cell");
+/// Runs a cell of one node with this script in a time namespace. `grip` is the command of its action. `None` where the machine has no
+/// such namespaces.
+fn with_clocks_apart(offset: [&str; 2], script: &str, grip: &str, dir: &Path) -> Option<Said> {
+    let cell = format!("cell waits;\ntick 1 msec;\nnode n;\ntask t on n\nbegin\n  {script}\nend t;\n");
+    let (file, action) = (dir.join("waits.cell"), dir.join("grip.sh"));
     std::fs::write(&file, cell).expect("the cell is written");
-    let namespace = ["-T", "--boottime", "86400"];
+    std::fs::write(&action, grip).expect("the command is written");
+    let namespace = ["-T", offset[0], offset[1]];
     let works = std::process::Command::new("unshare").args(namespace).arg("true").status();
     let missing =
         (!works.is_ok_and(|status| status.success())).then_some("a time namespace (unshare -T, root)");
     if !is_here(missing, "nodes whose clocks are apart") {
-        return;
+        return None;
     }
     let mut command = std::process::Command::new("unshare");
     command.args(namespace).arg(env!("CARGO_BIN_EXE_imrs"));
     command.args(["run", file.to_str().expect("UTF-8"), "--for", "50s", "--format", "json"]);
-    command.env("XDG_RUNTIME_DIR", dir.path()).stdin(std::process::Stdio::null());
-    let said = finish(command);
+    command.arg("--action").arg(format!("grip=sh {}", action.display()));
+    command.env("XDG_RUNTIME_DIR", dir).stdin(std::process::Stdio::null());
+    Some(finish(command))
+}
+
+/// The clock of the nodes is far ahead of the one that the kernel sleeps by, as after a suspend of a day.
+#[test]
+fn a_machine_that_was_suspended_keeps_its_times() {
+    let dir = runtime_dir();
+    let seen = dir.path().join("guard.stat");
+    // The command's parent is its guard.
+    let grip = format!("sleep 1; cat /proc/$PPID/stat > {}", seen.display());
+    let script = "delay 300 msec; delay 300 msec; run grip takes 0..60 sec;";
+    let Some(said) = with_clocks_apart(["--boottime", "86400"], script, &grip, dir.path()) else { return };
     let seconds = said.last_json()["seconds"].as_f64();
     assert!(said.is_well(), "{said:?}");
-    assert!(seconds.is_some_and(|seconds| (0.6..40.0).contains(&seconds)), "{said:?}");
+    assert!(seconds.is_some_and(|seconds| (1.6..40.0).contains(&seconds)), "{said:?}");
+    let stat = std::fs::read_to_string(seen).expect("what the guard used");
+    let (_, rest) = stat.rsplit_once(')').expect("a name");
+    let spent = rest.split_whitespace().skip(11).take(2).map(|ticks| ticks.parse::<u64>().expect("ticks"));
+    // Of 100 in a second. A guard whose timer has expired before the deadline must not spin.
+    assert!(spent.sum::<u64>() < 30, "{stat}");
+}
+
+/// The other way round. The deadline of a command is on the clock of the nodes.
+#[test]
+fn a_command_ends_at_its_deadline_where_the_clocks_are_apart() {
+    let dir = runtime_dir();
+    let script = "run grip takes 0..1 msec;";
+    let Some(said) = with_clocks_apart(["--monotonic", "86400"], script, "exec sleep 600", dir.path()) else {
+        return;
+    };
+    assert_eq!(said.code, Some(1), "{said:?}");
+    assert!(said.err.contains("action `grip`: took longer than the declared 1ms"), "{said:?}");
 }

@@ -92,7 +92,11 @@ check soon: a.goes leads a.done within 25 msec;";
 fn a_pause_may_come_between_a_decision_and_its_deed() {
     // Another statement may give the same action other times.
     let twice = DECIDED.replace("done := true;", "done := true; run go takes 7 msec;");
-    for (text, times) in [Times::Ends, Times::Between, Times::Every].map(|times| (DECIDED, times)).into_iter().chain([(&twice[..], Times::Ends)]) {
+    for (text, times) in [Times::Ends, Times::Between, Times::Every]
+        .map(|times| (DECIDED, times))
+        .into_iter()
+        .chain([(&twice[..], Times::Ends)])
+    {
         let verdicts = checked(text, times, |_| ());
         let found = verdicts.of(Kind::Check).next().expect("20 and 10 are more than 25");
         assert!(

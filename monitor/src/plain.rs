@@ -14,6 +14,7 @@ use crate::source::live::{Live, Which};
 use crate::source::{Arrival, Feed, Sink, Source, SourceId};
 use crate::store::Store;
 use crate::store::journal::Entry;
+use imrs_wire::files;
 use imrs_wire::obs::ServerFrame;
 use std::collections::BTreeSet;
 use std::io::{self, Write};
@@ -163,7 +164,7 @@ pub fn record(
     }
     if !found {
         // An empty recording is of no use to anybody.
-        let _ = std::fs::remove_file(path);
+        files::discard(path);
         let failed = watch.store().troubles().map(str::to_owned).collect();
         return Err(MonitorError::NothingFound { looked, failed });
     }

@@ -1,4 +1,4 @@
-//! For the program at the tool: it acts for one task of a couple at a time (D156).
+//! For the program at the tool: it acts for one task of a couple at a time (D150).
 //!
 //! Two work-coupled tasks never act at the same time, but the processes that act for them are stopped, suspended and left
 //! behind by nodes that die. So the program at the tool checks for itself. A *gate* is a file that knows the newest epoch;
@@ -10,7 +10,7 @@
 //! | what | where |
 //! |---|---|
 //! | the epoch of its task's lease, a whole number from 0 to 255 | `IMRS_EPOCH`; absent where the task is in no couple |
-//! | until when it may act, in microseconds of `CLOCK_BOOTTIME` | `IMRS_DEADLINE_US`; absent where nothing ends it |
+//! | until when it may act, in microseconds of `CLOCK_BOOTTIME` | `IMRS_DEADLINE_US`, always set by the runtime; the largest `u64` where no instant ends it |
 //! | a later deadline | a line `deadline N` on standard input |
 //! | that it must stop | standard input ends |
 //!
@@ -48,7 +48,7 @@ use thiserror::Error;
 
 /// The environment variable with the epoch.
 pub const EPOCH: &str = "IMRS_EPOCH";
-/// The environment variable with the deadline.
+/// The environment variable with the deadline. The runtime sets it for every command.
 pub const DEADLINE: &str = "IMRS_DEADLINE_US";
 
 /// How a gate's file begins. The newest epoch follows, in three digits.
@@ -98,8 +98,11 @@ pub fn now() -> u64 {
 
 /// The file that knows the newest epoch of a tool, and whoever may act under it.
 ///
-/// It stays when the machine starts again. Where the whole cell does, its epochs begin anew: [`reset`](Self::reset) the gate
-/// before, or keep the file where a start of the machine removes it (`/run`).
+/// A second file beside it, `PATH.next`, is the queue: whoever waits for an admission locks it, and steps that begin meanwhile
+/// wait behind. So steps that follow each other closely keep no newer epoch out.
+///
+/// The gate stays when the machine starts again. Where the whole cell does, its epochs begin anew:
+/// [`reset`](Self::reset) the gate before, or keep the file where a start of the machine removes it (`/run`).
 #[derive(Clone, Debug)]
 pub struct Gate {
     path: PathBuf,
@@ -125,18 +128,24 @@ impl Gate {
     /// # Errors
     /// [`Refused`].
     pub fn admit(&self, epoch: u8, deadline: Deadline) -> Result<Permit, Refused> {
-        let held = self.locked(FlockOperation::LockExclusive)?;
+        let held = self.exclusive()?;
         if !deadline.is_ahead() {
             return Err(Refused::Deadline);
         }
         match held.newest()? {
             Some(newest) if newest == epoch => {}
             Some(newest) if is_newer(newest, epoch) => return Err(Refused::Epoch { shown: epoch, newest }),
-            Some(_) | None => held.write(Some(epoch))?,
+            Some(_) => held.write(Some(epoch))?,
+            None => {
+                // The file may be new: a power cut must not take its name.
+                self.sync_folder()?;
+                held.write(Some(epoch))?;
+            }
         }
         // A lock belongs to what was opened. Closing it lets go of the lock, and the permit opens the file for itself.
         drop(held);
-        Ok(Permit { file: self.file()?, path: self.path.clone(), epoch, deadline })
+        let (file, next) = (self.file()?, self.next()?);
+        Ok(Permit { file, next, path: self.path.clone(), epoch, deadline })
     }
 
     /// Forgets all epochs: nobody may act who was admitted before. For the start of a whole cell.
@@ -144,22 +153,45 @@ impl Gate {
     /// # Errors
     /// The file cannot be used.
     pub fn reset(&self) -> Result<(), GateError> {
-        self.locked(FlockOperation::LockExclusive)?.write(None)
+        self.exclusive()?.write(None)
     }
 
     fn file(&self) -> Result<File, GateError> {
-        let mut options = OpenOptions::new();
-        let file = options.read(true).write(true).create(true).truncate(false).open(&self.path);
-        file.map_err(|source| self.failed(source))
+        open(&self.path)
+    }
+
+    fn next_path(&self) -> PathBuf {
+        let mut name = self.path.clone().into_os_string();
+        name.push(".next");
+        name.into()
+    }
+
+    fn next(&self) -> Result<File, GateError> {
+        open(&self.next_path())
+    }
+
+    /// The exclusive lock. `flock` prefers no writer, so steps that begin while this waits are held at `PATH.next`.
+    fn exclusive(&self) -> Result<Held<'_>, GateError> {
+        let path = self.next_path();
+        let _queue = Held::new(open(&path)?, &path, FlockOperation::LockExclusive)?;
+        self.locked(FlockOperation::LockExclusive)
+    }
+
+    fn sync_folder(&self) -> Result<(), GateError> {
+        let folder = self.path.parent().filter(|folder| !folder.as_os_str().is_empty());
+        let synced = File::open(folder.unwrap_or(Path::new("."))).and_then(|folder| folder.sync_all());
+        synced.map_err(|source| GateError::File { path: self.path.clone(), source })
     }
 
     fn locked(&self, how: FlockOperation) -> Result<Held<'_>, GateError> {
         Held::new(self.file()?, &self.path, how)
     }
+}
 
-    fn failed(&self, source: io::Error) -> GateError {
-        GateError::File { path: self.path.clone(), source }
-    }
+fn open(path: &Path) -> Result<File, GateError> {
+    let mut options = OpenOptions::new();
+    let file = options.read(true).write(true).create(true).truncate(false).open(path);
+    file.map_err(|source| GateError::File { path: path.to_owned(), source })
 }
 
 /// Whether epoch `one` is newer than `other`, around the wrap.
@@ -176,13 +208,8 @@ struct Held<'a> {
 
 impl<'a> Held<'a> {
     fn new(file: File, path: &'a Path, how: FlockOperation) -> Result<Self, GateError> {
-        loop {
-            match flock(&file, how) {
-                Ok(()) => return Ok(Self { file, path }),
-                Err(rustix::io::Errno::INTR) => {}
-                Err(errno) => return Err(GateError::File { path: path.to_owned(), source: errno.into() }),
-            }
-        }
+        lock(&file, path, how)?;
+        Ok(Self { file, path })
     }
 
     fn newest(&self) -> Result<Option<u8>, GateError> {
@@ -197,6 +224,16 @@ impl<'a> Held<'a> {
         };
         let written = write().and_then(|()| self.file.sync_data());
         written.map_err(|source| GateError::File { path: self.path.to_owned(), source })
+    }
+}
+
+fn lock(file: &File, path: &Path, how: FlockOperation) -> Result<(), GateError> {
+    loop {
+        match flock(file, how) {
+            Ok(()) => return Ok(()),
+            Err(rustix::io::Errno::INTR) => {}
+            Err(errno) => return Err(GateError::File { path: path.to_owned(), source: errno.into() }),
+        }
     }
 }
 
@@ -225,6 +262,8 @@ fn newest(file: &File, path: &Path) -> Result<Option<u8>, GateError> {
 #[derive(Debug)]
 pub struct Permit {
     file: File,
+    /// `PATH.next`: where whoever waits for an admission comes first.
+    next: File,
     path: PathBuf,
     epoch: u8,
     deadline: Deadline,
@@ -248,17 +287,12 @@ impl Permit {
     /// # Errors
     /// [`Refused`]: nothing was done.
     pub fn act<R>(&mut self, step: impl FnOnce() -> R) -> Result<R, Refused> {
-        let lock = |how| loop {
-            match flock(&self.file, how) {
-                Err(rustix::io::Errno::INTR) => {}
-                done => break done,
-            }
-        };
-        let failed =
-            |errno: rustix::io::Errno| GateError::File { path: self.path.clone(), source: errno.into() };
-        lock(FlockOperation::LockShared).map_err(failed)?;
+        // Whoever waits for an admission holds this one, and is admitted before the step begins.
+        lock(&self.next, &self.path, FlockOperation::LockShared)?;
+        lock(&self.next, &self.path, FlockOperation::Unlock)?;
+        lock(&self.file, &self.path, FlockOperation::LockShared)?;
         let done = self.check().map(|()| step());
-        lock(FlockOperation::Unlock).map_err(failed)?;
+        lock(&self.file, &self.path, FlockOperation::Unlock)?;
         done
     }
 
@@ -336,7 +370,7 @@ impl Deadline {
 pub struct Orders {
     /// The epoch of its task's lease; `None` where the task is in no couple.
     pub epoch: Option<u8>,
-    /// Until when it may act.
+    /// Until when it may act; [`Deadline::none`] where no runtime started the program.
     pub deadline: Deadline,
 }
 

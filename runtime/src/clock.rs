@@ -1,7 +1,7 @@
 //! The node's one clock: `CLOCK_BOOTTIME`. Wall-clock time is never asked for here (D37).
 //!
 //! It goes on while the machine is suspended, and so do leases, time_outs and timers: a suspend is a pause of the node like
-//! any other (D155). The kernel sleeps by `CLOCK_MONOTONIC`, which stands still meanwhile. So an instant is put onto that
+//! any other (D153). The kernel sleeps by `CLOCK_MONOTONIC`, which stands still meanwhile. So an instant is put onto that
 //! clock only where a thread goes to sleep, and whoever wakes looks at this one.
 
 use rustix::time::{ClockId, Timespec};
@@ -85,7 +85,13 @@ pub(crate) fn nanos_of(at: Micros) -> Option<u64> {
     Some(at.saturating_sub_signed(ahead()))
 }
 
-/// Nanoseconds of the monotonic clock as the kernel wants them.
+/// An instant as a kernel timer on `CLOCK_BOOTTIME` takes it; `None` where it never comes. That clock is the node's own, so
+/// nothing is subtracted.
+pub(crate) fn boottime(at: Micros) -> Option<Timespec> {
+    at.checked_mul(NANOS_PER_MICRO).map(timespec)
+}
+
+/// Nanoseconds as the kernel takes them, of whichever clock or length.
 pub(crate) fn timespec(nanos: u64) -> Timespec {
     Timespec {
         tv_sec: i64::try_from(nanos / NANOS_PER_SECOND).unwrap_or(i64::MAX),
@@ -124,6 +130,17 @@ mod tests {
         // In between this thread may have been stopped, but no machine is suspended in a test.
         assert!(left <= 1_000_000_000 + READ_APART, "{left} ns");
         assert_eq!(nanos_of(at), nanos_of(at));
+    }
+
+    #[test]
+    fn a_timer_of_the_nodes_own_clock_has_the_instant_itself() {
+        // `nanos_of` would subtract how long the machine was suspended, so the timer of a guard would expire too early.
+        for at in [1, 1_000_001, 3_600_000_000, FAR / NANOS_PER_MICRO] {
+            let due = boottime(at).expect("an instant");
+            let nanos = i128::from(due.tv_sec) * i128::from(NANOS_PER_SECOND) + i128::from(due.tv_nsec);
+            assert_eq!(nanos, i128::from(at) * i128::from(NANOS_PER_MICRO));
+        }
+        assert!(boottime(FAR).is_none());
     }
 
     #[test]

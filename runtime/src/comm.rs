@@ -217,7 +217,7 @@ impl Comm {
             return None;
         }
         // The thread that brings it may have been stopped since it looked at the clock, and with it its node: a lease that has
-        // ended meanwhile ends before anything else comes of the input (D155).
+        // ended meanwhile ends before anything else comes of the input (D153).
         let at = if self.coupled { stamped.at.max(clock::now()) } else { stamped.at };
         let elapsed = self.pass(at);
         let late = self.last.saturating_sub(stamped.at);

@@ -25,10 +25,10 @@ use imrs_protocol::{CommTask, ReplyTo, Request, Signal, TaskId, Ticks};
 
 /// Is told what scripts do. Called under a lock that messages wait for: it must hand the note on and return.
 pub trait Watch: Send + Sync {
-    /// What the script of `task` did at `at`, in microseconds of the monotonic clock.
+    /// What the script of `task` did at `at`, in microseconds of the node's clock (`CLOCK_BOOTTIME`).
     fn note(&self, task: TaskId, at: u64, note: &Note);
 
-    /// How `task` stands since `at`, in microseconds of the monotonic clock, now that its script waits: a state between
+    /// How `task` stands since `at`, in microseconds of the node's clock, now that its script waits: a state between
     /// two steps of the cell, as checks see it (D101). Called after every step.
     fn stands(&self, task: TaskId, at: u64, stands: &Stands<'_>) {
         let _ = (task, at, stands);

@@ -130,6 +130,30 @@ fn whoever_has_a_newer_epoch_waits_for_the_step_of_an_older_one() {
 }
 
 #[test]
+fn steps_that_follow_each_other_closely_keep_no_newer_epoch_out() {
+    let (_folder, path) = place();
+    let gate = Gate::open(&path).unwrap();
+    let (tell, told) = report();
+    thread::scope(|scope| {
+        // Two of them, so that one is always in the middle of a step.
+        for _ in 0..2 {
+            let (gate, tell) = (&gate, tell.clone());
+            scope.spawn(move || {
+                let mut permit = gate.admit(1, Deadline::none()).unwrap();
+                permit.act(|| tell.send(()).unwrap()).unwrap();
+                while permit.act(|| thread::sleep(std::time::Duration::from_millis(5))).is_ok() {}
+            });
+        }
+        told.recv().unwrap();
+        told.recv().unwrap();
+        // Without the queue this waits for ever, and so do the two.
+        let second = gate.admit(2, Deadline::none()).unwrap();
+        assert!(second.may_act());
+    });
+    assert!(path.with_extension("gate.next").exists());
+}
+
+#[test]
 fn steps_of_two_epochs_never_overlap() {
     let (_folder, path) = place();
     let order = Mutex::new(Vec::new());

@@ -7,8 +7,11 @@ use imrs_protocol::{NodeId, Packet, PortId, Target, TaskId, Ticks};
 use imrs_runtime::Runtime;
 use imrs_runtime::link::{Link, LinkBusy, PollEnd, Sink};
 use imrs_runtime::record::{Log, OutputDigest, Recorder, Step};
+use std::io::Write;
+use std::os::fd::OwnedFd;
+use std::os::unix::net::UnixStream;
 use std::os::unix::process::ExitStatusExt;
-use std::process::Command;
+use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::time::{Duration, Instant};
 
@@ -21,12 +24,17 @@ fn said_at_its_end(test: &str, node: impl FnOnce() -> Runtime) -> String {
         let survived = node().wait(LONG);
         panic!("the process went on; all programs ended: {survived}");
     }
+    let output = child(test).output().expect("this test's own program");
+    assert_eq!(output.status.signal(), Some(6), "{output:?}");
+    String::from_utf8_lossy(&output.stderr).into_owned()
+}
+
+/// This test in a process of its own.
+fn child(test: &str) -> Command {
     let (_program, module) = module_path!().split_once("::").expect("a module of the test program");
     let mut child = Command::new(std::env::current_exe().unwrap());
     child.args(["--exact", &format!("{module}::{test}"), "--nocapture"]).env(CHILD, "1");
-    let output = child.output().expect("this test's own program");
-    assert_eq!(output.status.signal(), Some(6), "{output:?}");
-    String::from_utf8_lossy(&output.stderr).into_owned()
+    child
 }
 
 /// Called under a communication task's lock, so its panic is one in the machinery.
@@ -46,13 +54,36 @@ impl Log for Broken {
 
 #[test]
 fn a_panic_in_the_machinery_aborts_the_process() {
-    let said = said_at_its_end("a_panic_in_the_machinery_aborts_the_process", || {
-        let mut cell = cell(&[0, 0], Ticks(0));
-        cell.port(ask(LONG_TICKS));
-        let node = one_node(&table(cell)).recorder(Arc::new(Broken));
-        node.task("a", |ctx| ctx.delay(Duration::ZERO)).task("b", |_| Ok(())).start().unwrap()
-    });
+    let said = said_at_its_end("a_panic_in_the_machinery_aborts_the_process", broken);
     assert!(said.contains("a communication task panicked; the node stops"), "{said}");
+}
+
+/// A node of which a communication task panics at its first step.
+fn broken() -> Runtime {
+    let mut cell = cell(&[0, 0], Ticks(0));
+    cell.port(ask(LONG_TICKS));
+    let node = one_node(&table(cell)).recorder(Arc::new(Broken));
+    node.task("a", |ctx| ctx.delay(Duration::ZERO)).task("b", |_| Ok(())).start().unwrap()
+}
+
+#[test]
+fn a_standard_error_that_nobody_reads_does_not_hold_up_the_abort() {
+    let _alone = alone();
+    if std::env::var_os(CHILD).is_some() {
+        // The usual hook writes, too, and would wait.
+        std::panic::set_hook(Box::new(|_| ()));
+        let survived = broken().wait(LONG);
+        unreachable!("the process went on; all programs ended: {survived}");
+    }
+    let (mut full, _reader) = UnixStream::pair().unwrap();
+    full.set_nonblocking(true).unwrap();
+    while full.write(&[b'x'; 4096]).is_ok() {}
+    // Fewer bytes may still fit.
+    while full.write(b"x").is_ok() {}
+    full.set_nonblocking(false).unwrap();
+    let mut child = child("a_standard_error_that_nobody_reads_does_not_hold_up_the_abort");
+    let status = child.stderr(OwnedFd::from(full)).stdout(Stdio::null()).status().unwrap();
+    assert_eq!(status.signal(), Some(6), "{status:?}");
 }
 
 /// Breaks when the Timer's thread sends, and no other.

@@ -80,7 +80,7 @@ fn other_versions_and_too_many_are_refused_by_name() {
 /// Eight monitors that want nothing do not keep others out for ever: the one that is idle longest goes.
 #[test]
 fn idle_monitors_make_room() {
-    let folder = Folder::new("idle");
+    let folder = Folder::new("crowd");
     let (runtime, tell) = node();
     let observer = Observer::start_at(runtime.node().clone(), &folder.socket()).unwrap();
     let mut idle: Vec<_> = (0..MAX_MONITORS).map(|_| Monitor::unix(socket(&observer)).attach(NEW)).collect();

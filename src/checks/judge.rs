@@ -8,13 +8,13 @@ use imrs_language::lower::CheckKind;
 use imrs_protocol::script::{Predicate, Term, Type, eval};
 use imrs_protocol::{NodeId, PortId, Round, TaskId};
 use imrs_runtime::guard::Notice;
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 
 /// How exactly the order of two steps on different nodes is known, in microseconds: each is stamped with the next whole
 /// one. What lasted no longer may never have been.
 const READING: u64 = 1;
-/// How many changes may wait for a node that tells nothing: beyond, nothing is known from before.
-const WAITING: usize = 1 << 20;
+/// How many events may wait for a node that tells nothing. Beyond that, waiting changes are dropped.
+const WAITING: usize = if cfg!(test) { 64 } else { 1 << 20 };
 /// How long a node that is killed may have told nothing before: it tells every 20 ms, and a busy machine is late. In microseconds.
 const LAST_WORDS: u64 = 1_000_000;
 /// Of so many values nobody may vouch for a check is still looked at, with each of them true and false.
@@ -27,8 +27,10 @@ pub struct Judge<'a> {
     loaded: &'a Loaded,
     /// By task.
     asks: Vec<Vec<Ask>>,
-    /// By task, as it stands; `None` where that is not known.
-    stand: Vec<Option<Vec<i64>>>,
+    /// By task, the values of its asks; `None` where a value is not known.
+    stand: Vec<Vec<Option<i64>>>,
+    /// By task, why values of it are not known; `None` while its node tells all of them, and before it told any.
+    unknown: Vec<Option<Doubt>>,
     /// By check.
     courses: Vec<Course>,
     vouched: Vouched,
@@ -42,14 +44,16 @@ pub struct Judge<'a> {
     /// The first instant that is no part of the run.
     over: u64,
     settled: u64,
-    /// Changes that should have been told are missing.
-    missing: bool,
+    /// By node, why changes of its tasks are missing that should have been judged.
+    missing: Vec<Option<Doubt>>,
 }
 
 enum Event {
     Change(Change),
-    /// From now on it is not known what the tasks of the node do.
+    /// The node tells nothing any more.
     Unknown(NodeId),
+    /// The node lives, but could not tell what its tasks did from now on.
+    Untold(NodeId),
     /// The node is dead.
     Dead(NodeId),
     /// The node was started again.
@@ -87,8 +91,8 @@ impl Course {
     /// alone is no reason.
     fn unvouched(&self) -> Option<(Doubt, u64)> {
         let counts = |(doubt, length): &(&Doubt, &u64)| match doubt {
-            Doubt::Command(_) => **length > 0,
             Doubt::Silent(_) => **length > LAST_WORDS,
+            Doubt::Command(_) | Doubt::Untold(_) | Doubt::Dropped | Doubt::Dead(_) => **length > 0,
         };
         let (doubt, _) = self.doubted.iter().filter(counts).max_by_key(|(_, length)| **length)?;
         Some((*doubt, self.doubted.values().sum()))
@@ -123,7 +127,8 @@ impl<'a> Judge<'a> {
             Course { elsewhere: tasks.into_iter().find(is_elsewhere), ..Course::default() }
         };
         Self {
-            stand: vec![None; asks.len()],
+            stand: asks.iter().map(|asks| vec![None; asks.len()]).collect(),
+            unknown: vec![None; asks.len()],
             courses: loaded.checks.iter().map(course).collect(),
             vouched: Vouched::new(cell.nodes.len()),
             changes: BTreeMap::new(),
@@ -132,7 +137,7 @@ impl<'a> Judge<'a> {
             killed: vec![None; cell.nodes.len()],
             over: u64::MAX,
             settled: 0,
-            missing: false,
+            missing: vec![None; cell.nodes.len()],
             loaded,
             asks,
         }
@@ -144,13 +149,37 @@ impl<'a> Judge<'a> {
     }
 
     fn push(&mut self, at: u64, event: Event) {
-        if self.changes.len() >= WAITING {
-            self.missing = true;
-            self.changes.clear();
-            self.stand.fill(None);
+        if self.changes.len() >= WAITING && matches!(event, Event::Change(_)) {
+            self.drop_changes();
         }
         self.changes.insert((at, self.came), event);
         self.came += 1;
+    }
+
+    /// Makes room. What happened to nodes and commands is kept: nobody tells it again. A task that loses a change is unknown until its
+    /// next one.
+    fn drop_changes(&mut self) {
+        let mut tasks = BTreeSet::new();
+        self.changes.retain(|_, event| match event {
+            Event::Change(change) => {
+                tasks.insert(change.task);
+                false
+            }
+            _ => true,
+        });
+        for task in tasks {
+            self.forget(task, Doubt::Dropped);
+            if let Some(node) = self.loaded.table.location(task) {
+                self.missing[node.index()] = Some(Doubt::Dropped);
+            }
+        }
+        self.look(self.settled);
+    }
+
+    /// The values of a task are not known, for this reason.
+    fn forget(&mut self, task: TaskId, why: Doubt) {
+        self.stand[task.index()].fill(None);
+        self.unknown[task.index()] = Some(why);
     }
 
     /// A node has told everything that was before this instant.
@@ -160,10 +189,12 @@ impl<'a> Judge<'a> {
         }
     }
 
-    /// Of what a node did from this instant on something is missing: what its tasks do is known again when they change.
+    /// A live node lost some of what it did from this instant on. Each of its tasks is known again at its next change.
     pub fn untold(&mut self, node: NodeId, since: u64) {
-        self.missing = true;
-        self.push(since, Event::Unknown(node));
+        if let Some(missing) = self.missing.get_mut(node.index()) {
+            missing.get_or_insert(Doubt::Untold(node));
+        }
+        self.push(since, Event::Untold(node));
     }
 
     /// A node was killed. Its last words may still come.
@@ -237,22 +268,34 @@ impl<'a> Judge<'a> {
     }
 
     /// Whether changes that should have been judged are missing.
-    pub const fn is_missing(&self) -> bool {
-        self.missing
+    pub fn is_missing(&self) -> bool {
+        self.missing.iter().any(Option::is_some)
+    }
+
+    /// For how long nobody can say whether a check held, and why. Where changes of its tasks are missing, it may not have held in between.
+    fn unvouched(&self, check: usize) -> Option<(Doubt, u64)> {
+        let course = &self.courses[check];
+        course.unvouched().or_else(|| {
+            let asked = terms(&self.loaded.checks[check]).flat_map(|term| of(&self.loaded.table, *term));
+            let nodes = asked.filter_map(|(task, _)| self.loaded.table.location(task));
+            let doubt = nodes.filter_map(|node| self.missing[node.index()]).min()?;
+            Some((doubt, course.doubted.get(&doubt).copied().unwrap_or_default()))
+        })
     }
 
     /// What came of the checks.
     pub fn settlement(&self, began: u64) -> Settlement {
         let settled = |(at, course): (usize, &Course)| {
+            let unvouched = self.unvouched(at);
             let outcome = match (course.elsewhere, course.judged) {
                 _ if course.times > 0 => Outcome::Broken,
                 (Some(_), _) => Outcome::Elsewhere,
                 (None, false) => Outcome::Unknown,
-                (None, true) if course.unvouched().is_some() => Outcome::Unknown,
+                (None, true) if unvouched.is_some() => Outcome::Unknown,
                 (None, true) if self.leads(at) && course.mattered == 0 => Outcome::Untested,
                 (None, true) => Outcome::Held,
             };
-            let unvouched = course.unvouched().filter(|_| outcome == Outcome::Unknown);
+            let unvouched = unvouched.filter(|_| outcome == Outcome::Unknown);
             let unvouched = unvouched.map(|(doubt, length)| Unvouched::new(self.loaded, doubt, length));
             let name = |task: TaskId| self.loaded.table.cell().tasks[task.index()].name.clone();
             let (mattered, elsewhere) =
@@ -305,30 +348,41 @@ impl<'a> Judge<'a> {
     }
 
     fn take(&mut self, event: Event) {
+        let loaded = self.loaded;
+        let table = &loaded.table;
         match event {
-            Event::Change(Change { task, values, .. }) => {
-                if let Some(stand) = self.stand.get_mut(task.index()) {
-                    *stand = Some(values);
-                }
-            }
+            Event::Change(Change { task, values, .. }) => self.stands(task, &values),
             Event::Unknown(node) => {
-                self.set_all(node, |_, _| None);
-                self.vouched.silent(node, self.loaded.table.tasks_on(node));
+                table.tasks_on(node).for_each(|task| self.forget(task, Doubt::Silent(node)));
+                self.vouched.silent(node, table.tasks_on(node));
+            }
+            // The node lives, and answers for its commands.
+            Event::Untold(node) => {
+                table.tasks_on(node).for_each(|task| self.forget(task, Doubt::Untold(node)));
             }
             Event::Dead(node) => {
-                self.set_all(node, dead);
-                self.vouched.dead(node, self.loaded.table.tasks_on(node));
+                for task in table.tasks_on(node) {
+                    self.stand[task.index()] = dead(loaded, (task, &self.asks[task.index()]));
+                    self.unknown[task.index()] = Some(Doubt::Dead(node));
+                }
+                self.vouched.silent(node, table.tasks_on(node));
             }
             Event::Back(node) => self.vouched.back(node),
             Event::Command(key, fate) => {
-                self.vouched.command(key, fate, |task| self.loaded.table.location(task));
+                self.vouched.command(key, fate, |task| table.location(task));
             }
         }
     }
 
-    fn set_all(&mut self, node: NodeId, stand: impl Fn(&Loaded, (TaskId, &[Ask])) -> Option<Vec<i64>>) {
-        for task in self.loaded.table.tasks_on(node) {
-            self.stand[task.index()] = stand(self.loaded, (task, &self.asks[task.index()]));
+    /// A task told its values.
+    fn stands(&mut self, task: TaskId, values: &[i64]) {
+        let known = self.stand.get_mut(task.index()).zip(self.asks.get(task.index()));
+        let Some((stand, asks)) = known else { return };
+        *stand = (0..asks.len()).map(|at| values.get(at).copied()).collect();
+        self.unknown[task.index()] = None;
+        // A task that may no longer act does not answer for a command that has not ended.
+        if asks.iter().zip(values).any(|(ask, value)| *ask == Ask::Active && *value == 0) {
+            self.vouched.inactive(task);
         }
     }
 
@@ -342,7 +396,7 @@ impl<'a> Judge<'a> {
             match &check.kind {
                 CheckKind::Always(terms) => {
                     let holds = self.is(terms);
-                    let doubt = if holds.is_none() { self.doubt(terms) } else { None };
+                    let doubt = if holds.is_none() { self.doubts(terms).min() } else { None };
                     let starts = holds == Some(false) && self.courses[at].since.is_none();
                     let values = starts.then(|| self.values(at));
                     let course = &mut self.courses[at];
@@ -355,13 +409,21 @@ impl<'a> Judge<'a> {
                     }
                 }
                 CheckKind::Leads { when, then, within } => {
+                    let doubts = || self.doubts(when).chain(self.doubts(then)).filter(|doubt| doubt.lasts());
                     let (when, then) = (self.is(when), self.is(then));
+                    let lasting = if when.and(then).is_none() { doubts().min() } else { None };
                     // A node notices a tick late what it is time for (D42).
                     let late = now.saturating_add(within.0 + loaded.table.cell().tick.0 + READING);
                     let course = &mut self.courses[at];
                     course.judged |= when.is_some() && then.is_some();
                     course.mattered += u64::from(when == Some(true) && !course.matters);
                     course.matters = when == Some(true);
+                    let is_open = match (when, then) {
+                        (_, Some(true)) | (Some(_), Some(false)) => false,
+                        (Some(false), None) => course.due.is_some(),
+                        (None, _) | (Some(true), None) => true,
+                    };
+                    course.doubt = lasting.filter(|_| is_open && course.judged);
                     match (when, then) {
                         (_, None) => course.due = None,
                         (_, Some(true)) => (course.due, course.is_told) = (None, false),
@@ -405,31 +467,29 @@ impl<'a> Judge<'a> {
 
     /// Whether nobody vouches for a value that is true or false: then the check may come to the same with both.
     fn is_in_doubt(&self, term: Term) -> bool {
-        let task = match term {
-            Term::Of { task, variable } => {
-                let program = self.loaded.program(task);
-                let of = program.and_then(|program| Some(program.variables.get(usize::from(variable))?.of));
-                if of != Some(Type::Bool) {
-                    return false;
-                }
-                task
+        if let Term::Of { task, variable } = term {
+            let program = self.loaded.program(task);
+            let of = program.and_then(|program| Some(program.variables.get(usize::from(variable))?.of));
+            if of != Some(Type::Bool) {
+                return false;
             }
-            Term::Is(
-                Predicate::Active(task) | Predicate::Asked { task, .. } | Predicate::Answered { task, .. },
-            ) => task,
-            _ => return false,
-        };
-        self.doubt_of(task).is_some()
+        }
+        of(&self.loaded.table, term).into_iter().any(|(task, _)| self.doubt_of(task).is_some())
     }
 
-    /// Why nobody can say whether an expression is true.
-    fn doubt(&self, terms: &[Term]) -> Option<Doubt> {
-        let tasks = terms.iter().flat_map(|term| of(&self.loaded.table, *term)).map(|(task, _)| task);
-        tasks.filter_map(|task| self.doubt_of(task)).min()
+    /// Why values of an expression are not known.
+    fn doubts(&self, terms: &[Term]) -> impl Iterator<Item = Doubt> {
+        let unknown = terms.iter().filter(|term| self.value(**term).is_none());
+        let tasks = unknown.flat_map(|term| of(&self.loaded.table, *term)).map(|(task, _)| task);
+        tasks.filter_map(|task| self.doubt_of(task))
     }
 
+    /// Why a value of a task may not be known.
     fn doubt_of(&self, task: TaskId) -> Option<Doubt> {
-        self.vouched.doubt(task, self.loaded.table.location(task)?)
+        if self.vouched.has_orphan(task) {
+            return Some(Doubt::Command(task));
+        }
+        *self.unknown.get(task.index())?
     }
 
     fn value(&self, term: Term) -> Option<i64> {
@@ -442,11 +502,11 @@ impl<'a> Judge<'a> {
 
     fn seen(&self, task: TaskId, ask: Ask) -> Option<i64> {
         // Whatever the node told last, and even if it is dead: the robot may still act.
-        if matches!(self.doubt_of(task), Some(Doubt::Command(_))) {
+        if self.vouched.has_orphan(task) {
             return None;
         }
         let at = self.asks[task.index()].iter().position(|one| *one == ask)?;
-        self.stand[task.index()].as_ref()?.get(at).copied()
+        *self.stand[task.index()].get(at)?
     }
 
     /// Whether the task reached the waitfor and nobody has begun a later meeting there since (D85).
@@ -480,12 +540,12 @@ impl<'a> Judge<'a> {
     }
 }
 
-/// A task whose node is down, as the checker has it: its variables are those of a new life, and it does nothing. Where it
-/// had arrived the others may have gone on from: that is not known.
-fn dead(loaded: &Loaded, (task, asks): (TaskId, &[Ask])) -> Option<Vec<i64>> {
-    let program = loaded.program(task)?;
+/// A task whose node is dead, as the checker has it: its variables are those of a new incarnation, and it does nothing. Whether it still
+/// counts as arrived is not known, because the others may have gone on.
+fn dead(loaded: &Loaded, (task, asks): (TaskId, &[Ask])) -> Vec<Option<i64>> {
+    let program = loaded.program(task);
     let value = |ask: &Ask| match ask {
-        Ask::Variable(at) => program.variables.get(usize::from(*at)).map(|variable| variable.initial),
+        Ask::Variable(at) => Some(program?.variables.get(usize::from(*at))?.initial),
         Ask::Active | Ask::Asked(_) | Ask::Answered(_) => Some(0),
         Ask::Arrived(_) => None,
     };

@@ -32,7 +32,7 @@ pub enum Ask {
     Asked(PortId),
     /// Whether its last request on this port was answered.
     Answered(PortId),
-    /// How far it came at this waitfor: −1 where it was not there in this life, else 1 more than its last round, 0 without.
+    /// How far it came at this waitfor: −1 where it was not there in this incarnation, else 1 more than its last round, 0 without.
     Arrived(PortId),
 }
 

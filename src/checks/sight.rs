@@ -63,7 +63,7 @@ impl Sight {
     /// How a task stands at `at`: its values, in the order of what is asked, where one has changed.
     ///
     /// A task is active no longer than its lease lasts, though a node that stood still notices the end late: that comes as a
-    /// change of its own, from when the lease ended (D155).
+    /// change of its own, from when the lease ended (D153).
     pub fn look(&mut self, task: TaskId, at: u64, stands: &Stands<'_>) -> impl Iterator<Item = Change> {
         let seen = self.asks.get(task.index()).zip(self.known.get_mut(task.index()));
         let changes = seen.map(|(asks, known)| {
@@ -146,7 +146,7 @@ fn round(machine: &CommTask, port: PortId) -> i64 {
 /// A task stands otherwise.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Change {
-    /// Since when, on the monotonic clock that all processes of one machine share, in microseconds.
+    /// Since when, on the boot-time clock that all processes of one machine share, in microseconds.
     pub at: u64,
     /// The task.
     pub task: TaskId,

@@ -19,7 +19,7 @@ pub enum Outcome {
     Untested,
     /// One of its tasks runs elsewhere.
     Elsewhere,
-    /// Of one of its tasks nothing was heard; or for some time nobody could vouch for one of them.
+    /// One of its tasks told nothing; or for some time nobody could say whether it held.
     Unknown,
 }
 
@@ -67,8 +67,22 @@ impl Unvouched {
                 format!("the command of `{}` was not confirmed to have ended", cell.tasks[task.index()].name)
             }
             Doubt::Silent(node) => format!("node `{}` told nothing", cell.nodes[node.index()].name),
+            Doubt::Untold(node) => {
+                format!("node `{}` could not tell everything", cell.nodes[node.index()].name)
+            }
+            Doubt::Dropped => "changes came faster than they could be judged".into(),
+            Doubt::Dead(node) => {
+                format!("node `{}` was dead, and a value depended on it", cell.nodes[node.index()].name)
+            }
         };
         Self { seconds: length as f64 / 1e6, why }
+    }
+
+    /// ``unknown for 0.250 s: node `m` told nothing``.
+    fn words(&self) -> String {
+        let Self { seconds, why } = self;
+        let length = if *seconds > 0.0 { format!(" for {seconds:.3} s") } else { String::new() };
+        format!("unknown{length}: {why}")
     }
 }
 
@@ -134,11 +148,12 @@ impl Settlement {
         self.0.iter().filter_map(Settled::complaint)
     }
 
-    /// Checks that nobody could judge, because one of their tasks told nothing, a line each.
+    /// Checks that could not be judged, or not all the time, a line each with the reason.
     pub fn unjudged(&self) -> impl Iterator<Item = String> {
         let unknown = self.0.iter().filter(|settled| settled.outcome == Outcome::Unknown);
-        unknown.map(|Settled { name, line, .. }| {
-            format!("check {name} (line {line}) was not judged: one of its tasks told nothing")
+        unknown.map(|Settled { name, line, unvouched, .. }| match unvouched {
+            Some(unvouched) => format!("check {name} (line {line}) is {}", unvouched.words()),
+            None => format!("check {name} (line {line}) was not judged: one of its tasks told nothing"),
         })
     }
 
@@ -164,13 +179,10 @@ impl Settlement {
                     Styled(NOTE, format!("not evaluated here: `{task}` runs elsewhere"))
                 }
                 Outcome::Unknown => {
-                    let unvouched = unvouched.as_ref();
+                    let unknown = unvouched.as_ref().map(Unvouched::words);
                     let unknown =
-                        unvouched.map(|of| format!("unknown ({:.3} s in which {})", of.seconds, of.why));
-                    Styled(
-                        NOTE,
-                        unknown.unwrap_or_else(|| "not evaluated: one of its tasks told nothing".into()),
-                    )
+                        unknown.unwrap_or_else(|| "not evaluated: one of its tasks told nothing".into());
+                    Styled(NOTE, unknown)
                 }
             };
             out.line(format!("  check {name} (line {line}): {what}"))?;

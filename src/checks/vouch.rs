@@ -4,24 +4,15 @@
 use imrs_protocol::{NodeId, TaskId};
 use std::collections::BTreeMap;
 
-/// What is known of nodes that tell nothing, and of commands.
+/// Which nodes are down, and which commands run.
 #[derive(Clone, Debug)]
 pub struct Vouched {
-    nodes: Vec<Silence>,
-    /// The commands of live nodes, by key.
+    /// By node, whether it is silent or dead.
+    down: Vec<bool>,
+    /// The commands of tasks that answer for them, by key.
     running: BTreeMap<String, TaskId>,
-    /// Commands for which no node answers any more.
+    /// Commands for which no task answers any more.
     orphans: BTreeMap<String, TaskId>,
-}
-
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Silence {
-    /// It tells what its tasks do.
-    None,
-    /// It does not, and it may still run.
-    Silent,
-    /// It is dead: its scripts do nothing.
-    Dead,
 }
 
 /// What happened to a command.
@@ -35,19 +26,32 @@ pub enum Fate {
     Lost,
 }
 
-/// Why nobody vouches for a task.
+/// Why nobody vouches for a task. The first reason is told where there are several.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
 pub enum Doubt {
     /// A command of it was not confirmed to have ended.
     Command(TaskId),
     /// Its node told nothing.
     Silent(NodeId),
+    /// Its live node lost some of what it should have told.
+    Untold(NodeId),
+    /// Changes were dropped, because too many waited to be judged.
+    Dropped,
+    /// Its node is dead, and a value depends on what the others did since.
+    Dead(NodeId),
+}
+
+impl Doubt {
+    /// Whether nothing that comes later makes up for it.
+    pub const fn lasts(self) -> bool {
+        matches!(self, Self::Untold(_) | Self::Dropped | Self::Dead(_))
+    }
 }
 
 impl Vouched {
     /// So many nodes, all of which tell what their tasks do.
     pub fn new(nodes: usize) -> Self {
-        Self { nodes: vec![Silence::None; nodes], running: BTreeMap::new(), orphans: BTreeMap::new() }
+        Self { down: vec![false; nodes], running: BTreeMap::new(), orphans: BTreeMap::new() }
     }
 
     /// Something happened to a command; `node` says on which node a task is.
@@ -71,41 +75,35 @@ impl Vouched {
         }
     }
 
-    /// From now on the node of these tasks tells nothing.
+    /// From now on the node of these tasks tells nothing, or it is dead.
     pub fn silent(&mut self, node: NodeId, tasks: impl Iterator<Item = TaskId>) {
-        self.set(node, Silence::Silent);
-        let tasks: Vec<TaskId> = tasks.collect();
-        let orphans = self.running.extract_if(.., |_, task| tasks.contains(task));
-        self.orphans.extend(orphans);
+        self.set(node, true);
+        tasks.for_each(|task| self.inactive(task));
     }
 
-    /// The node of these tasks is dead.
-    pub fn dead(&mut self, node: NodeId, tasks: impl Iterator<Item = TaskId>) {
-        self.silent(node, tasks);
-        self.set(node, Silence::Dead);
+    /// The task may no longer act: it does not answer for its commands any more.
+    pub fn inactive(&mut self, task: TaskId) {
+        let orphans = self.running.extract_if(.., |_, of| *of == task);
+        self.orphans.extend(orphans);
     }
 
     /// The node tells what its tasks do again. The commands of its earlier incarnation may still run.
     pub fn back(&mut self, node: NodeId) {
-        self.set(node, Silence::None);
+        self.set(node, false);
     }
 
-    fn set(&mut self, node: NodeId, silence: Silence) {
-        if let Some(of) = self.nodes.get_mut(node.index()) {
-            *of = silence;
+    fn set(&mut self, node: NodeId, is_down: bool) {
+        if let Some(of) = self.down.get_mut(node.index()) {
+            *of = is_down;
         }
     }
 
     fn is_down(&self, node: NodeId) -> bool {
-        self.nodes.get(node.index()).is_some_and(|of| *of != Silence::None)
+        self.down.get(node.index()) == Some(&true)
     }
 
-    /// Why nobody vouches for a task on this node, if so.
-    pub fn doubt(&self, task: TaskId, node: NodeId) -> Option<Doubt> {
-        if self.orphans.values().any(|of| *of == task) {
-            return Some(Doubt::Command(task));
-        }
-        let is_silent = self.nodes.get(node.index()) == Some(&Silence::Silent);
-        is_silent.then_some(Doubt::Silent(node))
+    /// Whether a command of this task may go on for which no task answers.
+    pub fn has_orphan(&self, task: TaskId) -> bool {
+        self.orphans.values().any(|of| *of == task)
     }
 }

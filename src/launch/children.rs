@@ -211,7 +211,8 @@ impl Process {
                     thread::sleep(Duration::from_millis(2));
                 }
                 match thread.take().map(JoinHandle::join) {
-                    Some(Ok(Ok(()))) if killed => End::Killed,
+                    // One that could not be started again was joined before.
+                    Some(Ok(Ok(()))) | None if killed => End::Killed,
                     Some(Ok(Ok(()))) => End::Clean,
                     Some(Ok(Err(error))) => End::Code(Failure::from(error).exit() as i32),
                     Some(Err(_)) | None => End::Code(Exit::Internal as i32),

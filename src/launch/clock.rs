@@ -2,7 +2,7 @@
 
 use rustix::time::{ClockId, clock_gettime};
 
-/// `CLOCK_BOOTTIME` in microseconds, as the nodes read it (D155). Only a demo compares it between nodes: they run on one machine, and it wants to know
+/// `CLOCK_BOOTTIME` in microseconds, as the nodes read it (D153). Only a demo compares it between nodes: they run on one machine, and it wants to know
 /// what no node can know, how far apart the others start. The protocol never does.
 pub fn now_us() -> u64 {
     let now = clock_gettime(ClockId::Boottime);

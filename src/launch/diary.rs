@@ -78,14 +78,15 @@ impl Diary {
         let later = self.waiting.split_off(&(now.saturating_sub(SETTLED), 0));
         let settled = std::mem::replace(&mut self.waiting, later);
         for ((at, _), entry) in &settled {
+            // Faults and broken checks are few, and never left out for a slow reader.
             let did = match entry {
                 Entry::Did(did) => did,
                 Entry::Fault(words) => {
-                    out.passing(format!("{} {}", Styled(FAINT, self.clock(*at)), Styled(NOTE, words)))?;
+                    out.line(format!("{} {}", Styled(FAINT, self.clock(*at)), Styled(NOTE, words)))?;
                     continue;
                 }
                 Entry::Broken(words) => {
-                    out.passing(format!("{} {}", Styled(FAINT, self.clock(*at)), Styled(BAD, words)))?;
+                    out.line(format!("{} {}", Styled(FAINT, self.clock(*at)), Styled(BAD, words)))?;
                     continue;
                 }
             };

@@ -26,8 +26,15 @@ const PROGRESS_EVERY: Duration = Duration::from_millis(250);
 const LONGEST_STORY: usize = 100_000;
 
 impl Launcher<'_> {
-    /// Follows the run until its end, carrying out the faults on time.
+    /// Follows the run until its end, carrying out the faults on time. What scripts did is shown to the last line, however
+    /// the run ends.
     pub(super) fn follow(&mut self, length: Duration, out: &mut Output) -> Result<(), Failure> {
+        let followed = self.follow_until_the_end(length, out);
+        out.progress(None);
+        followed.and(self.diary.close(&self.run.loaded.table, out))
+    }
+
+    fn follow_until_the_end(&mut self, length: Duration, out: &mut Output) -> Result<(), Failure> {
         for message in std::mem::take(&mut self.early) {
             self.take(message)?;
         }
@@ -70,8 +77,7 @@ impl Launcher<'_> {
                 Err(RecvTimeoutError::Disconnected) => break,
             }
         }
-        out.progress(None);
-        self.diary.close(&self.run.loaded.table, out)
+        Ok(())
     }
 
     /// Whether nothing can happen any more: every task here is a script that has ended, or its node is gone for good; or only
@@ -178,7 +184,7 @@ impl Launcher<'_> {
         }
     }
 
-    /// Starts a killed node in its next life. The others hear where it is when it has a socket.
+    /// Starts the next incarnation of a killed node. The others hear where it is when it has a socket.
     fn restart(&mut self, node: NodeId) -> Result<(), LaunchError> {
         let Some((_, setup)) = self.setups.iter_mut().find(|(of, _)| *of == node) else { return Ok(()) };
         setup.incarnation = setup.incarnation.wrapping_add(1);

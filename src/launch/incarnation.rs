@@ -3,20 +3,29 @@
 //! A node binds its socket, locks its state, asks its neighbours, counts, syncs, and only then sends packets. So a start
 //! that fails consumes no incarnation, and a node whose state was lost takes one that its neighbours do not hold for old.
 
-use super::place::PlaceError;
-use imrs_protocol::Incarnation;
-use imrs_runtime::link::udp::UdpLink;
+use super::place::{self, PlaceError};
+use crate::cells::Loaded;
+use crate::output::complain;
+use imrs_protocol::{Incarnation, NodeId, NodeTable};
+use imrs_runtime::link::udp::{UdpError, UdpLink, UdpOptions};
 use imrs_wire::envelope::supersedes;
 use imrs_wire::obs::place::file_name;
 use rustix::fs::{FlockOperation, flock};
 use rustix::io::Errno;
 use std::fs::{self, File, OpenOptions};
 use std::io::{self, Read, Seek, Write};
-use std::path::PathBuf;
-use std::time::Duration;
+use std::net::SocketAddr;
+use std::path::{Path, PathBuf};
+use std::sync::Arc;
+use std::thread;
+use std::time::{Duration, Instant};
 
 /// How long a node waits for what its neighbours remember of it.
 const ASK_WITHIN: Duration = Duration::from_secs(1);
+/// How long a node waits for its lock: whoever only asks whether the node runs holds it for a moment.
+const LOCK_WITHIN: Duration = Duration::from_millis(50);
+/// How often it tries.
+const LOCK_EVERY: Duration = Duration::from_millis(5);
 
 /// What is remembered of a node from one start to the next: `$XDG_STATE_HOME/imrs/<cell>/<node>.life`. Locked while it is
 /// here, by `<node>.lock` beside it, which names the process.
@@ -36,15 +45,42 @@ pub struct Counted {
     pub incarnation: Incarnation,
     /// Whether an earlier one may have taken requests.
     pub restarted: bool,
-    /// What a person should know of how it was counted.
-    pub note: Option<String>,
+}
+
+/// The socket of a node that runs by itself, with the addresses of its neighbours and the incarnation that the node begins.
+/// It is counted once the node has the socket, and not before (D145). Complains where neighbours remember later incarnations
+/// than this machine does, or none of them answers.
+///
+/// # Errors
+/// [`UdpError`]: the address cannot be had. [`PlaceError`]: the node runs already, cannot remember its incarnations, or a
+/// neighbour has no address.
+pub fn bind<E>(loaded: &Loaded, node: NodeId, address: SocketAddr) -> Result<(UdpLink, Counted), E>
+where
+    E: From<UdpError> + From<PlaceError>,
+{
+    let cell = loaded.table.cell();
+    let name = &cell.nodes[node.index()].name;
+    let neighbours = place::neighbours(loaded, node)?;
+    let statements = loaded.all_statements();
+    let options = UdpOptions { statements, ..UdpOptions::new(Incarnation(0), false) };
+    let link = UdpLink::bind(NodeTable::new(Arc::clone(&loaded.table), node), address, options);
+    if let Err(UdpError::Bind { .. }) = link {
+        // Whoever has the address may be this very node.
+        State::refuse_running(&cell.name, name)?;
+    }
+    let link = link?;
+    for (i, peer) in cell.nodes.iter().enumerate() {
+        if let Some(&address) = neighbours.get(&peer.name) {
+            // All of these are neighbours.
+            let _ = link.set_address(NodeId::from_index(i), Some(address));
+        }
+    }
+    let counted = count(&link, &cell.name, name)?;
+    Ok((link, counted))
 }
 
 /// Counts the next incarnation of the node that `link` was bound for and whose neighbours it knows.
-///
-/// # Errors
-/// [`PlaceError`]: the node runs already, or cannot remember its incarnations.
-pub fn count(link: &UdpLink, cell: &str, node: &str) -> Result<Counted, PlaceError> {
+fn count(link: &UdpLink, cell: &str, node: &str) -> Result<Counted, PlaceError> {
     let state = State::lock(cell, node)?;
     let before = state.read()?;
     let said = link.ask_incarnations(ASK_WITHIN);
@@ -54,30 +90,29 @@ pub fn count(link: &UdpLink, cell: &str, node: &str) -> Result<Counted, PlaceErr
     let restarted = before.is_some() || !remembered.is_empty();
     link.set_incarnation(incarnation, restarted);
     let Incarnation(number) = incarnation;
-    let note = if is_ahead {
-        Some(format!(
+    if is_ahead {
+        complain(format_args!(
             "node {node}: a neighbour remembers a later incarnation than {}; this is {number}",
             state.path.display()
-        ))
+        ));
     } else if said.is_empty() && link.has_addresses() {
-        Some(format!(
+        complain(format_args!(
             "node {node}: no neighbour said within {} s which incarnation it remembers; this is {number}",
             ASK_WITHIN.as_secs()
-        ))
-    } else {
-        None
-    };
-    Ok(Counted { state, incarnation, restarted, note })
+        ));
+    }
+    Ok(Counted { state, incarnation, restarted })
 }
 
 /// The incarnation after the one before and after all that neighbours remember, and whether theirs were ahead.
 fn next(before: Option<Incarnation>, remembered: &[Incarnation]) -> (Incarnation, bool) {
     let after = |Incarnation(number): Incarnation| Incarnation(number.wrapping_add(1));
-    let counted = before.map_or(Incarnation(0), after);
-    let next = remembered
-        .iter()
-        .fold(counted, |next, &other| if supersedes(next, other) { next } else { after(other) });
-    (next, next != counted)
+    // A node that has lost its state has no count of its own: a neighbour that does not answer may hold zero for old.
+    let counted = before.map(after);
+    let next = remembered.iter().fold(counted, |next, &other| {
+        next.filter(|&next| supersedes(next, other)).or_else(|| Some(after(other)))
+    });
+    (next.unwrap_or(Incarnation(0)), next != counted)
 }
 
 impl State {
@@ -85,11 +120,39 @@ impl State {
     ///
     /// # Errors
     /// [`PlaceError`]: another process has it, or there is no place to remember in.
-    pub fn lock(cell: &str, node: &str) -> Result<Self, PlaceError> {
+    fn lock(cell: &str, node: &str) -> Result<Self, PlaceError> {
+        Self::lock_in(Self::folder(cell)?, node)
+    }
+
+    /// Refuses a node that another process has locked, and changes nothing.
+    ///
+    /// # Errors
+    /// [`PlaceError`]: another process has it, or there is no place to remember in.
+    fn refuse_running(cell: &str, node: &str) -> Result<(), PlaceError> {
+        Self::refuse_running_in(&Self::folder(cell)?, node)
+    }
+
+    fn folder(cell: &str) -> Result<PathBuf, PlaceError> {
         let named = |name: &str| std::env::var_os(name).map(PathBuf::from).filter(|path| path.is_absolute());
         let base = named("XDG_STATE_HOME").or_else(|| Some(named("HOME")?.join(".local/state")));
-        let folder = base.ok_or(PlaceError::NoFolder)?.join("imrs").join(file_name(cell));
-        Self::lock_in(folder, node)
+        Ok(base.ok_or(PlaceError::NoFolder)?.join("imrs").join(file_name(cell)))
+    }
+
+    fn refuse_running_in(folder: &Path, node: &str) -> Result<(), PlaceError> {
+        let path = folder.join(format!("{}.lock", file_name(node)));
+        let failed = |source| PlaceError::Life { path: path.clone(), source };
+        let mut lock = match File::open(&path) {
+            Ok(lock) => lock,
+            // It never ran.
+            Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
+            Err(error) => return Err(failed(error)),
+        };
+        // A shared lock: of several that ask, none holds up another one.
+        match flock(&lock, FlockOperation::NonBlockingLockShared) {
+            Ok(()) => Ok(()),
+            Err(Errno::WOULDBLOCK) => Err(runs(&mut lock, node).map_err(failed)?),
+            Err(errno) => Err(failed(errno.into())),
+        }
     }
 
     fn lock_in(folder: PathBuf, node: &str) -> Result<Self, PlaceError> {
@@ -104,14 +167,14 @@ impl State {
             .truncate(false)
             .open(folder.join(format!("{file}.lock")))
             .map_err(failed)?;
-        match flock(&lock, FlockOperation::NonBlockingLockExclusive) {
-            Ok(()) => {}
-            Err(Errno::WOULDBLOCK) => {
-                let mut process = String::new();
-                lock.read_to_string(&mut process).map_err(failed)?;
-                return Err(PlaceError::Runs { node: node.to_owned(), process: process.trim().to_owned() });
+        let end = Instant::now() + LOCK_WITHIN;
+        loop {
+            match flock(&lock, FlockOperation::NonBlockingLockExclusive) {
+                Ok(()) => break,
+                Err(Errno::WOULDBLOCK) if Instant::now() < end => thread::sleep(LOCK_EVERY),
+                Err(Errno::WOULDBLOCK) => return Err(runs(&mut lock, node).map_err(failed)?),
+                Err(errno) => return Err(failed(errno.into())),
             }
-            Err(errno) => return Err(failed(errno.into())),
         }
         let written = lock
             .set_len(0)
@@ -151,6 +214,13 @@ impl State {
     }
 }
 
+/// That the node runs already, in the process that the file of its lock names.
+fn runs(lock: &mut File, node: &str) -> io::Result<PlaceError> {
+    let mut process = String::new();
+    lock.read_to_string(&mut process)?;
+    Ok(PlaceError::Runs { node: node.to_owned(), process: process.trim().to_owned() })
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -163,20 +233,25 @@ mod tests {
         assert_eq!(next(None, &[i(200)]), (i(201), true), "the state is lost");
         assert_eq!(next(Some(i(3)), &[i(3), i(1)]), (i(4), false));
         assert_eq!(next(Some(i(3)), &[i(9), i(255)]), (i(10), true));
-        assert_eq!(next(Some(i(129)), &[i(2)]), (i(130), false));
-        assert_eq!(next(Some(i(130)), &[i(2)]), (i(3), true), "it would pass for an earlier one");
+        assert_eq!(next(None, &[i(255)]), (i(0), true), "the state is lost");
+        assert_eq!(next(Some(i(128)), &[i(2)]), (i(129), false));
+        assert_eq!(next(Some(i(129)), &[i(2)]), (i(3), true), "it would pass for an earlier one");
     }
 
     #[test]
     fn a_node_is_counted_by_one_process_at_a_time() {
         let folder = tempfile::tempdir().unwrap();
         let lock = |node| State::lock_in(folder.path().join("cell"), node);
+        let asked = |node| State::refuse_running_in(&folder.path().join("cell"), node);
+        asked("n/1").unwrap();
         let state = lock("n/1").unwrap();
         assert_eq!(state.read().unwrap(), None);
+        assert!(matches!(asked("n/1"), Err(PlaceError::Runs { .. })));
         state.write(Incarnation(7)).unwrap();
         let refused = lock("n/1").unwrap_err().to_string();
         assert!(refused.contains(&format!("process {}", std::process::id())), "{refused}");
         drop((state, lock("other").unwrap()));
+        asked("n/1").unwrap();
         let state = lock("n/1").unwrap();
         assert_eq!(state.read().unwrap(), Some(Incarnation(7)));
         fs::write(&state.path, "x").unwrap();

@@ -159,6 +159,8 @@ pub(super) struct Launcher<'a> {
     pub(super) idle_told: bool,
     pub(super) stopping: bool,
     pub(super) interrupts: Interrupts,
+    /// When the nodes must be ready, once somebody wants the run to end.
+    ready_by: Option<Instant>,
 }
 
 /// A length that no run reaches.
@@ -228,6 +230,7 @@ pub fn run(run: &Run<'_>, out: &mut Output) -> Result<Exit, Failure> {
         idle_told: false,
         stopping: false,
         interrupts: interrupts.clone(),
+        ready_by: None,
     };
     let bound = launcher.wait_for_all(|word| match word {
         Word::Bound { address, observe } => Some((address, observe)),
@@ -246,14 +249,14 @@ pub fn run(run: &Run<'_>, out: &mut Output) -> Result<Exit, Failure> {
     launcher.wait_for_all(|word| matches!(word, Word::Started).then_some(()))?;
 
     launcher.started = Instant::now();
-    launcher.announce(seed, &bound, out)?;
-    launcher.follow(length, out)?;
+    // Whatever ends the run early, its nodes stop in order and its summary is shown.
+    let followed = launcher.announce(seed, &bound, out).and_then(|()| launcher.follow(length, out));
     let seconds = launcher.started.elapsed().as_secs_f64();
     let (summary, trouble) = launcher.finish(seconds, seed);
-    match args.format {
-        Format::Json => out.json(&summary)?,
-        Format::Text => report::summary(&summary, table, run, out)?,
-    }
+    let shown = match args.format {
+        Format::Json => out.json(&summary),
+        Format::Text => report::summary(&summary, table, run, out),
+    };
     let interrupted = interrupts.count();
     let untaken = out.settle(READ_WITHIN, || interrupts.count() > interrupted);
     for trouble in &trouble {
@@ -264,6 +267,7 @@ pub fn run(run: &Run<'_>, out: &mut Output) -> Result<Exit, Failure> {
     }
     let verdict = verdict(&summary, &trouble);
     let is_written = told(&untaken);
+    followed.and(shown)?;
     Ok(if verdict == Exit::Well && !is_written { Exit::Usage } else { verdict })
 }
 
@@ -273,8 +277,7 @@ fn told(untaken: &Untaken) -> bool {
     match untaken {
         Untaken { lines: 0, .. } => return true,
         Untaken { failed: None, .. } => {
-            let within = READ_WITHIN.as_secs();
-            complain(format_args!("{lines} of the answer were not read within {within} s, and are left out"));
+            complain(format_args!("{lines} of the answer were not read, and are left out"));
             return true;
         }
         Untaken { failed: Some(why), .. } => {
@@ -356,11 +359,15 @@ impl Launcher<'_> {
         &mut self,
         wanted: impl Fn(Word) -> Option<T>,
     ) -> Result<BTreeMap<NodeId, T>, LaunchError> {
-        let mut deadline = Instant::now() + READY_WITHIN;
+        let deadline = Instant::now() + READY_WITHIN;
         let mut heard: BTreeMap<NodeId, T> = BTreeMap::new();
         while heard.len() < self.children.len() {
-            let left = deadline.saturating_duration_since(Instant::now());
-            match self.messages.recv_timeout(left) {
+            // Nodes that are nearly ready end in order.
+            if self.interrupts.count() > 0 {
+                self.ready_by.get_or_insert_with(|| Instant::now() + EXIT_WITHIN);
+            }
+            let deadline = self.ready_by.map_or(deadline, |by| by.min(deadline));
+            match self.messages.recv_timeout(deadline.saturating_duration_since(Instant::now())) {
                 Ok(Message::Said(
                     node,
                     word @ (Word::Event(_)
@@ -382,8 +389,8 @@ impl Launcher<'_> {
                     let refused = ended(Exit::Usage) || ended(Exit::System);
                     return Err(LaunchError::NotReady { name: self.name(node), refused });
                 }
-                // Nodes that are nearly ready end in order.
-                Ok(Message::Interrupted) => deadline = deadline.min(Instant::now() + EXIT_WITHIN),
+                // It is counted: this is to wake up.
+                Ok(Message::Interrupted) => {}
                 Err(RecvTimeoutError::Timeout | RecvTimeoutError::Disconnected) => {
                     let late = self.children.nodes().find(|node| !heard.contains_key(node));
                     let name = late.map(|node| self.name(node)).unwrap_or_default();
@@ -523,6 +530,10 @@ mod tests {
         let summary = summary(&gatherer);
         assert_eq!(summary.incomplete, ["node nl could not tell 3 happenings: it came too fast"]);
         assert_eq!(verdict(&summary, &[]), Exit::Incomplete);
+        let unrecorded = vec!["the recording run.nr.imrs misses 2 inputs".to_owned()];
+        gatherer.figures(NodeId(0), Figures::default());
+        gatherer.figures(NodeId(1), Figures { unrecorded: unrecorded.clone(), ..Figures::default() });
+        assert_eq!(gatherer.summary(1.0, 7, 0.0, &[]).incomplete, unrecorded);
         // A finding comes first.
         let trouble = Trouble { at_fault: false, what: "a task failed".into() };
         assert_eq!(verdict(&summary, &[trouble]), Exit::Finding);

@@ -19,7 +19,7 @@ pub struct Setup {
     pub cell: Source,
     /// The name of the node.
     pub node: String,
-    /// Which life of the node this is.
+    /// Which incarnation of the node this is.
     pub incarnation: u8,
     /// Whether an earlier one may have taken requests (D49).
     pub restarted: bool,
@@ -39,6 +39,8 @@ pub struct Setup {
     pub loss: f64,
     /// The file for what goes into the node's communication tasks.
     pub record: Option<PathBuf>,
+    /// Whether that file replaces one of its name.
+    pub force: bool,
     /// By action, the command to execute for it.
     pub actions: BTreeMap<String, Vec<String>>,
     /// The pipe in which the launcher is told of commands; where there are any.
@@ -175,6 +177,8 @@ pub struct Figures {
     pub refusals: Vec<RefusalFigures>,
     /// What happened and could not be told: it came too fast, or the launcher did not read.
     pub untold: u64,
+    /// What its recording misses, in words.
+    pub unrecorded: Vec<String>,
 }
 
 /// A neighbour that a node cannot talk to, because their cells differ. Digests in hexadecimal digits.
@@ -227,7 +231,7 @@ impl std::ops::AddAssign for Outcomes {
 }
 
 impl Figures {
-    /// Adds those of another life of the node.
+    /// Adds those of another incarnation of the node.
     pub fn add(&mut self, other: &Self) {
         self.ports.extend_from_slice(&other.ports);
         self.outcomes += other.outcomes;
@@ -245,6 +249,7 @@ impl Figures {
         self.lost_on_purpose += other.lost_on_purpose;
         self.cut_off += other.cut_off;
         self.untold += other.untold;
+        self.unrecorded.extend_from_slice(&other.unrecorded);
         self.refusals.clone_from(&other.refusals);
     }
 }

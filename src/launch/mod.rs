@@ -20,6 +20,7 @@ mod recorder;
 mod report;
 mod rt;
 mod scripted;
+mod settled;
 mod setups;
 mod signals;
 mod spread;

@@ -3,7 +3,7 @@
 use super::deed::{Deed, Did, Lease};
 use super::incarnation::{self, State};
 use super::lines::{Event, Figures, Order, RefusalFigures, Setup, What, Word, hear};
-use super::place::{self, PlaceError, quarantine};
+use super::place::{PlaceError, quarantine};
 use super::recorder::NodeRecording;
 use super::rt;
 use super::scripted::Narrator;
@@ -105,6 +105,8 @@ struct Process {
     /// What the scripts do.
     narrator: Arc<Narrator>,
     untold: u64,
+    /// What its recording misses, once that has ended.
+    unrecorded: Option<String>,
     /// When its machines began.
     since: Instant,
     /// How long its scripts are kept from beginning.
@@ -179,7 +181,7 @@ impl Process {
         let real_time = if setup.rt { rt::begin(id.index()) } else { RealTime::NotAsked };
         if network.is_none() {
             // The reader of standard error may stand still. Where nodes share a process the launcher saw to it.
-            complain_aside(ProgressBar::hidden())?;
+            rt::behind(|| complain_aside(ProgressBar::hidden()))?;
         }
 
         let setup = &mut setup.clone();
@@ -253,10 +255,11 @@ impl Process {
             recording,
             narrator,
             untold: 0,
+            unrecorded: None,
             since,
             held_back: if setup.restarted { quarantine(&cell, id) } else { Duration::ZERO },
             begins: None,
-            out: Teller::start(out)?,
+            out: rt::behind(move || Teller::start(out))?,
         })
     }
 
@@ -360,10 +363,10 @@ impl Process {
         drop(self.runtime.take().map(|runtime| runtime.stop(PATIENCE)));
         self.tell()?;
         self.count()?;
-        let recorded = self.recording.take().and_then(|recording| recording.stop(PATIENCE));
-        if let Some(status) = recorded.filter(|status| !status.ended || status.lost > 0) {
-            let (name, lost) = (self.node.name(), status.lost);
-            complain(format_args!("the recording of node {name} misses {lost} inputs"));
+        // The launcher has the figures already, should the disk take longer than it waits.
+        self.unrecorded = self.recording.take().and_then(|recording| recording.stop(PATIENCE));
+        if self.unrecorded.is_some() {
+            self.count()?;
         }
         self.out.say(Word::Done)?;
         Ok(self.out.end()?)
@@ -374,7 +377,12 @@ impl Process {
         // Taken before the observations, and told after them: no release is told whose announcement is not.
         let (narrated, lost) = self.narrator.take();
         let mut observed = Vec::new();
-        self.untold += self.observations.drain(ROOM, &mut observed);
+        let missed = self.observations.drain(ROOM, &mut observed);
+        self.untold += missed;
+        // First: whoever judges the words must know that others are missing.
+        if missed > 0 || lost.is_some() {
+            self.count()?;
+        }
         for event in observed.iter().filter_map(announcement) {
             self.out.say(Word::Event(event))?;
         }
@@ -413,6 +421,8 @@ impl Process {
     fn count(&mut self) -> Result<(), NodeError> {
         let snapshot = self.node.snapshot(0);
         let injected = self.link.injected();
+        let unrecorded =
+            self.recording.as_ref().map_or_else(|| self.unrecorded.clone(), NodeRecording::missing);
         let ports = snapshot.tasks.iter().flat_map(|task| {
             let of = task.view.task;
             task.view.ports.iter().map(move |port| (of, port.port, port.counters))
@@ -431,40 +441,26 @@ impl Process {
             cut_off: injected.cut_packets,
             refusals: self.refusals(),
             untold: self.untold + self.narrator.lost(),
+            unrecorded: unrecorded.into_iter().collect(),
         };
         Ok(self.out.say(Word::Figures(Box::new(figures)))?)
     }
 }
 
-/// The socket of a node. One that runs by itself counts its incarnation once it has the socket, and not before (D145).
+/// The socket of a node. One that runs by itself counts its incarnation.
 fn socket(
     setup: &mut Setup,
     loaded: &Loaded,
     table: &NodeTable,
 ) -> Result<(UdpLink, Option<State>), NodeError> {
     let address = setup.bind.unwrap_or_else(|| SocketAddr::from((Ipv4Addr::LOCALHOST, 0)));
-    let statements = loaded.all_statements();
-    let options =
-        UdpOptions { statements, ..UdpOptions::new(Incarnation(setup.incarnation), setup.restarted) };
-    let link = UdpLink::bind(table.clone(), address, options);
     if !setup.counts {
-        return Ok((link?, None));
+        let statements = loaded.all_statements();
+        let options =
+            UdpOptions { statements, ..UdpOptions::new(Incarnation(setup.incarnation), setup.restarted) };
+        return Ok((UdpLink::bind(table.clone(), address, options)?, None));
     }
-    let cell = &table.cell.cell().name;
-    if let Err(UdpError::Bind { .. }) = link {
-        // Whoever has the address may be this very node.
-        State::lock(cell, &setup.node)?;
-    }
-    let link = link?;
-    for (name, address) in place::neighbours(loaded, table.node)? {
-        let node = table.cell().nodes.iter().position(|node| node.name == name).map(NodeId::from_index);
-        // All of these are neighbours.
-        let _ = node.map(|node| link.set_address(node, Some(address)));
-    }
-    let counted = incarnation::count(&link, cell, &setup.node)?;
-    if let Some(note) = counted.note {
-        complain(note);
-    }
+    let (link, counted) = incarnation::bind::<NodeError>(loaded, table.node, address)?;
     (setup.incarnation, setup.restarted) = (counted.incarnation.0, counted.restarted);
     Ok((link, Some(counted.state)))
 }

@@ -2,7 +2,7 @@
 
 use super::lines::Setup;
 use crate::cells::Loaded;
-use crate::output::complain;
+use crate::output::{complain, count};
 use imrs_protocol::{Incarnation, NodeTable};
 use imrs_runtime::observer::RecordingWatch;
 use imrs_runtime::record::{About, FileRecorder, Recorder};
@@ -15,16 +15,22 @@ use std::sync::Arc;
 use std::time::Duration;
 
 /// A recording of one node.
-pub struct NodeRecording(Arc<FileRecorder>);
+pub struct NodeRecording {
+    recorder: Arc<FileRecorder>,
+    path: String,
+}
 
 impl NodeRecording {
-    /// Begins a recording in a new file, which only its owner can read.
+    /// Begins a recording in a new file, which only its owner can read. Called once the node is bound and locked: only then
+    /// may it replace the recording of an earlier run, where that was asked for (D151).
     ///
     /// # Errors
     /// The file cannot be made or written.
     pub fn start(path: &Path, setup: &Setup, loaded: &Loaded, table: &NodeTable) -> Result<Self, WriteError> {
-        let file = files::create(path).map_err(io::Error::from)?;
-        let name = path.display().to_string();
+        let made = files::free(path, setup.force).and_then(|()| files::create(path));
+        let file = made.map_err(io::Error::from)?;
+        let path = path.display().to_string();
+        let name = path.clone();
         let failed = move |error: &WriteError| complain(format_args!("{name} is no longer written: {error}"));
         let about = About {
             life: (Incarnation(setup.incarnation), setup.restarted),
@@ -32,25 +38,41 @@ impl NodeRecording {
             build: concat!("imrs ", env!("CARGO_PKG_VERSION")),
             statements: loaded.statements(table.node),
         };
-        Ok(Self(FileRecorder::start(file, table, &about, failed)?))
+        Ok(Self { recorder: FileRecorder::start(file, table, &about, failed)?, path })
     }
 
     /// Who is told of every input.
     pub fn recorder(&self) -> Arc<dyn Recorder> {
-        Arc::clone(&self.0) as Arc<dyn Recorder>
+        Arc::clone(&self.recorder) as Arc<dyn Recorder>
     }
 
     /// How it goes, for monitors.
     pub fn watch(&self, path: &Path) -> RecordingWatch {
-        let (recorder, path) = (Arc::clone(&self.0), path.display().to_string());
+        let (recorder, path) = (Arc::clone(&self.recorder), path.display().to_string());
         Arc::new(move || {
             let status = recorder.status()?;
             Some(RecordingFacts { path: path.clone(), lost: status.lost, failure: status.failure })
         })
     }
 
-    /// Ends the recording and says how it went.
-    pub fn stop(self, patience: Duration) -> Option<Status> {
-        self.0.stop(patience)
+    /// What the recording misses so far; `None`: nothing.
+    pub fn missing(&self) -> Option<String> {
+        self.recorder.status().and_then(|status| self.words(&status))
+    }
+
+    /// Ends the recording and says what it misses; `None`: nothing.
+    pub fn stop(self, patience: Duration) -> Option<String> {
+        let status = self.recorder.stop(patience)?;
+        self.words(&status)
+            .or_else(|| (!status.ended).then(|| format!("the recording {} has no end", self.path)))
+    }
+
+    fn words(&self, status: &Status) -> Option<String> {
+        let path = &self.path;
+        match status {
+            Status { failure: Some(why), .. } => Some(format!("the recording {path} ends early: {why}")),
+            Status { lost: 0, .. } => None,
+            Status { lost, .. } => Some(format!("the recording {path} misses {}", count(*lost, "input"))),
+        }
     }
 }

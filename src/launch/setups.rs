@@ -40,6 +40,7 @@ pub fn setups(
             seed,
             loss: run.args.loss.0,
             record: run.args.record.as_ref().map(|file| record_file(file, &node.name)),
+            force: run.args.force,
             actions: run.actions.clone(),
             notices: notices.map(Path::to_owned),
             courses: run.courses.clone(),

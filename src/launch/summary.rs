@@ -257,7 +257,7 @@ impl Gatherer {
             tasks: self.ended.clone(),
             nodes: exits.iter().map(node).collect(),
             checks: Settlement::default(),
-            incomplete: self.untold().collect(),
+            incomplete: self.untold().chain(self.unrecorded()).collect(),
             rt: false,
             outcome: None,
         }
@@ -270,6 +270,11 @@ impl Gatherer {
             let times = count(untold, "happening");
             (untold > 0).then(|| format!("node {} could not tell {times}: it came too fast", node.name))
         })
+    }
+
+    /// What recordings miss, a line each.
+    fn unrecorded(&self) -> impl Iterator<Item = String> {
+        self.figures.iter().flatten().flat_map(|figures| figures.unrecorded.iter().cloned())
     }
 
     fn for_tasks_on(&mut self, node: NodeId, mut change: impl FnMut(&mut Tally, TaskId)) {

@@ -1,6 +1,7 @@
 //! The arithmetic of a run: what came of every round of a waitfor, from what its members said of it.
 
 use super::lines::{Event, What};
+use super::settled::{Settled, falsely};
 use super::spread::{Spread, Spreading};
 use imrs_protocol::{Round, TaskId};
 use serde::Serialize;
@@ -8,9 +9,6 @@ use std::collections::BTreeMap;
 
 /// So many rounds are kept as they are: what a member may still say of an older one is not waited for.
 const OPEN: usize = 4_096;
-/// So many gaps between settled rounds are remembered.
-const GAPS: usize = 1_024;
-
 /// The rounds of one waitfor. The newest are kept, older ones are settled: counted, and forgotten.
 #[derive(Clone, Debug)]
 pub struct Tally {
@@ -22,18 +20,6 @@ pub struct Tally {
     /// The first round of all that was spoken of.
     first: Option<i64>,
     settled: Settled,
-}
-
-/// What came of older rounds.
-#[derive(Clone, Debug, Default)]
-struct Settled {
-    /// Without the spread.
-    sum: Rounds,
-    skews: Spreading,
-    /// Which: by the first of several without a gap, the last.
-    spans: BTreeMap<i64, i64>,
-    /// The last one that released somebody.
-    released: Option<i64>,
 }
 
 #[derive(Clone, Debug)]
@@ -112,6 +98,9 @@ impl Tally {
             member.announced = member.announced.max(round);
         }
         if self.settled.has(round) {
+            if event.what == What::Announced {
+                self.settled.announced(round, 1 << place);
+            }
             return;
         }
         self.first = Some(self.first.map_or(round, |first| first.min(round)));
@@ -146,6 +135,7 @@ impl Tally {
         let mut settled = std::mem::take(&mut self.settled);
         self.count(round, &meeting, &mut settled.sum, &mut settled.skews);
         settled.add(round);
+        settled.doubt(round, self.absent(round, &meeting), meeting.released);
         self.rounds.remove(&round);
         if meeting.released != 0 {
             settled.released = settled.released.max(Some(round));
@@ -205,7 +195,9 @@ impl Tally {
     /// What came of all rounds.
     pub fn rounds(&self) -> Rounds {
         let (mut sum, mut skews) = (self.settled.sum, self.settled.skews.clone());
+        sum.false_releases = self.settled.false_releases(self.members(|member| member.untold));
         for (&round, meeting) in &self.rounds {
+            sum.false_releases += falsely(self.absent(round, meeting), meeting.released);
             self.count(round, meeting, &mut sum, &mut skews);
         }
         sum.rounds = sum.released + sum.timed_out + sum.divergent + sum.unknown;
@@ -213,9 +205,8 @@ impl Tally {
         sum
     }
 
-    /// Counts what came of a round.
+    /// Counts what came of a round, without its false releases.
     fn count(&self, round: i64, meeting: &Meeting, sum: &mut Rounds, skews: &mut Spreading) {
-        sum.false_releases += self.false_releases(round, meeting);
         match self.end(round, meeting) {
             Some(End::Released) => {
                 sum.released += 1;
@@ -272,11 +263,10 @@ impl Tally {
         (missing | self.killed(round, meeting)) & !(meeting.released | meeting.gave_up)
     }
 
-    fn false_releases(&self, round: i64, meeting: &Meeting) -> u64 {
+    /// The members that had not arrived, as far as is known.
+    fn absent(&self, round: i64, meeting: &Meeting) -> u64 {
         let unheard = self.members(|member| member.untold) | self.killed(round, meeting);
-        let absent = self.all() & !meeting.announced & !unheard;
-        let falsely = |place: usize| meeting.released & 1 << place != 0 && absent & !(1 << place) != 0;
-        (0..self.members.len()).filter(|&place| falsely(place)).count() as u64
+        self.all() & !meeting.announced & !unheard
     }
 
     /// What came of a round; `None` where those who announced it went on to another one together.
@@ -327,34 +317,6 @@ enum End {
     Divergent,
     Unknown,
     Unfinished,
-}
-
-impl Settled {
-    /// Whether this round is one of them.
-    fn has(&self, round: i64) -> bool {
-        self.spans.range(..=round).next_back().is_some_and(|(_, &last)| round <= last)
-    }
-
-    /// This round is one, too.
-    fn add(&mut self, round: i64) {
-        let (mut first, mut last) = (round, round);
-        if let Some((&before, &end)) = self.spans.range(..round).next_back()
-            && end + 1 == round
-        {
-            first = before;
-        }
-        if let Some(end) = self.spans.remove(&(round + 1)) {
-            last = end;
-        }
-        self.spans.insert(first, last);
-        // Nobody speaks of rounds that are so old.
-        if self.spans.len() > GAPS
-            && let Some((first, _)) = self.spans.pop_first()
-            && let Some((_, last)) = self.spans.pop_first()
-        {
-            self.spans.insert(first, last);
-        }
-    }
 }
 
 impl Member {
@@ -558,6 +520,22 @@ mod tests {
         let before = folded.rounds();
         folded.take(&late);
         assert_eq!(folded.rounds(), before);
+    }
+
+    #[test]
+    fn a_settled_round_without_an_announcement_is_false_until_it_is_known_that_some_are_missing() {
+        let mut tally = Tally { open: 4, ..tally(&[]) };
+        for round in 1..=10 {
+            for (task, what) in [(0, What::Announced), (1, What::Announced), (0, What::Released)] {
+                tally.take(&Event { at: 5, task: TaskId(task), port: PortId(0), round: Round(round), what });
+            }
+        }
+        assert_eq!((tally.rounds().false_releases, tally.rounds.len()), (10, 4));
+        let late = Event { at: 5, task: TaskId(2), port: PortId(0), round: Round(1), what: What::Announced };
+        tally.take(&late);
+        assert_eq!(tally.rounds().false_releases, 9);
+        tally.untold(TaskId(2));
+        assert_eq!(tally.rounds().false_releases, 0);
     }
 
     #[test]

@@ -6,6 +6,7 @@ pub use printer::{Notice, Untaken, notice};
 
 use crate::args::Color;
 use crate::exit::Failure;
+use crate::launch::LaunchError;
 use anstream::AutoStream;
 use anstream::adapter::strip_str;
 use anstyle::{AnsiColor, Style};
@@ -59,15 +60,15 @@ impl Output {
     /// that are told in [passing](Self::passing) are dropped where the reader is too slow, and counted by `notice`.
     ///
     /// # Errors
-    /// [`Failure::Output`]: the operating system refuses a thread.
+    /// [`Failure::Launch`]: the operating system refuses a thread.
     pub fn step_aside(&mut self, notice: Notice, progress: ProgressBar) -> Result<(), Failure> {
         let hidden = ProgressBar::hidden();
         // Where lines and progress may meet on one terminal, one thread draws both.
         let shown = io::stdout().is_terminal();
         let (with_lines, with_errors) = if shown { (progress, hidden) } else { (hidden, progress) };
-        complain_aside(with_errors).map_err(Failure::Output)?;
+        complain_aside(with_errors).map_err(LaunchError::Start)?;
         let plain = matches!(&self.way, Way::Direct { stream, .. } if stream.current_choice() == anstream::ColorChoice::Never);
-        let printer = Printer::start(io::stdout(), notice, with_lines).map_err(Failure::Output)?;
+        let printer = Printer::start(io::stdout(), notice, with_lines).map_err(LaunchError::Start)?;
         self.way = Way::Aside { printer, plain };
         Ok(())
     }

@@ -45,12 +45,18 @@ struct Shared {
 struct Queue {
     items: VecDeque<Item>,
     bytes: usize,
-    /// The lines that the thread is writing.
-    in_hand: u64,
+    /// What the thread is writing.
+    in_hand: InHand,
     /// Lines that were not shown, and no notice said so yet.
     missing: u64,
+    /// How many of these must be kept: their write failed.
+    missing_kept: u64,
+    /// Lines that must be kept, whose write failed, and whose place a notice took.
+    lost: u64,
     /// Why the last write failed.
     failed: Option<String>,
+    /// Why the last of the `lost` ones failed.
+    lost_because: Option<String>,
     /// The reader has gone.
     gone: bool,
     /// The newest text of the progress line, until it is drawn.
@@ -58,8 +64,22 @@ struct Queue {
     closed: bool,
 }
 
+/// Lines that are being written.
+#[derive(Clone, Copy, Default)]
+struct InHand {
+    /// How many, those in the notice before included.
+    lines: u64,
+    /// How many of those in the notice must be kept.
+    failed_before: u64,
+    /// Whether the line after the notice must be kept.
+    is_kept: bool,
+}
+
 enum Item {
-    Line(String),
+    Line {
+        text: String,
+        kept: bool,
+    },
     Dropped(u64),
     /// The progress line goes away.
     Clear,
@@ -67,7 +87,7 @@ enum Item {
 
 /// What the thread does next.
 enum Work {
-    Write { text: String, lines: u64 },
+    Write(String),
     Progress(String),
     Clear,
 }
@@ -111,7 +131,7 @@ impl Printer {
         let is_full = queue.items.len() >= LINES || queue.bytes + text.len() > BYTES;
         if kept || !is_full {
             queue.bytes += text.len();
-            queue.items.push_back(Item::Line(text));
+            queue.items.push_back(Item::Line { text, kept });
         } else if let Some(Item::Dropped(lines)) = queue.items.back_mut() {
             *lines += 1;
         } else {
@@ -143,13 +163,14 @@ impl Printer {
             queue = waited.unwrap_or_else(PoisonError::into_inner).0;
         }
         let lines = |item: &Item| match item {
-            Item::Line(_) => 1,
+            Item::Line { .. } => 1,
             Item::Dropped(lines) => *lines,
             Item::Clear => 0,
         };
         let waiting: u64 = queue.items.iter().map(lines).sum();
-        let lines = if queue.gone { 0 } else { waiting + queue.in_hand + queue.missing };
-        Untaken { lines, failed: queue.failed.clone() }
+        let unwritten = waiting + queue.in_hand.lines + queue.missing + queue.lost;
+        let lines = if queue.gone { 0 } else { unwritten };
+        Untaken { lines, failed: queue.failed.clone().or_else(|| queue.lost_because.clone()) }
     }
 }
 
@@ -180,7 +201,7 @@ impl Shared {
 
     fn carry_out(&self, work: Work, stream: &impl AsFd, progress: &ProgressBar) {
         let written = match work {
-            Work::Write { text, .. } => progress.suspend(|| write(stream, text.as_bytes())),
+            Work::Write(text) => progress.suspend(|| write(stream, text.as_bytes())),
             Work::Progress(text) => {
                 progress.set_message(text);
                 progress.tick();
@@ -192,9 +213,15 @@ impl Shared {
             }
         };
         let mut queue = self.lock();
-        let lines = std::mem::take(&mut queue.in_hand);
+        let InHand { lines, failed_before, is_kept } = std::mem::take(&mut queue.in_hand);
         match written {
-            Ok(()) if lines > 0 => queue.failed = None,
+            Ok(()) if lines > 0 => {
+                let failed = queue.failed.take();
+                if failed_before > 0 {
+                    queue.lost += failed_before;
+                    queue.lost_because = failed;
+                }
+            }
             Ok(()) => {}
             Err(Errno::PIPE) => {
                 queue.gone = true;
@@ -202,6 +229,7 @@ impl Shared {
             }
             Err(error) => {
                 queue.missing += lines;
+                queue.missing_kept += failed_before + u64::from(is_kept);
                 queue.failed = Some(io::Error::from(error).to_string());
             }
         }
@@ -213,27 +241,26 @@ impl Shared {
 impl Queue {
     /// Whether there is nothing to write.
     fn is_idle(&self) -> bool {
-        self.items.is_empty() && self.in_hand == 0
+        self.items.is_empty() && self.in_hand.lines == 0
     }
 
     fn take(&mut self, notice: Notice) -> Option<Work> {
-        let work = match self.items.pop_front() {
-            None => Work::Progress(self.progress.take()?),
-            Some(Item::Clear) => Work::Clear,
+        let (text, own, is_kept) = match self.items.pop_front() {
+            None => return Some(Work::Progress(self.progress.take()?)),
+            Some(Item::Clear) => return Some(Work::Clear),
             Some(Item::Dropped(lines)) => {
                 self.missing += lines;
-                Work::Write { text: self.told(notice), lines: std::mem::take(&mut self.missing) }
+                (self.told(notice), 0, false)
             }
-            Some(Item::Line(line)) => {
-                self.bytes -= line.len();
-                let text = if self.missing > 0 { self.told(notice) + &line } else { line };
-                Work::Write { text, lines: std::mem::take(&mut self.missing) + 1 }
+            Some(Item::Line { text, kept }) => {
+                self.bytes -= text.len();
+                let text = if self.missing > 0 { self.told(notice) + &text } else { text };
+                (text, 1, kept)
             }
         };
-        if let Work::Write { lines, .. } = &work {
-            self.in_hand = *lines;
-        }
-        Some(work)
+        let lines = std::mem::take(&mut self.missing) + own;
+        self.in_hand = InHand { lines, failed_before: std::mem::take(&mut self.missing_kept), is_kept };
+        Some(Work::Write(text))
     }
 
     /// The notice of what is missing. After a failed write a part of a line may stand there.
@@ -321,6 +348,26 @@ mod tests {
         let gone = printer(writer);
         gone.push("one\n".into(), true);
         assert_eq!(gone.settle(LONG, || false), Untaken::default());
+    }
+
+    #[test]
+    fn a_line_that_must_be_kept_is_missing_even_when_later_ones_are_written() {
+        let shared = Shared { queue: Mutex::default(), changed: Condvar::new(), notice };
+        let printer = Printer(Arc::new(shared));
+        let write_to = |path: &str| {
+            let stream = File::options().write(true).open(path).expect("a device");
+            let work = printer.0.next().expect("a line");
+            printer.0.carry_out(work, &stream, &ProgressBar::hidden());
+        };
+        for (kept, missing) in [(false, 0), (true, 1)] {
+            printer.push("one\n".into(), kept);
+            write_to("/dev/full");
+            assert_eq!(printer.settle(LONG, || false).lines, 1);
+            printer.push("two\n".into(), true);
+            write_to("/dev/null");
+            let untaken = printer.settle(LONG, || false);
+            assert_eq!((untaken.lines, untaken.failed.is_some()), (missing, kept));
+        }
     }
 
     #[test]

@@ -260,7 +260,7 @@ fn spoke_before(lives: &[Vec<Life<'_>>], tasks: &[Vec<Happening>], table: &CellT
     nodes
 }
 
-/// When a recording was made, in microseconds of the monotonic clock.
+/// When a recording was made, in microseconds of the boot-time clock that all nodes share.
 #[derive(Clone)]
 struct Span<'a> {
     path: &'a Path,
@@ -306,7 +306,9 @@ fn judge(loaded: &Loaded, recorded: &Recorded) -> Settlement {
     let (mut judge, mut over) = (Judge::new(loaded, &nodes), recorded.start);
     recorded.changes.iter().for_each(|change| judge.change(change.clone()));
     for node in nodes {
-        // From when it stopped nothing is known of a node; of one that was killed, from its last record.
+        // From when it stopped nothing is known of a node; of one that was killed, from its last record. No recording shows when a node
+        // was killed, and it may have acted after its last record. So it is never taken for dead here, and a check that needs it for
+        // more than 1 s is unknown, though the launcher, which knew of the kill, judged it (D142).
         let tasks = loaded.table.tasks_on(node).map(|task| &recorded.tasks[task.index()]);
         let all: Vec<&Happening> = tasks.flatten().collect();
         let stop = all.iter().find(|happening| happening.what == Happened::Stopped);

@@ -117,19 +117,39 @@ pub fn create(path: &Path) -> Result<File, FileError> {
 }
 
 /// Refuses a name at which something is, which [`create`] would refuse later. With `force` a regular file of that name is
-/// removed.
+/// removed: call it right before [`create`], and [`check`] before that.
 ///
 /// # Errors
 /// [`FileError`].
 pub fn free(path: &Path, force: bool) -> Result<(), FileError> {
+    check(path, force)?;
+    match path.symlink_metadata() {
+        Ok(of) if force && of.is_file() => Ok(std::fs::remove_file(path)?),
+        _ => Ok(()),
+    }
+}
+
+/// Refuses what [`free`] would refuse, and changes nothing.
+///
+/// # Errors
+/// [`FileError`].
+pub fn check(path: &Path, force: bool) -> Result<(), FileError> {
     match path.symlink_metadata() {
         Err(error) if error.kind() == ErrorKind::NotFound => Ok(()),
         Err(error) => Err(error.into()),
         Ok(of) if of.is_dir() => Err(FileError::Folder),
         Ok(_) if is_device(path) => Ok(()),
-        Ok(of) if force && of.is_file() => Ok(std::fs::remove_file(path)?),
+        Ok(of) if force && of.is_file() => Ok(()),
         Ok(of) if force && !of.is_symlink() => Err(FileError::NotAFile),
         Ok(_) => Err(FileError::Exists),
+    }
+}
+
+/// Takes a file away that was begun here and is of no use to anybody. What is no regular file stays: a device, a link.
+pub fn discard(path: &Path) {
+    if path.symlink_metadata().is_ok_and(|of| of.is_file()) {
+        // One that cannot be removed is left behind.
+        let _ = std::fs::remove_file(path);
     }
 }
 
@@ -192,10 +212,24 @@ mod tests {
         assert_eq!(mode, 0o600);
         assert!(matches!(create(&file), Err(FileError::Exists)));
         assert!(matches!(free(&file, false), Err(FileError::Exists)));
+        check(&file, true).unwrap();
+        assert!(file.exists());
         free(&file, true).unwrap();
         create(&file).unwrap();
         assert!(matches!(free(folder.path(), true), Err(FileError::Folder)));
         free(Path::new("/dev/null"), false).unwrap();
         create(Path::new("/dev/null")).unwrap();
+    }
+
+    #[test]
+    fn only_regular_files_are_discarded() {
+        let folder = tempfile::tempdir().unwrap();
+        let [file, link] = ["file", "link"].map(|name| folder.path().join(name));
+        std::fs::write(&file, "half").unwrap();
+        std::os::unix::fs::symlink("/dev/zero", &link).unwrap();
+        for path in [&file, &link, folder.path()] {
+            discard(path);
+        }
+        assert!(!file.exists() && link.symlink_metadata().is_ok() && folder.path().exists());
     }
 }

@@ -115,7 +115,8 @@ impl Course {
         let here = (0..floor.bodies.len()).filter(|&task| floor.station_of(task) == node);
         let actions = here.flat_map(|task| {
             let actor = floor.bodies[task].actor.as_ref();
-            let running = actor.into_iter().flat_map(|actor| actor.running.iter().map(move |one| (actor, one)));
+            let running =
+                actor.into_iter().flat_map(|actor| actor.running.iter().map(move |one| (actor, one)));
             running
                 .filter(|(actor, action)| self.has_just_begun(actor, action))
                 .map(move |(_, action)| (small(task), action.level))

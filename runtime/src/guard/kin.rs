@@ -69,7 +69,8 @@ fn parents() -> BTreeMap<i32, i32> {
     pids.filter_map(|pid| Some((pid, parent_of(pid)?))).collect()
 }
 
-fn parent_of(pid: i32) -> Option<i32> {
+/// The parent of a process; `None` where there is no such process.
+pub fn parent_of(pid: i32) -> Option<i32> {
     let stat = fs::read(format!("/proc/{pid}/stat")).ok()?;
     // The name may have any characters, parentheses too; then come the state and the parent.
     let stat = String::from_utf8_lossy(&stat);

@@ -8,7 +8,7 @@ use std::fs::File;
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
-/// What is told of a command. Instants are microseconds of `CLOCK_MONOTONIC`, which all processes of a machine share.
+/// What is told of a command. Instants are microseconds of `CLOCK_BOOTTIME`, which all processes of a machine share.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub enum Notice {
     /// A node starts it. Told before anything runs.
@@ -37,6 +37,11 @@ pub enum Notice {
 }
 
 impl Notice {
+    /// The end of a command, now.
+    pub(crate) fn ended(key: &str) -> Self {
+        Self::Ended { key: key.to_owned(), at: clock::next() }
+    }
+
     /// As a line; `ended 1-0-4 81234567`.
     #[must_use]
     pub fn line(&self) -> String {
@@ -103,11 +108,6 @@ impl Notices {
             }
         }
     }
-}
-
-/// The end of a command, now.
-pub fn ended(key: &str) -> Notice {
-    Notice::Ended { key: key.to_owned(), at: clock::next() }
 }
 
 #[cfg(test)]

@@ -1,13 +1,15 @@
 //! A guard as its node sees it.
 
+use super::kin::parent_of;
 use super::words::{Lines, Outcome, lease, read_began};
 use crate::clock;
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
 use rustix::io::Errno;
-use rustix::process::{Pid, Signal, kill_process_group};
+use rustix::process::{Pid, PidfdFlags, Signal, kill_process_group, pidfd_open, pidfd_send_signal};
 use std::io::{self, Write};
-use std::os::fd::AsFd;
+use std::os::fd::{AsFd, OwnedFd};
+use std::path::Path;
 use std::process::{Child, ChildStdin, ChildStdout};
 use std::sync::{Condvar, Mutex, MutexGuard, PoisonError};
 use std::time::Duration;
@@ -46,17 +48,17 @@ impl Running {
         let (mut lines, mut group, mut outcome) = (Lines::default(), None, None);
         while listen(&mut words, &mut lines, &renew) {
             while let Some(line) = lines.next() {
-                group = read_began(&line).or(group);
+                group = read_began(&line).and_then(|pid| Group::of(pid, &guard)).or(group);
                 outcome = Outcome::read(&line).or(outcome);
             }
         }
         // It has said its last word, or was killed.
         let _ = guard.wait();
         if outcome.is_none()
-            && let Some(group) = group.and_then(Pid::from_raw)
+            && let Some(group) = group
         {
             // The command died with its guard. What it started is in its group, or out of reach.
-            let _ = kill_process_group(group, Signal::KILL);
+            group.kill();
         }
         outcome
     }
@@ -80,22 +82,51 @@ impl Running {
         self.lock().orders = None;
     }
 
-    /// Ends the command, and waits until it has ended with all that it started, at most so long.
-    pub fn stop(&self, patience: Duration) {
-        let mut state = self.lock();
-        state.orders = None;
-        let waited = self.over.wait_timeout_while(state, patience, |state| !state.is_over);
-        drop(waited);
+    /// Waits until the command has ended with all that it started, at most so long. Returns whether it has.
+    pub fn wait(&self, patience: Duration) -> bool {
+        let waited = self.over.wait_timeout_while(self.lock(), patience, |state| !state.is_over);
+        waited.unwrap_or_else(PoisonError::into_inner).0.is_over
     }
 
     /// The command has ended.
-    pub fn is_over(&self) {
+    pub fn set_over(&self) {
         self.lock().is_over = true;
         self.over.notify_all();
     }
 
     fn lock(&self) -> MutexGuard<'_, State> {
         self.state.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+/// The process group of a command, which has the number of the command itself.
+struct Group {
+    number: Pid,
+    /// The command; `None` where its guard was dead before the command could be told from another process of that number.
+    command: Option<OwnedFd>,
+}
+
+impl Group {
+    fn of(pid: i32, guard: &Child) -> Option<Self> {
+        let number = Pid::from_raw(pid)?;
+        let command = pidfd_open(number, PidfdFlags::empty()).ok();
+        // A living guard has not reaped its command, and nobody else is its child.
+        let guard = Pid::from_child(guard).as_raw_nonzero().get();
+        Some(Self { number, command: command.filter(|_| parent_of(pid) == Some(guard)) })
+    }
+
+    /// Kills the whole group, unless its number belongs to others by now.
+    fn kill(&self) {
+        // A command that nobody has reaped keeps the number, and so does every member of its group. So where another process has
+        // it, the group is empty.
+        let is_reaped = self
+            .command
+            .as_ref()
+            .is_none_or(|command| matches!(pidfd_send_signal(command, Signal::KILL), Err(Errno::SRCH)));
+        if is_reaped && Path::new("/proc").join(self.number.as_raw_nonzero().to_string()).exists() {
+            return;
+        }
+        let _ = kill_process_group(self.number, Signal::KILL);
     }
 }
 

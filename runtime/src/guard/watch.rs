@@ -1,11 +1,11 @@
 //! The guard itself: one thread that waits for the end of its node, of the lease, of the time, or of the command.
 
 use super::exec::UNSTARTED;
-use super::notices::{self, Notices};
+use super::notices::{Notice, Notices};
 use super::running::never_wait;
 use super::words::{self, Errand, Lines, Outcome, read_lease};
 use super::{EXEC, OWN_FILE, kin, stage};
-use crate::clock;
+use crate::{actuator, clock};
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::io::Errno;
 use rustix::process::{Pid, PidfdFlags, WaitStatus, getpid, pidfd_open, set_child_subreaper};
@@ -39,7 +39,7 @@ pub fn watch(errand: &Errand) -> ExitCode {
         ),
     };
     if let Some((notices, key)) = &notices {
-        notices.tell_at_last(&notices::ended(key));
+        notices.tell_at_last(&Notice::ended(key));
     }
     say(&outcome.line());
     ExitCode::SUCCESS
@@ -91,8 +91,8 @@ impl Why {
 }
 
 struct Watch {
-    limit: u64,
-    lease: Option<u64>,
+    /// What the guard was started for. Renewals move its lease.
+    errand: Errand,
     orders: Lines,
     pid: Pid,
     /// Readable once the command has ended.
@@ -121,10 +121,10 @@ impl Watch {
         let timer = timerfd_create(TimerfdClockId::Boottime, TimerfdFlags::CLOEXEC | TimerfdFlags::NONBLOCK)?;
         let second = Errand { parent: Some(own.as_raw_nonzero().get()), ..errand.clone() };
         let mut command = stage(Path::new(OWN_FILE), EXEC, &second);
-        command.env("IMRS_DEADLINE_US", errand.deadline().to_string());
+        command.env(actuator::DEADLINE, errand.deadline().to_string());
         match errand.epoch {
-            Some(epoch) => command.env("IMRS_EPOCH", epoch.to_string()),
-            None => command.env_remove("IMRS_EPOCH"),
+            Some(epoch) => command.env(actuator::EPOCH, epoch.to_string()),
+            None => command.env_remove(actuator::EPOCH),
         };
         let mut child = command.process_group(0).stdin(Stdio::piped()).stdout(Stdio::piped()).spawn()?;
         let pid = Pid::from_child(&child);
@@ -149,8 +149,7 @@ impl Watch {
             never_wait(input)?;
         }
         let mut watch = Self {
-            limit: errand.limit,
-            lease: errand.lease,
+            errand: errand.clone(),
             orders: Lines::default(),
             pid,
             ended: pidfd_open(pid, PidfdFlags::empty())?,
@@ -164,14 +163,10 @@ impl Watch {
         Ok(watch)
     }
 
-    fn deadline(&self) -> u64 {
-        self.lease.map_or(self.limit, |lease| lease.min(self.limit))
-    }
-
     /// Waits until the command is over, for whatever reason.
     fn wait(&mut self) -> Why {
         loop {
-            let [orders, ended, output] = match self.poll() {
+            let [orders, ended, timer, output] = match self.poll() {
                 Ok(ready) => ready,
                 // Nothing can be watched any more.
                 Err(_) => return Why::Stopped,
@@ -186,8 +181,12 @@ impl Watch {
             if ended {
                 return Why::Ended;
             }
-            if let Some(why) = why_over(self.limit, self.lease) {
+            if let Some(why) = why_over(self.errand.limit, self.errand.lease) {
                 return why;
+            }
+            if timer {
+                // The timer expired, but the deadline is ahead. Arming it again also clears the expiry, so that poll sleeps.
+                self.armed = None;
             }
             if self.note_deadline().is_err() {
                 return Why::Stopped;
@@ -195,8 +194,9 @@ impl Watch {
         }
     }
 
-    /// Sleeps until something happens. Returns whether there are orders, whether the command has ended, and whether it says something.
-    fn poll(&self) -> io::Result<[bool; 3]> {
+    /// Sleeps until something happens. Returns whether there are orders, whether the command has ended, whether the
+    /// timer has expired, and whether the command says something.
+    fn poll(&self) -> io::Result<[bool; 4]> {
         let stdin = io::stdin();
         let mut fds = vec![
             PollFd::new(&stdin, PollFlags::IN),
@@ -208,11 +208,11 @@ impl Watch {
         }
         match poll(&mut fds, None) {
             Ok(_) => {}
-            Err(Errno::INTR) => return Ok([false; 3]),
+            Err(Errno::INTR) => return Ok([false; 4]),
             Err(error) => return Err(error.into()),
         }
         let is_ready = |at: usize| fds.get(at).is_some_and(|fd| !fd.revents().is_empty());
-        Ok([is_ready(0), is_ready(1), is_ready(3)])
+        Ok([is_ready(0), is_ready(1), is_ready(2), is_ready(3)])
     }
 
     /// Takes in what the node says; `false` where it says nothing more.
@@ -226,17 +226,17 @@ impl Watch {
         }
         while let Some(line) = self.orders.next() {
             // A task that acted alone had no lease until its partner came back.
-            self.lease = read_lease(&line).max(self.lease);
+            self.errand.lease = read_lease(&line).max(self.errand.lease);
         }
         true
     }
 
     /// Sets the timer to the deadline, and tells it to the command.
     fn note_deadline(&mut self) -> io::Result<()> {
-        let deadline = self.deadline();
+        let deadline = self.errand.deadline();
         if self.armed != Some(deadline) {
             let zero = Timespec { tv_sec: 0, tv_nsec: 0 };
-            let it_value = clock::nanos_of(deadline).map_or(zero, clock::timespec);
+            let it_value = clock::boottime(deadline).unwrap_or(zero);
             let spec = Itimerspec { it_interval: zero, it_value };
             timerfd_settime(&self.timer, TimerfdTimerFlags::ABSTIME, &spec)?;
             self.armed = Some(deadline);

@@ -117,7 +117,7 @@ impl<'t> Replay<'t> {
         self
     }
 
-    /// When the first step was, in microseconds of the node's monotonic clock; `None` where no script has begun.
+    /// When the first step was, in microseconds of the node's clock (`CLOCK_BOOTTIME`); `None` where no script has begun.
     #[must_use]
     pub const fn base(&self) -> Option<u64> {
         self.base

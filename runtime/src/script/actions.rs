@@ -195,7 +195,7 @@ impl Stage {
     }
 
     /// The program of a script whose action is about to begin; `None` where it is cut short. The node may have been stopped since
-    /// the script began it: of a couple's task the end of its lease comes first (D155).
+    /// the script began it: of a couple's task the end of its lease comes first (D153).
     fn check(&self, node: &Node, begun: &Begun) -> Option<Arc<Program>> {
         let Begun { place, level, number, .. } = *begun;
         let member = &node.members.list[place];

@@ -8,15 +8,15 @@ use std::ffi::OsString;
 use std::io;
 use std::os::unix::process::CommandExt;
 use std::process::Stdio;
-use std::sync::Arc;
 use std::sync::atomic::{AtomicU64, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 /// How much longer than declared a command may take before it is killed, unless somebody says otherwise: programs start slowly on a busy
 /// machine.
 const MARGIN: Duration = Duration::from_secs(2);
-/// How long a stop waits for the guard to confirm the end of the command.
+/// How long a stop, and the next action of its task, wait for the guard to confirm the end of the command.
 const STOP_WITHIN: Duration = Duration::from_millis(250);
 /// After how many microseconds a lease is looked at again, at least and at most; in between after a quarter of what is left of it.
 const RENEW_EVERY: [u64; 2] = [2_000, 100_000];
@@ -63,6 +63,7 @@ pub struct Commands {
     cores: Option<String>,
     notices: Option<(Arc<Notices>, String)>,
     begun: AtomicU64,
+    stopping: Arc<Stopping>,
 }
 
 /// What hears of a command that went wrong: the action, and how.
@@ -121,6 +122,7 @@ impl Commands {
             cores: None,
             notices: None,
             begun: AtomicU64::new(0),
+            stopping: Arc::default(),
         }
     }
 
@@ -204,7 +206,7 @@ struct Told {
 
 impl Told {
     fn ended(&self) {
-        self.pipe.tell_at_last(&Notice::Ended { key: self.key.clone(), at: clock::next() });
+        self.pipe.tell_at_last(&Notice::ended(&self.key));
     }
 
     fn lost(&self) {
@@ -214,6 +216,8 @@ impl Told {
 
 impl Actions for Commands {
     fn begin(&self, act: &Act<'_>, ending: Ending) -> Option<Stop> {
+        // The stop may have waited less, and two commands of a task must not move the robot at the same time.
+        self.stopping.wait(act.task);
         let words = self.commands.get(act.name).filter(|words| !words.is_empty());
         let Some(words) = words else { return self.others.begin(act, ending) };
         let (running, told) = match self.start(act, words) {
@@ -240,7 +244,53 @@ impl Actions for Commands {
         if watching.is_err() {
             running.let_go();
         }
-        Some(Box::new(move || running.stop(STOP_WITHIN)))
+        let (stopping, task) = (Arc::clone(&self.stopping), act.task.to_owned());
+        Some(Box::new(move || stopping.stop(task, running)))
+    }
+}
+
+/// Commands that were told to stop and may not have ended yet.
+#[derive(Default)]
+struct Stopping(Mutex<Vec<Stopped>>);
+
+struct Stopped {
+    task: String,
+    running: Arc<Running>,
+    /// How long its end is waited for.
+    until: Instant,
+}
+
+impl Stopping {
+    /// Tells a command to stop, and waits until it has ended. The thread that calls this has other work, and may have many
+    /// commands to stop: all that do not end at once share the deadline of the first.
+    fn stop(&self, task: String, running: Arc<Running>) {
+        running.let_go();
+        let now = Instant::now();
+        let own = now + STOP_WITHIN;
+        let shared = {
+            let mut all = self.lock();
+            all.retain(|other| now < other.until + STOP_WITHIN && !other.running.wait(Duration::ZERO));
+            all.push(Stopped { task, running: Arc::clone(&running), until: own });
+            all.iter().map(|stopped| stopped.until).min().unwrap_or(own)
+        };
+        running.wait(shared.saturating_duration_since(now));
+    }
+
+    /// Waits until the stopped commands of a task have ended, each at most [`STOP_WITHIN`] from its own stop on.
+    fn wait(&self, task: &str) {
+        // They stay in the list meanwhile: another thread may have to wait for them, too.
+        let all: Vec<_> = {
+            let all = self.lock();
+            let own = all.iter().filter(|stopped| stopped.task == task);
+            own.map(|stopped| (Arc::clone(&stopped.running), stopped.until)).collect()
+        };
+        for (running, until) in all {
+            running.wait(until.saturating_duration_since(Instant::now()));
+        }
+    }
+
+    fn lock(&self) -> MutexGuard<'_, Vec<Stopped>> {
+        self.0.lock().unwrap_or_else(PoisonError::into_inner)
     }
 }
 
@@ -261,7 +311,7 @@ impl Watcher {
         if outcome.is_none() {
             self.told.iter().for_each(Told::lost);
         }
-        self.running.is_over();
+        self.running.set_over();
         if let Some(error) = self.error(outcome) {
             (self.tell)(&self.action, &error);
         }

@@ -241,7 +241,7 @@ impl Side {
 }
 
 /// The time of a step: that of the thread's turn at the script. A task of a couple looks at the clock each time, because the
-/// thread may have been stopped since its turn began (D155).
+/// thread may have been stopped since its turn began (D153).
 fn time(comm: &Comm, effects: &mut Effects) -> Micros {
     if comm.is_coupled() { clock::next() } else { effects.time_of_turn() }
 }

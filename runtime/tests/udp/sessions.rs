@@ -106,8 +106,10 @@ fn a_datagram_without_a_packet_of_this_cell_changes_nothing() {
 
 #[test]
 fn a_node_that_lost_its_state_is_heard_after_one_exchange() {
-    let (b, at_b) = (link(B), Memory::default());
+    let b = link(B);
     for (before, after) in [(200, 0), (5, 5), (130, 2), (7, 8)] {
+        // What an earlier turn heard says nothing here.
+        let at_b = Memory::default();
         let a = life(A, before, true);
         let (a, b) = (a, &b);
         a.set_address(B, Some(b.local_address())).unwrap();

@@ -75,7 +75,7 @@ fn after_its_last_words_nothing_is_known_of_a_killed_node_until_it_is_dead() {
     judge.told(NodeId(1), 300);
     judge.killed(NodeId(1), 400);
     judge.gone(NodeId(1));
-    // Dead it has the variables of a new life: from then on b.y does not come any more.
+    // Dead it has the variables of a new incarnation: from then on b.y does not come any more.
     assert_eq!(broken(&mut judge), [(1, 400 + 5_000 + 1_000 + READING)]);
 }
 
@@ -116,6 +116,132 @@ fn a_killed_node_is_not_dead_before_the_end_of_its_command_is_confirmed() {
     // One that the node told of just before its death, and one that ended in time.
     assert_eq!(after_a_kill(&[began("b", 410)])["outcome"], "unknown");
     assert_eq!(after_a_kill(&[began("b", 200), ended("b", 350)])["outcome"], "held");
+}
+
+/// The check at this position after a run.
+fn settled(judge: &mut Judge<'_>, check: usize) -> serde_json::Value {
+    judge.settle();
+    serde_json::to_value(judge.settlement(0)).expect("JSON")[check].clone()
+}
+
+fn is_unknown(told: &serde_json::Value, seconds: f64, why: &str) {
+    assert_eq!(told["outcome"], "unknown", "{told}");
+    assert_eq!(
+        (&told["unvouched"]["seconds"], &told["unvouched"]["why"]),
+        (&seconds.into(), &why.into()),
+        "{told}"
+    );
+}
+
+const MEETING: &str = "cell c; tick 1 msec; node n; node m; link n -- m delay 1 msec;
+task a on n port meet() usage = waitfor user_list = {b} time_out = 50 msec class = 2; var x: bool;
+begin loop run w takes 5 msec; x := true; waitfor meet() on time_out do skip; end; end; end a;
+task b on m use_port meet() usage = waitfor time_out = 50 msec; var y: bool;
+begin loop run w takes 5 msec; y := true; waitfor meet() on time_out do skip; end; end; end b;
+check met: never a.x and meet.arrived(b);
+check apart: never a.x and b.y;
+check meets: a.x leads meet.arrived(b) within 5 msec;";
+
+#[test]
+fn a_check_that_asks_where_a_dead_task_had_arrived_is_unknown_and_its_other_values_are_known() {
+    let loaded =
+        load(&Source { name: "c.cell".into(), text: MEETING.into(), paper: false }).expect("a sound cell");
+    let change = |at, task: usize, flag: i64| {
+        let value = |ask: &Ask| if matches!(ask, Ask::Arrived(_)) { -1 } else { flag };
+        Change { at, task: TaskId::from_index(task), values: asks(&loaded)[task].iter().map(value).collect() }
+    };
+    // As long as `a.x` is false `met` holds wherever b is.
+    for (x_at, outcome) in [(600, "unknown"), (6_000, "held")] {
+        let mut judge = Judge::new(&loaded, &[NodeId(0), NodeId(1)]);
+        for change in [change(1, 0, 0), change(1, 1, 0), change(200, 1, 1), change(x_at, 0, 1)] {
+            judge.change(change);
+        }
+        judge.told(NodeId(0), 10_000);
+        judge.told(NodeId(1), 300);
+        judge.killed(NodeId(1), 400);
+        judge.gone(NodeId(1));
+        judge.over(5_000);
+        let met = settled(&mut judge, 0);
+        assert_eq!(met["outcome"], outcome, "{met}");
+        // A dead task has the variables of a new incarnation.
+        assert_eq!(settled(&mut judge, 1)["outcome"], "held");
+        if outcome == "unknown" {
+            let why = "node `m` was dead, and a value depended on it";
+            is_unknown(&met, 0.0044, why);
+            is_unknown(&settled(&mut judge, 2), 0.0044, why);
+        }
+    }
+}
+
+#[test]
+fn a_node_that_could_not_tell_everything_answers_for_its_commands_and_is_known_from_its_next_change() {
+    let loaded = loaded();
+    let mut judge = judge(&loaded, &[(100, 0, 1), (500, 1, 0), (900, 1, 0)]);
+    judge.untold(NodeId(1), 300);
+    judge.notice(began("b", 90));
+    judge.notice(Notice::Began { key: "next".into(), task: "b".into(), at: 600 });
+    judge.all_told();
+    judge.over(2_000);
+    is_unknown(&settled(&mut judge, 0), 0.0002, "node `m` could not tell everything");
+    assert!(judge.is_missing());
+}
+
+#[test]
+fn dropped_changes_leave_a_check_unknown_and_what_happened_to_nodes_and_commands_is_kept() {
+    let loaded = loaded();
+    // Node `n` tells nothing, so that all changes of `b` wait.
+    let mut judge = judge(&loaded, &[]);
+    judge.notice(began("b", 20));
+    judge.notice(Notice::Lost { key: "b".into(), at: 50 });
+    for at in 0..WAITING as u64 {
+        judge.change(Change { at: 100 + at, task: TaskId(1), values: vec![0] });
+    }
+    let kept = judge.changes.values().filter(|event| matches!(event, Event::Command(..))).count();
+    assert_eq!((kept, judge.is_missing()), (2, true));
+    judge.change(Change { at: 400, task: TaskId(0), values: vec![0] });
+    judge.change(Change { at: 500, task: TaskId(0), values: vec![1] });
+    judge.all_told();
+    judge.over(1_000);
+    is_unknown(&settled(&mut judge, 0), 0.0005, "the command of `b` was not confirmed to have ended");
+}
+
+#[test]
+fn a_check_whose_changes_were_dropped_never_held() {
+    let loaded = loaded();
+    let mut judge = judge(&loaded, &[]);
+    for at in 0..WAITING as u64 {
+        judge.change(Change { at: 100 + at, task: TaskId(1), values: vec![0] });
+    }
+    judge.change(Change { at: 400, task: TaskId(0), values: vec![0] });
+    judge.all_told();
+    judge.over(1_000);
+    is_unknown(&settled(&mut judge, 0), 0.0, "changes came faster than they could be judged");
+    let said: Vec<String> = judge.settlement(0).unjudged().collect();
+    assert!(said[0].ends_with(" is unknown: changes came faster than they could be judged"), "{said:?}");
+}
+
+const ACTIVE: &str = "cell c; tick 1 msec; node n; node m; link n -- m delay 1 msec;
+task a on n begin run w takes 5 msec; end a;
+task b on m begin run w takes 5 msec; end b;
+check alone: never a.active and b.active;";
+
+#[test]
+fn a_task_that_may_no_longer_act_does_not_answer_for_its_command() {
+    let loaded =
+        load(&Source { name: "c.cell".into(), text: ACTIVE.into(), paper: false }).expect("a sound cell");
+    // b is no longer active from 300 on, and a is from 400 on.
+    for (end, seconds) in [(400, None), (700, Some(0.0003))] {
+        let mut judge = judge(&loaded, &[(50, 1, 1), (300, 1, 0), (400, 0, 1)]);
+        judge.notice(began("b", 100));
+        judge.notice(ended("b", end));
+        judge.all_told();
+        judge.over(1_000);
+        let told = settled(&mut judge, 0);
+        match seconds {
+            None => assert_eq!(told["outcome"], "held", "{told}"),
+            Some(seconds) => is_unknown(&told, seconds, "the command of `b` was not confirmed to have ended"),
+        }
+    }
 }
 
 #[test]

@@ -82,8 +82,9 @@ impl UdpLink {
             }
             self.poll(&Deaf(self), Some(ask_at.min(end)));
         }
-        // The node hears of its neighbours anew, once it runs.
+        // The node hears of its neighbours anew, once it runs, and greets all of them with the incarnation that it counts.
         sync::lock(&self.receiving).known.fill_with(|| None);
+        self.peers.iter().for_each(|peer| peer.met.store(false, Ordering::Relaxed));
         let said = self.peers.iter().filter_map(|peer| Some((peer.node, (*lock(&peer.remembers))?)));
         said.collect()
     }

@@ -261,7 +261,7 @@ impl UdpLink {
         Some((index, &self.peers[index]))
     }
 
-    /// This node's clock at an instant, rounded down. It goes on while the machine is suspended (D155).
+    /// This node's clock at an instant, rounded down. It goes on while the machine is suspended (D153).
     fn micros(&self, at: Instant) -> u64 {
         let since = u64::try_from(at.saturating_duration_since(self.origin).as_micros()).unwrap_or(u64::MAX);
         since.saturating_add(clock::suspended().saturating_sub(self.suspended))

@@ -80,17 +80,17 @@ impl UdpLink {
     /// How long a datagram waited in the kernel.
     fn waited(&self, received: &Received<'_>, now: &Reading, empty: &Reading) -> Ticks {
         let residency = residency(now, received.stamp, empty);
-        match residency.by {
-            Evidence::Stamp => {}
-            Evidence::NoStamp => self.statistics.add(UdpCount::NoStamp, 1),
-            Evidence::ClockSet => {
-                self.statistics.add(UdpCount::ClockSet, 1);
-                // The wall clock goes on while the machine is suspended, and the monotonic one does not.
-                let slept = clock::look_for_suspend().saturating_sub(empty.suspended);
-                return Ticks(clock::micros(residency.waited).saturating_add(slept));
-            }
-        }
-        Ticks(clock::micros(residency.waited))
+        let waited = clock::micros(residency.waited);
+        let count = match residency.by {
+            // The wall clock goes on while the machine is suspended, so the stamp has that time in it.
+            Evidence::Stamp => return Ticks(waited),
+            Evidence::NoStamp => UdpCount::NoStamp,
+            Evidence::ClockSet => UdpCount::ClockSet,
+        };
+        self.statistics.add(count, 1);
+        // The whole time since the socket was empty is charged. `Instant` stands still while the machine is suspended.
+        let slept = clock::look_for_suspend().saturating_sub(empty.suspended);
+        Ticks(waited.saturating_add(slept))
     }
 }
 
