@@ -417,7 +417,7 @@ pub fn text(store: &Store, only: Option<&str>, now: Moment) -> String {
             let place: Vec<_> = [place.node, place.task, place.port].into_iter().flatten().collect();
             let place = crate::name::shown(&place.join("."));
             let level = if finding.level == Level::Bad { "CRITICAL" } else { "warning" };
-            let text = shown_line(&finding.text.to_string());
+            let text = shown_line(finding.text.as_ref());
             let _ = writeln!(out, "  {level} {place}: {text} [{}]", finding.code);
         }
     }

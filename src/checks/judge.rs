@@ -369,7 +369,7 @@ impl<'a> Judge<'a> {
             }
             Event::Back(node) => self.vouched.back(node),
             Event::Command(key, fate) => {
-                self.vouched.command(key, fate, |task| table.location(task));
+                self.vouched.command(key, &fate, |task| table.location(task));
             }
         }
     }

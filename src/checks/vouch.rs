@@ -55,8 +55,8 @@ impl Vouched {
     }
 
     /// Something happened to a command; `node` says on which node a task is.
-    pub fn command(&mut self, key: String, fate: Fate, node: impl Fn(TaskId) -> Option<NodeId>) {
-        match fate {
+    pub fn command(&mut self, key: String, fate: &Fate, node: impl Fn(TaskId) -> Option<NodeId>) {
+        match *fate {
             Fate::Began(task) if node(task).is_some_and(|node| self.is_down(node)) => {
                 self.orphans.insert(key, task);
             }

@@ -63,7 +63,7 @@ impl Launcher<'_> {
                 let (so_far, of) = (now.as_secs(), of.unwrap_or_default());
                 let met = self.gatherer.released();
                 let met = met.map(|met| format!(": {met} rounds")).unwrap_or_default();
-                out.progress(Some(format!("{so_far} s{of}{met}")));
+                out.progress(Some(&format!("{so_far} s{of}{met}")));
                 progress_at = Instant::now() + PROGRESS_EVERY;
             }
             let next_fault = self.faults.first().map_or(length, |(at, _)| *at);

@@ -130,10 +130,10 @@ impl Output {
     }
 
     /// Changes the progress line, or takes it away.
-    pub fn progress(&self, text: Option<String>) {
+    pub fn progress(&self, text: Option<&str>) {
         for printer in self.printer().into_iter().chain(ERRORS.get()) {
-            match &text {
-                Some(text) => printer.progress(text.clone()),
+            match text {
+                Some(text) => printer.progress(text.to_owned()),
                 None => printer.clear(),
             }
         }

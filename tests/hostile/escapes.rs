@@ -95,7 +95,7 @@ fn texts_of_the_recording_of_a_node_reach_no_terminal() {
     assert!(matches!(run_in(folder.path(), &run).code, Some(0 | 1)));
     let mut tape = Tape::read(&at("run.nl.imrs"));
     let forged = format!("{HOSTILE}\nFORGED: every output the same");
-    (tape.header.build, tape.header.cell) = (forged.clone(), forged.clone());
+    (tape.header.build, tape.header.cell) = (forged.clone(), forged);
     let (hostile, other) = (at("hostile.imrs"), at("other.imrs"));
     tape.write(&hostile);
     tape.header.digest ^= 1;

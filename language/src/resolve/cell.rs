@@ -75,11 +75,11 @@ impl<'a> Resolver<'a> {
 
     /// Of such a cell nothing else is said: every way between two nodes would have to be found for it.
     pub(super) fn has_too_many_nodes(&mut self, file: &'a ast::File) -> bool {
-        let nodes = file.items.iter().filter_map(|item| match item {
+        let mut nodes = file.items.iter().filter_map(|item| match item {
             Item::Node(node) => Some(node),
             _ => None,
         });
-        let first = nodes.skip(MAX_NODES).next();
+        let first = nodes.nth(MAX_NODES);
         if let Some(node) = first {
             self.report(
                 Diagnostic::error(TOO_MANY, node.name.span, format!("more than {MAX_NODES} nodes"))

@@ -166,11 +166,8 @@ impl Watch {
     /// Waits until the command is over, for whatever reason.
     fn wait(&mut self) -> Why {
         loop {
-            let [orders, ended, timer, output] = match self.poll() {
-                Ok(ready) => ready,
-                // Nothing can be watched any more.
-                Err(_) => return Why::Stopped,
-            };
+            // Otherwise nothing can be watched any more.
+            let Ok([orders, ended, timer, output]) = self.poll() else { return Why::Stopped };
             // First: a renewal that is there counts.
             if orders && !self.hear() {
                 return Why::Stopped;

@@ -245,7 +245,7 @@ impl Actions for Commands {
             running.let_go();
         }
         let (stopping, task) = (Arc::clone(&self.stopping), act.task.to_owned());
-        Some(Box::new(move || stopping.stop(task, running)))
+        Some(Box::new(move || stopping.stop(task, &running)))
     }
 }
 
@@ -263,14 +263,14 @@ struct Stopped {
 impl Stopping {
     /// Tells a command to stop, and waits until it has ended. The thread that calls this has other work, and may have many
     /// commands to stop: all that do not end at once share the deadline of the first.
-    fn stop(&self, task: String, running: Arc<Running>) {
+    fn stop(&self, task: String, running: &Arc<Running>) {
         running.let_go();
         let now = Instant::now();
         let own = now + STOP_WITHIN;
         let shared = {
             let mut all = self.lock();
             all.retain(|other| now < other.until + STOP_WITHIN && !other.running.wait(Duration::ZERO));
-            all.push(Stopped { task, running: Arc::clone(&running), until: own });
+            all.push(Stopped { task, running: Arc::clone(running), until: own });
             all.iter().map(|stopped| stopped.until).min().unwrap_or(own)
         };
         running.wait(shared.saturating_duration_since(now));
