@@ -162,7 +162,7 @@ fn steps_of_two_epochs_never_overlap() {
             let (path, order) = (&path, &order);
             scope.spawn(move || {
                 let Ok(mut permit) = Gate::open(path).unwrap().admit(epoch, Deadline::none()) else { return };
-                let mut step = || {
+                let step = || {
                     let begin = |what| order.lock().unwrap().push((epoch, what));
                     begin("begins");
                     thread::yield_now();
