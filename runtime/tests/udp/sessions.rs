@@ -106,10 +106,9 @@ fn a_datagram_without_a_packet_of_this_cell_changes_nothing() {
 
 #[test]
 fn a_node_that_lost_its_state_is_heard_after_one_exchange() {
-    let b = link(B);
     for (before, after) in [(200, 0), (5, 5), (130, 2), (7, 8)] {
-        // What an earlier turn heard says nothing here.
-        let at_b = Memory::default();
+        // Another neighbour in each turn: what one heard before says nothing, and it asks only so often in a while.
+        let (b, at_b) = (link(B), Memory::default());
         let a = life(A, before, true);
         let (a, b) = (a, &b);
         a.set_address(B, Some(b.local_address())).unwrap();
@@ -122,8 +121,8 @@ fn a_node_that_lost_its_state_is_heard_after_one_exchange() {
         let lost = lost_until_heard(&again, b, &at_b, 200);
         assert_eq!(lost, 1, "{after} after {before}: the first one asks, the next one is heard");
         assert_eq!(at_b.peers.lock().unwrap().last(), Some(&(A, Incarnation(after), true)));
+        assert!(b.count(UdpCount::EchoesAsked) >= 1);
     }
-    assert!(b.count(UdpCount::EchoesAsked) >= 4);
 }
 
 #[test]
