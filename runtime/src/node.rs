@@ -172,15 +172,20 @@ impl Node {
         // A step is stamped and told under the lock of its task: one that was stamped before is over after this.
         for member in &self.members.list {
             if self.look(member, |comm| comm.is_overdue(now)) {
-                let mut effects = Effects::of_an_onlooker();
-                let end = |comm: &mut Comm, effects: &mut Effects| {
-                    comm.with_seat(|seat, comm| seat.catch_up(comm, effects));
-                };
-                member.handoff.visit(end, &mut effects);
-                self.carry_out(&mut effects);
+                self.catch_up(member);
             }
         }
         now
+    }
+
+    /// Lets the script of a task notice now what is over, first of all its lease.
+    pub(crate) fn catch_up(&self, member: &Member) {
+        let mut effects = Effects::of_an_onlooker();
+        let catch_up = |comm: &mut Comm, effects: &mut Effects| {
+            comm.with_seat(|seat, comm| seat.catch_up(comm, effects));
+        };
+        member.handoff.visit(catch_up, &mut effects);
+        self.carry_out(&mut effects);
     }
 
     /// A request of a task, from its own thread, and those that [`More`] says; then whatever that brings about.

@@ -201,12 +201,7 @@ impl Stage {
         let member = &node.members.list[place];
         let (program, coupled) = node.look(member, |comm| (comm.program(), comm.is_coupled()));
         if coupled {
-            let mut effects = Effects::of_an_onlooker();
-            let catch_up = |comm: &mut Comm, effects: &mut Effects| {
-                comm.with_seat(|seat, comm| seat.catch_up(comm, effects));
-            };
-            member.handoff.visit(catch_up, &mut effects);
-            node.carry_out(&mut effects);
+            node.catch_up(member);
             if lock(&self.running).entry((place, level)).or_default().over > number {
                 return None;
             }
