@@ -1,6 +1,7 @@
 //! The checker against the cell as it runs, at random: see [`compare_with_walks`].
 
 mod cells;
+mod crowd;
 mod statements;
 
 use crate::cells::{Text, within};
@@ -115,12 +116,23 @@ fn shrink(mut tape: Vec<u8>, seed: u64) -> Vec<u8> {
     tape
 }
 
+/// One crowd for so many cells.
+const CELLS_FOR_A_CROWD: u64 = 5;
+
 /// 20,000 in `.ci/long`; `IMRS_SEED` begins elsewhere.
 #[test]
 fn random_cells_run_as_they_are_searched() {
     let (cells, first) = (number("IMRS_CELLS", 300), number("IMRS_SEED", 1));
-    let (mut all, mut meets, mut sound) = (Agreement::default(), 0, 0);
+    let (mut all, mut meets, mut sound, mut crowded) = (Agreement::default(), 0, 0, 0);
     for seed in first..first + cells {
+        if seed.is_multiple_of(CELLS_FOR_A_CROWD) {
+            let text = crowd::cell(&tape(seed));
+            assert!(is_sound(&text), "{text}");
+            match walk(&text, seed) {
+                Ok(one) => crowded += one.steps,
+                Err(how) => panic!("IMRS_SEED={seed} IMRS_CELLS=1 differs:\n{text}\n{how}"),
+            }
+        }
         let text = cells::cell(&tape(seed));
         if !is_sound(&text) {
             continue;
@@ -145,11 +157,16 @@ fn random_cells_run_as_they_are_searched() {
         }
     }
     println!(
-        "Done {cells} runs in all: cells from seed {first}, {sound} of them sound, {meets} with a waitfor and a fault; {all:?}"
+        "Done {cells} runs in all: cells from seed {first}, {sound} of them sound, {meets} with a waitfor and a fault; {all:?}; {crowded} steps of crowds"
     );
     assert!(sound * 10 >= cells * 9, "{sound} of {cells} are cells");
     assert!(all.complete * 10 >= all.searches * 8, "{all:?}");
     assert!(meets * 10 >= sound * 3, "{meets} of {sound}");
+}
+
+/// A search of one state says nothing: a crowd is walked only.
+fn walk(crowd: &str, seed: u64) -> Result<Agreement, Disagreement> {
+    compare(crowd, seed, 1, Effort { walks: 2, length: 300, times: Times::Ends })
 }
 
 /// The words of the language, as its grammar lists them: a test keeps that list.
