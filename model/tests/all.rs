@@ -14,6 +14,7 @@ mod guard;
 mod parts;
 mod pauses;
 mod reductions;
+mod rules;
 mod simulate;
 mod standstill;
 mod support;

@@ -85,7 +85,7 @@ fn faulty() -> Vec<Faulty> {
 }
 
 /// What a line `(* NAME: .. *)` says.
-fn comment<'a>(line: &'a str, name: &str) -> Option<&'a str> {
+pub fn comment<'a>(line: &'a str, name: &str) -> Option<&'a str> {
     Some(line.strip_prefix("(* ")?.strip_prefix(name)?.strip_prefix(": ")?.strip_suffix("*)")?.trim())
 }
 
@@ -103,7 +103,7 @@ pub fn right(text: &str) -> Option<String> {
 }
 
 /// Findings and warnings.
-fn all(verdicts: &Verdicts) -> impl Iterator<Item = &Finding> {
+pub fn all(verdicts: &Verdicts) -> impl Iterator<Item = &Finding> {
     verdicts.findings.iter().chain(&verdicts.warnings)
 }
 
@@ -131,7 +131,7 @@ fn states_again() -> u64 {
 }
 
 /// A finding as the files say it, its cause only where the file has one, too.
-fn told(cell: &Text, finding: &Finding, finds: &str) -> String {
+pub fn told(cell: &Text, finding: &Finding, finds: &str) -> String {
     let place = cell.place(finding).map_or_else(String::new, |(line, column)| format!(" {line}:{column}"));
     let short = format!("\"{}\"{place}", finding.kind.name());
     if finds.contains(&format!("{short} \"")) { format!("{short} \"{}\"", finding.cause) } else { short }

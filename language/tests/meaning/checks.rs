@@ -31,14 +31,15 @@ fn the_examples_have_only_notes() {
     check(WELD, &["N201 `15 msec`"]);
 }
 
-/// Each file of `examples/faulty` says in its first line what is found in it: `(* finds: E104 9:45 *)`. What a file
+/// Each file of `examples/faulty` and `examples/rules` says in its first line what is found in it: `(* finds: E104 9:45 *)`. What a file
 /// without such a line shows is found by the model checker.
 #[test]
 fn faulty_cells_are_found_out_where_they_say() {
-    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples/faulty");
+    let examples = Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples");
+    let files = |folder| std::fs::read_dir(examples.join(folder)).expect("a folder of cells").flatten();
     let mut codes = Vec::new();
     let mut surprising = Vec::new();
-    for entry in std::fs::read_dir(folder).expect("the folder of faulty cells").flatten() {
+    for entry in files("faulty").chain(files("rules")) {
         let text = std::fs::read_to_string(entry.path()).expect("a cell file");
         let first = text.lines().next().unwrap_or_default();
         let Some(said) = first.strip_prefix("(* finds: ").and_then(|rest| rest.strip_suffix(" *)")) else {

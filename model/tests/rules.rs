@@ -1,0 +1,28 @@
+//! The cells of `examples/rules`: each states one rule of the system by its assertions and checks, and they hold.
+//!
+//! A rule about what goes wrong without a fault is found to do so: `(* verify finds: .. *)` says where, as in `examples/faulty`.
+
+use crate::cells::{Text, within};
+use crate::faulty_cells::{all, comment, told};
+use std::path::Path;
+
+#[test]
+fn each_rule_holds() {
+    let folder = Path::new(env!("CARGO_MANIFEST_DIR")).join("../examples/rules");
+    let mut rules = 0;
+    for entry in std::fs::read_dir(folder).expect("the rules").flatten() {
+        let text = std::fs::read_to_string(entry.path()).expect("a cell file");
+        let name = entry.file_name().to_string_lossy().into_owned();
+        assert!(text.contains("assert "), "{name} says nothing");
+        let finds = text.lines().take(2).find_map(|line| comment(line, "verify finds")).unwrap_or_default();
+        let mut cell = Text::new(&text);
+        cell.plan.budget = within(20_000);
+        let verdicts = cell.check();
+        assert!(verdicts.is_complete(), "{name}: {:?}", verdicts.phases);
+        // A statement that is never reached is a finding, too: each assertion says something.
+        let found: Vec<String> = all(&verdicts).map(|finding| told(&cell, finding, finds)).collect();
+        assert_eq!(found.join(", "), finds, "{name}");
+        rules += 1;
+    }
+    assert!(rules >= 13, "{rules} rules");
+}
