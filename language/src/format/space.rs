@@ -46,7 +46,7 @@ impl Spacing {
             (What::Sign(Kind::Minus), What::Sign(Kind::Minus)) => false,
             (What::Sign(Kind::Minus), _) if self.is_unary => true,
             (What::Operand, What::Sign(Kind::ParenOpen)) => true,
-            (What::Word(Word::Reply | Word::Response), What::Sign(Kind::ParenOpen)) => true,
+            (What::Word(Word::Reply | Word::Response | Word::Trunc), What::Sign(Kind::ParenOpen)) => true,
             (_, What::Sign(Kind::BracketOpen)) => true,
             (_, What::Sign(Kind::Slash)) => self.rate == 3,
             (What::Sign(Kind::Slash), _) => self.rate == 4,

@@ -29,13 +29,16 @@ fn spellings_and_spaces_are_settled() {
                 bounded_buffer [ 3 ] ;\r\nBEGIN\nRate:=- 1-( - - 2)+NOT.x [";
     // It cannot be read.
     assert!(format(&source(text)).is_err());
-    let text = text
-        .replace("+NOT.x [", ";\nIF a THEN\nrun x TAKES 1 .. 2 sec\nON failed DO\nskip;\nEND;\nEND;\nEND t;");
+    let text = text.replace(
+        "+NOT.x [",
+        ";\nRate:=TRUNC ( 2.5 );\nIF a THEN\nrun x TAKES 1 .. 2 sec\nON failed DO\nskip;\nEND;\nEND;\nEND t;",
+    );
     let expected = "cell c; task t on n
 
   port Rate(a: int8, b) usage = send user_list = {a, b, c} rate = 1/2 sec bounded_buffer[3];
 begin
   Rate := -1 - (- -2);
+  Rate := trunc(2.5);
   if a then
     run x takes 1..2 sec
       on failed do
