@@ -68,13 +68,20 @@ impl Trials {
     pub fn counts(&self) -> String {
         format!(
             "{} trials, two owners for {} us at most; the standby acted in {}, the owner was in the middle of an action in {}, \
-             the guard stood still in {}",
+             the guard stood still in {}; processes stood still for {} to {} ms",
             self.0.len(),
             self.two_owners(),
             self.count(|trial| trial.took_over.is_some()),
             self.count(|trial| trial.mid_action),
             self.count(|trial| trial.guard_held),
+            millis(self.held().min()),
+            millis(self.held().max()),
         )
+    }
+
+    /// How long something stood still, in each trial in which something did.
+    fn held(&self) -> impl Iterator<Item = u64> {
+        self.0.iter().map(|trial| trial.held).filter(|&held| held > 0)
     }
 
     /// How long the take-over took, in words.
@@ -107,10 +114,11 @@ impl Trials {
     /// Comparisons in words.
     pub fn compared(&self) -> String {
         let seen = self.count(|trial| trial.two_owners > 0);
+        let guarded = self.count(|trial| !trial.guard_held);
+        let seen_guarded = self.count(|trial| trial.two_owners > 0 && !trial.guard_held);
         let (all, longest) = (self.0.len(), millis(Some(self.two_owners())));
-        let guarded = self.count(|trial| trial.two_owners > 0 && !trial.guard_held);
         format!(
-            "without gate and deadline two owners in {seen} of {all}, for {longest} ms at most ({guarded} of them with a guard that went on)"
+            "without gate and deadline two owners in {seen} of {all}, for {longest} ms at most (in {seen_guarded} of {guarded} whose guard went on)"
         )
     }
 }

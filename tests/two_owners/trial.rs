@@ -9,7 +9,7 @@ use std::path::Path;
 use std::thread;
 use std::time::{Duration, Instant};
 
-/// Two welders that share a tool. Nothing is late on a machine that is only busy.
+/// Two welders that share a tool. The lease is long, so that a busy machine seldom ends it before the fault.
 const CELL: &str = "\
 cell two_owners;
 tick 1 msec;
@@ -27,7 +27,7 @@ begin
 takeover
   loop run weld_standby takes 0 msec .. 60 sec; end;
 end r2;
-couple work r1 -> r2 lease 300 msec takeover 1000 msec every 30 msec via alive;
+couple work r1 -> r2 lease 700 msec takeover 1000 msec every 30 msec via alive;
 check one_active: never r1.active and r2.active;
 ";
 pub const TAKEOVER: Duration = Duration::from_secs(1);
@@ -99,6 +99,8 @@ pub struct Trial {
     pub mid_action: bool,
     /// The guard of a running command stood still.
     pub guard_held: bool,
+    /// For how long something stood still; 0 where nothing did.
+    pub held: u64,
     /// From the fault until the standby acted.
     pub took_over: Option<u64>,
     /// The standby acted only after a command went on that was held.
@@ -165,6 +167,7 @@ pub fn trial(plan: &Plan) -> Trial {
         two_owners: two_owners(&log),
         mid_action: before.is_some_and(|line| line.acts),
         guard_held,
+        held: if plan.fault.holds() { held } else { 0 },
         took_over: view.took_over(),
         waited: plan.fault.tool == Fate::Held && view.took_over().is_some_and(|after| after > held),
         went_on: (guard_held && plan.fault.lets_the_command_go_on())
