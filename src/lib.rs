@@ -14,6 +14,7 @@ mod explain;
 mod export;
 mod fmt;
 mod graph;
+mod kept;
 mod launch;
 mod monitor;
 mod output;
