@@ -118,7 +118,7 @@ impl Trials {
         let seen_guarded = self.count(|trial| trial.two_owners > 0 && !trial.guard_held);
         let (all, longest) = (self.0.len(), millis(Some(self.two_owners())));
         format!(
-            "without gate and deadline two owners in {seen} of {all}, for {longest} ms at most (in {seen_guarded} of {guarded} whose guard went on)"
+            "without gate and deadline two owners in {seen} of {all}, for {longest} ms at most (in {seen_guarded} of {guarded} whose guard did not stand still)"
         )
     }
 }

@@ -105,7 +105,7 @@ pub struct Trial {
     pub took_over: Option<u64>,
     /// The standby acted only after a command went on that was held.
     pub waited: bool,
-    /// From the fault until the last step of the owner's command, where nobody could kill it.
+    /// From the fault until the last step of the owner's command while nobody could kill it.
     pub went_on: Option<u64>,
     /// What the summary says of the check that only one task is active.
     pub check: String,
@@ -170,8 +170,11 @@ pub fn trial(plan: &Plan) -> Trial {
         held: if plan.fault.holds() { held } else { 0 },
         took_over: view.took_over(),
         waited: plan.fault.tool == Fate::Held && view.took_over().is_some_and(|after| after > held),
-        went_on: (guard_held && plan.fault.lets_the_command_go_on())
-            .then(|| view.after(true).last().map_or(0, |last| last.saturating_sub(struck_by))),
+        went_on: (guard_held && plan.fault.lets_the_command_go_on()).then(|| {
+            // Afterwards its task may have the lease as before.
+            let meanwhile = view.after(true).into_iter().filter(|&at| at <= view.at + held);
+            meanwhile.last().map_or(0, |last| last.saturating_sub(struck_by))
+        }),
         check: summary["checks"][0]["outcome"].as_str().expect("an outcome").to_owned(),
     }
 }
