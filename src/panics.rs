@@ -3,6 +3,7 @@
 //! The checker catches panics of the machine and reports them as findings, and the runtime reports a task that panics as crashed. While a
 //! finding is shrunk, the same line may panic in thousands of runs.
 
+use crate::output::harmless;
 use std::collections::BTreeMap;
 use std::io::{self, Write};
 use std::panic::PanicHookInfo;
@@ -31,7 +32,9 @@ pub fn report() -> Arc<Panics> {
             // At 2, 4, 8: thousands of them must not fill the screen.
             times if times.is_power_of_two() => {
                 // Where standard error has gone there is nobody to tell.
-                let _ = io::stderr().write_all(format!("imrs: {}\n", again(&place, times)).as_bytes());
+                let message = panic.payload_as_str().unwrap_or("no message");
+                let line = format!("imrs: {}, this time with: {message}\n", again(&place, times));
+                let _ = io::stderr().write_all(harmless(&line).as_bytes());
             }
             _ => {}
         }
@@ -114,10 +117,11 @@ mod tests {
         let said = program.env("IMRS_PANICS", "1").output().expect("it runs");
         let said = String::from_utf8_lossy(&said.stderr);
         let all = |word: &str| said.matches(word).count();
-        assert_eq!((all("no part"), all("thread 'dress'")), (2, 1), "{said}");
+        assert_eq!((all("no part"), all("thread 'dress'")), (4, 1), "{said}");
         for (times, is_said) in [(2, 1), (3, 0), (4, 1), (5, 1)] {
             // The last one is in the list of what was not said before.
             let pieces = said.lines().flat_map(|line| line.split('"'));
+            let pieces = pieces.map(|piece| piece.trim_end_matches(", this time with: no part"));
             let told = pieces.filter(|piece| {
                 piece.contains("thread 'weld' panicked again at src/panics.rs:")
                     && piece.ends_with(&format!(": {times} times so far"))

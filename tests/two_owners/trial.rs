@@ -172,8 +172,8 @@ pub fn trial(plan: &Plan) -> Trial {
         waited: plan.fault.tool == Fate::Held && view.took_over().is_some_and(|after| after > held),
         went_on: (guard_held && plan.fault.lets_the_command_go_on()).then(|| {
             // Afterwards its task may have the lease as before.
-            let meanwhile = view.after(true).into_iter().filter(|&at| at <= view.at + held);
-            meanwhile.last().map_or(0, |last| last.saturating_sub(struck_by))
+            let last = view.after(true).into_iter().rfind(|&at| at <= view.at + held);
+            last.map_or(0, |last| last.saturating_sub(struck_by))
         }),
         check: summary["checks"][0]["outcome"].as_str().expect("an outcome").to_owned(),
     }
