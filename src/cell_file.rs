@@ -5,7 +5,7 @@ use imrs_wire::files::{self, FileError};
 use rustix::fs::{Access, access};
 use std::fs::{self, File};
 use std::io::{self, Read, Write};
-use std::os::unix::fs::{FileTypeExt, MetadataExt};
+use std::os::unix::fs::MetadataExt;
 use std::path::{Path, PathBuf};
 
 /// Why a cell file cannot be used.
@@ -47,35 +47,6 @@ pub enum CellFileError {
         /// Why.
         source: io::Error,
     },
-    /// What was found cannot be saved in it.
-    #[error(
-        "{}: cannot be written: {source}: name another file, in a folder that exists and has room",
-        path.display()
-    )]
-    NotSaved {
-        /// The file.
-        path: PathBuf,
-        /// Why.
-        source: io::Error,
-    },
-}
-
-/// Refuses a file that cannot be written, as far as that can be known before there is anything to write.
-///
-/// # Errors
-/// [`CellFileError::NotSaved`].
-pub fn writable(path: &Path) -> Result<(), CellFileError> {
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
-    let target = match fs::metadata(path) {
-        Ok(of) if of.is_dir() => Err(io::ErrorKind::IsADirectory.into()),
-        // Opening a pipe waits until somebody reads it.
-        Ok(of) if of.file_type().is_fifo() || of.file_type().is_socket() => Err(FileError::NotAFile.into()),
-        Ok(_) => Ok(path),
-        Err(error) if error.kind() == io::ErrorKind::NotFound => Ok(folder.unwrap_or(Path::new("."))),
-        Err(error) => Err(error),
-    };
-    let checked = target.and_then(|target| Ok(access(target, Access::WRITE_OK)?));
-    checked.map_err(|source| CellFileError::NotSaved { path: path.to_owned(), source })
 }
 
 /// Whether a name stands for standard input.
@@ -91,7 +62,7 @@ pub fn shown(path: &Path) -> String {
 /// Reads a cell file; `-` is standard input. No more is read than a cell file may have.
 ///
 /// # Errors
-/// [`CellFileError`], all but `Unwritable` and `NotSaved`.
+/// [`CellFileError`], all but `Unwritable`.
 pub fn read(path: &Path) -> Result<Source, CellFileError> {
     let own = || PathBuf::from(shown(path));
     let bytes = bytes(path).map_err(|error| match error {

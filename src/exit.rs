@@ -43,6 +43,9 @@ pub enum Failure {
     /// A cell file cannot be read or written.
     #[error(transparent)]
     CellFile(#[from] crate::cell_file::CellFileError),
+    /// What was asked for cannot be kept in a file.
+    #[error(transparent)]
+    Kept(#[from] crate::kept::KeptError),
     /// The cell has errors: the diagnostics of its compiler.
     #[error("{0}")]
     Cell(String),
@@ -82,9 +85,12 @@ impl Failure {
             cause = error.source();
         }
         match self {
-            Self::Usage(_) | Self::CellFile(_) | Self::Cell(_) | Self::Output(_) | Self::Replay(_) => {
-                Exit::Usage
-            }
+            Self::Usage(_)
+            | Self::CellFile(_)
+            | Self::Kept(_)
+            | Self::Cell(_)
+            | Self::Output(_)
+            | Self::Replay(_) => Exit::Usage,
             #[cfg(feature = "bench")]
             Self::Bench(_) => Exit::Usage,
             Self::Launch(error) => error.exit(),

@@ -1,15 +1,14 @@
 //! `imrs export`: recordings for other tools.
 
 use crate::args::{ExportArgs, ExportForm};
-use crate::cell_file;
 use crate::exit::{Exit, Failure};
+use crate::kept;
 use crate::output::Output;
 use imrs_monitor::MonitorError;
 use imrs_monitor::export::{Form, Wanted, export};
 use imrs_monitor::record::free_name;
 use imrs_monitor::replay::Film;
 use imrs_wire::files;
-use std::fs::File;
 use std::io::{BufWriter, Cursor, Write};
 use std::path::Path;
 use std::sync::Arc;
@@ -40,8 +39,8 @@ pub fn run(args: &ExportArgs, out: &mut Output) -> Result<Exit, Failure> {
         return Ok(Exit::Well);
     }
     let path = args.out.clone().unwrap_or_else(|| free_name(&args.file.with_extension(args.to.ending())));
-    cell_file::writable(&path)?;
-    let file = File::create(&path).map_err(|error| failed(&path, error.to_string()))?;
+    kept::check(&path, args.force)?;
+    let file = kept::create(&path, args.force)?;
     let done = match export(&film, &wanted, BufWriter::new(file)) {
         Ok(done) => done,
         Err(error) => {

@@ -14,9 +14,11 @@ mod explain;
 mod export;
 mod fmt;
 mod graph;
+mod kept;
 mod launch;
 mod monitor;
 mod output;
+mod panics;
 mod program;
 mod replay;
 mod run;
@@ -36,11 +38,10 @@ use exit::{Exit, Failure};
 use output::{Output, complain, complain_in_full};
 use signal_hook::consts::SIGABRT;
 use std::any::Any;
-use std::collections::BTreeSet;
 use std::panic::catch_unwind;
 use std::process::ExitCode;
-use std::sync::atomic::{AtomicBool, Ordering};
-use std::sync::{Arc, Mutex};
+use std::sync::Arc;
+use std::sync::atomic::AtomicBool;
 
 /// The `imrs` command: does what the command line says. Returns its exit code.
 #[doc(hidden)]
@@ -50,9 +51,8 @@ pub fn command() -> ExitCode {
     if let Some(code) = imrs_runtime::guard::entry() {
         return code;
     }
-    let sound = Arc::new(AtomicBool::new(true));
-    report_each_panic_once(&sound);
-    end_without_memory(&sound);
+    let panics = panics::report();
+    end_without_memory(panics.sound());
     let exit = catch_unwind(answer).unwrap_or_else(|panic| {
         if panic_text(&*panic).is_some_and(exit::says_exhausted) {
             complain("the system has no memory, file descriptor or thread left for this: see `ulimit -a`");
@@ -65,6 +65,7 @@ pub fn command() -> ExitCode {
         ));
         Exit::Internal.into()
     });
+    panics.untold().into_iter().for_each(complain);
     output::settle_complaints();
     exit
 }
@@ -76,9 +77,9 @@ fn panic_text(panic: &(dyn Any + Send)) -> Option<&str> {
 
 /// Where memory runs out the standard library says so and aborts; this ends the process with an exit code that says so, too.
 /// An abort after a panic is a fault of this program, and stays one.
-fn end_without_memory(sound: &Arc<AtomicBool>) {
+fn end_without_memory(sound: Arc<AtomicBool>) {
     // Without it the process ends by a signal, as others do.
-    let _ = signal_hook::flag::register_conditional_shutdown(SIGABRT, Exit::System as i32, Arc::clone(sound));
+    let _ = signal_hook::flag::register_conditional_shutdown(SIGABRT, Exit::System as i32, sound);
 }
 
 /// The command line as it can be shown.
@@ -165,35 +166,4 @@ fn manual(verb: Option<&str>, out: &mut Output) -> Result<Exit, Failure> {
     clap_mangen::Man::new(of).render(&mut page).map_err(Failure::Output)?;
     out.line(String::from_utf8_lossy(&page).trim_end())?;
     Ok(Exit::Well)
-}
-
-/// Prints a panic and where it happened. The hook must not end the process: the checker catches panics of the machine and
-/// reports them as findings, and the runtime reports a task that panics as crashed. While a finding is shrunk, the same
-/// line may panic in thousands of runs, so each line is printed once for each name of a thread.
-fn report_each_panic_once(sound: &Arc<AtomicBool>) {
-    let (default, printed) = (std::panic::take_hook(), Mutex::new(BTreeSet::new()));
-    let sound = Arc::clone(sound);
-    std::panic::set_hook(Box::new(move |panic| {
-        sound.store(false, Ordering::SeqCst);
-        let thread = std::thread::current().name().map(str::to_owned);
-        let place = (thread, panic.location().map(ToString::to_string));
-        if printed.lock().is_ok_and(|mut printed| printed.insert(place)) {
-            default(panic);
-        }
-    }));
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn a_caught_panic_of_the_main_thread_does_not_end_the_process() {
-        let panics = || {
-            report_each_panic_once(&Arc::default());
-            catch_unwind(|| panic!("caught")).is_err()
-        };
-        let main = std::thread::Builder::new().name("main".into()).spawn(panics).expect("a thread");
-        assert!(main.join().expect("the panic was caught"));
-    }
 }

@@ -85,7 +85,8 @@ fn one_seed_is_drawn_though_it_shows_nothing() {
 
 #[test]
 fn a_saved_finding_is_shown_again_of_its_own_cell_alone() {
-    let (_folder, saved) = file("found.toml", "");
+    let (folder, _) = file("other", "");
+    let saved = folder.path().join("found.toml").to_str().expect("text").to_owned();
     let cell = "examples/faulty/token_lost_on_the_way.cell";
     let first = run(&["simulate", cell, "--seed", "1", "--seeds", "100", "--save", &saved]);
     assert_eq!(first.code, Some(1), "{first:?}");
@@ -105,6 +106,32 @@ fn a_saved_finding_is_shown_again_of_its_own_cell_alone() {
     assert!(other.code == Some(2) && other.err.contains("have changed since it was saved"), "{other:?}");
     let twice = run(&["simulate", cell, "--plan", &saved, "--seed", "1"]);
     assert!(twice.code == Some(2) && twice.err.contains("leave out --seed"), "{twice:?}");
+}
+
+/// A file of an earlier run would be taken for the answer of this one.
+#[test]
+fn where_nothing_is_found_it_is_said_that_nothing_is_saved() {
+    let sound = "cell sound;\ntick 1 msec;\nnode n;\ntask t on n\nbegin\n  run turn takes 3 msec;\nend t;\n";
+    let (folder, cell) = file("sound.cell", sound);
+    let at = |name: &str| folder.path().join(name).to_str().expect("text").to_owned();
+    let (new, old) = (at("new"), at("old"));
+    fs::write(&old, "of yesterday").expect("written");
+    let verbs = [
+        (&["simulate", &cell, "--seed", "1"][..], "--save"),
+        (&["verify", &cell], "--save"),
+        (&["verify", &cell], "--trace"),
+    ];
+    for (verb, flag) in verbs {
+        for (path, rest) in [(&new, "\n"), (&old, "; what is there is of an earlier run\n")] {
+            let args = [verb, &[flag, path, "--force"]].concat();
+            let (text, json) = (run(&args), run(&[&args[..], &["--format", "json"]].concat()));
+            let said = format!("nothing was saved to {path}: nothing was found{rest}");
+            assert!(text.code == Some(0) && text.out.contains(&said), "{said}: {text:?}");
+            assert!(json.code == Some(0) && json.err.contains(&said), "{said}: {json:?}");
+        }
+    }
+    assert!(!fs::exists(&new).expect("a folder"));
+    assert_eq!(fs::read_to_string(&old).expect("text"), "of yesterday");
 }
 
 #[test]
@@ -215,7 +242,7 @@ begin run think takes 100 msec; receive first(); response(1); receive second(); 
 #[test]
 fn the_command_of_a_finding_shows_it_again() {
     let (_folder, cell) = file("busy.cell", BUSY);
-    let (_folder, saved) = file("saved.toml", "");
+    let saved = cell.replace("busy.cell", "saved.toml");
     let found = |args: &[&str]| json(args)["findings"].as_array().expect("findings").clone();
     let shows_again = |one: &Value| {
         let again = one["again"].as_str().expect("a command");

@@ -15,6 +15,9 @@ pub struct ExportArgs {
     /// Where to [default: beside the recording, with the form's ending; never over another file]; `-` is standard output.
     #[arg(long, short, value_name = "FILE")]
     pub out: Option<PathBuf>,
+    /// Replace what the file of --out holds.
+    #[arg(long, requires = "out")]
+    pub force: bool,
     /// Of an asciicast: columns and rows.
     #[arg(long, value_name = "WxH", default_value = "120x40", value_parser = size)]
     pub size: (u16, u16),

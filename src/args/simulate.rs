@@ -28,6 +28,9 @@ pub struct SimulateArgs {
     /// Save the shrunk faults and choices of a finding: --plan runs them again.
     #[arg(long, value_name = "FILE")]
     pub save: Option<PathBuf>,
+    /// Replace what the file of --save holds.
+    #[arg(long, requires = "save")]
+    pub force: bool,
     /// Show the whole chart of this finding, counted from 1, and save this one.
     #[arg(long, value_name = "N", default_value_t = 1, value_parser = clap::value_parser!(u16).range(1..))]
     pub finding: u16,

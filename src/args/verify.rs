@@ -1,7 +1,7 @@
 //! What `imrs verify` can be asked.
 
 use super::{Format, MOST_JOBS};
-use clap::Args;
+use clap::{ArgGroup, Args};
 use std::net::{SocketAddr, ToSocketAddrs};
 use std::path::PathBuf;
 use std::time::Duration;
@@ -22,6 +22,7 @@ pub struct VerifyVerb {
 
 /// Faults beside those that a cell declares, and what to do with what is found.
 #[derive(Args, Clone, Debug)]
+#[command(group(ArgGroup::new("kept").args(["trace", "save"]).multiple(true)))]
 pub struct CellFaultArgs {
     /// Lose so many more packets than the cell declares.
     #[arg(long, value_name = "N", requires = "cell", default_value_t = 0)]
@@ -56,8 +57,8 @@ pub struct CellFaultArgs {
     /// Save a finding as a recording that `imrs monitor --replay FILE` shows step by step.
     #[arg(long, value_name = "FILE", requires = "cell")]
     pub save: Option<PathBuf>,
-    /// Replace what the file of --save holds.
-    #[arg(long, requires = "save")]
+    /// Replace what the files of --trace and --save hold.
+    #[arg(long, requires = "kept")]
     pub force: bool,
     /// Which finding is drawn and saved, counted from 1 [default: the first that steps lead to].
     #[arg(long, value_name = "N", requires = "cell", value_parser = clap::value_parser!(u16).range(1..))]

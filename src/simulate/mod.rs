@@ -5,8 +5,9 @@ mod file;
 mod tell;
 
 use crate::args::{Format, STEPS, SimulateArgs};
-use crate::cell_file::{self, CellFileError};
+use crate::cell_file;
 use crate::exit::{Exit, Failure};
+use crate::kept;
 use crate::output::{Output, complain, count, grouped};
 use crate::verify::{Subject, quoted};
 use file::Names;
@@ -59,7 +60,7 @@ pub fn run(args: &SimulateArgs, out: &mut Output) -> Result<Exit, Failure> {
     };
     let names = Names { table: &subject.table, tick_us: subject.tick_us };
     let what = what(args, &names)?;
-    args.save.as_deref().map_or(Ok(()), cell_file::writable)?;
+    args.save.as_deref().map_or(Ok(()), |path| kept::check(path, args.force))?;
     let simulator = match Simulator::new(&Arc::new(subject.declared(args.jobs)), args.steps) {
         Ok(simulator) => simulator.stopped_by(&stop_at_ctrl_c()),
         Err(refused) => {
@@ -186,7 +187,7 @@ fn keep(args: &SimulateArgs, subject: &Subject, names: &Names<'_>, all: &Simulat
         _ => return Ok(false),
     };
     let text = file::text(&found.schedule, &format!("{} --plan FILE", command(subject, args)), names);
-    std::fs::write(path, text).map_err(|source| CellFileError::NotSaved { path: path.clone(), source })?;
+    kept::keep_text(path, args.force, &text)?;
     Ok(true)
 }
 
@@ -204,6 +205,13 @@ fn command(subject: &Subject, args: &SimulateArgs) -> String {
 }
 
 impl Report<'_> {
+    /// Says that nothing was saved, where nothing was found.
+    fn unsaved(&self) -> Option<String> {
+        let path = self.args.save.as_ref().filter(|_| self.all.found.is_empty())?;
+        let why = if self.refused.is_some() { "the cell was not simulated" } else { "nothing was found" };
+        Some(kept::nothing_kept(path, why))
+    }
+
     fn is_saved(&self, number: usize) -> bool {
         self.saved && usize::from(self.args.finding) == number + 1
     }

@@ -3,7 +3,7 @@
 use super::{Report, What};
 use crate::args::Format;
 use crate::exit::Failure;
-use crate::output::{BAD, FAINT, HEAD, NOTE, Output, Styled, count, grouped};
+use crate::output::{BAD, FAINT, HEAD, NOTE, Output, Styled, complain, count, grouped};
 use crate::verify::chart;
 use imrs_model::cell::{Ended, Fault, Found};
 
@@ -17,8 +17,12 @@ impl Report<'_> {
     /// [`Failure::Output`].
     pub fn show(&self, format: Format, out: &mut Output) -> Result<(), Failure> {
         match (format, self.refused) {
-            (Format::Json, _) => out.json(&self.answer()),
+            (Format::Json, _) => {
+                self.unsaved().into_iter().for_each(complain);
+                out.json(&self.answer())
+            }
             (Format::Text, Some(refused)) => {
+                self.unsaved().into_iter().try_for_each(|said| out.line(Styled(NOTE, said)))?;
                 let text = format!("{}: not simulated: {}", self.subject.file, refused.why);
                 out.line(Styled(NOTE, text))
             }
@@ -39,6 +43,7 @@ impl Report<'_> {
             chart(drawn, None, out)?;
             out.line("")?;
         }
+        self.unsaved().into_iter().try_for_each(|said| out.line(Styled(NOTE, said)))?;
         self.runs(out)?;
         let unseen = "not reached in these runs, which says nothing about others";
         self.subject.statements(unseen, &self.all.not_reached, out)?;

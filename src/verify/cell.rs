@@ -3,10 +3,11 @@
 use super::DEFAULT_MEMORY;
 use super::tell::{self, Telling};
 use crate::args::{self, CellFaultArgs, Format, VerifyVerb};
-use crate::cell_file::{self, CellFileError};
+use crate::cell_file;
 use crate::check;
 use crate::exit::{Exit, Failure, did_you_mean, turned_down};
-use crate::output::{Output, harmless};
+use crate::kept;
+use crate::output::{Output, complain, harmless};
 use imrs_language::hir::{self, CoupleKind, Faults};
 use imrs_language::lower::{Behaviour, Check, CheckKind, Lowered};
 use imrs_language::{Options, Source, Span, Unit, compile_with, render};
@@ -16,7 +17,6 @@ use imrs_model::cell::{
 };
 use imrs_protocol::script::Address;
 use imrs_protocol::{CellTable, NodeId, TaskId, Ticks};
-use imrs_wire::files::{self, FileError};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -46,18 +46,19 @@ pub fn run(path: &Path, args: &VerifyVerb, out: &mut Output) -> Result<Exit, Fai
     };
     let plan = Arc::new(subject.plan(args)?);
     for file in [&args.faults.trace, &args.faults.save].into_iter().flatten() {
-        cell_file::writable(file)?;
-    }
-    if let Some(path) = args.faults.save.as_ref().filter(|_| !args.faults.force) {
-        let taken = |error: FileError| CellFileError::NotSaved { path: path.clone(), source: error.into() };
-        files::free(path, false).map_err(taken)?;
+        kept::check(file, args.faults.force)?;
     }
     let verdicts = check_cell(&plan);
     // What was found is shown even if it cannot be saved.
     let kept = subject.keep(&plan, &verdicts, &args.faults);
     let saved = kept.as_ref().map_or(None, |saved| *saved);
     match format {
-        Format::Json => out.json(&subject.answer(&plan, &verdicts, saved))?,
+        Format::Json => {
+            if kept.is_ok() {
+                tell::unkept(&args.faults, &verdicts, saved).into_iter().for_each(complain);
+            }
+            out.json(&subject.answer(&plan, &verdicts, saved))?;
+        }
         Format::Text => {
             let (subject, failed) = (&subject, kept.is_err());
             Telling { subject, plan: &plan, verdicts: &verdicts, args, saved, failed }.show(out)?;
@@ -248,8 +249,7 @@ impl Subject {
             } else {
                 svg(&names, &notes, &finding.cause)
             };
-            std::fs::write(path, &*harmless(&drawn))
-                .map_err(|source| CellFileError::NotSaved { path: path.clone(), source })?;
+            kept::keep_text(path, args.force, &harmless(&drawn))?;
         }
         let Some(path) = &args.save else { return Ok(None) };
         let searched =

@@ -1,11 +1,10 @@
 //! A finding as a recording: what a monitor attached to every node would have seen, with the words for each step.
 
 use super::cell::Subject;
-use crate::cell_file::CellFileError;
 use crate::exit::Failure;
+use crate::kept;
 use imrs_model::cell::{CellPlan, Finding, Scene, Shows, scenes};
 use imrs_protocol::NodeId;
-use imrs_wire::files;
 use imrs_wire::obs::{
     Events, Hello, NodeIdentity, Role, SCHEMA, ServerFrame, Snapshot, Table, TimedEvent, VERSION,
 };
@@ -33,13 +32,10 @@ pub(super) fn save(
     if scenes.is_empty() {
         return Ok(false);
     }
-    let unwritable = |source| CellFileError::NotSaved { path: path.to_owned(), source };
-    let made = files::free(path, force).and_then(|()| files::create(path));
-    let file = made.map_err(|error| unwritable(error.into()))?;
-    let written = Film::begin(BufWriter::new(file), subject)
-        .and_then(|film| film.write(&scenes, subject.story(finding, bounds, scenes.len())));
-    written.map_err(|error| {
-        unwritable(match error {
+    kept::keep(path, force, |file| {
+        let written = Film::begin(BufWriter::new(file), subject)
+            .and_then(|film| film.write(&scenes, subject.story(finding, bounds, scenes.len())));
+        written.map_err(|error| match error {
             WriteError::Io(error) => error,
             other @ (WriteError::Encode(_) | WriteError::TooLong(_)) => io::Error::other(other.to_string()),
         })

@@ -1,9 +1,10 @@
 //! What the check of a cell found, as a person reads it.
 
 use super::cell::Subject;
-use crate::args::{self, VerifyVerb};
+use crate::args::{self, CellFaultArgs, VerifyVerb};
 use crate::cell_file;
 use crate::exit::Failure;
+use crate::kept::nothing_kept;
 use crate::output::{BAD, FAINT, GOOD, HEAD, NOTE, Output, Styled, count, grouped};
 use imrs_model::cell::{CellPlan, Concerned, Coverage, Finding, Kind, Phase, Times, Verdicts};
 use imrs_protocol::TaskId;
@@ -33,6 +34,19 @@ pub(super) struct Telling<'a> {
     pub failed: bool,
 }
 
+/// Says of each file that was named, and was not written though nothing failed, that it was not.
+pub(super) fn unkept(args: &CellFaultArgs, verdicts: &Verdicts, saved: Option<usize>) -> Vec<String> {
+    let none = verdicts.findings.is_empty();
+    let why = match (none, &verdicts.refused) {
+        (true, Some(_)) => "the cell was not checked",
+        (true, None) => "nothing was found",
+        (false, _) => "no steps lead to this finding",
+    };
+    let drawing = args.trace.as_ref().filter(|_| none);
+    let recording = args.save.as_ref().filter(|_| saved.is_none());
+    [drawing, recording].into_iter().flatten().map(|path| nothing_kept(path, why)).collect()
+}
+
 impl Telling<'_> {
     /// Shows the findings, the bounds and the verdict.
     ///
@@ -40,7 +54,9 @@ impl Telling<'_> {
     /// [`Failure::Output`].
     pub fn show(&self, out: &mut Output) -> Result<(), Failure> {
         let (subject, verdicts) = (self.subject, self.verdicts);
+        let unkept = if self.failed { vec![] } else { unkept(&self.args.faults, verdicts, self.saved) };
         if let Some(refused) = &verdicts.refused {
+            unkept.into_iter().try_for_each(|said| out.line(Styled(NOTE, said)))?;
             out.line(Styled(NOTE, format!("not checked: {}", refused.why)))?;
             if let Some((line, column, text)) = subject.place(refused.task, refused.at) {
                 out.line(format!("  --> {}:{line}:{column}  {text}", subject.file))?;
@@ -60,11 +76,7 @@ impl Telling<'_> {
             subject.tell(warning, None, out)?;
             out.line("")?;
         }
-        let not_saved = self.saved.is_none() && !self.failed && !verdicts.findings.is_empty();
-        if let Some(path) = self.args.faults.save.as_ref().filter(|_| not_saved) {
-            let file = cell_file::shown(path);
-            out.line(Styled(NOTE, format!("nothing was saved to {file}: no steps lead to this finding")))?;
-        }
+        unkept.into_iter().try_for_each(|said| out.line(Styled(NOTE, said)))?;
         for phase in &verdicts.phases {
             out.line(Styled(HEAD, bounds(self.plan, phase)))?;
             out.line(format!("  {}", looked_at(phase)))?;

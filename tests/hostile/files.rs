@@ -49,6 +49,35 @@ fn a_run_does_not_write_over_recordings_unasked() {
 }
 
 #[test]
+fn no_verb_writes_over_a_file_unasked() {
+    let folder = runtime_dir();
+    let at = |name: &str| folder.path().join(name).to_str().expect("UTF-8").to_owned();
+    let (film, faulty) = (at("film.imrs"), example("faulty/feeder_and_press_wait_for_each_other.cell"));
+    assert_eq!(run_in(folder.path(), &["verify", &faulty, "--save", &film]).code, Some(1));
+    let verbs = [
+        (&["verify", &faulty, "--save"][..], 1),
+        (&["verify", &faulty, "--trace"], 1),
+        (&["simulate", &faulty, "--seed", "1", "--seeds", "20", "--save"], 1),
+        (&["export", &film, "--to", "jsonl", "--out"], 0),
+    ];
+    for (number, (verb, code)) in verbs.into_iter().enumerate() {
+        let path = at(&format!("written-{number}"));
+        let run = |more: &[&str]| run_in(folder.path(), &[verb, &[&path], more].concat());
+        assert_eq!(run(&[]).code, Some(code), "{verb:?}");
+        assert_eq!(mode(Path::new(&path)), 0o600, "{verb:?}");
+        std::fs::write(&path, "somebody's").expect("written");
+        let refused = run(&[]);
+        let said =
+            format!("{path}: there is a file of this name: name another one, or say --force to replace it");
+        assert!(refused.code == Some(2) && refused.out.is_empty(), "{refused:?}");
+        assert!(refused.err.contains(&said), "{refused:?}");
+        assert_eq!(std::fs::read_to_string(&path).expect("text"), "somebody's");
+        assert_eq!(run(&["--force"]).code, Some(code), "{verb:?}");
+        assert_ne!(std::fs::read(&path).expect("written"), b"somebody's", "{verb:?}");
+    }
+}
+
+#[test]
 fn findings_and_what_monitors_saw_are_kept_unless_told_otherwise() {
     let folder = runtime_dir();
     let at = |name: &str| folder.path().join(name).to_str().expect("UTF-8").to_owned();

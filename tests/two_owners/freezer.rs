@@ -2,7 +2,9 @@
 
 use std::fs;
 use std::io;
+use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
+use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicU32, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
@@ -34,10 +36,26 @@ const VERSIONS: [Version; 2] = [
     },
 ];
 
-/// Processes that are frozen. They go on at the latest when this is dropped.
+/// How long a process that is just ending may keep its group.
+const EMPTY_WITHIN: Duration = Duration::from_secs(1);
+
+/// Processes that are frozen. They go on when this is dropped, and at the latest when this program ends: no signal ends a process that is
+/// frozen, so it would be there until the machine starts again.
 pub struct Freezer {
     group: PathBuf,
     version: &'static Version,
+    /// A shell that thaws them when its input ends.
+    keeper: Child,
+}
+
+impl Version {
+    fn keeper(&self, group: &Path) -> io::Result<Child> {
+        let mut shell = Command::new("sh");
+        shell.args(["-c", "cat > /dev/null; { echo \"$1\" > \"$0\"; } 2> /dev/null"]);
+        shell.arg(group.join(self.file)).arg(self.thawed);
+        // What interrupts this program must not end it.
+        shell.stdin(Stdio::piped()).process_group(0).spawn()
+    }
 }
 
 impl Freezer {
@@ -56,7 +74,8 @@ impl Freezer {
         let name = format!("imrs-{}-{}", std::process::id(), MADE.fetch_add(1, Ordering::Relaxed));
         let group = Path::new(version.root).join(name);
         fs::create_dir(&group)?;
-        let freezer = Self { group, version };
+        let keeper = version.keeper(&group)?;
+        let freezer = Self { group, version, keeper };
         for pid in pids {
             // One that has ended meanwhile needs no freezing.
             match fs::write(freezer.group.join("cgroup.procs"), pid.to_string()) {
@@ -87,7 +106,12 @@ impl Drop for Freezer {
         for pid in pids.lines() {
             let _ = fs::write(Path::new(self.version.root).join("cgroup.procs"), pid);
         }
+        drop(self.keeper.stdin.take());
+        let _ = self.keeper.wait();
         // A process that is just ending keeps it for a moment; an empty group harms nobody.
-        let _ = fs::remove_dir(&self.group);
+        let end = Instant::now() + EMPTY_WITHIN;
+        while fs::remove_dir(&self.group).is_err() && Instant::now() < end {
+            thread::sleep(Duration::from_millis(1));
+        }
     }
 }

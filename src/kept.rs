@@ -1,0 +1,98 @@
+//! Files that a verb writes because somebody named them: `--save`, `--trace`, `--out`. One rule for all: what is there is replaced with
+//! `--force` only (D151).
+
+use crate::cell_file::shown;
+use imrs_wire::files::{self, FileError};
+use rustix::fs::{Access, access};
+use std::fs::{self, File};
+use std::io::{self, Write};
+use std::os::unix::fs::FileTypeExt;
+use std::path::{Path, PathBuf};
+
+/// Why a file cannot be kept.
+#[derive(Debug, thiserror::Error)]
+pub enum KeptError {
+    /// There is something of this name.
+    #[error("{}: {}", .0.display(), FileError::Exists)]
+    Taken(PathBuf),
+    /// It cannot be written.
+    #[error(
+        "{}: cannot be written: {source}: name another file, in a folder that exists and has room",
+        path.display()
+    )]
+    Unwritable {
+        /// The file.
+        path: PathBuf,
+        /// Why.
+        source: io::Error,
+    },
+}
+
+impl KeptError {
+    fn of(path: &Path) -> impl Fn(FileError) -> Self {
+        move |error| match error {
+            FileError::Exists => Self::Taken(path.to_owned()),
+            other => Self::Unwritable { path: path.to_owned(), source: other.into() },
+        }
+    }
+}
+
+/// Refuses a file that cannot be written, or that may not be replaced, before the work for it begins. Changes nothing.
+///
+/// # Errors
+/// [`KeptError`].
+pub fn check(path: &Path, force: bool) -> Result<(), KeptError> {
+    writable(path).map_err(|source| KeptError::Unwritable { path: path.to_owned(), source })?;
+    files::check(path, force).map_err(KeptError::of(path))
+}
+
+/// As far as that can be known before there is anything to write.
+fn writable(path: &Path) -> io::Result<()> {
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    let target = match fs::metadata(path) {
+        Ok(of) if of.is_dir() => return Err(io::ErrorKind::IsADirectory.into()),
+        // Opening a pipe waits until somebody reads it.
+        Ok(of) if of.file_type().is_fifo() || of.file_type().is_socket() => {
+            return Err(FileError::NotAFile.into());
+        }
+        Ok(_) => path,
+        Err(error) if error.kind() == io::ErrorKind::NotFound => folder.unwrap_or(Path::new(".")),
+        Err(error) => return Err(error),
+    };
+    Ok(access(target, Access::WRITE_OK)?)
+}
+
+/// Makes a new file, which only its owner can read; with `force` in the place of one that is there.
+///
+/// # Errors
+/// [`KeptError`].
+pub fn create(path: &Path, force: bool) -> Result<File, KeptError> {
+    let made = files::free(path, force).and_then(|()| files::create(path));
+    made.map_err(KeptError::of(path))
+}
+
+/// Gives such a file to `write`. Where that fails no half of it is left.
+///
+/// # Errors
+/// [`KeptError`].
+pub fn keep<T>(path: &Path, force: bool, write: impl FnOnce(File) -> io::Result<T>) -> Result<T, KeptError> {
+    write(create(path, force)?).map_err(|source| {
+        files::discard(path);
+        KeptError::Unwritable { path: path.to_owned(), source }
+    })
+}
+
+/// The same for a text.
+///
+/// # Errors
+/// [`KeptError`].
+pub fn keep_text(path: &Path, force: bool, text: &str) -> Result<(), KeptError> {
+    keep(path, force, |mut file| file.write_all(text.as_bytes()))
+}
+
+/// Says that nothing was written to a file that was named, and why not. What an earlier run left there would be taken for the answer.
+pub fn nothing_kept(path: &Path, why: &str) -> String {
+    let is_old = path.symlink_metadata().is_ok_and(|of| of.is_file());
+    let old = if is_old { "; what is there is of an earlier run" } else { "" };
+    format!("nothing was saved to {}: {why}{old}", shown(path))
+}

@@ -1,0 +1,132 @@
+//! Panics that are caught: the first of a thread at a line is printed as usual, and the others are counted.
+//!
+//! The checker catches panics of the machine and reports them as findings, and the runtime reports a task that panics as crashed. While a
+//! finding is shrunk, the same line may panic in thousands of runs.
+
+use crate::output::harmless;
+use std::collections::BTreeMap;
+use std::io::{self, Write};
+use std::panic::PanicHookInfo;
+use std::sync::atomic::{AtomicBool, Ordering};
+use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+
+/// The name of a thread, and the line.
+type Place = (Option<String>, Option<String>);
+
+/// What has panicked in this process.
+pub struct Panics {
+    /// Whether nothing has.
+    sound: Arc<AtomicBool>,
+    counts: Mutex<BTreeMap<Place, u64>>,
+}
+
+/// Counts the panics of this process from now on, and prints them. It ends nothing.
+pub fn report() -> Arc<Panics> {
+    let panics = Arc::new(Panics { sound: Arc::new(AtomicBool::new(true)), counts: Mutex::default() });
+    let (default, own) = (std::panic::take_hook(), Arc::clone(&panics));
+    std::panic::set_hook(Box::new(move |panic| {
+        own.sound.store(false, Ordering::SeqCst);
+        let place = place(panic);
+        match own.count(&place) {
+            1 => default(panic),
+            // At 2, 4, 8: thousands of them must not fill the screen.
+            times if times.is_power_of_two() => {
+                // Where standard error has gone there is nobody to tell.
+                let message = panic.payload_as_str().unwrap_or("no message");
+                let line = format!("imrs: {}, this time with: {message}\n", again(&place, times));
+                let _ = io::stderr().write_all(harmless(&line).as_bytes());
+            }
+            _ => {}
+        }
+    }));
+    panics
+}
+
+fn place(panic: &PanicHookInfo<'_>) -> Place {
+    let thread = std::thread::current().name().map(str::to_owned);
+    (thread, panic.location().map(ToString::to_string))
+}
+
+fn again((thread, line): &Place, times: u64) -> String {
+    let [thread, line] = [(thread, "<unnamed>"), (line, "an unknown line")]
+        .map(|(name, unknown)| name.as_deref().unwrap_or(unknown));
+    format!("thread '{thread}' panicked again at {line}: {times} times so far")
+}
+
+impl Panics {
+    /// A flag that is true until something panics.
+    pub fn sound(&self) -> Arc<AtomicBool> {
+        Arc::clone(&self.sound)
+    }
+
+    /// How often each panicked in all, where the last number that was printed is another one.
+    pub fn untold(&self) -> Vec<String> {
+        let counts = self.counts();
+        let untold = counts.iter().filter(|(_, times)| !times.is_power_of_two());
+        untold.map(|(place, times)| again(place, *times)).collect()
+    }
+
+    fn count(&self, place: &Place) -> u64 {
+        let mut counts = self.counts();
+        let times = counts.entry(place.clone()).or_default();
+        *times += 1;
+        *times
+    }
+
+    fn counts(&self) -> MutexGuard<'_, BTreeMap<Place, u64>> {
+        self.counts.lock().unwrap_or_else(PoisonError::into_inner)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use std::panic::catch_unwind;
+    use std::process::Command;
+    use std::thread;
+
+    #[test]
+    fn a_caught_panic_of_the_main_thread_does_not_end_the_process() {
+        let panics = || {
+            let panics = report();
+            catch_unwind(|| panic!("caught")).is_err() && !panics.sound().load(Ordering::SeqCst)
+        };
+        let main = thread::Builder::new().name("main".into()).spawn(panics).expect("a thread");
+        assert!(main.join().expect("the panic was caught"));
+    }
+
+    /// No test of its own: a program of which a thread panics five times at one line, and another once.
+    #[test]
+    fn panics_again_and_again() {
+        if std::env::var_os("IMRS_PANICS").is_none() {
+            return;
+        }
+        let panics = report();
+        for name in ["weld", "weld", "dress", "weld", "weld", "weld"] {
+            let body = || panic!("no part");
+            let ended = thread::Builder::new().name(name.into()).spawn(body).expect("a thread").join();
+            assert!(ended.is_err());
+        }
+        eprintln!("untold: {:?}", panics.untold());
+    }
+
+    #[test]
+    fn later_panics_of_a_thread_at_a_line_are_counted() {
+        let mut program = Command::new(std::env::current_exe().expect("this program"));
+        program.args(["--exact", "panics::tests::panics_again_and_again", "--nocapture"]);
+        let said = program.env("IMRS_PANICS", "1").output().expect("it runs");
+        let said = String::from_utf8_lossy(&said.stderr);
+        let all = |word: &str| said.matches(word).count();
+        assert_eq!((all("no part"), all("thread 'dress'")), (4, 1), "{said}");
+        for (times, is_said) in [(2, 1), (3, 0), (4, 1), (5, 1)] {
+            // The last one is in the list of what was not said before.
+            let pieces = said.lines().flat_map(|line| line.split('"'));
+            let pieces = pieces.map(|piece| piece.trim_end_matches(", this time with: no part"));
+            let told = pieces.filter(|piece| {
+                piece.contains("thread 'weld' panicked again at src/panics.rs:")
+                    && piece.ends_with(&format!(": {times} times so far"))
+            });
+            assert_eq!(told.count(), is_said, "{times}: {said}");
+        }
+    }
+}

@@ -1,0 +1,141 @@
+//! What happens to the node that acts, to the guard of its command, and to the command.
+
+use super::freezer::Freezer;
+use crate::support::{is_alive, signal};
+use rustix::process::Signal;
+
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Fate {
+    Spared,
+    /// It stands still for a while.
+    Held,
+    Killed,
+}
+
+/// How processes are held.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Means {
+    Signal,
+    Freezer,
+}
+
+/// A fault of the node that acts.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Fault {
+    pub name: &'static str,
+    pub node: Fate,
+    pub guard: Fate,
+    pub tool: Fate,
+    means: Means,
+}
+
+const fn fault(name: &'static str, [node, guard, tool]: [Fate; 3], means: Means) -> Fault {
+    Fault { name, node, guard, tool, means }
+}
+
+/// The node stands still, as the first defect of this kind was found.
+pub const NODE_STOPPED: Fault =
+    fault("node stopped", [Fate::Held, Fate::Spared, Fate::Spared], Means::Signal);
+
+/// All faults. A guard that is held cannot kill its command.
+pub const FAULTS: [Fault; 11] = {
+    use Fate::{Held, Killed, Spared};
+    use Means::{Freezer, Signal};
+    [
+        fault("node killed", [Killed, Spared, Spared], Signal),
+        fault("node killed, guard frozen", [Killed, Held, Spared], Freezer),
+        NODE_STOPPED,
+        fault("node and guard stopped", [Held, Held, Spared], Signal),
+        fault("node and guard frozen", [Held, Held, Spared], Freezer),
+        fault("node, guard and command stopped", [Held, Held, Held], Signal),
+        fault("node, guard and command frozen", [Held, Held, Held], Freezer),
+        fault("node killed, command stopped", [Killed, Spared, Held], Signal),
+        fault("node killed, guard and command frozen", [Killed, Held, Held], Freezer),
+        fault("guard stopped", [Spared, Held, Spared], Signal),
+        // The kernel ends it: a stopped process group without a parent in its session gets SIGHUP.
+        fault("node killed, guard stopped", [Killed, Held, Spared], Signal),
+    ]
+};
+
+impl Fault {
+    /// Whether the command goes on while nobody can kill it, though its task has to lose the lease.
+    pub fn lets_the_command_go_on(&self) -> bool {
+        let ends_the_guard = self.node == Fate::Killed && self.means == Means::Signal;
+        (self.guard, self.tool) == (Fate::Held, Fate::Spared) && self.node != Fate::Spared && !ends_the_guard
+    }
+
+    pub fn holds(&self) -> bool {
+        [self.node, self.guard, self.tool].contains(&Fate::Held)
+    }
+
+    /// Does it to this node.
+    pub fn strike(&self, node: u32) -> Struck {
+        let mut struck = Struck { held: Vec::new(), frozen: None, guards: Vec::new() };
+        let holds_more = [self.guard, self.tool].contains(&Fate::Held);
+        // A node that goes on might end its command, and start the next one, while they are looked for.
+        if self.node != Fate::Spared && self.means == Means::Signal && holds_more {
+            signal(node, Signal::STOP);
+        }
+        let guards = children(node);
+        let tools: Vec<u32> = guards.iter().flat_map(|&guard| children(guard)).collect();
+        let of = [(self.node, vec![node]), (self.guard, guards.clone()), (self.tool, tools.clone())];
+        struck.held =
+            of.into_iter().filter(|(fate, _)| *fate == Fate::Held).flat_map(|(_, all)| all).collect();
+        struck.hold(self.means);
+        if self.guard == Fate::Held && !tools.is_empty() {
+            struck.guards = guards;
+        }
+        if self.node == Fate::Killed {
+            signal(node, Signal::KILL);
+        }
+        struck
+    }
+}
+
+/// What is held goes on when this is dropped.
+pub struct Struck {
+    held: Vec<u32>,
+    frozen: Option<Freezer>,
+    /// The guard that was held while it had a command.
+    guards: Vec<u32>,
+}
+
+impl Struck {
+    /// Whether a guard with a command stands still up to now.
+    pub fn holds_a_guard(&self) -> bool {
+        self.guards.iter().any(|&guard| is_alive(guard))
+    }
+
+    fn hold(&mut self, means: Means) {
+        if means == Means::Freezer {
+            match Freezer::of(self.held.iter().copied()) {
+                Ok(frozen) => {
+                    self.frozen = Some(frozen);
+                    return;
+                }
+                Err(why) => println!("SKIPPED the freezer ({why}): the processes are stopped instead"),
+            }
+        }
+        self.held.iter().for_each(|&pid| signal(pid, Signal::STOP));
+    }
+}
+
+impl Drop for Struck {
+    fn drop(&mut self) {
+        match self.frozen.take() {
+            Some(frozen) => frozen.thaw(),
+            None => self.held.iter().for_each(|&pid| signal(pid, Signal::CONT)),
+        }
+    }
+}
+
+/// The processes that this one started: of a node the guards, of a guard the command.
+fn children(pid: u32) -> Vec<u32> {
+    let all = std::fs::read_dir("/proc").expect("/proc").flatten();
+    let all = all.filter_map(|entry| entry.file_name().to_str()?.parse::<u32>().ok());
+    let parent = |pid: &u32| {
+        let stat = std::fs::read_to_string(format!("/proc/{pid}/stat")).ok()?;
+        stat.rsplit_once(')')?.1.split_whitespace().nth(1)?.parse::<u32>().ok()
+    };
+    all.filter(|child| parent(child) == Some(pid)).collect()
+}

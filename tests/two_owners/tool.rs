@@ -1,0 +1,141 @@
+//! The tool that both tasks move: the command of their actions, and the log that says who acted when.
+
+#[path = "../../examples/actuator.rs"]
+#[expect(dead_code, reason = "the start of the example as a program of its own")]
+mod actuator;
+
+use imrs_runtime::actuator::{Deadline, Orders, now};
+use std::collections::BTreeMap;
+use std::fs::OpenOptions;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+use std::time::Duration;
+use std::{env, thread};
+
+/// The log of a tool, in its folder.
+const LOG: &str = "tool.log";
+/// Between two steps: as the example has it.
+const STEP: Duration = Duration::from_millis(1);
+
+/// What keeps the command of one task from acting beside that of the other.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, serde::Serialize, serde::Deserialize)]
+pub enum Bound {
+    /// The gate and the deadline, as the example has them.
+    Both,
+    /// The gate alone: the deadline is passed over.
+    Gate,
+    /// Neither, for comparison: only the guard ends the command.
+    Neither,
+}
+
+/// The command of an action: it moves the tool of a folder for so long.
+pub fn command(name: &str, folder: &Path, bound: Bound, length: Duration) -> String {
+    let (program, folder) = (env::current_exe().expect("this program"), folder.display());
+    let (program, length) = (program.display(), length.as_millis());
+    let test = "two_owners::tool::moves_the_tool";
+    format!("{name}={program} --exact {test} --nocapture tool={folder} bound={bound:?} millis={length}")
+}
+
+/// No test of its own: the command that a node of a trial starts for an action.
+#[test]
+fn moves_the_tool() {
+    let said = |name: &str| env::args().find_map(|argument| argument.strip_prefix(name).map(str::to_owned));
+    let Some(tool) = said("tool=").map(PathBuf::from) else { return };
+    let millis = said("millis=").and_then(|millis| millis.parse().ok()).expect("a length");
+    let length = Duration::from_millis(millis);
+    let Orders { epoch, deadline } = Orders::from_env().expect("numbers");
+    let epoch = epoch.expect("the tasks are a couple");
+    // Refused in the middle of it, it fails: so does the action.
+    match said("bound=").as_deref() {
+        Some("Both") => {
+            let renewed = deadline.clone();
+            thread::spawn(move || renewed.follow(std::io::stdin().lock()));
+            actuator::weld(&tool, epoch, deadline, length).expect("it may act");
+        }
+        Some("Gate") => actuator::weld(&tool, epoch, Deadline::none(), length).expect("it may act"),
+        _ => act_unbound(&tool, epoch, length),
+    }
+}
+
+/// Acts for so long, whoever else does. Its log is that of the example.
+fn act_unbound(tool: &Path, epoch: u8, length: Duration) {
+    let mut log = OpenOptions::new().create(true).append(true).open(tool.join(LOG)).expect("the log");
+    let mut line = |what: &str| {
+        log.write_all(format!("{} {epoch} {what}\n", now()).as_bytes()).expect("a line of the log");
+    };
+    line("begin");
+    let end = now() + u64::try_from(length.as_micros()).expect("64 bits");
+    while now() < end {
+        line("act");
+        thread::sleep(STEP);
+    }
+    line("end");
+}
+
+/// One line of the log. An instant is read in the step that it is of, in microseconds of `CLOCK_BOOTTIME`.
+#[derive(Clone, Debug)]
+pub struct Line {
+    pub at: u64,
+    pub epoch: u8,
+    pub acts: bool,
+}
+
+/// The log of the tool in this folder, in the order in which it was written.
+pub fn log_of(tool: &Path) -> Vec<Line> {
+    let text = std::fs::read_to_string(tool.join(LOG)).unwrap_or_default();
+    // A line that crosses a page of the file may be seen while it is half written.
+    let text = text.rsplit_once('\n').map_or("", |(whole, _)| whole);
+    let line = |line: &str| {
+        let mut words = line.split(' ');
+        let mut next = || words.next().expect("three words");
+        let at = next().parse().expect("an instant");
+        Line { at, epoch: next().parse().expect("an epoch"), acts: next() != "end" }
+    };
+    text.lines().map(line).collect()
+}
+
+/// For how long steps of an older epoch came after the first one of a newer, in microseconds: by the instants, and by the order of the
+/// log, where an older step behind a newer one counts as a microsecond at least. The two are looked at because a process may be stopped
+/// between its look at the clock and its line.
+pub fn two_owners(log: &[Line]) -> u64 {
+    let acts = || log.iter().filter(|line| line.acts);
+    let mut of: BTreeMap<u8, (u64, u64)> = BTreeMap::new();
+    for line in acts() {
+        let (first, last) = of.entry(line.epoch).or_insert((line.at, line.at));
+        (*first, *last) = (line.at.min(*first), line.at.max(*last));
+    }
+    let overlap = |(&older, &(_, last)): (&u8, &(u64, u64))| {
+        let newer = of.range(older + 1..).map(|(_, &(first, _))| first).min();
+        newer.map_or(0, |first| (last + 1).saturating_sub(first))
+    };
+    let by_instants = of.iter().map(overlap).max().unwrap_or(0);
+    let mut newest = 0;
+    let behind = acts().any(|line| {
+        newest = newest.max(line.epoch);
+        line.epoch < newest
+    });
+    by_instants.max(u64::from(behind))
+}
+
+#[test]
+fn the_log_of_two_owners_is_told_from_that_of_one() {
+    let line = |(at, epoch, acts)| Line { at, epoch, acts };
+    let one =
+        [(1, 1, true), (2, 1, true), (3, 1, false), (3, 2, true), (4, 2, true), (5, 1, false)].map(line);
+    assert_eq!(two_owners(&one), 0, "an end is no act");
+    let two = [(1, 1, true), (3, 2, true), (7, 1, true), (9, 2, true)].map(line);
+    assert_eq!(two_owners(&two), 5);
+    let at_once = [(1, 1, true), (3, 1, true), (3, 2, true)].map(line);
+    assert_eq!(two_owners(&at_once), 1, "one instant is a microsecond");
+    let late = [(1, 1, true), (5, 2, true), (2, 1, true), (6, 2, true)].map(line);
+    assert_eq!(two_owners(&late), 1, "written after a newer one, at an earlier instant");
+}
+
+/// The smallest step of the log's clock that can be seen, in microseconds.
+pub fn resolution() -> u64 {
+    let steps = (0..1_000).map(|_| {
+        let first = now();
+        std::iter::repeat_with(now).find(|&next| next > first).map_or(0, |next| next - first)
+    });
+    steps.min().unwrap_or(0)
+}

@@ -1,0 +1,211 @@
+//! One trial: a cell whose two tasks share a tool runs, the node that acts is struck, and the log of the tool is read.
+
+use super::fault::{FAULTS, Fate, Fault};
+use super::tool::{Bound, command, log_of, two_owners};
+use crate::support::live::Live;
+use crate::support::{own_address, runtime_dir, wait_until};
+use imrs_runtime::actuator::now;
+use std::path::Path;
+use std::thread;
+use std::time::{Duration, Instant};
+
+/// Two welders that share a tool. The lease is long, so that a busy machine seldom ends it before the fault.
+const CELL: &str = "\
+cell two_owners;
+tick 1 msec;
+node n1 at \"HOST\" port N1;  node n2 at \"HOST\" port N2;
+link n1 -- n2 delay 2 msec;
+task r1 on n1 module welders
+  port alive()  usage = response  user_list = {r2}  time_out = 60 msec  class = 2;
+begin
+  loop run weld_primary takes 0 msec .. 60 sec; end;
+end r1;
+task r2 on n2 module welders standby of r1
+  use_port alive()  usage = query  time_out = 60 msec;
+begin
+  loop delay 1 sec; end;
+takeover
+  loop run weld_standby takes 0 msec .. 60 sec; end;
+end r2;
+couple work r1 -> r2 lease 700 msec takeover 1000 msec every 30 msec via alive;
+check one_active: never r1.active and r2.active;
+";
+pub const TAKEOVER: Duration = Duration::from_secs(1);
+/// How long one action takes as a rule: longer than a take-over, so that the command of a dead node would act on.
+const WELD: Duration = Duration::from_millis(2500);
+/// So short that a fault often comes between two actions, or while one begins.
+const TACK: Duration = Duration::from_millis(40);
+/// So long that nothing but a guard ends it.
+const ENDLESS: Duration = Duration::from_secs(50);
+/// How much longer than planned a command is held, so that the standby acts meanwhile. A command that stands still in the middle of a step
+/// keeps it waiting (D150).
+const HELD_ON: Duration = Duration::from_secs(3);
+/// How many steps of both at a time a comparison waits for.
+const STEPS: usize = 20;
+/// How long the cell goes on after a node is there again.
+const AFTERWARDS: Duration = Duration::from_millis(500);
+
+/// What is tried.
+#[derive(Clone, Copy, Debug)]
+pub struct Plan {
+    pub number: u64,
+    pub fault: Fault,
+    /// How long processes are held, at least.
+    pub length: Duration,
+    pub bound: Bound,
+    action: Duration,
+}
+
+impl Plan {
+    /// The trial of this number. Many have long ones, too: up to half a minute.
+    pub fn of(number: u64, are_many: bool) -> Self {
+        let (kind, round) = (number % FAULTS.len() as u64, number / FAULTS.len() as u64);
+        let mut draws = fastrand::Rng::with_seed(number);
+        let millis = match (kind + round) % 6 {
+            0 => draws.u64(100..900),
+            5 if are_many => draws.u64(5_000..=30_000),
+            _ => draws.u64(1_100..=2_000),
+        };
+        Self {
+            number,
+            fault: FAULTS[usize::try_from(kind).expect("a few")],
+            length: Duration::from_millis(millis),
+            bound: if round.is_multiple_of(2) { Bound::Both } else { Bound::Gate },
+            action: if (kind + round) % 4 == 3 { TACK } else { WELD },
+        }
+    }
+
+    /// A comparison: this fault where nothing binds the command but its guard.
+    pub fn comparison(number: u64, fault: Fault) -> Self {
+        Self { number, fault, length: TAKEOVER, bound: Bound::Neither, action: ENDLESS }
+    }
+
+    /// A node that stands still for longer than a take-over.
+    pub fn stopped(number: u64) -> Self {
+        let (fault, length) = (super::fault::NODE_STOPPED, 3 * TAKEOVER / 2);
+        Self { number, fault, length, bound: Bound::Both, action: WELD }
+    }
+}
+
+/// What came of a trial. Times in microseconds.
+#[derive(Clone, Debug, serde::Serialize, serde::Deserialize)]
+pub struct Trial {
+    pub number: u64,
+    pub fault: String,
+    pub bound: Bound,
+    /// How long steps of an older epoch came after the first one of a newer.
+    pub two_owners: u64,
+    /// The owner was in the middle of an action.
+    pub mid_action: bool,
+    /// The guard of a running command stood still.
+    pub guard_held: bool,
+    /// For how long something stood still; 0 where nothing did.
+    pub held: u64,
+    /// From the fault until the standby acted.
+    pub took_over: Option<u64>,
+    /// The standby acted only after a command went on that was held.
+    pub waited: bool,
+    /// From the fault until the last step of the owner's command while nobody could kill it.
+    pub went_on: Option<u64>,
+    /// What the summary says of the check that only one task is active.
+    pub check: String,
+}
+
+/// The log of a trial's tool, in view of the fault.
+struct View<'a> {
+    tool: &'a Path,
+    /// The epoch that acted last before the fault.
+    owner: u8,
+    /// When the fault came.
+    at: u64,
+}
+
+impl View<'_> {
+    /// The steps after the fault, of the owner's epoch or of newer ones.
+    fn after(&self, of_owner: bool) -> Vec<u64> {
+        let log = log_of(self.tool).into_iter().filter(|line| line.acts && line.at > self.at);
+        let log =
+            log.filter(|line| if of_owner { line.epoch == self.owner } else { line.epoch > self.owner });
+        log.map(|line| line.at).collect()
+    }
+
+    fn took_over(&self) -> Option<u64> {
+        self.after(false).first().map(|first| first - self.at)
+    }
+}
+
+/// Carries a trial out.
+pub fn trial(plan: &Plan) -> Trial {
+    let dir = runtime_dir();
+    let live = start(dir.path(), plan);
+    let acts = |least: usize| log_of(dir.path()).iter().filter(|line| line.acts).count() >= least;
+    wait_until("the primary acts", || acts(20));
+    // At any moment of the lease.
+    thread::sleep(Duration::from_millis(fastrand::Rng::with_seed(plan.number).u64(0..600)));
+    let owner = log_of(dir.path()).last().expect("it acts").epoch;
+    // Whoever acts in place of the standby after its take-over is replaced by nobody.
+    let (node, is_primary) = (if owner % 2 == 1 { "n1" } else { "n2" }, owner % 2 == 1);
+    let view = View { tool: dir.path(), owner, at: now() };
+    let struck = plan.fault.strike(live.pid(node));
+    let (struck_by, is_killed) = (now(), plan.fault.node == Fate::Killed);
+    let least = if plan.bound == Bound::Neither { STEPS } else { 1 };
+    hold(plan, || !is_primary || view.after(false).len() >= least);
+    let (guard_held, held) = (struck.holds_a_guard(), now() - view.at);
+    drop(struck);
+    if is_killed && is_primary {
+        wait_until("the standby acts", || view.took_over().is_some());
+    }
+    thread::sleep(AFTERWARDS);
+    live.interrupt();
+    let (summary, ..) = live.finish();
+    let log = log_of(dir.path());
+    let before = log.iter().rev().find(|line| line.at <= view.at && line.epoch == owner);
+    Trial {
+        number: plan.number,
+        fault: plan.fault.name.to_owned(),
+        bound: plan.bound,
+        two_owners: two_owners(&log),
+        mid_action: before.is_some_and(|line| line.acts),
+        guard_held,
+        held: if plan.fault.holds() { held } else { 0 },
+        took_over: view.took_over(),
+        waited: plan.fault.tool == Fate::Held && view.took_over().is_some_and(|after| after > held),
+        went_on: (guard_held && plan.fault.lets_the_command_go_on()).then(|| {
+            // Afterwards its task may have the lease as before.
+            let last = view.after(true).into_iter().rfind(|&at| at <= view.at + held);
+            last.map_or(0, |last| last.saturating_sub(struck_by))
+        }),
+        check: summary["checks"][0]["outcome"].as_str().expect("an outcome").to_owned(),
+    }
+}
+
+fn start(dir: &Path, plan: &Plan) -> Live {
+    let (host, [n1, n2]) = own_address();
+    let cell = CELL.replace("HOST", &host.to_string());
+    let cell = cell.replace("port N1", &format!("port {n1}")).replace("port N2", &format!("port {n2}"));
+    let file = dir.join("two_owners.cell");
+    std::fs::write(&file, cell).expect("the cell is written");
+    let [primary, standby] =
+        ["weld_primary", "weld_standby"].map(|name| command(name, dir, plan.bound, plan.action));
+    let (file, seed) = (file.to_str().expect("UTF-8"), plan.number.to_string());
+    let run = ["run", file, "--for", "10m", "--seed", &seed, "--action", &primary, "--action", &standby];
+    Live::start(dir, &run)
+}
+
+/// Holds what the fault holds: as long as planned, and if that is longer than a take-over takes, until this is so.
+fn hold(plan: &Plan, acts: impl Fn() -> bool) {
+    let Plan { fault, length, .. } = plan;
+    if fault.holds() {
+        thread::sleep(*length);
+    }
+    if fault.node == Fate::Spared || (fault.node == Fate::Held && *length < TAKEOVER) {
+        return;
+    }
+    if fault.tool == Fate::Spared {
+        return wait_until("the standby acts", acts);
+    }
+    let end = Instant::now() + HELD_ON;
+    while !acts() && Instant::now() < end {
+        thread::sleep(Duration::from_millis(5));
+    }
+}
