@@ -26,9 +26,9 @@ const EMPTY_OFTEN: Duration = Duration::from_millis(10);
 /// What a visit to a socket came to.
 #[derive(Clone, Copy, Debug, Default)]
 struct Taken {
-    /// Datagrams, and errors of the network.
+    /// Datagrams, heard or not.
     count: usize,
-    /// Datagrams that were heard.
+    /// Greetings, and datagrams that were admitted.
     heard: usize,
 }
 
@@ -108,15 +108,23 @@ impl UdpLink {
         let Room { receiver, decoded } = room;
         // Read before the socket is looked at: if it turns out to be empty, it was so after this.
         let mut before = if most > 1 { Reading::take() } else { queue.last };
-        let mut taken = Taken::default();
-        while taken.count < most {
+        let (mut taken, mut errors) = (Taken::default(), 0);
+        while taken.count < most && errors < BATCH {
             match receiver.receive(&inbound.socket) {
                 Ok(received) => {
                     let now = Reading::take();
                     self.count_dropped(inbound, queue, received.dropped);
                     let waited = self.waited(&received, &now, &queue.empty);
-                    let counts = (0, 0);
-                    let together = Together { link: self, now, waited, decoded, of: None, counts, sink };
+                    let together = Together {
+                        link: self,
+                        now,
+                        waited,
+                        decoded,
+                        of: None,
+                        greetings: 0,
+                        admitted: 0,
+                        sink,
+                    };
                     let (count, heard) = together.deliver(&received);
                     taken.count += count;
                     taken.heard += heard;
@@ -133,7 +141,7 @@ impl UdpLink {
                     } else {
                         self.statistics.add(UdpCount::ReceiveFailed, 1);
                     }
-                    taken.count += 1;
+                    errors += 1;
                 }
             }
         }
@@ -177,8 +185,10 @@ struct Together<'a> {
     decoded: &'a mut Vec<Packet>,
     /// Whose that is, and its charge.
     of: Option<(NodeId, Ticks)>,
-    /// How many of its datagrams were greetings, and how many brought packets that are handed over.
-    counts: (u64, u64),
+    /// How many of its datagrams were greetings.
+    greetings: u64,
+    /// How many brought packets that are handed over.
+    admitted: u64,
     sink: &'a dyn Sink,
 }
 
@@ -196,13 +206,12 @@ impl Together<'_> {
             }
         }
         self.hand_over();
-        let (greetings, admitted) = self.counts;
-        self.link.statistics.add(UdpCount::DatagramsReceived, count - greetings);
+        self.link.statistics.add(UdpCount::DatagramsReceived, count - self.greetings);
         if count > 1 {
             self.link.statistics.add(UdpCount::ReceivesSaved, count - 1);
         }
         let size = |count| usize::try_from(count).unwrap_or(usize::MAX);
-        (size(count), size(greetings + admitted))
+        (size(count), size(self.greetings + self.admitted))
     }
 
     fn take(&mut self, bytes: &[u8]) -> Result<(), LinkDiscard> {
@@ -211,7 +220,7 @@ impl Together<'_> {
         let peer = link.sender_of(&opened)?;
         let (envelope, at) = (&opened.envelope, link.micros(self.now.after) + 1);
         if let Purpose::Greeting(greeting) = envelope.purpose {
-            self.counts.0 += 1;
+            self.greetings += 1;
             self.greeted(peer, (envelope, greeting), at);
             return Ok(());
         }
@@ -233,16 +242,15 @@ impl Together<'_> {
             unheard.reason
         })?;
         // Only a datagram that brings at least one packet of this cell changes what is known of its sender.
-        let before = self.decode(opened.packets, envelope.sender);
+        let mut before = self.decode(opened.packets, envelope.sender);
         if self.decoded.len() == before {
             return Ok(());
         }
-        let mut before = before;
         if let Contact::New { .. } = contact {
             // What came before it is of an earlier session.
             self.hand_over_first(std::mem::take(&mut before));
         }
-        self.counts.1 += 1;
+        self.admitted += 1;
         let shown = self.enter(peer, &mut known, (envelope, contact), at);
         drop(known);
         let of = Some((peer.node, shown.max(peer.declared + self.waited)));
