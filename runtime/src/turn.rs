@@ -1,7 +1,7 @@
 //! One at a time, and nobody waits: who wants work done says so and takes its turn; who finds another one at it leaves
 //! the work to that one, who looks again before it leaves.
 
-use crate::sync::{AtomicBool, Mutex, MutexGuard, Ordering, fence, try_lock};
+use crate::sync::{AtomicBool, Mutex, MutexGuard, Ordering, fence, lock, try_lock};
 
 pub(crate) struct Turn<T> {
     wanted: AtomicBool,
@@ -62,6 +62,13 @@ impl<T> Turn<T> {
                 return;
             }
         }
+    }
+
+    /// As [`take`](Self::take), but first waits until no other thread has the turn. Who does so holds nothing that the other one
+    /// may want.
+    pub fn take_after(&self, work: impl FnMut(&mut T)) {
+        drop(lock(&self.inside));
+        self.take(work);
     }
 
     fn fence(&self) {

@@ -6,7 +6,7 @@ use super::{DEADLOCK, must_fail_large};
 use crate::explorer::{Arc, Condvar, PlainMutex, explore_large, thread};
 use crate::handoff::{self, Bell, Handoff};
 use crate::lead::{Came, Lead, Led};
-use crate::sync::{Mutex, lock, try_lock};
+use crate::turn::{self, Turn};
 
 /// A socket as the kernel tells of it: a datagram is told to the leader if one waits, else to the thread that polls.
 pub(super) struct Socket {
@@ -96,7 +96,7 @@ struct Scene {
     socket: std::sync::Arc<Socket>,
     handoff: Handoff<Toy>,
     lead: Lead,
-    receiving: Mutex<()>,
+    receiving: Turn<()>,
 }
 
 /// What is planted.
@@ -108,6 +108,8 @@ struct Planted {
     leaves_told: bool,
     /// The kernel tells of edges, not of levels.
     edges: bool,
+    /// Whoever receives does not look again whether another one wanted that meanwhile.
+    leaves_blindly: bool,
 }
 
 impl Scene {
@@ -121,7 +123,11 @@ impl Scene {
         }
         socket.state.lock().unwrap().edges = planted.edges;
         lead.leaves_blindly = planted.leaves_told;
-        Arc::new(Self { socket, handoff, lead, receiving: Mutex::new(()) })
+        let mut receiving = Turn::new(());
+        if planted.leaves_blindly {
+            receiving.plant = turn::Plant::LeavesBlindly;
+        }
+        Arc::new(Self { socket, handoff, lead, receiving })
     }
 
     fn deliver(&self, datagram: Option<bool>) {
@@ -134,10 +140,20 @@ impl Scene {
     fn run_poller(&self) -> u32 {
         let mut took = 0;
         while self.socket.poll() {
-            let _turn = lock(&self.receiving);
-            while let Some(datagram) = self.socket.take() {
-                took += 1;
-                self.deliver(Some(datagram));
+            let mut all = || {
+                while let Some(datagram) = self.socket.take() {
+                    took += 1;
+                    self.deliver(Some(datagram));
+                }
+            };
+            let mut is_done = false;
+            self.receiving.want();
+            self.receiving.take(|()| {
+                all();
+                is_done = true;
+            });
+            if !is_done {
+                self.receiving.take_after(|()| all());
             }
         }
         took
@@ -149,11 +165,15 @@ impl Scene {
         let mut entry = self.handoff.enter(Brought::Question, &mut worked);
         while entry.mail.is_none() {
             let mut take_in = || {
-                let Some(_turn) = try_lock(&self.receiving) else { return false };
-                let datagram = self.socket.take();
-                took += u32::from(datagram.is_some());
-                self.deliver(datagram);
-                true
+                let mut is_done = false;
+                self.receiving.want();
+                self.receiving.take(|()| {
+                    let datagram = self.socket.take();
+                    took += u32::from(datagram.is_some());
+                    self.deliver(datagram);
+                    is_done = true;
+                });
+                is_done
             };
             if !self.handoff.look(&mut take_in, |there| (0..looks).any(|_| there())) {
                 led = self.lead.wait(&self.handoff, || self.socket.wait(), take_in);
@@ -259,4 +279,40 @@ fn what_the_leader_leaves_to_the_one_at_work_is_taken() {
 #[test]
 fn one_at_work_who_is_told_of_edges_leaves_a_datagram() {
     must_fail_large(DEADLOCK, || two_datagrams(Planted { edges: true, ..Planted::default() }));
+}
+
+/// The answer comes as a datagram while another task's thread, which does not sleep yet, looks into the socket. Nobody polls.
+fn answer_beside_a_look(planted: Planted) -> (Led, u32) {
+    let scene = Scene::new(planted, 1);
+    let (other, network) = (Arc::clone(&scene), Arc::clone(&scene));
+    let other = thread::spawn(move || {
+        let mut took = 0;
+        other.receiving.want();
+        other.receiving.take(|()| {
+            let datagram = other.socket.take();
+            took += u32::from(datagram.is_some());
+            other.deliver(datagram);
+        });
+        took
+    });
+    let network = thread::spawn(move || network.socket.arrive(true));
+    let went = scene.run_task(0);
+    network.join().unwrap();
+    assert_eq!(went.1 + other.join().unwrap(), 1, "a datagram was taken twice or not at all");
+    went
+}
+
+#[test]
+fn what_the_leader_leaves_to_one_who_looks_is_taken() {
+    let seen = explore_large(|| answer_beside_a_look(Planted::default()));
+    let outcomes: Vec<_> = seen.keys().copied().collect();
+    let expected = [(Led::ToTheEnd, 0), (Led::ToTheEnd, 1), (Led::Called, 0), (Led::No, 0)];
+    assert_eq!(outcomes, expected, "{seen:?}");
+}
+
+#[test]
+fn one_who_looks_and_leaves_blindly_leaves_a_datagram() {
+    must_fail_large(DEADLOCK, || {
+        answer_beside_a_look(Planted { leaves_blindly: true, ..Planted::default() })
+    });
 }

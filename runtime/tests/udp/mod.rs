@@ -1,6 +1,7 @@
 //! The UDP link on real loopback sockets.
 
 mod faults;
+mod flood;
 mod hostile;
 mod mutated;
 mod network;

@@ -65,6 +65,48 @@ fn a_neighbour_without_an_address_is_not_ready() {
     assert_eq!(a.send(B, &[packet(1)]), Ok(1));
 }
 
+/// So the neighbour's socket for this node gets it, and no other (D155).
+#[test]
+fn datagrams_leave_from_the_address_that_receives() {
+    for any in ["127.0.0.1:0", "0.0.0.0:0"] {
+        let options = UdpOptions::new(Incarnation(1), false);
+        let a = UdpLink::bind(table(A), any.parse().unwrap(), options).unwrap();
+        let other = raw_socket();
+        other.set_read_timeout(Some(PATIENCE)).unwrap();
+        a.set_address(B, Some(other.local_addr().unwrap())).unwrap();
+        assert_eq!(a.send(B, &[packet(1)]), Ok(1));
+        let (_, from) = other.recv_from(&mut [0; 2_000]).unwrap();
+        assert_eq!(from.port(), a.local_address().port(), "{any}");
+    }
+}
+
+#[test]
+fn what_waits_in_a_neighbours_socket_outlasts_its_address() {
+    let (a, b) = pair();
+    let memory = Memory::default();
+    for (number, address) in [(1, None), (2, Some(a.local_address())), (3, Some(a.local_address()))] {
+        assert_eq!(a.send(B, &[packet(number)]), Ok(1));
+        b.set_address(A, address).unwrap();
+        assert_eq!(memory.take_packets(&b, 1)[0].1, packet(number));
+    }
+}
+
+/// The address book says where it is no longer, or says nothing of it.
+#[test]
+fn a_neighbour_at_another_address_is_heard_and_answered_at_the_known_one() {
+    let (a, b) = pair();
+    let (at_a, at_b) = (Memory::default(), Memory::default());
+    let elsewhere = raw_socket();
+    b.set_address(A, Some(elsewhere.local_addr().unwrap())).unwrap();
+    assert_eq!(a.send(B, &[packet(1)]), Ok(1));
+    assert_eq!(at_b.take_packets(&b, 1)[0].1, packet(1));
+    b.set_address(A, Some(a.local_address())).unwrap();
+    assert_eq!(a.send(B, &[packet(2)]), Ok(1));
+    assert_eq!(at_b.take_packets(&b, 1)[0].1, packet(2));
+    assert_eq!(b.send(A, &[packet(3)]), Ok(1));
+    assert_eq!(at_a.take_packets(&a, 1)[0].1, packet(3));
+}
+
 #[test]
 fn a_wake_ends_the_present_or_the_next_poll() {
     let b = link(B);

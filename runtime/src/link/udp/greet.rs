@@ -4,11 +4,8 @@ use super::peer::{Heard, Peer, lock};
 use super::statistics::UdpCount;
 use super::{NotANeighbour, UdpLink};
 use crate::link::{Link, LinkDiscard, Sink};
-use crate::sync;
 use imrs_protocol::{Incarnation, NodeId, Packet, Ticks};
-use imrs_wire::envelope::{
-    Digests, Envelope, EnvelopeError, Greeting, Opened, Purpose, Refused, without_packets,
-};
+use imrs_wire::envelope::{Digests, EnvelopeError, Greeting, Opened, Purpose, Refused, without_packets};
 use std::sync::atomic::Ordering;
 use std::time::{Duration, Instant};
 
@@ -83,8 +80,10 @@ impl UdpLink {
             self.poll(&Deaf(self), Some(ask_at.min(end)));
         }
         // The node hears of its neighbours anew, once it runs, and greets all of them with the incarnation that it counts.
-        sync::lock(&self.receiving).known.fill_with(|| None);
-        self.peers.iter().for_each(|peer| peer.met.store(false, Ordering::Relaxed));
+        for peer in &self.peers {
+            *lock(&peer.known) = None;
+            peer.met.store(false, Ordering::Relaxed);
+        }
         let said = self.peers.iter().filter_map(|peer| Some((peer.node, (*lock(&peer.remembers))?)));
         said.collect()
     }
@@ -123,19 +122,7 @@ impl UdpLink {
     fn send_bare(&self, peer: &Peer, purpose: Purpose, heard: Option<Heard>) {
         let mut way = lock(&peer.way);
         let Some(way) = way.as_mut() else { return };
-        let tx_mono = self.micros(Instant::now());
-        let (incarnation, restarted) = self.identity();
-        let envelope = Envelope {
-            sender: self.table.node,
-            receiver: peer.node,
-            incarnation,
-            restarted,
-            session: self.session,
-            counter: 0,
-            tx_mono,
-            echo: heard.and_then(|heard| heard.echo(tx_mono)),
-            purpose,
-        };
+        let envelope = self.envelope(peer, Instant::now(), heard, purpose);
         let count =
             if let Purpose::Refusal(_) = purpose { UdpCount::RefusalsSent } else { UdpCount::GreetingsSent };
         if self.transmit(&without_packets(&envelope, self.digests()), way).is_ok() {
@@ -143,8 +130,8 @@ impl UdpLink {
         }
     }
 
-    /// The neighbour that sent a datagram, and its position, if the two can talk. Otherwise both sides learn why not.
-    pub(super) fn sender_of(&self, opened: &Opened<'_>) -> Result<(usize, &Peer), LinkDiscard> {
+    /// The neighbour that sent a datagram, if the two can talk. Otherwise both sides learn why not.
+    pub(super) fn sender_of(&self, opened: &Opened<'_>) -> Result<&Peer, LinkDiscard> {
         let sender = self.peer(opened.envelope.sender);
         if let (Purpose::Refusal(why), Some((_, peer)), true) =
             (opened.envelope.purpose, sender, opened.envelope.receiver == self.table.node)
@@ -170,7 +157,7 @@ impl UdpLink {
             }
         }
         checked?;
-        sender.ok_or(LinkDiscard::UnknownNode)
+        sender.map(|(_, peer)| peer).ok_or(LinkDiscard::UnknownNode)
     }
 
     fn note_refusal(&self, peer: &Peer, why: Refused, theirs: Digests, here: bool) {

@@ -1,6 +1,7 @@
 //! The link over UDP (D20, D48, D50).
 //!
-//! One socket serves all neighbours. What is queued for one neighbour leaves in one datagram; a lone packet leaves at
+//! A socket of its own, on the node's one address, serves each neighbour whose address is known, and one serves all others
+//! (`inbound`, D155). What is queued for one neighbour leaves in one datagram; a lone packet leaves at
 //! once, nothing is held back for company. What fills several datagrams leaves in one call where the kernel cuts it into
 //! them, and what it has put together again comes in one call (D129). Whatever the socket reports is a count, never an end.
 //!
@@ -15,6 +16,7 @@
 
 mod delay;
 mod greet;
+mod inbound;
 mod peer;
 mod receive;
 mod send;
@@ -28,25 +30,28 @@ pub use statistics::UdpCount;
 
 use super::{Came, Leading, Link, LinkBusy, PollEnd, Sink};
 use crate::clock;
-use crate::sync;
 use imrs_protocol::{Incarnation, NodeId, NodeTable, Packet, Ticks};
 use imrs_wire::envelope::{MAX_PACKETS, Session};
+use inbound::{Inbound, STRANGERS};
 use peer::{Peer, Way, lock};
-use receive::Receiving;
+use receive::Room;
 pub(crate) use send::SEGMENTS;
-use socket::{Receiver, Waited};
+use socket::{Asked, Waited};
 use statistics::Statistics;
 use std::hash::{BuildHasher, RandomState};
 use std::io;
-use std::net::{SocketAddr, UdpSocket};
+use std::net::SocketAddr;
 use std::sync::atomic::{AtomicBool, AtomicU16, Ordering};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
 use thiserror::Error;
-use watch::{Seen, Watch};
+use watch::{Seen, Told, Watch};
 
 /// The kernel's queue, where nothing else is asked for: some 200 full datagrams.
 const DEFAULT_QUEUE_BYTES: usize = 256 * 1024;
+
+/// More threads than receive at once.
+const ROOMS: usize = 16;
 
 /// How a node takes part in UDP traffic.
 #[derive(Clone, Copy, Debug)]
@@ -59,7 +64,8 @@ pub struct UdpOptions {
     /// ([`record::statements`](crate::record::statements)), zero where no task has a script. Nodes that differ in it do not
     /// talk.
     pub statements: u32,
-    /// How many bytes the kernel's receive queue holds (SO_RCVBUF; the kernel doubles it for its own needs). No more
+    /// How many bytes each of the kernel's receive queues holds, one for each neighbour and one for all others (SO_RCVBUF; the
+    /// kernel doubles it for its own needs). No more
     /// than comes in within the longest time_out is of any use.
     pub queue_bytes: usize,
     /// Whether the kernel, where it can, cuts what leaves in one call into datagrams (UDP_SEGMENT, Linux 4.18), and puts
@@ -117,7 +123,12 @@ pub struct UdpLink {
     /// Whether the incarnation is not known yet: the node asks its neighbours.
     uncounted: AtomicBool,
     session: Session,
-    socket: Arc<UdpSocket>,
+    /// The socket that was bound first. It receives what comes to none of a neighbour.
+    strangers: Arc<Inbound>,
+    /// What each socket that receives is asked for.
+    asked: Asked,
+    /// Held while a second socket is bound to the address.
+    binding: Mutex<()>,
     local: SocketAddr,
     /// Whether the kernel knows how to cut what is sent into datagrams.
     segments: bool,
@@ -125,9 +136,12 @@ pub struct UdpLink {
     leader: Watch,
     /// Whoever polls waits here.
     polling: Watch,
-    /// Locked by whoever receives, while it receives. The leader never waits for it: whoever polls looks at the socket
-    /// again before it waits.
-    receiving: sync::Mutex<Receiving>,
+    /// Until when nobody looks at the socket of strangers, for there was a flood.
+    rest: Mutex<Option<Instant>>,
+    /// What the leader was told of and has not yet taken in.
+    told: Mutex<Told>,
+    /// For as many threads as receive at once: whoever polls, whoever leads, and whoever looks for a while before it sleeps.
+    rooms: Mutex<Vec<Room>>,
     /// All neighbours, ascending.
     peers: Box<[Peer]>,
     poll: Mutex<Poll>,
@@ -174,18 +188,13 @@ impl UdpLink {
         neighbours.sort_unstable();
         let declared = |node| table.link_bound(table.node, node).unwrap_or(Ticks::ZERO);
         let peers: Box<[Peer]> = neighbours.into_iter().map(|node| Peer::new(node, declared(node))).collect();
-        let (socket, stamped, empty) = socket::bind(address, options.queue_bytes)?;
-        let merges = options.segments && socket::merge(&socket);
+        let (socket, asked, empty) = socket::bind(address, options.queue_bytes, options.segments)?;
         let segments = options.segments && socket::segments(&socket);
         let local = socket.local_addr().map_err(|source| UdpError::Bind { address, source })?;
-        let known = peers.iter().map(|_| None).collect();
-        let receiving = Receiving {
-            receiver: Receiver::new(stamped, merges),
-            empty,
-            last: empty,
-            known,
-            decoded: Vec::with_capacity(MAX_PACKETS * SEGMENTS),
-        };
+        let (leader, polling) = (Watch::new(false)?, Watch::new(true)?);
+        polling.add_alone(&socket, STRANGERS).map_err(UdpError::Wake)?;
+        let mut rooms = Vec::with_capacity(ROOMS);
+        rooms.extend((0..2).map(|_| Room::new(asked)));
         Ok(Self {
             table,
             options,
@@ -194,11 +203,14 @@ impl UdpLink {
             session: new_session(),
             local,
             segments,
-            // In this order.
-            leader: Watch::new(&socket, Seen::Readable)?,
-            polling: Watch::new(&socket, Seen::Woken)?,
-            receiving: sync::Mutex::new(receiving),
-            socket: Arc::new(socket),
+            leader,
+            polling,
+            rest: Mutex::default(),
+            told: Mutex::default(),
+            rooms: Mutex::new(rooms),
+            strangers: Arc::new(Inbound::new(socket, None, empty)),
+            asked,
+            binding: Mutex::default(),
             peers,
             poll: Mutex::new(Poll { taken: false, waiting: 0, wakes: 0 }),
             poll_changed: Condvar::new(),
@@ -222,8 +234,10 @@ impl UdpLink {
     /// # Errors
     /// Where the node is no neighbour.
     pub fn set_address(&self, node: NodeId, address: Option<SocketAddr>) -> Result<(), NotANeighbour> {
-        let (_, peer) = self.peer(node).ok_or(NotANeighbour(node))?;
-        *lock(&peer.way) = address.map(|address| Way::new(self.local, address, self.segments));
+        let (position, peer) = self.peer(node).ok_or(NotANeighbour(node))?;
+        let mut way = lock(&peer.way);
+        *way = address.map(|address| Way::new(address, self.connected(position, address), self.segments));
+        drop(way);
         peer.met.store(false, Ordering::Relaxed);
         if address.is_some() {
             self.address_known.store(true, Ordering::Release);
@@ -297,38 +311,59 @@ impl UdpLink {
     }
 
     /// The socket that sends to a neighbour.
-    fn sending(&self, way: &Way) -> Arc<UdpSocket> {
-        Arc::clone(way.connected.as_ref().unwrap_or(&self.socket))
+    fn sending(&self, way: &Way) -> Arc<Inbound> {
+        Arc::clone(way.connected.as_ref().unwrap_or(&self.strangers))
     }
 
     /// Whether the kernel takes a datagram for a neighbour, as far as is known.
     fn takes(&self, peer: &Peer, way: &Way) -> bool {
-        if peer.full.load(Ordering::Acquire) && socket::takes(&self.sending(way)) {
+        if peer.full.load(Ordering::Acquire) && socket::takes(&self.sending(way).socket) {
             peer.full.store(false, Ordering::Release);
         }
         !peer.full.load(Ordering::Acquire)
     }
 
     /// The sockets that were found full.
-    fn full(&self) -> Vec<Arc<UdpSocket>> {
+    fn full(&self) -> Vec<Arc<Inbound>> {
         let full = self.peers.iter().filter(|peer| peer.full.load(Ordering::Acquire));
         full.filter_map(|peer| lock(&peer.way).as_ref().map(|way| self.sending(way))).collect()
     }
 
-    /// Waits for a datagram, for a wake, or, where the kernel took no more for a neighbour, until it does.
-    fn wait(&self, until: Option<Instant>) -> io::Result<Waited> {
+    /// Waits for a datagram, for a wake, or, where the kernel took no more for a neighbour, until it may: then nothing is seen.
+    fn wait(&self, until: Option<Instant>) -> io::Result<Option<Seen>> {
+        loop {
+            let rest = self.end_of_rest();
+            let seen = self.wait_once(until.into_iter().chain(rest).min())?;
+            let is_over = || until.is_some_and(|until| until <= Instant::now());
+            if !matches!(seen, Some(Seen::TimedOut)) || rest.is_none() || is_over() {
+                return Ok(seen);
+            }
+        }
+    }
+
+    fn wait_once(&self, until: Option<Instant>) -> io::Result<Option<Seen>> {
         if self.blocked.swap(false, Ordering::AcqRel) {
             let full = self.full();
             if !full.is_empty() {
                 self.blocked.store(true, Ordering::Release);
-                return socket::wait(&self.socket, self.polling.wake(), &full, until);
+                return self.wait_for_room(&full, until);
             }
         }
-        self.polling.wait(&self.socket, until).map(|seen| match seen {
-            Seen::Readable => Waited::Readable,
-            Seen::Woken => Waited::Woken,
-            Seen::TimedOut => Waited::TimedOut,
-        })
+        self.polling.wait(until).map(Some)
+    }
+
+    fn wait_for_room(&self, full: &[Arc<Inbound>], until: Option<Instant>) -> io::Result<Option<Seen>> {
+        loop {
+            match socket::wait_for_room(self.polling.epoll(), full, until)? {
+                Waited::Writable => return Ok(None),
+                Waited::TimedOut => return Ok(Some(Seen::TimedOut)),
+                // Another thread may have taken it meanwhile.
+                Waited::Told => match self.polling.wait_some(Some(Duration::ZERO))? {
+                    Some(Seen::TimedOut) | None => {}
+                    seen => return Ok(seen),
+                },
+            }
+        }
     }
 
     /// The kernel is out of memory for a wait itself: the next one is not tried at once.
@@ -367,8 +402,13 @@ impl Drop for OwnPoll<'_> {
 
 impl Leading for UdpLink {
     fn wait(&self, left: Option<Duration>) -> Came {
-        match self.leader.wait_some(&self.socket, left) {
-            Ok(seen) => seen.map_or(Came::Nothing, Came::from),
+        match self.leader.wait_some(left) {
+            Ok(Some(Seen::Readable(told))) => {
+                *lock(&self.told) = told;
+                Came::Something
+            }
+            Ok(Some(Seen::TimedOut)) => Came::Time,
+            Ok(Some(Seen::Woken) | None) => Came::Nothing,
             Err(_) => {
                 self.wait_failed();
                 Came::Nothing
@@ -377,8 +417,9 @@ impl Leading for UdpLink {
     }
 
     fn take_in(&self, sink: &dyn Sink) -> bool {
-        let receiving = sync::try_lock(&self.receiving);
-        receiving.map(|mut receiving| self.receive_one(&mut receiving, sink)).is_some()
+        let told = std::mem::take(&mut *lock(&self.told));
+        let told = if told.is_empty() { self.leader.look() } else { told };
+        told.is_empty() || self.take_told(&told, sink)
     }
 
     fn call(&self) {
@@ -413,11 +454,8 @@ impl Link for UdpLink {
         };
         loop {
             let end = match self.wait(until) {
-                Ok(Waited::Readable) => {
-                    let any = self.drain(&mut sync::lock(&self.receiving), sink);
-                    any.then_some(PollEnd::Received)
-                }
-                Ok(Waited::Writable) => {
+                Ok(Some(Seen::Readable(told))) => self.drain(&told, sink).then_some(PollEnd::Received),
+                Ok(None) => {
                     for peer in &self.peers {
                         lock(&peer.way).iter().for_each(|way| {
                             self.takes(peer, way);
@@ -425,8 +463,8 @@ impl Link for UdpLink {
                     }
                     Some(PollEnd::Ready)
                 }
-                Ok(Waited::Woken) => self.end_of_wake(),
-                Ok(Waited::TimedOut) => Some(PollEnd::TimedOut),
+                Ok(Some(Seen::Woken)) => self.end_of_wake(),
+                Ok(Some(Seen::TimedOut)) => Some(PollEnd::TimedOut),
                 Err(_) => {
                     self.wait_failed();
                     None

@@ -2,12 +2,12 @@
 
 use super::delay::DRIFT_PPM;
 use super::greet::Refusal;
+use super::inbound::Inbound;
 use super::send::Outgoing;
-use super::socket::{bound_sending, set_segment};
+use super::session::Known;
+use super::socket::set_segment;
 use imrs_protocol::{Incarnation, NodeId, Ticks};
 use imrs_wire::envelope::{Echo, MAX_DATAGRAM_BYTES, Session, supersedes};
-use nix::sys::socket::{setsockopt, sockopt};
-use std::io;
 use std::net::{SocketAddr, UdpSocket};
 use std::sync::atomic::{AtomicBool, AtomicU16, Ordering};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -23,6 +23,11 @@ pub(super) struct Peer {
     /// The declared bound of the link to it, in microseconds.
     pub(super) declared: Ticks,
     pub(super) way: Mutex<Option<Way>>,
+    /// The socket that is connected to it. It also hears the neighbour while no address is known any more.
+    pub(super) inbound: Mutex<Option<Arc<Inbound>>>,
+    /// Its session, as the threads that receive know it. Held while a datagram of it is judged and entered: it may come
+    /// over its own socket and over that of strangers at once.
+    pub(super) known: Mutex<Option<Known>>,
     /// The kernel was found to take no more for it. It may be unreachable: so this says nothing of the others.
     pub(super) full: AtomicBool,
     pub(super) outgoing: Mutex<Outgoing>,
@@ -47,12 +52,12 @@ const NOTHING: u16 = u16::MAX;
 
 /// Where a neighbour receives, and a socket that is connected to it.
 ///
-/// The connected socket only sends. The kernel looks up the route once, and says there that nobody listens
-/// (ECONNREFUSED). Where it fails the link's own socket sends; where it is full nothing does, for what the kernel holds for a
-/// neighbour that it does not find would fill that one, too.
+/// The connected socket sends and receives. The kernel looks up the route once, and says there that nobody listens
+/// (ECONNREFUSED). Where it fails, the socket of strangers sends, from the same address. Where it is full, nothing does, for what
+/// the kernel holds for a neighbour that it does not find would fill that one, too.
 pub(super) struct Way {
     pub(super) address: SocketAddr,
-    pub(super) connected: Option<Arc<UdpSocket>>,
+    pub(super) connected: Option<Arc<Inbound>>,
     segments: Segments,
 }
 
@@ -66,25 +71,16 @@ enum Segments {
 }
 
 impl Way {
-    /// The way from `local` to `address`. `segments`: the kernel may be asked to cut what is sent.
-    pub(super) fn new(local: SocketAddr, address: SocketAddr, segments: bool) -> Self {
-        let connect = || -> io::Result<UdpSocket> {
-            let socket = UdpSocket::bind((local.ip(), 0))?;
-            socket.set_nonblocking(true)?;
-            socket.connect(address)?;
-            // Never read: so that it holds nothing.
-            setsockopt(&socket, sockopt::RcvBuf, &0)?;
-            bound_sending(&socket)?;
-            Ok(socket)
-        };
+    /// The way to `address`. `segments`: the kernel may be asked to cut what is sent.
+    pub(super) const fn new(address: SocketAddr, connected: Option<Arc<Inbound>>, segments: bool) -> Self {
         let segments = if segments { Segments::NotYet } else { Segments::Refused };
-        Self { address, connected: connect().ok().map(Arc::new), segments }
+        Self { address, connected, segments }
     }
 
     /// The socket that cuts what it sends into full datagrams, if the kernel does that on this way. Said of the socket
     /// and not with each call: what fits into one datagram is not touched by it.
     pub(super) fn segmenting(&mut self) -> Option<&UdpSocket> {
-        let socket = self.connected.as_deref()?;
+        let socket = &self.connected.as_deref()?.socket;
         if self.segments == Segments::NotYet {
             let asked = set_segment(socket, MAX_DATAGRAM_BYTES);
             self.segments = asked.map_or(Segments::Refused, |()| Segments::Cut);
@@ -95,9 +91,9 @@ impl Way {
     /// From now on each datagram leaves by itself. False where that was so already.
     pub(super) fn segment_no_more(&mut self) -> bool {
         let cut = std::mem::replace(&mut self.segments, Segments::Refused) == Segments::Cut;
-        if let Some(socket) = self.connected.as_deref().filter(|_| cut) {
-            // What cannot be unsaid makes this socket fail, and the link's own one sends.
-            let _ = set_segment(socket, 0);
+        if let Some(connected) = self.connected.as_deref().filter(|_| cut) {
+            // What cannot be unsaid makes this socket fail, and that of strangers sends.
+            let _ = set_segment(&connected.socket, 0);
         }
         cut
     }
@@ -109,6 +105,8 @@ impl Peer {
             node,
             declared,
             way: Mutex::default(),
+            inbound: Mutex::default(),
+            known: Mutex::default(),
             full: AtomicBool::new(false),
             outgoing: Mutex::default(),
             heard: Mutex::default(),
@@ -126,11 +124,14 @@ impl Peer {
         u8::try_from(self.remembered.load(Ordering::Relaxed)).ok().map(Incarnation)
     }
 
-    /// Remembers an incarnation, unless a later one was seen. Only the thread that receives calls this.
+    /// Remembers an incarnation, unless a later one was seen. Several threads may receive at once.
     pub(super) fn remember(&self, incarnation: Incarnation) {
-        if self.remembered().is_none_or(|before| supersedes(incarnation, before)) {
-            self.remembered.store(incarnation.0.into(), Ordering::Relaxed);
-        }
+        let later = |before: u16| {
+            let before = u8::try_from(before).ok().map(Incarnation);
+            before.is_none_or(|before| supersedes(incarnation, before)).then(|| incarnation.0.into())
+        };
+        // Nothing to do where it is no later one.
+        let _ = self.remembered.fetch_update(Ordering::Relaxed, Ordering::Relaxed, later);
     }
 }
 
@@ -195,17 +196,6 @@ impl Pace {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use nix::sys::socket::getsockopt;
-
-    #[test]
-    fn a_connected_socket_holds_no_more_than_the_links_own() {
-        let own = UdpSocket::bind("127.0.0.1:0").unwrap();
-        bound_sending(&own).unwrap();
-        let address = own.local_addr().unwrap();
-        let connected = Way::new(address, address, true).connected.expect("a socket");
-        let bounds = [&own, &*connected].map(|socket| getsockopt(socket, sockopt::SndBuf).unwrap());
-        assert_eq!(bounds[0], bounds[1]);
-    }
 
     #[test]
     fn an_echo_never_says_more_than_the_neighbours_clock_shows() {

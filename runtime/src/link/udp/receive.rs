@@ -1,80 +1,161 @@
 //! Receiving: from the socket to the sink.
 
 use super::UdpLink;
+use super::inbound::{Inbound, Queue};
 use super::peer::{Heard, Peer, lock};
+use super::send::SEGMENTS;
 use super::session::{Contact, Known, admit, judge};
-use super::socket::{Received, Receiver};
+use super::socket::{Asked, Received, Receiver};
 use super::statistics::UdpCount;
+use super::watch::Told;
 use crate::clock;
 use crate::link::{LinkDiscard, Sink};
 use crate::residency::{Evidence, Reading, residency};
 use imrs_protocol::{Kind, NodeId, Packet, Ticks};
-use imrs_wire::envelope::{self, Envelope, EnvelopeError, Greeting, Purpose};
+use imrs_wire::envelope::{self, Envelope, EnvelopeError, Greeting, MAX_PACKETS, Purpose};
 use std::io;
 use std::time::Duration;
 
-/// After how many datagrams a poll gives way to whatever else its thread has to do.
+/// After how many datagrams of one socket a poll gives way to the other sockets, and to whatever else its thread has to do.
 const BATCH: usize = 64;
+/// The same of strangers: so many keep neighbours waiting, at most.
+const STRANGERS_BATCH: usize = 16;
 /// How long ago the socket may have been seen empty before whoever takes one datagram looks for more.
 const EMPTY_OFTEN: Duration = Duration::from_millis(10);
 
-/// What the thread has that waits in the socket and receives.
-pub(super) struct Receiving {
-    pub(super) receiver: Receiver,
-    /// The clocks when the socket was last seen empty.
-    pub(super) empty: Reading,
-    /// The clocks when a datagram was last taken.
-    pub(super) last: Reading,
-    /// By the position of the neighbour.
-    pub(super) known: Box<[Option<Known>]>,
+/// What a visit to a socket came to.
+#[derive(Clone, Copy, Debug, Default)]
+struct Taken {
+    /// Datagrams, heard or not.
+    count: usize,
+    /// Greetings, and datagrams that were admitted.
+    heard: usize,
+}
+
+impl Taken {
+    /// Whether there was no end of what means nothing.
+    const fn is_flood(self, most: usize) -> bool {
+        self.count >= most && self.heard == 0
+    }
+}
+
+/// What a thread receives into.
+pub(super) struct Room {
+    receiver: Receiver,
     /// What came at once brought. Has room for what leaves in one call, and keeps it.
-    pub(super) decoded: Vec<Packet>,
+    decoded: Vec<Packet>,
+}
+
+impl Room {
+    pub(super) fn new(asked: Asked) -> Self {
+        let receiver = Receiver::new(asked.stamped, asked.merges);
+        Self { receiver, decoded: Vec::with_capacity(MAX_PACKETS * SEGMENTS) }
+    }
 }
 
 impl UdpLink {
-    /// Takes the datagram that the leader was told of, with those that the kernel put together with it: whatever came after
-    /// was told to whoever polls. To see the socket empty costs a system call more, so that is done only now and then:
-    /// nothing rests on it while the stamps can be believed.
-    pub(super) fn receive_one(&self, receiving: &mut Receiving, sink: &dyn Sink) {
-        let Receiving { receiver, empty, last, .. } = &*receiving;
-        let lately = last.after.saturating_duration_since(empty.after) < EMPTY_OFTEN;
-        let most = if lately && receiver.stamped { 1 } else { BATCH };
-        self.receive(receiving, most, sink);
+    /// Takes one datagram of each socket that the leader was told of, with those that the kernel put together with it: whatever
+    /// came after was told to whoever polls. False where another thread is at one of them: it takes that in, too. To see a socket
+    /// empty costs a system call more, so that is done only now and then: nothing rests on it while the stamps can be believed.
+    pub(super) fn take_told(&self, told: &Told, sink: &dyn Sink) -> bool {
+        self.with_room(|room| {
+            let mut all = true;
+            for inbound in told.places().filter_map(|place| self.inbound(place)) {
+                all &= inbound.try_take_in(|queue| {
+                    let lately = queue.last.after.saturating_duration_since(queue.empty.after) < EMPTY_OFTEN;
+                    let most = if lately && self.asked.stamped { 1 } else { BATCH };
+                    self.receive((&inbound, queue), room, most, sink);
+                });
+            }
+            all
+        })
     }
 
-    /// Takes what waits, until it was a [`BATCH`]. Returns whether any datagram came in.
-    pub(super) fn drain(&self, receiving: &mut Receiving, sink: &dyn Sink) -> bool {
-        self.receive(receiving, BATCH, sink)
+    /// Takes what waits in the sockets that the thread was told of, until it was a [`BATCH`] of each, or of strangers a
+    /// [`STRANGERS_BATCH`]. Returns whether any datagram came in.
+    pub(super) fn drain(&self, told: &Told, sink: &dyn Sink) -> bool {
+        self.with_room(|room| {
+            let mut any = false;
+            for inbound in told.places().filter_map(|place| self.inbound(place)) {
+                let most = if inbound.is_of_strangers() { STRANGERS_BATCH } else { BATCH };
+                inbound.take_in(|queue| {
+                    let taken = self.receive((&inbound, queue), room, most, sink);
+                    if inbound.is_of_strangers() && taken.is_flood(most) {
+                        self.rest_from_strangers();
+                    }
+                    any |= taken.count > 0;
+                });
+            }
+            any
+        })
     }
 
-    fn receive(&self, receiving: &mut Receiving, most: usize, sink: &dyn Sink) -> bool {
-        let Receiving { receiver, empty, last, known, decoded } = receiving;
+    fn with_room<T>(&self, work: impl FnOnce(&mut Room) -> T) -> T {
+        let room = lock(&self.rooms).pop();
+        let mut room = room.unwrap_or_else(|| Room::new(self.asked));
+        let done = work(&mut room);
+        lock(&self.rooms).push(room);
+        done
+    }
+
+    fn receive(
+        &self,
+        (inbound, queue): (&Inbound, &mut Queue),
+        room: &mut Room,
+        most: usize,
+        sink: &dyn Sink,
+    ) -> Taken {
+        let Room { receiver, decoded } = room;
         // Read before the socket is looked at: if it turns out to be empty, it was so after this.
-        let mut before = if most > 1 { Reading::take() } else { *last };
-        let mut taken = 0;
-        while taken < most {
-            match receiver.receive(&self.socket) {
-                Ok((received, dropped)) => {
+        let mut before = if most > 1 { Reading::take() } else { queue.last };
+        let (mut taken, mut errors) = (Taken::default(), 0);
+        while taken.count < most && errors < BATCH {
+            match receiver.receive(&inbound.socket) {
+                Ok(received) => {
                     let now = Reading::take();
-                    self.statistics.add(UdpCount::KernelDropped, u64::from(dropped));
-                    let waited = self.waited(&received, &now, empty);
-                    let together =
-                        Together { link: self, now, waited, known, decoded, of: None, greetings: 0, sink };
-                    taken += together.deliver(&received);
-                    (before, *last) = (now, now);
+                    self.count_dropped(inbound, queue, received.dropped);
+                    let waited = self.waited(&received, &now, &queue.empty);
+                    let together = Together {
+                        link: self,
+                        now,
+                        waited,
+                        decoded,
+                        of: None,
+                        greetings: 0,
+                        admitted: 0,
+                        sink,
+                    };
+                    let (count, heard) = together.deliver(&received);
+                    taken.count += count;
+                    taken.heard += heard;
+                    (before, queue.last) = (now, now);
                 }
                 Err(error) if error.kind() == io::ErrorKind::WouldBlock => {
-                    *empty = before;
-                    return taken > 0;
+                    queue.empty = before;
+                    return taken;
                 }
                 // What the network says of datagrams sent before, or an interruption: the queue is as it was.
-                Err(_) => {
-                    self.statistics.add(UdpCount::ReceiveFailed, 1);
-                    taken += 1;
+                Err(error) => {
+                    if error.kind() == io::ErrorKind::ConnectionRefused {
+                        self.statistics.send_failed(&error);
+                    } else {
+                        self.statistics.add(UdpCount::ReceiveFailed, 1);
+                    }
+                    errors += 1;
                 }
             }
         }
-        true
+        taken
+    }
+
+    /// The kernel has dropped so many from a queue since its socket was made, if it says so.
+    fn count_dropped(&self, inbound: &Inbound, queue: &mut Queue, total: Option<u32>) {
+        let Some(total) = total else { return };
+        let new = u64::from(total.wrapping_sub(std::mem::replace(&mut queue.dropped, total)));
+        self.statistics.add(UdpCount::KernelDropped, new);
+        if inbound.is_of_strangers() {
+            self.statistics.add(UdpCount::StrangersDropped, new);
+        }
     }
 
     /// How long a datagram waited in the kernel.
@@ -100,22 +181,23 @@ struct Together<'a> {
     now: Reading,
     /// How long it waited in the kernel, by the one stamp that it has.
     waited: Ticks,
-    known: &'a mut [Option<Known>],
     /// What its datagrams brought and the sink was not yet given.
     decoded: &'a mut Vec<Packet>,
     /// Whose that is, and its charge.
     of: Option<(NodeId, Ticks)>,
     /// How many of its datagrams were greetings.
     greetings: u64,
+    /// How many brought packets that are handed over.
+    admitted: u64,
     sink: &'a dyn Sink,
 }
 
 impl Together<'_> {
-    /// Judges each datagram by itself, and hands over what they bring. Returns how many there were.
+    /// Judges each datagram by itself, and hands over what they bring. Returns how many there were, and how many were heard.
     ///
     /// What one neighbour sent in one call has one charge, and is handed over as one: else a later packet would be taken to
     /// be the older one wherever the clock went on between two datagrams (D126).
-    fn deliver(mut self, received: &Received<'_>) -> usize {
+    fn deliver(mut self, received: &Received<'_>) -> (usize, usize) {
         let mut count = 0;
         for bytes in received.datagrams() {
             count += 1;
@@ -128,21 +210,26 @@ impl Together<'_> {
         if count > 1 {
             self.link.statistics.add(UdpCount::ReceivesSaved, count - 1);
         }
-        usize::try_from(count).unwrap_or(usize::MAX)
+        let size = |count| usize::try_from(count).unwrap_or(usize::MAX);
+        (size(count), size(self.greetings + self.admitted))
     }
 
     fn take(&mut self, bytes: &[u8]) -> Result<(), LinkDiscard> {
         let link = self.link;
         let opened = envelope::read(bytes)?;
-        let (index, peer) = link.sender_of(&opened)?;
+        let peer = link.sender_of(&opened)?;
         let (envelope, at) = (&opened.envelope, link.micros(self.now.after) + 1);
         if let Purpose::Greeting(greeting) = envelope.purpose {
             self.greetings += 1;
-            self.greeted(index, peer, (envelope, greeting), at);
+            self.greeted(peer, (envelope, greeting), at);
             return Ok(());
         }
+        if self.decoded.len() + opened.packets.len() > self.decoded.capacity() {
+            self.hand_over();
+        }
         let one_way = || lock(&peer.way).is_none();
-        let judged = judge(self.known[index].as_ref(), envelope, link.sent_after(envelope, at), one_way);
+        let mut known = lock(&peer.known);
+        let judged = judge(known.as_ref(), envelope, link.sent_after(envelope, at), one_way);
         let contact = judged.map_err(|unheard| {
             if unheard.asks {
                 link.statistics.add(UdpCount::EchoesAsked, 1);
@@ -155,19 +242,27 @@ impl Together<'_> {
             unheard.reason
         })?;
         // Only a datagram that brings at least one packet of this cell changes what is known of its sender.
-        let before = self.decode(opened.packets, envelope.sender);
+        let mut before = self.decode(opened.packets, envelope.sender);
         if self.decoded.len() == before {
             return Ok(());
         }
-        self.admitted(index, peer, (envelope, contact), (at, before));
+        if let Contact::New { .. } = contact {
+            // What came before it is of an earlier session.
+            self.hand_over_first(std::mem::take(&mut before));
+        }
+        self.admitted += 1;
+        let shown = self.enter(peer, &mut known, (envelope, contact), at);
+        drop(known);
+        let of = Some((peer.node, shown.max(peer.declared + self.waited)));
+        if self.of != of {
+            self.hand_over_first(before);
+            self.of = of;
+        }
         Ok(())
     }
 
-    /// Decodes packets behind those that wait for the sink. Returns how many of those there were.
+    /// Decodes packets behind those that wait for the sink, where there is room for them. Returns how many of those there were.
     fn decode(&mut self, packets: &[[u8; 32]], sender: NodeId) -> usize {
-        if self.decoded.len() + packets.len() > self.decoded.capacity() {
-            self.hand_over();
-        }
         let (link, before) = (self.link, self.decoded.len());
         let port_hash = |port| link.table.port(port).map(|port| port.hash);
         for packet in packets {
@@ -182,32 +277,11 @@ impl Together<'_> {
         before
     }
 
-    /// A datagram was admitted. The packets behind the first `before` are its own.
-    fn admitted(
-        &mut self,
-        index: usize,
-        peer: &Peer,
-        (envelope, contact): (&Envelope, Contact),
-        (at, before): (u64, usize),
-    ) {
-        let mut before = before;
-        if let Contact::New { .. } = contact {
-            // What came before it is of an earlier session.
-            self.hand_over_first(std::mem::take(&mut before));
-        }
-        let shown = self.enter(index, peer, (envelope, contact), at);
-        let of = Some((peer.node, shown.max(peer.declared + self.waited)));
-        if self.of != of {
-            self.hand_over_first(before);
-            self.of = of;
-        }
-    }
-
     /// Remembers what an admitted datagram says of its sender. Returns how long its way took at most.
     fn enter(
         &mut self,
-        index: usize,
         peer: &Peer,
+        known: &mut Option<Known>,
         (envelope, contact): (&Envelope, Contact),
         at: u64,
     ) -> Ticks {
@@ -223,25 +297,27 @@ impl Together<'_> {
         link.met(peer);
         *lock(&peer.heard) = Some(heard(envelope, at));
         let echo = link.own_echo(envelope);
-        let known = admit(&mut self.known[index], contact, envelope, (at, peer.declared));
+        let known = admit(known, contact, envelope, (at, peer.declared));
         known.delay.arrived(envelope.tx_mono, echo, at)
     }
 
     /// A greeting came. It changes what is known of its sender only if its echo proves when it was sent.
-    fn greeted(&mut self, index: usize, peer: &Peer, (envelope, greeting): (&Envelope, Greeting), at: u64) {
+    fn greeted(&mut self, peer: &Peer, (envelope, greeting): (&Envelope, Greeting), at: u64) {
         let link = self.link;
         link.statistics.add(UdpCount::GreetingsReceived, 1);
         let sent_after = link.sent_after(envelope, at);
         if sent_after.is_some() && !greeting.wants_answer {
             *lock(&peer.remembers) = Some(greeting.remembers);
         }
-        let judged = judge(self.known[index].as_ref(), envelope, sent_after, || false);
+        let mut known = lock(&peer.known);
+        let judged = judge(known.as_ref(), envelope, sent_after, || false);
         let contact = judged.ok().filter(|_| sent_after.is_some() && !greeting.uncounted);
         let is_new = matches!(contact, Some(Contact::New { .. }));
         if let Some(contact) = contact {
             self.hand_over();
-            self.enter(index, peer, (envelope, contact), at);
+            self.enter(peer, &mut known, (envelope, contact), at);
         }
+        drop(known);
         // Whoever is new here hears at once that this node listens, and proves with that that it hears.
         if greeting.wants_answer || is_new {
             link.say(peer, Greeting::default(), Some(heard(envelope, at)));

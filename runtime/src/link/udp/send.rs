@@ -1,7 +1,7 @@
 //! Sending: from packets to the socket.
 
 use super::UdpLink;
-use super::peer::{Peer, Way, lock};
+use super::peer::{Heard, Peer, Way, lock};
 use super::socket;
 use super::statistics::UdpCount;
 use crate::link::LinkBusy;
@@ -35,41 +35,52 @@ impl UdpLink {
         packets: &[Packet],
         at: Instant,
     ) -> Result<usize, LinkBusy> {
-        let tx_mono = self.micros(at);
-        let echo = lock(&peer.heard).and_then(|heard| heard.echo(tx_mono));
+        let first = self.envelope(peer, at, *lock(&peer.heard), Purpose::Packets);
         let Outgoing { counter, datagrams } = &mut *lock(&peer.outgoing);
         let count = packets.len().div_ceil(MAX_PACKETS);
         if datagrams.len() < count {
             datagrams.resize_with(count, Datagram::default);
         }
-        let (incarnation, restarted) = self.identity();
         let digests = self.digests();
         for (number, (datagram, packets)) in datagrams.iter_mut().zip(packets.chunks(MAX_PACKETS)).enumerate()
         {
-            let counter = *counter + number as u64;
             datagram.clear();
             for packet in packets {
                 // A port that the cell does not have: the neighbour will say so and count it.
                 let hash = self.table.port(packet.port).map_or(0, |port| port.hash);
                 datagram.push(&packet.encode(self.table.digest(), hash));
             }
-            let envelope = Envelope {
-                sender: self.table.node,
-                receiver: peer.node,
-                incarnation,
-                restarted,
-                session: self.session,
-                counter,
-                tx_mono,
-                echo,
-                purpose: Purpose::Packets,
-            };
+            let envelope = Envelope { counter: *counter + number as u64, ..first };
             datagram.seal(&envelope, digests);
         }
         let left = self.leave(peer, way, &datagrams[..count]);
         // Also the numbers of what was not taken: of a call that failed something may have left.
         *counter += count as u64;
         left.map(|left| packets.len().min(left * MAX_PACKETS))
+    }
+
+    /// The envelope of a datagram that leaves for a neighbour, with the number zero. `heard`: what is said back to it of its
+    /// clock.
+    pub(super) fn envelope(
+        &self,
+        peer: &Peer,
+        at: Instant,
+        heard: Option<Heard>,
+        purpose: Purpose,
+    ) -> Envelope {
+        let tx_mono = self.micros(at);
+        let (incarnation, restarted) = self.identity();
+        Envelope {
+            sender: self.table.node,
+            receiver: peer.node,
+            incarnation,
+            restarted,
+            session: self.session,
+            counter: 0,
+            tx_mono,
+            echo: heard.and_then(|heard| heard.echo(tx_mono)),
+            purpose,
+        }
     }
 
     /// Hands datagrams to the kernel in their order. Returns how many it took, or lost.
@@ -117,13 +128,13 @@ impl UdpLink {
     /// Hands a datagram to the kernel.
     pub(super) fn transmit(&self, bytes: &[u8], way: &mut Way) -> io::Result<()> {
         if let Some(connected) = &way.connected {
-            match self.sent(|| connected.send(bytes)) {
+            match self.sent(|| connected.socket.send(bytes)) {
                 Ok(()) => return Ok(()),
                 Err(error) if is_full(&error) => return Err(error),
                 Err(error) => self.doubt_segments(way, &error),
             }
         }
-        retried(|| self.socket.send_to(bytes, way.address))
+        retried(|| self.strangers.socket.send_to(bytes, way.address))
     }
 
     /// Hands datagrams to the kernel in one call, all of one length but the last: all of them, or none.

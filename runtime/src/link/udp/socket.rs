@@ -1,11 +1,14 @@
 //! The socket: what the kernel is asked for, and what it says with each datagram.
 
 use super::UdpError;
+use super::inbound::Inbound;
 use crate::residency::Reading;
 use imrs_wire::envelope::MAX_DATAGRAM_BYTES;
 use nix::sys::socket::{ControlMessageOwned, MsgFlags, recvmsg, setsockopt, sockopt};
 use nix::sys::time::TimeSpec;
 use rustix::event::{EventfdFlags, PollFd, PollFlags, Timespec, eventfd, poll};
+use rustix::net::sockopt::set_socket_reuseaddr;
+use rustix::net::{self, AddressFamily, SocketFlags, SocketType};
 use std::io::{self, IoSlice, IoSliceMut};
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
 use std::os::fd::{AsRawFd, OwnedFd};
@@ -57,6 +60,8 @@ pub(super) struct Received<'a> {
     /// When they came in, by the wall clock since 1970: the first of them on the loopback; what a card put together, when it
     /// let go of it. How long it may hold that is part of the link's declared bound (D129).
     pub(super) stamp: Option<Duration>,
+    /// How many the kernel has dropped since the socket was made, around the wrap, where it says so.
+    pub(super) dropped: Option<u32>,
 }
 
 impl<'a> Received<'a> {
@@ -71,8 +76,6 @@ impl<'a> Received<'a> {
 pub(super) struct Receiver {
     bytes: Box<[u8]>,
     control: Vec<u8>,
-    /// The kernel's count of datagrams that found its queue full: since the socket was made, around the wrap.
-    dropped: u32,
     /// Whether stamps are those of the arrival.
     pub(super) stamped: bool,
 }
@@ -82,30 +85,27 @@ impl Receiver {
     pub(super) fn new(stamped: bool, merges: bool) -> Self {
         let control = nix::cmsg_space!(TimeSpec, u32, i32);
         let room = if merges { MERGED_BYTES } else { BUFFER_BYTES };
-        Self { bytes: vec![0; room].into(), control, dropped: 0, stamped }
+        Self { bytes: vec![0; room].into(), control, stamped }
     }
 
-    /// The next datagram that waits, or several that were put together, and how many more the kernel has dropped before.
-    /// Never blocks.
-    pub(super) fn receive(&mut self, socket: &UdpSocket) -> io::Result<(Received<'_>, u32)> {
+    /// The next datagram that waits, or several that were put together. Never blocks.
+    pub(super) fn receive(&mut self, socket: &UdpSocket) -> io::Result<Received<'_>> {
         let mut slices = [IoSliceMut::new(&mut self.bytes)];
         let flags = MsgFlags::MSG_DONTWAIT;
         let message = recvmsg::<()>(socket.as_raw_fd(), &mut slices, Some(&mut self.control), flags)?;
-        let (mut stamp, mut dropped, mut segment) = (None, self.dropped, None);
+        let (mut stamp, mut dropped, mut segment) = (None, None, None);
         for control in message.cmsgs().into_iter().flatten() {
             match control {
                 ControlMessageOwned::ScmTimestampns(at) => stamp = since_1970(at),
-                ControlMessageOwned::RxqOvfl(total) => dropped = total,
+                ControlMessageOwned::RxqOvfl(total) => dropped = Some(total),
                 ControlMessageOwned::UdpGroSegments(bytes) => segment = usize::try_from(bytes).ok(),
                 _ => {}
             }
         }
         let length = message.bytes;
-        let new = dropped.wrapping_sub(self.dropped);
-        self.dropped = dropped;
         let segment = segment.filter(|&bytes| bytes > 0).unwrap_or(length);
         let stamp = stamp.filter(|_| self.stamped);
-        Ok((Received { bytes: &self.bytes[..length], segment, stamp }, new))
+        Ok(Received { bytes: &self.bytes[..length], segment, stamp, dropped })
     }
 }
 
@@ -114,23 +114,75 @@ fn since_1970(at: TimeSpec) -> Option<Duration> {
     Some(Duration::new(u64::try_from(at.tv_sec()).ok()?, nanoseconds))
 }
 
-/// A socket bound to `address`, whose kernel queue holds at most about `queue` bytes. Returned with it: whether its
-/// stamps can be used, and a reading of the clocks before anything can have come in.
-pub(super) fn bind(address: SocketAddr, queue: usize) -> Result<(UdpSocket, bool, Reading), UdpError> {
+/// What a socket that receives is asked for.
+#[derive(Clone, Copy, Debug)]
+pub(super) struct Asked {
+    /// Whether the kernel puts together what comes in from one sender at the same time.
+    pub(super) merges: bool,
+    /// Whether it stamps what comes in.
+    pub(super) stamped: bool,
+    /// About how many bytes wait in the kernel, at most.
+    pub(super) queue: usize,
+}
+
+impl Asked {
+    /// Asks for it, but not that anything be put together: that the kernel need not know.
+    fn of(self, socket: &UdpSocket) -> Result<(), UdpError> {
+        let option = |option: &'static str, result: nix::Result<()>| {
+            result.map_err(|errno| UdpError::Option { option, source: errno.into() })
+        };
+        option("SO_RCVBUF", setsockopt(socket, sockopt::RcvBuf, &self.queue))?;
+        option("SO_SNDBUF", bound_sending(socket))?;
+        option("SO_RXQ_OVFL", setsockopt(socket, sockopt::RxqOvfl, &1))?;
+        if self.stamped {
+            option("SO_TIMESTAMPNS", setsockopt(socket, sockopt::ReceiveTimestampns, &true))?;
+        }
+        Ok(())
+    }
+}
+
+/// A socket bound to `address`, which no other socket may have. `merges`: the kernel may put datagrams together. Returned with
+/// it: what it was asked for, as far as the kernel knows that, and a reading of the clocks before anything can have come in.
+pub(super) fn bind(
+    address: SocketAddr,
+    queue: usize,
+    merges: bool,
+) -> Result<(UdpSocket, Asked, Reading), UdpError> {
     let stamped = stamps_work();
     let empty = Reading::take();
     let socket = UdpSocket::bind(address).map_err(|source| UdpError::Bind { address, source })?;
     socket.set_nonblocking(true).map_err(|source| UdpError::Option { option: "O_NONBLOCK", source })?;
-    let option = |option: &'static str, result: nix::Result<()>| {
-        result.map_err(|errno| UdpError::Option { option, source: errno.into() })
-    };
-    option("SO_RCVBUF", setsockopt(&socket, sockopt::RcvBuf, &queue))?;
-    option("SO_SNDBUF", bound_sending(&socket))?;
-    option("SO_RXQ_OVFL", setsockopt(&socket, sockopt::RxqOvfl, &1))?;
-    if stamped {
-        option("SO_TIMESTAMPNS", setsockopt(&socket, sockopt::ReceiveTimestampns, &true))?;
+    let asked = Asked { merges: merges && merge(&socket), stamped, queue };
+    asked.of(&socket)?;
+    Ok((socket, asked, empty))
+}
+
+/// A socket on the address of another one, `local`, that is connected to `peer`: the kernel gives it what comes from there.
+///
+/// A socket gets an address that others have only where all of them and itself say SO_REUSEADDR at that moment. `bound` says it for
+/// no longer than that takes, so nobody else gets the address; two threads must not do this at once. SO_REUSEPORT would let other
+/// processes of the user in for as long as the node runs. Between its bind and its connect the socket gets what strangers
+/// send: it is judged by what it says, as anywhere.
+pub(super) fn connect_beside(
+    bound: &UdpSocket,
+    local: SocketAddr,
+    peer: SocketAddr,
+    asked: Asked,
+) -> io::Result<UdpSocket> {
+    let family = if local.is_ipv4() { AddressFamily::INET } else { AddressFamily::INET6 };
+    let flags = SocketFlags::CLOEXEC | SocketFlags::NONBLOCK;
+    let socket = UdpSocket::from(net::socket_with(family, SocketType::DGRAM, flags, None)?);
+    asked.of(&socket).map_err(io::Error::other)?;
+    if asked.merges {
+        merge(&socket);
     }
-    Ok((socket, stamped, empty))
+    set_socket_reuseaddr(&socket, true)?;
+    set_socket_reuseaddr(bound, true)?;
+    let beside = net::bind(&socket, &local);
+    set_socket_reuseaddr(bound, false)?;
+    beside?;
+    socket.connect(peer)?;
+    Ok(socket)
 }
 
 /// Whether the kernel stamps datagrams as they come in. It starts to do so some time after the first socket asks for
@@ -148,7 +200,7 @@ fn stamps_work() -> bool {
             socket.send(&[0])?;
             std::thread::sleep(WAIT);
             let now = Reading::take();
-            let Ok((received, _)) = receiver.receive(&socket) else { continue };
+            let Ok(received) = receiver.receive(&socket) else { continue };
             if received.stamp.is_some_and(|stamp| now.realtime.saturating_sub(stamp) >= WAIT / 2) {
                 return Ok(true);
             }
@@ -183,24 +235,23 @@ impl Wake {
     }
 }
 
-/// What a wait ended with.
+/// What a wait for room ended with.
 pub(super) enum Waited {
-    Readable,
+    /// The epoll instance has something to tell.
+    Told,
+    /// A socket that was full may take something.
     Writable,
-    Woken,
     TimedOut,
 }
 
-/// Waits until the socket has something, one of the `full` ones takes something, a wake, or `until`. Allocates: for times
-/// when the network does not keep up.
-pub(super) fn wait(
-    socket: &UdpSocket,
-    wake: &Wake,
-    full: &[Arc<UdpSocket>],
+/// Waits until an epoll instance has something to tell, one of the `full` sockets takes something, or `until`. Allocates: for times when the network does not keep up.
+pub(super) fn wait_for_room(
+    epoll: &OwnedFd,
+    full: &[Arc<Inbound>],
     until: Option<Instant>,
 ) -> io::Result<Waited> {
-    let mut fds = vec![PollFd::new(socket, PollFlags::IN), PollFd::new(&wake.0, PollFlags::IN)];
-    fds.extend(full.iter().map(|full| PollFd::new(full, PollFlags::OUT)));
+    let mut fds = vec![PollFd::new(epoll, PollFlags::IN)];
+    fds.extend(full.iter().map(|full| PollFd::new(&full.socket, PollFlags::OUT)));
     loop {
         let left = until.map(|until| until.saturating_duration_since(Instant::now()));
         // A wait too long for the kernel's type is as good as one without end.
@@ -213,16 +264,11 @@ pub(super) fn wait(
             Err(rustix::io::Errno::INTR) => continue,
             Err(errno) => return Err(errno.into()),
         }
-        if !fds[1].revents().is_empty() {
-            wake.clear();
-            return Ok(Waited::Woken);
-        }
-        // An error of the socket (POLLERR) is fetched by receiving.
-        if fds[0].revents().intersects(PollFlags::IN | PollFlags::ERR) {
-            return Ok(Waited::Readable);
+        if !fds[0].revents().is_empty() {
+            return Ok(Waited::Told);
         }
         // An error of one that sends is fetched by sending.
-        if fds[2..].iter().any(|fd| !fd.revents().is_empty()) {
+        if fds[1..].iter().any(|fd| !fd.revents().is_empty()) {
             return Ok(Waited::Writable);
         }
     }
@@ -243,9 +289,55 @@ mod tests {
     #[test]
     fn the_queues_of_the_kernel_are_bounded() {
         const QUEUE: usize = 32 * 1024;
-        let (socket, _, _) = bind((Ipv4Addr::LOCALHOST, 0).into(), QUEUE).unwrap();
-        // The kernel says twice what was asked for.
-        assert_eq!(getsockopt(&socket, sockopt::RcvBuf).unwrap(), 2 * QUEUE);
-        assert_eq!(getsockopt(&socket, sockopt::SndBuf).unwrap(), 2 * SEND_QUEUE_BYTES);
+        let (bound, asked, _) = bind((Ipv4Addr::LOCALHOST, 0).into(), QUEUE, true).unwrap();
+        let local = bound.local_addr().unwrap();
+        let connected = connect_beside(&bound, local, local, asked).unwrap();
+        for socket in [bound, connected] {
+            // The kernel says twice what was asked for.
+            assert_eq!(getsockopt(&socket, sockopt::RcvBuf).unwrap(), 2 * QUEUE);
+            assert_eq!(getsockopt(&socket, sockopt::SndBuf).unwrap(), 2 * SEND_QUEUE_BYTES);
+        }
+    }
+
+    /// Neither a node that is started twice nor anybody else gets a share of a node's port.
+    #[test]
+    fn an_address_stays_this_nodes_alone() {
+        for any in ["127.0.0.1:0", "0.0.0.0:0", "[::1]:0", "[::]:0"] {
+            let (bound, asked, _) = bind(any.parse().unwrap(), 32 * 1024, true).unwrap();
+            let local = bound.local_addr().unwrap();
+            let of_peer = if local.is_ipv4() { "127.0.0.1:9" } else { "[::1]:9" };
+            let peers: Vec<_> = (0..2)
+                .map(|_| connect_beside(&bound, local, of_peer.parse().unwrap(), asked).unwrap())
+                .collect();
+            assert!(peers.iter().all(|peer| peer.local_addr().unwrap().port() == local.port()));
+            let family = if local.is_ipv4() { AddressFamily::INET } else { AddressFamily::INET6 };
+            for shares in [false, true] {
+                let other = net::socket(family, SocketType::DGRAM, None).unwrap();
+                set_socket_reuseaddr(&other, shares).unwrap();
+                assert_eq!(net::bind(&other, &local), Err(rustix::io::Errno::ADDRINUSE), "{any} {shares}");
+            }
+        }
+    }
+
+    #[test]
+    fn a_datagram_comes_to_the_socket_that_is_connected_to_its_sender() {
+        for (any, here) in
+            [("127.0.0.1:0", "127.0.0.1"), ("0.0.0.0:0", "127.0.0.1"), ("[::1]:0", "::1"), ("[::]:0", "::1")]
+        {
+            let here: std::net::IpAddr = here.parse().unwrap();
+            let [near, far] = [0, 1].map(|_| UdpSocket::bind((here, 0)).unwrap());
+            let (bound, asked, _) = bind(any.parse().unwrap(), 32 * 1024, true).unwrap();
+            let local = bound.local_addr().unwrap();
+            let connected = connect_beside(&bound, local, near.local_addr().unwrap(), asked).unwrap();
+            let to = (here, local.port());
+            near.send_to(b"near", to).unwrap();
+            far.send_to(b"far", to).unwrap();
+            for (socket, expected) in [(&connected, b"near".as_slice()), (&bound, b"far")] {
+                socket.set_nonblocking(false).unwrap();
+                let mut bytes = [0; 9];
+                let length = socket.recv(&mut bytes).unwrap();
+                assert_eq!(&bytes[..length], expected, "{any}");
+            }
+        }
     }
 }

@@ -40,9 +40,12 @@ counts! {
     /// What the kernel dropped because its queue was full (SO_RXQ_OVFL): datagrams, and those that it had put together as
     /// one.
     KernelDropped = "kernel_dropped",
+    /// Those of them that waited in the socket of strangers: what came from no address that the node knows (D155). A flood
+    /// from elsewhere shows here.
+    StrangersDropped = "strangers_dropped",
     /// Sends that found the kernel's send queue full; the packets were kept.
     Busy = "send_busy",
-    /// Sends that failed: the other side has no such socket (ECONNREFUSED).
+    /// Sends that failed: the other side has no such socket (ECONNREFUSED). The kernel says so to whoever sends or receives next.
     SendRefused = "send_refused",
     /// Sends that failed: no memory in the kernel (ENOBUFS, ENOMEM).
     SendNoBuffers = "send_no_buffers",
