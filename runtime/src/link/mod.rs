@@ -83,8 +83,8 @@ pub trait Link: Send + Sync {
     }
 }
 
-/// A link that a task's thread can wait in (D40): what comes in while it does is told to it alone, and to nobody that
-/// polls. One thread at a time.
+/// A link that a task's thread can wait in (D40): what comes in from neighbours while it does is told to it alone, and to nobody
+/// that polls. One thread at a time. What comes from elsewhere is told to whoever polls (D155).
 pub trait Leading: Send + Sync {
     /// Waits until something comes in, for at most so long, or until [`call`](Self::call). Takes nothing in, and may end
     /// early for no reason; that the time is over it says only where `left` is zero.

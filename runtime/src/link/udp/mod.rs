@@ -229,7 +229,8 @@ impl UdpLink {
         self.local
     }
 
-    /// Enters where a neighbour receives, or that it is not known. Packets that wait for it can leave from now on.
+    /// Enters where a neighbour receives, or that it is not known. Packets that wait for it can leave from now on, and what comes
+    /// from there has a socket of its own.
     ///
     /// # Errors
     /// Where the node is no neighbour.
