@@ -315,7 +315,7 @@ impl Builder {
                 let member = &node.members.list[place];
                 member.scripted.store(true, Ordering::Relaxed);
                 if self.restarted && self.holds {
-                    let held_back = node.table.quarantine(node.table.node);
+                    let held_back = node.table.held_back(member.task);
                     member.begins.store(node.started.saturating_add(held_back.0), Ordering::Relaxed);
                 }
                 node.look(member, |comm| comm.seat(seat));
