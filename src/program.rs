@@ -113,8 +113,6 @@ type Function = Box<dyn Fn(&Call) -> Result<i32, String> + Send + Sync>;
 /// A node that runs.
 struct Running {
     runtime: Runtime,
-    /// How long its scripts are kept from beginning.
-    held_back: Duration,
     /// Locked while the node runs, where it runs by itself.
     _state: Option<State>,
     /// Served while they are here.
@@ -221,14 +219,22 @@ impl Program {
         for (after, node) in nodes.into_iter().enumerate() {
             running.push(self.start(node, after, &network, Arc::clone(&actions))?);
         }
-        // Scripts of a later life could only wait in vain at first (D94). Those of a first one begin together.
-        let held_back = running.iter().map(|node: &Running| node.held_back).max().unwrap_or_default();
-        std::thread::sleep(held_back);
-        running.iter().for_each(|node| node.runtime.begin());
-        let end = length.map(|length| Instant::now() + length);
-        let time_is_over = || end.is_some_and(|end| Instant::now() >= end);
-        while !time_is_over() && !running.iter().all(|node| node.runtime.wait(Duration::ZERO)) {
-            let left = end.map_or(LOOK_EVERY, |end| end.saturating_duration_since(Instant::now()));
+        // Scripts of a later life could only wait in vain at first (D94). The time runs once all have begun.
+        let begin = || running.iter().filter_map(|node: &Running| node.runtime.begin()).min();
+        let (mut begins, mut end) = (begin(), None);
+        loop {
+            if begins.is_some_and(|at| at <= Instant::now()) {
+                begins = begin();
+            }
+            if begins.is_none() && end.is_none() {
+                end = length.map(|length| Instant::now() + length);
+            }
+            let is_over = end.is_some_and(|end| Instant::now() >= end);
+            if is_over || running.iter().all(|node| node.runtime.wait(Duration::ZERO)) {
+                break;
+            }
+            let next = begins.into_iter().chain(end).min();
+            let left = next.map_or(LOOK_EVERY, |next| next.saturating_duration_since(Instant::now()));
             std::thread::sleep(left.min(LOOK_EVERY));
         }
         Ok(running.into_iter().flat_map(|node| node.runtime.stop(PATIENCE)).collect())
@@ -288,13 +294,10 @@ impl Program {
             .actions(actions)
             .seed(self.seed)
             .hold_scripts();
-        let (mut held_back, mut state) = (Duration::ZERO, None);
+        let mut state = None;
         builder = match &self.node {
             Some(_) => {
                 let (link, counted) = self.link(node)?;
-                if counted.restarted {
-                    held_back = place::quarantine(&table, node);
-                }
                 builder = builder.incarnation(counted.incarnation, counted.restarted).link(link);
                 state = Some(counted.state);
                 builder
@@ -322,7 +325,7 @@ impl Program {
             }
             observers.push(Showing::new(Arc::clone(runtime.node())).token(token).start_tcp(address)?);
         }
-        Ok(Running { runtime, held_back, _state: state, _observers: observers })
+        Ok(Running { runtime, _state: state, _observers: observers })
     }
 
     fn link(&self, node: NodeId) -> Result<(Arc<dyn Link>, Counted), ProgramError> {

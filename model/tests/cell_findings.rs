@@ -172,6 +172,29 @@ fn a_node_that_crashes_and_a_link_that_is_cut_are_the_named_ones() {
     assert!(with("dup 1").is_none());
 }
 
+/// Task `b` begins 21 ticks after a restart of its node, because `put` may still be under way; `c` need not wait for it, unless it
+/// asks it something.
+#[test]
+fn after_a_restart_a_task_waits_for_its_own_ports_and_those_that_it_asks() {
+    let early = |port: &str, uses: &str, answer: &str, ask: &str| {
+        let send = "loop send put(m) on time_out do skip; end; delay 30 msec; end;";
+        let rest = format!(
+            "task c on nb\n{port}\nvar z: int8; var m: Num;\nbegin\ndelay 5 msec; z := 1; {ask}\nend c;\n\
+             faults crash nb;\ncheck together: never c.z = 1 and b.y = 0;"
+        );
+        let take = format!("{answer} y := 1; {TAKE}");
+        two(PUT, &format!("{USE_PUT} {uses}"), send, &take, &rest).check()
+    };
+    let alone = early("", "", "", "");
+    let finding = alone.of(Kind::Check).next().expect("c begins before b").clone();
+    assert!(alone.is_complete() && finding.chart.contains("CRASHES"), "{}", finding.chart);
+    let ask = PUT.replace("put(", "ask(");
+    let uses = "use_port ask(m: Num) usage = receive;";
+    let answer = "order ask > self; on receive ask(m) do reply(); end;";
+    let asks = early(&ask, uses, answer, "send ask(m) on time_out do skip; end;");
+    assert!(asks.is_complete() && asks.of(Kind::Check).next().is_none());
+}
+
 #[test]
 fn a_budget_that_ends_the_search_gives_a_part() {
     let act = "loop run work takes 5..20 msec; waitfor meet() on time_out do skip; end; end;";

@@ -65,7 +65,8 @@ impl Running {
             | ServerFrame::Events(_)
             | ServerFrame::Bye(_)
             | ServerFrame::Detail(_)
-            | ServerFrame::Vitals(_) => true,
+            | ServerFrame::Vitals(_)
+            | ServerFrame::HeldBack(_) => true,
         }
     }
 

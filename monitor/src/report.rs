@@ -6,7 +6,7 @@ use crate::query::{Assertion, Held};
 use crate::replay::tell::Position;
 use crate::replay::{Player, tell};
 use crate::store::conformance::{Verdict, conformance};
-use crate::store::health::{Finding, findings};
+use crate::store::health::{Finding, findings, held_back_words};
 use crate::store::journal::Level;
 use crate::store::meeting::{Meeting, Standing, meetings, state};
 use crate::store::{Life, Store};
@@ -43,6 +43,8 @@ struct Node<'a> {
     build: Option<&'a str>,
     uptime_us: Option<u64>,
     insecure: Option<bool>,
+    /// How long the scripts of a restarted node are still held back, the longest of them; none where none is.
+    held_back_us: Option<u64>,
     /// Where real time was asked for: `had`, or what was refused of it.
     real_time: Option<String>,
     transit: Transit,
@@ -75,6 +77,8 @@ struct Task<'a> {
     name: &'a str,
     /// `run`, `receive`, `await_reply`, `waitfor`, `delay`; or `ended`, `crashed`.
     state: &'static str,
+    /// How long its script is still held back: its node was restarted.
+    held_back_us: Option<u64>,
     ports: Vec<Port<'a>>,
     waitfor: Vec<Waitfor<'a>>,
 }
@@ -207,6 +211,7 @@ fn node<'a>(store: &Store, life: &'a Life, now: Moment) -> Node<'a> {
         build: Some(life.build.raw()),
         uptime_us: snapshot.map(|s| s.uptime_us),
         insecure: snapshot.map(|s| s.insecure),
+        held_back_us: life.held_back(now).map(|(_, us)| us).max(),
         real_time: snapshot.and_then(|s| real_time(s.real_time)),
         transit,
         discards: snapshot.map_or(&[][..], |s| &s.discards).iter().map(reason).collect(),
@@ -246,6 +251,7 @@ fn not_seen<'a>(cell: &'a Name, name: &'a Name, killed: bool) -> Node<'a> {
         build: None,
         uptime_us: None,
         insecure: None,
+        held_back_us: None,
         real_time: None,
         transit: Transit::default(),
         discards: Vec::new(),
@@ -270,6 +276,7 @@ fn task<'a>(life: &'a Life, task: &'a TaskSnapshot, now: Moment) -> Task<'a> {
     Task {
         name: raw_task(life, task.view.task),
         state,
+        held_back_us: life.task_held_back(task.view.task, now),
         ports: task.view.ports.iter().map(|p| port(life, task, p, now)).collect(),
         waitfor: task.view.meetings.iter().map(|m| waitfor(life, task, m, now)).collect(),
     }
@@ -439,7 +446,10 @@ fn text_node(life: &Life, now: Moment, out: &mut String) {
         let does = match task.liveness {
             Liveness::Crashed => "CRASHED".to_owned(),
             Liveness::Ended => "ended".to_owned(),
-            Liveness::Alive => state(life, &task.view.state),
+            Liveness::Alive => match life.task_held_back(task.view.task, now) {
+                Some(us) => held_back_words(us),
+                None => state(life, &task.view.state),
+            },
         };
         let _ = writeln!(out, "    task {}: {does}", life.names.task(task.view.task));
         for port in &task.view.ports {

@@ -5,6 +5,7 @@ use crossterm::event::KeyCode;
 use imrs_monitor::app::{Effect, Screen};
 use imrs_monitor::clock::Clock;
 use imrs_monitor::name::Name;
+use imrs_monitor::report;
 use imrs_monitor::source::{Feed, Memory, Sink, Source, SourceId};
 use imrs_monitor::store::health::findings;
 use imrs_monitor::store::journal::Level;
@@ -13,7 +14,8 @@ use imrs_monitor::store::{Presence, Store};
 use imrs_monitor::theme::Theme;
 use imrs_protocol::{Event, Incarnation, PortCounters, Reason, TaskId, Ticks};
 use imrs_wire::obs::{
-    Bye, Count, Events, Goodbye, Lateness, Liveness, NodeIdentity, ServerFrame, Table, Vitals,
+    Bye, Count, Events, Goodbye, HeldBack, HeldTask, Lateness, Liveness, NodeIdentity, ServerFrame, Table,
+    Vitals,
 };
 use proptest::prelude::*;
 use std::sync::atomic::{AtomicU32, Ordering};
@@ -459,4 +461,39 @@ fn a_trouble_ends_with_its_socket_or_with_success() {
     assert_eq!(stage.app.store().troubles().collect::<Vec<_>>(), ["trouble 0"]);
     stage.attach(ms(2), 0, 1);
     assert_eq!(stage.app.store().troubles().count(), 0);
+}
+
+/// What a node says of its scripts that are held back counts down, in words and for programs, until it says that they began.
+#[test]
+fn a_restarted_node_is_shown_to_be_held_back_until_its_scripts_begin() {
+    let mut stage = Stage::cell(Theme::MONO);
+    let tell = |stage: &mut Stage, at: u64, left: &[u64]| {
+        let held = |&us: &u64| HeldTask { task: TaskId(2), remaining: Ticks(us) };
+        let tasks = left.iter().map(held).collect();
+        stage.frame(ms(at), 2, ServerFrame::HeldBack(HeldBack { mono_us: 5_000_000, tasks }));
+    };
+    let seen = |stage: &Stage, at: u64| {
+        let json = report::json(stage.app.store(), None, ms(at));
+        let json: serde_json::Value = serde_json::from_str(&json).unwrap();
+        let node = &json["nodes"][2];
+        assert_eq!(node["held_back_us"], node["tasks"][0]["held_back_us"]);
+        assert_eq!(json["nodes"][0]["held_back_us"], serde_json::Value::Null);
+        let found = json["findings"].as_array().unwrap().iter().find(|f| f["code"] == "held-back");
+        let found = found.map(|found| (found["level"].clone(), found["node"].clone(), found["text"].clone()));
+        (node["held_back_us"].as_u64(), found)
+    };
+    assert_eq!(seen(&stage, 1_100), (None, None));
+    tell(&mut stage, 1_200, &[61_700_000]);
+    let words = "held back 62 s more: commands of its earlier incarnation may still arrive";
+    let found = Some(("note".into(), "nh".into(), words.into()));
+    assert_eq!(seen(&stage, 1_200), (Some(61_700_000), found));
+    let screen = stage.text(ms(1_200), 160, 40);
+    assert!(screen.contains(&format!("; nh {words}")), "{screen}");
+    let text = report::text(stage.app.store(), None, ms(1_200));
+    assert!(text.contains("task hoist: held back 62 s more") && text.contains(words), "{text}");
+    // It may be long between two words of a node.
+    assert_eq!(seen(&stage, 32_200).0, Some(30_700_000));
+    assert_eq!(seen(&stage, 99_000), (None, None));
+    tell(&mut stage, 33_000, &[]);
+    assert_eq!(seen(&stage, 33_000), (None, None));
 }

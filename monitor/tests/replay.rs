@@ -9,8 +9,8 @@ use imrs_monitor::source::{Arrival, Feed, SourceId};
 use imrs_monitor::store::Store;
 use imrs_monitor::theme::Theme;
 use imrs_monitor::{At, Options, report};
-use imrs_protocol::{Event, TaskId};
-use imrs_wire::obs::{Events, Hello, Role, SCHEMA, ServerFrame, VERSION, Version};
+use imrs_protocol::{Event, TaskId, Ticks};
+use imrs_wire::obs::{Events, HeldBack, HeldTask, Hello, Role, SCHEMA, ServerFrame, VERSION, Version};
 use imrs_wire::recording::{Doing, Header, Place, Record, RecordingWriter, Shown, Step, Story};
 use proptest::prelude::*;
 use std::sync::{Arc, LazyLock};
@@ -221,6 +221,9 @@ fn a_recording_shows_what_was_seen_live() {
     for node in 0..3_u32 {
         take(ms(1_010), node, Feed::Frame(Box::new(ServerFrame::Snapshot(snapshot(node as usize)))));
     }
+    let tasks = vec![HeldTask { task: TaskId(1), remaining: Ticks(62_000_000) }];
+    let held = ServerFrame::HeldBack(HeldBack { mono_us: 5_010_000, tasks });
+    take(ms(1_020), 1, Feed::Frame(Box::new(held)));
     take(ms(1_500), 2, Feed::Lost { why: "the connection was closed".into() });
     let recorded = tape.stop().unwrap();
     assert_eq!((recorded.status.lost, recorded.status.ended), (0, true));
@@ -232,6 +235,7 @@ fn a_recording_shows_what_was_seen_live() {
         serde_json::from_str(&report::json_of_replay(&player, None)).unwrap();
     let place = replayed.as_object_mut().unwrap().remove("replay").unwrap();
     assert_eq!(live, replayed);
+    assert_eq!(replayed["nodes"][1]["held_back_us"], 62_000_000 - 480_000);
     assert_eq!((&place["at_us"], &place["story"]), (&1_490_000.into(), &serde_json::Value::Null));
     assert!(report::is_critical(player.store(), None, player.moment()), "a death is one in a recording too");
     assert_eq!(free_name(&path), folder.path().join("run-2.imrs"));
@@ -278,7 +282,7 @@ fn damage_and_other_versions_are_named() {
     assert_eq!(refusal(&newer), why);
     let other = attached(0, Version { major: 2, minor: 0 });
     let why = refusal(&written(&[(0, 0, other)]));
-    assert!(why.contains("the node speaks imrs-obs 2.0, this program 1.1"), "{why}");
+    assert!(why.contains("the node speaks imrs-obs 2.0, this program 1.2"), "{why}");
     assert_eq!(refusal(&written(&[])), "nothing was recorded in it");
     let missing = imrs_monitor::run(&Options { replay: Some("no/such.imrs".into()), ..Options::default() });
     let missing = missing.unwrap_err();

@@ -6,8 +6,8 @@ use imrs_monitor::app::{Effect, Msg, Screen};
 use imrs_monitor::keys::{self, Action, BINDINGS};
 use imrs_monitor::source::Feed;
 use imrs_monitor::theme::Theme;
-use imrs_protocol::{Event, MeetingState, Reason, TaskState};
-use imrs_wire::obs::ServerFrame;
+use imrs_protocol::{Event, MeetingState, Reason, TaskId, TaskState, Ticks};
+use imrs_wire::obs::{HeldBack, HeldTask, ServerFrame};
 use std::time::Duration;
 
 const SIZES: [(u16, u16); 4] = [(40, 12), (80, 24), (120, 40), (200, 60)];
@@ -43,6 +43,15 @@ fn marked(theme: Theme) -> Stage {
     let beat = later.tasks[0].view.ports.iter_mut().find(|p| p.port == BEAT).unwrap();
     beat.counters.expired += 2;
     stage.frame(ms(1_100), 1, ServerFrame::Snapshot(later));
+    stage
+}
+
+/// The hoist's node was started again: its script does not begin yet.
+fn held_back(theme: Theme) -> Stage {
+    let mut stage = dead(theme);
+    stage.attach(ms(1_110), 2, 2);
+    let tasks = vec![HeldTask { task: TaskId(2), remaining: Ticks(61_400_000) }];
+    stage.frame(ms(1_110), 2, ServerFrame::HeldBack(HeldBack { mono_us: 5_000_000, tasks }));
     stage
 }
 
@@ -95,7 +104,7 @@ fn cycle(theme: Theme) -> Stage {
     stage
 }
 
-const SCENES: [Scene; 23] = [
+const SCENES: [Scene; 24] = [
     ("overview", stage, ""),
     ("overview_dead", dead, "jjjj"),
     ("overview_filter", stage, "/bea"),
@@ -119,6 +128,7 @@ const SCENES: [Scene; 23] = [
     ("model", Stage::busy, "7"),
     ("overview_marked", marked, "d"),
     ("command", stage, ":port be"),
+    ("overview_held_back", held_back, ""),
 ];
 
 fn snap(name: &str, make: impl Fn(Theme) -> Stage, keys: &str, now: Duration) {

@@ -3,6 +3,7 @@
 
 mod check;
 mod digest;
+mod restart;
 
 use crate::cell::{Cell, CellError, PortDecl, Rate, TaskDecl, Usage, UserDecl};
 use crate::couples;
@@ -93,6 +94,8 @@ pub struct CellTable {
     ports_of: Box<[Box<[PortId]>]>,
     /// The node of each task.
     locations: Box<[NodeId]>,
+    /// How long each task is held back where its node restarts.
+    held_back: Box<[Ticks]>,
 }
 
 #[derive(Clone, Copy, Debug)]
@@ -146,7 +149,9 @@ impl CellTable {
         let ports_of = ports_of.into_iter().map(Vec::into_boxed_slice).collect();
         let digest = digest::of_cell(&cell, &ports);
         let locations = cell.tasks.iter().map(|task| task.node).collect();
-        Ok(Self { cell, ports, digest, routes, ports_of, locations })
+        let mut table = Self { cell, ports, digest, routes, ports_of, locations, held_back: Box::default() };
+        table.held_back = table.hold_back();
+        Ok(table)
     }
 
     /// The declarations.
@@ -209,24 +214,6 @@ impl CellTable {
     pub fn bound_between(&self, from: TaskId, to: TaskId) -> Ticks {
         let bound = self.location(from).zip(self.location(to)).and_then(|(a, b)| self.path_bound(a, b));
         bound.unwrap_or(Ticks::FAR)
-    }
-
-    /// How long the tasks of a restarted node hear nobody: as long as what was meant for an earlier life of it can be under
-    /// way (D49, D67). Its scripts begin after that: before, they could only wait in vain (D94).
-    #[must_use]
-    pub fn quarantine(&self, node: NodeId) -> Ticks {
-        let held = |port: &&Port| {
-            port.decl.usage == Usage::Waitfor || port.decl.class == crate::packet::Class::Command
-        };
-        let mut longest = Ticks::ZERO;
-        for port in self.ports.iter().filter(held) {
-            for own in port.parties.iter().filter(|party| self.location(party.task) == Some(node)) {
-                let others = port.parties.iter().filter(|party| party.task != own.task);
-                let lives = others.map(|party| party.time_out + self.bound_between(party.task, own.task));
-                longest = longest.max(lives.max().unwrap_or_default());
-            }
-        }
-        longest
     }
 
     /// The declared bound of the link between two neighbours.

@@ -230,3 +230,59 @@ fn patience_beyond_the_declared_one_is_cut_to_it() {
     let mut x = Solo::new(&table, X);
     assert_eq!(x.ask(command).packets[0].remaining, Ticks(20));
 }
+
+/// X on node A; Y and Z on node B, which restarts. All meet, X and Z command Y.
+fn three() -> Arc<CellTable> {
+    let mut cell = Cell::new("three", Ticks(1));
+    let (a, b) = (cell.node("a"), cell.node("b"));
+    cell.link(a, b, Ticks(2));
+    let (x, y, z) = (cell.task("x", a), cell.task("y", b), cell.task("z", b));
+    cell.port(PortDecl::new("move", y, Usage::Receive, &[x, z], Ticks(20)).command());
+    cell.port(PortDecl::new("lift", x, Usage::Waitfor, &[y, z], Ticks(40)).resend(Ticks(6), 0));
+    Arc::new(CellTable::new(cell).expect("a checked cell"))
+}
+
+#[test]
+fn what_comes_from_the_own_node_is_of_its_present_life() {
+    const Z: TaskId = TaskId(2);
+    let table = three();
+    let mut x = Solo::new(&table, X);
+    let (mut y, mut z) = (Solo::life(&table, Y, 1, true), Solo::life(&table, Z, 1, true));
+    y.ask(get(90));
+    let theirs = x.ask(send(MOVE, Y, 3)).packets[0];
+    assert_eq!(y.hear(Packet { remaining: Ticks(9), ..theirs }).words(), ["RESTARTED T1>T0 #0 for 9"]);
+    let own = z.ask(send(MOVE, Y, 4)).packets[0];
+    assert_eq!(y.hear(own).words(), ["message [4] from T2 for 20"]);
+    z.ask(Request::Cancel);
+    y.ask(arrive(LIFT));
+    let arrival = z.ask(arrive(LIFT)).packets;
+    let to_y = arrival.iter().find(|packet| packet.destination == Y).expect("an arrival for Y");
+    assert_eq!(y.hear(*to_y).discards(), []);
+    x.ask(Request::Cancel);
+    let theirs = x.ask(arrive(LIFT)).packets[0];
+    assert_eq!(y.hear(Packet { destination: Y, ..theirs }).discards(), [Reason::StaleIncarnation]);
+}
+
+/// Why a script is held back for the commands that it sent, too: nothing else keeps one of its earlier life from being carried
+/// out after what the new life did elsewhere.
+#[test]
+fn a_task_is_held_back_until_nobody_can_carry_out_a_command_of_its_earlier_life() {
+    let mut cell = Cell::new("two arms", Ticks(1));
+    let (a, b) = (cell.node("a"), cell.node("b"));
+    cell.link(a, b, Ticks(2));
+    let (x, y, z) = (cell.task("x", a), cell.task("y", b), cell.task("z", b));
+    cell.port(PortDecl::new("left", y, Usage::Receive, &[x], Ticks(20)).command());
+    cell.port(PortDecl::new("right", z, Usage::Receive, &[x], Ticks(9)).command());
+    let table = Arc::new(CellTable::new(cell).expect("a checked cell"));
+    let (left, right) = (PortId(0), PortId(1));
+    let late = Solo::new(&table, x).ask(send(left, y, 1)).packets[0];
+    let (mut y, mut z) = (Solo::new(&table, y), Solo::new(&table, z));
+    y.ask(get(90));
+    z.ask(get(90));
+    let new = Solo::life(&table, x, 1, true).ask(send(right, TaskId(2), 2)).packets[0];
+    assert_eq!(z.hear(new).words(), ["message [2] from T0 for 7"]);
+    // It waited for its way out of a relay for nearly all of its time.
+    let late = Packet { remaining: Ticks(3), ..late };
+    assert_eq!(y.hear(late).words(), ["message [1] from T0 for 1"], "that is not to be");
+    assert_eq!(table.held_back(x), Ticks(20 + 2));
+}

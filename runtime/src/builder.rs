@@ -275,7 +275,8 @@ impl Builder {
         self
     }
 
-    /// Keeps the scripts from beginning until [`Runtime::begin`].
+    /// Keeps the scripts from beginning until [`Runtime::begin`], and in a later life of the node for as long after its start as
+    /// commands of the earlier one may still arrive (D94).
     pub fn hold_scripts(mut self) -> Self {
         self.holds = true;
         self
@@ -313,6 +314,10 @@ impl Builder {
                 let seat = Seat::new(place, Arc::clone(program), self.watch.clone(), self.seed, together);
                 let member = &node.members.list[place];
                 member.scripted.store(true, Ordering::Relaxed);
+                if self.restarted && self.holds {
+                    let held_back = node.table.held_back(member.task);
+                    member.begins.store(node.started.saturating_add(held_back.0), Ordering::Relaxed);
+                }
                 node.look(member, |comm| comm.seat(seat));
             }
         }

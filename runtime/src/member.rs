@@ -6,8 +6,11 @@ use crate::sync::{Mutex, lock};
 use imrs_protocol::TaskId;
 use imrs_wire::obs::Liveness;
 use std::sync::Arc;
-use std::sync::atomic::{AtomicBool, AtomicU8, Ordering};
+use std::sync::atomic::{AtomicBool, AtomicU8, AtomicU64, Ordering};
 use std::task::Waker;
+
+/// Stands in place of the instant at which a script may begin, once it has.
+pub(crate) const BEGUN: u64 = u64::MAX;
 
 /// A task of the node.
 pub(crate) struct Member {
@@ -19,6 +22,8 @@ pub(crate) struct Member {
     pub scripted: AtomicBool,
     /// Whether its program is a future: set before anything happens.
     pub listens: AtomicBool,
+    /// When its script may begin, in microseconds of the node's clock; [`BEGUN`] once it has.
+    pub begins: AtomicU64,
     /// Whether its next wait is likely to be ended by what a link brings: what ended the last one.
     pub by_link: AtomicBool,
 }
@@ -35,6 +40,7 @@ impl Member {
             by_link: AtomicBool::new(true),
             scripted: AtomicBool::new(false),
             listens: AtomicBool::new(false),
+            begins: AtomicU64::new(0),
         }
     }
 

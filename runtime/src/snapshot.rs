@@ -3,12 +3,14 @@
 
 use crate::clock;
 use crate::link::LinkDiscard;
+use crate::member::{BEGUN, Member};
 use crate::node::Node;
 use crate::ring::Ring;
 use crate::sync::Ordering;
-use imrs_protocol::{Observation, PortId, Reason, TaskId};
+use imrs_protocol::{Observation, PortId, Reason, TaskId, Ticks};
 use imrs_wire::obs::{
-    Count, Detail, Gathering, LinkView, NodeIdentity, PortDetail, Snapshot, TimedEvent, TimerEntry,
+    Count, Detail, Gathering, HeldBack, HeldTask, LinkView, NodeIdentity, PortDetail, Snapshot, TimedEvent,
+    TimerEntry,
 };
 use std::sync::Arc;
 
@@ -79,6 +81,18 @@ impl Node {
             link_discards: link_counts.chain(failures).map(|(name, n)| named(name, n)).collect(),
             ..gathering.snapshot(transit)
         }
+    }
+
+    /// The tasks whose scripts have not begun yet because the node was restarted.
+    #[must_use]
+    pub fn held_back(&self) -> HeldBack {
+        let now = clock::now();
+        let held = |member: &Member| {
+            let begins = member.begins.load(Ordering::Relaxed);
+            let is_held = begins > 0 && begins != BEGUN;
+            is_held.then(|| HeldTask { task: member.task, remaining: Ticks(begins.saturating_sub(now)) })
+        };
+        HeldBack { mono_us: now, tasks: self.members.list.iter().filter_map(held).collect() }
     }
 
     /// What waits at the ports that are watched, as far as the node has them.

@@ -9,6 +9,7 @@ use crate::effects::Effects;
 use crate::executor::{AsyncBody, Executor};
 use crate::failstop::guarded;
 use crate::link::{Link, PollEnd};
+use crate::member::BEGUN;
 use crate::node::{Inlet, Node};
 use crate::script::{Actions, Stage};
 use imrs_protocol::script::{End, Program};
@@ -153,17 +154,27 @@ impl Runtime {
         Ok(runtime)
     }
 
-    /// Lets the scripts of the node begin, where [`Builder::hold_scripts`] kept them from it. Once; later calls do
-    /// nothing.
-    pub fn begin(&self) {
+    /// Lets the scripts of the node begin, where [`Builder::hold_scripts`] kept them from it, each once. Those of a restarted
+    /// node are held back for as long as their tasks need (D94). Returns when the next of them may begin: call it again then.
+    /// `None`: all have begun.
+    pub fn begin(&self) -> Option<Instant> {
         let mut effects = Effects::new(None);
+        let (now, here) = (clock::now(), Instant::now());
+        let mut next: Option<u64> = None;
         for member in &self.node.members.list {
+            let begins = member.begins.load(Ordering::Relaxed);
+            if begins > now {
+                next = next.into_iter().chain((begins != BEGUN).then_some(begins)).min();
+                continue;
+            }
+            member.begins.store(BEGUN, Ordering::Relaxed);
             let begin = |comm: &mut Comm, effects: &mut Effects| {
                 comm.with_seat(|seat, comm| seat.begin(comm, effects));
             };
             member.handoff.visit(begin, &mut effects);
             self.node.carry_out(&mut effects);
         }
+        next.map(|next| here + Duration::from_micros(next - now))
     }
 
     /// The node, to observe it.

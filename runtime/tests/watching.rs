@@ -2,16 +2,19 @@
 //! where the others are. Monitors of version 1.0 see none of it.
 
 use crate::common::monitor::{Folder, Monitor, NEW, OLD, node, socket, want};
-use crate::common::{B, LONG};
-use imrs_protocol::{Event, PortId};
+use crate::common::{A, B, LONG, LONG_TICKS, ask, cell, network, on, table};
+use imrs_protocol::script::ProgramBuilder;
+use imrs_protocol::{Event, Incarnation, PortId, Ticks};
+use imrs_runtime::Runtime;
+use imrs_runtime::link::in_process::Faults;
 use imrs_runtime::observer::{AddressBook, Observer, Place, Showing};
 use imrs_wire::obs::{
     ClientFrame, Denied, EventFilter, FrameError, Handshake, Kinds, NodePlace, Ping, RecordingFacts, Refusal,
-    ServerFrame, Snapshot, Token, VERSION, Want,
+    ServerFrame, Snapshot, Token, VERSION, Version, Want,
 };
 use std::net::SocketAddr;
 use std::sync::Arc;
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 #[test]
 fn what_changed_adds_up_to_the_state_and_watched_queues_tell_more() {
@@ -93,6 +96,78 @@ fn monitors_of_version_1_0_see_what_they_always_saw() {
         let frame = monitor.next();
         assert_eq!(frame.since(), OLD.0, "{frame:?}");
     }
+}
+
+/// What programs that speak version 1.1 say of themselves.
+const SECOND: (Version, u32) = (Version { major: 1, minor: 1 }, 0x17ad_ceff);
+
+/// A restarted node whose script asks another node, with this time_out.
+fn restarted(time_out: Ticks) -> Runtime {
+    let mut cell = cell(&[0, 1], Ticks(2_000));
+    cell.port(ask(time_out));
+    let table = table(cell);
+    let network = network(&table, Faults::default());
+    let mut script = ProgramBuilder::new("a");
+    script.end();
+    let script = Arc::new(script.finish().expect("a sound program"));
+    on(&network, &table, 0)
+        .script("a", script)
+        .incarnation(Incarnation(2), true)
+        .hold_scripts()
+        .start()
+        .unwrap()
+}
+
+#[test]
+fn a_restarted_node_tells_for_how_long_its_scripts_are_held_back() {
+    let folder = Folder::new("held");
+    let runtime = restarted(LONG_TICKS);
+    let next = runtime.begin().expect("it is held back");
+    assert!(next > Instant::now() && next <= Instant::now() + LONG + Duration::from_millis(2));
+    let observer = Observer::start_at(runtime.node().clone(), &folder.socket()).unwrap();
+    let mut monitor = Monitor::unix(socket(&observer)).attach(NEW);
+    monitor.say(&ClientFrame::Want(want()));
+    // Before the first state, so that who looks once sees it; then again, for who begins to record.
+    let ServerFrame::HeldBack(first) = monitor.next() else { panic!("what is held back comes first") };
+    assert_eq!(first.tasks.iter().map(|held| held.task).collect::<Vec<_>>(), [A]);
+    let mut state = Snapshot::default();
+    let again = monitor.until(&mut state, |frame, _| match frame {
+        ServerFrame::HeldBack(again) => Some(again.clone()),
+        _ => None,
+    });
+    let [before, after] = [&first, &again].map(|held| held.mono_us + held.tasks[0].remaining.0);
+    assert!(again.mono_us > first.mono_us && before == after, "{first:?} {again:?}");
+    let mut old = Monitor::unix(socket(&observer)).attach(SECOND);
+    old.say(&ClientFrame::Want(want()));
+    for _ in 0..120 {
+        let frame = old.next();
+        assert!(frame.since().minor <= 1, "{frame:?}");
+    }
+}
+
+#[test]
+fn what_is_held_back_begins_once_and_is_then_told_no_more() {
+    let folder = Folder::new("begins");
+    let runtime = restarted(Ticks(1_500_000));
+    let observer = Observer::start_at(runtime.node().clone(), &folder.socket()).unwrap();
+    let mut monitor = Monitor::unix(socket(&observer)).attach(NEW);
+    monitor.say(&ClientFrame::Want(want()));
+    let started = Instant::now();
+    while let Some(next) = runtime.begin() {
+        assert!(started.elapsed() < LONG, "it never begins");
+        std::thread::sleep(next.saturating_duration_since(Instant::now()));
+    }
+    assert_eq!(runtime.node().held_back().tasks, []);
+    assert!(runtime.wait(LONG), "the script ends at once");
+    let mut state = Snapshot::default();
+    let mut told = Vec::new();
+    monitor.until(&mut state, |frame, _| {
+        let ServerFrame::HeldBack(held) = frame else { return None };
+        told.push(held.tasks.len());
+        held.tasks.is_empty().then_some(())
+    });
+    let (last, before) = told.split_last().expect("a frame");
+    assert!(*last == 0 && before.iter().all(|tasks| *tasks == 1), "{told:?}");
 }
 
 #[test]

@@ -14,6 +14,7 @@ use crate::exit::Failure;
 use crate::output::{Output, span};
 use imrs_protocol::{NodeId, TaskId};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
+use std::collections::BTreeMap;
 use std::sync::Arc;
 use std::sync::mpsc::RecvTimeoutError;
 use std::time::{Duration, Instant};
@@ -219,15 +220,7 @@ impl Launcher<'_> {
                 }
                 self.gatherer.figures(node, *figures);
             }
-            Message::Said(node, Word::HeldBack(time)) => {
-                if self.run.args.format == Format::Text {
-                    let (name, time) = (self.name(node), span(time));
-                    let words = format!(
-                        "node {name}: held back {time} more: commands of its earlier incarnation may still arrive"
-                    );
-                    self.diary.fault(now_us(), words);
-                }
-            }
+            Message::Said(node, Word::HeldBack(held)) => self.held_back(node, &held),
             Message::Said(_, Word::Did(did)) => self.did(did)?,
             Message::Said(_, Word::Stands(change)) => self.judge.change(change),
             Message::Said(node, Word::Told(until)) => self.judge.told(node, until),
@@ -317,6 +310,31 @@ impl Launcher<'_> {
         }
         self.faults.sort_by_key(|(at, _)| *at);
         Ok(())
+    }
+
+    /// A restarted node begins its scripts later.
+    fn held_back(&mut self, node: NodeId, held: &[(TaskId, u64)]) {
+        if self.run.args.format != Format::Text {
+            return;
+        }
+        let all = self.run.loaded.table.tasks_on(node).count() == held.len();
+        let mut by_time: BTreeMap<u64, Vec<&str>> = BTreeMap::new();
+        for (task, time) in held {
+            by_time.entry(*time).or_default().push(&self.cell.tasks[task.index()].name);
+        }
+        let of = |names: &[&str]| match names {
+            _ if all && names.len() == held.len() => String::new(),
+            [name] => format!("task {name} "),
+            names => format!("tasks {} ", names.join(", ")),
+        };
+        let lines: Vec<_> = by_time
+            .iter()
+            .map(|(time, names)| {
+                let (name, of, time) = (self.name(node), of(names), span(*time));
+                format!("node {name}: {of}held back {time} more: commands of its earlier incarnation may still arrive")
+            })
+            .collect();
+        lines.into_iter().for_each(|line| self.diary.fault(now_us(), line));
     }
 
     fn task_ended(&mut self, task: TaskId, how: String, sort: EndSort) {

@@ -78,8 +78,8 @@ pub enum Word {
         /// Where it serves monitors over TCP.
         observe: Option<SocketAddr>,
     },
-    /// The node's scripts begin only after so many microseconds: it was restarted.
-    HeldBack(u64),
+    /// The scripts of these tasks begin only after so many microseconds: the node was restarted.
+    HeldBack(Vec<(TaskId, u64)>),
     /// The node's tasks run.
     Started,
     /// Something happened at a waitfor.

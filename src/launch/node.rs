@@ -3,7 +3,7 @@
 use super::deed::{Deed, Did, Lease};
 use super::incarnation::{self, State};
 use super::lines::{Event, Figures, Order, RefusalFigures, Setup, What, Word, hear};
-use super::place::{PlaceError, quarantine};
+use super::place::PlaceError;
 use super::recorder::NodeRecording;
 use super::rt;
 use super::scripted::Narrator;
@@ -107,11 +107,9 @@ struct Process {
     untold: u64,
     /// What its recording misses, once that has ended.
     unrecorded: Option<String>,
-    /// When its machines began.
-    since: Instant,
-    /// How long its scripts are kept from beginning.
-    held_back: Duration,
-    /// When they begin, once that is known and until they do.
+    /// Whether it was told where the others are: its scripts begin then, unless they are held back.
+    has_book: bool,
+    /// When the next script begins that is held back.
     begins: Option<Instant>,
     out: Teller,
 }
@@ -199,7 +197,6 @@ impl Process {
         let link = Arc::new(FaultyLink::new(way, setup.seed.wrapping_add(u64::from(id.0))));
         link.set_loss(setup.loss);
 
-        let since = Instant::now();
         let narrator = Arc::new(Narrator::new(Arc::clone(&loaded)));
         let mut builder = Runtime::builder(Arc::clone(&cell), id)
             .incarnation(life, setup.restarted)
@@ -256,8 +253,7 @@ impl Process {
             narrator,
             untold: 0,
             unrecorded: None,
-            since,
-            held_back: if setup.restarted { quarantine(&cell, id) } else { Duration::ZERO },
+            has_book: false,
             begins: None,
             out: rt::behind(move || Teller::start(out))?,
         })
@@ -271,8 +267,7 @@ impl Process {
             let wake = self.begins.map_or(tell_at, |begins| begins.min(tell_at));
             let order = orders.recv_timeout(wake.saturating_duration_since(Instant::now()));
             if self.begins.is_some_and(|begins| begins <= Instant::now()) {
-                self.begins = None;
-                self.runtime.iter().for_each(Runtime::begin);
+                self.begins = self.runtime.as_ref().and_then(Runtime::begin);
             }
             match order {
                 Ok(Order::Book(book)) => self.begin(&book)?,
@@ -309,15 +304,13 @@ impl Process {
         }
         self.greetings = GREETINGS;
         self.greet();
-        match self.held_back {
-            Duration::ZERO => self.runtime.iter().for_each(Runtime::begin),
-            held_back if self.begins.is_none() => {
-                let begins = self.since + held_back;
-                let left = begins.saturating_duration_since(Instant::now());
-                self.out.say(Word::HeldBack(u64::try_from(left.as_micros()).unwrap_or(u64::MAX)))?;
-                self.begins = Some(begins);
+        if !std::mem::replace(&mut self.has_book, true) {
+            self.begins = self.runtime.as_ref().and_then(Runtime::begin);
+            let held = self.node.held_back().tasks;
+            if !held.is_empty() {
+                let held = held.into_iter().map(|held| (held.task, held.remaining.0)).collect();
+                self.out.say(Word::HeldBack(held))?;
             }
-            _ => {}
         }
         Ok(self.out.say(Word::Started)?)
     }

@@ -1,12 +1,11 @@
 //! Where a node is when it runs by itself: its address, and those of its neighbours.
 
 use crate::cells::Loaded;
-use imrs_protocol::{CellTable, NodeId};
+use imrs_protocol::NodeId;
 use std::collections::BTreeMap;
 use std::io;
 use std::net::{SocketAddr, ToSocketAddrs};
 use std::path::PathBuf;
-use std::time::Duration;
 
 /// Why a node cannot run by itself.
 #[derive(Debug, thiserror::Error)]
@@ -72,9 +71,4 @@ pub fn neighbours(loaded: &Loaded, node: NodeId) -> Result<BTreeMap<String, Sock
     let of =
         |peer: NodeId| Ok((loaded.table.cell().nodes[peer.index()].name.clone(), address(loaded, peer)?));
     loaded.table.neighbours(node).map(of).collect()
-}
-
-/// How long the scripts of a restarted node are held back.
-pub fn quarantine(table: &CellTable, node: NodeId) -> Duration {
-    Duration::from_micros(table.quarantine(node).0)
 }

@@ -5,8 +5,8 @@ mod scene;
 mod starved;
 mod told;
 
-use crate::support::live::{Seen, figure};
-use crate::support::{bound, own_address, side_by_side, signal};
+use crate::support::live::{Seen, figure, named};
+use crate::support::{Said, bound, look_until, own_address, side_by_side, signal};
 use imrs_wire::envelope::VERSION;
 use rustix::process::Signal;
 use scene::Scene;
@@ -58,6 +58,16 @@ begin
 end c;
 ";
 
+/// One more task on the node of `b`, which tells and waits for nobody.
+const LIGHT: &str = "\
+task d on nb
+  port light(n: int16)  usage = send  user_list = {c}  time_out = 4 sec  class = 1  bounded_buffer[8];
+  var n: int16;
+begin
+  loop send light(n); delay 200 msec; end;
+end d;
+";
+
 /// A cell of two nodes, with these tasks.
 macro_rules! two_nodes {
     ($tasks:literal) => {
@@ -99,6 +109,45 @@ fn a_node_that_comes_back_is_no_fault_any_more() {
     scene.start_node(&text, "nb");
     scene.is_over("it is a fault", BTreeSet::is_empty);
     scene.is_calm_for(Duration::from_secs(1));
+}
+
+#[test]
+fn a_restarted_node_says_how_long_it_is_held_back() {
+    // So long that it is seen on any machine.
+    let text = WATCHED.replace("time_out = 20 sec", "time_out = 2000 sec") + LIGHT;
+    let (take, took) = ("  use_port news(n: int16)  usage = receive;", "on receive news(n) do skip; end;");
+    let text = text
+        .replace(take, &format!("{take}\n  use_port light(n: int16)  usage = receive;"))
+        .replace("order news > self", "order news > light > self")
+        .replace(took, &format!("{took}\n  on receive light(n) do skip; end;"));
+    let mut scene = Scene::start(&text, &["--kill", "nb@1s", "--restart", "nb@2s"]);
+    let others = ["node-dead", "rendezvous-lost-member", "time-outs", "link-discards"];
+    scene.raises(scene.started, "held-back", &others);
+    let report = scene.report();
+    assert!(named(&report["nodes"], "nc")["held_back_us"].is_null(), "{report}");
+    let nodes = report["nodes"].as_array().expect("nodes");
+    let again = nodes.iter().find(|node| node["name"] == "nb" && node["up"] == true).expect("its next life");
+    let left = named(&again["tasks"], "b")["held_back_us"].as_u64().expect("held back");
+    assert_eq!(again["held_back_us"], left, "{report}");
+    // The other task of the node waits for nothing.
+    assert!(named(&again["tasks"], "d")["held_back_us"].is_null(), "{report}");
+    let works = |report: &Value| {
+        let again =
+            report["nodes"].as_array()?.iter().find(|node| node["name"] == "nb" && node["up"] == true)?;
+        named(&named(&again["tasks"], "d")["ports"], "light")["sent"].as_u64().filter(|sent| *sent > 0)
+    };
+    Seen::by_monitor(scene.dir()).until("its other task works", |report| works(report).is_some());
+    assert!((1..=2_000_100_000).contains(&left), "{report}");
+    let found = report["findings"].as_array().expect("findings");
+    let found = found.iter().find(|found| found["code"] == "held-back").expect("a finding");
+    let words = format!(
+        "held back {} s more: commands of its earlier incarnation may still arrive",
+        left.div_ceil(1_000_000)
+    );
+    assert_eq!([&found["node"], &found["task"], &found["text"]], ["nb", "b", &words], "{report}");
+    let says =
+        |said: &Said| said.out.contains("task b: held back ") && said.out.contains(" s more: commands of");
+    look_until(scene.dir(), &["monitor", "--once", "--format", "text"], "what is held back", says);
 }
 
 #[test]

@@ -276,6 +276,18 @@ fn samples_1_1() -> Vec<(&'static str, Vec<u8>)> {
     ]
 }
 
+/// What version 1.2 adds.
+fn samples_1_2() -> Vec<(&'static str, Vec<u8>)> {
+    let tasks = vec![
+        HeldTask { task: TaskId(1), remaining: Ticks(61_400_000) },
+        HeldTask { task: TaskId(513), remaining: Ticks(0) },
+    ];
+    let held = ServerFrame::HeldBack(HeldBack { mono_us: 300, tasks });
+    let none = ServerFrame::HeldBack(HeldBack { mono_us: 301, tasks: Vec::new() });
+    let bytes = |frame: &ServerFrame| postcard::to_allocvec(frame).unwrap();
+    vec![("held_back", bytes(&held)), ("held_back_none", bytes(&none))]
+}
+
 /// Changes that are told in parts, and some that need everything anew.
 fn deltas() -> (Delta, Delta) {
     let old = snapshot();
@@ -339,15 +351,29 @@ fn golden_bytes_of_version_1_0_are_kept() {
     assert_eq!(crc.checksum(&kept("1.0", samples(), false)), SCHEMA_1_0);
 }
 
-/// After a deliberate change of version 1.1, while it was never released, run with `IMRS_WRITE_GOLDEN=1`, and set
-/// `SCHEMA` to what the test then asks for.
+/// What programs that spoke version 1.1 were built from.
+const SCHEMA_1_1: u32 = 0x17ad_ceff;
+
+/// What version 1.1 says never changes either.
 #[test]
 fn golden_bytes_of_version_1_1_are_kept() {
+    let crc = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC);
+    let mut digest = crc.digest();
+    digest.update(&kept("1.0", samples(), false));
+    digest.update(&kept("1.1", samples_1_1(), false));
+    assert_eq!(digest.finalize(), SCHEMA_1_1);
+}
+
+/// After a deliberate change of version 1.2, while it was never released, run with `IMRS_WRITE_GOLDEN=1`, and set
+/// `SCHEMA` to what the test then asks for.
+#[test]
+fn golden_bytes_of_version_1_2_are_kept() {
     let write = std::env::var_os("IMRS_WRITE_GOLDEN").is_some();
     let crc = crc::Crc::<u32>::new(&crc::CRC_32_ISO_HDLC);
     let mut digest = crc.digest();
     digest.update(&kept("1.0", samples(), false));
-    digest.update(&kept("1.1", samples_1_1(), write));
+    digest.update(&kept("1.1", samples_1_1(), false));
+    digest.update(&kept("1.2", samples_1_2(), write));
     let schema = digest.finalize();
     assert_eq!(SCHEMA, schema, "the schema is {schema:#010x}");
 }
@@ -372,7 +398,7 @@ fn another_major_version_is_named_whatever_follows_it() {
     bytes.extend([0xff; 40]);
     let error = Handshake::decode(&bytes).unwrap_err();
     assert_eq!(error, DecodeError::OtherMajor { theirs: Version { major: 2, minor: 7 }, ours: VERSION });
-    assert_eq!(error.to_string(), "the other side speaks imrs-obs 2.7, this program 1.1");
+    assert_eq!(error.to_string(), "the other side speaks imrs-obs 2.7, this program 1.2");
     assert_eq!(Handshake::decode(b"GET / HTTP/1.1\r\n"), Err(DecodeError::NotObs));
     assert_eq!(Handshake::decode(b"IMOB\x01"), Err(DecodeError::NotObs));
 }
@@ -406,8 +432,8 @@ proptest! {
     }
 
     #[test]
-    fn decoding_survives_damage(which in 0..26_usize, at in any::<usize>(), value in any::<u8>(), cut in any::<usize>()) {
-        let (_, mut bytes) = samples().into_iter().chain(samples_1_1()).nth(which).unwrap();
+    fn decoding_survives_damage(which in 0..28_usize, at in any::<usize>(), value in any::<u8>(), cut in any::<usize>()) {
+        let (_, mut bytes) = samples().into_iter().chain(samples_1_1()).chain(samples_1_2()).nth(which).unwrap();
         let (len, place) = (bytes.len(), at % bytes.len());
         bytes[place] = value;
         bytes.truncate(len - cut % 8 % len);
@@ -418,7 +444,7 @@ proptest! {
 
     #[test]
     fn frames_come_through_any_fragmentation(sizes in proptest::collection::vec(0..40_usize, 1..60)) {
-        let frames: Vec<_> = samples().into_iter().chain(samples_1_1()).map(|(_, bytes)| bytes).collect();
+        let frames: Vec<_> = samples().into_iter().chain(samples_1_1()).chain(samples_1_2()).map(|(_, bytes)| bytes).collect();
         let mut writer = FrameWriter::new(Dribble::new(&sizes));
         for frame in &frames {
             writer.push_bytes(frame).unwrap();

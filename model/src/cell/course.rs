@@ -6,8 +6,8 @@ use super::plan::{CellFaults, CellPlan, Conduct, Holds, Times};
 use crate::floor::Floor;
 use crate::floor::plan::{Errand, Faults, FloorPlan, TaskPlan, Way};
 use crate::state::{Packed, Violation};
+use imrs_protocol::TaskId;
 use imrs_protocol::script::{Activity, ScriptInput, eval};
-use imrs_protocol::{NodeId, TaskId};
 use serde::{Deserialize, Serialize};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;
@@ -111,7 +111,7 @@ pub(super) struct Beside {
     pub stays: Vec<(u8, u8)>,
     /// Links, bit by bit, whose first packet does not arrive before something else happens, or its bound is over.
     pub slow: u64,
-    /// For each node, in how many ticks its scripts begin: they are held back after a restart (D94).
+    /// For each node, in how many ticks the last of its scripts begins: they are held back after a restart (D94).
     pub held_back: Vec<Option<u32>>,
     /// The nodes that did something in this tick, bit by bit: those that may crash now. A crash between two steps of a
     /// node and one right after the first of them are the same to everybody. And those that crashed in this tick.
@@ -387,9 +387,7 @@ impl Course {
                 let at = usize::from(node);
                 floor.note_restart(at);
                 floor.restart_behind(at)?;
-                let quarantine = self.plan.table.quarantine(NodeId::from_index(at));
-                self.beside.held_back[at] = u32::try_from(quarantine.0).ok().filter(|ticks| *ticks > 0);
-                if self.beside.held_back[at].is_some() { Ok(()) } else { self.floor.begin_all(at) }
+                self.begin_again(at)
             }
         }
     }

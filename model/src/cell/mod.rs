@@ -24,7 +24,7 @@
 //! - A named node pauses before anything that it would do, and goes on after any later event, when its own next deadline
 //!   or lease is over, or when the pause has lasted as long as it may (`pause`).
 //! - A time_out and a packet of the same tick: the time_out comes first.
-//! - Scripts of a node that came back begin when its quarantine is over, as on real nodes.
+//! - The script of a task whose node came back begins when nothing of its earlier life is under way any more, as on real nodes (D157).
 //! - A task outside the cell chooses among all uses of its ports, or none, once in its period; what it says is one of a few
 //!   values: zero, one and constants of the other tasks ([`Verdicts::outside`]).
 //!
@@ -43,6 +43,7 @@ mod course;
 mod follow;
 mod frames;
 mod guard;
+mod held;
 mod judge;
 mod legend;
 mod liveness;

@@ -191,7 +191,7 @@ impl Course {
         let ends = (0..floor.bodies.len()).filter_map(|task| self.next_end(task));
         // What is due is looked at when its last tick is over.
         let due = self.beside.due.iter().flatten().map(|&left| u64::from(left) + 1);
-        let held_back = awake().filter_map(|i| self.beside.held_back[i]).map(u64::from);
+        let held_back = awake().filter_map(|i| self.next_begin(i));
         let next = packets.chain(nodes).chain(paused).chain(ends).chain(due).chain(held_back).min()?;
         u32::try_from(next.max(1)).ok()
     }

@@ -105,7 +105,7 @@ impl Course {
     /// Whether a node does something by itself when so many ticks pass.
     fn notices(&self, node: usize, ticks: u32) -> bool {
         let due = self.floor.stations[node].node.next_expiry().map(|due| due.0);
-        let begins = self.beside.held_back[node].map(u64::from);
+        let begins = self.next_begin(node);
         due.into_iter().chain(begins).any(|due| due <= u64::from(ticks))
     }
 
@@ -185,15 +185,7 @@ impl Course {
             self.floor.step(node, NodeInput::Advance(Ticks(u64::from(counted))))?;
         }
         self.floor.run_scripts()?;
-        if let Some(left) = &mut self.beside.held_back[node] {
-            *left = left.saturating_sub(ticks);
-            if *left == 0 {
-                self.beside.held_back[node] = None;
-                self.beside.acted |= bit(node);
-                self.floor.begin_all(node)?;
-            }
-        }
-        Ok(())
+        self.hold_back_on(node, ticks)
     }
 
     /// Time passes for actions, whether their nodes notice or not, but not for those that have not really begun.

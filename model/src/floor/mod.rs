@@ -272,7 +272,7 @@ impl Floor {
         }
     }
 
-    fn begin(&mut self, task: usize) -> Result<(), Violation> {
+    pub(crate) fn begin(&mut self, task: usize) -> Result<(), Violation> {
         if self.leave(task, ScriptInput::Begin) {
             return self.run_scripts();
         }

@@ -304,7 +304,8 @@ pub(crate) fn is_odd(shown: &Shown) -> bool {
             | ServerFrame::Vitals(_)
             | ServerFrame::Pong(_)
             | ServerFrame::Places(_)
-            | ServerFrame::Denied(_),
+            | ServerFrame::Denied(_)
+            | ServerFrame::HeldBack(_),
         )
         | Shown::Attached { .. }
         | Shown::Story(_)

@@ -5,7 +5,9 @@ use super::names::Names;
 use crate::clock::{Moment, Span, micros};
 use crate::name::Name;
 use imrs_protocol::{NodeId, PortCounters, PortId, PortView, QueueView, TaskId, Ticks, TimeId};
-use imrs_wire::obs::{Count, Delta, Detail, Lateness, Liveness, Pong, Snapshot, TaskSnapshot, Vitals};
+use imrs_wire::obs::{
+    Count, Delta, Detail, HeldBack, Lateness, Liveness, Pong, Snapshot, TaskSnapshot, Vitals,
+};
 use std::collections::{BTreeMap, VecDeque};
 use std::fmt;
 use std::sync::Arc;
@@ -212,6 +214,8 @@ pub struct Life {
     pub(super) longest: BTreeMap<(TaskId, TimeId), Ticks>,
     /// How its process does; `None` before it told, and of a node that does not tell.
     pub vitals: Option<Told<Vitals>>,
+    /// Which scripts are held back, as it told last.
+    pub(super) held_back: Option<Told<HeldBack>>,
     /// How many timers had ended, and how many of them late, as it told in the last seconds.
     pub(super) timers: VecDeque<Told<Ended>>,
     /// The queues that are watched.
@@ -315,6 +319,29 @@ impl Life {
     #[must_use]
     pub fn watched(&self, task: TaskId, port: PortId) -> Option<&Told<Watched>> {
         self.watched.iter().find(|told| (told.what.task, told.what.port) == (task, port))
+    }
+
+    /// The tasks whose scripts a restarted node holds back, and for how long from now on, in microseconds. In a dead node time
+    /// stands still.
+    pub fn held_back(&self, now: Moment) -> impl Iterator<Item = (TaskId, u64)> + '_ {
+        let now = match &self.condition {
+            Condition::Attached => now,
+            Condition::Dead { since, .. } | Condition::Stopped { since } => now.min(*since),
+        };
+        let told = self.held_back.iter();
+        told.flat_map(move |told| {
+            let passed = micros(now.saturating_sub(told.at));
+            told.what.tasks.iter().filter_map(move |held| {
+                let us = held.remaining.0.saturating_mul(self.tick_us).saturating_sub(passed);
+                (us > 0).then_some((held.task, us))
+            })
+        })
+    }
+
+    /// For how long from now on the script of a task is held back, in microseconds, if it is.
+    #[must_use]
+    pub fn task_held_back(&self, task: TaskId, now: Moment) -> Option<u64> {
+        self.held_back(now).find(|(held, _)| *held == task).map(|(_, us)| us)
     }
 
     /// About how much memory its states take, in bytes.

@@ -213,6 +213,7 @@ impl Store {
             lost_before: (0, 0),
             longest: BTreeMap::new(),
             vitals: None,
+            held_back: None,
             timers: VecDeque::new(),
             watched: Vec::new(),
             clock: None,
@@ -265,6 +266,7 @@ impl Store {
             ServerFrame::Delta(delta) => self.state(at, index, |life| life.change(at, &delta)),
             ServerFrame::Detail(detail) => self.lives[index].look_at(at, detail),
             ServerFrame::Vitals(vitals) => self.lives[index].feel(at, vitals),
+            ServerFrame::HeldBack(what) => self.lives[index].held_back = Some(Told { at, what }),
             ServerFrame::Pong(pong) => self.lives[index].compare_clocks(at, pong),
             // Who attaches to nodes takes these to heart.
             ServerFrame::Places(_) | ServerFrame::Denied(_) => {}

@@ -5,6 +5,7 @@ use crate::app::App;
 use crate::clock::{Moment, Span};
 use crate::name::Name;
 use crate::store::conformance::{Verdict, conformance};
+use crate::store::health::held_back_sentence;
 use crate::theme::Ink;
 use imrs_protocol::NodeId;
 
@@ -20,14 +21,28 @@ pub(super) const fn rows(height: u16) -> u16 {
 /// Whom everybody waits for; the links, and what the model says.
 pub(super) fn draw(app: &App, now: Moment, pen: &mut Pen<'_>) {
     let Some(cell) = app.cell().filter(|_| pen.height() > 0) else { return };
-    match super::awaited(app, &cell, now) {
-        Some((text, ink)) => pen.line(0, &[(&text, ink)]),
-        None => pen.line(0, &[(" nobody waits for one who alone could end it", Ink::Dim)]),
+    let mut waits: Vec<_> = super::awaited(app, &cell, now).into_iter().collect();
+    if let Some((text, ink)) = held_back(app, &cell, now) {
+        let after = if waits.is_empty() { "" } else { ";" };
+        waits.push((format!("{after} {text}"), ink));
     }
+    if waits.is_empty() {
+        waits.push((" nobody waits for one who alone could end it".to_owned(), Ink::Dim));
+    }
+    let waits: Vec<_> = waits.iter().map(|(text, ink)| (text.as_str(), *ink)).collect();
+    pen.line(0, &waits);
     let mut pieces = links(app, &cell, now);
     pieces.extend(model(app, &cell));
     let pieces: Vec<_> = pieces.iter().map(|(text, ink)| (text.as_str(), *ink)).collect();
     pen.line(1, &pieces);
+}
+
+/// The restarted node that is held back longest.
+fn held_back(app: &App, cell: &Name, now: Moment) -> Option<(String, Ink)> {
+    let up = app.store().present(cell).filter(|life| !life.presence(now).is_gone());
+    let held = up.filter_map(|life| Some((life.held_back(now).map(|(_, us)| us).max()?, life)));
+    let (us, life) = held.max_by_key(|(us, _)| *us)?;
+    Some((format!("{} {}", life.node, held_back_sentence(us)), Ink::Warn))
 }
 
 /// For each link whether anything came over it lately, how long it has been quiet, or that an end of it is down.

@@ -5,7 +5,7 @@ use super::{Hit, below, mark};
 use crate::app::App;
 use crate::clock::{Moment, Span};
 use crate::rows::{Row, Sort};
-use crate::store::health::{Finding, Place};
+use crate::store::health::{Finding, Place, held_back_words};
 use crate::store::journal::Level;
 use crate::store::meeting::state;
 use crate::store::{Left, Life, LifeId, Presence};
@@ -225,6 +225,9 @@ fn node(app: &App, life: &Life, row: &Row, now: Moment, cells: &mut Cells) {
         (Presence::Silent(_), _) => (presence.to_string(), Ink::Warn),
         _ => (format!("{presence} (incarn. {})", life.incarnation), Ink::Dim),
     };
+    if let Some(longest) = life.held_back(now).map(|(_, us)| us).max().filter(|_| !presence.is_gone()) {
+        cells[1] = (format!("up, held back {} s", longest.div_ceil(1_000_000)), Ink::Warn);
+    }
     match life.last.as_ref().map(|s| s.snapshot.real_time).filter(|_| !presence.is_gone()) {
         Some(RealTime::Had) => cells[1].0 += "  rt",
         Some(RealTime::Refused { .. }) => cells[1] = (format!("{}  NO RT", cells[1].0), Ink::Warn),
@@ -243,6 +246,9 @@ fn task(app: &App, life: &Life, task: &TaskSnapshot, row: &Row, now: Moment, cel
     cells[1] = match task.liveness {
         Liveness::Crashed => ("CRASHED".to_owned(), Ink::Bad),
         Liveness::Ended => ("ended".to_owned(), Ink::Dim),
+        Liveness::Alive if let Some(us) = life.task_held_back(task.view.task, now) => {
+            (held_back_words(us), Ink::Warn)
+        }
         Liveness::Alive => {
             let left = remaining(life, task, now).map_or_else(String::new, |left| format!(" {left}"));
             (state(life, &task.view.state) + &left, Ink::Plain)

@@ -114,7 +114,7 @@ impl CommTask {
         (packet, reserved): (&Packet, Ticks),
         out: &mut impl Outbox,
     ) -> bool {
-        if packet.class == Class::Command && self.is_quarantined(table) {
+        if packet.class == Class::Command && self.turns_away(table, packet.source) {
             // D49: it may be a copy of one that the earlier life ran.
             self.control(packet, Control::Restarted, out);
             return false;

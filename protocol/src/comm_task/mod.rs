@@ -283,11 +283,11 @@ impl CommTask {
                     Role::Meets(index(meetings.len() - 1))
                 }
             };
-            if restarted {
-                new.quarantine_until = new.quarantine_until.max(quarantine(table, port, role, task));
-            }
             let staged = Parts::new(fragments);
             locals.push(Local { port: id, role, counters: Counts::default(), staged });
+        }
+        if restarted {
+            new.quarantine_until = table.quarantine(task);
         }
         sources.sort_unstable();
         sources.dedup();
@@ -388,6 +388,12 @@ impl CommTask {
             quarantined: self.is_quarantined(table),
             now: self.now,
         }
+    }
+
+    /// Whether what `source` sent to an earlier life of the task may still arrive (D49). Tasks of the same node restarted with
+    /// it: what they send is new (D157).
+    fn turns_away(&self, table: &NodeTable, source: TaskId) -> bool {
+        self.is_quarantined(table) && table.location(source) != Some(table.node)
     }
 
     /// Messages sent to an earlier life of the task may still arrive (D49).
@@ -536,22 +542,6 @@ impl CommTask {
                     meeting.forget(i);
                 }
             }
-        }
-    }
-}
-
-/// How long what others sent on a port to an earlier life of `task` may still arrive (D49).
-fn quarantine(table: &NodeTable, port: &Port, role: Role, task: TaskId) -> Ticks {
-    let others = port.parties.iter().filter(|party| party.task != task);
-    let lives = others.map(|party| party.time_out + table.bound_between(party.task, task));
-    match role {
-        Role::Meets(_) => lives.max().unwrap_or_default(),
-        Role::Receives(_) if port.decl.class == Class::Command => {
-            let peers = port.peers(task).filter_map(|peer| port.party(peer));
-            peers.map(|p| p.time_out + table.bound_between(p.task, task)).max().unwrap_or_default()
-        }
-        Role::Receives(_) | Role::Sends | Role::Asks(_) | Role::Replies | Role::Hears | Role::Beats => {
-            Ticks::ZERO
         }
     }
 }

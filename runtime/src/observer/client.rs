@@ -18,12 +18,16 @@ const IDLE: Duration = Duration::from_secs(5);
 const REQUESTS: usize = 16;
 /// The first version that has tokens, and all that came with them.
 const NEW: Version = Version { major: 1, minor: 1 };
+/// The first version that says which scripts are held back.
+const HELD_BACK: Version = Version { major: 1, minor: 2 };
 
 pub(super) struct Client {
     showing: Showing,
     reader: FrameReader<Stream>,
     writer: FrameWriter<Stream>,
     state: State,
+    /// The version in use with it, once it said hello.
+    version: Version,
     /// Since when it has taken what there is for it and wants more, or has asked for something.
     active: Instant,
     /// The answer to its last ping, until that is on its way.
@@ -62,7 +66,7 @@ impl Client {
         let reader = FrameReader::new(stream.try_clone().ok()?, MAX_REQUEST);
         let writer = FrameWriter::new(stream);
         let state = State::Greeting { until: now + GREETING };
-        Some(Self { showing, reader, writer, state, active: now, pong: None })
+        Some(Self { showing, reader, writer, state, version: VERSION, active: now, pong: None })
     }
 
     pub fn as_fd(&self) -> BorrowedFd<'_> {
@@ -176,7 +180,8 @@ impl Client {
             }
             ClientFrame::Want(wanted) => {
                 let before = self.subscription();
-                self.subscribed(Subscription::new(wanted, before, &self.showing, now));
+                let hears_held_back = self.version.minor >= HELD_BACK.minor;
+                self.subscribed(Subscription::new(wanted, before, &self.showing, now, hears_held_back));
             }
             ClientFrame::Credit(more) => {
                 if let State::Subscribed(subscription) = &mut self.state {
@@ -222,7 +227,11 @@ impl Client {
                     Ok(version) if self.showing.token.is_some() && version.minor < NEW.minor => {
                         Some(Refusal::OtherMajor { node: VERSION, monitor: *theirs })
                     }
-                    agreed => agreed.err(),
+                    Ok(version) => {
+                        self.version = version;
+                        None
+                    }
+                    Err(refusal) => Some(refusal),
                 }
             }
             Ok((_, Handshake::Hello(_) | Handshake::Refused(_))) => Some(Refusal::NotAMonitor),

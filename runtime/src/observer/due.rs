@@ -5,8 +5,8 @@ use crate::clock;
 use crate::lateness::Seen;
 use crate::snapshot::{Observations, QUEUE_LIMIT, Watching};
 use imrs_wire::obs::{
-    Delta, EventFilter, Events, FrameError, FrameWriter, MAX_WATCHED, Places, ServerFrame, Snapshot,
-    Subscribe, Want,
+    Delta, EventFilter, Events, FrameError, FrameWriter, HeldBack, MAX_WATCHED, Places, ServerFrame,
+    Snapshot, Subscribe, Want,
 };
 use std::io::Write;
 use std::time::{Duration, Instant};
@@ -19,6 +19,8 @@ const EVENT_PERIOD: Duration = Duration::from_millis(20);
 const LEAST_VITALS: Duration = Duration::from_millis(100);
 /// How often is looked where the other nodes are.
 const PLACES_PERIOD: Duration = Duration::from_secs(1);
+/// How often is looked which scripts are held back.
+const HELD_BACK_PERIOD: Duration = Duration::from_secs(1);
 /// How many events of one machine go into one frame.
 const EVENT_ROOM: usize = 512;
 /// How many events go into one frame.
@@ -42,7 +44,7 @@ struct Following {
     filter: EventFilter,
 }
 
-/// What version 1.1 adds.
+/// What versions 1.1 and 1.2 add.
 struct More {
     /// What it was told last: what changed is reckoned from this.
     told: Option<Snapshot>,
@@ -52,6 +54,8 @@ struct More {
     late: Seen,
     whole: Option<(Duration, Instant)>,
     places: (Places, Instant),
+    /// Whether it was told of scripts that are held back, and when they are looked at next; `None` for who speaks 1.1.
+    held_back: Option<(bool, Instant)>,
 }
 
 impl Subscription {
@@ -68,8 +72,14 @@ impl Subscription {
         }
     }
 
-    /// What a monitor of version 1.1 asks for.
-    pub fn new(wanted: Want, before: Option<Self>, showing: &Showing, now: Instant) -> Self {
+    /// What a monitor of version 1.1 or later asks for.
+    pub fn new(
+        wanted: Want,
+        before: Option<Self>,
+        showing: &Showing,
+        now: Instant,
+        hears_held_back: bool,
+    ) -> Self {
         let (events, more, next) = match before {
             Some(before) => (before.events, before.more, before.next_snapshot),
             None => (None, None, now),
@@ -85,6 +95,7 @@ impl Subscription {
             late: Seen::default(),
             whole: None,
             places: (Places::default(), now),
+            held_back: hears_held_back.then_some((false, now)),
         });
         let vitals = every(wanted.vitals_us, LEAST_VITALS).map(|every| (every, now));
         let whole = every(wanted.whole_us, period).map(|every| (every, now + every));
@@ -117,6 +128,7 @@ impl Subscription {
         }
         if let Some(more) = &self.more {
             due = due.min(more.places.1);
+            due = more.held_back.map_or(due, |(_, at)| due.min(at));
             due = more.detail.map_or(due, |since| due.min(since));
             due = more.vitals.map_or(due, |(_, at)| due.min(at));
         }
@@ -133,8 +145,8 @@ impl Subscription {
         if self.credit == 0 {
             return Ok(());
         }
-        if let Some(frame) = self.places(showing, now) {
-            // Before the state, so that who waits for that knows of the others; and without a price.
+        if let Some(frame) = self.places(showing, now).or_else(|| self.held_back(showing, now)) {
+            // Before the state, so that who waits for that knows of the others and of what is held back; and without a price.
             return writer.push(&frame);
         }
         if let Some(frame) = self.detail(showing) {
@@ -217,6 +229,16 @@ impl Subscription {
         }
         more.places.0 = places.clone();
         Some(ServerFrame::Places(places))
+    }
+
+    /// Again and again while any is held back, for who records and did not hear it the first time; then once that none is.
+    fn held_back(&mut self, showing: &Showing, now: Instant) -> Option<ServerFrame> {
+        let (told, at) = self.more.as_mut()?.held_back.as_mut().filter(|(_, at)| *at <= now)?;
+        *at = now + HELD_BACK_PERIOD;
+        let held: HeldBack = showing.node.held_back();
+        let any = !held.tasks.is_empty();
+        let tell = std::mem::replace(told, any) || any;
+        tell.then_some(ServerFrame::HeldBack(held))
     }
 }
 

@@ -3,7 +3,7 @@
 use super::decode::{DecodeError, whole};
 use super::delta::Delta;
 use super::handshake::Version;
-use super::told::{Denied, Detail, Places, Pong, Vitals};
+use super::told::{Denied, Detail, HeldBack, Places, Pong, Vitals};
 use super::want::{Ping, Token, Want};
 use imrs_protocol::{
     CellTable, Class, NodeId, Observation, TaskId, TaskView, Ticks, TimeId, TransitView, Usage,
@@ -267,6 +267,8 @@ pub enum ServerFrame {
     Places(Places),
     /// The node does not show itself; the connection is closed after this (1.1).
     Denied(Denied),
+    /// Which scripts of a restarted node have not begun yet (1.2).
+    HeldBack(HeldBack),
 }
 
 impl ServerFrame {
@@ -281,6 +283,7 @@ impl ServerFrame {
             | Self::Pong(_)
             | Self::Places(_)
             | Self::Denied(_) => 1,
+            Self::HeldBack(_) => 2,
         };
         Version { major: 1, minor }
     }
@@ -290,7 +293,12 @@ impl ServerFrame {
     pub const fn costs(&self) -> bool {
         match self {
             Self::Snapshot(_) | Self::Events(_) | Self::Delta(_) | Self::Detail(_) | Self::Vitals(_) => true,
-            Self::Table(_) | Self::Bye(_) | Self::Pong(_) | Self::Places(_) | Self::Denied(_) => false,
+            Self::Table(_)
+            | Self::Bye(_)
+            | Self::Pong(_)
+            | Self::Places(_)
+            | Self::Denied(_)
+            | Self::HeldBack(_) => false,
         }
     }
 
@@ -299,7 +307,7 @@ impl ServerFrame {
     /// # Errors
     /// [`DecodeError`]; after [`DecodeError::UnknownKind`] the next frame can still be read.
     pub fn decode(bytes: &[u8]) -> Result<Self, DecodeError> {
-        whole(bytes, 10)
+        whole(bytes, 11)
     }
 }
 

@@ -22,6 +22,11 @@
 //! until it has come, and [`Denied`] if it does not. Neither side says any of this to one that speaks 1.0, for whom all is
 //! as it was.
 //!
+//! # What version 1.2 adds (D157)
+//!
+//! [`ServerFrame::HeldBack`] says which scripts of a restarted node are held back, and for how long. A peer that speaks 1.1 is
+//! not told.
+//!
 //! No message can change a node: the only things a monitor can say are how much it wants to see, and how often.
 //!
 //! # Encoding
@@ -54,6 +59,7 @@ pub use framing::{FrameError, FrameReader, FrameWriter, MAX_FRAME, MAX_REQUEST};
 pub use gathering::Gathering;
 pub use handshake::{Handshake, Hello, NodeIdentity, Refusal, Role, SCHEMA, VERSION, Version, agree};
 pub use told::{
-    Denied, Detail, Lateness, MAX_WATCHED, NodePlace, Places, Pong, PortDetail, RecordingFacts, Vitals,
+    Denied, Detail, HeldBack, HeldTask, Lateness, MAX_WATCHED, NodePlace, Places, Pong, PortDetail,
+    RecordingFacts, Vitals,
 };
 pub use want::{EventFilter, Kinds, MAX_TOKEN, Ping, Token, TokenError, Want};

@@ -1,6 +1,7 @@
-//! What a node says since version 1.1, besides what changed: watched queues, how the process does, where others are.
+//! What a node says since version 1.1, besides what changed: watched queues, how the process does, where others are; and since
+//! version 1.2, which scripts are held back.
 
-use imrs_protocol::{NodeId, PortId, QueueView, TaskId};
+use imrs_protocol::{NodeId, PortId, QueueView, TaskId, Ticks};
 use serde::{Deserialize, Serialize};
 
 /// The most ports that one monitor can watch at one node.
@@ -99,6 +100,25 @@ pub struct NodePlace {
 pub struct Places {
     /// The places.
     pub nodes: Vec<NodePlace>,
+}
+
+/// The scripts of a restarted node that have not begun yet (D94, D157). Sent before the first snapshot if there are any, then
+/// once a second until there are none: the last such frame has no tasks.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub struct HeldBack {
+    /// The node's monotonic clock, in microseconds.
+    pub mono_us: u64,
+    /// The tasks, ascending.
+    pub tasks: Vec<HeldTask>,
+}
+
+/// A task whose script has not begun yet: commands of its earlier incarnation may still arrive.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct HeldTask {
+    /// The task.
+    pub task: TaskId,
+    /// How long it is still held back, from [`HeldBack::mono_us`] on.
+    pub remaining: Ticks,
 }
 
 /// Why a node does not show itself to who connected.

@@ -55,6 +55,7 @@ lints! {
     LINK_DISCARDS Warn "link-discards" "datagrams that cannot be used";
     NODE_SILENT Warn "node-silent" "a node says nothing, though attached";
     NO_REAL_TIME Note "no-real-time" "real time was asked for and refused";
+    HELD_BACK Note "held-back" "scripts of a restarted node begin later";
     EVENTS_LOST Note "events-lost" "the node could not keep all events for this monitor";
 }
 

@@ -6,6 +6,8 @@ mod meetings;
 mod node;
 mod port;
 
+pub(crate) use node::{held_back_sentence, held_back_words};
+
 use super::journal::Level;
 use super::{Life, LifeId, Store};
 use crate::clock::Moment;

@@ -43,6 +43,7 @@ pub(super) fn look(store: &Store, life: &Life, now: Moment, found: &mut Vec<Find
         let text = format!("real time was refused: {}", refused.join(", "));
         found.push(Finding::new(&codes::NO_REAL_TIME, place, text));
     }
+    held_back(life, now, found);
     let lost = life.lost_lately();
     if lost > 0 {
         let text = format!("{lost} events were lost on the way to this monitor");
@@ -63,6 +64,31 @@ fn tasks(store: &Store, life: &Life, lately: &Lately<'_>) -> Vec<Finding> {
         port::look(store, life, lately, task, &mut found);
     }
     found
+}
+
+/// Scripts that a restarted node holds back: one finding for all its tasks where all have the same time left, or one for each.
+fn held_back(life: &Life, now: Moment, found: &mut Vec<Finding>) {
+    let held: Vec<_> = life.held_back(now).collect();
+    let Some(&(_, first)) = held.first() else { return };
+    let alike = held.len() == life.tasks().len() && held.iter().all(|(_, us)| *us == first);
+    if alike {
+        found.push(Finding::new(&codes::HELD_BACK, Place::node(life), held_back_sentence(first)));
+        return;
+    }
+    for (task, us) in held {
+        let place = Place { task: Some(task), ..Place::node(life) };
+        found.push(Finding::new(&codes::HELD_BACK, place, held_back_sentence(us)));
+    }
+}
+
+/// How long a script is still held back: "held back 62 s more". The seconds are rounded up.
+pub(crate) fn held_back_words(us: u64) -> String {
+    format!("held back {} s more", us.div_ceil(1_000_000))
+}
+
+/// The same, and why.
+pub(crate) fn held_back_sentence(us: u64) -> String {
+    format!("{}: commands of its earlier incarnation may still arrive", held_back_words(us))
 }
 
 /// Timers that are late as a rule: of those that ended in the last seconds, if they are enough to speak of a rule. Single
