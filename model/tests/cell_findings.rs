@@ -318,6 +318,36 @@ fn a_task_outside_says_what_others_ask_for() {
     assert_eq!(task.index(), 0);
 }
 
+/// Beats are the machine's own: a task outside does not use their port. It takes over as any other task does, and goes on where
+/// it has the lease again.
+#[test]
+fn a_task_outside_takes_over_and_leaves_the_beats_alone() {
+    let text = "cell out;\ntick 1 msec;\nnode na; node nb; node nc;\n\
+        link na -- nb delay 1 msec; link na -- nc delay 1 msec; link nb -- nc delay 1 msec;\n\
+        task first on na extern rate = 1/40 msec\n\
+        port alive(n: int8) usage = response user_list = {second} time_out = 8 msec class = 2;\n\
+        port weld() usage = send user_list = {gun} time_out = 10 msec class = 2;\nend first;\n\
+        task second on nb standby of first extern rate = 1/40 msec\n\
+        use_port alive(n: int8) usage = query;\n\
+        port reweld() usage = send user_list = {gun} time_out = 10 msec class = 2;\nend second;\n\
+        task gun on nc\nuse_port weld() usage = receive; use_port reweld() usage = receive;\n\
+        var new: bool;\nbegin\n\
+        on receive weld() do reply(); end;\non receive reweld() do new := true; reply(); end;\n\
+        order reweld > weld > self;\nloop delay 50 msec; end;\nend gun;\n\
+        couple work first -> second lease 20 msec takeover 35 msec every 5 msec via alive;\n\
+        faults pause first up to 60 msec;\n\
+        check by_one: never gun.new;\n";
+    let mut cell = Text::new(text);
+    cell.plan.times = Times::Ends;
+    cell.plan.budget = within(20_000);
+    let verdicts = cell.check();
+    assert_eq!(verdicts.of(Kind::ScriptFault).count(), 0, "{:?}", verdicts.findings);
+    assert_eq!(verdicts.of(Kind::TwoOwners).count(), 0);
+    // The second one acts where the first one pauses, and not without a fault.
+    let check = verdicts.of(Kind::Check).next().expect("the second one welds");
+    assert_eq!(check.phase, Phase::Faults);
+}
+
 #[test]
 fn a_query_may_not_last_longer_than_its_answer_takes() {
     let ports = "port ask(m: Num) -> Num usage = query message_format = Num user_list = {b} time_out = 20 msec class = 2;";

@@ -171,6 +171,27 @@ fn a_part_at_its_end_is_seen_beside_one_that_goes_on() {
     assert_eq!(whole.of(Kind::Deadlock).count(), 0);
 }
 
+/// An `abort` ends all ways of the search without faults, and none of those with a fault. So what needs no fault in one part,
+/// and comes after an `abort` of another, shows in the whole with a fault alone: the parts say that it takes none.
+#[test]
+fn what_comes_after_an_abort_of_another_part_is_said_to_need_no_fault() {
+    let text = "cell two;\ntick 1 msec;\nnode na; node nb; node nc;\nlink na -- nb delay 1 msec;\n\
+        task a on na\nport put() usage = send user_list = {b} time_out = 20 msec class = 2;\n\
+        begin\nsend put();\nend a;\n\
+        task b on nb\nuse_port put() usage = receive;\nbegin\ndelay 100 msec; receive put(); reply();\nend b;\n\
+        task c on nc\nbegin\ndelay 4 msec; abort \"so\";\nend c;\n\
+        faults crash b;\n";
+    let ends = |verdicts: &Verdicts| {
+        assert!(verdicts.is_complete());
+        verdicts.of(Kind::Ends).map(|finding| finding.phase).collect::<Vec<_>>()
+    };
+    let apart = cell(text, Times::Ends).check();
+    let whole = cell(&joined(text, &["a", "c"]), Times::Ends).check();
+    assert_eq!((ends(&apart), ends(&whole)), (vec![Phase::FaultFree], vec![Phase::Faults]));
+    assert_eq!(whole.phases.iter().map(|phase| phase.pruned).collect::<Vec<_>>(), [true, false]);
+    assert_eq!(difference(&apart, &whole), None);
+}
+
 /// Charts have the lanes of the part, and the way replays in it.
 #[test]
 fn a_finding_is_drawn_and_replayed_within_its_part() {
@@ -232,56 +253,111 @@ fn renamed(text: &str) -> String {
     out.lines().filter(|line| !is_head(line)).map(|line| format!("{line}\n")).collect()
 }
 
-/// Two random cells beside each other, by parts and joined by a check. `PAIRS` says how many seeds,
-/// `PAIR_STATES` how many states a search keeps: 600 and 20,000 in `.ci/long`.
+/// The cells of two seeds beside each other, and the same joined by a check. None where they cannot be searched apart, or the
+/// compiler turns them down.
+fn pair(seed: u64) -> Option<[String; 2]> {
+    let [one, other] = [random_text(2 * seed + 1), random_text(2 * seed + 2)];
+    let unlike =
+        |text: &str| ["model tick", " at \"", "drift", "pause"].iter().any(|word| text.contains(word));
+    let text = format!("{one}{}", renamed(&other));
+    let whole = joined(&text, &["ta", "ua"]);
+    (!unlike(&one) && !unlike(&other) && is_sound(&whole)).then_some([text, whole])
+}
+
+/// What is found in this phase, for each task by itself, but for deadlocks: a part may stand still while another goes on.
+fn judged(verdicts: &Verdicts, phase: Phase) -> BTreeSet<String> {
+    let mut verdicts = verdicts.clone();
+    verdicts.findings.retain(|finding| finding.kind != Kind::Deadlock && finding.phase == phase);
+    for at in 0..verdicts.findings.len() {
+        for task in std::mem::take(&mut verdicts.findings[at].also) {
+            verdicts.findings.push(Finding { task: Some(task), ..verdicts.findings[at].clone() });
+        }
+    }
+    keys(&verdicts)
+}
+
+/// What the parts of a cell do not show of what the whole shows, or show beyond it.
+///
+/// What ends the ways of one part hides in the whole what comes later in the other. A phase of the whole in which nothing ends
+/// them is seen to its end: the parts show the same there. Where the phase without faults is not, the whole may show with a fault
+/// what the parts show without.
+fn difference(apart: &Verdicts, whole: &Verdicts) -> Option<String> {
+    let hides = |phase: Phase| whole.phases.iter().any(|one| one.phase == phase && one.pruned);
+    let hidden = [Phase::FaultFree, Phase::Faults].map(hides);
+    let [[plain, faulty], [whole_plain, whole_faulty]] =
+        [apart, whole].map(|verdicts| [Phase::FaultFree, Phase::Faults].map(|phase| judged(verdicts, phase)));
+    let with_a_fault = |key: &String| key.replacen("FaultFree", "Faults", 1);
+    let without: BTreeSet<String> = plain.iter().map(with_a_fault).collect();
+    let is_shown = |key: &String| faulty.contains(key) || hidden[0] && without.contains(key);
+    let missing: Vec<&String> =
+        whole_plain.difference(&plain).chain(whole_faulty.iter().filter(|key| !is_shown(key))).collect();
+    let beyond: Vec<&String> = [(&plain, &whole_plain, hidden[0]), (&faulty, &whole_faulty, hidden[1])]
+        .into_iter()
+        .filter(|(.., hidden)| !hidden)
+        .flat_map(|(mine, others, _)| mine.difference(others))
+        .collect();
+    if !missing.is_empty() || !beyond.is_empty() {
+        return Some(format!("the parts lack {missing:?} and have beyond the whole {beyond:?}"));
+    }
+    if apart.of(Kind::Deadlock).count() < whole.of(Kind::Deadlock).count() {
+        return Some("a deadlock of the whole is none of its parts".into());
+    }
+    let hidden = hidden[0] || hidden[1];
+    let mut reached = apart.statements.iter().zip(&whole.statements);
+    let agree = reached.all(|(mine, other)| if hidden { mine >= other } else { mine == other });
+    (!agree).then(|| format!("reached {:?}, as a whole {:?}", apart.statements, whole.statements))
+}
+
+/// A pair of random cells by parts and as a whole, both searched to their ends. None where the whole is too large.
+fn searched(text: &str, whole: &str) -> Option<[Verdicts; 2]> {
+    let check = |text: &str| {
+        let mut cell = Text::new(text);
+        cell.plan.times = Times::Ends;
+        cell.plan.budget = within(number("PAIR_STATES", 6_000));
+        cell.check()
+    };
+    let whole = check(whole);
+    whole.is_complete().then(|| [check(text), whole])
+}
+
+/// Pairs of which the whole is not seen to its end where its parts are: what needs no fault in one part lies behind an `abort` of
+/// the other, and shows in the whole with a fault alone; and a part outgrows its packed states behind a broken check of the other.
+const HIDDEN: [u64; 2] = [243, 409];
+
+/// Two random cells beside each other, by parts and joined by a check. `PAIRS` says how many pairs, `PAIR_SEED` the first one's
+/// seed, `PAIR_STATES` how many states a search keeps: 600 pairs and 20,000 states in `.ci/long`.
 #[test]
 fn random_cells_beside_each_other() {
     let (mut compared, mut shown, mut whole_seen, mut apart_states, mut whole_states) = (0, 0, 0, 0, 0);
-    for seed in 0..number("PAIRS", 60) {
-        let [one, other] = [random_text(2 * seed + 1), random_text(2 * seed + 2)];
-        let unlike =
-            |text: &str| ["model tick", " at \"", "drift", "pause"].iter().any(|word| text.contains(word));
-        let text = format!("{one}{}", renamed(&other));
-        let whole = joined(&text, &["ta", "ua"]);
-        if unlike(&one) || unlike(&other) || !is_sound(&whole) {
+    let mut differing = Vec::new();
+    let (pairs, first) = (number("PAIRS", 60), number("PAIR_SEED", 0));
+    for seed in (first..first + pairs).chain(HIDDEN) {
+        let Some([text, joined]) = pair(seed) else { continue };
+        let Some([apart, whole]) = searched(&text, &joined) else { continue };
+        let pruned = whole.phases.iter().any(|phase| phase.pruned);
+        // What the whole can look at, its parts can: together they have no more states. Behind what ends its ways it looks at
+        // nothing, and a part may be too large there.
+        assert!(apart.is_complete() || pruned, "PAIR_SEED={seed}:\n{text}");
+        if !apart.is_complete() {
             continue;
         }
-        let check = |text: &str| {
-            let mut cell = Text::new(text);
-            cell.plan.times = Times::Ends;
-            cell.plan.budget = within(number("PAIR_STATES", 6_000));
-            cell.check()
-        };
-        let whole = check(&whole);
-        if !whole.is_complete() {
-            continue;
-        }
-        let apart = check(&text);
-        // What the whole can look at, its parts can: together they have no more states.
-        assert!(apart.is_complete(), "{text}");
         compared += 1;
         shown += usize::from(!apart.findings.is_empty());
         (apart_states, whole_states) = (apart_states + states(&apart), whole_states + states(&whole));
-        let judged = |verdicts: &Verdicts| {
-            let mut verdicts = verdicts.clone();
-            verdicts.findings.retain(|finding| finding.kind != Kind::Deadlock);
-            keys(&verdicts)
-        };
-        // What ends the ways of one part hides in the whole what comes later in the other.
-        let hidden = whole.phases.iter().any(|phase| phase.pruned);
-        whole_seen += usize::from(!hidden);
-        let [mine, others] = [&apart, &whole].map(judged);
-        assert!(
-            if hidden { mine.is_superset(&others) } else { mine == others },
-            "{mine:?}\n{others:?}\n{text}"
-        );
-        assert!(apart.of(Kind::Deadlock).count() >= whole.of(Kind::Deadlock).count(), "seed {seed}:\n{text}");
-        let mut statements = apart.statements.iter().zip(&whole.statements);
-        assert!(statements.all(|(mine, other)| if hidden { mine >= other } else { mine == other }), "{text}");
+        whole_seen += usize::from(!pruned);
+        if let Some(what) = difference(&apart, &whole) {
+            println!("{text}");
+            differing.push(format!("PAIR_SEED={seed} PAIRS=1: {what}"));
+        }
     }
     println!(
         "{compared} pairs, {whole_seen} seen whole, {shown} with findings: {apart_states} states, as a whole {whole_states}"
     );
+    assert!(differing.is_empty(), "{}", differing.join("\n"));
+    // A single pair need not show anything.
+    if pairs < 60 {
+        return;
+    }
     assert!(whole_seen >= 5 && shown >= 2, "{compared} {whole_seen} {shown}");
     assert!(apart_states * 2 < whole_states, "{apart_states} {whole_states}");
 }

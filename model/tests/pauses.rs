@@ -2,8 +2,12 @@
 
 use crate::cells::{Text, within};
 use crate::faulty_cells::right;
-use imrs_model::cell::{CellFaults, CellMove, Fault, Kind, Pause, Schedule, Simulator, Times, Verdicts};
+use crate::guard::{is_sound, number, random_text};
+use imrs_model::cell::{
+    CellFaults, CellMove, Fault, Kind, Pause, Phase, Schedule, Simulator, Times, Verdicts,
+};
 use imrs_protocol::{NodeId, Ticks};
+use std::collections::BTreeSet;
 use std::sync::Arc;
 
 const SILENCE: &str = include_str!("../../examples/faulty/standby_takes_silence_for_death.cell");
@@ -57,6 +61,42 @@ fn a_lease_holds_however_long_its_owner_pauses() {
         let pause = Pause::new(&cell.plan.table, None, Some(Ticks(30)));
         cell.plan.faults = vec![CellFaults { pause: vec![pause; 2], ..CellFaults::default() }];
     });
+    assert!(verdicts.findings.is_empty(), "{:?}", verdicts.findings);
+}
+
+/// A node that starts again gets its lease while its scripts are still held back, and may lose it before they begin. What
+/// belongs to the lease does not begin then.
+#[test]
+fn a_lease_that_is_lost_before_the_script_begins_begins_nothing() {
+    let text = "cell late; tick 1 msec; node n1; node n2; link n1 -- n2 delay 1 msec;
+task r1 on n1
+  port alive() usage = response user_list = {r2} time_out = 8 msec;
+  use_port old() usage = receive;
+  port seam() usage = send user_list = {gun} time_out = 10 msec class = 2;
+begin
+  send seam() on time_out do skip; end on refused do skip; end;
+  run weld takes 5 msec;
+end r1;
+task r2 on n2 standby of r1
+  use_port alive() usage = query;
+begin
+  loop delay 50 msec; end;
+takeover
+  loop delay 50 msec; end;
+end r2;
+task gun on n2
+  use_port seam() usage = receive;
+  port old() usage = send user_list = {r1} time_out = 70 msec class = 2;
+begin
+  on receive seam() do reply(); end;
+  order seam > self;
+  loop delay 50 msec; end;
+end gun;
+couple work r1 -> r2 lease 20 msec takeover 35 msec every 5 msec via alive;
+faults crash r1 pause n2 up to 60 msec;";
+    // The node takes no messages of its earlier life for 71 ticks, and its scripts wait as long.
+    let verdicts = checked(text, Times::Ends, |_| ());
+    // It ends without a word, as where the lease is lost later.
     assert!(verdicts.findings.is_empty(), "{:?}", verdicts.findings);
 }
 
@@ -156,6 +196,55 @@ fn pauses_at_any_moment_find_no_more() {
         assert_eq!(keys(&reduced), keys(&whole), "{text}");
         assert_eq!(reduced.statements, whole.statements, "{text}");
     }
+}
+
+/// The same of random cells: 400 in `.ci/long`. `PAUSE_SEED` is the first one's seed.
+#[test]
+fn random_pauses_at_any_moment_find_no_more() {
+    let (cells, first) = (number("PAUSE_CELLS", 40), number("PAUSE_SEED", 1));
+    let with_a_pause = |text: &String| text.contains("faults pause") && is_sound(text);
+    let seeds = (first..).map(|seed| (seed, random_text(seed))).filter(|(_, text)| with_a_pause(text));
+    let (mut compared, mut with_findings, mut differing) = (0_u64, 0_u64, Vec::new());
+    for (seed, text) in seeds.take(usize::try_from(cells).expect("a small number")) {
+        let check = |everything: bool| {
+            let mut cell = Text::new(&text);
+            cell.plan.budget = within(number("PAUSE_STATES", 10_000));
+            (cell.plan.times, cell.plan.everything) = (Times::Ends, everything);
+            cell.check()
+        };
+        let whole = check(true);
+        if !whole.is_complete() {
+            continue;
+        }
+        let reduced = check(false);
+        assert!(reduced.is_complete(), "PAUSE_SEED={seed}:\n{text}");
+        // A part may stand still where the whole goes on (D138).
+        if reduced.phases.iter().any(|phase| phase.parts > 1) {
+            continue;
+        }
+        compared += 1;
+        let keys = |verdicts: &Verdicts| {
+            let findings = verdicts.findings.iter();
+            let kind = |kind| if kind == Kind::Starves { Kind::TimeOut } else { kind };
+            findings
+                .map(|found| (kind(found.kind), found.phase, found.task, found.address, found.check))
+                .collect::<BTreeSet<_>>()
+        };
+        let [mine, others] = [&reduced, &whole].map(keys);
+        with_findings += u64::from(mine.iter().any(|(_, phase, ..)| *phase == Phase::Faults));
+        if mine != others || reduced.statements != whole.statements {
+            println!("{text}");
+            let reached = [&reduced.statements, &whole.statements];
+            differing.push(format!(
+                "PAUSE_SEED={seed} PAUSE_CELLS=1: {mine:?}, without reductions {others:?}; {reached:?}"
+            ));
+        }
+    }
+    println!(
+        "{compared} of {cells} cells compared, {with_findings} of them with a finding that takes a fault"
+    );
+    assert!(differing.is_empty(), "{}", differing.join("\n"));
+    assert!(cells < 40 || compared >= 10 && with_findings >= 2, "{compared} {with_findings}");
 }
 
 #[test]

@@ -23,6 +23,9 @@ pub(super) fn with_programs(plan: &Arc<CellPlan>) -> Arc<CellPlan> {
 }
 
 /// A program that chooses again and again what to do with its ports, or to do nothing.
+///
+/// A task of a work couple does so with the lease and without it. It begins anew when it takes over. When it loses its lease,
+/// it gives up what it was about and does nothing until it has the lease again.
 fn any_use(plan: &CellPlan, task: TaskId, rate: Option<Rate>) -> Program {
     let table = &plan.table;
     let pause = Ticks(rate.map_or(1, |rate| rate.per.0.div_ceil(u64::from(rate.count).max(1))).max(1));
@@ -33,7 +36,15 @@ fn any_use(plan: &CellPlan, task: TaskId, rate: Option<Rate>) -> Program {
     };
     let mut uses: Vec<Vec<Op>> = Vec::new();
     let values = tried(plan);
-    for &port in table.ports_of(task) {
+    let couples: Vec<_> = table
+        .cell()
+        .couples
+        .iter()
+        .filter(|couple| [couple.primary, couple.standby].contains(&task))
+        .collect();
+    // Beats are the machine's own: no task uses their port.
+    let carries_beats = |port: PortId| couples.iter().any(|couple| couple.via == port);
+    for &port in table.ports_of(task).iter().filter(|&&port| !carries_beats(port)) {
         for &value in &values {
             let Some(once) = once(plan, task, (port, value), pause, &mut program) else { break };
             // Where nothing is said there is one way to say it.
@@ -42,6 +53,7 @@ fn any_use(plan: &CellPlan, task: TaskId, rate: Option<Rate>) -> Program {
             }
         }
     }
+    program.takeover = (!couples.is_empty()).then_some(0);
     let count = u16::try_from(uses.len() + 1).unwrap_or(u16::MAX);
     program.code = vec![Op::Statement, Op::Choose(count), Op::Store(Slot::Task(0))];
     for (number, body) in (0_i64..).zip(uses) {

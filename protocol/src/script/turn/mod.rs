@@ -62,6 +62,10 @@ impl<'a, O: ScriptOutbox> Turn<'a, O> {
             (Wait::Abandon(_), _) => {}
             (Wait::Passive, Signal::Granted(_)) => self.begin_anew(Anew::TakeOver),
             (Wait::Passive, Signal::Fault(Fault::Fenced)) => self.finish(End::Fenced),
+            // The lease was lost before the script began, as behind a restart: the body belongs to the lease (D156).
+            (Wait::Signal, Signal::Fault(Fault::Fenced)) if matches!(self.op(), Ok(Op::Lease)) => {
+                self.finish(End::Fenced);
+            }
             (_, Signal::Interrupt(call)) => self.interrupt(call),
             (Wait::Register(handler, anew), Signal::Accepted(_)) => {
                 self.register(handler.saturating_add(1), anew);
