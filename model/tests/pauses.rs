@@ -179,6 +179,33 @@ end b;";
     assert_eq!([24, 58, 59].map(|lasts| misses(&longer, lasts)), [false, false, true]);
 }
 
+/// A pause of 10 ticks is 10 ticks to the node, too: a timer that ends later ends when it would have ended.
+#[test]
+fn a_timer_that_outlasts_a_pause_ends_on_time() {
+    let text = "cell ring; tick 1 msec; node na;
+task a on na
+  var begun, rang: bool; var t: timer;
+begin
+  order t > self;
+  on expiry t do rang := true; end;
+  begun := true; start t 20 msec;
+  run look takes 5 msec;
+  loop delay 100 msec; end;
+end a;
+check in_time: a.begun leads a.rang within 20 msec;";
+    let breaks = |text: &str| {
+        // The action ends after 5 ticks: that is what the node would do first.
+        let pause = Fault::Pause { node: NodeId(0), at: 5, lasts: 10, before_action: false };
+        let schedule = Schedule { faults: vec![pause], ..Schedule::default() };
+        let simulator = Simulator::new(&Arc::new(Text::new(text).plan), 100).expect("small enough");
+        let run = simulator.schedule(&schedule, false);
+        assert!(run.idle.is_empty(), "{:?}", run.idle);
+        run.found.iter().any(|found| found.finding.kind == Kind::Check)
+    };
+    assert!(!breaks(text));
+    assert!(breaks(&text.replace("within 20", "within 19")));
+}
+
 /// A node that could not pause in the reduced search at some moment, or not go on, would hide a finding here.
 #[test]
 fn pauses_at_any_moment_find_no_more() {

@@ -25,6 +25,7 @@ use crate::floor::script::ScriptTurn;
 use imrs_protocol::script::ScriptInput;
 use imrs_protocol::{Call, MessageId, ReplyTo, Round, Seq24, Signal};
 use std::fmt;
+use std::ops::AddAssign;
 use std::sync::Arc;
 
 /// What the walks came to where nothing differed.
@@ -42,6 +43,34 @@ pub struct Agreement {
     pub looked_up: u64,
     /// Findings whose way was walked again.
     pub findings: u64,
+    /// Pauses that began in walks.
+    pub pauses: u64,
+    /// Those that ended in them.
+    pub wakes: u64,
+}
+
+impl Agreement {
+    /// Counts a move of a walk.
+    fn walked(&mut self, step: CellMove) {
+        let begins =
+            matches!(step, CellMove::Pause(..) | CellMove::PauseBefore(..) | CellMove::PauseNext(..));
+        self.steps += 1;
+        self.pauses += u64::from(begins);
+        self.wakes += u64::from(matches!(step, CellMove::Wake(_)));
+    }
+}
+
+impl AddAssign for Agreement {
+    fn add_assign(&mut self, other: Self) {
+        self.searches += other.searches;
+        self.complete += other.complete;
+        self.states += other.states;
+        self.steps += other.steps;
+        self.looked_up += other.looked_up;
+        self.findings += other.findings;
+        self.pauses += other.pauses;
+        self.wakes += other.wakes;
+    }
 }
 
 /// Where the checker and the cell differ.
@@ -221,7 +250,7 @@ impl<'a> Walk<'a> {
                 }
             }
             let Some(&step) = moves.get(draw(moves.len().max(1))) else { return self.end() };
-            agreement.steps += 1;
+            agreement.walked(step);
             self.moves.push(step);
             self.own.take(step);
             self.twin.take(step);

@@ -171,7 +171,9 @@ pub(super) fn look_at_each(
     if parts.is_empty() || !faults.may_be_apart() {
         return look(plan);
     }
-    let touched = |part: &&Part| plain.is_none() || part.is_touched_by(plan, faults);
+    // An `abort` ends ways of the search without faults, and none of those with them: so what lies behind it was not seen yet.
+    let is_seen = plain.is_some_and(|plain| !plain.coverage.pruned);
+    let touched = |part: &&Part| !is_seen || part.is_touched_by(plan, faults);
     let mut searched: Vec<&Part> = parts.iter().filter(touched).collect();
     if searched.is_empty() {
         searched.push(&parts[0]);

@@ -47,8 +47,7 @@ fn the_examples_run_as_they_are_searched() {
         let effort = Effort { walks: 4, length: 1_000, times: Times::Ends };
         let one = compare(&text, 1, states(), effort).unwrap_or_else(|e| panic!("{}: {e}", path.display()));
         println!("{}: {one:?}", path.display());
-        all.steps += one.steps;
-        all.looked_up += one.looked_up;
+        all += one;
     }
     assert!(all.steps > 10_000 && all.looked_up > 1_000, "{all:?}");
 }
@@ -128,11 +127,14 @@ fn shrink(mut tape: Vec<u8>, seed: u64) -> Vec<u8> {
 /// One crowd for so many cells.
 const CELLS_FOR_A_CROWD: u64 = 5;
 
-/// 20,000 in `.ci/long`; `IMRS_SEED` begins elsewhere.
+/// 20,000 in `.ci/long`; `IMRS_SEED` begins elsewhere. With `IMRS_WORD` only cells that have this word are walked: in `.ci/long`
+/// a second run takes those with a `pause`.
 #[test]
 fn random_cells_run_as_they_are_searched() {
     let (cells, first) = (number("IMRS_CELLS", 300), number("IMRS_SEED", 1));
-    let (mut all, mut meets, mut sound, mut crowded) = (Agreement::default(), 0, 0, 0);
+    let word = std::env::var("IMRS_WORD").unwrap_or_default();
+    let (mut all, mut meets, mut sound, mut walked) = (Agreement::default(), 0, 0, 0);
+    let mut crowded = 0;
     for seed in first..first + cells {
         if seed.is_multiple_of(CELLS_FOR_A_CROWD) {
             let text = crowd::cell(&tape(seed));
@@ -147,16 +149,13 @@ fn random_cells_run_as_they_are_searched() {
             continue;
         }
         sound += 1;
+        if !text.contains(&word) {
+            continue;
+        }
+        walked += 1;
         meets += u64::from(text.contains("    waitfor ") && text.contains("\nfaults "));
         match random(&tape(seed), seed) {
-            Ok(one) => {
-                all.searches += one.searches;
-                all.complete += one.complete;
-                all.states += one.states;
-                all.steps += one.steps;
-                all.looked_up += one.looked_up;
-                all.findings += one.findings;
-            }
+            Ok(one) => all += one,
             Err(_) => {
                 let small = shrink(tape(seed), seed);
                 let text = cells::cell(&small);
@@ -166,11 +165,12 @@ fn random_cells_run_as_they_are_searched() {
         }
     }
     println!(
-        "Done {cells} runs in all: cells from seed {first}, {sound} of them sound, {meets} with a waitfor and a fault; {all:?}; {crowded} steps of crowds"
+        "Done {cells} runs in all: cells from seed {first}, {sound} of them sound, {walked} walked, {meets} with a waitfor and a fault; {all:?}; {crowded} steps of crowds"
     );
     assert!(sound * 10 >= cells * 9, "{sound} of {cells} are cells");
     assert!(all.complete * 10 >= all.searches * 8, "{all:?}");
-    assert!(meets * 10 >= sound * 3, "{meets} of {sound}");
+    assert!(meets * 10 >= walked * 3, "{meets} of {walked}");
+    assert!(all.pauses * 4 >= walked && all.wakes * 2 >= all.pauses, "{all:?}");
 }
 
 /// A search of one state says nothing: a crowd is walked only.
