@@ -8,7 +8,6 @@ use imrs_monitor::MonitorError;
 use imrs_monitor::export::{Form, Wanted, export};
 use imrs_monitor::record::free_name;
 use imrs_monitor::replay::Film;
-use imrs_wire::files;
 use std::io::{BufWriter, Cursor, Write};
 use std::path::Path;
 use std::sync::Arc;
@@ -40,15 +39,11 @@ pub fn run(args: &ExportArgs, out: &mut Output) -> Result<Exit, Failure> {
     }
     let path = args.out.clone().unwrap_or_else(|| free_name(&args.file.with_extension(args.to.ending())));
     kept::check(&path, args.force)?;
-    let file = kept::create(&path, args.force)?;
-    let done = match export(&film, &wanted, BufWriter::new(file)) {
-        Ok(done) => done,
-        Err(error) => {
-            // Half an export is of no use, and would look like a whole one.
-            files::discard(&path);
-            return Err(failed(&path, error.to_string()).into());
-        }
-    };
+    // Half an export is of no use, and would look like a whole one.
+    let done = kept::keep_or(&path, args.force, |file| {
+        export(&film, &wanted, BufWriter::new(file))
+            .map_err(|error| Failure::from(failed(&path, error.to_string())))
+    })?;
     if let Some(notice) = &film.notice {
         crate::output::complain(format_args!("{}: {notice}", args.file.display()));
     }

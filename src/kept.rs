@@ -55,6 +55,8 @@ fn writable(path: &Path) -> io::Result<()> {
         Ok(of) if of.file_type().is_fifo() || of.file_type().is_socket() => {
             return Err(FileError::NotAFile.into());
         }
+        // It is replaced, which takes its folder.
+        Ok(of) if of.is_file() => folder.unwrap_or(Path::new(".")),
         Ok(_) => path,
         Err(error) if error.kind() == io::ErrorKind::NotFound => folder.unwrap_or(Path::new(".")),
         Err(error) => return Err(error),
@@ -62,24 +64,46 @@ fn writable(path: &Path) -> io::Result<()> {
     Ok(access(target, Access::WRITE_OK)?)
 }
 
-/// Makes a new file, which only its owner can read; with `force` in the place of one that is there.
-///
-/// # Errors
-/// [`KeptError`].
-pub fn create(path: &Path, force: bool) -> Result<File, KeptError> {
+/// A new file, which only its owner can read; with `force` in the place of one that is there.
+fn create(path: &Path, force: bool) -> Result<File, KeptError> {
     let made = files::free(path, force).and_then(|()| files::create(path));
     made.map_err(KeptError::of(path))
 }
 
-/// Gives such a file to `write`. Where that fails no half of it is left.
+/// Gives a new file to `write`, which takes the name when it is whole. Until then what has the name stays as it is, and where that
+/// fails no half is left.
+///
+/// # Errors
+/// [`KeptError`], or that of `write`.
+pub fn keep_or<T, E: From<KeptError>>(
+    path: &Path,
+    force: bool,
+    write: impl FnOnce(File) -> Result<T, E>,
+) -> Result<T, E> {
+    let unwritable = |source| KeptError::Unwritable { path: path.to_owned(), source };
+    // A device is written to: nothing takes its place.
+    if fs::metadata(path).is_ok_and(|of| !of.is_file()) {
+        return write(create(path, force)?);
+    }
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    let new = tempfile::NamedTempFile::new_in(folder.unwrap_or(Path::new("."))).map_err(unwritable)?;
+    let kept = write(new.as_file().try_clone().map_err(unwritable)?)?;
+    check(path, force)?;
+    let named = if force { new.persist(path) } else { new.persist_noclobber(path) };
+    named.map_err(|error| match error.error.kind() {
+        io::ErrorKind::AlreadyExists => KeptError::Taken(path.to_owned()),
+        _ => unwritable(error.error),
+    })?;
+    Ok(kept)
+}
+
+/// The same where `write` fails as files do.
 ///
 /// # Errors
 /// [`KeptError`].
 pub fn keep<T>(path: &Path, force: bool, write: impl FnOnce(File) -> io::Result<T>) -> Result<T, KeptError> {
-    write(create(path, force)?).map_err(|source| {
-        files::discard(path);
-        KeptError::Unwritable { path: path.to_owned(), source }
-    })
+    let unwritable = |source| KeptError::Unwritable { path: path.to_owned(), source };
+    keep_or(path, force, |file| write(file).map_err(unwritable))
 }
 
 /// The same for a text.

@@ -225,7 +225,8 @@ fn node(app: &App, life: &Life, row: &Row, now: Moment, cells: &mut Cells) {
         (Presence::Silent(_), _) => (presence.to_string(), Ink::Warn),
         _ => (format!("{presence} (incarn. {})", life.incarnation), Ink::Dim),
     };
-    if let Some(longest) = life.held_back(now).map(|(_, us)| us).max().filter(|_| !presence.is_gone()) {
+    let longest = life.held_back(now).map(|(_, us)| us).max();
+    if let Some(longest) = longest.filter(|_| matches!(presence, Presence::Up)) {
         cells[1] = (format!("up, held back {} s", longest.div_ceil(1_000_000)), Ink::Warn);
     }
     match life.last.as_ref().map(|s| s.snapshot.real_time).filter(|_| !presence.is_gone()) {

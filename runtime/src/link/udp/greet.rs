@@ -51,8 +51,15 @@ impl UdpLink {
     /// two can talk, and lets a new session of this node be heard with its first packet. Returns whether any was greeted.
     pub fn greet(&self) -> bool {
         let mut any = false;
-        for peer in self.peers.iter().filter(|peer| !peer.met.load(Ordering::Relaxed)) {
-            any |= lock(&peer.way).is_some();
+        let unmet = |(_, peer): &(usize, &Peer)| !peer.met.load(Ordering::Relaxed);
+        for (position, peer) in self.peers.iter().enumerate().filter(unmet) {
+            if let Some(way) = &mut *lock(&peer.way) {
+                any = true;
+                // There may have been no route when its address was entered.
+                if way.connected.is_none() {
+                    way.connected = self.connected(position, way.address);
+                }
+            }
             let heard = *lock(&peer.heard);
             self.say(peer, Greeting { wants_answer: true, ..Greeting::default() }, heard);
         }

@@ -136,7 +136,8 @@ impl UdpLink {
                 }
                 // What the network says of datagrams sent before, or an interruption: the queue is as it was.
                 Err(error) => {
-                    if error.kind() == io::ErrorKind::ConnectionRefused {
+                    // A connected socket receives nothing in vain but for what was sent through it.
+                    if inbound.from.is_some() && error.kind() != io::ErrorKind::Interrupted {
                         self.statistics.send_failed(&error);
                     } else {
                         self.statistics.add(UdpCount::ReceiveFailed, 1);
