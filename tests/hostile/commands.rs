@@ -256,6 +256,8 @@ fn limited(folder: &Path, limit: &str, args: &[&str]) -> std::process::Command {
     let line = format!("ulimit {limit}; exec \"$0\" \"$@\"");
     command.args(["-c", &line, env!("CARGO_BIN_EXE_imrs")]).args(args);
     command.env("XDG_RUNTIME_DIR", folder).env("XDG_STATE_HOME", folder.join("state"));
+    // A backtrace takes the memory that is left, and where it finds none the process ends in the middle of it.
+    command.env("RUST_BACKTRACE", "0");
     command
 }
 
