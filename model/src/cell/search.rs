@@ -277,12 +277,15 @@ impl Search {
                 let _ = done[at].set(walker.take());
             }
         };
-        match walkers {
-            [only] => work(only),
-            _ if parts.len() == 1 => walkers.iter_mut().take(1).for_each(work),
-            _ => std::thread::scope(|scope| {
-                walkers.iter_mut().for_each(|walker| drop(scope.spawn(|| work(walker))));
-            }),
+        let work = &work;
+        if let [first, others @ ..] = walkers {
+            std::thread::scope(|scope| {
+                for walker in others.iter_mut().take(parts.len().saturating_sub(1)) {
+                    // Where there is no room for a thread, those that there are take its parts.
+                    drop(std::thread::Builder::new().spawn_scoped(scope, move || work(walker)));
+                }
+                work(first);
+            });
         }
         done.into_iter().filter_map(OnceLock::into_inner).collect()
     }
