@@ -93,7 +93,7 @@ fn replaced(path: &Path, text: &str) -> io::Result<()> {
     let path = fs::canonicalize(path)?;
     access(&path, Access::WRITE_OK)?;
     let old = fs::metadata(&path)?;
-    let folder = path.parent().unwrap_or(Path::new("/"));
+    let folder = files::folder_of(&path);
     let beside = |error: io::Error| {
         io::Error::new(
             error.kind(),

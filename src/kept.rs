@@ -32,8 +32,12 @@ impl KeptError {
     fn of(path: &Path) -> impl Fn(FileError) -> Self {
         move |error| match error {
             FileError::Exists => Self::Taken(path.to_owned()),
-            other => Self::Unwritable { path: path.to_owned(), source: other.into() },
+            other => Self::unwritable(path)(other.into()),
         }
+    }
+
+    fn unwritable(path: &Path) -> impl Fn(io::Error) -> Self {
+        move |source| Self::Unwritable { path: path.to_owned(), source }
     }
 }
 
@@ -42,13 +46,12 @@ impl KeptError {
 /// # Errors
 /// [`KeptError`].
 pub fn check(path: &Path, force: bool) -> Result<(), KeptError> {
-    writable(path).map_err(|source| KeptError::Unwritable { path: path.to_owned(), source })?;
+    writable(path).map_err(KeptError::unwritable(path))?;
     files::check(path, force).map_err(KeptError::of(path))
 }
 
 /// As far as that can be known before there is anything to write.
 fn writable(path: &Path) -> io::Result<()> {
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
     let target = match fs::metadata(path) {
         Ok(of) if of.is_dir() => return Err(io::ErrorKind::IsADirectory.into()),
         // Opening a pipe waits until somebody reads it.
@@ -56,9 +59,9 @@ fn writable(path: &Path) -> io::Result<()> {
             return Err(FileError::NotAFile.into());
         }
         // It is replaced, which takes its folder.
-        Ok(of) if of.is_file() => folder.unwrap_or(Path::new(".")),
+        Ok(of) if of.is_file() => files::folder_of(path),
         Ok(_) => path,
-        Err(error) if error.kind() == io::ErrorKind::NotFound => folder.unwrap_or(Path::new(".")),
+        Err(error) if error.kind() == io::ErrorKind::NotFound => files::folder_of(path),
         Err(error) => return Err(error),
     };
     Ok(access(target, Access::WRITE_OK)?)
@@ -80,14 +83,13 @@ pub fn keep_or<T, E: From<KeptError>>(
     force: bool,
     write: impl FnOnce(File) -> Result<T, E>,
 ) -> Result<T, E> {
-    let unwritable = |source| KeptError::Unwritable { path: path.to_owned(), source };
+    let unwritable = KeptError::unwritable(path);
     // A device is written to: nothing takes its place.
     if fs::metadata(path).is_ok_and(|of| !of.is_file()) {
         return write(create(path, force)?);
     }
-    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
-    let new = tempfile::NamedTempFile::new_in(folder.unwrap_or(Path::new("."))).map_err(unwritable)?;
-    let kept = write(new.as_file().try_clone().map_err(unwritable)?)?;
+    let new = tempfile::NamedTempFile::new_in(files::folder_of(path)).map_err(&unwritable)?;
+    let kept = write(new.as_file().try_clone().map_err(&unwritable)?)?;
     check(path, force)?;
     let named = if force { new.persist(path) } else { new.persist_noclobber(path) };
     named.map_err(|error| match error.error.kind() {
@@ -102,8 +104,7 @@ pub fn keep_or<T, E: From<KeptError>>(
 /// # Errors
 /// [`KeptError`].
 pub fn keep<T>(path: &Path, force: bool, write: impl FnOnce(File) -> io::Result<T>) -> Result<T, KeptError> {
-    let unwritable = |source| KeptError::Unwritable { path: path.to_owned(), source };
-    keep_or(path, force, |file| write(file).map_err(unwritable))
+    keep_or(path, force, |file| write(file).map_err(KeptError::unwritable(path)))
 }
 
 /// The same for a text.

@@ -324,18 +324,14 @@ fn a_broken_plan_says_what_is_wrong_with_it() {
     }
 }
 
-/// Sends Ctrl-C once the command waits for it: before, it ends the process as any. Gives the exit code and the answer.
+/// Sends Ctrl-C once the command has its second thread, which comes after all that waits for Ctrl-C. Before, that ends the process as
+/// any, or is lost while its handler is put in. Gives the exit code and the answer.
 fn stopped(args: &[&str]) -> (Option<i32>, Value) {
     let folder = tempfile::tempdir().expect("a folder");
-    let mut command = imrs(folder.path(), &[args, &["--format", "json"]].concat());
+    let mut command = imrs(folder.path(), &[args, &["--jobs", "2", "--format", "json"]].concat());
     let child = command.stdout(Stdio::piped()).stderr(Stdio::piped()).spawn().expect("started");
-    let status = format!("/proc/{}/status", child.id());
-    let waits = || {
-        let text = fs::read_to_string(&status).unwrap_or_default();
-        let caught = text.lines().find_map(|line| line.strip_prefix("SigCgt:")).unwrap_or("0").trim();
-        u64::from_str_radix(caught, 16).expect("a mask") >> 1 & 1 == 1
-    };
-    while !waits() {
+    let threads = format!("/proc/{}/task", child.id());
+    while fs::read_dir(&threads).expect("it runs").count() < 2 {
         std::thread::sleep(Duration::from_millis(10));
     }
     let pid = Pid::from_raw(i32::try_from(child.id()).expect("a number")).expect("a process");
@@ -350,7 +346,7 @@ fn ctrl_c_ends_it_with_what_it_has() {
     let (code, answer) = stopped(&["simulate", conveyor, "--seeds", "100000000", "--seed", "1"]);
     assert_eq!((code, &answer["complete"]), (Some(4), &false.into()), "{answer}");
     // One batch of these runs takes minutes: it is not waited for.
-    let long = ["simulate", conveyor, "--seeds", "1000", "--seed", "1", "--steps", "1000000", "--jobs", "2"];
+    let long = ["simulate", conveyor, "--seeds", "1000", "--seed", "1", "--steps", "1000000"];
     let (code, answer) = stopped(&long);
     assert_eq!((code, &answer["complete"]), (Some(4), &false.into()), "{answer}");
     assert!(answer["runs"].as_u64().is_some_and(|runs| runs < 64), "{answer}");

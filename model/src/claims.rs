@@ -17,6 +17,7 @@ use crate::floor::plan::FloorPlan;
 use crate::floor::{draw_floor, explore_floor};
 use crate::report::{Bounds, Found, Outcome, Report, Verdict, collision_probability};
 use crate::scenario::Scenario;
+use crate::side_by_side::side_by_side;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, Mutex, PoisonError};
@@ -240,16 +241,12 @@ pub fn verify(options: &Options, progress: &dyn Progress) -> Report {
     let next = AtomicUsize::new(0);
     let verdicts: Mutex<Vec<(usize, Verdict)>> = Mutex::new(Vec::new());
     // Independent claims side by side: two threads in one exploration gain little.
-    std::thread::scope(|scope| {
-        for _ in 0..options.jobs.clamp(1, claims.len().max(1)) {
-            scope.spawn(|| {
-                while let Some((at, claim)) = take(&claims, &next) {
-                    for verdict in settle(claim, limits, progress) {
-                        progress.finished(&verdict);
-                        verdicts.lock().unwrap_or_else(PoisonError::into_inner).push((at, verdict));
-                    }
-                }
-            });
+    side_by_side(0..options.jobs.clamp(1, claims.len().max(1)), |_| {
+        while let Some((at, claim)) = take(&claims, &next) {
+            for verdict in settle(claim, limits, progress) {
+                progress.finished(&verdict);
+                verdicts.lock().unwrap_or_else(PoisonError::into_inner).push((at, verdict));
+            }
         }
     });
     let mut verdicts = verdicts.into_inner().unwrap_or_else(PoisonError::into_inner);

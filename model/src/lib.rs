@@ -15,6 +15,7 @@ mod ghost;
 mod network;
 mod report;
 mod scenario;
+mod side_by_side;
 mod state;
 mod symmetry;
 mod world;

@@ -211,7 +211,7 @@ fn node<'a>(store: &Store, life: &'a Life, now: Moment) -> Node<'a> {
         build: Some(life.build.raw()),
         uptime_us: snapshot.map(|s| s.uptime_us),
         insecure: snapshot.map(|s| s.insecure),
-        held_back_us: life.held_back(now).map(|(_, us)| us).max(),
+        held_back_us: life.longest_held_back(now),
         real_time: snapshot.and_then(|s| real_time(s.real_time)),
         transit,
         discards: snapshot.map_or(&[][..], |s| &s.discards).iter().map(reason).collect(),

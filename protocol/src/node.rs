@@ -320,7 +320,7 @@ impl Node {
 
     fn is_message_for_here(&self, packet: &Packet) -> bool {
         let message = matches!(packet.kind, Kind::Send | Kind::Query);
-        message && self.parts.table.location(packet.destination) == Some(self.parts.table.node)
+        message && self.parts.table.is_here(packet.destination)
     }
 
     fn hand_to(&mut self, task: TaskId, input: Input, out: &mut impl NodeOutbox) {

@@ -268,6 +268,12 @@ impl NodeTable {
     pub fn rules(&self) -> &Rules {
         &self.cell.cell().rules
     }
+
+    /// Whether `task` runs on this node.
+    #[must_use]
+    pub fn is_here(&self, task: TaskId) -> bool {
+        self.location(task) == Some(self.node)
+    }
 }
 
 impl core::ops::Deref for NodeTable {

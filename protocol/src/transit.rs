@@ -323,7 +323,7 @@ impl Transit {
         if !asks || packet.class != Class::Command {
             return;
         }
-        if table.location(packet.source) == Some(table.node) {
+        if table.is_here(packet.source) {
             out.unsent(packet.source, packet.id);
         }
         if reason != Reason::ExpiredInTransit {

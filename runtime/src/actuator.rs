@@ -37,6 +37,7 @@
 //! It is no safety function: it keeps programs that obey it from acting for two tasks, and stops no motor.
 
 use crate::clock;
+use imrs_wire::files;
 use rustix::fs::{FlockOperation, flock};
 use std::fs::{File, OpenOptions};
 use std::io::{self, BufRead};
@@ -178,8 +179,7 @@ impl Gate {
     }
 
     fn sync_folder(&self) -> Result<(), GateError> {
-        let folder = self.path.parent().filter(|folder| !folder.as_os_str().is_empty());
-        let synced = File::open(folder.unwrap_or(Path::new("."))).and_then(|folder| folder.sync_all());
+        let synced = File::open(files::folder_of(&self.path)).and_then(|folder| folder.sync_all());
         synced.map_err(|source| GateError::File { path: self.path.clone(), source })
     }
 

@@ -155,10 +155,12 @@ fn what(args: &SimulateArgs, names: &Names<'_>) -> Result<What, Failure> {
 
 /// A flag that Ctrl-C sets. A second Ctrl-C ends the process.
 fn stop_at_ctrl_c() -> Arc<AtomicBool> {
-    let stop = Arc::default();
+    let (stop, once) = (Arc::default(), Arc::default());
+    // In this order, which is also that in which a signal finds them: one that comes between two of these lines sets the flag, too.
     // Where nothing can be registered, Ctrl-C ends the process at once.
-    let _ = signal_hook::flag::register_conditional_default(SIGINT, Arc::clone(&stop));
     let _ = signal_hook::flag::register(SIGINT, Arc::clone(&stop));
+    let _ = signal_hook::flag::register_conditional_default(SIGINT, Arc::clone(&once));
+    let _ = signal_hook::flag::register(SIGINT, once);
     stop
 }
 

@@ -116,6 +116,12 @@ pub fn create(path: &Path) -> Result<File, FileError> {
     }
 }
 
+/// The folder in which a file has its name.
+#[must_use]
+pub fn folder_of(path: &Path) -> &Path {
+    path.parent().filter(|folder| !folder.as_os_str().is_empty()).unwrap_or(Path::new("."))
+}
+
 /// Refuses a name at which something is, which [`create`] would refuse later. With `force` a regular file of that name is
 /// removed: call it right before [`create`], and [`check`] before that.
 ///

@@ -15,6 +15,7 @@ use super::verdict::{Coverage, Finding, Kind, Phase, Refused, Verdicts};
 use super::walker::{Hit, Origin, Walker, Walks};
 use super::{starve, story};
 use crate::explore::resident_bytes;
+use crate::side_by_side::side_by_side;
 use imrs_protocol::TaskId;
 use imrs_protocol::script::{Address, Op, Term};
 use std::collections::VecDeque;
@@ -277,16 +278,7 @@ impl Search {
                 let _ = done[at].set(walker.take());
             }
         };
-        let work = &work;
-        if let [first, others @ ..] = walkers {
-            std::thread::scope(|scope| {
-                for walker in others.iter_mut().take(parts.len().saturating_sub(1)) {
-                    // Where there is no room for a thread, those that there are take its parts.
-                    drop(std::thread::Builder::new().spawn_scoped(scope, move || work(walker)));
-                }
-                work(first);
-            });
-        }
+        side_by_side(walkers.iter_mut().take(parts.len()), work);
         done.into_iter().filter_map(OnceLock::into_inner).collect()
     }
 

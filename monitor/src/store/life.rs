@@ -338,6 +338,12 @@ impl Life {
         })
     }
 
+    /// For how long from now on a script of the node is held back, in microseconds, if one is.
+    #[must_use]
+    pub fn longest_held_back(&self, now: Moment) -> Option<u64> {
+        self.held_back(now).map(|(_, us)| us).max()
+    }
+
     /// For how long from now on the script of a task is held back, in microseconds, if it is.
     #[must_use]
     pub fn task_held_back(&self, task: TaskId, now: Moment) -> Option<u64> {

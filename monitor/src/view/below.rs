@@ -40,7 +40,7 @@ pub(super) fn draw(app: &App, now: Moment, pen: &mut Pen<'_>) {
 /// The restarted node that is held back longest.
 fn held_back(app: &App, cell: &Name, now: Moment) -> Option<(String, Ink)> {
     let up = app.store().present(cell).filter(|life| !life.presence(now).is_gone());
-    let held = up.filter_map(|life| Some((life.held_back(now).map(|(_, us)| us).max()?, life)));
+    let held = up.filter_map(|life| Some((life.longest_held_back(now)?, life)));
     let (us, life) = held.max_by_key(|(us, _)| *us)?;
     Some((format!("{} {}", life.node, held_back_sentence(us)), Ink::Warn))
 }

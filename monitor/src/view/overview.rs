@@ -225,7 +225,7 @@ fn node(app: &App, life: &Life, row: &Row, now: Moment, cells: &mut Cells) {
         (Presence::Silent(_), _) => (presence.to_string(), Ink::Warn),
         _ => (format!("{presence} (incarn. {})", life.incarnation), Ink::Dim),
     };
-    let longest = life.held_back(now).map(|(_, us)| us).max();
+    let longest = life.longest_held_back(now);
     if let Some(longest) = longest.filter(|_| matches!(presence, Presence::Up)) {
         cells[1] = (format!("up, held back {} s", longest.div_ceil(1_000_000)), Ink::Warn);
     }

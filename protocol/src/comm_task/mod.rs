@@ -393,7 +393,7 @@ impl CommTask {
     /// Whether what `source` sent to an earlier life of the task may still arrive (D49). Tasks of the same node restarted with
     /// it: what they send is new (D157).
     fn turns_away(&self, table: &NodeTable, source: TaskId) -> bool {
-        self.is_quarantined(table) && table.location(source) != Some(table.node)
+        self.is_quarantined(table) && !table.is_here(source)
     }
 
     /// Messages sent to an earlier life of the task may still arrive (D49).

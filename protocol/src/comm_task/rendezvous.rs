@@ -193,7 +193,7 @@ impl Rendezvous {
 
     fn hear_arrival(&mut self, at: &mut At<'_>, from: usize, packet: &Packet, out: &mut impl Outbox) {
         let Meeting { round, released, arguments } = packet.meeting();
-        if at.scene.quarantined && at.scene.table.location(packet.source) != Some(at.scene.table.node) {
+        if at.scene.quarantined && !at.scene.table.is_here(packet.source) {
             // It may be meant for an earlier life of this task, and its sender may have been released with that one.
             return self.drop_packet(at, packet, Reason::StaleIncarnation, out);
         }

@@ -30,6 +30,7 @@ use super::search::{finding, timed, too_large};
 use super::story;
 use super::verdict::{Finding, Phase, Refused};
 use crate::chart::{Folding, chart};
+use crate::side_by_side::side_by_side;
 use draw::Census;
 use driver::Source;
 use imrs_protocol::TaskId;
@@ -237,7 +238,7 @@ impl Simulator {
     fn batch(&self, first: u64, count: u64, faults: Option<&[Fault]>) -> Vec<Ran> {
         let done: Vec<OnceLock<Ran>> = (0..count).map(|_| OnceLock::new()).collect();
         let next = AtomicUsize::new(0);
-        let work = || {
+        let work = |_| {
             while let at = next.fetch_add(1, Ordering::Relaxed)
                 && let Some(place) = done.get(at)
             {
@@ -246,11 +247,7 @@ impl Simulator {
                 let _ = place.set(ran);
             }
         };
-        if self.jobs == 1 || count == 1 {
-            work();
-        } else {
-            std::thread::scope(|scope| (0..self.jobs).for_each(|_| drop(scope.spawn(work))));
-        }
+        side_by_side((0..self.jobs as u64).take(count as usize), work);
         // Runs behind a stopped one are left out, because the seeds of an answer have no gaps.
         done.into_iter().map_while(OnceLock::into_inner).collect()
     }
