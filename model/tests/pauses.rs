@@ -64,42 +64,6 @@ fn a_lease_holds_however_long_its_owner_pauses() {
     assert!(verdicts.findings.is_empty(), "{:?}", verdicts.findings);
 }
 
-/// A node that starts again gets its lease while its scripts are still held back, and may lose it before they begin. What
-/// belongs to the lease does not begin then.
-#[test]
-fn a_lease_that_is_lost_before_the_script_begins_begins_nothing() {
-    let text = "cell late; tick 1 msec; node n1; node n2; link n1 -- n2 delay 1 msec;
-task r1 on n1
-  port alive() usage = response user_list = {r2} time_out = 8 msec;
-  use_port old() usage = receive;
-  port seam() usage = send user_list = {gun} time_out = 10 msec class = 2;
-begin
-  send seam() on time_out do skip; end on refused do skip; end;
-  run weld takes 5 msec;
-end r1;
-task r2 on n2 standby of r1
-  use_port alive() usage = query;
-begin
-  loop delay 50 msec; end;
-takeover
-  loop delay 50 msec; end;
-end r2;
-task gun on n2
-  use_port seam() usage = receive;
-  port old() usage = send user_list = {r1} time_out = 70 msec class = 2;
-begin
-  on receive seam() do reply(); end;
-  order seam > self;
-  loop delay 50 msec; end;
-end gun;
-couple work r1 -> r2 lease 20 msec takeover 35 msec every 5 msec via alive;
-faults crash r1 pause n2 up to 60 msec;";
-    // The node takes no messages of its earlier life for 71 ticks, and its scripts wait as long.
-    let verdicts = checked(text, Times::Ends, |_| ());
-    // It ends without a word, as where the lease is lost later.
-    assert!(verdicts.findings.is_empty(), "{:?}", verdicts.findings);
-}
-
 #[test]
 fn a_standby_that_takes_silence_for_death_is_found_and_its_chart_shows_the_pause() {
     for times in [Times::Ends, Times::Between, Times::Every] {
