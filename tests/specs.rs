@@ -1,6 +1,6 @@
 //! The documents in `specs/` against the tree: whatever they name must exist, and whatever must be in them is.
 
-use imrs_model::Options;
+use crate::support::claims::settled;
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -278,8 +278,7 @@ fn the_page_of_claims_has_the_numbers_and_charts_of_the_checker() {
     for name in ["pairing", "no-stale-delivery", "class-2-resolves", "at-most-once", "no-global-clock"] {
         let section = text.split(&format!("## `{name}`")).nth(1).expect("a section");
         let section = section.split("\n## ").next().expect("an end");
-        let options = Options { full: false, claim: Some(name.into()), jobs: 1, memory: 2 << 30 };
-        let report = imrs_model::verify(&options, &imrs_model::Silent);
+        let report = settled(name);
         let rows = section.lines().filter(|line| line.starts_with("| ")).count();
         assert_eq!(rows, report.claims.len() + 2, "the rows of `{name}`");
         for verdict in &report.claims {

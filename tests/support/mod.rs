@@ -1,5 +1,6 @@
 //! What the end-to-end tests share: the command, bounded, in a runtime folder of its own.
 
+pub mod claims;
 pub mod live;
 pub mod program;
 pub mod stub;

@@ -1,0 +1,100 @@
+//! Verifiers of the Promela models, each built once. SPIN and the C compiler take much longer than most verifiers run, so
+//! what they build stays in cargo's target folder, as other build products do. A verifier runs each time it is asked.
+
+use super::spin;
+use std::fs;
+use std::hash::{DefaultHasher, Hash, Hasher};
+use std::io::ErrorKind;
+use std::path::{Path, PathBuf};
+use std::process::Command;
+use std::sync::LazyLock;
+
+/// Where the verifiers stay from one run of the tests to the next.
+const BUILT: &str = concat!(env!("CARGO_TARGET_TMPDIR"), "/twins");
+
+/// The compiler's flags. Most verifiers explore so little that optimising them would take longer than it saves.
+const QUICKLY_BUILT: &[&str] = &["-O0"];
+
+/// The flags for a verifier that explores a million states.
+pub const OPTIMISED: &[&str] = &["-O2"];
+
+/// SPIN, the C compiler and how they are started. A verifier of other tools is built again.
+static TOOLS: LazyLock<String> = LazyLock::new(|| {
+    let version = |program: &str, flag: &str| {
+        let output = Command::new(program).arg(flag).output().expect("it was found to be here");
+        String::from_utf8_lossy(&output.stdout).into_owned()
+    };
+    let compiler = std::env::var("CC").unwrap_or_else(|_| "cc".into());
+    let starts: &str = include_str!("../../model/tests/support/spin.rs");
+    let (compilers, spins) = (version(&compiler, "--version"), version("spin", "-V"));
+    [&compiler, &compilers, &spins, starts].join("\n")
+});
+
+/// A Promela model with some definitions, and how its verifier is compiled.
+pub struct Twin<'a> {
+    model: &'a str,
+    definitions: &'a [&'a str],
+    flags: &'static [&'static str],
+}
+
+impl<'a> Twin<'a> {
+    /// A model of `specs/promela`; each of `definitions` is `NAME` or `NAME=value`.
+    pub const fn new(model: &'a str, definitions: &'a [&'a str]) -> Self {
+        Self { model, definitions, flags: QUICKLY_BUILT }
+    }
+
+    /// The same, compiled with these flags.
+    pub const fn compiled(self, flags: &'static [&'static str]) -> Self {
+        Self { flags, ..self }
+    }
+
+    /// What its verifier says. It explores the whole model at each call.
+    pub fn verdict(&self) -> spin::Verdict {
+        // A verifier leaves its trail where it runs.
+        let folder = tempfile::tempdir().expect("a folder for temporary files");
+        let mut pan = Command::new(self.verifier());
+        let output = pan.current_dir(folder.path()).arg("-w20").output();
+        let output = output.unwrap_or_else(|e| panic!("{pan:?}: {e}"));
+        let said = String::from_utf8_lossy(&output.stdout);
+        let complained = String::from_utf8_lossy(&output.stderr);
+        assert!(output.status.success(), "{pan:?}: {said}{complained}");
+        spin::read(&said)
+    }
+
+    /// The file of its verifier, which is built where it is not there yet.
+    fn verifier(&self) -> PathBuf {
+        let model = Path::new(env!("CARGO_MANIFEST_DIR")).join("specs/promela").join(self.model);
+        let text = fs::read_to_string(&model).unwrap_or_else(|e| panic!("{}: {e}", model.display()));
+        let made_of = format!("{:?} {:?}\n{}\n{text}", self.definitions, self.flags, *TOOLS);
+        let mut hash = DefaultHasher::new();
+        made_of.hash(&mut hash);
+        let folder = Path::new(BUILT).join(format!("{}-{:016x}", self.model, hash.finish()));
+        if !is_built(&folder, &made_of) {
+            self.build(&model, &folder, &made_of);
+        }
+        folder.join("pan")
+    }
+
+    fn build(&self, model: &Path, folder: &Path, made_of: &str) {
+        fs::create_dir_all(BUILT).expect("a folder in cargo's target folder");
+        let new = tempfile::tempdir_in(BUILT).expect("a folder beside the verifiers");
+        let definitions: Vec<String> = self.definitions.iter().map(|&definition| definition.into()).collect();
+        let pan = spin::build(new.path(), model, &definitions, self.flags);
+        // The folder takes its name when it is whole: a test that is stopped half-way leaves nothing that another would run.
+        let whole = new.path().join("whole");
+        fs::create_dir(&whole).expect("a folder");
+        fs::rename(pan.path(), whole.join("pan")).expect("the verifier is moved");
+        fs::write(whole.join("made_of"), made_of).expect("written");
+        match fs::rename(&whole, folder) {
+            Ok(()) => {}
+            // Another test has just built the same verifier.
+            Err(e) if e.kind() == ErrorKind::DirectoryNotEmpty && is_built(folder, made_of) => {}
+            Err(e) => panic!("{}: {e}: remove this folder", folder.display()),
+        }
+    }
+}
+
+/// Whether a folder holds the verifier that is made of this.
+fn is_built(folder: &Path, made_of: &str) -> bool {
+    fs::read_to_string(folder.join("made_of")).is_ok_and(|text| text == made_of)
+}
