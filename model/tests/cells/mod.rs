@@ -121,6 +121,14 @@ impl Text {
         verdicts
     }
 
+    /// Whether the search without faults, which every check begins with, is too large: the check cannot be complete then, and
+    /// its searches with faults are not worth beginning.
+    pub fn is_too_large_without_faults(&self) -> bool {
+        let mut plan = self.plan.clone();
+        plan.faults.clear();
+        !check_cell(&Arc::new(plan)).is_complete()
+    }
+
     /// The statement that a finding points at.
     pub fn source(&self, finding: &Finding) -> &str {
         let (Some(task), Some(at)) = (finding.task, finding.address) else { return "" };
