@@ -7,7 +7,7 @@ use imrs_model::{Limits, Packed};
 use imrs_protocol::rules::Rules;
 use imrs_protocol::{Cell, CellTable, PortDecl, Target, Ticks, Usage};
 use stateright::Model;
-use std::collections::{HashSet, VecDeque};
+use std::collections::HashSet;
 use std::sync::Arc;
 
 fn successors(model: &FloorModel, state: &Packed) -> HashSet<Packed> {
@@ -22,8 +22,9 @@ fn live_and_packed_agree(plan: &Arc<FloorPlan>) -> usize {
     let start = LiveFloor::new(plan);
     assert_eq!(model.init_states(), [start.packed()]);
     let mut seen = HashSet::from([start.packed()]);
-    let mut queue = VecDeque::from([(start.packed(), start)]);
-    while let Some((packed, live)) = queue.pop_front() {
+    // Depth first: a whole copy takes kilobytes, and a breadth-first queue would keep thousands of them.
+    let mut open = vec![(start.packed(), start)];
+    while let Some((packed, live)) = open.pop() {
         if packed.is_final() {
             continue;
         }
@@ -32,7 +33,7 @@ fn live_and_packed_agree(plan: &Arc<FloorPlan>) -> usize {
         let next: Vec<_> = live.next().into_iter().map(|live| (live.packed(), live)).collect();
         let after: HashSet<Packed> = next.iter().map(|(packed, _)| packed.clone()).collect();
         assert_eq!(after, successors(&model, &packed));
-        queue.extend(next.into_iter().filter(|(packed, _)| seen.insert(packed.clone())));
+        open.extend(next.into_iter().filter(|(packed, _)| seen.insert(packed.clone())));
     }
     let violations: Vec<_> = seen.iter().filter_map(Packed::violation).collect();
     assert_eq!(violations, []);
