@@ -148,10 +148,25 @@ pub struct Cell<'a> {
     /// Whether a couple exchanges roles.
     pub(super) mutual: bool,
     pub(super) looped: bool,
+    /// The tasks whose body is outside the cell.
+    pub(super) outside: Vec<usize>,
+    /// What these do, where they have a body after all.
+    pub(super) filled: Option<Tape<'a>>,
 }
 
 /// The cell that a source of numbers makes.
 pub fn cell(bytes: &[u8]) -> String {
+    written(bytes, None).text
+}
+
+/// The same cell, in which the tasks outside have bodies that another source makes: something that such a task may do. And
+/// which these are; none where there is no task outside.
+pub fn filled(bytes: &[u8], bodies: &[u8]) -> Option<(String, Vec<usize>)> {
+    let cell = written(bytes, Some(Tape::new(bodies)));
+    (!cell.outside.is_empty()).then_some((cell.text, cell.outside))
+}
+
+fn written<'a>(bytes: &'a [u8], filled: Option<Tape<'a>>) -> Cell<'a> {
     let mut cell = Cell {
         tape: Tape::new(bytes),
         text: String::new(),
@@ -167,9 +182,11 @@ pub fn cell(bytes: &[u8]) -> String {
         used: Vec::new(),
         mutual: false,
         looped: false,
+        outside: Vec::new(),
+        filled,
     };
     cell.write();
-    cell.text
+    cell
 }
 
 impl Cell<'_> {
@@ -315,7 +332,7 @@ impl Cell<'_> {
         let outside =
             self.tape.chance(6) && !(self.works && task < 2) && own.iter().all(|&at| plain(&self.ports[at]));
         let _ = write!(self.text, "task {name} on n{node}{module}{of}");
-        if outside {
+        if outside && self.filled.is_none() {
             self.put(" extern rate = 1/10 msec");
         }
         self.put("\n");
@@ -331,6 +348,8 @@ impl Cell<'_> {
             }
         }
         if outside {
+            self.outside.push(task);
+            self.body_outside(&own);
             let _ = writeln!(self.text, "end {name};");
             return;
         }

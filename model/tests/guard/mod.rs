@@ -2,6 +2,7 @@
 
 mod cells;
 mod crowd;
+mod outside;
 mod statements;
 
 use crate::cells::{Text, within};
@@ -89,6 +90,7 @@ pub fn random_cell(seed: u64) -> Option<Text> {
 /// Every other random cell is searched at all times, the others, and those where that is too much, at the ends of them.
 fn random(tape: &[u8], seed: u64) -> Result<Agreement, Disagreement> {
     let text = cells::cell(tape);
+    outside::covers(tape, &self::tape(seed + BODIES), states())?;
     let effort = |times| Effort { walks: 6, length: 150, times };
     if !seed.is_multiple_of(2) {
         let every = compare(&text, seed, states() / 4, effort(Times::Every))?;
@@ -98,6 +100,9 @@ fn random(tape: &[u8], seed: u64) -> Result<Agreement, Disagreement> {
     }
     compare(&text, seed, states(), effort(Times::Ends))
 }
+
+/// From which seed on the bodies of tasks outside are drawn.
+const BODIES: u64 = 1 << 32;
 
 /// A cell that differs, too, and is smaller: as long as there is one, with less of the tape, or smaller numbers on it.
 fn shrink(mut tape: Vec<u8>, seed: u64) -> Vec<u8> {

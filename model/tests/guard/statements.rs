@@ -1,6 +1,6 @@
 //! The statements and the expressions of random cells.
 
-use super::cells::{Cell, Role, TASKS};
+use super::cells::{Cell, Role, TASKS, Tape};
 use std::fmt::Write;
 
 impl Cell<'_> {
@@ -302,5 +302,55 @@ impl Cell<'_> {
                 format!("({} {compare} {})", self.number(deeper), self.number(deeper))
             }
         }
+    }
+}
+
+impl Cell<'_> {
+    /// Something that a task outside may do, if it has a body after all: it uses a port, or does not, and waits until its rate
+    /// lets it go on. The values are among those that the search tries: zero and one, the same in all fields.
+    pub(super) fn body_outside(&mut self, own: &[usize]) {
+        let Some(mut tape) = self.filled.take() else { return };
+        self.put("  var i: int16; var j: int32; var f: bool; var r: real; var m: Note;\nbegin\n");
+        for _ in 0..=tape.below(4) {
+            match own.get(tape.below(own.len() + 1)) {
+                Some(&at) => self.use_outside(at, &mut tape),
+                None => self.put("  delay 10 msec;\n"),
+            }
+        }
+        self.put("  loop delay 10 msec; end;\n");
+        self.filled = Some(tape);
+    }
+
+    fn use_outside(&mut self, at: usize, tape: &mut Tape<'_>) {
+        let one = tape.chance(75);
+        let port = &self.ports[at];
+        let value = |of: &&str| match (*of, one) {
+            ("bool", _) => one.to_string(),
+            // Its bits are no number: only zero is.
+            ("real", _) => "0.0".into(),
+            ("Note", _) => format!("{}, {one}", u8::from(one)),
+            _ => u8::from(one).to_string(),
+        };
+        let said: Vec<String> = port.carries.iter().map(value).collect();
+        let answered: Vec<String> = port.answer.iter().map(value).collect();
+        let (name, said, answered) = (port.name.clone(), said.join(", "), answered.join(", "));
+        let (command, owns) = (port.is_command(), port.owner == self.here);
+        let places = self.places(at);
+        let _ = match port.role(self.here) {
+            Some(Role::Sends) => {
+                let word = if owns { "send" } else { "use_send" };
+                let leaves = if command { " on time_out do skip; end on refused do skip; end" } else { "" };
+                writeln!(self.text, "  {word} {name}({said}){leaves}; delay 10 msec;")
+            }
+            Some(Role::Takes) => {
+                let reply = if command { format!(" reply({answered});") } else { String::new() };
+                writeln!(self.text, "  receive {name}({places});{reply}")
+            }
+            Some(Role::Meets) => {
+                writeln!(self.text, "  waitfor {name}({said}) on time_out do skip; end; delay 10 msec;")
+            }
+            // A task outside has no such ports here.
+            Some(Role::Asks | Role::Answers) | None => Ok(()),
+        };
     }
 }
