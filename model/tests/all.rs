@@ -11,6 +11,7 @@ mod faulty_cells;
 mod floor;
 mod floor_packed;
 mod guard;
+mod outside;
 mod parts;
 mod pauses;
 mod reductions;

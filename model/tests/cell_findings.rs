@@ -27,12 +27,13 @@ const PUT: &str =
     "port put(m: Num) usage = send message_format = Num user_list = {b} time_out = 20 msec class = 2;";
 const USE_PUT: &str = "use_port put(m: Num) usage = receive;";
 const TAKE: &str = "loop receive put(m); reply(); end;";
-fn found(kind: Kind, at: &str) -> (Kind, String) {
+
+pub fn found(kind: Kind, at: &str) -> (Kind, String) {
     (kind, at.into())
 }
 
 /// What is found in a cell that can be looked at whole.
-fn all(text: &Text) -> Vec<(Kind, String)> {
+pub fn all(text: &Text) -> Vec<(Kind, String)> {
     let verdicts = text.check();
     assert!(verdicts.is_complete());
     for finding in &verdicts.findings {
@@ -272,80 +273,6 @@ fn a_finding_replays() {
     assert_eq!(ends.moves.len(), ends.steps.len());
     assert_eq!(ends.steps.last().map(|step| step.tick), Some(ends.at_ticks));
     assert!(ends.steps.last().is_some_and(|step| step.tasks[0].does == "has ended"));
-}
-
-#[test]
-fn a_task_outside_makes_any_use_of_its_ports() {
-    let text = "cell out;\ntick 1 msec;\nnode na;  node nb;\nlink na -- nb delay 1 msec;\n\
-        type Num is record n: int8; end;\n\
-        task a on na extern rate = 1/10 msec\n\
-        port put(m: Num) usage = send message_format = Num user_list = {b} time_out = 20 msec class = 2 \
-        rate = 1/10 msec;\nend a;\n\
-        task b on nb\nuse_port put(m: Num) usage = receive;\nvar y: bool; var m: Num;\nbegin\n\
-        loop receive put(m); y := true; reply(); y := false; run work takes 1..5 msec; end;\nend b;\n\
-        check c: never b.y;\n";
-    // It may say anything that its format holds.
-    let cell = Text::new(&text.replace("never b.y", "never b.m.n > 0"));
-    assert_eq!(cell.found(&cell.check()), [found(Kind::Check, "")]);
-    let cell = Text::new(&text.replace("never b.y", "never b.m.n > 7"));
-    assert_eq!(all(&cell), []);
-    let verdicts = cell.check();
-    assert!(verdicts.statements[1].0 == verdicts.statements[1].1, "what a sends arrives");
-}
-
-/// What a task outside says is no zero: a branch on it is reached with the constant that it asks for, and one that none of
-/// the values that are tried leads to is not said to be superfluous.
-#[test]
-fn a_task_outside_says_what_others_ask_for() {
-    let text = |condition: &str| {
-        format!(
-            "cell out;\ntick 1 msec;\nnode na;  node nb;\nlink na -- nb delay 1 msec;\n\
-             type Num is record n: int8; k: int16; end;\n\
-             task a on na\nport ask() -> Num usage = query user_list = {{b}} time_out = 20 msec class = 2;\n\
-             var m: Num; var x: bool;\nbegin\n\
-             loop query ask() -> m on time_out do m.n := 0; end; if {condition} then x := true; end; delay 30 msec; end;\n\
-             end a;\n\
-             task b on nb extern rate = 1/10 msec\nuse_port ask() -> Num usage = response;\nend b;\ncheck c: never a.x;\n"
-        )
-    };
-    let checked = |condition: &str| Text::new(&text(condition)).check();
-    let reached = checked("m.n = 7");
-    assert!(reached.findings.iter().any(|finding| finding.kind == Kind::Check), "{:?}", reached.findings);
-    assert_eq!(reached.outside[..3], [0, 1, 7]);
-    let beyond = checked("m.n > 9 and m.n < 12 and m.k < 5");
-    assert!(beyond.findings.iter().all(|finding| finding.kind == Kind::TimeOut), "{:?}", beyond.findings);
-    let [(task, _)] = beyond.not_tried[..] else { panic!("{:?}", beyond.not_tried) };
-    assert_eq!(task.index(), 0);
-}
-
-/// Beats are the machine's own: a task outside does not use their port. It takes over as any other task does, and goes on where
-/// it has the lease again.
-#[test]
-fn a_task_outside_takes_over_and_leaves_the_beats_alone() {
-    let text = "cell out;\ntick 1 msec;\nnode na; node nb; node nc;\n\
-        link na -- nb delay 1 msec; link na -- nc delay 1 msec; link nb -- nc delay 1 msec;\n\
-        task first on na extern rate = 1/40 msec\n\
-        port alive(n: int8) usage = response user_list = {second} time_out = 8 msec class = 2;\n\
-        port weld() usage = send user_list = {gun} time_out = 10 msec class = 2;\nend first;\n\
-        task second on nb standby of first extern rate = 1/40 msec\n\
-        use_port alive(n: int8) usage = query;\n\
-        port reweld() usage = send user_list = {gun} time_out = 10 msec class = 2;\nend second;\n\
-        task gun on nc\nuse_port weld() usage = receive; use_port reweld() usage = receive;\n\
-        var new: bool;\nbegin\n\
-        on receive weld() do reply(); end;\non receive reweld() do new := true; reply(); end;\n\
-        order reweld > weld > self;\nloop delay 50 msec; end;\nend gun;\n\
-        couple work first -> second lease 20 msec takeover 35 msec every 5 msec via alive;\n\
-        faults pause first up to 60 msec;\n\
-        check by_one: never gun.new;\n";
-    let mut cell = Text::new(text);
-    cell.plan.times = Times::Ends;
-    cell.plan.budget = within(20_000);
-    let verdicts = cell.check();
-    assert_eq!(verdicts.of(Kind::ScriptFault).count(), 0, "{:?}", verdicts.findings);
-    assert_eq!(verdicts.of(Kind::TwoOwners).count(), 0);
-    // The second one acts where the first one pauses, and not without a fault.
-    let check = verdicts.of(Kind::Check).next().expect("the second one welds");
-    assert_eq!(check.phase, Phase::Faults);
 }
 
 #[test]

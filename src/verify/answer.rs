@@ -1,7 +1,7 @@
 //! What the check of a cell found, as programs read it.
 
 use super::cell::Subject;
-use super::tell::{NOT_LOOKED_FOR, help};
+use super::tell::{help, not_looked_for};
 use imrs_model::cell::{
     CellFaults, CellPlan, Concerned, Coverage, Finding, Kind, Pause, Phase, Refused, Times, Verdicts,
 };
@@ -20,7 +20,7 @@ pub(super) struct Answer<'a> {
     not_checked: Option<NotChecked<'a>>,
     looked_at: LookedAt,
     /// What the verdict says nothing about.
-    not_looked_for: [&'static str; 1],
+    not_looked_for: Vec<&'static str>,
     /// The checks of the file.
     claims: Vec<Settled<'a>>,
     findings: Vec<Told<'a>>,
@@ -185,7 +185,7 @@ impl Subject {
             complete: verdicts.is_complete(),
             not_checked: verdicts.refused.as_ref().map(|refused| self.not_checked(refused)),
             looked_at: LookedAt { tick_us: self.tick_us, model_tick_us: self.model_tick_us },
-            not_looked_for: [NOT_LOOKED_FOR],
+            not_looked_for: not_looked_for(plan),
             claims: (0..self.lowered.checks.len()).map(settled).collect(),
             findings: (1..)
                 .zip(&verdicts.findings)

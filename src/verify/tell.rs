@@ -6,7 +6,7 @@ use crate::cell_file;
 use crate::exit::Failure;
 use crate::kept::nothing_kept;
 use crate::output::{BAD, FAINT, GOOD, HEAD, NOTE, Output, Styled, count, grouped};
-use imrs_model::cell::{CellPlan, Concerned, Coverage, Finding, Kind, Phase, Times, Verdicts};
+use imrs_model::cell::{CellPlan, Concerned, Conduct, Coverage, Finding, Kind, Phase, Times, Verdicts};
 use imrs_protocol::TaskId;
 use imrs_protocol::script::Address;
 use std::fmt::Write as _;
@@ -19,8 +19,19 @@ const FEW: usize = 6;
 const EXCERPT: usize = 48;
 
 /// What no verdict on a cell says anything about.
-pub(super) const NOT_LOOKED_FOR: &str =
+const STANDSTILLS: &str =
     "tasks that go on for ever without coming further while others of their part do come further";
+
+/// What no verdict on a cell with tasks outside says anything about.
+const TIMES_OUTSIDE: &str =
+    "extern tasks that use a port otherwise than once in each period of their rate, or in each tick";
+
+/// What the verdict on this cell says nothing about.
+pub(super) fn not_looked_for(plan: &CellPlan) -> Vec<&'static str> {
+    let outside = plan.tasks.iter().any(|task| matches!(task, Conduct::Extern(_)));
+    let outside = outside.then_some(TIMES_OUTSIDE);
+    std::iter::once(STANDSTILLS).chain(outside).collect()
+}
 
 /// What there is to tell.
 pub(super) struct Telling<'a> {
@@ -82,7 +93,9 @@ impl Telling<'_> {
             out.line(format!("  {}", looked_at(phase)))?;
         }
         out.line(Styled(FAINT, format!("  looked at: {}", self.times())))?;
-        out.line(Styled(FAINT, format!("  not looked for: {NOT_LOOKED_FOR}")))?;
+        for what in not_looked_for(self.plan) {
+            out.line(Styled(FAINT, format!("  not looked for: {what}")))?;
+        }
         let untried = "never reached at these bounds, which lack the faults that lead there (more faults: --loss, --dup, --reorder, --crash, --pause, --drift)";
         subject.statements(untried, &verdicts.not_exercised, out)?;
         if !verdicts.outside.is_empty() {
@@ -92,7 +105,8 @@ impl Telling<'_> {
                 format!("  messages of extern tasks were tried with these values in each field: {values}");
             out.line(Styled(FAINT, tried))?;
         }
-        let untold = "not reached with the values that were tried of messages from extern tasks, which may send others";
+        let untold =
+            "not reached with what was tried of extern tasks, which may say other things, and at other times";
         subject.statements(untold, &verdicts.not_tried, out)?;
         let unseen = if verdicts.is_complete() {
             "not reached on the ways up to the findings, which says nothing about them"

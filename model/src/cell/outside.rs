@@ -45,11 +45,13 @@ fn any_use(plan: &CellPlan, task: TaskId, rate: Option<Rate>) -> Program {
     // Beats are the machine's own: no task uses their port.
     let carries_beats = |port: PortId| couples.iter().any(|couple| couple.via == port);
     for &port in table.ports_of(task).iter().filter(|&&port| !carries_beats(port)) {
-        for &value in &values {
-            let Some(once) = once(plan, task, (port, value), pause, &mut program) else { break };
-            // Where nothing is said there is one way to say it.
-            if !uses.contains(&once) {
-                uses.push(once);
+        for to in targets(plan, task, port) {
+            for &value in &values {
+                let Some(once) = once(plan, task, (port, to, value), pause, &mut program) else { break };
+                // Where nothing is said there is one way to say it.
+                if !uses.contains(&once) {
+                    uses.push(once);
+                }
             }
         }
     }
@@ -129,11 +131,18 @@ pub(super) fn says_something(plan: &CellPlan) -> bool {
     })
 }
 
-/// One use of a port, with this value in each field of what is said.
+/// Whom a message may go to: all at the other end of the port, or each of them alone.
+fn targets(plan: &CellPlan, task: TaskId, port: PortId) -> Vec<Target> {
+    let peers: Vec<TaskId> = plan.table.port(port).map_or_else(Vec::new, |port| port.peers(task).collect());
+    let alone = peers.iter().filter(|_| peers.len() > 1).map(|&peer| Target::One(peer));
+    std::iter::once(Target::All).chain(alone).collect()
+}
+
+/// One use of a port, with this value in each field of what is said, to these.
 fn once(
     plan: &CellPlan,
     task: TaskId,
-    (port, value): (PortId, i64),
+    (port, to, value): (PortId, Target, i64),
     pause: Ticks,
     program: &mut Program,
 ) -> Option<Vec<Op>> {
@@ -156,7 +165,7 @@ fn once(
             let message = message(plan, port);
             let mut body = values(&message);
             let format = format(message);
-            body.extend([Op::Send { port, to: Target::All, format, time_out: None }, Op::Delay(pause)]);
+            body.extend([Op::Send { port, to, format, time_out: None }, Op::Delay(pause)]);
             body
         }
         Usage::Receive | Usage::Response => {

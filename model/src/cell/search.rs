@@ -79,6 +79,7 @@ pub(super) struct Done {
 #[must_use]
 pub fn check_cell(plan: &Arc<CellPlan>) -> Verdicts {
     let outside = if says_something(plan) { tried(plan) } else { Vec::new() };
+    let is_open = plan.tasks.iter().any(|task| matches!(task, Conduct::Extern(_)));
     let plan = &with_programs(plan);
     if let Some(refused) = refused(plan) {
         return Verdicts { refused: Some(refused), ..Verdicts::default() };
@@ -90,7 +91,7 @@ pub fn check_cell(plan: &Arc<CellPlan>) -> Verdicts {
         let search = |plan: &Arc<CellPlan>| look(plan, (Phase::Faults, hypothesis), faults);
         done.push(look_at_each(plan, &parts, faults, Some(&done[0]), search));
     }
-    conclude(plan, done, outside)
+    conclude(plan, done, (outside, is_open))
 }
 
 /// The same cell with other times.
@@ -373,7 +374,8 @@ pub(super) fn finding(
     }
 }
 
-fn conclude(plan: &Arc<CellPlan>, done: Vec<Done>, outside: Vec<i64>) -> Verdicts {
+/// `is_open`: tasks outside the cell may use their ports at other times and say other things than was tried.
+fn conclude(plan: &Arc<CellPlan>, done: Vec<Done>, (outside, is_open): (Vec<i64>, bool)) -> Verdicts {
     // What nobody reached before a finding that ends its way may lie behind it.
     let complete = done.iter().all(|done| done.coverage.complete && !done.coverage.pruned);
     let mut verdicts = Verdicts { outside, ..Verdicts::default() };
@@ -395,7 +397,7 @@ fn conclude(plan: &Arc<CellPlan>, done: Vec<Done>, outside: Vec<i64>) -> Verdict
             let at = Address::try_from(at).unwrap_or(Address::MAX);
             if needs_fault && complete {
                 verdicts.not_exercised.push((task, at));
-            } else if complete && !verdicts.outside.is_empty() {
+            } else if complete && is_open {
                 verdicts.not_tried.push((task, at));
             } else if complete {
                 let cause = format!("{}: never reached{tried}", judge::name(&plan.table, number));
@@ -407,7 +409,7 @@ fn conclude(plan: &Arc<CellPlan>, done: Vec<Done>, outside: Vec<i64>) -> Verdict
     }
     for (number, check) in plan.checks.iter().enumerate() {
         let leads = matches!(check.holds, Holds::Leads { .. });
-        if complete && leads && !done.iter().any(|done| done.mattered[number]) {
+        if complete && leads && !is_open && !done.iter().any(|done| done.mattered[number]) {
             let cause = format!("`{}`: what should lead somewhere never happens", check.name);
             verdicts.findings.push(bare(Kind::Vacuous, None, Some(number), cause));
         }
