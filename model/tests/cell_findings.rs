@@ -148,6 +148,45 @@ fn a_statement_that_nothing_leads_to_is_unreached() {
     assert!(found_here[0].0 == Kind::Unreached && found_here[0].1.starts_with("delay 3 msec"));
 }
 
+/// Of what an action may give, both ends of its range are tried and both sides of what it is compared with. Where its result
+/// goes elsewhere, another one may lead on: a statement that none of these leads to is not said to be superfluous, nor a
+/// check to say nothing.
+#[test]
+fn results_lead_to_every_branch_that_compares_them_and_elsewhere_perhaps() {
+    let of = |range: &str, branch: &str, check: &str| {
+        Text::new(&format!(
+            "cell one;\ntick 1 msec;\nnode na;\ntask a on na\nvar k: int16; var y: bool;\nbegin\n\
+             loop run look -> k {range} takes 1 msec; {branch} delay 5 msec; y := false; k := 0; end;\nend a;\n{check}\n"
+        ))
+    };
+    let below = of("", "if k = 5 then skip; elsif k > 5 then skip; else y := true; end;", "");
+    assert_eq!(all(&below), []);
+    assert_eq!(below.check().not_tried, []);
+    let never = of("", "if k = 5 and k > 5 then y := true; end;", "");
+    assert!(matches!(&all(&never)[..], [(Kind::Unreached, at)] if at.starts_with("y := true")));
+    let leads = "check c: a.k * 3 = 600 leads a.y within 3 msec;";
+    let sum = of("in 0 .. 1000", "if k * 2 = 700 then y := true; end;", leads);
+    assert_eq!(all(&sum), []);
+    assert_eq!(sum.check().not_tried.len(), 1);
+    // Every result is tried.
+    let few = of("in 0 .. 1", "if k * 2 = 700 then y := true; end;", leads);
+    let kinds: Vec<Kind> = all(&few).into_iter().map(|(kind, _)| kind).collect();
+    assert_eq!(kinds, [Kind::Unreached, Kind::Vacuous]);
+}
+
+/// Who says what is to be done when nothing came in time asked whether something comes, also where the task ends there.
+#[test]
+fn a_receive_that_says_what_then_may_end_the_task() {
+    let put = PUT.replace("class = 2", "class = 1");
+    let kinds = |ends: &str| -> Vec<Kind> {
+        let take = format!("receive put(m) within 10 msec {ends};");
+        let found = all(&two(&put, USE_PUT, "run look takes 1..60 msec; send put(m);", &take, ""));
+        found.into_iter().map(|(kind, _)| kind).collect()
+    };
+    assert_eq!(kinds("on time_out do skip; end"), []);
+    assert_eq!(kinds(""), [Kind::TimeOut, Kind::Ends], "nobody says what then");
+}
+
 #[test]
 fn an_action_that_fails_within_its_budget_ends_its_task() {
     let idle = "loop delay 50 msec; send put(m); end;";

@@ -53,6 +53,23 @@ fn a_task_outside_tells_one_of_several_and_may_come_at_other_times() {
     assert_eq!(verdicts.not_tried.len(), 1, "{:?}", verdicts.not_tried);
 }
 
+/// What a task outside goes on with is not known: it is in no standstill, also where it asks in vain again and again.
+#[test]
+fn a_task_outside_is_at_no_standstill() {
+    let asks = |a: &str| {
+        format!(
+            "cell out;\ntick 1 msec;\nnode na;\ntask a on na {a}end a;\n\
+             task b on na\nuse_port go() usage = receive;\nbegin\nreceive go();\nreply();\nloop delay 50 msec; end;\nend b;\n"
+        )
+    };
+    let port = "port go() usage = send user_list = {b} time_out = 4 msec class = 2;\n";
+    let still = |cell: &Text| cell.check().warnings.len();
+    let inside =
+        format!("\n{port}begin\nloop send go() on time_out do skip; end on refused do skip; end; end;\n");
+    assert_eq!(still(&Text::new(&asks(&inside))), 1);
+    assert_eq!(still(&Text::new(&asks(&format!("extern rate = 1/10 msec\n{port}")))), 0);
+}
+
 /// What a task outside says is no zero: a branch on it is reached with the constant that it asks for, and one that none of
 /// the values that are tried leads to is not said to be superfluous.
 #[test]

@@ -9,7 +9,7 @@ use crate::exit::{Exit, Failure, did_you_mean, turned_down};
 use crate::kept;
 use crate::output::{Output, complain, harmless};
 use imrs_language::hir::{self, CoupleKind, Faults};
-use imrs_language::lower::{Behaviour, Check, CheckKind, Lowered};
+use imrs_language::lower::{Action, Behaviour, Check, CheckKind, Lowered};
 use imrs_language::{Options, Source, Span, Unit, compile_with, render};
 use imrs_model::cell::{
     Budget, CellCheck, CellFaults, CellPlan, Conduct, Coverage, Finding, Folding, Holds, Legend, Pause,
@@ -25,6 +25,8 @@ pub struct Subject {
     pub file: String,
     pub source: Source,
     pub lowered: Lowered,
+    /// Where the heads of the tasks stand.
+    tasks: Vec<Span>,
     /// Where the work couples stand, as the table has them.
     couples: Vec<Span>,
     pub table: Arc<CellTable>,
@@ -104,7 +106,8 @@ impl Subject {
         let couples = compiled.hir.iter().flat_map(|hir| &hir.couples);
         let couples = couples.filter(|couple| matches!(couple.kind, CoupleKind::Work { .. }));
         let couples = couples.map(|couple| couple.span).collect();
-        Ok(Ok(Self { file, source, lowered, couples, table, tick_us, model_tick_us }))
+        let tasks = compiled.hir.iter().flat_map(|hir| &hir.tasks).map(|task| task.span).collect();
+        Ok(Ok(Self { file, source, lowered, tasks, couples, table, tick_us, model_tick_us }))
     }
 
     /// The cell with the faults that it declares.
@@ -207,12 +210,15 @@ impl Subject {
             Some((line, column, self.source.slice(check.span)))
         };
         let of_task = finding.task.zip(finding.address).and_then(|(task, at)| self.place(task, at));
-        let of_couple = || {
-            let span = *self.couples.get(finding.couple?)?;
+        let first_line = |span: Span| {
             let (line, column) = self.source.position(span.start);
-            Some((line, column, self.source.slice(span).lines().next().unwrap_or_default()))
+            (line, column, self.source.slice(span).lines().next().unwrap_or_default())
         };
-        of_task.or_else(of_check).or_else(of_couple).unwrap_or_else(|| self.head())
+        let of_couple =
+            || finding.couple.and_then(|couple| self.couples.get(couple)).copied().map(first_line);
+        // A task outside the cell has no statements.
+        let of_head = || finding.task.and_then(|task| self.tasks.get(task.index())).copied().map(first_line);
+        of_task.or_else(of_check).or_else(of_couple).or_else(of_head).unwrap_or_else(|| self.head())
     }
 
     /// The declaration of the cell: what is wrong with nothing in particular is wrong with it.
@@ -270,6 +276,7 @@ pub fn conduct(behaviour: &Behaviour) -> Conduct {
             Conduct::Program {
                 program: Arc::clone(&script.program),
                 values: script.actions.iter().map(|action| values(&action.values)).collect(),
+                open: !script.actions.iter().all(Action::is_covered),
             }
         }
         Behaviour::Extern(rate) => Conduct::Extern(*rate),

@@ -6,7 +6,7 @@ use crate::cell_file;
 use crate::exit::Failure;
 use crate::kept::nothing_kept;
 use crate::output::{BAD, FAINT, GOOD, HEAD, NOTE, Output, Styled, count, grouped};
-use imrs_model::cell::{CellPlan, Concerned, Conduct, Coverage, Finding, Kind, Phase, Times, Verdicts};
+use imrs_model::cell::{CellPlan, Concerned, Coverage, Finding, Kind, Phase, Times, Verdicts};
 use imrs_protocol::TaskId;
 use imrs_protocol::script::Address;
 use std::fmt::Write as _;
@@ -26,11 +26,15 @@ const STANDSTILLS: &str =
 const TIMES_OUTSIDE: &str =
     "extern tasks that use a port otherwise than once in each period of their rate, or in each tick";
 
+/// What no verdict on a cell says anything about whose actions give results that go elsewhere than into comparisons.
+const OTHER_RESULTS: &str =
+    "other results of actions than the ends of their ranges and what is compared with";
+
 /// What the verdict on this cell says nothing about.
 pub(super) fn not_looked_for(plan: &CellPlan) -> Vec<&'static str> {
-    let outside = plan.tasks.iter().any(|task| matches!(task, Conduct::Extern(_)));
-    let outside = outside.then_some(TIMES_OUTSIDE);
-    std::iter::once(STANDSTILLS).chain(outside).collect()
+    let outside = plan.has_extern().then_some(TIMES_OUTSIDE);
+    let results = plan.has_open_results().then_some(OTHER_RESULTS);
+    std::iter::once(STANDSTILLS).chain(outside).chain(results).collect()
 }
 
 /// What there is to tell.
@@ -105,9 +109,15 @@ impl Telling<'_> {
                 format!("  messages of extern tasks were tried with these values in each field: {values}");
             out.line(Styled(FAINT, tried))?;
         }
-        let untold =
-            "not reached with what was tried of extern tasks, which may say other things, and at other times";
-        subject.statements(untold, &verdicts.not_tried, out)?;
+        let open = match (self.plan.has_extern(), self.plan.has_open_results()) {
+            (true, false) => "extern tasks may say other things, and at other times",
+            (false, _) => "actions may give other results",
+            (true, true) => {
+                "actions may give other results, and extern tasks say other things, and at other times"
+            }
+        };
+        let untold = format!("not reached with what was tried: {open}");
+        subject.statements(&untold, &verdicts.not_tried, out)?;
         let unseen = if verdicts.is_complete() {
             "not reached on the ways up to the findings, which says nothing about them"
         } else {

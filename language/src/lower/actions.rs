@@ -17,6 +17,18 @@ struct Use {
 #[derive(Default)]
 pub(super) struct Uses(Vec<Use>);
 
+impl Action {
+    /// Whether every result that the action may give leads where one of [`values`](Self::values) does.
+    #[must_use]
+    pub fn is_covered(&self) -> bool {
+        let all = || {
+            let (low, high) = self.range?;
+            Some(i64::try_from(self.values.len()) == Ok(high.checked_sub(low)?.checked_add(1)?))
+        };
+        matches!(self.result, None | Some(Type::Bool)) || !self.travels || all() == Some(true)
+    }
+}
+
 impl Uses {
     pub fn add(
         &mut self,
@@ -55,11 +67,12 @@ impl Uses {
             };
             let terms: Vec<Option<Term>> = program.code.iter().map(term).collect();
             both_sides(&terms, |term| term == Term::Load(to.slot), &mut compared);
-            action.travels |= goes_elsewhere(&terms, Term::Load(to.slot));
+            action.travels |= goes_elsewhere(&terms, |term| term == Term::Load(to.slot));
             for check in exprs(hir) {
                 let terms: Vec<Option<Term>> = check.ops.iter().map(term).collect();
                 let is = |term| matches!((term, to.slot), (Term::Of { task: t, variable }, Slot::Task(at)) if t == task && variable == at);
                 both_sides(&terms, is, &mut compared);
+                action.travels |= goes_elsewhere(&terms, is);
             }
         }
         action.values = compared;
@@ -97,11 +110,11 @@ fn both_sides(terms: &[Option<Term>], is: impl Fn(Term) -> bool, into: &mut Vec<
             Term::Real(operator) => (operator, whole(constant)),
             _ => continue,
         };
-        // `x > c` and `x <= c` change between c and c + 1, `x < c` and `x >= c` between c - 1 and c.
-        let upper = match operator {
-            Binary::Greater | Binary::LessOrEqual => !swapped,
-            Binary::Less | Binary::GreaterOrEqual => swapped,
-            Binary::Equal | Binary::NotEqual => true,
+        // `x > c` and `x <= c` change between c and c + 1, `x < c` and `x >= c` between c - 1 and c, `x = c` at both.
+        let (below, above) = match operator {
+            Binary::Greater | Binary::LessOrEqual => (swapped, !swapped),
+            Binary::Less | Binary::GreaterOrEqual => (!swapped, swapped),
+            Binary::Equal | Binary::NotEqual => (true, true),
             Binary::Add
             | Binary::Subtract
             | Binary::Multiply
@@ -110,7 +123,9 @@ fn both_sides(terms: &[Option<Term>], is: impl Fn(Term) -> bool, into: &mut Vec<
             | Binary::And
             | Binary::Or => continue,
         };
-        into.extend([constant, constant.saturating_add(if upper { 1 } else { -1 })]);
+        into.push(constant);
+        into.extend(below.then(|| constant.saturating_sub(1)));
+        into.extend(above.then(|| constant.saturating_add(1)));
     }
 }
 
@@ -123,13 +138,13 @@ fn whole(bits: i64) -> i64 {
 }
 
 /// Whether a variable is read elsewhere than in a comparison with a constant.
-fn goes_elsewhere(terms: &[Option<Term>], variable: Term) -> bool {
+fn goes_elsewhere(terms: &[Option<Term>], is: impl Fn(Term) -> bool) -> bool {
     let compares = |window: &[Option<Term>]| {
         let mut into = Vec::new();
-        both_sides(window, |term| term == variable, &mut into);
+        both_sides(window, &is, &mut into);
         !into.is_empty()
     };
-    let read = (0..terms.len()).filter(|&at| terms[at] == Some(variable));
+    let read = (0..terms.len()).filter(|&at| terms[at].is_some_and(&is));
     read.into_iter().any(|at| {
         let (ahead, behind) =
             (terms.get(at..at + 3), at.checked_sub(1).and_then(|from| terms.get(from..from + 3)));

@@ -86,7 +86,7 @@ pub struct Action {
     pub result: Option<Type>,
     /// The least and the most that it gives.
     pub range: Option<(i64, i64)>,
-    /// Whether its result also goes elsewhere than into comparisons: into a message, say.
+    /// Whether its result also goes elsewhere than into comparisons with constants: into a message, a sum, another variable.
     pub travels: bool,
     /// Results that a checker should try: the ends of the range, and both sides of what the results are compared with; of
     /// those that travel, of whatever the cell compares with.

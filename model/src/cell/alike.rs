@@ -44,7 +44,7 @@ fn is_alike(plan: &CellPlan, (one, cause): (TaskId, &str), (two, other): (TaskId
 
 fn does_the_same(plan: &CellPlan, one: TaskId, two: TaskId) -> bool {
     let of = |task: TaskId| match plan.tasks.get(task.index()) {
-        Some(Conduct::Program { program, values }) => {
+        Some(Conduct::Program { program, values, .. }) => {
             let mut program = Program::clone(program);
             program.name.clear();
             // Of what the compiler gives as a reason only the line is the task's own.

@@ -160,8 +160,10 @@ fn outcome(course: &Course, turn: &ScriptTurn, phase: Phase) -> Option<Shown> {
         Signal::Answers { answers, .. } if answers.answered != answers.asked => {
             (Kind::TimeOut, format!("{name}: {what} ends without all answers"))
         }
-        // Who asks for a time and says what then, asks whether there is something.
-        Signal::Nothing if turn.end.is_none() => return None,
+        // Who asks for a time and says what then, asks whether there is something. Who does not, ends at the statement.
+        Signal::Nothing if !(matches!(turn.end, Some(End::Aborted(_))) && turn.passed.is_empty()) => {
+            return None;
+        }
         Signal::Nothing => (Kind::TimeOut, format!("{name}: {what} ends by its time_out")),
         Signal::GaveUp { port, missing, .. } => {
             let parties = table.port(port).map_or(&[][..], |port| &port.parties);

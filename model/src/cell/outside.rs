@@ -1,6 +1,6 @@
 //! Tasks whose body is outside the cell: any legal use of their ports, no more often than they may.
 
-use super::plan::{CellPlan, Conduct};
+use super::plan::{CellPlan, Conduct, Holds};
 use imrs_protocol::script::{
     Address, Binary, Format, Op, Outcomes, Program, Slot, StatementOutcome, Term, Trigger, Type, Variable,
 };
@@ -9,14 +9,15 @@ use std::sync::Arc;
 
 /// The plan with a program for each task that has none.
 pub(super) fn with_programs(plan: &Arc<CellPlan>) -> Arc<CellPlan> {
-    if !plan.tasks.iter().any(|task| matches!(task, Conduct::Extern(_))) {
+    if !plan.has_extern() {
         return Arc::clone(plan);
     }
     let mut whole = (**plan).clone();
     for (task, conduct) in whole.tasks.iter_mut().enumerate() {
         if let Conduct::Extern(rate) = *conduct {
             let program = Arc::new(any_use(plan, TaskId::from_index(task), rate));
-            *conduct = Conduct::Program { program, values: Vec::new() };
+            whole.outside.push(task);
+            *conduct = Conduct::Program { program, values: Vec::new(), open: false };
         }
     }
     Arc::new(whole)
@@ -94,11 +95,19 @@ fn forget(code: &mut Vec<Op>) {
 /// The most values that a message from outside is tried with.
 const MOST: usize = 6;
 
-/// What messages from outside the cell are tried with, the same in all of their fields: zero and one, and what the tasks of
-/// the cell have as constants, for they may compare with those.
+/// What messages from outside the cell are tried with, the same in all of their fields: zero and one, and what the tasks and
+/// the checks of the cell have as constants, for they may compare with those.
 pub(super) fn tried(plan: &CellPlan) -> Vec<i64> {
-    let constants = programs(plan).flat_map(|program| &program.code).filter_map(|op| match op {
-        Op::Term(Term::Push(value)) => Some(*value),
+    let bodies = programs(plan).flat_map(|program| &program.code).filter_map(|op| match op {
+        Op::Term(term) => Some(term),
+        _ => None,
+    });
+    let checks = plan.checks.iter().flat_map(|check| match &check.holds {
+        Holds::Always(terms) => vec![terms],
+        Holds::Leads { when, then, .. } => vec![when, then],
+    });
+    let constants = bodies.chain(checks.flatten()).filter_map(|term| match term {
+        Term::Push(value) => Some(*value),
         _ => None,
     });
     let mut all: Vec<i64> = constants.chain([0, 1]).collect();

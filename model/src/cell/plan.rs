@@ -16,6 +16,8 @@ pub enum Conduct {
         program: Arc<Program>,
         /// For each of its actions the results worth trying; where there is none, 0.
         values: Vec<Vec<i32>>,
+        /// Whether other results of its actions may lead where none of these does.
+        open: bool,
     },
     /// A program outside the cell makes any legal use of its ports, at most so often.
     Extern(Option<Rate>),
@@ -174,6 +176,8 @@ pub struct CellPlan {
     pub jobs: usize,
     /// What charts say besides: it changes no verdict.
     pub legend: Legend,
+    /// The tasks whose bodies are outside the cell, where they have got programs that try any use of their ports.
+    pub(super) outside: Vec<usize>,
     /// What of the cell is searched; none: all of it.
     pub(super) part: Option<Part>,
 }
@@ -194,8 +198,21 @@ impl CellPlan {
             transit: 16,
             jobs: 1,
             legend: Legend::default(),
+            outside: Vec::new(),
             part: None,
         }
+    }
+
+    /// Whether a task's body is outside the cell.
+    #[must_use]
+    pub fn has_extern(&self) -> bool {
+        self.tasks.iter().any(|task| matches!(task, Conduct::Extern(_)))
+    }
+
+    /// Whether actions may give other results than those that are tried.
+    #[must_use]
+    pub fn has_open_results(&self) -> bool {
+        self.tasks.iter().any(|task| matches!(task, Conduct::Program { open: true, .. }))
     }
 
     /// Whether every action and every packet takes one time only.

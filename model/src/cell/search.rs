@@ -79,7 +79,7 @@ pub(super) struct Done {
 #[must_use]
 pub fn check_cell(plan: &Arc<CellPlan>) -> Verdicts {
     let outside = if says_something(plan) { tried(plan) } else { Vec::new() };
-    let is_open = plan.tasks.iter().any(|task| matches!(task, Conduct::Extern(_)));
+    let is_open = plan.has_extern() || plan.has_open_results();
     let plan = &with_programs(plan);
     if let Some(refused) = refused(plan) {
         return Verdicts { refused: Some(refused), ..Verdicts::default() };
@@ -374,14 +374,12 @@ pub(super) fn finding(
     }
 }
 
-/// `is_open`: tasks outside the cell may use their ports at other times and say other things than was tried.
+/// `is_open`: tasks outside the cell may use their ports at other times and say other things than was tried, or actions give
+/// other results.
 fn conclude(plan: &Arc<CellPlan>, done: Vec<Done>, (outside, is_open): (Vec<i64>, bool)) -> Verdicts {
     // What nobody reached before a finding that ends its way may lie behind it.
     let complete = done.iter().all(|done| done.coverage.complete && !done.coverage.pruned);
     let mut verdicts = Verdicts { outside, ..Verdicts::default() };
-    let gives = |conduct: &Conduct| matches!(conduct, Conduct::Program { values, .. } if values.iter().any(|v| !v.is_empty()));
-    let tried =
-        if plan.tasks.iter().any(gives) { " with the results of actions that were tried" } else { "" };
     for (number, conduct) in plan.tasks.iter().enumerate() {
         let Conduct::Program { program, .. } = conduct else {
             verdicts.statements.push((0, 0));
@@ -400,7 +398,7 @@ fn conclude(plan: &Arc<CellPlan>, done: Vec<Done>, (outside, is_open): (Vec<i64>
             } else if complete && is_open {
                 verdicts.not_tried.push((task, at));
             } else if complete {
-                let cause = format!("{}: never reached{tried}", judge::name(&plan.table, number));
+                let cause = format!("{}: never reached", judge::name(&plan.table, number));
                 verdicts.findings.push(bare(Kind::Unreached, Some((task, at)), None, cause));
             } else {
                 verdicts.not_seen.push((task, at));

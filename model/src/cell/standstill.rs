@@ -141,6 +141,8 @@ pub(super) fn tell(
             for turn in course.floor.turns.as_mut().map(std::mem::take).unwrap_or_default() {
                 if let ScriptInput::Signal(signal) = turn.input
                     && is_an_answer(&signal)
+                    // What a task outside the cell goes on with is not known.
+                    && !plan.outside.contains(&turn.task)
                 {
                     asks.insert(turn.task);
                 }

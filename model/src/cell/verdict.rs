@@ -195,7 +195,8 @@ pub struct Verdicts {
     pub not_exercised: Vec<(TaskId, Address)>,
     /// The values with which messages from tasks outside the cell were tried; empty where no such task says anything.
     pub outside: Vec<i64>,
-    /// Statements never reached with these values: other ones may lead there. Task and operation.
+    /// Statements never reached with these values and those tried as results of actions: other ones may lead there. Task and
+    /// operation.
     pub not_tried: Vec<(TaskId, Address)>,
     /// Statements not reached where a budget ended a search, or a finding the way to them, which proves nothing: task and
     /// operation.

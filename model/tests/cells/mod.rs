@@ -1,7 +1,7 @@
 //! Cells from text, checked.
 
 use imrs_language::hir::CoupleKind;
-use imrs_language::lower::{Behaviour, CheckKind, Lowered, Script};
+use imrs_language::lower::{Action, Behaviour, CheckKind, Lowered, Script};
 use imrs_language::{Source, Unit, compile};
 use imrs_model::cell::{
     Budget, CellCheck, CellFaults, CellPlan, Conduct, Finding, Holds, Kind, Pause, Verdicts, check_cell,
@@ -47,6 +47,7 @@ impl Text {
             Behaviour::Script(script) => Conduct::Program {
                 program: Arc::clone(&script.program),
                 values: script.actions.iter().map(|action| values(&action.values)).collect(),
+                open: !script.actions.iter().all(Action::is_covered),
             },
             Behaviour::Extern(rate) => Conduct::Extern(*rate),
         };

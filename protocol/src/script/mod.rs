@@ -199,10 +199,12 @@ enum Standing {
 /// Where a script begins anew.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 enum Anew {
-    /// At its first operation.
+    /// At its first operation. Where the body belongs to a lease, handlers that act are held off until it comes.
     Begin,
     /// At its take-over.
     TakeOver,
+    /// Behind the operation that asked for its lease: it has it now. The handlers that act are announced, too.
+    Granted,
     /// Nowhere: it lost its lease and acts no more, unless it gets it back or takes over. Handlers that act are
     /// withdrawn: what comes for them waits in its buffer. The others go on answering and taking notice.
     Passive,

@@ -45,7 +45,7 @@ const FAULTS: [Fault; 9] = [
     Fault::NothingToAnswer,
     Fault::Late,
 ];
-const ANEW: [Anew; 3] = [Anew::Begin, Anew::TakeOver, Anew::Passive];
+const ANEW: [Anew; 4] = [Anew::Begin, Anew::TakeOver, Anew::Passive, Anew::Granted];
 
 /// The position of an entry in one of the lists above.
 fn number<T: PartialEq>(list: &[T], wanted: &T) -> u8 {

@@ -407,13 +407,16 @@ impl Program {
     }
 
     /// The ports that have a handler, in the order of the handlers.
-    pub(super) fn handled(&self, from: u8) -> Option<(u8, PortId)> {
+    pub(super) fn handled(&self, from: u8) -> impl Iterator<Item = (u8, PortId)> {
         let later = self.handlers.iter().enumerate().skip(usize::from(from));
-        later
-            .filter_map(|(i, handler)| match handler.trigger {
-                Trigger::Message(port) => Some((u8::try_from(i).ok()?, port)),
-                Trigger::Timer(_) | Trigger::Fenced => None,
-            })
-            .next()
+        later.filter_map(|(i, handler)| match handler.trigger {
+            Trigger::Message(port) => Some((u8::try_from(i).ok()?, port)),
+            Trigger::Timer(_) | Trigger::Fenced => None,
+        })
+    }
+
+    /// Whether the script waits for a lease before its body.
+    pub(super) fn begins_with_a_lease(&self) -> bool {
+        self.code.contains(&Op::Lease)
     }
 }

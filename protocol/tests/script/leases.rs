@@ -30,9 +30,43 @@ fn welder(fence: bool, takeover: bool) -> Rig {
     while said[0] != "lease" {
         said = rig.accept();
     }
-    rig.tell(Signal::Granted(2));
+    assert_eq!(rig.tell(Signal::Granted(2)), ["handle P0 true"], "its handler acts, and the lease is there");
+    assert_eq!(rig.accept(), ["boundary"]);
     assert_eq!(rig.accept(), ["work", "run 0 [] at 0 takes 9..9"]);
     rig
+}
+
+#[test]
+fn who_waits_for_its_first_lease_does_not_act_in_handlers() {
+    let mut b = ProgramBuilder::new("test");
+    let (said, outcome) = (b.variable("said", Type::Int8), b.variable("outcome", Type::Int8));
+    let timer = b.timer("timer");
+    b.statement().op(Op::Lease).run("weld", Ticks(9), Ticks(9)).end();
+    b.on_message(ASK, &[("spot", Type::Int8)], |b, came| {
+        b.statement().load(came[0]).store(said).start(timer, Ticks(3)).reply(&[]);
+    });
+    b.on_message(TELL, &[], |b, _| {
+        b.run("shout", Ticks(1), Ticks(1));
+    });
+    b.handler(Trigger::Timer(timer), |b| {
+        let action = b.action("beep");
+        b.statement().push(7).op(Op::Run { action, arguments: 1, least: Ticks(1), most: Ticks(1) });
+        b.op(Op::Outcome).store(outcome);
+    });
+    let mut rig = Rig::of(b.finish().expect("a checked program"));
+    assert_eq!(rig.begin(), ["handle P0 true"]);
+    assert_eq!(rig.accept(), ["handle P1 false"], "its handler acts");
+    assert_eq!(rig.accept(), ["boundary"]);
+    assert_eq!(rig.accept(), ["lease"]);
+    assert_eq!(rig.tell(call(ASK, 1, &[4])), ["start 0 3"], "it takes notice");
+    assert_eq!(rig.accept(), ["boundary"]);
+    assert_eq!(rig.accept(), ["reply P0 T7 []"]);
+    assert_eq!(rig.accept(), ["return"]);
+    assert_eq!(rig.tell(Signal::Interrupt(Call::Timer(TimeId(0)))), ["return"], "no action begins");
+    assert_eq!(rig.var(Slot::Task(1)), StatementOutcome::Fenced as i64);
+    assert_eq!(rig.tell(Signal::Granted(2)), ["handle P1 true"], "with the lease it acts");
+    assert_eq!(rig.accept(), ["boundary"]);
+    assert_eq!(rig.accept(), ["work", "run 0 [] at 0 takes 9..9"]);
 }
 
 #[test]
@@ -105,6 +139,7 @@ fn passive() -> Rig {
         said = rig.accept();
     }
     rig.tell(Signal::Granted(2));
+    rig.accept();
     rig.accept();
     assert_eq!(rig.tell(FENCED), ["cut short 0", "abandon"]);
     assert_eq!(rig.tell(Signal::Cancelled), ["handle P0 true"]);

@@ -205,7 +205,7 @@ fn the_other_requests_are_accepted() {
     let lease = |b: &mut ProgramBuilder| {
         b.op(Op::Lease);
     };
-    assert_eq!(end_of(lease, Signal::Granted(6)), ("lease".into(), Ended::Done as i64, 6));
+    assert_eq!(end_of(lease, Signal::Granted(6)), ("lease".into(), Ended::Done as i64, 0));
     let delay = |b: &mut ProgramBuilder| {
         b.delay(Ticks(3));
     };

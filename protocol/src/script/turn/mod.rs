@@ -66,6 +66,9 @@ impl<'a, O: ScriptOutbox> Turn<'a, O> {
             (Wait::Signal, Signal::Fault(Fault::Fenced)) if matches!(self.op(), Ok(Op::Lease)) => {
                 self.finish(End::Fenced);
             }
+            (Wait::Signal, Signal::Granted(_)) if matches!(self.op(), Ok(Op::Lease)) => {
+                self.register(0, Anew::Granted);
+            }
             (_, Signal::Interrupt(call)) => self.interrupt(call),
             (Wait::Register(handler, anew), Signal::Accepted(_)) => {
                 self.register(handler.saturating_add(1), anew);
@@ -163,12 +166,24 @@ impl<'a, O: ScriptOutbox> Turn<'a, O> {
 
     /// Says which ports have handlers, one after another, and begins.
     fn register(&mut self, from: u8, anew: Anew) {
-        if let Some((handler, port)) = self.program.handled(from) {
+        let acting = self.script.acting;
+        let acts = |handler: u8| acting >> handler & 1 == 1;
+        let mut handlers = self.program.handled(from);
+        // With the lease come those that were held off for the want of it.
+        if let Some((handler, port)) = handlers.find(|&(handler, _)| anew != Anew::Granted || acts(handler)) {
             self.frame().wait = Wait::Register(handler, anew);
-            let handled = anew != Anew::Passive || self.script.acting >> handler & 1 == 0;
-            return self.out.request(Request::Handle { port, handled });
+            let lacks = match anew {
+                Anew::Begin => self.program.begins_with_a_lease(),
+                Anew::Passive => true,
+                Anew::Granted | Anew::TakeOver => false,
+            };
+            return self.out.request(Request::Handle { port, handled: !(lacks && acts(handler)) });
         }
         let at = match anew {
+            Anew::Granted => {
+                self.fresh = true;
+                return self.resume(|_| Ok(Flow::Next));
+            }
             Anew::Begin => 0,
             Anew::TakeOver => self.program.takeover.unwrap_or(0),
             Anew::Passive => {
@@ -308,7 +323,6 @@ impl<'a, O: ScriptOutbox> Turn<'a, O> {
                 self.outcome = StatementOutcome::GaveUp;
             }
             (Op::Delay(_), Signal::TimeOut(id)) if id == self.delay_id() => {}
-            (Op::Lease, Signal::Granted(epoch)) => self.value = i64::from(epoch),
             (
                 Op::Reply { .. }
                 | Op::ReplyFor { .. }

@@ -129,7 +129,7 @@ impl<O: ScriptOutbox> Turn<'_, O> {
     fn act(&mut self, action: u16, arguments: u8, least: Ticks, most: Ticks) -> Step {
         let script = &*self.script;
         let first = script.held.checked_sub(usize::from(arguments)).ok_or(ScriptFault::Malformed)?;
-        if script.frames[0].wait == Wait::Passive {
+        if self.waits_for_its_lease() {
             self.forget_answer();
             self.outcome = StatementOutcome::Fenced;
             self.drop_operands(first);
@@ -141,6 +141,13 @@ impl<O: ScriptOutbox> Turn<'_, O> {
         self.out.run(Action { level, action, arguments, least, most });
         self.drop_operands(first);
         Ok(Flow::Wait(Wait::Working))
+    }
+
+    /// Whether the task's own thread waits to get its lease, for the first time or again.
+    fn waits_for_its_lease(&self) -> bool {
+        let own = self.script.frames[0];
+        let op = || self.program.code.get(usize::from(own.at));
+        own.wait == Wait::Passive || own.wait == Wait::Signal && op() == Some(&Op::Lease)
     }
 
     /// The request of an operation that makes just one.
