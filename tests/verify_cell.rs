@@ -121,7 +121,7 @@ fn a_saved_finding_is_shown_step_by_step_by_the_monitor_alone() {
 fn statements_for_faults_that_did_not_come_about_are_told_as_untried() {
     let (_folder, path) = cell("7", "");
     let answer = run(&["verify", path.to_str().expect("text")]);
-    let line = "statements never reached at these bounds, which lack the faults that lead there";
+    let line = "statements never reached at these bounds: no fault, time_out or timer of theirs leads there";
     assert!(answer.code == Some(0) && answer.out.contains(line), "{answer:?}");
     assert!(answer.out.contains("    asker 9:39  at := 0"), "{answer:?}");
 }
@@ -338,7 +338,12 @@ fn statements_that_were_not_reached_are_told_to_programs() {
     let said = json(&outside, &[]);
     assert_eq!(lines(&said["not_tried"]), [("asker".to_owned(), 10)], "{said}");
     assert!(said["outside"].as_array().is_some_and(|values| values.contains(&0.into())), "{said}");
-    // Behind a finding that ends its way.
+    // Behind a finding that ends its way nothing was looked at, nor was a check.
+    let failing = format!(
+        "{}\ncheck c: always asker.at < 99;\n",
+        sound.replace("assert at < 9;", "assert at < 7; skip;")
+    );
+    assert_eq!(json(&failing, &[])["claims"][0]["outcome"], "unknown");
     let said = json(&sound.replace("assert at < 9;", "assert at < 7; skip;"), &[]);
     assert!(lines(&said["not_seen"]).contains(&("asker".to_owned(), 10)), "{said}");
     assert_eq!(lines(&said["not_exercised"]), none, "{said}");

@@ -20,3 +20,4 @@ mod simulate;
 mod standstill;
 mod support;
 mod traps;
+mod verdicts;

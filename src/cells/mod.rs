@@ -226,7 +226,11 @@ impl Loaded {
             if let Some((least, most)) = range(action) {
                 let real = action.result == Some(Type::Real);
                 let known = results.entry(&action.name).or_insert((least, most, real));
-                *known = (known.0.min(least), known.1.max(most), real);
+                // What one statement may not be given is given to none, where that leaves anything.
+                let common = (known.0.max(least), known.1.min(most));
+                let all = (known.0.min(least), known.1.max(most));
+                let (least, most) = if common.0 <= common.1 { common } else { all };
+                *known = (least, most, real);
             }
         }
         let of = |(name, (least, most, real)): (&str, (i64, i64, bool))| {
@@ -248,7 +252,17 @@ impl Loaded {
 
 /// The least and the most that an action gives.
 fn range(action: &Action) -> Option<(i64, i64)> {
-    let compared = || Some((*action.values.iter().min()?, *action.values.iter().max()?));
+    let values = || {
+        let whole = |&value: &i64| match action.result {
+            #[expect(clippy::cast_possible_truncation, reason = "the next whole number is meant")]
+            Some(Type::Real) => {
+                f32::from_bits(i32::try_from(value).unwrap_or(0).cast_unsigned()).floor() as i64
+            }
+            Some(_) | None => value,
+        };
+        action.values.iter().map(whole)
+    };
+    let compared = || Some((values().min()?, values().max()?));
     let of_type = || match action.result? {
         Type::Bool => Some((0, 1)),
         Type::Int8 | Type::Int16 | Type::Int32 | Type::Word | Type::Real => Some((0, 100)),

@@ -18,7 +18,7 @@ use imrs_runtime::link::faulty::FaultyLink;
 use imrs_runtime::link::in_process::Network;
 use imrs_runtime::link::udp::{Refusal, UdpError, UdpLink, UdpOptions};
 use imrs_runtime::observer::{AddressBook, Observer, ObserverError, Place, Showing};
-use imrs_runtime::script::{Actions, Commands, Simulated};
+use imrs_runtime::script::{Actions, Commands, Give, Simulated};
 use imrs_runtime::{Observations, Runtime, StartError};
 use imrs_wire::envelope::Refused;
 use imrs_wire::obs::{Count, RealTime, TimedEvent};
@@ -460,9 +460,12 @@ fn socket(
 
 /// Who carries out the actions of the scripts.
 fn actions(setup: &Setup, loaded: &Loaded) -> Result<Arc<dyn Actions>, NodeError> {
-    let simulated = Simulated::start(setup.seed, loaded.results(), setup.courses.clone())?;
-    let mut commands =
-        Commands::new(setup.actions.clone(), simulated).guard(GuardProgram::This).cores(rt::cores());
+    let results = loaded.results();
+    let reals = results.iter().filter(|result| matches!(result.give, Give::Real(..)));
+    let reals: Vec<String> = reals.map(|result| result.name.clone()).collect();
+    let simulated = Simulated::start(setup.seed, results, setup.courses.clone())?;
+    let commands = Commands::new(setup.actions.clone(), simulated).guard(GuardProgram::This);
+    let mut commands = commands.cores(rt::cores()).reals(reals);
     if let Some(path) = &setup.notices {
         let of = format!("{}-{}", setup.node, setup.incarnation);
         commands = commands.notices(Notices::open(path)?, &of);

@@ -19,8 +19,7 @@ const FEW: usize = 6;
 const EXCERPT: usize = 48;
 
 /// What no verdict on a cell says anything about.
-const STANDSTILLS: &str =
-    "tasks that go on for ever without coming further while others of their part do come further";
+const STANDSTILLS: &str = "tasks that go on for ever without coming further while others of their part do come further, or that only ask again and again whether something came";
 
 /// What no verdict on a cell with tasks outside says anything about.
 const TIMES_OUTSIDE: &str =
@@ -30,11 +29,16 @@ const TIMES_OUTSIDE: &str =
 const OTHER_RESULTS: &str =
     "other results of actions than the ends of their ranges and what is compared with";
 
+/// What no verdict on a cell says anything about whose actions give numbers.
+const UNFIT: &str =
+    "results of actions that are outside their range, or do not fit the variable that takes them";
+
 /// What the verdict on this cell says nothing about.
 pub(super) fn not_looked_for(plan: &CellPlan) -> Vec<&'static str> {
     let outside = plan.has_extern().then_some(TIMES_OUTSIDE);
     let results = plan.has_open_results().then_some(OTHER_RESULTS);
-    std::iter::once(STANDSTILLS).chain(outside).chain(results).collect()
+    let unfit = plan.takes_numbers().then_some(UNFIT);
+    std::iter::once(STANDSTILLS).chain(outside).chain(results).chain(unfit).collect()
 }
 
 /// What there is to tell.
@@ -100,7 +104,7 @@ impl Telling<'_> {
         for what in not_looked_for(self.plan) {
             out.line(Styled(FAINT, format!("  not looked for: {what}")))?;
         }
-        let untried = "never reached at these bounds, which lack the faults that lead there (more faults: --loss, --dup, --reorder, --crash, --pause, --drift)";
+        let untried = "never reached at these bounds: no fault, time_out or timer of theirs leads there (more faults: --loss, --dup, --reorder, --crash, --pause, --drift)";
         subject.statements(untried, &verdicts.not_exercised, out)?;
         if !verdicts.outside.is_empty() {
             let values: Vec<String> = verdicts.outside.iter().map(i64::to_string).collect();

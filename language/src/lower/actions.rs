@@ -3,10 +3,11 @@
 use super::{Action, Behaviour};
 use crate::hir::{CheckKind, Destination, Expr, Hir};
 use imrs_protocol::TaskId;
-use imrs_protocol::script::{Binary, Op, Program, Slot, Term, Type};
+use imrs_protocol::script::{Binary, Op, Program, ProgramBuilder, Slot, Term, Type, real};
 
 /// One statement that runs an action.
 struct Use {
+    name: String,
     action: u16,
     arguments: Vec<Type>,
     into: Option<Destination>,
@@ -22,7 +23,7 @@ impl Action {
     #[must_use]
     pub fn is_covered(&self) -> bool {
         let all = || {
-            let (low, high) = self.range?;
+            let (low, high) = self.range.filter(|_| self.result != Some(Type::Real))?;
             Some(i64::try_from(self.values.len()) == Ok(high.checked_sub(low)?.checked_add(1)?))
         };
         matches!(self.result, None | Some(Type::Bool)) || !self.travels || all() == Some(true)
@@ -30,15 +31,25 @@ impl Action {
 }
 
 impl Uses {
+    /// Notes a statement and returns the number of its action. Statements that take results of another type, or from another
+    /// range, have another number of the same name: what one of them may be given the other may not.
     pub fn add(
         &mut self,
-        action: u16,
+        builder: &mut ProgramBuilder,
+        name: &str,
         arguments: &[Expr],
         into: Option<Destination>,
         range: Option<(i64, i64)>,
-    ) {
+    ) -> u16 {
+        let of = into.map(|to| to.of);
+        let known = self
+            .0
+            .iter()
+            .find(|one| one.name == name && (one.into.map(|to| to.of), one.range) == (of, range));
+        let action = known.map_or_else(|| builder.another_action(name), |one| one.action);
         let arguments = arguments.iter().map(|argument| argument.of).collect();
-        self.0.push(Use { action, arguments, into, range });
+        self.0.push(Use { name: name.into(), action, arguments, into, range });
+        action
     }
 
     /// The actions of the program, in its order.
@@ -60,18 +71,14 @@ impl Uses {
         for one in self.0.iter().filter(|one| one.action == at) {
             action.arguments.clone_from(&one.arguments);
             let Some(to) = one.into else { continue };
-            action.result = Some(to.of);
-            action.range = match (action.range, one.range) {
-                (Some((a, b)), Some((c, d))) => Some((a.min(c), b.max(d))),
-                (known, new) => new.or(known),
-            };
+            (action.result, action.range) = (Some(to.of), one.range);
             let terms: Vec<Option<Term>> = program.code.iter().map(term).collect();
-            both_sides(&terms, |term| term == Term::Load(to.slot), &mut compared);
+            both_sides(&terms, |term| term == Term::Load(to.slot), to.of == Type::Real, &mut compared);
             action.travels |= goes_elsewhere(&terms, |term| term == Term::Load(to.slot));
             for check in exprs(hir) {
                 let terms: Vec<Option<Term>> = check.ops.iter().map(term).collect();
                 let is = |term| matches!((term, to.slot), (Term::Of { task: t, variable }, Slot::Task(at)) if t == task && variable == at);
-                both_sides(&terms, is, &mut compared);
+                both_sides(&terms, is, to.of == Type::Real, &mut compared);
                 action.travels |= goes_elsewhere(&terms, is);
             }
         }
@@ -97,7 +104,8 @@ fn exprs(hir: &Hir) -> impl Iterator<Item = &Expr> {
 }
 
 /// A value on either side of each constant that the variable is compared with.
-fn both_sides(terms: &[Option<Term>], is: impl Fn(Term) -> bool, into: &mut Vec<i64>) {
+/// Of a real they are the bits of its neighbours, as the outside gives them.
+fn both_sides(terms: &[Option<Term>], is: impl Fn(Term) -> bool, reals: bool, into: &mut Vec<i64>) {
     for window in terms.windows(3) {
         let &[Some(a), Some(b), Some(operator)] = window else { continue };
         let (constant, swapped) = match (a, b) {
@@ -105,13 +113,13 @@ fn both_sides(terms: &[Option<Term>], is: impl Fn(Term) -> bool, into: &mut Vec<
             (Term::Push(constant), variable) if is(variable) => (constant, true),
             _ => continue,
         };
-        let (operator, constant) = match operator {
-            Term::Int(operator) => (operator, constant),
-            Term::Real(operator) => (operator, whole(constant)),
+        let comparison = match operator {
+            Term::Int(comparison) if !reals => comparison,
+            Term::Real(comparison) if reals => comparison,
             _ => continue,
         };
         // `x > c` and `x <= c` change between c and c + 1, `x < c` and `x >= c` between c - 1 and c, `x = c` at both.
-        let (below, above) = match operator {
+        let (below, above) = match comparison {
             Binary::Greater | Binary::LessOrEqual => (swapped, !swapped),
             Binary::Less | Binary::GreaterOrEqual => (!swapped, swapped),
             Binary::Equal | Binary::NotEqual => (true, true),
@@ -123,25 +131,36 @@ fn both_sides(terms: &[Option<Term>], is: impl Fn(Term) -> bool, into: &mut Vec<
             | Binary::And
             | Binary::Or => continue,
         };
+        if reals {
+            let constant = f32::from_bits(u32::try_from(constant).unwrap_or(0));
+            into.push(bits(constant));
+            into.extend(below.then(|| bits(constant.next_down())));
+            into.extend(above.then(|| bits(constant.next_up())));
+            continue;
+        }
         into.push(constant);
         into.extend(below.then(|| constant.saturating_sub(1)));
         into.extend(above.then(|| constant.saturating_add(1)));
     }
 }
 
-/// The whole part of a real.
-fn whole(bits: i64) -> i64 {
-    let real = u32::try_from(bits).map_or(0.0, f32::from_bits);
-    #[expect(clippy::cast_possible_truncation, reason = "the whole part is meant")]
-    let whole = real.floor() as i64;
-    whole
+/// What an action outside gives for a real: its bits, signed. The scripts know one zero, and no infinity.
+fn bits(x: f32) -> i64 {
+    let bits = real(x).and_then(|bits| u32::try_from(bits).ok()).unwrap_or(0);
+    i64::from(bits.cast_signed())
+}
+
+/// The real that an action outside gives so.
+fn given(value: i64) -> Option<f32> {
+    let x = f32::from_bits(i32::try_from(value).ok()?.cast_unsigned());
+    x.is_finite().then_some(x)
 }
 
 /// Whether a variable is read elsewhere than in a comparison with a constant.
 fn goes_elsewhere(terms: &[Option<Term>], is: impl Fn(Term) -> bool) -> bool {
     let compares = |window: &[Option<Term>]| {
         let mut into = Vec::new();
-        both_sides(window, &is, &mut into);
+        [false, true].into_iter().for_each(|reals| both_sides(window, &is, reals, &mut into));
         !into.is_empty()
     };
     let read = (0..terms.len()).filter(|&at| terms[at].is_some_and(&is));
@@ -157,24 +176,27 @@ const MOST: usize = 16;
 
 /// Gives each action whose result travels what any task or check of the cell compares anything with, within its range.
 pub(super) fn try_what_others_compare(hir: &Hir, tasks: &mut [Behaviour]) {
-    let mut all = Vec::new();
     let any = |term| matches!(term, Term::Load(_) | Term::Of { .. });
-    for task in &*tasks {
-        let Behaviour::Script(script) = task else { continue };
-        both_sides(&script.program.code.iter().map(term).collect::<Vec<_>>(), any, &mut all);
-    }
-    for check in exprs(hir) {
-        both_sides(&check.ops.iter().map(term).collect::<Vec<_>>(), any, &mut all);
-    }
-    all.sort_unstable();
-    all.dedup();
-    all.truncate(MOST);
+    let [wholes, reals] = [false, true].map(|reals| {
+        let mut all = Vec::new();
+        for task in &*tasks {
+            let Behaviour::Script(script) = task else { continue };
+            both_sides(&script.program.code.iter().map(term).collect::<Vec<_>>(), any, reals, &mut all);
+        }
+        for check in exprs(hir) {
+            both_sides(&check.ops.iter().map(term).collect::<Vec<_>>(), any, reals, &mut all);
+        }
+        all.sort_unstable();
+        all.dedup();
+        all.truncate(MOST);
+        all
+    });
     for task in tasks {
         let Behaviour::Script(script) = task else { continue };
         let travel =
             script.actions.iter_mut().filter(|action| action.travels && action.result != Some(Type::Bool));
         for action in travel {
-            action.values.extend(&all);
+            action.values.extend(if action.result == Some(Type::Real) { &reals } else { &wholes });
             action.values = values(action);
         }
     }
@@ -184,6 +206,17 @@ pub(super) fn try_what_others_compare(hir: &Hir, tasks: &mut [Behaviour]) {
 fn values(action: &Action) -> Vec<i64> {
     let Some(of) = action.result else { return Vec::new() };
     let mut values = action.values.clone();
+    if of == Type::Real {
+        #[expect(clippy::cast_precision_loss, reason = "the nearest real is meant")]
+        let range = action.range.map(|(low, high)| (low as f32, high as f32));
+        values.extend(range.map_or_else(|| vec![bits(0.0)], |(low, high)| vec![bits(low), bits(high)]));
+        values.retain(|&value| {
+            given(value).is_some_and(|x| range.is_none_or(|(low, high)| (low..=high).contains(&x)))
+        });
+        values.sort_unstable();
+        values.dedup();
+        return values;
+    }
     match (of, action.range) {
         (Type::Bool, _) => values = vec![0, 1],
         (_, Some((low, high))) => values.extend([low, high]),
@@ -191,10 +224,9 @@ fn values(action: &Action) -> Vec<i64> {
         (_, None) => {}
     }
     values.retain(|&value| {
-        let fits = if of == Type::Real { i32::try_from(value).is_ok() } else { of.holds(value) };
         // The outside gives 32 bits, signed.
         let comes = i32::try_from(value).is_ok();
-        fits && comes && action.range.is_none_or(|(low, high)| (low..=high).contains(&value))
+        of.holds(value) && comes && action.range.is_none_or(|(low, high)| (low..=high).contains(&value))
     });
     values.sort_unstable();
     values.dedup();

@@ -8,7 +8,7 @@ use crate::diagnostic::Diagnostic;
 use crate::hir::{
     Answered, Captured, Destination, Duration, Expr, Field, Recipients, Statement, StatementKind,
 };
-use imrs_protocol::script::{Op, Outcomes, Slot, StatementOutcome, Term, Type};
+use imrs_protocol::script::{Binary, Op, Outcomes, Slot, StatementOutcome, Term, Type};
 use imrs_protocol::{Class, PortId, Ranked, ServiceOrder, Target, TaskId, Ticks};
 
 impl<'h> Writer<'h, '_> {
@@ -43,8 +43,7 @@ impl<'h> Writer<'h, '_> {
             }
             StatementKind::Run { action, arguments, into, range, takes } => {
                 self.values(arguments);
-                let number = self.emit.builder.action(action);
-                self.uses.add(number, arguments, *into, *range);
+                let number = self.uses.add(&mut self.emit.builder, action, arguments, *into, *range);
                 let (least, most) = self.clock.takes(*takes);
                 let arguments = self.count(arguments.len(), "arguments of an action");
                 self.emit.op(Op::Run { action: number, arguments, least, most });
@@ -324,7 +323,16 @@ impl<'h> Writer<'h, '_> {
         self.store(&[to], |writer| {
             writer.emit.op(Op::Value);
             if to.of == Type::Real {
-                writer.emit.op(Op::Term(Term::ToReal));
+                // Its bits, without their sign.
+                let beyond = i64::from(u32::MAX) + 1;
+                for term in [
+                    Term::Push(beyond),
+                    Term::Int(Binary::Add),
+                    Term::Push(beyond),
+                    Term::Int(Binary::Remainder),
+                ] {
+                    writer.emit.op(Op::Term(term));
+                }
             }
             writer.emit.op(Op::Store(to.slot));
         });

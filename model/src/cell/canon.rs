@@ -6,6 +6,9 @@ use super::plan::{CellFaults, Holds, Times};
 use crate::floor::canon::number;
 use crate::state::Violation;
 
+/// Stands for a floor's first byte: what nodes showed before in this tick comes first.
+const SIGHTS: u8 = 0xff;
+
 /// What may still go wrong, a byte for each kind: more in every byte allows all that less does.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub(super) struct Left([u8; 8]);
@@ -79,7 +82,14 @@ impl Course {
             b.stays.iter().for_each(|&(task, level)| out.extend([task, level]));
             out.extend(b.slow.to_le_bytes());
         }
+        let at = out.len();
         out.extend_from_slice(&floor.0);
+        if self.sights.iter().flat_map(|sights| &sights.earlier).any(|earlier| !earlier.is_empty()) {
+            // The floor's first byte is zero where there is no violation.
+            out[at] = SIGHTS;
+            let sights = self.store_sights()?;
+            out.splice(at + 1..at + 1, sights);
+        }
         Ok(out.into_boxed_slice())
     }
 
@@ -137,7 +147,46 @@ impl Course {
             b.slow = u64::from_le_bytes(std::array::from_fn(|_| byte()));
         }
         self.floor.violation = None;
+        for earlier in self.sights.iter_mut().flat_map(|sights| &mut sights.earlier) {
+            earlier.clear();
+        }
+        if state.get(at) == Some(&SIGHTS) {
+            at += self.load_sights(&state[at + 1..]);
+        }
         self.floor.load_bytes(state.get(at..).unwrap_or(&[]));
+        self.see_anew();
+    }
+
+    /// What nodes showed before in this tick: how often, and the values.
+    fn store_sights(&self) -> Result<Vec<u8>, Violation> {
+        let mut out = Vec::new();
+        for earlier in self.sights.iter().flat_map(|sights| &sights.earlier) {
+            out.push(u8::try_from(earlier.len()).map_err(|_| Violation::Overflow)?);
+            for value in earlier.iter().flatten() {
+                out.extend(value.unwrap_or(i64::MIN).to_le_bytes());
+            }
+        }
+        Ok(out)
+    }
+
+    /// Returns how many bytes that took.
+    fn load_sights(&mut self, bytes: &[u8]) -> usize {
+        let mut at = 0;
+        let mut byte = || {
+            at += 1;
+            bytes.get(at - 1).copied().unwrap_or(0)
+        };
+        for sights in &mut self.sights {
+            let widths: Vec<usize> = sights.widths().collect();
+            for (earlier, width) in sights.earlier.iter_mut().zip(widths) {
+                for _ in 0..byte() {
+                    let value = |_| Some(i64::from_le_bytes(std::array::from_fn(|_| byte())));
+                    let sight = (0..width).map(value).map(|value| value.filter(|value| *value != i64::MIN));
+                    earlier.push(sight.collect());
+                }
+            }
+        }
+        at
     }
 
     /// How long a node may stay paused, how long it has been, and which of its actions have not begun.

@@ -2,7 +2,7 @@
 
 use super::course::Course;
 use super::judge::{Shown, name, program};
-use super::plan::Holds;
+use super::plan::{CellPlan, Holds};
 use super::story::view;
 use super::verdict::{Concerned, Kind};
 use crate::floor::script::ScriptTurn;
@@ -35,7 +35,7 @@ pub(super) fn context(course: &Course, shown: &Shown, begun: &[Option<Address>])
     }
     let mut tasks = shown.others.clone();
     if let Some(check) = shown.check {
-        tasks.extend(terms(course, check).iter().filter_map(about));
+        tasks.extend(terms(&course.plan, check).iter().filter_map(about));
     }
     tasks.sort_unstable();
     tasks.dedup();
@@ -124,7 +124,7 @@ impl Origin {
         self.acted.sort_unstable();
         self.acted.dedup();
         let is_owed = course.beside.due.get(check).is_some_and(Option::is_some);
-        if course.broken == Some(check) {
+        if course.broken.contains(&check) {
             return;
         }
         if !is_owed {
@@ -151,6 +151,9 @@ impl Origin {
                     "; what leads to it was so at tick {since}{read}, what it leads to was not by tick {until}"
                 )
             }
+            (Holds::Always(_), _) if end.mixed.as_ref().is_some_and(|(of, _)| Some(*of) == self.check) => {
+                "; so in one tick, in which either node may be the first".into()
+            }
             (Holds::Always(_), _) if !self.acted.is_empty() => {
                 let tasks: Vec<&str> = self.acted.iter().map(|&task| name(&end.plan.table, task)).collect();
                 format!("; so since a step of {}", tasks.join(" and "))
@@ -161,10 +164,10 @@ impl Origin {
 }
 
 /// What a check reads, both sides of it where one leads to the other.
-pub(super) fn terms(course: &Course, check: usize) -> Vec<Term> {
+pub(super) fn terms(plan: &CellPlan, check: usize) -> Vec<Term> {
     let looks = |term: &Term| matches!(term, Term::Of { .. } | Term::Is(_));
     let mut all: Vec<Term> = Vec::new();
-    let Some(check) = course.plan.checks.get(check) else { return all };
+    let Some(check) = plan.checks.get(check) else { return all };
     let both = match &check.holds {
         Holds::Always(terms) => [&terms[..], &[]],
         Holds::Leads { when, then, .. } => [&when[..], &then[..]],
@@ -193,12 +196,14 @@ pub(super) fn about(term: &Term) -> Option<usize> {
 
 /// What a check reads and what it was: `robot.height = 42`.
 fn of_check(course: &Course, check: usize) -> Vec<String> {
-    terms(course, check).into_iter().filter_map(|term| value(course, term)).collect()
+    terms(&course.plan, check).into_iter().filter_map(|term| value(course, term)).collect()
 }
 
 /// What a term of a check is now, in the words of the check.
 pub(super) fn value(course: &Course, term: Term) -> Option<String> {
-    let (table, value) = (&course.plan.table, course.floor.look_up(term)?);
+    let mixed = course.mixed.iter().flat_map(|(_, seen)| seen).find(|(of, _)| *of == term);
+    let seen = mixed.map_or_else(|| course.floor.look_up(term), |(_, value)| *value);
+    let (table, value) = (&course.plan.table, seen?);
     let task = |task: TaskId| name(table, task.index());
     let port =
         |port: imrs_protocol::PortId| table.cell().ports.get(port.index()).map_or("?", |port| &port.name);

@@ -1,6 +1,7 @@
 //! The running cell: a floor whose scripts are judged and not stopped, and the faults that are named in the cell.
 
 use super::liveness::{self, Dead};
+use super::order::{Mixture, Sights, Spread};
 use super::pause::Asleep;
 use super::plan::{CellFaults, CellPlan, Conduct, Holds, Times};
 use crate::floor::Floor;
@@ -127,12 +128,17 @@ pub(super) struct Course {
     pub beside: Beside,
     /// When actions end, and packets arrive.
     pub times: Times,
-    /// The check that was broken by the last move.
-    pub broken: Option<usize>,
+    /// The checks that were broken by the last move.
+    pub broken: Vec<usize>,
     /// Ticks that passed since this was last set to zero.
     pub passed: u64,
     /// For each check, whether what makes it matter was ever seen.
     pub mattered: Vec<bool>,
+    /// What nodes show to the checks that read several of them.
+    pub spread: Vec<Spread>,
+    pub sights: Vec<Sights>,
+    /// The check that no state broke, but a mixture of what its nodes showed in one tick.
+    pub mixed: Option<(usize, Mixture)>,
     /// Whether both tasks of a couple act.
     pub both_active: bool,
     /// The variables of each task that are dead, by operation.
@@ -194,14 +200,19 @@ impl Course {
             floor,
             beside,
             times: plan.times.max(Times::Ends),
-            broken: None,
+            broken: Vec::new(),
             passed: 0,
             mattered: vec![false; plan.checks.len()],
+            spread: Self::spread(plan),
+            sights: Vec::new(),
+            mixed: None,
             both_active: false,
             dead: if plan.everything { Vec::new() } else { liveness::dead(plan) },
             before: Vec::new(),
         };
         course.floor.crossings.sort_by_key(|crossing| crossing.link);
+        course.sights.resize_with(course.spread.len(), Sights::default);
+        course.see_anew();
         course.look();
         course
     }
@@ -229,7 +240,7 @@ impl Course {
         self.load(state);
         self.apply(step);
         self.floor.turns.iter_mut().for_each(Vec::clear);
-        let sound = self.broken.is_none() && !self.both_active && self.floor.violation.is_none();
+        let sound = self.broken.is_empty() && !self.both_active && self.floor.violation.is_none();
         sound.then(|| self.floor.store())
     }
 
@@ -242,7 +253,7 @@ impl Course {
 
     /// Carries a move out and looks at what came of it.
     pub fn apply(&mut self, step: CellMove) {
-        self.broken = None;
+        self.broken.clear();
         if let Some(node) = self.node_of(step) {
             self.beside.acted |= bit(node);
             self.stir();
@@ -396,12 +407,13 @@ impl Course {
         let Some(ticks) = next else { return Ok(()) };
         self.passed += u64::from(ticks);
         self.beside.acted = 0;
+        self.begin_tick();
         for (check, due) in self.beside.due.iter_mut().enumerate() {
             match due.map(|left| left.checked_sub(ticks)) {
                 Some(Some(left)) => *due = Some(left),
                 Some(None) => {
                     *due = None;
-                    self.broken = Some(check);
+                    self.broken.push(check);
                 }
                 None => {}
             }
@@ -442,7 +454,7 @@ impl Course {
             match &check.holds {
                 Holds::Always(terms) => {
                     if !is(&self.floor, terms) {
-                        self.broken = Some(at);
+                        self.broken.push(at);
                     }
                 }
                 Holds::Leads { when, then, within } => {
@@ -451,12 +463,13 @@ impl Course {
                     self.mattered[at] |= when;
                     if is(&self.floor, then) {
                         *due = None;
-                    } else if when && due.is_none() && self.broken != Some(at) {
+                    } else if when && due.is_none() && !self.broken.contains(&at) {
                         *due = Some(u32::try_from(within.0).unwrap_or(u32::MAX - 1));
                     }
                 }
             }
         }
+        self.mix();
         let couples = &self.plan.table.cell().couples;
         self.both_active =
             couples.iter().any(|couple| self.acts(couple.primary) && self.acts(couple.standby));

@@ -181,7 +181,7 @@ fn shows(
         cell.take(step);
         last = cell.shown();
     }
-    last.extend(deadlock(&cell.course));
+    last.extend([false, true].into_iter().filter_map(|goes_on| deadlock(&cell.course, goes_on)));
     let kind = |kind| if kind == Kind::Starves { Kind::TimeOut } else { kind };
     let is = |shown: &Shown| {
         (kind(shown.kind), shown.task, shown.address, shown.check)

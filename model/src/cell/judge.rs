@@ -8,7 +8,7 @@ use crate::floor::script::ScriptTurn;
 use crate::state::Violation;
 use imrs_protocol::script::{Activity, Address, End, Op, Outcomes, Program, ScriptInput, Term, Trigger};
 
-use imrs_protocol::{CellTable, Outcome, PortId, Signal, Target, TaskId};
+use imrs_protocol::{CellTable, Outcome, Packet, PortId, Signal, Target, TaskId, Usage};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 
 /// Something that a move showed to be wrong.
@@ -78,7 +78,7 @@ pub(super) fn nothing_reached(course: &Course) -> Reached {
     Reached {
         statements: course.plan.tasks.iter().map(|task| vec![false; len(task)]).collect(),
         still: (0..course.plan.checks.len())
-            .map(|check| terms(course, check).into_iter().map(first).collect())
+            .map(|check| terms(&course.plan, check).into_iter().map(first).collect())
             .collect(),
     }
 }
@@ -118,7 +118,7 @@ fn judge_turns(course: &mut Course, phase: Phase, reached: &mut Reached) -> Vec<
         shown.extend(outcome(course, turn, phase));
         shown.extend(end(course, turn, phase));
     }
-    if let Some(check) = course.broken {
+    for &check in &course.broken {
         let name = &course.plan.checks[check].name;
         let cause = format!("`{name}` does not hold");
         shown.push(Shown { check: Some(check), ..Shown::whole(Kind::Check, &cause) });
@@ -217,16 +217,20 @@ fn end(course: &Course, turn: &ScriptTurn, phase: Phase) -> Option<Shown> {
     Some(Shown { task, address: at, others, last: fault_free, ..Shown::whole(kind, &cause) })
 }
 
-/// Nothing can happen any more: do some tasks wait for each other?
-pub(super) fn deadlock(course: &Course) -> Option<Shown> {
+/// Do some tasks wait for each other? `goes_on`: other things can still happen.
+pub(super) fn deadlock(course: &Course, goes_on: bool) -> Option<Shown> {
     let n = course.plan.tasks.len();
     let waits = |task: usize| {
         course.is_up(task) && matches!(course.activity(task), Some(Activity::Waits | Activity::Acts))
     };
+    let mut alive: Vec<bool> =
+        (0..n).map(|task| if goes_on { waits_for_good(course, task) } else { waits(task) }).collect();
+    if goes_on {
+        keep_closed(course, &mut alive);
+    }
     // Whoever waits can be helped by anybody who could still send it what it waits for.
     let helpers: Vec<Vec<usize>> =
-        (0..n).map(|task| if waits(task) { senders(course, task) } else { Vec::new() }).collect();
-    let mut alive: Vec<bool> = (0..n).map(waits).collect();
+        (0..n).map(|task| if alive[task] { senders(course, task) } else { Vec::new() }).collect();
     // Tasks whose helpers have all ended are at rest; what is left waits in a ring.
     loop {
         let at_rest = (0..n).find(|&task| alive[task] && !helpers[task].iter().any(|&helper| alive[helper]));
@@ -248,8 +252,51 @@ pub(super) fn deadlock(course: &Course) -> Option<Shown> {
         task: Some(first),
         address: Some(position(course, first)),
         others: (0..n).filter(|&task| alive[task]).collect(),
+        last: !goes_on,
         ..Shown::whole(Kind::Deadlock, &ring.join("; "))
     })
+}
+
+/// Whether a task stands at a `receive` that no time ends, and nothing is there or on its way that would end it.
+fn waits_for_good(course: &Course, task: usize) -> bool {
+    let at = usize::from(position(course, task));
+    let op = program(course, task).and_then(|program| program.code.get(at));
+    let id = TaskId::from_index(task);
+    let for_it = |packet: &Packet| packet.destination == id;
+    let floor = &course.floor;
+    matches!(op, Some(Op::Get { time_out: None, .. }))
+        && course.is_up(task)
+        && course.activity(task) == Some(Activity::Waits)
+        && floor.stations[floor.station_of(task)]
+            .node
+            .task(id)
+            .is_some_and(|machine| machine.next_expiry().is_none() && machine.epoch().is_none())
+        && !floor.crossings.iter().any(|crossing| for_it(&crossing.packet))
+        && floor.stations.iter().filter(|station| station.up).all(|station| {
+            let parts = station.node.parts();
+            !parts.transit.waiting().iter().any(for_it)
+                && !parts.timer.entries().iter().any(|(owner, ..)| *owner == id)
+        })
+}
+
+/// Leaves those of them for which nobody else can do anything any more.
+fn keep_closed(course: &Course, closed: &mut [bool]) {
+    let has_ended =
+        |task: usize| course.is_up(task) && matches!(course.activity(task), Some(Activity::Ended(_)));
+    loop {
+        let helped = (0..closed.len()).find(|&task| {
+            closed[task] && heard_by(course, task).any(|helper| !closed[helper] && !has_ended(helper))
+        });
+        let Some(task) = helped else { return };
+        closed[task] = false;
+    }
+}
+
+/// Who can send anything to a task, for its body or for a handler.
+fn heard_by(course: &Course, task: usize) -> impl Iterator<Item = usize> {
+    let (table, id) = (&course.plan.table, TaskId::from_index(task));
+    let ports = receives(table, id).into_iter().filter_map(move |port| table.port(port));
+    ports.flat_map(move |port| port.peers(id)).map(TaskId::index)
 }
 
 pub(super) fn position(course: &Course, task: usize) -> Address {
@@ -261,16 +308,25 @@ fn senders(course: &Course, task: usize) -> Vec<usize> {
     let table = &course.plan.table;
     let at = TaskId::from_index(task);
     let Some(program) = program(course, task) else { return Vec::new() };
-    let ports: Vec<PortId> = match program.code.get(usize::from(position(course, task))) {
-        Some(Op::Get { port: Some(port), .. }) => vec![*port],
-        Some(Op::Get { port: None, .. }) => table.ports_of(at).to_vec(),
-        _ => return Vec::new(),
-    };
+    let (ports, from): (Vec<PortId>, Option<TaskId>) =
+        match program.code.get(usize::from(position(course, task))) {
+            Some(Op::Get { port: Some(port), source, .. }) => (vec![*port], *source),
+            Some(Op::Get { port: None, source, .. }) => (receives(table, at), *source),
+            _ => return Vec::new(),
+        };
     let peers = ports.iter().filter_map(|&port| table.port(port)).flat_map(|port| port.peers(at));
+    let peers = peers.filter(|peer| from.is_none_or(|from| from == *peer));
     let mut peers: Vec<usize> = peers.map(TaskId::index).collect();
     peers.sort_unstable();
     peers.dedup();
     peers
+}
+
+/// The ports on which messages come for a task.
+fn receives(table: &CellTable, task: TaskId) -> Vec<PortId> {
+    let usage = |port: &PortId| table.port(*port)?.party(task).map(|party| party.usage);
+    let takes = |port: &PortId| matches!(usage(port), Some(Usage::Receive | Usage::Response));
+    table.ports_of(task).iter().copied().filter(takes).collect()
 }
 
 pub(super) fn name(table: &CellTable, task: usize) -> &str {

@@ -48,6 +48,7 @@ mod judge;
 mod legend;
 mod liveness;
 mod moves;
+mod order;
 mod outside;
 mod parts;
 mod pause;

@@ -209,6 +209,15 @@ impl CellPlan {
         self.tasks.iter().any(|task| matches!(task, Conduct::Extern(_)))
     }
 
+    /// Whether actions give numbers.
+    #[must_use]
+    pub fn takes_numbers(&self) -> bool {
+        let numbers = |values: &Vec<i32>| !values.is_empty() && values[..] != [0, 1];
+        let takes =
+            |task: &Conduct| matches!(task, Conduct::Program { values, .. } if values.iter().any(numbers));
+        self.tasks.iter().any(takes)
+    }
+
     /// Whether actions may give other results than those that are tried.
     #[must_use]
     pub fn has_open_results(&self) -> bool {

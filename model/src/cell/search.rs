@@ -191,15 +191,16 @@ fn search(plan: &Arc<CellPlan>, (phase, hypothesis): (Phase, usize), faults: &Ce
     let mut ended_by = ended_by.or_else(outgrown);
     let tell = |hit: &Hit| search.tell(plan, (phase, hypothesis), faults, hit);
     let findings: Vec<Finding> = search.hits.iter().map(tell).collect();
-    let mut still = None;
+    let mut still = Vec::new();
     if ended_by.is_none() {
         let room = plan.budget.bytes.saturating_sub(resident_bytes().unwrap_or(0));
-        match search.ways.first_still(&search.cores, room) {
-            Ok(first) => still = first,
+        match search.ways.all_still(&search.cores, room) {
+            Ok(all) => still = all,
             Err(OutOfMemory) => ended_by = Some(out_of_memory(plan)),
         }
     }
-    let told = still.and_then(|at| {
+    // What repeats from one of them may be nobody's standstill, and that from another one may be.
+    let told = still.into_iter().take(standstill::MOST_TOLD).find_map(|at| {
         let moves = search.path(plan, faults, search.origins[at]);
         standstill::tell(plan, (phase, hypothesis), faults, moves)
     });
@@ -218,7 +219,8 @@ fn search(plan: &Arc<CellPlan>, (phase, hypothesis): (Phase, usize), faults: &Ce
         whole_depth: left.map_or(depth, u64::from),
         ticks: findings.iter().map(|finding| finding.at_ticks).max().unwrap_or(0),
         complete: ended_by.is_none(),
-        pruned: search.hits.iter().any(|hit| hit.shown.last),
+        // What tasks in a deadlock would have done is not looked at either.
+        pruned: search.hits.iter().any(|hit| hit.shown.last || hit.shown.kind == Kind::Deadlock),
         ended_by,
         longest_state: search.longest as u64,
         seconds: start.elapsed().as_secs_f64(),

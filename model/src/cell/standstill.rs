@@ -19,7 +19,10 @@ use std::sync::Arc;
 /// So many states of a standstill are walked through to tell what repeats in it.
 const MOST_STATES: usize = 4096;
 
-/// What [`Ways::first_still`] takes for a state at most: its entry in a map and on a stack, and two flags.
+/// So many states from which nothing comes further are asked whether that is a standstill.
+pub(super) const MOST_TOLD: usize = 64;
+
+/// What [`Ways::all_still`] takes for a state at most: its entry in a map and on a stack, and two flags.
 const BYTES_OF_A_STATE: usize = 64;
 
 /// The pass does not fit into the memory of a search.
@@ -51,12 +54,12 @@ impl Ways {
         self.free.extend(other.free);
     }
 
-    /// The first state from which no way leads to progress or to an end. `cores` are the kept states' fingerprints, `room`
+    /// The states from which no way leads to progress or to an end. `cores` are the kept states' fingerprints, `room`
     /// the bytes that this may take.
     ///
     /// # Errors
     /// [`OutOfMemory`].
-    pub fn first_still(&self, cores: &[u64], room: u64) -> Result<Option<usize>, OutOfMemory> {
+    pub fn all_still(&self, cores: &[u64], room: u64) -> Result<Vec<usize>, OutOfMemory> {
         let bytes = cores.len() * BYTES_OF_A_STATE + self.steps.len() * size_of::<(u32, u32)>();
         if bytes as u64 > room {
             return Err(OutOfMemory);
@@ -75,7 +78,7 @@ impl Ways {
             }
         }
         if free.iter().all(|free| *free) {
-            return Ok(None);
+            return Ok(Vec::new());
         }
         let mut places: HashMap<u64, u32> = HashMap::with_capacity(cores.len());
         for (at, &core) in (0_u32..).zip(cores) {
@@ -94,7 +97,7 @@ impl Ways {
                 }
             }
         }
-        Ok(free.iter().position(|free| !free))
+        Ok((0..free.len()).filter(|&at| !free[at]).collect())
     }
 }
 
@@ -246,7 +249,7 @@ mod tests {
     }
 
     #[test]
-    fn the_first_state_without_a_way_out_is_the_one_that_asking_each_state_gives() {
+    fn the_states_without_a_way_out_are_those_that_asking_each_state_gives() {
         let mut random = 1987_u64;
         let mut draw = |below: u64| {
             random = random.wrapping_mul(6_364_136_223_846_793_005).wrapping_add(1_442_695_040_888_963_407);
@@ -263,11 +266,12 @@ mod tests {
                     ways.note(u32::try_from(from).expect("few"), to);
                 }
             }
-            let asked = (0..cores.len()).find(|&at| is_still(&ways, &cores, at));
-            assert_eq!(ways.first_still(&cores, 4096), Ok(asked), "{:?} {:?}", ways.steps, ways.free);
+            let asked: Vec<usize> = (0..cores.len()).filter(|&at| is_still(&ways, &cores, at)).collect();
+            let is_any = !asked.is_empty();
+            assert_eq!(ways.all_still(&cores, 4096), Ok(asked), "{:?} {:?}", ways.steps, ways.free);
             let less = cores.len() * BYTES_OF_A_STATE + ways.steps.len() * 8 - 1;
-            assert_eq!(ways.first_still(&cores, less as u64), Err(OutOfMemory));
-            if asked.is_some() { still += 1 } else { none += 1 }
+            assert_eq!(ways.all_still(&cores, less as u64), Err(OutOfMemory));
+            if is_any { still += 1 } else { none += 1 }
         }
         assert!(still > 300 && none > 300, "{still} {none}");
     }

@@ -162,7 +162,7 @@ impl Walker {
             moves.clear();
             self.course.moves(&mut moves);
             if !moves.iter().any(|step| !matches!(step, CellMove::Crash(_) | CellMove::Restart(_))) {
-                if let Some(shown) = deadlock(&self.course) {
+                if let Some(shown) = deadlock(&self.course, false) {
                     self.note(shown, origin);
                 }
                 self.lead(way, None);
@@ -180,6 +180,7 @@ impl Walker {
                     return;
                 }
                 Known::Post(mark, state) => {
+                    self.note_ring(origin);
                     self.lead(way, Some(mark));
                     self.walks.stops.push(Stop { origin, mark, state });
                     return;
@@ -187,6 +188,7 @@ impl Walker {
                 Known::No => {}
             }
         }
+        self.note_ring(origin);
         match self.course.store() {
             Ok(state) => {
                 let mark = Mark::of(self.course.split(&state));
@@ -200,6 +202,13 @@ impl Walker {
             Err(violation) => {
                 self.note(Shown::whole(Kind::Machine, violation.text()), origin);
             }
+        }
+    }
+
+    /// Notes tasks that wait for each other while others go on.
+    fn note_ring(&mut self, origin: Origin) {
+        if let Some(shown) = deadlock(&self.course, true) {
+            self.note(shown, origin);
         }
     }
 

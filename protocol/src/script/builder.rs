@@ -73,6 +73,12 @@ impl ProgramBuilder {
         entry(&mut self.program.actions, name.into())
     }
 
+    /// The number of one more action of this name: one whose results are not those of the others.
+    pub fn another_action(&mut self, name: &str) -> u16 {
+        self.program.actions.push(name.into());
+        position(self.program.actions.len())
+    }
+
     /// The number of the reason of this text.
     pub fn reason(&mut self, text: &str) -> u16 {
         entry(&mut self.program.reasons, text.into())

@@ -256,7 +256,7 @@ impl Watch {
         let status = kin::end_all(self.pid);
         // Whoever wrote is gone, so this ends.
         self.output.read_rest();
-        if why == Why::Ended { self.output.outcome(status) } else { why.outcome() }
+        if why == Why::Ended { self.output.outcome(status, self.errand.real) } else { why.outcome() }
     }
 }
 
@@ -298,7 +298,7 @@ impl Answer {
         }
     }
 
-    fn outcome(&self, status: Option<WaitStatus>) -> Outcome {
+    fn outcome(&self, status: Option<WaitStatus>, real: bool) -> Outcome {
         if let Some(errno) = self.kept.strip_prefix(UNSTARTED) {
             let errno = String::from_utf8_lossy(errno);
             return Outcome::Unstarted(errno.trim().parse().unwrap_or_default());
@@ -307,7 +307,35 @@ impl Answer {
             return Outcome::Failed;
         }
         let line = String::from_utf8_lossy(&self.kept);
-        // What is no number is no answer.
-        Outcome::Done(line.trim().parse().unwrap_or(0))
+        Outcome::Done(result(line.trim(), real))
+    }
+}
+
+/// What a command printed; a real by its bits. What is no number is no answer: zero.
+fn result(printed: &str, real: bool) -> i32 {
+    if !real {
+        return printed.parse().unwrap_or(0);
+    }
+    let number = printed.parse::<f32>().ok().filter(|number| number.is_finite());
+    // The scripts know no other zero.
+    number.map_or(0, |number| if number == 0.0 { 0 } else { number.to_bits().cast_signed() })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::result;
+
+    #[test]
+    fn a_real_is_read_as_its_bits_and_what_is_no_number_as_zero() {
+        assert_eq!(
+            [result("3", false), result("-4", false), result("2.5", false), result("", false)],
+            [3, -4, 0, 0]
+        );
+        let real = |printed: &str| f32::from_bits(result(printed, true).cast_unsigned());
+        assert_eq!(
+            [real("3"), real("-2.5"), real("-0.0"), real("inf"), real("x")],
+            [3.0, -2.5, 0.0, 0.0, 0.0]
+        );
+        assert_eq!(result("-0.0", true), 0);
     }
 }

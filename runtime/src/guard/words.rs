@@ -14,6 +14,8 @@ pub struct Errand {
     pub epoch: Option<u8>,
     /// The cores that the command may use: `0,1,5`. Without, those of the node.
     pub cores: Option<String>,
+    /// Whether the command prints a real, and not a whole number.
+    pub real: bool,
     /// Where the end is told besides, and under which key.
     pub notices: Option<(PathBuf, String)>,
     /// The process that started this one: said by the guard to what becomes the command.
@@ -37,6 +39,7 @@ impl Errand {
         add("--lease", self.lease.map(|at| at.to_string().into()));
         add("--epoch", self.epoch.map(|epoch| epoch.to_string().into()));
         add("--cores", self.cores.clone().map(OsString::from));
+        add("--gives", self.real.then(|| REAL.into()));
         add("--parent", self.parent.map(|pid| pid.to_string().into()));
         if let Some((path, key)) = &self.notices {
             add("--notices", Some(path.into()));
@@ -60,6 +63,7 @@ impl Errand {
                 "--lease" => errand.lease = Some(number(value)?),
                 "--epoch" => errand.epoch = Some(number(value)?),
                 "--cores" => errand.cores = Some(value.to_str()?.to_owned()),
+                "--gives" => errand.real = value == REAL,
                 "--parent" => errand.parent = Some(number(value)?),
                 "--notices" => path = Some(PathBuf::from(value)),
                 "--key" => key = Some(value.to_str()?.to_owned()),
@@ -70,6 +74,9 @@ impl Errand {
         (!errand.command.is_empty()).then_some(errand)
     }
 }
+
+/// What `--gives` says of a command that prints a real.
+const REAL: &str = "real";
 
 fn number<T: std::str::FromStr>(word: &OsStr) -> Option<T> {
     word.to_str()?.parse().ok()
@@ -172,6 +179,7 @@ mod tests {
     fn what_a_guard_is_started_for_comes_back_from_its_arguments() {
         let bare = Errand { limit: 7, command: vec!["true".into()], ..Errand::default() };
         let full = Errand {
+            real: true,
             limit: u64::MAX,
             lease: Some(5),
             epoch: Some(200),

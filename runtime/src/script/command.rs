@@ -3,7 +3,7 @@
 use super::actions::{Act, Actions, Ending, HeldLease, Stop};
 use crate::clock;
 use crate::guard::{Errand, GuardProgram, Notice, Notices, Outcome, Running};
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::OsString;
 use std::io;
 use std::os::unix::process::CommandExt;
@@ -61,6 +61,8 @@ pub struct Commands {
     guard: GuardProgram,
     margin: Duration,
     cores: Option<String>,
+    /// The actions whose commands print a real.
+    reals: BTreeSet<String>,
     notices: Option<(Arc<Notices>, String)>,
     begun: AtomicU64,
     stopping: Arc<Stopping>,
@@ -120,6 +122,7 @@ impl Commands {
             guard: GuardProgram::default(),
             margin: MARGIN,
             cores: None,
+            reals: BTreeSet::new(),
             notices: None,
             begun: AtomicU64::new(0),
             stopping: Arc::default(),
@@ -152,6 +155,12 @@ impl Commands {
         Self { cores: (!cores.is_empty()).then(|| cores.join(",")), ..self }
     }
 
+    /// The actions whose commands print a real: `2.5`. The others print a whole number.
+    #[must_use]
+    pub fn reals(self, actions: impl IntoIterator<Item = String>) -> Self {
+        Self { reals: actions.into_iter().collect(), ..self }
+    }
+
     /// Tells in this pipe which commands run. Their keys there begin with `of`, which no other node may use.
     #[must_use]
     pub fn notices(self, pipe: Notices, of: &str) -> Self {
@@ -175,6 +184,7 @@ impl Commands {
             lease: act.lease.and_then(|lease| lease.until),
             epoch: act.lease.map(|lease| lease.epoch),
             cores: self.cores.clone(),
+            real: self.reals.contains(act.name),
             notices: told.map(|told| (told.pipe.path().to_owned(), told.key.clone())),
             parent: None,
             command: first.chain(arguments).collect(),

@@ -78,7 +78,9 @@ pub(super) fn run(plan: &Arc<CellPlan>, faults: &[Fault], source: Source<'_>, li
         if !found.iter().any(|one| one.last) {
             cell.course.moves(&mut next);
             if next.iter().all(|step| matches!(step, CellMove::Crash(_) | CellMove::Restart(_))) {
-                found.extend(deadlock(&cell.course));
+                found.extend(deadlock(&cell.course, false));
+            } else {
+                found.extend(deadlock(&cell.course, true));
             }
         }
         let mut last = false;

@@ -1,0 +1,137 @@
+//! Verdicts that were wrong once: dangers that were missed, and findings that nothing can lead to.
+
+use crate::cell_findings::all;
+use crate::cells::Text;
+use imrs_model::cell::Kind;
+
+const TWO: &str = "cell two;\ntick 1 msec;\nnode na; node nb;\nlink na -- nb delay 1 msec;\n";
+const ONE: &str = "cell one;\ntick 1 msec;\nnode na;\n";
+
+fn kinds(text: &str) -> Vec<Kind> {
+    all(&Text::new(text)).into_iter().map(|(kind, _)| kind).collect()
+}
+
+/// Nothing orders two nodes within a tick: what one shows at its begin and what the other shows at its end may be so at a time.
+#[test]
+fn a_check_that_reads_two_nodes_holds_in_either_order_of_a_tick() {
+    let gate = |left: &str, right: &str, turn: &str| {
+        format!(
+            "{TWO}task left on {left}\nport go() usage = waitfor user_list = {{right}} time_out = 60 msec;\nvar inside: bool;\n\
+             begin inside := true; waitfor go() on time_out do skip; end; run turn takes {turn}; inside := false; end left;\n\
+             task right on {right}\nuse_port go() usage = waitfor;\nvar inside: bool;\n\
+             begin waitfor go() on time_out do skip; end; run turn takes 10..12 msec; inside := true; end right;\n\
+             check apart: never left.inside and right.inside;\n"
+        )
+    };
+    for (left, right) in [("na", "nb"), ("nb", "na")] {
+        assert_eq!(kinds(&gate(left, right, "5..10 msec")), [Kind::Check], "left on {left}");
+        assert_eq!(kinds(&gate(left, right, "5..9 msec")), [], "left on {left}");
+    }
+    // Both ends of a time in one step of the search, too.
+    let waits = |a: &str, b: &str| {
+        format!(
+            "{TWO}task a on {a}\nvar x: bool;\nbegin x := true; delay 5 msec; x := false; end a;\n\
+             task b on {b}\nvar y: bool;\nbegin delay 5 msec; y := true; end b;\ncheck c: never a.x and b.y;\n"
+        )
+    };
+    assert_eq!(kinds(&waits("na", "nb")), [Kind::Check]);
+    assert_eq!(kinds(&waits("nb", "na")), [Kind::Check]);
+    assert_eq!(kinds(&waits("na", "na")), [], "a node does one thing after the other");
+}
+
+#[test]
+fn two_checks_that_one_step_breaks_are_two_findings() {
+    let text = format!(
+        "{ONE}task a on na\nvar x: bool;\nbegin delay 3 msec; x := true; end a;\ncheck c1: never a.x;\ncheck c2: always not a.x;\n"
+    );
+    assert_eq!(kinds(&text), [Kind::Check, Kind::Check]);
+}
+
+/// A token that is lost: two tasks wait for each other for ever, whatever a third one does.
+#[test]
+fn a_deadlock_is_found_beside_a_task_that_goes_on() {
+    let ring = |other: &str| {
+        format!(
+            "{TWO}task a on na\nport p() usage = send user_list = {{b}} time_out = 20 msec;\nuse_port q() usage = receive;\n\
+             begin loop send p(); receive q(); run work takes 5 msec; end; end a;\n\
+             task b on nb\nuse_port p() usage = receive;\nport q() usage = send user_list = {{a}} time_out = 20 msec;\n\
+             begin loop receive p(); send q(); end; end b;\n{other}faults loss 1;\n"
+        )
+    };
+    let idle = "task c on na\nbegin loop delay 50 msec; end; end c;\n";
+    let acts = "task c on na\nbegin loop run blink takes 5 msec; end; end c;\n";
+    for other in ["", idle, acts] {
+        assert_eq!(kinds(&ring(other)), [Kind::Deadlock], "{other}");
+    }
+    // A task that hears of a third one may be helped by it.
+    let helps = "task c on na\nport r() usage = send user_list = {a} time_out = 20 msec;\n\
+        begin loop delay 50 msec; send r(); end; end c;\n";
+    let heard = ring(helps).replace(
+        "begin loop send p();",
+        "use_port r() usage = receive;\nbegin on receive r() do skip; end; loop send p();",
+    );
+    assert_eq!(kinds(&heard), []);
+}
+
+/// Two tasks of handlers alone, the first of which tells the second: all work is done, nobody waits for the other.
+#[test]
+fn servers_at_rest_are_no_deadlock() {
+    let text = format!(
+        "{TWO}task panel on na\nport go() usage = send user_list = {{a}} time_out = 20 msec;\nbegin send go(); end panel;\n\
+         task a on na\nuse_port go() usage = receive;\nport note() usage = send user_list = {{b}} time_out = 20 msec;\n\
+         begin order go > self; on receive go() do send note(); end; end a;\n\
+         task b on nb\nuse_port note() usage = receive;\n\
+         begin order note > self; on receive note() do skip; end; end b;\n"
+    );
+    assert_eq!(kinds(&text), []);
+}
+
+/// The outside gives a real by its bits: on both sides of a constant stand its neighbours.
+#[test]
+fn a_real_result_comes_on_both_sides_of_what_it_is_compared_with() {
+    let text = |range: &str, when: &str| {
+        format!(
+            "{ONE}task a on na\nvar r: real; var y: bool;\n\
+             begin loop run look -> r {range} takes 1 msec; y := {when}; delay 1 msec; y := false; end; end a;\ncheck c: never a.y;\n"
+        )
+    };
+    assert_eq!(kinds(&text("", "r >= 2.5")), [Kind::Check]);
+    assert_eq!(kinds(&text("in 0 .. 100", "r > 2.2 and r < 2.8")), [Kind::Check]);
+    assert_eq!(kinds(&text("in 0 .. 2", "r > 2.2")), []);
+    assert_eq!(kinds(&text("in -3 .. -1", "r < -1.5")), [Kind::Check]);
+}
+
+/// Each statement has the results of its own range and type, also where another one runs an action of the same name.
+#[test]
+fn statements_of_one_action_have_their_own_results() {
+    let text = |first: &str, second: &str, of: &str, check: &str| {
+        format!(
+            "{ONE}task a on na\nvar k: int16; var m: {of}; var y: bool;\n\
+             begin loop y := false; run look -> k {first} takes 1 msec; assert k <= 10;\n\
+             run look -> m {second} takes 1 msec; if m > 50 then y := true; end; delay 1 msec; end; end a;\n{check}"
+        )
+    };
+    let breaks = [Kind::Check];
+    assert_eq!(kinds(&text("in 0 .. 10", "in 0 .. 100", "int16", "check c: never a.y;\n")), breaks);
+    assert_eq!(kinds(&text("in 0 .. 10", "", "int16", "check c: never a.y;\n")), breaks);
+    assert_eq!(kinds(&text("in 0 .. 10", "", "int32", "")), []);
+    let wide = text("in 0 .. 10", "", "int32", "check c: never a.y;\n").replace("m > 50", "m > 1000");
+    assert_eq!(kinds(&wide), breaks);
+}
+
+/// A state from which nothing comes further without anybody who asks in vain does not hide one in which somebody does.
+#[test]
+fn one_standstill_does_not_hide_another() {
+    let text = |k: &str| {
+        format!(
+            "{TWO}task a on na\nport p() usage = query user_list = {{b}} time_out = 9 msec;\nvar k: int8;\n\
+             begin run look -> k in 0 .. 1 takes 1 msec; if k = {k} then loop delay 10 msec; end; end;\n\
+             loop query p() on time_out do skip; end on refused do skip; end; end; end a;\n\
+             task b on nb\nuse_port p() usage = response;\nbegin receive p(); reply(); loop delay 50 msec; end; end b;\n"
+        )
+    };
+    for k in ["0", "1"] {
+        let verdicts = Text::new(&text(k)).check();
+        assert_eq!(verdicts.warnings.len(), 1, "{k}");
+    }
+}
