@@ -202,6 +202,33 @@ fn a_killed_node_and_a_cut_link_are_found_by_their_time_outs() {
     });
 }
 
+/// What an action gives for a real is the same to the checker, to a simulated action and to a command that prints a number.
+#[test]
+fn a_real_result_is_a_real() {
+    let dir = runtime_dir();
+    let file = dir.path().join("level.cell");
+    let cell = |range: &str, least: &str| {
+        format!(
+            "cell level;\ntick 1 msec;\nnode n;\ntask t on n\nvar r: real;\nbegin\n  run look -> r {range} takes 0..600 sec;\n  \
+             assert r > {least} and r <= 3.0;\nend t;\n"
+        )
+    };
+    let run = |cell: &str, args: &[&str]| {
+        std::fs::write(&file, cell).expect("written");
+        run_in(dir.path(), &[&["run", file.to_str().expect("text")], args].concat())
+    };
+    let look = dir.path().join("look");
+    std::fs::write(&look, "#!/bin/sh\necho 2.5\n").expect("written");
+    std::fs::set_permissions(&look, Permissions::from_mode(0o700)).expect("set");
+    let bound = format!("look={}", look.display());
+    let said = run(&cell("", "2.4"), &["--action", &bound]);
+    assert_eq!(said.code, Some(0), "{said:?}");
+    let said = run(&cell("", "2.6"), &["--action", &bound]);
+    assert!(said.code == Some(1) && said.err.contains("an assertion does not hold"), "{said:?}");
+    let said = run(&cell("in 1 .. 3", "0.9").replace("0..600 sec", "1 msec"), &[]);
+    assert_eq!(said.code, Some(0), "{said:?}");
+}
+
 #[test]
 fn an_action_is_a_command_where_one_is_bound() {
     let bench = Bench::new();

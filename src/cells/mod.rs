@@ -252,17 +252,23 @@ impl Loaded {
 
 /// The least and the most that an action gives.
 fn range(action: &Action) -> Option<(i64, i64)> {
-    let values = || {
-        let whole = |&value: &i64| match action.result {
-            #[expect(clippy::cast_possible_truncation, reason = "the next whole number is meant")]
-            Some(Type::Real) => {
-                f32::from_bits(i32::try_from(value).unwrap_or(0).cast_unsigned()).floor() as i64
-            }
-            Some(_) | None => value,
-        };
-        action.values.iter().map(whole)
+    // Of a real the whole numbers around it.
+    let around = |&value: &i64| match action.result {
+        Some(Type::Real) => {
+            let x = f32::from_bits(i32::try_from(value).unwrap_or(0).cast_unsigned());
+            #[expect(
+                clippy::cast_possible_truncation,
+                reason = "a whole number, or the last one of that side"
+            )]
+            let ends = (x.floor() as i64, x.ceil() as i64);
+            ends
+        }
+        Some(_) | None => (value, value),
     };
-    let compared = || Some((values().min()?, values().max()?));
+    let compared = || {
+        let values = || action.values.iter().map(around);
+        Some((values().map(|(low, _)| low).min()?, values().map(|(_, high)| high).max()?))
+    };
     let of_type = || match action.result? {
         Type::Bool => Some((0, 1)),
         Type::Int8 | Type::Int16 | Type::Int32 | Type::Word | Type::Real => Some((0, 100)),
