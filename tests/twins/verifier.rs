@@ -50,15 +50,8 @@ impl<'a> Twin<'a> {
 
     /// What its verifier says. It explores the whole model at each call.
     pub fn verdict(&self) -> spin::Verdict {
-        // A verifier leaves its trail where it runs.
         let folder = tempfile::tempdir().expect("a folder for temporary files");
-        let mut pan = Command::new(self.verifier());
-        let output = pan.current_dir(folder.path()).arg("-w20").output();
-        let output = output.unwrap_or_else(|e| panic!("{pan:?}: {e}"));
-        let said = String::from_utf8_lossy(&output.stdout);
-        let complained = String::from_utf8_lossy(&output.stderr);
-        assert!(output.status.success(), "{pan:?}: {said}{complained}");
-        spin::read(&said)
+        spin::Verifier::at(self.verifier()).run_in(folder.path(), &["-w20"])
     }
 
     /// The file of its verifier, which is built where it is not there yet.

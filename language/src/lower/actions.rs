@@ -213,21 +213,19 @@ fn values(action: &Action) -> Vec<i64> {
         values.retain(|&value| {
             given(value).is_some_and(|x| range.is_none_or(|(low, high)| (low..=high).contains(&x)))
         });
-        values.sort_unstable();
-        values.dedup();
-        return values;
+    } else {
+        match (of, action.range) {
+            (Type::Bool, _) => values = vec![0, 1],
+            (_, Some((low, high))) => values.extend([low, high]),
+            (_, None) if values.is_empty() => values.push(0),
+            (_, None) => {}
+        }
+        values.retain(|&value| {
+            // The outside gives 32 bits, signed.
+            let comes = i32::try_from(value).is_ok();
+            of.holds(value) && comes && action.range.is_none_or(|(low, high)| (low..=high).contains(&value))
+        });
     }
-    match (of, action.range) {
-        (Type::Bool, _) => values = vec![0, 1],
-        (_, Some((low, high))) => values.extend([low, high]),
-        (_, None) if values.is_empty() => values.push(0),
-        (_, None) => {}
-    }
-    values.retain(|&value| {
-        // The outside gives 32 bits, signed.
-        let comes = i32::try_from(value).is_ok();
-        of.holds(value) && comes && action.range.is_none_or(|(low, high)| (low..=high).contains(&value))
-    });
     values.sort_unstable();
     values.dedup();
     values

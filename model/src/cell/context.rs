@@ -151,7 +151,7 @@ impl Origin {
                     "; what leads to it was so at tick {since}{read}, what it leads to was not by tick {until}"
                 )
             }
-            (Holds::Always(_), _) if end.mixed.as_ref().is_some_and(|(of, _)| Some(*of) == self.check) => {
+            (Holds::Always(_), _) if end.mixed.iter().any(|(of, _)| Some(*of) == self.check) => {
                 "; so in one tick, in which either node may be the first".into()
             }
             (Holds::Always(_), _) if !self.acted.is_empty() => {
@@ -196,14 +196,21 @@ pub(super) fn about(term: &Term) -> Option<usize> {
 
 /// What a check reads and what it was: `robot.height = 42`.
 fn of_check(course: &Course, check: usize) -> Vec<String> {
-    terms(&course.plan, check).into_iter().filter_map(|term| value(course, term)).collect()
+    let mixed = course.mixed.iter().find(|(of, _)| *of == check).map(|(_, seen)| seen);
+    let seen = |term: Term| match mixed {
+        Some(seen) => seen.iter().find(|(of, _)| *of == term).and_then(|(_, value)| *value),
+        None => course.floor.look_up(term),
+    };
+    terms(&course.plan, check).into_iter().filter_map(|term| said(course, term, seen(term)?)).collect()
 }
 
 /// What a term of a check is now, in the words of the check.
 pub(super) fn value(course: &Course, term: Term) -> Option<String> {
-    let mixed = course.mixed.iter().flat_map(|(_, seen)| seen).find(|(of, _)| *of == term);
-    let seen = mixed.map_or_else(|| course.floor.look_up(term), |(_, value)| *value);
-    let (table, value) = (&course.plan.table, seen?);
+    said(course, term, course.floor.look_up(term)?)
+}
+
+fn said(course: &Course, term: Term, value: i64) -> Option<String> {
+    let table = &course.plan.table;
     let task = |task: TaskId| name(table, task.index());
     let port =
         |port: imrs_protocol::PortId| table.cell().ports.get(port.index()).map_or("?", |port| &port.name);

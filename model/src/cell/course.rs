@@ -137,8 +137,8 @@ pub(super) struct Course {
     /// What nodes show to the checks that read several of them.
     pub spread: Vec<Spread>,
     pub sights: Vec<Sights>,
-    /// The check that no state broke, but a mixture of what its nodes showed in one tick.
-    pub mixed: Option<(usize, Mixture)>,
+    /// The checks that no state broke, but a mixture of what their nodes showed in one tick.
+    pub mixed: Vec<(usize, Mixture)>,
     /// Whether both tasks of a couple act.
     pub both_active: bool,
     /// The variables of each task that are dead, by operation.
@@ -205,14 +205,13 @@ impl Course {
             mattered: vec![false; plan.checks.len()],
             spread: Self::spread(plan),
             sights: Vec::new(),
-            mixed: None,
+            mixed: Vec::new(),
             both_active: false,
             dead: if plan.everything { Vec::new() } else { liveness::dead(plan) },
             before: Vec::new(),
         };
         course.floor.crossings.sort_by_key(|crossing| crossing.link);
-        course.sights.resize_with(course.spread.len(), Sights::default);
-        course.see_anew();
+        course.sights = Self::first_sights(&course.floor, &course.spread);
         course.look();
         course
     }

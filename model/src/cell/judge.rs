@@ -227,6 +227,9 @@ pub(super) fn deadlock(course: &Course, goes_on: bool) -> Option<Shown> {
         (0..n).map(|task| if goes_on { waits_for_good(course, task) } else { waits(task) }).collect();
     if goes_on {
         keep_closed(course, &mut alive);
+        // Of most states nobody is left, so that nothing on its way need be looked for.
+        alive.iter_mut().enumerate().for_each(|(task, alive)| *alive = *alive && !is_coming(course, task));
+        keep_closed(course, &mut alive);
     }
     // Whoever waits can be helped by anybody who could still send it what it waits for.
     let helpers: Vec<Vec<usize>> =
@@ -257,25 +260,29 @@ pub(super) fn deadlock(course: &Course, goes_on: bool) -> Option<Shown> {
     })
 }
 
-/// Whether a task stands at a `receive` that no time ends, and nothing is there or on its way that would end it.
+/// Whether a task stands at a `receive` that no time ends, and nothing is there that would end it.
 fn waits_for_good(course: &Course, task: usize) -> bool {
     let at = usize::from(position(course, task));
     let op = program(course, task).and_then(|program| program.code.get(at));
-    let id = TaskId::from_index(task);
-    let for_it = |packet: &Packet| packet.destination == id;
-    let floor = &course.floor;
+    let station = &course.floor.stations[course.floor.station_of(task)];
     matches!(op, Some(Op::Get { time_out: None, .. }))
         && course.is_up(task)
         && course.activity(task) == Some(Activity::Waits)
-        && floor.stations[floor.station_of(task)]
+        && station
             .node
-            .task(id)
+            .task(TaskId::from_index(task))
             .is_some_and(|machine| machine.next_expiry().is_none() && machine.epoch().is_none())
-        && !floor.crossings.iter().any(|crossing| for_it(&crossing.packet))
-        && floor.stations.iter().filter(|station| station.up).all(|station| {
+}
+
+/// Whether a packet is on its way to a task, or a timer of it runs.
+fn is_coming(course: &Course, task: usize) -> bool {
+    let id = TaskId::from_index(task);
+    let for_it = |packet: &Packet| packet.destination == id;
+    course.floor.crossings.iter().any(|crossing| for_it(&crossing.packet))
+        || course.floor.stations.iter().filter(|station| station.up).any(|station| {
             let parts = station.node.parts();
-            !parts.transit.waiting().iter().any(for_it)
-                && !parts.timer.entries().iter().any(|(owner, ..)| *owner == id)
+            parts.transit.waiting().iter().any(for_it)
+                || parts.timer.entries().iter().any(|(owner, ..)| *owner == id)
         })
 }
 

@@ -4,6 +4,7 @@
 use super::context::{about, terms};
 use super::course::Course;
 use super::plan::{CellPlan, Holds};
+use crate::floor::Floor;
 use imrs_protocol::script::{Term, eval};
 use imrs_protocol::{NodeId, TaskId};
 
@@ -64,45 +65,57 @@ impl Course {
         }
     }
 
-    /// Begins anew with what a packed state has.
+    /// Nodes showed nothing before in this tick.
+    pub(super) fn first_sights(floor: &Floor, spread: &[Spread]) -> Vec<Sights> {
+        let first = |spread: &Spread| Sights {
+            earlier: vec![Vec::new(); spread.nodes.len()],
+            now: spread.nodes.iter().map(|terms| sight_of(floor, terms)).collect(),
+        };
+        spread.iter().map(first).collect()
+    }
+
+    /// Takes what a state that was read back shows.
     pub(super) fn see_anew(&mut self) {
         for (spread, sights) in self.spread.iter().zip(&mut self.sights) {
-            sights.now = sight_of(&self.floor, spread);
-            sights.earlier.resize(spread.nodes.len(), Vec::new());
+            for (terms, now) in spread.nodes.iter().zip(&mut sights.now) {
+                now.iter_mut().zip(terms).for_each(|(value, &term)| *value = self.floor.look_up(term));
+            }
         }
     }
 
     /// Looks at what nodes show after a move, in every mixture with what they showed before in this tick.
     pub(super) fn mix(&mut self) {
-        self.mixed = None;
+        self.mixed.clear();
         for (spread, sights) in self.spread.iter().zip(&mut self.sights) {
-            let now = sight_of(&self.floor, spread);
-            if now == sights.now {
+            let mut is_new = false;
+            for ((terms, now), earlier) in spread.nodes.iter().zip(&mut sights.now).zip(&mut sights.earlier) {
+                if terms.iter().zip(&*now).all(|(&term, value)| self.floor.look_up(term) == *value) {
+                    continue;
+                }
+                is_new = true;
+                let before = std::mem::replace(now, sight_of(&self.floor, terms));
+                if let Err(at) = earlier.binary_search(&before) {
+                    earlier.insert(at, before);
+                }
+                earlier.retain(|sight| sight != now);
+            }
+            if !is_new {
                 continue;
             }
-            for ((earlier, before), now) in sights.earlier.iter_mut().zip(&sights.now).zip(&now) {
-                if before != now {
-                    if let Err(at) = earlier.binary_search(before) {
-                        earlier.insert(at, before.clone());
-                    }
-                    earlier.retain(|sight| sight != now);
-                }
-            }
-            sights.now = now;
             let Holds::Always(holds) = &self.plan.checks[spread.check].holds else { continue };
             if self.broken.contains(&spread.check) {
                 continue;
             }
             if let Some(mixture) = broken_mixture(spread, sights, holds) {
                 self.broken.push(spread.check);
-                self.mixed = Some((spread.check, mixture));
+                self.mixed.push((spread.check, mixture));
             }
         }
     }
 }
 
-fn sight_of(floor: &crate::floor::Floor, spread: &Spread) -> Vec<Sight> {
-    spread.nodes.iter().map(|terms| terms.iter().map(|&term| floor.look_up(term)).collect()).collect()
+fn sight_of(floor: &Floor, terms: &[Term]) -> Sight {
+    terms.iter().map(|&term| floor.look_up(term)).collect()
 }
 
 /// A mixture of what the nodes showed in this tick for which the check does not hold.

@@ -18,7 +18,7 @@ use crate::explore::resident_bytes;
 use crate::side_by_side::side_by_side;
 use imrs_protocol::TaskId;
 use imrs_protocol::script::{Address, Op, Term};
-use std::collections::VecDeque;
+use std::collections::{HashSet, VecDeque};
 use std::sync::atomic::{AtomicUsize, Ordering};
 use std::sync::{Arc, OnceLock};
 use std::time::Instant;
@@ -200,9 +200,13 @@ fn search(plan: &Arc<CellPlan>, (phase, hypothesis): (Phase, usize), faults: &Ce
         }
     }
     // What repeats from one of them may be nobody's standstill, and that from another one may be.
+    let mut idle = HashSet::new();
     let told = still.into_iter().take(standstill::MOST_TOLD).find_map(|at| {
+        if idle.contains(&search.cores[at]) {
+            return None;
+        }
         let moves = search.path(plan, faults, search.origins[at]);
-        standstill::tell(plan, (phase, hypothesis), faults, moves)
+        standstill::tell(plan, (phase, hypothesis), faults, moves, &mut idle)
     });
     let standstills = Vec::from_iter(told);
     let depth = search.origins.iter().map(|origin| u64::from(origin.depth)).max().unwrap_or(0);

@@ -107,12 +107,13 @@ pub(super) const fn is_outside(step: CellMove) -> bool {
 }
 
 /// Walks through a standstill and says what repeats in it. None where nobody waits for others, where something does come
-/// further after all, or where there is too much of it.
+/// further after all, or where there is too much of it. `idle`: states, by their cores' fingerprints, from which nobody waits.
 pub(super) fn tell(
     plan: &Arc<CellPlan>,
     (phase, hypothesis): (Phase, usize),
     faults: &CellFaults,
     mut moves: Vec<CellMove>,
+    idle: &mut HashSet<u64>,
 ) -> Option<Finding> {
     let mut course = Course::new(plan, faults);
     if !moves.iter().all(|&step| course.survives(step)) {
@@ -160,7 +161,10 @@ pub(super) fn tell(
     let tasks: Vec<usize> = asks.into_iter().collect();
     let names: Vec<&str> = tasks.iter().map(|&task| name(&plan.table, task)).collect();
     let cause = match &names[..] {
-        [] => return None,
+        [] => {
+            idle.extend(known);
+            return None;
+        }
         [one] => format!("{one} goes on for ever, and nothing comes further any more"),
         [all @ .., last] => {
             format!("{} and {last} go on for ever, and nothing comes further any more", all.join(", "))

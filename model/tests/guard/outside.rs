@@ -37,8 +37,7 @@ pub fn covers(tape: &[u8], bodies: &[u8], states: u64) -> Result<u32, Disagreeme
     if !is_sound(&text) || !is_sound(&with_bodies) {
         return Ok(0);
     }
-    let check = |text: &str| {
-        let mut cell = Text::new(text);
+    let check = |mut cell: Text| {
         (cell.plan.times, cell.plan.budget) = (Times::Ends, within(states));
         cell.check()
     };
@@ -47,12 +46,12 @@ pub fn covers(tape: &[u8], bodies: &[u8], states: u64) -> Result<u32, Disagreeme
     if own.is_too_large_without_faults() {
         return Ok(0);
     }
-    let said = check(&text);
+    let said = check(own);
     // Of a task that says nothing a branch depends on there is little to compare.
     if !said.is_complete() || said.outside.is_empty() {
         return Ok(0);
     }
-    let shown = check(&with_bodies);
+    let shown = check(Text::new(&with_bodies));
     let others = |task: TaskId| !outside.contains(&task.index());
     let wrong =
         |what: String| Disagreement { what: format!("{what}, with\n{with_bodies}"), moves: Vec::new() };

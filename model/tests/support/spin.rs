@@ -70,11 +70,21 @@ impl Verifier {
         &self.program
     }
 
-    /// Runs it with these arguments. Its memory bounds it: a limit in time would end it early on a busy machine.
+    /// One that was built before.
+    pub fn at(program: PathBuf) -> Self {
+        Self { program }
+    }
+
+    /// Runs it with these arguments in its own folder.
     pub fn run(&self, arguments: &[&str]) -> Verdict {
+        self.run_in(self.program.parent().expect("a folder"), arguments)
+    }
+
+    /// Runs it in a folder, in which it leaves its trail. Its memory bounds it: a limit in time would end it early on a busy
+    /// machine.
+    pub fn run_in(&self, folder: &Path, arguments: &[&str]) -> Verdict {
         let mut pan = Command::new(&self.program);
-        // It leaves its trail where it runs.
-        pan.current_dir(self.program.parent().expect("a folder")).args(arguments);
+        pan.current_dir(folder).args(arguments);
         read(&done(pan))
     }
 }

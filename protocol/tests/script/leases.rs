@@ -38,22 +38,7 @@ fn welder(fence: bool, takeover: bool) -> Rig {
 
 #[test]
 fn who_waits_for_its_first_lease_does_not_act_in_handlers() {
-    let mut b = ProgramBuilder::new("test");
-    let (said, outcome) = (b.variable("said", Type::Int8), b.variable("outcome", Type::Int8));
-    let timer = b.timer("timer");
-    b.statement().op(Op::Lease).run("weld", Ticks(9), Ticks(9)).end();
-    b.on_message(ASK, &[("spot", Type::Int8)], |b, came| {
-        b.statement().load(came[0]).store(said).start(timer, Ticks(3)).reply(&[]);
-    });
-    b.on_message(TELL, &[], |b, _| {
-        b.run("shout", Ticks(1), Ticks(1));
-    });
-    b.handler(Trigger::Timer(timer), |b| {
-        let action = b.action("beep");
-        b.statement().push(7).op(Op::Run { action, arguments: 1, least: Ticks(1), most: Ticks(1) });
-        b.op(Op::Outcome).store(outcome);
-    });
-    let mut rig = Rig::of(b.finish().expect("a checked program"));
+    let mut rig = attentive(false);
     assert_eq!(rig.begin(), ["handle P0 true"]);
     assert_eq!(rig.accept(), ["handle P1 false"], "its handler acts");
     assert_eq!(rig.accept(), ["boundary"]);
@@ -110,9 +95,9 @@ fn who_can_take_over_waits_for_that_when_fenced() {
     assert_eq!(rig.accept(), ["abandon", "ended Finished"]);
 }
 
-/// A task of a mutual couple that was fenced. It takes notice of the word on ASK; on TELL it would act, and so it would
-/// at the end of a timer that ASK starts.
-fn passive() -> Rig {
+/// A task of a work couple. It takes notice of the word on ASK; on TELL it would act, and so it would at the end of a timer
+/// that ASK starts.
+fn attentive(takeover: bool) -> Rig {
     let mut b = ProgramBuilder::new("test");
     let (said, outcome) = (b.variable("said", Type::Int8), b.variable("outcome", Type::Int8));
     let timer = b.timer("timer");
@@ -130,10 +115,17 @@ fn passive() -> Rig {
         b.statement().push(7).op(Op::Run { action, arguments: 1, least: Ticks(1), most: Ticks(1) });
         b.op(Op::Outcome).store(outcome);
     });
-    b.takeover(|b| {
-        b.run("recheck", Ticks(5), Ticks(5));
-    });
-    let mut rig = Rig::of(b.finish().expect("a checked program"));
+    if takeover {
+        b.takeover(|b| {
+            b.run("recheck", Ticks(5), Ticks(5));
+        });
+    }
+    Rig::of(b.finish().expect("a checked program"))
+}
+
+/// One of a mutual couple that was fenced.
+fn passive() -> Rig {
+    let mut rig = attentive(true);
     let mut said = rig.begin();
     while said[0] != "lease" {
         said = rig.accept();
