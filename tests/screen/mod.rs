@@ -11,6 +11,8 @@ use crate::support::tape::frames;
 use crate::support::{imrs, is_well, look_until, run, signal, wait_until};
 use rustix::process::Signal;
 use std::path::Path;
+use std::sync::Arc;
+use std::sync::atomic::{AtomicBool, Ordering};
 use std::thread;
 use std::time::{Duration, Instant};
 use terminal::{Terminal, tmux_is_here, watched};
@@ -72,6 +74,41 @@ fn signals_a_resize_to_nothing_and_a_stop_leave_the_terminal_as_it_was() {
     // What the terminal does on Ctrl-C when nobody asked for raw keys is a signal; here it is a key.
     terminal.keys(&["C-c"]);
     terminal.assert_restored();
+}
+
+#[test]
+fn a_key_that_comes_together_with_a_resize_is_taken() {
+    let Some((_demo, terminal)) = watched("") else { return };
+    // The monitor looks late at its terminal, when both are there.
+    let busy = Busy::new(6);
+    for round in 0..40 {
+        let (width, key, shows) = [("100", "3", "[3 Rdv]"), ("120", "1", "[1 Over]")][round % 2];
+        terminal.tmux(&["resize-window", "-x", width, "-y", "40", ";", "send-keys", key]);
+        terminal.wait_for(shows, |screen| screen.contains(shows));
+    }
+    drop(busy);
+    terminal.keys(&["q"]);
+    terminal.assert_restored();
+}
+
+/// Threads that compute without a pause, until they are dropped.
+struct Busy(Arc<AtomicBool>);
+
+impl Busy {
+    fn new(threads: usize) -> Self {
+        let on = Arc::new(AtomicBool::new(true));
+        for _ in 0..threads {
+            let on = Arc::clone(&on);
+            thread::spawn(move || while on.load(Ordering::Relaxed) {});
+        }
+        Self(on)
+    }
+}
+
+impl Drop for Busy {
+    fn drop(&mut self) {
+        self.0.store(false, Ordering::Relaxed);
+    }
 }
 
 #[test]
