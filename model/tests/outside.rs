@@ -53,6 +53,20 @@ fn a_task_outside_tells_one_of_several_and_may_come_at_other_times() {
     assert_eq!(verdicts.not_tried.len(), 1, "{:?}", verdicts.not_tried);
 }
 
+/// The first statement that asks does not read the answer, the second one does.
+#[test]
+fn a_task_outside_answers_in_the_format_that_any_statement_reads() {
+    let text = "cell out;\ntick 1 msec;\nnode na;\ntype Num is record n: int8; end;\n\
+        task a on na extern rate = 1/10 msec\nuse_port ask() -> Num usage = receive;\nend a;\n\
+        task b on na\nport ask() -> Num usage = send user_list = {a} time_out = 30 msec class = 2;\n\
+        var m: Num;\nbegin\nsend ask() on time_out do skip; end;\nsend ask() -> m on time_out do skip; end;\n\
+        end b;\ncheck c: never b.m.n = 1;\n";
+    let cell = Text::new(text);
+    let said = cell.found(&cell.check());
+    assert!(said.contains(&found(Kind::Check, "")), "{said:?}");
+    assert!(said.iter().all(|(kind, _)| *kind != Kind::ScriptFault), "{said:?}");
+}
+
 /// What a task outside goes on with is not known: it is in no standstill, also where it asks in vain again and again.
 #[test]
 fn a_task_outside_is_at_no_standstill() {

@@ -217,11 +217,10 @@ fn message(plan: &CellPlan, port: PortId) -> Format {
             }
             _ => None,
         });
-        let handler = program.handlers.iter().find(|handler| handler.trigger == Trigger::Message(port));
-        let got =
-            program.code.iter().position(|op| matches!(op, Op::Get { port: Some(at), .. } if *at == port));
-        let from = handler.map(|handler| usize::from(handler.entry)).or(got);
-        let read = from.and_then(|from| next(program, from, unpacked));
+        let handlers = program.handlers.iter().filter(|handler| handler.trigger == Trigger::Message(port));
+        let got = positions(program, |op| matches!(op, Op::Get { port: Some(at), .. } if *at == port));
+        let mut from = handlers.map(|handler| usize::from(handler.entry)).chain(got);
+        let read = from.find_map(|from| next(program, from, unpacked));
         sent.or(read).and_then(|format| program.formats.get(usize::from(format)).cloned())
     };
     programs(plan).find_map(find).unwrap_or_default()
@@ -230,12 +229,17 @@ fn message(plan: &CellPlan, port: PortId) -> Format {
 /// The format of the answers.
 fn answer(plan: &CellPlan, port: PortId) -> Format {
     let find = |program: &Program| {
-        let asked =
-            program.code.iter().position(|op| matches!(op, Op::Send { port: at, .. } if *at == port))?;
-        let read = next(program, asked, unpacked)?;
+        // Not every statement that sends reads the answer.
+        let mut asked = positions(program, |op| matches!(op, Op::Send { port: at, .. } if *at == port));
+        let read = asked.find_map(|asked| next(program, asked, unpacked))?;
         program.formats.get(usize::from(read)).cloned()
     };
     programs(plan).find_map(find).unwrap_or_default()
+}
+
+/// Where such operations stand.
+fn positions(program: &Program, is: impl Fn(&Op) -> bool) -> impl Iterator<Item = usize> {
+    program.code.iter().enumerate().filter(move |(_, op)| is(op)).map(|(at, _)| at)
 }
 
 const fn unpacked(op: &Op) -> Option<u16> {

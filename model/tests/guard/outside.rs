@@ -26,6 +26,13 @@ fn with_telling_tasks(text: &str) -> String {
     telling
 }
 
+/// A body has variables, and no check of the cell without it speaks of them.
+fn with_checks_of(text: &str, with_bodies: &str) -> String {
+    let is_check = |line: &&str| line.starts_with("check ");
+    let bodies = with_bodies.lines().filter(|line| !is_check(line));
+    bodies.chain(text.lines().filter(is_check)).fold(String::new(), |all, line| all + line + "\n")
+}
+
 /// Searches a cell that has a task outside, and once more with a body for it: all that this shows of the others must be in
 /// what the search says with the task outside. How many were compared.
 ///
@@ -34,6 +41,7 @@ fn with_telling_tasks(text: &str) -> String {
 pub fn covers(tape: &[u8], bodies: &[u8], states: u64) -> Result<u32, Disagreement> {
     let Some((with_bodies, outside)) = filled(tape, bodies) else { return Ok(0) };
     let (text, with_bodies) = (with_telling_tasks(&cell(tape)), with_telling_tasks(&with_bodies));
+    let with_bodies = with_checks_of(&text, &with_bodies);
     if !is_sound(&text) || !is_sound(&with_bodies) {
         return Ok(0);
     }
