@@ -2,8 +2,8 @@
 
 use crate::scenario::Scenario;
 use imrs_protocol::{
-    Contents, Frame, Incarnation, Kind, Meeting, MessageId, Overflow, Packet, PortId, Round, Seal, Seq24,
-    TaskId, Ticks,
+    Contents, Frame, Incarnation, Kind, Meeting, MessageId, Overflow, Packet, PortId, Round, Seq24, TaskId,
+    Ticks,
 };
 
 /// A packet on the way.
@@ -151,19 +151,12 @@ impl Codec {
         }
         let mut packet = Packet {
             kind,
-            class: imrs_protocol::Class::Command,
-            more: false,
-            resent: false,
-            urgent: false,
-            hops: imrs_protocol::MAX_HOPS,
-            fragment: 0,
             destination: TaskId(u16::from(destination)),
             source: TaskId(u16::from(source)),
             port: PortId(u16::from(port)),
             id: MessageId { incarnation: id_life, sequence: Seq24::default() },
             remaining: self.patience,
-            contents: Contents::EMPTY,
-            seal: Seal::NONE,
+            ..Packet::BLANK
         };
         if matches!(kind, Kind::Arrive | Kind::Confirm | Kind::Abort) {
             let rounds = byte();

@@ -130,7 +130,7 @@ impl World {
         let place = |i: usize| {
             let table = scenario.table(NodeId::from_index(i));
             let mut node = Node::new(table.clone(), Scenario::FIRST_LIFE, false, TRANSIT);
-            node.parts_mut().tasks[0].set_ahead(Ticks(scenario.clocks[i]));
+            node.parts_mut().tasks[0].set_ahead(&table, Ticks(scenario.clocks[i]));
             Place { node, table, up: true, life: Scenario::FIRST_LIFE, known: vec![Scenario::FIRST_LIFE; n] }
         };
         Self {
@@ -334,7 +334,7 @@ impl World {
                 place.life = Incarnation(place.life.0 + 1);
                 place.up = true;
                 place.node = Node::new(place.table.clone(), place.life, true, TRANSIT);
-                place.node.parts_mut().tasks[0].visit_mut(&mut FromBase(self.rounds[0]));
+                place.node.parts_mut().tasks[0].walk(&place.table, &mut FromBase(self.rounds[0]));
                 self.ghosts[usize::from(i)].missed = self.left_by_others(usize::from(i));
                 Ok(())
             }

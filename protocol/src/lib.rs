@@ -28,7 +28,6 @@ mod mapping;
 pub mod margin;
 mod node;
 mod observe;
-mod packed;
 mod packet;
 // Measured by itself in `benches/`; no part of the interface.
 #[doc(hidden)]
@@ -37,13 +36,14 @@ mod request;
 pub mod route;
 pub mod rules;
 pub mod script;
+mod state;
 mod table;
 mod ticks;
 mod timer;
 mod transit;
 
 pub use cell::{Cell, CellError, CoupleDecl, MAX_FRAGMENTS, Penalty, PortDecl, Rate, Usage};
-pub use comm_task::{Coming, CommTask, Frame, Input, Outbox, Overflow, Visit, VisitMut, invariants};
+pub use comm_task::{Coming, CommTask, Input, Outbox, invariants};
 pub use ids::{Incarnation, MessageId, NodeId, PortId, Round, Seq24, TaskId};
 pub use node::{Node, NodeInput, NodeOutbox, Parts, discarded};
 pub use observe::{
@@ -59,6 +59,7 @@ pub use request::{
     ServiceOrder, Signal, Target, TimeId,
 };
 pub use rules::Rules;
+pub use state::{Decode, Encode, Frame, Overflow, Pass, Walk};
 pub use table::{CellTable, NodeTable, Party, Port};
 pub use ticks::Ticks;
 pub use timer::Timer;

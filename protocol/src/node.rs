@@ -3,14 +3,14 @@
 //! Single-threaded drivers call [`Node::step`]; the threaded runtime takes a node apart and puts every part behind its
 //! own lock. Both call the same pure functions of [`route`](crate::route).
 
-use crate::comm_task::{CommTask, Frame, Input, Outbox, Overflow};
+use crate::comm_task::{CommTask, Input, Outbox};
 use crate::ids::{Incarnation, MessageId, NodeId, Seq24, TaskId};
 use crate::observe::{Event, Observation, Reason};
-use crate::packed::Eye;
 use crate::packet::{Kind, Packet};
 use crate::request::{Request, Signal, TimeId};
 use crate::route::{self, Arrival, Departure};
 use crate::rules::JobRequest;
+use crate::state::{Walk, same_variant};
 use crate::table::NodeTable;
 use crate::ticks::Ticks;
 use crate::timer::Timer;
@@ -83,6 +83,52 @@ enum Work {
     Task(TaskId, Input),
     Arm(TaskId, TimeId, u8, Ticks),
     Disarm(TaskId, TimeId),
+}
+
+/// The kinds of effects that a state can have.
+const WORKS: [Work; 7] = [
+    Work::Route(Packet::BLANK),
+    Work::Task(TaskId(0), Input::Packet(Packet::BLANK)),
+    Work::Task(TaskId(0), Input::Unsent(MessageId { incarnation: Incarnation(0), sequence: Seq24::new(0) })),
+    Work::Task(TaskId(0), Input::TimeOut { id: TimeId(0), turn: 0 }),
+    Work::Arm(TaskId(0), TimeId(0), 0, Ticks::ZERO),
+    Work::Disarm(TaskId(0), TimeId(0)),
+    Work::Task(TaskId(0), Input::PeerRestarted(NodeId(0))),
+];
+
+impl Work {
+    fn is_like(&self, other: &Self) -> bool {
+        match (self, other) {
+            (Self::Task(_, a), Self::Task(_, b)) => same_variant(a, b),
+            (a, b) => same_variant(a, b),
+        }
+    }
+
+    fn walk<W: Walk>(&mut self, w: &mut W) {
+        w.one_of(&WORKS, self, Self::is_like);
+        let task = match self {
+            // It says itself from whom it is.
+            Self::Route(packet) => &mut { packet.source },
+            Self::Task(task, _) | Self::Arm(task, ..) | Self::Disarm(task, _) => task,
+        };
+        w.small(&mut task.0);
+        let task = *task;
+        // One thread drives a packed node: no word of an earlier start of a delay can still be on its way.
+        match self {
+            Self::Route(packet) | Self::Task(_, Input::Packet(packet)) => packet.walk(w),
+            Self::Task(_, Input::Unsent(id)) => {
+                w.byte(&mut id.incarnation.0);
+                w.sequence(task, &mut id.sequence);
+            }
+            Self::Task(_, Input::TimeOut { id, turn: _ }) | Self::Disarm(_, id) => w.byte(&mut id.0),
+            Self::Arm(_, id, _, length) => {
+                w.byte(&mut id.0);
+                length.0 = w.count(usize::try_from(length.0).unwrap_or(usize::MAX)) as u64;
+            }
+            Self::Task(_, Input::PeerRestarted(node)) => w.small(&mut node.0),
+            Self::Task(_, Input::Advance(_) | Input::Request(_)) => {}
+        }
+    }
 }
 
 /// How many effects of one input a node has room for without allocating: every copy of a message to 64 members, and
@@ -188,76 +234,15 @@ impl Node {
         })
     }
 
-    /// Writes the canonical bytes of the effects that are not carried out yet (D51) and returns how many.
-    ///
-    /// # Errors
-    /// [`Overflow`] when a distance outgrows its field, `out` is too short, or an input waits that
-    /// [`begin`](Self::begin) was given and [`proceed`](Self::proceed) has not handed on.
-    pub fn store_work(&self, frame: &Frame<'_>, out: &mut [u8]) -> Result<usize, Overflow> {
-        let mut at = 0;
-        put(out, &mut at, u8::try_from(self.work.len()).map_err(|_| Overflow)?)?;
-        for work in &self.work {
-            let (tag, task) = match work {
-                Work::Route(packet) => (0, packet.source),
-                Work::Task(task, Input::Packet(_)) => (1, *task),
-                Work::Task(task, Input::Unsent(_)) => (2, *task),
-                Work::Task(task, Input::TimeOut { .. }) => (3, *task),
-                Work::Arm(task, ..) => (4, *task),
-                Work::Disarm(task, _) => (5, *task),
-                Work::Task(task, Input::PeerRestarted(_)) => (6, *task),
-                Work::Task(_, Input::Advance(_) | Input::Request(_)) => return Err(Overflow),
-            };
-            put(out, &mut at, tag)?;
-            put(out, &mut at, u8::try_from(task.0).map_err(|_| Overflow)?)?;
-            match work {
-                Work::Route(packet) | Work::Task(_, Input::Packet(packet)) => {
-                    at += packet.store(frame, out.get_mut(at..).ok_or(Overflow)?)?;
-                }
-                Work::Task(task, Input::Unsent(id)) => {
-                    let next = frame.sequences.get(task.index()).copied().unwrap_or_default();
-                    put(out, &mut at, id.incarnation.0)?;
-                    put(out, &mut at, u8::try_from(next.steps_from(id.sequence)).map_err(|_| Overflow)?)?;
-                }
-                Work::Task(_, Input::TimeOut { id, .. }) | Work::Disarm(_, id) => put(out, &mut at, id.0)?,
-                Work::Arm(_, id, _, length) => {
-                    put(out, &mut at, id.0)?;
-                    put(out, &mut at, u8::try_from(length.0).map_err(|_| Overflow)?)?;
-                }
-                Work::Task(_, Input::PeerRestarted(node)) => {
-                    put(out, &mut at, u8::try_from(node.0).map_err(|_| Overflow)?)?;
-                }
-                Work::Task(_, Input::Advance(_) | Input::Request(_)) => {}
-            }
+    /// Walks the effects that are not carried out yet. An input that [`begin`](Self::begin) was given and
+    /// [`proceed`](Self::proceed) has not handed on has no packed form.
+    pub fn walk_work<W: Walk>(&mut self, w: &mut W) {
+        let count = w.count(self.work.len());
+        if W::READS {
+            self.work.clear();
+            self.work.resize(count, Work::Route(Packet::BLANK));
         }
-        Ok(at)
-    }
-
-    /// Reads the effects back and returns how many bytes they took.
-    pub fn load_work(&mut self, lives: bool, bytes: &[u8]) -> usize {
-        let mut eye = Eye::new(bytes);
-        self.work.clear();
-        for _ in 0..eye.byte() {
-            let (tag, task) = (eye.byte(), TaskId(u16::from(eye.byte())));
-            let packet = |eye: &mut Eye<'_>| {
-                let (packet, len) = Packet::load(bytes.get(eye.at..).unwrap_or(&[]), lives);
-                eye.at += len;
-                packet
-            };
-            self.work.push_back(match tag {
-                0 => Work::Route(packet(&mut eye)),
-                1 => Work::Task(task, Input::Packet(packet(&mut eye))),
-                2 => {
-                    let incarnation = Incarnation(eye.byte());
-                    let sequence = Frame::SEQUENCE.plus(Seq24::MODULUS - u32::from(eye.byte()));
-                    Work::Task(task, Input::Unsent(MessageId { incarnation, sequence }))
-                }
-                3 => Work::Task(task, Input::TimeOut { id: TimeId(eye.byte()), turn: 0 }),
-                4 => Work::Arm(task, TimeId(eye.byte()), 0, Ticks(u64::from(eye.byte()))),
-                5 => Work::Disarm(task, TimeId(eye.byte())),
-                _ => Work::Task(task, Input::PeerRestarted(NodeId(u16::from(eye.byte())))),
-            });
-        }
-        eye.at
+        self.work.iter_mut().for_each(|work| work.walk(w));
     }
 
     /// Whether the clock counts (D22). Under the blocking reading of Figure 3 the Timer waits for the answer of every
@@ -358,12 +343,6 @@ impl Node {
         let Parts { table, transit, .. } = &mut self.parts;
         step(transit, table, &mut RouteEffects { work: &mut self.work, out });
     }
-}
-
-fn put(out: &mut [u8], at: &mut usize, byte: u8) -> Result<(), Overflow> {
-    *out.get_mut(*at).ok_or(Overflow)? = byte;
-    *at += 1;
-    Ok(())
 }
 
 /// The observation of a packet dropped before it reached a communication task.

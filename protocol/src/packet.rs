@@ -21,6 +21,8 @@ use core::num::NonZeroU32;
 use serde::de::Error as _;
 use serde::{Deserialize, Deserializer, Serialize};
 
+mod walk;
+
 /// The size of every packet, in bytes.
 pub const PACKET_BYTES: usize = 32;
 /// How many bytes of contents one packet carries: three one-word parameters.

@@ -4,13 +4,13 @@
 //! busy task. The communication tasks' own time_outs need no entry here (D41). Arming and cancelling cost O(log n),
 //! but O(1) where it is soon cancelled (D123), k entries that end cost O(k log n), and waiting costs nothing.
 
-use crate::comm_task::Overflow;
 use crate::ids::TaskId;
 use crate::index::Index;
-use crate::packed::{Eye, Pen};
 use crate::queue::{self, Queue};
 use crate::request::TimeId;
+use crate::state::{Clock, Pass, Walk};
 use crate::ticks::Ticks;
+use alloc::vec::Vec;
 
 #[derive(Clone, Copy, Debug)]
 struct Entry {
@@ -209,61 +209,73 @@ impl Timer {
 
     /// The internal clock goes back to zero; behaviour does not change.
     pub fn rebase(&mut self) {
-        let now = core::mem::take(&mut self.now);
-        self.queue.change_all(|entry, ()| entry.expires = entry.expires - now);
-        for (entry, &name) in self.fresh.entries.iter_mut().zip(&self.fresh.names) {
-            if name != NOBODY {
-                entry.expires = entry.expires - now;
-            }
-        }
+        let now = self.now;
+        self.walk(&mut Clock(|instant| instant - now));
     }
 
-    fn sorted(&self) -> alloc::vec::Vec<&Entry> {
+    fn sorted(&self) -> Vec<&Entry> {
         let all = self.queue.iter().map(|(_, entry)| entry);
-        let mut all: alloc::vec::Vec<_> = all.chain(self.fresh.iter().map(|(_, entry)| entry)).collect();
+        let mut all: Vec<_> = all.chain(self.fresh.iter().map(|(_, entry)| entry)).collect();
         all.sort_unstable_by_key(|entry| queue::Entry::key(*entry));
         all
     }
 
     /// The entries with what is left of each, earliest first.
     #[must_use]
-    pub fn entries(&self) -> alloc::vec::Vec<(TaskId, TimeId, Ticks)> {
+    pub fn entries(&self) -> Vec<(TaskId, TimeId, Ticks)> {
         self.sorted().into_iter().map(|e| (e.owner, e.id, e.expires - self.now)).collect()
     }
 
-    /// Writes the canonical bytes of the entries (D51) and returns how many.
-    ///
-    /// # Errors
-    /// [`Overflow`] when a length outgrows its field or `out` is too short.
-    pub fn store(&self, out: &mut [u8]) -> Result<usize, Overflow> {
-        let mut pen = Pen::new(out);
-        let entries = self.sorted();
-        pen.small(entries.len())?;
-        for entry in entries {
-            pen.small(entry.owner.0)?;
-            pen.byte(entry.id.0)?;
-            pen.ticks(entry.expires - self.now)?;
+    /// Walks the entries, earliest first.
+    pub fn walk<W: Walk>(&mut self, w: &mut W) {
+        w.clock(&mut self.now);
+        let Self {
+            now: _,
+            // Only the order of arming matters: that in which entries are packed.
+            armed,
+            fresh,
+            queue,
+            // Rebuilt by arming.
+            index,
+        } = self;
+        if W::PASS == Pass::Change {
+            let named = fresh.entries.iter_mut().zip(&fresh.names).filter(|&(_, &name)| name != NOBODY);
+            named.for_each(|(entry, _)| entry.walk(w));
+            return queue.change_all(|entry, ()| entry.walk(w));
         }
-        Ok(pen.at)
-    }
-
-    /// Reads the entries back, time relative to zero, and returns how many bytes they took.
-    pub fn load(&mut self, bytes: &[u8]) -> usize {
-        let mut eye = Eye::new(bytes);
-        (self.now, self.armed) = (Ticks::ZERO, 0);
-        self.fresh = Fresh::NONE;
-        self.queue.clear();
-        self.index.clear();
-        for _ in 0..eye.byte() {
-            let (owner, id) = (TaskId(u16::from(eye.byte())), TimeId(eye.byte()));
-            // One thread drives a packed node: no word of an earlier start can still be on its way.
-            self.arm(owner, id, 0, eye.ticks());
+        if !W::READS {
+            let mut entries: Vec<Entry> = self.sorted().into_iter().copied().collect();
+            w.count(entries.len());
+            return entries.iter_mut().for_each(|entry| entry.walk(w));
         }
-        eye.at
+        *armed = 0;
+        *fresh = Fresh::NONE;
+        queue.clear();
+        index.clear();
+        for _ in 0..w.count(0) {
+            let mut entry = Fresh::HOLE;
+            entry.walk(w);
+            self.arm(entry.owner, entry.id, entry.turn, entry.expires);
+        }
     }
 }
 
-/// An entry's name: a cell has at most 65,536 tasks, and a task 256 ids.
+impl Entry {
+    fn walk<W: Walk>(&mut self, w: &mut W) {
+        let Self {
+            owner,
+            id,
+            // One thread drives a packed node: no word of an earlier start can still be on its way.
+            turn: _,
+            expires,
+            armed: _,
+        } = self;
+        w.small(&mut owner.0);
+        w.byte(&mut id.0);
+        w.instant(expires);
+    }
+}
+
 fn name(owner: TaskId, id: TimeId) -> u32 {
     (u32::from(owner.0) << 8) | u32::from(id.0)
 }
@@ -271,7 +283,7 @@ fn name(owner: TaskId, id: TimeId) -> u32 {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use alloc::vec::Vec;
+    use crate::state::{Decode, Encode, Frame, Overflow};
     use proptest::prelude::*;
 
     #[test]
@@ -311,23 +323,24 @@ mod tests {
     }
 
     #[test]
-    fn loading_undoes_storing() {
+    fn reading_undoes_writing() {
         let mut timer = Timer::new(4);
         for (owner, id, length) in [(1, 0, 9), (2, 7, 5000), (3, 255, 9)] {
             timer.arm(TaskId(owner), TimeId(id), 0, Ticks(length));
         }
         timer.advance(Ticks(3), |_, _, _| {});
-        let mut bytes = [0; 32];
-        let len = timer.store(&mut bytes).unwrap();
-        assert!((0..len).all(|short| timer.store(&mut bytes[..short]) == Err(Overflow)));
-        timer.store(&mut bytes).unwrap();
+        let bytes = encoded(&mut timer).unwrap();
         let mut back = Timer::new(4);
         back.arm(TaskId(9), TimeId(9), 0, Ticks(1));
-        assert_eq!(back.load(&bytes), len);
+        assert_eq!(Decode::read(&bytes, false, |w| back.walk(w)), bytes.len());
         assert_eq!(back.entries(), timer.entries());
         assert!(back.disarm(TaskId(3), TimeId(255)) && !back.disarm(TaskId(9), TimeId(9)));
         timer.arm(TaskId(1), TimeId(1), 0, Ticks(1 << 32));
-        assert_eq!(timer.store(&mut bytes), Err(Overflow));
+        assert_eq!(encoded(&mut timer), Err(Overflow));
+    }
+
+    fn encoded(timer: &mut Timer) -> Result<Vec<u8>, Overflow> {
+        Encode::bytes(&Frame { rounds: &[], sequences: &[], lives: false }, |w| timer.walk(w))
     }
 
     proptest! {

@@ -6,18 +6,18 @@
 //! The words of a refusal (D19) wait in places of their own: where they had to find room among the messages, a full
 //! buffer could never say that it is full, or would drop one command to tell of another (D79).
 
-use crate::comm_task::{Frame, Overflow};
 use crate::ids::{MessageId, NodeId, TaskId};
 use crate::mapping;
 use crate::observe::{Event, Observation, Reason, TransitView};
-use crate::packed::{Eye, Pen};
 use crate::packet::{Class, Control, Kind, Packet};
 use crate::queue::{Entry, Queue, Slot};
 use crate::request::ReplyTo;
 use crate::route::{self, Departure};
 use crate::rules::{Eviction, TimeStamp};
+use crate::state::{Clock, Pass, Walk};
 use crate::table::NodeTable;
 use crate::ticks::Ticks;
+use alloc::vec::Vec;
 
 /// Where the effects of the transit buffer go.
 pub trait RouteOutbox {
@@ -195,21 +195,18 @@ impl Transit {
     pub fn advance(&mut self, table: &NodeTable, elapsed: Ticks, out: &mut impl RouteOutbox) {
         self.now += elapsed;
         if !table.rules().charge_residence {
-            self.change_all(|instant| instant + elapsed);
+            for queue in [&mut self.queue, &mut self.words] {
+                queue.change_all(|waiting, ()| {
+                    waiting.expires += elapsed;
+                    waiting.leave_by += elapsed;
+                });
+            }
         }
         while let Some(waiting) = self.queue.pop_due(self.now) {
             self.discard(table, &waiting.left(self.now), Reason::ExpiredInTransit, out);
         }
         while let Some(word) = self.words.pop_due(self.now) {
             self.discard(table, &word.left(self.now), Reason::ExpiredInTransit, out);
-        }
-    }
-
-    fn change_all(&mut self, instant: impl Fn(Ticks) -> Ticks) {
-        for queue in [&mut self.queue, &mut self.words] {
-            queue.change_all(|waiting, ()| {
-                (waiting.expires, waiting.leave_by) = (instant(waiting.expires), instant(waiting.leave_by));
-            });
         }
     }
 
@@ -236,67 +233,79 @@ impl Transit {
     }
 
     /// The internal clock goes back to zero; behaviour does not change.
-    pub fn rebase(&mut self) {
-        let now = core::mem::take(&mut self.now);
-        self.change_all(|instant| instant - now);
+    pub fn rebase(&mut self, table: &NodeTable) {
+        let now = self.now;
+        self.walk(table, &mut Clock(|instant| instant - now));
     }
 
     /// The waiting messages, most urgent first, with what remains of each.
     #[must_use]
-    pub fn waiting(&self) -> alloc::vec::Vec<Packet> {
+    pub fn waiting(&self) -> Vec<Packet> {
         self.queue.sorted().into_iter().map(|(_, w)| w.left(self.now)).collect()
     }
 
     /// The waiting words of a refusal, likewise.
     #[must_use]
-    pub fn words(&self) -> alloc::vec::Vec<Packet> {
+    pub fn words(&self) -> Vec<Packet> {
         self.words.sorted().into_iter().map(|(_, w)| w.left(self.now)).collect()
     }
 
-    /// Writes the canonical bytes of what waits (D51) and returns how many.
-    ///
-    /// # Errors
-    /// [`Overflow`] when a distance outgrows its field or `out` is too short.
-    pub fn store(&self, frame: &Frame<'_>, out: &mut [u8]) -> Result<usize, Overflow> {
-        let mut pen = Pen::new(out);
+    /// Walks what waits, the most urgent first. Packed it is packets with what is left of each, and where it is read their way
+    /// says the rest.
+    pub fn walk<W: Walk>(&mut self, table: &NodeTable, w: &mut W) {
+        w.clock(&mut self.now);
+        let Self {
+            now,
+            // Only the order of arrival matters: that in which they are packed.
+            arrivals,
+            queue,
+            words,
+            // Only counted.
+            forwarded: _,
+            discarded: _,
+        } = self;
+        if W::PASS == Pass::Change {
+            return [queue, words]
+                .into_iter()
+                .for_each(|queue| queue.change_all(|waiting, ()| waiting.walk(w)));
+        }
+        let mut waiting: Vec<Packet> = Vec::new();
+        if W::READS {
+            *arrivals = 0;
+            queue.clear();
+            words.clear();
+        } else {
+            let both = queue.sorted().into_iter().chain(words.sorted());
+            waiting.extend(both.map(|(_, waiting)| waiting.left(*now)));
+        }
         // Seven bits of messages, and one that says whether words follow.
-        let messages = u8::try_from(self.queue.len()).ok().filter(|&n| n < WITH_WORDS).ok_or(Overflow)?;
-        pen.byte(messages | if self.words.len() > 0 { WITH_WORDS } else { 0 })?;
-        if self.words.len() > 0 {
-            pen.small(self.words.len())?;
+        if queue.len() >= usize::from(WITH_WORDS) {
+            w.overflows();
         }
-        let mut at = pen.at;
-        for (_, waiting) in self.queue.sorted().into_iter().chain(self.words.sorted()) {
-            at += waiting.left(self.now).store(frame, out.get_mut(at..).ok_or(Overflow)?)?;
+        let with_words = if words.len() > 0 { WITH_WORDS } else { 0 };
+        let head = w.put(queue.len() as u8 & !WITH_WORDS | with_words);
+        let words = if head & WITH_WORDS != 0 { w.count(words.len()) } else { 0 };
+        waiting.iter_mut().for_each(|packet| packet.walk(w));
+        if W::READS {
+            let messages = usize::from(head & !WITH_WORDS);
+            (0..messages + words).for_each(|i| self.take_in(table, i < messages, w));
         }
-        Ok(at)
     }
 
-    /// Reads back what waits, time relative to zero and ids as [`Packet::load`] says, and returns how many bytes it took.
-    pub fn load(&mut self, table: &NodeTable, lives: bool, bytes: &[u8]) -> usize {
-        let mut eye = Eye::new(bytes);
-        (self.now, self.arrivals) = (Ticks::ZERO, 0);
-        self.queue.clear();
-        self.words.clear();
-        let head = eye.byte();
-        let messages = usize::from(head & !WITH_WORDS);
-        let words = if head & WITH_WORDS != 0 { usize::from(eye.byte()) } else { 0 };
-        let mut at = eye.at;
-        for i in 0..messages + words {
-            let (packet, len) = Packet::load(bytes.get(at..).unwrap_or(&[]), lives);
-            at += len;
-            let Departure::Link(next) = route::departing(table, &packet) else { continue };
-            let waiting = self.waits(table, packet, next);
-            let queue = if i < messages { &mut self.queue } else { &mut self.words };
-            let _ = queue.push(waiting);
-        }
-        at
+    /// Reads a packet that waits.
+    fn take_in<W: Walk>(&mut self, table: &NodeTable, is_message: bool, w: &mut W) {
+        let mut packet = Packet::BLANK;
+        packet.walk(w);
+        let Departure::Link(next) = route::departing(table, &packet) else { return };
+        let waiting = self.waits(table, packet, next);
+        let queue = if is_message { &mut self.queue } else { &mut self.words };
+        let _ = queue.push(waiting);
     }
 
     /// How the buffer looks to a monitor.
     #[must_use]
     pub fn view(&self) -> TransitView {
-        let mut next: alloc::vec::Vec<NodeId> = self.queue.iter().map(|(_, w)| w.next).collect();
+        let mut next: Vec<NodeId> = self.queue.iter().map(|(_, w)| w.next).collect();
         next.sort_unstable();
         next.dedup();
         let firsts = self.queue.first().into_iter().chain(self.words.first());
@@ -339,6 +348,20 @@ impl Transit {
 const WITH_WORDS: u8 = 0x80;
 
 impl Waiting {
+    fn walk<W: Walk>(&mut self, w: &mut W) {
+        let Self {
+            packet,
+            expires,
+            leave_by,
+            // The order of arrival is that of the entries, and where a packet goes is its way.
+            arrival: _,
+            next: _,
+        } = self;
+        packet.walk(w);
+        w.instant(expires);
+        w.instant(leave_by);
+    }
+
     /// The packet with its residence charged.
     fn left(&self, now: Ticks) -> Packet {
         Packet { remaining: self.expires - now, ..self.packet }

@@ -172,8 +172,8 @@ fn exercise(pair: &mut Pair, contents: Contents) {
     pair.told(|s| matches!(s, Signal::TimeOut(_)));
     for node in &mut pair.nodes {
         let parts = node.parts_mut();
-        parts.tasks.iter_mut().for_each(CommTask::rebase);
-        parts.transit.rebase();
+        parts.tasks.iter_mut().for_each(|task| task.rebase(&parts.table));
+        parts.transit.rebase(&parts.table);
         parts.timer.rebase();
     }
 }
@@ -199,13 +199,12 @@ fn loading_a_state_in_place_allocates_nothing() {
     exercise(&mut pair, Contents::EMPTY);
     let table = pair.nodes[0].parts().table.clone();
     let task = &mut pair.nodes[0].parts_mut().tasks[0];
-    let mut bytes = [0; 512];
     let home = ([Frame::ROUND; 5], [Seq24::new(0); 3]);
     let frame = Frame { rounds: &home.0, sequences: &home.1, lives: false };
     // Relative to ids out of reach nothing fits: the state is refused, not saturated.
-    assert_eq!(task.store(&table, &frame, &mut bytes), Err(Overflow));
+    assert_eq!(Encode::bytes(&frame, |w| task.walk(&table, w)), Err(Overflow));
     let before = allocations();
-    task.load(&table, false, &[0; 64]);
+    Decode::read(&[0; 64], false, |r| task.walk(&table, r));
     invariants::check(task, &table).expect("an empty state");
     assert_eq!(allocations() - before, 0);
 }

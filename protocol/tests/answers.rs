@@ -85,9 +85,8 @@ fn packed(solo: &Solo) -> Solo {
     task.bury();
     let sequences = [Seq24::new(100); 3];
     let frame = Frame { rounds: &[Round(0); 3], sequences: &sequences, lives: true };
-    let mut bytes = [0; 512];
-    let len = task.store(&solo.table, &frame, &mut bytes).expect("it fits");
-    assert_eq!(task.load(&solo.table, true, &bytes[..len]), len);
+    let bytes = Encode::bytes(&frame, |w| task.walk(&solo.table, w)).expect("it fits");
+    assert_eq!(Decode::read(&bytes, true, |r| task.walk(&solo.table, r)), bytes.len());
     Solo { table: solo.table.clone(), task }
 }
 

@@ -18,9 +18,8 @@ proptest! {
         prop_assume!(rules.time_stamp == Rules::DEFAULT.time_stamp);
         let mut plain = World::new(&table, restarts);
         let mut other = plain.clone();
-        for (task, &ahead) in other.tasks.iter_mut().zip(ahead.iter().cycle()) {
-            task.set_ahead(Ticks(ahead));
-        }
+        let tasks = other.tasks.iter_mut().zip(&other.tables).zip(ahead.iter().cycle());
+        tasks.for_each(|((task, table), &ahead)| task.set_ahead(table, Ticks(ahead)));
         for (i, op) in ops.into_iter().enumerate() {
             prop_assert_eq!(other.step(op), plain.step(op), "step {}: {:?}", i, op);
         }

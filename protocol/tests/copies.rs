@@ -84,9 +84,8 @@ fn a_packed_state_knows_what_expired_unheard() {
     let mut other = Solo { table: y.table.clone(), task: task.clone() };
     other.hear(Packet { id, ..first });
     other.pass(2);
-    let mut bytes = [0; 128];
-    let len = other.task.store(&y.table, &frame, &mut bytes).expect("it fits");
-    assert_eq!(task.load(&y.table, false, &bytes[..len]), len);
+    let bytes = Encode::bytes(&frame, |w| other.task.walk(&y.table, w)).expect("it fits");
+    assert_eq!(Decode::read(&bytes, false, |r| task.walk(&y.table, r)), bytes.len());
     let mut back = Solo { table: y.table.clone(), task };
     assert!(back.hear(Packet { id, ..second }).discards().is_empty());
     assert_eq!(left(&mut back), Some(Ticks(26)));

@@ -153,7 +153,7 @@ proptest! {
     fn rebase_changes_nothing(plan in plans(), ops in ops(), mask: u64) {
         let mut plain = World::new(&plan.build(), true);
         let mut other = plain.clone();
-        let rebase = |i, world: &mut World| if picks(mask, i) { world.tasks.iter_mut().for_each(CommTask::rebase) };
+        let rebase = |i, world: &mut World| if picks(mask, i) { world.rebase() };
         compare(&mut plain, &mut other, &ops, rebase, exactly)?;
     }
 
@@ -176,14 +176,14 @@ proptest! {
         }
         for (task, table) in other.tasks.iter_mut().zip(&other.tables) {
             task.bury();
-            task.rebase();
-            task.visit_mut(&mut Later(late));
+            task.rebase(table);
+            task.walk(table, &mut Later(late));
             let mut out = Effects::default();
             // Under the reading without residence, time that passes is given back to what waits.
             if table.rules().charge_residence {
                 task.handle(table, Input::Advance(Ticks(late)), &mut out);
             } else {
-                task.visit_mut(&mut Earlier(late));
+                task.walk(table, &mut Earlier(late));
             }
             prop_assert_eq!(out, Effects::default());
         }
@@ -372,22 +372,22 @@ fn ignores(world: &World, packet: &Packet) -> bool {
 
 struct Later(u64);
 
-impl VisitMut for Later {
+impl Walk for Later {
+    const PASS: Pass = Pass::Change;
+
     fn instant(&mut self, instant: &mut Ticks) {
         *instant += Ticks(self.0);
     }
-    fn round(&mut self, _: PortId, _: &mut Round) {}
-    fn sequence(&mut self, _: TaskId, _: &mut Seq24) {}
 }
 
 struct Earlier(u64);
 
-impl VisitMut for Earlier {
+impl Walk for Earlier {
+    const PASS: Pass = Pass::Change;
+
     fn instant(&mut self, instant: &mut Ticks) {
         if *instant != Ticks::FAR {
             *instant = *instant - Ticks(self.0);
         }
     }
-    fn round(&mut self, _: PortId, _: &mut Round) {}
-    fn sequence(&mut self, _: TaskId, _: &mut Seq24) {}
 }

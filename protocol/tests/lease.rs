@@ -416,14 +416,13 @@ fn a_lease_survives_packing_at_any_moment() {
                 let table = node.parts().table.clone();
                 let task = &mut node.parts_mut().tasks[0];
                 task.bury();
-                let (mut bytes, mut again) = ([0; 200], [0; 200]);
-                let len = task.store(&table, &frame, &mut bytes).expect("it fits");
+                let bytes = Encode::bytes(&frame, |w| task.walk(&table, w)).expect("it fits");
                 let mut copy = CommTask::new(&table, task.task(), Incarnation(0), false);
-                assert_eq!(copy.load(&table, true, &bytes), len);
+                assert_eq!(Decode::read(&bytes, true, |r| copy.walk(&table, r)), bytes.len());
                 let base = [Frame::SEQUENCE; 3];
                 let frame = Frame { sequences: &base, ..frame };
-                assert_eq!(copy.store(&table, &frame, &mut again), Ok(len));
-                assert_eq!(bytes, again, "{} after {ticks}", task.task());
+                let again = Encode::bytes(&frame, |w| copy.walk(&table, w));
+                assert_eq!(again, Ok(bytes), "{} after {ticks}", task.task());
                 assert_eq!(copy.next_expiry(), task.next_expiry());
                 assert_eq!((copy.is_active(), copy.epoch()), (task.is_active(), task.epoch()));
             }
@@ -450,10 +449,10 @@ fn an_answer_that_is_of_no_use_any_more_counts_as_none_even_before_the_next_beat
     standby.pass(TAKEOVER - 1);
     standby.pass(1);
     let mut other = standby.clone();
-    other.task.rebase();
+    other.task.rebase(&other.table);
     for standby in [&mut standby, &mut other] {
         standby.hear(answer);
-        standby.task.rebase();
+        standby.task.rebase(&standby.table);
     }
     assert_eq!(
         format!("{:?}", standby.task),

@@ -254,11 +254,10 @@ fn an_actuator_that_is_packed_knows_the_newest_epoch_still() {
         if packed {
             let sequences = [Frame::SEQUENCE.next(); 3];
             let frame = Frame { rounds: &[Frame::ROUND; 2], sequences: &sequences, lives: true };
-            let mut bytes = [0; 200];
             task.task.bury();
-            let len = task.task.store(&task.table, &frame, &mut bytes).expect("it fits");
+            let bytes = Encode::bytes(&frame, |w| task.task.walk(&task.table, w)).expect("it fits");
             let mut read = Solo::new(&table, arm);
-            assert_eq!(read.task.load(&task.table, true, &bytes), len);
+            assert_eq!(Decode::read(&bytes, true, |r| read.task.walk(&task.table, r)), bytes.len());
             task = read;
         }
         // The guard is forgotten when nothing of an older epoch can come any more.

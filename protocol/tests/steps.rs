@@ -72,12 +72,12 @@ struct Bases {
     round: Option<Round>,
 }
 
-impl Visit for Bases {
-    fn instant(&mut self, _: Ticks) {}
-    fn round(&mut self, _: PortId, round: Round) {
-        self.round = Some(self.round.filter(|least| !least.is_newer_than(round)).unwrap_or(round));
+impl Walk for Bases {
+    const PASS: Pass = Pass::Look;
+
+    fn round(&mut self, _: PortId, round: &mut Round) {
+        self.round = Some(self.round.filter(|least| !least.is_newer_than(*round)).unwrap_or(*round));
     }
-    fn sequence(&mut self, _: TaskId, _: Seq24) {}
 }
 
 /// The node, one step of it at a time.
@@ -91,64 +91,45 @@ impl Steps {
     }
 
     /// What packed numbers are relative to. Z's numbers are those that the test gave them.
-    fn bases(&self) -> (Vec<Round>, Vec<Seq24>) {
+    fn bases(&mut self) -> (Vec<Round>, Vec<Seq24>) {
         let mut bases = Bases::default();
         let mut sequences: Vec<Seq24> = Vec::new();
-        for task in &self.0.parts().tasks {
-            task.visit(&mut bases);
+        let parts = self.0.parts_mut();
+        for task in &mut parts.tasks {
+            task.walk(&parts.table, &mut bases);
             sequences.push(task.next_sequence());
         }
-        for packet in self.0.work_packets().filter(|packet| packet.is_of_meeting()) {
-            let meeting = packet.meeting();
-            for round in [meeting.round, meeting.released] {
-                bases.round(packet.port, round);
-            }
-        }
+        self.0.walk_work(&mut bases);
         sequences.push(Seq24::new(9));
         (vec![bases.round.unwrap_or_default(); 3], sequences)
     }
 
-    fn store(&self, (rounds, sequences): &(Vec<Round>, Vec<Seq24>)) -> [Vec<u8>; 4] {
+    fn packed(&mut self, (rounds, sequences): &(Vec<Round>, Vec<Seq24>)) -> [Vec<u8>; 4] {
         let frame = Frame { rounds, sequences, lives: true };
-        let mut room = [0; 2000];
-        let Parts { table, tasks, transit, timer } = self.0.parts();
-        let mut all = Vec::new();
-        for task in tasks {
-            let len = task.store(table, &frame, &mut room).expect("it fits");
-            all.extend(&room[..len]);
-        }
-        let len = transit.store(&frame, &mut room).expect("it fits");
-        let transit = room[..len].to_vec();
-        let len = timer.store(&mut room).expect("it fits");
-        let timer = room[..len].to_vec();
-        let len = self.0.store_work(&frame, &mut room).expect("it fits");
-        for short in 0..len {
-            assert_eq!(
-                self.0.store_work(&frame, &mut room[..short]),
-                Err(Overflow),
-                "{short} of {len} bytes"
-            );
-        }
-        [all, transit, timer, room[..len].to_vec()]
+        let Parts { table, tasks, transit, timer } = self.0.parts_mut();
+        let all = Encode::bytes(&frame, |w| tasks.iter_mut().for_each(|task| task.walk(table, w)));
+        let transit = Encode::bytes(&frame, |w| transit.walk(table, w));
+        let timer = Encode::bytes(&frame, |w| timer.walk(w));
+        let work = Encode::bytes(&frame, |w| self.0.walk_work(w));
+        [all, transit, timer, work].map(|bytes| bytes.expect("it fits"))
     }
 
     /// The node packed and read back: into what it was before its last step, so that nothing stays by chance.
     fn read_back(&self, mut into: Self) -> Self {
         let mut buried = self.clone();
         buried.0.parts_mut().tasks.iter_mut().for_each(CommTask::bury);
-        let bytes = buried.store(&buried.bases());
+        let bases = buried.bases();
+        let bytes = buried.packed(&bases);
         let [tasks, transit, timer, work] = &bytes;
         let parts = into.0.parts_mut();
-        let mut at = 0;
-        for task in &mut parts.tasks {
-            at += task.load(&parts.table, true, &tasks[at..]);
-        }
-        assert_eq!(at, tasks.len());
-        assert_eq!(parts.transit.load(&parts.table, true, transit), transit.len());
-        assert_eq!(parts.timer.load(timer), timer.len());
-        assert_eq!(into.0.load_work(true, work), work.len());
+        let Parts { table, .. } = parts;
+        let read = Decode::read(tasks, true, |r| parts.tasks.iter_mut().for_each(|task| task.walk(table, r)));
+        assert_eq!(read, tasks.len());
+        assert_eq!(Decode::read(transit, true, |r| parts.transit.walk(table, r)), transit.len());
+        assert_eq!(Decode::read(timer, true, |r| parts.timer.walk(r)), timer.len());
+        assert_eq!(Decode::read(work, true, |r| into.0.walk_work(r)), work.len());
         let home = (vec![Frame::ROUND; 3], vec![Frame::SEQUENCE; 3]);
-        assert_eq!(into.store(&home), bytes, "other bytes after reading back");
+        assert_eq!(into.packed(&home), bytes, "other bytes after reading back");
         assert_eq!(into.0.is_busy(), self.0.is_busy());
         into
     }
@@ -267,7 +248,7 @@ fn delays_may_be_looked_at_on_the_way_to_the_timer_and_back() {
     node.0.begin(NodeInput::Request(X, delay(300)), &mut Outside::default());
     let (rounds, sequences) = node.bases();
     let frame = Frame { rounds: &rounds, sequences: &sequences, lives: true };
-    assert_eq!(node.0.store_work(&frame, &mut [0; 99]), Err(Overflow));
+    assert_eq!(Encode::bytes(&frame, |w| node.0.walk_work(w)), Err(Overflow));
 }
 
 #[test]

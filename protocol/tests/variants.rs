@@ -88,7 +88,7 @@ fn an_instant_on_the_senders_clock_is_wrong_on_any_other() {
     let heard = |stamp, ahead| {
         let table = table(|rules| rules.time_stamp = stamp);
         let (mut x, mut z) = (Solo::new(&table, X), Solo::new(&table, Z));
-        z.task.set_ahead(Ticks(ahead));
+        z.task.set_ahead(&z.table, Ticks(ahead));
         let packet = x.ask(send(BEAT, Z, 1)).packets[0];
         z.hear(packet);
         z.ask(get(0)).words()

@@ -233,7 +233,7 @@ impl Comm {
 
     fn rebase_in_time(&mut self) {
         if self.last - self.rebased > REBASE_AFTER {
-            self.machine.rebase();
+            self.machine.rebase(&self.table);
             self.rebased = self.last;
         }
     }

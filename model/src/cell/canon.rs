@@ -1,10 +1,12 @@
 //! Cells as packed bytes and back: what is named in the cell, then the floor.
 
-use super::course::{Course, bit};
+use super::course::{Beside, Course, bit};
+use super::order::Sights;
 use super::pause::Asleep;
-use super::plan::{CellFaults, Holds, Times};
-use crate::floor::canon::number;
+use super::plan::{CellFaults, CellPlan, Holds, Times};
+use crate::floor::Floor;
 use crate::state::Violation;
+use imrs_protocol::{Decode, Encode, Frame, Walk};
 
 /// Stands for a floor's first byte: what nodes showed before in this tick comes first.
 const SIGHTS: u8 = 0xff;
@@ -46,160 +48,155 @@ impl Course {
         if let Some(violation) = floor.violation() {
             return Err(violation);
         }
-        let mut out = Vec::with_capacity(floor.len() + 16);
-        let (b, f) = (&self.beside, &self.faults);
-        let budgets =
-            [(f.loss, b.loss), (f.dup, b.dup), (f.reorder, b.reorder), (f.fail, b.fail), (f.drift, b.drift)];
-        for (had, left) in budgets {
-            if had > 0 {
-                out.push(left);
-            }
-        }
-        out.extend(&b.paused);
-        out.extend(&b.cuts);
-        out.extend(&b.crashed);
         // Where it may not crash any more, nobody asks.
-        let may = f.crash.iter().zip(&b.crashed).filter(|(_, crashed)| **crashed == 0);
+        let may = self.faults.crash.iter().zip(&self.beside.crashed).filter(|(_, crashed)| **crashed == 0);
         let may = may.fold(0_u64, |mask, (node, _)| mask | bit(node.index()));
         let down = (0..self.floor.stations.len()).filter(|&node| self.is_down(node));
         let may = down.fold(may, |mask, node| mask | bit(node));
-        if !f.crash.is_empty() {
-            out.extend((b.acted & may).to_le_bytes());
-        }
-        for node in &f.crash {
-            number(b.held_back[node.index()].unwrap_or(0), &mut out);
-        }
-        for node in (0..b.asleep.len()).filter(|&node| self.may_pause(node)) {
-            self.store_pause(node, &mut out)?;
-        }
-        for (check, due) in self.plan.checks.iter().zip(&b.due) {
-            if matches!(check.holds, Holds::Leads { .. }) {
-                number(due.map_or(0, |left| left + 1), &mut out);
-            }
-        }
-        if self.times != Times::Ends {
-            out.push(u8::try_from(b.stays.len()).map_err(|_| Violation::Overflow)?);
-            b.stays.iter().for_each(|&(task, level)| out.extend([task, level]));
-            out.extend(b.slow.to_le_bytes());
-        }
+        let acted = self.beside.acted;
+        self.beside.acted &= may;
+        // Nothing here is relative to rounds or to numbers of messages.
+        let frame = Frame { rounds: &[], sequences: &[], lives: true };
+        let mut out = Vec::with_capacity(floor.len() + 16);
+        let beside = Encode::append(&mut out, &frame, |w| self.walk_beside(w));
+        self.beside.acted = acted;
+        beside.map_err(|_| Violation::Overflow)?;
         let at = out.len();
         out.extend_from_slice(&floor.0);
         if self.sights.iter().flat_map(|sights| &sights.earlier).any(|earlier| !earlier.is_empty()) {
             // The floor's first byte is zero where there is no violation.
             out[at] = SIGHTS;
-            let sights = self.store_sights()?;
-            out.splice(at + 1..at + 1, sights);
+            let sights = Encode::bytes(&frame, |w| self.sights.iter_mut().for_each(|sights| sights.walk(w)));
+            out.splice(at + 1..at + 1, sights.map_err(|_| Violation::Overflow)?);
         }
         Ok(out.into_boxed_slice())
     }
 
+    /// Reads a state.
     pub fn load(&mut self, state: &[u8]) {
-        let mut at = 0;
-        let mut byte = || {
-            at += 1;
-            state.get(at - 1).copied().unwrap_or(0)
-        };
-        let (b, f) = (&mut self.beside, &self.faults);
-        let budgets = [
-            (f.loss, &mut b.loss),
-            (f.dup, &mut b.dup),
-            (f.reorder, &mut b.reorder),
-            (f.fail, &mut b.fail),
-            (f.drift, &mut b.drift),
-        ];
-        for (had, left) in budgets {
-            *left = if had > 0 { byte() } else { 0 };
-        }
-        b.paused.iter_mut().for_each(|left| *left = byte());
-        b.cuts.iter_mut().for_each(|cut| *cut = byte());
-        b.crashed.iter_mut().for_each(|crashed| *crashed = byte());
-        if !f.crash.is_empty() {
-            b.acted = u64::from_le_bytes(std::array::from_fn(|_| byte()));
-        }
-        let number = |byte: &mut dyn FnMut() -> u8| match byte() {
-            u8::MAX => u32::from_le_bytes(std::array::from_fn(|_| byte())),
-            short => u32::from(short),
-        };
-        for node in &f.crash {
-            b.held_back[node.index()] = Some(number(&mut byte)).filter(|left| *left > 0);
-        }
-        for (node, station) in self.floor.stations.iter_mut().enumerate() {
-            (station.asleep, b.asleep[node]) = (None, None);
-            if !f.pause.iter().any(|pause| pause.is_of(node)) {
-                continue;
-            }
-            if let Some(left) = number(&mut byte).checked_sub(1) {
-                station.asleep = Some(number(&mut byte));
-                let held = (0..byte()).map(|_| (byte(), byte())).collect();
-                b.asleep[node] = Some(Asleep { left, held });
-            }
-        }
-        for (check, due) in self.plan.checks.iter().zip(&mut b.due) {
-            if matches!(check.holds, Holds::Leads { .. }) {
-                *due = number(&mut byte).checked_sub(1);
-            }
-        }
-        b.stays.clear();
-        if self.times != Times::Ends {
-            for _ in 0..byte() {
-                b.stays.push((byte(), byte()));
-            }
-            b.slow = u64::from_le_bytes(std::array::from_fn(|_| byte()));
-        }
-        self.floor.violation = None;
+        let mut at = Decode::read(state, true, |r| self.walk_beside(r));
         for earlier in self.sights.iter_mut().flat_map(|sights| &mut sights.earlier) {
             earlier.clear();
         }
         if state.get(at) == Some(&SIGHTS) {
-            at += self.load_sights(&state[at + 1..]);
+            at += Decode::read(&state[at + 1..], true, |r| {
+                self.sights.iter_mut().for_each(|sights| sights.walk(r));
+            });
         }
-        self.floor.load_bytes(state.get(at..).unwrap_or(&[]));
+        self.floor.violation = None;
+        self.floor.load_bytes(state.get(at..).unwrap_or_default());
         self.see_anew();
     }
 
+    fn walk_beside<W: Walk>(&mut self, w: &mut W) {
+        self.beside.walk(&self.plan, &self.faults, self.times, &mut self.floor, w);
+    }
+}
+
+impl Beside {
+    fn walk<W: Walk>(
+        &mut self,
+        plan: &CellPlan,
+        had: &CellFaults,
+        times: Times,
+        floor: &mut Floor,
+        w: &mut W,
+    ) {
+        let Self {
+            loss,
+            dup,
+            reorder,
+            fail,
+            drift,
+            crashed,
+            cuts,
+            paused,
+            asleep,
+            due,
+            stays,
+            slow,
+            held_back,
+            acted,
+        } = self;
+        w.byte_if(had.loss > 0, loss);
+        w.byte_if(had.dup > 0, dup);
+        w.byte_if(had.reorder > 0, reorder);
+        w.byte_if(had.fail > 0, fail);
+        w.byte_if(had.drift > 0, drift);
+        w.raw(paused);
+        w.raw(cuts);
+        w.raw(crashed);
+        if !had.crash.is_empty() {
+            w.long(acted);
+        }
+        for node in &had.crash {
+            let mut left = held_back[node.index()].unwrap_or(0);
+            w.number(&mut left);
+            held_back[node.index()] = Some(left).filter(|left| *left > 0);
+        }
+        for (node, asleep) in asleep.iter_mut().enumerate() {
+            let slept = &mut floor.stations[node].asleep;
+            if had.pause.iter().any(|pause| pause.is_of(node)) {
+                walk_pause(asleep, slept, w);
+            } else if W::READS {
+                (*slept, *asleep) = (None, None);
+            }
+        }
+        for (_, due) in
+            plan.checks.iter().zip(due).filter(|(check, _)| matches!(check.holds, Holds::Leads { .. }))
+        {
+            or_none(due, w);
+        }
+        if W::READS {
+            stays.clear();
+        }
+        if times != Times::Ends {
+            w.list(stays, (0, 0), walk_thread);
+            w.long(slow);
+        }
+    }
+}
+
+/// A task and one of its threads.
+fn walk_thread<W: Walk>((task, level): &mut (u8, u8), w: &mut W) {
+    w.byte(task);
+    w.byte(level);
+}
+
+/// A number of ticks, or none: zero.
+fn or_none<W: Walk>(ticks: &mut Option<u32>, w: &mut W) {
+    let mut read = ticks.map_or(0, |ticks| ticks + 1);
+    w.number(&mut read);
+    *ticks = read.checked_sub(1);
+}
+
+/// How long a node may stay paused, how long it has been, and which of its actions have not begun.
+fn walk_pause<W: Walk>(asleep: &mut Option<Asleep>, slept: &mut Option<u32>, w: &mut W) {
+    let mut left = asleep.as_ref().map(|asleep| asleep.left);
+    or_none(&mut left, w);
+    if W::READS {
+        *asleep = left.map(|left| Asleep { left, held: Vec::new() });
+        *slept = left;
+    }
+    let Some(Asleep { left: _, held }) = asleep else { return };
+    w.number(slept.get_or_insert(0));
+    w.list(held, (0, 0), walk_thread);
+}
+
+impl Sights {
     /// What nodes showed before in this tick: how often, and the values.
-    fn store_sights(&self) -> Result<Vec<u8>, Violation> {
-        let mut out = Vec::new();
-        for earlier in self.sights.iter().flat_map(|sights| &sights.earlier) {
-            out.push(u8::try_from(earlier.len()).map_err(|_| Violation::Overflow)?);
-            for value in earlier.iter().flatten() {
-                out.extend(value.unwrap_or(i64::MIN).to_le_bytes());
-            }
+    fn walk<W: Walk>(&mut self, w: &mut W) {
+        let widths: Vec<usize> = self.widths().collect();
+        for (earlier, width) in self.earlier.iter_mut().zip(widths) {
+            w.list(earlier, vec![None; width], |sight, w| {
+                sight.iter_mut().for_each(|value| walk_value(value, w))
+            });
         }
-        Ok(out)
     }
+}
 
-    /// Returns how many bytes that took.
-    fn load_sights(&mut self, bytes: &[u8]) -> usize {
-        let mut at = 0;
-        let mut byte = || {
-            at += 1;
-            bytes.get(at - 1).copied().unwrap_or(0)
-        };
-        for sights in &mut self.sights {
-            let widths: Vec<usize> = sights.widths().collect();
-            for (earlier, width) in sights.earlier.iter_mut().zip(widths) {
-                for _ in 0..byte() {
-                    let value = |_| Some(i64::from_le_bytes(std::array::from_fn(|_| byte())));
-                    let sight = (0..width).map(value).map(|value| value.filter(|value| *value != i64::MIN));
-                    earlier.push(sight.collect());
-                }
-            }
-        }
-        at
-    }
-
-    /// How long a node may stay paused, how long it has been, and which of its actions have not begun.
-    fn store_pause(&self, node: usize, out: &mut Vec<u8>) -> Result<(), Violation> {
-        match &self.beside.asleep[node] {
-            None => out.push(0),
-            Some(asleep) => {
-                number(asleep.left + 1, out);
-                number(self.floor.slept(node).unwrap_or(0), out);
-                out.push(u8::try_from(asleep.held.len()).map_err(|_| Violation::Overflow)?);
-                asleep.held.iter().for_each(|&(task, level)| out.extend([task, level]));
-            }
-        }
-        Ok(())
-    }
+fn walk_value<W: Walk>(value: &mut Option<i64>, w: &mut W) {
+    let mut bytes = value.unwrap_or(i64::MIN).to_le_bytes();
+    w.raw(&mut bytes);
+    *value = Some(i64::from_le_bytes(bytes)).filter(|value| *value != i64::MIN);
 }

@@ -49,11 +49,6 @@ impl Course {
         self.beside.asleep[node].as_ref().is_some_and(|asleep| asleep.left == 0)
     }
 
-    /// Whether this hypothesis lets a node pause.
-    pub fn may_pause(&self, node: usize) -> bool {
-        self.faults.pause.iter().any(|pause| pause.is_of(node))
-    }
-
     /// The pauses that may begin at a node now, by their numbers. Of equal ones only the first.
     fn unused(&self, node: usize) -> impl Iterator<Item = u8> {
         let all = || self.faults.pause.iter().zip(&self.beside.paused);

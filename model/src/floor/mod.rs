@@ -15,7 +15,7 @@ mod predicates;
 pub(crate) mod script;
 mod search;
 mod time;
-mod unpack;
+mod walk;
 pub mod worlds;
 
 pub use chart::draw_floor;
@@ -258,8 +258,9 @@ impl Floor {
         };
         for i in 0..n {
             floor.set_clock(i);
-            for task in &mut floor.stations[i].node.parts_mut().tasks {
-                task.visit_mut(&mut time::Epochs(plan.epoch));
+            let Station { node, table, .. } = &mut floor.stations[i];
+            for task in &mut node.parts_mut().tasks {
+                task.walk(table, &mut time::Epochs(plan.epoch));
             }
         }
         floor
@@ -267,8 +268,9 @@ impl Floor {
 
     fn set_clock(&mut self, node: usize) {
         let ahead = Ticks(self.plan.clocks[node]);
-        for task in &mut self.stations[node].node.parts_mut().tasks {
-            task.set_ahead(ahead);
+        let Station { node, table, .. } = &mut self.stations[node];
+        for task in &mut node.parts_mut().tasks {
+            task.set_ahead(table, ahead);
         }
     }
 
@@ -286,7 +288,7 @@ impl Floor {
 
     /// Whether a task is on a node that is left out.
     fn leaves_out(&self, task: usize) -> bool {
-        self.plan.left_out != 0 && self.plan.leaves_out(self.station_of(task))
+        self.plan.leaves_out_task(TaskId::from_index(task))
     }
 
     /// Carries a move out. What a watch finds wrong becomes the state's violation.

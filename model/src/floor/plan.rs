@@ -331,6 +331,11 @@ impl FloorPlan {
         self.left_out != 0 && node < 64 && self.left_out >> node & 1 == 1
     }
 
+    /// Whether a task is on a node that is left out.
+    pub(crate) fn leaves_out_task(&self, task: TaskId) -> bool {
+        self.left_out != 0 && self.leaves_out(self.cell.location(task).map_or(0, NodeId::index))
+    }
+
     /// The name of a task.
     #[must_use]
     pub fn name(&self, task: TaskId) -> &str {

@@ -37,11 +37,6 @@ impl Told {
     }
 
     /// The flags, for a packed state.
-    pub fn flags(&self) -> impl Iterator<Item = bool> {
-        let reached = self.reached.iter().map(|&(.., flag)| flag);
-        reached.chain(self.answered.iter().map(|&(.., flag)| flag))
-    }
-
     pub fn flags_mut(&mut self) -> impl Iterator<Item = &mut bool> {
         let reached = self.reached.iter_mut().map(|(.., flag)| flag);
         reached.chain(self.answered.iter_mut().map(|(.., flag)| flag))

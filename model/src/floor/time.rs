@@ -4,7 +4,9 @@ use super::body::{Body, Does};
 use super::plan::Errand;
 use super::{Floor, Move};
 use crate::state::Violation;
-use imrs_protocol::{CommTask, Incarnation, Node, NodeInput, PortId, Round, Seq24, TaskId, Ticks, VisitMut};
+use imrs_protocol::{
+    CommTask, Incarnation, Node, NodeInput, Pass, PortId, Round, Seq24, TaskId, Ticks, Walk,
+};
 
 /// What a node makes of a tick: two bits of the code.
 const LEFT_OUT: u16 = 1;
@@ -134,7 +136,7 @@ impl Floor {
         // Ids of different lives are never compared: the new life may count on from where the old one was.
         let mut from = From { rounds: &self.rounds, sequences: &self.sequences };
         for task in &mut station.node.parts_mut().tasks {
-            task.visit_mut(&mut from);
+            task.walk(&station.table, &mut from);
         }
         self.set_clock(i);
         if let Some(history) = &mut self.history {
@@ -155,10 +157,9 @@ impl Floor {
 /// Moves the epochs of a node that starts for the first time.
 pub(super) struct Epochs(pub u8);
 
-impl VisitMut for Epochs {
-    fn instant(&mut self, _: &mut Ticks) {}
-    fn round(&mut self, _: PortId, _: &mut Round) {}
-    fn sequence(&mut self, _: TaskId, _: &mut Seq24) {}
+impl Walk for Epochs {
+    const PASS: Pass = Pass::Change;
+
     fn epoch(&mut self, _: u8, epoch: &mut u8) {
         *epoch = epoch.wrapping_add(self.0);
     }
@@ -170,8 +171,9 @@ struct From<'a> {
     sequences: &'a [Seq24],
 }
 
-impl VisitMut for From<'_> {
-    fn instant(&mut self, _: &mut Ticks) {}
+impl Walk for From<'_> {
+    const PASS: Pass = Pass::Change;
+
     fn round(&mut self, port: PortId, round: &mut Round) {
         *round = round.plus(self.rounds[port.index()].0);
     }

@@ -1,13 +1,14 @@
 //! Worlds as packed bytes and back (D51).
 
 use super::{HEADER, Place, World};
+use crate::floor::canon::Least;
 use crate::ghost::{self, Ghost};
 use crate::network::{Codec, Flight};
 use crate::scenario::Scenario;
 use crate::state::{Packed, Violation};
 use crate::symmetry;
 use imrs_protocol::{
-    Frame, Incarnation, Kind, Overflow, PortId, Round, Seq24, TaskId, TaskState, Ticks, Visit, VisitMut,
+    Decode, Encode, Frame, Kind, Overflow, Pass, PortId, Round, Seq24, TaskId, TaskState, Ticks, Walk,
 };
 
 impl World {
@@ -117,7 +118,7 @@ impl World {
         for i in 0..self.n() {
             if self.loaded[i] {
                 self.blocks[i].clear();
-                store_place(&self.places[i], &frame, &mut self.blocks[i])?;
+                store_place(&mut self.places[i], &frame, &mut self.blocks[i])?;
             }
             let mark = |set: bool, bit: u8| if set { bit } else { 0 };
             let marks = mark(self.open[i], OPEN) | mark(self.owed[i], OWED);
@@ -268,35 +269,28 @@ impl World {
     }
 
     /// The least round in use of each port, and the next sequence of each task.
-    fn bases(&self) -> (Vec<Round>, Vec<Seq24>) {
+    fn bases(&mut self) -> (Vec<Round>, Vec<Seq24>) {
         let sequence = |i: usize| if self.loaded[i] { self.next_sequence(i) } else { Frame::SEQUENCE };
         let sequences = (0..self.n()).map(sequence).collect();
         if self.scenario.lives() {
             // A restarted node counts from its own beginning: only absolute rounds say how it relates to the others.
             return (self.rounds.clone(), sequences);
         }
-        let mut least = Least { rounds: vec![None; self.rounds.len()] };
-        for (i, place) in self.places.iter().enumerate() {
+        let mut least = Least(vec![None; self.rounds.len()]);
+        for (i, place) in self.places.iter_mut().enumerate() {
             if self.loaded[i] {
-                place.node.parts().tasks[0].visit(&mut least);
+                place.node.parts_mut().tasks[0].walk(&place.table, &mut least);
             } else if let Some(&low) = self.blocks[i].get(1) {
-                least.round(PortId(0), Frame::ROUND.plus(u16::from(low & !(OPEN | OWED))));
+                least.round(PortId(0), &mut Frame::ROUND.plus(u16::from(low & !(OPEN | OWED))));
             }
         }
-        for flight in &self.flights {
-            if flight.packet.is_of_meeting() {
-                let meeting = flight.packet.meeting();
-                least.round(flight.packet.port, meeting.round);
-                least.round(flight.packet.port, meeting.released);
-            }
-        }
+        self.flights.iter_mut().for_each(|flight| flight.packet.walk(&mut least));
         for ghost in &self.ghosts {
-            if let Some(round) = ghost.last_released {
-                least.round(PortId(0), round);
+            if let Some(mut round) = ghost.last_released {
+                least.round(PortId(0), &mut round);
             }
         }
-        let rounds =
-            least.rounds.iter().zip(&self.rounds).map(|(least, old)| least.unwrap_or(*old)).collect();
+        let rounds = least.0.iter().zip(&self.rounds).map(|(least, old)| least.unwrap_or(*old)).collect();
         (rounds, sequences)
     }
 
@@ -334,67 +328,47 @@ pub(crate) enum Form<'a> {
     Named(&'a [usize]),
 }
 
-struct Least {
-    rounds: Vec<Option<Round>>,
-}
-
 /// Moves the rounds of a new node to where this world's numbers begin.
 pub(super) struct FromBase(pub Round);
 
-impl VisitMut for FromBase {
-    fn instant(&mut self, _: &mut Ticks) {}
+impl Walk for FromBase {
+    const PASS: Pass = Pass::Change;
+
     fn round(&mut self, _: PortId, round: &mut Round) {
         *round = round.plus(self.0.0);
     }
-    fn sequence(&mut self, _: TaskId, _: &mut Seq24) {}
-}
-
-impl Visit for Least {
-    fn instant(&mut self, _: Ticks) {}
-    fn round(&mut self, port: PortId, round: Round) {
-        let slot = &mut self.rounds[port.index()];
-        *slot = Some(slot.map_or(round, |least| if least.is_newer_than(round) { round } else { least }));
-    }
-    fn sequence(&mut self, _: TaskId, _: Seq24) {}
 }
 
 /// A node's block: its length, its least round and whether it is open, whether it is up, its lives, its task.
-fn store_place(place: &Place, frame: &Frame<'_>, out: &mut Vec<u8>) -> Result<(), Overflow> {
-    let mut least = Least { rounds: vec![None; frame.rounds.len()] };
-    let task = &place.node.parts().tasks[0];
+fn store_place(place: &mut Place, frame: &Frame<'_>, out: &mut Vec<u8>) -> Result<(), Overflow> {
+    let mut least = Least(vec![None; frame.rounds.len()]);
+    let task = &mut place.node.parts_mut().tasks[0];
     if place.up {
-        task.visit(&mut least);
+        task.walk(&place.table, &mut least);
     }
     // A node that is down has no task: what is unpacked in its place is of another state.
-    let low = least.rounds.first().copied().flatten().map_or(0, |round| round.steps_from(frame.rounds[0]));
+    let low = least.0.first().copied().flatten().map_or(0, |round| round.steps_from(frame.rounds[0]));
     out.extend([0, u8::try_from(low).ok().filter(|low| low & (OPEN | OWED) == 0).ok_or(Overflow)?]);
-    if frame.lives {
-        out.extend([u8::from(place.up), place.life.0]);
-        out.extend(place.known.iter().map(|life| life.0));
-    }
-    let start = out.len();
-    out.resize(start + 200, 0);
-    let len = if place.up { task.store(&place.table, frame, &mut out[start..])? } else { 0 };
-    out.truncate(start + len);
+    Encode::append(out, frame, |w| walk_place(place, w))?;
     out[0] = u8::try_from(out.len()).map_err(|_| Overflow)?;
     Ok(())
 }
 
 fn load_place(place: &mut Place, block: &[u8], lives: bool, clock: u64) {
-    let mut at = 2;
-    if lives {
-        place.up = block[2] == 1;
-        place.life = Incarnation(block[3]);
-        for (i, known) in place.known.iter_mut().enumerate() {
-            *known = Incarnation(block[4 + i]);
-        }
-        at = 4 + place.known.len();
+    Decode::read(&block[2..], lives, |r| walk_place(place, r));
+    if place.up && clock != 0 {
+        place.node.parts_mut().tasks[0].set_ahead(&place.table, Ticks(clock));
     }
-    if place.up {
-        let task = &mut place.node.parts_mut().tasks[0];
-        task.load(&place.table, lives, &block[at..]);
-        if clock != 0 {
-            task.set_ahead(Ticks(clock));
-        }
+}
+
+fn walk_place<W: Walk>(place: &mut Place, w: &mut W) {
+    let Place { node, table, up, life, known } = place;
+    if w.lives() {
+        w.flag(up);
+        w.byte(&mut life.0);
+        known.iter_mut().for_each(|life| w.byte(&mut life.0));
+    }
+    if *up {
+        node.parts_mut().tasks[0].walk(table, w);
     }
 }

@@ -1,6 +1,6 @@
 //! Time in a world: ticks, nodes whose timers are late, and what is judged by counting ticks and steps.
 
-use super::World;
+use super::{Place, World};
 use crate::network::Flight;
 use crate::scenario::{Behaviour, Watch};
 use crate::state::Violation;
@@ -68,9 +68,10 @@ impl World {
     fn keep_clock(&mut self, i: usize) {
         let ahead = Ticks(self.scenario.clocks[i]);
         if self.scenario.cell.cell().rules.time_stamp == TimeStamp::Absolute {
-            let task = &mut self.places[i].node.parts_mut().tasks[0];
-            task.rebase();
-            task.set_ahead(ahead);
+            let Place { node, table, .. } = &mut self.places[i];
+            let task = &mut node.parts_mut().tasks[0];
+            task.rebase(table);
+            task.set_ahead(table, ahead);
         }
     }
 

@@ -6,8 +6,8 @@ use super::structural::hash_fields;
 use imrs_model::{Action, Behaviour, Scenario, Violation, Watch};
 use imrs_protocol::{
     Class, CommTask, Contents, Event, Kind, Meeting, MessageId, Node, NodeId, NodeInput, NodeOutbox,
-    Observation, Packet, PortId, ReplyTo, Request, Round, Seq24, Signal, Target, TaskId, TaskState, Ticks,
-    Visit, VisitMut,
+    NodeTable, Observation, Packet, Pass, PortId, ReplyTo, Request, Round, Seq24, Signal, Target, TaskId,
+    TaskState, Ticks, Walk,
 };
 use stateright::{Model, Property};
 use std::hash::{DefaultHasher, Hash, Hasher};
@@ -124,6 +124,7 @@ pub struct ReferenceModel {
     scenario: Arc<Scenario>,
     /// Nodes to put a task into for one step; between steps they hold nothing.
     nodes: Mutex<Vec<Node>>,
+    tables: Vec<NodeTable>,
     states: u64,
     expanded: std::sync::atomic::AtomicU64,
 }
@@ -132,9 +133,11 @@ impl ReferenceModel {
     /// The reference form of `scenario`, of which at most so many states are looked at.
     pub fn new(scenario: &Arc<Scenario>, states: u64) -> Self {
         assert!(!scenario.lives(), "the reference form has no restarts");
-        let node = |i| Node::new(scenario.table(NodeId::from_index(i)), Scenario::FIRST_LIFE, false, 16);
-        let nodes = Mutex::new((0..scenario.tasks()).map(node).collect());
-        Self { scenario: Arc::clone(scenario), nodes, states, expanded: 0.into() }
+        let tables = (0..scenario.tasks()).map(|i| scenario.table(NodeId::from_index(i)));
+        let tables: Vec<NodeTable> = tables.collect();
+        let node = |table: &NodeTable| Node::new(table.clone(), Scenario::FIRST_LIFE, false, 16);
+        let nodes = Mutex::new(tables.iter().map(node).collect());
+        Self { scenario: Arc::clone(scenario), nodes, tables, states, expanded: 0.into() }
     }
 
     fn member_port(&self, i: usize) -> PortId {
@@ -267,21 +270,28 @@ impl ReferenceModel {
 
     /// Counts rounds, sequences and time from fixed origins, and forgets what this scenario's watch does not need.
     fn normalise(&self, state: &mut Reference) {
-        for task in &mut state.tasks {
+        for (i, task) in state.tasks.iter_mut().enumerate() {
             task.bury();
-            task.rebase();
+            task.rebase(&self.tables[i]);
         }
         let next: Vec<Seq24> = state.tasks.iter().map(CommTask::next_sequence).collect();
         let mut oldest = Oldest(None);
-        state.tasks.iter().for_each(|task| task.visit(&mut oldest));
+        for (task, table) in state.tasks.iter_mut().zip(&self.tables) {
+            task.walk(table, &mut oldest);
+        }
         for flight in state.flights.iter().filter(|flight| of_meeting(&flight.packet)) {
             let meeting = flight.packet.meeting();
-            oldest.round(PortId(0), meeting.round);
-            oldest.round(PortId(0), meeting.released);
+            [meeting.round, meeting.released].iter_mut().for_each(|round| oldest.round(PortId(0), round));
         }
-        state.memories.iter().filter_map(|m| m.last_released).for_each(|r| oldest.round(PortId(0), r));
+        state
+            .memories
+            .iter()
+            .filter_map(|m| m.last_released)
+            .for_each(|mut r| oldest.round(PortId(0), &mut r));
         let mut origin = Origin { oldest: oldest.0.unwrap_or(ORIGIN_ROUND), next };
-        state.tasks.iter_mut().for_each(|task| task.visit_mut(&mut origin));
+        for (task, table) in state.tasks.iter_mut().zip(&self.tables) {
+            task.walk(table, &mut origin);
+        }
         for Flight { packet, .. } in &mut state.flights {
             origin.packet(packet);
         }
@@ -349,13 +359,13 @@ fn remember(memory: &mut Memory, mut waited_in: Option<Round>, observations: &[O
 
 struct Oldest(Option<Round>);
 
-impl Visit for Oldest {
-    fn instant(&mut self, _: Ticks) {}
-    fn round(&mut self, _: PortId, round: Round) {
+impl Walk for Oldest {
+    const PASS: Pass = Pass::Look;
+
+    fn round(&mut self, _: PortId, round: &mut Round) {
         self.0 =
-            Some(self.0.map_or(round, |oldest| if oldest.is_newer_than(round) { round } else { oldest }));
+            Some(self.0.map_or(*round, |oldest| if oldest.is_newer_than(*round) { *round } else { oldest }));
     }
-    fn sequence(&mut self, _: TaskId, _: Seq24) {}
 }
 
 struct Origin {
@@ -382,8 +392,9 @@ impl Origin {
     }
 }
 
-impl VisitMut for Origin {
-    fn instant(&mut self, _: &mut Ticks) {}
+impl Walk for Origin {
+    const PASS: Pass = Pass::Change;
+
     fn round(&mut self, _: PortId, round: &mut Round) {
         *round = ORIGIN_ROUND.plus(round.steps_from(self.oldest));
     }

@@ -97,7 +97,7 @@ pub(crate) struct Long {
     /// For each source, a message that is not whole yet. Likewise.
     pub assemblies: Box<[Assembly]>,
     /// For each source, what comes after the first packet of its answer.
-    answers: Box<[Parts]>,
+    pub answers: Box<[Parts]>,
 }
 
 impl Long {

@@ -7,6 +7,7 @@
 //! Of the four layers of §5.2, `requests` and `messages` are the user layer: they talk with the task; [`mapping`](crate::mapping) turns names into packets,
 //! [`route`](crate::route) finds the succeeding node, and the primitive layer is the driver's link.
 
+mod bury;
 mod counts;
 mod desk;
 mod fragments;
@@ -18,17 +19,15 @@ mod lease;
 mod levels;
 mod memory;
 mod messages;
-mod packed;
-mod relative;
 mod rendezvous;
 mod requests;
 mod timers;
 mod view;
+mod walk;
 mod whole;
 
+pub use bury::Coming;
 pub(crate) use fragments::Parts;
-pub use packed::{Frame, Overflow};
-pub use relative::{Coming, Visit, VisitMut};
 
 use crate::cell::Usage;
 use crate::ids::{Incarnation, MessageId, NodeId, PortId, Seq24, TaskId};
@@ -160,7 +159,7 @@ struct Known {
 
 /// A communication task. Sized from the declaration by [`CommTask::new`], which makes its only allocations.
 ///
-/// Serialised whole it is a keyframe of a recording; the packed bytes of [`store`](CommTask::store) are for checkers.
+/// Serialised whole it is a keyframe of a recording; the packed bytes of an [`Encode`](crate::Encode) are for checkers.
 #[derive(Clone, Debug, Serialize, Deserialize)]
 pub struct CommTask {
     task: TaskId,

@@ -11,10 +11,10 @@
 mod builder;
 mod check;
 mod host;
-mod packed;
 mod program;
 mod turn;
 mod value;
+mod walk;
 
 pub use builder::{Label, ProgramBuilder};
 pub use check::ProgramError;

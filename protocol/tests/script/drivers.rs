@@ -104,10 +104,9 @@ fn scripts_packed_at_every_tick_do_the_same() {
                 let next: Vec<Seq24> = (0..3).map(|_| Frame::SEQUENCE).collect();
                 let frame = Frame { rounds: &[], sequences: &next, lives: true };
                 for Hosted { program, script, .. } in node.scripts_mut() {
-                    let mut room = [0; 500];
-                    let len = script.store(program, &frame, &mut room).expect("it fits");
+                    let bytes = Encode::bytes(&frame, |w| script.walk(program, w)).expect("it fits");
                     let mut read = Script::new(program);
-                    assert_eq!(read.load(program, true, &room), len);
+                    assert_eq!(Decode::read(&bytes, true, |r| read.walk(program, r)), bytes.len());
                     *script = read;
                 }
             }

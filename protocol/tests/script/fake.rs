@@ -146,14 +146,13 @@ impl Rig {
 /// Packs a script, reads it back and compares; returns the bytes.
 pub fn same_when_packed(program: &Program, script: &Script) -> Vec<u8> {
     let frame = Frame { rounds: &[], sequences: &[Frame::SEQUENCE; 16], lives: true };
-    let mut bytes = [0xaa; 4096];
-    let len = script.store(program, &frame, &mut bytes).expect("fits");
+    let bytes = Encode::bytes(&frame, |w| script.clone().walk(program, w)).expect("it fits");
     let mut loaded = Script::new(program);
     let garbage: Vec<u8> = (0..=255).collect();
-    loaded.load(program, true, &garbage);
-    assert_eq!(loaded.load(program, true, &bytes), len, "{script:?}");
+    Decode::read(&garbage, true, |r| loaded.walk(program, r));
+    assert_eq!(Decode::read(&bytes, true, |r| loaded.walk(program, r)), bytes.len(), "{script:?}");
     assert_eq!(loaded, *script);
-    bytes[..len].to_vec()
+    bytes
 }
 
 /// A message with this much age in ids.

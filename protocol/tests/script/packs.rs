@@ -51,7 +51,7 @@ fn a_long_program_keeps_its_place() {
     assert!(rig.script.position() > 256, "at {}", rig.script.position());
     let bytes = same_when_packed(&rig.program, &rig.script);
     let mut loaded = Script::new(&rig.program);
-    loaded.load(&rig.program, true, &bytes);
+    Decode::read(&bytes, true, |r| loaded.walk(&rig.program, r));
     rig.script = loaded;
     let Some(Request::Delay { id, .. }) = rig.said.requests.last().copied() else { panic!("it delays") };
     let said = rig.tell(Signal::TimeOut(id));
@@ -73,29 +73,26 @@ fn serving() -> Rig {
 
 #[test]
 fn a_state_that_does_not_fit_is_refused_and_not_cut() {
-    let rig = serving();
-    let store = |sequence: u32, room: &mut [u8]| {
+    let mut rig = serving();
+    let mut packed = |sequence: u32| {
         let sequences = [Seq24::new(sequence); 16];
         let frame = Frame { rounds: &[], sequences: &sequences, lives: true };
-        rig.script.store(&rig.program, &frame, room)
+        Encode::bytes(&frame, |w| rig.script.walk(&rig.program, w))
     };
     // The command's number is one back from the frame's own.
     let home = Frame::SEQUENCE.get();
-    let len = store(home, &mut [0; 200]).expect("it fits");
-    for short in 0..len {
-        assert_eq!(store(home, &mut vec![0; short]), Err(Overflow), "{short} of {len} bytes");
-    }
-    assert!(store(home + 254, &mut [0; 200]).is_ok());
-    assert_eq!(store(home + 255, &mut [0; 200]), Err(Overflow), "too far back for a byte");
+    assert!(packed(home).is_ok());
+    assert!(packed(home + 254).is_ok());
+    assert_eq!(packed(home + 255), Err(Overflow), "too far back for a byte");
 }
 
 #[derive(Default)]
 struct Seen(Vec<(TaskId, u32)>);
 
-impl Visit for Seen {
-    fn instant(&mut self, _: Ticks) {}
-    fn round(&mut self, _: PortId, _: Round) {}
-    fn sequence(&mut self, source: TaskId, sequence: Seq24) {
+impl Walk for Seen {
+    const PASS: Pass = Pass::Look;
+
+    fn sequence(&mut self, source: TaskId, sequence: &mut Seq24) {
         self.0.push((source, sequence.get()));
     }
 }
@@ -103,16 +100,17 @@ impl Visit for Seen {
 #[test]
 fn the_number_of_a_command_to_answer_is_seen_and_forgotten_with_it() {
     let mut rig = serving();
-    let seen = |script: &Script| {
+    let program = rig.program.clone();
+    let seen = |script: &mut Script| {
         let mut seen = Seen::default();
-        script.visit(&mut seen);
+        script.walk(&program, &mut seen);
         seen.0
     };
-    assert_eq!(seen(&rig.script), [(PEER, Frame::SEQUENCE.get() - 1)]);
+    assert_eq!(seen(&mut rig.script), [(PEER, Frame::SEQUENCE.get() - 1)]);
     rig.script.bury(|to| to.source == PEER);
-    assert_eq!(seen(&rig.script).len(), 1, "it can still be answered");
+    assert_eq!(seen(&mut rig.script).len(), 1, "it can still be answered");
     rig.script.bury(|_| false);
-    assert_eq!(seen(&rig.script), []);
+    assert_eq!(seen(&mut rig.script), []);
 }
 
 #[test]

@@ -100,9 +100,9 @@ proptest! {
         bytes in vec(any::<u8>(), 0..80),
     ) {
         struct Shift(u32);
-        impl VisitMut for Shift {
-            fn instant(&mut self, _: &mut Ticks) {}
-            fn round(&mut self, _: PortId, _: &mut Round) {}
+        impl Walk for Shift {
+            const PASS: Pass = Pass::Change;
+
             fn sequence(&mut self, _: TaskId, sequence: &mut Seq24) {
                 *sequence = sequence.plus(self.0);
             }
@@ -114,15 +114,10 @@ proptest! {
         }
         let plain = same_when_packed(&rig.program, &rig.script);
         let mut shifted = rig.script.clone();
-        shifted.visit_mut(&mut Shift(by));
+        shifted.walk(&rig.program, &mut Shift(by));
         let frame = Frame { rounds: &[], sequences: &[Frame::SEQUENCE.plus(by); 16], lives: true };
-        let mut room = [0; 4096];
-        let len = shifted.store(&rig.program, &frame, &mut room).expect("fits");
-        prop_assert_eq!(&room[..len], &plain[..]);
-        for short in 0..len {
-            prop_assert_eq!(shifted.store(&rig.program, &frame, &mut room[..short]), Err(Overflow));
-        }
-        rig.script.load(&rig.program, true, &bytes);
+        prop_assert_eq!(Encode::bytes(&frame, |w| shifted.walk(&rig.program, w)), Ok(plain));
+        Decode::read(&bytes, true, |r| rig.script.walk(&rig.program, r));
         for input in [ScriptInput::Signal(Signal::Accepted(1)), ScriptInput::Chosen(0), ScriptInput::Begin] {
             rig.script.step(&rig.program, input, &mut rig.said);
         }

@@ -53,7 +53,7 @@ pub fn inputs(data: &[u8]) {
         let op = (what, which, u16::from_le_bytes([a, b]), u16::from_le_bytes([c, d]));
         let task = usize::from(which) % world.tasks.len();
         if mask >> (i % 8) & 1 == 1 {
-            other.tasks.iter_mut().for_each(CommTask::rebase);
+            other.rebase();
             if packs {
                 repack(&mut other, task);
             }

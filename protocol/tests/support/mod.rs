@@ -138,50 +138,40 @@ impl Solo {
 /// read, with the ids that it had.
 fn packs_and_unpacks(task: &CommTask, table: &NodeTable) -> Option<CommTask> {
     struct Ids(Vec<Option<Round>>, Vec<Option<Seq24>>);
-    impl Visit for Ids {
-        fn instant(&mut self, _: Ticks) {}
-        fn round(&mut self, port: PortId, round: Round) {
+    impl Walk for Ids {
+        const PASS: Pass = Pass::Look;
+
+        fn round(&mut self, port: PortId, round: &mut Round) {
             let least = &mut self.0[port.index()];
-            *least = Some(least.filter(|l| round.is_newer_than(*l)).unwrap_or(round));
+            *least = Some(least.filter(|l| round.is_newer_than(*l)).unwrap_or(*round));
         }
-        fn sequence(&mut self, source: TaskId, sequence: Seq24) {
+        fn sequence(&mut self, source: TaskId, sequence: &mut Seq24) {
             let next = &mut self.1[source.index()];
-            *next = Some(next.filter(|n| n.is_newer_than(sequence)).unwrap_or(sequence));
+            *next = Some(next.filter(|n| n.is_newer_than(*sequence)).unwrap_or(*sequence));
         }
     }
     let mut buried = task.clone();
     buried.bury();
     let mut ids = Ids(vec![None; table.ports().len()], vec![None; table.cell().tasks.len()]);
-    buried.visit(&mut ids);
+    buried.walk(table, &mut ids);
     let rounds: Vec<Round> = ids.0.iter().map(|round| round.unwrap_or_default()).collect();
     let sequences: Vec<Seq24> = ids.1.iter().map(|next| next.unwrap_or_default()).collect();
-    let mut bytes = [0; 2048];
     let frame = Frame { rounds: &rounds, sequences: &sequences, lives: true };
-    let Ok(len) = buried.store(table, &frame, &mut bytes) else { return None };
+    let bytes = Encode::bytes(&frame, |w| buried.walk(table, w)).ok()?;
     let mut loaded = task.clone();
-    assert_eq!(loaded.load(table, true, &bytes), len, "not all bytes were read");
+    let read = Decode::read(&bytes, true, |r| loaded.walk(table, r));
+    assert_eq!(read, bytes.len(), "not all bytes were read");
     invariants::check(&loaded, table).expect("a state read back is sound");
     let home = (vec![Frame::ROUND; rounds.len()], vec![Frame::SEQUENCE; sequences.len()]);
-    let mut again = [0; 2048];
     let frame = Frame { rounds: &home.0, sequences: &home.1, lives: true };
-    assert_eq!(loaded.store(table, &frame, &mut again), Ok(len));
-    assert_eq!(again[..len], bytes[..len], "other bytes after reading back");
-    // Every shorter buffer is refused, not overrun.
-    for short in 0..len {
-        assert_eq!(
-            buried.store(
-                table,
-                &Frame { rounds: &rounds, sequences: &sequences, lives: true },
-                &mut bytes[..short]
-            ),
-            Err(Overflow)
-        );
-    }
-    loaded.visit_mut(&mut &Shift {
+    let again = Encode::bytes(&frame, |w| loaded.walk(table, w));
+    assert_eq!(again, Ok(bytes), "other bytes after reading back");
+    let shift = Shift {
         rounds: rounds.iter().map(|r| r.steps_from(Frame::ROUND)).collect(),
         sequences: sequences.iter().map(|s| s.steps_from(Frame::SEQUENCE)).collect(),
         ..Shift::default()
-    });
+    };
+    loaded.walk(table, &mut &shift);
     Some(loaded)
 }
 

@@ -11,19 +11,19 @@ pub fn repack(world: &mut World, task: usize) {
     let (rounds, sequences) = world.frame();
     let table = world.tables[task].clone();
     let loaded = &mut world.tasks[task];
-    assert_eq!(loaded.load(&table, world.restarts, &bytes), bytes.len(), "not all bytes were read");
+    let read = Decode::read(&bytes, world.restarts, |r| loaded.walk(&table, r));
+    assert_eq!(read, bytes.len(), "not all bytes were read");
     let home = (vec![Frame::ROUND; rounds.len()], vec![Frame::SEQUENCE; sequences.len()]);
     let frame = Frame { rounds: &home.0, sequences: &home.1, lives: world.restarts };
-    let mut again = vec![0; 4096];
-    let len = loaded.store(&table, &frame, &mut again).expect("it fitted before");
-    assert_eq!(again[..len], bytes, "store(load(bytes)) differs");
+    let again = Encode::bytes(&frame, |w| loaded.walk(&table, w));
+    assert_eq!(again, Ok(bytes), "other bytes after reading back");
     let shift = Shift {
         rounds: rounds.iter().map(|r| r.steps_from(Frame::ROUND)).collect(),
         sequences: sequences.iter().map(|s| s.steps_from(Frame::SEQUENCE)).collect(),
         epochs: world.shift.epochs,
         ..Shift::default()
     };
-    loaded.visit_mut(&mut &shift);
+    loaded.walk(&table, &mut &shift);
     // Packed states forget which start of a timer runs.
     world.turns[task].iter_mut().for_each(|turn| turn.1 = 0);
 }

@@ -63,8 +63,9 @@ impl EpochAt {
     }
 }
 
-impl VisitMut for &Shift {
-    fn instant(&mut self, _: &mut Ticks) {}
+impl Walk for &Shift {
+    const PASS: Pass = Pass::Change;
+
     fn round(&mut self, port: PortId, round: &mut Round) {
         *round = round.plus(self.rounds[port.index()]);
     }
@@ -192,10 +193,15 @@ impl World {
         }
     }
 
+    /// Sets all clocks back to zero.
+    pub fn rebase(&mut self) {
+        self.tasks.iter_mut().zip(&self.tables).for_each(|(task, table)| task.rebase(table));
+    }
+
     /// Moves all ids of this world.
     pub fn moved(mut self, shift: Shift) -> Self {
-        for task in &mut self.tasks {
-            task.visit_mut(&mut &shift);
+        for (task, table) in self.tasks.iter_mut().zip(&self.tables) {
+            task.walk(table, &mut &shift);
         }
         self.flying = self.flying.iter().map(|p| shift.packet(p)).collect();
         for to in self.got.iter_mut().flatten() {
@@ -402,7 +408,7 @@ impl World {
         self.lives[node] += 1;
         for (t, table) in self.tables.iter().enumerate().filter(|(_, table)| table.node.index() == node) {
             let mut task = CommTask::new(table, TaskId::from_index(t), Incarnation(self.lives[node]), true);
-            task.visit_mut(&mut &self.shift);
+            task.walk(table, &mut &self.shift);
             self.tasks[t] = task;
             self.got[t].clear();
         }
@@ -411,23 +417,8 @@ impl World {
 
     /// What packed ids are relative to: every source's next sequence, and rounds from the plain world's zero.
     pub fn frame(&self) -> (Vec<Round>, Vec<Seq24>) {
-        struct Next(TaskId, Option<Seq24>);
-        impl Visit for Next {
-            fn instant(&mut self, _: Ticks) {}
-            fn round(&mut self, _: PortId, _: Round) {}
-            fn sequence(&mut self, source: TaskId, sequence: Seq24) {
-                // The first sequence of its own that a task shows is its next one.
-                if source == self.0 && self.1.is_none() {
-                    self.1 = Some(sequence);
-                }
-            }
-        }
-        let next = |task: &CommTask| {
-            let mut next = Next(task.task(), None);
-            task.visit(&mut next);
-            next.1.expect("a next sequence")
-        };
-        (self.shift.rounds.iter().map(|&r| Round(r)).collect(), self.tasks.iter().map(next).collect())
+        let next = self.tasks.iter().map(CommTask::next_sequence);
+        (self.shift.rounds.iter().map(|&r| Round(r)).collect(), next.collect())
     }
 
     /// The canonical bytes of one task, with what is dead dropped first.
@@ -435,12 +426,9 @@ impl World {
         let (rounds, sequences) = self.frame();
         let frame = Frame { rounds: &rounds, sequences: &sequences, lives: self.restarts };
         let mut task_now = self.tasks[task].clone();
-        task_now.visit_mut(&mut &self.shift.epochs_back());
+        task_now.walk(&self.tables[task], &mut &self.shift.epochs_back());
         task_now.bury();
-        let mut bytes = vec![0; 4096];
-        let len = task_now.store(&self.tables[task], &frame, &mut bytes)?;
-        bytes.truncate(len);
-        Ok(bytes)
+        Encode::bytes(&frame, |w| task_now.walk(&self.tables[task], w))
     }
 }
 

@@ -1,0 +1,188 @@
+//! The passes that write and read canonical bytes.
+
+use super::{Pass, Walk};
+use crate::ids::{PortId, Round, Seq24, TaskId};
+use crate::ticks::Ticks;
+use alloc::vec::Vec;
+use core::fmt;
+
+/// What packed ids are relative to.
+#[derive(Clone, Copy, Debug)]
+pub struct Frame<'a> {
+    /// For each port, the least round in use anywhere in the cell.
+    pub rounds: &'a [Round],
+    /// For each task, the next sequence number it will use.
+    pub sequences: &'a [Seq24],
+    /// Whether nodes restart: if not, everyone's first life needs no bytes.
+    pub lives: bool,
+}
+
+impl Frame<'_> {
+    /// The round that a packed zero is read as.
+    pub const ROUND: Round = Round(0x1000);
+    /// The next sequence that packed sequences are read relative to.
+    pub const SEQUENCE: Seq24 = Seq24::new(0x1000);
+}
+
+/// A state does not fit its packed form: a distance outgrew a byte. The checker treats it as an absorbing, visible
+/// failure.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Overflow;
+
+impl fmt::Display for Overflow {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        f.write_str("a state does not fit its packed form")
+    }
+}
+
+impl core::error::Error for Overflow {}
+
+/// Writes canonical bytes: two states that differ by a shift of time or of ids have the same ones. A distance that
+/// outgrows its field is an [`Overflow`], never a saturated value.
+#[derive(Debug)]
+pub struct Encode<'a> {
+    out: &'a mut Vec<u8>,
+    frame: Frame<'a>,
+    now: Ticks,
+    overflows: bool,
+}
+
+impl<'a> Encode<'a> {
+    /// Appends to `out` what `walk` walks.
+    ///
+    /// # Errors
+    /// [`Overflow`] when a distance or a number outgrows its field.
+    pub fn append(
+        out: &'a mut Vec<u8>,
+        frame: &Frame<'a>,
+        walk: impl FnOnce(&mut Self),
+    ) -> Result<(), Overflow> {
+        let mut pass = Self { out, frame: *frame, now: Ticks::ZERO, overflows: false };
+        walk(&mut pass);
+        if pass.overflows { Err(Overflow) } else { Ok(()) }
+    }
+
+    /// The bytes of what `walk` walks.
+    ///
+    /// # Errors
+    /// [`Overflow`] when a distance or a number outgrows its field.
+    pub fn bytes(frame: &Frame<'_>, walk: impl FnOnce(&mut Encode<'_>)) -> Result<Vec<u8>, Overflow> {
+        let mut out = Vec::new();
+        Encode::append(&mut out, frame, walk)?;
+        Ok(out)
+    }
+
+    fn distance(&mut self, steps: u32) {
+        let byte = u8::try_from(steps).unwrap_or_else(|_| {
+            self.overflows = true;
+            0
+        });
+        self.out.push(byte);
+    }
+}
+
+impl Walk for Encode<'_> {
+    const PASS: Pass = Pass::Encode;
+
+    fn clock(&mut self, now: &mut Ticks) {
+        self.now = *now;
+    }
+
+    fn instant(&mut self, instant: &mut Ticks) {
+        let mut left = *instant - self.now;
+        self.length(&mut left);
+    }
+
+    fn round(&mut self, port: PortId, round: &mut Round) {
+        let base = self.frame.rounds.get(port.index()).copied().unwrap_or_default();
+        self.distance(u32::from(round.steps_from(base)));
+    }
+
+    fn sequence(&mut self, source: TaskId, sequence: &mut Seq24) {
+        let next = self.frame.sequences.get(source.index()).copied().unwrap_or_default();
+        self.distance(next.steps_from(*sequence));
+    }
+
+    fn next_sequence(&mut self, _: TaskId, _: &mut Seq24) {}
+
+    fn epoch(&mut self, _: u8, epoch: &mut u8) {
+        self.byte(epoch);
+    }
+
+    fn byte(&mut self, byte: &mut u8) {
+        self.out.push(*byte);
+    }
+
+    fn raw(&mut self, bytes: &mut [u8]) {
+        self.out.extend_from_slice(bytes);
+    }
+
+    fn lives(&self) -> bool {
+        self.frame.lives
+    }
+
+    fn overflows(&mut self) {
+        self.overflows = true;
+    }
+}
+
+/// Reads bytes that an [`Encode`] wrote: rounds relative to [`Frame::ROUND`], sequences to [`Frame::SEQUENCE`], time to
+/// zero. Past the end there are zeros, and no bytes make it panic.
+#[derive(Debug)]
+pub struct Decode<'a> {
+    bytes: &'a [u8],
+    at: usize,
+    lives: bool,
+}
+
+impl<'a> Decode<'a> {
+    /// Reads what `walk` walks, and says how many bytes it took.
+    pub fn read(bytes: &'a [u8], lives: bool, walk: impl FnOnce(&mut Self)) -> usize {
+        let mut pass = Self { bytes, at: 0, lives };
+        walk(&mut pass);
+        pass.at
+    }
+
+    /// Whether bytes are left.
+    #[must_use]
+    pub const fn has_more(&self) -> bool {
+        self.at < self.bytes.len()
+    }
+}
+
+impl Walk for Decode<'_> {
+    const PASS: Pass = Pass::Decode;
+
+    fn clock(&mut self, now: &mut Ticks) {
+        *now = Ticks::ZERO;
+    }
+
+    fn instant(&mut self, instant: &mut Ticks) {
+        self.length(instant);
+    }
+
+    fn round(&mut self, _: PortId, round: &mut Round) {
+        *round = Frame::ROUND.plus(u16::from(self.put(0)));
+    }
+
+    fn sequence(&mut self, _: TaskId, sequence: &mut Seq24) {
+        *sequence = Frame::SEQUENCE.plus(Seq24::MODULUS - u32::from(self.put(0)));
+    }
+
+    fn next_sequence(&mut self, _: TaskId, next: &mut Seq24) {
+        *next = Frame::SEQUENCE;
+    }
+
+    fn epoch(&mut self, _: u8, epoch: &mut u8) {
+        self.byte(epoch);
+    }
+
+    fn byte(&mut self, byte: &mut u8) {
+        *byte = self.bytes.get(self.at).copied().unwrap_or(0);
+        self.at += 1;
+    }
+
+    fn lives(&self) -> bool {
+        self.lives
+    }
+}

@@ -1,0 +1,325 @@
+//! One walk over all state (D164). Each struct that a state is made of lists its fields once, in a function
+//! `walk(&mut self, .., w: &mut impl Walk)` that takes the struct apart without `..`: a field that is added is an error
+//! of the compiler until it stands there. What is done with the fields is a pass.
+//!
+//! | pass | what it does with a field |
+//! |---|---|
+//! | [`Encode`] | writes it, canonical: times as what is left, numbers relative to the [`Frame`] (D51) |
+//! | [`Decode`] | reads it back, relative to zero |
+//! | to look | shows what is relative: the least round in use, say |
+//! | to change | moves what is relative: rebasing, a shift of ids |
+//!
+//! A field is *walked*, or *rebuilt* from others where the pass reads, or *of no account*: nothing that happens depends on
+//! it, and a comment says why.
+
+mod bytes;
+
+pub use bytes::{Decode, Encode, Frame, Overflow};
+
+use crate::ids::{Incarnation, MessageId, PortId, Round, Seq24, TaskId};
+use crate::packet::{CONTENTS_BYTES, Contents};
+use crate::ticks::Ticks;
+use alloc::vec::Vec;
+
+/// What a pass does.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Pass {
+    /// It writes bytes.
+    Encode,
+    /// It reads bytes: what stood there before counts for nothing.
+    Decode,
+    /// It looks, and changes nothing.
+    Look,
+    /// It changes what is relative, and keeps the order of instants.
+    Change,
+}
+
+/// A pass over a state. Of what it does not define it does nothing.
+pub trait Walk {
+    /// What it does.
+    const PASS: Pass;
+    /// Whether it reads bytes: then containers are filled, and derived fields are rebuilt.
+    const READS: bool = matches!(Self::PASS, Pass::Decode);
+    /// Whether it writes or reads bytes.
+    const PACKS: bool = matches!(Self::PASS, Pass::Encode | Pass::Decode);
+
+    /// The clock that the instants behind it are on.
+    fn clock(&mut self, now: &mut Ticks) {
+        let _ = now;
+    }
+
+    /// An instant on that clock.
+    fn instant(&mut self, instant: &mut Ticks) {
+        let _ = instant;
+    }
+
+    /// A round of a port.
+    fn round(&mut self, port: PortId, round: &mut Round) {
+        let _ = (port, round);
+    }
+
+    /// A sequence number of a source.
+    fn sequence(&mut self, source: TaskId, sequence: &mut Seq24) {
+        let _ = (source, sequence);
+    }
+
+    /// The next sequence number of a source, which its others are relative to.
+    fn next_sequence(&mut self, source: TaskId, next: &mut Seq24) {
+        self.sequence(source, next);
+    }
+
+    /// An epoch of the couple at this position in the cell. Those of the primary are odd, so only an even shift
+    /// changes nothing.
+    fn epoch(&mut self, couple: u8, epoch: &mut u8) {
+        let _ = (couple, epoch);
+    }
+
+    /// A byte that is as it is.
+    fn byte(&mut self, byte: &mut u8) {
+        let _ = byte;
+    }
+
+    /// Whether nodes restart: if not, everyone's first life needs no bytes.
+    fn lives(&self) -> bool {
+        true
+    }
+
+    /// The state does not fit its packed form.
+    fn overflows(&mut self) {}
+
+    /// Writes a byte, or gives the one that is read in its place.
+    fn put(&mut self, mut byte: u8) -> u8 {
+        self.byte(&mut byte);
+        byte
+    }
+
+    /// A number that fits a byte in all states that are checked.
+    fn count(&mut self, count: usize) -> usize {
+        let byte = u8::try_from(count).unwrap_or_else(|_| {
+            self.overflows();
+            0
+        });
+        if Self::PACKS { usize::from(self.put(byte)) } else { count }
+    }
+
+    /// The same of another width.
+    fn small(&mut self, number: &mut u16) {
+        let read = self.count(usize::from(*number));
+        if Self::READS {
+            *number = u16::try_from(read).unwrap_or(0);
+        }
+    }
+
+    /// Up to eight truths, the first one in the lowest bit.
+    fn flags<const N: usize>(&mut self, flags: [bool; N]) -> [bool; N] {
+        if !Self::PACKS {
+            return flags;
+        }
+        let bits = flags.iter().rev().fold(0, |bits, &flag| bits << 1 | u8::from(flag));
+        let bits = self.put(bits);
+        if Self::READS { core::array::from_fn(|i| bits & (1 << i) != 0) } else { flags }
+    }
+
+    /// A truth that takes a byte.
+    fn flag(&mut self, flag: &mut bool) {
+        *flag = self.flags([*flag])[0];
+    }
+
+    /// Bytes as they are.
+    fn raw(&mut self, bytes: &mut [u8]) {
+        if Self::PACKS {
+            bytes.iter_mut().for_each(|byte| self.byte(byte));
+        }
+    }
+
+    /// A number of two bytes.
+    fn word(&mut self, word: &mut u16) {
+        let mut bytes = word.to_le_bytes();
+        self.raw(&mut bytes);
+        *word = u16::from_le_bytes(bytes);
+    }
+
+    /// A number of eight bytes.
+    fn long(&mut self, long: &mut u64) {
+        let mut bytes = long.to_le_bytes();
+        self.raw(&mut bytes);
+        *long = u64::from_le_bytes(bytes);
+    }
+
+    /// A number of one byte, or behind a 255 of four.
+    fn number(&mut self, number: &mut u32) {
+        match self.put(u8::try_from(*number).unwrap_or(u8::MAX)) {
+            u8::MAX => {
+                let mut bytes = number.to_le_bytes();
+                self.raw(&mut bytes);
+                *number = u32::from_le_bytes(bytes);
+            }
+            short if Self::READS => *number = u32::from(short),
+            _ => {}
+        }
+    }
+
+    /// A length of time: 255 for never, and behind a 254 what no single byte holds.
+    fn length(&mut self, length: &mut Ticks) {
+        const LONG: u8 = u8::MAX - 1;
+        if !Self::PACKS {
+            return;
+        }
+        let short = u8::try_from(length.0).ok().filter(|&short| short < LONG);
+        match self.put(short.unwrap_or(if *length == Ticks::FAR { u8::MAX } else { LONG })) {
+            LONG => {
+                let long = u32::try_from(length.0).unwrap_or_else(|_| {
+                    if !Self::READS {
+                        self.overflows();
+                    }
+                    0
+                });
+                let mut bytes = long.to_le_bytes();
+                self.raw(&mut bytes);
+                *length = Ticks(u64::from(u32::from_le_bytes(bytes)));
+            }
+            u8::MAX => *length = Ticks::FAR,
+            short => *length = Ticks(u64::from(short)),
+        }
+    }
+
+    /// A byte of states that have it; in the others it is zero.
+    fn byte_if(&mut self, is: bool, byte: &mut u8) {
+        if is {
+            self.byte(byte);
+        } else if Self::READS {
+            *byte = 0;
+        }
+    }
+
+    /// So many, and each.
+    fn list<T: Clone>(&mut self, list: &mut Vec<T>, blank: T, mut walk: impl FnMut(&mut T, &mut Self))
+    where
+        Self: Sized,
+    {
+        let count = self.count(list.len());
+        if Self::READS {
+            list.clear();
+            list.resize(count, blank);
+        }
+        list.iter_mut().for_each(|one| walk(one, self));
+    }
+
+    /// A list of states that have it; in the others it is empty.
+    fn list_if<T: Clone>(
+        &mut self,
+        is: bool,
+        list: &mut Vec<T>,
+        blank: T,
+        walk: impl FnMut(&mut T, &mut Self),
+    ) where
+        Self: Sized,
+    {
+        if is {
+            self.list(list, blank, walk);
+        } else if Self::READS {
+            list.clear();
+        }
+    }
+
+    /// The contents of a packet.
+    fn contents(&mut self, contents: &mut Contents) {
+        if !Self::PACKS {
+            return;
+        }
+        let len = self.count(contents.as_bytes().len()).min(CONTENTS_BYTES);
+        let mut bytes = [0; CONTENTS_BYTES];
+        if !Self::READS {
+            bytes[..len].copy_from_slice(contents.as_bytes());
+        }
+        self.raw(&mut bytes[..len]);
+        if Self::READS {
+            *contents = Contents::new(&bytes[..len]).unwrap_or_default();
+        }
+    }
+
+    /// What a member brings to a meeting, without the zeros at its end.
+    fn arguments(&mut self, arguments: &mut [u8; 8]) {
+        if !Self::PACKS {
+            return;
+        }
+        let len = arguments.iter().rposition(|&byte| byte != 0).map_or(0, |last| last + 1);
+        let len = self.count(len).min(arguments.len());
+        if Self::READS {
+            *arguments = [0; 8];
+        }
+        self.raw(&mut arguments[..len]);
+    }
+
+    /// The life of a node.
+    fn life(&mut self, life: &mut Incarnation) {
+        if self.lives() {
+            self.byte(&mut life.0);
+        }
+    }
+
+    /// A life that may not be known yet. Where no node restarts it is the first one.
+    fn known_life(&mut self, life: &mut Option<Incarnation>) {
+        if !self.lives() {
+            *life = if Self::READS { Some(Incarnation(0)) } else { *life };
+            return;
+        }
+        let read = self.put(life.map_or(0, |life| life.0.wrapping_add(1)));
+        if Self::READS {
+            *life = read.checked_sub(1).map(Incarnation);
+        }
+    }
+
+    /// The number of a message. Where no node restarts it is of `life`.
+    fn id(&mut self, source: TaskId, life: Incarnation, id: &mut MessageId) {
+        if Self::READS {
+            id.incarnation = life;
+        }
+        self.life(&mut id.incarnation);
+        self.sequence(source, &mut id.sequence);
+    }
+
+    /// A value that is like one of these, but for what it holds: its place among them, or the one at the place that is read.
+    /// What it holds is walked then.
+    fn one_of<T: Copy>(&mut self, among: &[T], value: &mut T, is_like: impl Fn(&T, &T) -> bool) {
+        if !Self::PACKS {
+            return;
+        }
+        let place = if Self::READS { Some(0) } else { among.iter().position(|one| is_like(one, value)) };
+        if place.is_none() {
+            self.overflows();
+        }
+        let place = self.count(place.unwrap_or(0));
+        if Self::READS {
+            *value = among[place.min(among.len() - 1)];
+        }
+    }
+
+    /// What is in a place that may be empty. Where the pass reads, `is` says whether something comes.
+    fn some<'a, T>(&self, place: &'a mut Option<T>, is: bool, blank: T) -> Option<&'a mut T> {
+        if Self::READS {
+            *place = is.then_some(blank);
+        }
+        place.as_mut().filter(|_| is)
+    }
+}
+
+/// Whether two values are of the same variant.
+pub(crate) fn same_variant<T>(a: &T, b: &T) -> bool {
+    core::mem::discriminant(a) == core::mem::discriminant(b)
+}
+
+/// Moves a clock, and every instant on it.
+pub(crate) struct Clock<F>(pub F);
+
+impl<F: FnMut(Ticks) -> Ticks> Walk for Clock<F> {
+    const PASS: Pass = Pass::Change;
+
+    fn clock(&mut self, now: &mut Ticks) {
+        *now = self.0(*now);
+    }
+
+    fn instant(&mut self, instant: &mut Ticks) {
+        *instant = self.0(*instant);
+    }
+}
