@@ -279,11 +279,11 @@ impl Transit {
             waiting.extend(both.map(|(_, waiting)| waiting.left(*now)));
         }
         // Seven bits of messages, and one that says whether words follow.
-        if queue.len() >= usize::from(WITH_WORDS) {
+        let messages = u8::try_from(queue.len()).ok().filter(|&messages| messages < WITH_WORDS);
+        if messages.is_none() {
             w.overflows();
         }
-        let with_words = if words.len() > 0 { WITH_WORDS } else { 0 };
-        let head = w.put(queue.len() as u8 & !WITH_WORDS | with_words);
+        let head = w.put(messages.unwrap_or(0) | if words.len() > 0 { WITH_WORDS } else { 0 });
         let words = if head & WITH_WORDS != 0 { w.count(words.len()) } else { 0 };
         waiting.iter_mut().for_each(|packet| packet.walk(w));
         if W::READS {

@@ -106,7 +106,7 @@ impl Floor {
             let from_first = i32::from(behind) + i32::from(moved);
             // Behind nobody is nothing.
             let from_first = if bases.used[port] { from_first } else { 0 };
-            from_first.clamp(0, i32::from(FAR_BEHIND)) as u8
+            u8::try_from(from_first.clamp(0, i32::from(FAR_BEHIND))).unwrap_or(FAR_BEHIND)
         };
         self.behind.iter().enumerate().map(of_port).collect()
     }

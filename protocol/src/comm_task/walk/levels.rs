@@ -70,7 +70,8 @@ pub(super) fn walk<W: Walk>(
     }
     if W::READS {
         *capped_last = first & CAPPED != 0;
-        *depth = if first & HANDLERS != 0 { usize::from(*depth).min(DEPTH) as u8 } else { 0 };
+        let most = u8::try_from(DEPTH).unwrap_or(0);
+        *depth = if first & HANDLERS != 0 { (*depth).min(most) } else { 0 };
     }
     let top = usize::from(*depth);
     for (i, level) in levels.iter_mut().enumerate().take(top + 1) {
