@@ -37,52 +37,30 @@
 
 #![deny(unsafe_code)]
 
-pub mod actuator;
-mod alarm;
-mod awake;
-mod builder;
+mod api;
 mod clock;
-mod comm;
-#[doc(hidden)]
-pub mod compiled;
-mod context;
-mod effects;
-mod executor;
 #[cfg(test)]
 mod explored;
 #[cfg(test)]
 mod explorer;
-mod failstop;
 pub mod guard;
-mod handoff;
-mod inbox;
-mod lane;
-mod lateness;
-mod lead;
 pub mod link;
-mod member;
-pub mod message;
 mod node;
-pub mod observer;
-mod park;
+mod observe;
 pub mod record;
-mod residency;
-mod reverse_path;
-mod ring;
 pub mod script;
-mod snapshot;
-mod station;
 mod sync;
-mod threads;
-mod timers;
-mod transit;
-mod turn;
-mod vitals;
 
-pub use builder::{Builder, SPIN, SPIN_TAIL, StartError, TRANSIT_CAPACITY};
-pub use context::{Asked, AsyncContext, Context, MANY, Received, Rendezvous, RequestFault, Sent, TaskError};
+pub use api::builder::{Builder, SPIN, SPIN_TAIL, StartError, TRANSIT_CAPACITY};
+#[doc(hidden)]
+pub use api::compiled;
+pub use api::context::{
+    Asked, AsyncContext, Context, MANY, Received, Rendezvous, RequestFault, Sent, TaskError,
+};
+pub use api::message::{self, Message};
+pub use guard::actuator;
 pub use imrs_protocol as protocol;
-pub use message::Message;
 pub use node::Node;
-pub use snapshot::{Observations, Watching};
-pub use threads::{Runtime, TaskEnd};
+pub use node::threads::{Runtime, TaskEnd};
+pub use observe::observer;
+pub use observe::snapshot::{Observations, Watching};

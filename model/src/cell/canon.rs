@@ -189,7 +189,7 @@ impl Sights {
         let widths: Vec<usize> = self.widths().collect();
         for (earlier, width) in self.earlier.iter_mut().zip(widths) {
             w.list(earlier, vec![None; width], |sight, w| {
-                sight.iter_mut().for_each(|value| walk_value(value, w))
+                sight.iter_mut().for_each(|value| walk_value(value, w));
             });
         }
     }

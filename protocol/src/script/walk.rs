@@ -1,4 +1,4 @@
-//! The fields of a script (D164). Variables take the width of their type, truth values a bit; what is not in use takes
+//! The fields of a script (D165). Variables take the width of their type, truth values a bit; what is not in use takes
 //! nothing.
 //!
 //! ```text

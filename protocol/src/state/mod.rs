@@ -1,4 +1,4 @@
-//! One walk over all state (D164). Each struct that a state is made of lists its fields once, in a function
+//! One walk over all state (D165). Each struct that a state is made of lists its fields once, in a function
 //! `walk(&mut self, .., w: &mut impl Walk)` that takes the struct apart without `..`: a field that is added is an error
 //! of the compiler until it stands there. What is done with the fields is a pass.
 //!

@@ -3,8 +3,8 @@
 use super::{DEADLOCK, must_fail};
 use crate::clock::FAR;
 use crate::explorer::{Arc, explore, thread};
-use crate::handoff::{Bell, Handoff, Plant, Rest, Station};
 use crate::sync::Word;
+use crate::sync::handoff::{Bell, Handoff, Plant, Rest, Station};
 
 /// A machine whose task has asked, or not. As the real one it says that a wait is cancelled even where there is none.
 #[derive(Default)]

@@ -3,9 +3,9 @@
 use super::{DEADLOCK, must_fail, must_fail_large};
 use crate::clock::FAR;
 use crate::explorer::{Arc, SEES_OLD_VALUES, explore, explore_large, thread};
-use crate::handoff::{Handoff, Plant, Rest, Station};
+use crate::sync::handoff::{Handoff, Plant, Rest, Station};
+use crate::sync::turn::{self, Turn};
 use crate::sync::{Mutex, lock};
-use crate::turn::{self, Turn};
 
 /// A machine of two states: its task has asked, or not. It keeps an answer that comes before the question.
 #[derive(Default)]

@@ -3,7 +3,7 @@
 
 use super::must_fail;
 use crate::explorer::{SEES_OLD_VALUES, explore, thread};
-use crate::lane::{Drain, Plant, used_lane};
+use crate::sync::lane::{Drain, Plant, used_lane};
 
 /// Takes what is there: records of two slots, which say the same number.
 fn take(drain: &mut Drain<1>, taken: &mut Vec<u64>) {

@@ -4,9 +4,9 @@
 use super::handoff::{Brought, Toy};
 use super::{DEADLOCK, must_fail_large};
 use crate::explorer::{Arc, Condvar, PlainMutex, explore_large, thread};
-use crate::handoff::{self, Bell, Handoff};
-use crate::lead::{Came, Lead, Led};
-use crate::turn::{self, Turn};
+use crate::sync::handoff::{self, Bell, Handoff};
+use crate::sync::lead::{Came, Lead, Led};
+use crate::sync::turn::{self, Turn};
 
 /// A socket as the kernel tells of it: a datagram is told to the leader if one waits, else to the thread that polls.
 pub(super) struct Socket {

@@ -3,8 +3,8 @@
 use super::must_fail;
 use crate::clock::FAR;
 use crate::explorer::{Arc, explore, thread};
-use crate::handoff::{Handoff, Rest, Station};
-use crate::ring::Ring;
+use crate::observe::ring::Ring;
+use crate::sync::handoff::{Handoff, Rest, Station};
 use crate::sync::{AtomicU64, Mutex, Ordering, lock};
 use imrs_protocol::{Event, Observation, PortId, TaskId, Ticks};
 

@@ -3,9 +3,9 @@
 use super::lead::Socket;
 use super::{DEADLOCK, must_fail};
 use crate::explorer::{Arc, explore, thread};
-use crate::handoff::Bell;
-use crate::lead::{Lead, Led};
-use crate::park::{Park, Plant};
+use crate::sync::handoff::Bell;
+use crate::sync::lead::{Lead, Led};
+use crate::sync::park::{Park, Plant};
 use crate::sync::{Mutex, lock, try_lock};
 
 struct Scene {

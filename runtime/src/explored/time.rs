@@ -1,10 +1,10 @@
 //! Time: who looks after an expiry, and how the Timer's thread ends.
 
 use super::{DEADLOCK, must_fail, must_fail_large};
-use crate::alarm::{Alarm, Cover, Plant};
 use crate::clock::{FAR, Micros};
 use crate::explorer::{Arc, SEES_OLD_VALUES, explore, explore_large, thread};
-use crate::handoff::{Handoff, Rest, Station};
+use crate::sync::alarm::{Alarm, Cover, Plant};
+use crate::sync::handoff::{Handoff, Rest, Station};
 use crate::sync::{AtomicBool, Ordering};
 
 fn alarm(slots: usize, plant: Plant) -> Arc<Alarm> {

@@ -3,7 +3,7 @@
 use super::handoff::{Brought, Got, Toy};
 use super::{DEADLOCK, must_fail_large};
 use crate::explorer::{Arc, explore_large, thread};
-use crate::handoff::{Handoff, Plant};
+use crate::sync::handoff::{Handoff, Plant};
 
 /// The task asks and waits; one thread brings the answer, or leaves it while another one visits. Whether the visitor had it
 /// to work off.

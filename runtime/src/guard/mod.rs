@@ -17,6 +17,7 @@
 //!
 //! A guard is this same code as a process of its own: the program `imrs-guard`, or any program that calls [`entry`] at the start of `main`.
 
+pub mod actuator;
 mod exec;
 mod kin;
 mod notices;

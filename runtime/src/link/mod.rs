@@ -5,9 +5,10 @@
 
 pub mod faulty;
 pub mod in_process;
+pub(crate) mod residency;
 pub mod udp;
 
-pub use crate::lead::Came;
+pub use crate::sync::lead::Came;
 use imrs_protocol::{Incarnation, NodeId, Packet, PacketError, Ticks};
 use imrs_wire::envelope::MAX_PACKETS;
 use std::fmt;

@@ -2,7 +2,7 @@
 
 use super::packed::{self, Drain, Entry, Fill};
 use super::{Log, OutputDigest, Recorder, Step};
-use crate::lane::lane;
+use crate::sync::lane::lane;
 use imrs_protocol::{CommTask, Incarnation, NodeTable, TaskId};
 use imrs_wire::recording::{
     Alert, Append, Header, LONGEST, Record, Recording, ScriptStep, Source, Status, Stream, WriteError,
@@ -128,7 +128,7 @@ fn ends(task: TaskId, slots: usize, alert: Alert) -> (TaskLog, TaskSource) {
     let (fill, drain) = lane(
         slots,
         #[cfg(test)]
-        crate::lane::Plant::None,
+        crate::sync::lane::Plant::None,
     );
     let aside = Arc::<Aside>::default();
     let source = TaskSource {

@@ -1,4 +1,4 @@
-//! What a communication task and its script take, as words in a [`lane`](crate::lane): few instructions for what comes with
+//! What a communication task and its script take, as words in a [`lane`](crate::sync::lane): few instructions for what comes with
 //! every message, postcard for the rest. Nothing of this leaves the process.
 //!
 //! ```text
@@ -7,7 +7,7 @@
 //! ```
 
 use super::Step;
-use crate::lane;
+use crate::sync::lane;
 use imrs_protocol::{
     CONTENTS_BYTES, Class, Contents, Incarnation, Input, Kind, MessageId, Packet, PortId, ReplyTo, Request,
     Seal, Seq24, Target, TaskId, Ticks,

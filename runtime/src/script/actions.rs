@@ -1,8 +1,8 @@
 //! The actions of scripts: begun, ended, cut short.
 
-use crate::comm::Comm;
-use crate::effects::Effects;
 use crate::node::Node;
+use crate::node::comm::Comm;
+use crate::node::effects::Effects;
 use crate::sync::{Mutex, lock};
 use imrs_protocol::Ticks;
 use imrs_protocol::script::{End, Program};

@@ -4,9 +4,9 @@ use super::actions::{Begun, Deed, HeldLease};
 use super::knows::{Does, Outlet};
 use super::{Knows, Note, Stands, Watch};
 use crate::clock::{self, Micros};
-use crate::comm::Comm;
-use crate::effects::{Effects, Stamped};
-use crate::failstop::guarded;
+use crate::node::comm::Comm;
+use crate::node::effects::{Effects, Stamped};
+use crate::node::failstop::guarded;
 use crate::record::{Did, Log, OutputDigest, ScriptStep, Step};
 use imrs_protocol::script::{
     Action, Address, End, HOST_LIMIT, MAX_THREADS, Program, Script, ScriptFault, ScriptInput,

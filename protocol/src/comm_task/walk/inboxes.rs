@@ -99,7 +99,7 @@ impl Inbox {
         table: &NodeTable,
         (now, served): (Ticks, u64),
         waiting: Vec<Waiting>,
-        counters: Counters<'_>,
+        counters: &mut Counters<'_>,
         w: &mut W,
     ) {
         let form = Form::of(table, self.port);
@@ -123,7 +123,7 @@ impl Inbox {
         form: Form,
         (now, served): (Ticks, u64),
         waiting: Vec<Waiting>,
-        mut counters: Counters<'_>,
+        counters: &mut Counters<'_>,
         w: &mut W,
     ) {
         if W::PASS == Pass::Change {
@@ -147,7 +147,7 @@ impl Inbox {
             if self.handled {
                 self.queue.watch();
             }
-            return (0..head & WAITING).for_each(|_| self.take_in(form, counters.by_ref(), w));
+            return (0..head & WAITING).for_each(|_| self.take_in(form, counters, w));
         }
         for Waiting { slot, mut held, mut aged } in waiting {
             held.walk(&mut aged, now, form, w);
@@ -158,7 +158,7 @@ impl Inbox {
     }
 
     /// Reads a message that waits.
-    fn take_in<W: Walk>(&mut self, form: Form, counters: Counters<'_>, w: &mut W) {
+    fn take_in<W: Walk>(&mut self, form: Form, counters: &mut Counters<'_>, w: &mut W) {
         let (mut held, mut aged) = (Held::BLANK, Aged::default());
         held.walk(&mut aged, Ticks::ZERO, form, w);
         if !form.ranks_arrivals {
@@ -180,12 +180,6 @@ impl Inbox {
                 body.walk(w);
             }
         }
-    }
-}
-
-impl Counters<'_> {
-    fn by_ref(&mut self) -> Counters<'_> {
-        Counters { arrivals: self.arrivals, rejections: self.rejections }
     }
 }
 

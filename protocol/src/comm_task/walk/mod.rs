@@ -1,4 +1,4 @@
-//! The fields of a communication task, each listed once (D164).
+//! The fields of a communication task, each listed once (D165).
 
 mod desks;
 mod inboxes;
@@ -94,7 +94,7 @@ impl CommTask {
                 Pass::Encode | Pass::Look => inboxes::waiting(inboxes, table, at),
                 Pass::Decode | Pass::Change => Vec::new(),
             };
-            let counters = inboxes::Counters { arrivals, rejections };
+            let counters = &mut inboxes::Counters { arrivals, rejections };
             inboxes[at].walk(table, (*now, *served), waiting, counters, w);
         }
         let running = &levels[..=usize::from(*depth)];

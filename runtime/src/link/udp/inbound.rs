@@ -7,8 +7,8 @@
 use super::UdpLink;
 use super::peer::lock;
 use super::socket;
-use crate::residency::Reading;
-use crate::turn::Turn;
+use crate::link::residency::Reading;
+use crate::sync::turn::Turn;
 use std::io;
 use std::net::{SocketAddr, UdpSocket};
 use std::sync::Arc;

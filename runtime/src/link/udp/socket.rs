@@ -2,7 +2,7 @@
 
 use super::UdpError;
 use super::inbound::Inbound;
-use crate::residency::Reading;
+use crate::link::residency::Reading;
 use imrs_wire::envelope::MAX_DATAGRAM_BYTES;
 use nix::sys::socket::{ControlMessageOwned, MsgFlags, recvmsg, setsockopt, sockopt};
 use nix::sys::time::TimeSpec;

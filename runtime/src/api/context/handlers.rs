@@ -2,7 +2,7 @@
 
 use super::outcome::{RequestFault, TaskError};
 use super::{Context, ticks};
-use crate::message::Message;
+use crate::api::message::Message;
 use imrs_protocol::{Call, Delivery, Fault, PortId, Request, Ticks, TimeId};
 use std::rc::Rc;
 use std::time::Duration;

@@ -3,9 +3,9 @@
 
 use crate::clock;
 use crate::link::LinkDiscard;
-use crate::member::{BEGUN, Member};
 use crate::node::Node;
-use crate::ring::Ring;
+use crate::node::member::{BEGUN, Member};
+use crate::observe::ring::Ring;
 use crate::sync::Ordering;
 use imrs_protocol::{Observation, PortId, Reason, TaskId, Ticks};
 use imrs_wire::obs::{

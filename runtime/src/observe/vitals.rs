@@ -1,8 +1,8 @@
 //! How the process of a node does, for who asks: read when it is asked, counted where it happens.
 
 use crate::clock;
-use crate::lateness::Seen;
 use crate::node::Node;
+use crate::observe::lateness::Seen;
 use imrs_wire::obs::{Count, RecordingFacts, Vitals};
 use rustix::time::{ClockId, clock_gettime};
 use std::fs;

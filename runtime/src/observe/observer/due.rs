@@ -2,8 +2,8 @@
 
 use super::Showing;
 use crate::clock;
-use crate::lateness::Seen;
-use crate::snapshot::{Observations, QUEUE_LIMIT, Watching};
+use crate::observe::lateness::Seen;
+use crate::observe::snapshot::{Observations, QUEUE_LIMIT, Watching};
 use imrs_wire::obs::{
     Delta, EventFilter, Events, FrameError, FrameWriter, HeldBack, MAX_WATCHED, Places, ServerFrame,
     Snapshot, Subscribe, Want,

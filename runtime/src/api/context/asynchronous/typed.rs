@@ -1,9 +1,9 @@
 //! Messages of known types, asked and awaited by a future.
 
 use super::AsyncContext;
-use crate::context::outcome::{Asked, Received, Sent, TaskError};
-use crate::context::typed::{decoded, encoded, wrong_usage};
-use crate::message::{LONGEST, Message};
+use crate::api::context::outcome::{Asked, Received, Sent, TaskError};
+use crate::api::context::typed::{decoded, encoded, wrong_usage};
+use crate::api::message::{LONGEST, Message};
 use imrs_protocol::{Class, Delivery, PortId, ReplyTo, Request, Target, TaskId};
 use std::time::Duration;
 

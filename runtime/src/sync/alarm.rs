@@ -4,7 +4,7 @@
 //! and is rung only if an earlier one is published: a stream of messages with equal time_outs never rings it.
 
 use crate::clock::{FAR, Micros, nanos_of};
-use crate::handoff::Rest;
+use crate::sync::handoff::Rest;
 use crate::sync::{AtomicU64, Ordering, Word, fence};
 
 #[derive(Debug)]

@@ -1,7 +1,7 @@
 //! A wait of a future, and what happens when it is dropped.
 
 use super::AsyncContext;
-use crate::context::outcome::TaskError;
+use crate::api::context::outcome::TaskError;
 use imrs_protocol::{Request, Signal, Ticks};
 use std::future::Future;
 use std::pin::Pin;

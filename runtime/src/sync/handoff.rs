@@ -16,10 +16,10 @@
 //! The shared part knows nothing of messages: it is generic over the [`Station`], so that the tests can explore every
 //! interleaving with a station of two states.
 
-use crate::awake::Presence;
-use crate::inbox::Inbox;
-use crate::lead::Away;
-pub(crate) use crate::station::{Bell, Entry, Rest, Station};
+use crate::sync::awake::Presence;
+use crate::sync::inbox::Inbox;
+use crate::sync::lead::Away;
+pub(crate) use crate::sync::station::{Bell, Entry, Rest, Station};
 use crate::sync::{Mutex, MutexGuard, Ordering, Word, fence, lock, try_lock};
 use std::collections::VecDeque;
 use std::sync::Arc;

@@ -4,14 +4,14 @@
 //! urgency is kept up to the link, packets for one neighbour leave together when many are waiting, and nobody waits
 //! for a system call of another.
 
-use crate::alarm::Alarm;
 use crate::clock::{self, FAR, Micros};
-use crate::effects::{Effect, Effects, Stamped};
 use crate::link::Link;
-use crate::member::Members;
-use crate::ring::Ring;
+use crate::node::effects::{Effect, Effects, Stamped};
+use crate::node::member::Members;
+use crate::observe::ring::Ring;
+use crate::sync::alarm::Alarm;
+use crate::sync::turn::Turn;
 use crate::sync::{AtomicU64, Mutex, Ordering, lock};
-use crate::turn::Turn;
 use imrs_protocol::{
     Input, MessageId, NodeId, NodeTable, Observation, Packet, RouteOutbox, TaskId, Ticks, Transit,
     TransitView,

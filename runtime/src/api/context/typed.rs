@@ -2,7 +2,7 @@
 
 use super::outcome::{Asked, Received, RequestFault, Sent, TaskError};
 use super::{Caller, Context};
-use crate::message::{Bytes, LONGEST, Message};
+use crate::api::message::{Bytes, LONGEST, Message};
 use imrs_protocol::{Answers, Class, Delivery, Fault, Outcome, PortId, ReplyTo, Target, TaskId};
 use std::any::type_name;
 use std::sync::Arc;

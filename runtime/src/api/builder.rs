@@ -1,13 +1,13 @@
 //! Starting a node: which task runs what, over which link.
 
+use crate::api::context::{AsyncContext, Context, TaskError};
 use crate::clock;
-use crate::context::{AsyncContext, Context, TaskError};
-use crate::executor;
 use crate::link::Link;
+use crate::node::executor;
+use crate::node::threads::{Runtime, TaskProgram};
 use crate::node::{Node, Plan};
 use crate::record::Recorder;
 use crate::script::{Actions, Seat, Simulated, Watch};
-use crate::threads::{Runtime, TaskProgram};
 use imrs_protocol::script::{HOST_LIMIT, Program, ProgramError};
 use imrs_protocol::{CellTable, Incarnation, NodeId, NodeTable};
 use imrs_wire::obs::RealTime;

@@ -1,6 +1,6 @@
 //! How the calls of a task's program end.
 
-use crate::message::Bytes;
+use crate::api::message::Bytes;
 use imrs_protocol::{Answers, Contents, Fault, Outcome, ReleasedBy, ReplyTo, Round, Ticks, TimeId};
 
 /// Why a call of a task's program was not carried out.

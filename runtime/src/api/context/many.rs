@@ -2,7 +2,7 @@
 
 use super::{Context, TaskError, mismatch, ticks};
 use crate::clock::{self, Micros};
-use crate::comm::Mail;
+use crate::node::comm::Mail;
 use imrs_protocol::{Delivery, PortId, Request, Signal, Ticks};
 use std::time::Duration;
 

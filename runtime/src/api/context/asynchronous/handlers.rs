@@ -1,9 +1,9 @@
 //! What interrupts a future that waits: it is handled at once, and waits for nothing itself.
 
 use super::AsyncContext;
-use crate::context::outcome::{RequestFault, TaskError};
-use crate::context::ticks;
-use crate::message::Message;
+use crate::api::context::outcome::{RequestFault, TaskError};
+use crate::api::context::ticks;
+use crate::api::message::Message;
 use imrs_protocol::{Call, Delivery, Fault, PortId, Request, Ticks, TimeId};
 use std::rc::Rc;
 use std::time::Duration;

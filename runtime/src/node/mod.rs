@@ -4,22 +4,32 @@
 //! lock, lets go of it, and carries out what the machine wants, one effect after the other. Two machines are never
 //! locked together.
 
-use crate::alarm::Alarm;
+pub(crate) mod comm;
+pub(crate) mod effects;
+pub(crate) mod executor;
+pub(crate) mod failstop;
+pub(crate) mod member;
+pub(crate) mod reverse_path;
+pub(crate) mod threads;
+pub(crate) mod timers;
+pub(crate) mod transit;
+
 use crate::clock::{self, Micros};
-use crate::comm::{Comm, Mail};
-use crate::effects::{Effect, Effects, Stamped};
-use crate::failstop::guarded;
-use crate::handoff::{Bell, Entry};
-use crate::lateness::LatenessCounts;
-use crate::lead::Lead;
 use crate::link::{Leading, Link, LinkDiscard, Sink};
-use crate::member::{Member, Members};
+use crate::node::comm::{Comm, Mail};
+use crate::node::effects::{Effect, Effects, Stamped};
+use crate::node::failstop::guarded;
+use crate::node::member::{Member, Members};
+use crate::node::reverse_path::can_come;
+use crate::node::timers::Timers;
+use crate::node::transit::Dispatch;
+use crate::observe::lateness::LatenessCounts;
 use crate::record::Recorder;
-use crate::reverse_path::can_come;
 use crate::script::Stage;
+use crate::sync::alarm::Alarm;
+use crate::sync::handoff::{Bell, Entry};
+use crate::sync::lead::Lead;
 use crate::sync::{AtomicU64, Mutex, Ordering, lock};
-use crate::timers::Timers;
-use crate::transit::Dispatch;
 use imrs_protocol::route::{Arrival, Departure, arrived, departing};
 use imrs_protocol::{
     CommTask, Incarnation, Input, NodeId, NodeTable, Packet, Reason, Request, TaskId, Ticks, discarded,

@@ -1,6 +1,16 @@
 //! What the hand-offs are made of. The unit-test build takes those of `crate::explorer`, under which schedules are
 //! explored; tests with real threads live in `tests/` and get the real ones.
 
+pub(crate) mod alarm;
+pub(crate) mod awake;
+pub(crate) mod handoff;
+pub(crate) mod inbox;
+pub(crate) mod lane;
+pub(crate) mod lead;
+pub(crate) mod park;
+pub(crate) mod station;
+pub(crate) mod turn;
+
 #[cfg(test)]
 pub(crate) use crate::explorer::{
     AtomicBool, AtomicU32, AtomicU64, AtomicUsize, Mutex, MutexGuard, Ordering, fence, lock, try_lock,

@@ -1,13 +1,13 @@
 //! A communication task behind its lock, with its clock, its recorder and its observations.
 
-use crate::alarm::{Alarm, Cover};
 use crate::clock::{self, FAR, Micros};
-use crate::effects::{Effect, Effects, Stamped};
-use crate::failstop::guarded;
-use crate::handoff::{Rest, Station};
+use crate::node::effects::{Effect, Effects, Stamped};
+use crate::node::failstop::guarded;
+use crate::observe::ring::Ring;
 use crate::record::{Digesting, Log, OutputDigest, Step};
-use crate::ring::Ring;
 use crate::script::{HeldLease, Knows, Seat};
+use crate::sync::alarm::{Alarm, Cover};
+use crate::sync::handoff::{Rest, Station};
 use imrs_protocol::script::Program;
 use imrs_protocol::{
     Class, CommTask, Delivery, Event, Input, Kind, NodeTable, Observation, Outbox, Packet, PortId, QueueView,

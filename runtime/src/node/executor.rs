@@ -1,13 +1,13 @@
 //! The thread that runs those tasks of a node whose programs are futures (D113).
 
-use crate::builder::StartError;
+use crate::api::builder::StartError;
+use crate::api::context::{Caller, TaskError};
 use crate::clock;
-use crate::context::{Caller, TaskError};
-use crate::failstop::guarded;
-use crate::lead::Led;
+use crate::node::failstop::guarded;
+use crate::node::threads::{TaskEnd, message, spawn};
 use crate::node::{Inlet, Node};
-use crate::park::Park;
-use crate::threads::{TaskEnd, message, spawn};
+use crate::sync::lead::Led;
+use crate::sync::park::Park;
 use futures_util::stream::FuturesUnordered;
 use futures_util::{FutureExt, StreamExt};
 use imrs_wire::obs::Liveness;

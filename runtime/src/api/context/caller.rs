@@ -1,15 +1,15 @@
 //! The thread of a task before its communication task: asks, sleeps, and comes back with the answer.
 
 use super::outcome::TaskError;
-use crate::awake::{Kind, Patience};
+use crate::api::message::Bytes;
 use crate::clock::{self, Micros};
-use crate::comm::{Comm, Mail};
-use crate::effects::{Effects, Stamped};
-use crate::failstop::guarded;
-use crate::handoff::Entry;
-use crate::lead::Led;
-use crate::message::Bytes;
+use crate::node::comm::{Comm, Mail};
+use crate::node::effects::{Effects, Stamped};
+use crate::node::failstop::guarded;
 use crate::node::{Inlet, More, Node};
+use crate::sync::awake::{Kind, Patience};
+use crate::sync::handoff::Entry;
+use crate::sync::lead::Led;
 use imrs_protocol::{Contents, Delivery, Input, PortId, ReplyTo, Request, Signal, TaskId, Ticks};
 use std::sync::Arc;
 use std::sync::atomic::Ordering;

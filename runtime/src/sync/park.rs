@@ -1,8 +1,8 @@
 //! What the thread of the node's futures waits on (D127): asleep, or away in the link. Whatever wakes a future calls it.
 
-use crate::handoff::Bell;
-use crate::lead::Away;
 use crate::sync::Word;
+use crate::sync::handoff::Bell;
+use crate::sync::lead::Away;
 use std::sync::Arc;
 
 /// The thread polls its futures.

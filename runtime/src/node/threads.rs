@@ -1,17 +1,17 @@
 //! The threads of a node: one per task, one for those that are futures, one that receives, and the Timer's.
 
-use crate::awake;
-use crate::builder::{Builder, SPIN_TAIL, StartError};
+use crate::api::builder::{Builder, SPIN_TAIL, StartError};
+use crate::api::context::{Caller, TaskError};
 use crate::clock;
-use crate::comm::Comm;
-use crate::context::{Caller, TaskError};
-use crate::effects::Effects;
-use crate::executor::{AsyncBody, Executor};
-use crate::failstop::guarded;
 use crate::link::{Link, PollEnd};
-use crate::member::BEGUN;
+use crate::node::comm::Comm;
+use crate::node::effects::Effects;
+use crate::node::executor::{AsyncBody, Executor};
+use crate::node::failstop::guarded;
+use crate::node::member::BEGUN;
 use crate::node::{Inlet, Node};
 use crate::script::{Actions, Stage};
+use crate::sync::awake;
 use imrs_protocol::script::{End, Program};
 use imrs_protocol::{CellTable, NodeId};
 use imrs_wire::obs::Liveness;

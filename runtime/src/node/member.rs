@@ -1,7 +1,7 @@
 //! The communication tasks of a node, each behind its hand-off.
 
-use crate::comm::Comm;
-use crate::handoff::{Bell, Handoff};
+use crate::node::comm::Comm;
+use crate::sync::handoff::{Bell, Handoff};
 use crate::sync::{Mutex, lock};
 use imrs_protocol::TaskId;
 use imrs_wire::obs::Liveness;

@@ -1,9 +1,9 @@
 //! The paper's Timer (Figure 3) behind its lock. It serves the `delay`s of the tasks; their time_outs are the
 //! communication tasks' own (D41).
 
-use crate::alarm::Alarm;
 use crate::clock::{FAR, Micros};
-use crate::effects::{Effect, Effects, Stamped};
+use crate::node::effects::{Effect, Effects, Stamped};
+use crate::sync::alarm::Alarm;
 use crate::sync::{Mutex, lock};
 use imrs_protocol::{CommTask, Input, TaskId, Ticks, TimeId, Timer};
 use std::sync::Arc;
