@@ -72,6 +72,7 @@ impl<'a> Encode<'a> {
         Ok(out)
     }
 
+    #[inline]
     fn distance(&mut self, steps: u32) {
         let byte = u8::try_from(steps).unwrap_or_else(|_| {
             self.overflows = true;
@@ -84,43 +85,53 @@ impl<'a> Encode<'a> {
 impl Walk for Encode<'_> {
     const PASS: Pass = Pass::Encode;
 
+    #[inline]
     fn clock(&mut self, now: &mut Ticks) {
         self.now = *now;
     }
 
+    #[inline]
     fn instant(&mut self, instant: &mut Ticks) {
         let mut left = *instant - self.now;
         self.length(&mut left);
     }
 
+    #[inline]
     fn round(&mut self, port: PortId, round: &mut Round) {
         let base = self.frame.rounds.get(port.index()).copied().unwrap_or_default();
         self.distance(u32::from(round.steps_from(base)));
     }
 
+    #[inline]
     fn sequence(&mut self, source: TaskId, sequence: &mut Seq24) {
         let next = self.frame.sequences.get(source.index()).copied().unwrap_or_default();
         self.distance(next.steps_from(*sequence));
     }
 
+    #[inline]
     fn next_sequence(&mut self, _: TaskId, _: &mut Seq24) {}
 
+    #[inline]
     fn epoch(&mut self, _: u8, epoch: &mut u8) {
         self.byte(epoch);
     }
 
+    #[inline]
     fn byte(&mut self, byte: &mut u8) {
         self.out.push(*byte);
     }
 
+    #[inline]
     fn raw(&mut self, bytes: &mut [u8]) {
         self.out.extend_from_slice(bytes);
     }
 
+    #[inline]
     fn lives(&self) -> bool {
         self.frame.lives
     }
 
+    #[inline]
     fn overflows(&mut self) {
         self.overflows = true;
     }
@@ -153,35 +164,43 @@ impl<'a> Decode<'a> {
 impl Walk for Decode<'_> {
     const PASS: Pass = Pass::Decode;
 
+    #[inline]
     fn clock(&mut self, now: &mut Ticks) {
         *now = Ticks::ZERO;
     }
 
+    #[inline]
     fn instant(&mut self, instant: &mut Ticks) {
         self.length(instant);
     }
 
+    #[inline]
     fn round(&mut self, _: PortId, round: &mut Round) {
         *round = Frame::ROUND.plus(u16::from(self.put(0)));
     }
 
+    #[inline]
     fn sequence(&mut self, _: TaskId, sequence: &mut Seq24) {
         *sequence = Frame::SEQUENCE.plus(Seq24::MODULUS - u32::from(self.put(0)));
     }
 
+    #[inline]
     fn next_sequence(&mut self, _: TaskId, next: &mut Seq24) {
         *next = Frame::SEQUENCE;
     }
 
+    #[inline]
     fn epoch(&mut self, _: u8, epoch: &mut u8) {
         self.byte(epoch);
     }
 
+    #[inline]
     fn byte(&mut self, byte: &mut u8) {
         *byte = self.bytes.get(self.at).copied().unwrap_or(0);
         self.at += 1;
     }
 
+    #[inline]
     fn lives(&self) -> bool {
         self.lives
     }
