@@ -38,7 +38,7 @@ impl Packet {
     /// The task whose sequence the packet's id counts in: an answer carries the request's id (D47). On a port with
     /// usage `reply` that is the destination, too (D11).
     #[must_use]
-    pub const fn id_source(&self) -> TaskId {
+    pub fn id_source(&self) -> TaskId {
         self.kind.id_source(self.source, self.destination)
     }
 
