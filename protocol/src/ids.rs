@@ -123,6 +123,11 @@ pub struct MessageId {
     pub sequence: Seq24,
 }
 
+impl MessageId {
+    /// Of no message yet: to be read.
+    pub const BLANK: Self = Self { incarnation: Incarnation(0), sequence: Seq24::new(0) };
+}
+
 impl fmt::Display for MessageId {
     fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
         write!(f, "{}.{}", self.incarnation.0, self.sequence.get())

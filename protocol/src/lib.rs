@@ -59,7 +59,7 @@ pub use request::{
     ServiceOrder, Signal, Target, TimeId,
 };
 pub use rules::Rules;
-pub use state::{Decode, Encode, Frame, Overflow, Pass, Walk};
+pub use state::{Decode, Encode, Frame, Overflow, Pass, Walk, mark};
 pub use table::{CellTable, NodeTable, Party, Port};
 pub use ticks::Ticks;
 pub use timer::Timer;

@@ -4,7 +4,7 @@
 //! own lock. Both call the same pure functions of [`route`](crate::route).
 
 use crate::comm_task::{CommTask, Input, Outbox};
-use crate::ids::{Incarnation, MessageId, NodeId, Seq24, TaskId};
+use crate::ids::{Incarnation, MessageId, NodeId, TaskId};
 use crate::observe::{Event, Observation, Reason};
 use crate::packet::{Kind, Packet};
 use crate::request::{Request, Signal, TimeId};
@@ -89,7 +89,7 @@ enum Work {
 const WORKS: [Work; 7] = [
     Work::Route(Packet::BLANK),
     Work::Task(TaskId(0), Input::Packet(Packet::BLANK)),
-    Work::Task(TaskId(0), Input::Unsent(MessageId { incarnation: Incarnation(0), sequence: Seq24::new(0) })),
+    Work::Task(TaskId(0), Input::Unsent(MessageId::BLANK)),
     Work::Task(TaskId(0), Input::TimeOut { id: TimeId(0), turn: 0 }),
     Work::Arm(TaskId(0), TimeId(0), 0, Ticks::ZERO),
     Work::Disarm(TaskId(0), TimeId(0)),

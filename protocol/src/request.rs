@@ -240,6 +240,11 @@ pub struct ReplyTo {
     pub id: MessageId,
 }
 
+impl ReplyTo {
+    /// Of no message yet: to be read.
+    pub const BLANK: Self = Self { port: PortId(0), source: TaskId(0), id: MessageId::BLANK };
+}
+
 /// A message handed to its task.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Delivery {

@@ -5,7 +5,7 @@ use super::judge::{Ghosts, Name};
 use super::plan::{Faults, FloorPlan, FloorWatch};
 use super::script::{Actor, Running};
 use super::{Crossing, Floor, Station};
-use imrs_protocol::{Incarnation, MessageId, Packet, PortId, ReplyTo, Seq24, TaskId, Ticks, Walk};
+use imrs_protocol::{Incarnation, Packet, PortId, ReplyTo, Seq24, TaskId, Ticks, Walk, mark};
 
 /// The first byte of a level: what it does, and what else there is.
 const DOES: [Does; 4] = [Does::Free, Does::Waits, Does::Serves, Does::Works];
@@ -170,14 +170,13 @@ impl Level {
     /// Walks it, and says whether it is the last one.
     fn walk<W: Walk>(&mut self, (is_handler, is_last): (bool, bool), waits: bool, w: &mut W) -> bool {
         let Self { does, to, echo, nested, age, left, question, get, port, rank } = self;
-        let flag = |set: bool, bit: u8| if set { bit } else { 0 };
         let head = w.put(
             *does as u8
-                | flag(to.is_some(), ANSWERS)
-                | flag(*nested, NESTED)
-                | flag(*get, GETS)
-                | flag(port.is_some(), PORT)
-                | flag(is_last, LAST),
+                | mark(to.is_some(), ANSWERS)
+                | mark(*nested, NESTED)
+                | mark(*get, GETS)
+                | mark(port.is_some(), PORT)
+                | mark(is_last, LAST),
         );
         if W::READS {
             *does = DOES[usize::from(head) % DOES.len()];
@@ -186,9 +185,7 @@ impl Level {
         if let Some(port) = w.some(port, head & PORT != 0, PortId(0)) {
             w.small(&mut port.0);
         }
-        let blank = MessageId { incarnation: Incarnation(0), sequence: Seq24::new(0) };
-        let blank = ReplyTo { port: PortId(0), source: TaskId(0), id: blank };
-        if let Some(ReplyTo { port, source, id }) = w.some(to, head & ANSWERS != 0, blank) {
+        if let Some(ReplyTo { port, source, id }) = w.some(to, head & ANSWERS != 0, ReplyTo::BLANK) {
             w.small(&mut source.0);
             w.small(&mut port.0);
             w.id(*source, Incarnation(0), id);

@@ -8,7 +8,7 @@ use crate::scenario::Scenario;
 use crate::state::{Packed, Violation};
 use crate::symmetry;
 use imrs_protocol::{
-    Decode, Encode, Frame, Kind, Overflow, Pass, PortId, Round, Seq24, TaskId, TaskState, Ticks, Walk,
+    Decode, Encode, Frame, Kind, Overflow, Pass, PortId, Round, Seq24, TaskId, TaskState, Ticks, Walk, mark,
 };
 
 impl World {
@@ -120,7 +120,6 @@ impl World {
                 self.blocks[i].clear();
                 store_place(&mut self.places[i], &frame, &mut self.blocks[i])?;
             }
-            let mark = |set: bool, bit: u8| if set { bit } else { 0 };
             let marks = mark(self.open[i], OPEN) | mark(self.owed[i], OWED);
             self.blocks[i][1] = (self.blocks[i][1] & !(OPEN | OWED)) | marks;
         }

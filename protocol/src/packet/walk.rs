@@ -1,8 +1,8 @@
 //! The fields of a packet that a future depends on.
 
 use super::{Class, Contents, Kind, MAX_HOPS, Meeting, Packet, Seal};
-use crate::ids::{Incarnation, MessageId, PortId, Seq24, TaskId};
-use crate::state::{Pass, Walk};
+use crate::ids::{MessageId, PortId, TaskId};
+use crate::state::{Pass, Walk, mark};
 use crate::ticks::Ticks;
 
 /// The first byte: the kind, and these.
@@ -29,7 +29,7 @@ impl Packet {
         destination: TaskId(0),
         source: TaskId(0),
         port: PortId(0),
-        id: MessageId { incarnation: Incarnation(0), sequence: Seq24::new(0) },
+        id: MessageId::BLANK,
         remaining: Ticks::ZERO,
         contents: Contents::EMPTY,
         seal: Seal::NONE,
@@ -73,13 +73,12 @@ impl Packet {
             seal: _,
         } = self;
         let mut meeting = Meeting::from_contents(contents);
-        let flag = |set: bool, bit: u8| if set { bit } else { 0 };
         let head = w.put(
             *kind as u8
-                | flag(*class == Class::Status, STATUS)
-                | flag(*more, MORE)
-                | flag(*fragment != 0, FRAGMENT)
-                | flag(*kind == Kind::Arrive && meeting.arguments != [0; 8], BRINGS),
+                | mark(*class == Class::Status, STATUS)
+                | mark(*more, MORE)
+                | mark(*fragment != 0, FRAGMENT)
+                | mark(*kind == Kind::Arrive && meeting.arguments != [0; 8], BRINGS),
         );
         if W::READS {
             *kind = Kind::ALL[usize::from(head & KIND)];
@@ -138,7 +137,7 @@ impl Kind {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::ids::Round;
+    use crate::ids::{Incarnation, Round, Seq24};
     use crate::state::{Decode, Encode, Frame, Overflow};
     use alloc::vec::Vec;
     use proptest::prelude::*;

@@ -11,10 +11,10 @@
 use super::program::{Program, Variable};
 use super::value::Type;
 use super::{Acted, Anew, End, Frame as Thread, Inbound, Script, ScriptFault, Standing, Wait};
-use crate::ids::{Incarnation, MessageId, PortId, Seq24, TaskId};
+use crate::ids::{Incarnation, PortId};
 use crate::packet::Contents;
 use crate::request::{Fault, ReplyTo};
-use crate::state::{Walk, same_variant};
+use crate::state::{Walk, mark, same_variant};
 
 const LIVES: u8 = 1;
 const ENDED: u8 = 2;
@@ -89,11 +89,10 @@ impl Script {
             acting: _,
             atomic,
         } = self;
-        let flag = |set: bool, bit: u8| if set { bit } else { 0 };
         let head = w.put(match standing {
             Standing::NotBegun => 0,
             Standing::Ended(_) => ENDED << 6,
-            Standing::Lives => LIVES << 6 | flag(*held > 0, OPERANDS) | flag(*atomic > 0, ATOMIC) | *level,
+            Standing::Lives => LIVES << 6 | mark(*held > 0, OPERANDS) | mark(*atomic > 0, ATOMIC) | *level,
         });
         if W::READS {
             *standing = match head >> 6 {
@@ -170,9 +169,7 @@ impl Thread {
             w.small(at);
         }
         let is_answer = wait.walk(message.is_some(), w);
-        let blank = MessageId { incarnation: Incarnation(0), sequence: Seq24::new(0) };
-        let blank = ReplyTo { port: PortId(0), source: TaskId(0), id: blank };
-        if let Some(ReplyTo { port, source, id }) = w.some(message, is_answer, blank) {
+        if let Some(ReplyTo { port, source, id }) = w.some(message, is_answer, ReplyTo::BLANK) {
             w.small(&mut port.0);
             w.small(&mut source.0);
             w.id(*source, Incarnation(0), id);

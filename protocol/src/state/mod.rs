@@ -261,7 +261,9 @@ pub trait Walk {
     /// A life that may not be known yet. Where no node restarts it is the first one.
     fn known_life(&mut self, life: &mut Option<Incarnation>) {
         if !self.lives() {
-            *life = if Self::READS { Some(Incarnation(0)) } else { *life };
+            if Self::READS {
+                *life = Some(Incarnation(0));
+            }
             return;
         }
         let read = self.put(life.map_or(0, |life| life.0.wrapping_add(1)));
@@ -302,6 +304,17 @@ pub trait Walk {
         }
         place.as_mut().filter(|_| is)
     }
+}
+
+/// This bit of a byte, where it is set.
+#[must_use]
+pub const fn mark(set: bool, bit: u8) -> u8 {
+    if set { bit } else { 0 }
+}
+
+/// Whether two places are empty, or hold values of the same variant.
+pub(crate) fn same_option<T>(a: &Option<T>, b: &Option<T>) -> bool {
+    a.as_ref().map(core::mem::discriminant) == b.as_ref().map(core::mem::discriminant)
 }
 
 /// Whether two values are of the same variant.

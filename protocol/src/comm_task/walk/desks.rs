@@ -4,7 +4,7 @@ use crate::comm_task::desk::{Answer, Asked, Desk, Phase};
 use crate::comm_task::fragments::{Assembly, Parts};
 use crate::ids::{Incarnation, MessageId, PortId, TaskId};
 use crate::packet::Contents;
-use crate::state::{Walk, same_variant};
+use crate::state::{Walk, mark, same_variant};
 use crate::table::NodeTable;
 use crate::ticks::Ticks;
 
@@ -51,7 +51,7 @@ impl Desk {
         let Self { port: _, local: _, phase, set, deadline, copies_left, copy_at, contents, parts, asked } =
             self;
         let closed = *phase == Phase::Closed;
-        let first = w.put(if closed { 0 } else { *phase as u8 | if *set { SET } else { 0 } });
+        let first = w.put(if closed { 0 } else { *phase as u8 | mark(*set, SET) });
         if W::READS {
             *phase = PHASES.get(usize::from(first & PHASE)).copied().unwrap_or_default();
             *set = first & SET != 0;

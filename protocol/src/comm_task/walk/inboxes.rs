@@ -6,7 +6,7 @@ use crate::comm_task::memory::{Fate, Memory, Remembered, Source, Window};
 use crate::ids::{Incarnation, MessageId, PortId, Seq24, TaskId};
 use crate::packet::{Class, Contents};
 use crate::queue::Slot;
-use crate::state::{Pass, Walk, same_variant};
+use crate::state::{Pass, Walk, mark, same_option};
 use crate::table::{NodeTable, Port};
 use crate::ticks::Ticks;
 use alloc::vec::Vec;
@@ -27,14 +27,14 @@ const FATES: [Option<Fate>; 6] = [
 
 /// What the port's declaration leaves out of the bytes.
 #[derive(Clone, Copy)]
-struct Form {
+pub(super) struct Form {
     long: bool,
     long_answers: bool,
     ranks_arrivals: bool,
 }
 
 impl Form {
-    fn of(table: &NodeTable, port: PortId) -> Self {
+    pub fn of(table: &NodeTable, port: PortId) -> Self {
         table.port(port).map_or(Self { long: false, long_answers: false, ranks_arrivals: false }, |port| {
             Self {
                 long: port.decl.fragments > 1,
@@ -67,15 +67,14 @@ pub(super) struct Waiting {
 }
 
 /// What waits at an inbox, in the order of service.
-pub(super) fn waiting(inboxes: &[Inbox], table: &NodeTable, at: usize) -> Vec<Waiting> {
+pub(super) fn waiting(inboxes: &[Inbox], form: Form, at: usize) -> Vec<Waiting> {
     let queue = &inboxes[at].queue;
     if queue.len() == 0 {
         return Vec::new();
     }
-    let ranks_arrivals = Form::of(table, inboxes[at].port).ranks_arrivals;
     let ranked = |(slot, held): (Slot, &Held)| {
         let (mut held, mut aged) = (*held, queue.side(slot));
-        if ranks_arrivals {
+        if form.ranks_arrivals {
             // Among those of its source that wait here.
             let before = |other: &Held| other.source == held.source && other.arrival < held.arrival;
             held.arrival = queue.iter().filter(|(_, other)| before(other)).count() as u64;
@@ -96,13 +95,12 @@ impl Inbox {
     /// Walks it. What waits is given where the pass does not change it.
     pub(super) fn walk<W: Walk>(
         &mut self,
-        table: &NodeTable,
+        form: Form,
         (now, served): (Ticks, u64),
         waiting: Vec<Waiting>,
         counters: &mut Counters<'_>,
         w: &mut W,
     ) {
-        let form = Form::of(table, self.port);
         self.walk_waiting(form, (now, served), waiting, counters, w);
         let Self { port: _, local: _, queue: _, handled: _, latest: _, since: _, sources, long } = self;
         for (at, source) in sources.iter_mut().enumerate() {
@@ -130,13 +128,12 @@ impl Inbox {
             self.queue.change_all(|held, aged| held.walk(aged, now, form, w));
             return;
         }
-        let flag = |set: bool, bit: u8| if set { bit } else { 0 };
         let bypassed = if W::READS { 0 } else { self.bypassed(served) };
         let len = u8::try_from(waiting.len()).unwrap_or(u8::MAX);
         if len > WAITING {
             w.overflows();
         }
-        let head = len & WAITING | flag(bypassed > 0, BYPASSED) | flag(self.handled, HANDLED);
+        let head = len & WAITING | mark(bypassed > 0, BYPASSED) | mark(self.handled, HANDLED);
         let head = w.put(head);
         let bypassed = if head & BYPASSED != 0 { w.count(usize::from(bypassed)) } else { 0 };
         if W::READS {
@@ -263,11 +260,7 @@ fn walk_command<W: Walk>(
         answer.clear();
     }
     let mut known = command.map(|command| command.fate);
-    w.one_of(&FATES, &mut known, |a, b| match (a, b) {
-        (Some(a), Some(b)) => same_variant(a, b),
-        (None, None) => true,
-        (Some(_), None) | (None, Some(_)) => false,
-    });
+    w.one_of(&FATES, &mut known, same_option);
     let blank =
         |fate| Remembered { id: MessageId::default(), fate, sender_until: Ticks::ZERO, until: Ticks::ZERO };
     if W::READS {

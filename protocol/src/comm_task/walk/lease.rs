@@ -3,7 +3,7 @@
 use crate::comm_task::lease::{Answered, Guard, Lease, Post};
 use crate::ids::{Incarnation, Seq24, TaskId};
 use crate::request::Call;
-use crate::state::Walk;
+use crate::state::{Walk, mark};
 use crate::ticks::Ticks;
 
 /// The first byte: the post, then what else there is.
@@ -42,14 +42,13 @@ impl Lease {
             Post::Alone => 2,
             Post::Passive => 3,
         };
-        let flag = |set: bool, bit: u8| if set { bit } else { 0 };
         let first = w.put(
-            code | flag(newest.is_some(), NEWEST)
-                | flag(*proposed, PROPOSED)
-                | flag(life.is_some(), MET)
-                | flag(echo.is_some(), ECHO)
-                | flag(*call == Some(Call::Fenced), FENCED)
-                | flag(matches!(call, Some(Call::TakeOver(_))), TOOK_OVER),
+            code | mark(newest.is_some(), NEWEST)
+                | mark(*proposed, PROPOSED)
+                | mark(life.is_some(), MET)
+                | mark(echo.is_some(), ECHO)
+                | mark(*call == Some(Call::Fenced), FENCED)
+                | mark(matches!(call, Some(Call::TakeOver(_))), TOOK_OVER),
         );
         w.epoch(couple, epoch);
         if W::READS {

@@ -7,7 +7,7 @@ use crate::comm_task::timers::{Started, Timers};
 use crate::ids::{PortId, Round, TaskId};
 use crate::packet::Contents;
 use crate::request::{Outcome, Ranked, ReleasedBy, ServiceOrder, TimeId};
-use crate::state::same_variant;
+use crate::state::{mark, same_option, same_variant};
 use crate::ticks::Ticks;
 
 /// The first byte: how many levels the `order` names, and what else there is.
@@ -52,15 +52,14 @@ pub(super) fn walk<W: Walk>(
     (levels, depth): (&mut [Level], &mut u8),
     couple: Option<u8>,
 ) {
-    let flag = |set: bool, bit: u8| if set { bit } else { 0 };
     let started = timers.0.iter().flatten().count();
     let ranks = u8::try_from(order.ranked().len()).unwrap_or(LEVELS);
     let first = w.put(
         ranks
-            | flag(*depth > 0, HANDLERS)
-            | flag(started > 0, TIMERS)
-            | flag(levels[0].atomic, ATOMIC)
-            | flag(*capped_last, CAPPED),
+            | mark(*depth > 0, HANDLERS)
+            | mark(started > 0, TIMERS)
+            | mark(levels[0].atomic, ATOMIC)
+            | mark(*capped_last, CAPPED),
     );
     if W::PACKS {
         walk_order(order, usize::from(first & LEVELS), w);
@@ -81,7 +80,7 @@ pub(super) fn walk<W: Walk>(
         let Level { rank, atomic, pending, finished } = level;
         pending.walk(w);
         if i > 0 {
-            let byte = w.put(*rank | flag(*atomic, ATOMIC));
+            let byte = w.put(*rank | mark(*atomic, ATOMIC));
             if W::READS {
                 (*rank, *atomic) = (byte & LEVELS, byte & ATOMIC != 0);
             }
@@ -189,7 +188,7 @@ fn walk_finished<W: Walk>(finished: &mut Option<Finished>, couple: Option<u8>, w
     let outcome = |a: &Option<Finished>| if let Some(Finished::Outcome(of)) = a { Some(*of) } else { None };
     w.one_of(&FINISHED, finished, |a, b| match (outcome(a), outcome(b)) {
         (Some(a), Some(b)) => same_variant(&a, &b),
-        (None, None) => a.map(|a| core::mem::discriminant(&a)) == b.map(|b| core::mem::discriminant(&b)),
+        (None, None) => same_option(a, b),
         (Some(_), None) | (None, Some(_)) => false,
     });
     match finished {

@@ -9,7 +9,7 @@ mod meetings;
 use super::CommTask;
 use super::desk::Overdue;
 use super::levels::Level;
-use crate::ids::{Incarnation, MessageId, PortId, Seq24, TaskId};
+use crate::ids::{MessageId, PortId, TaskId};
 use crate::state::{Pass, Walk};
 use crate::table::NodeTable;
 use crate::ticks::Ticks;
@@ -90,12 +90,13 @@ impl CommTask {
         }
         desks.iter_mut().for_each(|desk| desk.walk(table, (own, *incarnation), w));
         for at in 0..inboxes.len() {
+            let form = inboxes::Form::of(table, inboxes[at].port);
             let waiting = match W::PASS {
-                Pass::Encode | Pass::Look => inboxes::waiting(inboxes, table, at),
+                Pass::Encode | Pass::Look => inboxes::waiting(inboxes, form, at),
                 Pass::Decode | Pass::Change => Vec::new(),
             };
             let counters = &mut inboxes::Counters { arrivals, rejections };
-            inboxes[at].walk(table, (*now, *served), waiting, counters, w);
+            inboxes[at].walk(form, (*now, *served), waiting, counters, w);
         }
         let running = &levels[..=usize::from(*depth)];
         meetings
@@ -115,9 +116,5 @@ impl CommTask {
 }
 
 impl Overdue {
-    const BLANK: Self = Self {
-        port: PortId(0),
-        to: TaskId(0),
-        id: MessageId { incarnation: Incarnation(0), sequence: Seq24::new(0) },
-    };
+    const BLANK: Self = Self { port: PortId(0), to: TaskId(0), id: MessageId::BLANK };
 }
