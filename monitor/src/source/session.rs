@@ -6,6 +6,7 @@ use imrs_wire::obs::{
     ClientFrame, DecodeError, FrameError, FrameReader, FrameWriter, Handshake, Hello, MAX_FRAME, MAX_WATCHED,
     NodeIdentity, Ping, Places, Role, SCHEMA, ServerFrame, Subscribe, Token, VERSION, Version, Want, agree,
 };
+use std::fmt::Display;
 use std::io::{self, Read, Write};
 use std::net::{TcpStream, ToSocketAddrs};
 use std::os::unix::net::UnixStream;
@@ -107,23 +108,27 @@ fn talk(endpoint: &Endpoint, with: &Talk<'_>, reader: impl Read, writer: impl Wr
     let Feed::Attached { identity, .. } = &attached else { return End::Stopped };
     let identity = identity.clone();
     let mut session = Session::new(with, identity, writer, version.minor >= 1);
-    if let Err(error) = session.begin() {
-        return End::Failed(format!("{endpoint}: {error}"));
-    }
     // A node that asks for a token says nothing more until it has seen it.
     let mut attached = Some(attached);
+    let ended = |attached: &Option<Feed>, why: &dyn Display| match attached {
+        Some(_) => End::Failed(format!("{endpoint}: {why}")),
+        None => End::Lost(why.to_string()),
+    };
+    if let Err(error) = session.begin() {
+        return ended(&attached, &error);
+    }
     loop {
         if with.stop.load(Ordering::Relaxed) {
             return End::Stopped;
         }
         if let Err(error) = session.keep_up() {
-            return End::Lost(error.to_string());
+            return ended(&attached, &error);
         }
         let frame = match reader.read_frame() {
             Ok(bytes) => ServerFrame::decode(bytes),
+            Err(FrameError::NotReady) if session.deaf => return ended(&attached, &FrameError::Closed),
             Err(FrameError::NotReady) => continue,
-            Err(error) if attached.is_some() => return End::Failed(format!("{endpoint}: {error}")),
-            Err(error) => return End::Lost(error.to_string()),
+            Err(error) => return ended(&attached, &error),
         };
         let frame = match frame {
             Ok(ServerFrame::Denied(denied)) => return End::Failed(format!("{endpoint}: {denied}")),
@@ -159,11 +164,27 @@ struct Session<'a, W> {
     /// The node's clock at the snapshot that the next change is of.
     told: Option<u64>,
     ping_at: Instant,
+    /// The node can be told nothing more. What it said before it went is still to be read.
+    deaf: bool,
 }
 
 impl<'a, W: Write> Session<'a, W> {
     fn new(with: &'a Talk<'a>, identity: NodeIdentity, writer: FrameWriter<W>, new: bool) -> Self {
-        Self { with, identity, writer, new, owed: 0, known: (0, 0), told: None, ping_at: Instant::now() }
+        let ping_at = Instant::now();
+        Self { with, identity, writer, new, owed: 0, known: (0, 0), told: None, ping_at, deaf: false }
+    }
+
+    fn say(&mut self, frame: &ClientFrame) -> Result<(), FrameError> {
+        if self.deaf {
+            return Ok(());
+        }
+        match self.writer.push(frame).and_then(|()| self.writer.flush()) {
+            Err(FrameError::Closed) => {
+                self.deaf = true;
+                Ok(())
+            }
+            said => said,
+        }
     }
 
     fn begin(&mut self) -> Result<(), FrameError> {
@@ -175,7 +196,7 @@ impl<'a, W: Write> Session<'a, W> {
                 events: wanted.events.is_some(),
                 credit: CREDIT,
             };
-            return say(&mut self.writer, &ClientFrame::Subscribe(subscribe));
+            return self.say(&ClientFrame::Subscribe(subscribe));
         }
         if let Some(token) = self.with.token {
             self.writer.push(&ClientFrame::Token(token.clone()))?;
@@ -201,7 +222,7 @@ impl<'a, W: Write> Session<'a, W> {
             whole_us: 0,
             credit: CREDIT,
         };
-        say(&mut self.writer, &ClientFrame::Want(want))
+        self.say(&ClientFrame::Want(want))
     }
 
     /// Passes wishes on, and asks for the clock.
@@ -215,12 +236,12 @@ impl<'a, W: Write> Session<'a, W> {
         let whole = self.with.wishes.whole();
         if self.known.1 != whole {
             self.known.1 = whole;
-            say(&mut self.writer, &ClientFrame::Whole)?;
+            self.say(&ClientFrame::Whole)?;
         }
         if self.ping_at <= Instant::now() {
             self.ping_at = Instant::now() + PING;
             let mono_us = crate::clock::micros(self.with.sink.now());
-            say(&mut self.writer, &ClientFrame::Ping(Ping { mono_us }))?;
+            self.say(&ClientFrame::Ping(Ping { mono_us }))?;
         }
         Ok(())
     }
@@ -237,13 +258,13 @@ impl<'a, W: Write> Session<'a, W> {
             (self.with.told)(&self.identity, places);
         }
         if !fits {
-            say(&mut self.writer, &ClientFrame::Whole)?;
+            self.say(&ClientFrame::Whole)?;
         } else if !self.with.sink.deliver(self.with.id, Feed::Frame(Box::new(frame))) {
             return Ok(false);
         }
         // Credit is given back when a frame has been taken, so a busy monitor slows its own frames, never the node.
         if self.owed >= CREDIT / 2 {
-            say(&mut self.writer, &ClientFrame::Credit(self.owed))?;
+            self.say(&ClientFrame::Credit(self.owed))?;
             self.owed = 0;
         }
         Ok(true)
@@ -252,11 +273,6 @@ impl<'a, W: Write> Session<'a, W> {
 
 fn micros(length: Duration) -> u32 {
     u32::try_from(length.as_micros()).unwrap_or(u32::MAX)
-}
-
-fn say(writer: &mut FrameWriter<impl Write>, frame: &ClientFrame) -> Result<(), FrameError> {
-    writer.push(frame)?;
-    writer.flush()
 }
 
 /// The handshake. `None`: told to stop.
@@ -306,5 +322,70 @@ fn explained(error: DecodeError) -> String {
             )
         }
         other => other.to_string(),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::clock::Clock;
+    use imrs_protocol::Incarnation;
+    use imrs_wire::obs::Table;
+    use std::sync::{Arc, Mutex};
+
+    /// Takes the greeting; whatever else is written comes too late.
+    struct Closed(bool);
+
+    impl Write for Closed {
+        fn write(&mut self, bytes: &[u8]) -> io::Result<usize> {
+            if std::mem::replace(&mut self.0, true) {
+                return Err(io::ErrorKind::BrokenPipe.into());
+            }
+            Ok(bytes.len())
+        }
+
+        fn flush(&mut self) -> io::Result<()> {
+            Ok(())
+        }
+    }
+
+    #[test]
+    fn what_a_node_said_before_it_went_is_read_although_it_can_be_told_nothing() {
+        let mut said = FrameWriter::new(Vec::new());
+        let role = Role::Node(NodeIdentity {
+            cell: "beam-lift".into(),
+            digest: 1,
+            node: "nl".into(),
+            id: 0,
+            incarnation: Incarnation(1),
+            tick_us: 1,
+        });
+        let hello = Hello { schema: SCHEMA, pid: 1, build: "fake 1".into(), mono_us: 0, role };
+        said.push_bytes(&Handshake::Hello(hello).encode(VERSION)).unwrap();
+        let last = ServerFrame::Table(Table::default());
+        said.push(&last).unwrap();
+        said.flush().unwrap();
+        let heard = Arc::new(Mutex::new(Vec::new()));
+        let hears = heard.clone();
+        let sink = Sink::new(Clock::start(), move |arrival| {
+            hears.lock().unwrap().push(arrival.feed);
+            true
+        });
+        let with = Talk {
+            id: SourceId(0),
+            pace: Pace { period: Duration::from_millis(100) },
+            wishes: &Wishes::default(),
+            token: None,
+            sink: &sink,
+            stop: &AtomicBool::new(false),
+            told: &|_, _| {},
+        };
+        let end = talk(&Endpoint::Tcp("here".into()), &with, said.get_ref().as_slice(), Closed(false));
+        assert!(matches!(&end, End::Lost(why) if why == "the connection was closed"), "{end:?}");
+        let heard = heard.lock().unwrap();
+        assert!(
+            matches!(heard.as_slice(), [Feed::Attached { .. }, Feed::Frame(frame)] if **frame == last),
+            "{heard:?}"
+        );
     }
 }
