@@ -60,7 +60,7 @@ fn second(ctx: &mut Context<bool>) -> Result<(), TaskError> {
 
 /// Obeys until nobody has asked for some time, and tells what it has welded.
 fn gun(ctx: &mut Context, welded: &Sender<i8>) -> Result<(), TaskError> {
-    while let Some(asked) = ctx.receive(None, Some(Duration::from_secs(4)))? {
+    while let Some(asked) = ctx.receive(None, Some(Duration::from_secs(20)))? {
         let Spot { number } = ctx.read(&asked)?;
         // Who has ended listens to nothing more.
         let _ = welded.send(number);

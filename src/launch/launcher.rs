@@ -500,6 +500,7 @@ impl Launcher<'_> {
         self.trouble.extend(complaints.map(|what| Trouble { at_fault: false, what }));
         if let Some(tale) = self.run.tale {
             self.deeds.sort_by_key(|did| did.at);
+            let is_missing = tale.moment.is_some() && self.came.is_empty();
             let story = Story {
                 loaded: self.run.loaded,
                 began: self.diary.began(),
@@ -508,7 +509,13 @@ impl Launcher<'_> {
                 faults: self.came,
                 summary: &summary,
             };
-            summary.outcome = Some((tale.explain)(&story));
+            let mut outcome = (tale.explain)(&story);
+            if is_missing {
+                outcome.words.push(
+                    "The fault never came: the run ended before its moment (--for gives more time).".into(),
+                );
+            }
+            summary.outcome = Some(outcome);
         }
         (summary, self.trouble)
     }

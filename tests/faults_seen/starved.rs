@@ -46,6 +46,10 @@ impl Starved {
                 *thread = Thread { folder: named(&process).unwrap_or_default(), ..Thread::default() };
             }
             let now = Instant::now();
+            if thread.waited.is_empty() {
+                // It may have waited before it was seen for the first time.
+                thread.waited.push_back((now, Duration::ZERO));
+            }
             thread.waited.extend(waited(&thread.folder).map(|waited| (now, waited)));
             while thread.waited.front().is_some_and(|(at, _)| *at + LATELY < now) {
                 thread.waited.pop_front();

@@ -1,7 +1,7 @@
 //! Nodes that run, and what a monitor sees of them.
 
 use super::program::Program;
-use super::{PATIENCE, imrs, is_alive, replays, runtime_dir};
+use super::{PATIENCE, example, imrs, is_alive, replays, runtime_dir};
 use serde_json::Value;
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
@@ -53,6 +53,21 @@ impl Live {
         let own = ["--record", record.to_str().expect("UTF-8")];
         let own = if args.contains(&"--record") { &[][..] } else { &own };
         let live = Self::start(dir.path(), &[&["demo", "beam-lift"], own, args].concat());
+        assert_eq!(live.nodes.len(), 3, "{:?}", live.nodes);
+        Self { _own: Some(dir), ..live }
+    }
+
+    /// Starts the cell of the demo so that it runs on: nobody gives up, however long a busy machine or a dead node makes
+    /// the others wait at the rendezvous.
+    pub fn steady(args: &[&str]) -> Self {
+        let dir = runtime_dir();
+        let file = dir.path().join("beam_lift.cell");
+        let cell = std::fs::read_to_string(example("beam_lift.cell")).expect("an example");
+        let patient = cell.replace("time_out = 2 sec", "time_out = 2000 sec");
+        assert_ne!(patient, cell, "it gives up after 2 sec");
+        std::fs::write(&file, patient).expect("the cell is written");
+        let run = ["run", file.to_str().expect("UTF-8"), "--for", "10m"];
+        let live = Self::start(dir.path(), &[&run, args].concat());
         assert_eq!(live.nodes.len(), 3, "{:?}", live.nodes);
         Self { _own: Some(dir), ..live }
     }
