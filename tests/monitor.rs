@@ -19,7 +19,7 @@ fn fails(said: &Said, code: i32, words: &[&str]) {
 
 #[test]
 fn one_demo_seen_through_pipes() {
-    let demo = Live::steady(&[]);
+    let demo = Live::steady();
     let monitor = |args: &[&str]| run_in(demo.dir(), &[&["monitor"], args].concat());
 
     let once_up = |args: &[&str], is_so: &dyn Fn(&Said) -> bool| {
@@ -54,8 +54,10 @@ fn one_demo_seen_through_pipes() {
 
 #[test]
 fn samples_come_until_the_reader_has_enough() {
-    let demo = Live::demo(&["--for", "10m"]);
-    let args = ["monitor", "--watch", "100ms", "--format", "json"];
+    let demo = Live::steady();
+    let cell = demo.dir().join("beam_lift.cell");
+    let judge = ["--judge", cell.to_str().expect("UTF-8")];
+    let args = [&["monitor", "--watch", "100ms", "--format", "json"], &judge[..]].concat();
     let mut child =
         imrs(demo.dir(), &args).stdout(Stdio::piped()).stderr(Stdio::null()).spawn().expect("it starts");
     let mut lines = BufReader::new(child.stdout.take().expect("a pipe")).lines();
@@ -93,7 +95,7 @@ fn samples_come_until_the_reader_has_enough() {
 
 #[test]
 fn a_death_breaks_an_assertion() {
-    let demo = Live::steady(&[]);
+    let demo = Live::steady();
     let sees = |condition: &str| run_in(demo.dir(), &["monitor", "--assert", condition]).code == Some(0);
     wait_until("all are seen", || sees("up==3"));
     signal(demo.pid("nh"), rustix::process::Signal::KILL);

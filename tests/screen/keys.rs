@@ -84,7 +84,7 @@ fn a_screen_is_written_as_text_and_a_recording_exported() {
     if !tmux_is_here() {
         return;
     }
-    let demo = Live::steady(&[]);
+    let demo = Live::steady();
     let terminal = Terminal::open(demo.dir());
     let folder = demo.dir().display().to_string();
     terminal.keys(&[&format!("cd {folder}; clear"), "Enter"]);

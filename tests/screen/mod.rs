@@ -54,7 +54,7 @@ fn signals_a_resize_to_nothing_and_a_stop_leave_the_terminal_as_it_was() {
     if !tmux_is_here() {
         return;
     }
-    let demo = Live::steady(&[]);
+    let demo = Live::steady();
     let terminal = Terminal::open(demo.dir());
     for by in [Signal::TERM, Signal::INT, Signal::HUP] {
         terminal.start_monitor("");
@@ -146,7 +146,7 @@ fn what_the_screen_records_is_replayed_in_the_terminal() {
     if !tmux_is_here() {
         return;
     }
-    let demo = Live::steady(&[]);
+    let demo = Live::steady();
     let terminal = Terminal::open(demo.dir());
     let file = demo.dir().join("seen.imrs");
     let shown = file.display();

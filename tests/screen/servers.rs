@@ -63,7 +63,7 @@ fn hostile_and_slow_servers_neither_hang_the_monitor_nor_hide_the_nodes() {
     if !tmux_is_here() {
         return;
     }
-    let demo = Live::steady(&[]);
+    let demo = Live::steady();
     for (name, each) in STRANGERS {
         listen(demo.dir(), name, each);
     }
@@ -115,7 +115,7 @@ fn ascii_is_all_that_is_drawn_where_no_more_is_wanted() {
     if !tmux_is_here() {
         return;
     }
-    let demo = Live::steady(&[]);
+    let demo = Live::steady();
     let terminal = Terminal::open(demo.dir());
     for flags in ["--ascii", "--theme ascii"] {
         terminal.type_monitor("", flags);

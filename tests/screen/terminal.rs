@@ -18,7 +18,7 @@ pub fn tmux_is_here() -> bool {
 /// A demo, and a monitor of it in a terminal; none without tmux.
 pub fn watched(environment: &str) -> Option<(Live, Terminal)> {
     tmux_is_here().then(|| {
-        let demo = Live::steady(&[]);
+        let demo = Live::steady();
         let terminal = Terminal::open(demo.dir());
         terminal.start_monitor(environment);
         (demo, terminal)

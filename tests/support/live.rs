@@ -58,16 +58,16 @@ impl Live {
     }
 
     /// Starts the cell of the demo so that it runs on: nobody gives up, however long a busy machine or a dead node makes
-    /// the others wait at the rendezvous.
-    pub fn steady(args: &[&str]) -> Self {
+    /// the others wait at the rendezvous. It records.
+    pub fn steady() -> Self {
         let dir = runtime_dir();
-        let file = dir.path().join("beam_lift.cell");
+        let (file, record) = (dir.path().join("beam_lift.cell"), dir.path().join("own.imrs"));
         let cell = std::fs::read_to_string(example("beam_lift.cell")).expect("an example");
         let patient = cell.replace("time_out = 2 sec", "time_out = 2000 sec");
         assert_ne!(patient, cell, "it gives up after 2 sec");
         std::fs::write(&file, patient).expect("the cell is written");
-        let run = ["run", file.to_str().expect("UTF-8"), "--for", "10m"];
-        let live = Self::start(dir.path(), &[&run, args].concat());
+        let [file, record] = [&file, &record].map(|path| path.to_str().expect("UTF-8"));
+        let live = Self::start(dir.path(), &["run", file, "--for", "10m", "--record", record]);
         assert_eq!(live.nodes.len(), 3, "{:?}", live.nodes);
         Self { _own: Some(dir), ..live }
     }
