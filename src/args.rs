@@ -1,5 +1,6 @@
 //! The command line: what can be asked for, and how it is explained.
 
+mod bench;
 mod cell;
 mod export;
 mod monitor;
@@ -7,6 +8,7 @@ mod run;
 mod simulate;
 mod verify;
 
+pub use bench::BenchArgs;
 pub use cell::{CheckArgs, ExplainArgs, FmtArgs, GraphArgs, Picture};
 pub use export::{ExportArgs, ExportForm};
 pub use monitor::MonitorArgs;
@@ -14,6 +16,7 @@ pub use run::{DemoArgs, LaunchArgs, ReplayArgs, RunArgs};
 pub use simulate::{STEPS, SimulateArgs};
 pub use verify::{CellFaultArgs, Times, VerifyArgs, VerifyVerb};
 
+use crate::output::Color;
 use clap::{ColorChoice, Parser, Subcommand, ValueEnum};
 
 /// Write a multi-robot cell once, check it exhaustively, run exactly that code, watch it live.
@@ -239,7 +242,7 @@ Examples:
   imrs bench --quick                         that it runs: half a minute
   imrs bench threads network --rounds 15     hand-overs between threads and nodes
   imrs bench --format json > ratios.json; imrs bench --list")]
-    Bench(crate::bench::BenchArgs),
+    Bench(BenchArgs),
     /// Print a shell's completion script.
     #[command(
         after_help = "Example:\n  imrs completions bash > ~/.local/share/bash-completion/completions/imrs"
@@ -271,28 +274,6 @@ pub enum Format {
     Text,
     /// For programs.
     Json,
-}
-
-/// When to use colour.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, ValueEnum)]
-pub enum Color {
-    /// On a terminal, unless NO_COLOR is set.
-    #[default]
-    Auto,
-    /// Always.
-    Always,
-    /// Never.
-    Never,
-}
-
-impl From<Color> for anstream::ColorChoice {
-    fn from(color: Color) -> Self {
-        match color {
-            Color::Auto => Self::Auto,
-            Color::Always => Self::Always,
-            Color::Never => Self::Never,
-        }
-    }
 }
 
 /// What `--color` says, before anything is parsed: help and usage errors obey it too.

@@ -1,19 +1,9 @@
 //! `imrs bench`: the measurements that need no peer. The default build leaves them out.
 
-use crate::exit::{Exit, Failure};
+use crate::args::BenchArgs;
+use crate::exit::Exit;
+use crate::failure::Failure;
 use crate::output::Output;
-
-#[cfg(feature = "bench")]
-pub use imrs_bench::BenchArgs;
-
-/// Whatever follows the verb: this build measures nothing.
-#[cfg(not(feature = "bench"))]
-#[derive(Debug, clap::Args)]
-pub struct BenchArgs {
-    /// Suites and flags of the measurements.
-    #[arg(value_name = "ARGS", trailing_var_arg = true, allow_hyphen_values = true)]
-    args: Vec<String>,
-}
 
 /// Measures, and prints the results.
 #[cfg(feature = "bench")]

@@ -2,7 +2,8 @@
 
 use crate::args::{CheckArgs, Format};
 use crate::cell_file::{read, shown};
-use crate::exit::{Exit, Failure, turned_down};
+use crate::exit::{Exit, turned_down};
+use crate::failure::Failure;
 use crate::output::{BAD, GOOD, NOTE, Output, Styled, count};
 use imrs_language::render::{self, Located};
 use imrs_language::{Compiled, Diagnostic, Options, Severity, Source, compile_with};

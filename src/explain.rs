@@ -1,7 +1,9 @@
 //! `imrs explain`: the pages about the codes of diagnostics, and about what the monitor warns of.
 
 use crate::args::{ExplainArgs, Format};
-use crate::exit::{Exit, Failure, did_you_mean};
+use crate::exit::Exit;
+use crate::failure::Failure;
+use crate::names::did_you_mean;
 use crate::output::{BAD, FAINT, GOOD, HEAD, Output, Styled};
 use imrs_language::{Word, codes};
 use imrs_monitor::store::health::codes as lints;

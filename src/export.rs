@@ -1,7 +1,8 @@
 //! `imrs export`: recordings for other tools.
 
 use crate::args::{ExportArgs, ExportForm};
-use crate::exit::{Exit, Failure};
+use crate::exit::Exit;
+use crate::failure::Failure;
 use crate::kept;
 use crate::output::Output;
 use imrs_monitor::MonitorError;

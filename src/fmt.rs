@@ -2,7 +2,8 @@
 
 use crate::args::FmtArgs;
 use crate::cell_file::{is_stdin, read, replace, shown};
-use crate::exit::{Exit, Failure, turned_down};
+use crate::exit::{Exit, turned_down};
+use crate::failure::Failure;
 use crate::output::{Output, complain, complain_in_full};
 use imrs_language::{format, render};
 use std::path::Path;

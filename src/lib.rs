@@ -12,11 +12,13 @@ mod demo;
 mod exit;
 mod explain;
 mod export;
+mod failure;
 mod fmt;
 mod graph;
 mod kept;
 mod launch;
 mod monitor;
+mod names;
 mod output;
 mod panics;
 mod program;
@@ -29,13 +31,14 @@ mod verify;
 
 pub use imrs_runtime::script::Call;
 pub use imrs_runtime::{Context, Rendezvous, Sent, TaskEnd, TaskError};
-pub use launch::place::PlaceError;
+pub use launch::error::PlaceError;
 pub use program::{Program, ProgramError};
 
-use args::{Cli, Color, Verb, VerifyArgs, early_color};
+use args::{Cli, Verb, VerifyArgs, early_color};
 use clap::{ColorChoice, CommandFactory, FromArgMatches};
-use exit::{Exit, Failure};
-use output::{Output, complain, complain_in_full};
+use exit::Exit;
+use failure::Failure;
+use output::{Color, Output, complain, complain_in_full};
 use signal_hook::consts::SIGABRT;
 use std::any::Any;
 use std::panic::catch_unwind;
@@ -157,7 +160,7 @@ fn manual(verb: Option<&str>, out: &mut Output) -> Result<Exit, Failure> {
         None => command,
         Some(name) => {
             let verbs: Vec<&str> = command.get_subcommands().map(clap::Command::get_name).collect();
-            let hint = exit::did_you_mean(name, verbs);
+            let hint = names::did_you_mean(name, verbs);
             let found = command.find_subcommand(name).cloned();
             found.ok_or_else(|| Failure::Usage(format!("there is no verb `{name}`{hint}")))?
         }

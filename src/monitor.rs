@@ -1,8 +1,10 @@
 //! `imrs monitor`: what the command line and the user's file say, put together; and nodes to look at where there are none.
 
-use crate::args::{Color, Format, MonitorArgs};
+use crate::args::{Format, MonitorArgs};
 use crate::cells;
-use crate::exit::{Exit, Failure};
+use crate::exit::Exit;
+use crate::failure::Failure;
+use crate::output::Color;
 use crate::output::Output;
 use crate::token;
 use crate::{cell_file, demo, replay};

@@ -1,8 +1,9 @@
 //! Running nodes of a cell file from a Rust program.
 
 use crate::cells::{self, Loaded, Source};
+use crate::launch::error::PlaceError;
 use crate::launch::incarnation::{self, Counted, State};
-use crate::launch::place::{self, PlaceError};
+use crate::launch::place;
 use imrs_protocol::{Incarnation, NodeId};
 use imrs_runtime::link::Link;
 use imrs_runtime::link::in_process::{Faults, Network};

@@ -2,8 +2,10 @@
 
 use crate::args::{LaunchArgs, RunArgs};
 use crate::cells::{self, Loaded};
-use crate::exit::{Exit, Failure, did_you_mean};
+use crate::exit::Exit;
+use crate::failure::Failure;
 use crate::launch::{self, LaunchError, Run, place, record_file};
+use crate::names::did_you_mean;
 use crate::output::Output;
 use imrs_protocol::NodeId;
 use imrs_wire::files;

@@ -1,6 +1,6 @@
 //! The file of the token that a monitor shows to nodes.
 
-use crate::exit::Failure;
+use crate::failure::Failure;
 use imrs_wire::files;
 use imrs_wire::obs::Token;
 use std::path::Path;

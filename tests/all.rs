@@ -7,6 +7,7 @@ mod arrows;
 mod assumptions;
 mod check;
 mod checks;
+mod circles;
 mod classes;
 mod command;
 mod commands;

@@ -1,5 +1,6 @@
 //! House rules that a reader would otherwise have to enforce.
 
+use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
@@ -8,8 +9,10 @@ const ROOMS: [&str; 12] = [
     "src", "tests", "examples", "protocol", "language", "wire", "model", "runtime", "macros", "monitor",
     "benches", "fuzz",
 ];
-/// Longer files want to be two.
-const LONGEST_FILE: usize = 600;
+/// Longer files, and longer functions, want to be two.
+const LONGEST: (usize, usize) = (400, 70);
+/// Those that are longer yet: how long, where, and of a function its name. This list only shrinks.
+const LONGER: &str = include_str!("tidy_longer.txt");
 
 /// Every Rust file of the workspace, with its text.
 fn sources() -> Vec<(PathBuf, String)> {
@@ -30,14 +33,70 @@ fn sources() -> Vec<(PathBuf, String)> {
     found
 }
 
+/// The functions of a formatted file by name, and how many lines they have: of several of one name the longest.
+fn functions(text: &str) -> BTreeMap<String, usize> {
+    let lines: Vec<&str> = text.lines().collect();
+    let mut found = BTreeMap::new();
+    for (at, line) in lines.iter().enumerate() {
+        let (inner, words) =
+            (line.trim_start(), ["pub ", "const ", "async ", "unsafe ", "pub(crate) ", "pub(super) "]);
+        let mut rest = inner;
+        while let Some(next) = words.iter().find_map(|word| rest.strip_prefix(word)) {
+            rest = next;
+        }
+        let Some(name) = rest.strip_prefix("fn ") else { continue };
+        let indent = &line[..line.len() - inner.len()];
+        // One on a single line ends before any line that is indented like it.
+        let is_end =
+            |line: &&str| line.strip_prefix(indent).is_some_and(|rest| !rest.starts_with([' ', ')']));
+        let length = lines[at + 1..]
+            .iter()
+            .position(is_end)
+            .filter(|&end| lines[at + 1 + end] == format!("{indent}}}"));
+        let name = name.split(|c: char| !c.is_alphanumeric() && c != '_').next().unwrap_or_default();
+        if let Some(length) = length {
+            let longest = found.entry(name.to_owned()).or_insert(0);
+            *longest = length.saturating_add(2).max(*longest);
+        }
+    }
+    found
+}
+
 #[test]
-fn files_stay_short_enough_to_be_read() {
-    let long: Vec<_> = sources()
-        .into_iter()
-        .map(|(path, text)| (path, text.lines().count()))
-        .filter(|(_, lines)| *lines > LONGEST_FILE)
+fn files_and_functions_stay_short_enough_to_be_read() {
+    let mut listed: BTreeMap<String, usize> = LONGER
+        .lines()
+        .map(|line| {
+            let (length, what) = line.split_once(' ').expect("a length and a place");
+            (what.to_owned(), length.parse().expect("a length"))
+        })
         .collect();
-    assert!(long.is_empty(), "longer than {LONGEST_FILE} lines: {long:#?}");
+    let mut longer = Vec::new();
+    let mut judge = |what: String, length: usize, most: usize| {
+        let known = listed.remove(&what);
+        if length > known.unwrap_or(most) {
+            longer.push(format!("{length} {what}"));
+        } else if let Some(known) = known {
+            assert!(length > most, "{what} is short enough now: take `{known} {what}` out of the list");
+        }
+    };
+    for (path, text) in sources() {
+        let path = path.strip_prefix(ROOT).expect("a file of the workspace").display().to_string();
+        for (name, length) in functions(&text) {
+            judge(format!("{path} {name}"), length, LONGEST.1);
+        }
+        judge(path, text.lines().count(), LONGEST.0);
+    }
+    assert!(longer.is_empty(), "longer than {LONGEST:?} lines, or than before: {longer:#?}");
+    assert!(listed.is_empty(), "gone, or renamed: {listed:#?}");
+}
+
+#[test]
+fn the_length_of_a_function_is_measured() {
+    let text = "fn one() {}\nimpl A {\n    pub(crate) const fn two(\n        a: u8,\n    ) -> u8 {\n        a\n    }\n}\n\
+                trait T {\n    fn none(&self);\n    fn three() {\n        x();\n    }\n}\n";
+    let expected = [("two", 5), ("three", 3)].map(|(name, lines)| (name.to_owned(), lines));
+    assert_eq!(functions(text), BTreeMap::from(expected));
 }
 
 #[test]

@@ -50,6 +50,34 @@ impl Hir {
     pub fn line(&self, span: Span) -> usize {
         self.lines.partition_point(|&begin| begin <= span.start).max(1)
     }
+
+    /// The links of the quickest way.
+    #[must_use]
+    pub fn way(&self, from: NodeId, to: NodeId) -> Vec<usize> {
+        let mut best: Vec<Option<(u64, Option<usize>)>> = vec![None; self.nodes.len()];
+        // Of a cell with errors a task's node may be missing.
+        if from.index().max(to.index()) >= best.len() {
+            return Vec::new();
+        }
+        best[from.index()] = Some((0, None));
+        for _ in 0..self.nodes.len() {
+            for (at, link) in self.links.iter().enumerate() {
+                for (a, b) in [(link.a, link.b), (link.b, link.a)] {
+                    let Some((before, _)) = best[a.index()] else { continue };
+                    let length = before.saturating_add(link.delay.usec.max(1));
+                    if best[b.index()].is_none_or(|(known, _)| length < known) {
+                        best[b.index()] = Some((length, Some(at)));
+                    }
+                }
+            }
+        }
+        let (mut way, mut at) = (Vec::new(), to);
+        while let Some((_, Some(link))) = best[at.index()] {
+            way.push(link);
+            at = if self.links[link].a == at { self.links[link].b } else { self.links[link].a };
+        }
+        way
+    }
 }
 
 /// A node.

@@ -1,6 +1,12 @@
 //! Ways through the statements of a task.
 
-use crate::hir::{Statement, StatementKind, Task};
+use crate::hir::{Expr, Statement, StatementKind, Task};
+use imrs_protocol::script::{Op, Term};
+
+/// Whether a condition is the constant `true`.
+pub(crate) fn is_true(condition: &Expr) -> bool {
+    condition.ops[..] == [Op::Term(Term::Push(1))]
+}
 
 /// The statements in a statement, without those of its branches.
 pub(crate) fn inner(statement: &Statement) -> Vec<&[Statement]> {
@@ -62,7 +68,7 @@ pub(crate) fn certain<'h>(statements: &'h [Statement], see: &mut dyn FnMut(&'h S
         see(statement);
         match &statement.kind {
             StatementKind::Atomic(body) | StatementKind::Loop(body) => certain(body, see),
-            StatementKind::While(condition, body) if crate::checks::flow::is_true(condition) => {
+            StatementKind::While(condition, body) if is_true(condition) => {
                 certain(body, see);
             }
             _ => {}

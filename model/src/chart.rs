@@ -8,7 +8,7 @@ use crate::explore::Exploration;
 use crate::network::Flight;
 use crate::scenario::Scenario;
 use crate::state::Packed;
-use crate::world::{Action, World};
+use crate::world::{Action, Shown, World};
 use imrs_protocol::{Call, Control, Event, Kind, Observation, Outcome, Packet, PortId, Signal, TaskId};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
@@ -318,15 +318,6 @@ fn named(port: PortId, ports: &[String], what: std::fmt::Arguments<'_>) -> Strin
         Some(name) => format!("{name} {what}"),
         None => what.to_string(),
     }
-}
-
-/// What a step showed about a task.
-#[derive(Clone, Copy, Debug)]
-pub(crate) enum Shown {
-    /// An observation of its communication task.
-    Seen(Observation),
-    /// An answer to the task.
-    Told(Signal),
 }
 
 /// A packet in a word, with the port that it is for, where ports have names, and its number.

@@ -3,9 +3,11 @@
 
 mod commands;
 mod couples;
+mod exchange;
 mod floors;
 mod larger;
 mod margins;
+mod meeting;
 mod meetings;
 mod pinned;
 mod service;

@@ -2,6 +2,9 @@
 
 use std::fmt;
 
+/// Bytes before the ghosts: violation, budgets, flags, steps since the last tick.
+pub(crate) const HEADER: usize = 7;
+
 /// A packed state. Equal bytes are equal futures.
 #[derive(Clone, PartialEq, Eq, Hash)]
 pub struct Packed(pub(crate) Box<[u8]>);
@@ -16,7 +19,7 @@ impl Packed {
     /// Whether nothing more happens: something is wrong, or the world has shown what it was made for.
     #[must_use]
     pub fn is_final(&self) -> bool {
-        self.violation().is_some() || self.0.len() <= crate::world::HEADER
+        self.violation().is_some() || self.0.len() <= HEADER
     }
 
     /// How many bytes it has.

@@ -3,7 +3,7 @@
 //! `symmetry` is ignored by its breadth-first search).
 
 use crate::network::{Codec, Flight, Packed};
-use crate::world::HEADER;
+use crate::state::HEADER;
 use imrs_protocol::{Frame, Overflow, TaskId};
 
 /// From so many members on, trying all renamings of those that look alike from outside costs more than looking closer.

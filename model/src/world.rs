@@ -4,7 +4,6 @@
 //! [`World::store`] packs the result with everything relative: remaining times, rounds counted from the least one in
 //! use, sequences counted back from the next one (D51).
 
-use crate::chart::Shown;
 use crate::ghost::{Ghost, Judge, question};
 use crate::network::{Codec, FLIGHT_BYTES, Flight};
 use crate::scenario::{Behaviour, Scenario, Watch};
@@ -98,6 +97,18 @@ pub(crate) struct World {
     pub keep_log: bool,
 }
 
+/// The transit buffers of a world are emptied at once, so they need little room.
+const TRANSIT: u16 = 64;
+
+/// What a step showed about a task.
+#[derive(Clone, Copy, Debug)]
+pub(crate) enum Shown {
+    /// An observation of its communication task.
+    Seen(Observation),
+    /// An answer to the task.
+    Told(Signal),
+}
+
 /// What one step of a node sent and showed.
 #[derive(Clone, Debug, Default)]
 struct Effects {
@@ -117,11 +128,6 @@ impl NodeOutbox for Effects {
         self.seen.push(observation);
     }
 }
-
-/// The transit buffers of a world are emptied at once, so they need little room.
-const TRANSIT: u16 = 64;
-/// Bytes before the ghosts: violation, budgets, flags, steps since the last tick.
-pub(crate) const HEADER: usize = 7;
 
 impl World {
     /// The world in its first state.

@@ -1,6 +1,6 @@
 //! The keys, in one table: what acts on them and what the help shows can never differ.
 
-use crate::app::Screen;
+use crate::screen::Screen;
 use crossterm::event::{KeyCode, KeyEvent, KeyModifiers};
 
 /// What a key does.

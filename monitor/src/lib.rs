@@ -12,6 +12,7 @@
 pub mod app;
 pub mod clock;
 pub mod config;
+mod conformance;
 mod error;
 pub mod export;
 pub mod history;
@@ -25,6 +26,7 @@ pub mod record;
 pub mod replay;
 pub mod report;
 pub mod rows;
+mod screen;
 mod signals;
 pub mod source;
 pub mod specimen;

@@ -21,7 +21,6 @@ extern crate alloc;
 pub mod aging;
 pub mod cell;
 mod comm_task;
-mod couples;
 mod ids;
 mod index;
 mod mapping;

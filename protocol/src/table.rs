@@ -2,11 +2,11 @@
 //! into every call. It is never part of a machine's state.
 
 mod check;
+mod couples;
 mod digest;
 mod restart;
 
 use crate::cell::{Cell, CellError, PortDecl, Rate, TaskDecl, Usage, UserDecl};
-use crate::couples;
 use crate::ids::{NodeId, PortId, TaskId};
 use crate::margin;
 use crate::rules::Rules;

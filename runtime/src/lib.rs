@@ -45,13 +45,14 @@ mod explored;
 mod explorer;
 pub mod guard;
 pub mod link;
+mod lock;
 mod node;
 mod observe;
 pub mod record;
 pub mod script;
 mod sync;
 
-pub use api::builder::{Builder, SPIN, SPIN_TAIL, StartError, TRANSIT_CAPACITY};
+pub use api::builder::{Builder, SPIN, TRANSIT_CAPACITY};
 #[doc(hidden)]
 pub use api::compiled;
 pub use api::context::{
@@ -61,6 +62,7 @@ pub use api::message::{self, Message};
 pub use guard::actuator;
 pub use imrs_protocol as protocol;
 pub use node::Node;
-pub use node::threads::{Runtime, TaskEnd};
+pub use node::program::{StartError, TaskEnd};
+pub use node::threads::{Runtime, SPIN_TAIL};
 pub use observe::observer;
 pub use observe::snapshot::{Observations, Watching};

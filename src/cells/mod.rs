@@ -1,7 +1,7 @@
 //! Cells of the cell language, compiled to run.
 
 use crate::cell_file;
-use crate::exit::Failure;
+use crate::failure::Failure;
 use imrs_language::lower::{Action, Address, Behaviour, Check, CheckKind, Script};
 use imrs_language::{Options, Span, Unit, compile_with, render};
 use imrs_protocol::script::{Op, Predicate, Program, Term, Type, Variable};

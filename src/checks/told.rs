@@ -3,7 +3,7 @@
 use super::Broken;
 use super::vouch::Doubt;
 use crate::cells::Loaded;
-use crate::exit::Failure;
+use crate::failure::Failure;
 use crate::output::{BAD, GOOD, NOTE, Output, Styled, count, span};
 use serde::Serialize;
 

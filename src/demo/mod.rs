@@ -10,7 +10,8 @@ mod shared_tool;
 
 use crate::args::DemoArgs;
 use crate::cells::{self, Loaded, Source};
-use crate::exit::{Exit, Failure};
+use crate::exit::Exit;
+use crate::failure::Failure;
 use crate::launch::story::{Moment, Outcome, Planned, Story, Tale};
 use crate::launch::{self, Run};
 use crate::output::Output;

@@ -5,7 +5,8 @@ mod svg;
 
 use crate::args::{GraphArgs, Picture};
 use crate::cell_file::{read, shown};
-use crate::exit::{Exit, Failure, turned_down};
+use crate::exit::{Exit, turned_down};
+use crate::failure::Failure;
 use crate::output::{Output, complain_in_full, span};
 use imrs_language::hir::{Hir, Port};
 use imrs_language::{compile, render};

@@ -1,9 +1,10 @@
 //! The nodes of a run, seen from the launcher: a process each (D64), or a thread each of this one.
 
-use super::launcher::LaunchError;
+use super::error::LaunchError;
 use super::lines::{Order, Setup, Word, hear, say};
 use super::node::{self, NodeError};
-use crate::exit::{Exit, Failure};
+use crate::exit::Exit;
+use crate::failure::Failure;
 use crate::output::complain;
 use imrs_protocol::NodeId;
 use imrs_runtime::link::in_process::Network;

@@ -1,7 +1,7 @@
 //! What the scripts do, as lines for a person: in the order of time, and no faster than can be read.
 
 use super::deed::Did;
-use crate::exit::Failure;
+use crate::failure::Failure;
 use crate::output::{BAD, FAINT, NOTE, Output, Styled, count};
 use imrs_protocol::{Cell, CellTable};
 use std::collections::BTreeMap;
@@ -168,7 +168,7 @@ mod tests {
         let mut diary = Diary::new(table.cell(), 0);
         diary.add(did(200_000, 0));
         diary.add(did(100_000, 1));
-        let mut out = Output::new(crate::args::Color::Never);
+        let mut out = Output::new(crate::output::Color::Never);
         diary.show(&table, 200_050, &mut out).unwrap();
         assert_eq!(diary.waiting.keys().map(|(at, _)| *at).collect::<Vec<_>>(), [200_000]);
         diary.close(&table, &mut out).unwrap();

@@ -1,6 +1,6 @@
 //! Faults asked for on the command line: `--loss 10%`, `--kill hoist@2s`, `--cut nl--nr@1s+40ms`.
 
-use crate::exit::did_you_mean;
+use crate::names::did_you_mean;
 use crate::time::TimeError;
 use imrs_protocol::{Cell, NodeId};
 use std::fmt;

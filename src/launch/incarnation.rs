@@ -3,7 +3,8 @@
 //! A node binds its socket, locks its state, asks its neighbours, counts, syncs, and only then sends packets. So a start
 //! that fails consumes no incarnation, and a node whose state was lost takes one that its neighbours do not hold for old.
 
-use super::place::{self, PlaceError};
+use super::error::PlaceError;
+use super::place;
 use crate::cells::Loaded;
 use crate::output::complain;
 use imrs_protocol::{Incarnation, NodeId, NodeTable};

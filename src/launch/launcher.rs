@@ -1,31 +1,33 @@
 //! Runs a cell: one process per node, faults on time, and a summary at the end.
 
+mod follow;
+
 use super::children::{Children, Message};
 use super::clock::now_us;
 use super::deed::Did;
 use super::diary::Diary;
+use super::error::LaunchError;
 use super::faults::{Fault, FaultError, Wanted, schedule};
-use super::follow::progress_line;
 use super::lines::{Order, Setup, Word};
 use super::noticed::Noticed;
-use super::place::{self, PlaceError};
-use super::report;
+use super::place;
+use super::report::{self, StartedNode};
 use super::rt;
+use super::run::Run;
 use super::setups::setups;
 use super::signals::Interrupts;
-use super::story::{Moment, Story, Tale};
+use super::story::{Moment, Story};
 use super::summary::{Gatherer, Summary};
-use crate::args::{Format, LaunchArgs};
-use crate::cells::{Loaded, Source};
+use crate::args::Format;
 use crate::checks::Judge;
-use crate::exit::{Exit, Failure};
+use crate::exit::Exit;
+use crate::failure::Failure;
 use crate::output::{Output, Untaken, complain, count, notice};
+use follow::progress_line;
 use imrs_protocol::{Cell, CellTable, NodeId, TaskId};
 use imrs_runtime::link::in_process::{self, Network};
-use imrs_runtime::script::Course;
 use serde::Serialize;
 use std::collections::{BTreeMap, BTreeSet};
-use std::io;
 use std::net::SocketAddr;
 use std::sync::Arc;
 use std::sync::mpsc::{self, Receiver, RecvTimeoutError};
@@ -42,82 +44,11 @@ const READ_WITHIN: Duration = Duration::from_secs(5);
 /// So many words of the nodes wait for the launcher. Nodes whose words do not fit keep theirs, and count what they drop.
 const WORDS: usize = 8_192;
 
-/// Why a cell could not be run.
-#[derive(Debug, thiserror::Error)]
-pub enum LaunchError {
-    /// The faults do not fit the cell or the run.
-    #[error(transparent)]
-    Fault(#[from] FaultError),
-    /// A process or thread cannot be started.
-    #[error("cannot start the nodes: {0}")]
-    Start(#[source] io::Error),
-    /// A node did not get ready.
-    #[error("node `{name}` did not get ready")]
-    NotReady {
-        /// Its name.
-        name: String,
-        /// Whether it said that it was asked for what cannot be had.
-        refused: bool,
-    },
-    /// Ctrl-C came before all nodes were ready.
-    #[error("interrupted before node `{0}` was ready: nothing has run")]
-    Interrupted(String),
-    /// The node cannot run by itself.
-    #[error(transparent)]
-    Place(#[from] PlaceError),
-}
-
-impl LaunchError {
-    /// The exit code it leads to.
-    pub fn exit(&self) -> Exit {
-        match self {
-            Self::Fault(_) | Self::Place(_) | Self::NotReady { refused: true, .. } => Exit::Usage,
-            Self::Interrupted(_) => Exit::Incomplete,
-            Self::Start(_) | Self::NotReady { refused: false, .. } => Exit::Internal,
-        }
-    }
-}
-
 /// The first line of `--format json`: what runs where.
 #[derive(Serialize)]
 struct Started<'a> {
     version: u32,
     started: Vec<StartedNode<'a>>,
-}
-
-/// A node that runs.
-#[derive(Clone, Debug, Serialize)]
-pub struct StartedNode<'a> {
-    /// Its name.
-    pub name: &'a str,
-    /// Its tasks.
-    pub tasks: Vec<&'a str>,
-    /// Its process.
-    pub pid: u32,
-    /// Its socket, if it has one.
-    pub address: Option<SocketAddr>,
-    /// Where it serves monitors over TCP.
-    pub observe: Option<SocketAddr>,
-}
-
-/// What is run, and how.
-pub struct Run<'a> {
-    /// Where the cell comes from.
-    pub source: Source,
-    /// The cell.
-    pub loaded: &'a Loaded,
-    /// How it is run.
-    pub args: &'a LaunchArgs,
-    /// How long; without end where there is none.
-    pub length: Option<Duration>,
-    /// By action, the command to execute for it.
-    pub actions: BTreeMap<String, Vec<String>>,
-    /// What simulated actions give as time goes on.
-    pub courses: Vec<Course>,
-    /// The only node that is run here, in place of all.
-    pub only: Option<NodeId>,
-    /// What a demo adds.
-    pub tale: Option<Tale>,
 }
 
 pub(super) struct Launcher<'a> {

@@ -1,9 +1,9 @@
 //! One node of a run: does what its launcher says, in a process or a thread of its own.
 
 use super::deed::{Deed, Did, Lease};
+use super::error::PlaceError;
 use super::incarnation::{self, State};
 use super::lines::{Event, Figures, Order, RefusalFigures, Setup, What, Word, hear};
-use super::place::PlaceError;
 use super::recorder::NodeRecording;
 use super::rt;
 use super::scripted::Narrator;

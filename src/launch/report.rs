@@ -1,13 +1,30 @@
 //! The summary of a run, as a person reads it.
 
 use super::faults::Restart;
-use super::launcher::{Run, StartedNode};
+use super::run::Run;
 use super::summary::{NodeSummary, RendezvousSummary, Summary};
 use crate::args::LaunchArgs;
-use crate::exit::Failure;
+use crate::failure::Failure;
 use crate::output::{BAD, FAINT, GOOD, HEAD, NOTE, Output, Styled, count, grouped, span};
 use imrs_protocol::{CellTable, Usage};
+use serde::Serialize;
 use std::collections::BTreeMap;
+use std::net::SocketAddr;
+
+/// A node that runs.
+#[derive(Clone, Debug, Serialize)]
+pub struct StartedNode<'a> {
+    /// Its name.
+    pub name: &'a str,
+    /// Its tasks.
+    pub tasks: Vec<&'a str>,
+    /// Its process.
+    pub pid: u32,
+    /// Its socket, if it has one.
+    pub address: Option<SocketAddr>,
+    /// Where it serves monitors over TCP.
+    pub observe: Option<SocketAddr>,
+}
 
 /// Says what runs, and how to watch it.
 ///

@@ -1,7 +1,7 @@
 //! What came of the rounds of a waitfor that are no longer kept one by one.
 
+use super::rounds::Rounds;
 use super::spread::Spreading;
-use super::tally::Rounds;
 use std::collections::BTreeMap;
 
 /// So many gaps between settled rounds are remembered.

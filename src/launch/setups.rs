@@ -1,8 +1,9 @@
 //! What each node of a run is told at its start.
 
-use super::launcher::{LaunchError, Run};
+use super::error::LaunchError;
 use super::lines::Setup;
 use super::place;
+use super::run::Run;
 use imrs_protocol::NodeId;
 use imrs_wire::obs::Token;
 use std::net::SocketAddr;

@@ -1,7 +1,7 @@
 //! Ctrl-C and the like: they end the run in order, with its summary.
 
 use super::children::Message;
-use super::launcher::LaunchError;
+use super::error::LaunchError;
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 use std::sync::Arc;

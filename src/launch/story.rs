@@ -2,10 +2,10 @@
 
 use super::deed::{Deed, Did};
 use super::faults::Fault;
+pub use super::summary::Outcome;
 use super::summary::Summary;
 use crate::cells::Loaded;
 use imrs_protocol::{NodeId, TaskId};
-use serde::Serialize;
 use std::time::Duration;
 
 /// What a demo adds to a run.
@@ -45,15 +45,6 @@ pub enum Planned {
     Kill(&'static str),
     /// The node stands still for so long (SIGSTOP); one that shares its process with others is cut off from them in place of that.
     Pause(&'static str, Duration),
-}
-
-/// What came of a demo.
-#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct Outcome {
-    /// Whether what is promised came; `None` where it was not put to the test.
-    pub held: Option<bool>,
-    /// What happened, sentence by sentence.
-    pub words: Vec<String>,
 }
 
 /// A run, to be explained.

@@ -1,8 +1,8 @@
 //! What a run comes to: gathered from the nodes while it lasts, summed up at its end.
 
 use super::lines::{Event, Figures, Outcomes, RefusalFigures, What};
-use super::story::Outcome;
-use super::tally::{Rounds, Tally};
+use super::rounds::Rounds;
+use super::tally::Tally;
 use crate::checks::Settlement;
 use crate::output::count;
 use imrs_protocol::{CellTable, NodeId, PortCounters, PortId, TaskId, Usage};
@@ -351,6 +351,15 @@ fn add(sum: &mut PortCounters, more: &PortCounters) {
     sum.refused += more.refused;
     sum.timed_out += more.timed_out;
     sum.duplicates += more.duplicates;
+}
+
+/// What came of a demo.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]
+pub struct Outcome {
+    /// Whether what is promised came; `None` where it was not put to the test.
+    pub held: Option<bool>,
+    /// What happened, sentence by sentence.
+    pub words: Vec<String>,
 }
 
 #[cfg(test)]

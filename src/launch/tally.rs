@@ -1,10 +1,10 @@
 //! The arithmetic of a run: what came of every round of a waitfor, from what its members said of it.
 
 use super::lines::{Event, What};
+use super::rounds::Rounds;
 use super::settled::{Settled, falsely};
-use super::spread::{Spread, Spreading};
+use super::spread::Spreading;
 use imrs_protocol::{Round, TaskId};
-use serde::Serialize;
 use std::collections::BTreeMap;
 
 /// So many rounds are kept as they are: what a member may still say of an older one is not waited for.
@@ -56,29 +56,6 @@ struct Meeting {
     begun: u64,
     first_start: u64,
     last_start: u64,
-}
-
-/// What came of all rounds of one waitfor.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize)]
-pub struct Rounds {
-    /// Rounds that came to an end.
-    pub rounds: u64,
-    /// Of these, the rounds that released all members.
-    pub released: u64,
-    /// Rounds that released nobody: who was there gave up.
-    pub timed_out: u64,
-    /// Rounds that released some members and not others.
-    pub divergent: u64,
-    /// Rounds that a killed node took part in, or may have: its last words are missing.
-    pub unknown: u64,
-    /// Rounds that the end of the run cut short; not among `rounds`.
-    pub unfinished: u64,
-    /// Releases in a round that not all members had announced.
-    #[serde(skip)]
-    pub false_releases: u64,
-    /// The time between the first and the last member's start, in microseconds, of the rounds that released all;
-    /// `None` without any.
-    pub start_skew_us: Option<Spread>,
 }
 
 impl Tally {
@@ -332,6 +309,7 @@ impl Member {
 #[cfg(test)]
 mod tests {
     use super::*;
+    use crate::launch::spread::Spread;
     use imrs_protocol::PortId;
 
     const GAVE_UP: What = What::GaveUp { waited: 200, missing: 4 };

@@ -1,11 +1,12 @@
 //! What goes to standard output: plain where nobody looks, coloured for a person, quiet once the reader has gone.
 
+mod color;
 mod printer;
 
+pub use color::Color;
 pub use printer::{Notice, Untaken, notice};
 
-use crate::args::Color;
-use crate::exit::Failure;
+use crate::failure::Failure;
 use crate::launch::LaunchError;
 use anstream::AutoStream;
 use anstream::adapter::strip_str;

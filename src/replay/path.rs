@@ -1,14 +1,16 @@
 //! `imrs replay FILE... --cell CELL --model`: is this run a path of the model that `imrs verify` explores?
 
 use super::assumptions::Assumed;
+use super::error::ReplayError;
 use super::surroundings::{Surroundings, named};
-use super::told::Told;
-use super::{Opened, ReplayError, open};
+use super::told::{Told, WALKS};
+use super::{Opened, open};
 use crate::args::{Format, ReplayArgs};
 use crate::cell_file;
 use crate::cells::{self, Loaded};
 use crate::checks::{Change, Judge, Looker, Settlement};
-use crate::exit::{Exit, Failure};
+use crate::exit::Exit;
+use crate::failure::Failure;
 use crate::output::Output;
 use crate::verify::{conduct, faults};
 use imrs_language::{Unit, compile};
@@ -21,9 +23,6 @@ use imrs_runtime::script::Watch;
 use imrs_wire::recording::{Ending, Header};
 use std::path::Path;
 use std::sync::Arc;
-
-/// How many seconds the steps of a run are looked for where `imrs verify` looks.
-pub const WALKS: f64 = 5.0;
 
 /// What was recorded of a run.
 struct Recorded {

@@ -1,14 +1,17 @@
 //! What following a run came to, for people and for programs.
 
 use super::assumptions::Breach;
-use super::path::WALKS;
 use crate::cells::Loaded;
 use crate::checks::Settlement;
-use crate::exit::{Exit, Failure};
+use crate::exit::Exit;
+use crate::failure::Failure;
 use crate::output::{BAD, GOOD, NOTE, Output, Styled, count};
 use imrs_model::cell::{Followed, Steps, Unexplained};
 use imrs_protocol::TaskId;
 use serde::Serialize;
+
+/// How many seconds the steps of a run are looked for where `imrs verify` looks.
+pub const WALKS: f64 = 5.0;
 
 /// Seconds.
 fn since(start: u64, at: u64) -> f64 {

@@ -1,6 +1,7 @@
 //! A schedule as a text file: its faults, and its choices if `--save` wrote it.
 
-use crate::exit::{Failure, did_you_mean};
+use crate::failure::Failure;
+use crate::names::did_you_mean;
 use imrs_model::cell::{Chooser, Fault, MOST_FAULTS, Schedule, Tape};
 use imrs_protocol::{CellTable, NodeId, TaskId};
 use imrs_wire::files::{self, FileError};

@@ -6,7 +6,8 @@ mod tell;
 
 use crate::args::{Format, STEPS, SimulateArgs};
 use crate::cell_file;
-use crate::exit::{Exit, Failure};
+use crate::exit::Exit;
+use crate::failure::Failure;
 use crate::kept;
 use crate::output::{Output, complain, count, grouped};
 use crate::verify::{Subject, quoted};

@@ -2,7 +2,7 @@
 
 use super::{Report, What};
 use crate::args::Format;
-use crate::exit::Failure;
+use crate::failure::Failure;
 use crate::output::{BAD, FAINT, HEAD, NOTE, Output, Styled, complain, count, grouped};
 use crate::verify::chart;
 use imrs_model::cell::{Ended, Fault, Found};

@@ -1,6 +1,6 @@
 //! What the check of a cell found, as programs read it.
 
-use super::cell::Subject;
+use super::subject::Subject;
 use super::tell::{help, not_looked_for};
 use imrs_model::cell::{
     CellFaults, CellPlan, Concerned, Coverage, Finding, Kind, Pause, Phase, Refused, Times, Verdicts,

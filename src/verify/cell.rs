@@ -1,40 +1,16 @@
 //! `imrs verify CELL`: the cell's own scripts and communication tasks under the checker, with the faults that it declares.
 
-use super::DEFAULT_MEMORY;
+use super::save::save;
+use super::subject::Subject;
 use super::tell::{self, Telling};
-use crate::args::{self, CellFaultArgs, Format, VerifyVerb};
-use crate::cell_file;
-use crate::check;
-use crate::exit::{Exit, Failure, did_you_mean, turned_down};
+use crate::args::{CellFaultArgs, Format, VerifyVerb};
+use crate::exit::Exit;
+use crate::failure::Failure;
 use crate::kept;
 use crate::output::{Output, complain, harmless};
-use imrs_language::hir::{self, CoupleKind, Faults};
-use imrs_language::lower::{Action, Behaviour, Check, CheckKind, Lowered};
-use imrs_language::{Options, Source, Span, Unit, compile_with, render};
-use imrs_model::cell::{
-    Budget, CellCheck, CellFaults, CellPlan, Conduct, Coverage, Finding, Folding, Holds, Legend, Pause,
-    Times, Verdicts, chart, check_cell, drawn, svg,
-};
-use imrs_protocol::script::Address;
-use imrs_protocol::{CellTable, NodeId, TaskId, Ticks};
+use imrs_model::cell::{CellPlan, Coverage, Folding, Verdicts, chart, check_cell, drawn, svg};
 use std::path::Path;
 use std::sync::Arc;
-
-/// A cell, what it was compiled from and to.
-pub struct Subject {
-    pub file: String,
-    pub source: Source,
-    pub lowered: Lowered,
-    /// Where the heads of the tasks stand.
-    tasks: Vec<Span>,
-    /// Where the work couples stand, as the table has them.
-    couples: Vec<Span>,
-    pub table: Arc<CellTable>,
-    /// Microseconds in a tick of the model.
-    pub tick_us: u64,
-    /// Every how many microseconds between the ends of an action's times are looked at, where the cell says so.
-    pub model_tick_us: Option<u64>,
-}
 
 /// Checks a cell.
 ///
@@ -52,7 +28,7 @@ pub fn run(path: &Path, args: &VerifyVerb, out: &mut Output) -> Result<Exit, Fai
     }
     let verdicts = check_cell(&plan);
     // What was found is shown even if it cannot be saved.
-    let kept = subject.keep(&plan, &verdicts, &args.faults);
+    let kept = keep(&subject, &plan, &verdicts, &args.faults);
     let saved = kept.as_ref().map_or(None, |saved| *saved);
     match format {
         Format::Json => {
@@ -74,240 +50,38 @@ pub fn run(path: &Path, args: &VerifyVerb, out: &mut Output) -> Result<Exit, Fai
     })
 }
 
-impl Subject {
-    /// Compiles a cell file. The inner error: it was turned down, and the reasons are told.
-    ///
-    /// # Errors
-    /// [`Failure`].
-    pub fn open(
-        path: &Path,
-        paper: bool,
-        format: Format,
-        out: &mut Output,
-    ) -> Result<Result<Self, Exit>, Failure> {
-        let (file, source) = (cell_file::shown(path), cell_file::read(path)?);
-        let compiled = compile_with(&source, Options { paper });
-        let Some(lowered) = compiled.lower(Unit::Ticks) else {
-            let found = &compiled.diagnostics;
-            match format {
-                Format::Json => check::json(&file, &source, &compiled, out)?,
-                Format::Text => {
-                    out.text(&render::text(found, &file, Some(&source), render::Style::Coloured))?;
-                }
-            }
-            return Ok(Err(turned_down(found)));
-        };
-        let table = CellTable::new(lowered.cell.clone()).map(Arc::new).map_err(|errors| {
-            let all: Vec<String> = errors.iter().map(ToString::to_string).collect();
-            Failure::Usage(format!("{file}: in whole ticks the cell does not fit: {}", all.join("; ")))
-        })?;
-        let tick_us = compiled.hir.as_ref().map_or(1, |hir| Unit::Ticks.usec(hir));
-        let model_tick_us = compiled.hir.as_ref().and_then(|hir| hir.model_tick).map(|tick| tick.usec);
-        let couples = compiled.hir.iter().flat_map(|hir| &hir.couples);
-        let couples = couples.filter(|couple| matches!(couple.kind, CoupleKind::Work { .. }));
-        let couples = couples.map(|couple| couple.span).collect();
-        let tasks = compiled.hir.iter().flat_map(|hir| &hir.tasks).map(|task| task.span).collect();
-        Ok(Ok(Self { file, source, lowered, tasks, couples, table, tick_us, model_tick_us }))
-    }
-
-    /// The cell with the faults that it declares.
-    pub fn declared(&self, jobs: Option<u16>) -> CellPlan {
-        let tasks = self.lowered.tasks.iter().map(conduct).collect();
-        let mut plan = CellPlan::new(Arc::clone(&self.table), tasks);
-        plan.faults =
-            self.lowered.faults.iter().map(|declared| faults(declared, &self.table, self.tick_us)).collect();
-        plan.checks = self.lowered.checks.iter().map(check).collect();
-        let step = self.model_tick_us.unwrap_or(self.tick_us) / self.tick_us.max(1);
-        plan.step = u32::try_from(step).unwrap_or(u32::MAX).max(1);
-        plan.jobs = jobs.map_or(2, usize::from);
-        plan.legend = self.legend();
-        plan
-    }
-
-    fn plan(&self, args: &VerifyVerb) -> Result<CellPlan, Failure> {
-        let mut plan = self.declared(args.verify.jobs);
-        self.add(&args.faults, &mut plan.faults)?;
-        let seconds = args.faults.within.as_secs_f64();
-        plan.budget = Budget { seconds, bytes: args.verify.memory.unwrap_or(DEFAULT_MEMORY), ..plan.budget };
-        plan.times = match args.faults.times {
-            args::Times::Auto => Times::Auto,
-            args::Times::Ends => Times::Ends,
-            args::Times::Between => Times::Between,
-            args::Times::Every => Times::Every,
-        };
-        Ok(plan)
-    }
-
-    /// The lines and the formats that charts show.
-    fn legend(&self) -> Legend {
-        let line = |span: &Span| u32::try_from(self.source.position(span.start).0).unwrap_or(u32::MAX);
-        let of_task = |behaviour: &Behaviour| match behaviour {
-            Behaviour::Script(script) => {
-                (script.spans.iter().map(line).collect(), script.handlers.iter().map(line).collect())
-            }
-            Behaviour::Extern(_) => (Vec::new(), Vec::new()),
-        };
-        let (lines, handlers) = self.lowered.tasks.iter().map(of_task).unzip();
-        let formats = self.lowered.formats.iter();
-        let formats = formats.map(|port| (port.message.clone(), port.answer.clone())).collect();
-        Legend { lines, handlers, formats }
-    }
-
-    /// Adds the faults asked for to each declared hypothesis.
-    fn add(&self, more: &CellFaultArgs, all: &mut Vec<CellFaults>) -> Result<(), Failure> {
-        let crash = more.crash.iter().map(|name| self.node(name)).collect::<Result<Vec<_>, _>>()?;
-        if all.is_empty() {
-            all.push(CellFaults::default());
-        }
-        for faults in all {
-            faults.loss = faults.loss.saturating_add(more.loss);
-            faults.dup = faults.dup.saturating_add(more.dup);
-            faults.drift = faults.drift.saturating_add(more.drift);
-            faults.reorder = more.reorder;
-            faults.crash.extend(&crash);
-            let pause = Pause::new(&self.table, None, None);
-            faults.pause.extend(std::iter::repeat_n(pause, more.pause.into()));
-        }
-        Ok(())
-    }
-
-    /// The times that were rounded to the tick: line, column, and what was made of them.
-    pub fn rounded(&self) -> impl Iterator<Item = (usize, usize, &str)> {
-        self.lowered.notes.iter().map(|note| {
-            let (line, column) = self.source.position(note.primary.span.start);
-            (line, column, note.message.as_str())
-        })
-    }
-
-    /// The node of this name, or that of the task of this name.
-    fn node(&self, name: &str) -> Result<NodeId, Failure> {
-        let cell = self.table.cell();
-        let node = cell.nodes.iter().position(|node| node.name == name).map(NodeId::from_index);
-        let of_task = || cell.tasks.iter().find(|task| task.name == name).map(|task| task.node);
-        node.or_else(of_task).ok_or_else(|| {
-            let nodes = cell.nodes.iter().map(|node| node.name.as_str());
-            let names = nodes.chain(cell.tasks.iter().map(|task| task.name.as_str()));
-            Failure::Usage(format!("no node and no task `{name}`{}", did_you_mean(name, names)))
-        })
-    }
-
-    pub fn task(&self, task: TaskId) -> &str {
-        self.table.cell().tasks.get(task.index()).map_or("?", |task| task.name.as_str())
-    }
-
-    /// Line and column, from 1, and the first line of the statement that an operation belongs to.
-    pub fn place(&self, task: TaskId, at: Address) -> Option<(usize, usize, &str)> {
-        let Behaviour::Script(script) = self.lowered.tasks.get(task.index())? else { return None };
-        let span = *script.spans.get(usize::from(at))?;
-        let (line, column) = self.source.position(span.start);
-        Some((line, column, self.source.slice(span).lines().next().unwrap_or_default()))
-    }
-
-    pub fn place_of(&self, finding: &Finding) -> (usize, usize, &str) {
-        let of_check = || {
-            let check = self.lowered.checks.get(finding.check?)?;
-            let (line, column) = self.source.position(check.span.start);
-            Some((line, column, self.source.slice(check.span)))
-        };
-        let of_task = finding.task.zip(finding.address).and_then(|(task, at)| self.place(task, at));
-        let first_line = |span: Span| {
-            let (line, column) = self.source.position(span.start);
-            (line, column, self.source.slice(span).lines().next().unwrap_or_default())
-        };
-        let of_couple =
-            || finding.couple.and_then(|couple| self.couples.get(couple)).copied().map(first_line);
-        // A task outside the cell has no statements.
-        let of_head = || finding.task.and_then(|task| self.tasks.get(task.index())).copied().map(first_line);
-        of_task.or_else(of_check).or_else(of_couple).or_else(of_head).unwrap_or_else(|| self.head())
-    }
-
-    /// The declaration of the cell: what is wrong with nothing in particular is wrong with it.
-    fn head(&self) -> (usize, usize, &str) {
-        let mut lines = (1..).zip(self.source.text().lines());
-        let head = lines.find(|(_, text)| text.trim_start().starts_with("cell "));
-        let (line, text) = head.unwrap_or((1, ""));
-        (line, 1 + text.chars().take_while(|c| c.is_whitespace()).count(), text.trim())
-    }
-
-    /// Draws and saves the finding that was asked for. Returns its number if it was saved.
-    fn keep(
-        &self,
-        plan: &Arc<CellPlan>,
-        verdicts: &Verdicts,
-        args: &CellFaultArgs,
-    ) -> Result<Option<usize>, Failure> {
-        let all = &verdicts.findings;
-        let at = match args.finding {
-            Some(number) => usize::from(number) - 1,
-            None => all.iter().position(|finding| !finding.moves.is_empty()).unwrap_or(0),
-        };
-        let Some(finding) = all.get(at) else {
-            // Without findings there is nothing to keep, and that is well.
-            let missed = args.finding.filter(|_| !all.is_empty());
-            let missed = missed.map(|number| format!("--finding {number}: there are {}", all.len()));
-            return missed.map_or(Ok(None), |missed| Err(Failure::Usage(missed)));
-        };
-        if let Some(path) = &args.trace {
-            let notes = finding.steps.iter().flat_map(|step| step.notes.clone()).collect();
-            let (names, notes) = drawn(plan, finding.part, notes);
-            let drawn = if path.extension().is_some_and(|of| of == "txt") {
-                chart(&names, &notes, &finding.cause, Folding::Nothing) + "\n"
-            } else {
-                svg(&names, &notes, &finding.cause)
-            };
-            kept::keep_text(path, args.force, &harmless(&drawn))?;
-        }
-        let Some(path) = &args.save else { return Ok(None) };
-        let searched =
-            |phase: &&Coverage| (phase.phase, phase.hypothesis) == (finding.phase, finding.hypothesis);
-        let bounds = verdicts.phases.iter().find(searched);
-        let bounds = bounds.map(|phase| tell::bounds(plan, phase)).unwrap_or_default();
-        let saved = super::save::save(path, self, plan, finding, bounds, args.force)?;
-        Ok(saved.then_some(at + 1))
-    }
-}
-
-/// What a task does in the model.
-pub fn conduct(behaviour: &Behaviour) -> Conduct {
-    match behaviour {
-        Behaviour::Script(script) => {
-            let values =
-                |values: &[i64]| values.iter().filter_map(|&value| i32::try_from(value).ok()).collect();
-            Conduct::Program {
-                program: Arc::clone(&script.program),
-                values: script.actions.iter().map(|action| values(&action.values)).collect(),
-                open: !script.actions.iter().all(Action::is_covered),
-            }
-        }
-        Behaviour::Extern(rate) => Conduct::Extern(*rate),
-    }
-}
-
-fn check(check: &Check) -> CellCheck {
-    let holds = match &check.kind {
-        CheckKind::Always(terms) => Holds::Always(terms.clone()),
-        CheckKind::Leads { when, then, within } => {
-            Holds::Leads { when: when.clone(), then: then.clone(), within: *within }
-        }
+/// Draws and saves the finding that was asked for. Returns its number if it was saved.
+fn keep(
+    subject: &Subject,
+    plan: &Arc<CellPlan>,
+    verdicts: &Verdicts,
+    args: &CellFaultArgs,
+) -> Result<Option<usize>, Failure> {
+    let all = &verdicts.findings;
+    let at = match args.finding {
+        Some(number) => usize::from(number) - 1,
+        None => all.iter().position(|finding| !finding.moves.is_empty()).unwrap_or(0),
     };
-    CellCheck { name: check.name.clone(), holds }
-}
-
-/// A declared hypothesis, for the checker, in ticks of so many microseconds.
-pub fn faults(declared: &Faults, table: &CellTable, tick_us: u64) -> CellFaults {
-    let pause = |pause: &hir::Pause| {
-        // A pause that ends between two ticks ends at the later one.
-        let most = pause.most.map(|most| Ticks(most.usec.div_ceil(tick_us.max(1))));
-        Pause::new(table, Some(pause.node), most)
+    let Some(finding) = all.get(at) else {
+        // Without findings there is nothing to keep, and that is well.
+        let missed = args.finding.filter(|_| !all.is_empty());
+        let missed = missed.map(|number| format!("--finding {number}: there are {}", all.len()));
+        return missed.map_or(Ok(None), |missed| Err(Failure::Usage(missed)));
     };
-    CellFaults {
-        loss: declared.loss,
-        dup: declared.dup,
-        reorder: 0,
-        fail: declared.fail,
-        drift: declared.drift,
-        crash: declared.crash.clone(),
-        cut: declared.cut.clone(),
-        pause: declared.pause.iter().map(pause).collect(),
+    if let Some(path) = &args.trace {
+        let notes = finding.steps.iter().flat_map(|step| step.notes.clone()).collect();
+        let (names, notes) = drawn(plan, finding.part, notes);
+        let drawn = if path.extension().is_some_and(|of| of == "txt") {
+            chart(&names, &notes, &finding.cause, Folding::Nothing) + "\n"
+        } else {
+            svg(&names, &notes, &finding.cause)
+        };
+        kept::keep_text(path, args.force, &harmless(&drawn))?;
     }
+    let Some(path) = &args.save else { return Ok(None) };
+    let searched = |phase: &&Coverage| (phase.phase, phase.hypothesis) == (finding.phase, finding.hypothesis);
+    let bounds = verdicts.phases.iter().find(searched);
+    let bounds = bounds.map(|phase| tell::bounds(plan, phase)).unwrap_or_default();
+    let saved = save(path, subject, plan, finding, bounds, args.force)?;
+    Ok(saved.then_some(at + 1))
 }

@@ -5,14 +5,17 @@ mod cell;
 mod progress;
 mod report;
 mod save;
+mod subject;
 mod tell;
 
 pub use answer::{NotChecked, Place, Rounded, Told};
-pub use cell::{Subject, conduct, faults};
+pub use subject::{Subject, conduct, faults};
 pub use tell::{chart, quoted};
 
 use crate::args::{Format, VerifyArgs, VerifyVerb};
-use crate::exit::{Exit, Failure, did_you_mean};
+use crate::exit::Exit;
+use crate::failure::Failure;
+use crate::names::did_you_mean;
 use crate::output::Output;
 use imrs_model::{Explorer, ExplorerError, Limits, Options, Outcome, Report};
 use progress::Lines;

@@ -1,6 +1,6 @@
 //! The verdicts, as a person reads them.
 
-use crate::exit::Failure;
+use crate::failure::Failure;
 use crate::output::{BAD, FAINT, GOOD, HEAD, NOTE, Output, Styled, count, grouped};
 use imrs_model::{Outcome, Report, Verdict};
 use std::collections::BTreeSet;

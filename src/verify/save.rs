@@ -1,7 +1,7 @@
 //! A finding as a recording: what a monitor attached to every node would have seen, with the words for each step.
 
-use super::cell::Subject;
-use crate::exit::Failure;
+use super::subject::Subject;
+use crate::failure::Failure;
 use crate::kept;
 use imrs_model::cell::{CellPlan, Finding, Scene, Shows, scenes};
 use imrs_protocol::NodeId;

@@ -1,9 +1,9 @@
 //! What the check of a cell found, as a person reads it.
 
-use super::cell::Subject;
+use super::subject::Subject;
 use crate::args::{self, CellFaultArgs, VerifyVerb};
 use crate::cell_file;
-use crate::exit::Failure;
+use crate::failure::Failure;
 use crate::kept::nothing_kept;
 use crate::output::{BAD, FAINT, GOOD, HEAD, NOTE, Output, Styled, count, grouped};
 use imrs_model::cell::{CellPlan, Concerned, Coverage, Finding, Kind, Phase, Times, Verdicts};

@@ -6,7 +6,7 @@
 
 use super::messages::{carries_beats, senders, sends_to};
 use super::work::{self, Work};
-use super::{task, tasks, time, times};
+use super::{LEAST_TICKS, task, tasks, time};
 use crate::codes::{DEADLINE, TIGHT_DEADLINE};
 use crate::diagnostic::Diagnostic;
 use crate::hir::{Duration, Hir, Port, Recipients, StatementKind};
@@ -53,7 +53,7 @@ pub(crate) fn least(hir: &Hir, id: PortId, of: Option<Duration>) -> u64 {
             .max()
             .unwrap_or_default(),
     };
-    least.max(tick.saturating_mul(times::LEAST_TICKS))
+    least.max(tick.saturating_mul(LEAST_TICKS))
 }
 
 /// The least time_out of a `waitfor`: longer than its margin and the farthest way (D56). Without a `resend` of its own the
@@ -61,7 +61,7 @@ pub(crate) fn least(hir: &Hir, id: PortId, of: Option<Duration>) -> u64 {
 fn meeting(hir: &Hir, port: &Port) -> u64 {
     let tick = tick(hir);
     let parties: Vec<TaskId> = std::iter::once(port.owner).chain(port.peers(port.owner)).collect();
-    let way = |a: &TaskId, b: &TaskId| delay(hir, &times::way(hir, task(hir, *a).node, task(hir, *b).node));
+    let way = |a: &TaskId, b: &TaskId| delay(hir, &hir.way(task(hir, *a).node, task(hir, *b).node));
     let farthest =
         parties.iter().flat_map(|a| parties.iter().map(move |b| way(a, b))).max().unwrap_or_default();
     let losses = port.users.iter().filter_map(|user| user.retry).fold(port.retry, u8::max);
@@ -155,7 +155,7 @@ fn needs(hir: &Hir, id: PortId) -> Vec<Need> {
     for from in senders(port) {
         for to in port.peers(from) {
             let (a, b) = (task(hir, from).node, task(hir, to).node);
-            let links = times::way(hir, a, b);
+            let links = hir.way(a, b);
             if links.is_empty() && a != b {
                 continue;
             }
@@ -178,7 +178,7 @@ fn delay(hir: &Hir, links: &[usize]) -> u64 {
 fn too_short(hir: &Hir, port: &Port, life: Duration, needs: &[&Need]) -> Option<Diagnostic> {
     let enough = needs.iter().map(|need| need.enough(hir)).max()?;
     let tick = tick(hir);
-    let least = after(enough, tick).max(tick.saturating_mul(times::LEAST_TICKS));
+    let least = after(enough, tick).max(tick.saturating_mul(LEAST_TICKS));
     let help = format!("give it {} or more", time(least));
     let worst = needs.iter().max_by_key(|need| need.certain())?;
     let has = time(life.usec);
@@ -197,7 +197,7 @@ fn too_short(hir: &Hir, port: &Port, life: Duration, needs: &[&Need]) -> Option<
         return Some(found.help(help));
     }
     let worst = needs.iter().max_by_key(|need| need.enough(hir))?;
-    if life.usec > enough || life.usec < tick.saturating_mul(times::LEAST_TICKS) {
+    if life.usec > enough || life.usec < tick.saturating_mul(LEAST_TICKS) {
         return None;
     }
     let message = format!("`{}` {} may take {}, it has {has}", port.name, worst.round(hir), time(enough));

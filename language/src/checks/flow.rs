@@ -2,19 +2,13 @@
 
 use crate::codes::UNREACHABLE;
 use crate::diagnostic::Diagnostic;
-use crate::hir::{Expr, Hir, Statement, StatementKind};
-use crate::walk;
-use imrs_protocol::script::{Op, Term};
+use crate::hir::{Hir, Statement, StatementKind};
+use crate::walk::{self, is_true};
 
 pub(super) fn check(hir: &Hir, found: &mut Vec<Diagnostic>) {
     for task in &hir.tasks {
         walk::threads(task).for_each(|thread| unreachable(thread, found));
     }
-}
-
-/// Whether a condition is the constant `true`.
-pub(crate) fn is_true(condition: &Expr) -> bool {
-    condition.ops[..] == [Op::Term(Term::Push(1))]
 }
 
 fn unreachable(statements: &[Statement], found: &mut Vec<Diagnostic>) {

@@ -23,6 +23,9 @@ use crate::diagnostic::Diagnostic;
 use crate::hir::{Hir, Task};
 use imrs_protocol::TaskId;
 
+/// A shorter time_out is lost to the lateness of the timers alone (D42).
+const LEAST_TICKS: u64 = 4;
+
 /// Everything that is found in a cell whose names and types are right, in the order of the text. `paper` is the language
 /// of the paper alone: there a `waitfor` needs no branch (D2).
 pub(crate) fn all(hir: &Hir, paper: bool) -> Vec<Diagnostic> {

@@ -1,13 +1,11 @@
 //! Durations against the tick, and what the links must carry.
 
-use super::time;
+use super::{LEAST_TICKS, time};
 use crate::codes::{LOAD, SHORT_TIME_OUT, SOON};
 use crate::diagnostic::Diagnostic;
 use crate::hir::{Hir, Port};
 use imrs_protocol::{Class, NodeId, PortId, TaskId};
 
-/// A shorter time_out is lost to the lateness of the timers alone (D42).
-pub(super) const LEAST_TICKS: u64 = 4;
 /// Below so many ticks the tick is felt.
 const FEW_TICKS: u64 = 20;
 /// A packet on the wire: 32 bytes, its envelope, IP and UDP, Ethernet and the gap.
@@ -59,7 +57,7 @@ fn loads(hir: &Hir, found: &mut Vec<Diagnostic>) {
             };
             let rate = f64::from(count) * 1e6 / per.usec.max(1) as f64;
             for to in port.peers(from) {
-                for link in way(hir, node(hir, from), node(hir, to)) {
+                for link in hir.way(node(hir, from), node(hir, to)) {
                     loads[link] += rate * packets * BITS;
                 }
             }
@@ -82,31 +80,4 @@ fn loads(hir: &Hir, found: &mut Vec<Diagnostic>) {
 
 fn node(hir: &Hir, task: TaskId) -> NodeId {
     hir.tasks[task.index()].node
-}
-
-/// The links of the quickest way.
-pub(super) fn way(hir: &Hir, from: NodeId, to: NodeId) -> Vec<usize> {
-    let mut best: Vec<Option<(u64, Option<usize>)>> = vec![None; hir.nodes.len()];
-    // Of a cell with errors a task's node may be missing.
-    if from.index().max(to.index()) >= best.len() {
-        return Vec::new();
-    }
-    best[from.index()] = Some((0, None));
-    for _ in 0..hir.nodes.len() {
-        for (at, link) in hir.links.iter().enumerate() {
-            for (a, b) in [(link.a, link.b), (link.b, link.a)] {
-                let Some((before, _)) = best[a.index()] else { continue };
-                let length = before.saturating_add(link.delay.usec.max(1));
-                if best[b.index()].is_none_or(|(known, _)| length < known) {
-                    best[b.index()] = Some((length, Some(at)));
-                }
-            }
-        }
-    }
-    let (mut way, mut at) = (Vec::new(), to);
-    while let Some((_, Some(link))) = best[at.index()] {
-        way.push(link);
-        at = if hir.links[link].a == at { hir.links[link].b } else { hir.links[link].a };
-    }
-    way
 }

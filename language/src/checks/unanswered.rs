@@ -1,8 +1,7 @@
 //! Paths on which a message of class 2 stays unanswered: a data-flow analysis over the statements of one thread.
 
-use super::flow;
 use crate::hir::{Answered, Capture, Captured, Expr, Statement, StatementKind};
-use crate::walk;
+use crate::walk::{self, is_true};
 use imrs_protocol::PortId;
 use imrs_protocol::script::{Op, Slot, Term};
 
@@ -126,7 +125,7 @@ impl Paths<'_> {
             StatementKind::Exit => Left { next: States::default(), exit: from },
             StatementKind::Atomic(body) => self.through_all(body, from),
             StatementKind::Loop(body) => self.endless(body, from),
-            StatementKind::While(condition, body) if flow::is_true(condition) => self.endless(body, from),
+            StatementKind::While(condition, body) if is_true(condition) => self.endless(body, from),
             StatementKind::While(_, body) => {
                 // The condition may ask whether the message is there: it is carried out of the loop, not round it.
                 let once = self.through_all(body, from);

@@ -132,6 +132,11 @@ pub(super) fn path(names: &[Name]) -> String {
     names.join(".")
 }
 
+/// The variable of a task at this position.
+pub(super) fn slot(at: usize) -> Slot {
+    Slot::Task(u16::try_from(at).unwrap_or(u16::MAX))
+}
+
 /// The slot so many places behind another.
 pub(crate) fn after(first: Slot, by: usize) -> Slot {
     let by = u16::try_from(by).unwrap_or(u16::MAX);

@@ -1,7 +1,7 @@
 //! Statements of a body or a handler.
 
 use super::expr::{self, Typed};
-use super::scope::{Entity, Found, Scope};
+use super::scope::{Entity, Found, Scope, slot};
 use super::{ORDER, Resolver, STATEMENT, TYPES};
 use crate::ast::{self, BranchKind, Expr as Written, Place, StatementKind as Said};
 use crate::diagnostic::Diagnostic;
@@ -380,7 +380,7 @@ impl<'r, 'a> Thread<'r, 'a> {
         } else {
             let variables = &mut self.resolver.hir.tasks[self.task.index()].variables;
             variables.push(variable);
-            super::tasks::slot(variables.len() - 1)
+            slot(variables.len() - 1)
         }
     }
 

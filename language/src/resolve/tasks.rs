@@ -2,13 +2,12 @@
 
 use super::cell::MOST;
 use super::names::duplicate;
-use super::scope::{Entity, Scope};
+use super::scope::{Entity, Scope, slot};
 use super::statements::Thread;
 use super::{Resolver, STATEMENT, TAKEOVER, TIMERS};
 use crate::ast::{self, Item, TypeName};
 use crate::diagnostic::Diagnostic;
 use crate::hir::{Task, Timer, Trigger, Variable};
-use imrs_protocol::script::Slot;
 use imrs_protocol::{CommTask, TaskId, TimeId};
 
 impl<'a> Resolver<'a> {
@@ -210,9 +209,4 @@ impl<'a> Resolver<'a> {
         }
         self.found.extend(found);
     }
-}
-
-/// The variable of a task at this position.
-pub(super) fn slot(at: usize) -> Slot {
-    Slot::Task(u16::try_from(at).unwrap_or(u16::MAX))
 }

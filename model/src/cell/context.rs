@@ -2,12 +2,13 @@
 
 use super::course::Course;
 use super::judge::{Shown, name, program};
-use super::plan::{CellPlan, Holds};
-use super::story::view;
+use super::legend::shown;
+use super::plan::{Holds, about};
 use super::verdict::{Concerned, Kind};
+use super::view::view;
 use crate::floor::script::ScriptTurn;
 use imrs_protocol::TaskId;
-use imrs_protocol::script::{Activity, Address, End, Op, Predicate, Slot, Term, Type, Variable};
+use imrs_protocol::script::{Activity, Address, End, Op, Predicate, Slot, Term, Variable};
 use std::fmt::Write as _;
 
 /// The cause with the values that it is about, and the tasks that it concerns. `begun`: for each task, the statement that
@@ -35,7 +36,7 @@ pub(super) fn context(course: &Course, shown: &Shown, begun: &[Option<Address>])
     }
     let mut tasks = shown.others.clone();
     if let Some(check) = shown.check {
-        tasks.extend(terms(&course.plan, check).iter().filter_map(about));
+        tasks.extend(course.plan.terms(check).iter().filter_map(about));
     }
     tasks.sort_unstable();
     tasks.dedup();
@@ -89,15 +90,6 @@ fn of_statement(course: &Course, shown: &Shown) -> Vec<String> {
 
 fn equals(name: &str, declared: &Variable, value: i64) -> String {
     format!("{name} = {}", shown(declared.of, value))
-}
-
-/// A value as the cell's text writes it.
-pub(super) fn shown(of: Type, value: i64) -> String {
-    match of {
-        Type::Bool => (value != 0).to_string(),
-        Type::Real => u32::try_from(value).map(f32::from_bits).unwrap_or_default().to_string(),
-        Type::Int8 | Type::Int16 | Type::Int32 | Type::Word => value.to_string(),
-    }
 }
 
 /// What a broken check goes back to.
@@ -163,37 +155,6 @@ impl Origin {
     }
 }
 
-/// What a check reads, both sides of it where one leads to the other.
-pub(super) fn terms(plan: &CellPlan, check: usize) -> Vec<Term> {
-    let looks = |term: &Term| matches!(term, Term::Of { .. } | Term::Is(_));
-    let mut all: Vec<Term> = Vec::new();
-    let Some(check) = plan.checks.get(check) else { return all };
-    let both = match &check.holds {
-        Holds::Always(terms) => [&terms[..], &[]],
-        Holds::Leads { when, then, .. } => [&when[..], &then[..]],
-    };
-    for term in both.into_iter().flatten().filter(|term| looks(term)) {
-        if !all.contains(term) {
-            all.push(*term);
-        }
-    }
-    all
-}
-
-/// The task that a term of a check reads.
-pub(super) fn about(term: &Term) -> Option<usize> {
-    match *term {
-        Term::Of { task, .. }
-        | Term::Is(
-            Predicate::Active(task)
-            | Predicate::Arrived { task, .. }
-            | Predicate::Asked { task, .. }
-            | Predicate::Answered { task, .. },
-        ) => Some(task.index()),
-        _ => None,
-    }
-}
-
 /// What a check reads and what it was: `robot.height = 42`.
 fn of_check(course: &Course, check: usize) -> Vec<String> {
     let mixed = course.mixed.iter().find(|(of, _)| *of == check).map(|(_, seen)| seen);
@@ -201,7 +162,7 @@ fn of_check(course: &Course, check: usize) -> Vec<String> {
         Some(seen) => seen.iter().find(|(of, _)| *of == term).and_then(|(_, value)| *value),
         None => course.floor.look_up(term),
     };
-    terms(&course.plan, check).into_iter().filter_map(|term| said(course, term, seen(term)?)).collect()
+    course.plan.terms(check).into_iter().filter_map(|term| said(course, term, seen(term)?)).collect()
 }
 
 /// What a term of a check is now, in the words of the check.
@@ -232,19 +193,4 @@ fn said(course: &Course, term: Term, value: i64) -> Option<String> {
         }
         _ => return None,
     })
-}
-
-/// Whom a request that ended badly was for: those who should have answered, or come.
-pub(super) fn partners(course: &Course, task: usize, at: Address) -> Vec<usize> {
-    use imrs_protocol::Target;
-    let peers = |port| {
-        let table = &course.plan.table;
-        let of = TaskId::from_index(task);
-        table.port(port).into_iter().flat_map(move |port| port.peers(of)).map(TaskId::index).collect()
-    };
-    match program(course, task).and_then(|program| program.code.get(usize::from(at))) {
-        Some(Op::Send { to: Target::One(to), .. }) => vec![to.index()],
-        Some(Op::Send { port, .. } | Op::Get { port: Some(port), .. }) => peers(*port),
-        _ => Vec::new(),
-    }
 }

@@ -1,14 +1,22 @@
 //! The running cell: a floor whose scripts are judged and not stopped, and the faults that are named in the cell.
 
-use super::liveness::{self, Dead};
-use super::order::{Mixture, Sights, Spread};
-use super::pause::Asleep;
+mod between;
+pub(super) mod canon;
+mod held;
+mod liveness;
+mod moves;
+mod order;
+mod pause;
+
 use super::plan::{CellFaults, CellPlan, Conduct, Holds, Times};
 use crate::floor::Floor;
 use crate::floor::plan::{Errand, Faults, FloorPlan, TaskPlan, Way};
 use crate::state::{Packed, Violation};
 use imrs_protocol::TaskId;
 use imrs_protocol::script::{Activity, ScriptInput, eval};
+use liveness::Dead;
+use order::{Mixture, Sights, Spread};
+use pause::Asleep;
 use serde::{Deserialize, Serialize};
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::Arc;

@@ -1,11 +1,12 @@
 //! The way to a finding as monitors see nodes: after each step the state of every node, and what was observed at it.
 
 use super::course::Course;
-use super::parts;
+use super::parts::{only, parts};
 use super::plan::{CellFaults, CellPlan};
-use super::story::{self, Note, Step, Walked};
-use super::verdict::{Finding, Phase};
-use crate::chart::label;
+use super::story::{self, Walked};
+use super::verdict::{Finding, Phase, Step, TaskView};
+use super::view::view;
+use crate::chart::{Note, label};
 use crate::floor::script::ScriptTurn;
 use crate::floor::{Effect, Station};
 use imrs_protocol::script::{Activity, Address, End};
@@ -46,7 +47,7 @@ pub struct Scene {
     /// What happened, in its order.
     pub happened: Vec<Shows>,
     /// What each task does after it, by task.
-    pub tasks: Vec<story::TaskView>,
+    pub tasks: Vec<TaskView>,
     /// The nodes after it, by node.
     pub nodes: Vec<NodeFrame>,
 }
@@ -56,8 +57,8 @@ pub struct Scene {
 pub fn scenes(plan: &Arc<CellPlan>, finding: &Finding) -> Vec<Scene> {
     let plan = &super::outside::with_programs(plan);
     let plan = &super::search::timed(plan, finding.times);
-    let part = finding.part.and_then(|number| parts::parts(plan).into_iter().nth(number));
-    let plan = &parts::only(plan, part.as_ref());
+    let part = finding.part.and_then(|number| parts(plan).into_iter().nth(number));
+    let plan = &only(plan, part.as_ref());
     let faults = match finding.phase {
         Phase::FaultFree => CellFaults::default(),
         Phase::Faults => plan.faults.get(finding.hypothesis).cloned().unwrap_or_default(),
@@ -70,7 +71,7 @@ pub fn scenes(plan: &Arc<CellPlan>, finding: &Finding) -> Vec<Scene> {
         happened: std::iter::once(Shows::Said("the start".into()))
             .chain(began(start.floor.turns.as_deref().unwrap_or_default()))
             .collect(),
-        tasks: (0..plan.tasks.len()).map(|task| story::view(&start, task)).collect(),
+        tasks: (0..plan.tasks.len()).map(|task| view(&start, task)).collect(),
         nodes: nodes(&start, &[], &dropped),
     }];
     if finding.moves.is_empty() {

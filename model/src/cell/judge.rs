@@ -1,6 +1,5 @@
 //! What a move showed: findings, and the statements that were reached.
 
-use super::context::{partners, terms};
 use super::course::Course;
 use super::plan::Conduct;
 use super::verdict::{Kind, Phase};
@@ -78,7 +77,7 @@ pub(super) fn nothing_reached(course: &Course) -> Reached {
     Reached {
         statements: course.plan.tasks.iter().map(|task| vec![false; len(task)]).collect(),
         still: (0..course.plan.checks.len())
-            .map(|check| terms(&course.plan, check).into_iter().map(first).collect())
+            .map(|check| course.plan.terms(check).into_iter().map(first).collect())
             .collect(),
     }
 }
@@ -389,4 +388,18 @@ pub(super) fn needs_no_fault(program: &Program) -> Vec<bool> {
         }
     }
     reached
+}
+
+/// Whom a request that ended badly was for: those who should have answered, or come.
+fn partners(course: &Course, task: usize, at: Address) -> Vec<usize> {
+    let peers = |port| {
+        let table = &course.plan.table;
+        let of = TaskId::from_index(task);
+        table.port(port).into_iter().flat_map(move |port| port.peers(of)).map(TaskId::index).collect()
+    };
+    match program(course, task).and_then(|program| program.code.get(usize::from(at))) {
+        Some(Op::Send { to: Target::One(to), .. }) => vec![to.index()],
+        Some(Op::Send { port, .. } | Op::Get { port: Some(port), .. }) => peers(*port),
+        _ => Vec::new(),
+    }
 }

@@ -36,23 +36,19 @@
 //! goes on for ever without coming further while another one of its part does come further.
 
 mod alike;
-mod between;
-mod canon;
 mod context;
 mod course;
+mod done;
+mod each_part;
 mod follow;
 mod frames;
 mod guard;
-mod held;
 mod judge;
 mod legend;
-mod liveness;
-mod moves;
-mod order;
 mod outside;
 mod parts;
-mod pause;
 mod plan;
+mod reader;
 mod search;
 mod seen;
 mod simulate;
@@ -62,9 +58,10 @@ mod story;
 mod svg;
 mod unpacked;
 mod verdict;
+mod view;
 mod walker;
 
-pub use crate::chart::{Folding, chart};
+pub use crate::chart::{Folding, Note, chart};
 pub use course::CellMove;
 pub use follow::{
     Followed, Happened, Happening, Late, Run, Steps, Turn, Unexplained, follow_run, steps_in_model,
@@ -72,10 +69,9 @@ pub use follow::{
 pub use frames::{NodeFrame, Scene, Shows, scenes};
 pub use guard::{Agreement, Disagreement, Effort, compare_with_walks};
 pub use legend::Legend;
-pub use parts::drawn;
 pub use plan::{Budget, CellCheck, CellFaults, CellPlan, Conduct, Holds, Pause, Times};
 pub use search::check_cell;
 pub use simulate::{Chooser, Ended, Fault, Found, MOST_FAULTS, Schedule, Shrunk, Simulated, Simulator, Tape};
-pub use story::{Note, Step, TaskView};
+pub use story::drawn;
 pub use svg::svg;
-pub use verdict::{Concerned, Coverage, Finding, Kind, Phase, Refused, Verdicts};
+pub use verdict::{Concerned, Coverage, Finding, Kind, Phase, Refused, Step, TaskView, Verdicts};

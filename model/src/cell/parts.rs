@@ -7,65 +7,10 @@
 //! A part keeps the numbers, tables and plans of the whole cell. The nodes outside it are down for ever and are not
 //! packed, so the same moves replay a finding with the same part.
 
-use super::context::about;
-use super::course::{Course, bit};
-use super::judge::nothing_reached;
-use super::plan::{CellCheck, CellFaults, CellPlan, Holds};
-use super::search::Done;
-use super::story::Note;
-use crate::floor::chart::Lanes;
-use imrs_protocol::{CellTable, NodeId, TaskId};
+use super::course::bit;
+use super::plan::{CellCheck, CellPlan, Holds, Part, about, node_of};
+use imrs_protocol::{CellTable, NodeId};
 use std::sync::Arc;
-
-/// A set of nodes that no packet and no check connects with the others.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub(super) struct Part {
-    /// Its place among the parts of the cell.
-    pub number: usize,
-    /// Bit by bit.
-    nodes: u64,
-    checks: Vec<bool>,
-}
-
-impl Part {
-    pub const fn has_node(&self, node: usize) -> bool {
-        node < 64 && self.nodes >> node & 1 == 1
-    }
-
-    pub fn has_check(&self, check: usize) -> bool {
-        self.checks.get(check).copied().unwrap_or(false)
-    }
-
-    /// The nodes outside it, bit by bit.
-    pub const fn left_out(&self) -> u64 {
-        !self.nodes
-    }
-
-    /// Whether a fault of this hypothesis can happen in it.
-    fn is_touched_by(&self, plan: &CellPlan, faults: &CellFaults) -> bool {
-        let cell = plan.table.cell();
-        let links = faults.cut.iter().filter_map(|&link| cell.links.get(link));
-        [faults.loss, faults.dup, faults.reorder, faults.fail, faults.drift].iter().any(|&budget| budget > 0)
-            || faults.crash.iter().any(|node| self.has_node(node.index()))
-            || faults.pause.iter().any(|pause| pause.node.is_none_or(|node| self.has_node(node.index())))
-            || links.into_iter().any(|link| self.has_node(link.a.index()) && self.has_node(link.b.index()))
-    }
-}
-
-impl CellPlan {
-    /// Whether a node takes part in the search.
-    pub(super) fn has_node(&self, node: usize) -> bool {
-        self.part.as_ref().is_none_or(|part| part.has_node(node))
-    }
-
-    pub(super) fn has_task(&self, task: usize) -> bool {
-        self.part.is_none() || self.has_node(node_of(&self.table, task))
-    }
-
-    pub(super) fn has_check(&self, check: usize) -> bool {
-        self.part.as_ref().is_none_or(|part| part.has_check(check))
-    }
-}
 
 /// The same cell, of which only this part is searched.
 pub(super) fn only(plan: &Arc<CellPlan>, part: Option<&Part>) -> Arc<CellPlan> {
@@ -115,10 +60,6 @@ pub(super) fn parts(plan: &CellPlan) -> Vec<Part> {
     roots.iter().enumerate().map(part).collect()
 }
 
-fn node_of(table: &CellTable, task: usize) -> usize {
-    table.location(TaskId::from_index(task)).map_or(0, NodeId::index)
-}
-
 /// The nodes of the tasks that a check reads.
 fn nodes_read(table: &CellTable, check: &CellCheck) -> Vec<usize> {
     let both = match &check.holds {
@@ -154,105 +95,4 @@ impl Sets {
             at = next;
         }
     }
-}
-
-/// Searches each part by itself and joins what was found. A part that a hypothesis cannot touch was searched without
-/// faults: `plain` is what that came to.
-///
-/// A clock that drifts does so between two events, a pause ends after one, and events of other parts lie between those of
-/// this one. So with drift and with pauses the cell is searched as a whole.
-pub(super) fn look_at_each(
-    plan: &Arc<CellPlan>,
-    parts: &[Part],
-    faults: &CellFaults,
-    plain: Option<&Done>,
-    look: impl Fn(&Arc<CellPlan>) -> Done,
-) -> Done {
-    if parts.is_empty() || !faults.may_be_apart() {
-        return look(plan);
-    }
-    // An `abort` ends ways of the search without faults, and none of those with them: so what lies behind it was not seen yet.
-    let is_seen = plain.is_some_and(|plain| !plain.coverage.pruned);
-    let touched = |part: &&Part| !is_seen || part.is_touched_by(plan, faults);
-    let mut searched: Vec<&Part> = parts.iter().filter(touched).collect();
-    if searched.is_empty() {
-        searched.push(&parts[0]);
-    }
-    let done = searched.iter().map(|part| (part.number, look(&only(plan, Some(part)))));
-    let Some((_, mut all)) =
-        done.reduce(|(at, mine), (number, other)| (at, mine.beside(other, &parts[number])))
-    else {
-        return look(plan);
-    };
-    for part in parts.iter().filter(|part| !searched.contains(part)) {
-        let still = match plain {
-            Some(plain) => plain.reached.still.clone(),
-            None => nothing_reached(&Course::new(&only(plan, Some(part)), faults)).still,
-        };
-        take_checks(&mut all.reached.still, still, part);
-    }
-    all.coverage.parts = u32::try_from(parts.len()).unwrap_or(u32::MAX);
-    all
-}
-
-fn take_checks<T>(all: &mut [T], other: Vec<T>, part: &Part) {
-    for (check, (mine, other)) in all.iter_mut().zip(other).enumerate() {
-        if part.has_check(check) {
-            *mine = other;
-        }
-    }
-}
-
-impl Done {
-    /// Both of what two parts came to; `part` is that of the other.
-    fn beside(mut self, other: Self, part: &Part) -> Self {
-        let (all, one) = (&mut self.coverage, other.coverage);
-        let whole = match (all.complete, one.complete) {
-            (true, true) => all.whole_depth.max(one.whole_depth),
-            (true, false) => one.whole_depth,
-            (false, true) => all.whole_depth,
-            (false, false) => all.whole_depth.min(one.whole_depth),
-        };
-        all.whole_depth = whole;
-        all.times = all.times.min(one.times);
-        all.states += one.states;
-        all.moves += one.moves;
-        all.depth = all.depth.max(one.depth);
-        all.ticks = all.ticks.max(one.ticks);
-        all.complete &= one.complete;
-        all.pruned |= one.pruned;
-        all.ended_by = all.ended_by.take().or(one.ended_by);
-        all.longest_state = all.longest_state.max(one.longest_state);
-        all.seconds += one.seconds;
-        self.findings.extend(other.findings);
-        self.standstills.extend(other.standstills);
-        let reached = other.reached.statements.into_iter().flatten();
-        self.reached.statements.iter_mut().flatten().zip(reached).for_each(|(all, one)| *all |= one);
-        take_checks(&mut self.reached.still, other.reached.still, part);
-        take_checks(&mut self.mattered, other.mattered, part);
-        self
-    }
-}
-
-/// The names of the lanes of a part, and notes of it with their lanes renumbered. Without a part, those of the whole cell.
-#[must_use]
-pub fn drawn(plan: &CellPlan, part: Option<usize>, notes: Vec<Note>) -> (Vec<String>, Vec<Note>) {
-    let part = part.and_then(|number| parts(plan).into_iter().nth(number));
-    within(plan, part.as_ref(), notes)
-}
-
-/// The same, of a part at hand.
-pub(super) fn within(plan: &CellPlan, part: Option<&Part>, mut notes: Vec<Note>) -> (Vec<String>, Vec<Note>) {
-    let lanes = Lanes::of(&plan.table);
-    let Some(part) = part else { return (lanes.names, notes) };
-    let kept = lanes.on_nodes(|node| part.has_node(node));
-    let place = |lane: &mut usize| *lane = kept.iter().position(|kept| kept == lane).unwrap_or(0);
-    for note in &mut notes {
-        match note {
-            Note::Event { lane, .. } => place(lane),
-            Note::Packet { from, to, .. } => [from, to].into_iter().for_each(place),
-            Note::Remark { .. } => {}
-        }
-    }
-    (kept.into_iter().map(|lane| lanes.names[lane].clone()).collect(), notes)
 }

@@ -1,9 +1,8 @@
 //! What of a cell is checked, and within which bounds.
 
 use super::legend::Legend;
-use super::parts::Part;
-use imrs_protocol::script::{Op, Program, Term};
-use imrs_protocol::{CellTable, NodeId, Rate, Ticks};
+use imrs_protocol::script::{Op, Predicate, Program, Term};
+use imrs_protocol::{CellTable, NodeId, Rate, TaskId, Ticks};
 use serde::{Deserialize, Serialize};
 use std::sync::Arc;
 
@@ -235,4 +234,88 @@ impl CellPlan {
         self.tasks.iter().enumerate().all(|(task, conduct)| !self.has_task(task) || exact(conduct))
             && self.table.cell().links.iter().all(|link| !self.has_node(link.a.index()) || link.delay.0 <= 1)
     }
+
+    /// Whether a node takes part in the search.
+    pub(super) fn has_node(&self, node: usize) -> bool {
+        self.part.as_ref().is_none_or(|part| part.has_node(node))
+    }
+
+    pub(super) fn has_task(&self, task: usize) -> bool {
+        self.part.is_none() || self.has_node(node_of(&self.table, task))
+    }
+
+    pub(super) fn has_check(&self, check: usize) -> bool {
+        self.part.as_ref().is_none_or(|part| part.has_check(check))
+    }
+
+    /// What a check reads, both sides of it where one leads to the other.
+    pub(super) fn terms(&self, check: usize) -> Vec<Term> {
+        let looks = |term: &Term| matches!(term, Term::Of { .. } | Term::Is(_));
+        let mut all: Vec<Term> = Vec::new();
+        let Some(check) = self.checks.get(check) else { return all };
+        let both = match &check.holds {
+            Holds::Always(terms) => [&terms[..], &[]],
+            Holds::Leads { when, then, .. } => [&when[..], &then[..]],
+        };
+        for term in both.into_iter().flatten().filter(|term| looks(term)) {
+            if !all.contains(term) {
+                all.push(*term);
+            }
+        }
+        all
+    }
+}
+
+/// The task that a term of a check reads.
+pub(super) fn about(term: &Term) -> Option<usize> {
+    match *term {
+        Term::Of { task, .. }
+        | Term::Is(
+            Predicate::Active(task)
+            | Predicate::Arrived { task, .. }
+            | Predicate::Asked { task, .. }
+            | Predicate::Answered { task, .. },
+        ) => Some(task.index()),
+        _ => None,
+    }
+}
+
+/// A set of nodes that no packet and no check connects with the others.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub(super) struct Part {
+    /// Its place among the parts of the cell.
+    pub number: usize,
+    /// Bit by bit.
+    pub nodes: u64,
+    pub checks: Vec<bool>,
+}
+
+impl Part {
+    pub const fn has_node(&self, node: usize) -> bool {
+        node < 64 && self.nodes >> node & 1 == 1
+    }
+
+    pub fn has_check(&self, check: usize) -> bool {
+        self.checks.get(check).copied().unwrap_or(false)
+    }
+
+    /// The nodes outside it, bit by bit.
+    pub const fn left_out(&self) -> u64 {
+        !self.nodes
+    }
+
+    /// Whether a fault of this hypothesis can happen in it.
+    pub fn is_touched_by(&self, plan: &CellPlan, faults: &CellFaults) -> bool {
+        let cell = plan.table.cell();
+        let links = faults.cut.iter().filter_map(|&link| cell.links.get(link));
+        [faults.loss, faults.dup, faults.reorder, faults.fail, faults.drift].iter().any(|&budget| budget > 0)
+            || faults.crash.iter().any(|node| self.has_node(node.index()))
+            || faults.pause.iter().any(|pause| pause.node.is_none_or(|node| self.has_node(node.index())))
+            || links.into_iter().any(|link| self.has_node(link.a.index()) && self.has_node(link.b.index()))
+    }
+}
+
+/// The node of a task.
+pub(super) fn node_of(table: &CellTable, task: usize) -> usize {
+    table.location(TaskId::from_index(task)).map_or(0, NodeId::index)
 }

@@ -3,17 +3,18 @@
 //! A batch of kept states is walked on from in parallel, against what was kept before it; then what that came to is taken in
 //! in the order of the batch. So the answer is the same for any number of threads.
 
-use super::context;
 use super::course::{CellMove, Course};
+use super::done::Done;
+use super::each_part::look_at_each;
 use super::judge::{self, Reached, Shown};
 use super::outside::{says_something, tried, with_programs};
-use super::parts::{look_at_each, parts};
+use super::parts::parts;
 use super::plan::{CellFaults, CellPlan, Conduct, Holds, Times};
 use super::seen::Seen;
 use super::standstill::{self, OutOfMemory, Ways};
 use super::verdict::{Coverage, Finding, Kind, Phase, Refused, Verdicts};
 use super::walker::{Hit, Origin, Walker, Walks};
-use super::{starve, story};
+use super::{context, starve, story};
 use crate::explore::resident_bytes;
 use crate::side_by_side::side_by_side;
 use imrs_protocol::TaskId;
@@ -63,16 +64,6 @@ pub(super) fn explore_and_keep(plan: &Arc<CellPlan>, phase: Phase, faults: &Cell
     let hits = search.hits.into_iter().map(|hit| hit.shown).collect();
     let Done { coverage, findings, reached, .. } = done;
     Kept { seen: search.seen, states: coverage.states, complete: coverage.complete, hits, findings, reached }
-}
-
-/// What a phase comes to.
-pub(super) struct Done {
-    pub coverage: Coverage,
-    pub findings: Vec<Finding>,
-    pub standstills: Vec<Finding>,
-    pub reached: Reached,
-    /// For each check, whether what makes it matter was ever seen.
-    pub mattered: Vec<bool>,
 }
 
 /// Checks a cell: first without faults, which says what takes no fault to go wrong, then with those declared.
@@ -128,18 +119,6 @@ fn look(plan: &Arc<CellPlan>, phase: (Phase, usize), faults: &CellFaults) -> Don
         tried = Some(done);
     }
     explore(&timed(plan, Times::Ends), phase, faults).with(tried)
-}
-
-impl Done {
-    /// What was found, and reached, on the way to this search, too.
-    fn with(mut self, earlier: Option<Self>) -> Self {
-        if let Some(earlier) = earlier {
-            self.findings.extend(earlier.findings);
-            self.reached = self.reached.join(earlier.reached);
-            self.mattered.iter_mut().zip(earlier.mattered).for_each(|(all, one)| *all |= one);
-        }
-        self
-    }
 }
 
 /// What one search can hold: a bit for each node and for each way of a link, a byte for a task.
@@ -346,37 +325,7 @@ impl Search {
     ) -> Finding {
         let moves = self.path(plan, faults, hit.origin);
         let shown = starve::decided(plan, &moves, hit.shown.clone());
-        finding(plan, (phase, hypothesis), faults, moves, &shown)
-    }
-}
-
-/// Something that the last of these moves shows, told.
-pub(super) fn finding(
-    plan: &Arc<CellPlan>,
-    (phase, hypothesis): (Phase, usize),
-    faults: &CellFaults,
-    moves: Vec<CellMove>,
-    shown: &Shown,
-) -> Finding {
-    let told = story::tell(plan, faults, &moves, shown);
-    let Shown { kind, task, address, check, couple, .. } = *shown;
-    Finding {
-        kind,
-        phase,
-        hypothesis,
-        times: plan.times,
-        part: plan.part.as_ref().map(|part| part.number),
-        task: task.map(TaskId::from_index),
-        also: Vec::new(),
-        address,
-        check,
-        couple,
-        others: told.others,
-        cause: told.cause,
-        at_ticks: told.ticks,
-        moves,
-        steps: told.steps,
-        chart: told.chart,
+        story::finding(plan, (phase, hypothesis), faults, moves, &shown)
     }
 }
 

@@ -1,6 +1,6 @@
 //! The states that a search has kept.
 
-use super::canon::Left;
+use super::course::canon::Left;
 use std::collections::HashMap;
 use std::collections::hash_map::{DefaultHasher, Entry};
 use std::hash::{BuildHasherDefault, Hash, Hasher};

@@ -9,6 +9,7 @@ use super::course::{CellMove, Course};
 use super::judge::{Shown, name, position};
 use super::plan::{CellFaults, CellPlan};
 use super::seen::Mark;
+use super::story;
 use super::verdict::{Finding, Kind, Phase};
 use crate::floor::script::ScriptTurn;
 use imrs_protocol::Signal;
@@ -177,7 +178,7 @@ pub(super) fn tell(
     let (task, address) = (tasks.first().copied(), tasks.first().map(|&task| position(&course, task)));
     let shown =
         Shown { task, address, others: tasks[1..].to_vec(), ..Shown::whole(Kind::Standstill, &cause) };
-    Some(super::search::finding(plan, (phase, hypothesis), faults, moves, &shown))
+    Some(story::finding(plan, (phase, hypothesis), faults, moves, &shown))
 }
 
 /// Whether a task is told what became of something that it asked of others.

@@ -2,53 +2,22 @@
 
 use super::context::{Origin, context};
 use super::course::{CellMove, Course};
-use super::judge::{Shown, name, position, statement};
-use super::legend::Reader;
-use super::parts;
-use super::plan::{CellFaults, CellPlan, Conduct};
-use super::verdict::Concerned;
-pub use crate::chart::Note;
-use crate::chart::{Folding, Pen, chart};
+use super::judge::Shown;
+use super::parts::parts;
+use super::plan::{CellFaults, CellPlan, Conduct, Part};
+use super::reader::Reader;
+use super::verdict::{Concerned, Finding, Phase, Step};
+use super::view::view;
+use crate::chart::{Folding, Note, Pen, chart};
 use crate::floor::chart::Lanes;
 use crate::floor::script::ScriptTurn;
 use crate::state::Violation;
-use imrs_protocol::script::{Activity, Address, End};
-use imrs_protocol::{PortId, TaskId};
-use serde::{Deserialize, Serialize};
+use imrs_protocol::TaskId;
+use imrs_protocol::script::{Address, End};
 use std::sync::Arc;
 
 /// The most lines of a chart: what lies before the last ones is left out.
 const LINES: usize = 160;
-
-/// What a task does after a step.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct TaskView {
-    /// Whether its node runs.
-    pub up: bool,
-    /// The operation that it waits in.
-    pub at: Address,
-    /// What it does, in words.
-    pub does: String,
-    /// Its variables, in the program's order.
-    pub variables: Vec<i64>,
-    /// Its ports and how many messages wait there.
-    pub queues: Vec<(PortId, u16)>,
-    /// Its actions: the thread, and the least and the most ticks that each takes yet.
-    pub acts: Vec<(u8, u32, u32)>,
-}
-
-/// A step of a way.
-#[derive(Clone, Debug, Serialize, Deserialize)]
-pub struct Step {
-    /// Ticks since the start.
-    pub tick: u64,
-    /// What happened.
-    pub step: CellMove,
-    /// What it showed.
-    pub notes: Vec<Note>,
-    /// The tasks after it, by task.
-    pub tasks: Vec<TaskView>,
-}
 
 /// A way told.
 pub(super) struct Told {
@@ -70,9 +39,39 @@ pub(super) fn tell(plan: &Arc<CellPlan>, faults: &CellFaults, moves: &[CellMove]
     });
     let (mut cause, others) = context(&course, shown, &begun);
     cause.push_str(&origin.words(&course));
-    let (names, notes) = parts::within(plan, plan.part.as_ref(), pen.notes);
+    let (names, notes) = within(plan, plan.part.as_ref(), pen.notes);
     let drawn = chart(&names, &notes, &cause, Folding::Repeats);
     Told { steps, chart: shorten(&drawn), ticks: course.passed, cause, others }
+}
+
+/// Something that the last of these moves shows, told.
+pub(super) fn finding(
+    plan: &Arc<CellPlan>,
+    (phase, hypothesis): (Phase, usize),
+    faults: &CellFaults,
+    moves: Vec<CellMove>,
+    shown: &Shown,
+) -> Finding {
+    let told = tell(plan, faults, &moves, shown);
+    let Shown { kind, task, address, check, couple, .. } = *shown;
+    Finding {
+        kind,
+        phase,
+        hypothesis,
+        times: plan.times,
+        part: plan.part.as_ref().map(|part| part.number),
+        task: task.map(TaskId::from_index),
+        also: Vec::new(),
+        address,
+        check,
+        couple,
+        others: told.others,
+        cause: told.cause,
+        at_ticks: told.ticks,
+        moves,
+        steps: told.steps,
+        chart: told.chart,
+    }
 }
 
 /// A step of a way that is walked.
@@ -291,42 +290,6 @@ fn ends(course: &Course, turns: &[ScriptTurn], pen: &mut Pen, tick: u32, reader:
     }
 }
 
-pub(super) fn view(course: &Course, task: usize) -> TaskView {
-    let plan = &course.plan;
-    let outside = !plan.has_task(task);
-    let up = course.is_up(task) || outside;
-    let at = position(course, task);
-    let station = &course.floor.stations[course.floor.station_of(task)];
-    let machine = station.node.task(TaskId::from_index(task)).filter(|_| up);
-    let queues = machine.map_or_else(Vec::new, |machine| {
-        let ports = machine.view(&station.table, 0).ports;
-        ports.iter().map(|port| (port.port, port.len)).collect()
-    });
-    let actor = course.floor.bodies[task].actor.as_ref();
-    let what = |at| match &plan.tasks[task] {
-        Conduct::Program { program, .. } => statement(&plan.table, program, at),
-        Conduct::Extern(_) => name(&plan.table, task).into(),
-    };
-    let does = match course.activity(task) {
-        _ if outside => "is not looked at: it is in another part of the cell".into(),
-        _ if !up => "is down".into(),
-        _ if course.is_asleep(course.floor.station_of(task)) => format!("is paused: {}", what(at)),
-        None | Some(Activity::NotBegun) => "has not begun".into(),
-        Some(Activity::Waits) => format!("waits: {}", what(at)),
-        Some(Activity::Acts) => what(at),
-        Some(Activity::Chooses(_)) => "chooses".into(),
-        Some(Activity::Passive) => "is passive".into(),
-        Some(Activity::Ended(_)) => "has ended".into(),
-    };
-    let variables = actor.map_or_else(Vec::new, |actor| {
-        (0..).map_while(|at| actor.script.var(at)).take(actor.program.variables.len()).collect()
-    });
-    let acts = actor.map_or_else(Vec::new, |actor| {
-        actor.running.iter().map(|running| (running.level, running.least, running.most)).collect()
-    });
-    TaskView { up, at, does, variables, queues, acts }
-}
-
 /// The head and the end of a long chart.
 pub(super) fn shorten(chart: &str) -> String {
     let lines: Vec<&str> = chart.lines().collect();
@@ -337,4 +300,27 @@ pub(super) fn shorten(chart: &str) -> String {
     let head = lines[..LINES / 4].join("\n");
     let tail = lines[lines.len() - (LINES - LINES / 4)..].join("\n");
     format!("{head}\n      ... {left_out} lines left out ...\n{tail}")
+}
+
+/// The names of the lanes of a part, and notes of it with their lanes renumbered. Without a part, those of the whole cell.
+#[must_use]
+pub fn drawn(plan: &CellPlan, part: Option<usize>, notes: Vec<Note>) -> (Vec<String>, Vec<Note>) {
+    let part = part.and_then(|number| parts(plan).into_iter().nth(number));
+    within(plan, part.as_ref(), notes)
+}
+
+/// The same, of a part at hand.
+pub(super) fn within(plan: &CellPlan, part: Option<&Part>, mut notes: Vec<Note>) -> (Vec<String>, Vec<Note>) {
+    let lanes = Lanes::of(&plan.table);
+    let Some(part) = part else { return (lanes.names, notes) };
+    let kept = lanes.on_nodes(|node| part.has_node(node));
+    let place = |lane: &mut usize| *lane = kept.iter().position(|kept| kept == lane).unwrap_or(0);
+    for note in &mut notes {
+        match note {
+            Note::Event { lane, .. } => place(lane),
+            Note::Packet { from, to, .. } => [from, to].into_iter().for_each(place),
+            Note::Remark { .. } => {}
+        }
+    }
+    (kept.into_iter().map(|lane| lanes.names[lane].clone()).collect(), notes)
 }

@@ -1,6 +1,6 @@
 //! The way to a finding as a drawing.
 
-use super::story::Note;
+use crate::chart::Note;
 use std::fmt::Write;
 
 /// Columns of the drawing for a lane, at least and at most.

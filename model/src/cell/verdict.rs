@@ -2,9 +2,9 @@
 
 use super::course::CellMove;
 use super::plan::Times;
-use super::story::Step;
-use imrs_protocol::TaskId;
+use crate::chart::Note;
 use imrs_protocol::script::Address;
+use imrs_protocol::{PortId, TaskId};
 use serde::{Deserialize, Serialize};
 
 /// What is wrong.
@@ -214,4 +214,34 @@ impl Verdicts {
     pub fn of(&self, kind: Kind) -> impl Iterator<Item = &Finding> {
         self.findings.iter().filter(move |finding| finding.kind == kind)
     }
+}
+
+/// What a task does after a step.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct TaskView {
+    /// Whether its node runs.
+    pub up: bool,
+    /// The operation that it waits in.
+    pub at: Address,
+    /// What it does, in words.
+    pub does: String,
+    /// Its variables, in the program's order.
+    pub variables: Vec<i64>,
+    /// Its ports and how many messages wait there.
+    pub queues: Vec<(PortId, u16)>,
+    /// Its actions: the thread, and the least and the most ticks that each takes yet.
+    pub acts: Vec<(u8, u32, u32)>,
+}
+
+/// A step of a way.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub struct Step {
+    /// Ticks since the start.
+    pub tick: u64,
+    /// What happened.
+    pub step: CellMove,
+    /// What it showed.
+    pub notes: Vec<Note>,
+    /// The tasks after it, by task.
+    pub tasks: Vec<TaskView>,
 }

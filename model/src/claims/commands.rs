@@ -1,8 +1,9 @@
 //! Claims about messages: life, outcomes, copies, clocks (§3, §5.1; D5, D6, D18, D20, D37, D49, D52).
 
+use super::exchange::{claim, commands, settle};
 use super::timing::off;
 use super::{Claim, Settled, Work};
-use crate::report::{Bounds, Found, Outcome};
+use crate::report::Outcome;
 use crate::scenario::{Budget, Watch};
 use crate::worlds::Exchange;
 use imrs_protocol::rules::{Memory, Rules, TimeStamp};
@@ -18,16 +19,6 @@ pub(super) fn claims() -> Vec<Claim> {
     claims
 }
 
-/// Commands with one re-sending, one loss, one duplicate.
-pub(super) fn commands(watch: Watch) -> Exchange {
-    Exchange {
-        retry: (1, 2),
-        buffer: 2,
-        budget: Budget { loss: 1, dup: 1, crash: 0 },
-        ..Exchange::new(watch)
-    }
-}
-
 fn statuses() -> Exchange {
     Exchange { command: false, retry: (0, 0), sends: 3, ..commands(Watch::Stale) }
 }
@@ -40,67 +31,6 @@ fn larger(exchange: &Exchange) -> Exchange {
         sends: 3,
         budget: Budget { loss: 2, dup: 2, crash: exchange.budget.crash },
         ..exchange.clone()
-    }
-}
-
-pub(super) fn claim(
-    (name, rule, about): (&'static str, &'static str, &'static str),
-    expect: Outcome,
-    smoke: bool,
-    worlds: Vec<Exchange>,
-) -> Claim {
-    Claim {
-        name,
-        rule,
-        parties: 2,
-        about,
-        expect,
-        smoke,
-        settle: Box::new(move |work| settle(work, &worlds)),
-    }
-}
-
-/// Explores the worlds until one of them fails.
-fn settle(work: &mut Work<'_>, worlds: &[Exchange]) -> Settled {
-    let mut settled = None;
-    for exchange in worlds {
-        let (outcome, counterexample) = match exchange.scenario() {
-            Ok(scenario) => work.judge(&scenario),
-            Err(_) => (Outcome::Unknown, None),
-        };
-        let bounds = bounds(exchange);
-        settled = Some(Settled {
-            outcome,
-            bounds,
-            found: Found::default(),
-            counterexample,
-            sound: true,
-            variant: None,
-        });
-        if outcome != Outcome::Holds {
-            break;
-        }
-    }
-    settled.unwrap_or(Settled {
-        outcome: Outcome::Unknown,
-        bounds: Bounds::default(),
-        found: Found::default(),
-        counterexample: None,
-        sound: false,
-        variant: None,
-    })
-}
-
-fn bounds(exchange: &Exchange) -> Bounds {
-    Bounds {
-        loss: u32::from(exchange.budget.loss),
-        dup: u32::from(exchange.budget.dup),
-        delay: Some(u32::from(exchange.delay)),
-        crash: u32::from(exchange.budget.crash),
-        rounds: Some(u32::from(exchange.sends)),
-        time_out: Some(exchange.time_out),
-        resend: (exchange.retry.0 > 0).then_some(exchange.retry.1),
-        margin: None,
     }
 }
 

@@ -4,7 +4,7 @@
 
 use super::Claim;
 use super::margins::{Search, TimeOuts};
-use super::meetings::{simple, strand_claim, timed};
+use super::meeting::{simple, strand_claim, timed};
 use crate::report::Outcome;
 use crate::scenario::{Budget, Watch};
 use crate::worlds::Meeting;

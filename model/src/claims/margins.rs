@@ -1,6 +1,6 @@
 //! The search for the least margin of `waitfor` (D2, D56).
 
-use super::meetings::{DELAY, RESEND, bounds, once, releases, timed};
+use super::meeting::{DELAY, RESEND, bounds, once, releases, timed};
 use super::{Claim, Settled, Variant, Work};
 use crate::report::{Found, Outcome};
 use crate::scenario::{Budget, Timing, Watch};
@@ -155,4 +155,9 @@ impl Search {
             }),
         }
     }
+}
+
+/// The search for the least margin, while time may be off.
+pub(super) fn margins(rule: &'static str, members: usize, losses: u8, timing: Timing, smoke: bool) -> Claim {
+    Search { timing, ..Search::of(members, losses) }.claim(rule, smoke)
 }

@@ -1,18 +1,15 @@
 //! Claims about `waitfor` (§4.3; D1 to D3, D54 to D56).
 
 use super::larger::larger;
-use super::margins::Search;
+use super::margins::{Search, margins};
+use super::meeting::{DELAY, RESEND, bounds, simple, strand_claim, timed};
 use super::timing::off;
 use super::{Claim, Settled, Work, outcome, unless_it_panics};
 use crate::chart::draw;
-use crate::report::{Bounds, Found, Outcome};
+use crate::report::{Found, Outcome};
 use crate::scenario::{Budget, Timing, Watch};
 use crate::worlds::Meeting;
 use imrs_protocol::rules::{Confirmation, Rules};
-
-/// The longest way and the period of re-sending that the timed worlds have, in ticks.
-pub(super) const DELAY: u8 = 1;
-pub(super) const RESEND: u64 = 2;
 
 const RULES: [(&str, Confirmation); 4] = [
     ("no-confirmation", Confirmation::None),
@@ -32,74 +29,6 @@ pub(super) fn claims() -> Vec<Claim> {
     own.into_iter()
         .flat_map(|(name, claims)| claims.into_iter().chain(off(name)).chain(larger(name)))
         .collect()
-}
-
-/// A meeting in which time passes, built for `losses` and given as many.
-pub(super) fn timed(members: usize, watch: Watch, losses: u8, margin: u64, time_out: u64) -> Meeting {
-    Meeting {
-        time_out: Some(time_out),
-        delay: Some(DELAY),
-        resend: Some(RESEND),
-        losses,
-        margin: Some(margin),
-        budget: Budget { loss: losses, dup: 0, crash: 0 },
-        ..Meeting::new(members, watch)
-    }
-}
-
-pub(super) fn bounds(meeting: &Meeting) -> Bounds {
-    Bounds {
-        loss: u32::from(meeting.budget.loss),
-        dup: u32::from(meeting.budget.dup),
-        delay: meeting.delay.map(u32::from),
-        crash: u32::from(meeting.budget.crash),
-        rounds: meeting.attempts.map(u32::from),
-        time_out: meeting.time_out,
-        resend: meeting.resend,
-        margin: meeting.margin,
-    }
-}
-
-/// Settles a claim that is one exploration.
-pub(super) fn once(work: &mut Work<'_>, meeting: &Meeting) -> Settled {
-    let (outcome, counterexample) = match meeting.scenario() {
-        Ok(scenario) => work.judge(&scenario),
-        Err(_) => (Outcome::Unknown, None),
-    };
-    Settled {
-        outcome,
-        bounds: bounds(meeting),
-        found: Found::default(),
-        counterexample,
-        sound: true,
-        variant: None,
-    }
-}
-
-pub(super) fn simple(
-    (name, rule, about): (&'static str, &'static str, &'static str),
-    expect: Outcome,
-    smoke: bool,
-    meeting: Meeting,
-) -> Claim {
-    let parties = u32::try_from(meeting.members).unwrap_or(0);
-    let settle = move |work: &mut Work<'_>| {
-        let settled = once(work, &meeting);
-        let vacuous = expect == Outcome::Holds && says_of_releases(&meeting) && !releases(work, &meeting);
-        Settled { sound: settled.sound && !vacuous, ..settled }
-    };
-    Claim { name, rule, parties, about, expect, smoke, settle: Box::new(settle) }
-}
-
-/// Whether what is watched would hold of a world in which nobody is ever released.
-const fn says_of_releases(meeting: &Meeting) -> bool {
-    matches!(meeting.watch, Watch::FalseRelease | Watch::Pairing | Watch::AllOrNone)
-}
-
-/// Whether a member can be released at all, without any fault.
-pub(super) fn releases(work: &mut Work<'_>, meeting: &Meeting) -> bool {
-    let reachable = Meeting { watch: Watch::Reachable, budget: Budget::default(), ..meeting.clone() };
-    once(work, &reachable).outcome == Outcome::Fails
 }
 
 fn no_false_release() -> Vec<Claim> {
@@ -176,63 +105,6 @@ fn rendezvous_under_loss() -> Vec<Claim> {
     table.map(|((members, smoke), (rule, rules))| strand_claim(members, rule, rules, smoke)).collect()
 }
 
-pub(super) fn strand_claim(
-    members: usize,
-    rule: &'static str,
-    confirmation: Confirmation,
-    smoke: bool,
-) -> Claim {
-    Claim {
-        name: "rendezvous-under-loss",
-        rule,
-        parties: u32::try_from(members).unwrap_or(0),
-        about: "how many lost packets leave a member waiting though all have arrived (§4.3)",
-        expect: Outcome::Fails,
-        smoke,
-        settle: Box::new(move |work| strand(work, members, confirmation)),
-    }
-}
-
-/// Searches the least number of losses that strands a member: with every packet sent once, and with re-sending.
-fn strand(work: &mut Work<'_>, members: usize, confirmation: Confirmation) -> Settled {
-    let rules = Rules { confirmation, answer_late_arrivals: false, ..Rules::DEFAULT };
-    let literal = Meeting { rules, ..Meeting::new(members, Watch::Stranded) };
-    let (settled, least) = least_losses(work, &literal, 12);
-    let mut settled = settled;
-    settled.found.least_losses_to_strand = least;
-    if members <= 3 {
-        let rules = Rules { confirmation, ..Rules::DEFAULT };
-        let margin = u64::from(DELAY) + RESEND;
-        let again =
-            Meeting { rules, hurry: true, ..timed(members, Watch::GaveUpAfterAllArrived, 1, margin, 8) };
-        settled.found.least_losses_with_resending = least_losses(work, &again, 12).1;
-    }
-    settled.sound &= least.is_some();
-    settled
-}
-
-fn least_losses(work: &mut Work<'_>, meeting: &Meeting, most: u8) -> (Settled, Option<u32>) {
-    let mut last = None;
-    for loss in 0..=most {
-        let meeting = Meeting { budget: Budget { loss, ..meeting.budget }, ..*meeting };
-        let settled = once(work, &meeting);
-        if settled.outcome != Outcome::Holds {
-            let least = (settled.outcome == Outcome::Fails).then_some(u32::from(loss));
-            return (settled, least);
-        }
-        last = Some(settled);
-    }
-    let none = Settled {
-        outcome: Outcome::Unknown,
-        bounds: bounds(meeting),
-        found: Found::default(),
-        counterexample: None,
-        sound: false,
-        variant: None,
-    };
-    (last.unwrap_or(none), None)
-}
-
 fn pairing() -> Vec<Claim> {
     let name = "pairing";
     let about =
@@ -274,11 +146,6 @@ fn all_or_none() -> Vec<Claim> {
         ),
     ]);
     claims
-}
-
-/// The search for the least margin, while time may be off.
-pub(super) fn margins(rule: &'static str, members: usize, losses: u8, timing: Timing, smoke: bool) -> Claim {
-    Search { timing, ..Search::of(members, losses) }.claim(rule, smoke)
 }
 
 fn meet_again() -> Vec<Claim> {

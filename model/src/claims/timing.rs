@@ -1,9 +1,10 @@
 //! Claims about time: nothing waits for ever (§5.1.2), and what holds while links are charged more than they take and
 //! timers fire late (D42, D56).
 
-use super::commands::commands as exchange_of;
-use super::meetings::{margins, simple, timed};
-use super::{Claim, commands};
+use super::Claim;
+use super::exchange::{claim, commands as exchange_of};
+use super::margins::margins;
+use super::meeting::{simple, timed};
 use crate::report::Outcome;
 use crate::scenario::{Budget, Timing, Watch};
 use crate::worlds::{Exchange, Meeting};
@@ -17,7 +18,7 @@ pub(super) fn off(name: &'static str) -> Vec<Claim> {
     let budget = Budget { loss: 1, dup: 0, crash: 0 };
     let exchange = |watch, about| {
         let exchange = Exchange { timing: OFF, budget, ..exchange_of(watch) };
-        commands::claim((name, RULE, about), Outcome::Holds, true, vec![exchange])
+        claim((name, RULE, about), Outcome::Holds, true, vec![exchange])
     };
     match name {
         "no-false-release" => {
@@ -76,6 +77,6 @@ pub(super) fn claims() -> Vec<Claim> {
         ),
         simple(row("default, restart"), Outcome::Holds, true, crash),
         simple(row("default"), Outcome::Holds, false, three),
-        commands::claim(row("default, commands"), Outcome::Holds, true, vec![exchange_of(Watch::Waits)]),
+        claim(row("default, commands"), Outcome::Holds, true, vec![exchange_of(Watch::Waits)]),
     ]
 }

@@ -2,9 +2,10 @@
 
 use super::plan::FloorPlan;
 use super::{Crossing, Effect, Floor, Move};
-use crate::chart::{Counterexample, Pen, Shown};
+use crate::chart::{Counterexample, Pen};
 use crate::explore::Exploration;
 use crate::state::Packed;
+use crate::world::Shown;
 use imrs_protocol::{CellTable, NodeId, TaskId};
 use std::sync::Arc;
 

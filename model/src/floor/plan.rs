@@ -1,6 +1,5 @@
 //! What a floor is made of: a cell, what its tasks do, what links and faults may do, what is watched.
 
-use super::predicates::predicates;
 use imrs_protocol::script::{Predicate, Program, Term};
 use imrs_protocol::{CellTable, NodeId, NodeTable, PortId, ServiceOrder, Target, TaskId, Ticks};
 use std::sync::Arc;
@@ -398,9 +397,14 @@ impl FloorPlan {
         self.fair().is_some() || self.watches(FloorWatch::Order)
     }
 
+    /// The predicates of its checks.
+    pub(crate) fn predicates(&self) -> impl Iterator<Item = Predicate> {
+        self.checks.iter().flatten().filter_map(|term| if let Term::Is(it) = term { Some(*it) } else { None })
+    }
+
     /// Whether the ports on which tasks wait matter.
     pub(crate) fn names_ports(&self) -> bool {
         let asks = |predicate| matches!(predicate, Predicate::Answered { .. });
-        self.watches.iter().any(|w| matches!(w, FloorWatch::Served { .. })) || predicates(self).any(asks)
+        self.watches.iter().any(|w| matches!(w, FloorWatch::Served { .. })) || self.predicates().any(asks)
     }
 }

@@ -18,7 +18,7 @@ pub(crate) struct Told {
 impl Told {
     pub fn new(plan: &FloorPlan) -> Self {
         let mut told = Self::default();
-        for predicate in predicates(plan) {
+        for predicate in plan.predicates() {
             match predicate {
                 Predicate::Arrived { port, .. } if told.reached.iter().all(|&(known, ..)| known != port) => {
                     let parties = plan.cell.port(port).map_or(&[][..], |port| &port.parties);
@@ -47,11 +47,6 @@ impl Told {
         let of = self.answered.iter_mut().filter(|(whose, at, _)| *whose == task && Some(*at) == port);
         of.for_each(|(.., flag)| *flag = answered);
     }
-}
-
-/// The predicates of a plan's checks.
-pub(super) fn predicates(plan: &FloorPlan) -> impl Iterator<Item = Predicate> {
-    plan.checks.iter().flatten().filter_map(|term| if let Term::Is(it) = term { Some(*it) } else { None })
 }
 
 impl Floor {

@@ -1,11 +1,11 @@
 //! Worlds as packed bytes and back (D51).
 
-use super::{HEADER, Place, World};
+use super::{Place, World};
 use crate::floor::canon::Least;
 use crate::ghost::{self, Ghost};
 use crate::network::{Codec, Flight};
 use crate::scenario::Scenario;
-use crate::state::{Packed, Violation};
+use crate::state::{HEADER, Packed, Violation};
 use crate::symmetry;
 use imrs_protocol::{
     Decode, Encode, Frame, Kind, Overflow, Pass, PortId, Round, Seq24, TaskId, TaskState, Ticks, Walk, mark,

@@ -1,5 +1,6 @@
 //! A condition on a whole cell: for scripts and continuous integration.
 
+use super::amount::{Aggregate, Amount};
 use super::fields::{Field, PortRow, Row};
 use super::parse::{self, QueryError};
 use super::{Condition, Filter, Value, operator_holds};
@@ -9,62 +10,6 @@ use crate::store::health::{Finding, findings};
 use crate::store::journal::Level;
 use crate::store::{Presence, Store};
 use std::cell::RefCell;
-
-/// How the values of all rows become one.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(super) enum Aggregate {
-    Sum,
-    Min,
-    Max,
-}
-
-impl Aggregate {
-    pub const ALL: [Self; 3] = [Self::Sum, Self::Min, Self::Max];
-
-    pub const fn word(self) -> &'static str {
-        match self {
-            Self::Sum => "sum",
-            Self::Min => "min",
-            Self::Max => "max",
-        }
-    }
-
-    pub fn named(word: &str) -> Option<Self> {
-        Self::ALL.into_iter().find(|aggregate| aggregate.word() == word)
-    }
-}
-
-/// Something that is known of a whole cell.
-#[derive(Clone, Debug, PartialEq)]
-pub(super) enum Amount {
-    /// Over all ports.
-    Over(Aggregate, Field),
-    /// So many ports.
-    Count(Condition<Field>),
-    /// Nodes that are up.
-    Up,
-    /// Nodes that the cell declares.
-    Nodes,
-    /// What is wrong, of any level but notes.
-    Findings,
-    /// What is critical.
-    Critical,
-    /// Events that were lost on the way to the monitor.
-    Lost,
-}
-
-impl Amount {
-    pub fn named(word: &str) -> Option<Self> {
-        Some(match word {
-            "up" => Self::Up,
-            "nodes" => Self::Nodes,
-            "findings" => Self::Findings,
-            "critical" => Self::Critical,
-            "lost" => Self::Lost,
-            _ => return None,
-        })
-    }
-}
 
 /// A condition on a whole cell: `expired==0 and min_slack>5ms`, `count(class=2 and fill>80%) == 0 and up>=3`.
 #[derive(Clone, Debug, PartialEq)]

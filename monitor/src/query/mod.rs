@@ -12,6 +12,7 @@
 //! Words without an operator are looked for in the names of a row. `~` asks whether a text has another in it. What a row
 //! does not have (the slack of an empty port) fulfils no comparison but `!=`.
 
+mod amount;
 mod assertion;
 mod fields;
 mod parse;

@@ -1,6 +1,6 @@
 //! Text to conditions.
 
-use super::assertion::{Aggregate, Amount};
+use super::amount::{Aggregate, Amount};
 use super::fields::{self, FIELDS, Field, Kind};
 use super::{Condition, Operator, Value};
 use std::borrow::Cow;

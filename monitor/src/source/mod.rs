@@ -7,8 +7,8 @@ mod wishes;
 pub use wishes::{Wanted, Wishes};
 
 use crate::clock::{Clock, Moment};
+use crate::conformance::Conformance;
 use crate::error::MonitorError;
-use crate::store::conformance::Conformance;
 use imrs_wire::obs::{NodeIdentity, ServerFrame};
 use std::sync::Arc;
 

@@ -130,6 +130,11 @@ impl Desk {
         self.asked.iter().position(|asked| open && asked.answer == Answer::Open && asked.id == id)
     }
 
+    /// The task is told: what was answered may be read until it asks again.
+    pub fn tell(&mut self) {
+        self.phase = Phase::Closed;
+    }
+
     /// Takes back the request.
     pub fn close(&mut self) {
         self.phase = Phase::Closed;

@@ -296,6 +296,19 @@ impl CommTask {
     }
 }
 
+/// Whether a message under way that was read from a file has the room of a new one, and fits in it.
+pub(super) fn is_assembly(read: &Assembly, new: &Assembly) -> bool {
+    let (most, have) = (read.contents.len(), u32::from(read.have));
+    let known = read.fragments.is_none_or(|fragments| usize::from(fragments) <= most.max(1));
+    most == new.contents.len() && have.checked_shr(most as u32).unwrap_or(0) == 0 && known
+}
+
+/// Likewise of fragments that are kept.
+pub(super) fn is_room(read: &Parts, new: &Parts) -> bool {
+    let most = new.room();
+    read.room() == most && u32::from(read.have()).checked_shr(most as u32).unwrap_or(0) == 0
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;

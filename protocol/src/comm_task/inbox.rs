@@ -1,8 +1,7 @@
 //! The receiving end of a port at its task: the bounded_buffer (§5.1.1) and the memory of what was taken.
 
-use super::fragments::{Assembly, Parts};
+use super::fragments::{Assembly, Parts, is_assembly, is_room};
 use super::memory::Source;
-use super::whole::{is_assembly, is_room};
 use crate::cell::PortDecl;
 use crate::ids::{Incarnation, MessageId, PortId, Seq24, TaskId};
 use crate::packet::{Class, Contents};

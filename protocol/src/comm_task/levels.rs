@@ -1,7 +1,6 @@
 //! Interruption (R15, R16, D15): the task's thread, the handlers that interrupted it and each other, and which of what
 //! waits is offered to whom (D16, D58).
 
-use super::desk::Phase;
 use super::inbox::{Aged, Held};
 use super::{CommTask, Outbox, Pending, note};
 use crate::ids::{PortId, Round};
@@ -121,12 +120,12 @@ impl CommTask {
             Finished::Outcome(outcome) => Signal::Outcome(outcome),
             Finished::Answers(desk) => {
                 let desk = &mut self.desks[usize::from(desk)];
-                desk.phase = Phase::Closed;
+                desk.tell();
                 Signal::Answers { port: desk.port, answers: desk.answers() }
             }
             Finished::Long(desk) => {
                 let desk = &mut self.desks[usize::from(desk)];
-                desk.phase = Phase::Closed;
+                desk.tell();
                 Signal::Outcome(Outcome::Reply(desk.long_answer().unwrap_or_default()))
             }
             Finished::Released { port, round, by } => Signal::Released { port, round, by },

@@ -2,7 +2,7 @@
 //! is bytes that anybody may have written: what is out of bounds in it is refused before the machine sees it.
 
 use super::desk::Desk;
-use super::fragments::{Assembly, Parts};
+use super::fragments::{is_assembly, is_room};
 use super::heads::Heads;
 use super::inbox::Inbox;
 use super::levels::{DEPTH, Finished, Level};
@@ -110,15 +110,4 @@ fn is_inbox(read: &Inbox, new: &Inbox) -> bool {
 
 fn is_meeting(read: &Rendezvous, new: &Rendezvous) -> bool {
     (read.port, read.numbered, read.members.len()) == (new.port, new.numbered, new.members.len())
-}
-
-pub(super) fn is_assembly(read: &Assembly, new: &Assembly) -> bool {
-    let (most, have) = (read.contents.len(), u32::from(read.have));
-    let known = read.fragments.is_none_or(|fragments| usize::from(fragments) <= most.max(1));
-    most == new.contents.len() && have.checked_shr(most as u32).unwrap_or(0) == 0 && known
-}
-
-pub(super) fn is_room(read: &Parts, new: &Parts) -> bool {
-    let most = new.room();
-    read.room() == most && u32::from(read.have()).checked_shr(most as u32).unwrap_or(0) == 0
 }

@@ -3,16 +3,15 @@
 use crate::api::context::{AsyncContext, Context, TaskError};
 use crate::clock;
 use crate::link::Link;
-use crate::node::executor;
-use crate::node::threads::{Runtime, TaskProgram};
+use crate::node::program::{Running, StartError, TaskProgram};
+use crate::node::threads::{Runtime, SPIN_TAIL};
 use crate::node::{Node, Plan};
 use crate::record::Recorder;
 use crate::script::{Actions, Seat, Simulated, Watch};
-use imrs_protocol::script::{HOST_LIMIT, Program, ProgramError};
+use imrs_protocol::script::{HOST_LIMIT, Program};
 use imrs_protocol::{CellTable, Incarnation, NodeId, NodeTable};
 use imrs_wire::obs::RealTime;
 use std::future::Future;
-use std::io;
 use std::sync::Arc;
 use std::sync::atomic::Ordering;
 use std::time::Duration;
@@ -23,49 +22,6 @@ pub const TRANSIT_CAPACITY: u16 = 1024;
 /// For how long a thread that waits looks before it sleeps, unless told otherwise: about what it takes to wake a thread
 /// on another core (D110).
 pub const SPIN: Duration = Duration::from_micros(50);
-
-/// How long before the end of its time a thread that waits wakes, unless told otherwise: about what it takes from there to
-/// its program (D131).
-pub const SPIN_TAIL: Duration = Duration::from_micros(8);
-
-/// Why a node was not started.
-#[derive(Debug, thiserror::Error)]
-pub enum StartError {
-    /// The cell has no such node.
-    #[error("the cell has no node {0}")]
-    NoNode(NodeId),
-    /// The cell has no such task.
-    #[error("the cell has no task `{0}`")]
-    NoTask(String),
-    /// The task is assigned to another node.
-    #[error("task `{task}` runs on node `{node}`, not here")]
-    Elsewhere {
-        /// The task.
-        task: String,
-        /// Where it runs.
-        node: String,
-    },
-    /// The task was given two programs.
-    #[error("task `{0}` was given two programs")]
-    Twice(String),
-    /// The task was given no program.
-    #[error("task `{0}` was given no program")]
-    NoProgram(String),
-    /// The node has neighbours, and no link was given.
-    #[error("node `{0}` has neighbours but was given no link")]
-    NoLink(String),
-    /// The script is none.
-    #[error("the script of task `{0}` is malformed: {1:?}")]
-    Script(String, ProgramError),
-    /// The operating system refused a thread.
-    #[error("cannot start a thread for `{name}`: {source}")]
-    Thread {
-        /// What it was for.
-        name: String,
-        /// Why.
-        source: io::Error,
-    },
-}
 
 /// Collects what a node needs. Made by [`Runtime::builder`].
 #[must_use = "a node runs only once started"]
@@ -88,8 +44,15 @@ pub struct Builder {
     holds: bool,
 }
 
+impl Runtime {
+    /// Begins to describe a node of a cell.
+    pub fn builder(cell: Arc<CellTable>, node: NodeId) -> Builder {
+        Builder::new(cell, node)
+    }
+}
+
 impl Builder {
-    pub(crate) fn new(cell: Arc<CellTable>, node: NodeId) -> Self {
+    fn new(cell: Arc<CellTable>, node: NodeId) -> Self {
         Self {
             cell,
             node,
@@ -225,9 +188,7 @@ impl Builder {
         S: Send + 'static,
         F: Future<Output = Result<(), TaskError>> + 'static,
     {
-        let body = move |node, place| -> executor::Program {
-            Box::pin(program(AsyncContext::new(node, place, state)))
-        };
+        let body = move |node, place| -> Running { Box::pin(program(AsyncContext::new(node, place, state))) };
         self.programs.push((name.into(), TaskProgram::Async(Box::new(body))));
         self
     }

@@ -1,19 +1,16 @@
 //! The thread that runs those tasks of a node whose programs are futures (D113).
 
-use crate::api::builder::StartError;
 use crate::api::context::{Caller, TaskError};
 use crate::clock;
 use crate::node::failstop::guarded;
-use crate::node::threads::{TaskEnd, message, spawn};
+use crate::node::program::{AsyncBody, StartError, TaskEnd, message, spawn};
 use crate::node::{Inlet, Node};
 use crate::sync::lead::Led;
 use crate::sync::park::Park;
 use futures_util::stream::FuturesUnordered;
 use futures_util::{FutureExt, StreamExt};
 use imrs_wire::obs::Liveness;
-use std::future::Future;
 use std::panic::AssertUnwindSafe;
-use std::pin::Pin;
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::task::{Poll, Wake, Waker};
@@ -22,11 +19,6 @@ use std::thread::JoinHandle;
 /// So many waits in a row that something else ends than the link, and the thread leads no more until the link brings something:
 /// who is called away from there costs two system calls more. Each delay of a future ends one, so one alone says little.
 const ELSEWHERE: u32 = 8;
-
-/// A task's program, for its thread alone.
-pub(crate) type Program = Pin<Box<dyn Future<Output = Result<(), TaskError>>>>;
-/// Makes the program of a task, with a context for this place of the node.
-pub(crate) type AsyncBody = Box<dyn FnOnce(Arc<Node>, usize) -> Program + Send>;
 
 /// Is told how the program of a place ended.
 type Ended = Arc<dyn Fn(usize, TaskEnd) + Send + Sync>;

@@ -9,6 +9,7 @@ pub(crate) mod effects;
 pub(crate) mod executor;
 pub(crate) mod failstop;
 pub(crate) mod member;
+pub(crate) mod program;
 pub(crate) mod reverse_path;
 pub(crate) mod threads;
 pub(crate) mod timers;

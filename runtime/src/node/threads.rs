@@ -1,55 +1,27 @@
 //! The threads of a node: one per task, one for those that are futures, one that receives, and the Timer's.
 
-use crate::api::builder::{Builder, SPIN_TAIL, StartError};
 use crate::api::context::{Caller, TaskError};
 use crate::clock;
 use crate::link::{Link, PollEnd};
 use crate::node::comm::Comm;
 use crate::node::effects::Effects;
-use crate::node::executor::{AsyncBody, Executor};
+use crate::node::executor::Executor;
 use crate::node::failstop::guarded;
 use crate::node::member::BEGUN;
+use crate::node::program::{StartError, TaskBody, TaskEnd, TaskProgram, message, spawn};
 use crate::node::{Inlet, Node};
 use crate::script::{Actions, Stage};
 use crate::sync::awake;
-use imrs_protocol::script::{End, Program};
-use imrs_protocol::{CellTable, NodeId};
 use imrs_wire::obs::Liveness;
-use std::any::Any;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::sync::{Arc, Condvar, Mutex, MutexGuard, PoisonError};
-use std::thread::{self, JoinHandle};
+use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
-/// Runs a task's program with a context for this place of the node.
-pub(crate) type TaskBody = Box<dyn FnOnce(Arc<Node>, usize) -> Result<(), TaskError> + Send>;
-
-/// What a task runs.
-pub(crate) enum TaskProgram {
-    /// A Rust program, on a thread of its own.
-    Body(TaskBody),
-    /// A Rust program that is a future, on the thread of the node's futures.
-    Async(AsyncBody),
-    /// A script, run by whoever brings it input.
-    Script(Arc<Program>),
-}
-
-/// How a task's program ended.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum TaskEnd {
-    /// It returned, by itself or because the node stops.
-    Returned,
-    /// It returned an error.
-    Failed(TaskError),
-    /// It panicked with this message: a crash of the task (D43).
-    Panicked(String),
-    /// It is a script, and ended by itself.
-    Script(End),
-    /// It was still running when patience ended. Its thread goes on; it can no longer ask for anything. One that is a future
-    /// is dropped when it next waits.
-    Unfinished,
-}
+/// How long before the end of its time a thread that waits wakes, unless told otherwise: about what it takes from there to
+/// its program (D131).
+pub const SPIN_TAIL: Duration = Duration::from_micros(8);
 
 /// A running node.
 ///
@@ -107,11 +79,6 @@ impl Shared {
 }
 
 impl Runtime {
-    /// Begins to describe a node of a cell.
-    pub fn builder(cell: Arc<CellTable>, node: NodeId) -> Builder {
-        Builder::new(cell, node)
-    }
-
     pub(crate) fn start(
         node: Arc<Node>,
         programs: Vec<(String, TaskProgram)>,
@@ -154,7 +121,7 @@ impl Runtime {
         Ok(runtime)
     }
 
-    /// Lets the scripts of the node begin, where [`Builder::hold_scripts`] kept them from it, each once. Those of a restarted
+    /// Lets the scripts of the node begin, where [`Builder::hold_scripts`](crate::Builder::hold_scripts) kept them from it, each once. Those of a restarted
     /// node are held back for as long as their tasks need (D94). Returns when the next of them may begin: call it again then.
     /// `None`: all have begun.
     pub fn begin(&self) -> Option<Instant> {
@@ -267,13 +234,6 @@ impl Drop for Runtime {
     }
 }
 
-pub(crate) fn spawn(name: &str, run: impl FnOnce() + Send + 'static) -> Result<JoinHandle<()>, StartError> {
-    // The kernel keeps 15 bytes of a thread's name; a zero byte in it would be refused.
-    let kernel_name = name.replace('\0', " ");
-    let started = thread::Builder::new().name(kernel_name).spawn(run);
-    started.map_err(|source| StartError::Thread { name: name.into(), source })
-}
-
 fn run_task(node: &Arc<Node>, place: usize, program: TaskBody) -> TaskEnd {
     clock::sleep_exactly();
     let presence = &node.members.list[place].handoff.presence;
@@ -324,9 +284,4 @@ fn join(thread: JoinHandle<()>, end: Option<TaskEnd>) -> TaskEnd {
         Ok(()) => end,
         Err(panic) => TaskEnd::Panicked(message(panic.as_ref())),
     }
-}
-
-pub(crate) fn message(panic: &(dyn Any + Send)) -> String {
-    let text = panic.downcast_ref::<&str>().map(ToString::to_string);
-    text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_else(|| "no message".into())
 }

@@ -2,6 +2,7 @@
 
 use super::packed::{self, Drain, Entry, Fill};
 use super::{Log, OutputDigest, Recorder, Step};
+use crate::lock::lock;
 use crate::sync::lane::lane;
 use imrs_protocol::{CommTask, Incarnation, NodeTable, TaskId};
 use imrs_wire::recording::{
@@ -10,7 +11,7 @@ use imrs_wire::recording::{
 use std::collections::{BTreeMap, VecDeque};
 use std::io::Write;
 use std::sync::atomic::{AtomicBool, AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex};
 use std::time::{Duration, SystemTime, UNIX_EPOCH};
 
 /// How many slots all tasks of a node share between them and their disk: 16 MiB. A step takes one. When there are more,
@@ -94,14 +95,14 @@ impl FileRecorder {
     /// How the recording is doing; `None` once it was stopped.
     #[must_use]
     pub fn status(&self) -> Option<Status> {
-        let status = locked(&self.recording).as_ref().map(Recording::status)?;
+        let status = lock(&self.recording).as_ref().map(Recording::status)?;
         Some(self.with_losses(status))
     }
 
     /// Ends the recording: to be called after the node has stopped. Waits for the disk as long as `patience`. `None`
     /// where it was stopped before.
     pub fn stop(&self, patience: Duration) -> Option<Status> {
-        let recording = locked(&self.recording).take()?;
+        let recording = lock(&self.recording).take()?;
         self.aside.iter().for_each(|task| task.closed.store(true, Ordering::Release));
         let status = recording.stop(patience);
         Some(self.with_losses(status))
@@ -115,13 +116,9 @@ impl FileRecorder {
 
 impl Recorder for FileRecorder {
     fn log(self: Arc<Self>, task: TaskId) -> Option<Box<dyn Log>> {
-        let log = locked(&self.logs).remove(&task)?;
+        let log = lock(&self.logs).remove(&task)?;
         Some(Box::new(log))
     }
-}
-
-fn locked<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
 }
 
 fn ends(task: TaskId, slots: usize, alert: Alert) -> (TaskLog, TaskSource) {
@@ -206,7 +203,7 @@ impl Log for TaskLog {
             return;
         }
         let lost = self.aside.lost.load(Ordering::Relaxed);
-        let mut keyframes = locked(&self.aside.keyframes);
+        let mut keyframes = lock(&self.aside.keyframes);
         if packed::keyframe(&mut self.fill, lost - self.told, digest.0) {
             keyframes.push_back(state);
             self.told = lost;
@@ -241,7 +238,7 @@ impl TaskSource {
                 Record::Gap { stream: Stream::Task(task), lost }
             }
             Entry::Keyframe { outputs } => {
-                let state = locked(&self.aside.keyframes).pop_front()?;
+                let state = lock(&self.aside.keyframes).pop_front()?;
                 Record::Keyframe { task, state, outputs }
             }
             Entry::Unreadable => {

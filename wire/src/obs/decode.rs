@@ -1,6 +1,6 @@
 //! Bytes to values, totally: any bytes give a value or a [`DecodeError`].
 
-use super::handshake::Version;
+use super::version::Version;
 use serde::de::DeserializeOwned;
 use thiserror::Error;
 

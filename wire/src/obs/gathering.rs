@@ -1,6 +1,6 @@
 //! A snapshot put together from the machines of a node, the same for a running node and for one in a checker.
 
-use super::frames::{Count, Liveness, Snapshot, TaskSnapshot};
+use super::snapshot::{Count, Liveness, Snapshot, TaskSnapshot};
 use imrs_protocol::{Reason, TaskView, TransitView};
 
 /// What the machines of a node say of themselves, while it is asked together.

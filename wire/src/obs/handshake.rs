@@ -1,28 +1,10 @@
 //! The first frame in each direction.
 
 use super::decode::{DecodeError, whole};
+use super::version::{VERSION, Version};
 use imrs_protocol::Incarnation;
 use serde::{Deserialize, Serialize};
-use std::fmt;
 use thiserror::Error;
-
-/// A version of the observation protocol.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub struct Version {
-    /// Programs of different major versions do not understand each other.
-    pub major: u16,
-    /// A higher minor version only adds kinds of frames.
-    pub minor: u16,
-}
-
-impl fmt::Display for Version {
-    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
-        write!(f, "{}.{}", self.major, self.minor)
-    }
-}
-
-/// What this library speaks.
-pub const VERSION: Version = Version { major: 1, minor: 2 };
 
 /// The CRC-32 of the golden frames of [`VERSION`] and of the minor versions before it: two builds of one version that differ in it were made from
 /// different types and would misread each other.

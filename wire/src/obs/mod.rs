@@ -43,7 +43,9 @@ mod framing;
 mod gathering;
 mod handshake;
 pub mod place;
+mod snapshot;
 mod told;
+mod version;
 mod want;
 
 pub use decode::DecodeError;
@@ -52,14 +54,16 @@ pub use delta::{
     At, Changed, Delta, DeltaError, NodeFacts, PortAnew, PortChange, TaskAnew, TaskChange, TaskParts, Waiting,
 };
 pub use frames::{
-    Bye, ClientFrame, Count, Events, Goodbye, LinkName, LinkView, Liveness, NodeName, PartyName, PortName,
-    RealTime, ServerFrame, Snapshot, Subscribe, Table, TaskName, TaskSnapshot, TimedEvent, TimerEntry,
+    Bye, ClientFrame, Events, Goodbye, LinkName, NodeName, PartyName, PortName, ServerFrame, Subscribe,
+    Table, TaskName, TimedEvent,
 };
 pub use framing::{FrameError, FrameReader, FrameWriter, MAX_FRAME, MAX_REQUEST};
 pub use gathering::Gathering;
-pub use handshake::{Handshake, Hello, NodeIdentity, Refusal, Role, SCHEMA, VERSION, Version, agree};
+pub use handshake::{Handshake, Hello, NodeIdentity, Refusal, Role, SCHEMA, agree};
+pub use snapshot::{Count, LinkView, Liveness, RealTime, Snapshot, TaskSnapshot, TimerEntry};
 pub use told::{
     Denied, Detail, HeldBack, HeldTask, Lateness, MAX_WATCHED, NodePlace, Places, Pong, PortDetail,
     RecordingFacts, Vitals,
 };
+pub use version::{VERSION, Version};
 pub use want::{EventFilter, Kinds, MAX_TOKEN, Ping, Token, TokenError, Want};

@@ -26,7 +26,7 @@ use super::course::Course;
 use super::judge::{self, Reached, Shown};
 use super::outside::with_programs;
 use super::plan::{CellFaults, CellPlan, Conduct, Times};
-use super::search::{finding, timed, too_large};
+use super::search::{timed, too_large};
 use super::story;
 use super::verdict::{Finding, Phase, Refused};
 use crate::chart::{Folding, chart};
@@ -367,7 +367,7 @@ impl Simulator {
         // The cause with the values of this run.
         let shown = run.shown.iter().find(|(_, known)| known.is_same(shown)).map_or(shown, |(_, own)| own);
         let moves = run.moves[..end].to_vec();
-        let finding = finding(&self.plan, (run.phase, 0), &run.faults, moves, shown);
+        let finding = story::finding(&self.plan, (run.phase, 0), &run.faults, moves, shown);
         let mut groups = Vec::new();
         self.gather(&mut groups, &run.shown, None, &schedule);
         let number = 1 + groups.iter().take_while(|group| !self.is_one(&group.shown, shown)).count();

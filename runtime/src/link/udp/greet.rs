@@ -1,9 +1,10 @@
 //! Greetings and refusals: what nodes say of themselves, without packets (D144, D145).
 
-use super::peer::{Heard, Peer, lock};
+use super::peer::{Heard, Peer, Refusal};
 use super::statistics::UdpCount;
 use super::{NotANeighbour, UdpLink};
 use crate::link::{Link, LinkDiscard, Sink};
+use crate::lock::lock;
 use imrs_protocol::{Incarnation, NodeId, Packet, Ticks};
 use imrs_wire::envelope::{Digests, EnvelopeError, Greeting, Opened, Purpose, Refused, without_packets};
 use std::sync::atomic::Ordering;
@@ -11,21 +12,6 @@ use std::time::{Duration, Instant};
 
 /// How often a neighbour that has not answered is asked again.
 const ASK_EVERY: Duration = Duration::from_millis(100);
-
-/// A neighbour with which nothing can be exchanged.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Refusal {
-    /// The neighbour.
-    pub node: NodeId,
-    /// Why.
-    pub why: Refused,
-    /// The neighbour's digests.
-    pub theirs: Digests,
-    /// Whether this node refused a datagram of the neighbour.
-    pub here: bool,
-    /// Whether the neighbour says that it refuses this node's datagrams.
-    pub there: bool,
-}
 
 /// Who hears nothing yet: packets for a node that has not begun are lost.
 struct Deaf<'a>(&'a UdpLink);

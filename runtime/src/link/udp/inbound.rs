@@ -5,9 +5,9 @@
 //! changed; what comes there is judged in the same way, and a visit takes less of it.
 
 use super::UdpLink;
-use super::peer::lock;
 use super::socket;
 use crate::link::residency::Reading;
+use crate::lock::lock;
 use crate::sync::turn::Turn;
 use std::io;
 use std::net::{SocketAddr, UdpSocket};

@@ -25,22 +25,23 @@ mod socket;
 mod statistics;
 mod watch;
 
-pub use greet::Refusal;
+pub use peer::Refusal;
 pub use statistics::UdpCount;
 
 use super::{Came, Leading, Link, LinkBusy, PollEnd, Sink};
 use crate::clock;
+use crate::lock::lock;
 use imrs_protocol::{Incarnation, NodeId, NodeTable, Packet, Ticks};
 use imrs_wire::envelope::{MAX_PACKETS, Session};
 use inbound::{Inbound, STRANGERS};
-use peer::{Peer, Way, lock};
+use peer::{Peer, Way};
 use receive::Room;
 pub(crate) use send::SEGMENTS;
 use socket::{Asked, Waited};
 use statistics::Statistics;
 use std::hash::{BuildHasher, RandomState};
 use std::io;
-use std::net::SocketAddr;
+use std::net::{SocketAddr, UdpSocket};
 use std::sync::atomic::{AtomicBool, AtomicU16, Ordering};
 use std::sync::{Arc, Condvar, Mutex, PoisonError};
 use std::time::{Duration, Instant};
@@ -354,8 +355,9 @@ impl UdpLink {
     }
 
     fn wait_for_room(&self, full: &[Arc<Inbound>], until: Option<Instant>) -> io::Result<Option<Seen>> {
+        let full: Vec<&UdpSocket> = full.iter().map(|full| &full.socket).collect();
         loop {
-            match socket::wait_for_room(self.polling.epoll(), full, until)? {
+            match socket::wait_for_room(self.polling.epoll(), &full, until)? {
                 Waited::Writable => return Ok(None),
                 Waited::TimedOut => return Ok(Some(Seen::TimedOut)),
                 // Another thread may have taken it meanwhile.

@@ -1,21 +1,14 @@
 //! What a node keeps of each neighbour it talks to over UDP.
 
 use super::delay::DRIFT_PPM;
-use super::greet::Refusal;
 use super::inbound::Inbound;
-use super::send::Outgoing;
 use super::session::Known;
 use super::socket::set_segment;
 use imrs_protocol::{Incarnation, NodeId, Ticks};
-use imrs_wire::envelope::{Echo, MAX_DATAGRAM_BYTES, Session, supersedes};
+use imrs_wire::envelope::{Datagram, Digests, Echo, MAX_DATAGRAM_BYTES, Refused, Session, supersedes};
 use std::net::{SocketAddr, UdpSocket};
 use std::sync::atomic::{AtomicBool, AtomicU16, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
-
-/// Locks, whatever a panic elsewhere left: every value here is whole at any time.
-pub(super) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-    mutex.lock().unwrap_or_else(PoisonError::into_inner)
-}
+use std::sync::{Arc, Mutex};
 
 /// A neighbour, as the sending threads see it.
 pub(super) struct Peer {
@@ -45,6 +38,29 @@ pub(super) struct Peer {
     /// Whether there is one.
     pub(super) is_refused: AtomicBool,
     pub(super) pace: Mutex<Pace>,
+}
+
+/// The datagrams that are being made for a neighbour, and the number of the first.
+#[derive(Default)]
+pub(super) struct Outgoing {
+    pub(super) counter: u64,
+    /// As many as ever left in one call.
+    pub(super) datagrams: Vec<Datagram>,
+}
+
+/// A neighbour with which nothing can be exchanged.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub struct Refusal {
+    /// The neighbour.
+    pub node: NodeId,
+    /// Why.
+    pub why: Refused,
+    /// The neighbour's digests.
+    pub theirs: Digests,
+    /// Whether this node refused a datagram of the neighbour.
+    pub here: bool,
+    /// Whether the neighbour says that it refuses this node's datagrams.
+    pub there: bool,
 }
 
 /// No incarnation.

@@ -2,7 +2,7 @@
 
 use super::UdpLink;
 use super::inbound::{Inbound, Queue};
-use super::peer::{Heard, Peer, lock};
+use super::peer::{Heard, Peer};
 use super::send::SEGMENTS;
 use super::session::{Contact, Known, admit, judge};
 use super::socket::{Asked, Received, Receiver};
@@ -11,6 +11,7 @@ use super::watch::Told;
 use crate::clock;
 use crate::link::residency::{Evidence, Reading, residency};
 use crate::link::{LinkDiscard, Sink};
+use crate::lock::lock;
 use imrs_protocol::{Kind, NodeId, Packet, Ticks};
 use imrs_wire::envelope::{self, Envelope, EnvelopeError, Greeting, MAX_PACKETS, Purpose};
 use std::io;

@@ -1,10 +1,11 @@
 //! Sending: from packets to the socket.
 
 use super::UdpLink;
-use super::peer::{Heard, Peer, Way, lock};
+use super::peer::{Heard, Outgoing, Peer, Way};
 use super::socket;
 use super::statistics::UdpCount;
 use crate::link::LinkBusy;
+use crate::lock::lock;
 use imrs_protocol::Packet;
 use imrs_wire::envelope::{Datagram, Envelope, MAX_PACKETS, Purpose};
 use rustix::io::Errno;
@@ -16,14 +17,6 @@ use std::time::Instant;
 /// nothing more urgent: the socket holds 20 then, and 15 of those that leave one by one. Twice as many would save a tenth of
 /// what single calls cost, after the seven tenths that this saves (D129).
 pub(crate) const SEGMENTS: usize = 4;
-
-/// The datagrams that are being made for a neighbour, and the number of the first.
-#[derive(Default)]
-pub(super) struct Outgoing {
-    counter: u64,
-    /// As many as ever left in one call.
-    datagrams: Vec<Datagram>,
-}
 
 impl UdpLink {
     /// Sends packets to a neighbour over a way to it: full datagrams, but for the last, each with a number of its own.

@@ -1,7 +1,6 @@
 //! The socket: what the kernel is asked for, and what it says with each datagram.
 
 use super::UdpError;
-use super::inbound::Inbound;
 use crate::link::residency::Reading;
 use imrs_wire::envelope::MAX_DATAGRAM_BYTES;
 use nix::sys::socket::{ControlMessageOwned, MsgFlags, recvmsg, setsockopt, sockopt};
@@ -12,7 +11,6 @@ use rustix::net::{self, AddressFamily, SocketFlags, SocketType};
 use std::io::{self, IoSlice, IoSliceMut};
 use std::net::{Ipv4Addr, SocketAddr, UdpSocket};
 use std::os::fd::{AsRawFd, OwnedFd};
-use std::sync::Arc;
 use std::time::{Duration, Instant};
 
 /// One more than the longest datagram, so that a longer one is noticed.
@@ -247,11 +245,11 @@ pub(super) enum Waited {
 /// Waits until an epoll instance has something to tell, one of the `full` sockets takes something, or `until`. Allocates: for times when the network does not keep up.
 pub(super) fn wait_for_room(
     epoll: &OwnedFd,
-    full: &[Arc<Inbound>],
+    full: &[&UdpSocket],
     until: Option<Instant>,
 ) -> io::Result<Waited> {
     let mut fds = vec![PollFd::new(epoll, PollFlags::IN)];
-    fds.extend(full.iter().map(|full| PollFd::new(&full.socket, PollFlags::OUT)));
+    fds.extend(full.iter().map(|full| PollFd::new(*full, PollFlags::OUT)));
     loop {
         let left = until.map(|until| until.saturating_duration_since(Instant::now()));
         // A wait too long for the kernel's type is as good as one without end.

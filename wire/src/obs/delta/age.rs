@@ -1,7 +1,7 @@
 //! What time alone makes of the parts of a snapshot.
 
 use super::{COUNTERS, NodeFacts};
-use crate::obs::frames::{LinkView, Snapshot, TimerEntry};
+use crate::obs::snapshot::{LinkView, Snapshot, TimerEntry};
 use imrs_protocol::{MeetingView, PortCounters, QueueEntry, TaskState, TaskView, Ticks, TransitView};
 
 /// By how much the own time of something went on, of which the snapshots were so old.

@@ -6,7 +6,7 @@ use super::age::{
 use super::{
     At, COUNTERS, Changed, Delta, DeltaError, PortAnew, PortChange, TaskAnew, TaskChange, TaskParts, Waiting,
 };
-use crate::obs::frames::{Count, Snapshot, TaskSnapshot};
+use crate::obs::snapshot::{Count, Snapshot, TaskSnapshot};
 use imrs_protocol::{PortCounters, PortId, PortView, TaskView};
 
 impl Snapshot {

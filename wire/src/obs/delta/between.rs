@@ -5,7 +5,7 @@ use super::age::{
     own_time,
 };
 use super::{At, Changed, Delta, PortAnew, PortChange, TaskAnew, TaskChange, TaskParts, Waiting};
-use crate::obs::frames::{Count, LinkView, Snapshot, TaskSnapshot};
+use crate::obs::snapshot::{Count, LinkView, Snapshot, TaskSnapshot};
 use imrs_protocol::{MeetingView, PortCounters, PortView, Ticks};
 
 impl Delta {

@@ -9,7 +9,7 @@ mod age;
 mod apply;
 mod between;
 
-use super::frames::{Count, LinkView, Liveness, RealTime, TimerEntry};
+use super::snapshot::{Count, LinkView, Liveness, RealTime, TimerEntry};
 use imrs_protocol::{Class, MeetingView, QueueEntry, TaskId, TaskState, Ticks, TransitView, Usage};
 use serde::{Deserialize, Serialize};
 use thiserror::Error;

@@ -1,29 +1,28 @@
 //! What nodes show to a check in one tick. Nothing orders two nodes within a tick, and the search lets one act after the other:
 //! so a check that reads several of them must hold for every mixture of what each of them showed in that tick (D161).
 
-use super::context::{about, terms};
-use super::course::Course;
-use super::plan::{CellPlan, Holds};
+use super::Course;
+use crate::cell::plan::{CellPlan, Holds, about};
 use crate::floor::Floor;
 use imrs_protocol::script::{Term, eval};
 use imrs_protocol::{NodeId, TaskId};
 
 /// A check that reads several nodes: what it reads of each.
 #[derive(Clone, Debug)]
-pub(super) struct Spread {
+pub(in crate::cell) struct Spread {
     pub check: usize,
     nodes: Vec<Vec<Term>>,
 }
 
 /// What a node showed: the value of each term, as far as it has one.
-pub(super) type Sight = Vec<Option<i64>>;
+pub(in crate::cell) type Sight = Vec<Option<i64>>;
 
 /// One sight of each node: what a check read then.
-pub(super) type Mixture = Vec<(Term, Option<i64>)>;
+pub(in crate::cell) type Mixture = Vec<(Term, Option<i64>)>;
 
 /// Of one check.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Sights {
+pub(in crate::cell) struct Sights {
     /// For each of its nodes, what it showed in this tick before what it shows now, each once, in order.
     pub earlier: Vec<Vec<Sight>>,
     /// What each of them shows. In no packed state: it follows from the rest.
@@ -39,12 +38,12 @@ impl Sights {
 
 impl Course {
     /// The checks of this search that read several nodes.
-    pub(super) fn spread(plan: &CellPlan) -> Vec<Spread> {
+    pub(in crate::cell) fn spread(plan: &CellPlan) -> Vec<Spread> {
         let of_check = |check: usize| {
             let node = |term: &Term| {
                 about(term).and_then(|task| plan.table.location(TaskId::from_index(task))).map(NodeId::index)
             };
-            let all = terms(plan, check);
+            let all = plan.terms(check);
             let mut numbers: Vec<usize> = all.iter().filter_map(node).collect();
             numbers.sort_unstable();
             numbers.dedup();
@@ -59,14 +58,14 @@ impl Course {
     }
 
     /// A tick begins: what nodes show now they show at its begin, too.
-    pub(super) fn begin_tick(&mut self) {
+    pub(in crate::cell) fn begin_tick(&mut self) {
         for sights in &mut self.sights {
             sights.earlier.iter_mut().for_each(Vec::clear);
         }
     }
 
     /// Nodes showed nothing before in this tick.
-    pub(super) fn first_sights(floor: &Floor, spread: &[Spread]) -> Vec<Sights> {
+    pub(in crate::cell) fn first_sights(floor: &Floor, spread: &[Spread]) -> Vec<Sights> {
         let first = |spread: &Spread| Sights {
             earlier: vec![Vec::new(); spread.nodes.len()],
             now: spread.nodes.iter().map(|terms| sight_of(floor, terms)).collect(),
@@ -75,7 +74,7 @@ impl Course {
     }
 
     /// Takes what a state that was read back shows.
-    pub(super) fn see_anew(&mut self) {
+    pub(in crate::cell) fn see_anew(&mut self) {
         for (spread, sights) in self.spread.iter().zip(&mut self.sights) {
             for (terms, now) in spread.nodes.iter().zip(&mut sights.now) {
                 now.iter_mut().zip(terms).for_each(|(value, &term)| *value = self.floor.look_up(term));
@@ -84,7 +83,7 @@ impl Course {
     }
 
     /// Looks at what nodes show after a move, in every mixture with what they showed before in this tick.
-    pub(super) fn mix(&mut self) {
+    pub(in crate::cell) fn mix(&mut self) {
         self.mixed.clear();
         for (spread, sights) in self.spread.iter().zip(&mut self.sights) {
             let mut is_new = false;

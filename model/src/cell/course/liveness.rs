@@ -4,13 +4,13 @@
 //! anywhere, so what any handler reads is alive everywhere; so is what a check reads, and what is read where the task
 //! begins anew with its variables kept, after a take-over or when its lease came back (D61).
 
-use super::plan::{CellPlan, Conduct, Holds};
+use crate::cell::plan::{CellPlan, Conduct, Holds};
 use imrs_protocol::TaskId;
 use imrs_protocol::script::{Address, Op, Program, Slot, Term};
 
 /// For each operation of a task's program, the variables that are dead where its thread waits in it.
 #[derive(Clone, Debug, Default)]
-pub(super) struct Dead {
+pub(in crate::cell) struct Dead {
     at: Vec<u64>,
     /// When the script has ended.
     ended: u64,
@@ -24,7 +24,7 @@ impl Dead {
 }
 
 /// What is dead in each task, by task.
-pub(super) fn dead(plan: &CellPlan) -> Vec<Dead> {
+pub(in crate::cell) fn dead(plan: &CellPlan) -> Vec<Dead> {
     let of = |(task, conduct): (usize, &Conduct)| match conduct {
         Conduct::Program { program, .. } => of_program(plan, TaskId::from_index(task), program),
         Conduct::Extern(_) => Dead::default(),

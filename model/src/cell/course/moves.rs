@@ -1,13 +1,13 @@
 //! What may happen next in a cell.
 
-use super::course::{CellMove, Course, OPEN, UNUSED, bit, small};
-use super::plan::{Conduct, Times};
+use super::{CellMove, Course, OPEN, UNUSED, bit, small};
+use crate::cell::plan::{Conduct, Times};
 use crate::floor::script::Running;
 use crate::floor::{Crossing, Floor};
 
 impl Floor {
     /// Whether a packet is on its link behind another.
-    pub(super) fn is_behind(&self, packet: usize) -> bool {
+    pub(in crate::cell) fn is_behind(&self, packet: usize) -> bool {
         let link = self.crossings.get(packet).map(|crossing| crossing.link);
         self.crossings.iter().take(packet).any(|other| Some(other.link) == link)
     }

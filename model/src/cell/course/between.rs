@@ -5,8 +5,8 @@
 //! after anything that happens between them. That tries every order of two things that are near each other, and leaves
 //! out how long it then is to what comes later. With [`Times::Every`] nothing is left out but what lies between two ticks.
 
-use super::course::{Course, bit, small};
-use super::plan::Times;
+use super::{Course, bit, small};
+use crate::cell::plan::Times;
 use crate::floor::script::Running;
 
 impl Course {

@@ -1,16 +1,17 @@
 //! Following a run: what the nodes say, and the faults on their time.
 
-use super::children::Message;
-use super::clock::now_us;
-use super::deed::{Deed, Did};
-use super::faults::{Fault, node};
-use super::launcher::{LaunchError, Launcher, Trouble};
-use super::lines::{EndSort, Order, Word};
-use super::noticed::Noticed;
-use super::setups::record_file;
-use super::story::{Moment, Planned};
+use super::{Launcher, Trouble};
 use crate::args::Format;
-use crate::exit::Failure;
+use crate::failure::Failure;
+use crate::launch::children::Message;
+use crate::launch::clock::now_us;
+use crate::launch::deed::{Deed, Did};
+use crate::launch::error::LaunchError;
+use crate::launch::faults::{Fault, node};
+use crate::launch::lines::{EndSort, Order, Word};
+use crate::launch::noticed::Noticed;
+use crate::launch::setups::record_file;
+use crate::launch::story::{Moment, Planned};
 use crate::output::{Output, span};
 use imrs_protocol::{NodeId, TaskId};
 use indicatif::{ProgressBar, ProgressDrawTarget, ProgressStyle};
@@ -29,7 +30,7 @@ const LONGEST_STORY: usize = 100_000;
 impl Launcher<'_> {
     /// Follows the run until its end, carrying out the faults on time. What scripts did is shown to the last line, however
     /// the run ends.
-    pub(super) fn follow(&mut self, length: Duration, out: &mut Output) -> Result<(), Failure> {
+    pub(in crate::launch) fn follow(&mut self, length: Duration, out: &mut Output) -> Result<(), Failure> {
         let followed = self.follow_until_the_end(length, out);
         out.progress(None);
         followed.and(self.diary.close(&self.run.loaded.table, out))
@@ -208,7 +209,7 @@ impl Launcher<'_> {
         Ok(())
     }
 
-    pub(super) fn take(&mut self, message: Message) -> Result<(), LaunchError> {
+    pub(in crate::launch) fn take(&mut self, message: Message) -> Result<(), LaunchError> {
         match message {
             Message::Said(_, Word::Event(event)) => self.gatherer.event(&event),
             Message::Said(node, Word::Figures(figures)) => {
@@ -262,7 +263,7 @@ impl Launcher<'_> {
     }
 
     /// Passes on to the judge what nodes and guards told of commands.
-    pub(super) fn hear_of_commands(&mut self) {
+    pub(in crate::launch) fn hear_of_commands(&mut self) {
         let notices = self.noticed.as_mut().map(Noticed::drain).unwrap_or_default();
         notices.into_iter().for_each(|notice| self.judge.notice(notice));
     }
@@ -354,7 +355,7 @@ impl Launcher<'_> {
 }
 
 /// A line on standard error while the run lasts, if a person may be looking.
-pub(super) fn progress_line(format: Format) -> ProgressBar {
+pub(in crate::launch) fn progress_line(format: Format) -> ProgressBar {
     let target = match format {
         Format::Text => ProgressDrawTarget::stderr(),
         Format::Json => ProgressDrawTarget::hidden(),

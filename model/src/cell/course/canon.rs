@@ -1,9 +1,9 @@
 //! Cells as packed bytes and back: what is named in the cell, then the floor.
 
-use super::course::{Beside, Course, bit};
 use super::order::Sights;
 use super::pause::Asleep;
-use super::plan::{CellFaults, CellPlan, Holds, Times};
+use super::{Beside, Course, bit};
+use crate::cell::plan::{CellFaults, CellPlan, Holds, Times};
 use crate::floor::Floor;
 use crate::state::Violation;
 use imrs_protocol::{Decode, Encode, Frame, Walk};
@@ -13,7 +13,7 @@ const SIGHTS: u8 = 0xff;
 
 /// What may still go wrong, a byte for each kind: more in every byte allows all that less does.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
-pub(super) struct Left([u8; 8]);
+pub(in crate::cell) struct Left([u8; 8]);
 
 impl Left {
     /// Whether all that may go wrong with `other` may go wrong with this.

@@ -15,8 +15,8 @@
 //! process was stopped between the decision and the deed. The lease of a paused task ends on time: what drives its robot
 //! stops it then (D149), so from then on the task does not act, although it does not know it yet.
 
-use super::course::{CellMove, Course, bit, small};
-use super::plan::Pause;
+use super::{CellMove, Course, bit, small};
+use crate::cell::plan::Pause;
 use crate::floor::Floor;
 use crate::floor::script::{Actor, Running};
 use crate::state::Violation;
@@ -25,7 +25,7 @@ use imrs_protocol::{NodeInput, Ticks};
 
 /// A node that is paused. How long it has slept is in the floor: see [`Station::asleep`](crate::floor::Station::asleep).
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
-pub(super) struct Asleep {
+pub(in crate::cell) struct Asleep {
     /// For how many ticks it may stay so.
     pub left: u32,
     /// Actions that begin only when it goes on: task and thread.
@@ -34,7 +34,7 @@ pub(super) struct Asleep {
 
 impl Floor {
     /// How many ticks have passed since the node's pause began; none where it is not paused.
-    pub(super) fn slept(&self, node: usize) -> Option<u32> {
+    pub(in crate::cell) fn slept(&self, node: usize) -> Option<u32> {
         self.stations[node].asleep
     }
 }

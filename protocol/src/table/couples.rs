@@ -1,8 +1,8 @@
 //! What must hold of a declared couple (D30, D61): the compiler's checks of `couple work`.
 
+use super::Port;
 use crate::cell::{Cell, CellError, CoupleDecl, Usage};
 use crate::margin::{DRIFT_PPM, least_lease, takeover_margin};
-use crate::table::Port;
 use crate::ticks::Ticks;
 use alloc::format;
 use alloc::string::String;

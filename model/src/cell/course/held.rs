@@ -1,7 +1,7 @@
 //! Scripts that are held back after a restart (D94, D157). A state has one number for each node: how long until the last of
 //! its scripts begins. From that and the table follows when each of the others does.
 
-use super::course::{Course, bit};
+use super::{Course, bit};
 use crate::state::Violation;
 use imrs_protocol::TaskId;
 

@@ -1,0 +1,65 @@
+//! What a phase of the check of a cell comes to.
+
+use super::judge::Reached;
+use super::plan::Part;
+use super::verdict::{Coverage, Finding};
+
+/// What a phase comes to.
+pub(super) struct Done {
+    pub coverage: Coverage,
+    pub findings: Vec<Finding>,
+    pub standstills: Vec<Finding>,
+    pub reached: Reached,
+    /// For each check, whether what makes it matter was ever seen.
+    pub mattered: Vec<bool>,
+}
+
+impl Done {
+    /// What was found, and reached, on the way to this search, too.
+    pub fn with(mut self, earlier: Option<Self>) -> Self {
+        if let Some(earlier) = earlier {
+            self.findings.extend(earlier.findings);
+            self.reached = self.reached.join(earlier.reached);
+            self.mattered.iter_mut().zip(earlier.mattered).for_each(|(all, one)| *all |= one);
+        }
+        self
+    }
+
+    /// Both of what two parts came to; `part` is that of the other.
+    pub fn beside(mut self, other: Self, part: &Part) -> Self {
+        let (all, one) = (&mut self.coverage, other.coverage);
+        let whole = match (all.complete, one.complete) {
+            (true, true) => all.whole_depth.max(one.whole_depth),
+            (true, false) => one.whole_depth,
+            (false, true) => all.whole_depth,
+            (false, false) => all.whole_depth.min(one.whole_depth),
+        };
+        all.whole_depth = whole;
+        all.times = all.times.min(one.times);
+        all.states += one.states;
+        all.moves += one.moves;
+        all.depth = all.depth.max(one.depth);
+        all.ticks = all.ticks.max(one.ticks);
+        all.complete &= one.complete;
+        all.pruned |= one.pruned;
+        all.ended_by = all.ended_by.take().or(one.ended_by);
+        all.longest_state = all.longest_state.max(one.longest_state);
+        all.seconds += one.seconds;
+        self.findings.extend(other.findings);
+        self.standstills.extend(other.standstills);
+        let reached = other.reached.statements.into_iter().flatten();
+        self.reached.statements.iter_mut().flatten().zip(reached).for_each(|(all, one)| *all |= one);
+        take_checks(&mut self.reached.still, other.reached.still, part);
+        take_checks(&mut self.mattered, other.mattered, part);
+        self
+    }
+}
+
+/// Takes what another has of the checks of a part.
+pub(super) fn take_checks<T>(all: &mut [T], other: Vec<T>, part: &Part) {
+    for (check, (mine, other)) in all.iter_mut().zip(other).enumerate() {
+        if part.has_check(check) {
+            *mine = other;
+        }
+    }
+}

@@ -1,0 +1,47 @@
+//! The search of each independent part of a cell by itself.
+
+use super::course::Course;
+use super::done::{Done, take_checks};
+use super::judge::nothing_reached;
+use super::parts::only;
+use super::plan::{CellFaults, CellPlan, Part};
+use std::sync::Arc;
+
+/// Searches each part by itself and joins what was found. A part that a hypothesis cannot touch was searched without
+/// faults: `plain` is what that came to.
+///
+/// A clock that drifts does so between two events, a pause ends after one, and events of other parts lie between those of
+/// this one. So with drift and with pauses the cell is searched as a whole.
+pub(super) fn look_at_each(
+    plan: &Arc<CellPlan>,
+    parts: &[Part],
+    faults: &CellFaults,
+    plain: Option<&Done>,
+    look: impl Fn(&Arc<CellPlan>) -> Done,
+) -> Done {
+    if parts.is_empty() || !faults.may_be_apart() {
+        return look(plan);
+    }
+    // An `abort` ends ways of the search without faults, and none of those with them: so what lies behind it was not seen yet.
+    let is_seen = plain.is_some_and(|plain| !plain.coverage.pruned);
+    let touched = |part: &&Part| !is_seen || part.is_touched_by(plan, faults);
+    let mut searched: Vec<&Part> = parts.iter().filter(touched).collect();
+    if searched.is_empty() {
+        searched.push(&parts[0]);
+    }
+    let done = searched.iter().map(|part| (part.number, look(&only(plan, Some(part)))));
+    let Some((_, mut all)) =
+        done.reduce(|(at, mine), (number, other)| (at, mine.beside(other, &parts[number])))
+    else {
+        return look(plan);
+    };
+    for part in parts.iter().filter(|part| !searched.contains(part)) {
+        let still = match plain {
+            Some(plain) => plain.reached.still.clone(),
+            None => nothing_reached(&Course::new(&only(plan, Some(part)), faults)).still,
+        };
+        take_checks(&mut all.reached.still, still, part);
+    }
+    all.coverage.parts = u32::try_from(parts.len()).unwrap_or(u32::MAX);
+    all
+}

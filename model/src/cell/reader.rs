@@ -1,0 +1,254 @@
+//! The line of the cell's text that each step of a way belongs to, and the values that its messages carry.
+
+use super::course::Course;
+use super::judge::{position, program};
+use crate::floor::Effect;
+use crate::floor::script::ScriptTurn;
+use imrs_protocol::script::{Address, End, Op, Program, Trigger};
+use imrs_protocol::{
+    Call, Contents, Event, Kind, Observation, Outcome, Packet, PortId, ReplyTo, Signal, Target, TaskId,
+};
+use std::collections::BTreeMap;
+
+/// A message or a round by the task that sent or reached it, the port, and its number.
+type Named = (usize, PortId, u32);
+
+/// Finds the line and the values of each thing that a step shows.
+#[derive(Default)]
+pub(super) struct Reader {
+    /// Where each message was sent and answered, and each round reached.
+    sent: BTreeMap<Named, Address>,
+    step: StepAt,
+}
+
+/// Where the tasks are in one step.
+#[derive(Default)]
+struct StepAt {
+    /// The operation at which each task stood before it.
+    before: Vec<Address>,
+    /// The statements that each task may have carried out in it, and how often each was told.
+    begun: Vec<Vec<(Address, usize)>>,
+    /// The statement whose outcome each task is told next.
+    outcome: Vec<Option<Address>>,
+    /// What the messages held that tasks took.
+    taken: BTreeMap<Named, Contents>,
+    /// The packet whose values are drawn.
+    drawn: Option<Packet>,
+}
+
+impl Reader {
+    /// A step begins: `begun` is the statement that each task began last.
+    pub fn before(&mut self, course: &Course, begun: &[Option<Address>], drawn: Option<Packet>) {
+        let tasks = course.plan.tasks.len();
+        self.step = StepAt {
+            before: (0..tasks).map(|task| position(course, task)).collect(),
+            begun: begun.iter().map(|at| at.iter().map(|&at| (at, 0)).collect()).collect(),
+            outcome: vec![None; tasks],
+            taken: BTreeMap::new(),
+            drawn,
+        };
+    }
+
+    /// What the scripts did in it, and what was seen.
+    pub fn after(&mut self, turns: &[ScriptTurn], log: &[Effect]) {
+        for turn in turns {
+            if let Some(begun) = self.step.begun.get_mut(turn.task) {
+                begun.extend(turn.passed.iter().map(|&at| (at, 0)));
+            }
+        }
+        for effect in log {
+            if let Effect::Told(_, Signal::Message(delivery) | Signal::Interrupt(Call::Message(delivery))) =
+                effect
+            {
+                let ReplyTo { port, source, id } = delivery.from;
+                self.step.taken.insert((source.index(), port, id.sequence.get()), delivery.contents);
+            }
+        }
+    }
+
+    /// The line at which a packet was sent.
+    pub fn of_packet(&mut self, course: &Course, packet: &Packet) -> Option<u32> {
+        let (event, number) = match packet.kind {
+            Kind::Send | Kind::Query => (Event::Sent, packet.id.sequence.get()),
+            Kind::Reply | Kind::Response => (Event::Replied, packet.id.sequence.get()),
+            Kind::Arrive => (Event::Reached, u32::from(packet.meeting().round.0)),
+            Kind::Confirm | Kind::Abort | Kind::Control => return None,
+        };
+        let task = packet.source.index();
+        let named = (task, packet.port, number);
+        // What left before the first step was not seen: its task still stands in the statement.
+        let at = self.sent.get(&named).copied().or_else(|| {
+            let begun = self.step.begun.get(task)?.first()?.0;
+            let program = program(course, task)?;
+            operations(program, begun).any(|op| does(op, event, packet.port)).then_some(begun)
+        })?;
+        self.sent.insert(named, at);
+        course.plan.legend.line(task, at)
+    }
+
+    /// The line of an action that ends, of this thread.
+    pub fn of_action(&self, course: &Course, task: usize, level: u8) -> Option<u32> {
+        let script = &course.floor.bodies.get(task)?.actor.as_ref()?.script;
+        let at = match level {
+            _ if level == script.depth() => script.position(),
+            0 => script.own_position()?,
+            _ => return None,
+        };
+        course.plan.legend.line(task, at)
+    }
+
+    /// The line at which a script ended.
+    pub fn of_end(&self, course: &Course, turn: &ScriptTurn) -> Option<u32> {
+        let at = match turn.end? {
+            End::Assertion(at) | End::Fault { at, .. } => at,
+            End::Finished | End::Aborted(_) | End::Fenced => *turn.passed.last().unwrap_or(&turn.at),
+        };
+        course.plan.legend.line(turn.task, at)
+    }
+
+    /// The line of what a task shows, and the values that it takes or is told.
+    pub fn of_effect(&mut self, course: &Course, effect: &Effect) -> (Option<u32>, Option<String>) {
+        match effect {
+            Effect::Seen(_, Some(task), seen) => self.of_observation(course, task.index(), seen),
+            Effect::Told(task, signal) => self.of_signal(course, task.index(), signal),
+            Effect::Seen(_, None, _) | Effect::Sent(..) => (None, None),
+        }
+    }
+
+    fn of_observation(
+        &mut self,
+        course: &Course,
+        task: usize,
+        seen: &Observation,
+    ) -> (Option<u32>, Option<String>) {
+        let legend = &course.plan.legend;
+        let named = (task, seen.port, seen.number);
+        let before = self.step.before.get(task).copied();
+        let at = match seen.event {
+            Event::Sent | Event::Reached | Event::Replied => {
+                let at = self.carried_out(course, task, seen);
+                if let Some(at) = at {
+                    self.sent.insert(named, at);
+                }
+                at
+            }
+            Event::Resent
+            | Event::TimedOut
+            | Event::TimedOutUnsent
+            | Event::ReleasedComplete
+            | Event::ReleasedByConfirm
+            | Event::WithinMargin
+            | Event::GaveUp => self.sent.get(&named).copied().or(before),
+            Event::Rejoined => {
+                // The wait goes on in another round.
+                if let Some(at) = before {
+                    self.sent.insert(named, at);
+                }
+                before
+            }
+            Event::Answered | Event::RefusedByPeer | Event::PeerRestarted => {
+                if let Some(outcome) = self.step.outcome.get_mut(task) {
+                    *outcome = self.sent.get(&named).copied();
+                }
+                None
+            }
+            Event::Delivered => {
+                let message = (seen.peer.index(), seen.port, seen.number);
+                let is_drawn = |packet: Packet| {
+                    (packet.source.index(), packet.port, packet.id.sequence.get()) == message
+                };
+                let values = self
+                    .step
+                    .taken
+                    .get(&message)
+                    .filter(|_| self.step.drawn.is_none_or(|packet| !is_drawn(packet)));
+                let values = values.and_then(|contents| legend.values(seen.port, false, contents.as_bytes()));
+                let handler = program(course, task)
+                    .and_then(|program| legend.handler(program, task, Trigger::Message(seen.port)));
+                return (handler.or_else(|| legend.line(task, before?)), values);
+            }
+            Event::Rejected => before,
+            Event::Resumed => Some(position(course, task)),
+            Event::Granted
+            | Event::TookOver
+            | Event::Fenced
+            | Event::Discarded(_)
+            | Event::Interrupted
+            | Event::Enqueued
+            | Event::PartnerArrived
+            | Event::PartnerAborted
+            | Event::Confirmed => None,
+        };
+        (at.and_then(|at| legend.line(task, at)), None)
+    }
+
+    fn of_signal(&self, course: &Course, task: usize, signal: &Signal) -> (Option<u32>, Option<String>) {
+        let legend = &course.plan.legend;
+        let handler = |trigger| legend.handler(program(course, task)?, task, trigger);
+        match signal {
+            Signal::Outcome(outcome) => {
+                let asked = self.step.outcome.get(task).copied().flatten();
+                let at = asked.or_else(|| self.step.before.get(task).copied());
+                let values = match (outcome, at.and_then(|at| self.asks(course, task, at))) {
+                    (Outcome::Reply(contents), Some(port))
+                        if self.step.drawn.is_none_or(|packet| packet.port != port) =>
+                    {
+                        legend.values(port, true, contents.as_bytes())
+                    }
+                    _ => None,
+                };
+                (at.and_then(|at| legend.line(task, at)), values)
+            }
+            Signal::Interrupt(Call::Message(delivery)) => {
+                (handler(Trigger::Message(delivery.from.port)), None)
+            }
+            Signal::Interrupt(Call::Timer(timer)) => (handler(Trigger::Timer(*timer)), None),
+            Signal::Interrupt(Call::Fenced) => (handler(Trigger::Fenced), None),
+            _ => (None, None),
+        }
+    }
+
+    /// The statement of this step that sends, answers or reaches what was seen.
+    fn carried_out(&mut self, course: &Course, task: usize, seen: &Observation) -> Option<Address> {
+        let program = program(course, task)?;
+        let peers = course.plan.table.port(seen.port)?.peers(TaskId::from_index(task)).count();
+        let begun = self.step.begun.get_mut(task)?;
+        let mut doing = begun.iter_mut().filter_map(|(at, told)| {
+            let op = operations(program, *at).find(|op| does(op, seen.event, seen.port))?;
+            // One statement sends to one task or to all of them; the next one of the step comes after it.
+            let most =
+                if matches!(op, Op::Send { to, .. } if !matches!(to, Target::One(_))) { peers } else { 1 };
+            (*told < most).then_some((*at, told))
+        });
+        let (at, told) = doing.next()?;
+        *told += 1;
+        Some(at)
+    }
+
+    /// The port on which the statement of an operation sends.
+    fn asks(&self, course: &Course, task: usize, at: Address) -> Option<PortId> {
+        let program = program(course, task)?;
+        let sends = |op: &Op| match op {
+            Op::Send { port, .. } => Some(*port),
+            _ => None,
+        };
+        let here = program.code.get(usize::from(at)).and_then(sends);
+        here.or_else(|| operations(program, at).find_map(sends))
+    }
+}
+
+/// The operations of the statement that begins here.
+fn operations(program: &Program, at: Address) -> impl Iterator<Item = &Op> {
+    program.code.iter().skip(usize::from(at) + 1).take_while(|op| **op != Op::Statement)
+}
+
+/// Whether an operation is what shows as this event on this port.
+fn does(op: &Op, event: Event, on: PortId) -> bool {
+    match (event, op) {
+        (Event::Sent, Op::Send { port, .. })
+        | (Event::Reached, Op::Arrive { port, .. })
+        | (Event::Replied, Op::ReplyOwed { port, .. } | Op::ReplyFor { port, .. }) => *port == on,
+        (Event::Replied, Op::Reply { .. }) => true,
+        _ => false,
+    }
+}

@@ -1,0 +1,45 @@
+//! What a task does at a point of a way, in words.
+
+use super::course::Course;
+use super::judge::{name, position, statement};
+use super::plan::Conduct;
+use super::verdict::TaskView;
+use imrs_protocol::TaskId;
+use imrs_protocol::script::Activity;
+
+/// What a task does now.
+pub(super) fn view(course: &Course, task: usize) -> TaskView {
+    let plan = &course.plan;
+    let outside = !plan.has_task(task);
+    let up = course.is_up(task) || outside;
+    let at = position(course, task);
+    let station = &course.floor.stations[course.floor.station_of(task)];
+    let machine = station.node.task(TaskId::from_index(task)).filter(|_| up);
+    let queues = machine.map_or_else(Vec::new, |machine| {
+        let ports = machine.view(&station.table, 0).ports;
+        ports.iter().map(|port| (port.port, port.len)).collect()
+    });
+    let actor = course.floor.bodies[task].actor.as_ref();
+    let what = |at| match &plan.tasks[task] {
+        Conduct::Program { program, .. } => statement(&plan.table, program, at),
+        Conduct::Extern(_) => name(&plan.table, task).into(),
+    };
+    let does = match course.activity(task) {
+        _ if outside => "is not looked at: it is in another part of the cell".into(),
+        _ if !up => "is down".into(),
+        _ if course.is_asleep(course.floor.station_of(task)) => format!("is paused: {}", what(at)),
+        None | Some(Activity::NotBegun) => "has not begun".into(),
+        Some(Activity::Waits) => format!("waits: {}", what(at)),
+        Some(Activity::Acts) => what(at),
+        Some(Activity::Chooses(_)) => "chooses".into(),
+        Some(Activity::Passive) => "is passive".into(),
+        Some(Activity::Ended(_)) => "has ended".into(),
+    };
+    let variables = actor.map_or_else(Vec::new, |actor| {
+        (0..).map_while(|at| actor.script.var(at)).take(actor.program.variables.len()).collect()
+    });
+    let acts = actor.map_or_else(Vec::new, |actor| {
+        actor.running.iter().map(|running| (running.level, running.least, running.most)).collect()
+    });
+    TaskView { up, at, does, variables, queues, acts }
+}

@@ -1,0 +1,78 @@
+//! What claims about messages are made of: their worlds, and how one is settled.
+
+use super::{Claim, Settled, Work};
+use crate::report::{Bounds, Found, Outcome};
+use crate::scenario::{Budget, Watch};
+use crate::worlds::Exchange;
+
+/// Commands with one re-sending, one loss, one duplicate.
+pub(super) fn commands(watch: Watch) -> Exchange {
+    Exchange {
+        retry: (1, 2),
+        buffer: 2,
+        budget: Budget { loss: 1, dup: 1, crash: 0 },
+        ..Exchange::new(watch)
+    }
+}
+
+/// A claim that all of these worlds keep; of one that fails, that one of them does not.
+pub(super) fn claim(
+    (name, rule, about): (&'static str, &'static str, &'static str),
+    expect: Outcome,
+    smoke: bool,
+    worlds: Vec<Exchange>,
+) -> Claim {
+    Claim {
+        name,
+        rule,
+        parties: 2,
+        about,
+        expect,
+        smoke,
+        settle: Box::new(move |work| settle(work, &worlds)),
+    }
+}
+
+/// Explores the worlds until one of them fails.
+pub(super) fn settle(work: &mut Work<'_>, worlds: &[Exchange]) -> Settled {
+    let mut settled = None;
+    for exchange in worlds {
+        let (outcome, counterexample) = match exchange.scenario() {
+            Ok(scenario) => work.judge(&scenario),
+            Err(_) => (Outcome::Unknown, None),
+        };
+        let bounds = bounds(exchange);
+        settled = Some(Settled {
+            outcome,
+            bounds,
+            found: Found::default(),
+            counterexample,
+            sound: true,
+            variant: None,
+        });
+        if outcome != Outcome::Holds {
+            break;
+        }
+    }
+    settled.unwrap_or(Settled {
+        outcome: Outcome::Unknown,
+        bounds: Bounds::default(),
+        found: Found::default(),
+        counterexample: None,
+        sound: false,
+        variant: None,
+    })
+}
+
+fn bounds(exchange: &Exchange) -> Bounds {
+    Bounds {
+        loss: u32::from(exchange.budget.loss),
+        dup: u32::from(exchange.budget.dup),
+        delay: Some(u32::from(exchange.delay)),
+        crash: u32::from(exchange.budget.crash),
+        rounds: Some(u32::from(exchange.sends)),
+        time_out: Some(exchange.time_out),
+        resend: (exchange.retry.0 > 0).then_some(exchange.retry.1),
+        margin: None,
+    }
+}

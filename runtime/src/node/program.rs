@@ -1,0 +1,97 @@
+//! The programs of a node's tasks: what each is, where it runs, how it ended.
+
+use crate::api::context::TaskError;
+use crate::node::Node;
+use imrs_protocol::NodeId;
+use imrs_protocol::script::{End, Program as Script, ProgramError};
+use std::any::Any;
+use std::future::Future;
+use std::io;
+use std::pin::Pin;
+use std::sync::Arc;
+use std::thread::{self, JoinHandle};
+
+/// Runs a task's program with a context for this place of the node.
+pub(crate) type TaskBody = Box<dyn FnOnce(Arc<Node>, usize) -> Result<(), TaskError> + Send>;
+
+/// A program that is a future, as it runs: for its thread alone.
+pub(crate) type Running = Pin<Box<dyn Future<Output = Result<(), TaskError>>>>;
+/// Makes the program of a task, with a context for this place of the node.
+pub(crate) type AsyncBody = Box<dyn FnOnce(Arc<Node>, usize) -> Running + Send>;
+
+/// What a task runs.
+pub(crate) enum TaskProgram {
+    /// A Rust program, on a thread of its own.
+    Body(TaskBody),
+    /// A Rust program that is a future, on the thread of the node's futures.
+    Async(AsyncBody),
+    /// A script, run by whoever brings it input.
+    Script(Arc<Script>),
+}
+
+/// How a task's program ended.
+#[derive(Clone, Debug, PartialEq, Eq)]
+pub enum TaskEnd {
+    /// It returned, by itself or because the node stops.
+    Returned,
+    /// It returned an error.
+    Failed(TaskError),
+    /// It panicked with this message: a crash of the task (D43).
+    Panicked(String),
+    /// It is a script, and ended by itself.
+    Script(End),
+    /// It was still running when patience ended. Its thread goes on; it can no longer ask for anything. One that is a future
+    /// is dropped when it next waits.
+    Unfinished,
+}
+
+/// Why a node was not started.
+#[derive(Debug, thiserror::Error)]
+pub enum StartError {
+    /// The cell has no such node.
+    #[error("the cell has no node {0}")]
+    NoNode(NodeId),
+    /// The cell has no such task.
+    #[error("the cell has no task `{0}`")]
+    NoTask(String),
+    /// The task is assigned to another node.
+    #[error("task `{task}` runs on node `{node}`, not here")]
+    Elsewhere {
+        /// The task.
+        task: String,
+        /// Where it runs.
+        node: String,
+    },
+    /// The task was given two programs.
+    #[error("task `{0}` was given two programs")]
+    Twice(String),
+    /// The task was given no program.
+    #[error("task `{0}` was given no program")]
+    NoProgram(String),
+    /// The node has neighbours, and no link was given.
+    #[error("node `{0}` has neighbours but was given no link")]
+    NoLink(String),
+    /// The script is none.
+    #[error("the script of task `{0}` is malformed: {1:?}")]
+    Script(String, ProgramError),
+    /// The operating system refused a thread.
+    #[error("cannot start a thread for `{name}`: {source}")]
+    Thread {
+        /// What it was for.
+        name: String,
+        /// Why.
+        source: io::Error,
+    },
+}
+
+pub(crate) fn spawn(name: &str, run: impl FnOnce() + Send + 'static) -> Result<JoinHandle<()>, StartError> {
+    // The kernel keeps 15 bytes of a thread's name; a zero byte in it would be refused.
+    let kernel_name = name.replace('\0', " ");
+    let started = thread::Builder::new().name(kernel_name).spawn(run);
+    started.map_err(|source| StartError::Thread { name: name.into(), source })
+}
+
+pub(crate) fn message(panic: &(dyn Any + Send)) -> String {
+    let text = panic.downcast_ref::<&str>().map(ToString::to_string);
+    text.or_else(|| panic.downcast_ref::<String>().cloned()).unwrap_or_else(|| "no message".into())
+}

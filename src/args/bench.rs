@@ -1,0 +1,13 @@
+//! What `imrs bench` is asked.
+
+#[cfg(feature = "bench")]
+pub use imrs_bench::BenchArgs;
+
+/// Whatever follows the verb: this build measures nothing.
+#[cfg(not(feature = "bench"))]
+#[derive(Debug, clap::Args)]
+pub struct BenchArgs {
+    /// Suites and flags of the measurements.
+    #[arg(value_name = "ARGS", trailing_var_arg = true, allow_hyphen_values = true)]
+    pub args: Vec<String>,
+}

@@ -1,0 +1,95 @@
+//! What keeps the command from doing what it was asked to, and which exit code that leads to.
+
+use crate::exit::{Exit, is_exhausted};
+use std::error::Error;
+use std::io;
+
+/// What keeps the command from doing what it was asked to.
+#[derive(Debug, thiserror::Error)]
+pub enum Failure {
+    /// An argument names something that is not there, or does not fit the others.
+    #[error("{0}")]
+    Usage(String),
+    /// A cell file cannot be read or written.
+    #[error(transparent)]
+    CellFile(#[from] crate::cell_file::CellFileError),
+    /// What was asked for cannot be kept in a file.
+    #[error(transparent)]
+    Kept(#[from] crate::kept::KeptError),
+    /// The cell has errors: the diagnostics of its compiler.
+    #[error("{0}")]
+    Cell(String),
+    /// Standard output cannot be written to.
+    #[error("cannot write the answer: {0}")]
+    Output(#[source] io::Error),
+    /// The cell could not be run.
+    #[error(transparent)]
+    Launch(#[from] crate::launch::error::LaunchError),
+    /// A node of it could not do its part.
+    #[error(transparent)]
+    Node(#[from] crate::launch::NodeError),
+    /// The recording cannot be replayed.
+    #[error(transparent)]
+    Replay(#[from] crate::replay::error::ReplayError),
+    /// Nothing could be measured, or the answer not be kept.
+    #[cfg(feature = "bench")]
+    #[error(transparent)]
+    Bench(#[from] imrs_bench::BenchError),
+    /// The monitor could not do its work.
+    #[error(transparent)]
+    Monitor(#[from] imrs_monitor::MonitorError),
+}
+
+impl Failure {
+    /// The exit code it leads to.
+    pub fn exit(&self) -> Exit {
+        // The stream is non-blocking and its reader slow: nothing has run out.
+        if matches!(self, Self::Output(error) if error.kind() == io::ErrorKind::WouldBlock) {
+            return Exit::Usage;
+        }
+        let mut cause: Option<&(dyn Error + 'static)> = Some(self);
+        while let Some(error) = cause {
+            if error.downcast_ref().is_some_and(is_exhausted) {
+                return Exit::System;
+            }
+            cause = error.source();
+        }
+        match self {
+            Self::Usage(_)
+            | Self::CellFile(_)
+            | Self::Kept(_)
+            | Self::Cell(_)
+            | Self::Output(_)
+            | Self::Replay(_) => Exit::Usage,
+            #[cfg(feature = "bench")]
+            Self::Bench(_) => Exit::Usage,
+            Self::Launch(error) => error.exit(),
+            Self::Node(error) => error.exit(),
+            Self::Monitor(error) => match error.exit_code() {
+                2 => Exit::Usage,
+                3 => Exit::Nothing,
+                _ => Exit::Internal,
+            },
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::exit::{EXHAUSTED, says_exhausted};
+    use crate::launch::error::LaunchError;
+    use rustix::io::Errno;
+
+    #[test]
+    fn a_system_that_has_run_out_of_something_is_no_fault_of_the_program() {
+        let refused = |code: i32| LaunchError::Start(io::Error::from_raw_os_error(code));
+        assert_eq!(EXHAUSTED.map(|code| Failure::from(refused(code)).exit()), [Exit::System; 4]);
+        let unwritten = |errno: Errno| Failure::Output(errno.into()).exit();
+        assert_eq!(unwritten(Errno::NOMEM), Exit::System);
+        assert_eq!([Errno::NOSPC, Errno::AGAIN].map(unwritten), [Exit::Usage; 2]);
+        let panic = format!("{:?}", io::Error::from_raw_os_error(Errno::AGAIN.raw_os_error()));
+        assert!(says_exhausted(&panic), "{panic}");
+        assert!(!says_exhausted("index out of bounds"));
+    }
+}
