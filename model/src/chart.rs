@@ -340,7 +340,6 @@ pub(crate) fn label(packet: &Packet, ports: &[String]) -> String {
             Some(Control::Refused) => message("REFUSED"),
             Some(Control::RefusedOnTheWay) => message("REFUSED ON THE WAY"),
             Some(Control::Restarted) => message("RESTARTED"),
-            Some(Control::Probe) => "PROBE".into(),
             None => "CONTROL".into(),
         },
     }

@@ -79,7 +79,7 @@ pub enum Class {
     Status,
 }
 
-/// What a [`Kind::Control`] packet says about the request whose id it carries.
+/// What a [`Kind::Control`] packet says about the request whose id it carries. Word 3 is reserved.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub enum Control {
     /// The destination found no space for the message; it will not run (D21).
@@ -88,8 +88,6 @@ pub enum Control {
     RefusedOnTheWay,
     /// The destination restarted and cannot know whether the request ran before (D49).
     Restarted,
-    /// Asks for a sign of life; carries no request.
-    Probe,
 }
 
 /// Up to [`CONTENTS_BYTES`] bytes of message contents; the bytes past the length are zero.
@@ -414,7 +412,6 @@ impl Packet {
         match self.contents.as_bytes() {
             [1] => Some(Control::Refused),
             [2] => Some(Control::Restarted),
-            [3] => Some(Control::Probe),
             [4] => Some(Control::RefusedOnTheWay),
             _ => None,
         }
@@ -429,7 +426,6 @@ impl Control {
         contents.bytes[0] = match self {
             Self::Refused => 1,
             Self::Restarted => 2,
-            Self::Probe => 3,
             Self::RefusedOnTheWay => 4,
         };
         contents

@@ -369,7 +369,7 @@ impl CommTask {
             (_, Some(Control::Restarted)) => Event::PeerRestarted,
             // A copy was refused on the way, but another one may have arrived: only the time_out tells.
             (_, Some(Control::RefusedOnTheWay)) => return,
-            (_, Some(Control::Probe) | None) => return self.drop_packet(packet, Reason::Unexpected, out),
+            (_, None) => return self.drop_packet(packet, Reason::Unexpected, out),
         };
         self.mark(at, asked, event, out);
     }

@@ -201,7 +201,7 @@ fn a_seal_is_no_part_of_what_a_packet_says() {
 
 #[test]
 fn control_contents_are_total() {
-    for control in [Control::Refused, Control::Restarted, Control::Probe, Control::RefusedOnTheWay] {
+    for control in [Control::Refused, Control::Restarted, Control::RefusedOnTheWay] {
         let p = Packet { contents: control.to_contents(), ..sample() };
         assert_eq!(p.control(), Some(control));
     }

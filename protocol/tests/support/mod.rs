@@ -234,7 +234,6 @@ pub fn packet(p: &Packet) -> String {
                 Control::Refused => "REFUSED",
                 Control::RefusedOnTheWay => "REFUSED ON THE WAY",
                 Control::Restarted => "RESTARTED",
-                Control::Probe => "PROBE",
             };
             format!("{word} {way} #{}", p.id.sequence.get())
         }

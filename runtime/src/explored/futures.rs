@@ -70,22 +70,20 @@ impl Bell for Waker {
     }
 }
 
-fn of_a_future(plant: Plant) -> (Arc<Handoff<Asked>>, std::sync::Arc<Waker>) {
+fn of_a_future(plant: Option<Plant>) -> (Arc<Handoff<Asked, Option<Plant>>>, std::sync::Arc<Waker>) {
     let waker = std::sync::Arc::new(Waker(Word::new(0)));
     let bell = std::sync::Arc::clone(&waker) as std::sync::Arc<dyn Bell>;
-    let mut handoff = Handoff::new(Asked::default(), Some(bell));
-    handoff.plant = plant;
-    (Arc::new(handoff), waker)
+    (Arc::new(Handoff::planted(Asked::default(), Some(bell), plant)), waker)
 }
 
-fn bring_a_message(handoff: &Arc<Handoff<Asked>>) -> thread::JoinHandle<()> {
+fn bring_a_message(handoff: &Arc<Handoff<Asked, Option<Plant>>>) -> thread::JoinHandle<()> {
     let handoff = Arc::clone(handoff);
     thread::spawn(move || handoff.deliver(Brought::Message, &mut ()))
 }
 
 /// The future asks and listens; another thread brings the message. How often it was polled again. It may have come in as a
 /// thread does, as one does whose wait was dropped.
-fn ask_and_listen(plant: Plant, came_in: bool) -> u32 {
+fn ask_and_listen(plant: Option<Plant>, came_in: bool) -> u32 {
     let (handoff, waker) = of_a_future(plant);
     let mut polls = 0;
     if came_in {
@@ -109,27 +107,27 @@ fn ask_and_listen(plant: Plant, came_in: bool) -> u32 {
 
 #[test]
 fn a_future_that_listens_is_woken() {
-    let seen = explore(|| ask_and_listen(Plant::None, false));
+    let seen = explore(|| ask_and_listen(None, false));
     // Whoever asks finds nothing yet, and is called once: no call is lost, and none is made twice.
     assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [1], "{seen:?}");
 }
 
 #[test]
 fn a_future_that_is_not_called_waits_for_ever() {
-    must_fail(DEADLOCK, || ask_and_listen(Plant::NoBell, false));
-    must_fail(DEADLOCK, || ask_and_listen(Plant::NoMark, false));
+    must_fail(DEADLOCK, || ask_and_listen(Some(Plant::NoBell), false));
+    must_fail(DEADLOCK, || ask_and_listen(Some(Plant::NoMark), false));
 }
 
 #[test]
 fn a_future_sees_what_was_left_to_it_before_it_listens() {
-    let seen = explore(|| ask_and_listen(Plant::None, true));
+    let seen = explore(|| ask_and_listen(None, true));
     assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [1], "{seen:?}");
-    must_fail(DEADLOCK, || ask_and_listen(Plant::SleepsOnIt, true));
+    must_fail(DEADLOCK, || ask_and_listen(Some(Plant::SleepsOnIt), true));
 }
 
 /// The future gives its wait up while another thread brings the message. What it found.
 fn give_up(blindly: bool) -> Got {
-    let (handoff, _waker) = of_a_future(Plant::None);
+    let (handoff, _waker) = of_a_future(None);
     handoff.enter_awake(Brought::Question, &mut ());
     let other = bring_a_message(&handoff);
     let entry = if blindly {

@@ -76,13 +76,11 @@ impl Station for Toy {
     }
 }
 
-fn toy(plant: Plant) -> Arc<Handoff<Toy>> {
-    let mut handoff = Handoff::new(Toy::default(), None);
-    handoff.plant = plant;
-    Arc::new(handoff)
+fn toy(plant: Option<Plant>) -> Arc<Handoff<Toy, Option<Plant>>> {
+    Arc::new(Handoff::planted(Toy::default(), None, plant))
 }
 
-fn bring(handoff: &Arc<Handoff<Toy>>, input: Brought) -> thread::JoinHandle<u32> {
+fn bring(handoff: &Arc<Handoff<Toy, Option<Plant>>>, input: Brought) -> thread::JoinHandle<u32> {
     let handoff = Arc::clone(handoff);
     thread::spawn(move || {
         let mut worked = 0;
@@ -104,7 +102,7 @@ enum Waited {
 
 /// The task asks and waits, after so many looks asleep; another thread brings the answer. If it is not told of it, loom finds
 /// the deadlock. How it waited, and whether it worked off the answer itself.
-fn ask_and_wait(plant: Plant, looks: u32) -> (Waited, bool) {
+fn ask_and_wait(plant: Option<Plant>, looks: u32) -> (Waited, bool) {
     let handoff = toy(plant);
     let other = bring(&handoff, Brought::Answer);
     let mut waited = Waited::NotAtAll;
@@ -126,7 +124,7 @@ fn ask_and_wait(plant: Plant, looks: u32) -> (Waited, bool) {
 
 #[test]
 fn an_answer_always_ends_the_wait() {
-    let seen = explore(|| ask_and_wait(Plant::None, 0));
+    let seen = explore(|| ask_and_wait(None, 0));
     let outcomes: Vec<_> = seen.keys().copied().collect();
     let expected = [
         (Waited::NotAtAll, false),
@@ -140,17 +138,17 @@ fn an_answer_always_ends_the_wait() {
 
 #[test]
 fn a_word_that_is_not_marked_loses_the_wake_up() {
-    must_fail(DEADLOCK, || ask_and_wait(Plant::NoMark, 0));
+    must_fail(DEADLOCK, || ask_and_wait(Some(Plant::NoMark), 0));
 }
 
 #[test]
 fn a_sleeper_that_is_not_woken_sleeps_for_ever() {
-    must_fail(DEADLOCK, || ask_and_wait(Plant::NoWake, 0));
+    must_fail(DEADLOCK, || ask_and_wait(Some(Plant::NoWake), 0));
 }
 
 #[test]
 fn who_looks_before_it_sleeps_misses_no_answer() {
-    let seen = explore(|| ask_and_wait(Plant::None, 2));
+    let seen = explore(|| ask_and_wait(None, 2));
     let outcomes: Vec<_> = seen.keys().copied().collect();
     let expected = [
         (Waited::NotAtAll, false),
@@ -166,17 +164,17 @@ fn who_looks_before_it_sleeps_misses_no_answer() {
 
 #[test]
 fn who_leaves_something_and_does_not_see_that_nobody_looks_any_more_leaves_it_for_ever() {
-    must_fail(DEADLOCK, || ask_and_wait(Plant::TrustsTheLook, 1));
+    must_fail(DEADLOCK, || ask_and_wait(Some(Plant::TrustsTheLook), 1));
 }
 
 #[test]
 fn a_sleep_that_trusts_the_last_look_misses_the_answer() {
-    must_fail(DEADLOCK, || ask_and_wait(Plant::SleepsBlindly, 2));
+    must_fail(DEADLOCK, || ask_and_wait(Some(Plant::SleepsBlindly), 2));
 }
 
 /// The task has come in before, asks and waits, after so many looks asleep; another thread brings news, which may wait. How the
 /// task waited, and whether its own thread worked the news off.
-fn ask_for_news(plant: Plant, looks: u32) -> (Waited, bool) {
+fn ask_for_news(plant: Option<Plant>, looks: u32) -> (Waited, bool) {
     let handoff = toy(plant);
     let mut worked = 0;
     handoff.enter(Brought::Nothing, &mut worked);
@@ -200,7 +198,7 @@ fn ask_for_news(plant: Plant, looks: u32) -> (Waited, bool) {
 /// All of these are seen, and one more where every schedule is explored: who left the news sees that the thread is about to
 /// sleep and is faster than its second thought. Few drawn schedules are that one.
 fn news_end_every_wait(looks: u32, expected: &[(Waited, bool)]) {
-    let seen = explore(move || ask_for_news(Plant::None, looks));
+    let seen = explore(move || ask_for_news(None, looks));
     let rare = (Waited::Awake, false);
     assert!(!SEES_OLD_VALUES || seen.contains_key(&rare), "{seen:?}");
     let outcomes: Vec<_> = seen.keys().copied().filter(|&outcome| outcome != rare).collect();
@@ -227,7 +225,7 @@ fn news_that_waited_are_found_by_who_looks() {
 
 /// News come before the task begins to look, or are worked off by then. Whether it finds them at its first look, without
 /// anybody who calls it.
-fn look_after_news(plant: Plant) -> bool {
+fn look_after_news(plant: Option<Plant>) -> bool {
     let handoff = toy(plant);
     let mut worked = 0;
     handoff.enter(Brought::Nothing, &mut worked);
@@ -242,31 +240,31 @@ fn look_after_news(plant: Plant) -> bool {
 
 #[test]
 fn who_begins_to_look_sees_what_was_left_before() {
-    let seen = explore(|| look_after_news(Plant::None));
+    let seen = explore(|| look_after_news(None));
     assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [false, true], "{seen:?}");
-    must_fail("looked past", || look_after_news(Plant::LooksPastIt));
+    must_fail("looked past", || look_after_news(Some(Plant::LooksPastIt)));
 }
 
 #[test]
 fn who_sleeps_on_what_was_left_to_it_sleeps_for_ever() {
-    must_fail(DEADLOCK, || ask_for_news(Plant::SleepsOnIt, 0));
+    must_fail(DEADLOCK, || ask_for_news(Some(Plant::SleepsOnIt), 0));
 }
 
 #[test]
 fn who_leaves_news_and_does_not_see_that_the_thread_sleeps_by_now_leaves_them_for_ever() {
-    must_fail(DEADLOCK, || ask_for_news(Plant::TrustsTheRun, 0));
+    must_fail(DEADLOCK, || ask_for_news(Some(Plant::TrustsTheRun), 0));
 }
 
 #[test]
 fn without_its_fence_what_was_left_to_a_thread_that_ran_is_not_seen() {
     if SEES_OLD_VALUES {
-        must_fail(DEADLOCK, || ask_for_news(Plant::NoFenceForARunner, 0));
+        must_fail(DEADLOCK, || ask_for_news(Some(Plant::NoFenceForARunner), 0));
     }
 }
 
 /// News come while the task's program ends: whether it was left to work off to the end of the program.
 fn end_with_news(ends: bool) -> bool {
-    let handoff = toy(Plant::None);
+    let handoff = toy(None);
     let mut worked = 0;
     handoff.enter(Brought::Poll, &mut worked);
     let other = bring(&handoff, Brought::News);
@@ -294,7 +292,7 @@ fn what_is_left_to_a_program_that_does_not_say_that_it_ended_stays_behind() {
 
 /// A thread brings two answers; the task waits for one and takes what else is there, until it has both. How many it took at
 /// once, at the most.
-fn take_several(plant: Plant) -> u32 {
+fn take_several(plant: Option<Plant>) -> u32 {
     let handoff = toy(plant);
     let bringing = Arc::clone(&handoff);
     let other = thread::spawn(move || (0..2).for_each(|_| bringing.deliver(Brought::Answer, &mut 0)));
@@ -321,17 +319,17 @@ fn take_several(plant: Plant) -> u32 {
 
 #[test]
 fn several_are_taken_under_one_lock_and_none_is_lost() {
-    let seen = explore_large(|| take_several(Plant::None));
+    let seen = explore_large(|| take_several(None));
     assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [1, 2], "{seen:?}");
 }
 
 #[test]
 fn taking_several_without_a_second_look_waits_for_what_was_left() {
-    must_fail_large(DEADLOCK, || take_several(Plant::NoSecondLook));
+    must_fail_large(DEADLOCK, || take_several(Some(Plant::NoSecondLook)));
 }
 
 /// Two threads bring input at once. How much one of them worked off, at the most.
-fn two_bring(plant: Plant) -> u32 {
+fn two_bring(plant: Option<Plant>) -> u32 {
     let handoff = toy(plant);
     let other = bring(&handoff, Brought::Answer);
     let mut own = 0;
@@ -343,26 +341,26 @@ fn two_bring(plant: Plant) -> u32 {
 
 #[test]
 fn whoever_holds_the_lock_works_for_all() {
-    let seen = explore(|| two_bring(Plant::None));
+    let seen = explore(|| two_bring(None));
     assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [1, 2], "{seen:?}");
 }
 
 #[test]
 fn without_a_second_look_input_stays_behind() {
-    must_fail("input stayed behind", || two_bring(Plant::NoSecondLook));
+    must_fail("input stayed behind", || two_bring(Some(Plant::NoSecondLook)));
 }
 
 #[test]
 fn without_its_fence_the_second_look_is_in_vain() {
     if SEES_OLD_VALUES {
-        must_fail("input stayed behind", || two_bring(Plant::NoFence));
+        must_fail("input stayed behind", || two_bring(Some(Plant::NoFence)));
     }
 }
 
 /// Three threads bring input at once where the inbox has room for one. Whether one of them found it full.
-fn three_bring(plant: Plant) -> bool {
-    let mut handoff = Handoff::new(Toy::default(), None);
-    (handoff.plant, handoff.inbox.room.0) = (plant, 1);
+fn three_bring(plant: Option<Plant>) -> bool {
+    let mut handoff = Handoff::planted(Toy::default(), None, plant);
+    handoff.inbox.room.0 = 1;
     let handoff = Arc::new(handoff);
     let others = [bring(&handoff, Brought::Answer), bring(&handoff, Brought::Answer)];
     let mut own = 0;
@@ -376,17 +374,17 @@ fn three_bring(plant: Plant) -> bool {
 
 #[test]
 fn whoever_finds_the_inbox_full_waits_for_the_lock() {
-    let seen = explore_large(|| three_bring(Plant::None));
+    let seen = explore_large(|| three_bring(None));
     assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [false, true], "{seen:?}");
 }
 
 #[test]
 fn input_that_a_full_inbox_drops_is_missed() {
-    must_fail_large("input stayed behind", || three_bring(Plant::DropsWhenFull));
+    must_fail_large("input stayed behind", || three_bring(Some(Plant::DropsWhenFull)));
 }
 
 /// One thread looks while another brings input. Whether the one who looks had to work.
-fn one_looks(plant: Plant) -> u32 {
+fn one_looks(plant: Option<Plant>) -> u32 {
     let handoff = toy(plant);
     let other = bring(&handoff, Brought::Answer);
     let mut worked = 0;
@@ -397,17 +395,17 @@ fn one_looks(plant: Plant) -> u32 {
 
 #[test]
 fn whoever_only_looks_still_works_off_what_was_left() {
-    let seen = explore(|| one_looks(Plant::None));
+    let seen = explore(|| one_looks(None));
     assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [0, 1], "{seen:?}");
 }
 
 #[test]
 fn looking_without_a_second_look_leaves_input_behind() {
-    must_fail("input stayed behind", || one_looks(Plant::NoSecondLook));
+    must_fail("input stayed behind", || one_looks(Some(Plant::NoSecondLook)));
 }
 
 /// One thread leaves input and nudges while another brings some. How much the one who left it worked off.
-fn one_leaves(plant: Plant) -> u32 {
+fn one_leaves(plant: Option<Plant>) -> u32 {
     let handoff = toy(plant);
     let other = bring(&handoff, Brought::Answer);
     let mut worked = 0;
@@ -419,19 +417,19 @@ fn one_leaves(plant: Plant) -> u32 {
 
 #[test]
 fn what_was_left_is_worked_off() {
-    let seen = explore(|| one_leaves(Plant::None));
+    let seen = explore(|| one_leaves(None));
     assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [0, 1, 2], "{seen:?}");
 }
 
 #[test]
 fn a_nudge_without_a_look_leaves_input_behind() {
-    must_fail("input stayed behind", || one_leaves(Plant::NoSecondLook));
+    must_fail("input stayed behind", || one_leaves(Some(Plant::NoSecondLook)));
 }
 
 /// The answer comes while the time runs out. The outcome is decided once, under the lock: never both, never neither.
 /// `under_lock` false is the bug: the task takes its time as over without looking.
 fn race_with_time(under_lock: bool) -> Got {
-    let handoff = toy(Plant::None);
+    let handoff = toy(None);
     let answer = bring(&handoff, Brought::Answer);
     let kernel = Arc::clone(&handoff);
     let time = thread::spawn(move || kernel.time_out());
@@ -467,7 +465,7 @@ fn a_time_out_decided_outside_the_lock_loses_an_answer() {
 }
 
 /// The node stops while a task waits and its answer comes.
-fn stop_while_waiting(plant: Plant, with_answer: bool) -> Option<Got> {
+fn stop_while_waiting(plant: Option<Plant>, with_answer: bool) -> Option<Got> {
     let handoff = toy(plant);
     let answer = with_answer.then(|| bring(&handoff, Brought::Answer));
     let stopper = Arc::clone(&handoff);
@@ -487,27 +485,25 @@ fn stop_while_waiting(plant: Plant, with_answer: bool) -> Option<Got> {
 
 #[test]
 fn stopping_ends_every_wait() {
-    let seen = explore_large(|| stop_while_waiting(Plant::None, true));
+    let seen = explore_large(|| stop_while_waiting(None, true));
     assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [None, Some(Got::Answer)], "{seen:?}");
 }
 
 #[test]
 fn stopping_silently_leaves_a_sleeper_behind() {
-    must_fail_large(DEADLOCK, || stop_while_waiting(Plant::SilentStop, false));
+    must_fail_large(DEADLOCK, || stop_while_waiting(Some(Plant::SilentStop), false));
 }
 
 /// Two threads put something down and take a turn to carry it away. How much one of them carried, at the most.
-fn two_take_turns(plant: turn::Plant) -> u32 {
-    fn put_and_take(turn: &Turn<()>, pile: &Mutex<u32>) -> u32 {
+fn two_take_turns(plant: Option<turn::Plant>) -> u32 {
+    fn put_and_take(turn: &Turn<(), Option<turn::Plant>>, pile: &Mutex<u32>) -> u32 {
         *lock(pile) += 1;
         turn.want();
         let mut carried = 0;
         turn.take(|()| carried += std::mem::take(&mut *lock(pile)));
         carried
     }
-    let mut turn = Turn::new(());
-    turn.plant = plant;
-    let shared = Arc::new((turn, Mutex::new(0)));
+    let shared = Arc::new((Turn::planted((), plant), Mutex::new(0)));
     let theirs = Arc::clone(&shared);
     let other = thread::spawn(move || put_and_take(&theirs.0, &theirs.1));
     let own = put_and_take(&shared.0, &shared.1);
@@ -555,18 +551,18 @@ fn who_enters_and_does_not_look_again_leaves_something_lying() {
 
 #[test]
 fn nothing_is_left_lying_by_those_who_found_another_at_work() {
-    let seen = explore(|| two_take_turns(turn::Plant::None));
+    let seen = explore(|| two_take_turns(None));
     assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [1, 2], "{seen:?}");
 }
 
 #[test]
 fn leaving_without_another_look_leaves_something_lying() {
-    must_fail("something was left lying", || two_take_turns(turn::Plant::LeavesBlindly));
+    must_fail("something was left lying", || two_take_turns(Some(turn::Plant::LeavesBlindly)));
 }
 
 #[test]
 fn without_its_fence_the_turn_leaves_something_lying() {
     if SEES_OLD_VALUES {
-        must_fail("something was left lying", || two_take_turns(turn::Plant::NoFence));
+        must_fail("something was left lying", || two_take_turns(Some(turn::Plant::NoFence)));
     }
 }

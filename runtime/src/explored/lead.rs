@@ -5,7 +5,7 @@ use super::handoff::{Brought, Toy};
 use super::{DEADLOCK, must_fail_large};
 use crate::explorer::{Arc, Condvar, PlainMutex, explore_large, thread};
 use crate::sync::handoff::{self, Bell, Handoff};
-use crate::sync::lead::{Came, Lead, Led};
+use crate::sync::lead::{self, Came, Lead, Led};
 use crate::sync::turn::{self, Turn};
 
 /// A socket as the kernel tells of it: a datagram is told to the leader if one waits, else to the thread that polls.
@@ -94,9 +94,9 @@ impl Bell for Socket {
 
 struct Scene {
     socket: std::sync::Arc<Socket>,
-    handoff: Handoff<Toy>,
-    lead: Lead,
-    receiving: Turn<()>,
+    handoff: Handoff<Toy, Option<handoff::Plant>>,
+    lead: Lead<Option<lead::Plant>>,
+    receiving: Turn<(), Option<turn::Plant>>,
 }
 
 /// What is planted.
@@ -116,17 +116,11 @@ impl Scene {
     fn new(planted: Planted, datagrams: u32) -> Arc<Self> {
         let socket = std::sync::Arc::new(Socket::expecting(datagrams));
         let bell: std::sync::Arc<dyn Bell> = socket.clone();
-        let mut handoff = Handoff::new(Toy::default(), Some(bell));
-        let mut lead = Lead::new();
-        if planted.no_bell {
-            handoff.plant = handoff::Plant::NoBell;
-        }
         socket.state.lock().unwrap().edges = planted.edges;
-        lead.leaves_blindly = planted.leaves_told;
-        let mut receiving = Turn::new(());
-        if planted.leaves_blindly {
-            receiving.plant = turn::Plant::LeavesBlindly;
-        }
+        let no_bell = planted.no_bell.then_some(handoff::Plant::NoBell);
+        let handoff = Handoff::planted(Toy::default(), Some(bell), no_bell);
+        let lead = Lead::planted(planted.leaves_told.then_some(lead::Plant::LeavesBlindly));
+        let receiving = Turn::planted((), planted.leaves_blindly.then_some(turn::Plant::LeavesBlindly));
         Arc::new(Self { socket, handoff, lead, receiving })
     }
 

@@ -10,7 +10,7 @@ use crate::sync::{Mutex, lock, try_lock};
 
 struct Scene {
     socket: std::sync::Arc<Socket>,
-    park: Park,
+    park: Park<Option<Plant>>,
     lead: Lead,
     receiving: Mutex<()>,
     /// Whether the future that all is about can go on.
@@ -18,10 +18,9 @@ struct Scene {
 }
 
 impl Scene {
-    fn new(plant: Plant, datagrams: u32) -> Arc<Self> {
+    fn new(plant: Option<Plant>, datagrams: u32) -> Arc<Self> {
         let socket = std::sync::Arc::new(Socket::expecting(datagrams));
-        let mut park = Park::new(Some(socket.clone() as std::sync::Arc<dyn Bell>));
-        park.plant = plant;
+        let park = Park::planted(Some(socket.clone() as std::sync::Arc<dyn Bell>), plant);
         let (lead, receiving, woken) = (Lead::new(), Mutex::new(()), Mutex::new(false));
         Arc::new(Self { socket, park, lead, receiving, woken })
     }
@@ -73,7 +72,7 @@ impl Scene {
 }
 
 /// A datagram wakes the future, whoever takes it in.
-fn woken_by_datagram(plant: Plant) -> (Option<Led>, u32) {
+fn woken_by_datagram(plant: Option<Plant>) -> (Option<Led>, u32) {
     let scene = Scene::new(plant, 1);
     let (poller, network) = (Arc::clone(&scene), Arc::clone(&scene));
     let poller = thread::spawn(move || poller.run_poller());
@@ -86,7 +85,7 @@ fn woken_by_datagram(plant: Plant) -> (Option<Led>, u32) {
 
 #[test]
 fn a_datagram_wakes_a_future_whoever_takes_it() {
-    let seen = explore(|| woken_by_datagram(Plant::None));
+    let seen = explore(|| woken_by_datagram(None));
     let outcomes: Vec<_> = seen.keys().copied().collect();
     let [end, called, no] = [Led::ToTheEnd, Led::Called, Led::No].map(Some);
     assert_eq!(outcomes, [(None, 0), (end, 0), (end, 1), (called, 0), (no, 0)], "{seen:?}");
@@ -94,11 +93,11 @@ fn a_datagram_wakes_a_future_whoever_takes_it() {
 
 #[test]
 fn who_is_away_and_is_not_called_never_polls_again() {
-    must_fail(DEADLOCK, || woken_by_datagram(Plant::NoBell));
+    must_fail(DEADLOCK, || woken_by_datagram(Some(Plant::NoBell)));
 }
 
 /// Another thread wakes the future: a task, the Timer, or whatever else a program waits for.
-fn woken_by_a_thread(plant: Plant, leads: bool) -> Option<Led> {
+fn woken_by_a_thread(plant: Option<Plant>, leads: bool) -> Option<Led> {
     let scene = Scene::new(plant, 0);
     let other = Arc::clone(&scene);
     let other = thread::spawn(move || other.wake());
@@ -109,15 +108,15 @@ fn woken_by_a_thread(plant: Plant, leads: bool) -> Option<Led> {
 
 #[test]
 fn a_thread_that_wakes_a_future_calls_back_who_leads_and_who_sleeps() {
-    let seen = explore(|| woken_by_a_thread(Plant::None, true));
+    let seen = explore(|| woken_by_a_thread(None, true));
     let outcomes: Vec<_> = seen.keys().copied().collect();
     assert_eq!(outcomes, [None, Some(Led::ToTheEnd), Some(Led::Called)], "{seen:?}");
-    let seen = explore(|| woken_by_a_thread(Plant::None, false));
+    let seen = explore(|| woken_by_a_thread(None, false));
     assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [None, Some(Led::No)], "{seen:?}");
 }
 
 #[test]
 fn a_wake_between_the_last_poll_and_the_wait_must_be_seen() {
-    must_fail(DEADLOCK, || woken_by_a_thread(Plant::GoesBlindly, true));
-    must_fail(DEADLOCK, || woken_by_a_thread(Plant::GoesBlindly, false));
+    must_fail(DEADLOCK, || woken_by_a_thread(Some(Plant::GoesBlindly), true));
+    must_fail(DEADLOCK, || woken_by_a_thread(Some(Plant::GoesBlindly), false));
 }

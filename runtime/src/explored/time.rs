@@ -7,10 +7,10 @@ use crate::sync::alarm::{Alarm, Cover, Plant};
 use crate::sync::handoff::{Handoff, Rest, Station};
 use crate::sync::{AtomicBool, Ordering};
 
-fn alarm(slots: usize, plant: Plant) -> Arc<Alarm> {
-    let mut alarm = Alarm::new(slots);
-    alarm.plant = plant;
-    Arc::new(alarm)
+type Planted = Alarm<Option<Plant>>;
+
+fn alarm(slots: usize, plant: Option<Plant>) -> Arc<Planted> {
+    Arc::new(Alarm::planted(slots, plant))
 }
 
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
@@ -20,7 +20,7 @@ enum Found {
 }
 
 /// The Timer thread has served one expiry and looks for the next while another thread publishes one.
-fn publish_while_looking(plant: Plant) -> Found {
+fn publish_while_looking(plant: Option<Plant>) -> Found {
     let alarm = alarm(2, plant);
     alarm.publish(1, 3);
     assert_eq!(alarm.earliest().at, 3);
@@ -42,19 +42,19 @@ fn publish_while_looking(plant: Plant) -> Found {
 
 #[test]
 fn the_timer_thread_hears_of_every_expiry() {
-    let seen = explore(|| publish_while_looking(Plant::None));
+    let seen = explore(|| publish_while_looking(None));
     assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [Found::AtOnce, Found::AfterSleep], "{seen:?}");
 }
 
 #[test]
 fn a_target_that_is_not_opened_hides_an_expiry() {
-    must_fail(DEADLOCK, || publish_while_looking(Plant::NoOpenTarget));
+    must_fail(DEADLOCK, || publish_while_looking(Some(Plant::NoOpenTarget)));
 }
 
 #[test]
 fn without_its_fence_the_alarm_hides_an_expiry() {
     if SEES_OLD_VALUES {
-        must_fail(DEADLOCK, || publish_while_looking(Plant::NoFence));
+        must_fail(DEADLOCK, || publish_while_looking(Some(Plant::NoFence)));
     }
 }
 
@@ -62,7 +62,7 @@ fn without_its_fence_the_alarm_hides_an_expiry() {
 const NOW: Micros = 3;
 
 /// The Timer's thread, until it is told to end. How often it was needed.
-fn serve(alarm: &Alarm, closing: &AtomicBool, mut tend: impl FnMut()) -> u32 {
+fn serve(alarm: &Planted, closing: &AtomicBool, mut tend: impl FnMut()) -> u32 {
     let mut served = 0;
     while alarm.next(0, || closing.load(Ordering::SeqCst), || NOW).is_some() {
         served += 1;
@@ -72,7 +72,7 @@ fn serve(alarm: &Alarm, closing: &AtomicBool, mut tend: impl FnMut()) -> u32 {
 }
 
 /// The node closes while the Timer's thread works or sleeps. How often that was needed before.
-fn close(plant: Plant) -> u32 {
+fn close(plant: Option<Plant>) -> u32 {
     let alarm = alarm(1, plant);
     let closing = Arc::new(AtomicBool::new(false));
     let (theirs, told) = (Arc::clone(&alarm), Arc::clone(&closing));
@@ -85,18 +85,18 @@ fn close(plant: Plant) -> u32 {
 
 #[test]
 fn closing_ends_the_timer_thread() {
-    let seen = explore(|| close(Plant::None));
+    let seen = explore(|| close(None));
     assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [0, 1], "{seen:?}");
 }
 
 #[test]
 fn looking_for_the_end_too_soon_sleeps_through_it() {
-    must_fail(DEADLOCK, || close(Plant::EndBeforeRung));
+    must_fail(DEADLOCK, || close(Some(Plant::EndBeforeRung)));
 }
 
 /// A machine with one thing to expire, now or in a long time.
 struct Timed {
-    alarm: Arc<Alarm>,
+    alarm: Arc<Planted>,
     cover: Cover,
     due: Micros,
 }
@@ -150,7 +150,7 @@ enum ServedBy {
 /// A task sleeps for a long time while an expiry comes that is due at once. Either it hears of it before it sleeps, or
 /// the Timer's thread sees to it.
 fn an_expiry_changes_hands(covers_all: bool) -> ServedBy {
-    let alarm = alarm(1, Plant::None);
+    let alarm = alarm(1, None);
     let mut cover = Cover::new(0);
     cover.covers_all = covers_all;
     let handoff = Arc::new(Handoff::new(Timed { alarm: Arc::clone(&alarm), cover, due: FAR }, None));

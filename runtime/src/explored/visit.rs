@@ -7,10 +7,8 @@ use crate::sync::handoff::{Handoff, Plant};
 
 /// The task asks and waits; one thread brings the answer, or leaves it while another one visits. Whether the visitor had it
 /// to work off.
-fn ask_while_visited(plant: Plant) -> bool {
-    let mut handoff = Handoff::new(Toy::default(), None);
-    handoff.plant = plant;
-    let handoff = Arc::new(handoff);
+fn ask_while_visited(plant: Option<Plant>) -> bool {
+    let handoff = Arc::new(Handoff::planted(Toy::default(), None, plant));
     let [theirs, visited] = [(); 2].map(|()| Arc::clone(&handoff));
     let other = thread::spawn(move || theirs.deliver(Brought::Answer, &mut 0));
     let visitor = thread::spawn(move || {
@@ -31,11 +29,11 @@ fn ask_while_visited(plant: Plant) -> bool {
 
 #[test]
 fn an_answer_that_a_visitor_finds_ends_the_wait() {
-    let seen = explore_large(|| ask_while_visited(Plant::None));
+    let seen = explore_large(|| ask_while_visited(None));
     assert_eq!(seen.keys().copied().collect::<Vec<_>>(), [false, true], "{seen:?}");
 }
 
 #[test]
 fn a_visitor_that_does_not_mark_the_word_loses_the_wake_up() {
-    must_fail_large(DEADLOCK, || ask_while_visited(Plant::NoMark));
+    must_fail_large(DEADLOCK, || ask_while_visited(Some(Plant::NoMark)));
 }

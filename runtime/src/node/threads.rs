@@ -236,7 +236,7 @@ impl Drop for Runtime {
 
 fn run_task(node: &Arc<Node>, place: usize, program: TaskBody) -> TaskEnd {
     clock::sleep_exactly();
-    let presence = &node.members.list[place].handoff.presence;
+    let presence = node.members.list[place].handoff.presence();
     presence.returns();
     let end = match catch_unwind(AssertUnwindSafe(|| program(Arc::clone(node), place))) {
         Ok(Ok(()) | Err(TaskError::Stopped)) => TaskEnd::Returned,

@@ -122,11 +122,7 @@ impl Recorder for FileRecorder {
 }
 
 fn ends(task: TaskId, slots: usize, alert: Alert) -> (TaskLog, TaskSource) {
-    let (fill, drain) = lane(
-        slots,
-        #[cfg(test)]
-        crate::sync::lane::Plant::None,
-    );
+    let (fill, drain) = lane(slots);
     let aside = Arc::<Aside>::default();
     let source = TaskSource {
         task,

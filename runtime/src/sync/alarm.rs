@@ -5,23 +5,21 @@
 
 use crate::clock::{FAR, Micros, nanos_of};
 use crate::sync::handoff::Rest;
+use crate::sync::plant::{Plants, Sound};
 use crate::sync::{AtomicU64, Ordering, Word, fence};
 
 #[derive(Debug)]
-pub(crate) struct Alarm {
+pub(crate) struct Alarm<P = Sound> {
     slots: Box<[AtomicU64]>,
     /// What the Timer thread sleeps until.
     target: AtomicU64,
     rung: Word,
-    #[cfg(test)]
-    pub plant: Plant,
+    plant: P,
 }
 
 /// The bugs that the explorers must find.
-#[cfg(test)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Plant {
-    None,
     /// While the slots are looked at, the old target still stands.
     NoOpenTarget,
     /// Nothing orders a slot and the target.
@@ -39,13 +37,15 @@ pub(crate) struct Earliest {
 
 impl Alarm {
     pub fn new(slots: usize) -> Self {
-        Self {
-            slots: (0..slots).map(|_| AtomicU64::new(FAR)).collect(),
-            target: AtomicU64::new(FAR),
-            rung: Word::new(0),
-            #[cfg(test)]
-            plant: Plant::None,
-        }
+        Self::planted(slots, Sound)
+    }
+}
+
+impl<P: Plants<Plant>> Alarm<P> {
+    /// As [`new`](Alarm::new), with a bug.
+    pub fn planted(slots: usize, plant: P) -> Self {
+        let slots = (0..slots).map(|_| AtomicU64::new(FAR)).collect();
+        Self { slots, target: AtomicU64::new(FAR), rung: Word::new(0), plant }
     }
 
     /// Says when `slot` next expires. Called under the lock of that machine, so the last word is the newest.
@@ -85,11 +85,7 @@ impl Alarm {
     pub fn earliest(&self) -> Earliest {
         let rung = self.rung.load();
         // While the slots are looked at, whatever is published rings.
-        #[cfg(test)]
-        let open = self.plant != Plant::NoOpenTarget;
-        #[cfg(not(test))]
-        let open = true;
-        if open {
+        if !self.plant.has(Plant::NoOpenTarget) {
             self.target.store(FAR, Ordering::Relaxed);
         }
         self.fence();
@@ -109,8 +105,7 @@ impl Alarm {
     ) -> Option<Micros> {
         let mut slept = false;
         loop {
-            #[cfg(test)]
-            if self.plant == Plant::EndBeforeRung {
+            if self.plant.has(Plant::EndBeforeRung) {
                 if closing() {
                     return None;
                 }
@@ -144,11 +139,9 @@ impl Alarm {
     }
 
     fn fence(&self) {
-        #[cfg(test)]
-        if self.plant == Plant::NoFence {
-            return;
+        if !self.plant.has(Plant::NoFence) {
+            fence(Ordering::SeqCst);
         }
-        fence(Ordering::SeqCst);
     }
 
     /// Sleeps until then, or until rung. Without an expiry it sleeps until rung.
@@ -180,7 +173,7 @@ impl Cover {
     }
 
     /// The machine next expires at `due`, and its task's thread does this: publishes what nobody waits for.
-    pub fn settle(&mut self, alarm: &Alarm, rest: Rest, due: Micros) {
+    pub fn settle<P: Plants<Plant>>(&mut self, alarm: &Alarm<P>, rest: Rest, due: Micros) {
         match rest {
             Rest::No => self.until = None,
             Rest::Begins => self.until = Some(due),

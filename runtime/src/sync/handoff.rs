@@ -7,11 +7,9 @@
 //!   go, so nothing stays behind.
 //! - [`Handoff::enter_and`] is for the task's own thread, which needs the answer.
 //!
-//! The answer is mail: written under the lock, together with the word that says so. The task's thread sleeps on the
-//! word, and is woken only if the word says that it sleeps. It may also wait elsewhere: then the word says so, and it is
-//! called from there by a [`Bell`]. While the word says that it looks, what is brought is left to it: it is there at once,
-//! and its communication task stays where it is, in the near cache of one core (D128). To a thread that runs is left what may wait
-//! until it comes in (D130).
+//! The answer is mail: written under the lock, together with the word that says so, on which the task's thread [waits](Waiting).
+//! While that says that the thread looks, what is brought is left to it: it is there at once, and its communication task
+//! stays where it is, in the near cache of one core (D128). To a thread that runs is left what may wait until it comes in (D130).
 //!
 //! The shared part knows nothing of messages: it is generic over the [`Station`], so that the tests can explore every
 //! interleaving with a station of two states.
@@ -19,38 +17,19 @@
 use crate::sync::awake::Presence;
 use crate::sync::inbox::Inbox;
 use crate::sync::lead::Away;
+use crate::sync::plant::{Plants, Sound};
 pub(crate) use crate::sync::station::{Bell, Entry, Rest, Station};
-use crate::sync::{Mutex, MutexGuard, Ordering, Word, fence, lock, try_lock};
+pub(crate) use crate::sync::waiting::Plant;
+use crate::sync::waiting::{AWAY, Leave, Waiting, Was};
+use crate::sync::{Mutex, MutexGuard, Ordering, fence, lock, try_lock};
 use std::collections::VecDeque;
 use std::sync::Arc;
 
-/// The task's thread runs.
-const RUNNING: u32 = 0;
-/// The task's thread sleeps, or is about to.
-const SLEEPING: u32 = 1;
-/// There is something for the task's thread, or its program has ended: sleeping is over.
-const READY: u32 = 2;
-/// The task's thread waits elsewhere, or is about to: the bell calls it.
-const AWAY: u32 = 3;
-/// The task's program is a future that waits, or is about to: the bell calls it.
-const LISTENING: u32 = 4;
-/// The task's thread looks at its word, and works off what it finds in the inbox.
-const LOOKING: u32 = 5;
-
-pub(crate) struct Handoff<S: Station> {
+pub(crate) struct Handoff<S: Station, P = Sound> {
     core: Mutex<Core<S>>,
     pub inbox: Inbox<S::Input>,
-    word: Line<Word>,
-    pub presence: Presence,
-    /// Where the task's thread may wait elsewhere.
-    bell: Option<Arc<dyn Bell>>,
-    #[cfg(test)]
-    pub plant: Plant,
+    waiting: Waiting<P>,
 }
-
-/// What two cores write in turn, in a line of the cache of its own.
-#[repr(align(64))]
-struct Line<T>(T);
 
 struct Core<S: Station> {
     station: S,
@@ -61,74 +40,43 @@ struct Core<S: Station> {
     stopped: bool,
 }
 
-/// The bugs that the explorers must find.
-#[cfg(test)]
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub(crate) enum Plant {
-    None,
-    /// The holder does not look into the inbox after it has let go of the lock.
-    NoSecondLook,
-    /// The word is looked at, but not changed, when mail comes.
-    NoMark,
-    /// The word is marked, but nobody is woken.
-    NoWake,
-    /// Who waits elsewhere is not called.
-    NoBell,
-    /// Stopping does not wake.
-    SilentStop,
-    /// Nothing orders the inbox and the lock.
-    NoFence,
-    /// Input that finds the lock held and the inbox full is gone.
-    DropsWhenFull,
-    /// Who looked at the word sleeps without looking once more.
-    SleepsBlindly,
-    /// Who left input to a thread that looked does not mind whether it still does.
-    TrustsTheLook,
-    /// Who left input to a thread that ran does not mind whether it still does.
-    TrustsTheRun,
-    /// Who goes to sleep does not mind what was left while it ran.
-    SleepsOnIt,
-    /// Who begins to look does not either.
-    LooksPastIt,
-    /// Neither who left something to a thread that ran, nor that thread, has a fence between what it writes and what it reads.
-    NoFenceForARunner,
-}
-
 impl<S: Station> Handoff<S> {
     /// `bell` calls the task's thread where it waits elsewhere ([`go_away`](Self::go_away)).
     pub fn new(station: S, bell: Option<Arc<dyn Bell>>) -> Self {
+        Self::planted(station, bell, Sound)
+    }
+}
+
+impl<S: Station, P: Plants<Plant>> Handoff<S, P> {
+    /// As [`new`](Handoff::new), with a bug.
+    pub fn planted(station: S, bell: Option<Arc<dyn Bell>>, plant: P) -> Self {
+        let batch = Inbox::<S::Input>::spare();
         Self {
-            core: Mutex::new(Core {
-                station,
-                mail: None,
-                batch: Inbox::<S::Input>::spare(),
-                resting: false,
-                stopped: false,
-            }),
+            core: Mutex::new(Core { station, mail: None, batch, resting: false, stopped: false }),
             inbox: Inbox::new(),
-            word: Line(Word::new(RUNNING)),
-            presence: Presence::new(),
-            bell,
-            #[cfg(test)]
-            plant: Plant::None,
+            waiting: Waiting::new(bell, plant),
         }
+    }
+
+    /// Whether the task's thread runs, told to all others.
+    pub const fn presence(&self) -> &Presence {
+        &self.waiting.presence
     }
 
     /// Brings input from anywhere. It has been taken, or will be by whoever holds the lock or has it next.
     pub fn deliver(&self, input: S::Input, effects: &mut S::Effects) {
-        let left = match self.word.0.load() {
-            LOOKING => self.leave(input).map(|()| self.call_looker(effects)),
-            RUNNING if S::may_wait(&input) => {
+        let left = match self.waiting.leaves() {
+            Leave::All => self.leave(input).map(|()| self.call_looker(effects)),
+            Leave::SomeOfIt if S::may_wait(&input) => {
                 self.inbox.leave_to_runner(input).map(|()| self.look_after_runner(effects))
             }
-            _ => Err(input),
+            Leave::SomeOfIt | Leave::Nothing => Err(input),
         };
         let Err(input) = left else { return };
         if let Some(core) = try_lock(&self.core) {
             self.work(core, Some(input), effects);
         } else if let Err(input) = self.leave(input) {
-            #[cfg(test)]
-            if self.plant == Plant::DropsWhenFull {
+            if self.has(Plant::DropsWhenFull) {
                 return;
             }
             // The lock is held for a bounded time, so this wait is bounded too.
@@ -139,7 +87,7 @@ impl<S: Station> Handoff<S> {
 
     /// As [`deliver`](Self::deliver), for several inputs under one lock: takes all of `inputs`, the first one first.
     pub fn deliver_all(&self, inputs: &mut VecDeque<S::Input>, effects: &mut S::Effects) {
-        if self.is_looking() {
+        if self.waiting.is_looking() {
             while let Some(input) = inputs.pop_front() {
                 if let Err(input) = self.leave(input) {
                     inputs.push_front(input);
@@ -204,10 +152,7 @@ impl<S: Station> Handoff<S> {
 
     fn come_in(&self) -> MutexGuard<'_, Core<S>> {
         let mut core = lock(&self.core);
-        // Others read the line. Who looked may be called just now: what was left to it before is seen after this.
-        if self.word.0.load() != RUNNING {
-            self.word.0.swap(RUNNING);
-        }
+        self.waiting.comes_in();
         self.inbox.come_in();
         core.resting = false;
         core
@@ -242,7 +187,7 @@ impl<S: Station> Handoff<S> {
     /// is an answer already, it takes that and brings nothing.
     pub fn enter_awake(&self, input: S::Input, effects: &mut S::Effects) -> Entry<S::Mail> {
         let mut core = lock(&self.core);
-        self.word.0.store(RUNNING);
+        self.waiting.is_polled();
         let (mail, until) = if core.mail.is_some() {
             // Whoever brought it has settled what follows.
             (core.mail.take(), u64::MAX)
@@ -261,30 +206,18 @@ impl<S: Station> Handoff<S> {
 
     /// The future waits from here on; the bell calls it. False where there is something for it already.
     pub fn listen(&self) -> bool {
-        if !self.word.0.replace(RUNNING, LISTENING) {
-            return false;
-        }
-        let left = self.was_left();
-        if left {
-            self.word.0.replace(LISTENING, RUNNING);
-        }
-        !left
+        self.waiting.listens(|| self.has_left())
     }
 
     /// Sleeps until there is mail, the node stops, or `deadline` (nanoseconds of the monotonic clock) has passed. May
     /// return early for no reason: the caller enters again and looks. False where there was something already.
     pub fn sleep(&self, deadline: Option<u64>) -> bool {
-        if !self.goes(SLEEPING) {
-            return false;
-        }
-        self.word.0.wait(SLEEPING, deadline);
-        self.comes(SLEEPING);
-        true
+        self.waiting.sleep(deadline, || self.has_left())
     }
 
     /// Whether there is something for the task's thread, or the node stops: what it may look at before it sleeps.
     pub fn is_called(&self) -> bool {
-        self.word.0.load() == READY
+        self.waiting.is_ready()
     }
 
     /// Whether something was left.
@@ -303,112 +236,45 @@ impl<S: Station> Handoff<S> {
         let mut looks = false;
         let mut there = || {
             let begins = !std::mem::replace(&mut looks, true);
-            (begins && (!self.word.0.replace(RUNNING, LOOKING) || self.looks_back()))
+            (begins && self.waiting.begins_to_look(|| self.has_left()))
                 || self.is_called()
                 || (take_in() && self.is_called())
         };
         let found = look(&mut there);
-        found || (looks && !self.word.0.replace(LOOKING, RUNNING))
-    }
-
-    fn is_looking(&self) -> bool {
-        self.word.0.load() == LOOKING
-    }
-
-    /// Whether something was left to the task's thread while it ran: asked once its word says that it runs no longer.
-    fn was_left(&self) -> bool {
-        #[cfg(test)]
-        if self.plant == Plant::SleepsOnIt {
-            return false;
-        }
-        // Pairs with the one in `look_after_runner`: either that sees the word, or this sees what was left.
-        self.fence_for_a_runner();
-        self.has_left()
-    }
-
-    fn looks_back(&self) -> bool {
-        #[cfg(test)]
-        if self.plant == Plant::LooksPastIt {
-            return false;
-        }
-        self.was_left()
+        found || (looks && self.waiting.ends_its_look())
     }
 
     /// Something was left to the thread that ran.
     fn look_after_runner(&self, effects: &mut S::Effects) {
-        #[cfg(test)]
-        if self.plant == Plant::TrustsTheRun {
-            return;
-        }
-        self.fence_for_a_runner();
-        if self.word.0.load() != RUNNING {
+        if self.waiting.runs_no_longer() {
             self.second_look(effects);
         }
-    }
-
-    fn fence_for_a_runner(&self) {
-        #[cfg(test)]
-        if self.plant == Plant::NoFenceForARunner {
-            return;
-        }
-        fence(Ordering::SeqCst);
     }
 
     /// Something was left to the thread that looks.
     fn call_looker(&self, effects: &mut S::Effects) {
-        let called = self.word.0.replace(LOOKING, READY);
-        #[cfg(test)]
-        let called = called || self.plant == Plant::TrustsTheLook;
-        if !called {
-            // It is looking no longer, or was called before, and has looked into the inbox since.
+        if !self.waiting.call_looker() {
+            // It has looked into the inbox since.
             self.second_look(effects);
         }
-    }
-
-    fn goes(&self, to: u32) -> bool {
-        // Before the word says so: who calls the thread counts it back.
-        self.presence.goes();
-        #[cfg(test)]
-        if self.plant == Plant::SleepsBlindly {
-            self.word.0.store(to);
-            return true;
-        }
-        if !self.word.0.replace(RUNNING, to) {
-            self.presence.returns();
-            return false;
-        }
-        if self.was_left() {
-            self.comes(to);
-            return false;
-        }
-        true
-    }
-
-    fn comes(&self, from: u32) -> bool {
-        let uncalled = self.word.0.replace(from, RUNNING);
-        if uncalled {
-            self.presence.returns();
-        }
-        uncalled
     }
 
     /// Ends all waits of the task, now and later.
     pub fn stop(&self, effects: &mut S::Effects) {
         let mut core = lock(&self.core);
         core.stopped = true;
-        let was = self.word.0.swap(READY);
+        let was = self.waiting.ready();
         drop(core);
-        #[cfg(test)]
-        if self.plant == Plant::SilentStop {
+        if self.has(Plant::SilentStop) {
             return;
         }
-        self.call(was);
+        self.waiting.call(was);
         self.second_look(effects);
     }
 
     /// The task's thread does not come in any more: nothing is left to it.
     pub fn end(&self, effects: &mut S::Effects) {
-        self.word.0.swap(READY);
+        self.waiting.ready();
         self.second_look(effects);
     }
 
@@ -452,7 +318,7 @@ impl<S: Station> Handoff<S> {
 
     #[cfg(test)]
     pub fn time_out(&self) {
-        self.word.0.time_out();
+        self.waiting.time_out();
     }
 
     /// Puts input into the inbox without taking the lock, or hands it back where the inbox is full. Whoever enters next
@@ -489,52 +355,10 @@ impl<S: Station> Handoff<S> {
         let rest = if core.resting { Rest::GoesOn } else { Rest::No };
         core.station.settle(rest, effects);
         // Last: the task's thread may be looking, and wants the lock.
-        let was = if new_mail { self.mark() } else { RUNNING };
+        let was = if new_mail { self.waiting.mark() } else { Was::RUNNING };
         drop(core);
-        self.call(was);
+        self.waiting.call(was);
         done
-    }
-
-    /// Says that there is mail. Returns what the task's thread did until then.
-    fn mark(&self) -> u32 {
-        #[cfg(test)]
-        match self.plant {
-            Plant::NoMark => return self.word.0.load(),
-            Plant::NoWake => {
-                self.word.0.swap(READY);
-                return RUNNING;
-            }
-            Plant::None
-            | Plant::NoSecondLook
-            | Plant::SilentStop
-            | Plant::NoFence
-            | Plant::DropsWhenFull
-            | Plant::SleepsBlindly
-            | Plant::TrustsTheLook
-            | Plant::TrustsTheRun
-            | Plant::SleepsOnIt
-            | Plant::LooksPastIt
-            | Plant::NoFenceForARunner
-            | Plant::NoBell => {}
-        }
-        self.word.0.swap(READY)
-    }
-
-    /// Makes the task's thread look, that did this until its word was marked.
-    fn call(&self, was: u32) {
-        if was == SLEEPING || was == AWAY {
-            self.presence.returns();
-        }
-        if was == SLEEPING {
-            self.word.0.wake();
-        }
-        #[cfg(test)]
-        if self.plant == Plant::NoBell {
-            return;
-        }
-        if let Some(bell) = self.bell.as_ref().filter(|_| was == AWAY || was == LISTENING) {
-            bell.ring();
-        }
     }
 
     fn drain(&self, core: &mut Core<S>, effects: &mut S::Effects) {
@@ -553,8 +377,7 @@ impl<S: Station> Handoff<S> {
     /// work to the holder, who comes here after letting go: the fence on both sides makes sure that one of the two
     /// sees it.
     fn second_look(&self, effects: &mut S::Effects) {
-        #[cfg(test)]
-        if self.plant == Plant::NoSecondLook {
+        if self.has(Plant::NoSecondLook) {
             return;
         }
         loop {
@@ -568,21 +391,23 @@ impl<S: Station> Handoff<S> {
     }
 
     fn fence(&self) {
-        #[cfg(test)]
-        if self.plant == Plant::NoFence {
-            return;
+        if !self.has(Plant::NoFence) {
+            fence(Ordering::SeqCst);
         }
-        fence(Ordering::SeqCst);
+    }
+
+    fn has(&self, bug: Plant) -> bool {
+        self.waiting.plant.has(bug)
     }
 }
 
-impl<S: Station> Away for Handoff<S> {
+impl<S: Station, P: Plants<Plant>> Away for Handoff<S, P> {
     fn go_away(&self) -> bool {
-        self.goes(AWAY)
+        self.waiting.goes(AWAY, || self.has_left())
     }
 
     fn come_home(&self) -> bool {
-        self.comes(AWAY)
+        self.waiting.comes(AWAY)
     }
 }
 

@@ -4,6 +4,7 @@
 //! A record is some slots in a row. They are filled one by one and shown together ([`Fill::publish`]), so whoever empties
 //! finds whole records only.
 
+use crate::sync::plant::{Plants, Sound};
 use crate::sync::{AtomicU64, AtomicUsize, Ordering};
 use std::sync::Arc;
 
@@ -12,21 +13,18 @@ use std::sync::Arc;
 struct Slot<const WORDS: usize>([AtomicU64; WORDS]);
 
 /// What both ends see, in slots of so many words.
-struct Lane<const WORDS: usize> {
+struct Lane<const WORDS: usize, P> {
     slots: Box<[Slot<WORDS>]>,
     /// How many slots were ever shown.
     filled: AtomicUsize,
     /// How many were emptied of those.
     emptied: AtomicUsize,
-    #[cfg(test)]
-    plant: Plant,
+    plant: P,
 }
 
 /// The bugs that the explorers must find.
-#[cfg(test)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Plant {
-    None,
     /// Slots are shown before they are filled.
     ShownFirst,
     /// Slots are given back before they were read.
@@ -36,8 +34,8 @@ pub(crate) enum Plant {
 }
 
 /// The end that fills.
-pub(crate) struct Fill<const WORDS: usize> {
-    lane: Arc<Lane<WORDS>>,
+pub(crate) struct Fill<const WORDS: usize, P = Sound> {
+    lane: Arc<Lane<WORDS, P>>,
     /// How many slots were filled.
     at: usize,
     /// Up to which number of slots there is room without another look.
@@ -45,49 +43,40 @@ pub(crate) struct Fill<const WORDS: usize> {
 }
 
 /// The end that empties.
-pub(crate) struct Drain<const WORDS: usize> {
-    lane: Arc<Lane<WORDS>>,
+pub(crate) struct Drain<const WORDS: usize, P = Sound> {
+    lane: Arc<Lane<WORDS, P>>,
     /// How many slots were emptied.
     at: usize,
 }
 
 /// A lane with room for so many slots, rounded up to a power of two.
-pub(crate) fn lane<const WORDS: usize>(
-    slots: usize,
-    #[cfg(test)] plant: Plant,
-) -> (Fill<WORDS>, Drain<WORDS>) {
-    used_lane(
-        slots,
-        0,
-        #[cfg(test)]
-        plant,
-    )
+pub(crate) fn lane<const WORDS: usize>(slots: usize) -> (Fill<WORDS>, Drain<WORDS>) {
+    used_lane(slots, 0, Sound)
 }
 
-/// A lane through which so many slots have gone before. The counts go around the wrap.
-pub(crate) fn used_lane<const WORDS: usize>(
+/// A lane through which so many slots have gone before, with a bug. The counts go around the wrap.
+pub(crate) fn used_lane<const WORDS: usize, P>(
     slots: usize,
     at: usize,
-    #[cfg(test)] plant: Plant,
-) -> (Fill<WORDS>, Drain<WORDS>) {
+    plant: P,
+) -> (Fill<WORDS, P>, Drain<WORDS, P>) {
     let slot = |_| Slot(std::array::from_fn(|_| AtomicU64::new(0)));
     let lane = Arc::new(Lane {
         slots: (0..slots.next_power_of_two()).map(slot).collect(),
         filled: AtomicUsize::new(at),
         emptied: AtomicUsize::new(at),
-        #[cfg(test)]
         plant,
     });
     (Fill { lane: Arc::clone(&lane), at, free: at }, Drain { lane, at })
 }
 
-impl<const WORDS: usize> Lane<WORDS> {
+impl<const WORDS: usize, P> Lane<WORDS, P> {
     fn slot(&self, at: usize) -> &[AtomicU64; WORDS] {
         &self.slots[at & (self.slots.len() - 1)].0
     }
 }
 
-impl<const WORDS: usize> Fill<WORDS> {
+impl<const WORDS: usize, P: Plants<Plant>> Fill<WORDS, P> {
     /// Whether there is room for so many slots. `crowded` is called now and then while a good part is full.
     #[inline]
     pub fn has_room(&mut self, slots: usize, crowded: impl FnOnce()) -> bool {
@@ -118,8 +107,7 @@ impl<const WORDS: usize> Fill<WORDS> {
     /// Fills the next slot, for which there is room.
     #[inline]
     pub fn put(&mut self, words: [u64; WORDS]) {
-        #[cfg(test)]
-        if self.lane.plant == Plant::ShownFirst {
+        if self.lane.plant.has(Plant::ShownFirst) {
             self.lane.filled.store(self.at.wrapping_add(1), Ordering::Release);
         }
         for (word, value) in self.lane.slot(self.at).iter().zip(words) {
@@ -131,15 +119,14 @@ impl<const WORDS: usize> Fill<WORDS> {
     /// Shows what was filled.
     #[inline]
     pub fn publish(&mut self) {
-        #[cfg(test)]
-        if self.lane.plant == Plant::NoRelease {
+        if self.lane.plant.has(Plant::NoRelease) {
             return self.lane.filled.store(self.at, Ordering::Relaxed);
         }
         self.lane.filled.store(self.at, Ordering::Release);
     }
 }
 
-impl<const WORDS: usize> Drain<WORDS> {
+impl<const WORDS: usize, P: Plants<Plant>> Drain<WORDS, P> {
     /// How far it is filled now.
     pub fn filled(&self) -> usize {
         self.lane.filled.load(Ordering::Acquire)
@@ -150,8 +137,7 @@ impl<const WORDS: usize> Drain<WORDS> {
         if self.at == until {
             return None;
         }
-        #[cfg(test)]
-        if self.lane.plant == Plant::GivenBackFirst {
+        if self.lane.plant.has(Plant::GivenBackFirst) {
             self.lane.emptied.store(self.at.wrapping_add(1), Ordering::Release);
         }
         let slot = self.lane.slot(self.at);

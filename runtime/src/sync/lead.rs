@@ -4,6 +4,7 @@
 //!
 //! What the leader was told of, nobody else was. So it takes that in before it looks whether its own wait is over.
 
+use crate::sync::plant::{Plants, Sound};
 use crate::sync::{AtomicBool, Ordering};
 
 /// What a thread that leads is called back from the link by.
@@ -38,20 +39,28 @@ pub(crate) enum Led {
 }
 
 #[derive(Debug)]
-pub(crate) struct Lead {
+pub(crate) struct Lead<P = Sound> {
     taken: AtomicBool,
-    /// For the test that must fail: whoever finds its own wait over leaves what it was told of.
-    #[cfg(test)]
-    pub leaves_blindly: bool,
+    plant: P,
+}
+
+/// The bug that the explorers must find.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Plant {
+    /// Whoever finds its own wait over leaves what it was told of.
+    LeavesBlindly,
 }
 
 impl Lead {
     pub fn new() -> Self {
-        Self {
-            taken: AtomicBool::new(false),
-            #[cfg(test)]
-            leaves_blindly: false,
-        }
+        Self::planted(Sound)
+    }
+}
+
+impl<P: Plants<Plant>> Lead<P> {
+    /// As [`new`](Lead::new), with a bug.
+    pub fn planted(plant: P) -> Self {
+        Self { taken: AtomicBool::new(false), plant }
     }
 
     /// Waits in the link for what `away` is called for, unless another thread leads. `take_in` takes in what `wait` told of;
@@ -70,8 +79,7 @@ impl Lead {
             let came = wait();
             // From here on its own mail wakes nobody.
             let called = !away.come_home();
-            #[cfg(test)]
-            if self.leaves_blindly && called {
+            if called && self.plant.has(Plant::LeavesBlindly) {
                 led = Led::Called;
                 break;
             }

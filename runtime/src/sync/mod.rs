@@ -8,8 +8,10 @@ pub(crate) mod inbox;
 pub(crate) mod lane;
 pub(crate) mod lead;
 pub(crate) mod park;
+pub(crate) mod plant;
 pub(crate) mod station;
 pub(crate) mod turn;
+pub(crate) mod waiting;
 
 #[cfg(test)]
 pub(crate) use crate::explorer::{

@@ -3,6 +3,7 @@
 use crate::sync::Word;
 use crate::sync::handoff::Bell;
 use crate::sync::lead::Away;
+use crate::sync::plant::{Plants, Sound};
 use std::sync::Arc;
 
 /// The thread polls its futures.
@@ -14,18 +15,15 @@ const CALLED: u32 = 2;
 /// It waits elsewhere, or is about to: the bell calls it.
 const AWAY: u32 = 3;
 
-pub(crate) struct Park {
+pub(crate) struct Park<P = Sound> {
     word: Word,
     bell: Option<Arc<dyn Bell>>,
-    #[cfg(test)]
-    pub plant: Plant,
+    plant: P,
 }
 
 /// The bugs that the explorers must find.
-#[cfg(test)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Plant {
-    None,
     /// The thread goes though it was called after it had polled.
     GoesBlindly,
     /// Who is away is not called.
@@ -35,20 +33,21 @@ pub(crate) enum Plant {
 impl Park {
     /// `bell` calls the thread where it is away.
     pub fn new(bell: Option<Arc<dyn Bell>>) -> Self {
-        Self {
-            word: Word::new(RUNNING),
-            bell,
-            #[cfg(test)]
-            plant: Plant::None,
-        }
+        Self::planted(bell, Sound)
+    }
+}
+
+impl<P: Plants<Plant>> Park<P> {
+    /// As [`new`](Park::new), with a bug.
+    pub fn planted(bell: Option<Arc<dyn Bell>>, plant: P) -> Self {
+        Self { word: Word::new(RUNNING), bell, plant }
     }
 
     /// There is a future to be polled.
     pub fn call(&self) {
         match self.word.swap(CALLED) {
             SLEEPING => self.word.wake(),
-            #[cfg(test)]
-            AWAY if self.plant == Plant::NoBell => {}
+            AWAY if self.plant.has(Plant::NoBell) => {}
             AWAY => self.bell.iter().for_each(|bell| bell.ring()),
             _running_or_called => {}
         }
@@ -69,8 +68,7 @@ impl Park {
     }
 
     fn goes(&self, to: u32) -> bool {
-        #[cfg(test)]
-        if self.plant == Plant::GoesBlindly {
+        if self.plant.has(Plant::GoesBlindly) {
             self.word.swap(to);
             return true;
         }
@@ -78,7 +76,7 @@ impl Park {
     }
 }
 
-impl Away for Park {
+impl<P: Plants<Plant>> Away for Park<P> {
     fn go_away(&self) -> bool {
         self.goes(AWAY)
     }

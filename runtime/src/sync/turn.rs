@@ -1,20 +1,18 @@
 //! One at a time, and nobody waits: who wants work done says so and takes its turn; who finds another one at it leaves
 //! the work to that one, who looks again before it leaves.
 
+use crate::sync::plant::{Plants, Sound};
 use crate::sync::{AtomicBool, Mutex, MutexGuard, Ordering, fence, lock, try_lock};
 
-pub(crate) struct Turn<T> {
+pub(crate) struct Turn<T, P = Sound> {
     wanted: AtomicBool,
     inside: Mutex<T>,
-    #[cfg(test)]
-    pub plant: Plant,
+    plant: P,
 }
 
 /// The bugs that the explorers must find.
-#[cfg(test)]
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Plant {
-    None,
     /// The one at work does not look again.
     LeavesBlindly,
     /// Nothing orders the wish and the lock.
@@ -23,12 +21,14 @@ pub(crate) enum Plant {
 
 impl<T> Turn<T> {
     pub fn new(inside: T) -> Self {
-        Self {
-            wanted: AtomicBool::new(false),
-            inside: Mutex::new(inside),
-            #[cfg(test)]
-            plant: Plant::None,
-        }
+        Self::planted(inside, Sound)
+    }
+}
+
+impl<T, P: Plants<Plant>> Turn<T, P> {
+    /// As [`new`](Turn::new), with a bug.
+    pub fn planted(inside: T, plant: P) -> Self {
+        Self { wanted: AtomicBool::new(false), inside: Mutex::new(inside), plant }
     }
 
     /// Says that there is work. What it is was written before.
@@ -57,8 +57,7 @@ impl<T> Turn<T> {
                 work(&mut inside);
             }
             drop(inside);
-            #[cfg(test)]
-            if self.plant == Plant::LeavesBlindly {
+            if self.plant.has(Plant::LeavesBlindly) {
                 return;
             }
         }
@@ -72,10 +71,8 @@ impl<T> Turn<T> {
     }
 
     fn fence(&self) {
-        #[cfg(test)]
-        if self.plant == Plant::NoFence {
-            return;
+        if !self.plant.has(Plant::NoFence) {
+            fence(Ordering::SeqCst);
         }
-        fence(Ordering::SeqCst);
     }
 }

@@ -188,7 +188,7 @@ impl Caller {
             guarded("a task's thread that receives", take_in)
         };
         if let Some(kind) = kind
-            && handoff.look(take_in, |there| self.patience.look(kind, &handoff.presence, until, there))
+            && handoff.look(take_in, |there| self.patience.look(kind, handoff.presence(), until, there))
         {
             return;
         }
