@@ -22,7 +22,7 @@
 //!   when nothing else happens any more; or it stays down. With [`CellPlan::everything`] also at every other event.
 //! - A named link is cut from any packet on, in both directions, until any later one.
 //! - A named node pauses before anything that it would do, and goes on after any later event, when its own next deadline
-//!   or lease is over, or when the pause has lasted as long as it may (`pause`).
+//!   or lease is over, or when the pause has lasted as long as it may (`course::pause`).
 //! - A time_out and a packet of the same tick: the time_out comes first.
 //! - The script of a task whose node came back begins when nothing of its earlier life is under way any more, as on real nodes (D157).
 //! - A task outside the cell chooses among all uses of its ports, or none, once in its period; what it says is one of a few
