@@ -87,6 +87,11 @@ impl Comm {
         self.seat.as_ref().map(|seat| Arc::clone(seat.program()))
     }
 
+    /// Whether the script waits for the end of this action: it has not been cut short.
+    pub fn is_acting(&self, level: u8, number: u64) -> bool {
+        self.seat.as_ref().is_some_and(|seat| seat.is_acting(level, number))
+    }
+
     /// The lease that the task acts under, if it does.
     pub fn lease(&self) -> Option<HeldLease> {
         let epoch = self.machine.epoch().filter(|_| self.machine.is_active())?;

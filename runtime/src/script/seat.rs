@@ -105,6 +105,11 @@ impl Seat {
         self.show(comm);
     }
 
+    /// Whether the script waits for the end of this action.
+    pub fn is_acting(&self, level: u8, number: u64) -> bool {
+        self.side.acting.get(usize::from(level)) == Some(&Some(number))
+    }
+
     /// An action of this number has ended, unless it was cut short before.
     pub fn acted(&mut self, comm: &mut Comm, end: (u8, u64), ok: bool, value: i32, effects: &mut Effects) {
         let (level, number) = end;
