@@ -8,7 +8,7 @@
 //! packed, so the same moves replay a finding with the same part.
 
 use super::course::bit;
-use super::plan::{CellCheck, CellPlan, Holds, Part, about, node_of};
+use super::plan::{CellPlan, Part, about, node_of};
 use imrs_protocol::{CellTable, NodeId};
 use std::sync::Arc;
 
@@ -37,7 +37,9 @@ pub(super) fn parts(plan: &CellPlan) -> Vec<Part> {
     for couple in &table.cell().couples {
         sets.join(node_of(table, couple.primary.index()), node_of(table, couple.standby.index()));
     }
-    let read: Vec<Vec<usize>> = plan.checks.iter().map(|check| nodes_read(table, check)).collect();
+    // The nodes of the tasks that each check reads.
+    let nodes = |check| plan.terms(check).iter().filter_map(about).map(|task| node_of(table, task)).collect();
+    let read: Vec<Vec<usize>> = (0..plan.checks.len()).map(nodes).collect();
     for nodes in &read {
         nodes.windows(2).for_each(|pair| sets.join(pair[0], pair[1]));
     }
@@ -58,15 +60,6 @@ pub(super) fn parts(plan: &CellPlan) -> Vec<Part> {
             .collect(),
     };
     roots.iter().enumerate().map(part).collect()
-}
-
-/// The nodes of the tasks that a check reads.
-fn nodes_read(table: &CellTable, check: &CellCheck) -> Vec<usize> {
-    let both = match &check.holds {
-        Holds::Always(terms) => [&terms[..], &[]],
-        Holds::Leads { when, then, .. } => [&when[..], &then[..]],
-    };
-    both.into_iter().flatten().filter_map(about).map(|task| node_of(table, task)).collect()
 }
 
 /// Nodes in disjoint sets: each points to one with a lower or the same number, the lowest of its set to itself.

@@ -3,6 +3,7 @@
 use super::kin::parent_of;
 use super::words::{Lines, Outcome, lease, read_began};
 use crate::clock;
+use crate::lock::lock;
 use rustix::event::{PollFd, PollFlags, poll};
 use rustix::fs::{OFlags, fcntl_getfl, fcntl_setfl};
 use rustix::io::Errno;
@@ -95,7 +96,7 @@ impl Running {
     }
 
     fn lock(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.state)
     }
 }
 

@@ -4,11 +4,12 @@
 //! that really happened. A lost send loses its whole datagram, as a network would.
 
 use super::{Leading, Link, LinkBusy, PollEnd, Sink};
+use crate::lock::lock;
 use imrs_protocol::{NodeId, Packet};
 use imrs_wire::envelope::MAX_PACKETS;
 use std::ops::Range;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Mutex, MutexGuard, PoisonError};
+use std::sync::{Mutex, MutexGuard};
 use std::time::Instant;
 
 /// A link that loses some of what it is given.
@@ -85,7 +86,7 @@ impl<L> FaultyLink<L> {
     }
 
     fn faults(&self) -> MutexGuard<'_, Faults> {
-        self.faults.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.faults)
     }
 }
 

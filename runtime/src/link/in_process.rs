@@ -5,6 +5,7 @@
 
 use super::{Link, LinkBusy, LinkDiscard, PollEnd, Sink};
 use crate::clock;
+use crate::lock::lock;
 use imrs_protocol::{CellTable, Incarnation, NodeId, Packet, Ticks};
 use imrs_wire::envelope::MAX_PACKETS;
 use std::cmp::Reverse;
@@ -157,7 +158,7 @@ impl Network {
 
 impl End {
     fn lock(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.state)
     }
 }
 

@@ -3,6 +3,7 @@
 use crate::api::context::{Caller, TaskError};
 use crate::clock;
 use crate::link::{Link, PollEnd};
+use crate::lock::lock;
 use crate::node::comm::Comm;
 use crate::node::effects::Effects;
 use crate::node::executor::Executor;
@@ -45,7 +46,7 @@ struct Shared {
 
 impl Shared {
     fn ends(&self) -> MutexGuard<'_, Vec<Option<TaskEnd>>> {
-        self.ends.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.ends)
     }
 
     fn ended(&self, place: usize, end: TaskEnd) {

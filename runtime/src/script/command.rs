@@ -3,13 +3,14 @@
 use super::actions::{Act, Actions, Ending, HeldLease, Stop};
 use crate::clock;
 use crate::guard::{Errand, GuardProgram, Notice, Notices, Outcome, Running};
+use crate::lock::lock;
 use std::collections::{BTreeMap, BTreeSet};
 use std::ffi::OsString;
 use std::io;
 use std::os::unix::process::CommandExt;
 use std::process::Stdio;
 use std::sync::atomic::{AtomicU64, Ordering};
-use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
+use std::sync::{Arc, Mutex, MutexGuard};
 use std::thread;
 use std::time::{Duration, Instant};
 
@@ -300,7 +301,7 @@ impl Stopping {
     }
 
     fn lock(&self) -> MutexGuard<'_, Vec<Stopped>> {
-        self.0.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.0)
     }
 }
 

@@ -2,6 +2,7 @@
 
 use super::actions::{Act, Actions, Ending, Stop};
 use crate::clock;
+use crate::lock::lock;
 use serde::{Deserialize, Serialize};
 use std::collections::BTreeMap;
 use std::io;
@@ -92,7 +93,7 @@ struct State {
 
 impl Shared {
     fn lock(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(PoisonError::into_inner)
+        lock(&self.state)
     }
 }
 
@@ -119,7 +120,7 @@ impl Simulated {
     /// Where the results of an action stand now that follow another one.
     fn on_its_course(&self, act: &Act<'_>, now: Instant) -> Option<f64> {
         let course = self.courses.iter().find(|course| course.action == act.name)?;
-        let followed = self.followed.lock().unwrap_or_else(PoisonError::into_inner);
+        let followed = lock(&self.followed);
         let since = followed.get(&(act.task.to_owned(), course.since.clone()));
         let passed = since.map_or(Duration::ZERO, |since| now.saturating_duration_since(*since));
         Some(if passed >= course.over { 1.0 } else { passed.div_duration_f64(course.over) })
@@ -133,7 +134,7 @@ impl Actions for Simulated {
         let length = act.least + spread.mul_f64(draws.f64());
         let now = Instant::now();
         if self.courses.iter().any(|course| course.since == act.name) {
-            let mut followed = self.followed.lock().unwrap_or_else(PoisonError::into_inner);
+            let mut followed = lock(&self.followed);
             followed.insert((act.task.into(), act.name.into()), now + length);
         }
         let give = |give: &Give| match self.on_its_course(act, now) {

@@ -19,8 +19,11 @@ pub(crate) use crate::explorer::{
 };
 #[cfg(test)]
 use crate::explorer::{Condvar, PlainMutex};
+/// A panic under one of these locks has ended the process (D43), so none is ever poisoned.
 #[cfg(not(test))]
-pub(crate) use real::{lock, try_lock};
+pub(crate) use crate::lock::lock;
+#[cfg(not(test))]
+pub(crate) use real::try_lock;
 #[cfg(not(test))]
 pub(crate) use std::sync::{
     Mutex, MutexGuard,
@@ -29,12 +32,7 @@ pub(crate) use std::sync::{
 
 #[cfg(not(test))]
 mod real {
-    use std::sync::{Mutex, MutexGuard, PoisonError, TryLockError};
-
-    /// Locks. A panic under one of these locks has ended the process (D43), so none is ever poisoned.
-    pub(crate) fn lock<T>(mutex: &Mutex<T>) -> MutexGuard<'_, T> {
-        mutex.lock().unwrap_or_else(PoisonError::into_inner)
-    }
+    use std::sync::{Mutex, MutexGuard, TryLockError};
 
     /// Locks if nobody holds the lock.
     pub(crate) fn try_lock<T>(mutex: &Mutex<T>) -> Option<MutexGuard<'_, T>> {

@@ -1,12 +1,13 @@
 //! What a node shows besides itself, and to whom.
 
 use super::{Observer, ObserverError};
+use crate::lock::lock;
 use crate::node::Node;
 use imrs_protocol::NodeId;
 use imrs_wire::obs::{NodePlace, Places, RecordingFacts, Token, place};
 use std::net::SocketAddr;
 use std::path::{Path, PathBuf};
-use std::sync::{Arc, Mutex, PoisonError};
+use std::sync::{Arc, Mutex};
 
 /// How the recording of a node goes, where it has one.
 pub type RecordingWatch = Arc<dyn Fn() -> Option<RecordingFacts> + Send + Sync>;
@@ -18,14 +19,14 @@ pub struct AddressBook(Arc<Mutex<Vec<(NodeId, SocketAddr)>>>);
 impl AddressBook {
     /// A node serves monitors there.
     pub fn put(&self, node: NodeId, address: SocketAddr) {
-        let mut book = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut book = lock(&self.0);
         book.retain(|(other, _)| *other != node);
         book.push((node, address));
         book.sort();
     }
 
     fn places(&self) -> Vec<NodePlace> {
-        let book = self.0.lock().unwrap_or_else(PoisonError::into_inner);
+        let book = lock(&self.0);
         let place =
             |&(node, address): &(NodeId, SocketAddr)| NodePlace { node, address: format!("tcp:{address}") };
         book.iter().map(place).collect()
