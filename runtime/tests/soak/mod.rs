@@ -43,9 +43,11 @@ fn at_half_load_every_request_has_its_outcome_and_nothing_grows() {
     let look = || {
         std::thread::sleep(every);
         // The first tenth warms up; what the drivers' last meeting takes belongs to the end.
-        let now = begin.elapsed();
-        if now > length / 10 && now < length && series.len() < series.capacity() {
-            series.push(Held::now(begin));
+        if begin.elapsed() > length / 10 && series.len() < series.capacity() {
+            let held = Held::now(begin);
+            if begin.elapsed() < length {
+                series.push(held);
+            }
         }
     };
     let (soaked, half_busy) = busy(|| run(Plan { length, period, recorded: false }, look));
