@@ -96,10 +96,22 @@ impl Live {
         self.node(node).address.expect("a node with a socket")
     }
 
-    /// Waits until a monitor sees this, or the run has ended by itself.
+    /// Waits until a monitor sees this, or the run has ended by itself. For the last sample; none where nothing was seen.
     pub fn until(&self, what: &str, mut is_so: impl FnMut(&Value) -> bool) -> Value {
-        let is_over = || !is_alive(self.launcher());
-        Seen::by_monitor(&self.dir).until(what, |sample| is_so(sample) || is_over())
+        let (end, mut seen, mut last) = (Instant::now() + PATIENCE, Seen::by_monitor(&self.dir), Value::Null);
+        loop {
+            let is_over = !is_alive(self.launcher());
+            match seen.next() {
+                Some(sample) if is_so(&sample) => return sample,
+                Some(sample) => last = sample,
+                // It ends where no node runs any more, which is some time before the launcher ends.
+                None => seen = Seen::by_monitor(&self.dir),
+            }
+            if is_over {
+                return last;
+            }
+            assert!(Instant::now() < end, "waited in vain until {what}: {last}");
+        }
     }
 
     /// As Ctrl-C does: the run ends in order.
@@ -131,6 +143,11 @@ impl Seen {
     /// The next sample.
     pub fn sample(&mut self) -> Value {
         self.0.json()
+    }
+
+    /// The next sample; none where no node runs any more.
+    fn next(&mut self) -> Option<Value> {
+        self.0.next_json()
     }
 
     /// The first sample that is so.

@@ -74,10 +74,15 @@ impl Program {
         self.json_at().1
     }
 
+    /// The next line, as JSON; none where the command has ended.
+    pub fn next_json(&mut self) -> Option<Value> {
+        self.next().map(|(_, line)| parsed(&line))
+    }
+
     /// The next line, as JSON, and when it came.
     pub fn json_at(&mut self) -> (Instant, Value) {
         let (at, line) = self.line();
-        (at, serde_json::from_str(&line).unwrap_or_else(|error| panic!("{error}: {line}")))
+        (at, parsed(&line))
     }
 
     /// Reads lines until there are enough of them, or the command ends.
@@ -144,4 +149,8 @@ pub fn times(count: usize, words: &'static str) -> impl FnMut(&str) -> bool {
         found += usize::from(line.contains(words));
         found >= count
     }
+}
+
+fn parsed(line: &str) -> Value {
+    serde_json::from_str(line).unwrap_or_else(|error| panic!("{error}: {line}"))
 }
