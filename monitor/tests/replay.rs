@@ -275,10 +275,10 @@ fn damage_and_other_versions_are_named() {
     assert!(stage.text(ms(0), 80, 24).contains("DAMAGED"));
 
     let mut newer = whole;
-    newer[8] = 9;
-    let refusal = |bytes: &[u8]| Film::read(bytes).unwrap_err();
     let reads = imrs_wire::recording::VERSION;
-    let why = format!("at byte 0: a recording of version 9, this program reads {reads}");
+    newer[8..10].copy_from_slice(&(reads + 1).to_le_bytes());
+    let refusal = |bytes: &[u8]| Film::read(bytes).unwrap_err();
+    let why = format!("at byte 0: a recording of version {}, this program reads {reads}", reads + 1);
     assert_eq!(refusal(&newer), why);
     let other = attached(0, Version { major: 2, minor: 0 });
     let why = refusal(&written(&[(0, 0, other)]));

@@ -51,6 +51,14 @@ index!(TaskId "T", NodeId "N", PortId "P");
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub struct Incarnation(pub u8);
 
+impl Incarnation {
+    /// Whether it is an earlier life than `other`, in wrap-safe order.
+    pub(crate) const fn is_older_than(self, other: Self) -> bool {
+        let steps = other.0.wrapping_sub(self.0);
+        steps != 0 && steps < 0x80
+    }
+}
+
 /// A 24-bit sequence number that wraps. Ordered by distance: `a` is newer than `b` when it is less than half the
 /// circle ahead of it. The compiler rejects declarations whose rate x life could reach that half (D53).
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]

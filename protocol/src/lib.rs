@@ -7,7 +7,7 @@
 //!
 //! | §5.2 layer | here |
 //! |---|---|
-//! | user | `comm_task/requests.rs` and `comm_task/messages.rs`: requests of the task, messages for it |
+//! | user | `task/requests.rs` and `task/messages.rs`: requests of the task, messages for it |
 //! | mapping | `mapping.rs`: logical names to addressed packets |
 //! | route | `route.rs` and `transit.rs`: where a packet goes, and which one goes next |
 //! | primitive | the driver's link |
@@ -20,7 +20,6 @@ extern crate alloc;
 
 pub mod aging;
 pub mod cell;
-mod comm_task;
 mod ids;
 mod index;
 mod mapping;
@@ -28,6 +27,7 @@ pub mod margin;
 mod node;
 mod observe;
 mod packet;
+mod task;
 // Measured by itself in `benches/`; no part of the interface.
 #[doc(hidden)]
 pub mod queue;
@@ -42,7 +42,6 @@ mod timer;
 mod transit;
 
 pub use cell::{Cell, CellError, CoupleDecl, MAX_FRAGMENTS, Penalty, PortDecl, Rate, Usage};
-pub use comm_task::{Coming, CommTask, Input, Outbox, invariants};
 pub use ids::{Incarnation, MessageId, NodeId, PortId, Round, Seq24, TaskId};
 pub use node::{Node, NodeInput, NodeOutbox, Parts, discarded};
 pub use observe::{
@@ -60,6 +59,7 @@ pub use request::{
 pub use rules::Rules;
 pub use state::{Decode, Encode, Frame, Overflow, Pass, Walk, mark};
 pub use table::{CellTable, NodeTable, Party, Port};
+pub use task::{Coming, CommTask, Input, Outbox, invariants};
 pub use ticks::Ticks;
 pub use timer::Timer;
 pub use transit::{RouteOutbox, Transit};

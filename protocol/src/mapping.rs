@@ -1,11 +1,11 @@
 //! The mapping layer (§5.2.2): from the logical names of a request to packets with addresses, and back.
 
 use crate::cell::Usage;
-use crate::comm_task::Parts;
 use crate::ids::{MessageId, PortId, TaskId};
 use crate::packet::{Class, Contents, Kind, MAX_HOPS, Packet, Seal};
 use crate::request::{Fault, ReplyTo, Target};
 use crate::table::{NodeTable, Party, Port};
+use crate::task::Parts;
 use crate::ticks::Ticks;
 
 /// The end of a port that `task` has.

@@ -3,7 +3,6 @@
 //! Single-threaded drivers call [`Node::step`]; the threaded runtime takes a node apart and puts every part behind its
 //! own lock. Both call the same pure functions of [`route`](crate::route).
 
-use crate::comm_task::{CommTask, Input, Outbox};
 use crate::ids::{Incarnation, MessageId, NodeId, TaskId};
 use crate::observe::{Event, Observation, Reason};
 use crate::packet::{Kind, Packet};
@@ -12,6 +11,7 @@ use crate::route::{self, Arrival, Departure};
 use crate::rules::JobRequest;
 use crate::state::{Walk, same_variant};
 use crate::table::NodeTable;
+use crate::task::{CommTask, Input, Outbox};
 use crate::ticks::Ticks;
 use crate::timer::Timer;
 use crate::transit::{RouteOutbox, Transit};

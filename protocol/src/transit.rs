@@ -212,6 +212,9 @@ impl Transit {
 
     /// Takes out the most urgent packet whose link is ready, with its residence here charged.
     pub fn next(&mut self, mut ready: impl FnMut(NodeId) -> bool) -> Option<(NodeId, Packet)> {
+        if self.is_empty() {
+            return None;
+        }
         let message = open(&self.queue, &mut ready);
         let word = open(&self.words, &mut ready);
         let waiting = match (message, word) {

@@ -1,0 +1,75 @@
+//! A checked port and its ends.
+
+use crate::cell::{PortDecl, Rate, Usage};
+use crate::ids::{PortId, TaskId};
+use crate::ticks::Ticks;
+use alloc::boxed::Box;
+
+/// One end of a port: a task that owns or uses it.
+#[derive(Clone, Debug)]
+pub struct Party {
+    /// The task.
+    pub task: TaskId,
+    /// What the task does with the port.
+    pub usage: Usage,
+    /// How long the task's own requests on the port last, unless they say otherwise.
+    pub time_out: Ticks,
+    /// How often its class-2 messages are sent again within that time (D5).
+    pub retry: u8,
+    /// How often it sends at most (D53).
+    pub rate: Option<Rate>,
+    /// Where the port stands among those of the task: what its communication task has of it is found without a search.
+    pub place: u16,
+}
+
+/// A checked port.
+#[derive(Clone, Debug)]
+pub struct Port {
+    /// Its identifier.
+    pub id: PortId,
+    /// Its declaration.
+    pub decl: PortDecl,
+    /// Owner first, then the users in the order of the `user_list`.
+    pub parties: Box<[Party]>,
+    /// The hash that prefixes the checksum of the port's packets (D47).
+    pub hash: u32,
+    /// The safety margin of a `waitfor` (D2, D56); zero on other ports.
+    pub margin: Ticks,
+}
+
+impl Port {
+    /// The position of `task` among the parties.
+    #[must_use]
+    pub fn party_index(&self, task: TaskId) -> Option<usize> {
+        self.parties.iter().position(|p| p.task == task)
+    }
+
+    /// The end of the port that `task` has.
+    #[must_use]
+    pub fn party(&self, task: TaskId) -> Option<&Party> {
+        self.parties.iter().find(|p| p.task == task)
+    }
+
+    /// The tasks at the other end from `task`: the owner for a user, the users for the owner, all others in a `waitfor`.
+    pub fn peers(&self, task: TaskId) -> impl Iterator<Item = TaskId> + '_ {
+        let everyone = self.decl.usage == Usage::Waitfor;
+        let own = task == self.decl.owner;
+        self.parties
+            .iter()
+            .map(|p| p.task)
+            .filter(move |&peer| peer != task && (everyone || own || peer == self.decl.owner))
+    }
+
+    /// Whether `source` may send `task` messages through this port (the insertion rule of a black channel).
+    #[must_use]
+    pub fn admits(&self, source: TaskId, task: TaskId) -> bool {
+        self.admitted(source, task).is_some()
+    }
+
+    /// The ends of both, where it may.
+    pub(crate) fn admitted(&self, source: TaskId, task: TaskId) -> Option<(&Party, &Party)> {
+        let of_owner = source == self.decl.owner || task == self.decl.owner;
+        let may = source != task && (of_owner || self.decl.usage == Usage::Waitfor);
+        if may { Some((self.party(source)?, self.party(task)?)) } else { None }
+    }
+}

@@ -1,0 +1,93 @@
+//! Two tasks for the tests of one part alone, and where its effects go.
+
+use super::own::Own;
+use super::step::{Outbox, Step};
+use crate::cell::{Cell, CoupleDecl, PortDecl, Usage};
+use crate::ids::{Incarnation, NodeId, PortId, TaskId};
+use crate::observe::Observation;
+use crate::packet::Packet;
+use crate::request::{Signal, TimeId};
+use crate::table::{CellTable, NodeTable};
+use crate::ticks::Ticks;
+use alloc::sync::Arc;
+use alloc::vec::Vec;
+
+/// Task A may send a command here, and again.
+pub(super) const MOVE: PortId = PortId(0);
+/// The two meet here.
+pub(super) const LIFT: PortId = PortId(1);
+/// The two are a couple here: A acts, B takes over.
+pub(super) const ALIVE: PortId = PortId(2);
+pub(super) const A: TaskId = TaskId(0);
+pub(super) const B: TaskId = TaskId(1);
+
+/// What a part did.
+#[derive(Default)]
+pub(super) struct Effects {
+    pub packets: Vec<Packet>,
+    pub armed: Vec<(TimeId, u8, Ticks)>,
+    pub disarmed: Vec<TimeId>,
+    pub observed: Vec<Observation>,
+}
+
+impl Outbox for Effects {
+    fn transmit(&mut self, packet: Packet) {
+        self.packets.push(packet);
+    }
+    fn signal(&mut self, signal: Signal) {
+        panic!("no part tells the task by itself: {signal:?}");
+    }
+    fn arm(&mut self, id: TimeId, turn: u8, length: Ticks) {
+        self.armed.push((id, turn, length));
+    }
+    fn disarm(&mut self, id: TimeId) {
+        self.disarmed.push(id);
+    }
+    fn observe(&mut self, observation: Observation) {
+        self.observed.push(observation);
+    }
+}
+
+/// What a part of one of the two tasks works with.
+pub(super) struct Bench {
+    pub table: NodeTable,
+    pub own: Own,
+    pub effects: Effects,
+}
+
+impl Bench {
+    pub fn new(task: TaskId) -> Self {
+        let mut cell = Cell::new("pair", Ticks(1));
+        let node = cell.node("n");
+        let (a, b) = (cell.task("a", node), cell.task("b", node));
+        cell.port(PortDecl::new("move", a, Usage::Send, &[b], Ticks(20)).command().retry(2, Ticks(4)));
+        cell.port(PortDecl::new("lift", b, Usage::Waitfor, &[a], Ticks(40)).resend(Ticks(6), 1));
+        let via = cell.port(PortDecl::new("alive", a, Usage::Response, &[b], Ticks(6)));
+        let (lease, takeover, every) = (Ticks(14), Ticks(32), Ticks(4));
+        let (trusted, mutual) = (false, false);
+        cell.couples.push(CoupleDecl {
+            primary: a,
+            standby: b,
+            lease,
+            takeover,
+            every,
+            via,
+            trusted,
+            mutual,
+        });
+        let table = NodeTable::new(Arc::new(CellTable::new(cell).expect("a cell")), NodeId(0));
+        let own = Own::new(&table, task, Incarnation(0), false);
+        Self { table, own, effects: Effects::default() }
+    }
+
+    /// At an instant.
+    pub fn at(&mut self, now: Ticks) -> Step<'_, Effects> {
+        self.own.now = now;
+        Step { table: &self.table, own: &mut self.own, out: &mut self.effects }
+    }
+
+    /// The packets that went out since the last look.
+    pub fn packets(&mut self) -> Vec<Packet> {
+        core::mem::take(&mut self.effects.packets)
+    }
+}

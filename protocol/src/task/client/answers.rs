@@ -1,0 +1,161 @@
+//! What comes of the answers, and of the refusals, of those that were asked.
+
+use super::desk::{Answer, Asked, Desk, Phase};
+use super::{Client, Ended, Overdue};
+use crate::ids::{MessageId, NodeId};
+use crate::observe::{Event, Reason};
+use crate::packet::{Control, Kind, Packet};
+use crate::request::Outcome;
+use crate::task::fragments::Progress;
+use crate::task::own::index;
+use crate::task::step::{Outbox, Step};
+use crate::task::wait::Finished;
+
+impl Client {
+    /// The answer of one task came in, or its refusal: the request ends with the last one.
+    fn mark(
+        &mut self,
+        step: &mut Step<'_, impl Outbox>,
+        (at, asked): (usize, usize),
+        event: Event,
+    ) -> Option<Ended> {
+        let desk = &mut self.desks[at];
+        let (port, left) = (desk.port, desk.deadline - step.now());
+        let asked = &mut desk.asked[asked];
+        let contents = asked.contents.get(0).copied().unwrap_or_default();
+        let (answer, outcome) = match event {
+            Event::Answered => (Answer::Answered, Outcome::Reply(contents)),
+            Event::RefusedByPeer => (Answer::Refused, Outcome::Refused),
+            _ => (Answer::Restarted, Outcome::PeerRestarted),
+        };
+        asked.answer = answer;
+        let (task, id) = (asked.task, asked.id);
+        step.count_at(desk.endpoint, |c| match answer {
+            Answer::Answered => c.delivered += 1,
+            Answer::Refused => c.refused += 1,
+            Answer::Restarted | Answer::NotAsked | Answer::Open => {}
+        });
+        step.note(event, port, task, id, left);
+        let waits = self.desks[at].open().next().is_some();
+        (!waits).then(|| self.end(at, outcome))
+    }
+
+    pub(super) fn end(&mut self, at: usize, outcome: Outcome) -> Ended {
+        let (desk, at) = (&mut self.desks[at], index(at));
+        let is_long = |asked: &Asked| asked.contents.contents.len() > 1;
+        let finished = if desk.set {
+            Finished::Answers(at)
+        } else if matches!(outcome, Outcome::Reply(_)) && desk.asked.iter().any(is_long) {
+            Finished::Long(at)
+        } else {
+            // The outcome says all there is.
+            desk.close();
+            return Ended { desk: Some(at), finished: Finished::Outcome(outcome) };
+        };
+        desk.settle();
+        desk.phase = Phase::Ended;
+        Ended { desk: Some(at), finished }
+    }
+
+    /// An answer to the task's own class-2 message.
+    pub fn answer(&mut self, step: &mut Step<'_, impl Outbox>, at: u16, packet: &Packet) -> Option<Ended> {
+        let at = usize::from(at);
+        let desk = &self.desks[at];
+        let open = |asked: &Asked| asked.answer == Answer::Open && asked.id == packet.id;
+        let from =
+            desk.find(packet.source).filter(|&from| desk.phase == Phase::Open && open(&desk.asked[from]));
+        match from {
+            Some(asked) => self.answered(step, (at, asked), packet),
+            None => self.late(step, packet),
+        }
+    }
+
+    /// The answer of another task than the one that was asked (D11).
+    pub fn third_party(&mut self, step: &mut Step<'_, impl Outbox>, packet: &Packet) -> Option<Ended> {
+        let found = self.desks.iter().enumerate().find_map(|(at, d)| Some((at, d.waits_for(packet.id)?)));
+        match found {
+            Some(place) => self.answered(step, place, packet),
+            None => self.late(step, packet),
+        }
+    }
+
+    /// An answer that nobody waits for; the variant takes it for one that somebody does.
+    fn late(&mut self, step: &mut Step<'_, impl Outbox>, packet: &Packet) -> Option<Ended> {
+        let fits = |o: &Overdue| o.id == packet.id && o.port == packet.port && o.to == packet.source;
+        let answers =
+            matches!(packet.kind, Kind::Reply | Kind::Response) && self.overdue.is_some_and(|o| fits(&o));
+        if answers && !step.table.rules().refuse_late_replies {
+            self.overdue = None;
+            let finished = Finished::Outcome(Outcome::Reply(packet.contents));
+            return Some(Ended { desk: None, finished });
+        }
+        let stale = packet.id.incarnation.is_older_than(step.own.incarnation);
+        step.drop_packet(packet, if stale { Reason::StaleIncarnation } else { Reason::Unexpected });
+        None
+    }
+
+    fn answered(
+        &mut self,
+        step: &mut Step<'_, impl Outbox>,
+        (at, asked): (usize, usize),
+        packet: &Packet,
+    ) -> Option<Ended> {
+        let entry = &mut self.desks[at].asked[asked];
+        let unsent = entry.packets_out == 0;
+        let event = match (packet.kind, packet.control()) {
+            (Kind::Reply | Kind::Response, _) => match entry.take(packet) {
+                Ok(Progress::Whole(_)) => Event::Answered,
+                Ok(Progress::Waits) => return None,
+                Ok(Progress::Again) => {
+                    step.duplicate(packet);
+                    return None;
+                }
+                Ok(Progress::Broken) => {
+                    step.drop_packet(packet, Reason::Incomplete);
+                    return None;
+                }
+                Err(reason) => {
+                    step.drop_packet(packet, reason);
+                    return None;
+                }
+            },
+            (_, Some(Control::Refused)) => Event::RefusedByPeer,
+            (_, Some(Control::RefusedOnTheWay)) if unsent => Event::RefusedByPeer,
+            (_, Some(Control::Restarted)) => Event::PeerRestarted,
+            // A copy was refused on the way, but another one may have arrived: only the time_out tells.
+            (_, Some(Control::RefusedOnTheWay)) => return None,
+            (_, None) => {
+                step.drop_packet(packet, Reason::Unexpected);
+                return None;
+            }
+        };
+        self.mark(step, (at, asked), event)
+    }
+
+    /// The transit buffer dropped a packet of one of the task's requests.
+    pub fn unsent(&mut self, id: MessageId) {
+        for desk in &mut self.desks {
+            if let Some(at) = desk.waits_for(id) {
+                desk.asked[at].packets_out = desk.asked[at].packets_out.saturating_sub(1);
+            }
+        }
+    }
+
+    /// The node of tasks that were asked has a new incarnation: they answer no more. To be called until no wait ends by it.
+    pub fn restarted(&mut self, step: &mut Step<'_, impl Outbox>, node: NodeId) -> Option<Ended> {
+        let table = step.table;
+        let is_there =
+            |asked: &Asked| asked.answer == Answer::Open && table.location(asked.task) == Some(node);
+        let missing = |(at, desk): (usize, &Desk)| {
+            let asked = desk.asked.iter().position(is_there).filter(|_| desk.phase == Phase::Open);
+            Some((at, asked?))
+        };
+        while let Some(place) = self.desks.iter().enumerate().find_map(missing) {
+            let ended = self.mark(step, place, Event::PeerRestarted);
+            if ended.is_some() {
+                return ended;
+            }
+        }
+        None
+    }
+}

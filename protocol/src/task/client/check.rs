@@ -1,0 +1,43 @@
+//! What holds of a client between two inputs.
+
+use super::desk::{Desk, Phase};
+use super::{Client, index};
+use crate::ids::MessageId;
+use crate::task::interrupts::Interrupts;
+use crate::task::own::Own;
+use crate::task::violation::Violation;
+use crate::task::wait::{Finished, Pending};
+use crate::ticks::Ticks;
+
+impl Client {
+    /// # Errors
+    /// The first violation found.
+    pub(in crate::task) fn check(&self, own: &Own, threads: &Interrupts) -> Result<(), Violation> {
+        self.desks.iter().enumerate().try_for_each(|(at, desk)| desk.check(index(at), own, threads))
+    }
+}
+
+impl Desk {
+    fn check(&self, at: u16, own: &Own, threads: &Interrupts) -> Result<(), Violation> {
+        let waits = threads.waits(Pending::Reply(at));
+        let mut ends = threads.threads().map(|level| level.finished);
+        let ended = ends.any(|end| matches!(end, Some(Finished::Answers(d) | Finished::Long(d)) if d == at));
+        if waits != (self.phase == Phase::Open) || ended != (self.phase == Phase::Ended) {
+            return Err(Violation::WaitsForNothing(self.port));
+        }
+        if self.phase != Phase::Open {
+            return Ok(());
+        }
+        if self.deadline < own.now {
+            return Err(Violation::Overdue(self.deadline));
+        }
+        let is_own =
+            |id: MessageId| id.incarnation == own.incarnation && own.next_sequence.is_newer_than(id.sequence);
+        if self.open().next().is_none() || !self.open().all(|asked| is_own(asked.id)) {
+            return Err(Violation::WaitsForNothing(self.port));
+        }
+        let due = self.copy_at < own.now;
+        let idle = self.copies_left == 0 && self.copy_at != Ticks::FAR;
+        if due || idle { Err(Violation::ResendInstant(self.port)) } else { Ok(()) }
+    }
+}

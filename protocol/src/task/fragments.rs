@@ -1,0 +1,340 @@
+//! Messages and answers longer than one packet (D28): fragments that share one id, whole before their one deadline or
+//! not at all.
+
+use crate::ids::{Incarnation, MessageId, TaskId};
+use crate::packet::{Contents, Packet};
+use crate::state::Walk;
+use crate::ticks::Ticks;
+use alloc::boxed::Box;
+use alloc::vec;
+use serde::{Deserialize, Serialize};
+
+/// The fragments of a message after its first one. It has no room where the format takes one packet.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct Parts(Option<Box<Room>>);
+
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+struct Room {
+    /// Bit `i`: fragment `i + 1` is here.
+    have: u16,
+    parts: Box<[Contents]>,
+}
+
+impl Parts {
+    /// Room for a message of so many packets.
+    pub fn new(fragments: u8) -> Self {
+        let room = usize::from(fragments.saturating_sub(1));
+        let parts = || vec![Contents::EMPTY; room].into_boxed_slice();
+        Self((room > 0).then(|| Box::new(Room { have: 0, parts: parts() })))
+    }
+
+    /// For how many fragments there is room.
+    pub fn room(&self) -> usize {
+        self.0.as_ref().map_or(0, |room| room.parts.len())
+    }
+
+    pub fn has_room(&self) -> bool {
+        self.0.is_some()
+    }
+
+    /// Which fragments are here. Bit `i`: fragment `i + 1`.
+    pub fn have(&self) -> u16 {
+        self.0.as_ref().map_or(0, |room| room.have)
+    }
+
+    /// Puts fragment `index`, counted from 1; false where there is no room for it.
+    pub fn put(&mut self, index: u8, contents: Contents) -> bool {
+        let Some(room) = &mut self.0 else { return false };
+        let at = usize::from(index).checked_sub(1);
+        let Some(slot) = at.and_then(|at| room.parts.get_mut(at)) else { return false };
+        *slot = contents;
+        room.have |= 1 << (index - 1);
+        true
+    }
+
+    /// How many packets the message takes, or `None` where a fragment before a later one is missing.
+    pub fn fragments(&self) -> Option<u8> {
+        let have = self.have();
+        let whole = have & have.wrapping_add(1) == 0;
+        whole.then(|| 1 + u8::try_from(have.trailing_ones()).unwrap_or(0))
+    }
+
+    /// Fragment `index`, counted from 1.
+    pub fn get(&self, index: u8) -> Option<&Contents> {
+        let room = self.0.as_ref()?;
+        let at = index.checked_sub(1).filter(|&at| at < 16 && room.have & (1 << at) != 0)?;
+        room.parts.get(usize::from(at))
+    }
+
+    /// Takes over what `from` has, as far as there is room.
+    pub fn copy(&mut self, from: &Self) {
+        match &from.0 {
+            Some(room) => self.fill(room.have, room.parts.iter()),
+            None => self.clear(),
+        }
+    }
+
+    /// Takes over fragments from 1 on, of which `have` are there.
+    pub fn fill<'a>(&mut self, have: u16, from: impl Iterator<Item = &'a Contents>) {
+        let Some(room) = &mut self.0 else { return };
+        let all = 1_u32.checked_shl(u32::try_from(room.parts.len()).unwrap_or(16)).unwrap_or(0);
+        room.have = have & u16::try_from(all.wrapping_sub(1) & 0xffff).unwrap_or(u16::MAX);
+        for (slot, contents) in room.parts.iter_mut().zip(from) {
+            *slot = *contents;
+        }
+    }
+
+    pub fn clear(&mut self) {
+        if let Some(room) = &mut self.0 {
+            room.have = 0;
+        }
+    }
+
+    /// Whether what was read from a file has the room of a new one, and fits in it.
+    pub fn has_room_of(&self, new: &Self) -> bool {
+        self.room() == new.room() && is_within(self.have(), self.room())
+    }
+
+    pub fn walk<W: Walk>(&mut self, w: &mut W) {
+        if !W::PACKS {
+            return;
+        }
+        let mut have = self.have();
+        w.word(&mut have);
+        if W::READS {
+            self.clear();
+        }
+        for i in (1..=15).filter(|i| have & (1 << (i - 1)) != 0) {
+            let mut contents = self.get(i).copied().unwrap_or(Contents::EMPTY);
+            w.contents(&mut contents);
+            if W::READS {
+                self.put(i, contents);
+            }
+        }
+    }
+}
+
+/// A message, or an answer, whose fragments are coming in.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+pub(crate) struct Assembly {
+    pub id: MessageId,
+    /// Bit `i`: fragment `i` is here. Zero: nothing is being assembled.
+    pub have: u16,
+    /// How many there are, once the last one is here.
+    pub fragments: Option<u8>,
+    /// When the least life of those here ends; of a command, with the way back taken off.
+    pub expires: Ticks,
+    pub contents: Box<[Contents]>,
+}
+
+/// What a fragment did to its assembly.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) enum Progress {
+    /// Others are missing.
+    Waits,
+    /// It was here already.
+    Again,
+    /// It contradicts the others: all of them are gone.
+    Broken,
+    /// The message is whole: so many fragments.
+    Whole(u8),
+}
+
+impl Assembly {
+    /// Room for a message of so many packets.
+    pub fn new(fragments: u8) -> Self {
+        Self { contents: vec![Contents::EMPTY; usize::from(fragments)].into_boxed_slice(), ..Self::default() }
+    }
+
+    /// Whether fragments are here.
+    pub const fn is_open(&self) -> bool {
+        self.have != 0
+    }
+
+    /// Forgets everything and waits for the fragments of `id`.
+    pub fn begin(&mut self, id: MessageId) {
+        (self.id, self.have, self.fragments, self.expires) = (id, 0, None, Ticks::FAR);
+    }
+
+    /// Forgets the fragments of `id`. Whether there were some.
+    pub fn close(&mut self, id: MessageId) -> bool {
+        let closes = self.have != 0 && self.id == id;
+        if closes {
+            self.have = 0;
+        }
+        closes
+    }
+
+    /// Puts a fragment that fits the room.
+    pub fn put(&mut self, packet: &Packet, expires: Ticks) -> Progress {
+        if self.have == 0 && self.fragments.is_none() && packet.fragment == 0 && !packet.more {
+            let Some(slot) = self.contents.first_mut() else { return Progress::Broken };
+            *slot = packet.contents;
+            (self.have, self.fragments, self.expires) = (1, Some(1), self.expires.min(expires));
+            return Progress::Whole(1);
+        }
+        let Some(slot) = self.contents.get_mut(usize::from(packet.fragment)) else { return Progress::Broken };
+        let bit = 1_u16.checked_shl(u32::from(packet.fragment)).unwrap_or(0);
+        let ends = (!packet.more).then_some(packet.fragment + 1);
+        let highest = 16 - self.have.leading_zeros();
+        let broken = match (ends, self.fragments) {
+            (Some(end), Some(known)) => end != known,
+            (Some(end), None) => highest >= u32::from(end),
+            (None, Some(known)) => packet.fragment + 1 >= known,
+            (None, None) => false,
+        };
+        if broken {
+            self.have = 0;
+            return Progress::Broken;
+        }
+        self.expires = self.expires.min(expires);
+        self.fragments = self.fragments.or(ends);
+        if self.have & bit != 0 {
+            return Progress::Again;
+        }
+        *slot = packet.contents;
+        self.have |= bit;
+        match self.fragments {
+            Some(fragments) if self.have.trailing_ones() == u32::from(fragments) => {
+                Progress::Whole(fragments)
+            }
+            Some(_) | None => Progress::Waits,
+        }
+    }
+
+    /// Fragment `index` of what is here.
+    pub fn get(&self, index: u8) -> Option<&Contents> {
+        let here = index < 16 && self.have & (1 << index) != 0;
+        self.contents.get(usize::from(index)).filter(|_| here)
+    }
+
+    /// Whether what was read from a file has the room of a new one, and fits in it.
+    pub fn has_room_of(&self, new: &Self) -> bool {
+        let most = self.contents.len();
+        let known = self.fragments.is_none_or(|fragments| usize::from(fragments) <= most.max(1));
+        most == new.contents.len() && is_within(self.have, most) && known
+    }
+
+    /// Walks an answer that is coming in; the desk says whose it is, and until when.
+    pub fn walk_answer<W: Walk>(&mut self, w: &mut W) {
+        w.word(&mut self.have);
+        self.walk_fragments(w);
+        if W::READS {
+            (self.id, self.expires) = (MessageId::default(), Ticks::FAR);
+        }
+    }
+
+    /// Walks a message of `source` that is coming in.
+    pub fn walk_message<W: Walk>(&mut self, source: TaskId, w: &mut W) {
+        w.word(&mut self.have);
+        if self.is_open() {
+            self.walk_fragments(w);
+            w.id(source, Incarnation(0), &mut self.id);
+            w.instant(&mut self.expires);
+        }
+    }
+
+    fn walk_fragments<W: Walk>(&mut self, w: &mut W) {
+        let Self { id: _, have, fragments, expires: _, contents } = self;
+        let known = w.put(fragments.unwrap_or(0));
+        if W::READS {
+            *fragments = Some(known).filter(|&fragments| fragments > 0);
+        }
+        let here = contents.iter_mut().enumerate().filter(|(i, _)| *have & (1 << i) != 0);
+        here.for_each(|(_, contents)| w.contents(contents));
+    }
+}
+
+/// Whether all bits of `have` are below `most`.
+fn is_within(have: u16, most: usize) -> bool {
+    u32::from(have).checked_shr(u32::try_from(most).unwrap_or(u32::MAX)).unwrap_or(0) == 0
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ids::PortId;
+    use crate::packet::Seal;
+    use proptest::prelude::*;
+
+    proptest! {
+        /// Fragments in any order, repeated or not: the message is whole with its last missing fragment, and never before.
+        #[test]
+        fn a_message_is_whole_when_every_fragment_came(fragments in 1..=16_u8, order in proptest::collection::vec(0..16_u8, 0..60)) {
+            let mut assembly = Assembly::new(16);
+            assembly.begin(MessageId::default());
+            let mut here = 0_u16;
+            for index in order.into_iter().map(|i| i % fragments) {
+                let packet = fragment(index, index + 1 < fragments);
+                let again = here & (1 << index) != 0;
+                here |= 1 << index;
+                let whole = here.trailing_ones() == u32::from(fragments);
+                let expected = if again { Progress::Again } else if whole { Progress::Whole(fragments) } else { Progress::Waits };
+                prop_assert_eq!(assembly.put(&packet, Ticks(50 + u64::from(index))), expected);
+                prop_assert_eq!(assembly.get(index).map(|c| c.as_bytes()[0]), Some(index));
+            }
+        }
+    }
+
+    fn fragment(index: u8, more: bool) -> Packet {
+        use crate::packet::{Class, Kind};
+        Packet {
+            kind: Kind::Send,
+            class: Class::Command,
+            more,
+            resent: false,
+            urgent: false,
+            hops: 7,
+            fragment: index,
+            destination: TaskId(0),
+            source: TaskId(1),
+            port: PortId(0),
+            id: MessageId::default(),
+            remaining: Ticks(9),
+            contents: Contents::new(&[index]).unwrap(),
+            seal: Seal::NONE,
+        }
+    }
+
+    #[test]
+    fn fragments_that_contradict_each_other_are_dropped_together() {
+        for (first, second) in [
+            ((1, false), (2, false)),
+            ((2, true), (1, false)),
+            ((1, false), (1, true)),
+            ((1, false), (3, true)),
+        ] {
+            let mut assembly = Assembly::new(4);
+            assembly.begin(MessageId::default());
+            assert_eq!(assembly.put(&fragment(first.0, first.1), Ticks(9)), Progress::Waits);
+            assert_eq!(
+                assembly.put(&fragment(second.0, second.1), Ticks(9)),
+                Progress::Broken,
+                "{first:?} {second:?}"
+            );
+            assert!(!assembly.is_open());
+        }
+        assert_eq!(Assembly::new(2).put(&fragment(2, false), Ticks(9)), Progress::Broken, "no room");
+    }
+
+    #[test]
+    fn parts_are_whole_without_gaps() {
+        let mut parts = Parts::new(4);
+        assert_eq!((parts.fragments(), parts.get(1)), (Some(1), None));
+        assert!(
+            parts.put(2, Contents::EMPTY) && !parts.put(4, Contents::EMPTY) && !parts.put(0, Contents::EMPTY)
+        );
+        assert_eq!(parts.fragments(), None);
+        assert!(parts.put(1, Contents::EMPTY));
+        assert_eq!(parts.fragments(), Some(3));
+        let mut small = Parts::new(2);
+        small.copy(&parts);
+        assert_eq!((small.fragments(), small.have()), (Some(2), 1));
+        let mut long = Parts::new(16);
+        assert!(long.put(15, Contents::EMPTY) && !long.put(16, Contents::EMPTY));
+        assert_eq!((long.fragments(), long.have()), (None, 1 << 14));
+        let mut none = Parts::new(1);
+        none.copy(&parts);
+        assert_eq!((none.have(), none.has_room()), (0, false));
+    }
+}

@@ -1,0 +1,70 @@
+//! What holds of a task's threads and timers between two inputs.
+
+use super::offer::What;
+use super::{DEPTH, Interrupts};
+use crate::table::NodeTable;
+use crate::task::own::Own;
+use crate::task::violation::Violation;
+use crate::task::wait::Pending;
+
+impl Interrupts {
+    /// # Errors
+    /// The first violation found.
+    pub(in crate::task) fn check(&self, table: &NodeTable, own: &Own, called: bool) -> Result<(), Violation> {
+        self.check_levels(own)?;
+        self.check_timers(table, own, called)
+    }
+
+    fn check_levels(&self, own: &Own) -> Result<(), Violation> {
+        if usize::from(self.depth) > DEPTH {
+            return Err(Violation::Levels(self.depth));
+        }
+        if let Pending::Get { deadline, .. } = self.pending()
+            && deadline < own.now
+        {
+            return Err(Violation::Overdue(deadline));
+        }
+        let mut below = None;
+        for (i, level) in (0_u8..).zip(self.threads()) {
+            let top = i == self.depth;
+            let suspended = level.finished.is_some() != (level.pending != Pending::Nothing);
+            let ranks = below.is_none_or(|rank| i < 2 || level.rank <= rank);
+            let between = top && level.pending == Pending::Boundary;
+            if (!top && (!suspended || level.atomic))
+                || (top && level.finished.is_some())
+                || !ranks
+                || between
+            {
+                return Err(Violation::Levels(i));
+            }
+            below = Some(level.rank);
+        }
+        Ok(())
+    }
+
+    fn check_timers(&self, table: &NodeTable, own: &Own, called: bool) -> Result<(), Violation> {
+        let delays = self.threads().filter_map(|level| match level.pending {
+            Pending::Delay(id, _) => Some(id),
+            Pending::Nothing
+            | Pending::Get { .. }
+            | Pending::Reply(_)
+            | Pending::Meeting(_)
+            | Pending::Work
+            | Pending::Lease
+            | Pending::Boundary => None,
+        });
+        let mut names = [0_u64; 4];
+        for id in delays.chain(self.timers.slots.iter().flatten().map(|started| started.id)) {
+            let (word, bit) = (usize::from(id.0 / 64), 1 << (id.0 % 64));
+            if names[word] & bit != 0 {
+                return Err(Violation::Timers(id));
+            }
+            names[word] |= bit;
+        }
+        // One that is over and outranks a thread that could be interrupted should have been offered.
+        let kept = self.first_timer(table, own).filter(|_| self.is_interruptible(false, called));
+        let Some(What::Timer(at)) = kept.map(|offer| offer.what) else { return Ok(()) };
+        let kept = self.timers.slots[at];
+        kept.map_or(Ok(()), |started| Err(Violation::TimerNotOffered(started.id)))
+    }
+}

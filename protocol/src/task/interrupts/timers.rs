@@ -1,0 +1,136 @@
+//! A task's delays and timers as the node's Timer serves them (Figure 3, §5.1.2).
+
+use super::offer::{Offer, Turn, What};
+use super::{Interrupts, TIMERS};
+use crate::ids::PortId;
+use crate::packet::Class;
+use crate::request::{Fault, TimeId};
+use crate::table::NodeTable;
+use crate::task::own::Own;
+use crate::task::step::Outbox;
+use crate::task::wait::{Finished, Pending};
+use crate::ticks::Ticks;
+use serde::{Deserialize, Serialize};
+
+/// One timer of the task.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub(super) struct Started {
+    pub id: TimeId,
+    /// Which start of it.
+    pub turn: u8,
+}
+
+/// The timers of a task that run, or whose handlers have not begun.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub(super) struct Timers {
+    pub slots: [Option<Started>; TIMERS],
+    /// Bit `i`: that of slot `i` is over, and its handler has not begun.
+    pub ended: u8,
+}
+
+impl Timers {
+    fn find(&self, id: TimeId) -> Option<usize> {
+        self.slots.iter().position(|slot| slot.is_some_and(|started| started.id == id))
+    }
+
+    /// Takes out the timer of a slot. Whether it was over.
+    fn take(&mut self, at: usize) -> bool {
+        let ended = self.ended & (1 << at) != 0;
+        self.slots[at] = None;
+        self.ended &= !(1 << at);
+        ended
+    }
+
+    /// The timers that are over, and where they stand.
+    pub fn ended(&self) -> impl Iterator<Item = (TimeId, usize)> {
+        let is_over = |&(at, _): &(usize, _)| self.ended & (1 << at) != 0;
+        let over = self.slots.iter().enumerate().filter(is_over);
+        over.filter_map(|(at, slot)| Some(((*slot)?.id, at)))
+    }
+}
+
+impl Interrupts {
+    fn turn(&mut self) -> u8 {
+        let turn = self.next_turn;
+        self.next_turn = turn.wrapping_add(1);
+        turn
+    }
+
+    /// Whether a thread delays under this name.
+    fn is_named(&self, id: TimeId) -> bool {
+        self.threads().any(|level| matches!(level.pending, Pending::Delay(delay, _) if delay == id))
+    }
+
+    /// The running thread delays.
+    pub fn delay(&mut self, id: TimeId, length: Ticks, out: &mut impl Outbox) -> Result<(), Fault> {
+        if self.is_named(id) || self.timers.find(id).is_some() {
+            return Err(Fault::Busy);
+        }
+        let turn = self.turn();
+        self.wait(Pending::Delay(id, turn));
+        out.arm(id, turn, length);
+        Ok(())
+    }
+
+    /// Starts a timer, anew where it runs.
+    pub fn start(&mut self, id: TimeId, length: Ticks, out: &mut impl Outbox) -> Result<(), Fault> {
+        if self.is_named(id) {
+            return Err(Fault::Busy);
+        }
+        let turn = self.turn();
+        let free = || self.timers.slots.iter().position(Option::is_none);
+        let at = self.timers.find(id).or_else(free).ok_or(Fault::TooManyTimers)?;
+        self.timers.take(at);
+        self.timers.slots[at] = Some(Started { id, turn });
+        out.arm(id, turn, length);
+        Ok(())
+    }
+
+    /// Stops a timer, and takes back its end where that was not offered yet.
+    pub fn stop(&mut self, id: TimeId, out: &mut impl Outbox) {
+        if let Some(at) = self.timers.find(id)
+            && !self.timers.take(at)
+        {
+            out.disarm(id);
+        }
+    }
+
+    /// Stops all timers.
+    pub fn stop_all(&mut self, out: &mut impl Outbox) {
+        // In the order of their names: where they stand is not part of a packed state.
+        while let Some(id) = self.timers.slots.iter().flatten().map(|started| started.id).min() {
+            self.stop(id, out);
+        }
+    }
+
+    /// The node's Timer says that a delay or a timer is over. Whether it was the delay of the running thread.
+    pub fn time_is_over(&mut self, id: TimeId, turn: u8) -> bool {
+        let Timers { slots, ended } = &mut self.timers;
+        if let Some(at) = slots.iter().position(|slot| *slot == Some(Started { id, turn })) {
+            *ended |= 1 << at;
+        }
+        self.conclude(Pending::Delay(id, turn), &Finished::TimeOut(id))
+    }
+
+    /// Whether a timer is over whose handler has not begun.
+    pub const fn has_ended_timer(&self) -> bool {
+        self.timers.ended != 0
+    }
+
+    /// The first timer that is over and outranks the running thread.
+    pub fn first_timer(&self, table: &NodeTable, own: &Own) -> Option<Offer> {
+        let offers = self.timers.ended().filter_map(|(id, at)| {
+            let rank = own.order.timer(id);
+            let key = (Turn::InOrder, rank, Ticks::ZERO, Class::Command, PortId(0), u128::from(id.0));
+            self.outranks(table, own, rank, false).then_some(Offer { key, what: What::Timer(at) })
+        });
+        offers.min()
+    }
+
+    /// Takes out a timer that is over: its handler begins.
+    pub fn take_timer(&mut self, at: usize) -> TimeId {
+        let id = self.timers.slots[at].map_or(TimeId(0), |started| started.id);
+        self.timers.take(at);
+        id
+    }
+}

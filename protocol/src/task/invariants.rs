@@ -1,0 +1,15 @@
+//! What holds of every communication task after every input. The checker, the simulator, the validator of recordings
+//! and debug runs all call [`check`]; a violation is a fault of the machine, never of a program or of the network.
+
+pub use super::violation::Violation;
+
+use super::CommTask;
+use crate::table::NodeTable;
+
+/// Checks one communication task between two inputs. Costs one look at everything it holds; allocates nothing.
+///
+/// # Errors
+/// The first violation found.
+pub fn check(task: &CommTask, table: &NodeTable) -> Result<(), Violation> {
+    task.machines.check(table, &task.own)
+}

@@ -1,0 +1,177 @@
+//! The beats of a couple and their answers: what they say, and what is made of them.
+
+use super::{ALONE, ANSWERS, Answered, ECHO_BYTES, LEASED, Lease, Post, WAITS, is_newer_epoch};
+use crate::cell::CoupleDecl;
+use crate::ids::{Incarnation, Seq24};
+use crate::mapping;
+use crate::packet::{Contents, Kind, Packet};
+use crate::request::{PUBLISHED_BYTES, ReplyTo};
+use crate::rules::LeaseRule;
+use crate::table::Port;
+use crate::task::step::{Outbox, Step};
+use crate::ticks::Ticks;
+
+impl Lease {
+    pub(super) fn beat(&mut self, step: &mut Step<'_, impl Outbox>, couple: &CoupleDecl) {
+        let Some(port) = step.table.port(couple.via) else { return };
+        let life = port.party(step.own.task).map_or(Ticks::ZERO, |party| party.time_out);
+        let id = step.next_id();
+        self.echo = self.echo.filter(|echo| echo.until > step.now());
+        let back = self.echo.map_or(0, |echo| id.sequence.steps_from(echo.beat));
+        let back = u16::try_from(back).unwrap_or(0).to_le_bytes();
+        let whose = self.life.map_or(0, |life| life.0);
+        let guessed = u8::from(self.guessed);
+        let contents = Contents::new(&[back[0], back[1], self.epoch, whose, guessed]).unwrap_or_default();
+        let packet = mapping::message(port, step.own.task, self.partner, id, life, contents);
+        step.out.transmit(Packet { kind: Kind::Query, ..packet });
+        // Counted from when it was due, so that lateness does not add up; after a pause one beat, not all that were due.
+        let next = self.beat_at + couple.every;
+        self.beat_at = if next > step.now() { next } else { step.now() + couple.every };
+    }
+
+    pub(super) fn hear_beat(
+        &mut self,
+        step: &mut Step<'_, impl Outbox>,
+        couple: &CoupleDecl,
+        port: &Port,
+        packet: &Packet,
+    ) {
+        // Of two that wait the primary answers, so that it gets the lease.
+        if self.post == Post::Passive || (self.post == Post::Waits && !self.primary) {
+            return;
+        }
+        let bytes = packet.contents.as_bytes();
+        let Some(&[low, high, epoch, whose]) = bytes.first_chunk() else { return };
+        let guessed = bytes.get(ECHO_BYTES).is_some_and(|&guessed| guessed != 0);
+        if !self.enter_life(packet.id.incarnation, epoch, guessed) {
+            return;
+        }
+        let back = u32::from(u16::from_le_bytes([low, high]));
+        let echoed = packet.id.sequence.plus(Seq24::MODULUS - back);
+        let renewed = match step.table.rules().lease {
+            LeaseRule::Echoed => {
+                // An earlier life may have answered the same beat: that was sooner.
+                let own = back != 0 && whose == step.own.incarnation.0;
+                let answered = self.answered.iter().flatten().find(|a| own && a.beat == echoed);
+                answered.map(|answered| answered.until)
+            }
+            LeaseRule::Heartbeat => Some(step.now() + couple.lease),
+        };
+        if let Some(until) = renewed.filter(|&until| until > step.now()) {
+            match self.post {
+                Post::Leased(held) => self.post = Post::Leased(held.max(until)),
+                // Not before the task knows that it was fenced: it may still be about to act.
+                Post::Waits if self.call.is_some() => {}
+                // All answers that can be echoed say this epoch, so each of them renews the lease, too.
+                Post::Waits => {
+                    self.stand(Post::Leased(until));
+                    // A plain heartbeat is no echo.
+                    self.propose();
+                    (self.proposed, self.guessed) = (false, false);
+                }
+                Post::Alone => self.post = Post::Leased(until),
+                Post::Passive => {}
+            }
+        }
+        self.answer(step, couple, port, packet);
+    }
+
+    fn answer(&mut self, step: &mut Step<'_, impl Outbox>, couple: &CoupleDecl, port: &Port, beat: &Packet) {
+        if self.post == Post::Waits {
+            self.propose();
+        }
+        let mut bytes = [0; ECHO_BYTES + PUBLISHED_BYTES];
+        bytes[0] = match self.post {
+            Post::Waits | Post::Passive => WAITS,
+            Post::Leased(_) => LEASED,
+            Post::Alone => ALONE,
+        };
+        (bytes[1], bytes[2], bytes[3]) = (self.epoch, step.own.incarnation.0, u8::from(self.guessed));
+        let published = self.published.as_bytes();
+        let len = published.len().min(PUBLISHED_BYTES);
+        bytes[ECHO_BYTES..ECHO_BYTES + len].copy_from_slice(&published[..len]);
+        let contents = Contents::new(&bytes[..ECHO_BYTES + len]).unwrap_or_default();
+        let to = ReplyTo { port: port.id, source: beat.source, id: beat.id };
+        let life = port.party(step.own.task).map_or(Ticks::ZERO, |party| party.time_out);
+        if self.newest.is_none_or(|newest| beat.id.sequence.is_newer_than(newest)) {
+            self.newest = Some(beat.id.sequence);
+            self.answered.rotate_right(1);
+            self.answered[0] = Some(Answered { beat: beat.id.sequence, until: step.now() + couple.lease });
+        }
+        step.out.transmit(mapping::answer(to, step.own.task, Kind::Response, life, contents));
+    }
+
+    pub(super) fn hear_answer(
+        &mut self,
+        step: &mut Step<'_, impl Outbox>,
+        couple: &CoupleDecl,
+        packet: &Packet,
+    ) {
+        if self.post != Post::Waits || packet.id.incarnation != step.own.incarnation {
+            return;
+        }
+        let bytes = packet.contents.as_bytes();
+        let Some(&[mode, epoch, life, guessed]) = bytes.first_chunk() else { return };
+        let life = Incarnation(life);
+        if self.life.is_some_and(|known| life.is_older_than(known)) {
+            return;
+        }
+        if self.life.replace(life) != Some(life) {
+            (self.answered, self.newest, self.echo) = ([None; ANSWERS], None, None);
+        }
+        self.hear_of(epoch, guessed != 0);
+        // One that is of no use any more counts as none, whether a beat has dropped it since or not.
+        self.echo = self.echo.filter(|echo| echo.until > step.now());
+        let newest = self.echo.is_none_or(|echo| packet.id.sequence.is_newer_than(echo.beat));
+        if newest {
+            // The lease counts from when the answer was sent, so whatever the clocks do an echo is of no use after that.
+            self.echo = Some(Answered { beat: packet.id.sequence, until: step.now() + couple.takeover });
+            self.said = Contents::new(bytes.get(ECHO_BYTES..).unwrap_or(&[])).unwrap_or_default();
+        }
+        // An older answer was sent earlier than the newest one, so it may only put the take-over off.
+        let may = !couple.mutual || mode == LEASED || self.takeover_at != Ticks::FAR;
+        self.takeover_at = if mode == ALONE && newest {
+            Ticks::FAR
+        } else if may {
+            step.now() + couple.takeover
+        } else {
+            self.takeover_at
+        };
+    }
+
+    /// Whether a beat comes from the partner's present life. A new life has got none of the answers, and an earlier one, of
+    /// either side, may have acted in an epoch that nobody knows of any more: of each side one is left out. One that guesses may
+    /// have had an earlier life that guessed, too, and acted: that was two above its guess.
+    fn enter_life(&mut self, life: Incarnation, epoch: u8, guessed: bool) -> bool {
+        if self.life.is_some_and(|known| life.is_older_than(known)) {
+            return false;
+        }
+        self.hear_of(epoch, guessed);
+        if self.life != Some(life) {
+            (self.life, self.answered, self.newest) = (Some(life), [None; ANSWERS], None);
+            if !self.acts() {
+                self.epoch = self.epoch.wrapping_add(if guessed { 4 } else { 2 });
+                self.disown();
+            }
+        }
+        true
+    }
+
+    /// The partner says an epoch. If exactly one side guesses, both use the epoch of the side that knows. What this side proposed from a
+    /// guess is over then, though it may be the same number.
+    fn hear_of(&mut self, epoch: u8, guessed: bool) {
+        if self.acts() {
+            return;
+        }
+        let taken = match (self.guessed, guessed) {
+            (true, false) => true,
+            (false, true) => false,
+            (true, true) | (false, false) => is_newer_epoch(epoch, self.epoch),
+        };
+        if taken {
+            self.epoch = epoch;
+            self.disown();
+        }
+        self.guessed &= guessed;
+    }
+}

@@ -1,0 +1,74 @@
+use super::*;
+use crate::task::bench::{A, ALIVE, B, Bench};
+use crate::task::violation::Violation;
+
+/// One side of the couple, at 5.
+fn side(task: TaskId) -> (Bench, Lease) {
+    let mut bench = Bench::new(task);
+    let mut lease = Lease::new(&bench.table, &bench.own).expect("a couple");
+    assert_eq!(lease.advance(&mut bench.at(Ticks(5))), None);
+    assert_eq!(lease.check(Ticks(5)), Ok(()));
+    (bench, lease)
+}
+
+/// Hands what one side sent to the other.
+fn carry(from: &mut Bench, (to, lease): (&mut Bench, &mut Lease), now: Ticks) -> Option<u8> {
+    let table = to.table.clone();
+    let port = table.port(ALIVE).unwrap();
+    let packets = from.packets();
+    packets.iter().filter_map(|packet| lease.hear(&mut to.at(now), port, packet)).last()
+}
+
+#[test]
+fn an_echo_of_an_answer_gives_the_lease_and_silence_ends_it() {
+    let ((mut a, mut primary), (mut b, mut standby)) = (side(A), side(B));
+    assert_eq!(carry(&mut b, (&mut a, &mut primary), Ticks(6)), None, "a beat is no echo");
+    assert_eq!(carry(&mut a, (&mut b, &mut standby), Ticks(7)), None);
+    assert_eq!(standby.advance(&mut b.at(Ticks(9))), None);
+    // An epoch that no earlier life of the partner can know, and an odd one.
+    assert_eq!(carry(&mut b, (&mut a, &mut primary), Ticks(10)), Some(3));
+    // It counts from the answer, at 6.
+    assert_eq!((primary.acts(), primary.left(Ticks(10))), (true, Some(Ticks(10))));
+    assert_eq!(primary.advance(&mut a.at(Ticks(20))), None);
+    assert_eq!((primary.acts(), primary.take_call()), (false, Some(Call::Fenced)));
+    let takeover = standby.due_to_take_over();
+    assert!(takeover > Ticks(20), "not while the other may act: {takeover}");
+    assert_eq!(standby.advance(&mut b.at(takeover)), Some(4));
+    assert_eq!(standby.take_call(), Some(Call::TakeOver(4)));
+}
+
+#[test]
+fn only_who_acts_signs_its_messages() {
+    let (mut b, mut standby) = side(B);
+    let go = Contents::new(b"go").unwrap();
+    assert_eq!(standby.signed(0, go), Err(Fault::Fenced));
+    let epoch = standby.advance(&mut b.at(standby.due_to_take_over())).expect("it acts");
+    assert_eq!(standby.signed(0, go).unwrap().as_bytes(), [b'g', b'o', epoch]);
+    assert_eq!(standby.signed(1, go), Err(Fault::Fenced), "another couple");
+    standby.retire();
+    assert_eq!(standby.signed(0, go), Err(Fault::Fenced));
+}
+
+#[test]
+fn a_planted_fault_is_found() {
+    let planted = |of: TaskId, change: fn(&mut Lease)| {
+        let (_, mut lease) = side(of);
+        change(&mut lease);
+        lease.check(Ticks(5))
+    };
+    assert_eq!(planted(A, |l| l.post = Post::Leased(Ticks(5))), Err(Violation::PastLease(Ticks(5))));
+    assert_eq!(planted(A, |l| l.post = Post::Leased(Ticks(6))), Ok(()));
+    assert_eq!(planted(B, |l| l.takeover_at = Ticks(4)), Err(Violation::PastLease(Ticks(4))));
+    let wrong = Err(Violation::WrongCall);
+    assert_eq!(planted(B, |l| l.call = Some(Call::TakeOver(0))), wrong);
+    assert_eq!(planted(B, |l| (l.post, l.call) = (Post::Alone, Some(Call::Fenced))), wrong);
+    assert_eq!(planted(B, |l| (l.post, l.call) = (Post::Alone, Some(Call::TakeOver(7)))), wrong);
+    assert_eq!(planted(B, |l| (l.post, l.call) = (Post::Alone, Some(Call::TakeOver(l.epoch)))), Ok(()));
+    assert_eq!(planted(A, |l| l.call = Some(Call::Timer(crate::request::TimeId(0)))), wrong);
+}
+
+impl Lease {
+    fn due_to_take_over(&self) -> Ticks {
+        self.takeover_at
+    }
+}

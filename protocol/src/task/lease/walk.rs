@@ -1,0 +1,118 @@
+//! The fields of a task's side of its couple.
+
+use super::{Answered, Lease, Post};
+use crate::ids::{Incarnation, Seq24, TaskId};
+use crate::request::Call;
+use crate::state::{Walk, mark};
+use crate::ticks::Ticks;
+
+/// The first byte: the post, then what else there is.
+const POST: u8 = 0x03;
+const ECHO: u8 = 0x04;
+const FENCED: u8 = 0x08;
+const TOOK_OVER: u8 = 0x10;
+const NEWEST: u8 = 0x20;
+const PROPOSED: u8 = 0x40;
+const MET: u8 = 0x80;
+
+impl Lease {
+    pub(in crate::task) fn walk<W: Walk>(&mut self, own: TaskId, w: &mut W) {
+        let Self {
+            couple,
+            primary: _,
+            partner,
+            post,
+            epoch,
+            proposed,
+            guessed,
+            life,
+            answered,
+            newest,
+            echo,
+            beat_at,
+            takeover_at,
+            published,
+            said,
+            call,
+        } = self;
+        let (couple, partner) = (*couple, *partner);
+        let code = match post {
+            Post::Waits => 0,
+            Post::Leased(_) => 1,
+            Post::Alone => 2,
+            Post::Passive => 3,
+        };
+        let first = w.put(
+            code | mark(newest.is_some(), NEWEST)
+                | mark(*proposed, PROPOSED)
+                | mark(life.is_some(), MET)
+                | mark(echo.is_some(), ECHO)
+                | mark(*call == Some(Call::Fenced), FENCED)
+                | mark(matches!(call, Some(Call::TakeOver(_))), TOOK_OVER),
+        );
+        w.epoch(couple, epoch);
+        if W::READS {
+            *proposed = first & PROPOSED != 0;
+            *post = match first & POST {
+                0 => Post::Waits,
+                1 => Post::Leased(Ticks::ZERO),
+                2 => Post::Alone,
+                _ => Post::Passive,
+            };
+            (*beat_at, *takeover_at) = (Ticks::FAR, Ticks::FAR);
+            *guessed = false;
+        }
+        // A take-over is into the epoch that the task stands in.
+        match call {
+            Some(Call::TakeOver(into)) if !W::PACKS => w.epoch(couple, into),
+            _ if W::READS && first & FENCED != 0 => *call = Some(Call::Fenced),
+            _ if W::READS => *call = (first & TOOK_OVER != 0).then_some(Call::TakeOver(*epoch)),
+            _ => {}
+        }
+        let mut met = life.unwrap_or(Incarnation(0));
+        if w.lives() {
+            w.byte(&mut met.0);
+            w.flag(guessed);
+        } else if W::READS {
+            met = Incarnation(0);
+        } else if met != Incarnation(0) {
+            // A forged answer may speak of a life where there are none.
+            w.overflows();
+        }
+        if W::READS {
+            *life = (first & MET != 0).then_some(met);
+        }
+        match post {
+            Post::Waits => {
+                w.instant(beat_at);
+                w.instant(takeover_at);
+            }
+            Post::Leased(until) => w.instant(until),
+            Post::Alone | Post::Passive => {}
+        }
+        if let Some(echo) = w.some(echo, first & ECHO != 0, Answered::BLANK) {
+            echo.walk(own, w);
+        }
+        if let Some(newest) = w.some(newest, first & NEWEST != 0, Seq24::default()) {
+            w.sequence(partner, newest);
+        }
+        let count = w.count(answered.iter().flatten().count());
+        if W::READS {
+            *answered = Default::default();
+            answered.iter_mut().take(count).for_each(|place| *place = Some(Answered::BLANK));
+        }
+        answered.iter_mut().flatten().for_each(|answered| answered.walk(partner, w));
+        w.contents(published);
+        w.contents(said);
+    }
+}
+
+impl Answered {
+    const BLANK: Self = Self { beat: Seq24::new(0), until: Ticks::ZERO };
+
+    fn walk<W: Walk>(&mut self, source: TaskId, w: &mut W) {
+        let Self { beat, until } = self;
+        w.sequence(source, beat);
+        w.instant(until);
+    }
+}

@@ -1,0 +1,380 @@
+//! The dispatcher: which part of the communication task takes an input, and what the others make of what comes of it.
+
+use super::client::{Client, Ended};
+use super::interrupts::{Interrupts, Offer, What};
+use super::lease::Lease;
+use super::own::{Own, Role};
+use super::rendezvous::Meetings;
+use super::server::{Held, Server};
+use super::step::{Outbox, Step};
+use super::violation::Violation;
+use super::wait::{Finished, Pending};
+use crate::ids::{NodeId, PortId, TaskId};
+use crate::mapping;
+use crate::observe::{Event, Observation, Reason};
+use crate::packet::{Kind, Packet};
+use crate::request::{Call, Fault, Outcome, Signal, TimeId};
+use crate::table::NodeTable;
+use crate::ticks::Ticks;
+use serde::{Deserialize, Serialize};
+
+/// The parts of a communication task. Each owns its state.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(crate) struct Machines {
+    pub client: Client,
+    pub server: Server,
+    pub interrupts: Interrupts,
+    pub meetings: Meetings,
+    /// The task's side of its couple, if it is in one (D61).
+    pub lease: Option<Lease>,
+}
+
+impl Machines {
+    pub fn new(table: &NodeTable, own: &Own) -> Self {
+        Self {
+            client: Client::new(table, own),
+            server: Server::new(table, own),
+            interrupts: Interrupts::default(),
+            meetings: Meetings::new(table, own),
+            lease: Lease::new(table, own),
+        }
+    }
+
+    /// Whether the lease has word for the task.
+    pub fn called(&self) -> bool {
+        called(&self.lease)
+    }
+
+    /// Whether a handler may interrupt the running thread, which waits.
+    pub fn is_interruptible(&self) -> bool {
+        self.interrupts.is_interruptible(false, self.called())
+    }
+
+    /// A packet for the task.
+    pub fn packet(&mut self, step: &mut Step<'_, impl Outbox>, packet: &Packet) {
+        let port = step.table.port(packet.port);
+        let ends = port.and_then(|port| Some((port, port.admitted(packet.source, step.own.task)?)));
+        let Some((port, (from, here))) = ends else {
+            return step.drop_packet(packet, Reason::NotAllowed);
+        };
+        let role = step.own.endpoints[usize::from(here.place)].role;
+        match (packet.kind, role) {
+            (Kind::Send | Kind::Query, Role::Receives(inbox))
+                if packet.kind == mapping::message_kind(port) && packet.class == port.decl.class =>
+            {
+                let threads = (&self.interrupts, called(&self.lease));
+                let arrival = self.server.hear(step, threads, (port, from, inbox), packet);
+                match arrival {
+                    Some(arrival) if arrival.interrupts => {
+                        self.interrupt(step, arrival.inbox, &arrival.held);
+                    }
+                    Some(arrival) => {
+                        self.interrupts.end_wait();
+                        self.hand_over(step, arrival.inbox, &arrival.held);
+                    }
+                    None => {}
+                }
+            }
+            (Kind::Reply | Kind::Response, Role::Asks(desk)) if packet.kind == mapping::answer_kind(port) => {
+                let ended = self.client.answer(step, desk, packet);
+                self.end(step, ended);
+            }
+            (Kind::Control, Role::Asks(desk)) => {
+                let ended = self.client.answer(step, desk, packet);
+                self.end(step, ended);
+            }
+            (Kind::Reply, Role::Hears) => {
+                let ended = self.client.third_party(step, packet);
+                self.end(step, ended);
+            }
+            (Kind::Query | Kind::Response, Role::Beats) => {
+                let granted = self.lease.as_mut().and_then(|lease| lease.hear(step, port, packet));
+                self.grant(step, granted);
+            }
+            (Kind::Arrive | Kind::Confirm | Kind::Abort, Role::Meets(meeting)) => {
+                let finished = self.meetings.hear(step, meeting, packet);
+                self.leave(step, meeting, finished);
+            }
+            (
+                Kind::Send
+                | Kind::Query
+                | Kind::Reply
+                | Kind::Response
+                | Kind::Control
+                | Kind::Arrive
+                | Kind::Confirm
+                | Kind::Abort,
+                Role::Sends
+                | Role::Asks(_)
+                | Role::Receives(_)
+                | Role::Meets(_)
+                | Role::Replies
+                | Role::Hears
+                | Role::Beats,
+            ) => step.drop_packet(packet, Reason::NotAllowed),
+        }
+    }
+
+    /// Time has passed (§5.1.2). Only what is due is touched: the rest keeps its expiry instant.
+    pub fn advance(&mut self, step: &mut Step<'_, impl Outbox>) {
+        self.server.advance(step);
+        if let Pending::Get { deadline, .. } = self.interrupts.pending()
+            && deadline <= step.now()
+        {
+            self.interrupts.end_wait();
+            step.out.signal(Signal::Nothing);
+        }
+        let mut from = 0;
+        while let Some(desk) = self.due_desk(from, step.now()) {
+            let ended = self.client.advance(step, desk);
+            self.end(step, ended);
+            from = desk + 1;
+        }
+        let mut from = 0;
+        while let Some((meeting, finished)) = self.meetings.advance(step, from) {
+            self.leave(step, meeting, finished);
+            from = meeting + 1;
+        }
+        let granted = self.lease.as_mut().and_then(|lease| lease.advance(step));
+        self.grant(step, granted);
+    }
+
+    /// The lowest desk from one on that has something to do.
+    fn due_desk(&self, from: u16, now: Ticks) -> Option<u16> {
+        self.interrupts.open_desks().filter(|&desk| desk >= from && self.client.due(desk) <= now).min()
+    }
+
+    /// When time alone makes the task act.
+    pub fn due(&self) -> Ticks {
+        let wait = match self.interrupts.pending() {
+            Pending::Get { deadline, .. } => deadline,
+            Pending::Reply(desk) => self.client.due(desk),
+            Pending::Nothing
+            | Pending::Meeting(_)
+            | Pending::Delay(..)
+            | Pending::Work
+            | Pending::Lease
+            | Pending::Boundary => Ticks::FAR,
+        };
+        // When the first rejected message is to be offered again, where that could matter.
+        let offer = match self.server.next_offer() {
+            Ticks::FAR => Ticks::FAR,
+            _ if !self.is_interruptible() => Ticks::FAR,
+            offer => offer,
+        };
+        let lease = self.lease.as_ref().map_or(Ticks::FAR, Lease::due);
+        let waits = wait.min(offer).min(lease).min(self.server.next_end()).min(self.meetings.next_act());
+        // Of the threads below, only answers are awaited meanwhile.
+        if self.interrupts.depth() == 0 {
+            waits
+        } else {
+            self.interrupts.open_desks().map(|desk| self.client.due(desk)).fold(waits, Ticks::min)
+        }
+    }
+
+    /// The node's Timer says that a delay or a timer is over.
+    pub fn time_is_over(&mut self, step: &mut Step<'_, impl Outbox>, (id, turn): (TimeId, u8)) {
+        if self.interrupts.time_is_over(id, turn) {
+            self.tell(step, &Finished::TimeOut(id));
+        }
+    }
+
+    /// A node has a new life.
+    pub fn peer_restarted(&mut self, step: &mut Step<'_, impl Outbox>, node: NodeId) {
+        while let Some(ended) = self.client.restarted(step, node) {
+            self.end(step, Some(ended));
+        }
+        self.meetings.restarted(step, node);
+    }
+
+    /// A wait for answers ended.
+    fn end(&mut self, step: &mut Step<'_, impl Outbox>, ended: Option<Ended>) {
+        match ended {
+            Some(Ended { desk: Some(desk), finished }) => {
+                self.conclude(step, Pending::Reply(desk), &finished);
+            }
+            Some(Ended { desk: None, finished }) => self.tell(step, &finished),
+            None => {}
+        }
+    }
+
+    /// The task left a waitfor.
+    pub fn leave(&mut self, step: &mut Step<'_, impl Outbox>, meeting: u16, finished: Option<Finished>) {
+        if let Some(finished) = finished {
+            self.conclude(step, Pending::Meeting(meeting), &finished);
+        }
+    }
+
+    /// The task acts from now on under this epoch. A thread that waits for the lease is told so; any other is called.
+    fn grant(&mut self, step: &mut Step<'_, impl Outbox>, epoch: Option<u8>) {
+        let Some(epoch) = epoch.filter(|_| self.interrupts.waits(Pending::Lease)) else { return };
+        self.lease.as_mut().and_then(Lease::take_call);
+        self.conclude(step, Pending::Lease, &Finished::Granted(epoch));
+    }
+
+    /// Ends the wait of the thread that waits so: tells it, or leaves word for when it resumes.
+    fn conclude(&mut self, step: &mut Step<'_, impl Outbox>, wait: Pending, finished: &Finished) {
+        if self.interrupts.conclude(wait, finished) {
+            self.tell(step, finished);
+        }
+    }
+
+    pub fn tell(&mut self, step: &mut Step<'_, impl Outbox>, finished: &Finished) {
+        step.out.signal(match *finished {
+            Finished::Outcome(outcome) => Signal::Outcome(outcome),
+            Finished::Answers(desk) => {
+                let (port, answers) = self.client.tell(desk);
+                Signal::Answers { port, answers }
+            }
+            Finished::Long(desk) => Signal::Outcome(Outcome::Reply(self.client.tell_long(desk))),
+            Finished::Released { port, round, by } => Signal::Released { port, round, by },
+            Finished::GaveUp { port, round, missing } => Signal::GaveUp { port, round, missing },
+            Finished::TimeOut(id) => Signal::TimeOut(id),
+            Finished::Granted(epoch) => Signal::Granted(epoch),
+        });
+    }
+
+    /// Hands over the most urgent message of what is asked for; false where there is none.
+    pub fn serve(
+        &mut self,
+        step: &mut Step<'_, impl Outbox>,
+        inbox: Option<u16>,
+        source: Option<TaskId>,
+    ) -> bool {
+        let Some((inbox, held)) = self.server.next(step, inbox, source) else { return false };
+        self.hand_over(step, inbox, &held);
+        true
+    }
+
+    fn hand_over(&mut self, step: &mut Step<'_, impl Outbox>, inbox: usize, held: &Held) {
+        let delivery = self.server.deliver(step, inbox, held);
+        step.out.signal(Signal::Message(delivery));
+    }
+
+    /// Offers what waits to the running thread, if that waits: while nothing is due this looks at no port, else at each of
+    /// them and at everything that is due.
+    pub fn offer_to_waiting(&mut self, step: &mut Step<'_, impl Outbox>) {
+        if matches!(self.interrupts.pending(), Pending::Nothing) {
+            return;
+        }
+        let due_by = self.interrupts.due_by(step.now());
+        let any = (self.server.has_offers() && self.server.next_offer() <= due_by)
+            || self.interrupts.has_ended_timer()
+            || self.called();
+        if any && self.is_interruptible() {
+            self.offer(step);
+        }
+    }
+
+    /// A statement boundary (D15).
+    pub fn boundary(&mut self, step: &mut Step<'_, impl Outbox>) {
+        let open = self.interrupts.is_interruptible(true, self.called());
+        if !(open && self.offer(step)) {
+            step.out.signal(Signal::Accepted(0));
+        }
+    }
+
+    /// Offers everything that is due to the running thread, which can be interrupted. True where a handler begins.
+    fn offer(&mut self, step: &mut Step<'_, impl Outbox>) -> bool {
+        let message = self.server.first_offer(step.table, step.own, &self.interrupts);
+        let timer = self.interrupts.first_timer(step.table, step.own);
+        let lease = self.called().then_some(Offer::LEASE);
+        let first = message.into_iter().chain(timer).chain(lease).min();
+        self.server.reject_the_others(step, &self.interrupts);
+        let Some(first) = first else { return false };
+        self.server.count_bypasses(step, &self.interrupts, first.what);
+        self.interrupts.note_turn(first.key.0);
+        match first.what {
+            What::Lease => {
+                if let Some(call) = self.lease.as_mut().and_then(Lease::take_call) {
+                    self.interrupts.set_atomic(false);
+                    self.begin(step, (0, 0), call);
+                }
+            }
+            What::Timer(at) => {
+                let id = self.interrupts.take_timer(at);
+                let rank = step.own.order.timer(id);
+                self.begin(step, (rank, id.0), Call::Timer(id));
+            }
+            What::Message(inbox, slot) => {
+                if let Some(held) = self.server.take(step.own, inbox, slot) {
+                    self.interrupt(step, inbox, &held);
+                }
+            }
+        }
+        true
+    }
+
+    fn begin(&mut self, step: &mut Step<'_, impl Outbox>, (rank, number): (u8, u8), call: Call) {
+        self.interrupts.begin(step.own, rank);
+        note_handler(step, Event::Interrupted, number);
+        step.out.signal(Signal::Interrupt(call));
+    }
+
+    /// A message interrupts the running thread.
+    fn interrupt(&mut self, step: &mut Step<'_, impl Outbox>, inbox: usize, held: &Held) {
+        let port = self.server.port(inbox);
+        let rank = step.own.order.rank(port, held.source);
+        self.interrupts.begin(step.own, rank);
+        let left = held.expires - step.now();
+        step.note(Event::Interrupted, port, held.source, held.id(), left);
+        let delivery = self.server.deliver(step, inbox, held);
+        step.out.signal(Signal::Interrupt(Call::Message(delivery)));
+    }
+
+    /// A handler ended (R16). The thread below goes on where it was: its wait may be over by now.
+    pub fn resume(&mut self, step: &mut Step<'_, impl Outbox>) -> Result<(), Fault> {
+        let finished = self.interrupts.resume()?;
+        note_handler(step, Event::Resumed, self.interrupts.depth());
+        if let Some(finished) = finished {
+            // The lease was granted and lost again while the handler ran: the thread goes on waiting for it.
+            if matches!(finished, Finished::Granted(_)) && !self.lease.as_ref().is_none_or(Lease::acts) {
+                self.interrupts.wait(Pending::Lease);
+            } else {
+                self.tell(step, &finished);
+            }
+            return Ok(());
+        }
+        match self.interrupts.pending() {
+            Pending::Boundary => {
+                self.interrupts.end_wait();
+                self.boundary(step);
+            }
+            Pending::Get { port, source, deadline } => {
+                let inbox = port.and_then(|port| step.own.inbox(port));
+                if self.serve(step, inbox, source) {
+                    self.interrupts.end_wait();
+                } else if deadline <= step.now() {
+                    self.interrupts.end_wait();
+                    step.out.signal(Signal::Nothing);
+                }
+            }
+            Pending::Nothing
+            | Pending::Reply(_)
+            | Pending::Meeting(_)
+            | Pending::Delay(..)
+            | Pending::Lease
+            | Pending::Work => {}
+        }
+        Ok(())
+    }
+
+    /// Checks all parts.
+    pub fn check(&self, table: &NodeTable, own: &Own) -> Result<(), Violation> {
+        self.server.check(table, own, self.is_interruptible())?;
+        self.interrupts.check(table, own, self.called())?;
+        self.lease.iter().try_for_each(|lease| lease.check(own.now))?;
+        self.client.check(own, &self.interrupts)?;
+        self.meetings.check(table, own, &self.interrupts)
+    }
+}
+
+fn called(lease: &Option<Lease>) -> bool {
+    lease.as_ref().is_some_and(Lease::called)
+}
+
+/// Makes an observation about a handler.
+fn note_handler(step: &mut Step<'_, impl Outbox>, event: Event, number: u8) {
+    let (port, peer, number) = (PortId::NONE, step.own.task, u32::from(number));
+    step.out.observe(Observation { event, port, peer, number, remaining: Ticks::ZERO });
+}

@@ -1,0 +1,255 @@
+//! What all parts of a communication task share: who the task is, its clock, its order of service and its ports.
+
+use super::counts::Counts;
+use super::fragments::Parts;
+use crate::cell::{CoupleDecl, Usage};
+use crate::ids::{Incarnation, PortId, Seq24, TaskId};
+use crate::packet::{Class, Contents};
+use crate::request::{Fault, ServiceOrder, Signal};
+use crate::state::Walk;
+use crate::table::{NodeTable, Port};
+use crate::ticks::Ticks;
+use alloc::boxed::Box;
+use alloc::vec::Vec;
+use serde::{Deserialize, Serialize};
+
+/// What the task does with a port, and where the state for it stands.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub(crate) enum Role {
+    /// Sends what is not answered.
+    Sends,
+    /// Sends what is answered, at this desk of the client.
+    Asks(u16),
+    /// Takes messages, at this inbox of the server.
+    Receives(u16),
+    /// Meets the others, at this rendezvous.
+    Meets(u16),
+    /// Answers for others (D11).
+    Replies,
+    /// Takes such answers.
+    Hears,
+    /// Carries the beats of its couple (D61).
+    Beats,
+}
+
+/// The task's end of one port.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(crate) struct Endpoint {
+    pub port: PortId,
+    pub role: Role,
+    pub counters: Counts,
+    /// The fragments of the next message or answer (D28).
+    pub staged: Parts,
+}
+
+impl Endpoint {
+    pub fn new(port: &Port, role: Role) -> Self {
+        let fragments = match role {
+            Role::Receives(_) | Role::Replies => port.decl.answer_fragments,
+            Role::Sends | Role::Asks(_) | Role::Meets(_) | Role::Hears | Role::Beats => port.decl.fragments,
+        };
+        Self { port: port.id, role, counters: Counts::default(), staged: Parts::new(fragments) }
+    }
+}
+
+/// What all parts share.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(crate) struct Own {
+    pub task: TaskId,
+    pub incarnation: Incarnation,
+    pub restarted: bool,
+    /// Ticks since `new` or the last `rebase`; every instant of the task is on this counter.
+    pub now: Ticks,
+    pub next_sequence: Seq24,
+    /// Until when a restarted task cannot know what its earlier life ran (D49).
+    pub quarantine_until: Ticks,
+    /// What the task said outranks what (D16).
+    pub order: ServiceOrder,
+    /// Ascending by port.
+    pub endpoints: Box<[Endpoint]>,
+}
+
+impl Own {
+    /// The task at the start of a life of its node.
+    pub fn new(table: &NodeTable, task: TaskId, incarnation: Incarnation, restarted: bool) -> Self {
+        let mut endpoints: Vec<Endpoint> = Vec::new();
+        for &id in table.ports_of(task) {
+            let Some((port, party)) = table.port(id).and_then(|port| Some((port, port.party(task)?))) else {
+                continue;
+            };
+            let next = |like: fn(&Role) -> bool| {
+                index(endpoints.iter().filter(|endpoint| like(&endpoint.role)).count())
+            };
+            let role = match party.usage {
+                Usage::Query | Usage::Response if couple_of(table, id, task).is_some() => Role::Beats,
+                Usage::Send | Usage::Query if port.decl.class == Class::Command => {
+                    Role::Asks(next(|role| matches!(role, Role::Asks(_))))
+                }
+                Usage::Send | Usage::Query => Role::Sends,
+                Usage::Receive if port.decl.usage == Usage::Reply => Role::Hears,
+                Usage::Receive | Usage::Response => {
+                    Role::Receives(next(|role| matches!(role, Role::Receives(_))))
+                }
+                Usage::Reply => Role::Replies,
+                Usage::Waitfor => Role::Meets(next(|role| matches!(role, Role::Meets(_)))),
+            };
+            endpoints.push(Endpoint::new(port, role));
+        }
+        Self {
+            task,
+            incarnation,
+            restarted,
+            now: Ticks::ZERO,
+            next_sequence: Seq24::default(),
+            quarantine_until: if restarted { table.quarantine(task) } else { Ticks::ZERO },
+            order: ServiceOrder::default(),
+            endpoints: endpoints.into(),
+        }
+    }
+
+    /// The task's ports that it has in such a role, each with its place.
+    pub fn ports<'a>(
+        &self,
+        table: &'a NodeTable,
+        has: impl Fn(Role) -> bool,
+    ) -> impl Iterator<Item = (u16, &'a Port)> {
+        let mine = (0..).zip(&self.endpoints).filter(move |(_, endpoint)| has(endpoint.role));
+        mine.filter_map(|(place, endpoint)| Some((place, table.port(endpoint.port)?)))
+    }
+
+    /// Messages sent to an earlier life of the task may still arrive (D49).
+    pub fn is_quarantined(&self, table: &NodeTable) -> bool {
+        self.now < self.quarantine_until && table.rules().quarantine
+    }
+
+    /// Whether what `source` sent to an earlier life of the task may still arrive (D49). Tasks of the same node restarted with
+    /// it: what they send is new (D157).
+    pub fn turns_away(&self, table: &NodeTable, source: TaskId) -> bool {
+        self.is_quarantined(table) && !table.is_here(source)
+    }
+
+    /// Where a port stands among the task's own.
+    pub fn place(&self, port: PortId) -> Option<usize> {
+        self.endpoints.binary_search_by_key(&port, |endpoint| endpoint.port).ok()
+    }
+
+    pub fn endpoint(&mut self, port: PortId) -> Option<&mut Endpoint> {
+        let at = self.place(port)?;
+        self.endpoints.get_mut(at)
+    }
+
+    pub fn role(&self, port: PortId) -> Option<Role> {
+        Some(self.endpoints[self.place(port)?].role)
+    }
+
+    /// The inbox of a port that the task receives on.
+    pub fn inbox(&self, port: PortId) -> Option<u16> {
+        if let Role::Receives(inbox) = self.role(port)? { Some(inbox) } else { None }
+    }
+
+    /// The desk of a port that it asks on.
+    pub fn desk(&self, port: PortId) -> Option<u16> {
+        if let Role::Asks(desk) = self.role(port)? { Some(desk) } else { None }
+    }
+
+    /// Where its side of a `waitfor` stands.
+    pub fn meeting(&self, port: PortId) -> Option<u16> {
+        if let Role::Meets(meeting) = self.role(port)? { Some(meeting) } else { None }
+    }
+
+    /// What is wrong with a request that the port does not serve.
+    pub fn unfit(&self, port: PortId) -> Fault {
+        if self.role(port).is_some() { Fault::WrongUsage } else { Fault::NotYourPort }
+    }
+
+    /// Whether the message that was staged on a port is whole. Where a packet of it is missing, nothing stays staged.
+    pub fn staged(&mut self, endpoint: usize) -> Result<(), Fault> {
+        let staged = &mut self.endpoints[endpoint].staged;
+        if staged.fragments().is_some() {
+            return Ok(());
+        }
+        staged.clear();
+        Err(Fault::WrongLength)
+    }
+
+    /// Notes one more fragment of the next message or answer on a port.
+    pub fn stage(&mut self, port: PortId, index: u8, contents: Contents) -> Result<Signal, Fault> {
+        let endpoint = self.endpoint(port).ok_or(Fault::NotYourPort)?;
+        match endpoint.role {
+            Role::Sends | Role::Asks(_) | Role::Receives(_) | Role::Replies => {}
+            Role::Hears | Role::Meets(_) | Role::Beats => return Err(Fault::WrongUsage),
+        }
+        if endpoint.staged.put(index, contents) {
+            return Ok(Signal::Accepted(0));
+        }
+        // All of a message or nothing (D28): what was noted of this one is not for the next.
+        endpoint.staged.clear();
+        Err(Fault::WrongLength)
+    }
+
+    pub fn unstage(&mut self, port: PortId) {
+        if let Some(endpoint) = self.endpoint(port) {
+            endpoint.staged.clear();
+        }
+    }
+
+    /// How often a port may be passed over before it goes first (D58).
+    pub fn bypass_limit(&self) -> u16 {
+        index(self.endpoints.len() + self.order.ranked().len()).max(4)
+    }
+
+    /// Walks the clock. The order of service is packed with the threads; life and staged fragments are walked apart, below.
+    pub fn walk<W: Walk>(&mut self, w: &mut W) {
+        let Self {
+            task,
+            incarnation: _,
+            restarted: _,
+            now,
+            next_sequence,
+            quarantine_until: _,
+            order: _,
+            endpoints: _,
+        } = self;
+        w.clock(now);
+        w.next_sequence(*task, next_sequence);
+    }
+
+    /// Walks the life.
+    pub fn walk_life<W: Walk>(&mut self, w: &mut W) {
+        if w.lives() {
+            w.instant(&mut self.quarantine_until);
+            w.byte(&mut self.incarnation.0);
+            w.flag(&mut self.restarted);
+        } else if W::READS {
+            self.quarantine_until = Ticks::ZERO;
+        }
+    }
+
+    /// Walks the fragments that are staged; what else an endpoint has is declared, or counted for monitors alone.
+    pub fn walk_staged<W: Walk>(&mut self, w: &mut W) {
+        for endpoint in self.endpoints.iter_mut().filter(|endpoint| endpoint.staged.has_room()) {
+            endpoint.staged.walk(w);
+        }
+    }
+
+    /// Whether it has the ports of another.
+    pub fn is_like(&self, new: &Self) -> bool {
+        let is = |(read, new): (&Endpoint, &Endpoint)| {
+            (read.port, read.role) == (new.port, new.role) && read.staged.has_room_of(&new.staged)
+        };
+        self.endpoints.len() == new.endpoints.len() && self.endpoints.iter().zip(&new.endpoints).all(is)
+    }
+}
+
+/// Whether `port` carries the beats of a couple, and which.
+pub(crate) fn couple_of(table: &NodeTable, port: PortId, task: TaskId) -> Option<(u8, &CoupleDecl)> {
+    let couples = table.cell().couples.iter().enumerate();
+    let mine = |c: &CoupleDecl| c.via == port && (c.primary == task || c.standby == task);
+    couples.filter(|(_, c)| mine(c)).find_map(|(i, c)| Some((u8::try_from(i).ok()?, c)))
+}
+
+/// Positions in a task's own lists; a cell has at most 65,536 ports.
+#[expect(clippy::cast_possible_truncation, reason = "a cell has at most 65,536 ports")]
+pub(crate) const fn index(i: usize) -> u16 {
+    i as u16
+}

@@ -1,0 +1,78 @@
+//! What holds of a rendezvous between two inputs, and what of it is dead.
+
+use super::{Arrived, Rendezvous};
+use crate::ids::Round;
+use crate::table::NodeTable;
+use crate::task::violation::Violation;
+use crate::ticks::Ticks;
+
+impl Rendezvous {
+    /// # Errors
+    /// The first violation found.
+    pub(super) fn check(&self, table: &NodeTable, now: Ticks) -> Result<(), Violation> {
+        let period = table.port(self.port).map_or(Ticks::FAR, |port| port.decl.resend);
+        let resend_at = match self.deadline {
+            Some(deadline) if deadline < now => return Err(Violation::Overdue(deadline)),
+            Some(deadline) => Self::resend_instant(deadline, now, period),
+            None => Ticks::FAR,
+        };
+        let copies = self.copy_at >= now && (self.copies_left > 0 || self.copy_at == Ticks::FAR);
+        if self.resend_at != resend_at || !copies {
+            return Err(Violation::ResendInstant(self.port));
+        }
+        let never_announced = self.released.is_some_and(|released| released.is_newer_than(self.announced));
+        if never_announced || self.announced.is_newer_than(self.fresh) {
+            return Err(Violation::Rounds(self.port));
+        }
+        if self.owes_confirm && (self.deadline.is_some() || self.released.is_none()) {
+            return Err(Violation::OwesConfirm(self.port));
+        }
+        let parties = table.port(self.port).map_or(&[][..], |port| &port.parties);
+        for (member, party) in self.members.iter().zip(parties) {
+            if let (Some(arrived), Some(barred)) = (member.arrived, member.barred)
+                && !arrived.round.is_newer_than(barred)
+            {
+                return Err(Violation::HoldsBarred(self.port, party.task, arrived.round));
+            }
+        }
+        Ok(())
+    }
+
+    /// Drops what can never matter again.
+    pub(super) fn bury(&mut self, now: Ticks) {
+        if !self.fresh.is_newer_than(self.announced) {
+            self.fresh = self.announced;
+        }
+        let waiting = self.deadline.is_some();
+        if !waiting {
+            self.arguments = [0; 8];
+        }
+        let Self { announced, released, owes_confirm: owes, numbered, .. } = *self;
+        // An arrival counts in the round waited in and in fresher ones, and in the released one for an owed CONFIRM.
+        let counts = |round: Round| {
+            !numbered
+                || round.is_newer_than(announced)
+                || (waiting && round == announced)
+                || (owes && released == Some(round))
+        };
+        for member in &mut self.members {
+            // Even when its patience has ended, a partner that came to this round was not the one that was missing.
+            let came = |a: &Arrived| numbered && waiting && a.round == announced;
+            member.arrived = member.arrived.filter(|a| came(a) || (a.expires > now && counts(a.round)));
+            if let Some(arrived) = &mut member.arrived {
+                arrived.expires = arrived.expires.max(now);
+            }
+            member.barred = member.barred.filter(|&barred| counts(barred));
+            if !waiting {
+                member.confirmed = false;
+            }
+        }
+    }
+
+    /// When the arrival is announced again: whole periods before the deadline, later than now (D55).
+    pub(super) fn resend_instant(deadline: Ticks, now: Ticks, period: Ticks) -> Ticks {
+        let period = period.0.max(1);
+        let more = (deadline - now).0.saturating_sub(1) / period;
+        if more == 0 { Ticks::FAR } else { deadline - Ticks(more * period) }
+    }
+}

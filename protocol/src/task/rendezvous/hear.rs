@@ -1,0 +1,186 @@
+//! What a member of a rendezvous makes of the packets of the others.
+
+use super::{Arrived, At, Rendezvous};
+use crate::ids::Round;
+use crate::observe::{Event, Observation, Reason};
+use crate::packet::{Kind, Meeting, Packet};
+use crate::request::ReleasedBy;
+use crate::rules::Confirmation;
+use crate::task::step::Outbox;
+use crate::ticks::Ticks;
+
+impl Rendezvous {
+    /// A packet of another member came in.
+    pub(super) fn hear(&mut self, at: &mut At<'_, '_, impl Outbox>, packet: &Packet) {
+        let Some(from) = at.port.party_index(packet.source) else {
+            return self.drop_packet(at, packet, Reason::NotAllowed);
+        };
+        let meeting = packet.meeting();
+        if packet.kind == Kind::Confirm {
+            return self.hear_confirm(at, from, packet, meeting.round);
+        }
+        match self.members[from].life {
+            Some(life) if life != packet.id.incarnation => {
+                if packet.id.incarnation.is_older_than(life) {
+                    return self.drop_packet(at, packet, Reason::StaleIncarnation);
+                }
+                self.forget(from);
+            }
+            Some(_) | None => {}
+        }
+        self.members[from].life = Some(packet.id.incarnation);
+        if packet.kind == Kind::Abort {
+            self.hear_abort(at, from, meeting);
+        } else {
+            self.hear_arrival(at, from, packet);
+        }
+    }
+
+    fn hear_arrival(&mut self, at: &mut At<'_, '_, impl Outbox>, from: usize, packet: &Packet) {
+        let Meeting { round, released, arguments } = packet.meeting();
+        if at.step.own.is_quarantined(at.step.table) && !at.step.table.is_here(packet.source) {
+            // It may be meant for an earlier life of this task, and its sender may have been released with that one.
+            return self.drop_packet(at, packet, Reason::StaleIncarnation);
+        }
+        let arrived = Arrived { round, expires: at.now() + packet.remaining, arguments };
+        if !self.numbered {
+            self.record(at, from, arrived);
+            return self.release_if_complete(at);
+        }
+        self.hear_of(round);
+        if self.deadline.is_none() {
+            if round.is_newer_than(self.announced) {
+                self.record(at, from, arrived);
+            } else if self.owes_confirm && self.released == Some(round) && !self.members[from].reborn {
+                self.record(at, from, arrived);
+                self.confirm_if_owed(at);
+            } else {
+                self.answer_late(at, from, packet);
+            }
+        } else if self.says_released(at, round, released) {
+            self.release(at, ReleasedBy::Confirm(at.port.parties[from].task));
+            if round.is_newer_than(self.announced) {
+                self.record(at, from, arrived);
+            }
+        } else if self.announced.is_newer_than(round) {
+            self.answer_late(at, from, packet);
+        } else if self.record(at, from, arrived) {
+            if round.is_newer_than(self.announced) {
+                self.rejoin(at, round);
+            }
+            self.release_if_complete(at);
+        }
+    }
+
+    fn hear_confirm(&mut self, at: &mut At<'_, '_, impl Outbox>, from: usize, packet: &Packet, round: Round) {
+        self.hear_of(round);
+        // The CONFIRM names the life of the arrival it confirms: one meant for an earlier life releases nobody.
+        let mine = round == self.announced && packet.id.incarnation == at.step.own.incarnation;
+        if mine {
+            self.members[from].confirmed = true;
+        }
+        if mine && self.deadline.is_some() {
+            self.release(at, ReleasedBy::Confirm(packet.source));
+        } else if !mine {
+            self.drop_packet(at, packet, Reason::OldRound);
+        }
+    }
+
+    fn hear_abort(&mut self, at: &mut At<'_, '_, impl Outbox>, from: usize, meeting: Meeting) {
+        let Meeting { round, released, .. } = meeting;
+        let task = at.port.parties[from].task;
+        self.note(Event::PartnerAborted, task, Ticks::ZERO, at);
+        let numbered = self.numbered;
+        let member = &mut self.members[from];
+        if member.arrived.is_some_and(|a| !a.round.is_newer_than(round)) {
+            member.arrived = None;
+        }
+        if !numbered {
+            return;
+        }
+        member.barred = Some(member.barred.map_or(round, |barred| barred.fresher(round)));
+        // Word of a round that this task has left says nothing about the one it is in (D68).
+        if self.is_over(round) {
+            return;
+        }
+        if self.deadline.is_some() && self.says_released(at, round, released) {
+            return self.release(at, ReleasedBy::Confirm(task));
+        }
+        let next = meeting.next_round();
+        self.hear_of(round);
+        self.hear_of(next);
+        if self.deadline.is_some() && next.is_newer_than(self.announced) {
+            self.rejoin(at, next);
+            self.release_if_complete(at);
+        }
+    }
+
+    /// Whether a packet of `round` with this `released` field proves that its sender released the round waited in.
+    /// A field equal to the packet's round means that its sender has released nothing yet.
+    fn says_released(&self, at: &At<'_, '_, impl Outbox>, round: Round, released: Round) -> bool {
+        // A restarted task cannot tell its own meeting from one of its earlier life by the number alone, so it does
+        // not believe the hint before its first release.
+        let believes = !at.step.own.restarted || self.released.is_some();
+        at.step.table.rules().last_released && believes && released != round && released == self.announced
+    }
+
+    /// Remembers an arrival, unless its sender has given the round up or is known to be further on.
+    fn record(&mut self, at: &mut At<'_, '_, impl Outbox>, from: usize, arrived: Arrived) -> bool {
+        let member = &mut self.members[from];
+        // An arrival lives no longer than its sender waits: one that has ended says nothing any more.
+        let held = member.arrived.filter(|held| held.expires > at.now());
+        let barred = member.barred.is_some_and(|barred| !arrived.round.is_newer_than(barred));
+        let behind = held.is_some_and(|held| held.round.is_newer_than(arrived.round));
+        if barred || behind {
+            at.counters().dropped += 1;
+            self.note(Event::Discarded(Reason::OldRound), at.port.parties[from].task, Ticks::ZERO, at);
+            return false;
+        }
+        let again = held.filter(|held| held.round == arrived.round);
+        let expires = again.map_or(arrived.expires, |held| held.expires.max(arrived.expires));
+        member.arrived = Some(Arrived { expires, ..arrived });
+        if again.is_none() {
+            let (task, left) = (at.port.parties[from].task, arrived.expires - at.now());
+            at.step.out.observe(Observation {
+                event: Event::PartnerArrived,
+                port: self.port,
+                peer: task,
+                number: u32::from(arrived.round.0),
+                remaining: left,
+            });
+        } else {
+            at.counters().duplicates += 1;
+        }
+        true
+    }
+
+    /// D54: a late arrival of the round released last is confirmed; of any other older round, aborted.
+    fn answer_late(&mut self, at: &mut At<'_, '_, impl Outbox>, from: usize, packet: &Packet) {
+        let round = packet.meeting().round;
+        if !at.step.table.rules().answer_late_arrivals {
+            return self.drop_packet(at, packet, Reason::OldRound);
+        }
+        if self.released == Some(round) && !self.members[from].reborn {
+            if at.step.table.rules().confirmation != Confirmation::None {
+                self.send_confirm(at, from, round, packet.id.incarnation, true);
+            }
+        } else if at.step.table.rules().aborts {
+            let waiting = self.deadline.is_some();
+            let next = if waiting { self.announced } else { self.announced.next().fresher(self.fresh) };
+            self.send_abort(at, from, round, next);
+        }
+    }
+
+    /// Takes note of a round that was heard of. Distances are no order across half the circle, so only what is fresher
+    /// than the own round counts.
+    fn hear_of(&mut self, round: Round) {
+        if self.numbered && round.is_newer_than(self.announced) {
+            self.fresh = self.fresh.fresher(round);
+        }
+    }
+
+    fn drop_packet(&self, at: &mut At<'_, '_, impl Outbox>, packet: &Packet, reason: Reason) {
+        at.counters().dropped += 1;
+        self.note(Event::Discarded(reason), packet.source, packet.remaining, at);
+    }
+}

@@ -1,0 +1,31 @@
+//! Which packets no future of a rendezvous can notice (a reduction for the model checker).
+
+use super::Rendezvous;
+use crate::ids::Round;
+use crate::packet::{Kind, Packet};
+use crate::table::NodeTable;
+
+impl Rendezvous {
+    /// Whether the task will never again wait in `round`.
+    pub fn never_again(&self, round: Round) -> bool {
+        self.numbered && self.is_over(round)
+    }
+
+    /// Whether the task's behaviour is the same with and without a packet of another member. `over_there`: its sender would
+    /// make nothing of an answer.
+    pub fn ignores(&self, table: &NodeTable, packet: &Packet, over_there: bool) -> bool {
+        if !self.numbered {
+            return false;
+        }
+        let meeting = packet.meeting();
+        let over =
+            self.is_over(meeting.round) && !(self.owes_confirm && self.released == Some(meeting.round));
+        let told = meeting.released != meeting.round && meeting.released == self.announced;
+        let hint = told && self.deadline.is_some();
+        match packet.kind {
+            Kind::Confirm | Kind::Abort => over,
+            Kind::Arrive => over && !hint && (over_there || !table.rules().answer_late_arrivals),
+            Kind::Send | Kind::Query | Kind::Reply | Kind::Response | Kind::Control => false,
+        }
+    }
+}

@@ -1,0 +1,202 @@
+//! The waitfors of a task, and when each acts next.
+
+use super::{At, Rendezvous};
+use crate::ids::NodeId;
+use crate::observe::MeetingView;
+use crate::packet::Packet;
+use crate::queue::Words;
+use crate::table::NodeTable;
+use crate::task::interrupts::Interrupts;
+use crate::task::own::{Own, Role, index};
+use crate::task::step::{Outbox, Step};
+use crate::task::violation::Violation;
+use crate::task::wait::{Finished, Pending};
+use crate::ticks::Ticks;
+use alloc::boxed::Box;
+use serde::{Deserialize, Serialize};
+
+/// The task's side of each waitfor that it takes part in.
+#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+pub(crate) struct Meetings {
+    list: Box<[Rendezvous]>,
+    /// Where something is to be done next (D108).
+    next: Words,
+}
+
+impl Meetings {
+    /// All waitfors that the task takes part in.
+    pub fn new(table: &NodeTable, own: &Own) -> Self {
+        let ports = own.ports(table, |role| matches!(role, Role::Meets(_)));
+        let numbered = table.rules().rounds;
+        let list = ports.map(|(_, port)| Rendezvous::new(port.id, port.parties.len(), numbered));
+        let list: Box<[_]> = list.collect();
+        Self { next: Words::new(index(list.len())), list }
+    }
+
+    /// Runs a step of a rendezvous. With what came of it comes the release, where it releases the task.
+    fn step<R, O: Outbox>(
+        &mut self,
+        step: &mut Step<'_, O>,
+        meeting: u16,
+        act: impl FnOnce(&mut Rendezvous, &mut At<'_, '_, O>) -> R,
+    ) -> Option<(R, Option<Finished>)> {
+        let rendezvous = self.list.get_mut(usize::from(meeting))?;
+        let (id, due) = (rendezvous.port, rendezvous.due());
+        let port = step.table.port(id)?;
+        let endpoint = step.own.place(id)?;
+        let mut at = At { step, port, endpoint, released: None };
+        let done = act(rendezvous, &mut at);
+        let released = at.released;
+        if rendezvous.due() != due {
+            self.touch(meeting);
+        }
+        Some((done, released.map(|(round, by)| Finished::Released { port: id, round, by })))
+    }
+
+    /// The task reaches a waitfor.
+    pub fn reach(
+        &mut self,
+        step: &mut Step<'_, impl Outbox>,
+        meeting: u16,
+        (arguments, patience): ([u8; 8], Ticks),
+    ) -> Option<Finished> {
+        self.step(step, meeting, |rendezvous, at| rendezvous.reach(at, arguments, patience))?.1
+    }
+
+    /// A packet of another member.
+    pub fn hear(
+        &mut self,
+        step: &mut Step<'_, impl Outbox>,
+        meeting: u16,
+        packet: &Packet,
+    ) -> Option<Finished> {
+        self.step(step, meeting, |rendezvous, at| rendezvous.hear(at, packet))?.1
+    }
+
+    /// The task leaves before its time_out.
+    pub fn leave(&mut self, step: &mut Step<'_, impl Outbox>, meeting: u16) {
+        self.step(step, meeting, Rendezvous::leave);
+    }
+
+    /// Time has passed: the first waitfor from `from` on where something is due, and how the wait there ended, where it did.
+    pub fn advance(
+        &mut self,
+        step: &mut Step<'_, impl Outbox>,
+        from: u16,
+    ) -> Option<(u16, Option<Finished>)> {
+        let now = step.now();
+        if self.next_act() > now {
+            return None;
+        }
+        let due = |&at: &u16| self.list[usize::from(at)].due() <= now;
+        let meeting = (from..index(self.list.len())).find(due)?;
+        let (gave_up, _) = self.step(step, meeting, |rendezvous, at| {
+            rendezvous.advance(at);
+            let over = rendezvous.deadline.is_some_and(|deadline| deadline <= at.now());
+            let (port, round) = (rendezvous.port, rendezvous.announced);
+            over.then(|| Finished::GaveUp { port, round, missing: rendezvous.leave(at) })
+        })?;
+        Some((meeting, gave_up))
+    }
+
+    /// A node has a new life: what its tasks brought is void.
+    pub fn restarted(&mut self, step: &Step<'_, impl Outbox>, node: NodeId) {
+        for rendezvous in &mut self.list {
+            let Some(port) = step.table.port(rendezvous.port) else { continue };
+            for (i, party) in port.parties.iter().enumerate() {
+                if party.task != step.own.task && step.table.location(party.task) == Some(node) {
+                    rendezvous.forget(i);
+                }
+            }
+        }
+    }
+
+    /// One of them.
+    pub fn at(&self, meeting: u16) -> &Rendezvous {
+        &self.list[usize::from(meeting)]
+    }
+
+    /// Forgets the CONFIRM that is still to be sent at one.
+    pub fn settle(&mut self, meeting: u16) {
+        let rendezvous = &mut self.list[usize::from(meeting)];
+        rendezvous.owes_confirm = false;
+        (rendezvous.copies_left, rendezvous.copy_at) = (0, Ticks::FAR);
+        self.touch(meeting);
+    }
+
+    /// How they look to a monitor.
+    pub fn view(&self, table: &NodeTable, own: &Own) -> impl Iterator<Item = MeetingView> {
+        self.list.iter().filter_map(|rendezvous| Some(rendezvous.view(own, table.port(rendezvous.port)?)))
+    }
+
+    /// Drops what can never matter again.
+    pub fn bury(&mut self, now: Ticks) {
+        for rendezvous in &mut self.list {
+            rendezvous.bury(now);
+        }
+    }
+
+    /// When one of them acts next.
+    pub fn next_act(&self) -> Ticks {
+        self.next.first().map_or(Ticks::FAR, |at| self.list[usize::from(at)].due())
+    }
+
+    /// Finds a waitfor's place in the order.
+    fn touch(&mut self, at: u16) {
+        let list = &self.list;
+        let act = |at: u16| (list[usize::from(at)].due(), at);
+        self.next.set(at, Some(act(at).0).filter(|&due| due != Ticks::FAR), act);
+    }
+
+    #[cfg(test)]
+    pub(super) fn list_mut(&mut self) -> &mut [Rendezvous] {
+        &mut self.list
+    }
+
+    /// Finds all places again.
+    pub fn touch_all(&mut self) {
+        self.next.clear();
+        (0..index(self.list.len())).for_each(|at| self.touch(at));
+    }
+
+    /// Whether there is such a waitfor.
+    pub fn has(&self, meeting: u16) -> bool {
+        usize::from(meeting) < self.list.len()
+    }
+
+    /// Whether a state that was read has the waitfors of a new one.
+    pub fn is_like(&self, new: &Self) -> bool {
+        let is = |(read, new): (&Rendezvous, &Rendezvous)| {
+            (read.port, read.numbered, read.members.len()) == (new.port, new.numbered, new.members.len())
+        };
+        let same = self.list.len() == new.list.len() && self.list.iter().zip(&new.list).all(is);
+        same && self.next.is_whole(self.list.len())
+    }
+
+    pub fn walk<W: crate::state::Walk>(&mut self, table: &NodeTable, threads: &Interrupts, w: &mut W) {
+        use crate::state::Pass;
+        // The order is rebuilt.
+        let Self { list, next: _ } = self;
+        list.iter_mut().for_each(|meeting| meeting.walk(table, threads.is_unread(meeting.port), w));
+        if matches!(W::PASS, Pass::Decode | Pass::Change) {
+            self.touch_all();
+        }
+    }
+
+    /// # Errors
+    /// The first violation found.
+    pub fn check(&self, table: &NodeTable, own: &Own, threads: &Interrupts) -> Result<(), Violation> {
+        for (at, meeting) in (0..).zip(&self.list) {
+            if threads.waits(Pending::Meeting(at)) != meeting.deadline.is_some() {
+                return Err(Violation::MeetingAndWaitDiffer(meeting.port));
+            }
+            meeting.check(table, own.now)?;
+        }
+        let act = |at: u16| (self.list[usize::from(at)].due(), at);
+        let mut meetings = (0..).zip(&self.list);
+        let wrong = meetings.find(|&(at, _)| self.next.has(at) != (act(at).0 != Ticks::FAR));
+        let right = self.next.is_in_order(|at| act(at).0, act);
+        let wrong = wrong.map(|(_, meeting)| meeting).or(self.list.first().filter(|_| !right));
+        wrong.map_or(Ok(()), |meeting| Err(Violation::OutOfOrder(meeting.port)))
+    }
+}

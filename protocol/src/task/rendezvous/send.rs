@@ -1,0 +1,100 @@
+//! What a member of a rendezvous tells the others: ARRIVE, CONFIRM, ABORT.
+
+use super::{At, Rendezvous};
+use crate::ids::{Incarnation, MessageId, Round, Seq24};
+use crate::observe::Event;
+use crate::packet::{Class, Kind, MAX_HOPS, Meeting, Packet, Seal};
+use crate::task::step::Outbox;
+use crate::ticks::Ticks;
+
+impl Rendezvous {
+    pub(super) fn confirm_if_owed(&mut self, at: &mut At<'_, '_, impl Outbox>) {
+        if let Some(round) = self.released.filter(|_| self.owes_confirm && self.least_patience(at).is_some())
+        {
+            self.owes_confirm = false;
+            self.confirm_with_copies(at, round);
+        }
+    }
+
+    /// Sends the CONFIRM now and leaves `losses` more copies to be sent while the task already runs (D55).
+    pub(super) fn confirm_with_copies(&mut self, at: &mut At<'_, '_, impl Outbox>, round: Round) {
+        self.copies_left = at.port.decl.losses;
+        self.copy_at = if self.copies_left == 0 { Ticks::FAR } else { at.now() + at.port.decl.resend };
+        self.confirm(at, round, false);
+    }
+
+    pub(super) fn confirm(&mut self, at: &mut At<'_, '_, impl Outbox>, round: Round, resent: bool) {
+        self.note(Event::Confirmed, at.step.own.task, Ticks::ZERO, at);
+        for i in 0..self.members.len() {
+            // A member that restarted since is another one: it was not in this meeting.
+            if !self.members[i].reborn {
+                let life = self.members[i].life.unwrap_or_default();
+                self.send_confirm(at, i, round, life, resent);
+            }
+        }
+    }
+
+    /// Announces the arrival to every other member: separately addressed packets, no broadcast (§4.3, R19).
+    pub(super) fn announce(&mut self, at: &mut At<'_, '_, impl Outbox>, resent: bool) {
+        let now = at.now();
+        let Some(deadline) = self.deadline else { return };
+        // D55: counted back from the deadline, so that the last copies leave at fixed distances from it.
+        self.resend_at = Self::resend_instant(deadline, now, at.port.decl.resend);
+        let round = self.announced;
+        let meeting = Meeting { round, released: self.released.unwrap_or(round), arguments: self.arguments };
+        let packet = self.packet(at, Kind::Arrive, meeting);
+        for i in 0..self.members.len() {
+            send(at, i, Packet { remaining: deadline - now, resent, ..packet });
+        }
+    }
+
+    pub(super) fn send_confirm(
+        &self,
+        at: &mut At<'_, '_, impl Outbox>,
+        to: usize,
+        round: Round,
+        life: Incarnation,
+        resent: bool,
+    ) {
+        let meeting = Meeting { round, released: round, arguments: [0; 8] };
+        // Tagged by its round, a CONFIRM can do no harm late: it lives as long as any member may wait for it.
+        let packet = self.packet(at, Kind::Confirm, meeting);
+        let id = MessageId { incarnation: life, ..packet.id };
+        send(at, to, Packet { id, resent, ..packet });
+    }
+
+    pub(super) fn send_abort(&self, at: &mut At<'_, '_, impl Outbox>, to: usize, round: Round, next: Round) {
+        let released = self.released.unwrap_or(round);
+        let meeting = Meeting { round, released, arguments: Meeting::abort_arguments(next) };
+        let packet = self.packet(at, Kind::Abort, meeting);
+        send(at, to, packet);
+    }
+
+    /// A packet to another member, which `send` names.
+    fn packet(&self, at: &At<'_, '_, impl Outbox>, kind: Kind, meeting: Meeting) -> Packet {
+        Packet {
+            kind,
+            class: Class::Command,
+            more: false,
+            resent: false,
+            urgent: false,
+            hops: MAX_HOPS,
+            fragment: 0,
+            destination: at.step.own.task,
+            source: at.step.own.task,
+            port: self.port,
+            id: MessageId { incarnation: at.step.own.incarnation, sequence: Seq24::default() },
+            remaining: at.port.decl.time_out,
+            contents: meeting.to_contents(),
+            seal: Seal::NONE,
+        }
+    }
+}
+
+/// Sends a packet to a member, but not to the task itself.
+fn send(at: &mut At<'_, '_, impl Outbox>, to: usize, packet: Packet) {
+    let destination = at.port.parties[to].task;
+    if destination != at.step.own.task {
+        at.step.out.transmit(Packet { destination, ..packet });
+    }
+}

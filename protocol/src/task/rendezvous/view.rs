@@ -1,0 +1,73 @@
+//! How a rendezvous looks from outside.
+
+use super::{Member, Rendezvous};
+use crate::ids::{Incarnation, Round, TaskId};
+use crate::observe::{MeetingState, MeetingView, MemberView, TaskState};
+use crate::table::{Party, Port};
+use crate::task::own::Own;
+use crate::ticks::Ticks;
+use alloc::vec::Vec;
+
+impl Rendezvous {
+    /// The round that the task announced last: while it waits, the one that it waits in.
+    pub fn announced(&self) -> Round {
+        self.announced
+    }
+
+    /// Whether the task waits here.
+    pub fn is_waiting(&self) -> bool {
+        self.deadline.is_some()
+    }
+
+    /// What another member brought to the round that this task left last; none where it was not heard there.
+    pub fn told(&self, port: &Port, of: TaskId) -> Option<[u8; 8]> {
+        self.members.get(port.party_index(of)?)?.told
+    }
+
+    /// The life in which this task last heard a member.
+    pub fn heard_in(&self, port: &Port, member: TaskId) -> Option<Incarnation> {
+        self.members[port.party_index(member)?].life
+    }
+
+    /// The round whose CONFIRM this task still has to send, or to send again.
+    pub fn owes(&self) -> Option<Round> {
+        self.released.filter(|_| self.owes_confirm || self.copies_left > 0)
+    }
+
+    /// What the task is doing while it waits here.
+    pub fn state(&self, now: Ticks) -> TaskState {
+        TaskState::Waiting { port: self.port, round: self.announced, remaining: self.left(now) }
+    }
+
+    /// How this rendezvous looks to a monitor.
+    pub(super) fn view(&self, own: &Own, port: &Port) -> MeetingView {
+        let waiting = self.deadline.is_some();
+        let round = if waiting { self.announced } else { self.announced.next().fresher(self.fresh) };
+        let member = |(member, party): (&Member, &Party)| {
+            let is_own = party.task == own.task;
+            let held = member.arrived.filter(|a| a.round == round && a.expires > own.now);
+            let remaining = if is_own { self.deadline } else { held.map(|a| a.expires) };
+            MemberView {
+                task: party.task,
+                arrived: if is_own { waiting } else { held.is_some() },
+                confirmed: waiting && member.confirmed,
+                remaining: remaining.map(|expires| expires - own.now),
+            }
+        };
+        let members: Vec<_> = self.members.iter().zip(&port.parties).map(member).collect();
+        let complete = members.iter().all(|m| m.arrived);
+        let state = match (waiting, complete) {
+            (false, _) => MeetingState::Away,
+            (true, false) => MeetingState::Gathering,
+            (true, true) => MeetingState::WithinMargin,
+        };
+        MeetingView {
+            port: self.port,
+            round,
+            released: self.released.unwrap_or_default(),
+            state,
+            remaining: self.deadline.map(|deadline| deadline - own.now),
+            members,
+        }
+    }
+}

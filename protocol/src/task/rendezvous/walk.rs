@@ -1,0 +1,96 @@
+//! The fields of a rendezvous.
+
+use super::{Arrived, Member, Rendezvous};
+use crate::ids::{PortId, Round};
+use crate::state::Walk;
+use crate::table::NodeTable;
+use crate::ticks::Ticks;
+
+impl Rendezvous {
+    /// Walks it. `unread` says that its task has yet to read what the others told at the last one.
+    pub(super) fn walk<W: Walk>(&mut self, table: &NodeTable, unread: bool, w: &mut W) {
+        let Self {
+            port,
+            numbered: _,
+            announced,
+            fresh,
+            released,
+            deadline,
+            resend_at,
+            members,
+            copies_left,
+            copy_at,
+            owes_confirm,
+            arguments,
+        } = self;
+        let port = *port;
+        let [waits, is_released, is_fresh, owes, copies, brings] = w.flags([
+            deadline.is_some(),
+            released.is_some(),
+            fresh != announced,
+            *owes_confirm,
+            *copies_left > 0,
+            *arguments != [0; 8],
+        ]);
+        *owes_confirm = owes;
+        w.round(port, announced);
+        if let Some(deadline) = w.some(deadline, waits, Ticks::ZERO) {
+            w.instant(deadline);
+        }
+        if let Some(released) = w.some(released, is_released, Round::default()) {
+            w.round(port, released);
+        }
+        if is_fresh {
+            w.round(port, fresh);
+        } else {
+            *fresh = *announced;
+        }
+        if W::READS {
+            (*copies_left, *copy_at, *arguments) = (0, Ticks::FAR, [0; 8]);
+        }
+        if copies {
+            w.byte(copies_left);
+            w.instant(copy_at);
+        }
+        if brings {
+            w.arguments(arguments);
+        }
+        if W::READS {
+            let period = table.port(port).map_or(Ticks::FAR, |port| port.decl.resend);
+            let again = |deadline| Self::resend_instant(deadline, Ticks::ZERO, period);
+            *resend_at = deadline.map_or(Ticks::FAR, again);
+        } else if !W::PACKS {
+            w.instant(resend_at);
+        }
+        members.iter_mut().for_each(|member| member.walk(port, unread, w));
+    }
+}
+
+impl Member {
+    fn walk<W: Walk>(&mut self, port: PortId, unread: bool, w: &mut W) {
+        let Self { arrived, barred, life, reborn, confirmed, told } = self;
+        let brought = arrived.as_ref().is_some_and(|arrived| arrived.arguments != [0; 8]);
+        let [has_arrived, is_barred, is_reborn, has_brought, has_told] =
+            w.flags([arrived.is_some(), barred.is_some(), *reborn, brought, unread && told.is_some()]);
+        *reborn = is_reborn;
+        let blank = Arrived { round: Round::default(), expires: Ticks::ZERO, arguments: [0; 8] };
+        if let Some(Arrived { round, expires, arguments }) = w.some(arrived, has_arrived, blank) {
+            w.round(port, round);
+            w.instant(expires);
+            if has_brought {
+                w.arguments(arguments);
+            }
+        }
+        if let Some(told) = w.some(told, has_told, [0; 8]) {
+            w.arguments(told);
+        }
+        if let Some(barred) = w.some(barred, is_barred, Round::default()) {
+            w.round(port, barred);
+        }
+        w.known_life(life);
+        if W::READS {
+            // Only the count of confirmations that are shown depends on it.
+            *confirmed = false;
+        }
+    }
+}

@@ -1,0 +1,214 @@
+//! The user layer down (§5.2.1): what the task asks for.
+
+use super::client::Sent;
+use super::machines::Machines;
+use super::own::Role;
+use super::server::send_answer;
+use super::step::{Outbox, Step};
+use super::wait::Pending;
+use crate::ids::{PortId, TaskId};
+use crate::mapping;
+use crate::packet::Contents;
+use crate::request::{Fault, ReplyTo, Request, Signal, Target};
+use crate::ticks::Ticks;
+
+/// Answered at once, or not before something else happens.
+type Done = Result<Option<Signal>, Fault>;
+
+const ACCEPTED: Option<Signal> = Some(Signal::Accepted(0));
+
+impl Machines {
+    /// The task's request: it always outranks what the communication task is doing (§5.2.1).
+    pub(super) fn request(&mut self, step: &mut Step<'_, impl Outbox>, request: &Request) {
+        let done = match *request {
+            Request::Cancel => Ok(Some(self.cancel(step))),
+            Request::Abandon => Ok(Some(self.abandon(step))),
+            Request::Reply { to, contents } => self.reply(step, to, contents),
+            Request::Done => self.interrupts.done().map(|()| ACCEPTED),
+            _ if self.interrupts.pending() != Pending::Nothing => Err(Fault::Busy),
+            Request::Order(order) => {
+                let old = core::mem::replace(&mut step.own.order, order);
+                self.server.reorder(step.own, &old);
+                Ok(ACCEPTED)
+            }
+            Request::Send { port, to, contents, time_out } => self.send(step, port, to, (contents, time_out)),
+            Request::Part { port, index, contents } => step.own.stage(port, index, contents).map(Some),
+            Request::Get { port, source, time_out } => self.get(step, (port, source), time_out),
+            Request::Arrive { port, arguments, time_out } => self.arrive(step, port, arguments, time_out),
+            Request::Handle { port, handled } => self.set_handled(step, port, handled),
+            Request::Delay { id, length } => self.interrupts.delay(id, length, step.out).map(|()| None),
+            Request::Start { id, length } => self.interrupts.start(id, length, step.out).map(|()| ACCEPTED),
+            Request::Stop { id } => {
+                self.interrupts.stop(id, step.out);
+                Ok(ACCEPTED)
+            }
+            Request::Boundary => {
+                self.boundary(step);
+                Ok(None)
+            }
+            Request::Work => {
+                self.interrupts.wait(Pending::Work);
+                Ok(None)
+            }
+            Request::Return => self.resume(step).map(|()| None),
+            Request::Atomic(atomic) => {
+                self.interrupts.set_atomic(atomic);
+                Ok(ACCEPTED)
+            }
+            Request::Lease => self.await_lease(),
+            Request::Publish(contents) => self
+                .lease
+                .as_mut()
+                .map_or(Err(Fault::WrongUsage), |lease| lease.publish(contents))
+                .map(|()| ACCEPTED),
+            Request::End => {
+                if let Some(lease) = &mut self.lease {
+                    lease.retire();
+                }
+                Ok(ACCEPTED)
+            }
+        };
+        match done {
+            Ok(Some(signal)) => step.out.signal(signal),
+            Ok(None) => {}
+            Err(fault) => {
+                // What was staged for a message that is not sent is no part of the next one.
+                if let Request::Send { port, .. } | Request::Reply { to: ReplyTo { port, .. }, .. } = *request
+                {
+                    step.own.unstage(port);
+                }
+                step.out.signal(Signal::Fault(fault));
+            }
+        }
+    }
+
+    fn send(
+        &mut self,
+        step: &mut Step<'_, impl Outbox>,
+        id: PortId,
+        to: Target,
+        (contents, time_out): (Contents, Option<Ticks>),
+    ) -> Done {
+        let (port, party) = mapping::own_end(step.table, id, step.own.task)?;
+        // The declared life is what receivers and a restarted node reckon with: a request may only shorten it.
+        let life = time_out.map_or(party.time_out, |wanted| wanted.min(party.time_out));
+        let contents = match port.decl.guard {
+            None => contents,
+            Some(couple) => self.lease.as_ref().ok_or(Fault::Fenced)?.signed(couple, contents)?,
+        };
+        match self.client.send(step, (party, to), (port, life, contents))? {
+            Sent::Copies(copies) => Ok(Some(Signal::Accepted(copies))),
+            Sent::Asked(desk) => {
+                self.interrupts.wait(Pending::Reply(desk));
+                Ok(None)
+            }
+        }
+    }
+
+    /// §5.2.1, procedure `get`: the most urgent message over the port heads, or remember what was asked for.
+    fn get(
+        &mut self,
+        step: &mut Step<'_, impl Outbox>,
+        (port, source): (Option<PortId>, Option<TaskId>),
+        time_out: Option<Ticks>,
+    ) -> Done {
+        let inbox = match port {
+            None => None,
+            Some(port) => Some(step.own.inbox(port).ok_or_else(|| step.own.unfit(port))?),
+        };
+        if self.serve(step, inbox, source) {
+            return Ok(None);
+        }
+        if time_out == Some(Ticks::ZERO) {
+            return Ok(Some(Signal::Nothing));
+        }
+        let deadline = time_out.map_or(Ticks::FAR, |t| step.now() + t);
+        self.interrupts.wait(Pending::Get { port, source, deadline });
+        Ok(None)
+    }
+
+    fn reply(&mut self, step: &mut Step<'_, impl Outbox>, to: ReplyTo, contents: Contents) -> Done {
+        let (port, party) = mapping::own_end(step.table, to.port, step.own.task)?;
+        let place = usize::from(party.place);
+        let left = match step.own.endpoints[place].role {
+            Role::Replies => {
+                if !port.peers(step.own.task).any(|peer| peer == to.source) {
+                    return Err(Fault::NotAPeer);
+                }
+                step.own.staged(place)?;
+                step.own.endpoints[place].counters.sent += 1;
+                party.time_out
+            }
+            Role::Receives(inbox) => self.server.reply(step, (inbox, place), to, contents)?,
+            Role::Sends | Role::Asks(_) | Role::Meets(_) | Role::Hears | Role::Beats => {
+                return Err(Fault::NothingToAnswer);
+            }
+        };
+        send_answer(step, (port, place), to, left, contents);
+        Ok(Some(Signal::Accepted(1)))
+    }
+
+    fn arrive(
+        &mut self,
+        step: &mut Step<'_, impl Outbox>,
+        id: PortId,
+        arguments: [u8; 8],
+        time_out: Option<Ticks>,
+    ) -> Done {
+        let (_, party) = mapping::own_end(step.table, id, step.own.task)?;
+        let meeting = step.own.meeting(id).ok_or(Fault::WrongUsage)?;
+        if self.meetings.at(meeting).is_waiting() {
+            return Err(Fault::Busy);
+        }
+        // As for messages: the declared patience is what a restarted partner waits for, so it may only be shortened.
+        let patience = time_out.map_or(party.time_out, |wanted| wanted.min(party.time_out));
+        self.interrupts.wait(Pending::Meeting(meeting));
+        let finished = self.meetings.reach(step, meeting, (arguments, patience));
+        self.leave(step, meeting, finished);
+        Ok(None)
+    }
+
+    fn set_handled(&mut self, step: &Step<'_, impl Outbox>, port: PortId, handled: bool) -> Done {
+        let inbox = step.own.inbox(port).ok_or_else(|| step.own.unfit(port))?;
+        self.server.set_handled(step.own, inbox, handled);
+        Ok(ACCEPTED)
+    }
+
+    fn await_lease(&mut self) -> Done {
+        let Some(lease) = &mut self.lease else { return Err(Fault::WrongUsage) };
+        if self.interrupts.waits(Pending::Lease) {
+            return Err(Fault::Busy);
+        }
+        let epoch = lease.await_it()?;
+        if epoch.is_none() {
+            self.interrupts.wait(Pending::Lease);
+        }
+        Ok(epoch.map(Signal::Granted))
+    }
+
+    fn cancel(&mut self, step: &mut Step<'_, impl Outbox>) -> Signal {
+        match self.interrupts.end_wait() {
+            Pending::Meeting(meeting) => self.meetings.leave(step, meeting),
+            Pending::Delay(id, _) => step.out.disarm(id),
+            Pending::Reply(desk) => self.client.close(desk),
+            Pending::Nothing | Pending::Get { .. } | Pending::Work | Pending::Lease | Pending::Boundary => {}
+        }
+        Signal::Cancelled
+    }
+
+    /// Every wait ends, and every handler: the task begins anew. What waits for it stays.
+    fn abandon(&mut self, step: &mut Step<'_, impl Outbox>) -> Signal {
+        loop {
+            self.cancel(step);
+            if !self.interrupts.drop_top() {
+                break;
+            }
+        }
+        self.client.close_all();
+        for endpoint in &mut step.own.endpoints {
+            endpoint.staged.clear();
+        }
+        self.interrupts.stop_all(step.out);
+        Signal::Cancelled
+    }
+}

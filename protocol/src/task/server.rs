@@ -1,0 +1,395 @@
+//! The server: the messages that come to the task (§5.1.1, §5.2.1), from their first packet until they are answered.
+//!
+//! | input | what comes of it |
+//! |---|---|
+//! | [`hear`](Server::hear) | a packet of a message: it is stored; dropped, as a copy or in vain; or given back, where the running thread takes it at once |
+//! | [`next`](Server::next) | a GET: the most urgent message, if there is one |
+//! | [`deliver`](Server::deliver) | the task has it: from here on its execution budget runs |
+//! | [`reply`](Server::reply) | the task answers it; a copy gets the same answer |
+//! | [`first_offer`](Server::first_offer), [`reject_the_others`](Server::reject_the_others) | what may interrupt the running thread; what may not is offered again later, one level higher |
+//! | [`advance`](Server::advance) | what has no time left is dropped |
+//!
+//! A packet goes through these stages: its port and kind are right, its time is not over, it is new (`memory`), it is of the
+//! present life of its source, all its fragments are here (`assembly`, where the port's messages take several), and nobody
+//! acts in a newer epoch (`epochs`, where the port acts under a lease).
+//!
+//! Between two inputs nothing waits that has no time left, every command that waits is remembered as waiting, and the orders
+//! over the ports (`heads`) are those that a look at all ports would give.
+
+mod admission;
+mod assembly;
+mod check;
+mod delivery;
+mod epochs;
+mod heads;
+mod inbox;
+mod memory;
+mod offers;
+mod view;
+mod walk;
+
+use super::fragments::Parts;
+use super::interrupts::Interrupts;
+use super::own::{Own, Role};
+use super::step::{Outbox, Step};
+use crate::ids::{Incarnation, PortId, TaskId};
+use crate::mapping;
+use crate::observe::{Event, Reason};
+use crate::packet::{Class, Contents, Control, Kind, Packet};
+use crate::queue::Slot;
+use crate::request::ReplyTo;
+use crate::rules::{Memory, TimeStamp};
+use crate::table::{NodeTable, Party, Port};
+use crate::ticks::Ticks;
+use alloc::boxed::Box;
+use alloc::vec::Vec;
+use epochs::Guard;
+use heads::Heads;
+use inbox::{Aged, Inbox};
+use memory::{Fate, Remembered, Seen};
+use serde::{Deserialize, Serialize};
+
+pub(crate) use delivery::send_answer;
+pub(crate) use inbox::Held;
+
+/// The messages that wait for the task, and what is remembered of those that came.
+#[derive(Clone, Debug, Serialize, Deserialize)]
+pub(crate) struct Server {
+    inboxes: Box<[Inbox]>,
+    heads: Heads,
+    /// How many GETs over all ports were served (D58).
+    served: u64,
+    /// Numbers messages in the order they were stored: the last key of the service order (D14).
+    arrivals: u64,
+    /// Numbers the rounds of rejections (D58).
+    rejections: u64,
+    /// One per task that may send to this one, ascending.
+    lives: Box<[Known]>,
+    /// Of each couple that gives it orders: the newest epoch (D61).
+    guards: Box<[Guard]>,
+    /// The message the task took last (D28).
+    taken: (Option<Contents>, Parts),
+    /// Room for those that are rejected together; empty between two inputs.
+    #[serde(skip)]
+    turned: Vec<Slot>,
+}
+
+/// The life of a source's node that it was last heard in.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+struct Known {
+    task: TaskId,
+    life: Option<Incarnation>,
+}
+
+/// A message that the running thread takes as it arrives.
+pub(crate) struct Arrival {
+    pub inbox: usize,
+    pub held: Held,
+    /// Whether it interrupts that thread; else the thread waited for it.
+    pub interrupts: bool,
+}
+
+/// An inbox and one of those that may send to it.
+type Way = (usize, usize);
+
+/// Counts grow by one an input: from here on there is room for more inputs than any recording has.
+const MOST: u64 = 1 << 62;
+
+impl Server {
+    /// With an inbox for each port that the task receives on.
+    pub fn new(table: &NodeTable, own: &Own) -> Self {
+        let (mut inboxes, mut sources, mut guards, mut longest) = (Vec::new(), Vec::new(), Vec::new(), 1);
+        for (endpoint, port) in own.ports(table, |role| matches!(role, Role::Receives(_))) {
+            longest = longest.max(port.decl.fragments);
+            inboxes.push(Inbox::new(port, own.task, endpoint));
+            sources.extend(port.peers(own.task));
+            guards.extend(port.decl.guard.map(Guard::new));
+        }
+        sources.sort_unstable();
+        sources.dedup();
+        guards.sort_unstable_by_key(|guard: &Guard| guard.couple);
+        guards.dedup();
+        let most = inboxes.iter().map(|inbox: &Inbox| inbox.queue.capacity()).max();
+        Self {
+            heads: Heads::new(&inboxes),
+            inboxes: inboxes.into(),
+            served: 0,
+            arrivals: 0,
+            rejections: 1,
+            lives: sources.into_iter().map(|task| Known { task, life: None }).collect(),
+            guards: guards.into(),
+            taken: (None, Parts::new(longest)),
+            turned: Vec::with_capacity(most.unwrap_or_default()),
+        }
+    }
+
+    /// The port of an inbox.
+    pub fn port(&self, inbox: usize) -> PortId {
+        self.inboxes[inbox].port
+    }
+
+    /// A packet of a message for the task. `called`: whether the lease has word for it, which may interrupt, too.
+    pub fn hear(
+        &mut self,
+        step: &mut Step<'_, impl Outbox>,
+        threads: (&Interrupts, bool),
+        (port, from, inbox): (&Port, &Party, u16),
+        packet: &Packet,
+    ) -> Option<Arrival> {
+        let inbox = usize::from(inbox);
+        let arrival = self.message(step, threads, (port, from, inbox), packet);
+        self.touch(step.own, inbox);
+        arrival
+    }
+
+    /// What is new in the packet goes on once the message is whole.
+    fn message(
+        &mut self,
+        step: &mut Step<'_, impl Outbox>,
+        threads: (&Interrupts, bool),
+        (port, from, inbox): (&Port, &Party, usize),
+        packet: &Packet,
+    ) -> Option<Arrival> {
+        let remaining = match step.table.rules().time_stamp {
+            TimeStamp::Remaining => packet.remaining,
+            TimeStamp::Absolute => packet.remaining - step.now(),
+        };
+        let way_back = step.table.bound_between(step.own.task, packet.source);
+        let reserved = match packet.class {
+            Class::Command if step.table.rules().reserve_way_back => way_back,
+            Class::Command | Class::Status => Ticks::ZERO,
+        };
+        if packet.fragment.saturating_add(u8::from(packet.more)) >= port.decl.fragments {
+            step.drop_packet(packet, Reason::NotAllowed);
+            return None;
+        }
+        if remaining <= reserved {
+            step.count(packet.port, |c| c.expired += 1);
+            let reason = Event::Discarded(Reason::ExpiredOnTheWay);
+            step.note(reason, packet.port, packet.source, packet.id, Ticks::ZERO);
+            return None;
+        }
+        let way = (inbox, self.inboxes[inbox].source(packet.source)?);
+        let counted;
+        let packet = if remaining == packet.remaining {
+            packet
+        } else {
+            counted = Packet { remaining, ..*packet };
+            &counted
+        };
+        if !self.is_fresh(step, way, port, (packet, reserved)) {
+            return None;
+        }
+        let bounds = (reserved, way_back);
+        if packet.more || packet.fragment > 0 {
+            let (whole, fragments) = self.assemble(step, way, packet, reserved)?;
+            self.take_in(step, threads, (port, from, way), (&whole, fragments), bounds)
+        } else {
+            self.overtake(step, way, packet);
+            self.take_in(step, threads, (port, from, way), (packet, 1), bounds)
+        }
+    }
+
+    /// Whether the message was not taken before, and comes from the present life of its source.
+    fn is_fresh(
+        &mut self,
+        step: &mut Step<'_, impl Outbox>,
+        (inbox, source): Way,
+        port: &Port,
+        (packet, reserved): (&Packet, Ticks),
+    ) -> bool {
+        if packet.class == Class::Command && step.own.turns_away(step.table, packet.source) {
+            // D49: it may be a copy of one that the earlier life ran.
+            control(step, packet, Control::Restarted);
+            return false;
+        }
+        if !self.enter_life(step, packet.source, packet.id.incarnation) {
+            step.drop_packet(packet, Reason::StaleIncarnation);
+            return false;
+        }
+        match self.inboxes[inbox].sources[source].look_up(packet.id, step.now()) {
+            Seen::New => return true,
+            Seen::Again(Fate::Held) => self.prolong((inbox, source), packet, reserved, step.now()),
+            Seen::Older | Seen::Again(Fate::Lapsed | Fate::Delivered(_)) => {}
+            // Of several fragments the last one is answered.
+            Seen::Again(_) if packet.more => {}
+            Seen::Again(Fate::Refused) => control(step, packet, Control::Refused),
+            Seen::Again(Fate::Answered(contents)) => {
+                let kind = mapping::answer_kind(port);
+                let to = ReplyTo { port: packet.port, source: packet.source, id: packet.id };
+                let answer = mapping::answer(to, step.own.task, kind, packet.remaining, contents);
+                let more = self.inboxes[inbox].answer(source);
+                mapping::in_fragments(answer, more, |packet| step.out.transmit(packet));
+            }
+        }
+        step.duplicate(packet);
+        false
+    }
+
+    /// A whole message that is new: handed over at once if the task has asked for it, offered if there is a handler, else
+    /// stored (R24, R25).
+    fn take_in(
+        &mut self,
+        step: &mut Step<'_, impl Outbox>,
+        (threads, called): (&Interrupts, bool),
+        (port, from, way): (&Port, &Party, Way),
+        (packet, fragments): (&Packet, u8),
+        (reserved, way_back): (Ticks, Ticks),
+    ) -> Option<Arrival> {
+        let (inbox, source) = way;
+        let contents = match port.decl.guard {
+            None => packet.contents,
+            Some(couple) => self.within_epoch(step, port, (couple, way), packet)?,
+        };
+        let now = step.now();
+        // What a link charges is only a bound: this copy may have been charged more than a later one will be. So copies
+        // are remembered as long as the declared life lets any of them arrive, not as long as this one seems to live.
+        let until = now + from.time_out.max(packet.remaining) + way_back;
+        match packet.class {
+            Class::Status => {
+                self.inboxes[inbox].sources[source].admit(packet.id.sequence, now, until);
+            }
+            Class::Command => {
+                self.withdraw_superseded(step, way);
+                if step.table.rules().memory != Memory::None {
+                    let sender_until = now + packet.remaining;
+                    let new = Remembered { id: packet.id, fate: Fate::Held, sender_until, until };
+                    self.inboxes[inbox].sources[source].remember(Some(new));
+                }
+            }
+        }
+        let mut held = Held {
+            source: packet.source,
+            incarnation: packet.id.incarnation,
+            sequence: packet.id.sequence,
+            class: packet.class,
+            expires: now + packet.remaining - reserved,
+            contents,
+            fragments,
+            arrival: 0,
+        };
+        let mut aged = Aged::default();
+        if self.inboxes[inbox].latest && !self.supersedes(step, inbox, &held) {
+            self.inboxes[inbox].close(source, held.id());
+            discard(step, packet.port, &held, Reason::Superseded);
+            return None;
+        }
+        let handled = self.inboxes[inbox].handled;
+        let awaited = threads.gets(packet.port, packet.source, handled);
+        let offered = !awaited && handled && threads.is_interruptible(false, called);
+        if awaited || (offered && offers::outranks(step.table, step.own, threads, packet.port, &held, aged)) {
+            step.count_at(self.inboxes[inbox].endpoint, |c| c.enqueued += 1);
+            self.take_assembled(way, &held);
+            return Some(Arrival { inbox, held, interrupts: !awaited });
+        }
+        if offered {
+            self.reject_arrived(step, packet.port, (&mut held, &mut aged));
+        }
+        self.store(step, (port, way), (held, aged));
+        self.inboxes[inbox].close(source, held.id());
+        None
+    }
+
+    /// Time has passed: drops what has no time left, simple removal at the local station (§5.1.1).
+    pub fn advance(&mut self, step: &mut Step<'_, impl Outbox>) {
+        while let Some(inbox) = self.expired(step.now()) {
+            while let Some(held) =
+                self.inboxes[inbox].queue.pop_if(|held: &Held| held.expires <= step.own.now)
+            {
+                let entry = &mut self.inboxes[inbox];
+                entry.settle(held.source, held.id(), Fate::Lapsed);
+                let port = entry.port;
+                step.count(port, |c| c.expired += 1);
+                let event = Event::Discarded(Reason::Expired);
+                step.note(event, port, held.source, held.id(), Ticks::ZERO);
+            }
+            if self.inboxes[inbox].is_long() {
+                self.discard_incomplete(step, inbox);
+            }
+            self.touch(step.own, inbox);
+        }
+    }
+
+    /// The literal reading without residence: waiting costs no life.
+    pub fn give_back(&mut self, own: &Own, elapsed: Ticks) {
+        for inbox in &mut self.inboxes {
+            inbox.queue.change_all(|held, _| held.expires += elapsed);
+        }
+        self.touch_all(own);
+    }
+
+    /// The task has a handler for messages of this port, or has none any more.
+    pub fn set_handled(&mut self, own: &Own, inbox: u16, handled: bool) {
+        let inbox = usize::from(inbox);
+        let entry = &mut self.inboxes[inbox];
+        entry.handled = handled;
+        entry.begin(self.served);
+        if handled {
+            entry.queue.watch();
+            self.heads.watch(&self.inboxes);
+        }
+        self.touch(own, inbox);
+    }
+
+    /// Drops what can never matter again.
+    pub fn bury(&mut self, now: Ticks) {
+        for guard in &mut self.guards {
+            guard.bury(now);
+        }
+        for inbox in &mut self.inboxes {
+            for source in &mut inbox.sources {
+                source.bury(now);
+            }
+        }
+    }
+
+    /// Forgets the messages that were taken where no copy of them can come any more; `copies` are those that may still come
+    /// from a source on a port.
+    pub fn bury_seen<I: Iterator<Item = crate::ids::Seq24>>(&mut self, copies: impl Fn(PortId, TaskId) -> I) {
+        for inbox in &mut self.inboxes {
+            let port = inbox.port;
+            for source in &mut inbox.sources {
+                let task = source.task;
+                source.bury_seen(|| copies(port, task));
+            }
+        }
+    }
+
+    /// Whether a state that was read has the inboxes of a new one.
+    pub fn is_like(&self, new: &Self) -> bool {
+        let inboxes = self.inboxes.len() == new.inboxes.len()
+            && self.inboxes.iter().zip(&new.inboxes).all(|(read, new)| read.is_like(new));
+        let lives = self.lives.iter().map(|known| known.task).eq(new.lives.iter().map(|known| known.task));
+        let couples = |server: &Self| server.guards.iter().map(|guard| guard.couple).collect::<Vec<_>>();
+        let counts = [self.arrivals, self.rejections, self.served].into_iter().all(|count| count < MOST);
+        inboxes
+            && lives
+            && counts
+            && couples(self) == couples(new)
+            && self.heads.is_whole(self.inboxes.len())
+            && self.taken.1.has_room_of(&new.taken.1)
+    }
+}
+
+fn control(step: &mut Step<'_, impl Outbox>, request: &Packet, control: Control) {
+    if request.more {
+        return;
+    }
+    let to = ReplyTo { port: request.port, source: request.source, id: request.id };
+    let word = control.to_contents();
+    step.out.transmit(mapping::answer(to, step.own.task, Kind::Control, request.remaining, word));
+}
+
+fn discard(step: &mut Step<'_, impl Outbox>, port: PortId, held: &Held, reason: Reason) {
+    step.count(port, |c| c.dropped += 1);
+    let left = held.expires - step.now();
+    step.note(Event::Discarded(reason), port, held.source, held.id(), left);
+}
+
+/// Which fragments a message has after its first one.
+fn rest_of(fragments: u8) -> u16 {
+    1_u16.checked_shl(u32::from(fragments.saturating_sub(1))).map_or(u16::MAX, |bit| bit.wrapping_sub(1))
+}
+
+#[cfg(test)]
+mod tests;

@@ -1,0 +1,138 @@
+//! Room for a message: the bounded_buffer (§5.1.1, D60), and what goes for another one.
+
+use super::inbox::{Admission, Aged};
+use super::memory::Fate;
+use super::{Held, Server, Way, discard, rest_of};
+use crate::ids::{Incarnation, MessageId, TaskId};
+use crate::mapping;
+use crate::observe::{Event, Reason};
+use crate::packet::{Class, Control, Kind, Packet};
+use crate::request::ReplyTo;
+use crate::table::Port;
+use crate::task::step::{Outbox, Step};
+use crate::ticks::Ticks;
+
+impl Server {
+    /// A copy of a command that waits: what a link charges is only a bound (D20), so the one that has most time left says
+    /// best when the sender's wait ends. Of a long message the first whole copy counts.
+    pub(super) fn prolong(&mut self, (inbox, source): Way, packet: &Packet, reserved: Ticks, now: Ticks) {
+        let sender_until = now + packet.remaining;
+        let expires = sender_until - reserved;
+        let inbox = &mut self.inboxes[inbox];
+        let Some(slot) = inbox.find(packet.source, packet.id) else { return };
+        let short = packet.fragment == 0 && !packet.more;
+        if !short || inbox.queue.get(slot).is_none_or(|held| held.fragments > 1 || held.expires >= expires) {
+            return;
+        }
+        inbox.queue.change(slot, |held, _| held.expires = expires);
+        if let Some(remembered) = inbox.sources[source].command_mut() {
+            remembered.sender_until = remembered.sender_until.max(sender_until);
+            remembered.until = remembered.until.max(sender_until);
+        }
+    }
+
+    /// On a port where the latest message counts: whether this one is it. The one it takes the place of goes.
+    pub(super) fn supersedes(
+        &mut self,
+        step: &mut Step<'_, impl Outbox>,
+        inbox: usize,
+        newcomer: &Held,
+    ) -> bool {
+        let Some((slot, held)) = self.inboxes[inbox].of_source(newcomer.source) else { return true };
+        let same_life = held.incarnation == newcomer.incarnation;
+        if newcomer.class == Class::Status && same_life && held.sequence.is_newer_than(newcomer.sequence) {
+            return false;
+        }
+        if let Some(old) = self.inboxes[inbox].queue.remove(slot) {
+            discard(step, self.inboxes[inbox].port, &old, Reason::Superseded);
+        }
+        true
+    }
+
+    pub(super) fn store(
+        &mut self,
+        step: &mut Step<'_, impl Outbox>,
+        (port, (inbox, source)): (&Port, Way),
+        (message, aged): (Held, Aged),
+    ) {
+        let message = Held { arrival: self.arrivals, ..message };
+        self.arrivals += 1;
+        let entry = &mut self.inboxes[inbox];
+        let (id, endpoint) = (entry.port, entry.endpoint);
+        let left = message.expires - step.now();
+        let (slot, lost) = match entry.admit(message, aged, self.served) {
+            Admission::Kept(slot) => (Some(slot), None),
+            Admission::Replaced(slot, evicted) => (Some(slot), Some((evicted, Reason::Evicted))),
+            Admission::Turned => (None, Some((message, Reason::Refused))),
+        };
+        if let Some(slot) = slot {
+            if let Some(long) = &mut entry.long {
+                long.keep((slot, source), rest_of(message.fragments));
+            }
+            step.count_at(endpoint, |c| c.enqueued += 1);
+            step.note(Event::Enqueued, id, message.source, message.id(), left);
+        }
+        let Some((lost, reason)) = lost else { return };
+        step.count_at(endpoint, |c| if slot.is_none() { c.refused += 1 } else { c.evicted += 1 });
+        let left = lost.expires - step.now();
+        step.note(Event::Discarded(reason), id, lost.source, lost.id(), left);
+        if lost.class == Class::Command {
+            self.refuse(step, (port, inbox), lost.source, lost.id());
+        }
+    }
+
+    /// D21: the source of a refused command hears of it at once, and again for every copy (D52).
+    fn refuse(
+        &mut self,
+        step: &mut Step<'_, impl Outbox>,
+        (port, inbox): (&Port, usize),
+        source: TaskId,
+        message: MessageId,
+    ) {
+        self.inboxes[inbox].settle(source, message, Fate::Refused);
+        let life = port.party(source).map_or(Ticks::ZERO, |party| party.time_out);
+        let to = ReplyTo { port: port.id, source, id: message };
+        let word = Control::Refused.to_contents();
+        step.out.transmit(mapping::answer(to, step.own.task, Kind::Control, life, word));
+    }
+
+    /// Whether a message comes from the present life of its source. What an earlier life left waiting goes with the
+    /// memory of it: nobody waits for its answer.
+    pub(super) fn enter_life(
+        &mut self,
+        step: &mut Step<'_, impl Outbox>,
+        source: TaskId,
+        life: Incarnation,
+    ) -> bool {
+        let Ok(at) = self.lives.binary_search_by_key(&source, |known| known.task) else { return false };
+        match self.lives[at].life {
+            Some(known) if life.is_older_than(known) => return false,
+            Some(known) if known != life => {
+                for inbox in 0..self.inboxes.len() {
+                    if let Some(entry) = self.inboxes[inbox].source(source) {
+                        self.withdraw_superseded(step, (inbox, entry));
+                        self.inboxes[inbox].forget(entry);
+                        self.touch(step.own, inbox);
+                    }
+                }
+            }
+            Some(_) | None => {}
+        }
+        self.lives[at].life = Some(life);
+        true
+    }
+
+    /// The source has one outstanding request on a port: a newer command means that it gave the held one up (D12).
+    pub(super) fn withdraw_superseded(&mut self, step: &mut Step<'_, impl Outbox>, (inbox, source): Way) {
+        let entry = &self.inboxes[inbox].sources[source];
+        let task = entry.task;
+        let Some(old) = entry.command() else { return };
+        if !matches!(old.fate, Fate::Held) || old.until <= step.now() {
+            return;
+        }
+        let id = old.id;
+        if let Some(withdrawn) = self.inboxes[inbox].withdraw(task, id) {
+            discard(step, self.inboxes[inbox].port, &withdrawn, Reason::Superseded);
+        }
+    }
+}

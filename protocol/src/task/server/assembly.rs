@@ -1,0 +1,89 @@
+//! Messages of several packets (D28): whole before their one deadline or not at all. A stage that the ports without such
+//! messages do not have.
+
+use super::{Server, Way};
+use crate::ids::{MessageId, PortId, TaskId};
+use crate::observe::{Event, Reason};
+use crate::packet::Packet;
+use crate::task::fragments::Progress;
+use crate::task::step::{Outbox, Step};
+use crate::ticks::Ticks;
+
+impl Server {
+    /// One of several packets of a message. Returns the message once it is whole, as one packet with the least life of
+    /// all. Of each life the way back is `reserved`, so that what is held here has time left to be answered (D18).
+    pub(super) fn assemble(
+        &mut self,
+        step: &mut Step<'_, impl Outbox>,
+        way: Way,
+        packet: &Packet,
+        reserved: Ticks,
+    ) -> Option<(Packet, u8)> {
+        let (inbox, source) = way;
+        let now = step.now();
+        let Some(assembly) = self.inboxes[inbox].assembly_mut(source) else {
+            step.drop_packet(packet, Reason::NotAllowed);
+            return None;
+        };
+        if !assembly.is_open() {
+            assembly.begin(packet.id);
+        } else if assembly.id != packet.id {
+            if !packet.id.sequence.is_newer_than(assembly.id.sequence) {
+                step.drop_packet(packet, Reason::Incomplete);
+                return None;
+            }
+            self.overtake(step, way, packet);
+            self.inboxes[inbox].assembly_mut(source)?.begin(packet.id);
+        }
+        let assembly = self.inboxes[inbox].assembly_mut(source)?;
+        match assembly.put(packet, now + packet.remaining - reserved) {
+            Progress::Waits => None,
+            Progress::Again => {
+                step.duplicate(packet);
+                None
+            }
+            Progress::Broken => {
+                step.drop_packet(packet, Reason::Incomplete);
+                None
+            }
+            Progress::Whole(fragments) => {
+                let (remaining, contents) = (assembly.expires - now + reserved, assembly.contents[0]);
+                Some((Packet { remaining, contents, fragment: 0, more: false, ..*packet }, fragments))
+            }
+        }
+    }
+
+    /// A newer message of the source came: what is missing of an older one is not waited for any more.
+    pub(super) fn overtake(
+        &mut self,
+        step: &mut Step<'_, impl Outbox>,
+        (inbox, source): Way,
+        packet: &Packet,
+    ) {
+        let Some(assembly) = self.inboxes[inbox].assembly_mut(source) else { return };
+        if assembly.is_open() && packet.id.sequence.is_newer_than(assembly.id.sequence) {
+            let old = assembly.id;
+            assembly.have = 0;
+            incomplete(step, packet.port, packet.source, old);
+        }
+    }
+
+    /// Drops the assemblies of a port whose deadline has come.
+    pub(super) fn discard_incomplete(&mut self, step: &mut Step<'_, impl Outbox>, inbox: usize) {
+        for at in 0..self.inboxes[inbox].sources.len() {
+            let entry = &mut self.inboxes[inbox];
+            let (port, task) = (entry.port, entry.sources[at].task);
+            let Some(assembly) = entry.assembly_mut(at) else { continue };
+            if assembly.is_open() && assembly.expires <= step.now() {
+                let id = assembly.id;
+                assembly.have = 0;
+                incomplete(step, port, task, id);
+            }
+        }
+    }
+}
+
+fn incomplete(step: &mut Step<'_, impl Outbox>, port: PortId, source: TaskId, id: MessageId) {
+    step.count(port, |c| c.dropped += 1);
+    step.note(Event::Discarded(Reason::Incomplete), port, source, id, Ticks::ZERO);
+}

@@ -1,0 +1,174 @@
+//! From a message that waits to its answer: GET, the delivery with its execution budget, REPLY (§5.2.1).
+
+use super::inbox::Inbox;
+use super::memory::Fate;
+use super::{Held, Server, Way, rest_of};
+use crate::ids::TaskId;
+use crate::mapping;
+use crate::observe::Event;
+use crate::packet::Contents;
+use crate::queue::Slot;
+use crate::request::{Delivery, Fault, ReplyTo};
+use crate::rules::{Aging, Memory};
+use crate::table::Port;
+use crate::task::own::Own;
+use crate::task::step::{Outbox, Step};
+use crate::ticks::Ticks;
+
+impl Server {
+    /// Takes out the most urgent message of what is asked for: of an inbox, or of all without a handler; of a source, or of
+    /// any.
+    pub fn next(
+        &mut self,
+        step: &Step<'_, impl Outbox>,
+        inbox: Option<u16>,
+        source: Option<TaskId>,
+    ) -> Option<(usize, Held)> {
+        let (at, slot) = self.most_urgent(step.own, inbox, source)?;
+        if inbox.is_none() && source.is_none() && step.table.rules().aging != Aging::Off {
+            // All other ports without a handler were passed over.
+            self.served += 1;
+        }
+        Some((at, self.take(step.own, at, slot)?))
+    }
+
+    /// D14: a GET chooses among port heads: first one that was passed over too often (D58); then by urgency, class,
+    /// `order`, port, source and arrival. Ports with a handler are not looked at unless they are named.
+    fn most_urgent(&self, own: &Own, inbox: Option<u16>, source: Option<TaskId>) -> Option<(usize, Slot)> {
+        let head = |at: usize| self.inboxes.get(at)?.head(source).map(|(slot, _)| (at, slot));
+        if let Some(inbox) = inbox {
+            return head(usize::from(inbox));
+        }
+        if source.is_none() {
+            return head(self.next_served(own)?);
+        }
+        let open = self.inboxes.iter().enumerate().filter(|(_, inbox)| !inbox.handled);
+        let heads = open.filter_map(|(at, inbox)| {
+            let (slot, message) = inbox.head(source)?;
+            let rank = own.order.rank(inbox.port, message.source);
+            Some(((message.expires, message.class, rank, inbox.port), (at, slot)))
+        });
+        heads.min_by_key(|&(key, _)| key).map(|(_, place)| place)
+    }
+
+    /// Takes a message out of a port's buffer to hand it over.
+    pub fn take(&mut self, own: &Own, inbox: usize, slot: Slot) -> Option<Held> {
+        let entry = &mut self.inboxes[inbox];
+        let held = entry.queue.remove(slot)?;
+        entry.begin(self.served);
+        self.taken.0 = Some(held.contents);
+        match entry.body(slot) {
+            Some(body) => self.taken.1.copy(body),
+            None => self.taken.1.clear(),
+        }
+        self.touch(own, inbox);
+        Some(held)
+    }
+
+    /// As [`take`](Self::take), of a message that was never stored.
+    pub(super) fn take_assembled(&mut self, (inbox, source): Way, held: &Held) {
+        self.taken.0 = Some(held.contents);
+        if held.fragments < 2 {
+            return self.taken.1.clear();
+        }
+        if let Some(assembly) = self.inboxes[inbox].assembly(source) {
+            self.taken.1.fill(rest_of(held.fragments), assembly.contents.iter().skip(1));
+        }
+    }
+
+    /// Fragment `index` of the message the task took last; the first one is 0.
+    pub fn fragment(&self, index: u8) -> Option<&Contents> {
+        if index == 0 { self.taken.0.as_ref() } else { self.taken.1.get(index) }
+    }
+
+    /// The task takes a message: from here on its execution budget runs.
+    pub fn deliver(&mut self, step: &mut Step<'_, impl Outbox>, inbox: usize, message: &Held) -> Delivery {
+        let entry = &mut self.inboxes[inbox];
+        let (port, endpoint) = (entry.port, entry.endpoint);
+        if let Some(source) = entry.settle(message.source, message.id(), Fate::Delivered(message.expires))
+            && entry.close(source, message.id())
+        {
+            self.touch(step.own, inbox);
+        }
+        let budget = message.expires - step.now();
+        step.count_at(endpoint, |c| c.delivered += 1);
+        step.note(Event::Delivered, port, message.source, message.id(), budget);
+        Delivery {
+            from: ReplyTo { port, source: message.source, id: message.id() },
+            class: message.class,
+            budget,
+            contents: message.contents,
+            fragments: message.fragments,
+        }
+    }
+
+    /// The task answers a message that it took: what is left of the wait of its sender.
+    pub fn reply(
+        &mut self,
+        step: &mut Step<'_, impl Outbox>,
+        (inbox, place): (u16, usize),
+        to: ReplyTo,
+        contents: Contents,
+    ) -> Result<Ticks, Fault> {
+        let entry = &mut self.inboxes[usize::from(inbox)];
+        let source = entry.source(to.source).ok_or(Fault::NothingToAnswer)?;
+        let left = entry.answerable(source, to, step.now())?;
+        step.own.staged(place)?;
+        entry.settle(to.source, to.id, Fate::Answered(contents));
+        if let Some(answer) = entry.answer_mut(source) {
+            answer.copy(&step.own.endpoints[place].staged);
+        }
+        if step.table.rules().memory == Memory::UntilAnswered {
+            entry.sources[source].remember(None);
+        }
+        Ok(left)
+    }
+
+    /// Whether a reply to this message would still go out.
+    pub fn can_answer(&self, inbox: u16, to: &ReplyTo, now: Ticks) -> bool {
+        let inbox = &self.inboxes[usize::from(inbox)];
+        inbox.source(to.source).is_some_and(|source| inbox.answerable(source, *to, now).is_ok())
+    }
+
+    /// The message of a task that was taken at an inbox and not answered: one at most (D75).
+    pub fn owed(&self, inbox: u16, task: TaskId) -> Option<ReplyTo> {
+        let inbox = self.inboxes.get(usize::from(inbox))?;
+        let known = inbox.sources[inbox.source(task)?].command()?;
+        let owes = matches!(known.fate, Fate::Delivered(_));
+        owes.then_some(ReplyTo { port: inbox.port, source: task, id: known.id })
+    }
+}
+
+impl Inbox {
+    /// What is left of the wait of the sender of a message that can still be answered.
+    fn answerable(&self, source: usize, to: ReplyTo, now: Ticks) -> Result<Ticks, Fault> {
+        // What is not remembered any more is over, and so is its sender's wait.
+        let known = self.sources[source].command().filter(|c| c.until > now);
+        let Some(remembered) = known else { return Err(Fault::Late) };
+        if remembered.id != to.id {
+            // A newer message took the slot: its sender has given this one up.
+            let newer = remembered.id.sequence.is_newer_than(to.id.sequence);
+            return Err(if newer { Fault::Late } else { Fault::NothingToAnswer });
+        }
+        let Fate::Delivered(budget_ends) = remembered.fate else { return Err(Fault::NothingToAnswer) };
+        if budget_ends <= now {
+            return Err(Fault::Late);
+        }
+        Ok(remembered.sender_until - now)
+    }
+}
+
+/// Sends an answer, with what was staged for it.
+pub(crate) fn send_answer(
+    step: &mut Step<'_, impl Outbox>,
+    (port, place): (&Port, usize),
+    to: ReplyTo,
+    left: Ticks,
+    contents: Contents,
+) {
+    step.note(Event::Replied, to.port, to.source, to.id, left);
+    let packet = mapping::answer(to, step.own.task, mapping::answer_kind(port), left, contents);
+    let staged = &mut step.own.endpoints[place].staged;
+    mapping::in_fragments(packet, &*staged, |packet| step.out.transmit(packet));
+    staged.clear();
+}

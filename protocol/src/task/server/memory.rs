@@ -1,0 +1,247 @@
+//! What a communication task remembers of the messages it took, so that none is executed twice (D6, D52).
+
+use crate::cell::PortDecl;
+use crate::ids::{MessageId, Seq24, TaskId};
+use crate::packet::{Class, Contents};
+use crate::ticks::Ticks;
+use serde::{Deserialize, Serialize};
+
+/// What became of a class-2 message.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub(super) enum Fate {
+    /// It waits in the port's buffer.
+    Held,
+    /// Its time ended in the buffer, before the task heard of it. A later copy may have more time left: what a link
+    /// charges is only a bound (D20). Nothing ran, so that copy is as good as the first.
+    Lapsed,
+    /// The task has it and has not answered. Its execution budget ends at this instant.
+    Delivered(Ticks),
+    /// It was refused; a copy is refused again.
+    Refused,
+    /// It was answered; a copy gets the same answer.
+    Answered(Contents),
+}
+
+/// The last class-2 message of one source on one port. One slot is enough: a task has at most one outstanding request on a
+/// port (D75).
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub(super) struct Remembered {
+    pub id: MessageId,
+    pub fate: Fate,
+    /// When the sender's wait ends at the latest, on this task's counter.
+    pub sender_until: Ticks,
+    /// When no copy can arrive any more: the life and the link bound have passed.
+    pub until: Ticks,
+}
+
+/// The class-1 messages of one source that were seen: the newest and the 64 numbers before it.
+///
+/// A source numbers all that it sends, on whatever port and to whomever (D6): a send to `n` tasks takes `n` numbers. So a
+/// message that a later one of this port overtook is taken if the source sent at most 63 others in between; else it counts
+/// as seen. It is class 1: lost or not, it is not missed (R53, D75).
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+pub(super) struct Window {
+    pub newest: Option<Seq24>,
+    /// Bit `i`: the message `i + 1` before the newest was seen.
+    pub seen: u64,
+    /// When no copy of any of them can arrive any more: then they are forgotten, before their numbers come again (D6).
+    pub until: Ticks,
+}
+
+impl Window {
+    /// Takes note of a message whose copies are gone by `until`; false where it was seen, or is too old to tell.
+    pub fn admit(&mut self, sequence: Seq24, now: Ticks, until: Ticks) -> bool {
+        if self.until <= now {
+            *self = Self::default();
+        }
+        let until = self.until.max(until);
+        let admitted = self.note(sequence);
+        self.until = until;
+        admitted
+    }
+
+    /// Whether a message was seen, or is too old to tell.
+    pub fn has(&self, sequence: Seq24, now: Ticks) -> bool {
+        let newest = self.newest.filter(|_| self.until > now);
+        newest.is_some_and(|newest| {
+            !sequence.is_newer_than(newest) && {
+                let back = newest.steps_from(sequence);
+                back == 0 || back > 64 || self.seen & (1 << (back - 1)) != 0
+            }
+        })
+    }
+
+    fn note(&mut self, sequence: Seq24) -> bool {
+        let Some(newest) = self.newest else {
+            *self = Self { newest: Some(sequence), ..*self };
+            return true;
+        };
+        if sequence.is_newer_than(newest) {
+            let steps = sequence.steps_from(newest);
+            let shifted = self.seen.checked_shl(steps).unwrap_or(0);
+            let old_newest = 1_u64.checked_shl(steps - 1).unwrap_or(0);
+            *self = Self { newest: Some(sequence), seen: shifted | old_newest, ..*self };
+            return true;
+        }
+        let back = newest.steps_from(sequence);
+        if back == 0 || back > 64 {
+            return false;
+        }
+        let bit = 1_u64 << (back - 1);
+        let fresh = self.seen & bit == 0;
+        self.seen |= bit;
+        fresh
+    }
+}
+
+/// Everything remembered of what one task sends on one port (D75).
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) struct Source {
+    pub task: TaskId,
+    pub memory: Memory,
+}
+
+/// As the port's class has it.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub(super) enum Memory {
+    Command(Option<Remembered>),
+    Status(Window),
+}
+
+/// How a class-2 message relates to what is remembered.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(super) enum Seen {
+    /// Never seen, or only in copies whose time ended unheard.
+    New,
+    /// A copy of a remembered message.
+    Again(Fate),
+    /// Seen, or older than the last one: its sender has gone on.
+    Older,
+}
+
+impl Source {
+    pub fn new(task: TaskId, port: &PortDecl) -> Self {
+        let memory = match port.class {
+            Class::Command => Memory::Command(None),
+            Class::Status => Memory::Status(Window::default()),
+        };
+        Self { task, memory }
+    }
+
+    /// What is remembered of its last class-2 message.
+    pub fn command(&self) -> Option<&Remembered> {
+        match &self.memory {
+            Memory::Command(command) => command.as_ref(),
+            Memory::Status(_) => None,
+        }
+    }
+
+    /// See [`command`](Self::command).
+    pub fn command_mut(&mut self) -> Option<&mut Remembered> {
+        match &mut self.memory {
+            Memory::Command(command) => command.as_mut(),
+            Memory::Status(_) => None,
+        }
+    }
+
+    /// Remembers a class-2 message, or forgets it.
+    pub fn remember(&mut self, new: Option<Remembered>) {
+        match &mut self.memory {
+            Memory::Command(command) => *command = new,
+            Memory::Status(_) => {}
+        }
+    }
+
+    /// Takes note of a class-1 message whose copies are gone by `until`.
+    pub fn admit(&mut self, sequence: Seq24, now: Ticks, until: Ticks) {
+        match &mut self.memory {
+            Memory::Status(window) => {
+                window.admit(sequence, now, until);
+            }
+            Memory::Command(_) => {}
+        }
+    }
+
+    /// The source's node has a new life: nothing that the earlier one sent matters any more.
+    pub fn forget(&mut self) {
+        match &mut self.memory {
+            Memory::Command(command) => *command = None,
+            Memory::Status(window) => *window = Window::default(),
+        }
+    }
+
+    /// Drops what can never matter again.
+    pub fn bury(&mut self, now: Ticks) {
+        match &mut self.memory {
+            Memory::Command(command) => *command = command.filter(|c| c.until > now),
+            Memory::Status(window) if window.until <= now => *window = Window::default(),
+            Memory::Status(_) => {}
+        }
+    }
+
+    /// Forgets the messages that were taken where no copy of them can come any more. `copies` are the numbers of those that
+    /// may still come.
+    pub fn bury_seen<I: Iterator<Item = Seq24>>(&mut self, copies: impl Fn() -> I) {
+        // One that is newer than all that was seen is taken, remembered or not.
+        let may_come = |newest: Seq24| copies().any(|copy| !copy.is_newer_than(newest));
+        match &mut self.memory {
+            Memory::Command(command) => {
+                let is_settled =
+                    |c: &Remembered| matches!(c.fate, Fate::Refused | Fate::Answered(_) | Fate::Lapsed);
+                *command = command.filter(|c| !is_settled(c) || may_come(c.id.sequence));
+            }
+            Memory::Status(window) => {
+                let Some(newest) = window.newest.filter(|&newest| may_come(newest)) else {
+                    *window = Window::default();
+                    return;
+                };
+                let backs = copies().map(|copy| newest.steps_from(copy));
+                let bits = backs.filter(|back| (1..=64).contains(back));
+                window.seen &= bits.fold(0, |bits, back| bits | 1 << (back - 1));
+            }
+        }
+    }
+
+    /// Looks a message of the present life up.
+    pub fn look_up(&self, id: MessageId, now: Ticks) -> Seen {
+        let command = match &self.memory {
+            Memory::Status(window) if window.has(id.sequence, now) => return Seen::Older,
+            Memory::Status(_) => return Seen::New,
+            Memory::Command(command) => command.as_ref(),
+        };
+        match command.filter(|c| c.until > now) {
+            None => Seen::New,
+            Some(c) if c.id == id && c.fate == Fate::Lapsed => Seen::New,
+            Some(c) if c.id == id => Seen::Again(c.fate),
+            Some(c) if c.id.sequence.is_newer_than(id.sequence) => Seen::Older,
+            Some(_) => Seen::New,
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use alloc::collections::BTreeSet;
+    use proptest::prelude::*;
+
+    proptest! {
+        /// Against a set of everything seen: never admits twice, and admits everything new within the window,
+        /// wherever the sequence wraps.
+        #[test]
+        fn the_window_admits_each_message_once(base in 0..Seq24::MODULUS, offsets in proptest::collection::vec(0..200_u32, 1..80)) {
+            let mut window = Window::default();
+            let mut seen = BTreeSet::new();
+            let mut newest = None;
+            for offset in offsets {
+                let had = window.has(Seq24::new(base).plus(offset), Ticks(1));
+                let admitted = window.admit(Seq24::new(base).plus(offset), Ticks(1), Ticks(9));
+                let recent = newest.is_none_or(|n| offset + 64 >= n);
+                prop_assert_eq!(admitted, recent && !seen.contains(&offset));
+                prop_assert_eq!(had, !admitted);
+                if admitted { seen.insert(offset); }
+                newest = newest.max(Some(offset));
+            }
+        }
+    }
+}

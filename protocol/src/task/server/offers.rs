@@ -1,0 +1,145 @@
+//! Messages for handlers (D16, D58): which of them goes first, and what becomes of those that have to wait.
+
+use super::inbox::Aged;
+use super::{Held, Server};
+use crate::ids::PortId;
+use crate::observe::Event;
+use crate::queue::{Entry, Slot};
+use crate::request::ServiceOrder;
+use crate::rules::Aging;
+use crate::table::NodeTable;
+use crate::task::interrupts::{Interrupts, Offer, Turn, What, cap};
+use crate::task::own::Own;
+use crate::task::step::{Outbox, Step};
+use crate::ticks::Ticks;
+
+/// Whether a message may interrupt the running thread: each rejection has made it rank one level higher.
+pub(super) fn outranks(
+    table: &NodeTable,
+    own: &Own,
+    threads: &Interrupts,
+    port: PortId,
+    held: &Held,
+    aged: Aged,
+) -> bool {
+    let base = own.order.rank(port, held.source);
+    let rank = base.saturating_sub(aged.rejections);
+    threads.outranks(table, own, rank, aged.rejections >= cap(base))
+}
+
+impl Server {
+    /// The message that goes first among those that are due and may interrupt the running thread.
+    pub fn first_offer(&self, table: &NodeTable, own: &Own, threads: &Interrupts) -> Option<Offer> {
+        let (limit, due_by) = (own.bypass_limit(), threads.due_by(own.now));
+        let handled = self.inboxes.iter().enumerate().filter(|(_, inbox)| inbox.handled);
+        let offers = handled.flat_map(|(i, inbox)| {
+            let due = inbox.queue.all_due(due_by);
+            let due = due.map(|(slot, held)| (slot, held, inbox.queue.side(slot)));
+            let ready = due.filter(|&(_, held, aged)| outranks(table, own, threads, inbox.port, held, aged));
+            ready.map(move |(slot, held, aged)| {
+                let base = own.order.rank(inbox.port, held.source);
+                let turn = if aged.rejections >= cap(base) {
+                    threads.capped_turn(aged.rejected_first)
+                } else if inbox.bypassed(self.served) >= limit {
+                    Turn::Bypassed(u16::MAX - inbox.bypassed(self.served))
+                } else {
+                    Turn::InOrder
+                };
+                let rank = base.saturating_sub(aged.rejections);
+                let key = (turn, rank, held.expires, held.class, inbox.port, held.key());
+                Offer { key, what: What::Message(i, slot) }
+            })
+        });
+        offers.min()
+    }
+
+    /// Ports whose offer was as good as any, but for their place in the order, were passed over (D58).
+    pub fn count_bypasses(&mut self, step: &Step<'_, impl Outbox>, threads: &Interrupts, first: What) {
+        if step.table.rules().aging == Aging::Off {
+            return;
+        }
+        let due_by = threads.due_by(step.now());
+        for (i, inbox) in self.inboxes.iter_mut().enumerate() {
+            let (port, queue) = (inbox.port, &inbox.queue);
+            let other = !matches!(first, What::Message(taken, _) if taken == i);
+            let ready = |(slot, held): (Slot, &Held)| {
+                outranks(step.table, step.own, threads, port, held, queue.side(slot))
+            };
+            if other && inbox.handled && queue.all_due(due_by).any(ready) {
+                inbox.since = inbox.since.saturating_add(1);
+            }
+        }
+    }
+
+    /// Every message that is due and does not outrank the running thread is rejected (R16, D58).
+    pub fn reject_the_others(&mut self, step: &mut Step<'_, impl Outbox>, threads: &Interrupts) {
+        let (due_by, round) = (threads.due_by(step.now()), self.rejections);
+        for i in 0..self.inboxes.len() {
+            let inbox = &mut self.inboxes[i];
+            let id = inbox.port;
+            if !inbox.handled || inbox.queue.next_due() > due_by {
+                continue;
+            }
+            let (queue, turned) = (&mut inbox.queue, &mut self.turned);
+            let is_ready = |slot, held| outranks(step.table, step.own, threads, id, held, queue.side(slot));
+            let due = queue.all_due(due_by).filter(|&(slot, held)| !is_ready(slot, held));
+            turned.extend(due.map(|(slot, _)| slot));
+            turned.sort_unstable_by_key(|&slot| queue.get(slot).map(Entry::key));
+            for &slot in &*turned {
+                queue.change(slot, |held, aged| reject(step, id, (held, aged), round));
+                self.rejections = round + 1;
+            }
+            step.count(id, |c| c.rejected += turned.len() as u64);
+            turned.clear();
+            self.touch(step.own, i);
+        }
+    }
+
+    /// A message for a handler came in and does not outrank the running thread: it was offered before it is stored (R25).
+    pub(super) fn reject_arrived(
+        &mut self,
+        step: &mut Step<'_, impl Outbox>,
+        port: PortId,
+        message: (&mut Held, &mut Aged),
+    ) {
+        step.count(port, |c| c.rejected += 1);
+        reject(step, port, message, self.rejections);
+        self.rejections += 1;
+    }
+
+    /// The task says what outranks what (D16). What was rejected so often that it outranks the thread does so under the new
+    /// order, too, and nothing counts for more than the new order's ranks: so no change of order takes a turn away (D58).
+    pub fn reorder(&mut self, own: &Own, old: &ServiceOrder) {
+        for inbox in &mut self.inboxes {
+            let port = inbox.port;
+            inbox.queue.adjust(|held, aged| {
+                let [before, after] = [old, &own.order].map(|order| cap(order.rank(port, held.source)));
+                aged.rejections = if aged.rejections >= before { after } else { aged.rejections.min(after) };
+            });
+        }
+        self.touch_all(own);
+    }
+}
+
+/// The message does not outrank the running thread: it is offered again later, one level higher (D4, D58).
+fn reject(step: &mut Step<'_, impl Outbox>, port: PortId, (held, aged): (&mut Held, &mut Aged), round: u64) {
+    let penalty = step.table.port(port).and_then(|port| port.decl.penalty);
+    let length = penalty.map_or(step.table.cell().tick, |penalty| penalty.length);
+    let now = step.now();
+    let left = held.expires - now;
+    step.note(Event::Rejected, port, held.source, held.id(), left);
+    if penalty.is_some_and(|penalty| penalty.literal) {
+        // The Appendix's `save`: the penalty lengthens the life that it makes less urgent.
+        held.expires += length;
+        aged.not_before = now + length.max(Ticks(1));
+        return;
+    }
+    aged.not_before = now + length.min(Ticks(left.0 / 2)).max(Ticks(1));
+    if step.table.rules().aging == Aging::Bounded {
+        if aged.rejections == 0 {
+            aged.rejected_first = round;
+        }
+        let cap = cap(step.own.order.rank(port, held.source));
+        aged.rejections = aged.rejections.saturating_add(1).min(cap);
+    }
+}

@@ -1,0 +1,53 @@
+//! How what waits looks to a monitor.
+
+use super::{Held, Server};
+use crate::observe::{HeldView, QueueEntry, QueueView};
+use crate::queue::Slot;
+use crate::task::interrupts::cap;
+use crate::task::own::{Own, index};
+use crate::ticks::Ticks;
+use alloc::vec::Vec;
+
+impl Server {
+    /// How many messages wait at an inbox, and how long the most urgent one has left.
+    pub fn waiting(&self, inbox: u16, now: Ticks) -> (u16, Option<Ticks>) {
+        let queue = &self.inboxes[usize::from(inbox)].queue;
+        (index(queue.len()), queue.first().map(|(_, held)| held.expires - now))
+    }
+
+    /// What waits at an inbox, most urgent first, as far as `limit`.
+    pub fn entries(&self, inbox: u16, limit: usize, now: Ticks) -> Vec<QueueEntry> {
+        let waiting = self.inboxes[usize::from(inbox)].queue.sorted();
+        waiting.iter().take(limit).map(|(_, held)| held.entry(now)).collect()
+    }
+
+    /// The same with what decides about their order.
+    pub fn queue_view(&self, own: &Own, inbox: u16, limit: usize) -> QueueView {
+        let inbox = &self.inboxes[usize::from(inbox)];
+        let held = |(slot, held): &(Slot, &Held)| {
+            let (aged, base) = (inbox.queue.side(*slot), own.order.rank(inbox.port, held.source));
+            HeldView {
+                entry: held.entry(own.now),
+                arrival: held.arrival,
+                fragments: held.fragments,
+                rank: inbox.handled.then(|| base.saturating_sub(aged.rejections)),
+                rejections: aged.rejections,
+                capped: inbox.handled && aged.rejections >= cap(base),
+                back_off: aged.not_before - own.now,
+            }
+        };
+        QueueView {
+            handled: inbox.handled,
+            bypassed: inbox.bypassed(self.served),
+            bypass_limit: own.bypass_limit(),
+            queue: inbox.queue.sorted().iter().take(limit).map(held).collect(),
+        }
+    }
+}
+
+impl Held {
+    fn entry(&self, now: Ticks) -> QueueEntry {
+        let remaining = self.expires - now;
+        QueueEntry { source: self.source, id: self.id(), class: self.class, remaining }
+    }
+}

@@ -1,0 +1,336 @@
+//! The fields of a port's receiving end.
+
+use super::inbox::{Aged, Held, Inbox};
+use super::memory::{Fate, Memory, Remembered, Source, Window};
+use super::{Known, Server};
+use crate::ids::{Incarnation, MessageId, PortId, Seq24, TaskId};
+use crate::packet::{Class, Contents};
+use crate::queue::Slot;
+use crate::state::{Pass, Walk, mark, same_option};
+use crate::table::{NodeTable, Port};
+use crate::task::fragments::Parts;
+use crate::task::own::Own;
+use crate::ticks::Ticks;
+use alloc::vec::Vec;
+
+/// The first byte of an inbox: how many messages wait, and what else there is.
+const WAITING: u8 = 0x3f;
+const BYPASSED: u8 = 0x40;
+const HANDLED: u8 = 0x80;
+
+const FATES: [Option<Fate>; 6] = [
+    None,
+    Some(Fate::Held),
+    Some(Fate::Delivered(Ticks::ZERO)),
+    Some(Fate::Refused),
+    Some(Fate::Answered(Contents::EMPTY)),
+    Some(Fate::Lapsed),
+];
+
+/// What the port's declaration leaves out of the bytes.
+#[derive(Clone, Copy)]
+struct Form {
+    long: bool,
+    long_answers: bool,
+    ranks_arrivals: bool,
+}
+
+impl Form {
+    fn of(table: &NodeTable, port: PortId) -> Self {
+        table.port(port).map_or(Self { long: false, long_answers: false, ranks_arrivals: false }, |port| {
+            Self {
+                long: port.decl.fragments > 1,
+                long_answers: port.decl.answer_fragments > 1,
+                ranks_arrivals: arrival_matters(table, port),
+            }
+        })
+    }
+}
+
+/// Whether the order in which messages of one source arrived can matter once they wait: where the life of one that waits
+/// may become longer, it may become that of another, and then the earlier arrival goes first. The literal penalty (D4)
+/// lengthens lives, and so do copies of commands. But a copy does so only while the command is remembered, and where waiting
+/// costs life a remembered one waits alone: the next command of its source takes its place (D12).
+fn arrival_matters(table: &NodeTable, port: &Port) -> bool {
+    port.decl.lengthens_lives() || (port.decl.class == Class::Command && !table.rules().charge_residence)
+}
+
+/// The numbers that only their order matters of.
+struct Counters<'a> {
+    pub arrivals: &'a mut u64,
+    pub rejections: &'a mut u64,
+}
+
+/// A message that waits, as it is written: with ranks in the place of numbers that grow for ever.
+struct Waiting {
+    slot: Slot,
+    held: Held,
+    aged: Aged,
+}
+
+/// What waits at an inbox, in the order of service.
+fn waiting(inboxes: &[Inbox], form: Form, at: usize) -> Vec<Waiting> {
+    let queue = &inboxes[at].queue;
+    if queue.len() == 0 {
+        return Vec::new();
+    }
+    let ranked = |(slot, held): (Slot, &Held)| {
+        let (mut held, mut aged) = (*held, queue.side(slot));
+        if form.ranks_arrivals {
+            // Among those of its source that wait here.
+            let before = |other: &Held| other.source == held.source && other.arrival < held.arrival;
+            held.arrival = queue.iter().filter(|(_, other)| before(other)).count() as u64;
+        }
+        if aged.rejections > 0 {
+            // Among all that wait for the task.
+            let queues = inboxes.iter().map(|inbox| &inbox.queue);
+            let all = queues.flat_map(|queue| queue.iter().map(|(slot, _)| queue.side(slot)));
+            let before = |other: &Aged| other.rejections > 0 && other.rejected_first < aged.rejected_first;
+            aged.rejected_first = all.filter(before).count() as u64;
+        }
+        Waiting { slot, held, aged }
+    };
+    queue.sorted().into_iter().map(ranked).collect()
+}
+
+impl Server {
+    pub(in crate::task) fn walk<W: Walk>(&mut self, table: &NodeTable, own: &Own, w: &mut W) {
+        let Self {
+            inboxes,
+            // Rebuilt from the inboxes, below.
+            heads,
+            served,
+            arrivals,
+            rejections,
+            // Walked apart, below.
+            lives: _,
+            guards: _,
+            // A thread has read it when the task is packed.
+            taken,
+            // Empty between two inputs.
+            turned: _,
+        } = self;
+        if W::READS {
+            taken.0 = None;
+            taken.1.clear();
+            // These only number what comes: their order is in the ranks of what waits.
+            (*arrivals, *rejections) = (0, 1);
+            // As if that many had been served: no port was passed over more often.
+            *served = u64::from(u8::MAX);
+        }
+        for at in 0..inboxes.len() {
+            let form = Form::of(table, inboxes[at].port);
+            let waiting = match W::PASS {
+                Pass::Encode | Pass::Look => waiting(inboxes, form, at),
+                Pass::Decode | Pass::Change => Vec::new(),
+            };
+            let counters = &mut Counters { arrivals, rejections };
+            inboxes[at].walk(form, (own.now, *served), waiting, counters, w);
+        }
+        if W::READS && inboxes.iter().any(|inbox| inbox.handled) {
+            heads.watch(inboxes);
+        }
+        if matches!(W::PASS, Pass::Decode | Pass::Change) {
+            self.touch_all(own);
+        }
+    }
+
+    pub(in crate::task) fn walk_lives<W: Walk>(&mut self, w: &mut W) {
+        self.lives.iter_mut().for_each(|Known { task: _, life }| w.known_life(life));
+    }
+
+    pub(in crate::task) fn walk_guards<W: Walk>(&mut self, w: &mut W) {
+        self.guards.iter_mut().for_each(|guard| guard.walk(w));
+    }
+}
+
+impl Inbox {
+    /// Walks it. What waits is given where the pass does not change it.
+    fn walk<W: Walk>(
+        &mut self,
+        form: Form,
+        (now, served): (Ticks, u64),
+        waiting: Vec<Waiting>,
+        counters: &mut Counters<'_>,
+        w: &mut W,
+    ) {
+        self.walk_waiting(form, (now, served), waiting, counters, w);
+        let Self { port: _, endpoint: _, queue: _, handled: _, latest: _, since: _, sources, long } = self;
+        for (at, source) in sources.iter_mut().enumerate() {
+            let (assembly, answer) = match long {
+                Some(long) => (long.assemblies.get_mut(at), long.answers.get_mut(at)),
+                None => (None, None),
+            };
+            let answer = answer.filter(|_| form.long_answers);
+            source.walk(answer, w);
+            if let Some(assembly) = assembly.filter(|_| form.long) {
+                assembly.walk_message(source.task, w);
+            }
+        }
+    }
+
+    fn walk_waiting<W: Walk>(
+        &mut self,
+        form: Form,
+        (now, served): (Ticks, u64),
+        waiting: Vec<Waiting>,
+        counters: &mut Counters<'_>,
+        w: &mut W,
+    ) {
+        if W::PASS == Pass::Change {
+            self.queue.change_all(|held, aged| held.walk(aged, now, form, w));
+            return;
+        }
+        let bypassed = if W::READS { 0 } else { self.bypassed(served) };
+        let len = u8::try_from(waiting.len()).unwrap_or(u8::MAX);
+        if len > WAITING {
+            w.overflows();
+        }
+        let head = len & WAITING | mark(bypassed > 0, BYPASSED) | mark(self.handled, HANDLED);
+        let head = w.put(head);
+        let bypassed = if head & BYPASSED != 0 { w.count(usize::from(bypassed)) } else { 0 };
+        if W::READS {
+            let bypassed = bypassed as u64;
+            self.handled = head & HANDLED != 0;
+            self.since = if self.handled { bypassed } else { served - bypassed };
+            self.queue.clear();
+            if self.handled {
+                self.queue.watch();
+            }
+            return (0..head & WAITING).for_each(|_| self.take_in(form, counters, w));
+        }
+        for Waiting { slot, mut held, mut aged } in waiting {
+            held.walk(&mut aged, now, form, w);
+            if let Some(body) = self.body_mut(slot).filter(|_| held.fragments > 1) {
+                body.walk(w);
+            }
+        }
+    }
+
+    /// Reads a message that waits.
+    fn take_in<W: Walk>(&mut self, form: Form, counters: &mut Counters<'_>, w: &mut W) {
+        let (mut held, mut aged) = (Held::BLANK, Aged::default());
+        held.walk(&mut aged, Ticks::ZERO, form, w);
+        if !form.ranks_arrivals {
+            held.arrival = *counters.arrivals;
+        }
+        *counters.arrivals += 1;
+        if aged.rejections > 0 {
+            aged.rejected_first += 1;
+            *counters.rejections = (*counters.rejections).max(aged.rejected_first + 1);
+        }
+        if aged != Aged::default() {
+            self.queue.watch();
+        }
+        if let Ok(slot) = self.queue.push_with(held, aged)
+            && let Some(body) = self.body_mut(slot)
+        {
+            body.clear();
+            if held.fragments > 1 {
+                body.walk(w);
+            }
+        }
+    }
+}
+
+impl Held {
+    const BLANK: Self = Self {
+        source: TaskId(0),
+        incarnation: Incarnation(0),
+        sequence: Seq24::new(0),
+        class: Class::Command,
+        expires: Ticks::ZERO,
+        contents: Contents::EMPTY,
+        fragments: 1,
+        arrival: 0,
+    };
+
+    fn walk<W: Walk>(&mut self, aged: &mut Aged, now: Ticks, form: Form, w: &mut W) {
+        let Self { source, incarnation, sequence, class, expires, contents, fragments, arrival } = self;
+        let Aged { rejections, rejected_first, not_before } = aged;
+        w.small(&mut source.0);
+        w.life(incarnation);
+        w.sequence(*source, sequence);
+        let [status, rejected, later] =
+            w.flags([*class == Class::Status, *rejections > 0, *not_before > now]);
+        *class = if status { Class::Status } else { Class::Command };
+        w.instant(expires);
+        w.contents(contents);
+        if rejected {
+            w.byte(rejections);
+            rank(rejected_first, w);
+        }
+        // One that is over counts as none.
+        if later || W::PASS == Pass::Change {
+            w.instant(not_before);
+        }
+        if form.ranks_arrivals {
+            rank(arrival, w);
+        }
+        if form.long {
+            w.byte(fragments);
+        }
+    }
+}
+
+/// A number that stands for its rank where a pass packs it.
+fn rank<W: Walk>(number: &mut u64, w: &mut W) {
+    if W::PACKS {
+        *number = w.count(usize::try_from(*number).unwrap_or(usize::MAX)) as u64;
+    }
+}
+
+impl Source {
+    fn walk<W: Walk>(&mut self, answer: Option<&mut Parts>, w: &mut W) {
+        if W::READS {
+            self.forget();
+        }
+        let Self { task, memory } = self;
+        match memory {
+            Memory::Command(command) => walk_command(command, *task, answer, w),
+            Memory::Status(window) => {
+                let Window { newest, seen, until } = window;
+                let is = w.put(u8::from(newest.is_some())) != 0;
+                if let Some(newest) = w.some(newest, is, Seq24::default()) {
+                    w.sequence(*task, newest);
+                    w.instant(until);
+                    w.long(seen);
+                }
+            }
+        }
+    }
+}
+
+fn walk_command<W: Walk>(
+    command: &mut Option<Remembered>,
+    task: TaskId,
+    mut answer: Option<&mut Parts>,
+    w: &mut W,
+) {
+    if W::READS
+        && let Some(answer) = &mut answer
+    {
+        answer.clear();
+    }
+    let mut known = command.map(|command| command.fate);
+    w.one_of(&FATES, &mut known, same_option);
+    let blank =
+        |fate| Remembered { id: MessageId::default(), fate, sender_until: Ticks::ZERO, until: Ticks::ZERO };
+    if W::READS {
+        *command = known.map(blank);
+    }
+    let Some(Remembered { id, fate, sender_until, until }) = command else { return };
+    w.id(task, Incarnation(0), id);
+    w.instant(sender_until);
+    w.instant(until);
+    match fate {
+        Fate::Delivered(budget_ends) => w.instant(budget_ends),
+        Fate::Answered(contents) => {
+            w.contents(contents);
+            if let Some(answer) = answer {
+                answer.walk(w);
+            }
+        }
+        Fate::Held | Fate::Lapsed | Fate::Refused => {}
+    }
+}

@@ -1,0 +1,84 @@
+//! One step of a communication task: what its parts work with while they take an input, and where effects go.
+
+use super::counts::Counts;
+use super::own::Own;
+use crate::ids::{MessageId, PortId, TaskId};
+use crate::observe::{Event, Observation, Reason};
+use crate::packet::Packet;
+use crate::request::{Signal, TimeId};
+use crate::rules::TimeStamp;
+use crate::table::NodeTable;
+use crate::ticks::Ticks;
+
+/// Where the effects of [`CommTask::handle`](crate::CommTask::handle) go. They are carried out after it returned.
+pub trait Outbox {
+    /// Hands a packet to the route layer.
+    fn transmit(&mut self, packet: Packet);
+    /// Answers the task.
+    fn signal(&mut self, signal: Signal);
+    /// Asks the node's Timer for a time_out. `turn` is to come back with it.
+    fn arm(&mut self, id: TimeId, turn: u8, length: Ticks);
+    /// Takes a request to the Timer back.
+    fn disarm(&mut self, id: TimeId);
+    /// Notes what happened.
+    fn observe(&mut self, observation: Observation) {
+        let _ = observation;
+    }
+}
+
+/// What a part of the task works with.
+pub(crate) struct Step<'a, O> {
+    pub table: &'a NodeTable,
+    pub own: &'a mut Own,
+    pub out: &'a mut O,
+}
+
+impl<O: Outbox> Step<'_, O> {
+    pub fn now(&self) -> Ticks {
+        self.own.now
+    }
+
+    /// Makes an observation about a message.
+    pub fn note(&mut self, event: Event, port: PortId, peer: TaskId, id: MessageId, remaining: Ticks) {
+        self.out.observe(Observation { event, port, peer, number: id.sequence.get(), remaining });
+    }
+
+    pub fn count(&mut self, port: PortId, count: impl FnOnce(&mut Counts)) {
+        if let Some(endpoint) = self.own.endpoint(port) {
+            count(&mut endpoint.counters);
+        }
+    }
+
+    /// The same, where it is known which of the task's own ports it is.
+    pub fn count_at(&mut self, endpoint: u16, count: impl FnOnce(&mut Counts)) {
+        if let Some(endpoint) = self.own.endpoints.get_mut(usize::from(endpoint)) {
+            count(&mut endpoint.counters);
+        }
+    }
+
+    /// The id of the task's next message.
+    pub fn next_id(&mut self) -> MessageId {
+        let id = MessageId { incarnation: self.own.incarnation, sequence: self.own.next_sequence };
+        self.own.next_sequence = id.sequence.next();
+        id
+    }
+
+    /// The time a message carries: what remains (§5.1), or under the variant the instant on this node's clock.
+    pub fn stamp(&self, life: Ticks) -> Ticks {
+        match self.table.rules().time_stamp {
+            TimeStamp::Remaining => life,
+            TimeStamp::Absolute => self.own.now + life,
+        }
+    }
+
+    pub fn duplicate(&mut self, packet: &Packet) {
+        self.count(packet.port, |c| c.duplicates += 1);
+        let event = Event::Discarded(Reason::Duplicate);
+        self.note(event, packet.port, packet.source, packet.id, packet.remaining);
+    }
+
+    pub fn drop_packet(&mut self, packet: &Packet, reason: Reason) {
+        self.count(packet.port, |c| c.dropped += 1);
+        self.note(Event::Discarded(reason), packet.port, packet.source, packet.id, packet.remaining);
+    }
+}

@@ -1,0 +1,119 @@
+//! What does not hold of a communication task though it should.
+
+use crate::ids::{MessageId, PortId, Round, TaskId};
+use crate::request::TimeId;
+use crate::ticks::Ticks;
+use core::fmt;
+
+/// An invariant that does not hold.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Hash)]
+pub enum Violation {
+    /// A port's buffer holds more than its `bounded_buffer` (§5.1.1).
+    Overfull(PortId),
+    /// A buffer holds a message that has no time left (§5.1.1).
+    HoldsExpired(PortId, TaskId, MessageId),
+    /// A buffer holds a message of a class or from a task that the port does not admit.
+    HoldsForeign(PortId, TaskId, MessageId),
+    /// A buffer holds a command that the memory of its source does not know as held: a copy would run twice (D52).
+    NotRemembered(PortId, TaskId, MessageId),
+    /// The memory of a command ends before its sender's wait, or its execution budget ends after it (D6, D18).
+    MemoryTooShort(TaskId, MessageId),
+    /// The task waits past its deadline.
+    Overdue(Ticks),
+    /// The task waits for an answer that nobody was asked for, or for one under another life's id; or the other way round.
+    WaitsForNothing(PortId),
+    /// The task waits at a `waitfor` that does not know of it, or the other way round.
+    MeetingAndWaitDiffer(PortId),
+    /// A re-sending instant does not follow from the deadline, or stands where nothing is to be sent (D5, D55).
+    ResendInstant(PortId),
+    /// A `waitfor` released a round that it never announced, or forgot the freshest one it heard of (D54).
+    Rounds(PortId),
+    /// A `waitfor` holds the arrival of a member in a round that the member has given up (D54).
+    HoldsBarred(PortId, TaskId, Round),
+    /// A `waitfor` owes a CONFIRM of nothing, or while it waits for the next meeting (D1).
+    OwesConfirm(PortId),
+    /// More handlers run than may, one ranks lower than what it interrupted, or what it interrupted neither waits nor
+    /// stands between two statements (D15).
+    Levels(u8),
+    /// A message for a handler is due, and was not offered to a thread that can be interrupted (D15).
+    NotOffered(PortId, TaskId, MessageId),
+    /// A message was rejected more often than ranks stand above it, or at all where rejections do not count (D58).
+    RejectedTooOften(PortId, TaskId, MessageId),
+    /// A message that was rejected waits longer than the port's penalty until it is offered again (D58).
+    RejectedTooLong(PortId, TaskId, MessageId),
+    /// Two of the task's timers and delays have one name.
+    Timers(TimeId),
+    /// A timer is over and outranks a thread that can be interrupted, and its handler has not begun (D15).
+    TimerNotOffered(TimeId),
+    /// A message that is not whole has no time left, or is held where messages take one packet (D28).
+    HoldsFragments(PortId, TaskId),
+    /// The task acts past its lease, or has not taken over when it should have (D61).
+    PastLease(Ticks),
+    /// What the task is to be told of its lease is not so.
+    WrongCall,
+    /// An order that is kept over what waits is not what a look at all of it says.
+    OutOfOrder(PortId),
+}
+
+impl fmt::Display for Violation {
+    fn fmt(&self, f: &mut fmt::Formatter<'_>) -> fmt::Result {
+        match self {
+            Self::Overfull(port) => write!(f, "port {port} holds more messages than its bounded_buffer"),
+            Self::HoldsExpired(port, source, id) => {
+                write!(f, "port {port} holds message {id} of {source}, which has no time left")
+            }
+            Self::HoldsForeign(port, source, id) => {
+                write!(f, "port {port} holds message {id} of {source}, which it does not admit")
+            }
+            Self::NotRemembered(port, source, id) => {
+                write!(f, "port {port} holds command {id} of {source}, but the memory does not say so")
+            }
+            Self::MemoryTooShort(source, id) => {
+                write!(f, "the memory of command {id} of {source} ends before copies of it can")
+            }
+            Self::Overdue(deadline) => write!(f, "the task still waits after its deadline {deadline}"),
+            Self::WaitsForNothing(port) => {
+                write!(f, "the task waits for an answer that port {port} cannot give")
+            }
+            Self::MeetingAndWaitDiffer(port) => {
+                write!(f, "the task and waitfor {port} do not agree whether it waits")
+            }
+            Self::ResendInstant(port) => {
+                write!(f, "port {port} sends again at an instant that nothing asks for")
+            }
+            Self::Rounds(port) => write!(f, "the rounds of waitfor {port} contradict each other"),
+            Self::HoldsBarred(port, member, round) => {
+                write!(f, "waitfor {port} counts the arrival of {member} in {round}, which it gave up")
+            }
+            Self::OwesConfirm(port) => write!(f, "waitfor {port} owes a CONFIRM that nothing asks for"),
+            Self::Levels(depth) => write!(f, "handler {depth} runs where it could not have begun"),
+            Self::NotOffered(port, source, id) => {
+                write!(f, "port {port} holds message {id} of {source}, which should have been offered")
+            }
+            Self::RejectedTooOften(port, source, id) => {
+                write!(
+                    f,
+                    "message {id} of {source} on port {port} was rejected more often than ranks stand above it"
+                )
+            }
+            Self::RejectedTooLong(port, source, id) => {
+                write!(
+                    f,
+                    "message {id} of {source} on port {port} is not offered again when its penalty is over"
+                )
+            }
+            Self::Timers(id) => write!(f, "two timers or delays of the task are called {}", id.0),
+            Self::TimerNotOffered(id) => write!(f, "timer {} is over, and its handler should run", id.0),
+            Self::PastLease(until) => {
+                write!(f, "the lease, or the wait for it, should have ended at {until}")
+            }
+            Self::OutOfOrder(port) => write!(f, "what waits at port {port} is not in order"),
+            Self::WrongCall => f.write_str("what the task is to be told of its lease is not so"),
+            Self::HoldsFragments(port, source) => {
+                write!(f, "port {port} holds fragments of {source} that cannot become a message")
+            }
+        }
+    }
+}
+
+impl core::error::Error for Violation {}
