@@ -376,22 +376,22 @@ impl World {
     fn deliver(&mut self, mut flight: Flight, extra: u8) -> Result<(), Violation> {
         self.wrap_around(&mut flight);
         let to = flight.packet.destination.index();
-        let from = flight.packet.source.index();
+        let from = NodeId::from_index(flight.packet.source.index());
         if !self.places[to].up {
             return Ok(());
         }
         self.catch_up(to)?;
         // The envelope announces a new life before any packet of it is handed on (D49).
-        let known = self.places[to].known[from];
+        let known = self.places[to].known[from.index()];
         if self.scenario.lives() && flight.life != known {
             if flight.life.0 < known.0 {
                 return Ok(());
             }
-            self.places[to].known[from] = flight.life;
-            self.step(to, NodeInput::PeerRestarted(NodeId::from_index(from)))?;
+            self.places[to].known[from.index()] = flight.life;
+            self.step(to, NodeInput::PeerRestarted(from))?;
         }
         let charge = Ticks(u64::from(self.scenario.delay.unwrap_or(0)) + u64::from(extra));
-        self.step(to, NodeInput::Packet { packet: flight.packet, charge })
+        self.step(to, NodeInput::Packet { from, packet: flight.packet, charge })
     }
 
     fn act(&mut self, i: usize) -> Result<(), Violation> {

@@ -7,7 +7,7 @@
 //!
 //! | §5.2 layer | here |
 //! |---|---|
-//! | user | `task/requests.rs` and `task/messages.rs`: requests of the task, messages for it |
+//! | user | `task/requests.rs` and `task/machines.rs`: requests of the task, packets for it; and the parts beside them |
 //! | mapping | `mapping.rs`: logical names to addressed packets |
 //! | route | `route.rs` and `transit.rs`: where a packet goes, and which one goes next |
 //! | primitive | the driver's link |

@@ -5,7 +5,7 @@
 
 use crate::ids::{Incarnation, MessageId, NodeId, TaskId};
 use crate::observe::{Event, Observation, Reason};
-use crate::packet::{Kind, Packet};
+use crate::packet::Packet;
 use crate::request::{Request, Signal, TimeId};
 use crate::route::{self, Arrival, Departure};
 use crate::rules::JobRequest;
@@ -28,6 +28,8 @@ pub enum NodeInput {
     Request(TaskId, Request),
     /// A packet came in over a link.
     Packet {
+        /// The neighbour that handed it over.
+        from: NodeId,
         /// The packet.
         packet: Packet,
         /// What the way is taken to have cost (D20).
@@ -203,7 +205,7 @@ impl Node {
         match input {
             NodeInput::Advance(elapsed) => self.advance(elapsed, out),
             NodeInput::Request(task, request) => self.hand_to(task, Input::Request(request), out),
-            NodeInput::Packet { packet, charge } => self.arrive(packet, charge, out),
+            NodeInput::Packet { from, packet, charge } => self.arrive(from, packet, charge, out),
             NodeInput::PeerRestarted(node) => {
                 for i in 0..self.parts.tasks.len() {
                     let task = self.parts.tasks[i].task();
@@ -291,21 +293,12 @@ impl Node {
         });
     }
 
-    fn arrive(&mut self, packet: Packet, charge: Ticks, out: &mut impl NodeOutbox) {
-        match route::arrived(&self.parts.table, packet, charge) {
+    fn arrive(&mut self, from: NodeId, packet: Packet, charge: Ticks, out: &mut impl NodeOutbox) {
+        match route::arrived(&self.parts.table, from, packet, charge) {
             Arrival::Local(task, packet) => self.work.push_back(Work::Task(task, Input::Packet(packet))),
             Arrival::Relay(packet) => self.work.push_back(Work::Route(packet)),
-            // Its task's port counts it: it drops what has no time left.
-            Arrival::Discard(Reason::ExpiredOnTheWay, packet) if self.is_message_for_here(&packet) => {
-                self.work.push_back(Work::Task(packet.destination, Input::Packet(packet)));
-            }
             Arrival::Discard(reason, packet) => out.observe(None, discarded(reason, &packet)),
         }
-    }
-
-    fn is_message_for_here(&self, packet: &Packet) -> bool {
-        let message = matches!(packet.kind, Kind::Send | Kind::Query);
-        message && self.parts.table.is_here(packet.destination)
     }
 
     fn hand_to(&mut self, task: TaskId, input: Input, out: &mut impl NodeOutbox) {

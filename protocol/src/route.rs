@@ -1,6 +1,8 @@
 //! The route layer's static part (§5.2.3): where a packet goes. Pure functions of the table, called by every driver.
 //! Which packet goes next is the [`Transit`](crate::transit::Transit) buffer's part.
 
+mod reverse_path;
+
 use crate::ids::{NodeId, TaskId};
 use crate::observe::Reason;
 use crate::packet::{Kind, Packet};
@@ -30,16 +32,17 @@ pub enum Departure {
     Unroutable,
 }
 
-/// Sorts a packet that came in over a link. `charge` is the time the way is taken to have cost: no less than the
-/// link's bound (D20).
+/// Sorts a packet that the neighbour `from` handed over. `charge` is the time the way is taken to have cost: no less than
+/// the link's bound (D20).
 #[must_use]
-pub fn arrived(table: &NodeTable, mut packet: Packet, charge: Ticks) -> Arrival {
+pub fn arrived(table: &NodeTable, from: NodeId, mut packet: Packet, charge: Ticks) -> Arrival {
     let Some(location) = table.location(packet.destination) else {
         return Arrival::Discard(Reason::Unroutable, packet);
     };
-    // The insertion rule: only the declared parties of a port speak on it, and only towards each other.
+    // The insertion rule: only the declared parties of a port speak on it, only towards each other, and only over the way
+    // that leads from them.
     let admitted = table.port(packet.port).is_some_and(|port| port.admits(packet.source, packet.destination));
-    if !admitted {
+    if !admitted || !reverse_path::can_come(table, from, &packet) {
         return Arrival::Discard(Reason::NotAllowed, packet);
     }
     if table.rules().time_stamp == TimeStamp::Remaining {
@@ -47,7 +50,9 @@ pub fn arrived(table: &NodeTable, mut packet: Packet, charge: Ticks) -> Arrival 
         // Only under the variant that takes late replies does one outlive its request.
         let outlives =
             matches!(packet.kind, Kind::Reply | Kind::Response) && !table.rules().refuse_late_replies;
-        if packet.remaining.is_zero() && !outlives {
+        // A message that is where it should be is dropped by its task, whose port counts it.
+        let message = matches!(packet.kind, Kind::Send | Kind::Query) && location == table.node;
+        if packet.remaining.is_zero() && !outlives && !message {
             return Arrival::Discard(Reason::ExpiredOnTheWay, packet);
         }
     }

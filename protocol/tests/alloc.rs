@@ -68,7 +68,9 @@ impl Pair {
         self.nodes[at.index()].step(input, &mut self.room);
         while let Some(slot) = self.room.packets.iter_mut().find(|slot| slot.is_some()) {
             let (to, packet) = slot.take().expect("some");
-            self.nodes[to.index()].step(NodeInput::Packet { packet, charge: Ticks(1) }, &mut self.room);
+            let from = NodeId::from_index(1 - to.index());
+            let input = NodeInput::Packet { from, packet, charge: Ticks(1) };
+            self.nodes[to.index()].step(input, &mut self.room);
         }
     }
 

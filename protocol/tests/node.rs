@@ -122,7 +122,8 @@ fn a_full_transit_buffer_refuses_at_once_at_home_only() {
 fn what_comes_over_a_link_is_sorted_by_the_table_alone() {
     let table = Arc::new(CellTable::new(cell()).expect("a checked cell"));
     let at = |node| NodeTable::new(Arc::clone(&table), node);
-    let sort = |node, p: Packet, charge| route::arrived(&at(node), p, Ticks(charge));
+    // Each has the one before it in the row as the neighbour that packets come from.
+    let sort = |node: NodeId, p, charge| route::arrived(&at(node), NodeId(node.0 - 1), p, Ticks(charge));
     let p = packet();
     let left = |remaining, hops| Packet { remaining: Ticks(remaining), hops, ..p };
 
@@ -135,6 +136,16 @@ fn what_comes_over_a_link_is_sorted_by_the_table_alone() {
         "arrived: no relay left to pass"
     );
     assert_eq!(sort(N1, left(2, 7), 2), route::Arrival::Discard(Reason::ExpiredOnTheWay, left(0, 7)));
+    assert_eq!(sort(N2, left(3, 7), 3), route::Arrival::Local(Z, left(0, 7)), "its task counts it");
+    let word = Packet { kind: Kind::Arrive, ..left(3, 7) };
+    let spent = Packet { remaining: Ticks::ZERO, ..word };
+    assert_eq!(sort(N2, word, 3), route::Arrival::Discard(Reason::ExpiredOnTheWay, spent));
+    let other_way = route::arrived(&at(N1), N2, p, Ticks(2));
+    assert_eq!(
+        other_way,
+        route::Arrival::Discard(Reason::NotAllowed, p),
+        "its source lies on the other side"
+    );
 
     let lost = Packet { destination: TaskId(7), ..p };
     assert_eq!(sort(N1, lost, 1), route::Arrival::Discard(Reason::Unroutable, lost));
@@ -156,13 +167,14 @@ fn what_comes_over_a_link_is_sorted_by_the_table_alone() {
 #[test]
 fn a_dropped_packet_is_seen_with_its_reason() {
     let mut net = Net::new(cell());
-    net.step(N2, NodeInput::Packet { packet: Packet { source: Y, ..packet() }, charge: Ticks(3) });
-    net.step(N2, NodeInput::Packet { packet: packet(), charge: Ticks(30) });
+    let from = |from, packet, charge| NodeInput::Packet { from, packet, charge: Ticks(charge) };
+    net.step(N2, from(N1, Packet { source: Y, ..packet() }, 3));
+    net.step(N2, from(N1, packet(), 30));
     let seen: Vec<_> = net.observations.iter().map(|(at, o)| (*at, o.event)).collect();
     let dropped = |at, reason| (at, Event::Discarded(reason));
     assert_eq!(seen, [dropped(None, Reason::NotAllowed), dropped(Some(Z), Reason::ExpiredOnTheWay)]);
     net.observations.clear();
-    net.step(N1, NodeInput::Packet { packet: packet(), charge: Ticks(30) });
+    net.step(N1, from(N0, packet(), 30));
     let seen: Vec<_> = net.observations.iter().map(|(at, o)| (*at, o.event)).collect();
     assert_eq!(seen, [dropped(None, Reason::ExpiredOnTheWay)], "no task of a relay counts it");
     assert!(net.log.is_empty());

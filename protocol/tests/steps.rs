@@ -189,7 +189,7 @@ fn from_z(kind: Kind, to: TaskId, port: PortId, contents: Contents) -> NodeInput
         contents,
         seal: Seal::NONE,
     };
-    NodeInput::Packet { packet, charge: Ticks(2) }
+    NodeInput::Packet { from: N1, packet, charge: Ticks(2) }
 }
 
 #[test]

@@ -21,6 +21,7 @@ pub struct Seen {
 struct Flight {
     left: u64,
     due: u64,
+    from: NodeId,
     to: NodeId,
     packet: Packet,
     bound: u64,
@@ -108,7 +109,7 @@ impl NodeOutbox for Wires<'_> {
         let left = self.between.now;
         let mut fly = |takes: u64| {
             let due = left + takes;
-            self.between.flying.push(Flight { left, due, to: next, packet, bound });
+            self.between.flying.push(Flight { left, due, from: self.node, to: next, packet, bound });
         };
         match fate {
             Some(What::Lost) => {}
@@ -239,7 +240,8 @@ impl Drive {
                 Life::Down if flight.due <= now => {}
                 Life::Up if flight.due <= now => {
                     let charge = Ticks(flight.bound.max(now - flight.left));
-                    self.input(flight.to, NodeInput::Packet { packet: flight.packet, charge })?;
+                    let Flight { from, packet, .. } = flight;
+                    self.input(flight.to, NodeInput::Packet { from, packet, charge })?;
                 }
                 Life::Up | Life::Down | Life::Stopped(_) => self.between.flying.push(flight),
             }

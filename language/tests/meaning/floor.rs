@@ -124,7 +124,7 @@ impl Floor {
             while let Some(at) = self.out.flying.iter().position(|&(due, ..)| due <= self.out.now) {
                 let (_, from, to, packet) = self.out.flying.remove(at);
                 let charge = self.table.link_bound(from, to).expect("a link");
-                self.step(to, HostInput::Node(NodeInput::Packet { packet, charge }));
+                self.step(to, HostInput::Node(NodeInput::Packet { from, packet, charge }));
             }
         }
     }

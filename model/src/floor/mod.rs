@@ -427,7 +427,7 @@ impl Floor {
         let charge = Ticks(u64::from(crossing.age.max(u32::from(bound))) + u64::from(over));
         self.judge_arrival(to, &crossing.packet)?;
         self.arriving = crossing.packet.contents.as_bytes().last().copied().unwrap_or(0);
-        self.step(to.index(), NodeInput::Packet { packet: crossing.packet, charge })
+        self.step(to.index(), NodeInput::Packet { from, packet: crossing.packet, charge })
     }
 
     /// Steps one node, puts what it sent on its links and lets the watches look at what came of it.

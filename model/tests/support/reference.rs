@@ -153,21 +153,21 @@ impl ReferenceModel {
                 state.flights.iter_mut().for_each(|flight| flight.age += 1);
                 (0..state.tasks.len()).try_for_each(|i| self.step(state, i, NodeInput::Advance(Ticks(1))))
             }
-            Action::Deliver(at) => {
-                let Flight { packet, .. } = state.flights.remove(usize::from(at));
+            Action::Deliver(at) | Action::Duplicate(at) => {
+                let packet = state.flights[usize::from(at)].packet;
+                if matches!(action, Action::Duplicate(_)) {
+                    state.dup -= 1;
+                } else {
+                    state.flights.remove(usize::from(at));
+                }
                 let charge = Ticks(u64::from(self.scenario.delay.unwrap_or(0)));
-                self.step(state, packet.destination.index(), NodeInput::Packet { packet, charge })
+                let from = NodeId::from_index(packet.source.index());
+                self.step(state, packet.destination.index(), NodeInput::Packet { from, packet, charge })
             }
             Action::Lose(at) => {
                 state.flights.remove(usize::from(at));
                 state.loss -= 1;
                 Ok(())
-            }
-            Action::Duplicate(at) => {
-                state.dup -= 1;
-                let Flight { packet, .. } = state.flights[usize::from(at)].clone();
-                let charge = Ticks(u64::from(self.scenario.delay.unwrap_or(0)));
-                self.step(state, packet.destination.index(), NodeInput::Packet { packet, charge })
             }
             Action::Act(i) => {
                 let i = usize::from(i);

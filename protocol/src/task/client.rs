@@ -17,7 +17,7 @@ mod check;
 mod desk;
 mod walk;
 
-use super::own::{Own, Role, index};
+use super::own::{Own, Role, are_alike};
 use super::step::{Outbox, Step};
 use super::wait::Finished;
 use crate::ids::{MessageId, PortId, TaskId};
@@ -31,11 +31,10 @@ use alloc::boxed::Box;
 use desk::{Answer, Desk, Phase};
 use serde::{Deserialize, Serialize};
 
-/// The requests of the task that are not answered.
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+/// The task's requests, and what was answered to the last one of each port.
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Client {
     desks: Box<[Desk]>,
-    /// Only under the rule variant that accepts late replies: the last command that timed out.
     overdue: Option<Overdue>,
 }
 
@@ -228,8 +227,7 @@ impl Client {
 
     /// Whether a state that was read has the desks of a new one.
     pub fn is_like(&self, new: &Self) -> bool {
-        let is = |(read, new): (&Desk, &Desk)| read.is_like(new);
-        self.desks.len() == new.desks.len() && self.desks.iter().zip(&new.desks).all(is)
+        are_alike(&self.desks, &new.desks, Desk::is_like)
     }
 
     /// Whether there is such a desk.

@@ -88,7 +88,7 @@ impl Interrupts {
         self.running.pending = pending;
     }
 
-    /// The running thread waits no more. For what it did.
+    /// The running thread waits no more. Returns what it waited for.
     pub const fn end_wait(&mut self) -> Pending {
         core::mem::replace(&mut self.running.pending, Pending::Nothing)
     }
@@ -103,7 +103,7 @@ impl Interrupts {
         self.threads().any(|level| level.pending == wait)
     }
 
-    /// The desks that wait for answers: of every one a thread waits for them.
+    /// The desks at which a thread waits.
     pub fn open_desks(&self) -> impl Iterator<Item = u16> {
         self.threads().filter_map(|level| match level.pending {
             Pending::Reply(desk) => Some(desk),
@@ -122,7 +122,7 @@ impl Interrupts {
         self.depth
     }
 
-    /// Whether nothing interrupts the running thread, but for the lease.
+    /// Begins or ends an atomic section of the running thread: only the lease interrupts it there.
     pub const fn set_atomic(&mut self, atomic: bool) {
         self.running.atomic = atomic;
     }
@@ -134,8 +134,8 @@ impl Interrupts {
             self.running.pending = Pending::Nothing;
             return true;
         }
-        let below = self.interrupted.iter_mut().take(usize::from(self.depth));
-        for level in below.filter(|level| level.pending == wait).take(1) {
+        let mut below = self.interrupted.iter_mut().take(usize::from(self.depth));
+        if let Some(level) = below.find(|level| level.pending == wait) {
             (level.pending, level.finished) = (Pending::Nothing, Some(*finished));
         }
         false
@@ -153,11 +153,11 @@ impl Interrupts {
     /// Whether a handler may interrupt the running thread: it waits, or stands between two statements. `called`: the lease
     /// has word for the task.
     pub fn is_interruptible(&self, at_boundary: bool, called: bool) -> bool {
-        let top = &self.running;
+        let running = &self.running;
         let room = usize::from(self.depth) < DEPTH;
         // D61: who lost its lease must stop acting, whatever section it is in.
-        let open = !top.atomic || called;
-        room && open && (at_boundary || top.pending != Pending::Nothing)
+        let open = !running.atomic || called;
+        room && open && (at_boundary || running.pending != Pending::Nothing)
     }
 
     /// In a plain GET there is no thread to interrupt.
@@ -166,7 +166,7 @@ impl Interrupts {
     }
 
     /// What a message must outrank.
-    fn rank_of_top(&self, own: &Own) -> u8 {
+    fn rank_of_running(&self, own: &Own) -> u8 {
         if self.depth == 0 { own.order.own() } else { self.running.rank }
     }
 
@@ -174,7 +174,7 @@ impl Interrupts {
     pub fn outranks(&self, table: &NodeTable, own: &Own, rank: u8, capped: bool) -> bool {
         !table.rules().obey_order
             || self.is_idle_get()
-            || rank < self.rank_of_top(own)
+            || rank < self.rank_of_running(own)
             || (capped && self.depth == 0)
     }
 
@@ -205,7 +205,7 @@ impl Interrupts {
 
     /// D15: a handler never ranks lower than what it interrupted.
     pub fn begin(&mut self, own: &Own, rank: u8) {
-        let rank = rank.min(self.rank_of_top(own));
+        let rank = rank.min(self.rank_of_running(own));
         if self.running.pending == Pending::Nothing {
             self.wait(Pending::Boundary);
         }
@@ -214,17 +214,18 @@ impl Interrupts {
         self.depth += 1;
     }
 
-    /// A handler ended (R16). The thread below goes on where it was. For how its wait ended meanwhile, where it did.
+    /// A handler ended (R16). The thread below goes on where it was. Returns how its wait ended meanwhile, if it did.
     pub fn resume(&mut self) -> Result<Option<Finished>, Fault> {
         if self.depth == 0 {
             return Err(Fault::NotInterrupted);
         }
-        self.drop_top();
+        self.drop_running();
         Ok(self.running.finished.take())
     }
 
-    /// The running handler is gone, and where there is none, what the task's thread was about. Whether it was a handler.
-    pub fn drop_top(&mut self) -> bool {
+    /// Ends the running handler and goes back to what it interrupted; without a handler, the task's thread begins anew. Returns
+    /// whether there was a handler.
+    pub fn drop_running(&mut self) -> bool {
         self.running = Level::NEW;
         let handler = self.depth > 0;
         if handler {
@@ -244,7 +245,7 @@ impl Interrupts {
             is(level.pending) && ended
         };
         let whole = self.interrupted.len() == DEPTH && usize::from(self.depth) <= DEPTH;
-        whole && self.interrupted.iter().chain([&self.running]).all(named)
+        whole && self.timers.is_whole() && self.interrupted.iter().chain([&self.running]).all(named)
     }
 }
 

@@ -209,7 +209,7 @@ impl Lease {
     }
 
     /// What a message says on the wire through a port that acts under the lease of `couple`: with the epoch behind it.
-    pub fn signed(&self, couple: u8, contents: Contents) -> Result<Contents, Fault> {
+    pub fn with_epoch(&self, couple: u8, contents: Contents) -> Result<Contents, Fault> {
         if self.couple != couple || !self.acts() {
             return Err(Fault::Fenced);
         }

@@ -41,12 +41,12 @@ impl Machines {
     }
 
     /// Whether the lease has word for the task.
-    pub fn called(&self) -> bool {
-        called(&self.lease)
+    fn called(&self) -> bool {
+        self.lease.as_ref().is_some_and(Lease::called)
     }
 
     /// Whether a handler may interrupt the running thread, which waits.
-    pub fn is_interruptible(&self) -> bool {
+    fn is_interruptible(&self) -> bool {
         self.interrupts.is_interruptible(false, self.called())
     }
 
@@ -62,7 +62,7 @@ impl Machines {
             (Kind::Send | Kind::Query, Role::Receives(inbox))
                 if packet.kind == mapping::message_kind(port) && packet.class == port.decl.class =>
             {
-                let threads = (&self.interrupts, called(&self.lease));
+                let threads = (&self.interrupts, self.called());
                 let arrival = self.server.hear(step, threads, (port, from, inbox), packet);
                 match arrival {
                     Some(arrival) if arrival.interrupts => {
@@ -93,7 +93,7 @@ impl Machines {
             }
             (Kind::Arrive | Kind::Confirm | Kind::Abort, Role::Meets(meeting)) => {
                 let finished = self.meetings.hear(step, meeting, packet);
-                self.leave(step, meeting, finished);
+                self.end_meeting(step, meeting, finished);
             }
             (
                 Kind::Send
@@ -132,7 +132,7 @@ impl Machines {
         }
         let mut from = 0;
         while let Some((meeting, finished)) = self.meetings.advance(step, from) {
-            self.leave(step, meeting, finished);
+            self.end_meeting(step, meeting, finished);
             from = meeting + 1;
         }
         let granted = self.lease.as_mut().and_then(|lease| lease.advance(step));
@@ -164,7 +164,8 @@ impl Machines {
         };
         let lease = self.lease.as_ref().map_or(Ticks::FAR, Lease::due);
         let waits = wait.min(offer).min(lease).min(self.server.next_end()).min(self.meetings.next_act());
-        // Of the threads below, only answers are awaited meanwhile.
+        // Of the waits of interrupted threads only those for answers can end here: a GET goes on when its thread does, and
+        // waitfors and the lease are counted above.
         if self.interrupts.depth() == 0 {
             waits
         } else {
@@ -199,13 +200,19 @@ impl Machines {
     }
 
     /// The task left a waitfor.
-    pub fn leave(&mut self, step: &mut Step<'_, impl Outbox>, meeting: u16, finished: Option<Finished>) {
+    pub fn end_meeting(
+        &mut self,
+        step: &mut Step<'_, impl Outbox>,
+        meeting: u16,
+        finished: Option<Finished>,
+    ) {
         if let Some(finished) = finished {
             self.conclude(step, Pending::Meeting(meeting), &finished);
         }
     }
 
-    /// The task acts from now on under this epoch. A thread that waits for the lease is told so; any other is called.
+    /// The task acts from now on under this epoch. A thread that waits for the lease is told so. Else the call of a take-over
+    /// stays; a grant by an echo is only observed.
     fn grant(&mut self, step: &mut Step<'_, impl Outbox>, epoch: Option<u8>) {
         let Some(epoch) = epoch.filter(|_| self.interrupts.waits(Pending::Lease)) else { return };
         self.lease.as_mut().and_then(Lease::take_call);
@@ -219,7 +226,7 @@ impl Machines {
         }
     }
 
-    pub fn tell(&mut self, step: &mut Step<'_, impl Outbox>, finished: &Finished) {
+    fn tell(&mut self, step: &mut Step<'_, impl Outbox>, finished: &Finished) {
         step.out.signal(match *finished {
             Finished::Outcome(outcome) => Signal::Outcome(outcome),
             Finished::Answers(desk) => {
@@ -341,8 +348,8 @@ impl Machines {
                 self.boundary(step);
             }
             Pending::Get { port, source, deadline } => {
-                let inbox = port.and_then(|port| step.own.inbox(port));
-                if self.serve(step, inbox, source) {
+                let inbox = port.map(|port| step.own.receiving(port)).transpose();
+                if inbox.is_ok_and(|inbox| self.serve(step, inbox, source)) {
                     self.interrupts.end_wait();
                 } else if deadline <= step.now() {
                     self.interrupts.end_wait();
@@ -367,10 +374,6 @@ impl Machines {
         self.client.check(own, &self.interrupts)?;
         self.meetings.check(table, own, &self.interrupts)
     }
-}
-
-fn called(lease: &Option<Lease>) -> bool {
-    lease.as_ref().is_some_and(Lease::called)
 }
 
 /// Makes an observation about a handler.

@@ -18,10 +18,10 @@
 //! the part that it is for, and [`requests`] what the task asks (the user layer of §5.2). Below, [`mapping`](crate::mapping)
 //! turns names into packets, [`route`](crate::route) finds the succeeding node, and the primitive layer is the driver's link.
 
-#[cfg(test)]
-mod bench;
 mod client;
 mod counts;
+#[cfg(test)]
+mod fixture;
 mod fragments;
 mod ignores;
 mod interrupts;
@@ -50,7 +50,7 @@ use crate::ticks::Ticks;
 use interrupts::DEPTH;
 use lease::Lease;
 use machines::Machines;
-use own::{Endpoint, Own, Role};
+use own::{Own, Role};
 use serde::{Deserialize, Serialize};
 use step::Step;
 use wait::Pending;
@@ -123,7 +123,7 @@ impl CommTask {
         // What was asked meanwhile by a thread that waits is answered: it gets no second signal.
         let answered = matches!(input, Input::Request(_)) && !self.is_idle();
         if let Input::Advance(elapsed) = input {
-            self.count(table, *elapsed);
+            self.pass_time(table, *elapsed);
         }
         let Self { own, machines } = self;
         let step = &mut Step { table, own, out };
@@ -151,11 +151,11 @@ impl CommTask {
     /// drivers that know when that is.
     pub fn pass(&mut self, table: &NodeTable, elapsed: Ticks) {
         debug_assert!(self.next_expiry().is_none_or(|left| elapsed < left), "something is due by then");
-        self.count(table, elapsed);
+        self.pass_time(table, elapsed);
     }
 
     /// The task's clock goes on.
-    fn count(&mut self, table: &NodeTable, elapsed: Ticks) {
+    fn pass_time(&mut self, table: &NodeTable, elapsed: Ticks) {
         self.own.now += elapsed;
         if !table.rules().charge_residence {
             self.machines.server.give_back(&self.own, elapsed);
@@ -182,8 +182,8 @@ impl CommTask {
     }
 
     /// What a task answered to the last request on a port, where several were asked or an answer takes several packets:
-    /// until the next request there. A packed state leaves it out once the
-    /// request has ended: a checker reads it with the signal.
+    /// until the next request there. A packed state leaves it out once the request has ended: a checker reads it with the
+    /// signal.
     #[must_use]
     pub fn answer_of(&self, port: PortId, task: TaskId) -> Option<&Contents> {
         self.answer_fragment(port, task, 0)

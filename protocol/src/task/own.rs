@@ -43,7 +43,7 @@ pub(crate) struct Endpoint {
 }
 
 impl Endpoint {
-    pub fn new(port: &Port, role: Role) -> Self {
+    fn new(port: &Port, role: Role) -> Self {
         let fragments = match role {
             Role::Receives(_) | Role::Replies => port.decl.answer_fragments,
             Role::Sends | Role::Asks(_) | Role::Meets(_) | Role::Hears | Role::Beats => port.decl.fragments,
@@ -72,26 +72,25 @@ pub(crate) struct Own {
 impl Own {
     /// The task at the start of a life of its node.
     pub fn new(table: &NodeTable, task: TaskId, incarnation: Incarnation, restarted: bool) -> Self {
-        let mut endpoints: Vec<Endpoint> = Vec::new();
+        let (mut endpoints, [mut desks, mut inboxes, mut meetings]) = (Vec::new(), [0; 3]);
         for &id in table.ports_of(task) {
             let Some((port, party)) = table.port(id).and_then(|port| Some((port, port.party(task)?))) else {
                 continue;
             };
-            let next = |like: fn(&Role) -> bool| {
-                index(endpoints.iter().filter(|endpoint| like(&endpoint.role)).count())
+            let next = |count: &mut usize| {
+                *count += 1;
+                index(*count - 1)
             };
             let role = match party.usage {
                 Usage::Query | Usage::Response if couple_of(table, id, task).is_some() => Role::Beats,
                 Usage::Send | Usage::Query if port.decl.class == Class::Command => {
-                    Role::Asks(next(|role| matches!(role, Role::Asks(_))))
+                    Role::Asks(next(&mut desks))
                 }
                 Usage::Send | Usage::Query => Role::Sends,
                 Usage::Receive if port.decl.usage == Usage::Reply => Role::Hears,
-                Usage::Receive | Usage::Response => {
-                    Role::Receives(next(|role| matches!(role, Role::Receives(_))))
-                }
+                Usage::Receive | Usage::Response => Role::Receives(next(&mut inboxes)),
                 Usage::Reply => Role::Replies,
-                Usage::Waitfor => Role::Meets(next(|role| matches!(role, Role::Meets(_)))),
+                Usage::Waitfor => Role::Meets(next(&mut meetings)),
             };
             endpoints.push(Endpoint::new(port, role));
         }
@@ -113,19 +112,14 @@ impl Own {
         table: &'a NodeTable,
         has: impl Fn(Role) -> bool,
     ) -> impl Iterator<Item = (u16, &'a Port)> {
-        let mine = (0..).zip(&self.endpoints).filter(move |(_, endpoint)| has(endpoint.role));
-        mine.filter_map(|(place, endpoint)| Some((place, table.port(endpoint.port)?)))
-    }
-
-    /// Messages sent to an earlier life of the task may still arrive (D49).
-    pub fn is_quarantined(&self, table: &NodeTable) -> bool {
-        self.now < self.quarantine_until && table.rules().quarantine
+        let mine = self.endpoints.iter().enumerate().filter(move |(_, endpoint)| has(endpoint.role));
+        mine.filter_map(|(place, endpoint)| Some((index(place), table.port(endpoint.port)?)))
     }
 
     /// Whether what `source` sent to an earlier life of the task may still arrive (D49). Tasks of the same node restarted with
     /// it: what they send is new (D157).
     pub fn turns_away(&self, table: &NodeTable, source: TaskId) -> bool {
-        self.is_quarantined(table) && !table.is_here(source)
+        self.now < self.quarantine_until && table.rules().quarantine && !table.is_here(source)
     }
 
     /// Where a port stands among the task's own.
@@ -157,9 +151,10 @@ impl Own {
         if let Role::Meets(meeting) = self.role(port)? { Some(meeting) } else { None }
     }
 
-    /// What is wrong with a request that the port does not serve.
-    pub fn unfit(&self, port: PortId) -> Fault {
-        if self.role(port).is_some() { Fault::WrongUsage } else { Fault::NotYourPort }
+    /// The inbox of a port, or what is wrong with a request that needs one.
+    pub fn receiving(&self, port: PortId) -> Result<u16, Fault> {
+        let Some(role) = self.role(port) else { return Err(Fault::NotYourPort) };
+        if let Role::Receives(inbox) = role { Ok(inbox) } else { Err(Fault::WrongUsage) }
     }
 
     /// Whether the message that was staged on a port is whole. Where a packet of it is missing, nothing stays staged.
@@ -234,10 +229,9 @@ impl Own {
 
     /// Whether it has the ports of another.
     pub fn is_like(&self, new: &Self) -> bool {
-        let is = |(read, new): (&Endpoint, &Endpoint)| {
+        are_alike(&self.endpoints, &new.endpoints, |read, new| {
             (read.port, read.role) == (new.port, new.role) && read.staged.has_room_of(&new.staged)
-        };
-        self.endpoints.len() == new.endpoints.len() && self.endpoints.iter().zip(&new.endpoints).all(is)
+        })
     }
 }
 
@@ -246,6 +240,11 @@ pub(crate) fn couple_of(table: &NodeTable, port: PortId, task: TaskId) -> Option
     let couples = table.cell().couples.iter().enumerate();
     let mine = |c: &CoupleDecl| c.via == port && (c.primary == task || c.standby == task);
     couples.filter(|(_, c)| mine(c)).find_map(|(i, c)| Some((u8::try_from(i).ok()?, c)))
+}
+
+/// Whether a list that was read from a file has the length of a new one, and each of it is like its counterpart.
+pub(crate) fn are_alike<T>(read: &[T], new: &[T], is_like: impl Fn(&T, &T) -> bool) -> bool {
+    read.len() == new.len() && read.iter().zip(new).all(|(read, new)| is_like(read, new))
 }
 
 /// Positions in a task's own lists; a cell has at most 65,536 ports.

@@ -2,14 +2,14 @@
 //!
 //! A task that reaches the waitfor announces a *round* to every other member. It is released when it holds the
 //! arrivals of all others in one round, each with more than the safety margin left, or when it learns that another
-//! member was released from that round. Nothing but its own time_out ends its wait without a release.
+//! member was released from that round. Nothing but its own time_out, or its task's CANCEL, ends its wait without a release.
 //!
 //! | input | what comes of it |
 //! |---|---|
 //! | [`reach`](Rendezvous::reach) | ARRIVE to all others; released at once if all are here |
-//! | [`hear`](Rendezvous::hear) | an ARRIVE may complete the round; a CONFIRM of the round waited in releases; an ABORT takes an arrival back |
+//! | [`hear`](Rendezvous::hear) | an ARRIVE may complete the round; a CONFIRM of the round waited in releases; an ABORT takes an arrival back, and may call to a fresher round or tell of a release |
 //! | [`advance`](Rendezvous::advance) | what is due is sent again |
-//! | [`leave`](Rendezvous::leave) | patience ended, or the wait was cancelled: ABORT to all others |
+//! | [`leave`](Rendezvous::leave) | patience ended, or the wait was cancelled: ABORT to all others (but under the variant without) |
 //! | [`forget`](Rendezvous::forget) | a member's node restarted: its arrival is void |
 //!
 //! A release is left in [`At::released`]. Between two inputs the task waits here exactly where there is a deadline, no

@@ -1,4 +1,4 @@
-//! The user layer down (§5.2.1): what the task asks for.
+//! The user layer (§5.2.1), down: what the task asks for. What comes up to it is taken in by `machines`.
 
 use super::client::Sent;
 use super::machines::Machines;
@@ -56,11 +56,10 @@ impl Machines {
                 Ok(ACCEPTED)
             }
             Request::Lease => self.await_lease(),
-            Request::Publish(contents) => self
-                .lease
-                .as_mut()
-                .map_or(Err(Fault::WrongUsage), |lease| lease.publish(contents))
-                .map(|()| ACCEPTED),
+            Request::Publish(contents) => {
+                let lease = self.lease.as_mut().ok_or(Fault::WrongUsage);
+                lease.and_then(|lease| lease.publish(contents)).map(|()| ACCEPTED)
+            }
             Request::End => {
                 if let Some(lease) = &mut self.lease {
                     lease.retire();
@@ -94,7 +93,7 @@ impl Machines {
         let life = time_out.map_or(party.time_out, |wanted| wanted.min(party.time_out));
         let contents = match port.decl.guard {
             None => contents,
-            Some(couple) => self.lease.as_ref().ok_or(Fault::Fenced)?.signed(couple, contents)?,
+            Some(couple) => self.lease.as_ref().ok_or(Fault::Fenced)?.with_epoch(couple, contents)?,
         };
         match self.client.send(step, (party, to), (port, life, contents))? {
             Sent::Copies(copies) => Ok(Some(Signal::Accepted(copies))),
@@ -112,10 +111,7 @@ impl Machines {
         (port, source): (Option<PortId>, Option<TaskId>),
         time_out: Option<Ticks>,
     ) -> Done {
-        let inbox = match port {
-            None => None,
-            Some(port) => Some(step.own.inbox(port).ok_or_else(|| step.own.unfit(port))?),
-        };
+        let inbox = port.map(|port| step.own.receiving(port)).transpose()?;
         if self.serve(step, inbox, source) {
             return Ok(None);
         }
@@ -164,12 +160,12 @@ impl Machines {
         let patience = time_out.map_or(party.time_out, |wanted| wanted.min(party.time_out));
         self.interrupts.wait(Pending::Meeting(meeting));
         let finished = self.meetings.reach(step, meeting, (arguments, patience));
-        self.leave(step, meeting, finished);
+        self.end_meeting(step, meeting, finished);
         Ok(None)
     }
 
     fn set_handled(&mut self, step: &Step<'_, impl Outbox>, port: PortId, handled: bool) -> Done {
-        let inbox = step.own.inbox(port).ok_or_else(|| step.own.unfit(port))?;
+        let inbox = step.own.receiving(port)?;
         self.server.set_handled(step.own, inbox, handled);
         Ok(ACCEPTED)
     }
@@ -200,7 +196,7 @@ impl Machines {
     fn abandon(&mut self, step: &mut Step<'_, impl Outbox>) -> Signal {
         loop {
             self.cancel(step);
-            if !self.interrupts.drop_top() {
+            if !self.interrupts.drop_running() {
                 break;
             }
         }

@@ -9,12 +9,14 @@
 //! | [`first_offer`](Server::first_offer), [`reject_the_others`](Server::reject_the_others) | what may interrupt the running thread; what may not is offered again later, one level higher |
 //! | [`advance`](Server::advance) | what has no time left is dropped |
 //!
-//! A packet goes through these stages: its port and kind are right, its time is not over, it is new (`memory`), it is of the
-//! present life of its source, all its fragments are here (`assembly`, where the port's messages take several), and nobody
-//! acts in a newer epoch (`epochs`, where the port acts under a lease).
+//! A packet goes through these stages: it has no more fragments than the port's messages, time is left to answer it, no
+//! message to an earlier life of the task can still be under way (D49), it is of the present life of its source, it is new
+//! (`memory`), all its fragments are here (`assembly`, where the port's messages take several), and nobody acts in a newer
+//! epoch (`epochs`, where the port's commands are given under a lease).
 //!
-//! Between two inputs nothing waits that has no time left, every command that waits is remembered as waiting, and the orders
-//! over the ports (`heads`) are those that a look at all ports would give.
+//! Between two inputs nothing waits that has no time left, every command that waits is remembered as waiting (but under the
+//! rule variants that keep no memory or lengthen lives), and the orders over the inboxes (`heads`) are those that a look at
+//! all of them would give.
 
 mod admission;
 mod assembly;
@@ -30,9 +32,9 @@ mod walk;
 
 use super::fragments::Parts;
 use super::interrupts::Interrupts;
-use super::own::{Own, Role};
+use super::own::{Own, Role, are_alike};
 use super::step::{Outbox, Step};
-use crate::ids::{Incarnation, PortId, TaskId};
+use crate::ids::{Incarnation, PortId, Seq24, TaskId};
 use crate::mapping;
 use crate::observe::{Event, Reason};
 use crate::packet::{Class, Contents, Control, Kind, Packet};
@@ -128,7 +130,7 @@ impl Server {
         self.inboxes[inbox].port
     }
 
-    /// A packet of a message for the task. `called`: whether the lease has word for it, which may interrupt, too.
+    /// A packet of a message for the task. `threads`: the threads, and whether the lease has word for the task.
     pub fn hear(
         &mut self,
         step: &mut Step<'_, impl Outbox>,
@@ -345,7 +347,7 @@ impl Server {
 
     /// Forgets the messages that were taken where no copy of them can come any more; `copies` are those that may still come
     /// from a source on a port.
-    pub fn bury_seen<I: Iterator<Item = crate::ids::Seq24>>(&mut self, copies: impl Fn(PortId, TaskId) -> I) {
+    pub fn bury_seen<I: Iterator<Item = Seq24>>(&mut self, copies: impl Fn(PortId, TaskId) -> I) {
         for inbox in &mut self.inboxes {
             let port = inbox.port;
             for source in &mut inbox.sources {
@@ -357,15 +359,11 @@ impl Server {
 
     /// Whether a state that was read has the inboxes of a new one.
     pub fn is_like(&self, new: &Self) -> bool {
-        let inboxes = self.inboxes.len() == new.inboxes.len()
-            && self.inboxes.iter().zip(&new.inboxes).all(|(read, new)| read.is_like(new));
-        let lives = self.lives.iter().map(|known| known.task).eq(new.lives.iter().map(|known| known.task));
-        let couples = |server: &Self| server.guards.iter().map(|guard| guard.couple).collect::<Vec<_>>();
         let counts = [self.arrivals, self.rejections, self.served].into_iter().all(|count| count < MOST);
-        inboxes
-            && lives
+        are_alike(&self.inboxes, &new.inboxes, Inbox::is_like)
+            && are_alike(&self.lives, &new.lives, |read, new| read.task == new.task)
+            && are_alike(&self.guards, &new.guards, |read, new| read.couple == new.couple)
             && counts
-            && couples(self) == couples(new)
             && self.heads.is_whole(self.inboxes.len())
             && self.taken.1.has_room_of(&new.taken.1)
     }

@@ -1,7 +1,7 @@
 //! The whole state of a communication task: its one walk (D165), the moves of its clock, what of it is dead, and whether one
 //! that was read from a file can be worked on.
 
-use super::{CommTask, Machines, Pending};
+use super::{CommTask, Lease, Machines, Pending};
 use crate::ids::{PortId, Seq24, TaskId};
 use crate::state::{Clock, Walk};
 use crate::table::NodeTable;
@@ -28,9 +28,10 @@ impl CommTask {
     pub fn walk<W: Walk>(&mut self, table: &NodeTable, w: &mut W) {
         let Self { own, machines } = self;
         let Machines { client, server, interrupts, meetings, lease } = machines;
-        // In the order of packed bytes (D51): equal members are sorted by them.
+        // In the order of packed bytes (D51): a checker sorts equal members by their bytes, so another order would pick others
+        // and change the numbers of states.
         own.walk(w);
-        interrupts.walk(&mut own.order, lease.as_ref().map(super::Lease::couple), w);
+        interrupts.walk(&mut own.order, lease.as_ref().map(Lease::couple), w);
         client.walk_overdue(table, (own.task, own.incarnation), w);
         own.walk_life(w);
         server.walk_lives(w);
@@ -105,11 +106,8 @@ impl CommTask {
                 Pending::Reply(desk) => client.has(desk),
                 Pending::Meeting(meeting) => meetings.has(meeting),
                 Pending::Lease => lease.is_some(),
-                Pending::Nothing
-                | Pending::Get { .. }
-                | Pending::Delay(..)
-                | Pending::Work
-                | Pending::Boundary => true,
+                Pending::Get { port, .. } => port.is_none_or(|port| self.own.inbox(port).is_some()),
+                Pending::Nothing | Pending::Delay(..) | Pending::Work | Pending::Boundary => true,
             })
     }
 }

@@ -1,9 +1,11 @@
 //! How a communication task looks to a monitor. Allocates; never called on the message path.
 
-use super::{CommTask, Endpoint, Pending};
+use super::CommTask;
 use crate::ids::{PortId, Round, TaskId};
 use crate::observe::{PortView, QueueView, TaskState, TaskView};
 use crate::table::NodeTable;
+use crate::task::own::Endpoint;
+use crate::task::wait::Pending;
 use crate::ticks::Ticks;
 use alloc::vec::Vec;
 

@@ -133,8 +133,8 @@ impl Floor {
             }
             self.end_actions();
             while let Some(at) = self.out.flying.iter().position(|&(due, ..)| due <= self.out.now) {
-                let (_, _, to, packet) = self.out.flying.remove(at);
-                self.step(to, HostInput::Node(NodeInput::Packet { packet, charge: Ticks(1) }));
+                let (_, from, to, packet) = self.out.flying.remove(at);
+                self.step(to, HostInput::Node(NodeInput::Packet { from, packet, charge: Ticks(1) }));
             }
         }
     }

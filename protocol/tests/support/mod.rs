@@ -278,3 +278,10 @@ pub fn signal(s: &Signal) -> String {
         Signal::Granted(epoch) => format!("granted {epoch}"),
     }
 }
+
+/// The neighbour that hands a packet over to the node that it is for.
+pub fn neighbour_before(table: &NodeTable, packet: &Packet) -> NodeId {
+    let next = |&node: &NodeId| table.next_hop(node, table.node).filter(|&next| next != table.node);
+    let way = std::iter::successors(table.location(packet.source), next);
+    way.last().unwrap_or(table.node)
+}

@@ -8,6 +8,7 @@ use std::sync::Arc;
 #[derive(Clone, Copy, Debug)]
 struct Flight {
     due: u64,
+    from: NodeId,
     to: NodeId,
     packet: Packet,
     charge: Ticks,
@@ -53,7 +54,8 @@ impl NodeOutbox for Wires<'_> {
         self.log.push(format!("{} {}>{} {}{mark}", self.now, self.from, next, in_words(&packet)));
         let charge = self.table.link_bound(self.from, next).expect("a link");
         if !lost {
-            self.flying.push(Flight { due: self.now + charge.0, to: next, packet, charge });
+            let due = self.now + charge.0;
+            self.flying.push(Flight { due, from: self.from, to: next, packet, charge });
         }
     }
 
@@ -145,8 +147,8 @@ impl Net {
             let (arrived, flying) = self.flying.drain(..).partition(|flight| flight.due <= now);
             self.flying = flying;
             let arrived: Vec<Flight> = arrived;
-            for Flight { to, packet, charge, .. } in arrived {
-                self.step(to, NodeInput::Packet { packet, charge });
+            for Flight { from, to, packet, charge, .. } in arrived {
+                self.step(to, NodeInput::Packet { from, packet, charge });
             }
         }
     }

@@ -267,7 +267,7 @@ impl World {
     /// Hands a packet to its destination, as a node does.
     pub fn hear(&mut self, packet: Packet, charge: u64) -> Effects {
         let Some(table) = self.tables.get(packet.destination.index()) else { return Effects::default() };
-        match route::arrived(table, packet, Ticks(charge)) {
+        match route::arrived(table, super::neighbour_before(table, &packet), packet, Ticks(charge)) {
             route::Arrival::Local(task, packet) => self.input(task.index(), Input::Packet(packet)),
             route::Arrival::Relay(_) | route::Arrival::Discard(..) => Effects::default(),
         }

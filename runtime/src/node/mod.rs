@@ -10,7 +10,6 @@ pub(crate) mod executor;
 pub(crate) mod failstop;
 pub(crate) mod member;
 pub(crate) mod program;
-pub(crate) mod reverse_path;
 pub(crate) mod threads;
 pub(crate) mod timers;
 pub(crate) mod transit;
@@ -21,7 +20,6 @@ use crate::node::comm::{Comm, Mail};
 use crate::node::effects::{Effect, Effects, Stamped};
 use crate::node::failstop::guarded;
 use crate::node::member::{Member, Members};
-use crate::node::reverse_path::can_come;
 use crate::node::timers::Timers;
 use crate::node::transit::Dispatch;
 use crate::observe::lateness::LatenessCounts;
@@ -353,12 +351,7 @@ impl Node {
     /// sent before it, and for each task one visit.
     fn receive(&self, from: NodeId, packets: &[Packet], charge: Ticks, at: Micros, effects: &mut Effects) {
         for &packet in packets {
-            let arrival = if can_come(&self.table, from, &packet) {
-                arrived(&self.table, packet, charge)
-            } else {
-                Arrival::Discard(Reason::NotAllowed, packet)
-            };
-            match arrival {
+            match arrived(&self.table, from, packet, charge) {
                 Arrival::Local(task, packet) => {
                     let Some(place) = self.members.place(task) else { continue };
                     let member = &self.members.list[place];

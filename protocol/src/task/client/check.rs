@@ -1,15 +1,17 @@
 //! What holds of a client between two inputs.
 
+use super::Client;
 use super::desk::{Desk, Phase};
-use super::{Client, index};
 use crate::ids::MessageId;
 use crate::task::interrupts::Interrupts;
-use crate::task::own::Own;
+use crate::task::own::{Own, index};
 use crate::task::violation::Violation;
 use crate::task::wait::{Finished, Pending};
 use crate::ticks::Ticks;
 
 impl Client {
+    /// Whether a thread waits at each desk that is open, and each is due in time.
+    ///
     /// # Errors
     /// The first violation found.
     pub(in crate::task) fn check(&self, own: &Own, threads: &Interrupts) -> Result<(), Violation> {

@@ -6,13 +6,14 @@ use crate::packet::{Contents, Packet};
 use crate::request::Answers;
 use crate::table::Port;
 use crate::task::fragments::{Assembly, Parts, Progress};
+use crate::task::own::are_alike;
 use crate::ticks::Ticks;
 use alloc::boxed::Box;
 use serde::{Deserialize, Serialize};
 
 /// Whether a request is outstanding.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
-pub(crate) enum Phase {
+pub(super) enum Phase {
     /// No: what the tasks answered last may be read.
     #[default]
     Closed,
@@ -25,7 +26,7 @@ pub(crate) enum Phase {
 
 /// What became of the request at one task.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
-pub(crate) enum Answer {
+pub(super) enum Answer {
     #[default]
     NotAsked,
     Open,
@@ -36,7 +37,7 @@ pub(crate) enum Answer {
 
 /// A task that may be asked.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub(crate) struct Asked {
+pub(super) struct Asked {
     pub task: TaskId,
     /// Its position among the parties of the port.
     pub party: u8,
@@ -52,7 +53,7 @@ pub(crate) struct Asked {
 
 /// One port on which the task asks.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-pub(crate) struct Desk {
+pub(super) struct Desk {
     pub port: PortId,
     /// Where the port stands among the task's own.
     pub endpoint: u16,
@@ -178,13 +179,12 @@ impl Desk {
 
     /// Whether it has the port of a new one, and room for the same answers.
     pub fn is_like(&self, new: &Self) -> bool {
-        let is = |(read, new): (&Asked, &Asked)| {
+        let is = |read: &Asked, new: &Asked| {
             (read.task, read.party) == (new.task, new.party) && read.contents.has_room_of(&new.contents)
         };
         (self.port, self.endpoint) == (new.port, new.endpoint)
             && self.parts.has_room_of(&new.parts)
-            && self.asked.len() == new.asked.len()
-            && self.asked.iter().zip(&new.asked).all(is)
+            && are_alike(&self.asked, &new.asked, is)
     }
 
     /// Nothing is outstanding.

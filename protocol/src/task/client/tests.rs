@@ -3,15 +3,15 @@ use crate::ids::NodeId;
 use crate::observe::Reason;
 use crate::packet::Kind;
 use crate::request::ReplyTo;
-use crate::task::bench::{A, B, Bench, MOVE};
+use crate::task::fixture::{A, B, Fixture, MOVE};
 use crate::task::interrupts::Interrupts;
 use crate::task::violation::Violation;
 use crate::task::wait::Pending;
 use alloc::vec::Vec;
 
 /// Task A has asked B, and its thread waits for the answer.
-fn asked() -> (Bench, Client, Interrupts) {
-    let mut bench = Bench::new(A);
+fn asked() -> (Fixture, Client, Interrupts) {
+    let mut bench = Fixture::new(A);
     let (mut client, mut threads) = (Client::new(&bench.table, &bench.own), Interrupts::default());
     let table = bench.table.clone();
     let (port, party) = mapping::own_end(&table, MOVE, A).unwrap();
@@ -24,7 +24,7 @@ fn asked() -> (Bench, Client, Interrupts) {
 }
 
 /// What B answers to the request that went out.
-fn answer(bench: &mut Bench) -> Packet {
+fn answer(bench: &mut Fixture) -> Packet {
     let request = bench.packets()[0];
     let to = ReplyTo { port: MOVE, source: A, id: request.id };
     mapping::answer(to, B, Kind::Reply, Ticks(5), Contents::new(b"done").unwrap())

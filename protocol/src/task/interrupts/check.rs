@@ -8,6 +8,8 @@ use crate::task::violation::Violation;
 use crate::task::wait::Pending;
 
 impl Interrupts {
+    /// Whether threads interrupt each other by rank, and timers have names of their own.
+    ///
     /// # Errors
     /// The first violation found.
     pub(in crate::task) fn check(&self, table: &NodeTable, own: &Own, called: bool) -> Result<(), Violation> {

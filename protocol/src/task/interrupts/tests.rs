@@ -1,7 +1,7 @@
 use super::timers::Started;
 use super::*;
 use crate::request::{Outcome, TimeId};
-use crate::task::bench::{B, Bench};
+use crate::task::fixture::{B, Fixture};
 use crate::task::violation::Violation;
 use alloc::format;
 
@@ -10,7 +10,7 @@ const ANSWERED: Finished = Finished::Outcome(Outcome::Refused);
 
 #[test]
 fn the_end_of_a_wait_below_a_handler_is_kept_until_the_handler_ends() {
-    let bench = Bench::new(B);
+    let bench = Fixture::new(B);
     let mut threads = Interrupts::default();
     threads.wait(Pending::Reply(0));
     threads.begin(&bench.own, 0);
@@ -25,7 +25,7 @@ fn the_end_of_a_wait_below_a_handler_is_kept_until_the_handler_ends() {
 
 #[test]
 fn a_thread_between_two_statements_stands_at_a_boundary_while_a_handler_runs() {
-    let bench = Bench::new(B);
+    let bench = Fixture::new(B);
     let mut threads = Interrupts::default();
     assert!(!threads.is_interruptible(false, false) && threads.is_interruptible(true, false));
     threads.begin(&bench.own, 0);
@@ -43,7 +43,7 @@ fn in_an_atomic_section_only_word_of_the_lease_interrupts() {
 
 #[test]
 fn what_a_timer_s_earlier_start_says_is_stale() {
-    let mut bench = Bench::new(B);
+    let mut bench = Fixture::new(B);
     let mut threads = Interrupts::default();
     let id = TimeId(3);
     threads.start(id, Ticks(5), bench.at(Ticks(1)).out).unwrap();
@@ -63,7 +63,7 @@ fn what_a_timer_s_earlier_start_says_is_stale() {
 
 /// What `check` says after a fault was planted.
 fn planted(fault: impl FnOnce(&mut Interrupts)) -> Violation {
-    let mut bench = Bench::new(B);
+    let mut bench = Fixture::new(B);
     bench.own.now = Ticks(10);
     let mut threads = Interrupts::default();
     threads.wait(Pending::Work);

@@ -33,6 +33,12 @@ impl Timers {
         self.slots.iter().position(|slot| slot.is_some_and(|started| started.id == id))
     }
 
+    /// Whether only timers are over that there are.
+    pub fn is_whole(&self) -> bool {
+        let is_there = |at: usize| self.slots[at].is_some() || self.ended & (1 << at) == 0;
+        (0..TIMERS).all(is_there)
+    }
+
     /// Takes out the timer of a slot. Whether it was over.
     fn take(&mut self, at: usize) -> bool {
         let ended = self.ended & (1 << at) != 0;

@@ -1,10 +1,10 @@
 use super::*;
-use crate::task::bench::{A, ALIVE, B, Bench};
+use crate::task::fixture::{A, ALIVE, B, Fixture};
 use crate::task::violation::Violation;
 
 /// One side of the couple, at 5.
-fn side(task: TaskId) -> (Bench, Lease) {
-    let mut bench = Bench::new(task);
+fn side(task: TaskId) -> (Fixture, Lease) {
+    let mut bench = Fixture::new(task);
     let mut lease = Lease::new(&bench.table, &bench.own).expect("a couple");
     assert_eq!(lease.advance(&mut bench.at(Ticks(5))), None);
     assert_eq!(lease.check(Ticks(5)), Ok(()));
@@ -12,7 +12,7 @@ fn side(task: TaskId) -> (Bench, Lease) {
 }
 
 /// Hands what one side sent to the other.
-fn carry(from: &mut Bench, (to, lease): (&mut Bench, &mut Lease), now: Ticks) -> Option<u8> {
+fn carry(from: &mut Fixture, (to, lease): (&mut Fixture, &mut Lease), now: Ticks) -> Option<u8> {
     let table = to.table.clone();
     let port = table.port(ALIVE).unwrap();
     let packets = from.packets();
@@ -38,15 +38,15 @@ fn an_echo_of_an_answer_gives_the_lease_and_silence_ends_it() {
 }
 
 #[test]
-fn only_who_acts_signs_its_messages() {
+fn only_who_acts_sends_under_the_lease() {
     let (mut b, mut standby) = side(B);
     let go = Contents::new(b"go").unwrap();
-    assert_eq!(standby.signed(0, go), Err(Fault::Fenced));
+    assert_eq!(standby.with_epoch(0, go), Err(Fault::Fenced));
     let epoch = standby.advance(&mut b.at(standby.due_to_take_over())).expect("it acts");
-    assert_eq!(standby.signed(0, go).unwrap().as_bytes(), [b'g', b'o', epoch]);
-    assert_eq!(standby.signed(1, go), Err(Fault::Fenced), "another couple");
+    assert_eq!(standby.with_epoch(0, go).unwrap().as_bytes(), [b'g', b'o', epoch]);
+    assert_eq!(standby.with_epoch(1, go), Err(Fault::Fenced), "another couple");
     standby.retire();
-    assert_eq!(standby.signed(0, go), Err(Fault::Fenced));
+    assert_eq!(standby.with_epoch(0, go), Err(Fault::Fenced));
 }
 
 #[test]

@@ -1,12 +1,38 @@
 //! What holds of a rendezvous between two inputs, and what of it is dead.
 
-use super::{Arrived, Rendezvous};
+use super::{Arrived, Meetings, Rendezvous};
 use crate::ids::Round;
 use crate::table::NodeTable;
+use crate::task::interrupts::Interrupts;
+use crate::task::own::{Own, index};
 use crate::task::violation::Violation;
+use crate::task::wait::Pending;
 use crate::ticks::Ticks;
 
+impl Meetings {
+    /// Whether a thread waits where there is a deadline, each waitfor is sound, and they are in order.
+    ///
+    /// # Errors
+    /// The first violation found.
+    pub fn check(&self, table: &NodeTable, own: &Own, threads: &Interrupts) -> Result<(), Violation> {
+        for (at, meeting) in self.list.iter().enumerate() {
+            if threads.waits(Pending::Meeting(index(at))) != meeting.deadline.is_some() {
+                return Err(Violation::MeetingAndWaitDiffer(meeting.port));
+            }
+            meeting.check(table, own.now)?;
+        }
+        let act = |at: u16| (self.list[usize::from(at)].due(), at);
+        let mut meetings = self.list.iter().enumerate().map(|(at, meeting)| (index(at), meeting));
+        let wrong = meetings.find(|&(at, _)| self.next.has(at) != (act(at).0 != Ticks::FAR));
+        let right = self.next.is_in_order(|at| act(at).0, act);
+        let wrong = wrong.map(|(_, meeting)| meeting).or(self.list.first().filter(|_| !right));
+        wrong.map_or(Ok(()), |meeting| Err(Violation::OutOfOrder(meeting.port)))
+    }
+}
+
 impl Rendezvous {
+    /// Whether its instants follow from its deadline and its rounds from each other.
+    ///
     /// # Errors
     /// The first violation found.
     pub(super) fn check(&self, table: &NodeTable, now: Ticks) -> Result<(), Violation> {

@@ -38,7 +38,7 @@ impl Rendezvous {
 
     fn hear_arrival(&mut self, at: &mut At<'_, '_, impl Outbox>, from: usize, packet: &Packet) {
         let Meeting { round, released, arguments } = packet.meeting();
-        if at.step.own.is_quarantined(at.step.table) && !at.step.table.is_here(packet.source) {
+        if at.step.own.turns_away(at.step.table, packet.source) {
             // It may be meant for an earlier life of this task, and its sender may have been released with that one.
             return self.drop_packet(at, packet, Reason::StaleIncarnation);
         }

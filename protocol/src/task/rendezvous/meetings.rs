@@ -6,21 +6,19 @@ use crate::observe::MeetingView;
 use crate::packet::Packet;
 use crate::queue::Words;
 use crate::table::NodeTable;
-use crate::task::interrupts::Interrupts;
-use crate::task::own::{Own, Role, index};
+use crate::task::own::{Own, Role, are_alike, index};
 use crate::task::step::{Outbox, Step};
-use crate::task::violation::Violation;
-use crate::task::wait::{Finished, Pending};
+use crate::task::wait::Finished;
 use crate::ticks::Ticks;
 use alloc::boxed::Box;
 use serde::{Deserialize, Serialize};
 
 /// The task's side of each waitfor that it takes part in.
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub(crate) struct Meetings {
-    list: Box<[Rendezvous]>,
+    pub(super) list: Box<[Rendezvous]>,
     /// Where something is to be done next (D108).
-    next: Words,
+    pub(super) next: Words,
 }
 
 impl Meetings {
@@ -34,7 +32,7 @@ impl Meetings {
     }
 
     /// Runs a step of a rendezvous. With what came of it comes the release, where it releases the task.
-    fn step<R, O: Outbox>(
+    fn run<R, O: Outbox>(
         &mut self,
         step: &mut Step<'_, O>,
         meeting: u16,
@@ -60,7 +58,7 @@ impl Meetings {
         meeting: u16,
         (arguments, patience): ([u8; 8], Ticks),
     ) -> Option<Finished> {
-        self.step(step, meeting, |rendezvous, at| rendezvous.reach(at, arguments, patience))?.1
+        self.run(step, meeting, |rendezvous, at| rendezvous.reach(at, arguments, patience))?.1
     }
 
     /// A packet of another member.
@@ -70,12 +68,12 @@ impl Meetings {
         meeting: u16,
         packet: &Packet,
     ) -> Option<Finished> {
-        self.step(step, meeting, |rendezvous, at| rendezvous.hear(at, packet))?.1
+        self.run(step, meeting, |rendezvous, at| rendezvous.hear(at, packet))?.1
     }
 
     /// The task leaves before its time_out.
     pub fn leave(&mut self, step: &mut Step<'_, impl Outbox>, meeting: u16) {
-        self.step(step, meeting, Rendezvous::leave);
+        self.run(step, meeting, Rendezvous::leave);
     }
 
     /// Time has passed: the first waitfor from `from` on where something is due, and how the wait there ended, where it did.
@@ -90,7 +88,7 @@ impl Meetings {
         }
         let due = |&at: &u16| self.list[usize::from(at)].due() <= now;
         let meeting = (from..index(self.list.len())).find(due)?;
-        let (gave_up, _) = self.step(step, meeting, |rendezvous, at| {
+        let (gave_up, _) = self.run(step, meeting, |rendezvous, at| {
             rendezvous.advance(at);
             let over = rendezvous.deadline.is_some_and(|deadline| deadline <= at.now());
             let (port, round) = (rendezvous.port, rendezvous.announced);
@@ -148,13 +146,8 @@ impl Meetings {
         self.next.set(at, Some(act(at).0).filter(|&due| due != Ticks::FAR), act);
     }
 
-    #[cfg(test)]
-    pub(super) fn list_mut(&mut self) -> &mut [Rendezvous] {
-        &mut self.list
-    }
-
     /// Finds all places again.
-    pub fn touch_all(&mut self) {
+    pub(super) fn touch_all(&mut self) {
         self.next.clear();
         (0..index(self.list.len())).for_each(|at| self.touch(at));
     }
@@ -166,37 +159,9 @@ impl Meetings {
 
     /// Whether a state that was read has the waitfors of a new one.
     pub fn is_like(&self, new: &Self) -> bool {
-        let is = |(read, new): (&Rendezvous, &Rendezvous)| {
+        let is = |read: &Rendezvous, new: &Rendezvous| {
             (read.port, read.numbered, read.members.len()) == (new.port, new.numbered, new.members.len())
         };
-        let same = self.list.len() == new.list.len() && self.list.iter().zip(&new.list).all(is);
-        same && self.next.is_whole(self.list.len())
-    }
-
-    pub fn walk<W: crate::state::Walk>(&mut self, table: &NodeTable, threads: &Interrupts, w: &mut W) {
-        use crate::state::Pass;
-        // The order is rebuilt.
-        let Self { list, next: _ } = self;
-        list.iter_mut().for_each(|meeting| meeting.walk(table, threads.is_unread(meeting.port), w));
-        if matches!(W::PASS, Pass::Decode | Pass::Change) {
-            self.touch_all();
-        }
-    }
-
-    /// # Errors
-    /// The first violation found.
-    pub fn check(&self, table: &NodeTable, own: &Own, threads: &Interrupts) -> Result<(), Violation> {
-        for (at, meeting) in (0..).zip(&self.list) {
-            if threads.waits(Pending::Meeting(at)) != meeting.deadline.is_some() {
-                return Err(Violation::MeetingAndWaitDiffer(meeting.port));
-            }
-            meeting.check(table, own.now)?;
-        }
-        let act = |at: u16| (self.list[usize::from(at)].due(), at);
-        let mut meetings = (0..).zip(&self.list);
-        let wrong = meetings.find(|&(at, _)| self.next.has(at) != (act(at).0 != Ticks::FAR));
-        let right = self.next.is_in_order(|at| act(at).0, act);
-        let wrong = wrong.map(|(_, meeting)| meeting).or(self.list.first().filter(|_| !right));
-        wrong.map_or(Ok(()), |meeting| Err(Violation::OutOfOrder(meeting.port)))
+        are_alike(&self.list, &new.list, is) && self.next.is_whole(self.list.len())
     }
 }

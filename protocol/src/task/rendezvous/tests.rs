@@ -1,14 +1,14 @@
 use super::*;
 use crate::packet::{Kind, Meeting, Packet};
-use crate::task::bench::{A, B, Bench, LIFT};
+use crate::task::fixture::{A, B, Fixture, LIFT};
 use crate::task::interrupts::Interrupts;
 use crate::task::violation::Violation;
 use crate::task::wait::{Finished, Pending};
 use alloc::format;
 
 /// A task that waits at the waitfor since 10, with a patience of 30.
-fn waiting(task: TaskId) -> (Bench, Meetings, Interrupts) {
-    let mut bench = Bench::new(task);
+fn waiting(task: TaskId) -> (Fixture, Meetings, Interrupts) {
+    let mut bench = Fixture::new(task);
     let (mut meetings, mut threads) = (Meetings::new(&bench.table, &bench.own), Interrupts::default());
     threads.wait(Pending::Meeting(0));
     assert_eq!(meetings.reach(&mut bench.at(Ticks(10)), 0, ([task.0 as u8; 8], Ticks(30))), None);
@@ -63,7 +63,7 @@ fn whose_patience_ends_tells_the_others_and_who_was_missing() {
 fn a_planted_fault_is_found() {
     let planted = |change: fn(&mut Rendezvous)| {
         let (bench, mut meetings, threads) = waiting(B);
-        change(&mut meetings.list_mut()[0]);
+        change(&mut meetings.list[0]);
         meetings.check(&bench.table, &bench.own, &threads).unwrap_err()
     };
     let (bench, meetings, mut threads) = waiting(B);

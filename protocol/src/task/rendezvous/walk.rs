@@ -1,10 +1,22 @@
 //! The fields of a rendezvous.
 
-use super::{Arrived, Member, Rendezvous};
+use super::{Arrived, Meetings, Member, Rendezvous};
 use crate::ids::{PortId, Round};
-use crate::state::Walk;
+use crate::state::{Pass, Walk};
 use crate::table::NodeTable;
+use crate::task::interrupts::Interrupts;
 use crate::ticks::Ticks;
+
+impl Meetings {
+    pub fn walk<W: Walk>(&mut self, table: &NodeTable, threads: &Interrupts, w: &mut W) {
+        // The order is rebuilt.
+        let Self { list, next: _ } = self;
+        list.iter_mut().for_each(|meeting| meeting.walk(table, threads.is_unread(meeting.port), w));
+        if matches!(W::PASS, Pass::Decode | Pass::Change) {
+            self.touch_all();
+        }
+    }
+}
 
 impl Rendezvous {
     /// Walks it. `unread` says that its task has yet to read what the others told at the last one.

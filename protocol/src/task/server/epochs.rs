@@ -51,8 +51,8 @@ impl Guard {
 }
 
 impl Server {
-    /// What a message says under the lease of a couple, without its epoch; `None` where a newer one was heard of. With a newer one goes what still waits of
-    /// older ones.
+    /// What a message says under the lease of a couple, without its epoch; `None` where a newer one was heard of. With a newer
+    /// one goes what still waits of older ones.
     pub(super) fn within_epoch(
         &mut self,
         step: &mut Step<'_, impl Outbox>,

@@ -117,7 +117,8 @@ impl Heads {
                 && self.ends.has(at) == ends
                 && inbox.queue.is_in_order()
         };
-        if let Some((_, inbox)) = (0_u16..).zip(inboxes).find(|&(at, inbox)| !is(at, inbox)) {
+        let mut ports = inboxes.iter().enumerate();
+        if let Some((_, inbox)) = ports.find(|&(at, inbox)| !is(index(at), inbox)) {
             return Some(inbox.port);
         }
         let urgent = |at| urgency(inboxes, order, at);
@@ -142,7 +143,7 @@ impl Server {
     }
 
     /// Everything may have changed.
-    pub fn touch_all(&mut self, own: &Own) {
+    pub(super) fn touch_all(&mut self, own: &Own) {
         let Self { heads, inboxes, .. } = self;
         for words in [&mut heads.urgent, &mut heads.eldest, &mut heads.offers, &mut heads.ends] {
             words.clear();

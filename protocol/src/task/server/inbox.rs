@@ -7,6 +7,7 @@ use crate::packet::{Class, Contents};
 use crate::queue::{Entry, Queue, Slot};
 use crate::table::Port;
 use crate::task::fragments::{Assembly, Parts};
+use crate::task::own::are_alike;
 use crate::ticks::Ticks;
 use alloc::boxed::Box;
 use alloc::vec::Vec;
@@ -110,15 +111,9 @@ impl Long {
 
     /// Whether it has the room that another has.
     fn is_like(&self, other: &Self) -> bool {
-        let room = |ours: &[Parts], theirs: &[Parts]| {
-            ours.len() == theirs.len()
-                && ours.iter().zip(theirs).all(|(ours, theirs)| ours.has_room_of(theirs))
-        };
-        let mut open = self.assemblies.iter().zip(&other.assemblies);
-        room(&self.bodies, &other.bodies)
-            && room(&self.answers, &other.answers)
-            && self.assemblies.len() == other.assemblies.len()
-            && open.all(|(ours, theirs)| ours.has_room_of(theirs))
+        are_alike(&self.bodies, &other.bodies, Parts::has_room_of)
+            && are_alike(&self.answers, &other.answers, Parts::has_room_of)
+            && are_alike(&self.assemblies, &other.assemblies, Assembly::has_room_of)
     }
 
     pub fn new(decl: &PortDecl, sources: usize) -> Option<Box<Self>> {
@@ -162,8 +157,8 @@ impl Inbox {
         }
     }
 
-    /// What became of a command of a source, where it is the one that is remembered. For where the memory of the source
-    /// stands.
+    /// What became of a command of a source, where it is the one that is remembered. Returns the place of the source, if it
+    /// is one of the port's.
     pub fn settle(&mut self, source: TaskId, id: MessageId, fate: Fate) -> Option<usize> {
         let at = self.source(source)?;
         if let Some(remembered) = self.sources[at].command_mut()
@@ -182,12 +177,11 @@ impl Inbox {
             (Some(_), None) | (None, Some(_)) => false,
         };
         let status = |memory: &Memory| matches!(memory, Memory::Status(_));
-        let is = |(a, b): (&Source, &Source)| a.task == b.task && status(&a.memory) == status(&b.memory);
+        let is = |a: &Source, b: &Source| a.task == b.task && status(&a.memory) == status(&b.memory);
         (self.port, self.endpoint, self.latest) == (new.port, new.endpoint, new.latest)
             && self.queue.is_whole(new.queue.capacity())
             && self.queue.iter().all(|(_, held)| self.source(held.source).is_some())
-            && self.sources.len() == new.sources.len()
-            && self.sources.iter().zip(&new.sources).all(is)
+            && are_alike(&self.sources, &new.sources, is)
             && self.since < super::MOST
             && long
     }

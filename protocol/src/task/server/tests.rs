@@ -3,28 +3,28 @@ use super::inbox::Long;
 use super::*;
 use crate::cell::{PortDecl, Usage};
 use crate::ids::MessageId;
-use crate::task::bench::{A, B, Bench, MOVE};
+use crate::task::fixture::{A, B, Fixture, MOVE};
 use crate::task::violation::Violation;
 use crate::task::wait::Pending;
 use alloc::format;
 
 /// A command of A.
-fn command(bench: &Bench, remaining: Ticks) -> Packet {
+fn command(bench: &Fixture, remaining: Ticks) -> Packet {
     let port = bench.table.port(MOVE).unwrap();
     let contents = Contents::new(b"go").unwrap();
     mapping::message(port, A, B, MessageId::default(), remaining, contents)
 }
 
 /// B, that hears a packet at 10 while its thread does something else.
-fn hear(bench: &mut Bench, server: &mut Server, threads: &Interrupts, packet: &Packet) -> Option<Arrival> {
+fn hear(bench: &mut Fixture, server: &mut Server, threads: &Interrupts, packet: &Packet) -> Option<Arrival> {
     let table = bench.table.clone();
     let port = table.port(MOVE).unwrap();
     server.hear(&mut bench.at(Ticks(10)), (threads, false), (port, port.party(A).unwrap(), 0), packet)
 }
 
 /// A command of A waits at B.
-fn holding() -> (Bench, Server) {
-    let mut bench = Bench::new(B);
+fn holding() -> (Fixture, Server) {
+    let mut bench = Fixture::new(B);
     let mut server = Server::new(&bench.table, &bench.own);
     let packet = command(&bench, Ticks(20));
     assert!(hear(&mut bench, &mut server, &Interrupts::default(), &packet).is_none());
@@ -53,7 +53,7 @@ fn a_command_is_taken_once_and_a_copy_gets_the_same_answer() {
 
 #[test]
 fn who_waits_gets_a_message_as_it_arrives() {
-    let (mut bench, mut threads) = (Bench::new(B), Interrupts::default());
+    let (mut bench, mut threads) = (Fixture::new(B), Interrupts::default());
     let mut server = Server::new(&bench.table, &bench.own);
     threads.wait(Pending::Get { port: None, source: None, deadline: Ticks::FAR });
     let packet = command(&bench, Ticks(20));

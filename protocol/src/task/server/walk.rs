@@ -57,8 +57,8 @@ fn arrival_matters(table: &NodeTable, port: &Port) -> bool {
 
 /// The numbers that only their order matters of.
 struct Counters<'a> {
-    pub arrivals: &'a mut u64,
-    pub rejections: &'a mut u64,
+    arrivals: &'a mut u64,
+    rejections: &'a mut u64,
 }
 
 /// A message that waits, as it is written: with ranks in the place of numbers that grow for ever.

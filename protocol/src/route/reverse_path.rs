@@ -4,11 +4,13 @@
 //! never passes it, is mistaken or speaks in another's name. What a packet says of its source is thereby believed only
 //! from the neighbour that the source's packets come through.
 
-use imrs_protocol::{CellTable, Control, Kind, MAX_HOPS, NodeId, NodeTable, Packet};
+use crate::ids::NodeId;
+use crate::packet::{Control, Kind, MAX_HOPS, Packet};
+use crate::table::{CellTable, NodeTable};
 
 /// Whether `packet`, handed over by the neighbour `from`, is on its declared way. Says nothing of tasks that the cell
 /// does not have.
-pub(crate) fn can_come(table: &NodeTable, from: NodeId, packet: &Packet) -> bool {
+pub(super) fn can_come(table: &NodeTable, from: NodeId, packet: &Packet) -> bool {
     let Some((source, destination)) = table.location(packet.source).zip(table.location(packet.destination))
     else {
         return true;
@@ -40,17 +42,20 @@ fn enters_from(table: &NodeTable, from: NodeId, source: NodeId, destination: Nod
 /// The nodes that packets from `source` to `destination` pass, both included.
 fn way(table: &CellTable, source: NodeId, destination: NodeId) -> impl Iterator<Item = NodeId> + '_ {
     let next = move |&node: &NodeId| table.next_hop(node, destination).filter(|_| node != destination);
-    std::iter::successors(Some(source), next).take(usize::from(MAX_HOPS) + 2)
+    core::iter::successors(Some(source), next).take(usize::from(MAX_HOPS) + 2)
 }
 
 #[cfg(test)]
 mod tests {
     use super::*;
-    use imrs_protocol::{
-        Cell, Class, Contents, Incarnation, MessageId, PortDecl, PortId, Seal, Seq24, TaskId, Ticks, Usage,
-    };
+    use crate::cell::{Cell, PortDecl, Usage};
+    use crate::ids::{Incarnation, MessageId, PortId, Seq24, TaskId};
+    use crate::packet::{Class, Contents, Seal};
+    use crate::ticks::Ticks;
+    use alloc::format;
+    use alloc::sync::Arc;
+    use alloc::vec::Vec;
     use proptest::prelude::*;
-    use std::sync::Arc;
 
     fn packet(source: u16, destination: u16) -> Packet {
         Packet {

@@ -49,13 +49,13 @@ impl Outbox for Effects {
 }
 
 /// What a part of one of the two tasks works with.
-pub(super) struct Bench {
+pub(super) struct Fixture {
     pub table: NodeTable,
     pub own: Own,
     pub effects: Effects,
 }
 
-impl Bench {
+impl Fixture {
     pub fn new(task: TaskId) -> Self {
         let mut cell = Cell::new("pair", Ticks(1));
         let node = cell.node("n");
