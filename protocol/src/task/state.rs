@@ -111,3 +111,27 @@ impl CommTask {
             })
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::ids::Incarnation;
+    use crate::task::fixture::{A, Fixture, LIFT, MOVE};
+
+    /// Bytes that anybody may have written: what an input would work on must be there.
+    #[test]
+    fn a_wait_for_what_is_not_there_is_not_whole() {
+        let table = Fixture::new(A).table;
+        let waiting = |wait: Pending| {
+            let mut task = CommTask::new(&table, A, Incarnation(0), false);
+            task.machines.interrupts.wait(wait);
+            task.is_whole(&table)
+        };
+        let get = |port| Pending::Get { port, source: None, deadline: Ticks::FAR };
+        assert!(waiting(get(None)) && waiting(Pending::Reply(0)) && waiting(Pending::Meeting(0)));
+        assert!(waiting(Pending::Lease) && waiting(Pending::Work));
+        // A asks on one of these ports, and meets B on the other: it receives on neither.
+        assert!(!waiting(get(Some(MOVE))) && !waiting(get(Some(LIFT))));
+        assert!(!waiting(Pending::Reply(1)) && !waiting(Pending::Meeting(1)));
+    }
+}

@@ -96,3 +96,16 @@ fn a_planted_fault_is_found() {
         assert!(format!("{violation}").len() > 20, "{violation}");
     }
 }
+
+#[test]
+fn threads_and_timers_that_were_read_are_bounded() {
+    let is_whole = |change: fn(&mut Interrupts)| {
+        let mut threads = Interrupts::default();
+        change(&mut threads);
+        threads.is_whole(|_| true)
+    };
+    assert!(is_whole(|_| ()));
+    assert!(!is_whole(|t| t.depth = DEPTH as u8 + 1));
+    assert!(!is_whole(|t| t.interrupted = Box::default()));
+    assert!(!is_whole(|t| t.timers.ended = 0b100), "a timer is over that there is not");
+}
