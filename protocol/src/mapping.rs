@@ -2,7 +2,7 @@
 
 use crate::cell::Usage;
 use crate::ids::{MessageId, PortId, TaskId};
-use crate::packet::{Class, Contents, Kind, MAX_HOPS, Packet, Seal};
+use crate::packet::{Class, Contents, Control, Kind, Packet};
 use crate::request::{Fault, ReplyTo, Target};
 use crate::table::{NodeTable, Party, Port};
 use crate::task::Parts;
@@ -93,18 +93,13 @@ pub(crate) fn message(
     Packet {
         kind: message_kind(port),
         class: port.decl.class,
-        more: false,
-        resent: false,
-        urgent: false,
-        hops: MAX_HOPS,
-        fragment: 0,
         destination: to,
         source: from,
         port: port.id,
         id,
         remaining,
         contents,
-        seal: Seal::NONE,
+        ..Packet::BLANK
     }
 }
 
@@ -113,19 +108,24 @@ pub(crate) fn answer(to: ReplyTo, from: TaskId, kind: Kind, remaining: Ticks, co
     Packet {
         kind,
         class: Class::Command,
-        more: false,
-        resent: false,
-        urgent: false,
-        hops: MAX_HOPS,
-        fragment: 0,
         destination: to.source,
         source: from,
         port: to.port,
         id: to.id,
         remaining,
         contents,
-        seal: Seal::NONE,
+        ..Packet::BLANK
     }
+}
+
+/// What the machine of `from` itself answers to a class-2 message.
+pub(crate) fn control(to: ReplyTo, from: TaskId, control: Control, remaining: Ticks) -> Packet {
+    answer(to, from, Kind::Control, remaining, control.to_contents())
+}
+
+/// Names a message for its answer.
+pub(crate) const fn reply_to(message: &Packet) -> ReplyTo {
+    ReplyTo { port: message.port, source: message.source, id: message.id }
 }
 
 /// The packets of a message: the first one and its further fragments (D28).

@@ -11,7 +11,6 @@ use crate::mapping;
 use crate::observe::{Event, Observation, Reason, TransitView};
 use crate::packet::{Class, Control, Kind, Packet};
 use crate::queue::{Entry, Queue, Slot};
-use crate::request::ReplyTo;
 use crate::route::{self, Departure};
 use crate::rules::{Eviction, TimeStamp};
 use crate::state::{Clock, Pass, Walk};
@@ -340,9 +339,8 @@ impl Transit {
         }
         if reason != Reason::ExpiredInTransit {
             // D19: the source of a command hears that this copy found no space.
-            let to = ReplyTo { port: packet.port, source: packet.source, id: packet.id };
-            let word = Control::RefusedOnTheWay.to_contents();
-            out.transmit(mapping::answer(to, packet.destination, Kind::Control, packet.remaining, word));
+            let (to, word) = (mapping::reply_to(packet), Control::RefusedOnTheWay);
+            out.transmit(mapping::control(to, packet.destination, word, packet.remaining));
         }
     }
 }

@@ -49,8 +49,7 @@ fn way(table: &CellTable, source: NodeId, destination: NodeId) -> impl Iterator<
 mod tests {
     use super::*;
     use crate::cell::{Cell, PortDecl, Usage};
-    use crate::ids::{Incarnation, MessageId, PortId, Seq24, TaskId};
-    use crate::packet::{Class, Contents, Seal};
+    use crate::ids::{Incarnation, MessageId, Seq24, TaskId};
     use crate::ticks::Ticks;
     use alloc::format;
     use alloc::sync::Arc;
@@ -59,20 +58,11 @@ mod tests {
 
     fn packet(source: u16, destination: u16) -> Packet {
         Packet {
-            kind: Kind::Send,
-            class: Class::Command,
-            more: false,
-            resent: false,
-            urgent: false,
-            hops: MAX_HOPS,
-            fragment: 0,
             destination: TaskId(destination),
             source: TaskId(source),
-            port: PortId(0),
             id: MessageId { incarnation: Incarnation(1), sequence: Seq24::new(1) },
             remaining: Ticks(1_000_000),
-            contents: Contents::EMPTY,
-            seal: Seal::NONE,
+            ..Packet::BLANK
         }
     }
 

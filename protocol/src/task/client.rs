@@ -19,7 +19,7 @@ mod walk;
 
 use super::own::{Own, Role, are_alike};
 use super::step::{Outbox, Step};
-use super::wait::Finished;
+use super::wait::Ended;
 use crate::ids::{MessageId, PortId, TaskId};
 use crate::mapping;
 use crate::observe::Event;
@@ -52,14 +52,6 @@ pub(crate) enum Sent {
     Copies(u16),
     /// The task waits for the answers at this desk.
     Asked(u16),
-}
-
-/// How a wait for answers ended.
-#[derive(Clone, Copy)]
-pub(crate) struct Ended {
-    /// The desk that was waited at. None: under the variant that takes late answers, whoever runs is told.
-    pub desk: Option<u16>,
-    pub finished: Finished,
 }
 
 /// The port, the life and the contents of a message.
@@ -177,13 +169,10 @@ impl Client {
         (desk.port, desk.open().next().map(|asked| asked.task), desk.deadline)
     }
 
-    /// Time has passed: what is over ends, what is due is sent again.
+    /// Something is [`due`](Self::due) at a desk: what is over ends, else it is sent again.
     pub fn advance(&mut self, step: &mut Step<'_, impl Outbox>, desk: u16) -> Option<Ended> {
         let at = usize::from(desk);
         let desk = &self.desks[at];
-        if desk.due() > step.now() {
-            return None;
-        }
         if desk.deadline > step.now() {
             self.send_again(step, at);
             return None;

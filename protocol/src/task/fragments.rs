@@ -253,8 +253,6 @@ fn is_within(have: u16, most: usize) -> bool {
 #[cfg(test)]
 mod tests {
     use super::*;
-    use crate::ids::PortId;
-    use crate::packet::Seal;
     use proptest::prelude::*;
 
     proptest! {
@@ -277,23 +275,8 @@ mod tests {
     }
 
     fn fragment(index: u8, more: bool) -> Packet {
-        use crate::packet::{Class, Kind};
-        Packet {
-            kind: Kind::Send,
-            class: Class::Command,
-            more,
-            resent: false,
-            urgent: false,
-            hops: 7,
-            fragment: index,
-            destination: TaskId(0),
-            source: TaskId(1),
-            port: PortId(0),
-            id: MessageId::default(),
-            remaining: Ticks(9),
-            contents: Contents::new(&[index]).unwrap(),
-            seal: Seal::NONE,
-        }
+        let contents = Contents::new(&[index]).unwrap();
+        Packet { more, fragment: index, source: TaskId(1), remaining: Ticks(9), contents, ..Packet::BLANK }
     }
 
     #[test]

@@ -105,16 +105,8 @@ impl Interrupts {
 
     /// The desks at which a thread waits.
     pub fn open_desks(&self) -> impl Iterator<Item = u16> {
-        self.threads().filter_map(|level| match level.pending {
-            Pending::Reply(desk) => Some(desk),
-            Pending::Nothing
-            | Pending::Get { .. }
-            | Pending::Meeting(_)
-            | Pending::Delay(..)
-            | Pending::Work
-            | Pending::Lease
-            | Pending::Boundary => None,
-        })
+        self.threads()
+            .filter_map(|level| if let Pending::Reply(desk) = level.pending { Some(desk) } else { None })
     }
 
     /// How many handlers run, each having interrupted the one before or the task's thread.
@@ -144,7 +136,7 @@ impl Interrupts {
     /// The action of the running thread has ended.
     pub fn done(&mut self) -> Result<(), Fault> {
         if self.running.pending == Pending::Work {
-            self.wait(Pending::Nothing);
+            self.end_wait();
             return Ok(());
         }
         Err(if self.waits(Pending::Work) { Fault::Busy } else { Fault::WrongUsage })

@@ -1,6 +1,6 @@
 //! The dispatcher: which part of the communication task takes an input, and what the others make of what comes of it.
 
-use super::client::{Client, Ended};
+use super::client::Client;
 use super::interrupts::{Interrupts, Offer, What};
 use super::lease::Lease;
 use super::own::{Own, Role};
@@ -8,7 +8,7 @@ use super::rendezvous::Meetings;
 use super::server::{Held, Server};
 use super::step::{Outbox, Step};
 use super::violation::Violation;
-use super::wait::{Finished, Pending};
+use super::wait::{Ended, Finished, Pending};
 use crate::ids::{NodeId, PortId, TaskId};
 use crate::mapping;
 use crate::observe::{Event, Observation, Reason};
@@ -75,11 +75,9 @@ impl Machines {
                     None => {}
                 }
             }
-            (Kind::Reply | Kind::Response, Role::Asks(desk)) if packet.kind == mapping::answer_kind(port) => {
-                let ended = self.client.answer(step, desk, packet);
-                self.end(step, ended);
-            }
-            (Kind::Control, Role::Asks(desk)) => {
+            (Kind::Reply | Kind::Response | Kind::Control, Role::Asks(desk))
+                if packet.kind == Kind::Control || packet.kind == mapping::answer_kind(port) =>
+            {
                 let ended = self.client.answer(step, desk, packet);
                 self.end(step, ended);
             }
@@ -92,8 +90,8 @@ impl Machines {
                 self.grant(step, granted);
             }
             (Kind::Arrive | Kind::Confirm | Kind::Abort, Role::Meets(meeting)) => {
-                let finished = self.meetings.hear(step, meeting, packet);
-                self.end_meeting(step, meeting, finished);
+                let ended = self.meetings.hear(step, meeting, packet);
+                self.end(step, ended);
             }
             (
                 Kind::Send
@@ -131,8 +129,8 @@ impl Machines {
             from = desk + 1;
         }
         let mut from = 0;
-        while let Some((meeting, finished)) = self.meetings.advance(step, from) {
-            self.end_meeting(step, meeting, finished);
+        while let Some((meeting, ended)) = self.meetings.advance(step, from) {
+            self.end(step, ended);
             from = meeting + 1;
         }
         let granted = self.lease.as_mut().and_then(|lease| lease.advance(step));
@@ -157,11 +155,8 @@ impl Machines {
             | Pending::Boundary => Ticks::FAR,
         };
         // When the first rejected message is to be offered again, where that could matter.
-        let offer = match self.server.next_offer() {
-            Ticks::FAR => Ticks::FAR,
-            _ if !self.is_interruptible() => Ticks::FAR,
-            offer => offer,
-        };
+        let offered = self.server.has_offers() && self.is_interruptible();
+        let offer = if offered { self.server.next_offer() } else { Ticks::FAR };
         let lease = self.lease.as_ref().map_or(Ticks::FAR, Lease::due);
         let waits = wait.min(offer).min(lease).min(self.server.next_end()).min(self.meetings.next_act());
         // Of the waits of interrupted threads only those for answers can end here: a GET goes on when its thread does, and
@@ -188,26 +183,12 @@ impl Machines {
         self.meetings.restarted(step, node);
     }
 
-    /// A wait for answers ended.
-    fn end(&mut self, step: &mut Step<'_, impl Outbox>, ended: Option<Ended>) {
+    /// A part says that a wait ended.
+    pub fn end(&mut self, step: &mut Step<'_, impl Outbox>, ended: Option<Ended>) {
         match ended {
-            Some(Ended { desk: Some(desk), finished }) => {
-                self.conclude(step, Pending::Reply(desk), &finished);
-            }
-            Some(Ended { desk: None, finished }) => self.tell(step, &finished),
+            Some(Ended { wait: Some(wait), finished }) => self.conclude(step, wait, &finished),
+            Some(Ended { wait: None, finished }) => self.tell(step, &finished),
             None => {}
-        }
-    }
-
-    /// The task left a waitfor.
-    pub fn end_meeting(
-        &mut self,
-        step: &mut Step<'_, impl Outbox>,
-        meeting: u16,
-        finished: Option<Finished>,
-    ) {
-        if let Some(finished) = finished {
-            self.conclude(step, Pending::Meeting(meeting), &finished);
         }
     }
 

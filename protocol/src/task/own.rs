@@ -138,7 +138,7 @@ impl Own {
 
     /// The inbox of a port that the task receives on.
     pub fn inbox(&self, port: PortId) -> Option<u16> {
-        if let Role::Receives(inbox) = self.role(port)? { Some(inbox) } else { None }
+        self.receiving(port).ok()
     }
 
     /// The desk of a port that it asks on.

@@ -159,8 +159,8 @@ impl Machines {
         // As for messages: the declared patience is what a restarted partner waits for, so it may only be shortened.
         let patience = time_out.map_or(party.time_out, |wanted| wanted.min(party.time_out));
         self.interrupts.wait(Pending::Meeting(meeting));
-        let finished = self.meetings.reach(step, meeting, (arguments, patience));
-        self.end_meeting(step, meeting, finished);
+        let ended = self.meetings.reach(step, meeting, (arguments, patience));
+        self.end(step, ended);
         Ok(None)
     }
 

@@ -37,9 +37,8 @@ use super::step::{Outbox, Step};
 use crate::ids::{Incarnation, PortId, Seq24, TaskId};
 use crate::mapping;
 use crate::observe::{Event, Reason};
-use crate::packet::{Class, Contents, Control, Kind, Packet};
+use crate::packet::{Class, Contents, Control, Packet};
 use crate::queue::Slot;
-use crate::request::ReplyTo;
 use crate::rules::{Memory, TimeStamp};
 use crate::table::{NodeTable, Party, Port};
 use crate::ticks::Ticks;
@@ -218,7 +217,7 @@ impl Server {
             Seen::Again(Fate::Refused) => control(step, packet, Control::Refused),
             Seen::Again(Fate::Answered(contents)) => {
                 let kind = mapping::answer_kind(port);
-                let to = ReplyTo { port: packet.port, source: packet.source, id: packet.id };
+                let to = mapping::reply_to(packet);
                 let answer = mapping::answer(to, step.own.task, kind, packet.remaining, contents);
                 let more = self.inboxes[inbox].answer(source);
                 mapping::in_fragments(answer, more, |packet| step.out.transmit(packet));
@@ -301,7 +300,7 @@ impl Server {
                 let entry = &mut self.inboxes[inbox];
                 entry.settle(held.source, held.id(), Fate::Lapsed);
                 let port = entry.port;
-                step.count(port, |c| c.expired += 1);
+                step.count_at(entry.endpoint, |c| c.expired += 1);
                 let event = Event::Discarded(Reason::Expired);
                 step.note(event, port, held.source, held.id(), Ticks::ZERO);
             }
@@ -370,12 +369,10 @@ impl Server {
 }
 
 fn control(step: &mut Step<'_, impl Outbox>, request: &Packet, control: Control) {
-    if request.more {
-        return;
+    if !request.more {
+        let to = mapping::reply_to(request);
+        step.out.transmit(mapping::control(to, step.own.task, control, request.remaining));
     }
-    let to = ReplyTo { port: request.port, source: request.source, id: request.id };
-    let word = control.to_contents();
-    step.out.transmit(mapping::answer(to, step.own.task, Kind::Control, request.remaining, word));
 }
 
 fn discard(step: &mut Step<'_, impl Outbox>, port: PortId, held: &Held, reason: Reason) {

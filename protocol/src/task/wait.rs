@@ -49,3 +49,11 @@ pub(crate) enum Finished {
     TimeOut(TimeId),
     Granted(u8),
 }
+
+/// A wait that ended, as the part that it was for says it.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub(crate) struct Ended {
+    /// What was waited for. None: under the variant that takes late answers, whoever runs is told.
+    pub wait: Option<Pending>,
+    pub finished: Finished,
+}

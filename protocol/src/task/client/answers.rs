@@ -1,7 +1,7 @@
 //! What comes of the answers, and of the refusals, of those that were asked.
 
 use super::desk::{Answer, Asked, Desk, Phase};
-use super::{Client, Ended, Overdue};
+use super::{Client, Overdue};
 use crate::ids::{MessageId, NodeId};
 use crate::observe::{Event, Reason};
 use crate::packet::{Control, Kind, Packet};
@@ -9,7 +9,7 @@ use crate::request::Outcome;
 use crate::task::fragments::Progress;
 use crate::task::own::index;
 use crate::task::step::{Outbox, Step};
-use crate::task::wait::Finished;
+use crate::task::wait::{Ended, Finished, Pending};
 
 impl Client {
     /// The answer of one task came in, or its refusal: the request ends with the last one.
@@ -50,11 +50,11 @@ impl Client {
         } else {
             // The outcome says all there is.
             desk.close();
-            return Ended { desk: Some(at), finished: Finished::Outcome(outcome) };
+            return Ended { wait: Some(Pending::Reply(at)), finished: Finished::Outcome(outcome) };
         };
         desk.settle();
         desk.phase = Phase::Ended;
-        Ended { desk: Some(at), finished }
+        Ended { wait: Some(Pending::Reply(at)), finished }
     }
 
     /// An answer to the task's own class-2 message.
@@ -87,7 +87,7 @@ impl Client {
         if answers && !step.table.rules().refuse_late_replies {
             self.overdue = None;
             let finished = Finished::Outcome(Outcome::Reply(packet.contents));
-            return Some(Ended { desk: None, finished });
+            return Some(Ended { wait: None, finished });
         }
         let stale = packet.id.incarnation.is_older_than(step.own.incarnation);
         step.drop_packet(packet, if stale { Reason::StaleIncarnation } else { Reason::Unexpected });

@@ -6,7 +6,7 @@ use crate::request::ReplyTo;
 use crate::task::fixture::{A, B, Fixture, MOVE};
 use crate::task::interrupts::Interrupts;
 use crate::task::violation::Violation;
-use crate::task::wait::Pending;
+use crate::task::wait::{Finished, Pending};
 use alloc::vec::Vec;
 
 /// Task A has asked B, and its thread waits for the answer.
@@ -36,7 +36,7 @@ fn an_answer_ends_the_wait_once() {
     let answer = answer(&mut bench);
     assert_eq!(client.outstanding().collect::<Vec<_>>(), [(MOVE, B, answer.id)]);
     let ended = client.answer(&mut bench.at(Ticks(12)), 0, &answer).expect("an end");
-    assert_eq!(ended.desk, Some(0));
+    assert_eq!(ended.wait, Some(Pending::Reply(0)));
     assert_eq!(ended.finished, Finished::Outcome(Outcome::Reply(answer.contents)));
     threads.end_wait();
     assert_eq!(client.check(&bench.own, &threads), Ok(()));

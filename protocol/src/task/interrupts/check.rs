@@ -45,16 +45,9 @@ impl Interrupts {
     }
 
     fn check_timers(&self, table: &NodeTable, own: &Own, called: bool) -> Result<(), Violation> {
-        let delays = self.threads().filter_map(|level| match level.pending {
-            Pending::Delay(id, _) => Some(id),
-            Pending::Nothing
-            | Pending::Get { .. }
-            | Pending::Reply(_)
-            | Pending::Meeting(_)
-            | Pending::Work
-            | Pending::Lease
-            | Pending::Boundary => None,
-        });
+        let delays = self.threads();
+        let delays = delays
+            .filter_map(|level| if let Pending::Delay(id, _) = level.pending { Some(id) } else { None });
         let mut names = [0_u64; 4];
         for id in delays.chain(self.timers.slots.iter().flatten().map(|started| started.id)) {
             let (word, bit) = (usize::from(id.0 / 64), 1 << (id.0 % 64));

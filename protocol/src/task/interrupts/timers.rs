@@ -21,7 +21,7 @@ pub(super) struct Started {
 }
 
 /// The timers of a task that run, or whose handlers have not begun.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
+#[derive(Clone, Debug, Default, PartialEq, Eq, Hash, Serialize, Deserialize)]
 pub(super) struct Timers {
     pub slots: [Option<Started>; TIMERS],
     /// Bit `i`: that of slot `i` is over, and its handler has not begun.

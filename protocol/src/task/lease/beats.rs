@@ -5,7 +5,7 @@ use crate::cell::CoupleDecl;
 use crate::ids::{Incarnation, Seq24};
 use crate::mapping;
 use crate::packet::{Contents, Kind, Packet};
-use crate::request::{PUBLISHED_BYTES, ReplyTo};
+use crate::request::PUBLISHED_BYTES;
 use crate::rules::LeaseRule;
 use crate::table::Port;
 use crate::task::step::{Outbox, Step};
@@ -91,13 +91,13 @@ impl Lease {
         let len = published.len().min(PUBLISHED_BYTES);
         bytes[ECHO_BYTES..ECHO_BYTES + len].copy_from_slice(&published[..len]);
         let contents = Contents::new(&bytes[..ECHO_BYTES + len]).unwrap_or_default();
-        let to = ReplyTo { port: port.id, source: beat.source, id: beat.id };
         let life = port.party(step.own.task).map_or(Ticks::ZERO, |party| party.time_out);
         if self.newest.is_none_or(|newest| beat.id.sequence.is_newer_than(newest)) {
             self.newest = Some(beat.id.sequence);
             self.answered.rotate_right(1);
             self.answered[0] = Some(Answered { beat: beat.id.sequence, until: step.now() + couple.lease });
         }
+        let to = mapping::reply_to(beat);
         step.out.transmit(mapping::answer(to, step.own.task, Kind::Response, life, contents));
     }
 

@@ -8,7 +8,7 @@ use crate::queue::Words;
 use crate::table::NodeTable;
 use crate::task::own::{Own, Role, are_alike, index};
 use crate::task::step::{Outbox, Step};
-use crate::task::wait::Finished;
+use crate::task::wait::{Ended, Finished, Pending};
 use crate::ticks::Ticks;
 use alloc::boxed::Box;
 use serde::{Deserialize, Serialize};
@@ -37,7 +37,7 @@ impl Meetings {
         step: &mut Step<'_, O>,
         meeting: u16,
         act: impl FnOnce(&mut Rendezvous, &mut At<'_, '_, O>) -> R,
-    ) -> Option<(R, Option<Finished>)> {
+    ) -> Option<(R, Option<Ended>)> {
         let rendezvous = self.list.get_mut(usize::from(meeting))?;
         let (id, due) = (rendezvous.port, rendezvous.due());
         let port = step.table.port(id)?;
@@ -48,7 +48,8 @@ impl Meetings {
         if rendezvous.due() != due {
             self.touch(meeting);
         }
-        Some((done, released.map(|(round, by)| Finished::Released { port: id, round, by })))
+        let released = released.map(|(round, by)| Finished::Released { port: id, round, by });
+        Some((done, released.map(|finished| left(meeting, finished))))
     }
 
     /// The task reaches a waitfor.
@@ -57,17 +58,12 @@ impl Meetings {
         step: &mut Step<'_, impl Outbox>,
         meeting: u16,
         (arguments, patience): ([u8; 8], Ticks),
-    ) -> Option<Finished> {
+    ) -> Option<Ended> {
         self.run(step, meeting, |rendezvous, at| rendezvous.reach(at, arguments, patience))?.1
     }
 
     /// A packet of another member.
-    pub fn hear(
-        &mut self,
-        step: &mut Step<'_, impl Outbox>,
-        meeting: u16,
-        packet: &Packet,
-    ) -> Option<Finished> {
+    pub fn hear(&mut self, step: &mut Step<'_, impl Outbox>, meeting: u16, packet: &Packet) -> Option<Ended> {
         self.run(step, meeting, |rendezvous, at| rendezvous.hear(at, packet))?.1
     }
 
@@ -77,11 +73,7 @@ impl Meetings {
     }
 
     /// Time has passed: the first waitfor from `from` on where something is due, and how the wait there ended, where it did.
-    pub fn advance(
-        &mut self,
-        step: &mut Step<'_, impl Outbox>,
-        from: u16,
-    ) -> Option<(u16, Option<Finished>)> {
+    pub fn advance(&mut self, step: &mut Step<'_, impl Outbox>, from: u16) -> Option<(u16, Option<Ended>)> {
         let now = step.now();
         if self.next_act() > now {
             return None;
@@ -94,7 +86,7 @@ impl Meetings {
             let (port, round) = (rendezvous.port, rendezvous.announced);
             over.then(|| Finished::GaveUp { port, round, missing: rendezvous.leave(at) })
         })?;
-        Some((meeting, gave_up))
+        Some((meeting, gave_up.map(|finished| left(meeting, finished))))
     }
 
     /// A node has a new life: what its tasks brought is void.
@@ -164,4 +156,9 @@ impl Meetings {
         };
         are_alike(&self.list, &new.list, is) && self.next.is_whole(self.list.len())
     }
+}
+
+/// The task left a waitfor.
+fn left(meeting: u16, finished: Finished) -> Ended {
+    Ended { wait: Some(Pending::Meeting(meeting)), finished }
 }

@@ -3,7 +3,7 @@
 use super::{At, Rendezvous};
 use crate::ids::{Incarnation, MessageId, Round, Seq24};
 use crate::observe::Event;
-use crate::packet::{Class, Kind, MAX_HOPS, Meeting, Packet, Seal};
+use crate::packet::{Class, Kind, Meeting, Packet};
 use crate::task::step::Outbox;
 use crate::ticks::Ticks;
 
@@ -75,18 +75,12 @@ impl Rendezvous {
         Packet {
             kind,
             class: Class::Command,
-            more: false,
-            resent: false,
-            urgent: false,
-            hops: MAX_HOPS,
-            fragment: 0,
-            destination: at.step.own.task,
             source: at.step.own.task,
             port: self.port,
             id: MessageId { incarnation: at.step.own.incarnation, sequence: Seq24::default() },
             remaining: at.port.decl.time_out,
             contents: meeting.to_contents(),
-            seal: Seal::NONE,
+            ..Packet::BLANK
         }
     }
 }

@@ -3,7 +3,7 @@ use crate::packet::{Kind, Meeting, Packet};
 use crate::task::fixture::{A, B, Fixture, LIFT};
 use crate::task::interrupts::Interrupts;
 use crate::task::violation::Violation;
-use crate::task::wait::{Finished, Pending};
+use crate::task::wait::{Ended, Finished, Pending};
 use alloc::format;
 
 /// A task that waits at the waitfor since 10, with a patience of 30.
@@ -16,12 +16,16 @@ fn waiting(task: TaskId) -> (Fixture, Meetings, Interrupts) {
     (bench, meetings, threads)
 }
 
+fn ended(finished: Finished) -> Ended {
+    Ended { wait: Some(Pending::Meeting(0)), finished }
+}
+
 #[test]
 fn both_are_released_in_one_round_by_each_other_s_arrival() {
     let (mut a, mut of_a, _) = waiting(A);
     let (mut b, mut of_b, _) = waiting(B);
     let (from_a, from_b) = (a.packets()[0], b.packets()[0]);
-    let released = Finished::Released { port: LIFT, round: Round(1), by: ReleasedBy::AllArrived };
+    let released = ended(Finished::Released { port: LIFT, round: Round(1), by: ReleasedBy::AllArrived });
     assert_eq!(of_a.hear(&mut a.at(Ticks(12)), 0, &from_b), Some(released));
     assert_eq!(of_b.hear(&mut b.at(Ticks(13)), 0, &from_a), Some(released));
     let port = a.table.port(LIFT).unwrap();
@@ -40,7 +44,7 @@ fn a_confirm_of_the_round_releases_and_one_of_another_does_not() {
     let wrong = Packet { contents: other.to_contents(), ..confirm };
     assert_eq!(of_a.hear(&mut a.at(Ticks(13)), 0, &wrong), None);
     let by = ReleasedBy::Confirm(B);
-    let released = Finished::Released { port: LIFT, round: Round(1), by };
+    let released = ended(Finished::Released { port: LIFT, round: Round(1), by });
     assert_eq!(of_a.hear(&mut a.at(Ticks(13)), 0, &confirm), Some(released));
 }
 
@@ -52,10 +56,11 @@ fn whose_patience_ends_tells_the_others_and_who_was_missing() {
     while end.is_none() {
         let due = of_a.next_act();
         assert!(due <= Ticks(40));
-        end = of_a.advance(&mut a.at(due), 0).and_then(|(_, finished)| Some((due, finished?)));
+        end = of_a.advance(&mut a.at(due), 0).and_then(|(_, ended)| Some((due, ended?)));
     }
     // B owns the port: it is the first of its parties.
-    assert_eq!(end, Some((Ticks(40), Finished::GaveUp { port: LIFT, round: Round(1), missing: 1 })));
+    let gave_up = ended(Finished::GaveUp { port: LIFT, round: Round(1), missing: 1 });
+    assert_eq!(end, Some((Ticks(40), gave_up)));
     assert_eq!(a.packets().last().unwrap().kind, Kind::Abort);
 }
 

@@ -6,7 +6,7 @@ use super::{Held, Server, Way, discard, rest_of};
 use crate::ids::{Incarnation, MessageId, TaskId};
 use crate::mapping;
 use crate::observe::{Event, Reason};
-use crate::packet::{Class, Control, Kind, Packet};
+use crate::packet::{Class, Control, Packet};
 use crate::request::ReplyTo;
 use crate::table::Port;
 use crate::task::step::{Outbox, Step};
@@ -92,8 +92,7 @@ impl Server {
         self.inboxes[inbox].settle(source, message, Fate::Refused);
         let life = port.party(source).map_or(Ticks::ZERO, |party| party.time_out);
         let to = ReplyTo { port: port.id, source, id: message };
-        let word = Control::Refused.to_contents();
-        step.out.transmit(mapping::answer(to, step.own.task, Kind::Control, life, word));
+        step.out.transmit(mapping::control(to, step.own.task, Control::Refused, life));
     }
 
     /// Whether a message comes from the present life of its source. What an earlier life left waiting goes with the

@@ -15,7 +15,7 @@ use crate::ticks::Ticks;
 use serde::{Deserialize, Serialize};
 
 /// The orders.
-#[derive(Clone, Debug, Default, Serialize, Deserialize)]
+#[derive(Clone, Debug, Serialize, Deserialize)]
 pub(super) struct Heads {
     /// Of the ports without a handler where something waits: the most urgent head.
     urgent: Words,
